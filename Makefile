@@ -1,0 +1,44 @@
+# Two commands of the README do everything, set-up included: `make demo` and `make test`.
+# Everything is installed into .venv from requirements.lock (versions and hashes).
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+PY := $(BIN)/python
+STAMP := $(VENV)/.installed
+CSRC := $(wildcard csrc/*.[ch] csrc/kernels/*.[ch] csrc/bindings/*.cpp csrc/bindings/*.h)
+
+.PHONY: setup demo test lint bench build clean lock
+
+setup: $(STAMP)
+
+$(VENV)/.locked: requirements.lock
+	$(PYTHON) -m venv $(VENV)
+	$(PY) -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
+	touch $@
+
+$(STAMP): $(VENV)/.locked pyproject.toml CMakeLists.txt $(CSRC)
+	$(PY) -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
+	touch $@
+
+build: setup
+
+demo: setup
+	$(BIN)/fraclink run --rig paper-2023 --log demo --out results/demo --force
+
+test: setup
+	$(PY) -m pytest
+
+lint: setup
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+bench: setup
+	$(PY) benchmarks/run.py
+
+lock:
+	uv pip compile --universal --python-version 3.11 --generate-hashes --no-header --no-annotate \
+	  --no-emit-index-url --no-emit-find-links requirements.in -o requirements.lock
+
+clean:
+	rm -rf build results .pytest_cache .mypy_cache .ruff_cache $(VENV)

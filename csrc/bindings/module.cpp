@@ -1,0 +1,9 @@
+// The Python module of the C kernels. Each kernel file has a binding file of its own beside this one
+// that only moves arrays in and out; this file names them.
+#include <nanobind/nanobind.h>
+
+namespace nb = nanobind;
+
+NB_MODULE(_kernels, m) {
+    m.doc() = "Compiled kernels of fraclink. Private: the package's Python modules are the interface.";
+}

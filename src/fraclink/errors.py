@@ -1,0 +1,135 @@
+"""Every error fraclink raises on purpose.
+
+    FraclinkError
+    ├── FieldError(ValueError)              a value is out of its range: field, value, allowed, remedy
+    │   ├── LogError                        a recorded log cannot be used as it is
+    │   ├── FileFormatError                 a file is damaged, hostile, of another kind or version
+    │   ├── SizeError                       refused by estimate, before memory is taken
+    │   └── UnstableError                   the quantity asked for exists for stable systems only
+    ├── InfeasibleError(ValueError)         a design cannot be met: binding condition, nearest request
+    ├── NotCertifiedError(ValueError)       a proof failed: payload and frequency where it fails
+    ├── NotConvergedError(RuntimeError)     an iteration stopped short: what was reached
+    └── MissingExtraError(ImportError)      an optional dependency is not installed
+
+The command line turns ``FieldError`` and ``MissingExtraError`` into exit code 2 (bad input) and
+``InfeasibleError``, ``NotCertifiedError`` and ``NotConvergedError`` into exit code 1 (does not hold).
+Warnings are ``FraclinkWarning`` with a stable code (``W101`` ...).
+"""
+
+from __future__ import annotations
+
+__all__ = [
+    "FieldError",
+    "FileFormatError",
+    "FraclinkError",
+    "FraclinkWarning",
+    "InfeasibleError",
+    "LogError",
+    "MissingExtraError",
+    "NotCertifiedError",
+    "NotConvergedError",
+    "SizeError",
+    "UnstableError",
+]
+
+_VALUE_LIMIT = 80  # characters of a value that a message repeats: a 10 MB cell must not flood a terminal
+
+
+def _shown(value: object) -> str:
+    """The value as a message prints it: one line, printable characters only, bounded."""
+    text = value if isinstance(value, str) else repr(value)
+    text = "".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in text[: _VALUE_LIMIT + 1])
+    return text if len(text) <= _VALUE_LIMIT else text[:_VALUE_LIMIT] + "…"
+
+
+class FraclinkError(Exception):
+    """Base of every error that fraclink raises on purpose."""
+
+
+class FieldError(FraclinkError, ValueError):
+    """A value is outside its range.
+
+    The message reads ``field: value is problem; allowed range; remedy`` and every part of it is an
+    attribute, so that a program can act on it and a form can show it beside the field.
+
+    >>> raise FieldError("payload", -0.03, "negative", allowed="> 0 kg", remedy="give the mass in kg")
+    Traceback (most recent call last):
+    fraclink.errors.FieldError: payload: -0.03 is negative; allowed > 0 kg; give the mass in kg
+    """
+
+    def __init__(self, field: str, value: object, problem: str, *, allowed: str, remedy: str) -> None:
+        self.field, self.value, self.problem = field, value, problem
+        self.allowed, self.remedy = allowed, remedy
+        super().__init__(f"{_shown(field)}: {_shown(value)} is {problem}; allowed {allowed}; {remedy}")
+
+    def __reduce__(self) -> tuple[object, ...]:
+        # Keyword-only arguments are lost by the default protocol, and errors cross process borders
+        # (file readers run in a child that may be killed).
+        return _rebuild, (type(self), self.field, self.value, self.problem, self.allowed, self.remedy)
+
+
+def _rebuild(
+    kind: type[FieldError], field: str, value: object, problem: str, allowed: str, remedy: str
+) -> FieldError:
+    return kind(field, value, problem, allowed=allowed, remedy=remedy)
+
+
+class LogError(FieldError):
+    """A recorded log cannot be used as it is."""
+
+
+class FileFormatError(FieldError):
+    """A file is damaged, hostile, of another kind, or of a version this release does not read."""
+
+
+class SizeError(FieldError):
+    """A request is refused by its estimated size, before any memory is taken."""
+
+
+class UnstableError(FieldError):
+    """The quantity asked for exists for stable systems only."""
+
+
+class InfeasibleError(FraclinkError, ValueError):
+    """A design request cannot be met.
+
+    ``condition`` names the bound that is hit, ``nearest`` holds the nearest feasible request as
+    keyword arguments of the same call (empty where none was found).
+    """
+
+    def __init__(self, condition: str, explanation: str, nearest: dict[str, float] | None = None) -> None:
+        self.condition, self.explanation, self.nearest = condition, explanation, dict(nearest or {})
+        hint = ", ".join(f"{name} = {value:.6g}" for name, value in self.nearest.items())
+        super().__init__(f"{condition}: {explanation}" + (f"; nearest feasible: {hint}" if hint else ""))
+
+
+class NotCertifiedError(FraclinkError, ValueError):
+    """A proof failed; ``payload`` [kg] and ``frequency`` [rad/s] say where, if they are known."""
+
+    def __init__(self, reason: str, *, payload: float | None = None, frequency: float | None = None) -> None:
+        self.reason, self.payload, self.frequency = reason, payload, frequency
+        super().__init__(reason)
+
+
+class NotConvergedError(FraclinkError, RuntimeError):
+    """An iteration stopped before its tolerance; ``reached`` is the value it stopped at."""
+
+    def __init__(self, what: str, *, reached: float, wanted: float, remedy: str) -> None:
+        self.what, self.reached, self.wanted, self.remedy = what, reached, wanted, remedy
+        super().__init__(f"{what}: reached {reached:.3g}, wanted {wanted:.3g}; {remedy}")
+
+
+class MissingExtraError(FraclinkError, ImportError):
+    """An optional dependency is not installed; the message names the extra that brings it."""
+
+    def __init__(self, package: str, extra: str) -> None:
+        self.package, self.extra = package, extra
+        super().__init__(f"{package} is not installed; it comes with `pip install 'fraclink[{extra}]'`")
+
+
+class FraclinkWarning(UserWarning):
+    """A finding that does not stop the work; ``code`` (``W101`` ...) is stable across releases."""
+
+    def __init__(self, code: str, message: str) -> None:
+        self.code, self.message = code, message
+        super().__init__(f"{code}: {message}")

@@ -1,0 +1,153 @@
+"""Files that fraclink writes: complete or not at all, and self-describing.
+
+Every saved noun is one JSON object with an envelope: what it is, the format's version, the tool's
+version, its units and the hashes of what it was made from. It is written to a temporary name beside its
+place and renamed, so that a full disk or a kill leaves the old file or none, never half of one.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import math
+import os
+import tempfile
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import IO, Any
+
+from fraclink.errors import FieldError, FileFormatError
+
+__all__ = ["atomic_write", "output_path", "read_json", "sha256_of", "write_json", "write_text"]
+
+JSON_LIMIT = 16_000_000  # bytes; a saved fit with its residuals of 100 000 samples is about 2 MB
+_DIGIT_LIMIT = 400  # a 5 000-digit integer is an attack or a damaged file, not a measurement
+
+
+def sha256_of(path: Path) -> str:
+    """Return the SHA-256 of a file's bytes as 64 hexadecimal digits."""
+    digest = hashlib.sha256()
+    with Path(path).open("rb") as stream:
+        while block := stream.read(1 << 20):
+            digest.update(block)
+    return digest.hexdigest()
+
+
+def output_path(path: Path | str, *, force: bool = False) -> Path:
+    """Return `path` after checking that it may be written; an existing file needs `force`."""
+    place = Path(path)
+    if place.exists() and not force:
+        raise FieldError(
+            "out",
+            str(place),
+            "already there",
+            allowed="a new name",
+            remedy="choose another name or add --force",
+        )
+    return place
+
+
+@contextlib.contextmanager
+def atomic_write(path: Path | str, mode: str = "w") -> Iterator[IO[Any]]:
+    """Open a temporary file beside `path` and rename it over `path` when the block ends without error."""
+    place = Path(path)
+    place.parent.mkdir(parents=True, exist_ok=True)
+    handle, name = tempfile.mkstemp(dir=place.parent, prefix=f".{place.name[:100]}.", suffix=".tmp")
+    try:
+        with os.fdopen(handle, mode, **({} if "b" in mode else {"encoding": "utf-8"})) as stream:
+            yield stream
+            stream.flush()
+            os.fsync(stream.fileno())
+        # mkstemp makes files private; results are meant to be shared like any other file a user makes.
+        mask = os.umask(0)
+        os.umask(mask)
+        Path(name).chmod(0o666 & ~mask)
+        Path(name).replace(place)
+    except BaseException:
+        Path(name).unlink(missing_ok=True)
+        raise
+
+
+def write_text(path: Path | str, text: str) -> None:
+    """Write `text` to `path` in one step."""
+    with atomic_write(path) as stream:
+        stream.write(text)
+
+
+def write_json(path: Path | str, kind: str, version: int, payload: Mapping[str, Any]) -> None:
+    """Write a noun with its envelope; floats round-trip exactly, NaN and infinity are refused."""
+    from fraclink import __version__
+
+    envelope = {"fraclink": kind, "format": version, "tool": __version__, "units": "SI, radians"}
+    write_text(path, json.dumps(envelope | dict(payload), indent=1, allow_nan=False) + "\n")
+
+
+def _refuse_constant(text: str) -> float:
+    raise FieldError(
+        "number", text, "not a finite number", allowed="finite numbers", remedy="remove it from the file"
+    )
+
+
+def _integer(text: str) -> int:
+    if len(text) > _DIGIT_LIMIT:
+        raise FieldError(
+            "number", text, "too long", allowed=f"{_DIGIT_LIMIT} digits", remedy="remove it from the file"
+        )
+    return int(text)
+
+
+def _float(text: str) -> float:
+    value = float(text)
+    return value if math.isfinite(value) else _refuse_constant(text)
+
+
+def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    result: dict[str, Any] = {}
+    for key, value in pairs:
+        if key in result:
+            # json keeps the last one silently; which of two values was meant only the author knows.
+            raise FieldError(
+                key, value, "given twice", allowed="each key once", remedy="remove one of the two"
+            )
+        result[key] = value
+    return result
+
+
+def read_json(path: Path | str, kind: str, versions: tuple[int, ...] = (1,)) -> dict[str, Any]:
+    """Read back what `write_json` wrote, after checking its kind and its format's version."""
+    place = Path(path)
+    if not place.is_file():
+        raise FileFormatError(
+            "file", str(place), "not there", allowed=f"a {kind} file", remedy="check the path"
+        )
+    if place.stat().st_size > JSON_LIMIT:
+        raise FileFormatError(
+            "file", str(place), "too large", allowed=f"{JSON_LIMIT} bytes", remedy=f"give a {kind} file"
+        )
+    try:
+        data = json.loads(
+            place.read_text(encoding="utf-8"),
+            parse_constant=_refuse_constant,
+            parse_int=_integer,
+            parse_float=_float,
+            object_pairs_hook=_unique,
+        )
+    except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise FileFormatError(
+            "file", str(place), f"not valid JSON ({error})", allowed=f"a {kind} file", remedy="make it again"
+        ) from error
+    found = data.get("fraclink") if isinstance(data, dict) else None
+    if found != kind:
+        raise FileFormatError(
+            "file", str(place), f"of kind {found!r}", allowed=f"kind {kind!r}", remedy=f"give a {kind} file"
+        )
+    if data.get("format") not in versions:
+        raise FileFormatError(
+            "format",
+            data.get("format"),
+            "a version this release does not read",
+            allowed=", ".join(map(str, versions)),
+            remedy="make the file again with this release",
+        )
+    return dict(data)
