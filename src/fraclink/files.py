@@ -55,7 +55,7 @@ def atomic_write(path: Path | str, mode: str = "w") -> Iterator[IO[Any]]:
     place.parent.mkdir(parents=True, exist_ok=True)
     handle, name = tempfile.mkstemp(dir=place.parent, prefix=f".{place.name[:100]}.", suffix=".tmp")
     try:
-        with os.fdopen(handle, mode, **({} if "b" in mode else {"encoding": "utf-8"})) as stream:
+        with os.fdopen(handle, mode, encoding=None if "b" in mode else "utf-8") as stream:
             yield stream
             stream.flush()
             os.fsync(stream.fileno())
@@ -107,9 +107,7 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     for key, value in pairs:
         if key in result:
             # json keeps the last one silently; which of two values was meant only the author knows.
-            raise FieldError(
-                key, value, "given twice", allowed="each key once", remedy="remove one of the two"
-            )
+            raise FieldError(key, value, "given twice", allowed="each key once", remedy="remove one")
         result[key] = value
     return result
 
