@@ -7,7 +7,7 @@ PY := $(BIN)/python
 STAMP := $(VENV)/.installed
 CSRC := $(wildcard csrc/*.[ch] csrc/kernels/*.[ch] csrc/bindings/*.cpp csrc/bindings/*.h)
 
-.PHONY: setup demo test lint bench build clean lock
+.PHONY: setup demo test lint bench build docs reproduce clean lock
 
 setup: $(STAMP)
 
@@ -36,6 +36,14 @@ lint: setup
 bench: setup
 	$(PY) benchmarks/run.py
 
+docs: setup
+	$(BIN)/sphinx-build --quiet --fail-on-warning --keep-going -b html docs docs/_build/html
+	@echo docs/_build/html/index.html
+
+reproduce: setup
+	$(BIN)/fraclink reproduce --out reproduce --force
+
+# `make lock` needs uv on the path; everybody else installs from the file it wrote.
 lock:
 	uv pip compile --universal --python-version 3.11 --generate-hashes --no-header --no-annotate \
 	  --no-emit-index-url --no-emit-find-links requirements.in -o requirements.lock

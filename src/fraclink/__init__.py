@@ -5,13 +5,18 @@ Public names are loaded when they are first used: ``import fraclink`` itself loa
 
 from __future__ import annotations
 
+import sys
 from importlib import import_module
-from typing import Any
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
 
-# Public name -> module that defines it. tests/test_public_names.py guards the list.
+# Public name -> module that defines it. The tests guard the list; add the same name below TYPE_CHECKING.
 _HOME: dict[str, str] = {}
+
+if TYPE_CHECKING:  # what editors and type checkers see; nothing of this runs
+    pass
 
 __all__ = sorted(["__version__", *_HOME])
 
@@ -26,3 +31,18 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     return __all__
+
+
+class _Root(ModuleType):
+    """The root module: verbs keep their names though modules are called the same.
+
+    Importing ``fraclink.design`` makes Python store the module as the root's attribute ``design``, over
+    the verb of that name; whether `fl.design(...)` worked would then depend on what was imported before.
+    """
+
+    def __setattr__(self, name: str, value: object) -> None:
+        if not (name in _HOME and isinstance(value, ModuleType)):
+            super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = _Root

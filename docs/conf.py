@@ -1,0 +1,32 @@
+"""Sphinx: MyST pages whose code runs while they are built; no page needs the network."""
+
+from fraclink import __version__
+
+project = "fraclink"
+author = "The fraclink developers"
+copyright = "2026, The fraclink developers"
+release = version = __version__
+
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.viewcode"]
+myst_enable_extensions = ["deflist", "colon_fence", "attrs_inline"]
+myst_heading_anchors = 3
+nb_execution_mode = "force"
+nb_execution_raise_on_error = True
+nb_execution_timeout = 120
+nb_merge_streams = True
+
+# Formulas are written in Unicode: the usual renderer would fetch a script from elsewhere.
+exclude_patterns = ["_build"]
+html_theme = "furo"
+html_title = f"fraclink {version}"
+html_static_path = ["_static"]
+html_css_files = ["fraclink.css"]
+html_show_sphinx = False
+html_copy_source = False
+
+autodoc_member_order = "bysource"
+autodoc_typehints = "signature"
+autodoc_typehints_format = "short"
+# "What is this name" must have an answer: an undefined symbol is a failed build (make docs adds -W).
+nitpicky = False
+suppress_warnings = ["myst.strikethrough"]

@@ -1,0 +1,26 @@
+"""Tools that some tests drive: absent on a user's machine they skip, under FRACLINK_CI they fail."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from typing import NoReturn
+
+import pytest
+
+CI = os.environ.get("FRACLINK_CI") == "1"
+
+
+def missing(message: str) -> NoReturn:
+    """Skip with `message`, or fail where nothing may be skipped."""
+    if CI:
+        pytest.fail(f"{message} (FRACLINK_CI=1: nothing may be skipped)")
+    pytest.skip(message)
+
+
+def tool(name: str, package: str | None = None) -> str:
+    """Return the path of a program, or skip and name the Debian package that brings it."""
+    path = shutil.which(name)
+    if path is None:
+        missing(f"{name} is not installed (Debian package {package or name})")
+    return path

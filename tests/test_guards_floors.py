@@ -1,0 +1,85 @@
+"""Imports go down the floors only, and never in a circle."""
+
+from __future__ import annotations
+
+import ast
+
+from guard_sources import Source, imported_modules, sources
+
+FLOORS: dict[str, int] = {
+    # beneath everything: errors, files, the compiled kernels
+    **dict.fromkeys(("", "errors", "files", "_kernels"), 0),
+    # mathematics, knows no robot
+    **dict.fromkeys(("fractional", "roots", "response", "stability", "rational"), 0),
+    # nouns
+    **dict.fromkeys(("rig", "link", "motor", "controller", "law", "experiment", "reference"), 1),
+    # verbs
+    **dict.fromkeys(("readers", "diagnose", "identify", "design", "certify", "simulate", "twin"), 2),
+    **dict.fromkeys(("compare", "campaign", "realtime"), 2),
+    # out of the building
+    **dict.fromkeys(("plots", "report", "export", "interop", "reproduce"), 3),
+    # doors
+    **dict.fromkeys(("cli", "studio"), 4),
+}
+
+
+def test_every_module_has_a_floor() -> None:
+    assert {source.component for source in sources()} <= FLOORS.keys()
+
+
+def test_imports_go_down() -> None:
+    upward = [
+        f"{source.name} imports {target}"
+        for source in sources()
+        if source.name  # the root only names where public names live
+        for target in imported_modules(source)
+        if FLOORS[target.partition(".")[0]] > FLOORS[source.component]
+    ]
+    assert upward == []
+
+
+def _cycle(edges: dict[str, set[str]]) -> list[str]:
+    """Return one circle of imports, or an empty list."""
+    done: set[str] = set()
+
+    def visit(node: str, trail: list[str]) -> list[str]:
+        if node in trail:
+            return [*trail[trail.index(node) :], node]
+        if node in done:
+            return []
+        for target in sorted(edges.get(node, ())):
+            if circle := visit(target, [*trail, node]):
+                return circle
+        done.add(node)
+        return []
+
+    for start in sorted(edges):
+        if circle := visit(start, []):
+            return circle
+    return []
+
+
+def test_imports_form_no_circle() -> None:
+    edges = {source.name: {target for target in imported_modules(source) if target} for source in sources()}
+    assert _cycle(edges) == []
+
+
+def test_components_form_no_circle() -> None:
+    edges: dict[str, set[str]] = {}
+    for source in sources():
+        targets = {target.partition(".")[0] for target in imported_modules(source)}
+        edges.setdefault(source.component, set()).update(targets - {source.component, ""})
+    edges.pop("", None)
+    assert _cycle(edges) == []
+
+
+def test_the_circle_finder_finds_circles() -> None:
+    assert _cycle({"a": {"b"}, "b": {"c"}, "c": {"a"}}) == ["a", "b", "c", "a"]
+    assert _cycle({"a": {"b", "c"}, "b": {"c"}, "c": set()}) == []
+
+
+def test_relative_imports_are_not_used() -> None:
+    def relative(source: Source) -> bool:
+        return any(isinstance(node, ast.ImportFrom) and node.level > 0 for node in ast.walk(source.tree))
+
+    assert [source.name for source in sources() if relative(source)] == []

@@ -1,0 +1,127 @@
+"""Shapes and habits that a machine can see: sizes, forbidden calls, what may not be in a tracked file."""
+
+from __future__ import annotations
+
+import ast
+import re
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from guard_sources import PACKAGE, ROOT, Source, sources
+
+FILE_LINES = 300
+FUNCTION_LINES = 80
+FORBIDDEN_MODULES = {"pickle", "cPickle", "dill", "shelve", "marshal"}
+
+
+def test_files_stay_readable() -> None:
+    files = [*PACKAGE.rglob("*.py"), *(ROOT / "csrc").rglob("*.[ch]"), *(ROOT / "csrc").rglob("*.cpp")]
+    long = {str(path.relative_to(ROOT)): len(path.read_text("utf-8").splitlines()) for path in files}
+    assert {name: lines for name, lines in long.items() if lines > FILE_LINES} == {}
+
+
+def test_functions_stay_readable() -> None:
+    long = [
+        f"{source.name}:{node.name} has {lines} lines"
+        for source in sources()
+        for node in ast.walk(source.tree)
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+        if (lines := (node.end_lineno or node.lineno) - node.lineno + 1) > FUNCTION_LINES
+    ]
+    assert long == []
+
+
+def _dangers(tree: ast.AST) -> Iterator[str]:
+    """Constructs that run or unpack what a file holds, or swallow an error."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names if alias.name in FORBIDDEN_MODULES)
+        elif isinstance(node, ast.ImportFrom) and node.module in FORBIDDEN_MODULES:
+            yield node.module or ""
+        elif isinstance(node, ast.Call):
+            yield from _dangerous_call(node)
+        elif isinstance(node, ast.ExceptHandler):
+            if node.type is None:
+                yield "bare except"
+            elif all(isinstance(part, ast.Pass) for part in node.body):
+                yield "except: pass"
+
+
+def _dangerous_call(node: ast.Call) -> Iterator[str]:
+    if isinstance(node.func, ast.Name) and node.func.id in {"eval", "exec"}:
+        yield node.func.id
+    if isinstance(node.func, ast.Attribute) and ast.unparse(node.func) in {"yaml.load", "os.system"}:
+        yield ast.unparse(node.func)
+    for keyword in node.keywords:
+        value = keyword.value.value if isinstance(keyword.value, ast.Constant) else "computed"
+        if keyword.arg in {"allow_pickle", "shell"} and value is not False:
+            yield f"{keyword.arg}={value}"
+
+
+def test_nothing_runs_what_a_file_holds() -> None:
+    found = {source.name: sorted(_dangers(source.tree)) for source in sources()}
+    assert {name: dangers for name, dangers in found.items() if dangers} == {}
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        "import pickle",
+        "from dill import load",
+        "eval('1')",
+        "np.load(p, allow_pickle=True)",
+        "run(c, shell=flag)",
+        "yaml.load(t)",
+        "try:\n f()\nexcept:\n g()",
+        "try:\n f()\nexcept OSError:\n pass",
+    ],
+)
+def test_the_gate_closes(code: str) -> None:
+    assert list(_dangers(ast.parse(code)))
+
+
+def test_no_global_state() -> None:
+    def writes_globals(source: Source) -> bool:
+        return any(isinstance(node, ast.Global) for node in ast.walk(source.tree))
+
+    assert [source.name for source in sources() if writes_globals(source)] == []
+
+
+def tracked_files() -> list[Path]:
+    """Files under version control; outside a checkout there is nothing to guard."""
+    try:
+        answer = subprocess.run(  # noqa: S603
+            ["git", "-C", str(ROOT), "ls-files", "-z"],  # noqa: S607
+            capture_output=True,
+            check=True,
+        )
+    except (FileNotFoundError, subprocess.CalledProcessError):
+        pytest.skip("git or its metadata is missing: tracked files are unknown")
+    return [ROOT / name for name in answer.stdout.decode().split("\0") if name]
+
+
+# Written so that this file does not match itself.
+MACHINE = re.compile(
+    r"(?<![\w.])/(?:work|farm|tmp|home|root|Users)/[A-Za-z.]"
+    r"|py[p]i\.org|python[h]osted|anaconda\.or[g]|[a]rtifactory|--(?:extra-)?inde[x]-url\b"
+)
+
+
+def test_tracked_files_name_no_machine_and_no_registry() -> None:
+    found = []
+    for path in tracked_files():
+        if not path.is_file() or path.suffix in {".png", ".npz", ".mat", ".woff2"}:
+            continue
+        for number, line in enumerate(path.read_text("utf-8", errors="replace").splitlines(), 1):
+            if hit := MACHINE.search(line):
+                found.append(f"{path.relative_to(ROOT)}:{number}: {hit.group()}")
+    assert found == []
+
+
+def test_the_machine_pattern_sees_machines() -> None:
+    assert MACHINE.search("/" + "home/anna/x")
+    assert MACHINE.search("https://py" + "pi.org/simple")
+    assert not MACHINE.search("docs/how-to/work/in.md and a/tmp/b")
