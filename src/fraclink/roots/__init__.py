@@ -1,0 +1,143 @@
+"""Zeros of fractional polynomials Σ a_k s^α_k, found on the log-plane with a certified count.
+
+With z = ln s a fractional polynomial becomes the entire function D(z) = Σ a_k e^(α_k z). The sheets of
+its Riemann surface lie above each other in strips of the z-plane: |Im z| ≤ π is the principal one, and the
+right half plane is |Im z| < π/2. Nothing is truncated or made commensurate: 1.92 and √2 cost the same.
+
+The count is the argument principle. Left and right of all zeros one term dominates; between, a step
+from z₁ to z₂ is accepted only if the length of the image, bounded by h · max |D'|, is smaller than
+|D(z₁)| + |D(z₂)|: the image then lies in an ellipse that does not contain the origin, so that the change
+of phase is the principal argument of D(z₂)/D(z₁), without doubt (up to a stated allowance for rounding).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fraclink.errors import FieldError, NotConvergedError
+from fraclink.roots.count import count_strip
+from fraclink.roots.exponential import ExponentialSum, NearZeroError
+from fraclink.roots.search import aberth, bisect, settle_clusters
+
+__all__ = ["ExponentialSum", "count_zeros", "log_zeros"]
+
+# Heights at which the counted strip may end above `angle`: the first that no zero is near is taken.
+_MARGINS = (0.0618, 0.0382, 0.0871, 0.0197, 0.1303, 0.0093)
+_ON_EDGE = 1e-12  # a zero computed this far above `angle` (or off the real axis) lies on it
+
+
+def count_zeros(coefficients: ArrayLike, orders: ArrayLike, *, angle: float) -> int:
+    """Return the certified number of zeros of Σ a_k s^α_k with |arg s| < `angle`.
+
+    Conjugates and multiplicities are counted, s = 0 is not. `angle` [rad] is > 0 and may exceed π (sheets
+    of the Riemann surface). Raises `NotConvergedError` when a zero lies on |arg s| = `angle`.
+
+    >>> count_zeros([1.0, 1.0], [0.0, 2.0], angle=3.0)
+    2
+    """
+    terms = ExponentialSum.of(coefficients, orders)
+    return 0 if len(terms.rates) < 2 else count_strip(terms, _checked(angle))
+
+
+def log_zeros(coefficients: ArrayLike, orders: ArrayLike, *, angle: float) -> NDArray[np.complex128]:
+    """Return z = ln s of every zero of Σ a_k s^α_k with 0 ≤ arg s ≤ `angle`.
+
+    Σ_k a_k e^(α_k z) = 0, with z = ln|s| + j arg s.
+
+    Parameters
+    ----------
+    coefficients : array_like, shape (K,)
+        Real a_k. Equal orders are merged.
+    orders : array_like, shape (K,)
+        Real α_k; only their differences matter.
+    angle : float
+        Largest argument [rad], ≥ 0. π is the principal sheet with its cut, π/2 the closed right half plane.
+
+    Returns
+    -------
+    ndarray of complex128
+        Sorted by argument, then by modulus; an m-fold zero stands there m times with one value. Zeros on the
+        positive real axis have Im z = 0 exactly, zeros on the edge Im z = `angle` exactly. Conjugates
+        (−arg s) are not repeated. A common factor s^a (a zero at s = 0, z = −∞) is not listed.
+
+    Raises
+    ------
+    FieldError
+        Arrays of different shape, values that are not finite, all coefficients zero, a bad angle.
+    NotConvergedError
+        The certified count could not be reached.
+
+    Source: argument principle on the log-plane; Aberth, Math. Comp. 27 (1973) 339; Newton polygon as in
+    Bini, Numer. Algorithms 13 (1996) 179.
+
+    >>> import numpy as np
+    >>> z = log_zeros([1.0, 2.0, 1.0], [2.0, 1.0, 0.0], angle=np.pi)  # (s + 1)²
+    >>> np.exp(z).real
+    array([-1., -1.])
+    """
+    angle = _checked(angle)
+    terms = ExponentialSum.of(coefficients, orders)
+    if len(terms.rates) < 2:
+        return np.empty(0, dtype=complex)
+    height, count = _counted(terms, angle)
+    found = settle_clusters(terms, aberth(terms, height))
+    if not _complete(found, count):
+        found = _by_bisection(terms, height, count)
+    return _upper(found, angle)
+
+
+def _checked(angle: float) -> float:
+    if not (math.isfinite(angle) and angle >= 0):
+        raise FieldError(
+            "angle",
+            angle,
+            "not a usable argument",
+            allowed="0 rad to a few turns",
+            remedy="use math.pi for the principal sheet",
+        )
+    return float(angle)
+
+
+def _counted(terms: ExponentialSum, angle: float) -> tuple[float, int]:
+    for margin in _MARGINS:
+        try:
+            return angle + margin, count_strip(terms, angle + margin)
+        except NearZeroError:
+            continue
+    raise NotConvergedError(
+        "counting zeros",
+        reached=0,
+        wanted=1,
+        remedy="zeros lie at every height tried above the angle; choose another angle",
+    )
+
+
+def _complete(found: NDArray[np.complex128], count: int) -> bool:
+    """As many as certified, and closed under conjugation (two points on one zero would not be)."""
+    if len(found) != count:
+        return False
+    distance = np.abs(found[:, None] - found.conj()[None, :])
+    return bool(np.all(distance.min(axis=1, initial=np.inf) < 1e-9))
+
+
+def _by_bisection(terms: ExponentialSum, height: float, count: int) -> NDArray[np.complex128]:
+    low, high = terms.bounds
+    # The walls stand a little beyond the bounds so that no side runs along a place of equal terms.
+    found = bisect(terms, complex(low - 0.1, -height), complex(high + 0.1, height), count)
+    found = settle_clusters(terms, found)
+    if len(found) != count:
+        raise NotConvergedError(
+            "zeros found", reached=len(found), wanted=count, remedy="report the coefficients and orders"
+        )
+    return found
+
+
+def _upper(found: NDArray[np.complex128], angle: float) -> NDArray[np.complex128]:
+    z = found.copy()
+    z.imag[np.abs(z.imag) < _ON_EDGE] = 0.0
+    z.imag[np.abs(z.imag - angle) < _ON_EDGE * (1 + angle)] = angle
+    z = z[(z.imag >= 0) & (z.imag <= angle)]
+    return np.asarray(z[np.lexsort((z.real, z.imag))])

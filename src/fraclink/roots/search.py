@@ -1,0 +1,160 @@
+"""Where the zeros are: Aberth's iteration from the Newton polygon, and bisection where that is not enough."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink.errors import NotConvergedError
+from fraclink.roots.count import count_box
+from fraclink.roots.exponential import ExponentialSum, NearZeroError
+
+__all__ = ["aberth", "bisect", "newton_polygon", "settle_clusters"]
+
+Complex = NDArray[np.complex128]
+START_LIMIT = 4096  # zeros in one strip; orders up to about 4000 on the principal sheet
+
+
+def newton_polygon(sum_: ExponentialSum) -> list[tuple[int, int]]:
+    """Edges (j, k) of the upper convex hull of the points (ν, ln|a|), from the lowest rate to the highest."""
+    hull: list[int] = []
+    x, y = sum_.rates, np.log(np.abs(sum_.coefficients))
+    for k in range(len(x)):
+        while len(hull) > 1:
+            i, j = hull[-2:]
+            if (y[j] - y[i]) * (x[k] - x[i]) > (y[k] - y[i]) * (x[j] - x[i]):
+                break
+            hull.pop()
+        hull.append(k)
+    return list(itertools.pairwise(hull))
+
+
+def _starts(sum_: ExponentialSum, height: float) -> Complex:
+    """Zeros of each edge's two terms alone, in |Im z| ≤ height and one spacing beyond."""
+    a, nu = sum_.coefficients, sum_.rates
+    points: list[complex] = []
+    for j, k in newton_polygon(sum_):
+        gap = nu[k] - nu[j]
+        x = math.log(abs(a[j] / a[k])) / gap
+        first = math.pi / gap if a[j] * a[k] > 0 else 0.0
+        reach = math.ceil((height + 0.5) * gap / (2 * math.pi)) + 1
+        if len(points) + 2 * reach > START_LIMIT:
+            raise NotConvergedError(
+                "zeros to find",
+                reached=2 * reach,
+                wanted=START_LIMIT,
+                remedy="lower the orders: no physical model needs thousands of poles",
+            )
+        points += [complex(x, first + 2 * math.pi * m / gap) for m in range(-reach, reach + 1)]
+    # Exact symmetry about the real axis would hold a conjugate pair of starts on it for ever.
+    return np.array(points) * (1 + 1e-4j) + 1e-3j
+
+
+def aberth(sum_: ExponentialSum, height: float) -> Complex:
+    """Simultaneous Newton iteration with mutual repulsion; converged points with |Im z| ≤ height."""
+    z = _starts(sum_, height)
+    step = np.zeros_like(z)
+    for _ in range(60):
+        values, _ = sum_.derivatives(z, 2)
+        newton = values[0] / np.where(values[1] == 0, 1e-300, values[1])
+        distance = z[:, None] - z[None, :]
+        np.fill_diagonal(distance, np.inf)
+        distance[distance == 0] = 1e-12
+        step = newton / (1 - newton * (1 / distance).sum(axis=1))
+        # A step longer than the zeros' usual spacing leaves the basin of the starting zero.
+        step *= np.minimum(1.0, 0.7 / np.maximum(np.abs(step), 1e-300))
+        z = z - step
+        if np.max(np.abs(step[np.abs(z.imag) < height + 1]), initial=0.0) < 1e-13:
+            break
+    inside = (np.abs(z.imag) <= height) & (np.abs(step) < 1e-3) & np.isfinite(z)
+    return np.asarray(z[inside])
+
+
+def settle_clusters(sum_: ExponentialSum, points: Complex) -> Complex:
+    """Polish every zero; points that share one multiple zero get the same value.
+
+    m points near one m-fold zero are known to ε^(1/m) only, but that zero is a simple one of D^(m−1).
+    The multiplicity is accepted if D … D^(m−2) vanish there within rounding.
+    """
+    settled = np.empty_like(points)
+    free = np.ones(len(points), dtype=bool)
+    for i in range(len(points)):
+        if not free[i]:
+            continue
+        near = free & (np.abs(points - points[i]) < 3e-3)
+        m = int(near.sum())
+        centre = _newton(sum_, points[near].mean(), m)
+        values, moduli = sum_.derivatives(np.array([centre]), m)
+        vanishes = np.abs(values[: m - 1, 0]) <= 1e-12 * moduli[: m - 1, 0]
+        if m > 1 and not vanishes.all():
+            settled[near] = [_newton(sum_, z, 1) for z in points[near]]
+        else:
+            settled[near] = centre
+        free &= ~near
+    return settled
+
+
+def _newton(sum_: ExponentialSum, z: complex, m: int) -> complex:
+    """Newton's method for the simple zero of D^(m−1) beside z."""
+    for _ in range(8):
+        values, _ = sum_.derivatives(np.array([z]), m + 1)
+        if values[m, 0] == 0:
+            break
+        step = complex(values[m - 1, 0] / values[m, 0])
+        if abs(step) > 0.1:
+            break
+        z -= step
+        if abs(step) < 1e-16:
+            break
+    return z
+
+
+def bisect(sum_: ExponentialSum, low: complex, high: complex, count: int) -> Complex:
+    """All `count` zeros in a rectangle by halving it: slow (≈ 10 ms a zero) and certain."""
+    found: list[complex] = []
+    boxes = [(low, high, count)]
+    while boxes:
+        a, b, n = boxes.pop()
+        if n == 0:
+            continue
+        centre, size = 0.5 * (a + b), max(b.real - a.real, b.imag - a.imag)
+        if size < 1e-4:
+            found += [centre] * n
+            continue
+        if n == 1:
+            z = _newton(sum_, centre, 1)
+            if a.real < z.real < b.real and a.imag < z.imag < b.imag and _is_zero(sum_, z):
+                found.append(z)
+                continue
+        boxes += _halves(sum_, a, b, n)
+    return np.array(found, dtype=complex)
+
+
+def _is_zero(sum_: ExponentialSum, z: complex) -> bool:
+    values, moduli = sum_.derivatives(np.array([z]), 1)
+    return bool(abs(values[0, 0]) < 1e-12 * moduli[0, 0])
+
+
+def _halves(sum_: ExponentialSum, a: complex, b: complex, n: int) -> list[tuple[complex, complex, int]]:
+    # 0.513…: off every symmetric place where zeros of simple problems lie; the others are second tries.
+    for share in (0.5131, 0.4637, 0.5519, 0.4213, 0.6, 0.38):
+        if b.real - a.real > b.imag - a.imag:
+            middle_b = complex(a.real + share * (b.real - a.real), b.imag)
+            middle_a = complex(middle_b.real, a.imag)
+        else:
+            middle_b = complex(b.real, a.imag + share * (b.imag - a.imag))
+            middle_a = complex(a.real, middle_b.imag)
+        try:
+            first = count_box(sum_, a, middle_b)
+        except NearZeroError:
+            continue
+        return [(a, middle_b, first), (middle_a, b, n - first)]
+    raise NotConvergedError(
+        "halving a box of zeros",
+        reached=abs(b - a),
+        wanted=1e-4,
+        remedy="the zeros lie too close together; check the coefficients",
+    )

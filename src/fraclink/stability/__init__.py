@@ -1,0 +1,8 @@
+"""Poles, stability, margins and norms of fractional systems and of any loop given as a callable."""
+
+from __future__ import annotations
+
+from fraclink.stability.margins import GainCrossing, Margins, PhaseCrossing, margins
+from fraclink.stability.poles import StabilityVerdict, is_stable, poles
+
+__all__ = ["GainCrossing", "Margins", "PhaseCrossing", "StabilityVerdict", "is_stable", "margins", "poles"]
