@@ -1,0 +1,161 @@
+"""Sums of terms c·s^a·e^(-τs): merging, products and the normal form of a quotient."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from fraclink.errors import FieldError
+
+__all__ = ["Term"]
+
+# Orders that sums of the same numbers give in another sequence differ by a few units of the last place
+# (0.1 + 0.2 and 0.3); no measured order is known to 1e-13. Closer ones are the same order.
+_SAME = 64 * 2.220446049250313e-16
+
+
+@dataclass(frozen=True, slots=True)
+class Term:
+    """One term c·s^a·e^(-τs) of a numerator or denominator.
+
+    `coefficient` c, `order` a (any real number), `delay` τ ≥ 0 [s].
+
+    >>> Term(1.56, 1.92)
+    Term(coefficient=1.56, order=1.92, delay=0.0)
+    """
+
+    coefficient: float
+    order: float
+    delay: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("coefficient", "order", "delay"):
+            object.__setattr__(self, name, finite(name, getattr(self, name)))
+        if self.delay < 0.0:
+            raise FieldError(
+                "delay", self.delay, "negative", allowed="≥ 0 s", remedy="an output cannot precede its input"
+            )
+
+
+def finite(name: str, value: object) -> float:
+    if isinstance(value, (bool, str, bytes, complex)) or value is None:
+        number = math.nan
+    else:
+        try:
+            number = float(value)  # type: ignore[arg-type]
+        except (TypeError, ValueError, OverflowError):
+            number = math.nan
+    if not math.isfinite(number):
+        raise FieldError(
+            name, value, "not a finite real number", allowed="real numbers", remedy="give a float"
+        )
+    return number
+
+
+def same(a: float, b: float) -> bool:
+    return abs(a - b) <= _SAME * max(1.0, abs(a), abs(b))
+
+
+def collect(terms: Iterable[Term]) -> list[Term]:
+    """Merge terms of equal order and delay, drop zeros, sort by falling order, then rising delay."""
+    groups: list[list[Term]] = []
+    for term in sorted(terms, key=lambda t: (-t.order, t.delay, t.coefficient)):
+        equal = (g for g in groups if same(g[0].order, term.order) and same(g[0].delay, term.delay))
+        group = next(equal, None)
+        if group is None:
+            groups.append([term])
+        else:
+            group.append(term)
+    summed = [Term(math.fsum(t.coefficient for t in g), g[0].order, g[0].delay) for g in groups]
+    return sorted((t for t in summed if t.coefficient != 0.0), key=lambda t: (-t.order, t.delay))
+
+
+def shifted(terms: Iterable[Term], order: float, delay: float, scale: float) -> tuple[Term, ...]:
+    return tuple(
+        Term(t.coefficient / scale, snap(t.order - order), max(0.0, snap(t.delay - delay))) for t in terms
+    )
+
+
+def snap(value: float) -> float:
+    """The integer that `value` is, but for rounding: 1.92 - 0.92 is 0.9999999999999999."""
+    nearest = float(round(value))
+    return nearest if same(value, nearest) else value
+
+
+def proportional(a: tuple[Term, ...], b: tuple[Term, ...]) -> bool:
+    """True where a = constant · s^d · e^(-σs) · b, term by term."""
+    if len(a) != len(b) or not a:
+        return False
+    ratio, order, delay = (
+        a[0].coefficient / b[0].coefficient,
+        a[0].order - b[0].order,
+        a[0].delay - b[0].delay,
+    )
+    return all(
+        abs(x.coefficient - ratio * y.coefficient) <= _SAME * abs(x.coefficient)
+        and same(x.order, y.order + order)
+        and same(x.delay, y.delay + delay)
+        for x, y in zip(a, b, strict=True)
+    )
+
+
+def product(a: Iterable[Term], b: Iterable[Term]) -> list[Term]:
+    right = tuple(b)
+    return collect(
+        Term(x.coefficient * y.coefficient, x.order + y.order, x.delay + y.delay) for x in a for y in right
+    )
+
+
+def as_terms(field: str, value: object) -> tuple[Term, ...]:
+    if isinstance(value, Term):
+        return (value,)
+    if isinstance(value, (int, float)):
+        return (Term(value, 0.0),)
+    if isinstance(value, (tuple, list)) and all(isinstance(t, Term) for t in value):
+        return tuple(value)
+    raise FieldError(
+        field,
+        value,
+        "not a sum of terms",
+        allowed="Term, a sequence of Term, or a number",
+        remedy="use Term(c, a)",
+    )
+
+
+def normal(top: list[Term], bottom: list[Term]) -> tuple[tuple[Term, ...], tuple[Term, ...]]:
+    if not top:
+        return (), (Term(1.0, 0.0),)
+    order = min(t.order for t in (*top, *bottom))
+    delay = min(t.delay for t in bottom)
+    early = min(t.delay for t in top) - delay
+    if early < 0.0 and not same(early, 0.0):
+        raise FieldError(
+            "delay", early, "negative", allowed="≥ 0 s", remedy="the function would answer before its input"
+        )
+    lead = bottom[0].coefficient
+    numerator, denominator = shifted(top, order, delay, lead), shifted(bottom, order, delay, lead)
+    if len(denominator) > 1 and proportional(numerator, denominator):
+        factor, gap = numerator[0].coefficient, numerator[0].order - denominator[0].order
+        numerator = (Term(factor, max(gap, 0.0), numerator[0].delay - denominator[0].delay),)
+        denominator = (Term(1.0, max(-gap, 0.0)),)
+    return numerator, denominator
+
+
+def scaled(terms: Iterable[Term], factor: float) -> tuple[Term, ...]:
+    return tuple(Term(t.coefficient * factor, t.order, t.delay) for t in terms)
+
+
+def text(terms: tuple[Term, ...]) -> str:
+    parts: list[str] = []
+    for term in terms:
+        sign = "-" if term.coefficient < 0 else "+"
+        size = f"{abs(term.coefficient):.6g}"
+        factors = [] if size == "1" else [size]
+        if term.order != 0.0:
+            factors.append("s" if term.order == 1.0 else f"s^{term.order:.10g}")
+        if term.delay:
+            factors.append(f"e^(-{term.delay:.6g} s)")
+        body = " ".join(factors) or "1"
+        parts.append(f"{sign} {body}" if parts else ("-" if sign == "-" else "") + body)
+    return " ".join(parts) or "0"
