@@ -1,0 +1,28 @@
+"""An arm that is not the model: a flexible link with distributed mass, a sticking motor, sensors with faults.
+
+The lumped model the controller is designed from is one massless spring. The twin is an Euler–Bernoulli
+beam with a payload, reduced to its modes and stepped exactly, with a choice of damping, and it writes the
+same logs as a rig. It is a simulation, and everything it writes says so.
+"""
+
+from __future__ import annotations
+
+from fraclink.twin.beam import Beam, Modes, exact_frequencies
+from fraclink.twin.damping import FractionalKelvinVoigt, KelvinVoigt, PowerLaw
+from fraclink.twin.logs import TwinLog, simulate_log
+from fraclink.twin.plant import Plant, assemble
+from fraclink.twin.sensors import Sensors
+
+__all__ = [
+    "Beam",
+    "FractionalKelvinVoigt",
+    "KelvinVoigt",
+    "Modes",
+    "Plant",
+    "PowerLaw",
+    "Sensors",
+    "TwinLog",
+    "assemble",
+    "exact_frequencies",
+    "simulate_log",
+]
