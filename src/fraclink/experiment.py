@@ -1,0 +1,152 @@
+"""An experiment: one recorded motion, in SI units and radians, on a uniform time base."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fraclink.errors import FieldError, LogError
+from fraclink.findings import Finding
+
+__all__ = ["Experiment"]
+
+OutputKind = Literal["torque", "deflection"]
+
+
+@dataclass(frozen=True, eq=False)
+class Experiment:
+    """One recorded motion of a flexible arm; what every identification starts from.
+
+    Arguments:
+        period: sampling period Ts [s], > 0.
+        motor_angle: θm, shape (N,) [rad].
+        output: shape (N,): base torque Γ [N·m], or deflection θm − θt [rad]. Both are positive where the
+            tip lags behind a motor that turns forward: Γ = c(θm − θt), eq. (3).
+        output_kind: ``"torque"`` or ``"deflection"``.
+        payload: m [kg], > 0, or None where nobody stated it.
+        source: file name or a sentence on where it comes from.
+        sha256: hash of the file, or "".
+        findings: what the reader noticed (codes W2xx).
+        start_time: stamp of the first sample [s].
+        voltage: at the amplifier's input, shape (N,) [V], or None.
+        notes: header entries of the log, such as (("simulated", "true"),).
+
+    Arrays are stored as read-only copies. Raises LogError for arrays of different lengths, fewer than two
+    samples, or a value that is not finite. Source: Benftima et al. (2023), section 3.1.
+
+    >>> log = Experiment(period=0.004, motor_angle=[0, 0.1, 0.2], output=[0, 0.01, 0.03])
+    >>> log.time.tolist(), log.output_kind
+    ([0.0, 0.004, 0.008], 'torque')
+    """
+
+    period: float
+    motor_angle: NDArray[np.float64]
+    output: NDArray[np.float64]
+    output_kind: OutputKind = "torque"
+    payload: float | None = None
+    source: str = ""
+    sha256: str = ""
+    findings: tuple[Finding, ...] = ()
+    start_time: float = 0.0
+    voltage: NDArray[np.float64] | None = None
+    notes: tuple[tuple[str, str], ...] = ()
+
+    def __post_init__(self) -> None:
+        _number("period", self.period, "s", positive=True)
+        _number("start_time", self.start_time, "s", positive=False)
+        if self.payload is not None:
+            _number("payload", self.payload, "kg", positive=True)
+        if self.output_kind not in ("torque", "deflection"):
+            raise FieldError(
+                "output_kind",
+                self.output_kind,
+                "unknown",
+                allowed="torque, deflection",
+                remedy="state one of them",
+            )
+        for name in ("motor_angle", "output", "voltage"):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, _frozen(name, getattr(self, name)))
+        self._check_lengths()
+
+    def _check_lengths(self) -> None:
+        count = self.motor_angle.size
+        if count < 2:
+            raise LogError(
+                "motor_angle", count, "too short", allowed=">= 2 samples", remedy="give a recorded motion"
+            )
+        for name in ("output", "voltage"):
+            values = getattr(self, name)
+            if values is not None and values.size != count:
+                raise LogError(
+                    name,
+                    values.size,
+                    f"another number of samples than motor_angle has ({count})",
+                    allowed=f"{count} samples",
+                    remedy="cut the channels to their common span of time",
+                )
+
+    @property
+    def time(self) -> NDArray[np.float64]:
+        """Time of the samples, shape (N,) [s]."""
+        return np.asarray(self.start_time + self.period * np.arange(self.motor_angle.size), dtype=np.float64)
+
+    @property
+    def duration(self) -> float:
+        """Time from the first sample to the last [s]."""
+        return self.period * (self.motor_angle.size - 1)
+
+    @property
+    def simulated(self) -> bool:
+        """Whether the log says of itself that it was simulated."""
+        return dict(self.notes).get("simulated", "").lower() in ("true", "yes", "1")
+
+    def split(self, fraction: float) -> tuple[slice, slice]:
+        """The first `fraction` of the samples and the rest, as two slices.
+
+        Raises FieldError where `fraction` is outside (0, 1) or leaves one part empty.
+
+        >>> Experiment(period=0.004, motor_angle=[0, 1, 2, 3], output=[0, 1, 2, 3]).split(0.5)
+        (slice(0, 2, None), slice(2, 4, None))
+        """
+        count = self.motor_angle.size
+        _number("fraction", fraction, "", positive=True)
+        border = round(fraction * count)
+        if not 0 < border < count:
+            raise FieldError(
+                "fraction",
+                fraction,
+                "leaving one part empty",
+                allowed=f"{1 / count:.3g} to {1 - 1 / count:.3g}",
+                remedy="give a fraction such as 0.6",
+            )
+        return slice(0, border), slice(border, count)
+
+
+def _number(name: str, value: object, unit: str, *, positive: bool) -> None:
+    good = isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
+    if not good or not math.isfinite(float(value)) or (positive and float(value) <= 0):  # type: ignore[arg-type]
+        problem = "not a positive number" if positive else "not a finite number"
+        allowed = f"{'> 0' if positive else 'any finite number'} [{unit or '-'}]"
+        raise FieldError(name, value, problem, allowed=allowed, remedy=f"give {name} as a number in SI units")
+
+
+def _frozen(name: str, values: ArrayLike) -> NDArray[np.float64]:
+    array = np.array(values, dtype=np.float64)
+    if array.ndim != 1:
+        raise LogError(name, array.shape, "not one column", allowed="shape (N,)", remedy="give one channel")
+    bad = np.flatnonzero(~np.isfinite(array))
+    if bad.size:
+        raise LogError(
+            name,
+            f"{array[bad[0]]} at sample {bad[0]}",
+            f"not finite ({bad.size} of {array.size} samples)",
+            allowed="finite numbers",
+            remedy="repair the recording, or read it with interpolate=True where few samples are missing",
+        )
+    array.flags.writeable = False
+    return array
