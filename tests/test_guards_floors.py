@@ -8,7 +8,7 @@ from guard_sources import Source, imported_modules, sources
 
 FLOORS: dict[str, int] = {
     # beneath everything: errors, files, the compiled kernels
-    **dict.fromkeys(("", "errors", "files", "_kernels"), 0),
+    **dict.fromkeys(("", "errors", "files", "findings", "_kernels", "_powers", "__main__"), 0),
     # mathematics, knows no robot
     **dict.fromkeys(("fractional", "roots", "response", "stability", "rational"), 0),
     # nouns
@@ -17,7 +17,7 @@ FLOORS: dict[str, int] = {
     **dict.fromkeys(("readers", "diagnose", "identify", "design", "certify", "simulate", "twin"), 2),
     **dict.fromkeys(("compare", "campaign", "realtime"), 2),
     # out of the building
-    **dict.fromkeys(("plots", "report", "export", "interop", "reproduce"), 3),
+    **dict.fromkeys(("plots", "report", "export", "interop", "study", "reproduce"), 3),
     # doors
     **dict.fromkeys(("cli", "studio"), 4),
 }

@@ -1,0 +1,51 @@
+"""Verbs on logs: inspect, diagnose."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from fraclink.cli.console import emit, emit_json
+from fraclink.cli.options import Json, RigName, load_log, load_rig
+from fraclink.cli.outcome import FAILS, HOLDS
+
+__all__ = ["register"]
+
+
+def inspect(
+    log: Annotated[Path, typer.Argument(help="The file to look into.")],
+    json: Json = False,
+) -> int:
+    """List a log's channels, rates and ranges, and a mapping to paste into the rig file."""
+    from fraclink.readers import inspect as look
+
+    listing = look(log)
+    emit_json(listing.values()) if json else emit(str(listing))
+    return HOLDS
+
+
+def diagnose(
+    log: Annotated[str, typer.Argument(help="The log; `demo` is the bundled one.")],
+    rig: RigName,
+    payload: Annotated[float | None, typer.Option("--payload", help="Payload of the log [kg].")] = None,
+    json: Json = False,
+) -> int:
+    """Examine a log: offset, sign, delay, saturation, excitation; each finding with what to do."""
+    from fraclink.cli.summary import finding_text, finding_values
+    from fraclink.diagnose import diagnose as examine
+
+    known = load_rig(rig)
+    findings = examine(load_log(log, known, payload), known)
+    if json:
+        emit_json({"findings": [finding_values(finding) for finding in findings]})
+    else:
+        emit("\n".join(map(finding_text, findings)) or "nothing to remark")
+    return FAILS if any(finding.severity == "error" for finding in findings) else HOLDS
+
+
+def register(app: typer.Typer) -> None:
+    """Add the verbs of this module to the application."""
+    for verb in (inspect, diagnose):
+        app.command()(verb)

@@ -1,0 +1,66 @@
+"""Options that several verbs share, and how they become nouns."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from fraclink.experiment import Experiment
+    from fraclink.rig import Rig
+
+__all__ = [
+    "BUNDLED_LOG",
+    "Force",
+    "GainCrossover",
+    "Json",
+    "PayloadRange",
+    "PhaseMarginDeg",
+    "RigName",
+    "load_log",
+    "load_rig",
+    "radians",
+]
+
+BUNDLED_LOG = "prbs_30g.csv"  # simulated by the twin; its header says so
+RigName = Annotated[
+    str, typer.Option("--rig", help="A rig file (rig.toml) or the name of a bundled rig, e.g. paper-2023.")
+]
+Json = Annotated[bool, typer.Option("--json", help="Print the result as one JSON object on standard output.")]
+Force = Annotated[bool, typer.Option("--force", help="Overwrite files that are already there.")]
+PayloadRange = Annotated[
+    tuple[float, float] | None,
+    typer.Option("--payloads", metavar="LOW HIGH", help="Payload range [kg]; default: the rig's."),
+]
+GainCrossover = Annotated[
+    float | None, typer.Option("--gain-crossover", help="Least gain crossover [rad/s]; default: the rig's.")
+]
+PhaseMarginDeg = Annotated[
+    float | None, typer.Option("--phase-margin-deg", help="Least phase margin [degrees]; default: the rig's.")
+]
+
+
+def load_rig(name: str) -> Rig:
+    """Return the rig of a file, or the bundled one of that name."""
+    from fraclink.rig import Rig
+
+    looks_like_a_path = name.endswith(".toml") or "/" in name or "\\" in name
+    return Rig.load(Path(name)) if looks_like_a_path or Path(name).is_file() else Rig.named(name)
+
+
+def load_log(name: str, rig: Rig, payload: float | None) -> Experiment:
+    """Return the log of a file; ``demo`` is the bundled one."""
+    from importlib.resources import files
+
+    from fraclink.readers import read_log
+
+    path = Path(str(files("fraclink") / "logs" / BUNDLED_LOG)) if name == "demo" else Path(name)
+    return read_log(path, rig=rig, payload=payload)
+
+
+def radians(degrees: float | None) -> float | None:
+    """Degrees of an option in radians."""
+    return None if degrees is None else math.radians(degrees)

@@ -1,0 +1,165 @@
+"""The stages of the way, chained through files: identify, design, simulate, report."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from fraclink.cli.console import emit, emit_json, steps, tell
+from fraclink.cli.options import (
+    Force,
+    GainCrossover,
+    Json,
+    PayloadRange,
+    PhaseMarginDeg,
+    RigName,
+    load_log,
+    load_rig,
+    radians,
+)
+from fraclink.cli.outcome import FAILS, HOLDS
+from fraclink.files import output_path
+
+__all__ = ["register"]
+
+
+def identify(
+    log: Annotated[str, typer.Argument(help="The log: CSV or MAT; `demo` is the bundled one.")],
+    rig: RigName,
+    out: Annotated[Path, typer.Option("--out", help="File to write the model to.")] = Path("model.json"),
+    structure: Annotated[str, typer.Option("--structure", help="UD-IOM, D-IOM, UD-FOM or D-FOM.")] = "UD-FOM",
+    payload: Annotated[float | None, typer.Option("--payload", help="Payload of the log [kg].")] = None,
+    json: Json = False,
+    force: Force = False,
+) -> int:
+    """Fit a link model to a log; gain, offset and sensor delay are fitted along."""
+    from fraclink.cli.summary import fit_text, fit_values
+    from fraclink.identify import identify as fit_log
+
+    place = output_path(out, force=force)
+    with steps(2) as begin:
+        begin("reading the log")
+        experiment = load_log(log, load_rig(rig), payload)
+        begin(f"fitting {structure}")
+        fit = fit_log(experiment, structure)
+    fit.save(place)
+    emit_json(fit_values(fit) | {"out": str(place)}) if json else emit(fit_text(fit))
+    if not json:
+        tell(f"written: {place}")
+    return HOLDS
+
+
+def design(
+    rig: RigName,
+    model: Annotated[
+        Path | None, typer.Option("--model", help="Model made by identify; default: the rig's own.")
+    ] = None,
+    payloads: PayloadRange = None,
+    gain_crossover: GainCrossover = None,
+    phase_margin_deg: PhaseMarginDeg = None,
+    margins: Annotated[
+        str,
+        typer.Option(
+            "--margins", help="loop: filter, motor loop, hold and delay included; ideal: the paper's."
+        ),
+    ] = "loop",
+    filter_time: Annotated[
+        float | None, typer.Option("--filter-time", help="δ [s], 0 for none; default: the 10 % rule.")
+    ] = None,
+    filter_order: Annotated[int | None, typer.Option("--filter-order", help="n, 1 or 2.")] = None,
+    inner: Annotated[str, typer.Option("--inner", help="Motor loop: ideal or sampled.")] = "ideal",
+    out: Annotated[Path, typer.Option("--out", help="File to write the design to.")] = Path("design.json"),
+    json: Json = False,
+    force: Force = False,
+) -> int:
+    """Design the outer controller for a payload range; every requirement is listed with what was achieved."""
+    from fraclink.cli.summary import plan_text, plan_values
+    from fraclink.study import Request, design_for
+
+    place = output_path(out, force=force)
+    request = Request(
+        payloads=payloads,
+        gain_crossover=gain_crossover,
+        phase_margin=radians(phase_margin_deg),
+        margins=margins,
+        filter_time=filter_time,
+        filter_order=filter_order,
+        inner=inner,
+    )
+    plan, assumptions = design_for(load_rig(rig), _model(model), request)
+    plan.save(place)
+    if json:
+        emit_json(plan_values(plan) | {"out": str(place)})
+        return HOLDS if plan.holds else FAILS
+    for sentence in assumptions:
+        tell(f"assumed: {sentence}")
+    emit(plan_text(plan))
+    tell(f"written: {place}")
+    return HOLDS if plan.holds else FAILS
+
+
+def _model(path: Path | None):  # type: ignore[no-untyped-def]
+    from fraclink.identify import Fit
+
+    return None if path is None else Fit.load(path).model
+
+
+def simulate(
+    plan_file: Annotated[Path, typer.Argument(metavar="DESIGN", help="Design made by `fraclink design`.")],
+    payload: Annotated[float, typer.Option("--payload", help="Payload at the tip [kg].")],
+    out: Annotated[Path, typer.Option("--out", help="File to write the run to (npz).")] = Path("run.npz"),
+    amplitude: Annotated[float, typer.Option("--amplitude", help="Size of the move [rad].")] = 1.0,
+    move_time: Annotated[float, typer.Option("--move-time", help="Time of the move [s].")] = 0.5,
+    duration: Annotated[float, typer.Option("--duration", help="Time to simulate [s].")] = 4.0,
+    gauge_offset: Annotated[float, typer.Option("--gauge-offset", help="Offset of the gauge [N·m].")] = 0.0,
+    noise: Annotated[
+        float | None, typer.Option("--noise", help="Gauge noise [N·m]; default: the rig's.")
+    ] = None,
+    inner: Annotated[str, typer.Option("--inner", help="Motor loop: ideal or sampled.")] = "sampled",
+    seed: Annotated[int, typer.Option("--seed", help="Seed of the noise.")] = 0,
+    json: Json = False,
+    force: Force = False,
+) -> int:
+    """Simulate a move of the tip with the law as it is shipped; the exit code says whether it holds."""
+    from fraclink.cli.summary import run_text, run_values
+    from fraclink.design import Plan
+    from fraclink.study import Move, simulate_move
+
+    place = output_path(out, force=force)
+    move = Move(
+        amplitude, move_time, duration, gauge_offset=gauge_offset, noise=noise, inner=inner, seed=seed
+    )
+    run = simulate_move(Plan.load(plan_file), move, payload)
+    run.save(place)
+    emit_json(run_values(run) | {"out": str(place)}) if json else emit(run_text(run))
+    if not json:
+        tell(f"written: {place}")
+    return HOLDS if run.verdict.holds else FAILS
+
+
+def report(
+    folder: Annotated[Path, typer.Argument(help="Folder with what the stages wrote.")],
+    out: Annotated[
+        Path | None, typer.Option("--out", help="File to write; default: report.html there.")
+    ] = None,
+    title: Annotated[str | None, typer.Option("--title", help="Title of the report.")] = None,
+    json: Json = False,
+    force: Force = False,
+) -> int:
+    """Gather a folder of results into one self-contained HTML file."""
+    from fraclink.report import write_report
+    from fraclink.study import load_study
+
+    place = output_path(out or folder / "report.html", force=force)
+    study = load_study(folder)
+    write_report(study, place, title=title)
+    emit_json({"out": str(place), "holds": study.holds}) if json else emit(str(place))
+    return HOLDS
+
+
+def register(app: typer.Typer) -> None:
+    """Add the verbs of this module to the application."""
+    for verb in (identify, design, simulate, report):
+        app.command()(verb)

@@ -1,0 +1,117 @@
+"""From a log to simulated moves."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from fraclink.errors import FieldError, InfeasibleError
+from fraclink.study.nouns import Move, Study
+from fraclink.study.request import Request, design_for
+
+if TYPE_CHECKING:
+    from fraclink.design import Plan
+    from fraclink.experiment import Experiment
+    from fraclink.rig import Rig
+    from fraclink.simulate import Run
+
+__all__ = ["conduct", "simulate_move"]
+
+
+def _silent(part: str) -> None:
+    """Progress that nobody watches."""
+
+
+def conduct(
+    rig: Rig,
+    experiment: Experiment,
+    request: Request | None = None,
+    *,
+    structure: str = "UD-FOM",
+    move: Move | None = None,
+    begin: Callable[[str], None] = _silent,
+) -> Study:
+    """Examine a log, fit the four structures, design for the payload range and simulate a move at each payload.
+
+    Arguments:
+        rig: the rig that made the log.
+        experiment: the log.
+        request: what the design is asked for; what it leaves out comes from the rig, then from the default rule.
+        structure: the model that the design uses, "UD-IOM", "D-IOM", "UD-FOM" or "D-FOM".
+        move: the move to simulate; default 1 rad in 0.5 s.
+        begin: called with the name of each part as it begins.
+
+    An infeasible request is not an error here: the study says why in `infeasible` and does not hold.
+    Raises FieldError for a structure that is not known or a value out of its range.
+
+    >>> from fraclink.rig import Rig
+    >>> from fraclink.readers import read_log
+    >>> from importlib.resources import files
+    >>> rig = Rig.named("paper-2023")
+    >>> log = read_log(str(files("fraclink") / "logs" / "prbs_30g.csv"), rig=rig)
+    >>> study = conduct(rig, log)
+    >>> study.holds, [f"{1e3 * run.payload:g} g" for run in study.runs]
+    (True, ['20 g', '30 g', '40 g'])
+    """
+    from fraclink.diagnose import diagnose
+    from fraclink.identify import identify_all
+
+    begin("examining the log")
+    findings = (*rig.warnings, *diagnose(experiment, rig))
+    begin("identifying")
+    comparison = identify_all(experiment)
+    if structure not in comparison.fits:
+        raise FieldError(
+            "structure",
+            structure,
+            "unknown",
+            allowed=", ".join(comparison.fits),
+            remedy="choose one of these",
+        )
+    fit = comparison.fits[structure]
+    model, assumed = _with_payload(fit.model, rig)
+    begin("designing")
+    common = {
+        "rig": rig,
+        "experiment": experiment,
+        "findings": findings,
+        "comparison": comparison,
+        "fit": fit,
+    }
+    try:
+        plan, more = design_for(rig, model, request or Request())
+    except InfeasibleError as error:
+        return Study(**common, infeasible=str(error), assumptions=(*rig.assumptions, *assumed))
+    begin("simulating")
+    chosen = move or Move()
+    payloads = sorted({rig.payloads.low, rig.payloads.nominal, rig.payloads.high})
+    runs = tuple(simulate_move(plan, chosen, payload) for payload in payloads)
+    return Study(**common, plan=plan, runs=runs, assumptions=(*rig.assumptions, *assumed, *more))
+
+
+def simulate_move(plan: Plan, move: Move, payload: float) -> Run:
+    """Simulate one move of the tip with the design's law at `payload` [kg].
+
+    >>> from fraclink.rig import Rig
+    >>> from fraclink.study.request import Request, design_for
+    >>> plan, _ = design_for(Rig.named("paper-2023"), None, Request(filter_time=0.0))
+    >>> simulate_move(plan, Move(amplitude=0.2), 0.020).payload
+    0.02
+    """
+    from fraclink.reference import smooth_step
+    from fraclink.simulate import simulate
+
+    law = plan.controller.discretize(plan.rig.period)
+    return simulate(
+        plan.rig,
+        plan.model,
+        law,
+        smooth_step(move.amplitude, duration=move.move_time),
+        payload=payload,
+        duration=move.duration,
+        inner=move.inner,
+        gauge_offset=move.gauge_offset,
+        noise=move.noise,
+        seed=move.seed,
+        delay_samples=plan.rig.inner.delay_samples,
+    )

@@ -1,0 +1,94 @@
+"""A study: everything that came out of one log, together."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from fraclink.design import Plan
+    from fraclink.experiment import Experiment
+    from fraclink.findings import Finding
+    from fraclink.identify import Comparison, Fit
+    from fraclink.rig import Rig
+    from fraclink.simulate import Run
+
+__all__ = ["Move", "Study"]
+
+
+@dataclass(frozen=True)
+class Move:
+    """A move of the tip that a simulation makes.
+
+    Arguments:
+        amplitude: angle to go [rad].
+        move_time: time to go it in [s], > 0.
+        duration: time that is simulated [s].
+        gauge_offset: constant error of the gauge [N·m].
+        noise: standard deviation of the gauge's noise [N·m]; None takes the rig's.
+        inner: the motor loop, ``"ideal"`` (M(s)) or ``"sampled"`` (motor, friction, saturation).
+        seed: seed of the noise.
+
+    >>> Move(amplitude=0.5).duration
+    4.0
+    """
+
+    amplitude: float = 1.0
+    move_time: float = 0.5
+    duration: float = 4.0
+    gauge_offset: float = 0.0
+    noise: float | None = None
+    inner: str = "sampled"
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class Study:
+    """What one log led to. Every part may be missing: a folder may hold some stages only.
+
+    Arguments:
+        rig: the rig.
+        experiment: the log.
+        findings: what its examination noticed.
+        comparison: the fits of all structures.
+        fit: the fit whose model the design used.
+        plan: the design.
+        infeasible: why there is no design, where there is none.
+        runs: simulated moves, one for each payload.
+        assumptions: sentences on everything that nobody stated.
+
+    >>> Study().holds
+    False
+    """
+
+    rig: Rig | None = None
+    experiment: Experiment | None = None
+    findings: tuple[Finding, ...] = ()
+    comparison: Comparison | None = None
+    fit: Fit | None = None
+    plan: Plan | None = None
+    infeasible: str | None = None
+    runs: tuple[Run, ...] = ()
+    assumptions: tuple[str, ...] = ()
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """Why the study does not hold; empty where it does."""
+        if self.plan is None:
+            return (self.infeasible or "there is no design",)
+        missed = (
+            f"{requirement.name}: wanted {requirement.wanted:.4g}, achieved {requirement.achieved:.4g}"
+            for requirement in self.plan.requirements
+            if not requirement.holds
+        )
+        moves = (
+            f"move at {1e3 * run.payload:g} g: {run.verdict.reason}"
+            for run in self.runs
+            if not run.verdict.holds
+        )
+        return (*missed, *moves, *(() if self.runs else ("no move was simulated",)))
+
+    @property
+    def holds(self) -> bool:
+        """True where every requirement of the design and every simulated move holds."""
+        return not self.reasons

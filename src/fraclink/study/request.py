@@ -1,0 +1,135 @@
+"""What a design is asked for, and what fraclink asks for where nobody said."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from fraclink.errors import FieldError, InfeasibleError
+
+if TYPE_CHECKING:
+    from fraclink.design import Plan
+    from fraclink.link import LinkModel
+    from fraclink.rig import Rig
+
+__all__ = ["Request", "design_for"]
+
+# The source paper's own proportions on its rig: a crossover of 12 rad/s where the heaviest payload's
+# torque resonates at 10.6 rad/s. Condition (39) asks for more than 1; each further step costs phase margin at the light end.
+_CROSSOVER_RATIO = 1.15
+_PHASE_MARGIN_DEG = 50.0
+# An arm with a slow control period cannot have 50 degrees; the largest of these that is feasible is taken.
+_FALLBACK_DEG = (45.0, 40.0, 35.0, 30.0)
+
+
+@dataclass(frozen=True)
+class Request:
+    """A design request; None leaves a value to the rig file, and failing that to the default rule.
+
+    Arguments:
+        payloads: (lightest, heaviest) [kg].
+        gain_crossover: least gain crossover over the range [rad/s].
+        phase_margin: least phase margin over the range [rad].
+        margins: ``"loop"`` (filter, motor loop, hold and delay included) or ``"ideal"`` (the paper's).
+        filter_time: δ [s]; 0 for none.
+        filter_order: n, 1 or 2.
+        inner: the motor loop the design assumes, ``"ideal"`` or ``"sampled"``.
+
+    >>> Request(payloads=(0.02, 0.04)).margins
+    'loop'
+    """
+
+    payloads: tuple[float, float] | None = None
+    gain_crossover: float | None = None
+    phase_margin: float | None = None
+    margins: str = "loop"
+    filter_time: float | None = None
+    filter_order: int | None = None
+    inner: str = "ideal"
+
+
+def _model(rig: Rig, model: LinkModel | None) -> LinkModel:
+    if model is not None:
+        return model
+    if rig.model is not None:
+        return rig.model
+    raise FieldError(
+        "model",
+        None,
+        "not given, and the rig carries none",
+        allowed="a model file",
+        remedy="identify a log first, then give --model model.json",
+    )
+
+
+def design_for(rig: Rig, model: LinkModel | None, request: Request) -> tuple[Plan, tuple[str, ...]]:
+    """Design for a request completed from the rig; also return what had to be assumed, in sentences.
+
+    Where neither the request nor the rig's ``[design]`` table states them, the gain crossover is 1.15 times the
+    torque resonance of the heaviest payload [rad/s] and the phase margin 50° (or the largest of 45, 40, 35 and 30°
+    that is feasible).
+
+    Raises InfeasibleError where the request cannot be met, FieldError where a value is out of its range.
+
+    >>> from fraclink.rig import Rig
+    >>> plan, assumed = design_for(Rig.named("paper-2023"), None, Request(filter_time=0.0))
+    >>> round(plan.controller.gain, 4), assumed
+    (0.0699, ())
+    """
+    link = _model(rig, model)
+    wish = rig.design
+    payloads = request.payloads or (rig.payloads.low, rig.payloads.high)
+    crossover = request.gain_crossover or (wish.gain_crossover if wish else None)
+    margin = request.phase_margin or (wish.phase_margin if wish else None)
+    assumed: list[str] = []
+    if link.payload is None:
+        raise FieldError(
+            "payload", None, "unknown for this model", allowed="> 0 kg", remedy="identify with --payload"
+        )
+    if crossover is None:
+        heavy = link.at_payload(payloads[1]).torque_resonance
+        crossover = _CROSSOVER_RATIO * heavy
+        assumed.append(
+            f"gain crossover {crossover:.3g} rad/s: {_CROSSOVER_RATIO:g} times the torque resonance "
+            f"of the heaviest payload ({heavy:.3g} rad/s), as the rig states none"
+        )
+    if margin is not None:
+        return _design(rig, link, payloads, crossover, margin, request), tuple(assumed)
+    for degrees in (_PHASE_MARGIN_DEG, *_FALLBACK_DEG):
+        try:
+            plan = _design(rig, link, payloads, crossover, math.radians(degrees), request)
+        except InfeasibleError:
+            if degrees == _FALLBACK_DEG[-1]:
+                raise
+            continue
+        reason = (
+            ""
+            if degrees == _PHASE_MARGIN_DEG
+            else f"; {_PHASE_MARGIN_DEG:g}° is not feasible at this crossover"
+        )
+        return plan, (*assumed, f"phase margin {degrees:g}°, as the rig states none{reason}")
+    raise AssertionError("unreachable: the last fallback returns or raises")
+
+
+def _design(
+    rig: Rig,
+    link: LinkModel,
+    payloads: tuple[float, float],
+    gain_crossover: float,
+    phase_margin: float,
+    request: Request,
+) -> Plan:
+    from fraclink.design import design
+
+    return design(
+        link,
+        rig,
+        payloads=payloads,
+        gain_crossover=gain_crossover,
+        phase_margin=phase_margin,
+        margins=request.margins,
+        filter_time=request.filter_time,
+        filter_order=request.filter_order,
+        inner=request.inner,
+    )
