@@ -13,10 +13,18 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 # Public name -> module that defines it. The tests guard the list; add the same name below TYPE_CHECKING.
-_HOME: dict[str, str] = {}
+_HOME: dict[str, str] = {
+    "Controller": "fraclink.controller",
+    "Plan": "fraclink.design",
+    "deg": "fraclink.design",
+    "design": "fraclink.design",
+}
 
 if TYPE_CHECKING:  # what editors and type checkers see; nothing of this runs
-    pass
+    from fraclink.controller import Controller as Controller
+    from fraclink.design import Plan as Plan
+    from fraclink.design import deg as deg
+    from fraclink.design import design as design
 
 __all__ = sorted(["__version__", *_HOME])
 

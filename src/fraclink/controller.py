@@ -1,0 +1,209 @@
+"""The outer controller of the tip: ``C(s) = 1 + k_d s^β / (1 + δ s)^n`` (eq. (57))."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fraclink.errors import FieldError
+
+if TYPE_CHECKING:
+    from fraclink.fractional import FractionalTransferFunction
+    from fraclink.law import Law
+    from fraclink.link import LinkModel
+
+__all__ = ["Controller", "InnerLoopSettings"]
+
+_LARGEST = 1e12  # gains and times beyond it are slips of the pen; squaring them must not overflow
+
+
+def _number(
+    field: str, value: object, low: float, high: float, unit: str, *, open_low: bool = False
+) -> float:
+    """`value` as a float inside [low, high], or an error that names the field, the range and the unit."""
+    allowed = f"a number {'>' if open_low else '>='} {low:g} and <= {high:g} {unit}".rstrip()
+    if isinstance(value, bool) or not isinstance(value, (int, float, np.floating, np.integer)):
+        raise FieldError(field, value, "not a number", allowed=allowed, remedy="give one number")
+    try:
+        number = float(value)
+    except OverflowError:
+        number = math.inf
+    if not math.isfinite(number):
+        raise FieldError(field, str(value)[:24], "not finite", allowed=allowed, remedy="give a finite number")
+    if not (low < number if open_low else low <= number) or number > high:
+        raise FieldError(
+            field, number, "out of range", allowed=allowed, remedy="check the value and its unit"
+        )
+    return number
+
+
+@dataclass(frozen=True)
+class InnerLoopSettings:
+    """What the outer controller assumes about the motor loop.
+
+    Parameters
+    ----------
+    pole
+        double pole at -p [rad/s], p > 0: ``M(s) = 1/(1 + s/p)²`` (eq. (21)).
+    delay_samples
+        computation delay in whole control periods, 0 … 8.
+    kind
+        "ideal" (M(s) as it is written) or "sampled" (the 2-DOF PID at the control period, on the motor).
+    placement
+        for ``kind="sampled"``: "tustin" discretises the continuous PID, "direct" places the poles in z.
+    """
+
+    pole: float = 80.0
+    delay_samples: int = 1
+    kind: str = "ideal"
+    placement: str = "tustin"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "pole", _number("pole", self.pole, 0.0, 1e6, "rad/s", open_low=True))
+        if isinstance(self.delay_samples, bool) or not isinstance(self.delay_samples, int):
+            raise FieldError(
+                "delay_samples",
+                self.delay_samples,
+                "not a whole number",
+                allowed="0 … 8 samples",
+                remedy="give whole samples",
+            )
+        _number("delay_samples", self.delay_samples, 0, 8, "samples")
+        for field, value, allowed in (
+            ("kind", self.kind, ("ideal", "sampled")),
+            ("placement", self.placement, ("tustin", "direct")),
+        ):
+            if value not in allowed:
+                raise FieldError(
+                    field, value, "not known", allowed=" or ".join(allowed), remedy=f"say {allowed[0]!r}"
+                )
+
+
+@dataclass(frozen=True)
+class Controller:
+    """The fractional outer controller and what it was designed for.
+
+    ``C(s) = 1 + Ĉ(s)``, ``Ĉ(s) = k_d s^β / (1 + δ s)^n`` (eqs. (28), (56), (57)).
+    ``C(0) = 1`` removes the gauge's offset from the tip (eq. (27)).
+
+    Parameters
+    ----------
+    gain
+        k_d [s^β], > 0.
+    order
+        β, 0 < β < 2.
+    filter_time
+        δ [s], >= 0; zero means no filter.
+    filter_order
+        n, 1 or 2. The noise condition (32) asks for n > β.
+    link
+        nominal link model, used for the feed-forward ``s^λ/ϖ²`` (corrected eq. (22)).
+    inner
+        the inner loop the controller was designed for.
+    period
+        control period [s] it was designed for.
+
+    Raises
+    ------
+    FieldError
+        a value out of its range.
+
+    Examples
+    --------
+    >>> from fraclink.controller import Controller
+    >>> controller = Controller(gain=0.215299, order=0.655361)
+    >>> round(abs(controller.response(16.0)), 6)
+    1.324873
+    """
+
+    gain: float
+    order: float
+    filter_time: float = 0.0
+    filter_order: int = 1
+    link: LinkModel | None = None
+    inner: InnerLoopSettings | None = None
+    period: float | None = None
+
+    def __post_init__(self) -> None:
+        set_ = object.__setattr__
+        set_(self, "gain", _number("gain", self.gain, 0.0, _LARGEST, "s^β", open_low=True))
+        order = _number("order", self.order, 0.0, 2.0, "", open_low=True)
+        if order >= 2.0:
+            raise FieldError(
+                "order", order, "out of range", allowed="> 0 and < 2", remedy="lower the derivative's order"
+            )
+        set_(self, "order", order)
+        set_(self, "filter_time", _number("filter_time", self.filter_time, 0.0, 1e6, "s"))
+        if isinstance(self.filter_order, bool) or self.filter_order not in (1, 2):
+            raise FieldError(
+                "filter_order",
+                self.filter_order,
+                "not 1 or 2",
+                allowed="1 or 2",
+                remedy="n = 1 for β < 1, else 2",
+            )
+        if self.period is not None:
+            set_(self, "period", _number("period", self.period, 0.0, 10.0, "s", open_low=True))
+
+    @property
+    def is_strictly_proper(self) -> bool:
+        """Whether Ĉ(jω) → 0 for ω → ∞, the high-frequency noise condition (32)."""
+        return self.filter_time > 0.0 and self.filter_order > self.order
+
+    def response(self, frequency: ArrayLike) -> NDArray[np.complex128]:
+        """Return Ĉ(jω) (eq. (57) without its 1) at real `frequency` [rad/s] > 0, shape kept.
+
+        >>> from fraclink.controller import Controller
+        >>> complex(Controller(gain=2.0, order=1.0).response(3.0)).imag
+        6.0
+        """
+        w = np.asarray(frequency, dtype=float)
+        # k ω^β e^{jπβ/2}: the power of a real base, so that no branch has to be chosen.
+        lead = self.gain * np.power(w, self.order) * np.exp(0.5j * np.pi * self.order)
+        return np.asarray(lead / (1.0 + 1j * self.filter_time * w) ** self.filter_order, dtype=np.complex128)
+
+    def correction(self) -> FractionalTransferFunction:
+        """Return ``Ĉ(s) = k_d s^β/(1 + δ s)^n`` as a fractional transfer function (eq. (57))."""
+        from fraclink.fractional import s
+
+        return self.gain * s**self.order / (1.0 + self.filter_time * s) ** self.filter_order
+
+    def transfer(self) -> FractionalTransferFunction:
+        """Return ``C(s) = 1 + Ĉ(s)`` as a fractional transfer function (eq. (57))."""
+        return 1.0 + self.correction()
+
+    def discretize(
+        self, period: float | None = None, *, order: int | None = None, precision: str = "double"
+    ) -> Law:
+        """Return the law that runs at `period` [s]: the same coefficients are simulated and exported.
+
+        Parameters
+        ----------
+        period
+            control period [s]; the design's own when it is left out.
+        order
+            states of Ĉ; chosen to meet 0.1 dB and 0.5° when it is left out.
+        precision
+            "double" or "single".
+        """
+        from fraclink.law import discretize_controller
+
+        chosen = self.period if period is None else _number("period", period, 0.0, 10.0, "s", open_low=True)
+        if chosen is None:
+            raise FieldError(
+                "period", None, "missing", allowed="> 0 s", remedy="give the control period in seconds"
+            )
+        return discretize_controller(self, chosen, order=order, precision=precision)
+
+    def without_filter(self) -> Controller:
+        """Return the same controller with δ = 0 (eq. (56)).
+
+        >>> from fraclink.controller import Controller
+        >>> Controller(gain=1.0, order=0.5, filter_time=0.1).without_filter().filter_time
+        0.0
+        """
+        return replace(self, filter_time=0.0)

@@ -1,0 +1,9 @@
+"""Design of the outer controller: the procedure of section 6, on the ideal loop or on the loop that runs."""
+
+from __future__ import annotations
+
+from fraclink.design.plan import Plan, Requirement
+from fraclink.design.procedure import design
+from fraclink.design.request import deg
+
+__all__ = ["Plan", "Requirement", "deg", "design"]

@@ -1,0 +1,175 @@
+"""A plan: the controller that was designed, what was asked of it and what it achieves."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink.controller import Controller
+from fraclink.design.loop import OpenLoop
+from fraclink.design.request import link_at, payload_of
+from fraclink.findings import Finding
+
+if TYPE_CHECKING:
+    from fraclink.link import LinkModel
+    from fraclink.rig import Rig
+    from fraclink.stability import Margins
+
+__all__ = ["Plan", "Requirement", "open_loop"]
+
+_ROUNDING = 1e-9  # relative: the equations are solved to 1e-15, a requirement met with equality must hold
+
+
+@dataclass(frozen=True)
+class Requirement:
+    """One requirement, the value achieved over the whole payload range, and where it is worst.
+
+    ``slack`` is the distance from the wanted value, positive where the requirement holds with room to spare.
+    ``at_payload`` [kg] is the payload of the worst value; ``unit`` the unit of wanted, achieved and slack.
+    """
+
+    name: str
+    wanted: float
+    achieved: float
+    unit: str
+    at_payload: float
+    slack: float
+    holds: bool
+
+    @staticmethod
+    def at_least(name: str, wanted: float, achieved: float, unit: str, at_payload: float) -> Requirement:
+        """A lower bound: holds where achieved >= wanted.
+
+        >>> Requirement.at_least("phase margin", 0.8, 0.9, "rad", 0.02).holds
+        True
+        """
+        slack = achieved - wanted
+        return Requirement(
+            name, wanted, achieved, unit, at_payload, slack, slack >= -_ROUNDING * max(1.0, abs(wanted))
+        )
+
+    @staticmethod
+    def at_most(name: str, wanted: float, achieved: float, unit: str, at_payload: float) -> Requirement:
+        """An upper bound: holds where achieved <= wanted.
+
+        >>> Requirement.at_most("Ms", 1.5, 1.6, "", 0.02).holds
+        False
+        """
+        slack = wanted - achieved
+        return Requirement(
+            name, wanted, achieved, unit, at_payload, slack, slack >= -_ROUNDING * max(1.0, abs(wanted))
+        )
+
+
+def open_loop(controller: Controller, model: LinkModel, rig: Rig, *, margins: str) -> OpenLoop:
+    """Return Ĉ·G alone (`margins` "ideal"), or with filter, M(s), hold and delay inside ("loop")."""
+    inside = margins == "loop"
+    inner = controller.inner
+    pole = rig.inner.pole if inner is None else inner.pole
+    samples = rig.inner.delay_samples if inner is None else inner.delay_samples
+    period = rig.period if controller.period is None else controller.period
+    return OpenLoop(
+        gain=controller.gain,
+        order=controller.order,
+        link_order=model.order,
+        damping=model.damping,
+        damping_order=model.damping_order,
+        filter_time=controller.filter_time if inside else 0.0,
+        filter_order=controller.filter_order,
+        lag=1.0 / pole if inside else 0.0,
+        delay=(samples + 0.5) * period if inside else 0.0,
+    )
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The answer of `design`.
+
+    Attributes
+    ----------
+    model, rig
+        what it was designed for.
+    controller
+        the controller (eq. (57)).
+    requirements
+        each requirement with the value achieved, the payload where it is worst, and the slack.
+    margins_kind
+        "loop" or "ideal": which loop the margins of ``at`` belong to.
+    payloads
+        (lightest, heaviest) [kg].
+    natural_frequencies
+        ϖ at (heaviest, lightest) payload [s^(-λ/2)].
+    gain_crossover, phase_margin
+        as asked, [rad/s] and [rad].
+    chi
+        χ of eq. (54).
+    gain_crossover_upper
+        ω̄_c of eq. (55), the crossing at the lightest payload [rad/s].
+    findings
+        what a user should know (codes W4xx).
+    """
+
+    model: LinkModel
+    rig: Rig
+    controller: Controller
+    requirements: tuple[Requirement, ...]
+    margins_kind: str
+    payloads: tuple[float, float]
+    natural_frequencies: tuple[float, float]
+    gain_crossover: float
+    phase_margin: float
+    chi: float
+    gain_crossover_upper: float
+    findings: tuple[Finding, ...] = ()
+
+    @property
+    def holds(self) -> bool:
+        """Whether every requirement holds over the whole payload range."""
+        return all(requirement.holds for requirement in self.requirements)
+
+    @property
+    def loop(self) -> OpenLoop:
+        """The open loop the design was asked for; call it with ω [rad/s] and ϖ."""
+        return open_loop(self.controller, self.model, self.rig, margins=self.margins_kind)
+
+    def natural_frequency(self, payload: float) -> float:
+        """ϖ of `payload` [kg] as the design used it (eq. (5)) [s^(-λ/2)]."""
+        return link_at(self.model, self.rig, payload).natural_frequency
+
+    def at(self, payload: float) -> Margins:
+        """Return every margin of the loop the design was asked for, at `payload` [kg] > 0."""
+        return self.at_frequency(self.natural_frequency(payload))
+
+    def at_frequency(self, natural_frequency: float) -> Margins:
+        """Return every margin of the loop the design was asked for, at a link with this ϖ [s^(-λ/2)]."""
+        from fraclink.stability import margins
+
+        loop = self.loop
+
+        def response(s: NDArray[np.complex128]) -> NDArray[np.complex128]:
+            return loop(np.imag(s), natural_frequency)
+
+        limit = math.pi / self.rig.period if self.margins_kind == "loop" else None
+        return margins(response, limit=limit)
+
+    def payload(self, natural_frequency: float) -> float:
+        """Return the payload [kg] that gives the link this ϖ: the inverse of ``natural_frequency``."""
+        return payload_of(self.model, self.rig, natural_frequency)
+
+    def save(self, path: Path | str) -> None:
+        """Write the plan to one JSON file that ``Plan.load`` reads back equal."""
+        from fraclink.design.files import save_plan
+
+        save_plan(self, Path(path))
+
+    @staticmethod
+    def load(path: Path | str) -> Plan:
+        """Read a plan back; FileFormatError or FieldError where the file is not one."""
+        from fraclink.design.files import load_plan
+
+        return load_plan(Path(path))
