@@ -14,17 +14,23 @@ __version__ = "0.1.0"
 
 # Public name -> module that defines it. The tests guard the list; add the same name below TYPE_CHECKING.
 _HOME: dict[str, str] = {
+    "Channel": "fraclink.rig",
     "Controller": "fraclink.controller",
+    "Experiment": "fraclink.experiment",
+    "LogColumns": "fraclink.rig",
     "Plan": "fraclink.design",
+    "Rig": "fraclink.rig",
     "deg": "fraclink.design",
     "design": "fraclink.design",
+    "read_log": "fraclink.readers",
 }
 
 if TYPE_CHECKING:  # what editors and type checkers see; nothing of this runs
     from fraclink.controller import Controller as Controller
-    from fraclink.design import Plan as Plan
-    from fraclink.design import deg as deg
-    from fraclink.design import design as design
+    from fraclink.design import Plan as Plan, deg as deg, design as design
+    from fraclink.experiment import Experiment as Experiment
+    from fraclink.readers import read_log as read_log
+    from fraclink.rig import Channel as Channel, LogColumns as LogColumns, Rig as Rig
 
 __all__ = sorted(["__version__", *_HOME])
 

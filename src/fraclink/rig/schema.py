@@ -154,7 +154,7 @@ def _log_columns(table: dict[str, Any]) -> LogColumns:
         )
     for role, channel in channels.items():
         check_unit(f"log.{role}.unit", role, channel.unit)
-    kind = cast(OutputKind, outputs[0])
+    kind: OutputKind = "torque" if "torque" in channels else "deflection"
     return LogColumns(
         channels["time"], channels["motor_angle"], channels[kind], kind, channels.get("voltage")
     )
