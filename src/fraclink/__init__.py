@@ -27,10 +27,14 @@ _HOME: dict[str, str] = {
 
 if TYPE_CHECKING:  # what editors and type checkers see; nothing of this runs
     from fraclink.controller import Controller as Controller
-    from fraclink.design import Plan as Plan, deg as deg, design as design
+    from fraclink.design import Plan as Plan
+    from fraclink.design import deg as deg
+    from fraclink.design import design as design
     from fraclink.experiment import Experiment as Experiment
     from fraclink.readers import read_log as read_log
-    from fraclink.rig import Channel as Channel, LogColumns as LogColumns, Rig as Rig
+    from fraclink.rig import Channel as Channel
+    from fraclink.rig import LogColumns as LogColumns
+    from fraclink.rig import Rig as Rig
 
 __all__ = sorted(["__version__", *_HOME])
 
