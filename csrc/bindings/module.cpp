@@ -4,6 +4,9 @@
 
 namespace nb = nanobind;
 
+void bind_fit(nb::module_ &m);
+
 NB_MODULE(_kernels, m) {
     m.doc() = "Compiled kernels of fraclink. Private: the package's Python modules are the interface.";
+    bind_fit(m);
 }

@@ -1,0 +1,167 @@
+/* Levenberg-Marquardt on the Gram matrix; gain and offset are linear and projected out exactly. */
+#include <math.h>
+#include <string.h>
+
+#include "fit.h"
+
+#define SIDE_MAX FIT_COLUMNS_MAX
+
+/* Solve A x = b in place by Cholesky for a symmetric positive definite A of order n; 0 where it is not definite. */
+static int solve_definite(int n, double a[SIDE_MAX][SIDE_MAX], double *b) {
+    for (int i = 0; i < n; i++)
+        for (int j = 0; j <= i; j++) {
+            double sum = a[i][j];
+            for (int k = 0; k < j; k++) sum -= a[i][k] * a[j][k];
+            if (i == j) {
+                if (!(sum > 1e-14 * a[i][i])) return 0;
+                a[i][i] = sqrt(sum);
+            } else {
+                a[i][j] = sum / a[j][j];
+            }
+        }
+    for (int i = 0; i < n; i++) {
+        for (int k = 0; k < i; k++) b[i] -= a[i][k] * b[k];
+        b[i] /= a[i][i];
+    }
+    for (int i = n - 1; i >= 0; i--) {
+        for (int k = i + 1; k < n; k++) b[i] -= a[k][i] * b[k];
+        b[i] /= a[i][i];
+    }
+    return 1;
+}
+
+/* Best gain and offset for this shape, and the cost with them. Rows of the Gram matrix: measured, predicted, one. */
+static double linear_part(const double *g, int side, fit_request *r) {
+    double my = g[1], m1 = g[2], yy = g[side + 1], y1 = g[side + 2], n = g[2 * side + 2];
+    if (r->gain_free && r->offset_free) {
+        double determinant = yy * n - y1 * y1;
+        r->gain = determinant > 1e-14 * yy * n ? (my * n - m1 * y1) / determinant : 0;
+        r->offset = (m1 - r->gain * y1) / n;
+    } else if (r->gain_free) {
+        r->gain = yy > 0 ? (my - r->offset * y1) / yy : 0;
+    } else if (r->offset_free) {
+        r->offset = (m1 - r->gain * y1) / n;
+    }
+    double a = r->gain, o = r->offset;
+    double cost = g[0] - 2 * a * my - 2 * o * m1 + a * a * yy + 2 * a * o * y1 + o * o * n;
+    return cost > 0 ? cost : 0; /* rounding of a perfect fit */
+}
+
+static int evaluate(const fit_problem *problem, const double *shape, unsigned mask, fit_request *r, fit_table *t,
+                    double *gram, double *cost) {
+    int bad = fit_make_table(problem, shape, mask, t);
+    if (bad) return bad;
+    fit_pass(problem, t, gram, NULL);
+    *cost = linear_part(gram, 2 + t->outputs, r);
+    r->evaluations++;
+    return isfinite(*cost) ? FIT_OK : FIT_NO_POLE;
+}
+
+/* mu s^a + w must not pull backwards when the link stands still: w >= 0 bounds the damping ratio. */
+static void project(double *shape, const fit_request *r) {
+    for (int i = 0; i < FIT_SHAPE; i++)
+        if (r->mask >> i & 1) shape[i] = fmin(fmax(shape[i], r->lower[i]), r->upper[i]);
+    double a = shape[FIT_DAMPING_ORDER];
+    if (a < 1 && (r->mask >> FIT_RATIO & 1)) {
+        double most = tan(a * 1.57079632679489661923) / 2;
+        if (shape[FIT_RATIO] > most) shape[FIT_RATIO] = most;
+    }
+}
+
+/* The damped step at the current Gram matrix; returns the predicted decrease of the cost, or -1. */
+static double make_step(const double *g, int side, const double *shape, const fit_request *r, double damping,
+                        double *step) {
+    int place[FIT_SHAPE], n = 0, column = 3;
+    double a[SIDE_MAX][SIDE_MAX], b[SIDE_MAX], held[SIDE_MAX];
+    int from[SIDE_MAX];
+    for (int i = 0; i < FIT_SHAPE; i++) {
+        step[i] = 0;
+        if (!(r->mask >> i & 1)) continue;
+        int c = column++;
+        double slope = r->gain * (g[c] - r->gain * g[side + c] - r->offset * g[2 * side + c]);
+        if ((slope < 0 && shape[i] <= r->lower[i]) || (slope > 0 && shape[i] >= r->upper[i])) continue;
+        place[n] = i;
+        from[n] = c;
+        b[n++] = slope;
+    }
+    int shapes = n;
+    if (r->gain_free) from[n++] = 1;
+    if (r->offset_free) from[n++] = 2;
+    for (int i = shapes; i < n; i++) b[i] = 0; /* they are at their best already */
+    for (int i = 0; i < n; i++)
+        for (int j = 0; j < n; j++) {
+            double scale = (i < shapes ? r->gain : 1) * (j < shapes ? r->gain : 1);
+            a[i][j] = scale * g[from[i] * side + from[j]];
+        }
+    memcpy(held, b, sizeof held);
+    for (int i = 0; i < shapes; i++) a[i][i] *= 1 + damping;
+    if (shapes && !solve_definite(n, a, b)) return -1;
+    double predicted = 0;
+    for (int i = 0; i < shapes; i++) {
+        step[place[i]] = b[i];
+        predicted += b[i] * held[i];
+    }
+    return predicted;
+}
+
+/* A step of one in ln(resonance), or of half of what a shape can be, leaves the region where the slopes mean anything. */
+static void limit_step(double *step, double period_seconds) {
+    const double most[FIT_SHAPE] = {0.25, 0.35, 0.2, 0.3, 0.15 * period_seconds};
+    double worst = 1;
+    for (int i = 0; i < FIT_SHAPE; i++) worst = fmax(worst, fabs(step[i]) / most[i]);
+    for (int i = 0; i < FIT_SHAPE; i++) step[i] /= worst;
+}
+
+static int negligible(const double *step, double period_seconds) {
+    const double scale[FIT_SHAPE] = {1, 1, 0.1, 1, period_seconds};
+    for (int i = 0; i < FIT_SHAPE; i++)
+        if (fabs(step[i]) > 1e-11 * scale[i]) return 0;
+    return 1;
+}
+
+int fit_solve(const fit_problem *problem, double *shape, fit_request *r, fit_table *work) {
+    double gram[SIDE_MAX * SIDE_MAX], trial[FIT_SHAPE], step[FIT_SHAPE], cost, trial_cost, damping = 1e-3;
+    r->evaluations = 0;
+    project(shape, r);
+    if (evaluate(problem, shape, r->mask, r, work, gram, &cost)) return FIT_FAILED;
+    int side = 2 + work->outputs, status = FIT_ITERATIONS;
+    for (int i = 0; i < r->iterations_max; i++) {
+        double wave = 6.283185307179586 / exp(shape[FIT_RESONANCE]);
+        double predicted = make_step(gram, side, shape, r, damping, step);
+        if (predicted < 0) {
+            damping = fmax(10 * damping, 1e-9);
+            if (damping < 1e12) continue;
+            status = FIT_SINGULAR;
+            break;
+        }
+        limit_step(step, wave);
+        for (int k = 0; k < FIT_SHAPE; k++) trial[k] = shape[k] + step[k];
+        project(trial, r);
+        double moved[FIT_SHAPE];
+        for (int k = 0; k < FIT_SHAPE; k++) moved[k] = trial[k] - shape[k];
+        if (negligible(moved, wave) || predicted < 1e-11 * cost) {
+            status = FIT_CONVERGED;
+            break;
+        }
+        double gain = r->gain, offset = r->offset, next[SIDE_MAX * SIDE_MAX];
+        int bad = evaluate(problem, trial, r->mask, r, work, next, &trial_cost);
+        if (!bad && trial_cost < cost) {
+            damping = trial_cost < cost - 0.25 * predicted ? damping * 0.1 : damping * 0.5;
+            if (damping < 1e-12) damping = 1e-12;
+            memcpy(shape, trial, sizeof trial);
+            memcpy(gram, next, sizeof gram);
+            cost = trial_cost;
+            continue;
+        }
+        r->gain = gain; /* the rejected trial left its own */
+        r->offset = offset;
+        damping = fmax(8 * damping, 1e-6);
+        if (damping > 1e12) { /* no step improves: as low as the arithmetic can tell */
+            status = FIT_CONVERGED;
+            break;
+        }
+    }
+    r->cost = cost;
+    memcpy(r->gram, gram, sizeof gram);
+    return status;
+}

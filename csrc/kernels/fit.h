@@ -1,0 +1,70 @@
+/* Identification kernel: predicted output of the link, its derivatives and their Gram matrix.
+ *
+ * The link's step response is h(t) = L^-1[s^(l-1)/(s^l + mu s^a + w)], a decaying pair of complex
+ * exponentials plus an integral over real rates (the branch cut). The integral is a trapezoid sum in
+ * ln(rate) on a grid that does not move while parameters do, so that one recursion of states serves the
+ * output and every derivative. */
+#ifndef FRACLINK_FIT_H
+#define FRACLINK_FIT_H
+
+#include <stddef.h>
+
+enum {
+    FIT_LANES = 8,          /* samples a block: one AVX-512 vector of doubles */
+    FIT_MODES_MAX = 64,     /* real rates that are recursed */
+    FIT_TAIL_MAX = 64,      /* faster rates, folded into the coefficients of two inputs */
+    FIT_SHAPE = 5,          /* order, ln(resonance), damping ratio, damping order, delay [s] */
+    FIT_COLUMNS_MAX = 3 + FIT_SHAPE, /* measured, predicted, one, derivatives */
+    FIT_STATES_MAX = FIT_MODES_MAX + 5
+};
+
+enum { FIT_ORDER, FIT_RESONANCE, FIT_RATIO, FIT_DAMPING_ORDER, FIT_DELAY };
+enum { FIT_OK = 0, FIT_NO_POLE = 1, FIT_DELAY_RANGE = 2 };
+enum { FIT_CONVERGED = 0, FIT_ITERATIONS = 1, FIT_SINGULAR = 2, FIT_FAILED = 3 };
+
+typedef struct {
+    ptrdiff_t count;      /* samples */
+    double period;        /* [s] */
+    int hold;             /* 0: input is held, 1: input is linear between samples */
+    const double *input;  /* jump at (hold 0) or slope after (hold 1) sample k; readable for -pad <= k < count + pad */
+    ptrdiff_t pad;        /* zeros on both sides of the input */
+    const double *output; /* measured, count */
+    double grid_start, grid_step; /* ln(rate) of the first real mode, and the step */
+    int modes, tail;      /* recursed rates, and rates above them */
+} fit_problem;
+
+/* Everything the pass over the data needs; made anew for every set of parameters. */
+typedef struct {
+    int outputs;          /* 1 + derivatives */
+    int modes, states;    /* states: modes, pole (re, im), its derivative (re, im), previous input */
+    ptrdiff_t shift;      /* whole samples of delay */
+    double state_gain[1 + FIT_SHAPE][FIT_STATES_MAX][FIT_LANES];
+    double input_gain[1 + FIT_SHAPE][FIT_LANES][FIT_LANES]; /* [input in block][output in block] */
+    double decay[FIT_MODES_MAX], decay_block[FIT_MODES_MAX], drive[FIT_MODES_MAX];
+    double drive_block[FIT_LANES][FIT_MODES_MAX];
+    double pole_block[4][4], pole_drive_block[FIT_LANES][4];
+    double pole_step[4][4], pole_drive[4];
+} fit_table;
+
+/* `mask` has bit i set where shape parameter i gets a derivative column. */
+int fit_make_table(const fit_problem *problem, const double *shape, unsigned mask, fit_table *table);
+
+/* Gram matrix (row-major, side x side, side = 3 + derivatives) of [measured, predicted, 1, derivatives of
+ * the predicted output for unit gain]; `columns` (outputs x count), if given, receives predicted and derivatives. */
+void fit_pass(const fit_problem *problem, const fit_table *table, double *gram, double *columns);
+
+typedef struct {
+    unsigned mask;             /* free shape parameters */
+    double lower[FIT_SHAPE], upper[FIT_SHAPE];
+    int gain_free, offset_free;
+    double gain, offset;       /* values where they are not free, results where they are */
+    int iterations_max;
+    double cost;               /* sum of squares */
+    int evaluations;
+    double gram[FIT_COLUMNS_MAX * FIT_COLUMNS_MAX]; /* at the result, side 3 + free */
+} fit_request;
+
+/* Levenberg-Marquardt with the linear parameters (gain, offset) projected out; `shape` is start and result. */
+int fit_solve(const fit_problem *problem, double *shape, fit_request *request, fit_table *work);
+
+#endif
