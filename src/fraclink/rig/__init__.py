@@ -1,7 +1,18 @@
 """The rig: one frozen object for one flexible arm, in one TOML file."""
 
 from fraclink.rig.columns import Channel, LogColumns
-from fraclink.rig.parts import Encoder, Gauge, Inner, Link, Motor, Payloads
+from fraclink.rig.parts import DesignRequest, Encoder, Gauge, Inner, Link, Motor, Payloads
 from fraclink.rig.rig import Rig
 
-__all__ = ["Channel", "Encoder", "Gauge", "Inner", "Link", "LogColumns", "Motor", "Payloads", "Rig"]
+__all__ = [
+    "Channel",
+    "DesignRequest",
+    "Encoder",
+    "Gauge",
+    "Inner",
+    "Link",
+    "LogColumns",
+    "Motor",
+    "Payloads",
+    "Rig",
+]

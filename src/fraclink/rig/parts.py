@@ -9,7 +9,7 @@ from typing import Annotated
 from fraclink.errors import FieldError
 from fraclink.rig.quantities import Quantity, check_fields
 
-__all__ = ["Encoder", "Gauge", "Inner", "Link", "Motor", "Payloads"]
+__all__ = ["DesignRequest", "Encoder", "Gauge", "Inner", "Link", "Motor", "Payloads"]
 
 
 @dataclass(frozen=True)
@@ -197,3 +197,54 @@ class Inner:
 
     def __post_init__(self) -> None:
         check_fields(self, "inner_loop")
+
+
+@dataclass(frozen=True)
+class DesignRequest:
+    """What a design for this rig is asked for where the user does not say: the `[design]` table.
+
+    Arguments:
+        gain_crossover: least gain crossover over the payload range [rad/s], > 0.
+        phase_margin_deg: least phase margin over the payload range [degrees], above 0 and below 180.
+        filter_time: δ [s], >= 0; 0 for no filter, None for the 10 % rule.
+
+    Raises FieldError.
+
+    >>> round(DesignRequest(gain_crossover=12.0, phase_margin_deg=50.0).phase_margin, 6)
+    0.872665
+    """
+
+    gain_crossover: Annotated[float, Quantity("gain_crossover_rad_per_s", "rad/s", above=0)]
+    phase_margin_deg: Annotated[float, Quantity("phase_margin_deg", "°", above=0, at_most=179)]
+    filter_time: Annotated[float | None, Quantity("filter_time_s", "s", at_least=0)] = None
+
+    def __post_init__(self) -> None:
+        check_fields(self, "design")
+
+    @property
+    def phase_margin(self) -> float:
+        """Least phase margin [rad]."""
+        return math.radians(self.phase_margin_deg)
+
+
+@dataclass(frozen=True)
+class DesignWish:
+    """What a design for this rig should reach where a request does not say it.
+
+    Arguments:
+        gain_crossover: least gain crossover over the payload range [rad/s], > 0, or None.
+        phase_margin: least phase margin over the payload range [rad], in (0, π), or None.
+
+    Raises FieldError.
+
+    >>> DesignWish(gain_crossover=12.0).phase_margin is None
+    True
+    """
+
+    gain_crossover: Annotated[float | None, Quantity("gain_crossover_rad_per_s", "rad/s", above=0)] = None
+    phase_margin: Annotated[float | None, Quantity("phase_margin_rad", "rad", above=0, at_most=math.pi)] = (
+        None
+    )
+
+    def __post_init__(self) -> None:
+        check_fields(self, "design")

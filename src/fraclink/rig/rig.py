@@ -11,7 +11,7 @@ from fraclink.errors import FieldError
 from fraclink.findings import Finding
 from fraclink.link import LinkModel
 from fraclink.rig.columns import LogColumns
-from fraclink.rig.parts import Encoder, Gauge, Inner, Link, Motor, Payloads
+from fraclink.rig.parts import DesignRequest, Encoder, Gauge, Inner, Link, Motor, Payloads
 from fraclink.rig.quantities import NAME, SENTENCE, SOURCE, Quantity, check_fields
 
 __all__ = ["Rig"]
@@ -30,7 +30,9 @@ class Rig:
         period: sampling period Ts [s], > 0 and <= 10.
         model: link model that the file carries, or None.
         log: which column of a log is what, or None.
+        design: what a design should reach where nobody says otherwise, or None.
         assumptions: sentences on values that nobody measured, shown in every report.
+        design: what a design is asked for where the user does not say, or None.
         source: where the values come from.
 
     `warnings` lists contradictions between the values (codes W101 …). Raises FieldError.
@@ -51,8 +53,10 @@ class Rig:
     inner: Inner = field(default_factory=Inner)
     model: LinkModel | None = None
     log: LogColumns | None = None
+    design: DesignWish | None = None
     assumptions: tuple[str, ...] = ()
     source: Annotated[str, SOURCE] = ""
+    design: DesignRequest | None = None
 
     def __post_init__(self) -> None:
         check_fields(self, "")

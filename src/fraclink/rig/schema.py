@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 
 from fraclink.errors import FieldError
 from fraclink.rig.columns import Channel, LogColumns, OutputKind, check_unit
-from fraclink.rig.parts import Encoder, Gauge, Inner, Link, Motor, Payloads
+from fraclink.rig.parts import DesignRequest, Encoder, Gauge, Inner, Link, Motor, Payloads
 from fraclink.rig.quantities import NAME, SENTENCE, SOURCE, Quantity, Text, specs
 
 if TYPE_CHECKING:
@@ -52,6 +52,36 @@ class ModelTable:
         )
 
 
+@dataclass(frozen=True)
+class DesignTable:
+    """The `[design]` table: the phase margin in degrees or in radians."""
+
+    gain_crossover: Annotated[float | None, Quantity("gain_crossover_rad_per_s", "rad/s", above=0)] = None
+    phase_margin_deg: Annotated[float | None, Quantity("phase_margin_deg", "deg", above=0, at_most=180)] = (
+        None
+    )
+    phase_margin_rad: Annotated[
+        float | None, Quantity("phase_margin_rad", "rad", above=0, at_most=math.pi)
+    ] = None
+
+    def __post_init__(self) -> None:
+        if self.phase_margin_deg is not None and self.phase_margin_rad is not None:
+            raise FieldError(
+                "design.phase_margin_deg",
+                self.phase_margin_deg,
+                "given twice, in degrees and in radians",
+                allowed="one phase margin",
+                remedy="remove phase_margin_rad or phase_margin_deg",
+            )
+
+    def build(self) -> DesignWish:
+        """The wish in radians."""
+        margin = self.phase_margin_rad
+        if self.phase_margin_deg is not None:
+            margin = math.radians(self.phase_margin_deg)
+        return DesignWish(self.gain_crossover, margin)
+
+
 SECTIONS: dict[str, type] = {
     "motor": Motor,
     "link": Link,
@@ -60,6 +90,7 @@ SECTIONS: dict[str, type] = {
     "gauge": Gauge,
     "inner_loop": Inner,
     "model": ModelTable,
+    "design": DesignRequest,
 }
 _REQUIRED = ("motor", "link", "payloads")
 _LOG_ROLES = ("time", "motor_angle", "torque", "deflection", "voltage")
@@ -203,6 +234,8 @@ def rig_arguments(table: BaseModel) -> dict[str, Any]:
     }
     if "model" in parts:
         parts["model"] = parts["model"].build(parts["link"], parts["payloads"])
+    if "design" in parts:
+        parts["design"] = parts["design"].build()
     if "inner_loop" in parts:
         parts["inner"] = parts.pop("inner_loop")
     if "log" in data:

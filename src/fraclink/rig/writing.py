@@ -6,6 +6,8 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from fraclink.rig.columns import Channel
+from fraclink.rig.parts import DesignRequest
+from fraclink.rig.parts import DesignWish
 from fraclink.rig.quantities import specs
 from fraclink.rig.schema import FORMAT, ModelTable
 
@@ -37,6 +39,10 @@ def rig_text(rig: Rig) -> str:
         lines += ["", f"[{section}]", *_pairs(part, type(part))]
     if rig.model is not None:
         lines += ["", "[model]", *_pairs(rig.model, ModelTable)]
+    if rig.design is not None:
+        lines += ["", "[design]", *_pairs(rig.design, DesignRequest)]
+    if rig.design is not None:
+        lines += ["", "[design]", *_pairs(rig.design, DesignWish)]
     if rig.log is not None:
         for role, channel in rig.log.channels().items():
             offset = f"offset = {_value(channel.offset)}"
