@@ -225,26 +225,3 @@ class DesignRequest:
     def phase_margin(self) -> float:
         """Least phase margin [rad]."""
         return math.radians(self.phase_margin_deg)
-
-
-@dataclass(frozen=True)
-class DesignWish:
-    """What a design for this rig should reach where a request does not say it.
-
-    Arguments:
-        gain_crossover: least gain crossover over the payload range [rad/s], > 0, or None.
-        phase_margin: least phase margin over the payload range [rad], in (0, π), or None.
-
-    Raises FieldError.
-
-    >>> DesignWish(gain_crossover=12.0).phase_margin is None
-    True
-    """
-
-    gain_crossover: Annotated[float | None, Quantity("gain_crossover_rad_per_s", "rad/s", above=0)] = None
-    phase_margin: Annotated[float | None, Quantity("phase_margin_rad", "rad", above=0, at_most=math.pi)] = (
-        None
-    )
-
-    def __post_init__(self) -> None:
-        check_fields(self, "design")

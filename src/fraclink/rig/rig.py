@@ -53,10 +53,9 @@ class Rig:
     inner: Inner = field(default_factory=Inner)
     model: LinkModel | None = None
     log: LogColumns | None = None
-    design: DesignWish | None = None
+    design: DesignRequest | None = None
     assumptions: tuple[str, ...] = ()
     source: Annotated[str, SOURCE] = ""
-    design: DesignRequest | None = None
 
     def __post_init__(self) -> None:
         check_fields(self, "")

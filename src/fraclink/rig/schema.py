@@ -52,36 +52,6 @@ class ModelTable:
         )
 
 
-@dataclass(frozen=True)
-class DesignTable:
-    """The `[design]` table: the phase margin in degrees or in radians."""
-
-    gain_crossover: Annotated[float | None, Quantity("gain_crossover_rad_per_s", "rad/s", above=0)] = None
-    phase_margin_deg: Annotated[float | None, Quantity("phase_margin_deg", "deg", above=0, at_most=180)] = (
-        None
-    )
-    phase_margin_rad: Annotated[
-        float | None, Quantity("phase_margin_rad", "rad", above=0, at_most=math.pi)
-    ] = None
-
-    def __post_init__(self) -> None:
-        if self.phase_margin_deg is not None and self.phase_margin_rad is not None:
-            raise FieldError(
-                "design.phase_margin_deg",
-                self.phase_margin_deg,
-                "given twice, in degrees and in radians",
-                allowed="one phase margin",
-                remedy="remove phase_margin_rad or phase_margin_deg",
-            )
-
-    def build(self) -> DesignWish:
-        """The wish in radians."""
-        margin = self.phase_margin_rad
-        if self.phase_margin_deg is not None:
-            margin = math.radians(self.phase_margin_deg)
-        return DesignWish(self.gain_crossover, margin)
-
-
 SECTIONS: dict[str, type] = {
     "motor": Motor,
     "link": Link,
@@ -234,8 +204,6 @@ def rig_arguments(table: BaseModel) -> dict[str, Any]:
     }
     if "model" in parts:
         parts["model"] = parts["model"].build(parts["link"], parts["payloads"])
-    if "design" in parts:
-        parts["design"] = parts["design"].build()
     if "inner_loop" in parts:
         parts["inner"] = parts.pop("inner_loop")
     if "log" in data:

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 from fraclink.rig.columns import Channel
 from fraclink.rig.parts import DesignRequest
-from fraclink.rig.parts import DesignWish
 from fraclink.rig.quantities import specs
 from fraclink.rig.schema import FORMAT, ModelTable
 
@@ -41,8 +40,6 @@ def rig_text(rig: Rig) -> str:
         lines += ["", "[model]", *_pairs(rig.model, ModelTable)]
     if rig.design is not None:
         lines += ["", "[design]", *_pairs(rig.design, DesignRequest)]
-    if rig.design is not None:
-        lines += ["", "[design]", *_pairs(rig.design, DesignWish)]
     if rig.log is not None:
         for role, channel in rig.log.channels().items():
             offset = f"offset = {_value(channel.offset)}"
