@@ -160,16 +160,11 @@ def simulate_log(
 
 def _march(matrices: StepMatrices, reference: Vector, count: int, prescribed: bool, fine: float) -> Vector:
     """Outputs at every fine step, shape ((N−1)·count + 1, 6); the twin starts at rest at the first sample."""
-    transition, drive, outputs = matrices.transition, matrices.drive[:, 0], matrices.outputs
-    state = np.zeros(transition.shape[0])
-    result = np.zeros(((reference.size - 1) * count + 1, outputs.shape[0]))
+    from fraclink._kernels import twin_march
+
     inputs = np.diff(reference) / (fine * count) if prescribed else reference[:-1] - reference[0]
-    at = 0
-    for value in inputs:
-        for _ in range(count):
-            state = transition @ state + drive * value
-            at += 1
-            result[at] = outputs @ state
+    marched = twin_march(*matrices.arrays, inputs, count, matrices.rest())
+    result = np.vstack([np.zeros(marched.shape[1]), marched])
     result[:, 0] += reference[0]
     result[:, 2] += reference[0]
     return result

@@ -71,17 +71,41 @@ class Plant:
         block = np.zeros((n + m, n + m))
         block[:n, :n], block[:n, n:] = self.dynamics * step, self.inputs * step
         exact = expm(block)
-        return StepMatrices(step, exact[:n, :n].copy(), exact[:n, n:].copy(), self.outputs)
+        stride = -(-n // 8) * 8
+        columns = np.zeros((n, stride))
+        columns[:, :n] = exact[:n, :n].T
+        drives = np.zeros((m, stride))
+        drives[:, :n] = exact[:n, n:].T
+        outputs = np.zeros((self.outputs.shape[0], stride))
+        outputs[:, :n] = self.outputs
+        for array in (columns, drives, outputs):
+            array.flags.writeable = False
+        return StepMatrices(step, n, columns, drives[0], drives[1], outputs)
 
 
 @dataclass(frozen=True)
 class StepMatrices:
-    """x⁺ = transition x + drive u, y = outputs x, over `step` seconds."""
+    """x⁺ = A x + b u, y = C x over `step` seconds, laid out for the kernel.
+
+    Row j of `transition` is column j of A, padded with zeros to a whole number of vectors; `hub` and `tip` are
+    the columns of b, `outputs` is C, padded alike.
+    """
 
     step: float
+    order: int
     transition: Matrix
-    drive: Matrix
+    hub: Vector
+    tip: Vector
     outputs: Matrix
+
+    @property
+    def arrays(self) -> tuple[Matrix, Vector, Vector, Matrix]:
+        """What the kernel takes first."""
+        return self.transition, self.hub, self.tip, self.outputs
+
+    def rest(self) -> Vector:
+        """Return the state of a straight link at rest with its hub at 0."""
+        return np.zeros(self.hub.size)
 
 
 def _resolved(beam: Beam, modes: int | None, step: float) -> Modes:

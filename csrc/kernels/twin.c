@@ -1,0 +1,182 @@
+#include "twin.h"
+
+#include <math.h>
+#include <string.h>
+
+#include "clones.h"
+
+/* y = transition x, by columns: every product goes into its own row, so that nothing is summed across a
+ * vector and the result does not depend on the vector's length. Four columns at a time keep y in registers
+ * for four products per load. */
+FRACLINK_CLONES
+static void advance(const twin_step *step, const double *restrict x, double *restrict y)
+{
+    const int stride = step->stride;
+    const double *restrict column = step->transition;
+    for (int i = 0; i < stride; ++i) {
+        y[i] = 0.0;
+    }
+    int j = 0;
+    for (; j + 4 <= step->states; j += 4, column += 4 * stride) {
+        const double a = x[j], b = x[j + 1], c = x[j + 2], d = x[j + 3];
+#pragma omp simd
+        for (int i = 0; i < stride; ++i) {
+            y[i] += (column[i] * a + column[stride + i] * b) +
+                    (column[2 * stride + i] * c + column[3 * stride + i] * d);
+        }
+    }
+    for (; j < step->states; ++j, column += stride) {
+        const double a = x[j];
+#pragma omp simd
+        for (int i = 0; i < stride; ++i) {
+            y[i] += column[i] * a;
+        }
+    }
+}
+
+static void add(int count, double factor, const double *restrict vector, double *restrict y)
+{
+#pragma omp simd
+    for (int i = 0; i < count; ++i) {
+        y[i] += factor * vector[i];
+    }
+}
+
+/* Eight partial sums in a fixed order: vectorised, and the same on every machine. */
+static double output(const twin_step *step, int row, const double *restrict x)
+{
+    const double *restrict weights = step->outputs + (long)row * step->stride;
+    double part[8] = {0.0};
+    for (int i = 0; i < step->stride; i += 8) {
+#pragma omp simd
+        for (int k = 0; k < 8; ++k) {
+            part[k] += weights[i + k] * x[i + k];
+        }
+    }
+    return ((part[0] + part[1]) + (part[2] + part[3])) + ((part[4] + part[5]) + (part[6] + part[7]));
+}
+
+void twin_march(const twin_step *step, int periods, int substeps, const double *input, double *state,
+                double *scratch, double *out)
+{
+    for (int k = 0; k < periods; ++k) {
+        for (int j = 0; j < substeps; ++j) {
+            advance(step, state, scratch);
+            add(step->stride, input[k], step->hub, scratch);
+            memcpy(state, scratch, sizeof(double) * (size_t)step->stride);
+            for (int row = 0; row < TWIN_OUTPUTS; ++row) {
+                *out++ = output(step, row, state);
+            }
+        }
+    }
+}
+
+static double quantised(double value, double quantum)
+{
+    return quantum > 0.0 ? floor(value / quantum + 0.5) * quantum : value;
+}
+
+static double clamped(double value, double limit)
+{
+    return value > limit ? limit : (value < -limit ? -limit : value);
+}
+
+void twin_sense(const twin_step *step, const twin_rig *rig, const twin_memory *memory, double gauge_error,
+                double *angle, double *torque)
+{
+    (void)step;
+    *angle = quantised(memory->state[0], rig->angle_quantum);
+    *torque = quantised(clamped(rig->gauge_gain * memory->gauge[0] + gauge_error, rig->gauge_limit), rig->gauge_quantum);
+}
+
+/* Push of the obstacle on the tip [N]: never a pull, whatever the damping says. */
+static double contact(const twin_step *step, const twin_obstacle *obstacle, const double *state)
+{
+    if (!(obstacle->stiffness > 0.0)) {
+        return 0.0;
+    }
+    const double depth = obstacle->side * obstacle->length * (output(step, 2, state) - obstacle->angle);
+    if (depth <= 0.0) {
+        return 0.0;
+    }
+    const double speed = obstacle->side * obstacle->length * output(step, 4, state);
+    const double push = obstacle->stiffness * depth + obstacle->damping * speed;
+    return push > 0.0 ? -obstacle->side * push : 0.0;
+}
+
+/* One step of motor and link. Friction is a constant torque over the step, the one that brings the hub to
+ * rest at its end where friction can do that (it is stuck then), else the sliding friction against the
+ * motion: exact stiction without a velocity threshold, and friction that can never push. */
+static void motor_step(const twin_step *step, const twin_rig *rig, double torque, double force,
+                       twin_memory *memory)
+{
+    double *restrict next = memory->scratch;
+    advance(step, memory->state, next);
+    add(step->stride, torque, step->hub, next);
+    if (force != 0.0) {
+        add(step->stride, force, step->tip, next);
+    }
+    const double stopping = next[1] / step->hub[1];
+    const double available = memory->stuck ? rig->stiction : rig->coulomb;
+    memory->stuck = fabs(stopping) <= available && available > 0.0;
+    const double friction = memory->stuck ? stopping : copysign(rig->coulomb, stopping);
+    add(step->stride, -friction, step->hub, next);
+    memcpy(memory->state, next, sizeof(double) * (size_t)step->stride);
+    if (memory->stuck) {
+        memory->state[1] = 0.0; /* rounding of the line above would count as a crawl */
+    }
+    memmove(memory->gauge, memory->gauge + 1, sizeof(double) * (size_t)rig->gauge_delay);
+    memory->gauge[rig->gauge_delay] = output(step, 3, memory->state);
+}
+
+int twin_run(const twin_step *step, const twin_rig *rig, const twin_obstacle *obstacle, const law_params *params,
+             int periods, const double *reference, const double *gauge_error, const double *tip_force,
+             law_state *law, twin_memory *memory, double *record)
+{
+    for (int k = 0; k < periods; ++k, record += TWIN_COLUMNS) {
+        double angle, torque;
+        twin_sense(step, rig, memory, gauge_error[k], &angle, &torque);
+        const law_input input = {memory->tick,
+                                 (law_real)reference[3 * k],
+                                 (law_real)reference[3 * k + 1],
+                                 (law_real)reference[3 * k + 2],
+                                 (law_real)angle,
+                                 (law_real)torque};
+        law_output answer;
+        law_step(law, params, &input, &answer);
+        memory->tick++;
+
+        double voltage = answer.voltage;
+        if (rig->voltage_delay > 0) {
+            voltage = memory->voltage[0];
+            memmove(memory->voltage, memory->voltage + 1, sizeof(double) * (size_t)(rig->voltage_delay - 1));
+            memory->voltage[rig->voltage_delay - 1] = answer.voltage;
+        }
+        voltage = clamped(voltage, rig->voltage_limit);
+
+        record[0] = reference[3 * k];
+        record[1] = memory->state[0];
+        record[2] = output(step, 2, memory->state);
+        record[3] = output(step, 3, memory->state);
+        record[4] = angle;
+        record[5] = torque;
+        record[6] = answer.motor_reference;
+        record[7] = voltage;
+        record[8] = answer.voltage;
+        record[9] = answer.mode;
+        record[10] = answer.reason;
+        record[11] = answer.flags;
+        record[12] = memory->state[1];
+        double largest = 0.0;
+        for (int j = 0; j < rig->substeps; ++j) {
+            const double push = contact(step, obstacle, memory->state);
+            largest = fabs(push) > largest ? fabs(push) : largest;
+            motor_step(step, rig, rig->torque_per_volt * voltage, push + tip_force[k], memory);
+        }
+        record[13] = largest;
+        if (!(fabs(memory->state[0]) < 1e6)) {
+            return k + 1; /* diverged: the numbers behind it would be infinite */
+        }
+    }
+    return periods;
+}
