@@ -1,0 +1,75 @@
+/* Desktop only: the arm around law.c. The law is compiled in unmodified, once per precision. */
+#ifndef FRACLINK_LOOP_H
+#define FRACLINK_LOOP_H
+
+#include <stdint.h>
+
+/* The link from motor angle to tip angle, exact for a cubic motor angle within each period:
+ * tip[k+1] = sum_j first[j] q_j[k] + sum_i x_i[k+1] + Re sum_i z_i[k+1],
+ * x_i[k+1] = decay_i x_i[k] + sum_j weight_ij q_j[k], the same for the pairs z. */
+typedef struct {
+    int reals;
+    int pairs;
+    const double *decay;     /* reals */
+    const double *weight;    /* 4 x reals */
+    const double *pair_re;   /* pairs */
+    const double *pair_im;   /* pairs */
+    const double *weight_re; /* 4 x pairs */
+    const double *weight_im; /* 4 x pairs */
+    double first[4];
+    double stiffness;
+} loop_link;
+
+typedef struct {
+    int sampled;           /* 0: M(s) follows the motor reference; 1: motor under voltage, inner loop in the law */
+    int substeps;          /* friction substeps in a period */
+    int delay;             /* periods from sensor to actuator */
+    double period;
+    double pole;           /* p of M(s) [rad/s] */
+    double gain;           /* A [rad/(s^2 V)] */
+    double decay;          /* B [1/s] */
+    double friction;       /* Coulomb deceleration [rad/s^2] */
+    double coupling;       /* 0: torque compensated ideally; else 1/(n^2 J): it acts on the motor [rad/(s^2 N m)] */
+    double encoder;        /* resolution [rad], 0 = exact */
+    double offset;         /* gauge offset from the second period on [N m] */
+    double noise;          /* standard deviation of a gauge sample [N m] */
+    double limit;          /* largest gauge reading [N m] */
+    double quantum;        /* gauge resolution [N m], 0 = exact */
+    double start;          /* angle at rest before the first period [rad] */
+    uint64_t seed;
+} loop_rig;
+
+typedef struct {
+    int64_t length;
+    const double *reference;
+    const double *velocity;
+    const double *acceleration;
+} loop_reference;
+
+/* One row per period; all arrays have `length` entries. */
+typedef struct {
+    double *tip;
+    double *motor;
+    double *motor_reference;
+    double *torque;
+    double *measured;
+    double *voltage;
+    double *tip_estimate;
+    uint32_t *flags;
+    uint32_t *mode;
+    uint32_t *reason;
+} loop_trace;
+
+#define LOOP_MODES 64   /* most real modes, and most pairs, of a link */
+#define LOOP_DELAY 101  /* longest delay in periods, plus one */
+
+/* Return 0, or 1 where a bound above is exceeded. `params` is a law_params of the named precision. */
+int loop_run_double(const loop_link *link, const loop_rig *rig, const void *params, const loop_reference *reference,
+                    const loop_trace *trace);
+int loop_run_single(const loop_link *link, const loop_rig *rig, const void *params, const loop_reference *reference,
+                    const loop_trace *trace);
+
+/* Standard normal number `counter` of stream `seed`: the same wherever and in whatever order it is drawn. */
+double loop_normal(uint64_t seed, uint64_t counter);
+
+#endif

@@ -1,0 +1,467 @@
+/* The control law of a flexible-link arm. See law.h for how to call it.
+ *
+ * Rules that trials forced, and why:
+ *  - A value is tested for NaN first, by v == v, and only then compared: a clamp made of two comparisons lets
+ *    NaN through, and a prover does not take NaN out of v >= -m && v <= m.
+ *  - The whole state is scrubbed at every entry: a flipped bit or a wiped memory is healed within one period,
+ *    and the proof that the output is finite and in its limits needs no history.
+ *  - The correction works on the *change* of the error, so that a constant error, such as a gauge's offset, gives
+ *    exactly zero whatever the rounding; its modes are kept in delta form (pole - 1), which does not round slow
+ *    poles away in single precision.
+ *  - Denormals are flushed: they stay for ever and cost three times the period on a desktop.
+ *  - The "loop unroll" comments are for the prover (Frama-C); a compiler does not see them.
+ */
+#include "law.h"
+
+#if defined(__clang__)
+#pragma STDC FP_CONTRACT OFF
+#elif defined(__GNUC__) && !defined(__STRICT_ANSI__) && (defined(__FMA__) || defined(__ARM_FEATURE_FMA)) && \
+    !defined(LAW_CONTRACT_OFF)
+/* gcc ignores the pragma and fuses a * b + c in its gnu modes: one rounding where the simulation has two. */
+#error "compile law.c with -std=c99, or with -ffp-contract=off -DLAW_CONTRACT_OFF"
+#endif
+
+#define LAW_TINY ((law_real)1e-30F) /* far below any signal, far above the denormals of float */
+#define LAW_COUNT_MAX 0x7FFFFFFFU
+
+/* `value` within +-`limit`; NaN becomes 0. */
+static law_real clamped(law_real value, law_real limit)
+{
+    law_real result = (law_real)0;
+    if (value == value) {
+        result = value;
+        if (value > limit) {
+            result = limit;
+        } else if (value < -limit) {
+            result = -limit;
+        } else {
+            /* inside */
+        }
+    }
+    return result;
+}
+
+/* As clamped, with denormals flushed to 0. */
+static law_real scrubbed(law_real value, law_real limit)
+{
+    law_real result = clamped(value, limit);
+    if ((result < LAW_TINY) && (result > -LAW_TINY)) {
+        result = (law_real)0;
+    }
+    return result;
+}
+
+/* Whether a sample is a number within +-`limit`. */
+static uint32_t credible(law_real value, law_real limit)
+{
+    return ((value == value) && (value >= -limit) && (value <= limit)) ? 1U : 0U;
+}
+
+/* Enter a mode unless a more severe one is latched; the first reason stays with its mode. */
+static void latch(law_state *s, uint32_t mode, uint32_t reason)
+{
+    if (s->mode < mode) {
+        s->mode = mode;
+        s->reason = reason;
+    }
+}
+
+/* One more period of a condition, without wrapping around. */
+static uint32_t counted(uint32_t count)
+{
+    return (count < LAW_COUNT_MAX) ? (count + 1U) : LAW_COUNT_MAX;
+}
+
+static void clear(law_state *s)
+{
+    const law_real zero = (law_real)0;
+    uint32_t i;
+    s->stamp = 0U;
+    s->mode = LAW_IDLE;
+    s->reason = LAW_OK;
+    s->tick = 0U;
+    s->bad_encoder = 0U;
+    s->bad_gauge = 0U;
+    s->residual = 0U;
+    s->stuck = 0U;
+    s->overload = 0U;
+    s->spare = 0U;
+    /*@ loop unroll 8; */
+    for (i = 0U; i < LAW_REAL_MODES; i++) {
+        s->real[i] = zero;
+    }
+    /*@ loop unroll 2; */
+    for (i = 0U; i < LAW_PAIR_MODES; i++) {
+        s->pair_re[i] = zero;
+        s->pair_im[i] = zero;
+    }
+    /*@ loop unroll 6; */
+    for (i = 0U; i < LAW_FORWARD_MODES; i++) {
+        s->forward[i] = zero;
+    }
+    s->error = zero;
+    s->reference = zero;
+    s->motor_reference = zero;
+    s->motor_angle = zero;
+    s->torque = zero;
+    s->model_near = zero;
+    s->model_angle = zero;
+    s->stuck_torque = zero;
+    s->fade = (law_real)1;
+    s->integral = zero;
+    s->filter = zero;
+    s->voltage = zero;
+}
+
+static void scrub(law_state *s, const law_params *p)
+{
+    uint32_t i;
+    /*@ loop unroll 8; */
+    for (i = 0U; i < LAW_REAL_MODES; i++) {
+        s->real[i] = scrubbed(s->real[i], p->correction_limit);
+    }
+    /*@ loop unroll 2; */
+    for (i = 0U; i < LAW_PAIR_MODES; i++) {
+        s->pair_re[i] = scrubbed(s->pair_re[i], p->correction_limit);
+        s->pair_im[i] = scrubbed(s->pair_im[i], p->correction_limit);
+    }
+    /*@ loop unroll 6; */
+    for (i = 0U; i < LAW_FORWARD_MODES; i++) {
+        s->forward[i] = scrubbed(s->forward[i], p->forward_limit);
+    }
+    s->error = clamped(s->error, p->error_limit);
+    s->reference = clamped(s->reference, p->angle_limit);
+    s->motor_reference = clamped(s->motor_reference, p->motor_limit);
+    s->motor_angle = clamped(s->motor_angle, p->angle_limit);
+    s->torque = clamped(s->torque, p->torque_limit);
+    s->model_near = scrubbed(s->model_near, p->motor_limit);
+    s->model_angle = scrubbed(s->model_angle, p->motor_limit);
+    s->stuck_torque = clamped(s->stuck_torque, p->torque_limit);
+    s->fade = clamped(s->fade, (law_real)1);
+    s->integral = scrubbed(s->integral, p->integral_limit);
+    s->filter = scrubbed(s->filter, p->filter_limit);
+    s->voltage = clamped(s->voltage, p->voltage_limit);
+    if (s->mode > LAW_OFF) {
+        s->mode = LAW_OFF; /* no mode we ever set: memory is not to be trusted */
+    }
+}
+
+/* Begin at the measured angle: the first motor reference is where the motor is, the motor loop is at rest. */
+static uint32_t start(law_state *s, const law_params *p, const law_input *in)
+{
+    uint32_t flags = LAW_FLAG_ENCODER;
+    clear(s);
+    s->reason = law_check(p);
+    if ((s->reason == LAW_OK) && (credible(in->motor_angle, p->angle_limit) != 0U)) {
+        const law_real angle = in->motor_angle;
+        law_real filter;
+        flags = LAW_FLAG_STARTED;
+        s->stamp = p->crc;
+        s->mode = LAW_RUN;
+        s->tick = in->tick - 1U;
+        s->motor_angle = angle;
+        s->reference = angle;
+        s->motor_reference = clamped(angle, p->motor_limit);
+        s->model_near = s->motor_reference;
+        s->model_angle = s->motor_reference;
+        if (credible(in->torque, p->torque_limit) != 0U) {
+            s->torque = in->torque;
+        }
+        s->error = s->torque * p->compliance;
+        /* the motor loop's memory of an arm that has stood at this angle for ever */
+        filter = -((p->filter_angle_now + p->filter_angle_before) * angle) / ((law_real)1 - p->filter_decay);
+        s->integral = (p->inner_angle * angle) - filter;
+        s->filter = filter + (p->filter_angle_now * angle);
+        scrub(s, p);
+    }
+    return flags;
+}
+
+/* Take the encoder's sample if it is credible, else keep the last one. */
+static uint32_t read_encoder(law_state *s, const law_params *p, const law_input *in, law_real periods)
+{
+    uint32_t flags = 0U;
+    const law_real change = in->motor_angle - s->motor_angle;
+    const law_real step = p->angle_step * (periods + (law_real)s->bad_encoder);
+    if ((credible(in->motor_angle, p->angle_limit) != 0U) && (credible(change, step) != 0U)) {
+        s->motor_angle = in->motor_angle;
+        s->bad_encoder = 0U;
+    } else {
+        flags = LAW_FLAG_ENCODER;
+        s->bad_encoder = counted(s->bad_encoder);
+        if (s->bad_encoder >= p->bad_limit) {
+            latch(s, LAW_OFF, LAW_BAD_ENCODER); /* the motor loop uses the same encoder: nothing left to hold with */
+        }
+    }
+    return flags;
+}
+
+/* Take the gauge's sample if it is credible, else keep the last one; `model` is the torque the move should give. */
+static uint32_t read_gauge(law_state *s, const law_params *p, const law_input *in, law_real periods, law_real model)
+{
+    uint32_t flags = 0U;
+    const law_real change = in->torque - s->torque;
+    const law_real step = p->torque_step * (periods + (law_real)s->bad_gauge);
+    if ((credible(in->torque, p->torque_limit) != 0U) && (credible(change, step) != 0U)) {
+        s->bad_gauge = 0U;
+        if (credible(change, (law_real)0) == 0U) {
+            s->stuck = 0U;
+            s->stuck_torque = model;
+        } else if (credible(model - s->stuck_torque, p->stuck_torque) == 0U) {
+            s->stuck = counted(s->stuck);
+            if (s->stuck >= p->stuck_limit) {
+                latch(s, LAW_DEGRADED, LAW_GAUGE_STUCK);
+            }
+        } else {
+            /* unchanged, and the model does not ask for more */
+        }
+        s->torque = in->torque;
+    } else {
+        flags = LAW_FLAG_GAUGE;
+        s->bad_gauge = counted(s->bad_gauge);
+        if (s->bad_gauge >= p->bad_limit) {
+            latch(s, LAW_DEGRADED, LAW_BAD_GAUGE); /* the link is stable alone: feed-forward can go on */
+        }
+    }
+    return flags;
+}
+
+/* Trip on a blocked link and on a motor that is not where its model is. */
+static uint32_t watch(law_state *s, const law_params *p)
+{
+    uint32_t flags = 0U;
+    s->model_angle += p->residual_rate * (s->model_near - s->model_angle);
+    s->model_near += p->residual_rate * (s->motor_reference - s->model_near);
+    if (credible(s->motor_angle - s->model_angle, p->residual_angle) != 0U) {
+        s->residual = 0U;
+    } else {
+        flags = LAW_FLAG_RESIDUAL;
+        s->residual = counted(s->residual);
+        if (s->residual >= p->residual_limit) {
+            latch(s, LAW_OFF, LAW_RESIDUAL);
+        }
+    }
+    if ((s->mode == LAW_DEGRADED) || (credible(s->torque, p->torque_trip) != 0U)) {
+        s->overload = 0U;
+    } else {
+        s->overload = counted(s->overload);
+        if (s->overload >= p->bad_limit) {
+            latch(s, LAW_HOLD, LAW_OVERLOAD);
+        }
+    }
+    return flags;
+}
+
+/* The correction (1 - 1/z)(direct + sum of modes) of the error. */
+static law_real correct(law_state *s, const law_params *p, law_real error)
+{
+    const law_real change = error - s->error;
+    const uint32_t reals = (p->real_modes < LAW_REAL_MODES) ? p->real_modes : LAW_REAL_MODES;
+    const uint32_t pairs = (p->pair_modes < LAW_PAIR_MODES) ? p->pair_modes : LAW_PAIR_MODES;
+    law_real sum = p->direct * change;
+    uint32_t i;
+    /*@ loop unroll 8; */
+    for (i = 0U; i < reals; i++) {
+        s->real[i] += (p->decay[i] * s->real[i]) + change;
+        sum += p->gain[i] * s->real[i];
+    }
+    /*@ loop unroll 2; */
+    for (i = 0U; i < pairs; i++) {
+        const law_real re = s->pair_re[i];
+        const law_real im = s->pair_im[i];
+        s->pair_re[i] = re + (((p->pair_decay[i] * re) - (p->pair_turn[i] * im)) + change);
+        s->pair_im[i] = im + ((p->pair_decay[i] * im) + (p->pair_turn[i] * re));
+        sum += (p->pair_gain[i] * s->pair_re[i]) - (p->pair_cross[i] * s->pair_im[i]);
+    }
+    s->error = error;
+    return sum;
+}
+
+/* The feed-forward s^(order - 2)/natural_frequency^2 of the reference's acceleration. */
+static law_real feed_forward(law_state *s, const law_params *p, law_real acceleration)
+{
+    const uint32_t modes = (p->forward_modes < LAW_FORWARD_MODES) ? p->forward_modes : LAW_FORWARD_MODES;
+    law_real sum = p->forward_direct * acceleration;
+    uint32_t i;
+    /*@ loop unroll 6; */
+    for (i = 0U; i < modes; i++) {
+        s->forward[i] += (p->forward_decay[i] * s->forward[i]) + acceleration;
+        sum += p->forward_gain[i] * s->forward[i];
+    }
+    return sum;
+}
+
+/* The motor loop: two-degree-of-freedom PID by Tustin, with compensations, limit and anti-windup. */
+static uint32_t close_motor(law_state *s, const law_params *p, law_real velocity, law_real compensation)
+{
+    uint32_t flags = 0U;
+    const law_real angle = s->motor_angle;
+    const law_real eps = s->motor_reference - angle;
+    const law_real integral = s->integral + (p->integral_now * eps);
+    const law_real filter = (s->filter + (p->filter_now * eps)) - (p->filter_angle_now * angle);
+    const law_real coulomb = p->coulomb_voltage * clamped(velocity * p->coulomb_slope, (law_real)1);
+    const law_real pid = (((p->inner_direct * eps) - (p->inner_angle * angle)) + integral) + filter;
+    const law_real wanted = pid + (compensation + coulomb);
+    const law_real voltage = clamped(wanted, p->voltage_limit);
+    const law_real excess = wanted - voltage;
+    /* At the limit the integral moves only towards the inside: it would wind up there, and overshoot later. */
+    if ((excess * eps) <= (law_real)0) {
+        s->integral = integral + (p->integral_before * eps);
+    }
+    s->filter = ((p->filter_decay * filter) + (p->filter_before * eps)) - (p->filter_angle_before * angle);
+    s->voltage = voltage;
+    if (credible(excess, (law_real)0) == 0U) {
+        flags = LAW_FLAG_SATURATED;
+    }
+    return flags;
+}
+
+/* Follow the reference at no more than its largest speed; an unusable sample holds the last reference. */
+static uint32_t follow(law_state *s, const law_params *p, const law_input *in, law_input *used)
+{
+    uint32_t flags = 0U;
+    law_real change = (law_real)0;
+    law_real limited;
+    used->reference_velocity = (law_real)0;
+    used->reference_acceleration = (law_real)0;
+    if (credible(in->reference, p->angle_limit) != 0U) {
+        change = in->reference - s->reference;
+        used->reference_velocity = clamped(in->reference_velocity, p->angle_limit / p->period);
+        used->reference_acceleration = clamped(in->reference_acceleration, p->acceleration_limit);
+    } else {
+        flags = LAW_FLAG_REFERENCE;
+    }
+    limited = clamped(change, p->reference_step);
+    if (credible(change - limited, (law_real)0) == 0U) {
+        flags = LAW_FLAG_REFERENCE;
+        s->reference += limited;
+    } else if (flags == 0U) {
+        s->reference = in->reference; /* not reference + change: that would round */
+    } else {
+        /* held */
+    }
+    return flags;
+}
+
+/* The motor reference: reference + feed-forward + correction, limited in range and speed. */
+static uint32_t command(law_state *s, const law_params *p, law_real forward, law_real correction)
+{
+    uint32_t flags = 0U;
+    law_real wanted;
+    law_real target;
+    if (s->mode == LAW_DEGRADED) {
+        s->fade = clamped(s->fade - p->fade_step, (law_real)1);
+        if (s->fade < (law_real)0) {
+            s->fade = (law_real)0;
+        }
+    }
+    wanted = s->reference + (forward + (s->fade * correction));
+    target = clamped(s->motor_reference + clamped(clamped(wanted, p->motor_limit) - s->motor_reference, p->motor_step),
+                     p->motor_limit);
+    if (credible(wanted - s->motor_reference, p->motor_step) == 0U) {
+        flags = LAW_FLAG_LIMITED;
+    }
+    s->motor_reference = target;
+    return flags;
+}
+
+/* Everything between the clock and the outputs, for a law that is started. */
+static uint32_t run(law_state *s, const law_params *p, const law_input *in, law_output *out, uint32_t periods)
+{
+    law_input used;
+    law_real forward;
+    law_real correction;
+    uint32_t flags = follow(s, p, in, &used);
+    flags |= read_encoder(s, p, in, (law_real)periods);
+    forward = feed_forward(s, p, used.reference_acceleration);
+    flags |= read_gauge(s, p, in, (law_real)periods, p->stiffness * forward);
+    flags |= watch(s, p);
+    out->tip_estimate = s->motor_angle - (s->torque * p->compliance);
+    out->error = s->reference - out->tip_estimate;
+    correction = correct(s, p, out->error);
+    if (s->mode <= LAW_DEGRADED) {
+        flags |= command(s, p, forward, correction);
+    }
+    if ((s->mode <= LAW_HOLD) && ((p->options & LAW_WITH_INNER) != 0U)) {
+        out->compensation = p->torque_voltage * s->torque;
+        flags |= close_motor(s, p, used.reference_velocity, out->compensation);
+    } else {
+        s->voltage = (law_real)0;
+    }
+    return flags;
+}
+
+/* CRC-32 of everything behind the crc field. Bit by bit: 256 words of table cost more flash than time here. */
+static uint32_t block_crc(const law_params *params)
+{
+    const unsigned char *bytes = (const unsigned char *)params;
+    uint32_t crc = 0xFFFFFFFFU;
+    uint32_t i;
+    uint32_t bit;
+    for (i = 16U; i < (uint32_t)sizeof(law_params); i++) {
+        crc ^= (uint32_t)bytes[i];
+        for (bit = 0U; bit < 8U; bit++) {
+            crc = ((crc & 1U) != 0U) ? ((crc >> 1U) ^ 0xEDB88320U) : (crc >> 1U);
+        }
+    }
+    return crc ^ 0xFFFFFFFFU;
+}
+
+uint32_t law_check(const law_params *params)
+{
+    uint32_t reason = LAW_OK;
+    if (params->version != LAW_VERSION) {
+        reason = LAW_BAD_VERSION;
+    } else if ((params->size != (uint32_t)sizeof(law_params)) || (params->precision != (uint32_t)sizeof(law_real))) {
+        reason = LAW_BAD_SIZE;
+    } else if (params->crc != block_crc(params)) {
+        reason = LAW_BAD_CRC;
+    } else if ((params->crc == 0U) || (params->real_modes > LAW_REAL_MODES) ||
+               (params->pair_modes > LAW_PAIR_MODES) || (params->forward_modes > LAW_FORWARD_MODES)) {
+        reason = LAW_BAD_COUNTS; /* crc 0 is the stamp of a state that was never started */
+    } else {
+        /* usable */
+    }
+    return reason;
+}
+
+uint32_t law_init(law_state *state, const law_params *params)
+{
+    clear(state);
+    state->reason = law_check(params);
+    return state->reason;
+}
+
+void law_step(law_state *state, const law_params *params, const law_input *input, law_output *output)
+{
+    uint32_t flags = 0U;
+    uint32_t periods;
+    output->compensation = (law_real)0;
+    output->tip_estimate = (law_real)0;
+    output->error = (law_real)0;
+    if ((state->stamp != params->crc) || (state->stamp == 0U)) {
+        flags |= start(state, params, input);
+    } else {
+        scrub(state, params);
+    }
+    periods = input->tick - state->tick;
+    if (state->mode == LAW_IDLE) {
+        state->stamp = 0U;
+    } else if ((periods == 0U) || (periods > LAW_COUNT_MAX)) {
+        flags |= LAW_FLAG_REPEATED;
+    } else {
+        state->tick = input->tick;
+        if (periods > 1U) {
+            flags |= LAW_FLAG_MISSED;
+        }
+        if ((periods - 1U) > params->missed_limit) {
+            latch(state, LAW_OFF, LAW_MISSED);
+        }
+        flags |= run(state, params, input, output, periods);
+    }
+    output->motor_reference = state->motor_reference;
+    output->voltage = state->voltage;
+    output->mode = state->mode;
+    output->reason = state->reason;
+    output->flags = flags;
+}

@@ -1,0 +1,194 @@
+/* The control law of a flexible-link arm: the file that is simulated is the file that is shipped.
+ *
+ * ISO C99. No heap, no library, no clock, no static data: parameters are a const block the caller owns,
+ * state is a struct the caller owns, and every call works on what it is given.
+ *
+ *   law_state state;
+ *   reason = law_init(&state, &law_data);       once; anything but LAW_OK means: do not enable the drive
+ *   every control period:  law_step(&state, &law_data, &input, &output);
+ *
+ * Angles in rad at the gear's output, torque in N m, voltage in V, time in s.
+ */
+#ifndef FRACLINK_LAW_H
+#define FRACLINK_LAW_H
+
+#include <stdint.h>
+
+/* Fast-math lets a compiler assume that NaN does not exist, and then it removes the tests for NaN below:
+ * with clang -Ofast one NaN sample moved the output. Refusing is the only safe answer. */
+#ifdef __FAST_MATH__
+#error "law.c must not be compiled with -ffast-math or -Ofast: its NaN tests would be removed"
+#endif
+/* Wider intermediates (x87) round differently, so that board and simulation part in the last bit. */
+#if defined(__FLT_EVAL_METHOD__) && (__FLT_EVAL_METHOD__ != 0)
+#error "law.c needs FLT_EVAL_METHOD 0 (on 32-bit x86: -msse2 -mfpmath=sse)"
+#endif
+
+/* Single precision is for microcontrollers with a single-precision FPU; double is the simulation's default. */
+#ifdef LAW_SINGLE
+typedef float law_real;
+#else
+typedef double law_real;
+#endif
+
+#define LAW_VERSION 1U
+#define LAW_REAL_MODES 8U    /* most real modes of the correction */
+#define LAW_PAIR_MODES 2U    /* most complex pairs of the correction */
+#define LAW_FORWARD_MODES 6U /* most real modes of the feed-forward */
+
+/* Options of the parameter block. */
+#define LAW_WITH_INNER 1U /* the law closes the motor loop and gives a voltage */
+
+/* Modes, in the order of severity. */
+#define LAW_IDLE 0U     /* not started: no valid encoder sample yet, or the parameters are refused */
+#define LAW_RUN 1U      /* everything works */
+#define LAW_DEGRADED 2U /* gauge given up: correction faded out, feed-forward goes on */
+#define LAW_HOLD 3U     /* tripped: last motor reference held, motor loop closed */
+#define LAW_OFF 4U      /* tripped: motor loop cannot be trusted, voltage 0, switch the drive off */
+
+/* Reasons of a refusal, a degradation or a trip; the first one is kept. */
+#define LAW_OK 0U
+#define LAW_BAD_VERSION 1U
+#define LAW_BAD_SIZE 2U
+#define LAW_BAD_CRC 3U
+#define LAW_BAD_COUNTS 4U
+#define LAW_BAD_ENCODER 5U /* not a number, out of range or jumping, too long */
+#define LAW_BAD_GAUGE 6U   /* not a number, out of range or jumping, too long */
+#define LAW_GAUGE_STUCK 7U /* gauge does not move where the model says it must */
+#define LAW_RESIDUAL 8U    /* motor angle far from the motor model: encoder stuck or wrong, or drive failed */
+#define LAW_MISSED 9U      /* too many periods missed */
+#define LAW_OVERLOAD 10U   /* coupling torque above its limit: link blocked */
+
+/* Flags of one period; they do not latch. */
+#define LAW_FLAG_ENCODER 1U    /* encoder sample rejected */
+#define LAW_FLAG_GAUGE 2U      /* gauge sample rejected */
+#define LAW_FLAG_REFERENCE 4U  /* reference sample rejected or its speed limited */
+#define LAW_FLAG_MISSED 8U     /* periods were missed */
+#define LAW_FLAG_REPEATED 16U  /* called twice in one period, or time ran backwards: nothing was done */
+#define LAW_FLAG_LIMITED 32U   /* motor reference limited in speed or range */
+#define LAW_FLAG_SATURATED 64U /* voltage limited */
+#define LAW_FLAG_STARTED 128U  /* started in this period, without a bump */
+#define LAW_FLAG_RESIDUAL 256U /* motor angle away from the motor model in this period */
+
+/* Everything the exporter computed. `crc` is the CRC-32 (IEEE 802.3) of all bytes behind it, little-endian. */
+typedef struct {
+    uint32_t version;
+    uint32_t size;
+    uint32_t precision; /* sizeof(law_real) */
+    uint32_t crc;
+    uint32_t options;
+    uint32_t real_modes;
+    uint32_t pair_modes;
+    uint32_t forward_modes;
+    uint32_t bad_limit;      /* rejected samples in a row before the reaction */
+    uint32_t missed_limit;   /* missed periods in a row that are ridden through */
+    uint32_t residual_limit; /* periods in a row with a residual above `residual_angle` */
+    uint32_t stuck_limit;    /* periods in a row with an unchanged gauge while the model moves */
+    law_real period;
+    law_real compliance; /* 1/c: torque to deflection [rad/(N m)] */
+    /* correction (1 - 1/z)(direct + sum gain/(1 - (1 + decay)/z)), pairs as real and imaginary parts */
+    law_real direct;
+    law_real decay[LAW_REAL_MODES]; /* pole - 1, exact for slow poles where pole itself would round */
+    law_real gain[LAW_REAL_MODES];
+    law_real pair_decay[LAW_PAIR_MODES]; /* Re pole - 1 */
+    law_real pair_turn[LAW_PAIR_MODES];  /* Im pole */
+    law_real pair_gain[LAW_PAIR_MODES];  /* Re gain */
+    law_real pair_cross[LAW_PAIR_MODES]; /* Im gain */
+    /* feed-forward: acceleration to motor angle, s^(order - 2)/natural_frequency^2 */
+    law_real forward_direct;
+    law_real forward_decay[LAW_FORWARD_MODES];
+    law_real forward_gain[LAW_FORWARD_MODES];
+    /* limits; the exporter derives and prints them */
+    law_real error_limit;      /* largest error [rad] */
+    law_real correction_limit; /* largest state of the correction */
+    law_real forward_limit;    /* largest state of the feed-forward */
+    law_real angle_limit;      /* largest encoder and reference angle [rad] */
+    law_real angle_step;       /* largest change of the encoder in one period [rad] */
+    law_real torque_limit;     /* largest credible gauge torque [N m] */
+    law_real torque_step;      /* largest credible change in one period [N m] */
+    law_real torque_trip;      /* torque of a blocked link [N m] */
+    law_real reference_step;   /* largest change of the reference in one period [rad] */
+    law_real acceleration_limit;
+    law_real motor_limit;    /* range of the motor reference [rad] */
+    law_real motor_step;     /* largest change of the motor reference in one period [rad] */
+    law_real fade_step;      /* fade of the correction in one period after the gauge is given up */
+    law_real residual_angle; /* largest credible distance from the motor model [rad] */
+    law_real residual_rate;  /* motor model: 1 - exp(-pole period) */
+    law_real stuck_torque;   /* change of the model's torque at which an unchanged gauge is stuck [N m] */
+    law_real stiffness;      /* c [N m/rad], for the model's torque */
+    /* inner loop: u = a2 eps - b1 angle + integral + filter, see fraclink.motor */
+    law_real inner_direct;
+    law_real inner_angle;
+    law_real integral_now; /* gains times the Tustin weights [V/rad] */
+    law_real integral_before;
+    law_real filter_now;
+    law_real filter_before;
+    law_real filter_angle_now;
+    law_real filter_angle_before;
+    law_real filter_decay;
+    law_real integral_limit; /* [V] */
+    law_real filter_limit;   /* [V] */
+    law_real voltage_limit;
+    law_real torque_voltage;  /* compensation of the coupling torque [V/(N m)] */
+    law_real coulomb_voltage; /* compensation of Coulomb friction [V] */
+    law_real coulomb_slope;   /* 1/(speed below which it fades to zero) [s/rad] */
+} law_params;
+
+/* Everything the law remembers. */
+typedef struct {
+    uint32_t stamp; /* crc of the parameters it was started with; anything else starts anew */
+    uint32_t mode;
+    uint32_t reason;
+    uint32_t tick;
+    uint32_t bad_encoder;
+    uint32_t bad_gauge;
+    uint32_t residual;
+    uint32_t stuck;
+    uint32_t overload;
+    uint32_t spare; /* keeps the reals aligned */
+    law_real real[LAW_REAL_MODES];
+    law_real pair_re[LAW_PAIR_MODES];
+    law_real pair_im[LAW_PAIR_MODES];
+    law_real forward[LAW_FORWARD_MODES];
+    law_real error;
+    law_real reference;
+    law_real motor_reference;
+    law_real motor_angle;
+    law_real torque;
+    law_real model_near; /* motor model: two equal lags behind the motor reference */
+    law_real model_angle;
+    law_real stuck_torque; /* model torque when the gauge last moved */
+    law_real fade;
+    law_real integral;
+    law_real filter;
+    law_real voltage;
+} law_state;
+
+typedef struct {
+    uint32_t tick; /* number of this period; the timer counts it, so that missed periods are seen */
+    law_real reference;
+    law_real reference_velocity;
+    law_real reference_acceleration;
+    law_real motor_angle;
+    law_real torque;
+} law_input;
+
+typedef struct {
+    law_real motor_reference;
+    law_real voltage;
+    law_real compensation; /* part of the voltage that compensates the coupling torque [V] */
+    law_real tip_estimate;
+    law_real error;
+    uint32_t mode;
+    uint32_t reason;
+    uint32_t flags;
+} law_output;
+
+/* Return LAW_OK or why the parameter block must not be used. */
+uint32_t law_check(const law_params *params);
+/* Clear the state and check the parameters; the first law_step starts from the measured angle without a bump. */
+uint32_t law_init(law_state *state, const law_params *params);
+/* One control period. */
+void law_step(law_state *state, const law_params *params, const law_input *input, law_output *output);
+
+#endif
