@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from fraclink.cli.console import clean, emit_json, tell
 from fraclink.errors import FieldError, FraclinkError, FraclinkWarning, InfeasibleError, MissingExtraError
 
-__all__ = ["BAD_INPUT", "FAULT", "FAILS", "HOLDS", "guarded"]
+__all__ = ["BAD_INPUT", "FAILS", "FAULT", "HOLDS", "guarded"]
 
 HOLDS, FAILS, BAD_INPUT = 0, 1, 2
 FAULT = 70  # a defect of fraclink itself, kept apart from the three verdicts (sysexits' EX_SOFTWARE)
@@ -34,7 +34,8 @@ def _describe(error: BaseException) -> dict[str, object]:
         }
     if isinstance(error, InfeasibleError):
         return {"condition": error.condition, "problem": clean(error.explanation), "nearest": error.nearest}
-    return {"problem": _line(str(error))}
+    text = error.format_message() if hasattr(error, "format_message") else str(error)
+    return {"problem": _line(text)}
 
 
 def _verdict(error: BaseException) -> tuple[int, str]:
@@ -74,7 +75,7 @@ def guarded(work: Callable[[], int | None], *, as_json: bool) -> int:
     import typer
 
     # typer carries its own copy of click; its base of usage errors is reached through a public name.
-    usage_error = typer.BadParameter.__mro__[2]
+    usage_error: type[Exception] = typer.BadParameter.__mro__[2]
     try:
         with _warnings_as_lines():
             code = work()
@@ -82,7 +83,7 @@ def guarded(work: Callable[[], int | None], *, as_json: bool) -> int:
         return HOLDS if code is None else int(code)
     except usage_error as error:
         text = error.format_message() if hasattr(error, "format_message") else str(error)
-        code, line, parts = BAD_INPUT, f"error: {text}", {"problem": _line(text)}
+        code, line, parts = BAD_INPUT, f"error: {text}", _describe(error)
     except BrokenPipeError:
         # The reader of a pipe left (`| head`): no error of ours, but stdout must not be flushed again.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

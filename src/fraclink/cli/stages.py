@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -21,6 +21,9 @@ from fraclink.cli.options import (
 )
 from fraclink.cli.outcome import FAILS, HOLDS
 from fraclink.files import output_path
+
+if TYPE_CHECKING:
+    from fraclink.link import LinkModel
 
 __all__ = ["register"]
 
@@ -100,10 +103,12 @@ def design(
     return HOLDS if plan.holds else FAILS
 
 
-def _model(path: Path | None):  # type: ignore[no-untyped-def]
+def _model(path: Path | None) -> LinkModel | None:
+    if path is None:
+        return None
     from fraclink.identify import Fit
 
-    return None if path is None else Fit.load(path).model
+    return Fit.load(path).model
 
 
 def simulate(

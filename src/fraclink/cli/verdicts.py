@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from fraclink.cli.console import emit, emit_json, steps, tell
-from fraclink.cli.options import Force, Json, RigName, load_rig
+from fraclink.cli.options import Force, Json
 from fraclink.cli.outcome import FAILS, HOLDS
 from fraclink.files import output_path
 
@@ -25,7 +25,7 @@ def certify(
     json: Json = False,
     force: Force = False,
 ) -> int:
-    """Prove stability for every payload and delay in range, in ball arithmetic; exit code 1 where it fails."""
+    """Prove stability for every payload and delay in range; exit code 1 where the proof fails."""
     from fraclink.certify import certify as prove
     from fraclink.design import Plan
 

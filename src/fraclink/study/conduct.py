@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from fraclink.errors import FieldError, InfeasibleError
@@ -12,6 +13,7 @@ from fraclink.study.request import Request, design_for
 if TYPE_CHECKING:
     from fraclink.design import Plan
     from fraclink.experiment import Experiment
+    from fraclink.link import LinkModel
     from fraclink.rig import Rig
     from fraclink.simulate import Run
 
@@ -31,12 +33,12 @@ def conduct(
     move: Move | None = None,
     begin: Callable[[str], None] = _silent,
 ) -> Study:
-    """Examine a log, fit the four structures, design for the payload range and simulate a move at each payload.
+    """Examine a log, fit the four structures, design for the payloads and simulate a move at each.
 
     Arguments:
         rig: the rig that made the log.
         experiment: the log.
-        request: what the design is asked for; what it leaves out comes from the rig, then from the default rule.
+        request: what the design is asked for; the rig, then the default rule, complete it.
         structure: the model that the design uses, "UD-IOM", "D-IOM", "UD-FOM" or "D-FOM".
         move: the move to simulate; default 1 rad in 0.5 s.
         begin: called with the name of each part as it begins.
@@ -87,6 +89,16 @@ def conduct(
     payloads = sorted({rig.payloads.low, rig.payloads.nominal, rig.payloads.high})
     runs = tuple(simulate_move(plan, chosen, payload) for payload in payloads)
     return Study(**common, plan=plan, runs=runs, assumptions=(*rig.assumptions, *assumed, *more))
+
+
+def _with_payload(model: LinkModel, rig: Rig) -> tuple[LinkModel, tuple[str, ...]]:
+    """The model with the payload it holds for: ϖ can be carried to other payloads from there only."""
+    if model.payload is not None:
+        return model, ()
+    nominal = rig.payloads.nominal
+    return replace(model, payload=nominal), (
+        f"the log was made with the nominal payload, {1e3 * nominal:g} g, as nobody stated it",
+    )
 
 
 def simulate_move(plan: Plan, move: Move, payload: float) -> Run:

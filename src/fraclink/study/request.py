@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 from fraclink.errors import FieldError, InfeasibleError
@@ -16,7 +18,8 @@ if TYPE_CHECKING:
 __all__ = ["Request", "design_for"]
 
 # The source paper's own proportions on its rig: a crossover of 12 rad/s where the heaviest payload's
-# torque resonates at 10.6 rad/s. Condition (39) asks for more than 1; each further step costs phase margin at the light end.
+# torque resonates at 10.4 rad/s. Below 1 there is no crossing right of the peak; each further step costs
+# phase margin at the light end.
 _CROSSOVER_RATIO = 1.15
 _PHASE_MARGIN_DEG = 50.0
 # An arm with a slow control period cannot have 50 degrees; the largest of these that is feasible is taken.
@@ -66,9 +69,9 @@ def _model(rig: Rig, model: LinkModel | None) -> LinkModel:
 def design_for(rig: Rig, model: LinkModel | None, request: Request) -> tuple[Plan, tuple[str, ...]]:
     """Design for a request completed from the rig; also return what had to be assumed, in sentences.
 
-    Where neither the request nor the rig's ``[design]`` table states them, the gain crossover is 1.15 times the
-    torque resonance of the heaviest payload [rad/s] and the phase margin 50° (or the largest of 45, 40, 35 and 30°
-    that is feasible).
+    Where neither the request nor the rig's ``[design]`` table states them, the gain crossover is 1.15 times
+    the torque resonance of the heaviest payload [rad/s] and the phase margin 50° (or the largest of 45, 40,
+    35 and 30° that is feasible).
 
     Raises InfeasibleError where the request cannot be met, FieldError where a value is out of its range.
 
@@ -79,37 +82,52 @@ def design_for(rig: Rig, model: LinkModel | None, request: Request) -> tuple[Pla
     """
     link = _model(rig, model)
     wish = rig.design
+    if wish is not None:
+        request = replace(
+            request,
+            gain_crossover=wish.gain_crossover if request.gain_crossover is None else request.gain_crossover,
+            phase_margin=wish.phase_margin if request.phase_margin is None else request.phase_margin,
+            filter_time=wish.filter_time if request.filter_time is None else request.filter_time,
+        )
     payloads = request.payloads or (rig.payloads.low, rig.payloads.high)
-    crossover = request.gain_crossover or (wish.gain_crossover if wish else None)
-    margin = request.phase_margin or (wish.phase_margin if wish else None)
-    assumed: list[str] = []
-    if link.payload is None:
-        raise FieldError(
-            "payload", None, "unknown for this model", allowed="> 0 kg", remedy="identify with --payload"
-        )
+    assumed: tuple[str, ...] = ()
+    crossover = request.gain_crossover
     if crossover is None:
-        heavy = link.at_payload(payloads[1]).torque_resonance
-        crossover = _CROSSOVER_RATIO * heavy
-        assumed.append(
-            f"gain crossover {crossover:.3g} rad/s: {_CROSSOVER_RATIO:g} times the torque resonance "
-            f"of the heaviest payload ({heavy:.3g} rad/s), as the rig states none"
-        )
-    if margin is not None:
-        return _design(rig, link, payloads, crossover, margin, request), tuple(assumed)
-    for degrees in (_PHASE_MARGIN_DEG, *_FALLBACK_DEG):
+        crossover, sentence = _usual_crossover(link, payloads[1])
+        assumed = (sentence,)
+    ask = partial(_design, rig, link, payloads, crossover, request)
+    if request.phase_margin is not None:
+        return ask(request.phase_margin), assumed
+    plan, sentence = _largest_margin(ask)
+    return plan, (*assumed, sentence)
+
+
+def _usual_crossover(link: LinkModel, heaviest: float) -> tuple[float, str]:
+    heavy = link.at_payload(heaviest)
+    resonance = heavy.torque_resonance or heavy.natural_frequency ** (2.0 / heavy.order)
+    crossover = _CROSSOVER_RATIO * resonance
+    return crossover, (
+        f"gain crossover {crossover:.3g} rad/s: {_CROSSOVER_RATIO:g} times the torque resonance of the "
+        f"heaviest payload ({resonance:.3g} rad/s), as neither the rig nor the request states one"
+    )
+
+
+def _largest_margin(ask: Callable[[float], Plan]) -> tuple[Plan, str]:
+    """The plan with the largest of the usual phase margins that is feasible."""
+    for degrees in (_PHASE_MARGIN_DEG, *_FALLBACK_DEG[:-1]):
         try:
-            plan = _design(rig, link, payloads, crossover, math.radians(degrees), request)
+            plan = ask(math.radians(degrees))
         except InfeasibleError:
-            if degrees == _FALLBACK_DEG[-1]:
-                raise
             continue
-        reason = (
-            ""
-            if degrees == _PHASE_MARGIN_DEG
-            else f"; {_PHASE_MARGIN_DEG:g}° is not feasible at this crossover"
-        )
-        return plan, (*assumed, f"phase margin {degrees:g}°, as the rig states none{reason}")
-    raise AssertionError("unreachable: the last fallback returns or raises")
+        return plan, _margin_sentence(degrees)
+    return ask(math.radians(_FALLBACK_DEG[-1])), _margin_sentence(_FALLBACK_DEG[-1])
+
+
+def _margin_sentence(degrees: float) -> str:
+    less = (
+        "" if degrees == _PHASE_MARGIN_DEG else f"; {_PHASE_MARGIN_DEG:g}° is not feasible at this crossover"
+    )
+    return f"phase margin {degrees:g}°, as neither the rig nor the request states one{less}"
 
 
 def _design(
@@ -117,8 +135,8 @@ def _design(
     link: LinkModel,
     payloads: tuple[float, float],
     gain_crossover: float,
-    phase_margin: float,
     request: Request,
+    phase_margin: float,
 ) -> Plan:
     from fraclink.design import design
 
