@@ -116,8 +116,8 @@ class Controller:
     --------
     >>> from fraclink.controller import Controller
     >>> controller = Controller(gain=0.215299, order=0.655361)
-    >>> round(abs(controller.response(16.0)), 6)
-    1.324873
+    >>> print(f"{abs(controller.response(16.0)):.5f}")
+    1.32488
     """
 
     gain: float

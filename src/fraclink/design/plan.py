@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from fraclink.controller import Controller
 from fraclink.design.loop import OpenLoop
 from fraclink.design.request import link_at, payload_of
+from fraclink.design.sampled import SampledPlant, link_plant, realised
 from fraclink.findings import Finding
 
 if TYPE_CHECKING:
@@ -155,7 +156,35 @@ class Plan:
             return loop(np.imag(s), natural_frequency)
 
         limit = math.pi / self.rig.period if self.margins_kind == "loop" else None
-        return margins(response, limit=limit)
+        return margins(response, limit=limit, unstable_poles=0)
+
+    def sampled_plant(self, natural_frequency: float) -> SampledPlant:
+        """Return what the law sees from its motor reference to the tip estimate, exactly sampled."""
+        loop = open_loop(self.controller, self.model, self.rig, margins="loop")
+        link = replace(loop, gain=1.0, order=0.0, filter_time=0.0, lag=0.0, delay=0.0)
+        rest = loop.delay - 0.5 * self.rig.period
+        return link_plant(link, natural_frequency, lag=loop.lag, period=self.rig.period, delay=rest)
+
+    def sampled_at(self, payload: float, *, realisation: str = "law") -> Margins:
+        """Return every margin of the true sampled loop at `payload` [kg] > 0.
+
+        Parameters
+        ----------
+        payload
+            mass at the tip [kg].
+        realisation
+            "law" (the coefficients that are shipped), "exact" (Ĉ(jω) itself, which no computer runs) or
+            "grunwald" (the paper's backward difference with all its memory, which lags by β ωTs/2).
+        """
+        from fraclink.stability import margins
+
+        plant = self.sampled_plant(self.natural_frequency(payload))
+        outer = realised(self.controller, self.rig.period, realisation)
+
+        def response(s: NDArray[np.complex128]) -> NDArray[np.complex128]:
+            return outer(np.imag(s)) * plant(np.imag(s))
+
+        return margins(response, limit=math.pi / self.rig.period, unstable_poles=0)
 
     def payload(self, natural_frequency: float) -> float:
         """Return the payload [kg] that gives the link this ϖ: the inverse of ``natural_frequency``."""

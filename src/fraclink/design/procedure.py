@@ -12,7 +12,7 @@ from fraclink.design.loop import OpenLoop
 from fraclink.design.plan import Plan
 from fraclink.design.request import Request, check_request, link_at
 from fraclink.design.solve import Solution, Specification, filter_by_rule, solve
-from fraclink.design.verify import findings_of, verify
+from fraclink.design.verify import findings_of, verify, worst
 
 if TYPE_CHECKING:
     from fraclink.link import LinkModel
@@ -152,9 +152,18 @@ def attempt(request: Request) -> tuple[Solution, int] | None:
     for order in (request.filter_order,) if request.filter_order else (1, 2):
         for solution in solve(specification(request, order)):
             proper = request.filter_order is not None or order == 2 or solution.order < 1.0
-            if proper and solution.violated(request.model.order) is None:
+            if not proper or solution.violated(request.model.order) is not None:
+                continue
+            if _achieved(request, solution, order) >= request.phase_margin * (1.0 - 1e-9):
                 return solution, order
     return None
+
+
+def _achieved(request: Request, solution: Solution, order: int) -> float:
+    """The worst phase margin over every payload and every crossing: (55) looks at one of each only."""
+    given = specification(request, order)
+    loop = replace(given.bare, gain=solution.gain, order=solution.order, filter_time=solution.filter_time)
+    return worst(loop, request.low, request.high, given.highest)[1][0]
 
 
 def candidates(request: Request) -> tuple[Solution, ...]:

@@ -1,0 +1,219 @@
+"""The closed procedure against the recomputed numbers of the source paper and against independent loops."""
+
+from __future__ import annotations
+
+import cmath
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import fraclink as fl
+from fraclink.design import Plan
+from fraclink.design.loop import OpenLoop
+from fraclink.errors import FieldError, InfeasibleError
+from fraclink.rig import Rig
+
+RIG = Rig.named("paper-2023")
+DEFAULT = {"payloads": (0.020, 0.040), "gain_crossover": 12.0, "phase_margin": fl.deg(50), "filter_time": 0.0}
+PAPER = {
+    "natural_frequencies": (9.42, 14.14),
+    "gain_crossover": 16.0,
+    "phase_margin": fl.deg(70),
+    "margins": "ideal",
+}
+
+
+def paper_plan(**changes: object) -> Plan:
+    return fl.design(RIG.model, RIG, **(PAPER | changes))
+
+
+def default_plan(**changes: object) -> Plan:
+    return fl.design(RIG.model, RIG, **(DEFAULT | changes))
+
+
+def plain_loop(plan: Plan, w: float, pi: float, *, inside: bool) -> complex:
+    """L written out once more in scalar complex arithmetic, independent of OpenLoop."""
+    c, s, order = plan.controller, 1j * w, plan.model.order
+    value = c.gain * s**c.order * pi**2 / (s**order + pi**2)
+    if inside:
+        value *= cmath.exp(-1.5 * 0.004 * s) / (1 + s / 80) ** 2 / (1 + c.filter_time * s) ** c.filter_order
+    return value
+
+
+def test_ideal_reading_gives_the_recomputed_numbers_of_section_7():
+    plan = paper_plan()
+    assert plan.chi == pytest.approx(1.324873, abs=5e-7)
+    assert plan.controller.order == pytest.approx(0.655361, abs=5e-7)
+    assert plan.controller.gain == pytest.approx(0.215299, abs=5e-7)
+    assert plan.gain_crossover_upper == pytest.approx(27.346181, abs=5e-7)
+    nominal = plan.at_frequency(11.54)
+    assert nominal.gain_crossover == pytest.approx(20.865280, abs=5e-7)
+    assert math.degrees(nominal.phase_margin) == pytest.approx(70.741858, abs=5e-7)
+
+
+def test_stiffness_156_gives_its_column():
+    low, high = RIG.natural_frequency(0.040), RIG.natural_frequency(0.020)
+    plan = paper_plan(natural_frequencies=(low, high))
+    got = (plan.chi, plan.controller.order, plan.controller.gain, plan.gain_crossover_upper)
+    assert got == pytest.approx((1.235891, 0.649593, 0.204076, 25.139026), abs=1e-6)
+    nominal = plan.at(0.030)
+    assert (nominal.gain_crossover, math.degrees(nominal.phase_margin)) == pytest.approx(
+        (19.26919, 70.81972), abs=1e-5
+    )
+    assert paper_plan(
+        natural_frequencies=(low, high), filter_order=1
+    ).controller.filter_time == pytest.approx(0.004929, abs=5e-7)
+
+
+def test_both_equations_hold_to_rounding():
+    plan = paper_plan()
+    assert abs(plain_loop(plan, 16.0, 9.42, inside=False)) == pytest.approx(1.0, abs=1e-13)
+    value = plain_loop(plan, plan.gain_crossover_upper, 14.14, inside=False)
+    assert abs(value + cmath.exp(1j * fl.deg(70))) < 1e-13
+    inside = default_plan()
+    value = plain_loop(inside, inside.gain_crossover_upper, inside.natural_frequencies[1], inside=True)
+    assert abs(value + cmath.exp(1j * fl.deg(50))) < 1e-13
+
+
+@pytest.mark.parametrize(("order", "time"), [(1, 0.004529), (2, 0.002246)])
+def test_ten_per_cent_rule(order: int, time: float):
+    plan = paper_plan(filter_order=order)
+    assert plan.controller.filter_time == pytest.approx(time, abs=5e-7)
+    filtered = replace(plan.loop, filter_time=plan.controller.filter_time, filter_order=order)
+    found = filtered.crossings(14.14)
+    assert math.degrees(float(np.min(np.abs(found.phase_margin)))) == pytest.approx(63.0, abs=1e-9)
+
+
+def test_default_design():
+    plan = default_plan()
+    assert plan.controller.gain == pytest.approx(0.069876, abs=5e-7)
+    assert plan.controller.order == pytest.approx(0.612197, abs=5e-7)
+    assert plan.gain_crossover_upper == pytest.approx(17.7718, abs=5e-5)
+    assert plan.holds
+    assert plan.at(0.020).phase_margin == pytest.approx(fl.deg(50), abs=1e-9)
+    assert plan.at(0.040).gain_crossover == pytest.approx(12.0, abs=1e-9)
+
+
+def test_grunwald_law_has_the_known_sampled_margins():
+    plan = default_plan()
+    for payload, margin in ((0.040, 63.9), (0.030, 57.9), (0.020, 48.8), (0.016, 43.3), (0.008, 23.9)):
+        found = plan.sampled_at(payload, realisation="grunwald")
+        assert math.degrees(found.phase_margin) == pytest.approx(margin, abs=0.06)
+
+
+def test_exact_law_keeps_the_promised_margin_when_sampled():
+    # The continuous-time stand-in for hold and delay, e^{-1.5 Ts s}, is good to a hundredth of a degree here.
+    found = default_plan().sampled_at(0.020, realisation="exact")
+    assert math.degrees(found.phase_margin) == pytest.approx(50.0, abs=0.01)
+
+
+def test_the_rule_stands_inside_the_loop_design():
+    plan = default_plan(filter_time=None)
+    c = plan.controller
+    lag = c.filter_order * math.atan(c.filter_time * plan.gain_crossover_upper)
+    assert lag == pytest.approx(0.1 * fl.deg(50), rel=1e-9)
+    assert c.is_strictly_proper
+    assert plan.at(0.020).phase_margin == pytest.approx(fl.deg(50), abs=1e-9)
+    assert "W402" not in {finding.code for finding in plan.findings}
+
+
+def test_requirements_name_the_payload_of_the_worst_value():
+    crossover, margin = default_plan().requirements
+    assert crossover.at_payload == pytest.approx(0.040)
+    assert margin.at_payload == pytest.approx(0.020)
+    assert crossover.slack == pytest.approx(0.0, abs=1e-9)
+
+
+def test_plan_reads_back_equal(tmp_path):
+    for plan in (default_plan(), default_plan(filter_time=None), paper_plan()):
+        plan.save(tmp_path / "design.json")
+        assert Plan.load(tmp_path / "design.json") == plan
+
+
+def test_margins_of_the_plan_are_those_of_the_loop_written_out():
+    plan = default_plan(filter_time=0.002)
+    pi = plan.natural_frequency(0.027)
+    found = plan.at(0.027)
+    assert len(found.gain_crossings) == 2
+    for crossing in found.gain_crossings:
+        value = plain_loop(plan, crossing.frequency, pi, inside=True)
+        assert abs(value) == pytest.approx(1.0, abs=1e-9)
+        assert cmath.phase(-value) == pytest.approx(crossing.phase_margin, abs=1e-9)
+
+
+def test_filter_that_costs_too_much_is_said():
+    plan = default_plan(filter_time=0.02)
+    assert "W401" in {finding.code for finding in plan.findings}
+    assert plan.holds  # inside (55) the margin is kept all the same
+
+
+@pytest.mark.parametrize(
+    ("changes", "field", "shown"),
+    [
+        ({"phase_margin": 50}, "phase_margin", "deg(50)"),
+        ({"phase_margin": 0.0}, "phase_margin", "> 0"),
+        ({"phase_margin": -0.5}, "phase_margin", "-0.5"),
+        ({"phase_margin": math.nan}, "phase_margin", "nan"),
+        ({"phase_margin": "50"}, "phase_margin", "50"),
+        ({"phase_margin": True}, "phase_margin", "True"),
+        ({"gain_crossover": 0}, "gain_crossover", "> 0"),
+        ({"gain_crossover": math.inf}, "gain_crossover", "inf"),
+        ({"gain_crossover": 10**400}, "gain_crossover", "not finite"),
+        ({"gain_crossover": 900.0}, "gain_crossover", "Nyquist"),
+        ({"gain_crossover": 90.0}, "gain_crossover", "motor loop"),
+        ({"payloads": (0.0, 0.04)}, "payloads[0]", "> 0"),
+        ({"payloads": (-0.02, 0.04)}, "payloads[0]", "-0.02"),
+        ({"payloads": (0.04, 0.02)}, "payloads", "(0.02, 0.04)"),
+        ({"payloads": (math.nan, 0.04)}, "payloads[0]", "nan"),
+        ({"payloads": 0.03}, "payloads", "pair"),
+        ({"payloads": None, "natural_frequencies": (14.0, 9.0)}, "natural_frequencies", "wrong way"),
+        ({"natural_frequencies": (9.0, 14.0)}, "natural_frequencies", "one of the two"),
+        ({"filter_time": -0.1}, "filter_time", "-0.1"),
+        ({"filter_order": 3}, "filter_order", "1 or 2"),
+        ({"filter_order": True}, "filter_order", "1 or 2"),
+        ({"margins": "loup"}, "margins", "'loop'"),
+        ({"inner": "real"}, "inner", "'ideal'"),
+        (
+            {"payloads": None, "natural_frequencies": (0.9, 2.0), "margins": "ideal"},
+            "natural_frequencies",
+            "Theorem 2",
+        ),
+    ],
+)
+def test_bad_requests_name_the_field(changes: dict[str, object], field: str, shown: str):
+    with pytest.raises(FieldError) as caught:
+        default_plan(**changes)
+    assert caught.value.field == field
+    assert shown in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("changes", "condition"),
+    [
+        ({"gain_crossover": 60.0}, "phase margin unreachable"),
+        ({"gain_crossover": 9.0}, "gain crossover right of the peak at the heaviest payload"),
+        ({"phase_margin": fl.deg(120)}, "phase margin at the other gain crossing"),
+        ({"margins": "ideal", "phase_margin": fl.deg(175)}, "phase margin"),
+    ],
+)
+def test_infeasible_requests_name_the_bound_and_a_request_that_works(
+    changes: dict[str, object], condition: str
+):
+    with pytest.raises(InfeasibleError) as caught:
+        default_plan(**changes)
+    assert condition in caught.value.condition
+    assert caught.value.nearest
+    assert default_plan(**(changes | caught.value.nearest)).holds
+    # Nearest: a step further towards the request fails again.
+    asked = DEFAULT | changes
+    beyond = {k: v + 0.01 * (asked[k] - v) for k, v in caught.value.nearest.items()}
+    with pytest.raises(InfeasibleError):
+        default_plan(**(changes | beyond))
+
+
+def test_a_loop_with_two_turns_counts_its_encirclements():
+    loop = OpenLoop(gain=0.148, order=0.65, link_order=1.92, filter_time=0.16, filter_order=2, lag=1 / 80)
+    assert loop.encirclements(11.547) == 1
+    assert replace(loop, filter_time=0.0).encirclements(11.547) == 0
