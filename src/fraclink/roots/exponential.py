@@ -84,14 +84,16 @@ class ExponentialSum:
         exponents = self._logs.reshape(-1, *[1] * np.ndim(z)) + np.multiply.outer(self.rates, z)
         exponents -= exponents.real.max(axis=0)
         terms = self._signs.reshape(-1, *[1] * np.ndim(z)) * np.exp(exponents)
-        return terms, np.abs(terms).sum(axis=0)
+        moduli: Real = np.abs(terms).sum(axis=0)
+        return terms, moduli
 
     def derivatives(self, z: Complex, count: int) -> tuple[Complex, Real]:
         """D, D', …, D^(count−1) at z divided by the largest term, and the sums of moduli of each."""
-        terms, _ = self.terms(z)
+        terms = self.terms(z)[0]
         powers = self.rates ** np.arange(count)[:, None]
         powers[0] = 1.0
-        return np.tensordot(powers, terms, 1), np.tensordot(powers, np.abs(terms), 1)
+        values: Complex = np.asarray(np.tensordot(powers, terms, 1), dtype=complex)
+        return values, np.tensordot(powers, np.abs(terms), 1)
 
     @cached_property
     def bounds(self) -> tuple[float, float]:

@@ -58,7 +58,7 @@ def aberth(sum_: ExponentialSum, height: float) -> Complex:
     z = _starts(sum_, height)
     step = np.zeros_like(z)
     for _ in range(60):
-        values, _ = sum_.derivatives(z, 2)
+        values, moduli = sum_.derivatives(z, 2)
         newton = values[0] / np.where(values[1] == 0, 1e-300, values[1])
         distance = z[:, None] - z[None, :]
         np.fill_diagonal(distance, np.inf)
@@ -66,6 +66,8 @@ def aberth(sum_: ExponentialSum, height: float) -> Complex:
         step = newton / (1 - newton * (1 / distance).sum(axis=1))
         # A step longer than the zeros' usual spacing leaves the basin of the starting zero.
         step *= np.minimum(1.0, 0.7 / np.maximum(np.abs(step), 1e-300))
+        # At the rounding level steps are noise, and beside a double zero (1 - …) can vanish: a random jump.
+        step[np.abs(values[0]) <= 2e-14 * moduli[0]] = 0.0
         z = z - step
         if np.max(np.abs(step[np.abs(z.imag) < height + 1]), initial=0.0) < 1e-13:
             break

@@ -1,0 +1,165 @@
+"""A frequency response as a small discrete rational."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink.errors import FieldError
+from fraclink.rational.growth import grow
+from fraclink.rational.minimax import Target, score
+from fraclink.rational.parallel import DiscreteRational
+
+__all__ = ["fit_discrete"]
+
+Complex = NDArray[np.complex128]
+Real = NDArray[np.float64]
+
+HIGHEST_ORDER = 12
+_GUARD = 2.0  # above the band |H − F| may reach 2 |F| times the score: without it, gains of 1e6 appear there
+
+
+def fit_discrete(
+    response: Callable[[Real], Complex],
+    *,
+    period: float,
+    band: tuple[float, float],
+    order: int | None = None,
+    zeros_at_one: int = 0,
+    offset: float = 0.0,
+    weight: Callable[[Real], Real] | None = None,
+    tolerance_db: float = 0.1,
+    tolerance_deg: float = 0.5,
+) -> DiscreteRational:
+    """Return the discrete rational whose worst error in a band of frequencies is smallest.
+
+    The largest of |Re ε|/tolerance and |Im ε|/tolerance over the band is minimised, with
+    ε = weight · (H − F)/(offset + F), whose real part is an error in nepers and imaginary part in radians.
+
+    Parameters
+    ----------
+    response : callable
+        F(ω), an array of complex for an array of frequencies [rad/s].
+    period : float
+        Sampling period [s], > 0.
+    band : tuple of float
+        Lowest and highest frequency [rad/s] of the fit, 0 < low < high ≤ π/period.
+    order : int, optional
+        Number of poles, 0 … 12. None: the lowest order that meets both tolerances, else the best up to 8.
+    zeros_at_one : int
+        Zeros imposed at z = 1 as factors (1 − z⁻¹)^m; 1 makes H(1) = 0 exactly.
+    offset : float
+        The error is judged on offset + H; 1 for a controller C = 1 + Ĉ fitted through Ĉ.
+    weight : callable, optional
+        Positive weight over frequency.
+    tolerance_db, tolerance_deg : float
+        The ratio of the two sets the balance between errors of modulus and phase.
+
+    Returns
+    -------
+    DiscreteRational
+        All poles are inside the unit circle. `error_db` and `error_deg` are measured on a finer grid.
+
+    Raises
+    ------
+    FieldError
+        A band beyond the Nyquist frequency, an order out of range, a response that is not finite.
+
+    >>> import numpy as np
+    >>> h = fit_discrete(lambda w: 0.148 * (1j * w) ** 0.65 / (1 + 0.16j * w) ** 2, period=0.004,
+    ...                  band=(0.05, 785.0), order=4, zeros_at_one=1, offset=1.0)
+    >>> h.order, h.error_db < 0.1, h.error_deg < 0.5
+    (4, True, True)
+    """
+    _check(period, band, order, zeros_at_one)
+    target = _target(response, period, band, zeros_at_one, offset, weight, (tolerance_db, tolerance_deg))
+    plane = (math.tan(0.5 * band[0] * period), math.tan(min(0.5 * band[1] * period, 1.55)))
+    best = None
+    for fit in grow(target, plane, 8 if order is None else order):
+        if order is None and (best is None or score(fit, target) < 0.95 * score(best, target)):
+            best = fit
+        if order is None and score(fit, target) <= 0.97:
+            break
+        if order is not None:
+            best = fit
+    assert best is not None  # grow yields order 0 at least  # noqa: S101
+    made = DiscreteRational.from_fractions(best, period=period, zeros_at_one=zeros_at_one, band=band)
+    w = _grid(band, 400)
+    ratio = np.log((offset + made(w)) / (offset + response(w)))
+    return replace(
+        made,
+        error_db=float(np.max(np.abs(ratio.real)) * 20 / math.log(10)),
+        error_deg=float(np.degrees(np.max(np.abs(ratio.imag)))),
+    )
+
+
+def _grid(band: tuple[float, float], count: int) -> Real:
+    """Logarithmic over the band and linear in its upper three quarters, where the discrete error ripples."""
+    low, high = band
+    return np.unique(
+        np.concatenate([np.geomspace(low, high, count), np.linspace(0.25 * high, high, count // 2)])
+    )
+
+
+def _target(
+    response: Callable[[Real], Complex],
+    period: float,
+    band: tuple[float, float],
+    zeros_at_one: int,
+    offset: float,
+    weight: Callable[[Real], Real] | None,
+    tolerance: tuple[float, float],
+) -> Target:
+    inside, nyquist = _grid(band, 80), math.pi / period
+    above = np.linspace(band[1], nyquist, 21)[1:] * (1 - 1e-9) if band[1] < 0.99 * nyquist else np.empty(0)
+    w = np.concatenate([inside, above])
+    w = np.minimum(w, nyquist * (1 - 1e-6))  # tan(ωT/2) is infinite at the Nyquist frequency
+    wanted = np.asarray(response(w), dtype=complex)
+    within = np.arange(w.size) < inside.size
+    base = np.where(within, offset + wanted, np.abs(wanted))
+    if wanted.shape != w.shape or not np.all(np.isfinite(wanted)) or not np.all(base):
+        raise FieldError(
+            "response",
+            wanted.shape,
+            "zero, not finite or of another shape at some frequency",
+            allowed="finite values that are not zero, one for each frequency",
+            remedy="check the response between the band's ends and the Nyquist frequency",
+        )
+    emphasis = np.ones_like(w) if weight is None else np.where(within, weight(w), 1.0)
+    half = 0.5 * w * period
+    return Target(
+        np.tan(half),
+        (2j * np.sin(half) * np.exp(-1j * half)) ** zeros_at_one,
+        wanted,
+        np.asarray(emphasis / base, dtype=complex),
+        np.where(within, 20 / (math.log(10) * tolerance[0]), 1 / _GUARD),
+        np.where(within, 180 / (math.pi * tolerance[1]), 1 / _GUARD),
+    )
+
+
+def _check(period: float, band: tuple[float, float], order: int | None, zeros_at_one: int) -> None:
+    if not (math.isfinite(period) and period > 0):
+        raise FieldError(
+            "period", period, "not a sampling period", allowed="> 0 s", remedy="give the period in seconds"
+        )
+    low, high = band
+    if not (0 < low < high <= math.pi / period * (1 + 1e-9)):
+        raise FieldError(
+            "band",
+            band,
+            "not a band below the Nyquist frequency",
+            allowed=f"0 < low < high <= {math.pi / period:.6g} rad/s",
+            remedy="lower the upper end or shorten the period",
+        )
+    if order is not None and not 0 <= order <= HIGHEST_ORDER:
+        raise FieldError(
+            "order", order, "out of range", allowed=f"0 to {HIGHEST_ORDER}", remedy="use order=None to choose"
+        )
+    if not 0 <= zeros_at_one <= 3:
+        raise FieldError(
+            "zeros_at_one", zeros_at_one, "out of range", allowed="0 to 3", remedy="use 1 for a washout"
+        )

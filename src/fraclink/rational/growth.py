@@ -1,0 +1,102 @@
+"""From order to order: the best fractions found, started from those of the order below.
+
+The minimax problem over the poles has many local minima. Adding one real pole or one pair to the best
+three fractions of the order below, at places spread over the band, finds the same minimum as hundreds of
+random starts (benchmarks/bench_stability.py compares), needs no random numbers, and gives every lower order.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink.rational.minimax import (
+    PartialFractions,
+    Target,
+    best_residues,
+    improve,
+    log_spaced_start,
+    newton,
+    score,
+)
+from fraclink.rational.relocation import relocate
+
+__all__ = ["cancellation", "grow"]
+
+Real = NDArray[np.float64]
+
+_KEPT = 3  # fractions kept at each order
+_TRIED = 8  # starts that are iterated; the others are dropped by their least-squares residue
+_NOISY = 20.0  # cancellation above which a smaller error is paid for in single precision
+
+
+def grow(target: Target, band: tuple[float, float], highest: int) -> Iterator[PartialFractions]:
+    """Yield the best fractions of order 0, 1, … `highest`; `band` is the range of Ω to spread poles over."""
+    spots = np.linspace(math.log(band[0]), math.log(band[1]) + 3.0, 9)
+    empty = np.zeros(0)
+    kept = [[best_residues(PartialFractions(0.0, empty, empty, empty, empty, empty.astype(complex)), target)]]
+    yield kept[0][0]
+    for order in range(1, highest + 1):
+        starts = [_with_real(c, x) for c in kept[order - 1] for x in spots]
+        if order > 1:
+            starts += [_with_pair(c, x) for c in kept[order - 2][:2] for x in spots[3:]]
+        relocated = log_spaced_start(*band, order % 2, order // 2)
+        chosen = [*_promising(starts, target), relocate(relocated, target, 12)[-1]]
+        kept.append(_distinct([_quick(c, target) for c in chosen], target))
+        yield min((improve(c, target) for c in kept[order]), key=lambda c: _cost(c, target))
+
+
+def cancellation(fit: PartialFractions, target: Target) -> float:
+    """Largest sum of the moduli of all terms over the largest modulus of their sum: 1 is ideal."""
+    real, pair, mirrored = fit.shapes(target.omega)
+    parts = abs(fit.direct) + np.abs(fit.real_gains * real).sum(1)
+    parts = parts + 0.5 * (np.abs(fit.pair_gains) * (np.abs(pair) + np.abs(mirrored))).sum(1)
+    factor = np.abs(target.factor)
+    whole = factor * np.abs(fit.columns(target.omega) @ fit.linear())
+    return float(np.max(parts * factor) / np.max(whole))
+
+
+def _cost(fit: PartialFractions, target: Target) -> float:
+    return score(fit, target) * max(1.0, cancellation(fit, target) / _NOISY)
+
+
+def _with_real(c: PartialFractions, log: float) -> PartialFractions:
+    return replace(c, real_logs=np.append(c.real_logs, log), real_gains=np.append(c.real_gains, 0.0))
+
+
+def _with_pair(c: PartialFractions, log: float) -> PartialFractions:
+    # η = 0.7 is 54° off the negative real axis: between two real poles and a resonance.
+    return replace(
+        c,
+        pair_logs=np.append(c.pair_logs, log),
+        pair_angles=np.append(c.pair_angles, 0.7),
+        pair_gains=np.append(c.pair_gains, 0j),
+    )
+
+
+def _promising(starts: list[PartialFractions], target: Target) -> list[PartialFractions]:
+    fitted = [best_residues(c, target) for c in starts]
+    residue = [float(np.sum(c.error(target) ** 2)) for c in fitted]
+    return [fitted[i] for i in np.argsort(residue, kind="stable")[:_TRIED]]
+
+
+def _quick(start: PartialFractions, target: Target) -> PartialFractions:
+    here = best_residues(start, target)
+    for power in (2, 8):
+        here = newton(here, target, power)
+    return here
+
+
+def _distinct(found: list[PartialFractions], target: Target) -> list[PartialFractions]:
+    ranked = sorted(((_cost(c, target), i) for i, c in enumerate(found)))
+    kept: list[tuple[float, PartialFractions]] = []
+    for cost, i in ranked:
+        if all(abs(cost - other) > 1e-3 * cost for other, _ in kept):
+            kept.append((cost, found[i]))
+        if len(kept) == _KEPT:
+            break
+    return [c for _, c in kept]
