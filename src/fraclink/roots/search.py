@@ -123,7 +123,7 @@ def bisect(sum_: ExponentialSum, low: complex, high: complex, count: int) -> Com
         if n == 0:
             continue
         centre, size = 0.5 * (a + b), max(b.real - a.real, b.imag - a.imag)
-        if size < 1e-4:
+        if size < 1e-3:  # smaller boxes around a double zero drown in rounding: (1e-3)² · 1e-8 is left of D
             found += [centre] * n
             continue
         if n == 1:
