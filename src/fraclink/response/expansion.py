@@ -1,0 +1,196 @@
+"""The step response as a sum of exponentials, uniformly accurate between two times.
+
+    S(t) = const + Σ_j W_j e^(-r_j t) + 2 Re Σ_p w_p e^(p t),   shortest ≤ t ≤ longest
+
+The branch cut gives (1/π) ∫ Im G(r e^{iπ}) e^(-rt) dr/r, by the trapezoid rule in ln r. A pole z_p (in ln s)
+at a moderate distance from the cut, on this sheet or the next, would spoil the rule; it is made exact by
+multiplying the residue by κ(z_p) = 1/(1 - exp(-2πi (z_p - iπ - x_0)/h)): 1 far below the cut, 1/2 on it
+midway between two nodes, 0 far above. So no pole is a special case, not even one on the cut.
+
+The constant is left out: held responses use increments only, which makes the integral converge at r → 0 for
+every G weaker than 1/s there.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink.response.quotient import Cluster, Complexes, Quotient
+
+__all__ = ["Expansion", "expand"]
+
+Reals = NDArray[np.float64]
+
+_FOLD = 10  # Chebyshev nodes for all rates below 1/longest: e^(-rt) there is a polynomial to 5e-13
+_REACH = 42.0  # e-folds after which a double has forgotten
+_REAL = 1e-12  # a pole this near the negative axis (in ln s) is real: that is the accuracy of log_zeros
+
+
+@dataclass(frozen=True)
+class Expansion:
+    """`rates`, `weights` of the real modes; `poles`, `pole_weights` of the complex ones (upper half)."""
+
+    rates: Reals
+    weights: Reals
+    poles: Complexes
+    pole_weights: Complexes
+
+
+def expand(quotient: Quotient, *, shortest: float, longest: float, tolerance: float) -> Expansion:
+    """Return the modes of G's step response, accurate for shortest ≤ t ≤ longest [s]."""
+    # The trapezoid rule errs by exp(-2π a/h) with a = 1.5, nearly the quarter turn after which e^(st) grows.
+    step = 2.0 * math.pi * 1.5 / math.log(10.0 / tolerance)
+    simple, clusters = quotient.clusters()
+    origin = _origin(simple, clusters, step)
+    meromorphic = quotient.is_meromorphic
+
+    def kernel(z: Complexes) -> Complexes:
+        if meromorphic:  # no cut: a pole counts fully, or one half for each of ln s = x ± iπ
+            return np.where(np.abs(z.imag - math.pi) < 1.0, 0.5, 1.0).astype(np.complex128)
+        return 1.0 / (1.0 - np.exp(-2j * np.pi * (z - 1j * math.pi - origin) / step))
+
+    last = math.log((math.log(1.0 / tolerance) + 8.0) / shortest)
+    modes = _Modes()
+    for z in simple:
+        if not meromorphic or z.imag <= math.pi + _REAL:
+            modes.add_pole(z, quotient.residue(z) * kernel(np.array([z]))[0])
+    for cluster in clusters:
+        if not meromorphic or cluster.centre.imag <= math.pi + _REAL:
+            _add_cluster(modes, quotient, cluster, kernel, 0.5 * step, longest)
+    if not meromorphic:
+        _add_cut(modes, quotient, origin, step, last, longest)
+    return modes.expansion(shortest, tolerance)
+
+
+class _Modes:
+    def __init__(self) -> None:
+        self.real: list[tuple[float, float]] = []
+        self.complex: list[tuple[complex, complex]] = []
+
+    def add_pole(self, z: complex, weight: complex) -> None:
+        """Add 2 Re(weight·e^(st)), s = e^z; a pole on the positive axis is its own conjugate."""
+        if abs(z.imag - math.pi) < _REAL:
+            self.real.append((math.exp(z.real), 2.0 * weight.real))
+        elif z.imag == 0.0:
+            self.real.append((-math.exp(z.real), weight.real))
+        else:
+            self.complex.append((complex(np.exp(z)), weight))
+
+    def expansion(self, shortest: float, tolerance: float) -> Expansion:
+        """Keep what is above 1e-3 · tolerance at the shortest time."""
+        real = np.array(self.real, np.float64).reshape(-1, 2)
+        pair = np.array(self.complex, np.complex128).reshape(-1, 2)
+        with np.errstate(over="ignore", under="ignore"):
+            seen = np.abs(real[:, 1]) * np.exp(np.minimum(-real[:, 0] * shortest, 700.0))
+            seen_pair = np.abs(pair[:, 1]) * np.exp(np.minimum(pair[:, 0].real * shortest, 700.0))
+        peak = max(seen.max(initial=0.0), seen_pair.max(initial=0.0))
+        # A slow mode's increments are small although it matters in the end: only fast ones may go.
+        keep = (seen > 1e-3 * tolerance * peak) | (real[:, 0] * shortest < 1.0)
+        keep_pair = (seen_pair > 1e-3 * tolerance * peak) | (np.abs(pair[:, 0]) * shortest < 1.0)
+        real, pair = real[keep & (real[:, 1] != 0.0)], pair[keep_pair & (pair[:, 1] != 0.0)]
+        real = real[np.argsort(real[:, 0])]
+        return Expansion(real[:, 0].copy(), real[:, 1].copy(), pair[:, 0].copy(), pair[:, 1].copy())
+
+
+def _origin(simple: list[complex], clusters: list[Cluster], step: float) -> float:
+    """The place of the grid that keeps its nodes farthest from the poles near the cut."""
+    near = [z for z in (*simple, *(c.centre for c in clusters)) if abs(z.imag - math.pi) < step]
+    if not near:
+        return 0.0
+    places = np.array(near) - 1j * math.pi
+    candidates = np.linspace(0.0, step, 64, endpoint=False)
+    offsets = (places.real[None, :] - candidates[:, None]) / step
+    distance = np.hypot(offsets - np.round(offsets), places.imag[None, :] / step).min(axis=1)
+    return float(candidates[int(np.argmax(distance))])
+
+
+def _add_cut(
+    modes: _Modes, quotient: Quotient, origin: float, step: float, last: float, longest: float
+) -> None:
+    fold = -math.log(longest)
+    slowest = min([fold, *quotient.zeros.real.tolist()])
+    singular = max(0.0, quotient.bottom[-1].order - quotient.top[-1].order)
+    first = max(slowest - _REACH / (1.0 - singular), -700.0)
+    nodes = origin + step * np.arange(math.ceil((first - origin) / step), math.ceil((last - origin) / step))
+    weights = quotient.on_cut(nodes) * step / math.pi
+    rates = np.exp(nodes)
+    slow = nodes < fold
+    modes.real += zip(rates[~slow].tolist(), weights[~slow].tolist(), strict=True)
+    if slow.any():
+        modes.real += _folded(rates[slow], weights[slow], math.exp(fold))
+
+
+def _folded(rates: Reals, weights: Reals, limit: float) -> list[tuple[float, float]]:
+    """Modes with rates below `limit` gathered on a few Chebyshev nodes.
+
+    Increments of e^(-rt) are r times a smooth function of r, so r·W is what is interpolated.
+    """
+    index = np.arange(_FOLD)
+    nodes = 0.5 * (1.0 + np.cos(np.pi * (2 * index + 1) / (2 * _FOLD)))  # in units of `limit`
+    bary = (-1.0) ** index * np.sin(np.pi * (2 * index + 1) / (2 * _FOLD))
+    gap = (rates / limit)[:, None] - nodes[None, :]
+    gap[gap == 0.0] = 1e-300
+    basis = bary / gap
+    basis /= basis.sum(axis=1, keepdims=True)
+    moments = (weights * rates) @ basis
+    return list(zip((nodes * limit).tolist(), (moments / (nodes * limit)).tolist(), strict=True))
+
+
+def _add_cluster(
+    modes: _Modes,
+    quotient: Quotient,
+    cluster: Cluster,
+    kernel: object,
+    clearance: float,
+    longest: float,
+) -> None:
+    """Modes on a short real segment around a cluster that stand for all its residues together.
+
+    A double pole is (a + bt) e^(pt), a derivative with respect to p; on Chebyshev nodes p + δ it becomes a
+    sum of simple exponentials without large cancelling weights.
+    """
+    assert callable(kernel)
+    points, weights = quotient.circle(cluster, clearance, kernel)
+    centre = complex(np.exp(cluster.centre))
+    half, count = _segment(cluster.count, abs(centre.real), longest)
+    offsets = (np.exp(points) - centre) / half
+    moments = np.array([(weights * offsets**m).sum() for m in range(cluster.count + 2)])
+    nodes = np.cos(np.pi * (np.arange(count) + 0.5) / count)
+    for node, weight in zip(nodes, moments @ _derivatives(nodes, len(moments)), strict=True):
+        place = centre + half * node
+        if abs(cluster.centre.imag - math.pi) < _REAL:
+            modes.real.append((-place.real, 2.0 * weight.real))
+        elif cluster.centre.imag == 0.0:
+            modes.real.append((-place.real, weight.real))
+        else:
+            modes.complex.append((place, complex(weight)))
+
+
+def _segment(count: int, damping: float, longest: float) -> tuple[float, int]:
+    """Half length and number of nodes: e^(δt) e^(-σt) is resolved to 1e-13 for all t.
+
+    Relative to the damping σ the error is (q/2)^n, the weights grow like (n/q)^(count-1). Without damping
+    the span limits: (δt/2)^n/n! at δt = 3.
+    """
+    ratio, nodes = (0.1, 10) if count <= 2 else (0.3, 18)
+    return (ratio * damping, nodes) if ratio * damping * longest > 3.0 else (3.0 / longest, 20)
+
+
+def _derivatives(nodes: Reals, count: int) -> NDArray[np.float64]:
+    """Row m: the coefficient of x^m of each Lagrange polynomial of the Chebyshev nodes in [-1, 1]."""
+    size = len(nodes)
+    angle = np.arccos(nodes)
+    table = np.cos(np.outer(np.arange(size), angle)) * (2.0 / size)
+    table[0] *= 0.5
+    powers = np.zeros((size, size))
+    powers[0, 0] = 1.0
+    if size > 1:
+        powers[1, 1] = 1.0
+    for k in range(2, size):
+        powers[k, 1:] = 2.0 * powers[k - 1, :-1]
+        powers[k] -= powers[k - 2]
+    return powers[:, :count].T @ table

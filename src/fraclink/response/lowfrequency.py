@@ -1,0 +1,58 @@
+"""What a transfer function does at s → 0, taken off before it is expanded into modes.
+
+    G(s) = c/s + Σ c_i s^(-a_i) + rest,   a_i ≥ 0.94
+
+The integrator is a mode of its own (a decay of exactly 1). Higher singular powers have no modes whose sum
+stays accurate from one period to the whole span; their responses t^a/Γ(1+a) are known and are convolved.
+Weaker ones (a_i < 0.94) stay in the rest: the branch cut carries them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from fraclink.errors import FieldError
+from fraclink.fractional import Term
+from fraclink.fractional.terms import collect, same
+
+__all__ = ["LowFrequency", "split_low_frequency"]
+
+# The cut's quadrature runs down to where r^(1-a) is below rounding: 42/(1-a) e-folds, 700 at 0.94, which is
+# where the exponent range of a double ends.
+STRONG = 0.94
+_MOST = 200  # singular powers; orders spaced by less than 1/200 are a modelling error
+
+
+@dataclass(frozen=True)
+class LowFrequency:
+    """`integrator` c of c/s, `powers` as (c, a) of c·s^(-a), and the rest as numerator and denominator."""
+
+    integrator: float
+    powers: tuple[tuple[float, float], ...]
+    top: tuple[Term, ...]
+    bottom: tuple[Term, ...]
+
+
+def split_low_frequency(top: Sequence[Term], bottom: Sequence[Term]) -> LowFrequency:
+    """Divide in rising powers of s until what is left is weaker than s^(-0.94)."""
+    rest, lowest = collect(top), bottom[-1]
+    integrator, powers = 0.0, []
+    while rest and lowest.order - rest[-1].order >= STRONG:
+        factor, order = rest[-1].coefficient / lowest.coefficient, lowest.order - rest[-1].order
+        if same(order, 1.0):
+            integrator += factor
+        else:
+            powers.append((factor, order))
+        if len(powers) > _MOST:
+            raise FieldError(
+                "order",
+                order,
+                "one of more than 200 singular powers at s = 0",
+                allowed="orders that are not so close to each other",
+                remedy="round the orders",
+            )
+        # The lowest term cancels by construction, exactly; leaving it to rounding would leave a pole at 0.
+        product = [Term(-factor * t.coefficient, t.order - order) for t in bottom[:-1]]
+        rest = collect([*rest[:-1], *product])
+    return LowFrequency(integrator, tuple(powers), tuple(rest), tuple(bottom))
