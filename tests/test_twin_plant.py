@@ -1,0 +1,208 @@
+"""The assembled twin: limits, energy, and exactness of its steps."""
+
+from __future__ import annotations
+
+import mpmath
+import numpy as np
+import pytest
+from fraclink._kernels import twin_march
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fraclink.errors import FieldError
+from fraclink.twin import Beam, FractionalKelvinVoigt, KelvinVoigt, PowerLaw, assemble
+
+ROD = Beam(0.65, 1.56 * 0.65 / 3, 0.00735, 0.030)
+MASSLESS = Beam(0.65, 1.56 * 0.65 / 3, 0.0, 0.030)
+DAMPINGS = [KelvinVoigt(0.0), KelvinVoigt(0.0118), FractionalKelvinVoigt(0.012, 0.7), PowerLaw(1.92)]
+STIFFNESS, OMEGA = MASSLESS.stiffness, MASSLESS.lumped_frequency
+
+
+def _lumped(damping, s):
+    """Tip angle and gauge torque of the lumped model (4)-(16) per hub angle."""
+    if isinstance(damping, PowerLaw):
+        d = s ** (2 - damping.order)
+    elif isinstance(damping, FractionalKelvinVoigt):
+        d = 1 + damping.coefficient * s**damping.order
+    else:
+        d = 1 + damping.time * s
+    lag = s**2 / (s**2 + OMEGA**2 * d)
+    return 1 - lag, STIFFNESS * lag
+
+
+@pytest.mark.parametrize("damping", DAMPINGS, ids=lambda d: d.label)
+@pytest.mark.parametrize("frequency", [0.1, 1.0, 8.0, 12.0, 13.0, 40.0, 200.0])
+def test_massless_limit_is_the_lumped_model(damping, frequency):
+    s = 1j * frequency
+    tip, torque = _lumped(damping, s)
+    servo = 1 / (1 + s / 80) ** 2
+    for drive, factor in (("prescribed", 1 / s), ("servo", servo)):
+        y = assemble(MASSLESS, damping, drive=drive).response(s)
+        assert y[2] == pytest.approx(factor * tip, rel=1e-6, abs=1e-7)
+        assert y[3] == pytest.approx(factor * torque, rel=1e-6, abs=1e-7)
+
+
+def test_power_law_step_response_against_mittag_leffler():
+    """θt of a hub step in the massless limit is 1 − E_λ(−(ϖ t^(λ/2))²), here at 30 digits."""
+    order, period = 1.92, 1e-3
+    plant = assemble(MASSLESS, PowerLaw(order), drive="prescribed")
+    step = plant.discretise(period)
+    state = step.rest()
+    # A velocity of one step's length and height 1/step is the nearest thing to a jump of the hub: the
+    # response is the mean of the exact one over the last step.
+    twin_march(*step.arrays, np.array([1 / period]), 1, state)
+    ours = twin_march(*step.arrays, np.zeros(2000), 1, state)[:, 2]
+    mpmath.mp.dps = 60
+    w2, lam = mpmath.mpf(OMEGA) ** 2, mpmath.mpf(order)
+
+    def integral(t):  # ∫ θt dt = t − t E_{λ,2}(−ϖ² t^λ)
+        z, total, term_index = -w2 * t**lam, mpmath.mpf(0), 0
+        while True:
+            term = z**term_index / mpmath.gamma(lam * term_index + 2)
+            total += term
+            if term_index > 20 and abs(term) < mpmath.mpf(10) ** -35:
+                return t * (1 - total)
+            term_index += 1
+
+    for k in (10, 250, 1000, 1999):  # row k is the time of k + 2 steps after the ramp's start
+        t = mpmath.mpf(period) * (k + 2)
+        exact = (integral(t) - integral(t - mpmath.mpf(period))) / mpmath.mpf(period)
+        assert ours[k] == pytest.approx(float(exact), abs=2e-6)
+    mpmath.mp.dps = 15
+
+
+@pytest.mark.parametrize("damping", DAMPINGS, ids=lambda d: d.label)
+@pytest.mark.parametrize("beam", [ROD, MASSLESS, ROD.with_payload(0.0)], ids=["rod", "massless", "bare"])
+def test_energy_never_grows_on_the_discretised_twin(damping, beam):
+    """In the norm of the energy the step's matrix is a contraction: for every state, not for one move."""
+    plant = assemble(beam, damping, drive="motor", hub_inertia=6.87e-5, hub_friction=1.041e-3)
+    matrix = plant.discretise(1e-3).transition[:, : plant.order].T
+    energy = plant.energy_matrix
+    # The hub's angle alone stores nothing; take it and what stores next to nothing out of the norm.
+    scale, vectors = np.linalg.eigh(energy)
+    kept = scale > 1e-9 * scale.max()
+    root = vectors[:, kept] * np.sqrt(scale[kept])
+    inverse = vectors[:, kept] / np.sqrt(scale[kept])
+    rest = vectors[:, ~kept]
+    assert np.linalg.norm(root.T @ matrix @ rest) < 1e-6 * np.linalg.norm(matrix)
+    assert np.linalg.norm(root.T @ matrix @ inverse, 2) <= 1 + 1e-6
+
+
+@pytest.mark.parametrize("damping", DAMPINGS, ids=lambda d: d.label)
+def test_energy_falls_along_a_free_decay(damping):
+    plant = assemble(ROD, damping, drive="motor", hub_inertia=6.87e-5, hub_friction=1.041e-3)
+    step = plant.discretise(1e-3)
+    state = step.rest()
+    state[1] = 1.0  # a kick of the hub
+    state[plant.mode_slice(0).start + 1] = 0.1
+    energies = [plant.energy(state)]
+    for _ in range(3000):
+        twin_march(*step.arrays, np.zeros(1), 1, state)
+        energies.append(plant.energy(state))
+    assert np.all(np.diff(energies) <= 1e-12 * energies[0])
+    # What is left is the slow turning of the whole arm, which only the hub's friction brakes.
+    if damping != KelvinVoigt(0.0):
+        assert energies[-1] < 0.7 * energies[0]
+
+
+@settings(deadline=None, max_examples=30)
+@given(
+    link_mass=st.floats(1e-4, 0.1),
+    payload=st.floats(0.0, 0.1),
+    order=st.floats(1.05, 1.99),
+    seed=st.integers(0, 2**32 - 1),
+)
+def test_energy_rate_is_never_positive(link_mass, payload, order, seed):
+    """dE/dt = 2 xᵀ E A x <= 0 for random states of random twins."""
+    beam = Beam(0.65, 0.338, link_mass, payload)
+    plant = assemble(beam, PowerLaw(order), drive="motor", hub_inertia=1e-4, hub_friction=1e-3)
+    x = np.random.default_rng(seed).standard_normal(plant.order)
+    terms = 2 * x * (plant.energy_matrix @ (plant.dynamics @ x))
+    assert (
+        terms.sum() <= 1e-9 * np.abs(plant.energy_matrix @ np.abs(plant.dynamics @ x)).sum() * np.abs(x).max()
+    )
+
+
+def test_steps_compose():
+    """Four steps of 1 ms are one of 4 ms for a held input: the steps are exact, not a scheme."""
+    plant = assemble(ROD, PowerLaw(1.92), drive="servo")
+    fine, coarse = plant.discretise(2.5e-4), plant.discretise(1e-3)
+    a, b = fine.rest(), coarse.rest()
+    reference = np.sin(np.arange(500.0))
+    slow = twin_march(*coarse.arrays, reference, 1, b)
+    fast = twin_march(*fine.arrays, reference, 4, a)[3::4]
+    assert np.max(np.abs(slow - fast) / (1e-3 + np.abs(slow).max(axis=0))) < 1e-9
+
+
+def test_gauge_is_curvature_and_not_the_total_moment():
+    """With the total base moment the material's D multiplies the signal: another phase, another order."""
+    plant = assemble(MASSLESS, PowerLaw(1.92), drive="prescribed")
+    s = 12j
+    gauge, total = plant.response(s)[[3, 5]]
+    assert total / -gauge == pytest.approx(s**0.08, rel=1e-6)
+
+
+def test_default_takes_the_modes_that_the_step_resolves():
+    assert assemble(ROD, PowerLaw(1.92), drive="servo").modes.count == 3
+    assert assemble(Beam(0.65, 0.338, 1e-5, 0.03), PowerLaw(1.92), drive="servo").modes.count == 1
+
+
+def test_more_modes_than_the_step_resolves_are_refused():
+    with pytest.raises(FieldError, match="more than the step resolves") as caught:
+        assemble(ROD, PowerLaw(1.92), drive="servo", modes=6)
+    assert caught.value.field == "modes"
+    assert assemble(ROD, PowerLaw(1.92), drive="servo", modes=5, step=5e-4).modes.count == 5
+
+
+@pytest.mark.parametrize("step", [0.0, -1e-3, 2e-3, float("nan"), True])
+def test_bad_steps(step):
+    with pytest.raises(FieldError, match="step"):
+        assemble(ROD, PowerLaw(1.92), drive="servo", step=step)
+
+
+def test_bad_hubs():
+    with pytest.raises(FieldError, match="hub_inertia"):
+        assemble(MASSLESS, PowerLaw(1.92), drive="motor", hub_inertia=-1.0)
+    with pytest.raises(FieldError, match="hub_friction"):
+        assemble(ROD, PowerLaw(1.92), drive="motor", hub_inertia=1e-4, hub_friction=-1.0)
+    with pytest.raises(FieldError, match="servo_pole"):
+        assemble(ROD, PowerLaw(1.92), drive="servo", servo_pole=0.0)
+
+
+@pytest.mark.parametrize(
+    ("make", "field"),
+    [
+        (lambda: KelvinVoigt(-1e-3), "time"),
+        (lambda: KelvinVoigt(float("nan")), "time"),
+        (lambda: KelvinVoigt.from_ratio(0.1, frequency=0.0), "frequency"),
+        (lambda: FractionalKelvinVoigt(-0.1, 0.5), "coefficient"),
+        (lambda: FractionalKelvinVoigt(0.1, 0.0), "order"),
+        (lambda: FractionalKelvinVoigt(0.1, 1.0), "order"),
+        (lambda: FractionalKelvinVoigt(0.1, "0.5"), "order"),
+        (lambda: PowerLaw(2.0), "order"),
+        (lambda: PowerLaw(2.1), "order"),
+        (lambda: PowerLaw(1.0), "order"),
+        (lambda: PowerLaw(float("inf")), "order"),
+    ],
+)
+def test_damping_that_is_not_passive_is_refused(make, field):
+    with pytest.raises(FieldError) as caught:
+        make()
+    assert caught.value.field == field
+
+
+@settings(deadline=None, max_examples=60)
+@given(order=st.floats(0.01, 0.99), frequency=st.floats(1.0, 1e3))
+def test_chains_are_positive_and_accurate(order, frequency):
+    chain = FractionalKelvinVoigt(1.0, order).chain(1e-8)
+    assert np.all(chain.weights > 0) and np.all(chain.rates > 0)
+    exact = 1 + (1j * frequency) ** order
+    assert abs(chain(1j * frequency) - exact) < 2e-5 * abs(exact)
+
+
+@pytest.mark.parametrize("order", [0.08, 0.3, 0.7, 0.9])
+def test_chain_accuracy_where_the_first_mode_is(order):
+    chain = FractionalKelvinVoigt(1.0, order).chain(1e-8)
+    for frequency in (5.0, 12.0, 40.0):
+        exact = 1 + (1j * frequency) ** order
+        assert abs(chain(1j * frequency) - exact) < 1e-6 * abs(exact)
