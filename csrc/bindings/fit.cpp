@@ -37,7 +37,7 @@ struct Problem {
             throw std::invalid_argument("increments and measured must have the same length");
         if (modes < 1 || modes > FIT_MODES_MAX || tail < 0 || tail > FIT_TAIL_MAX || pad < 2 * FIT_LANES)
             throw std::invalid_argument("grid out of range");
-        input.assign(measured.shape(0) + 2 * pad + FIT_LANES, 0.0);
+        input.assign(measured.shape(0) + 2 * pad + FIT_GROUP * FIT_LANES, 0.0);
         std::memcpy(input.data() + pad, increments.data(), increments.shape(0) * sizeof(double));
         output.assign(measured.data(), measured.data() + measured.shape(0));
         p = {(ptrdiff_t)measured.shape(0), period, hold, input.data() + pad, pad, output.data(), grid_start,
@@ -75,6 +75,22 @@ struct Problem {
         return nb::cast(owned(std::move(values), {side, side}));
     }
 
+    // Sum of squares at the best gain and offset for each row of shapes; infinite where a shape has no pole.
+    output_array costs(input_table shapes, double gain, double offset) {
+        if (shapes.shape(1) != FIT_SHAPE || shapes.shape(0) < 1) throw std::invalid_argument("shapes: 5 columns");
+        std::unique_ptr<fit_table> table(new fit_table);
+        std::vector<double> values(shapes.shape(0));
+        {
+            nb::gil_scoped_release release;
+            for (size_t i = 0; i < values.size(); i++) {
+                fit_request r = request(gain, offset);
+                values[i] = fit_cost(&p, shapes.data() + i * FIT_SHAPE, &r, table.get());
+            }
+        }
+        size_t count = values.size();
+        return owned(std::move(values), {count});
+    }
+
     // Returns status, shape, gain, offset, cost, evaluations, Gram matrix of the best of several starts.
     nb::tuple solve(input_table starts, unsigned mask, input_array lower, input_array upper, double gain,
                     double offset, int iterations) {
@@ -88,16 +104,12 @@ struct Problem {
         {
             nb::gil_scoped_release release;
             for (size_t i = 0; i < starts.shape(0); i++) {
-                fit_request r{};
+                fit_request r = request(gain, offset);
                 double shape[FIT_SHAPE];
                 std::memcpy(shape, starts.data() + i * FIT_SHAPE, sizeof shape);
                 r.mask = mask;
                 std::memcpy(r.lower, lower.data(), sizeof r.lower);
                 std::memcpy(r.upper, upper.data(), sizeof r.upper);
-                r.gain_free = std::isnan(gain);
-                r.offset_free = std::isnan(offset);
-                r.gain = r.gain_free ? 1.0 : gain;
-                r.offset = r.offset_free ? 0.0 : offset;
                 r.iterations_max = iterations;
                 int status = fit_solve(&p, shape, &r, table.get());
                 evaluations += r.evaluations;
@@ -114,6 +126,16 @@ struct Problem {
                               owned(std::vector<double>(best.gram, best.gram + side * side), {side, side}));
     }
 
+    // A linear parameter that is not a number is free.
+    static fit_request request(double gain, double offset) {
+        fit_request r{};
+        r.gain_free = std::isnan(gain);
+        r.offset_free = std::isnan(offset);
+        r.gain = r.gain_free ? 1.0 : gain;
+        r.offset = r.offset_free ? 0.0 : offset;
+        return r;
+    }
+
     static void check(const input_array &shape) {
         if (shape.shape(0) != FIT_SHAPE) throw std::invalid_argument("a shape has 5 numbers");
     }
@@ -126,5 +148,6 @@ void bind_fit(nb::module_ &m) {
         .def(nb::init<input_array, input_array, double, int, double, double, int, int, ptrdiff_t>())
         .def("columns", &Problem::columns)
         .def("gram", &Problem::gram)
+        .def("costs", &Problem::costs)
         .def("solve", &Problem::solve);
 }

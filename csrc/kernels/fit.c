@@ -57,6 +57,11 @@ static int evaluate(const fit_problem *problem, const double *shape, unsigned ma
     return isfinite(*cost) ? FIT_OK : FIT_NO_POLE;
 }
 
+double fit_cost(const fit_problem *problem, const double *shape, fit_request *r, fit_table *work) {
+    double gram[SIDE_MAX * SIDE_MAX], cost;
+    return evaluate(problem, shape, 0, r, work, gram, &cost) ? INFINITY : cost;
+}
+
 /* mu s^a + w must not pull backwards when the link stands still: w >= 0 bounds the damping ratio. */
 static void project(double *shape, const fit_request *r) {
     for (int i = 0; i < FIT_SHAPE; i++)

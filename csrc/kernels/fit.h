@@ -11,6 +11,7 @@
 
 enum {
     FIT_LANES = 8,          /* samples a block: one AVX-512 vector of doubles */
+    FIT_GROUP = 4,          /* blocks that share every load of a coefficient */
     FIT_MODES_MAX = 64,     /* real rates that are recursed */
     FIT_TAIL_MAX = 64,      /* faster rates, folded into the coefficients of two inputs */
     FIT_SHAPE = 5,          /* order, ln(resonance), damping ratio, damping order, delay [s] */
@@ -41,7 +42,7 @@ typedef struct {
     double state_gain[1 + FIT_SHAPE][FIT_STATES_MAX][FIT_LANES];
     double input_gain[1 + FIT_SHAPE][FIT_LANES][FIT_LANES]; /* [input in block][output in block] */
     double decay[FIT_MODES_MAX], decay_block[FIT_MODES_MAX], drive[FIT_MODES_MAX];
-    double drive_block[FIT_LANES][FIT_MODES_MAX];
+    double drive_block[FIT_LANES][FIT_MODES_MAX + 4];
     double pole_block[4][4], pole_drive_block[FIT_LANES][4];
     double pole_step[4][4], pole_drive[4];
 } fit_table;
@@ -63,6 +64,9 @@ typedef struct {
     int evaluations;
     double gram[FIT_COLUMNS_MAX * FIT_COLUMNS_MAX]; /* at the result, side 3 + free */
 } fit_request;
+
+/* Sum of squares of one shape at its best gain and offset; infinite where it has no pole. */
+double fit_cost(const fit_problem *problem, const double *shape, fit_request *request, fit_table *work);
 
 /* Levenberg-Marquardt with the linear parameters (gain, offset) projected out; `shape` is start and result. */
 int fit_solve(const fit_problem *problem, double *shape, fit_request *request, fit_table *work);

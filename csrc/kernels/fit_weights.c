@@ -155,10 +155,10 @@ static void pole_column(fit_table *t, int column, cx k, cx k2, cx p, double peri
 }
 
 static void pole_update(cx step, cx slope, double out[4][4]) {
-    double m[4][4] = {{step.re, -step.im, 0, 0},
-                      {step.im, step.re, 0, 0},
-                      {slope.re, -slope.im, step.re, -step.im},
-                      {slope.im, slope.re, step.im, step.re}};
+    double m[4][4] = {{step.re, step.im, slope.re, slope.im}, /* [from][to] */
+                      {-step.im, step.re, -slope.im, slope.re},
+                      {0, 0, step.re, step.im},
+                      {0, 0, -step.im, step.re}};
     memcpy(out, m, sizeof m);
 }
 
@@ -242,7 +242,7 @@ static void mode_part(const fit_problem *q, const formula *f, int i, double ln, 
             }
         } else { /* gone after one period: only the previous input is left of it */
             past0[c * FIT_LANES] += at * full;
-            t->state_gain[c][q->modes + 4][0] += at * full;
+            t->state_gain[c][t->modes + 4][0] += at * full;
         }
     }
     if (i >= q->modes) return;
@@ -267,8 +267,12 @@ int fit_make_table(const fit_problem *q, const double *shape, unsigned mask, fit
     if (!(fabs(whole) + 2 * FIT_LANES < (double)q->pad)) return FIT_DELAY_RANGE;
     t->shift = (ptrdiff_t)whole;
     t->outputs = outputs;
-    t->modes = q->modes;
-    t->states = q->modes + 5;
+    t->modes = (q->modes + 3) & ~3; /* whole vectors; the rows added are zero */
+    t->states = t->modes + 5;
+    memset(t->decay, 0, sizeof t->decay);
+    memset(t->decay_block, 0, sizeof t->decay_block);
+    memset(t->drive, 0, sizeof t->drive);
+    for (int l = 0; l < FIT_LANES; l++) memset(t->drive_block[l] + q->modes, 0, 4 * sizeof(double));
     for (int c = 0; c < outputs; c++) {
         memset(t->state_gain[c], 0, (size_t)t->states * sizeof t->state_gain[c][0]);
         memset(t->input_gain[c], 0, sizeof t->input_gain[c]);
