@@ -7,6 +7,7 @@ namespace nb = nanobind;
 void bind_fit(nb::module_ &m);
 void bind_law(nb::module_ &m);
 void bind_loop(nb::module_ &m);
+void bind_modes(nb::module_ &m);
 void bind_twin(nb::module_ &m);
 
 NB_MODULE(_kernels, m) {
@@ -14,5 +15,6 @@ NB_MODULE(_kernels, m) {
     bind_fit(m);
     bind_law(m);
     bind_loop(m);
+    bind_modes(m);
     bind_twin(m);
 }

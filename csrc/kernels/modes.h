@@ -1,0 +1,24 @@
+// Response of a sum of real and complex exponential modes to held inputs.
+#ifndef FRACLINK_MODES_H
+#define FRACLINK_MODES_H
+#include <stddef.h>
+
+// y[k] = direct u[k] + first u[k-1] + sum gains_i x_i[k] + Re sum pole_gains_j z_j[k],
+// x_i[k+1] = exp(log_decays_i) x_i[k] + u[k], the same for z. Complex numbers are interleaved (re, im).
+typedef struct {
+    double direct, first;
+    ptrdiff_t reals, pairs;
+    const double *log_decays, *gains;
+    const double *pole_log_decays, *pole_gains;
+} modes_system;
+
+// Doubles of scratch memory that modes_response needs: tables and state, independent of n.
+size_t modes_scratch(const modes_system *system);
+
+// `initial` holds x (reals), then z (pairs, interleaved), before the first sample.
+void modes_response(const modes_system *system, const double *initial, const double *input, double *output,
+                    ptrdiff_t n, double *scratch);
+
+// y[k] = sum_{m<=k} weights[m] u[k-m]: the full-memory sum of Gruenwald-Letnikov, O(n^2), for comparison.
+void full_memory_sum(const double *weights, const double *input, double *output, ptrdiff_t n);
+#endif
