@@ -92,8 +92,9 @@ class ExponentialSum:
         terms = self.terms(z)[0]
         powers = self.rates ** np.arange(count)[:, None]
         powers[0] = 1.0
-        values: Complex = np.asarray(np.tensordot(powers, terms, 1), dtype=complex)
-        return values, np.tensordot(powers, np.abs(terms), 1)
+        values: Complex = np.einsum("jk,k...->j...", powers, terms)
+        moduli: Real = np.einsum("jk,k...->j...", powers, np.abs(terms))
+        return values, moduli
 
     @cached_property
     def bounds(self) -> tuple[float, float]:
