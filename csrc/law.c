@@ -262,16 +262,16 @@ static law_real correct(law_state *s, const law_params *p, law_real error)
     uint32_t i;
     /*@ loop unroll 8; */
     for (i = 0U; i < reals; i++) {
-        s->real[i] += (p->decay[i] * s->real[i]) + change;
         sum += p->gain[i] * s->real[i];
+        s->real[i] += (p->decay[i] * s->real[i]) + change;
     }
     /*@ loop unroll 2; */
     for (i = 0U; i < pairs; i++) {
         const law_real re = s->pair_re[i];
         const law_real im = s->pair_im[i];
+        sum += (p->pair_gain[i] * re) - (p->pair_cross[i] * im);
         s->pair_re[i] = re + (((p->pair_decay[i] * re) - (p->pair_turn[i] * im)) + change);
         s->pair_im[i] = im + ((p->pair_decay[i] * im) + (p->pair_turn[i] * re));
-        sum += (p->pair_gain[i] * s->pair_re[i]) - (p->pair_cross[i] * s->pair_im[i]);
     }
     s->error = error;
     return sum;
@@ -285,8 +285,8 @@ static law_real feed_forward(law_state *s, const law_params *p, law_real acceler
     uint32_t i;
     /*@ loop unroll 6; */
     for (i = 0U; i < modes; i++) {
-        s->forward[i] += (p->forward_decay[i] * s->forward[i]) + acceleration;
         sum += p->forward_gain[i] * s->forward[i];
+        s->forward[i] += (p->forward_decay[i] * s->forward[i]) + acceleration;
     }
     return sum;
 }

@@ -86,7 +86,7 @@ typedef struct {
     uint32_t stuck_limit;    /* periods in a row with an unchanged gauge while the model moves */
     law_real period;
     law_real compliance; /* 1/c: torque to deflection [rad/(N m)] */
-    /* correction (1 - 1/z)(direct + sum gain/(1 - (1 + decay)/z)), pairs as real and imaginary parts */
+    /* correction (1 - 1/z)(direct + sum gain/(z - (1 + decay))), pairs as real and imaginary parts */
     law_real direct;
     law_real decay[LAW_REAL_MODES]; /* pole - 1, exact for slow poles where pole itself would round */
     law_real gain[LAW_REAL_MODES];

@@ -1,0 +1,23 @@
+"""The control law: what is simulated is what is shipped (csrc/law.c), and these are its coefficients."""
+
+from __future__ import annotations
+
+from fraclink.law.discretize import discretize_controller, drive_for, equip
+from fraclink.law.law import MODES, REASONS, Drive, Law, LawInputs, LawOutputs, Modes
+from fraclink.law.limits import Limits, Moves, derive_limits
+
+__all__ = [
+    "MODES",
+    "REASONS",
+    "Drive",
+    "Law",
+    "LawInputs",
+    "LawOutputs",
+    "Limits",
+    "Modes",
+    "Moves",
+    "derive_limits",
+    "discretize_controller",
+    "drive_for",
+    "equip",
+]

@@ -1,0 +1,100 @@
+"""From the nouns of a law to the numbers of its parameter block."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+from fraclink.law.block import WITH_INNER
+
+if TYPE_CHECKING:
+    from fraclink.law.law import Drive, Law, Modes
+
+__all__ = ["block_values"]
+
+
+def block_values(law: Law) -> dict[str, Any]:
+    """Return every field of law_params but its header."""
+    limits = asdict(law.limits)
+    return (
+        limits
+        | _correction(law.correction)
+        | _feedforward(law.feedforward)
+        | _inner(law.drive, law.limits.angle_limit)
+        | {
+            "period": law.period,
+            "compliance": 1 / law.stiffness,
+            "stiffness": law.stiffness,
+            "residual_rate": -math.expm1(-law.inner_pole * law.period),
+        }
+    )
+
+
+def _correction(modes: Modes) -> dict[str, Any]:
+    return {
+        "real_modes": len(modes.poles),
+        "pair_modes": len(modes.pair_poles),
+        "direct": modes.direct,
+        "decay": [pole - 1 for pole in modes.poles],
+        "gain": list(modes.gains),
+        "pair_decay": [pole.real - 1 for pole in modes.pair_poles],
+        "pair_turn": [pole.imag for pole in modes.pair_poles],
+        "pair_gain": [gain.real for gain in modes.pair_gains],
+        "pair_cross": [gain.imag for gain in modes.pair_gains],
+    }
+
+
+def _feedforward(modes: Modes) -> dict[str, Any]:
+    return {
+        "forward_modes": len(modes.poles),
+        "forward_direct": modes.direct,
+        "forward_decay": [pole - 1 for pole in modes.poles],
+        "forward_gain": list(modes.gains),
+    }
+
+
+def _inner(drive: Drive | None, angle: float) -> dict[str, Any]:
+    names = (
+        "inner_direct",
+        "inner_angle",
+        "integral_now",
+        "integral_before",
+        "filter_now",
+        "filter_before",
+        "filter_angle_now",
+        "filter_angle_before",
+        "filter_decay",
+        "integral_limit",
+        "filter_limit",
+        "voltage_limit",
+        "torque_voltage",
+        "coulomb_voltage",
+        "coulomb_slope",
+    )
+    if drive is None:
+        return dict.fromkeys(names, 0.0) | {"options": 0}
+    loop = drive.loop
+    at_rest = (loop.filter_now + loop.filter_before) / (1 - loop.filter_decay)  # 1/c: DC gain of 1/(s + c)
+    hold = (
+        abs(loop.angle_direct + loop.angle_filter_gain * at_rest) * angle
+    )  # what Cm2 asks for at the far end
+    swing = (abs(loop.angle_filter_gain) + abs(loop.filter_gain)) * at_rest * angle
+    values = (
+        loop.direct,
+        loop.angle_direct,
+        loop.integral_gain * loop.integral_now,
+        loop.integral_gain * loop.integral_before,
+        loop.filter_gain * loop.filter_now,
+        loop.filter_gain * loop.filter_before,
+        loop.angle_filter_gain * loop.filter_now,
+        loop.angle_filter_gain * loop.filter_before,
+        loop.filter_decay,
+        1.5 * (hold + 2 * drive.voltage_limit),
+        1.5 * (swing + drive.voltage_limit),
+        drive.voltage_limit,
+        drive.torque_voltage,
+        drive.coulomb_voltage,
+        1 / drive.coulomb_speed if drive.coulomb_voltage > 0 else 0.0,
+    )
+    return dict(zip(names, values, strict=True)) | {"options": WITH_INNER}

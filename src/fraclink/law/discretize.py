@@ -1,0 +1,194 @@
+"""From the designed controller to the law at its period."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink.errors import FieldError
+from fraclink.law.block import FORWARD_MODES, PAIR_MODES, REAL_MODES, Precision, real_type
+from fraclink.law.law import Drive, Law, Modes
+from fraclink.law.limits import Moves, derive_limits
+from fraclink.motor import inner_loop
+from fraclink.rational import DiscreteRational, fit_discrete
+
+if TYPE_CHECKING:
+    from fraclink.controller import Controller
+    from fraclink.link import LinkModel
+    from fraclink.rig import Rig
+
+__all__ = ["discretize_controller", "drive_for", "equip"]
+
+LOWEST = 0.05  # [rad/s]: below, Ĉ is under 1e-2 of its value at the crossover, and C is 1 to the tolerance
+COULOMB_SPEED = 0.05  # [rad/s]: compensation fades in over this speed; a sharp sign would chatter at rest
+
+
+def discretize_controller(
+    controller: Controller,
+    period: float,
+    *,
+    order: int | None = None,
+    precision: Precision = "double",
+    link: LinkModel | None = None,
+    rig: Rig | None = None,
+    moves: Moves | None = None,
+    band: tuple[float, float] | None = None,
+) -> Law:
+    """Return the law that runs the controller at `period` [s].
+
+    Ĉ(s) = k_d s^β/(1 + δs)^n becomes (1 − z⁻¹)(d + Σ g/(z − p)) by a minimax fit of C = 1 + Ĉ on `band` [rad/s], and the
+    feed-forward s^λ θt*/ϖ² becomes a fit of s^(λ−2)/ϖ² that works on the reference's known acceleration.
+
+    Parameters: `order`, states of Ĉ (0 to 8; None: the fewest for 0.1 dB and 0.5°, else the best of 8); `precision`
+    "double" or "single"; `link`, nominal model, the controller's own where it is left out; `rig`, which adds the
+    inner loop, the sensors' limits and the motor's compensations (see `equip`); `moves`, the largest move, from
+    which the guards' thresholds follow. Without a filter Ĉ is improper: no sampled controller can follow it to
+    the Nyquist frequency, and the default band ends at 300 rad/s (600 with a filter). The errors reached stand in
+    `Law.correction_error`. Raises FieldError for a period, order or band out of range and for a missing link.
+
+    >>> from fraclink.controller import Controller
+    >>> from fraclink.link import LinkModel
+    >>> link = LinkModel(stiffness=1.56, natural_frequency=11.094, order=1.92)
+    >>> law = discretize_controller(Controller(gain=0.148, order=0.65, filter_time=0.16, filter_order=2, link=link), 0.004)
+    >>> law.order, law.correction_error[0] < 0.1, law.correction_error[1] < 0.5
+    (4, True, True)
+    """
+    real_type(precision)
+    model = link or controller.link
+    if model is None:
+        raise FieldError(
+            "link",
+            None,
+            "missing",
+            allowed="a LinkModel",
+            remedy="give the nominal link model: tip estimate and feed-forward need it",
+        )
+    _check_period(controller, period)
+    reach = band or _band(controller, period)
+    correction = fit_discrete(
+        controller.response, period=period, order=order, zeros_at_one=1, offset=1.0, band=reach
+    )
+    forward = _forward_fit(model, period)
+    inner_pole = controller.inner.pole if controller.inner is not None else 80.0
+    law = Law(
+        period=period,
+        precision=precision,
+        stiffness=model.stiffness,
+        correction=_modes("order", correction, REAL_MODES, PAIR_MODES),
+        feedforward=_modes("link.order", forward, FORWARD_MODES, 0),
+        inner_pole=inner_pole,
+        limits=derive_limits(model, period, moves or Moves(), pole=inner_pole),
+        correction_error=(correction.error_db, correction.error_deg),
+        feedforward_error=(forward.error_db, forward.error_deg),
+        band=reach,
+    )
+    return law if rig is None else equip(law, rig, model, moves=moves)
+
+
+def equip(law: Law, rig: Rig, link: LinkModel, *, moves: Moves | None = None) -> Law:
+    """Return the law with the rig's inner loop, compensations and sensor limits.
+
+    The inner loop has the pole the law was made for; its guards are derived again from the gauge's range,
+    noise and quantum and the encoder's resolution. Raises FieldError where the periods differ.
+    """
+    if not math.isclose(law.period, rig.period, rel_tol=1e-9):
+        raise FieldError(
+            "period",
+            law.period,
+            "not the rig's",
+            allowed=f"{rig.period} s",
+            remedy="discretise the controller at the rig's period",
+        )
+    return replace(
+        law,
+        drive=drive_for(rig, law.inner_pole),
+        limits=derive_limits(
+            link,
+            law.period,
+            moves or Moves(),
+            pole=law.inner_pole,
+            gauge_limit=rig.gauge.limit,
+            gauge_noise=rig.gauge.noise,
+            gauge_quantum=rig.gauge.quantum,
+            encoder_resolution=rig.encoder.resolution,
+        ),
+    )
+
+
+def drive_for(rig: Rig, pole: float) -> Drive:
+    """Return the inner loop of `rig` for the pole p [rad/s], with the compensations its motor needs."""
+    motor = rig.motor
+    return Drive(
+        loop=inner_loop(motor, pole).discretize(rig.period),
+        voltage_limit=min(motor.voltage_limit, 1e4),  # a block holds finite numbers; 10 kV is no limit
+        torque_voltage=1 / (motor.torque_constant * motor.gear_ratio),
+        coulomb_voltage=motor.coulomb_torque / motor.torque_constant,
+        coulomb_speed=COULOMB_SPEED,
+    )
+
+
+def _check_period(controller: Controller, period: float) -> None:
+    if not (isinstance(period, int | float) and math.isfinite(period) and period > 0):
+        raise FieldError("period", period, "not a positive time", allowed="> 0 s", remedy="give seconds")
+    designed = controller.period
+    if designed is not None and not math.isclose(designed, period, rel_tol=1e-9):
+        raise FieldError(
+            "period",
+            period,
+            "not the one the controller was designed for",
+            allowed=f"{designed} s",
+            remedy="design again for this period, or use controller.period",
+        )
+    if period > 0.2 * math.pi / LOWEST:
+        raise FieldError("period", period, "too long", allowed="<= 12 s", remedy="give the period in seconds")
+
+
+def _band(controller: Controller, period: float) -> tuple[float, float]:
+    nyquist = math.pi / period
+    high = min(600.0, 0.764 * nyquist) if controller.is_strictly_proper else min(300.0, 0.382 * nyquist)
+    return min(LOWEST, 1e-3 * nyquist), high
+
+
+def _forward_fit(link: LinkModel, period: float) -> DiscreteRational:
+    """s^(λ-2)/(μ s^α + ϖ²): what the reference's acceleration must add to the motor angle (1/G − 1 over s²)."""
+
+    def response(frequency: NDArray[np.float64]) -> NDArray[np.complex128]:
+        s = 1j * frequency
+        return np.asarray((1 / link.tip()(s) - 1) / s**2, dtype=np.complex128)
+
+    band = (min(LOWEST, 1e-3 * math.pi / period), min(200.0, 0.5 * math.pi / period))
+    # 0.3 dB of the feed-forward is 3 % of the flexion, well below what an unknown payload changes.
+    best: DiscreteRational | None = None
+    for order in range(FORWARD_MODES + 1):
+        fit = fit_discrete(response, period=period, order=order, band=band)
+        if len(fit.pole_decays):
+            continue
+        if best is None or fit.error_db < best.error_db:
+            best = fit
+        if best.error_db <= 0.3 and best.error_deg <= 1.5:
+            break
+    assert best is not None  # order 0 has no poles at all  # noqa: S101
+    return best
+
+
+def _modes(field: str, fit: DiscreteRational, reals: int, pairs: int) -> Modes:
+    if len(fit.decays) > reals or len(fit.pole_decays) > pairs:
+        raise FieldError(
+            field,
+            f"{len(fit.decays)} real modes and {len(fit.pole_decays)} pairs",
+            "more than law.c holds",
+            allowed=f"{reals} real modes and {pairs} pairs",
+            remedy="ask for a lower order",
+        )
+    slowest_last = np.argsort(fit.decays)
+    return Modes(
+        float(fit.feedthrough),
+        tuple(float(x) for x in fit.decays[slowest_last]),
+        tuple(float(x) for x in fit.gains[slowest_last]),
+        tuple(complex(x) for x in fit.pole_decays),
+        tuple(complex(x) for x in fit.pole_gains),
+    )

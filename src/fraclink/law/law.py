@@ -1,0 +1,250 @@
+"""The control law at its period: one frozen object, the same block of numbers that a board gets."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fraclink import _kernels
+from fraclink.errors import FieldError, FileFormatError
+from fraclink.files import read_json, write_json
+from fraclink.law import block as layout
+from fraclink.law.limits import Limits
+
+if TYPE_CHECKING:
+    from fraclink.motor import DiscreteInnerLoop
+
+__all__ = ["MODES", "REASONS", "Drive", "Law", "LawInputs", "LawOutputs", "Modes"]
+
+Real = NDArray[np.float64]
+
+MODES = ("idle", "run", "degraded", "hold", "off")
+REASONS = (
+    "none",
+    "parameter version",
+    "parameter size",
+    "parameter CRC",
+    "parameter counts",
+    "encoder",
+    "gauge",
+    "gauge stuck",
+    "motor away from its model",
+    "missed periods",
+    "link overloaded",
+)
+
+
+class Modes(NamedTuple):
+    """A small parallel filter d + Σ g/(z − p): real poles and one pole of each complex pair."""
+
+    direct: float
+    poles: tuple[float, ...] = ()
+    gains: tuple[float, ...] = ()
+    pair_poles: tuple[complex, ...] = ()
+    pair_gains: tuple[complex, ...] = ()
+
+
+@dataclass(frozen=True)
+class Drive:
+    """The inner loop and what it needs to know of the motor; without it a law gives a motor reference only."""
+
+    loop: DiscreteInnerLoop
+    voltage_limit: float  # [V]
+    torque_voltage: float  # compensation of the coupling torque, 1/(K n) [V/(N·m)]
+    coulomb_voltage: float  # compensation of Coulomb friction, Γc/K [V]
+    coulomb_speed: float  # reference speed below which it fades to zero [rad/s]
+
+
+class LawInputs(NamedTuple):
+    """One period's inputs: reference [rad], its velocity [rad/s] and acceleration [rad/s²], θm [rad], Γ [N·m]."""
+
+    reference: float
+    reference_velocity: float
+    reference_acceleration: float
+    motor_angle: float
+    torque: float
+
+
+class LawOutputs(NamedTuple):
+    """One period's outputs; scalars from `Law.step`, arrays of shape (N,) from `Law.run`.
+
+    motor_reference θm* [rad], voltage [V], compensation: its part against the coupling torque [V],
+    tip_estimate θm − Γ/c [rad], error [rad], mode (index of MODES), reason (index of REASONS), flags (bits of law.h).
+    """
+
+    motor_reference: Any
+    voltage: Any
+    compensation: Any
+    tip_estimate: Any
+    error: Any
+    mode: Any
+    reason: Any
+    flags: Any
+
+
+@dataclass(frozen=True)
+class Law:
+    """A controller as it runs: every coefficient of law.c at its period.
+
+    θm* = θt* + F(z) θ̈t* + Ĉ(z)(θt* − θte),  θte = θm − Γ/c (22), (23), with Ĉ(z) = (1 − z⁻¹)(d + Σ g/(z − p)), so that
+    Ĉ(1) = 0 exactly in any arithmetic (28). Made by `discretize_controller` or `Controller.discretize`.
+
+    Attributes: `period` [s]; `precision` "single" or "double"; `stiffness` c [N·m/rad]; `correction` and
+    `feedforward` as `Modes`; `correction_error` and `feedforward_error`, the largest errors of their fits in
+    (decibels, degrees) up to `band` [rad/s]; `inner_pole` p of M(s) [rad/s]; `drive`, None for a robot that has its
+    own position servo; `limits` of the guards.
+    """
+
+    period: float
+    precision: layout.Precision
+    stiffness: float
+    correction: Modes
+    feedforward: Modes
+    inner_pole: float
+    limits: Limits
+    drive: Drive | None = None
+    correction_error: tuple[float, float] = (math.nan, math.nan)
+    feedforward_error: tuple[float, float] = (math.nan, math.nan)
+    band: tuple[float, float] = (math.nan, math.nan)
+
+    @property
+    def order(self) -> int:
+        """Number of states of the correction Ĉ, without the one of its difference."""
+        return len(self.correction.poles) + 2 * len(self.correction.pair_poles)
+
+    @cached_property
+    def block(self) -> bytes:
+        """The parameter block of law.c, byte for byte."""
+        made = layout.pack(self._values(), self.precision)
+        if len(made) != _kernels.law_sizes(self.precision == "single")[0]:
+            raise AssertionError("fraclink.law.block does not match csrc/law.h")
+        return made
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the block, 64 hexadecimal digits: two laws with one digest run alike to the last bit."""
+        return hashlib.sha256(self.block).hexdigest()
+
+    @property
+    def coefficients(self) -> dict[str, float | list[float]]:
+        """Every number of the block under its name in law.h, as the law has it (rounded to its precision)."""
+        return layout.unpack(self.block, self.precision)
+
+    def in_precision(self, precision: layout.Precision) -> Law:
+        """Return the same law in "single" or "double" precision."""
+        layout.real_type(precision)
+        return replace(self, precision=precision)
+
+    def frequency_response(self, frequency: ArrayLike) -> NDArray[np.complex128]:
+        """Return Ĉ(e^(jωT)) of the coefficients as they are rounded, at ω [rad/s]; any shape.
+
+        >>> from fraclink.law import Law, Limits, Modes  # doctest: +SKIP
+        """
+        w = np.asarray(frequency, dtype=float)
+        c = self.coefficients
+        half = 0.5 * w * self.period
+        # z − 1 without cancellation: at 0.05 rad/s and 4 ms it is 2e-4
+        beyond = (2j * np.sin(half) * np.exp(1j * half))[..., None]
+        poles, gains = np.asarray(c["decay"]), np.asarray(c["gain"])
+        pairs = np.asarray(c["pair_decay"]) + 1j * np.asarray(c["pair_turn"])
+        crossed = np.asarray(c["pair_gain"]) + 1j * np.asarray(c["pair_cross"])
+        total = c["direct"] + (gains / (beyond - poles)).sum(-1)
+        total = total + 0.5 * (crossed / (beyond - pairs) + crossed.conj() / (beyond - pairs.conj())).sum(-1)
+        return np.asarray(2j * np.sin(half) * np.exp(-1j * half) * total, dtype=np.complex128)
+
+    def initial_state(self) -> bytes:
+        """Return the state before the first period; the first step starts at the measured angle without a bump."""
+        state, reason = _kernels.law_init(self.block, self.precision == "single")
+        if reason:
+            raise FieldError(
+                "law", REASONS[reason], "refused by law.c", allowed="a valid block", remedy="report it"
+            )
+        return bytes(state)
+
+    def step(self, state: bytes, inputs: LawInputs, *, tick: int = 1) -> tuple[bytes, LawOutputs]:
+        """Run law.c for one period and return (new state, outputs); `tick` is the number of the period."""
+        after, outputs = self.run(state, *([value] for value in inputs), first_tick=tick)
+        return after, LawOutputs(*(column[0].item() for column in outputs))
+
+    def run(
+        self,
+        state: bytes,
+        reference: ArrayLike,
+        reference_velocity: ArrayLike,
+        reference_acceleration: ArrayLike,
+        motor_angle: ArrayLike,
+        torque: ArrayLike,
+        *,
+        first_tick: int = 1,
+        ticks: Sequence[int] | NDArray[np.uint32] | None = None,
+    ) -> tuple[bytes, LawOutputs]:
+        """Run law.c over whole signals, shape (N,), and return (new state, outputs of shape (N,)).
+
+        Periods are numbered from `first_tick`, or by `ticks` where some were missed.
+        """
+        signals = np.ascontiguousarray(
+            [
+                np.asarray(x, dtype=float)
+                for x in (reference, reference_velocity, reference_acceleration, motor_angle, torque)
+            ]
+        )
+        if signals.ndim != 2:
+            raise FieldError(
+                "inputs",
+                signals.shape,
+                "not five signals",
+                allowed="five of shape (N,)",
+                remedy="give arrays",
+            )
+        count = signals.shape[1]
+        numbers = np.arange(first_tick, first_tick + count) if ticks is None else np.asarray(ticks)
+        numbers = np.ascontiguousarray(numbers % 2**32, dtype=np.uint32)
+        if numbers.shape != (count,):
+            raise FieldError(
+                "ticks",
+                numbers.shape,
+                "not one number a period",
+                allowed=f"({count},)",
+                remedy="give N numbers",
+            )
+        outputs, marks = np.empty((5, count)), np.empty((3, count), dtype=np.uint32)
+        after = _kernels.law_run(
+            self.block, state, numbers, signals, outputs, marks, self.precision == "single"
+        )
+        return bytes(after), LawOutputs(*outputs, *marks)
+
+    def _values(self) -> dict[str, Any]:
+        from fraclink.law.assemble import block_values
+
+        return block_values(self)
+
+    def save(self, path: Path | str) -> None:
+        """Write the law to a JSON file; reals are hex floats, so that every bit comes back."""
+        from fraclink.law.saved import to_json
+
+        write_json(path, "law", 1, to_json(self))
+
+    @classmethod
+    def load(cls, path: Path | str) -> Law:
+        """Read what `save` wrote; FileFormatError where the file is damaged or its digest does not fit."""
+        from fraclink.law.saved import from_json
+
+        data = read_json(path, "law")
+        law = from_json(data)
+        if data.get("sha256") != law.digest:
+            raise FileFormatError(
+                "sha256",
+                data.get("sha256"),
+                "not that of the law",
+                allowed=law.digest,
+                remedy="make the file again",
+            )
+        return law

@@ -1,0 +1,122 @@
+"""The law's guards: every threshold from the largest move, the design and the sensors, none guessed."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING
+
+from fraclink.errors import FieldError
+
+if TYPE_CHECKING:
+    from fraclink.link import LinkModel
+
+__all__ = ["Limits", "Moves", "derive_limits"]
+
+FADE_TIME = (
+    0.2  # [s]: the correction leaves slowly enough not to ring the link, fast enough to be gone in a move
+)
+
+
+@dataclass(frozen=True)
+class Moves:
+    """The largest move the arm is meant to make; the guards take anything far beyond it for a fault.
+
+    Parameters: `angle` [rad], `velocity` [rad/s] and `acceleration` [rad/s²] of the reference, all > 0. The
+    default covers 1 rad in 0.4 s along the quintic of `smooth_step` (4.7 rad/s, 36 rad/s²).
+
+    >>> Moves().velocity
+    6.0
+    """
+
+    angle: float = 2 * math.pi
+    velocity: float = 6.0
+    acceleration: float = 60.0
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if isinstance(value, bool) or not (
+                isinstance(value, int | float) and math.isfinite(value) and value > 0
+            ):
+                raise FieldError(
+                    f"moves.{field.name}",
+                    value,
+                    "not a positive number",
+                    allowed="> 0, in rad and s",
+                    remedy="give the largest value the reference will have",
+                )
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Thresholds of the guards in law.c; the names are those of its parameter block."""
+
+    error_limit: float
+    correction_limit: float
+    forward_limit: float
+    angle_limit: float
+    angle_step: float
+    torque_limit: float
+    torque_step: float
+    torque_trip: float
+    reference_step: float
+    acceleration_limit: float
+    motor_limit: float
+    motor_step: float
+    fade_step: float
+    residual_angle: float
+    stuck_torque: float
+    bad_limit: int = 5  # 20 ms at 4 ms: three lost samples in a row are ridden through, a dead wire is not
+    missed_limit: int = 5
+    residual_limit: int = 10
+    stuck_limit: int = 12
+
+
+def derive_limits(
+    link: LinkModel,
+    period: float,
+    moves: Moves,
+    *,
+    pole: float = 80.0,
+    gauge_limit: float = math.inf,
+    gauge_noise: float = 0.0,
+    gauge_quantum: float = 0.0,
+    encoder_resolution: float = 0.0,
+) -> Limits:
+    """Return the thresholds for moves up to `moves` at `period` [s].
+
+    Largest torque of a move: c a |s^(λ-2)/(μ s^α + ϖ²)| at the resonance, doubled for payloads beyond the
+    nominal one. Lag of the loop: 2/p + 1.5 T. Reasons stand beside each number in the source.
+    """
+    resonance = abs(link.pole)
+    flexible = abs(1 / link.tip()(1j * resonance) - 1) / resonance**2 * moves.acceleration
+    torque = 2 * link.stiffness * flexible
+    angle = moves.angle + 2 * flexible
+    lag = 2 / pole + 1.5 * period
+    # Reference, feed-forward and correction may each ask for the full speed at once.
+    motor_step = 3 * moves.velocity * period
+    torque_limit = min(
+        4 * torque, 0.975 * gauge_limit
+    )  # an amplifier at its rail reads its limit: not credible
+    error = lag * moves.velocity
+    return Limits(
+        error_limit=2 * angle + torque_limit / link.stiffness,
+        correction_limit=1.5
+        * (error + 0.15),  # 0.15 rad: residual vibration and gauge offset on top of the lag
+        forward_limit=3 * moves.velocity / period,  # the states sum the acceleration, which sums to the speed
+        angle_limit=angle,
+        angle_step=2 * motor_step + 2 * encoder_resolution,
+        torque_limit=torque_limit,
+        # the motor can bend the link by its own step; a sample's noise is below 8 deviations for centuries
+        torque_step=2 * link.stiffness * motor_step + 8 * gauge_noise + 2 * gauge_quantum,
+        torque_trip=min(1.5 * torque, 0.9 * torque_limit),
+        reference_step=1.05 * moves.velocity * period,
+        acceleration_limit=1.2 * moves.acceleration,
+        motor_limit=angle,
+        motor_step=motor_step,
+        fade_step=min(1.0, period / FADE_TIME),
+        # two periods of delay that the motor model leaves out, at the speed of reference and feed-forward
+        residual_angle=3 * moves.velocity * period + 0.02,
+        stuck_torque=max(0.1 * torque, 8 * gauge_quantum + 4 * gauge_noise),
+    )
