@@ -18,7 +18,6 @@ namespace {
 using Vector = nb::ndarray<const double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 using Matrix = nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 using Mutable = nb::ndarray<double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
-using Bytes = nb::ndarray<const std::uint8_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 using MutableBytes = nb::ndarray<std::uint8_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 using Counters = nb::ndarray<std::uint32_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 using Result = nb::ndarray<nb::numpy, double, nb::ndim<2>>;
@@ -56,27 +55,41 @@ Result march(Matrix transition, Vector hub, Vector tip, Matrix outputs, Vector i
 }
 
 twin_rig rig_of(const Vector &values) {
-    require(values.size() == 11, "rig: 11 values");
+    require(values.size() == 10, "rig: 10 values");
     const double *v = values.data();
     const twin_rig rig = {static_cast<int>(v[0]), static_cast<int>(v[1]), static_cast<int>(v[2]), v[3], v[4], v[5],
-                          v[6], v[7], v[8], v[9], v[10]};
+                          v[6], v[7], v[8], v[9]};
     require(rig.substeps >= 1 && rig.voltage_delay >= 0 && rig.gauge_delay >= 0, "rig: counts");
     return rig;
 }
 
-twin_memory memory_of(const twin_rig &rig, std::size_t stride, Mutable &state, Mutable &gauge, Mutable &voltage,
-                      Counters &counters, std::vector<double> &scratch) {
-    require(state.size() == stride, "state: one value per row");
-    require(gauge.size() == static_cast<std::size_t>(rig.gauge_delay) + 1, "gauge: delay + 1 values");
-    require(voltage.size() >= 1 && voltage.size() >= static_cast<std::size_t>(rig.voltage_delay), "voltage: queue");
-    require(counters.size() == 2, "counters: stuck, tick");
-    return {state.data(), gauge.data(), voltage.data(), scratch.data(), static_cast<int>(counters.data()[0]),
-            counters.data()[1]};
-}
+// Buffers that the caller owns and the kernel continues from: link, gauge ring, voltage queue, counters.
+struct Memory {
+    Mutable state, gauge, voltage, sensed;
+    Counters counters;
+    std::vector<double> scratch;
+
+    twin_memory checked(const twin_rig &rig, std::size_t stride) {
+        require(state.size() == stride, "state: one value per row");
+        require(gauge.size() == static_cast<std::size_t>(rig.gauge_delay) + 1, "gauge: delay + 1 values");
+        require(voltage.size() == static_cast<std::size_t>(rig.voltage_delay) + 1, "voltage: delay + 1 values");
+        require(sensed.size() == 2 && counters.size() == 2, "sensed: angle, torque; counters: stuck, tick");
+        scratch.assign(stride, 0.0);
+        return {state.data(), gauge.data(), voltage.data(), scratch.data(), sensed.data()[0], sensed.data()[1],
+                static_cast<int>(counters.data()[0]), counters.data()[1]};
+    }
+
+    void keep(const twin_memory &memory) {
+        sensed.data()[0] = memory.angle;
+        sensed.data()[1] = memory.torque;
+        counters.data()[0] = static_cast<std::uint32_t>(memory.stuck);
+        counters.data()[1] = memory.tick;
+    }
+};
 
 Result run(Matrix transition, Vector hub, Vector tip, Matrix outputs, Vector rig_values, Vector obstacle_values,
-           Bytes params, Matrix reference, Vector gauge_error, Vector tip_force, MutableBytes law, Mutable state,
-           Mutable gauge, Mutable voltage, Counters counters) {
+           nb::bytes params, Matrix input, MutableBytes law, Mutable state, Mutable gauge, Mutable voltage,
+           Mutable sensed, Counters counters) {
     const twin_step step = step_of(transition, hub, tip, outputs);
     const twin_rig rig = rig_of(rig_values);
     require(obstacle_values.size() == 5, "obstacle: 5 values");
@@ -84,22 +97,24 @@ Result run(Matrix transition, Vector hub, Vector tip, Matrix outputs, Vector rig
     const twin_obstacle obstacle = {o[0], o[1], o[2], o[3], o[4]};
     require(params.size() == sizeof(law_params), "params: another size than law_params");
     require(law.size() == sizeof(law_state), "law: another size than law_state");
-    const std::size_t periods = gauge_error.size();
-    require(reference.shape(0) == periods && reference.shape(1) == 3, "reference: (periods, 3)");
-    require(tip_force.size() == periods, "tip_force: one value per period");
-    std::vector<double> scratch(hub.size());
-    twin_memory memory = memory_of(rig, hub.size(), state, gauge, voltage, counters, scratch);
+    require(input.shape(1) == TWIN_INPUTS, "input: (periods, TWIN_INPUTS)");
+    const std::size_t periods = input.shape(0);
+    Memory buffers{state, gauge, voltage, sensed, counters, {}};
+    twin_memory memory = buffers.checked(rig, hub.size());
     law_params block;
     law_state law_memory;
-    std::memcpy(&block, params.data(), sizeof block);
+    std::memcpy(&block, params.c_str(), sizeof block);
     std::memcpy(&law_memory, law.data(), sizeof law_memory);
     double *data = new double[periods * TWIN_COLUMNS]();
     Result whole = matrix(data, periods, TWIN_COLUMNS);
-    const int done = twin_run(&step, &rig, &obstacle, &block, static_cast<int>(periods), reference.data(),
-                              gauge_error.data(), tip_force.data(), &law_memory, &memory, data);
+    int done = 0;
+    {
+        nb::gil_scoped_release release;
+        done = twin_run(&step, &rig, &obstacle, &block, static_cast<int>(periods), input.data(), &law_memory, &memory,
+                        data);
+    }
     std::memcpy(law.data(), &law_memory, sizeof law_memory);
-    counters.data()[0] = static_cast<std::uint32_t>(memory.stuck);
-    counters.data()[1] = memory.tick;
+    buffers.keep(memory);
     if (static_cast<std::size_t>(done) == periods) {
         return whole;
     }
@@ -108,15 +123,15 @@ Result run(Matrix transition, Vector hub, Vector tip, Matrix outputs, Vector rig
     return matrix(part, static_cast<std::size_t>(done), TWIN_COLUMNS);
 }
 
-nb::tuple sense(Matrix transition, Vector hub, Vector tip, Matrix outputs, Vector rig_values, double gauge_error,
-                Mutable state, Mutable gauge, Mutable voltage, Counters counters) {
-    const twin_step step = step_of(transition, hub, tip, outputs);
+nb::tuple sense(Vector rig_values, Vector input, Mutable state, Mutable gauge, Mutable voltage, Mutable sensed,
+                Counters counters) {
     const twin_rig rig = rig_of(rig_values);
-    std::vector<double> scratch(hub.size());
-    const twin_memory memory = memory_of(rig, hub.size(), state, gauge, voltage, counters, scratch);
+    require(input.size() == TWIN_INPUTS, "input: TWIN_INPUTS values");
+    Memory buffers{state, gauge, voltage, sensed, counters, {}};
+    twin_memory memory = buffers.checked(rig, state.size());
     double angle = 0.0;
     double torque = 0.0;
-    twin_sense(&step, &rig, &memory, gauge_error, &angle, &torque);
+    twin_sense(&rig, &memory, input.data(), &angle, &torque);
     return nb::make_tuple(angle, torque);
 }
 
@@ -124,7 +139,8 @@ nb::tuple sense(Matrix transition, Vector hub, Vector tip, Matrix outputs, Vecto
 
 void bind_twin(nb::module_ &m) {
     m.def("twin_march", &march, "March the linear twin; `state` is updated in place.");
-    m.def("twin_run", &run, "Run the law on the twin; state, gauge, voltage, law and counters are updated in place.");
+    m.def("twin_run", &run, "Run the law on the twin; law and the buffers behind it are updated in place.");
     m.def("twin_sense", &sense, "Encoder and gauge as the controller reads them now.");
-    m.attr("TWIN_COLUMNS") = TWIN_COLUMNS;
+    m.attr("TWIN_COLUMNS") = static_cast<int>(TWIN_COLUMNS);
+    m.attr("TWIN_INPUTS") = static_cast<int>(TWIN_INPUTS);
 }

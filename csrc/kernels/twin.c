@@ -81,12 +81,25 @@ static double clamped(double value, double limit)
     return value > limit ? limit : (value < -limit ? -limit : value);
 }
 
-void twin_sense(const twin_step *step, const twin_rig *rig, const twin_memory *memory, double gauge_error,
-                double *angle, double *torque)
+void twin_sense(const twin_rig *rig, twin_memory *memory, const double *input, double *angle, double *torque)
 {
-    (void)step;
-    *angle = quantised(memory->state[0], rig->angle_quantum);
-    *torque = quantised(clamped(rig->gauge_gain * memory->gauge[0] + gauge_error, rig->gauge_limit), rig->gauge_quantum);
+    const int faults = (int)input[TWIN_FAULTS];
+    double a = quantised(input[TWIN_ENCODER_GAIN] * memory->state[0] + input[TWIN_ENCODER_ERROR], rig->angle_quantum);
+    double g = input[TWIN_GAUGE_GAIN] * memory->gauge[0] + input[TWIN_GAUGE_ERROR];
+    g = quantised(clamped(g, rig->gauge_limit), rig->gauge_quantum);
+    if (faults != 0) {
+        a = (faults & TWIN_ENCODER_FROZEN) ? memory->angle : a;
+        g = (faults & TWIN_GAUGE_FROZEN) ? memory->torque : g;
+        a = (faults & TWIN_ENCODER_REPLACED) ? input[TWIN_ENCODER_VALUE] : a;
+        g = (faults & TWIN_GAUGE_REPLACED) ? input[TWIN_GAUGE_VALUE] : g;
+        if (faults & TWIN_SWAPPED) {
+            const double swap = a;
+            a = g;
+            g = swap;
+        }
+    }
+    memory->angle = *angle = a;
+    memory->torque = *torque = g;
 }
 
 /* Push of the obstacle on the tip [N]: never a pull, whatever the damping says. */
@@ -129,51 +142,70 @@ static void motor_step(const twin_step *step, const twin_rig *rig, double torque
     memory->gauge[rig->gauge_delay] = output(step, 3, memory->state);
 }
 
-int twin_run(const twin_step *step, const twin_rig *rig, const twin_obstacle *obstacle, const law_params *params,
-             int periods, const double *reference, const double *gauge_error, const double *tip_force,
-             law_state *law, twin_memory *memory, double *record)
+/* The law's answer of one period, and the voltage that acts: `voltage_delay` periods late, within the limit. */
+static double control(const twin_rig *rig, const law_params *params, const double *input, law_state *law,
+                      twin_memory *memory, double *record)
 {
-    for (int k = 0; k < periods; ++k, record += TWIN_COLUMNS) {
-        double angle, torque;
-        twin_sense(step, rig, memory, gauge_error[k], &angle, &torque);
-        const law_input input = {memory->tick,
-                                 (law_real)reference[3 * k],
-                                 (law_real)reference[3 * k + 1],
-                                 (law_real)reference[3 * k + 2],
-                                 (law_real)angle,
-                                 (law_real)torque};
-        law_output answer;
-        law_step(law, params, &input, &answer);
-        memory->tick++;
+    const int faults = (int)input[TWIN_FAULTS];
+    law_input given;
+    law_output answer;
+    double angle, torque;
+    twin_sense(rig, memory, input, &angle, &torque);
+    given.tick = memory->tick;
+    given.reference = (law_real)input[TWIN_REFERENCE];
+    given.reference_velocity = (law_real)input[TWIN_VELOCITY];
+    given.reference_acceleration = (law_real)input[TWIN_ACCELERATION];
+    given.motor_angle = (law_real)angle;
+    given.torque = (law_real)torque;
+    memory->tick++;
 
-        double voltage = answer.voltage;
-        if (rig->voltage_delay > 0) {
-            voltage = memory->voltage[0];
-            memmove(memory->voltage, memory->voltage + 1, sizeof(double) * (size_t)(rig->voltage_delay - 1));
-            memory->voltage[rig->voltage_delay - 1] = answer.voltage;
+    double *queue = memory->voltage;
+    const int last = rig->voltage_delay;
+    if (faults & TWIN_TICK_MISSED) {
+        /* The timer's hardware goes on with the voltage it was given last. */
+        answer = (law_output){0};
+        answer.motor_reference = law->motor_reference;
+        answer.voltage = queue[last];
+        answer.mode = law->mode;
+        answer.reason = law->reason;
+    } else {
+        law_step(law, params, &given, &answer);
+        if (faults & TWIN_TICK_REPEATED) {
+            law_step(law, params, &given, &answer);
         }
-        voltage = clamped(voltage, rig->voltage_limit);
+    }
+    queue[last] = answer.voltage;
+    const double voltage = clamped(queue[0], rig->voltage_limit);
+    memmove(queue, queue + 1, sizeof(double) * (size_t)last);
 
-        record[0] = reference[3 * k];
-        record[1] = memory->state[0];
-        record[2] = output(step, 2, memory->state);
-        record[3] = output(step, 3, memory->state);
-        record[4] = angle;
-        record[5] = torque;
-        record[6] = answer.motor_reference;
-        record[7] = voltage;
-        record[8] = answer.voltage;
-        record[9] = answer.mode;
-        record[10] = answer.reason;
-        record[11] = answer.flags;
-        record[12] = memory->state[1];
+    record[TWIN_OUT_REFERENCE] = input[TWIN_REFERENCE];
+    record[TWIN_OUT_ENCODER] = angle;
+    record[TWIN_OUT_GAUGE] = torque;
+    record[TWIN_OUT_MOTOR_REFERENCE] = answer.motor_reference;
+    record[TWIN_OUT_VOLTAGE] = voltage;
+    record[TWIN_OUT_ASKED] = answer.voltage;
+    record[TWIN_OUT_MODE] = answer.mode;
+    record[TWIN_OUT_REASON] = answer.reason;
+    record[TWIN_OUT_FLAGS] = answer.flags;
+    return voltage;
+}
+
+int twin_run(const twin_step *step, const twin_rig *rig, const twin_obstacle *obstacle, const law_params *params,
+             int periods, const double *input, law_state *law, twin_memory *memory, double *record)
+{
+    for (int k = 0; k < periods; ++k, input += TWIN_INPUTS, record += TWIN_COLUMNS) {
         double largest = 0.0;
+        record[TWIN_OUT_MOTOR_ANGLE] = memory->state[0];
+        record[TWIN_OUT_MOTOR_VELOCITY] = memory->state[1];
+        record[TWIN_OUT_TIP_ANGLE] = output(step, 2, memory->state);
+        record[TWIN_OUT_TORQUE] = output(step, 3, memory->state);
+        const double torque = rig->torque_per_volt * control(rig, params, input, law, memory, record);
         for (int j = 0; j < rig->substeps; ++j) {
             const double push = contact(step, obstacle, memory->state);
             largest = fabs(push) > largest ? fabs(push) : largest;
-            motor_step(step, rig, rig->torque_per_volt * voltage, push + tip_force[k], memory);
+            motor_step(step, rig, torque, push + input[TWIN_TIP_FORCE], memory);
         }
-        record[13] = largest;
+        record[TWIN_OUT_CONTACT] = largest;
         if (!(fabs(memory->state[0]) < 1e6)) {
             return k + 1; /* diverged: the numbers behind it would be infinite */
         }

@@ -28,7 +28,6 @@ typedef struct {
     double coulomb;          /* sliding friction [N m] */
     double stiction;         /* breakaway friction [N m], >= coulomb */
     double angle_quantum;    /* encoder count [rad], 0: none */
-    double gauge_gain;       /* reading per true torque, 1: calibrated */
     double gauge_quantum;    /* [N m], 0: none */
     double gauge_limit;      /* [N m], infinity: none */
 } twin_rig;
@@ -44,10 +43,12 @@ typedef struct {
 
 /* What the loop remembers besides the link's states and the law. */
 typedef struct {
-    double *state;    /* stride */
-    double *gauge;    /* ring of gauge_delay + 1 true torques, the oldest first */
-    double *voltage;  /* queue of voltage_delay voltages, the next one first; at least 1 long */
-    double *scratch;  /* stride */
+    double *state;   /* stride */
+    double *gauge;   /* ring of gauge_delay + 1 true torques, the oldest first */
+    double *voltage; /* queue of voltage_delay voltages, the next one first; then the last one asked for */
+    double *scratch; /* stride */
+    double angle;    /* what the sensors gave last, for the fault of a frozen channel */
+    double torque;
     int stuck;
     uint32_t tick;
 } twin_memory;
@@ -56,17 +57,56 @@ typedef struct {
 void twin_march(const twin_step *step, int periods, int substeps, const double *input, double *state,
                 double *scratch, double *output);
 
-/* Encoder and gauge as the controller reads them now. */
-void twin_sense(const twin_step *step, const twin_rig *rig, const twin_memory *memory, double gauge_error,
-                double *angle, double *torque);
+/* Columns of the inputs of one control period. */
+enum {
+    TWIN_REFERENCE,
+    TWIN_VELOCITY,
+    TWIN_ACCELERATION,
+    TWIN_GAUGE_ERROR, /* offset + drift + noise [N m] */
+    TWIN_TIP_FORCE,   /* [N] */
+    TWIN_FAULTS,      /* bits below; 0 on a healthy rig */
+    TWIN_ENCODER_GAIN,
+    TWIN_ENCODER_ERROR,
+    TWIN_ENCODER_VALUE,
+    TWIN_GAUGE_GAIN,
+    TWIN_GAUGE_VALUE,
+    TWIN_INPUTS
+};
 
-#define TWIN_COLUMNS 14
-/* Run the law on the twin for `periods` control periods. Inputs per period: reference (angle, velocity,
- * acceleration), gauge_error (offset + drift + noise, N m), tip force (N). Rows of `record`: reference, true
- * hub angle, true tip angle, true gauge torque, read hub angle, read torque, motor reference, voltage applied,
- * voltage asked, mode, reason, flags, hub velocity, largest contact force. Returns the number of periods run. */
+/* Faults of one period, between the sensors and the law. */
+#define TWIN_ENCODER_REPLACED 1
+#define TWIN_GAUGE_REPLACED 2
+#define TWIN_ENCODER_FROZEN 4
+#define TWIN_GAUGE_FROZEN 8
+#define TWIN_SWAPPED 16
+#define TWIN_TICK_MISSED 32
+#define TWIN_TICK_REPEATED 64
+
+/* Columns of the record of one control period, at its beginning. */
+enum {
+    TWIN_OUT_REFERENCE,
+    TWIN_OUT_MOTOR_ANGLE,
+    TWIN_OUT_TIP_ANGLE,
+    TWIN_OUT_TORQUE,
+    TWIN_OUT_ENCODER,
+    TWIN_OUT_GAUGE,
+    TWIN_OUT_MOTOR_REFERENCE,
+    TWIN_OUT_VOLTAGE,
+    TWIN_OUT_ASKED,
+    TWIN_OUT_MODE,
+    TWIN_OUT_REASON,
+    TWIN_OUT_FLAGS,
+    TWIN_OUT_MOTOR_VELOCITY,
+    TWIN_OUT_CONTACT,
+    TWIN_COLUMNS
+};
+
+/* Encoder and gauge as the controller reads them now, faults included. */
+void twin_sense(const twin_rig *rig, twin_memory *memory, const double *input, double *angle, double *torque);
+
+/* Run the law on the twin for `periods` control periods: rows of TWIN_INPUTS in, rows of TWIN_COLUMNS out.
+ * Returns the number of periods run, less than asked for only where the twin left every bound. */
 int twin_run(const twin_step *step, const twin_rig *rig, const twin_obstacle *obstacle, const law_params *params,
-             int periods, const double *reference, const double *gauge_error, const double *tip_force,
-             law_state *law, twin_memory *memory, double *record);
+             int periods, const double *input, law_state *law, twin_memory *memory, double *record);
 
 #endif

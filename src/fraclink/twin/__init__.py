@@ -7,8 +7,9 @@ same logs as a rig. It is a simulation, and everything it writes says so.
 
 from __future__ import annotations
 
-from fraclink.twin.beam import Beam, Modes, exact_frequencies
+from fraclink.twin.beam import Beam, Modes
 from fraclink.twin.damping import FractionalKelvinVoigt, KelvinVoigt, PowerLaw
+from fraclink.twin.frequencies import exact_frequencies
 from fraclink.twin.logs import TwinLog, simulate_log
 from fraclink.twin.plant import Plant, assemble
 from fraclink.twin.sensors import Sensors
