@@ -14,6 +14,7 @@ from fraclink.errors import FieldError
 if TYPE_CHECKING:
     from fraclink.fractional import FractionalTransferFunction
     from fraclink.law import Law
+    from fraclink.law.block import Precision
     from fraclink.link import LinkModel
 
 __all__ = ["Controller", "InnerLoopSettings"]
@@ -177,7 +178,7 @@ class Controller:
         return 1.0 + self.correction()
 
     def discretize(
-        self, period: float | None = None, *, order: int | None = None, precision: str = "double"
+        self, period: float | None = None, *, order: int | None = None, precision: Precision = "double"
     ) -> Law:
         """Return the law that runs at `period` [s]: the same coefficients are simulated and exported.
 

@@ -81,7 +81,7 @@ def _reason(request: Request, found: tuple[Solution, ...]) -> tuple[str, str]:
     if violated is None:
         return (
             "phase margin at the other gain crossing",
-            f"β = {best.order:.6g} solves (55), but where |L| rises through one the loop passes -1 more closely",
+            f"β = {best.order:.6g} solves (55), but where |L| rises through one the loop passes -1 closer",
         )
     if "peak" in violated:
         return violated, _peak_sentence(request, violated)

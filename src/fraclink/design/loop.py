@@ -7,6 +7,7 @@ that neither a crossing nor an encirclement can be lost to a phase that jumps by
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -42,7 +43,8 @@ class OpenLoop:
     """``L(jω; ϖ) = k (jω)^β / (1 + jδω)^n · e^{-jωτ} / (1 + jωε)² · G(jω; ϖ)``.
 
     ``lag`` is ε = 1/p of the motor loop M(s), zero for the ideal one; ``delay`` is τ [s].
-    ``G = (μ s^α + ϖ²)/(s^λ + μ s^α + ϖ²)``.
+    ``G = (μ s^α + ϖ²)/(s^λ + μ s^α + ϖ²)``. ``correction(ω)`` is the logarithm of what the sampled
+    motor loop makes of M(s) and the delay, where it is known.
     """
 
     gain: float
@@ -54,6 +56,7 @@ class OpenLoop:
     filter_order: int = 1
     lag: float = 0.0
     delay: float = 0.0
+    correction: Callable[[Real], Complex] | None = None
 
     def log(self, frequency: ArrayLike, natural_frequency: ArrayLike) -> Complex:
         """Return ln L(jω) with the unwrapped phase as its imaginary part; the arguments broadcast."""
@@ -66,6 +69,8 @@ class OpenLoop:
             value = value - self.filter_order * np.log(1.0 + 1j * self.filter_time * w)
         if self.lag:
             value = value - 2.0 * np.log(1.0 + 1j * self.lag * w)
+        if self.correction is not None:
+            value = value + self.correction(w)
         return np.asarray(value - 1j * self.delay * w, dtype=np.complex128)
 
     def level(self, frequency: ArrayLike, natural_frequency: ArrayLike) -> Real:
@@ -84,6 +89,8 @@ class OpenLoop:
         for time, power in ((self.filter_time, self.filter_order), (self.lag, 2)):
             if time:
                 value = value - 0.5 * power * np.log1p((time * w) ** 2)
+        if self.correction is not None:
+            value = value + self.correction(w).real
         return np.asarray(value)
 
     def _link_terms(self, ln_w: Real, natural_frequency: ArrayLike) -> tuple[Complex, Complex, Complex]:
@@ -113,6 +120,12 @@ class OpenLoop:
         for time, power in ((self.filter_time, self.filter_order), (self.lag, 2)):
             if time:
                 value = value - power * 1j * time * w / (1.0 + 1j * time * w)
+        if self.correction is not None:
+            step = (
+                1e-5  # of ln ω: the central difference is then good to 1e-10, ample for Newton and for signs
+            )
+            up, down = self.correction(w * math.exp(step)), self.correction(w * math.exp(-step))
+            value = value + (up - down) / (2.0 * step)
         return np.asarray(value, dtype=np.complex128)
 
     def __call__(self, frequency: ArrayLike, natural_frequency: ArrayLike) -> Complex:

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink.controller import Controller
+from fraclink.controller import Controller, InnerLoopSettings
+from fraclink.design.inner import inner_correction, sampled_inner
 from fraclink.design.loop import OpenLoop
 from fraclink.design.request import link_at, payload_of
 from fraclink.design.sampled import SampledPlant, link_plant, realised
@@ -74,6 +75,10 @@ def open_loop(controller: Controller, model: LinkModel, rig: Rig, *, margins: st
     pole = rig.inner.pole if inner is None else inner.pole
     samples = rig.inner.delay_samples if inner is None else inner.delay_samples
     period = rig.period if controller.period is None else controller.period
+    kind = "ideal" if inner is None else inner.kind
+    correction = None
+    if inside and inner is not None and kind == "sampled":
+        correction = inner_correction(rig.motor, pole, period, samples, inner.placement)
     return OpenLoop(
         gain=controller.gain,
         order=controller.order,
@@ -84,6 +89,7 @@ def open_loop(controller: Controller, model: LinkModel, rig: Rig, *, margins: st
         filter_order=controller.filter_order,
         lag=1.0 / pole if inside else 0.0,
         delay=(samples + 0.5) * period if inside else 0.0,
+        correction=correction,
     )
 
 
@@ -160,10 +166,13 @@ class Plan:
 
     def sampled_plant(self, natural_frequency: float) -> SampledPlant:
         """Return what the law sees from its motor reference to the tip estimate, exactly sampled."""
-        loop = open_loop(self.controller, self.model, self.rig, margins="loop")
-        link = replace(loop, gain=1.0, order=0.0, filter_time=0.0, lag=0.0, delay=0.0)
-        rest = loop.delay - 0.5 * self.rig.period
-        return link_plant(link, natural_frequency, lag=loop.lag, period=self.rig.period, delay=rest)
+        inner, period = self.controller.inner or InnerLoopSettings(), self.rig.period
+        link = replace(self.loop, gain=1.0, order=0.0, filter_time=0.0, lag=0.0, delay=0.0, correction=None)
+        if inner.kind == "sampled":
+            motor = sampled_inner(self.rig, inner.pole, inner.delay_samples, placement=inner.placement)
+            return link_plant(link, natural_frequency, motor=motor, period=period, delay=0.0)
+        delay = inner.delay_samples * period
+        return link_plant(link, natural_frequency, motor=1.0 / inner.pole, period=period, delay=delay)
 
     def sampled_at(self, payload: float, *, realisation: str = "law") -> Margins:
         """Return every margin of the true sampled loop at `payload` [kg] > 0.

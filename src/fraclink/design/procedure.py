@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+import numpy as np
+from numpy.typing import NDArray
+
 from fraclink.controller import Controller, InnerLoopSettings
 from fraclink.design.infeasible import refuse
+from fraclink.design.inner import inner_correction
 from fraclink.design.loop import OpenLoop
 from fraclink.design.plan import Plan
 from fraclink.design.request import Request, check_request, link_at
@@ -33,6 +38,7 @@ def design(
     filter_time: float | None = None,
     filter_order: int | None = None,
     inner: str = "ideal",
+    placement: str = "tustin",
 ) -> Plan:
     """Design ``C(s) = 1 + k_d s^β/(1 + δs)^n`` for every payload of a range (section 6, eqs. (54)–(57)).
 
@@ -62,6 +68,8 @@ def design(
         n, 1 or 2; 1 for β < 1 and 2 otherwise when left out.
     inner
         "ideal" (M(s) of eq. (21)) or "sampled" (the PID at the control period, on the motor).
+    placement
+        for the sampled motor loop: "tustin" discretises (19), (20); "direct" places its poles in z.
 
     Returns
     -------
@@ -96,6 +104,7 @@ def design(
         filter_time=filter_time,
         filter_order=filter_order,
         inner=inner,
+        placement=placement,
     )
     solution, order = admissible(request)
     controller = _controller(request, rig, solution, order)
@@ -129,6 +138,7 @@ def specification(request: Request, order: int) -> Specification:
         filter_order=order,
         lag=1.0 / request.inner_pole if inside else 0.0,
         delay=(request.delay_samples + 0.5) * request.period if inside else 0.0,
+        correction=_correction(request) if inside else None,
     )
     return Specification(
         bare=bare,
@@ -138,6 +148,14 @@ def specification(request: Request, order: int) -> Specification:
         phase_margin=request.phase_margin,
         highest=math.pi / request.period if inside else math.inf,
         rule=inside and request.filter_time is None,
+    )
+
+
+def _correction(request: Request) -> Callable[[NDArray[np.float64]], NDArray[np.complex128]] | None:
+    if request.inner_kind != "sampled":
+        return None
+    return inner_correction(
+        request.motor, request.inner_pole, request.period, request.delay_samples, request.placement
     )
 
 
@@ -186,7 +204,9 @@ def _controller(request: Request, rig: Rig, solution: Solution, order: int) -> C
         filter_time=time,
         filter_order=order,
         link=nominal,
-        inner=InnerLoopSettings(request.inner_pole, request.delay_samples, request.inner_kind),
+        inner=InnerLoopSettings(
+            request.inner_pole, request.delay_samples, request.inner_kind, request.placement
+        ),
         period=request.period,
     )
 

@@ -12,7 +12,7 @@ from fraclink.errors import FieldError
 
 if TYPE_CHECKING:
     from fraclink.link import LinkModel
-    from fraclink.rig import Rig
+    from fraclink.rig import Motor, Rig
 
 __all__ = ["Request", "check_number", "check_request", "deg", "link_at"]
 
@@ -63,6 +63,7 @@ class Request:
     """A checked design request; frequencies in rad/s, angles in radians, times in seconds."""
 
     model: LinkModel
+    motor: Motor
     low: float  # ϖ of the heaviest payload
     high: float  # ϖ of the lightest payload
     payloads: tuple[float, float]  # kg, (light, heavy)
@@ -72,6 +73,7 @@ class Request:
     filter_time: float | None
     filter_order: int | None
     inner_kind: str
+    placement: str
     inner_pole: float
     delay_samples: int
     period: float
@@ -184,6 +186,7 @@ def check_request(
     filter_time: object,
     filter_order: object,
     inner: object,
+    placement: object,
 ) -> Request:
     """Return the request with every number checked (entries B25–B44 of the list of bad inputs)."""
     low, high, masses = _range(model, rig, payloads, natural_frequencies)
@@ -202,6 +205,7 @@ def check_request(
     _check_bandwidth(crossover, kind, rig, period)
     return Request(
         model=model,
+        motor=rig.motor,
         low=low,
         high=high,
         payloads=masses,
@@ -211,6 +215,7 @@ def check_request(
         filter_time=None if filter_time is None else check_number("filter_time", filter_time, 0.0, 1e3, "s"),
         filter_order=_filter_order(filter_order),
         inner_kind=_choice("inner", inner, ("ideal", "sampled")),
+        placement=_choice("placement", placement, ("tustin", "direct")),
         inner_pole=check_number("inner.pole", rig.inner.pole, 0.0, 1e6, "rad/s", open_low=True),
         delay_samples=int(rig.inner.delay_samples),
         period=period,

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fraclink.controller import Controller
+from fraclink.design.inner import SampledInner
 from fraclink.design.loop import OpenLoop
 from fraclink.errors import FieldError
 
@@ -58,6 +59,7 @@ class SampledPlant:
     delay: float
     decay: float
     leading: float
+    before: Callable[[Real], Complex] | None = None  # what acts ahead of the hold, on the unit circle
 
     def __call__(self, frequency: ArrayLike) -> Complex:
         """Return P_d at `frequency` [rad/s], 0 < ω <= π/Ts, shape kept."""
@@ -67,7 +69,8 @@ class SampledPlant:
         total = np.sum(self.response(s) / s * np.exp(-self.delay * s), axis=-1)
         if self._whole_samples:
             total = total + self._far(w, rate) * np.exp(-1j * self.delay * w)
-        return np.asarray((1.0 - np.exp(-1j * self.period * w)) / self.period * total, dtype=np.complex128)
+        held = -np.expm1(-1j * self.period * w) / self.period * total
+        return np.asarray(held if self.before is None else held * self.before(w), dtype=np.complex128)
 
     @property
     def _whole_samples(self) -> bool:
@@ -94,26 +97,39 @@ def grunwald_response(gain: float, order: float, frequency: ArrayLike, period: f
 
 
 def link_plant(
-    link: OpenLoop, natural_frequency: float, *, lag: float, period: float, delay: float
+    link: OpenLoop,
+    natural_frequency: float,
+    *,
+    motor: float | SampledInner,
+    period: float,
+    delay: float,
 ) -> SampledPlant:
-    """Return the sampled ``M(s) G(s)``; `link` is the open loop with k = 1, β = 0 and nothing else in it."""
+    """Return the sampled ``M(s) G(s)``, or motor and link under the sampled motor loop's voltage.
+
+    `link` is the open loop with k = 1, β = 0 and nothing else in it; `motor` is ε = 1/p of M(s), zero for the
+    ideal one, or the sampled loop itself.
+    """
     spring = natural_frequency**2
+    sampled = motor if isinstance(motor, SampledInner) else None
+    lag = 0.0 if isinstance(motor, SampledInner) else motor
 
     def response(s: Complex) -> Complex:
         inertia = np.exp(link.link_order * np.log(s))
         drag = link.damping * np.exp(link.damping_order * np.log(s)) if link.damping else 0.0
-        motor = (1.0 + lag * s) ** 2
-        return np.asarray((drag + spring) / ((inertia + drag + spring) * motor), dtype=np.complex128)
+        drive = s * (s + sampled.motor.decay) / sampled.motor.gain if sampled else (1.0 + lag * s) ** 2
+        return np.asarray((drag + spring) / ((inertia + drag + spring) * drive), dtype=np.complex128)
 
     softest = link.link_order - (link.damping_order if link.damping else 0.0)
     strength = link.damping if link.damping else spring
-    motor_order = 2.0 if lag else 0.0
+    motor_order = 2.0 if lag or sampled else 0.0
+    drive_gain = sampled.motor.gain if sampled else (lag**-2 if lag else 1.0)
     return SampledPlant(
         response=response,
         period=period,
         delay=delay,
         decay=1.0 + motor_order + softest,
-        leading=strength / (lag**2 if lag else 1.0),
+        leading=strength * drive_gain,
+        before=sampled.voltage if sampled else None,
     )
 
 
