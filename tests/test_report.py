@@ -1,0 +1,231 @@
+"""The report: complete in itself, the same every time, and deaf to what file names try."""
+
+from __future__ import annotations
+
+import math
+import re
+import subprocess
+import sys
+from collections import Counter
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fraclink.experiment import Experiment
+from fraclink.findings import Finding
+from fraclink.report import render_report, write_report
+from fraclink.report.figures.drawing import envelope
+from fraclink.report.numbers import number, uncertain
+from fraclink.rig import Rig
+from fraclink.study import Request, Study, design_for
+from needed_tools import tool
+
+HOSTILE = [
+    "<img src=x onerror=alert(1)>",
+    "<script>alert(1)</script>",
+    "</title><script>alert(1)</script>",
+    "</style><b>x</b>",
+    "</svg><script>alert(1)</script>",
+    '"><svg onload=alert(1)>',
+    "'><iframe src=//evil.example>",
+    "<a href=javascript:alert(1)>x</a>",
+    "&lt;script&gt;alert(1)&lt;/script&gt;",
+    "&#60;script&#62;",
+    "<!-- ",
+    "-->",
+    "]]><script>x</script>",
+    "<![CDATA[<script>x</script>]]>",
+    "{{ 7 * 7 }}",
+    "{% include 'report.css' %}",
+    "${alert(1)}",
+    "$\\mathrm{x}$ and $$",
+    "<math><mi>x</mi></math>",
+    "<base href=//evil.example>",
+    "<meta http-equiv=refresh content=0>",
+    "<link rel=stylesheet href=//evil.example>",
+    "<object data=x>",
+    "<form action=//evil.example><input>",
+    "<style>*{display:none}</style>",
+    "<table><tr><td>",
+    "\u202eright to left <b>",
+    "<IMG SRC=`x`>",
+    "<x onclick=alert(1)>x",
+    "<details open ontoggle=alert(1)>",
+    "%3Cscript%3E<u>",
+]
+RIG = Rig.named("paper-2023")
+
+
+class Elements(HTMLParser):
+    """Counts start tags with the names of their attributes, and keeps what they refer to."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.found: Counter[tuple[str, tuple[str, ...]]] = Counter()
+        self.references: list[str] = []
+        self.texts: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.found[tag, tuple(sorted(name for name, _ in attrs))] += 1
+        names = {"src", "href", "xlink:href", "data", "action", "srcset", "poster"}
+        self.references += [value or "" for name, value in attrs if name in names]
+
+    def handle_data(self, data: str) -> None:
+        self.texts.append(data)
+
+
+def parsed(text: str) -> Elements:
+    """The elements of a page."""
+    elements = Elements()
+    elements.feed(text)
+    elements.close()
+    return elements
+
+
+def study(text: str, *, plan: bool = False) -> Study:
+    """A study whose every text from outside is `text`."""
+    time = np.arange(400) * 0.004
+    log = Experiment(
+        period=0.004,
+        motor_angle=np.sin(time),
+        output=np.cos(time),
+        source=f"{text}.csv",
+        notes=(("title", text), ("source", text)),
+    )
+    finding = Finding("W201", "warning", text, {}, text)
+    made = design_for(RIG, None, Request())[0] if plan else None
+    return Study(
+        rig=replace(RIG, name=text, source=text, assumptions=(text,)),
+        experiment=log,
+        findings=(finding, replace(finding, code="W101")),
+        plan=made,
+        infeasible=text,
+        assumptions=(text,),
+    )
+
+
+@pytest.fixture(scope="module")
+def plain() -> Elements:
+    return parsed(render_report(study("plain"), title="plain"))
+
+
+@pytest.mark.parametrize("text", HOSTILE)
+def test_no_text_from_outside_becomes_an_element(text: str, plain: Elements) -> None:
+    page = parsed(render_report(study(text), title=text))
+    assert page.found == plain.found
+    assert page.references == plain.references
+
+
+def test_the_counter_sees_a_new_element(plain: Elements) -> None:
+    assert parsed("<p>x</p>" + HOSTILE[0]).found != parsed("<p>x</p>").found
+    assert plain.found[
+        "svg", ("aria-label", "height", "role", "version", "viewbox", "width", "xmlns", "xmlns:xlink")
+    ]
+
+
+def test_the_page_asks_nobody_for_anything() -> None:
+    text = render_report(study("plain", plan=True))
+    assert all(reference.startswith("#") for reference in parsed(text).references)
+    assert "url(" not in re.sub(r"url\(#[\w-]+\)", "", text)
+    assert "@import" not in text
+    assert "default-src 'none'" in text
+    assert "<script" not in text
+
+
+def test_ids_are_unique_and_every_reference_has_its_target() -> None:
+    text = render_report(study("plain", plan=True))
+    ids = re.findall(r'\bid="([^"]+)"', text)
+    assert [name for name, count in Counter(ids).items() if count > 1] == []
+    used = re.findall(r'href="#([^"]+)"|url\(#([^)]+)\)', text)
+    assert {first or second for first, second in used} <= set(ids)
+
+
+def test_the_same_study_gives_the_same_bytes_in_another_process(tmp_path: Path) -> None:
+    code = (
+        "from fraclink.rig import Rig; from fraclink.study import Request, Study, design_for\n"
+        "from fraclink.report import write_report\n"
+        "rig = Rig.named('paper-2023'); plan, _ = design_for(rig, None, Request())\n"
+        "import sys; write_report(Study(rig=rig, plan=plan), sys.argv[1])"
+    )
+    places = [tmp_path / "a.html", tmp_path / "b.html"]
+    for place, seed in zip(places, ("1", "2"), strict=True):
+        environment = {"PYTHONHASHSEED": seed, "PATH": "", "MPLCONFIGDIR": str(tmp_path)}
+        subprocess.run([sys.executable, "-c", code, str(place)], check=True, env=environment)  # noqa: S603
+    assert places[0].read_bytes() == places[1].read_bytes()
+
+
+def test_a_report_of_nothing_says_so() -> None:
+    text = render_report(Study())
+    assert "Does not hold" in text
+    assert "there is no design" in text
+
+
+def test_an_infeasible_design_is_told() -> None:
+    assert "because of the moon" in render_report(Study(rig=RIG, infeasible="because of the moon"))
+
+
+def test_the_design_shows_every_requirement_with_its_payload() -> None:
+    made, _ = design_for(RIG, None, Request())
+    texts = " ".join(parsed(render_report(Study(rig=RIG, plan=made))).texts)
+    for requirement in made.requirements:
+        assert requirement.name in texts
+    assert number(made.controller.gain, 6) in texts
+    assert "48.8°" in texts or "50.0°" in texts  # the sampled margin at 20 g stands beside the one asked for
+
+
+def test_nothing_is_left_when_writing_fails(tmp_path: Path) -> None:
+    place = tmp_path / "folder"
+    place.mkdir()
+    with pytest.raises(OSError, match="folder"):
+        write_report(Study(), place)
+    assert [entry.name for entry in tmp_path.iterdir()] == ["folder"]
+
+
+def test_thinning_keeps_every_peak() -> None:
+    values = np.zeros(50_000)
+    values[31_234] = 1.0
+    values[7] = -2.0
+    time, thinned = envelope(np.arange(50_000.0), values)
+    assert len(time) < 2_000
+    assert thinned.max() == 1.0
+    assert thinned.min() == -2.0
+    assert np.all(np.diff(time) >= 0)
+
+
+@pytest.mark.parametrize(
+    ("value", "shown"),
+    [(0.0, "0"), (math.nan, "–"), (None, "–"), (1e-12, "1×10⁻¹²"), (-1.5, "−1.5"), (123456.0, "1.235×10⁵")],
+)
+def test_numbers_read_well(value: float | None, shown: str) -> None:
+    assert number(value) == shown
+
+
+def test_an_uncertain_number_shows_the_digits_it_has() -> None:
+    assert uncertain(10.0234567, 0.00123) == "10.0235 ± 0.0012"
+    assert uncertain(5.0, math.inf) == "5"
+
+
+def test_a_browser_shows_the_page_without_a_complaint(tmp_path: Path) -> None:
+    browser = tool("chromium")
+    place = write_report(study(HOSTILE[0], plan=True), tmp_path / "report.html")
+    command = [
+        browser,
+        "--headless",
+        "--no-sandbox",
+        "--disable-gpu",
+        "--enable-logging=stderr",
+        "--dump-dom",
+    ]
+    answer = subprocess.run(  # noqa: S603
+        [*command, f"--user-data-dir={tmp_path / 'profile'}", place.as_uri()],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=True,
+    )
+    assert "alert" in answer.stdout  # the hostile name is on the page, as text
+    assert "CONSOLE" not in answer.stderr  # neither a refused style nor a script that ran
+    assert answer.stdout.count("<svg") == 4
