@@ -1,9 +1,9 @@
 """The motor and its inner loop: two-degree-of-freedom PID by pole placement, and its discretisation.
 
 The motor at the gear's output is θm/u' = A/(s(s + B)) (1). Two controllers with one filter pole close it,
-u' = Cm1(s)(θm* − θm) − Cm2(s) θm with Cm1 = (a2 s² + a1 s + a0)/(s(s + c)) (19), Cm2 = (b1 s + b0)/(s + c) (20),
-so that θm/θm* = M(s) = 1/(1 + s/p)² (21). Source: Benftima et al. 2023; the printed c of (19) is the filter's pole,
-not the link's stiffness, and the values below are recomputed from A, B and p.
+u' = Cm1(s)(θm* − θm) − Cm2(s) θm with Cm1 = (a2 s² + a1 s + a0)/(s(s + c)) (19), Cm2 = (b1 s + b0)/(s + c)
+(20), so that θm/θm* = M(s) = 1/(1 + s/p)² (21). Source: Benftima et al. 2023; the printed c of (19) is the
+filter's pole, not the link's stiffness, and the values below are recomputed from A, B and p.
 """
 
 from __future__ import annotations
@@ -123,7 +123,8 @@ class InnerLoop:
 
         >>> from types import SimpleNamespace
         >>> loop = inner_loop(SimpleNamespace(gain=3056.7686, decay=15.152838), 80.0)
-        >>> [round(loop.sampled_radius(0.004, method=m), 3) for m in ("tustin", "backward", "zero-order-hold")]
+        >>> methods = ("tustin", "backward", "zero-order-hold")
+        >>> [round(loop.sampled_radius(0.004, method=method), 3) for method in methods]
         [0.951, 1.004, 1.006]
         """
         matrix = _closed_matrix(self, self.discretize(period, method=method), delay_samples)

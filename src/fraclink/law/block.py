@@ -98,7 +98,9 @@ def _format(precision: Precision) -> str:
 
 
 def pack(values: Mapping[str, float | Sequence[float]], precision: Precision) -> bytes:
-    """Return the block as bytes, with size and CRC-32 filled in; lists shorter than their field end in zeros."""
+    """Return the block as bytes, with size and CRC-32 filled in; lists shorter than their field end in
+    zeros.
+    """
     flat: list[float] = []
     for name, length in REALS:
         given = values[name]
@@ -124,7 +126,9 @@ def pack(values: Mapping[str, float | Sequence[float]], precision: Precision) ->
 
 
 def unpack(block: bytes, precision: Precision) -> dict[str, float | list[float]]:
-    """Return what `pack` was given, as the law really has it: reals rounded to its precision, lists in full."""
+    """Return what `pack` was given, as the law really has it: reals rounded to its precision, lists in
+    full.
+    """
     items = list(struct.unpack(_format(precision), block[16:]))
     result: dict[str, float | list[float]] = dict(
         zip(HEADER, map(float, struct.unpack("<IIII", block[:16])), strict=True)

@@ -40,20 +40,23 @@ def discretize_controller(
 ) -> Law:
     """Return the law that runs the controller at `period` [s].
 
-    Ĉ(s) = k_d s^β/(1 + δs)^n becomes (1 − z⁻¹)(d + Σ g/(z − p)) by a minimax fit of C = 1 + Ĉ on `band` [rad/s], and the
-    feed-forward s^λ θt*/ϖ² becomes a fit of s^(λ−2)/ϖ² that works on the reference's known acceleration.
+    Ĉ(s) = k_d s^β/(1 + δs)^n becomes (1 − z⁻¹)(d + Σ g/(z − p)) by a minimax fit of C = 1 + Ĉ on `band`
+    [rad/s], and the feed-forward s^λ θt*/ϖ² becomes a fit of s^(λ−2)/ϖ² that works on the reference's
+    known acceleration.
 
-    Parameters: `order`, states of Ĉ (0 to 8; None: the fewest for 0.1 dB and 0.5°, else the best of 8); `precision`
-    "double" or "single"; `link`, nominal model, the controller's own where it is left out; `rig`, which adds the
-    inner loop, the sensors' limits and the motor's compensations (see `equip`); `moves`, the largest move, from
-    which the guards' thresholds follow. Without a filter Ĉ is improper: no sampled controller can follow it to
-    the Nyquist frequency, and the default band ends at 300 rad/s (600 with a filter). The errors reached stand in
-    `Law.correction_error`. Raises FieldError for a period, order or band out of range and for a missing link.
+    Parameters: `order`, states of Ĉ (0 to 8; None: the fewest for 0.1 dB and 0.5°, else the best of 8);
+    `precision` "double" or "single"; `link`, nominal model, the controller's own where it is left out;
+    `rig`, which adds the inner loop, the sensors' limits and the motor's compensations (see `equip`);
+    `moves`, the largest move, from which the guards' thresholds follow. Without a filter Ĉ is improper: no
+    sampled controller can follow it to the Nyquist frequency, and the default band ends at 300 rad/s (600
+    with a filter). The errors reached stand in `Law.correction_error`. Raises FieldError for a period,
+    order or band out of range and for a missing link.
 
     >>> from fraclink.controller import Controller
     >>> from fraclink.link import LinkModel
     >>> link = LinkModel(stiffness=1.56, natural_frequency=11.094, order=1.92)
-    >>> law = discretize_controller(Controller(gain=0.148, order=0.65, filter_time=0.16, filter_order=2, link=link), 0.004)
+    >>> controller = Controller(gain=0.148, order=0.65, filter_time=0.16, filter_order=2, link=link)
+    >>> law = discretize_controller(controller, 0.004)
     >>> law.order, law.correction_error[0] < 0.1, law.correction_error[1] < 0.5
     (4, True, True)
     """
@@ -154,7 +157,9 @@ def _band(controller: Controller, period: float) -> tuple[float, float]:
 
 
 def _forward_fit(link: LinkModel, period: float) -> DiscreteRational:
-    """s^(λ-2)/(μ s^α + ϖ²): what the reference's acceleration must add to the motor angle (1/G − 1 over s²)."""
+    """s^(λ-2)/(μ s^α + ϖ²): what the reference's acceleration must add to the motor angle (1/G − 1 over
+    s²).
+    """
 
     def response(frequency: NDArray[np.float64]) -> NDArray[np.complex128]:
         s = 1j * frequency

@@ -54,7 +54,9 @@ class Modes(NamedTuple):
 
 @dataclass(frozen=True)
 class Drive:
-    """The inner loop and what it needs to know of the motor; without it a law gives a motor reference only."""
+    """The inner loop and what it needs to know of the motor; without it a law gives a motor reference
+    only.
+    """
 
     loop: DiscreteInnerLoop
     voltage_limit: float  # [V]
@@ -64,7 +66,9 @@ class Drive:
 
 
 class LawInputs(NamedTuple):
-    """One period's inputs: reference [rad], its velocity [rad/s] and acceleration [rad/s²], θm [rad], Γ [N·m]."""
+    """One period's inputs: reference [rad], its velocity [rad/s] and acceleration [rad/s²], θm [rad], Γ
+    [N·m].
+    """
 
     reference: float
     reference_velocity: float
@@ -77,7 +81,8 @@ class LawOutputs(NamedTuple):
     """One period's outputs; scalars from `Law.step`, arrays of shape (N,) from `Law.run`.
 
     motor_reference θm* [rad], voltage [V], compensation: its part against the coupling torque [V],
-    tip_estimate θm − Γ/c [rad], error [rad], mode (index of MODES), reason (index of REASONS), flags (bits of law.h).
+    tip_estimate θm − Γ/c [rad], error [rad], mode (index of MODES), reason (index of REASONS), flags (bits
+    of law.h).
     """
 
     motor_reference: Any
@@ -94,13 +99,14 @@ class LawOutputs(NamedTuple):
 class Law:
     """A controller as it runs: every coefficient of law.c at its period.
 
-    θm* = θt* + F(z) θ̈t* + Ĉ(z)(θt* − θte),  θte = θm − Γ/c (22), (23), with Ĉ(z) = (1 − z⁻¹)(d + Σ g/(z − p)), so that
-    Ĉ(1) = 0 exactly in any arithmetic (28). Made by `discretize_controller` or `Controller.discretize`.
+    θm* = θt* + F(z) θ̈t* + Ĉ(z)(θt* − θte),  θte = θm − Γ/c (22), (23), with Ĉ(z) = (1 − z⁻¹)(d + Σ g/(z −
+    p)), so that Ĉ(1) = 0 exactly in any arithmetic (28). Made by `discretize_controller` or
+    `Controller.discretize`.
 
     Attributes: `period` [s]; `precision` "single" or "double"; `stiffness` c [N·m/rad]; `correction` and
     `feedforward` as `Modes`; `correction_error` and `feedforward_error`, the largest errors of their fits in
-    (decibels, degrees) up to `band` [rad/s]; `inner_pole` p of M(s) [rad/s]; `drive`, None for a robot that has its
-    own position servo; `limits` of the guards.
+    (decibels, degrees) up to `band` [rad/s]; `inner_pole` p of M(s) [rad/s]; `drive`, None for a robot
+    that has its own position servo; `limits` of the guards.
     """
 
     period: float
@@ -144,10 +150,7 @@ class Law:
         return replace(self, precision=precision)
 
     def frequency_response(self, frequency: ArrayLike) -> NDArray[np.complex128]:
-        """Return Ĉ(e^(jωT)) of the coefficients as they are rounded, at ω [rad/s]; any shape.
-
-        >>> from fraclink.law import Law, Limits, Modes  # doctest: +SKIP
-        """
+        """Return Ĉ(e^(jωT)) of the coefficients as they are rounded, at ω [rad/s]; any shape."""
         w = np.asarray(frequency, dtype=float)
         c = self.coefficients
         half = 0.5 * w * self.period
@@ -161,7 +164,9 @@ class Law:
         return np.asarray(2j * np.sin(half) * np.exp(-1j * half) * total, dtype=np.complex128)
 
     def initial_state(self) -> bytes:
-        """Return the state before the first period; the first step starts at the measured angle without a bump."""
+        """Return the state before the first period; the first step starts at the measured angle without a
+        bump.
+        """
         state, reason = _kernels.law_init(self.block, self.precision == "single")
         if reason:
             raise FieldError(
