@@ -1,0 +1,215 @@
+"""The command line: whole output, exit codes, one line for every error, nothing half written."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+from fraclink.cli import main
+from fraclink.cli.console import clean, table
+from fraclink.cli.outcome import guarded
+from fraclink.errors import FieldError, InfeasibleError, MissingExtraError, NotCertifiedError
+from fraclink.rig import Rig
+
+
+class Answer(NamedTuple):
+    """Exit code and both streams."""
+
+    code: int
+    out: str
+    err: str
+
+
+Command = Callable[..., Answer]
+
+
+@pytest.fixture
+def fraclink(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Command:
+    """Run the command line in an empty folder."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(*arguments: str) -> Answer:
+        code = main(arguments)
+        streams = capsys.readouterr()
+        return Answer(code, streams.out, streams.err)
+
+    return run
+
+
+DESIGN = ("design", "--rig", "paper-2023", "--payloads", "0.020", "0.040", "--gain-crossover", "12")
+
+
+def test_version_and_help(fraclink: Command) -> None:
+    assert fraclink("--version") == Answer(0, "fraclink 0.1.0\n", "")
+    answer = fraclink("--help")
+    assert answer.code == 0
+    for verb in ("run", "inspect", "diagnose", "identify", "design", "simulate", "report", "certify"):
+        assert f"\n  {verb} " in answer.out
+    assert "Exit code: 0 holds, 1 does not hold, 2 bad input." in answer.out
+    assert fraclink().out == answer.out
+
+
+def test_the_design_prints_what_it_asked_and_got(fraclink: Command, tmp_path: Path) -> None:
+    answer = fraclink(*DESIGN, "--phase-margin-deg", "50", "--filter-time", "0", "--out", "design.json")
+    assert answer.code == 0
+    assert answer.out == (
+        "controller: k_d = 0.0698762, β = 0.612197, no filter\n"
+        "requirement       wanted  achieved    at  verdict\n"
+        "gain crossover  12 rad/s  12 rad/s  40 g    holds\n"
+        "phase margin         50°       50°  20 g    holds\n"
+    )
+    assert answer.err == "written: design.json\n"
+    assert [entry.name for entry in tmp_path.iterdir()] == ["design.json"]
+
+
+def test_json_is_the_only_thing_on_standard_output(fraclink: Command) -> None:
+    answer = fraclink(*DESIGN, "--phase-margin-deg", "50", "--filter-time", "0", "--json")
+    result = json.loads(answer.out)
+    assert answer.out.count("\n") == 1
+    assert result["holds"] is True
+    assert result["controller"]["gain"] == pytest.approx(0.069876, abs=1e-6)
+    assert {item["name"] for item in result["requirements"]} == {"gain crossover", "phase margin"}
+
+
+def test_an_existing_file_is_kept_without_force(fraclink: Command, tmp_path: Path) -> None:
+    place = tmp_path / "design.json"
+    place.write_text("mine")
+    answer = fraclink(*DESIGN)
+    assert answer == Answer(
+        2,
+        "",
+        "error: out: design.json is already there; allowed a new name; choose another name or add --force\n",
+    )
+    assert place.read_text() == "mine"
+    assert fraclink(*DESIGN, "--force").code == 0
+    assert place.read_text() != "mine"
+
+
+def test_an_infeasible_request_is_exit_code_1_and_writes_nothing(fraclink: Command, tmp_path: Path) -> None:
+    arguments = ("design", "--rig", "paper-2023", "--gain-crossover", "30", "--phase-margin-deg", "80")
+    answer = fraclink(*arguments)
+    assert answer.code == 1
+    assert answer.err.startswith("does not hold: phase margin unreachable: ")
+    assert "nearest feasible: phase_margin = " in answer.err
+    assert answer.err.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+    told = json.loads(fraclink(*arguments, "--json").out)
+    assert told["exit"] == 1
+    assert 0 < told["error"]["nearest"]["phase_margin"] < 1.3963
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("design", "--rig", "paper-2032"), ("rig: paper-2032 is unknown", "did you mean 'paper-2023'?")),
+        (("design", "--rig", "missing.toml"), ("missing.toml", "not a file")),
+        ((*DESIGN, "--phase-margin-deg", "200"), ("phase_margin", "allowed")),
+        ((*DESIGN, "--phase-margin-deg", "-5"), ("phase_margin", "allowed")),
+        (("design", "--rig", "paper-2023", "--payloads", "0.04", "0.02"), ("payloads", "allowed")),
+        (("design", "--rig", "paper-2023", "--payloads", "0", "0.02"), ("payloads", "allowed")),
+        (("design", "--rig", "paper-2023", "--payloads", "nan", "0.02"), ("payloads", "finite")),
+        (("design", "--rig", "paper-2023", "--gain-crossover", "1e300"), ("gain_crossover", "allowed")),
+        (("design", "--rig", "paper-2023", "--margins", "best"), ("margins", "'loop'")),
+        (("design", "--rig", "paper-2023", "--filter-order", "3"), ("filter_order", "allowed")),
+        (("design", "--rig", "paper-2023", "--payloads", "0.02"), ("--payloads",)),
+        (("design", "--rig", "paper-2023", "--gain", "12"), ("--gain",)),
+        (("design",), ("Missing option '--rig'",)),
+        (("desing",), ("No such command 'desing'",)),
+        (("simulate", "nothing.json", "--payload", "0.02"), ("nothing.json is not there",)),
+        (("certify", "nothing.json"), ("nothing.json is not there",)),
+    ],
+)
+def test_bad_input_is_one_line_and_exit_code_2(
+    fraclink: Command, tmp_path: Path, arguments: tuple[str, ...], words: tuple[str, ...]
+) -> None:
+    answer = fraclink(*arguments)
+    assert (answer.code, answer.out) == (2, "")
+    assert answer.err.startswith("error: ")
+    assert answer.err.count("\n") == 1
+    assert "Traceback" not in answer.err
+    for word in words:
+        assert word in answer.err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_errors_are_json_too_where_json_was_asked_for(fraclink: Command) -> None:
+    answer = fraclink("design", "--rig", "paper-2032", "--json")
+    told = json.loads(answer.out)
+    assert answer.code == told["exit"] == 2
+    assert told["error"]["field"] == "rig"
+    assert told["error"]["value"] == "paper-2032"
+    assert told["error"]["remedy"]
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "line"),
+    [
+        (FieldError("m", -1, "negative", allowed="> 0 kg", remedy="say kg"), 2, "error: m: -1 is negative; "),
+        (MissingExtraError("flint", "certify"), 2, "error: flint is not installed; "),
+        (InfeasibleError("(39)", "too slow", {"gain_crossover": 12.0}), 1, "does not hold: (39): too slow; "),
+        (NotCertifiedError("at 20 g"), 1, "does not hold: at 20 g\n"),
+        (OSError(28, "No space left on device", "out.json"), 2, "error: out.json: No space left on device\n"),
+        (PermissionError(13, "Permission denied", "/x/y"), 2, "error: /x/y: Permission denied\n"),
+        (KeyboardInterrupt(), 130, "interrupted; "),
+        (ZeroDivisionError("division by zero"), 70, "error: fraclink failed inside (ZeroDivisionError: "),
+    ],
+)
+def test_every_error_becomes_one_line(
+    capsys: pytest.CaptureFixture[str], error: BaseException, code: int, line: str
+) -> None:
+    def work() -> int:
+        raise error
+
+    assert guarded(work, as_json=False) == code
+    told = capsys.readouterr()
+    assert told.err.startswith(line)
+    assert (told.err.count("\n"), told.out) == (1, "")
+
+
+def test_a_defect_shows_where_it_is_when_asked(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("FRACLINK_TRACEBACK", "1")
+    with pytest.raises(ZeroDivisionError):
+        guarded(lambda: 1 // 0, as_json=False)
+
+
+@pytest.mark.parametrize(
+    "name", ["\x1b[31mred\x1b[0m", "\x1b]0;title\x07", "a\rb", "a\nb", "\u202etxt", "\x9b2J", "\x00"]
+)
+def test_names_cannot_drive_the_terminal(fraclink: Command, name: str) -> None:
+    answer = fraclink("design", "--rig", name)
+    assert answer.code == 2
+    line = answer.err.removesuffix("\n")
+    assert line.isprintable()
+    assert json.loads(fraclink("design", "--rig", name, "--json").out)["exit"] == 2
+
+
+def test_clean_leaves_greek_and_units_alone() -> None:
+    assert clean("ω_c = 12 rad/s, φ_m ≥ 50°, ϖ̄, μ, N·m") == "ω_c = 12 rad/s, φ_m ≥ 50°, ϖ̄, μ, N·m"
+
+
+def test_tables_are_aligned() -> None:
+    assert table(("a", "b"), [("x", "10"), ("long", "1")]) == "a      b\nx     10\nlong   1"
+
+
+def test_the_module_is_the_command() -> None:
+    answer = subprocess.run(
+        [sys.executable, "-m", "fraclink", "--version"], capture_output=True, text=True, check=True
+    )
+    assert answer.stdout == "fraclink 0.1.0\n"
+
+
+def test_a_rig_without_a_model_says_what_to_do(fraclink: Command, tmp_path: Path) -> None:
+    text = Rig.named("paper-2023")
+    text.save(tmp_path / "rig.toml")
+    kept = (tmp_path / "rig.toml").read_text().partition("[model]")
+    rest = kept[2].partition("[design]")
+    (tmp_path / "rig.toml").write_text(kept[0] + "[design]" + rest[2])
+    answer = fraclink("design", "--rig", "rig.toml")
+    assert answer.code == 2
+    assert "identify a log first" in answer.err
