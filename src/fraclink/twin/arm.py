@@ -1,0 +1,162 @@
+"""The whole twin of a rig: link, motor with friction, amplifier and sensors."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Literal
+
+from fraclink.errors import FieldError
+from fraclink.rig import Motor
+from fraclink.twin.beam import Beam
+from fraclink.twin.damping import Damping, FractionalKelvinVoigt, KelvinVoigt, PowerLaw
+from fraclink.twin.plant import LONGEST_STEP, Plant, assemble
+from fraclink.twin.sensors import Sensors
+
+if TYPE_CHECKING:
+    from fraclink.link import LinkModel
+    from fraclink.rig import Rig
+
+__all__ = ["Twin", "damping_of"]
+
+
+def damping_of(model: LinkModel) -> Damping:
+    """Return the material whose massless link is the given lumped model.
+
+    UD-FOM is a power law, D-IOM viscous with η = μ/ϖ², D-FOM fractional with η = μ/ϖ², UD-IOM undamped.
+
+    >>> from fraclink.link import LinkModel
+    >>> damping_of(LinkModel(stiffness=1.56, natural_frequency=10.0, order=1.92))
+    PowerLaw(order=1.92)
+    """
+    if model.order < 2.0:
+        return PowerLaw(model.order)
+    factor = model.damping / model.natural_frequency**2
+    if model.damping == 0.0 or model.damping_order == 1.0:
+        return KelvinVoigt(factor)
+    return FractionalKelvinVoigt(factor, model.damping_order)
+
+
+@dataclass(frozen=True)
+class Twin:
+    """An arm that is not the model.
+
+    Parameters
+    ----------
+    beam: link and payload
+    damping: what the link's material does
+    motor: motor and amplifier as in the rig file; its inertia, friction and torques act at the gear's
+        output as n²J, n²ν, nΓc and nK V
+    sensors: encoder and gauge
+    stiction: breakaway torque at the motor's side [N·m], >= the Coulomb torque; default 1.2 times that
+    voltage_delay: control periods between reading the sensors and the voltage's effect, 0 to 100
+    modes: number of modes; default as many of the first three as the step resolves
+    step: longest exact step [s]
+
+    >>> from fraclink.rig import Rig
+    >>> twin = Twin.from_rig(Rig.named("paper-2023"), link_mass=0.00735)
+    >>> [round(w, 1) for w in twin.plant(0.001).modes.frequencies.tolist()]
+    [10.8, 202.4, 649.7]
+    """
+
+    beam: Beam
+    damping: Damping
+    motor: Motor
+    sensors: Sensors = field(default_factory=Sensors)
+    stiction: float | None = None
+    voltage_delay: int = 1
+    modes: int | None = None
+    step: float = LONGEST_STEP
+
+    def __post_init__(self) -> None:
+        if self.stiction is not None and not self.stiction >= self.motor.coulomb_torque:
+            raise FieldError(
+                "stiction",
+                self.stiction,
+                "below the Coulomb torque",
+                allowed=f">= {self.motor.coulomb_torque:g} N·m",
+                remedy="a motor that slides more easily than it starts has stiction above its friction",
+            )
+        delay = self.voltage_delay
+        if isinstance(delay, bool) or not isinstance(delay, int) or not 0 <= delay <= 100:
+            raise FieldError(
+                "voltage_delay", delay, "out of range", allowed="0 to 100 periods", remedy="1 is usual"
+            )
+
+    @staticmethod
+    def from_rig(
+        rig: Rig,
+        *,
+        payload: float | None = None,
+        link_mass: float | None = None,
+        damping: Damping | None = None,
+        rigidity: Literal["stiffness", "tabulated"] = "stiffness",
+        gauge_delay: float = 0.0,
+        stiction: float | None = None,
+        modes: int | None = None,
+    ) -> Twin:
+        """Return the twin of a rig.
+
+        Parameters
+        ----------
+        payload, link_mass [kg], rigidity: see `Beam.from_rig`
+        damping: default the material of the rig's model (`damping_of`)
+        gauge_delay: of the strain amplifier [s]
+        """
+        if damping is None:
+            if rig.model is None:
+                raise FieldError(
+                    "damping",
+                    None,
+                    "missing, and the rig has no model",
+                    allowed="KelvinVoigt, FractionalKelvinVoigt or PowerLaw",
+                    remedy="give damping=, or a [model] in the rig file",
+                )
+            damping = damping_of(rig.model)
+        gauge = rig.gauge
+        sensors = Sensors(
+            counts_per_revolution=rig.encoder.counts_per_revolution,
+            gauge_noise=gauge.noise,
+            gauge_offset=gauge.offset,
+            gauge_quantum=gauge.quantum,
+            gauge_limit=None if math.isinf(gauge.limit) else gauge.limit,
+            gauge_delay=gauge_delay,
+        )
+        return Twin(
+            beam=Beam.from_rig(rig, payload=payload, link_mass=link_mass, rigidity=rigidity),
+            damping=damping,
+            motor=rig.motor,
+            sensors=sensors,
+            stiction=stiction,
+            voltage_delay=rig.inner.delay_samples,
+            modes=modes,
+        )
+
+    def with_payload(self, payload: float) -> Twin:
+        """Return the same arm with another mass [kg] at its tip."""
+        return replace(self, beam=self.beam.with_payload(payload))
+
+    @property
+    def coulomb(self) -> float:
+        """Sliding friction at the gear's output [N·m]."""
+        return self.motor.gear_ratio * self.motor.coulomb_torque
+
+    @property
+    def breakaway(self) -> float:
+        """Stiction at the gear's output [N·m]."""
+        # 1.2: the excess of static over sliding friction of greased harmonic drives; the paper gives none.
+        at_motor = 1.2 * self.motor.coulomb_torque if self.stiction is None else self.stiction
+        return self.motor.gear_ratio * at_motor
+
+    def plant(self, step: float) -> Plant:
+        """Return the linear part with the motor's inertia and viscous friction, for steps of `step` [s]."""
+        ratio = self.motor.gear_ratio
+        return assemble(
+            self.beam,
+            self.damping,
+            drive="motor",
+            modes=self.modes,
+            step=step,
+            hub_inertia=ratio**2 * self.motor.inertia,
+            hub_friction=ratio**2 * self.motor.viscous_friction,
+        )
