@@ -22,6 +22,8 @@ _HOME: dict[str, str] = {
     "Rig": "fraclink.rig",
     "deg": "fraclink.design",
     "design": "fraclink.design",
+    "diagnose": "fraclink.diagnose",
+    "inspect_log": "fraclink.readers",
     "read_log": "fraclink.readers",
 }
 
@@ -30,7 +32,9 @@ if TYPE_CHECKING:  # what editors and type checkers see; nothing of this runs
     from fraclink.design import Plan as Plan
     from fraclink.design import deg as deg
     from fraclink.design import design as design
+    from fraclink.diagnose import diagnose as diagnose
     from fraclink.experiment import Experiment as Experiment
+    from fraclink.readers import inspect_log as inspect_log
     from fraclink.readers import read_log as read_log
     from fraclink.rig import Channel as Channel
     from fraclink.rig import LogColumns as LogColumns

@@ -19,9 +19,9 @@ def inspect(
     json: Json = False,
 ) -> int:
     """List a log's channels, rates and ranges, and a mapping to paste into the rig file."""
-    from fraclink.readers import inspect as look
+    from fraclink.readers import inspect_log
 
-    listing = look(log)
+    listing = inspect_log(log)
     emit_json(listing.values()) if json else emit(str(listing))
     return HOLDS
 

@@ -10,18 +10,37 @@ from numpy.typing import NDArray
 from fraclink.errors import FieldError, LogError
 from fraclink.experiment import Experiment
 from fraclink.files import sha256_of
-from fraclink.rig import LogColumns, Rig
+from fraclink.findings import Finding
+from fraclink.readers.formats import read_table
+from fraclink.readers.limits import SAMPLE_LIMIT
+from fraclink.readers.stated import columns_of_names, suggested_mapping
+from fraclink.readers.table import Table
+from fraclink.readers.timebase import resampled, time_base
+from fraclink.rig import Channel, LogColumns, Rig
+from fraclink.rig.quantities import Quantity
+
+__all__ = ["bundled_log", "bundled_logs", "read_columns", "read_log"]
 
 _LOGS = Path(__file__).resolve().parent.parent / "logs"
+_FEWEST = 200  # samples: three parameters, an offset and a held-out part need more than that
+_INTERPOLATED = 0.01  # largest share of missing cells that may be interpolated
 
 
 def bundled_logs() -> tuple[str, ...]:
-    """The names of the logs that come with the package; every one is simulated and says so."""
+    """The names of the logs that come with the package; every one is simulated and says so.
+
+    >>> "prbs_30g" in bundled_logs()
+    True
+    """
     return tuple(sorted(path.stem for path in _LOGS.glob("*.csv")))
 
 
 def bundled_log(name: str) -> Path:
-    """The path of a log that comes with the package."""
+    """The path of a log that comes with the package; FieldError lists the known ones.
+
+    >>> bundled_log("prbs_30g").name
+    'prbs_30g.csv'
+    """
     if name not in bundled_logs():
         raise FieldError(
             "log", name, "unknown", allowed=", ".join(bundled_logs()), remedy="give one of these, or a path"
@@ -30,12 +49,19 @@ def bundled_log(name: str) -> Path:
 
 
 def read_columns(path: Path | str) -> dict[str, NDArray[np.float64]]:
-    """Read a table of numbers as it stands: column name to values."""
-    lines = Path(path).read_text().splitlines()
-    start = next(i for i, line in enumerate(lines) if line.strip() and not line.startswith("#"))
-    names = [name.strip() for name in lines[start].split(",")]
-    data = np.loadtxt(lines[start + 1 :], delimiter=",", ndmin=2)
-    return {name: np.ascontiguousarray(data[:, i]) for i, name in enumerate(names)}
+    """Read a table of numbers as it stands: column name to values, shape (N,), in the file's own units.
+
+    For tables that are no log, such as a frequency response. Every format of `read_log` is read.
+    Raises FileFormatError, LogError (a cell is no number, a name stands twice) or SizeError.
+
+    >>> sorted(read_columns(bundled_log("prbs_30g")))[:2]
+    ['motor_angle_rad', 'time_s']
+    """
+    table = read_table(Path(path))
+    found: dict[str, NDArray[np.float64]] = {}
+    for name in table.names:
+        found[name] = _clean(table, table.place(name, "the table"), interpolate=False)[0]
+    return found
 
 
 def read_log(
@@ -44,39 +70,219 @@ def read_log(
     rig: Rig | None = None,
     columns: LogColumns | None = None,
     payload: float | None = None,
+    resample: bool = False,
+    interpolate: bool = False,
 ) -> Experiment:
-    """Read a log whose columns and units are stated by `columns` or by the rig."""
-    stated = columns or (rig.log if rig else None)
+    """Read a recorded log: CSV and other text, MAT, HDF5, Parquet, TDMS, rosbag2 or MCAP.
+
+    Which column is what, in which unit and with which sign, is stated and never guessed: by `columns`, by the
+    rig's `[log]` table, or by names in the log that are a role and a unit (``time_s``, ``motor_angle_rad``,
+    ``torque_Nm`` or ``deflection_rad``, ``voltage_V``).
+
+    Arguments:
+        path: the log.
+        rig: whose `[log]` table states the columns.
+        columns: states them instead.
+        payload: m [kg], > 0; default: the log's own ``# payload_kg:`` line, if it has one.
+        resample: interpolate onto a uniform grid where the stamps have gaps, repeats or strong jitter.
+        interpolate: fill missing cells linearly, at most 1 % of a column.
+
+    Returns the Experiment in SI units: motor angle [rad], torque [N·m] or deflection [rad], voltage [V].
+    Raises LogError, FileFormatError or SizeError (ValueError is their base), or MissingExtraError.
+
+    >>> log = read_log(bundled_log("prbs_30g"))
+    >>> log.period, log.payload, log.output_kind, log.simulated
+    (0.004, 0.03, 'torque', True)
+    """
+    place = Path(path)
+    table = read_table(place)
+    stated = columns or (rig.log if rig else None) or columns_of_names(table.names)
     if stated is None:
-        raise LogError(
-            "columns", "(nothing)", "not stated", allowed="[log]", remedy="state the columns in the rig file"
-        )
-    table = read_columns(path)
-    notes = []
-    for line in Path(path).read_text().splitlines():
-        if not line.startswith("#"):
-            break
-        key, _, value = line[1:].partition(":")
-        notes.append((key.strip(), value.strip()))
-    if payload is None and "payload_kg" in dict(notes):
-        payload = float(dict(notes)["payload_kg"])
-    channels = stated.channels()
-    for channel in channels.values():
-        if channel.column not in table:
-            raise LogError(
-                channel.column, "(nothing)", "missing", allowed=", ".join(table), remedy="correct [log]"
-            )
-    data = {role: channel.in_si(table[channel.column], role) for role, channel in channels.items()}
-    time = data["time"]
+        raise _unstated(table)
+    data, findings = _channels(table, stated, interpolate)
+    stamps = data.pop("time")
+    base = time_base(stamps, resample=resample)
+    if resample:
+        _check_span(stamps, base.period)
+        data = {role: resampled(stamps, base, values) for role, values in data.items()}
+    output = data[stated.output_kind]
+    _check_signals(data["motor_angle"], output, stated.output_kind)
+    known, payload_findings = _payload(table, payload)
     return Experiment(
-        period=float(round((time[-1] - time[0]) / (time.size - 1), 12)),
+        period=base.period,
         motor_angle=data["motor_angle"],
-        output=data[stated.output_kind],
+        output=output,
         output_kind=stated.output_kind,
-        payload=payload,
-        source=Path(path).name,
-        sha256=sha256_of(Path(path)),
-        start_time=float(time[0]),
+        payload=known,
+        source=place.name,
+        sha256=sha256_of(place) if place.is_file() else "",
+        findings=(*findings, *base.findings, *payload_findings),
+        start_time=base.start,
         voltage=data.get("voltage"),
-        notes=tuple(notes),
+        notes=table.notes,
     )
+
+
+def _unstated(table: Table) -> LogError:
+    return LogError(
+        "columns",
+        ", ".join(table.names[:12]),
+        "not stated: which column is what, in which unit, is never guessed",
+        allowed="a [log] table in the rig file, or names such as time_s, motor_angle_rad, torque_Nm",
+        remedy="paste this into the rig file and check it:\n" + suggested_mapping(table.names, table.units),
+    )
+
+
+def _channels(
+    table: Table, stated: LogColumns, interpolate: bool
+) -> tuple[dict[str, NDArray[np.float64]], list[Finding]]:
+    """Every stated channel in SI units, with what was noticed."""
+    data: dict[str, NDArray[np.float64]] = {}
+    findings: list[Finding] = []
+    for role, channel in stated.channels().items():
+        if role == "voltage" and channel.column not in table.names:
+            findings.append(_no_voltage(channel))
+            continue
+        place = table.place(channel.column, role)
+        raw, filled = _clean(table, place, interpolate=interpolate)
+        findings += filled
+        data[role] = channel.in_si(raw, role)
+    _check_lengths(data, stated)
+    return data, findings
+
+
+def _no_voltage(channel: Channel) -> Finding:
+    return Finding(
+        "W219", "info", f"the log has no column {channel.column!r} of voltage", {}, "only friction needs it"
+    )
+
+
+def _check_lengths(data: dict[str, NDArray[np.float64]], stated: LogColumns) -> None:
+    count = data["time"].size
+    for role, values in data.items():
+        if values.size != count:
+            raise LogError(
+                f"column of {role}",
+                stated.channels()[role].column,
+                f"{values.size} samples long, while time has {count}",
+                allowed="columns of one length",
+                remedy="state the time column that belongs to it, or export the channels at one rate",
+            )
+    if count < _FEWEST:
+        raise LogError(
+            "log",
+            f"{count} samples",
+            "too short",
+            allowed=f">= {_FEWEST} samples and 3 periods of the vibration",
+            remedy="record for longer",
+        )
+
+
+def _clean(table: Table, place: int, *, interpolate: bool) -> tuple[NDArray[np.float64], list[Finding]]:
+    """One column without missing cells, or an error that names the first one."""
+    values, name = table.values[place], table.names[place]
+    faults = table.faults.get(place)
+    if faults is not None and faults.bad:
+        from fraclink.readers.cells import cell_remedy
+
+        line, cell = faults.first_bad
+        raise LogError(
+            f"line {line}, column {name}",
+            cell,
+            f"not a number ({faults.bad} such cells)",
+            allowed="numbers such as -1.5e-3",
+            remedy=cell_remedy(cell),
+        )
+    missing = np.flatnonzero(~np.isfinite(values))
+    if not missing.size:
+        return values, []
+    share = missing.size / values.size
+    line, cell = (
+        faults.first_missing if faults is not None else (int(missing[0]), repr(float(values[missing[0]])))
+    )
+    where = f"line {line}" if faults is not None else f"sample {line}"
+    if not interpolate or share > _INTERPOLATED:
+        few = share <= _INTERPOLATED
+        raise LogError(
+            f"{where}, column {name}",
+            cell or "(empty)",
+            f"missing ({missing.size} of {values.size} cells)",
+            allowed="finite numbers",
+            remedy="record again, or read with interpolate=True (--interpolate)" if few else "record again",
+        )
+    good = np.flatnonzero(np.isfinite(values))
+    filled = np.interp(np.arange(values.size), good, values[good])
+    return filled, [
+        Finding(
+            "W201",
+            "warning",
+            f"{missing.size} missing cells of column {name!r} were interpolated",
+            {"missing": missing.size, "share": share},
+            "look whether they lie where the arm moves",
+        )
+    ]
+
+
+def _check_span(stamps: NDArray[np.float64], period: float) -> None:
+    count = float(stamps[-1] - stamps[0]) / period
+    if count > SAMPLE_LIMIT:
+        raise LogError(
+            "time",
+            f"{float(stamps[-1] - stamps[0]):.6g} s",
+            f"too long to resample at {period * 1e3:.4g} ms",
+            allowed=f"{SAMPLE_LIMIT} samples",
+            remedy="cut the log at its gaps",
+        )
+
+
+def _check_signals(angle: NDArray[np.float64], output: NDArray[np.float64], kind: str) -> None:
+    for role, values, remedy in (
+        ("motor_angle", angle, "excite the arm: a pulse, a PRBS or a square wave; or state another column"),
+        (kind, output, "check the gauge and its amplifier, or state another column"),
+    ):
+        if np.ptp(values) == 0:
+            value = float(values[0])
+            raise LogError(
+                role,
+                f"{value:.6g} in all {values.size} samples (standard deviation 0)",
+                "constant",
+                allowed="a signal that moves",
+                remedy=remedy,
+            )
+
+
+def _payload(table: Table, stated: float | None) -> tuple[float | None, list[Finding]]:
+    """The payload of a log, from the call or from its own header."""
+    spec = Quantity("payload", "kg", above=0, remedy="give the mass in kg")
+    labels = {value for key, value in table.notes if key == "payload_kg"}
+    if len(labels) > 1:
+        raise LogError(
+            "payload_kg",
+            ", ".join(sorted(labels)),
+            "given more than once",
+            allowed="one label",
+            remedy="remove one",
+        )
+    header = None
+    for label in labels:
+        from fraclink.readers.cells import NUMBER
+
+        if not NUMBER.fullmatch(label):
+            raise LogError(
+                "payload_kg", label, "not a number", allowed="> 0 [kg]", remedy="write # payload_kg: 0.030"
+            )
+        header = float(spec.check("payload_kg", float(label)))
+    if stated is None:
+        return header, []
+    mass = float(spec.check("payload", stated))
+    if header is None or abs(mass - header) <= 1e-9 * mass:
+        return mass, []
+    return mass, [
+        Finding(
+            "W216",
+            "warning",
+            f"payload {mass:g} kg was stated, the log's header says {header:g} kg",
+            {"stated": mass, "header": header},
+            "fraclink uses the stated one; correct the other",
+        )
+    ]

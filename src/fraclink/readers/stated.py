@@ -1,0 +1,86 @@
+"""What a log says of itself: columns whose names are a role and a unit, such as ``motor_angle_rad``.
+
+Only these exact names count as stated. Everything else needs the `[log]` table of a rig file.
+"""
+
+from __future__ import annotations
+
+import re
+
+from fraclink.errors import LogError
+from fraclink.rig import Channel, LogColumns
+from fraclink.rig.columns import QUANTITY_OF, UNITS
+
+__all__ = ["columns_of_names", "suggested_mapping"]
+
+_NAME = re.compile(r"(time|motor_angle|torque|deflection|voltage)(?:_| *\[| *\()([A-Za-z·*]{1,5})[\])]?")
+# Words that loggers use; a hint for a person to check, never a reading.
+_HINTS = {
+    "time": ("time", "t_", "stamp", "sec"),
+    "motor_angle": ("motor_angle", "theta", "pot", "enc", "position", "angle", "hub", "joint"),
+    "torque": ("torque", "gamma", "moment", "effort", "nm"),
+    "deflection": ("deflection", "alpha", "strain", "gauge", "bend"),
+    "voltage": ("volt", "u_v", "vm", "motor_v", "command"),
+}
+_COMMANDED = ("ref", "cmd", "set", "target", "desired")  # what was asked for is not what was measured
+
+
+def columns_of_names(names: tuple[str, ...]) -> LogColumns | None:
+    """The columns that `names` state by themselves, or None where one of the three needed is not stated.
+
+    >>> columns_of_names(("time_s", "motor_angle_deg", "torque_Nm")).motor_angle.unit
+    'deg'
+    """
+    found: dict[str, Channel] = {}
+    for name in names:
+        match = _NAME.fullmatch(name)
+        if match is None or match[2] not in UNITS[QUANTITY_OF[match[1]]]:
+            continue
+        if match[1] in found:
+            raise LogError(
+                f"column of {match[1]}",
+                name,
+                f"stated twice, as {found[match[1]].column!r} too",
+                allowed="one column for each role",
+                remedy="say in [log] of the rig file which one is meant",
+            )
+        found[match[1]] = Channel(name, match[2])
+    if "torque" in found and "deflection" in found:
+        raise LogError(
+            "columns",
+            f"{found['torque'].column}, {found['deflection'].column}",
+            "two outputs",
+            allowed="torque or deflection",
+            remedy="say in [log] of the rig file which one is meant",
+        )
+    output = found.get("torque") or found.get("deflection")
+    if output is None or "time" not in found or "motor_angle" not in found:
+        return None
+    kind = "torque" if "torque" in found else "deflection"
+    return LogColumns(found["time"], found["motor_angle"], output, kind, found.get("voltage"))  # type: ignore[arg-type]
+
+
+def _unit_in(name: str, role: str) -> str:
+    """The unit that a column's name ends with, if it is one of the role's; "?" otherwise."""
+    ending = re.split(r"[_ \[\]()/.]+", name.strip(" ])"))[-1]
+    return ending if ending in UNITS[QUANTITY_OF[role]] else "?"
+
+
+def suggested_mapping(names: tuple[str, ...], units: tuple[str, ...] = ()) -> str:
+    """A `[log]` table to paste into a rig file; what it could not tell is a ``?`` for a person to fill in."""
+    lines = ["[log] # check every line: column, unit and sign"]
+    taken: set[str] = set()
+    for role, words in _HINTS.items():
+        if role == "deflection" and any(line.startswith("torque") for line in lines):
+            continue
+        candidates = [name for word in words for name in names if word in name.lower() and name not in taken]
+        candidates.sort(key=lambda name: any(word in name.lower() for word in _COMMANDED))
+        if not candidates and role in ("torque", "voltage"):
+            continue
+        name = candidates[0] if candidates else "?"
+        taken.add(name)
+        stated = units[names.index(name)] if units and name in names else ""
+        unit = stated if stated in UNITS[QUANTITY_OF[role]] else _unit_in(name, role)
+        text = name.replace("\\", "\\\\").replace('"', '\\"')
+        lines.append(f'{role} = {{ column = "{text}", unit = "{unit}" }}')
+    return "\n".join(lines)
