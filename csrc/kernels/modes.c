@@ -176,3 +176,18 @@ void full_memory_sum(const double *restrict weights, const double *restrict inpu
         output[k] = sum;
     }
 }
+
+// The recursion weights * y = input, solved forward: the dot product over the whole past for each sample.
+FRACLINK_CLONES
+void full_memory_solve(const double *restrict reversed, const double *restrict input, double *restrict output,
+                       ptrdiff_t n) {
+    double scale = 1.0 / reversed[n - 1];
+    for (ptrdiff_t k = 0; k < n; k++) {
+        const double *w = reversed + (n - 1 - k); // w[m] is weight k - m
+        double sum = 0.0;
+#pragma omp simd reduction(+ : sum)
+        for (ptrdiff_t m = 0; m < k; m++)
+            sum += w[m] * output[m];
+        output[k] = (input[k] - sum) * scale;
+    }
+}

@@ -21,4 +21,7 @@ void modes_response(const modes_system *system, const double *initial, const dou
 
 // y[k] = sum_{m<=k} weights[m] u[k-m]: the full-memory sum of Gruenwald-Letnikov, O(n^2), for comparison.
 void full_memory_sum(const double *weights, const double *input, double *output, ptrdiff_t n);
+
+// y with sum_{m<=k} weights[m] y[k-m] = input[k]; `reversed[j]` is weights[n-1-j].
+void full_memory_solve(const double *reversed, const double *input, double *output, ptrdiff_t n);
 #endif

@@ -40,7 +40,7 @@ def _single(quotient: Quotient, time: float, power: int) -> float:
 
     def kernel(z: Complexes) -> Complexes:
         u = (np.exp(0.5 * (z - math.log(scale))) - 1.0) / 1j
-        return 1.0 / (1.0 - np.exp(-2j * np.pi * (u / _H - offset)))
+        return np.asarray(1.0 / (1.0 - np.exp(-2j * np.pi * (u / _H - offset))))
 
     u = (np.arange(-_NODES - 1, _NODES + 2) + offset) * _H
     root = 1.0 + 1j * u

@@ -14,6 +14,7 @@ every G weaker than 1/s there.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -50,8 +51,8 @@ def expand(quotient: Quotient, *, shortest: float, longest: float, tolerance: fl
 
     def kernel(z: Complexes) -> Complexes:
         if meromorphic:  # no cut: a pole counts fully, or one half for each of ln s = x ± iπ
-            return np.where(np.abs(z.imag - math.pi) < 1.0, 0.5, 1.0).astype(np.complex128)
-        return 1.0 / (1.0 - np.exp(-2j * np.pi * (z - 1j * math.pi - origin) / step))
+            return np.asarray(np.where(np.abs(z.imag - math.pi) < 1.0, 0.5, 1.0), np.complex128)
+        return np.asarray(1.0 / (1.0 - np.exp(-2j * np.pi * (z - 1j * math.pi - origin) / step)))
 
     last = math.log((math.log(1.0 / tolerance) + 8.0) / shortest)
     modes = _Modes()
@@ -144,7 +145,7 @@ def _add_cluster(
     modes: _Modes,
     quotient: Quotient,
     cluster: Cluster,
-    kernel: object,
+    kernel: Callable[[Complexes], Complexes],
     clearance: float,
     longest: float,
 ) -> None:
@@ -153,7 +154,6 @@ def _add_cluster(
     A double pole is (a + bt) e^(pt), a derivative with respect to p; on Chebyshev nodes p + δ it becomes a
     sum of simple exponentials without large cancelling weights.
     """
-    assert callable(kernel)
     points, weights = quotient.circle(cluster, clearance, kernel)
     centre = complex(np.exp(cluster.centre))
     half, count = _segment(cluster.count, abs(centre.real), longest)
@@ -193,4 +193,4 @@ def _derivatives(nodes: Reals, count: int) -> NDArray[np.float64]:
     for k in range(2, size):
         powers[k, 1:] = 2.0 * powers[k - 1, :-1]
         powers[k] -= powers[k - 2]
-    return powers[:, :count].T @ table
+    return np.asarray(powers[:, :count].T @ table)
