@@ -12,6 +12,7 @@ import pytest
 import fraclink as fl
 from fraclink.design import Plan
 from fraclink.design.loop import OpenLoop
+from fraclink.design.poles import PRINTED, closed_loop_poles, match_at
 from fraclink.errors import FieldError, InfeasibleError
 from fraclink.rig import Rig
 
@@ -217,3 +218,29 @@ def test_a_loop_with_two_turns_counts_its_encirclements():
     loop = OpenLoop(gain=0.148, order=0.65, link_order=1.92, filter_time=0.16, filter_order=2, lag=1 / 80)
     assert loop.encirclements(11.547) == 1
     assert replace(loop, filter_time=0.0).encirclements(11.547) == 0
+
+
+@pytest.mark.parametrize(
+    ("name", "pi", "pole"),
+    [
+        ("(58)", 11.547, 0.106 + 12.89j),
+        ("(58)", 10.0, 0.161 + 11.256j),
+        ("(59)", 11.547, 0.602 + 13.03j),
+    ],
+)
+def test_printed_controllers_are_unstable_on_the_printed_model(name: str, pi: float, pole: complex):
+    link = replace(RIG.model, natural_frequency=pi)
+    found = closed_loop_poles(PRINTED[name], link, inner_pole=80.0)
+    assert found[0].real == pytest.approx(pole.real, abs=6e-4)
+    assert abs(found[0].imag) == pytest.approx(pole.imag, abs=6e-3)
+    # The pole is a zero of 1 + L, evaluated once more by hand.
+    s, c = complex(found[0]), PRINTED[name]
+    loop = c.gain * s**c.order / (1 + c.filter_time * s) ** 2 / (1 + s / 80) ** 2 * pi**2 / (s**1.92 + pi**2)
+    assert abs(1 + loop) < 1e-10
+
+
+def test_integer_controller_matched_at_the_nominal_point():
+    nominal = paper_plan().at_frequency(11.54)
+    matched = match_at(replace(RIG.model, order=2.0), 11.54, nominal.gain_crossover, nominal.phase_margin)
+    assert matched.order == pytest.approx(0.786021, abs=5e-7)
+    assert matched.gain == pytest.approx(0.208339, abs=5e-7)
