@@ -1,0 +1,39 @@
+"""Types of the compiled kernels; each kernel's owner writes its own part, the rest is untyped."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+class FitProblem:
+    """A log on its grid of rates; see csrc/kernels/fit.h."""
+
+    def __init__(
+        self,
+        increments: NDArray[np.float64],
+        measured: NDArray[np.float64],
+        period: float,
+        hold: int,
+        grid_start: float,
+        grid_step: float,
+        modes: int,
+        tail: int,
+        pad: int,
+        /,
+    ) -> None: ...
+    def columns(self, shape: NDArray[np.float64], mask: int, /) -> NDArray[np.float64] | None: ...
+    def gram(self, shape: NDArray[np.float64], mask: int, /) -> NDArray[np.float64] | None: ...
+    def costs(self, shapes: NDArray[np.float64], gain: float, offset: float, /) -> NDArray[np.float64]: ...
+    def solve(
+        self,
+        starts: NDArray[np.float64],
+        mask: int,
+        lower: NDArray[np.float64],
+        upper: NDArray[np.float64],
+        gain: float,
+        offset: float,
+        iterations: int,
+        /,
+    ) -> tuple[int, NDArray[np.float64], float, float, float, int, NDArray[np.float64]]: ...
+
+def __getattr__(name: str) -> Any: ...

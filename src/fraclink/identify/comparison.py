@@ -1,0 +1,179 @@
+"""Four structures on one log, and what may be concluded."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink.identify.fit import Fit
+from fraclink.identify.problem import Hold
+from fraclink.identify.single import fit_from, make_search
+from fraclink.identify.statistics import correlation_lag, long_run_covariance
+from fraclink.link import STRUCTURES
+
+if TYPE_CHECKING:
+    from fraclink.experiment import Experiment
+
+__all__ = ["Comparison", "Contest", "identify_all"]
+
+_SIGNIFICANT = 1.959963984540054
+
+
+@dataclass(frozen=True)
+class Contest:
+    """Which of two structures a log prefers (Vuong's test on the squared residuals).
+
+    `z` is the mean difference of squared residual (first − second) over its standard error, which allows
+    for colour; above 1.96 the second is better, below −1.96 the first, between them the log cannot tell.
+    `heldout` is True where samples the fits have not seen decided.
+    """
+
+    first: str
+    second: str
+    z: float
+    heldout: bool
+
+    @property
+    def preferred(self) -> str | None:
+        """The better one, None where they cannot be told apart."""
+        return None if abs(self.z) < _SIGNIFICANT else (self.second if self.z > 0 else self.first)
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """The four structures fitted to one log.
+
+    Arguments:
+        fits: structure → fit, in the order UD-IOM, D-IOM, UD-FOM, D-FOM.
+        without_delay: the same with the delay held at zero (parameters and errors only, no details).
+        preferred: the structure with the lowest AIC.
+        contest: UD-FOM against D-IOM, which have as many parameters.
+        verdict: what may be concluded, in words.
+    """
+
+    fits: Mapping[str, Fit]
+    without_delay: Mapping[str, Fit]
+    preferred: str
+    contest: Contest
+    verdict: str
+
+    def __post_init__(self) -> None:
+        for name in ("fits", "without_delay"):
+            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
+
+    @property
+    def best(self) -> Fit:
+        """The preferred fit."""
+        return self.fits[self.preferred]
+
+
+def identify_all(
+    log: Experiment,
+    *,
+    heldout: float = 0.4,
+    stiffness: float | None = None,
+    fixed: Mapping[str, float] | None = None,
+    hold: Hold = "auto",
+    details: bool = True,
+) -> Comparison:
+    """Fit all four structures to a log and say what it tells apart; options as in `identify`.
+
+    Raises what `identify` raises. Source: the paper, section 3.3 and Table 2.
+
+    >>> import numpy as np
+    >>> from fraclink.experiment import Experiment
+    >>> from fraclink.identify import simulated_torque
+    >>> from fraclink.link import LinkModel
+    >>> angle = np.clip((0.004 * np.arange(3000) - 0.5) / 0.3, 0, 1)
+    >>> torque = simulated_torque(LinkModel(1.56, 10.02, order=1.92), angle, 0.004)
+    >>> noise = np.random.default_rng(0).normal(0, 0.02, torque.size)
+    >>> log = Experiment(period=0.004, motor_angle=angle, output=torque + noise)
+    >>> identify_all(log, details=False).preferred
+    'UD-FOM'
+    """
+    search = make_search(log, heldout=heldout, stiffness=stiffness, fixed=fixed, guess=None, hold=hold)
+    fits = {name: fit_from(search, name, log, stiffness=stiffness, details=details) for name in STRUCTURES}
+    still = {}
+    if "delay" not in search.fixed:
+        at_once = {**(fixed or {}), "delay": 0.0}
+        other = make_search(log, heldout=heldout, stiffness=stiffness, fixed=at_once, guess=None, hold=hold)
+        still = {
+            name: fit_from(other, name, log, stiffness=stiffness, details=False)
+            for name in ("D-IOM", "UD-FOM")
+        }
+    contest = _contest(fits["UD-FOM"], fits["D-IOM"])
+    preferred = min(fits, key=lambda name: fits[name].aic)
+    return Comparison(fits, still, preferred, contest, _verdict(fits, still, preferred, contest))
+
+
+def _contest(first: Fit, second: Fit) -> Contest:
+    """Vuong's test over the whole log; samples held out count like the others."""
+    difference = first.residual**2 - second.residual**2
+    return Contest(first.structure, second.structure, _z(difference), first.fitted_samples < difference.size)
+
+
+def _z(difference: NDArray[np.float64]) -> float:
+    count = difference.size
+    centred = difference - difference.mean()
+    lags = min(max(5 * correlation_lag(centred), 10), count // 5)
+    variance = float(long_run_covariance(centred[None, :], lags)[0, 0])
+    return float(difference.sum() / math.sqrt(variance)) if variance > 0 else 0.0
+
+
+def _verdict(fits: Mapping[str, Fit], still: Mapping[str, Fit], preferred: str, contest: Contest) -> str:
+    sentences = [_by_criterion(fits, preferred), _told_apart(fits, contest)]
+    sentences += _of_the_delay(fits, still)
+    sentences += _of_the_parameters(fits)
+    return " ".join(sentence for sentence in sentences if sentence)
+
+
+def _by_criterion(fits: Mapping[str, Fit], preferred: str) -> str:
+    best = fits[preferred]
+    others = sorted((fit for fit in fits.values() if fit is not best), key=lambda fit: fit.aic)
+    gap = others[0].aic - best.aic
+    text = f"{preferred} is preferred: lowest AIC, {gap:.1f} below {others[0].structure}"
+    if best.heldout_nmse is not None:
+        text += f"; held-out NMSE {best.heldout_nmse:.4g}"
+    return text + "."
+
+
+def _told_apart(fits: Mapping[str, Fit], contest: Contest) -> str:
+    winner = contest.preferred
+    if winner is None:
+        return "UD-FOM and D-IOM cannot be told apart by this log."
+    loser = contest.first if winner == contest.second else contest.second
+    return f"{winner} describes this log better than {loser} (z = {abs(contest.z):.1f})."
+
+
+def _of_the_delay(fits: Mapping[str, Fit], still: Mapping[str, Fit]) -> list[str]:
+    if not still:
+        return []
+    viscous, fractional = fits["D-IOM"], fits["UD-FOM"]
+    at_once_wins = still["UD-FOM"].aic < still["D-IOM"].aic - 2
+    error = viscous.standard_errors.get("delay", math.inf)
+    if at_once_wins and viscous.aic <= fractional.aic + 2 and abs(viscous.delay) > 3 * error:
+        return [
+            "λ is explained by the delay: without it UD-FOM wins "
+            f"(λ = {still['UD-FOM'].model.order:.3f}), with the {1e3 * viscous.delay:.1f} ms that the log "
+            "shows D-IOM is at least as good."
+        ]
+    return []
+
+
+def _of_the_parameters(fits: Mapping[str, Fit]) -> list[str]:
+    sentences = []
+    order = fits["UD-FOM"]
+    if "order" in order.at_bound:
+        sentences.append("λ is at its bound 2: this log shows no fractional order.")
+    interval = order.intervals.get("order")
+    if interval is not None and interval.high_open and "order" not in order.at_bound:
+        sentences.append("λ = 2 is not excluded by this log.")
+    if any(finding.code == "W308" for finding in fits["D-FOM"].findings):
+        sentences.append("α is not identifiable.")
+    return sentences

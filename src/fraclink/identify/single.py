@@ -1,0 +1,272 @@
+"""Identify one structure from one log."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink.errors import FieldError, LogError
+from fraclink.identify.errors_of_fit import Uncertainty, uncertainty
+from fraclink.identify.fit import Fit
+from fraclink.identify.notes import findings_of
+from fraclink.identify.problem import Hold, Window, chosen_hold, columns_of
+from fraclink.identify.profile import Interval, profile_interval
+from fraclink.identify.search import Search, Solution
+from fraclink.identify.shape import ALPHA_LIMITS, COORDINATES, ORDER_LIMITS, model_of, shape_of
+from fraclink.identify.statistics import ResidualTests, aic, bic, residual_tests
+from fraclink.link import LinkModel
+from fraclink.link import structure as structure_row
+
+if TYPE_CHECKING:
+    from fraclink.experiment import Experiment
+
+__all__ = ["identify"]
+
+_FIXABLE: dict[str, tuple[float, float]] = {
+    "gain": (-math.inf, math.inf),
+    "offset": (-math.inf, math.inf),
+    "delay": (-1.0, 10.0),
+    "order": ORDER_LIMITS,
+    "damping_order": ALPHA_LIMITS,
+}
+_LEAST_SAMPLES = 50
+_COLOURED = 0.01  # p-value below which the residual is taken for coloured
+
+
+def identify(
+    log: Experiment,
+    structure: str = "UD-FOM",
+    *,
+    heldout: float = 0.4,
+    stiffness: float | None = None,
+    fixed: Mapping[str, float] | None = None,
+    guess: LinkModel | None = None,
+    hold: Hold = "auto",
+    details: bool = True,
+) -> Fit:
+    """Fit a link structure to a log; gain, offset and sensor delay are fitted along, no guess is asked.
+
+        minimise Σ (output − gain·y(t − delay) − offset)²,    Y = s^λ/(s^λ + μ s^α + ϖ²) Θm
+
+    Arguments:
+        log: the recorded motion, at rest before its first sample.
+        structure: "UD-IOM", "D-IOM", "UD-FOM" or "D-FOM".
+        heldout: share of the samples at the end that the fit does not see, 0 to 0.9 [1].
+        stiffness: c [N·m/rad] where it is known: a torque log's gain is fixed to it; a deflection log,
+            which cannot show it, gets it as the model's stiffness.
+        fixed: values of "gain", "offset", "delay" [s], "order", "damping_order" that are not to be fitted.
+        guess: where to start instead of the scan over all frequencies of the log.
+        hold: what the motor angle does between samples: "first" (a measured motion), "zero" (a held
+            command) or "auto" (zero only for angles that jump and rest).
+        details: False leaves out intervals, tests and the allowance for coloured residuals (ten times
+            faster, for loops over thousands of logs).
+
+    Raises LogError for a log without motion or too short, FieldError for an option out of its range,
+    NotConvergedError where no start has a fit. Source: the paper, Algorithm 1 and section 3.3.
+
+    >>> import numpy as np
+    >>> from fraclink.experiment import Experiment
+    >>> time = 0.004 * np.arange(3000)
+    >>> angle = np.clip((time - 0.5) / 0.3, 0, 1)
+    >>> swing = LinkModel(1.56, 10.02, order=1.92)
+    >>> log = Experiment(period=0.004, motor_angle=angle, output=simulated_torque(swing, angle, 0.004))
+    >>> fit = identify(log, "UD-FOM")
+    >>> round(fit.model.order, 6), round(fit.model.natural_frequency, 5), round(fit.gain, 6)
+    (1.92, 10.02, 1.56)
+    """
+    structure_row(structure)
+    search = make_search(log, heldout=heldout, stiffness=stiffness, fixed=fixed, guess=guess, hold=hold)
+    return fit_from(search, structure, log, stiffness=stiffness, details=details)
+
+
+def simulated_torque(
+    model: LinkModel,
+    motor_angle: NDArray[np.float64],
+    period: float,
+    *,
+    delay: float = 0.0,
+    hold: Hold = "auto",
+) -> NDArray[np.float64]:
+    """Torque [N·m] of a link, at rest at first, whose motor angle [rad] is linear or held between samples.
+
+    It is what `identify` compares a log with; the independent way is `fraclink.time_response`.
+    """
+    angle = np.asarray(motor_angle, dtype=np.float64)
+    window = Window(angle, np.zeros_like(angle), period, chosen_hold(angle, hold))
+    kernel = window.kernel(abs(model.pole), longest_delay=abs(delay))
+    return np.asarray(model.stiffness * columns_of(kernel, shape_of(model, delay))[0])
+
+
+def make_search(
+    log: Experiment,
+    *,
+    heldout: float,
+    stiffness: float | None,
+    fixed: Mapping[str, float] | None,
+    guess: LinkModel | None,
+    hold: Hold,
+) -> Search:
+    """Check the options and cut the fitted part of the log."""
+    if not (isinstance(heldout, int | float) and 0 <= heldout <= 0.9):
+        raise FieldError(
+            "heldout", heldout, "out of range", allowed="0 to 0.9", remedy="give 0.4, or 0 for none"
+        )
+    values = _checked(fixed or {})
+    if stiffness is not None:
+        if not (math.isfinite(stiffness) and stiffness > 0):
+            raise FieldError(
+                "stiffness", stiffness, "out of range", allowed="> 0 N·m/rad", remedy="give c or leave it out"
+            )
+        if log.output_kind == "torque":
+            values.setdefault("gain", float(stiffness))
+    count = log.output.size - round(heldout * log.output.size)
+    _check_motion(log, count)
+    chosen = chosen_hold(log.motor_angle, hold)
+    window = Window(log.motor_angle[:count], log.output[:count], log.period, chosen)
+    start = None if guess is None else shape_of(guess, values.get("delay", 0.0))
+    return Search(window, values, start)
+
+
+def _checked(fixed: Mapping[str, float]) -> dict[str, float]:
+    for name, value in fixed.items():
+        if name not in _FIXABLE:
+            raise FieldError(
+                "fixed", name, "unknown", allowed=", ".join(_FIXABLE), remedy="name one of these"
+            )
+        low, high = _FIXABLE[name]
+        if not (math.isfinite(value) and low <= value <= high):
+            raise FieldError(
+                f"fixed {name}",
+                value,
+                "out of range",
+                allowed=f"{low:g} to {high:g}",
+                remedy="give another value",
+            )
+    return {name: float(value) for name, value in fixed.items()}
+
+
+def _check_motion(log: Experiment, count: int) -> None:
+    if count < _LEAST_SAMPLES:
+        raise LogError(
+            "output",
+            count,
+            "too few samples to fit",
+            allowed=f">= {_LEAST_SAMPLES}",
+            remedy="record a longer log",
+        )
+    for name, values in (("motor_angle", log.motor_angle), ("output", log.output)):
+        if np.ptp(values[:count]) == 0:
+            raise LogError(
+                name,
+                float(values[0]),
+                "constant over the fitted part",
+                allowed="a motion",
+                remedy="check the wiring, or fit a part in which the arm moves",
+            )
+
+
+def fit_from(search: Search, name: str, log: Experiment, *, stiffness: float | None, details: bool) -> Fit:
+    """The fit of one structure from a search, judged on the whole log."""
+    solution = search.solve(name)
+    window = search.window
+    whole = Window(log.motor_angle, log.output, log.period, window.hold)
+    kernel = whole.kernel(math.exp(search.seed[1]), longest_delay=search.longest_delay)
+    raw = columns_of(kernel, solution.shape)
+    predicted = solution.gain * raw[0] + solution.offset
+    residual = log.output - predicted
+    errors = uncertainty(search, solution, search.kernel, coloured=details)
+    tests, intervals = None, {}
+    allow = False
+    if details:
+        tests = _tests(search, residual[: window.samples], errors)
+        allow = tests.whiteness < _COLOURED and errors.coloured is not None
+        intervals = _intervals(search, solution, errors, allow)
+    return _assembled(search, solution, log, stiffness, predicted, residual, errors, tests, intervals, allow)
+
+
+def _variances(errors: Uncertainty, allow: bool) -> NDArray[np.float64]:
+    white = np.diag(errors.white)
+    # Colour may also narrow an estimate, but the sandwich is too noisy to be believed there.
+    return np.maximum(np.diag(errors.coloured), white) if allow and errors.coloured is not None else white
+
+
+def _tests(search: Search, residual: NDArray[np.float64], errors: Uncertainty) -> ResidualTests:
+    ratio = 1.0
+    if errors.coloured is not None and errors.names:
+        ratio = float(np.max(np.diag(errors.coloured) / np.maximum(np.diag(errors.white), 1e-300)))
+    motion = search.window.increments()
+    return residual_tests(residual, motion, search.window.period, errors.lag, ratio)
+
+
+def _intervals(search: Search, solution: Solution, errors: Uncertainty, allow: bool) -> dict[str, Interval]:
+    variances, white = _variances(errors, allow), np.diag(errors.white)
+    result = {}
+    for i, name in enumerate(errors.names):
+        if name in ("gain", "offset"):
+            continue
+        inflation = float(variances[i] / white[i]) if white[i] > 0 else 1.0
+        error = math.sqrt(max(white[i], 0.0) * inflation)
+        result[name] = profile_interval(search, solution, search.kernel, name, error, inflation)
+    return result
+
+
+def _assembled(
+    search: Search,
+    solution: Solution,
+    log: Experiment,
+    stiffness: float | None,
+    predicted: NDArray[np.float64],
+    residual: NDArray[np.float64],
+    errors: Uncertainty,
+    tests: ResidualTests | None,
+    intervals: Mapping[str, Interval],
+    allow: bool,
+) -> Fit:
+    count = search.window.samples
+    known = stiffness if log.output_kind == "deflection" else None
+    fallback = 1.0 if log.output_kind == "deflection" else max(abs(solution.gain), 1e-12)
+    model = model_of(solution.shape, known if known is not None else fallback, log.payload)
+    mse = float(np.mean(residual[:count] ** 2))
+    power = float(np.mean((log.output[:count] - solution.offset) ** 2))
+    held = float(np.mean(residual[count:] ** 2)) if count < residual.size else None
+    held_power = float(np.mean((log.output[count:] - solution.offset) ** 2)) if held is not None else 0.0
+    parameters = len(structure_row(solution.structure).free)
+    variances = _variances(errors, allow)
+    fit = Fit(
+        structure=solution.structure,
+        model=model,
+        gain=float(solution.gain),
+        offset=float(solution.offset),
+        delay=float(solution.shape[4]),
+        hold=search.window.hold,
+        output_kind=log.output_kind,
+        period=float(log.period),
+        fitted_samples=count,
+        mse=mse,
+        nmse=mse / power,
+        aic=aic(mse, count, parameters),
+        bic=bic(mse, count, parameters),
+        heldout_mse=held,
+        heldout_nmse=held / held_power if held is not None and held_power > 0 else None,
+        standard_errors=dict(zip(errors.names, np.sqrt(np.maximum(variances, 0)).tolist(), strict=True)),
+        white_standard_errors=dict(
+            zip(errors.names, np.sqrt(np.maximum(np.diag(errors.white), 0)).tolist(), strict=True)
+        ),
+        errors_allow_colour=bool(allow),
+        intervals=intervals,
+        at_bound=tuple(COORDINATES[i] for i in solution.at_bound),
+        tests=tests,
+        converged=solution.status == 0,
+        evaluations=solution.evaluations,
+        predicted=predicted,
+        residual=residual,
+        source=log.source,
+        sha256=log.sha256,
+    )
+    import dataclasses
+
+    return dataclasses.replace(fit, findings=findings_of(fit, errors.singular, stiffness))
