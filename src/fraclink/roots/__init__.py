@@ -20,9 +20,9 @@ from numpy.typing import ArrayLike, NDArray
 from fraclink.errors import FieldError, NotConvergedError
 from fraclink.roots.count import count_strip
 from fraclink.roots.exponential import ExponentialSum, NearZeroError
-from fraclink.roots.search import aberth, bisect, settle_clusters
+from fraclink.roots.search import aberth, bisect, newton_polygon, settle_clusters
 
-__all__ = ["ExponentialSum", "count_zeros", "log_zeros"]
+__all__ = ["ExponentialSum", "count_zeros", "log_zeros", "newton_polygon", "two_term_zeros"]
 
 # Heights at which the counted strip may end above `angle`: the first that no zero is near is taken.
 _MARGINS = (0.0618, 0.0382, 0.0871, 0.0197, 0.1303, 0.0093)
@@ -82,11 +82,30 @@ def log_zeros(coefficients: ArrayLike, orders: ArrayLike, *, angle: float) -> ND
     terms = ExponentialSum.of(coefficients, orders)
     if len(terms.rates) < 2:
         return np.empty(0, dtype=complex)
+    if len(terms.rates) == 2:
+        (low, high), gap = terms.coefficients, terms.rates[1]
+        return _upper(np.array(two_term_zeros(low / high, gap, angle), dtype=complex), angle)
     height, count = _counted(terms, angle)
     found = settle_clusters(terms, aberth(terms, height))
     if not _complete(found, count):
         found = _by_bisection(terms, height, count)
     return _upper(found, angle)
+
+
+def two_term_zeros(ratio: float, gap: float, angle: float) -> list[complex]:
+    """Zeros of s^gap + ratio = 0 (ratio ≠ 0, gap > 0) by hand: gap z = ln(−ratio) + 2πjm, 0 ≤ Im z ≤ angle.
+
+    >>> two_term_zeros(1.0, 2.0, 2.0)
+    [1.5707963267948966j]
+    """
+    size = math.log(abs(ratio)) / gap
+    first = math.pi if ratio > 0 else 0.0
+    last = (
+        int(((angle + _ON_EDGE) * gap - first) / (2 * math.pi) + 1)
+        if first <= (angle + _ON_EDGE) * gap
+        else 0
+    )
+    return [complex(size, (first + 2 * math.pi * m) / gap) for m in range(last)]
 
 
 def _checked(angle: float) -> float:

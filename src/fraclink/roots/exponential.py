@@ -81,9 +81,10 @@ class ExponentialSum:
 
     def terms(self, z: Complex) -> tuple[Complex, Real]:
         """All terms at each z, shape (K, *z.shape), divided by the largest one, and their sum of moduli."""
-        exponents = self._logs.reshape(-1, *[1] * np.ndim(z)) + np.multiply.outer(self.rates, z)
+        column = (-1, *[1] * np.ndim(z))
+        exponents = np.asarray(self._logs.reshape(column) + np.multiply.outer(self.rates, z), dtype=complex)
         exponents -= exponents.real.max(axis=0)
-        terms = self._signs.reshape(-1, *[1] * np.ndim(z)) * np.exp(exponents)
+        terms = np.asarray(self._signs.reshape(column) * np.exp(exponents))
         moduli: Real = np.abs(terms).sum(axis=0)
         return terms, moduli
 

@@ -2,30 +2,81 @@
 
 from __future__ import annotations
 
+import cmath
 import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from typing import cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fraclink.errors import FieldError
-from fraclink.stability.sweep import Loop, Response
+from fraclink.fractional import FractionalTransferFunction
+from fraclink.stability.fractional_loop import FractionalLoop
+from fraclink.stability.sweep import Loop
 
-__all__ = ["as_loop"]
+__all__ = ["Response", "as_loop"]
+
+Complex = NDArray[np.complex128]
+Real = NDArray[np.float64]
+Response = Callable[[Complex], Complex]
 
 # Twelve decades around 1 rad/s hold every mechanical and electrical loop a callable can stand for.
 _LOW, _HIGH = 1e-6, 1e6
+# Central differences of ln L over 2e-5: exact to 1e-10, and the bracket guards what they get wrong.
+_STEP = 1e-5
+
+
+@dataclass(frozen=True)
+class CallableLoop:
+    """A loop given as a function of s, of which nothing else is known."""
+
+    response: Response
+    low: float
+    high: float
+    seeds: Real = field(default_factory=lambda: np.empty(0))
+    quiet: float = 1e-3  # there may be a delay, whose phase crossings below −60 dB are countless
+    follow: float = -math.inf
+
+    def __call__(self, x: Real) -> Complex:
+        """L(j e^x)."""
+        values = np.asarray(self.response(1j * np.exp(x)), dtype=complex)
+        if values.shape != x.shape:
+            raise FieldError(
+                "loop",
+                values.shape,
+                "of another shape than its argument",
+                allowed=f"shape {x.shape}",
+                remedy="write the callable with numpy operations on arrays of s",
+            )
+        if np.isnan(values).any():
+            raise FieldError(
+                "loop",
+                "nan",
+                f"not a number at {math.exp(float(x[np.isnan(values)][0])):.6g} rad/s",
+                allowed="finite values (infinite at a pole on the axis)",
+                remedy="check the callable there or lower limit=",
+            )
+        return values
+
+    def point(self, x: float) -> tuple[complex, complex]:
+        """L(j e^x) and d ln L/dx by a central difference, one-sided at the upper limit."""
+        above, below = min(x + _STEP, self.high), x - _STEP
+        low, here, high = self(np.array([below, x, above])).tolist()
+        if not (low and high and cmath.isfinite(low) and cmath.isfinite(high)):
+            return here, complex(math.nan, math.nan)
+        return here, cmath.log(high / low) / (above - below)
 
 
 def as_loop(loop: object, limit: float | None) -> Loop:
     """Return the loop with its range of frequencies and its seeds."""
     if limit is not None and not (math.isfinite(limit) and limit > 0):
         raise FieldError(
-            "limit",
-            limit,
-            "not a frequency",
-            allowed="> 0 rad/s",
-            remedy="give the Nyquist frequency or None",
+            "limit", limit, "not a frequency", allowed="> 0 rad/s", remedy="give the Nyquist frequency"
         )
+    if isinstance(loop, FractionalTransferFunction):
+        return FractionalLoop.of(loop, limit)
     if not callable(loop):
         raise FieldError(
             "loop",
@@ -34,5 +85,18 @@ def as_loop(loop: object, limit: float | None) -> Loop:
             allowed="a transfer function or a callable of s",
             remedy="pass a FractionalTransferFunction or a function of s = jω",
         )
+    return _callable_loop(loop, limit)
+
+
+def _callable_loop(loop: Callable[..., object], limit: float | None) -> CallableLoop:
+    """A function of s, or a python-control system (recognised by its `dt`; sampled ones stop at π/dt)."""
+    response, period = loop, getattr(loop, "dt", None)
+    if isinstance(period, (int, float)) and not isinstance(period, bool) and period > 0:
+        step = float(period)
+        limit = math.pi / step if limit is None else min(limit, math.pi / step)
+
+        def response(s: Complex) -> object:
+            return loop(np.exp(s * step))
+
     high = _HIGH if limit is None else limit
-    return Loop(cast(Response, loop), math.log(min(_LOW, high * 1e-6)), math.log(high), np.empty(0))
+    return CallableLoop(cast(Response, response), math.log(min(_LOW, high * 1e-6)), math.log(high))

@@ -1,55 +1,80 @@
-"""Roots and minima of a response, polished from brackets; all of them at once."""
+"""Roots and extremes of a response, polished from brackets by Newton's method with exact slopes."""
 
 from __future__ import annotations
 
+import cmath
 import math
 from collections.abc import Callable
 
-import numpy as np
-from numpy.typing import NDArray
-
 from fraclink.stability.sweep import Loop
 
-__all__ = ["polish_minimum", "polish_roots"]
+__all__ = ["extreme", "gain_level", "modulus_slope", "phase_level", "polish"]
 
-Complex = NDArray[np.complex128]
-Real = NDArray[np.float64]
+Level = Callable[[complex, complex], tuple[float, float]]
+
+_DONE = 1e-9  # the error that a last Newton step of this length leaves is far below rounding
 
 
-def polish_roots(
-    loop: Loop, height: Callable[[Complex], Real], a: Real, b: Real, at_a: Complex, at_b: Complex
-) -> Real:
-    """Roots of height(L(j e^x)) in the brackets [a, b], by the Anderson–Björck secant method."""
-    fa, fb = height(at_a), height(at_b)
-    for _ in range(60):
-        with np.errstate(invalid="ignore", divide="ignore"):
-            c = b - fb * (b - a) / (fb - fa)
-        c = np.where(np.isfinite(c) & ((c - a) * (c - b) <= 0), c, 0.5 * (a + b))
-        fc = height(loop(c))
-        crossed = fc * fb < 0
-        with np.errstate(invalid="ignore", divide="ignore"):
-            shrink = 1 - fc / fb
-        fa = np.where(crossed, fb, fa * np.where(shrink > 0, shrink, 0.5))
-        a = np.where(crossed, b, a)
-        b, fb = c, fc
-        if np.all((np.abs(fc) < 1e-15) | (np.abs(b - a) < 1e-15)):
+def gain_level(value: complex, slope: complex) -> tuple[float, float]:
+    """ln |L| and its derivative by ln ω."""
+    size = abs(value)
+    return (math.log(size) if 0 < size < math.inf else math.copysign(math.inf, size - 1)), slope.real
+
+
+def phase_level(value: complex, slope: complex) -> tuple[float, float]:
+    """arg(−L) and its derivative by ln ω."""
+    return cmath.phase(-value), slope.imag
+
+
+def modulus_slope(value: complex, slope: complex) -> float:
+    """½ d|1 + L|²/d ln ω."""
+    return ((1 + value).conjugate() * value * slope).real
+
+
+def polish(loop: Loop, level: Level, a: float, b: float, at_a: float, at_b: float) -> tuple[float, complex]:
+    """The root of `level` in the bracket [a, b], and L there; a step that leaves the bracket halves it."""
+    x = a - at_a * (b - a) / (at_b - at_a)
+    if not a <= x <= b:
+        x = 0.5 * (a + b)
+    for _ in range(100):
+        value, slope = loop.point(x)
+        f, rate = level(value, slope)
+        if (f < 0) == (at_a < 0):
+            a = x
+        else:
+            b = x
+        step = f / rate if rate and math.isfinite(f) else math.inf
+        new = x - step
+        if not a <= new <= b:
+            new = 0.5 * (a + b)
+        moved, x = new - x, new
+        if abs(moved) < _DONE or f == 0:
+            return x, value * cmath.exp(slope * moved)
+    return x, loop.point(x)[0]
+
+
+def extreme(
+    loop: Loop, tendency: Callable[[complex, complex], float], a: float, b: float
+) -> tuple[float, complex]:
+    """A zero of `tendency`, which has the sign of a derivative, between a and b (Anderson and Björck)."""
+    at_a, at_b = tendency(*loop.point(a)), tendency(*loop.point(b))
+    if at_a == 0 or at_b == 0:  # an end is the extreme itself
+        c = a if at_a == 0 else b
+        return c, loop.point(c)[0]
+    c, value = a, 0j
+    for _ in range(100):
+        last = c
+        c = b - at_b * (b - a) / (at_b - at_a) if at_b != at_a else 0.5 * (a + b)
+        if not min(a, b) <= c <= max(a, b):
+            c = 0.5 * (a + b)
+        value, slope = loop.point(c)
+        at_c = tendency(value, slope)
+        if at_c == 0 or abs(c - last) < _DONE:
             break
-    return b
-
-
-def polish_minimum(
-    loop: Loop, height: Callable[[Complex], Real], x: Real, values: Complex
-) -> tuple[float, float]:
-    """Smallest height(L) over the sweep, and its frequency [rad/s]; zooms into the lowest bracket."""
-    y = height(values)
-    i = int(np.nanargmin(y))
-    best, at = float(y[i]), float(x[i])
-    low, high = x[max(i - 1, 0)], x[min(i + 1, len(x) - 1)]
-    for _ in range(12):
-        grid = np.linspace(low, high, 9)
-        y = height(loop(grid))
-        i = int(np.nanargmin(y))
-        if y[i] < best:
-            best, at = float(y[i]), float(grid[i])
-        low, high = grid[max(i - 1, 0)], grid[min(i + 1, 8)]
-    return best, math.exp(at)
+        if at_c * at_b < 0:
+            a, at_a = b, at_b
+        else:
+            share = 1 - at_c / at_b
+            at_a *= share if share > 0 else 0.5
+        b, at_b = c, at_c
+    return c, value

@@ -3,66 +3,63 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fraclink.errors import FieldError
 
-if TYPE_CHECKING:
-    pass
-
-__all__ = ["Loop", "Response", "sweep"]
+__all__ = ["CLOSEST", "Loop", "sweep"]
 
 Complex = NDArray[np.complex128]
 Real = NDArray[np.float64]
-Response = Callable[[Complex], Complex]
 
-STEP = 0.5  # largest change of ln L between neighbours: 4.3 dB or 29°; crossings are then bracketed surely
-CLOSEST = 1e-9  # neighbours closer than this in ln ω are a pole or zero on the axis itself
+TURN = 0.5  # largest change of phase between neighbours [rad]: a crossing is then bracketed surely
+RISE = 1.5  # largest change of ln |L| between neighbours: 13 dB
+CLOSEST = 1e-9  # neighbours closer than this in ln ω have a pole or zero of the axis between them
 POINT_LIMIT = 50_000
-QUIET = 1e-4  # below −80 dB the phase is not followed: a delay turns it without end
-_TINY = 1e-300
 
 
-@dataclass(frozen=True)
-class Loop:
+class Loop(Protocol):
     """A response on the imaginary axis and what is known about it before it is evaluated."""
 
-    evaluate: Response
-    low: float  # ln of the lowest and the highest frequency that can matter
-    high: float
-    seeds: Real  # ln ω where the response moves fast (poles and zeros near the axis)
+    @property
+    def low(self) -> float:
+        """ln of the lowest frequency that can matter [rad/s]."""
+
+    @property
+    def high(self) -> float:
+        """ln of the highest frequency that can matter [rad/s]."""
+
+    @property
+    def seeds(self) -> Real:
+        """ln ω where the response moves fast: near poles and zeros beside the axis."""
 
     def __call__(self, x: Real) -> Complex:
         """L(j e^x)."""
-        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            values = np.asarray(self.evaluate(1j * np.exp(x)), dtype=complex)
-        if values.shape != x.shape:
-            raise FieldError(
-                "loop",
-                values.shape,
-                "of another shape than its argument",
-                allowed=f"shape {x.shape}",
-                remedy="write the callable with numpy operations on arrays of s",
-            )
-        return values
+
+    @property
+    def quiet(self) -> float:
+        """|L| below which the phase need not be followed; 0 where it turns only so often."""
+
+    @property
+    def follow(self) -> float:
+        """ln of the frequency up to which the phase is followed even where |L| is below `quiet`."""
+
+    def point(self, x: float) -> tuple[complex, complex]:
+        """L(j e^x) and d ln L/dx at one frequency."""
 
 
-def sweep(loop: Loop, *, per_decade: int = 20, step: float = STEP) -> tuple[Real, Complex]:
-    """Return (ln ω, L) on a grid where ln L changes by less than `step` between neighbours."""
+def sweep(loop: Loop, *, per_decade: int = 20) -> tuple[Real, Complex]:
+    """Return (ln ω, L): neither ln L nor 1 + L moves far between neighbours."""
     count = max(16, int((loop.high - loop.low) / math.log(10) * per_decade) + 1)
     x = np.linspace(loop.low, loop.high, count)
     if loop.seeds.size:
-        x = np.unique(np.concatenate([x, loop.seeds]))
+        inside = (loop.seeds > loop.low) & (loop.seeds < loop.high)
+        x = np.unique(np.concatenate([x, loop.seeds[inside]]))
     values = loop(x)
-    for _ in range(40):
-        wide = _too_wide(x, values, step)
-        if not wide.size:
-            return x, values
+    while (wide := _too_wide(loop, x, values)).size:
         if x.size + wide.size > POINT_LIMIT:
             raise FieldError(
                 "limit",
@@ -77,11 +74,17 @@ def sweep(loop: Loop, *, per_decade: int = 20, step: float = STEP) -> tuple[Real
     return x, values
 
 
-def _too_wide(x: Real, values: Complex, step: float) -> NDArray[np.intp]:
-    """Intervals to halve: ln L moves too far, or bends so that it may have moved in between."""
-    modulus = np.abs(values)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        moved = np.abs(np.log(values[1:] / values[:-1]))
-    moved[~np.isfinite(moved)] = math.inf
-    heard = np.maximum(modulus[1:], modulus[:-1]) > QUIET
-    return np.flatnonzero((moved > step) & heard & (np.diff(x) > CLOSEST))
+def _too_wide(loop: Loop, x: Real, values: Complex) -> NDArray[np.intp]:
+    """Intervals to halve: ln L moves too far, or 1 + L more than its distance from zero."""
+    change = np.log(values[1:] / values[:-1])
+    fine = (np.abs(change.imag) <= TURN) & (np.abs(change.real) <= RISE)
+    away = np.abs(1 + values)
+    fine &= np.abs(np.diff(values)) <= np.minimum(away[1:], away[:-1])
+    width = np.diff(x)
+    if loop.quiet:
+        # A delay turns a wide interval by 2π and it looks still: but then its neighbour was refined.
+        fine[1:] &= width[1:] < 2.1 * width[:-1]
+        fine[:-1] &= width[:-1] < 2.1 * width[1:]
+        loud = np.abs(values) > loop.quiet
+        fine |= ~(loud[1:] | loud[:-1] | (x[:-1] < loop.follow))
+    return np.flatnonzero(~fine & (width > CLOSEST))
