@@ -17,14 +17,20 @@ _HOME: dict[str, str] = {
     "Channel": "fraclink.rig",
     "Controller": "fraclink.controller",
     "Experiment": "fraclink.experiment",
+    "FractionalTransferFunction": "fraclink.fractional",
     "LogColumns": "fraclink.rig",
     "Plan": "fraclink.design",
     "Rig": "fraclink.rig",
+    "TimeResponse": "fraclink.response",
     "deg": "fraclink.design",
     "design": "fraclink.design",
     "diagnose": "fraclink.diagnose",
+    "impulse_response": "fraclink.response",
     "inspect_log": "fraclink.readers",
     "read_log": "fraclink.readers",
+    "s": "fraclink.fractional",
+    "step_response": "fraclink.response",
+    "time_response": "fraclink.response",
 }
 
 if TYPE_CHECKING:  # what editors and type checkers see; nothing of this runs
@@ -34,8 +40,14 @@ if TYPE_CHECKING:  # what editors and type checkers see; nothing of this runs
     from fraclink.design import design as design
     from fraclink.diagnose import diagnose as diagnose
     from fraclink.experiment import Experiment as Experiment
+    from fraclink.fractional import FractionalTransferFunction as FractionalTransferFunction
+    from fraclink.fractional import s as s
     from fraclink.readers import inspect_log as inspect_log
     from fraclink.readers import read_log as read_log
+    from fraclink.response import TimeResponse as TimeResponse
+    from fraclink.response import impulse_response as impulse_response
+    from fraclink.response import step_response as step_response
+    from fraclink.response import time_response as time_response
     from fraclink.rig import Channel as Channel
     from fraclink.rig import LogColumns as LogColumns
     from fraclink.rig import Rig as Rig

@@ -62,29 +62,33 @@ class HeldQuotient:
         self, period: float, *, hold: str, span: float, tolerance: float, delay: float = 0.0
     ) -> DiscreteModes:
         """The recursion: exact weights at lags 0 and 1, modes from lag 2 on."""
+        parts = self.expansion(period, span, tolerance)
+        return self._recursion(parts, period, hold, span, tolerance, delay)
+
+    def _recursion(
+        self, parts: Expansion, period: float, hold: str, span: float, tolerance: float, delay: float
+    ) -> DiscreteModes:
         lag, ahead = split_delay(delay, period)
-        modes = self.expansion(period, span, tolerance)
-        rates = np.concatenate((modes.rates, [0.0] if self.low.integrator else []))
-        logs, pole_logs = -rates * period, modes.poles * period
-        weights = 2.0 * modes.pole_weights * np.exp(modes.poles * ahead)
-        slopes = self.low.integrator * period
+        integrator, early = self.low.integrator, 0.0
+        x, z = -parts.rates * period, parts.poles * period
         if hold == "zero":
             at, next_at = self.exact([ahead, period + ahead], 1)
-            zeroth, one = at + self.low.integrator * ahead, next_at - at + slopes
-            gains = modes.weights * np.expm1(-modes.rates * period)
-            pole_gains = weights * np.expm1(pole_logs)
+            zeroth, one = at + integrator * ahead, next_at - at + integrator * period
+            gains, pole_gains = parts.weights * np.expm1(x), 2.0 * parts.pole_weights * np.expm1(z)
         else:
             before, at, next_at = self.exact([ahead, period + ahead, 2.0 * period + ahead], 2)
-            zeroth = (at - 2.0 * before) / period + _hat_area(self.low.integrator, ahead, period)
-            one = (next_at - 2.0 * at + before) / period + slopes
-            gains = modes.weights * np.expm1(-modes.rates * period) ** 2 / (-modes.rates * period)
-            pole_gains = weights * np.expm1(pole_logs) ** 2 / pole_logs
-        gains = gains * np.exp(-modes.rates * ahead)
-        if self.low.integrator:
-            gains = np.append(gains, slopes)
+            early = before / period + 0.5 * integrator * ahead**2 / period
+            zeroth = (at - 2.0 * before) / period
+            zeroth += integrator * (0.5 * period + ahead - 0.5 * ahead**2 / period)
+            one = (next_at - 2.0 * at + before) / period + integrator * period
+            gains = parts.weights * np.expm1(x) ** 2 / x
+            pole_gains = 2.0 * parts.pole_weights * np.expm1(z) ** 2 / z
+        gains, pole_gains = gains * np.exp(x * ahead / period), pole_gains * np.exp(z * ahead / period)
+        if integrator:
+            x, gains = np.append(x, 0.0), np.append(gains, integrator * period)
         first = one - float(gains.sum()) - float(pole_gains.sum().real)
         return DiscreteModes(
-            period, hold, zeroth, first, logs, gains, pole_logs, pole_gains, span, lag, tolerance
+            period, hold, zeroth, first, x, gains, z, pole_gains, span, lag, early, tolerance
         )
 
     def respond(
@@ -92,31 +96,42 @@ class HeldQuotient:
     ) -> tuple[Reals, float, int]:
         """Response to the samples u, its estimated error, and the number of modes."""
         span = max(len(u), 1) * period
-        modes = self.modes(period, hold=hold, span=span, tolerance=tolerance, delay=delay)
+        parts = self.expansion(period, span, tolerance)
+        modes = self._recursion(parts, period, hold, span, tolerance, delay)
         output = modes.respond(u)
-        ahead, lag = modes.lag * period - delay, modes.lag
-        ahead = 0.0 if abs(ahead) < 1e-9 * max(period, delay) else ahead
-        inside = len(u) - lag  # samples that see the input at all
-        if inside > 0 and self.low.powers:
-            weights = power_weights(self.low.powers, period, ahead, inside, hold)
-            output[lag:] += convolve(weights, u[:inside])
-        if inside > 0 and hold == "first" and u[0] != 0.0:
-            output[lag:] += u[0] * self._jump(inside, period, ahead, tolerance)
-        error = 4.0 * self.error(period, span, tolerance) * float(np.max(np.abs(u), initial=0.0))
+        lag, ahead = split_delay(delay, period)
+        if lag < len(u) and self.low.powers:
+            weights = power_weights(self.low.powers, period, ahead, len(u) - lag, hold)
+            output[lag:] += convolve(weights, u[: len(u) - lag])
+        if lag <= len(u) and hold == "first":
+            self._add_edges(output, u, parts, period, lag, ahead)
+        error = 4.0 * self.error(parts, period, span) * float(np.max(np.abs(u), initial=0.0))
         return output, error + 4e-15 * float(np.max(np.abs(output), initial=0.0)), modes.count
 
-    def _jump(self, count: int, period: float, ahead: float, tolerance: float) -> Reals:
-        """Response to a jump at 0 minus that to the straight rise from -T to 0 that a hat would give."""
-        step, (ramp, next_ramp) = self.exact([ahead], 1)[0], self.exact([ahead, ahead + period], 2)
-        modes = self.expansion(period, count * period, tolerance)
+    def _add_edges(
+        self, output: Reals, u: Reals, parts: Expansion, period: float, lag: int, ahead: float
+    ) -> None:
+        """Turn hats that start one period before their sample into a jump at 0 and straight lines after it.
 
-        x = -modes.rates * period
-        gains = modes.weights * np.exp(-modes.rates * ahead) * (1.0 - np.expm1(x) / x)
-        poles = modes.poles * period
-        pole_gains = 2.0 * modes.pole_weights * np.exp(modes.poles * ahead) * (1.0 - np.expm1(poles) / poles)
-        start = np.concatenate((np.ones(len(x)), np.tile([1.0, 0.0], len(poles))))
-        rest = np.zeros(count)
-        output: Reals = _kernels.modes_response(rest, 0.0, 0.0, x, gains, poles, pole_gains, start)
+        With a delay between samples a hat is seen `ahead` before its peak: the singular powers' share of
+        that (the modes' is in `early`), less what the jump's own hat has of it.
+        """
+        if ahead:
+            rise = float(power_response(self.low.powers, np.array([ahead]), 2)[0]) / period
+            output[lag - 1 :] += rise * u[: len(u) - lag + 1]
+            early = self.exact([ahead], 2)[0] / period + 0.5 * self.low.integrator * ahead**2 / period
+            output[lag - 1] -= u[0] * (rise + early)
+        if lag < len(u) and u[0] != 0.0:
+            output[lag:] += u[0] * self._jump(len(u) - lag, parts, period, ahead)
+
+    def _jump(self, count: int, parts: Expansion, period: float, ahead: float) -> Reals:
+        """Response to a jump at 0 minus that to a straight rise from -T to 0, `ahead` after each sample."""
+        step, (ramp, next_ramp) = self.exact([ahead], 1)[0], self.exact([ahead, ahead + period], 2)
+        x, z = -parts.rates * period, parts.poles * period
+        gains = parts.weights * np.exp(x * ahead / period) * (1.0 - np.expm1(x) / x)
+        pole_gains = 2.0 * parts.pole_weights * np.exp(z * ahead / period) * (1.0 - np.expm1(z) / z)
+        start = np.concatenate((np.ones(len(x)), np.tile([1.0, 0.0], len(z))))
+        output: Reals = _kernels.modes_response(np.zeros(count), 0.0, 0.0, x, gains, z, pole_gains, start)
         output[0] = step - (next_ramp - ramp) / period
         output -= 0.5 * self.low.integrator * period
         times = np.arange(count, dtype=np.float64) * period + ahead
@@ -145,7 +160,7 @@ class HeldQuotient:
             value += self.exact([shortest], 1)[0] - value[index]
         value += self.low.integrator * (t if degree else 1.0) + power_response(self.low.powers, t, degree)
         output[later] = value
-        error = self.error(shortest, longest, tolerance) * (1.0 if degree else 1.0 / shortest)
+        error = self.error(modes, shortest, longest) * (1.0 if degree else 1.0 / shortest)
         return output, error + 4e-15 * float(np.max(np.abs(value))), len(modes.rates) + 2 * len(modes.poles)
 
     def _initial(self, degree: int) -> float:
@@ -161,21 +176,15 @@ class HeldQuotient:
             return math.copysign(math.inf, tail)
         return (tail if gap == 1.0 else 0.0) + self.low.integrator
 
-    def error(self, shortest: float, longest: float, tolerance: float) -> float:
+    def error(self, parts: Expansion, shortest: float, longest: float) -> float:
         """Largest difference between modes and contour integral in the increments of the step response."""
         if self.quotient is None:
             return 0.0
-        modes = self.expansion(shortest, longest, tolerance)
         times = np.geomspace(shortest, max(longest, 1.0001 * shortest), _CHECKS)
-        value = np.exp(-np.outer(times, modes.rates)) @ modes.weights
-        value += 2.0 * (np.exp(np.outer(times, modes.poles)) @ modes.pole_weights).real
+        value = np.exp(-np.outer(times, parts.rates)) @ parts.weights
+        value += 2.0 * (np.exp(np.outer(times, parts.poles)) @ parts.pole_weights).real
         gap = value - np.array(self.exact(times.tolist(), 1))
         return float(np.ptp(gap))
-
-
-def _hat_area(integrator: float, ahead: float, period: float) -> float:
-    """Integral over time of the hat of half-width `period` from its beginning to `ahead` after its peak."""
-    return integrator * (0.5 * period + ahead - 0.5 * ahead**2 / period)
 
 
 def split_delay(delay: float, period: float) -> tuple[int, float]:

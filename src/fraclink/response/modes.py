@@ -23,10 +23,10 @@ class DiscreteModes:
         x_i[k+1] = decays_i x_i[k] + v[k],   z_j[k+1] = pole_decays_j z_j[k] + v[k],   x, z = 0 at rest
 
     `hold` is "zero" (u is constant from sample to sample) or "first" (straight lines from sample to sample,
-    the first one from u[-1] = 0). Valid for `span` [s] after a change of the input; `tolerance` is the error
-    of the step response relative to its peak, as requested. `decays` = exp(`log_decays`): the logarithms hold
-    what a slow mode's decay, near 1, has lost to rounding. An integrator is a real mode
-    with a decay of exactly 1.
+    the first one from u[-1] = 0; with a delay between samples y[k] then has early·v[k+1] besides). Valid for
+    `span` [s] after a change of the input; `tolerance` is the error of the step response relative to its
+    peak, as requested. `decays` = exp(`log_decays`): the logarithms hold what a slow mode's decay, near 1,
+    has lost to rounding. An integrator is a real mode with a decay of exactly 1.
     """
 
     period: float
@@ -39,6 +39,7 @@ class DiscreteModes:
     pole_gains: Complexes
     span: float
     lag: int = 0
+    early: float = 0.0
     tolerance: float = 1e-12
     decays: Reals = field(init=False)
     pole_decays: Complexes = field(init=False)
@@ -57,9 +58,9 @@ class DiscreteModes:
     def respond(self, u: Reals, *, initial: Reals | None = None) -> Reals:
         """Return y for the samples u, from rest (or from `initial`: x, then z as re, im pairs)."""
         start = np.zeros(self.count) if initial is None else initial
-        held = np.ascontiguousarray(u, np.float64)
-        if self.lag:
-            held = np.concatenate((np.zeros(min(self.lag, len(held))), held[: max(len(held) - self.lag, 0)]))
+        values = np.ascontiguousarray(u, np.float64)
+        seen = max(len(values) - self.lag, 0)
+        held = np.concatenate((np.zeros(len(values) - seen), values[:seen])) if self.lag else values
         output: Reals = _kernels.modes_response(
             held,
             self.direct,
@@ -70,12 +71,14 @@ class DiscreteModes:
             self.pole_gains,
             start,
         )
+        if self.early and self.lag <= len(values):
+            output[self.lag - 1 :] += self.early * values[: len(values) - self.lag + 1]
         return output
 
     def frequency_response(self, frequency: Reals) -> Complexes:
         """Return the pulse transfer function at e^(jωT), ω = `frequency` [rad/s]."""
         shift = np.exp(-1j * np.asarray(frequency, np.float64) * self.period)
-        total = self.direct + self.first * shift
+        total = self.early / shift + self.direct + self.first * shift
         for gain, decay in zip(self.gains, self.decays, strict=True):
             total = total + gain * shift / (1.0 - decay * shift)
         for pole_gain, pole in zip(self.pole_gains, self.pole_decays, strict=True):
