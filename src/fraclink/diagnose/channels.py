@@ -96,7 +96,7 @@ def outliers(experiment: Experiment) -> Iterator[Finding]:
             yield Finding(
                 "W224",
                 "error" if far.size < 0.02 * values.size else "warning",
-                f"{far.size} outliers in {name}, the largest at {experiment.time[worst]:.6g} s (sample {worst})",
+                f"{far.size} outliers in {name}, the largest at sample {worst}",
                 {"value": float(values[worst]), "median": float(middle), "outliers": far.size},
                 "remove or repair these rows: a fit by least squares follows them",
             )

@@ -50,7 +50,7 @@ def stiction(experiment: Experiment) -> Iterator[Finding]:
     yield Finding(
         "W232",
         "warning" if share > 0.1 else "info",
-        f"the motor stands still in {100 * share:.3g} % of the time that it is driven, up to about {held:.3g} V",
+        f"the motor stands still in {100 * share:.3g} % of its driven time, up to about {held:.3g} V",
         {"share": share, "voltage": held, "longest_s": _longest_run(stuck) * experiment.period},
         "stiction: compensate it in the motor loop; the model of the link is not touched by it",
     )

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink.readers.formats import read_table
-from fraclink.readers.stated import suggested_mapping
+from fraclink.readers.stated import clock_step, suggested_mapping
 from fraclink.readers.table import Table
 
 __all__ = ["ChannelSummary", "LogListing", "converter_step", "inspect_log"]
@@ -92,16 +92,13 @@ def inspect_log(path: Path | str) -> LogListing:
     place = Path(path)
     table = read_table(place)
     channels = tuple(_summary(table, number) for number in range(len(table.names)))
-    return LogListing(
-        place.name, table.kind, channels, table.notes, suggested_mapping(table.names, table.units)
-    )
+    return LogListing(place.name, table.kind, channels, table.notes, suggested_mapping(table))
 
 
 def _summary(table: Table, number: int) -> ChannelSummary:
     values = table.values[number]
     finite = values[np.isfinite(values)]
-    steps = np.diff(finite)
-    clock = finite.size > 2 and bool((steps >= 0).all()) and finite[-1] > finite[0]
+    period = clock_step(values)
     return ChannelSummary(
         name=table.names[number],
         unit=table.units[number] if table.units else "",
@@ -109,8 +106,8 @@ def _summary(table: Table, number: int) -> ChannelSummary:
         missing=values.size - finite.size,
         minimum=float(finite.min()) if finite.size else float("nan"),
         maximum=float(finite.max()) if finite.size else float("nan"),
-        quantum=0.0 if clock else converter_step(finite),
-        period=float(np.median(steps)) if clock else None,
+        quantum=converter_step(finite) if period is None else 0.0,
+        period=period,
     )
 
 

@@ -129,7 +129,7 @@ def _unstated(table: Table) -> LogError:
         ", ".join(table.names[:12]),
         "not stated: which column is what, in which unit, is never guessed",
         allowed="a [log] table in the rig file, or names such as time_s, motor_angle_rad, torque_Nm",
-        remedy="paste this into the rig file and check it:\n" + suggested_mapping(table.names, table.units),
+        remedy="paste this into the rig file and check it:\n" + suggested_mapping(table),
     )
 
 

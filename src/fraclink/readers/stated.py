@@ -7,16 +7,20 @@ from __future__ import annotations
 
 import re
 
+import numpy as np
+from numpy.typing import NDArray
+
 from fraclink.errors import LogError
+from fraclink.readers.table import Table
 from fraclink.rig import Channel, LogColumns
 from fraclink.rig.columns import QUANTITY_OF, UNITS
 
-__all__ = ["columns_of_names", "suggested_mapping"]
+__all__ = ["clock_step", "columns_of_names", "suggested_mapping"]
 
 _NAME = re.compile(r"(time|motor_angle|torque|deflection|voltage)(?:_| *\[| *\()([A-Za-z·*]{1,5})[\])]?")
 # Words that loggers use; a hint for a person to check, never a reading.
 _HINTS = {
-    "time": ("time", "t_", "stamp", "sec"),
+    "time": (),  # known by its values: they never decrease
     "motor_angle": ("motor_angle", "theta", "pot", "enc", "position", "angle", "hub", "joint"),
     "torque": ("torque", "gamma", "moment", "effort", "nm"),
     "deflection": ("deflection", "alpha", "strain", "gauge", "bend"),
@@ -66,20 +70,39 @@ def _unit_in(name: str, role: str) -> str:
     return ending if ending in UNITS[QUANTITY_OF[role]] else "?"
 
 
-def suggested_mapping(names: tuple[str, ...], units: tuple[str, ...] = ()) -> str:
+def clock_step(values: NDArray[np.float64]) -> float | None:
+    """Median step of values that never decrease, as those of a clock; None for others."""
+    finite = values[np.isfinite(values)]
+    steps = np.diff(finite)
+    if finite.size < 3 or bool((steps < 0).any()):
+        return None
+    step = float(np.median(steps))
+    return step if step > 0 else None
+
+
+def suggested_mapping(table: Table) -> str:
     """A `[log]` table to paste into a rig file; what it could not tell is a ``?`` for a person to fill in."""
     lines = ["[log] # check every line: column, unit and sign"]
+    sizes = dict(zip(table.names, (values.size for values in table.values), strict=True))
+    clocks = [
+        name for name, values in zip(table.names, table.values, strict=True) if clock_step(values) is not None
+    ]
+    clocks.sort(key=lambda name: -sizes[name])
+    length = sizes[clocks[0]] if clocks else max(sizes.values(), default=0)
     taken: set[str] = set()
     for role, words in _HINTS.items():
         if role == "deflection" and any(line.startswith("torque") for line in lines):
             continue
+        names = [name for name in table.names if name not in clocks and sizes[name] == length]
         candidates = [name for word in words for name in names if word in name.lower() and name not in taken]
         candidates.sort(key=lambda name: any(word in name.lower() for word in _COMMANDED))
         if not candidates and role in ("torque", "voltage"):
             continue
+        if role == "time":
+            candidates = clocks
         name = candidates[0] if candidates else "?"
         taken.add(name)
-        stated = units[names.index(name)] if units and name in names else ""
+        stated = table.units[table.names.index(name)] if table.units and name != "?" else ""
         unit = stated if stated in UNITS[QUANTITY_OF[role]] else _unit_in(name, role)
         text = name.replace("\\", "\\\\").replace('"', '\\"')
         lines.append(f'{role} = {{ column = "{text}", unit = "{unit}" }}')

@@ -1,0 +1,55 @@
+"""HDF5: any file of numeric datasets, and MATLAB's v7.3, which is HDF5 with transposed arrays."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fraclink.errors import MissingExtraError
+from fraclink.readers.parsers.column import RawColumn, check_size, columns_of
+
+__all__ = ["read"]
+
+
+def read(path: Path) -> tuple[list[RawColumn], dict[str, str]]:
+    """Every numeric dataset of one or two dimensions; attributes ``units`` or ``unit`` give the unit."""
+    try:
+        import h5py
+    except ImportError as error:
+        raise MissingExtraError("h5py", "io") from error
+
+    columns: list[RawColumn] = []
+    with path.open("rb") as stream, h5py.File(stream, "r") as file:
+        matlab = any("MATLAB_class" in item.attrs for item in file.values())
+
+        def visit(name: str, item: Any) -> None:
+            # Links are not followed, and data kept in other files are not read: a log is one file.
+            if isinstance(item, h5py.Dataset) and not name.startswith("#") and _is_plain(item):
+                label = name.replace("/", ".") if matlab else name
+                pattern = "{0}(:,{1})" if matlab else "{0}[{1}]"
+                check_size(item.size, len(columns))
+                columns.extend(columns_of(label, np.asarray(item[()]), _unit(item), pattern))
+
+        file.visititems(visit)
+    return columns, {}
+
+
+def _is_plain(item: Any) -> bool:
+    kind = _text(item.attrs.get("MATLAB_class", b"double"))
+    return (
+        item.dtype.kind in "fiub"
+        and 1 <= len(item.shape or ()) <= 2
+        and kind not in ("char", "cell", "function_handle")
+        and not item.is_virtual
+        and item.external is None
+    )
+
+
+def _unit(item: Any) -> str:
+    return _text(item.attrs.get("units", item.attrs.get("unit", "")))[:20]
+
+
+def _text(value: object) -> str:
+    return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
