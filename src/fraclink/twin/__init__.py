@@ -7,10 +7,13 @@ same logs as a rig. It is a simulation, and everything it writes says so.
 
 from __future__ import annotations
 
+from fraclink.twin.arm import Twin, damping_of, geared
 from fraclink.twin.beam import Beam, Modes
 from fraclink.twin.damping import FractionalKelvinVoigt, KelvinVoigt, PowerLaw
+from fraclink.twin.events import Obstacle, PayloadChange, Restart, TipPulse
 from fraclink.twin.frequencies import exact_frequencies
 from fraclink.twin.logs import TwinLog, simulate_log
+from fraclink.twin.loop import TwinRun, run_twin
 from fraclink.twin.plant import Plant, assemble
 from fraclink.twin.sensors import Sensors
 
@@ -19,11 +22,20 @@ __all__ = [
     "FractionalKelvinVoigt",
     "KelvinVoigt",
     "Modes",
+    "Obstacle",
+    "PayloadChange",
     "Plant",
     "PowerLaw",
+    "Restart",
     "Sensors",
+    "TipPulse",
+    "Twin",
     "TwinLog",
+    "TwinRun",
     "assemble",
+    "damping_of",
     "exact_frequencies",
+    "geared",
+    "run_twin",
     "simulate_log",
 ]

@@ -55,7 +55,7 @@ class TipPulse:
         _time("time", self.time)
         _time("duration", self.duration, zero=False)
         if not math.isfinite(self.force):
-            raise FieldError("force", self.force, "not finite", allowed="any force in N", remedy="give newtons")
+            raise FieldError("force", self.force, "not finite", allowed="any force", remedy="give newtons")
 
 
 @dataclass(frozen=True)
@@ -85,9 +85,9 @@ class Obstacle:
                 "until", self.until, "not after time", allowed=f"> {self.time:g} s", remedy="exchange the two"
             )
         if self.side not in (-1, 1):
-            raise FieldError("side", self.side, "unknown", allowed="+1 or -1", remedy="say which way is barred")
+            raise FieldError("side", self.side, "unknown", allowed="+1 or -1", remedy="which way is barred?")
         if not math.isfinite(self.angle):
-            raise FieldError("angle", self.angle, "not finite", allowed="any angle in rad", remedy="give radians")
+            raise FieldError("angle", self.angle, "not finite", allowed="any angle", remedy="give radians")
         # Above 1e4 N/m a 1 ms step no longer resolves the contact of a payload of 10 g.
         if not 0.0 < self.stiffness <= 1e4:
             raise FieldError(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,22 +13,26 @@ from numpy.typing import NDArray
 from fraclink import _kernels
 from fraclink.errors import FieldError, SizeError
 from fraclink.twin.arm import Twin
-from fraclink.twin.beam import matrices
 from fraclink.twin.events import Event, Obstacle, PayloadChange, Restart, TipPulse
-from fraclink.twin.logs import MOST_SAMPLES, substeps
-from fraclink.twin.plant import Plant, StepMatrices
+from fraclink.twin.logs import MOST_SAMPLES
+from fraclink.twin.vessel import (
+    ACCELERATION,
+    ENCODER_GAIN,
+    GAUGE_ERROR,
+    GAUGE_GAIN,
+    REFERENCE,
+    TIP_FORCE,
+    VELOCITY,
+    Vessel,
+)
 
 if TYPE_CHECKING:
     from fraclink.law import Law
     from fraclink.reference import Reference
 
-__all__ = ["TwinRun", "Vessel", "run_twin"]
+__all__ = ["TwinRun", "collect", "driven", "healthy_inputs", "run_twin"]
 
 Vector = NDArray[np.float64]
-
-# Columns of the kernel's inputs (csrc/kernels/twin.h).
-REFERENCE, VELOCITY, ACCELERATION, GAUGE_ERROR, TIP_FORCE, FAULTS = range(6)
-ENCODER_GAIN, ENCODER_ERROR, ENCODER_VALUE, GAUGE_GAIN, GAUGE_VALUE = range(6, 11)
 
 
 @dataclass(frozen=True)
@@ -69,113 +73,6 @@ class TwinRun:
         return np.asarray(self.reference - self.tip_angle)
 
 
-class Vessel:
-    """The kernel's buffers of one run: link, gauge ring, voltage queue, sensors, law. Internal, mutable."""
-
-    def __init__(self, twin: Twin, period: float, law_state: bytes, *, start_angle: float = 0.0) -> None:
-        self.count = substeps(period, twin.step)
-        self.fine = period / self.count
-        delay = round(twin.sensors.gauge_delay / self.fine)
-        if abs(delay * self.fine - twin.sensors.gauge_delay) > 1e-9:
-            raise FieldError(
-                "gauge_delay",
-                twin.sensors.gauge_delay,
-                "between two steps",
-                allowed=f"multiples of {self.fine:g} s",
-                remedy="choose a step that divides the delay",
-            )
-        self.plant = twin.plant(self.fine)
-        self.step = self.plant.discretise(self.fine)
-        self.state = self.step.rest()
-        self.state[0] = start_angle
-        self.state += _straight(self.plant, start_angle, self.state.size)
-        self.gauge = np.zeros(delay + 1)
-        self.voltage = np.zeros(twin.voltage_delay + 1)
-        self.sensed = np.array([start_angle, 0.0])
-        self.counters = np.array([1, 1], dtype=np.uint32)  # stuck, first tick
-        self.law = np.frombuffer(bytearray(law_state), dtype=np.uint8)
-        self.rig = np.array(
-            [
-                self.count,
-                twin.voltage_delay,
-                delay,
-                twin.motor.gear_ratio * twin.motor.torque_constant,
-                twin.motor.voltage_limit,
-                twin.coulomb,
-                twin.breakaway,
-                twin.sensors.angle_quantum,
-                twin.sensors.gauge_quantum,
-                math.inf if twin.sensors.gauge_limit is None else twin.sensors.gauge_limit,
-            ]
-        )
-        self.obstacle = np.array([0.0, 0.0, 0.0, twin.beam.length, 1.0])
-        self.twin = twin
-
-    def run(self, block: bytes, inputs: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Advance by the rows of `inputs`; returns the kernel's record."""
-        return np.asarray(
-            _kernels.twin_run(
-                *self.step.arrays,
-                self.rig,
-                self.obstacle,
-                block,
-                np.ascontiguousarray(inputs),
-                self.law,
-                self.state,
-                self.gauge,
-                self.voltage,
-                self.sensed,
-                self.counters,
-            )
-        )
-
-    def sense(self, inputs: Vector) -> tuple[float, float]:
-        """Return what encoder and gauge read now."""
-        angle, torque = _kernels.twin_sense(
-            self.rig,
-            np.ascontiguousarray(inputs),
-            self.state,
-            self.gauge,
-            self.voltage,
-            self.sensed,
-            self.counters,
-        )
-        return float(angle), float(torque)
-
-    def change_payload(self, payload: float) -> None:
-        """Go on with another payload: shape, speed and the material's memory stay, the modes are new."""
-        twin = self.twin.with_payload(payload)
-        plant = twin.plant(self.fine)
-        step = plant.discretise(self.fine)
-        self.state = _transfer(self.plant, plant, self.state, step)
-        self.twin, self.plant, self.step = twin, plant, step
-
-
-def _straight(plant: Plant, angle: float, size: int) -> Vector:
-    """The absolute modal coordinates Γi θm of a straight link whose hub stands at `angle`."""
-    state = np.zeros(size)
-    for i in range(plant.modes.count):
-        state[plant.mode_slice(i).start] = plant.modes.participation[i] * angle
-    return state
-
-
-def _transfer(old: Plant, new: Plant, state: Vector, step: StepMatrices) -> Vector:
-    """Project link, velocity and every Maxwell element of the old modes on the new ones."""
-    mass, _ = matrices(new.beam)
-    projection = new.modes.shapes.T @ mass @ old.modes.shapes
-    result = step.rest()
-    result[:2] = state[:2]
-    blocks = np.array([state[old.mode_slice(i)] for i in range(old.modes.count)])
-    blocks[:, 0] -= old.modes.participation * state[0]
-    blocks[:, 1] -= old.modes.participation * state[1]
-    moved = projection @ blocks
-    moved[:, 0] += new.modes.participation * state[0]
-    moved[:, 1] += new.modes.participation * state[1]
-    for i in range(new.modes.count):
-        result[new.mode_slice(i)] = moved[i]
-    return result
-
-
 def healthy_inputs(
     twin: Twin, reference: Reference, period: float, count: int, generator: np.random.Generator
 ) -> NDArray[np.float64]:
@@ -206,7 +103,7 @@ def run_twin(
 
     Parameters
     ----------
-    law: with its inner loop (`plan.controller.discretize(..., rig=rig)`), in double precision
+    law: in double precision; where it has no inner loop it gets that of the twin's motor
     reference: of the tip, with velocity and acceleration; `.then()` makes several moves in a row
     duration: of the run [s]; default the reference's and 3 s more
     events: changes of payload, pulses, obstacles, restarts
@@ -214,21 +111,22 @@ def run_twin(
 
     Raises
     ------
-    FieldError: the law has no inner loop, another period than its drive, or is in single precision; the
-        duration is out of range.
+    FieldError: the law has another period than its inner loop or is in single precision; the duration is
+        out of range.
 
     >>> import fraclink as fl
-    >>> from fraclink.twin import Twin, run_twin
-    >>> rig = fl.Rig.named("paper-2023")
+    >>> from fraclink.reference import smooth_step
+    >>> from fraclink.twin import Twin, geared, run_twin
+    >>> rig = geared(fl.Rig.named("paper-2023"))
     >>> plan = fl.design(
-    ...     rig.model, rig, payloads=(0.020, 0.040), gain_crossover=12.0, phase_margin=fl.deg(50), filter_time=0.0
+    ...     rig.model, rig, payloads=(0.020, 0.040), gain_crossover=12.0, phase_margin=fl.deg(50)
     ... )
-    >>> law = plan.controller.discretize(rig.period, rig=rig)
-    >>> run = run_twin(Twin.from_rig(rig, link_mass=0.00735), law, fl.smooth_step(1.0, duration=1.0))
+    >>> law = plan.controller.discretize(rig.period)
+    >>> run = run_twin(Twin.from_rig(rig, link_mass=0.00735), law, smooth_step(1.0, duration=1.0))
     >>> bool(abs(run.error[-1]) < 0.02)
     True
     """
-    _check_law(law)
+    law = driven(twin, law)
     length = reference.duration + 3.0 if duration is None else duration
     if not (math.isfinite(length) and length > 2 * law.period):
         raise FieldError("duration", length, "too short", allowed="> 2 periods", remedy="give seconds")
@@ -248,23 +146,12 @@ def run_twin(
     return collect(np.vstack(records), np.concatenate(payloads), law.period, count)
 
 
-def _check_law(law: Law) -> None:
-    if law.drive is None:
-        raise FieldError(
-            "law",
-            "without an inner loop",
-            "not enough to drive a motor",
-            allowed="a law with a drive",
-            remedy="discretise the controller with rig=",
-        )
-    if not math.isclose(law.drive.loop.period, law.period, rel_tol=1e-9):
-        raise FieldError(
-            "period",
-            law.period,
-            "not the inner loop's",
-            allowed=f"{law.drive.loop.period} s",
-            remedy="discretise controller and inner loop at one period",
-        )
+def driven(twin: Twin, law: Law) -> Law:
+    """Return the law with the inner loop of the twin's motor, if it has none; refuse what cannot run."""
+    from fraclink.law import Drive
+    from fraclink.law.discretize import COULOMB_SPEED
+    from fraclink.motor import inner_loop
+
     if law.precision != "double":
         raise FieldError(
             "precision",
@@ -273,6 +160,25 @@ def _check_law(law: Law) -> None:
             allowed="double",
             remedy="use law.in_precision('double')",
         )
+    if law.drive is None:
+        motor = twin.motor
+        drive = Drive(
+            loop=inner_loop(motor, law.inner_pole).discretize(law.period),
+            voltage_limit=min(motor.voltage_limit, 1e4),  # a block holds finite numbers
+            torque_voltage=1.0 / (motor.torque_constant * motor.gear_ratio),
+            coulomb_voltage=motor.coulomb_torque / motor.torque_constant,
+            coulomb_speed=COULOMB_SPEED,
+        )
+        return replace(law, drive=drive)
+    if not math.isclose(law.drive.loop.period, law.period, rel_tol=1e-9):
+        raise FieldError(
+            "period",
+            law.period,
+            "not the inner loop's",
+            allowed=f"{law.drive.loop.period} s",
+            remedy="discretise controller and inner loop at one period",
+        )
+    return law
 
 
 def _segments(
@@ -320,9 +226,22 @@ def collect(record: NDArray[np.float64], payload: Vector, period: float, wanted:
     columns = [np.ascontiguousarray(column) for column in record.T]
     for column in (*columns, payload):
         column.flags.writeable = False
-    (reference, motor, tip, torque, encoder, gauge, command, voltage, _, mode, reason, flags, speed, contact) = (
-        columns
-    )
+    (
+        reference,
+        motor,
+        tip,
+        torque,
+        encoder,
+        gauge,
+        command,
+        voltage,
+        _,
+        mode,
+        reason,
+        flags,
+        speed,
+        contact,
+    ) = columns
     time = period * np.arange(len(record))
     time.flags.writeable = False
     return TwinRun(

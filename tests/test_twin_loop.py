@@ -1,0 +1,271 @@
+"""The shipped law on the twin: it holds, and what happens to the arm is physics."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import fraclink as fl
+from fraclink.errors import FieldError
+from fraclink.law import Modes, discretize_controller
+from fraclink.reference import hold, smooth_step
+from fraclink.twin import (
+    KelvinVoigt,
+    Obstacle,
+    PayloadChange,
+    PowerLaw,
+    Restart,
+    Sensors,
+    TipPulse,
+    Twin,
+    geared,
+    run_twin,
+)
+from fraclink.twin.loop import driven, healthy_inputs
+from fraclink.twin.vessel import Vessel
+
+RIG = geared(fl.Rig.named("paper-2023"))
+LINK_MASS = 0.00735
+
+
+@pytest.fixture(scope="module")
+def law():
+    plan = fl.design(
+        RIG.model, RIG, payloads=(0.020, 0.040), gain_crossover=12.0, phase_margin=fl.deg(50), filter_time=0.0
+    )
+    return discretize_controller(plan.controller, RIG.period, rig=RIG)
+
+
+def quiet(payload=0.030, link_mass=LINK_MASS, **changes):
+    """A twin without noise, quanta and friction: what is left is linear."""
+    twin = Twin.from_rig(RIG, payload=payload, link_mass=link_mass, **changes)
+    motor = replace(twin.motor, coulomb_torque=0.0)
+    return replace(twin, sensors=Sensors(), motor=motor, stiction=0.0)
+
+
+def smooth(law):
+    """The law for a motor without Coulomb friction."""
+    return replace(law, drive=replace(law.drive, coulomb_voltage=0.0))
+
+
+MOVE = smooth_step(1.0, duration=1.0)
+
+
+@pytest.mark.parametrize("payload", [0.008, 0.016, 0.020, 0.030, 0.040])
+def test_the_design_holds_on_the_twin(law, payload):
+    run = run_twin(Twin.from_rig(RIG, payload=payload, link_mass=LINK_MASS), law, MOVE, duration=6.0)
+    assert run.finished and set(run.mode.tolist()) == {1}
+    late = run.time > 2.5
+    assert np.abs(run.error[late]).max() < 0.02  # 2 % of the move
+    assert run.tip_angle.max() < 1.04
+
+
+def test_noise_free_error_vanishes(law):
+    run = run_twin(quiet(), smooth(law), MOVE, duration=10.0)
+    assert abs(run.error[-1]) < 1e-3
+    # The gauge's strain and the link's bend tell the same tip angle but for the modes: θt = θm − Γ/c.
+    estimate = run.motor_angle - run.torque / RIG.link.stiffness
+    assert np.abs(estimate - run.tip_angle).max() < 0.03 * np.abs(run.torque).max()
+
+
+def test_gauge_offset_does_not_stay_in_the_tip(law):
+    twin = replace(quiet(), sensors=Sensors(gauge_offset=0.05))
+    run = run_twin(twin, smooth(law), MOVE, duration=12.0)
+    assert abs(run.torque_measured[-1] - 0.05) < 2e-3
+    assert abs(run.error[-1]) < 1e-3  # 0.05 N·m reads as 32 mrad of bend
+
+
+def test_coulomb_friction_holds_the_hub_and_never_pushes(law):
+    """At rest the hub sticks, whatever the link pulls below stiction: its speed is zero to the bit."""
+    twin = Twin.from_rig(RIG, link_mass=LINK_MASS)
+    still = replace(law, correction=Modes(0.0), feedforward=Modes(0.0))
+    off = replace(still, drive=replace(still.drive, voltage_limit=1e-9))
+    run = run_twin(twin, off, hold(0.0, duration=1.0), duration=2.0, events=[TipPulse(0.1, 0.2, 0.02)])
+    assert np.abs(run.tip_angle).max() > 1e-3
+    assert np.all(run.motor_velocity == 0.0)
+    assert np.abs(run.motor_angle).max() < 1e-5  # within a step the held friction lets it breathe
+    assert np.abs(run.torque).max() < twin.breakaway
+
+
+def test_stiction_breaks_above_its_level(law):
+    twin = Twin.from_rig(RIG, link_mass=LINK_MASS)
+    twin = replace(twin, motor=replace(twin.motor, coulomb_torque=1e-4))
+    off = replace(law, drive=replace(law.drive, voltage_limit=1e-9))
+    run = run_twin(twin, off, hold(0.0, duration=1.0), duration=2.0, events=[TipPulse(0.1, 0.5, 0.05)])
+    assert np.abs(run.motor_velocity).max() > 0.0
+
+
+def test_free_swing_loses_energy_with_friction(law):
+    """A kick, then no voltage: hub and link come to rest, energy falls in every period."""
+    twin = Twin.from_rig(RIG, link_mass=LINK_MASS)
+    off = driven(twin, replace(law, drive=replace(law.drive, voltage_limit=1e-9)))
+    vessel = Vessel(twin, law.period, off.initial_state())
+    vessel.state[1], vessel.counters[0] = 3.0, 0
+    energies = [vessel.plant.energy(vessel.state)]
+    for _ in range(1500):
+        vessel.run(off.block, healthy_inputs(twin, hold(0.0), law.period, 1, np.random.default_rng(0)))
+        energies.append(vessel.plant.energy(vessel.state))
+    assert np.all(np.diff(energies) <= 1e-9 * energies[0])
+    assert energies[-1] < 0.05 * energies[0]
+
+
+@pytest.mark.parametrize("damping", [KelvinVoigt(0.0118), PowerLaw(1.92)], ids=["viscous", "power law"])
+def test_payload_exchange_conserves_shape_and_speed(law, damping):
+    twin = quiet(payload=0.040, damping=damping)
+    vessel = Vessel(twin, law.period, law.initial_state())
+    vessel.run(
+        smooth(law).block, healthy_inputs(twin, MOVE, law.period, 150, np.random.default_rng(0))
+    )  # mid-move
+    before, energy = (
+        vessel.plant.outputs @ vessel.state[: vessel.plant.order],
+        vessel.plant.energy(vessel.state),
+    )
+    vessel.change_payload(0.008)
+    after = vessel.plant.outputs @ vessel.state[: vessel.plant.order]
+    assert after[:3] == pytest.approx(before[:3], abs=1e-4)  # hub angle, hub velocity, tip angle
+    assert after[4] == pytest.approx(before[4], rel=0.02)  # tip velocity
+    assert after[3] == pytest.approx(before[3], abs=0.05)  # the curvature's tail is in the modes left out
+    lost = 0.5 * 0.032 * (before[4] * 0.65) ** 2
+    assert vessel.plant.energy(vessel.state) == pytest.approx(energy - lost, rel=0.02)
+
+
+def test_exchange_for_the_same_payload_changes_nothing(law):
+    twin = quiet(payload=0.030)
+    vessel = Vessel(twin, law.period, law.initial_state())
+    vessel.run(smooth(law).block, healthy_inputs(twin, MOVE, law.period, 150, np.random.default_rng(0)))
+    before = vessel.state.copy()
+    vessel.change_payload(0.030)
+    assert vessel.state == pytest.approx(before, rel=1e-9, abs=1e-9 * np.abs(before).max())
+
+
+def test_payload_lost_mid_move(law):
+    twin = Twin.from_rig(RIG, payload=0.040, link_mass=LINK_MASS)
+    run = run_twin(twin, law, MOVE, duration=6.0, events=[PayloadChange(0.5, 0.008)])
+    assert run.finished and set(run.mode.tolist()) == {1}
+    assert run.payload[0] == 0.040 and run.payload[-1] == 0.008
+    assert np.abs(run.error).max() < 0.25 and abs(run.error[-1]) < 0.02
+
+
+def test_obstacle_stops_the_tip_and_pushes_one_way(law):
+    twin = Twin.from_rig(RIG, link_mass=LINK_MASS)
+    wall = Obstacle(time=0.0, until=0.9, angle=0.5)
+    run = run_twin(twin, law, MOVE, duration=6.0, events=[wall])
+    inside = run.time < 0.9
+    force = run.contact_force[inside].max()
+    assert force > 0.1
+    # A spring of 500 N/m at 0.65 m: no deeper than the force says.
+    assert run.tip_angle[inside].max() - 0.5 < force / 500.0 / 0.65 + 1e-3
+    assert np.all(run.contact_force[run.time > 0.91] == 0.0)
+    assert abs(run.error[-1]) < 0.02 or run.mode[-1] != 1  # it arrives, or the law has tripped and says so
+
+
+def test_restart_mid_motion_has_no_bump(law):
+    twin = Twin.from_rig(RIG, link_mass=LINK_MASS)
+    run = run_twin(twin, law, MOVE, duration=6.0, events=[Restart(0.5)])
+    at = round(0.5 / law.period)
+    assert run.flags[at] & 128  # started in this period
+    assert abs(run.motor_reference[at] - run.motor_angle_measured[at]) < 1.5 * law.limits.motor_step
+    assert abs(run.error[-1]) < 0.02
+
+
+def test_several_moves_in_a_row(law):
+    moves = (
+        MOVE.then(hold(0.0, duration=1.0)).then(smooth_step(-1.5, duration=1.2)).then(hold(0.0, duration=1.0))
+    )
+    run = run_twin(Twin.from_rig(RIG, link_mass=LINK_MASS), law, moves)
+    assert run.reference[-1] == pytest.approx(-0.5)
+    assert abs(run.error[-1]) < 0.02
+
+
+def test_the_printed_motor_is_unstable_and_the_twin_says_so(law):
+    """Table 1's J at the gear's output is 0.5 % of the arm: W601, and the loop indeed diverges."""
+    rig = fl.Rig.named("paper-2023")
+    twin = Twin.from_rig(rig, link_mass=LINK_MASS)
+    assert [f.code for f in twin.findings] == ["W601"]
+    assert Twin.from_rig(RIG, link_mass=LINK_MASS).findings == ()
+    printed = replace(law, drive=None)
+    run = run_twin(twin, printed, MOVE, duration=4.0)
+    assert run.mode[-1] == 4 or np.abs(run.error).max() > 0.5
+
+
+def test_same_seed_same_run_and_seeds_differ(law):
+    twin = Twin.from_rig(RIG, link_mass=LINK_MASS)
+    one, two, other = (run_twin(twin, law, MOVE, duration=1.0, seed=s) for s in (3, 3, 4))
+    assert np.array_equal(one.tip_angle, two.tip_angle)
+    assert not np.array_equal(one.torque_measured, other.torque_measured)
+
+
+def test_encoder_counts_and_gauge_steps(law):
+    twin = Twin.from_rig(RIG, link_mass=LINK_MASS)
+    run = run_twin(twin, law, MOVE, duration=1.0)
+    counts = run.motor_angle_measured / (2 * np.pi / 100000)
+    assert counts == pytest.approx(np.round(counts), abs=1e-6)
+    assert np.abs(run.motor_angle_measured - run.motor_angle).max() <= np.pi / 100000 * (1 + 1e-9)
+    steps = run.torque_measured / RIG.gauge.quantum
+    assert steps == pytest.approx(np.round(steps), abs=1e-9)
+
+
+def test_gauge_delay_is_a_delay(law):
+    prompt = quiet()
+    late = replace(prompt, sensors=Sensors(gauge_delay=0.003))
+    for twin, lag in ((prompt, 0), (late, 3)):
+        run = run_twin(twin, smooth(law), MOVE, duration=1.5)
+        fine = np.interp(run.time - lag * 1e-3, run.time, run.torque)
+        assert run.torque_measured[5:] == pytest.approx(fine[5:], abs=2e-3)
+
+
+def test_voltage_saturates(law):
+    twin = Twin.from_rig(RIG, link_mass=LINK_MASS)
+    weak = replace(twin, motor=replace(twin.motor, voltage_limit=1.0))
+    run = run_twin(weak, law, MOVE, duration=2.0)
+    assert np.abs(run.voltage).max() == 1.0
+
+
+def test_refusals(law):
+    twin = Twin.from_rig(RIG, link_mass=LINK_MASS)
+    with pytest.raises(FieldError, match="precision"):
+        run_twin(twin, law.in_precision("single"), MOVE)
+    with pytest.raises(FieldError, match="period"):
+        run_twin(twin, replace(law, period=0.002), MOVE)
+    with pytest.raises(FieldError, match="duration"):
+        run_twin(twin, law, MOVE, duration=0.0)
+    with pytest.raises(FieldError, match="duration"):
+        run_twin(twin, law, MOVE, duration=1e9)
+    with pytest.raises(FieldError, match="gauge_delay"):
+        run_twin(replace(twin, sensors=Sensors(gauge_delay=0.0005)), law, MOVE)
+    with pytest.raises(FieldError, match="stiction"):
+        replace(twin, stiction=0.001)
+    with pytest.raises(FieldError, match="voltage_delay"):
+        replace(twin, voltage_delay=-1)
+    with pytest.raises(FieldError, match="rigidity"):
+        Twin.from_rig(RIG, rigidity="printed")
+    with pytest.raises(FieldError, match="damping"):
+        Twin.from_rig(replace(RIG, model=None))
+
+
+@pytest.mark.parametrize(
+    ("make", "field"),
+    [
+        (lambda: PayloadChange(-1.0, 0.02), "time"),
+        (lambda: PayloadChange(1.0, -0.02), "payload"),
+        (lambda: TipPulse(0.0, float("nan")), "force"),
+        (lambda: TipPulse(0.0, 1.0, 0.0), "duration"),
+        (lambda: Obstacle(1.0, 0.5, 0.1), "until"),
+        (lambda: Obstacle(0.0, 0.5, 0.1, side=0), "side"),
+        (lambda: Obstacle(0.0, 0.5, 0.1, stiffness=0.0), "stiffness"),
+        (lambda: Obstacle(0.0, 0.5, 0.1, damping=-1.0), "damping"),
+        (lambda: Obstacle(0.0, 0.5, float("inf")), "angle"),
+        (lambda: Restart(float("nan")), "time"),
+        (lambda: Sensors(counts_per_revolution=2), "counts_per_revolution"),
+        (lambda: Sensors(counts_per_revolution=1000.0), "counts_per_revolution"),
+        (lambda: Sensors(gauge_noise=-1.0), "gauge_noise"),
+        (lambda: Sensors(gauge_offset=float("nan")), "gauge_offset"),
+        (lambda: Sensors(gauge_limit=0.0), "gauge_limit"),
+    ],
+)
+def test_bad_events_and_sensors(make, field):
+    with pytest.raises(FieldError) as caught:
+        make()
+    assert caught.value.field == field
