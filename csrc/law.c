@@ -291,15 +291,17 @@ static law_real feed_forward(law_state *s, const law_params *p, law_real acceler
     return sum;
 }
 
-/* The motor loop: two-degree-of-freedom PID by Tustin, with compensations, limit and anti-windup. */
-static uint32_t close_motor(law_state *s, const law_params *p, law_real velocity, law_real compensation)
+/* The motor loop: two-degree-of-freedom PID by Tustin, with compensations, limit and anti-windup. Friction is
+ * compensated by the direction in which the motor model moves (`change`, per period): it is ahead of the motor by
+ * the very delay that the voltage will have, and has none of the noise of a differentiated encoder. */
+static uint32_t close_motor(law_state *s, const law_params *p, law_real change, law_real compensation)
 {
     uint32_t flags = 0U;
     const law_real angle = s->motor_angle;
     const law_real eps = s->motor_reference - angle;
     const law_real integral = s->integral + (p->integral_now * eps);
     const law_real filter = (s->filter + (p->filter_now * eps)) - (p->filter_angle_now * angle);
-    const law_real coulomb = p->coulomb_voltage * clamped(velocity * p->coulomb_slope, (law_real)1);
+    const law_real coulomb = p->coulomb_voltage * clamped(change * p->coulomb_slope, (law_real)1);
     const law_real pid = (((p->inner_direct * eps) - (p->inner_angle * angle)) + integral) + filter;
     const law_real wanted = pid + (compensation + coulomb);
     const law_real voltage = clamped(wanted, p->voltage_limit);
@@ -384,7 +386,7 @@ static uint32_t run(law_state *s, const law_params *p, const law_input *in, law_
     }
     if ((s->mode <= LAW_HOLD) && ((p->options & LAW_WITH_INNER) != 0U)) {
         out->compensation = p->torque_voltage * s->torque;
-        flags |= close_motor(s, p, used.reference_velocity, out->compensation);
+        flags |= close_motor(s, p, p->residual_rate * (s->model_near - s->model_angle), out->compensation);
     } else {
         s->voltage = (law_real)0;
     }

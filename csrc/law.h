@@ -131,7 +131,7 @@ typedef struct {
     law_real voltage_limit;
     law_real torque_voltage;  /* compensation of the coupling torque [V/(N m)] */
     law_real coulomb_voltage; /* compensation of Coulomb friction [V] */
-    law_real coulomb_slope;   /* 1/(speed below which it fades to zero) [s/rad] */
+    law_real coulomb_slope;   /* 1/(change of the motor reference in a period below which it fades) [1/rad] */
 } law_params;
 
 /* Everything the law remembers. */

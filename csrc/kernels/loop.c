@@ -64,6 +64,13 @@ static void follow_reference(motor_state *m, const loop_rig *rig, const motor_we
     m->speed = w->keep * ((1.0 - pt) * v - rig->pole * pt * e);
 }
 
+/* The voltage behind that move at its beginning, coupling torque and friction compensated: from the equation (1). */
+static double servo_voltage(const motor_state *m, const loop_rig *rig, double reference)
+{
+    const double p = rig->pole;
+    return (p * p * (reference - m->angle) + (rig->decay - 2.0 * p) * m->speed) / rig->gain;
+}
+
 /* Motor under a held voltage with Coulomb friction as a proximal step: the friction force of a substep is the one
  * that shortens the speed by at most its impulse and never turns it around, which includes stiction. */
 static void follow_voltage(motor_state *m, const loop_rig *rig, const motor_weights *w, double push)
@@ -131,7 +138,6 @@ int LOOP_RUN(const loop_link *link, const loop_rig *rig, const void *params, con
 {
     const law_params *const p = (const law_params *)params;
     const motor_weights w = weights_of(rig);
-    const double push = rig->gain;
     motor_state motor = {0.0, 0.0};
     link_state flexible = {{0}, {0}, {0}, 0.0};
     double pending[LOOP_DELAY];
@@ -169,10 +175,12 @@ int LOOP_RUN(const loop_link *link, const loop_rig *rig, const void *params, con
         const double applied = pending[(k + 1) % slots]; /* written `delay` periods ago */
         const motor_state before = motor;
         double q[4];
-        if (rig->sampled)
-            follow_voltage(&motor, rig, &w, push * applied);
-        else
+        if (rig->sampled) {
+            follow_voltage(&motor, rig, &w, rig->gain * applied);
+        } else {
+            trace->voltage[k] = servo_voltage(&motor, rig, applied);
             follow_reference(&motor, rig, &w, applied);
+        }
         cubic(&before, &motor, rig->period, q);
         move_link(&flexible, link, q);
     }

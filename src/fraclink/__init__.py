@@ -18,17 +18,28 @@ _HOME: dict[str, str] = {
     "Controller": "fraclink.controller",
     "Experiment": "fraclink.experiment",
     "FractionalTransferFunction": "fraclink.fractional",
+    "InnerLoop": "fraclink.motor",
+    "Law": "fraclink.law",
     "LogColumns": "fraclink.rig",
+    "Moves": "fraclink.law",
     "Plan": "fraclink.design",
     "Rig": "fraclink.rig",
+    "Run": "fraclink.simulate",
     "TimeResponse": "fraclink.response",
+    "chirp": "fraclink.reference",
     "deg": "fraclink.design",
     "design": "fraclink.design",
     "diagnose": "fraclink.diagnose",
+    "hold": "fraclink.reference",
     "impulse_response": "fraclink.response",
+    "inner_loop": "fraclink.motor",
     "inspect_log": "fraclink.readers",
+    "prbs": "fraclink.reference",
+    "pulse": "fraclink.reference",
     "read_log": "fraclink.readers",
     "s": "fraclink.fractional",
+    "simulate": "fraclink.simulate",
+    "smooth_step": "fraclink.reference",
     "step_response": "fraclink.response",
     "time_response": "fraclink.response",
 }
@@ -42,8 +53,17 @@ if TYPE_CHECKING:  # what editors and type checkers see; nothing of this runs
     from fraclink.experiment import Experiment as Experiment
     from fraclink.fractional import FractionalTransferFunction as FractionalTransferFunction
     from fraclink.fractional import s as s
+    from fraclink.law import Law as Law
+    from fraclink.law import Moves as Moves
+    from fraclink.motor import InnerLoop as InnerLoop
+    from fraclink.motor import inner_loop as inner_loop
     from fraclink.readers import inspect_log as inspect_log
     from fraclink.readers import read_log as read_log
+    from fraclink.reference import chirp as chirp
+    from fraclink.reference import hold as hold
+    from fraclink.reference import prbs as prbs
+    from fraclink.reference import pulse as pulse
+    from fraclink.reference import smooth_step as smooth_step
     from fraclink.response import TimeResponse as TimeResponse
     from fraclink.response import impulse_response as impulse_response
     from fraclink.response import step_response as step_response
@@ -51,6 +71,8 @@ if TYPE_CHECKING:  # what editors and type checkers see; nothing of this runs
     from fraclink.rig import Channel as Channel
     from fraclink.rig import LogColumns as LogColumns
     from fraclink.rig import Rig as Rig
+    from fraclink.simulate import Run as Run
+    from fraclink.simulate import simulate as simulate  # type: ignore[no-redef]
 
 __all__ = sorted(["__version__", *_HOME])
 

@@ -95,6 +95,6 @@ def _inner(drive: Drive | None, angle: float) -> dict[str, Any]:
         drive.voltage_limit,
         drive.torque_voltage,
         drive.coulomb_voltage,
-        1 / drive.coulomb_speed if drive.coulomb_voltage > 0 else 0.0,
+        1 / (drive.coulomb_speed * loop.period) if drive.coulomb_voltage > 0 else 0.0,
     )
     return dict(zip(names, values, strict=True)) | {"options": WITH_INNER}

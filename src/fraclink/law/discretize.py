@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 __all__ = ["discretize_controller", "drive_for", "equip"]
 
 LOWEST = 0.05  # [rad/s]: below, Ĉ is under 1e-2 of its value at the crossover, and C is 1 to the tolerance
-COULOMB_SPEED = 0.05  # [rad/s]: compensation fades in over this speed; a sharp sign would chatter at rest
+COULOMB_SPEED = 0.02  # [rad/s]: a wider band leaves stiction to stop small corrections, a sharp sign chatters
 
 
 def discretize_controller(
