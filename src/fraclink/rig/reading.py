@@ -125,8 +125,14 @@ def _fault(item: Any) -> FieldError:
         return FieldError(path, "(nothing)", "missing", allowed=allowed, remedy=remedy)
     inner = item.get("ctx", {}).get("error")
     if isinstance(inner, FieldError):
-        # A part's own check names its Python field; the file's key is the path that the user can find.
-        field = path if not inner.field.startswith(f"{path}.") else inner.field
+        field = _place(path, inner.field)
         return FieldError(field, inner.value, inner.problem, allowed=inner.allowed, remedy=inner.remedy)
     problem = f"of type {type(item['input']).__name__}, not a table"
     return FieldError(path, item["input"], problem, allowed="a table", remedy=f"write it as [{path}]")
+
+
+def _place(path: str, field: str) -> str:
+    """The path in the file of a fault that a part found in its own `field`."""
+    if field.startswith("channel."):
+        return f"{path}.{field.removeprefix('channel.')}"
+    return field if not path or field.startswith(f"{path}.") else path

@@ -1,0 +1,296 @@
+"""Bad rig files: every fault has a test that names it; numbers are those of the catalogue of bad inputs."""
+
+from __future__ import annotations
+
+import re
+import time
+import tomllib
+from copy import deepcopy
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fraclink.errors import FieldError, FileFormatError
+from fraclink.rig import Channel, Encoder, Inner, Link, LogColumns, Motor, Payloads, Rig
+from fraclink.rig.reading import RigError, parse_arguments
+
+PAPER = Path(__file__).parents[1] / "src" / "fraclink" / "rigs" / "paper-2023.toml"
+
+
+def paper() -> dict[str, Any]:
+    return tomllib.loads(PAPER.read_text(encoding="utf-8"))
+
+
+def load(text: str, folder: Path) -> Rig:
+    path = folder / "rig.toml"
+    path.write_text(text, encoding="utf-8")
+    return Rig.load(path)
+
+
+def changed(line: str, folder: Path) -> str:
+    """The paper's file with one `key = value` replaced."""
+    key = line.partition("=")[0].strip()
+    text, count = re.subn(
+        rf"^{re.escape(key)} = .*$", line, PAPER.read_text(encoding="utf-8"), count=1, flags=re.M
+    )
+    assert count == 1, f"{key} is not in the paper's file"
+    return text
+
+
+@pytest.mark.parametrize(
+    ("number", "line", "field", "problem"),
+    [
+        ("b25", "nominal_kg = 0", "payloads.nominal_kg", "too small"),
+        ("b26", "low_kg = -0.02", "payloads.low_kg", "negative"),
+        ("b28", "low_kg = nan", "payloads.low_kg", "not finite"),
+        ("b28", "inertia_kg_m2 = inf", "motor.inertia_kg_m2", "not finite"),
+        ("b28", "voltage_limit_V = nan", "motor.voltage_limit_V", "not finite"),
+        ("b29", "length_m = 0", "link.length_m", "too small"),
+        ("b29", "flexural_rigidity_Nm2 = -0.26", "link.flexural_rigidity_Nm2", "negative"),
+        ("b29", "stiffness_Nm_per_rad = 0.0", "link.stiffness_Nm_per_rad", "too small"),
+        ("b31", "order = 1.0", "model.order", "too small"),
+        ("b31", "order = 2.1", "model.order", "too large"),
+        ("b41", "period_ms = 0", "period_ms", "too small"),
+        ("b41", "period_ms = -4.0", "period_ms", "negative"),
+        ("b43", "voltage_limit_V = 0", "motor.voltage_limit_V", "too small"),
+        ("b44", f"inertia_kg_m2 = 1{'0' * 400}", "motor.inertia_kg_m2", "too large"),
+        ("b44", "torque_constant_Nm_per_V = 1e200", "motor.torque_constant_Nm_per_V", "outside"),
+        ("b45", 'length_m = "0.65"', "link.length_m", "of type str"),
+        ("b45", "length_m = true", "link.length_m", "of type bool"),
+        ("b45", "length_m = [0.65]", "link.length_m", "of type list"),
+        ("b45", "name = 7", "name", "of type int"),
+        ("b48", "delay_samples = 1.0", "inner_loop.delay_samples", "not an integer"),
+        ("b48", "counts_per_revolution = 1e5", "encoder.counts_per_revolution", "not an integer"),
+    ],
+)
+def test_a_value_out_of_range_is_named(
+    number: str, line: str, field: str, problem: str, tmp_path: Path
+) -> None:
+    with pytest.raises(FieldError) as caught:
+        load(changed(line, tmp_path), tmp_path)
+    error = caught.value
+    assert error.field == field
+    assert problem in error.problem
+    assert error.allowed and error.remedy
+    assert str(error).count("\n") == 0
+
+
+def test_b27_payloads_in_the_wrong_order(tmp_path: Path) -> None:
+    with pytest.raises(FieldError) as caught:
+        load(changed("low_kg = 0.05", tmp_path), tmp_path)
+    assert caught.value.field == "payloads.low"
+    assert "0.04" in caught.value.problem and "exchange" in caught.value.remedy
+    with pytest.raises(FieldError, match="outside the payload range"):
+        Payloads(low=0.02, high=0.04, nominal=0.05)
+
+
+def test_b42_delay_out_of_range() -> None:
+    with pytest.raises(FieldError, match="too large") as caught:
+        Inner(delay_samples=101)
+    assert caught.value.field == "inner_loop.delay_samples"
+
+
+@pytest.mark.parametrize(
+    ("line", "place", "meant"),
+    [
+        ("inertia = 6.87e-5", "motor.inertia", "inertia_kg_m2"),
+        ("viscous_friction_Nm = 1e-3", "motor.viscous_friction_Nm", "viscous_friction_Nm_s"),
+    ],
+)
+def test_b46_an_unknown_key_is_answered_by_the_nearest(
+    line: str, place: str, meant: str, tmp_path: Path
+) -> None:
+    text = PAPER.read_text(encoding="utf-8").replace("[motor]", f"[motor]\n{line}")
+    with pytest.raises(FieldError) as caught:
+        load(text, tmp_path)
+    assert caught.value.field == place
+    assert caught.value.problem == "an unknown key"
+    assert caught.value.remedy == f"did you mean '{meant}'?"
+
+
+def test_b46_an_unknown_table_is_answered_by_the_nearest(tmp_path: Path) -> None:
+    with pytest.raises(FieldError, match="did you mean 'inner_loop'"):
+        load(PAPER.read_text(encoding="utf-8").replace("[inner_loop]", "[inner]"), tmp_path)
+
+
+def test_b47_a_key_given_twice(tmp_path: Path) -> None:
+    text = PAPER.read_text(encoding="utf-8").replace("[link]", "[link]\nlength_m = 0.5")
+    with pytest.raises(FileFormatError, match="not valid TOML"):
+        load(text, tmp_path)
+
+
+def test_every_fault_is_listed_at_once(tmp_path: Path) -> None:
+    text = PAPER.read_text(encoding="utf-8")
+    text = text.replace("inertia_kg_m2 = 6.87e-5", "inertia = 6.87e-5").replace(
+        "length_m = 0.65", "length_m = -1"
+    )
+    text = text.replace("low_kg = 0.020", "low_kg = 0.9").replace("period_ms = 4.0", "")
+    with pytest.raises(RigError) as caught:
+        load(text, tmp_path)
+    fields = {fault.field for fault in caught.value.faults}
+    assert fields >= {"motor.inertia", "motor.inertia_kg_m2", "link.length_m", "payloads.low"}
+    assert len(str(caught.value).splitlines()) == len(caught.value.faults)
+    missing = next(fault for fault in caught.value.faults if fault.field == "motor.inertia_kg_m2")
+    assert "[kg·m²]" in missing.allowed and "add inertia_kg_m2" in missing.remedy
+
+
+def test_faults_cross_a_process_border() -> None:
+    from multiprocessing.reduction import ForkingPickler
+
+    error = RigError(
+        [FieldError("a", 1, "bad", allowed="b", remedy="c"), FieldError("d", 2, "e", allowed="f", remedy="g")]
+    )
+    again = ForkingPickler.loads(ForkingPickler.dumps(error))
+    assert str(again) == str(error)
+    assert len(again.faults) == 2
+
+
+def test_the_period_is_stated_once(tmp_path: Path) -> None:
+    text = PAPER.read_text(encoding="utf-8")
+    with pytest.raises(FieldError, match="given twice"):
+        load(text.replace("period_ms = 4.0", "period_ms = 4.0\nperiod_s = 0.004"), tmp_path)
+    with pytest.raises(FieldError, match=r"period_ms: .*missing"):
+        load(text.replace("period_ms = 4.0", ""), tmp_path)
+
+
+LOG = """
+[log]
+time = { column = "t", unit = "s" }
+motor_angle = { column = "theta", unit = "deg" }
+torque = { column = "gamma", unit = "Nm" }
+"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "field", "hint"),
+    [
+        ('unit = "deg"', 'unit = "degree"', "log.motor_angle.unit", "deg"),
+        ('unit = "Nm"', 'unit = "V"', "log.torque.unit", "Nm"),
+        (', unit = "Nm" }', " }", "log.torque.unit", "never guessed"),
+        ('column = "t", ', "", "log.time.column", "column"),
+        ("torque = ", "torqe = ", "log.torqe", "torque"),
+        ('unit = "Nm" }', 'unit = "Nm", sign = 2 }', "log.torque.sign", "sign"),
+        ('unit = "Nm" }', 'unit = "Nm", sign = 0 }', "log.torque.sign", "1 or -1"),
+        ('unit = "Nm" }', 'unit = "Nm", scale = 0.0 }', "log.torque.scale", "1 or -1"),
+        ('unit = "Nm" }', 'unit = "Nm", offset = "last" }', "log.torque.offset", "offset"),
+    ],
+)
+def test_b20_the_columns_state_unit_and_sign(
+    old: str, new: str, field: str, hint: str, tmp_path: Path
+) -> None:
+    assert old in LOG
+    with pytest.raises(FieldError) as caught:
+        load(PAPER.read_text(encoding="utf-8") + LOG.replace(old, new), tmp_path)
+    faults = getattr(caught.value, "faults", (caught.value,))
+    chosen = next((fault for fault in faults if fault.field == field), None)
+    assert chosen is not None, [fault.field for fault in faults]
+    assert hint in chosen.remedy + chosen.allowed
+
+
+def test_a_log_has_one_output(tmp_path: Path) -> None:
+    both = LOG + 'deflection = { column = "alpha", unit = "deg" }\n'
+    with pytest.raises(FieldError, match="exactly one of"):
+        load(PAPER.read_text(encoding="utf-8") + both, tmp_path)
+
+
+def test_columns_given_in_python_are_checked_too() -> None:
+    with pytest.raises(FieldError, match="not a unit of time"):
+        LogColumns(Channel("t", "rad"), Channel("a", "rad"), Channel("g", "Nm"), "torque")
+    with pytest.raises(FieldError, match="unknown"):
+        LogColumns(Channel("t", "s"), Channel("a", "rad"), Channel("g", "Nm"), "force")  # type: ignore[arg-type]
+
+
+def test_b29_python_values_are_checked_too() -> None:
+    with pytest.raises(FieldError, match=r"link\.stiffness: 0"):
+        Link(length=0.65, flexural_rigidity=0.26, stiffness=0.0)
+    with pytest.raises(FieldError, match="of type bool"):
+        Motor(inertia=True, viscous_friction=0.1, torque_constant=1)
+    with pytest.raises(FieldError, match="not an integer"):
+        Encoder(counts_per_revolution=1000.5)  # type: ignore[arg-type]
+
+
+def test_b61_long_files_lines_and_keys_are_refused_fast(tmp_path: Path) -> None:
+    started = time.monotonic()
+    with pytest.raises(FileFormatError, match="too large"):
+        load("a" * 70_000, tmp_path)
+    with pytest.raises(FileFormatError, match="too long in line 1"):
+        load(".".join(["a"] * 20_000) + " = 1", tmp_path)
+    with pytest.raises(FileFormatError, match="nested too deeply"):
+        load("a.b.c.d.e.f.g.h.i.j = 1", tmp_path)
+    with pytest.raises(FileFormatError, match=r"not readable|not valid"):
+        load("x = " + "[\n" * 20_000, tmp_path)
+    with pytest.raises(FileFormatError, match=r"not readable|not valid"):
+        load("\n".join(f"x{i} = {'9' * 900}" for i in range(60)) + "\ny = {'9' * 5000}", tmp_path)
+    assert time.monotonic() - started < 10  # a refusal by size takes milliseconds; tomllib alone took 6.8 s
+
+
+def test_b59_other_encodings(tmp_path: Path) -> None:
+    path = tmp_path / "rig.toml"
+    path.write_bytes(PAPER.read_bytes().decode().encode("utf-16"))
+    with pytest.raises(FileFormatError, match="not UTF-8"):
+        Rig.load(path)
+    path.write_bytes(b"\xef\xbb\xbf" + PAPER.read_bytes().replace(b"\n", b"\r\n"))
+    assert Rig.load(path) == Rig.named("paper-2023")
+
+
+def test_b72_hostile_texts_cannot_leave_their_string(tmp_path: Path) -> None:
+    import dataclasses
+
+    name = 'x"\n[motor]\ninertia_kg_m2 = 1\n#\\'
+    rig = dataclasses.replace(Rig.named("paper-2023"), name=name)
+    rig.save(tmp_path / "rig.toml")
+    assert Rig.load(tmp_path / "rig.toml") == rig
+
+
+def test_a_surrogate_is_refused_before_it_reaches_a_file() -> None:
+    import dataclasses
+
+    with pytest.raises(FieldError, match="Unicode"):
+        dataclasses.replace(Rig.named("paper-2023"), name="a\ud800")
+
+
+junk = st.one_of(
+    st.none(),
+    st.booleans(),
+    st.integers(-(10**30), 10**30),
+    st.floats(),
+    st.text(max_size=10),
+    st.lists(st.integers(), max_size=3),
+    st.dictionaries(st.text(max_size=5), st.integers(), max_size=2),
+)
+
+
+def _places(data: dict[str, Any], prefix: tuple[str, ...] = ()) -> list[tuple[str, ...]]:
+    found = []
+    for key, value in data.items():
+        found.append((*prefix, key))
+        if isinstance(value, dict):
+            found += _places(value, (*prefix, key))
+    return found
+
+
+FULL = paper() | {"log": tomllib.loads(LOG)["log"]}
+PLACES = _places(FULL)
+
+
+@settings(max_examples=500, deadline=None)
+@given(st.lists(st.tuples(st.sampled_from(PLACES), junk, st.booleans()), min_size=1, max_size=4))
+def test_any_junk_in_any_field_is_a_rig_or_a_field_error(
+    faults: list[tuple[tuple[str, ...], Any, bool]],
+) -> None:
+    data = deepcopy(FULL)
+    for place, value, rename in faults:
+        table: Any = data
+        for key in place[:-1]:
+            table = table.get(key) if isinstance(table, dict) else None
+        if isinstance(table, dict):
+            table[place[-1] + ("x" if rename else "")] = value
+    try:
+        rig = Rig(**parse_arguments(data))
+    except FieldError as error:
+        assert error.field and error.allowed and error.remedy
+    else:
+        assert rig.natural_frequency(0.03) > 0

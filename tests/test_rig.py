@@ -1,0 +1,165 @@
+"""The rig: the paper's values, files that come back equal, and contradictions that are named."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fraclink.errors import FieldError, FileFormatError
+from fraclink.link import LinkModel
+from fraclink.rig import Channel, Encoder, Gauge, Inner, Link, LogColumns, Motor, Payloads, Rig
+
+RIGS = Path(__file__).parent / "rigs"
+
+
+def test_the_paper_rig_holds_table_1() -> None:
+    rig = Rig.named("paper-2023")
+    assert (rig.motor.inertia, rig.motor.viscous_friction, rig.motor.torque_constant) == (
+        6.87e-5,
+        1.041e-3,
+        0.21,
+    )
+    assert (rig.link.length, rig.link.flexural_rigidity, rig.link.stiffness) == (0.65, 0.260, 1.56)
+    assert (rig.payloads.low, rig.payloads.high, rig.payloads.nominal) == (0.020, 0.040, 0.030)
+    assert rig.period == 0.004
+    assert rig.model is not None
+    assert rig.model.order == 1.92
+    # A = K/J and B = ν/J as the corrected (19), (20) print them.
+    assert rig.motor.gain == pytest.approx(3056.7686, rel=1e-7)
+    assert rig.motor.decay == pytest.approx(15.152838, rel=1e-7)
+
+
+@pytest.mark.parametrize(("payload", "frequency"), [(0.030, 11.0940), (0.040, 9.6077), (0.020, 13.5873)])
+def test_natural_frequency_is_equation_5(payload: float, frequency: float) -> None:
+    assert Rig.named("paper-2023").natural_frequency(payload) == pytest.approx(frequency, abs=5e-5)
+
+
+def test_what_the_paper_does_not_print_is_listed_as_assumed() -> None:
+    said = " ".join(Rig.named("paper-2023").assumptions)
+    for value in ("voltage", "Coulomb", "encoder", "noise"):
+        assert value in said
+
+
+def test_b30_a_stiffness_that_contradicts_the_beam_is_a_warning_that_names_both() -> None:
+    (finding,) = Rig.named("paper-2023").warnings
+    assert finding.code == "W101"
+    assert "1.56" in finding.message and "1.2 " in finding.message
+    assert dict(finding.evidence) == pytest.approx({"stiffness": 1.56, "beam_stiffness": 1.2})
+    unmeasured = dataclasses.replace(Rig.named("paper-2023"), link=Link(0.65, 0.260), model=None)
+    assert unmeasured.link.stiffness == pytest.approx(1.2)
+    assert unmeasured.warnings == ()
+
+
+def test_a_model_that_contradicts_the_rig_is_a_warning() -> None:
+    rig = Rig.named("paper-2023")
+    model = LinkModel(stiffness=2.0, natural_frequency=14.0, order=1.92, payload=0.030)
+    codes = [finding.code for finding in dataclasses.replace(rig, model=model).warnings]
+    assert codes == ["W101", "W102", "W103"]
+
+
+def test_a_heavy_link_is_pointed_out() -> None:
+    assert [finding.code for finding in Rig.load(RIGS / "merced.toml").warnings] == ["W104"]
+
+
+def test_the_gear_is_included_in_the_gain() -> None:
+    geared = Motor(inertia=1e-4, viscous_friction=1e-3, torque_constant=0.2, gear_ratio=50)
+    assert geared.gain == pytest.approx(0.2 / (50 * 1e-4))
+    assert geared.decay == pytest.approx(10.0)
+
+
+def test_sensors_know_their_steps() -> None:
+    assert Encoder(counts_per_revolution=4096).resolution == pytest.approx(2 * math.pi / 4096)
+    assert Encoder().resolution == 0.0
+    assert Gauge().limit == math.inf
+
+
+@pytest.mark.parametrize("path", [*RIGS.glob("*.toml")], ids=lambda path: path.stem)
+def test_a_rig_file_comes_back_equal(path: Path, tmp_path: Path) -> None:
+    rig = Rig.load(path)
+    rig.save(tmp_path / "again.toml")
+    assert Rig.load(tmp_path / "again.toml") == rig
+
+
+def test_every_bundled_rig_comes_back_equal(tmp_path: Path) -> None:
+    for name in Rig.names():
+        Rig.named(name).save(tmp_path / "again.toml")
+        assert Rig.load(tmp_path / "again.toml") == Rig.named(name)
+
+
+positive = st.floats(1e-9, 1e9)
+texts = st.text(st.characters(exclude_categories=["Cs"]), min_size=1, max_size=40)
+channels = st.builds(
+    Channel,
+    texts,
+    st.just("s"),
+    sign=st.sampled_from([-1, 1]),
+    scale=positive,
+    offset=st.one_of(st.just("first"), st.floats(-1e9, 1e9).filter(lambda x: x == 0 or abs(x) > 1e-9)),
+)
+
+
+def _with_unit(channel: Channel, unit: str) -> Channel:
+    return dataclasses.replace(channel, unit=unit)
+
+
+rigs = st.builds(
+    Rig,
+    name=texts,
+    motor=st.builds(
+        Motor, positive, positive, positive, positive, positive, st.one_of(positive, st.just(math.inf))
+    ),
+    link=st.builds(Link, positive, positive, positive, positive),
+    payloads=positive.map(lambda m: Payloads(m, 2 * m, 1.5 * m)),
+    period=st.floats(1e-6, 10),
+    encoder=st.builds(Encoder, st.one_of(st.none(), st.integers(1, 10**9))),
+    gauge=st.builds(Gauge, positive, positive, positive, positive),
+    inner=st.builds(Inner, positive, st.integers(0, 100)),
+    log=st.one_of(
+        st.none(),
+        st.builds(
+            lambda t, a, o, v, kind: LogColumns(
+                t,
+                _with_unit(a, "deg"),
+                _with_unit(o, "Nm" if kind == "torque" else "mrad"),
+                kind,
+                v and _with_unit(v, "mV"),
+            ),
+            channels,
+            channels,
+            channels,
+            st.one_of(st.none(), channels),
+            st.sampled_from(["torque", "deflection"]),
+        ),
+    ),
+    assumptions=st.lists(texts, max_size=3).map(tuple),
+    source=texts,
+)
+
+
+@settings(max_examples=60, deadline=None)
+@given(rigs)
+def test_any_rig_comes_back_equal_whatever_its_texts_hold(rig: Rig) -> None:
+    import tempfile
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "rig.toml"
+        rig.save(path)
+        assert Rig.load(path) == rig
+
+
+def test_an_unknown_name_lists_the_known_ones() -> None:
+    with pytest.raises(FieldError, match="paper-2023") as caught:
+        Rig.named("paper2023")
+    assert caught.value.field == "rig"
+    assert caught.value.value == "paper2023"
+
+
+def test_a_missing_file_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(FileFormatError, match="not a file") as caught:
+        Rig.load(tmp_path / "none.toml")
+    assert "paper-2023" in caught.value.remedy
