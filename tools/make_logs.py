@@ -35,9 +35,9 @@ def prbs(seed: int, *, amplitude: float = 0.1, hold: int = 60, rest: int = 125) 
 
 
 def pulse() -> NDArray[np.float64]:
-    """Raise the hub by 0.2 rad for 7 s, as the paper's experiment, after 0.5 s of rest."""
+    """Raise the hub by 0.2 rad for 7 s, as in the paper; it falls at 12.5 s, in the part that is held out."""
     values = np.zeros(SAMPLES)
-    values[125 : 125 + 1750] = 0.2
+    values[1375 : 1375 + 1750] = 0.2
     return values
 
 

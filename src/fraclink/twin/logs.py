@@ -69,14 +69,6 @@ def substeps(period: float, step: float) -> int:
 
 def _samples(reference: ArrayLike) -> Vector:
     values = np.asarray(reference, dtype=float)
-    if values.ndim != 1 or values.size < 2 or not np.all(np.isfinite(values)):
-        raise FieldError(
-            "reference",
-            f"array of shape {values.shape}",
-            "not a finite sequence of samples",
-            allowed="one angle [rad] per period, at least 2",
-            remedy="sample the reference at the period",
-        )
     if values.size > MOST_SAMPLES:
         raise SizeError(
             "reference",
@@ -84,6 +76,14 @@ def _samples(reference: ArrayLike) -> Vector:
             "too long",
             allowed=f"{MOST_SAMPLES} samples",
             remedy="simulate a shorter log",
+        )
+    if values.ndim != 1 or values.size < 2 or not np.all(np.isfinite(values)):
+        raise FieldError(
+            "reference",
+            f"array of shape {values.shape}",
+            "not a finite sequence of samples",
+            allowed="one angle [rad] per period, at least 2",
+            remedy="sample the reference at the period",
         )
     return values
 

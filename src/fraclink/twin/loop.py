@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 
 from fraclink import _kernels
 from fraclink.errors import FieldError, SizeError
+from fraclink.simulate.metrics import Metrics, Verdict, judge, measure
 from fraclink.twin.arm import Twin
+from fraclink.twin.damping import PowerLaw
 from fraclink.twin.events import Event, Obstacle, PayloadChange, Restart, TipPulse
 from fraclink.twin.logs import MOST_SAMPLES
 from fraclink.twin.vessel import (
@@ -34,6 +36,8 @@ __all__ = ["TwinRun", "collect", "driven", "healthy_inputs", "run_twin"]
 
 Vector = NDArray[np.float64]
 
+SATURATED = 64  # LAW_FLAG_SATURATED of law.h
+
 
 @dataclass(frozen=True)
 class TwinRun:
@@ -43,6 +47,7 @@ class TwinRun:
     motor_angle_measured [rad] and torque_measured [N·m]: what the sensors gave; voltage: what acted [V];
     motor_velocity [rad/s]; contact_force: the largest of the period [N]; mode, reason and flags of the law
     (see law.h); payload [kg]. `finished` is False where the twin left every bound and the run was cut.
+    `metrics` and `verdict` judge it as they judge `fraclink.simulate`.
     """
 
     time: Vector
@@ -56,11 +61,13 @@ class TwinRun:
     voltage: Vector
     motor_velocity: Vector
     contact_force: Vector
-    mode: NDArray[np.int64]
-    reason: NDArray[np.int64]
-    flags: NDArray[np.int64]
+    mode: NDArray[np.uint32]
+    reason: NDArray[np.uint32]
+    flags: NDArray[np.uint32]
     payload: Vector
     finished: bool
+    metrics: Metrics
+    verdict: Verdict
 
     @property
     def period(self) -> float:
@@ -143,7 +150,14 @@ def run_twin(
         payloads.append(np.full(len(part), vessel.twin.beam.payload))
         if len(part) < last - first:
             break
-    return collect(np.vstack(records), np.concatenate(payloads), law.period, count)
+    return collect(
+        np.vstack(records),
+        np.concatenate(payloads),
+        law.period,
+        finished=sum(map(len, records)) == count,
+        ended=reference.duration,
+        vibration_period=vibration_period(twin),
+    )
 
 
 def driven(twin: Twin, law: Law) -> Law:
@@ -221,29 +235,46 @@ def _apply(vessel: Vessel, law: Law, changes: list[Event | None]) -> None:
             vessel.law = np.frombuffer(bytearray(law.initial_state()), dtype=np.uint8)
 
 
-def collect(record: NDArray[np.float64], payload: Vector, period: float, wanted: int) -> TwinRun:
-    """Name the columns of the kernel's record."""
+def vibration_period(twin: Twin) -> float:
+    """Return the period of the first mode with its damping [s]."""
+    modes = twin.beam.modes(1)
+    # With a power law ω is not in rad/s: the mode is at ω^(2/λ), where |s²| = ω² |D(s)|.
+    frequency = float(modes.frequencies[0])
+    if isinstance(twin.damping, PowerLaw):
+        frequency = frequency ** (2.0 / twin.damping.order)
+    return 2.0 * math.pi / frequency
+
+
+def collect(
+    record: NDArray[np.float64],
+    payload: Vector,
+    period: float,
+    *,
+    finished: bool,
+    ended: float,
+    vibration_period: float,
+) -> TwinRun:
+    """Name the columns of the kernel's record and judge the run."""
     columns = [np.ascontiguousarray(column) for column in record.T]
-    for column in (*columns, payload):
+    time: Vector = np.linspace(0.0, period * (len(record) - 1), len(record))
+    for column in (*columns, payload, time):
         column.flags.writeable = False
-    (
+    reference, motor, tip, torque, encoder, gauge, command, voltage = columns[:8]
+    speed, contact = columns[12:]
+    mode, reason, flags = (column.astype(np.uint32) for column in columns[9:12])
+    metrics = measure(
+        time,
         reference,
-        motor,
         tip,
-        torque,
-        encoder,
-        gauge,
         command,
         voltage,
-        _,
-        mode,
-        reason,
-        flags,
-        speed,
-        contact,
-    ) = columns
-    time = period * np.arange(len(record))
-    time.flags.writeable = False
+        (flags & SATURATED) != 0,
+        ended=ended,
+        vibration_period=vibration_period,
+    )
+    verdict = judge(
+        metrics, time, reference, tip, mode, reason, ended=ended, vibration_period=vibration_period
+    )
     return TwinRun(
         time=time,
         reference=reference,
@@ -256,9 +287,11 @@ def collect(record: NDArray[np.float64], payload: Vector, period: float, wanted:
         voltage=voltage,
         motor_velocity=speed,
         contact_force=contact,
-        mode=mode.astype(np.int64),
-        reason=reason.astype(np.int64),
-        flags=flags.astype(np.int64),
+        mode=mode,
+        reason=reason,
+        flags=flags,
         payload=payload,
-        finished=len(record) == wanted,
+        finished=finished,
+        metrics=metrics,
+        verdict=verdict,
     )
