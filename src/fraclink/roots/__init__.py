@@ -22,7 +22,14 @@ from fraclink.roots.count import count_strip
 from fraclink.roots.exponential import ExponentialSum, NearZeroError
 from fraclink.roots.search import aberth, bisect, newton_polygon, settle_clusters
 
-__all__ = ["ExponentialSum", "count_zeros", "log_zeros", "newton_polygon", "two_term_zeros"]
+__all__ = [
+    "ExponentialSum",
+    "NearZeroError",
+    "count_zeros",
+    "log_zeros",
+    "newton_polygon",
+    "two_term_zeros",
+]
 
 # Heights at which the counted strip may end above `angle`: the first that no zero is near is taken.
 _MARGINS = (0.0618, 0.0382, 0.0871, 0.0197, 0.1303, 0.0093)
@@ -86,7 +93,7 @@ def log_zeros(coefficients: ArrayLike, orders: ArrayLike, *, angle: float) -> ND
         (low, high), gap = terms.coefficients, terms.rates[1]
         return _upper(np.array(two_term_zeros(low / high, gap, angle), dtype=complex), angle)
     height, count = _counted(terms, angle)
-    found = settle_clusters(terms, aberth(terms, height))
+    found = settle_clusters(terms, aberth(terms, height, count))
     if not _complete(found, count):
         found = _by_bisection(terms, height, count)
     return _upper(found, angle)

@@ -15,6 +15,7 @@ from fraclink.roots.exponential import ExponentialSum, NearZeroError
 __all__ = ["aberth", "bisect", "newton_polygon", "settle_clusters"]
 
 Complex = NDArray[np.complex128]
+_ROUNDS = 120  # multiple zeros are approached linearly, halving the distance each time
 START_LIMIT = 4096  # zeros in one strip; orders up to about 4000 on the principal sheet
 
 
@@ -53,26 +54,41 @@ def _starts(sum_: ExponentialSum, height: float) -> Complex:
     return np.array(points) * (1 + 1e-4j) + 1e-3j
 
 
-def aberth(sum_: ExponentialSum, height: float) -> Complex:
-    """Simultaneous Newton iteration with mutual repulsion; converged points with |Im z| ≤ height."""
-    z = _starts(sum_, height)
-    step = np.zeros_like(z)
-    for _ in range(60):
+def aberth(sum_: ExponentialSum, height: float, count: int) -> Complex:
+    """Simultaneous Newton iteration with mutual repulsion until `count` points with |Im z| ≤ height rest.
+
+    Points that leave the region of the zeros start again inside it, at places of a Halton sequence.
+    """
+    z, fresh = _starts(sum_, height), 1
+    (low, high), rest = sum_.bounds, np.zeros(len(z), dtype=bool)
+    for _ in range(_ROUNDS):
         values, moduli = sum_.derivatives(z, 2)
-        newton = values[0] / np.where(values[1] == 0, 1e-300, values[1])
+        # At rounding level the quotient D/D' is noise and would throw points off a multiple zero.
+        settled = np.abs(values[0]) <= 4e-16 * moduli[0]
+        newton = np.where(settled, 0, values[0] / np.where(values[1] == 0, 1e-300, values[1]))
         distance = z[:, None] - z[None, :]
-        np.fill_diagonal(distance, np.inf)
-        distance[distance == 0] = 1e-12
+        distance[distance == 0] = np.inf
         step = newton / (1 - newton * (1 / distance).sum(axis=1))
         # A step longer than the zeros' usual spacing leaves the basin of the starting zero.
         step *= np.minimum(1.0, 0.7 / np.maximum(np.abs(step), 1e-300))
-        # At the rounding level steps are noise, and beside a double zero (1 - …) can vanish: a random jump.
-        step[np.abs(values[0]) <= 2e-14 * moduli[0]] = 0.0
         z = z - step
-        if np.max(np.abs(step[np.abs(z.imag) < height + 1]), initial=0.0) < 1e-13:
+        rest = settled | (np.abs(step) < 1e-9)
+        inside = np.abs(z.imag) <= height
+        if np.count_nonzero(rest & inside) >= count:
             break
-    inside = (np.abs(z.imag) <= height) & (np.abs(step) < 1e-3) & np.isfinite(z)
-    return np.asarray(z[inside])
+        for i in np.flatnonzero(~rest & ((z.real < low) | (z.real > high) | (np.abs(z.imag) > height + 2))):
+            z[i] = complex(low + _halton(fresh, 2) * (high - low), (2 * _halton(fresh, 3) - 1) * height)
+            fresh += 1
+    return np.asarray(z[rest & (np.abs(z.imag) <= height)])
+
+
+def _halton(index: int, base: int) -> float:
+    value, share = 0.0, 1.0
+    while index:
+        share /= base
+        index, digit = divmod(index, base)
+        value += digit * share
+    return value
 
 
 def settle_clusters(sum_: ExponentialSum, points: Complex) -> Complex:

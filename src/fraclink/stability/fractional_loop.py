@@ -87,6 +87,18 @@ class FractionalLoop:
         terms = self._terms(x)
         return np.asarray(terms[: self.top].sum(0) / terms[self.top :].sum(0))
 
+    def log_modulus(self, x: Real) -> Real:
+        """ln |L(j e^x)| without overflow at any x."""
+        sides = []
+        for side in (slice(None, self.top), slice(self.top, None)):
+            exponents = self.orders[side, None] * x
+            largest = exponents.max(0)
+            terms = self.coefficients[side, None] * np.exp(exponents - largest)
+            if self.delays[side].any():
+                terms = terms * np.exp(-1j * self.delays[side, None] * np.exp(np.minimum(x, 700.0)))
+            sides.append(largest + np.log(np.abs(terms.sum(0))))
+        return np.asarray(sides[0] - sides[1])
+
     def point(self, x: float) -> tuple[complex, complex]:
         """L(j e^x) and d ln L/dx, exact, at one frequency (scalars: ten times faster than short arrays)."""
         sums, slopes = [0j, 0j], [0j, 0j]

@@ -75,7 +75,7 @@ def as_loop(loop: object, limit: float | None) -> Loop:
         raise FieldError(
             "limit", limit, "not a frequency", allowed="> 0 rad/s", remedy="give the Nyquist frequency"
         )
-    if isinstance(loop, FractionalTransferFunction):
+    if isinstance(loop, FractionalTransferFunction) and loop.numerator:
         return FractionalLoop.of(loop, limit)
     if not callable(loop):
         raise FieldError(
