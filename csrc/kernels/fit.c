@@ -144,7 +144,7 @@ int fit_solve(const fit_problem *problem, double *shape, fit_request *r, fit_tab
         project(trial, r);
         double moved[FIT_SHAPE];
         for (int k = 0; k < FIT_SHAPE; k++) moved[k] = trial[k] - shape[k];
-        if (negligible(moved, wave) || predicted < 1e-11 * cost) {
+        if (negligible(moved, wave) || predicted < 1e-10 * cost) {
             status = FIT_CONVERGED;
             break;
         }

@@ -52,7 +52,7 @@ class Comparison:
     Arguments:
         fits: structure → fit, in the order UD-IOM, D-IOM, UD-FOM, D-FOM.
         without_delay: the same with the delay held at zero (parameters and errors only, no details).
-        preferred: the structure with the lowest AIC.
+        preferred: the structure with the lowest `Fit.tic`, the AIC where the residual is white.
         contest: UD-FOM against D-IOM, which have as many parameters.
         verdict: what may be concluded, in words.
     """
@@ -108,7 +108,7 @@ def identify_all(
             for name in ("D-IOM", "UD-FOM")
         }
     contest = _contest(fits["UD-FOM"], fits["D-IOM"])
-    preferred = min(fits, key=lambda name: fits[name].aic)
+    preferred = min(fits, key=lambda name: fits[name].tic)
     return Comparison(fits, still, preferred, contest, _verdict(fits, still, preferred, contest))
 
 
@@ -135,9 +135,10 @@ def _verdict(fits: Mapping[str, Fit], still: Mapping[str, Fit], preferred: str, 
 
 def _by_criterion(fits: Mapping[str, Fit], preferred: str) -> str:
     best = fits[preferred]
-    others = sorted((fit for fit in fits.values() if fit is not best), key=lambda fit: fit.aic)
-    gap = others[0].aic - best.aic
-    text = f"{preferred} is preferred: lowest AIC, {gap:.1f} below {others[0].structure}"
+    others = sorted((fit for fit in fits.values() if fit is not best), key=lambda fit: fit.tic)
+    gap = others[0].tic - best.tic
+    criterion = "AIC, corrected for the residual's colour" if best.errors_allow_colour else "AIC"
+    text = f"{preferred} is preferred: lowest {criterion}, {gap:.1f} below {others[0].structure}"
     if best.heldout_nmse is not None:
         text += f"; held-out NMSE {best.heldout_nmse:.4g}"
     return text + "."
@@ -156,8 +157,9 @@ def _of_the_delay(fits: Mapping[str, Fit], still: Mapping[str, Fit]) -> list[str
         return []
     viscous, fractional = fits["D-IOM"], fits["UD-FOM"]
     at_once_wins = still["UD-FOM"].aic < still["D-IOM"].aic - 2
-    error = viscous.standard_errors.get("delay", math.inf)
-    if at_once_wins and viscous.aic <= fractional.aic + 2 and abs(viscous.delay) > 3 * error:
+    # Less than a sample of delay may be the noise of the angle, averaged between two samples.
+    shown = max(3 * viscous.standard_errors.get("delay", math.inf), viscous.period)
+    if at_once_wins and viscous.aic <= fractional.aic + 2 and abs(viscous.delay) > shown:
         return [
             "λ is explained by the delay: without it UD-FOM wins "
             f"(λ = {still['UD-FOM'].model.order:.3f}), with the {1e3 * viscous.delay:.1f} ms that the log "

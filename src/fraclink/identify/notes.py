@@ -10,6 +10,14 @@ from fraclink.identify.fit import Fit
 
 __all__ = ["findings_of"]
 
+_AT_BOUND = {
+    "order": "at λ = 2 the link is classical: use UD-IOM or D-IOM",
+    "damping": "the log shows no damping of this kind: use UD-IOM",
+    "natural_frequency": "at ϖ = 0 D-FOM is UD-FOM with λ = 2 − α: use UD-FOM",
+    "damping_order": "the log does not determine α: use UD-FOM or D-IOM",
+    "delay": "the delay is larger than a third of a period, or the channels do not belong together",
+}
+
 
 def findings_of(fit: Fit, singular: bool, stiffness: float | None) -> tuple[Finding, ...]:
     """All findings of a fit, worst first."""
@@ -21,13 +29,15 @@ def findings_of(fit: Fit, singular: bool, stiffness: float | None) -> tuple[Find
 def _of_the_optimum(fit: Fit, singular: bool) -> Iterator[Finding]:
     values = {"order": fit.model.order, "damping_order": fit.model.damping_order, "delay": fit.delay}
     for name in fit.at_bound:
-        evidence = {name: values[name]} if name in values else {}
+        if name == "delay" and fit.delay == 0:
+            continue  # none found, and a rough angle cannot show a negative one
+        evidence = {name: values.get(name, getattr(fit.model, name, 0.0))}
         yield Finding(
             "W301",
             "warning",
             f"{name} ended at the bound of its range and has no standard error",
             evidence,
-            "a simpler structure explains the log as well" if name in ("order", "ratio") else "see the log",
+            _AT_BOUND.get(name, "look at the log"),
         )
     if not fit.converged:
         yield Finding(

@@ -62,6 +62,16 @@ class Window:
         """Resonances [rad/s] that the log can show: a period and a half in it, six samples in a period."""
         return 3 * math.pi / (self.samples * self.period), math.pi / (3 * self.period)
 
+    @property
+    def is_rough(self) -> bool:
+        """Whether noise (such as an encoder's steps) shows in the angle's increments.
+
+        Noise of the samples makes neighbouring increments opposed, so that they resemble each other less
+        than the next but one do; a motion's resemblance falls with every sample.
+        """
+        steps = np.diff(self.angle)
+        return bool(steps[1:] @ steps[:-1] < steps[2:] @ steps[:-2])
+
     def increments(self) -> Vector:
         """Jump at each sample (held input) or slope after it; the link is at rest before the first one."""
         if self.hold == "zero":

@@ -10,7 +10,14 @@ import numpy as np
 
 from fraclink._kernels import FitProblem
 from fraclink.identify.search import Search, Solution
-from fraclink.identify.shape import NAMES, Shape, damping_and_square, mask_of, model_gradients
+from fraclink.identify.shape import (
+    NAMES,
+    Shape,
+    damping_and_square,
+    mask_of,
+    model_gradients,
+    on_physical_side,
+)
 
 __all__ = ["Interval", "profile_interval"]
 
@@ -92,7 +99,7 @@ class _Profile:
             row = model_gradients(shape)[NAMES.index(self.name)]
             along = np.array([row[i] if i < 4 else 0.0 for i in free])
             shape[free] += _on_surface(normal, slope, along, miss)
-            shape = np.clip(shape, self.solution.lower, self.solution.upper)
+            shape = on_physical_side(np.clip(shape, self.solution.lower, self.solution.upper))
         return best
 
 
@@ -144,6 +151,8 @@ def profile_interval(
     """
     profile = _Profile(search, solution, kernel, name)
     centre = profile.value(solution.shape)
+    if solution.cost <= 1e-12 * solution.gram[0, 0]:  # a perfect fit: its likelihood is rounding noise
+        return Interval(centre - _QUANTILE * error, centre + _QUANTILE * error, False, False)
     low, high = profile.limits()
     ends = []
     for side, limit in ((-1, low), (1, high)):
@@ -178,7 +187,7 @@ def _secant(
     inside, inside_root = centre, 0.0
     outside: float | None = None
     outside_root = math.inf
-    step = _QUANTILE * error if error != 0 else 1e-3 * abs(limit - centre if math.isfinite(limit) else centre)
+    step = _QUANTILE * error
     value = centre + step
     for _ in range(25):
         beyond = (limit - value) * step <= 0

@@ -16,11 +16,11 @@ from fraclink.identify.shape import ALPHA_LIMITS, FREE, ORDER_LIMITS, Shape, mas
 
 __all__ = ["Search", "Solution"]
 
-_SCAN_ORDER = 1.85  # wide enough a resonance (ζ = 0.13) that neighbours of the grid see the true one
-_SCAN_STEP = 0.15  # in ln Ω
-_ITERATIONS = 80
+_SWEEP_ORDER, _SWEEP_STEP = 1.7, 0.3  # ζ = 0.27 and a step in ln Ω: neighbours on the grid overlap
+_SCAN_ORDER = 1.85  # ζ = 0.13, for the places between them
+_ITERATIONS = 200  # an undamped link on a damped log converges by a third a step
 # Delays that are tried as starts, as parts of the vibration's period: a fit creeps over ± 0.15 by itself.
-_DELAY_STARTS = (0.0, 0.12, 0.24)
+_DELAY_STARTS = (0.12, 0.24)
 _DELAY_LIMITS = (-0.12, 0.35)
 
 
@@ -39,6 +39,14 @@ class Solution:
     upper: Shape
     status: int
     evaluations: int
+
+    @property
+    def on_edge(self) -> bool:
+        """Whether a D-FOM ended on ϖ = 0, where it is the UD-FOM with λ = 2 − α."""
+        other = float(self.shape[3])
+        return (
+            3 in self.free and other < 1 and self.shape[2] >= (1 - 1e-7) * math.tan(other * math.pi / 2) / 2
+        )
 
     @property
     def at_bound(self) -> tuple[int, ...]:
@@ -104,21 +112,37 @@ class Search:
         return max(fixed, min(0.36 * self.wave * (1 if self.start is None else 3), span))
 
     def _scan(self) -> Shape:
+        """Sweep ln Ω with a broad resonance, then its neighbourhood with a narrower one, then delays."""
         low, high = (math.log(x) for x in self.window.frequency_limits)
-        points = max(int((high - low) / _SCAN_STEP), 8)
-        order = self.fixed.get("order", _SCAN_ORDER)
         delay = self.fixed.get("delay", 0.0)
-        rows = np.array([[order, x, 0.0, 1.0, delay] for x in np.linspace(low, high, points)])
+        points = max(int((high - low) / _SWEEP_STEP), 8)
         kernel = self.window.kernel(math.exp(low), longest_delay=abs(delay), coarse=True)
-        costs = kernel.costs(rows, self.gain, self.offset)
-        self._evaluations += points
-        best: Shape = rows[int(np.argmin(costs))]
-        return best
+        broad, costs = self._tried(kernel, np.linspace(low, high, points), _SWEEP_ORDER, delay)
+        near = broad[np.argsort(costs)[:2]]
+        fine = (near[:, 1:2] + _SWEEP_STEP * np.array([-0.4, -0.2, 0.0, 0.2, 0.4])).ravel()
+        narrow, costs = self._tried(kernel, fine, _SCAN_ORDER, delay)
+        best: Shape = narrow[int(np.argmin(costs))]
+        if "delay" in self.fixed:
+            return best
+        late = np.concatenate([_delayed(near, part) for part in _DELAY_STARTS])
+        kernel = self.window.kernel(math.exp(low), longest_delay=float(np.max(late[:, 4])), coarse=True)
+        late_costs = kernel.costs(late, self.gain, self.offset)
+        self._evaluations += len(late)
+        least = int(np.argmin(late_costs))
+        return best if float(np.min(costs)) <= late_costs[least] else np.asarray(late[least])
 
-    def limits(self, name: str) -> tuple[Shape, Shape]:
-        """Lower and upper limits of the coordinates for a structure."""
+    def _tried(
+        self, kernel: FitProblem, places: NDArray[np.float64], order: float, delay: float
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        order = self.fixed.get("order", order)
+        rows = np.array([[order, x, 0.0, 1.0, delay] for x in places])
+        self._evaluations += len(rows)
+        return rows, kernel.costs(rows, self.gain, self.offset)
+
+    def limits(self, *, may_lead: bool) -> tuple[Shape, Shape]:
+        """Lower and upper limits of the coordinates; `may_lead` admits a delay below zero."""
         low, high = (math.log(x) for x in self.window.frequency_limits)
-        shortest = max(_DELAY_LIMITS[0] * self.wave, -0.9 * self.longest_delay)
+        shortest = max(_DELAY_LIMITS[0] * self.wave, -0.9 * self.longest_delay) if may_lead else 0.0
         longest = min(_DELAY_LIMITS[1] * self.wave, 0.97 * self.longest_delay)
         lower = np.array([ORDER_LIMITS[0], low - 0.5, 0.0, ALPHA_LIMITS[0], shortest])
         upper = np.array([ORDER_LIMITS[1], high + 0.3, 0.9, ALPHA_LIMITS[1], longest])
@@ -133,17 +157,31 @@ class Search:
     def solve(self, name: str) -> Solution:
         """The best fit of a structure; found once."""
         if name not in self.solutions:
-            rows = list(self._starts(name))
-            self.solutions[name] = self._best(name, rows)
+            found = self._best(name, list(self._starts(name)))
+            if self.window.is_rough and "delay" not in self.fixed:
+                found = self._over_the_kinks(found)
+            self.solutions[name] = found
         return self.solutions[name]
 
-    def refine(self, name: str, shape: Shape) -> Solution:
-        """Fit from one start, without remembering it."""
-        return self._best(name, [shape])
+    def _over_the_kinks(self, found: Solution) -> Solution:
+        """Fits from the neighbouring half samples of delay, and from delays that are truly negative.
 
-    def _best(self, name: str, rows: list[Shape]) -> Solution:
+        A straight line averages the noise of two samples, most of it half-way between them, so that a
+        rough angle rewards every half sample of delay. Within a sample such a gain says nothing on which
+        channel is later: the delay is then not let below zero (see `limits`).
+        """
+        rows = []
+        for shift in (-0.6, 0.6, -2.5):
+            rows.append(found.shape.copy())
+            rows[-1][4] += shift * self.window.period
+        best = min((found, self._best(found.structure, rows[:2])), key=lambda s: s.cost)
+        early = self._best(found.structure, rows[2:], may_lead=True)
+        leads = early.shape[4] < -1.5 * self.window.period and early.cost < best.cost
+        return early if leads else best
+
+    def _best(self, name: str, rows: list[Shape], *, may_lead: bool | None = None) -> Solution:
         free = self.free(name)
-        lower, upper = self.limits(name)
+        lower, upper = self.limits(may_lead=not self.window.is_rough if may_lead is None else may_lead)
         starts = np.array(rows)
         if "delay" in self.fixed:
             starts[:, 4] = self.fixed["delay"]
@@ -162,26 +200,16 @@ class Search:
     def _starts(self, name: str) -> Iterable[Shape]:
         seed = self.seed
         if name == "UD-FOM":
-            yield from self._with_delays([self.fixed.get("order", min(seed[0], 1.95)), seed[1], 0.0, 1.0])
+            yield np.array([self.fixed.get("order", min(seed[0], 1.95)), seed[1], 0.0, 1.0, seed[4]])
             return
         fractional = self.solve("UD-FOM").shape
         ratio = max(-math.cos(math.pi / fractional[0]), 1e-4)
         if name == "D-IOM":
-            yield np.array([2.0, fractional[1], ratio, 1.0, fractional[4]])
-            yield from self._with_delays([2.0, fractional[1], max(ratio, 0.02), 1.0])
+            yield np.array([2.0, fractional[1], max(ratio, 1e-3), 1.0, fractional[4]])
         elif name == "UD-IOM":
             yield from self._undamped(fractional)
         else:
             yield from self._damped(fractional, ratio)
-
-    def _with_delays(self, front: list[float]) -> Iterable[Shape]:
-        if "delay" in self.fixed:
-            yield np.array([*front, self.fixed["delay"]])
-            return
-        yield np.array([*front, self.seed[4]])
-        if self.start is None:
-            for part in _DELAY_STARTS[1:]:
-                yield np.array([*front, part * self.wave])
 
     def _undamped(self, near: Shape) -> Iterable[Shape]:
         # Without damping the phase must fit over the whole log: a dip of the cost every π/T, each is tried.
@@ -203,3 +231,10 @@ class Search:
         for other in others:
             most = math.tan(other * math.pi / 2) / 2 if other < 1 else 0.9
             yield np.array([2.0, fractional[1], min(ratio, 0.9 * most), other, fractional[4]])
+
+
+def _delayed(rows: NDArray[np.float64], part: float) -> NDArray[np.float64]:
+    """The rows with a delay of `part` of their vibration's period."""
+    result = rows.copy()
+    result[:, 4] = part * 2 * math.pi / np.exp(rows[:, 1])
+    return result

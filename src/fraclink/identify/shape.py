@@ -28,6 +28,7 @@ __all__ = [
     "mask_of",
     "model_gradients",
     "model_of",
+    "on_physical_side",
     "shape_of",
     "undamped_as_damped",
 ]
@@ -105,3 +106,12 @@ def model_gradients(shape: Shape) -> NDArray[np.float64]:
         down[i] -= step
         columns.append((values(up) - values(down)) / (2 * step))
     return np.stack(columns, axis=1)
+
+
+def on_physical_side(shape: Shape) -> Shape:
+    """The shape with ζ no larger than tan(απ/2)/2, beyond which ϖ² would be negative."""
+    other = float(shape[3])
+    if other < 1 and shape[2] > (most := math.tan(other * math.pi / 2) / 2):
+        shape = shape.copy()
+        shape[2] = most
+    return shape

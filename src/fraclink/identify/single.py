@@ -16,7 +16,7 @@ from fraclink.identify.notes import findings_of
 from fraclink.identify.problem import Hold, Window, chosen_hold, columns_of
 from fraclink.identify.profile import Interval, profile_interval
 from fraclink.identify.search import Search, Solution
-from fraclink.identify.shape import ALPHA_LIMITS, COORDINATES, ORDER_LIMITS, model_of, shape_of
+from fraclink.identify.shape import ALPHA_LIMITS, ORDER_LIMITS, model_of, shape_of
 from fraclink.identify.statistics import ResidualTests, aic, bic, residual_tests
 from fraclink.link import LinkModel
 from fraclink.link import structure as structure_row
@@ -211,7 +211,21 @@ def _intervals(search: Search, solution: Solution, errors: Uncertainty, allow: b
         inflation = float(variances[i] / white[i]) if white[i] > 0 else 1.0
         error = math.sqrt(max(white[i], 0.0) * inflation)
         result[name] = profile_interval(search, solution, search.kernel, name, error, inflation)
+    if "damping_order" in result and solution.on_edge:
+        # ϖ = 0 is where the interval begins; its width is set by how fast α may leave the edge.
+        reach = 0.05 * math.exp(solution.shape[1])
+        result["natural_frequency"] = profile_interval(
+            search, solution, search.kernel, "natural_frequency", reach, 1.0
+        )
     return result
+
+
+def _bounds(solution: Solution) -> tuple[str, ...]:
+    named = ("order", "natural_frequency", "damping", "damping_order", "delay")
+    names = [named[i] for i in solution.at_bound]
+    return tuple(
+        names + (["natural_frequency"] if solution.on_edge and "natural_frequency" not in names else [])
+    )
 
 
 def _assembled(
@@ -258,7 +272,8 @@ def _assembled(
         ),
         errors_allow_colour=bool(allow),
         intervals=intervals,
-        at_bound=tuple(COORDINATES[i] for i in solution.at_bound),
+        at_bound=_bounds(solution),
+        effective_parameters=errors.effective,
         tests=tests,
         converged=solution.status == 0,
         evaluations=solution.evaluations,
