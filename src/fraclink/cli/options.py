@@ -25,7 +25,7 @@ __all__ = [
     "radians",
 ]
 
-BUNDLED_LOG = "prbs_30g.csv"  # simulated by the twin; its header says so
+BUNDLED_LOG = "prbs_30g"  # simulated by the twin; its header says so
 RigName = Annotated[
     str, typer.Option("--rig", help="A rig file (rig.toml) or the name of a bundled rig, e.g. paper-2023.")
 ]
@@ -53,11 +53,9 @@ def load_rig(name: str) -> Rig:
 
 def load_log(name: str, rig: Rig, payload: float | None) -> Experiment:
     """Return the log of a file; ``demo`` is the bundled one."""
-    from importlib.resources import files
+    from fraclink.readers import bundled_log, read_log
 
-    from fraclink.readers import read_log
-
-    path = Path(str(files("fraclink") / "logs" / BUNDLED_LOG)) if name == "demo" else Path(name)
+    path = bundled_log(BUNDLED_LOG) if name == "demo" else Path(name)
     return read_log(path, rig=rig, payload=payload)
 
 

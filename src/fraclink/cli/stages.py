@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
 __all__ = ["register"]
 
+Inner = Literal["ideal", "sampled"]
+
 
 def identify(
     log: Annotated[str, typer.Argument(help="The log: CSV or MAT; `demo` is the bundled one.")],
@@ -44,9 +46,12 @@ def identify(
     place = output_path(out, force=force)
     with steps(2) as begin:
         begin("reading the log")
-        experiment = load_log(log, load_rig(rig), payload)
+        known = load_rig(rig)
+        experiment = load_log(log, known, payload)
         begin(f"fitting {structure}")
-        fit = fit_log(experiment, structure)
+        # A deflection log cannot show the stiffness; a torque log measures it.
+        stiffness = known.link.stiffness if experiment.output_kind == "deflection" else None
+        fit = fit_log(experiment, structure, stiffness=stiffness)
     fit.save(place)
     emit_json(fit_values(fit) | {"out": str(place)}) if json else emit(fit_text(fit))
     if not json:
@@ -72,7 +77,7 @@ def design(
         float | None, typer.Option("--filter-time", help="δ [s], 0 for none; default: the 10 % rule.")
     ] = None,
     filter_order: Annotated[int | None, typer.Option("--filter-order", help="n, 1 or 2.")] = None,
-    inner: Annotated[str, typer.Option("--inner", help="Motor loop: ideal or sampled.")] = "ideal",
+    inner: Annotated[Inner, typer.Option("--inner", help="Motor loop.")] = "ideal",
     out: Annotated[Path, typer.Option("--out", help="File to write the design to.")] = Path("design.json"),
     json: Json = False,
     force: Force = False,
@@ -106,9 +111,9 @@ def design(
 def _model(path: Path | None) -> LinkModel | None:
     if path is None:
         return None
-    from fraclink.identify import Fit
+    from fraclink.identify import load_model
 
-    return Fit.load(path).model
+    return load_model(path)
 
 
 def simulate(
@@ -118,11 +123,13 @@ def simulate(
     amplitude: Annotated[float, typer.Option("--amplitude", help="Size of the move [rad].")] = 1.0,
     move_time: Annotated[float, typer.Option("--move-time", help="Time of the move [s].")] = 0.5,
     duration: Annotated[float, typer.Option("--duration", help="Time to simulate [s].")] = 4.0,
-    gauge_offset: Annotated[float, typer.Option("--gauge-offset", help="Offset of the gauge [N·m].")] = 0.0,
+    gauge_offset: Annotated[
+        float | None, typer.Option("--gauge-offset", help="Offset of the gauge [N·m]; default: the rig's.")
+    ] = None,
     noise: Annotated[
         float | None, typer.Option("--noise", help="Gauge noise [N·m]; default: the rig's.")
     ] = None,
-    inner: Annotated[str, typer.Option("--inner", help="Motor loop: ideal or sampled.")] = "sampled",
+    inner: Annotated[Inner, typer.Option("--inner", help="Motor loop.")] = "sampled",
     seed: Annotated[int, typer.Option("--seed", help="Seed of the noise.")] = 0,
     json: Json = False,
     force: Force = False,

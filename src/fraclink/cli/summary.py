@@ -34,6 +34,10 @@ def _finite(value: float | None) -> float | None:
     return None if value is None or not math.isfinite(value) else float(value)
 
 
+def _share(value: float | None) -> str:
+    return "none held out" if value is None else f"{value:.4g}"
+
+
 def _grams(payload: float) -> str:
     return f"{1e3 * payload:g} g"
 
@@ -108,7 +112,7 @@ def fit_text(fit: Fit) -> str:
     rows.append(("gain, offset", f"{fit.gain:.4g}, {fit.offset:.4g}", ""))
     rows.append(("mean squared error", f"{fit.mse:.6g}", ""))
     rows.append(("AIC", f"{fit.aic:.1f}", ""))
-    rows.append(("held-out error (NMSE)", f"{fit.heldout_nmse:.4g}", ""))
+    rows.append(("held-out error (NMSE)", _share(fit.heldout_nmse), ""))
     return table((f"{fit.structure}", "value", "error"), rows)
 
 
@@ -248,7 +252,7 @@ def study_text(study: Study) -> str:
                 f"{fit.model.order:.4f}",
                 f"{fit.mse:.4g}",
                 f"{fit.aic:.1f}",
-                f"{fit.heldout_nmse:.4g}",
+                _share(fit.heldout_nmse),
                 f"{1e3 * fit.delay:.2f} ms",
             )
             for name, fit in study.comparison.fits.items()

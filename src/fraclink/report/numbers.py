@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-__all__ = ["degrees", "grams", "number", "quantity", "uncertain"]
+__all__ = ["degrees", "grams", "milli", "number", "quantity", "sentence", "uncertain"]
 
 
 def number(value: float | None, digits: int = 4) -> str:
@@ -38,9 +38,13 @@ def uncertain(value: float, error: float | None) -> str:
 
     >>> uncertain(1.918734, 0.000213), uncertain(10.02, None)
     ('1.91873 ± 0.00021', '10.02')
+    >>> uncertain(116.0, 145.0)
+    'undetermined'
     """
     if error is None or not math.isfinite(error) or error <= 0:
         return number(value, 5)
+    if error >= abs(value):
+        return "undetermined"
     places = max(0, 1 - math.floor(math.log10(error)))
     if places > 9 or abs(value) >= 1e6:
         return f"{number(value, 5)} ± {number(error, 2)}"
@@ -54,6 +58,34 @@ def grams(payload: float | None) -> str:
     '30.5 g'
     """
     return "–" if payload is None else f"{number(1e3 * payload)} g"
+
+
+def milli(value: float | None, places: int = 1) -> str:
+    """A value in thousandths, with as many decimal places as matter beside its neighbours in a column.
+
+    >>> milli(0.0633), milli(-0.0000519, 2), milli(-1e-9, 2)
+    ('63.3', '−0.05', '0.00')
+    """
+    if value is None or not math.isfinite(value):
+        return "–"
+    text = f"{1e3 * value:.{places}f}"
+    return text.lstrip("-") if float(text) == 0 else text.replace("-", "−")
+
+
+def sentence(text: str) -> str:
+    """`text` with a capital and a full stop.
+
+    >>> sentence("measure it"), sentence("Is it?")
+    ('Measure it.', 'Is it?')
+    """
+    text = text.strip()
+    # The name of a field is written as the file writes it.
+    named = "_" in text.partition(" ")[0]
+    return (
+        (text[:1] if named else text[:1].upper())
+        + text[1:]
+        + ("" if text.endswith((".", "?", "!", ":")) or not text else ".")
+    )
 
 
 def degrees(angle: float | None) -> str:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from fraclink.errors import MissingExtraError
 from fraclink.files import write_text
 from fraclink.report import sections
+from fraclink.report.numbers import sentence
 
 if TYPE_CHECKING:
     from fraclink.study import Study
@@ -55,6 +56,7 @@ def render_report(study: Study, *, title: str | None = None) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    environment.filters["sentence"] = sentence
     return environment.get_template("report.html").render(_contents(study, title))
 
 
@@ -67,12 +69,14 @@ def _contents(study: Study, title: str | None) -> dict[str, object]:
         "version": __version__,
         "title": title or f"{name}: {sections.source_name(study.experiment)}",
         "study": study,
+        "in_short": sections.in_short(study),
+        "fit_findings": study.fit.findings if study.fit else (),
         "source": sections.source_name(study.experiment),
         "rig_rows": sections.rig_rows(study.rig) if study.rig else [],
         "rig_findings": [finding for finding in study.findings if finding.code.startswith("W1")],
         "log_findings": [finding for finding in study.findings if not finding.code.startswith("W1")],
         "log_rows": sections.log_rows(study.experiment) if study.experiment else [],
-        "fit_rows": sections.fit_rows(study.comparison) if study.comparison else [],
+        "fit_rows": sections.fit_rows(study.fits),
         "move_rows": sections.move_rows(study.runs),
         **_design(study),
         **_figures(study),
@@ -87,7 +91,7 @@ def _design(study: Study) -> dict[str, object]:
         return {"controller_rows": [], "requirement_rows": [], "margin_rows": []}
     payloads = [_BEYOND * plan.payloads[0], *payloads_of(plan)]
     return {
-        "controller_rows": sections.controller_rows(plan),
+        "controller_rows": sections.controller_rows(plan, study.law),
         "requirement_rows": sections.requirement_rows(plan),
         "margin_rows": sections.margin_rows(plan, payloads),
     }
@@ -101,8 +105,8 @@ def _figures(study: Study) -> dict[str, object]:
     drawn: dict[str, str] = {}
     if study.experiment is not None:
         drawn["log"] = figures.log_figure(study.experiment)
-    if study.experiment is not None and study.comparison is not None:
-        drawn["models"] = figures.models_figure(study.experiment, study.comparison)
+    if study.fits:
+        drawn["models"] = figures.models_figure(study.fits)
     if study.plan is not None:
         drawn["bode"] = figures.bode_figure(study.plan)
         drawn["nyquist"] = figures.nyquist_figure(study.plan)

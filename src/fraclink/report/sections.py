@@ -3,22 +3,27 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from pathlib import PurePath
 from typing import TYPE_CHECKING
 
-from fraclink.report.numbers import degrees, grams, number, quantity, uncertain
+from fraclink.report.numbers import degrees, grams, milli, number, quantity, uncertain
 
 if TYPE_CHECKING:
     from fraclink.design import Plan
     from fraclink.experiment import Experiment
-    from fraclink.identify import Comparison, Fit
+    from fraclink.identify import Fit
+    from fraclink.law import Law
     from fraclink.rig import Rig
     from fraclink.simulate import Run
+    from fraclink.study import Study
 
 __all__ = [
     "controller_rows",
     "fit_rows",
+    "in_short",
     "log_rows",
+    "margin_rows",
     "move_rows",
     "requirement_rows",
     "rig_rows",
@@ -60,7 +65,11 @@ def rig_rows(rig: Rig) -> list[Row]:
             f"{number(gauge.noise)} N·m, {number(gauge.offset)} N·m",
         ),
         ("Motor loop: double pole", "p", f"{number(rig.inner.pole)} rad/s"),
-        ("Delay of the computation", "", f"{rig.inner.delay_samples} sample(s)"),
+        (
+            "Computation delay",
+            "",
+            f"{rig.inner.delay_samples} sample{'' if rig.inner.delay_samples == 1 else 's'}",
+        ),
         ("Sampling period", "Ts", f"{number(1e3 * rig.period)} ms"),
     ]
 
@@ -68,7 +77,7 @@ def rig_rows(rig: Rig) -> list[Row]:
 def log_rows(log: Experiment) -> list[Row]:
     """Quantity and value of what is known about the log."""
     duration = log.period * (len(log.time) - 1)
-    rows = [
+    rows: list[Row] = [
         ("Samples", f"{len(log.time)} in {number(duration)} s, one each {number(1e3 * log.period)} ms"),
         ("Output", {"torque": "base torque [N·m]", "deflection": "deflection angle [rad]"}[log.output_kind]),
         ("Payload", grams(log.payload) if log.payload is not None else "not stated"),
@@ -90,7 +99,7 @@ def _parameter(fit: Fit, name: str) -> str:
     return uncertain(value, fit.standard_errors.get(name))
 
 
-def fit_rows(comparison: Comparison) -> list[Row]:
+def fit_rows(fits: Mapping[str, Fit]) -> list[Row]:
     """One row for each structure: parameters with standard errors, then the criteria."""
     return [
         (
@@ -99,20 +108,19 @@ def fit_rows(comparison: Comparison) -> list[Row]:
             _parameter(fit, "order"),
             _parameter(fit, "damping"),
             _parameter(fit, "damping_order"),
-            f"{number(1e3 * fit.delay, 3)} ms",
+            milli(fit.delay, 2),
             number(fit.mse),
             f"{fit.aic:.1f}".replace("-", "−"),
-            f"{fit.bic:.1f}".replace("-", "−"),
             number(fit.heldout_nmse),
         )
-        for name, fit in comparison.fits.items()
+        for name, fit in fits.items()
     ]
 
 
-def controller_rows(plan: Plan) -> list[Row]:
-    """Symbol, meaning and value of the controller's parameters."""
+def controller_rows(plan: Plan, law: Law | None) -> list[Row]:
+    """Symbol, meaning and value of the controller's parameters, and of its law."""
     controller = plan.controller
-    rows = [
+    rows: list[Row] = [
         ("k_d", "gain", f"{number(controller.gain, 6)} s^β"),
         ("β", "order of the derivative", number(controller.order, 6)),
     ]
@@ -121,6 +129,12 @@ def controller_rows(plan: Plan) -> list[Row]:
     else:
         rows.append(("δ", "filter", "none"))
     rows.append(("ω̄_c", "crossover at the lightest payload", f"{number(plan.gain_crossover_upper, 6)} rad/s"))
+    if law is not None:
+        decibel, degree = law.correction_error
+        order = len(law.correction.poles) + 2 * len(law.correction.pair_poles)
+        rows.append(("", "states of the discrete law", str(order)))
+        band = f"{number(law.band[0], 2)} to {number(law.band[1], 3)} rad/s"
+        rows.append(("", f"its error from {band}", f"{number(decibel, 2)} dB, {number(degree, 2)}°"))
     return rows
 
 
@@ -142,15 +156,15 @@ def requirement_rows(plan: Plan) -> list[tuple[str, str, str, str, str, bool]]:
 
 def margin_rows(plan: Plan, payloads: list[float]) -> list[Row]:
     """Margins at some payloads, of the loop asked for and of the sampled one."""
-    rows = []
+    rows: list[Row] = []
     for payload in payloads:
         asked, sampled = plan.at(payload), plan.sampled_at(payload)
         rows.append(
             (
                 grams(payload),
-                f"{number(asked.gain_crossover)} rad/s",
+                number(asked.gain_crossover),
                 degrees(asked.phase_margin),
-                f"{number(sampled.gain_crossover)} rad/s",
+                number(sampled.gain_crossover),
                 degrees(sampled.phase_margin),
                 number(sampled.modulus_margin, 3),
             )
@@ -158,18 +172,50 @@ def margin_rows(plan: Plan, payloads: list[float]) -> list[Row]:
     return rows
 
 
-def move_rows(runs: tuple[Run, ...]) -> list[tuple[str, str, str, str, str, str, str, bool]]:
-    """Payload, metrics, and whether the move holds."""
+def move_rows(runs: tuple[Run, ...]) -> list[tuple[Row, bool, str]]:
+    """Payload and metrics of each move, whether it holds, and why not."""
     return [
         (
-            grams(run.payload),
-            f"{100 * run.metrics.overshoot:.2f} %",
-            f"{run.metrics.settling_time:.3f} s" if math.isfinite(run.metrics.settling_time) else "never",
-            f"{number(1e3 * run.metrics.residual_vibration, 3)} mrad",
-            f"{number(1e3 * run.metrics.steady_state_error, 3)} mrad",
-            f"{number(run.metrics.peak_voltage, 3)} V",
-            f"{number(1e3 * run.metrics.motor_reference_noise, 3)} mrad",
+            (
+                grams(run.payload),
+                f"{100 * run.metrics.overshoot:.1f}",
+                f"{run.metrics.settling_time:.2f}" if math.isfinite(run.metrics.settling_time) else "never",
+                milli(run.metrics.residual_vibration),
+                milli(run.metrics.steady_state_error, 2),
+                number(run.metrics.peak_voltage, 3),
+                milli(run.metrics.motor_reference_noise),
+            ),
             run.verdict.holds,
+            run.verdict.reason,
         )
         for run in runs
     ]
+
+
+def in_short(study: Study) -> list[Row]:
+    """The handful of numbers that a reader looks for first."""
+    rows: list[Row] = []
+    if study.fit is not None:
+        model = study.fit.model
+        held = (
+            "" if study.fit.heldout_nmse is None else f", held-out error {100 * study.fit.heldout_nmse:.2g} %"
+        )
+        order, frequency = number(model.order, 5), number(model.natural_frequency, 5)
+        rows.append(("Model", f"{study.fit.structure}: λ = {order}, ϖ = {frequency}{held}"))
+    if study.plan is not None:
+        controller, (low, high) = study.plan.controller, study.plan.payloads
+        filtered = f", δ = {number(1e3 * controller.filter_time, 3)} ms" if controller.filter_time else ""
+        rows.append(
+            ("Controller", f"k_d = {number(controller.gain, 5)}, β = {number(controller.order, 5)}{filtered}")
+        )
+        margins = [study.plan.sampled_at(payload).phase_margin for payload in (low, high)]
+        span = " and ".join(
+            f"{degrees(margin)} at {grams(payload)}"
+            for margin, payload in zip(margins, (low, high), strict=True)
+        )
+        rows.append(("Phase margin of the sampled loop", span))
+    if study.runs:
+        settled = max(run.metrics.settling_time for run in study.runs)
+        shown = f"within {settled:.2f} s" if math.isfinite(settled) else "not for every payload"
+        rows.append(("The tip settles to 2 %", shown))
+    return rows

@@ -6,7 +6,7 @@ import io
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -17,7 +17,7 @@ INK, GREY, FAINT = "#1f2430", "#7b8494", "#d9dde4"
 BLUE, ORANGE, GREEN, VIOLET = "#1f5f99", "#c8572a", "#3b7d4f", "#76559b"
 LEVELS = (BLUE, ORANGE, GREEN, VIOLET)  # distinguishable in every common colour blindness and in grey
 
-_STYLE = {
+_STYLE: dict[Any, Any] = {
     "font.family": "DejaVu Sans",  # comes with matplotlib: the same glyphs on every machine
     "font.size": 8.5,
     "axes.titlesize": 9,
@@ -68,7 +68,7 @@ def svg(drawing: Figure, name: str, description: str) -> str:
 
     stream = io.StringIO()
     with matplotlib.rc_context(_STYLE):
-        FigureCanvasSVG(drawing).print_svg(stream, metadata={"Date": None, "Creator": None})
+        FigureCanvasSVG(drawing).print_svg(stream, metadata={"Date": None, "Creator": None})  # type: ignore[no-untyped-call]
     text = stream.getvalue()
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>\s*", "", text, flags=re.DOTALL)

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
     from fraclink.design import Plan
     from fraclink.experiment import Experiment
     from fraclink.findings import Finding
     from fraclink.identify import Comparison, Fit
+    from fraclink.law import Law
     from fraclink.rig import Rig
     from fraclink.simulate import Run
 
@@ -24,7 +26,7 @@ class Move:
         amplitude: angle to go [rad].
         move_time: time to go it in [s], > 0.
         duration: time that is simulated [s].
-        gauge_offset: constant error of the gauge [N·m].
+        gauge_offset: constant error of the gauge [N·m]; None takes the rig's.
         noise: standard deviation of the gauge's noise [N·m]; None takes the rig's.
         inner: the motor loop, ``"ideal"`` (M(s)) or ``"sampled"`` (motor, friction, saturation).
         seed: seed of the noise.
@@ -36,9 +38,9 @@ class Move:
     amplitude: float = 1.0
     move_time: float = 0.5
     duration: float = 4.0
-    gauge_offset: float = 0.0
+    gauge_offset: float | None = None
     noise: float | None = None
-    inner: str = "sampled"
+    inner: Literal["ideal", "sampled"] = "sampled"
     seed: int = 0
 
 
@@ -53,6 +55,7 @@ class Study:
         comparison: the fits of all structures.
         fit: the fit whose model the design used.
         plan: the design.
+        law: the discrete law of the design.
         infeasible: why there is no design, where there is none.
         runs: simulated moves, one for each payload.
         assumptions: sentences on everything that nobody stated.
@@ -67,9 +70,17 @@ class Study:
     comparison: Comparison | None = None
     fit: Fit | None = None
     plan: Plan | None = None
+    law: Law | None = None
     infeasible: str | None = None
     runs: tuple[Run, ...] = ()
     assumptions: tuple[str, ...] = ()
+
+    @property
+    def fits(self) -> Mapping[str, Fit]:
+        """The fits by structure: all that were compared, or the one that there is."""
+        if self.comparison is not None:
+            return self.comparison.fits
+        return {} if self.fit is None else {self.fit.structure: self.fit}
 
     @property
     def reasons(self) -> tuple[str, ...]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,7 +15,7 @@ _POINTS = 900  # twice this many points for a line; the page shows about 800 dot
 Real = NDArray[np.float64]
 
 
-def envelope(time: Real, values: Real, points: int = _POINTS) -> tuple[Real, Real]:
+def envelope(time: NDArray[Any], values: NDArray[Any], points: int = _POINTS) -> tuple[Real, Real]:
     """Return a record thinned to its smallest and largest value in each of `points` stretches.
 
     No peak is lost, and 100 000 samples draw as fast as 2 000.
