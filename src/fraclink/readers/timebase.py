@@ -47,10 +47,19 @@ def time_base(stamps: NDArray[np.float64], *, resample: bool = False) -> TimeBas
     if gaps.size:
         finding = _gap(stamps, steps, gaps, typical, resample)
         return TimeBase(float(stamps[0]), _rounded(typical), (finding,))
-    period = _rounded(float((stamps[-1] - stamps[0]) / steps.size))
-    grid = stamps[0] + period * np.arange(stamps.size)
-    worst = float(np.max(np.abs(stamps - grid))) if steps.size + 1 == stamps.size else period
-    return TimeBase(float(stamps[0]), period, _jitter(worst, period, resample))
+    if steps.size + 1 < stamps.size:  # repeated stamps, accepted because they are resampled
+        return TimeBase(float(stamps[0]), _rounded(typical), _jitter(typical, typical, resample))
+    start, period = float(stamps[0]), _rounded(float((stamps[-1] - stamps[0]) / steps.size))
+    if _distance(stamps, start, period) > _SILENT * period:
+        # Jitter of the two end stamps would tilt the whole grid: take the line through all of them.
+        slope, middle = np.polyfit(np.arange(stamps.size) - (stamps.size - 1) / 2, stamps, 1)
+        period = _rounded(float(slope))
+        start = float(middle - period * (stamps.size - 1) / 2)
+    return TimeBase(start, period, _jitter(_distance(stamps, start, period), period, resample))
+
+
+def _distance(stamps: NDArray[np.float64], start: float, period: float) -> float:
+    return float(np.max(np.abs(stamps - (start + period * np.arange(stamps.size)))))
 
 
 def _rounded(period: float) -> float:

@@ -1,0 +1,77 @@
+"""The experiment: arrays that nobody changes, and refusals that name the channel."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fraclink.errors import FieldError, LogError
+from fraclink.experiment import Experiment
+
+
+def test_arrays_are_copies_that_cannot_be_written() -> None:
+    mine = np.arange(5.0)
+    log = Experiment(period=0.004, motor_angle=mine, output=mine, voltage=mine)
+    mine[0] = 9
+    assert log.motor_angle[0] == 0
+    for values in (log.motor_angle, log.output, log.voltage):
+        assert values is not None
+        with pytest.raises(ValueError, match="read-only"):
+            values[0] = 1
+
+
+def test_time_starts_at_the_first_stamp() -> None:
+    log = Experiment(period=0.5, motor_angle=[0, 1, 2], output=[0, 1, 2], start_time=10.0)
+    assert log.time.tolist() == [10.0, 10.5, 11.0]
+    assert log.duration == 1.0
+
+
+@pytest.mark.parametrize("fraction", [0.1, 0.5, 0.6, 0.99])
+def test_a_split_covers_every_sample_once(fraction: float) -> None:
+    log = Experiment(period=0.004, motor_angle=np.arange(100.0), output=np.arange(100.0))
+    first, rest = log.split(fraction)
+    assert np.concatenate((log.output[first], log.output[rest])).tolist() == log.output.tolist()
+    assert log.output[first].size == round(100 * fraction)
+
+
+@pytest.mark.parametrize("fraction", [0.0, 1.0, -0.1, 0.001, float("nan"), True])
+def test_a_split_leaves_no_part_empty(fraction: float) -> None:
+    log = Experiment(period=0.004, motor_angle=np.arange(100.0), output=np.arange(100.0))
+    with pytest.raises(FieldError) as caught:
+        log.split(fraction)
+    assert caught.value.field == "fraction"
+
+
+@pytest.mark.parametrize(
+    ("changes", "error", "field"),
+    [
+        ({"period": 0.0}, FieldError, "period"),
+        ({"period": float("nan")}, FieldError, "period"),
+        ({"period": True}, FieldError, "period"),
+        ({"payload": -0.03}, FieldError, "payload"),
+        ({"start_time": float("inf")}, FieldError, "start_time"),
+        ({"output_kind": "force"}, FieldError, "output_kind"),
+        ({"motor_angle": [1.0]}, LogError, "motor_angle"),
+        ({"output": [[1.0, 2.0], [3.0, 4.0]]}, LogError, "output"),
+    ],
+)
+def test_values_that_make_no_sense_are_refused(
+    changes: dict[str, object], error: type[FieldError], field: str
+) -> None:
+    good: dict[str, object] = {"period": 0.004, "motor_angle": [0.0, 1.0], "output": [0.0, 1.0]}
+    with pytest.raises(error) as caught:
+        Experiment(**(good | changes))  # type: ignore[arg-type]
+    assert caught.value.field == field
+    assert caught.value.allowed and caught.value.remedy
+
+
+def test_b18_lengths_differ() -> None:
+    with pytest.raises(LogError, match="another number of samples than motor_angle") as caught:
+        Experiment(period=0.004, motor_angle=[0, 1, 2], output=[0, 1])
+    assert (caught.value.field, caught.value.value) == ("output", 2)
+
+
+def test_b01_a_value_that_is_not_finite() -> None:
+    with pytest.raises(LogError, match="nan at sample 1") as caught:
+        Experiment(period=0.004, motor_angle=[0, 1, 2], output=[0, float("nan"), 3])
+    assert "interpolate" in caught.value.remedy

@@ -1,0 +1,261 @@
+"""Text logs: what is read, in which units, and how it becomes an Experiment."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from fraclink.errors import FieldError
+from fraclink.readers import bundled_log, bundled_logs, inspect_log, read_columns, read_log
+from fraclink.readers.cells import NUMBER, parse_cells
+from fraclink.readers.text import read_text_table
+from fraclink.rig import Channel, LogColumns, Rig
+from made_logs import HEADER, made_rows, write_log
+from shared_data import shared_data
+
+RIGS = Path(__file__).parent / "rigs"
+SI = LogColumns(Channel("t", "s"), Channel("theta", "rad"), Channel("gamma", "Nm"), "torque")
+
+
+@pytest.mark.parametrize("separator", [",", ";", "\t", " ", "   ", ", "])
+@pytest.mark.parametrize("ending", ["\n", "\r\n", "\r"])
+def test_every_separator_and_line_end_gives_the_same_numbers(
+    separator: str, ending: str, tmp_path: Path
+) -> None:
+    rows = made_rows(250)
+    path = write_log(tmp_path / "a.txt", rows, separator=separator)
+    path.write_bytes(path.read_bytes().replace(b"\n", ending.encode()))
+    log = read_log(path)
+    assert log.motor_angle.tolist() == [float(row[1]) for row in rows]
+    assert log.output.tolist() == [float(row[2]) for row in rows]
+    assert (log.period, log.start_time, log.output_kind) == (0.004, 0.0, "torque")
+
+
+def test_comments_before_the_header_become_notes(tmp_path: Path) -> None:
+    before = "# simulated: true\n\n# payload_kg: 0.030\n% operator = Anna\n# a sentence\n"
+    log = read_log(write_log(tmp_path / "a.csv", made_rows(), before=before))
+    assert dict(log.notes) == {"simulated": "true", "payload_kg": "0.030", "operator": "Anna"}
+    assert log.simulated
+    assert log.payload == 0.03
+
+
+def test_a_header_in_the_last_comment_counts(tmp_path: Path) -> None:
+    path = write_log(tmp_path / "a.csv", made_rows(), header=None, before="# " + ",".join(HEADER) + "\n")
+    assert read_log(path).motor_angle.size == 400
+
+
+def test_columns_without_names_are_called_by_number(tmp_path: Path) -> None:
+    path = write_log(tmp_path / "a.csv", made_rows(), header=None)
+    assert list(read_columns(path)) == ["#1", "#2", "#3"]
+    stated = LogColumns(Channel("#1", "s"), Channel("#2", "rad"), Channel("#3", "Nm"), "torque")
+    assert read_log(path, columns=stated).motor_angle.size == 400
+
+
+def test_quoted_names_and_a_byte_order_mark(tmp_path: Path) -> None:
+    path = write_log(tmp_path / "a.csv", made_rows(), header=[f'"{name}"' for name in HEADER])
+    path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())
+    assert read_log(path).motor_angle.size == 400
+
+
+def test_units_sign_scale_and_offset_are_applied(tmp_path: Path) -> None:
+    path = write_log(tmp_path / "a.csv", made_rows(), header=["t", "theta", "gamma"])
+    plain = read_log(path, columns=SI)
+    turned = LogColumns(
+        Channel("t", "ms", scale=1000.0),
+        Channel("theta", "deg", sign=-1, scale=2.0, offset="first"),
+        Channel("gamma", "mNm", offset=0.5),
+        "torque",
+    )
+    log = read_log(path, columns=turned)
+    assert log.period == plain.period
+    np.testing.assert_allclose(
+        log.motor_angle, -2 * np.radians(plain.motor_angle - plain.motor_angle[0]), rtol=1e-14
+    )
+    np.testing.assert_allclose(log.output, (plain.output - 0.5) / 1000, rtol=1e-14)
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        ["time_ms", "motor_angle_deg", "torque_mNm"],
+        ["time [ms]", "motor_angle [deg]", "torque [mNm]"],
+        ["time (ms)", "motor_angle (deg)", "torque (mNm)"],
+    ],
+)
+def test_names_that_state_role_and_unit_are_enough(names: list[str], tmp_path: Path) -> None:
+    rows = [[str(4 * k), cells[1], cells[2]] for k, cells in enumerate(made_rows())]
+    log = read_log(write_log(tmp_path / "a.csv", rows, header=names))
+    assert log.period == 0.004
+    assert log.motor_angle[300] == pytest.approx(math.radians(float(rows[300][1])), rel=1e-15)
+    assert log.output[300] == pytest.approx(float(rows[300][2]) / 1000, rel=1e-15)
+
+
+def test_si_numbers_are_read_bit_for_bit(tmp_path: Path) -> None:
+    values = np.random.default_rng(1).standard_normal((300, 2))
+    rows = [[repr(0.004 * k), repr(float(a)), repr(float(b))] for k, (a, b) in enumerate(values)]
+    log = read_log(write_log(tmp_path / "a.csv", rows))
+    assert np.array_equal(log.motor_angle, values[:, 0])
+    assert np.array_equal(log.output, values[:, 1])
+
+
+def test_text_in_a_column_that_is_not_needed_does_no_harm(tmp_path: Path) -> None:
+    rows = [[*cells, "ok", ""] for cells in made_rows()]
+    log = read_log(write_log(tmp_path / "a.csv", rows, header=[*HEADER, "state", "remark"]))
+    assert log.motor_angle.size == 400
+
+
+def test_the_hash_is_that_of_the_file(tmp_path: Path) -> None:
+    import hashlib
+
+    path = write_log(tmp_path / "a.csv", made_rows())
+    log = read_log(path)
+    assert log.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
+    assert log.source == "a.csv"
+
+
+@pytest.mark.parametrize("name", bundled_logs())
+def test_every_bundled_log_is_read_and_says_that_it_is_simulated(name: str) -> None:
+    log = read_log(bundled_log(name), rig=Rig.named("paper-2023"))
+    assert log.simulated
+    assert log.payload is not None
+    assert log.period == 0.004
+
+
+def test_an_unknown_bundled_log_lists_the_known_ones() -> None:
+    with pytest.raises(FieldError, match="prbs_30g"):
+        bundled_log("prbs_300g")
+
+
+def test_the_merced_log() -> None:
+    log = read_log(
+        shared_data("quanser_rfl_merced", "merced_rfl.csv"),
+        rig=Rig.load(RIGS / "merced.toml"),
+        payload=0.0217,
+    )
+    assert (log.period, log.motor_angle.size, log.output_kind) == (0.002, 2500, "deflection")
+    assert log.start_time == 0.002
+    assert np.degrees(log.output).max() == pytest.approx(10.0971)  # alpha_deg has the other sign
+    assert log.voltage is not None
+    assert log.voltage.max() == pytest.approx(5.95488)
+
+
+@pytest.mark.parametrize("name", ["2_lab_a15_f10.csv", "2_lab_a10_f04.csv"])
+def test_the_ist_logs(name: str) -> None:
+    log = read_log(shared_data("ist_flexbar", name), rig=Rig.load(RIGS / "ist.toml"))
+    assert (log.period, log.motor_angle.size, log.output_kind) == (0.001, 10001, "deflection")
+    assert log.motor_angle[0] == 0.0
+    # The gauge rests at about -0.09 V, as its authors say.
+    assert np.degrees(log.output).mean() / 1.301 == pytest.approx(-0.095, abs=0.01)
+
+
+def test_a_table_that_is_no_log() -> None:
+    table = read_columns(shared_data("daisy_robot_arm", "robot-arm.csv"))
+    assert list(table) == ["u", "y"]
+    assert table["u"].size == 1024
+    assert table["u"][0] == 0.22183165
+
+
+def test_inspect_lists_rates_ranges_and_steps() -> None:
+    listing = inspect_log(shared_data("ist_flexbar", "2_lab_a15_f10.csv"))
+    found = {channel.name: channel for channel in listing.channels}
+    assert found["t_s"].period == pytest.approx(0.001)
+    assert found["u_V"].maximum == 1.5
+    assert found["strain_V"].quantum == pytest.approx(4.88e-3, rel=1e-2)  # 12 bits over 20 V
+    assert 'time = { column = "t_s", unit = "s" }' in listing.suggestion
+    assert 'motor_angle = { column = "pot_V", unit = "?" }' in listing.suggestion
+    assert "strain_V" in str(listing)
+    assert listing.values()["kind"] == "text"
+
+
+def test_the_suggested_mapping_reads_the_log_once_a_person_has_filled_it_in(tmp_path: Path) -> None:
+    path = write_log(tmp_path / "a.csv", made_rows(), header=["t_s", "theta", "torque_Nm"])
+    suggestion = inspect_log(path).suggestion.replace('unit = "?"', 'unit = "rad"')
+    Rig.named("paper-2023").save(tmp_path / "rig.toml")
+    with (tmp_path / "rig.toml").open("a") as stream:
+        stream.write("\n" + suggestion)
+    assert read_log(path, rig=Rig.load(tmp_path / "rig.toml")).motor_angle.size == 400
+
+
+def test_inspect_shows_hostile_names_without_their_control_characters(tmp_path: Path) -> None:
+    path = write_log(tmp_path / "a.csv", made_rows(), header=["time_s", "a\x1b[31m", "b"])
+    assert "\x1b" not in str(inspect_log(path))
+
+
+@given(st.one_of(st.floats(allow_nan=False, allow_infinity=False).map(repr), st.text(max_size=8)))
+@settings(max_examples=300, deadline=None)
+def test_a_cell_is_a_number_exactly_where_both_ways_of_reading_say_so(cell: str) -> None:
+    assume(not set(cell) & set(",?\n"))
+    values, faults = parse_cells(f"{cell}\n".encode("utf-8", "replace"), ",", ("a",), 1)
+    stripped = cell.strip()
+    if NUMBER.fullmatch(stripped) and math.isfinite(float(stripped)):
+        assert values[0, 0] == float(stripped)
+        assert not faults
+    else:
+        assert faults
+
+
+def test_the_fast_way_and_the_careful_way_agree(tmp_path: Path) -> None:
+    rows = made_rows(300)
+    fast = read_text_table(write_log(tmp_path / "a.csv", rows))
+    rows[7][1] = "nan"
+    careful = read_text_table(write_log(tmp_path / "b.csv", rows))
+    assert set(careful.faults) == {1}
+    for one, other in zip(fast.values, careful.values, strict=True):
+        same = one == other
+        assert same[np.arange(300) != 7].all()
+
+
+def test_resampling_uses_the_stamps(tmp_path: Path) -> None:
+    rows = made_rows(800)
+    kept = [row for k, row in enumerate(rows) if k % 97 != 50]  # about 1 % of the samples lost
+    log = read_log(write_log(tmp_path / "a.csv", kept), resample=True)
+    whole = read_log(write_log(tmp_path / "b.csv", rows))
+    assert log.motor_angle.size == 800
+    # Linear interpolation over one lost sample is off by at most h²/8·|θ''| of a double step.
+    bend = float(np.abs(np.diff(whole.output, 2)).max())
+    assert float(np.abs(log.output - whole.output).max()) <= bend
+    (finding,) = log.findings
+    assert finding.code == "W205"
+    assert finding.evidence["lost_samples"] == 8
+
+
+def test_slight_jitter_is_reported_and_kept(tmp_path: Path) -> None:
+    rows = made_rows(400)
+    rng = np.random.default_rng(0)
+    for k, row in enumerate(rows):
+        row[0] = f"{0.004 * k + 0.0003 * rng.uniform(-1, 1):.7f}"
+    log = read_log(write_log(tmp_path / "a.csv", rows))
+    (finding,) = log.findings
+    assert (finding.code, finding.severity) == ("W205", "info")
+    assert finding.evidence["jitter_s"] == pytest.approx(3e-4, rel=0.2)
+    assert log.period == pytest.approx(0.004, rel=1e-3)
+
+
+def test_interpolation_of_few_missing_cells_is_a_finding(tmp_path: Path) -> None:
+    rows = made_rows(400)
+    rows[100][2] = ""
+    rows[101][2] = "NaN"
+    log = read_log(write_log(tmp_path / "a.csv", rows), interpolate=True)
+    assert [finding.code for finding in log.findings] == ["W201"]
+    assert log.output[100] == pytest.approx(float(rows[99][2]) * 2 / 3 + float(rows[102][2]) / 3)
+
+
+def test_the_stated_payload_wins_and_the_contradiction_is_named(tmp_path: Path) -> None:
+    path = write_log(tmp_path / "a.csv", made_rows(), before="# payload_kg: 0.030\n")
+    log = read_log(path, payload=0.04)
+    assert log.payload == 0.04
+    assert [finding.code for finding in log.findings] == ["W216"]
+    assert "0.03 kg" in log.findings[0].message
+
+
+def test_a_voltage_that_the_log_lacks_is_no_error(tmp_path: Path) -> None:
+    path = write_log(tmp_path / "a.csv", made_rows(), header=["t", "theta", "gamma"])
+    stated = LogColumns(SI.time, SI.motor_angle, SI.output, "torque", Channel("u", "V"))
+    log = read_log(path, columns=stated)
+    assert log.voltage is None
+    assert [finding.code for finding in log.findings] == ["W219"]
