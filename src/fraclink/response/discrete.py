@@ -70,10 +70,10 @@ def discretize(
         )
     delay, top = next(iter(groups.items()), (0.0, ()))
     held = held_quotient(top, G.denominator)
-    if held.low.powers:
+    if held.low.powers or not held.low.is_split:
         raise FieldError(
             "order",
-            held.low.powers[0][1],
+            held.low.powers[0][1] if held.low.powers else G.denominator[-1].order,
             "a power of 1/s without a sum of modes",
             allowed="singular powers s^-a with a < 0.94, and the integrator 1/s",
             remedy="use time_response",

@@ -47,23 +47,27 @@ def expand(quotient: Quotient, *, shortest: float, longest: float, tolerance: fl
     step = 2.0 * math.pi * 1.5 / math.log(10.0 / tolerance)
     simple, clusters = quotient.clusters()
     origin = _origin(simple, clusters, step)
-    meromorphic = quotient.is_meromorphic
 
     def kernel(z: Complexes) -> Complexes:
-        if meromorphic:  # no cut: a pole counts fully, or one half for each of ln s = x ± iπ
-            return np.asarray(np.where(np.abs(z.imag - math.pi) < 1.0, 0.5, 1.0), np.complex128)
         return np.asarray(1.0 / (1.0 - np.exp(-2j * np.pi * (z - 1j * math.pi - origin) / step)))
+
+    def whole(share: float) -> Callable[[Complexes], Complexes]:
+        return lambda z: np.full(z.shape, share, np.complex128)
 
     last = math.log((math.log(1.0 / tolerance) + 8.0) / shortest)
     modes = _Modes()
+    if quotient.is_meromorphic:  # no cut: a pole counts once, or one half for each of ln s = x ± iπ
+        for z in (z for z in simple if z.imag <= math.pi + _REAL):
+            modes.add_pole(z, quotient.residue(z) * (0.5 if abs(z.imag - math.pi) < _REAL else 1.0))
+        for cluster in (c for c in clusters if c.centre.imag <= math.pi):
+            share = whole(0.5 if cluster.centre.imag == math.pi else 1.0)
+            _add_cluster(modes, quotient, cluster, share, 0.5, longest)
+        return modes.expansion(shortest, tolerance)
     for z in simple:
-        if not meromorphic or z.imag <= math.pi + _REAL:
-            modes.add_pole(z, quotient.residue(z) * kernel(np.array([z]))[0])
+        modes.add_pole(z, quotient.residue(z) * kernel(np.array([z]))[0])
     for cluster in clusters:
-        if not meromorphic or cluster.centre.imag <= math.pi + _REAL:
-            _add_cluster(modes, quotient, cluster, kernel, 0.5 * step, longest)
-    if not meromorphic:
-        _add_cut(modes, quotient, origin, step, last, longest)
+        _add_cluster(modes, quotient, cluster, kernel, 0.5 * step, longest)
+    _add_cut(modes, quotient, origin, step, last, longest)
     return modes.expansion(shortest, tolerance)
 
 
@@ -115,7 +119,7 @@ def _add_cut(
     fold = -math.log(longest)
     slowest = min([fold, *quotient.zeros.real.tolist()])
     singular = max(0.0, quotient.bottom[-1].order - quotient.top[-1].order)
-    first = max(slowest - _REACH / (1.0 - singular), -700.0)
+    first = max(slowest - _REACH / (1.0 - singular), -600.0)
     nodes = origin + step * np.arange(math.ceil((first - origin) / step), math.ceil((last - origin) / step))
     weights = quotient.on_cut(nodes) * step / math.pi
     rates = np.exp(nodes)

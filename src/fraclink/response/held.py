@@ -17,12 +17,15 @@ from fraclink.response.lowfrequency import LowFrequency, split_low_frequency
 from fraclink.response.modes import DiscreteModes
 from fraclink.response.powers import convolve, jump_response, power_response, power_weights
 from fraclink.response.quotient import Quotient
+from fraclink.response.weights import respond_by_weights, sample_response
 
 __all__ = ["HeldQuotient", "split_delay"]
 
 Reals = NDArray[np.float64]
 
 _CHECKS = 5  # times at which the modes are compared with the contour integral
+_ENOUGH = 1e-10  # of the peak: above this the modes cancel, and a contour per lag is used …
+_MOST_WEIGHTS = 200_000  # … for so many samples (about 2 s); the error estimate tells the rest
 _CHUNK = 4096  # times that are evaluated together: 60 modes are 2 MB
 
 
@@ -33,18 +36,20 @@ class HeldQuotient:
     low: LowFrequency
     quotient: Quotient | None
     direct: float
+    whole: Quotient
 
     @classmethod
     def of(cls, top: tuple[Term, ...], bottom: tuple[Term, ...]) -> HeldQuotient:
         low = split_low_frequency(top, bottom)
-        quotient = Quotient.of(low.top, low.bottom) if low.top else None
+        whole = Quotient.of(top, bottom)
+        quotient = Quotient(low.top, whole.bottom, whole.zeros) if low.top else None
         same_degree = bool(low.top) and low.top[0].order == low.bottom[0].order
         direct = low.top[0].coefficient / low.bottom[0].coefficient if same_degree else 0.0
-        return cls(low, quotient, direct)
+        return cls(low, quotient, direct, whole)
 
     def expansion(self, period: float, span: float, tolerance: float) -> Expansion:
         """Modes of the step response from one period to the span, two periods later for the last hold."""
-        if self.quotient is None:
+        if self.quotient is None or not self.low.is_split:
             none = np.empty(0)
             return Expansion(none, none, none.astype(complex), none.astype(complex))
         return expand(self.quotient, shortest=period, longest=span + 2.0 * period, tolerance=tolerance)
@@ -94,9 +99,14 @@ class HeldQuotient:
     def respond(
         self, u: Reals, period: float, *, hold: str, tolerance: float, delay: float
     ) -> tuple[Reals, float, int]:
-        """Response to the samples u, its estimated error, and the number of modes."""
+        """Response to the samples u, its estimated error, and the number of modes (0 without modes)."""
         span = max(len(u), 1) * period
         parts = self.expansion(period, span, tolerance)
+        error, peak = self.error(parts, period, span)
+        if self._needs_contour(error, peak, len(u)):
+            lag, ahead = split_delay(delay, period)
+            output = respond_by_weights(self.whole, self.direct, u, period, hold, lag, ahead)
+            return output, 1e-13 * float(np.max(np.abs(output), initial=0.0)), 0
         modes = self._recursion(parts, period, hold, span, tolerance, delay)
         output = modes.respond(u)
         lag, ahead = split_delay(delay, period)
@@ -105,7 +115,7 @@ class HeldQuotient:
             output[lag:] += convolve(weights, u[: len(u) - lag])
         if lag <= len(u) and hold == "first":
             self._add_edges(output, u, parts, period, lag, ahead)
-        error = 4.0 * self.error(parts, period, span) * float(np.max(np.abs(u), initial=0.0))
+        error *= 4.0 * float(np.max(np.abs(u), initial=0.0))
         return output, error + 4e-15 * float(np.max(np.abs(output), initial=0.0)), modes.count
 
     def _add_edges(
@@ -145,23 +155,30 @@ class HeldQuotient:
             return output, 0.0, 0
         t = times[later]
         shortest, longest = float(t.min()), float(t.max())
-        modes = self.expansion(shortest, longest, tolerance)
-        scale, pole_scale = (1.0, 1.0) if degree else (-modes.rates, modes.poles)
+        parts = self.expansion(shortest, longest, tolerance)
+        error, peak = self.error(parts, shortest, longest)
+        error *= 1.0 if degree else 1.0 / shortest
+        if self._needs_contour(error, peak, len(t)):
+            output[later] = sample_response(self.whole, t, degree, 0.0)
+            return output, 1e-13 * float(np.max(np.abs(output[later]))), 0
+        scale, pole_scale = (1.0, 1.0) if degree else (-parts.rates, parts.poles)
         value = np.empty(len(t))
         for k in range(0, len(t), _CHUNK):
             part = t[k : k + _CHUNK, None]
-            value[k : k + _CHUNK] = np.exp(-modes.rates * part) @ (modes.weights * scale)
-            value[k : k + _CHUNK] += (
-                2.0 * (np.exp(modes.poles * part) @ (modes.pole_weights * pole_scale)).real
-            )
+            real = np.exp(-parts.rates * part) @ (parts.weights * scale)
+            pair = np.exp(parts.poles * part) @ (parts.pole_weights * pole_scale)
+            value[k : k + _CHUNK] = real + 2.0 * pair.real
         if degree:
             # The modes hold increments only: one exact value fixes the constant.
             index = int(np.argmin(t))
             value += self.exact([shortest], 1)[0] - value[index]
         value += self.low.integrator * (t if degree else 1.0) + power_response(self.low.powers, t, degree)
         output[later] = value
-        error = self.error(modes, shortest, longest) * (1.0 if degree else 1.0 / shortest)
-        return output, error + 4e-15 * float(np.max(np.abs(value))), len(modes.rates) + 2 * len(modes.poles)
+        error += 4e-15 * float(np.max(np.abs(value)))
+        return output, error, len(parts.rates) + 2 * len(parts.poles)
+
+    def _needs_contour(self, error: float, peak: float, count: int) -> bool:
+        return not self.low.is_split or (not error <= _ENOUGH * peak and count <= _MOST_WEIGHTS)
 
     def _initial(self, degree: int) -> float:
         """Value just after 0 of the step response, or of the impulse response without its δ."""
@@ -176,15 +193,19 @@ class HeldQuotient:
             return math.copysign(math.inf, tail)
         return (tail if gap == 1.0 else 0.0) + self.low.integrator
 
-    def error(self, parts: Expansion, shortest: float, longest: float) -> float:
-        """Largest difference between modes and contour integral in the increments of the step response."""
-        if self.quotient is None:
-            return 0.0
+    def error(self, parts: Expansion, shortest: float, longest: float) -> tuple[float, float]:
+        """Largest difference between modes and contour integral in the step response's increments; its peak.
+
+        The contour integrates the whole function, so that what the split at low frequency loses is seen.
+        """
+        if self.quotient is None and len(self.low.powers) + bool(self.low.integrator) <= 1:
+            return 0.0, 1.0
         times = np.geomspace(shortest, max(longest, 1.0001 * shortest), _CHECKS)
         value = np.exp(-np.outer(times, parts.rates)) @ parts.weights
         value += 2.0 * (np.exp(np.outer(times, parts.poles)) @ parts.pole_weights).real
-        gap = value - np.array(self.exact(times.tolist(), 1))
-        return float(np.ptp(gap))
+        value += self.low.integrator * times + power_response(self.low.powers, times, 1)
+        exact = held_response(self.whole, times, 1)
+        return float(np.ptp(value - exact)), float(np.max(np.abs(exact)))
 
 
 def split_delay(delay: float, period: float) -> tuple[int, float]:

@@ -12,26 +12,29 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from fraclink.errors import FieldError
 from fraclink.fractional import Term
 from fraclink.fractional.terms import collect, same
 
 __all__ = ["LowFrequency", "split_low_frequency"]
 
-# The cut's quadrature runs down to where r^(1-a) is below rounding: 42/(1-a) e-folds, 700 at 0.94, which is
-# where the exponent range of a double ends.
+# The cut's quadrature runs down to where r^(1-a) is below rounding: 42/(1-a) e-folds. At 0.94 these are 700,
+# and the exponent range of a double ends near.
 STRONG = 0.94
-_MOST = 200  # singular powers; orders spaced by less than 1/200 are a modelling error
+_MOST = 20  # singular powers: such a series in closely spaced orders is useless where it is not exact
 
 
 @dataclass(frozen=True)
 class LowFrequency:
-    """`integrator` c of c/s, `powers` as (c, a) of c·s^(-a), and the rest as numerator and denominator."""
+    """`integrator` c of c/s, `powers` as (c, a) of c·s^(-a), and the rest as numerator and denominator.
+
+    `is_split` is False where the powers are too many to be told apart; then the rest is all of G.
+    """
 
     integrator: float
     powers: tuple[tuple[float, float], ...]
     top: tuple[Term, ...]
     bottom: tuple[Term, ...]
+    is_split: bool = True
 
 
 def split_low_frequency(top: Sequence[Term], bottom: Sequence[Term]) -> LowFrequency:
@@ -45,13 +48,7 @@ def split_low_frequency(top: Sequence[Term], bottom: Sequence[Term]) -> LowFrequ
         else:
             powers.append((factor, order))
         if len(powers) > _MOST:
-            raise FieldError(
-                "order",
-                order,
-                "one of more than 200 singular powers at s = 0",
-                allowed="orders that are not so close to each other",
-                remedy="round the orders",
-            )
+            return LowFrequency(0.0, (), tuple(top), tuple(bottom), is_split=False)
         # The lowest term cancels by construction, exactly; leaving it to rounding would leave a pole at 0.
         product = [Term(-factor * t.coefficient, t.order - order) for t in bottom[:-1]]
         rest = collect([*rest[:-1], *product])

@@ -23,6 +23,7 @@ Complexes = NDArray[np.complex128]
 
 SHEET = 1.5 * math.pi  # poles up to a quarter turn beyond the cut bend the integrand on it
 _CIRCLE = 64  # points of a circle at half the distance to the next obstacle: 2^-64
+_SYMMETRIC = 1e-7  # a double zero on the negative axis comes as a pair about it, 1e-8 apart by rounding
 _NEAR = 0.02  # zeros closer than this in ln s would lose two digits and more if kept apart
 
 
@@ -62,8 +63,9 @@ class Quotient:
 
         The angle of every term is πa reduced modulo 2π beforehand, so that integer orders are exactly real.
         """
+        lowest = self.bottom[-1].order  # divided out, so that r^a does not underflow to 0/0 far down
         with np.errstate(under="ignore"):
-            quotient = _sum_on_cut(self.top, x) / _sum_on_cut(self.bottom, x)
+            quotient = _sum_on_cut(self.top, x, lowest) / _sum_on_cut(self.bottom, x, lowest)
         return quotient.imag
 
     def residue(self, z: complex) -> complex:
@@ -83,7 +85,7 @@ class Quotient:
         packed = []
         for group in (g for g in groups if len(g) > 1):
             centre = sum(group) / len(group)
-            if abs(centre.imag - math.pi) < _NEAR:
+            if abs(centre.imag - math.pi) < _SYMMETRIC:
                 centre = complex(centre.real, math.pi)  # so that its modes are real
             packed.append(Cluster(centre, len(group), max(abs(z - centre) for z in group)))
         return simple, packed
@@ -111,10 +113,10 @@ def _sum(terms: Sequence[Term], z: Complexes) -> Complexes:
     return total
 
 
-def _sum_on_cut(terms: Sequence[Term], x: NDArray[np.float64]) -> Complexes:
+def _sum_on_cut(terms: Sequence[Term], x: NDArray[np.float64], lowest: float) -> Complexes:
     total = np.zeros(x.shape, np.complex128)
     for t in terms:
-        total += t.coefficient * np.exp(t.order * x) * _turn(t.order)
+        total += t.coefficient * np.exp((t.order - lowest) * x) * _turn(t.order)
     return total
 
 

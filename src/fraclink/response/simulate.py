@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from fraclink.errors import FieldError, SizeError
 from fraclink.fractional import FractionalTransferFunction
 from fraclink.response.discrete import check_request, delay_groups, held_quotient
+from fraclink.response.held import HeldQuotient
 from fraclink.response.inversion import delay_free_part, invert
 from fraclink.response.powers import convolve
 
@@ -18,7 +19,8 @@ __all__ = ["TimeResponse", "impulse_response", "step_response", "time_response"]
 
 Reals = NDArray[np.float64]
 TOLERANCE = 1e-12
-_BYTES = {"modes": 40, "fft": 640}  # per sample, of input, output and work arrays
+_BYTES = 40  # per sample: input, output, time and what a hold needs
+_FFT_BYTES = 2000  # per sample of the numerical inversion: four spans, eight times oversampled
 
 
 @dataclass(frozen=True)
@@ -26,10 +28,10 @@ class TimeResponse:
     """A response from rest at equally spaced samples (or at the times asked for).
 
     `time` [s] and `output` are read-only arrays of one length. `method` is "modes" (exact sum of
-    exponentials), "modes+convolution" (a singular power of 1/s was convolved exactly besides) or "fft"
-    (numerical inversion). `error_estimate` is an estimate of the largest error of `output`, from an
-    independent evaluation at a few times. `modes` counts the exponentials, a pair as two; `period` [s] and
-    `hold` are those of the request.
+    exponentials), "modes+convolution" (a singular power of 1/s was convolved exactly besides), "contour" (one
+    contour integral per lag, where modes would cancel) or "fft" (numerical inversion). `error_estimate` is an
+    estimate of the largest error of `output`, from an independent evaluation at a few times. `modes` counts
+    the exponentials, a pair as two; `period` [s] and `hold` are those of the request.
     """
 
     time: Reals
@@ -91,7 +93,7 @@ def time_response(
         part, part_error, count = held.respond(values, period, hold=hold, tolerance=TOLERANCE, delay=delay)
         output += part
         error, modes = error + part_error, max(modes, count)
-        method = "modes+convolution" if held.low.powers else method
+        method = _method(method, count, held)
     return TimeResponse(time, output, method, error, modes, period, hold)
 
 
@@ -139,13 +141,21 @@ def _fixed(
         part, part_error, count = held.at(late, degree, TOLERANCE)
         output += part
         error, modes = error + part_error, max(modes, count)
-        method = "modes+convolution" if held.low.powers else method
+        method = _method(method, count, held)
     return TimeResponse(times, output, method, error, modes, period, "impulse" if degree == 0 else "zero")
+
+
+def _method(before: str, count: int, held: HeldQuotient) -> str:
+    """The least direct method of all parts names the result."""
+    if before == "contour" or (count == 0 and held.quotient is not None):
+        return "contour"
+    return "modes+convolution" if held.low.powers else before
 
 
 def _by_inversion(
     G: FractionalTransferFunction, u: Reals, period: float, hold: str
 ) -> tuple[Reals, float, int]:
+    refuse_beyond_memory("u", len(u), _FFT_BYTES)
     exact = delay_free_part(G)
     base = time_response(exact, u, period, hold=hold)
     if not len(u):
@@ -154,10 +164,11 @@ def _by_inversion(
     # One sample more than asked for: the weights of a first-order hold look one period ahead.
     rest, error = invert(G, exact, len(u) + 1, period, degree)
     output = base.output + convolve(_weights(rest, period, degree), u)
+    error = error / period if degree == 2 else error  # the weights of a first-order hold are slopes of it
     if degree == 2 and u[0] != 0.0:
         jump, jump_error = invert(G, exact, len(u), period, 1)
         output += u[0] * (jump - np.diff(rest) / period)
-        error = error / period + jump_error
+        error += jump_error
     return output, base.error_estimate + 4.0 * error * float(np.max(np.abs(u))), base.modes
 
 
@@ -254,14 +265,14 @@ def _times(time: float | ArrayLike, period: float | None) -> Reals:
     return times
 
 
-def refuse_beyond_memory(field: str, count: float) -> None:
+def refuse_beyond_memory(field: str, count: float, each: int = _BYTES) -> None:
     """Raise `SizeError` where `count` samples need more memory than the machine has; nothing is allocated."""
     available = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    if not count * _BYTES["modes"] < available:
+    if not count * each < available:
         raise SizeError(
             field,
             count,
-            f"too many samples: {count * _BYTES['modes']:.2g} bytes",
-            allowed=f"at most {available // _BYTES['modes']:.3g} samples on this machine",
+            f"too many samples: they need {count * each:.2g} bytes",
+            allowed=f"at most {available // each:.3g} samples on this machine",
             remedy="shorten the span or lengthen the period",
         )
