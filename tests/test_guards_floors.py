@@ -8,7 +8,7 @@ from guard_sources import Source, imported_modules, sources
 
 FLOORS: dict[str, int] = {
     # beneath everything: errors, files, the compiled kernels
-    **dict.fromkeys(("", "errors", "files", "findings", "_kernels", "_powers", "__main__"), 0),
+    **dict.fromkeys(("", "errors", "files", "findings", "_kernels", "_powers"), 0),
     # mathematics, knows no robot
     **dict.fromkeys(("fractional", "roots", "response", "stability", "rational"), 0),
     # nouns
@@ -19,7 +19,7 @@ FLOORS: dict[str, int] = {
     # out of the building
     **dict.fromkeys(("plots", "report", "export", "interop", "study", "reproduce"), 3),
     # doors
-    **dict.fromkeys(("cli", "studio"), 4),
+    **dict.fromkeys(("cli", "studio", "__main__"), 4),
 }
 
 

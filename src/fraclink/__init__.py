@@ -17,23 +17,32 @@ _HOME: dict[str, str] = {
     "Channel": "fraclink.rig",
     "Controller": "fraclink.controller",
     "Experiment": "fraclink.experiment",
+    "Fit": "fraclink.identify",
     "FractionalTransferFunction": "fraclink.fractional",
     "InnerLoop": "fraclink.motor",
     "Law": "fraclink.law",
+    "LinkModel": "fraclink.link",
     "LogColumns": "fraclink.rig",
     "Moves": "fraclink.law",
     "Plan": "fraclink.design",
     "Rig": "fraclink.rig",
     "Run": "fraclink.simulate",
+    "Study": "fraclink.study",
     "TimeResponse": "fraclink.response",
     "chirp": "fraclink.reference",
+    "conduct": "fraclink.study",
     "deg": "fraclink.design",
     "design": "fraclink.design",
     "diagnose": "fraclink.diagnose",
     "hold": "fraclink.reference",
+    "identify": "fraclink.identify",
+    "identify_all": "fraclink.identify",
     "impulse_response": "fraclink.response",
     "inner_loop": "fraclink.motor",
     "inspect_log": "fraclink.readers",
+    "is_stable": "fraclink.stability",
+    "margins": "fraclink.stability",
+    "poles": "fraclink.stability",
     "prbs": "fraclink.reference",
     "pulse": "fraclink.reference",
     "read_log": "fraclink.readers",
@@ -42,6 +51,7 @@ _HOME: dict[str, str] = {
     "smooth_step": "fraclink.reference",
     "step_response": "fraclink.response",
     "time_response": "fraclink.response",
+    "write_report": "fraclink.report",
 }
 
 if TYPE_CHECKING:  # what editors and type checkers see; nothing of this runs
@@ -53,8 +63,12 @@ if TYPE_CHECKING:  # what editors and type checkers see; nothing of this runs
     from fraclink.experiment import Experiment as Experiment
     from fraclink.fractional import FractionalTransferFunction as FractionalTransferFunction
     from fraclink.fractional import s as s
+    from fraclink.identify import Fit as Fit
+    from fraclink.identify import identify as identify
+    from fraclink.identify import identify_all as identify_all
     from fraclink.law import Law as Law
     from fraclink.law import Moves as Moves
+    from fraclink.link import LinkModel as LinkModel
     from fraclink.motor import InnerLoop as InnerLoop
     from fraclink.motor import inner_loop as inner_loop
     from fraclink.readers import inspect_log as inspect_log
@@ -64,6 +78,7 @@ if TYPE_CHECKING:  # what editors and type checkers see; nothing of this runs
     from fraclink.reference import prbs as prbs
     from fraclink.reference import pulse as pulse
     from fraclink.reference import smooth_step as smooth_step
+    from fraclink.report import write_report as write_report
     from fraclink.response import TimeResponse as TimeResponse
     from fraclink.response import impulse_response as impulse_response
     from fraclink.response import step_response as step_response
@@ -72,7 +87,12 @@ if TYPE_CHECKING:  # what editors and type checkers see; nothing of this runs
     from fraclink.rig import LogColumns as LogColumns
     from fraclink.rig import Rig as Rig
     from fraclink.simulate import Run as Run
-    from fraclink.simulate import simulate as simulate  # type: ignore[no-redef]
+    from fraclink.simulate import simulate as simulate
+    from fraclink.stability import is_stable as is_stable
+    from fraclink.stability import margins as margins
+    from fraclink.stability import poles as poles
+    from fraclink.study import Study as Study
+    from fraclink.study import conduct as conduct
 
 __all__ = sorted(["__version__", *_HOME])
 
