@@ -208,10 +208,9 @@ def in_short(study: Study) -> list[Row]:
         rows.append(
             ("Controller", f"k_d = {number(controller.gain, 5)}, β = {number(controller.order, 5)}{filtered}")
         )
-        margins = [study.plan.sampled_at(payload).phase_margin for payload in (low, high)]
         span = " and ".join(
-            f"{degrees(margin)} at {grams(payload)}"
-            for margin, payload in zip(margins, (low, high), strict=True)
+            f"{degrees(study.plan.sampled_at(payload).phase_margin)} at {grams(payload)}"
+            for payload in sorted({low, high})
         )
         rows.append(("Phase margin of the sampled loop", span))
     if study.runs:

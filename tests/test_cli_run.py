@@ -1,0 +1,217 @@
+"""`fraclink run` and its stages, from a log to a report, as a user calls them."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fraclink.cli import main
+from fraclink.errors import FileFormatError
+from fraclink.identify import Fit
+from fraclink.readers import bundled_log
+from fraclink.report import render_report
+from fraclink.rig import Rig
+from fraclink.simulate import Run
+from fraclink.study import Move, Request, design_for, load_study, simulate_move
+from shared_data import shared_data
+
+RIGS = Path(__file__).parent / "rigs"
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What `fraclink run` writes for the bundled log."""
+    folder = tmp_path_factory.mktemp("run") / "results"
+    assert main(["run", "--rig", "paper-2023", "--log", "demo", "--out", str(folder)]) == 0
+    return folder
+
+
+def test_run_writes_every_noun_and_nothing_else(results: Path) -> None:
+    names = sorted(path.name for path in results.iterdir())
+    assert names == [
+        "design.json",
+        "law.json",
+        "log.npz",
+        "model-D-FOM.json",
+        "model-D-IOM.json",
+        "model-UD-IOM.json",
+        "model.json",
+        "report.html",
+        "rig.toml",
+        "run-20g.npz",
+        "run-30g.npz",
+        "run-40g.npz",
+        "study.json",
+    ]
+
+
+def test_the_model_is_the_one_that_made_the_bundled_log(results: Path) -> None:
+    # The twin's link follows the power law of λ = 1.92 (the log's own header says so).
+    fit = Fit.load(results / "model.json")
+    assert fit.structure == "UD-FOM"
+    assert abs(fit.model.order - 1.92) < 3 * fit.standard_errors["order"]
+
+
+def test_a_folder_reads_back_as_the_study_that_wrote_it(results: Path) -> None:
+    study = load_study(results)
+    assert study.holds
+    assert render_report(study) == (results / "report.html").read_text("utf-8")
+    assert [round(1e3 * run.payload) for run in study.runs] == [20, 30, 40]
+
+
+def test_the_summary_ends_with_the_reports_path(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["run", "--rig", "paper-2023", "--log", "demo", "--out", "out"]) == 0
+    told = capsys.readouterr()
+    lines = told.out.splitlines()
+    assert lines[-1] == "out/report.html"
+    assert lines[-2] == "verdict: holds"
+    assert told.err == ""  # piped: no progress, no remark
+    assert main(["run", "--rig", "paper-2023", "--log", "demo", "--out", "out"]) == 2
+    assert "already there" in capsys.readouterr().err
+
+
+def test_json_gives_machines_the_same(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    command = ["run", "--rig", "paper-2023", "--log", "demo", "--out", str(tmp_path / "out"), "--json"]
+    assert main(command) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["holds"] is True
+    assert {fit["structure"] for fit in result["fits"]} == {"UD-IOM", "D-IOM", "UD-FOM", "D-FOM"}
+    assert len(result["runs"]) == 3
+    assert result["report"].endswith("report.html")
+
+
+def test_the_stages_chain_through_files(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Rig.named("paper-2023").save("rig.toml")
+    log = str(bundled_log("prbs_30g"))
+    commands = (
+        f"identify {log} --rig rig.toml --out results/model.json",
+        "design --rig rig.toml --model results/model.json --payloads 0.020 0.040 --gain-crossover 12"
+        " --phase-margin-deg 50 --filter-time 0 --out results/design.json",
+        "simulate results/design.json --payload 0.020 --inner ideal --noise 0 --out results/run.npz",
+        "report results --out report.html",
+    )
+    for command in commands:
+        assert main(command.split()) == 0, capsys.readouterr().err
+    text = Path("report.html").read_text("utf-8")
+    assert (
+        text.count("<svg") == 5
+    )  # models, Bode, Nyquist, margins, moves: the log itself is not in the folder
+    assert Run.load("results/run.npz").payload == 0.020
+
+
+def test_a_move_that_does_not_hold_is_exit_code_1_and_is_kept(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    plan, _ = design_for(Rig.named("paper-2023"), None, Request(filter_time=0.0))
+    plan.save(tmp_path / "design.json")
+    arguments = ["simulate", str(tmp_path / "design.json"), "--payload", "0.020", "--duration", "0.4"]
+    assert main([*arguments, "--out", str(tmp_path / "run.npz")]) == 1
+    told = capsys.readouterr()
+    assert "does not hold: not settled" in told.out
+    assert (tmp_path / "run.npz").exists()
+
+
+def test_an_offset_of_the_gauge_does_not_move_the_tip() -> None:
+    # 0.05 rad of the tip estimate is 0.05·c on the gauge; the figure of the default design.
+    rig = Rig.named("paper-2023")
+    plan, _ = design_for(rig, None, Request(filter_time=0.0))
+    move = Move(gauge_offset=0.05 * rig.link.stiffness, noise=0.0, inner="ideal", duration=8.0)
+    run = simulate_move(plan, move, 0.030)
+    error = np.abs(run.tip_angle - run.reference)
+    after = run.time > 4.0
+    assert error[after].max() < 1e-3
+    assert error[run.time > 7.0].max() < error[(run.time > 4.0) & (run.time < 5.0)].max()
+
+
+@pytest.mark.parametrize(
+    ("rig", "log", "limit"),
+    [
+        ("merced.toml", ("quanser_rfl_merced", "merced_rfl.csv"), 0.0130),
+        ("ist.toml", ("ist_flexbar", "2_lab_a15_f10.csv"), 0.0315),
+    ],
+)
+def test_real_logs_run_end_to_end(tmp_path: Path, rig: str, log: tuple[str, str], limit: float) -> None:
+    path = shared_data(*log)
+    code = main(["run", "--rig", str(RIGS / rig), "--log", str(path), "--out", str(tmp_path / "out")])
+    assert code == 0
+    study = load_study(tmp_path / "out")
+    assert study.fit is not None
+    assert study.fit.heldout_nmse is not None
+    assert study.fit.heldout_nmse <= limit
+    # Neither rig states what a design should reach: the report says by which rule it was chosen.
+    assert any("gain crossover" in sentence for sentence in study.assumptions)
+    assert any("phase margin" in sentence for sentence in study.assumptions)
+
+
+def test_a_hostile_file_name_is_harmless(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    name = "<img src=x onerror=alert(1)>\x1b[31m.csv"
+    Path(name).write_bytes(bundled_log("prbs_30g").read_bytes())
+    assert main(["run", "--rig", "paper-2023", "--log", name, "--out", "out"]) == 0
+    told = capsys.readouterr()
+    assert "\x1b" not in told.out + told.err
+    page = Path("out/report.html").read_text("utf-8")
+    assert "<img" not in page
+    assert "&lt;img src=x onerror=alert(1)&gt;" in page
+
+
+@pytest.mark.parametrize("broken", ["empty", "header", "nan", "unit"])
+def test_a_bad_log_is_one_line_and_leaves_nothing(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, broken: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    text = bundled_log("prbs_30g").read_text("utf-8")
+    lines = text.splitlines()
+    body = next(i for i, line in enumerate(lines) if line.startswith("time_s"))
+    changed: dict[str, Callable[[], str]] = {
+        "empty": lambda: "",
+        "header": lambda: "\n".join(lines[: body + 1]),
+        "nan": lambda: "\n".join([*lines[: body + 40], "0.156,nan,0.1", *lines[body + 41 :]]),
+        "unit": lambda: text.replace("torque_Nm", "torque"),
+    }
+    Path("log.csv").write_text(changed[broken](), "utf-8")
+    assert main(["run", "--rig", "paper-2023", "--log", "log.csv", "--out", "out"]) == 2
+    told = capsys.readouterr()
+    assert told.err.startswith("error: ")
+    assert (told.err.count("\n"), told.out) == (1, "")
+    assert not Path("out").exists()
+
+
+def test_a_damaged_result_is_named(results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "model.json").write_text((results / "model.json").read_text("utf-8")[:5000])
+    with pytest.raises(FileFormatError, match=r"model\.json"):
+        load_study(tmp_path)
+    assert main(["report", str(tmp_path)]) == 2
+    assert "model.json" in capsys.readouterr().err
+    assert main(["report", str(tmp_path / "none")]) == 2
+    (tmp_path / "empty").mkdir()
+    assert main(["report", str(tmp_path / "empty")]) == 2
+
+
+def test_progress_is_shown_on_a_terminal_only_and_on_standard_error(tmp_path: Path) -> None:
+    pty = pytest.importorskip("pty")
+    upper, lower = pty.openpty()
+    command = [sys.executable, "-m", "fraclink", "run", "--rig", "paper-2023", "--log", "demo"]
+    answer = subprocess.run(  # noqa: S603
+        [*command, "--out", str(tmp_path / "out")], stdout=subprocess.PIPE, stderr=lower, check=True
+    )
+    os.close(lower)
+    shown = os.read(upper, 100_000).decode(errors="replace")
+    os.close(upper)
+    assert "identifying" in shown
+    assert "identifying" not in answer.stdout.decode()
