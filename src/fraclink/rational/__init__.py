@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
+from fraclink.rational.approximation import RationalApproximation, approximate
 from fraclink.rational.discrete import fit_discrete
 from fraclink.rational.parallel import DiscreteRational
 
-__all__ = ["DiscreteRational", "fit_discrete"]
+__all__ = ["DiscreteRational", "RationalApproximation", "approximate", "fit_discrete"]

@@ -7,8 +7,9 @@ random starts (benchmarks/bench_stability.py compares), needs no random numbers,
 
 from __future__ import annotations
 
+import cmath
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -34,8 +35,13 @@ _TRIED = 8  # starts that are iterated; the others are dropped by their least-sq
 _NOISY = 20.0  # cancellation above which a smaller error is paid for in single precision
 
 
-def grow(target: Target, band: tuple[float, float], highest: int) -> Iterator[PartialFractions]:
-    """Yield the best fractions of order 0, 1, … `highest`; `band` is the range of Ω to spread poles over."""
+def grow(
+    target: Target, band: tuple[float, float], highest: int, pairs: Sequence[complex] = ()
+) -> Iterator[PartialFractions]:
+    """Yield the best fractions of order 0, 1, … `highest`; `band` is the range of Ω to spread poles over.
+
+    `pairs` are resonances q (poles −q, −q̄) that are tried as they are.
+    """
     spots = np.linspace(math.log(band[0]), math.log(band[1]) + 3.0, 9)
     empty = np.zeros(0)
     kept = [[best_residues(PartialFractions(0.0, empty, empty, empty, empty, empty.astype(complex)), target)]]
@@ -44,6 +50,7 @@ def grow(target: Target, band: tuple[float, float], highest: int) -> Iterator[Pa
         starts = [_with_real(c, x) for c in kept[order - 1] for x in spots]
         if order > 1:
             starts += [_with_pair(c, x) for c in kept[order - 2][:2] for x in spots[3:]]
+            starts += [_with_known(c, q) for c in kept[order - 2][:2] for q in pairs]
         relocated = log_spaced_start(*band, order % 2, order // 2)
         chosen = [*_promising(starts, target), relocate(relocated, target, 12)[-1]]
         kept.append(_distinct([_quick(c, target) for c in chosen], target))
@@ -74,6 +81,16 @@ def _with_pair(c: PartialFractions, log: float) -> PartialFractions:
         c,
         pair_logs=np.append(c.pair_logs, log),
         pair_angles=np.append(c.pair_angles, 0.7),
+        pair_gains=np.append(c.pair_gains, 0j),
+    )
+
+
+def _with_known(c: PartialFractions, q: complex) -> PartialFractions:
+    angle = min(abs(cmath.phase(q)) / (0.5 * math.pi), 1 - 1e-9)
+    return replace(
+        c,
+        pair_logs=np.append(c.pair_logs, math.log(abs(q))),
+        pair_angles=np.append(c.pair_angles, math.atanh(angle)),
         pair_gains=np.append(c.pair_gains, 0j),
     )
 
