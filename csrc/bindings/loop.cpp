@@ -27,13 +27,13 @@ void run(nb::bytes params, bool single, const loop_rig &rig, double stiffness, V
     const size_t n = reference.shape(1);
     const auto reals = decay.shape(0), pairs = pair_re.shape(0);
     if (reference.shape(0) != 3 || signals.shape(0) != 7 || signals.shape(1) != n || marks.shape(0) != 3 ||
-        marks.shape(1) != n || first.shape(0) != 4 || weight.shape(0) != 4 || weight.shape(1) != reals ||
-        pair_im.shape(0) != pairs || weight_re.shape(0) != 4 || weight_re.shape(1) != pairs ||
-        weight_im.shape(0) != 4 || weight_im.shape(1) != pairs)
+        marks.shape(1) != n || first.shape(0) != LOOP_POWERS || weight.shape(0) != LOOP_POWERS || weight.shape(1) != reals ||
+        pair_im.shape(0) != pairs || weight_re.shape(0) != LOOP_POWERS || weight_re.shape(1) != pairs ||
+        weight_im.shape(0) != LOOP_POWERS || weight_im.shape(1) != pairs)
         throw std::invalid_argument("array shapes of the closed loop disagree");
     loop_link link = {int(reals), int(pairs), decay.data(), weight.data(), pair_re.data(), pair_im.data(),
-                      weight_re.data(), weight_im.data(), {0, 0, 0, 0}, stiffness};
-    for (int i = 0; i < 4; i++) link.first[i] = first.data()[i];
+                      weight_re.data(), weight_im.data(), {0}, stiffness};
+    for (int i = 0; i < LOOP_POWERS; i++) link.first[i] = first.data()[i];
     const double *r = reference.data();
     const loop_reference path = {int64_t(n), r, r + n, r + 2 * n};
     double *o = signals.data();
@@ -67,5 +67,10 @@ void bind_loop(nb::module_ &m) {
              nb::arg("encoder"), nb::arg("offset"), nb::arg("noise"), nb::arg("limit"), nb::arg("quantum"),
              nb::arg("start"), nb::arg("seed"));
     m.def("loop_run", &run);
+    m.def("loop_coast", [](nb::ndarray<double, nb::ndim<1>, nb::c_contig, nb::device::cpu> angle, double speed,
+                           double gain, double decay, double friction, double period, int substeps) {
+        const loop_rig rig = {1, substeps, 0, period, 0, gain, decay, friction, 0, 0, 0, 0, 0, 0, 0, 0};
+        loop_coast(&rig, speed, angle.data(), int64_t(angle.shape(0)));
+    });
     m.def("loop_normal", &loop_normal);
 }

@@ -4,19 +4,23 @@
 
 #include <stdint.h>
 
-/* The link from motor angle to tip angle, exact for a cubic motor angle within each period:
+#define LOOP_POWERS 6
+#define LOOP_MODES 64  /* most real modes, and most pairs, of a link */
+#define LOOP_DELAY 101 /* longest delay in periods, plus one */
+
+/* The link from motor angle to tip angle, exact for a motor angle of degree 5 within each period:
  * tip[k+1] = sum_j first[j] q_j[k] + sum_i x_i[k+1] + Re sum_i z_i[k+1],
  * x_i[k+1] = decay_i x_i[k] + sum_j weight_ij q_j[k], the same for the pairs z. */
 typedef struct {
     int reals;
     int pairs;
     const double *decay;     /* reals */
-    const double *weight;    /* 4 x reals */
+    const double *weight;    /* 6 x reals */
     const double *pair_re;   /* pairs */
     const double *pair_im;   /* pairs */
-    const double *weight_re; /* 4 x pairs */
-    const double *weight_im; /* 4 x pairs */
-    double first[4];
+    const double *weight_re; /* 6 x pairs */
+    const double *weight_im; /* 6 x pairs */
+    double first[LOOP_POWERS];
     double stiffness;
 } loop_link;
 
@@ -60,14 +64,14 @@ typedef struct {
     uint32_t *reason;
 } loop_trace;
 
-#define LOOP_MODES 64   /* most real modes, and most pairs, of a link */
-#define LOOP_DELAY 101  /* longest delay in periods, plus one */
-
 /* Return 0, or 1 where a bound above is exceeded. `params` is a law_params of the named precision. */
 int loop_run_double(const loop_link *link, const loop_rig *rig, const void *params, const loop_reference *reference,
                     const loop_trace *trace);
 int loop_run_single(const loop_link *link, const loop_rig *rig, const void *params, const loop_reference *reference,
                     const loop_trace *trace);
+
+/* Angles at the samples of the motor alone, from `speed`, without voltage. */
+void loop_coast(const loop_rig *rig, double speed, double *angle, int64_t length);
 
 /* Standard normal number `counter` of stream `seed`: the same wherever and in whatever order it is drawn. */
 double loop_normal(uint64_t seed, uint64_t counter);

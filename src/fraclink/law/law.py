@@ -210,8 +210,8 @@ class Law:
                 remedy="give arrays",
             )
         count = signals.shape[1]
-        numbers = np.arange(first_tick, first_tick + count) if ticks is None else np.asarray(ticks)
-        numbers = np.ascontiguousarray(numbers % 2**32, dtype=np.uint32)
+        numbers = np.arange(count) + first_tick if ticks is None else np.asarray(ticks)
+        numbers = np.ascontiguousarray(numbers.astype(np.int64) % 2**32, dtype=np.uint32)
         if numbers.shape != (count,):
             raise FieldError(
                 "ticks",

@@ -1,8 +1,8 @@
-"""The link as the closed-loop kernel takes it: exact for a cubic motor angle within each period.
+"""The link as the closed-loop kernel takes it: exact for a motor angle of degree 5 within each period.
 
-Between two samples the motor's angle is q₀ + q₁x + q₂x² + q₃x³ with x = (t − kT)/T. The response of
-G = θt/θm to each power is exact: at the end of its own period by inverting the Laplace transform, later by
-the modes of the step response (a sum of exponentials, see fraclink.response).
+Between two samples the motor's angle is Σ qⱼ xʲ with x = (t − kT)/T. The response of G = θt/θm to each
+power is exact: at the end of its own period by the power series of G, later by the modes of the step
+response (a sum of exponentials, see fraclink.response).
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ from fraclink.link import LinkModel
 
 __all__ = ["LinkWeights", "link_weights"]
 
-POWERS = 4
+POWERS = 6
+LONGEST = 2.0  # |pole|·T [rad]: beyond, three samples a vibration, the power series cancels and no loop holds
 TOLERANCE = 1e-9  # of the step response: 1e-9 rad for a move of 1 rad, three digits below what is promised
 
 
@@ -41,29 +42,44 @@ def link_weights(model: LinkModel, period: float, span: float) -> LinkWeights:
     >>> len(weights.decay), len(weights.pair)
     (0, 1)
     """
-    from fraclink.response.contour import held_response
     from fraclink.response.discrete import discretize
-    from fraclink.response.held import HeldQuotient
 
-    tip = model.tip()
-    modes = discretize(tip, period, span=span, tolerance=TOLERANCE)
-    quotient = HeldQuotient.of(tip.numerator, tip.denominator).quotient
-    if quotient is None:
+    reach = abs(model.pole) * period
+    if not reach < LONGEST:
         raise FieldError(
-            "model", model, "without dynamics", allowed="a LinkModel", remedy="give ϖ > 0 and λ > 1"
+            "period",
+            period,
+            "too long for this link",
+            allowed=f"< {LONGEST / abs(model.pole):.3g} s: {2 * math.pi / LONGEST:.2g} samples a vibration",
+            remedy="simulate at a shorter period",
         )
-    at_end = [
-        math.factorial(j) / period**j * float(held_response(quotient, np.array([period]), j + 1)[0])
-        for j in range(POWERS)
-    ]
+    modes = discretize(model.tip(), period, span=span, tolerance=TOLERANCE)
+    at_end = [_end_of_power(model, period, j) for j in range(POWERS)]
     real = modes.gains * _relative_powers(modes.log_decays)
     pair = modes.pole_gains * _relative_powers(modes.pole_log_decays)
     first = np.array(at_end) - real.sum(axis=1) - pair.sum(axis=1).real
     return LinkWeights(first, modes.decays, real, modes.pole_decays, pair)
 
 
+def _end_of_power(model: LinkModel, period: float, power: int) -> float:
+    """Response of G to xʲ at x = 1: G = Σ −(−X)ⁿ, X = (μ s^α + ϖ²)/s^λ, term by term ∫ ... = t^q/Γ(q + 1)."""
+    stiff = model.natural_frequency**2 * period**model.order
+    soft = model.damping * period ** (model.order - model.damping_order)
+    total = 0.0
+    for n in range(1, 100):
+        part = 0.0
+        for k in range(n + 1 if soft else 1):
+            exponent = model.order * n - model.damping_order * k + power
+            size = math.comb(n, k) * soft**k * stiff ** (n - k)
+            part += size * math.exp(-math.lgamma(exponent + 1))
+        total -= (-1) ** n * part
+        if part < 1e-18 * abs(total):
+            break
+    return math.factorial(power) * total
+
+
 def _relative_powers(log_decay: NDArray[Any]) -> NDArray[Any]:
-    """φ_j/φ_0 for j = 0 ... 3, φ_j(z) = ∫₀¹ x^j e^(z(1 − x)) dx: a mode's answer to x^j, relative to a step.
+    """φ_j/φ_0 for j = 0 ... 5, φ_j(z) = ∫₀¹ x^j e^(z(1 − x)) dx: a mode's answer to x^j, relative to a step.
 
     Where |z| is large φ_j = (j φ_(j-1) − 1)/z; that cancels for small |z|, where the series j! Σ zⁿ/(n + j
     + 1)! is used.

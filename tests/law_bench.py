@@ -1,0 +1,76 @@
+"""Laws and signals shared by the tests of the law, its export and the simulation."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+import fraclink as fl
+from fraclink.law import Law, LawInputs, LawOutputs, discretize_controller
+
+PERIOD = 0.004
+DESIGN = (0.069876, 0.612197)  # default design of issue 2: c 1.56, 20-40 g, 12 rad/s, 50 degrees, no filter
+
+
+def default_controller() -> fl.Controller:
+    gain, order = DESIGN
+    return fl.Controller(gain=gain, order=order, link=fl.Rig.named("paper-2023").model)
+
+
+@functools.cache
+def law(precision: str = "double", *, equipped: bool = True) -> Law:
+    rig = fl.Rig.named("paper-2023")
+    made = discretize_controller(default_controller(), PERIOD, rig=rig if equipped else None)
+    return made.in_precision(precision)  # type: ignore[arg-type]
+
+
+def signals(count: int, *, seed: int = 1) -> NDArray[np.float64]:
+    """Reference, velocity, acceleration, motor angle and torque of a move with noise; shape (5, count)."""
+    rng = np.random.default_rng(seed)
+    time = PERIOD * np.arange(count)
+    move = fl.smooth_step(1.0, 0.5, 0.2)
+    angle = move.angle(time - 0.03) + 1e-3 * rng.standard_normal(count)
+    torque = 1.56 * 0.1 * np.sin(11 * time) + 0.01 * rng.standard_normal(count)
+    return np.array([move.angle(time), move.velocity(time), move.acceleration(time), angle, torque])
+
+
+Disturb = Callable[[int, float, float], tuple[float, float]]
+
+
+def closed_loop(
+    made: Law,
+    rows: NDArray[np.float64],
+    disturb: Disturb = lambda k, angle, torque: (angle, torque),
+    *,
+    frequency: float = 11.0,
+) -> tuple[NDArray[np.float64], LawOutputs]:
+    """Run the law on an undamped link (λ = 2) behind M(s); return the tip angle and the law's outputs.
+
+    Written apart from the package's simulation. The drive stops at once in mode "off".
+    """
+    pole, near = 1 - np.exp(-80.0 * PERIOD), 0.0
+    motor, tip, speed = 0.0, 0.0, 0.0
+    cosine, sine = np.cos(frequency * PERIOD), np.sin(frequency * PERIOD)
+    state, command, tips, log = made.initial_state(), 0.0, [], []
+    for k in range(rows.shape[1]):
+        angle, torque = disturb(k, motor, made.stiffness * (motor - tip))
+        state, out = made.step(state, LawInputs(*rows[:3, k], angle, torque), tick=k + 1)
+        tips.append(tip)
+        log.append(out)
+        if out.mode < 4:
+            motor += pole * (near - motor)
+            near += pole * (command - near)
+            command = out.motor_reference
+        away = tip - motor
+        tip, speed = (
+            motor + away * cosine + speed * sine / frequency,
+            speed * cosine - away * frequency * sine,
+        )
+    return np.array(tips), LawOutputs(*map(np.array, zip(*log, strict=True)))
+
+
+def run(made: Law, rows: NDArray[np.float64], **options: object) -> LawOutputs:
+    return made.run(made.initial_state(), *rows, **options)[1]  # type: ignore[arg-type]

@@ -1,0 +1,225 @@
+"""The law: its block, its exactness at DC, its accuracy, its files."""
+
+from __future__ import annotations
+
+import json
+import re
+import zlib
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import fraclink as fl
+from fraclink import _kernels
+from fraclink.errors import FieldError, FileFormatError
+from fraclink.law import Law, LawInputs, Modes, Moves, derive_limits, discretize_controller
+from fraclink.law import block as layout
+from fraclink.link import LinkModel
+from law_bench import PERIOD, default_controller, law, run, signals
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def test_the_block_is_the_struct_of_law_h() -> None:
+    text = (ROOT / "csrc" / "law.h").read_text(encoding="utf-8")
+    struct = re.search(r"typedef struct \{([^}]*)\} law_params;", text)
+    assert struct is not None
+    fields = re.findall(r"(uint32_t|law_real) (\w+)(?:\[(\w+)\])?;", struct.group(1))
+    lengths = {"LAW_REAL_MODES": 8, "LAW_PAIR_MODES": 2, "LAW_FORWARD_MODES": 6, "": 1}
+    assert [name for kind, name, _ in fields if kind == "uint32_t"] == [*layout.HEADER, *layout.COUNTS]
+    reals = tuple((name, lengths[length]) for kind, name, length in fields if kind == "law_real")
+    assert reals == layout.REALS
+    for name, length in lengths.items():
+        assert not name or re.search(rf"#define {name} {length}U", text)
+
+
+@pytest.mark.parametrize("precision", ["single", "double"])
+def test_the_block_survives_packing(precision: str) -> None:
+    made = law(precision)
+    single = precision == "single"
+    assert len(made.block) == _kernels.law_sizes(single)[0]
+    assert zlib.crc32(made.block[16:]) == int.from_bytes(made.block[12:16], "little")
+    kind = np.float32 if single else np.float64
+    values = made.coefficients
+    assert values["direct"] == float(kind(made.correction.direct))
+    assert values["stiffness"] == float(kind(1.56))
+    # type: ignore[index]
+    assert values["decay"][: made.order] == [float(kind(p - 1)) for p in made.correction.poles]
+
+
+def test_the_state_fits_the_promise() -> None:
+    assert _kernels.law_sizes(True)[1] <= 256
+
+
+@pytest.mark.parametrize(("delta", "band", "order"), [(0.16, (0.05, 600.0), 4), (0.016, (0.05, 600.0), 6)])
+def test_few_states_reach_a_tenth_of_a_decibel(delta: float, band: tuple[float, float], order: int) -> None:
+    controller = fl.Controller(
+        gain=0.148, order=0.65, filter_time=delta, filter_order=2, link=fl.Rig.named("paper-2023").model
+    )
+    made = discretize_controller(controller, PERIOD, band=band)
+    assert made.order <= order
+    w = np.geomspace(*band, 3000)
+    ratio = (1 + made.frequency_response(w)) / (1 + controller.response(w))
+    assert np.abs(20 * np.log10(np.abs(ratio))).max() <= 0.1
+    assert np.abs(np.degrees(np.angle(ratio))).max() <= 0.5
+
+
+def test_the_default_design_reaches_the_tolerance_up_to_300_rad_s() -> None:
+    made, controller = law(equipped=False), default_controller()
+    w = np.geomspace(0.05, 300.0, 3000)
+    ratio = (1 + made.frequency_response(w)) / (1 + controller.response(w))
+    assert np.abs(20 * np.log10(np.abs(ratio))).max() <= 0.1
+    assert np.abs(np.degrees(np.angle(ratio))).max() <= 0.5
+    assert made.correction_error == pytest.approx((0.090, 0.448), abs=0.001)
+
+
+@pytest.mark.parametrize("precision", ["single", "double"])
+@pytest.mark.parametrize("torque", [0.078, -0.2, 0.1])
+def test_a_constant_input_gives_exactly_zero(precision: str, torque: float) -> None:
+    made = law(precision, equipped=False)
+    count = 40_000
+    rows = np.zeros((5, count))
+    rows[4, 5:] = torque  # a gauge offset that appears after the start
+    outputs = run(made, rows)
+    assert np.abs(outputs.motor_reference[5:50]).max() > 0.01
+    # flushed, not only small: the motor stands where it would without the offset, to the last bit
+    assert outputs.motor_reference[-1] == 0.0
+    assert outputs.flags[-1] == 0
+    rows[4] = torque  # there from the start: never seen at all
+    assert np.all(run(made, rows).motor_reference == 0.0)
+
+
+@pytest.mark.parametrize("precision", ["single", "double"])
+def test_the_law_in_c_is_its_frequency_response(precision: str) -> None:
+    made = law(precision, equipped=False)
+    count = 60_000
+    time = PERIOD * np.arange(count)
+    for w in (0.5, 12.0, 200.0):
+        rows = np.zeros((5, count))
+        rows[4] = 1.56 * 1e-2 * np.sin(w * time) / max(1.0, w / 60)
+        outputs = run(made, rows)
+        assert np.all(outputs.mode == 1)
+        tail = slice(count // 2, None)
+        basis = np.column_stack([np.cos(w * time[tail]), np.sin(w * time[tail])])
+        into = np.linalg.lstsq(basis, outputs.error[tail], rcond=None)[0]
+        out = np.linalg.lstsq(basis, outputs.motor_reference[tail], rcond=None)[0]
+        gain = complex(out[0], -out[1]) / complex(into[0], -into[1])
+        assert gain == pytest.approx(complex(made.frequency_response(w)), rel=2e-5)
+
+
+def test_single_precision_stays_with_double_for_a_million_periods() -> None:
+    count = 1_000_000
+    rng = np.random.default_rng(3)
+    rows = np.zeros((5, count))
+    smooth = np.convolve(rng.standard_normal(count), np.ones(25) / 25, mode="same")
+    rows[4] = 1.56 * 0.027 * smooth / smooth.std()  # error of 0.027 rad rms, as in the prototype
+    double, single = (run(law(p, equipped=False), rows) for p in ("double", "single"))
+    assert np.all(single.mode == 1)
+    correction = double.motor_reference
+    error = np.sqrt(np.mean((single.motor_reference - correction) ** 2))
+    assert error <= 1e-6 * np.sqrt(np.mean(correction**2))
+
+
+def test_feed_forward_inverts_the_link() -> None:
+    made = law(equipped=False)
+    link = fl.Rig.named("paper-2023").model
+    assert link is not None
+    w = np.geomspace(0.5, 100.0, 200)
+    z = np.exp(1j * w * PERIOD)
+    filtered = made.feedforward.direct + sum(
+        g / (z - p) for g, p in zip(made.feedforward.gains, made.feedforward.poles, strict=True)
+    )
+    wanted = (1 / link.tip()(1j * w) - 1) / (1j * w) ** 2
+    assert np.abs(20 * np.log10(np.abs(filtered / wanted))).max() <= 0.3
+    classical = discretize_controller(
+        replace(default_controller(), link=LinkModel(1.56, 10.0, order=2.0)), PERIOD
+    )
+    assert classical.feedforward == Modes(pytest.approx(0.01, rel=1e-9))  # 1/ϖ², no state at all
+
+
+def test_step_and_run_are_the_same() -> None:
+    made, rows = law(), signals(200)
+    outputs = run(made, rows)
+    state = made.initial_state()
+    for k in range(200):
+        state, one = made.step(state, LawInputs(*rows[:, k]), tick=k + 1)
+        assert tuple(one) == tuple(column[k] for column in outputs)
+
+
+def test_a_state_is_a_value() -> None:
+    made, rows = law(), signals(50)
+    state = made.initial_state()
+    first = made.step(state, LawInputs(*rows[:, 0]))
+    assert made.step(state, LawInputs(*rows[:, 0])) == first
+    assert state == made.initial_state()
+
+
+def test_saved_laws_come_back_to_the_bit(tmp_path: Path) -> None:
+    for made in (law("double"), law("single"), law("double", equipped=False)):
+        made.save(tmp_path / "law.json")
+        back = Law.load(tmp_path / "law.json")
+        assert back == made
+        assert back.block == made.block
+
+
+def test_a_changed_file_is_refused(tmp_path: Path) -> None:
+    place = tmp_path / "law.json"
+    law().save(place)
+    data = json.loads(place.read_text(encoding="utf-8"))
+    for change in (
+        {"stiffness": (1.57).hex()},
+        {"stiffness": "1.57x"},
+        {"correction": {}},
+        {"precision": "half"},
+        {"limits": data["limits"] | {"bad_limit": 2.5}},
+        {"drive": {"loop": {}}},
+        {"band": [1]},
+    ):
+        place.write_text(json.dumps(data | change), encoding="utf-8")
+        with pytest.raises((FileFormatError, FieldError)):
+            Law.load(place)
+
+
+def test_periods_that_differ_are_refused() -> None:
+    rig = fl.Rig.named("paper-2023")
+    with pytest.raises(FieldError, match="period"):
+        discretize_controller(replace(default_controller(), period=0.002), 0.004)
+    with pytest.raises(FieldError, match="not the rig's"):
+        discretize_controller(default_controller(), 0.002, rig=rig)
+    for period in (0.0, -1.0, float("nan"), 1e3):
+        with pytest.raises(FieldError, match="period"):
+            discretize_controller(default_controller(), period)
+
+
+def test_bad_requests_are_named() -> None:
+    controller = default_controller()
+    with pytest.raises(FieldError, match="link"):
+        discretize_controller(replace(controller, link=None), PERIOD)
+    with pytest.raises(FieldError, match="precision"):
+        discretize_controller(controller, PERIOD, precision="half")  # type: ignore[arg-type]
+    with pytest.raises(FieldError, match="order"):
+        discretize_controller(controller, PERIOD, order=99)
+    with pytest.raises(FieldError, match=r"moves\.velocity"):
+        Moves(velocity=-1.0)
+    with pytest.raises(FieldError, match="inputs"):
+        law().run(law().initial_state(), 1, 2, 3, 4, 5)
+    with pytest.raises(FieldError, match="ticks"):
+        law().run(law().initial_state(), *signals(5), ticks=[1, 2])
+
+
+def test_a_value_beyond_single_precision_is_refused() -> None:
+    made = replace(law("single"), stiffness=1e60)
+    with pytest.raises(FieldError, match="single precision"):
+        _ = made.block
+
+
+def test_limits_follow_the_move() -> None:
+    link = fl.Rig.named("paper-2023").model
+    assert link is not None
+    slow, fast = (derive_limits(link, PERIOD, Moves(velocity=v)) for v in (3.0, 6.0))
+    assert fast.motor_step == pytest.approx(2 * slow.motor_step)
+    assert fast.reference_step == pytest.approx(2 * slow.reference_step)
+    railed = derive_limits(link, PERIOD, Moves(), gauge_limit=4.0)
+    assert railed.torque_limit < 4.0

@@ -1,0 +1,312 @@
+"""The law's guards, one fault at a time, on recorded-like signals (reaction classes of the fault
+catalogue).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from fraclink.law import MODES, REASONS, LawOutputs
+from law_bench import closed_loop, law, run, signals
+
+PRECISIONS = ("double", "single")
+ENCODER, GAUGE, REFERENCE, MISSED, REPEATED = 1, 2, 4, 8, 16
+LIMITED, SATURATED, STARTED, RESIDUAL = 32, 64, 128, 256
+ALL = 2**32 - 1
+COUNT = 400
+
+
+def quiet(count: int = COUNT) -> NDArray[np.float64]:
+    """An arm at rest at 0.3 rad, with a gauge that reads a small constant."""
+    rows = np.zeros((5, count))
+    rows[0] = rows[3] = 0.3
+    rows[4] = 0.02
+    return rows
+
+
+def ended(outputs: LawOutputs) -> tuple[str, str]:
+    return MODES[outputs.mode[-1]], REASONS[outputs.reason[-1]]
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_clean_signals_raise_nothing(precision: str) -> None:
+    rows = quiet(100_000)
+    rows[4] += 0.01 * np.random.default_rng(5).standard_normal(100_000)
+    outputs = run(law(precision), rows)
+    assert outputs.flags[0] == STARTED
+    assert not np.any(outputs.flags[1:] & (ALL ^ LIMITED))
+    assert np.all(outputs.mode == 1)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 50.0, 0.3 + 2 * np.pi])
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_three_bad_encoder_samples_are_ridden_through(precision: str, bad: float) -> None:
+    rows = quiet()
+    clean = run(law(precision), rows)
+    rows[3, 100:103] = bad
+    outputs = run(law(precision), rows)
+    assert np.flatnonzero(outputs.flags & ENCODER).tolist() == [100, 101, 102]
+    np.testing.assert_array_equal(outputs.voltage, clean.voltage)
+    assert ended(outputs) == ("run", "none")
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, 57.3 * 0.3])
+def test_a_lost_encoder_switches_the_drive_off(bad: float) -> None:
+    rows = quiet()
+    rows[3, 100:] = bad
+    outputs = run(law(), rows)
+    assert ended(outputs) == ("off", "encoder")
+    assert int(np.argmax(outputs.mode == 4)) == 104
+    assert np.all(outputs.voltage[104:] == 0)
+    assert np.all(outputs.motor_reference[104:] == outputs.motor_reference[104])
+
+
+def test_a_trip_stays_when_the_fault_is_gone() -> None:
+    rows = quiet()
+    rows[3, 100:110] = np.nan
+    assert ended(run(law(), rows)) == ("off", "encoder")
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, 4.1, 3.0])
+def test_single_bad_gauge_samples_are_ridden_through(bad: float) -> None:
+    rows = quiet()
+    clean = run(law(), rows)
+    rows[4, 100:103] = bad
+    outputs = run(law(), rows)
+    assert np.flatnonzero(outputs.flags & GAUGE).tolist() == [100, 101, 102]
+    np.testing.assert_array_equal(outputs.motor_reference, clean.motor_reference)
+    assert ended(outputs) == ("run", "none")
+
+
+MOVE = signals(1500)
+START = 90  # a fault in the middle of the move
+
+
+def test_the_closed_loop_without_a_fault_is_clean() -> None:
+    tip, outputs = closed_loop(law(), MOVE)
+    assert not np.any(outputs.flags[1:] & (ALL ^ LIMITED ^ SATURATED))
+    assert ended(outputs) == ("run", "none")
+    assert abs(tip[-1] - 1.0) < 5e-3
+
+
+@pytest.mark.parametrize("bad", [np.nan, 4.1, 3.9])
+def test_a_lost_gauge_degrades_to_feed_forward(bad: float) -> None:
+    tip, outputs = closed_loop(law(), MOVE, lambda k, a, t: (a, bad if k >= START else t))
+    assert ended(outputs) == ("degraded", "gauge")
+    assert int(np.argmax(outputs.mode == 2)) == START + 4
+    # the correction is faded out after 50 periods: feed-forward alone ends at the reference exactly
+    assert outputs.motor_reference[-1] == pytest.approx(1.0, abs=1e-3)
+    assert np.abs(tip - MOVE[0]).max() < 0.25
+
+
+def test_a_faded_correction_is_exactly_gone() -> None:
+    tips = [
+        closed_loop(law(), MOVE, lambda k, a, t: (a, np.nan if k >= START else t), frequency=w)[1]
+        for w in (9.0, 14.0)
+    ]
+    later = START + 4 + 50
+    np.testing.assert_array_equal(tips[0].motor_reference[later:], tips[1].motor_reference[later:])
+
+
+def test_a_stuck_gauge_is_seen_in_a_move_and_not_at_rest() -> None:
+    stuck: list[float] = []
+
+    def freeze(k: int, angle: float, torque: float) -> tuple[float, float]:
+        stuck.append(torque if k <= START else stuck[-1])
+        return angle, stuck[-1]
+
+    tip, outputs = closed_loop(law(), MOVE, freeze)
+    assert ended(outputs) == ("degraded", "gauge stuck")
+    assert np.abs(tip - MOVE[0]).max() < 0.25
+    assert ended(run(law(), quiet(100_000))) == ("run", "none")
+
+
+def test_a_stuck_encoder_switches_the_drive_off_within_20_samples() -> None:
+    stuck: list[float] = []
+
+    def freeze(k: int, angle: float, torque: float) -> tuple[float, float]:
+        stuck.append(angle if k <= START else stuck[-1])
+        return stuck[-1], torque
+
+    _, outputs = closed_loop(law(), MOVE, freeze)
+    assert ended(outputs) == ("off", "motor away from its model")
+    assert int(np.argmax(outputs.mode == 4)) - START <= 20
+    assert ended(run(law(), quiet(100_000))) == ("run", "none")
+
+
+def test_an_encoder_in_degrees_or_swapped_channels_switch_the_drive_off() -> None:
+    _, outputs = closed_loop(law(), MOVE, lambda k, a, t: (57.3 * a, t))
+    assert ended(outputs)[0] == "off"
+    _, outputs = closed_loop(law(), MOVE, lambda k, a, t: (t, a))
+    assert ended(outputs)[0] == "off"
+
+
+def test_gauge_spikes_are_rejected() -> None:
+    spikes = np.random.default_rng(2).random(MOVE.shape[1]) < 0.01
+    clean, _ = closed_loop(law(), MOVE)
+    tip, outputs = closed_loop(law(), MOVE, lambda k, a, t: (a, t + 3.0 * spikes[k]))
+    assert ended(outputs) == ("run", "none")
+    assert np.abs(tip - MOVE[0]).max() < 1.05 * np.abs(clean - MOVE[0]).max()
+    assert abs(tip[-1] - 1.0) < 5e-3
+
+
+@pytest.mark.parametrize("lost", [1, 3])
+def test_lost_samples_of_both_sensors_are_ridden_through(lost: int) -> None:
+    clean, _ = closed_loop(law(), MOVE)
+    tip, outputs = closed_loop(
+        law(), MOVE, lambda k, a, t: (np.nan, np.nan) if START <= k < START + lost else (a, t)
+    )
+    assert ended(outputs) == ("run", "none")
+    assert np.abs(tip - MOVE[0]).max() < 1.1 * np.abs(clean - MOVE[0]).max()
+
+
+def test_a_blocked_link_holds() -> None:
+    _, outputs = closed_loop(law(), quiet(1000), lambda k, a, t: (a, t + 0.02 * np.clip(k - 200, 0, 125)))
+    assert ended(outputs) == ("hold", "link overloaded")
+    held = outputs.mode == 3
+    assert np.ptp(outputs.motor_reference[held]) == 0
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, 100.0])
+def test_an_unusable_reference_is_held(bad: float) -> None:
+    rows = quiet()
+    rows[0, 100:] = bad
+    outputs = run(law(), rows)
+    assert np.all(outputs.flags[100:] & REFERENCE)
+    assert np.all(np.abs(outputs.motor_reference - 0.3) < 1e-12)
+
+
+@pytest.mark.parametrize("row", [1, 2])
+def test_unusable_derivatives_count_as_zero(row: int) -> None:
+    rows = quiet()
+    rows[row, 100:] = np.nan
+    outputs = run(law(), rows)
+    assert np.all(np.abs(outputs.motor_reference - 0.3) < 1e-12)
+
+
+def test_a_far_reference_is_approached_at_the_largest_speed() -> None:
+    rows = quiet(1000)
+    rows[0] = 3.3
+    outputs = run(law(equipped=False), rows)
+    made = law(equipped=False)
+    steps = np.diff(outputs.motor_reference)
+    assert np.all(np.abs(steps) <= made.limits.motor_step * (1 + 1e-12))
+    assert abs(outputs.motor_reference[0] - 0.3) <= made.limits.motor_step
+    assert outputs.flags[1] & REFERENCE
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_missed_periods_are_ridden_through_up_to_five(precision: str) -> None:
+    rows = quiet()
+    for missed, end in ((5, ("run", "none")), (6, ("off", "missed periods"))):
+        ticks = np.arange(1, COUNT + 1)
+        ticks[200:] += missed
+        outputs = run(law(precision), rows, ticks=ticks)
+        assert outputs.flags[200] & MISSED
+        assert ended(outputs) == end
+
+
+@pytest.mark.parametrize("jump", [0, -1, -100, 2**31 + 5])
+def test_a_repeated_or_backward_period_does_nothing(jump: int) -> None:
+    rows = signals(COUNT)
+    ticks = np.arange(1, COUNT + 1)
+    once = run(law(), np.delete(rows, 201, axis=1), ticks=np.delete(ticks, 200))
+    ticks = np.concatenate([ticks[:201], ticks[200:-1]])
+    ticks[201] = ticks[200] + jump
+    outputs = run(law(), rows, ticks=ticks)
+    assert outputs.flags[201] == REPEATED
+    assert outputs.motor_reference[201] == outputs.motor_reference[200]
+    np.testing.assert_array_equal(outputs.motor_reference[202:], once.motor_reference[201:])
+
+
+def test_the_period_counter_may_wrap_around() -> None:
+    rows = signals(COUNT)
+    plain = run(law(), rows)
+    wrapped = run(law(), rows, first_tick=2**32 - 50)
+    np.testing.assert_array_equal(plain.motor_reference, wrapped.motor_reference)
+    assert not np.any(wrapped.flags & (MISSED | REPEATED))
+
+
+def test_a_start_without_an_encoder_waits() -> None:
+    rows = quiet()
+    rows[3, :50] = np.nan
+    outputs = run(law(), rows)
+    assert np.all(outputs.mode[:50] == 0)
+    assert np.all(outputs.voltage[:50] == 0)
+    assert outputs.flags[50] & STARTED
+    assert outputs.motor_reference[50] == pytest.approx(0.3)
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_a_start_in_motion_has_no_bump(precision: str) -> None:
+    rows = signals(1000)[:, 90:]  # in the middle of the move
+    outputs = run(law(precision), rows)
+    made = law(precision)
+    assert abs(outputs.motor_reference[0] - rows[3, 0]) <= made.limits.motor_step
+    assert abs(outputs.voltage[0]) < 1.0
+
+
+@pytest.mark.parametrize("fill", [0x00, 0xFF, 0x7F])
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_a_wiped_state_starts_anew_at_once(precision: str, fill: int) -> None:
+    made, rows = law(precision), quiet()
+    state, _ = made.run(made.initial_state(), *rows)
+    _, outputs = made.run(bytes([fill]) * len(state), *rows)
+    assert np.all(np.isfinite(outputs.motor_reference))
+    assert outputs.flags[0] & STARTED
+    np.testing.assert_allclose(outputs.motor_reference, 0.3, atol=1e-6)
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_any_flipped_bit_of_the_state_leaves_the_output_in_its_limits(precision: str) -> None:
+    made, rows = law(precision), signals(300)
+    state, _ = made.run(made.initial_state(), *rows[:, :100])
+    limit = made.limits.motor_limit * (1 + 1e-6)
+    for bit in range(0, 8 * len(state), 3):
+        damaged = bytearray(state)
+        damaged[bit // 8] ^= 1 << (bit % 8)
+        _, outputs = made.run(bytes(damaged), *rows[:, 100:], first_tick=101)
+        assert np.all(np.abs(outputs.motor_reference) <= limit)
+        assert np.all(np.abs(outputs.voltage) <= 10.0)
+
+
+@pytest.mark.parametrize(
+    ("offset", "reason"), [(0, 1), (4, 2), (8, 2), (12, 3), (16, 3), (20, 3), (48, 3), (100, 3), (-1, 3)]
+)
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_a_damaged_block_refuses_to_start(precision: str, offset: int, reason: int) -> None:
+    from fraclink import _kernels
+
+    made = law(precision)
+    damaged = bytearray(made.block)
+    damaged[offset] ^= 4
+    state, found = _kernels.law_init(bytes(damaged), precision == "single")
+    assert found == reason
+    outputs, marks = np.empty((5, 50)), np.empty((3, 50), dtype=np.uint32)
+    _kernels.law_run(
+        bytes(damaged),
+        state,
+        np.arange(1, 51, dtype=np.uint32),
+        quiet(50),
+        outputs,
+        marks,
+        precision == "single",
+    )
+    assert np.all(marks[0] == 0)
+    assert np.all(marks[1] == reason)
+    assert np.all(outputs[:2] == 0)
+
+
+def test_saturation_does_not_wind_up() -> None:
+    after = []
+    for saturated in (1500, 4500):
+        rows = quiet(saturated + 200)
+        rows[3, 5:] = 0.3 - 0.05  # the motor lags and cannot follow: the integral reaches the limit in 5 s
+        rows[3, saturated:] = 0.3 + 0.05
+        outputs = run(law(), rows)
+        assert outputs.voltage[saturated - 1] == 10.0
+        assert outputs.flags[saturated - 1] & SATURATED
+        after.append(outputs.voltage[saturated:])
+    np.testing.assert_allclose(after[0], after[1], atol=0.01)  # an integral that goes on adds 6 V in 12 s

@@ -1,0 +1,234 @@
+"""The closed loop: its plant against independent solutions, its verdicts against what is known of the
+design.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import mpmath
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import fraclink as fl
+from fraclink import _kernels
+from fraclink.errors import FieldError, FileFormatError, SizeError
+from fraclink.link import LinkModel
+from fraclink.rig import Encoder, Gauge, Rig
+from fraclink.simulate import simulate
+from law_bench import PERIOD, law
+
+RIG = Rig.named("paper-2023")
+MODEL = RIG.model
+assert MODEL is not None
+EXACT = replace(RIG, encoder=Encoder(), gauge=Gauge(), motor=replace(RIG.motor, coulomb_torque=0.0))
+STEP = fl.smooth_step(1.0, 0.3)
+
+
+def _held(transfer: object, held: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Response at the samples to `held`, from step responses by numerical Laplace inversion at 40 digits."""
+    mpmath.mp.dps = 40
+    step = [0.0] + [
+        float(mpmath.invertlaplace(lambda s: transfer(s) / s, PERIOD * k, method="talbot", degree=48))  # type: ignore[operator]
+        for k in range(1, len(held))
+    ]
+    return np.convolve(np.diff(held, prepend=0.0), step)[: len(held)]
+
+
+def _tip_transfer(model: LinkModel) -> object:
+    order, square = mpmath.mpf(model.order), mpmath.mpf(model.natural_frequency) ** 2
+    mu, alpha = mpmath.mpf(model.damping), mpmath.mpf(model.damping_order)
+    return lambda s: (mu * s**alpha + square) / (s**order + mu * s**alpha + square)
+
+
+@pytest.mark.parametrize(
+    "model",
+    [
+        MODEL,
+        LinkModel(1.56, 11.0),
+        LinkModel(1.56, 11.0, damping=0.5),
+        LinkModel(1.56, 11.0, damping=0.8, damping_order=0.6),
+    ],
+    ids=lambda m: m.structure,
+)
+def test_the_tip_follows_an_independent_solution_behind_m_of_s(model: LinkModel) -> None:
+    run = simulate(EXACT, model, law(), STEP, duration=0.6)
+    delayed = np.concatenate([[0.0], run.motor_reference[:-1]])
+    link = _tip_transfer(model)
+    expected = _held(lambda s: link(s) / (1 + s / 80) ** 2, delayed)  # type: ignore[operator]
+    assert np.abs(run.tip_angle - expected).max() < 1e-8
+    assert np.abs(run.motor_angle - _held(lambda s: 1 / (1 + s / 80) ** 2, delayed)).max() < 1e-10
+
+
+def test_the_tip_follows_an_independent_solution_behind_the_motor() -> None:
+    run = simulate(EXACT, MODEL, law(), STEP, duration=0.6, inner="sampled")
+    # the law's voltage contains its compensation of the coupling torque, which is taken as exact
+    voltage = run.voltage - law().coefficients["torque_voltage"] * run.torque_measured
+    delayed = np.concatenate([[0.0], voltage[:-1]])
+    link, gain, decay = _tip_transfer(MODEL), RIG.motor.gain, RIG.motor.decay
+    expected = _held(lambda s: link(s) * gain / (s * (s + decay)), delayed)  # type: ignore[operator]
+    assert np.abs(run.tip_angle - expected).max() < 1e-8
+
+
+def test_friction_stops_the_motor_where_the_equation_says() -> None:
+    """A motor that coasts against Coulomb friction stops at v/B − (f/B²) ln(1 + B v/f), and stays."""
+    gain, decay, friction = 3000.0, 15.0, 90.0
+    speed = 2.0
+    stop = speed / decay - friction / decay**2 * np.log(1 + decay * speed / friction)
+    angle = _coast(gain, decay, friction, speed, substeps=200)
+    assert angle[-1] - angle[-2] == 0.0
+    assert angle[-1] == pytest.approx(stop, rel=2e-4)
+    errors = [abs(_coast(gain, decay, friction, speed, substeps=n)[-1] - stop) for n in (1, 4, 16)]
+    assert errors[0] > errors[1] > errors[2]
+
+
+def _coast(gain: float, decay: float, friction: float, speed: float, *, substeps: int) -> NDArray[np.float64]:
+    """Angles at the samples of a motor that starts at `speed`, by the kernel's own step."""
+    angle = np.empty(100)
+    _kernels.loop_coast(angle, speed, gain, decay, friction, PERIOD, substeps)
+    return angle
+
+
+@pytest.mark.parametrize("payload", [0.008, 0.016, 0.020, 0.030, 0.040])
+def test_the_default_design_holds_for_every_payload(payload: float) -> None:
+    run = simulate(EXACT, MODEL, law(), fl.smooth_step(1.0, 0.5), payload=payload)
+    assert run.verdict.holds, run.verdict.reason
+    assert abs(run.metrics.steady_state_error) < 1e-3
+    assert run.payload == payload
+    sampled = simulate(EXACT, MODEL, law(), fl.smooth_step(1.0, 0.5), payload=payload, inner="sampled")
+    assert sampled.verdict.holds, sampled.verdict.reason
+
+
+@pytest.mark.parametrize("payload", [0.030, 0.040])
+def test_the_printed_controller_visibly_diverges(payload: float) -> None:
+    printed = fl.Controller(gain=0.148, order=0.65, filter_time=0.16, filter_order=2, link=MODEL)
+    run = simulate(EXACT, MODEL, printed.discretize(PERIOD), STEP, payload=payload, duration=12.0)
+    assert not run.verdict
+    assert "unstable" in run.verdict.reason
+    early, late = run.tip_angle[500:1000], run.tip_angle[-500:]
+    assert np.ptp(late) > 1.5 * np.ptp(early) or np.ptp(late) > 0.4
+
+
+def test_a_gauge_offset_leaves_the_tip() -> None:
+    run = simulate(EXACT, MODEL, law(), fl.hold(0.0), duration=12.0, gauge_offset=0.05 * MODEL.stiffness)
+    error = np.abs(run.tip_angle)
+    assert error.max() > 5e-3  # it is felt first
+    levels = [error[round(t / PERIOD) :].max() for t in (4.0, 6.0, 8.0, 10.0)]
+    assert levels[0] < 1e-3
+    assert levels[0] > levels[1] > levels[2] > levels[3]
+
+
+def test_friction_is_compensated() -> None:
+    rough = replace(EXACT, motor=RIG.motor)
+    run = simulate(rough, MODEL, law(), fl.smooth_step(1.0, 0.5), payload=0.02, inner="sampled")
+    assert run.verdict.holds, run.verdict.reason
+    bare = replace(law(), drive=replace(law().drive, coulomb_voltage=0.0))  # type: ignore[type-var]
+    worse = simulate(rough, MODEL, bare, fl.smooth_step(1.0, 0.5), payload=0.02, inner="sampled")
+    assert np.ptp(run.tip_angle[-250:]) < 0.1 * np.ptp(worse.tip_angle[-250:])
+
+
+def test_saturation_is_reported() -> None:
+    weak = replace(EXACT, motor=replace(RIG.motor, voltage_limit=0.02))
+    bounded = replace(law(), drive=replace(law().drive, voltage_limit=0.02))  # type: ignore[type-var]
+    run = simulate(weak, MODEL, bounded, fl.smooth_step(1.0, 0.5), inner="sampled")
+    assert np.abs(run.voltage).max() <= 0.02
+    assert run.metrics.saturated > 0.01
+    assert not run.verdict
+
+
+def test_sensors_quantise_clip_and_lie() -> None:
+    coarse = replace(
+        EXACT,
+        encoder=Encoder(counts_per_revolution=2000),
+        gauge=Gauge(noise=0.02, limit=0.15, quantum=0.01, offset=0.01),
+    )
+    run = simulate(coarse, MODEL, law(), STEP, seed=5)
+    counts = run.torque_measured / 0.01
+    np.testing.assert_allclose(counts, np.round(counts), atol=1e-9)
+    assert np.abs(run.torque_measured).max() == 0.15
+    quiet = np.abs(run.torque) < 0.05
+    assert np.mean((run.torque_measured - run.torque)[1:][quiet[1:]]) == pytest.approx(0.01, abs=2e-3)
+    assert np.std((run.torque_measured - run.torque)[quiet]) == pytest.approx(0.02, rel=0.1)
+
+
+def test_seeds_repeat_and_differ() -> None:
+    runs = [simulate(RIG, MODEL, law(), STEP, seed=seed, duration=1.0) for seed in (7, 7, 8)]
+    np.testing.assert_array_equal(runs[0].torque_measured, runs[1].torque_measured)
+    assert np.any(runs[0].torque_measured != runs[2].torque_measured)
+
+
+def test_noise_is_standard_normal() -> None:
+    drawn = np.array([_kernels.loop_normal(11, k) for k in range(200_000)])
+    assert abs(drawn.mean()) < 0.01
+    for quantile, wanted in ((0.001, -3.0902), (0.1587, -1.0), (0.5, 0.0), (0.9772, 2.0), (0.9999, 3.719)):
+        assert np.quantile(drawn, quantile) == pytest.approx(wanted, abs=0.06 if quantile < 0.999 else 0.4)
+    for lag in (1, 2, 10):
+        assert abs(np.mean(drawn[lag:] * drawn[:-lag])) < 0.01
+
+
+def test_the_delay_acts() -> None:
+    runs = {d: simulate(EXACT, MODEL, law(), STEP, duration=0.5, delay_samples=d) for d in (0, 1, 5)}
+    for delay, run in runs.items():
+        moved = int(np.argmax(run.motor_angle != 0))
+        commanded = int(np.argmax(run.motor_reference != 0))
+        assert moved == commanded + delay + 1
+    late = simulate(EXACT, MODEL, law(), STEP, duration=6.0, delay_samples=20)
+    assert not late.verdict
+
+
+def test_a_start_away_from_zero_is_a_shifted_run() -> None:
+    shifted = fl.hold(0.5, 0.0).then(STEP)
+    runs = simulate(EXACT, MODEL, law(), STEP), simulate(EXACT, MODEL, law(), shifted)
+    np.testing.assert_allclose(runs[1].tip_angle - 0.5, runs[0].tip_angle, atol=1e-12)
+
+
+def test_a_run_survives_its_file(tmp_path: Path) -> None:
+    run = simulate(RIG, MODEL, law(), STEP, payload=0.02, duration=1.0, seed=3)
+    run.save(tmp_path / "run.npz")
+    back = fl.Run.load(tmp_path / "run.npz")
+    assert back.metrics == run.metrics
+    assert back.verdict == run.verdict
+    assert back.settings == run.settings
+    np.testing.assert_array_equal(back.tip_angle, run.tip_angle)
+    with pytest.raises(ValueError, match="read-only"):
+        back.tip_angle[0] = 1.0
+    for content in (b"", b"PK\x03\x04", b"not a run"):
+        (tmp_path / "bad.npz").write_bytes(content)
+        with pytest.raises(FileFormatError):
+            fl.Run.load(tmp_path / "bad.npz")
+    np.savez(tmp_path / "other.npz", about=np.array("[1]"))
+    with pytest.raises(FileFormatError):
+        fl.Run.load(tmp_path / "other.npz")
+
+
+@pytest.mark.parametrize(
+    ("options", "field"),
+    [
+        ({"payload": -0.03}, "payload"),
+        ({"payload": 0.0}, "payload"),
+        ({"payload": float("nan")}, "payload"),
+        ({"payload": "20 g"}, "payload"),
+        ({"duration": 0.0}, "duration"),
+        ({"noise": -1.0}, "noise"),
+        ({"gauge_offset": float("inf")}, "gauge_offset"),
+        ({"seed": 1.5}, "seed"),
+        ({"seed": -1}, "seed"),
+        ({"delay_samples": 101}, "delay_samples"),
+        ({"delay_samples": True}, "delay_samples"),
+        ({"substeps": 0}, "substeps"),
+        ({"inner": "perfect"}, "inner"),
+    ],
+)
+def test_bad_options_are_named(options: dict[str, object], field: str) -> None:
+    with pytest.raises(FieldError) as caught:
+        simulate(RIG, MODEL, law(), STEP, **options)  # type: ignore[arg-type]
+    assert caught.value.field == field
+
+
+def test_sizes_and_periods_are_checked_first() -> None:
+    with pytest.raises(SizeError):
+        simulate(RIG, MODEL, law(), STEP, duration=1e9)
+    with pytest.raises(FieldError, match="period"):
+        simulate(replace(RIG, period=0.002), MODEL, law(), STEP)
