@@ -86,9 +86,13 @@ class Search:
 
     @property
     def seed(self) -> Shape:
-        """A point near the resonance: the guess that was given, or the best of the scan."""
+        """A point near the resonance: the best of the scan, or the guess that was given if it is better.
+
+        With a free gain a fit from a bad guess ends beside the optimum in one of five cases, with the
+        sign of the gain reversed; from the scan it does not.
+        """
         if self._seed is None:
-            self._seed = self.start if self.start is not None else self._scan()
+            self._seed = self._scan()
         return self._seed
 
     @property
@@ -100,8 +104,7 @@ class Search:
     def kernel(self) -> FitProblem:
         """The kernel on a grid for this resonance; a guess may be three times too high."""
         if self._kernel is None:
-            resonance = math.exp(self.seed[1]) / (1 if self.start is None else 3)
-            self._kernel = self.window.kernel(resonance, longest_delay=self.longest_delay)
+            self._kernel = self.window.kernel(math.exp(self.seed[1]), longest_delay=self.longest_delay)
         return self._kernel
 
     @property
@@ -109,7 +112,7 @@ class Search:
         """The largest delay [s] that the kernel must be able to apply."""
         fixed = abs(self.fixed.get("delay", 0.0))
         span = self.window.samples * self.window.period
-        return max(fixed, min(0.36 * self.wave * (1 if self.start is None else 3), span))
+        return max(fixed, min(0.36 * self.wave, span))
 
     def _scan(self) -> Shape:
         """Sweep ln Ω with a broad resonance, then its neighbourhood with a narrower one, then delays."""
@@ -121,6 +124,9 @@ class Search:
         near = broad[np.argsort(costs)[:2]]
         fine = (near[:, 1:2] + _SWEEP_STEP * np.array([-0.4, -0.2, 0.0, 0.2, 0.4])).ravel()
         narrow, costs = self._tried(kernel, fine, _SCAN_ORDER, delay)
+        if self.start is not None:
+            narrow = np.concatenate([narrow, self.start[None, :]])
+            costs = kernel.costs(narrow, self.gain, self.offset)
         best: Shape = narrow[int(np.argmin(costs))]
         if "delay" in self.fixed:
             return best

@@ -59,7 +59,7 @@ def identify(
         stiffness: c [N·m/rad] where it is known: a torque log's gain is fixed to it; a deflection log,
             which cannot show it, gets it as the model's stiffness.
         fixed: values of "gain", "offset", "delay" [s], "order", "damping_order" that are not to be fitted.
-        guess: where to start instead of the scan over all frequencies of the log.
+        guess: a start to try beside the scan over all frequencies of the log.
         hold: what the motor angle does between samples: "first" (a measured motion), "zero" (a held
             command) or "auto" (zero only for angles that jump and rest).
         details: False leaves out intervals, tests and the allowance for coloured residuals (ten times
@@ -127,7 +127,10 @@ def make_search(
     _check_motion(log, count)
     chosen = chosen_hold(log.motor_angle, hold)
     window = Window(log.motor_angle[:count], log.output[:count], log.period, chosen)
-    start = None if guess is None else shape_of(guess, values.get("delay", 0.0))
+    start = None
+    if guess is not None:
+        start = shape_of(guess, values.get("delay", 0.0))
+        start[0] = np.clip(start[0], *ORDER_LIMITS)
     return Search(window, values, start)
 
 
