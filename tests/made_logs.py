@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 
 import numpy as np
@@ -34,19 +33,16 @@ def made_output(
     frequency: float = 10.0,
     damping: float = 0.05,
 ) -> Array:
-    """Base torque of one mode for a held motor angle, exactly at the samples."""
-    decay = math.exp(-damping * frequency * period)
-    damped = frequency * math.sqrt(1 - damping**2)
-    cosine, sine = math.cos(damped * period), math.sin(damped * period)
-    ratio = damping * frequency / damped
-    tip, speed, output = 0.0, 0.0, np.zeros(motor.size)
-    for k in range(motor.size):
-        output[k] = stiffness * (motor[k] - tip)
-        gap = tip - motor[k]
-        tip, speed = (
-            motor[k] + decay * (gap * (cosine + ratio * sine) + speed / damped * sine),
-            decay * (speed * (cosine - ratio * sine) - gap * frequency**2 / damped * sine),
-        )
+    """Base torque c s²/(s² + 2ζωs + ω²) of a held motor angle, exactly at the samples."""
+    from scipy.linalg import expm
+
+    block = np.zeros((3, 3))
+    block[0, 1], block[1] = 1.0, (-(frequency**2), -2 * damping * frequency, 1.0)
+    step = expm(block * period)
+    state, output = np.zeros(2), np.zeros(motor.size)
+    for k, angle in enumerate(motor):
+        output[k] = stiffness * (angle - frequency**2 * state[0] - 2 * damping * frequency * state[1])
+        state = step[:2, :2] @ state + step[:2, 2] * angle
     return output
 
 

@@ -57,14 +57,14 @@ def labels(experiment: Experiment, rig: Rig | None) -> Iterator[Finding]:
 
 
 def constant_channels(experiment: Experiment) -> Iterator[Finding]:
-    """B02, B03, B21: a channel that does not move holds no information."""
+    """B02, B03, B21: a channel that moves by less than a billionth of its value tells nothing."""
     for code, name, remedy in (
         ("W202", "motor_angle", "excite the arm: a pulse, a PRBS or a square wave"),
         ("W203", "output", "check the gauge and its amplifier"),
     ):
         values = getattr(experiment, name)
         spread, size = float(values.std()), float(np.abs(values).max())
-        if spread <= 1e-12 * size or size == 0:
+        if spread <= 1e-9 * size or size == 0:
             sentence = (
                 f"{name} is constant at {float(values[0]):.6g}" if size else f"{name} is zero throughout"
             )

@@ -1,0 +1,244 @@
+"""Diagnosis: each fault put into a good log is found, with its numbers; a good log is left in peace."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fraclink.diagnose import Finding, diagnose
+from fraclink.diagnose.scan import find_mode
+from fraclink.experiment import Experiment
+from fraclink.readers import bundled_log, bundled_logs, read_log
+from fraclink.rig import Gauge, Rig
+from made_logs import made_experiment, made_motion, made_output
+from shared_data import shared_data
+
+RIGS = Path(__file__).parent / "rigs"
+GOOD = made_experiment()
+
+
+def changed(**fields: object) -> Experiment:
+    return dataclasses.replace(GOOD, **fields)  # type: ignore[arg-type]
+
+
+def found(log: Experiment, code: str, rig: Rig | None = None) -> Finding:
+    findings = diagnose(log, rig)
+    chosen = [finding for finding in findings if finding.code == code]
+    assert chosen, f"{code} not among {[str(finding) for finding in findings]}"
+    assert chosen[0].remedy
+    return chosen[0]
+
+
+def codes(log: Experiment, *severities: str) -> set[str]:
+    return {finding.code for finding in diagnose(log) if not severities or finding.severity in severities}
+
+
+def test_a_good_log_has_no_warning() -> None:
+    assert codes(GOOD, "warning", "error") == set()
+    mode = next(finding for finding in diagnose(GOOD) if finding.code == "W235")
+    assert mode.evidence["frequency"] == pytest.approx(10.0, rel=0.03)
+    assert mode.evidence["explained"] > 0.95
+
+
+@pytest.mark.parametrize("name", bundled_logs())
+def test_bundled_logs_have_no_error(name: str) -> None:
+    findings = diagnose(read_log(bundled_log(name)), Rig.named("paper-2023"))
+    assert not [finding for finding in findings if finding.severity == "error"]
+    assert "W230" in {finding.code for finding in findings}
+
+
+@pytest.mark.parametrize("frequency", [3.0, 10.0, 25.0])
+@pytest.mark.parametrize("damping", [0.005, 0.05, 0.15])
+@pytest.mark.parametrize("delay", [0, 3])
+def test_the_scan_finds_frequency_gain_and_delay(frequency: float, damping: float, delay: int) -> None:
+    _, motor = made_motion(4000)
+    output = made_output(motor, frequency=frequency, damping=damping)
+    output = np.concatenate((np.zeros(delay), output[: output.size - delay])) + 0.3
+    mode = find_mode(motor, output, 0.004)
+    assert mode is not None
+    assert mode.frequency == pytest.approx(frequency, rel=0.04)
+    assert mode.gain == pytest.approx(1.5, rel=0.3)
+    assert mode.delay == pytest.approx(0.004 * delay, abs=0.006 + 0.04 / frequency)  # 2° of phase
+    assert mode.share > 0.8
+
+
+def test_b02_a_motor_that_hardly_moves_is_an_error() -> None:
+    log = changed(motor_angle=np.full(2000, 0.3) + 1e-15 * np.arange(2000))
+    finding = found(log, "W202")
+    assert finding.severity == "error"
+    assert "0.3" in finding.message
+    assert finding.evidence["standard_deviation"] < 1e-12
+
+
+def test_b03_a_dead_gauge_is_an_error() -> None:
+    assert found(changed(output=np.zeros(2000)), "W203").message == "output is zero throughout"
+
+
+def test_b04_fewer_than_three_periods() -> None:
+    _, motor = made_motion(2000)
+    log = changed(motor_angle=motor, output=made_output(motor, frequency=1.9))
+    finding = found(log, "W204")
+    assert finding.severity == "error"
+    assert finding.evidence["periods"] < 3
+
+
+def test_b04_a_handful_of_samples() -> None:
+    log = Experiment(period=0.004, motor_angle=np.arange(10.0), output=np.arange(10.0) ** 2)
+    assert found(log, "W204").evidence["samples"] == 10
+
+
+def test_b09_degrees_called_radians() -> None:
+    finding = found(changed(motor_angle=np.degrees(GOOD.motor_angle)), "W209")
+    assert '"deg"' in finding.remedy
+    assert finding.evidence["largest_angle"] > 2 * math.pi
+
+
+def test_b10_exchanged_columns() -> None:
+    finding = found(changed(motor_angle=GOOD.output, output=GOOD.motor_angle), "W210")
+    assert finding.severity == "error"
+    assert finding.evidence["explained_exchanged"] > 0.8
+    assert "exchange" in finding.remedy
+
+
+def test_b11_reversed_sign() -> None:
+    finding = found(changed(output=-GOOD.output), "W211")
+    assert finding.severity == "error"
+    assert finding.evidence["gain"] == pytest.approx(-1.5, rel=0.2)
+    assert "sign = -1" in finding.remedy
+
+
+@pytest.mark.parametrize(("factor", "severity"), [(0.3, "info"), (3.0, "warning")])
+def test_b12_offset_of_the_gauge(factor: float, severity: str) -> None:
+    size = factor * float(GOOD.output.std())
+    finding = found(changed(output=GOOD.output + size), "W212")
+    assert finding.severity == severity
+    assert finding.evidence["offset"] == pytest.approx(size, rel=0.2)
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_b13_clipped_samples(side: int) -> None:
+    limit = 0.6 * float(np.abs(GOOD.output).max())
+    finding = found(changed(output=side * np.minimum(side * GOOD.output, limit)), "W213")
+    assert finding.evidence["value"] == pytest.approx(side * limit)
+    assert finding.evidence["samples"] > 10
+
+
+def test_b13_a_known_limit_of_the_gauge() -> None:
+    limit = float(np.abs(GOOD.output).max())
+    rig = dataclasses.replace(Rig.named("paper-2023"), gauge=Gauge(limit=limit))
+    assert f"{limit:g}" in found(GOOD, "W213", rig).message
+
+
+def test_b13_a_fine_crest_is_not_clipped() -> None:
+    stepped = 0.01 * np.round(GOOD.output / 0.01)
+    assert "W213" not in codes(changed(output=stepped))
+
+
+def test_b14_coarse_steps() -> None:
+    step = float(np.ptp(GOOD.output)) / 12
+    finding = found(changed(output=step * np.round(GOOD.output / step)), "W214")
+    assert finding.severity == "warning"
+    assert finding.evidence["step"] == pytest.approx(step)
+
+
+def test_b15_few_samples_in_a_period() -> None:
+    _, motor = made_motion(3000, 0.004)
+    slow = Experiment(period=0.08, motor_angle=motor[::20], output=made_output(motor)[::20], payload=0.03)
+    longer = np.tile(slow.motor_angle, 3)
+    log = dataclasses.replace(slow, motor_angle=longer, output=made_output(longer, 0.08))
+    finding = found(log, "W215")
+    assert finding.evidence["samples_per_period"] == pytest.approx(2 * math.pi / 10 / 0.08, rel=0.1)
+
+
+def test_b16_no_payload() -> None:
+    assert found(changed(payload=None), "W216").severity == "warning"
+
+
+def test_b24_outlier_rows() -> None:
+    output = GOOD.output.copy()
+    output[[500, 900]] *= 100
+    output[500] = 100 * float(GOOD.output.std())
+    finding = found(changed(output=output), "W224")
+    assert finding.severity == "error"
+    assert "sample" in finding.message
+
+
+def test_a_log_that_starts_in_motion() -> None:
+    cut = slice(260, None)
+    log = changed(motor_angle=GOOD.motor_angle[cut], output=GOOD.output[cut])
+    assert found(log, "W231").severity == "warning"
+
+
+def test_a_resonance_that_is_not_excited() -> None:
+    noise = np.random.default_rng(3).normal(0, 0.1, 2000)
+    assert found(changed(output=noise), "W233").evidence["explained"] < 0.3
+
+
+def test_a_late_gauge_is_measured() -> None:
+    late = np.concatenate((np.zeros(12), GOOD.output[:-12]))
+    finding = found(changed(output=late), "W234")
+    assert finding.severity == "warning"
+    assert finding.evidence["delay_s"] == pytest.approx(0.048, abs=0.004)
+
+
+def test_stiction_needs_a_voltage_to_be_seen() -> None:
+    count = 3000
+    time = 0.004 * np.arange(count)
+    voltage = 2 * np.sin(2 * np.pi * 0.3 * time)
+    speed = np.where(np.abs(voltage) > 1.0, voltage - np.sign(voltage), 0.0)
+    motor = 0.001 * np.round(np.cumsum(speed) * 0.004 / 0.001)
+    log = Experiment(
+        period=0.004, motor_angle=motor, output=made_output(motor), voltage=voltage, payload=0.03
+    )
+    finding = found(log, "W232")
+    assert finding.evidence["voltage"] == pytest.approx(1.0, rel=0.15)
+    assert "W232" not in codes(dataclasses.replace(log, voltage=None))
+
+
+def test_voltage_at_its_limit() -> None:
+    voltage = np.clip(20 * GOOD.motor_angle, -10, 10)
+    voltage[100:200] = 10.0
+    assert found(changed(voltage=voltage), "W236", Rig.named("paper-2023")).evidence["limit"] == 10
+
+
+def test_findings_are_sorted_by_gravity_and_keep_those_of_the_reader() -> None:
+    mine = Finding("W205", "info", "jitter", {}, "none")
+    findings = diagnose(changed(output=-GOOD.output, findings=(mine,)))
+    assert findings[0].severity == "error"
+    assert mine in findings
+
+
+def test_merced_is_sensible() -> None:
+    rig = Rig.load(RIGS / "merced.toml")
+    log = read_log(shared_data("quanser_rfl_merced", "merced_rfl.csv"), rig=rig, payload=0.0217)
+    findings = {finding.code: finding for finding in diagnose(log, rig)}
+    assert not [finding for finding in findings.values() if finding.severity == "error"]
+    assert findings["W235"].evidence["explained"] > 0.95
+    assert findings["W235"].evidence["frequency"] == pytest.approx(21.2, rel=0.02)
+
+
+def test_ist_is_sensible() -> None:
+    rig = Rig.load(RIGS / "ist.toml")
+    for name in ("2_lab_a15_f10.csv", "2_lab_a10_f04.csv"):
+        log = read_log(shared_data("ist_flexbar", name), rig=rig, payload=0.05)
+        findings = {finding.code: finding for finding in diagnose(log, rig)}
+        assert not [finding for finding in findings.values() if finding.severity == "error"]
+        assert findings["W235"].evidence["frequency"] == pytest.approx(42.5, rel=0.02)
+        assert findings["W212"].evidence["offset"] == pytest.approx(math.radians(-0.095 * 1.301), rel=0.1)
+
+
+def test_the_other_sign_of_ist_is_noticed() -> None:
+    rig = Rig.load(RIGS / "ist.toml")
+    log = read_log(shared_data("ist_flexbar", "2_lab_a15_f10.csv"), rig=rig)
+    assert found(dataclasses.replace(log, output=-log.output), "W211").severity == "error"
+
+
+def test_findings_travel_between_processes() -> None:
+    from multiprocessing.reduction import ForkingPickler
+
+    for finding in diagnose(GOOD):
+        assert ForkingPickler.loads(ForkingPickler.dumps(finding)) == finding
