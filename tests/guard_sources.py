@@ -48,10 +48,19 @@ def _typing_only(tree: ast.Module) -> set[int]:
     return hidden
 
 
-def imported_modules(source: Source) -> Iterator[str]:
-    """Modules of fraclink that a module imports, at its top or inside a function, without the prefix."""
+def _inside_functions(tree: ast.Module) -> set[int]:
+    """Ids of the nodes inside functions: their imports wait until they are called."""
+    kinds = ast.FunctionDef | ast.AsyncFunctionDef
+    return {id(inner) for node in ast.walk(tree) if isinstance(node, kinds) for inner in ast.walk(node)}
+
+
+def imported_modules(source: Source, *, at_once: bool = False) -> Iterator[str]:
+    """Modules of fraclink that a module imports, without the prefix.
+
+    At its top or inside a function; with `at_once` at its top only.
+    """
     names = {item.name for item in sources()}
-    hidden = _typing_only(source.tree)
+    hidden = _typing_only(source.tree) | (_inside_functions(source.tree) if at_once else set())
     for node in ast.walk(source.tree):
         if id(node) in hidden:
             continue

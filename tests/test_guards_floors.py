@@ -60,11 +60,16 @@ def _cycle(edges: dict[str, set[str]]) -> list[str]:
 
 
 def test_imports_form_no_circle() -> None:
-    edges = {source.name: {target for target in imported_modules(source) if target} for source in sources()}
+    # Inside one package a noun's `save` may import, when called, the file that knows the noun.
+    edges = {
+        source.name: {target for target in imported_modules(source, at_once=True) if target}
+        for source in sources()
+    }
     assert _cycle(edges) == []
 
 
 def test_components_form_no_circle() -> None:
+    # Between packages no circle is allowed, not even one that waits for a call.
     edges: dict[str, set[str]] = {}
     for source in sources():
         targets = {target.partition(".")[0] for target in imported_modules(source)}

@@ -87,7 +87,7 @@ if TYPE_CHECKING:  # what editors and type checkers see; nothing of this runs
     from fraclink.rig import LogColumns as LogColumns
     from fraclink.rig import Rig as Rig
     from fraclink.simulate import Run as Run
-    from fraclink.simulate import simulate as simulate
+    from fraclink.simulate import simulate as simulate  # type: ignore[no-redef]
     from fraclink.stability import is_stable as is_stable
     from fraclink.stability import margins as margins
     from fraclink.stability import poles as poles
