@@ -192,7 +192,7 @@ def assemble(
     True
     """
     kept = resolved(beam, modes, step)
-    chain = damping.chain(TOLERANCE)
+    chain = damping.chain(TOLERANCE, 0.5 * np.pi / step)  # no mode is above that, whatever the payload
     size = 2 + kept.count * (2 + chain.rates.size)
     a, b, y, energy = np.zeros((size, size)), np.zeros((size, 2)), np.zeros((6, size)), np.zeros((size, size))
     prescribed = drive == "prescribed"
