@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from fraclink.law.discretize import discretize_controller, drive_for, equip
-from fraclink.law.law import MODES, REASONS, Drive, Law, LawInputs, LawOutputs, Modes
+from fraclink.law.law import Law
 from fraclink.law.limits import Limits, Moves, derive_limits
+from fraclink.law.nouns import MODES, REASONS, Drive, LawInputs, LawOutputs, Modes
 
 __all__ = [
     "MODES",

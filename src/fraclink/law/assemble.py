@@ -4,29 +4,35 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from fraclink.law.block import WITH_INNER
-
-if TYPE_CHECKING:
-    from fraclink.law.law import Drive, Law, Modes
+from fraclink.law.limits import Limits
+from fraclink.law.nouns import Drive, Modes
 
 __all__ = ["block_values"]
 
 
-def block_values(law: Law) -> dict[str, Any]:
+def block_values(
+    period: float,
+    stiffness: float,
+    inner_pole: float,
+    correction: Modes,
+    feedforward: Modes,
+    limits: Limits,
+    drive: Drive | None,
+) -> dict[str, Any]:
     """Return every field of law_params but its header."""
-    limits = asdict(law.limits)
     return (
-        limits
-        | _correction(law.correction)
-        | _feedforward(law.feedforward)
-        | _inner(law.drive, law.limits.angle_limit)
+        asdict(limits)
+        | _correction(correction)
+        | _feedforward(feedforward)
+        | _inner(drive, limits.angle_limit)
         | {
-            "period": law.period,
-            "compliance": 1 / law.stiffness,
-            "stiffness": law.stiffness,
-            "residual_rate": -math.expm1(-law.inner_pole * law.period),
+            "period": period,
+            "compliance": 1 / stiffness,
+            "stiffness": stiffness,
+            "residual_rate": -math.expm1(-inner_pole * period),
         }
     )
 

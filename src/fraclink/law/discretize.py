@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from fraclink.errors import FieldError
 from fraclink.law.block import FORWARD_MODES, PAIR_MODES, REAL_MODES, Precision, real_type
-from fraclink.law.law import Drive, Law, Modes
+from fraclink.law.law import Law
 from fraclink.law.limits import Moves, derive_limits
+from fraclink.law.nouns import Drive, Modes
 from fraclink.motor import inner_loop
 from fraclink.rational import DiscreteRational, fit_discrete
 

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,82 +16,14 @@ from fraclink import _kernels
 from fraclink.errors import FieldError, FileFormatError
 from fraclink.files import read_json, write_json
 from fraclink.law import block as layout
+from fraclink.law.assemble import block_values
 from fraclink.law.limits import Limits
+from fraclink.law.nouns import REASONS, Drive, LawInputs, LawOutputs, Modes
+from fraclink.law.saved import arguments_of, as_json
 
-if TYPE_CHECKING:
-    from fraclink.motor import DiscreteInnerLoop
-
-__all__ = ["MODES", "REASONS", "Drive", "Law", "LawInputs", "LawOutputs", "Modes"]
+__all__ = ["Law"]
 
 Real = NDArray[np.float64]
-
-MODES = ("idle", "run", "degraded", "hold", "off")
-REASONS = (
-    "none",
-    "parameter version",
-    "parameter size",
-    "parameter CRC",
-    "parameter counts",
-    "encoder",
-    "gauge",
-    "gauge stuck",
-    "motor away from its model",
-    "missed periods",
-    "link overloaded",
-)
-
-
-class Modes(NamedTuple):
-    """A small parallel filter d + Σ g/(z − p): real poles and one pole of each complex pair."""
-
-    direct: float
-    poles: tuple[float, ...] = ()
-    gains: tuple[float, ...] = ()
-    pair_poles: tuple[complex, ...] = ()
-    pair_gains: tuple[complex, ...] = ()
-
-
-@dataclass(frozen=True)
-class Drive:
-    """The inner loop and what it needs to know of the motor; without it a law gives a motor reference
-    only.
-    """
-
-    loop: DiscreteInnerLoop
-    voltage_limit: float  # [V]
-    torque_voltage: float  # compensation of the coupling torque, 1/(K n) [V/(N·m)]
-    coulomb_voltage: float  # compensation of Coulomb friction, Γc/K [V]
-    coulomb_speed: float  # reference speed below which it fades to zero [rad/s]
-
-
-class LawInputs(NamedTuple):
-    """One period's inputs: reference [rad], its velocity [rad/s] and acceleration [rad/s²], θm [rad], Γ
-    [N·m].
-    """
-
-    reference: float
-    reference_velocity: float
-    reference_acceleration: float
-    motor_angle: float
-    torque: float
-
-
-class LawOutputs(NamedTuple):
-    """One period's outputs; scalars from `Law.step`, arrays of shape (N,) from `Law.run`.
-
-    motor_reference θm* [rad], voltage [V], compensation: its part against the coupling torque [V],
-    tip_estimate θm − Γ/c [rad], error [rad], mode (index of MODES), reason (index of REASONS), flags (bits
-    of law.h).
-    """
-
-    motor_reference: Any
-    voltage: Any
-    compensation: Any
-    tip_estimate: Any
-    error: Any
-    mode: Any
-    reason: Any
-    flags: Any
 
 
 @dataclass(frozen=True)
@@ -107,6 +38,13 @@ class Law:
     `feedforward` as `Modes`; `correction_error` and `feedforward_error`, the largest errors of their fits in
     (decibels, degrees) up to `band` [rad/s]; `inner_pole` p of M(s) [rad/s]; `drive`, None for a robot
     that has its own position servo; `limits` of the guards.
+
+    >>> from fraclink.controller import Controller
+    >>> from fraclink.link import LinkModel
+    >>> link = LinkModel(stiffness=1.56, natural_frequency=11.094, order=1.92)
+    >>> law = Controller(gain=0.069876, order=0.612197, link=link).discretize(0.004, order=4)
+    >>> abs(law.frequency_response(0.0)).item(), len(law.block)
+    (0.0, 624)
     """
 
     period: float
@@ -129,7 +67,16 @@ class Law:
     @cached_property
     def block(self) -> bytes:
         """The parameter block of law.c, byte for byte."""
-        made = layout.pack(self._values(), self.precision)
+        values = block_values(
+            self.period,
+            self.stiffness,
+            self.inner_pole,
+            self.correction,
+            self.feedforward,
+            self.limits,
+            self.drive,
+        )
+        made = layout.pack(values, self.precision)
         if len(made) != _kernels.law_sizes(self.precision == "single")[0]:
             raise AssertionError("fraclink.law.block does not match csrc/law.h")
         return made
@@ -226,24 +173,15 @@ class Law:
         )
         return bytes(after), LawOutputs(*outputs, *marks)
 
-    def _values(self) -> dict[str, Any]:
-        from fraclink.law.assemble import block_values
-
-        return block_values(self)
-
     def save(self, path: Path | str) -> None:
         """Write the law to a JSON file; reals are hex floats, so that every bit comes back."""
-        from fraclink.law.saved import to_json
-
-        write_json(path, "law", 1, to_json(self))
+        write_json(path, "law", 1, {"sha256": self.digest} | as_json(self))
 
     @classmethod
     def load(cls, path: Path | str) -> Law:
         """Read what `save` wrote; FileFormatError where the file is damaged or its digest does not fit."""
-        from fraclink.law.saved import from_json
-
         data = read_json(path, "law")
-        law = from_json(data)
+        law = cls(**arguments_of(data))
         if data.get("sha256") != law.digest:
             raise FileFormatError(
                 "sha256",

@@ -60,6 +60,13 @@ class Run:
     torque Γ and torque_measured (what the gauge said) [N·m], voltage [V], tip_estimate θm − Γ/c as the law
     saw it [rad], and the law's flags, mode and reason. `metrics` and `verdict` judge it, `settings` repeat
     it. With inner="ideal" the voltage is the one that the ideal motor loop needs, compensations left out.
+
+    >>> import fraclink as fl
+    >>> rig = fl.Rig.named("paper-2023")
+    >>> law = fl.Controller(gain=0.069876, order=0.612197, link=rig.model).discretize(rig.period, order=4)
+    >>> run = fl.simulate(rig, rig.model, law, fl.smooth_step(1.0, 0.5), duration=2.0)
+    >>> len(run.time), run.payload, run.settings.inner
+    (501, 0.03, 'ideal')
     """
 
     time: Real
