@@ -58,7 +58,7 @@ class LogListing:
 
     def __str__(self) -> str:
         head = f"{self.path}: {self.kind}, {len(self.channels)} channels"
-        width = max((len(_shown(c.name)) for c in self.channels), default=4)
+        width = max(7, *(len(_shown(c.name)) for c in self.channels), 7)
         lines = [head, f"{'channel':{width}}  unit   samples  missing       minimum       maximum     step"]
         for c in self.channels:
             clock = f"  every {c.period:.6g}" if c.period is not None else ""
