@@ -103,9 +103,10 @@ class Law:
         half = 0.5 * w * self.period
         # z − 1 without cancellation: at 0.05 rad/s and 4 ms it is 2e-4
         beyond = (2j * np.sin(half) * np.exp(1j * half))[..., None]
-        poles, gains = np.asarray(c["decay"]), np.asarray(c["gain"])
-        pairs = np.asarray(c["pair_decay"]) + 1j * np.asarray(c["pair_turn"])
-        crossed = np.asarray(c["pair_gain"]) + 1j * np.asarray(c["pair_cross"])
+        n, m = len(self.correction.poles), len(self.correction.pair_poles)  # the block's lists end in zeros
+        poles, gains = np.asarray(c["decay"])[:n], np.asarray(c["gain"])[:n]
+        pairs = np.asarray(c["pair_decay"])[:m] + 1j * np.asarray(c["pair_turn"])[:m]
+        crossed = np.asarray(c["pair_gain"])[:m] + 1j * np.asarray(c["pair_cross"])[:m]
         total = c["direct"] + (gains / (beyond - poles)).sum(-1)
         total = total + 0.5 * (crossed / (beyond - pairs) + crossed.conj() / (beyond - pairs.conj())).sum(-1)
         return np.asarray(2j * np.sin(half) * np.exp(-1j * half) * total, dtype=np.complex128)
