@@ -29,6 +29,7 @@ _HOME: dict[str, str] = {
     "Run": "fraclink.simulate",
     "Study": "fraclink.study",
     "TimeResponse": "fraclink.response",
+    "bundled_log": "fraclink.readers",
     "chirp": "fraclink.reference",
     "conduct": "fraclink.study",
     "deg": "fraclink.design",
@@ -71,6 +72,7 @@ if TYPE_CHECKING:  # what editors and type checkers see; nothing of this runs
     from fraclink.link import LinkModel as LinkModel
     from fraclink.motor import InnerLoop as InnerLoop
     from fraclink.motor import inner_loop as inner_loop
+    from fraclink.readers import bundled_log as bundled_log
     from fraclink.readers import inspect_log as inspect_log
     from fraclink.readers import read_log as read_log
     from fraclink.reference import chirp as chirp

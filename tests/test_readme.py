@@ -1,0 +1,53 @@
+"""The README's session runs and prints what it says; its commands exist; its links lead somewhere."""
+
+from __future__ import annotations
+
+import doctest
+import re
+import subprocess
+import sys
+
+import pytest
+
+from guard_sources import ROOT
+
+README = (ROOT / "README.md").read_text("utf-8")
+
+
+def blocks(language: str) -> list[str]:
+    """The fenced blocks of one language."""
+    return re.findall(rf"```{language}\n(.*?)```", README, flags=re.DOTALL)
+
+
+def test_the_session_prints_what_it_says() -> None:
+    sessions = blocks("python")
+    assert len(sessions) == 1
+    # What the session prints may not change unnoticed; numbers are compared digit by digit.
+    runner = doctest.DocTestRunner(optionflags=doctest.REPORT_NDIFF)
+    test = doctest.DocTestParser().get_doctest(sessions[0], {}, "README session", "README.md", 0)
+    outcome = runner.run(test)
+    assert outcome.attempted >= 10
+    assert outcome.failed == 0
+
+
+@pytest.mark.parametrize("line", [line for block in blocks("console") for line in block.splitlines()])
+def test_every_command_exists_with_its_options(line: str) -> None:
+    words = line.removeprefix("$ ").split()
+    assert words[0] == "fraclink"
+    answer = subprocess.run(  # noqa: S603
+        [sys.executable, "-m", "fraclink", words[1], "--help"], capture_output=True, text=True, check=True
+    )
+    for option in (word for word in words if word.startswith("--")):
+        assert option in answer.stdout
+
+
+def test_the_make_targets_exist() -> None:
+    makefile = (ROOT / "Makefile").read_text("utf-8")
+    for target in re.findall(r"`?make (\w+)", README):
+        assert f"\n{target}:" in makefile
+
+
+def test_links_lead_somewhere() -> None:
+    for target in re.findall(r"\]\(([^)]+)\)", README):
+        if not target.startswith("https://"):
+            assert (ROOT / target).exists(), target
