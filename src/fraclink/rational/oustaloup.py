@@ -86,7 +86,7 @@ class _Sum:
         count = self.degree + len(down) - len(at_origin)
         # Alternating sides of the real axis at 34°: pairs and real zeros are both near.
         spread = np.geomspace(self.band[0], self.band[1], 2 * count + 1)[1::2]
-        start = -spread * np.exp(0.6j * np.where(np.arange(count) % 2, 1, -1))
+        start = np.asarray(-spread * np.exp(0.6j * np.where(np.arange(count) % 2, 1, -1)), dtype=complex)
 
         def rate(s: Complex) -> Complex:
             quotient = self.slope(s) / self.value(s) - len(at_origin) / s

@@ -38,6 +38,7 @@ class FractionalLoop:
     coefficients: Complex  # c e^(jπa/2)
     low: float
     high: float
+    span: tuple[float, float]  # ln of the lowest and highest corner or asymptotic gain crossing
     seeds: Real
     zeros: list[complex]  # z = ln s of the denominator's zeros up to π/2 + 0.3, empty if it has delays
     known: bool  # whether `zeros` is complete
@@ -50,7 +51,8 @@ class FractionalLoop:
         """Collect the terms and find the frequencies that matter."""
         terms = (*system.numerator, *system.denominator)
         coefficients = [t.coefficient * _unit(t.order) for t in terms]
-        low, high = _range(system)
+        span, reach = _marks(system)
+        low, high = span[0] - reach, span[1] + reach
         follow = high
         slowest = max(t.delay for t in terms)
         if slowest:  # far enough for the first two crossings of the phase
@@ -68,6 +70,7 @@ class FractionalLoop:
             coefficients=np.array(coefficients),
             low=low,
             high=high,
+            span=span,
             seeds=np.concatenate([_around(z) for z in (*bottom, *top)] or [np.empty(0)]),
             zeros=bottom,
             known=known,
@@ -155,8 +158,8 @@ def _around(zero: complex) -> Real:
     return zero.real + np.concatenate([-steps, steps])
 
 
-def _range(system: FractionalTransferFunction) -> tuple[float, float]:
-    """ln of the frequencies between which the response is not yet its own asymptote."""
+def _marks(system: FractionalTransferFunction) -> tuple[tuple[float, float], float]:
+    """ln of the outermost corners, and how far beyond them the response is its own asymptote."""
     marks, reach = [], 1.0
     for terms in (system.numerator, system.denominator):
         corners = _corners(terms)
@@ -170,8 +173,7 @@ def _range(system: FractionalTransferFunction) -> tuple[float, float]:
         slope = up.order - down.order
         if slope:
             marks.append(-math.log(abs(up.coefficient / down.coefficient)) / slope)
-    low, high = min(marks, default=0.0) - reach, max(marks, default=0.0) + reach
-    return low, high
+    return (min(marks, default=0.0), max(marks, default=0.0)), reach
 
 
 def _corners(terms: Sequence[Term]) -> list[float]:
