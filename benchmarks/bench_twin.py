@@ -78,9 +78,7 @@ def lumped_table() -> None:
     """Print the twin's tip against the lumped model with eq. (5) and with the matched mode, 8 to 40 g."""
     move = smooth_step(1.0, duration=0.6)
     reference = move.angle(PERIOD * np.arange(1000))
-    print(
-        "payload g | link/payload | eq. (5) off % | mode 2 rad/s | tip apart mrad: eq. (5) / matched / one mode"
-    )
+    print("payload g | link/payload | eq. (5) off % | mode 2 rad/s | tip apart mrad: eq. (5)/matched/1 mode")
     for payload in (0.008, 0.012, 0.016, 0.020, 0.025, 0.030, 0.035, 0.040):
         beam = Beam(LENGTH, RIGIDITY, LINK_MASS, payload)
         modes_ = beam.modes(3).frequencies

@@ -5,10 +5,10 @@ from __future__ import annotations
 import mpmath
 import numpy as np
 import pytest
-from fraclink._kernels import twin_march
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fraclink._kernels import twin_march
 from fraclink.errors import FieldError
 from fraclink.twin import Beam, FractionalKelvinVoigt, KelvinVoigt, PowerLaw, assemble
 

@@ -30,9 +30,9 @@ __all__ = ["Chain", "Damping", "FractionalKelvinVoigt", "KelvinVoigt", "PowerLaw
 Vector = NDArray[np.float64]
 
 # Range of the relaxation rates [1/s] that the trapezoid covers. What lies outside is two elements at either
-# end with the tail's first four moments, so that the neglected terms are (SLOWEST/s)⁴ and (s/fastest)⁴ times the
-# tail's share: 3e-6 of the damping at 1000 rad/s, and at low frequencies, where D matters like (s/ω)², less
-# than 2e-7 of the tip's angle. The trapezoid alone would need twice the elements for as much.
+# end with the tail's first four moments, so that the neglected terms are (SLOWEST/s)⁴ and (s/fastest)⁴ times
+# the tail's share: 3e-6 of the damping at 1000 rad/s, and at low frequencies, where D matters like (s/ω)²,
+# less than 2e-7 of the tip's angle. The trapezoid alone would need twice the elements for as much.
 SLOWEST, FASTEST = 0.1, 3e3
 REACH = 2.0  # the highest frequency lies at least this factor below the fastest rate of the trapezoid
 
