@@ -22,7 +22,8 @@ def read(path: Path) -> tuple[list[RawColumn], dict[str, str]]:
 
     columns: list[RawColumn] = []
     with path.open("rb") as stream, h5py.File(stream, "r") as file:
-        matlab = any("MATLAB_class" in item.attrs for item in file.values())
+        own = [name for name in file if isinstance(file.get(name, getlink=True), h5py.HardLink)]
+        matlab = any("MATLAB_class" in file[name].attrs for name in own)
 
         def visit(name: str, item: Any) -> None:
             # Links are not followed, and data kept in other files are not read: a log is one file.

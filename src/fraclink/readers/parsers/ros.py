@@ -77,10 +77,15 @@ def _columns(
 ) -> tuple[list[RawColumn], dict[str, str]]:
     columns, notes = [], {}
     for topic, times in stamps.items():
-        notes[f"first stamp of {topic}"] = f"{times[0]} ns"
-        after = np.array([time - times[0] for time in times], dtype=np.float64) * 1e-9
-        columns.append(RawColumn(f"{topic}/time", "s", after))
+        first = min(times)
+        notes[f"first stamp of {topic}"] = f"{first} ns"
+        after = np.array([time - first for time in times], dtype=np.float64) * 1e-9
+        # Bags are sorted by when messages were received; two that overtook each other stand reversed.
+        order = np.argsort(after, kind="stable")
+        columns.append(RawColumn(f"{topic}/time", "s", after[order]))
         for name, values in series[topic].items():
             padded = np.array(values + [np.nan] * (len(times) - len(values)))
-            columns.append(RawColumn(f"{topic}/{name}", _UNITS.get(name.rsplit(".", 1)[-1], ""), padded))
+            columns.append(
+                RawColumn(f"{topic}/{name}", _UNITS.get(name.rsplit(".", 1)[-1], ""), padded[order])
+            )
     return columns, notes

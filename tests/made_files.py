@@ -1,0 +1,116 @@
+"""Binary logs made for tests, one for each format, with the same numbers in each."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from made_logs import made_motion, made_output
+
+Columns = dict[str, NDArray[np.float64]]
+KINDS = ("mat5", "mat73", "hdf5", "parquet", "tdms", "mcap", "db3")
+
+
+def made_columns(count: int = 400) -> Columns:
+    """A good log."""
+    time, motor = made_motion(count)
+    return {"time_s": time, "motor_angle_rad": motor, "torque_Nm": made_output(motor)}
+
+
+def write_mat5(path: Path, columns: Columns, *, compressed: bool = True) -> Path:
+    from scipy.io import savemat
+
+    savemat(
+        path, {name: values.reshape(-1, 1) for name, values in columns.items()}, do_compression=compressed
+    )
+    return path
+
+
+def write_mat73(path: Path, columns: Columns) -> Path:
+    """MATLAB v7.3: HDF5 behind 512 bytes that say so, arrays transposed."""
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(path, "w", userblock_size=512) as file:
+        for name, values in columns.items():
+            item = file.create_dataset(name, data=values.reshape(1, -1))
+            item.attrs["MATLAB_class"] = np.bytes_("double")
+    raw = bytearray(path.read_bytes())
+    raw[:128] = b"MATLAB 7.3 MAT-file, Platform: GLNXA64, HDF5 schema 1.00 .".ljust(128)
+    path.write_bytes(raw)
+    return path
+
+
+def write_hdf5(path: Path, columns: Columns) -> Path:
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(path, "w") as file:
+        for name, values in columns.items():
+            item = file.create_dataset(name, data=values, compression="gzip")
+            item.attrs["units"] = name.rsplit("_", 1)[1]
+    return path
+
+
+def write_parquet(path: Path, columns: Columns) -> Path:
+    pa = pytest.importorskip("pyarrow")
+    from pyarrow import parquet
+
+    parquet.write_table(pa.table(columns), path)
+    return path
+
+
+def write_tdms(path: Path, columns: Columns) -> Path:
+    nptdms = pytest.importorskip("nptdms")
+    with nptdms.TdmsWriter(str(path)) as writer:
+        writer.write_segment(
+            [
+                nptdms.ChannelObject("arm", name, values, properties={"unit_string": name.rsplit("_", 1)[1]})
+                for name, values in columns.items()
+            ]
+        )
+    return path
+
+
+def write_rosbag(folder: Path, columns: Columns, kind: str) -> Path:
+    """A rosbag2 folder with joint states; the bag receives each message 2 to 7 ms late."""
+    pytest.importorskip("rosbags")
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    state, header, stamp = (
+        store.types[name]
+        for name in ("sensor_msgs/msg/JointState", "std_msgs/msg/Header", "builtin_interfaces/msg/Time")
+    )
+    late = np.random.default_rng(2).integers(2_000_000, 7_000_000, columns["time_s"].size)
+    plugin = StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3
+    with Writer(folder, version=9, storage_plugin=plugin) as writer:
+        connection = writer.add_connection("/joint_states", state.__msgtype__, typestore=store)
+        rows = zip(columns["time_s"], columns["motor_angle_rad"], columns["torque_Nm"], late, strict=True)
+        for time, angle, torque, delay in rows:
+            at = 1_700_000_000_000_000_000 + round(time * 1e9)
+            message = state(
+                header=header(stamp=stamp(sec=at // 10**9, nanosec=at % 10**9), frame_id=""),
+                name=["shoulder"],
+                position=np.array([angle]),
+                velocity=np.array([]),
+                effort=np.array([torque]),
+            )
+            writer.write(connection, at + int(delay), store.serialize_cdr(message, state.__msgtype__))
+    return folder
+
+
+def made_file(kind: str, folder: Path, count: int = 400) -> Path:
+    """A good log of a format; of ROS recordings the file inside the folder."""
+    columns = made_columns(count)
+    if kind in ("mcap", "db3"):
+        bag = write_rosbag(folder / f"bag_{kind}", columns, kind)
+        return next(bag.glob(f"*.{kind}"))
+    write, name = {
+        "mat5": (write_mat5, "log.mat"),
+        "mat73": (write_mat73, "log73.mat"),
+        "hdf5": (write_hdf5, "log.h5"),
+        "parquet": (write_parquet, "log.parquet"),
+        "tdms": (write_tdms, "log.tdms"),
+    }[kind]
+    return write(folder / name, columns)

@@ -1,0 +1,249 @@
+"""Binary logs: the same numbers from every format, and files that are damaged or hostile."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fraclink.errors import FieldError, FileFormatError, LogError, MissingExtraError, SizeError
+from fraclink.readers import inspect_log, read_columns, read_log
+from fraclink.readers.child import ReaderChild
+from fraclink.readers.formats import read_table, sniffed_kind
+from fraclink.rig import Channel, LogColumns
+from made_files import KINDS, made_columns, made_file, write_mat5
+from shared_data import shared_data
+
+NAMES = {
+    "tdms": ("arm/time_s", "arm/motor_angle_rad", "arm/torque_Nm"),
+    "mcap": ("/joint_states/time", "/joint_states/shoulder.position", "/joint_states/shoulder.effort"),
+}
+NAMES["db3"] = NAMES["mcap"]
+
+
+def stated(kind: str) -> LogColumns:
+    time, angle, torque = NAMES.get(kind, ("time_s", "motor_angle_rad", "torque_Nm"))
+    return LogColumns(Channel(time, "s"), Channel(angle, "rad"), Channel(torque, "Nm"), "torque")
+
+
+def refused(path: Path) -> FieldError:
+    with pytest.raises(FieldError) as caught:
+        read_columns(path)
+    assert caught.value.remedy
+    return caught.value
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_format_holds_the_same_numbers(kind: str, tmp_path: Path) -> None:
+    log = read_log(made_file(kind, tmp_path), columns=stated(kind), payload=0.03)
+    columns = made_columns()
+    assert np.array_equal(log.motor_angle, columns["motor_angle_rad"])
+    assert np.array_equal(log.output, columns["torque_Nm"])
+    assert (log.period, log.start_time) == (0.004, 0.0)
+
+
+@pytest.mark.parametrize("kind", ["mcap", "db3"])
+def test_a_rosbag_folder_is_a_log_too(kind: str, tmp_path: Path) -> None:
+    folder = made_file(kind, tmp_path).parent
+    log = read_log(folder, columns=stated(kind))
+    # The header's stamps are used: the bag received the messages 2 to 7 ms late and in another order.
+    assert log.findings == ()
+    assert np.array_equal(log.motor_angle, made_columns()["motor_angle_rad"])
+
+
+@pytest.mark.parametrize("kind", ["hdf5", "tdms", "mcap"])
+def test_units_that_a_file_states_are_listed(kind: str, tmp_path: Path) -> None:
+    units = {channel.unit for channel in inspect_log(made_file(kind, tmp_path)).channels}
+    assert units == {"s", "rad", "Nm"}
+
+
+def test_parquet_stamps_become_seconds(tmp_path: Path) -> None:
+    pa = pytest.importorskip("pyarrow")
+    from pyarrow import parquet
+
+    stamps = pa.array(1_700_000_000_000_000 + 4000 * np.arange(300), pa.timestamp("us"))
+    columns = made_columns(300)
+    table = pa.table(
+        {"t": stamps, "theta": columns["motor_angle_rad"], "gamma": columns["torque_Nm"], "who": ["a"] * 300}
+    )
+    parquet.write_table(table, tmp_path / "a.parquet")
+    found = read_table(tmp_path / "a.parquet")
+    assert found.names == ("t", "theta", "gamma")
+    assert found.units[0] == "s"
+    np.testing.assert_allclose(found.values[0], 0.004 * np.arange(300), atol=1e-12)
+
+
+def test_tdms_waveform_steps_become_stamps(tmp_path: Path) -> None:
+    nptdms = pytest.importorskip("nptdms")
+    with nptdms.TdmsWriter(str(tmp_path / "a.tdms")) as writer:
+        properties = {"wf_increment": 0.002, "wf_start_offset": 0.5}
+        writer.write_segment([nptdms.ChannelObject("g", "u", np.arange(5.0), properties=properties)])
+    assert read_columns(tmp_path / "a.tdms")["g/u.time"].tolist() == [0.5, 0.502, 0.504, 0.506, 0.508]
+
+
+def test_a_simulink_structure_with_time() -> None:
+    table = read_table(shared_data("ist_flexbar", "1_test_deflection_model_2_final.mat"))
+    columns = dict(zip(table.names, table.values, strict=True))
+    assert columns["tensao_pot.time"].size == 30001
+    assert columns["tensao_pot.signals.values(:,2)"].size == 30001
+    assert columns["tensao_pot.signals.values(:,3)"].max() == pytest.approx(1.23535, abs=1e-5)
+    assert columns["ScopeData(:,1)"].size == 7366
+    log = read_log(
+        shared_data("ist_flexbar", "1_test_deflection_model_2_final.mat"),
+        columns=LogColumns(
+            Channel("tensao_pot.time", "s"),
+            Channel("tensao_pot.signals.values(:,2)", "deg", scale=36.79, offset="first"),
+            Channel("tensao_pot.signals.values(:,3)", "deg", scale=1.301),
+            "deflection",
+            Channel("tensao_pot.signals.values(:,1)", "V"),
+        ),
+    )
+    assert (log.period, log.motor_angle.size) == (0.001, 30001)
+
+
+def test_matlab_arrays_of_merced_hold_what_the_table_holds() -> None:
+    table = read_columns(shared_data("quanser_rfl_merced", "merced_rfl.csv"))
+    arrays = read_columns(shared_data("quanser_rfl_merced", "data_alpha.mat"))
+    np.testing.assert_allclose(arrays["data_alpha(:,2)"], table["alpha_deg"], rtol=2e-5, atol=1e-5)
+
+
+def test_b18_columns_of_different_clocks() -> None:
+    path = shared_data("ist_flexbar", "1_test_deflection_model_2_final.mat")
+    mixed = LogColumns(
+        Channel("input.time", "s"),
+        Channel("tensao_pot.signals.values(:,2)", "deg"),
+        Channel("tensao_pot.signals.values(:,3)", "deg"),
+        "deflection",
+    )
+    with pytest.raises(LogError, match="30001 samples long, while time has 20001") as caught:
+        read_log(path, columns=mixed)
+    assert caught.value.field == "column of motor_angle"
+
+
+def test_b66_a_mat_file_without_a_numeric_array(tmp_path: Path) -> None:
+    from scipy.io import savemat
+    from scipy.sparse import eye_array
+
+    cell = np.empty((1, 2), dtype=object)
+    cell[0, 0], cell[0, 1] = "a", np.arange(5.0)
+    savemat(
+        tmp_path / "a.mat",
+        {"text": "hello", "cell": cell, "sparse": eye_array(5), "scalar": 3.0, "z": np.ones(4) * 1j},
+    )
+    error = refused(tmp_path / "a.mat")
+    assert isinstance(error, LogError)
+    assert "without a numeric array" in error.problem and "-v7" in error.remedy
+
+
+def test_b66_a_zlib_bomb_stays_within_its_limits(tmp_path: Path) -> None:
+    import struct
+    import zlib
+
+    count = 300_000_000  # doubles: 2.4 GB of zeros in 2.4 MB
+    matrix = (
+        struct.pack("<IIII", 6, 8, 6, 0)
+        + struct.pack("<IIii", 5, 8, 1, count)
+        + struct.pack("<HHI", 1, 1, ord("x"))
+    )
+    matrix += struct.pack("<II", 9, 8 * count)
+    packer = zlib.compressobj(9)
+    start = packer.compress(struct.pack("<II", 14, len(matrix) + 8 * count) + matrix) + packer.flush(
+        zlib.Z_FULL_FLUSH
+    )
+    block = packer.compress(bytes(10_000_000)) + packer.flush(zlib.Z_FULL_FLUSH)
+    blob = start + 240 * block  # after a full flush the same zeros give the same bytes
+    header = b"MATLAB 5.0 MAT-file".ljust(116) + bytes(8) + struct.pack("<H", 0x0100) + b"IM"
+    (tmp_path / "a.mat").write_bytes(header + struct.pack("<II", 15, len(blob)) + blob)
+    error = refused(tmp_path / "a.mat")
+    assert isinstance(error, FileFormatError)
+    assert "more memory than a log needs" in error.problem
+
+
+def test_b64_a_header_that_claims_a_thousand_billion_samples(tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file.create_dataset("big", shape=(1_000_000_000_000,), dtype="f8", chunks=(1000,))
+    error = refused(tmp_path / "a.h5")
+    assert isinstance(error, SizeError)
+    assert "1000000000000" in str(error.value)
+
+
+def test_hdf5_does_not_read_other_files(tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    (tmp_path / "secret").write_bytes(np.arange(100.0).tobytes())
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file.create_dataset("own", data=np.arange(10.0))
+        file.create_dataset(
+            "outside", shape=(100,), dtype="f8", external=[(str(tmp_path / "secret"), 0, 800)]
+        )
+        file["link"] = h5py.ExternalLink(str(tmp_path / "b.h5"), "/x")
+    assert list(read_columns(tmp_path / "a.h5")) == ["own"]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_b66_a_cut_file_is_damaged(kind: str, tmp_path: Path) -> None:
+    path = made_file(kind, tmp_path)
+    raw = path.read_bytes()
+    path.write_bytes(raw[: len(raw) // 2])
+    try:
+        table = read_table(path)
+    except FieldError as error:
+        assert error.field == "log" and error.remedy
+    else:  # a cut recording may still hold its first part
+        assert kind in ("tdms", "mcap")
+        assert table.values[0].size <= 400
+
+
+def test_b66_a_child_that_dies_is_named_and_replaced(tmp_path: Path) -> None:
+    good, bad = write_mat5(tmp_path / "good.mat", made_columns()), tmp_path / "bad.mat"
+    bad.write_bytes(good.read_bytes())
+    with ReaderChild() as child:
+        assert child.read(good, "MAT v5").values[0].size == 400
+        assert child._process is not None
+        os.kill(child._process.pid, signal.SIGSEGV)
+        child._process.wait()
+        assert child.read(good, "MAT v5").values[0].size == 400
+
+
+def test_b66_the_signal_that_ended_a_parser_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import subprocess
+
+    from fraclink.readers import child as module
+
+    code = "import os, signal, sys; sys.stdin.readline(); os.kill(os.getpid(), signal.SIGSEGV)"
+    start = subprocess.Popen
+
+    def crashing(command: list[str], **options: object) -> subprocess.Popen[bytes]:
+        return start([sys.executable, "-c", code], **options)  # type: ignore[call-overload,no-any-return]
+
+    monkeypatch.setattr(module.subprocess, "Popen", crashing)
+    error = refused(write_mat5(tmp_path / "a.mat", made_columns()))
+    assert isinstance(error, FileFormatError)
+    assert "damaged or hostile: its parser crashed (SIGSEGV)" in error.problem
+
+
+def test_a_missing_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = made_file("parquet", tmp_path)
+    (tmp_path / "empty" / "pyarrow").mkdir(parents=True)
+    (tmp_path / "empty" / "pyarrow" / "__init__.py").write_text("raise ImportError('not here')\n")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path / "empty"))
+    with pytest.raises(MissingExtraError, match=r"fraclink\[io\]"):
+        read_columns(path)
+
+
+def test_content_decides_about_the_format(tmp_path: Path) -> None:
+    for kind, name in (
+        ("mat5", "MAT v5"),
+        ("mat73", "HDF5"),
+        ("parquet", "Parquet"),
+        ("tdms", "TDMS"),
+        ("db3", "ROS 2"),
+    ):
+        path = made_file(kind, tmp_path)
+        assert sniffed_kind(path) == name
+        path = path.rename(tmp_path / f"{kind}.log")
+        assert sniffed_kind(path) == name
