@@ -29,6 +29,7 @@ _HOME: dict[str, str] = {
     "Run": "fraclink.simulate",
     "Study": "fraclink.study",
     "TimeResponse": "fraclink.response",
+    "Twin": "fraclink.twin",
     "bundled_log": "fraclink.readers",
     "chirp": "fraclink.reference",
     "conduct": "fraclink.study",
@@ -47,8 +48,10 @@ _HOME: dict[str, str] = {
     "prbs": "fraclink.reference",
     "pulse": "fraclink.reference",
     "read_log": "fraclink.readers",
+    "run_twin": "fraclink.twin",
     "s": "fraclink.fractional",
     "simulate": "fraclink.simulate",
+    "simulate_log": "fraclink.twin",
     "smooth_step": "fraclink.reference",
     "step_response": "fraclink.response",
     "time_response": "fraclink.response",
@@ -95,6 +98,9 @@ if TYPE_CHECKING:  # what editors and type checkers see; nothing of this runs
     from fraclink.stability import poles as poles
     from fraclink.study import Study as Study
     from fraclink.study import conduct as conduct
+    from fraclink.twin import Twin as Twin
+    from fraclink.twin import run_twin as run_twin
+    from fraclink.twin import simulate_log as simulate_log
 
 __all__ = sorted(["__version__", *_HOME])
 
