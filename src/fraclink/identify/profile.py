@@ -19,7 +19,7 @@ from fraclink.identify.shape import (
     on_physical_side,
 )
 
-__all__ = ["Interval", "profile_interval"]
+__all__ = ["Interval", "profile_interval", "reduced"]
 
 _DIRECT = {"order": 0, "damping_order": 3, "delay": 4}
 _QUANTILE = 1.959963984540054  # of the normal distribution at 97.5 %
@@ -90,7 +90,7 @@ class _Profile:
             gram = self.kernel.gram(shape, mask_of(free))
             if gram is None:
                 return best
-            normal, slope, cost = _reduced(gram, self.search)
+            normal, slope, cost = reduced(gram, self.search)
             miss = value - self.value(shape)
             if abs(miss) < 1e-9 * max(abs(value), 1e-3) and cost >= best[0] * (1 - 1e-9):
                 return best
@@ -103,7 +103,7 @@ class _Profile:
         return best
 
 
-def _reduced(
+def reduced(
     gram: np.ndarray[tuple[int, ...], np.dtype[np.float64]], search: Search
 ) -> tuple[
     np.ndarray[tuple[int, ...], np.dtype[np.float64]],

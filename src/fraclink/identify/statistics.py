@@ -59,31 +59,32 @@ class ResidualTests:
     variance_inflation: float
 
 
-def autocovariance(series: Matrix) -> NDArray[np.float64]:
-    """Sample covariances of the rows at lags 0..n−1, shape (lags, rows, rows): Γ_l = Σ x_{k+l} x_kᵀ / n."""
-    rows, count = series.shape
+def autocovariance(first: Vector, second: Vector | None = None) -> Vector:
+    """Sample covariances Σ_k x_{k+l} y_k / n of two series (or of one with itself) at lags 0..n−1."""
+    count = first.size
     size = 1 << (2 * count - 1).bit_length()
-    spectrum = np.fft.rfft(series, size, axis=1)
-    result = np.empty((count, rows, rows))
-    for i in range(rows):
-        for j in range(rows):
-            result[:, i, j] = np.fft.irfft(spectrum[i] * spectrum[j].conj(), size)[:count]
-    return np.asarray(result / count, dtype=np.float64)
+    spectrum = np.fft.rfft(first, size)
+    other = spectrum if second is None else np.fft.rfft(second, size)
+    return np.asarray(np.fft.irfft(spectrum * other.conj(), size)[:count] / count, dtype=np.float64)
 
 
 def long_run_covariance(scores: Matrix, lags: int) -> Matrix:
-    """Newey and West's estimate of Σ_l Γ_l with Bartlett's weights up to `lags`; scores have shape (p, n)."""
+    """Newey and West's estimate of n Σ_l Γ_l with Bartlett's weights up to `lags`; scores have shape (p, n).
+
+    Bartlett's weights are the Fejér kernel in frequency: one matrix product instead of a sum over lags.
+    """
     count = scores.shape[1]
-    covariances = autocovariance(scores)[: lags + 1]
-    weights = 1 - np.arange(lags + 1) / (lags + 1)
-    one_sided = np.tensordot(weights[1:], covariances[1:], axes=1)
-    total = covariances[0] + one_sided + one_sided.T
-    return np.asarray(total * count, dtype=np.float64)
+    size = 1 << (count + lags).bit_length()
+    spectrum = np.fft.rfft(scores, size, axis=1)
+    half = np.pi * np.arange(1, spectrum.shape[1]) / size
+    kernel = np.concatenate([[lags + 1.0], (np.sin((lags + 1) * half) / np.sin(half)) ** 2 / (lags + 1)])
+    kernel[1 : (size + 1) // 2] *= 2  # the negative frequencies
+    return np.asarray(((spectrum * kernel) @ spectrum.conj().T).real / size, dtype=np.float64)
 
 
 def correlation_lag(residual: Vector) -> int:
     """First lag after which the autocorrelation stays below 0.1 for as long again."""
-    covariance = autocovariance(residual[None, :])[:, 0, 0]
+    covariance = autocovariance(residual)
     if covariance[0] <= 0:
         return 1
     large = np.flatnonzero(np.abs(covariance[: residual.size // 4]) > 0.1 * covariance[0])
@@ -102,7 +103,7 @@ def residual_tests(
     if variance == 0:
         return ResidualTests(1.0, 1.0, period, 1.0)
     lags = min(_LAGS, count // 4)
-    rho = autocovariance(centred[None, :])[1 : lags + 1, 0, 0] / variance
+    rho = autocovariance(centred)[1 : lags + 1] / variance
     ljung_box = count * (count + 2) * float(np.sum(rho**2 / (count - np.arange(1, lags + 1))))
     return ResidualTests(
         whiteness=float(gammaincc(lags / 2, ljung_box / 2)),
@@ -118,10 +119,9 @@ def _input_statistic(residual: Vector, motion: Vector, lags: int) -> float:
 
     count = residual.size
     moved = motion - motion.mean()
-    both = autocovariance(np.stack([residual, moved]))
-    r = both[:lags, 0, 1]
+    r = autocovariance(residual, moved)[:lags]
     # Bartlett: cov(r_i, r_j) = Σ_l γ_e(l) γ_u(l + i − j) / n, with γ_e tapered against its own noise.
-    own, other = both[:, 0, 0], both[:, 1, 1]
+    own, other = autocovariance(residual), autocovariance(moved)
     reach = count // 4
     taper = own[:reach] * (1 - np.arange(reach) / reach)
     two_sided = np.concatenate([taper[:0:-1], taper])

@@ -1,0 +1,390 @@
+"""Identify several payloads together: what is common to them, and may it be?"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink.errors import FieldError, LogError, NotConvergedError
+from fraclink.identify.errors_of_fit import uncertainty
+from fraclink.identify.joint import Coordinates
+from fraclink.identify.problem import Hold, columns_of
+from fraclink.identify.profile import reduced
+from fraclink.identify.search import Search, Solution
+from fraclink.identify.shape import ALPHA_LIMITS, ORDER_LIMITS, Shape, damping_and_square, model_of
+from fraclink.identify.single import make_search
+from fraclink.identify.statistics import aic
+from fraclink.link import LinkModel
+from fraclink.link import structure as structure_row
+
+if TYPE_CHECKING:
+    from fraclink.experiment import Experiment
+
+__all__ = ["JointFit", "LikelihoodRatio", "identify_payloads"]
+
+_COMMON = {"order": "λ", "damping": "μ", "damping_order": "α", "delay": "the delay"}
+_ITERATIONS = 60
+
+
+@dataclass(frozen=True)
+class LikelihoodRatio:
+    """Test of the common parameters against own ones for every payload.
+
+    `statistic` = Σ (n/k) ln(MSE joint / MSE alone), k the inflation by the residual's colour; it follows
+    a χ² distribution of `degrees` degrees of freedom where the parameters are common, and `p_value` is
+    the chance of a larger one.
+    """
+
+    statistic: float
+    degrees: int
+    p_value: float
+
+    @property
+    def common(self) -> bool:
+        """Whether the logs let the parameters be common (p ≥ 0.05)."""
+        return self.p_value >= 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class JointFit:
+    """One structure fitted to several payloads at once.
+
+    Arguments:
+        structure: the structure; common: names of the parameters that all payloads share.
+        models, gains, offsets, delays: one for each log, in their order.
+        mse, aic: for each log; alone_mse: of the fits of each log for itself.
+        standard_errors: of the common parameters (and of "natural_frequency 1" … for the own ones).
+        stiffness: c [N·m/rad] where ϖ was tied by eq. (5) and the length was given, else None;
+            stiffness_over_square: c/L² [N/m·rad] where it was tied.
+        test: whether the parameters may be common. verdict: the same in words.
+        predicted: one array for each log [unit of its output].
+    """
+
+    structure: str
+    common: tuple[str, ...]
+    models: tuple[LinkModel, ...]
+    gains: tuple[float, ...]
+    offsets: tuple[float, ...]
+    delays: tuple[float, ...]
+    mse: tuple[float, ...]
+    aic: tuple[float, ...]
+    alone_mse: tuple[float, ...]
+    standard_errors: dict[str, float]
+    stiffness: float | None
+    stiffness_over_square: float | None
+    test: LikelihoodRatio
+    verdict: str
+    predicted: tuple[NDArray[np.float64], ...]
+
+
+def identify_payloads(
+    logs: Sequence[Experiment],
+    structure: str = "UD-FOM",
+    *,
+    common: Sequence[str] | None = None,
+    tied: bool = False,
+    length: float | None = None,
+    stiffness: float | None = None,
+    delay: float | None = None,
+    hold: Hold = "auto",
+) -> JointFit:
+    """Fit one structure to several payloads with common parameters, and test whether they may be common.
+
+        minimise Σ_i Σ_k (y_ik − gain_i·ŷ_ik − offset_i)² / (σ_i² k_i)
+
+    Arguments:
+        logs: two or more experiments, each at another payload; sampling periods may differ.
+        structure: "UD-IOM", "D-IOM", "UD-FOM" or "D-FOM".
+        common: of "order", "damping", "damping_order", "delay"; all of the structure's own by default.
+        tied: ϖ_i = sqrt(c/(m_i L²)), eq. (5), through one stiffness instead of an own ϖ for each.
+        length: L [m], only to report c from c/L² where tied.
+        stiffness: gain [N·m/rad] where it is known.
+        delay: [s] where it is known; otherwise every log has its own.
+        hold: as in `identify`.
+
+    Raises LogError for fewer than two logs, a missing or repeated payload where tied, and FieldError for
+    unknown names. Source: the paper, Tables 2 and 3 and equation (5).
+
+    >>> from fraclink.experiment import Experiment
+    >>> from fraclink.identify import simulated_torque
+    >>> angle = np.clip((0.004 * np.arange(2500) - 0.5) / 0.3, 0, 1)
+    >>> link = LinkModel(1.56, 10.0, order=1.92, payload=0.03)
+    >>> logs = [
+    ...     Experiment(period=0.004, motor_angle=angle, payload=m,
+    ...                output=simulated_torque(link.at_payload(m), angle, 0.004))
+    ...     for m in (0.02, 0.03, 0.04)
+    ... ]
+    >>> fit = identify_payloads(logs, tied=True, length=0.65)
+    >>> round(fit.models[0].order, 6), round(fit.stiffness_over_square, 5), fit.test.common
+    (1.92, 3.0, True)
+    """
+    names = _names(structure, common)
+    _check(logs, tied)
+    fixed = {} if delay is None else {"delay": delay}
+    searches = [
+        make_search(log, heldout=0.0, stiffness=stiffness, fixed=fixed, guess=None, hold=hold) for log in logs
+    ]
+    alone = [search.solve(structure) for search in searches]
+    weights = [_weight(search, solution) for search, solution in zip(searches, alone, strict=True)]
+    payloads = tuple(float(log.payload or 0.0) for log in logs) if tied else None
+    coordinates = _coordinates(structure, names, tied, len(logs), delay, payloads)
+    start = _start(coordinates, alone, structure)
+    theta, normal = _minimise(coordinates, searches, weights, start)
+    return _assembled(logs, structure, names, coordinates, searches, alone, weights, theta, normal, length)
+
+
+def _names(structure: str, common: Sequence[str] | None) -> tuple[str, ...]:
+    own = [name for name in structure_row(structure).free if name != "natural_frequency"]
+    if common is None:
+        return tuple(own)
+    for name in common:
+        if name not in (*own, "delay"):
+            allowed = ", ".join((*own, "delay"))
+            raise FieldError(
+                "common", name, f"no parameter of {structure}", allowed=allowed, remedy="drop it"
+            )
+    return tuple(common)
+
+
+def _check(logs: Sequence[Experiment], tied: bool) -> None:
+    if len(logs) < 2:
+        raise LogError("logs", len(logs), "too few", allowed=">= 2", remedy="use identify for a single log")
+    payloads = [log.payload for log in logs]
+    if tied and (None in payloads or len(set(payloads)) < 2):
+        raise LogError(
+            "payload",
+            str(payloads),
+            "missing or all the same",
+            allowed="a mass for every log, two of them different",
+            remedy="state payload= when reading the logs",
+        )
+
+
+def _weight(search: Search, solution: Solution) -> float:
+    """1/(σ² k): a coloured residual counts as fewer samples."""
+    errors = uncertainty(search, solution, search.kernel, coloured=True)
+    variance = solution.cost / search.window.samples
+    own = [i for i, name in enumerate(errors.names) if name in ("order", "natural_frequency", "damping")]
+    if errors.coloured is None or not own:
+        return 1 / variance
+    ratios = np.diag(errors.coloured)[own] / np.maximum(np.diag(errors.white)[own], 1e-300)
+    return 1 / (variance * max(1.0, float(np.median(ratios)))) if variance > 0 else 1.0
+
+
+def _coordinates(
+    structure: str,
+    names: tuple[str, ...],
+    tied: bool,
+    logs: int,
+    delay: float | None,
+    payloads: tuple[float, ...] | None,
+) -> Coordinates:
+    own = [n for n in structure_row(structure).free if n != "natural_frequency"]
+    everything = ("frequency", *own, *(() if delay is not None else ("delay",)))
+    shared = (("frequency",) if tied else ()) + tuple(n for n in names if n in everything)
+    return Coordinates(everything, shared, logs, delay, payloads)
+
+
+def _start(coordinates: Coordinates, alone: Sequence[Solution], structure: str) -> NDArray[np.float64]:
+    """Every parameter where its log alone has it; common ones in the mean."""
+    theta = np.zeros(coordinates.size)
+    count = np.zeros(coordinates.size)
+    for i, solution in enumerate(alone):
+        shape = solution.shape.copy()
+        if structure == "D-FOM" and solution.on_edge:
+            # ϖ = 0 holds for one μ only; from the middle of the valley a common μ finds its place.
+            ratio = float(shape[2])
+            shape[2:4] = ratio, 1.0
+        values = _values(shape, coordinates, i)
+        for name in coordinates.names:
+            k = coordinates.index(name, i)
+            theta[k] += values[name]
+            count[k] += 1
+    return theta / count
+
+
+def _values(shape: Shape, coordinates: Coordinates, log: int) -> dict[str, float]:
+    damping, square = damping_and_square(shape)
+    frequency = float(shape[1])
+    if coordinates.payloads is not None:
+        frequency = math.log(max(square, 1e-12) * coordinates.payloads[log])
+    return {
+        "frequency": frequency,
+        "order": float(shape[0]),
+        "damping": math.log(max(damping, 1e-6)),
+        "damping_order": float(shape[3]),
+        "delay": float(shape[4]),
+    }
+
+
+def _evaluate(
+    coordinates: Coordinates, searches: Sequence[Search], weights: Sequence[float], theta: NDArray[np.float64]
+) -> tuple[float, NDArray[np.float64], NDArray[np.float64]]:
+    """Weighted cost, its normal matrix and slope in θ; the cost is infinite outside of what a link can be."""
+    size = coordinates.size
+    normal, slope, total = np.zeros((size, size)), np.zeros(size), 0.0
+    for i, (search, weight) in enumerate(zip(searches, weights, strict=True)):
+        shape, rates = coordinates.shape(theta, i)
+        most = math.tan(shape[3] * math.pi / 2) / 2 if shape[3] < 1 else 0.9
+        inside = (
+            ORDER_LIMITS[0] <= shape[0] <= ORDER_LIMITS[1] and ALPHA_LIMITS[0] <= shape[3] <= ALPHA_LIMITS[1]
+        )
+        moving = [k for k in range(5) if np.any(rates[k])]
+        mask = sum(1 << k for k in moving)
+        gram = search.kernel.gram(shape, mask) if inside and shape[2] <= most else None
+        if gram is None:
+            return math.inf, normal, slope
+        inner, own_slope, cost = reduced(gram, search)
+        part = rates[moving]
+        normal += weight * part.T @ inner @ part
+        slope += weight * part.T @ own_slope
+        total += weight * cost
+    return total, normal, slope
+
+
+def _minimise(
+    coordinates: Coordinates, searches: Sequence[Search], weights: Sequence[float], theta: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Levenberg–Marquardt on all logs at once."""
+    orders = [coordinates.index("order", i) for i in range(coordinates.logs) if "order" in coordinates.names]
+    theta[orders] = np.clip(theta[orders], *ORDER_LIMITS)
+    cost, normal, slope = _evaluate(coordinates, searches, weights, theta)
+    if not math.isfinite(cost):
+        raise NotConvergedError(
+            "the joint fit",
+            reached=math.inf,
+            wanted=0.0,
+            remedy="fit each log alone first, they may not belong together",
+        )
+    damping = 1e-3
+    for _ in range(_ITERATIONS):
+        size = np.maximum(np.diag(normal), 1e-300)
+        step = np.linalg.solve(normal + damping * np.diag(size), slope)
+        step *= min(1.0, 0.4 / max(float(np.max(np.abs(step))), 1e-300))
+        trial = theta + step
+        trial[orders] = np.clip(trial[orders], *ORDER_LIMITS)
+        next_cost, next_normal, next_slope = _evaluate(coordinates, searches, weights, trial)
+        if next_cost < cost:
+            gained = cost - next_cost
+            theta, cost, normal, slope = trial, next_cost, next_normal, next_slope
+            damping *= 0.1
+            if gained < 1e-10 * cost:
+                break
+        else:
+            damping *= 10
+            if damping > 1e8 or float(step @ slope) < 1e-10 * cost:
+                break
+    return theta, normal
+
+
+def _assembled(
+    logs: Sequence[Experiment],
+    structure: str,
+    common: tuple[str, ...],
+    coordinates: Coordinates,
+    searches: Sequence[Search],
+    alone: Sequence[Solution],
+    weights: Sequence[float],
+    theta: NDArray[np.float64],
+    normal: NDArray[np.float64],
+    length: float | None,
+) -> JointFit:
+    models, gains, offsets, delays, mse, criteria, predicted = [], [], [], [], [], [], []
+    for i, (log, search) in enumerate(zip(logs, searches, strict=True)):
+        shape, _ = coordinates.shape(theta, i)
+        raw = columns_of(search.kernel, shape)[0]
+        gain, offset = _linear(raw, log.output, search)
+        models.append(model_of(shape, max(abs(gain), 1e-12), log.payload))
+        error = log.output - gain * raw - offset
+        gains.append(gain)
+        offsets.append(offset)
+        delays.append(float(shape[4]))
+        mse.append(float(np.mean(error**2)))
+        criteria.append(aic(mse[-1], log.output.size, len(structure_row(structure).free)))
+        predicted.append(gain * raw + offset)
+    alone_mse = [solution.cost / log.output.size for solution, log in zip(alone, logs, strict=True)]
+    over = math.exp(theta[coordinates.index("frequency", 0)]) if coordinates.payloads else None
+    test = _test(coordinates, logs, weights, mse, alone_mse, structure)
+    return JointFit(
+        structure=structure,
+        common=common,
+        models=tuple(models),
+        gains=tuple(gains),
+        offsets=tuple(offsets),
+        delays=tuple(delays),
+        mse=tuple(mse),
+        aic=tuple(criteria),
+        alone_mse=tuple(alone_mse),
+        standard_errors=_errors(coordinates, theta, normal),
+        stiffness=over * length**2 if over is not None and length is not None else None,
+        stiffness_over_square=over,
+        test=test,
+        verdict=_verdict(coordinates, common, test),
+        predicted=tuple(predicted),
+    )
+
+
+def _linear(raw: NDArray[np.float64], output: NDArray[np.float64], search: Search) -> tuple[float, float]:
+    gain, offset = search.gain, search.offset
+    if math.isnan(gain) and math.isnan(offset):
+        gain = float(np.cov(raw, output, bias=True)[0, 1] / np.var(raw))
+        return gain, float(np.mean(output) - gain * np.mean(raw))
+    if math.isnan(gain):
+        return float(raw @ (output - offset) / (raw @ raw)), offset
+    return gain, float(np.mean(output - gain * raw)) if math.isnan(offset) else offset
+
+
+def _errors(
+    coordinates: Coordinates, theta: NDArray[np.float64], normal: NDArray[np.float64]
+) -> dict[str, float]:
+    covariance = np.linalg.pinv(normal, rcond=1e-14, hermitian=True)
+    errors = np.sqrt(np.maximum(np.diag(covariance), 0))
+    result: dict[str, float] = {}
+    for name in coordinates.names:
+        for i in range(coordinates.logs):
+            k = coordinates.index(name, i)
+            scale = math.exp(theta[k]) if name in ("damping", "frequency") else 1.0
+            label = (
+                name
+                if name != "frequency"
+                else ("stiffness_over_square" if coordinates.payloads else "resonance")
+            )
+            result[label if name in coordinates.common else f"{label} {i + 1}"] = float(errors[k] * scale)
+    return result
+
+
+def _test(
+    coordinates: Coordinates,
+    logs: Sequence[Experiment],
+    weights: Sequence[float],
+    mse: Sequence[float],
+    alone_mse: Sequence[float],
+    structure: str,
+) -> LikelihoodRatio:
+    from scipy.special import gammaincc
+
+    statistic = 0.0
+    for log, weight, joint, own in zip(logs, weights, mse, alone_mse, strict=True):
+        scale = weight * own  # 1/k
+        statistic += log.output.size * scale * math.log(max(joint / own, 1.0)) if own > 0 else 0.0
+    own_size = coordinates.logs * len(coordinates.names)
+    degrees = own_size - coordinates.size
+    p_value = float(gammaincc(degrees / 2, statistic / 2)) if degrees > 0 else 1.0
+    return LikelihoodRatio(statistic, degrees, p_value)
+
+
+def _verdict(coordinates: Coordinates, common: Sequence[str], test: LikelihoodRatio) -> str:
+    if test.degrees == 0:
+        return "Nothing is common: every log was fitted for itself."
+    shared = [_COMMON[name] for name in common]
+    if coordinates.payloads is not None:
+        shared.append("the stiffness of eq. (5)")
+    subject = " and ".join(shared)
+    if test.common:
+        return f"{subject} may be common to these {coordinates.logs} logs (p = {test.p_value:.2g})."
+    return f"{subject} cannot be common to these {coordinates.logs} logs (p = {test.p_value:.2g})."
