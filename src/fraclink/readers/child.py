@@ -27,13 +27,16 @@ _HEADER_LIMIT = 1_000_000  # bytes of the line that lists the columns
 class ReaderChild:
     """A context manager around one child process; a child that dies is replaced at the next request.
 
+    `cpu_seconds` is what the child may spend on one file [s of processor time].
+
     >>> from fraclink.readers.child import ReaderChild
     >>> with ReaderChild() as child:  # doctest: +SKIP
     ...     table = child.read(Path("log.mat"), "MAT v5")
     """
 
-    def __init__(self) -> None:
+    def __init__(self, cpu_seconds: int = CPU_SECONDS) -> None:
         self._process: subprocess.Popen[bytes] | None = None
+        self._cpu_seconds = cpu_seconds
 
     def __enter__(self) -> ReaderChild:
         return self
@@ -74,7 +77,7 @@ class ReaderChild:
         try:
             return self._ask(process, path, kind)
         except (BrokenPipeError, EOFError, json.JSONDecodeError) as error:
-            reason = _death(process.wait())
+            reason = _death(process.wait(), self._cpu_seconds)
             self._end()
             raise _damaged(path, kind, reason) from error
         finally:
@@ -84,7 +87,8 @@ class ReaderChild:
         requests, answers = process.stdin, process.stdout
         if requests is None or answers is None:
             raise EOFError
-        requests.write(json.dumps({"path": str(path.absolute()), "kind": kind}).encode() + b"\n")
+        request = {"path": str(path.absolute()), "kind": kind, "cpu_seconds": self._cpu_seconds}
+        requests.write(json.dumps(request).encode() + b"\n")
         requests.flush()
         header = json.loads(answers.readline(_HEADER_LIMIT))
         if "columns" not in header:
@@ -104,12 +108,12 @@ def _array(answers: IO[bytes], size: int) -> Any:
     return np.lib.format.read_array(io.BytesIO(blob), allow_pickle=False)
 
 
-def _death(code: int) -> str:
+def _death(code: int, cpu_seconds: int) -> str:
     """Why the child ended, in words."""
     if code == -signal.SIGKILL:
         return f"its parser was stopped after {WALL_SECONDS} s"
     if hasattr(signal, "SIGXCPU") and code == -signal.SIGXCPU:
-        return f"its parser needed more than {CPU_SECONDS} s"
+        return f"its parser needed more than {cpu_seconds} s"
     if code < 0:
         return f"its parser crashed ({signal.Signals(-code).name})"
     return f"its parser ended ({code}), perhaps for want of {MEMORY_LIMIT / 1e9:g} GB"

@@ -16,7 +16,7 @@ from typing import BinaryIO
 import numpy as np
 
 from fraclink.errors import FieldError, MissingExtraError
-from fraclink.readers.limits import COLUMN_LIMIT, CPU_SECONDS, MEMORY_LIMIT, VALUE_LIMIT
+from fraclink.readers.limits import COLUMN_LIMIT, MEMORY_LIMIT, VALUE_LIMIT
 from fraclink.readers.parsers import RawColumn, parser
 
 __all__ = ["main"]
@@ -31,14 +31,14 @@ def _limit_memory() -> None:
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 
 
-def _limit_time() -> None:
-    """Allow `CPU_SECONDS` from now on; the kernel ends the process beyond that."""
+def _limit_time(seconds: int) -> None:
+    """Allow `seconds` of processor time from now on; the kernel ends the process beyond that."""
     try:
         import resource
     except ImportError:
         return
     usage = resource.getrusage(resource.RUSAGE_SELF)
-    limit = int(usage.ru_utime + usage.ru_stime) + 1 + CPU_SECONDS
+    limit = int(usage.ru_utime + usage.ru_stime) + 1 + seconds
     resource.setrlimit(resource.RLIMIT_CPU, (limit, resource.getrlimit(resource.RLIMIT_CPU)[1]))
 
 
@@ -82,8 +82,8 @@ def _npy(column: RawColumn) -> bytes:
 
 def _serve(requests: BinaryIO, answers: BinaryIO) -> None:
     for line in requests:
-        _limit_time()
         request = json.loads(line)
+        _limit_time(int(request["cpu_seconds"]))
         header, blobs = _answer(Path(request["path"]), request["kind"])
         answers.write(json.dumps(header).encode() + b"\n")
         for blob in blobs:

@@ -1,0 +1,22 @@
+"""Mutated files of every format: a clear error or a table, nothing else.
+
+`benchmarks/fuzz_readers.py` feeds 20 000 to each reader.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from mutants import KINDS, run
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_mutants_are_read_or_refused(kind: str, tmp_path: Path) -> None:
+    count = {"text": 400, "rig": 400}.get(kind, 120)
+    outcome = run(kind, count, tmp_path, seed=7, cpu_seconds=1)
+    assert outcome.surprises == []
+    assert sum(outcome.counts.values()) == count
+    assert outcome.counts["refused"] + outcome.counts["child died"] > count // 20
+    assert outcome.slowest < 20  # 1 s of processor time for the child, on a busy machine
