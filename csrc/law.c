@@ -22,6 +22,7 @@
 #endif
 
 #define LAW_TINY ((law_real)1e-30F) /* far below any signal, far above the denormals of float */
+#define LAW_LARGE ((law_real)1e6F)  /* bound of the wiring test's sums */
 #define LAW_COUNT_MAX 0x7FFFFFFFU
 
 /* `value` within +-`limit`; NaN becomes 0. */
@@ -57,9 +58,19 @@ static uint32_t credible(law_real value, law_real limit)
     return ((value == value) && (value >= -limit) && (value <= limit)) ? 1U : 0U;
 }
 
-/* Enter a mode unless a more severe one is latched; the first reason stays with its mode. */
-static void latch(law_state *s, uint32_t mode, uint32_t reason)
+/* Enter the mode that a reason asks for, unless a more severe one is latched; the first reason stays with its mode.
+ * The motor loop lives on the encoder: without it nothing is left to hold with. The link is stable alone: without
+ * the gauge the feed-forward can go on. */
+static void latch(law_state *s, uint32_t reason)
 {
+    uint32_t mode = LAW_OFF;
+    if ((reason == LAW_BAD_GAUGE) || (reason == LAW_GAUGE_STUCK)) {
+        mode = LAW_DEGRADED;
+    } else if (reason == LAW_OVERLOAD) {
+        mode = LAW_HOLD;
+    } else {
+        /* encoder, motor or clock */
+    }
     if (s->mode < mode) {
         s->mode = mode;
         s->reason = reason;
@@ -69,7 +80,11 @@ static void latch(law_state *s, uint32_t mode, uint32_t reason)
 /* One more period of a condition, without wrapping around. */
 static uint32_t counted(uint32_t count)
 {
-    return (count < LAW_COUNT_MAX) ? (count + 1U) : LAW_COUNT_MAX;
+    uint32_t next = count;
+    if (count < LAW_COUNT_MAX) {
+        next = count + 1U;
+    }
+    return next;
 }
 
 static void clear(law_state *s)
@@ -190,40 +205,45 @@ static uint32_t read_encoder(law_state *s, const law_params *p, const law_input 
         flags = LAW_FLAG_ENCODER;
         s->bad_encoder = counted(s->bad_encoder);
         if (s->bad_encoder >= p->bad_limit) {
-            latch(s, LAW_OFF, LAW_BAD_ENCODER); /* the motor loop uses the same encoder: nothing left to hold with */
+            latch(s, LAW_BAD_ENCODER);
         }
     }
     return flags;
 }
 
-/* Take the gauge's sample if it is credible, else keep the last one; `model` is the torque the move should give. */
-static uint32_t read_gauge(law_state *s, const law_params *p, const law_input *in, law_real periods, law_real model)
+/* Take the gauge's sample if it is credible, else keep the last one. */
+static uint32_t read_gauge(law_state *s, const law_params *p, const law_input *in, law_real periods)
 {
     uint32_t flags = 0U;
     const law_real change = in->torque - s->torque;
     const law_real step = p->torque_step * (periods + (law_real)s->bad_gauge);
     if ((credible(in->torque, p->torque_limit) != 0U) && (credible(change, step) != 0U)) {
-        s->bad_gauge = 0U;
-        if (credible(change, (law_real)0) == 0U) {
-            s->stuck = 0U;
-            s->stuck_torque = model;
-        } else if (credible(model - s->stuck_torque, p->stuck_torque) == 0U) {
-            s->stuck = counted(s->stuck);
-            if (s->stuck >= p->stuck_limit) {
-                latch(s, LAW_DEGRADED, LAW_GAUGE_STUCK);
-            }
-        } else {
-            /* unchanged, and the model does not ask for more */
-        }
         s->torque = in->torque;
+        s->bad_gauge = 0U;
     } else {
         flags = LAW_FLAG_GAUGE;
         s->bad_gauge = counted(s->bad_gauge);
         if (s->bad_gauge >= p->bad_limit) {
-            latch(s, LAW_DEGRADED, LAW_BAD_GAUGE); /* the link is stable alone: feed-forward can go on */
+            latch(s, LAW_BAD_GAUGE);
         }
     }
     return flags;
+}
+
+/* Give up a gauge that stands still while the torque of the move, `model`, does not. Called before read_gauge. */
+static void watch_gauge(law_state *s, const law_params *p, const law_input *in, law_real model)
+{
+    if (credible(in->torque - s->torque, (law_real)0) == 0U) {
+        s->stuck = 0U;
+        s->stuck_torque = model;
+    } else if (credible(model - s->stuck_torque, p->stuck_torque) == 0U) {
+        s->stuck = counted(s->stuck);
+        if (s->stuck >= p->stuck_limit) {
+            latch(s, LAW_GAUGE_STUCK);
+        }
+    } else {
+        /* unchanged, and the model does not ask for more */
+    }
 }
 
 /* Trip on a blocked link and on a motor that is not where its model is. */
@@ -238,7 +258,7 @@ static uint32_t watch(law_state *s, const law_params *p)
         flags = LAW_FLAG_RESIDUAL;
         s->residual = counted(s->residual);
         if (s->residual >= p->residual_limit) {
-            latch(s, LAW_OFF, LAW_RESIDUAL);
+            latch(s, LAW_RESIDUAL);
         }
     }
     if ((s->mode == LAW_DEGRADED) || (credible(s->torque, p->torque_trip) != 0U)) {
@@ -246,7 +266,7 @@ static uint32_t watch(law_state *s, const law_params *p)
     } else {
         s->overload = counted(s->overload);
         if (s->overload >= p->bad_limit) {
-            latch(s, LAW_HOLD, LAW_OVERLOAD);
+            latch(s, LAW_OVERLOAD);
         }
     }
     return flags;
@@ -256,10 +276,16 @@ static uint32_t watch(law_state *s, const law_params *p)
 static law_real correct(law_state *s, const law_params *p, law_real error)
 {
     const law_real change = error - s->error;
-    const uint32_t reals = (p->real_modes < LAW_REAL_MODES) ? p->real_modes : LAW_REAL_MODES;
-    const uint32_t pairs = (p->pair_modes < LAW_PAIR_MODES) ? p->pair_modes : LAW_PAIR_MODES;
+    uint32_t reals = p->real_modes;
+    uint32_t pairs = p->pair_modes;
     law_real sum = p->direct * change;
     uint32_t i;
+    if (reals > LAW_REAL_MODES) {
+        reals = LAW_REAL_MODES;
+    }
+    if (pairs > LAW_PAIR_MODES) {
+        pairs = LAW_PAIR_MODES;
+    }
     /*@ loop unroll 8; */
     for (i = 0U; i < reals; i++) {
         sum += p->gain[i] * s->real[i];
@@ -280,9 +306,12 @@ static law_real correct(law_state *s, const law_params *p, law_real error)
 /* The feed-forward s^(order - 2)/natural_frequency^2 of the reference's acceleration. */
 static law_real feed_forward(law_state *s, const law_params *p, law_real acceleration)
 {
-    const uint32_t modes = (p->forward_modes < LAW_FORWARD_MODES) ? p->forward_modes : LAW_FORWARD_MODES;
+    uint32_t modes = p->forward_modes;
     law_real sum = p->forward_direct * acceleration;
     uint32_t i;
+    if (modes > LAW_FORWARD_MODES) {
+        modes = LAW_FORWARD_MODES;
+    }
     /*@ loop unroll 6; */
     for (i = 0U; i < modes; i++) {
         sum += p->forward_gain[i] * s->forward[i];
@@ -292,11 +321,13 @@ static law_real feed_forward(law_state *s, const law_params *p, law_real acceler
 }
 
 /* The motor loop: two-degree-of-freedom PID by Tustin, with compensations, limit and anti-windup. Friction is
- * compensated by the direction in which the motor model moves (`change`, per period): it is ahead of the motor by
+ * compensated by the direction in which the motor model moves (`change`, in a period): it is ahead of the motor by
  * the very delay that the voltage will have, and has none of the noise of a differentiated encoder. */
-static uint32_t close_motor(law_state *s, const law_params *p, law_real change, law_real compensation)
+static uint32_t close_motor(law_state *s, const law_params *p, law_output *out)
 {
     uint32_t flags = 0U;
+    const law_real change = p->residual_rate * (s->model_near - s->model_angle);
+    const law_real compensation = p->torque_voltage * s->torque;
     const law_real angle = s->motor_angle;
     const law_real eps = s->motor_reference - angle;
     const law_real integral = s->integral + (p->integral_now * eps);
@@ -312,6 +343,7 @@ static uint32_t close_motor(law_state *s, const law_params *p, law_real change, 
     }
     s->filter = ((p->filter_decay * filter) + (p->filter_before * eps)) - (p->filter_angle_before * angle);
     s->voltage = voltage;
+    out->compensation = compensation;
     if (credible(excess, (law_real)0) == 0U) {
         flags = LAW_FLAG_SATURATED;
     }
@@ -376,7 +408,8 @@ static uint32_t run(law_state *s, const law_params *p, const law_input *in, law_
     uint32_t flags = follow(s, p, in, &used);
     flags |= read_encoder(s, p, in, (law_real)periods);
     forward = feed_forward(s, p, used.reference_acceleration);
-    flags |= read_gauge(s, p, in, (law_real)periods, p->stiffness * forward);
+    watch_gauge(s, p, in, p->stiffness * forward);
+    flags |= read_gauge(s, p, in, (law_real)periods);
     flags |= watch(s, p);
     out->tip_estimate = s->motor_angle - (s->torque * p->compliance);
     out->error = s->reference - out->tip_estimate;
@@ -385,8 +418,7 @@ static uint32_t run(law_state *s, const law_params *p, const law_input *in, law_
         flags |= command(s, p, forward, correction);
     }
     if ((s->mode <= LAW_HOLD) && ((p->options & LAW_WITH_INNER) != 0U)) {
-        out->compensation = p->torque_voltage * s->torque;
-        flags |= close_motor(s, p, p->residual_rate * (s->model_near - s->model_angle), out->compensation);
+        flags |= close_motor(s, p, out);
     } else {
         s->voltage = (law_real)0;
     }
@@ -457,7 +489,7 @@ void law_step(law_state *state, const law_params *params, const law_input *input
             flags |= LAW_FLAG_MISSED;
         }
         if ((periods - 1U) > params->missed_limit) {
-            latch(state, LAW_OFF, LAW_MISSED);
+            latch(state, LAW_MISSED);
         }
         flags |= run(state, params, input, output, periods);
     }
@@ -466,4 +498,34 @@ void law_step(law_state *state, const law_params *params, const law_input *input
     output->mode = state->mode;
     output->reason = state->reason;
     output->flags = flags;
+}
+
+uint32_t law_check_wiring(law_wiring *test, const law_params *params, law_real motor_angle, law_real torque)
+{
+    uint32_t reason = LAW_NOT_MOVED;
+    const law_real angle = clamped(motor_angle, params->angle_limit);
+    const law_real twist = clamped(torque, params->torque_limit);
+    if (test->started != 0U) {
+        /* While the tip has not moved yet, a step of the motor bends the link: torque step = c times motor step. */
+        const law_real step = clamped(angle - test->motor_angle, params->angle_limit);
+        test->cross = clamped(test->cross + (step * clamped(twist - test->torque, params->torque_limit)), LAW_LARGE);
+        test->energy = clamped(test->energy + (step * step), LAW_LARGE);
+    } else {
+        test->cross = (law_real)0;
+        test->energy = (law_real)0;
+    }
+    test->started = 1U;
+    test->motor_angle = angle;
+    test->torque = twist;
+    if (test->energy >= params->wiring_energy) {
+        const law_real bound = (law_real)0.25F * (params->stiffness * test->energy);
+        if (test->cross > bound) {
+            reason = LAW_OK;
+        } else if (test->cross < -bound) {
+            reason = LAW_GAUGE_REVERSED;
+        } else {
+            reason = LAW_GAUGE_DEAD;
+        }
+    }
+    return reason;
 }

@@ -59,6 +59,10 @@ typedef double law_real;
 #define LAW_MISSED 9U      /* too many periods missed */
 #define LAW_OVERLOAD 10U   /* coupling torque above its limit: link blocked */
 
+#define LAW_GAUGE_REVERSED 11U /* wiring test: torque falls where it must rise */
+#define LAW_GAUGE_DEAD 12U     /* wiring test: torque does not answer the motor */
+#define LAW_NOT_MOVED 13U      /* wiring test: too little motion to tell */
+
 /* Flags of one period; they do not latch. */
 #define LAW_FLAG_ENCODER 1U    /* encoder sample rejected */
 #define LAW_FLAG_GAUGE 2U      /* gauge sample rejected */
@@ -116,6 +120,7 @@ typedef struct {
     law_real residual_rate;  /* motor model: 1 - exp(-pole period) */
     law_real stuck_torque;   /* change of the model's torque at which an unchanged gauge is stuck [N m] */
     law_real stiffness;      /* c [N m/rad], for the model's torque */
+    law_real wiring_energy;  /* sum of squared motor steps from which the wiring test decides [rad^2] */
     /* inner loop: u = a2 eps - b1 angle + integral + filter, see fraclink.motor */
     law_real inner_direct;
     law_real inner_angle;
@@ -184,11 +189,23 @@ typedef struct {
     uint32_t flags;
 } law_output;
 
+/* The wiring test's memory; all zeros before the first period. */
+typedef struct {
+    uint32_t started;
+    law_real motor_angle;
+    law_real torque;
+    law_real cross;  /* sum of motor step times torque step */
+    law_real energy; /* sum of squared motor steps */
+} law_wiring;
+
 /* Return LAW_OK or why the parameter block must not be used. */
 uint32_t law_check(const law_params *params);
 /* Clear the state and check the parameters; the first law_step starts from the measured angle without a bump. */
 uint32_t law_init(law_state *state, const law_params *params);
 /* One control period. */
 void law_step(law_state *state, const law_params *params, const law_input *input, law_output *output);
+/* Commissioning: turn the motor by 0.1 rad or more within a quarter of the link's vibration period, feed every
+ * period's samples, and read the answer: LAW_OK, or one of LAW_GAUGE_REVERSED, LAW_GAUGE_DEAD, LAW_NOT_MOVED. */
+uint32_t law_check_wiring(law_wiring *test, const law_params *params, law_real motor_angle, law_real torque);
 
 #endif

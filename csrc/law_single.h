@@ -6,5 +6,6 @@
 #define law_check law_check_single
 #define law_init law_init_single
 #define law_step law_step_single
+#define law_check_wiring law_check_wiring_single
 
 #endif

@@ -25,6 +25,7 @@ extern "C" {
 #undef law_check
 #undef law_init
 #undef law_step
+#undef law_check_wiring
 
 namespace nb = nanobind;
 
@@ -43,6 +44,8 @@ struct Double {
     using real = law_double::law_real;
     static void step(state *s, const params *p, const input *i, output *o) { law_double::law_step(s, p, i, o); }
     static uint32_t init(state *s, const params *p) { return law_double::law_init(s, p); }
+    using wiring = law_double::law_wiring;
+    static uint32_t check(wiring *w, const params *p, real a, real t) { return law_double::law_check_wiring(w, p, a, t); }
 };
 
 struct Single {
@@ -53,6 +56,10 @@ struct Single {
     using real = law_float::law_real;
     static void step(state *s, const params *p, const input *i, output *o) { law_float::law_step_single(s, p, i, o); }
     static uint32_t init(state *s, const params *p) { return law_float::law_init_single(s, p); }
+    using wiring = law_float::law_wiring;
+    static uint32_t check(wiring *w, const params *p, real a, real t) {
+        return law_float::law_check_wiring_single(w, p, a, t);
+    }
 };
 
 template <class T> T from_bytes(const nb::bytes &bytes, const char *what) {
@@ -105,6 +112,15 @@ nb::bytes run(const nb::bytes &params, const nb::bytes &state, Ticks ticks,
     return to_bytes(s);
 }
 
+template <class L> uint32_t wiring(const nb::bytes &params, In angle, In torque) {
+    const auto p = from_bytes<typename L::params>(params, "params");
+    typename L::wiring w = {};
+    uint32_t reason = 0;
+    for (size_t k = 0; k < angle.shape(0) && k < torque.shape(0); k++)
+        reason = L::check(&w, &p, typename L::real(angle.data()[k]), typename L::real(torque.data()[k]));
+    return reason;
+}
+
 }  // namespace
 
 void bind_law(nb::module_ &m) {
@@ -113,6 +129,9 @@ void bind_law(nb::module_ &m) {
                         nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu> i, Out o, Marks marks,
                         bool single) {
         return single ? run<Single>(p, s, t, i, o, marks) : run<Double>(p, s, t, i, o, marks);
+    });
+    m.def("law_wiring", [](const nb::bytes &p, In angle, In torque, bool single) {
+        return single ? wiring<Single>(p, angle, torque) : wiring<Double>(p, angle, torque);
     });
     m.def("law_sizes", [](bool single) {
         return single ? nb::make_tuple(sizeof(Single::params), sizeof(Single::state))

@@ -59,6 +59,7 @@ REALS: tuple[tuple[str, int], ...] = (
     ("residual_rate", 1),
     ("stuck_torque", 1),
     ("stiffness", 1),
+    ("wiring_energy", 1),
     ("inner_direct", 1),
     ("inner_angle", 1),
     ("integral_now", 1),

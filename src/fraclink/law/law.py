@@ -44,7 +44,7 @@ class Law:
     >>> link = LinkModel(stiffness=1.56, natural_frequency=11.094, order=1.92)
     >>> law = Controller(gain=0.069876, order=0.612197, link=link).discretize(0.004, order=4)
     >>> abs(law.frequency_response(0.0)).item(), len(law.block)
-    (0.0, 624)
+    (0.0, 632)
     """
 
     period: float
@@ -173,6 +173,23 @@ class Law:
             self.block, state, numbers, signals, outputs, marks, self.precision == "single"
         )
         return bytes(after), LawOutputs(*outputs, *marks)
+
+    def check_wiring(self, motor_angle: ArrayLike, torque: ArrayLike) -> str:
+        """Return "none", or what is wrong with the gauge's wiring: law.c's commissioning test on a log.
+
+        The motor must turn by 0.1 rad or more within a quarter of the link's vibration period: the tip then
+        lags behind, and the torque [N·m] must rise with the motor angle [rad]; both have shape (N,).
+        """
+        angle, twist = (np.ascontiguousarray(x, dtype=float) for x in (motor_angle, torque))
+        if angle.ndim != 1 or angle.shape != twist.shape:
+            raise FieldError(
+                "torque",
+                twist.shape,
+                "not one value a sample",
+                allowed=f"{angle.shape}",
+                remedy="give two signals",
+            )
+        return REASONS[_kernels.law_wiring(self.block, angle, twist, self.precision == "single")]
 
     def save(self, path: Path | str) -> None:
         """Write the law to a JSON file; reals are hex floats, so that every bit comes back."""

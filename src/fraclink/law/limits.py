@@ -67,6 +67,7 @@ class Limits:
     fade_step: float
     residual_angle: float
     stuck_torque: float
+    wiring_energy: float
     bad_limit: int = 5  # 20 ms at 4 ms: three lost samples in a row are ridden through, a dead wire is not
     missed_limit: int = 5
     residual_limit: int = 10
@@ -119,4 +120,7 @@ def derive_limits(
         # two periods of delay that the motor model leaves out, at the speed of reference and feed-forward
         residual_angle=3 * moves.velocity * period + 0.02,
         stuck_torque=max(0.1 * torque, 8 * gauge_quantum + 4 * gauge_noise),
+        # sum of squared motor steps whose torque stands 6 deviations above the noise of a torque step, and at
+        # least that of 0.1 rad in 25 periods
+        wiring_energy=max((6 * math.sqrt(2) * gauge_noise / link.stiffness) ** 2, 0.1**2 / 25),
     )

@@ -23,6 +23,9 @@ REASONS = (
     "motor away from its model",
     "missed periods",
     "link overloaded",
+    "gauge reversed",
+    "gauge dead",
+    "not moved enough",
 )
 
 

@@ -1,0 +1,85 @@
+"""Export the law to C: law.h and law.c as they were simulated, the data, a self-test and a page to read."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from fraclink.errors import FieldError
+from fraclink.export.data import data_header
+from fraclink.export.names import identifier, title_text
+from fraclink.export.readme import readme
+from fraclink.export.selftest import selftest_source
+from fraclink.export.sources import law_source
+from fraclink.files import atomic_write
+from fraclink.law import Law
+from fraclink.law.block import Precision
+
+__all__ = ["export_c"]
+
+
+def export_c(
+    law: Law,
+    folder: Path | str,
+    *,
+    precision: Precision | None = None,
+    name: str = "law_data",
+    title: str = "",
+    force: bool = False,
+) -> tuple[Path, ...]:
+    """Write the law as C99 to `folder` and return the paths written.
+
+    law.h and law.c are the files that were simulated, to the byte; law_data.h holds the coefficients as
+    hex floats; law_selftest.c prints a hash to compare on the target; README.md tells the call sequence,
+    memory in [B], limits in [rad], [N·m] and [V], and what is claimed.
+
+    Parameters
+    ----------
+    law : Law
+        From `Controller.discretize`; equipped with a rig (`fraclink.law.equip`) it closes the motor loop too.
+    folder : Path or str
+        Made where it is missing; an existing one that is not empty needs `force`.
+    precision : {"single", "double"}, optional
+        The law's own where it is left out.
+    name : str
+        C identifier of the block, and of its header's guard.
+    title : str
+        Plain text for the first comment, at most 80 characters.
+    force : bool
+        Overwrite the five files in an existing folder.
+
+    Raises FieldError for an existing folder, an illegal name or title.
+
+    >>> import tempfile
+    >>> import fraclink as fl
+    >>> rig = fl.Rig.named("paper-2023")
+    >>> law = fl.Controller(gain=0.069876, order=0.612197, link=rig.model).discretize(rig.period, order=4)
+    >>> folder = Path(tempfile.mkdtemp())
+    >>> [path.name for path in export_c(law, folder, precision="single")]
+    ['law.h', 'law.c', 'law_data.h', 'law_selftest.c', 'README.md']
+    """
+    identifier("name", name)
+    title_text(title)
+    place = Path(folder)
+    if place.is_file() or (place.is_dir() and any(place.iterdir()) and not force):
+        raise FieldError(
+            "out",
+            str(place),
+            "already there",
+            allowed="a new or an empty folder",
+            remedy="choose another name or add --force",
+        )
+    shipped = law if precision is None else law.in_precision(precision)
+    data = f"{name}.h"
+    files: dict[str, bytes] = {
+        "law.h": law_source("law.h"),
+        "law.c": law_source("law.c"),
+        data: data_header(shipped, name=name, title=title).encode(),
+        "law_selftest.c": selftest_source(shipped, name=name, data=data).encode(),
+        "README.md": readme(shipped, name=name, data=data).encode(),
+    }
+    # Everything is made before anything is written: a failure above leaves no half folder.
+    place.mkdir(parents=True, exist_ok=True)
+    for file, content in files.items():
+        with atomic_write(place / file, "wb") as stream:
+            stream.write(content)
+    return tuple(place / file for file in files)
