@@ -4,8 +4,11 @@
 """
 
 from fraclink.identify.comparison import Comparison, Contest, identify_all
+from fraclink.identify.excitation import ExperimentDesign, design_experiment
 from fraclink.identify.fit import Fit, load_model, save_model
-from fraclink.identify.payloads import JointFit, LikelihoodRatio, identify_payloads
+from fraclink.identify.jointfit import JointFit, LikelihoodRatio
+from fraclink.identify.motor import MotorFit, identify_motor
+from fraclink.identify.payloads import identify_payloads
 from fraclink.identify.profile import Interval
 from fraclink.identify.single import identify, simulated_torque
 from fraclink.identify.spectrum import (
@@ -19,19 +22,23 @@ from fraclink.identify.statistics import ResidualTests, aic, bic
 __all__ = [
     "Comparison",
     "Contest",
+    "ExperimentDesign",
     "Fit",
     "FrequencyResponse",
     "Interval",
     "JointFit",
     "LikelihoodRatio",
+    "MotorFit",
     "ResidualTests",
     "SpectrumFit",
     "aic",
     "bic",
+    "design_experiment",
     "frequency_response",
     "identify",
     "identify_all",
     "identify_frequency_response",
+    "identify_motor",
     "identify_payloads",
     "load_model",
     "save_model",
