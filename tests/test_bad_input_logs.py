@@ -12,7 +12,7 @@ import pytest
 from fraclink.errors import FieldError, FileFormatError, LogError, SizeError
 from fraclink.readers import limits as reader_limits
 from fraclink.readers import read_columns, read_log
-from fraclink.rig import Channel, LogColumns, Rig
+from fraclink.rig import Channel, LogColumns, Rig, parse_columns
 from made_logs import HEADER, made_rows, write_log
 
 Rows = list[list[str]]
@@ -177,8 +177,10 @@ def test_b20_a_log_without_units_is_refused_with_a_mapping_to_fill_in(tmp_path: 
     assert error.field == "columns"
     assert error.value == "t, theta, gamma"
     assert "never guessed" in error.problem
-    assert 'motor_angle = { column = "theta", unit = "?" }' in error.remedy
-    assert 'torque = { column = "gamma", unit = "?" }' in error.remedy
+    assert (
+        '--column "time=t [?]" --column "motor_angle=theta [?]" --column "torque=gamma [?]"' in error.remedy
+    )
+    assert "fraclink inspect" in error.remedy
 
 
 def test_b20_a_role_stated_twice(tmp_path: Path) -> None:
@@ -398,7 +400,7 @@ def test_read_columns_refuses_what_it_cannot_name(tmp_path: Path) -> None:
         read_columns(write_log(tmp_path / "b.csv", made_rows(5), header=["a", "a", "b"]))
 
 
-def test_every_error_of_a_reader_is_one_line_except_the_mapping(tmp_path: Path) -> None:
+def test_every_error_of_a_reader_is_one_line(tmp_path: Path) -> None:
     error = spoilt(tmp_path, put(100, 1, "a\nb,1,2"))
     assert "\n" not in str(error)
 
@@ -415,3 +417,56 @@ def test_resampling_cannot_blow_up_the_memory(tmp_path: Path) -> None:
     error = spoilt(tmp_path, change, resample=True)
     assert "too long to resample" in error.problem
     assert np.isfinite(float(str(error.value).split()[0]))
+
+
+@pytest.mark.parametrize(
+    ("texts", "field"),
+    [
+        ([], "column"),
+        (["time=t [s]"], "column"),
+        (["time=t [s]", "motor_angle=a [rad]", "torque=g [Nm]", "torque=h [Nm]"], "column"),
+        (["time=t [s]", "motor_angle=a [rad]", "torque=g [Nm]", "deflection=h [rad]"], "column"),
+        (["time=t", "motor_angle=a [rad]", "torque=g [Nm]"], "column"),
+        (["time=t [s]", "angle=a [rad]", "torque=g [Nm]"], "column"),
+        (["time=t [s]", "motor_angle=a [furlong]", "torque=g [Nm]"], "log.motor_angle.unit"),
+    ],
+)
+def test_b19_b20_columns_stated_in_words(texts: list[str], field: str) -> None:
+    with pytest.raises(FieldError) as caught:
+        parse_columns(texts)
+    assert caught.value.field == field
+    assert caught.value.allowed and caught.value.remedy
+
+
+def test_columns_stated_in_words_equal_those_of_a_rig_file() -> None:
+    words = [
+        "time = t [s]",
+        "motor_angle=scope.values(:,2) [deg]",
+        "deflection=-alpha [mrad]",
+        "voltage=u [V]",
+    ]
+    assert parse_columns(words) == LogColumns(
+        Channel("t", "s"),
+        Channel("scope.values(:,2)", "deg"),
+        Channel("alpha", "mrad", sign=-1),
+        "deflection",
+        Channel("u", "V"),
+    )
+
+
+def test_the_command_line_states_columns_and_repairs(tmp_path: Path) -> None:
+    from fraclink.cli import main
+
+    rows = made_rows(600)
+    rows[100][1], rows[200][0] = "nan", rows[199][0]
+    path = write_log(tmp_path / "log.csv", rows, header=["t", "theta", "gamma"])
+    words = [
+        text
+        for column in ("time=t [s]", "motor_angle=theta [rad]", "torque=gamma [Nm]")
+        for text in ("--column", column)
+    ]
+    call = ["diagnose", str(path), "--rig", "paper-2023", "--payload", "0.03"]
+    assert main([*call]) == 2
+    assert main([*call, *words]) == 2
+    assert main([*call, *words, "--interpolate"]) == 2
+    assert main([*call, *words, "--interpolate", "--resample"]) == 0

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from fraclink.cli.console import emit, emit_json
-from fraclink.cli.options import Json, RigName, load_log, load_rig
+from fraclink.cli.options import Columns, Interpolate, Json, Resample, RigName, load_log, load_rig
 from fraclink.cli.outcome import FAILS, HOLDS
 
 __all__ = ["register"]
@@ -30,6 +30,9 @@ def diagnose(
     log: Annotated[str, typer.Argument(help="The log; `demo` is the bundled one.")],
     rig: RigName,
     payload: Annotated[float | None, typer.Option("--payload", help="Payload of the log [kg].")] = None,
+    column: Columns = None,
+    resample: Resample = False,
+    interpolate: Interpolate = False,
     json: Json = False,
 ) -> int:
     """Examine a log: offset, sign, delay, saturation, excitation; each finding with what to do."""
@@ -37,7 +40,9 @@ def diagnose(
     from fraclink.diagnose import diagnose as examine
 
     known = load_rig(rig)
-    findings = examine(load_log(log, known, payload), known)
+    findings = examine(
+        load_log(log, known, payload, column, resample=resample, interpolate=interpolate), known
+    )
     if json:
         emit_json({"findings": [finding_values(finding) for finding in findings]})
     else:

@@ -14,11 +14,14 @@ if TYPE_CHECKING:
 
 __all__ = [
     "BUNDLED_LOG",
+    "Columns",
     "Force",
     "GainCrossover",
+    "Interpolate",
     "Json",
     "PayloadRange",
     "PhaseMarginDeg",
+    "Resample",
     "RigName",
     "load_log",
     "load_rig",
@@ -41,6 +44,21 @@ GainCrossover = Annotated[
 PhaseMarginDeg = Annotated[
     float | None, typer.Option("--phase-margin-deg", help="Least phase margin [degrees]; default: the rig's.")
 ]
+Columns = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--column",
+        metavar="ROLE=NAME [UNIT]",
+        help='A column of the log, such as "motor_angle=theta [deg]"; a minus turns the sign. '
+        "Instead of [log] in the rig file; roles: time, motor_angle, torque or deflection, voltage.",
+    ),
+]
+Resample = Annotated[
+    bool, typer.Option("--resample", help="Interpolate over gaps, repeated stamps and strong jitter.")
+]
+Interpolate = Annotated[
+    bool, typer.Option("--interpolate", help="Fill missing cells, at most 1 % of a column.")
+]
 
 
 def load_rig(name: str) -> Rig:
@@ -51,12 +69,24 @@ def load_rig(name: str) -> Rig:
     return Rig.load(Path(name)) if looks_like_a_path or Path(name).is_file() else Rig.named(name)
 
 
-def load_log(name: str, rig: Rig, payload: float | None) -> Experiment:
+def load_log(
+    name: str,
+    rig: Rig,
+    payload: float | None,
+    columns: list[str] | None = None,
+    *,
+    resample: bool = False,
+    interpolate: bool = False,
+) -> Experiment:
     """Return the log of a file; ``demo`` is the bundled one."""
     from fraclink.readers import bundled_log, read_log
+    from fraclink.rig import parse_columns
 
     path = bundled_log(BUNDLED_LOG) if name == "demo" else Path(name)
-    return read_log(path, rig=rig, payload=payload)
+    stated = parse_columns(columns) if columns else None
+    return read_log(
+        path, rig=rig, columns=stated, payload=payload, resample=resample, interpolate=interpolate
+    )
 
 
 def radians(degrees: float | None) -> float | None:

@@ -9,11 +9,14 @@ import typer
 
 from fraclink.cli.console import emit, emit_json, steps, tell
 from fraclink.cli.options import (
+    Columns,
     Force,
     GainCrossover,
+    Interpolate,
     Json,
     PayloadRange,
     PhaseMarginDeg,
+    Resample,
     RigName,
     load_log,
     load_rig,
@@ -36,6 +39,9 @@ def identify(
     out: Annotated[Path, typer.Option("--out", help="File to write the model to.")] = Path("model.json"),
     structure: Annotated[str, typer.Option("--structure", help="UD-IOM, D-IOM, UD-FOM or D-FOM.")] = "UD-FOM",
     payload: Annotated[float | None, typer.Option("--payload", help="Payload of the log [kg].")] = None,
+    column: Columns = None,
+    resample: Resample = False,
+    interpolate: Interpolate = False,
     json: Json = False,
     force: Force = False,
 ) -> int:
@@ -47,7 +53,7 @@ def identify(
     with steps(2) as begin:
         begin("reading the log")
         known = load_rig(rig)
-        experiment = load_log(log, known, payload)
+        experiment = load_log(log, known, payload, column, resample=resample, interpolate=interpolate)
         begin(f"fitting {structure}")
         # A deflection log cannot show the stiffness; a torque log measures it.
         stiffness = known.link.stiffness if experiment.output_kind == "deflection" else None

@@ -9,11 +9,14 @@ import typer
 
 from fraclink.cli.console import emit, emit_json, steps, tell
 from fraclink.cli.options import (
+    Columns,
     Force,
     GainCrossover,
+    Interpolate,
     Json,
     PayloadRange,
     PhaseMarginDeg,
+    Resample,
     RigName,
     load_log,
     load_rig,
@@ -35,6 +38,9 @@ def run(
         str, typer.Option("--structure", help="Structure of the model that the design uses.")
     ] = "UD-FOM",
     payload: Annotated[float | None, typer.Option("--payload", help="Payload of the log [kg].")] = None,
+    column: Columns = None,
+    resample: Resample = False,
+    interpolate: Interpolate = False,
     payloads: PayloadRange = None,
     gain_crossover: GainCrossover = None,
     phase_margin_deg: PhaseMarginDeg = None,
@@ -61,7 +67,7 @@ def run(
     with steps(_PARTS) as begin:
         begin("reading the log")
         known = load_rig(rig)
-        experiment = load_log(log, known, payload)
+        experiment = load_log(log, known, payload, column, resample=resample, interpolate=interpolate)
         study = conduct(known, experiment, request, structure=structure, begin=begin)
         begin("writing the report")
         save_study(study, out)

@@ -13,7 +13,7 @@ from fraclink.files import sha256_of
 from fraclink.findings import Finding
 from fraclink.readers.formats import read_table
 from fraclink.readers.limits import SAMPLE_LIMIT
-from fraclink.readers.stated import columns_of_names, suggested_mapping
+from fraclink.readers.stated import columns_of_names, suggested_columns
 from fraclink.readers.table import Table
 from fraclink.readers.timebase import resampled, time_base
 from fraclink.rig import Channel, LogColumns, Rig
@@ -124,12 +124,13 @@ def read_log(
 
 
 def _unstated(table: Table) -> LogError:
+    words = " ".join(f'--column "{role}={name} [{unit}]"' for role, name, unit in suggested_columns(table))
     return LogError(
         "columns",
         ", ".join(table.names[:12]),
         "not stated: which column is what, in which unit, is never guessed",
         allowed="a [log] table in the rig file, or names such as time_s, motor_angle_rad, torque_Nm",
-        remedy="paste this into the rig file and check it:\n" + suggested_mapping(table),
+        remedy=f"paste what inspect_log (fraclink inspect) suggests into the rig file, or give {words}",
     )
 
 

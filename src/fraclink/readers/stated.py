@@ -15,12 +15,11 @@ from fraclink.readers.table import Table
 from fraclink.rig import Channel, LogColumns
 from fraclink.rig.columns import QUANTITY_OF, UNITS
 
-__all__ = ["clock_step", "columns_of_names", "suggested_mapping"]
+__all__ = ["clock_step", "columns_of_names", "suggested_columns", "suggested_mapping"]
 
 _NAME = re.compile(r"(time|motor_angle|torque|deflection|voltage)(?:_| *\[| *\()([A-Za-z·*]{1,5})[\])]?")
 # Words that loggers use; a hint for a person to check, never a reading.
-_HINTS = {
-    "time": (),  # known by its values: they never decrease
+_HINTS = {  # the time is known by its values: they never decrease
     "motor_angle": ("motor_angle", "theta", "pot", "enc", "position", "angle", "hub", "joint"),
     "torque": ("torque", "gamma", "moment", "effort", "nm"),
     "deflection": ("deflection", "alpha", "strain", "gauge", "bend"),
@@ -83,27 +82,33 @@ def clock_step(values: NDArray[np.float64]) -> float | None:
 def suggested_mapping(table: Table) -> str:
     """A `[log]` table to paste into a rig file; what it could not tell is a ``?`` for a person to fill in."""
     lines = ["[log] # check every line: column, unit and sign"]
+    for role, name, unit in suggested_columns(table):
+        text = name.replace("\\", "\\\\").replace('"', '\\"')
+        lines.append(f'{role} = {{ column = "{text}", unit = "{unit}" }}')
+    return "\n".join(lines)
+
+
+def suggested_columns(table: Table) -> list[tuple[str, str, str]]:
+    """What the names and values of the columns suggest: (role, column, unit), "?" for what they do not."""
     sizes = dict(zip(table.names, (values.size for values in table.values), strict=True))
     clocks = [
         name for name, values in zip(table.names, table.values, strict=True) if clock_step(values) is not None
     ]
     clocks.sort(key=lambda name: -sizes[name])
     length = sizes[clocks[0]] if clocks else max(sizes.values(), default=0)
-    taken: set[str] = set()
+    free = [name for name in table.names if name not in clocks and sizes[name] == length]
+    found: dict[str, str] = {"time": clocks[0] if clocks else "?"}
     for role, words in _HINTS.items():
-        if role == "deflection" and any(line.startswith("torque") for line in lines):
+        if role == "deflection" and "torque" in found:
             continue
-        names = [name for name in table.names if name not in clocks and sizes[name] == length]
-        candidates = [name for word in words for name in names if word in name.lower() and name not in taken]
+        candidates = [name for word in words for name in free if word in name.lower()]
         candidates.sort(key=lambda name: any(word in name.lower() for word in _COMMANDED))
-        if not candidates and role in ("torque", "voltage"):
-            continue
-        if role == "time":
-            candidates = clocks
-        name = candidates[0] if candidates else "?"
-        taken.add(name)
-        stated = table.units[table.names.index(name)] if table.units and name != "?" else ""
-        unit = stated if stated in UNITS[QUANTITY_OF[role]] else _unit_in(name, role)
-        text = name.replace("\\", "\\\\").replace('"', '\\"')
-        lines.append(f'{role} = {{ column = "{text}", unit = "{unit}" }}')
-    return "\n".join(lines)
+        candidates = [name for name in candidates if name not in found.values()]
+        if candidates or role in ("motor_angle", "deflection"):
+            found[role] = candidates[0] if candidates else "?"
+    return [(role, name, _suggested_unit(table, role, name)) for role, name in found.items()]
+
+
+def _suggested_unit(table: Table, role: str, name: str) -> str:
+    stated = table.units[table.names.index(name)] if table.units and name != "?" else ""
+    return stated if stated in UNITS[QUANTITY_OF[role]] else _unit_in(name, role)

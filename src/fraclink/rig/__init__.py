@@ -1,6 +1,6 @@
 """The rig: one frozen object for one flexible arm, in one TOML file."""
 
-from fraclink.rig.columns import Channel, LogColumns
+from fraclink.rig.columns import Channel, LogColumns, parse_columns
 from fraclink.rig.parts import DesignRequest, Encoder, Gauge, Inner, Link, Motor, Payloads
 from fraclink.rig.rig import Rig
 
@@ -15,4 +15,5 @@ __all__ = [
     "Motor",
     "Payloads",
     "Rig",
+    "parse_columns",
 ]

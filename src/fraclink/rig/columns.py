@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import difflib
 import math
+import re
+from collections.abc import Iterable
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Annotated, Literal
@@ -17,7 +19,7 @@ from numpy.typing import NDArray
 from fraclink.errors import FieldError
 from fraclink.rig.quantities import Quantity, Text, check_fields
 
-__all__ = ["UNITS", "Channel", "LogColumns", "OutputKind"]
+__all__ = ["QUANTITY_OF", "UNITS", "Channel", "LogColumns", "OutputKind", "check_unit", "parse_columns"]
 
 OutputKind = Literal["torque", "deflection"]
 
@@ -127,6 +129,48 @@ class LogColumns:
         """The stated channels by role: time, motor_angle, torque or deflection, voltage."""
         found = {"time": self.time, "motor_angle": self.motor_angle, str(self.output_kind): self.output}
         return found | ({"voltage": self.voltage} if self.voltage is not None else {})
+
+
+_STATED = re.compile(r"(\w+) *= *(-?) *(.+?) *\[([^\[\]]*)\]")
+
+
+def parse_columns(texts: Iterable[str]) -> LogColumns:
+    """The columns that texts such as ``motor_angle=theta [deg]`` state; a minus turns the sign.
+
+    Raises FieldError where a text has another form, a role is missing, unknown or stated twice, or where the
+    unit in brackets does not measure its role.
+
+    >>> parse_columns(["time=t [s]", "motor_angle=theta [deg]", "torque=-gamma [Nm]"]).output.sign
+    -1
+    """
+    found: dict[str, Channel] = {}
+    for text in texts:
+        match = _STATED.fullmatch(text.strip())
+        if match is None or match[1] not in QUANTITY_OF or match[1] in found:
+            raise FieldError(
+                "column",
+                text,
+                "stated twice" if match and match[1] in found else "not understood",
+                allowed=f"role=name [unit], each of {', '.join(QUANTITY_OF)} once",
+                remedy='write "motor_angle=theta [deg]", or "torque=-gamma [Nm]" to turn the sign',
+            )
+        found[match[1]] = Channel(match[3], match[4].strip(), sign=-1 if match[2] else 1)
+    output = found.get("torque", found.get("deflection"))
+    if (
+        output is None
+        or "time" not in found
+        or "motor_angle" not in found
+        or {"torque", "deflection"} <= set(found)
+    ):
+        raise FieldError(
+            "column",
+            ", ".join(found) or "(nothing)",
+            "not one time, one motor_angle and one output",
+            allowed="time, motor_angle, and torque or deflection; voltage as well",
+            remedy="state every column once, or write [log] in the rig file",
+        )
+    kind: OutputKind = "torque" if "torque" in found else "deflection"
+    return LogColumns(found["time"], found["motor_angle"], output, kind, found.get("voltage"))
 
 
 def check_unit(path: str, role: str, unit: str) -> None:
