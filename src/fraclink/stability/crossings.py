@@ -89,7 +89,7 @@ def _near_touches(place: Index, y: Real) -> list[int]:
 
 
 def modulus_margin(loop: Loop, x: Real, values: Complex) -> tuple[float, float]:
-    """min |1 + L| and its frequency [rad/s]; at an end of the range where it has no minimum inside."""
+    """inf |1 + L| and its frequency [rad/s], 0 or inf where it is approached and not reached."""
     distance = np.abs(1 + values)
     distance[np.isnan(distance)] = math.inf
     best = int(np.argmin(distance))
@@ -101,4 +101,9 @@ def modulus_margin(loop: Loop, x: Real, values: Complex) -> tuple[float, float]:
         place, value = extreme(loop, modulus_slope, float(x[i - 1]), float(x[i + 1]))
         if abs(1 + value) <= smallest:
             smallest, at = abs(1 + value), place
-    return smallest, math.exp(at)
+    frequency = math.exp(at)
+    # A distance that falls towards an end of the axis has its infimum there and nowhere on the way.
+    for limit, place in zip(loop.ends, (0.0, math.inf), strict=True):
+        if abs(1 + limit) < smallest:
+            smallest, frequency = abs(1 + limit), place
+    return smallest, frequency

@@ -45,6 +45,7 @@ class FractionalLoop:
     scalars: tuple[tuple[complex, float, float], ...]  # coefficient, order, delay of each term
     quiet: float
     follow: float
+    ends: tuple[complex, complex]
 
     @classmethod
     def of(cls, system: FractionalTransferFunction, limit: float | None) -> FractionalLoop:
@@ -77,6 +78,7 @@ class FractionalLoop:
             scalars=tuple((c, t.order, t.delay) for c, t in zip(coefficients, terms, strict=True)),
             quiet=_QUIET if slowest else 0.0,
             follow=follow,
+            ends=(_limit(system, -1), _limit(system, 0) if limit is None else complex(math.nan)),
         )
 
     def _terms(self, x: Real) -> Complex:
@@ -124,6 +126,20 @@ class FractionalLoop:
             return None
         right = [z for z in self.zeros if z.imag < 0.5 * math.pi - _ON_AXIS]
         return sum(1 if z.imag == 0 else 2 for z in right)
+
+
+def _limit(system: FractionalTransferFunction, end: int) -> complex:
+    """L at ω → 0 (end = −1) or ω → ∞ (end = 0): a ratio of coefficients, 0, or nan where there is none."""
+    up, down = system.numerator[end], system.denominator[end]
+    falls = up.order > down.order if end else up.order < down.order
+    if falls:
+        return 0j
+    turning = any(t.delay for t in (*system.numerator, *system.denominator))
+    if up.order != down.order or (turning and not end):
+        return complex(math.nan)
+    sides = (system.numerator, system.denominator)
+    sums = [math.fsum(t.coefficient for t in side if t.order == up.order) for side in sides]
+    return complex(sums[0] / sums[1]) if sums[1] else complex(math.nan)
 
 
 def _unit(order: float) -> complex:

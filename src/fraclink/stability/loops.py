@@ -38,6 +38,7 @@ class CallableLoop:
     seeds: Real = field(default_factory=lambda: np.empty(0))
     quiet: float = 1e-3  # there may be a delay, whose phase crossings below −60 dB are countless
     follow: float = -math.inf
+    ends: tuple[complex, complex] = (complex(math.nan), complex(math.nan))
 
     def __call__(self, x: Real) -> Complex:
         """L(j e^x)."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cmath
 import itertools
 import math
 
@@ -90,7 +91,7 @@ def norm(system: FractionalTransferFunction, p: float) -> float:
         )
     loop = FractionalLoop.of(system, None)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        return _h2(system, loop) if p == 2 else _peak(system, loop)
+        return _h2(system, loop) if p == 2 else _peak(loop)
 
 
 def _h2(system: FractionalTransferFunction, loop: FractionalLoop) -> float:
@@ -103,7 +104,9 @@ def _h2(system: FractionalTransferFunction, loop: FractionalLoop) -> float:
 
     seeds = loop.seeds[::4]
     edges = np.unique(np.concatenate([np.arange(low, high, 2.0), [high], seeds]))
-    inside = integrate(density, edges, _TOLERANCE)
+    # A pole at the distance d from the axis: 16 Gauss points on d/4 are exact to 1e-16.
+    distance = min((abs(z.imag - 0.5 * math.pi) for z in loop.zeros), default=0.3)
+    inside = integrate(density, edges, _TOLERANCE, smooth=0.25 * min(distance, 0.3))
     # Beyond the edges |G|² ω ~ ω^p: ∫ = density/|p|.
     rise = 1 + 2 * _slope(system, -1)
     fall = 2 * system.relative_degree - 1
@@ -125,7 +128,7 @@ def _slope(system: FractionalTransferFunction, end: int) -> float:
     return system.numerator[end].order - system.denominator[end].order
 
 
-def _peak(system: FractionalTransferFunction, loop: FractionalLoop) -> float:
+def _peak(loop: FractionalLoop) -> float:
     x, values = sweep(loop)
     size = np.abs(values)
     inner = (size[1:-1] >= size[:-2]) & (size[1:-1] >= size[2:])
@@ -135,10 +138,4 @@ def _peak(system: FractionalTransferFunction, loop: FractionalLoop) -> float:
             _, value = extreme(loop, lambda v, s: gain_level(v, s)[1], float(x[i - 1]), float(x[i + 1]))
             largest = max(largest, abs(value))
     # A response that approaches its supremum at ω → 0 or ∞ has it as the ratio of two coefficients.
-    for end in (-1, 0):
-        if _slope(system, end) == 0 and not any(t.delay for t in system.denominator):
-            terms = (system.numerator, system.denominator)
-            sums = [math.fsum(t.coefficient for t in side if t.order == side[end].order) for side in terms]
-            limit = abs(sums[0] / sums[1]) if end == -1 else abs(system.numerator[0].coefficient)
-            largest = max(largest, limit)
-    return largest
+    return max(largest, *(abs(limit) for limit in loop.ends if not cmath.isnan(limit)))

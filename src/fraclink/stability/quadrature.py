@@ -17,10 +17,11 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
 _PANELS = 20_000
 
 
-def integrate(f: Callable[[Real], Real], edges: Real, tolerance: float) -> float:
+def integrate(f: Callable[[Real], Real], edges: Real, tolerance: float, *, smooth: float) -> float:
     """∫ f over the panels between `edges`; a panel is halved until its halves agree with the whole.
 
-    `tolerance` is relative to the integral; f takes an array of any shape.
+    `tolerance` is relative to the integral; f takes an array of any shape. On panels shorter than `smooth`
+    the rule is exact to rounding: what they still disagree by is rounding, and no reason to go on.
     """
     a, b = edges[:-1], edges[1:]
     coarse = _panels(f, a, b)
@@ -38,7 +39,8 @@ def integrate(f: Callable[[Real], Real], edges: Real, tolerance: float) -> float
         fine = halves.sum(0)
         # The halves are 2^32 times better than the whole where f is smooth: their difference is the error
         # of the whole, and the error of the halves is far below it.
-        done = (np.abs(fine - coarse) <= tolerance * scale / 16) | (b - a < 1e-12)
+        scale = max(scale, abs(total) + float(np.abs(fine).sum()))
+        done = (np.abs(fine - coarse) <= tolerance * scale / 16) | (b - a < smooth)
         total += float(fine[done].sum())
         left = ~done
         coarse = np.concatenate([halves[0, left], halves[1, left]])

@@ -39,6 +39,7 @@ class PhaseCrossing:
 class Margins:
     """All crossings of a loop, sorted by frequency, and its modulus margin min |1 + L(jω)|.
 
+    The modulus margin is an infimum: where |1 + L| only approaches it, its frequency is 0 or inf.
     `stable` says whether the closed loop 1/(1 + L) is stable; it is None where that was not decided.
     Margins other than the modulus margin say little about a closed loop that is not stable.
     """

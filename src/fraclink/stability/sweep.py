@@ -47,6 +47,10 @@ class Loop(Protocol):
     def follow(self) -> float:
         """ln of the frequency up to which the phase is followed even where |L| is below `quiet`."""
 
+    @property
+    def ends(self) -> tuple[complex, complex]:
+        """L at ω → 0 and ω → ∞ where it has a limit that is known, else nan."""
+
     def point(self, x: float) -> tuple[complex, complex]:
         """L(j e^x) and d ln L/dx at one frequency."""
 

@@ -1,0 +1,180 @@
+"""Zeros of fractional polynomials against polynomial roots, closed forms and 40-digit Newton iterations."""
+
+from __future__ import annotations
+
+import math
+
+import mpmath
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fraclink.errors import FieldError, NotConvergedError
+from fraclink.roots import ExponentialSum, count_zeros, log_zeros
+from fraclink.roots import _by_bisection as by_bisection
+from fraclink.roots import _upper as upper
+
+PI = math.pi
+
+
+def polished(coefficients: list[float], orders: list[float], z: complex) -> complex:
+    """The zero next to z in 40 digits."""
+    with mpmath.workdps(40):
+        a = [mpmath.mpf(c) for c in coefficients]
+        nu = [mpmath.mpf(o) for o in orders]
+        f = lambda x: mpmath.fsum(c * mpmath.exp(o * x) for c, o in zip(a, nu, strict=True))  # noqa: E731
+        return complex(mpmath.findroot(f, mpmath.mpc(z)))
+
+
+@given(st.lists(st.floats(0.05, 20) | st.floats(-20, -0.05), min_size=2, max_size=9))
+@settings(max_examples=150, deadline=None)
+def test_integer_orders_agree_with_polynomial_roots(coefficients: list[float]) -> None:
+    degree = len(coefficients) - 1
+    expected = np.roots(coefficients)
+    found = np.exp(log_zeros(coefficients, range(degree, -1, -1), angle=PI))
+    both = np.concatenate([found, found[np.abs(found.imag) > 1e-9 * np.abs(found)].conj()])
+    assert len(both) == degree
+    for root in expected:  # clusters are known to ε^(1/m) in both methods
+        assert np.min(np.abs(both - root)) < 2e-4 * max(abs(root), 1e-3)
+
+
+@pytest.mark.parametrize(
+    ("coefficients", "orders", "count"),
+    [
+        ([1, 10.02**2], [1.92, 0], 1),
+        ([1, 2.2, 110.25], [1.37, 0.9, 0], 1),
+        ([1, 0.02, 100], [2, 1, 0], 1),
+        ([1, 160, 9600, 30, 7e5], [3.92, 2.92, 1.92, 0.65, 0], 2),
+        ([1, -3, 1], [math.sqrt(2), math.sqrt(0.5), 0], 2),
+        ([1, 2e-5, 100], [1.999, 1, 0], 1),
+        ([1e-9, 1, 1e9], [2.5, 1.1, 0], 1),
+    ],
+)
+def test_zeros_are_right_to_rounding(coefficients: list[float], orders: list[float], count: int) -> None:
+    z = log_zeros(coefficients, orders, angle=PI)
+    assert len(z) == count
+    for value in z:
+        exact = polished(coefficients, orders, complex(value))
+        assert abs(value - exact) < 4e-15 * max(1.0, abs(exact))
+
+
+def test_two_terms_by_hand_on_many_sheets() -> None:
+    z = log_zeros([1.0, 5.0], [0.7, 0.0], angle=30.0)
+    expected = [complex(math.log(5) / 0.7, PI * (2 * m + 1) / 0.7) for m in range(3)]
+    np.testing.assert_allclose(z, expected, rtol=1e-15)
+
+
+def test_one_term_has_no_zero() -> None:
+    assert log_zeros([3.0], [1.5], angle=PI).size == 0
+    assert log_zeros([3.0, -1.0], [1.5, 1.5], angle=PI).size == 0
+    assert count_zeros([3.0], [1.5], angle=PI) == 0
+
+
+def test_zeros_on_the_positive_axis_are_real_and_on_the_cut_exactly_there() -> None:
+    z = log_zeros([1, -3, 2], [2, 1, 0], angle=PI)
+    assert np.all(z.imag == 0.0)
+    np.testing.assert_allclose(np.exp(z.real), [1, 2], rtol=1e-15)
+    # (s + 1)(√s + 1): −1 lies on the cut, the zero of √s + 1 on the next sheet.
+    z = log_zeros([1, 1, 1, 1], [1.5, 1, 0.5, 0], angle=PI)
+    assert z.tolist() == [complex(z[0].real, PI)]
+    assert abs(z[0].real) < 1e-15
+
+
+@pytest.mark.parametrize("multiplicity", [2, 3, 4])
+@pytest.mark.parametrize(("order", "constant"), [(1.0, 2.0), (1.1, 1.0), (1.92, 100.0)])
+def test_multiple_zeros_stand_together(multiplicity: int, order: float, constant: float) -> None:
+    powers = np.arange(multiplicity + 1)
+    coefficients = [math.comb(multiplicity, int(k)) * constant ** (multiplicity - k) for k in powers]
+    z = log_zeros(coefficients, order * powers, angle=PI)
+    exact = complex(math.log(constant) / order, PI / order)
+    assert len(z) == multiplicity
+    assert len(set(z.tolist())) == 1
+    assert abs(z[0] - exact) < 1e-13
+
+
+def test_close_zeros_stay_apart() -> None:
+    # (s + 1)(s + 1.001): a cluster by distance, but two simple zeros.
+    z = log_zeros([1, 2.001, 1.001], [2, 1, 0], angle=PI)
+    np.testing.assert_allclose(-np.exp(z.real), [-1, -1.001], rtol=1e-11)
+
+
+def random_sum(seed: int) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(2, 8))
+    orders = np.sort(rng.uniform(0, rng.uniform(1, 6), n))
+    coefficients = rng.normal(size=n) * 10.0 ** rng.uniform(-4, 4, n)
+    return (np.abs(coefficients) if seed % 3 == 0 else coefficients), orders
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_iteration_and_bisection_find_the_same_zeros(seed: int) -> None:
+    coefficients, orders = random_sum(seed)
+    terms = ExponentialSum.of(coefficients, orders)
+    z = log_zeros(coefficients, orders, angle=PI)
+    height = PI + 0.0413
+    count = count_zeros(coefficients, orders, angle=height)
+    slow = upper(by_bisection(terms, height, count), PI)
+    assert len(z) == len(slow)
+    for value in slow:
+        assert np.min(np.abs(z - value)) < 1e-9
+
+
+@pytest.mark.parametrize("seed", range(100, 140))
+def test_count_and_residues(seed: int) -> None:
+    coefficients, orders = random_sum(seed)
+    terms = ExponentialSum.of(coefficients, orders)
+    z = log_zeros(coefficients, orders, angle=1.5 * PI)
+    if z.size:
+        values, moduli = terms.derivatives(z, 1)
+        assert np.max(np.abs(values[0]) / moduli[0]) < 1e-13
+    for angle in (0.7, 1.9, 3.3):  # the strip count against the zeros found, conjugates added
+        inside = z[z.imag < angle]
+        assert count_zeros(coefficients, orders, angle=angle) == 2 * len(inside) - np.sum(inside.imag == 0)
+
+
+@given(st.floats(0.3, 3.0), st.floats(0.02, 50.0))
+@settings(max_examples=40, deadline=None)
+def test_homothety(power: float, scale: float) -> None:
+    """Zeros of D(s/c) are c times those of D; orders times p divide ln s by p."""
+    coefficients, orders = np.array([1.0, 0.3, 2.0]), np.array([1.9, 0.8, 0.0])
+    z = log_zeros(coefficients, orders, angle=PI)
+    moved = log_zeros(coefficients * scale**-orders, orders, angle=PI)
+    np.testing.assert_allclose(moved, z + math.log(scale), rtol=0, atol=1e-13)
+    wide = log_zeros(coefficients, orders * power, angle=PI / power)
+    np.testing.assert_allclose(wide * power, z, rtol=0, atol=1e-12)
+
+
+def test_conjugate_pair_close_to_the_axis_is_resolved() -> None:
+    """A double real zero split by 1e-9 goes into the right half plane's count and not to the axis."""
+    z = log_zeros([1.0, -2.0, 1.0 + 1e-10], [2, 1, 0], angle=PI)
+    assert len(z) == 1
+    assert z[0].imag == pytest.approx(1e-5, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("coefficients", "orders", "angle", "field"),
+    [
+        ([1.0, math.nan], [1, 0], PI, "coefficients"),
+        ([1.0, 2.0], [1, math.inf], PI, "orders"),
+        ([1.0, 2.0], [1], PI, "orders"),
+        ([0.0, 0.0], [1, 0], PI, "coefficients"),
+        ([1.0, -1.0], [1, 1], PI, "coefficients"),
+        ([1.0, 1.0], [1, 0], -1.0, "angle"),
+        ([1.0, 1.0], [1, 0], math.nan, "angle"),
+    ],
+)
+def test_bad_input(coefficients: list[float], orders: list[float], angle: float, field: str) -> None:
+    with pytest.raises(FieldError) as caught:
+        log_zeros(coefficients, orders, angle=angle)
+    assert caught.value.field == field
+
+
+def test_thousands_of_zeros_are_refused() -> None:
+    with pytest.raises(NotConvergedError):
+        log_zeros([1.0, 1.0, 1.0], [30_000.0, 10.0, 0.0], angle=PI)
+
+
+def test_a_zero_on_the_counted_edge_is_an_error_and_not_a_guess() -> None:
+    with pytest.raises(NotConvergedError):
+        count_zeros([1.0, 1.0], [1.0, 0.0], angle=PI)

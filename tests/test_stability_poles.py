@@ -1,0 +1,139 @@
+"""Poles, verdicts and delayed denominators against polynomial roots, closed forms and delay margins."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fraclink.errors import FieldError
+from fraclink.fractional import FractionalTransferFunction, s
+from fraclink.stability import is_stable, margins, poles
+
+
+def test_poles_of_integer_systems_are_the_polynomial_roots() -> None:
+    system = (s + 5) / ((s + 1) * (s**2 + 2 * s + 10) * s)
+    found = poles(system)
+    assert len(found) == 4
+    for root in (-1, -1 - 3j, -1 + 3j, 0):
+        assert np.min(np.abs(found - root)) < 1e-13
+
+
+@pytest.mark.parametrize("order", [1.01, 1.2, 1.5, 1.92, 1.999, 2.0])
+def test_pole_pair_of_the_link(order: float) -> None:
+    """ϖ^(2/λ) e^(±jπ/λ); damping ratio −cos(π/λ) (ERRATA, units)."""
+    w = 11.094
+    found = poles(1.56 * s**order / (s**order + w**2))
+    size = w ** (2 / order)
+    exact = size * np.exp(1j * math.pi / order)
+    if order == 1.01:
+        assert found.size == 2 and abs(found[0] - exact) < 1e-12 * size
+    assert found.tolist() == pytest.approx([exact, exact.conjugate()], rel=1e-13, abs=1e-12 * size)
+
+
+def test_poles_on_other_sheets_are_none() -> None:
+    assert poles(1 / (s**0.5 + 1)).size == 0
+    assert poles(1 / (s**0.99 + 1)).size == 0
+    assert poles(1 / (s + 1)).tolist() == [-1]
+
+
+def test_cancelled_poles_are_left_out_and_named() -> None:
+    hidden = (s - 1) / ((s - 1) * (s + 2))
+    assert poles(hidden).tolist() == pytest.approx([-2])
+    assert "cancels the pole at 1 rad/s" in is_stable(hidden).reason
+    double = (s + 1) / ((s + 1) ** 2)
+    assert poles(double).tolist() == pytest.approx([-1])
+    fractional = (s**0.7 - 2) / ((s**0.7 - 2) * (s + 3))
+    assert poles(fractional).tolist() == pytest.approx([-3])
+
+
+@pytest.mark.parametrize(
+    ("system", "stable", "integrators", "winding", "words"),
+    [
+        (1 / (s**1.5 + 1), True, 0, 0, "no pole"),
+        (1 / (s**1.999 + 1), True, 0, 0, "no pole"),
+        (1 / (s**2 + 1), False, 0, 0, "imaginary axis at 0 ± 1j"),
+        (1 / (s**2.001 + 1), False, 0, 2, "2 poles have Re s > 0"),
+        (1 / s, False, 1, 0, "s^1 divides"),
+        (1 / s**0.5, False, 0.5, 0, "s^0.5 divides"),
+        (s**0.5 / (s + 1), True, 0, 0, "no pole"),
+        (s**0.65, True, 0, 0, "improper"),
+        (1 / (s - 1), False, 0, 1, "1 pole has"),
+        (1 / (s**0.5 - 1), False, 0, 1, "rightmost at 1 rad/s"),
+        (1 / ((s - 1) * s), False, 1, 1, "1 pole has"),
+        (2 / (s**2 - 2 * s + 1), False, 0, 2, "2 poles have"),
+    ],
+)
+def test_verdicts(
+    system: FractionalTransferFunction, stable: bool, integrators: float, winding: int, words: str
+) -> None:
+    verdict = is_stable(system)
+    assert (bool(verdict), verdict.stable, verdict.integrators) == (stable, stable, integrators)
+    assert verdict.winding == winding
+    assert words in verdict.reason
+    assert all(p.real >= 0 for p in verdict.unstable_poles)
+
+
+@given(
+    st.lists(st.floats(0.1, 6) | st.floats(-3, -0.1), min_size=1, max_size=3),
+    st.floats(0.4, 1.6).filter(lambda a: abs(a - 1) > 0.02),
+)
+@settings(max_examples=100, deadline=None)
+def test_products_of_known_factors(shifts: list[float], order: float) -> None:
+    """Π (s^a + c): unstable by each c < 0 (arg 0), and by each pair π/a < π/2 never for a < 2."""
+    system: FractionalTransferFunction = 1 / (s**order + shifts[0])
+    for c in shifts[1:]:
+        system = system / (s**order + c)
+    unstable = sum(c < 0 for c in shifts)
+    verdict = is_stable(system)
+    assert verdict.winding == unstable
+    assert bool(verdict) is (unstable == 0)
+    pairs = sum(c > 0 for c in shifts) if order > 1 else 0
+    assert len(poles(system)) == unstable + 2 * pairs
+
+
+@pytest.mark.parametrize(
+    "loop",
+    [
+        10 / (s + 1),
+        0.07 * s**0.6 * 100 / (s**1.92 + 100),
+        3 / (s**0.5 * (s + 1)),
+        20 / (s**1.5 + 2 * s**0.7 + 1),
+    ],
+)
+def test_delay_in_the_loop_agrees_with_the_delay_margin(loop: FractionalTransferFunction) -> None:
+    spare = margins(loop).delay_margin
+    assert is_stable(loop.delayed(0.99 * spare).feedback())
+    late = is_stable(loop.delayed(1.01 * spare).feedback())
+    assert not late
+    assert late.winding == 2
+    assert late.reason == "2 poles have Re s > 0"
+
+
+def test_number_of_unstable_poles_with_a_large_delay() -> None:
+    """s + 1 + 10 e^(−τs): a pair crosses at each τ with ωτ = π − atan ω + 2πm, ω = √99."""
+    w = math.sqrt(99)
+    crossings = [(math.pi - math.atan(w) + 2 * math.pi * m) / w for m in range(5)]
+    for m, (low, high) in enumerate(itertools.pairwise(crossings)):
+        closed = (10 / (s + 1)).delayed(0.5 * (low + high)).feedback()
+        assert is_stable(closed).winding == 2 * (m + 1)
+
+
+def test_delayed_integrator_in_the_denominator() -> None:
+    """s + k e^(−s) is stable for 0 < k < π/2."""
+    assert is_stable(1 / (s + (1.57 + 0 * s).delayed(1.0)))
+    assert not is_stable(1 / (s + (1.572 + 0 * s).delayed(1.0)))
+
+
+def test_what_cannot_be_decided_says_why() -> None:
+    neutral = 1 / (s + (0.5 * s).delayed(1.0) + 1)
+    with pytest.raises(FieldError, match="neutral"):
+        is_stable(neutral)
+    with pytest.raises(FieldError, match="infinitely many poles"):
+        poles((1 / (s + 1)).delayed(0.1).feedback())
+    with pytest.raises(FieldError, match="imaginary axis"):
+        is_stable(1 / (s + (0.5 * math.pi + 0 * s).delayed(1.0)))
