@@ -1,0 +1,140 @@
+"""The paper's numbers, statements and equations: our values, and verdicts that follow from them."""
+
+from __future__ import annotations
+
+import importlib
+import re
+from pathlib import Path
+
+import pytest
+
+from fraclink.cli import main
+from fraclink.errors import FileFormatError
+from fraclink.reproduce import read_published, reproduce
+from fraclink.reproduce.evidence import EVIDENCE
+from fraclink.reproduce.published import Claim, Equation, Number, agreement, agrees
+from fraclink.reproduce.values import computed
+from guard_sources import ROOT
+
+FOLDER = ROOT / "reproduce"
+PUBLISHED = read_published(FOLDER)
+VALUES = computed(PUBLISHED)
+
+# Recomputed independently, by hand-written scripts: the numbers of the checked errata.
+CHECKED = {
+    "design.printed.chi": (1.324873, 6),
+    "design.printed.beta": (0.655361, 6),
+    "design.printed.gain": (0.215299, 6),
+    "design.printed.crossover_upper": (27.346181, 6),
+    "design.printed.nominal_crossover": (20.865280, 6),
+    "design.printed.nominal_margin": (70.741858, 6),
+    "design.printed.integer_beta": (0.786021, 6),
+    "design.printed.integer_gain": (0.208339, 6),
+    "design.printed.delta_1": (0.004529, 6),
+    "design.printed.delta_2": (0.002246, 6),
+    "design.measured.chi": (1.235891, 6),
+    "design.measured.beta": (0.649593, 6),
+    "design.measured.gain": (0.204076, 6),
+    "design.measured.crossover_upper": (25.139026, 6),
+    "design.measured.nominal_crossover": (19.26919, 5),
+    "design.measured.nominal_margin": (70.81972, 5),
+    "design.measured.integer_beta": (0.786886, 6),
+    "design.measured.integer_gain": (0.196620, 6),
+    "design.measured.delta_1": (0.004929, 6),
+    "design.measured.delta_2": (0.002444, 6),
+    "law5.nominal": (11.0940, 4),
+    "law5.heavy": (9.6077, 4),
+    "law5.light": (13.5873, 4),
+    "resonance.tip.nominal": (12.21, 2),
+    "resonance.tip.heavy": (10.51, 2),
+    "resonance.tip.light": (15.09, 2),
+    "table2.reduction": (91.04, 2),
+}
+
+
+@pytest.mark.parametrize(("name", "value", "places"), [(k, *v) for k, v in CHECKED.items()])
+def test_our_values_are_the_checked_ones(name: str, value: float, places: int) -> None:
+    assert abs(VALUES[name] - value) <= 0.5000001 * 10**-places
+
+
+@pytest.mark.parametrize("item", PUBLISHED.numbers, ids=lambda item: item.id)
+def test_every_verdict_follows_from_the_numbers(item: Number) -> None:
+    if item.verdict == "input":
+        return
+    if not item.ours:
+        assert item.verdict == "not reproducible"
+        return
+    same = agrees(item.value, VALUES[item.ours])
+    if item.verdict == "reproduced":
+        assert same
+    elif item.verdict in {"corrected", "contradicts"}:
+        assert not same
+        assert item.reason
+    else:
+        assert item.reason
+
+
+def test_the_counts_of_verdicts() -> None:
+    assert len({item.id for item in PUBLISHED.numbers}) == len(PUBLISHED.numbers) >= 75
+
+
+def test_the_twins_link_is_found_again() -> None:
+    # Its λ is 1.92 by construction; one λ over three payloads must come out within its own scatter.
+    assert abs(VALUES["twin.prbs.joint.order"] - 1.92) < 1e-3
+
+
+@pytest.mark.parametrize("item", PUBLISHED.claims, ids=lambda item: item.id)
+def test_every_statement_is_judged_by_its_measurement(item: Claim) -> None:
+    found = EVIDENCE[item.evidence](PUBLISHED)
+    assert found.verdict == item.verdict
+    assert re.search(r"\d", found.text) or "stable" in found.text
+
+
+def test_every_measurement_is_used_once() -> None:
+    assert sorted(item.evidence for item in PUBLISHED.claims) == sorted(EVIDENCE)
+
+
+def test_every_equation_is_there_once() -> None:
+    assert [item.number for item in PUBLISHED.equations] == [f"({n})" for n in range(1, 61)]
+
+
+@pytest.mark.parametrize("item", PUBLISHED.equations, ids=lambda item: item.number)
+def test_every_equation_names_code_that_exists(item: Equation) -> None:
+    parts = item.code.split(".")
+    for cut in range(len(parts), 0, -1):
+        try:
+            found: object = importlib.import_module(".".join(parts[:cut]))
+        except ModuleNotFoundError:
+            continue
+        for name in parts[cut:]:
+            found = getattr(found, name)
+        return
+    pytest.fail(item.code)
+
+
+def test_agreement_counts_digits() -> None:
+    assert agreement(1.0, 1.001) == pytest.approx(3.0)
+    assert agreement(2.0, 2.0) == float("inf")
+    assert agrees("-1.4199", -1.41987)
+    assert not agrees("0.65", 0.655361)
+
+
+@pytest.mark.slow
+def test_results_regenerate_bit_for_bit(tmp_path: Path) -> None:
+    place = reproduce(FOLDER, tmp_path / "again")
+    assert place.read_text("utf-8") == (FOLDER / "RESULTS.md").read_text("utf-8")
+    names = sorted(path.name for path in (FOLDER / "figures").iterdir())
+    assert names == sorted(path.name for path in (tmp_path / "again" / "figures").iterdir())
+    shown = re.findall(r"\(figures/([\w.]+)\)", place.read_text("utf-8"))
+    assert sorted(shown) == names
+
+
+def test_the_command_refuses_what_is_missing_or_there(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(FileFormatError, match=r"published\.toml"):
+        read_published(tmp_path)
+    assert main(["reproduce", "--published", str(tmp_path), "--out", str(tmp_path)]) == 2
+    assert "published.toml is not there" in capsys.readouterr().err
+    assert main(["reproduce", "--published", str(FOLDER), "--out", str(FOLDER)]) == 2
+    assert "already there" in capsys.readouterr().err
