@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from fraclink.errors import FieldError, LogError
 from fraclink.experiment import Experiment
+from fraclink.readers import read_log
 
 
 def test_arrays_are_copies_that_cannot_be_written() -> None:
@@ -75,3 +78,51 @@ def test_b01_a_value_that_is_not_finite() -> None:
     with pytest.raises(LogError, match="nan at sample 1") as caught:
         Experiment(period=0.004, motor_angle=[0, 1, 2], output=[0, float("nan"), 3])
     assert "interpolate" in caught.value.remedy
+
+
+@pytest.mark.parametrize("kind", ["torque", "deflection"])
+@pytest.mark.parametrize("voltage", [False, True])
+def test_a_saved_log_comes_back_with_the_same_bits(kind: str, voltage: bool, tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    log = Experiment(
+        period=0.004,
+        motor_angle=rng.standard_normal(300),
+        output=rng.standard_normal(300),
+        output_kind=kind,  # type: ignore[arg-type]
+        payload=0.0304,
+        voltage=rng.standard_normal(300) if voltage else None,
+        start_time=1.5,
+        notes=(("simulated", "true"), ("operator", "Anna")),
+    )
+    log.save(tmp_path / "log.csv")
+    again = read_log(tmp_path / "log.csv")
+    same = ("period", "start_time", "output_kind", "payload")
+    assert [getattr(again, name) for name in same] == [getattr(log, name) for name in same]
+    assert np.array_equal(again.motor_angle, log.motor_angle)
+    assert np.array_equal(again.output, log.output)
+    assert (again.voltage is None) == (log.voltage is None)
+    assert again.simulated
+    assert dict(again.notes)["operator"] == "Anna"
+    again.save(tmp_path / "again.csv")
+    assert (tmp_path / "again.csv").read_bytes() == (tmp_path / "log.csv").read_bytes()
+
+
+def test_logs_are_equal_where_every_sample_is() -> None:
+    one = Experiment(period=0.004, motor_angle=[0, 1, 2], output=[0, 1, 2])
+    assert one == Experiment(period=0.004, motor_angle=[0, 1, 2], output=[0, 1, 2])
+    assert one != Experiment(period=0.004, motor_angle=[0, 1, 2], output=[0, 1, 3])
+    assert one != Experiment(period=0.004, motor_angle=[0, 1, 2], output=[0, 1, 2], voltage=[0, 0, 0])
+    assert one != "log"
+    assert len({one, Experiment(period=0.004, motor_angle=[0, 1, 2], output=[0, 1, 2])}) == 1
+
+
+def test_notes_cannot_break_out_of_their_line(tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    log = Experiment(
+        period=0.004,
+        motor_angle=rng.standard_normal(300),
+        output=rng.standard_normal(300),
+        notes=(("a", "b\ntime_s,x"),),
+    )
+    log.save(tmp_path / "log.csv")
+    assert read_log(tmp_path / "log.csv").output.size == 300

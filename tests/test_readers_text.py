@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,8 @@ from hypothesis import strategies as st
 from fraclink.errors import FieldError
 from fraclink.readers import bundled_log, bundled_logs, inspect_log, read_columns, read_log
 from fraclink.readers.cells import NUMBER, parse_cells
+from fraclink.readers.stated import suggested_mapping
+from fraclink.readers.table import Table
 from fraclink.readers.text import read_text_table
 from fraclink.rig import Channel, LogColumns, Rig
 from made_logs import HEADER, made_rows, write_log
@@ -183,7 +186,21 @@ def test_the_suggested_mapping_reads_the_log_once_a_person_has_filled_it_in(tmp_
 
 def test_inspect_shows_hostile_names_without_their_control_characters(tmp_path: Path) -> None:
     path = write_log(tmp_path / "a.csv", made_rows(), header=["time_s", "a\x1b[31m", "b"])
-    assert "\x1b" not in str(inspect_log(path))
+    listing = inspect_log(path)
+    assert "\x1b" not in str(listing)
+
+
+@given(
+    texts=st.lists(
+        st.text(st.characters(exclude_categories=["Cs"]), min_size=1, max_size=12), min_size=1, max_size=4
+    )
+)
+@settings(max_examples=100, deadline=None)
+def test_b72_any_column_name_gives_a_mapping_that_parses(texts: list[str]) -> None:
+    values = tuple(np.array([0.0, 1.0, 0.5]) for _ in texts)
+    names = tuple(f"theta{text}" for text in texts)
+    mapping = tomllib.loads(suggested_mapping(Table(names, values, "text")))
+    assert mapping["log"]["motor_angle"]["column"] in names
 
 
 @given(st.one_of(st.floats(allow_nan=False, allow_infinity=False).map(repr), st.text(max_size=8)))

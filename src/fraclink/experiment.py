@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fraclink.errors import FieldError, LogError
+from fraclink.files import write_text
 from fraclink.findings import Finding
 
 __all__ = ["Experiment"]
@@ -95,6 +97,41 @@ class Experiment:
         """Time of the samples, shape (N,) [s]."""
         return np.asarray(self.start_time + self.period * np.arange(self.motor_angle.size), dtype=np.float64)
 
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Experiment):
+            return NotImplemented
+        return all(_same(getattr(self, item.name), getattr(other, item.name)) for item in fields(self))
+
+    def __hash__(self) -> int:
+        return hash((self.period, self.output_kind, self.source, self.sha256, self.output.tobytes()))
+
+    def save(self, path: Path | str) -> None:
+        """Write the log as CSV with its notes, in SI units, so that `read_log` gives the same numbers back.
+
+        Findings are not written: reading and `diagnose` find them again.
+
+        >>> log = Experiment(period=0.004, motor_angle=[0, 0.1], output=[0, 0.01], payload=0.03)
+        >>> print(log.text())
+        # payload_kg: 0.03
+        time_s,motor_angle_rad,torque_Nm
+        0.0,0.0,0.0
+        0.004,0.1,0.01
+        """
+        write_text(path, self.text() + "\n")
+
+    def text(self) -> str:
+        """The log as CSV [s, rad, N·m or rad, V]; see `save`."""
+        notes = [(key, value) for key, value in self.notes if key != "payload_kg"]
+        if self.payload is not None:
+            notes.append(("payload_kg", repr(float(self.payload))))
+        lines = ["# " + " ".join(f"{key}: {value}".split()) for key, value in notes]
+        columns = {"time_s": self.time, "motor_angle_rad": self.motor_angle}
+        columns["torque_Nm" if self.output_kind == "torque" else "deflection_rad"] = self.output
+        if self.voltage is not None:
+            columns["voltage_V"] = self.voltage
+        rows = zip(*(values.tolist() for values in columns.values()), strict=True)
+        return "\n".join([*lines, ",".join(columns), *(",".join(map(repr, row)) for row in rows)])
+
     @property
     def duration(self) -> float:
         """Time from the first sample to the last [s]."""
@@ -133,6 +170,12 @@ def _number(name: str, value: object, unit: str, *, positive: bool) -> None:
         problem = "not a positive number" if positive else "not a finite number"
         allowed = f"{'> 0' if positive else 'any finite number'} [{unit or '-'}]"
         raise FieldError(name, value, problem, allowed=allowed, remedy=f"give {name} as a number in SI units")
+
+
+def _same(one: object, other: object) -> bool:
+    if isinstance(one, np.ndarray) and isinstance(other, np.ndarray):
+        return np.array_equal(one, other)
+    return not isinstance(one, np.ndarray) and not isinstance(other, np.ndarray) and one == other
 
 
 def _frozen(name: str, values: ArrayLike) -> NDArray[np.float64]:

@@ -14,6 +14,7 @@ from fraclink.errors import LogError
 from fraclink.readers.table import Table
 from fraclink.rig import Channel, LogColumns
 from fraclink.rig.columns import QUANTITY_OF, UNITS
+from fraclink.rig.writing import toml_value
 
 __all__ = ["clock_step", "columns_of_names", "suggested_columns", "suggested_mapping"]
 
@@ -83,8 +84,7 @@ def suggested_mapping(table: Table) -> str:
     """A `[log]` table to paste into a rig file; what it could not tell is a ``?`` for a person to fill in."""
     lines = ["[log] # check every line: column, unit and sign"]
     for role, name, unit in suggested_columns(table):
-        text = name.replace("\\", "\\\\").replace('"', '\\"')
-        lines.append(f'{role} = {{ column = "{text}", unit = "{unit}" }}')
+        lines.append(f"{role} = {{ column = {toml_value(name)}, unit = {toml_value(unit)} }}")
     return "\n".join(lines)
 
 

@@ -13,7 +13,7 @@ from fraclink.rig.schema import FORMAT, ModelTable
 if TYPE_CHECKING:
     from fraclink.rig.rig import Rig
 
-__all__ = ["rig_text"]
+__all__ = ["rig_text", "toml_value"]
 
 _ESCAPES = {'"': '\\"', "\\": "\\\\", "\n": "\\n", "\t": "\\t", "\r": "\\r"}
 
@@ -22,10 +22,10 @@ def rig_text(rig: Rig) -> str:
     """The rig file of `rig`: SI units, shortest numbers that read back to the same bits."""
     from fraclink import __version__
 
-    lines = [f"# Written by fraclink {__version__}.", f"format = {FORMAT}", f"name = {_value(rig.name)}"]
+    lines = [f"# Written by fraclink {__version__}.", f"format = {FORMAT}", f"name = {toml_value(rig.name)}"]
     if rig.source:
-        lines.append(f"source = {_value(rig.source)}")
-    lines += [f"period_s = {_value(rig.period)}", "assumptions = [", *_sentences(rig.assumptions), "]"]
+        lines.append(f"source = {toml_value(rig.source)}")
+    lines += [f"period_s = {toml_value(rig.period)}", "assumptions = [", *_sentences(rig.assumptions), "]"]
     sections: dict[str, Any] = {
         "motor": rig.motor,
         "link": rig.link,
@@ -42,23 +42,26 @@ def rig_text(rig: Rig) -> str:
         lines += ["", "[design]", *_pairs(rig.design, DesignRequest)]
     if rig.log is not None:
         for role, channel in rig.log.channels().items():
-            offset = f"offset = {_value(channel.offset)}"
+            offset = f"offset = {toml_value(channel.offset)}"
             lines += ["", f"[log.{role}]", *_pairs(channel, Channel), offset]
     return "\n".join(lines) + "\n"
 
 
 def _sentences(sentences: tuple[str, ...]) -> list[str]:
-    return [f"  {_value(sentence)}," for sentence in sentences]
+    return [f"  {toml_value(sentence)}," for sentence in sentences]
 
 
 def _pairs(part: Any, kind: type) -> list[str]:
     pairs = {spec.key: getattr(part, name) for name, spec in specs(kind).items()}
     return [
-        f"{key} = {_value(value)}" for key, value in pairs.items() if value is not None and value != math.inf
+        f"{key} = {toml_value(value)}"
+        for key, value in pairs.items()
+        if value is not None and value != math.inf
     ]
 
 
-def _value(value: float | int | str) -> str:
+def toml_value(value: float | int | str) -> str:
+    """A number or text as TOML writes it; texts hold no character that ends a string or a line."""
     if isinstance(value, str):
         return '"' + "".join(_escaped(c) for c in value) + '"'
     return repr(value)
