@@ -14,6 +14,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
+from fraclink.readers.limits import WALL_SECONDS
 from mutants import KINDS, run
 
 
@@ -34,7 +35,7 @@ def main(count: int = 20_000, kinds: tuple[str, ...] = KINDS) -> bool:
         )
         for surprise in outcome.surprises[:5]:
             print("   ", surprise)
-        good = good and not outcome.surprises and outcome.slowest < 30
+        good = good and not outcome.surprises and outcome.slowest < WALL_SECONDS + 5
     return good
 
 

@@ -214,7 +214,7 @@ def test_findings_are_sorted_by_gravity_and_keep_those_of_the_reader() -> None:
 
 def test_merced_is_sensible() -> None:
     rig = Rig.load(RIGS / "merced.toml")
-    log = read_log(shared_data("quanser_rfl_merced", "merced_rfl.csv"), rig=rig, payload=0.0217)
+    log = read_log(shared_data("quanser_rfl_merced", "merced_rfl.csv"), rig=rig, payload=0.0158)
     findings = {finding.code: finding for finding in diagnose(log, rig)}
     assert not [finding for finding in findings.values() if finding.severity == "error"]
     assert findings["W235"].evidence["explained"] > 0.95

@@ -138,7 +138,7 @@ def test_the_merced_log() -> None:
     log = read_log(
         shared_data("quanser_rfl_merced", "merced_rfl.csv"),
         rig=Rig.load(RIGS / "merced.toml"),
-        payload=0.0217,
+        payload=0.0158,
     )
     assert (log.period, log.motor_angle.size, log.output_kind) == (0.002, 2500, "deflection")
     assert log.start_time == 0.002
