@@ -29,8 +29,8 @@ def findings_of(fit: Fit, singular: bool, stiffness: float | None) -> tuple[Find
 def _of_the_optimum(fit: Fit, singular: bool) -> Iterator[Finding]:
     values = {"order": fit.model.order, "damping_order": fit.model.damping_order, "delay": fit.delay}
     for name in fit.at_bound:
-        if name == "delay" and fit.delay == 0:
-            continue  # none found, and a rough angle cannot show a negative one
+        if name == "delay" and (fit.delay == 0 or fit.hold == "zero"):
+            continue  # a rough angle cannot show a negative one, a held one none between its samples
         evidence = {name: values.get(name, getattr(fit.model, name, 0.0))}
         yield Finding(
             "W301",

@@ -16,8 +16,8 @@ from fraclink.identify.shape import ALPHA_LIMITS, FREE, ORDER_LIMITS, Shape, mas
 
 __all__ = ["Search", "Solution"]
 
-_SWEEP_ORDER, _SWEEP_STEP = 1.7, 0.3  # ζ = 0.27 and a step in ln Ω: neighbours on the grid overlap
-_SCAN_ORDER = 1.85  # ζ = 0.13, for the places between them
+_SWEEP_ORDER, _SWEEP_STEP = 1.85, 0.2  # ζ = 0.13 and a step in ln Ω: neighbours on the grid overlap
+_SCAN_ORDER = 1.92  # ζ = 0.065, for the places between them
 _ITERATIONS = 200  # an undamped link on a damped log converges by a third a step
 # Delays that are tried as starts, as parts of the vibration's period: a fit creeps over ± 0.15 by itself.
 _DELAY_STARTS = (0.12, 0.24)
@@ -121,7 +121,7 @@ class Search:
         points = max(int((high - low) / _SWEEP_STEP), 8)
         kernel = self.window.kernel(math.exp(low), longest_delay=abs(delay), coarse=True)
         broad, costs = self._tried(kernel, np.linspace(low, high, points), _SWEEP_ORDER, delay)
-        near = broad[np.argsort(costs)[:2]]
+        near = broad[_lowest_valleys(costs, 2)]
         fine = (near[:, 1:2] + _SWEEP_STEP * np.array([-0.4, -0.2, 0.0, 0.2, 0.4])).ravel()
         narrow, costs = self._tried(kernel, fine, _SCAN_ORDER, delay)
         if self.start is not None:
@@ -164,10 +164,27 @@ class Search:
         """The best fit of a structure; found once."""
         if name not in self.solutions:
             found = self._best(name, list(self._starts(name)))
-            if self.window.is_rough and "delay" not in self.fixed:
-                found = self._over_the_kinks(found)
+            if "delay" not in self.fixed:
+                if self.window.hold == "zero":
+                    found = self._over_the_jumps(found)
+                elif self.window.is_rough:
+                    found = self._over_the_kinks(found)
             self.solutions[name] = found
         return self.solutions[name]
+
+    def _over_the_jumps(self, found: Solution) -> Solution:
+        """Fits within the two nearest sampling intervals of delay.
+
+        A held input jumps, and so does the torque: as a function of the delay the cost jumps wherever a
+        sample passes a jump, and is smooth only from a sample (included) back to the one before.
+        """
+        period, best = self.window.period, found
+        for whole in {math.floor(found.shape[4] / period), math.ceil(found.shape[4] / period - 1e-9)}:
+            start = found.shape.copy()
+            start[4] = whole * period
+            inside = ((whole - 1 + 1e-6) * period, whole * period)
+            best = min((best, self._best(found.structure, [start], delays=inside)), key=lambda s: s.cost)
+        return best
 
     def _over_the_kinks(self, found: Solution) -> Solution:
         """Fits from the neighbouring half samples of delay, and from delays that are truly negative.
@@ -185,9 +202,18 @@ class Search:
         leads = early.shape[4] < -1.5 * self.window.period and early.cost < best.cost
         return early if leads else best
 
-    def _best(self, name: str, rows: list[Shape], *, may_lead: bool | None = None) -> Solution:
+    def _best(
+        self,
+        name: str,
+        rows: list[Shape],
+        *,
+        may_lead: bool | None = None,
+        delays: tuple[float, float] | None = None,
+    ) -> Solution:
         free = self.free(name)
         lower, upper = self.limits(may_lead=not self.window.is_rough if may_lead is None else may_lead)
+        if delays is not None:
+            lower[4], upper[4] = delays
         starts = np.array(rows)
         if "delay" in self.fixed:
             starts[:, 4] = self.fixed["delay"]
@@ -244,3 +270,10 @@ def _delayed(rows: NDArray[np.float64], part: float) -> NDArray[np.float64]:
     result = rows.copy()
     result[:, 4] = part * 2 * math.pi / np.exp(rows[:, 1])
     return result
+
+
+def _lowest_valleys(costs: NDArray[np.float64], count: int) -> NDArray[np.int_]:
+    """Indices of the lowest local minima, the lowest first; a plateau beside a minimum is not another."""
+    padded = np.concatenate([[np.inf], costs, [np.inf]])
+    valleys = np.flatnonzero((costs <= padded[:-2]) & (costs <= padded[2:]))
+    return np.asarray(valleys[np.argsort(costs[valleys])][:count])

@@ -124,8 +124,8 @@ def make_search(
         if log.output_kind == "torque":
             values.setdefault("gain", float(stiffness))
     count = log.output.size - round(heldout * log.output.size)
-    _check_motion(log, count)
     chosen = chosen_hold(log.motor_angle, hold)
+    _check_motion(log, count)
     window = Window(log.motor_angle[:count], log.output[:count], log.period, chosen)
     start = None
     if guess is not None:
@@ -214,7 +214,9 @@ def _intervals(search: Search, solution: Solution, errors: Uncertainty, allow: b
         inflation = float(variances[i] / white[i]) if white[i] > 0 else 1.0
         error = math.sqrt(max(white[i], 0.0) * inflation)
         result[name] = profile_interval(search, solution, search.kernel, name, error, inflation)
-    if "damping_order" in result and solution.on_edge:
+    if 3 in solution.free and "damping_order" not in result:  # at a limit: one-sided, but never left out
+        result["damping_order"] = profile_interval(search, solution, search.kernel, "damping_order", 0.2, 1.0)
+    if solution.on_edge:
         # ϖ = 0 is where the interval begins; its width is set by how fast α may leave the edge.
         reach = 0.05 * math.exp(solution.shape[1])
         result["natural_frequency"] = profile_interval(

@@ -1,0 +1,263 @@
+"""Identification of one log: accuracy, nuisance parameters, bounds, files, bad input."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from identify_cases import PERIOD, TRUTH, made_log, smooth_pulse
+
+from fraclink.errors import FieldError, FileFormatError, LogError
+from fraclink.experiment import Experiment
+from fraclink.files import write_json
+from fraclink.identify import Fit, aic, identify, load_model, save_model
+from fraclink.link import LinkModel
+from fraclink.response import time_response
+
+NOISE = 0.0052**0.5
+
+
+def test_noise_free_pulse_of_20_seconds_to_six_digits() -> None:
+    time = PERIOD * np.arange(5001)
+    angle = np.where((time >= 1) & (time < 8), 1.0, 0.0)
+    torque = time_response(TRUTH.torque(), angle, PERIOD).output
+    fit = identify(Experiment(period=PERIOD, motor_angle=angle, output=torque))
+    assert fit.hold == "zero"
+    assert fit.model.order == pytest.approx(1.92, abs=1e-6)
+    assert fit.model.natural_frequency == pytest.approx(10.02, abs=1e-6)
+    assert fit.gain == pytest.approx(1.56, abs=1e-6)
+    assert abs(fit.delay) < 1e-7
+
+
+def test_gain_offset_and_delay_are_found_along() -> None:
+    log = made_log(delay=0.0137, offset=-0.3, gain=-0.7)
+    fit = identify(log)
+    # 1e-4: the motor moves smoothly, the fit joins its samples by straight lines.
+    assert fit.model.order == pytest.approx(1.92, abs=1e-4)
+    assert fit.model.natural_frequency == pytest.approx(10.02, abs=1e-3)
+    assert fit.delay == pytest.approx(0.0137, abs=2e-5)
+    assert fit.offset == pytest.approx(-0.3, abs=1e-3)
+    assert fit.gain == pytest.approx(-0.7 * 1.56, rel=1e-3)
+    assert fit.model.stiffness == pytest.approx(0.7 * 1.56, rel=1e-3)
+    assert {"W306", "W307"} <= {finding.code for finding in fit.findings}
+
+
+@settings(max_examples=15, deadline=None)
+@given(
+    order=st.floats(1.6, 1.99),
+    frequency=st.floats(3.0, 40.0),
+    delay=st.floats(0.0, 0.02),
+    seed=st.integers(0, 10**6),
+)
+def test_any_link_is_found_without_a_guess(order: float, frequency: float, delay: float, seed: int) -> None:
+    link = LinkModel(2.0, frequency ** (order / 2), order=order)
+    fit = identify(made_log(link, noise=0.02, delay=delay, seed=seed, samples=3001), details=False)
+    for name, value in (("order", order), ("natural_frequency", link.natural_frequency), ("delay", delay)):
+        found = fit.delay if name == "delay" else getattr(fit.model, name)
+        assert abs(found - value) < 6 * fit.standard_errors[name] + 2e-3 * abs(value) + 1e-4
+
+
+def test_bad_guesses_do_not_matter() -> None:
+    log = made_log(noise=NOISE)
+    best = identify(log, heldout=0, details=False)
+    generator = np.random.default_rng(2)
+    for _ in range(40):
+        order = float(generator.uniform(1.001, 2.0))
+        frequency = (10.02 * 3 ** float(generator.uniform(-1, 1))) ** (order / 1.92)
+        guess = LinkModel(1.0, frequency, order=order)
+        assert identify(log, heldout=0, guess=guess, details=False).mse <= best.mse * (1 + 1e-7)
+
+
+def test_known_values_are_kept() -> None:
+    log = made_log(noise=0.02, offset=0.1)
+    fit = identify(log, stiffness=1.5, fixed={"delay": 0.002, "order": 1.9, "offset": 0.09})
+    assert (fit.gain, fit.delay, fit.model.order, fit.offset) == (1.5, 0.002, 1.9, 0.09)
+    assert set(fit.standard_errors) == {"natural_frequency"}
+
+
+@pytest.mark.parametrize(
+    ("name", "link"),
+    [
+        ("UD-IOM", LinkModel(1.56, 10.0)),
+        ("D-IOM", LinkModel(1.56, 10.0, damping=1.3)),
+        ("UD-FOM", TRUTH),
+        ("D-FOM", LinkModel(1.56, 10.5, damping=1.37, damping_order=0.7)),
+    ],
+)
+def test_every_structure_finds_its_own_parameters(name: str, link: LinkModel) -> None:
+    fit = identify(made_log(link), name, details=False)
+    for field in ("natural_frequency", "order", "damping", "damping_order"):
+        assert getattr(fit.model, field) == pytest.approx(getattr(link, field), rel=3e-3)
+    assert fit.nmse < 1e-7
+
+
+def test_fractional_damping_is_never_worse_than_its_special_cases() -> None:
+    for seed, link in enumerate(
+        (TRUTH, LinkModel(1.56, 10.0, damping=1.3), LinkModel(1.56, 9.0, order=1.98))
+    ):
+        log = made_log(link, noise=0.05, seed=seed)
+        mse = {name: identify(log, name, details=False).mse for name in ("UD-FOM", "D-IOM", "D-FOM")}
+        assert mse["D-FOM"] <= min(mse["UD-FOM"], mse["D-IOM"]) * (1 + 1e-7)
+
+
+def test_aic_of_table_2() -> None:
+    rows = ((0.05845, 1, -14199), (0.00531, 2, -26192), (0.00524, 2, -26258), (0.00524, 3, -26256))
+    for mse, parameters, wanted in rows:
+        assert round(aic(mse, 5001, parameters)) == wanted
+    fit = identify(made_log(noise=NOISE), heldout=0)
+    assert fit.aic == pytest.approx(2 * 2 + 5001 * math.log(fit.mse), rel=1e-14)
+
+
+def test_heldout_samples_are_not_seen() -> None:
+    log = made_log(noise=0.05)
+    spoilt = replace(log, output=np.where(np.arange(5001) < 3001, log.output, 0.0))
+    first, second = identify(log, details=False), identify(spoilt, details=False)
+    assert first.fitted_samples == 3001
+    assert first.model == second.model
+    assert second.heldout_mse is not None
+    assert first.heldout_mse is not None
+    assert second.heldout_mse != first.heldout_mse
+    assert identify(log, heldout=0, details=False).heldout_nmse is None
+
+
+def test_order_at_its_bound_has_no_error() -> None:  # B32
+    fit = identify(made_log(LinkModel(1.56, 10.0), noise=0.05, seed=0))
+    assert fit.at_bound == ("order",)
+    assert fit.model.order == 2.0
+    assert fit.model.structure == "UD-IOM"
+    assert "order" not in fit.standard_errors
+    assert "order" not in fit.intervals
+    finding = next(f for f in fit.findings if f.code == "W301")
+    assert finding.evidence["order"] == 2.0
+
+
+def test_a_log_that_does_not_show_alpha_says_so() -> None:  # B50
+    fit = identify(made_log(LinkModel(1.56, 10.0, damping=0.5), noise=0.2, samples=2500), "D-FOM")
+    assert "W308" in {finding.code for finding in fit.findings}
+    assert fit.intervals["damping_order"].high - fit.intervals["damping_order"].low > 0.5
+
+
+def test_intervals_cover_and_agree_with_standard_errors() -> None:
+    log = made_log(noise=NOISE)
+    fit = identify(log, heldout=0)
+    for name, value in (("order", 1.92), ("natural_frequency", 10.02), ("delay", 0.0)):
+        interval, error = fit.intervals[name], fit.standard_errors[name]
+        assert interval.contains(value)
+        assert interval.high - interval.low == pytest.approx(2 * 1.96 * error, rel=0.05)
+
+
+def test_coverage_of_the_intervals() -> None:
+    """60 logs: fewer than 52 inside (two sided 0.2 %) would mean errors that are wrong by a third."""
+    clean = made_log(delay=0.003)
+    inside = {"order": 0, "natural_frequency": 0}
+    for seed in range(60):
+        noise = np.random.default_rng(seed).normal(0, NOISE, clean.output.size)
+        fit = identify(replace(clean, output=clean.output + noise), heldout=0)
+        inside["order"] += fit.intervals["order"].contains(1.92)
+        inside["natural_frequency"] += fit.intervals["natural_frequency"].contains(10.02)
+    assert min(inside.values()) >= 52
+
+
+def test_coloured_noise_widens_the_errors() -> None:
+    clean = made_log()
+    generator = np.random.default_rng(5)
+    white = generator.normal(0, 1, 5001 + 200)
+    coloured = np.convolve(white, np.exp(-np.arange(200) / 20), "valid")[:5001]
+    fit = identify(replace(clean, output=clean.output + 0.05 * coloured / coloured.std()), heldout=0)
+    assert fit.tests is not None
+    assert fit.tests.whiteness < 1e-6
+    assert fit.errors_allow_colour
+    assert fit.standard_errors["order"] > 1.5 * fit.white_standard_errors["order"]
+    assert fit.tic > fit.aic
+
+
+def test_tests_of_a_white_residual_are_calm() -> None:
+    p_values = []
+    for seed in range(12):
+        fit = identify(made_log(noise=NOISE, seed=seed), heldout=0)
+        assert fit.tests is not None
+        p_values.append((fit.tests.whiteness, fit.tests.input_independence))
+    assert np.median(p_values, axis=0).min() > 0.1
+    assert np.min(p_values) > 1e-4
+
+
+def test_deflection_log_takes_the_stiffness_it_is_told() -> None:
+    log = replace(made_log(gain=1 / 1.56), output_kind="deflection")
+    fit = identify(log, stiffness=1.3, details=False)
+    assert fit.model.stiffness == 1.3
+    assert fit.gain == pytest.approx(1.0, abs=1e-3)
+    told = identify(log, details=False)
+    assert "W304" in {finding.code for finding in told.findings}
+
+
+def test_fit_survives_its_file(tmp_path: Path) -> None:
+    fit = identify(made_log(noise=0.02, samples=1500), "D-FOM")
+    fit.save(tmp_path / "model.json")
+    back = Fit.load(tmp_path / "model.json")
+    assert back == fit
+    assert back.model == fit.model
+    assert np.array_equal(back.residual, fit.residual)
+    assert load_model(tmp_path / "model.json") == fit.model
+    assert not back.residual.flags.writeable
+
+
+def test_model_files(tmp_path: Path) -> None:
+    save_model(TRUTH, tmp_path / "link.json")
+    assert load_model(tmp_path / "link.json") == TRUTH
+    write_json(tmp_path / "other.json", "plan", 1, {})
+    with pytest.raises(FileFormatError):
+        load_model(tmp_path / "other.json")
+    write_json(tmp_path / "half.json", "fit", 1, {"model": {}})
+    with pytest.raises(FileFormatError, match="damaged"):
+        load_model(tmp_path / "half.json")
+    write_json(tmp_path / "bad.json", "model", 1, {"model": {"stiffness": -1, "natural_frequency": 3}})
+    with pytest.raises(FieldError, match="stiffness"):
+        load_model(tmp_path / "bad.json")
+    write_json(tmp_path / "extra.json", "model", 1, {"model": {"stifness": 1}})
+    with pytest.raises(FileFormatError, match="damaged"):
+        load_model(tmp_path / "extra.json")
+
+
+def test_damaged_fit_file_is_refused(tmp_path: Path) -> None:
+    identify(made_log(noise=0.02, samples=600)).save(tmp_path / "fit.json")
+    data = json.loads((tmp_path / "fit.json").read_text())
+    del data["gain"]
+    (tmp_path / "fit.json").write_text(json.dumps(data))
+    with pytest.raises(FileFormatError, match="gain"):
+        Fit.load(tmp_path / "fit.json")
+
+
+@pytest.mark.parametrize(
+    ("field", "options"),
+    [
+        ("structure", {"structure": "FOM"}),
+        ("heldout", {"heldout": 1.0}),
+        ("heldout", {"heldout": -0.1}),
+        ("stiffness", {"stiffness": 0.0}),
+        ("fixed", {"fixed": {"lambda": 1.9}}),
+        ("fixed order", {"fixed": {"order": 2.5}}),
+        ("fixed delay", {"fixed": {"delay": math.nan}}),
+        ("hold", {"hold": "second"}),
+    ],
+)
+def test_bad_options_name_their_field(field: str, options: dict[str, object]) -> None:
+    with pytest.raises(FieldError) as caught:
+        identify(made_log(samples=300), **options)  # type: ignore[arg-type]
+    assert caught.value.field == field
+
+
+def test_logs_without_motion_are_refused() -> None:
+    angle = smooth_pulse(PERIOD * np.arange(1000))
+    still = np.zeros(1000)
+    for motor, output, field in ((still, angle, "motor_angle"), (angle, still, "output")):
+        with pytest.raises(LogError) as caught:
+            identify(Experiment(period=PERIOD, motor_angle=motor, output=output))
+        assert caught.value.field == field
+    with pytest.raises(LogError, match="too few"):
+        identify(Experiment(period=PERIOD, motor_angle=angle[300:340], output=angle[300:340]))

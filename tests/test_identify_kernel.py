@@ -1,0 +1,104 @@
+"""The identification kernel against an independent solution, and its derivatives."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from identify_cases import PERIOD, TRUTH, smooth_pulse
+
+from fraclink.identify import simulated_torque
+from fraclink.identify.problem import Window, chosen_hold
+from fraclink.identify.shape import shape_of, undamped_as_damped
+from fraclink.link import LinkModel
+from fraclink.response import time_response
+
+LINKS = [
+    TRUTH,
+    LinkModel(1.56, 10.0),
+    LinkModel(1.56, 10.2, damping=1.3),
+    LinkModel(1.56, 10.5, damping=1.37, damping_order=0.9),
+    LinkModel(1.56, 9.0, damping=0.8, damping_order=1.5),
+    LinkModel(1.0, 4.0, order=1.4),
+]
+
+
+@pytest.mark.parametrize("hold", ["zero", "first"])
+@pytest.mark.parametrize("link", LINKS, ids=lambda link: link.structure)
+def test_prediction_is_the_exact_response(link: LinkModel, hold: str) -> None:
+    angle = smooth_pulse(PERIOD * np.arange(3000))
+    exact = time_response(link.torque(), angle, PERIOD, hold=hold).output
+    found = simulated_torque(link, angle, PERIOD, hold=hold)  # type: ignore[arg-type]
+    assert np.max(np.abs(found - exact)) < 3e-7 * link.stiffness
+
+
+def test_delay_of_whole_and_broken_samples() -> None:
+    fine = PERIOD / 8
+    angle = smooth_pulse(fine * np.arange(16000), rise=0.2)
+    whole = simulated_torque(TRUTH, angle, fine)
+    for steps in (1, 3, 8, 13):
+        late = simulated_torque(TRUTH, angle, fine, delay=steps * fine)
+        assert np.max(np.abs(late[steps:] - whole[:-steps])) < 1e-9
+    # A straight line between samples, evaluated in its middle: the sampled log of a fine log that is straight.
+    coarse = angle[::8]
+    straight = np.interp(fine * np.arange(coarse.size * 8 - 7), PERIOD * np.arange(coarse.size), coarse)
+    reference = simulated_torque(TRUTH, straight, fine, hold="first")
+    for steps in (1, 3, 5):
+        late = simulated_torque(TRUTH, coarse, PERIOD, delay=steps * fine, hold="first")
+        assert np.max(np.abs(late[1:] - reference[8 - steps :: 8][: late.size - 1])) < 1e-8
+
+
+@pytest.mark.parametrize("hold", ["zero", "first"])
+@pytest.mark.parametrize("link", [LINKS[0], LINKS[2], LINKS[3], LINKS[4]], ids=lambda link: link.structure)
+def test_derivatives_are_those_of_the_prediction(link: LinkModel, hold: str) -> None:
+    angle = smooth_pulse(PERIOD * np.arange(2000))
+    window = Window(angle, np.zeros_like(angle), PERIOD, hold)  # type: ignore[arg-type]
+    kernel = window.kernel(abs(link.pole), longest_delay=0.1)
+    shape = shape_of(link, delay=0.3 * PERIOD)
+    free = [i for i in range(5) if not (i in (2, 3) and link.damping == 0)]
+    mask = sum(1 << i for i in free)
+    if link.order == 2:
+        shape[0] = 1.99  # away from the limit, where only one side can be differenced
+    columns = kernel.columns(shape, mask)
+    assert columns is not None
+    for column, i in zip(columns[1:], free, strict=True):
+        step = 1e-6 * (1 if i < 4 else 0.01)
+        up, down = shape.copy(), shape.copy()
+        up[i] += step
+        down[i] -= step
+        numeric = (kernel.columns(up, 0)[0] - kernel.columns(down, 0)[0]) / (2 * step)  # type: ignore[index]
+        assert np.max(np.abs(column - numeric)) < 3e-7 * np.max(np.abs(column)) + 1e-9
+
+
+def test_gram_matrix_is_that_of_the_columns() -> None:
+    angle = smooth_pulse(PERIOD * np.arange(1237))  # no multiple of any block length
+    output = np.sin(np.arange(1237) / 7)
+    kernel = Window(angle, output, PERIOD, "first").kernel(10.0, longest_delay=0.1)
+    shape = shape_of(LINKS[3], delay=0.0123)
+    columns, gram = kernel.columns(shape, 0b11110), kernel.gram(shape, 0b11110)
+    assert columns is not None
+    assert gram is not None
+    full = np.vstack([output, columns[:1], np.ones(1237), columns[1:]])
+    assert np.allclose(gram, full @ full.T, rtol=1e-11, atol=1e-11 * np.abs(gram).max())
+
+
+def test_fractional_link_is_the_edge_of_the_damped_one() -> None:
+    angle = smooth_pulse(PERIOD * np.arange(2000))
+    kernel = Window(angle, angle, PERIOD, "first").kernel(10.0, longest_delay=0.1)
+    one, other = shape_of(TRUTH), undamped_as_damped(shape_of(TRUTH))
+    first, second = kernel.columns(one, 0), kernel.columns(other, 0)
+    assert first is not None
+    assert second is not None
+    assert np.max(np.abs(first[0] - second[0])) < 1e-7
+
+
+def test_a_negative_delay_looks_ahead() -> None:
+    angle = smooth_pulse(PERIOD * np.arange(2000))
+    early = simulated_torque(TRUTH, angle, PERIOD, delay=-5 * PERIOD)
+    assert np.allclose(early[:-5], simulated_torque(TRUTH, angle, PERIOD)[5:], atol=1e-9)
+
+
+def test_hold_is_seen_in_the_angle() -> None:
+    time = PERIOD * np.arange(2000)
+    assert chosen_hold(smooth_pulse(time), "auto") == "first"
+    assert chosen_hold(np.where((time > 1) & (time < 5), 1.0, 0.0), "auto") == "zero"
+    assert chosen_hold(np.round(smooth_pulse(time) * 300) / 300, "auto") == "first"
