@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from fraclink.findings import Finding
     from fraclink.identify import Fit
     from fraclink.simulate import Run
+    from fraclink.simulate.metrics import Metrics
     from fraclink.study import Study
 
 __all__ = [
@@ -20,6 +21,7 @@ __all__ = [
     "finding_values",
     "fit_text",
     "fit_values",
+    "metrics_values",
     "plan_text",
     "plan_values",
     "run_text",
@@ -176,7 +178,16 @@ def plan_text(plan: Plan) -> str:
 
 def run_values(run: Run) -> dict[str, object]:
     """A simulated move for machines."""
-    metrics = run.metrics
+    return {
+        "payload": run.payload,
+        "holds": run.verdict.holds,
+        "reason": run.verdict.reason,
+        "metrics": metrics_values(run.metrics),
+    }
+
+
+def metrics_values(metrics: Metrics) -> dict[str, float | None]:
+    """The metrics of a run for machines; null where one is not finite (it never settles)."""
     names = (
         "overshoot",
         "settling_time",
@@ -185,12 +196,7 @@ def run_values(run: Run) -> dict[str, object]:
         "peak_voltage",
         "motor_reference_noise",
     )
-    return {
-        "payload": run.payload,
-        "holds": run.verdict.holds,
-        "reason": run.verdict.reason,
-        "metrics": {name: _finite(getattr(metrics, name)) for name in names},
-    }
+    return {name: _finite(getattr(metrics, name)) for name in names}
 
 
 def _run_row(run: Run) -> tuple[str, ...]:
