@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from identify_cases import PERIOD, TRUTH, made_log, smooth_pulse
 
 from fraclink.errors import FieldError, FileFormatError, LogError
 from fraclink.experiment import Experiment
@@ -19,6 +18,7 @@ from fraclink.files import write_json
 from fraclink.identify import Fit, aic, identify, load_model, save_model
 from fraclink.link import LinkModel
 from fraclink.response import time_response
+from identify_cases import PERIOD, TRUTH, made_log, smooth_pulse
 
 NOISE = 0.0052**0.5
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from identify_cases import PERIOD, TRUTH, smooth_pulse
 
 from fraclink.identify import simulated_torque
 from fraclink.identify.problem import Window, chosen_hold
 from fraclink.identify.shape import shape_of, undamped_as_damped
 from fraclink.link import LinkModel
 from fraclink.response import time_response
+from identify_cases import PERIOD, TRUTH, smooth_pulse
 
 LINKS = [
     TRUTH,
@@ -38,7 +38,7 @@ def test_delay_of_whole_and_broken_samples() -> None:
     for steps in (1, 3, 8, 13):
         late = simulated_torque(TRUTH, angle, fine, delay=steps * fine)
         assert np.max(np.abs(late[steps:] - whole[:-steps])) < 1e-9
-    # A straight line between samples, evaluated in its middle: the sampled log of a fine log that is straight.
+    # Between samples the input is a straight line: the same as a fine log that is straight there.
     coarse = angle[::8]
     straight = np.interp(fine * np.arange(coarse.size * 8 - 7), PERIOD * np.arange(coarse.size), coarse)
     reference = simulated_torque(TRUTH, straight, fine, hold="first")
@@ -48,7 +48,7 @@ def test_delay_of_whole_and_broken_samples() -> None:
 
 
 @pytest.mark.parametrize("hold", ["zero", "first"])
-@pytest.mark.parametrize("link", [LINKS[0], LINKS[2], LINKS[3], LINKS[4]], ids=lambda link: link.structure)
+@pytest.mark.parametrize("link", [LINKS[i] for i in (0, 2, 3, 4)], ids=lambda link: link.structure)
 def test_derivatives_are_those_of_the_prediction(link: LinkModel, hold: str) -> None:
     angle = smooth_pulse(PERIOD * np.arange(2000))
     window = Window(angle, np.zeros_like(angle), PERIOD, hold)  # type: ignore[arg-type]

@@ -15,7 +15,7 @@ from fraclink.identify.fit import Fit
 from fraclink.identify.problem import Hold
 from fraclink.identify.single import fit_from, make_search
 from fraclink.identify.statistics import correlation_lag, long_run_covariance
-from fraclink.link import STRUCTURES
+from fraclink.link import STRUCTURES, structure
 
 if TYPE_CHECKING:
     from fraclink.experiment import Experiment
@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 __all__ = ["Comparison", "Contest", "identify_all"]
 
 _SIGNIFICANT = 1.959963984540054
+# Chance alone lowers the AIC by 2 or more with one superfluous parameter in one log of twenty-two (4: in one
+# of seventy): a difference below 4 is no reason to carry another parameter.
+_DECISIVE = 4.0
 
 
 @dataclass(frozen=True)
@@ -52,7 +55,8 @@ class Comparison:
     Arguments:
         fits: structure → fit, in the order UD-IOM, D-IOM, UD-FOM, D-FOM.
         without_delay: the same with the delay held at zero (parameters and errors only, no details).
-        preferred: the structure with the lowest `Fit.tic`, the AIC where the residual is white.
+        preferred: of the structures whose `Fit.tic` (the AIC where the residual is white) is within 4 of the
+            lowest, the one with the fewest parameters, then with the lowest `tic`.
         contest: UD-FOM against D-IOM, which have as many parameters.
         verdict: what may be concluded, in words.
     """
@@ -82,7 +86,9 @@ def identify_all(
     hold: Hold = "auto",
     details: bool = True,
 ) -> Comparison:
-    """Fit all four structures to a log and say what it tells apart; options as in `identify`.
+    """Fit all four structures to a log and say what it tells apart.
+
+    Options as in `identify`; `stiffness` is c [N·m/rad] where it is known.
 
     Raises what `identify` raises. Source: the paper, section 3.3 and Table 2.
 
@@ -108,8 +114,14 @@ def identify_all(
             for name in ("D-IOM", "UD-FOM")
         }
     contest = _contest(fits["UD-FOM"], fits["D-IOM"])
-    preferred = min(fits, key=lambda name: fits[name].tic)
+    preferred = _preferred(fits)
     return Comparison(fits, still, preferred, contest, _verdict(fits, still, preferred, contest))
+
+
+def _preferred(fits: Mapping[str, Fit]) -> str:
+    lowest = min(fit.tic for fit in fits.values())
+    near = [name for name, fit in fits.items() if fit.tic - lowest < _DECISIVE]
+    return min(near, key=lambda name: (len(structure(name).free), fits[name].tic))
 
 
 def _contest(first: Fit, second: Fit) -> Contest:
@@ -135,10 +147,15 @@ def _verdict(fits: Mapping[str, Fit], still: Mapping[str, Fit], preferred: str, 
 
 def _by_criterion(fits: Mapping[str, Fit], preferred: str) -> str:
     best = fits[preferred]
-    others = sorted((fit for fit in fits.values() if fit is not best), key=lambda fit: fit.tic)
-    gap = others[0].tic - best.tic
+    other = min((fit for fit in fits.values() if fit is not best), key=lambda fit: fit.tic)
+    gap = other.tic - best.tic
     criterion = "AIC, corrected for the residual's colour" if best.errors_allow_colour else "AIC"
-    text = f"{preferred} is preferred: lowest {criterion}, {gap:.1f} below {others[0].structure}"
+    text = f"{preferred} is preferred: lowest {criterion}, {gap:.1f} below {other.structure}"
+    if gap < 0:
+        text = (
+            f"{preferred} is preferred: {other.structure}'s {criterion} is only {-gap:.1f} lower, "
+            "too little for one parameter more"
+        )
     if best.heldout_nmse is not None:
         text += f"; held-out NMSE {best.heldout_nmse:.4g}"
     return text + "."

@@ -60,6 +60,11 @@ class Fit:
         source, sha256: of the log.
 
     Source: the paper, section 3.3, Algorithm 1 and equations (17), (18).
+
+    >>> import fraclink as fl
+    >>> fit = fl.identify(fl.read_log(fl.bundled_log("prbs_30g")), "UD-FOM", details=False)
+    >>> fit.structure, round(fit.model.order, 2), fit.samples
+    ('UD-FOM', 1.92, 5001)
     """
 
     structure: str

@@ -1,0 +1,121 @@
+"""Four structures on one log: what the verdict says, on simulated and on recorded logs."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fraclink.experiment import Experiment
+from fraclink.identify import identify, identify_all
+from fraclink.link import STRUCTURES, LinkModel
+from fraclink.readers import read_log
+from fraclink.rig import Rig
+from identify_cases import TRUTH, made_log
+from shared_data import shared_data
+
+RIGS = Path(__file__).parent / "rigs"
+
+
+def test_all_four_in_the_papers_order() -> None:
+    comparison = identify_all(made_log(noise=0.02))
+    assert list(comparison.fits) == list(STRUCTURES)
+    assert comparison.preferred == "UD-FOM"
+    assert comparison.best is comparison.fits["UD-FOM"]
+    assert comparison.contest.preferred == "UD-FOM"
+    assert "UD-FOM is preferred" in comparison.verdict
+    assert comparison.fits["UD-IOM"].mse > 5 * comparison.best.mse
+
+
+def test_40_ms_of_delay_fake_a_fractional_order_and_the_verdict_says_so() -> None:
+    log = made_log(LinkModel(1.56, 10.0, damping=1.3), noise=0.05, delay=0.04, seed=1)
+    comparison = identify_all(log)
+    still = comparison.without_delay
+    assert still["UD-FOM"].aic < still["D-IOM"].aic
+    assert comparison.fits["D-IOM"].aic < comparison.fits["UD-FOM"].aic
+    assert comparison.preferred == "D-IOM"
+    assert "λ is explained by the delay" in comparison.verdict
+    assert comparison.fits["D-IOM"].delay == pytest.approx(0.04, abs=5e-4)
+    told = identify_all(log, fixed={"delay": 0.0})
+    assert told.preferred == "UD-FOM"
+    assert not told.without_delay
+
+
+def test_a_noisy_log_cannot_tell_them_apart() -> None:
+    log = made_log(LinkModel(1.56, 10.0, order=1.99), noise=0.4, seed=2)
+    comparison = identify_all(log)
+    assert comparison.contest.preferred is None
+    assert "UD-FOM and D-IOM cannot be told apart by this log" in comparison.verdict
+    assert "α is not identifiable" in comparison.verdict
+
+
+def test_an_integer_link_is_called_one() -> None:
+    comparison = identify_all(made_log(LinkModel(1.56, 10.0), noise=0.05))
+    assert comparison.preferred == "UD-IOM"
+    assert "λ is at its bound 2" in comparison.verdict
+
+
+def test_nesting_holds_on_every_log() -> None:
+    links = [TRUTH, LinkModel(1.56, 10.0, damping=1.0), LinkModel(1.56, 12.0, damping=2.0, damping_order=0.4)]
+    for seed, link in enumerate(links):
+        fits = identify_all(made_log(link, noise=0.1, seed=seed), details=False).fits
+        best = min(fits["UD-FOM"].mse, fits["D-IOM"].mse)
+        assert fits["D-FOM"].mse <= best * (1 + 1e-7)
+        assert fits["UD-FOM"].mse <= fits["UD-IOM"].mse * (1 + 1e-7)
+
+
+def ist_log(name: str) -> Experiment:
+    """IST's columns are volts; its README gives both calibrations, and the strain's sign is opposite."""
+    data = np.genfromtxt(shared_data("ist_flexbar", f"2_lab_{name}.csv"), delimiter=",", names=True)
+    return Experiment(
+        period=0.001,
+        motor_angle=np.deg2rad(36.79 * data["pot_V"]),
+        output=np.deg2rad(1.301 * data["strain_V"]),
+        output_kind="deflection",
+    )
+
+
+def test_merced_through_its_rig_file() -> None:
+    rig = Rig.load(RIGS / "merced.toml")
+    log = read_log(shared_data("quanser_rfl_merced", "merced_rfl.csv"), rig=rig)
+    comparison = identify_all(log, stiffness=rig.link.stiffness)
+    fractional, viscous = comparison.fits["UD-FOM"], comparison.fits["D-IOM"]
+    assert fractional.fitted_samples == 1500
+    assert fractional.model.order == pytest.approx(1.987, abs=0.003)
+    assert fractional.model.stiffness == pytest.approx(1.3)
+    assert fractional.heldout_nmse is not None
+    assert viscous.heldout_nmse is not None
+    assert fractional.heldout_nmse <= 0.0130
+    assert viscous.heldout_nmse <= 0.0138
+    assert fractional.gain > 0
+    assert fractional.errors_allow_colour
+
+
+def test_ist_fast_square_wave() -> None:
+    comparison = identify_all(ist_log("a15_f10"))
+    fractional, viscous = comparison.fits["UD-FOM"], comparison.fits["D-IOM"]
+    assert fractional.model.order == pytest.approx(1.992, abs=0.003)
+    assert fractional.heldout_nmse is not None
+    assert viscous.heldout_nmse is not None
+    assert fractional.heldout_nmse <= 0.0315
+    assert viscous.heldout_nmse <= 0.0325
+
+
+def test_ist_slow_square_wave_prefers_viscous_damping() -> None:
+    comparison = identify_all(ist_log("a10_f04"))
+    assert comparison.preferred == "D-IOM"
+    assert comparison.fits["D-FOM"].mse <= comparison.fits["D-IOM"].mse
+
+
+def test_rig_files_are_toml() -> None:
+    assert tomllib.loads((RIGS / "merced.toml").read_text(encoding="utf-8"))["link"]
+
+
+def test_sign_of_a_rough_angle_delay() -> None:
+    """Quantised at 5 mrad, an angle rewards half samples of delay; a negative one must not be reported."""
+    log = made_log(noise=0.01)
+    rough = replace(log, motor_angle=np.round(log.motor_angle / 0.005) * 0.005)
+    assert identify(rough, details=False).delay >= 0.0

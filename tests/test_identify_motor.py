@@ -1,0 +1,120 @@
+"""The motor from voltage and angle, and the design of experiments."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fraclink.errors import FieldError, InfeasibleError, LogError
+from fraclink.experiment import Experiment
+from fraclink.identify import design_experiment, identify, identify_motor, simulated_torque
+from fraclink.identify.motor_example import example_motor_log
+from fraclink.link import LinkModel
+from fraclink.rig import Rig
+from identify_cases import PERIOD
+
+GAIN, DECAY, INERTIA = 3056.77, 15.153, 6.87e-5
+LINK = LinkModel(1.56, 10.0, order=1.92)
+
+
+@pytest.mark.parametrize(
+    "truth",
+    [
+        {},
+        {"delay": 0.004},
+        {"dead_zone": 0.03},
+        {"dead_zone": 0.03, "delay": 0.006, "coulomb_voltage": 0.05},
+        {"coulomb_voltage": 0.0},
+    ],
+)
+def test_motor_is_found(truth: dict[str, float]) -> None:
+    voltage, angle = example_motor_log(**truth)  # type: ignore[arg-type]
+    fit = identify_motor(voltage, angle, period=PERIOD, inertia=INERTIA)
+    assert fit.gain == pytest.approx(GAIN, rel=0.01)
+    assert fit.decay == pytest.approx(DECAY, rel=0.01)
+    wanted = truth.get("coulomb_voltage", 0.02)
+    assert fit.coulomb_voltage == pytest.approx(wanted, abs=1e-3)
+    assert fit.coulomb_torque == pytest.approx(wanted * GAIN * INERTIA, abs=3e-4)
+    assert fit.dead_zone == pytest.approx(truth.get("dead_zone", 0.0), abs=1e-3)
+    assert fit.delay == pytest.approx(truth.get("delay", 0.0), abs=3e-4)
+    assert fit.nmse < 1e-3
+
+
+def test_known_delay_is_kept_and_errors_cover() -> None:
+    voltage, angle = example_motor_log()
+    fit = identify_motor(voltage, angle, period=PERIOD, delay=0.0, dead_zone=0.0)
+    assert (fit.delay, fit.dead_zone) == (0.0, 0.0)
+    assert fit.coulomb_torque is None
+    for name, truth in (("gain", GAIN), ("decay", DECAY), ("coulomb_voltage", 0.02)):
+        assert abs(getattr(fit, name) - truth) < 5 * fit.standard_errors[name]
+
+
+def test_the_links_torque_gives_the_inertia() -> None:
+    # Dividing the link's torque by J is the same as a voltage: make the load a known second drive.
+    voltage, angle = example_motor_log(samples=4000)
+    generator = np.random.default_rng(3)
+    torque = np.repeat(generator.uniform(-0.01, 0.01, 100), 40)
+    driven = voltage + torque / (GAIN * INERTIA)  # the voltage that makes the same motion against the load
+    fit = identify_motor(driven, angle, period=PERIOD, torque=torque, delay=0.0, dead_zone=0.0)
+    assert fit.inertia == pytest.approx(INERTIA, rel=0.02)
+    assert fit.gain == pytest.approx(GAIN, rel=0.02)
+
+
+def test_bad_motor_logs() -> None:
+    voltage, angle = example_motor_log(samples=1000)
+    with pytest.raises(LogError, match="too short"):
+        identify_motor(voltage[:50], angle[:50], period=PERIOD)
+    with pytest.raises(LogError, match="constant"):
+        identify_motor(voltage, np.zeros(1000), period=PERIOD)
+    with pytest.raises(LogError, match="finite"):
+        identify_motor(np.where(np.arange(1000) == 3, np.nan, voltage), angle, period=PERIOD)
+    with pytest.raises(LogError, match="motion in one direction"):
+        identify_motor(voltage, np.sin(np.arange(1000) * 1.5), period=PERIOD)
+    with pytest.raises(FieldError, match="period"):
+        identify_motor(voltage, angle, period=0.0)
+    with pytest.raises(FieldError, match="inertia"):
+        identify_motor(voltage, angle, period=PERIOD, inertia=-1.0)
+
+
+@pytest.mark.parametrize("kind", ["prbs", "multisine"])
+def test_designed_experiment_reaches_its_standard_error(kind: str) -> None:
+    plan = design_experiment(LINK, standard_error=0.001, noise=0.05, period=PERIOD, kind=kind)  # type: ignore[arg-type]
+    torque = simulated_torque(LINK, plan.motor_angle, PERIOD)
+    orders = []
+    for seed in range(40):
+        noise = np.random.default_rng(seed).normal(0, 0.05, torque.size)
+        log = Experiment(period=PERIOD, motor_angle=plan.motor_angle, output=torque + noise)
+        orders.append(identify(log, heldout=0, details=False).model.order)
+    # The deviation of 40 values is known to 11 %; three times that.
+    assert np.std(orders) == pytest.approx(0.001, rel=0.35)
+    assert plan.peak_deflection > 0
+
+
+def test_limits_bind_and_the_nearest_request_is_feasible() -> None:
+    motor = Rig.named("paper-2023").motor
+    with pytest.raises(InfeasibleError) as caught:
+        design_experiment(
+            LINK, standard_error=1e-5, noise=0.05, period=PERIOD, motor=motor, deflection_limit=0.2
+        )
+    nearest = caught.value.nearest
+    plan = design_experiment(
+        LINK,
+        standard_error=nearest["standard_error"],
+        noise=0.05,
+        period=PERIOD,
+        motor=motor,
+        deflection_limit=0.2,
+    )
+    assert plan.peak_deflection <= 0.2 * (1 + 1e-9)
+    assert plan.peak_voltage is not None
+    assert plan.peak_voltage <= motor.voltage_limit
+
+
+@pytest.mark.parametrize("field", ["standard_error", "noise", "period", "duration"])
+def test_bad_design_requests(field: str) -> None:
+    options = {"standard_error": 0.001, "noise": 0.05, "period": PERIOD, "duration": 10.0} | {field: -1.0}
+    with pytest.raises(FieldError) as caught:
+        design_experiment(LINK, **options)
+    assert caught.value.field == field
+    with pytest.raises(FieldError, match="kind"):
+        design_experiment(LINK, standard_error=0.001, noise=0.05, period=PERIOD, kind="chirp")  # type: ignore[arg-type]
