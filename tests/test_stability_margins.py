@@ -162,7 +162,7 @@ def test_stability_agrees_with_closed_loop_roots(zeros: list[float], poles: list
     if len(top) > len(bottom):
         top = gain * np.poly(-np.array(zeros[: len(poles)]))
     closed = np.roots(np.polyadd(top, bottom))
-    if np.min(np.abs(closed.real)) < 1e-4 or len(closed) < len(bottom) - 1:
+    if len(closed) < len(bottom) - 1 or np.min(np.abs(closed.real)) < 1e-4:
         return
     if len(top) == len(bottom) and abs(top[0] + bottom[0]) < 1e-2:
         return  # L(∞) = −1: a closed loop that is not proper

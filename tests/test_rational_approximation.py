@@ -1,0 +1,152 @@
+"""Oustaloup's filter against its product formula, the minimax rational against Oustaloup's filter."""
+
+from __future__ import annotations
+
+import math
+
+import control
+import numpy as np
+import pytest
+
+from fraclink.errors import FieldError
+from fraclink.fractional import FractionalTransferFunction, s
+from fraclink.rational import RationalApproximation, approximate
+
+BAND = (1e-2, 700.0)
+
+
+def filter_of(fraction: float, points: np.ndarray, band: tuple[float, float], n: int) -> np.ndarray:
+    """Oustaloup's product for s^fraction, written out."""
+    value = np.full(points.shape, band[1] ** fraction, dtype=complex)
+    for k in range(n):
+        up = band[0] * (band[1] / band[0]) ** ((k + 0.5 - 0.5 * fraction) / n)
+        down = band[0] * (band[1] / band[0]) ** ((k + 0.5 + 0.5 * fraction) / n)
+        value *= (points + up) / (points + down)
+    return value
+
+
+def substituted(system: FractionalTransferFunction, points: np.ndarray, n: int) -> np.ndarray:
+    sides = []
+    for terms in (system.numerator, system.denominator):
+        total = np.zeros(points.shape, dtype=complex)
+        for t in terms:
+            whole = math.floor(t.order)
+            rest = t.order - whole
+            power = filter_of(rest, points, BAND, n) if rest else 1.0
+            total += t.coefficient * points**whole * power
+        sides.append(total)
+    return sides[0] / sides[1]
+
+
+@pytest.mark.parametrize(
+    "system",
+    [
+        s**0.65,
+        1 / s**0.4,
+        1.56 * s**1.92 / (s**1.92 + 100),
+        100 / (s**1.92 + 100),
+        s**0.65 / (1 + 0.16 * s) ** 2,
+        (s + 3) / (s**2 + 2 * s**1.3 + 3 * s**0.5 + 4),
+        1 / (s**0.5 + 2 * s**0.3 + 1),
+        1 / (s**2.7 + 2 * s**1.7 + s**0.7),
+    ],
+)
+@pytest.mark.parametrize("order", [1, 4, 9])
+def test_oustaloup_is_the_product_formula(system: FractionalTransferFunction, order: int) -> None:
+    made = approximate(system, BAND, order)
+    w = np.geomspace(1e-3, 1e4, 301)
+    np.testing.assert_allclose(made.frequency_response(w), substituted(system, 1j * w, order), rtol=2e-6)
+
+
+def test_known_error_of_the_best_oustaloup_filter() -> None:
+    """Band 1e-3 … 1e5 and N = 7 (15 pairs): 0.9 % on the link between 0.1 and 1000 rad/s."""
+    link = 1.56 * s**1.92 / (s**1.92 + 10.02**2)
+    made = approximate(link, (1e-3, 1e5), 15)
+    w = np.geomspace(0.1, 1000, 2000)
+    error = np.max(np.abs(made.frequency_response(w) / link(1j * w) - 1))
+    assert 0.005 < error < 0.02
+    assert made.order == 16
+
+
+@pytest.mark.parametrize(
+    "system",
+    [
+        s**0.65,
+        1 / s**0.4,
+        100 / (s**1.92 + 100),
+        1.56 * s**1.92 / (s**1.92 + 100),
+        1 / (s**0.5 + 2 * s**0.3 + 1),
+    ],
+)
+def test_minimax_beats_oustaloup_at_the_same_order(system: FractionalTransferFunction) -> None:
+    usual = approximate(system, BAND, 5)
+    best = approximate(system, BAND, 5, method="minimax")
+    assert best.order == 5 <= usual.order
+    assert best.error_db < 0.7 * usual.error_db
+    assert best.error_deg < 0.35 * usual.error_deg
+    assert np.all(best.poles.real < 0)
+
+
+@pytest.mark.parametrize(
+    ("made", "points"),
+    [
+        (approximate(s**0.65 / (1 + 0.16 * s) ** 2, BAND, 5), 1j * np.geomspace(0.01, 1e3, 50)),
+        (approximate(100 / (s**1.92 + 100), BAND, 4, method="minimax"), 1j * np.geomspace(0.01, 1e3, 50)),
+        (
+            approximate(100 / (s**1.92 + 100), BAND, 5, method="minimax", period=0.004),
+            np.exp(1j * np.geomspace(1e-4, 3, 50)),
+        ),
+    ],
+)
+def test_state_space_and_residues_are_the_same_function(
+    made: RationalApproximation, points: np.ndarray
+) -> None:
+    a, b, c, d = made.state_space()
+    assert a.shape == (made.order, made.order) and a.dtype == float
+    value = [(c @ np.linalg.solve(p * np.eye(len(a)) - a, b) + d).item() for p in points]
+    np.testing.assert_allclose(value, made(points), rtol=1e-7)
+    if np.all(np.isfinite(made.residues)) and np.max(np.abs(made.residues)) < 1e6:
+        parts = made.direct + (made.residues / (points[:, None] - made.poles)).sum(1)
+        np.testing.assert_allclose(parts, made(points), rtol=1e-6)
+    system = control.ss(a, b, c, d, 0 if made.period is None else made.period)
+    np.testing.assert_allclose(system(points[20]), made(points[20]), rtol=1e-7)
+
+
+def test_bilinear_map_of_oustaloup() -> None:
+    system = 100 / (s**1.92 + 100)
+    plain, sampled = approximate(system, BAND, 6), approximate(system, BAND, 6, period=0.004)
+    w = np.geomspace(0.1, 700, 100)
+    warped = plain.frequency_response(500 * np.tan(w * 0.002))
+    np.testing.assert_allclose(sampled.frequency_response(w), warped, rtol=1e-9)
+    assert np.all(np.abs(sampled.poles) < 1)
+
+
+def test_reported_error_is_the_error() -> None:
+    system = 1 / (s**0.5 + 1)
+    made = approximate(system, BAND, 4, method="minimax")
+    w = np.geomspace(*BAND, 5003)
+    ratio = made.frequency_response(w) / system(1j * w)
+    assert made.error_db == pytest.approx(np.max(np.abs(20 * np.log10(np.abs(ratio)))), rel=0.01)
+    assert made.error_deg == pytest.approx(np.max(np.abs(np.degrees(np.angle(ratio)))), rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("system", "options", "field"),
+    [
+        (s**0.5, {"method": "carlson"}, "method"),
+        (s**0.5, {"order": 0}, "order"),
+        (s**0.5, {"order": 41}, "order"),
+        (s**0.5, {"order": 13, "method": "minimax"}, "order"),
+        (s**0.5, {"band": (1.0, 0.1)}, "band"),
+        (s**0.5, {"band": (1.0, math.inf)}, "band"),
+        (s**0.5, {"band": (1.0, 1000.0), "period": 0.004}, "band"),
+        ((1 / (s + 1)).delayed(0.1), {}, "system"),
+        (s**1.65, {}, "system"),
+        (1 / (s**0.5 - 1), {"method": "minimax"}, "system"),
+    ],
+)
+def test_bad_input(system: FractionalTransferFunction, options: dict[str, object], field: str) -> None:
+    arguments = {"band": (0.1, 100.0), "order": 3, **options}
+    with pytest.raises(FieldError) as caught:
+        approximate(system, **arguments)  # type: ignore[arg-type]
+    assert caught.value.field == field

@@ -1,0 +1,235 @@
+"""The discrete minimax fit: its figures, its structure, its recursion and its bounds."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fraclink.errors import FieldError
+from fraclink.rational import DiscreteRational, fit_discrete
+
+PERIOD = 0.004
+Array = np.ndarray
+
+
+def correction(filter_time: float, gain: float = 0.148, order: float = 0.65) -> object:
+    """Ĉ of eq. (58): k (jω)^β/(1 + δjω)²."""
+    return lambda w: gain * (1j * w) ** order / (1 + 1j * filter_time * w) ** 2
+
+
+def fit(filter_time: float, order: int | None, high: float) -> DiscreteRational:
+    return fit_discrete(
+        correction(filter_time), period=PERIOD, band=(0.05, high), order=order, zeros_at_one=1, offset=1.0
+    )
+
+
+@pytest.fixture(scope="module")
+def slow_filter() -> DiscreteRational:
+    return fit(0.16, 4, 785.0)
+
+
+@pytest.fixture(scope="module")
+def fast_filter() -> DiscreteRational:
+    return fit(0.016, 6, 600.0)
+
+
+def worst(made: DiscreteRational, filter_time: float, high: float) -> tuple[float, float]:
+    """Errors on an independent grid, from poles and residues written out here."""
+    w = np.concatenate([np.geomspace(0.05, high, 5003), np.linspace(0.05, high, 4001)])
+    z = np.exp(1j * w * PERIOD)
+    h = np.full(w.shape, made.feedthrough, dtype=complex)
+    for p, g in zip(made.decays, made.gains, strict=True):
+        h += g / (z - p)
+    for q, c in zip(made.pole_decays, made.pole_gains, strict=True):
+        h += 0.5 * c / (z - q) + 0.5 * np.conj(c) / (z - np.conj(q))
+    ratio = (1 + (1 - 1 / z) * h) / (1 + correction(filter_time)(w))  # type: ignore[operator]
+    return float(np.max(np.abs(20 * np.log10(np.abs(ratio))))), float(
+        np.max(np.abs(np.degrees(np.angle(ratio))))
+    )
+
+
+def test_four_states_hold_the_slow_filter_to_nyquist(slow_filter: DiscreteRational) -> None:
+    db, deg = worst(slow_filter, 0.16, 785.0)
+    assert slow_filter.order == 4
+    assert db < 0.1 and deg < 0.5
+    assert (slow_filter.error_db, slow_filter.error_deg) == pytest.approx((db, deg), rel=0.02)
+
+
+def test_six_states_hold_the_fast_filter_to_600(fast_filter: DiscreteRational) -> None:
+    db, deg = worst(fast_filter, 0.016, 600.0)
+    assert fast_filter.order == 6
+    assert db < 0.1 and deg < 0.5
+
+
+def test_the_lowest_sufficient_order_is_chosen(slow_filter: DiscreteRational) -> None:
+    chosen = fit(0.16, None, 785.0)
+    assert chosen.order == 4
+    np.testing.assert_array_equal(chosen.decays, slow_filter.decays)
+    assert fit(0.16, 3, 785.0).error_db > 0.1  # order 3 misses
+
+
+def test_no_filter() -> None:
+    """Ĉ = k s^β itself: met to 200 rad/s; to 0.8 of the Nyquist frequency only as far as causality allows."""
+    bare = lambda w: 0.06988 * (1j * w) ** 0.6122  # noqa: E731
+    low = fit_discrete(bare, period=PERIOD, band=(0.05, 200.0), zeros_at_one=1, offset=1.0)
+    assert low.order <= 5
+    assert low.error_db < 0.1 and low.error_deg < 0.5
+    high = fit_discrete(bare, period=PERIOD, band=(0.05, 628.0), order=5, zeros_at_one=1, offset=1.0)
+    assert high.error_db < 1.0 and high.error_deg < 5.0
+    # Above the band the gain stays bounded: a fit without that guard exceeds 1e6 here.
+    w = np.linspace(628.0, math.pi / PERIOD, 400)
+    assert np.max(np.abs(high(w))) < 20 * np.max(np.abs(bare(w)))
+
+
+def test_feed_forward_operator() -> None:
+    """s^(λ−2) = s^(−0.08) with stable real poles, the slowest below the band."""
+    made = fit_discrete(lambda w: (1j * w) ** -0.08, period=PERIOD, band=(0.05, 300.0))
+    assert made.order <= 6 and made.zeros_at_one == 0
+    assert made.error_db < 0.1 and made.error_deg < 0.5
+    assert made.pole_decays.size == 0
+    assert np.all(np.abs(made.decays) < 1)
+    assert np.max(made.decays) > 1 - 0.1 * PERIOD
+    assert np.all(np.isfinite(made(np.array([1e-9, 1e-3]))))  # G(0) is finite, unlike s^(−0.08)
+
+
+def test_zero_at_one_is_exact(slow_filter: DiscreteRational) -> None:
+    assert slow_filter(0.0) == 0.0
+    assert slow_filter(1e-9) == pytest.approx(1e-9j * slow_filter(1e-6).imag / 1e-6, rel=1e-3)
+    y = slow_filter.filter(np.ones(40_000))
+    assert abs(y[-1]) < 1e-6 * np.abs(y).max()  # decays with the slowest pole, to 0 and to nothing else
+    slowest = np.abs(slow_filter.poles).max()
+    assert y[-1] / y[-2] == pytest.approx(slowest, rel=1e-4)
+
+
+@pytest.mark.parametrize("made", ["slow_filter", "fast_filter"])
+def test_recursion_is_the_frequency_response(made: str, request: pytest.FixtureRequest) -> None:
+    h: DiscreteRational = request.getfixturevalue(made)
+    n = 60_000
+    impulse = np.zeros(n)
+    impulse[0] = 1.0
+    response = h.filter(impulse)
+    w = np.array([5.0, 50.0, 300.0, 700.0])
+    transform = np.exp(-1j * np.outer(w, np.arange(n)) * PERIOD) @ response
+    np.testing.assert_allclose(h(w), transform, rtol=1e-9)
+
+
+def test_poles_are_stable_and_apart(slow_filter: DiscreteRational, fast_filter: DiscreteRational) -> None:
+    for made in (slow_filter, fast_filter):
+        assert np.all(np.abs(made.poles) < 1)
+        assert np.all(made.pole_decays.imag > 0)
+
+
+def test_single_precision_noise(slow_filter: DiscreteRational) -> None:
+    """The recursion in 32-bit floats against 64-bit; nearly equal poles would lose two more digits."""
+    rng = np.random.default_rng(1)
+    u = np.cumsum(rng.normal(size=20_000)) * 1e-3
+    u = u - np.convolve(u, np.ones(400) / 400, mode="same")
+    exact = slow_filter.filter(u.astype(np.float32).astype(float))
+    v = np.diff(u.astype(np.float32), prepend=np.float32(0))
+    x = np.zeros(2, dtype=np.float32)
+    w = np.complex64(0)
+    p, g = slow_filter.decays.astype(np.float32), slow_filter.gains.astype(np.float32)
+    q, c = np.complex64(slow_filter.pole_decays[0]), np.complex64(slow_filter.pole_gains[0])
+    d = np.float32(slow_filter.feedthrough)
+    y = np.empty_like(v)
+    for k, drive in enumerate(v):
+        y[k] = d * drive + g @ x + (c * w).real
+        x, w = p * x + drive, q * w + drive
+    # The coefficients' own rounding (6e-8 relative) is the larger part of this.
+    assert np.std(y - exact) < 3e-6 * np.std(exact)
+
+
+def test_the_same_request_gives_the_same_bits() -> None:
+    first, second = fit(0.16, 3, 785.0), fit(0.16, 3, 785.0)
+    for name in ("decays", "gains", "pole_decays", "pole_gains"):
+        assert np.array_equal(getattr(first, name), getattr(second, name))
+
+
+def test_an_exact_rational_is_found_again() -> None:
+    """A response that is of the structure itself is met to rounding."""
+    p, q = np.array([0.995, 0.6]), 0.9 * np.exp(0.2j)
+
+    def exact(w: Array) -> Array:
+        z = np.exp(1j * w * PERIOD)
+        pair = 0.5 * ((0.3 + 0.1j) / (z - q) + (0.3 - 0.1j) / (z - np.conj(q)))
+        return (1 - 1 / z) * (0.5 + 0.01 / (z - p[0]) + 0.2 / (z - p[1]) + pair)
+
+    made = fit_discrete(exact, period=PERIOD, band=(0.1, 780.0), order=4, zeros_at_one=1)
+    assert made.error_db < 1e-7 and made.error_deg < 1e-6
+    np.testing.assert_allclose(np.sort(made.decays), np.sort(p), rtol=1e-6)
+    np.testing.assert_allclose(made.pole_decays, [q], rtol=1e-6)
+
+
+def test_weight_moves_the_error() -> None:
+    focus = fit_discrete(
+        correction(0.016), period=PERIOD, band=(0.05, 600.0), order=4, zeros_at_one=1, offset=1.0,
+        weight=lambda w: np.where(w < 50, 10.0, 1.0),
+    )  # fmt: skip
+    plain = fit(0.016, 4, 600.0)
+    w = np.geomspace(0.05, 49, 500)
+    wanted = 1 + correction(0.016)(w)  # type: ignore[operator]
+    inside = [np.max(np.abs(np.log((1 + made(w)) / wanted))) for made in (focus, plain)]
+    assert inside[0] < 0.5 * inside[1]
+
+
+@given(
+    st.floats(0.2, 0.9),
+    st.floats(0.02, 0.5),
+    st.floats(0.004, 0.3),
+    st.integers(1, 2),
+    st.floats(0.001, 0.02),
+)
+@settings(max_examples=6, deadline=None)
+def test_any_controller_gets_a_stable_law(
+    order: float, gain: float, filter_time: float, power: int, period: float
+) -> None:
+    nyquist = math.pi / period
+    made = fit_discrete(
+        lambda w: gain * (1j * w) ** order / (1 + 1j * filter_time * w) ** power,
+        period=period,
+        band=(1e-4 * nyquist, 0.5 * nyquist),
+        order=4,
+        zeros_at_one=1,
+        offset=1.0,
+    )
+    assert np.all(np.abs(made.poles) < 1)
+    assert made.error_db < 2.0 and made.error_deg < 12.0
+    assert made(0.0) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("options", "field"),
+    [
+        ({"period": 0.0}, "period"),
+        ({"period": math.nan}, "period"),
+        ({"band": (0.0, 100.0)}, "band"),
+        ({"band": (10.0, 1.0)}, "band"),
+        ({"band": (1.0, 800.0)}, "band"),
+        ({"order": 13}, "order"),
+        ({"order": -1}, "order"),
+        ({"zeros_at_one": 7}, "zeros_at_one"),
+        ({"response": lambda w: np.full(w.shape, np.nan)}, "response"),
+        ({"response": lambda w: np.zeros(w.shape)}, "response"),
+        ({"response": lambda w: 1.0}, "response"),
+    ],
+)
+def test_bad_input(options: dict[str, object], field: str) -> None:
+    request = {"response": correction(0.1), "period": PERIOD, "band": (0.1, 700.0), "order": 2, **options}
+    response = request.pop("response")
+    with pytest.raises(FieldError) as caught:
+        fit_discrete(response, **request)  # type: ignore[arg-type]
+    assert caught.value.field == field
+
+
+def test_filter_wants_one_signal(slow_filter: DiscreteRational) -> None:
+    with pytest.raises(FieldError):
+        slow_filter.filter(np.zeros((3, 3)))
+
+
+def test_arrays_are_read_only(slow_filter: DiscreteRational) -> None:
+    with pytest.raises(ValueError, match="read-only"):
+        slow_filter.decays[0] = 0.0
