@@ -18,6 +18,8 @@ from fraclink.design.sampled import SampledPlant, link_plant, realised
 from fraclink.findings import Finding
 
 if TYPE_CHECKING:
+    from fraclink.law import Law
+    from fraclink.law.block import Precision
     from fraclink.link import LinkModel
     from fraclink.rig import Rig
     from fraclink.stability import Margins
@@ -119,6 +121,14 @@ class Plan:
         ω̄_c of eq. (55), the crossing at the lightest payload [rad/s].
     findings
         what a user should know (codes W4xx).
+
+    Examples
+    --------
+    >>> import fraclink as fl
+    >>> rig = fl.Rig.named("paper-2023")
+    >>> plan = fl.design(rig.model, rig, gain_crossover=12.0, phase_margin=fl.deg(50), filter_time=0.0)
+    >>> plan.holds, round(plan.at(0.020).phase_margin / fl.deg(1), 3)
+    (True, 50.0)
     """
 
     model: LinkModel
@@ -194,6 +204,22 @@ class Plan:
             return outer(np.imag(s)) * plant(np.imag(s))
 
         return margins(response, limit=math.pi / self.rig.period, unstable_poles=0)
+
+    def law(self, *, order: int | None = None, precision: Precision = "double") -> Law:
+        """Return the law that runs on the rig: Ĉ at the period, and the motor loop the design was made for.
+
+        `order` is the number of states of Ĉ, the fewest for 0.1 dB and 0.5° when it is left out.
+        """
+        from fraclink.law import discretize_controller
+
+        law = discretize_controller(
+            self.controller, self.rig.period, order=order, precision=precision, rig=self.rig
+        )
+        inner = self.controller.inner
+        if inner is None or inner.placement != "direct" or law.drive is None:
+            return law
+        placed = sampled_inner(self.rig, inner.pole, inner.delay_samples, placement="direct").loop
+        return replace(law, drive=replace(law.drive, loop=placed))
 
     def payload(self, natural_frequency: float) -> float:
         """Return the payload [kg] that gives the link this ϖ: the inverse of ``natural_frequency``."""

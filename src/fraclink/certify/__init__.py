@@ -1,0 +1,9 @@
+"""Certificates: the sampled loop proved stable, with its distance from -1, in a file that others can check."""
+
+from __future__ import annotations
+
+from fraclink.certify.certificate import Certificate
+from fraclink.certify.procedure import certify
+from fraclink.certify.statement import ASSUMPTIONS, Statement
+
+__all__ = ["ASSUMPTIONS", "Certificate", "Statement", "certify"]
