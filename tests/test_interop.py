@@ -1,0 +1,240 @@
+"""python-control on fractional systems: what works is exact, what cannot work fails and does not mislead."""
+
+from __future__ import annotations
+
+import math
+import sys
+import warnings
+from collections.abc import Iterator
+
+import control
+import matplotlib as mpl
+import numpy as np
+import pytest
+
+from fraclink.errors import FieldError, MissingExtraError
+from fraclink.fractional import FractionalTransferFunction, s
+from fraclink.interop import from_control, to_control
+from fraclink.stability import margins
+
+mpl.use("Agg")
+W = 10.31
+# Eq. (58) on the link of 30 g: unstable, two gain crossings, one of −7.34°.
+LOOP = 0.148 * s**0.65 / (1 + 0.16 * s) ** 2 * W**2 / (s**1.92 + W**2)
+OMEGA = np.geomspace(0.1, 100.0, 60)
+
+
+@pytest.fixture
+def loop() -> Iterator[object]:
+    from matplotlib import pyplot as plt
+
+    yield to_control(LOOP)
+    plt.close("all")
+
+
+def test_values_are_exact_anywhere(loop: object) -> None:
+    exact = LOOP(1j * OMEGA)
+    np.testing.assert_array_equal(loop(1j * OMEGA), exact)
+    np.testing.assert_array_equal(loop.eval(OMEGA), exact)
+    np.testing.assert_array_equal(loop.frequency_response(OMEGA).complex, exact)
+    np.testing.assert_array_equal(control.frequency_response(loop, OMEGA).complex, exact)
+    assert control.evalfr(loop, 2j) == LOOP(2j)
+    assert loop(1 + 2j) == LOOP(1 + 2j)  # the stock class knows the imaginary axis only
+    assert loop(2j, squeeze=False).shape == (1, 1)
+    assert control.dcgain(loop) == 0.0
+    assert loop.fractional == LOOP == from_control(loop)
+    assert LOOP.to_control().fractional == LOOP
+
+
+def test_margins_of_python_control(loop: object) -> None:
+    own = margins(LOOP)
+    gain, phase, at_phase, at_gain = control.margin(loop)
+    assert phase == pytest.approx(math.degrees(own.phase_margin), abs=2e-3)
+    assert at_gain == pytest.approx(own.gain_crossover, rel=1e-6)
+    assert gain == pytest.approx(own.gain_margin, rel=1e-5)
+    assert at_phase == pytest.approx(own.phase_crossings[0].frequency, rel=1e-5)
+    modulus = control.stability_margins(loop)[2]
+    assert modulus == pytest.approx(own.modulus_margin, rel=1e-3)
+
+
+def test_nyquist_counts_the_encirclements(loop: object) -> None:
+    assert control.nyquist_response(loop).count == 2
+    assert control.nyquist_response(to_control(LOOP * 0.1)).count == 0
+
+
+@pytest.mark.parametrize(
+    "draw",
+    [
+        lambda g: control.bode_plot(g),
+        lambda g: control.bode_plot(g, initial_phase=0),
+        lambda g: control.bode_plot([g, control.tf([1], [1, 1])]),
+        lambda g: control.bode_plot(g.frd(OMEGA)),
+        lambda g: control.frequency_response(g, OMEGA).plot(),
+        lambda g: control.nyquist_plot(g),
+        lambda g: control.nyquist_plot(g, OMEGA),
+        lambda g: control.nichols_plot(g),
+        lambda g: control.singular_values_plot(control.singular_values_response(g, OMEGA)),
+        lambda g: control.describing_function_plot(
+            g, control.saturation_nonlinearity(1), np.linspace(1, 5, 5)
+        ),
+    ],
+)
+def test_plots_draw_the_loop(loop: object, draw: object) -> None:
+    shown = draw(loop)  # type: ignore[operator]
+    lines = [line for axis in np.ravel(shown.axes) for line in axis.get_lines()]
+    assert max(len(line.get_xdata()) for line in lines) >= len(OMEGA)
+
+
+def test_bode_plot_shows_the_peak(loop: object) -> None:
+    axis = np.ravel(control.bode_plot(loop, dB=True).axes)[0]
+    peak = max(np.max(line.get_ydata()) for line in axis.get_lines())
+    exact = np.max(20 * np.log10(np.abs(LOOP(1j * np.geomspace(5, 20, 20_001)))))
+    assert peak == pytest.approx(exact, abs=0.01)
+
+
+OTHERS = {
+    "tf": control.tf([1.0], [0.01, 1.0]),
+    "ss": control.ss(control.tf([2.0], [0.1, 1.0])),
+    "float": 2.0,
+    "numpy": np.float64(2.0),
+    "int": 3,
+    "fractional": to_control(1 / (s**0.5 + 1)),
+}
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_algebra_is_exact(loop: object, name: str) -> None:
+    other = OTHERS[name]
+    points = 1j * OMEGA
+    value = other(points) if callable(other) else np.full(points.shape, other)
+    here = LOOP(points)
+    results = {
+        "*": (loop * other, here * value),
+        "reversed *": (other * loop, here * value),
+        "+": (loop + other, here + value),
+        "reversed +": (other + loop, here + value),
+        "-": (loop - other, here - value),
+        "reversed -": (other - loop, value - here),
+        "/": (loop / other, here / value),
+        "series": (control.series(other, loop), here * value),
+        "parallel": (control.parallel(loop, other), here + value),
+        "feedback": (control.feedback(loop, other), here / (1 + here * value)),
+        "positive": (loop.feedback(other, sign=1), here / (1 - here * value)),
+    }
+    for label, (system, expected) in results.items():
+        assert type(system).__name__ == "FractionalResponse", label
+        np.testing.assert_allclose(system(points), expected, rtol=1e-9, err_msg=label)
+    np.testing.assert_allclose((-loop)(points), -here)
+    np.testing.assert_allclose((loop**2)(points), here**2, rtol=1e-12)
+
+
+def test_measured_data_keeps_its_grid(loop: object) -> None:
+    data = control.frd(np.exp(-0.01j * OMEGA), OMEGA)
+    here, delay = LOOP(1j * OMEGA), np.exp(-0.01j * OMEGA)
+    for system, expected in (
+        (loop * data, here * delay),
+        (data * loop, here * delay),
+        (loop + data, here + delay),
+        (data - loop, delay - here),
+        (loop / data, here / delay),
+        (data / loop, delay / here),
+        (loop.feedback(data), here / (1 + here * delay)),
+        (loop.feedback(data, sign=1), here / (1 - here * delay)),
+    ):
+        assert type(system) is control.FrequencyResponseData
+        np.testing.assert_array_equal(system.omega, OMEGA)
+        np.testing.assert_allclose(system.frdata[0, 0], expected, rtol=1e-12)
+
+
+# The table of docs/how-to/python-control.md: if one of these begins to work, the page has to say so.
+IMPOSSIBLE = {
+    "omega of bode_plot": (UserWarning, lambda g: control.bode_plot(g, OMEGA)),
+    "singular_values_plot(system)": (UserWarning, lambda g: control.singular_values_plot(g)),
+    "FrequencyResponseData(system, omega)": (
+        TypeError,
+        lambda g: control.FrequencyResponseData(g, OMEGA),
+    ),
+    "feedback(tf, fractional)": (TypeError, lambda g: control.feedback(OTHERS["tf"], g)),
+    "tf / fractional": (TypeError, lambda g: OTHERS["tf"] / g),
+    "gangof4_plot": (ValueError, lambda g: control.gangof4_plot(g, control.tf([1], [1]))),
+    "bandwidth": (AttributeError, control.bandwidth),
+    "step_response": (AttributeError, control.step_response),
+    "ss": (TypeError, control.ss),
+    "tf": (TypeError, control.tf),
+    "pzmap": (TypeError, control.pole_zero_plot),
+    "root_locus": (TypeError, control.root_locus_plot),
+    "interconnect": (TypeError, lambda g: control.interconnect([g], inputs="u", outputs="y")),
+    "disk_margins": (ValueError, lambda g: control.disk_margins(g, OMEGA)),
+}
+
+
+@pytest.mark.parametrize("name", IMPOSSIBLE)
+def test_what_cannot_work_says_so(loop: object, name: str) -> None:
+    error, call = IMPOSSIBLE[name]
+    with warnings.catch_warnings(), pytest.raises(error):
+        warnings.simplefilter("error")
+        call(loop)
+
+
+def test_alternatives_of_the_table() -> None:
+    plant = OTHERS["tf"]
+    closed = from_control(plant).feedback(LOOP)
+    here, value = LOOP(1j * OMEGA), plant(1j * OMEGA)
+    np.testing.assert_allclose(closed(1j * OMEGA), value / (1 + value * here), rtol=1e-9)
+    np.testing.assert_allclose((from_control(plant) / LOOP)(1j * OMEGA), value / here, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("system", "expected"),
+    [
+        (control.tf([10], [1, 2, 10]), 10 / (s**2 + 2 * s + 10)),
+        (control.tf([1, 0], [2, 4]), 0.5 * s / (s + 2)),
+        (control.ss([[-3.0]], [[1.0]], [[2.0]], [[0.0]]), 2 / (s + 3)),
+        (control.tf([5], [1]), 0 * s + 5),
+        (4, 0 * s + 4),
+        (LOOP, LOOP),
+    ],
+)
+def test_from_control(system: object, expected: FractionalTransferFunction) -> None:
+    points = 1j * OMEGA
+    np.testing.assert_allclose(from_control(system)(points), expected(points), rtol=1e-12)
+
+
+def test_round_trip_of_an_integer_system() -> None:
+    system = control.tf([1.0, 3.0], [1.0, 2.0, 10.0])
+    assert from_control(to_control(from_control(system))) == (s + 3) / (s**2 + 2 * s + 10)
+
+
+@pytest.mark.parametrize(
+    ("system", "field"),
+    [
+        (control.tf([1], [1, 0.5], 0.1), "system.dt"),
+        (control.tf([1], [1, 0.5], True), "system.dt"),
+        (control.ss(np.eye(2), np.eye(2), np.eye(2), np.zeros((2, 2))), "system"),
+        (control.frd([1, 2], [1, 2]), "system"),
+        ("1/(s+1)", "system"),
+    ],
+)
+def test_from_control_refuses(system: object, field: str) -> None:
+    with pytest.raises(FieldError) as caught:
+        from_control(system)
+    assert caught.value.field == field
+
+
+@pytest.mark.parametrize("system", [0 * s, 3.0, None])
+def test_to_control_refuses(system: object) -> None:
+    with pytest.raises(FieldError):
+        to_control(system)  # type: ignore[arg-type]
+
+
+def test_a_name_is_shown() -> None:
+    named = to_control(LOOP, name="loop")
+    assert named.name == "loop" and str(named).startswith("loop: ")
+    assert repr(to_control(1 / (s**0.5 + 1))) == "to_control(1 / (s^0.5 + 1))"
+
+
+def test_without_python_control(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "control", None)
+    monkeypatch.delitem(sys.modules, "fraclink.interop.adapter", raising=False)
+    with pytest.raises(MissingExtraError, match=r"fraclink\[control\]"):
+        to_control(LOOP)

@@ -1,0 +1,194 @@
+"""What the plots draw, read back from their lines."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Iterator
+
+import control
+import matplotlib as mpl
+import numpy as np
+import pytest
+
+from fraclink import plots
+from fraclink.errors import FieldError, MissingExtraError
+from fraclink.fractional import s
+
+mpl.use("Agg")
+LINK = 1.56 * s**1.92 / (s**1.92 + 100.4)
+LOOP = 0.148 * s**0.65 * 100 / (s**1.92 + 100)
+
+
+@pytest.fixture(autouse=True)
+def closed_figures() -> Iterator[None]:
+    from matplotlib import pyplot as plt
+
+    yield
+    plt.close("all")
+
+
+def test_bode_draws_the_response() -> None:
+    magnitude, phase = plots.bode(LINK)
+    w, db = magnitude.get_lines()[0].get_data()
+    np.testing.assert_allclose(db, 20 * np.log10(np.abs(LINK(1j * w))), atol=1e-9)
+    degrees = phase.get_lines()[0].get_ydata()
+    np.testing.assert_allclose(degrees, np.degrees(np.angle(LINK(1j * w))), atol=1e-9)
+    peak = 1.56 / math.sin(0.96 * math.pi)
+    assert db.max() == pytest.approx(20 * math.log10(peak), abs=0.03)  # a thousandth of the axis
+    assert w[0] < 1.0 and w[-1] > 100.0
+    assert magnitude.get_xscale() == "log"
+    labels = (magnitude.get_ylabel(), phase.get_ylabel(), phase.get_xlabel())
+    assert labels == ("magnitude [dB]", "phase [°]", "frequency [rad/s]")
+
+
+@pytest.mark.parametrize(
+    ("system", "start", "end"),
+    [
+        (s**0.65, 58.5, 58.5),
+        (1 / s**2, -180, -180),
+        (1 / s**3, -270, -270),
+        (LOOP, 58.5, -114.3),
+        (0.148 * s**0.65 * 100 / (s**2 + 100), 58.5, -121.5),
+        (-1 / (s + 1), 180, 90),
+        (1 / (s * (s + 1) * (s + 2)), -90, -270),
+    ],
+)
+@pytest.mark.parametrize("as_callable", [False, True])
+def test_bode_phase_starts_on_its_sheet(system: object, start: float, end: float, as_callable: bool) -> None:
+    shown = (lambda z: system(z)) if as_callable else system  # type: ignore[operator]
+    degrees = plots.bode(shown)[1].get_lines()[0].get_ydata()
+    assert degrees[0] == pytest.approx(start, abs=6)
+    assert degrees[-1] == pytest.approx(end, abs=6)
+
+
+def test_bode_phase_of_a_delay_is_followed() -> None:
+    loop = (1 / (s + 1)).delayed(0.1)
+    axes = plots.bode(loop)
+    w, degrees = axes[1].get_lines()[0].get_data()
+    np.testing.assert_allclose(degrees, np.degrees(-np.arctan(w) - 0.1 * w), atol=1e-6)
+
+
+def test_undamped_resonance_does_not_squeeze_the_rest() -> None:
+    bottom, top = plots.bode(1.56 * s**2 / (s**2 + 100))[0].get_ylim()
+    assert top < 100 and bottom > -120
+
+
+def test_grids_look_smooth() -> None:
+    """On the drawn page no chord of a sharp resonance's circle turns by more than 5°."""
+    axis = plots.nyquist(100 / (s**2 + 0.2 * s + 100), reach=60)
+    line = max(axis.get_lines(), key=lambda drawn: len(drawn.get_xdata()))
+    x, y = line.get_data()
+    turn = np.diff(np.unwrap(np.arctan2(np.diff(y), np.diff(x))))
+    length = np.hypot(np.diff(x), np.diff(y))
+    seen = np.minimum(length[1:], length[:-1]) > 0.3
+    assert np.max(np.abs(turn[seen])) < math.radians(5)
+
+
+def test_nyquist_shows_minus_one_and_the_curve() -> None:
+    axis = plots.nyquist(LOOP)
+    lines = axis.get_lines()
+    curve, mirrored = lines[1].get_xydata(), lines[2].get_xydata()
+    np.testing.assert_allclose(mirrored, curve * [1, -1])
+    assert any(np.array_equal(line.get_xydata(), [[-1.0, 0.0]]) for line in lines)
+    assert axis.get_aspect() == 1.0
+    alone = plots.nyquist(LOOP, mirror=False, reach=2.0)
+    assert len(alone.get_lines()) == len(lines) - 1
+    assert alone.get_xlim() == (-2.0, 2.0)
+
+
+def test_nichols_draws_magnitude_over_phase() -> None:
+    axis = plots.nichols(LOOP, grid=False)
+    phase, db = axis.get_lines()[0].get_data()
+    assert db.max() == pytest.approx(
+        20 * np.log10(np.abs(LOOP(1j * np.geomspace(5, 20, 5000)))).max(), abs=0.01
+    )
+    assert phase.max() < 60 and phase.min() > -120
+    low, high = axis.get_xlim()
+    assert low < -180 < high
+    contours = plots.nichols(LOOP)
+    assert len(contours.get_lines()) > 10
+
+
+def test_nichols_contour_is_the_closed_loop_magnitude() -> None:
+    """Every point of a drawn contour has the same |L/(1 + L)|."""
+    axis = plots.nichols(LOOP)
+    contours = [line for line in axis.get_lines() if line.get_color() == "0.82"]
+    assert len(contours) >= 8
+    for line in contours:
+        phase, db = line.get_data()
+        loop = 10 ** (db / 20) * np.exp(1j * np.radians(phase))
+        closed = 20 * np.log10(np.abs(loop / (1 + loop)))
+        assert np.ptp(closed) < 1e-6
+
+
+def test_margins_are_marked() -> None:
+    loop = 4 / (s * (s + 1) * (s + 2))
+    magnitude, phase = plots.margins(loop)
+    assert magnitude.get_title() == "phase margin 11.42° at 1.143 rad/s"
+    texts = [t.get_text() for axis in (magnitude, phase) for t in axis.texts]
+    assert texts == ["3.5 dB", "11.4°"]
+    spans = [line.get_ydata() for line in phase.get_lines() if len(line.get_xdata()) == 2]
+    assert any(np.allclose(np.sort(y), [-180, -180 + 11.4247], atol=1e-2) for y in map(np.asarray, spans))
+    assert "no gain crossing" in plots.margins(0.1 / (s + 1))[0].get_title()
+
+
+def test_margins_of_a_sampled_loop_end_at_nyquist() -> None:
+    plant = control.c2d(control.tf([2.0], [1.0, 1.0]), 0.1)
+    w = plots.margins(plant)[0].get_lines()[0].get_xdata()
+    assert w[-1] == pytest.approx(math.pi / 0.1)
+
+
+def test_step_is_the_exact_response() -> None:
+    axis = plots.step(100 / (s**2 + 2 * s + 100), duration=3.0)
+    t, y = axis.get_lines()[0].get_data()
+    wd = math.sqrt(99)
+    exact = 1 - np.exp(-t) * (np.cos(wd * t) + np.sin(wd * t) / wd)
+    np.testing.assert_allclose(y, exact, atol=1e-9)
+    assert plots.step(1 / (s + 2)).get_xlim() == (0.0, 4.0)
+    assert plots.step(1 / (s**0.5 + 1)).get_xlim()[1] > 1.0
+
+
+def test_several_systems_with_labels_and_given_axes() -> None:
+    from matplotlib import pyplot as plt
+
+    _, given = plt.subplots(2, 1)
+    axes = plots.bode(LINK, LOOP, control.tf([1], [1, 1]), lambda z: 1 / z, ax=given, labels=list("abcd"))
+    assert list(axes) == list(given)
+    assert [t.get_text() for t in given[0].get_legend().get_texts()] == list("abcd")
+    assert len(given[1].get_lines()) == 4
+    _, single = plt.subplots()
+    for draw in (plots.nyquist, plots.nichols):
+        assert draw(LINK, LOOP, ax=single, labels=["a", "b"], color="black") is single
+    assert plots.step(1 / (s + 1), 2 / (s + 2), ax=single, labels=["a", "b"]) is single
+
+
+def test_given_frequencies_are_kept() -> None:
+    w = np.geomspace(1, 10, 7)
+    np.testing.assert_allclose(plots.bode(LINK, frequency=w)[0].get_lines()[0].get_xdata(), w)
+
+
+@pytest.mark.parametrize(
+    ("call", "field"),
+    [
+        (lambda: plots.bode(), "systems"),
+        (lambda: plots.bode(LINK, labels=["a", "b"]), "labels"),
+        (lambda: plots.bode(LINK, ax=[1]), "ax"),
+        (lambda: plots.bode(LINK, frequency=[1, 2]), "frequency"),
+        (lambda: plots.nyquist(LINK, frequency=[1, 3, 2]), "frequency"),
+        (lambda: plots.nichols(LINK, frequency=[0, 1, 2]), "frequency"),
+        (lambda: plots.nyquist(3.0), "loop"),
+        (lambda: plots.step(1 / (s + 1), duration=0.0), "duration"),
+        (lambda: plots.step(1 / (s + 1), duration=math.inf), "duration"),
+    ],
+)
+def test_bad_input(call: object, field: str) -> None:
+    with pytest.raises(FieldError) as caught:
+        call()  # type: ignore[operator]
+    assert caught.value.field == field
+
+
+def test_without_matplotlib(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    with pytest.raises(MissingExtraError, match="matplotlib"):
+        plots.bode(LINK)
