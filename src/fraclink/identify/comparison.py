@@ -8,13 +8,9 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
-import numpy as np
-from numpy.typing import NDArray
-
 from fraclink.identify.fit import Fit
 from fraclink.identify.problem import Hold
 from fraclink.identify.single import fit_from, make_search
-from fraclink.identify.statistics import correlation_lag, long_run_covariance
 from fraclink.link import STRUCTURES, structure
 
 if TYPE_CHECKING:
@@ -22,7 +18,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Comparison", "Contest", "identify_all"]
 
-_SIGNIFICANT = 1.959963984540054
 # Chance alone lowers the AIC by 2 or more with one superfluous parameter in one log of twenty-two (4: in one
 # of seventy): a difference below 4 is no reason to carry another parameter.
 _DECISIVE = 4.0
@@ -30,22 +25,23 @@ _DECISIVE = 4.0
 
 @dataclass(frozen=True)
 class Contest:
-    """Which of two structures a log prefers (Vuong's test on the squared residuals).
+    """Which of two structures with equally many parameters a log prefers.
 
-    `z` is the mean difference of squared residual (first − second) over its standard error, which allows
-    for colour; above 1.96 the second is better, below −1.96 the first, between them the log cannot tell.
-    `heldout` is True where samples the fits have not seen decided.
+    `advantage` of the second is n ln(MSE first / MSE second)/k: twice the difference of the
+    log-likelihoods, with the n samples counted as n/k where the residual is not white (k is the fits'
+    variance inflation). Below 4 the log cannot tell.
     """
 
     first: str
     second: str
-    z: float
-    heldout: bool
+    advantage: float
 
     @property
     def preferred(self) -> str | None:
         """The better one, None where they cannot be told apart."""
-        return None if abs(self.z) < _SIGNIFICANT else (self.second if self.z > 0 else self.first)
+        if abs(self.advantage) < _DECISIVE:
+            return None
+        return self.second if self.advantage > 0 else self.first
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,17 +121,10 @@ def _preferred(fits: Mapping[str, Fit]) -> str:
 
 
 def _contest(first: Fit, second: Fit) -> Contest:
-    """Vuong's test over the whole log; samples held out count like the others."""
-    difference = first.residual**2 - second.residual**2
-    return Contest(first.structure, second.structure, _z(difference), first.fitted_samples < difference.size)
-
-
-def _z(difference: NDArray[np.float64]) -> float:
-    count = difference.size
-    centred = difference - difference.mean()
-    lags = min(max(5 * correlation_lag(centred), 10), count // 5)
-    variance = float(long_run_covariance(centred[None, :], lags)[0, 0])
-    return float(difference.sum() / math.sqrt(variance)) if variance > 0 else 0.0
+    inflation = [max(f.effective_parameters / max(len(f.standard_errors), 1), 1.0) for f in (first, second)]
+    counted = first.fitted_samples / (sum(inflation) / 2)
+    ratio = math.log(first.mse / second.mse) if min(first.mse, second.mse) > 0 else 0.0
+    return Contest(first.structure, second.structure, counted * ratio)
 
 
 def _verdict(fits: Mapping[str, Fit], still: Mapping[str, Fit], preferred: str, contest: Contest) -> str:
@@ -147,7 +136,9 @@ def _verdict(fits: Mapping[str, Fit], still: Mapping[str, Fit], preferred: str, 
 
 def _by_criterion(fits: Mapping[str, Fit], preferred: str) -> str:
     best = fits[preferred]
-    other = min((fit for fit in fits.values() if fit is not best), key=lambda fit: fit.tic)
+    # A D-FOM that ended as the UD-FOM (or a UD-FOM as the UD-IOM) is the same model, no competitor.
+    rivals = [fit for fit in fits.values() if abs(fit.mse - best.mse) > 1e-9 * best.mse]
+    other = min(rivals, key=lambda fit: fit.tic)
     gap = other.tic - best.tic
     criterion = "AIC, corrected for the residual's colour" if best.errors_allow_colour else "AIC"
     text = f"{preferred} is preferred: lowest {criterion}, {gap:.1f} below {other.structure}"
@@ -166,7 +157,8 @@ def _told_apart(fits: Mapping[str, Fit], contest: Contest) -> str:
     if winner is None:
         return "UD-FOM and D-IOM cannot be told apart by this log."
     loser = contest.first if winner == contest.second else contest.second
-    return f"{winner} describes this log better than {loser} (z = {abs(contest.z):.1f})."
+    gap = f"{abs(contest.advantage) / 2:.1f}"
+    return f"{winner} describes this log better than {loser} (log-likelihood higher by {gap})."
 
 
 def _of_the_delay(fits: Mapping[str, Fit], still: Mapping[str, Fit]) -> list[str]:
