@@ -19,7 +19,7 @@ from typing import IO, Any
 
 from fraclink.errors import FieldError, FileFormatError
 
-__all__ = ["atomic_write", "output_path", "read_json", "sha256_of", "write_json", "write_text"]
+__all__ = ["atomic_write", "output_path", "parse_json", "read_json", "sha256_of", "write_json", "write_text"]
 
 JSON_LIMIT = 16_000_000  # bytes; a saved fit with its residuals of 100 000 samples is about 2 MB
 _DIGIT_LIMIT = 400  # a 5 000-digit integer is an attack or a damaged file, not a measurement
@@ -112,6 +112,27 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return result
 
 
+def parse_json(text: str) -> Any:
+    """Parse JSON that may be hostile: keys given twice, NaN, infinity and endless digits are FieldErrors.
+
+    >>> parse_json('{"a": 1, "a": 2}')
+    Traceback (most recent call last):
+    fraclink.errors.FieldError: a: 2 is given twice; allowed each key once; remove one
+    """
+    try:
+        return json.loads(
+            text,
+            parse_constant=_refuse_constant,
+            parse_int=_integer,
+            parse_float=_float,
+            object_pairs_hook=_unique,
+        )
+    except RecursionError as error:
+        raise FileFormatError(
+            "json", text, "nested too deeply", allowed="a few levels", remedy="make the file again"
+        ) from error
+
+
 def read_json(path: Path | str, kind: str, versions: tuple[int, ...] = (1,)) -> dict[str, Any]:
     """Read back what `write_json` wrote, after checking its kind and its format's version."""
     place = Path(path)
@@ -124,14 +145,8 @@ def read_json(path: Path | str, kind: str, versions: tuple[int, ...] = (1,)) -> 
             "file", str(place), "too large", allowed=f"{JSON_LIMIT} bytes", remedy=f"give a {kind} file"
         )
     try:
-        data = json.loads(
-            place.read_text(encoding="utf-8"),
-            parse_constant=_refuse_constant,
-            parse_int=_integer,
-            parse_float=_float,
-            object_pairs_hook=_unique,
-        )
-    except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
+        data = parse_json(place.read_text(encoding="utf-8"))
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
         raise FileFormatError(
             "file", str(place), f"not valid JSON ({error})", allowed=f"a {kind} file", remedy="make it again"
         ) from error

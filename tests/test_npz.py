@@ -1,0 +1,205 @@
+"""NPZ and JSON files: what was written comes back, and hostile ones are refused before they take memory."""
+
+from __future__ import annotations
+
+import io
+import json
+import struct
+import time
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fraclink.errors import FieldError, FileFormatError
+from fraclink.files import parse_json, read_json, write_json
+from fraclink.npz import read_npz, write_npz
+from mutants import mutate
+
+ARRAYS = {
+    "a": np.random.default_rng(0).standard_normal(50),
+    "b": np.arange(6.0).reshape(2, 3),
+    "empty": np.zeros(0),
+}
+ABOUT = {"payload": 0.03, "names": ["x", "ü"]}
+
+
+def npy(array: np.ndarray, **options: object) -> bytes:
+    stream = io.BytesIO()
+    np.lib.format.write_array(stream, array, **options)  # type: ignore[arg-type]
+    return stream.getvalue()
+
+
+def header_npy(kind: str = "thing", version: int = 1) -> bytes:
+    return npy(np.array(json.dumps({"fraclink": kind, "format": version})))
+
+
+def archive(path: Path, members: list[tuple[str, bytes]], way: int = zipfile.ZIP_DEFLATED) -> Path:
+    with zipfile.ZipFile(path, "w", way) as file:
+        for name, content in members:
+            file.writestr(zipfile.ZipInfo(name), content, way)
+    return path
+
+
+def refused(path: Path) -> FileFormatError:
+    with pytest.raises(FileFormatError) as caught:
+        read_npz(path, "thing")
+    assert caught.value.allowed and caught.value.remedy
+    return caught.value
+
+
+@pytest.mark.parametrize("compressed", [False, True])
+def test_what_was_written_comes_back(compressed: bool, tmp_path: Path) -> None:
+    write_npz(tmp_path / "a.npz", "thing", 1, ABOUT, ARRAYS, compressed=compressed)
+    about, arrays = read_npz(tmp_path / "a.npz", "thing")
+    assert about["payload"] == 0.03 and about["names"] == ["x", "ü"] and about["units"] == "SI, radians"
+    assert list(arrays) == list(ARRAYS)
+    for name, values in ARRAYS.items():
+        assert np.array_equal(arrays[name], values)
+        assert not arrays[name].flags.writeable
+    with np.load(tmp_path / "a.npz", allow_pickle=False) as data:  # anybody else can open it as well
+        assert np.array_equal(data["a"], ARRAYS["a"])
+
+
+def test_the_same_content_gives_the_same_bytes(tmp_path: Path) -> None:
+    for name in ("a.npz", "b.npz"):
+        write_npz(tmp_path / name, "thing", 1, ABOUT, ARRAYS, compressed=True)
+        time.sleep(0.01)
+    assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
+
+
+def test_another_kind_or_version_is_named(tmp_path: Path) -> None:
+    write_npz(tmp_path / "a.npz", "run", 1, {}, {})
+    assert refused(tmp_path / "a.npz").problem == "of kind 'run'"
+    write_npz(tmp_path / "a.npz", "thing", 9, {}, {})
+    error = refused(tmp_path / "a.npz")
+    assert (error.field, error.value) == ("format", 9)
+    assert refused(tmp_path / "none.npz").problem == "not there"
+
+
+def test_nothing_half_written_remains(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="JSON"):
+        write_npz(tmp_path / "a.npz", "thing", 1, {"x": float("nan")}, ARRAYS)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_b63_an_array_of_objects(tmp_path: Path) -> None:
+    blob = npy(np.array([{}], dtype=object), allow_pickle=True)
+    error = refused(archive(tmp_path / "a.npz", [("about.npy", header_npy()), ("x.npy", blob)]))
+    assert "damaged" in error.problem or "object" in error.problem
+
+
+@pytest.mark.parametrize("kind", ["<f4", "<i8", ">f8", "<c16", "|S8"])
+def test_b63_an_array_of_another_type(kind: str, tmp_path: Path) -> None:
+    blob = npy(np.zeros(4, dtype=kind))
+    error = refused(archive(tmp_path / "a.npz", [("about.npy", header_npy()), ("x.npy", blob)]))
+    assert "not float64" in error.problem
+
+
+@pytest.mark.parametrize("shape", ["(1000000000000,)", "(-5,)", "(2, 3)", "(4,", "x"])
+def test_b64_a_header_that_claims_what_is_not_there(shape: str, tmp_path: Path) -> None:
+    header = f"{{'descr': '<f8', 'fortran_order': False, 'shape': {shape}, }}".ljust(117) + "\n"
+    blob = b"\x93NUMPY\x01\x00" + struct.pack("<H", len(header)) + header.encode() + bytes(32)
+    error = refused(archive(tmp_path / "a.npz", [("about.npy", header_npy()), ("x.npy", blob)]))
+    assert "damaged" in error.problem
+
+
+def test_b65_a_zip_bomb_is_refused_before_it_unpacks(tmp_path: Path) -> None:
+    blob = npy(np.zeros(12_500_000))  # 100 MB in 97 kB
+    path = archive(tmp_path / "a.npz", [("about.npy", header_npy()), ("x.npy", blob)])
+    assert path.stat().st_size < 200_000
+    started = time.monotonic()
+    error = refused(path)
+    assert time.monotonic() - started < 0.5
+    assert "too large" in error.problem and "ratio 200" in error.problem
+
+
+def test_b65_a_directory_that_lies_about_sizes(tmp_path: Path) -> None:
+    blob = npy(np.zeros(12_500_000))
+    path = archive(tmp_path / "a.npz", [("about.npy", header_npy()), ("x.npy", blob)])
+    raw = bytearray(path.read_bytes())
+    real, told = struct.pack("<I", len(blob)), struct.pack("<I", 1000)
+    assert raw.count(real) == 2  # in the local header and in the directory
+    path.write_bytes(raw.replace(real, told))
+    assert "damaged" in refused(path).problem
+
+
+@pytest.mark.parametrize(
+    "name", ["../x.npy", "/etc/x.npy", "a/b.npy", "x.txt", "C:x.npy", "é.npy", "x" * 80 + ".npy"]
+)
+def test_b67_a_member_with_a_path(name: str, tmp_path: Path) -> None:
+    error = refused(archive(tmp_path / "a.npz", [("about.npy", header_npy()), (name, npy(np.zeros(3)))]))
+    assert "member" in error.problem
+
+
+def test_b67_a_member_given_twice(tmp_path: Path) -> None:
+    with pytest.warns(UserWarning, match="Duplicate"):
+        path = archive(tmp_path / "a.npz", [("about.npy", header_npy()), ("x.npy", npy(np.zeros(3)))] * 2)
+    assert "given twice" in refused(path).problem
+
+
+def test_b67_an_encrypted_member(tmp_path: Path) -> None:
+    path = archive(tmp_path / "a.npz", [("about.npy", header_npy())])
+    raw = bytearray(path.read_bytes())
+    raw[raw.index(b"PK\x01\x02") + 8] |= 1
+    path.write_bytes(raw)
+    assert refused(path).problem == "encrypted"
+
+
+def test_b68_no_archive_at_all(tmp_path: Path) -> None:
+    (tmp_path / "a.npz").write_bytes(b"time_s,motor_angle_rad\n")
+    assert "damaged" in refused(tmp_path / "a.npz").problem
+    assert "without a header" in refused(archive(tmp_path / "a.npz", [("x.npy", npy(np.zeros(3)))])).problem
+
+
+def test_mutated_archives_are_read_or_refused(tmp_path: Path) -> None:
+    path, rng = tmp_path / "a.npz", np.random.default_rng(3)
+    write_npz(path, "thing", 1, ABOUT, ARRAYS, compressed=True)
+    raw, refusals = path.read_bytes(), 0
+    for _ in range(1500):
+        path.write_bytes(mutate(raw, rng))
+        try:
+            read_npz(path, "thing")
+        except FileFormatError:
+            refusals += 1
+    assert refusals > 500
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ('{"a": NaN}', "not a finite number"),
+        ('{"a": -Infinity}', "not a finite number"),
+        ('{"a": 1e999}', "not a finite number"),
+        ('{"a": ' + "9" * 5000 + "}", "too long"),
+        ("[" * 100_000, "nested too deeply"),
+        ('{"a": 1, "a": 2}', "given twice"),
+    ],
+)
+def test_b28_b44_b47_b62_hostile_json(text: str, problem: str, tmp_path: Path) -> None:
+    with pytest.raises(FieldError, match=problem) as caught:
+        parse_json(text)
+    assert len(str(caught.value)) < 500
+    (tmp_path / "a.json").write_text(text)
+    with pytest.raises(FieldError):
+        read_json(tmp_path / "a.json", "thing")
+
+
+def test_b62_a_file_that_is_too_large(tmp_path: Path) -> None:
+    with (tmp_path / "a.json").open("wb") as stream:
+        stream.truncate(17_000_000)
+    with pytest.raises(FileFormatError, match="too large"):
+        read_json(tmp_path / "a.json", "thing")
+
+
+def test_mutated_json_is_read_or_refused(tmp_path: Path) -> None:
+    path, rng = tmp_path / "a.json", np.random.default_rng(4)
+    write_json(path, "thing", 1, {"x": [1.5, 2.5], "name": "é", "table": {"a": 1}})
+    raw = path.read_bytes()
+    for _ in range(1500):
+        path.write_bytes(mutate(raw, rng))
+        try:
+            assert read_json(path, "thing")["fraclink"] == "thing"
+        except FieldError as error:
+            assert error.remedy
