@@ -138,6 +138,8 @@ def _by_criterion(fits: Mapping[str, Fit], preferred: str) -> str:
     best = fits[preferred]
     # A D-FOM that ended as the UD-FOM (or a UD-FOM as the UD-IOM) is the same model, no competitor.
     rivals = [fit for fit in fits.values() if abs(fit.mse - best.mse) > 1e-9 * best.mse]
+    if not rivals:
+        return f"{preferred} is preferred: every other structure ended as the same model."
     other = min(rivals, key=lambda fit: fit.tic)
     gap = other.tic - best.tic
     criterion = "AIC, corrected for the residual's colour" if best.errors_allow_colour else "AIC"
