@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from fraclink import _kernels
 from fraclink.fractional import Term
 from fraclink.fractional.terms import collect, same, snap
+from fraclink.response.checks import grid, largest
 from fraclink.response.contour import held_response
 from fraclink.response.expansion import Expansion, expand
 from fraclink.response.lowfrequency import LowFrequency, split_low_frequency
@@ -19,7 +20,7 @@ from fraclink.response.powers import convolve, jump_response, power_response, po
 from fraclink.response.quotient import Quotient
 from fraclink.response.weights import respond_by_weights, sample_response
 
-__all__ = ["HeldQuotient", "split_delay"]
+__all__ = ["HeldQuotient", "Part", "split_delay"]
 
 Reals = NDArray[np.float64]
 
@@ -27,6 +28,16 @@ _CHECKS = 5  # times at which the modes are compared with the contour integral
 _ENOUGH = 1e-10  # of the peak: above this the modes cancel, and a contour per lag is used …
 _MOST_WEIGHTS = 200_000  # … for so many samples (about 2 s); the error estimate tells the rest
 _CHUNK = 4096  # times that are evaluated together: 60 modes are 2 MB
+
+
+@dataclass(frozen=True)
+class Part:
+    """A response, its estimated error, the number of modes (0 without) and the method."""
+
+    output: Reals
+    error: float
+    modes: int
+    method: str
 
 
 @dataclass(frozen=True)
@@ -96,17 +107,15 @@ class HeldQuotient:
             period, hold, zeroth, first, x, gains, z, pole_gains, span, lag, early, tolerance
         )
 
-    def respond(
-        self, u: Reals, period: float, *, hold: str, tolerance: float, delay: float
-    ) -> tuple[Reals, float, int]:
-        """Response to the samples u, its estimated error, and the number of modes (0 without modes)."""
+    def respond(self, u: Reals, period: float, *, hold: str, tolerance: float, delay: float) -> Part:
+        """Response to the samples u."""
         span = max(len(u), 1) * period
         parts = self.expansion(period, span, tolerance)
         error, peak = self.error(parts, period, span)
         if self._needs_contour(error, peak, len(u)):
             lag, ahead = split_delay(delay, period)
             output = respond_by_weights(self.whole, self.direct, u, period, hold, lag, ahead)
-            return output, 1e-13 * float(np.max(np.abs(output), initial=0.0)), 0
+            return Part(output, 1e-13 * largest(output), 0, "contour")
         modes = self._recursion(parts, period, hold, span, tolerance, delay)
         output = modes.respond(u)
         lag, ahead = split_delay(delay, period)
@@ -115,8 +124,7 @@ class HeldQuotient:
             output[lag:] += convolve(weights, u[: len(u) - lag])
         if lag <= len(u) and hold == "first":
             self._add_edges(output, u, parts, period, lag, ahead)
-        error *= 4.0 * float(np.max(np.abs(u), initial=0.0))
-        return output, error + 4e-15 * float(np.max(np.abs(output), initial=0.0)), modes.count
+        return Part(output, 4.0 * error * largest(u) + 4e-15 * largest(output), modes.count, self._method)
 
     def _add_edges(
         self, output: Reals, u: Reals, parts: Expansion, period: float, lag: int, ahead: float
@@ -144,15 +152,15 @@ class HeldQuotient:
         output: Reals = _kernels.modes_response(np.zeros(count), 0.0, 0.0, x, gains, z, pole_gains, start)
         output[0] = step - (next_ramp - ramp) / period
         output -= 0.5 * self.low.integrator * period
-        times = np.arange(count, dtype=np.float64) * period + ahead
+        times = grid(count, period) + ahead
         return np.asarray(output + jump_response(self.low.powers, period, times))
 
-    def at(self, times: Reals, degree: int, tolerance: float) -> tuple[Reals, float, int]:
+    def at(self, times: Reals, degree: int, tolerance: float) -> Part:
         """Impulse (degree 0) or step (1) response at any times [s]; 0 before time 0."""
         output, later = np.zeros(len(times)), times > 0.0
         output[times == 0.0] = self._initial(degree)
         if not later.any():
-            return output, 0.0, 0
+            return Part(output, 0.0, 0, "modes")
         t = times[later]
         shortest, longest = float(t.min()), float(t.max())
         parts = self.expansion(shortest, longest, tolerance)
@@ -160,7 +168,7 @@ class HeldQuotient:
         error *= 1.0 if degree else 1.0 / shortest
         if self._needs_contour(error, peak, len(t)):
             output[later] = sample_response(self.whole, t, degree, 0.0)
-            return output, 1e-13 * float(np.max(np.abs(output[later]))), 0
+            return Part(output, 1e-13 * largest(output[later]), 0, "contour")
         scale, pole_scale = (1.0, 1.0) if degree else (-parts.rates, parts.poles)
         value = np.empty(len(t))
         for k in range(0, len(t), _CHUNK):
@@ -174,8 +182,12 @@ class HeldQuotient:
             value += self.exact([shortest], 1)[0] - value[index]
         value += self.low.integrator * (t if degree else 1.0) + power_response(self.low.powers, t, degree)
         output[later] = value
-        error += 4e-15 * float(np.max(np.abs(value)))
-        return output, error, len(parts.rates) + 2 * len(parts.poles)
+        count = len(parts.rates) + 2 * len(parts.poles)
+        return Part(output, error + 4e-15 * largest(value), count, self._method)
+
+    @property
+    def _method(self) -> str:
+        return "modes+convolution" if self.low.powers else "modes"
 
     def _needs_contour(self, error: float, peak: float, count: int) -> bool:
         return not self.low.is_split or (not error <= _ENOUGH * peak and count <= _MOST_WEIGHTS)

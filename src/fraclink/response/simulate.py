@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fraclink.errors import FieldError, SizeError
+from fraclink.errors import FieldError
 from fraclink.fractional import FractionalTransferFunction
+from fraclink.response.checks import (
+    FFT_BYTES,
+    grid,
+    instants,
+    largest,
+    positive,
+    refuse_beyond_memory,
+    samples,
+)
 from fraclink.response.discrete import check_request, delay_groups, held_quotient
-from fraclink.response.held import HeldQuotient
+from fraclink.response.held import Part
 from fraclink.response.inversion import delay_free_part, invert
 from fraclink.response.powers import convolve
 
@@ -19,8 +27,7 @@ __all__ = ["TimeResponse", "impulse_response", "step_response", "time_response"]
 
 Reals = NDArray[np.float64]
 TOLERANCE = 1e-12
-_BYTES = 40  # per sample: input, output, time and what a hold needs
-_FFT_BYTES = 2000  # per sample of the numerical inversion: four spans, eight times oversampled
+_METHODS = ("modes", "modes+convolution", "contour")
 
 
 @dataclass(frozen=True)
@@ -80,21 +87,18 @@ def time_response(
     >>> result.output.round(6), result.method
     (array([0.      , 0.632121, 0.864665]), 'modes')
     """
-    values = _vector(u)
-    period = _number("period", period)
+    values = samples(u)
+    period = positive("period", period)
     check_request(period, hold, max(len(values), 1) * period, TOLERANCE)
-    time = np.arange(len(values), dtype=np.float64) * period
+    time = grid(len(values), period)
     if any(t.delay for t in G.denominator):
         output, error, modes = _by_inversion(G, values, period, hold)
         return TimeResponse(time, output, "fft", error, modes, period, hold)
-    output, error, modes, method = np.zeros(len(values)), 0.0, 0, "modes"
-    for delay, top in delay_groups(G).items():
-        held = held_quotient(top, G.denominator)
-        part, part_error, count = held.respond(values, period, hold=hold, tolerance=TOLERANCE, delay=delay)
-        output += part
-        error, modes = error + part_error, max(modes, count)
-        method = _method(method, count, held)
-    return TimeResponse(time, output, method, error, modes, period, hold)
+    parts = [
+        held_quotient(top, G.denominator).respond(values, period, hold=hold, tolerance=TOLERANCE, delay=delay)
+        for delay, top in delay_groups(G).items()
+    ]
+    return _assembled(time, parts, period, hold)
 
 
 def step_response(
@@ -130,32 +134,31 @@ def impulse_response(
 def _fixed(
     G: FractionalTransferFunction, time: float | ArrayLike, period: float | None, degree: int
 ) -> TimeResponse:
-    times = _times(time, period)
+    times = instants(time, period)
     if any(t.delay for t in G.denominator):
         return _fixed_by_inversion(G, times, period, degree)
-    output, error, modes, method = np.zeros(len(times)), 0.0, 0, "modes"
+    parts = []
     for delay, top in delay_groups(G).items():
-        held = held_quotient(top, G.denominator)
         late = times - delay
         late[np.abs(late) <= 1e-12 * max(1.0, delay)] = 0.0
-        part, part_error, count = held.at(late, degree, TOLERANCE)
-        output += part
-        error, modes = error + part_error, max(modes, count)
-        method = _method(method, count, held)
-    return TimeResponse(times, output, method, error, modes, period, "impulse" if degree == 0 else "zero")
+        parts.append(held_quotient(top, G.denominator).at(late, degree, TOLERANCE))
+    return _assembled(times, parts, period, "impulse" if degree == 0 else "zero")
 
 
-def _method(before: str, count: int, held: HeldQuotient) -> str:
-    """The least direct method of all parts names the result."""
-    if before == "contour" or (count == 0 and held.quotient is not None):
-        return "contour"
-    return "modes+convolution" if held.low.powers else before
+def _assembled(time: Reals, parts: list[Part], period: float | None, hold: str) -> TimeResponse:
+    """The sum over the delays; the least direct method of all parts names the result."""
+    output = parts[0].output if parts else np.zeros(len(time))
+    for part in parts[1:]:
+        output += part.output
+    method = max((p.method for p in parts), key=_METHODS.index, default="modes")
+    error, modes = sum(p.error for p in parts), max((p.modes for p in parts), default=0)
+    return TimeResponse(time, output, method, error, modes, period, hold)
 
 
 def _by_inversion(
     G: FractionalTransferFunction, u: Reals, period: float, hold: str
 ) -> tuple[Reals, float, int]:
-    refuse_beyond_memory("u", len(u), _FFT_BYTES)
+    refuse_beyond_memory("u", len(u), FFT_BYTES)
     exact = delay_free_part(G)
     base = time_response(exact, u, period, hold=hold)
     if not len(u):
@@ -169,7 +172,7 @@ def _by_inversion(
         jump, jump_error = invert(G, exact, len(u), period, 1)
         output += u[0] * (jump - np.diff(rest) / period)
         error += jump_error
-    return output, base.error_estimate + 4.0 * error * float(np.max(np.abs(u))), base.modes
+    return output, base.error_estimate + 4.0 * error * largest(u), base.modes
 
 
 def _weights(rest: Reals, period: float, degree: int) -> Reals:
@@ -191,88 +194,3 @@ def _fixed_by_inversion(
             remedy="give a duration and a period; the impulse response is the step response of s·G",
         )
     return time_response(G, np.ones(len(times)), period)
-
-
-def _number(name: str, value: object) -> float:
-    if isinstance(value, (int, float, np.integer, np.floating)) and np.isfinite(value) and value > 0:
-        return float(value)
-    raise FieldError(
-        name, value, "not a positive number", allowed="> 0 s", remedy="give the sampling period in seconds"
-    )
-
-
-def _vector(u: ArrayLike) -> Reals:
-    values = np.asarray(u)
-    if values.ndim != 1 or values.dtype.kind not in "biuf":
-        raise FieldError(
-            "u",
-            f"array of shape {values.shape} and type {values.dtype}",
-            "not a vector of real numbers",
-            allowed="shape (N,)",
-            remedy="give one channel at a time",
-        )
-    refuse_beyond_memory("u", len(values))
-    values = np.ascontiguousarray(values, np.float64)
-    bad = np.flatnonzero(~np.isfinite(values))
-    if bad.size:
-        raise FieldError(
-            "u",
-            float(values[bad[0]]),
-            f"not finite (sample {bad[0]})",
-            allowed="finite numbers",
-            remedy="fill or cut the gap first",
-        )
-    return values
-
-
-def _times(time: float | ArrayLike, period: float | None) -> Reals:
-    values = np.asarray(time)
-    if values.ndim == 0:
-        duration = _number("time", values.item())
-        if period is None:
-            raise FieldError(
-                "period",
-                None,
-                "missing",
-                allowed="> 0 s",
-                remedy="give the period of the samples, or an array of times",
-            )
-        step = _number("period", period)
-        refuse_beyond_memory("time", duration / step)
-        count = int(duration / step * (1.0 + 1e-12)) + 1
-        return np.arange(count, dtype=np.float64) * step
-    if period is not None:
-        raise FieldError(
-            "period",
-            period,
-            "given beside an array of times",
-            allowed="a duration and a period, or times alone",
-            remedy="leave the period out",
-        )
-    if values.ndim != 1 or not values.size or values.dtype.kind not in "iuf":
-        raise FieldError(
-            "time", values.shape, "not a vector of times", allowed="shape (N,), N ≥ 1", remedy="give seconds"
-        )
-    times = values.astype(np.float64)
-    if not (np.isfinite(times).all() and (times >= 0.0).all()):
-        raise FieldError(
-            "time",
-            float(times.min()),
-            "negative or not finite",
-            allowed="≥ 0 s",
-            remedy="give times from rest",
-        )
-    return times
-
-
-def refuse_beyond_memory(field: str, count: float, each: int = _BYTES) -> None:
-    """Raise `SizeError` where `count` samples need more memory than the machine has; nothing is allocated."""
-    available = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    if not count * each < available:
-        raise SizeError(
-            field,
-            count,
-            f"too many samples: they need {count * each:.2g} bytes",
-            allowed=f"at most {available // each:.3g} samples on this machine",
-            remedy="shorten the span or lengthen the period",
-        )
