@@ -56,7 +56,7 @@ def test_what_was_written_comes_back(compressed: bool, tmp_path: Path) -> None:
     assert about["payload"] == 0.03 and about["names"] == ["x", "ü"] and about["units"] == "SI, radians"
     assert list(arrays) == list(ARRAYS)
     for name, values in ARRAYS.items():
-        assert np.array_equal(arrays[name], values)
+        assert np.array_equal(arrays[name], values) and arrays[name].dtype == values.dtype
         assert not arrays[name].flags.writeable
     with np.load(tmp_path / "a.npz", allow_pickle=False) as data:  # anybody else can open it as well
         assert np.array_equal(data["a"], ARRAYS["a"])

@@ -2,8 +2,8 @@
 
 An NPZ file is a zip archive of .npy files, which `numpy.load` opens for anybody; the other way round its
 header may claim a thousand billion items, its members may unpack to a thousand times their size, carry
-paths or Python objects. So sizes are compared before memory is taken, and only plain float64 arrays and
-one text are accepted.
+paths or Python objects. So sizes are compared before memory is taken, and only plain arrays of float64 or
+uint32 and one text are accepted.
 """
 
 from __future__ import annotations
@@ -32,6 +32,7 @@ RATIO_LIMIT = 200  # unpacked to packed, above 10 MB: a constant signal packs th
 _SMALL = 10_000_000
 _TEXT_LIMIT = 4_000_000  # bytes of the header's text
 _MEMBER = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,63}\.npy")
+_TYPES = (np.dtype("<f8"), np.dtype("<u4"))  # signals, and flags of the law
 # What numpy writes before an array in the order of C; nothing of it is evaluated.
 _NPY = re.compile(
     rb"\x93NUMPY\x01\x00..\{'descr': '([<>|=]?[A-Za-z][0-9]{1,7})', 'fortran_order': False, "
@@ -60,7 +61,7 @@ def write_npz(
     kind: str,
     version: int,
     about: Mapping[str, Any],
-    arrays: Mapping[str, NDArray[np.float64]],
+    arrays: Mapping[str, NDArray[Any]],
     *,
     compressed: bool = False,
 ) -> None:
@@ -83,10 +84,15 @@ def write_npz(
             archive.writestr(zipfile.ZipInfo(f"{name}.npy", (1980, 1, 1, 0, 0, 0)), blob.getvalue(), way)
 
 
+def _plain(values: NDArray[Any]) -> NDArray[Any]:
+    array = np.asarray(values)
+    return array.astype("<u4" if array.dtype == np.uint32 else "<f8")
+
+
 def read_npz(
     path: Path | str, kind: str, versions: tuple[int, ...] = (1,)
-) -> tuple[dict[str, Any], dict[str, NDArray[np.float64]]]:
-    """Read back what `write_npz` wrote: the envelope, and the arrays (read-only, float64).
+) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """Read back what `write_npz` wrote: the envelope, and the arrays (read-only; float64 or uint32).
 
     Raises FileFormatError for anything else: damaged, hostile, of another kind or version.
     """
@@ -132,9 +138,7 @@ def _check_members(archive: zipfile.ZipFile, kind: str, place: Path) -> None:
         )
 
 
-def _member(
-    archive: zipfile.ZipFile, item: zipfile.ZipInfo, kind: str, place: Path
-) -> NDArray[np.float64] | str:
+def _member(archive: zipfile.ZipFile, item: zipfile.ZipInfo, kind: str, place: Path) -> NDArray[Any] | str:
     with archive.open(item) as stream:
         raw = stream.read(item.file_size + 1)
     if len(raw) != item.file_size:
@@ -149,9 +153,9 @@ def _member(
         raise _broken(kind, place, f"damaged ({item.filename} claims the shape {shape})", "make it again")
     if item.filename == f"{_ABOUT}.npy" and dtype.kind == "U" and len(rest) <= _TEXT_LIMIT:
         return str(np.frombuffer(rest, dtype=dtype)[0]) if dtype.itemsize else ""
-    if dtype != np.dtype("<f8"):
+    if dtype not in _TYPES:
         raise _broken(kind, place, f"one with {item.filename} of type {dtype}, not float64", "make it again")
-    values = np.frombuffer(rest, dtype="<f8").reshape(shape).astype(np.float64)
+    values = np.frombuffer(rest, dtype=dtype).reshape(shape).astype(dtype.newbyteorder("="))
     values.flags.writeable = False
     return values
 

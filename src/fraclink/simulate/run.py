@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -11,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink.errors import FileFormatError
-from fraclink.files import atomic_write
+from fraclink.npz import read_npz, write_npz
 from fraclink.simulate.metrics import Metrics, Verdict
 
 __all__ = ["Run", "Settings"]
@@ -33,7 +32,6 @@ _SIGNALS = (
     "reason",
 )
 FORMAT = 1
-LARGEST = 400_000_000  # bytes of a run's arrays: 2 000 000 samples, all signals
 
 
 @dataclass(frozen=True)
@@ -97,46 +95,28 @@ class Run:
     def save(self, path: Path | str) -> None:
         """Write signals, metrics and settings to one NPZ file, complete or not at all."""
         about = {
-            "fraclink": "run",
-            "format": FORMAT,
-            "units": "SI, radians",
             "metrics": {k: v if math.isfinite(v) else str(v) for k, v in asdict(self.metrics).items()},
             "verdict": asdict(self.verdict),
             "settings": asdict(self.settings),
         }
-        with atomic_write(path, "wb") as stream:
-            np.savez(stream, about=np.array(json.dumps(about)), **{n: getattr(self, n) for n in _SIGNALS})
+        write_npz(path, "run", FORMAT, about, {name: getattr(self, name) for name in _SIGNALS})
 
     @classmethod
     def load(cls, path: Path | str) -> Run:
         """Read back what `save` wrote; FileFormatError for anything else."""
-        import zipfile
-
-        remedy = "give a file that Run.save wrote"
+        about, signals = read_npz(path, "run", (FORMAT,))
         try:
-            # Sizes come from the archive's directory, before anything is unpacked.
-            with zipfile.ZipFile(path) as archive:
-                size = sum(item.file_size for item in archive.infolist())
-                if size > LARGEST:
-                    raise FileFormatError(
-                        "run", size, "too large", allowed=f"<= {LARGEST} bytes", remedy=remedy
-                    )
-            with np.load(path, allow_pickle=False) as data:
-                about = json.loads(str(data["about"]))
-                if about.get("fraclink") != "run" or about.get("format") != FORMAT:
-                    raise FileFormatError(
-                        "format", about.get("format"), "not a run", allowed=str(FORMAT), remedy=remedy
-                    )
-                signals = {name: np.array(data[name]) for name in _SIGNALS}
             return cls(
-                **signals,
+                **{name: signals[name] for name in _SIGNALS},
                 metrics=Metrics(**{k: float(v) for k, v in about["metrics"].items()}),
                 verdict=Verdict(**about["verdict"]),
                 settings=Settings(**about["settings"]),
             )
-        except (OSError, KeyError, TypeError, ValueError, AttributeError, zipfile.BadZipFile) as error:
-            if isinstance(error, FileFormatError):
-                raise
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise FileFormatError(
-                "run", str(path), "not a run", allowed="an NPZ of Run.save", remedy=remedy
+                "run",
+                str(path),
+                "not a run",
+                allowed="an NPZ of Run.save",
+                remedy="give a file that Run.save wrote",
             ) from error
