@@ -1,5 +1,7 @@
 """Sphinx: MyST pages whose code runs while they are built; no page needs the network."""
 
+import re
+
 from fraclink import __version__
 
 project = "fraclink"
@@ -13,6 +15,7 @@ myst_heading_anchors = 3
 nb_execution_mode = "force"
 nb_execution_raise_on_error = True
 nb_execution_timeout = 120
+nb_execution_in_temp = True  # pages may write files; none of them into the sources
 nb_merge_streams = True
 
 # Formulas are written in Unicode: the usual renderer would fetch a script from elsewhere.
@@ -30,3 +33,22 @@ autodoc_typehints_format = "short"
 # "What is this name" must have an answer: an undefined symbol is a failed build (make docs adds -W).
 nitpicky = False
 suppress_warnings = ["myst.strikethrough"]
+default_role = "code"
+
+
+def plain_text(app, what, name, obj, options, lines) -> None:
+    """Docstrings are plain text with formulas: a bar in |L(jω)| must not begin a substitution."""
+    example = False
+    for number, line in enumerate(lines):
+        example = line.lstrip().startswith(">>>") or (example and bool(line.strip()))
+        if not example:
+            parts = re.split(r"(``.*?``)", line)
+            lines[number] = "".join(
+                part if part.startswith("``") else part.replace("|", "\\|").replace("θ*", "θ\\*").replace("*(", "\\*(")
+                for part in parts
+            )
+
+
+def setup(app) -> None:
+    """Called by Sphinx."""
+    app.connect("autodoc-process-docstring", plain_text)

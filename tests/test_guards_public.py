@@ -24,7 +24,7 @@ def test_the_list_is_sorted_and_small() -> None:
     assert list(fraclink._HOME) == sorted(fraclink._HOME, key=str.lower) or list(fraclink._HOME) == sorted(
         fraclink._HOME
     )
-    assert len(NAMES) <= 45
+    assert len(NAMES) <= 40  # what a person can learn; everything else lives in its module
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -57,7 +57,8 @@ def test_public_function_states_units_and_types(name: str) -> None:
     untyped = [p.name for p in signature.parameters.values() if p.annotation is inspect.Parameter.empty]
     assert untyped == []
     assert signature.return_annotation is not inspect.Signature.empty
-    assert "[" in (inspect.getdoc(value) or ""), f"{name} names no unit in brackets"
+    if any("float" in str(p.annotation) for p in signature.parameters.values()):
+        assert "[" in (inspect.getdoc(value) or ""), f"{name} names no unit in brackets"
 
 
 def test_public_names_stand_in_the_reference() -> None:

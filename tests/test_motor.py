@@ -9,12 +9,12 @@ import pytest
 
 import fraclink as fl
 from fraclink.errors import FieldError
-from fraclink.motor import inner_loop
+from fraclink.motor import InnerLoop, inner_loop
 
 A, B = 0.21 / 6.87e-5, 1.041e-3 / 6.87e-5
 
 
-def _loop(pole: float = 80.0) -> fl.InnerLoop:
+def _loop(pole: float = 80.0) -> InnerLoop:
     return inner_loop(fl.Rig.named("paper-2023").motor, pole)
 
 

@@ -14,36 +14,35 @@ __version__ = "0.1.0"
 
 # Public name -> module that defines it. The tests guard the list; add the same name below TYPE_CHECKING.
 _HOME: dict[str, str] = {
-    "Channel": "fraclink.rig",
     "Controller": "fraclink.controller",
     "Experiment": "fraclink.experiment",
     "Fit": "fraclink.identify",
     "FractionalTransferFunction": "fraclink.fractional",
-    "InnerLoop": "fraclink.motor",
     "Law": "fraclink.law",
     "LinkModel": "fraclink.link",
-    "LogColumns": "fraclink.rig",
-    "Moves": "fraclink.law",
     "Plan": "fraclink.design",
     "Rig": "fraclink.rig",
     "Run": "fraclink.simulate",
     "Study": "fraclink.study",
-    "TimeResponse": "fraclink.response",
     "Twin": "fraclink.twin",
+    "approximate": "fraclink.rational",
     "bundled_log": "fraclink.readers",
+    "certify": "fraclink.certify",
     "chirp": "fraclink.reference",
     "conduct": "fraclink.study",
     "deg": "fraclink.design",
     "design": "fraclink.design",
     "diagnose": "fraclink.diagnose",
+    "export_c": "fraclink.export",
+    "from_control": "fraclink.interop",
     "hold": "fraclink.reference",
     "identify": "fraclink.identify",
     "identify_all": "fraclink.identify",
     "impulse_response": "fraclink.response",
-    "inner_loop": "fraclink.motor",
     "inspect_log": "fraclink.readers",
     "is_stable": "fraclink.stability",
     "margins": "fraclink.stability",
+    "norm": "fraclink.stability",
     "poles": "fraclink.stability",
     "prbs": "fraclink.reference",
     "pulse": "fraclink.reference",
@@ -51,7 +50,6 @@ _HOME: dict[str, str] = {
     "run_twin": "fraclink.twin",
     "s": "fraclink.fractional",
     "simulate": "fraclink.simulate",
-    "simulate_log": "fraclink.twin",
     "smooth_step": "fraclink.reference",
     "step_response": "fraclink.response",
     "time_response": "fraclink.response",
@@ -59,22 +57,23 @@ _HOME: dict[str, str] = {
 }
 
 if TYPE_CHECKING:  # what editors and type checkers see; nothing of this runs
+    from fraclink.certify import certify as certify
     from fraclink.controller import Controller as Controller
     from fraclink.design import Plan as Plan
     from fraclink.design import deg as deg
     from fraclink.design import design as design
     from fraclink.diagnose import diagnose as diagnose
     from fraclink.experiment import Experiment as Experiment
+    from fraclink.export import export_c as export_c
     from fraclink.fractional import FractionalTransferFunction as FractionalTransferFunction
     from fraclink.fractional import s as s
     from fraclink.identify import Fit as Fit
     from fraclink.identify import identify as identify
     from fraclink.identify import identify_all as identify_all
+    from fraclink.interop import from_control as from_control
     from fraclink.law import Law as Law
-    from fraclink.law import Moves as Moves
     from fraclink.link import LinkModel as LinkModel
-    from fraclink.motor import InnerLoop as InnerLoop
-    from fraclink.motor import inner_loop as inner_loop
+    from fraclink.rational import approximate as approximate
     from fraclink.readers import bundled_log as bundled_log
     from fraclink.readers import inspect_log as inspect_log
     from fraclink.readers import read_log as read_log
@@ -84,23 +83,20 @@ if TYPE_CHECKING:  # what editors and type checkers see; nothing of this runs
     from fraclink.reference import pulse as pulse
     from fraclink.reference import smooth_step as smooth_step
     from fraclink.report import write_report as write_report
-    from fraclink.response import TimeResponse as TimeResponse
     from fraclink.response import impulse_response as impulse_response
     from fraclink.response import step_response as step_response
     from fraclink.response import time_response as time_response
-    from fraclink.rig import Channel as Channel
-    from fraclink.rig import LogColumns as LogColumns
     from fraclink.rig import Rig as Rig
     from fraclink.simulate import Run as Run
     from fraclink.simulate import simulate as simulate  # type: ignore[no-redef]
     from fraclink.stability import is_stable as is_stable
     from fraclink.stability import margins as margins
+    from fraclink.stability import norm as norm
     from fraclink.stability import poles as poles
     from fraclink.study import Study as Study
     from fraclink.study import conduct as conduct
     from fraclink.twin import Twin as Twin
     from fraclink.twin import run_twin as run_twin
-    from fraclink.twin import simulate_log as simulate_log
 
 __all__ = sorted(["__version__", *_HOME])
 

@@ -36,7 +36,7 @@ def norm(system: FractionalTransferFunction, p: float) -> float:
     system : FractionalTransferFunction
         Stable; for p = 2 with a relative degree > 1/2, for p = inf proper. Delays are allowed.
     p : float
-        2 or `math.inf`.
+        2 or `math.inf` [1].
 
     Returns
     -------
