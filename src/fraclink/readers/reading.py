@@ -13,17 +13,16 @@ from fraclink.files import sha256_of
 from fraclink.findings import Finding
 from fraclink.readers.formats import read_table
 from fraclink.readers.limits import SAMPLE_LIMIT
+from fraclink.readers.signals import check_signals, clean_column, stated_payload
 from fraclink.readers.stated import columns_of_names, suggested_columns
 from fraclink.readers.table import Table
 from fraclink.readers.timebase import resampled, time_base
 from fraclink.rig import Channel, LogColumns, Rig
-from fraclink.rig.quantities import Quantity
 
 __all__ = ["bundled_log", "bundled_logs", "read_columns", "read_log"]
 
 _LOGS = Path(__file__).resolve().parent.parent / "logs"
 _FEWEST = 200  # samples: three parameters, an offset and a held-out part need more than that
-_INTERPOLATED = 0.01  # largest share of missing cells that may be interpolated
 
 
 def bundled_logs() -> tuple[str, ...]:
@@ -60,7 +59,7 @@ def read_columns(path: Path | str) -> dict[str, NDArray[np.float64]]:
     table = read_table(Path(path))
     found: dict[str, NDArray[np.float64]] = {}
     for name in table.names:
-        found[name] = _clean(table, table.place(name, "the table"), interpolate=False)[0]
+        found[name] = clean_column(table, table.place(name, "the table"), interpolate=False)[0]
     return found
 
 
@@ -106,8 +105,8 @@ def read_log(
         _check_span(stamps, base.period)
         data = {role: resampled(stamps, base, values) for role, values in data.items()}
     output = data[stated.output_kind]
-    _check_signals(data["motor_angle"], output, stated.output_kind)
-    known, payload_findings = _payload(table, payload)
+    check_signals(data["motor_angle"], output, stated.output_kind)
+    known, payload_findings = stated_payload(table, payload)
     return Experiment(
         period=base.period,
         motor_angle=data["motor_angle"],
@@ -145,7 +144,7 @@ def _channels(
             findings.append(_no_voltage(channel))
             continue
         place = table.place(channel.column, role)
-        raw, filled = _clean(table, place, interpolate=interpolate)
+        raw, filled = clean_column(table, place, interpolate=interpolate)
         findings += filled
         data[role] = channel.in_si(raw, role)
     _check_lengths(data, stated)
@@ -179,51 +178,6 @@ def _check_lengths(data: dict[str, NDArray[np.float64]], stated: LogColumns) -> 
         )
 
 
-def _clean(table: Table, place: int, *, interpolate: bool) -> tuple[NDArray[np.float64], list[Finding]]:
-    """One column without missing cells, or an error that names the first one."""
-    values, name = table.values[place], table.names[place]
-    faults = table.faults.get(place)
-    if faults is not None and faults.bad:
-        from fraclink.readers.cells import cell_remedy
-
-        line, cell = faults.first_bad
-        raise LogError(
-            f"line {line}, column {name}",
-            cell,
-            f"not a number ({faults.bad} such cells)",
-            allowed="numbers such as -1.5e-3",
-            remedy=cell_remedy(cell),
-        )
-    missing = np.flatnonzero(~np.isfinite(values))
-    if not missing.size:
-        return values, []
-    share = missing.size / values.size
-    line, cell = (
-        faults.first_missing if faults is not None else (int(missing[0]), repr(float(values[missing[0]])))
-    )
-    where = f"line {line}" if faults is not None else f"sample {line}"
-    if not interpolate or share > _INTERPOLATED:
-        few = share <= _INTERPOLATED
-        raise LogError(
-            f"{where}, column {name}",
-            cell or "(empty)",
-            f"missing ({missing.size} of {values.size} cells)",
-            allowed="finite numbers",
-            remedy="record again, or read with interpolate=True (--interpolate)" if few else "record again",
-        )
-    good = np.flatnonzero(np.isfinite(values))
-    filled = np.interp(np.arange(values.size), good, values[good])
-    return filled, [
-        Finding(
-            "W201",
-            "warning",
-            f"{missing.size} missing cells of column {name!r} were interpolated",
-            {"missing": missing.size, "share": share},
-            "look whether they lie where the arm moves",
-        )
-    ]
-
-
 def _check_span(stamps: NDArray[np.float64], period: float) -> None:
     count = float(stamps[-1] - stamps[0]) / period
     if count > SAMPLE_LIMIT:
@@ -234,56 +188,3 @@ def _check_span(stamps: NDArray[np.float64], period: float) -> None:
             allowed=f"{SAMPLE_LIMIT} samples",
             remedy="cut the log at its gaps",
         )
-
-
-def _check_signals(angle: NDArray[np.float64], output: NDArray[np.float64], kind: str) -> None:
-    for role, values, remedy in (
-        ("motor_angle", angle, "excite the arm: a pulse, a PRBS or a square wave; or state another column"),
-        (kind, output, "check the gauge and its amplifier, or state another column"),
-    ):
-        if np.ptp(values) == 0:
-            value = float(values[0])
-            raise LogError(
-                role,
-                f"{value:.6g} in all {values.size} samples (standard deviation 0)",
-                "constant",
-                allowed="a signal that moves",
-                remedy=remedy,
-            )
-
-
-def _payload(table: Table, stated: float | None) -> tuple[float | None, list[Finding]]:
-    """The payload of a log, from the call or from its own header."""
-    spec = Quantity("payload", "kg", above=0, remedy="give the mass in kg")
-    labels = {value for key, value in table.notes if key == "payload_kg"}
-    if len(labels) > 1:
-        raise LogError(
-            "payload_kg",
-            ", ".join(sorted(labels)),
-            "given more than once",
-            allowed="one label",
-            remedy="remove one",
-        )
-    header = None
-    for label in labels:
-        from fraclink.readers.cells import NUMBER
-
-        if not NUMBER.fullmatch(label):
-            raise LogError(
-                "payload_kg", label, "not a number", allowed="> 0 [kg]", remedy="write # payload_kg: 0.030"
-            )
-        header = float(spec.check("payload_kg", float(label)))
-    if stated is None:
-        return header, []
-    mass = float(spec.check("payload", stated))
-    if header is None or abs(mass - header) <= 1e-9 * mass:
-        return mass, []
-    return mass, [
-        Finding(
-            "W216",
-            "warning",
-            f"payload {mass:g} kg was stated, the log's header says {header:g} kg",
-            {"stated": mass, "header": header},
-            "fraclink uses the stated one; correct the other",
-        )
-    ]
