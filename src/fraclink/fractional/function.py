@@ -16,7 +16,7 @@ Orders are real and need no common base. The power is the principal one, s^a = e
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from typing import Any, overload
@@ -25,7 +25,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink.errors import FieldError
-from fraclink.fractional.terms import Term, as_terms, collect, finite, normal, product, scaled, text
+from fraclink.fractional.terms import (
+    Term,
+    as_terms,
+    cancelled,
+    collect,
+    finite,
+    normal,
+    product,
+    scaled,
+    text,
+)
 from fraclink.fractional.values import evaluate
 
 __all__ = ["FractionalTransferFunction", "s"]
@@ -116,15 +126,17 @@ class FractionalTransferFunction:
         right = _operand(other)
         if right is NotImplemented:
             return NotImplemented
-        # Cancel whole polynomials crosswise: (1/D)·D is 1 and not D/D with rounding errors.
-        first, second = _build(self.numerator, right.denominator), _build(right.numerator, self.denominator)
-        return _build(
-            product(first.numerator, second.numerator), product(first.denominator, second.denominator)
-        )
+        return _quotient(self.numerator, self.denominator, right.numerator, right.denominator)
 
     def __truediv__(self, other: object) -> FractionalTransferFunction:
         right = _operand(other)
-        return NotImplemented if right is NotImplemented else self * right._inverse()
+        if right is NotImplemented:
+            return NotImplemented
+        if not right.numerator:
+            raise FieldError(
+                "denominator", 0.0, "zero", allowed="a nonzero function", remedy="do not divide by zero"
+            )
+        return _quotient(self.numerator, self.denominator, right.denominator, right.numerator)
 
     def __sub__(self, other: object) -> FractionalTransferFunction:
         right = _operand(other)
@@ -173,19 +185,13 @@ class FractionalTransferFunction:
         )
 
     def _integer_power(self, power: int) -> FractionalTransferFunction:
-        base, result = (self if power >= 0 else self._inverse()), _build((Term(1.0, 0.0),), (Term(1.0, 0.0),))
+        one = _build((Term(1.0, 0.0),), (Term(1.0, 0.0),))
+        base, result = (self if power >= 0 else one / self), one
         for bit in bin(abs(power))[2:]:
             result = result * result
             if bit == "1":
                 result = result * base
         return result
-
-    def _inverse(self) -> FractionalTransferFunction:
-        if not self.numerator:
-            raise FieldError(
-                "denominator", 0.0, "zero", allowed="a nonzero function", remedy="do not divide by zero"
-            )
-        return _build(self.denominator, self.numerator)
 
     def delayed(self, delay: float) -> FractionalTransferFunction:
         """Return G(s)·e^(-τs) for the delay τ ≥ 0 [s].
@@ -238,10 +244,10 @@ class FractionalTransferFunction:
         """The dead time from input to output [s]: the least delay of the numerator."""
         return min((t.delay for t in self.numerator), default=0.0)
 
-    def to_control(self) -> Any:
+    def to_control(self, *, name: str | None = None) -> Any:
         """Return the function as a python-control system (see `fraclink.interop.to_control`)."""
         # By name and at call time: this module knows nothing of the floors above it.
-        return import_module("fraclink.interop").to_control(self)
+        return import_module("fraclink.interop").to_control(self, name=name)
 
     @staticmethod
     def power(order: float) -> FractionalTransferFunction:
@@ -264,6 +270,15 @@ class FractionalTransferFunction:
 
 def _build(top: Iterable[Term], bottom: Iterable[Term]) -> FractionalTransferFunction:
     return FractionalTransferFunction(tuple(top), tuple(bottom))
+
+
+def _quotient(
+    top: Sequence[Term], bottom: Sequence[Term], other_top: Sequence[Term], other_bottom: Sequence[Term]
+) -> FractionalTransferFunction:
+    """(top/bottom)·(other_top/other_bottom), whole sums cancelled crosswise: (1/D)·D is 1, not D/D rounded."""
+    top, other_bottom = cancelled(top, other_bottom)
+    other_top, bottom = cancelled(other_top, bottom)
+    return _build(product(top, other_top), product(bottom, other_bottom))
 
 
 def _operand(value: object) -> Any:
