@@ -275,7 +275,7 @@ def _build(top: Iterable[Term], bottom: Iterable[Term]) -> FractionalTransferFun
 def _quotient(
     top: Sequence[Term], bottom: Sequence[Term], other_top: Sequence[Term], other_bottom: Sequence[Term]
 ) -> FractionalTransferFunction:
-    """(top/bottom)·(other_top/other_bottom), whole sums cancelled crosswise: (1/D)·D is 1, not D/D rounded."""
+    """(top/bottom)·(other_top/other_bottom), whole sums cancelled crosswise: (1/D)·D is 1, not D/D."""
     top, other_bottom = cancelled(top, other_bottom)
     other_top, bottom = cancelled(other_top, bottom)
     return _build(product(top, other_top), product(bottom, other_bottom))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from fraclink.errors import FieldError
@@ -78,8 +78,8 @@ def shifted(terms: Iterable[Term], order: float, delay: float, scale: float) -> 
 
 
 def snap(value: float) -> float:
-    """The integer that `value` is, but for rounding: 1.92 - 0.92 is 0.9999999999999999."""
-    nearest = float(round(value))
+    """The decimal of 12 places that `value` is, but for rounding: 1.92 - 0.92 is 0.9999999999999999."""
+    nearest = round(value, 12)
     return nearest if same(value, nearest) else value
 
 
@@ -97,6 +97,18 @@ def proportional(a: tuple[Term, ...], b: tuple[Term, ...]) -> bool:
         and same(x.order, y.order + order)
         and same(x.delay, y.delay + delay)
         for x, y in zip(a, b, strict=True)
+    )
+
+
+def cancelled(top: Sequence[Term], bottom: Sequence[Term]) -> tuple[Sequence[Term], Sequence[Term]]:
+    """Both sums, or single terms with the same quotient where one sum is a multiple of the other."""
+    if len(bottom) < 2 or not proportional(tuple(top), tuple(bottom)):
+        return top, bottom
+    order, delay = top[0].order - bottom[0].order, top[0].delay - bottom[0].delay
+    ratio = top[0].coefficient / bottom[0].coefficient
+    return (
+        (Term(ratio, max(order, 0.0), max(delay, 0.0)),),
+        (Term(1.0, max(-order, 0.0), max(-delay, 0.0)),),
     )
 
 
@@ -126,6 +138,7 @@ def as_terms(field: str, value: object) -> tuple[Term, ...]:
 def normal(top: list[Term], bottom: list[Term]) -> tuple[tuple[Term, ...], tuple[Term, ...]]:
     if not top:
         return (), (Term(1.0, 0.0),)
+    top, bottom = (list(x) for x in cancelled(top, bottom))
     order = min(t.order for t in (*top, *bottom))
     delay = min(t.delay for t in bottom)
     early = min(t.delay for t in top) - delay
@@ -135,10 +148,6 @@ def normal(top: list[Term], bottom: list[Term]) -> tuple[tuple[Term, ...], tuple
         )
     lead = bottom[0].coefficient
     numerator, denominator = shifted(top, order, delay, lead), shifted(bottom, order, delay, lead)
-    if len(denominator) > 1 and proportional(numerator, denominator):
-        factor, gap = numerator[0].coefficient, numerator[0].order - denominator[0].order
-        numerator = (Term(factor, max(gap, 0.0), numerator[0].delay - denominator[0].delay),)
-        denominator = (Term(1.0, max(-gap, 0.0)),)
     return numerator, denominator
 
 

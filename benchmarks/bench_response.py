@@ -1,0 +1,231 @@
+"""Every figure of the time responses, measured beside the value that is wanted.
+
+R is one `scipy.fft.rfft` of length 2N in the same run; timings are medians of interleaved calls in CPU time
+(everything here runs on one thread; a busy machine's other work does not count), beside half their
+interquartile range. Errors are relative to the peak of the signal.
+"""
+
+from __future__ import annotations
+
+import json
+import resource
+import time
+import tracemalloc
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from scipy.fft import rfft
+
+from fraclink.fractional import FractionalTransferFunction, s
+from fraclink.response import discretize, grunwald_letnikov, step_response, time_response
+from fraclink.response.modes import DiscreteModes
+
+PERIOD = 0.004
+REFERENCE = Path(__file__).parents[1] / "tests" / "reference" / "step_responses.json"
+LINK = 10.02**2 / (s**1.92 + 10.02**2)
+
+
+def line(figure: str, measured: str, wanted: str, holds: bool) -> None:
+    print(f"{'ok  ' if holds else 'MISS'} {figure:<66} {measured:<34} wanted {wanted}", flush=True)
+
+
+def interleaved(calls: dict[str, Callable[[], object]], rounds: int) -> dict[str, np.ndarray]:
+    spent: dict[str, list[float]] = {name: [] for name in calls}
+    for _ in range(rounds):
+        for name, call in calls.items():
+            begin = time.thread_time()
+            call()
+            spent[name].append(time.thread_time() - begin)
+    return {name: np.array(values) for name, values in spent.items()}
+
+
+def ratio(spent: dict[str, np.ndarray], name: str, base: str) -> tuple[float, float]:
+    """Median of the ratio to `base` of the same round, and half its interquartile range."""
+    values = spent[name] / spent[base]
+    low, high = np.percentile(values, [25, 75])
+    return float(np.median(values)), float(high - low) / 2
+
+
+def transfer(case: list[str]) -> FractionalTransferFunction:
+    if len(case) == 2:
+        order, frequency = map(float, case)
+        return frequency**2 / (s**order + frequency**2)
+    order, damping, damping_order, frequency = map(float, case)
+    return frequency**2 / (s**order + damping * s**damping_order + frequency**2)
+
+
+def accuracy() -> None:
+    """Step responses over 100 s at 4 ms, from the recursion that simulates, against 40-digit values."""
+    by_case: dict[tuple[str, ...], list[tuple[int, float]]] = {}
+    for entry in json.loads(REFERENCE.read_text(encoding="utf-8"))["values"]:
+        index = round(float(entry["time"]) / PERIOD)
+        by_case.setdefault(tuple(entry["case"]), []).append((index, float.fromhex(entry["hex"])))
+    u, worst = np.ones(25_001), {"UD-FOM": 0.0, "D-FOM": 0.0}
+    for case, values in by_case.items():
+        output = time_response(transfer(list(case)), u, PERIOD).output
+        peak = float(np.max(np.abs(output)))
+        error = max(abs(output[index] - value) for index, value in values) / peak
+        name = "UD-FOM" if len(case) == 2 else "D-FOM"
+        worst[name] = max(worst[name], error)
+    for name, error in worst.items():
+        count = sum((len(case) == 2) == (name == "UD-FOM") for case in by_case)
+        line(
+            f"{name}, {count} systems, λ 1.01 … 2, 100 s at 4 ms",
+            f"error {error:.1e}",
+            "<= 1e-10",
+            error <= 1e-10,
+        )
+
+
+def cost() -> None:
+    samples = 1_000_000
+    generator = np.random.default_rng(0)
+    signal, u = generator.standard_normal(2 * samples), generator.standard_normal(samples)
+    modes = discretize(LINK, PERIOD, span=samples * PERIOD, tolerance=1e-11)
+    fine = discretize(LINK, PERIOD, span=samples * PERIOD)
+    calls: dict[str, Callable[[], object]] = {
+        "R": lambda: rfft(signal),
+        "modes": lambda: modes.respond(u),
+        "fine": lambda: fine.respond(u),
+        "all": lambda: time_response(LINK, u, PERIOD),
+    }
+    spent = interleaved(calls, 15)
+    error = _step_error(modes, samples)
+    for name, title in (
+        ("modes", f"recursion, N = 1e6, {modes.count} states, step error {error:.0e}"),
+        ("fine", f"recursion, N = 1e6, {fine.count} states, step error {_step_error(fine, samples):.0e}"),
+        ("all", "time_response, N = 1e6, set-up, checks and copies included"),
+    ):
+        value, spread = ratio(spent, name, "R")
+        line(title, f"{value:.2f} ± {spread:.2f} R", "<= 0.35 R", value <= 0.35)
+
+
+def _step_error(modes: DiscreteModes, samples: int) -> float:
+    """Error of the recursion's step response at 12 times, against one contour integral for each."""
+    index = np.unique(np.geomspace(1, samples - 1, 12).astype(int))
+    output = modes.respond(np.ones(samples))
+    exact = np.array([step_response(LINK, [k * PERIOD]).output[0] for k in index])
+    return float(np.max(np.abs(output[index] - exact)) / np.max(np.abs(output)))
+
+
+def linearity() -> None:
+    sizes = [10**k for k in range(3, 8)]
+    spent = []
+    for size in sizes:
+        u = np.random.default_rng(1).standard_normal(size)
+        modes = discretize(LINK, PERIOD, span=size * PERIOD)
+        calls = interleaved({"y": lambda u=u, modes=modes: modes.respond(u)}, 5 if size > 1e6 else 25)
+        spent.append(float(np.median(calls["y"])) / size * 1e9 / modes.count)
+    text = ", ".join(f"{value:.2f}" for value in spent)
+    line("ns per sample and state at N = 1e3, 1e4 … 1e7", text, "flat within 2", max(spent) <= 2 * min(spent))
+
+
+def against_full_memory() -> None:
+    samples = 100_000
+    u = np.sign(np.sin(0.3 * np.arange(samples) * PERIOD))
+    exact = time_response(LINK, u, PERIOD).output
+    begin = time.thread_time()
+    full = grunwald_letnikov(LINK, u, PERIOD)
+    long = time.thread_time() - begin
+    short = float(np.median(interleaved({"y": lambda: time_response(LINK, u, PERIOD)}, 15)["y"]))
+    error = float(np.max(np.abs(full - exact)) / np.max(np.abs(exact)))
+    ours = _square_wave_error(exact, samples)
+    line(
+        "against Grünwald-Letnikov O(N²) in C, N = 1e5",
+        f"{long / short:.0f} x faster",
+        ">= 1000",
+        long >= 1e3 * short,
+    )
+    line("the same, error", f"{error:.1e} / {ours:.1e} = {error / ours:.1e}", ">= 1e8", error >= 1e8 * ours)
+
+
+def _square_wave_error(output: np.ndarray, samples: int) -> float:
+    """Error at 20 samples against the sum of step responses of the jumps, each from a contour integral."""
+    u = np.sign(np.sin(0.3 * np.arange(samples) * PERIOD))
+    jumps = np.flatnonzero(np.diff(u, prepend=0.0))
+    gaps = []
+    for k in np.linspace(100, samples - 1, 20).astype(int):
+        past = jumps[jumps < k]
+        steps = step_response(LINK, (k - past) * PERIOD).output
+        gaps.append(abs(output[k] - float(np.diff(u, prepend=0.0)[past] @ steps)))
+    return max(gaps) / float(np.max(np.abs(output)))
+
+
+def against_oustaloup() -> None:
+    import control
+
+    samples = 5000
+    u = np.sign(np.sin(0.3 * np.arange(samples) * PERIOD))
+    exact = time_response(LINK, u, PERIOD).output
+
+    def system() -> control.StateSpace:
+        """ϖ²/s^1.92 as ϖ²/s · (s^-0.92 by Oustaloup, 1e-3 … 1e5 rad/s, N = 7) in modal form, closed, sampled.
+
+        In modal form, because as a transfer function of order 16 its coefficients span 40 decades.
+        """
+        low, high, order = 1e-3, 1e5, -0.92
+        index = (np.arange(15)[:, None] + 0.5 * (1 + np.array([[-order, order]]))) / 15
+        zeros, poles = (-low * (high / low) ** index).T
+        residues = [
+            high**order * np.prod(p - zeros) / np.prod(p - np.delete(poles, k)) for k, p in enumerate(poles)
+        ]
+        power = control.ss(np.diag(poles), np.ones((15, 1)), np.array([residues]), [[high**order]])
+        integrator = control.ss([[0.0]], [[1.0]], [[10.02**2]], [[0.0]])
+        return control.sample_system(control.feedback(power * integrator), PERIOD, method="zoh")
+
+    sampled, times = system(), np.arange(samples) * PERIOD
+    modes = discretize(LINK, PERIOD, span=samples * PERIOD)
+    theirs = control.forced_response(sampled, times, u).outputs
+    calls: dict[str, Callable[[], object]] = {
+        "theirs": lambda: control.forced_response(sampled, times, u),
+        "ours": lambda: modes.respond(u),
+        "their all": lambda: control.forced_response(system(), times, u),
+        "our all": lambda: time_response(LINK, u, PERIOD),
+    }
+    spent = interleaved(calls, 15)
+    for name, base, title in (
+        ("theirs", "ours", "recursion alone"),
+        ("their all", "our all", "from the transfer function"),
+    ):
+        value, spread = ratio(spent, name, base)
+        line(
+            f"against python-control with Oustaloup, N = 5000, {title}",
+            f"{value:.0f} ± {spread:.0f} x faster",
+            ">= 20",
+            value >= 20,
+        )
+    error = float(np.max(np.abs(theirs - exact)) / np.max(np.abs(exact)))
+    ours = _square_wave_error(exact, samples)
+    line("the same, error", f"{error:.1e} / {ours:.1e} = {error / ours:.1e}", ">= 1e6", error >= 1e6 * ours)
+
+
+def memory() -> None:
+    samples = 10_000_000
+    u = np.zeros(samples)
+    modes = discretize(LINK, PERIOD, span=samples * PERIOD)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    tracemalloc.start()
+    modes.respond(u)
+    python = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    grown = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) * 1024
+    line(
+        f"memory of the recursion, N = 1e7, {modes.count} states",
+        f"{max(grown, python) / samples:.1f} B a sample",
+        "<= 8.5 (the output)",
+        grown <= 8.5 * samples,
+    )
+
+
+def main() -> None:
+    accuracy()
+    cost()
+    memory()
+    linearity()
+    against_full_memory()
+    against_oustaloup()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,70 @@
+"""Run every benchmarks/bench_*.py in a process of its own and print one table.
+
+A benchmark prints one line per figure: `ok` or `MISS`, the figure, what was measured with its spread, what
+is wanted. The exit code is 1 where a benchmark crashed or printed nothing; a missed figure is a result.
+"""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+HERE = Path(__file__).parent
+MARKS = ("ok", "MISS")
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What one benchmark printed: its figures, the seconds it took and its exit code."""
+
+    name: str
+    figures: tuple[str, ...]
+    seconds: float
+    code: int
+
+    @property
+    def crashed(self) -> bool:
+        return self.code != 0 or not self.figures
+
+
+def run(script: Path) -> Outcome:
+    """Run one benchmark, passing its lines on as they come."""
+    begin = time.perf_counter()
+    print(f"\n{script.stem}", flush=True)
+    figures: list[str] = []
+    with subprocess.Popen(  # noqa: S603 - a script of this folder under the running interpreter
+        [sys.executable, str(script)], cwd=HERE.parent, stdout=subprocess.PIPE, text=True
+    ) as process:
+        for line in process.stdout or ():
+            print(line, end="", flush=True)
+            if line.split(maxsplit=1)[:1] and line.split(maxsplit=1)[0] in MARKS:
+                figures.append(line.rstrip())
+    return Outcome(script.stem, tuple(figures), time.perf_counter() - begin, process.returncode)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("names", nargs="*", help="benchmarks to run, e.g. response; all by default")
+    wanted = parser.parse_args().names
+    scripts = sorted(HERE.glob("bench_*.py"))
+    unknown = [name for name in wanted if not (HERE / f"bench_{name}.py").is_file()]
+    if unknown:
+        known = ", ".join(script.stem.removeprefix("bench_") for script in scripts)
+        parser.error(f"no benchmark named {', '.join(unknown)}; there are {known}")
+    outcomes = [
+        run(script) for script in scripts if not wanted or script.stem.removeprefix("bench_") in wanted
+    ]
+    print(f"\n{'benchmark':<24} {'figures':>8} {'missed':>8} {'seconds':>8}")
+    for outcome in outcomes:
+        missed = sum(line.startswith("MISS") for line in outcome.figures)
+        note = f"  CRASHED (exit code {outcome.code})" if outcome.crashed else ""
+        print(f"{outcome.name:<24} {len(outcome.figures):>8} {missed:>8} {outcome.seconds:>8.1f}{note}")
+    return 1 if any(outcome.crashed for outcome in outcomes) else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

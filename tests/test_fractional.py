@@ -1,0 +1,148 @@
+"""Algebra and values of fractional transfer functions."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fraclink.errors import FieldError
+from fraclink.fractional import FractionalTransferFunction, Term, s
+
+LINK = 1.56 * s**1.92 / (s**1.92 + 10.02**2)
+W = np.array([0.01, 0.3, 1.0, 7.0, 90.0])
+
+
+def test_repr_reads_like_the_formula() -> None:
+    assert repr(LINK) == "1.56 s^1.92 / (s^1.92 + 100.4)"
+    assert repr((1 - 2 * s).delayed(0.5) / (s + 1)) == "(-2 s e^(-0.5 s) + e^(-0.5 s)) / (s + 1)"
+    assert repr(s - s) == "0"
+    assert repr(1 / s**0.5) == "1 / s^0.5"
+
+
+def test_normal_form_makes_equal_functions_equal() -> None:
+    assert 2 * s / (4 * s**2 + 2 * s) == 0.5 / (s + 0.5)
+    assert (0 * s + 0.1) + 0.2 - 0.3 != 0  # numbers are not rounded for the user
+    assert s**0.1 * s**0.2 == s**0.3
+    assert s**-0.5 == 1 / s**0.5
+    assert 1 / (s**-0.5 + 1) == s**0.5 / (1 + s**0.5)
+    assert (1 / (s**1.3 + 2)) * (s**1.3 + 2) == 1 + 0 * s
+    assert (s + 1) / (2 * s + 2) == 0.5 + 0 * s
+    assert hash(2 * s / (4 * s**2 + 2 * s)) == hash(0.5 / (s + 0.5))
+    assert len({LINK, 1.56 * s**1.92 / (10.02**2 + s**1.92)}) == 1
+
+
+def test_orders_that_differ_by_rounding_are_one_order() -> None:
+    total = sum((s**0.1 * s**0.2, s**0.3), 0 * s)
+    assert total.numerator == (Term(2.0, total.numerator[0].order),)
+    assert (s**1.92 / s**0.92).numerator[0].order == 1.0
+
+
+@pytest.mark.parametrize(
+    ("made", "expected"),
+    [
+        (lambda z: (1 + LINK)(z), lambda z: 1 + LINK(z)),
+        (lambda z: (LINK - 2)(z), lambda z: LINK(z) - 2),
+        (lambda z: (2 - LINK)(z), lambda z: 2 - LINK(z)),
+        (lambda z: (3 / LINK)(z), lambda z: 3 / LINK(z)),
+        (lambda z: (LINK**3)(z), lambda z: LINK(z) ** 3),
+        (lambda z: (LINK**-2)(z), lambda z: LINK(z) ** -2),
+        (lambda z: LINK.feedback(s + 1)(z), lambda z: LINK(z) / (1 + LINK(z) * (z + 1))),
+        (lambda z: LINK.feedback(0.5, sign=1)(z), lambda z: LINK(z) / (1 - 0.5 * LINK(z))),
+        (lambda z: LINK.delayed(0.1)(z), lambda z: LINK(z) * np.exp(-0.1 * z)),
+        (lambda z: (np.float64(2) * s)(z), lambda z: 2 * z),
+        (lambda z: (+LINK - (-LINK))(z), lambda z: 2 * LINK(z)),
+        (lambda z: ((4 * s) ** 0.5)(z), lambda z: 2 * np.sqrt(z)),
+    ],
+)
+def test_algebra_agrees_with_values(made, expected) -> None:  # type: ignore[no-untyped-def]
+    z = 1j * W
+    np.testing.assert_allclose(made(z), expected(z), rtol=1e-13)
+
+
+@settings(deadline=None, max_examples=60)
+@given(a=st.floats(-3, 3), b=st.floats(-3, 3), x=st.floats(0.01, 100), y=st.floats(-3.1, 3.1))
+def test_powers_are_a_semigroup(a: float, b: float, x: float, y: float) -> None:
+    z = x * complex(math.cos(y), math.sin(y))
+    assert (s**a * s**b)(z) == pytest.approx((s ** (a + b))(z), rel=1e-11)
+    assert (s**a)(z) == pytest.approx(z**a, rel=1e-12)
+
+
+def test_values_keep_shape_kind_and_sheet() -> None:
+    assert isinstance(LINK(2.0), complex)
+    assert isinstance(LINK(np.float64(2.0)), complex)
+    grid = LINK(1j * W.reshape(5, 1))
+    assert grid.shape == (5, 1)
+    assert grid.dtype == np.complex128
+    assert (s**0.5)(-4.0) == pytest.approx(2j)
+    assert LINK(3 - 4j) == pytest.approx(LINK(3 + 4j).conjugate())
+    assert LINK(np.array([], dtype=complex)).shape == (0,)
+
+
+def test_values_at_the_ends() -> None:
+    assert LINK(0) == 0
+    assert (1 / s)(0) == complex(math.inf)
+    assert (100 / (s**1.92 + 100))(0) == 1
+    assert LINK(1e200j) == pytest.approx(1.56)
+    assert ((s**2 + 1) / (s**2 + 2))(1e300j) == pytest.approx(1)
+
+
+def test_undamped_link_has_real_values_on_the_axis() -> None:
+    values = (100 / (s**2 + 100))(1j * np.array([1.0, 20.0]))
+    np.testing.assert_array_equal(values.imag, 0.0)
+
+
+def test_properties() -> None:
+    assert LINK.is_proper
+    assert LINK.relative_degree == 0.0
+    assert not s.is_proper
+    assert (1 / (s**1.92 + 1)).relative_degree == pytest.approx(1.92)
+    assert (s - s).relative_degree == math.inf
+    assert (LINK.delayed(0.3) + LINK.delayed(0.2)).delay == pytest.approx(0.2)
+
+
+def test_delays_of_numerator_and_denominator_divide_out() -> None:
+    late = (0 * s + 1).delayed(0.2)
+    assert LINK.delayed(0.2) / late == LINK
+    loop = (2 / s).delayed(0.1).feedback()
+    assert [t.delay for t in loop.denominator] == [0.0, 0.1]
+
+
+@pytest.mark.parametrize(
+    ("call", "field"),
+    [
+        (lambda: Term(math.nan, 1.0), "coefficient"),
+        (lambda: Term(1.0, math.inf), "order"),
+        (lambda: Term(1.0, 1.0, -0.1), "delay"),
+        (lambda: Term(True, 1.0), "coefficient"),
+        (lambda: s**math.nan, "exponent"),
+        (lambda: s ** "2", "exponent"),  # type: ignore[operator]
+        (lambda: (s + 1) ** 0.5, "exponent"),
+        (lambda: (-1 * s) ** 0.5, "exponent"),
+        (lambda: 1 / (s - s), "denominator"),
+        (lambda: FractionalTransferFunction((Term(1, 0),), ()), "denominator"),
+        (lambda: FractionalTransferFunction((Term(1, 0),), (Term(0, 1),)), "denominator"),
+        (lambda: FractionalTransferFunction((Term(1, 0),), (Term(1, 1), Term(1, -0.5))), "denominator"),
+        (lambda: FractionalTransferFunction("1", (Term(1, 0),)), "numerator"),  # type: ignore[arg-type]
+        (lambda: 1 / LINK.delayed(1.0), "delay"),
+        (lambda: LINK.delayed(-1.0), "delay"),
+        (lambda: LINK.feedback(sign=0), "sign"),
+        (lambda: LINK.feedback("x"), "other"),  # type: ignore[arg-type]
+        (lambda: LINK("x"), "s"),  # type: ignore[call-overload]
+    ],
+)
+def test_bad_input_names_the_field(call, field: str) -> None:  # type: ignore[no-untyped-def]
+    with pytest.raises(FieldError) as caught:
+        call()
+    assert caught.value.field == field
+
+
+def test_arrays_and_strings_are_refused_in_algebra() -> None:
+    for other in (np.ones(3), "1", None, 1j, True):
+        with pytest.raises(TypeError):
+            other * s
+        with pytest.raises(TypeError):
+            s + other
