@@ -20,7 +20,7 @@ Complex = NDArray[np.complex128]
 Real = NDArray[np.float64]
 
 HIGHEST_ORDER = 12
-_GUARD = 2.0  # above the band |H − F| may reach 2 |F| times the score: without it, gains of 1e6 appear there
+_GUARD = 2.0  # above the band |H − F| may reach 2 |F| times the score: without it the gain there has no bound
 
 
 def fit_discrete(
