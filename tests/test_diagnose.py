@@ -70,12 +70,12 @@ def test_b02_a_motor_that_hardly_moves_is_an_error() -> None:
     log = changed(motor_angle=np.full(2000, 0.3) + 1e-15 * np.arange(2000))
     finding = found(log, "W202")
     assert finding.severity == "error"
-    assert "0.3" in finding.message
+    assert "0.3 rad" in finding.message
     assert finding.evidence["standard_deviation"] < 1e-12
 
 
 def test_b03_a_dead_gauge_is_an_error() -> None:
-    assert found(changed(output=np.zeros(2000)), "W203").message == "output is zero throughout"
+    assert found(changed(output=np.zeros(2000)), "W203").message == "the torque is zero throughout"
 
 
 def test_b04_fewer_than_three_periods() -> None:

@@ -138,6 +138,11 @@ class Experiment:
         return self.period * (self.motor_angle.size - 1)
 
     @property
+    def output_unit(self) -> str:
+        """Unit of the output: ``N·m`` of a torque, ``rad`` of a deflection."""
+        return "N·m" if self.output_kind == "torque" else "rad"
+
+    @property
     def simulated(self) -> bool:
         """Whether the log says of itself that it was simulated."""
         return dict(self.notes).get("simulated", "").lower() in ("true", "yes", "1")

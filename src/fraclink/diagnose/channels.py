@@ -56,11 +56,19 @@ def labels(experiment: Experiment, rig: Rig | None) -> Iterator[Finding]:
         )
 
 
+def _channels(experiment: Experiment) -> tuple[tuple[str, str, str], ...]:
+    """Attribute, name in words and unit of the two channels."""
+    return (
+        ("motor_angle", "motor angle", "rad"),
+        ("output", experiment.output_kind, experiment.output_unit),
+    )
+
+
 def constant_channels(experiment: Experiment) -> Iterator[Finding]:
     """B02, B03, B21: a channel that moves by less than a billionth of its value tells nothing."""
-    for code, name, remedy in (
-        ("W202", "motor_angle", "excite the arm: a pulse, a PRBS or a square wave"),
-        ("W203", "output", "check the gauge and its amplifier"),
+    remedies = ("excite the arm: a pulse, a PRBS or a square wave", "check the gauge and its amplifier")
+    for code, (name, named, unit), remedy in zip(
+        ("W202", "W203"), _channels(experiment), remedies, strict=True
     ):
         values = getattr(experiment, name)
         spread, size = float(values.std()), float(np.abs(values).max())
@@ -86,7 +94,7 @@ def range_of_angle(experiment: Experiment) -> Iterator[Finding]:
 
 def outliers(experiment: Experiment) -> Iterator[Finding]:
     """B24: samples far outside the range that holds 99 % of the channel."""
-    for name in ("motor_angle", "output"):
+    for name, named, _unit in _channels(experiment):
         values = getattr(experiment, name)
         low, middle, high = np.quantile(values, (0.005, 0.5, 0.995))
         reach = max(high - middle, middle - low) or float(values.std())
@@ -96,7 +104,7 @@ def outliers(experiment: Experiment) -> Iterator[Finding]:
             yield Finding(
                 "W224",
                 "error" if far.size < 0.02 * values.size else "warning",
-                f"{far.size} outliers in {name}, the largest at sample {worst}",
+                f"{far.size} outliers in the {named}, the largest at sample {worst}",
                 {"value": float(values[worst]), "median": float(middle), "outliers": far.size},
                 "remove or repair these rows: a fit by least squares follows them",
             )
@@ -120,7 +128,7 @@ def clipping(experiment: Experiment, rig: Rig | None) -> Iterator[Finding]:
             yield Finding(
                 "W213",
                 "warning",
-                f"{100 * at / values.size:.3g} % of the output lies at its {side} value: it seems clipped",
+                f"{100 * at / values.size:.3g} % of the samples lie at the output's {side} value: it seems clipped",
                 {"value": float(signed.max()) * (1 if side == "largest" else -1), "samples": at},
                 "move less or lower the amplifier's gain; a clipped torque biases every fit",
             )
@@ -158,7 +166,8 @@ def rest_at_start(experiment: Experiment, offset: float, spread: float) -> Itera
         yield Finding(
             "W212",
             "warning" if ratio > _OFFSET_WARNING else "info",
-            f"the output has an offset of {offset:.4g}, {100 * ratio:.3g} % of the motion in it",
+            f"the {experiment.output_kind} has an offset of {offset:.4g} {experiment.output_unit}, "
+            f"{100 * ratio:.3g} % of the motion in it",
             {"offset": offset, "motion": spread},
             "it is fitted with the model; balance the gauge bridge if it grows",
         )
@@ -183,7 +192,7 @@ def rest_at_start(experiment: Experiment, offset: float, spread: float) -> Itera
 
 def quantisation(experiment: Experiment, mode: Mode | None) -> Iterator[Finding]:
     """B14: steps of the converter against the signal and against what the mode leaves unexplained."""
-    for name in ("motor_angle", "output"):
+    for name, named, unit in _channels(experiment):
         values = getattr(experiment, name)
         step = converter_step(values)
         if not step:
@@ -195,7 +204,7 @@ def quantisation(experiment: Experiment, mode: Mode | None) -> Iterator[Finding]
         yield Finding(
             "W214",
             "warning" if coarse else "info",
-            f"{name} has steps of {step:.4g}: {levels:.0f} levels",
+            f"the {named} has steps of {step:.4g} {unit}: {levels:.0f} levels",
             {"step": step, "levels": levels, "noise_of_steps": step / math.sqrt(12)},
             "move further or use a finer converter" if coarse else "fine enough for a fit",
         )
