@@ -89,10 +89,11 @@ class Search:
         """A point near the resonance: the best of the scan, or the guess that was given if it is better.
 
         With a free gain a fit from a bad guess ends beside the optimum in one of five cases, with the
-        sign of the gain reversed; from the scan it does not.
+        sign of the gain reversed; from the scan it does not. With a known gain any guess leads there (2000
+        of 2000 with ϖ up to three times off), and the scan is saved.
         """
         if self._seed is None:
-            self._seed = self._scan()
+            self._seed = self.start if self.start is not None and "gain" in self.fixed else self._scan()
         return self._seed
 
     @property
@@ -104,15 +105,20 @@ class Search:
     def kernel(self) -> FitProblem:
         """The kernel on a grid for this resonance; a guess may be three times too high."""
         if self._kernel is None:
-            self._kernel = self.window.kernel(math.exp(self.seed[1]), longest_delay=self.longest_delay)
+            self._kernel = self.window.kernel(self.lowest, longest_delay=self.longest_delay)
         return self._kernel
+
+    @property
+    def lowest(self) -> float:
+        """The lowest resonance [rad/s] that the grid of rates must serve; a guess may be three times too high."""
+        return math.exp(self.seed[1]) / (3 if self.seed is self.start else 1)
 
     @property
     def longest_delay(self) -> float:
         """The largest delay [s] that the kernel must be able to apply."""
         fixed = abs(self.fixed.get("delay", 0.0))
         span = self.window.samples * self.window.period
-        return max(fixed, min(0.36 * self.wave, span))
+        return max(fixed, min(0.36 * self.wave * (3 if self.seed is self.start else 1), span))
 
     def _scan(self) -> Shape:
         """Sweep ln Ω with a broad resonance, then its neighbourhood with a narrower one, then delays."""

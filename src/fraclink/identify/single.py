@@ -177,7 +177,7 @@ def fit_from(search: Search, name: str, log: Experiment, *, stiffness: float | N
     solution = search.solve(name)
     window = search.window
     whole = Window(log.motor_angle, log.output, log.period, window.hold)
-    kernel = whole.kernel(math.exp(search.seed[1]), longest_delay=search.longest_delay)
+    kernel = whole.kernel(search.lowest, longest_delay=search.longest_delay)
     raw = columns_of(kernel, solution.shape)
     predicted = solution.gain * raw[0] + solution.offset
     residual = log.output - predicted
