@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,8 +39,7 @@ class Vessel:
                 allowed=f"multiples of {self.fine:g} s",
                 remedy="choose a step that divides the delay",
             )
-        self.plant = twin.plant(self.fine)
-        self.step = self.plant.discretise(self.fine)
+        self.plant, self.step = _discretised(twin, self.fine)
         self.state = self.step.rest()
         self.state[0] = start_angle
         self.state += _straight(self.plant, start_angle, self.state.size)
@@ -99,10 +99,16 @@ class Vessel:
     def change_payload(self, payload: float) -> None:
         """Go on with another payload: shape, speed and the material's memory stay, the modes are new."""
         twin = self.twin.with_payload(payload)
-        plant = twin.plant(self.fine)
-        step = plant.discretise(self.fine)
+        plant, step = _discretised(twin, self.fine)
         self.state = _transfer(self.plant, plant, self.state, step)
         self.twin, self.plant, self.step = twin, plant, step
+
+
+@lru_cache(maxsize=64)
+def _discretised(twin: Twin, step: float) -> tuple[Plant, StepMatrices]:
+    # Modes and matrix exponential cost more than a run; a campaign asks for the same few arms over and over.
+    plant = twin.plant(step)
+    return plant, plant.discretise(step)
 
 
 def _straight(plant: Plant, angle: float, size: int) -> Vector:

@@ -1,0 +1,290 @@
+"""All rivals on the same twin, and what came out."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from fraclink.compare.linear import NominalLoop
+from fraclink.compare.rivals import OFFSET, OURS, Rival, Setting, builders
+from fraclink.compare.run import run_rival
+from fraclink.compare.spillover import mode_gain
+from fraclink.errors import FieldError
+from fraclink.reference import Reference, smooth_step
+from fraclink.twin.arm import Twin, damping_of, geared
+from fraclink.twin.loop import TwinRun, driven
+
+if TYPE_CHECKING:
+    from fraclink.link import LinkModel
+    from fraclink.rig import Rig
+
+__all__ = ["Standing", "Tournament", "compare"]
+
+PAYLOADS = (0.008, 0.012, 0.016, 0.020, 0.025, 0.030, 0.035, 0.040)
+AFTER = 5.0  # [s] of every run after the reference has come to rest
+
+
+@dataclass(frozen=True)
+class Standing:
+    """What one rival reached; smaller is better for every number.
+
+    settling_time [s] (2 %), overshoot [1], residual_vibration [rad]: nominal payload. offset_error [rad]: tip
+    error over the last second after the gauge's offset has jumped by 0.05 N·m. motor_reference_noise [rad]:
+    standard deviation at rest. saturated: part of the periods with the voltage at its limit. worst_payload
+    [kg]: the one with the longest settling, worst_settling [s], infinite where the tip does not stay in its
+    band for the last second. mode_gain: largest |L| around the twin's second mode. peak: Ms on the lumped
+    model at the nominal payload, infinite where that is unstable. states and multiplications: of the outer
+    controller, per tick. holds: neither unstable nor tripped at the nominal payload on the twin; reason: the
+    verdict's words.
+    """
+
+    name: str
+    rule: str
+    knob: str
+    holds: bool
+    reason: str
+    settling_time: float
+    overshoot: float
+    residual_vibration: float
+    offset_error: float
+    motor_reference_noise: float
+    saturated: float
+    worst_payload: float
+    worst_settling: float
+    mode_gain: float
+    peak: float
+    states: int
+    multiplications: int
+
+
+@dataclass(frozen=True, eq=False)
+class Tournament:
+    """Every rival's standing, ours first, with what was assumed and the nominal runs for plots."""
+
+    standings: tuple[Standing, ...]
+    notes: tuple[str, ...]
+    runs: dict[str, TwinRun]
+
+    def winners(self) -> dict[str, str]:
+        """Return who is best in every figure, among those that hold at the nominal payload.
+
+        Several names stand together where they differ by less than 2 %, or 0.1 mrad, or 10 ms.
+        """
+        result = {}
+        able = [s for s in self.standings if s.holds]
+        for name, floor in _FIGURES.items():
+            values = [float(getattr(s, name)) for s in able]
+            best = min(values)
+            close = [
+                s.name for s, v in zip(able, values, strict=True) if v <= best * 1.02 + floor or v == best
+            ]
+            result[name] = ", ".join(close)
+        return result
+
+    def verdicts(self) -> tuple[str, ...]:
+        """Return a sentence for every figure: where ours is best, and where a rival is better."""
+        ours = self.standings[0]
+        sentences = []
+        for name, winner in self.winners().items():
+            words = name.replace("_", " ")
+            best = min(float(getattr(s, name)) for s in self.standings if s.holds)
+            own = float(getattr(ours, name))
+            if ours.name in winner.split(", "):
+                also = [w for w in winner.split(", ") if w != ours.name]
+                shared = f", with {', '.join(also)}" if also else ""
+                sentences.append(f"{words}: ours is best ({_text(name, own)}){shared}")
+            else:
+                sentences.append(
+                    f"{words}: {winner} better than ours ({_text(name, best)} against {_text(name, own)})"
+                )
+        return tuple(sentences)
+
+    def markdown(self) -> str:
+        """Return the table, the rules and the verdicts as Markdown."""
+        from fraclink.compare.text import markdown
+
+        return markdown(self)
+
+    def draw(self, path: Path | str) -> None:
+        """Draw the figures as bars to a file (SVG, PDF or PNG by its ending)."""
+        from fraclink.compare.figure import draw
+
+        draw(self, path)
+
+    def save(self, path: Path | str) -> None:
+        """Write the standings to a JSON file; infinite figures are the text "inf"."""
+        from fraclink.files import write_json
+
+        rows = [
+            {k: "inf" if isinstance(v, float) and math.isinf(v) else v for k, v in asdict(s).items()}
+            for s in self.standings
+        ]
+        write_json(
+            path, "comparison", 1, {"standings": rows, "notes": self.notes, "verdicts": self.verdicts()}
+        )
+
+
+# Figure -> difference below which two rivals are called equal, in the figure's unit.
+_FIGURES = {
+    "settling_time": 0.01,
+    "overshoot": 0.001,
+    "residual_vibration": 1e-4,
+    "offset_error": 1e-4,
+    "motor_reference_noise": 1e-4,
+    "saturated": 0.001,
+    "worst_settling": 0.01,
+    "mode_gain": 1e-3,
+    "states": 0.0,
+    "multiplications": 0.0,
+}
+
+
+def _text(name: str, value: float) -> str:
+    if math.isinf(value):
+        return "never"
+    if name in ("residual_vibration", "offset_error", "motor_reference_noise"):
+        return f"{1e3 * value:.3g} mrad"
+    if name in ("settling_time", "worst_settling"):
+        return f"{value:.3g} s"
+    return f"{100 * value:.2g} %" if name in ("overshoot", "saturated") else f"{value:.3g}"
+
+
+def compare(
+    rig: Rig,
+    *,
+    model: LinkModel | None = None,
+    link_mass: float | None = None,
+    gain_crossover: float = 12.0,
+    phase_margin: float = math.radians(50.0),
+    payloads: Sequence[float] = PAYLOADS,
+    reference: Reference | None = None,
+    names: Sequence[str] | None = None,
+    seed: int = 0,
+    progress: Callable[[str], None] | None = None,
+) -> Tournament:
+    """Run our design and its rivals on one twin, each tuned by its rule.
+
+    Parameters
+    ----------
+    rig: with a light hub (W601) it gets a gear of 50:1, and a note says so
+    model: what the designers know; default the rig's
+    link_mass: of the twin's link [kg]; default the rig's, or 7.35 g (a carbon rod of 3 mm) where that is 0
+    gain_crossover: of our design [rad/s]; phase_margin [rad]
+    payloads: at which the worst is looked for [kg], all > 0
+    reference: the move of the tip; default 1 rad in 1 s
+    names: run only the rivals whose names contain one of these words; ours always runs
+    seed: of the gauge's noise, the same for all
+
+    Raises
+    ------
+    FieldError: the rig has no model, or a value is out of range.
+
+    >>> import fraclink as fl
+    >>> result = compare(fl.Rig.named("paper-2023"), payloads=(0.030,), names=["ZV shaping"])
+    >>> [s.name for s in result.standings]
+    ['ours', 'ZV shaping']
+    """
+    setting, twin, notes = _prepare(rig, model, link_mass, gain_crossover, phase_margin)
+    move = smooth_step(1.0, duration=1.0) if reference is None else reference
+    if not payloads or any(not (math.isfinite(p) and p > 0.0) for p in payloads):
+        raise FieldError(
+            "payloads", tuple(payloads), "not masses", allowed="> 0 kg", remedy="give masses in kg"
+        )
+    made = builders(setting)
+    words = [word.lower() for word in made] if names is None else [word.lower() for word in names]
+    chosen = [name for name in made if name == OURS or any(word in name.lower() for word in words)]
+    standings, runs = [], {}
+    for name in chosen:
+        if progress is not None:
+            progress(name)
+        standing, runs[name] = _standing(setting, twin, made[name](), move, tuple(payloads), seed)
+        standings.append(standing)
+    return Tournament(tuple(standings), tuple(notes), runs)
+
+
+def _prepare(
+    rig: Rig, model: LinkModel | None, link_mass: float | None, crossover: float, margin: float
+) -> tuple[Setting, Twin, list[str]]:
+    from fraclink.design import design
+
+    known = model or rig.model
+    if known is None:
+        raise FieldError("model", None, "missing", allowed="a LinkModel", remedy="identify one first")
+    mass = rig.link.mass or 0.00735 if link_mass is None else link_mass
+    nominal = known.at_payload(rig.payloads.nominal) if known.payload else known
+    notes = [f"link of {1e3 * mass:g} g, {damping_of(nominal).label}"]
+    if Twin.from_rig(rig, link_mass=mass, damping=damping_of(nominal)).findings:
+        rig = geared(rig)
+        notes.append("the rig's hub is too light for a sampled compensation (W601): a gear of 50:1 added")
+    twin = Twin.from_rig(rig, link_mass=mass, damping=damping_of(nominal))
+    plan = design(
+        nominal,
+        rig,
+        payloads=(rig.payloads.low, rig.payloads.high),
+        gain_crossover=crossover,
+        phase_margin=margin,
+    )
+    law = driven(twin, plan.controller.discretize(rig.period))
+    loop = NominalLoop.of(
+        nominal,
+        rig.payloads.nominal,
+        period=rig.period,
+        pole=law.inner_pole,
+        delay=rig.inner.delay_samples,
+    )
+    setting = Setting(rig, nominal, law, plan.controller, loop)
+    notes.append(
+        f"our design: crossover {crossover:g} rad/s, margin {math.degrees(margin):g}°; "
+        f"its Ms at {1e3 * rig.payloads.nominal:g} g is {setting.target:.3f} on the lumped model"
+    )
+    return setting, twin, notes
+
+
+def _standing(
+    setting: Setting, twin: Twin, rival: Rival, move: Reference, payloads: tuple[float, ...], seed: int
+) -> tuple[Standing, TwinRun]:
+    duration = move.duration + AFTER
+
+    def run(payload: float, offset: float = 0.0) -> TwinRun:
+        return run_rival(
+            twin.with_payload(payload), rival, move, setting.ours, duration=duration, offset=offset, seed=seed
+        )
+
+    nominal = run(setting.rig.payloads.nominal)
+    shifted = run(setting.rig.payloads.nominal, OFFSET)
+    by_payload = {p: run(p) for p in payloads}
+    settling = {p: _settled(r) for p, r in by_payload.items()}
+    worst = max(settling, key=lambda p: (settling[p], abs(p - setting.rig.payloads.nominal)))
+    m = nominal.metrics
+    last = shifted.error[-round(1.0 / setting.rig.period) :]
+    standing = Standing(
+        name=rival.name,
+        rule=rival.rule,
+        knob=rival.knob,
+        holds=bool(nominal.verdict),
+        reason=nominal.verdict.reason,
+        settling_time=_settled(nominal),
+        overshoot=m.overshoot,
+        residual_vibration=m.residual_vibration,
+        offset_error=abs(float(np.mean(last))) if shifted.finished else math.inf,
+        motor_reference_noise=m.motor_reference_noise,
+        saturated=m.saturated,
+        worst_payload=worst,
+        worst_settling=settling[worst],
+        mode_gain=mode_gain(setting, twin, rival),
+        peak=rival.peak,
+        states=rival.states,
+        multiplications=rival.multiplications,
+    )
+    return standing, nominal
+
+
+def _settled(run: TwinRun) -> float:
+    """Settling time, infinite where the tip has not been in its band for at least a second."""
+    time = run.metrics.settling_time
+    return time if run.verdict and time <= run.time[-1] - 1.0 else math.inf
