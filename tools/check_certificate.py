@@ -59,7 +59,6 @@ class Loop:
     def outer(self, angle):
         z, x, ends = turn(angle), turn(-angle), [turn(iv.mpf(angle.a)), turn(iv.mpf(angle.b))]
         kernel = sum((g / (z - p) for p, g in self.modes), iv.mpc(self.direct, 0))
-        # |z - p| rises (p > 0) or falls along the arc: an end bounds it
         near = [size(ends[p.real.b < 0] - p) if p.imag == 0 else 1 - size(p) for p, _ in self.modes]
         bound = abs(self.direct) + sum(size(g) / v for (_, g), v in zip(self.modes, near))
         bound, y, (d, a, i0, i1, f0, f1, g0, g1, r) = iv.mpf(min(bound.b, size(kernel).b)), 1 - x, self.pid
@@ -69,8 +68,7 @@ class Loop:
         return x, kernel, bound, top[0] / (1 - r * x) if self.sampled else iv.mpc(1, 0), top[1] / (1 - r * x)
 
     def closing(self, x, both, *delay):
-        if not self.sampled:
-            return iv.mpc(1, 0)
+        if not self.sampled: return iv.mpc(1, 0)  # noqa: E701
         late, span = [self.B * iv.mpf(t) for t in delay], self.B * self.T
         n0 = hull([span - t - 1 + iv.exp(t - span) for t in late])
         n2 = hull([self.e * (iv.exp(t) - 1 - t) for t in late])
@@ -110,8 +108,9 @@ class Loop:
         m = self.s["modulus"] + iv.mpf((alias / size(closing)).b)
         if above(size(link) * size(closing) * least * (1 - m), 1):
             return above(1, m)
-        value = link * (factor * closing * turn(w * (iv.mpf(box[4:]) + (1.5 if self.sampled else 1) * self.T)))
-        re, im, c = value.real, value.imag, 1 / (1 - m * m)
+        spin = turn(w * (iv.mpf(box[4:]) + (1.5 if self.sampled else 1) * self.T))
+        value, c = link * (factor * closing * spin), 1 / (1 - m * m)
+        re, im = value.real, value.imag
         beside = above(-1, re) or above(re, 0) or above(0, im) or above(im, 0)
         return above(1, m) and beside and above(abs(re + c) ** 2 + abs(im) ** 2, (m * c) ** 2)
 
