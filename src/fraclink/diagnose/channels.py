@@ -73,10 +73,8 @@ def constant_channels(experiment: Experiment) -> Iterator[Finding]:
         values = getattr(experiment, name)
         spread, size = float(values.std()), float(np.abs(values).max())
         if spread <= 1e-9 * size or size == 0:
-            sentence = (
-                f"{name} is constant at {float(values[0]):.6g}" if size else f"{name} is zero throughout"
-            )
-            yield Finding(code, "error", sentence, {"standard_deviation": spread}, remedy)
+            state = f"constant at {float(values[0]):.6g} {unit}" if size else "zero throughout"
+            yield Finding(code, "error", f"the {named} is {state}", {"standard_deviation": spread}, remedy)
 
 
 def range_of_angle(experiment: Experiment) -> Iterator[Finding]:
@@ -128,7 +126,7 @@ def clipping(experiment: Experiment, rig: Rig | None) -> Iterator[Finding]:
             yield Finding(
                 "W213",
                 "warning",
-                f"{100 * at / values.size:.3g} % of the samples lie at the output's {side} value: it seems clipped",
+                f"{100 * at / values.size:.3g} % of the samples lie at the {side} output: it seems clipped",
                 {"value": float(signed.max()) * (1 if side == "largest" else -1), "samples": at},
                 "move less or lower the amplifier's gain; a clipped torque biases every fit",
             )
