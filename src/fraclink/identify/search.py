@@ -110,7 +110,7 @@ class Search:
 
     @property
     def lowest(self) -> float:
-        """The lowest resonance [rad/s] that the grid of rates must serve; a guess may be three times too high."""
+        """The lowest resonance [rad/s] the grid of rates must serve: a guess may be three times too high."""
         return math.exp(self.seed[1]) / (3 if self.seed is self.start else 1)
 
     @property
