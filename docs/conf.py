@@ -1,5 +1,6 @@
 """Sphinx: MyST pages whose code runs while they are built; no page needs the network."""
 
+import inspect
 import re
 
 from fraclink import __version__
@@ -49,6 +50,16 @@ def plain_text(app, what, name, obj, options, lines) -> None:
             )
 
 
+def short_signature(app, what, name, obj, options, signature, return_annotation):
+    """The fields of a noun by name: their types and ranges stand below, the annotations would fill a page."""
+    if what != "class":
+        return None
+    fields = inspect.signature(obj).parameters.values()
+    shown = [field.name + ("" if field.default is field.empty else "=…") for field in fields]
+    return f"({', '.join(shown)})", None
+
+
 def setup(app) -> None:
     """Called by Sphinx."""
+    app.connect("autodoc-process-signature", short_signature)
     app.connect("autodoc-process-docstring", plain_text)

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from fraclink.cli.console import emit, emit_json, steps, tell
-from fraclink.cli.options import Force, Json
+from fraclink.cli.options import Force, Json, RigName, load_rig
 from fraclink.cli.outcome import FAILS, HOLDS
 from fraclink.files import output_path
 
@@ -95,6 +95,35 @@ def twin(
     return HOLDS if run.verdict.holds else FAILS
 
 
+def compare(
+    rig: RigName,
+    out: Annotated[Path, typer.Option("--out", help="Folder for table, figure and figures as JSON.")] = Path(
+        "comparison"
+    ),
+    only: Annotated[
+        list[str] | None, typer.Option("--only", help="Run rivals whose name contains this; may be repeated.")
+    ] = None,
+    seed: Annotated[int, typer.Option("--seed", help="Seed of the noise, the same for all.")] = 0,
+    json: Json = False,
+    force: Force = False,
+) -> int:
+    """Run our design and its rivals on one twin, each tuned by a stated rule."""
+    from fraclink.compare import compare as hold
+    from fraclink.files import write_text
+
+    table = output_path(out / "comparison.md", force=force)
+    with steps(14) as begin:
+        result = hold(load_rig(rig), names=only or None, seed=seed, progress=begin)
+    write_text(table, result.markdown())
+    result.save(out / "comparison.json")
+    result.draw(out / "comparison.svg")
+    if json:
+        emit_json({"verdicts": list(result.verdicts()), "winners": result.winners(), "out": str(out)})
+    else:
+        emit("\n".join((*result.verdicts(), str(table))))
+    return HOLDS if result.standings[0].holds else FAILS
+
+
 def reproduce(
     out: Annotated[Path, typer.Option("--out", help="Folder for RESULTS.md and figures/.")] = Path(
         "reproduce"
@@ -117,5 +146,5 @@ def reproduce(
 
 def register(app: typer.Typer) -> None:
     """Add the verbs of this module to the application."""
-    for verb in (certify, twin, reproduce):
+    for verb in (certify, twin, compare, reproduce):
         app.command()(verb)

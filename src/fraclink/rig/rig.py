@@ -32,7 +32,6 @@ class Rig:
         log: which column of a log is what, or None.
         design: what a design should reach where nobody says otherwise, or None.
         assumptions: sentences on values that nobody measured, shown in every report.
-        design: what a design is asked for where the user does not say, or None.
         source: where the values come from.
 
     `warnings` lists contradictions between the values (codes W101 …). Raises FieldError.
