@@ -109,3 +109,10 @@ def test_bad_values_are_named(make: object, field: str) -> None:
     with pytest.raises(FieldError) as caught:
         make()  # type: ignore[operator]
     assert caught.value.field == field
+
+
+def test_a_pulse_with_soft_edges_rests_between_them() -> None:
+    soft = fl.pulse(1.0, 7.0, 1.0, rise=0.3)
+    time = np.array([0.5, 1.15, 1.3, 2.0, 7.5, 8.0, 8.15, 8.3, 20.0])
+    assert soft.angle(time) == pytest.approx([0, 0.5, 1, 1, 1, 1, 0.5, 0, 0], abs=1e-12)
+    assert np.ptp(soft.angle(np.linspace(0, 10, 5001))) == pytest.approx(1.0)

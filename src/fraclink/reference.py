@@ -100,7 +100,8 @@ class Path:
         first, second = (
             np.pad(p.coefficients, ((0, 0), (0, width - p.coefficients.shape[1]))) for p in (self, later)
         )
-        keep = self.breaks < self.duration
+        # What starts later than at once needs this path's rest before it; what starts at once replaces it.
+        keep = self.breaks <= self.duration if later.breaks[0] > 0 else self.breaks < self.duration
         second = second + np.eye(1, width) * end
         return Path(
             f"{self.kind}, {later.kind}",
