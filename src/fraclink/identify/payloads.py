@@ -215,6 +215,6 @@ def _verdict(coordinates: Coordinates, common: Sequence[str], test: LikelihoodRa
     if coordinates.payloads is not None:
         shared.append("the stiffness of eq. (5)")
     subject = " and ".join(shared)
-    if test.common:
-        return f"{subject} may be common to these {coordinates.logs} logs (p = {test.p_value:.2g})."
-    return f"{subject} cannot be common to these {coordinates.logs} logs (p = {test.p_value:.2g})."
+    chance = f"p = {test.p_value:.2g}" if test.p_value >= 1e-9 else "p < 1e-9"
+    may = "may" if test.common else "cannot"
+    return f"{subject} {may} be common to these {coordinates.logs} logs ({chance})."
