@@ -117,7 +117,8 @@ def _mark_gain(axes: Any, frequency: float, margin: float, curve: Curve, phase: 
     at = float(np.interp(math.log(frequency), np.log(curve.frequency), phase))
     # The multiple of −180° that the margin is measured from on the sheet that is drawn.
     line = at - math.degrees(margin)
-    color = "tab:red" if margin < 0 else "tab:green"
+    # Where a resonance rises through 0 dB the phase is far from −180° on either side: neither good nor bad.
+    color = "0.45" if abs(margin) > 0.5 * math.pi else "tab:red" if margin < 0 else "tab:green"
     axes[0].plot([frequency], [0.0], "o", color=color, markersize=4)
     axes[1].plot([frequency, frequency], [line, at], "-", color=color, linewidth=1.6)
     axes[1].plot([frequency], [at], "o", color=color, markersize=4)
