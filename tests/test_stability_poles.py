@@ -137,3 +137,11 @@ def test_what_cannot_be_decided_says_why() -> None:
         poles((1 / (s + 1)).delayed(0.1).feedback())
     with pytest.raises(FieldError, match="imaginary axis"):
         is_stable(1 / (s + (0.5 * math.pi + 0 * s).delayed(1.0)))
+
+
+def test_a_published_benchmark() -> None:
+    """0.8 s^2.2 + 0.5 s^0.9 + 1 (Petráš, Fract. Calc. Appl. Anal. 12 (2009) 269): with w = s^(1/10) the
+    pair next to the sector's edge is 1.0045 ± 0.1684j there, found by making the orders commensurate."""
+    found = poles(1 / (0.8 * s**2.2 + 0.5 * s**0.9 + 1))
+    assert np.exp(np.log(found) / 10).round(4).tolist() == [1.0045 + 0.1684j, 1.0045 - 0.1684j]
+    assert is_stable(1 / (0.8 * s**2.2 + 0.5 * s**0.9 + 1))
