@@ -1,0 +1,114 @@
+"""certify, twin, compare, export and inspect, as a user calls them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from fraclink.certify import Certificate
+from fraclink.cli import main
+from fraclink.design import Plan
+from fraclink.readers import bundled_log
+from fraclink.reproduce import designs
+from fraclink.rig import Rig
+from fraclink.study import Request, design_for
+
+Command = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def fraclink(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Command:
+    """Run the command line in a folder that holds design.json."""
+    monkeypatch.chdir(tmp_path)
+    plan, _ = design_for(Rig.named("paper-2023"), None, Request(filter_time=0.0))
+    plan.save("design.json")
+
+    def run(line: str) -> tuple[int, str, str]:
+        code = main(line.split())
+        streams = capsys.readouterr()
+        return code, streams.out, streams.err
+
+    return run
+
+
+def test_the_default_design_is_certified(fraclink: Command) -> None:
+    code, out, err = fraclink("certify design.json --out certificate.json")
+    assert code == 0
+    assert "every payload from 20 to 40 g and every delay from 0 to 4 ms" in out
+    assert err == "written: certificate.json\n"
+    assert Certificate.load("certificate.json").holds
+
+
+def test_the_printed_controller_is_refused_with_its_poles(fraclink: Command, tmp_path: Path) -> None:
+    plan = Plan.load("design.json")
+    from dataclasses import replace
+
+    replace(plan, controller=designs.printed().fractional).save("printed.json")
+    code, out, _ = fraclink("certify printed.json --out certificate.json")
+    assert code == 1
+    assert "unstable" in out
+    assert " g" in out
+    assert not (tmp_path / "certificate.json").exists()
+    told = json.loads(fraclink("certify printed.json --out certificate.json --json")[1])
+    assert told["holds"] is False
+    assert 0.020 <= told["payload"] <= 0.040
+
+
+def test_the_law_leaves_as_c(fraclink: Command, tmp_path: Path) -> None:
+    code, out, _ = fraclink("export c design.json --out firmware --precision single")
+    assert code == 0
+    assert [Path(line).name for line in out.split()] == [
+        "law.h",
+        "law.c",
+        "law_data.h",
+        "law_selftest.c",
+        "README.md",
+    ]
+    code, _, err = fraclink("export c design.json --out firmware")
+    assert (code, err.count("\n")) == (2, 1)
+    assert "firmware" in err
+    code, _, err = fraclink("export c design.json --out other --name 2nd")
+    assert code == 2
+    assert "2nd" in err
+    assert not (tmp_path / "other").exists()
+
+
+def test_the_twin_runs_the_design(fraclink: Command) -> None:
+    code, out, err = fraclink("twin design.json --gear 50 --link-mass 0.00735")
+    assert code == 0, err
+    assert out.rstrip().endswith("holds")
+    told = json.loads(fraclink("twin design.json --gear 50 --link-mass 0.00735 --json")[1])
+    assert told["holds"] is True
+    code, _, err = fraclink("twin design.json --link-mass -1")
+    assert code == 2
+    assert "-1" in err
+
+
+def test_rivals_run_on_equal_terms(fraclink: Command, tmp_path: Path) -> None:
+    code, out, _ = fraclink("compare --rig paper-2023 --only ZVD --out comparison")
+    assert code == 0
+    assert out.splitlines()[-1] == "comparison/comparison.md"
+    text = (tmp_path / "comparison" / "comparison.md").read_text("utf-8")
+    assert "| ours |" in text
+    assert "ZVD" in text
+    assert fraclink("compare --rig paper-2023 --out comparison")[0] == 2
+
+
+def test_a_log_is_inspected_without_a_rig(fraclink: Command) -> None:
+    path = bundled_log("prbs_30g")
+    code, out, _ = fraclink(f"inspect {path}")
+    assert code == 0
+    assert 'motor_angle = { column = "motor_angle_rad", unit = "rad" }' in out
+    told = json.loads(fraclink(f"inspect {path} --json")[1])
+    assert [channel["name"] for channel in told["channels"]] == ["time_s", "motor_angle_rad", "torque_Nm"]
+
+
+def test_a_log_is_diagnosed(fraclink: Command) -> None:
+    code, out, _ = fraclink("diagnose demo --rig paper-2023")
+    assert code == 0
+    assert "W230 info: the log says that it was simulated" in out
+    found = json.loads(fraclink("diagnose demo --rig paper-2023 --json")[1])["findings"]
+    assert "W230" in {finding["code"] for finding in found}
