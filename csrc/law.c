@@ -1,15 +1,18 @@
 /* The control law of a flexible-link arm. See law.h for how to call it.
  *
  * Rules that trials forced, and why:
- *  - A value is tested for NaN first, by v == v, and only then compared: a clamp made of two comparisons lets
- *    NaN through, and a prover does not take NaN out of v >= -m && v <= m.
- *  - The whole state is scrubbed at every entry: a flipped bit or a wiped memory is healed within one period,
- *    and the proof that the output is finite and in its limits needs no history.
+ *  - NaN is looked for by a comparison that it fails. A clamp made of "too large" and "too small" lets NaN through;
+ *    `clamped`, which every output passes, asks v == v, because a prover (Frama-C 25) takes NaN out of v there and
+ *    not in v >= -m && v <= m.
+ *  - Whatever the state memory holds, the outputs are finite and in their limits within the same period, and a
+ *    flipped bit or a wiped memory is healed in it: each sum that is formed from states is checked, and the states
+ *    behind it are clamped where the check fails. Clamping each state at every entry costs 280 instructions a period.
  *  - The correction works on the *change* of the error, so that a constant error, such as a gauge's offset, gives
  *    exactly zero whatever the rounding; its modes are kept in delta form (pole - 1), which does not round slow
  *    poles away in single precision.
- *  - Denormals are flushed: they stay for ever and cost three times the period on a desktop.
- *  - The "loop unroll" comments are for the prover (Frama-C); a compiler does not see them.
+ *  - States that have died away are set to 0, one in each period: as denormals they would stay for ever and cost three
+ *    times the period on a desktop. (Adding and taking away a constant does not do: a slow mode stops at its last digit.)
+ *  - The "loop unroll" comments are for the prover; a compiler does not see them.
  */
 #include "law.h"
 
@@ -21,7 +24,7 @@
 #error "compile law.c with -std=c99, or with -ffp-contract=off -DLAW_CONTRACT_OFF"
 #endif
 
-#define LAW_TINY ((law_real)1e-30F) /* far below any signal, far above the denormals of float */
+#define LAW_TINY ((law_real)1e-36F) /* square of 1e-18, far below any signal; the square of a float is still normal */
 #define LAW_LARGE ((law_real)1e6F)  /* bound of the wiring test's sums */
 #define LAW_COUNT_MAX 0x7FFFFFFFU
 
@@ -29,33 +32,22 @@
 static law_real clamped(law_real value, law_real limit)
 {
     law_real result = (law_real)0;
-    if (value == value) {
+    if (value > limit) {
+        result = limit;
+    } else if (value < -limit) {
+        result = -limit;
+    } else if (value == value) {
         result = value;
-        if (value > limit) {
-            result = limit;
-        } else if (value < -limit) {
-            result = -limit;
-        } else {
-            /* inside */
-        }
+    } else {
+        /* NaN */
     }
     return result;
 }
 
-/* As clamped, with denormals flushed to 0. */
-static law_real scrubbed(law_real value, law_real limit)
-{
-    law_real result = clamped(value, limit);
-    if ((result < LAW_TINY) && (result > -LAW_TINY)) {
-        result = (law_real)0;
-    }
-    return result;
-}
-
-/* Whether a sample is a number within +-`limit`. */
+/* Whether a value is a number within +-`limit`: NaN fails the comparison, infinity squared too. */
 static uint32_t credible(law_real value, law_real limit)
 {
-    return ((value == value) && (value >= -limit) && (value <= limit)) ? 1U : 0U;
+    return ((value * value) <= (limit * limit)) ? 1U : 0U;
 }
 
 /* Enter the mode that a reason asks for, unless a more severe one is latched; the first reason stays with its mode.
@@ -101,18 +93,9 @@ static void clear(law_state *s)
     s->stuck = 0U;
     s->overload = 0U;
     s->spare = 0U;
-    /*@ loop unroll 8; */
-    for (i = 0U; i < LAW_REAL_MODES; i++) {
-        s->real[i] = zero;
-    }
-    /*@ loop unroll 2; */
-    for (i = 0U; i < LAW_PAIR_MODES; i++) {
-        s->pair_re[i] = zero;
-        s->pair_im[i] = zero;
-    }
-    /*@ loop unroll 6; */
-    for (i = 0U; i < LAW_FORWARD_MODES; i++) {
-        s->forward[i] = zero;
+    /*@ loop unroll 20; */
+    for (i = 0U; i < LAW_STATES; i++) {
+        s->modes[i] = zero;
     }
     s->error = zero;
     s->reference = zero;
@@ -128,36 +111,29 @@ static void clear(law_state *s)
     s->voltage = zero;
 }
 
-static void scrub(law_state *s, const law_params *p)
+/* Clamp the modes: called where their sum is not credible. */
+static void heal_modes(law_state *s, const law_params *p)
 {
     uint32_t i;
-    /*@ loop unroll 8; */
-    for (i = 0U; i < LAW_REAL_MODES; i++) {
-        s->real[i] = scrubbed(s->real[i], p->correction_limit);
+    /*@ loop unroll 20; */
+    for (i = 0U; i < LAW_STATES; i++) {
+        law_real limit = p->correction_limit;
+        if ((i >= LAW_REAL_MODES) && (i < (LAW_REAL_MODES + LAW_FORWARD_MODES))) {
+            limit = p->forward_limit;
+        }
+        s->modes[i] = clamped(s->modes[i], limit);
     }
-    /*@ loop unroll 2; */
-    for (i = 0U; i < LAW_PAIR_MODES; i++) {
-        s->pair_re[i] = scrubbed(s->pair_re[i], p->correction_limit);
-        s->pair_im[i] = scrubbed(s->pair_im[i], p->correction_limit);
-    }
-    /*@ loop unroll 6; */
-    for (i = 0U; i < LAW_FORWARD_MODES; i++) {
-        s->forward[i] = scrubbed(s->forward[i], p->forward_limit);
-    }
-    s->error = clamped(s->error, p->error_limit);
-    s->reference = clamped(s->reference, p->angle_limit);
-    s->motor_reference = clamped(s->motor_reference, p->motor_limit);
-    s->motor_angle = clamped(s->motor_angle, p->angle_limit);
-    s->torque = clamped(s->torque, p->torque_limit);
-    s->model_near = scrubbed(s->model_near, p->motor_limit);
-    s->model_angle = scrubbed(s->model_angle, p->motor_limit);
-    s->stuck_torque = clamped(s->stuck_torque, p->torque_limit);
-    s->fade = clamped(s->fade, (law_real)1);
-    s->integral = scrubbed(s->integral, p->integral_limit);
-    s->filter = scrubbed(s->filter, p->filter_limit);
-    s->voltage = clamped(s->voltage, p->voltage_limit);
-    if (s->mode > LAW_OFF) {
-        s->mode = LAW_OFF; /* no mode we ever set: memory is not to be trusted */
+}
+
+/* Set a mode to 0 if it has died away; the period's number chooses which. */
+static void sweep(law_state *s)
+{
+    const uint32_t i = s->tick & 31U;
+    if (i < LAW_STATES) {
+        const law_real mode = s->modes[i];
+        if ((mode * mode) < LAW_TINY) {
+            s->modes[i] = (law_real)0;
+        }
     }
 }
 
@@ -187,22 +163,32 @@ static uint32_t start(law_state *s, const law_params *p, const law_input *in)
         filter = -((p->filter_angle_now + p->filter_angle_before) * angle) / ((law_real)1 - p->filter_decay);
         s->integral = (p->inner_angle * angle) - filter;
         s->filter = filter + (p->filter_angle_now * angle);
-        scrub(s, p);
     }
     return flags;
 }
 
+/* Whether a sensor may have moved by `change` since its last good sample: `step` for each period in between. */
+static uint32_t within(law_real change, law_real step, uint32_t periods)
+{
+    uint32_t result = credible(change, step);
+    if (result == 0U) {
+        const law_real factor = (law_real)periods;
+        result = credible(change, step * factor);
+    }
+    return result;
+}
+
 /* Take the encoder's sample if it is credible, else keep the last one. */
-static uint32_t read_encoder(law_state *s, const law_params *p, const law_input *in, law_real periods)
+static uint32_t read_encoder(law_state *s, const law_params *p, const law_input *in, uint32_t periods)
 {
     uint32_t flags = 0U;
-    const law_real change = in->motor_angle - s->motor_angle;
-    const law_real step = p->angle_step * (periods + (law_real)s->bad_encoder);
-    if ((credible(in->motor_angle, p->angle_limit) != 0U) && (credible(change, step) != 0U)) {
-        s->motor_angle = in->motor_angle;
+    if ((credible(in->motor_angle, p->angle_limit) != 0U) &&
+        (within(in->motor_angle - s->motor_angle, p->angle_step, periods + s->bad_encoder) != 0U)) {
+        s->motor_angle = clamped(in->motor_angle, p->angle_limit);
         s->bad_encoder = 0U;
     } else {
         flags = LAW_FLAG_ENCODER;
+        s->motor_angle = clamped(s->motor_angle, p->angle_limit);
         s->bad_encoder = counted(s->bad_encoder);
         if (s->bad_encoder >= p->bad_limit) {
             latch(s, LAW_BAD_ENCODER);
@@ -212,16 +198,16 @@ static uint32_t read_encoder(law_state *s, const law_params *p, const law_input 
 }
 
 /* Take the gauge's sample if it is credible, else keep the last one. */
-static uint32_t read_gauge(law_state *s, const law_params *p, const law_input *in, law_real periods)
+static uint32_t read_gauge(law_state *s, const law_params *p, const law_input *in, uint32_t periods)
 {
     uint32_t flags = 0U;
-    const law_real change = in->torque - s->torque;
-    const law_real step = p->torque_step * (periods + (law_real)s->bad_gauge);
-    if ((credible(in->torque, p->torque_limit) != 0U) && (credible(change, step) != 0U)) {
-        s->torque = in->torque;
+    if ((credible(in->torque, p->torque_limit) != 0U) &&
+        (within(in->torque - s->torque, p->torque_step, periods + s->bad_gauge) != 0U)) {
+        s->torque = clamped(in->torque, p->torque_limit);
         s->bad_gauge = 0U;
     } else {
         flags = LAW_FLAG_GAUGE;
+        s->torque = clamped(s->torque, p->torque_limit);
         s->bad_gauge = counted(s->bad_gauge);
         if (s->bad_gauge >= p->bad_limit) {
             latch(s, LAW_BAD_GAUGE);
@@ -256,6 +242,8 @@ static uint32_t watch(law_state *s, const law_params *p)
         s->residual = 0U;
     } else {
         flags = LAW_FLAG_RESIDUAL;
+        s->model_near = clamped(s->model_near, p->motor_limit);
+        s->model_angle = clamped(s->model_angle, p->motor_limit);
         s->residual = counted(s->residual);
         if (s->residual >= p->residual_limit) {
             latch(s, LAW_RESIDUAL);
@@ -272,34 +260,44 @@ static uint32_t watch(law_state *s, const law_params *p)
     return flags;
 }
 
-/* The correction (1 - 1/z)(direct + sum of modes) of the error. */
-static law_real correct(law_state *s, const law_params *p, law_real error)
+/* Real modes, one period on, driven by `input`; returns their sum. */
+static law_real run_modes(law_real input, law_real *states, const law_mode *modes, uint32_t count)
 {
-    const law_real change = error - s->error;
+    law_real *state = states;
+    const law_mode *mode = modes;
+    law_real sum = (law_real)0;
+    uint32_t left;
+    /*@ loop unroll 8; */
+    for (left = count; left > 0U; left--) {
+        const law_real value = *state;
+        sum += mode->gain * value;
+        *state = value + ((mode->decay * value) + input);
+        state++;
+        mode++;
+    }
+    return sum;
+}
+
+/* The correction of the error's change. */
+static law_real correct(law_state *s, const law_params *p, law_real change)
+{
     uint32_t reals = p->real_modes;
-    uint32_t pairs = p->pair_modes;
-    law_real sum = p->direct * change;
     uint32_t i;
+    law_real sum;
     if (reals > LAW_REAL_MODES) {
         reals = LAW_REAL_MODES;
     }
-    if (pairs > LAW_PAIR_MODES) {
-        pairs = LAW_PAIR_MODES;
-    }
-    /*@ loop unroll 8; */
-    for (i = 0U; i < reals; i++) {
-        sum += p->gain[i] * s->real[i];
-        s->real[i] += (p->decay[i] * s->real[i]) + change;
-    }
+    sum = (p->direct * change) + run_modes(change, &s->modes[0], &p->real[0], reals);
     /*@ loop unroll 2; */
-    for (i = 0U; i < pairs; i++) {
-        const law_real re = s->pair_re[i];
-        const law_real im = s->pair_im[i];
-        sum += (p->pair_gain[i] * re) - (p->pair_cross[i] * im);
-        s->pair_re[i] = re + (((p->pair_decay[i] * re) - (p->pair_turn[i] * im)) + change);
-        s->pair_im[i] = im + ((p->pair_decay[i] * im) + (p->pair_turn[i] * re));
+    for (i = 0U; (i < LAW_PAIR_MODES) && (i < p->pair_modes); i++) {
+        const law_pair *const pair = &p->pair[i];
+        law_real *const state = &s->modes[LAW_REAL_MODES + LAW_FORWARD_MODES + (2U * i)];
+        const law_real re = state[0];
+        const law_real im = state[1];
+        sum += (pair->gain * re) - (pair->cross * im);
+        state[0] = re + (((pair->decay * re) - (pair->turn * im)) + change);
+        state[1] = im + ((pair->decay * im) + (pair->turn * re));
     }
-    s->error = error;
     return sum;
 }
 
@@ -307,17 +305,21 @@ static law_real correct(law_state *s, const law_params *p, law_real error)
 static law_real feed_forward(law_state *s, const law_params *p, law_real acceleration)
 {
     uint32_t modes = p->forward_modes;
-    law_real sum = p->forward_direct * acceleration;
-    uint32_t i;
     if (modes > LAW_FORWARD_MODES) {
         modes = LAW_FORWARD_MODES;
     }
-    /*@ loop unroll 6; */
-    for (i = 0U; i < modes; i++) {
-        sum += p->forward_gain[i] * s->forward[i];
-        s->forward[i] += (p->forward_decay[i] * s->forward[i]) + acceleration;
+    return (p->forward_direct * acceleration) + run_modes(acceleration, &s->modes[LAW_REAL_MODES], &p->forward[0], modes);
+}
+
+/* `sum` of modes if it is credible; else the modes are healed, and the sum is clamped. */
+static law_real checked(law_state *s, const law_params *p, law_real sum)
+{
+    law_real result = sum;
+    if (credible(sum, p->sum_limit) == 0U) {
+        heal_modes(s, p);
+        result = clamped(sum, p->sum_limit);
     }
-    return sum;
+    return result;
 }
 
 /* The motor loop: two-degree-of-freedom PID by Tustin, with compensations, limit and anti-windup. Friction is
@@ -342,6 +344,10 @@ static uint32_t close_motor(law_state *s, const law_params *p, law_output *out)
         s->integral = integral + (p->integral_before * eps);
     }
     s->filter = ((p->filter_decay * filter) + (p->filter_before * eps)) - (p->filter_angle_before * angle);
+    if (credible(wanted, p->integral_limit) == 0U) {
+        s->integral = clamped(s->integral, p->integral_limit);
+        s->filter = clamped(s->filter, p->filter_limit);
+    }
     s->voltage = voltage;
     out->compensation = compensation;
     if (credible(excess, (law_real)0) == 0U) {
@@ -350,78 +356,87 @@ static uint32_t close_motor(law_state *s, const law_params *p, law_output *out)
     return flags;
 }
 
-/* Follow the reference at no more than its largest speed; an unusable sample holds the last reference. */
-static uint32_t follow(law_state *s, const law_params *p, const law_input *in, law_input *used)
+/* Follow the reference at no more than its largest speed and return its acceleration; an unusable sample holds. */
+static law_real follow(law_state *s, const law_params *p, const law_input *in, uint32_t *flags)
+{
+    law_real acceleration = (law_real)0;
+    if (credible(in->reference, p->angle_limit) != 0U) {
+        const law_real change = in->reference - s->reference;
+        acceleration = clamped(in->reference_acceleration, p->acceleration_limit);
+        if (credible(change, p->reference_step) != 0U) {
+            s->reference = clamped(in->reference, p->angle_limit); /* not reference + change: that would round */
+        } else {
+            *flags |= LAW_FLAG_REFERENCE;
+            s->reference = clamped(clamped(s->reference, p->angle_limit) + clamped(change, p->reference_step), p->angle_limit);
+        }
+    } else {
+        *flags |= LAW_FLAG_REFERENCE;
+        s->reference = clamped(s->reference, p->angle_limit);
+    }
+    return acceleration;
+}
+
+/* The motor reference: reference + feed-forward + correction, limited in range and speed. */
+static uint32_t command(law_state *s, const law_params *p, law_real offset)
 {
     uint32_t flags = 0U;
-    law_real change = (law_real)0;
-    law_real limited;
-    used->reference_velocity = (law_real)0;
-    used->reference_acceleration = (law_real)0;
-    if (credible(in->reference, p->angle_limit) != 0U) {
-        change = in->reference - s->reference;
-        used->reference_velocity = clamped(in->reference_velocity, p->angle_limit / p->period);
-        used->reference_acceleration = clamped(in->reference_acceleration, p->acceleration_limit);
+    const law_real before = s->motor_reference;
+    const law_real wanted = s->reference + offset;
+    const law_real change = wanted - before;
+    if (credible(change, p->motor_step) != 0U) {
+        s->motor_reference = clamped(wanted, p->motor_limit); /* not before + change: that would round */
     } else {
-        flags = LAW_FLAG_REFERENCE;
-    }
-    limited = clamped(change, p->reference_step);
-    if (credible(change - limited, (law_real)0) == 0U) {
-        flags = LAW_FLAG_REFERENCE;
-        s->reference += limited;
-    } else if (flags == 0U) {
-        s->reference = in->reference; /* not reference + change: that would round */
-    } else {
-        /* held */
+        flags = LAW_FLAG_LIMITED;
+        s->motor_reference = clamped(before + clamped(change, p->motor_step), p->motor_limit);
     }
     return flags;
 }
 
-/* The motor reference: reference + feed-forward + correction, limited in range and speed. */
-static uint32_t command(law_state *s, const law_params *p, law_real forward, law_real correction)
+/* What is left of the correction: all of it, or less and less once the gauge is given up. */
+static law_real faded(law_state *s, const law_params *p, law_real correction)
 {
-    uint32_t flags = 0U;
-    law_real wanted;
-    law_real target;
+    law_real left = correction;
     if (s->mode == LAW_DEGRADED) {
         s->fade = clamped(s->fade - p->fade_step, (law_real)1);
         if (s->fade < (law_real)0) {
             s->fade = (law_real)0;
         }
+        left = s->fade * correction;
     }
-    wanted = s->reference + (forward + (s->fade * correction));
-    target = clamped(s->motor_reference + clamped(clamped(wanted, p->motor_limit) - s->motor_reference, p->motor_step),
-                     p->motor_limit);
-    if (credible(wanted - s->motor_reference, p->motor_step) == 0U) {
-        flags = LAW_FLAG_LIMITED;
-    }
-    s->motor_reference = target;
-    return flags;
+    return left;
 }
 
 /* Everything between the clock and the outputs, for a law that is started. */
 static uint32_t run(law_state *s, const law_params *p, const law_input *in, law_output *out, uint32_t periods)
 {
-    law_input used;
+    uint32_t flags = 0U;
+    const law_real acceleration = follow(s, p, in, &flags);
     law_real forward;
     law_real correction;
-    uint32_t flags = follow(s, p, in, &used);
-    flags |= read_encoder(s, p, in, (law_real)periods);
-    forward = feed_forward(s, p, used.reference_acceleration);
+    flags |= read_encoder(s, p, in, periods);
+    if (credible(s->motor_reference, p->motor_limit) == 0U) {
+        s->motor_reference = s->motor_angle; /* damaged memory: stay where the motor is */
+    }
+    s->motor_reference = clamped(s->motor_reference, p->motor_limit);
+    sweep(s);
+    forward = checked(s, p, feed_forward(s, p, acceleration));
     watch_gauge(s, p, in, p->stiffness * forward);
-    flags |= read_gauge(s, p, in, (law_real)periods);
+    flags |= read_gauge(s, p, in, periods);
     flags |= watch(s, p);
     out->tip_estimate = s->motor_angle - (s->torque * p->compliance);
     out->error = s->reference - out->tip_estimate;
-    correction = correct(s, p, out->error);
+    correction = checked(s, p, correct(s, p, out->error - s->error));
+    s->error = out->error;
     if (s->mode <= LAW_DEGRADED) {
-        flags |= command(s, p, forward, correction);
+        flags |= command(s, p, forward + faded(s, p, correction));
     }
+    out->motor_reference = s->motor_reference;
     if ((s->mode <= LAW_HOLD) && ((p->options & LAW_WITH_INNER) != 0U)) {
         flags |= close_motor(s, p, out);
     } else {
         s->voltage = (law_real)0;
     }
+    out->voltage = s->voltage;
     return flags;
 }
 
@@ -475,14 +490,16 @@ void law_step(law_state *state, const law_params *params, const law_input *input
     output->error = (law_real)0;
     if ((state->stamp != params->crc) || (state->stamp == 0U)) {
         flags |= start(state, params, input);
-    } else {
-        scrub(state, params);
     }
     periods = input->tick - state->tick;
     if (state->mode == LAW_IDLE) {
         state->stamp = 0U;
+        output->motor_reference = (law_real)0;
+        output->voltage = (law_real)0;
     } else if ((periods == 0U) || (periods > LAW_COUNT_MAX)) {
         flags |= LAW_FLAG_REPEATED;
+        output->motor_reference = clamped(state->motor_reference, params->motor_limit);
+        output->voltage = clamped(state->voltage, params->voltage_limit);
     } else {
         state->tick = input->tick;
         if (periods > 1U) {
@@ -493,9 +510,7 @@ void law_step(law_state *state, const law_params *params, const law_input *input
         }
         flags |= run(state, params, input, output, periods);
     }
-    output->motor_reference = state->motor_reference;
-    output->voltage = state->voltage;
-    output->mode = state->mode;
+    output->mode = (state->mode <= LAW_OFF) ? state->mode : LAW_OFF;
     output->reason = state->reason;
     output->flags = flags;
 }

@@ -34,7 +34,8 @@ typedef double law_real;
 #define LAW_VERSION 1U
 #define LAW_REAL_MODES 8U    /* most real modes of the correction */
 #define LAW_PAIR_MODES 2U    /* most complex pairs of the correction */
-#define LAW_FORWARD_MODES 6U /* most real modes of the feed-forward */
+#define LAW_FORWARD_MODES 8U /* most real modes of the feed-forward */
+#define LAW_STATES 20U       /* their states: real modes, feed-forward, then pairs as real and imaginary parts */
 
 /* Options of the parameter block. */
 #define LAW_WITH_INNER 1U /* the law closes the motor loop and gives a voltage */
@@ -74,6 +75,20 @@ typedef double law_real;
 #define LAW_FLAG_STARTED 128U  /* started in this period, without a bump */
 #define LAW_FLAG_RESIDUAL 256U /* motor angle away from the motor model in this period */
 
+/* A real mode gain/(z - 1 - decay); decay = pole - 1 is exact for slow poles where the pole itself would round. */
+typedef struct {
+    law_real decay;
+    law_real gain;
+} law_mode;
+
+/* A pair of modes, half of it: (gain + j cross)/(z - 1 - decay - j turn). */
+typedef struct {
+    law_real decay;
+    law_real turn;
+    law_real gain;
+    law_real cross;
+} law_pair;
+
 /* Everything the exporter computed. `crc` is the CRC-32 (IEEE 802.3) of all bytes behind it, little-endian. */
 typedef struct {
     uint32_t version;
@@ -90,20 +105,15 @@ typedef struct {
     uint32_t stuck_limit;    /* periods in a row with an unchanged gauge while the model moves */
     law_real period;
     law_real compliance; /* 1/c: torque to deflection [rad/(N m)] */
-    /* correction (1 - 1/z)(direct + sum gain/(z - (1 + decay))), pairs as real and imaginary parts */
+    /* correction (1 - 1/z)(direct + sum of modes) of the error */
     law_real direct;
-    law_real decay[LAW_REAL_MODES]; /* pole - 1, exact for slow poles where pole itself would round */
-    law_real gain[LAW_REAL_MODES];
-    law_real pair_decay[LAW_PAIR_MODES]; /* Re pole - 1 */
-    law_real pair_turn[LAW_PAIR_MODES];  /* Im pole */
-    law_real pair_gain[LAW_PAIR_MODES];  /* Re gain */
-    law_real pair_cross[LAW_PAIR_MODES]; /* Im gain */
+    law_mode real[LAW_REAL_MODES];
+    law_pair pair[LAW_PAIR_MODES];
     /* feed-forward: acceleration to motor angle, s^(order - 2)/natural_frequency^2 */
     law_real forward_direct;
-    law_real forward_decay[LAW_FORWARD_MODES];
-    law_real forward_gain[LAW_FORWARD_MODES];
+    law_mode forward[LAW_FORWARD_MODES];
     /* limits; the exporter derives and prints them */
-    law_real error_limit;      /* largest error [rad] */
+    law_real sum_limit;        /* largest credible correction and feed-forward [rad] */
     law_real correction_limit; /* largest state of the correction */
     law_real forward_limit;    /* largest state of the feed-forward */
     law_real angle_limit;      /* largest encoder and reference angle [rad] */
@@ -151,10 +161,7 @@ typedef struct {
     uint32_t stuck;
     uint32_t overload;
     uint32_t spare; /* keeps the reals aligned */
-    law_real real[LAW_REAL_MODES];
-    law_real pair_re[LAW_PAIR_MODES];
-    law_real pair_im[LAW_PAIR_MODES];
-    law_real forward[LAW_FORWARD_MODES];
+    law_real modes[LAW_STATES];
     law_real error;
     law_real reference;
     law_real motor_reference;
@@ -172,7 +179,6 @@ typedef struct {
 typedef struct {
     uint32_t tick; /* number of this period; the timer counts it, so that missed periods are seen */
     law_real reference;
-    law_real reference_velocity;
     law_real reference_acceleration;
     law_real motor_angle;
     law_real torque;

@@ -28,13 +28,13 @@ def law(precision: str = "double", *, equipped: bool = True) -> Law:
 
 
 def signals(count: int, *, seed: int = 1) -> NDArray[np.float64]:
-    """Reference, velocity, acceleration, motor angle and torque of a move with noise; shape (5, count)."""
+    """Reference, acceleration, motor angle and torque of a move with noise; shape (4, count)."""
     rng = np.random.default_rng(seed)
     time = PERIOD * np.arange(count)
     move = fl.smooth_step(1.0, 0.5, 0.2)
     angle = move.angle(time - 0.03) + 1e-3 * rng.standard_normal(count)
     torque = 1.56 * 0.1 * np.sin(11 * time) + 0.01 * rng.standard_normal(count)
-    return np.array([move.angle(time), move.velocity(time), move.acceleration(time), angle, torque])
+    return np.array([move.angle(time), move.acceleration(time), angle, torque])
 
 
 Disturb = Callable[[int, float, float], tuple[float, float]]
@@ -57,7 +57,7 @@ def closed_loop(
     state, command, tips, log = made.initial_state(), 0.0, [], []
     for k in range(rows.shape[1]):
         angle, torque = disturb(k, motor, made.stiffness * (motor - tip))
-        state, out = made.step(state, LawInputs(*rows[:3, k], angle, torque), tick=k + 1)
+        state, out = made.step(state, LawInputs(*rows[:2, k], angle, torque), tick=k + 1)
         tips.append(tip)
         log.append(out)
         if out.mode < 4:

@@ -26,10 +26,11 @@ def test_the_block_is_the_struct_of_law_h() -> None:
     text = (ROOT / "csrc" / "law.h").read_text(encoding="utf-8")
     struct = re.search(r"typedef struct \{([^}]*)\} law_params;", text)
     assert struct is not None
-    fields = re.findall(r"(uint32_t|law_real) (\w+)(?:\[(\w+)\])?;", struct.group(1))
-    lengths = {"LAW_REAL_MODES": 8, "LAW_PAIR_MODES": 2, "LAW_FORWARD_MODES": 6, "": 1}
+    fields = re.findall(r"(uint32_t|law_real|law_mode|law_pair) (\w+)(?:\[(\w+)\])?;", struct.group(1))
+    lengths = {"LAW_REAL_MODES": 8, "LAW_PAIR_MODES": 2, "LAW_FORWARD_MODES": 8, "": 1}
+    parts = {"law_real": 1, "law_mode": 2, "law_pair": 4}
     assert [name for kind, name, _ in fields if kind == "uint32_t"] == [*layout.HEADER, *layout.COUNTS]
-    reals = tuple((name, lengths[length]) for kind, name, length in fields if kind == "law_real")
+    reals = tuple((name, parts[kind] * lengths[length]) for kind, name, length in fields if kind in parts)
     assert reals == layout.REALS
     for name, length in lengths.items():
         assert not name or re.search(rf"#define {name} {length}U", text)
@@ -46,7 +47,7 @@ def test_the_block_survives_packing(precision: str) -> None:
     assert values["direct"] == float(kind(made.correction.direct))
     assert values["stiffness"] == float(kind(1.56))
     # type: ignore[index]
-    assert values["decay"][: made.order] == [float(kind(p - 1)) for p in made.correction.poles]
+    assert values["real"][0 : 2 * made.order : 2] == [float(kind(p - 1)) for p in made.correction.poles]
 
 
 def test_the_state_fits_the_promise() -> None:
@@ -80,14 +81,14 @@ def test_the_default_design_reaches_the_tolerance_up_to_300_rad_s() -> None:
 def test_a_constant_input_gives_exactly_zero(precision: str, torque: float) -> None:
     made = law(precision, equipped=False)
     count = 40_000
-    rows = np.zeros((5, count))
-    rows[4, 5:] = torque  # a gauge offset that appears after the start
+    rows = np.zeros((4, count))
+    rows[3, 5:] = torque  # a gauge offset that appears after the start
     outputs = run(made, rows)
     assert np.abs(outputs.motor_reference[5:50]).max() > 0.01
     # flushed, not only small: the motor stands where it would without the offset, to the last bit
     assert outputs.motor_reference[-1] == 0.0
     assert outputs.flags[-1] == 0
-    rows[4] = torque  # there from the start: never seen at all
+    rows[3] = torque  # there from the start: never seen at all
     assert np.all(run(made, rows).motor_reference == 0.0)
 
 
@@ -97,8 +98,8 @@ def test_the_law_in_c_is_its_frequency_response(precision: str) -> None:
     count = 60_000
     time = PERIOD * np.arange(count)
     for w in (0.5, 12.0, 200.0):
-        rows = np.zeros((5, count))
-        rows[4] = 1.56 * 1e-2 * np.sin(w * time) / max(1.0, w / 60)
+        rows = np.zeros((4, count))
+        rows[3] = 1.56 * 1e-2 * np.sin(w * time) / max(1.0, w / 60)
         outputs = run(made, rows)
         assert np.all(outputs.mode == 1)
         tail = slice(count // 2, None)
@@ -112,9 +113,9 @@ def test_the_law_in_c_is_its_frequency_response(precision: str) -> None:
 def test_single_precision_stays_with_double_for_a_million_periods() -> None:
     count = 1_000_000
     rng = np.random.default_rng(3)
-    rows = np.zeros((5, count))
+    rows = np.zeros((4, count))
     smooth = np.convolve(rng.standard_normal(count), np.ones(25) / 25, mode="same")
-    rows[4] = 1.56 * 0.027 * smooth / smooth.std()  # error of 0.027 rad rms, as in the prototype
+    rows[3] = 1.56 * 0.027 * smooth / smooth.std()  # error of 0.027 rad rms, as in the prototype
     double, single = (run(law(p, equipped=False), rows) for p in ("double", "single"))
     assert np.all(single.mode == 1)
     correction = double.motor_reference
@@ -204,7 +205,7 @@ def test_bad_requests_are_named() -> None:
     with pytest.raises(FieldError, match=r"moves\.velocity"):
         Moves(velocity=-1.0)
     with pytest.raises(FieldError, match="inputs"):
-        law().run(law().initial_state(), 1, 2, 3, 4, 5)
+        law().run(law().initial_state(), 1, 2, 3, 4)
     with pytest.raises(FieldError, match="ticks"):
         law().run(law().initial_state(), *signals(5), ticks=[1, 2])
 

@@ -35,7 +35,7 @@ void run(nb::bytes params, bool single, const loop_rig &rig, double stiffness, V
                       weight_re.data(), weight_im.data(), {0}, stiffness};
     for (int i = 0; i < LOOP_POWERS; i++) link.first[i] = first.data()[i];
     const double *r = reference.data();
-    const loop_reference path = {int64_t(n), r, r + n, r + 2 * n};
+    const loop_reference path = {int64_t(n), r, r + 2 * n};
     double *o = signals.data();
     uint32_t *f = marks.data();
     const loop_trace trace = {o, o + n, o + 2 * n, o + 3 * n, o + 4 * n, o + 5 * n, o + 6 * n, f, f + n, f + 2 * n};

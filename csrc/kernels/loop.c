@@ -171,7 +171,6 @@ int LOOP_RUN(const loop_link *link, const loop_rig *rig, const void *params, con
         const double measured = gauge_reading(rig, torque, k);
         in.tick = (uint32_t)k;
         in.reference = (law_real)reference->reference[k];
-        in.reference_velocity = (law_real)reference->velocity[k];
         in.reference_acceleration = (law_real)reference->acceleration[k];
         in.motor_angle = (law_real)rounded_to(rig->start + motor.angle, rig->encoder);
         in.torque = (law_real)measured;

@@ -46,7 +46,6 @@ typedef struct {
 typedef struct {
     int64_t length;
     const double *reference;
-    const double *velocity;
     const double *acceleration;
 } loop_reference;
 

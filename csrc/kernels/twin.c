@@ -153,7 +153,6 @@ static double control(const twin_rig *rig, const law_params *params, const doubl
     twin_sense(rig, memory, input, &angle, &torque);
     given.tick = memory->tick;
     given.reference = (law_real)input[TWIN_REFERENCE];
-    given.reference_velocity = (law_real)input[TWIN_VELOCITY];
     given.reference_acceleration = (law_real)input[TWIN_ACCELERATION];
     given.motor_angle = (law_real)angle;
     given.torque = (law_real)torque;

@@ -37,16 +37,10 @@ def worst_case(law: Law, *, error: float = 0.5) -> Bounds:
     """
     c = law.coefficients
     n, m = len(law.correction.poles), len(law.correction.pair_poles)
-    poles = [1 + x for x in c["decay"][:n]]  # type: ignore[index]
-    poles += [
-        complex(1 + a, b)
-        for a, b in zip(c["pair_decay"][:m], c["pair_turn"][:m], strict=True)  # type: ignore[index]
-    ]
-    gains = list(c["gain"][:n])  # type: ignore[index]
-    gains += [
-        complex(a, b)
-        for a, b in zip(c["pair_gain"][:m], c["pair_cross"][:m], strict=True)  # type: ignore[index]
-    ]
+    real = np.asarray(c["real"]).reshape(-1, 2)[:n].tolist()
+    pair = np.asarray(c["pair"]).reshape(-1, 4)[:m].tolist()
+    poles: list[complex] = [1 + decay for decay, _ in real] + [complex(1 + a, b) for a, b, _, _ in pair]
+    gains: list[complex] = [gain for _, gain in real] + [complex(a, b) for _, _, a, b in pair]
     direct = float(c["direct"])  # type: ignore[arg-type]
     slowest = max((abs(p) for p in poles), default=0.0)
     count = 3 if slowest == 0 else min(200_000, max(50, math.ceil(-40 / math.log(slowest))))

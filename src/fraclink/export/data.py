@@ -50,11 +50,12 @@ def data_header(law: Law, *, name: str, title: str) -> str:
     for field, length in layout.REALS:
         value = values[field]
         if isinstance(value, list):
-            listed = ", ".join(hex_float(x, law.precision) for x in value)
-            rows.append(f"    .{field} = {{{listed}}},")
+            listed = [hex_float(x, law.precision) for x in value]
+            group = 4 if field == "pair" else 2
+            parts = (", ".join(listed[i : i + group]) for i in range(0, length, group))
+            rows.append(f"    .{field} = {{" + ", ".join(f"{{{part}}}" for part in parts) + "},")
         else:
             rows.append(f"    .{field} = {hex_float(value, law.precision)},")
-        assert isinstance(value, list) == (length > 1)  # noqa: S101
     single = law.precision == "single"
     return _TEMPLATE.format(
         version=__version__,

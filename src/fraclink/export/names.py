@@ -9,14 +9,14 @@ from fraclink.errors import FieldError
 __all__ = ["identifier", "title_text"]
 
 _KEYWORDS = frozenset(
-    (
+    (  # noqa: SIM905 - words read better than quotes
         "auto break case char const continue default do double else enum extern float for goto if inline "
         "int long register restrict return short signed sizeof static struct switch typedef union unsigned "
         "void volatile while main "
         # C++ compilers read the header too
         "asm bool catch class delete explicit export false friend mutable namespace new operator private "
         "protected public template this throw true try typename using virtual"
-    ).split()  # noqa: SIM905 - forty words read better than forty quotes
+    ).split()
 )
 
 

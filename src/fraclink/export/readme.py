@@ -12,7 +12,7 @@ from fraclink.law import Law
 __all__ = ["readme"]
 
 _UNITS = {
-    "error_limit": "rad",
+    "sum_limit": "rad",
     "correction_limit": "rad",
     "forward_limit": "rad/s²",
     "angle_limit": "rad",
@@ -34,7 +34,7 @@ _UNITS = {
     "stuck_limit": "periods",
 }
 _MEANING = {
-    "error_limit": "largest error that is remembered",
+    "sum_limit": "largest credible correction and feed-forward; beyond, the states are healed",
     "correction_limit": "largest state of the correction; bounds what a flipped bit can do",
     "forward_limit": "largest state of the feed-forward",
     "angle_limit": "encoder and reference beyond it are not credible",

@@ -49,7 +49,7 @@ class _Inputs:
         torque = self._noise() / 2**15
         angle = math.nan if 300 <= k < 303 or k >= 950 else angle
         torque = math.nan if k == 350 or k >= 850 else torque
-        return self.tick, LawInputs(reference, 0.0, acceleration, angle, torque)
+        return self.tick, LawInputs(reference, acceleration, angle, torque)
 
 
 def _rounded(inputs: LawInputs, single: bool) -> LawInputs:
@@ -155,7 +155,6 @@ static void next_input(uint32_t k, law_real motor_reference, law_input *in)
     }
     in->tick = tick;
     in->reference = (law_real)ramp / (law_real)512;
-    in->reference_velocity = (law_real)0;
     in->reference_acceleration = (law_real)noise() / (law_real)2048;
     in->motor_angle = motor_reference + ((law_real)noise() / (law_real)4194304);
     in->torque = (law_real)noise() / (law_real)32768;

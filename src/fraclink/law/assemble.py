@@ -42,12 +42,12 @@ def _correction(modes: Modes) -> dict[str, Any]:
         "real_modes": len(modes.poles),
         "pair_modes": len(modes.pair_poles),
         "direct": modes.direct,
-        "decay": [pole - 1 for pole in modes.poles],
-        "gain": list(modes.gains),
-        "pair_decay": [pole.real - 1 for pole in modes.pair_poles],
-        "pair_turn": [pole.imag for pole in modes.pair_poles],
-        "pair_gain": [gain.real for gain in modes.pair_gains],
-        "pair_cross": [gain.imag for gain in modes.pair_gains],
+        "real": [x for pole, gain in zip(modes.poles, modes.gains, strict=True) for x in (pole - 1, gain)],
+        "pair": [
+            x
+            for pole, gain in zip(modes.pair_poles, modes.pair_gains, strict=True)
+            for x in (pole.real - 1, pole.imag, gain.real, gain.imag)
+        ],
     }
 
 
@@ -55,8 +55,7 @@ def _feedforward(modes: Modes) -> dict[str, Any]:
     return {
         "forward_modes": len(modes.poles),
         "forward_direct": modes.direct,
-        "forward_decay": [pole - 1 for pole in modes.poles],
-        "forward_gain": list(modes.gains),
+        "forward": [x for pole, gain in zip(modes.poles, modes.gains, strict=True) for x in (pole - 1, gain)],
     }
 
 

@@ -14,7 +14,7 @@ __all__ = ["COUNTS", "HEADER", "REALS", "Precision", "pack", "real_type", "unpac
 Precision = Literal["single", "double"]
 
 VERSION = 1
-REAL_MODES, PAIR_MODES, FORWARD_MODES = 8, 2, 6
+REAL_MODES, PAIR_MODES, FORWARD_MODES = 8, 2, 8
 WITH_INNER = 1
 
 HEADER = ("version", "size", "precision", "crc")
@@ -28,21 +28,17 @@ COUNTS = (
     "residual_limit",
     "stuck_limit",
 )
-# Name and length of every real field, in the order of law.h. A test reads law.h and compares.
+# Name and length of every real field, in the order of law.h; a test reads law.h and compares. Modes lie as
+# (decay, gain), pairs as (decay, turn, gain, cross).
 REALS: tuple[tuple[str, int], ...] = (
     ("period", 1),
     ("compliance", 1),
     ("direct", 1),
-    ("decay", REAL_MODES),
-    ("gain", REAL_MODES),
-    ("pair_decay", PAIR_MODES),
-    ("pair_turn", PAIR_MODES),
-    ("pair_gain", PAIR_MODES),
-    ("pair_cross", PAIR_MODES),
+    ("real", 2 * REAL_MODES),
+    ("pair", 4 * PAIR_MODES),
     ("forward_direct", 1),
-    ("forward_decay", FORWARD_MODES),
-    ("forward_gain", FORWARD_MODES),
-    ("error_limit", 1),
+    ("forward", 2 * FORWARD_MODES),
+    ("sum_limit", 1),
     ("correction_limit", 1),
     ("forward_limit", 1),
     ("angle_limit", 1),

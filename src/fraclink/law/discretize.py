@@ -85,7 +85,9 @@ def discretize_controller(
         correction=_modes("order", correction, REAL_MODES, PAIR_MODES),
         feedforward=_modes("link.order", forward, FORWARD_MODES, 0),
         inner_pole=inner_pole,
-        limits=derive_limits(model, period, moves or Moves(), pole=inner_pole),
+        limits=derive_limits(
+            model, period, moves or Moves(), pole=inner_pole, kick=abs(correction.feedthrough)
+        ),
         correction_error=(correction.error_db, correction.error_deg),
         feedforward_error=(forward.error_db, forward.error_deg),
         band=reach,
@@ -119,6 +121,7 @@ def equip(law: Law, rig: Rig, link: LinkModel, *, moves: Moves | None = None) ->
             gauge_noise=rig.gauge.noise,
             gauge_quantum=rig.gauge.quantum,
             encoder_resolution=rig.encoder.resolution,
+            kick=abs(law.correction.direct),
         ),
     )
 

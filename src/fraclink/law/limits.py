@@ -52,7 +52,7 @@ class Moves:
 class Limits:
     """Thresholds of the guards in law.c; the names are those of its parameter block."""
 
-    error_limit: float
+    sum_limit: float
     correction_limit: float
     forward_limit: float
     angle_limit: float
@@ -84,11 +84,13 @@ def derive_limits(
     gauge_noise: float = 0.0,
     gauge_quantum: float = 0.0,
     encoder_resolution: float = 0.0,
+    kick: float = 3.0,
 ) -> Limits:
     """Return the thresholds for moves up to `moves` at `period` [s].
 
-    Largest torque of a move: c a |s^(λ-2)/(μ s^α + ϖ²)| at the resonance, doubled for payloads beyond the
-    nominal one. Lag of the loop: 2/p + 1.5 T. Reasons stand beside each number in the source.
+    `kick` is Ĉ's gain at the highest frequency, the direct part of its filter. Largest torque of a move: c
+    a |s^(λ-2)/(μ s^α + ϖ²)| at the resonance, doubled for payloads beyond the nominal one. Lag of the
+    loop: 2/p + 1.5 T. Reasons stand beside each number in the source.
     """
     resonance = abs(link.pole)
     flexible = abs(1 / link.tip()(1j * resonance) - 1) / resonance**2 * moves.acceleration
@@ -101,16 +103,18 @@ def derive_limits(
         4 * torque, 0.975 * gauge_limit
     )  # an amplifier at its rail reads its limit: not credible
     error = lag * moves.velocity
+    # the motor can bend the link by its own step; a sample's noise is below 8 deviations for centuries
+    torque_step = 2 * link.stiffness * motor_step + 8 * gauge_noise + 2 * gauge_quantum
     return Limits(
-        error_limit=2 * angle + torque_limit / link.stiffness,
+        # what an offset that appears may ask for at once, on top of the feed-forward
+        sum_limit=4 * flexible + kick * (torque_step / link.stiffness + 1.05 * moves.velocity * period),
         correction_limit=1.5
         * (error + 0.15),  # 0.15 rad: residual vibration and gauge offset on top of the lag
         forward_limit=3 * moves.velocity / period,  # the states sum the acceleration, which sums to the speed
         angle_limit=angle,
         angle_step=2 * motor_step + 2 * encoder_resolution,
         torque_limit=torque_limit,
-        # the motor can bend the link by its own step; a sample's noise is below 8 deviations for centuries
-        torque_step=2 * link.stiffness * motor_step + 8 * gauge_noise + 2 * gauge_quantum,
+        torque_step=torque_step,
         torque_trip=min(1.5 * torque, 0.9 * torque_limit),
         reference_step=1.05 * moves.velocity * period,
         acceleration_limit=1.2 * moves.acceleration,

@@ -53,12 +53,11 @@ class Drive:
 
 
 class LawInputs(NamedTuple):
-    """One period's inputs: reference [rad], its velocity [rad/s] and acceleration [rad/s²], θm [rad], Γ
+    """One period's inputs: reference [rad], its acceleration [rad/s²], θm [rad], Γ
     [N·m].
     """
 
     reference: float
-    reference_velocity: float
     reference_acceleration: float
     motor_angle: float
     torque: float

@@ -1,0 +1,65 @@
+/* Instructions of a period on an emulated Cortex-M: SysTick under -icount counts 1.25 instructions a tick.
+ * The law is included as text, so that the outer law alone (tip estimate, correction, feed-forward) can be timed. */
+#include <stdio.h>
+
+#include "law.c"
+#include "law_data.h"
+
+#define SYST_CSR (*(volatile uint32_t *)0xE000E010U)
+#define SYST_RVR (*(volatile uint32_t *)0xE000E014U)
+#define SYST_CVR (*(volatile uint32_t *)0xE000E018U)
+#define PERIODS 2000U
+
+static law_state state;
+static volatile law_real sink;
+static volatile law_real source = (law_real)0.25F;
+
+__attribute__((noinline)) static law_real outer(law_state *s, const law_params *p, law_real angle)
+{
+    const law_real estimate = angle - (s->torque * p->compliance);
+    return s->reference + (feed_forward(s, p, angle) + correct(s, p, s->reference - estimate));
+}
+
+static uint32_t now(void)
+{
+    return 0xFFFFFFU - SYST_CVR;
+}
+
+int main(void)
+{
+    law_input in = {0};
+    law_output out;
+    uint32_t begin;
+    uint32_t empty;
+    uint32_t inner;
+    uint32_t whole;
+    SYST_RVR = 0xFFFFFFU;
+    SYST_CVR = 0U;
+    SYST_CSR = 5U;
+    (void)law_init(&state, &law_data);
+    begin = now();
+    for (uint32_t k = 0U; k < PERIODS; k++) {
+        sink = source;
+    }
+    empty = now() - begin;
+    begin = now();
+    for (uint32_t k = 0U; k < PERIODS; k++) {
+        sink = outer(&state, &law_data, source);
+    }
+    inner = now() - begin;
+    (void)law_init(&state, &law_data);
+    in.motor_angle = (law_real)0;
+    in.tick = 1U;
+    law_step(&state, &law_data, &in, &out);
+    begin = now();
+    for (uint32_t k = 0U; k < PERIODS; k++) {
+        in.tick++;
+        in.reference_acceleration = source;
+        law_step(&state, &law_data, &in, &out);
+        sink = out.voltage;
+    }
+    whole = now() - begin;
+    (void)printf("outer %lu whole %lu mode %lu\n", (unsigned long)(((inner - empty) * 5U) / (4U * PERIODS)),
+                 (unsigned long)(((whole - empty) * 5U) / (4U * PERIODS)), (unsigned long)out.mode);
+    return 0;
+}
