@@ -56,6 +56,8 @@ class HeldQuotient:
         quotient = Quotient(low.top, whole.bottom, whole.zeros) if low.top else None
         same_degree = bool(low.top) and low.top[0].order == low.bottom[0].order
         direct = low.top[0].coefficient / low.bottom[0].coefficient if same_degree else 0.0
+        if len(low.top) == len(low.bottom) == 1 and same_degree:
+            quotient = None  # a pure gain
         return cls(low, quotient, direct, whole)
 
     def expansion(self, period: float, span: float, tolerance: float) -> Expansion:
@@ -68,7 +70,7 @@ class HeldQuotient:
     def exact(self, times: list[float], power: int) -> list[float]:
         """Step (power 1) or ramp (2) response at single times ≥ 0, without integrator and singular powers."""
         if self.quotient is None:
-            return [0.0] * len(times)
+            return [self.direct * (t if power == 2 else 1.0) for t in times]
         start = self.direct if power == 1 else 0.0
         later = [t for t in times if t > 0.0]
         values = iter(held_response(self.quotient, np.array(later), power).tolist())

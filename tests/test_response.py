@@ -1,0 +1,326 @@
+"""Time responses against closed forms, exact properties, and the shape of the results."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from scipy.special import erfcx, gamma, wofz
+
+from fraclink.fractional import FractionalTransferFunction, s
+from fraclink.link import LinkModel
+from fraclink.response import (
+    discretize,
+    grunwald_letnikov,
+    impulse_response,
+    step_response,
+    time_response,
+)
+
+T = 0.004
+LINK = 11.54**2 / (s**1.92 + 11.54**2)
+RNG = np.random.default_rng(7)
+SIGNAL = RNG.choice([-1.0, 1.0], 600)
+
+
+def peak_error(output: np.ndarray, expected: np.ndarray) -> float:
+    return float(np.max(np.abs(output - expected)) / np.max(np.abs(expected)))
+
+
+# -- closed forms ---------------------------------------------------------------------------------
+
+
+def test_order_one_is_the_exponential() -> None:
+    t = np.arange(2000) * T
+    assert peak_error(step_response(5 / (s + 5), t[-1], T).output, -np.expm1(-5 * t)) < 1e-13
+
+
+def test_order_two_is_the_cosine_for_100_s() -> None:
+    result = time_response(100 / (s**2 + 100), np.ones(25_001), T)
+    assert peak_error(result.output, 1 - np.cos(10 * result.time)) < 1e-11
+    assert result.modes == 2
+
+
+def test_order_one_half_is_the_error_function() -> None:
+    result = time_response(3 / (s**0.5 + 3), np.ones(2000), T)
+    assert peak_error(result.output, 1 - erfcx(3 * np.sqrt(result.time))) < 1e-12
+
+
+@pytest.mark.parametrize("order", [0.0, 0.1, 0.5, 0.93, 0.95, 1.0, 1.5, 2.0, 3.0, math.pi])
+def test_powers_of_the_integrator(order: float) -> None:
+    result = time_response(2 / s**order, np.ones(3000), T)
+    assert peak_error(result.output, 2 * result.time**order / gamma(1 + order)) < 5e-12
+    ramp = time_response(2 / s**order, result.time, T, hold="first")
+    assert peak_error(ramp.output, 2 * result.time ** (order + 1) / gamma(2 + order)) < 5e-12
+
+
+def test_semigroup_of_the_responses() -> None:
+    t = np.geomspace(1e-3, 100.0, 40)
+    both = step_response((1 / s**0.3) * (1 / s**0.45), t).output
+    assert peak_error(both, t**0.75 / gamma(1.75)) < 1e-12
+
+
+def test_double_real_pole_without_a_cut() -> None:
+    servo = 1 / (1 + s / 80) ** 2
+    t = np.arange(500) * T
+    result = time_response(servo, np.ones(500), T)
+    assert peak_error(result.output, 1 - (1 + 80 * t) * np.exp(-80 * t)) < 1e-12
+
+
+def test_triple_complex_pole() -> None:
+    t = np.arange(800) * 0.02
+    system = 1 / (s**2 + 2 * s + 5) ** 3
+    w, x = 2.0, 2.0 * t
+    # inverse of 1/((s+1)² + w²)³: e^{-t} [(3 - x²) sin x - 3 x cos x] / (8 w⁵)
+    exact = np.exp(-t) * ((3 - x**2) * np.sin(x) - 3 * x * np.cos(x)) / (8 * w**5)
+    assert peak_error(impulse_response(system, t).output, exact) < 1e-10
+
+
+def test_servo_and_link_a_double_pole_on_the_cut() -> None:
+    """LinkModel's plant behind its servo: double pole at -80, on the branch cut of s^1.92."""
+    plant = LINK / (1 + s / 80) ** 2
+    result = time_response(plant, np.ones(25_001), T)
+    assert result.method == "modes"
+    assert result.error_estimate < 1e-11
+    # The double pole as the limit of two simple ones on the cut, by Richardson extrapolation.
+    values = []
+    for gap in (16.0, 8.0, 4.0, 2.0, 1.0):
+        low, high = 80 - gap, 80 + gap
+        split = LINK * (6400 / ((s + low) * (s + high)))
+        values.append(time_response(split, np.ones(400), T).output * (low * high / 6400))
+    for level in range(1, 5):
+        values = [(4**level * b - a) / (4**level - 1) for a, b in itertools.pairwise(values)]
+    assert peak_error(result.output[:400], values[0]) < 1e-10
+
+
+def test_simple_pole_on_the_cut() -> None:
+    """1/((s+1)(√s+2)): partial fractions in √s, with error functions of complex argument."""
+    t = np.arange(1, 1500) * 0.01
+    # 1/((w²+1)(w+2)) = Σ A_i/(w - w_i), w = √s; the step of 1/(√s - a) is (erfcx(-a√t) - 1)/a
+    roots = np.array([1j, -1j, -2.0])
+    weights = 1 / np.array([2j * (1j + 2), -2j * (-1j + 2), 5.0])
+    exact = sum(c / a * (wofz(-1j * a * np.sqrt(t)) - 1) for a, c in zip(roots, weights, strict=True)).real
+    result = step_response(1 / ((s + 1) * (s**0.5 + 2)), 14.99, 0.01)
+    assert peak_error(result.output[1:], exact) < 1e-11
+
+
+# -- holds, delays, linearity ---------------------------------------------------------------------
+
+
+def held_exactly(u: np.ndarray, delay: float, rate: float, hold: str) -> np.ndarray:
+    """Response of e^(-τs) a/(s+a) to a held input, superposed from steps and ramps."""
+    t = np.arange(len(u)) * T - delay
+
+    def step(x: np.ndarray) -> np.ndarray:
+        return np.where(x > 0, -np.expm1(-rate * np.maximum(x, 0)), 0.0)
+
+    def ramp(x: np.ndarray) -> np.ndarray:
+        return np.where(x > 0, x + np.expm1(-rate * np.maximum(x, 0)) / rate, 0.0)
+
+    y = u[0] * step(t)
+    for k in range(len(u) - 1):
+        start = k * T
+        if hold == "zero":
+            y += (u[k + 1] - u[k]) * step(t - start - T)
+        else:
+            y += (u[k + 1] - u[k]) / T * (ramp(t - start) - ramp(t - start - T))
+    return y
+
+
+@pytest.mark.parametrize("hold", ["zero", "first"])
+@pytest.mark.parametrize("delay", [0.0, 0.0011, T, 0.0123, 3.0])
+def test_holds_and_delays(hold: str, delay: float) -> None:
+    u = RNG.normal(size=400)
+    result = time_response((5 / (s + 5)).delayed(delay), u, T, hold=hold)
+    np.testing.assert_allclose(result.output, held_exactly(u, delay, 5.0, hold), atol=2e-13)
+
+
+def test_several_delays_add_up() -> None:
+    parts = [(2.0, 0.0101), (-0.5, 0.0), (1.0, 0.3)]
+    total = sum((c * LINK.delayed(d) for c, d in parts), 0 * s)
+    expected = sum(c * time_response(LINK.delayed(d), SIGNAL, T).output for c, d in parts)
+    assert peak_error(time_response(total, SIGNAL, T).output, expected) < 1e-13
+
+
+def test_delay_of_whole_samples_shifts() -> None:
+    late = time_response(LINK.delayed(5 * T), SIGNAL, T).output
+    on_time = time_response(LINK, SIGNAL, T).output
+    np.testing.assert_array_equal(late[:5], 0.0)
+    np.testing.assert_allclose(late[5:], on_time[:-5], atol=1e-13)
+
+
+def test_feedthrough_jumps_with_the_input() -> None:
+    torque = 1.56 * (1 - LINK)
+    assert time_response(torque, [0.0, 1.0, 1.0], T).output[1] == pytest.approx(1.56)
+    assert time_response(torque, [1.0], T, hold="first").output[0] == pytest.approx(1.56)
+    assert step_response(torque, [0.0]).output[0] == pytest.approx(1.56)
+
+
+def test_first_order_hold_converges_with_the_square_of_the_period() -> None:
+    exact_period, errors = T / 64, []
+    reference = time_response(
+        LINK, np.sin(9 * np.arange(64 * 250 + 1) * exact_period), exact_period, hold="first"
+    )
+    for factor in (1, 2, 4):
+        period = T / factor
+        u = np.sin(9 * np.arange(250 * factor + 1) * period)
+        output = time_response(LINK, u, period, hold="first").output
+        errors.append(float(np.max(np.abs(output - reference.output[:: 64 // factor]))))
+    rates = [math.log2(a / b) for a, b in itertools.pairwise(errors)]
+    assert all(1.9 < rate < 2.1 for rate in rates)
+
+
+def test_grunwald_letnikov_converges_slowly_to_the_same_response() -> None:
+    errors = []
+    for factor in (1, 4, 16):
+        u = np.repeat(SIGNAL[:100], 10 * factor)
+        exact = time_response(LINK, u, T / factor).output
+        errors.append(peak_error(grunwald_letnikov(LINK, u, T / factor), exact))
+    assert errors[0] > 0.01
+    assert 3.0 < errors[0] / errors[1] < 6.0
+    assert 3.0 < errors[1] / errors[2] < 6.0
+
+
+# -- exact properties -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("order", [1.01, 1.37, 1.92, 2.0])
+def test_homothety(order: float) -> None:
+    """The response of ϖ²/(s^λ + ϖ²) depends on t ϖ^(2/λ) only (Lemma 1 of the source paper)."""
+    t = np.linspace(0.01, 3.0, 50)
+    slow = step_response(1 / (s**order + 1), t * 11.54 ** (2 / order)).output
+    fast = step_response(11.54**2 / (s**order + 11.54**2), t).output
+    np.testing.assert_allclose(slow, fast, atol=2e-12)
+
+
+def test_parseval() -> None:
+    """∫ h² dt = 1/π ∫ |G(jω)|² dω, both by Gauss-Legendre panels in the logarithm."""
+    node, weight = np.polynomial.legendre.leggauss(40)
+    edges = np.linspace(math.log(1e-7), math.log(1e4), 120)
+    x = (edges[:-1, None] + 0.5 * np.diff(edges)[:, None] * (node + 1)).ravel()
+    w = (0.5 * np.diff(edges)[:, None] * weight).ravel() * np.exp(x)
+    in_time = float(w @ impulse_response(LINK, np.exp(x)).output ** 2)
+    in_frequency = float(w @ np.abs(LINK(1j * np.exp(x))) ** 2) / math.pi
+    # Beyond ω = 1e4 there is ϖ⁴ ω^-2.84/2.84 = 3e-8 of the integral; below 1e-7 nothing of note.
+    tail = 11.54**4 * 1e4**-2.84 / 2.84 / math.pi
+    assert in_time == pytest.approx(in_frequency + tail, rel=1e-7)
+
+
+def test_frequency_response_of_the_modes_sums_the_aliases() -> None:
+    modes = discretize(LINK, T, span=400.0)
+    w = np.array([0.5, 5.0, 11.0, 40.0, 300.0])
+    shifts = w[:, None] + 2 * math.pi / T * np.arange(-400, 401)
+    hold = -np.expm1(-1j * shifts * T) / (1j * shifts * T)
+    aliases = (hold * LINK(1j * shifts)).sum(axis=1)
+    np.testing.assert_allclose(modes.frequency_response(w), aliases, rtol=1e-6)
+
+
+def test_modes_are_the_recursion_they_document() -> None:
+    modes = discretize((1.56 * (1 - LINK)).delayed(1.5 * T), T, span=10.0)
+    y, x, z = np.zeros(50), np.zeros(len(modes.gains)), np.zeros(len(modes.pole_gains), complex)
+    v = np.concatenate((np.zeros(modes.lag), SIGNAL))[:50]
+    for k in range(50):
+        y[k] = modes.direct * v[k] + (modes.first * v[k - 1] if k else 0.0)
+        y[k] += modes.gains @ x + (modes.pole_gains @ z).real
+        x, z = modes.decays * x + v[k], modes.pole_decays * z + v[k]
+    np.testing.assert_allclose(y, modes.respond(SIGNAL[:50]), atol=1e-13)
+
+
+def test_integrator_is_a_decay_of_exactly_one() -> None:
+    modes = discretize(LINK / s, T, span=10.0)
+    assert np.count_nonzero(modes.decays == 1.0) == 1
+
+
+def test_fewer_modes_for_less_accuracy() -> None:
+    exact = time_response(LINK, np.ones(5000), T).output
+    counts = []
+    for tolerance in (1e-4, 1e-6, 1e-8, 1e-10, 1e-12):
+        modes = discretize(LINK, T, span=20.0, tolerance=tolerance)
+        assert peak_error(modes.respond(np.ones(5000)), exact) < 3 * tolerance
+        counts.append(modes.count)
+    assert counts == sorted(counts)
+    assert counts[0] < counts[-1] / 2
+
+
+def test_results_are_read_only_and_describe_themselves() -> None:
+    result = time_response(LINK, SIGNAL, T)
+    assert not result.time.flags.writeable
+    assert not result.output.flags.writeable
+    assert (result.method, result.period, result.hold) == ("modes", T, "zero")
+    modes = discretize(LINK, T, span=1.0)
+    with pytest.raises(ValueError, match="read-only"):
+        modes.gains[0] = 0.0
+
+
+def test_empty_and_single_inputs() -> None:
+    assert time_response(LINK, [], T).output.shape == (0,)
+    assert time_response(LINK, [1.0], T).output[0] == 0.0
+    assert time_response(s - s, SIGNAL, T).output.tolist() == [0.0] * len(SIGNAL)
+    assert time_response(3 + 0 * s, SIGNAL, T).output.tolist() == (3 * SIGNAL).tolist()
+
+
+def test_impulse_responses_at_the_origin() -> None:
+    assert impulse_response(2 / (s + 1), [0.0]).output[0] == 2.0
+    assert impulse_response(LINK, [0.0]).output[0] == 0.0
+    assert impulse_response(1 / s**0.5, [0.0]).output[0] == math.inf
+    assert impulse_response(-1 / (s**0.5 + 1), [0.0]).output[0] == -math.inf
+    assert impulse_response(3 / s, [0.0, 1.0]).output.tolist() == [3.0, 3.0]
+    assert impulse_response((s + 3) / (s + 1), [0.0]).output[0] == 2.0
+
+
+def test_link_models_of_every_structure() -> None:
+    """tip + torque/c = motor angle at every sample, whatever the structure."""
+    for model in (
+        LinkModel(1.56, 11.54),
+        LinkModel(1.56, 11.54, order=1.92),
+        LinkModel(1.56, 11.54, damping=0.9),
+        LinkModel(1.56, 11.54, damping=0.9, damping_order=0.5),
+    ):
+        tip = time_response(model.tip(), SIGNAL, T).output
+        torque = time_response(model.torque(), SIGNAL, T).output
+        np.testing.assert_allclose(tip + torque / 1.56, SIGNAL, atol=2e-11)
+
+
+# -- methods --------------------------------------------------------------------------------------
+
+
+def test_a_contour_per_lag_where_modes_would_cancel() -> None:
+    """s^-2.9/(1 + 0.035 s^-0.2): its pole at 0.035^5 rad/s is far slower than the 30 ms asked for."""
+    system = 1 / (s**2.9 + 0.0350585 * s**2.7)
+    result = time_response(system, np.ones(10), 0.003)
+    assert result.method == "contour"
+    series = sum((-0.0350585) ** k * result.time ** (2.9 + 0.2 * k) / gamma(3.9 + 0.2 * k) for k in range(40))
+    assert peak_error(result.output, series) < 1e-12
+    ramp = time_response(system, result.time, 0.003, hold="first")
+    series = sum((-0.0350585) ** k * result.time ** (3.9 + 0.2 * k) / gamma(4.9 + 0.2 * k) for k in range(40))
+    assert peak_error(ramp.output, series) < 1e-11
+
+
+def delayed_integrator(gain: float) -> FractionalTransferFunction:
+    """1/(s + gain e^-s), whose step response the method of steps gives in closed form."""
+    return (1 / s).feedback((gain + 0 * s).delayed(1.0))
+
+
+def method_of_steps(t: np.ndarray, gain: float, power: int) -> np.ndarray:
+    total = np.zeros(len(t))
+    for k in range(int(t[-1]) + 1):
+        total += (-gain) ** k * np.maximum(t - k, 0) ** (k + power) / math.factorial(k + power)
+    return total
+
+
+@pytest.mark.parametrize("gain", [0.5, 1.5, 2.0])
+def test_delay_in_the_denominator(gain: float) -> None:
+    """Delayed feedback, stable and unstable (gain > π/2): numerical inversion, with an honest estimate."""
+    result = step_response(delayed_integrator(gain), 10.0, 0.01)
+    exact = method_of_steps(result.time, gain, 1)
+    error = float(np.max(np.abs(result.output - exact)))
+    assert result.method == "fft"
+    assert error < 1e-7 * np.max(np.abs(exact))
+    assert error <= result.error_estimate
+    ramp = time_response(delayed_integrator(gain), result.time, 0.01, hold="first")
+    exact = method_of_steps(result.time, gain, 2)
+    error = float(np.max(np.abs(ramp.output - exact)))
+    assert error < 1e-7 * np.max(np.abs(exact))
+    assert error <= ramp.error_estimate
