@@ -247,3 +247,26 @@ def test_content_decides_about_the_format(tmp_path: Path) -> None:
         assert sniffed_kind(path) == name
         path = path.rename(tmp_path / f"{kind}.log")
         assert sniffed_kind(path) == name
+
+
+@pytest.mark.parametrize("kind", ["v5", "v7.3", "hdf5"])
+def test_columns_are_called_as_their_program_calls_them(kind: str, tmp_path: Path) -> None:
+    tall = np.arange(20.0).reshape(10, 2)
+    if kind == "v5":
+        from scipy.io import savemat
+
+        savemat(tmp_path / "a.mat", {"tall": tall, "wide": tall.T})
+        path = tmp_path / "a.mat"
+    else:
+        h5py = pytest.importorskip("h5py")
+        path = tmp_path / "a.h5"
+        with h5py.File(path, "w") as file:
+            for name, values in (("tall", tall), ("wide", tall.T)):
+                item = file.create_dataset(name, data=values.T if kind == "v7.3" else values)
+                if kind == "v7.3":
+                    item.attrs["MATLAB_class"] = np.bytes_("double")
+    columns = read_columns(path)
+    second = ("tall[:,1]", "wide[1,:]") if kind == "hdf5" else ("tall(:,2)", "wide(2,:)")
+    for name in second:
+        assert columns[name].tolist() == tall[:, 1].tolist()
+    assert len(columns) == 4

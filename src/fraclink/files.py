@@ -19,7 +19,16 @@ from typing import IO, Any
 
 from fraclink.errors import FieldError, FileFormatError
 
-__all__ = ["atomic_write", "output_path", "parse_json", "read_json", "sha256_of", "write_json", "write_text"]
+__all__ = [
+    "atomic_write",
+    "checked_envelope",
+    "output_path",
+    "parse_json",
+    "read_json",
+    "sha256_of",
+    "write_json",
+    "write_text",
+]
 
 JSON_LIMIT = 16_000_000  # bytes; a saved fit with its residuals of 100 000 samples is about 2 MB
 _DIGIT_LIMIT = 400  # a 5 000-digit integer is an attack or a damaged file, not a measurement
@@ -150,8 +159,13 @@ def read_json(path: Path | str, kind: str, versions: tuple[int, ...] = (1,)) -> 
         raise FileFormatError(
             "file", str(place), f"not valid JSON ({error})", allowed=f"a {kind} file", remedy="make it again"
         ) from error
+    return checked_envelope(data, kind, versions, place)
+
+
+def checked_envelope(data: object, kind: str, versions: tuple[int, ...], place: Path) -> dict[str, Any]:
+    """Return the object of a saved noun after checking its kind and its format's version."""
     found = data.get("fraclink") if isinstance(data, dict) else None
-    if found != kind:
+    if not isinstance(data, dict) or found != kind:
         raise FileFormatError(
             "file", str(place), f"of kind {found!r}", allowed=f"kind {kind!r}", remedy=f"give a {kind} file"
         )

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink.errors import FieldError, FileFormatError
-from fraclink.files import atomic_write, parse_json
+from fraclink.files import atomic_write, checked_envelope, parse_json
 
 __all__ = ["read_npz", "write_npz"]
 
@@ -167,15 +167,4 @@ def _about(text: object, kind: str, versions: tuple[int, ...], place: Path) -> d
         about = parse_json(text)
     except ValueError as error:  # FieldError is one
         raise _broken(kind, place, f"damaged ({error})", "make it again") from error
-    found = about.get("fraclink") if isinstance(about, dict) else None
-    if found != kind:
-        raise _broken(kind, place, f"of kind {found!r}", f"give a {kind} file")
-    if about.get("format") not in versions:
-        raise FileFormatError(
-            "format",
-            about.get("format"),
-            "a version this release does not read",
-            allowed=", ".join(map(str, versions)),
-            remedy="make the file again with this release",
-        )
-    return dict(about)
+    return checked_envelope(about, kind, versions, place)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from fraclink.errors import SizeError
 from fraclink.readers.limits import COLUMN_LIMIT, VALUE_LIMIT
 
-__all__ = ["RawColumn", "check_size", "columns_of"]
+__all__ = ["MATLAB", "NUMPY", "RawColumn", "check_size", "columns_of"]
 
 _WIDEST = 256  # columns of one array: what is wider is a picture or a matrix, not a log
 
@@ -25,10 +25,17 @@ class RawColumn:
     values: NDArray[np.float64]
 
 
-def columns_of(name: str, array: object, unit: str = "", pattern: str = "{0}(:,{1})") -> Iterator[RawColumn]:
+MATLAB = ("{name}(:,{one})", "{name}({one},:)")
+NUMPY = ("{name}[:,{zero}]", "{name}[{zero},:]")
+
+
+def columns_of(
+    name: str, array: object, unit: str = "", indexing: tuple[str, str] = MATLAB
+) -> Iterator[RawColumn]:
     """The columns of a real array of up to two dimensions; along the longer one runs time.
 
-    Anything else (text, objects, complex numbers, scalars) holds no samples and yields nothing.
+    `indexing` is how a column and how a row of the array is written. Anything else (text, objects, complex
+    numbers, scalars) holds no samples and yields nothing.
     """
     if not isinstance(array, np.ndarray) or array.dtype.kind not in "fiub" or not 1 <= array.ndim <= 2:
         return
@@ -36,11 +43,12 @@ def columns_of(name: str, array: object, unit: str = "", pattern: str = "{0}(:,{
         return
     check_size(array.size)
     table = array.reshape(-1, 1) if array.ndim == 1 else array
-    table = table.T if table.shape[0] < table.shape[1] else table
+    wide = table.shape[0] < table.shape[1]
+    table = table.T if wide else table
     if table.shape[1] > _WIDEST:
         return
     for place in range(table.shape[1]):
-        label = name if table.shape[1] == 1 else pattern.format(name, place + 1)
+        label = indexing[wide].format(name=name, one=place + 1, zero=place) if table.shape[1] > 1 else name
         yield RawColumn(label, unit, np.ascontiguousarray(table[:, place], dtype=np.float64))
 
 

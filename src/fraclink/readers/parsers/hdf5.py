@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from fraclink.errors import MissingExtraError
-from fraclink.readers.parsers.column import RawColumn, check_size, columns_of
+from fraclink.readers.parsers.column import MATLAB, NUMPY, RawColumn, check_size, columns_of
 
 __all__ = ["read"]
 
@@ -29,9 +29,10 @@ def read(path: Path) -> tuple[list[RawColumn], dict[str, str]]:
             # Links are not followed, and data kept in other files are not read: a log is one file.
             if isinstance(item, h5py.Dataset) and not name.startswith("#") and _is_plain(item):
                 label = name.replace("/", ".") if matlab else name
-                pattern = "{0}(:,{1})" if matlab else "{0}[{1}]"
+                # MATLAB's files hold every array transposed: what is a row here was a column there.
+                indexing = (MATLAB[1], MATLAB[0]) if matlab else NUMPY
                 check_size(item.size, len(columns))
-                columns.extend(columns_of(label, np.asarray(item[()]), _unit(item), pattern))
+                columns.extend(columns_of(label, np.asarray(item[()]), _unit(item), indexing))
 
         file.visititems(visit)
     return columns, {}
