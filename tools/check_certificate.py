@@ -6,9 +6,9 @@ a leaf |L| < 1 - m, or the rectangle around 1/L misses [-1, 0) and the disc that
 Aliases are bounded by ζ(3) times their first term and added to m. See docs/how-to/read-a-certificate.md.
 """
 
-# ruff: noqa: B019, B905, E401, E731, I001, PTH123, SIM115
+# ruff: noqa: B019, B905, E401, E731, I001
 # fmt: off
-import functools, hashlib, json, math, struct, sys, zlib
+import functools, hashlib, json, math, pathlib, struct, sys, zlib
 from mpmath import iv
 
 iv.prec, TEXT = 64, ("block", "digest", "precision", "inner")
@@ -35,8 +35,8 @@ class Loop:
         head, kind = (1, len(block), width, zlib.crc32(block[16:])), "fd"[width == 8]
         need(struct.unpack("<4I", block[:16]) == head, "the law's block is damaged")
         v = [iv.mpf(x) for x, in struct.iter_unpack("<" + kind, block[48:])]  # law.h
-        modes = [(iv.mpc(1 + p, 0), iv.mpc(g, 0)) for p, g in zip(v[3:11], v[11:19])]
-        for p, y, g, x in zip(v[19:21], v[21:23], v[23:25], v[25:27]):
+        modes = [(iv.mpc(1 + p, 0), iv.mpc(g, 0)) for p, g in zip(v[3:19:2], v[4:19:2])]
+        for p, y, g, x in zip(v[19:27:4], v[20:27:4], v[21:27:4], v[22:27:4]):
             modes += [(iv.mpc(1 + p, t * y), iv.mpc(g, t * x) / 2) for t in (1, -1)]
         self.s, self.sampled, self.T, self.direct, self.pid = s, not ideal, v[0], v[2], v[-15:-6]
         self.modes = [(p, g) for p, g in modes if size(g).b > 0]
@@ -116,7 +116,7 @@ class Loop:
 
 def check(path, digest=None):
     unique = lambda pairs: dict(pairs) if len(dict(pairs)) == len(pairs) else {}
-    data = json.loads(open(path, encoding="utf-8").read(), object_pairs_hook=unique)
+    data = json.loads(pathlib.Path(path).read_text("utf-8"), object_pairs_hook=unique)
     need((data["fraclink"], data["format"]) == ("certificate", 1), "not a certificate of format 1")
     text, tree = data["statement"], data["tree"]
     hashed = json.dumps({"statement": text, "tree": tree}, sort_keys=True, separators=(",", ":")).encode()

@@ -1,4 +1,4 @@
-"""Certificates: the sampled loop proved stable, with its distance from -1, in a file that others can check."""
+"""Certificates: the sampled loop proved stable, with its distance from -1, in a file others can check."""
 
 from __future__ import annotations
 

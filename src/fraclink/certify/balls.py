@@ -1,6 +1,6 @@
 """Ball arithmetic on the sampled loop: an enclosure of 1/L over a box of frequencies, payloads and delays.
 
-1/L is affine in the payload and turns with the delay, so both enter once; L itself would have them twice. With
+1/L is affine in the payload and turns with the delay: both enter once; L itself would have them twice. With
 ``x = 1/z = e^{-jωTs}``, ``K = d + Σ g/(z - p)`` (so that Ĉ = (1 - x) K), ``D/N = 1/G`` and ``h = ωTs/2``:
 
     ideal     1/L = e^{jω(τ+Ts)} · D/N · (1 + jω/p)² (-j/2) (h/sin h)(1/sin h)/K
@@ -13,18 +13,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
 from fraclink.certify.statement import Statement
 from fraclink.errors import MissingExtraError
 
-if TYPE_CHECKING:
-    from flint import acb, arb
-
 __all__ = ["BITS", "Ball", "Disc", "Loop", "Window", "outside"]
 
-Ball: TypeAlias = "arb"
-Disc: TypeAlias = "acb"
+Ball: TypeAlias = Any  # flint.arb, a real ball; python-flint has no type stubs
+Disc: TypeAlias = Any  # flint.acb, a rectangle of two
 BITS = 64  # of the midpoints: the radii of the boxes are what limits, so more bits buy nothing
 ZETA_3 = 1.20206  # upper bound of Σ j^-3
 
@@ -65,7 +62,7 @@ class Loop:
 
     def __init__(self, statement: Statement, coefficients: dict[str, Any]) -> None:
         self.flint = load_flint()
-        arb, acb = self.flint.arb, self.flint.acb
+        arb = self.flint.arb
         self.statement, c = statement, coefficients
         self.sampled = statement.inner == "sampled"
         self.period = arb(c["period"])
@@ -93,8 +90,9 @@ class Loop:
     def _modes(self, c: dict[str, Any]) -> list[tuple[Disc, Disc]]:
         """(pole, gain) of every mode, conjugates included."""
         acb = self.flint.acb
-        found = [(acb(p) + 1, acb(g)) for p, g in zip(c["decay"], c["gain"], strict=True) if g]
-        for re, im, g, x in zip(c["pair_decay"], c["pair_turn"], c["pair_gain"], c["pair_cross"], strict=True):
+        real, pair = c["real"], c["pair"]
+        found = [(acb(p) + 1, acb(g)) for p, g in zip(real[::2], real[1::2], strict=True) if g]
+        for re, im, g, x in zip(*(pair[k::4] for k in range(4)), strict=True):
             if g or x:
                 pole, gain = acb(re, im) + 1, acb(g, x) / 2
                 found += [(pole, gain), (pole.conjugate(), gain.conjugate())]
@@ -103,8 +101,8 @@ class Loop:
     def kernel(self, z: Disc, ends: tuple[Disc, Disc]) -> tuple[Disc, Ball]:
         """K(z), the correction without its difference, and a bound of its modulus; `ends` are the arc's.
 
-        Over wide arcs rectangles lose everything and the triangle inequality does not: |z - p| rises along the arc for
-        a real p > 0 and falls for p < 0, so an end bounds it.
+        Over wide arcs rectangles lose everything and the triangle inequality does not: |z - p| rises along
+        the arc for a real p > 0 and falls for p < 0, so an end bounds it.
         """
         total, bound = self.flint.acb(self.direct), abs(self.direct)
         for p, g in self.modes:
@@ -120,8 +118,8 @@ class Loop:
     def _tail(self) -> Ball:
         """Bound of ``Σ_{k≠0} |F(s_k)/s_k| · 2/Ts``, what the aliases have beside Ĉ and the voltage.
 
-        |ω + kω_s| >= j π/Ts for j = 1, 2, … and |F(s)/s| falls at least like ω^-3 from π/Ts on, so the sum is at
-        most ζ(3) times its first term.
+        |ω + kω_s| >= j π/Ts for j = 1, 2, … and |F(s)/s| falls at least like ω^-3 from π/Ts on, so the sum is
+        at most ζ(3) times its first term.
         """
         arb, s = self.flint.arb, self.statement
         w = arb.pi() / self.period
@@ -169,17 +167,32 @@ class Loop:
         )
 
     def controllers(self, x: Disc) -> tuple[Disc, Disc]:
-        """((1 - x) Cm1, (1 - x)(Cm1 + Cm2)) of the PID in the law's block."""
-        p, edge = self.pid, 1 - x
-        slow = edge / (1 - p["filter_decay"] * x)
-        first = (
-            p["inner_direct"] * edge
-            + p["integral_now"]
-            + p["integral_before"] * x
-            + slow * (p["filter_now"] + p["filter_before"] * x)
+        """((1 - x) Cm1, (1 - x)(Cm1 + Cm2)) of the PID in the law's block.
+
+        As polynomials in y = 1 - x over 1 - r x: in x their large terms cancel, in y they do not.
+        """
+        p, y = self.pid, 1 - x
+        lag = 1 - p["filter_decay"] * x
+        low, slow = p["inner_direct"], (p["filter_now"], p["filter_before"])
+        first = self._numerator(low, *slow)
+        both = self._numerator(
+            low + p["inner_angle"], slow[0] + p["filter_angle_now"], slow[1] + p["filter_angle_before"]
         )
-        angle = slow * (p["filter_angle_now"] + p["filter_angle_before"] * x)
-        return first, first + p["inner_angle"] * edge + angle
+        return self._horner(first, y) / lag, self._horner(both, y) / lag
+
+    def _numerator(self, direct: Ball, now: Ball, before: Ball) -> tuple[Ball, Ball, Ball]:
+        """Coefficients in y of ``(d y + i0 + i1 x)(1 - r x) + y (f0 + f1 x)``."""
+        r, late = self.pid["filter_decay"], self.pid["integral_before"]
+        whole = self.pid["integral_now"] + late
+        return (
+            whole * (1 - r),
+            (direct - late) * (1 - r) + whole * r + now + before,
+            (direct - late) * r - before,
+        )
+
+    @staticmethod
+    def _horner(c: tuple[Ball, Ball, Ball], y: Disc) -> Disc:
+        return c[0] + y * (c[1] + y * c[2])
 
     def closing(self, x: Disc, both: Disc, delay: Ball) -> Disc:
         """X = (1 - x)² (1 + (Cm1 + Cm2) P_τ), regular at x = 1."""
@@ -218,7 +231,7 @@ class Loop:
     def inverse(
         self, window: Window, payload: tuple[float, float], delay: tuple[float, float]
     ) -> tuple[Disc, Ball, float]:
-        """Enclose 1/L without aliases over a box, its modulus more closely, and bound what aliases add to L."""
+        """Enclose 1/L without aliases over a box, then its modulus; bound what aliases add to L."""
         soft = self.hull(*payload) * self.statement.softness
         link = 1 + soft * window.inertia / (1 + soft * window.drag)
         late, rest, size = self.hull(*delay), window.factor, window.size
@@ -250,10 +263,12 @@ class Loop:
     def inner_is_stable(self) -> bool:
         """Whether the sampled motor loop is stable at the smallest delay (Schur–Cohn, in balls).
 
-        For every other delay it follows from the tree: each leaf shows X ≠ 0 on its part of the unit circle, so no
-        pole can cross it while the delay grows.
+        For every other delay it follows from the tree: each leaf shows X ≠ 0 on its part of the unit circle,
+        so no pole can cross it while the delay grows.
         """
-        return not self.sampled or self._inside_circle(self._characteristic(self.flint.arb(self.statement.delay_low)))
+        return not self.sampled or self._inside_circle(
+            self._characteristic(self.flint.arb(self.statement.delay_low))
+        )
 
     def _characteristic(self, delay: Ball) -> list[Ball]:
         """Coefficients of (1-e x)(1-r x) X, ascending in x: the highest power of z first."""

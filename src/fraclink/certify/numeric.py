@@ -31,7 +31,9 @@ def loop_values(
     outer = law.frequency_response(w) * hold * link * np.exp(-s * late)
     if statement.inner == "ideal":
         return np.asarray(outer / (1.0 + s / statement.pole) ** 2)
-    return np.asarray(outer * _voltage(statement, law, w, late) * statement.gain / (s * (s + statement.decay)))
+    return np.asarray(
+        outer * _voltage(statement, law, w, late) * statement.gain / (s * (s + statement.decay))
+    )
 
 
 def _voltage(statement: Statement, law: Law, frequency: Real, delay: Real) -> Complex:
@@ -72,7 +74,8 @@ def worst_distance(statement: Statement, law: Law) -> tuple[float, float, float,
     m, late = _corners(statement, 9, 5)
     distance = np.abs(1.0 + loop_values(statement, law, w, m, late))
     a, b, c = np.unravel_index(int(np.argmin(distance)), distance.shape)
-    fine = np.linspace(w[max(c - 1, 0)], w[min(c + 1, w.size - 1)], 201)
+    around = w[max(int(c) - 1, 0) : int(c) + 2]
+    fine = np.linspace(around[0], around[-1], 201)
     closest = np.abs(1.0 + loop_values(statement, law, fine, m[a, 0, 0], late[b, 0]))
     best = int(np.argmin(closest))
     return float(closest[best]), float(fine[best]), float(m[a, 0, 0]), float(late[b, 0])

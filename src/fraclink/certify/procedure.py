@@ -1,4 +1,4 @@
-"""`certify`: prove that a law keeps its distance from -1 for every payload and delay, or say where it does not."""
+"""`certify`: prove that a law keeps its distance from -1 for every payload and delay, or say where not."""
 
 from __future__ import annotations
 
@@ -37,10 +37,10 @@ def certify(
     law: Law | None = None,
     inner: str | None = None,
 ) -> Certificate:
-    """Prove in ball arithmetic that the sampled loop is stable and ``|1 + L| > m`` for every payload and delay.
+    """Prove that the sampled loop is stable with ``|1 + L| > m`` for every payload and delay.
 
-    The proof covers the law's exact coefficients, the zero-order hold, every delay of a range, the motor loop and
-    all aliases; it is a bisection tree that tools/check_certificate.py checks with other arithmetic.
+    The proof is in ball arithmetic and covers the law's exact coefficients, the zero-order hold, every delay
+    of a range, the motor loop and all aliases; tools/check_certificate.py checks it with other arithmetic.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ def certify(
     payloads
         (lightest, heaviest) [kg], > 0; the plan's or the rig's when left out.
     delay
-        (shortest, longest) computation delay [s], within [0, Ts] for the sampled motor loop; (0, Ts) when left out.
+        (shortest, longest) computation delay [s], at most Ts for the sampled motor loop; (0, Ts) when left out.
     modulus_margin
         m, 0 < m < 1; nine tenths of what a grid finds when left out.
     law
@@ -100,8 +100,9 @@ def certify(
         return Certificate(
             claim,
             False,
-            f"Not certified: {outcome.reason} at {outcome.payload * 1e3:.4g} g, {outcome.frequency:.6g} rad/s and "
-            f"{outcome.delay * 1e3:.4g} ms of delay; a grid finds |1 + L| = {distance:.4g}",
+            f"Not certified: {outcome.reason} at {outcome.payload * 1e3:.4g} g, "
+            f"{outcome.frequency:.6g} rad/s and {outcome.delay * 1e3:.4g} ms of delay; "
+            f"a grid finds |1 + L| = {distance:.4g}",
             payload=outcome.payload,
             frequency=outcome.frequency,
             delay=outcome.delay,
@@ -184,8 +185,8 @@ def _unstable(
     return Certificate(
         claim,
         False,
-        f"Not certified: unstable at {payload * 1e3:.4g} g with {late * 1e3:.3g} ms of delay; L passes left of -1 near "
-        f"{frequency:.4g} rad/s{text}",
+        f"Not certified: unstable at {payload * 1e3:.4g} g with {late * 1e3:.3g} ms of delay; "
+        f"L passes left of -1 near {frequency:.4g} rad/s{text}",
         payload=payload,
         frequency=frequency,
         delay=late,
@@ -193,7 +194,9 @@ def _unstable(
     )
 
 
-def _too_close(claim: Statement, distance: float, frequency: float, payload: float, late: float) -> Certificate:
+def _too_close(
+    claim: Statement, distance: float, frequency: float, payload: float, late: float
+) -> Certificate:
     return Certificate(
         claim,
         False,

@@ -18,7 +18,7 @@ _SLACK = 1.0 + 1e-3  # proved a little more than claimed, so that other arithmet
 
 @dataclass(frozen=True)
 class Proof:
-    """A tree that covers the box; its text has one letter a node in preorder: w, m, t split, "." is a leaf."""
+    """A tree that covers the box: one letter a node in preorder; w, m, t split, "." is a leaf."""
 
     tree: str
     leaves: int
@@ -38,7 +38,8 @@ class Failure:
 def clear(real: tuple[float, float], imaginary: tuple[float, float], modulus: float) -> bool:
     """Whether a rectangle of 1/L stays clear of what |1 + L| <= modulus and L <= -1 make of it.
 
-    |1 + 1/L| > m |1/L| excludes the disc of centre -1/(1-m²) and radius m/(1-m²); L in (-∞, -1] is 1/L in [-1, 0).
+    |1 + 1/L| > m |1/L| excludes the disc of centre -1/(1-m²) and radius m/(1-m²); L in (-∞, -1] is 1/L in
+    [-1, 0).
 
     >>> clear((0.1, 2.0), (-1.0, 1.0), 0.5), clear((-2.0, -0.5), (0.1, 1.0), 0.5)
     (True, False)
@@ -75,12 +76,16 @@ def halves(box: Box, side: int) -> tuple[Box, Box]:
 
 
 def prove(loop: Loop, *, most: int = 200_000) -> Proof | Failure:
-    """Bisect the statement's box until every leaf is proved; Failure where a box shrinks to a point or `most` is hit."""
+    """Bisect the statement's box until every leaf is proved, or give up at `most` nodes and say where."""
     s = loop.statement
     if not loop.correction_is_stable():
-        return Failure("a pole of the law's correction lies outside the unit circle", 0.0, s.payload_low, s.delay_low)
+        return Failure(
+            "a pole of the law's correction lies outside the unit circle", 0.0, s.payload_low, s.delay_low
+        )
     if not loop.inner_is_stable():
-        return Failure("the sampled motor loop is not stable for every delay", 0.0, s.payload_low, s.delay_high)
+        return Failure(
+            "the sampled motor loop is not stable for every delay", 0.0, s.payload_low, s.delay_high
+        )
     if not loop.low_bound() < 1.0 - s.modulus:
         return Failure("the loop gain is not small at low frequency", s.lowest, s.payload_low, s.delay_low)
     nyquist = math.nextafter(math.pi / float(loop.period.mid()), math.inf)

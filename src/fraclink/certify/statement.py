@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 __all__ = ["ASSUMPTIONS", "Statement", "canonical", "digest_of"]
 
 ASSUMPTIONS = (
-    "the link is G(s) = (1 + q μ s^α)/(1 + q s^λ + q μ s^α) with q proportional to the payload; one vibration mode",
+    "the link is G(s) = (1 + q μ s^α)/(1 + q s^λ + q μ s^α), q proportional to the payload: one mode",
     "the motor loop is what the statement says: M(s), or motor and PID without friction or saturation",
     "the coupling torque and the friction are compensated exactly; encoder and gauge are linear",
     "the payload does not change during a move",
@@ -31,8 +31,8 @@ ASSUMPTIONS = (
 class Statement:
     """The claim: for every payload and delay of the ranges the sampled loop is stable and |1 + L| > modulus.
 
-    ``softness`` κ gives q = 1/ϖ² = κ m; ``inner`` is "ideal" (M(s) with `pole`) or "sampled" (motor `gain`/(s(s+`decay`))
-    with the PID in the law's block). Every number is exact: floats are written in hexadecimal.
+    ``softness`` κ gives q = 1/ϖ² = κ m; ``inner`` is "ideal" (M(s) with `pole`) or "sampled" (the motor
+    `gain`/(s(s+`decay`)) with the PID in the law's block). Floats are written in hexadecimal.
     """
 
     block: str  # law.c's parameter block, hexadecimal
@@ -69,21 +69,26 @@ class Statement:
                 allowed=", ".join(kinds),
                 remedy="make it again",
             )
-        return Statement(**{k: float.fromhex(data[k]) if kinds[k] == "float" else data[k] for k in kinds})
+        values: dict[str, Any] = {k: float.fromhex(v) if kinds[k] == "float" else v for k, v in data.items()}
+        return Statement(**values)
 
     def words(self) -> str:
         """The statement as a sentence."""
         motor = f"M(s) with p = {self.pole:g} rad/s" if self.inner == "ideal" else "the sampled motor loop"
+        payload = f"{self.payload_low * 1e3:g} to {self.payload_high * 1e3:g} g"
+        delay = f"{self.delay_low * 1e3:g} to {self.delay_high * 1e3:g} ms"
         return (
-            f"For every payload from {self.payload_low * 1e3:g} to {self.payload_high * 1e3:g} g and every delay from "
-            f"{self.delay_low * 1e3:g} to {self.delay_high * 1e3:g} ms, with {motor} and λ = {self.order:g}, the loop "
-            f"that the law {self.digest[:12]} closes is stable and |1 + L| > {self.modulus:g} at every frequency."
+            f"For every payload from {payload} and every delay from {delay}, with {motor} and λ = "
+            f"{self.order:g}, the loop that the law {self.digest[:12]} closes is stable and |1 + L| > "
+            f"{self.modulus:g} at every frequency."
         )
 
 
 def canonical(statement: Statement, tree: str) -> bytes:
     """The bytes that a certificate's own hash covers: statement and tree, keys sorted, no spaces."""
-    return json.dumps({"statement": statement.to_json(), "tree": tree}, sort_keys=True, separators=(",", ":")).encode()
+    return json.dumps(
+        {"statement": statement.to_json(), "tree": tree}, sort_keys=True, separators=(",", ":")
+    ).encode()
 
 
 def digest_of(statement: Statement, tree: str) -> str:
@@ -141,4 +146,6 @@ def state(
     )
 
 
-_LOWEST = 2.0**-20  # of the Nyquist frequency: 0.7 mrad/s at 4 ms, where |Ĉ| is below 1e-3 of its crossover value
+_LOWEST = (
+    2.0**-20
+)  # of the Nyquist frequency: 0.7 mrad/s at 4 ms, where |Ĉ| is below 1e-3 of its crossover value
