@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -115,17 +114,18 @@ def gpi_correction(rate: float, frequency: float, *, period: float) -> Filter:
     return tustin(a, np.array([0.0, 1.0]), c, 6.0 * r**2 / frequency**2 - 1.0, period)
 
 
-@dataclass
-class _Integrals:
-    """Running integrals of the algebraic estimator, δ the deflection and θ the tip angle."""
+class _Integral:
+    """A running integral by the trapezoid rule; at 4 ms a rectangle rule would bias ω² by 8 %."""
 
-    bend: float = 0.0  # ∫ t² δ
-    bend_twice: float = 0.0  # ∫∫ t² δ
-    moment: float = 0.0  # ∫ t θ
-    tip: float = 0.0  # ∫ θ
-    tip_twice: float = 0.0  # ∫∫ θ
-    product: float = 0.0
-    square: float = 0.0
+    def __init__(self) -> None:
+        self.value = 0.0
+        self._last = 0.0
+
+    def add(self, integrand: float, period: float) -> float:
+        """Go on to the next sample and return the integral up to it."""
+        self.value += 0.5 * period * (self._last + integrand)
+        self._last = integrand
+        return self.value
 
 
 class Algebraic:
@@ -141,21 +141,17 @@ class Algebraic:
         self._nominal, self._period, self._until = frequency**2, period, until
         self._filter = gpi_correction(rate, frequency, period=period)
         self._state = np.zeros(2)
-        self._integrals, self._tick = _Integrals(), 0
+        self._integrals, self._tick = tuple(_Integral() for _ in range(7)), 0
         self.square = frequency**2  # ω² in use
 
     def _estimate(self, tip: float, deflection: float) -> None:
-        i, h, t = self._integrals, self._period, self._tick * self._period
-        i.bend += h * t * t * deflection
-        i.bend_twice += h * i.bend
-        i.moment += h * t * tip
-        i.tip += h * tip
-        i.tip_twice += h * i.tip
-        i.product += h * i.bend_twice * (t * t * tip - 4.0 * i.moment + 2.0 * i.tip_twice)
-        i.square += h * i.bend_twice**2
-        if t >= self._until and i.square > 0.0:
-            found = i.product / i.square
-            self.square = min(max(found, 0.25 * self._nominal), 4.0 * self._nominal)
+        h, t = self._period, self._tick * self._period
+        bend, bend_twice, moment, angle, angle_twice, product, square = self._integrals
+        right = bend_twice.add(bend.add(t * t * deflection, h), h)
+        left = t * t * tip - 4.0 * moment.add(t * tip, h) + 2.0 * angle_twice.add(angle.add(tip, h), h)
+        above, below = product.add(right * left, h), square.add(right * right, h)
+        if t >= self._until and below > 0.0:
+            self.square = min(max(above / below, 0.25 * self._nominal), 4.0 * self._nominal)
             self._until = math.inf
 
     def __call__(self, seen: Seen) -> float:

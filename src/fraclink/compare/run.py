@@ -64,7 +64,7 @@ def run_rival(
         np.full(len(record), twin.beam.payload),
         law.period,
         finished=len(record) == count,
-        ended=reference.duration,
+        ended=followed.duration,  # a shaper's own delay counts as settling, not as vibration
         vibration_period=vibration_period(twin),
     )
 

@@ -1,0 +1,321 @@
+"""Rivals on equal terms: every rule of tuning is kept, every controller is what it says."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+import fraclink as fl
+from fraclink.compare import Tournament, compare
+from fraclink.compare.linear import Filter, NominalLoop, law_filter, sampled, tune, tustin
+from fraclink.compare.optimal import hinf_correction, integer_mode, lqg_correction
+from fraclink.compare.outer import (
+    Algebraic,
+    Linear,
+    Seen,
+    Sliding,
+    gpi_correction,
+    pd_correction,
+    sliding_correction,
+)
+from fraclink.compare.published import integer_twin
+from fraclink.compare.rivals import Setting, builders, servo_law
+from fraclink.compare.run import feed_forward, run_rival
+from fraclink.compare.shaping import Shaped, shaper_impulses
+from fraclink.compare.spillover import mode_gain
+from fraclink.errors import FieldError, NotConvergedError
+from fraclink.reference import smooth_step
+from fraclink.stability import margins
+from fraclink.twin import Twin, geared
+from fraclink.twin.loop import driven, run_twin
+
+RIG = geared(fl.Rig.named("paper-2023"))
+MOVE = smooth_step(1.0, duration=1.0)
+
+
+@pytest.fixture(scope="module")
+def setting() -> Setting:
+    plan = fl.design(RIG.model, RIG, payloads=(0.020, 0.040), gain_crossover=12.0, phase_margin=fl.deg(50.0))
+    twin = Twin.from_rig(RIG, link_mass=0.00735)
+    law = driven(twin, plan.controller.discretize(RIG.period))
+    loop = NominalLoop.of(RIG.model, 0.030, period=RIG.period, pole=80.0, delay=1)
+    return Setting(RIG, RIG.model, law, plan.controller, loop)
+
+
+@pytest.fixture(scope="module")
+def everything() -> Tournament:
+    return compare(fl.Rig.named("paper-2023"), payloads=(0.030,))
+
+
+def test_law_filter_is_the_law(setting):
+    frequency = np.array([0.1, 1.0, 12.0, 100.0, 700.0])
+    ours = law_filter(setting.ours).response(np.exp(1j * frequency * RIG.period))
+    assert ours == pytest.approx(setting.ours.frequency_response(frequency), rel=1e-9)
+
+
+def test_nominal_loop_is_the_designers(setting):
+    """The sampled loop of design/, made from alias sums, and ours, from a state space: the same Ms."""
+    from fraclink.design.loop import OpenLoop
+    from fraclink.design.sampled import link_plant
+
+    bare = OpenLoop(gain=1.0, order=0.0, link_order=RIG.model.order)
+    plant = link_plant(bare, RIG.model.natural_frequency, motor=1 / 80, period=RIG.period, delay=RIG.period)
+    frequency = np.array([1.0, 8.0, 12.0, 13.0, 40.0, 300.0])
+    ours = setting.loop.plant.response(np.exp(1j * frequency * RIG.period))
+    assert ours == pytest.approx(plant(frequency), rel=2e-6)
+
+
+def test_peak_is_the_modulus_margin(setting):
+    correction = law_filter(setting.ours)
+
+    def loop(s):
+        return correction.response(np.exp(s * RIG.period)) * setting.loop.plant.response(
+            np.exp(s * RIG.period)
+        )
+
+    exact = margins(loop, limit=math.pi / RIG.period).modulus_margin
+    assert setting.target == pytest.approx(1.0 / exact, rel=2e-3)
+
+
+KNOBS = {
+    "PD on the tip estimate": lambda s: (
+        lambda g: pd_correction(g, corner=integer_mode(s.model)[0], filter_time=0.01, period=0.004),
+        (1e-3, 10.0),
+    ),
+    "LQG": lambda s: (
+        lambda q: lqg_correction(s.model, period=0.004, pole=80.0, delay=1, noise=0.0064, weight=q),
+        (1e-4, 1e4),
+    ),
+    "H∞": lambda s: (
+        lambda k: hinf_correction(s.model, period=0.004, pole=80.0, delay=1, gain=k),
+        (1e-2, 1e2),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", KNOBS)
+def test_tuned_to_the_same_ms(setting, name):
+    make, limits = KNOBS[name](setting)
+    knob, correction, reached = tune(setting.loop, make, limits, setting.target)
+    assert reached
+    assert setting.loop.peak(correction) == pytest.approx(setting.target, rel=1e-3)
+    assert setting.loop.peak(make(1.1 * knob)) > setting.target  # more of it would break the rule
+    assert setting.loop.radius(correction) <= 1.0 + 1e-9
+
+
+def test_structures_that_cannot_reach_the_ms_take_their_least(setting):
+    w, _ = integer_mode(setting.model)
+    for make in (
+        lambda r: sliding_correction(r, w, filter_time=0.01, period=0.004),
+        lambda r: gpi_correction(r, w, period=0.004),
+    ):
+        knob, correction, reached = tune(setting.loop, make, (0.3 * w, 20 * w), setting.target)
+        assert not reached
+        least = setting.loop.peak(correction)
+        assert least > setting.target
+        assert all(setting.loop.peak(make(knob * f)) >= least for f in (0.8, 0.95, 1.05, 1.25))
+
+
+def test_tuning_says_when_nothing_is_stable(setting):
+    unstable = Filter(np.array([[1.1]]), np.ones(1), np.ones(1), 0.0)
+    with pytest.raises(NotConvergedError, match="tuning"):
+        tune(setting.loop, unstable.scaled, (1.0, 2.0), setting.target)
+
+
+def test_offset_rejection_by_structure(setting):
+    """A constant tip error leads to no constant answer: H∞ by its weight, LQG by its offset state, ours."""
+    one = np.array([1.0 + 1e-7j])
+    for correction in (
+        law_filter(setting.ours),
+        hinf_correction(setting.model, period=0.004, pole=80.0, delay=1, gain=1.0),
+        lqg_correction(setting.model, period=0.004, pole=80.0, delay=1, noise=0.006, weight=1.0),
+    ):
+        assert abs(correction.response(one)[0]) < 1e-4
+    pd = pd_correction(0.1, corner=12.0, filter_time=0.01, period=0.004)
+    assert abs(pd.response(one)[0]) == pytest.approx(0.1, rel=1e-3)
+
+
+def test_tustin_and_chaining():
+    first = tustin(np.array([[-3.0]]), np.ones(1), np.array([3.0]), 0.0, 0.01)
+    s = 2 / 0.01 * (np.exp(0.05j) - 1) / (np.exp(0.05j) + 1)
+    assert first.response(np.exp(np.array([0.05j])))[0] == pytest.approx(3 / (s + 3))
+    both = first.after(first.scaled(2.0))
+    assert both.response(np.exp(np.array([0.05j])))[0] == pytest.approx(2 * (3 / (s + 3)) ** 2)
+
+
+def test_lqg_against_separate_pieces(setting):
+    """The closed loop of plant and LQG has the regulator's and the filter's poles: separation holds."""
+    correction = lqg_correction(setting.model, period=0.004, pole=80.0, delay=1, noise=0.0064, weight=1.0)
+    assert correction.order == 4 + 1 + 1  # arm, delay, offset
+    assert setting.loop.radius(correction) <= 1.0 + 1e-9
+
+
+def test_sliding_mode_is_linear_inside_its_layer():
+    sliding = Sliding(10.0, 12.0, 1e9, filter_time=0.01, period=0.004)
+    linear = Linear(sliding_correction(10.0, 12.0, filter_time=0.01, period=0.004))
+    bounded = Sliding(10.0, 12.0, 1e-3, filter_time=0.01, period=0.004)
+    generator = np.random.default_rng(0)
+    for _ in range(50):
+        seen = Seen(0.0, float(generator.normal(0, 0.01)), 0.0, 0.0)
+        inside, outside = sliding(seen), bounded(seen)
+        assert inside == pytest.approx(linear(seen), rel=1e-9, abs=1e-12)
+    assert inside != outside
+
+
+@pytest.mark.parametrize("true", [9.0, 12.0, 16.0])
+def test_algebraic_estimator_finds_the_frequency(true):
+    """θ̈t = ω²δ for a move that is known exactly: t³ has the second derivative 6t."""
+    estimator = Algebraic(10.0, 12.0, period=0.001, until=0.5)
+    for k in range(600):
+        t = 0.001 * k
+        estimator(Seen(t**3, 0.0, 6 * t / true**2, 0.0))
+    assert estimator.square == pytest.approx(true**2, rel=1e-3)
+
+
+def test_gpi_places_four_poles():
+    rate, w, period = 5.0, 12.0, 1e-4
+    c = gpi_correction(rate, w, period=period)
+    for s in (1j, 3 + 4j):
+        z = np.exp(np.array([s * period]))
+        value = c.response(z)[0] + 1.0
+        # 1 + C ω²/s² = (s + r)⁴/(s³(s + 4r))
+        assert 1 + value * w**2 / s**2 == pytest.approx((s + rate) ** 4 / (s**3 * (s + 4 * rate)), rel=1e-3)
+
+
+def test_shapers_cancel_the_mode():
+    w, ratio = 12.0, 0.0654
+    for derivative in (False, True):
+        times, sizes = shaper_impulses(w, ratio, derivative=derivative)
+        assert sizes.sum() == pytest.approx(1.0)
+        pole = w * complex(-ratio, math.sqrt(1 - ratio**2))
+        assert abs(np.sum(sizes * np.exp(-pole * times))) < 1e-12
+        if derivative:
+            assert abs(np.sum(times * sizes * np.exp(-pole * times))) < 1e-12
+    shaped = Shaped(MOVE, tuple(times.tolist()), tuple(sizes.tolist()))
+    t = np.linspace(0, 3, 3001)
+    assert shaped.angle(t)[-1] == pytest.approx(1.0)
+    assert np.gradient(shaped.angle(t), t)[1:-1] == pytest.approx(shaped.velocity(t)[1:-1], abs=1e-4)
+    assert shaped.duration == pytest.approx(1.0 + times[-1])
+
+
+def test_integer_twin_goes_through_our_crossing(setting):
+    from fraclink.compare.published import _nominal_crossing
+
+    crossover, margin = _nominal_crossing(setting)
+    _, controller = integer_twin(setting)
+    mode, _ = integer_mode(setting.model)
+    s = 1j * crossover
+    loop = controller.response(crossover) * mode**2 / (s**2 + mode**2) / (1 + s / 80) ** 2
+    loop *= np.exp(-s * 1.5 * RIG.period)
+    assert abs(loop) == pytest.approx(1.0, rel=1e-9)
+    assert np.angle(-loop) == pytest.approx(margin, rel=1e-6)
+
+
+def test_rivals_and_the_law_run_on_the_same_arm(setting):
+    """Our filter run tick by tick in Python, and law.c: the same motor reference to rounding."""
+    from dataclasses import replace
+
+    from fraclink.compare.rivals import Rival
+    from fraclink.law import Modes
+
+    twin = Twin.from_rig(RIG, link_mass=0.00735)
+    whole = servo_law(setting.ours)
+    bare = replace(whole, correction=Modes(0.0), feedforward=Modes(0.0))
+    correction = law_filter(setting.ours)
+    python = Rival("python", "", "", 1.0, 0, 0, bare, correction=correction, outer=lambda: Linear(correction))
+    shipped = Rival("law.c", "", "", 1.0, 0, 0, whole)
+    quiet = replace(twin, sensors=replace(twin.sensors, gauge_noise=0.0))
+    one, two = (run_rival(quiet, r, MOVE, setting.ours, duration=1.5) for r in (python, shipped))
+    assert one.tip_angle == pytest.approx(two.tip_angle, abs=1e-6)
+    same = run_twin(quiet, whole, MOVE, duration=1.5)
+    assert np.array_equal(two.tip_angle, same.tip_angle)
+
+
+def test_feed_forward_is_the_laws(setting):
+    """The law without correction at a motor that stands at the reference asks for reference and F θ̈t*."""
+    from dataclasses import replace
+
+    from fraclink.law import LawInputs, Modes
+
+    law = replace(servo_law(setting.ours), correction=Modes(0.0))
+    acceleration = MOVE.acceleration(RIG.period * np.arange(200))
+    state, commands = law.initial_state(), []
+    for k, value in enumerate(acceleration.tolist()):
+        state, outputs = law.step(state, LawInputs(0.0, value, 0.0, 0.0), tick=k + 1)
+        commands.append(outputs.motor_reference)
+    assert feed_forward(setting.ours, acceleration) == pytest.approx(commands, abs=1e-12)
+
+
+def test_mode_gain_sees_only_feedback_of_the_tip(setting):
+    twin = Twin.from_rig(RIG, link_mass=0.00735)
+    made = builders(setting)
+    assert mode_gain(setting, twin, made["ZV shaping"]()) == 0.0
+    ours = mode_gain(setting, twin, made["ours"]())
+    assert ours > 0.1
+    massless = Twin.from_rig(RIG, link_mass=0.0)
+    assert mode_gain(setting, massless, made["ours"]()) == 0.0  # no second mode to reach
+
+
+def test_sampled_delay_is_a_delay(setting):
+    from fraclink.twin.plant import assemble
+
+    twin = Twin.from_rig(RIG, link_mass=0.0)
+    plant = assemble(twin.beam, twin.damping, drive="servo")
+    z = np.exp(1j * np.array([0.02, 0.3, 1.5]))
+    now, late = (sampled(plant, plant.outputs[2], 0.004, d).response(z) for d in (0, 3))
+    assert late == pytest.approx(now * z**-3, rel=1e-12)
+
+
+@pytest.mark.slow
+def test_every_rival_is_stable_at_the_nominal_payload(everything):
+    for standing in everything.standings:
+        assert standing.holds, f"{standing.name}: {standing.reason}"
+        assert standing.rule and standing.knob
+    assert len(everything.standings) == 12
+
+
+@pytest.mark.slow
+def test_the_rule_of_the_same_ms_is_kept(everything):
+    ours = everything.standings[0]
+    for standing in everything.standings:
+        if "same Ms" in standing.rule and "out of reach" not in standing.knob:
+            assert standing.peak == pytest.approx(ours.peak, rel=2e-3), standing.name
+    printed = next(s for s in everything.standings if "printed" in s.name)
+    assert math.isinf(printed.peak)  # (58) as printed is unstable on the paper's own model
+
+
+@pytest.mark.slow
+def test_verdicts_say_where_a_rival_wins(everything):
+    sentences = everything.verdicts()
+    assert any("better than ours" in s for s in sentences)
+    noise = next(s for s in sentences if s.startswith("motor reference noise"))
+    assert "ZV shaping" in noise and "better than ours" in noise
+    text = everything.markdown()
+    for standing in everything.standings:
+        assert standing.name in text and standing.rule in text
+
+
+@pytest.mark.slow
+def test_saved_and_drawn(everything, tmp_path):
+    everything.save(tmp_path / "comparison.json")
+    data = json.loads((tmp_path / "comparison.json").read_text())
+    assert [s["name"] for s in data["standings"]] == [s.name for s in everything.standings]
+    assert "inf" in {s["peak"] for s in data["standings"]}
+    for ending in ("svg", "png"):
+        everything.draw(tmp_path / f"comparison.{ending}")
+        assert (tmp_path / f"comparison.{ending}").stat().st_size > 5000
+
+
+def test_refusals():
+    from dataclasses import replace
+
+    rig = fl.Rig.named("paper-2023")
+    with pytest.raises(FieldError, match="model"):
+        compare(replace(rig, model=None))
+    with pytest.raises(FieldError, match="payloads"):
+        compare(rig, payloads=(0.03, -0.01))
+    with pytest.raises(FieldError, match="link_mass"):
+        compare(rig, link_mass=-0.001)
