@@ -1,0 +1,89 @@
+"""The verbs of identification on the command line."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import pytest
+
+from fraclink.cli.app import run
+from fraclink.readers import bundled_log
+
+
+def told(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> dict[str, object]:
+    assert run([*arguments, "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert isinstance(result, dict)
+    return result
+
+
+def test_identify_all(capsys: pytest.CaptureFixture[str]) -> None:
+    result = told(["identify-all", "demo", "--rig", "paper-2023"], capsys)
+    assert result["preferred"] == "UD-FOM"
+    assert set(result["fits"]) == {"UD-IOM", "D-IOM", "UD-FOM", "D-FOM"}  # type: ignore[call-overload]
+    assert run(["identify-all", "demo", "--rig", "paper-2023"]) == 0
+    text = capsys.readouterr().out
+    assert "UD-FOM is preferred" in text
+    assert "W301" in text
+
+
+def test_identify_payloads(capsys: pytest.CaptureFixture[str]) -> None:
+    logs = [str(bundled_log(f"prbs_{grams}g")) for grams in (20, 30, 40)]
+    result = told(["identify-payloads", *logs, "--rig", "paper-2023"], capsys)
+    orders = result["orders"]
+    assert isinstance(orders, list)
+    assert orders[0] == orders[2] == pytest.approx(1.92, abs=0.002)
+    assert run(["identify-payloads", *logs, "--rig", "paper-2023", "--tied"]) == 0
+    assert "stiffness of eq. (5)" in capsys.readouterr().out
+    assert run(["identify-payloads", *logs, "--rig", "paper-2023", "--payload", "0.02"]) == 2
+    assert "payload" in capsys.readouterr().err
+
+
+def test_identify_spectrum(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rows = ["frequency_Hz,gain_dB,phase_deg"]
+    for k in range(80):
+        x = (1j * (1 + 0.5 * k)) ** 1.92
+        h = 1.56 * x / (x + 100)
+        phase = math.degrees(math.atan2(h.imag, h.real))
+        rows.append(f"{(1 + 0.5 * k) / 2 / math.pi:.9f},{20 * math.log10(abs(h)):.9f},{phase:.9f}")
+    table = tmp_path / "response.csv"
+    table.write_text("\n".join(rows) + "\n")
+    result = told(["identify-spectrum", str(table)], capsys)
+    assert result["order"] == pytest.approx(1.92, abs=1e-5)
+    assert run(["identify-spectrum", str(table)]) == 0
+    assert "resonance 1" in capsys.readouterr().out
+    assert run(["identify-spectrum", str(bundled_log("prbs_30g"))]) == 2
+    assert "frequency_rad_s" in capsys.readouterr().err
+
+
+def test_identify_motor_needs_a_voltage(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["identify-motor", "demo", "--rig", "paper-2023"]) == 2
+    assert "voltage" in capsys.readouterr().err
+
+
+def test_identify_motor(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from fraclink.identify.motor_example import example_motor_log
+
+    voltage, angle = example_motor_log(samples=2500)
+    rows = ["time_s,motor_angle_rad,deflection_rad,voltage_V"]
+    rows += [
+        f"{0.004 * k:.4f},{a:.9f},{0.01 * a:.9f},{v:.9f}"
+        for k, (a, v) in enumerate(zip(angle, voltage, strict=True))
+    ]
+    log = tmp_path / "motor.csv"
+    log.write_text("\n".join(rows) + "\n")
+    result = told(["identify-motor", str(log), "--rig", "paper-2023"], capsys)
+    assert result["gain"] == pytest.approx(3056.77, rel=0.02)
+    assert run(["identify-motor", str(log), "--rig", "paper-2023"]) == 0
+    assert "K/J" in capsys.readouterr().out
+
+
+def test_plan_experiment(capsys: pytest.CaptureFixture[str]) -> None:
+    wanted = ["plan-experiment", "--rig", "paper-2023", "--standard-error", "0.001", "--noise", "0.04"]
+    assert told(wanted, capsys)["standard_error"] == pytest.approx(0.001)
+    assert run(wanted) == 0
+    assert "amplitude" in capsys.readouterr().out
+    assert run([*wanted, "--deflection-limit", "0.001"]) == 1
+    assert "nearest feasible" in capsys.readouterr().err
