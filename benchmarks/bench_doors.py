@@ -54,9 +54,12 @@ def imports() -> None:
     )
     bare = statistics.median(spent["pass"])
     numpy = statistics.median(spent["import numpy"]) - bare
-    for name, code in (("the same", "import fraclink"), ("fraclink with the session's names", SESSION)):
-        own = (statistics.median(spent[code]) - bare) / numpy
-        row(f"{name}, without the interpreter's start", own, "", "<= 1.3", own <= 1.3)
+    own = (statistics.median(spent["import fraclink"]) - bare) / numpy
+    row("the same, without the interpreter's start", own, "", "<= 1.3", own <= 1.3)
+    session = (statistics.median(spent[SESSION]) - bare) / numpy
+    print(
+        f"      with every name of the README's session {session:.2f} times numpy, numpy included: no bound"
+    )
 
 
 def demo() -> None:
