@@ -164,6 +164,28 @@ def test_an_exact_rational_is_found_again() -> None:
     np.testing.assert_allclose(made.pole_decays, [q], rtol=1e-6)
 
 
+def test_real_poles_only_and_looser_tolerances() -> None:
+    real = fit_discrete(
+        correction(0.16), period=PERIOD, band=(0.05, 785.0), zeros_at_one=1, offset=1.0, pairs=0
+    )
+    assert real.pole_decays.size == 0 and real.order <= 5
+    assert real.error_db < 0.1 and real.error_deg < 0.5
+    loose = fit_discrete(
+        correction(0.16),
+        period=PERIOD,
+        band=(0.05, 785.0),
+        zeros_at_one=1,
+        offset=1.0,
+        tolerance_db=0.3,
+        tolerance_deg=1.5,
+    )
+    assert loose.order < 4 and loose.error_db < 0.3 and loose.error_deg < 1.5
+    short = fit_discrete(
+        correction(0.016), period=PERIOD, band=(0.05, 600.0), zeros_at_one=1, offset=1.0, highest=2
+    )
+    assert short.order <= 2 and short.error_db > 0.1
+
+
 def test_weight_moves_the_error() -> None:
     focus = fit_discrete(
         correction(0.016), period=PERIOD, band=(0.05, 600.0), order=4, zeros_at_one=1, offset=1.0,
@@ -212,6 +234,10 @@ def test_any_controller_gets_a_stable_law(
         ({"order": 13}, "order"),
         ({"order": -1}, "order"),
         ({"zeros_at_one": 7}, "zeros_at_one"),
+        ({"order": None, "highest": 20}, "order"),
+        ({"tolerance_db": 0.0}, "tolerance_db"),
+        ({"tolerance_deg": math.nan}, "tolerance_deg"),
+        ({"pairs": -1}, "pairs"),
         ({"response": lambda w: np.full(w.shape, np.nan)}, "response"),
         ({"response": lambda w: np.zeros(w.shape)}, "response"),
         ({"response": lambda w: 1.0}, "response"),

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from fraclink.errors import FieldError
 from fraclink.fractional import FractionalTransferFunction
 from fraclink.rational.discrete import fit_discrete
-from fraclink.rational.growth import grow
+from fraclink.rational.growth import finish, grow
 from fraclink.rational.minimax import Target
 from fraclink.rational.oustaloup import oustaloup
 from fraclink.rational.zeros_poles import cascade, evaluate, residues, zeros_of_fractions
@@ -217,7 +217,8 @@ def _continuous(
     wanted = system(1j * w)
     nepers, radians = np.full(w.size, 20 / math.log(10) / 0.1), np.full(w.size, 180 / math.pi / 0.5)
     target = Target(w, np.ones(w.size, dtype=complex), wanted, 1 / wanted, nepers, radians)
-    fit = list(grow(target, band, order, pairs=[-p for p in near]))[-1]
+    grown = list(grow(target, band, order, resonances=[-p for p in near]))
+    fit = finish(grown[-1], target)
     sigma, q = np.exp(fit.real_logs), fit.poles_of_pairs()
     found = np.concatenate([-sigma, -q, -q.conj()])
     half = 0.5 * fit.pair_gains * q

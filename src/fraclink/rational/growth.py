@@ -26,7 +26,7 @@ from fraclink.rational.minimax import (
 )
 from fraclink.rational.relocation import relocate
 
-__all__ = ["cancellation", "grow"]
+__all__ = ["cancellation", "finish", "grow"]
 
 Real = NDArray[np.float64]
 
@@ -36,25 +36,38 @@ _NOISY = 20.0  # cancellation above which a smaller error is paid for in single 
 
 
 def grow(
-    target: Target, band: tuple[float, float], highest: int, pairs: Sequence[complex] = ()
-) -> Iterator[PartialFractions]:
-    """Yield the best fractions of order 0, 1, … `highest`; `band` is the range of Ω to spread poles over.
+    target: Target,
+    band: tuple[float, float],
+    highest: int,
+    *,
+    resonances: Sequence[complex] = (),
+    pairs: int | None = None,
+) -> Iterator[list[PartialFractions]]:
+    """Yield the best few fractions of order 0, 1, … `highest`, the best first; `finish` makes one of them.
 
-    `pairs` are resonances q (poles −q, −q̄) that are tried as they are.
+    `band` is the range of Ω to spread poles over, `resonances` are q (poles −q, −q̄) that are tried as they
+    are, `pairs` is the largest number of pairs.
     """
     spots = np.linspace(math.log(band[0]), math.log(band[1]) + 3.0, 9)
+    most = highest if pairs is None else pairs
     empty = np.zeros(0)
-    kept = [[best_residues(PartialFractions(0.0, empty, empty, empty, empty, empty.astype(complex)), target)]]
-    yield kept[0][0]
+    nothing = PartialFractions(0.0, empty, empty, empty, empty, empty.astype(complex))
+    kept = [[best_residues(nothing, target)]]
+    yield kept[0]
     for order in range(1, highest + 1):
         starts = [_with_real(c, x) for c in kept[order - 1] for x in spots]
-        if order > 1:
-            starts += [_with_pair(c, x) for c in kept[order - 2][:2] for x in spots[3:]]
-            starts += [_with_known(c, q) for c in kept[order - 2][:2] for q in pairs]
-        relocated = log_spaced_start(*band, order % 2, order // 2)
-        chosen = [*_promising(starts, target), relocate(relocated, target, 12)[-1]]
-        kept.append(_distinct([_quick(c, target) for c in chosen], target))
-        yield min((improve(c, target) for c in kept[order]), key=lambda c: _cost(c, target))
+        for c in kept[order - 2][:2] if order > 1 else ():
+            starts += [_with_pair(c, x) for x in spots[3:]] + [_with_known(c, q) for q in resonances]
+        spread = log_spaced_start(*band, order % 2, order // 2)
+        chosen = [*_promising(starts, target, most), relocate(spread, target, 12)[-1]]
+        found = [_quick(c, target) for c in chosen if len(c.pair_logs) <= most]
+        kept.append(_distinct(found, target))
+        yield kept[order]
+
+
+def finish(candidates: list[PartialFractions], target: Target) -> PartialFractions:
+    """The best of the candidates after the whole ladder of norms."""
+    return min((improve(c, target) for c in candidates), key=lambda c: _cost(c, target))
 
 
 def cancellation(fit: PartialFractions, target: Target) -> float:
@@ -95,8 +108,8 @@ def _with_known(c: PartialFractions, q: complex) -> PartialFractions:
     )
 
 
-def _promising(starts: list[PartialFractions], target: Target) -> list[PartialFractions]:
-    fitted = [best_residues(c, target) for c in starts]
+def _promising(starts: list[PartialFractions], target: Target, pairs: int) -> list[PartialFractions]:
+    fitted = [best_residues(c, target) for c in starts if len(c.pair_logs) <= pairs]
     residue = [float(np.sum(c.error(target) ** 2)) for c in fitted]
     return [fitted[i] for i in np.argsort(residue, kind="stable")[:_TRIED]]
 

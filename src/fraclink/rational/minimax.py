@@ -68,9 +68,16 @@ class PartialFractions:
 
     def columns(self, omega: Real) -> Complex:
         """The basis: 1, σ/(x+σ), and for each pair the columns of Re c and Im c; shape (M, order + 1)."""
-        real, pair, mirrored = self.shapes(omega)
+        return self._linear_columns(*self.shapes(omega))
+
+    def all_columns(self, omega: Real) -> Complex:
+        """`columns`, and the derivatives of R/P by θ of the real poles, θ and η of the pairs."""
+        shapes = self.shapes(omega)
+        return np.concatenate([self._linear_columns(*shapes), self._pole_columns(*shapes)], axis=1)
+
+    def _linear_columns(self, real: Complex, pair: Complex, mirrored: Complex) -> Complex:
         return np.concatenate(
-            [np.ones((len(omega), 1)), real, 0.5 * (pair + mirrored), 0.5j * (pair - mirrored)], axis=1
+            [np.ones((len(real), 1)), real, 0.5 * (pair + mirrored), 0.5j * (pair - mirrored)], axis=1
         )
 
     def shapes(self, omega: Real) -> tuple[Complex, Complex, Complex]:
@@ -83,9 +90,7 @@ class PartialFractions:
         """q = e^(θ + jψ), so that the poles are −q and −q̄."""
         return np.exp(self.pair_logs + 0.5j * math.pi * np.tanh(self.pair_angles))
 
-    def pole_columns(self, omega: Real) -> Complex:
-        """Derivatives of R/P by θ of the real poles, θ of the pairs and η of the pairs."""
-        real, pair, mirrored = self.shapes(omega)
+    def _pole_columns(self, real: Complex, pair: Complex, mirrored: Complex) -> Complex:
         # d/dθ of q/(x+q) is q x/(x+q)² = shape · (1 − shape).
         by_real = self.real_gains * real * (1 - real)
         up, down = self.pair_gains * pair * (1 - pair), self.pair_gains.conj() * mirrored * (1 - mirrored)
@@ -106,7 +111,7 @@ class PartialFractions:
         )
 
     def moved(self, step: Real) -> PartialFractions:
-        """All parameters moved by a step in the order columns, pole_columns."""
+        """All parameters moved by a step in the order of `all_columns`."""
         n, m = len(self.real_logs), len(self.pair_logs)
         linear, poles = step[: 1 + n + 2 * m], step[1 + n + 2 * m :]
         there = PartialFractions(
@@ -188,7 +193,7 @@ class _Directions:
 
     @classmethod
     def of(cls, at: PartialFractions, target: Target, ratio: Real, power: int) -> _Directions:
-        columns = np.concatenate([at.columns(target.omega), at.pole_columns(target.omega)], axis=1)
+        columns = at.all_columns(target.omega)
         weight = np.abs(ratio) ** (0.5 * power - 1)
         left = target.rows(target.factor[:, None] * columns) * weight[:, None]
         size = np.linalg.norm(left, axis=0) + 1e-300
