@@ -258,3 +258,21 @@ def test_bad_input(loop: object, options: dict[str, float], field: str) -> None:
     with pytest.raises(FieldError) as caught:
         margins(loop, **options)  # type: ignore[arg-type]
     assert caught.value.field == field
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_encirclements_agree_with_the_certified_count(seed: int) -> None:
+    """Two methods: arg(1 + L) along the sweep, and the argument principle on the closed-loop denominator."""
+    rng = np.random.default_rng(1000 + seed)
+    orders = np.sort(rng.uniform(0.1, 3.0, 3))
+    a, b, c = orders
+    shift, middle = rng.uniform([-1.0, 0.1], [3.0, 3.0])
+    loop = rng.uniform(-5, 30) * (s ** (0.5 * a) + rng.uniform(0.1, 2)) / (s**c + middle * s**b + shift)
+    if seed % 3 == 0:
+        loop = loop / s ** rng.uniform(0.2, 1.2)
+    if seed % 2:
+        loop = loop.delayed(rng.uniform(0.01, 0.5))
+    found = margins(loop)
+    assert found.stable is not None
+    if found.modulus_margin > 1e-6:
+        assert found.stable is bool(is_stable(loop.feedback()))
