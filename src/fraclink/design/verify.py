@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from fraclink.controller import Controller
 from fraclink.design.loop import OpenLoop
+from fraclink.design.measure import sweep
 from fraclink.design.plan import Requirement, open_loop
 from fraclink.design.request import Request, payload_of
 from fraclink.design.solve import MARGIN_SHARE, Solution
@@ -24,24 +25,12 @@ Real = NDArray[np.float64]
 _PAYLOADS = 17  # values of ϖ at a time; a minimum inside the range is closed in on from its neighbours
 
 
-def _sweep(loop: OpenLoop, pi: Real, highest: float) -> tuple[Real, Real]:
-    """(upper gain crossover, signed worst phase margin) for each ϖ; no crossing at all counts as π."""
-    found = loop.crossings(pi, highest=highest)
-    crossover, margin = np.zeros(pi.size), np.full(pi.size, math.pi)
-    np.maximum.at(crossover, found.row, found.frequency)
-    np.minimum.at(margin, found.row, np.abs(found.phase_margin))
-    turns = np.floor((found.phase + math.pi) / (2.0 * math.pi))
-    circled = np.zeros(pi.size)
-    np.add.at(circled, found.row, np.where(found.slope > 0.0, turns, -turns))
-    return crossover, np.where(circled == 0.0, margin, -margin)
-
-
 def worst(
     loop: OpenLoop, low: float, high: float, highest: float
 ) -> tuple[tuple[float, float], tuple[float, float]]:
     """((smallest crossover, its ϖ), (smallest phase margin, its ϖ)) over [low, high]."""
     pi = np.geomspace(low, high, _PAYLOADS)
-    crossover, margin = _sweep(loop, pi, highest)
+    crossover, margin = sweep(loop, pi, highest)
     first = int(np.argmin(crossover))
     place = int(np.argmin(margin))
     value, at = float(margin[place]), float(pi[place])
@@ -49,7 +38,7 @@ def worst(
         if place in (0, pi.size - 1):
             break
         pi = np.geomspace(pi[place - 1], pi[place + 1], _PAYLOADS)
-        margin = _sweep(loop, pi, highest)[1]
+        margin = sweep(loop, pi, highest)[1]
         place = int(np.argmin(margin))
         value, at = float(margin[place]), float(pi[place])
     start = np.geomspace(low, high, _PAYLOADS)
