@@ -100,7 +100,7 @@ class Tournament:
                 sentences.append(f"{words}: ours is best ({_text(name, own)}){shared}")
             else:
                 sentences.append(
-                    f"{words}: {winner} better than ours ({_text(name, best)} against {_text(name, own)})"
+                    f"{words}: better than ours: {winner} ({_text(name, best)} against {_text(name, own)})"
                 )
         return tuple(sentences)
 
@@ -148,7 +148,7 @@ def _text(name: str, value: float) -> str:
     if math.isinf(value):
         return "never"
     if name in ("residual_vibration", "offset_error", "motor_reference_noise"):
-        return f"{1e3 * value:.3g} mrad"
+        return f"{1e3 * value if value > 1e-9 else 0.0:.3g} mrad"
     if name in ("settling_time", "worst_settling"):
         return f"{value:.3g} s"
     return f"{100 * value:.2g} %" if name in ("overshoot", "saturated") else f"{value:.3g}"
