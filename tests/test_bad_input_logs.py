@@ -276,6 +276,9 @@ def test_b56_a_line_of_ten_megabytes(where: str, tmp_path: Path) -> None:
         ("x", "repair"),
         ("=1+1", "repair"),
         ("1 2", "repair"),
+        ("12:30:01.5", "seconds"),
+        ("2026-11-21T12:30:01Z", "seconds"),
+        ("2026-11-21", "seconds"),
     ],
 )
 def test_b57_what_is_no_number(cell: str, hint: str, tmp_path: Path) -> None:
@@ -345,6 +348,16 @@ def test_b60_ragged_rows_are_numbered(separator: str, tmp_path: Path) -> None:
     error = refused(write_log(tmp_path / "log.csv", rows, separator=separator))
     assert error.field == "line 42"
     assert "4 cells" in error.problem and error.allowed == "3 cells"
+
+
+def test_b60_rows_that_end_with_a_separator(tmp_path: Path) -> None:
+    path = write_log(tmp_path / "log.csv", made_rows())
+    path.write_bytes(path.read_bytes().replace(b"\n", b",\n").replace(b"torque_Nm,", b"torque_Nm"))
+    error = refused(path)
+    assert error.field == "line 2"
+    assert "rows end with a separator" in error.remedy
+    path.write_bytes(path.read_bytes().replace(b"torque_Nm", b"torque_Nm,"))
+    assert read_log(path).motor_angle.size == 400
 
 
 @pytest.mark.parametrize("separator", [",", " "])

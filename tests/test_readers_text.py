@@ -276,3 +276,13 @@ def test_a_voltage_that_the_log_lacks_is_no_error(tmp_path: Path) -> None:
     log = read_log(path, columns=stated)
     assert log.voltage is None
     assert [finding.code for finding in log.findings] == ["W219"]
+
+
+def test_a_column_of_text_has_no_range_in_the_listing_for_machines(tmp_path: Path) -> None:
+    import json
+
+    rows = [[*cells, "ok"] for cells in made_rows()]
+    values = inspect_log(write_log(tmp_path / "a.csv", rows, header=[*HEADER, "state"])).values()
+    text = json.dumps(values, allow_nan=False)
+    assert json.loads(text)["channels"][3]["minimum"] is None
+    assert json.loads(text)["channels"][3]["missing"] == 400

@@ -19,6 +19,7 @@ __all__ = ["DECIMAL_COMMA", "NUMBER", "parse_cells"]
 
 NUMBER = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]{1,3})?")
 DECIMAL_COMMA = re.compile(r"[+-]?[0-9]+,[0-9]+(?:[eE][+-]?[0-9]{1,3})?")
+CLOCK = re.compile(r"[0-9-/.T ]*[0-9]{1,2}:[0-9]{2}(?::[0-9]{2}.*)?|[0-9]{4}-[0-9]{2}-[0-9]{2}")
 _MISSING = frozenset(
     ("", "nan", "+nan", "-nan", "na", "n/a", "#n/a", "null", "none", "-", "inf", "+inf", "-inf")
 )
@@ -87,6 +88,8 @@ def cell_remedy(cell: str) -> str:
     """What to do about a cell that is no number."""
     if DECIMAL_COMMA.fullmatch(cell):
         return "it has a decimal comma: export with decimal points"
+    if CLOCK.fullmatch(cell):
+        return "write the time as seconds, such as those since the start"
     if cell[:1] in "'\"" and len(cell) > 1:
         return "write numbers without quotes"
     if any(c.isdigit() and not c.isascii() for c in cell):

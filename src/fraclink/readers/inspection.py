@@ -53,8 +53,12 @@ class LogListing:
     suggestion: str
 
     def values(self) -> dict[str, object]:
-        """The listing as plain values."""
-        return asdict(self) | {"notes": dict(self.notes)}
+        """The listing as plain values; None for the range of a column without numbers."""
+        channels = [
+            {key: None if value != value else value for key, value in asdict(channel).items()}
+            for channel in self.channels
+        ]
+        return asdict(self) | {"notes": dict(self.notes), "channels": channels}
 
     def __str__(self) -> str:
         head = f"{self.path}: {self.kind}, {len(self.channels)} channels"

@@ -175,6 +175,8 @@ def _ragged(layout: Layout, row: int, found: int, count: int) -> LogError:
         remedy = "remove the blank line"
     elif layout.separator == "," and found == 2 * width:
         remedy = "numbers seem to have decimal commas: export with decimal points"
+    elif found == width + 1 and text.rstrip().endswith(layout.separator):
+        remedy = "rows end with a separator: remove it, or end the header with one as well"
     elif found == 1 and any(mark in text for mark in (*_SEPARATORS, " ")):
         remedy = "the separator differs from the header's: use one separator in the whole file"
     return LogError(

@@ -85,8 +85,10 @@ class Study:
     @property
     def reasons(self) -> tuple[str, ...]:
         """Why the study does not hold; empty where it does."""
+        # A design may be good and the log behind it wrong: a reversed gauge fits as well as a right one.
+        wrong = tuple(f"the log: {f.message}; {f.remedy}" for f in self.findings if f.severity == "error")
         if self.plan is None:
-            return (self.infeasible or "there is no design",)
+            return (*wrong, self.infeasible or "there is no design")
         missed = (
             f"{requirement.name}: wanted {requirement.wanted:.4g}, achieved {requirement.achieved:.4g}"
             for requirement in self.plan.requirements
@@ -97,9 +99,9 @@ class Study:
             for run in self.runs
             if not run.verdict.holds
         )
-        return (*missed, *moves, *(() if self.runs else ("no move was simulated",)))
+        return (*wrong, *missed, *moves, *(() if self.runs else ("no move was simulated",)))
 
     @property
     def holds(self) -> bool:
-        """True where every requirement of the design and every simulated move holds."""
+        """True where the log is sound and every requirement of the design and every simulated move holds."""
         return not self.reasons
