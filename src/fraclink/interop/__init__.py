@@ -41,6 +41,8 @@ def to_control(system: FractionalTransferFunction, *, name: str | None = None) -
     FieldError
         Not a fractional transfer function, or one that is zero.
 
+    Examples
+    --------
     >>> import control
     >>> from fraclink.fractional import s
     >>> loop = to_control(0.148 * s**0.65 * 100 / (s**1.92 + 100))
@@ -79,6 +81,8 @@ def from_control(system: Any) -> FractionalTransferFunction:
     FieldError
         More than one input or output, a sampled system (`margins` takes it as it is), data without a model.
 
+    Examples
+    --------
     >>> import control
     >>> from_control(control.tf([10], [1, 2, 10]))
     10 / (s^2 + 2 s + 10)

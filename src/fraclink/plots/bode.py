@@ -47,6 +47,8 @@ def bode(
     -------
     ndarray of two Axes
 
+    Examples
+    --------
     >>> from fraclink.fractional import s
     >>> axes = bode(1.56 * s**1.92 / (s**1.92 + 100), labels=["30 g"])
     >>> axes[1].get_ylabel()
@@ -71,7 +73,7 @@ def margins(
     frequency: ArrayLike | None = None,
     **style: Any,
 ) -> Any:
-    """Draw a Bode plot with every gain crossing, phase crossing and the point nearest to −1 marked.
+    """Draw a Bode plot with every gain crossing and every phase crossing marked.
 
     Parameters
     ----------
@@ -84,6 +86,8 @@ def margins(
     -------
     ndarray of two Axes
 
+    Examples
+    --------
     >>> axes = margins(lambda s: 4 / (s * (s + 1) * (s + 2)))
     >>> axes[0].get_title()
     'phase margin 11.42° at 1.143 rad/s'

@@ -42,6 +42,8 @@ def nyquist(
     -------
     Axes
 
+    Examples
+    --------
     >>> axis = nyquist(lambda s: 2 / (s + 1) ** 3)
     >>> axis.get_aspect()
     1.0
@@ -121,6 +123,8 @@ def nichols(
     -------
     Axes
 
+    Examples
+    --------
     >>> axis = nichols(lambda s: 2 / (s + 1) ** 3)
     >>> axis.get_xlabel()
     'phase [°]'

@@ -46,6 +46,8 @@ def step(
     -------
     Axes
 
+    Examples
+    --------
     >>> from fraclink.fractional import s
     >>> axis = step(100 / (s**1.92 + 100), duration=2.0)
     >>> axis.get_xlabel()

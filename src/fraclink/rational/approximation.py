@@ -125,8 +125,12 @@ def approximate(
     FieldError
         Bad band, order or method, a delay, a system improper by one order or more, unstable poles (minimax).
 
-    Source: Oustaloup et al., IEEE Trans. Circuits Syst. I 47 (2000) 25.
+    References
+    ----------
+    Oustaloup et al., IEEE Trans. Circuits Syst. I 47 (2000) 25.
 
+    Examples
+    --------
     >>> from fraclink.fractional import s
     >>> r = approximate(100 / (s**1.92 + 100), (0.1, 1000.0), 6, method="minimax")
     >>> r.order, r.error_db < 0.5, r.error_deg < 3.0

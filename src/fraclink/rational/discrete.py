@@ -77,6 +77,8 @@ def fit_discrete(
     FieldError
         A band beyond the Nyquist frequency, an order out of range, a response that is not finite.
 
+    Examples
+    --------
     >>> import numpy as np
     >>> h = fit_discrete(lambda w: 0.148 * (1j * w) ** 0.65 / (1 + 0.16j * w) ** 2, period=0.004,
     ...                  band=(0.05, 785.0), order=4, zeros_at_one=1, offset=1.0)

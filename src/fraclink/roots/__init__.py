@@ -77,9 +77,13 @@ def log_zeros(coefficients: ArrayLike, orders: ArrayLike, *, angle: float) -> ND
     NotConvergedError
         The certified count could not be reached.
 
-    Source: argument principle on the log-plane; Aberth, Math. Comp. 27 (1973) 339; Newton polygon as in
+    References
+    ----------
+    Argument principle on the log-plane; Aberth, Math. Comp. 27 (1973) 339; Newton polygon as in
     Bini, Numer. Algorithms 13 (1996) 179.
 
+    Examples
+    --------
     >>> import numpy as np
     >>> z = log_zeros([1.0, 2.0, 1.0], [2.0, 1.0, 0.0], angle=np.pi)  # (s + 1)²
     >>> np.exp(z).real

@@ -59,8 +59,12 @@ def margins(
         `limit` ≤ 0, a response that is not a number, a callable of another shape, a response that turns more
         often than can be followed (a delay without roll-off: give `limit`).
 
-    Source: Nyquist (1932); modulus margin as in Åström and Hägglund, Advanced PID Control, section 4.6.
+    References
+    ----------
+    Nyquist (1932); modulus margin as in Åström and Hägglund, Advanced PID Control, section 4.6.
 
+    Examples
+    --------
     >>> m = margins(lambda s: 4 / (s * (s + 1) * (s + 2)), unstable_poles=0)
     >>> print(f"{m.gain_crossover:.6f} rad/s, {m.phase_margin:.6f} rad, {m.gain_margin:.6f}, {m.stable}")
     1.143203 rad/s, 0.199404 rad, 1.500000, True

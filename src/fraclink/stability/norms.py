@@ -51,8 +51,12 @@ def norm(system: FractionalTransferFunction, p: float) -> float:
     FieldError
         Another p; a system that decays too slowly for p = 2; an improper system for p = inf.
 
-    Source: Malti et al., Automatica 47 (2011) 2425, for the H2 norm's condition on the relative degree.
+    References
+    ----------
+    Malti et al., Automatica 47 (2011) 2425, for the H2 norm's condition on the relative degree.
 
+    Examples
+    --------
     >>> import math
     >>> from fraclink.fractional import s
     >>> G = 100 / (s**2 + 2 * s + 100)

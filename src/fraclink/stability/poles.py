@@ -73,8 +73,12 @@ def poles(system: FractionalTransferFunction) -> Complex:
     FieldError
         A delay in the denominator: such a system has infinitely many poles.
 
-    Source: Matignon, Proc. IMACS-SMC (1996) 963, for orders with any common base; here without one.
+    References
+    ----------
+    Matignon, Proc. IMACS-SMC (1996) 963, for orders with any common base; here without one.
 
+    Examples
+    --------
     >>> from fraclink.fractional import s
     >>> poles(1.56 * s**1.92 / (s**1.92 + 100)).round(4)
     array([-0.7199+10.9834j, -0.7199-10.9834j])
@@ -103,6 +107,8 @@ def is_stable(system: FractionalTransferFunction) -> StabilityVerdict:
     FieldError
         A denominator whose highest order is delayed (neutral type).
 
+    Examples
+    --------
     >>> from fraclink.fractional import s
     >>> is_stable(1 / (s**1.5 + 1)).stable
     True
