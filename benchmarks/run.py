@@ -31,6 +31,11 @@ class Outcome:
         return self.code != 0 or not self.figures
 
 
+def is_figure(line: str) -> bool:
+    """A line that states a figure: it begins with a mark, or is a row `what | value | wanted | error`."""
+    return line.split(maxsplit=1)[:1] in ([MARKS[0]], [MARKS[1]]) or line.count(" | ") >= 3
+
+
 def run(script: Path) -> Outcome:
     """Run one benchmark, passing its lines on as they come."""
     begin = time.perf_counter()
@@ -41,7 +46,7 @@ def run(script: Path) -> Outcome:
     ) as process:
         for line in process.stdout or ():
             print(line, end="", flush=True)
-            if line.split(maxsplit=1)[:1] and line.split(maxsplit=1)[0] in MARKS:
+            if is_figure(line):
                 figures.append(line.rstrip())
     return Outcome(script.stem, tuple(figures), time.perf_counter() - begin, process.returncode)
 
