@@ -31,6 +31,7 @@ html_copy_source = False
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
 autodoc_typehints_format = "short"
+autodoc_type_aliases = {"ArrayLike": "ArrayLike"}  # numpy's own spelling of it fills three lines
 # "What is this name" must have an answer: an undefined symbol is a failed build (make docs adds -W).
 nitpicky = False
 suppress_warnings = ["myst.strikethrough"]
