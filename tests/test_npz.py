@@ -21,6 +21,8 @@ ARRAYS = {
     "a": np.random.default_rng(0).standard_normal(50),
     "b": np.arange(6.0).reshape(2, 3),
     "empty": np.zeros(0),
+    "flags": np.arange(5, dtype=np.uint32),
+    "turned": np.asfortranarray(np.arange(6.0).reshape(2, 3)),
 }
 ABOUT = {"payload": 0.03, "names": ["x", "ü"]}
 

@@ -71,22 +71,20 @@ def write_npz(
     envelope = {"fraclink": kind, "format": version, "tool": __version__, "units": "SI, radians"} | dict(
         about
     )
-    members: dict[str, NDArray[Any]] = {
-        name: np.asarray(values, dtype="<f8") for name, values in arrays.items()
-    }
+    members = {name: _plain(values) for name, values in arrays.items()}
     members[_ABOUT] = np.array(json.dumps(envelope, allow_nan=False))
     way = zipfile.ZIP_DEFLATED if compressed else zipfile.ZIP_STORED
     with atomic_write(path, "wb") as stream, zipfile.ZipFile(stream, "w", way) as archive:
         for name, values in members.items():
             blob = io.BytesIO()
-            np.lib.format.write_array(blob, np.ascontiguousarray(values), version=(1, 0), allow_pickle=False)
+            np.lib.format.write_array(blob, values, version=(1, 0), allow_pickle=False)
             # A fixed date: the same content gives the same bytes.
             archive.writestr(zipfile.ZipInfo(f"{name}.npy", (1980, 1, 1, 0, 0, 0)), blob.getvalue(), way)
 
 
 def _plain(values: NDArray[Any]) -> NDArray[Any]:
     array = np.asarray(values)
-    return array.astype("<u4" if array.dtype == np.uint32 else "<f8")
+    return array.astype("<u4" if array.dtype == np.uint32 else "<f8", order="C")
 
 
 def read_npz(
