@@ -51,7 +51,7 @@ def certify(
     payloads
         (lightest, heaviest) [kg], > 0; the plan's or the rig's when left out.
     delay
-        (shortest, longest) computation delay [s], at most Ts for the sampled motor loop; (0, Ts) when left out.
+        (shortest, longest) computation delay [s], at most Ts for a sampled motor loop; (0, Ts) when left out.
     modulus_margin
         m, 0 < m < 1; nine tenths of what a grid finds when left out.
     law

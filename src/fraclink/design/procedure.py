@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink.controller import Controller, InnerLoopSettings
+from fraclink.design.goals import check_goals, crossover_for, goal_requirements, margin_for, reach
 from fraclink.design.infeasible import refuse
 from fraclink.design.inner import inner_correction
 from fraclink.design.loop import OpenLoop
@@ -32,13 +33,16 @@ def design(
     *,
     payloads: tuple[float, float] | None = None,
     natural_frequencies: tuple[float, float] | None = None,
-    gain_crossover: float,
-    phase_margin: float,
+    gain_crossover: float | None = None,
+    phase_margin: float | None = None,
     margins: str = "loop",
     filter_time: float | None = None,
     filter_order: int | None = None,
     inner: str = "ideal",
     placement: str = "tustin",
+    max_sensitivity: float | None = None,
+    noise_gain: float | None = None,
+    settling_time: float | None = None,
 ) -> Plan:
     """Design ``C(s) = 1 + k_d s^β/(1 + δs)^n`` for every payload of a range (section 6, eqs. (54)–(57)).
 
@@ -56,9 +60,9 @@ def design(
     natural_frequencies
         (low, high) ϖ [s^(-λ/2)] instead of payloads.
     gain_crossover
-        smallest ω_c [rad/s], > 0 and right of the peak of |L|.
+        smallest ω_c [rad/s], > 0 and right of the peak of |L|; from `settling_time` when left out.
     phase_margin
-        smallest φ_m [rad], 0 < φ_m < π; ``deg(50)`` for 50 degrees.
+        smallest φ_m [rad], 0 < φ_m < π; ``deg(50)`` for 50 degrees; from `max_sensitivity` when left out.
     margins
         "loop": filter, M(s), half a sample of hold and the computation delay stand inside (55).
         "ideal": the paper's reading, Ĉ·G alone.
@@ -70,6 +74,12 @@ def design(
         "ideal" (M(s) of eq. (21)) or "sampled" (the PID at the control period, on the motor).
     placement
         for the sampled motor loop: "tustin" discretises (19), (20); "direct" places its poles in z.
+    max_sensitivity
+        bound on Ms = max 1/|1 + L|, > 1.
+    noise_gain
+        bound on the motor reference's RMS for white gauge noise of RMS one, > 0; more filter where needed.
+    settling_time
+        bound on 2π/ω_c [s], > 0.
 
     Returns
     -------
@@ -93,22 +103,30 @@ def design(
     >>> round(plan.controller.gain, 6), round(plan.controller.order, 6), plan.holds
     (0.069876, 0.612197, True)
     """
+    goals = check_goals(max_sensitivity, noise_gain, settling_time)
     request = check_request(
         model,
         rig,
         payloads=payloads,
         natural_frequencies=natural_frequencies,
-        gain_crossover=gain_crossover,
-        phase_margin=phase_margin,
+        gain_crossover=crossover_for(goals, gain_crossover),
+        phase_margin=margin_for(goals, phase_margin),
         margins=margins,
         filter_time=filter_time,
         filter_order=filter_order,
         inner=inner,
         placement=placement,
     )
+    if goals.any:
+
+        def made(changed: Request, solution: Solution, order: int) -> Controller:
+            return _controller(changed, rig, solution, order)
+
+        request = reach(request, rig, goals, attempt, made, free_margin=phase_margin is None)
     solution, order = admissible(request)
     controller = _controller(request, rig, solution, order)
     requirements = verify(request, rig, controller)
+    requirements += goal_requirements(request, rig, controller, goals, requirements[0].achieved)
     return Plan(
         model=model,
         rig=rig,

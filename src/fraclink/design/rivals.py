@@ -1,0 +1,174 @@
+"""The same distance from -1 for all: what the fractional order buys, and what it does not."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink.controller import Controller
+from fraclink.design.loop import OpenLoop
+from fraclink.design.measure import measure
+from fraclink.design.plan import Plan, open_loop
+from fraclink.design.poles import PRINTED, match_at
+from fraclink.design.request import check_number
+from fraclink.errors import InfeasibleError
+
+__all__ = ["Rival", "compare_at_equal_sensitivity", "optimise", "scale_to_sensitivity"]
+
+Real = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Rival:
+    """A controller and its worst values over the payload range of a plan, on the loop that runs."""
+
+    name: str
+    controller: Controller
+    stable: bool
+    sensitivity_peak: float
+    gain_crossover: float  # smallest upper crossover [rad/s]
+    phase_margin: float  # smallest [rad]
+    noise_gain: float
+    settling_time: float  # 2π/gain_crossover [s]
+
+
+def _loop_of(plan: Plan, controller: Controller) -> OpenLoop:
+    equipped = replace(controller, inner=plan.controller.inner, period=plan.rig.period)
+    return open_loop(equipped, plan.model, plan.rig, margins="loop")
+
+
+def _rate(plan: Plan, name: str, controller: Controller) -> Rival:
+    low, high = plan.natural_frequencies
+    nyquist = math.pi / plan.rig.period
+    got = measure(_loop_of(plan, controller), np.geomspace(low, high, 9), plan.rig.period, highest=nyquist)
+    stable = bool(np.all(got.phase_margin > 0.0))
+    slowest = float(np.min(got.gain_crossover))
+    return Rival(
+        name=name,
+        controller=controller,
+        stable=stable,
+        sensitivity_peak=float(np.max(got.sensitivity_peak)),
+        gain_crossover=slowest,
+        phase_margin=float(np.min(got.phase_margin)),
+        noise_gain=float(np.max(got.noise_gain)) if stable else math.inf,
+        settling_time=2.0 * math.pi / slowest if slowest else math.inf,
+    )
+
+
+def scale_to_sensitivity(plan: Plan, controller: Controller, max_sensitivity: float) -> Controller:
+    """Return the controller with the largest gain whose worst Ms over the payloads is `max_sensitivity` > 1.
+
+    Raises InfeasibleError where no gain reaches it.
+    """
+    bound = check_number("max_sensitivity", max_sensitivity, 1.0, 100.0, "", open_low=True)
+    gains = controller.gain * np.geomspace(1e-2, 1e2, 60)
+
+    def peak(gain: float) -> float:
+        return _rate(plan, "", replace(controller, gain=gain)).sensitivity_peak
+
+    holds = [peak(float(g)) <= bound for g in gains]
+    if not any(holds):
+        raise InfeasibleError(
+            "sensitivity peak", f"no gain brings Ms to {bound:g} with β = {controller.order:g}"
+        )
+    last = max(i for i, good in enumerate(holds) if good)
+    if last == len(gains) - 1:
+        return replace(controller, gain=float(gains[last]))
+    good, bad = float(gains[last]), float(gains[last + 1])
+    for _ in range(40):
+        middle = math.sqrt(good * bad)
+        good, bad = (middle, bad) if peak(middle) <= bound else (good, middle)
+    return replace(controller, gain=good)
+
+
+def compare_at_equal_sensitivity(plan: Plan, *, max_sensitivity: float) -> tuple[Rival, ...]:
+    """Rate C, C', PD and the best β at one worst Ms, and the paper's printed controllers as they are.
+
+    C' has the order of the integer-model design matched to the plan at the nominal payload (eq. (42) with
+    λ = 2); PD is β = 1. Each gets the largest gain that the bound on Ms allows, with the plan's own filter.
+    For matched designs the published advantage of the fractional model vanishes; this shows by how much.
+    """
+    own = plan.controller
+    nominal = plan.rig.payloads.nominal
+    pi = plan.natural_frequency(nominal)
+    loop = replace(plan.loop, filter_time=0.0, lag=0.0, delay=0.0, correction=None)
+    found = loop.crossings(pi)
+    upper = int(np.argmax(found.frequency))
+    matched = match_at(
+        replace(plan.model, order=2.0, damping=0.0),
+        pi,
+        float(found.frequency[upper]),
+        float(np.remainder(found.phase_margin[upper], 2.0 * math.pi)),
+    )
+    entries = [("C, fractional model", own.order), ("C', integer model", matched.order), ("PD", 1.0)]
+    rivals = []
+    for name, order in entries:
+        start = _start(own, order, float(found.frequency[upper]))
+        rivals.append(_rate(plan, name, scale_to_sensitivity(plan, start, max_sensitivity)))
+    rivals.append(optimise(plan, max_sensitivity=max_sensitivity, filters=(own.filter_time,)))
+    rivals += [_rate(plan, f"printed {name}", printed) for name, printed in PRINTED.items()]
+    return tuple(rivals)
+
+
+def _start(own: Controller, order: float, frequency: float) -> Controller:
+    """The plan's controller with another β and the same gain at `frequency` [rad/s]."""
+    n = max(own.filter_order, 2 if order >= 1.0 and own.filter_time else 1)
+    return replace(own, order=order, gain=own.gain * frequency ** (own.order - order), filter_order=n)
+
+
+def optimise(
+    plan: Plan,
+    *,
+    max_sensitivity: float,
+    noise_gain: float | None = None,
+    filters: tuple[float, ...] | None = None,
+) -> Rival:
+    """Return the controller with the highest worst-payload crossover under bounds on Ms and noise.
+
+    Searches β and δ from the plan's closed-form values; for each pair the gain is the largest that the
+    bounds allow, so the search is over two numbers and needs no starting gain.
+
+    Parameters
+    ----------
+    max_sensitivity
+        bound on the worst Ms, > 1.
+    noise_gain
+        bound on the worst noise gain, > 0; none when left out.
+    filters
+        values of δ [s] to try; from none to ten times the plan's own when left out.
+
+    Raises InfeasibleError where no pair meets the bounds.
+    """
+    own = plan.controller
+    base = own.filter_time or 0.2 / plan.gain_crossover_upper
+    times = filters if filters is not None else (0.0, 0.25 * base, 0.5 * base, base, 2.0 * base, 4.0 * base)
+    best: Rival | None = None
+    for time in times:
+        centre, width = own.order, 0.35
+        for _ in range(3):
+            for order in centre + width * np.linspace(-1.0, 1.0, 7):
+                if not 0.05 < order < min(plan.model.order, 1.95):
+                    continue
+                rival = _try(plan, replace(own, filter_time=time), float(order), max_sensitivity, noise_gain)
+                if rival is not None and (best is None or rival.gain_crossover > best.gain_crossover):
+                    best = rival
+            centre = best.controller.order if best is not None else centre
+            width /= 3.0
+    if best is None:
+        raise InfeasibleError("sensitivity peak", "no order and filter meet the bounds")
+    return best
+
+
+def _try(
+    plan: Plan, own: Controller, order: float, max_sensitivity: float, noise: float | None
+) -> Rival | None:
+    start = _start(own, order, plan.gain_crossover_upper)
+    try:
+        scaled = scale_to_sensitivity(plan, start, max_sensitivity)
+    except InfeasibleError:
+        return None
+    rival = _rate(plan, "optimised", scaled)
+    return rival if noise is None or rival.noise_gain <= noise else None
