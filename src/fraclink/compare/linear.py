@@ -173,6 +173,18 @@ class NominalLoop:
         z = np.exp(1j * self.frequencies * self.period)
         return float(np.max(1.0 / np.abs(1.0 + correction.response(z) * self.response)))
 
+    def noise(self, correction: Filter) -> float:
+        """Return what white noise of the tip estimate becomes in the motor reference, rms per rms."""
+        frequency = np.linspace(0.05, 0.999 * math.pi / self.period, 2000)
+        z = np.exp(1j * frequency * self.period)
+        gain = correction.response(z)
+        return float(np.sqrt(np.mean(np.abs(gain / (1.0 + gain * self._linear)) ** 2)))
+
+    @cached_property
+    def _linear(self) -> Complex:
+        frequency = np.linspace(0.05, 0.999 * math.pi / self.period, 2000)
+        return self.plant.response(np.exp(1j * frequency * self.period))
+
 
 def tune(
     loop: NominalLoop, make: Callable[[float], Filter], knob: tuple[float, float], target: float

@@ -16,6 +16,7 @@ __all__ = [
     "Outer",
     "Seen",
     "Sliding",
+    "gpi_control",
     "gpi_correction",
     "pd_correction",
     "sliding_correction",
@@ -102,8 +103,8 @@ class Sliding:
         return -error + (self._rate * speed + switching) / self._square
 
 
-def gpi_correction(rate: float, frequency: float, *, period: float) -> Filter:
-    """Return the GPI control of θ̈t = ω² u with four error poles at −rate, minus the 1 of C = 1 + Ĉ.
+def gpi_control(rate: float, frequency: float, *, filter_time: float, period: float) -> Filter:
+    """Return the GPI control C of θ̈t = ω² u with four error poles at −rate, behind a low-pass filter.
 
     C = (6 r² s² + 4 r³ s + r⁴)/(ω² s (s + 4 r)); the integral replaces the velocity that is not measured.
     """
@@ -111,7 +112,15 @@ def gpi_correction(rate: float, frequency: float, *, period: float) -> Filter:
     a = np.array([[0.0, 1.0], [0.0, -4.0 * r]])
     # (6r²s² + 4r³s + r⁴)/(s² + 4rs) = 6r² + (−20r³ s + r⁴)/(s² + 4rs)
     c = np.array([r**4, -20.0 * r**3]) / frequency**2
-    return tustin(a, np.array([0.0, 1.0]), c, 6.0 * r**2 / frequency**2 - 1.0, period)
+    control = tustin(a, np.array([0.0, 1.0]), c, 6.0 * r**2 / frequency**2, period)
+    smooth = tustin(np.array([[-1.0 / filter_time]]), np.ones(1), np.array([1.0 / filter_time]), 0.0, period)
+    return control.after(smooth)
+
+
+def gpi_correction(rate: float, frequency: float, *, filter_time: float, period: float) -> Filter:
+    """Return Ĉ = C − 1 of `gpi_control`."""
+    control = gpi_control(rate, frequency, filter_time=filter_time, period=period)
+    return Filter(control.a, control.b, control.c, control.d - 1.0)
 
 
 class _Integral:
@@ -137,10 +146,12 @@ class Algebraic:
     Source: the adaptive predecessor that the paper cites as [18]; it assumes a gauge without offset.
     """
 
-    def __init__(self, rate: float, frequency: float, *, period: float, until: float) -> None:
+    def __init__(
+        self, rate: float, frequency: float, *, filter_time: float, period: float, until: float
+    ) -> None:
         self._nominal, self._period, self._until = frequency**2, period, until
-        self._filter = gpi_correction(rate, frequency, period=period)
-        self._state = np.zeros(2)
+        self._filter = gpi_control(rate, frequency, filter_time=filter_time, period=period)
+        self._state = np.zeros(self._filter.order)
         self._integrals, self._tick = tuple(_Integral() for _ in range(7)), 0
         self.square = frequency**2  # ω² in use
 
@@ -160,7 +171,7 @@ class Algebraic:
             self._estimate(seen.reference - seen.error, seen.deflection)
         self._tick += 1
         f = self._filter
-        whole = float(f.c @ self._state) + (f.d + 1.0) * seen.error
+        whole = float(f.c @ self._state) + f.d * seen.error
         self._state = f.a @ self._state + f.b * seen.error
         ratio = self._nominal / self.square
         return ratio * whole - seen.error + (ratio - 1.0) * seen.feed_forward

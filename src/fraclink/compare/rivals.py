@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 from fraclink.compare.linear import Filter, NominalLoop, law_filter, tune
@@ -126,22 +127,19 @@ def _tuned(
     setting: Setting,
     make: Callable[[float], Filter],
     limits: tuple[float, float],
-    outer: Callable[[float], Outer] | None = None,
-    extra: tuple[int, int] = (0, 0),
 ) -> Rival:
     value, correction, reached = tune(setting.loop, make, limits, setting.target)
     states, products = _filter_cost(setting.ours, correction)
-    chosen: Callable[[], Outer] = (lambda: outer(value)) if outer else (lambda: Linear(correction))
     return Rival(
         name,
         rule,
         f"{knob} {value:.4g}" + ("" if reached else " (Ms of ours out of reach: the least it can have)"),
         setting.loop.peak(correction),
-        states + extra[0],
-        products + extra[1],
+        states,
+        products,
         _bare(setting.ours),
         correction=correction,
-        outer=chosen,
+        outer=lambda: Linear(correction),
     )
 
 
@@ -150,7 +148,6 @@ def _feedback_rivals(setting: Setting) -> dict[str, Builder]:
     period, model, rig = setting.rig.period, setting.model, setting.rig
     frequency, _ = integer_mode(model)
     noise = max(rig.gauge.noise, 1e-4) / model.stiffness
-    bound = frequency**2 * BEND
     pole, delay = setting.ours.inner_pole, rig.inner.delay_samples
     same = "same Ms as ours at the nominal payload"
 
@@ -160,10 +157,8 @@ def _feedback_rivals(setting: Setting) -> dict[str, Builder]:
         knob: str,
         make: Callable[[float], Filter],
         limits: tuple[float, float],
-        outer: Callable[[float], Outer] | None = None,
-        extra: tuple[int, int] = (0, 0),
     ) -> tuple[str, Builder]:
-        return name, lambda: _tuned(name, rule, knob, setting, make, limits, outer, extra)
+        return name, lambda: _tuned(name, rule, knob, setting, make, limits)
 
     return dict(
         (
@@ -188,26 +183,72 @@ def _feedback_rivals(setting: Setting) -> dict[str, Builder]:
                 lambda k: hinf_correction(model, period=period, pole=pole, delay=delay, gain=k),
                 (1e-2, 1e2),
             ),
-            tuned(
-                "sliding mode",
-                f"equal error poles in the boundary layer for the {same}; bound: a bend of {BEND:g} rad",
-                "rate [1/s]",
-                lambda r: sliding_correction(r, frequency, filter_time=FILTER_TIME, period=period),
-                (0.3 * frequency, 20 * frequency),
-                outer=lambda r: Sliding(r, frequency, bound, filter_time=FILTER_TIME, period=period),
-                extra=(0, 2),
-            ),
-            tuned(
-                "algebraic estimator + GPI",
-                f"four equal error poles for the {same}; ω² estimated in the first {ESTIMATION:g} s",
-                "rate [1/s]",
-                lambda r: gpi_correction(r, frequency, period=period),
-                (0.3 * frequency, 20 * frequency),
-                outer=lambda r: Algebraic(r, frequency, period=period, until=ESTIMATION),
-                extra=(7, 12),
-            ),
         )
     )
+
+
+def _swapped(make: Callable[[float, float], Filter], time: float, rate: float) -> Filter:
+    return make(rate, time)
+
+
+def _noisy_rivals(setting: Setting) -> dict[str, Builder]:
+    """Rivals that cancel the link's stiffness: no knob gives them our Ms, so their rule is our noise.
+
+    Both need a derivative gain of about 2/ω. Its filter is the shortest of 10 ms · 1.25^k with which white
+    noise of the gauge reaches the motor reference no stronger than with our design, and the error poles
+    are those of the smallest Ms at that filter.
+    """
+    period, model = setting.rig.period, setting.model
+    frequency, _ = integer_mode(model)
+    wanted = setting.loop.noise(law_filter(setting.ours))
+
+    def quiet(make: Callable[[float, float], Filter]) -> tuple[float, float, Filter]:
+        for k in range(16):
+            time = FILTER_TIME * 1.25**k
+            at_rate = partial(_swapped, make, time)
+            rate, correction, _ = tune(setting.loop, at_rate, (0.3 * frequency, 4 * frequency), 1.0)
+            if setting.loop.noise(correction) <= wanted:
+                break
+        return rate, time, correction
+
+    def build(
+        name: str,
+        rule: str,
+        make: Callable[[float, float], Filter],
+        outer: Callable[[float, float], Outer],
+        extra: tuple[int, int],
+    ) -> Rival:
+        rate, time, correction = quiet(make)
+        states, products = _filter_cost(setting.ours, correction)
+        return Rival(
+            name,
+            f"{rule}; filter for our noise at the motor reference, error poles for the least Ms",
+            f"rate {rate:.4g} 1/s, filter {1e3 * time:.3g} ms",
+            setting.loop.peak(correction),
+            states + extra[0],
+            products + extra[1],
+            _bare(setting.ours),
+            correction=correction,
+            outer=lambda: outer(rate, time),
+        )
+
+    bound = frequency**2 * BEND
+    return {
+        "sliding mode": lambda: build(
+            "sliding mode",
+            f"two equal error poles in the boundary layer, switching bounded by a bend of {BEND:g} rad",
+            lambda r, t: sliding_correction(r, frequency, filter_time=t, period=period),
+            lambda r, t: Sliding(r, frequency, bound, filter_time=t, period=period),
+            (0, 2),
+        ),
+        "algebraic estimator + GPI": lambda: build(
+            "algebraic estimator + GPI",
+            f"four equal error poles, ω² estimated in the first {ESTIMATION:g} s",
+            lambda r, t: gpi_correction(r, frequency, filter_time=t, period=period),
+            lambda r, t: Algebraic(r, frequency, filter_time=t, period=period, until=ESTIMATION),
+            (7, 12),
+        ),
+    }
 
 
 def _shaping(setting: Setting, name: str, derivative: bool) -> Rival:
@@ -237,6 +278,7 @@ def builders(setting: Setting) -> dict[str, Builder]:
         "ZV shaping": lambda: _shaping(setting, "ZV shaping", False),
         "ZVD shaping": lambda: _shaping(setting, "ZVD shaping", True),
         **_feedback_rivals(setting),
+        **_noisy_rivals(setting),
         INTEGER: lambda: _by_law(INTEGER, *integer_twin(setting), setting),
         PRINTED: lambda: _by_law(PRINTED, *printed(setting), setting),
         CORRECTED: lambda: _by_law(CORRECTED, *corrected(setting), setting),
