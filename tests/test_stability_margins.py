@@ -232,6 +232,23 @@ def test_an_integer_python_control_system() -> None:
     assert found.gain_margin == pytest.approx(1.5, rel=1e-9)
 
 
+def test_measured_data_is_used_between_its_points() -> None:
+    loop = 4 / (s * (s + 1) * (s + 2))
+    w = np.geomspace(0.05, 20, 60)
+    data = control.frd(loop(1j * w), w)
+    found, exact = margins(data, unstable_poles=0), margins(loop)
+    assert found.gain_crossover == pytest.approx(exact.gain_crossover, rel=1e-3)
+    assert found.gain_margin == pytest.approx(exact.gain_margin, rel=1e-3)
+    assert found.stable is True
+    # On a point of the measurement the data themselves are met.
+    assert margins(control.frd(loop(1j * w) / abs(loop(1j * w[30])), w)).gain_crossover == pytest.approx(
+        w[30]
+    )
+    assert margins(loop.to_control()) == exact
+    with pytest.raises(FieldError, match="one input"):
+        margins(control.frd(np.ones((2, 2, 3)), [1, 2, 3]))
+
+
 def test_nothing_to_find() -> None:
     empty = margins(0.1 / (s + 1))
     assert empty.gain_crossings == () and empty.critical is None

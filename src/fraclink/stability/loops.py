@@ -6,7 +6,7 @@ import cmath
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,8 +76,11 @@ def as_loop(loop: object, limit: float | None) -> Loop:
         raise FieldError(
             "limit", limit, "not a frequency", allowed="> 0 rad/s", remedy="give the Nyquist frequency"
         )
-    if isinstance(loop, FractionalTransferFunction) and loop.numerator:
-        return FractionalLoop.of(loop, limit)
+    system = getattr(loop, "fractional", loop)  # what to_control wraps
+    if isinstance(system, FractionalTransferFunction) and system.numerator:
+        return FractionalLoop.of(system, limit)
+    if hasattr(loop, "frdata") and hasattr(loop, "omega"):
+        return _data_loop(loop, limit)
     if not callable(loop):
         raise FieldError(
             "loop",
@@ -87,6 +90,29 @@ def as_loop(loop: object, limit: float | None) -> Loop:
             remedy="pass a FractionalTransferFunction or a function of s = jω",
         )
     return _callable_loop(loop, limit)
+
+
+def _data_loop(data: Any, limit: float | None) -> CallableLoop:
+    """Measured frequency response data: straight lines in a Bode plot between the points."""
+    omega, values = np.asarray(data.omega, dtype=float), np.asarray(data.frdata, dtype=complex)
+    usable = omega > 0
+    if values.size != omega.size or usable.sum() < 2 or not np.all(values):
+        raise FieldError(
+            "loop",
+            values.shape,
+            "not one response at two frequencies or more",
+            allowed="one input, one output, values that are not zero",
+            remedy="select one channel of the data",
+        )
+    x, logs = np.log(omega[usable]), np.log(np.abs(values.reshape(-1)[usable]))
+    phase = np.unwrap(np.angle(values.reshape(-1)[usable]))
+
+    def response(s: Complex) -> Complex:
+        at = np.log(s.imag)
+        return np.asarray(np.exp(np.interp(at, x, logs) + 1j * np.interp(at, x, phase)))
+
+    high = float(x[-1]) if limit is None else min(float(x[-1]), math.log(limit))
+    return CallableLoop(response, float(x[0]), high, seeds=x)
 
 
 def _callable_loop(loop: Callable[..., object], limit: float | None) -> CallableLoop:

@@ -42,7 +42,8 @@ def margins(
     loop : FractionalTransferFunction, callable or python-control system
         L under unity negative feedback. A callable takes s = jω (complex, shape (n,)) and returns L(s) of
         the same shape; it is looked at from 1e-6 to 1e6 rad/s. A python-control system is a callable; if it
-        is sampled it is evaluated on the unit circle up to its Nyquist frequency.
+        is sampled it is evaluated on the unit circle up to its Nyquist frequency. Frequency response data
+        are used in their own range, straight in a Bode plot from point to point.
     limit : float, optional
         Highest frequency [rad/s], > 0; the Nyquist frequency of a sampled loop.
     unstable_poles : int, optional
