@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import re
 from pathlib import Path
 
 import pytest
@@ -14,7 +15,8 @@ from fraclink.errors import FieldError, FileFormatError
 from fraclink.link import LinkModel
 from fraclink.rig import Channel, Encoder, Gauge, Inner, Link, LogColumns, Motor, Payloads, Rig
 
-RIGS = Path(__file__).parent / "rigs"
+ROOT = Path(__file__).parents[1]
+RIGS = ROOT / "tests" / "rigs"
 
 
 def test_the_paper_rig_holds_table_1() -> None:
@@ -163,3 +165,22 @@ def test_a_missing_file_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(FileFormatError, match="not a file") as caught:
         Rig.load(tmp_path / "none.toml")
     assert "paper-2023" in caught.value.remedy
+
+
+def test_every_key_of_the_file_stands_in_the_reference() -> None:
+    from fraclink.rig.quantities import specs
+    from fraclink.rig.schema import SECTIONS
+
+    page = (ROOT / "docs" / "reference" / "file-formats.md").read_text(encoding="utf-8")
+    keys = [spec.key for kind in SECTIONS.values() for spec in specs(kind).values()]
+    assert [key for key in keys if f"`{key}`" not in page] == []
+    assert [section for section in SECTIONS if f"`[{section}]`" not in page] == []
+
+
+def test_every_code_of_a_rig_and_a_log_stands_in_the_reference() -> None:
+    page = (ROOT / "docs" / "reference" / "file-formats.md").read_text(encoding="utf-8")
+    folders = [ROOT / "src" / "fraclink" / name for name in ("rig", "readers", "diagnose")]
+    sources = [path.read_text(encoding="utf-8") for folder in folders for path in folder.rglob("*.py")]
+    codes = {code for source in sources for code in re.findall(r'"(W[12]\d\d)"', source)}
+    assert len(codes) > 20
+    assert [code for code in sorted(codes) if code not in page] == []
