@@ -60,12 +60,22 @@ def test_the_design_prints_what_it_asked_and_got(fraclink: Command, tmp_path: Pa
     assert answer.code == 0
     assert answer.out == (
         "controller: k_d = 0.0698762, β = 0.612197, no filter\n"
-        "requirement       wanted  achieved    at  verdict\n"
-        "gain crossover  12 rad/s  12 rad/s  40 g    holds\n"
-        "phase margin         50°       50°  20 g    holds\n"
+        "requirement         wanted  achieved    at  verdict\n"
+        "gain crossover  ≥ 12 rad/s  12 rad/s  40 g    holds\n"
+        "phase margin         ≥ 50°       50°  20 g    holds\n"
     )
     assert answer.err == "written: design.json\n"
     assert [entry.name for entry in tmp_path.iterdir()] == ["design.json"]
+
+
+def test_bounds_may_take_the_place_of_crossover_and_margin(fraclink: Command) -> None:
+    line = "design --rig paper-2023 --max-sensitivity 1.6 --settling-time 0.55 --noise-gain 2 --json"
+    answer = fraclink(*line.split())
+    found = {item["name"]: item for item in json.loads(answer.out)["requirements"]}
+    assert {"sensitivity peak", "noise gain", "settling time"} <= found.keys()
+    assert found["settling time"]["achieved"] <= 0.55 * (1 + 1e-9)
+    assert found["noise gain"]["achieved"] <= 2 * (1 + 1e-9)
+    assert answer.code == (0 if all(item["holds"] for item in found.values()) else 1)
 
 
 def test_json_is_the_only_thing_on_standard_output(fraclink: Command) -> None:

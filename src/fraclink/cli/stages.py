@@ -84,6 +84,21 @@ def design(
     ] = None,
     filter_order: Annotated[int | None, typer.Option("--filter-order", help="n, 1 or 2.")] = None,
     inner: Annotated[Inner, typer.Option("--inner", help="Motor loop.")] = "ideal",
+    placement: Annotated[
+        Literal["tustin", "direct"], typer.Option("--placement", help="Poles of the sampled motor loop.")
+    ] = "tustin",
+    max_sensitivity: Annotated[
+        float | None,
+        typer.Option("--max-sensitivity", help="Bound on Ms; alone it takes the phase margin's place."),
+    ] = None,
+    noise_gain: Annotated[
+        float | None,
+        typer.Option("--noise-gain", help="Bound on the motor reference's RMS per RMS of gauge noise."),
+    ] = None,
+    settling_time: Annotated[
+        float | None,
+        typer.Option("--settling-time", help="Bound on 2π/ω_c [s]; alone it takes the crossover's place."),
+    ] = None,
     out: Annotated[Path, typer.Option("--out", help="File to write the design to.")] = Path("design.json"),
     json: Json = False,
     force: Force = False,
@@ -101,6 +116,10 @@ def design(
         filter_time=filter_time,
         filter_order=filter_order,
         inner=inner,
+        placement=placement,
+        max_sensitivity=max_sensitivity,
+        noise_gain=noise_gain,
+        settling_time=settling_time,
     )
     plan, assumptions = design_for(load_rig(rig), _model(model), request)
     plan.save(place)

@@ -156,6 +156,8 @@ def shown_quantity(value: float, unit: str) -> str:
 
 def plan_text(plan: Plan) -> str:
     """A design for people."""
+    from fraclink.report.sections import relation
+
     controller = plan.controller
     filtered = (
         f", filter δ = {controller.filter_time:.6g} s, n = {controller.filter_order}"
@@ -165,7 +167,7 @@ def plan_text(plan: Plan) -> str:
     rows = [
         (
             item.name,
-            shown_quantity(item.wanted, item.unit),
+            f"{relation(item)} {shown_quantity(item.wanted, item.unit)}",
             shown_quantity(item.achieved, item.unit),
             "" if item.at_payload is None else _grams(item.at_payload),
             "holds" if item.holds else "MISSED",

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from fraclink.report.numbers import degrees, grams, milli, number, quantity, uncertain
 
 if TYPE_CHECKING:
-    from fraclink.design import Plan
+    from fraclink.design import Plan, Requirement
     from fraclink.experiment import Experiment
     from fraclink.identify import Fit
     from fraclink.law import Law
@@ -25,12 +25,14 @@ __all__ = [
     "log_rows",
     "margin_rows",
     "move_rows",
+    "relation",
     "requirement_rows",
     "rig_rows",
     "source_name",
 ]
 
 Row = tuple[str, ...]
+_UPPER = ("sensitivity peak", "noise gain", "settling time", "loop gain")
 
 
 def source_name(log: Experiment | None) -> str:
@@ -138,12 +140,23 @@ def controller_rows(plan: Plan, law: Law | None) -> list[Row]:
     return rows
 
 
+def relation(item: Requirement) -> str:
+    """Whether a requirement is a lower or an upper bound.
+
+    >>> from fraclink.design import Requirement
+    >>> relation(Requirement.at_most("noise gain", 2.0, 2.0, "", 0.02))
+    '≤'
+    """
+    # Of a bound that is met exactly the numbers do not say which side it guards.
+    return "≤" if item.name.startswith(_UPPER) else "≥"
+
+
 def requirement_rows(plan: Plan) -> list[tuple[str, str, str, str, str, bool]]:
     """Name, wanted, achieved, payload, slack, and whether it holds."""
     return [
         (
             item.name,
-            quantity(item.wanted, item.unit),
+            f"{relation(item)} {quantity(item.wanted, item.unit)}",
             quantity(item.achieved, item.unit),
             grams(item.at_payload),
             # The equations are solved to rounding: 1e-16 of slack is none.

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING
 
 from fraclink.errors import FieldError, InfeasibleError
@@ -38,6 +37,10 @@ class Request:
         filter_time: δ [s]; 0 for none.
         filter_order: n, 1 or 2.
         inner: the motor loop the design assumes, ``"ideal"`` or ``"sampled"``.
+        placement: of the sampled motor loop's poles, ``"tustin"`` or ``"direct"``.
+        max_sensitivity: bound on Ms; without a phase margin it takes its place.
+        noise_gain: bound on the motor reference's RMS for white gauge noise of RMS one.
+        settling_time: bound on 2π/ω_c [s]; without a gain crossover it takes its place.
 
     >>> Request(payloads=(0.02, 0.04)).margins
     'loop'
@@ -50,6 +53,26 @@ class Request:
     filter_time: float | None = None
     filter_order: int | None = None
     inner: str = "ideal"
+    placement: str = "tustin"
+    max_sensitivity: float | None = None
+    noise_gain: float | None = None
+    settling_time: float | None = None
+
+
+def _completed(request: Request, rig: Rig) -> Request:
+    """The request with what the rig's ``[design]`` table states where the user says nothing else."""
+    payloads = request.payloads or (rig.payloads.low, rig.payloads.high)
+    request = replace(request, payloads=payloads)
+    wish = rig.design
+    if wish is None:
+        return request
+    if request.gain_crossover is None and request.settling_time is None:
+        request = replace(request, gain_crossover=wish.gain_crossover)
+    if request.phase_margin is None and request.max_sensitivity is None:
+        request = replace(request, phase_margin=wish.phase_margin)
+    if request.filter_time is None and request.noise_gain is None:
+        request = replace(request, filter_time=wish.filter_time)
+    return request
 
 
 def _model(rig: Rig, model: LinkModel | None) -> LinkModel:
@@ -80,25 +103,18 @@ def design_for(rig: Rig, model: LinkModel | None, request: Request) -> tuple[Pla
     >>> round(plan.controller.gain, 4), assumed
     (0.0699, ())
     """
+    from fraclink.design import design
+
     link = _model(rig, model)
-    wish = rig.design
-    if wish is not None:
-        request = replace(
-            request,
-            gain_crossover=wish.gain_crossover if request.gain_crossover is None else request.gain_crossover,
-            phase_margin=wish.phase_margin if request.phase_margin is None else request.phase_margin,
-            filter_time=wish.filter_time if request.filter_time is None else request.filter_time,
-        )
-    payloads = request.payloads or (rig.payloads.low, rig.payloads.high)
+    asked = _completed(request, rig)
     assumed: tuple[str, ...] = ()
-    crossover = request.gain_crossover
-    if crossover is None:
-        crossover, sentence = _usual_crossover(link, payloads[1])
-        assumed = (sentence,)
-    ask = partial(_design, rig, link, payloads, crossover, request)
-    if request.phase_margin is not None:
-        return ask(request.phase_margin), assumed
-    plan, sentence = _largest_margin(ask)
+    if asked.gain_crossover is None and asked.settling_time is None:
+        crossover, sentence = _usual_crossover(link, (asked.payloads or (0.0, rig.payloads.high))[1])
+        asked, assumed = replace(asked, gain_crossover=crossover), (sentence,)
+    options = {item.name: getattr(asked, item.name) for item in fields(asked)}
+    if asked.phase_margin is not None or asked.max_sensitivity is not None:
+        return design(link, rig, **options), assumed
+    plan, sentence = _largest_margin(lambda margin: design(link, rig, **options | {"phase_margin": margin}))
     return plan, (*assumed, sentence)
 
 
@@ -128,26 +144,3 @@ def _margin_sentence(degrees: float) -> str:
         "" if degrees == _PHASE_MARGIN_DEG else f"; {_PHASE_MARGIN_DEG:g}° is not feasible at this crossover"
     )
     return f"phase margin {degrees:g}°, as neither the rig nor the request states one{less}"
-
-
-def _design(
-    rig: Rig,
-    link: LinkModel,
-    payloads: tuple[float, float],
-    gain_crossover: float,
-    request: Request,
-    phase_margin: float,
-) -> Plan:
-    from fraclink.design import design
-
-    return design(
-        link,
-        rig,
-        payloads=payloads,
-        gain_crossover=gain_crossover,
-        phase_margin=phase_margin,
-        margins=request.margins,
-        filter_time=request.filter_time,
-        filter_order=request.filter_order,
-        inner=request.inner,
-    )
