@@ -52,32 +52,47 @@ static double *in_entry(const tables *t, ptrdiff_t state, int sample) {
     return t->in + (state / LANES * BLOCK + sample) * LANES + state % LANES;
 }
 
-static void fill(const modes_system *s, tables *t) {
-    double response[BLOCK + 1] = {0.0}; // [m + 1]: weight of lag m + 1, from the modes alone
-    for (ptrdiff_t i = 0; i < s->reals; i++) {
-        for (int n = 0; n < BLOCK; n++) {
-            double power = exp(n * s->log_decays[i]);
-            t->out[i * BLOCK + n] = s->gains[i] * power;
-            *in_entry(t, i, BLOCK - 1 - n) = power;
-            response[n] += s->gains[i] * power;
+// d^0 … d^BLOCK from log d: four exponentials and at most three products each.
+static void powers(double log_size, double angle, double (*p)[2]) {
+    p[0][0] = 1.0;
+    p[0][1] = 0.0;
+    for (int n = 1; n <= BLOCK; n *= 2) {
+        double size = exp(n * log_size);
+        p[n][0] = angle == 0.0 ? size : size * cos(n * angle);
+        p[n][1] = angle == 0.0 ? 0.0 : size * sin(n * angle);
+        for (int m = n + 1; m < 2 * n && m < BLOCK; m++) {
+            const double *q = p[m - n];
+            p[m][0] = p[n][0] * q[0] - p[n][1] * q[1];
+            p[m][1] = p[n][0] * q[1] + p[n][1] * q[0];
         }
-        t->decay[i] = exp(BLOCK * s->log_decays[i]);
+    }
+}
+
+static void fill(const modes_system *s, tables *t) {
+    double response[BLOCK + 1] = {0.0}; // [m]: weight of lag m + 1
+    double p[2 * BLOCK][2];
+    for (ptrdiff_t i = 0; i < s->reals; i++) {
+        powers(s->log_decays[i], 0.0, p);
+        for (int n = 0; n < BLOCK; n++) {
+            t->out[i * BLOCK + n] = s->gains[i] * p[n][0];
+            *in_entry(t, i, BLOCK - 1 - n) = p[n][0];
+            response[n] += s->gains[i] * p[n][0];
+        }
+        t->decay[i] = p[BLOCK][0];
     }
     for (ptrdiff_t j = 0; j < s->pairs; j++) {
         ptrdiff_t i = s->reals + 2 * j;
         double gr = s->pole_gains[2 * j], gi = s->pole_gains[2 * j + 1];
+        powers(s->pole_log_decays[2 * j], s->pole_log_decays[2 * j + 1], p);
         for (int n = 0; n < BLOCK; n++) {
-            double size = exp(n * s->pole_log_decays[2 * j]), angle = n * s->pole_log_decays[2 * j + 1];
-            double pr = size * cos(angle), pi = size * sin(angle);
-            t->out[i * BLOCK + n] = gr * pr - gi * pi;
-            t->out[(i + 1) * BLOCK + n] = -(gr * pi + gi * pr);
-            *in_entry(t, i, BLOCK - 1 - n) = pr;
-            *in_entry(t, i + 1, BLOCK - 1 - n) = pi;
-            response[n] += gr * pr - gi * pi;
+            t->out[i * BLOCK + n] = gr * p[n][0] - gi * p[n][1];
+            t->out[(i + 1) * BLOCK + n] = -(gr * p[n][1] + gi * p[n][0]);
+            *in_entry(t, i, BLOCK - 1 - n) = p[n][0];
+            *in_entry(t, i + 1, BLOCK - 1 - n) = p[n][1];
+            response[n] += gr * p[n][0] - gi * p[n][1];
         }
-        double size = exp(BLOCK * s->pole_log_decays[2 * j]), angle = BLOCK * s->pole_log_decays[2 * j + 1];
-        t->turn[i] = size * cos(angle);
-        t->turn[i + 1] = size * sin(angle);
+        t->turn[i] = p[BLOCK][0];
+        t->turn[i + 1] = p[BLOCK][1];
     }
     response[0] += s->first;
     for (int j = 0; j < BLOCK; j++) {

@@ -43,8 +43,9 @@ class Expansion:
 
 def expand(quotient: Quotient, *, shortest: float, longest: float, tolerance: float) -> Expansion:
     """Return the modes of G's step response, accurate for shortest ≤ t ≤ longest [s]."""
-    # The trapezoid rule errs by exp(-2π a/h) with a = 1.5, nearly the quarter turn after which e^(st) grows.
-    step = 2.0 * math.pi * 1.5 / math.log(10.0 / tolerance)
+    # The trapezoid rule errs by exp(-2π a/h), a = 1.5: nearly the quarter turn after which e^(st) grows. The
+    # factor of that error is below 1/2 for every function tried.
+    step = 2.0 * math.pi * 1.5 / math.log(0.5 / tolerance)
     simple, clusters = quotient.clusters()
     origin = _origin(simple, clusters, step)
 
@@ -54,7 +55,7 @@ def expand(quotient: Quotient, *, shortest: float, longest: float, tolerance: fl
     def whole(share: float) -> Callable[[Complexes], Complexes]:
         return lambda z: np.full(z.shape, share, np.complex128)
 
-    last = math.log((math.log(1.0 / tolerance) + 8.0) / shortest)
+    last = math.log((math.log(1.0 / tolerance) + 3.0) / shortest)
     modes = _Modes()
     if quotient.is_meromorphic:  # no cut: a pole counts once, or one half for each of ln s = x ± iπ
         for z in (z for z in simple if z.imag <= math.pi + _REAL):

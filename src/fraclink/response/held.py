@@ -24,8 +24,8 @@ __all__ = ["HeldQuotient", "Part", "split_delay"]
 
 Reals = NDArray[np.float64]
 
-_CHECKS = 5  # times at which the modes are compared with the contour integral
-_ENOUGH = 1e-10  # of the peak: above this the modes cancel, and a contour per lag is used …
+_CHECKS = 9  # times at which the modes are compared with the contour integral; their error swings in ln t
+_ENOUGH = 3e-11  # of the peak: above this the modes cancel, and a contour per lag is used …
 _MOST_WEIGHTS = 200_000  # … for so many samples (about 2 s); the error estimate tells the rest
 _CHUNK = 4096  # times that are evaluated together: 60 modes are 2 MB
 
