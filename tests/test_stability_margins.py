@@ -249,6 +249,22 @@ def test_measured_data_is_used_between_its_points() -> None:
         margins(control.frd(np.ones((2, 2, 3)), [1, 2, 3]))
 
 
+def test_printed_margins_are_a_table() -> None:
+    lines = str(margins(7 / (s * (s + 1) * (s + 2)))).splitlines()
+    assert [line.split("  ")[0] for line in lines] == [
+        "gain crossing",
+        "phase crossing",
+        "nearest to −1",
+        "closed loop",
+    ]
+    assert "1.41421 rad/s" in lines[1] and "0.8571  (-1.34 dB)" in lines[1]
+    assert lines[-1].endswith("  not stable")
+    many = str(margins((10 / (s + 1)).delayed(0.1)))
+    assert "crossings more" in many and len(many.splitlines()) == 12
+    assert str(margins(lambda z: 1 / (z + 1))).endswith("give unstable_poles")
+    assert str(is_stable(1 / s)).startswith("not stable: s divides")
+
+
 def test_nothing_to_find() -> None:
     empty = margins(0.1 / (s + 1))
     assert empty.gain_crossings == () and empty.critical is None

@@ -50,6 +50,9 @@ class StabilityVerdict:
     def __bool__(self) -> bool:
         return self.stable
 
+    def __str__(self) -> str:
+        return f"{'stable' if self.stable else 'not stable'}: {self.reason}"
+
 
 def poles(system: FractionalTransferFunction) -> Complex:
     """Return the poles on the principal sheet, −π < arg s ≤ π, with conjugates and multiplicities.
@@ -149,7 +152,8 @@ def _verdict(
     elif bad:
         reason = f"a pole lies on the imaginary axis at {_shown(bad[0])} rad/s"
     elif integrators:
-        reason = f"s^{integrators:g} divides the denominator: a step gives an unbounded output"
+        power = "s" if integrators == 1 else f"s^{integrators:g}"
+        reason = f"{power} divides the denominator: a step gives an unbounded output"
     else:
         reason = "no pole has Re s ≥ 0"
         if not system.is_proper:

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 __all__ = ["GainCrossing", "Margins", "PhaseCrossing"]
 
+_SHOWN = 8
+
 
 @dataclass(frozen=True)
 class GainCrossing:
@@ -41,7 +43,8 @@ class Margins:
 
     The modulus margin is an infimum: where |1 + L| only approaches it, its frequency is 0 or inf.
     `stable` says whether the closed loop 1/(1 + L) is stable; it is None where that was not decided.
-    Margins other than the modulus margin say little about a closed loop that is not stable.
+    Margins other than the modulus margin say little about a closed loop that is not stable. Printed, it is
+    a table.
     """
 
     gain_crossings: tuple[GainCrossing, ...]
@@ -49,6 +52,26 @@ class Margins:
     modulus_margin: float
     modulus_frequency: float
     stable: bool | None = None
+
+    def __str__(self) -> str:
+        """A line for each crossing (the first eight of a kind), the modulus margin and the verdict."""
+        lines = [
+            f"gain crossing   {c.frequency:12.6g} rad/s  phase margin {math.degrees(c.phase_margin):8.3f}°"
+            f"  delay margin {c.delay_margin:.4g} s"
+            for c in self.gain_crossings[:_SHOWN]
+        ]
+        lines += [
+            f"phase crossing  {c.frequency:12.6g} rad/s  gain margin  {c.gain_margin:9.4g}"
+            f"  ({20 * math.log10(c.gain_margin):.2f} dB)"
+            for c in self.phase_crossings[:_SHOWN]
+        ]
+        hidden = sum(max(0, len(c) - _SHOWN) for c in (self.gain_crossings, self.phase_crossings))
+        lines += [f"… and {hidden} crossings more"] if hidden else []
+        lines.append(
+            f"nearest to −1   {self.modulus_frequency:12.6g} rad/s  distance     {self.modulus_margin:9.4g}"
+        )
+        known = {True: "stable", False: "not stable", None: "not decided: give unstable_poles"}
+        return "\n".join([*lines, f"closed loop     {known[self.stable]}"])
 
     @property
     def critical(self) -> GainCrossing | None:
