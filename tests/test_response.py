@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.special import erfcx, gamma, wofz
 
+from fraclink.errors import NotConvergedError
 from fraclink.fractional import FractionalTransferFunction, s
 from fraclink.link import LinkModel
 from fraclink.response import (
@@ -18,6 +19,7 @@ from fraclink.response import (
     step_response,
     time_response,
 )
+from fraclink.response.discrete import held_quotient
 
 T = 0.004
 LINK = 11.54**2 / (s**1.92 + 11.54**2)
@@ -324,3 +326,27 @@ def test_delay_in_the_denominator(gain: float) -> None:
     error = float(np.max(np.abs(ramp.output - exact)))
     assert error < 1e-7 * np.max(np.abs(exact))
     assert error <= ramp.error_estimate
+
+
+@pytest.mark.parametrize("hold", ["zero", "first"])
+def test_inversion_where_poles_are_not_certified(hold: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """0.5 + 2/(s+1)^3, inverted as if its triple pole could not be found."""
+
+    def lost(*_: object) -> None:
+        raise NotConvergedError("zeros found", reached=1, wanted=3, remedy="none")
+
+    system, u = 0.5 + 2 / (s + 1) ** 3, np.cos(np.arange(800) * 0.03)
+    exact = time_response(system, u, 0.01, hold=hold)
+    monkeypatch.setattr("fraclink.response.simulate.held_quotient", lost)
+    with pytest.raises(NotConvergedError):
+        impulse_response(system, 1.0, 0.01)
+    monkeypatch.setattr(
+        "fraclink.response.simulate.held_quotient",
+        lambda top, bottom: held_quotient(top, bottom) if len(bottom) == 1 else lost(),
+    )
+    result = time_response(system, u, 0.01, hold=hold)
+    error = float(np.max(np.abs(result.output - exact.output)))
+    assert result.method == "fft"
+    assert error <= result.error_estimate
+    assert error < 1e-6
+    assert step_response(system, 1.0, 0.01).method == "fft"

@@ -103,7 +103,9 @@ def instants(time: float | ArrayLike, period: float | None) -> Reals:
 
 def refuse_beyond_memory(field: str, count: float, each: int = _BYTES) -> None:
     """Raise `SizeError` where `count` samples need more memory than the machine has; nothing is allocated."""
-    available = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    # Where the system does not tell, 8 GiB: every machine that runs numpy in earnest has them.
+    known = hasattr(os, "sysconf")
+    available = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") if known else 8 << 30
     if not count * each < available:
         raise SizeError(
             field,

@@ -1,4 +1,4 @@
-"""Numerical inversion for functions that have no sum of modes: delays in the denominator.
+"""Numerical inversion for functions without a sum of modes: delays in the denominator, poles not certified.
 
     f(t) = e^(σt)/W · [F(σ) + 2 Re Σ_k F(σ + jkω₀) e^(jkω₀t)],   ω₀ = 2π/W,
 
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from fraclink.errors import FieldError
 from fraclink.fractional import FractionalTransferFunction
 
-__all__ = ["delay_free_part", "invert"]
+__all__ = ["delay_free_part", "feedthrough", "invert"]
 
 Reals = NDArray[np.float64]
 
@@ -43,6 +43,13 @@ def delay_free_part(G: FractionalTransferFunction) -> FractionalTransferFunction
             remedy="such a system answers before its input or has no response from rest",
         )
     return FractionalTransferFunction(G.numerator, kept)
+
+
+def feedthrough(G: FractionalTransferFunction) -> FractionalTransferFunction:
+    """The direct part of G, which jumps with the input: what of G does not fall at high frequency."""
+    order = G.denominator[0].order
+    leading = tuple(t for t in G.numerator if t.order == order)
+    return FractionalTransferFunction(leading, G.denominator[:1])
 
 
 def invert(

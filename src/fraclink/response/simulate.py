@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fraclink.errors import FieldError
+from fraclink.errors import FieldError, NotConvergedError
 from fraclink.fractional import FractionalTransferFunction
 from fraclink.response.checks import (
     FFT_BYTES,
@@ -20,7 +20,7 @@ from fraclink.response.checks import (
 )
 from fraclink.response.discrete import check_request, delay_groups, held_quotient
 from fraclink.response.held import Part
-from fraclink.response.inversion import delay_free_part, invert
+from fraclink.response.inversion import delay_free_part, feedthrough, invert
 from fraclink.response.powers import convolve
 
 __all__ = ["TimeResponse", "impulse_response", "step_response", "time_response"]
@@ -90,15 +90,18 @@ def time_response(
     values = samples(u)
     period = positive("period", period)
     check_request(period, hold, max(len(values), 1) * period, TOLERANCE)
-    time = grid(len(values), period)
     if any(t.delay for t in G.denominator):
-        output, error, modes = _by_inversion(G, values, period, hold)
-        return TimeResponse(time, output, "fft", error, modes, period, hold)
-    parts = [
-        held_quotient(top, G.denominator).respond(values, period, hold=hold, tolerance=TOLERANCE, delay=delay)
-        for delay, top in delay_groups(G).items()
-    ]
-    return _assembled(time, parts, period, hold)
+        return _by_inversion(G, delay_free_part(G), values, period, hold)
+    try:
+        parts = [
+            held_quotient(top, G.denominator).respond(
+                values, period, hold=hold, tolerance=TOLERANCE, delay=delay
+            )
+            for delay, top in delay_groups(G).items()
+        ]
+    except NotConvergedError:  # the poles cannot be certified: zeros of high multiplicity
+        return _by_inversion(G, feedthrough(G), values, period, hold)
+    return _assembled(grid(len(values), period), parts, period, hold)
 
 
 def step_response(
@@ -138,10 +141,15 @@ def _fixed(
     if any(t.delay for t in G.denominator):
         return _fixed_by_inversion(G, times, period, degree)
     parts = []
-    for delay, top in delay_groups(G).items():
-        late = times - delay
-        late[np.abs(late) <= 1e-12 * max(1.0, delay)] = 0.0
-        parts.append(held_quotient(top, G.denominator).at(late, degree, TOLERANCE))
+    try:
+        for delay, top in delay_groups(G).items():
+            late = times - delay
+            late[np.abs(late) <= 1e-12 * max(1.0, delay)] = 0.0
+            parts.append(held_quotient(top, G.denominator).at(late, degree, TOLERANCE))
+    except NotConvergedError:
+        if period is None or degree == 0:
+            raise
+        return time_response(G, np.ones(len(times)), period)
     return _assembled(times, parts, period, "impulse" if degree == 0 else "zero")
 
 
@@ -156,13 +164,13 @@ def _assembled(time: Reals, parts: list[Part], period: float | None, hold: str) 
 
 
 def _by_inversion(
-    G: FractionalTransferFunction, u: Reals, period: float, hold: str
-) -> tuple[Reals, float, int]:
+    G: FractionalTransferFunction, exact: FractionalTransferFunction, u: Reals, period: float, hold: str
+) -> TimeResponse:
+    """The response of `exact`, which has one, plus the numerically inverted rest."""
     refuse_beyond_memory("u", len(u), FFT_BYTES)
-    exact = delay_free_part(G)
     base = time_response(exact, u, period, hold=hold)
     if not len(u):
-        return base.output, 0.0, base.modes
+        return base
     degree = 1 if hold == "zero" else 2
     # One sample more than asked for: the weights of a first-order hold look one period ahead.
     rest, error = invert(G, exact, len(u) + 1, period, degree)
@@ -172,7 +180,8 @@ def _by_inversion(
         jump, jump_error = invert(G, exact, len(u), period, 1)
         output += u[0] * (jump - np.diff(rest) / period)
         error += jump_error
-    return output, base.error_estimate + 4.0 * error * largest(u), base.modes
+    estimate = base.error_estimate + 4.0 * error * largest(u)
+    return TimeResponse(base.time, output, "fft", estimate, base.modes, period, hold)
 
 
 def _weights(rest: Reals, period: float, degree: int) -> Reals:
