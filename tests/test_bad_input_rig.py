@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import time
 import tomllib
@@ -294,3 +295,35 @@ def test_any_junk_in_any_field_is_a_rig_or_a_field_error(
         assert error.field and error.allowed and error.remedy
     else:
         assert rig.natural_frequency(0.03) > 0
+
+
+def test_the_command_line_prints_a_line_for_each_fault(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from fraclink.cli import main
+
+    text = (
+        PAPER.read_text(encoding="utf-8")
+        .replace("inertia_kg_m2", "inertia")
+        .replace("length_m = 0.65", "length_m = -1")
+    )
+    (tmp_path / "rig.toml").write_text(text, encoding="utf-8")
+    assert main(["design", "--rig", str(tmp_path / "rig.toml"), "--json"]) == 2
+    answer = capsys.readouterr()
+    assert [line.split(":")[1].strip() for line in answer.err.splitlines()] == [
+        "motor.inertia_kg_m2",
+        "motor.inertia",
+        "link.length_m",
+    ]
+    assert [fault["field"] for fault in json.loads(answer.out)["error"]["faults"]][2] == "link.length_m"
+
+
+def test_the_command_line_keeps_one_line_for_one_fault(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from fraclink.cli import main
+
+    path = tmp_path / "rig.toml"
+    path.write_text(changed('name = "a"\nnombre = "b\\nc"', tmp_path), encoding="utf-8")
+    assert main(["design", "--rig", str(path)]) == 2
+    assert len(capsys.readouterr().err.splitlines()) == 1

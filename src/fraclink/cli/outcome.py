@@ -83,7 +83,7 @@ def guarded(work: Callable[[], int | None], *, as_json: bool) -> int:
         return HOLDS if code is None else int(code)
     except usage_error as error:
         text = error.format_message() if hasattr(error, "format_message") else str(error)
-        code, line, parts = BAD_INPUT, f"error: {text}", _describe(error)
+        code, lines, parts = BAD_INPUT, [f"error: {text}"], _describe(error)
     except BrokenPipeError:
         # The reader of a pipe left (`| head`): no error of ours, but stdout must not be flushed again.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -92,7 +92,12 @@ def guarded(work: Callable[[], int | None], *, as_json: bool) -> int:
         if os.environ.get("FRACLINK_TRACEBACK") == "1":
             raise
         (code, line), parts = _verdict(error), _describe(error)
-    tell(_line(line))
+        lines = [line]
+        if faults := getattr(error, "faults", ()):  # a rig file lists all its faults at once: a line for each
+            lines = [f"error: {fault}" for fault in faults]
+            parts = parts | {"faults": [_describe(fault) for fault in faults]}
+    for line in lines:
+        tell(_line(line))
     if as_json:
         emit_json({"exit": code, "error": parts})
     return code
