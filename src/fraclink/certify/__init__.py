@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from fraclink.certify.certificate import Certificate
+from fraclink.certify.margin import Enclosure, enclose_phase_margin
 from fraclink.certify.procedure import certify
 from fraclink.certify.statement import ASSUMPTIONS, Statement
 
-__all__ = ["ASSUMPTIONS", "Certificate", "Statement", "certify"]
+__all__ = ["ASSUMPTIONS", "Certificate", "Enclosure", "Statement", "certify", "enclose_phase_margin"]

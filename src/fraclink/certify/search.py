@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from fraclink.certify.balls import Ball, Disc, Loop, Window, outside
 
-__all__ = ["Failure", "Proof", "clear", "prove"]
+__all__ = ["Box", "Failure", "Proof", "clear", "prove"]
 
 Box = tuple[float, float, float, float, float, float]  # ω, payload, delay: low and high of each
 _DEPTH = 60

@@ -160,7 +160,18 @@ class OpenLoop:
         """
         mode = self.peak(pi)
         near = 1.0 + np.geomspace(1e-6, 0.2, 16)
-        shape = np.unique(np.concatenate([np.geomspace(1e-4, 1e4, 121), near, 1.0 / near, [1.0]]))
+        low, high = 1e-4, 1e4
+        if self.order > 0.0:
+            # Far below the mode |L| = k ω^β, far above at most k ϖ² ω^(β-λ): they cross one where these do.
+            first = math.exp(min(max(-math.log(self.gain) / self.order, -300.0), 300.0))
+            low = min(low, float(np.min(0.5 * first / mode)))
+        if self.order < self.link_order and not self.damping:
+            reach = (math.log(self.gain) + 2.0 * np.log(pi)) / (self.link_order - self.order)
+            high = max(high, float(np.max(2.0 * np.exp(np.minimum(reach, 300.0)) / mode)))
+        decades = math.log10(high / low)
+        shape = np.unique(
+            np.concatenate([np.geomspace(low, high, int(15 * decades) + 1), near, 1.0 / near, [1.0]])
+        )
         return np.asarray(np.minimum(mode[:, None] * shape, highest))
 
     def _polish(self, low: Real, high: Real, level: Real, pi: Real) -> Real:

@@ -1,0 +1,123 @@
+"""An enclosure of the worst phase margin over a range of payloads, in ball arithmetic.
+
+``φ_m >= φ`` holds for every payload if no box has both ``|L| >= 1`` and ``|arg(-L)| < φ``: on each box
+|1/L| > 1, or the rectangle around 1/L misses the sector of half-angle φ about the negative real axis.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from fraclink.certify.balls import Loop, Window, outside
+from fraclink.certify.numeric import loop_values
+from fraclink.certify.search import Box, halves
+from fraclink.certify.statement import Statement
+
+if TYPE_CHECKING:
+    from fraclink.law import Law
+
+__all__ = ["Enclosure", "enclose_phase_margin"]
+
+
+Windows = dict[tuple[float, float], Window]
+
+
+@dataclass(frozen=True)
+class Enclosure:
+    """``low <= worst phase margin <= high`` [rad]; `payload` [kg] and `frequency` [rad/s] attain `high`."""
+
+    low: float
+    high: float
+    payload: float
+    frequency: float
+    nodes: int
+
+
+def _misses_sector(real: tuple[float, float], imaginary: tuple[float, float], tangent: float) -> bool:
+    """Whether a rectangle holds no point with ``|Im| < -Re·tan φ``, φ < 90°: the widest corner decides."""
+    across = max(0.0, imaginary[0], -imaginary[1])
+    return real[0] >= 0.0 or across > -real[0] * tangent
+
+
+def _proved(loop: Loop, windows: Windows, box: Box, margin: float) -> bool:
+    window = windows.get(box[:2])
+    if window is None:
+        window = windows[box[:2]] = loop.window(*box[:2])
+    value, size, alias = loop.inverse(window, box[2:4], box[4:6])
+    if size.is_finite() and outside(size)[0] * (1.0 - alias) > 1.0:
+        return True
+    # Where |L| >= 1 - a an alias of modulus a turns L by no more than asin(a/(1 - a)) < 2a.
+    turned = margin + 2.0 * alias
+    if not (value.is_finite() and turned < 0.5 * math.pi):
+        return False
+    return _misses_sector(outside(value.real), outside(value.imag), math.tan(turned))
+
+
+def holds_everywhere(
+    loop: Loop, margin: float, windows: dict[tuple[float, float], Window], most: int
+) -> int | None:
+    """Number of nodes of a proof that every crossing keeps `margin` [rad] < π/2; None where there is none."""
+    s = loop.statement
+    nyquist = math.nextafter(math.pi / float(loop.period.mid()), math.inf)
+    root: Box = (s.lowest, nyquist, s.payload_low, s.payload_high, s.delay_low, s.delay_high)
+    stack = [(root, 0)]
+    nodes = 0
+    while stack:
+        box, depth = stack.pop()
+        nodes += 1
+        if _proved(loop, windows, box, margin):
+            continue
+        if depth > 50 or nodes > most:
+            return None
+        wide = ((box[1] - box[0]) / box[0] * 3.0, (box[3] - box[2]) / box[2], (box[5] - box[4]) * box[1])
+        stack += [(half, depth + 1) for half in halves(box, wide.index(max(wide)))]
+    return nodes
+
+
+def enclose_phase_margin(
+    statement: Statement, law: Law, *, width: float = math.radians(0.01), most: int = 60_000
+) -> Enclosure:
+    """Enclose the worst phase margin over the statement's payloads and delays to `width` [rad].
+
+    The upper end is attained at a crossing, known to rounding; the lower end is proved by bisection. For
+    margins below 90°.
+    """
+    high, payload, frequency = _attained(statement, law)
+    loop = Loop(statement, law.coefficients)
+    windows: Windows = {}
+    nodes = holds_everywhere(loop, high - width, windows, most)
+    if nodes is not None:
+        return Enclosure(high - width, high, payload, frequency, nodes)
+    low, bad = 0.0, high - width
+    for _ in range(12):
+        middle = 0.5 * (low + bad)
+        found = holds_everywhere(loop, middle, windows, most // 4)
+        low, bad, nodes = (middle, bad, found) if found is not None else (low, middle, nodes)
+    return Enclosure(low, high, payload, frequency, nodes or 0)
+
+
+def _attained(statement: Statement, law: Law) -> tuple[float, float, float]:
+    """(margin, payload, frequency) of the worst falling crossing at the corners of the box."""
+    import numpy as np
+
+    best = (math.pi, statement.payload_low, 0.0)
+    mode = (statement.softness * statement.payload_low) ** (-1.0 / statement.order)
+    w = np.geomspace(0.3 * mode, min(6.0 * mode, math.pi / law.period), 4000)
+    for payload in (statement.payload_low, statement.payload_high):
+        for late in (statement.delay_low, statement.delay_high):
+            value = loop_values(statement, law, w, payload, late)
+            for i in np.nonzero((np.abs(value[:-1]) > 1.0) != (np.abs(value[1:]) > 1.0))[0]:
+                a, b = float(w[i]), float(w[i + 1])
+                over = abs(value[i]) > 1.0
+                for _ in range(50):
+                    c = 0.5 * (a + b)
+                    a, b = (
+                        (c, b)
+                        if (abs(loop_values(statement, law, c, payload, late)) > 1.0) == over
+                        else (a, c)
+                    )
+                margin = float(np.abs(np.angle(-loop_values(statement, law, a, payload, late))))
+                best = min(best, (margin, float(payload), a))
+    return best
