@@ -223,10 +223,17 @@ def test_voltage_saturates(law):
     assert np.abs(run.voltage).max() == 1.0
 
 
+def test_single_precision_is_the_law_of_the_board(law):
+    """The float law runs as float: not the double's bits, but the same move to a float's digits."""
+    one = run_twin(quiet(), smooth(law), MOVE, duration=2.0)
+    two = run_twin(quiet(), smooth(law).in_precision("single"), MOVE, duration=2.0)
+    apart = np.abs(one.tip_angle - two.tip_angle).max()
+    assert 1e-9 < apart < 1e-4
+    assert np.all(two.motor_reference == two.motor_reference.astype(np.float32))
+
+
 def test_refusals(law):
     twin = Twin.from_rig(RIG, link_mass=LINK_MASS)
-    with pytest.raises(FieldError, match="precision"):
-        run_twin(twin, law.in_precision("single"), MOVE)
     with pytest.raises(FieldError, match="period"):
         run_twin(twin, replace(law, period=0.002), MOVE)
     with pytest.raises(FieldError, match="duration"):

@@ -88,32 +88,37 @@ struct Memory {
 };
 
 Result run(Matrix transition, Vector hub, Vector tip, Matrix outputs, Vector rig_values, Vector obstacle_values,
-           nb::bytes params, Matrix input, MutableBytes law, Mutable state, Mutable gauge, Mutable voltage,
+           nb::bytes params, bool single, Matrix input, MutableBytes law, Mutable state, Mutable gauge, Mutable voltage,
            Mutable sensed, Counters counters) {
     const twin_step step = step_of(transition, hub, tip, outputs);
     const twin_rig rig = rig_of(rig_values);
     require(obstacle_values.size() == 5, "obstacle: 5 values");
     const double *o = obstacle_values.data();
     const twin_obstacle obstacle = {o[0], o[1], o[2], o[3], o[4]};
-    require(params.size() == sizeof(law_params), "params: another size than law_params");
-    require(law.size() == sizeof(law_state), "law: another size than law_state");
+    int params_size = 0;
+    int state_size = 0;
+    (single ? twin_sizes_single : twin_sizes_double)(&params_size, &state_size);
+    require(params.size() == static_cast<std::size_t>(params_size), "params: another size than law_params");
+    require(law.size() == static_cast<std::size_t>(state_size), "law: another size than law_state");
+    // Copies in words of eight bytes: the structs hold doubles, and a Python buffer promises no alignment.
+    std::vector<std::uint64_t> block(params.size() / 8 + 1);
+    std::vector<std::uint64_t> law_memory(law.size() / 8 + 1);
+    std::memcpy(block.data(), params.c_str(), params.size());
+    std::memcpy(law_memory.data(), law.data(), law.size());
     require(input.shape(1) == TWIN_INPUTS, "input: (periods, TWIN_INPUTS)");
     const std::size_t periods = input.shape(0);
     Memory buffers{state, gauge, voltage, sensed, counters, {}};
     twin_memory memory = buffers.checked(rig, hub.size());
-    law_params block;
-    law_state law_memory;
-    std::memcpy(&block, params.c_str(), sizeof block);
-    std::memcpy(&law_memory, law.data(), sizeof law_memory);
     double *data = new double[periods * TWIN_COLUMNS]();
     Result whole = matrix(data, periods, TWIN_COLUMNS);
     int done = 0;
     {
         nb::gil_scoped_release release;
-        done = twin_run(&step, &rig, &obstacle, &block, static_cast<int>(periods), input.data(), &law_memory, &memory,
-                        data);
+        const auto run_law = single ? twin_run_single : twin_run_double;
+        done = run_law(&step, &rig, &obstacle, block.data(), static_cast<int>(periods), input.data(),
+                       law_memory.data(), &memory, data);
     }
-    std::memcpy(law.data(), &law_memory, sizeof law_memory);
+    std::memcpy(law.data(), law_memory.data(), law.size());
     buffers.keep(memory);
     if (static_cast<std::size_t>(done) == periods) {
         return whole;

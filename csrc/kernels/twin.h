@@ -4,8 +4,6 @@
 
 #include <stdint.h>
 
-#include "law.h"
-
 #define TWIN_OUTPUTS 6 /* hub angle, hub velocity, tip angle, gauge torque, tip velocity, material's moment */
 
 /* One exact step of the linear twin; transition is column-major with `stride` rows, the rest is padded by 0. */
@@ -104,9 +102,25 @@ enum {
 /* Encoder and gauge as the controller reads them now, faults included. */
 void twin_sense(const twin_rig *rig, twin_memory *memory, const double *input, double *angle, double *torque);
 
+/* One output of the linear twin. */
+double twin_output(const twin_step *step, int row, const double *state);
+
+/* Push of the obstacle on the tip [N]: never a pull, whatever the damping says. */
+double twin_contact(const twin_step *step, const twin_obstacle *obstacle, const double *state);
+
+/* One step of motor and link under a motor torque and a force on the tip. */
+void twin_motor_step(const twin_step *step, const twin_rig *rig, double torque, double force, twin_memory *memory);
+
+/* Bytes of law_params and law_state. */
+void twin_sizes_double(int *params, int *state);
+void twin_sizes_single(int *params, int *state);
+
 /* Run the law on the twin for `periods` control periods: rows of TWIN_INPUTS in, rows of TWIN_COLUMNS out.
- * Returns the number of periods run, less than asked for only where the twin left every bound. */
-int twin_run(const twin_step *step, const twin_rig *rig, const twin_obstacle *obstacle, const law_params *params,
-             int periods, const double *input, law_state *law, twin_memory *memory, double *record);
+ * `params` and `law` are law_params and law_state of the precision named. Returns the number of periods run, less
+ * than asked for only where the twin left every bound. */
+int twin_run_double(const twin_step *step, const twin_rig *rig, const twin_obstacle *obstacle, const void *params,
+                    int periods, const double *input, void *law, twin_memory *memory, double *record);
+int twin_run_single(const twin_step *step, const twin_rig *rig, const twin_obstacle *obstacle, const void *params,
+                    int periods, const double *input, void *law, twin_memory *memory, double *record);
 
 #endif

@@ -110,7 +110,7 @@ def run_twin(
 
     Parameters
     ----------
-    law: in double precision; where it has no inner loop it gets that of the twin's motor
+    law: single or double precision; where it has no inner loop it gets that of the twin's motor
     reference: of the tip, with velocity and acceleration; `.then()` makes several moves in a row
     duration: of the run [s]; default the reference's and 3 s more
     events: changes of payload, pulses, obstacles, restarts
@@ -118,8 +118,7 @@ def run_twin(
 
     Raises
     ------
-    FieldError: the law has another period than its inner loop or is in single precision; the duration is
-        out of range.
+    FieldError: the law has another period than its inner loop; the duration is out of range.
 
     >>> import fraclink as fl
     >>> from fraclink.reference import smooth_step
@@ -145,7 +144,7 @@ def run_twin(
     records, payloads = [], []
     for first, last, changes in _segments(tuple(events), law.period, inputs):
         _apply(vessel, law, changes)
-        part = vessel.run(law.block, inputs[first:last])
+        part = vessel.run(law.block, inputs[first:last], single=law.precision == "single")
         records.append(part)
         payloads.append(np.full(len(part), vessel.twin.beam.payload))
         if len(part) < last - first:
@@ -166,14 +165,6 @@ def driven(twin: Twin, law: Law) -> Law:
     from fraclink.law.discretize import COULOMB_SPEED
     from fraclink.motor import inner_loop
 
-    if law.precision != "double":
-        raise FieldError(
-            "precision",
-            law.precision,
-            "not what the twin runs",
-            allowed="double",
-            remedy="use law.in_precision('double')",
-        )
     if law.drive is None:
         motor = twin.motor
         drive = Drive(

@@ -65,14 +65,15 @@ class Vessel:
         self.obstacle = np.array([0.0, 0.0, 0.0, twin.beam.length, 1.0])
         self.twin = twin
 
-    def run(self, block: bytes, inputs: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Advance by the rows of `inputs`; returns the kernel's record."""
+    def run(self, block: bytes, inputs: NDArray[np.float64], *, single: bool = False) -> NDArray[np.float64]:
+        """Advance by the rows of `inputs` under a law's block; returns the kernel's record."""
         return np.asarray(
             _kernels.twin_run(
                 *self.step.arrays,
                 self.rig,
                 self.obstacle,
                 block,
+                single,
                 np.ascontiguousarray(inputs),
                 self.law,
                 self.state,
