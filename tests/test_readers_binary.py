@@ -270,3 +270,15 @@ def test_columns_are_called_as_their_program_calls_them(kind: str, tmp_path: Pat
     for name in second:
         assert columns[name].tolist() == tall[:, 1].tolist()
     assert len(columns) == 4
+
+
+def test_b66_objects_of_matlab_yield_no_columns() -> None:
+    from scipy.io.matlab import MatlabFunction, MatlabObject, MatlabOpaque
+
+    from fraclink.readers.parsers.mat5 import _flat
+
+    fields = np.zeros((1, 1), dtype=[("s0", "O"), ("arr", "O")])
+    fields["arr"][0, 0] = np.arange(6, dtype=np.uint32).reshape(6, 1)
+    assert [column.name for column in _flat("x", fields, 6)] == ["x.arr"]
+    for kind in (MatlabOpaque, MatlabFunction, MatlabObject):
+        assert list(_flat("x", fields.view(kind), 6)) == []
