@@ -33,8 +33,8 @@ def read(path: Path) -> tuple[list[RawColumn], dict[str, str]]:
 
 
 def _flat(name: str, value: object, depth: int) -> Iterator[RawColumn]:
-    # Cells arrive as object arrays without fields, sparse matrices as no arrays at all; timetables, time series
-    # and function handles as arrays with fields of MATLAB's own making, in which no sample can be found.
+    # Cells arrive as object arrays without fields, sparse matrices as no arrays at all; timetables, time
+    # series and function handles as arrays with fields of MATLAB's own, in which no sample can be found.
     if not isinstance(value, np.ndarray) or not depth or type(value).__name__.startswith("Matlab"):
         return
     if value.dtype.names is None:
