@@ -5,9 +5,9 @@ its Riemann surface lie above each other in strips of the z-plane: |Im z| ≤ π
 right half plane is |Im z| < π/2. Nothing is truncated or made commensurate: 1.92 and √2 cost the same.
 
 The count is the argument principle. Left and right of all zeros one term dominates; between, a step
-from z₁ to z₂ is accepted only if the length of the image, bounded by h · max |D'|, is smaller than
-|D(z₁)| + |D(z₂)|: the image then lies in an ellipse that does not contain the origin, so that the change
-of phase is the principal argument of D(z₂)/D(z₁), without doubt (up to a stated allowance for rounding).
+of half-length ρ around z is accepted only if ρ|D'(z)| + ρ²/2 |D″(z)| + ρ³/6 |D‴(z)| + ρ⁴/24 max |D⁗| is
+smaller than |D(z)|: the image then lies in a disc that does not contain the origin, so that the change of
+phase is the principal argument of the quotient of its ends (up to a stated allowance for rounding).
 """
 
 from __future__ import annotations
