@@ -158,6 +158,16 @@ def test_b16_no_payload() -> None:
     assert found(changed(payload=None), "W216").severity == "warning"
 
 
+def test_b16_a_payload_outside_the_rigs_range() -> None:
+    assert found(changed(payload=0.06), "W216", Rig.named("paper-2023")).evidence["high"] == 0.04
+
+
+def test_b17_another_period_than_the_rigs() -> None:
+    rig = dataclasses.replace(Rig.named("paper-2023"), period=0.002)
+    assert found(GOOD, "W217", rig).evidence["log_period_s"] == 0.004
+    assert "W217" not in {finding.code for finding in diagnose(GOOD, Rig.named("paper-2023"))}
+
+
 def test_b24_outlier_rows() -> None:
     output = GOOD.output.copy()
     output[[500, 900]] *= 100

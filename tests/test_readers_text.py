@@ -241,6 +241,11 @@ def test_resampling_uses_the_stamps(tmp_path: Path) -> None:
     assert finding.evidence["lost_samples"] == 8
 
 
+def test_resampling_leaves_uniform_stamps_alone(tmp_path: Path) -> None:
+    path = write_log(tmp_path / "a.csv", made_rows(400))
+    assert read_log(path, resample=True) == read_log(path)
+
+
 def test_slight_jitter_is_reported_and_kept(tmp_path: Path) -> None:
     rows = made_rows(400)
     rng = np.random.default_rng(0)

@@ -46,7 +46,18 @@ def labels(experiment: Experiment, rig: Rig | None) -> Iterator[Finding]:
             {},
             "state it (--payload, or # payload_kg: in the log): from a known one a model scales to others",
         )
-    elif rig is not None and not rig.payloads.low <= experiment.payload <= rig.payloads.high:
+    if rig is not None and abs(experiment.period - rig.period) > 0.01 * rig.period:
+        yield Finding(
+            "W217",
+            "info",
+            f"the log has a sample every {1e3 * experiment.period:.4g} ms, the rig's law runs every "
+            f"{1e3 * rig.period:.4g} ms",
+            {"log_period_s": experiment.period, "rig_period_s": rig.period},
+            "the model does not depend on it; check period_ms if they should be the same",
+        )
+    if experiment.payload is None or rig is None:
+        return
+    if not rig.payloads.low <= experiment.payload <= rig.payloads.high:
         yield Finding(
             "W216",
             "info",

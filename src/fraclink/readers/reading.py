@@ -101,7 +101,7 @@ def read_log(
     data, findings = _channels(table, stated, interpolate)
     stamps = data.pop("time")
     base = time_base(stamps, resample=resample)
-    if resample:
+    if resample and base.findings:  # uniform stamps need no interpolation, which would cost the last bits
         _check_span(stamps, base.period)
         data = {role: resampled(stamps, base, values) for role, values in data.items()}
     output = data[stated.output_kind]
