@@ -28,7 +28,7 @@ _CHUNK = 1024  # times together: about 20 nodes each
 
 def held_response(quotient: Quotient, times: Reals, power: int) -> Reals:
     """Return the inverse Laplace transform of G(s)/s^power at times > 0 [s] (1 step, 2 ramp, 0 impulse)."""
-    simple, clusters = quotient.clusters()
+    simple, clusters = quotient.clusters
     inside = np.array([z for z in simple if z.imag < math.pi - 1e-9], np.complex128)
     packed = [c for c in clusters if c.centre.imag < math.pi - 1e-9]
     flat = np.ravel(times)

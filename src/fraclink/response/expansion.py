@@ -46,7 +46,7 @@ def expand(quotient: Quotient, *, shortest: float, longest: float, tolerance: fl
     # The trapezoid rule errs by exp(-2π a/h), a = 1.5: nearly the quarter turn after which e^(st) grows. The
     # factor of that error is below 1/2 for every function tried.
     step = 2.0 * math.pi * 1.5 / math.log(0.5 / tolerance)
-    simple, clusters = quotient.clusters()
+    simple, clusters = quotient.clusters
     origin = _origin(simple, clusters, step)
 
     def kernel(z: Complexes) -> Complexes:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,6 +75,7 @@ class Quotient:
         slope = tuple(Term(t.coefficient * t.order, t.order) for t in self.bottom if t.order)
         return complex((_sum(self.top, point) / _sum(slope, point))[0])
 
+    @cached_property
     def clusters(self) -> tuple[list[complex], list[Cluster]]:
         """Split the zeros of D into simple ones and clusters."""
         groups: list[list[complex]] = []
