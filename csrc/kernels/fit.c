@@ -67,8 +67,8 @@ static void project(double *shape, const fit_request *r) {
     for (int i = 0; i < FIT_SHAPE; i++)
         if (r->mask >> i & 1) shape[i] = fmin(fmax(shape[i], r->lower[i]), r->upper[i]);
     double a = shape[FIT_DAMPING_ORDER];
-    if (a < 1 && (r->mask >> FIT_RATIO & 1)) {
-        double most = tan(a * 1.57079632679489661923) / 2;
+    if (r->mask >> FIT_RATIO & 1) {
+        double most = a < 1 ? tan(a * 1.57079632679489661923) / 2 : FIT_RATIO_MOST;
         if (shape[FIT_RATIO] > most) shape[FIT_RATIO] = most;
     }
 }

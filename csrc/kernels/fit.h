@@ -19,6 +19,9 @@ enum {
     FIT_STATES_MAX = FIT_MODES_MAX + 5
 };
 
+/* Viscous damping beyond is no vibration: its poles are real. */
+#define FIT_RATIO_MOST 0.9
+
 enum { FIT_ORDER, FIT_RESONANCE, FIT_RATIO, FIT_DAMPING_ORDER, FIT_DELAY };
 enum { FIT_OK = 0, FIT_NO_POLE = 1, FIT_DELAY_RANGE = 2 };
 enum { FIT_CONVERGED = 0, FIT_ITERATIONS = 1, FIT_SINGULAR = 2, FIT_FAILED = 3 };

@@ -55,9 +55,7 @@ static void make_formula(const double *shape, unsigned mask, formula *f) {
 }
 
 /* Root of s^l + mu s^a + w with positive imaginary part; Newton in z = ln s, where the terms are exponentials. */
-static int find_pole(const formula *f, const double *shape, cx *log_pole) {
-    double ratio = shape[FIT_RATIO] < 0.99 ? shape[FIT_RATIO] : 0.99;
-    cx z = {shape[FIT_RESONANCE], PI / f->order + (f->damping > 0 ? asin(ratio) : 0)};
+static int newton(const formula *f, cx z, cx *log_pole) {
     for (int i = 0; i < 40; i++) {
         cx moving = exponential(scale(f->order, z));
         cx friction = scale(f->damping, exponential(scale(f->damping_order, z)));
@@ -73,6 +71,15 @@ static int find_pole(const formula *f, const double *shape, cx *log_pole) {
     if (!(z.im > 0.02 && z.im < PI - 1e-6)) return FIT_NO_POLE;
     *log_pole = z;
     return FIT_OK;
+}
+
+static int find_pole(const formula *f, const double *shape, cx *log_pole) {
+    double ratio = shape[FIT_RATIO] < 0.99 ? shape[FIT_RATIO] : 0.99;
+    cx z = {shape[FIT_RESONANCE], PI / f->order + (f->damping > 0 ? asin(ratio) : 0)};
+    if (newton(f, z, log_pole) == FIT_OK) return FIT_OK;
+    double left = f->order - f->damping_order; /* without w: s^(l-a) + mu, where UD-FOM lies inside D-FOM */
+    if (!(f->damping > 0 && left > 1)) return FIT_NO_POLE;
+    return newton(f, (cx){log(f->damping) / left, PI / left}, log_pole);
 }
 
 /* What one exponential contributes: e^{p t} after a time f of the input's interval, for held and linear inputs. */

@@ -100,6 +100,7 @@ def identify_all(
     'UD-FOM'
     """
     search = make_search(log, heldout=heldout, stiffness=stiffness, fixed=fixed, guess=None, hold=hold)
+    search.reconcile()
     fits = {name: fit_from(search, name, log, stiffness=stiffness, details=details) for name in STRUCTURES}
     still = {}
     if "delay" not in search.fixed:

@@ -79,7 +79,7 @@ def _names(solution: Solution, inside: list[int], linear: list[int]) -> tuple[st
     needed = {"natural_frequency": 1, "order": 0, "damping": 2, "damping_order": 3}
     own = [name for name in structure(solution.structure).free if needed[name] in inside]
     if solution.on_edge:
-        own.remove("natural_frequency")
+        own = [name for name in own if name != "natural_frequency"]
     delay = ["delay"] if 4 in inside else []
     return (*own, *delay, *({1: "gain", 2: "offset"}[c] for c in linear))
 

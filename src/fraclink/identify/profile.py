@@ -62,6 +62,8 @@ class _Profile:
         if self.name in _DIRECT:
             i = _DIRECT[self.name]
             return float(self.solution.lower[i]), float(self.solution.upper[i])
+        if self._frequency_is_resonance:
+            return math.exp(self.solution.lower[1]), math.exp(self.solution.upper[1])
         return 0.0, math.inf
 
     def cost(self, value: float, near: Shape) -> tuple[float, Shape]:

@@ -200,7 +200,8 @@ def _variances(errors: Uncertainty, allow: bool) -> NDArray[np.float64]:
 def _tests(search: Search, residual: NDArray[np.float64], errors: Uncertainty) -> ResidualTests:
     ratio = 1.0
     if errors.coloured is not None and errors.names:
-        ratio = float(np.max(np.diag(errors.coloured) / np.maximum(np.diag(errors.white), 1e-300)))
+        pairs = zip(np.diag(errors.coloured).tolist(), np.diag(errors.white).tolist(), strict=True)
+        ratio = min(max((c / w for c, w in pairs if w > 0), default=1.0), 1e12)
     motion = search.window.increments()
     return residual_tests(residual, motion, search.window.period, errors.lag, ratio)
 
@@ -211,7 +212,7 @@ def _intervals(search: Search, solution: Solution, errors: Uncertainty, allow: b
     for i, name in enumerate(errors.names):
         if name in ("gain", "offset"):
             continue
-        inflation = float(variances[i] / white[i]) if white[i] > 0 else 1.0
+        inflation = min(float(variances[i]) / float(white[i]), 1e12) if white[i] > 0 else 1.0
         error = math.sqrt(max(white[i], 0.0) * inflation)
         result[name] = profile_interval(search, solution, search.kernel, name, error, inflation)
     if 3 in solution.free and "damping_order" not in result:  # at a limit: one-sided, but never left out
