@@ -12,7 +12,10 @@ import pytest
 from fraclink.diagnose import Finding, diagnose
 from fraclink.diagnose.scan import find_mode
 from fraclink.experiment import Experiment
+from fraclink.identify import simulated_torque
+from fraclink.link import LinkModel
 from fraclink.readers import bundled_log, bundled_logs, read_log
+from fraclink.reference import chirp, prbs, pulse
 from fraclink.rig import Gauge, Rig
 from made_logs import made_experiment, made_motion, made_output
 from shared_data import shared_data
@@ -252,3 +255,28 @@ def test_findings_travel_between_processes() -> None:
 
     for finding in diagnose(GOOD):
         assert ForkingPickler.loads(ForkingPickler.dumps(finding)) == finding
+
+
+@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("kind", ["prbs", "pulse", "chirp"])
+def test_signs_are_judged_right_on_links_of_any_order(kind: str, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    time = 0.004 * np.arange(5000)
+    reference = {
+        "prbs": prbs(0.2, float(rng.uniform(0.05, 0.3)), start=0.5),
+        "pulse": pulse(1.0, 7.0, start=0.5, rise=0.05),
+        "chirp": chirp(0.3, 0.2, 6.0, 18.0),
+    }[kind]
+    order, frequency = float(rng.uniform(1.75, 2.0)), float(rng.uniform(4, 30))
+    if seed % 2:
+        model = LinkModel(1.5, frequency ** (order / 2), order=order)
+    else:
+        damping = 2 * float(rng.uniform(0.01, 0.15)) * frequency
+        model = LinkModel(1.5, frequency, order=2.0, damping=damping, damping_order=1.0)
+    motor = np.asarray(reference.angle(time), dtype=np.float64)
+    torque = simulated_torque(model, motor, 0.004) + rng.normal(0, 0.03, 5000) + rng.normal(0, 0.1)
+    late = int(rng.integers(0, 6))
+    torque = np.concatenate((np.full(late, torque[0]), torque[: 5000 - late]))
+    good = Experiment(period=0.004, motor_angle=motor, output=torque, payload=0.03)
+    assert codes(good, "error") == set()
+    assert codes(dataclasses.replace(good, output=-torque), "error") == {"W211"}
