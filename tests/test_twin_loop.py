@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import fraclink as fl
-from fraclink.errors import FieldError
+from fraclink.errors import FieldError, FileFormatError
 from fraclink.law import Modes, discretize_controller
 from fraclink.reference import hold, smooth_step
 from fraclink.twin import (
@@ -20,6 +20,7 @@ from fraclink.twin import (
     Sensors,
     TipPulse,
     Twin,
+    TwinRun,
     geared,
     run_twin,
 )
@@ -221,6 +222,26 @@ def test_voltage_saturates(law):
     weak = replace(twin, motor=replace(twin.motor, voltage_limit=1.0))
     run = run_twin(weak, law, MOVE, duration=2.0)
     assert np.abs(run.voltage).max() == 1.0
+
+
+def test_a_run_saves_and_loads_equal(law, tmp_path):
+    run = run_twin(quiet(), smooth(law), MOVE, duration=1.0, events=[Restart(0.5)], seed=2)
+    run.save(tmp_path / "run.npz")
+    back = TwinRun.load(tmp_path / "run.npz")
+    assert np.array_equal(back.tip_angle, run.tip_angle) and back.mode.dtype == run.mode.dtype
+    assert back.metrics == run.metrics and back.verdict == run.verdict and back.about == run.about
+    assert back.about["law_sha256"] == smooth(law).digest and "Restart" in back.about["events"]
+    (tmp_path / "other.npz").write_bytes(b"PK\x03\x04nothing")
+    with pytest.raises(FileFormatError):
+        TwinRun.load(tmp_path / "other.npz")
+
+
+def test_a_rig_that_contradicts_its_model_is_refused():
+    from fraclink.link import LinkModel
+
+    other = LinkModel(stiffness=1.56, natural_frequency=20.0, order=1.92, payload=0.030)
+    with pytest.raises(FieldError, match="contradicting"):
+        Twin.from_rig(replace(RIG, model=other))
 
 
 def test_single_precision_is_the_law_of_the_board(law):

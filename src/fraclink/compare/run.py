@@ -12,7 +12,8 @@ from fraclink.compare.shaping import Shaped
 from fraclink.law import Law
 from fraclink.reference import Reference
 from fraclink.twin.arm import Twin
-from fraclink.twin.loop import TwinRun, collect, healthy_inputs, vibration_period
+from fraclink.twin.loop import healthy_inputs
+from fraclink.twin.run import TwinRun, collect, vibration_period
 from fraclink.twin.vessel import ACCELERATION, GAUGE_ERROR, REFERENCE, VELOCITY, Vessel
 
 __all__ = ["run_rival"]
@@ -66,6 +67,7 @@ def run_rival(
         finished=len(record) == count,
         ended=followed.duration,  # a shaper's own delay counts as settling, not as vibration
         vibration_period=vibration_period(twin),
+        about={"rival": rival.name, "seed": str(seed)},
     )
 
 

@@ -17,7 +17,8 @@ from fraclink.compare.spillover import mode_gain
 from fraclink.errors import FieldError
 from fraclink.reference import Reference, smooth_step
 from fraclink.twin.arm import Twin, damping_of, geared
-from fraclink.twin.loop import TwinRun, driven
+from fraclink.twin.loop import driven
+from fraclink.twin.run import TwinRun
 
 if TYPE_CHECKING:
     from fraclink.link import LinkModel

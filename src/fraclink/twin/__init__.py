@@ -13,8 +13,9 @@ from fraclink.twin.damping import FractionalKelvinVoigt, KelvinVoigt, PowerLaw
 from fraclink.twin.events import Obstacle, PayloadChange, Restart, TipPulse
 from fraclink.twin.frequencies import exact_frequencies
 from fraclink.twin.logs import TwinLog, simulate_log
-from fraclink.twin.loop import TwinRun, run_twin
+from fraclink.twin.loop import run_twin
 from fraclink.twin.plant import Plant, assemble
+from fraclink.twin.run import TwinRun
 from fraclink.twin.sensors import Sensors
 
 __all__ = [

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 
 from fraclink import _kernels
 from fraclink.errors import FieldError, SizeError
-from fraclink.simulate.metrics import Metrics, Verdict, judge, measure
 from fraclink.twin.arm import Twin
-from fraclink.twin.damping import PowerLaw
 from fraclink.twin.events import Event, Obstacle, PayloadChange, Restart, TipPulse
 from fraclink.twin.logs import MOST_SAMPLES
+from fraclink.twin.run import TwinRun, collect, vibration_period
 from fraclink.twin.vessel import (
     ACCELERATION,
     ENCODER_GAIN,
@@ -32,52 +31,9 @@ if TYPE_CHECKING:
     from fraclink.law import Law
     from fraclink.reference import Reference
 
-__all__ = ["TwinRun", "collect", "driven", "healthy_inputs", "run_twin"]
+__all__ = ["driven", "healthy_inputs", "run_twin"]
 
 Vector = NDArray[np.float64]
-
-SATURATED = 64  # LAW_FLAG_SATURATED of law.h
-
-
-@dataclass(frozen=True)
-class TwinRun:
-    """A move of the twin, one value per control period, each at the period's beginning.
-
-    time [s]; reference, tip_angle, motor_angle, motor_reference [rad]; torque: the true −EI w''(0) [N·m];
-    motor_angle_measured [rad] and torque_measured [N·m]: what the sensors gave; voltage: what acted [V];
-    motor_velocity [rad/s]; contact_force: the largest of the period [N]; mode, reason and flags of the law
-    (see law.h); payload [kg]. `finished` is False where the twin left every bound and the run was cut.
-    `metrics` and `verdict` judge it as they judge `fraclink.simulate`.
-    """
-
-    time: Vector
-    reference: Vector
-    tip_angle: Vector
-    motor_angle: Vector
-    motor_reference: Vector
-    torque: Vector
-    motor_angle_measured: Vector
-    torque_measured: Vector
-    voltage: Vector
-    motor_velocity: Vector
-    contact_force: Vector
-    mode: NDArray[np.uint32]
-    reason: NDArray[np.uint32]
-    flags: NDArray[np.uint32]
-    payload: Vector
-    finished: bool
-    metrics: Metrics
-    verdict: Verdict
-
-    @property
-    def period(self) -> float:
-        """Control period [s]."""
-        return float(self.time[1] - self.time[0])
-
-    @property
-    def error(self) -> Vector:
-        """Reference minus tip angle [rad]."""
-        return np.asarray(self.reference - self.tip_angle)
 
 
 def healthy_inputs(
@@ -142,7 +98,8 @@ def run_twin(
     inputs = healthy_inputs(twin, reference, law.period, count, np.random.default_rng(seed))
     vessel = Vessel(twin, law.period, law.initial_state(), start_angle=float(inputs[0, REFERENCE]))
     records, payloads = [], []
-    for first, last, changes in _segments(tuple(events), law.period, inputs):
+    happening = tuple(events)
+    for first, last, changes in _segments(happening, law.period, inputs):
         _apply(vessel, law, changes)
         part = vessel.run(law.block, inputs[first:last], single=law.precision == "single")
         records.append(part)
@@ -156,6 +113,14 @@ def run_twin(
         finished=sum(map(len, records)) == count,
         ended=reference.duration,
         vibration_period=vibration_period(twin),
+        about={
+            "law_sha256": law.digest,
+            "seed": str(seed),
+            "damping": twin.damping.label,
+            "link_mass_kg": repr(twin.beam.link_mass),
+            "payload_kg": repr(twin.beam.payload),
+            "events": "; ".join(map(repr, happening)),
+        },
     )
 
 
@@ -224,65 +189,3 @@ def _apply(vessel: Vessel, law: Law, changes: list[Event | None]) -> None:
             vessel.change_payload(event.payload)
         elif isinstance(event, Restart):
             vessel.law = np.frombuffer(bytearray(law.initial_state()), dtype=np.uint8)
-
-
-def vibration_period(twin: Twin) -> float:
-    """Return the period of the first mode with its damping [s]."""
-    modes = twin.beam.modes(1)
-    # With a power law ω is not in rad/s: the mode is at ω^(2/λ), where |s²| = ω² |D(s)|.
-    frequency = float(modes.frequencies[0])
-    if isinstance(twin.damping, PowerLaw):
-        frequency = frequency ** (2.0 / twin.damping.order)
-    return 2.0 * math.pi / frequency
-
-
-def collect(
-    record: NDArray[np.float64],
-    payload: Vector,
-    period: float,
-    *,
-    finished: bool,
-    ended: float,
-    vibration_period: float,
-) -> TwinRun:
-    """Name the columns of the kernel's record and judge the run."""
-    columns = [np.ascontiguousarray(column) for column in record.T]
-    time: Vector = np.linspace(0.0, period * (len(record) - 1), len(record))
-    for column in (*columns, payload, time):
-        column.flags.writeable = False
-    reference, motor, tip, torque, encoder, gauge, command, voltage = columns[:8]
-    speed, contact = columns[12:]
-    mode, reason, flags = (column.astype(np.uint32) for column in columns[9:12])
-    metrics = measure(
-        time,
-        reference,
-        tip,
-        command,
-        voltage,
-        (flags & SATURATED) != 0,
-        ended=ended,
-        vibration_period=vibration_period,
-    )
-    verdict = judge(
-        metrics, time, reference, tip, mode, reason, ended=ended, vibration_period=vibration_period
-    )
-    return TwinRun(
-        time=time,
-        reference=reference,
-        tip_angle=tip,
-        motor_angle=motor,
-        motor_reference=command,
-        torque=torque,
-        motor_angle_measured=encoder,
-        torque_measured=gauge,
-        voltage=voltage,
-        motor_velocity=speed,
-        contact_force=contact,
-        mode=mode,
-        reason=reason,
-        flags=flags,
-        payload=payload,
-        finished=finished,
-        metrics=metrics,
-        verdict=verdict,
-    )
