@@ -10,9 +10,9 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from fraclink.certify.balls import Loop, Window, outside
+from fraclink.certify.balls import Disc, Loop, Window, outside
 from fraclink.certify.numeric import loop_values
-from fraclink.certify.search import Box, halves
+from fraclink.certify.search import Box, halves, widest_side
 from fraclink.certify.statement import Statement
 
 if TYPE_CHECKING:
@@ -41,18 +41,20 @@ def _misses_sector(real: tuple[float, float], imaginary: tuple[float, float], ta
     return real[0] >= 0.0 or across > -real[0] * tangent
 
 
-def _proved(loop: Loop, windows: Windows, box: Box, margin: float) -> bool:
+def _proved(loop: Loop, windows: Windows, box: Box, margin: float) -> Disc | None:
+    """None where the box is proved, else the enclosure of 1/L that was too wide."""
     window = windows.get(box[:2])
     if window is None:
         window = windows[box[:2]] = loop.window(*box[:2])
     value, size, alias = loop.inverse(window, box[2:4], box[4:6])
     if size.is_finite() and outside(size)[0] * (1.0 - alias) > 1.0:
-        return True
+        return None
     # Where |L| >= 1 - a an alias of modulus a turns L by no more than asin(a/(1 - a)) < 2a.
     turned = margin + 2.0 * alias
     if not (value.is_finite() and turned < 0.5 * math.pi):
-        return False
-    return _misses_sector(outside(value.real), outside(value.imag), math.tan(turned))
+        return value
+    missed = _misses_sector(outside(value.real), outside(value.imag), math.tan(turned))
+    return None if missed else value
 
 
 def holds_everywhere(
@@ -67,12 +69,13 @@ def holds_everywhere(
     while stack:
         box, depth = stack.pop()
         nodes += 1
-        if _proved(loop, windows, box, margin):
+        value = _proved(loop, windows, box, margin)
+        if value is None:
             continue
         if depth > 50 or nodes > most:
             return None
-        wide = ((box[1] - box[0]) / box[0] * 3.0, (box[3] - box[2]) / box[2], (box[5] - box[4]) * box[1])
-        stack += [(half, depth + 1) for half in halves(box, wide.index(max(wide)))]
+        cut = widest_side(loop, box, windows[box[:2]], value)
+        stack += [(half, depth + 1) for half in halves(box, cut)]
     return nodes
 
 

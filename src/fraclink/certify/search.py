@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from fraclink.certify.balls import Ball, Disc, Loop, Window, outside
 
-__all__ = ["Box", "Failure", "Proof", "clear", "prove"]
+__all__ = ["Box", "Failure", "Proof", "clear", "halves", "prove", "widest_side"]
 
 Box = tuple[float, float, float, float, float, float]  # ω, payload, delay: low and high of each
 _DEPTH = 60
@@ -104,7 +104,7 @@ def prove(loop: Loop, *, most: int = 200_000) -> Proof | Failure:
             continue
         if depth == _DEPTH or len(letters) >= most:
             return Failure("the bound is not met", *(0.5 * (box[i] + box[i + 1]) for i in (0, 2, 4)))
-        side = _side(loop, box, window, value)
+        side = widest_side(loop, box, window, value)
         letters.append("wmt"[side])
         first, second = halves(box, side)
         stack += [(second, depth + 1), (first, depth + 1)]
@@ -118,7 +118,7 @@ def _proved(value: Disc, size: Ball, modulus: float) -> bool:
     return value.is_finite() and clear(outside(value.real), outside(value.imag), modulus)
 
 
-def _side(loop: Loop, box: Box, window: Window, value: Disc) -> int:
+def widest_side(loop: Loop, box: Box, window: Window, value: Disc) -> int:
     if not value.is_finite():
         return 0
     from_w, from_t = loop.closing_spread(window, box[4:6]) if loop.sampled else (0.0, 0.0)

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fraclink.design.loop import OpenLoop
-from fraclink.design.measure import noise_gain
+from fraclink.design.measure import noise_points
 from fraclink.design.procedure import specification
 from fraclink.design.request import check_number, check_request
 from fraclink.design.solve import MARGIN_SHARE, Specification
@@ -167,15 +166,14 @@ def _filter_slope(spec: Specification, time: Real, frequency: Real) -> Real:
 
 
 def _noise(spec: Specification, gain: Real, order: Real, time: Real, period: float) -> Real:
-    """Noise gain of every feasible cell at the lightest payload."""
+    """Noise gain of every feasible cell at the lightest payload; all cells share one set of frequencies."""
+    w, weights = noise_points(spec.bare, spec.high, period)
+    rest = np.exp(replace(spec.bare, filter_time=0.0).log(w, spec.high))
     noise = np.full(order.shape, np.nan)
-    link: OpenLoop = spec.bare
-    for row, column in np.argwhere(np.isfinite(order)):
-        loop = replace(
-            link,
-            gain=float(gain[row, column]),
-            order=float(order[row, column]),
-            filter_time=float(time[row, column]),
-        )
-        noise[row, column] = noise_gain(loop, np.array([spec.high]), period)[0]
+    n = spec.bare.filter_order
+    for row in range(order.shape[0]):
+        good = np.isfinite(order[row])
+        k, beta, delta = (v[row, good][:, None] for v in (gain, order, time))
+        outer = k * np.exp(beta * (np.log(w) + 0.5j * math.pi)) / (1.0 + 1j * delta * w) ** n
+        noise[row, good] = np.sqrt(np.sum(np.abs(outer / (1.0 + outer * rest)) ** 2 * weights, axis=1))
     return noise

@@ -172,7 +172,20 @@ class OpenLoop:
         shape = np.unique(
             np.concatenate([np.geomspace(low, high, int(15 * decades) + 1), near, 1.0 / near, [1.0]])
         )
-        return np.asarray(np.minimum(mode[:, None] * shape, highest))
+        grid = np.concatenate([mode[:, None] * shape, self._top(pi)[:, None]], axis=1)
+        return np.asarray(np.minimum(np.sort(grid, axis=1), highest))
+
+    def _top(self, pi: Real) -> Real:
+        """Peak of |Ĉ G|, where the denominator of (49) vanishes: a quadratic in ω^λ.
+
+        As a point of the grid it keeps a peak that only just exceeds one from hiding between its neighbours.
+        """
+        if not 0.0 < self.order < self.link_order:
+            return self.peak(pi)
+        rest, cosine = self.link_order - self.order, math.cos(0.5 * math.pi * self.link_order)
+        half = 0.5 * (rest - self.order) * cosine
+        root = (-half + math.sqrt(half * half + rest * self.order)) / rest
+        return np.asarray((root * pi**2) ** (1.0 / self.link_order))
 
     def _polish(self, low: Real, high: Real, level: Real, pi: Real) -> Real:
         """Newton in ln ω, kept inside its bracket by bisection; converges quadratically in 4 to 6 rounds."""

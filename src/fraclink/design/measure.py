@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fraclink.design.loop import OpenLoop
 
-__all__ = ["Measured", "measure", "noise_gain", "sensitivity_peak"]
+__all__ = ["Measured", "measure", "noise_gain", "noise_points", "sensitivity_peak"]
 
 Real = NDArray[np.float64]
 
@@ -66,17 +66,23 @@ def noise_gain(loop: OpenLoop, pi: Real, period: float) -> Real:
 
     Both as angles: the gauge's torque noise divided by the stiffness.
     """
+    found = []
+    for value in np.atleast_1d(pi):
+        w, weights = noise_points(loop, float(value), period)
+        outer = loop.gain * w**loop.order / (1.0 + (loop.filter_time * w) ** 2) ** (0.5 * loop.filter_order)
+        found.append(np.sqrt(np.sum((outer / np.abs(1.0 + loop(w, value))) ** 2 * weights)))
+    return np.asarray(found, dtype=float)
+
+
+def noise_points(loop: OpenLoop, natural_frequency: float, period: float) -> tuple[Real, Real]:
+    """Frequencies and weights of the mean over [0, π/Ts] in `noise_gain`.
+
+    Six Gauss points on panels that shrink towards the mode, where |1 + L| changes fastest.
+    """
     nyquist = math.pi / period
-    mode = loop.peak(pi)[:, None]
-    # Gauss points on panels that shrink towards the closed-loop mode, where |1 + L| changes fastest.
-    edges = np.concatenate(
-        [np.zeros((pi.size, 1)), mode * np.geomspace(0.25, 8.0, 26), np.full((pi.size, 1), nyquist)], axis=1
-    )
-    edges = np.sort(np.minimum(edges, nyquist), axis=1)
+    mode = float(loop.peak(natural_frequency))
+    inner = mode * np.geomspace(0.25, 8.0, 26)
+    edges = np.concatenate([[0.0], inner[inner < nyquist], [nyquist]])
     points, weights = np.polynomial.legendre.leggauss(6)
-    half = 0.5 * np.diff(edges, axis=1)[:, :, None]
-    w = (edges[:, :-1, None] + half * (1.0 + points)).reshape(pi.size, -1)
-    outer = loop.gain * w**loop.order / (1.0 + (loop.filter_time * w) ** 2) ** (0.5 * loop.filter_order)
-    power = (outer / np.abs(1.0 + loop(w, pi[:, None]))) ** 2
-    total = np.sum(power * (half * weights).reshape(pi.size, -1), axis=1)
-    return np.asarray(np.sqrt(total / nyquist))
+    half = 0.5 * np.diff(edges)[:, None]
+    return (edges[:-1, None] + half * (1.0 + points)).ravel(), (half * weights).ravel() / nyquist

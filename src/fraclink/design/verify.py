@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -25,6 +26,7 @@ Real = NDArray[np.float64]
 _PAYLOADS = 17  # values of ϖ at a time; a minimum inside the range is closed in on from its neighbours
 
 
+@lru_cache(maxsize=64)  # asked for once to admit a solution and once to report it
 def worst(
     loop: OpenLoop, low: float, high: float, highest: float
 ) -> tuple[tuple[float, float], tuple[float, float]]:
