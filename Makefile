@@ -23,7 +23,7 @@ $(STAMP): $(VENV)/.locked pyproject.toml CMakeLists.txt $(CSRC)
 build: setup
 
 demo: setup
-	$(BIN)/fraclink run --rig paper-2023 --log demo --out results/demo --force
+	$(BIN)/fraclink run --rig paper-2023 --log demo --out results/demo --certify --force
 
 test: setup
 	$(PY) -m pytest

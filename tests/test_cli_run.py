@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -78,6 +79,19 @@ def test_the_summary_ends_with_the_reports_path(
     assert told.err == ""  # piped: no progress, no remark
     assert main(["run", "--rig", "paper-2023", "--log", "demo", "--out", "out"]) == 2
     assert "already there" in capsys.readouterr().err
+
+
+def test_a_proof_may_be_asked_for(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    command = ["run", "--rig", "paper-2023", "--log", "demo", "--out", str(tmp_path / "out"), "--certify"]
+    assert main(command) == 0
+    study = load_study(tmp_path / "out")
+    assert study.certificate is not None
+    page = (tmp_path / "out" / "report.html").read_text("utf-8")
+    assert study.certificate.sha256 in page
+    assert render_report(study) == page
+    refused = replace(study, certificate=None, uncertified="because of the moon")
+    assert not refused.holds
+    assert "because of the moon" in render_report(refused)
 
 
 def test_json_gives_machines_the_same(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

@@ -47,6 +47,9 @@ def run(
     filter_time: Annotated[
         float | None, typer.Option("--filter-time", help="δ [s], 0 for none; default: the 10 % rule.")
     ] = None,
+    certify: Annotated[
+        bool, typer.Option("--certify", help="Prove the design, too; takes a few seconds.")
+    ] = False,
     title: Annotated[str | None, typer.Option("--title", help="Title of the report.")] = None,
     json: Json = False,
     force: Force = False,
@@ -64,11 +67,11 @@ def run(
         phase_margin=radians(phase_margin_deg),
         filter_time=filter_time,
     )
-    with steps(_PARTS) as begin:
+    with steps(_PARTS + certify) as begin:
         begin("reading the log")
         known = load_rig(rig)
         experiment = load_log(log, known, payload, column, resample=resample, interpolate=interpolate)
-        study = conduct(known, experiment, request, structure=structure, begin=begin)
+        study = conduct(known, experiment, request, structure=structure, certify=certify, begin=begin)
         begin("writing the report")
         save_study(study, out)
         place = write_report(study, out / "report.html", title=title)

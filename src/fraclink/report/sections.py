@@ -226,6 +226,9 @@ def in_short(study: Study) -> list[Row]:
             for payload in sorted({low, high})
         )
         rows.append(("Phase margin of the sampled loop", span))
+    if study.certificate is not None:
+        statement = study.certificate.statement
+        rows.append(("Proved for every payload and delay", f"|1 + L| > {number(statement.modulus, 3)}"))
     if study.runs:
         settled = max(run.metrics.settling_time for run in study.runs)
         shown = f"within {settled:.2f} s" if math.isfinite(settled) else "not for every payload"

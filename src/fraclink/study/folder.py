@@ -59,6 +59,8 @@ def save_study(study: Study, folder: Path | str) -> None:
         study.plan.save(place / "design.json")
     if study.law is not None:
         study.law.save(place / "law.json")
+    if study.certificate is not None:
+        study.certificate.save(place / "certificate.json")
     for run in study.runs:
         run.save(place / run_name(run.payload))
     write_json(place / "study.json", _KIND, _VERSION, _summary(study))
@@ -69,6 +71,7 @@ def _summary(study: Study) -> dict[str, Any]:
     return {
         "structure": study.fit.structure if study.fit else None,
         "infeasible": study.infeasible,
+        "uncertified": study.uncertified,
         "assumptions": list(study.assumptions),
         "findings": [
             {"code": f.code, "severity": f.severity, "message": f.message, "remedy": f.remedy}
@@ -123,6 +126,7 @@ def _kind(path: Path) -> str:
 
 
 def _gathered(by_kind: Mapping[str, list[Path]]) -> Study:
+    from fraclink.certify import Certificate
     from fraclink.design import Plan
     from fraclink.identify import Fit
     from fraclink.law import Law
@@ -133,6 +137,7 @@ def _gathered(by_kind: Mapping[str, list[Path]]) -> Study:
         return by_kind.get(kind, [None])[0]
 
     rig, log, plan, law, about = (first(kind) for kind in ("rig", "log", "design", "law", "study"))
+    proof = first("certificate")
     fits = {fit.structure: fit for fit in map(Fit.load, by_kind.get("fit", []))}
     told = read_json(about, _KIND, (_VERSION,)) if about else {}
     design = Plan.load(plan) if plan else None
@@ -147,6 +152,8 @@ def _gathered(by_kind: Mapping[str, list[Path]]) -> Study:
         plan=design,
         law=Law.load(law) if law else None,
         infeasible=told.get("infeasible"),
+        certificate=Certificate.load(proof) if proof else None,
+        uncertified=told.get("uncertified"),
         runs=tuple(runs),
         assumptions=tuple(told.get("assumptions", ())),
     )

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
+    from fraclink.certify import Certificate
     from fraclink.design import Plan
     from fraclink.experiment import Experiment
     from fraclink.findings import Finding
@@ -57,6 +58,8 @@ class Study:
         plan: the design.
         law: the discrete law of the design.
         infeasible: why there is no design, where there is none.
+        certificate: the proof of the design, where one was asked for and found.
+        uncertified: why there is none, where one was asked for.
         runs: simulated moves, one for each payload.
         assumptions: sentences on everything that nobody stated.
 
@@ -72,6 +75,8 @@ class Study:
     plan: Plan | None = None
     law: Law | None = None
     infeasible: str | None = None
+    certificate: Certificate | None = None
+    uncertified: str | None = None
     runs: tuple[Run, ...] = ()
     assumptions: tuple[str, ...] = ()
 
@@ -99,7 +104,8 @@ class Study:
             for run in self.runs
             if not run.verdict.holds
         )
-        return (*wrong, *missed, *moves, *(() if self.runs else ("no move was simulated",)))
+        unproved = () if self.uncertified is None else (f"not certified: {self.uncertified}",)
+        return (*wrong, *missed, *unproved, *moves, *(() if self.runs else ("no move was simulated",)))
 
     @property
     def holds(self) -> bool:

@@ -32,6 +32,7 @@ def conduct(
     *,
     structure: str = "UD-FOM",
     move: Move | None = None,
+    certify: bool = False,
     begin: Callable[[str], None] = _silent,
 ) -> Study:
     """Examine a log, fit the four structures, design for the payloads and simulate a move at each.
@@ -42,6 +43,7 @@ def conduct(
         request: what the design is asked for; the rig, then the default rule, complete it.
         structure: the model that the design uses, "UD-IOM", "D-IOM", "UD-FOM" or "D-FOM".
         move: the move to simulate; default 1 rad in 0.5 s.
+        certify: whether a proof is asked for; without one the study does not hold.
         begin: called with the name of each part as it begins.
 
     An infeasible request is not an error here: the study says why in `infeasible` and does not hold.
@@ -89,9 +91,21 @@ def conduct(
         return replace(found, infeasible=str(error))
     begin("simulating")
     law = plan.controller.discretize(rig.period)
+    if certify:
+        begin("proving")
+        found = _certified(found, plan, law)
     payloads = sorted({rig.payloads.low, rig.payloads.nominal, rig.payloads.high})
     runs = tuple(simulate_move(plan, move or Move(), payload, law=law) for payload in payloads)
     return replace(found, plan=plan, law=law, runs=runs, assumptions=(*found.assumptions, *more))
+
+
+def _certified(study: Study, plan: Plan, law: Law) -> Study:
+    from fraclink.certify import certify
+
+    certificate = certify(plan, law=law)
+    if certificate.holds:
+        return replace(study, certificate=certificate)
+    return replace(study, uncertified=certificate.verdict)
 
 
 def _with_payload(model: LinkModel, rig: Rig) -> tuple[LinkModel, tuple[str, ...]]:
