@@ -257,7 +257,7 @@ def test_findings_travel_between_processes() -> None:
         assert ForkingPickler.loads(ForkingPickler.dumps(finding)) == finding
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("kind", ["prbs", "pulse", "chirp"])
 def test_signs_are_judged_right_on_links_of_any_order(kind: str, seed: int) -> None:
     rng = np.random.default_rng(seed)
