@@ -10,7 +10,7 @@ from __future__ import annotations
 from fraclink.twin.arm import Twin, damping_of, geared
 from fraclink.twin.beam import Beam, Modes
 from fraclink.twin.damping import FractionalKelvinVoigt, KelvinVoigt, PowerLaw
-from fraclink.twin.events import Obstacle, PayloadChange, Restart, TipPulse
+from fraclink.twin.events import Obstacle, PayloadChange, Restart, SensorFault, TipPulse
 from fraclink.twin.frequencies import exact_frequencies
 from fraclink.twin.logs import TwinLog, simulate_log
 from fraclink.twin.loop import run_twin
@@ -28,6 +28,7 @@ __all__ = [
     "Plant",
     "PowerLaw",
     "Restart",
+    "SensorFault",
     "Sensors",
     "TipPulse",
     "Twin",

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from fraclink.errors import FieldError
 
-__all__ = ["Event", "Obstacle", "PayloadChange", "Restart", "TipPulse"]
+__all__ = ["FAULTS", "Event", "Obstacle", "PayloadChange", "Restart", "SensorFault", "TipPulse"]
 
 
 def _time(field: str, value: object, *, zero: bool = True) -> None:
@@ -117,4 +117,60 @@ class Restart:
         _time("time", self.time)
 
 
-Event = PayloadChange | TipPulse | Obstacle | Restart
+# Kind -> (bit of the kernel's fault word or 0, name of the input column it sets or None).
+FAULTS: dict[str, tuple[int, str | None]] = {
+    "encoder value": (1, "ENCODER_VALUE"),
+    "gauge value": (2, "GAUGE_VALUE"),
+    "encoder frozen": (4, None),
+    "gauge frozen": (8, None),
+    "channels swapped": (16, None),
+    "tick missed": (32, None),
+    "tick repeated": (64, None),
+    "encoder gain": (0, "ENCODER_GAIN"),
+    "encoder offset": (0, "ENCODER_ERROR"),
+    "gauge gain": (0, "GAUGE_GAIN"),
+    "gauge offset": (0, "GAUGE_ERROR"),
+}
+_VALUED = tuple(kind for kind, (_, column) in FAULTS.items() if column)
+
+
+@dataclass(frozen=True)
+class SensorFault:
+    """From `time` to `until` [s] a sensor or the control task fails.
+
+    kind: "encoder value" and "gauge value" replace the reading by `value` (NaN and infinity are allowed: that
+    is what broken interfaces give); "encoder gain", "gauge gain" multiply the true value, "encoder offset",
+    "gauge offset" add to it [rad, N·m]; "encoder frozen", "gauge frozen" repeat the last reading; "channels
+    swapped" exchanges the two; "tick missed" does not run the law, "tick repeated" runs it twice.
+
+    >>> SensorFault(time=0.5, until=0.52, kind="gauge value", value=float("nan")).kind
+    'gauge value'
+    """
+
+    time: float
+    until: float
+    kind: str
+    value: float | None = None
+
+    def __post_init__(self) -> None:
+        _time("time", self.time)
+        _time("until", self.until, zero=False)
+        if self.until <= self.time:
+            raise FieldError(
+                "until", self.until, "not after time", allowed=f"> {self.time:g} s", remedy="exchange the two"
+            )
+        if self.kind not in FAULTS:
+            raise FieldError(
+                "kind", self.kind, "unknown", allowed=", ".join(FAULTS), remedy="choose one of them"
+            )
+        if (self.value is not None) != (self.kind in _VALUED):
+            raise FieldError(
+                "value",
+                self.value,
+                "missing" if self.kind in _VALUED else "not used by this kind",
+                allowed=f"a number for {', '.join(_VALUED)}",
+                remedy="give value=, or leave it out",
+            )
+
+
+Event = PayloadChange | TipPulse | Obstacle | Restart | SensorFault

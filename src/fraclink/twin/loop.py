@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from fraclink import _kernels
 from fraclink.errors import FieldError, SizeError
+from fraclink.twin import vessel
 from fraclink.twin.arm import Twin
-from fraclink.twin.events import Event, Obstacle, PayloadChange, Restart, TipPulse
+from fraclink.twin.events import FAULTS, Event, Obstacle, PayloadChange, Restart, SensorFault, TipPulse
 from fraclink.twin.logs import MOST_SAMPLES
 from fraclink.twin.run import TwinRun, collect, vibration_period
 from fraclink.twin.vessel import (
@@ -96,14 +97,14 @@ def run_twin(
     if count > MOST_SAMPLES:
         raise SizeError("duration", length, "too long", allowed=f"{MOST_SAMPLES} periods", remedy="split it")
     inputs = healthy_inputs(twin, reference, law.period, count, np.random.default_rng(seed))
-    vessel = Vessel(twin, law.period, law.initial_state(), start_angle=float(inputs[0, REFERENCE]))
+    arm = Vessel(twin, law.period, law.initial_state(), start_angle=float(inputs[0, REFERENCE]))
     records, payloads = [], []
     happening = tuple(events)
     for first, last, changes in _segments(happening, law.period, inputs):
-        _apply(vessel, law, changes)
-        part = vessel.run(law.block, inputs[first:last], single=law.precision == "single")
+        _apply(arm, law, changes)
+        part = arm.run(law.block, inputs[first:last], single=law.precision == "single")
         records.append(part)
-        payloads.append(np.full(len(part), vessel.twin.beam.payload))
+        payloads.append(np.full(len(part), arm.twin.beam.payload))
         if len(part) < last - first:
             break
     return collect(
@@ -162,6 +163,9 @@ def _segments(
         if isinstance(event, TipPulse):
             inputs[at : at + max(1, round(event.duration / period)), TIP_FORCE] += event.force
             continue
+        if isinstance(event, SensorFault):
+            _inject(event, inputs[at : max(at + 1, round(event.until / period))])
+            continue
         changes.setdefault(min(at, count), []).append(event)
         if isinstance(event, Obstacle):
             changes.setdefault(min(round(event.until / period), count), []).append(None)
@@ -173,19 +177,32 @@ def _segments(
     ]
 
 
-def _apply(vessel: Vessel, law: Law, changes: list[Event | None]) -> None:
+def _inject(fault: SensorFault, rows: NDArray[np.float64]) -> None:
+    """Write a sensor's fault into the kernel's inputs."""
+    bit, name = FAULTS[fault.kind]
+    rows[:, vessel.FAULTS] = rows[:, vessel.FAULTS].astype(int) | bit
+    if name is None or fault.value is None:
+        return
+    column = getattr(vessel, name)
+    if name in ("ENCODER_ERROR", "GAUGE_ERROR"):
+        rows[:, column] += fault.value
+    else:
+        rows[:, column] = fault.value
+
+
+def _apply(arm: Vessel, law: Law, changes: list[Event | None]) -> None:
     for event in changes:
         if event is None:
-            vessel.obstacle[1] = 0.0
+            arm.obstacle[1] = 0.0
         elif isinstance(event, Obstacle):
-            vessel.obstacle[:] = (
+            arm.obstacle[:] = (
                 event.angle,
                 event.stiffness,
                 event.damping,
-                vessel.twin.beam.length,
+                arm.twin.beam.length,
                 event.side,
             )
         elif isinstance(event, PayloadChange):
-            vessel.change_payload(event.payload)
+            arm.change_payload(event.payload)
         elif isinstance(event, Restart):
-            vessel.law = np.frombuffer(bytearray(law.initial_state()), dtype=np.uint8)
+            arm.law = np.frombuffer(bytearray(law.initial_state()), dtype=np.uint8)
