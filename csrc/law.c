@@ -10,8 +10,9 @@
  *  - The correction works on the *change* of the error, so that a constant error, such as a gauge's offset, gives
  *    exactly zero whatever the rounding; its modes are kept in delta form (pole - 1), which does not round slow
  *    poles away in single precision.
- *  - States that have died away are set to 0, one in each period: as denormals they would stay for ever and cost three
- *    times the period on a desktop. (Adding and taking away a constant does not do: a slow mode stops at its last digit.)
+ *  - States that have died away are set to 0, one in each period: as denormals they would stay for ever and cost
+ *    three times the period on a desktop. (Adding and taking away a constant does not do: a slow mode stops at the
+ *    constant's last digit.)
  *  - The "loop unroll" comments are for the prover; a compiler does not see them.
  */
 #include "law.h"
@@ -167,23 +168,22 @@ static uint32_t start(law_state *s, const law_params *p, const law_input *in)
     return flags;
 }
 
-/* Whether a sensor may have moved by `change` since its last good sample: `step` for each period in between. */
-static uint32_t within(law_real change, law_real step, uint32_t periods)
+/* How far a sensor may have moved since its last good sample: `step` for each of the periods in between. */
+static void stretch(law_real *step, uint32_t periods)
 {
-    uint32_t result = credible(change, step);
-    if (result == 0U) {
+    if (periods > 1U) {
         const law_real factor = (law_real)periods;
-        result = credible(change, step * factor);
+        *step *= factor;
     }
-    return result;
 }
 
 /* Take the encoder's sample if it is credible, else keep the last one. */
 static uint32_t read_encoder(law_state *s, const law_params *p, const law_input *in, uint32_t periods)
 {
     uint32_t flags = 0U;
-    if ((credible(in->motor_angle, p->angle_limit) != 0U) &&
-        (within(in->motor_angle - s->motor_angle, p->angle_step, periods + s->bad_encoder) != 0U)) {
+    law_real step = p->angle_step;
+    stretch(&step, periods + s->bad_encoder);
+    if ((credible(in->motor_angle, p->angle_limit) != 0U) && (credible(in->motor_angle - s->motor_angle, step) != 0U)) {
         s->motor_angle = clamped(in->motor_angle, p->angle_limit);
         s->bad_encoder = 0U;
     } else {
@@ -201,8 +201,9 @@ static uint32_t read_encoder(law_state *s, const law_params *p, const law_input 
 static uint32_t read_gauge(law_state *s, const law_params *p, const law_input *in, uint32_t periods)
 {
     uint32_t flags = 0U;
-    if ((credible(in->torque, p->torque_limit) != 0U) &&
-        (within(in->torque - s->torque, p->torque_step, periods + s->bad_gauge) != 0U)) {
+    law_real step = p->torque_step;
+    stretch(&step, periods + s->bad_gauge);
+    if ((credible(in->torque, p->torque_limit) != 0U) && (credible(in->torque - s->torque, step) != 0U)) {
         s->torque = clamped(in->torque, p->torque_limit);
         s->bad_gauge = 0U;
     } else {
@@ -308,7 +309,8 @@ static law_real feed_forward(law_state *s, const law_params *p, law_real acceler
     if (modes > LAW_FORWARD_MODES) {
         modes = LAW_FORWARD_MODES;
     }
-    return (p->forward_direct * acceleration) + run_modes(acceleration, &s->modes[LAW_REAL_MODES], &p->forward[0], modes);
+    return (p->forward_direct * acceleration) +
+           run_modes(acceleration, &s->modes[LAW_REAL_MODES], &p->forward[0], modes);
 }
 
 /* `sum` of modes if it is credible; else the modes are healed, and the sum is clamped. */
@@ -367,7 +369,8 @@ static law_real follow(law_state *s, const law_params *p, const law_input *in, u
             s->reference = clamped(in->reference, p->angle_limit); /* not reference + change: that would round */
         } else {
             *flags |= LAW_FLAG_REFERENCE;
-            s->reference = clamped(clamped(s->reference, p->angle_limit) + clamped(change, p->reference_step), p->angle_limit);
+            s->reference = clamped(s->reference, p->angle_limit) + clamped(change, p->reference_step);
+            s->reference = clamped(s->reference, p->angle_limit);
         }
     } else {
         *flags |= LAW_FLAG_REFERENCE;
@@ -465,9 +468,9 @@ uint32_t law_check(const law_params *params)
         reason = LAW_BAD_SIZE;
     } else if (params->crc != block_crc(params)) {
         reason = LAW_BAD_CRC;
-    } else if ((params->crc == 0U) || (params->real_modes > LAW_REAL_MODES) ||
-               (params->pair_modes > LAW_PAIR_MODES) || (params->forward_modes > LAW_FORWARD_MODES)) {
-        reason = LAW_BAD_COUNTS; /* crc 0 is the stamp of a state that was never started */
+    } else if ((params->real_modes > LAW_REAL_MODES) || (params->pair_modes > LAW_PAIR_MODES) ||
+               (params->forward_modes > LAW_FORWARD_MODES)) {
+        reason = LAW_BAD_COUNTS;
     } else {
         /* usable */
     }
@@ -488,7 +491,7 @@ void law_step(law_state *state, const law_params *params, const law_input *input
     output->compensation = (law_real)0;
     output->tip_estimate = (law_real)0;
     output->error = (law_real)0;
-    if ((state->stamp != params->crc) || (state->stamp == 0U)) {
+    if (state->stamp != params->crc) { /* the exporter gives out no block with crc 0, the stamp of a cleared state */
         flags |= start(state, params, input);
     }
     periods = input->tick - state->tick;

@@ -44,7 +44,7 @@ int main(void)
         const law_real reals[5] = {out.motor_reference, out.voltage, out.compensation, out.tip_estimate, out.error};
         const uint32_t words[3] = {out.mode, out.reason, out.flags};
         uint32_t word;
-        for (size_t i = 0; i < sizeof(reals) / sizeof(word); i++) {
+        for (size_t i = 0; (i * sizeof(word)) < sizeof(reals); i++) {
             (void)memcpy(&word, (const unsigned char *)reals + (i * sizeof(word)), sizeof(word));
             hash = (hash ^ word) * 16777619U;
         }

@@ -118,8 +118,10 @@ def pack(values: Mapping[str, float | Sequence[float]], precision: Precision) ->
         raise FieldError(
             "law", str(error), "not representable", allowed=f"{precision} precision", remedy="use double"
         ) from error
-    width = 4 if precision == "single" else 8
-    return struct.pack("<IIII", VERSION, 16 + len(body), width, zlib.crc32(body)) + body
+    width, crc = (4 if precision == "single" else 8), zlib.crc32(body)
+    if crc == 0:  # the stamp of a state that was never started; one block in 4 billion
+        raise FieldError("law", 0, "a block with CRC 0", allowed="any other", remedy="change a limit slightly")
+    return struct.pack("<IIII", VERSION, 16 + len(body), width, crc) + body
 
 
 def unpack(block: bytes, precision: Precision) -> dict[str, float | list[float]]:

@@ -1,0 +1,293 @@
+/* Runs the fuzz target on pseudo-random bytes without libFuzzer, and the refusals of law_check: for coverage,
+ * for mutants, and for compilers that have no fuzzer. Usage: drive RUNS. Prints a hash of all outputs' effects. */
+#include "fuzz.c"
+
+static uint32_t word = 12345U;
+
+static unsigned char next_byte(void)
+{
+    word = (word * 1664525U) + 1013904223U;
+    return (unsigned char)(word >> 24U);
+}
+
+static void refusals(void)
+{
+    law_params block = law_data;
+    law_state state;
+    law_input in = {0};
+    law_output out;
+    require(law_check(&block) == LAW_OK);
+    block.version++;
+    require(law_check(&block) == LAW_BAD_VERSION);
+    block = law_data;
+    block.size--;
+    require(law_check(&block) == LAW_BAD_SIZE);
+    block = law_data;
+    block.precision ^= 12U;
+    require(law_check(&block) == LAW_BAD_SIZE);
+    block = law_data;
+    block.direct += (law_real)0.5F;
+    require(law_check(&block) == LAW_BAD_CRC);
+    require(law_init(&state, &block) == LAW_BAD_CRC);
+    for (uint32_t k = 1U; k < 5U; k++) {
+        in.tick = k;
+        law_step(&state, &block, &in, &out);
+        require((out.mode == LAW_IDLE) && (out.voltage == (law_real)0) && (out.reason == LAW_BAD_CRC));
+    }
+    /* counts beyond the arrays, under a valid CRC (the caller gives one made elsewhere) */
+    block = law_data;
+    for (uint32_t i = 0U; i < 3U; i++) {
+        block = law_data;
+        block.real_modes = (i == 0U) ? 99U : block.real_modes;
+        block.pair_modes = (i == 1U) ? 99U : block.pair_modes;
+        block.forward_modes = (i == 2U) ? 99U : block.forward_modes;
+        block.crc = block_crc(&block);
+        require(law_check(&block) == LAW_BAD_COUNTS);
+    }
+    block = law_data;
+    block.options = 0U; /* a robot that has its own position servo */
+    require(law_init(&state, &law_data) == LAW_OK);
+    in.tick = 0U;
+    law_step(&state, &law_data, &in, &out);
+    for (uint32_t k = 1U; k < 5U; k++) {
+        in.tick = k;
+        in.torque = (law_real)k / (law_real)100;
+        law_step(&state, &block, &in, &out);
+        require((out.voltage == (law_real)0) && (out.compensation == (law_real)0));
+    }
+    in.torque = (law_real)0;
+    block = law_data;
+    block.real_modes = 99U;
+    block.pair_modes = 99U;
+    block.forward_modes = 99U;
+    block.crc = law_data.crc;
+    require(law_init(&state, &law_data) == LAW_OK);
+    law_step(&state, &law_data, &in, &out);
+    for (uint32_t k = 6U; k < 12U; k++) { /* a block that went bad after the start: bounded all the same */
+        in.tick = k;
+        in.torque = (law_real)k / (law_real)100;
+        law_step(&state, &block, &in, &out);
+        require(isfinite(out.motor_reference));
+    }
+}
+
+static void wiring(void)
+{
+    for (int sign = -1; sign <= 1; sign++) {
+        law_wiring test = {0};
+        uint32_t reason = LAW_NOT_MOVED;
+        require(law_check_wiring(&test, &law_data, (law_real)0, (law_real)0) == LAW_NOT_MOVED);
+        for (int k = 1; k <= 40; k++) {
+            const law_real angle = (law_real)k / (law_real)50;
+            reason = law_check_wiring(&test, &law_data, angle, (law_real)sign * angle);
+        }
+        require(reason == ((sign > 0) ? LAW_OK : ((sign < 0) ? LAW_GAUGE_REVERSED : LAW_GAUGE_DEAD)));
+    }
+}
+
+/* A quiet arm for long enough that states die away and counters run. */
+static uint32_t quiet(void)
+{
+    law_state state;
+    law_input in = {0};
+    law_output out;
+    uint32_t hash = 0x811C9DC5U;
+    require(law_init(&state, &law_data) == LAW_OK);
+    for (uint32_t k = 1U; k < 60000U; k++) {
+        uint32_t bits[2] = {0U, 0U};
+        in.tick = k;
+        in.torque = (law_real)((k > 100U) ? 0.0625F : 0.0F);
+        in.reference = (law_real)((k > 50000U) ? 0.5F : 0.0F);
+        in.reference_acceleration = (law_real)(((k > 50000U) && (k < 50050U)) ? 30.0F : 0.0F);
+        in.motor_angle = (k < 2U) ? (law_real)0 : state.model_angle; /* a motor exactly as its model */
+        law_step(&state, &law_data, &in, &out);
+        (void)memcpy(bits, &out.motor_reference, sizeof(law_real));
+        hash = (((hash ^ bits[0]) * 16777619U) ^ bits[1]) * 16777619U;
+        if (k == 49999U) {
+            require(out.motor_reference == (law_real)0); /* the offset has gone to the last bit */
+        }
+    }
+    /* in the middle of the move the gauge stands still, which is seen */
+    require((out.mode == LAW_DEGRADED) && (out.reason == LAW_GAUGE_STUCK));
+    return hash;
+}
+
+/* A blocked link trips, an encoder that does not follow trips; slow enough for every other check. */
+static void trips(void)
+{
+    law_state state;
+    law_input in = {0};
+    law_output out;
+    require(law_init(&state, &law_data) == LAW_OK);
+    for (uint32_t k = 1U; k < 400U; k++) {
+        in.tick = k;
+        in.torque = (law_real)((k < 160U) ? k : 160U) / (law_real)64;
+        in.motor_angle = (k < 2U) ? (law_real)0 : state.model_angle; /* a motor exactly as its model */
+        law_step(&state, &law_data, &in, &out);
+    }
+    require((out.mode == LAW_HOLD) && (out.reason == LAW_OVERLOAD));
+    require(law_init(&state, &law_data) == LAW_OK);
+    in.torque = (law_real)0;
+    in.motor_angle = (law_real)0;
+    for (uint32_t k = 1U; k < 400U; k++) {
+        in.tick = k;
+        in.reference = (law_real)((k < 100U) ? k : 100U) / (law_real)64;
+        law_step(&state, &law_data, &in, &out);
+    }
+    require((out.mode == LAW_OFF) && (out.reason == LAW_RESIDUAL) && (out.voltage == (law_real)0));
+    in.tick += 2U;
+    law_step(&state, &law_data, &in, &out);
+    require(out.mode == LAW_OFF);
+}
+
+static law_state state;
+static law_input in;
+static law_output out;
+
+/* An arm that has stood at `angle` for some periods. */
+static void begin(law_real angle)
+{
+    (void)memset(&in, 0, sizeof(in));
+    in.reference = angle;
+    in.motor_angle = angle;
+    require(law_init(&state, &law_data) == LAW_OK);
+    for (uint32_t k = 1U; k < 10U; k++) {
+        in.tick = k;
+        law_step(&state, &law_data, &in, &out);
+    }
+    require((out.mode == LAW_RUN) && (out.flags == 0U));
+}
+
+static void step(uint32_t periods)
+{
+    in.tick += periods;
+    law_step(&state, &law_data, &in, &out);
+}
+
+static void clocks(void)
+{
+    begin((law_real)0.25F);
+    step(law_data.missed_limit + 1U);
+    require((out.mode == LAW_RUN) && (out.flags == LAW_FLAG_MISSED));
+    step(law_data.missed_limit + 2U);
+    require((out.mode == LAW_OFF) && (out.reason == LAW_MISSED));
+    begin((law_real)0.25F);
+    in.reference = (law_real)0.27F;
+    step(0U);
+    require(out.flags == LAW_FLAG_REPEATED);
+    step((uint32_t)-3);
+    require((out.flags == LAW_FLAG_REPEATED) && (out.motor_reference == (law_real)0.25F));
+    begin((law_real)0.25F);
+    in.motor_angle += law_data.angle_step * (law_real)1.5F;
+    in.torque += law_data.torque_step * (law_real)1.5F;
+    step(2U);
+    require((out.flags & (LAW_FLAG_ENCODER | LAW_FLAG_GAUGE)) == 0U);
+    in.motor_angle += law_data.angle_step * (law_real)1.5F;
+    in.torque += law_data.torque_step * (law_real)1.5F;
+    step(1U);
+    require((out.flags & LAW_FLAG_ENCODER) != 0U);
+    require((out.flags & LAW_FLAG_GAUGE) != 0U);
+    /* memory that says "started" and "idle" at once: idle for a period, then a start */
+    begin((law_real)0.25F);
+    state.mode = LAW_IDLE;
+    step(1U);
+    require(out.mode == LAW_IDLE);
+    step(1U);
+    require((out.mode == LAW_RUN) && ((out.flags & LAW_FLAG_STARTED) != 0U));
+}
+
+static void limits(void)
+{
+    begin(law_data.angle_limit - (law_real)0.01F);
+    in.reference_acceleration = (law_real)30;
+    for (uint32_t k = 0U; k < 5U; k++) {
+        step(1U);
+        require(out.motor_reference <= law_data.motor_limit);
+    }
+    begin((law_real)0.25F);
+    in.reference = (law_real)NAN;
+    step(1U);
+    require(out.flags == LAW_FLAG_REFERENCE);
+    in.reference = (law_real)0.75F;
+    step(1U);
+    require((out.flags & LAW_FLAG_REFERENCE) != 0U);
+    /* a motor that cannot follow: the voltage saturates, and leaves its limit as soon as the error turns */
+    begin((law_real)0);
+    in.motor_angle = (law_real)-0.0625F;
+    for (uint32_t k = 0U; k < 4000U; k++) {
+        step(1U);
+    }
+    require((out.voltage == law_data.voltage_limit) && ((out.flags & LAW_FLAG_SATURATED) != 0U));
+    in.motor_angle = (law_real)0.0625F;
+    for (uint32_t k = 0U; k < 50U; k++) {
+        step(1U);
+    }
+    require(out.voltage < law_data.voltage_limit);
+}
+
+static void memory(void)
+{
+    begin((law_real)0.25F);
+    state.modes[0] = (law_real)1e20F;
+    state.modes[LAW_REAL_MODES] = (law_real)1000;
+    step(1U);
+    require((state.modes[0] <= law_data.correction_limit) && (state.modes[LAW_REAL_MODES] > (law_real)500));
+    begin((law_real)0.25F);
+    state.integral = (law_real)1e6F;
+    step(1U);
+    require(state.integral <= law_data.integral_limit);
+    begin((law_real)0.25F);
+    state.motor_reference = (law_real)NAN;
+    step(1U);
+    require(fabs((double)out.motor_reference - 0.25) < 0.1);
+}
+
+static void held(void)
+{
+    begin((law_real)0);
+    for (uint32_t k = 1U; k < 300U; k++) {
+        in.torque = (law_real)((k < 160U) ? k : 160U) / (law_real)64;
+        in.motor_angle = state.model_angle;
+        step(1U);
+    }
+    require((out.mode == LAW_HOLD) && (out.reason == LAW_OVERLOAD));
+    const law_real place = out.motor_reference;
+    in.reference = (law_real)0.5F;
+    for (uint32_t k = 1U; k < 50U; k++) {
+        in.motor_angle = state.model_angle;
+        step(1U);
+        require(out.motor_reference == place);
+    }
+    /* a gauge that stands still in a move is given up, and not before its count is full */
+    begin((law_real)0);
+    uint32_t moved = 0U;
+    for (uint32_t k = 1U; (k < 200U) && (out.mode == LAW_RUN); k++) {
+        in.reference_acceleration = (law_real)30;
+        in.motor_angle = state.model_angle;
+        step(1U);
+        moved++;
+    }
+    require((out.reason == LAW_GAUGE_STUCK) && (moved >= law_data.stuck_limit) && (moved < 100U));
+}
+
+int main(int count, char **words)
+{
+    const long runs = (count > 1) ? strtol(words[1], NULL, 10) : 1000L;
+    static unsigned char bytes[2048];
+    refusals();
+    wiring();
+    trips();
+    clocks();
+    limits();
+    memory();
+    held();
+    const uint32_t hash = quiet();
+    for (long i = 0; i < runs; i++) {
+        for (size_t j = 0; j < sizeof(bytes); j++) {
+            bytes[j] = next_byte();
+        }
+        (void)LLVMFuzzerTestOneInput(bytes, sizeof(bytes));
+    }
+    (void)printf("hash %08lX\n", (unsigned long)hash);
+    return 0;
+}

@@ -1,0 +1,225 @@
+"""The C export: the files, what refuses, and the self-test on this machine's compilers."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fraclink.errors import FieldError
+from fraclink.export import export_c
+from fraclink.export.bounds import _plain_norm, worst_case
+from fraclink.export.data import hex_float
+from fraclink.law import Law
+from law_bench import law
+from needed_tools import tool
+
+Answer = subprocess.CompletedProcess[str]
+ROOT = Path(__file__).resolve().parents[1]
+FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-Wall", "-Wextra", "-Wconversion", "-pedantic", "-Werror")
+
+
+def single(made: Law) -> tuple[str, ...]:
+    return ("-DLAW_SINGLE",) if made.precision == "single" else ()
+
+
+def run(*command: str | Path, cwd: Path | None = None, check: bool = True) -> Answer:
+    return subprocess.run(  # noqa: S603
+        [str(part) for part in command], cwd=cwd, capture_output=True, text=True, check=check, timeout=300
+    )
+
+
+@pytest.fixture(scope="module", params=["single", "double"])
+def exported(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[Law, Path]:
+    made = law(request.param)
+    folder = tmp_path_factory.mktemp(request.param)
+    export_c(made, folder)
+    return made, folder
+
+
+def test_law_c_is_the_file_that_was_simulated(exported: tuple[Law, Path]) -> None:
+    _, folder = exported
+    for name in ("law.h", "law.c"):
+        assert (folder / name).read_bytes() == (ROOT / "csrc" / name).read_bytes()
+
+
+def test_the_same_law_gives_the_same_bytes(exported: tuple[Law, Path], tmp_path: Path) -> None:
+    made, folder = exported
+    for path in export_c(made, tmp_path / "again"):
+        assert path.read_bytes() == (folder / path.name).read_bytes()
+
+
+def test_the_data_are_the_block(exported: tuple[Law, Path]) -> None:
+    """The block as a C compiler builds it from the hex floats is the one the package simulates with."""
+    made, folder = exported
+    program = folder / "block.c"
+    program.write_text(
+        '#include <stdio.h>\n#include "law_data.h"\n'
+        "int main(void) { return fwrite(&law_data, sizeof(law_data), 1, stdout) == 1 ? 0 : 1; }\n",
+        encoding="utf-8",
+    )
+    run(tool("gcc"), *FLAGS, *single(made), program, "-o", folder / "block")
+    answer = subprocess.run([folder / "block"], capture_output=True, check=True)  # noqa: S603
+    assert answer.stdout == made.block
+
+
+@pytest.mark.parametrize("compiler", ["gcc", "clang"])
+@pytest.mark.parametrize("level", ["-O0", "-O2", "-O3"])
+def test_the_self_test_passes(exported: tuple[Law, Path], compiler: str, level: str) -> None:
+    made, folder = exported
+    target = folder / f"selftest{compiler}{level}"
+    run(tool(compiler), *FLAGS, level, *single(made), "law_selftest.c", "law.c", "-o", target, cwd=folder)
+    answer = run(target)
+    assert "passed" in answer.stdout
+    hashed = re.search(r"hash ([0-9A-F]{8}),", answer.stdout)
+    assert hashed is not None
+    assert f"hash {hashed.group(1)}" in (folder / "README.md").read_text(encoding="utf-8")
+
+
+def test_the_self_test_finds_a_compiler_that_contracts(exported: tuple[Law, Path]) -> None:
+    made, folder = exported
+    if "fma" not in Path("/proc/cpuinfo").read_text(encoding="utf-8"):
+        pytest.skip("this processor has no fused multiply-add")
+    target = folder / "contracted"
+    flags = ("-std=gnu99", "-O2", "-mfma", "-ffp-contract=fast", "-DLAW_CONTRACT_OFF", *single(made))
+    run(tool("gcc"), *flags, "law_selftest.c", "law.c", "-o", target, cwd=folder)
+    answer = run(target, check=False)
+    assert answer.returncode == 1
+    assert "FAILED" in answer.stdout
+    refused = run(
+        tool("gcc"), "-std=gnu99", "-O2", "-mfma", *single(made), "-c", "law.c", cwd=folder, check=False
+    )
+    assert "ffp-contract=off" in refused.stderr
+
+
+@pytest.mark.parametrize("compiler", ["gcc", "clang"])
+def test_fast_math_and_the_wrong_precision_are_refused(exported: tuple[Law, Path], compiler: str) -> None:
+    made, folder = exported
+    fast = run(
+        tool(compiler),
+        "-std=c99",
+        "-Ofast",
+        *single(made),
+        "-c",
+        "law.c",
+        "-o",
+        "x.o",
+        cwd=folder,
+        check=False,
+    )
+    assert "fast-math" in fast.stderr
+    other = () if made.precision == "single" else ("-DLAW_SINGLE",)
+    wrong = run(tool(compiler), *FLAGS, *other, "-c", "law_selftest.c", "-o", "x.o", cwd=folder, check=False)
+    assert "precision" in wrong.stderr
+
+
+def test_a_changed_coefficient_refuses_to_start(exported: tuple[Law, Path], tmp_path: Path) -> None:
+    made, folder = exported
+    place = tmp_path / "changed"
+    shutil.copytree(folder, place)
+    text = (place / "law_data.h").read_text(encoding="utf-8")
+    changed = re.sub(
+        r"(\.direct = 0x1\.)(\w)", lambda m: m.group(1) + ("1" if m.group(2) != "1" else "2"), text
+    )
+    assert changed != text
+    (place / "law_data.h").write_text(changed, encoding="utf-8")
+    run(tool("gcc"), *FLAGS, *single(made), "law_selftest.c", "law.c", "-o", "selftest", cwd=place)
+    answer = run(place / "selftest", check=False)
+    assert answer.returncode == 1
+    assert "hash 00000000" in answer.stdout  # law_init said no
+
+
+def test_existing_folders_are_kept(tmp_path: Path) -> None:
+    (tmp_path / "mine.txt").write_text("mine", encoding="utf-8")
+    with pytest.raises(FieldError, match="--force"):
+        export_c(law(), tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]
+    with pytest.raises(FieldError, match="already there"):
+        export_c(law(), tmp_path / "mine.txt")
+    export_c(law(), tmp_path, force=True)
+    assert (tmp_path / "mine.txt").read_text(encoding="utf-8") == "mine"
+    assert not list(tmp_path.glob("*.tmp"))
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "",
+        "2fast",
+        "for",
+        "class",
+        "a-b",
+        "a b",
+        "_hidden",
+        "x" * 32,
+        "law_step",
+        "x;int y",
+        "ä",
+        None,
+        'a"',
+        "a\n",
+    ],
+)
+def test_illegal_identifiers_are_refused(tmp_path: Path, name: object) -> None:
+    with pytest.raises(FieldError, match="name"):
+        export_c(law(), tmp_path / "out", name=name)  # type: ignore[arg-type]
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    "title", ["*/ int x;", "a\nb", "ends with \\", "trigraph ??/", '"', "<b>", "x" * 81, "\x1b[31m", "é"]
+)
+def test_titles_cannot_leave_their_comment(tmp_path: Path, title: str) -> None:
+    with pytest.raises(FieldError, match="title"):
+        export_c(law(), tmp_path / "out", title=title)
+
+
+def test_a_name_and_a_title_arrive(tmp_path: Path) -> None:
+    export_c(law(), tmp_path / "out", name="arm_2", title="Arm 2, 20-40 g")
+    text = (tmp_path / "out" / "arm_2.h").read_text(encoding="utf-8")
+    assert "static const law_params arm_2 = {" in text
+    assert "Arm 2, 20-40 g" in text
+    run(tool("gcc"), *FLAGS, "law_selftest.c", "law.c", "-o", "selftest", cwd=tmp_path / "out")
+    assert "passed" in run(tmp_path / "out" / "selftest").stdout
+
+
+def test_hex_floats_come_back_exactly() -> None:
+    rng = np.random.default_rng(1)
+    for value in [0.0, -0.0, 1.0, 5e-324, *(rng.standard_normal(500) * 10.0 ** rng.integers(-20, 20, 500))]:
+        assert float.fromhex(hex_float(float(value), "double")) == value
+        rounded = float(np.float32(value))
+        assert float.fromhex(hex_float(rounded, "single").rstrip("F")) == rounded
+
+
+@pytest.mark.parametrize("precision", ["single", "double"])
+def test_the_worst_case_gain_is_reached_and_not_passed(precision: str) -> None:
+    """The l1 norm is the gain for the worst signal: its sign pattern reversed in time reaches the bound."""
+    made = law(precision, equipped=False)
+    bounds = worst_case(made)
+    count = 20_000
+    poles, gains = np.array(made.correction.poles), np.array(made.correction.gains)
+    response = np.zeros(count)
+    response[0] = made.correction.direct
+    response[1:] = (gains[:, None] * poles[:, None] ** np.arange(count - 1)).sum(axis=0)
+    response = np.diff(response, prepend=0.0)
+    assert np.abs(response).sum() <= bounds.gain * (1 + 1e-6)
+    assert np.abs(response).sum() >= bounds.gain * (1 - 1e-3)
+    plain = _plain_norm(made.correction.direct, list(poles), list(gains), count)
+    assert plain == pytest.approx(bounds.gain, rel=1e-6)
+
+
+def test_the_rounding_bound_holds() -> None:
+    """Single precision against double on signals within the bound's |e|."""
+    bounds = worst_case(law("single", equipped=False), error=0.05)
+    rng = np.random.default_rng(2)
+    rows = np.zeros((4, 20_000))
+    rows[3] = 1.56 * np.clip(0.02 * rng.standard_normal(20_000), -0.05, 0.05)
+    from law_bench import run as run_law
+
+    exact, rounded = (run_law(law(p, equipped=False), rows).motor_reference for p in ("double", "single"))
+    distance = np.abs(exact - rounded).max()
+    assert 0 < distance <= bounds.rounding + 3e-7  # the coefficients' own rounding
