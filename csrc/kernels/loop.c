@@ -7,6 +7,7 @@
 
 #include <math.h>
 
+#include "clones.h"
 #include "law.h"
 
 #ifndef LOOP_RUN
@@ -94,22 +95,43 @@ static void follow_voltage(motor_state *m, const loop_rig *rig, const motor_weig
     }
 }
 
-static void move_link(link_state *s, const loop_link *link, const double q[LOOP_POWERS])
+/* Real modes in lanes of LOOP_LANES: each lane adds up its own modes, and the lanes are added in one order, so that the
+ * sum has the same bits whatever the width of the machine's vectors (a reduction clause would follow that width). */
+#define LOOP_LANES 8
+
+FRACLINK_CLONES
+static double move_reals(double *restrict x, const loop_link *link, const double q[LOOP_POWERS])
 {
     const int n = link->reals;
+    const double *restrict decay = link->decay;
+    const double *restrict w = link->weight;
+    double lane[LOOP_LANES] = {0.0};
+    int i = 0;
+    for (; i + LOOP_LANES <= n; i += LOOP_LANES) {
+#pragma omp simd
+        for (int l = 0; l < LOOP_LANES; l++) {
+            const int k = i + l;
+            x[k] = decay[k] * x[k] + (w[k] * q[0] + w[n + k] * q[1] + w[2 * n + k] * q[2] + w[3 * n + k] * q[3] +
+                                      w[4 * n + k] * q[4] + w[5 * n + k] * q[5]);
+            lane[l] += x[k];
+        }
+    }
+    for (int l = 0; i < n; i++, l++) {
+        x[i] = decay[i] * x[i] + (w[i] * q[0] + w[n + i] * q[1] + w[2 * n + i] * q[2] + w[3 * n + i] * q[3] +
+                                  w[4 * n + i] * q[4] + w[5 * n + i] * q[5]);
+        lane[l] += x[i];
+    }
+    return ((lane[0] + lane[4]) + (lane[2] + lane[6])) + ((lane[1] + lane[5]) + (lane[3] + lane[7]));
+}
+
+static void move_link(link_state *s, const loop_link *link, const double q[LOOP_POWERS])
+{
     const int m = link->pairs;
-    const double *w = link->weight;
     const double *a = link->weight_re;
     const double *b = link->weight_im;
-    double tip = 0.0;
+    double tip = move_reals(s->real, link, q);
     for (int j = 0; j < LOOP_POWERS; j++)
         tip += link->first[j] * q[j];
-#pragma omp simd reduction(+ : tip)
-    for (int i = 0; i < n; i++) {
-        s->real[i] = link->decay[i] * s->real[i] + (w[i] * q[0] + w[n + i] * q[1] + w[2 * n + i] * q[2] +
-                                                    w[3 * n + i] * q[3] + w[4 * n + i] * q[4] + w[5 * n + i] * q[5]);
-        tip += s->real[i];
-    }
     for (int i = 0; i < m; i++) {
         double re = link->pair_re[i] * s->re[i] - link->pair_im[i] * s->im[i];
         double im = link->pair_re[i] * s->im[i] + link->pair_im[i] * s->re[i];

@@ -1,0 +1,51 @@
+/* Many closed loops in one call: the same law and references, another arm in each run. */
+#ifndef FRACLINK_BATCH_H
+#define FRACLINK_BATCH_H
+
+#include <stdint.h>
+
+#include "loop.h"
+
+/* Columns of a run's numbers. */
+enum {
+    BATCH_STIFFNESS, /* c [N m/rad] */
+    BATCH_GAIN,      /* A of the motor [rad/(s^2 V)] */
+    BATCH_DECAY,     /* B of the motor [1/s] */
+    BATCH_FRICTION,  /* Coulomb deceleration [rad/s^2] */
+    BATCH_OFFSET,    /* of the gauge [N m] */
+    BATCH_NOISE,     /* standard deviation of a gauge sample [N m] */
+    BATCH_DELAY,     /* whole periods */
+    BATCH_AMPLITUDE, /* of the reference [rad] */
+    BATCH_COLUMNS
+};
+
+/* Links of all runs, padded to the same number of real modes and pairs; layouts as in loop_link, run by run. */
+typedef struct {
+    int reals;
+    int pairs;
+    const double *decay;
+    const double *weight;
+    const double *pair_re;
+    const double *pair_im;
+    const double *weight_re;
+    const double *weight_im;
+    const double *first;
+} batch_links;
+
+/* Signals that the metrics need, one row of `length` a run; the other signals of a run are not kept. */
+typedef struct {
+    double *tip;
+    double *motor_reference;
+    double *voltage;
+    uint32_t *flags;
+    uint32_t *mode;
+    uint32_t *reason;
+} batch_traces;
+
+/* `path` holds unit references (angle, acceleration) of `length` each, `chosen` which one a run follows; `rig` what
+ * all runs share. `scratch` has room for 6 rows. Return 0, or 1 where a bound of loop.h is exceeded. */
+int batch_run(int64_t runs, int64_t length, const batch_links *links, const loop_rig *rig, const double *numbers,
+              const uint64_t *seeds, const int32_t *chosen, const double *path, const void *params, int single,
+              double *scratch, const batch_traces *traces);
+
+#endif

@@ -1,0 +1,217 @@
+"""One part of a campaign: draw, simulate, measure, write."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink import _kernels
+from fraclink.campaign.campaign import PART_RUNS, SHAPES, Campaign
+from fraclink.campaign.draws import draw
+from fraclink.campaign.links import batch_links
+from fraclink.campaign.metrics import Signals, measure_many
+from fraclink.errors import MissingExtraError
+from fraclink.files import atomic_write
+from fraclink.link import LinkModel
+from fraclink.reference import sampled, smooth_step
+
+if TYPE_CHECKING:
+    from fraclink.rig import Rig
+    from fraclink.simulate import Run
+
+__all__ = ["part_path", "read_part", "replay", "simulate_part", "write_part"]
+
+Real = NDArray[np.float64]
+
+BLOCK = 50  # runs simulated before they are measured: 50 × 1000 periods × 6 signals stay in the cache
+SUBSTEPS = 10  # friction steps in a period, as in `simulate`
+
+
+def simulate_part(campaign: Campaign, part: int) -> dict[str, NDArray[np.generic]]:
+    """Return parameters and metrics of every run of a part, by column name; shape (runs of the part,)."""
+    runs = campaign.part_runs(part)
+    values = draw(campaign.draws, campaign.seed, part, runs)
+    values["shape"] = values["shape"] % len(SHAPES)
+    path = _unit_paths(campaign)
+    columns = [
+        _simulate_block(campaign, {k: v[at : at + BLOCK] for k, v in values.items()}, path, part, at)
+        for at in range(0, runs, BLOCK)
+    ]
+    measured = {name: np.concatenate([c[name] for c in columns]) for name in columns[0]}
+    number = np.arange(part * PART_RUNS, part * PART_RUNS + runs, dtype=np.int64)
+    return {"run": number} | {k: np.asarray(v) for k, v in values.items()} | measured
+
+
+def _unit_paths(campaign: Campaign) -> Real:
+    """Angle and acceleration of a move of 1 rad in each duration, (shapes, 2, N)."""
+    count = round(campaign.duration / campaign.law.period) + 1
+    rows = [sampled(smooth_step(1.0, d), campaign.law.period, count)[[0, 2]] for d in SHAPES]
+    return np.ascontiguousarray(np.stack(rows))
+
+
+def _simulate_block(
+    campaign: Campaign, values: dict[str, Real], path: Real, part: int, at: int
+) -> dict[str, NDArray[np.generic]]:
+    rig, runs, length = campaign.rig, len(values["payload"]), path.shape[2]
+    stiff = values["stiffness"] / (values["payload"] * rig.link.length**2)
+    links = batch_links(stiff, values["order"], campaign.law.period)
+    chosen = values["shape"].astype(np.int32)
+    signals = np.empty((3, runs, length))
+    marks = np.empty((3, runs, length), dtype=np.uint32)
+    _kernels.batch_run(
+        campaign.law.block,
+        campaign.law.precision == "single",
+        _shared_rig(campaign),
+        links.decay,
+        links.weight,
+        np.ascontiguousarray(links.pair.real),
+        np.ascontiguousarray(links.pair.imag),
+        np.ascontiguousarray(links.pair_weight.real),
+        np.ascontiguousarray(links.pair_weight.imag),
+        links.first,
+        _numbers(rig, values),
+        _seeds(campaign.seed, part, at, runs),
+        chosen,
+        path,
+        signals,
+        marks,
+    )
+    pole = stiff ** (1.0 / values["order"]) * np.sin(np.pi / values["order"])
+    return measure_many(
+        Signals(*signals, *marks),
+        values["amplitude"][:, None] * path[chosen, 0],
+        period=campaign.law.period,
+        ended=np.asarray(SHAPES)[chosen],
+        vibration_period=2.0 * np.pi / pole,
+    )
+
+
+def _numbers(rig: Rig, values: dict[str, Real]) -> Real:
+    """The columns of batch.h, in its order."""
+    motor = rig.motor
+    friction = motor.coulomb_torque / (motor.inertia * motor.gear_ratio)
+    columns = (
+        values["stiffness"],
+        motor.gain * values["motor_gain"],
+        motor.decay * values["viscous_friction"],
+        friction * values["coulomb_torque"],
+        values["gauge_offset"],
+        rig.gauge.noise * values["noise"],
+        values["delay_samples"],
+        values["amplitude"],
+    )
+    return np.ascontiguousarray(np.stack(columns, axis=1))
+
+
+def _seeds(seed: int, part: int, at: int, runs: int) -> NDArray[np.uint64]:
+    """Noise seeds: the run's number folded into the campaign's seed by an odd multiplier (a bijection)."""
+    number = part * PART_RUNS + at + np.arange(runs, dtype=np.uint64)
+    with np.errstate(over="ignore"):
+        return np.asarray(number * np.uint64(0x9E3779B97F4A7C15) + np.uint64(seed), dtype=np.uint64)
+
+
+def _shared_rig(campaign: Campaign) -> _kernels.LoopRig:
+    rig = campaign.rig
+    return _kernels.LoopRig(
+        sampled=campaign.inner == "sampled",
+        substeps=SUBSTEPS,
+        delay=0,
+        period=campaign.law.period,
+        pole=campaign.law.inner_pole,
+        gain=0.0,
+        decay=0.0,
+        friction=0.0,
+        coupling=0.0,
+        encoder=rig.encoder.resolution,
+        offset=0.0,
+        noise=0.0,
+        limit=rig.gauge.limit,
+        quantum=rig.gauge.quantum,
+        start=0.0,
+        seed=0,
+    )
+
+
+def replay(campaign: Campaign, run: int) -> Run:
+    """Return run number `run` of a campaign with all its signals, through `simulate`.
+
+    The link's modes are those of `simulate` (1e-9) instead of the campaign's (2e-7), so the two agree to
+    about 1e-6 rad, not to the last bit; a chaotic stick-slip of the motor can part them.
+    """
+    from fraclink.simulate import simulate
+
+    part, at = divmod(run, PART_RUNS)
+    values = {
+        k: float(v[at])
+        for k, v in draw(campaign.draws, campaign.seed, part, campaign.part_runs(part)).items()
+    }
+    motor = campaign.rig.motor
+    arm = replace(
+        campaign.rig,
+        motor=replace(
+            motor,
+            torque_constant=motor.torque_constant * values["motor_gain"],
+            viscous_friction=motor.viscous_friction * values["viscous_friction"],
+            coulomb_torque=motor.coulomb_torque * values["coulomb_torque"],
+        ),
+    )
+    stiff = values["stiffness"] / (values["payload"] * campaign.rig.link.length**2)
+    link = LinkModel(values["stiffness"], stiff**0.5, order=values["order"], payload=values["payload"])
+    return simulate(
+        arm,
+        link,
+        campaign.law,
+        smooth_step(values["amplitude"], SHAPES[int(values["shape"] % len(SHAPES))]),
+        duration=campaign.duration,
+        inner="sampled" if campaign.inner == "sampled" else "ideal",
+        gauge_offset=values["gauge_offset"],
+        noise=campaign.rig.gauge.noise * values["noise"],
+        seed=int(_seeds(campaign.seed, part, at, 1)[0]),
+        delay_samples=int(values["delay_samples"]),
+        substeps=SUBSTEPS,
+    )
+
+
+def part_path(folder: Path, part: int) -> Path:
+    """Return the file of a part; its number has seven digits, so that names sort as numbers do."""
+    return folder / f"part-{part:07d}.parquet"
+
+
+def write_part(campaign: Campaign, folder: Path, part: int) -> int:
+    """Simulate a part and write its file in one step; return its number of runs."""
+    pa, parquet = _parquet()
+    columns = simulate_part(campaign, part)
+    table = pa.table(columns).replace_schema_metadata(
+        {"fraclink": "campaign part", "fingerprint": campaign.fingerprint, "part": str(part)}
+    )
+    with atomic_write(part_path(folder, part), "wb") as stream:
+        # No statistics and no time: two computations of one part give the same bytes.
+        parquet.write_table(table, stream, compression="zstd", write_statistics=False)
+    return int(table.num_rows)
+
+
+def read_part(campaign: Campaign, folder: Path, part: int) -> dict[str, NDArray[np.generic]] | None:
+    """Return a finished part's columns, or None where it is missing, damaged or of another campaign."""
+    pa, parquet = _parquet()
+    try:
+        table = parquet.read_table(part_path(folder, part), memory_map=False)
+    except (OSError, pa.ArrowException):
+        return None
+    meta = table.schema.metadata or {}
+    wanted = {b"fingerprint": campaign.fingerprint.encode(), b"part": str(part).encode()}
+    if any(meta.get(k) != v for k, v in wanted.items()) or table.num_rows != campaign.part_runs(part):
+        return None
+    return {name: table[name].to_numpy() for name in table.column_names}
+
+
+def _parquet() -> tuple[Any, Any]:
+    try:
+        import pyarrow as pa
+        from pyarrow import parquet
+    except ImportError as error:
+        raise MissingExtraError("pyarrow", "io") from error
+    return pa, parquet
