@@ -187,6 +187,14 @@ def test_tests_of_a_white_residual_are_calm() -> None:
     assert np.min(p_values) > 1e-4
 
 
+def test_outliers_are_told() -> None:  # B24
+    log = made_log(noise=0.02)
+    spoilt = log.output.copy()
+    spoilt[[500, 2000]] *= 100
+    assert "W312" in {f.code for f in identify(replace(log, output=spoilt), details=False).findings}
+    assert "W312" not in {f.code for f in identify(log, details=False).findings}
+
+
 def test_deflection_log_takes_the_stiffness_it_is_told() -> None:
     log = replace(made_log(gain=1 / 1.56), output_kind="deflection")
     fit = identify(log, stiffness=1.3, details=False)

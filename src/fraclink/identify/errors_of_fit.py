@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from fraclink._kernels import FitProblem
 from fraclink.identify.problem import columns_of
-from fraclink.identify.search import Search, Solution
+from fraclink.identify.search import Search
 from fraclink.identify.shape import NAMES, mask_of, model_gradients
+from fraclink.identify.solution import Solution
 from fraclink.identify.statistics import correlation_lag, long_run_covariance
 from fraclink.link import structure
 

@@ -12,8 +12,9 @@ from fraclink.errors import NotConvergedError
 from fraclink.identify.errors_of_fit import uncertainty
 from fraclink.identify.joint import Coordinates
 from fraclink.identify.profile import reduced
-from fraclink.identify.search import Search, Solution
+from fraclink.identify.search import Search
 from fraclink.identify.shape import ALPHA_LIMITS, ORDER_LIMITS, Shape, damping_and_square
+from fraclink.identify.solution import Solution
 from fraclink.link import structure as structure_row
 
 __all__ = ["make_coordinates", "minimise", "start_of", "weight_of"]

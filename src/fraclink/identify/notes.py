@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
+import numpy as np
+
 from fraclink.findings import Finding
 from fraclink.identify.fit import Fit
 
@@ -116,6 +118,7 @@ def _of_the_residual(fit: Fit) -> Iterator[Finding]:
             {"nmse": fit.nmse, "heldout_nmse": relative},
             "look for a change of the arm within the log, or fit a longer part",
         )
+    yield from _of_outliers(fit)
     if fit.tests is None or not math.isfinite(fit.tests.whiteness):
         return
     if fit.errors_allow_colour:
@@ -133,4 +136,19 @@ def _of_the_residual(fit: Fit) -> Iterator[Finding]:
             "the residual still depends on the motor's motion: the structure misses part of the link",
             {"p_value": fit.tests.input_independence},
             "compare the other structures",
+        )
+
+
+def _of_outliers(fit: Fit) -> Iterator[Finding]:
+    squares = np.sort(fit.residual[: fit.fitted_samples] ** 2)[::-1]
+    few = max(fit.fitted_samples // 500, 1)
+    share = float(squares[:few].sum() / squares.sum()) if squares[0] > 0 else 0.0
+    # Of Gaussian noise the largest 0.2 % of the samples hold 2 % of the squares.
+    if share > 0.3:
+        yield Finding(
+            "W312",
+            "warning",
+            "a few samples make most of the error: outliers pull the fit",
+            {"samples": float(few), "share_of_error": share},
+            "examine the log with diagnose and cut or repair these rows",
         )

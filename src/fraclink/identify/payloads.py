@@ -14,9 +14,10 @@ from fraclink.identify.joint import Coordinates
 from fraclink.identify.jointfit import JointFit, LikelihoodRatio
 from fraclink.identify.jointsolve import make_coordinates, minimise, start_of, weight_of
 from fraclink.identify.problem import Hold, columns_of
-from fraclink.identify.search import Search, Solution
+from fraclink.identify.search import Search
 from fraclink.identify.shape import model_of
 from fraclink.identify.single import make_search
+from fraclink.identify.solution import Solution
 from fraclink.identify.statistics import aic
 from fraclink.link import structure as structure_row
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fraclink._kernels import FitProblem
-from fraclink.identify.search import Search, Solution
+from fraclink.identify.search import Search
 from fraclink.identify.shape import (
     NAMES,
     Shape,
@@ -18,6 +18,7 @@ from fraclink.identify.shape import (
     model_gradients,
     on_physical_side,
 )
+from fraclink.identify.solution import Solution
 
 __all__ = ["Interval", "profile_interval", "reduced"]
 

@@ -13,8 +13,9 @@ from fraclink._kernels import FitProblem
 from fraclink.errors import NotConvergedError
 from fraclink.identify.problem import Window
 from fraclink.identify.shape import ALPHA_LIMITS, FREE, ORDER_LIMITS, Shape, mask_of, undamped_as_damped
+from fraclink.identify.solution import Solution
 
-__all__ = ["Search", "Solution"]
+__all__ = ["Search"]
 
 _SWEEP_ORDER, _SWEEP_STEP = 1.85, 0.2  # ζ = 0.13 and a step in ln Ω: neighbours on the grid overlap
 _SCAN_ORDER = 1.92  # ζ = 0.065, for the places between them
@@ -22,41 +23,6 @@ _ITERATIONS = 200  # an undamped link on a damped log converges by a third a ste
 # Delays that are tried as starts, as parts of the vibration's period: a fit creeps over ± 0.15 by itself.
 _DELAY_STARTS = (0.12, 0.24)
 _DELAY_LIMITS = (-0.12, 0.35)
-
-
-@dataclass(frozen=True, eq=False)
-class Solution:
-    """The least-squares point of one structure: coordinates, linear parameters, Gram matrix there."""
-
-    structure: str
-    free: tuple[int, ...]
-    shape: Shape
-    gain: float
-    offset: float
-    cost: float
-    gram: NDArray[np.float64]
-    lower: Shape
-    upper: Shape
-    status: int
-    evaluations: int
-
-    @property
-    def on_edge(self) -> bool:
-        """Whether a D-FOM ended on ϖ = 0, where it is the UD-FOM with λ = 2 − α."""
-        other = float(self.shape[3])
-        return (
-            3 in self.free and other < 1 and self.shape[2] >= (1 - 1e-7) * math.tan(other * math.pi / 2) / 2
-        )
-
-    @property
-    def at_bound(self) -> tuple[int, ...]:
-        """Free coordinates that ended on a limit."""
-        near = 1e-7 * (self.upper - self.lower)
-        return tuple(
-            i
-            for i in self.free
-            if self.shape[i] <= self.lower[i] + near[i] or self.shape[i] >= self.upper[i] - near[i]
-        )
 
 
 @dataclass(eq=False)

@@ -15,8 +15,9 @@ from fraclink.identify.fit import Fit
 from fraclink.identify.notes import findings_of
 from fraclink.identify.problem import Hold, Window, chosen_hold, columns_of
 from fraclink.identify.profile import Interval, profile_interval
-from fraclink.identify.search import Search, Solution
+from fraclink.identify.search import Search
 from fraclink.identify.shape import ALPHA_LIMITS, ORDER_LIMITS, model_of, shape_of
+from fraclink.identify.solution import Solution
 from fraclink.identify.statistics import ResidualTests, aic, bic, residual_tests
 from fraclink.link import LinkModel
 from fraclink.link import structure as structure_row
