@@ -15,6 +15,7 @@ import math
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
+from fraclink.certify.motor import SampledMotor
 from fraclink.certify.statement import Statement
 from fraclink.errors import MissingExtraError
 
@@ -68,12 +69,11 @@ class Loop:
         self.period = arb(c["period"])
         self.direct = arb(c["direct"])
         self.modes = self._modes(c)
-        self.pid = {k: arb(c[k]) for k in _PID}
         self.order, self.damping_order = arb(statement.order), arb(statement.damping_order)
         self.damping = arb(statement.damping)
         self.direction, self.drag_direction = self._direction(self.order), self._direction(self.damping_order)
         self.gain, self.decay = arb(statement.gain), arb(statement.decay)
-        self.slow = (-self.decay * self.period).exp()
+        self.motor = SampledMotor(self.flint, self.period, statement.gain, statement.decay, c)
         self.tail = self._tail()
 
     def hull(self, low: float, high: float) -> Ball:
@@ -147,7 +147,7 @@ class Loop:
         # h/sin h rises and 1/sin h falls on (0, π/2]: their ends enclose them, and h enters only there.
         sinc, inverse = (ends[0] / sines[0]).union(ends[1] / sines[1]), (1 / sines[0]).union(1 / sines[1])
         kernel, bound = self.kernel(z, (self.turn(2 * ends[0]), self.turn(2 * ends[1])))
-        first, both = self.controllers(z.conjugate()) if self.sampled else (acb(1), acb(0))
+        first, both = self.motor.controllers(z.conjugate()) if self.sampled else (acb(1), acb(0))
         if self.sampled:
             scale = sinc * sinc * inverse / (2 * self.period * self.gain)
             motor = acb(self.decay, w)
@@ -166,67 +166,14 @@ class Loop:
             both=both,
         )
 
-    def controllers(self, x: Disc) -> tuple[Disc, Disc]:
-        """((1 - x) Cm1, (1 - x)(Cm1 + Cm2)) of the PID in the law's block.
-
-        As polynomials in y = 1 - x over 1 - r x: in x their large terms cancel, in y they do not.
-        """
-        p, y = self.pid, 1 - x
-        lag = 1 - p["filter_decay"] * x
-        low, slow = p["inner_direct"], (p["filter_now"], p["filter_before"])
-        first = self._numerator(low, *slow)
-        both = self._numerator(
-            low + p["inner_angle"], slow[0] + p["filter_angle_now"], slow[1] + p["filter_angle_before"]
-        )
-        return self._horner(first, y) / lag, self._horner(both, y) / lag
-
-    def _numerator(self, direct: Ball, now: Ball, before: Ball) -> tuple[Ball, Ball, Ball]:
-        """Coefficients in y of ``(d y + i0 + i1 x)(1 - r x) + y (f0 + f1 x)``."""
-        r, late = self.pid["filter_decay"], self.pid["integral_before"]
-        whole = self.pid["integral_now"] + late
-        return (
-            whole * (1 - r),
-            (direct - late) * (1 - r) + whole * r + now + before,
-            (direct - late) * r - before,
-        )
-
-    @staticmethod
-    def _horner(c: tuple[Ball, Ball, Ball], y: Disc) -> Disc:
-        return c[0] + y * (c[1] + y * c[2])
-
-    def closing(self, x: Disc, both: Disc, delay: Ball) -> Disc:
-        """X = (1 - x)² (1 + (Cm1 + Cm2) P_τ), regular at x = 1."""
-        n, n0, n2 = self.held_motor(delay)
-        edge = 1 - x
-        return edge * edge + both * x * (n * x + edge * (n0 - n2 * x)) / (1 - self.slow * x)
-
     def closing_spread(self, window: Window, delay: tuple[float, float]) -> tuple[float, float]:
         """Relative radius of X over a box that comes from the frequencies, and from the delays."""
         late = self.hull(*delay)
-        value = self.closing(window.back, window.both, late)
-        point = self.closing(window.back, window.both, self.flint.arb(late.mid()))
+        value = self.motor.closing(window.back, window.both, late)
+        point = self.motor.closing(window.back, window.both, self.flint.arb(late.mid()))
         size = float(abs(value.mid())) or 1.0
         spread = [float(x.real.rad()) + float(x.imag.rad()) for x in (value, point)]
         return spread[1] / size, (spread[0] - spread[1]) / size
-
-    def held_motor(self, delay: Ball) -> tuple[Ball, Ball, Ball]:
-        """(n, n0, n2) of ``P_τ = x (n x + (1 - x)(n0 - n2 x))/((1 - x)(1 - e x))``.
-
-        n does not depend on the delay, n0 falls and n2 rises with it: the ends of an interval enclose them.
-        """
-        arb, scale = self.flint.arb, self.gain / self.decay**2
-        ends = [arb(delay.lower()), arb(delay.upper())]
-
-        def first(tau: Ball) -> Ball:
-            left = self.decay * (self.period - tau)
-            return left - 1 + (-left).exp()
-
-        def last(tau: Ball) -> Ball:
-            return self.slow * ((self.decay * tau).exp() - 1 - self.decay * tau)
-
-        n0 = first(ends[0]).union(first(ends[1])) * scale
-        n2 = last(ends[0]).union(last(ends[1])) * scale
-        return self.gain * self.period * (1 - self.slow) / self.decay, n0, n2
 
     def inverse(
         self, window: Window, payload: tuple[float, float], delay: tuple[float, float]
@@ -237,7 +184,7 @@ class Loop:
         late, rest, size = self.hull(*delay), window.factor, window.size
         alias = window.correction * self.tail
         if self.sampled:
-            closing = self.closing(window.back, window.both, late)
+            closing = self.motor.closing(window.back, window.both, late)
             rest, size = rest * closing, size * abs(closing)
             alias = alias * 2 * abs(window.first) / abs(closing)
         ahead = self.period * (3 if self.sampled else 2) / 2
@@ -255,8 +202,8 @@ class Loop:
         kernel = self.kernel(z, (self.flint.acb(1), self.turn(s.lowest * self.period)))[1]
         bound = s.lowest * self.period * kernel * (1 / link + self.tail)
         if self.sampled:
-            first, both = self.controllers(z.conjugate())
-            closing = self.closing(z.conjugate(), both, self.hull(s.delay_low, s.delay_high))
+            first, both = self.motor.controllers(z.conjugate())
+            closing = self.motor.closing(z.conjugate(), both, self.hull(s.delay_low, s.delay_high))
             bound = bound * (abs(first) / abs(closing)) * (self.period * self.gain / self.decay + 2)
         return outside(bound)[1]
 
@@ -266,44 +213,4 @@ class Loop:
         For every other delay it follows from the tree: each leaf shows X ≠ 0 on its part of the unit circle,
         so no pole can cross it while the delay grows.
         """
-        return not self.sampled or self._inside_circle(
-            self._characteristic(self.flint.arb(self.statement.delay_low))
-        )
-
-    def _characteristic(self, delay: Ball) -> list[Ball]:
-        """Coefficients of (1-e x)(1-r x) X, ascending in x: the highest power of z first."""
-        arb_poly, p = self.flint.arb_poly, self.pid
-        edge = arb_poly([1, -1])
-        motor, filt = arb_poly([1, -self.slow]), arb_poly([1, -p["filter_decay"]])
-        both = edge * filt * arb_poly([p["inner_direct"] + p["inner_angle"]])
-        both += arb_poly([p["integral_now"], p["integral_before"]]) * filt
-        lags = [p["filter_now"] + p["filter_angle_now"], p["filter_before"] + p["filter_angle_before"]]
-        both += arb_poly(lags) * edge
-        n, n0, n2 = self.held_motor(delay)
-        total = edge * edge * filt * motor + both * (arb_poly([0, 0, n]) + edge * arb_poly([0, n0, -n2]))
-        return [total[k] for k in range(total.degree() + 1)]
-
-    def _inside_circle(self, coefficients: list[Ball]) -> bool:
-        """Schur–Cohn: every reflection coefficient of a real polynomial below one in modulus."""
-        a = list(coefficients)
-        while len(a) > 1:
-            if not abs(a[0]) > 0:
-                return False
-            k = a[-1] / a[0]
-            if not abs(k) < 1:
-                return False
-            a = [a[i] - k * a[-1 - i] for i in range(len(a) - 1)]
-        return True
-
-
-_PID = (
-    "inner_direct",
-    "inner_angle",
-    "integral_now",
-    "integral_before",
-    "filter_now",
-    "filter_before",
-    "filter_angle_now",
-    "filter_angle_before",
-    "filter_decay",
-)
+        return not self.sampled or self.motor.is_stable(self.statement.delay_low)
