@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fraclink.errors import FieldError, FileFormatError, LogError
+from fraclink.errors import FieldError, FileFormatError, LogError, SizeError
 from fraclink.experiment import Experiment
 from fraclink.files import write_json
 from fraclink.identify import Fit, aic, identify, load_model, save_model
@@ -213,6 +213,15 @@ def test_fit_survives_its_file(tmp_path: Path) -> None:
     assert np.array_equal(back.residual, fit.residual)
     assert load_model(tmp_path / "model.json") == fit.model
     assert not back.residual.flags.writeable
+
+
+def test_a_file_too_large_to_read_back_is_not_written(tmp_path: Path) -> None:  # B51
+    fit = identify(made_log(samples=300))
+    long = replace(fit, predicted=np.zeros(300_001), residual=np.zeros(300_001))
+    with pytest.raises(SizeError) as caught:
+        long.save(tmp_path / "fit.json")
+    assert caught.value.field == "samples"
+    assert not (tmp_path / "fit.json").exists()
 
 
 def test_model_files(tmp_path: Path) -> None:

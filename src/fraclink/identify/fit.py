@@ -12,7 +12,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink.errors import FieldError, FileFormatError
+from fraclink.errors import FieldError, FileFormatError, SizeError
 from fraclink.files import read_json, write_json
 from fraclink.findings import Finding
 from fraclink.identify.profile import Interval
@@ -23,6 +23,7 @@ __all__ = ["Fit", "load_model", "save_model"]
 
 _KIND, _VERSION = "fit", 1
 _MODEL_KIND = "model"
+_SAMPLES_MOST = 300_000  # 47 bytes a sample, against the 16 MB that read_json admits
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +129,18 @@ class Fit:
         return int(self.predicted.size)
 
     def save(self, path: Path | str) -> None:
-        """Write the fit as JSON, complete or not at all; `load` reads back an equal one."""
+        """Write the fit as JSON, complete or not at all; `load` reads back an equal one.
+
+        Raises SizeError where the log is so long that the file could not be read back.
+        """
+        if self.samples > _SAMPLES_MOST:
+            raise SizeError(
+                "samples",
+                self.samples,
+                "too many to save with their residual",
+                allowed=f"<= {_SAMPLES_MOST}",
+                remedy="fit a part of the log, or keep the link alone with save_model(fit.model, path)",
+            )
         write_json(path, _KIND, _VERSION, _to_plain(self))
 
     @classmethod
