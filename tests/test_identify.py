@@ -216,7 +216,7 @@ def test_fit_survives_its_file(tmp_path: Path) -> None:
 
 
 def test_a_file_too_large_to_read_back_is_not_written(tmp_path: Path) -> None:  # B51
-    fit = identify(made_log(samples=300))
+    fit = identify(made_log(samples=800))
     long = replace(fit, predicted=np.zeros(300_001), residual=np.zeros(300_001))
     with pytest.raises(SizeError) as caught:
         long.save(tmp_path / "fit.json")
