@@ -3,5 +3,7 @@
 from __future__ import annotations
 
 from fraclink.export.c import export_c
+from fraclink.export.matlab import export_matlab
+from fraclink.export.replay import Replay, replay
 
-__all__ = ["export_c"]
+__all__ = ["Replay", "export_c", "export_matlab", "replay"]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import struct
+
 from fraclink import __version__
 from fraclink.law import Law
 from fraclink.law import block as layout
@@ -45,8 +47,9 @@ def data_header(law: Law, *, name: str, title: str) -> str:
     """Return the text of law_data.h for `law`; the same law gives the same text, to the byte."""
     values = law.coefficients
     # type: ignore[arg-type]
-    rows = [f"    .{field} = {int(values[field])}U," for field in (*layout.HEADER, *layout.COUNTS)]
-    rows[3] = f"    .crc = 0x{int(values['crc']):08X}U,"  # type: ignore[arg-type]
+    whole = struct.unpack(f"<{len(layout.HEADER) + len(layout.COUNTS)}I", law.block[:48])
+    rows = [f"    .{f} = {n}U," for f, n in zip((*layout.HEADER, *layout.COUNTS), whole, strict=True)]
+    rows[3] = f"    .crc = 0x{whole[3]:08X}U,"
     for field, length in layout.REALS:
         value = values[field]
         if isinstance(value, list):

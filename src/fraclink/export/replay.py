@@ -1,0 +1,178 @@
+"""Replay: compile an exported law and run a log through it, period by period, beside the package's own."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fraclink.errors import FieldError
+from fraclink.law import Law
+
+__all__ = ["Replay", "replay"]
+
+Real = NDArray[np.float64]
+
+_HARNESS = """\
+#include "law.h"
+#include "@DATA@"
+#include <stdio.h>
+
+int main(void)
+{
+    static law_state state;
+    double row[4];
+    law_input in;
+    law_output out;
+    if (law_init(&state, &@NAME@) != LAW_OK) {
+        return 3;
+    }
+    in.tick = 0U;
+    while (fread(row, sizeof(row), 1, stdin) == 1U) {
+        in.tick++;
+        in.reference = (law_real)row[0];
+        in.reference_acceleration = (law_real)row[1];
+        in.motor_angle = (law_real)row[2];
+        in.torque = (law_real)row[3];
+        law_step(&state, &@NAME@, &in, &out);
+        const double result[6] = {(double)out.motor_reference, (double)out.voltage, (double)out.tip_estimate,
+                                  (double)out.error, (double)out.mode, (double)out.flags};
+        if (fwrite(result, sizeof(result), 1, stdout) != 1U) {
+            return 4;
+        }
+    }
+    return 0;
+}
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class Replay:
+    """What the exported law and the package's law gave for the same log; signals have shape (N,).
+
+    motor_reference [rad], voltage [V], tip_estimate [rad] and mode of the exported law; `first_difference`
+    is the first period in which any output differs from the package's, None where all agree to the last bit.
+    """
+
+    motor_reference: Real
+    voltage: Real
+    tip_estimate: Real
+    mode: Real
+    flags: Real
+    first_difference: int | None
+    largest_difference: float
+
+    @property
+    def holds(self) -> bool:
+        """Whether every output of every period agrees to the last bit."""
+        return self.first_difference is None
+
+
+def replay(
+    folder: Path | str,
+    law: Law,
+    *,
+    reference: ArrayLike,
+    reference_acceleration: ArrayLike,
+    motor_angle: ArrayLike,
+    torque: ArrayLike,
+    name: str = "law_data",
+    compiler: str = "cc",
+) -> Replay:
+    """Compile the law exported to `folder`, run the log through it and compare it with `law`, period by
+    period.
+
+    Parameters: signals of shape (N,) at the law's period: reference [rad], its acceleration [rad/s²], motor
+    angle [rad], torque [N·m]; `name` of the block; `compiler`, a C compiler on the PATH. Raises FieldError
+    where the folder holds no export, its block is not that of `law`, or the compiler fails.
+
+    >>> import fraclink as fl, tempfile
+    >>> from fraclink.export import export_c, replay
+    >>> rig = fl.Rig.named("paper-2023")
+    >>> law = fl.Controller(gain=0.069876, order=0.612197, link=rig.model).discretize(rig.period, order=4)
+    >>> folder = tempfile.mkdtemp()
+    >>> _ = export_c(law, folder)
+    >>> rest = np.zeros(100)
+    >>> replay(folder, law, reference=rest, reference_acceleration=rest, motor_angle=rest, torque=rest).holds
+    True
+    """
+    from fraclink.export.names import identifier
+
+    identifier("name", name)
+    place = Path(folder).resolve()
+    rows = np.ascontiguousarray(
+        np.column_stack(
+            [np.asarray(x, float) for x in (reference, reference_acceleration, motor_angle, torque)]
+        )
+    )
+    _check_block(place, law, name)
+    output = _compiled(place, law, name, compiler, rows.tobytes())
+    got = np.frombuffer(output, dtype=np.float64).reshape(-1, 6)
+    _, own = law.run(law.initial_state(), *rows.T)
+    wanted = np.column_stack(
+        [own.motor_reference, own.voltage, own.tip_estimate, own.error, own.mode, own.flags]
+    )
+    if got.shape != wanted.shape:
+        raise FieldError(
+            "firmware", got.shape, "incomplete", allowed=f"{wanted.shape}", remedy="export the law again"
+        )
+    differs = np.flatnonzero(np.any(got != wanted, axis=1))
+    return Replay(
+        motor_reference=got[:, 0].copy(),
+        voltage=got[:, 1].copy(),
+        tip_estimate=got[:, 2].copy(),
+        mode=got[:, 4].copy(),
+        flags=got[:, 5].copy(),
+        first_difference=int(differs[0]) if differs.size else None,
+        largest_difference=float(np.max(np.abs(got - wanted), initial=0.0)),
+    )
+
+
+def _check_block(place: Path, law: Law, name: str) -> None:
+    header = place / f"{name}.h"
+    if not (header.is_file() and (place / "law.c").is_file()):
+        raise FieldError(
+            "firmware",
+            str(place),
+            "not an export",
+            allowed="a folder of export_c",
+            remedy="export the law first",
+        )
+    if f"law {law.digest}" not in header.read_text(encoding="utf-8"):
+        raise FieldError(
+            "firmware",
+            str(place),
+            "the export of another law",
+            allowed=f"law {law.digest[:16]}...",
+            remedy="export this law, in the precision it has",
+        )
+
+
+def _compiled(place: Path, law: Law, name: str, compiler: str, log: bytes) -> bytes:
+    found = shutil.which(compiler)
+    if found is None:
+        raise FieldError(
+            "compiler", compiler, "not installed", allowed="a C compiler", remedy="install gcc or clang"
+        )
+    with tempfile.TemporaryDirectory() as scratch:
+        source, program = Path(scratch) / "replay.c", Path(scratch) / "replay"
+        source.write_text(_HARNESS.replace("@DATA@", f"{name}.h").replace("@NAME@", name), encoding="utf-8")
+        single = ["-DLAW_SINGLE"] if law.precision == "single" else []
+        command = [found, "-std=c99", "-O2", "-ffp-contract=off", *single, f"-I{place}", str(source)]
+        built = subprocess.run(  # noqa: S603 - the compiler the caller named, on files that were checked
+            [*command, str(place / "law.c"), "-o", str(program)], capture_output=True, text=True, check=False
+        )
+        if built.returncode:
+            raise FieldError(
+                "firmware",
+                built.stderr.strip().splitlines()[0] if built.stderr else "no message",
+                "refused by the compiler",
+                allowed="C99",
+                remedy="export the law again",
+            )
+        return subprocess.run([program], input=log, capture_output=True, check=True).stdout  # noqa: S603

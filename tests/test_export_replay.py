@@ -1,0 +1,114 @@
+"""Replay of logs through the compiled export, and the MATLAB files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import fraclink as fl
+from fraclink.errors import FieldError
+from fraclink.export import Replay, export_c, export_matlab, replay
+from fraclink.law import Law
+from law_bench import PERIOD, law, signals
+from needed_tools import tool
+
+ROWS = signals(2000)
+
+
+def _replay(folder: Path, made: Law, compiler: str = "gcc") -> Replay:
+    tool(compiler)
+    names = ("reference", "reference_acceleration", "motor_angle", "torque")
+    return replay(folder, made, compiler=compiler, **dict(zip(names, ROWS, strict=True)))
+
+
+@pytest.mark.parametrize("precision", ["single", "double"])
+@pytest.mark.parametrize("compiler", ["gcc", "clang"])
+def test_the_export_repeats_the_package_to_the_bit(precision: str, compiler: str, tmp_path: Path) -> None:
+    made = law(precision)
+    export_c(made, tmp_path / "firmware")
+    result = _replay(tmp_path / "firmware", made, compiler)
+    assert result.holds
+    assert result.first_difference is None
+    assert result.largest_difference == 0.0
+    assert len(result.voltage) == 2000
+    assert np.ptp(result.motor_reference) > 0.5
+
+
+def test_a_changed_law_is_found_in_its_period(tmp_path: Path) -> None:
+    made = law("double")
+    export_c(made, tmp_path / "firmware")
+    source = tmp_path / "firmware" / "law.c"
+    text = source.read_text(encoding="utf-8")
+    source.write_text(
+        text.replace("sum += mode->gain * value;", "sum -= mode->gain * value;"), encoding="utf-8"
+    )
+    result = _replay(tmp_path / "firmware", made)
+    assert not result.holds
+    assert result.first_difference in (1, 2)
+    assert result.largest_difference > 1e-6
+
+
+def test_what_is_no_export_of_this_law_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(FieldError, match="not an export"):
+        _replay(tmp_path, law("double"))
+    export_c(law("double"), tmp_path / "firmware")
+    with pytest.raises(FieldError, match="another law"):
+        _replay(tmp_path / "firmware", law("single"))
+    (tmp_path / "firmware" / "law.c").write_text("not C", encoding="utf-8")
+    with pytest.raises(FieldError, match="refused by the compiler"):
+        _replay(tmp_path / "firmware", law("double"))
+    rest = np.zeros(3)
+    with pytest.raises(FieldError, match="not installed"):
+        replay(
+            tmp_path / "firmware",
+            law("double"),
+            reference=rest,
+            reference_acceleration=rest,
+            motor_angle=rest,
+            torque=rest,
+            compiler="no-such-compiler",
+        )
+
+
+def _with_pair() -> Law:
+    link = fl.Rig.named("paper-2023").model
+    controller = fl.Controller(gain=0.148, order=0.65, filter_time=0.16, filter_order=2, link=link)
+    made = controller.discretize(PERIOD)
+    assert made.correction.pair_poles
+    return made
+
+
+def test_the_mat_file_is_the_discrete_law(tmp_path: Path) -> None:
+    from scipy.io import loadmat
+
+    made = _with_pair()
+    data = loadmat(export_matlab(made, tmp_path / "law.mat"))
+    w = np.geomspace(0.05, 500.0, 60)
+    z = np.exp(1j * w * PERIOD)[:, None]
+    inner = data["correction_direct"][0, 0] + (
+        data["correction_residues"].ravel() / (z - data["correction_poles"].ravel())
+    ).sum(axis=1)
+    np.testing.assert_allclose((1 - 1 / z[:, 0]) * inner, made.frequency_response(w), rtol=1e-9)
+    assert data["period"][0, 0] == PERIOD
+
+
+def test_the_m_file_holds_every_number_to_the_bit(tmp_path: Path) -> None:
+    made = _with_pair()
+    text = export_matlab(made, tmp_path / "arm_law.m").read_text(encoding="utf-8")
+    assert text.startswith("function law = arm_law()")
+    for value in (made.correction.direct, *made.correction.poles, *made.correction.gains):
+        assert repr(value) in text
+    assert text.count("\nend\n") == 4
+
+
+def test_matlab_names_and_existing_files(tmp_path: Path) -> None:
+    with pytest.raises(FieldError, match="another kind"):
+        export_matlab(law(), tmp_path / "law.txt")
+    with pytest.raises(FieldError, match="identifier"):
+        export_matlab(law(), tmp_path / "2 law.m")
+    export_matlab(law(), tmp_path / "arm.m")
+    with pytest.raises(FieldError, match="already there"):
+        export_matlab(law(), tmp_path / "arm.m")
+    export_matlab(law(), tmp_path / "arm.m", force=True)
