@@ -33,7 +33,7 @@ def test_the_export_repeats_the_package_to_the_bit(precision: str, compiler: str
     assert result.first_difference is None
     assert result.largest_difference == 0.0
     assert len(result.voltage) == 2000
-    assert np.ptp(result.motor_reference) > 0.5
+    assert np.ptp(result.motor_reference) > 0.2
 
 
 def test_a_changed_law_is_found_in_its_period(tmp_path: Path) -> None:
@@ -100,7 +100,7 @@ def test_the_m_file_holds_every_number_to_the_bit(tmp_path: Path) -> None:
     assert text.startswith("function law = arm_law()")
     for value in (made.correction.direct, *made.correction.poles, *made.correction.gains):
         assert repr(value) in text
-    assert text.count("\nend\n") == 4
+    assert text.count("for ") == text.count("function ") - 1 == 1
 
 
 def test_matlab_names_and_existing_files(tmp_path: Path) -> None:
