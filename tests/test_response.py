@@ -5,12 +5,13 @@ from __future__ import annotations
 import itertools
 import math
 
+import mpmath as mp
 import numpy as np
 import pytest
 from scipy.special import erfcx, gamma, wofz
 
 from fraclink.errors import NotConvergedError
-from fraclink.fractional import FractionalTransferFunction, s
+from fraclink.fractional import FractionalTransferFunction, Term, s
 from fraclink.link import LinkModel
 from fraclink.response import (
     discretize,
@@ -95,6 +96,35 @@ def test_servo_and_link_a_double_pole_on_the_cut() -> None:
     for level in range(1, 5):
         values = [(4**level * b - a) / (4**level - 1) for a, b in itertools.pairwise(values)]
     assert peak_error(result.output[:400], values[0]) < 1e-10
+
+
+def test_undamped_double_resonance() -> None:
+    """(100/(s²+100))²: 1 - cos 10t - 5t sin 10t, which grows."""
+    result = time_response((100 / (s**2 + 100)) ** 2, np.ones(5000), T)
+    t = result.time
+    assert result.method == "modes"
+    assert peak_error(result.output, 1 - np.cos(10 * t) - 5 * t * np.sin(10 * t)) < 1e-11
+
+
+@pytest.mark.parametrize("detuning", [0.0, 1e-9, 1e-6, 1e-4, 1e-2])
+def test_merging_resonances_are_continuous(detuning: float) -> None:
+    """Two links in series, equal and nearly equal: Talbot's inversion knows no poles."""
+    pair = LINK * (1 + detuning) ** 2 * 11.54**2 / (s**1.92 + (1 + detuning) ** 2 * 11.54**2)
+    result = step_response(pair, 5.0, T)
+
+    def total(terms: tuple[Term, ...], z: mp.mpc) -> mp.mpc:
+        return mp.fsum(x.coefficient * z ** mp.mpf(x.order) for x in terms)
+
+    with mp.workdps(50):
+        exact = mp.invertlaplace(
+            lambda z: total(pair.numerator, z) / total(pair.denominator, z) / z,
+            4.0,
+            method="talbot",
+            degree=220,
+        )
+        error = abs(float(result.output[1000] - exact))
+    assert error < 2e-11 * np.max(np.abs(result.output))
+    assert error <= 3 * result.error_estimate
 
 
 def test_simple_pole_on_the_cut() -> None:

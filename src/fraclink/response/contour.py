@@ -23,24 +23,23 @@ __all__ = ["held_response"]
 
 Reals = NDArray[np.float64]
 
+_BESIDE_ZERO = 0.02  # |p| t
 _CHUNK = 1024  # times together: about 20 nodes each
 
 
 def held_response(quotient: Quotient, times: Reals, power: int) -> Reals:
     """Return the inverse Laplace transform of G(s)/s^power at times > 0 [s] (1 step, 2 ramp, 0 impulse)."""
-    simple, clusters = quotient.clusters
-    inside = np.array([z for z in simple if z.imag < math.pi - 1e-9], np.complex128)
-    packed = [c for c in clusters if c.centre.imag < math.pi - 1e-9]
     flat = np.ravel(times)
-    parts = [
-        _response(quotient, inside, packed, flat[k : k + _CHUNK], power) for k in range(0, len(flat), _CHUNK)
-    ]
+    # Close poles are told apart or not by the time: each time has its own grouping then.
+    size = _CHUNK if quotient.is_sparse else 1
+    parts = [_response(quotient, flat[k : k + size], power) for k in range(0, len(flat), size)]
     return np.concatenate(parts) if parts else np.empty(0)
 
 
-def _response(
-    quotient: Quotient, simple: Complexes, clusters: list[Cluster], times: Reals, power: int
-) -> Reals:
+def _response(quotient: Quotient, times: Reals, power: int) -> Reals:
+    found, packed = quotient.grouped(lambda z: 0.3 * math.exp(-z.real) / float(times[0]))
+    simple = np.array([z for z in found if z.imag < math.pi - 1e-9], np.complex128)
+    clusters = [c for c in packed if c.centre.imag < math.pi - 1e-9]
     nodes = _nodes(quotient.bottom[-1].order - quotient.top[-1].order + power)
     step, scale = 3.0 / nodes, np.log(math.pi * nodes / (12.0 * times))
     offset = _offset(np.concatenate((simple, [c.centre for c in clusters])), scale, step)
@@ -53,8 +52,11 @@ def _response(
     for pole in simple:
         point = np.full(len(times), pole)
         weight = _kernel(point, scale, offset, step) * np.exp((1 - power) * pole + np.exp(pole) * times)
+        # A pole beside the singular point 0 is seen from the parabola as a part of it, and its residue may be
+        # huge where the cut cancels it: 1e-14 of that is not a correction.
+        weight[math.exp(pole.real) * times < _BESIDE_ZERO] = 0.0
         total += (1.0 if pole.imag == 0.0 else 2.0) * (quotient.residue(complex(pole)) * weight).real
-    for cluster in clusters:
+    for cluster in (c for c in clusters if math.exp(c.centre.real) * times[0] >= _BESIDE_ZERO):
         share = 1.0 if cluster.centre.imag == 0.0 else 2.0
         for k in range(len(times)):
             total[k] += share * _cluster(quotient, cluster, scale[k], offset[k], step, times[k], power)
@@ -107,5 +109,6 @@ def _cluster(
     nodes = 2.0 * np.log(1.0 + 1j * (np.arange(-40, 41) + offset) * step) + scale
     gap = float(min(np.abs(nodes - cluster.centre).min(), math.pi - cluster.centre.imag))
     at = np.array([scale]), np.array([offset])
-    points, weights = quotient.circle(cluster, gap, lambda z: _kernel(z, *at, step))
+    radius = math.exp(-cluster.centre.real) / time  # where e^(st) varies by a factor e
+    points, weights = quotient.circle(cluster, radius, gap, lambda z: _kernel(z, *at, step))
     return float((weights * np.exp((1 - power) * points + np.exp(points) * time)).sum().real)

@@ -20,12 +20,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fraclink.errors import FieldError
 from fraclink.response.quotient import Cluster, Complexes, Quotient
 
 __all__ = ["Expansion", "expand"]
 
 Reals = NDArray[np.float64]
 
+_SEGMENT = 18  # nodes that stand for a cluster of poles
 _FOLD = 10  # Chebyshev nodes for all rates below 1/longest: e^(-rt) there is a polynomial to 5e-13
 _REACH = 42.0  # e-folds after which a double has forgotten
 _REAL = 1e-12  # a pole this near the negative axis (in ln s) is real: that is the accuracy of log_zeros
@@ -43,10 +45,13 @@ class Expansion:
 
 def expand(quotient: Quotient, *, shortest: float, longest: float, tolerance: float) -> Expansion:
     """Return the modes of G's step response, accurate for shortest ≤ t ≤ longest [s]."""
+    _refuse_overflow(quotient, longest)
     # The trapezoid rule errs by exp(-2π a/h), a = 1.5: nearly the quarter turn after which e^(st) grows. The
     # factor of that error is below 1/2 for every function tried.
     step = 2.0 * math.pi * 1.5 / math.log(0.5 / tolerance)
-    simple, clusters = quotient.clusters
+    simple, clusters = quotient.grouped(
+        lambda z: 0.1 * _half_length(abs(complex(np.exp(z)).real), longest) * math.exp(-z.real)
+    )
     origin = _origin(simple, clusters, step)
 
     def kernel(z: Complexes) -> Complexes:
@@ -67,9 +72,25 @@ def expand(quotient: Quotient, *, shortest: float, longest: float, tolerance: fl
     for z in simple:
         modes.add_pole(z, quotient.residue(z) * kernel(np.array([z]))[0])
     for cluster in clusters:
-        _add_cluster(modes, quotient, cluster, kernel, 0.5 * step, longest)
+        node = (cluster.centre - 1j * math.pi - origin) / step
+        gap = step * abs(node - round(node.real))
+        _add_cluster(modes, quotient, cluster, kernel, gap, longest)
     _add_cut(modes, quotient, origin, step, last, longest)
     return modes.expansion(shortest, tolerance)
+
+
+def _refuse_overflow(quotient: Quotient, longest: float) -> None:
+    growth = float(
+        np.max(np.where(quotient.zeros.imag < math.pi, np.exp(quotient.zeros).real, 0.0), initial=0.0)
+    )
+    if growth * longest > 690.0:
+        raise FieldError(
+            "span",
+            longest,
+            f"too long for the unstable pole at {growth:.4g} 1/s: the response leaves the range of numbers",
+            allowed=f"at most {690.0 / growth:.4g} s",
+            remedy="shorten it, or close a stabilising loop first",
+        )
 
 
 class _Modes:
@@ -159,13 +180,12 @@ def _add_cluster(
     A double pole is (a + bt) e^(pt), a derivative with respect to p; on Chebyshev nodes p + δ it becomes a
     sum of simple exponentials without large cancelling weights.
     """
-    points, weights = quotient.circle(cluster, clearance, kernel)
     centre = complex(np.exp(cluster.centre))
-    half, count = _segment(cluster.count, abs(centre.real), longest)
-    offsets = (np.exp(points) - centre) / half
-    moments = np.array([(weights * offsets**m).sum() for m in range(cluster.count + 2)])
-    nodes = np.cos(np.pi * (np.arange(count) + 0.5) / count)
-    for node, weight in zip(nodes, moments @ _derivatives(nodes, len(moments)), strict=True):
+    half = _half_length(abs(centre.real), longest)
+    # At 0.3 of the segment's half length the Lagrange polynomials are not much larger than on it.
+    points, weights = quotient.circle(cluster, 0.3 * half / abs(centre), clearance, kernel)
+    nodes = np.cos(np.pi * (np.arange(_SEGMENT) + 0.5) / _SEGMENT)
+    for node, weight in zip(nodes, weights @ _lagrange((np.exp(points) - centre) / half), strict=True):
         place = centre + half * node
         if abs(cluster.centre.imag - math.pi) < _REAL:
             modes.real.append((-place.real, 2.0 * weight.real))
@@ -175,27 +195,19 @@ def _add_cluster(
             modes.complex.append((place, complex(weight)))
 
 
-def _segment(count: int, damping: float, longest: float) -> tuple[float, int]:
-    """Half length and number of nodes: e^(δt) e^(-σt) is resolved to 1e-13 for all t.
+def _half_length(damping: float, longest: float) -> float:
+    """Half length of a segment on which 18 nodes resolve e^(δt) e^(-σt) to 1e-13 for all t.
 
-    Relative to the damping σ the error is (q/2)^n, the weights grow like (n/q)^(count-1). Without damping
-    the span limits: (δt/2)^n/n! at δt = 3.
+    Relative to the damping σ the error is (0.3/2)^18; without damping the span limits, (δt/2)^18/18! at
+    δt = 2.5.
     """
-    ratio, nodes = (0.1, 10) if count <= 2 else (0.3, 18)
-    return (ratio * damping, nodes) if ratio * damping * longest > 3.0 else (3.0 / longest, 20)
+    return max(0.3 * damping, 2.5 / longest)
 
 
-def _derivatives(nodes: Reals, count: int) -> NDArray[np.float64]:
-    """Row m: the coefficient of x^m of each Lagrange polynomial of the Chebyshev nodes in [-1, 1]."""
-    size = len(nodes)
-    angle = np.arccos(nodes)
-    table = np.cos(np.outer(np.arange(size), angle)) * (2.0 / size)
-    table[0] *= 0.5
-    powers = np.zeros((size, size))
-    powers[0, 0] = 1.0
-    if size > 1:
-        powers[1, 1] = 1.0
-    for k in range(2, size):
-        powers[k, 1:] = 2.0 * powers[k - 1, :-1]
-        powers[k] -= powers[k - 2]
-    return np.asarray(powers[:, :count].T @ table)
+def _lagrange(x: Complexes) -> Complexes:
+    """Lagrange polynomials of the Chebyshev nodes in [-1, 1] at points x, one row for each point."""
+    index = np.arange(_SEGMENT)
+    angle = np.pi * (index + 0.5) / _SEGMENT
+    gap = x[:, None] - np.cos(angle)[None, :]
+    basis = (-1.0) ** index * np.sin(angle) / gap
+    return np.asarray(basis / basis.sum(axis=1, keepdims=True))

@@ -15,6 +15,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from fraclink.errors import FieldError
 from fraclink.fractional import Term
 from fraclink.roots import log_zeros
 
@@ -23,7 +24,8 @@ __all__ = ["Cluster", "Quotient"]
 Complexes = NDArray[np.complex128]
 
 SHEET = 1.5 * math.pi  # poles up to a quarter turn beyond the cut bend the integrand on it
-_CIRCLE = 64  # points of a circle at half the distance to the next obstacle: 2^-64
+_RANGE = 300.0  # of |ln |s||: squares of poles and of spans stay within doubles
+_CIRCLE = 96  # points of a circle at half the distance to the next obstacle: 2^-96, 1.5^-96 at worst
 _SYMMETRIC = 1e-7  # a double zero on the negative axis comes as a pair about it, 1e-8 apart by rounding
 _NEAR = 0.02  # zeros closer than this in ln s would lose two digits and more if kept apart
 
@@ -48,7 +50,17 @@ class Quotient:
     @classmethod
     def of(cls, top: Sequence[Term], bottom: Sequence[Term]) -> Quotient:
         found = log_zeros([t.coefficient for t in bottom], [t.order for t in bottom], angle=SHEET)
-        return cls(tuple(top), tuple(bottom), np.asarray(found, np.complex128))
+        zeros = np.asarray(found, np.complex128)
+        if len(zeros) and np.abs(zeros.real).max() > _RANGE:
+            worst = float(zeros.real[np.argmax(np.abs(zeros.real))])
+            raise FieldError(
+                "denominator",
+                f"a pole at exp({worst:.6g}) rad/s",
+                "beyond the range of floating-point numbers",
+                allowed=f"exp(±{_RANGE:g}) rad/s",
+                remedy="look for two orders that are nearly equal",
+            )
+        return cls(tuple(top), tuple(bottom), zeros)
 
     @property
     def is_meromorphic(self) -> bool:
@@ -76,36 +88,46 @@ class Quotient:
         return complex((_sum(self.top, point) / _sum(slope, point))[0])
 
     @cached_property
-    def clusters(self) -> tuple[list[complex], list[Cluster]]:
-        """Split the zeros of D into simple ones and clusters."""
+    def is_sparse(self) -> bool:
+        """True where no two zeros are close: every pole is simple at any resolution."""
+        gaps = np.abs(self.zeros[:, None] - self.zeros[None, :]) + 2.0 * np.eye(len(self.zeros))
+        return bool(gaps.min(initial=2.0) >= _NEAR)
+
+    def grouped(self, reach: Callable[[complex], float]) -> tuple[list[complex], list[Cluster]]:
+        """Split the zeros of D into simple ones and clusters.
+
+        Two zeros belong together where they are closer than `reach` (in ln s): what is told apart over the
+        times in question is simple, and its residues are as large as the response.
+        """
+        if self.is_sparse:
+            return self.zeros.tolist(), []
         groups: list[list[complex]] = []
         for z in self.zeros.tolist():
-            near = [g for g in groups if min(abs(z - w) for w in g) < _NEAR]
+            near = [g for g in groups if min(abs(z - w) for w in g) < min(_NEAR, reach(z))]
             groups = [g for g in groups if g not in near]
             groups.append([z, *(w for g in near for w in g)])
-        simple = [g[0] for g in groups if len(g) == 1]
         packed = []
         for group in (g for g in groups if len(g) > 1):
             centre = sum(group) / len(group)
             if abs(centre.imag - math.pi) < _SYMMETRIC:
                 centre = complex(centre.real, math.pi)  # so that its modes are real
             packed.append(Cluster(centre, len(group), max(abs(z - centre) for z in group)))
-        return simple, packed
+        return [g[0] for g in groups if len(g) == 1], packed
 
     def circle(
-        self, cluster: Cluster, clearance: float, kernel: Callable[[Complexes], Complexes]
+        self, cluster: Cluster, radius: float, clearance: float, kernel: Callable[[Complexes], Complexes]
     ) -> tuple[Complexes, Complexes]:
         """Points z and weights w with Σ w φ(z) = Σ Res G(e^z) kernel(z) φ(z) over the cluster's zeros.
 
-        `clearance` is the distance from the centre to the next singularity of `kernel`; other poles are
-        respected here. Trapezoid on a circle, which converges geometrically.
+        `radius` (in ln s) is where φ is best evaluated; `clearance` is the distance from the centre to the
+        next singularity of `kernel`. Other poles are respected here. Trapezoid rule on the circle, which
+        converges geometrically.
         """
         others = [abs(z - cluster.centre) for z in self.zeros if abs(z - cluster.centre) > cluster.radius]
-        outer = min([clearance, 0.5, *others])
-        radius = math.sqrt(max(cluster.radius, 0.25 * outer) * outer)
-        turn = np.exp(2j * np.pi * (np.arange(2 * _CIRCLE) + 0.5) / (2 * _CIRCLE))
-        points = cluster.centre + radius * turn
-        return points, self.value(points) * kernel(points) * radius * turn / (2 * _CIRCLE)
+        size = max(min(radius, 0.5 * clearance, *(0.5 * o for o in others)), 1.5 * cluster.radius)
+        turn = np.exp(2j * np.pi * (np.arange(_CIRCLE) + 0.5) / _CIRCLE)
+        points = cluster.centre + size * turn
+        return points, self.value(points) * kernel(points) * size * turn / _CIRCLE
 
 
 def _sum(terms: Sequence[Term], z: Complexes) -> Complexes:
