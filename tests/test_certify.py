@@ -198,7 +198,7 @@ def test_rectangles_that_are_clear_hold_no_forbidden_point():
             assert not np.any((np.abs(loop.imag) < 1e-12) & (loop.real <= -1))
 
 
-# --- twenty forgeries, each by somebody who also mends the certificate's own hash ---------------------------
+# Forgeries, each by somebody who also mends the certificate's own hash.
 
 
 def _number(field: str, factor: float = 1.0, value: float | None = None) -> Callable[[dict[str, Any]], None]:

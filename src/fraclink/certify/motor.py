@@ -1,4 +1,4 @@
-"""The sampled motor loop in ball arithmetic: its controllers, X whose zeros are its poles, one stable delay."""
+"""The sampled motor loop in ball arithmetic: its controllers, X whose zeros are its poles, a stable delay."""
 
 from __future__ import annotations
 

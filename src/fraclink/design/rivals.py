@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fraclink.controller import Controller
 from fraclink.design.loop import OpenLoop
-from fraclink.design.measure import measure
+from fraclink.design.measure import measure, sensitivity_peak
 from fraclink.design.plan import Plan, open_loop
 from fraclink.design.poles import PRINTED, match_at
 from fraclink.design.request import check_number
@@ -64,24 +64,34 @@ def scale_to_sensitivity(plan: Plan, controller: Controller, max_sensitivity: fl
     Raises InfeasibleError where no gain reaches it.
     """
     bound = check_number("max_sensitivity", max_sensitivity, 1.0, 100.0, "", open_low=True)
-    gains = controller.gain * np.geomspace(1e-2, 1e2, 60)
-
-    def peak(gain: float) -> float:
-        return _rate(plan, "", replace(controller, gain=gain)).sensitivity_peak
-
-    holds = [peak(float(g)) <= bound for g in gains]
-    if not any(holds):
+    loop, pi = _loop_of(plan, controller), np.geomspace(*plan.natural_frequencies, 9)
+    nyquist = math.pi / plan.rig.period
+    ratios = np.geomspace(1e-2, 1e2, 240)
+    holds = _rough_peaks(loop, pi, nyquist, ratios) <= bound
+    if not holds.any():
         raise InfeasibleError(
             "sensitivity peak", f"no gain brings Ms to {bound:g} with β = {controller.order:g}"
         )
-    last = max(i for i, good in enumerate(holds) if good)
-    if last == len(gains) - 1:
-        return replace(controller, gain=float(gains[last]))
-    good, bad = float(gains[last]), float(gains[last + 1])
-    for _ in range(40):
+    last = int(np.nonzero(holds)[0][-1])
+    good, bad = float(ratios[max(last - 1, 0)]), float(ratios[min(last + 1, ratios.size - 1)])
+    for _ in range(36):
         middle = math.sqrt(good * bad)
-        good, bad = (middle, bad) if peak(middle) <= bound else (good, middle)
-    return replace(controller, gain=good)
+        peak = float(np.max(sensitivity_peak(replace(loop, gain=middle * loop.gain), pi, nyquist)))
+        good, bad = (middle, bad) if peak <= bound else (good, middle)
+    return replace(controller, gain=good * controller.gain)
+
+
+def _rough_peaks(loop: OpenLoop, pi: Real, nyquist: float, ratios: Real) -> Real:
+    """Worst Ms for each factor on the gain, on a grid; infinite from the first factor that is unstable on.
+
+    L is linear in the gain and keeps its phase: -1 is passed where |L| at the phase crossing reaches one.
+    """
+    w = np.minimum(loop.peak(pi)[:, None] * np.geomspace(0.2, 60.0, 400), nyquist)
+    log = loop.log(w, pi[:, None])
+    value, beyond = np.exp(log), log.imag <= -math.pi
+    crossing = float(np.max(np.abs(value), where=beyond, initial=1e-300))
+    peaks = np.array([float(np.max(1.0 / np.abs(1.0 + r * value))) for r in ratios])
+    return np.where(ratios * crossing < 1.0, peaks, math.inf)
 
 
 def compare_at_equal_sensitivity(plan: Plan, *, max_sensitivity: float) -> tuple[Rival, ...]:
