@@ -15,7 +15,8 @@ from fraclink.twin.beam import Beam
 from fraclink.twin.plant import assemble
 
 if TYPE_CHECKING:
-    from fraclink.compare.rivals import Rival, Setting
+    from fraclink.compare.rivals import Rival
+    from fraclink.compare.setting import Setting
 
 __all__ = ["collocated"]
 

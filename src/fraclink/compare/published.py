@@ -10,7 +10,7 @@ from fraclink.compare.optimal import integer_mode
 from fraclink.controller import Controller
 
 if TYPE_CHECKING:
-    from fraclink.compare.rivals import Setting
+    from fraclink.compare.setting import Setting
 
 __all__ = ["CORRECTED", "INTEGER", "PRINTED", "corrected", "integer_twin", "printed"]
 

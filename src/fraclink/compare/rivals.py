@@ -6,9 +6,8 @@ import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING
 
-from fraclink.compare.linear import Filter, NominalLoop, law_filter, tune
+from fraclink.compare.linear import Filter, law_filter, tune
 from fraclink.compare.optimal import hinf_correction, integer_mode, lqg_correction
 from fraclink.compare.outer import (
     Algebraic,
@@ -19,15 +18,12 @@ from fraclink.compare.outer import (
     pd_correction,
     sliding_correction,
 )
+from fraclink.compare.setting import Setting
 from fraclink.compare.shaping import shaper_impulses
 from fraclink.controller import Controller
 from fraclink.law import Law, Modes
 
-if TYPE_CHECKING:
-    from fraclink.link import LinkModel
-    from fraclink.rig import Rig
-
-__all__ = ["OURS", "Rival", "Setting", "builders", "servo_law"]
+__all__ = ["OURS", "Rival", "builders", "servo_law"]
 
 # Derivatives are filtered at 100 rad/s, above the motor servo (80) and below Nyquist (785).
 FILTER_TIME = 0.01
@@ -36,22 +32,6 @@ OFFSET = 0.05  # [N·m], the gauge offset of the offset test
 BEND = 0.1  # [rad] of bend whose acceleration the sliding mode may ask for: three times what OFFSET fakes
 UNBOUNDED = 1e6
 OURS = "ours"
-
-
-@dataclass(frozen=True)
-class Setting:
-    """What every rival is told: the rig, its lumped model, and our design, whose Ms is the target."""
-
-    rig: Rig
-    model: LinkModel
-    ours: Law
-    controller: Controller
-    loop: NominalLoop
-
-    @property
-    def target(self) -> float:
-        """Ms of our design at the nominal payload, on the lumped model."""
-        return self.loop.peak(law_filter(self.ours))
 
 
 @dataclass(frozen=True)
@@ -270,10 +250,12 @@ def builders(setting: Setting) -> dict[str, Builder]:
     """Return how every rival is made, ours first; tuning happens when a builder is called."""
     from fraclink.compare.collocated import collocated
     from fraclink.compare.published import CORRECTED, INTEGER, PRINTED, corrected, integer_twin, printed
+    from fraclink.compare.quieter import QUIETER, quieter
 
     request = "the request: gain crossover, phase margin, payloads"
     return {
         OURS: lambda: _by_law(OURS, request, setting.controller, setting),
+        QUIETER: lambda: _by_law(QUIETER, *quieter(setting), setting),
         "collocated PD": lambda: collocated(setting, _bare(setting.ours)),
         "ZV shaping": lambda: _shaping(setting, "ZV shaping", False),
         "ZVD shaping": lambda: _shaping(setting, "ZVD shaping", True),

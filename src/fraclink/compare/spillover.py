@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from fraclink.compare.linear import fine_step, law_filter, sampled
-from fraclink.compare.rivals import Rival, Setting
+from fraclink.compare.rivals import Rival
+from fraclink.compare.setting import Setting
 from fraclink.twin.arm import Twin
 from fraclink.twin.damping import PowerLaw
 from fraclink.twin.plant import GAUGE_TORQUE, HUB_ANGLE, assemble

@@ -10,14 +10,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fraclink.compare.linear import NominalLoop
-from fraclink.compare.rivals import OFFSET, OURS, Rival, Setting, builders
+from fraclink.compare.rivals import OFFSET, OURS, Rival, builders
 from fraclink.compare.run import run_rival
+from fraclink.compare.setting import Request, Setting, prepare
 from fraclink.compare.spillover import mode_gain
-from fraclink.errors import FieldError
+from fraclink.errors import FieldError, InfeasibleError
 from fraclink.reference import Reference, smooth_step
-from fraclink.twin.arm import Twin, damping_of, geared
-from fraclink.twin.loop import driven
+from fraclink.twin.arm import Twin
 from fraclink.twin.run import TwinRun
 
 if TYPE_CHECKING:
@@ -162,6 +161,7 @@ def compare(
     link_mass: float | None = None,
     gain_crossover: float = 12.0,
     phase_margin: float = math.radians(50.0),
+    filter_time: float | None = None,
     payloads: Sequence[float] = PAYLOADS,
     reference: Reference | None = None,
     names: Sequence[str] | None = None,
@@ -175,7 +175,7 @@ def compare(
     rig: with a light hub (W601) it gets a gear of 50:1, and a note says so
     model: what the designers know; default the rig's
     link_mass: of the twin's link [kg]; default the rig's, or 7.35 g (a carbon rod of 3 mm) where that is 0
-    gain_crossover: of our design [rad/s]; phase_margin [rad]
+    gain_crossover: of our design [rad/s]; phase_margin [rad]; filter_time: its δ [s], default the 10 % rule
     payloads: at which the worst is looked for [kg], all > 0
     reference: the move of the tip; default 1 rad in 1 s
     names: run only the rivals whose names contain one of these words; ours always runs
@@ -190,7 +190,12 @@ def compare(
     >>> [s.name for s in result.standings]
     ['ours', 'ZV shaping']
     """
-    setting, twin, notes = _prepare(rig, model, link_mass, gain_crossover, phase_margin)
+    request: Request = {
+        "gain_crossover": gain_crossover,
+        "phase_margin": phase_margin,
+        "filter_time": filter_time,
+    }
+    setting, twin, notes = prepare(rig, model, link_mass, request)
     move = smooth_step(1.0, duration=1.0) if reference is None else reference
     if not payloads or any(not (math.isfinite(p) and p > 0.0) for p in payloads):
         raise FieldError(
@@ -203,47 +208,16 @@ def compare(
     for name in chosen:
         if progress is not None:
             progress(name)
-        standing, runs[name] = _standing(setting, twin, made[name](), move, tuple(payloads), seed)
+        try:
+            rival = made[name]()
+        except (
+            InfeasibleError
+        ) as error:  # a request that our own variant cannot meet is no fault of the table
+            notes.append(f"{name} left out: {error}")
+            continue
+        standing, runs[name] = _standing(setting, twin, rival, move, tuple(payloads), seed)
         standings.append(standing)
     return Tournament(tuple(standings), tuple(notes), runs)
-
-
-def _prepare(
-    rig: Rig, model: LinkModel | None, link_mass: float | None, crossover: float, margin: float
-) -> tuple[Setting, Twin, list[str]]:
-    from fraclink.design import design
-
-    known = model or rig.model
-    if known is None:
-        raise FieldError("model", None, "missing", allowed="a LinkModel", remedy="identify one first")
-    mass = rig.link.mass or 0.00735 if link_mass is None else link_mass
-    nominal = known.at_payload(rig.payloads.nominal) if known.payload else known
-    notes = [f"link of {1e3 * mass:g} g, {damping_of(nominal).label}"]
-    if Twin.from_rig(rig, link_mass=mass, damping=damping_of(nominal)).findings:
-        rig = geared(rig)
-        notes.append("the rig's hub is too light for a sampled compensation (W601): a gear of 50:1 added")
-    twin = Twin.from_rig(rig, link_mass=mass, damping=damping_of(nominal))
-    plan = design(
-        nominal,
-        rig,
-        payloads=(rig.payloads.low, rig.payloads.high),
-        gain_crossover=crossover,
-        phase_margin=margin,
-    )
-    law = driven(twin, plan.controller.discretize(rig.period))
-    loop = NominalLoop.of(
-        nominal,
-        rig.payloads.nominal,
-        period=rig.period,
-        pole=law.inner_pole,
-        delay=rig.inner.delay_samples,
-    )
-    setting = Setting(rig, nominal, law, plan.controller, loop)
-    notes.append(
-        f"our design: crossover {crossover:g} rad/s, margin {math.degrees(margin):g}°; "
-        f"its Ms at {1e3 * rig.payloads.nominal:g} g is {setting.target:.3f} on the lumped model"
-    )
-    return setting, twin, notes
 
 
 def _standing(
