@@ -57,6 +57,10 @@ def figure(width: float, height: float) -> Iterator[Figure]:
         yield Figure(figsize=(width, height), layout="constrained")
 
 
+def _rounded(number: re.Match[str]) -> str:
+    return f"{float(number.group()):.2f}".rstrip("0").rstrip(".")
+
+
 def svg(drawing: Figure, name: str, description: str) -> str:
     """Return `drawing` as an inline SVG element whose ids begin with `name`.
 
@@ -75,7 +79,9 @@ def svg(drawing: Figure, name: str, description: str) -> str:
     text = re.sub(r'\bid="', f'id="{name}-', text)
     text = re.sub(r"url\(#", f"url(#{name}-", text)
     text = re.sub(r'href="#', f'href="#{name}-', text)
-    # Trailing zeros and blanks are a fifth of the text.
+    # A hundredth of a point is a thirtieth of a screen's dot; more digits are half of the text, and they
+    # differ in the last place between processors.
+    text = re.sub(r'\bd="[^"]*"', lambda path: re.sub(r"-?\d+\.\d{3,}", _rounded, path.group()), text)
     text = re.sub(r"\s*\n\s*", "\n", text)
     opening = f'<svg role="img" aria-label="{escape(description)}" '
     return opening + text[len("<svg") :].lstrip()
