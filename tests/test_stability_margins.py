@@ -111,6 +111,25 @@ def test_delay_crossings_are_complete() -> None:
         assert found.delay_margin == pytest.approx((math.pi - math.atan(math.sqrt(99))) / math.sqrt(99) - 0.1)
 
 
+def test_a_delay_in_a_loop_that_rolls_off_slowly() -> None:
+    """10/√s with a delay is above −60 dB up to 1e8 rad/s: crossings are listed as far as they can matter."""
+    loop = (10 / s**0.5).delayed(0.1)
+    found = margins(loop)
+    assert found.gain_crossover == pytest.approx(100.0)
+    for m, crossing in enumerate(found.phase_crossings):
+        assert 0.1 * crossing.frequency + math.pi / 4 == pytest.approx(math.pi * (2 * m + 1), rel=1e-12)
+    assert len(found.phase_crossings) > 10
+    assert found.stable is False
+
+
+def test_corners_of_neighbouring_powers_lie_anywhere() -> None:
+    """s^0.344 and a constant meet at 1e-37 rad/s: seen. s^0.005 meets its neighbour beyond doubles: open."""
+    loop = 1.16 * s**0.04 / (s**1.42 + 0.43 * s**0.344 - 0.04)
+    assert margins(loop).stable is bool(is_stable(loop.feedback())) is False
+    far = 0.027 / (s**2.738 + 0.0067 * s**2.525 - 0.9 * s**2.425 + 4.2 * s**0.005)
+    assert margins(far).stable is None
+
+
 def test_more_delay_than_the_delay_margin_destabilises() -> None:
     loop = link_loop(1.92)
     spare = min(c.delay_margin for c in margins(loop).gain_crossings)

@@ -24,9 +24,9 @@ _FLAT = 1e-12  # rad: a phase of −180° at every frequency (1/s²) crosses not
 
 
 def crossings(
-    loop: Loop, x: Real, values: Complex
+    loop: Loop, x: Real, values: Complex, quiet: float
 ) -> tuple[tuple[GainCrossing, ...], tuple[PhaseCrossing, ...]]:
-    """Every gain crossing and every phase crossing, polished."""
+    """Every gain crossing and every phase crossing where |L| > `quiet`, polished."""
     level, turn = np.log(np.abs(values)), np.angle(-values)
     turn[np.abs(turn) < _FLAT] = 0.0
     gain = []
@@ -35,17 +35,17 @@ def crossings(
         frequency, margin = math.exp(root), cmath.phase(-value)
         gain.append(GainCrossing(frequency, margin, (margin % (2 * math.pi)) / frequency))
     phase = []
-    for bracket in _brackets(loop, "phase", x, turn, _followed(loop, x, values, turn)):
+    for bracket in _brackets(loop, "phase", x, turn, _followed(loop, x, values, turn, quiet)):
         root, value = polish(loop, phase_level, *bracket)
         phase.append(PhaseCrossing(math.exp(root), 1 / abs(value)))
     return tuple(gain), tuple(phase)
 
 
-def _followed(loop: Loop, x: Real, values: Complex, turn: Real) -> NDArray[np.bool_]:
+def _followed(loop: Loop, x: Real, values: Complex, turn: Real, quiet: float) -> NDArray[np.bool_]:
     """Points near the negative real axis whose phase was followed there."""
     near = np.abs(turn) < 0.5 * math.pi
-    if loop.quiet:
-        near &= (np.abs(values) > loop.quiet) | (x <= loop.follow)
+    if quiet:
+        near &= (np.abs(values) > quiet) | (x <= loop.follow)
     return near
 
 

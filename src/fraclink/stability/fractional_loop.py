@@ -25,7 +25,9 @@ Real = NDArray[np.float64]
 _REACH = 0.15
 _NEAR = 0.3  # zeros farther from the axis than this are resolved by 20 points a decade
 _ON_AXIS = 1e-9
-_QUIET = 1e-3  # with a delay, phase crossings below −60 dB are countless and say nothing
+# ln ω up to which a loop is looked at. Corners of neighbouring orders lie anywhere, 1e100 rad/s is nothing to
+# them; e^650 is near the largest double.
+_FARTHEST, _LARGEST = 600.0, 650.0
 
 
 @dataclass(frozen=True)
@@ -41,9 +43,9 @@ class FractionalLoop:
     span: tuple[float, float]  # ln of the lowest and highest corner or asymptotic gain crossing
     seeds: Real
     zeros: list[complex]  # z = ln s of the denominator's zeros up to π/2 + 0.3, empty if it has delays
-    known: bool  # whether `zeros` is complete
+    known: bool  # whether `zeros` is complete and the range holds every corner
     scalars: tuple[tuple[complex, float, float], ...]  # coefficient, order, delay of each term
-    quiet: float
+    delayed: bool
     follow: float
     ends: tuple[complex, complex]
 
@@ -53,12 +55,17 @@ class FractionalLoop:
         terms = (*system.numerator, *system.denominator)
         coefficients = [t.coefficient * _unit(t.order) for t in terms]
         span, reach = _marks(system)
-        low, high = span[0] - reach, span[1] + reach
-        follow = high
         slowest = max(t.delay for t in terms)
-        if slowest:  # far enough for the first two crossings of the phase
-            follow = math.log(4 * math.pi / slowest)
-            high = max(high, follow)
+        steepest = max(abs(system.numerator[i].order - system.denominator[i].order) for i in (0, -1))
+        farthest = min(_FARTHEST, _LARGEST / max(1.0, steepest))
+        within = span[0] >= -farthest and span[1] <= farthest
+        span = (max(span[0], -farthest), min(span[1], farthest))
+        low, high = max(span[0] - reach, -farthest - 1), min(span[1] + reach, farthest + 1)
+        follow = high
+        if slowest:
+            low = min(low, math.log(0.1 / slowest))
+            follow = math.log(4 * math.pi / slowest)  # the first two crossings of the phase
+            high = max(high, follow, min(_faint(system), farthest))
         if limit is not None:
             high = min(high, math.log(limit))
             low = min(low, high - 1.0)
@@ -74,15 +81,17 @@ class FractionalLoop:
             span=span,
             seeds=np.concatenate([_around(z) for z in (*bottom, *top)] or [np.empty(0)]),
             zeros=bottom,
-            known=known,
+            known=known and within,
             scalars=tuple((c, t.order, t.delay) for c, t in zip(coefficients, terms, strict=True)),
-            quiet=_QUIET if slowest else 0.0,
+            delayed=bool(slowest),
             follow=follow,
             ends=(_limit(system, -1), _limit(system, 0) if limit is None else complex(math.nan)),
         )
 
     def _terms(self, x: Real) -> Complex:
-        terms = self.coefficients[:, None] * np.exp(self.orders[:, None] * x)
+        # Divided by the power of s that dominates on either side of 1 rad/s, so that nothing overflows.
+        largest = np.where(x > 0, self.orders.max(), self.orders.min())
+        terms = self.coefficients[:, None] * np.exp((self.orders[:, None] - largest) * x)
         if self.delays.any():
             terms = terms * np.exp(-1j * self.delays[:, None] * np.exp(x))
         return np.asarray(terms)
@@ -107,8 +116,9 @@ class FractionalLoop:
     def point(self, x: float) -> tuple[complex, complex]:
         """L(j e^x) and d ln L/dx, exact, at one frequency (scalars: ten times faster than short arrays)."""
         sums, slopes = [0j, 0j], [0j, 0j]
+        largest = max(t[1] for t in self.scalars) if x > 0 else min(t[1] for t in self.scalars)
         for k, (coefficient, order, delay) in enumerate(self.scalars):
-            term, rate = coefficient * math.exp(order * x), complex(order)
+            term, rate = coefficient * math.exp((order - largest) * x), complex(order)
             if delay:
                 turn = 1j * delay * math.exp(x)
                 term, rate = term * cmath.exp(-turn), order - turn
@@ -121,11 +131,19 @@ class FractionalLoop:
 
     @property
     def unstable_poles(self) -> int | None:
-        """Poles with Re s > 0, conjugates counted; None where a delay in the denominator hides them."""
+        """Poles with Re s > 0, conjugates counted; None where a delay or a corner out of range hides them."""
         if not self.known:
             return None
         right = [z for z in self.zeros if z.imag < 0.5 * math.pi - _ON_AXIS]
         return sum(1 if z.imag == 0 else 2 for z in right)
+
+
+def _faint(system: FractionalTransferFunction) -> float:
+    """ln of the frequency where the high asymptote falls to −60 dB; −inf where it does not fall."""
+    up, down = system.numerator[0], system.denominator[0]
+    slope = up.order - down.order
+    level = math.log(abs(up.coefficient / down.coefficient))
+    return (level + math.log(1e3)) / -slope if slope < 0 else -math.inf
 
 
 def _limit(system: FractionalTransferFunction, end: int) -> complex:

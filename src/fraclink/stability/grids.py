@@ -48,7 +48,7 @@ def frequency_grid(
             if limit is not None:
                 high = min(high, math.log(limit))
             known = replace(known, low=min(low, high - _DECADES), high=high)
-        x, values = sweep(known)
+        x, values, _ = sweep(known)
         if not isinstance(known, FractionalLoop):
             x, values = _bent(x, values, keep_top=limit is not None)
     even = np.linspace(x[0], x[-1], points)

@@ -36,7 +36,7 @@ class CallableLoop:
     low: float
     high: float
     seeds: Real = field(default_factory=lambda: np.empty(0))
-    quiet: float = 1e-3  # there may be a delay, whose phase crossings below −60 dB are countless
+    delayed: bool = True  # for all that is known
     follow: float = -math.inf
     ends: tuple[complex, complex] = (complex(math.nan), complex(math.nan))
 

@@ -35,7 +35,9 @@ def margins(
 
     |L(jω)| = 1 gives the gain crossings, arg L(jω) = −π the phase crossings, min |1 + L(jω)| the modulus
     margin. There is no grid to choose: the response is followed until neither ln L nor 1 + L moves far
-    between neighbours, and every crossing is polished to rounding.
+    between neighbours, and every crossing is polished to rounding. A delay makes countless phase crossings:
+    with one (and for a callable, which may hide one) those below −60 dB are left out, or, where the loop
+    rolls off too slowly for that, those below −6 dB at worst.
 
     Parameters
     ----------
@@ -75,8 +77,8 @@ def margins(
         unstable_poles = known.unstable_poles
     # Poles and zeros on the axis are infinities here and not faults.
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        x, values = sweep(known)
-        gain, phase = crossings(known, x, values)
+        x, values, quiet = sweep(known)
+        gain, phase = crossings(known, x, values, quiet)
         modulus, at = modulus_margin(known, x, values)
         stable = None
         if modulus < _ON_AXIS:

@@ -133,7 +133,7 @@ def _slope(system: FractionalTransferFunction, end: int) -> float:
 
 
 def _peak(loop: FractionalLoop) -> float:
-    x, values = sweep(loop)
+    x, values, _ = sweep(loop)
     size = np.abs(values)
     inner = (size[1:-1] >= size[:-2]) & (size[1:-1] >= size[2:])
     largest = float(size.max())
