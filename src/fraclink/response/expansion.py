@@ -94,23 +94,28 @@ def _refuse_overflow(quotient: Quotient, longest: float) -> None:
 
 
 class _Modes:
+    """Modes as they are found: arrays of (rate, weight) and of (pole, weight)."""
+
     def __init__(self) -> None:
-        self.real: list[tuple[float, float]] = []
-        self.complex: list[tuple[complex, complex]] = []
+        self.real: list[Reals] = [np.empty((2, 0))]
+        self.complex: list[Complexes] = [np.empty((2, 0), np.complex128)]
+
+    def add_poles(self, z: complex, places: Complexes, weights: Complexes) -> None:
+        """Add 2 Re Σ weights·e^(st) at s = `places`; beside a pole e^z on the real axis they are real."""
+        if abs(z.imag - math.pi) < _REAL:
+            self.real.append(np.array([-places.real, 2.0 * weights.real]))
+        elif z.imag == 0.0:  # its own conjugate
+            self.real.append(np.array([-places.real, weights.real]))
+        else:
+            self.complex.append(np.array([places, weights]))
 
     def add_pole(self, z: complex, weight: complex) -> None:
-        """Add 2 Re(weight·e^(st)), s = e^z; a pole on the positive axis is its own conjugate."""
-        if abs(z.imag - math.pi) < _REAL:
-            self.real.append((math.exp(z.real), 2.0 * weight.real))
-        elif z.imag == 0.0:
-            self.real.append((-math.exp(z.real), weight.real))
-        else:
-            self.complex.append((complex(np.exp(z)), weight))
+        place = complex(np.exp(z)) if abs(z.imag - math.pi) >= _REAL else complex(-math.exp(z.real))
+        self.add_poles(z, np.array([place]), np.array([weight]))
 
     def expansion(self, shortest: float, tolerance: float) -> Expansion:
         """Keep what is above 1e-3 · tolerance at the shortest time."""
-        real = np.array(self.real, np.float64).reshape(-1, 2)
-        pair = np.array(self.complex, np.complex128).reshape(-1, 2)
+        real, pair = np.concatenate(self.real, axis=1).T, np.concatenate(self.complex, axis=1).T
         with np.errstate(over="ignore", under="ignore"):
             seen = np.abs(real[:, 1]) * np.exp(np.minimum(-real[:, 0] * shortest, 700.0))
             seen_pair = np.abs(pair[:, 1]) * np.exp(np.minimum(pair[:, 0].real * shortest, 700.0))
@@ -146,12 +151,12 @@ def _add_cut(
     weights = quotient.on_cut(nodes) * step / math.pi
     rates = np.exp(nodes)
     slow = nodes < fold
-    modes.real += zip(rates[~slow].tolist(), weights[~slow].tolist(), strict=True)
+    modes.real.append(np.array([rates[~slow], weights[~slow]]))
     if slow.any():
-        modes.real += _folded(rates[slow], weights[slow], math.exp(fold))
+        modes.real.append(_folded(rates[slow], weights[slow], math.exp(fold)))
 
 
-def _folded(rates: Reals, weights: Reals, limit: float) -> list[tuple[float, float]]:
+def _folded(rates: Reals, weights: Reals, limit: float) -> Reals:
     """Modes with rates below `limit` gathered on a few Chebyshev nodes.
 
     Increments of e^(-rt) are r times a smooth function of r, so r·W is what is interpolated.
@@ -164,7 +169,7 @@ def _folded(rates: Reals, weights: Reals, limit: float) -> list[tuple[float, flo
     basis = bary / gap
     basis /= basis.sum(axis=1, keepdims=True)
     moments = (weights * rates) @ basis
-    return list(zip((nodes * limit).tolist(), (moments / (nodes * limit)).tolist(), strict=True))
+    return np.array([nodes * limit, moments / (nodes * limit)])
 
 
 def _add_cluster(
@@ -185,14 +190,8 @@ def _add_cluster(
     # At 0.3 of the segment's half length the Lagrange polynomials are not much larger than on it.
     points, weights = quotient.circle(cluster, 0.3 * half / abs(centre), clearance, kernel)
     nodes = np.cos(np.pi * (np.arange(_SEGMENT) + 0.5) / _SEGMENT)
-    for node, weight in zip(nodes, weights @ _lagrange((np.exp(points) - centre) / half), strict=True):
-        place = centre + half * node
-        if abs(cluster.centre.imag - math.pi) < _REAL:
-            modes.real.append((-place.real, 2.0 * weight.real))
-        elif cluster.centre.imag == 0.0:
-            modes.real.append((-place.real, weight.real))
-        else:
-            modes.complex.append((place, complex(weight)))
+    shares = weights @ _lagrange((np.exp(points) - centre) / half)
+    modes.add_poles(cluster.centre, np.asarray(centre + half * nodes), np.asarray(shares))
 
 
 def _half_length(damping: float, longest: float) -> float:

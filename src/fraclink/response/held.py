@@ -225,9 +225,12 @@ class HeldQuotient:
         # Increments from 0 (expm1): the huge weight of a pole beside 0 would hide all else in a constant.
         value = np.expm1(-np.outer(times, parts.rates)) @ parts.weights
         value += 2.0 * (np.expm1(np.outer(times, parts.poles)) @ parts.pole_weights).real
-        value += self.exact([shortest], 1)[0] - value[0]
-        value += self.low.integrator * times + power_response(self.low.powers, times, 1)
         exact = held_response(self.whole, times, 1)
+        if self.low.integrator or self.low.powers:
+            value += self.exact([shortest], 1)[0] - value[0]
+            value += self.low.integrator * times + power_response(self.low.powers, times, 1)
+        else:
+            value += exact[0] - value[0]
         return float(np.max(np.abs(value - exact))), float(np.max(np.abs(exact)))
 
 
