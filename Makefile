@@ -5,6 +5,8 @@ VENV := .venv
 BIN := $(VENV)/bin
 PY := $(BIN)/python
 STAMP := $(VENV)/.installed
+# An editable install knows the modules that there were when it was made: a new one needs another.
+MODULES := $(VENV)/.modules-$(shell find src/fraclink -name '*.py' | LC_ALL=C sort | cksum | cut -d' ' -f1)
 CSRC := $(wildcard csrc/*.[ch] csrc/kernels/*.[ch] csrc/bindings/*.cpp csrc/bindings/*.h)
 
 .PHONY: setup demo test lint bench build docs reproduce clean lock
@@ -16,7 +18,11 @@ $(VENV)/.locked: requirements.lock
 	$(PY) -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
 	touch $@
 
-$(STAMP): $(VENV)/.locked pyproject.toml CMakeLists.txt $(CSRC)
+$(MODULES): $(VENV)/.locked
+	rm -f $(VENV)/.modules-*
+	touch $@
+
+$(STAMP): $(VENV)/.locked $(MODULES) pyproject.toml CMakeLists.txt $(CSRC)
 	$(PY) -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
 	touch $@
 
