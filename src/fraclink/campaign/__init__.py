@@ -1,0 +1,27 @@
+"""Monte Carlo campaigns: one law on a million arms, resumable, the same for a seed whoever computes it."""
+
+from __future__ import annotations
+
+from fraclink.campaign.campaign import Campaign, load_campaign, save_campaign
+from fraclink.campaign.conduct import Progress, conduct
+from fraclink.campaign.draws import Distribution, Draws, draws_for
+from fraclink.campaign.part import read_part, replay, simulate_part
+from fraclink.campaign.summary import MetricSummary, Quantile, Summary, summarise
+
+__all__ = [
+    "Campaign",
+    "Distribution",
+    "Draws",
+    "MetricSummary",
+    "Progress",
+    "Quantile",
+    "Summary",
+    "conduct",
+    "draws_for",
+    "load_campaign",
+    "read_part",
+    "replay",
+    "save_campaign",
+    "simulate_part",
+    "summarise",
+]

@@ -103,7 +103,7 @@ class Draws:
                     allowed="low > 0",
                     remedy="raise the lower end",
                 )
-        if not (1.0 < self.order.low and self.order.high <= 2.0):
+        if not (self.order.low > 1.0 and self.order.high <= 2.0):
             raise FieldError(
                 "draws.order",
                 (self.order.low, self.order.high),

@@ -10,15 +10,13 @@ so one grid in v = ln(r/Ω) serves every payload (Lemma 1's homothety) and only 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fraclink.errors import FieldError
-from fraclink.link import LinkModel
-from fraclink.simulate.plant import LONGEST, POWERS, LinkWeights, link_weights
+from fraclink.simulate.plant import LONGEST, POWERS
 
 __all__ = ["BatchLinks", "batch_links"]
 
@@ -95,29 +93,8 @@ def batch_links(stiff: Real, order: Real, period: float) -> BatchLinks:
     )
 
 
-def any_links(models: Sequence[LinkModel], period: float, span: float) -> BatchLinks:
-    """Return the recursions of links of any structure, one after the other: 2 ms each instead of 20 µs."""
-    each = [link_weights(model, period, span) for model in models]
-    reals, pairs = (max(len(getattr(w, name)) for w in each) for name in ("decay", "pair"))
-
-    def stacked(name: str, size: int) -> NDArray[np.generic]:
-        rows = [np.asarray(getattr(w, name)) for w in each]
-        return np.array([np.pad(r, [(0, 0)] * (r.ndim - 1) + [(0, size - r.shape[-1])]) for r in rows])
-
-    def weights(name: str) -> NDArray[np.generic]:
-        return stacked(name, pairs if name.startswith("pair") else reals)
-
-    return BatchLinks(
-        decay=np.asarray(weights("decay"), dtype=np.float64),
-        weight=np.asarray(weights("weight"), dtype=np.float64),
-        pair=np.asarray(weights("pair"), dtype=np.complex128),
-        pair_weight=np.asarray(weights("pair_weight"), dtype=np.complex128),
-        first=np.array([w.first for w in each]),
-    )
-
-
 def _grid(reach: float, order: float) -> Real:
-    """Nodes v: below, the density falls like e^(λv); above, like e^(−λv) and e^(−e^v ΩT) from one period on."""
+    """Nodes v: the density falls like e^(−λ|v|), and above like e^(−e^v ΩT) from one period on."""
     low = -NEGLIGIBLE / order
     high = min(NEGLIGIBLE / order, math.log(NEGLIGIBLE / reach))
     return np.asarray(np.arange(math.floor(low / STEP), math.ceil(high / STEP) + 1) * STEP + 0.5 * STEP)

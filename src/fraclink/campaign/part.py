@@ -194,16 +194,21 @@ def write_part(campaign: Campaign, folder: Path, part: int) -> int:
     return int(table.num_rows)
 
 
-def read_part(campaign: Campaign, folder: Path, part: int) -> dict[str, NDArray[np.generic]] | None:
-    """Return a finished part's columns, or None where it is missing, damaged or of another campaign."""
+def read_part(
+    campaign: Campaign, folder: Path, part: int, *, names: tuple[str, ...] = ()
+) -> dict[str, NDArray[np.generic]] | None:
+    """Return columns `names` of a finished part (all where none is named); None where the file is missing,
+    damaged or of another campaign.
+    """
     pa, parquet = _parquet()
     try:
-        table = parquet.read_table(part_path(folder, part), memory_map=False)
+        with parquet.ParquetFile(part_path(folder, part), memory_map=False) as file:
+            meta, rows = file.schema_arrow.metadata or {}, file.metadata.num_rows
+            table = file.read(columns=list(names) or None)
     except (OSError, pa.ArrowException):
         return None
-    meta = table.schema.metadata or {}
     wanted = {b"fingerprint": campaign.fingerprint.encode(), b"part": str(part).encode()}
-    if any(meta.get(k) != v for k, v in wanted.items()) or table.num_rows != campaign.part_runs(part):
+    if any(meta.get(k) != v for k, v in wanted.items()) or rows != campaign.part_runs(part):
         return None
     return {name: table[name].to_numpy() for name in table.column_names}
 

@@ -1,0 +1,16 @@
+"""The verb `campaign` and the verbs below it."""
+
+from __future__ import annotations
+
+import typer
+
+from fraclink.cli import montecarlo
+
+__all__ = ["register"]
+
+
+def register(app: typer.Typer) -> None:
+    """Add `campaign` with its verbs to the application."""
+    campaign = typer.Typer(help="Many runs: Monte Carlo, faults, sweeps.")
+    montecarlo.register(campaign)
+    app.add_typer(campaign, name="campaign")
