@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -11,6 +11,9 @@ from fraclink.cli.console import emit, emit_json
 from fraclink.cli.options import Force, Json
 from fraclink.cli.outcome import HOLDS
 from fraclink.cli.verdicts import DesignFile
+
+if TYPE_CHECKING:
+    from fraclink.law import Law
 
 __all__ = ["register"]
 
@@ -48,9 +51,51 @@ def c(
     return HOLDS
 
 
+def _law(plan_file: Path, *, motor: bool) -> Law:
+    from fraclink.design import Plan
+    from fraclink.law import equip
+
+    plan = Plan.load(plan_file)
+    law = plan.controller.discretize(plan.rig.period)
+    return equip(law, plan.rig, plan.model) if motor else law
+
+
+def matlab(
+    plan_file: DesignFile,
+    out: Annotated[Path, typer.Option("--out", help="File to write, .m or .mat.")] = Path("arm_law.m"),
+    json: Json = False,
+    force: Force = False,
+) -> int:
+    """Write the discrete law for MATLAB: a function (.m) or its numbers (.mat)."""
+    from fraclink.export import export_matlab
+
+    path = export_matlab(_law(plan_file, motor=False), out, force=force)
+    emit_json({"out": str(path)}) if json else emit(str(path))
+    return HOLDS
+
+
+def fmu(
+    plan_file: DesignFile,
+    out: Annotated[Path, typer.Option("--out", help="File to write, .fmu.")] = Path("arm_law.fmu"),
+    binary: Annotated[
+        bool, typer.Option("--binary/--source", help="With a Linux library, or sources only.")
+    ] = True,
+    json: Json = False,
+    force: Force = False,
+) -> int:
+    """Write the law as an FMU (FMI 2.0, co-simulation) for Simulink, Dymola or OpenModelica."""
+    from fraclink.export import export_fmu
+
+    path = export_fmu(_law(plan_file, motor=True), out, binary=binary, force=force)
+    emit_json({"out": str(path)}) if json else emit(str(path))
+    return HOLDS
+
+
 def register(app: typer.Typer) -> None:
     """Add the verbs of this module to the application, below `export`."""
-    export = typer.Typer(help="Hand a design on: C for a board.")
+    export = typer.Typer(help="Hand a design on: C for a board, MATLAB, FMU.")
     export.command()(c)
+    export.command()(matlab)
+    export.command()(fmu)
     export.callback()(lambda: None)
     app.add_typer(export, name="export")

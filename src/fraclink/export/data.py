@@ -46,7 +46,7 @@ def hex_float(value: float, precision: layout.Precision) -> str:
 def data_header(law: Law, *, name: str, title: str) -> str:
     """Return the text of law_data.h for `law`; the same law gives the same text, to the byte."""
     values = law.coefficients
-  
+
     whole = struct.unpack(f"<{len(layout.HEADER) + len(layout.COUNTS)}I", law.block[:48])
     rows = [f"    .{f} = {n}U," for f, n in zip((*layout.HEADER, *layout.COUNTS), whole, strict=True)]
     rows[3] = f"    .crc = 0x{whole[3]:08X}U,"
