@@ -18,8 +18,8 @@ __all__ = ["draw"]
 _PANELS = (
     ("settling_time", "settling [s]", 1.0, None),
     ("worst_settling", "settling, worst payload [s]", 1.0, None),
-    ("residual_vibration", "residual vibration [mrad]", 1e3, 1.0),
-    ("offset_error", "tip error by 0.05 N·m offset [mrad]", 1e3, 0.01),
+    ("residual_vibration", "residual vibration [mrad]", 1e3, 0.1),
+    ("offset_error", "tip error by 0.05 N·m offset [mrad]", 1e3, 0.001),
     ("motor_reference_noise", "motor reference noise [mrad]", 1e3, 0.1),
     ("mode_gain", "loop gain at mode 2", 1.0, 0.001),
 )
@@ -44,7 +44,7 @@ def draw(result: Tournament, path: Path | str) -> None:
     for axis, (attribute, title, factor, left) in zip(axes, _PANELS, strict=True):
         values = [factor * float(getattr(s, attribute)) for s in result.standings]
         finite = [0.0 if math.isinf(v) else v for v in values]
-        colours = [_OURS if i == 0 else _RIVAL for i in rows]
+        colours = [_OURS if name.startswith("ours") else _RIVAL for name in names]
         if left is not None:
             axis.set_xscale("log")
             finite = [max(v, left) for v in finite]

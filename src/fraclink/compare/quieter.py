@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 __all__ = ["QUIETER", "quieter"]
 
-QUIETER = "ours, longer filter"
+QUIETER = "ours with a longer filter"
 FACTORS = (2.0, 4.0, 8.0, 12.0, 16.0)
 
 

@@ -70,7 +70,7 @@ class Tournament:
     notes: tuple[str, ...]
     runs: dict[str, TwinRun]
 
-    def winners(self) -> dict[str, str]:
+    def winners(self) -> dict[str, tuple[str, ...]]:
         """Return who is best in every figure, among those that hold at the nominal payload.
 
         Several names stand together where they differ by less than 2 %, or 0.1 mrad, or 10 ms.
@@ -80,10 +80,9 @@ class Tournament:
         for name, floor in _FIGURES.items():
             values = [float(getattr(s, name)) for s in able]
             best = min(values)
-            close = [
+            result[name] = tuple(
                 s.name for s, v in zip(able, values, strict=True) if v <= best * 1.02 + floor or v == best
-            ]
-            result[name] = ", ".join(close)
+            )
         return result
 
     def verdicts(self) -> tuple[str, ...]:
@@ -94,14 +93,13 @@ class Tournament:
             words = name.replace("_", " ")
             best = min(float(getattr(s, name)) for s in self.standings if s.holds)
             own = float(getattr(ours, name))
-            if ours.name in winner.split(", "):
-                also = [w for w in winner.split(", ") if w != ours.name]
+            if ours.name in winner:
+                also = [w for w in winner if w != ours.name]
                 shared = f", with {', '.join(also)}" if also else ""
                 sentences.append(f"{words}: ours is best ({_text(name, own)}){shared}")
             else:
-                sentences.append(
-                    f"{words}: better than ours: {winner} ({_text(name, best)} against {_text(name, own)})"
-                )
+                better, reached, had = ", ".join(winner), _text(name, best), _text(name, own)
+                sentences.append(f"{words}: better than ours: {better} ({reached} against {had})")
         return tuple(sentences)
 
     def markdown(self) -> str:
