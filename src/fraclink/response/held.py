@@ -84,13 +84,23 @@ class HeldQuotient:
         return self._recursion(parts, period, hold, span, tolerance, delay)
 
     def _recursion(
-        self, parts: Expansion, period: float, hold: str, span: float, tolerance: float, delay: float
+        self,
+        parts: Expansion,
+        period: float,
+        hold: str,
+        span: float,
+        tolerance: float,
+        delay: float,
+        step: float | None = None,
     ) -> DiscreteModes:
         lag, ahead = split_delay(delay, period)
         integrator, early = self.low.integrator, 0.0
         x, z = -parts.rates * period, parts.poles * period
         if hold == "zero":
-            at, next_at = self.exact([ahead, period + ahead], 1)
+            if ahead or step is None:
+                at, next_at = self.exact([ahead, period + ahead], 1)
+            else:
+                at, next_at = self.direct, step  # known from the check of the modes
             zeroth, one = at + integrator * ahead, next_at - at + integrator * period
             gains, pole_gains = parts.weights * np.expm1(x), 2.0 * parts.pole_weights * np.expm1(z)
         else:
@@ -113,12 +123,12 @@ class HeldQuotient:
         """Response to the samples u."""
         span = max(len(u), 1) * period
         parts = self.expansion(period, span, tolerance)
-        error, peak = self.error(parts, period, span)
+        error, peak, step = self.error(parts, period, span)
         if self._needs_contour(error, peak, len(u)):
             lag, ahead = split_delay(delay, period)
             output = respond_by_weights(self.whole, self.direct, u, period, hold, lag, ahead)
             return self._by_contour(output)
-        modes = self._recursion(parts, period, hold, span, tolerance, delay)
+        modes = self._recursion(parts, period, hold, span, tolerance, delay, step)
         output = modes.respond(u)
         lag, ahead = split_delay(delay, period)
         if lag < len(u) and self.low.powers:
@@ -166,7 +176,7 @@ class HeldQuotient:
         t = times[later]
         shortest, longest = float(t.min()), float(t.max())
         parts = self.expansion(shortest, longest, tolerance)
-        error, peak = self.error(parts, shortest, longest)
+        error, peak, first = self.error(parts, shortest, longest)
         error *= 1.0 if degree else 1.0 / shortest
         if self._needs_contour(error, peak, len(t)):
             output[later] = sample_response(self.whole, t, degree, 0.0)
@@ -182,7 +192,7 @@ class HeldQuotient:
         if degree:
             # The modes hold increments only: one exact value fixes the constant.
             index = int(np.argmin(t))
-            value += self.exact([shortest], 1)[0] - value[index]
+            value += (self.exact([shortest], 1)[0] if first is None else first) - value[index]
         value += self.low.integrator * (t if degree else 1.0) + power_response(self.low.powers, t, degree)
         output[later] = value
         count = len(parts.rates) + 2 * len(parts.poles)
@@ -214,24 +224,25 @@ class HeldQuotient:
             return math.copysign(math.inf, tail)
         return (tail if gap == 1.0 else 0.0) + self.low.integrator
 
-    def error(self, parts: Expansion, shortest: float, longest: float) -> tuple[float, float]:
-        """Largest difference between modes and contour integral in the step response, and its peak.
+    def error(self, parts: Expansion, shortest: float, longest: float) -> tuple[float, float, float | None]:
+        """Error of the modes' step response against a contour integral, its peak, and its first exact value.
 
-        The contour integrates the whole function, so that what the split at low frequency loses is seen.
+        The contour integrates the whole function, so that what the split at low frequency loses is seen. The
+        exact value at `shortest` is that without the parts split off; None where nothing was integrated.
         """
         if self.quotient is None and len(self.low.powers) + bool(self.low.integrator) <= 1:
-            return 0.0, 1.0
+            return 0.0, 1.0, None
         times = np.geomspace(shortest, max(longest, 1.0001 * shortest), _CHECKS)
         # Increments from 0 (expm1): the huge weight of a pole beside 0 would hide all else in a constant.
         value = np.expm1(-np.outer(times, parts.rates)) @ parts.weights
         value += 2.0 * (np.expm1(np.outer(times, parts.poles)) @ parts.pole_weights).real
         exact = held_response(self.whole, times, 1)
-        if self.low.integrator or self.low.powers:
-            value += self.exact([shortest], 1)[0] - value[0]
+        split = bool(self.low.integrator or self.low.powers)
+        first = self.exact([shortest], 1)[0] if split else float(exact[0])
+        value += first - value[0]
+        if split:
             value += self.low.integrator * times + power_response(self.low.powers, times, 1)
-        else:
-            value += exact[0] - value[0]
-        return float(np.max(np.abs(value - exact))), float(np.max(np.abs(exact)))
+        return float(np.max(np.abs(value - exact))), float(np.max(np.abs(exact))), first
 
 
 def split_delay(delay: float, period: float) -> tuple[int, float]:
