@@ -51,6 +51,15 @@ def test_noise_bound_chooses_the_filter():
     assert requirement.achieved == pytest.approx(bound, rel=1e-6)
 
 
+def test_bounds_on_noise_and_sensitivity_hold_together():
+    asked = {"settling_time": 0.5, "max_sensitivity": 1.6}
+    loose = fl.design(RIG.model, RIG, payloads=(0.020, 0.040), **asked)
+    light = np.array([loose.natural_frequencies[1]])
+    bound = 0.8 * float(noise_gain(loose.loop, light, RIG.period)[0])
+    found = fl.design(RIG.model, RIG, payloads=(0.020, 0.040), **asked, noise_gain=bound)
+    assert found.holds, found.requirements
+
+
 def test_settling_time_sets_the_crossover():
     found = fl.design(RIG.model, RIG, payloads=(0.020, 0.040), settling_time=0.5, phase_margin=fl.deg(45))
     assert found.gain_crossover == pytest.approx(2 * math.pi / 0.5)

@@ -128,19 +128,32 @@ def reach(
         (peak, _), (noise, _) = _worst(changed, rig, controller_of(changed, *found))
         return peak, noise
 
-    if goals.max_sensitivity is not None and free_margin:
-        request = _raise_margin(request, goals.max_sensitivity, worst)
-    if goals.noise_gain is not None and request.filter_time is None and request.margins == "loop":
-        request = _raise_filter(request, goals.noise_gain, worst)
+    free_filter = request.filter_time is None and request.margins == "loop"
+    for turn in range(_TURNS):
+        before = request
+        # More filter costs margin, more margin costs noise: after the first turn each asks for a little more
+        # than its bound, so that both hold after few.
+        share = 1.0 if turn == 0 else 1.0 - 2e-3
+        if goals.max_sensitivity is not None and free_margin:
+            request = _raise_margin(request, goals.max_sensitivity, share, worst)
+        if goals.noise_gain is not None and free_filter:
+            request = _raise_filter(request, goals.noise_gain, share, worst)
+        if request == before:
+            break
     return request
 
 
+_TURNS = 12
 Worst = Callable[[Request], "tuple[float, float] | None"]
 
 
-def _raise_margin(request: Request, bound: float, worst: Worst) -> Request:
+def _raise_margin(request: Request, bound: float, share: float, worst: Worst) -> Request:
     """The smallest phase margin whose sensitivity peak is within `bound`."""
-    start = request.phase_margin
+    start, asked = request.phase_margin, bound
+    now = worst(request)
+    if now is not None and now[0] <= bound:
+        return request
+    bound = 1.0 + (bound - 1.0) * share
     bad, best = start, math.inf
     for margin in np.linspace(start, 0.9 * math.pi, 40):
         got = worst(replace(request, phase_margin=float(margin)))
@@ -152,7 +165,7 @@ def _raise_margin(request: Request, bound: float, worst: Worst) -> Request:
     else:
         raise InfeasibleError(
             "sensitivity peak",
-            f"no phase margin at {request.gain_crossover:.6g} rad/s brings Ms to {bound:g}",
+            f"no phase margin at {request.gain_crossover:.6g} rad/s brings Ms to {asked:g}",
             {"max_sensitivity": 1.0001 * best} if math.isfinite(best) else None,
         )
     for _ in range(30 if good > bad else 0):
@@ -162,13 +175,14 @@ def _raise_margin(request: Request, bound: float, worst: Worst) -> Request:
     return replace(request, phase_margin=good)
 
 
-def _raise_filter(request: Request, bound: float, worst: Worst) -> Request:
+def _raise_filter(request: Request, bound: float, share: float, worst: Worst) -> Request:
     """The rule's filter where it is enough, else the shortest δ that keeps the noise within `bound`."""
     ruled = worst(request)
     if ruled is not None and ruled[1] <= bound:
         return request
-    bad, least = 1e-5, math.inf if ruled is None else ruled[1]
-    for time in np.geomspace(1e-4, 1.0, 40):
+    asked, bound = bound, bound * share
+    bad, least = request.filter_time or 1e-5, math.inf if ruled is None else ruled[1]
+    for time in np.geomspace(max(1e-4, 1.001 * bad), 1.0, 40):
         got = worst(replace(request, filter_time=float(time)))
         least = min(least, got[1]) if got else least
         if got and got[1] <= bound:
@@ -178,7 +192,7 @@ def _raise_filter(request: Request, bound: float, worst: Worst) -> Request:
     else:
         raise InfeasibleError(
             "noise gain",
-            f"no filter keeps the noise gain within {bound:g} at this crossover and margin",
+            f"no filter keeps the noise gain within {asked:g} at this crossover and margin",
             {"noise_gain": 1.0001 * least} if math.isfinite(least) else None,
         )
     for _ in range(30):
