@@ -100,7 +100,7 @@ def lumped_table() -> None:
         )
 
 
-def spillover() -> None:
+def spillover(filter_time: float | None) -> None:
     """Print whether our design is stable with the modes of a link that it was not told of.
 
     The linear sampled loop of the shipped law with the twin behind the ideal motor servo, no friction. The
@@ -128,7 +128,7 @@ def spillover() -> None:
             z = np.exp(1j * np.linspace(0.7 * second, 1.6 * second, 3000) * rig.period)
             gain = float(np.abs(seen.response(z) * correction.response(z)).max())
             line(
-                f"spillover, link {1e3 * mass:g} g, {damping.label}",
+                f"spillover, filter {filtered}, link {1e3 * mass:g} g, {damping.label}",
                 "stable" if radius < 1 + 1e-9 else f"unstable, radius 1 + {radius - 1:.1e}",
                 "stable",
                 f"|L| at mode 2: {gain:.2f}",
@@ -196,7 +196,8 @@ def main() -> None:
     modes()
     speed()
     lumped_table()
-    spillover()
+    spillover(None)
+    spillover(0.04)
     discrimination(seeds)
 
 
