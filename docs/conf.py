@@ -45,10 +45,12 @@ def plain_text(app, what, name, obj, options, lines) -> None:
         example = line.lstrip().startswith(">>>") or (example and bool(line.strip()))
         if not example:
             parts = re.split(r"(``.*?``)", line)
-            lines[number] = "".join(
-                part if part.startswith("``") else part.replace("|", "\\|").replace("θ*", "θ\\*").replace("*(", "\\*(")
-                for part in parts
-            )
+            lines[number] = "".join(part if part.startswith("``") else escaped(part) for part in parts)
+
+
+def escaped(text: str) -> str:
+    """Bars and the stars of references (θt*) written so that they stay what they are."""
+    return text.replace("|", "\\|").replace("θ*", "θ\\*").replace("*(", "\\*(")
 
 
 def short_signature(app, what, name, obj, options, signature, return_annotation):
