@@ -108,7 +108,15 @@ def spillover(filter_time: float | None) -> None:
     1 + 1e-9.
     """
     rig = geared(Rig.named("paper-2023"))
-    plan = design(rig.model, rig, payloads=(0.020, 0.040), gain_crossover=12.0, phase_margin=np.radians(50.0))
+    plan = design(
+        rig.model,
+        rig,
+        payloads=(0.020, 0.040),
+        gain_crossover=12.0,
+        phase_margin=np.radians(50.0),
+        filter_time=filter_time,
+    )
+    filtered = f"{1e3 * plan.controller.filter_time:.2g} ms"
     correction = law_filter(plan.controller.discretize(rig.period))
     for mass in (LINK_MASS, 0.0141):
         beam = Beam(LENGTH, RIGIDITY, mass, 0.030)
