@@ -50,7 +50,7 @@ def plain_text(app, what, name, obj, options, lines) -> None:
 
 def escaped(text: str) -> str:
     """Bars and the stars of references (θt*) written so that they stay what they are."""
-    return text.replace("|", "\\|").replace("θ*", "θ\\*").replace("*(", "\\*(")
+    return re.sub(r"\||(?<=θ)\*|\*(?=\()", r"\\\g<0>", text)
 
 
 def short_signature(app, what, name, obj, options, signature, return_annotation):
