@@ -19,6 +19,7 @@ from fraclink.design.measure import noise_gain, sensitivity_peak
 from fraclink.design.rivals import compare_at_equal_sensitivity, optimise
 from fraclink.design.sampled import SampledPlant
 from fraclink.errors import FieldError, InfeasibleError, SizeError
+from fraclink.law import equip
 from fraclink.rig import Rig
 
 RIG = Rig.named("paper-2023")
@@ -257,6 +258,11 @@ def test_law_of_a_direct_plan_carries_the_placed_motor_loop():
     assert drive is not None
     placed = direct_placement(RIG.motor, 80.0, RIG.period, 1)
     assert drive.loop.filter_decay == placed.filter_decay
+
+
+def test_plan_certifies_the_very_law_that_is_exported(plan: Plan):
+    exported = equip(plan.controller.discretize(RIG.period), plan.rig, plan.model)
+    assert plan.law().digest == exported.digest
 
 
 def test_alias_sum_is_exact_where_the_answer_is_known():

@@ -210,11 +210,10 @@ class Plan:
 
         `order` is the number of states of Ĉ, the fewest for 0.1 dB and 0.5° when it is left out.
         """
-        from fraclink.law import discretize_controller
+        from fraclink.law import equip
 
-        law = discretize_controller(
-            self.controller, self.rig.period, order=order, precision=precision, rig=self.rig
-        )
+        law = self.controller.discretize(self.rig.period, order=order, precision=precision)
+        law = equip(law, self.rig, self.model)
         inner = self.controller.inner
         if inner is None or inner.placement != "direct" or law.drive is None:
             return law
