@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import mpmath
 import numpy as np
@@ -232,3 +233,31 @@ def test_sizes_and_periods_are_checked_first() -> None:
         simulate(RIG, MODEL, law(), STEP, duration=1e9)
     with pytest.raises(FieldError, match="period"):
         simulate(replace(RIG, period=0.002), MODEL, law(), STEP)
+
+
+def test_a_measured_compensation_costs_damping() -> None:
+    """One delay late, the compensation feeds the vibration: less damping than the ideal one, and none at 8 g."""
+    move = fl.smooth_step(1.0, 0.5)
+    late = {}
+    for kind in ("ideal", "measured"):
+        options: dict[str, Any] = {"inner": "sampled", "compensation": kind, "duration": 3.0}
+        run = simulate(EXACT, MODEL, law(), move, payload=0.03, **options)
+        assert run.verdict.holds, run.verdict.reason
+        late[kind] = np.ptp(run.tip_angle[-250:])
+    assert late["measured"] > 2 * late["ideal"]
+    light = simulate(EXACT, MODEL, law(), move, payload=0.008, inner="sampled", compensation="measured")
+    assert not light.verdict
+    with pytest.raises(FieldError, match="compensation"):
+        simulate(EXACT, MODEL, law(), move, compensation="measured")
+
+
+def test_the_coupled_motor_converges_with_its_substeps() -> None:
+    ends = [
+        simulate(
+            EXACT, MODEL, law(), STEP, duration=1.0, inner="sampled", compensation="measured", substeps=n
+        ).tip_angle[-1]
+        for n in (5, 10, 20, 160)
+    ]
+    errors = np.abs(np.array(ends[:3]) - ends[3])
+    assert errors[2] < 1e-5
+    assert errors[0] > 3 * errors[1] > 9 * errors[2]

@@ -26,6 +26,7 @@ typedef struct {
     double re[LOOP_MODES];
     double im[LOOP_MODES];
     double tip;
+    double before; /* tip one period ago */
 } link_state;
 
 /* Weights of one motor (sub)step, computed once. */
@@ -79,10 +80,15 @@ static double servo_voltage(const motor_state *m, const loop_rig *rig, double re
 
 /* Motor under a held voltage with Coulomb friction as a proximal step: the friction force of a substep is the one
  * that shortens the speed by at most its impulse and never turns it around, which includes stiction. */
-static void follow_voltage(motor_state *m, const loop_rig *rig, const motor_weights *w, double push)
+static void follow_voltage(motor_state *m, const loop_rig *rig, const motor_weights *w, double held,
+                           const link_state *link)
 {
     const double impulse = rig->friction * w->first;
+    const double h = rig->period / rig->substeps;
     for (int i = 0; i < rig->substeps; i++) {
+        /* the coupling torque at the middle of the substep, with the tip on its straight line of the last period */
+        const double tip = link->tip + (link->tip - link->before) * (i + 0.5) / rig->substeps;
+        const double push = held - rig->coupling * (m->angle + 0.5 * h * m->speed - tip);
         const double free = w->keep * m->speed + w->first * push;
         const double left = fabs(free) - impulse;
         const double speed = copysign(left > 0.0 ? left : 0.0, free);
@@ -143,6 +149,7 @@ static void move_link(link_state *s, const loop_link *link, const double q[LOOP_
         s->im[i] = im;
         tip += re;
     }
+    s->before = s->tip;
     s->tip = tip;
 }
 
@@ -177,7 +184,7 @@ int LOOP_RUN(const loop_link *link, const loop_rig *rig, const void *params, con
     const law_params *const p = (const law_params *)params;
     const motor_weights w = weights_of(rig);
     motor_state motor = {0.0, 0.0, 0.0, 0.0};
-    link_state flexible = {{0}, {0}, {0}, 0.0};
+    link_state flexible = {{0}, {0}, {0}, 0.0, 0.0};
     double pending[LOOP_DELAY];
     law_state state;
     law_input in;
@@ -207,13 +214,15 @@ int LOOP_RUN(const loop_link *link, const loop_rig *rig, const void *params, con
         trace->flags[k] = out.flags;
         trace->mode[k] = out.mode;
         trace->reason[k] = out.reason;
-        pending[k % slots] = rig->sampled ? (double)out.voltage - (double)out.compensation
+        /* ideal: what the law adds against the coupling torque meets a coupling torque that is the same */
+        const double added = rig->coupling > 0.0 ? 0.0 : (double)out.compensation;
+        pending[k % slots] = rig->sampled ? (double)out.voltage - added
                                           : (double)out.motor_reference - rig->start;
         const double applied = pending[(k + 1) % slots]; /* written `delay` periods ago */
         const motor_state before = motor;
         double q[LOOP_POWERS];
         if (rig->sampled) {
-            follow_voltage(&motor, rig, &w, rig->gain * applied);
+            follow_voltage(&motor, rig, &w, rig->gain * applied, &flexible);
         } else {
             trace->voltage[k] = servo_voltage(&motor, rig, applied);
             follow_reference(&motor, rig, &w, applied);
@@ -230,9 +239,10 @@ void loop_coast(const loop_rig *rig, double speed, double *angle, int64_t length
 {
     const motor_weights w = weights_of(rig);
     motor_state motor = {0.0, speed, 0.0, 0.0};
+    const link_state rigid = {{0}, {0}, {0}, 0.0, 0.0};
     for (int64_t k = 0; k < length; k++) {
         angle[k] = motor.angle;
-        follow_voltage(&motor, rig, &w, 0.0);
+        follow_voltage(&motor, rig, &w, 0.0, &rigid);
     }
 }
 #endif

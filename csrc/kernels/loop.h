@@ -33,7 +33,7 @@ typedef struct {
     double gain;           /* A [rad/(s^2 V)] */
     double decay;          /* B [1/s] */
     double friction;       /* Coulomb deceleration [rad/s^2] */
-    double coupling;       /* 0: torque compensated ideally; else 1/(n^2 J): it acts on the motor [rad/(s^2 N m)] */
+    double coupling;       /* 0: torque compensated ideally; else c/(n^2 J): it acts on the motor [1/s^2] */
     double encoder;        /* resolution [rad], 0 = exact */
     double offset;         /* gauge offset from the second period on [N m] */
     double noise;          /* standard deviation of a gauge sample [N m] */

@@ -42,6 +42,7 @@ def simulate(
     seed: int = 0,
     delay_samples: int | None = None,
     substeps: int = SUBSTEPS,
+    compensation: Literal["ideal", "measured"] = "ideal",
 ) -> Run:
     """Simulate the closed loop at the law's period and return its signals, metrics and verdict.
 
@@ -76,6 +77,10 @@ def simulate(
         Periods between a sample and its effect, 0 ... 100; the rig's where it is left out.
     substeps : int
         Friction steps in a period, 1 ... 1000.
+    compensation : {"ideal", "measured"}
+        "ideal": the coupling torque is compensated without error, as the paper assumes. "measured", for
+        ``inner="sampled"``: it acts on the motor, and the law compensates the gauge's reading, one delay late;
+        a gauge offset then turns the motor too.
 
     Raises
     ------
@@ -114,7 +119,7 @@ def simulate(
         if delay_samples is None
         else _whole("delay_samples", delay_samples, 0, 100),
         substeps=_whole("substeps", substeps, 1, 1000),
-        compensation="ideal",
+        compensation=_compensation(compensation, inner),
     )
     signals = np.empty((7, count))
     marks = np.empty((3, count), dtype=np.uint32)
@@ -122,7 +127,7 @@ def simulate(
     _kernels.loop_run(
         law.block,
         law.precision == "single",
-        _loop_rig(rig, law, settings, float(path[0, 0])),
+        _loop_rig(rig, law, settings, float(path[0, 0]), link.stiffness),
         link.stiffness,
         weights.first,
         weights.decay,
@@ -200,7 +205,7 @@ def _fitting(law: Law, rig: Rig, model: LinkModel, inner: str) -> Law:
     return equip(law, rig, model) if inner == "sampled" and law.drive is None else law
 
 
-def _loop_rig(rig: Rig, law: Law, settings: Settings, start: float) -> _kernels.LoopRig:
+def _loop_rig(rig: Rig, law: Law, settings: Settings, start: float, stiffness: float) -> _kernels.LoopRig:
     motor = rig.motor
     return _kernels.LoopRig(
         sampled=settings.inner == "sampled",
@@ -211,7 +216,9 @@ def _loop_rig(rig: Rig, law: Law, settings: Settings, start: float) -> _kernels.
         gain=motor.gain,
         decay=motor.decay,
         friction=motor.coulomb_torque / (motor.inertia * motor.gear_ratio),
-        coupling=0.0,
+        coupling=stiffness / (motor.gear_ratio**2 * motor.inertia)
+        if settings.compensation == "measured"
+        else 0.0,
         encoder=rig.encoder.resolution,
         offset=settings.gauge_offset,
         noise=settings.noise,
@@ -220,6 +227,18 @@ def _loop_rig(rig: Rig, law: Law, settings: Settings, start: float) -> _kernels.
         start=start,
         seed=settings.seed,
     )
+
+
+def _compensation(value: str, inner: str) -> str:
+    if value not in ("ideal", "measured") or (value == "measured" and inner != "sampled"):
+        raise FieldError(
+            "compensation",
+            value,
+            'unknown, or without inner="sampled"',
+            allowed="ideal or measured",
+            remedy="the ideal inner loop M(s) has no coupling torque to compensate",
+        )
+    return value
 
 
 def _number(field: str, value: object, unit: str, low: float, high: float) -> float:
