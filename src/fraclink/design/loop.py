@@ -173,7 +173,9 @@ class OpenLoop:
             np.concatenate([np.geomspace(low, high, int(15 * decades) + 1), near, 1.0 / near, [1.0]])
         )
         grid = np.concatenate([mode[:, None] * shape, self._top(pi)[:, None]], axis=1)
-        return np.asarray(np.minimum(np.sort(grid, axis=1), highest))
+        grid = np.minimum(np.sort(grid, axis=1), highest)
+        needed = int(np.sum(np.any(grid < highest, axis=0))) + 1  # past it every row stands at `highest`
+        return np.asarray(grid[:, :needed])
 
     def _top(self, pi: Real) -> Real:
         """Peak of |Ĉ G|, where the denominator of (49) vanishes: a quadratic in ω^λ.
