@@ -236,7 +236,7 @@ def test_sizes_and_periods_are_checked_first() -> None:
 
 
 def test_a_measured_compensation_costs_damping() -> None:
-    """One delay late, the compensation feeds the vibration: less damping than the ideal one, and none at 8 g."""
+    """One delay late, the compensation feeds the vibration: less damping than ideal, none at 8 g."""
     move = fl.smooth_step(1.0, 0.5)
     late = {}
     for kind in ("ideal", "measured"):

@@ -72,6 +72,7 @@ def readme(law: Law, *, name: str, data: str) -> str:
         if law.drive is not None
         else "no motor loop: `motor_reference` goes to the drive's own position servo, `voltage` stays 0"
     )
+    voltage = f" and `voltage` within ±{law.drive.voltage_limit:g} V" if law.drive is not None else ""
     return f"""# Control law, period {law.period * 1e3:g} ms, {law.precision} precision
 
 Law `{law.digest}`.
@@ -122,12 +123,12 @@ destabilises the arm, and no other check finds it.
 | rounding of Ĉe for \\|e\\| ≤ {bounds.error:g} rad, all times | ≤ {bounds.rounding:.2e} rad |
 
 ## Claimed
-For this `law.c`, compiled as ISO C99 without fast-math and with contraction off, whatever the inputs (NaN
-and infinities among them) and whatever the state memory holds: no undefined behaviour, every output finite,
+For this `law.c`, compiled as ISO C99 without fast-math and with contraction off, whatever the inputs (NaN and
+infinities among them) and whatever the state memory holds: no undefined behaviour, every output finite,
 `motor_reference` within ±{law.limits.motor_limit:.6g} rad{
-        f" and `voltage` within ±{law.drive.voltage_limit:g} V" if law.drive is not None else ""
-    }. fraclink's tests prove it for its own designs with Frama-C Eva; `tests/firmware` of fraclink repeats
-    it for yours.
+        voltage
+    }. Proved with Frama-C Eva for the designs of
+fraclink's own tests; `tests/firmware/eva_main.c` of fraclink's sources repeats the proof for this one.
 
 ## Not claimed
 Anything about the compiler; about a motor loop that is not M(s); about Coulomb friction, modes above the

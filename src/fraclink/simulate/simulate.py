@@ -79,7 +79,7 @@ def simulate(
         Friction steps in a period, 1 ... 1000.
     compensation : {"ideal", "measured"}
         "ideal": the coupling torque is compensated without error, as the paper assumes. "measured", for
-        ``inner="sampled"``: it acts on the motor, and the law compensates the gauge's reading, one delay late;
+        ``inner="sampled"``: it acts on the motor, and the law compensates the gauge's reading, late;
         a gauge offset then turns the motor too.
 
     Raises
