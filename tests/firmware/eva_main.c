@@ -32,11 +32,11 @@ void eva_main(void)
         in.torque = any_real;
         law_step(&state, &law_data, &in, &out);
         /*@ assert \is_finite(out.motor_reference); */
-        /*@ assert out.motor_reference <= 7.0810219; */
-        /*@ assert out.motor_reference >= -7.0810219; */
+        /*@ assert out.motor_reference <= law_data.motor_limit; */
+        /*@ assert out.motor_reference >= -law_data.motor_limit; */
         /*@ assert \is_finite(out.voltage); */
-        /*@ assert out.voltage <= 10.0; */
-        /*@ assert out.voltage >= -10.0; */
+        /*@ assert out.voltage <= law_data.voltage_limit; */
+        /*@ assert out.voltage >= -law_data.voltage_limit; */
         /*@ assert out.mode <= 4; */
         (void)law_check_wiring(&wiring, &law_data, in.motor_angle, in.torque);
     }
