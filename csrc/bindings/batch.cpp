@@ -48,7 +48,7 @@ void run(nb::bytes params, bool single, const loop_rig &rig, Read<double, 2> dec
     const batch_traces traces = {o, o + plane, o + 2 * plane, f, f + plane, f + 2 * plane};
     std::vector<double> block(params.size() / sizeof(double) + 1);  // bytes promise no alignment
     std::memcpy(block.data(), params.c_str(), params.size());
-    std::vector<double> scratch(6 * n);
+    std::vector<double> scratch(BATCH_SCRATCH * n);
     int failed = 0;
     {
         nb::gil_scoped_release release;

@@ -1,5 +1,7 @@
-/* Run after run through loop.c, so that a run of a campaign and the same run alone agree to the last bit. */
+/* Eight runs at a time through group.c, the rest one by one through loop.c: both give the same bits. */
 #include "batch.h"
+
+#include "group.h"
 
 static loop_link link_of(const batch_links *all, int64_t run, double stiffness)
 {
@@ -33,33 +35,73 @@ static loop_rig rig_of(const loop_rig *shared, const double *row, uint64_t seed)
     return rig;
 }
 
-int batch_run(int64_t runs, int64_t length, const batch_links *links, const loop_rig *rig, const double *numbers,
-              const uint64_t *seeds, const int32_t *chosen, const double *path, const void *params, int single,
-              double *scratch, const batch_traces *traces)
+typedef struct {
+    const batch_links *links;
+    const loop_rig *rig;
+    const double *numbers;
+    const uint64_t *seeds;
+    const int32_t *chosen;
+    const double *path;
+    int64_t length;
+    const batch_traces *traces;
+} batch;
+
+static group_loop loop_of(const batch *b, int64_t r, double *noise)
+{
+    const double *row = b->numbers + r * BATCH_COLUMNS;
+    const double *unit = b->path + (int64_t)b->chosen[r] * 2 * b->length;
+    const int64_t at = r * b->length;
+    const group_loop loop = {link_of(b->links, r, row[BATCH_STIFFNESS]),
+                             rig_of(b->rig, row, b->seeds[r]),
+                             row[BATCH_AMPLITUDE],
+                             unit,
+                             unit + b->length,
+                             noise,
+                             {b->traces->tip + at, b->traces->motor_reference + at, b->traces->voltage + at,
+                              b->traces->flags + at, b->traces->mode + at, b->traces->reason + at}};
+    return loop;
+}
+
+/* A run of the rest of a block, too small for a group. */
+static int run_alone(const group_loop *loop, const void *params, int single, double *scratch, int64_t length)
 {
     double *const angle = scratch;
     double *const acceleration = scratch + length;
     double *const spare = scratch + 2 * length;
-    for (int64_t r = 0; r < runs; r++) {
-        const double *row = numbers + r * BATCH_COLUMNS;
-        const double *unit = path + (int64_t)chosen[r] * 2 * length;
-        const loop_link link = link_of(links, r, row[BATCH_STIFFNESS]);
-        const loop_rig own = rig_of(rig, row, seeds[r]);
-        const int64_t at = r * length;
-        for (int64_t k = 0; k < length; k++) {
-            angle[k] = row[BATCH_AMPLITUDE] * unit[k];
-            acceleration[k] = row[BATCH_AMPLITUDE] * unit[length + k];
-        }
-        const loop_reference reference = {length, angle, acceleration};
-        const loop_trace trace = {traces->tip + at,     spare,
-                                  traces->motor_reference + at, spare + length,
-                                  spare + 2 * length,   traces->voltage + at,
-                                  spare + 3 * length,   traces->flags + at,
-                                  traces->mode + at,    traces->reason + at};
-        const int failed = single ? loop_run_single(&link, &own, params, &reference, &trace)
-                                  : loop_run_double(&link, &own, params, &reference, &trace);
-        if (failed)
-            return 1;
+    for (int64_t k = 0; k < length; k++) {
+        angle[k] = loop->amplitude * loop->angle[k];
+        acceleration[k] = loop->amplitude * loop->acceleration[k];
     }
-    return 0;
+    const loop_reference reference = {length, angle, acceleration};
+    const loop_trace trace = {loop->trace.tip,    spare,
+                              loop->trace.motor_reference, spare + length,
+                              spare + 2 * length, loop->trace.voltage,
+                              spare + 3 * length, loop->trace.flags,
+                              loop->trace.mode,   loop->trace.reason};
+    return single ? loop_run_single(&loop->link, &loop->rig, params, &reference, &trace)
+                  : loop_run_double(&loop->link, &loop->rig, params, &reference, &trace);
+}
+
+int batch_run(int64_t runs, int64_t length, const batch_links *links, const loop_rig *rig, const double *numbers,
+              const uint64_t *seeds, const int32_t *chosen, const double *path, const void *params, int single,
+              double *scratch, const batch_traces *traces)
+{
+    const batch all = {links, rig, numbers, seeds, chosen, path, length, traces};
+    int failed = 0;
+    int64_t r = 0;
+    for (; r + GROUP_LANES <= runs && !failed; r += GROUP_LANES) {
+        group_loop group[GROUP_LANES];
+        for (int l = 0; l < GROUP_LANES; l++) {
+            double *noise = scratch + l * length;
+            group[l] = loop_of(&all, r + l, noise);
+            if (group[l].rig.noise > 0.0)
+                loop_normals(group[l].rig.seed, noise, length);
+        }
+        failed = single ? group_run_single(group, params, length) : group_run_double(group, params, length);
+    }
+    for (; r < runs && !failed; r++) {
+        const group_loop loop = loop_of(&all, r, scratch);
+        failed = run_alone(&loop, params, single, scratch, length);
+    }
+    return failed;
 }

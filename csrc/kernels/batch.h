@@ -6,6 +6,8 @@
 
 #include "loop.h"
 
+#define BATCH_SCRATCH 8 /* rows of noise of a group; a run alone needs 6 */
+
 /* Columns of a run's numbers. */
 enum {
     BATCH_STIFFNESS, /* c [N m/rad] */
@@ -43,7 +45,7 @@ typedef struct {
 } batch_traces;
 
 /* `path` holds unit references (angle, acceleration) of `length` each, `chosen` which one a run follows; `rig` what
- * all runs share. `scratch` has room for 6 rows. Return 0, or 1 where a bound of loop.h is exceeded. */
+ * all runs share. `scratch` has room for BATCH_SCRATCH rows. Return 0, or 1 where a bound of loop.h is exceeded. */
 int batch_run(int64_t runs, int64_t length, const batch_links *links, const loop_rig *rig, const double *numbers,
               const uint64_t *seeds, const int32_t *chosen, const double *path, const void *params, int single,
               double *scratch, const batch_traces *traces);

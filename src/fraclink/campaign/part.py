@@ -190,7 +190,10 @@ def write_part(campaign: Campaign, folder: Path, part: int) -> int:
     )
     with atomic_write(part_path(folder, part), "wb") as stream:
         # No statistics and no time: two computations of one part give the same bytes.
-        parquet.write_table(table, stream, compression="zstd", write_statistics=False)
+        # Checksums: zstd alone unpacks a flipped bit into other numbers without a word.
+        parquet.write_table(
+            table, stream, compression="zstd", write_statistics=False, write_page_checksum=True
+        )
     return int(table.num_rows)
 
 
@@ -202,7 +205,9 @@ def read_part(
     """
     pa, parquet = _parquet()
     try:
-        with parquet.ParquetFile(part_path(folder, part), memory_map=False) as file:
+        with parquet.ParquetFile(
+            part_path(folder, part), memory_map=False, page_checksum_verification=True
+        ) as file:
             meta, rows = file.schema_arrow.metadata or {}, file.metadata.num_rows
             table = file.read(columns=list(names) or None)
     except (OSError, pa.ArrowException):
