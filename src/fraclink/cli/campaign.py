@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import typer
 
-from fraclink.cli import montecarlo
+from fraclink.cli import faults, montecarlo
 
 __all__ = ["register"]
 
@@ -13,4 +13,5 @@ def register(app: typer.Typer) -> None:
     """Add `campaign` with its verbs to the application."""
     campaign = typer.Typer(help="Many runs: Monte Carlo, faults, sweeps.")
     montecarlo.register(campaign)
+    faults.register(campaign)
     app.add_typer(campaign, name="campaign")

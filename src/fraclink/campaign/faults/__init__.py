@@ -1,0 +1,26 @@
+"""Forty-four ways to break an arm, injected into the shipped law on the twin, each with a verdict."""
+
+from __future__ import annotations
+
+from fraclink.campaign.faults.campaign import cases, observe, run_case, run_faults
+from fraclink.campaign.faults.catalogue import CATALOGUE, fault_named
+from fraclink.campaign.faults.nouns import PHASES, Case, Check, Fault, Outcome
+from fraclink.campaign.faults.table import FaultTable, Row
+from fraclink.campaign.faults.trial import Bench
+
+__all__ = [
+    "CATALOGUE",
+    "PHASES",
+    "Bench",
+    "Case",
+    "Check",
+    "Fault",
+    "FaultTable",
+    "Outcome",
+    "Row",
+    "cases",
+    "fault_named",
+    "observe",
+    "run_case",
+    "run_faults",
+]

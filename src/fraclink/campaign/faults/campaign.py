@@ -1,0 +1,147 @@
+"""Run the catalogue: every fault, severity, payload, phase and seed, each with its verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink.campaign.faults.catalogue import CATALOGUE, fault_named
+from fraclink.campaign.faults.evidence import Evidence, shared_checks
+from fraclink.campaign.faults.nouns import PHASES, Case, Check, Fault, Outcome
+from fraclink.campaign.faults.table import FaultTable
+from fraclink.campaign.faults.trial import MOVE, Bench, Signals, Trial, execute
+from fraclink.errors import FieldError
+from fraclink.law import Law
+
+__all__ = ["cases", "observe", "run_case", "run_faults"]
+
+CleanRuns = dict[tuple[object, ...], Signals]
+
+
+def cases(
+    bench: Bench,
+    *,
+    only: Sequence[str] = (),
+    severities: Sequence[int] = (1, 2, 3),
+    payloads: Sequence[float] = (),
+    phases: Sequence[str] = PHASES,
+    seeds: Sequence[int] = (1,),
+) -> tuple[Case, ...]:
+    """Return every case of a campaign in order; empty `only` and `payloads` mean all.
+
+    Raises FieldError for unknown faults, phases, severities, payloads, and where nothing is left to run.
+    """
+    faults = [fault_named(name) for name in only] or list(CATALOGUE)
+    result = tuple(
+        Case(fault.number, severity, float(payload), phase, seed)
+        for fault in faults
+        for severity in severities
+        for payload in (payloads or bench.payloads)
+        for phase in phases
+        for seed in seeds
+        if _sensible(fault, severity, phase)
+    )
+    if not result:
+        raise FieldError(
+            "phase",
+            ", ".join(phases),
+            "none in which the fault is run",
+            allowed=", ".join(sorted({phase for fault in faults for phase in fault.phases})),
+            remedy="choose one of these",
+        )
+    return result
+
+
+def _sensible(fault: Fault, severity: int, phase: str) -> bool:
+    if phase not in PHASES:
+        raise FieldError("phase", phase, "unknown", allowed=", ".join(PHASES), remedy="choose one of these")
+    return phase in fault.phases and (severity, phase) not in fault.skips
+
+
+def observe(bench: Bench, case: Case, law: Law, *, clean: CleanRuns | None = None) -> Evidence:
+    """Run one case with `law` and return both runs; `clean` keeps the clean ones for the next case."""
+    fault = fault_named(case.fault)
+    trial = _trial(bench, fault, case, law)
+    fault.inject(trial)
+    payload = bench.payloads[1] if fault.nominal else case.payload
+    key = (
+        payload,
+        case.seed,
+        fault.duration,
+        fault.number if fault.prepare or fault.reference else "",
+        law.digest,
+    )
+    known = {} if clean is None else clean
+    if key not in known:
+        known[key] = execute(_trial(bench, fault, Case(fault.number, 1, payload, "whole", case.seed), law))
+    return Evidence(bench, case, trial.law, trial.row, trial.marks, execute(trial), known[key])
+
+
+def _trial(bench: Bench, fault: Fault, case: Case, law: Law) -> Trial:
+    trial = Trial(bench, case, law, fault.reference or MOVE, fault.duration)
+    if fault.prepare is not None:
+        fault.prepare(trial)
+    return trial
+
+
+def run_case(bench: Bench, case: Case, *, single: bool = True, clean: CleanRuns | None = None) -> Outcome:
+    """Run one case and judge it; `single`: in single precision too, which must take the same modes."""
+    fault = fault_named(case.fault)
+    e = observe(bench, case, bench.law.in_precision("double"), clean=clean)
+    checks = [*shared_checks(e, e.faulty), *(check(e) for check in fault.checks)]
+    if single:
+        other = observe(bench, case, bench.law.in_precision("single"), clean=clean)
+        checks += [_renamed(check) for check in shared_checks(other, other.faulty) if not check.holds]
+        checks.append(_same_modes(e.faulty, other.faulty))
+    mode, reason = e.end
+    return Outcome(case, tuple(checks), e.peak, e.clean_peak, e.final, mode, reason, e.reacted)
+
+
+def _renamed(check: Check) -> Check:
+    return Check(f"{check.name}, single precision", check.measured, check.limit, check.holds)
+
+
+def _changes(signals: Signals) -> tuple[NDArray[np.intp], list[tuple[int, int]]]:
+    pairs = np.column_stack((signals.mode, signals.reason)).astype(int)
+    rows = np.flatnonzero(np.any(np.diff(pairs, axis=0) != 0, axis=1)) + 1
+    return rows, [tuple(pairs[k]) for k in (0, *rows)]
+
+
+def _same_modes(double: Signals, single: Signals) -> Check:
+    """Same modes and reasons in the same order, at most one period apart: a threshold may fall between."""
+    rows, modes = _changes(double)
+    others, same = _changes(single)
+    apart = float(np.abs(rows - others).max(initial=0)) if modes == same else np.inf
+    return Check.at_most("single precision: periods between the same modes", apart, 1)
+
+
+def run_faults(
+    bench: Bench,
+    planned: Sequence[Case],
+    *,
+    single: bool = True,
+    progress: Callable[[str], None] = lambda name: None,
+    about: dict[str, str] | None = None,
+) -> FaultTable:
+    """Run `planned` cases on the bench and return the table of their verdicts.
+
+    progress: called with the number of each fault when it begins. about: what the table is to remember.
+    """
+    return FaultTable(
+        outcomes=tuple(_outcomes(bench, planned, single, progress)),
+        about={"law_sha256": bench.law.digest, **(about or {})},
+    )
+
+
+def _outcomes(
+    bench: Bench, planned: Sequence[Case], single: bool, progress: Callable[[str], None]
+) -> Iterator[Outcome]:
+    clean: CleanRuns = {}
+    current = ""
+    for case in planned:
+        if case.fault != current:
+            current = case.fault
+            progress(current)
+        yield run_case(bench, case, single=single, clean=clean)
