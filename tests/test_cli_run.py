@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import subprocess
 import sys
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -217,15 +219,27 @@ def test_a_damaged_result_is_named(results: Path, tmp_path: Path, capsys: pytest
     assert main(["report", str(tmp_path / "empty")]) == 2
 
 
+def _until_closed(handle: int) -> bytes:
+    """Everything a pseudo-terminal shows until its other end is closed, which reads as an I/O error."""
+    shown = b""
+    with contextlib.suppress(OSError):
+        while block := os.read(handle, 4096):
+            shown += block
+    os.close(handle)
+    return shown
+
+
 def test_progress_is_shown_on_a_terminal_only_and_on_standard_error(tmp_path: Path) -> None:
     pty = pytest.importorskip("pty")
     upper, lower = pty.openpty()
     command = [sys.executable, "-m", "fraclink", "run", "--rig", "paper-2023", "--log", "demo"]
-    answer = subprocess.run(  # noqa: S603
-        [*command, "--out", str(tmp_path / "out")], stdout=subprocess.PIPE, stderr=lower, check=True
-    )
-    os.close(lower)
-    shown = os.read(upper, 100_000).decode(errors="replace")
-    os.close(upper)
+    with ThreadPoolExecutor(1) as pool:
+        # A terminal holds 4 kB: unread, it fills on a slow machine, and the command waits for ever.
+        reading = pool.submit(_until_closed, upper)
+        answer = subprocess.run(  # noqa: S603
+            [*command, "--out", str(tmp_path / "out")], stdout=subprocess.PIPE, stderr=lower, check=True
+        )
+        os.close(lower)
+        shown = reading.result().decode(errors="replace")
     assert "identifying" in shown
     assert "identifying" not in answer.stdout.decode()
