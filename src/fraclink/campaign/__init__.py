@@ -5,7 +5,8 @@ from __future__ import annotations
 from fraclink.campaign.campaign import Campaign, load_campaign, save_campaign
 from fraclink.campaign.conduct import Progress, conduct
 from fraclink.campaign.draws import Distribution, Draws, draws_for
-from fraclink.campaign.part import read_part, replay, simulate_part
+from fraclink.campaign.part import read_part, simulate_part
+from fraclink.campaign.replay import arm_of, replay
 from fraclink.campaign.summary import MetricSummary, Quantile, Summary, summarise
 
 __all__ = [
@@ -16,6 +17,7 @@ __all__ = [
     "Progress",
     "Quantile",
     "Summary",
+    "arm_of",
     "conduct",
     "draws_for",
     "load_campaign",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,14 +16,13 @@ from fraclink.campaign.links import batch_links
 from fraclink.campaign.metrics import Signals, measure_many
 from fraclink.errors import MissingExtraError
 from fraclink.files import atomic_write
-from fraclink.link import LinkModel
 from fraclink.reference import sampled, smooth_step
 
 if TYPE_CHECKING:
+    from fraclink.campaign.links import BatchLinks
     from fraclink.rig import Rig
-    from fraclink.simulate import Run
 
-__all__ = ["part_path", "read_part", "replay", "simulate_part", "write_part"]
+__all__ = ["part_path", "read_part", "simulate_part", "write_part"]
 
 Real = NDArray[np.float64]
 
@@ -35,37 +34,56 @@ def simulate_part(campaign: Campaign, part: int) -> dict[str, NDArray[np.generic
     """Return parameters and metrics of every run of a part, by column name; shape (runs of the part,)."""
     runs = campaign.part_runs(part)
     values = draw(campaign.draws, campaign.seed, part, runs)
-    values["shape"] = values["shape"] % len(SHAPES)
-    path = _unit_paths(campaign)
-    columns = [
-        _simulate_block(campaign, {k: v[at : at + BLOCK] for k, v in values.items()}, path, part, at)
-        for at in range(0, runs, BLOCK)
-    ]
+    path = unit_paths(campaign)
+    columns = [_simulate_block(campaign, values, path, part, at) for at in range(0, runs, BLOCK)]
     measured = {name: np.concatenate([c[name] for c in columns]) for name in columns[0]}
     number = np.arange(part * PART_RUNS, part * PART_RUNS + runs, dtype=np.int64)
+    values["shape"] = values["shape"] % len(SHAPES)
     return {"run": number} | {k: np.asarray(v) for k, v in values.items()} | measured
 
 
-def _unit_paths(campaign: Campaign) -> Real:
-    """Angle and acceleration of a move of 1 rad in each duration, (shapes, 2, N)."""
+def unit_paths(campaign: Campaign) -> Real:
+    """Return angle and acceleration of a move of 1 rad in each duration, (shapes, 2, N)."""
     count = round(campaign.duration / campaign.law.period) + 1
     rows = [sampled(smooth_step(1.0, d), campaign.law.period, count)[[0, 2]] for d in SHAPES]
     return np.ascontiguousarray(np.stack(rows))
 
 
+@dataclass(frozen=True)
+class Block:
+    """Runs that are simulated in one call: what the kernel takes of each. `stiff` is ϖ² of each link."""
+
+    links: BatchLinks
+    stiff: Real
+    numbers: Real
+    seeds: NDArray[np.uint64]
+    chosen: NDArray[np.int32]
+
+
+def block_of(campaign: Campaign, values: dict[str, Real], part: int, at: int) -> Block:
+    """Return the block of runs `at` … of a part; `values` are all that the part drew."""
+    own = {name: v[at : at + BLOCK] for name, v in values.items()}
+    stiff = own["stiffness"] / (own["payload"] * campaign.rig.link.length**2)
+    return Block(
+        batch_links(stiff, own["order"], campaign.law.period),
+        stiff,
+        _numbers(campaign.rig, own),
+        _seeds(campaign.seed, part, at, len(stiff)),
+        (own["shape"] % len(SHAPES)).astype(np.int32),
+    )
+
+
 def _simulate_block(
     campaign: Campaign, values: dict[str, Real], path: Real, part: int, at: int
 ) -> dict[str, NDArray[np.generic]]:
-    rig, runs, length = campaign.rig, len(values["payload"]), path.shape[2]
-    stiff = values["stiffness"] / (values["payload"] * rig.link.length**2)
-    links = batch_links(stiff, values["order"], campaign.law.period)
-    chosen = values["shape"].astype(np.int32)
+    block = block_of(campaign, values, part, at)
+    links, runs, length = block.links, len(block.stiff), path.shape[2]
     signals = np.empty((3, runs, length))
     marks = np.empty((3, runs, length), dtype=np.uint32)
     _kernels.batch_run(
         campaign.law.block,
         campaign.law.precision == "single",
-        _shared_rig(campaign),
+        shared_rig(campaign),
         links.decay,
         links.weight,
         np.ascontiguousarray(links.pair.real),
@@ -73,19 +91,20 @@ def _simulate_block(
         np.ascontiguousarray(links.pair_weight.real),
         np.ascontiguousarray(links.pair_weight.imag),
         links.first,
-        _numbers(rig, values),
-        _seeds(campaign.seed, part, at, runs),
-        chosen,
+        block.numbers,
+        block.seeds,
+        block.chosen,
         path,
         signals,
         marks,
     )
-    pole = stiff ** (1.0 / values["order"]) * np.sin(np.pi / values["order"])
+    pole = block.stiff ** (1.0 / values["order"][at : at + runs])
+    pole = pole * np.sin(np.pi / values["order"][at : at + runs])
     return measure_many(
         Signals(*signals, *marks),
-        values["amplitude"][:, None] * path[chosen, 0],
+        block.numbers[:, -1:] * path[block.chosen, 0],
         period=campaign.law.period,
-        ended=np.asarray(SHAPES)[chosen],
+        ended=np.asarray(SHAPES)[block.chosen],
         vibration_period=2.0 * np.pi / pole,
     )
 
@@ -114,65 +133,27 @@ def _seeds(seed: int, part: int, at: int, runs: int) -> NDArray[np.uint64]:
         return np.asarray(number * np.uint64(0x9E3779B97F4A7C15) + np.uint64(seed), dtype=np.uint64)
 
 
-def _shared_rig(campaign: Campaign) -> _kernels.LoopRig:
+def shared_rig(campaign: Campaign, *, numbers: Real | None = None, seed: int = 0) -> _kernels.LoopRig:
+    """Return what all runs of a campaign share, and with a run's `numbers` (columns of batch.h) all of it."""
     rig = campaign.rig
+    own = np.zeros(8) if numbers is None else numbers
     return _kernels.LoopRig(
         sampled=campaign.inner == "sampled",
         substeps=SUBSTEPS,
-        delay=0,
+        delay=int(own[6]),
         period=campaign.law.period,
         pole=campaign.law.inner_pole,
-        gain=0.0,
-        decay=0.0,
-        friction=0.0,
+        gain=float(own[1]),
+        decay=float(own[2]),
+        friction=float(own[3]),
         coupling=0.0,
         encoder=rig.encoder.resolution,
-        offset=0.0,
-        noise=0.0,
+        offset=float(own[4]),
+        noise=float(own[5]),
         limit=rig.gauge.limit,
         quantum=rig.gauge.quantum,
         start=0.0,
-        seed=0,
-    )
-
-
-def replay(campaign: Campaign, run: int) -> Run:
-    """Return run number `run` of a campaign with all its signals, through `simulate`.
-
-    The link's modes are those of `simulate` (1e-9) instead of the campaign's (2e-7), so the two agree to
-    about 1e-6 rad, not to the last bit; a chaotic stick-slip of the motor can part them.
-    """
-    from fraclink.simulate import simulate
-
-    part, at = divmod(run, PART_RUNS)
-    values = {
-        k: float(v[at])
-        for k, v in draw(campaign.draws, campaign.seed, part, campaign.part_runs(part)).items()
-    }
-    motor = campaign.rig.motor
-    arm = replace(
-        campaign.rig,
-        motor=replace(
-            motor,
-            torque_constant=motor.torque_constant * values["motor_gain"],
-            viscous_friction=motor.viscous_friction * values["viscous_friction"],
-            coulomb_torque=motor.coulomb_torque * values["coulomb_torque"],
-        ),
-    )
-    stiff = values["stiffness"] / (values["payload"] * campaign.rig.link.length**2)
-    link = LinkModel(values["stiffness"], stiff**0.5, order=values["order"], payload=values["payload"])
-    return simulate(
-        arm,
-        link,
-        campaign.law,
-        smooth_step(values["amplitude"], SHAPES[int(values["shape"] % len(SHAPES))]),
-        duration=campaign.duration,
-        inner="sampled" if campaign.inner == "sampled" else "ideal",
-        gauge_offset=values["gauge_offset"],
-        noise=campaign.rig.gauge.noise * values["noise"],
-        seed=int(_seeds(campaign.seed, part, at, 1)[0]),
-        delay_samples=int(values["delay_samples"]),
-        substeps=SUBSTEPS,
+        seed=seed,
     )
 
 

@@ -13,11 +13,10 @@ import typer
 from fraclink.cli.console import emit, emit_json, table, tell
 from fraclink.cli.options import Force, Json, RigName, load_rig
 from fraclink.cli.outcome import FAILS, HOLDS
-from fraclink.errors import FieldError
 from fraclink.files import output_path
 
 if TYPE_CHECKING:
-    from fraclink.campaign import MetricSummary, Progress, Quantile, Summary
+    from fraclink.campaign import Progress, Quantile, Summary
 
 __all__ = ["register"]
 
@@ -75,14 +74,6 @@ def replay(
 
     place = output_path(out, force=force)
     campaign = load_campaign(parts)
-    if not 0 <= run < campaign.runs:
-        raise FieldError(
-            "run",
-            run,
-            "not in the campaign",
-            allowed=f"0 … {campaign.runs - 1}",
-            remedy="give a run's number",
-        )
     found = repeat(campaign, run)
     found.save(place)
     told = {"run": run, "holds": found.verdict.holds, "verdict": str(found.verdict), "out": str(place)}
@@ -121,10 +112,6 @@ def _text(summary: Summary, parts: Path) -> str:
     ]
     trips = [f"{count} runs: {MODES[mode]} ({REASONS[reason]})" for mode, reason, count in summary.trips]
     return "\n".join([table(header, rows), "", *worst, "", *trips, summary.failure.sentence])
-
-
-def _drivers(metric: MetricSummary) -> str:
-    return ", ".join(f"{name} {correlation:+.2f}" for name, correlation in metric.drivers[:2])
 
 
 def _as_json(summary: Summary) -> dict[str, object]:

@@ -20,7 +20,7 @@ from fraclink.simulate.run import Run, Settings
 if TYPE_CHECKING:
     from fraclink.rig import Rig
 
-__all__ = ["simulate"]
+__all__ = ["judged", "simulate"]
 
 Inner = Literal["ideal", "sampled"]
 
@@ -140,10 +140,10 @@ def simulate(
         signals,
         marks,
     )
-    return _judged(law, link, path[0], signals, marks, settings, min(ended, (count - 1) * law.period))
+    return judged(law, link, path[0], signals, marks, settings, min(ended, (count - 1) * law.period))
 
 
-def _judged(
+def judged(
     law: Law,
     link: LinkModel,
     reference: np.ndarray,
@@ -152,6 +152,7 @@ def _judged(
     settings: Settings,
     ended: float,
 ) -> Run:
+    """Return a run from what the kernel wrote: its signals (7, N) and marks (3, N), measured and judged."""
     tip, motor, motor_reference, torque, measured, voltage, estimate = signals
     flags, mode, reason = marks
     time = law.period * np.arange(len(tip), dtype=np.float64)

@@ -1,0 +1,36 @@
+"""A small campaign, and its command line as a process that can be killed."""
+
+from __future__ import annotations
+
+import functools
+import subprocess
+import sys
+from pathlib import Path
+
+import fraclink as fl
+from fraclink.campaign import Campaign
+
+
+@functools.cache
+def small(runs: int = 2500, seed: int = 7) -> Campaign:
+    """The paper's arm under our own order-4 law: three parts, the last one half full."""
+    rig = fl.Rig.named("paper-2023")
+    law = fl.Controller(gain=0.069876, order=0.612197, link=rig.model).discretize(rig.period, order=4)
+    return Campaign.of(rig, rig.model, law, runs=runs, seed=seed)
+
+
+def started(out: Path, *, runs: int, workers: int = 2, seed: int = 7) -> subprocess.Popen[str]:
+    """The command `campaign montecarlo` in a session of its own, so that its workers die with it."""
+    line = ["campaign", "montecarlo", "--out", str(out), "--runs", str(runs), "--seed", str(seed)]
+    return subprocess.Popen(  # noqa: S603 - our own command
+        [sys.executable, "-m", "fraclink", *line, "--workers", str(workers)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+
+
+def parts_of(folder: Path) -> dict[str, bytes]:
+    """Bytes of every finished part by name."""
+    return {path.name: path.read_bytes() for path in sorted(folder.glob("part-*.parquet"))}

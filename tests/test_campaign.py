@@ -1,0 +1,194 @@
+"""Monte Carlo campaigns: what is drawn, simulated and measured is what one run alone would be."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import fraclink as fl
+from campaigns import small
+from fraclink.campaign import Campaign, Distribution, arm_of, draws_for, replay, simulate_part
+from fraclink.campaign.draws import draw
+from fraclink.campaign.links import batch_links
+from fraclink.campaign.metrics import Signals, measure_many
+from fraclink.errors import FieldError, SizeError
+from fraclink.link import LinkModel
+from fraclink.simulate.metrics import measure
+from fraclink.simulate.plant import POWERS, link_weights
+
+METRICS = ("overshoot", "settling_time", "residual_vibration", "steady_state_error", "peak_tip_error")
+METRICS += ("peak_voltage", "motor_reference_noise", "saturated")
+
+
+def test_draws_depend_on_seed_and_part_only():
+    draws = small().draws
+    first, again = draw(draws, 7, 3, 1000), draw(draws, 7, 3, 1000)
+    assert all(np.array_equal(first[name], again[name]) for name in first)
+    for other in (draw(draws, 8, 3, 1000), draw(draws, 7, 4, 1000)):
+        assert not np.intersect1d(first["payload"], other["payload"]).size
+
+
+def test_draws_follow_their_distributions():
+    from scipy.stats import kstest, truncnorm
+
+    draws = replace(small().draws, delay_samples=Distribution("whole", 0, 2))
+    values = draw(draws, 1, 0, 20_000)
+    payload, stiffness = draws.payload, draws.stiffness
+    for name in values.keys() - {"shape", "delay_samples"}:
+        about: Distribution = getattr(draws, name)
+        assert values[name].min() >= about.low and values[name].max() <= about.high
+    assert kstest(values["payload"], "uniform", (payload.low, payload.high - payload.low)).pvalue > 1e-3
+    mean, deviation = 0.5 * (stiffness.low + stiffness.high), (stiffness.high - stiffness.low) / 8
+    assert kstest(values["stiffness"], truncnorm(-4, 4, mean, deviation).cdf).pvalue > 1e-3
+    assert np.bincount(values["delay_samples"].astype(int), minlength=3).min() > 6000
+
+
+@pytest.mark.parametrize(
+    ("kind", "low", "high"),
+    [("cauchy", 0.0, 1.0), ("uniform", 1.0, 0.0), ("uniform", 0.0, np.inf), ("whole", 0.5, 2.0)],
+)
+def test_impossible_distributions_are_refused(kind, low, high):
+    with pytest.raises(FieldError):
+        Distribution(kind, low, high)
+
+
+@pytest.mark.parametrize("name", ["payload", "order", "noise"])
+def test_impossible_draws_are_refused(name):
+    with pytest.raises(FieldError, match=name):
+        replace(small().draws, **{name: Distribution("uniform", -1.0, 3.0)})
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "error"),
+    [
+        ("runs", 0, FieldError),
+        ("runs", 2.5, FieldError),
+        ("runs", 10**10, SizeError),
+        ("seed", -1, FieldError),
+        ("inner", "perfect", FieldError),
+        ("duration", 0.1, FieldError),
+        ("model", LinkModel(1.56, 11.0, damping=0.3), FieldError),
+    ],
+)
+def test_impossible_campaigns_are_refused(field, value, error):
+    with pytest.raises(error, match=field):
+        replace(small(), **{field: value})
+
+
+def link_answers(decay, weight, pair, pair_weight, first, count):
+    """Tip after each of `count` periods of a motor that goes as xʲ in the first, then stands."""
+    answers = np.zeros((POWERS, count))
+    for j in range(POWERS):
+        x, z = np.zeros(len(decay)), np.zeros(len(pair), dtype=complex)
+        for k in range(count):
+            q = np.eye(POWERS)[j] if k == 0 else np.eye(POWERS)[0]
+            x, z = decay * x + q @ weight, pair * z + q @ pair_weight
+            answers[j, k] = first @ q + x.sum() + z.sum().real
+    return answers
+
+
+@pytest.mark.parametrize("order", [1.5, 1.9, 1.92, 1.94, 2.0])
+def test_batch_links_are_the_links_of_simulate(order):
+    stiff = np.array([60.0, 123.1, 400.0])
+    links = batch_links(stiff, np.full(3, order), 0.004)
+    for i, value in enumerate(stiff):
+        exact = link_weights(LinkModel(1.56, value**0.5, order=order), 0.004, 20.0)
+        wanted = link_answers(exact.decay, exact.weight, exact.pair, exact.pair_weight, exact.first, 1500)
+        row = (links.decay[i], links.weight[i], links.pair[i], links.pair_weight[i], links.first[i])
+        assert np.abs(link_answers(*row, 1500) - wanted).max() < 3e-7
+
+
+def test_a_link_too_fast_for_the_period_is_refused():
+    with pytest.raises(FieldError, match="period"):
+        batch_links(np.array([1e7]), np.array([1.92]), 0.004)
+
+
+def varied_delay() -> Campaign:
+    return replace(small(), draws=replace(small().draws, delay_samples=Distribution("whole", 0, 1)))
+
+
+def test_a_run_of_a_part_is_the_run_that_replay_repeats():
+    campaign = varied_delay()
+    part = simulate_part(campaign, 2)
+    assert part["run"].tolist() == list(range(2000, 2500))
+    for at in (0, 1, 49, 50, 263, 499):
+        run = replay(campaign, 2000 + at)
+        for name in METRICS:
+            assert float(part[name][at]) == pytest.approx(getattr(run.metrics, name), rel=1e-9, abs=1e-12)
+        assert bool(part["holds"][at]) == bool(run.verdict), at
+
+
+def test_a_run_is_what_simulate_says_of_its_arm():
+    campaign = varied_delay()
+    part = simulate_part(campaign, 2)
+    apart = []
+    for at in range(0, 500, 41):
+        rig, link, own = arm_of(campaign, 2000 + at)
+        run = fl.simulate(
+            rig,
+            link,
+            campaign.law,
+            fl.smooth_step(own["amplitude"], (0.5, 0.75, 1.0)[int(own["shape"] % 3)]),
+            duration=campaign.duration,
+            inner="sampled",
+            gauge_offset=own["gauge_offset"],
+            noise=rig.gauge.noise * own["noise"],
+            seed=replay(campaign, 2000 + at).settings.seed,
+            delay_samples=int(own["delay_samples"]),
+        )
+        apart.append(abs(run.metrics.peak_tip_error - float(part["peak_tip_error"][at])))
+    # The links differ by 2e-7; where that turns a count of the encoder, a motor that sticks keeps it.
+    assert np.median(apart) < 2e-5 and max(apart) < 2e-3
+
+
+def test_a_run_that_is_not_there_cannot_be_replayed():
+    with pytest.raises(FieldError, match="run: 2500"):
+        replay(small(), 2500)
+
+
+def test_many_runs_are_measured_as_one_is():
+    rng = np.random.default_rng(3)
+    time = 0.004 * np.arange(700)
+    move = np.where(np.arange(24) % 2, 0.7, -1.1)[:, None]
+    reference = move * np.clip(time / 0.5, 0, 1)
+    ring = np.exp(-rng.uniform(0.2, 6, (24, 1)) * time) * np.sin(rng.uniform(8, 15, (24, 1)) * time)
+    tip = reference + 0.2 * ring + 1e-3 * rng.standard_normal(reference.shape)
+    flags = (rng.random(tip.shape) < 0.01).astype(np.uint32) * 64
+    mode = np.ones(tip.shape, dtype=np.uint32)
+    reason = np.zeros(tip.shape, dtype=np.uint32)
+    mode[5, 300:], reason[5, 300:] = 3, 8
+    ended, vibration = np.full(24, 0.5), rng.uniform(0.4, 0.7, 24)
+    signals = Signals(tip, 2 * tip, 3 * tip, flags, mode, reason)
+    many = measure_many(signals, reference, period=0.004, ended=ended, vibration_period=vibration)
+    for r in range(24):
+        saturated = flags[r] != 0
+        arrays = (time, reference[r], tip[r], 2 * tip[r], 3 * tip[r], saturated)
+        one = measure(*arrays, ended=0.5, vibration_period=float(vibration[r]))
+        for name in METRICS:
+            assert many[name][r] == pytest.approx(getattr(one, name), rel=1e-9, abs=1e-12), (name, r)
+    assert (many["mode"][5], many["reason"][5], bool(many["holds"][5])) == (3, 8, False)
+    assert (many["mode"][4], many["reason"][4]) == (1, 0)
+    assert 0 < np.isfinite(many["settling_time"]).sum() < 24  # both kinds were met
+
+
+def test_the_law_that_does_not_hold_is_counted():
+    rig = fl.Rig.named("paper-2023")
+    wild = fl.Controller(gain=3.0, order=0.9, link=rig.model).discretize(rig.period, order=4)
+    part = simulate_part(Campaign.of(rig, rig.model, wild, runs=64), 0)
+    assert not part["holds"].any() and (part["mode"] != 1).any()
+
+
+def test_an_ideal_motor_loop_is_run_too():
+    ideal = Campaign.of(small().rig, small().model, small().law, runs=19, seed=2, inner="ideal")
+    part = simulate_part(ideal, 0)
+    for at in (0, 9, 18):  # in a group of eight, and in the rest of a block
+        run = replay(ideal, at)
+        assert part["peak_tip_error"][at] == pytest.approx(run.metrics.peak_tip_error, rel=1e-9)
+        assert part["peak_voltage"][at] == pytest.approx(run.metrics.peak_voltage, rel=1e-9)
+
+
+def test_defaults_stay_in_the_models_range():
+    rig = fl.Rig.named("paper-2023")
+    assert draws_for(rig, LinkModel(1.56, 11.0, order=2.0)).order == Distribution("normal", 2.0, 2.0)
