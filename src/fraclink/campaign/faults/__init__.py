@@ -5,6 +5,7 @@ from __future__ import annotations
 from fraclink.campaign.faults.campaign import cases, observe, run_case, run_faults
 from fraclink.campaign.faults.catalogue import CATALOGUE, fault_named
 from fraclink.campaign.faults.nouns import PHASES, Case, Check, Fault, Outcome
+from fraclink.campaign.faults.soak import Soak, soak
 from fraclink.campaign.faults.table import FaultTable, Row
 from fraclink.campaign.faults.trial import Bench
 
@@ -18,9 +19,11 @@ __all__ = [
     "FaultTable",
     "Outcome",
     "Row",
+    "Soak",
     "cases",
     "fault_named",
     "observe",
     "run_case",
     "run_faults",
+    "soak",
 ]

@@ -66,8 +66,9 @@ def _motor(axis: Axes, e: Evidence) -> None:
     axis.plot(e.faulty.time, e.faulty.motor, color=_CLEAN, label="motor, true")
     axis.plot(e.faulty.time, e.faulty.encoder, color=_EVENT, linewidth=0.6, label="encoder")
     axis.plot(e.faulty.time, e.faulty.command, color=_FAULTY, linewidth=0.8, label="motor reference")
-    span = max(abs(float(e.faulty.motor.min())), abs(float(e.faulty.motor.max())), 1.0)
-    axis.set_ylim(-1.2 * span, 1.2 * span)  # an encoder in degrees would flatten everything else
+    low, high = float(e.faulty.motor.min()), float(e.faulty.motor.max())
+    edge = 0.2 * max(high - low, 0.5)
+    axis.set_ylim(low - edge, high + edge)  # an encoder in degrees would flatten everything else
     axis.set_ylabel("motor [rad]", fontsize=8)
     axis.legend(fontsize=8, frameon=False, loc="best")
 

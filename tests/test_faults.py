@@ -1,0 +1,188 @@
+"""The fault campaign: complete, repeatable, and its verdicts turn when a guard is taken out."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import fraclink as fl
+from fraclink.campaign.faults import (
+    CATALOGUE,
+    Bench,
+    Case,
+    FaultTable,
+    cases,
+    fault_named,
+    observe,
+    run_case,
+    run_faults,
+    soak,
+)
+from fraclink.campaign.faults.evidence import shared_checks
+from fraclink.errors import FieldError, FileFormatError
+from fraclink.twin import geared
+
+# Open points of the shipped law on this arm; docs/how-to/run-a-fault-campaign.md gives their values.
+OPEN = {"F06", "F07", "F08", "F11", "F21", "F23", "F24", "F25", "F27", "F28", "F29", "F30", "F38", "F40"}
+WIDE = 1e3
+
+
+@pytest.fixture(scope="module")
+def bench() -> Bench:
+    rig = geared(fl.Rig.named("paper-2023"))
+    plan = fl.design(rig.model, rig, payloads=(0.020, 0.040), gain_crossover=12.0, phase_margin=fl.deg(50))
+    return Bench.of(plan, link_mass=0.00735)
+
+
+@pytest.fixture(scope="module")
+def table(bench: Bench) -> FaultTable:
+    return run_faults(bench, cases(bench, severities=(2,), payloads=(0.03,)))
+
+
+def loosened(bench: Bench, **limits: float) -> Bench:
+    return bench.with_law(replace(bench.law, limits=replace(bench.law.limits, **limits)))
+
+
+def test_the_catalogue_is_complete() -> None:
+    assert [fault.number for fault in CATALOGUE] == [f"F{k:02}" for k in range(1, 45)]
+    assert all(len(set(fault.severities)) == 3 for fault in CATALOGUE)
+    assert all(fault.injection and fault.required and fault.checks for fault in CATALOGUE)
+    assert {fault.reaction for fault in CATALOGUE} == {"A", "B", "C", "D", "-"}
+
+
+def test_every_fault_has_a_verdict_and_no_new_one_is_open(table: FaultTable) -> None:
+    assert [row.number for row in table.rows()] == [fault.number for fault in CATALOGUE]
+    assert all(len(outcome.checks) >= 5 for outcome in table.outcomes)
+    assert {outcome.case.fault for outcome in table.failures} <= OPEN
+
+
+def test_outputs_are_finite_and_in_limits_in_every_run(table: FaultTable) -> None:
+    for outcome in table.outcomes:
+        broken = [check.name for check in outcome.failed if check.name.startswith(("G1", "G2"))]
+        assert broken == [], outcome.case.name
+
+
+def test_both_precisions_take_the_same_modes(table: FaultTable) -> None:
+    for outcome in table.outcomes:
+        assert outcome.checks[-1].name.startswith("single precision"), outcome.case.name
+        assert outcome.checks[-1].holds, outcome.case.name
+
+
+@pytest.mark.parametrize(
+    ("name", "limits"),
+    [
+        (Case("F18", 3, 0.03, "mid", 1), {"torque_step": WIDE}),  # A: spikes are let through
+        (Case("F36", 1, 0.03, "mid", 1), {"angle_step": WIDE, "angle_limit": WIDE, "residual_angle": WIDE}),
+        (Case("F09", 1, 0.03, "mid", 1), {"torque_limit": WIDE, "torque_step": WIDE}),  # B
+        (Case("F10", 2, 0.03, "mid", 1), {"torque_step": WIDE}),  # B, by the slew test
+        (
+            Case("F35", 2, 0.03, "whole", 1),
+            {"angle_step": WIDE, "residual_angle": WIDE},
+        ),  # D, by the residual
+    ],
+)
+def test_a_guard_that_is_removed_turns_the_verdict(
+    bench: Bench, name: Case, limits: dict[str, float]
+) -> None:
+    assert run_case(bench, name, single=False).holds
+    assert not run_case(loosened(bench, **limits), name, single=False).holds
+
+
+@pytest.mark.parametrize(
+    ("case", "limits"),
+    [
+        (Case("F04", 2, 0.03, "mid", 1), {"bad_limit": 10**6}),  # D: dead sensors are waited for
+        (Case("F22", 3, 0.03, "mid", 1), {"missed_limit": 10**6}),  # D: a dead task is forgiven
+    ],
+)
+def test_a_counter_that_never_ends_turns_the_verdict(
+    bench: Bench, case: Case, limits: dict[str, int]
+) -> None:
+    assert run_case(bench, case, single=False).holds
+    assert not run_case(loosened(bench, **limits), case, single=False).holds
+
+
+def test_a_blocked_link_is_held_where_the_limit_is_low_enough(bench: Bench) -> None:
+    case = Case("F40", 3, 0.03, "mid", 1)  # C
+    assert run_case(loosened(bench, torque_trip=0.3), case, single=False).holds
+    assert not run_case(loosened(bench, torque_trip=WIDE), case, single=False).holds
+
+
+@pytest.mark.parametrize(
+    "number",
+    [f"F{k:02}" for k in (1, 2, 3, 4, 5, 7, 9, 10, 16, 18, 21, 22, 23, 25, 26, 31, 32, 34, 35, 36, 37, 44)],
+)
+def test_a_run_in_which_nothing_happened_does_not_pass(bench: Bench, number: str) -> None:
+    fault = fault_named(number)
+    case = next(iter(cases(bench, only=[number], severities=(2,), payloads=(0.03,))))
+    e = observe(bench, case, bench.law)
+    e = replace(e, faulty=e.clean)
+    assert not all(check(e).holds for check in fault.checks)
+
+
+def test_the_shared_criteria_see_what_they_are_for(bench: Bench) -> None:
+    e = observe(bench, Case("F02", 1, 0.03, "mid", 1), bench.law)
+    assert all(check.holds for check in shared_checks(e, e.faulty))
+    for field, value in (("command", math.nan), ("command", 50.0), ("asked", 11.0), ("command", 0.8)):
+        values = np.array(getattr(e.faulty, field))
+        values[100] = value
+        assert not all(check.holds for check in shared_checks(e, replace(e.faulty, **{field: values})))
+
+
+def test_a_run_repeats_to_the_last_bit(bench: Bench) -> None:
+    planned = cases(bench, only=["F06", "F18", "F29"], severities=(3,), payloads=(0.02,), seeds=(3,))
+    table = run_faults(bench, planned)
+    for outcome in reversed(table.outcomes):
+        assert run_case(bench, outcome.case) == outcome
+    other = run_case(bench, replace(planned[0], seed=4))
+    assert other.peak != table.outcomes[0].peak
+
+
+def test_the_table_comes_back_equal(table: FaultTable, tmp_path) -> None:
+    place = tmp_path / "faults.json"
+    table.save(place)
+    assert FaultTable.load(place) == table
+    place.write_text(place.read_text("utf-8").replace('"severity": 2', '"severity": 7'), "utf-8")
+    with pytest.raises(FileFormatError):
+        FaultTable.load(place)
+
+
+def test_the_page_names_every_fault_and_what_is_open(table: FaultTable) -> None:
+    page = table.markdown()
+    assert all(f"| {fault.number} |" in page for fault in CATALOGUE)
+    assert all(row.worst in page for row in table.rows())
+
+
+@pytest.mark.parametrize(
+    ("options", "field"),
+    [
+        ({"only": ["F45"]}, "only"),
+        ({"severities": (4,)}, "severity"),
+        ({"phases": ("night",)}, "phase"),
+        ({"only": ["F08"], "phases": ("mid",)}, "phase"),
+        ({"payloads": (-0.02,)}, "payload"),
+        ({"seeds": (-1,)}, "seed"),
+    ],
+)
+def test_bad_requests_name_the_field(bench: Bench, options: dict[str, object], field: str) -> None:
+    with pytest.raises(FieldError) as caught:
+        cases(bench, **options)
+    assert caught.value.field == field
+
+
+@pytest.mark.parametrize("precision", ["double", "single"])
+def test_a_clean_arm_is_left_alone(bench: Bench, precision) -> None:
+    made = bench.with_law(bench.law.in_precision(precision))
+    for payload in bench.payloads:
+        result = soak(made, payload, periods=50_000)
+        assert (result.periods, result.trips, result.flagged) == (50_000, 0, 0)
+
+
+def test_the_soak_sees_trips(bench: Bench) -> None:
+    result = soak(loosened(bench, residual_angle=1e-4), 0.03, periods=2_000)
+    assert result.trips > 0 and result.flagged > 0
+    with pytest.raises(FieldError):
+        soak(bench, 0.03, periods=0)

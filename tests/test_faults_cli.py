@@ -1,0 +1,67 @@
+"""`fraclink campaign faults`: exit codes, files, and the command that repeats one run."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from pathlib import Path
+
+import pytest
+
+from fraclink.campaign.faults import FaultTable
+from fraclink.cli.app import run
+from fraclink.npz import read_npz
+
+ARM = ["campaign", "faults", "--rig", "paper-2023", "--gear", "50", "--link-mass", "0.00735"]
+ONE = ["--severity", "2", "--payload", "0.03", "--phase", "mid"]
+
+
+def test_a_fault_that_is_met_exits_with_0(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "met"
+    assert run([*ARM, *ONE, "--only", "F02", "--out", str(out)]) == 0
+    assert "1 of 1 faults" in capsys.readouterr().out
+    assert FaultTable.load(out / "faults.json").holds
+    assert not (out / "figures").exists()
+    about, signals = read_npz(out / "run.npz", "fault-run", (1,))
+    assert about["case"] == "F02-2-30g-mid-1" and len(signals["tip"]) == 1751
+    # A result is not overwritten unless asked to.
+    assert run([*ARM, *ONE, "--only", "F02", "--out", str(out)]) == 2
+    assert "--force" in capsys.readouterr().err
+
+
+def test_an_open_fault_exits_with_1_and_its_command_repeats_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    given = ["--only", "F40", "--severity", "3", "--phase", "mid", "--payload", "0.02", "--payload", "0.03"]
+    assert run([*ARM, *given, "--seed", "3", "--out", "first", "--json"]) == 1
+    told = json.loads(capsys.readouterr().out)
+    assert told["holds"] is False and told["faults"] == {"F40": {"runs": 2, "open": 2}}
+    for name in ("F40-3-20g-mid-3", "F40-3-30g-mid-3"):
+        figure = tmp_path / "first" / "figures" / f"{name}.svg"
+        assert figure.read_text("utf-8").lstrip().startswith("<?xml")
+    words = shlex.split(told["open"][1]["replay"])
+    assert words[0] == "fraclink"
+    assert run(words[1:]) == 1
+    again = FaultTable.load(tmp_path / "F40-3-30g-mid-3" / "faults.json")
+    assert again.outcomes == FaultTable.load(tmp_path / "first" / "faults.json").outcomes[1:]
+    first = (tmp_path / "first" / "figures" / "F40-3-30g-mid-3.svg").read_bytes()
+    assert (tmp_path / "F40-3-30g-mid-3" / "figures" / "F40-3-30g-mid-3.svg").read_bytes() == first
+
+
+@pytest.mark.parametrize(
+    ("words", "field"),
+    [
+        ([*ARM, "--only", "F99"], "only"),
+        ([*ARM, "--only", "F08", "--phase", "start"], "phase"),
+        ([*ARM, "--severity", "0"], "severity"),
+        (["campaign", "faults"], "design"),
+        (["campaign", "faults", "--design", "missing.json"], "missing.json"),
+    ],
+)
+def test_bad_requests_exit_with_2(
+    words: list[str], field: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run([*words, "--out", str(tmp_path / "none")]) == 2
+    assert field in capsys.readouterr().err
+    assert not (tmp_path / "none").exists()
