@@ -20,6 +20,7 @@ __all__ = ["Progress", "conduct"]
 PATIENCE = (
     5  # pools that die one after the other without a single part done: something kills every one of them
 )
+CONNECT = 10  # [s] to reach a scheduler
 IN_FLIGHT = 2  # parts handed out per worker: one computed, one waiting, so that a worker never idles
 
 
@@ -172,7 +173,17 @@ def _on_cluster(place: Path, missing: list[int], scheduler: str | None) -> Gener
         from distributed import Client, as_completed
     except ImportError as error:
         raise MissingExtraError("distributed", "cluster") from error
-    with Client(scheduler, timeout=10) as client:
+    try:
+        client = Client(scheduler, timeout=CONNECT)
+    except (OSError, ValueError) as error:
+        raise FieldError(
+            "scheduler",
+            scheduler,
+            "not answering",
+            allowed="the address of a running Dask scheduler, e.g. tcp://127.0.0.1:8786",
+            remedy="start one: dask scheduler; dask worker ADDRESS",
+        ) from error
+    with client:
         # retries: Dask gives the parts of a worker that died to another one
         futures = client.map(compute, [str(place.resolve())] * len(missing), missing, pure=False, retries=3)
         for future in as_completed(futures):

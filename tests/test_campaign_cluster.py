@@ -1,0 +1,86 @@
+"""A campaign on a real local cluster: scheduler and workers, each a process of its own, one killed."""
+
+from __future__ import annotations
+
+import contextlib
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from campaigns import parts_of, small
+from fraclink.campaign import conduct
+from fraclink.cli import main
+from fraclink.errors import MissingExtraError
+from needed_tools import missing
+
+
+def spawn(module: str, *arguments: str) -> subprocess.Popen[bytes]:
+    return subprocess.Popen(  # noqa: S603 - our own interpreter
+        [sys.executable, "-m", module, *arguments], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
+
+
+@contextlib.contextmanager
+def cluster(folder: Path, workers: int) -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]:
+    """A scheduler on a free port of this machine and its workers; all ended afterwards."""
+    about = folder / "scheduler.json"
+    free = ["--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--no-jupyter"]
+    scheduler = spawn("distributed.cli.dask_scheduler", *free, "--scheduler-file", str(about))
+    started: list[subprocess.Popen[bytes]] = []
+    try:
+        until = time.monotonic() + 30
+        while not about.exists():
+            assert time.monotonic() < until, "the scheduler does not start"
+            time.sleep(0.05)
+        one = ["--scheduler-file", str(about), "--nthreads", "1", "--no-nanny", "--no-dashboard"]
+        place = ["--local-directory", str(folder), "--host", "127.0.0.1"]
+        started = [spawn("distributed.cli.dask_worker", *one, *place) for _ in range(workers)]
+        import json
+
+        time.sleep(0.1)
+        yield json.loads(about.read_text())["address"], started
+    finally:
+        for process in (*started, scheduler):
+            process.kill()
+            process.wait()
+
+
+def test_a_cluster_gives_the_same_bytes_though_a_worker_dies(tmp_path):
+    try:
+        import distributed  # noqa: F401
+    except ImportError:
+        missing("distributed is not installed (extra cluster)")
+    killed = []
+    with cluster(tmp_path, 2) as (address, workers):
+
+        def kill_one(_: object) -> None:
+            if not killed:
+                workers[0].kill()
+                killed.append(workers[0].pid)
+
+        done = conduct(small(5500), tmp_path / "cluster", scheduler=address, watch=kill_one)
+    conduct(small(5500), tmp_path / "here", workers=2)
+    assert killed and done.done == 5500
+    assert parts_of(tmp_path / "cluster") == parts_of(tmp_path / "here")
+
+
+def test_a_scheduler_that_is_not_there_is_told(tmp_path, capsys, monkeypatch):
+    try:
+        import distributed  # noqa: F401
+    except ImportError:
+        missing("distributed is not installed (extra cluster)")
+    module = sys.modules["fraclink.campaign.conduct"]
+    monkeypatch.setattr(module, "CONNECT", 1)
+    line = ["campaign", "montecarlo", "--runs", "10", "--out", str(tmp_path / "parts")]
+    assert main([*line, "--scheduler", "tcp://127.0.0.1:9"]) == 2
+    assert "scheduler" in capsys.readouterr().err
+
+
+def test_without_the_extra_the_remedy_is_named(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(MissingExtraError, match="cluster"):
+        conduct(small(), tmp_path, scheduler="tcp://127.0.0.1:8786")

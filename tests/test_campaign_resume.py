@@ -1,0 +1,305 @@
+"""Campaigns that are killed, damaged or out of room: the same bytes in the end, nothing done twice."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import random
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from campaigns import parts_of, small, started
+from fraclink.campaign import conduct, load_campaign, read_part, save_campaign
+from fraclink.campaign import part as part_module
+from fraclink.campaign.conduct import compute
+from fraclink.cli import main
+from fraclink.errors import FieldError, FileFormatError, NotConvergedError
+
+RUNS = 8000
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory) -> Path:
+    """A finished campaign of three parts."""
+    folder = tmp_path_factory.mktemp("whole")
+    conduct(small(), folder)
+    return folder
+
+
+@pytest.fixture
+def copy(whole, tmp_path) -> Path:
+    folder = tmp_path / "copy"
+    shutil.copytree(whole, folder)
+    return folder
+
+
+def identities(folder: Path) -> dict[str, tuple[int, int]]:
+    """Inode and time of writing of every part: what changes when it is written again."""
+    found = {}
+    for path in folder.glob("part-*.parquet"):
+        about = path.stat()
+        found[path.name] = (about.st_ino, about.st_mtime_ns)
+    return found
+
+
+def kill_after(folder: Path, delay: float, parts: int) -> dict[str, tuple[int, int]]:
+    """Start the command, wait for `parts` more parts and `delay` seconds, kill it and its workers."""
+    there = len(identities(folder)) if folder.exists() else 0
+    process = started(folder, runs=RUNS)
+    try:
+        until = time.monotonic() + 60
+        while len(identities(folder)) < there + parts and process.poll() is None:
+            assert time.monotonic() < until, "no part within a minute"
+            time.sleep(0.01)
+        time.sleep(delay)
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+        process.communicate()
+    return identities(folder)
+
+
+def resumed(folder: Path, kills: int) -> None:
+    """Kill a campaign `kills` times at random, finish it, and compare it with one that nobody disturbed."""
+    rng = random.Random(4)  # noqa: S311 - moments, not secrets
+    kept: dict[str, tuple[int, int]] = {}
+    for _ in range(kills):
+        left = kill_after(folder, rng.uniform(0.0, 0.3), rng.randrange(2))
+        assert kept.items() <= left.items()
+        kept = left
+    process = started(folder, runs=RUNS)
+    out, err = process.communicate(timeout=120)
+    assert process.returncode in (0, 1), err
+    assert kept.items() <= identities(folder).items()
+    assert len(identities(folder)) == RUNS // 1000 and f"of {RUNS} runs" in out
+
+
+def undisturbed(folder: Path) -> dict[str, bytes]:
+    process = started(folder, runs=RUNS, workers=1)
+    _, err = process.communicate(timeout=120)
+    assert process.returncode in (0, 1), err
+    return parts_of(folder)
+
+
+def test_killed_campaigns_resume_to_the_same_bytes(tmp_path):
+    resumed(tmp_path / "killed", 2)
+    assert parts_of(tmp_path / "killed") == undisturbed(tmp_path / "alone")
+
+
+@pytest.mark.slow
+def test_five_kills_leave_the_same_bytes(tmp_path):
+    resumed(tmp_path / "killed", 5)
+    assert parts_of(tmp_path / "killed") == undisturbed(tmp_path / "alone")
+
+
+def test_two_workers_write_the_bytes_of_one(whole, tmp_path):
+    seen = []
+    done = conduct(small(), tmp_path / "two", workers=2, watch=seen.append)
+    assert parts_of(tmp_path / "two") == parts_of(whole) and len(parts_of(whole)) == 3
+    assert (done.before, done.done, done.runs) == (0, 2500, 2500) and len(seen) == 3
+
+
+def test_a_longer_campaign_goes_on(copy, whole, tmp_path):
+    kept = identities(copy)
+    longer = replace(small(), runs=3000)
+    assert conduct(longer, copy).before == 2000  # the last part was half full: it is done again
+    assert {n: v for n, v in identities(copy).items() if n[5:12] < "0000002"} == {
+        n: v for n, v in kept.items() if n[5:12] < "0000002"
+    }
+    assert load_campaign(copy).runs == 3000
+    conduct(longer, tmp_path / "new")
+    assert parts_of(copy) == parts_of(tmp_path / "new")
+
+
+def test_a_worker_that_is_killed_is_replaced(tmp_path, whole):
+    folder, children = tmp_path / "parts", Path(f"/proc/self/task/{os.getpid()}/children")
+    if not children.exists():
+        pytest.skip("/proc does not list children on this system")
+    killed = []
+
+    def kill_one(_: object) -> None:
+        for child in map(int, children.read_text().split()):
+            command = Path(f"/proc/{child}/cmdline").read_bytes()
+            if not killed and b"spawn_main" in command:
+                os.kill(child, signal.SIGKILL)
+                killed.append(child)
+
+    conduct(small(), folder, workers=2, watch=kill_one)
+    assert killed and parts_of(folder) == parts_of(whole)
+
+
+def test_workers_that_always_die_end_the_campaign(tmp_path, monkeypatch):
+    from concurrent.futures.process import BrokenProcessPool
+
+    module = sys.modules["fraclink.campaign.conduct"]  # the function hides the module of its name
+
+    def broken(*_: object):
+        raise BrokenProcessPool("died")
+        yield
+
+    monkeypatch.setattr(module, "_one_pool", broken)
+    with pytest.raises(NotConvergedError, match="workers"):
+        conduct(small(), tmp_path / "parts", workers=2)
+
+
+def truncate(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:-100])
+
+
+def flip(path: Path) -> None:
+    data = bytearray(path.read_bytes())
+    data[len(data) // 3] ^= 0x10
+    path.write_bytes(data)
+
+
+def empty(path: Path) -> None:
+    path.write_bytes(b"")
+
+
+def take_anothers(path: Path) -> None:
+    other = replace(small(), seed=8)
+    part_module.write_part(other, path.parent, int(path.stem[5:]))
+
+
+@pytest.mark.parametrize("damage", [truncate, flip, empty, take_anothers])
+def test_a_damaged_part_is_done_again(copy, whole, damage):
+    kept = identities(copy)
+    path = copy / "part-0000001.parquet"
+    damage(path)
+    assert path.read_bytes() != (whole / path.name).read_bytes()
+    assert read_part(small(), copy, 1) is None
+    assert conduct(small(), copy).before == 1500
+    assert parts_of(copy) == parts_of(whole)
+    others = {n: v for n, v in kept.items() if n != path.name}
+    assert others.items() <= identities(copy).items()
+
+
+def test_every_flipped_byte_is_noticed(copy, whole):
+    path = copy / "part-0000002.parquet"
+    good, wanted = path.read_bytes(), read_part(small(), whole, 2)
+    rng = random.Random(5)  # noqa: S311 - places, not secrets
+    for at in rng.sample(range(len(good)), 60):
+        data = bytearray(good)
+        data[at] ^= 1 << rng.randrange(8)
+        path.write_bytes(data)
+        found = read_part(small(), copy, 2)
+        # A byte that no value depends on (a comment of the writer, say) may pass; a number never.
+        same = found is not None and all((found[n] == wanted[n]).all() for n in wanted)
+        assert found is None or same, at
+
+
+def edit(folder: Path, **changes: object) -> None:
+    path = folder / "campaign.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | changes))
+
+
+@pytest.mark.parametrize(
+    ("changes", "field"),
+    [
+        ({"format": 0}, "format"),
+        ({"format": 99}, "format"),
+        ({"seed": 8}, "fingerprint"),
+        ({"duration": 5.0}, "fingerprint"),
+        ({"runs": "many"}, "runs"),
+        ({"draws": {}}, "campaign"),
+        ({"model": {"stiffness": 1.0, "colour": "red"}}, "campaign"),
+        ({"fraclink": "plan"}, "file"),
+    ],
+)
+def test_other_formats_and_edited_campaigns_are_refused(copy, changes, field, capsys):
+    edit(copy, **changes)
+    kept = identities(copy)
+    with pytest.raises(FieldError, match=field):
+        load_campaign(copy)
+    with pytest.raises(FieldError, match=field):
+        conduct(small(), copy)
+    assert main(["campaign", "report", str(copy)]) == 2
+    assert len(capsys.readouterr().err.strip().splitlines()) == 1
+    assert identities(copy) == kept
+
+
+def test_the_folder_of_another_campaign_is_refused(copy):
+    with pytest.raises(FieldError, match="another campaign"):
+        conduct(replace(small(), seed=8), copy)
+
+
+def test_campaigns_read_back_equal(tmp_path):
+    save_campaign(small(), tmp_path)
+    back = load_campaign(tmp_path)
+    assert back.fingerprint == small().fingerprint and back.draws == small().draws
+    with pytest.raises(FileFormatError):
+        load_campaign(tmp_path / "nothing")
+
+
+@pytest.mark.parametrize("workers", [0, 2000, 1.5, True])
+def test_impossible_workers_are_refused(tmp_path, workers):
+    with pytest.raises(FieldError, match="workers"):
+        conduct(small(), tmp_path, workers=workers)
+
+
+def test_no_room_for_a_part_keeps_the_finished_ones(copy, whole):
+    """A file that may not grow fails as on a full disk: the write comes back short and then with an error."""
+    (copy / "part-0000001.parquet").unlink()
+    kept = identities(copy)
+    campaign = load_campaign(copy)
+    with pytest.raises(FieldError, match="not writable") as caught, _files_up_to(20_000):
+        conduct(campaign, copy, workers=1)
+    assert "finished parts are kept" in str(caught.value)
+    assert identities(copy) == kept and not list(copy.glob(".*.tmp"))
+    assert conduct(campaign, copy).before == 1500
+    assert parts_of(copy) == parts_of(whole)
+
+
+@contextlib.contextmanager
+def _files_up_to(size: int):
+    """Let this process and the workers it spawns write files of at most `size` bytes."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        signal.signal(signal.SIGXFSZ, handler)
+
+
+def test_a_full_disk_is_told(tmp_path, copy):
+    if os.geteuid() != 0 or not shutil.which("mount"):
+        pytest.skip("mounting a small disk needs root")
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=200k", "tmpfs", str(disk)])  # noqa: S603, S607
+    if mounted.returncode:
+        pytest.skip("no right to mount a small disk")
+    try:
+        with pytest.raises(FieldError, match="No space left"):
+            conduct(small(), disk)
+        finished = parts_of(disk)
+        assert finished and finished.items() <= parts_of(copy).items()
+        assert not list(disk.glob(".*.tmp"))
+    finally:
+        subprocess.run(["umount", str(disk)], check=True)  # noqa: S603, S607
+
+
+def test_an_unwritable_folder_is_told(tmp_path, capsys):
+    (tmp_path / "file").write_text("not a folder")
+    with pytest.raises(FieldError, match="not writable"):
+        conduct(small(), tmp_path / "file")
+    line = ["campaign", "montecarlo", "--out", str(tmp_path / "file" / "parts"), "--runs", "10"]
+    assert main(line) == 2
+    assert "not writable" in capsys.readouterr().err
+
+
+def test_a_worker_does_what_it_is_told_with_plain_values(copy, whole):
+    (copy / "part-0000002.parquet").unlink()
+    assert compute(str(copy), 2) == 2
+    assert parts_of(copy) == parts_of(whole)
