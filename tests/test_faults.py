@@ -26,7 +26,23 @@ from fraclink.errors import FieldError, FileFormatError
 from fraclink.twin import geared
 
 # Open points of the shipped law on this arm; docs/how-to/run-a-fault-campaign.md gives their values.
-OPEN = {"F06", "F07", "F08", "F11", "F21", "F23", "F24", "F25", "F27", "F28", "F29", "F30", "F38", "F40"}
+OPEN = {
+    "F06",
+    "F07",
+    "F08",
+    "F11",
+    "F21",
+    "F23",
+    "F24",
+    "F25",
+    "F27",
+    "F28",
+    "F29",
+    "F30",
+    "F37",
+    "F38",
+    "F40",
+}
 WIDE = 1e3
 
 

@@ -1,0 +1,98 @@
+"""Figures of the fault campaign: verdicts, clean periods without a trip, speed, what narrower guards change.
+
+    python benchmarks/bench_faults.py [--periods 1000000] [--seeds 1]
+
+Every line: what was measured | value | wanted | error beside it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+import time
+
+import fraclink as fl
+from fraclink.campaign.faults import CATALOGUE, Bench, FaultTable, cases, run_faults, soak
+from fraclink.law import Moves, equip
+from fraclink.twin import geared
+
+
+def line(what: str, value: str, wanted: str, error: str = "") -> None:
+    """Print one figure."""
+    print(f"{what} | {value} | {wanted} | {error}", flush=True)
+
+
+def arm() -> tuple[Bench, fl.Plan]:
+    """Return the default design on the paper's arm with a gear of 50 and a carbon rod."""
+    rig = geared(fl.Rig.named("paper-2023"))
+    plan = fl.design(rig.model, rig, payloads=(0.020, 0.040), gain_crossover=12.0, phase_margin=fl.deg(50))
+    return Bench.of(plan, link_mass=0.00735), plan
+
+
+def verdicts(bench: Bench, seeds: int) -> FaultTable:
+    """Print how many faults meet their requirement, and the open ones with their worst value."""
+    began = time.process_time()
+    table = run_faults(bench, cases(bench, seeds=range(1, seeds + 1)))
+    seconds = time.process_time() - began
+    rows = table.rows()
+    runs = len(table.outcomes)
+    line("faults with a verdict", f"{len(rows)} of {len(CATALOGUE)}", "44", f"{runs} runs, {seeds} seed(s)")
+    met = sum(row.holds for row in rows)
+    line("faults met in every run", f"{met}", "44 or listed as open", f"{len(table.failures)} open runs")
+    for row in rows:
+        if not row.holds:
+            line(f"open: {row.number} {row.title}", f"{row.failed} of {row.runs} runs", "0", row.worst)
+    line("time of a run in both precisions", f"{1e3 * seconds / runs:.1f} ms", "-", "clean runs included")
+    return table
+
+
+def quiet(bench: Bench, periods: int) -> None:
+    """Print trips and flags of a healthy arm that moves to and fro."""
+    for payload in bench.payloads:
+        for precision in ("double", "single"):
+            began = time.process_time()
+            made = bench.with_law(bench.law.in_precision(precision))  # type: ignore[arg-type]
+            result = soak(made, payload, periods=periods)
+            spent = time.process_time() - began
+            line(
+                f"clean periods, {1e3 * payload:g} g, {precision}: trips and flags",
+                f"{result.trips} and {result.flagged} in {result.periods}",
+                "0 and 0 in 1e6",
+                f"peak tip error {result.peak:.4f} rad, {1e6 * spent / result.periods:.2f} us a period",
+            )
+
+
+def narrower(bench: Bench, plan: fl.Plan) -> None:
+    """Print what guards for the campaign's own move, instead of the default largest one, would change."""
+    moves = Moves(velocity=2.0, acceleration=10.0)  # the move has 1.6 rad/s and 4 rad/s²
+    narrow = bench.with_law(equip(bench.law, bench.rig, plan.model, moves=moves))
+    for only in ("F07", "F08", "F40"):
+        for name, tried in (("6 rad/s", bench), ("2 rad/s", narrow)):
+            table = run_faults(tried, cases(tried, only=[only]), single=False)
+            delays = [o.reacted for o in table.outcomes if o.reacted > 0]
+            median = f"{statistics.median(delays):.0f} periods" if delays else "no reaction"
+            peaks = max(o.peak for o in table.outcomes)
+            line(
+                f"{only} with guards for {name}",
+                f"{len(table.failures)} of {len(table.outcomes)} open",
+                "0",
+                f"reacts after {median}, peak {peaks:.2f} rad",
+            )
+    clean = soak(narrow, bench.payloads[0], periods=100_000)
+    line("clean periods with guards for 2 rad/s", f"{clean.trips} trips in {clean.periods}", "0", "")
+
+
+def main() -> None:
+    """Print every figure."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--periods", type=int, default=1_000_000)
+    parser.add_argument("--seeds", type=int, default=1)
+    options = parser.parse_args()
+    bench, plan = arm()
+    verdicts(bench, options.seeds)
+    quiet(bench, options.periods)
+    narrower(bench, plan)
+
+
+if __name__ == "__main__":
+    main()
