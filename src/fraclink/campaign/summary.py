@@ -155,21 +155,16 @@ def _metric(name: str, values: Real, run: NDArray[np.generic], drawn: dict[str, 
 
 def _quantile(order: Real, probability: float) -> Quantile:
     """Order statistics l, u with P(B < l), P(B ≥ u) ≤ 2.5 %, B binomial(n, p) (David and Nagaraja 2003)."""
-    from scipy.special import bdtr, bdtrik
+    from scipy.stats import binom
 
     n, tail = len(order), 0.5 * (1.0 - CONFIDENCE)
-    low = math.floor(float(bdtrik(tail, n, probability))) if bdtr(0, n, probability) < tail else -1
-    high = (
-        math.ceil(float(bdtrik(1.0 - tail, n, probability))) + 1
-        if bdtr(n - 1, n, probability) > 1 - tail
-        else n
-    )
-    value = order[min(n - 1, math.ceil(probability * n) - 1 if probability * n >= 1 else 0)]
+    low = int(binom.ppf(tail, n, probability))
+    high = int(binom.ppf(1.0 - tail, n, probability)) + 1
     return Quantile(
         probability,
-        float(value),
-        float(order[low]) if low >= 0 else -math.inf,
-        float(order[high]) if high < n else math.inf,
+        float(order[max(math.ceil(probability * n), 1) - 1]),
+        float(order[low - 1]) if low >= 1 else -math.inf,
+        float(order[high - 1]) if high <= n else math.inf,
     )
 
 

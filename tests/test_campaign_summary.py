@@ -1,0 +1,127 @@
+"""What a campaign's runs say: intervals against exact values, ranks against scipy, and the command line."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from campaigns import small
+from fraclink.campaign import conduct, read_part, summarise
+from fraclink.campaign.summary import METRICS, PARAMETERS, _failure, _quantile
+from fraclink.cli import main
+from fraclink.errors import FieldError
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    place = tmp_path_factory.mktemp("campaign")
+    conduct(small(), place)
+    return place
+
+
+@pytest.mark.parametrize(("count", "runs"), [(0, 10), (1, 10), (10, 10), (3, 5000), (0, 10**6), (250, 2500)])
+def test_failures_have_the_interval_of_clopper_and_pearson(count, runs):
+    from scipy.stats import binomtest
+
+    exact = binomtest(count, runs).proportion_ci(0.95, "exact")
+    found = _failure(count, runs)
+    assert (found.low, found.high) == pytest.approx((exact.low, exact.high), rel=1e-9, abs=1e-15)
+    assert found.estimate == count / runs
+
+
+def test_a_claim_without_a_failure_states_what_a_stronger_one_needs():
+    assert "1000000 runs without one" in _failure(0, 100_000).sentence
+    assert "3.7e-05 at 95 %" in _failure(0, 100_000).sentence
+
+
+@pytest.mark.parametrize(
+    ("n", "p"), [(1000, 0.5), (1000, 0.95), (200, 0.05), (2500, 0.99), (50, 0.99), (20, 0.05)]
+)
+def test_quantile_intervals_cover_and_are_the_narrowest_that_do(n, p):
+    """P(x_(l) <= q_p <= x_(u)) is a binomial probability, whatever the distribution."""
+    from scipy.stats import binom
+
+    found = _quantile(np.arange(1.0, n + 1.0), p)  # order statistic number i has the value i
+    assert found.value == math.ceil(p * n)
+    low = 0 if math.isinf(found.low) else int(found.low)
+    high = n + 1 if math.isinf(found.high) else int(found.high)
+    below, above = binom.cdf(low - 1, n, p), binom.sf(high - 1, n, p)  # q_p < x_(l); q_p > x_(u)
+    assert below <= 0.025 and above <= 0.025
+    assert binom.cdf(low, n, p) > 0.025 or low == n
+    assert high == 1 or binom.sf(high - 2, n, p) > 0.025
+
+
+def test_a_summary_is_that_of_all_runs(folder):
+    from scipy.stats import spearmanr
+
+    parts = [read_part(small(), folder, part) for part in range(3)]
+    column = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    found = summarise(small(), folder)
+    assert found.failure.runs == 2500 and found.failure.count == int((~column["holds"]).sum())
+    assert list(found.failed) == column["run"][~column["holds"]][:100].tolist()
+    by_name = {metric.name: metric for metric in found.metrics}
+    assert set(by_name) == set(METRICS)
+    metric = by_name["peak_tip_error"]
+    for name, value in metric.drivers:
+        drawn = column[name]
+        wanted = spearmanr(drawn, column["peak_tip_error"]).statistic if np.ptp(drawn) else 0.0
+        assert value == pytest.approx(wanted, abs=1e-12), name
+    assert {name for name, _ in metric.drivers} == set(PARAMETERS)
+    worst = int(np.argmax(column["peak_tip_error"]))
+    assert metric.worst[0] == (worst, float(column["peak_tip_error"][worst]))
+
+
+def test_an_unfinished_campaign_is_summarised_as_far_as_it_is(folder, tmp_path):
+    import shutil
+
+    place = tmp_path / "half"
+    shutil.copytree(folder, place)
+    (place / "part-0000001.parquet").unlink()
+    assert summarise(small(), place).failure.runs == 1500
+    for path in place.glob("part-*"):
+        path.unlink()
+    with pytest.raises(FieldError, match="at least one"):
+        summarise(small(), place)
+
+
+def test_the_command_reports_and_replays(folder, tmp_path, capsys):
+    assert main(["campaign", "report", str(folder)]) == 1  # some runs do not hold
+    text = capsys.readouterr().out
+    assert "of 2500 runs do not hold" in text and "campaign replay" in text
+    assert main(["campaign", "report", str(folder), "--json"]) == 1
+    told = json.loads(capsys.readouterr().out)
+    assert told["runs"] == 2500 and set(told["metrics"]) == set(METRICS)
+    number, value = told["metrics"]["overshoot"]["worst"][0]
+    out = tmp_path / "run.npz"
+    line = ["campaign", "replay", str(folder), "--run", str(number), "--out", str(out), "--json"]
+    assert main(line) in (0, 1)
+    again = json.loads(capsys.readouterr().out)
+    assert again["metrics"]["overshoot"] == pytest.approx(value, rel=1e-9) and out.exists()
+    assert main(line) == 2  # never over a file that is there
+    holding = next(n for n in range(2500) if n not in told["failed"])
+    assert main(["campaign", "replay", str(folder), "--run", str(holding), "--out", str(out), "--force"]) == 0
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "field"),
+    [
+        ("--runs", "0", "runs"),
+        ("--seed", "-3", "seed"),
+        ("--workers", "0", "workers"),
+        ("--rig", "nobody", "rig"),
+    ],
+)
+def test_bad_input_is_one_line_and_exit_code_2(tmp_path, capsys, option, value, field):
+    out = tmp_path / "parts"
+    assert main(["campaign", "montecarlo", "--out", str(out), option, value]) == 2
+    text = capsys.readouterr().err
+    assert field in text and len(text.strip().splitlines()) == 1
+    assert not list(tmp_path.rglob("part-*"))
+
+
+def test_a_run_that_is_not_there_is_bad_input(folder, tmp_path, capsys):
+    line = ["campaign", "replay", str(folder), "--run", "2500", "--out", str(tmp_path / "x.npz")]
+    assert main(line) == 2 and "0 … 2499" in capsys.readouterr().err
