@@ -78,6 +78,7 @@ def faults(
         seeds=seed or (1,),
     )
     command = _command(rig, design_file, gear, link_mass)
+    out.mkdir(parents=True, exist_ok=True)  # a folder that cannot be written is told before the work
     with steps(len({case.fault for case in planned})) as begin:
         result = run_faults(bench, planned, progress=begin, about={"command": command})
     result.save(place)

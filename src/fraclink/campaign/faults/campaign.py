@@ -86,7 +86,20 @@ def _trial(bench: Bench, fault: Fault, case: Case, law: Law) -> Trial:
 
 
 def run_case(bench: Bench, case: Case, *, single: bool = True, clean: CleanRuns | None = None) -> Outcome:
-    """Run one case and judge it; `single`: in single precision too, which must take the same modes."""
+    """Run one case and judge it; `single`: in single precision too, which must meet the same.
+
+    A reading of 4.1 N·m for ever, beyond the gauge's range, must degrade the law within 5 samples:
+
+    >>> import fraclink as fl
+    >>> from fraclink.twin import geared
+    >>> rig = geared(fl.Rig.named("paper-2023"))
+    >>> plan = fl.design(
+    ...     rig.model, rig, payloads=(0.020, 0.040), gain_crossover=12.0, phase_margin=fl.deg(50)
+    ... )
+    >>> outcome = run_case(Bench.of(plan, link_mass=0.00735), Case("F09", 1, 0.030, "mid", 1))
+    >>> outcome.holds, outcome.mode, outcome.reason, outcome.reacted
+    (True, 'degraded', 'gauge', 5)
+    """
     fault = fault_named(case.fault)
     e = observe(bench, case, bench.law.in_precision("double"), clean=clean)
     checks = [*shared_checks(e, e.faulty), *(check(e) for check in fault.checks)]

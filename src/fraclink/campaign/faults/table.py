@@ -79,7 +79,7 @@ class FaultTable:
         )
 
     def markdown(self) -> str:
-        """Return the summary as a Markdown table, then every kind of failure with its worst value."""
+        """Return the summary as a Markdown table, then what the campaign cannot show of a fault."""
         lines = [
             "| fault | what | class | required | runs | open | worst |",
             "|---|---|---|---|---|---|---|",
@@ -87,7 +87,9 @@ class FaultTable:
         for row in self.rows():
             cells = (row.number, row.title, row.reaction, row.required, row.runs, row.failed, row.worst)
             lines.append("| " + " | ".join(str(cell).replace("|", "\\|") for cell in cells) + " |")
-        return "\n".join(lines) + "\n"
+        notes = {row.number: fault_named(row.number).note for row in self.rows()}
+        lines += ["", *(f"- {number}: {note}." for number, note in notes.items() if note)]
+        return "\n".join(lines).rstrip("\n") + "\n"
 
     def save(self, path: Path | str) -> None:
         """Write the table to a JSON file, complete or not at all."""
