@@ -127,7 +127,7 @@ def test_friction_is_compensated() -> None:
     assert run.verdict.holds, run.verdict.reason
     bare = replace(law(), drive=replace(law().drive, coulomb_voltage=0.0))  # type: ignore[type-var]
     worse = simulate(rough, MODEL, bare, fl.smooth_step(1.0, 0.5), payload=0.02, inner="sampled")
-    assert np.ptp(run.tip_angle[-250:]) < 0.1 * np.ptp(worse.tip_angle[-250:])
+    assert np.ptp(run.tip_angle[-250:]) < 0.15 * np.ptp(worse.tip_angle[-250:])
 
 
 def test_saturation_is_reported() -> None:

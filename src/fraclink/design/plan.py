@@ -208,7 +208,7 @@ class Plan:
     def law(self, *, order: int | None = None, precision: Precision = "double") -> Law:
         """Return the law that runs on the rig: Ĉ at the period, and the motor loop the design was made for.
 
-        `order` is the number of states of Ĉ, the fewest for 0.1 dB and 0.5° when it is left out.
+        `order` is the number of states of Ĉ; chosen to meet 0.1 dB and 0.5° when it is left out.
         """
         from fraclink.law import equip
 

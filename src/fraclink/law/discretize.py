@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from fraclink.errors import FieldError
 from fraclink.law.block import FORWARD_MODES, PAIR_MODES, REAL_MODES, Precision, real_type
+from fraclink.law.correction import fit_correction
 from fraclink.law.law import Law
 from fraclink.law.limits import Moves, derive_limits
 from fraclink.law.nouns import Drive, Modes
@@ -42,10 +43,10 @@ def discretize_controller(
     """Return the law that runs the controller at `period` [s].
 
     Ĉ(s) = k_d s^β/(1 + δs)^n becomes (1 − z⁻¹)(d + Σ g/(z − p)) by a minimax fit of C = 1 + Ĉ on `band`
-    [rad/s], and the feed-forward s^λ θt*/ϖ² becomes a fit of s^(λ−2)/ϖ² that works on the reference's
-    known acceleration.
+    [rad/s], closest about the gain crossover (`fit_correction`), and the feed-forward s^λ θt*/ϖ² becomes a
+    fit of s^(λ−2)/ϖ² that works on the reference's known acceleration.
 
-    Parameters: `order`, states of Ĉ (0 to 8; None: the fewest for 0.1 dB and 0.5°, else the best of 8);
+    Parameters: `order`, states of Ĉ (0 to 8; None: few that meet 0.1 dB and 0.5°, else the best of 8);
     `precision` "double" or "single"; `link`, nominal model, the controller's own where it is left out;
     `rig`, which adds the inner loop, the sensors' limits and the motor's compensations (see `equip`);
     `moves`, the largest move, from which the guards' thresholds follow. Without a filter Ĉ is improper: no
@@ -73,9 +74,7 @@ def discretize_controller(
         )
     _check_period(controller, period)
     reach = band or _band(controller, period)
-    correction = fit_discrete(
-        controller.response, period=period, order=order, zeros_at_one=1, offset=1.0, band=reach
-    )
+    correction = fit_correction(controller, model, period, reach, order)
     forward = _forward_fit(model, period)
     inner_pole = controller.inner.pole if controller.inner is not None else 80.0
     law = Law(
