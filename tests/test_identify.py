@@ -126,7 +126,7 @@ def test_heldout_samples_are_not_seen() -> None:
     assert identify(log, heldout=0, details=False).heldout_nmse is None
 
 
-def test_order_at_its_bound_has_no_error() -> None:  # B32
+def test_b32_order_at_its_bound_has_no_error() -> None:
     fit = identify(made_log(LinkModel(1.56, 10.0), noise=0.05, seed=0))
     assert fit.at_bound == ("order",)
     assert fit.model.order == 2.0
@@ -137,7 +137,7 @@ def test_order_at_its_bound_has_no_error() -> None:  # B32
     assert finding.evidence["order"] == 2.0
 
 
-def test_a_log_that_does_not_show_alpha_says_so() -> None:  # B50
+def test_b50_a_log_that_does_not_show_alpha_says_so() -> None:
     fit = identify(made_log(LinkModel(1.56, 10.0, damping=0.5), noise=0.2, samples=2500), "D-FOM")
     assert "W308" in {finding.code for finding in fit.findings}
     assert fit.intervals["damping_order"].high - fit.intervals["damping_order"].low > 0.5
@@ -187,7 +187,7 @@ def test_tests_of_a_white_residual_are_calm() -> None:
     assert np.min(p_values) > 1e-4
 
 
-def test_outliers_are_told() -> None:  # B24
+def test_b24_outliers_are_told() -> None:
     log = made_log(noise=0.02)
     spoilt = log.output.copy()
     spoilt[[500, 2000]] *= 100
@@ -215,7 +215,7 @@ def test_fit_survives_its_file(tmp_path: Path) -> None:
     assert not back.residual.flags.writeable
 
 
-def test_a_file_too_large_to_read_back_is_not_written(tmp_path: Path) -> None:  # B51
+def test_b51_a_file_too_large_to_read_back_is_not_written(tmp_path: Path) -> None:
     fit = identify(made_log(samples=800))
     long = replace(fit, predicted=np.zeros(300_001), residual=np.zeros(300_001))
     with pytest.raises(SizeError) as caught:

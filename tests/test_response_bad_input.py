@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 import tracemalloc
 
 import numpy as np
@@ -58,6 +59,8 @@ RECYCLED = (1 / s).feedback((1 + 0 * s).delayed(1.0))
         (lambda: discretize(RECYCLED, 0.1, span=1.0), "delay"),
         (lambda: time_response(1 / (s.delayed(1.0) + 1), [1.0], 0.1), "delay"),
         (lambda: grunwald_letnikov(LINK.delayed(0.1), [1.0], 0.1), "delay"),
+        (lambda: grunwald_letnikov(LINK, [1.0, math.nan], 0.1), "u"),
+        (lambda: grunwald_letnikov(LINK, [1.0], -0.1), "period"),
     ],
 )
 def test_refused(call, field: str) -> None:  # type: ignore[no-untyped-def]
@@ -70,7 +73,7 @@ def test_refused(call, field: str) -> None:  # type: ignore[no-untyped-def]
 
 
 @pytest.mark.parametrize("duration", [1e9, 1e300])
-def test_beyond_memory_is_refused_before_anything_is_allocated(duration: float) -> None:
+def test_b51_beyond_memory_is_refused_before_anything_is_allocated(duration: float) -> None:
     tracemalloc.start()
     with pytest.raises(SizeError, match="too many samples"):
         step_response(LINK, duration, 1e-6)
@@ -79,7 +82,16 @@ def test_beyond_memory_is_refused_before_anything_is_allocated(duration: float) 
     assert peak < 1e6
 
 
-def test_beyond_memory_of_the_inversion(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_b53_full_memory_is_refused_with_the_way_that_is_linear() -> None:
+    started = time.monotonic()
+    with pytest.raises(SizeError, match="1e\\+12 products") as caught:
+        grunwald_letnikov(LINK, np.ones(1_000_000), 0.004)
+    assert caught.value.field == "u"
+    assert "time_response" in caught.value.remedy
+    assert time.monotonic() - started < 1  # it is refused, not begun: begun, it takes minutes
+
+
+def test_b51_beyond_memory_of_the_inversion(monkeypatch: pytest.MonkeyPatch) -> None:
     small = {"SC_PAGE_SIZE": 4096, "SC_PHYS_PAGES": 100}
     monkeypatch.setattr("os.sysconf", small.__getitem__)
     with pytest.raises(SizeError):

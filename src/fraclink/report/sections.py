@@ -98,7 +98,8 @@ def _parameter(fit: Fit, name: str) -> str:
     value = getattr(fit.model, name)
     if name not in structure(fit.structure).free:
         return "–" if value == 0 or (name == "damping_order" and fit.model.damping == 0) else number(value)
-    return uncertain(value, fit.standard_errors.get(name))
+    # A line may end before the sign, never behind it.
+    return uncertain(value, fit.standard_errors.get(name)).replace("± ", "±\N{NO-BREAK SPACE}")
 
 
 def fit_rows(fits: Mapping[str, Fit]) -> list[Row]:

@@ -8,12 +8,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fraclink import _kernels
-from fraclink.errors import FieldError
+from fraclink.errors import FieldError, SizeError
 from fraclink.fractional import FractionalTransferFunction, Term
+from fraclink.response.checks import positive, samples
 
 __all__ = ["grunwald_letnikov", "grunwald_letnikov_weights"]
 
 Reals = NDArray[np.float64]
+_LONGEST = 300_000  # samples: N²/2 products of each of two sums, half a minute of one core
 
 
 def grunwald_letnikov_weights(order: float, count: int) -> Reals:
@@ -37,8 +39,8 @@ def grunwald_letnikov(G: FractionalTransferFunction, u: ArrayLike, period: float
     period, 6 % (step) to 16 % (random binary input) of full scale on a lightly damped link at 4 ms, and its
     cost is O(N²). Never use it for a plant.
 
-    Parameters: G without delays; u of shape (N,); `period` [s]. Returns y of shape (N,). Raises `FieldError`
-    for delays.
+    Parameters: G without delays; u of shape (N,), N up to 300 000, finite; `period` > 0 [s]. Returns y of
+    shape (N,). Raises `FieldError` for delays and values out of range, `SizeError` for longer signals.
 
     >>> from fraclink.fractional import s
     >>> grunwald_letnikov(1 / (s + 1), [1.0, 1.0, 1.0], 1.0)  # implicit Euler: 1 - 2^-(k+1)
@@ -46,8 +48,17 @@ def grunwald_letnikov(G: FractionalTransferFunction, u: ArrayLike, period: float
     """
     if any(t.delay for t in (*G.numerator, *G.denominator)):
         raise FieldError("delay", G.delay, "present", allowed="no delays", remedy="use time_response")
-    values = np.ascontiguousarray(u, np.float64)
+    period = positive("period", period)
+    values = samples(u)
     count = len(values)
+    if count > _LONGEST:
+        raise SizeError(
+            "u",
+            count,
+            f"too many samples for a memory of all of them: {count**2:.2g} products",
+            allowed=f"<= {_LONGEST}",
+            remedy="use time_response, whose cost is linear in N",
+        )
     driven = np.asarray(_kernels.memory_sum(_combined(G.numerator, count, period), values))
     output: Reals = np.asarray(_kernels.memory_solve(_combined(G.denominator, count, period), driven))
     return output
