@@ -1,6 +1,6 @@
 """Figures of the fault campaign: verdicts, clean periods without a trip, speed, what narrower guards change.
 
-    python benchmarks/bench_faults.py [--periods 1000000] [--seeds 1]
+    python benchmarks/bench_faults.py [--periods 1000000] [--seeds 3]
 
 Every line: what was measured | value | wanted | error beside it.
 """
@@ -86,7 +86,7 @@ def main() -> None:
     """Print every figure."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--periods", type=int, default=1_000_000)
-    parser.add_argument("--seeds", type=int, default=1)
+    parser.add_argument("--seeds", type=int, default=3)
     options = parser.parse_args()
     bench, plan = arm()
     verdicts(bench, options.seeds)

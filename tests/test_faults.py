@@ -55,7 +55,7 @@ def bench() -> Bench:
 
 @pytest.fixture(scope="module")
 def table(bench: Bench) -> FaultTable:
-    return run_faults(bench, cases(bench, severities=(2,), payloads=(0.03,)))
+    return run_faults(bench, cases(bench, severities=(2,), payloads=(0.03,), seeds=(1,)))
 
 
 def loosened(bench: Bench, **limits: float) -> Bench:

@@ -54,7 +54,7 @@ def faults(
         typer.Option("--phase", help="whole, start, mid or rest; may be repeated; default: all."),
     ] = None,
     seed: Annotated[
-        list[int] | None, typer.Option("--seed", help="Seed; may be repeated; default: 1.")
+        list[int] | None, typer.Option("--seed", help="Seed; may be repeated; default: 1, 2, 3.")
     ] = None,
     figures: Annotated[Figures, typer.Option("--figures", help="Runs to draw.")] = "failures",
     json: Json = False,
@@ -75,7 +75,7 @@ def faults(
         severities=severity or (1, 2, 3),
         payloads=payload or (),
         phases=phase or PHASES,
-        seeds=seed or (1,),
+        seeds=seed or (1, 2, 3),
     )
     command = _command(rig, design_file, gear, link_mass)
     out.mkdir(parents=True, exist_ok=True)  # a folder that cannot be written is told before the work
@@ -145,7 +145,7 @@ def _page(result: FaultTable, command: str) -> str:
     if result.failures:
         lines += ["", "## Open", ""]
     for outcome in result.failures:
-        lines.append(f"- {outcome.case.name}: {'; '.join(map(str, outcome.failed))}")
+        lines.append(f"- {outcome.name}: {'; '.join(map(str, outcome.failed))}")
         lines.append(f"  `{_replay(outcome.case, command)}`")
     return "\n".join(lines) + "\n"
 
@@ -176,6 +176,7 @@ def _keep_signals(bench: Bench, case: Case, path: Path) -> None:
 def _values(outcome: Outcome, command: str) -> dict[str, object]:
     return {
         "name": outcome.case.name,
+        "detail": outcome.detail,
         "failed": [str(check) for check in outcome.failed],
         "replay": _replay(outcome.case, command),
     }

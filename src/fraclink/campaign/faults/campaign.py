@@ -26,7 +26,7 @@ def cases(
     severities: Sequence[int] = (1, 2, 3),
     payloads: Sequence[float] = (),
     phases: Sequence[str] = PHASES,
-    seeds: Sequence[int] = (1,),
+    seeds: Sequence[int] = (1, 2, 3),
 ) -> tuple[Case, ...]:
     """Return every case of a campaign in order; empty `only` and `payloads` mean all.
 
@@ -75,7 +75,7 @@ def observe(bench: Bench, case: Case, law: Law, *, clean: CleanRuns | None = Non
     known = {} if clean is None else clean
     if key not in known:
         known[key] = execute(_trial(bench, fault, Case(fault.number, 1, payload, "whole", case.seed), law))
-    return Evidence(bench, case, trial.law, trial.row, trial.marks, execute(trial), known[key])
+    return Evidence(bench, case, trial.law, trial.row, trial.marks, execute(trial), known[key], trial.detail)
 
 
 def _trial(bench: Bench, fault: Fault, case: Case, law: Law) -> Trial:
@@ -109,7 +109,7 @@ def run_case(bench: Bench, case: Case, *, single: bool = True, clean: CleanRuns 
         checks += [_renamed(check) for check in again if not check.holds]
         checks.append(_same_modes(e.faulty, other.faulty))
     mode, reason = e.end
-    return Outcome(case, tuple(checks), e.peak, e.clean_peak, e.final, mode, reason, e.reacted)
+    return Outcome(case, tuple(checks), e.peak, e.clean_peak, e.final, mode, reason, e.reacted, e.detail)
 
 
 def _renamed(check: Check) -> Check:

@@ -53,6 +53,7 @@ class Evidence:
     marks: NDArray[np.bool_]
     faulty: Signals
     clean: Signals
+    detail: str = ""
 
     @property
     def peak(self) -> float:

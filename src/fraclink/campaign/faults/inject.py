@@ -109,6 +109,7 @@ def flip(trial: Trial, name: str, bit_from_top: int) -> None:
     size = width(trial)
     place = 4 * COUNTERS + size * REALS.index(name)
     bit = 8 * size - 1 - bit_from_top
+    trial.detail = f"{name}, {'sign' if bit_from_top == 0 else 'exponent'}"
 
     def action(arm: Vessel) -> None:
         arm.law[place + bit // 8] ^= np.uint8(1 << (bit % 8))
@@ -130,6 +131,7 @@ def restart(trial: Trial, row: int) -> None:
 def corrupt(trial: Trial, byte: int, value: int | None = None) -> None:
     """Flip the lowest bit of a byte of the parameter block, or set the 32-bit word there to `value`."""
     block = bytearray(trial.block)
+    trial.detail = f"byte {byte}"
     if value is None:
         block[byte] ^= 1
     else:

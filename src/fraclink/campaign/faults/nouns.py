@@ -106,7 +106,8 @@ class Outcome:
     """What one run showed: every check, peak and final tip error [rad], and where the law ended.
 
     final: |mean tip error| of the last second, so that the gauge's noise averages out. reacted: periods from
-    the fault to the first other mode, -1 where the law kept running.
+    the fault to the first other mode, -1 where the law kept running. detail: what chance chose, such as the
+    number of the state in which a bit was flipped.
     """
 
     case: Case
@@ -117,11 +118,17 @@ class Outcome:
     mode: str
     reason: str
     reacted: int
+    detail: str = ""
 
     @property
     def holds(self) -> bool:
         """Whether every check holds."""
         return all(check.holds for check in self.checks)
+
+    @property
+    def name(self) -> str:
+        """The case's name, with what chance chose."""
+        return f"{self.case.name}: {self.detail}" if self.detail else self.case.name
 
     @property
     def failed(self) -> tuple[Check, ...]:

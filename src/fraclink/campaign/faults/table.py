@@ -66,7 +66,7 @@ class FaultTable:
         worst = max(
             ((check, o) for o in failed for check in o.failed), key=lambda x: _excess(x[0]), default=None
         )
-        told = "" if worst is None else f"{worst[0]} ({worst[1].case.name})"
+        told = "" if worst is None else f"{worst[0]} ({worst[1].name})"
         return Row(
             number,
             fault.title,
@@ -148,4 +148,5 @@ def _outcome(row: Mapping[str, Any]) -> Outcome:
         mode=str(row["mode"]),
         reason=str(row["reason"]),
         reacted=int(row["reacted"]),
+        detail=str(row["detail"]),
     )

@@ -49,11 +49,10 @@ class Bench:
     @staticmethod
     def of(plan: Plan, rig: Rig | None = None, *, link_mass: float | None = None) -> Bench:
         """Return the bench of a design on `rig` (default: its own), with its shipped law and motor loop."""
-        from fraclink.law import equip
         from fraclink.twin import Twin
 
         arm = plan.rig if rig is None else rig
-        law = equip(plan.controller.discretize(arm.period), arm, plan.model)
+        law = replace(plan, rig=arm).law()
         twin = Twin.from_rig(arm, link_mass=link_mass)
         low, high = plan.payloads
         nominal = arm.payloads.nominal
@@ -94,6 +93,7 @@ class Trial:
         self.marks = np.zeros(self.count, dtype=bool)  # periods in which a sample is bad
         self.actions: dict[int, list[Action]] = {}
         self.start_angle = float(self.wanted[0])
+        self.detail = ""  # what chance chose
         self.shifts: NDArray[np.int_] | None = None  # of each sampling instant [ms-steps]
 
     @property
