@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import json
 import os
 import subprocess
 import sys
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -28,12 +29,30 @@ from shared_data import shared_data
 RIGS = Path(__file__).parent / "rigs"
 
 
+@dataclass(frozen=True)
+class Told:
+    """One call of the command line: where it ran, what it wrote, what it said."""
+
+    folder: Path
+    out: str
+    err: str
+
+
 @pytest.fixture(scope="module")
-def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What `fraclink run` writes for the bundled log."""
-    folder = tmp_path_factory.mktemp("run") / "results"
-    assert main(["run", "--rig", "paper-2023", "--log", "demo", "--out", str(folder)]) == 0
-    return folder
+def told_run(tmp_path_factory: pytest.TempPathFactory) -> Told:
+    """`fraclink run` for the bundled log, once for all tests that only look at what it left."""
+    place = tmp_path_factory.mktemp("run")
+    out, err = io.StringIO(), io.StringIO()
+    command = ["run", "--rig", "paper-2023", "--log", "demo", "--out", "results"]
+    with contextlib.chdir(place), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        assert main(command) == 0
+    return Told(place / "results", out.getvalue(), err.getvalue())
+
+
+@pytest.fixture(scope="module")
+def results(told_run: Told) -> Path:
+    """The folder that `fraclink run` wrote for the bundled log."""
+    return told_run.folder
 
 
 def test_run_writes_every_noun_and_nothing_else(results: Path) -> None:
@@ -69,23 +88,30 @@ def test_a_folder_reads_back_as_the_study_that_wrote_it(results: Path) -> None:
     assert [round(1e3 * run.payload) for run in study.runs] == [20, 30, 40]
 
 
-def test_the_summary_ends_with_the_reports_path(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert main(["run", "--rig", "paper-2023", "--log", "demo", "--out", "out"]) == 0
-    told = capsys.readouterr()
-    lines = told.out.splitlines()
-    assert lines[-1] == "out/report.html"
+def test_the_summary_ends_with_the_reports_path(told_run: Told) -> None:
+    lines = told_run.out.splitlines()
+    assert lines[-1] == "results/report.html"
     assert lines[-2] == "verdict: holds"
-    assert told.err == ""  # piped: no progress, no remark
-    assert main(["run", "--rig", "paper-2023", "--log", "demo", "--out", "out"]) == 2
+    assert told_run.err == ""  # piped: no progress, no remark
+
+
+def test_a_folder_that_is_there_is_kept(told_run: Told, capsys: pytest.CaptureFixture[str]) -> None:
+    before = {path.name: path.read_bytes() for path in told_run.folder.iterdir()}
+    assert main(["run", "--rig", "paper-2023", "--log", "demo", "--out", str(told_run.folder)]) == 2
     assert "already there" in capsys.readouterr().err
+    assert {path.name: path.read_bytes() for path in told_run.folder.iterdir()} == before
 
 
-def test_a_proof_may_be_asked_for(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    command = ["run", "--rig", "paper-2023", "--log", "demo", "--out", str(tmp_path / "out"), "--certify"]
-    assert main(command) == 0
+def test_a_proof_may_be_asked_for_and_machines_are_told_the_same(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    command = ["run", "--rig", "paper-2023", "--log", "demo", "--out", str(tmp_path / "out")]
+    assert main([*command, "--certify", "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["holds"] is True
+    assert {fit["structure"] for fit in result["fits"]} == {"UD-IOM", "D-IOM", "UD-FOM", "D-FOM"}
+    assert len(result["runs"]) == 3
+    assert result["report"].endswith("report.html")
     study = load_study(tmp_path / "out")
     assert study.certificate is not None
     page = (tmp_path / "out" / "report.html").read_text("utf-8")
@@ -94,16 +120,6 @@ def test_a_proof_may_be_asked_for(capsys: pytest.CaptureFixture[str], tmp_path: 
     refused = replace(study, certificate=None, uncertified="because of the moon")
     assert not refused.holds
     assert "because of the moon" in render_report(refused)
-
-
-def test_json_gives_machines_the_same(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    command = ["run", "--rig", "paper-2023", "--log", "demo", "--out", str(tmp_path / "out"), "--json"]
-    assert main(command) == 0
-    result = json.loads(capsys.readouterr().out)
-    assert result["holds"] is True
-    assert {fit["structure"] for fit in result["fits"]} == {"UD-IOM", "D-IOM", "UD-FOM", "D-FOM"}
-    assert len(result["runs"]) == 3
-    assert result["report"].endswith("report.html")
 
 
 def test_the_stages_chain_through_files(
