@@ -86,21 +86,14 @@ def fit_values(fit: Fit) -> dict[str, object]:
     }
 
 
-_SYMBOLS = {
-    "natural_frequency": ("ϖ", "s^(-λ/2)"),
-    "order": ("λ", ""),
-    "damping": ("μ", "s^(α-λ)"),
-    "damping_order": ("α", ""),
-}
-
-
 def fit_text(fit: Fit) -> str:
     """A fit for people."""
+    from fraclink.identify.text import SYMBOLS
     from fraclink.link import structure
 
     rows: list[tuple[str, str, str]] = []
     for name in structure(fit.structure).free:
-        symbol, unit = _SYMBOLS[name]
+        symbol, unit = SYMBOLS[name]
         error = fit.standard_errors.get(name)
         shown = "" if error is None else f"± {error:.2g}"
         rows.append(

@@ -67,6 +67,11 @@ class Comparison:
         for name in ("fits", "without_delay"):
             object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
 
+    def __str__(self) -> str:
+        from fraclink.identify.text import comparison_text
+
+        return comparison_text(self)
+
     @property
     def best(self) -> Fit:
         """The preferred fit."""

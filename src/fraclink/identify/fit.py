@@ -66,6 +66,9 @@ class Fit:
     >>> fit = fl.identify(fl.read_log(fl.bundled_log("prbs_30g")), "UD-FOM", details=False)
     >>> fit.structure, round(fit.model.order, 2), fit.samples
     ('UD-FOM', 1.92, 5001)
+    >>> print(fit)  # doctest: +ELLIPSIS
+    UD-FOM: ϖ = ..., λ = 1.9...
+    delay ... ms, offset ...; error ... % (NMSE), held-out error ... %; AIC ...
     """
 
     structure: str
@@ -113,6 +116,11 @@ class Fit:
 
     def __hash__(self) -> int:
         return hash((self.structure, self.model, self.gain, self.offset, self.delay, self.sha256))
+
+    def __str__(self) -> str:
+        from fraclink.identify.text import fit_text
+
+        return fit_text(self)
 
     @property
     def tic(self) -> float:
