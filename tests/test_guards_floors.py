@@ -8,7 +8,7 @@ from guard_sources import Source, imported_modules, sources
 
 FLOORS: dict[str, int] = {
     # beneath everything: errors, files, the compiled kernels
-    **dict.fromkeys(("", "errors", "files", "npz", "findings", "_kernels", "_powers"), 0),
+    **dict.fromkeys(("", "errors", "files", "npz", "findings", "quantity", "_kernels", "_powers"), 0),
     # mathematics, knows no robot
     **dict.fromkeys(("fractional", "roots", "response", "stability", "rational"), 0),
     # nouns

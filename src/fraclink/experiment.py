@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Literal
@@ -13,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from fraclink.errors import FieldError, LogError
 from fraclink.files import write_text
 from fraclink.findings import Finding
+from fraclink.quantity import checked_number
 
 __all__ = ["Experiment"]
 
@@ -170,11 +170,13 @@ class Experiment:
 
 
 def _number(name: str, value: object, unit: str, *, positive: bool) -> None:
-    good = isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
-    if not good or not math.isfinite(float(value)) or (positive and float(value) <= 0):  # type: ignore[arg-type]
-        problem = "not a positive number" if positive else "not a finite number"
-        allowed = f"{'> 0' if positive else 'any finite number'} [{unit or '-'}]"
-        raise FieldError(name, value, problem, allowed=allowed, remedy=f"give {name} as a number in SI units")
+    checked_number(
+        name,
+        value,
+        allowed=f"{'> 0' if positive else 'any finite number'} [{unit or '-'}]",
+        remedy=f"give {name} as a number in SI units",
+        holds=lambda x: x > 0 or not positive,
+    )
 
 
 def _same(one: object, other: object) -> bool:

@@ -12,9 +12,10 @@ import cmath
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, SupportsFloat
+from typing import TYPE_CHECKING
 
 from fraclink.errors import FieldError
+from fraclink.quantity import checked_number
 
 if TYPE_CHECKING:
     from fraclink.fractional import FractionalTransferFunction
@@ -63,13 +64,14 @@ def structure(name: str) -> Structure:
     return STRUCTURES[name]
 
 
-def _number(field: str, value: object, holds: Callable[[float], bool], allowed: str, remedy: str) -> float:
-    if isinstance(value, bool | str) or not isinstance(value, SupportsFloat):
-        raise FieldError(field, value, "not a number", allowed=allowed, remedy=remedy)
-    number = float(value)
-    if not math.isfinite(number) or not holds(number):
-        raise FieldError(field, number, "out of range", allowed=allowed, remedy=remedy)
-    return number
+def _mass(payload: object) -> float:
+    return checked_number(
+        "payload",
+        payload,
+        allowed="> 0 kg",
+        remedy="give the mass at the tip in kg",
+        holds=lambda mass: mass > 0,
+    )
 
 
 @dataclass(frozen=True)
@@ -110,10 +112,10 @@ class LinkModel:
             ("damping_order", lambda x: 0 < x < 2, "0 < α < 2", "give α, 1 for viscous damping"),
         )
         for field, holds, allowed, remedy in checks:
-            put(self, field, _number(field, getattr(self, field), holds, allowed, remedy))
+            value = getattr(self, field)
+            put(self, field, checked_number(field, value, holds=holds, allowed=allowed, remedy=remedy))
         if self.payload is not None:
-            remedy = "give the mass at the tip in kg"
-            put(self, "payload", _number("payload", self.payload, lambda x: x > 0, "> 0 kg", remedy))
+            put(self, "payload", _mass(self.payload))
         if self.natural_frequency == 0 and self.damping == 0:
             raise FieldError(
                 _FREQUENCY, 0.0, "zero without damping", allowed="> 0", remedy="give ϖ = sqrt(c/(m L²))"
@@ -229,7 +231,7 @@ class LinkModel:
                 allowed="> 0 kg",
                 remedy="make the model with the payload at which its frequency holds",
             )
-        wanted = _number("payload", payload, lambda x: x > 0, "> 0 kg", "give the mass at the tip in kg")
+        wanted = _mass(payload)
         ratio = self.payload / wanted
         return replace(
             self,

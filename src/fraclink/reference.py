@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fraclink.errors import FieldError, SizeError
+from fraclink.quantity import checked_number
 
 __all__ = ["Chirp", "Path", "Reference", "chirp", "hold", "prbs", "pulse", "sampled", "smooth_step"]
 
@@ -155,14 +156,13 @@ def _number(
         if at_least is not None
         else f"finite, {unit}"
     )
-    good = not isinstance(value, bool) and isinstance(value, int | float | np.floating | np.integer)
-    number = float(value) if good else math.nan
-    good = math.isfinite(number) and not (positive and number <= 0)
-    if not good or (at_least is not None and number < at_least):
-        raise FieldError(
-            field, value, "out of range", allowed=allowed, remedy="give one number in this range"
-        )
-    return number
+    return checked_number(
+        field,
+        value,
+        allowed=allowed,
+        remedy="give one number in this range",
+        holds=lambda x: not (positive and x <= 0) and (at_least is None or x >= at_least),
+    )
 
 
 def smooth_step(amplitude: float, duration: float, start: float = 0.0) -> Path:

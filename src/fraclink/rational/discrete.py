@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink.errors import FieldError
+from fraclink.quantity import is_whole
 from fraclink.rational.growth import finish, grow
 from fraclink.rational.minimax import PartialFractions, Target, score
 from fraclink.rational.parallel import DiscreteRational
@@ -176,11 +177,10 @@ def _check(period: float, band: tuple[float, float], order: int, zeros_at_one: i
             allowed=f"0 < low < high <= {math.pi / period:.6g} rad/s",
             remedy="lower the upper end or shorten the period",
         )
-    if not 0 <= order <= HIGHEST_ORDER:
-        raise FieldError(
-            "order", order, "out of range", allowed=f"0 to {HIGHEST_ORDER}", remedy="use order=None to choose"
-        )
-    if not 0 <= zeros_at_one <= 3:
+    if not is_whole(order, 0, HIGHEST_ORDER):
+        allowed = f"a whole number from 0 to {HIGHEST_ORDER}"
+        raise FieldError("order", order, "out of range", allowed=allowed, remedy="use order=None to choose")
+    if not is_whole(zeros_at_one, 0, 3):
         raise FieldError(
             "zeros_at_one", zeros_at_one, "out of range", allowed="0 to 3", remedy="use 1 for a washout"
         )

@@ -64,6 +64,11 @@ def _tail(values: Real, part: float = 0.1) -> Real:
     return values[-max(8, int(part * len(values))) :]
 
 
+def _band(reference: Real) -> float:
+    """Half the width [rad] of the band that a settled tip stays in."""
+    return BAND * abs(float(reference[-1] - reference[0])) or REST_BAND
+
+
 def measure(
     time: Real,
     reference: Real,
@@ -80,8 +85,7 @@ def measure(
     """
     final = float(reference[-1])
     move = final - float(reference[0])
-    band = BAND * abs(move) if move else REST_BAND
-    outside = np.flatnonzero(np.abs(tip - final) > band)
+    outside = np.flatnonzero(np.abs(tip - final) > _band(reference))
     settling = 0.0
     if outside.size:
         last = int(outside[-1])
@@ -132,7 +136,10 @@ def judge(
     stop = int(abnormal[0]) if abnormal.size else len(time)
     quiet = (time >= ended + vibration_period) & (np.arange(len(time)) < stop)
     rate = _growth(time[quiet], (tip - reference)[quiet], vibration_period) if quiet.sum() > 8 else 0.0
-    if not np.all(np.isfinite(tip)) or (rate > 0 and not math.isfinite(metrics.settling_time)):
+    # A tip that is away because it was left behind does not swing out of its band: its noise may still
+    # rise a little, and to call that unstable would name the wrong cause.
+    swings = 0.5 * float(np.ptp(_tail(tip - reference))) > _band(reference)
+    if not np.all(np.isfinite(tip)) or (rate > 0 and swings and not math.isfinite(metrics.settling_time)):
         grown = f"unstable: the vibration grows at {rate:.3g} 1/s"
         return Verdict(False, f"{grown}; the law trips at {time[stop]:.3g} s" if abnormal.size else grown)
     if abnormal.size:

@@ -12,6 +12,7 @@ from fraclink import _kernels
 from fraclink.errors import FieldError
 from fraclink.law import Law, equip
 from fraclink.link import LinkModel
+from fraclink.quantity import checked_number, checked_whole
 from fraclink.reference import Reference, sampled
 from fraclink.simulate.metrics import judge, measure
 from fraclink.simulate.plant import link_weights
@@ -114,11 +115,11 @@ def simulate(
         if gauge_offset is None
         else _number("gauge_offset", gauge_offset, "N·m", -1e6, 1e6),
         noise=rig.gauge.noise if noise is None else _number("noise", noise, "N·m", 0.0, 1e6),
-        seed=_whole("seed", seed, 0, 2**64 - 1),
+        seed=checked_whole("seed", seed, 0, 2**64 - 1),
         delay_samples=rig.inner.delay_samples
         if delay_samples is None
-        else _whole("delay_samples", delay_samples, 0, 100),
-        substeps=_whole("substeps", substeps, 1, 1000),
+        else checked_whole("delay_samples", delay_samples, 0, 100),
+        substeps=checked_whole("substeps", substeps, 1, 1000),
         compensation=_compensation(compensation, inner),
     )
     signals = np.empty((7, count))
@@ -243,22 +244,6 @@ def _compensation(value: str, inner: str) -> str:
 
 
 def _number(field: str, value: object, unit: str, low: float, high: float) -> float:
-    allowed = f"{low:g} to {high:g} {unit}"
-    if isinstance(value, bool) or not isinstance(value, int | float | np.floating | np.integer):
-        raise FieldError(field, value, "not a number", allowed=allowed, remedy="give one number")
-    number = float(value)
-    if not (math.isfinite(number) and low <= number <= high):
-        raise FieldError(field, value, "out of range", allowed=allowed, remedy="check the value and its unit")
-    return number
-
-
-def _whole(field: str, value: object, low: int, high: int) -> int:
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or not low <= value <= high:
-        raise FieldError(
-            field,
-            value,
-            "not in range",
-            allowed=f"whole number {low} to {high}",
-            remedy="give a whole number",
-        )
-    return int(value)
+    return checked_number(
+        field, value, allowed=f"{low:g} to {high:g} {unit}", holds=lambda x: low <= x <= high
+    )

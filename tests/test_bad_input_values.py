@@ -1,0 +1,224 @@
+"""Bad values of links, designs, laws and campaigns, by their numbers in the catalogue of bad inputs."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import fraclink as fl
+from campaigns import small
+from fraclink.design.poles import PRINTED
+from fraclink.errors import FieldError, InfeasibleError, SizeError
+from fraclink.experiment import Experiment
+from fraclink.identify import identify_payloads, simulated_torque
+from fraclink.link import LinkModel
+from identify_cases import TRUTH, made_log, smooth_pulse
+
+RIG = fl.Rig.named("paper-2023")
+LINK = LinkModel(stiffness=1.56, natural_frequency=11.0, order=1.92, payload=0.030)
+
+
+def refused(call: Callable[[], object], field: str) -> FieldError:
+    """The error of `call`: of this field, complete, on one line."""
+    with pytest.raises(FieldError) as caught:
+        call()
+    error = caught.value
+    assert error.field == field
+    assert error.problem and error.allowed and error.remedy
+    assert "\n" not in str(error)
+    return error
+
+
+def planned(model: LinkModel = LINK, rig: fl.Rig = RIG, **changes: object) -> fl.Plan:
+    request = {"payloads": (0.020, 0.040), "gain_crossover": 12.0, "phase_margin": fl.deg(50)}
+    return fl.design(model, rig, **(request | changes))
+
+
+@functools.cache
+def default_law() -> fl.Law:
+    return planned().controller.discretize(0.004)
+
+
+def test_b17_logs_of_different_periods_share_one_order() -> None:
+    def recorded(period: float, mass: float) -> Experiment:
+        link = LINK.at_payload(mass)
+        fine = smooth_pulse(period / 10 * np.arange(30_010))
+        torque = simulated_torque(link, fine, period / 10, hold="first")[::10]
+        return Experiment(period=period, motor_angle=fine[::10], output=torque, payload=mass)
+
+    fit = identify_payloads([recorded(0.004, 0.020), recorded(0.005, 0.040)])
+    for model, mass in zip(fit.models, (0.020, 0.040), strict=True):
+        assert model.order == pytest.approx(1.92, abs=1e-4)
+        assert model.natural_frequency == pytest.approx(LINK.at_payload(mass).natural_frequency, rel=1e-4)
+
+
+@pytest.mark.parametrize("order", [0.999, 2.001, 0.0, -1.92, math.nan, math.inf])
+def test_b31_an_order_outside_one_to_two(order: float) -> None:
+    assert "1 to 2" in refused(lambda: LinkModel(1.56, 11.0, order=order), "order").allowed
+
+
+def test_b31_the_integer_orders_themselves() -> None:
+    # λ = 1: c (1 − e^{−ϖ² t} …), λ = 2: c cos ϖt: exact cases, nothing special-cased by the caller.
+    time = np.array([0.1, 0.2, 0.7])
+    for order, wanted in ((1.0, 1.56 * np.exp(-9 * time)), (2.0, 1.56 * np.cos(3 * time))):
+        torque = LinkModel(1.56, 3.0, order=order).torque()
+        assert fl.step_response(torque, time).output == pytest.approx(wanted, abs=1e-11)
+    assert planned(dataclasses.replace(LINK, order=2.0)).holds
+
+
+@pytest.mark.parametrize(("values", "field"), [({"order": 2.4}, "order"), ({"damping": -1.0}, "damping")])
+def test_b33_an_unstable_guess_cannot_be_made(values: dict[str, float], field: str) -> None:
+    refused(lambda: fl.identify(made_log(), guess=LinkModel(1.56, 10.0, **values)), field)
+
+
+def test_b33_a_guess_far_off_costs_nothing() -> None:
+    log = made_log(noise=0.05, samples=3001)
+    far = fl.identify(log, guess=LinkModel(1.0, 300.0, order=1.01), details=False)
+    assert far.mse <= fl.identify(log, details=False).mse * (1 + 1e-7)
+    assert far.model.order == pytest.approx(TRUTH.order, abs=0.01)
+
+
+@pytest.mark.parametrize("order", [0.0, -0.5, 2.0, 3.0, math.nan])
+def test_b34_an_order_of_the_controller_out_of_range(order: float) -> None:
+    assert "2" in refused(lambda: fl.Controller(gain=0.1, order=order), "order").allowed
+
+
+def test_b34_a_design_that_needs_a_controller_above_the_links_order() -> None:
+    link = dataclasses.replace(LINK, natural_frequency=8.0, order=1.3)
+    with pytest.raises(InfeasibleError, match="β < λ") as caught:
+        planned(link, gain_crossover=70.0, phase_margin=fl.deg(40), filter_time=0.0)
+    nearest = {"filter_time": 0.0} | dict(caught.value.nearest)
+    assert planned(link, **nearest).controller.order < 1.3
+
+
+def test_b35_theorem_2_asks_for_frequencies_above_one() -> None:
+    error = refused(
+        lambda: planned(payloads=None, natural_frequencies=(0.8, 1.5), margins="ideal"), "natural_frequencies"
+    )
+    assert "Theorem 2" in error.problem
+    assert 'margins="loop"' in error.remedy
+
+
+@pytest.mark.parametrize("margins", ["loop", "ideal"])
+def test_b36_left_of_the_peak_names_the_crossover_needed(margins: str) -> None:
+    with pytest.raises(InfeasibleError) as caught:
+        planned(gain_crossover=9.0, margins=margins)
+    assert "(39)" in str(caught.value)
+    needed = caught.value.nearest["gain_crossover"]
+    assert needed > 9.0
+    assert planned(**dict(caught.value.nearest), margins=margins).holds
+
+
+def test_b37_the_largest_phase_margin_is_told_and_reached() -> None:
+    with pytest.raises(InfeasibleError, match="largest phase margin") as caught:
+        planned(phase_margin=fl.deg(120))
+    largest = re.search(r"at 12 rad/s the largest phase margin is ([\d.]+)°", str(caught.value))
+    assert largest is not None
+    assert planned(phase_margin=fl.deg(float(largest[1]) - 0.1)).holds
+    with pytest.raises(InfeasibleError):
+        planned(phase_margin=fl.deg(float(largest[1]) + 0.1))
+
+
+@pytest.mark.parametrize(("crossover", "bound"), [(900.0, "785.398 rad/s"), (300.0, "80 rad/s")])
+def test_b38_a_crossover_beyond_nyquist_or_the_motor_loop(crossover: float, bound: str) -> None:
+    assert bound in refused(lambda: planned(gain_crossover=crossover), "gain_crossover").allowed
+
+
+def test_b39_the_papers_filter_costs_more_than_a_tenth_of_the_margin() -> None:
+    plan = planned(filter_time=0.16, margins="ideal")
+    finding = next(finding for finding in plan.findings if finding.code == "W401")
+    assert finding.evidence["cost_rad"] > fl.deg(50)  # 0.16 s costs more than all of the 50°
+    assert "W401" not in {finding.code for finding in planned().findings}
+
+
+def test_b40_a_certificate_that_is_not_obtained_names_payload_frequency_and_margin() -> None:
+    printed = fl.certify(PRINTED["(58)"], model=LINK, rig=RIG, payloads=(0.020, 0.040))
+    assert not printed.holds
+    assert printed.payload == pytest.approx(0.040)
+    found = fl.certify(planned(), modulus_margin=0.95)
+    assert not found.holds
+    assert found.payload is not None and 0.0199 < found.payload < 0.0401
+    assert found.frequency is not None and found.frequency > 0
+    assert found.distance is not None and found.distance < 0.95
+
+
+@pytest.mark.parametrize("period", [0.0, -0.004, math.nan, math.inf, True])
+def test_b41_a_period_that_is_none(period: float) -> None:
+    refused(lambda: planned().controller.discretize(period), "period")
+
+
+def test_b41_a_period_too_long_for_the_request() -> None:
+    with pytest.raises(InfeasibleError):
+        planned(rig=dataclasses.replace(RIG, period=0.2))
+    assert refused(lambda: planned().controller.discretize(0.1), "period").allowed == "0.004 s"
+
+
+@pytest.mark.parametrize("order", [-1, 13, 65, 2.5, True])
+def test_b42_states_of_a_law_out_of_range(order: int) -> None:
+    assert "12" in refused(lambda: planned().controller.discretize(0.004, order=order), "order").allowed
+
+
+def test_b43_a_move_beyond_the_motor_does_not_hold() -> None:
+    law = planned(RIG.model).controller.discretize(0.004)
+    run = fl.simulate(RIG, RIG.model, law, fl.smooth_step(1000.0, duration=0.01), payload=0.020)
+    assert not run.verdict.holds
+    assert abs(run.metrics.steady_state_error) > 1.0
+    # What is wrong is that the tip is not there; it does not swing, so nothing is called unstable.
+    assert "unstable" not in run.verdict.reason
+
+
+@pytest.mark.parametrize("value", ["12", True, [12.0], 10**400, None])
+def test_b44_b45_a_request_that_is_no_number(value: object) -> None:
+    error = refused(lambda: planned(gain_crossover=value), "gain_crossover")
+    assert len(str(error)) < 300
+
+
+@pytest.mark.parametrize("seed", [-1, 1.5, True, "7", 2**64])
+def test_b48_a_seed_that_is_no_whole_number(seed: object) -> None:
+    law = default_law()
+    refused(lambda: fl.simulate(RIG, LINK, law, fl.smooth_step(1.0, duration=0.5), seed=seed), "seed")
+
+
+@pytest.mark.parametrize("name", ["int", "1a", "a b", "é", "a*/", "", "x" * 40])
+def test_b49_a_name_that_c_does_not_allow(name: str, tmp_path: Path) -> None:
+    law = default_law()
+    refused(lambda: fl.export_c(law, tmp_path / "firmware", name=name), "name")
+    assert not (tmp_path / "firmware").exists()
+
+
+def test_b52_more_samples_than_a_simulation_holds() -> None:
+    law = default_law()
+    move = fl.smooth_step(1.0, duration=0.5)
+    for duration in (0.004 * 2.1e6, 1e12):
+        with pytest.raises(SizeError, match="2000000 samples") as caught:
+            fl.simulate(RIG, LINK, law, move, duration=duration)
+        assert caught.value.field == "duration"
+
+
+@pytest.mark.parametrize("runs", [10**9 + 1, 10**30])
+def test_b54_more_runs_than_a_campaign_can_end(runs: int) -> None:
+    with pytest.raises(SizeError, match="too many") as caught:
+        dataclasses.replace(small(), runs=runs)
+    assert caught.value.field == "runs"
+
+
+@pytest.mark.parametrize(
+    ("call", "field"),
+    [
+        (lambda: fl.smooth_step(10**400, 1.0), "amplitude"),
+        (lambda: fl.smooth_step(1.0, 10**400), "duration"),
+        (lambda: LinkModel(10**400, 11.0), "stiffness"),
+        (lambda: LINK.at_payload(10**400), "payload"),
+        (lambda: Experiment(10**400, np.ones(3), np.ones(3)), "period"),
+        (lambda: fl.simulate(RIG, LINK, default_law(), fl.hold(0.0), payload=10**400), "payload"),
+    ],
+)
+def test_b44_a_whole_number_that_no_float_holds(call: Callable[[], object], field: str) -> None:
+    assert "0" * 30 not in str(refused(call, field))  # its 400 digits are not printed either
