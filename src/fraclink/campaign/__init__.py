@@ -7,23 +7,30 @@ from fraclink.campaign.conduct import Progress, conduct
 from fraclink.campaign.draws import Distribution, Draws, draws_for
 from fraclink.campaign.part import read_part, simulate_part
 from fraclink.campaign.replay import arm_of, replay
-from fraclink.campaign.summary import MetricSummary, Quantile, Summary, summarise
+from fraclink.campaign.summary import MetricSummary, Quantile, Summary, columns, summarise
+from fraclink.campaign.sweep import Cell, Sweep, load_sweep, save_sweep, sweep
 
 __all__ = [
     "Campaign",
+    "Cell",
     "Distribution",
     "Draws",
     "MetricSummary",
     "Progress",
     "Quantile",
     "Summary",
+    "Sweep",
     "arm_of",
+    "columns",
     "conduct",
     "draws_for",
     "load_campaign",
+    "load_sweep",
     "read_part",
     "replay",
     "save_campaign",
+    "save_sweep",
     "simulate_part",
     "summarise",
+    "sweep",
 ]

@@ -13,7 +13,7 @@ from fraclink.campaign.campaign import Campaign
 from fraclink.campaign.part import read_part
 from fraclink.errors import FieldError
 
-__all__ = ["METRICS", "PARAMETERS", "Failure", "MetricSummary", "Quantile", "Summary", "summarise"]
+__all__ = ["METRICS", "PARAMETERS", "Failure", "MetricSummary", "Quantile", "Summary", "columns", "summarise"]
 
 Real = NDArray[np.float64]
 
@@ -105,15 +105,7 @@ def summarise(campaign: Campaign, folder: Path | str) -> Summary:
     Columns are read one at a time: the memory is that of two columns, 16 bytes a run.
     """
     place = Path(folder)
-    parts = [p for p in range(campaign.parts) if read_part(campaign, place, p, names=("run",)) is not None]
-    if not parts:
-        raise FieldError(
-            "parts",
-            str(place),
-            "empty",
-            allowed="at least one finished part",
-            remedy="run the campaign first",
-        )
+    parts = _finished(campaign, place)
 
     def column(name: str) -> NDArray[np.generic]:
         return np.concatenate([_column(campaign, place, part, name) for part in parts])
@@ -128,6 +120,26 @@ def summarise(campaign: Campaign, folder: Path | str) -> Summary:
         metrics=metrics,
         failed=tuple(int(n) for n in failed[:100]),
     )
+
+
+def columns(campaign: Campaign, folder: Path | str, *names: str) -> tuple[NDArray[np.generic], ...]:
+    """Return columns of all finished parts of a campaign, by name; FieldError where no part is finished."""
+    place = Path(folder)
+    parts = _finished(campaign, place)
+    return tuple(np.concatenate([_column(campaign, place, part, name) for part in parts]) for name in names)
+
+
+def _finished(campaign: Campaign, place: Path) -> list[int]:
+    parts = [p for p in range(campaign.parts) if read_part(campaign, place, p, names=("run",)) is not None]
+    if not parts:
+        raise FieldError(
+            "parts",
+            str(place),
+            "empty",
+            allowed="at least one finished part",
+            remedy="run the campaign first",
+        )
+    return parts
 
 
 def _column(campaign: Campaign, place: Path, part: int, name: str) -> NDArray[np.generic]:

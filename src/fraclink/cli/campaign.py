@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import typer
 
-from fraclink.cli import faults, montecarlo
+from fraclink.cli import faults, montecarlo, sweep
 
 __all__ = ["register"]
 
@@ -14,4 +14,5 @@ def register(app: typer.Typer) -> None:
     campaign = typer.Typer(help="Many runs: Monte Carlo, faults, sweeps.")
     montecarlo.register(campaign)
     faults.register(campaign)
+    sweep.register(campaign)
     app.add_typer(campaign, name="campaign")

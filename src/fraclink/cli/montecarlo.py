@@ -46,18 +46,31 @@ def montecarlo(
         plan = Plan.load(design_file)
     else:
         plan, _ = design_for(load_rig(rig), None, Request())
-    law = plan.controller.discretize(plan.rig.period)
+    law = plan.law()
     campaign = Campaign.of(plan.rig, plan.model, law, runs=runs, seed=seed)
     with _watching(campaign.runs) as watch:
         conduct(campaign, out, workers=workers, scheduler=scheduler, watch=watch)
     return _tell_summary(summarise(campaign, out), out, json=json)
 
 
-def report(parts: Parts, json: Json = False) -> int:
+def report(
+    parts: Parts,
+    out: Annotated[Path | None, typer.Option("--out", help="Write a page with figures here (.html).")] = None,
+    json: Json = False,
+    force: Force = False,
+) -> int:
     """Summarise the finished parts of a campaign: failures, quantiles, worst cases, what drives them."""
     from fraclink.campaign import load_campaign, summarise
 
-    return _tell_summary(summarise(load_campaign(parts), parts), parts, json=json)
+    place = None if out is None else output_path(out, force=force)
+    campaign = load_campaign(parts)
+    summary = summarise(campaign, parts)
+    if place is not None:
+        from fraclink.report.campaigns import write_campaign_report
+
+        write_campaign_report(campaign, parts, summary, place)
+        tell(f"written: {place}")
+    return _tell_summary(summary, parts, json=json)
 
 
 def replay(
