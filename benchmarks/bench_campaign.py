@@ -1,0 +1,333 @@
+"""Figures of campaigns: speed of the loop with its law, set-up, scaling, memory, and what Python adds.
+
+    python benchmarks/bench_campaign.py [--runs 2000]
+
+Every line: what was measured | value | wanted | error beside it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import resource
+import statistics
+import struct
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+
+import fraclink as fl
+from fraclink import _kernels
+from fraclink.campaign import Campaign, conduct, simulate_part
+from fraclink.campaign import part as part_module
+from fraclink.campaign.draws import draw
+
+ROOT = Path(__file__).resolve().parent.parent
+TICKS = 5000
+
+
+def line(what: str, value: str, wanted: str, error: str = "") -> None:
+    """Print one figure."""
+    print(f"{what} | {value} | {wanted} | {error}", flush=True)
+
+
+def campaign(runs: int, *, ticks: int = 1001) -> Campaign:
+    """The paper's arm under our own order-4 law with all its guards, motor loop and friction included."""
+    rig = fl.Rig.named("paper-2023")
+    law = fl.Controller(gain=0.069876, order=0.612197, link=rig.model).discretize(rig.period, order=4)
+    return replace(Campaign.of(rig, rig.model, law, runs=runs, seed=7), duration=(ticks - 1) * law.period)
+
+
+def seconds(work: Callable[[], object]) -> float:
+    """Processor time of this thread: what others do on the machine does not count."""
+    began = time.thread_time()
+    work()
+    return time.thread_time() - began
+
+
+def accounted(what: Callable[..., object], spent: list[float]) -> Callable[..., object]:
+    """`what`, its processor time added to `spent`."""
+
+    def timed(*arguments: object, **options: object) -> object:
+        began = time.thread_time()
+        try:
+            return what(*arguments, **options)
+        finally:
+            spent.append(time.thread_time() - began)
+
+    return timed
+
+
+def speed(runs: int) -> None:
+    """10 000 runs × 5000 ticks, from a sample of `runs` runs, repeated."""
+    asked = campaign(runs, ticks=TICKS)
+    whole, links, measure = [], [], []
+    before = part_module.batch_links, part_module.measure_many
+    part_module.batch_links = accounted(before[0], links)  # type: ignore[assignment]
+    part_module.measure_many = accounted(before[1], measure)  # type: ignore[assignment]
+    try:
+        for _ in range(5):
+            links.clear(), measure.clear()
+            total = seconds(lambda: [simulate_part(asked, part) for part in range(asked.parts)])
+            whole.append((total, sum(links), sum(measure)))
+    finally:
+        part_module.batch_links, part_module.measure_many = before
+    scale = 10_000 / runs
+    total, setup, metrics = (statistics.median(column) * scale for column in zip(*whole, strict=True))
+    spread = (max(w[0] for w in whole) - min(w[0] for w in whole)) * scale
+    line(
+        "10 000 runs x 5000 ticks, guards, noise, 10 friction substeps, one core",
+        f"{total:.2f} s",
+        "<= 8 s",
+        f"spread of 5: {spread:.2f} s",
+    )
+    line(
+        "  of it the kernel",
+        f"{total - setup - metrics:.2f} s = {(total - setup - metrics) * 20:.0f} ns/tick",
+        "-",
+    )
+    line("  of it the metrics", f"{metrics:.2f} s", "-")
+    line("  of it the set-up of the links", f"{100 * setup / total:.1f} %", "<= 10 %")
+    values = draw(asked.draws, asked.seed, 0, 1000)
+    drawing = seconds(lambda: draw(asked.draws, asked.seed, 0, 1000)) * 10
+    line(
+        "  drawing the parameters of 10 000 runs",
+        f"{100 * drawing / total:.2f} %",
+        "<= 10 %",
+        f"{len(values)} names",
+    )
+
+
+def scaling() -> None:
+    """One worker against two, wall clock, interleaved; what it means when others use the machine is told."""
+    asked = campaign(8000, ticks=TICKS)
+    ratios, loads = [], os.getloadavg()[0]
+    for _ in range(3):
+        took = {}
+        for workers in (1, 2):
+            with tempfile.TemporaryDirectory() as folder:
+                finished: list[float] = []
+                conduct(
+                    asked, folder, workers=workers, watch=lambda _, f=finished: f.append(time.monotonic())
+                )
+                # From the first part on: the start of processes is a constant of 2 s, whatever the campaign.
+                took[workers] = (finished[-1] - finished[workers - 1]) / (len(finished) - workers)
+        ratios.append(took[1] / took[2])
+    spread = f"{min(ratios):.2f} ... {max(ratios):.2f} of 3"
+    line(
+        "two workers against one",
+        f"{statistics.median(ratios):.2f} x",
+        ">= 1.9 x",
+        f"{spread}; load before {loads:.1f}",
+    )
+
+
+ALONE = """
+import sys, time
+from fraclink.campaign import load_campaign, simulate_part
+asked = load_campaign(sys.argv[1])
+simulate_part(asked, 0)
+began = time.thread_time()
+for part in range(1, 4):
+    simulate_part(asked, part)
+print(time.thread_time() - began)
+"""
+
+
+def implied() -> None:
+    """The same by processor time, which others disturb less: one process against two at once."""
+    from fraclink.campaign import save_campaign
+
+    with tempfile.TemporaryDirectory() as folder:
+        save_campaign(campaign(8000, ticks=TICKS), Path(folder))
+        ratios = []
+        for _ in range(3):
+            took = {}
+            for count in (1, 2):
+                line_ = [sys.executable, "-c", ALONE, folder]
+                running = [
+                    subprocess.Popen(line_, stdout=subprocess.PIPE)  # noqa: S603 - our own interpreter
+                    for _ in range(count)
+                ]
+                took[count] = max(float(process.communicate()[0]) for process in running)
+            ratios.append(2.0 * took[1] / took[2])
+    spread = f"{min(ratios):.2f} ... {max(ratios):.2f} of 3"
+    line(
+        "  by processor time, two at once against one",
+        f"{statistics.median(ratios):.2f} x",
+        ">= 1.9 x",
+        spread,
+    )
+
+
+MEMORY = """
+import resource, sys
+from fraclink.campaign.conduct import compute
+for part in range(int(sys.argv[2])):
+    compute(sys.argv[1], part)
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+"""
+
+
+def memory() -> None:
+    """Largest resident memory of a worker after 1 and after 20 parts of a campaign of a million runs."""
+    from fraclink.campaign import save_campaign
+
+    with tempfile.TemporaryDirectory() as folder:
+        save_campaign(campaign(1_000_000), Path(folder))
+        peaks = []
+        for parts in ("1", "20"):
+            command = [sys.executable, "-c", MEMORY, folder, parts]
+            told = subprocess.run(command, capture_output=True, check=True)  # noqa: S603 - our own
+            peaks.append(int(told.stdout) / 1024)
+    line(
+        "memory of a worker after 20 parts",
+        f"{peaks[1]:.0f} MB",
+        "<= 500 MB",
+        f"after one part {peaks[0]:.0f} MB",
+    )
+
+
+DRIVER = r"""
+#include <stdio.h>
+#include <stdlib.h>
+#include <time.h>
+#include "loop.h"
+static double *floats(FILE *f, long n) { double *p = malloc(sizeof(double) * (size_t)n);
+  if (fread(p, sizeof(double), (size_t)n, f) != (size_t)n) exit(1); return p; }
+int main(int argc, char **argv) {
+  FILE *f = fopen(argv[1], "rb"); (void)argc;
+  long head[4]; loop_rig rig;
+  if (!f || fread(head, sizeof head, 1, f) != 1 || fread(&rig, sizeof rig, 1, f) != 1) return 1;
+  const long n = head[0], reals = head[1], pairs = head[2], bytes = head[3];
+  double *first = floats(f, 6), *decay = floats(f, reals), *weight = floats(f, 6 * reals);
+  double *pr = floats(f, pairs), *pi = floats(f, pairs);
+  double *wr = floats(f, 6 * pairs), *wi = floats(f, 6 * pairs);
+  double *angle = floats(f, n), *acceleration = floats(f, n), stiffness = *floats(f, 1);
+  void *params = aligned_alloc(64, (size_t)((bytes + 63) / 64 * 64));
+  if (fread(params, 1, (size_t)bytes, f) != (size_t)bytes) return 1;
+  loop_link link = {(int)reals, (int)pairs, decay, weight, pr, pi, wr, wi, {0}, stiffness};
+  for (int j = 0; j < 6; j++) link.first[j] = first[j];
+  double *o = malloc(sizeof(double) * 7 * (size_t)n); uint32_t *m = malloc(4 * 3 * (size_t)n);
+  const loop_reference path = {n, angle, acceleration};
+  const loop_trace t = {o, o + n, o + 2*n, o + 3*n, o + 4*n, o + 5*n, o + 6*n, m, m + n, m + 2*n};
+  const int repeats = atoi(argv[2]);
+  struct timespec a, b;
+  clock_gettime(CLOCK_THREAD_CPUTIME_ID, &a);
+  for (int r = 0; r < repeats; r++) {
+    rig.seed = (uint64_t)r;
+    if (loop_run_double(&link, &rig, params, &path, &t)) return 1;
+  }
+  clock_gettime(CLOCK_THREAD_CPUTIME_ID, &b);
+  printf("%.9f %.17g\n", (double)(b.tv_sec - a.tv_sec) + 1e-9 * (double)(b.tv_nsec - a.tv_nsec), o[n - 1]);
+  return 0;
+}
+"""
+
+
+def plain_c() -> None:
+    """The loop, one run at a time, from a C program and from Python, on the same numbers, in turns."""
+    asked = campaign(64, ticks=TICKS)
+    block = part_module.block_of(asked, draw(asked.draws, 7, 0, 64), 0, 0)
+    links, row = block.links, block.numbers[0]
+    angle, acceleration = row[-1] * part_module.unit_paths(asked)[block.chosen[0]]
+    pieces = [links.first[0], links.decay[0], links.weight[0], links.pair[0].real, links.pair[0].imag]
+    pieces += [links.pair_weight[0].real, links.pair_weight[0].imag, angle, acceleration, row[:1]]
+    path = np.stack([angle, np.zeros_like(angle), acceleration])
+    signals, marks = np.empty((7, TICKS)), np.empty((3, TICKS), dtype=np.uint32)
+    arrays = [np.ascontiguousarray(piece) for piece in pieces[:7]]
+
+    def from_python(repeats: int) -> float:
+        for seed in range(repeats):
+            rig = part_module.shared_rig(asked, numbers=row, seed=seed)
+            _kernels.loop_run(asked.law.block, False, rig, float(row[0]), *arrays, path, signals, marks)
+        return float(signals[0, -1])
+
+    with tempfile.TemporaryDirectory() as folder:
+        program = compiled(Path(folder))
+        head = np.array(
+            [TICKS, links.decay.shape[1], links.pair.shape[1], len(asked.law.block)], dtype=np.int64
+        )
+        rig = rig_bytes(asked, row)
+        data = b"".join(
+            [head.tobytes(), rig, *(np.ascontiguousarray(p).tobytes() for p in pieces), asked.law.block]
+        )
+        (Path(folder) / "data").write_bytes(data)
+        ratios = []
+        for _ in range(7):
+            out = subprocess.run(  # noqa: S603
+                [program, str(Path(folder) / "data"), "200"], capture_output=True, check=True, text=True
+            ).stdout.split()
+            took = seconds(lambda: from_python(200))
+            assert float(out[1]) == signals[0, -1], "C and Python disagree"
+            ratios.append(took / float(out[0]))
+    spread = f"{min(ratios):.3f} ... {max(ratios):.3f} of 7; same last bit"
+    line(
+        "one run at a time, from Python against plain C",
+        f"{statistics.median(ratios):.3f} x",
+        "<= 1.1 x",
+        spread,
+    )
+
+
+def rig_bytes(asked: Campaign, row: np.ndarray) -> bytes:
+    """The C struct loop_rig of a run: three ints, padding, doubles, the seed."""
+    kernels = part_module._kernels
+    part_module._kernels = SimpleNamespace(LoopRig=dict)  # type: ignore[assignment]
+    try:
+        rig: dict[str, float] = part_module.shared_rig(asked, numbers=row)  # type: ignore[assignment]
+    finally:
+        part_module._kernels = kernels
+    names = ["period", "pole", "gain", "decay", "friction", "coupling", "encoder", "offset", "noise", "limit"]
+    names += ["quantum", "start"]
+    reals = [float(rig[name]) for name in names]
+    return struct.pack("@3i4x12dQ", *(int(rig[n]) for n in ("sampled", "substeps", "delay")), *reals, 0)
+
+
+def compiled(folder: Path) -> str:
+    """Build the driver with the package's own sources and options."""
+    (folder / "driver.c").write_text(DRIVER)
+    kernels, common = (
+        ROOT / "csrc" / "kernels",
+        ["-I", str(ROOT / "csrc"), "-I", str(ROOT / "csrc" / "kernels")],
+    )
+    options = ["-ffp-contract=off", "-fPIC"]
+    fast = ["-O3", "-std=gnu11", "-fopenmp-simd", "-fno-math-errno", "-fno-trapping-math", *options]
+    law = ["-O2", "-std=c99", *options, "-c", str(ROOT / "csrc" / "law.c"), "-o", str(folder / "law.o")]
+    subprocess.run(["cc", *law], check=True)  # noqa: S603, S607
+    sources = [
+        str(folder / "driver.c"),
+        str(kernels / "loop.c"),
+        str(kernels / "normal.c"),
+        str(folder / "law.o"),
+    ]
+    subprocess.run(["cc", *fast, *common, *sources, "-lm", "-o", str(folder / "driver")], check=True)  # noqa: S603, S607
+    return str(folder / "driver")
+
+
+def main() -> None:
+    """Print all figures."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--runs", type=int, default=1000)
+    asked = parser.parse_args()
+    speed(asked.runs)
+    plain_c()
+    memory()
+    scaling()
+    implied()
+    line(
+        "peak memory of this benchmark",
+        f"{resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MB",
+        "-",
+    )
+
+
+if __name__ == "__main__":
+    main()
