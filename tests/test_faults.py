@@ -22,6 +22,7 @@ from fraclink.campaign.faults import (
     soak,
 )
 from fraclink.campaign.faults.evidence import shared_checks
+from fraclink.campaign.faults.inject import REALS, members
 from fraclink.errors import FieldError, FileFormatError
 from fraclink.twin import geared
 
@@ -146,6 +147,24 @@ def test_the_shared_criteria_see_what_they_are_for(bench: Bench) -> None:
         values = np.array(getattr(e.faulty, field))
         values[100] = value
         assert not all(check.holds for check in shared_checks(e, replace(e.faulty, **{field: values})))
+
+
+@pytest.mark.parametrize("precision", ["double", "single"])
+def test_the_members_of_the_state_are_where_they_are_said_to_be(bench: Bench, precision) -> None:
+    e = observe(bench, Case("F02", 1, 0.03, "mid", 1), bench.law.in_precision(precision))
+    memory = np.frombuffer(e.faulty.law_state, dtype=np.uint8)
+    reals = dict(zip(REALS, members(memory, 4 if precision == "single" else 8), strict=True))
+    for name in ("encoder", "gauge", "command", "asked"):
+        member = {
+            "encoder": "motor_angle",
+            "gauge": "torque",
+            "command": "motor_reference",
+            "asked": "voltage",
+        }
+        assert reals[member[name]] == pytest.approx(getattr(e.faulty, name)[-1], rel=1e-6), name
+    assert reals["reference"] == pytest.approx(1.0) and reals["fade"] == 1.0
+    used = [reals[f"modes[{k}]"] for k in range(len(bench.law.correction.poles))]
+    assert np.all(np.array(used) != 0.0)
 
 
 def test_a_run_repeats_to_the_last_bit(bench: Bench) -> None:
