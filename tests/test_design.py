@@ -244,3 +244,19 @@ def test_integer_controller_matched_at_the_nominal_point():
     matched = match_at(replace(RIG.model, order=2.0), 11.54, nominal.gain_crossover, nominal.phase_margin)
     assert matched.order == pytest.approx(0.786021, abs=5e-7)
     assert matched.gain == pytest.approx(0.208339, abs=5e-7)
+
+
+@pytest.mark.parametrize(("changes", "says"), [({}, False), ({"margins": "ideal"}, True)])
+def test_a_plan_says_what_its_law_keeps(changes: dict[str, object], says: bool):
+    plan = default_plan(**changes)
+    shipped = plan.with_law()
+    kept = min(abs(plan.sampled_at(payload).phase_margin) for payload in (0.020, 0.030, 0.040))
+    assert ("W404" in {finding.code for finding in shipped.findings}) == says == (kept < plan.phase_margin)
+    assert shipped.with_law() == shipped
+    if says:
+        assert shipped.requirements == plan.requirements
+        assert shipped.findings[-1].severity == "warning"
+        assert shipped.findings[-1].evidence["phase_margin_rad"] == pytest.approx(kept)
+    else:
+        assert shipped.requirements[-1].achieved == pytest.approx(kept)
+        assert shipped.requirements[-1].slack > 0.0

@@ -36,13 +36,9 @@ def c(
     force: Force = False,
 ) -> int:
     """Write the law as C99: the files that were simulated, the coefficients, a self-test, a page to read."""
-    from fraclink.design import Plan
     from fraclink.export import export_c
-    from fraclink.law import equip
 
-    plan = Plan.load(plan_file)
-    law = plan.controller.discretize(plan.rig.period)
-    whole = equip(law, plan.rig, plan.model) if motor else law
+    whole = _law(plan_file, motor=motor)
     paths = export_c(whole, out, precision=precision, name=name, title=title, force=force)
     if json:
         emit_json({"out": [str(path) for path in paths]})
@@ -53,11 +49,10 @@ def c(
 
 def _law(plan_file: Path, *, motor: bool) -> Law:
     from fraclink.design import Plan
-    from fraclink.law import equip
 
     plan = Plan.load(plan_file)
-    law = plan.controller.discretize(plan.rig.period)
-    return equip(law, plan.rig, plan.model) if motor else law
+    # Without the motor loop the robot has its own servo, and no placement of ours reaches it.
+    return plan.law() if motor else plan.controller.discretize(plan.rig.period)
 
 
 def matlab(

@@ -122,6 +122,7 @@ def design(
         settling_time=settling_time,
     )
     plan, assumptions = design_for(load_rig(rig), _model(model), request)
+    plan = plan.with_law()
     plan.save(place)
     if json:
         emit_json(plan_values(plan) | {"out": str(place)})
@@ -129,6 +130,8 @@ def design(
     for sentence in assumptions:
         tell(f"assumed: {sentence}")
     emit(plan_text(plan))
+    for finding in plan.findings:
+        tell(str(finding))
     tell(f"written: {place}")
     return HOLDS if plan.holds else FAILS
 

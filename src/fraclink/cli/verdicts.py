@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -77,7 +78,7 @@ def twin(
     plan = Plan.load(plan_file)
     rig = plan.rig if gear is None else geared(plan.rig, gear)
     arm = Twin.from_rig(rig, payload=payload, link_mass=link_mass)
-    law = plan.controller.discretize(rig.period)
+    law = replace(plan, rig=rig).law()
     run = run_twin(arm, law, smooth_step(amplitude, duration=move_time), seed=seed)
     if json:
         emit_json(

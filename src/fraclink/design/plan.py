@@ -129,6 +129,9 @@ class Plan:
     >>> plan = fl.design(rig.model, rig, gain_crossover=12.0, phase_margin=fl.deg(50), filter_time=0.0)
     >>> plan.holds, round(plan.at(0.020).phase_margin / fl.deg(1), 3)
     (True, 50.0)
+    >>> print(plan)  # doctest: +ELLIPSIS
+    C(s) = 1 + 0.0698... s^0.612...; margins of the "loop" loop
+    ...
     """
 
     model: LinkModel
@@ -143,6 +146,11 @@ class Plan:
     chi: float
     gain_crossover_upper: float
     findings: tuple[Finding, ...] = ()
+
+    def __str__(self) -> str:
+        from fraclink.design.text import plan_text
+
+        return plan_text(self)
 
     @property
     def holds(self) -> bool:
@@ -219,6 +227,15 @@ class Plan:
             return law
         placed = sampled_inner(self.rig, inner.pole, inner.delay_samples, placement="direct").loop
         return replace(law, drive=replace(law.drive, loop=placed))
+
+    def with_law(self) -> Plan:
+        """Return the plan with the worst sampled margin of its law as a further requirement.
+
+        The law is a fit: finding W404 says where it keeps less phase margin than was asked for.
+        """
+        from fraclink.design.shipped import with_law
+
+        return with_law(self)
 
     def payload(self, natural_frequency: float) -> float:
         """Return the payload [kg] that gives the link this ϖ: the inverse of ``natural_frequency``."""

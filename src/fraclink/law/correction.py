@@ -19,7 +19,7 @@ __all__ = ["fit_correction"]
 Real = NDArray[np.float64]
 
 # Around the crossover an error of C counts this many times over |1 + Ĉ|/|Ĉ|: 0.5° of C is 1.2° of the
-# margin where |Ĉ| is 0.4, a third of 0.5° of Ĉ is 0.2°. The largest is taken that 0.1 dB on C leaves room for.
+# margin where |Ĉ| is 0.4, a third of 0.5° of Ĉ is 0.2°. The largest that C's 0.1 dB leaves room for is taken.
 EMPHASES = (3.0, 2.0, 1.0)
 REACH = 2.5  # either side of the nominal crossover: a factor of 5 in ω_c is one of 15 and more in payload
 STATES = 6  # spent on the margin at most; more only where C itself needs them

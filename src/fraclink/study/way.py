@@ -90,7 +90,8 @@ def conduct(
     except InfeasibleError as error:
         return replace(found, infeasible=str(error))
     begin("simulating")
-    law = plan.controller.discretize(rig.period)
+    plan = plan.with_law()
+    law = plan.law()
     if certify:
         begin("proving")
         found = _certified(found, plan, law)
@@ -135,7 +136,7 @@ def simulate_move(plan: Plan, move: Move, payload: float, *, law: Law | None = N
     return simulate(
         plan.rig,
         plan.model,
-        law if law is not None else plan.controller.discretize(plan.rig.period),
+        law if law is not None else plan.law(),
         smooth_step(move.amplitude, duration=move.move_time),
         payload=payload,
         duration=move.duration,
