@@ -51,6 +51,16 @@ static uint32_t credible(law_real value, law_real limit)
     return ((value * value) <= (limit * limit)) ? 1U : 0U;
 }
 
+/* `value` within +-`limit` where it usually is: one comparison then, against three of `clamped`. */
+static law_real limited(law_real value, law_real limit)
+{
+    law_real result = value;
+    if (credible(value, limit) == 0U) {
+        result = clamped(value, limit);
+    }
+    return result;
+}
+
 /* Enter the mode that a reason asks for, unless a more severe one is latched; the first reason stays with its mode.
  * The motor loop lives on the encoder: without it nothing is left to hold with. The link is stable alone: without
  * the gauge the feed-forward can go on. */
@@ -94,10 +104,20 @@ static void clear(law_state *s)
     s->stuck = 0U;
     s->overload = 0U;
     s->spare = 0U;
-    /*@ loop unroll 20; */
-    for (i = 0U; i < LAW_STATES; i++) {
-        s->modes[i] = zero;
+    /*@ loop unroll 8; */
+    for (i = 0U; i < LAW_REAL_MODES; i++) {
+        s->real[i] = zero;
     }
+    /*@ loop unroll 8; */
+    for (i = 0U; i < LAW_FORWARD_MODES; i++) {
+        s->forward[i] = zero;
+    }
+#if !defined(LAW_EXACT) || defined(LAW_PAIRS)
+    /*@ loop unroll 4; */
+    for (i = 0U; i < (2U * LAW_PAIR_MODES); i++) {
+        s->pair[i] = zero;
+    }
+#endif
     s->error = zero;
     s->reference = zero;
     s->motor_reference = zero;
@@ -112,29 +132,36 @@ static void clear(law_state *s)
     s->voltage = zero;
 }
 
-/* Clamp the modes: called where their sum is not credible. */
-static void heal_modes(law_state *s, const law_params *p)
+/* Clamp modes: called where their sum is not credible. */
+static void heal(law_real limit, law_real *states, uint32_t count)
 {
     uint32_t i;
-    /*@ loop unroll 20; */
-    for (i = 0U; i < LAW_STATES; i++) {
-        law_real limit = p->correction_limit;
-        if ((i >= LAW_REAL_MODES) && (i < (LAW_REAL_MODES + LAW_FORWARD_MODES))) {
-            limit = p->forward_limit;
-        }
-        s->modes[i] = clamped(s->modes[i], limit);
+    /*@ loop unroll 8; */
+    for (i = 0U; i < count; i++) {
+        states[i] = clamped(states[i], limit);
     }
 }
 
-/* Set a mode to 0 if it has died away; the period's number chooses which. */
+/* 0 for a mode that has died away. */
+static law_real alive(law_real mode)
+{
+    return ((mode * mode) < LAW_TINY) ? (law_real)0 : mode;
+}
+
+/* Set a mode to 0 if it has died away; the period's number chooses which, the same whatever room the arrays have. */
 static void sweep(law_state *s)
 {
     const uint32_t i = s->tick & 31U;
-    if (i < LAW_STATES) {
-        const law_real mode = s->modes[i];
-        if ((mode * mode) < LAW_TINY) {
-            s->modes[i] = (law_real)0;
+    if (i < LAW_REAL_MODES) {
+        s->real[i] = alive(s->real[i]);
+    } else if ((i - 8U) < LAW_FORWARD_MODES) {
+        s->forward[i - 8U] = alive(s->forward[i - 8U]);
+    } else {
+#if !defined(LAW_EXACT) || defined(LAW_PAIRS)
+        if ((i - 16U) < (2U * LAW_PAIR_MODES)) {
+            s->pair[i - 16U] = alive(s->pair[i - 16U]);
         }
+#endif
     }
 }
 
@@ -184,7 +211,7 @@ static uint32_t read_encoder(law_state *s, const law_params *p, const law_input 
     law_real step = p->angle_step;
     stretch(&step, periods + s->bad_encoder);
     if ((credible(in->motor_angle, p->angle_limit) != 0U) && (credible(in->motor_angle - s->motor_angle, step) != 0U)) {
-        s->motor_angle = clamped(in->motor_angle, p->angle_limit);
+        s->motor_angle = in->motor_angle;
         s->bad_encoder = 0U;
     } else {
         flags = LAW_FLAG_ENCODER;
@@ -204,7 +231,7 @@ static uint32_t read_gauge(law_state *s, const law_params *p, const law_input *i
     law_real step = p->torque_step;
     stretch(&step, periods + s->bad_gauge);
     if ((credible(in->torque, p->torque_limit) != 0U) && (credible(in->torque - s->torque, step) != 0U)) {
-        s->torque = clamped(in->torque, p->torque_limit);
+        s->torque = in->torque;
         s->bad_gauge = 0U;
     } else {
         flags = LAW_FLAG_GAUGE;
@@ -261,20 +288,20 @@ static uint32_t watch(law_state *s, const law_params *p)
     return flags;
 }
 
-/* Real modes, one period on, driven by `input`; returns their sum. */
-static law_real run_modes(law_real input, law_real *states, const law_mode *modes, uint32_t count)
+/* Real modes, one period on, driven by `input`; returns `direct` plus their sum. */
+static law_real run_modes(law_real direct, law_real *states, law_real input, const law_mode *modes, uint32_t count)
 {
-    law_real *state = states;
-    const law_mode *mode = modes;
-    law_real sum = (law_real)0;
-    uint32_t left;
+    law_real sum = direct;
+    uint32_t i;
+#if defined(LAW_EXACT) && defined(__GNUC__) && !defined(__clang__)
+#pragma GCC unroll 8
+#else
     /*@ loop unroll 8; */
-    for (left = count; left > 0U; left--) {
-        const law_real value = *state;
-        sum += mode->gain * value;
-        *state = value + ((mode->decay * value) + input);
-        state++;
-        mode++;
+#endif
+    for (i = 0U; i < count; i++) {
+        const law_real value = states[i];
+        sum += modes[i].gain * value;
+        states[i] = value + ((modes[i].decay * value) + input);
     }
     return sum;
 }
@@ -282,46 +309,56 @@ static law_real run_modes(law_real input, law_real *states, const law_mode *mode
 /* The correction of the error's change. */
 static law_real correct(law_state *s, const law_params *p, law_real change)
 {
-    uint32_t reals = p->real_modes;
-    uint32_t i;
     law_real sum;
-    if (reals > LAW_REAL_MODES) {
-        reals = LAW_REAL_MODES;
+    uint32_t count = LAW_REAL_MODES;
+#ifndef LAW_EXACT
+    if (p->real_modes < count) {
+        count = p->real_modes;
     }
-    sum = (p->direct * change) + run_modes(change, &s->modes[0], &p->real[0], reals);
+#endif
+    sum = run_modes(p->direct * change, &s->real[0], change, &p->real[0], count);
+#if !defined(LAW_EXACT) || defined(LAW_PAIRS)
+    count = LAW_PAIR_MODES;
+#ifndef LAW_EXACT
+    if (p->pair_modes < count) {
+        count = p->pair_modes;
+    }
+#endif
     /*@ loop unroll 2; */
-    for (i = 0U; (i < LAW_PAIR_MODES) && (i < p->pair_modes); i++) {
+    for (uint32_t i = 0U; i < count; i++) {
         const law_pair *const pair = &p->pair[i];
-        law_real *const state = &s->modes[LAW_REAL_MODES + LAW_FORWARD_MODES + (2U * i)];
+        const uint32_t place = 2U * i;
+        law_real *const state = &s->pair[place];
         const law_real re = state[0];
         const law_real im = state[1];
         sum += (pair->gain * re) - (pair->cross * im);
         state[0] = re + (((pair->decay * re) - (pair->turn * im)) + change);
         state[1] = im + ((pair->decay * im) + (pair->turn * re));
     }
+#endif
     return sum;
 }
 
 /* The feed-forward s^(order - 2)/natural_frequency^2 of the reference's acceleration. */
 static law_real feed_forward(law_state *s, const law_params *p, law_real acceleration)
 {
-    uint32_t modes = p->forward_modes;
-    if (modes > LAW_FORWARD_MODES) {
-        modes = LAW_FORWARD_MODES;
+    uint32_t count = LAW_FORWARD_MODES;
+#ifndef LAW_EXACT
+    if (p->forward_modes < count) {
+        count = p->forward_modes;
     }
-    return (p->forward_direct * acceleration) +
-           run_modes(acceleration, &s->modes[LAW_REAL_MODES], &p->forward[0], modes);
+#endif
+    return run_modes(p->forward_direct * acceleration, &s->forward[0], acceleration, &p->forward[0], count);
 }
 
-/* `sum` of modes if it is credible; else the modes are healed, and the sum is clamped. */
-static law_real checked(law_state *s, const law_params *p, law_real sum)
+/* Heal the correction's states; returns what is left of their sum. */
+static law_real healed_correction(law_state *s, const law_params *p, law_real sum)
 {
-    law_real result = sum;
-    if (credible(sum, p->sum_limit) == 0U) {
-        heal_modes(s, p);
-        result = clamped(sum, p->sum_limit);
-    }
-    return result;
+    heal(p->correction_limit, &s->real[0], LAW_REAL_MODES);
+#if !defined(LAW_EXACT) || defined(LAW_PAIRS)
+    heal(p->correction_limit, &s->pair[0], 2U * LAW_PAIR_MODES);
+#endif
+    return clamped(sum, p->sum_limit);
 }
 
 /* The motor loop: two-degree-of-freedom PID by Tustin, with compensations, limit and anti-windup. Friction is
@@ -336,24 +373,25 @@ static uint32_t close_motor(law_state *s, const law_params *p, law_output *out)
     const law_real eps = s->motor_reference - angle;
     const law_real integral = s->integral + (p->integral_now * eps);
     const law_real filter = (s->filter + (p->filter_now * eps)) - (p->filter_angle_now * angle);
-    const law_real coulomb = p->coulomb_voltage * clamped(change * p->coulomb_slope, (law_real)1);
+    const law_real coulomb = p->coulomb_voltage * limited(change * p->coulomb_slope, (law_real)1);
     const law_real pid = (((p->inner_direct * eps) - (p->inner_angle * angle)) + integral) + filter;
     const law_real wanted = pid + (compensation + coulomb);
     const law_real voltage = clamped(wanted, p->voltage_limit);
     const law_real excess = wanted - voltage;
+    const uint32_t inside = credible(excess, (law_real)0);
     /* At the limit the integral moves only towards the inside: it would wind up there, and overshoot later. */
-    if ((excess * eps) <= (law_real)0) {
+    if ((inside != 0U) || ((excess * eps) <= (law_real)0)) {
         s->integral = integral + (p->integral_before * eps);
     }
     s->filter = ((p->filter_decay * filter) + (p->filter_before * eps)) - (p->filter_angle_before * angle);
-    if (credible(wanted, p->integral_limit) == 0U) {
-        s->integral = clamped(s->integral, p->integral_limit);
-        s->filter = clamped(s->filter, p->filter_limit);
-    }
     s->voltage = voltage;
     out->compensation = compensation;
-    if (credible(excess, (law_real)0) == 0U) {
+    if (inside == 0U) {
         flags = LAW_FLAG_SATURATED;
+        if (credible(wanted, p->integral_limit) == 0U) {
+            s->integral = clamped(s->integral, p->integral_limit);
+            s->filter = clamped(s->filter, p->filter_limit);
+        }
     }
     return flags;
 }
@@ -364,9 +402,9 @@ static law_real follow(law_state *s, const law_params *p, const law_input *in, u
     law_real acceleration = (law_real)0;
     if (credible(in->reference, p->angle_limit) != 0U) {
         const law_real change = in->reference - s->reference;
-        acceleration = clamped(in->reference_acceleration, p->acceleration_limit);
+        acceleration = limited(in->reference_acceleration, p->acceleration_limit);
         if (credible(change, p->reference_step) != 0U) {
-            s->reference = clamped(in->reference, p->angle_limit); /* not reference + change: that would round */
+            s->reference = in->reference; /* not reference + change: that would round */
         } else {
             *flags |= LAW_FLAG_REFERENCE;
             s->reference = clamped(s->reference, p->angle_limit) + clamped(change, p->reference_step);
@@ -420,18 +458,26 @@ static uint32_t run(law_state *s, const law_params *p, const law_input *in, law_
     if (credible(s->motor_reference, p->motor_limit) == 0U) {
         s->motor_reference = s->motor_angle; /* damaged memory: stay where the motor is */
     }
-    s->motor_reference = clamped(s->motor_reference, p->motor_limit);
     sweep(s);
-    forward = checked(s, p, feed_forward(s, p, acceleration));
+    forward = feed_forward(s, p, acceleration);
+    if (credible(forward, p->sum_limit) == 0U) {
+        heal(p->forward_limit, &s->forward[0], LAW_FORWARD_MODES);
+        forward = clamped(forward, p->sum_limit);
+    }
     watch_gauge(s, p, in, p->stiffness * forward);
     flags |= read_gauge(s, p, in, periods);
     flags |= watch(s, p);
     out->tip_estimate = s->motor_angle - (s->torque * p->compliance);
     out->error = s->reference - out->tip_estimate;
-    correction = checked(s, p, correct(s, p, out->error - s->error));
+    correction = correct(s, p, out->error - s->error);
+    if (credible(correction, p->sum_limit) == 0U) {
+        correction = healed_correction(s, p, correction);
+    }
     s->error = out->error;
     if (s->mode <= LAW_DEGRADED) {
         flags |= command(s, p, forward + faded(s, p, correction));
+    } else {
+        s->motor_reference = clamped(s->motor_reference, p->motor_limit);
     }
     out->motor_reference = s->motor_reference;
     if ((s->mode <= LAW_HOLD) && ((p->options & LAW_WITH_INNER) != 0U)) {

@@ -32,10 +32,23 @@ typedef double law_real;
 #endif
 
 #define LAW_VERSION 1U
+/* The package compiles law.c with room for every design. A board may compile it for one design alone: the README of
+ * an export gives the flags. Loops then have fixed lengths and the arrays no spare places; the
+ * arithmetic, and so every bit of the outputs, stays the same. A block made for other lengths is refused by its size. */
+#ifdef LAW_REALS
+#define LAW_EXACT
+#define LAW_REAL_MODES LAW_REALS
+#define LAW_FORWARD_MODES LAW_FORWARDS
+#ifdef LAW_PAIRS
+#define LAW_PAIR_MODES LAW_PAIRS
+#else
+#define LAW_PAIR_MODES 0U
+#endif
+#else
 #define LAW_REAL_MODES 8U    /* most real modes of the correction */
 #define LAW_PAIR_MODES 2U    /* most complex pairs of the correction */
 #define LAW_FORWARD_MODES 8U /* most real modes of the feed-forward */
-#define LAW_STATES 20U       /* their states: real modes, feed-forward, then pairs as real and imaginary parts */
+#endif
 
 /* Options of the parameter block. */
 #define LAW_WITH_INNER 1U /* the law closes the motor loop and gives a voltage */
@@ -81,6 +94,7 @@ typedef struct {
     law_real gain;
 } law_mode;
 
+#if !defined(LAW_EXACT) || defined(LAW_PAIRS)
 /* A pair of modes, half of it: (gain + j cross)/(z - 1 - decay - j turn). */
 typedef struct {
     law_real decay;
@@ -88,6 +102,7 @@ typedef struct {
     law_real gain;
     law_real cross;
 } law_pair;
+#endif
 
 /* Everything the exporter computed. `crc` is the CRC-32 (IEEE 802.3) of all bytes behind it, little-endian. */
 typedef struct {
@@ -108,7 +123,9 @@ typedef struct {
     /* correction (1 - 1/z)(direct + sum of modes) of the error */
     law_real direct;
     law_mode real[LAW_REAL_MODES];
+#if !defined(LAW_EXACT) || defined(LAW_PAIRS)
     law_pair pair[LAW_PAIR_MODES];
+#endif
     /* feed-forward: acceleration to motor angle, s^(order - 2)/natural_frequency^2 */
     law_real forward_direct;
     law_mode forward[LAW_FORWARD_MODES];
@@ -161,7 +178,11 @@ typedef struct {
     uint32_t stuck;
     uint32_t overload;
     uint32_t spare; /* keeps the reals aligned */
-    law_real modes[LAW_STATES];
+    law_real real[LAW_REAL_MODES]; /* states of the modes */
+    law_real forward[LAW_FORWARD_MODES];
+#if !defined(LAW_EXACT) || defined(LAW_PAIRS)
+    law_real pair[2U * LAW_PAIR_MODES]; /* real part, imaginary part, real part ... */
+#endif
     law_real error;
     law_real reference;
     law_real motor_reference;

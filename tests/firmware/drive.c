@@ -228,10 +228,10 @@ static void limits(void)
 static void memory(void)
 {
     begin((law_real)0.25F);
-    state.modes[0] = (law_real)1e20F;
-    state.modes[LAW_REAL_MODES] = (law_real)1000;
+    state.real[0] = (law_real)1e20F;
+    state.forward[0] = (law_real)1000;
     step(1U);
-    require((state.modes[0] <= law_data.correction_limit) && (state.modes[LAW_REAL_MODES] > (law_real)500));
+    require((state.real[0] <= law_data.correction_limit) && (state.forward[0] > (law_real)500));
     begin((law_real)0.25F);
     state.integral = (law_real)1e6F;
     step(1U);

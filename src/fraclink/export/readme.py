@@ -6,6 +6,7 @@ from dataclasses import asdict
 
 from fraclink import _kernels
 from fraclink.export.bounds import worst_case
+from fraclink.export.data import exact_flags, exact_sizes
 from fraclink.export.selftest import expected
 from fraclink.law import Law
 
@@ -62,6 +63,15 @@ def readme(law: Law, *, name: str, data: str) -> str:
     bounds = worst_case(law)
     params, state = _kernels.law_sizes(law.precision == "single")
     flag = " -DLAW_SINGLE" if law.precision == "single" else ""
+    exact = " ".join(exact_flags(law))
+    small, less = exact_sizes(law)
+    fitted = (
+        f"On the board add `{exact}`: law.c is then compiled for this design alone, with\n"
+        f"loops of fixed length and no spare places ({less} B of state, {small} B of parameters). Outputs and hash\n"
+        "stay the same.\n"
+        if exact
+        else ""
+    )
     made = "ball arithmetic" if bounds.rigorous else "double precision; python-flint was not installed"
     limits = "\n".join(
         f"| `{key}` | {value:.6g} | {_UNITS[key]} | {_MEANING[key]} |"
@@ -84,7 +94,9 @@ Law `{law.digest}`.
 cc -std=c99 -ffp-contract=off{flag} -O2 law_selftest.c law.c -o law_selftest && ./law_selftest
 ```
 must print `hash {expected(law).hash:08X}`. Run it on the target too, with the target's compiler and flags.
-Never use `-ffast-math` (refused) and never let the compiler fuse multiply and add: both change what was
+{
+        fitted
+    }Never use `-ffast-math` (refused) and never let the compiler fuse multiply and add: both change what was
 proved and simulated.
 
 ## Call

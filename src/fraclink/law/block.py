@@ -9,7 +9,7 @@ from typing import Literal
 
 from fraclink.errors import FieldError
 
-__all__ = ["COUNTS", "HEADER", "REALS", "Precision", "pack", "real_type", "unpack"]
+__all__ = ["COUNTS", "HEADER", "REALS", "Precision", "exact_header", "pack", "real_type", "unpack"]
 
 Precision = Literal["single", "double"]
 
@@ -120,7 +120,9 @@ def pack(values: Mapping[str, float | Sequence[float]], precision: Precision) ->
         ) from error
     width, crc = (4 if precision == "single" else 8), zlib.crc32(body)
     if crc == 0:  # the stamp of a state that was never started; one block in 4 billion
-        raise FieldError("law", 0, "a block with CRC 0", allowed="any other", remedy="change a limit slightly")
+        raise FieldError(
+            "law", 0, "a block with CRC 0", allowed="any other", remedy="change a limit slightly"
+        )
     return struct.pack("<IIII", VERSION, 16 + len(body), width, crc) + body
 
 
@@ -138,3 +140,18 @@ def unpack(block: bytes, precision: Precision) -> dict[str, float | list[float]]
         taken, items = items[:length], items[length:]
         result[name] = taken if length > 1 else taken[0]
     return result
+
+
+def exact_header(block: bytes, precision: Precision, modes: Mapping[str, int]) -> tuple[int, int]:
+    """Return (size, CRC-32) of the block with arrays of just `modes` real modes, pairs and forward modes.
+
+    The keys are "real", "pair" and "forward"; law.c has that layout where it is compiled for one design.
+    """
+    values = unpack(block, precision)
+    each = {"real": 2, "pair": 4, "forward": 2}
+    flat: list[float] = []
+    for name, _ in REALS:
+        value = values[name]
+        flat += value[: each[name] * modes[name]] if isinstance(value, list) else [value]
+    body = block[16:48] + struct.pack(f"<{len(flat)}{real_type(precision)}", *flat)
+    return 16 + len(body), zlib.crc32(body)
