@@ -53,5 +53,5 @@ def _finding(plan: Plan, kept: float, payload: float) -> Finding:
         "info" if small else "warning",
         "the shipped law in the sampled loop keeps less phase margin than was asked for",
         {"phase_margin_rad": kept, "wanted_rad": plan.phase_margin, "payload_kg": payload},
-        "ask for as much more as is missing" if plan.margins_kind == "loop" else "design with margins='loop'",
+        "ask for as much more as is missing, with margins='loop'",
     )
