@@ -29,6 +29,9 @@ Reals = NDArray[np.float64]
 
 _SEGMENT = 18  # nodes that stand for a cluster of poles
 _FOLD = 10  # Chebyshev nodes for all rates below 1/longest: e^(-rt) there is a polynomial to 5e-13
+_FOLD_ANGLES = np.pi * (2 * np.arange(_FOLD) + 1) / (2 * _FOLD)
+_FOLD_NODES = 0.5 * (1.0 + np.cos(_FOLD_ANGLES))  # Chebyshev, in units of the largest rate folded
+_FOLD_SHARES = (-1.0) ** np.arange(_FOLD) * np.sin(_FOLD_ANGLES)  # their barycentric weights
 _REACH = 42.0  # e-folds after which a double has forgotten
 _REAL = 1e-12  # a pole this near the negative axis (in ln s) is real: that is the accuracy of log_zeros
 
@@ -161,15 +164,12 @@ def _folded(rates: Reals, weights: Reals, limit: float) -> Reals:
 
     Increments of e^(-rt) are r times a smooth function of r, so r·W is what is interpolated.
     """
-    index = np.arange(_FOLD)
-    nodes = 0.5 * (1.0 + np.cos(np.pi * (2 * index + 1) / (2 * _FOLD)))  # in units of `limit`
-    bary = (-1.0) ** index * np.sin(np.pi * (2 * index + 1) / (2 * _FOLD))
-    gap = (rates / limit)[:, None] - nodes[None, :]
+    gap = (rates / limit)[:, None] - _FOLD_NODES
     gap[gap == 0.0] = 1e-300
-    basis = bary / gap
+    basis = _FOLD_SHARES / gap
     basis /= basis.sum(axis=1, keepdims=True)
     moments = (weights * rates) @ basis
-    return np.array([nodes * limit, moments / (nodes * limit)])
+    return np.array([_FOLD_NODES * limit, moments / (_FOLD_NODES * limit)])
 
 
 def _add_cluster(
