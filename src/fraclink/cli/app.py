@@ -7,7 +7,18 @@ from typing import Annotated
 
 import typer
 
-from fraclink.cli import campaign, exports, identification, logs, record, spectrum, stages, verdicts, whole
+from fraclink.cli import (
+    assessment,
+    campaign,
+    exports,
+    identification,
+    logs,
+    record,
+    spectrum,
+    stages,
+    verdicts,
+    whole,
+)
 from fraclink.cli.console import emit
 from fraclink.cli.outcome import guarded
 
@@ -41,7 +52,18 @@ def application() -> typer.Typer:
         context_settings={"help_option_names": ["-h", "--help"]},
     )
     app.callback()(_options)
-    for module in (whole, logs, record, stages, identification, spectrum, verdicts, exports, campaign):
+    for module in (
+        whole,
+        logs,
+        record,
+        stages,
+        identification,
+        spectrum,
+        verdicts,
+        assessment,
+        exports,
+        campaign,
+    ):
         module.register(app)
     return app
 

@@ -1,0 +1,52 @@
+"""`fraclink assess`: what a finished design is worth."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import pytest
+
+import fraclink as fl
+from fraclink.cli import main
+from fraclink.cli.assessment import spillover_of
+from fraclink.twin import Beam
+
+
+def _design(place: Path) -> fl.Plan:
+    rig = fl.Rig.named("paper-2023")
+    plan = fl.design(rig.model, rig, payloads=(0.020, 0.040), gain_crossover=12.0, phase_margin=fl.deg(50))
+    plan.save(place)
+    return plan
+
+
+def test_assess_tells_budget_margins_rivals_and_spillover(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plan = _design(tmp_path / "design.json")
+    code = main(["assess", str(tmp_path / "design.json"), "--link-mass", "0.00735", "--json"])
+    found = json.loads(capsys.readouterr().out)
+    assert math.pi + sum(found["phase_budget"].values()) == pytest.approx(plan.at(0.020).phase_margin)
+    assert found["phase_margin"]["sampled"][-1] == pytest.approx(plan.sampled_at(0.020).phase_margin)
+    assert len(found["rivals"]) == 5
+    assert sum("unstable" in sentence for sentence in found["rivals"]) == 2
+    assert [item["name"] for item in found["spillover"]] == ["loop gain at mode 2", "loop gain at mode 3"]
+    assert code == (0 if all(item["holds"] for item in found["spillover"]) else 1)
+
+
+def test_the_shares_of_all_modes_add_up_to_the_rigid_link() -> None:
+    # Far above every mode the beam does not bend: the base feels the inertia of the straight link, ΣΓi².
+    beam = Beam(0.65, 0.26, 0.00735, 0.020)
+    modes = beam.modes(12)
+    assert float(sum(modes.participation**2)) == pytest.approx(beam.inertia, rel=1e-3)
+    assert modes.participation * modes.curvature == pytest.approx(
+        modes.participation**2 * modes.frequencies**2
+    )
+
+
+def test_a_massless_link_has_no_spillover(tmp_path: Path) -> None:
+    plan = _design(tmp_path / "design.json")
+    assert spillover_of(plan, link_mass=0.0, damping=0.02) == ()
+    light, heavy = (spillover_of(plan, link_mass=m, damping=0.02)[0].achieved for m in (0.002, 0.01))
+    assert light != heavy
