@@ -11,6 +11,7 @@ import pytest
 
 from fraclink.errors import FieldError, SizeError
 from fraclink.fractional import s
+from fraclink.rational import approximate
 from fraclink.response import (
     discretize,
     grunwald_letnikov,
@@ -36,6 +37,8 @@ RECYCLED = (1 / s).feedback((1 + 0 * s).delayed(1.0))
         (lambda: time_response(LINK, [1.0, -math.inf], 0.1), "u"),
         (lambda: time_response(LINK, [1.0], 0.0), "period"),
         (lambda: time_response(LINK, [1.0], -0.1), "period"),
+        (lambda: time_response(LINK, [1.0], 10**400), "period"),
+        (lambda: approximate(s**0.5, (0.1, 10.0), 2.5), "order"),
         (lambda: time_response(LINK, [1.0], math.nan), "period"),
         (lambda: time_response(LINK, [1.0], "4 ms"), "period"),  # type: ignore[arg-type]
         (lambda: time_response(LINK, [1.0], 1e-13), "period"),

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fraclink.errors import FieldError
 from fraclink.fractional import FractionalTransferFunction
+from fraclink.quantity import is_whole
 from fraclink.rational.discrete import fit_discrete
 from fraclink.rational.growth import finish, grow
 from fraclink.rational.minimax import Target
@@ -171,8 +172,14 @@ def _check(
             "method", method, "unknown", allowed="oustaloup or minimax", remedy="choose one of the two"
         )
     highest = 40 if method == "oustaloup" else 12
-    if not 1 <= order <= highest:
-        raise FieldError("order", order, "out of range", allowed=f"1 to {highest}", remedy="change the order")
+    if not is_whole(order, 1, highest):
+        raise FieldError(
+            "order",
+            order,
+            "out of range",
+            allowed=f"a whole number from 1 to {highest}",
+            remedy="change the order",
+        )
     limit = math.inf if period is None else math.pi / period
     if not 0 < band[0] < band[1] <= limit * (1 + 1e-9) or not math.isfinite(band[1]):
         raise FieldError(

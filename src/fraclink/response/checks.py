@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fraclink.errors import FieldError, SizeError
+from fraclink.quantity import checked_number
 
 __all__ = ["FFT_BYTES", "grid", "instants", "largest", "positive", "refuse_beyond_memory", "samples"]
 
@@ -30,10 +31,8 @@ def grid(count: int, period: float) -> Reals:
 
 
 def positive(name: str, value: object) -> float:
-    if isinstance(value, (int, float, np.integer, np.floating)) and np.isfinite(value) and value > 0:
-        return float(value)
-    raise FieldError(
-        name, value, "not a positive number", allowed="> 0 s", remedy="give the sampling period in seconds"
+    return checked_number(
+        name, value, allowed="> 0 s", remedy="give the sampling period in seconds", holds=lambda x: x > 0
     )
 
 
