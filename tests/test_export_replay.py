@@ -9,9 +9,9 @@ import pytest
 
 import fraclink as fl
 from fraclink.errors import FieldError
-from fraclink.export import Replay, export_c, export_matlab, replay
+from fraclink.export import Replay, export_c, export_matlab, replay, replay_log
 from fraclink.law import Law
-from law_bench import PERIOD, law, signals
+from law_bench import PERIOD, law, signals, with_pair
 from needed_tools import tool
 
 ROWS = signals(2000)
@@ -42,7 +42,7 @@ def test_a_changed_law_is_found_in_its_period(tmp_path: Path) -> None:
     source = tmp_path / "firmware" / "law.c"
     text = source.read_text(encoding="utf-8")
     source.write_text(
-        text.replace("sum += mode->gain * value;", "sum -= mode->gain * value;"), encoding="utf-8"
+        text.replace("sum += modes[i].gain * value;", "sum -= modes[i].gain * value;"), encoding="utf-8"
     )
     result = _replay(tmp_path / "firmware", made)
     assert not result.holds
@@ -72,18 +72,10 @@ def test_what_is_no_export_of_this_law_is_refused(tmp_path: Path) -> None:
         )
 
 
-def _with_pair() -> Law:
-    link = fl.Rig.named("paper-2023").model
-    controller = fl.Controller(gain=0.148, order=0.65, filter_time=0.16, filter_order=2, link=link)
-    made = controller.discretize(PERIOD)
-    assert made.correction.pair_poles
-    return made
-
-
 def test_the_mat_file_is_the_discrete_law(tmp_path: Path) -> None:
     from scipy.io import loadmat
 
-    made = _with_pair()
+    made = with_pair()
     data = loadmat(export_matlab(made, tmp_path / "law.mat"))
     w = np.geomspace(0.05, 500.0, 60)
     z = np.exp(1j * w * PERIOD)[:, None]
@@ -95,7 +87,7 @@ def test_the_mat_file_is_the_discrete_law(tmp_path: Path) -> None:
 
 
 def test_the_m_file_holds_every_number_to_the_bit(tmp_path: Path) -> None:
-    made = _with_pair()
+    made = with_pair()
     text = export_matlab(made, tmp_path / "arm_law.m").read_text(encoding="utf-8")
     assert text.startswith("function law = arm_law()")
     for value in (made.correction.direct, *made.correction.poles, *made.correction.gains):
@@ -112,3 +104,29 @@ def test_matlab_names_and_existing_files(tmp_path: Path) -> None:
     with pytest.raises(FieldError, match="already there"):
         export_matlab(law(), tmp_path / "arm.m")
     export_matlab(law(), tmp_path / "arm.m", force=True)
+
+
+@pytest.mark.parametrize("precision", ["single", "double"])
+def test_the_verb_replays_a_log(precision: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from fraclink.cli.app import run as fraclink
+
+    tool("cc", "gcc")
+    made = law(precision)
+    export_c(made, tmp_path / "firmware", name="arm_2")
+    firmware = str(tmp_path / "firmware")
+    assert fraclink(["replay", firmware, "demo"]) == 0
+    assert "agree to the last bit" in capsys.readouterr().out
+    source = tmp_path / "firmware" / "law.c"
+    text = source.read_text(encoding="utf-8")
+    source.write_text(text.replace("sum += modes", "sum -= modes"), encoding="utf-8")
+    assert fraclink(["replay", firmware, "demo"]) == 1
+    assert "they part in period" in capsys.readouterr().out
+    assert fraclink(["replay", str(tmp_path), "demo"]) == 2
+    assert "not an export" in capsys.readouterr().err
+
+
+def test_a_log_of_another_period_is_refused(tmp_path: Path) -> None:
+    export_c(law(), tmp_path / "firmware")
+    log = fl.Experiment(period=0.005, motor_angle=np.zeros(300), output=np.zeros(300), output_kind="torque")
+    with pytest.raises(FieldError, match="period"):
+        replay_log(tmp_path / "firmware", log)

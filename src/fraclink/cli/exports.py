@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from fraclink.cli.console import emit, emit_json
-from fraclink.cli.options import Force, Json
-from fraclink.cli.outcome import HOLDS
+from fraclink.cli.options import Columns, Force, Json, RigName, load_log, load_rig
+from fraclink.cli.outcome import FAILS, HOLDS
 from fraclink.cli.verdicts import DesignFile
 
 if TYPE_CHECKING:
@@ -86,6 +86,36 @@ def fmu(
     return HOLDS
 
 
+def replay(
+    folder: Annotated[Path, typer.Argument(metavar="FIRMWARE", help="Folder made by `fraclink export c`.")],
+    log_file: Annotated[str, typer.Argument(metavar="LOG", help="Log file, or demo for the bundled one.")],
+    rig: RigName = "paper-2023",
+    column: Columns = None,
+    json: Json = False,
+) -> int:
+    """Compile an exported law and run a log through it beside the package's: bit for bit, or exit code 1."""
+    from fraclink.export import replay_log
+
+    result = replay_log(folder, load_log(log_file, load_rig(rig), None, column))
+    told = {
+        "holds": result.holds,
+        "periods": len(result.mode),
+        "first_difference": result.first_difference,
+        "largest_difference": result.largest_difference,
+        "last_mode": int(result.mode[-1]),
+    }
+    if json:
+        emit_json(told)
+    elif result.holds:
+        emit(f"{len(result.mode)} periods: the exported law and the package agree to the last bit")
+    else:
+        emit(
+            f"they part in period {result.first_difference}; "
+            f"largest difference {result.largest_difference:.3g}"
+        )
+    return HOLDS if result.holds else FAILS
+
+
 def register(app: typer.Typer) -> None:
     """Add the verbs of this module to the application, below `export`."""
     export = typer.Typer(help="Hand a design on: C for a board, MATLAB, FMU.")
@@ -94,3 +124,4 @@ def register(app: typer.Typer) -> None:
     export.command()(fmu)
     export.callback()(lambda: None)
     app.add_typer(export, name="export")
+    app.command()(replay)

@@ -29,7 +29,8 @@ def export_c(
     """Write the law as C99 to `folder` and return the paths written.
 
     law.h and law.c are the files that were simulated, to the byte; law_data.h holds the coefficients as
-    hex floats; law_selftest.c prints a hash to compare on the target; README.md tells the call sequence,
+    hex floats; law_selftest.c prints a hash to compare on the target; law.json is the law for
+    `replay`; README.md tells the call sequence,
     memory in [B], limits in [rad], [N·m] and [V], and what is claimed.
 
     Parameters
@@ -45,7 +46,7 @@ def export_c(
     title : str
         Plain text for the first comment, at most 80 characters.
     force : bool
-        Overwrite the five files in an existing folder.
+        Overwrite the six files in an existing folder.
 
     Raises FieldError for an existing folder, an illegal name or title.
 
@@ -55,7 +56,7 @@ def export_c(
     >>> law = fl.Controller(gain=0.069876, order=0.612197, link=rig.model).discretize(rig.period, order=4)
     >>> folder = Path(tempfile.mkdtemp())
     >>> [path.name for path in export_c(law, folder, precision="single")]
-    ['law.h', 'law.c', 'law_data.h', 'law_selftest.c', 'README.md']
+    ['law.h', 'law.c', 'law_data.h', 'law_selftest.c', 'README.md', 'law.json']
     """
     identifier("name", name)
     title_text(title)
@@ -82,4 +83,6 @@ def export_c(
     for file, content in files.items():
         with atomic_write(place / file, "wb") as stream:
             stream.write(content)
-    return tuple(place / file for file in files)
+    # the law itself, for `fraclink replay`: nothing that is compiled reads it
+    shipped.save(place / "law.json")
+    return (*(place / file for file in files), place / "law.json")

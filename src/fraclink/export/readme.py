@@ -67,8 +67,8 @@ def readme(law: Law, *, name: str, data: str) -> str:
     small, less = exact_sizes(law)
     fitted = (
         f"On the board add `{exact}`: law.c is then compiled for this design alone, with\n"
-        f"loops of fixed length and no spare places ({less} B of state, {small} B of parameters). Outputs and hash\n"
-        "stay the same.\n"
+        f"loops of fixed length and no spare places ({less} B of state, {small} B of parameters). Outputs\n"
+        "and hash stay the same.\n"
         if exact
         else ""
     )

@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fraclink.errors import FieldError
+from fraclink.experiment import Experiment
 from fraclink.law import Law
 
-__all__ = ["Replay", "replay"]
+__all__ = ["Replay", "replay", "replay_log"]
 
 Real = NDArray[np.float64]
 
@@ -130,6 +131,39 @@ def replay(
         flags=got[:, 5].copy(),
         first_difference=int(differs[0]) if differs.size else None,
         largest_difference=float(np.max(np.abs(got - wanted), initial=0.0)),
+    )
+
+
+def replay_log(folder: Path | str, log: Experiment, *, compiler: str = "cc") -> Replay:
+    """Run the sensors of a log through the law exported to `folder` and through the package's, and compare.
+
+    The motor's own path is the reference, with acceleration 0, so that the guards see a motor that
+    follows. The law is the folder's law.json. Raises FieldError where its period [s] is not that of the log.
+    """
+    place = Path(folder)
+    law_file = place / "law.json"
+    if not law_file.is_file():
+        raise FieldError(
+            "firmware", str(place), "not an export", allowed="a folder of export_c", remedy="export the law"
+        )
+    law = Law.load(law_file)
+    if abs(log.period - law.period) > 1e-6 * law.period:
+        raise FieldError(
+            "period", log.period, "not the law's", allowed=f"{law.period} s", remedy="resample the log"
+        )
+    headers = [
+        file.stem for file in sorted(place.glob("*.h")) if f"law {law.digest}" in file.read_text("utf-8")
+    ]
+    torque = log.output if log.output_kind == "torque" else law.stiffness * log.output
+    return replay(
+        place,
+        law,
+        reference=log.motor_angle,
+        reference_acceleration=np.zeros_like(log.motor_angle),
+        motor_angle=log.motor_angle,
+        torque=torque,
+        name=headers[0] if headers else "law_data",
+        compiler=compiler,
     )
 
 
