@@ -20,6 +20,7 @@ import numpy as np
 import fraclink as fl
 from fraclink import _kernels
 from fraclink.export import export_c
+from fraclink.export.data import exact_flags
 from fraclink.law import Law, discretize_controller, equip
 from fraclink.simulate.plant import link_weights
 
@@ -254,8 +255,34 @@ def speed() -> None:
     )
 
 
+def instructions() -> None:
+    """Instructions of a period on an emulated Cortex-M4F, law.c compiled for the default design alone, -O2."""
+    compiler, emulator = shutil.which("arm-none-eabi-gcc"), shutil.which("qemu-system-arm")
+    if compiler is None or emulator is None:
+        figure("instructions on a Cortex-M4F", "no cross-compiler or emulator", "<= 80, <= 400", False)
+        return
+    law, board = default_law("single"), ROOT / "tests" / "firmware"
+    with tempfile.TemporaryDirectory() as scratch:
+        export_c(law, Path(scratch) / "law")
+        core = ("-mthumb", "-mcpu=cortex-m4", "-mfpu=fpv4-sp-d16", "-mfloat-abi=hard", "-DLAW_SINGLE")
+        link = ("-T", board / "board.ld", "--specs=rdimon.specs", "-nostartfiles", "-o", "board.elf")
+        flags = ("-std=c99", "-O2", "-ffp-contract=off", *core, *exact_flags(law), "-Ilaw")
+        command = [compiler, *flags, board / "count.c", board / "start.c", *link]
+        subprocess.run(command, cwd=scratch, check=True, capture_output=True)  # noqa: S603
+        machine = ("-M", "mps2-an386", "-nographic", "-icount", "shift=5")
+        semihosting = ("-semihosting-config", "enable=on,target=native", "-kernel", "board.elf")
+        told = subprocess.run(  # noqa: S603
+            [emulator, *machine, *semihosting], cwd=scratch, check=True, capture_output=True, text=True
+        ).stdout.split()
+    outer, whole = int(told[1]), int(told[3])
+    modes = f"{law.order} + {len(law.feedforward.poles)} modes"
+    figure("instructions on a Cortex-M4F, without guards", str(outer), "<= 80", outer <= 80, modes)
+    figure("instructions, guards and motor loop included", str(whole), "<= 400", whole <= 400, modes)
+
+
 def main() -> None:
     accuracy()
+    instructions()
     speed()
 
 
