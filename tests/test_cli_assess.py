@@ -50,3 +50,29 @@ def test_a_massless_link_has_no_spillover(tmp_path: Path) -> None:
     assert spillover_of(plan, link_mass=0.0, damping=0.02) == ()
     light, heavy = (spillover_of(plan, link_mass=m, damping=0.02)[0].achieved for m in (0.002, 0.01))
     assert light != heavy
+
+
+def test_the_map_is_a_figure_and_its_numbers(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    place = tmp_path / "map.svg"
+    line = [
+        "design-map",
+        "--rig",
+        "paper-2023",
+        "--points",
+        "9",
+        "--crossovers",
+        "9",
+        "15",
+        "--out",
+        str(place),
+    ]
+    assert main([*line, "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    found = json.loads((tmp_path / "map.json").read_text("utf-8"))
+    cells = [x for row in found["order"] for x in row]
+    assert told["feasible"] == pytest.approx(sum(x is not None for x in cells) / 81)
+    rig = fl.Rig.named("paper-2023")
+    plan = fl.design(rig.model, rig, gain_crossover=12.0, phase_margin=found["phase_margin"][3])
+    assert found["order"][3][4] == pytest.approx(plan.controller.order, rel=1e-9)
+    assert b"<svg" in place.read_bytes()
+    assert main(line) == 2  # what is there is kept without --force

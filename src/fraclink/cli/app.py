@@ -13,6 +13,7 @@ from fraclink.cli import (
     exports,
     identification,
     logs,
+    mapping,
     record,
     spectrum,
     stages,
@@ -61,6 +62,7 @@ def application() -> typer.Typer:
         spectrum,
         verdicts,
         assessment,
+        mapping,
         exports,
         campaign,
     ):

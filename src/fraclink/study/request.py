@@ -75,7 +75,8 @@ def _completed(request: Request, rig: Rig) -> Request:
     return request
 
 
-def _model(rig: Rig, model: LinkModel | None) -> LinkModel:
+def model_of(rig: Rig, model: LinkModel | None) -> LinkModel:
+    """Return the model given, else the rig's own; FieldError where there is neither."""
     if model is not None:
         return model
     if rig.model is not None:
@@ -105,7 +106,7 @@ def design_for(rig: Rig, model: LinkModel | None, request: Request) -> tuple[Pla
     """
     from fraclink.design import design
 
-    link = _model(rig, model)
+    link = model_of(rig, model)
     asked = _completed(request, rig)
     assumed: tuple[str, ...] = ()
     if asked.gain_crossover is None and asked.settling_time is None:

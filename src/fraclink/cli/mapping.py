@@ -1,0 +1,100 @@
+"""The map of what can be asked for: `design-map` writes it as a figure and as numbers."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+import typer
+
+from fraclink.cli.console import emit, emit_json
+from fraclink.cli.options import Force, Json, PayloadRange, RigName, load_rig
+from fraclink.cli.outcome import FAILS, HOLDS
+from fraclink.files import atomic_write, output_path, write_json
+
+if TYPE_CHECKING:
+    from fraclink.design.feasibility import FeasibilityMap
+
+__all__ = ["register"]
+
+_NOISE = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 300.0)
+_SETTLING = (0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6, 0.8)
+
+
+def draw(found: FeasibilityMap, path: Path) -> None:
+    """Draw β in colour where a controller exists, with contours of noise gain and settling time."""
+    from fraclink.errors import MissingExtraError
+
+    try:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+    except ModuleNotFoundError as error:
+        raise MissingExtraError("matplotlib", "report") from error
+    figure = Figure(figsize=(7.5, 5.0), layout="constrained")
+    FigureCanvasAgg(figure)
+    axis = figure.subplots()
+    grid = (found.gain_crossover, np.degrees(found.phase_margin))
+    shade = axis.pcolormesh(*grid, np.ma.masked_invalid(found.order), cmap="Blues", shading="nearest")
+    figure.colorbar(shade, ax=axis, label="β")
+    noise = axis.contour(*grid, np.ma.masked_invalid(found.noise_gain), _NOISE, colors="#c0392b")
+    axis.clabel(noise, fmt="noise %g", fontsize=8)
+    settling = axis.contour(*grid, np.ma.masked_invalid(found.settling_time), _SETTLING, colors="#444444")
+    axis.clabel(settling, fmt="%g s", fontsize=8)
+    axis.set(
+        xlabel="gain crossover ω_c at the heaviest payload [rad/s]",
+        ylabel="phase margin at the lightest payload [°]",
+        title="Feasible requests; red: noise gain, grey: 2π/ω_c",
+    )
+    axis.set_facecolor("#f4f4f4")
+    kind = path.suffix.lstrip(".").lower() or "svg"
+    extra = {"metadata": {"Date": None}} if kind == "svg" else {"dpi": 110}
+    with atomic_write(path, "wb") as stream:
+        figure.savefig(stream, format=kind, **extra)
+
+
+def design_map(
+    rig: RigName,
+    out: Annotated[
+        Path, typer.Option("--out", help="Figure, .svg or .png; a .json with the numbers lies beside it.")
+    ] = Path("design-map.svg"),
+    payloads: PayloadRange = None,
+    points: Annotated[int, typer.Option("--points", min=5, max=400, help="Values on each axis.")] = 80,
+    crossovers: Annotated[
+        tuple[float, float], typer.Option("--crossovers", metavar="LOW HIGH", help="Range of ω_c [rad/s].")
+    ] = (8.0, 45.0),
+    json: Json = False,
+    force: Force = False,
+) -> int:
+    """Map which crossovers and margins are feasible (filter of order 1), with noise and settling contours."""
+    from fraclink.design.feasibility import feasibility_map
+    from fraclink.study.request import model_of
+
+    place = output_path(out, force=force)
+    numbers = output_path(place.with_suffix(".json"), force=force)
+    arm = load_rig(rig)
+    found = feasibility_map(
+        model_of(arm, None),
+        arm,
+        payloads=payloads,
+        gain_crossovers=np.linspace(*crossovers, points),
+        phase_margins=np.radians(np.linspace(10.0, 110.0, points)),
+    )
+    draw(found, place)
+    names = ("gain", "order", "upper", "filter_time", "settling_time", "noise_gain")
+    values: dict[str, object] = {
+        name: [[None if math.isnan(x) else x for x in row] for row in getattr(found, name).tolist()]
+        for name in names
+    }
+    values |= {"gain_crossover": found.gain_crossover.tolist(), "phase_margin": found.phase_margin.tolist()}
+    write_json(numbers, "design-map", 1, values)
+    share = float(np.mean(found.feasible))
+    told = {"feasible": share, "out": [str(place), str(numbers)]}
+    emit_json(told) if json else emit(f"{100 * share:.0f} % of the map is feasible\n{place}\n{numbers}")
+    return HOLDS if share > 0.0 else FAILS
+
+
+def register(app: typer.Typer) -> None:
+    """Add the verb to the application."""
+    app.command(name="design-map")(design_map)
