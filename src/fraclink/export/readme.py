@@ -58,20 +58,23 @@ _MEANING = {
 }
 
 
+def _for_one_design(law: Law) -> str:
+    flags = exact_flags(law)
+    if not flags:
+        return ""
+    params, state = exact_sizes(law)
+    return (
+        f"On the board add `{' '.join(flags)}`: law.c is then compiled for this design alone, with\n"
+        f"loops of fixed length and no spare places ({state} B of state, {params} B of parameters). Outputs\n"
+        "and hash stay the same.\n"
+    )
+
+
 def readme(law: Law, *, name: str, data: str) -> str:
     """Return the text of the exported README.md."""
     bounds = worst_case(law)
     params, state = _kernels.law_sizes(law.precision == "single")
     flag = " -DLAW_SINGLE" if law.precision == "single" else ""
-    exact = " ".join(exact_flags(law))
-    small, less = exact_sizes(law)
-    fitted = (
-        f"On the board add `{exact}`: law.c is then compiled for this design alone, with\n"
-        f"loops of fixed length and no spare places ({less} B of state, {small} B of parameters). Outputs\n"
-        "and hash stay the same.\n"
-        if exact
-        else ""
-    )
     made = "ball arithmetic" if bounds.rigorous else "double precision; python-flint was not installed"
     limits = "\n".join(
         f"| `{key}` | {value:.6g} | {_UNITS[key]} | {_MEANING[key]} |"
