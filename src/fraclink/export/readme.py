@@ -98,7 +98,7 @@ cc -std=c99 -ffp-contract=off{flag} -O2 law_selftest.c law.c -o law_selftest && 
 ```
 must print `hash {expected(law).hash:08X}`. Run it on the target too, with the target's compiler and flags.
 {
-        fitted
+        _for_one_design(law)
     }Never use `-ffast-math` (refused) and never let the compiler fuse multiply and add: both change what was
 proved and simulated.
 
