@@ -66,6 +66,7 @@ def test_the_law_leaves_as_c(fraclink: Command, tmp_path: Path) -> None:
         "law_data.h",
         "law_selftest.c",
         "README.md",
+        "law.json",
     ]
     code, _, err = fraclink("export c design.json --out firmware")
     assert (code, err.count("\n")) == (2, 1)
