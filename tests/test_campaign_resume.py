@@ -187,7 +187,10 @@ def test_every_flipped_byte_is_noticed(copy, whole):
     path = copy / "part-0000002.parquet"
     good, wanted = path.read_bytes(), read_part(small(), whole, 2)
     rng = random.Random(5)  # noqa: S311 - places, not secrets
-    for at in rng.sample(range(len(good)), 60):
+    places = rng.sample(range(len(good)), 60) + rng.sample(
+        range(len(good) - 4000, len(good)), 200
+    )  # and the footer
+    for at in places:
         data = bytearray(good)
         data[at] ^= 1 << rng.randrange(8)
         path.write_bytes(data)

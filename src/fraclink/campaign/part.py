@@ -167,7 +167,13 @@ def write_part(campaign: Campaign, folder: Path, part: int) -> int:
     pa, parquet = _parquet()
     columns = simulate_part(campaign, part)
     table = pa.table(columns).replace_schema_metadata(
-        {"fraclink": "campaign part", "fingerprint": campaign.fingerprint, "part": str(part)}
+        {
+            "fraclink": "campaign part",
+            "fingerprint": campaign.fingerprint,
+            "part": str(part),
+            # the file's footer has no checksum: a flipped bit in a column's name shows against this list
+            "columns": ",".join(columns),
+        }
     )
     with atomic_write(part_path(folder, part), "wb") as stream:
         # No statistics and no time: two computations of one part give the same bytes.
@@ -189,11 +195,16 @@ def read_part(
         with parquet.ParquetFile(
             part_path(folder, part), memory_map=False, page_checksum_verification=True
         ) as file:
-            meta, rows = file.schema_arrow.metadata or {}, file.metadata.num_rows
+            schema, rows = file.schema_arrow, file.metadata.num_rows
             table = file.read(columns=list(names) or None)
-    except (OSError, pa.ArrowException):
+    except (OSError, ValueError, pa.ArrowException):  # ValueError: a name that is not UTF-8 any more
         return None
-    wanted = {b"fingerprint": campaign.fingerprint.encode(), b"part": str(part).encode()}
+    meta = schema.metadata or {}
+    wanted = {
+        b"fingerprint": campaign.fingerprint.encode(),
+        b"part": str(part).encode(),
+        b"columns": ",".join(schema.names).encode(),
+    }
     if any(meta.get(k) != v for k, v in wanted.items()) or rows != campaign.part_runs(part):
         return None
     return {name: table[name].to_numpy() for name in table.column_names}
