@@ -178,7 +178,7 @@ def test_every_key_of_the_file_stands_in_the_reference() -> None:
 
 
 def test_every_code_of_a_rig_and_a_log_stands_in_the_reference() -> None:
-    page = (ROOT / "docs" / "reference" / "file-formats.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "reference" / "errors.md").read_text(encoding="utf-8")
     folders = [ROOT / "src" / "fraclink" / name for name in ("rig", "readers", "diagnose")]
     sources = [path.read_text(encoding="utf-8") for folder in folders for path in folder.rglob("*.py")]
     codes = {code for source in sources for code in re.findall(r'"(W[12]\d\d)"', source)}
