@@ -121,13 +121,18 @@ def test_a_gauge_offset_leaves_the_tip() -> None:
     assert levels[0] > levels[1] > levels[2] > levels[3]
 
 
-def test_friction_is_compensated() -> None:
+@pytest.mark.parametrize("payload", [0.02, 0.04])
+def test_friction_is_compensated(payload: float) -> None:
+    """With the design that the rig asks for; without its filter the 20 g arm keeps 0.11 of the swing."""
     rough = replace(EXACT, motor=RIG.motor)
-    run = simulate(rough, MODEL, law(), fl.smooth_step(1.0, 0.5), payload=0.02, inner="sampled")
+    plan = fl.design(MODEL, rough, gain_crossover=12.0, phase_margin=fl.deg(50))
+    made, move = plan.law(), fl.smooth_step(1.0, 0.5)
+    assert made.drive is not None
+    run = simulate(rough, MODEL, made, move, payload=payload, inner="sampled")
     assert run.verdict.holds, run.verdict.reason
-    bare = replace(law(), drive=replace(law().drive, coulomb_voltage=0.0))  # type: ignore[type-var]
-    worse = simulate(rough, MODEL, bare, fl.smooth_step(1.0, 0.5), payload=0.02, inner="sampled")
-    assert np.ptp(run.tip_angle[-250:]) < 0.15 * np.ptp(worse.tip_angle[-250:])
+    bare = replace(made, drive=replace(made.drive, coulomb_voltage=0.0))
+    worse = simulate(rough, MODEL, bare, move, payload=payload, inner="sampled")
+    assert np.ptp(run.tip_angle[-250:]) < 0.1 * np.ptp(worse.tip_angle[-250:])
 
 
 def test_saturation_is_reported() -> None:
