@@ -93,6 +93,24 @@ def test_multiple_zeros_stand_together(multiplicity: int, order: float, constant
     assert abs(z[0] - exact) < 1e-13
 
 
+@pytest.mark.parametrize("multiplicity", [5, 6, 7, 8])
+def test_zeros_of_high_multiplicity_are_counted_and_found(multiplicity: int) -> None:
+    # Rounding moves the points of an eightfold zero by ε^(1/8), a hundredth of its modulus and more.
+    powers = np.arange(multiplicity + 1)
+    coefficients = [math.comb(multiplicity, int(k)) * 3.0 ** (multiplicity - k) for k in powers]
+    z = log_zeros(coefficients, 1.5 * powers, angle=PI)
+    assert len(z) == multiplicity
+    np.testing.assert_allclose(z, complex(math.log(3.0) / 1.5, PI / 1.5), rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_a_cluster_of_real_zeros_is_found_whole(sign: float) -> None:
+    # Distinct, so no multiple zero; rounding moves each off the axis by 1e-11, and none may be lost there.
+    wanted = sign * np.array([1.0, 1.02, 1.05, 1.08])
+    z = log_zeros(np.poly(wanted), [4, 3, 2, 1, 0], angle=PI)
+    np.testing.assert_allclose(np.sort(sign * np.exp(z.real)), np.sort(wanted), rtol=1e-8)
+
+
 def test_close_zeros_stay_apart() -> None:
     # (s + 1)(s + 1.001): a cluster by distance, but two simple zeros.
     z = log_zeros([1, 2.001, 1.001], [2, 1, 0], angle=PI)
@@ -114,7 +132,7 @@ def test_iteration_and_bisection_find_the_same_zeros(seed: int) -> None:
     z = log_zeros(coefficients, orders, angle=PI)
     height = PI + 0.0413
     count = count_zeros(coefficients, orders, angle=height)
-    slow = upper(by_bisection(terms, height, count), PI)
+    slow = upper(terms, by_bisection(terms, height, count), PI)
     assert len(z) == len(slow)
     for value in slow:
         assert np.min(np.abs(z - value)) < 1e-9

@@ -301,6 +301,8 @@ def test_nothing_to_find() -> None:
         (3.0, {}, "loop"),
         (link_loop(1.9), {"limit": -1.0}, "limit"),
         (link_loop(1.9), {"limit": math.nan}, "limit"),
+        (link_loop(1.9), {"limit": 10**400}, "limit"),
+        (link_loop(1.9), {"limit": "785"}, "limit"),
         (lambda z: 1.0, {}, "loop"),
         (lambda z: z * math.nan, {}, "loop"),
         (lambda z: 10 * np.exp(-z), {}, "limit"),

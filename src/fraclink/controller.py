@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -10,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fraclink.errors import FieldError
+from fraclink.quantity import checked_between, checked_whole
 
 if TYPE_CHECKING:
     from fraclink.fractional import FractionalTransferFunction
@@ -20,26 +20,6 @@ if TYPE_CHECKING:
 __all__ = ["Controller", "InnerLoopSettings"]
 
 _LARGEST = 1e12  # gains and times beyond it are slips of the pen; squaring them must not overflow
-
-
-def _number(
-    field: str, value: object, low: float, high: float, unit: str, *, open_low: bool = False
-) -> float:
-    """`value` as a float inside [low, high], or an error that names the field, the range and the unit."""
-    allowed = f"a number {'>' if open_low else '>='} {low:g} and <= {high:g} {unit}".rstrip()
-    if isinstance(value, bool) or not isinstance(value, (int, float, np.floating, np.integer)):
-        raise FieldError(field, value, "not a number", allowed=allowed, remedy="give one number")
-    try:
-        number = float(value)
-    except OverflowError:
-        number = math.inf
-    if not math.isfinite(number):
-        raise FieldError(field, str(value)[:24], "not finite", allowed=allowed, remedy="give a finite number")
-    if not (low < number if open_low else low <= number) or number > high:
-        raise FieldError(
-            field, number, "out of range", allowed=allowed, remedy="check the value and its unit"
-        )
-    return number
 
 
 @dataclass(frozen=True)
@@ -64,16 +44,9 @@ class InnerLoopSettings:
     placement: str = "tustin"
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "pole", _number("pole", self.pole, 0.0, 1e6, "rad/s", open_low=True))
-        if isinstance(self.delay_samples, bool) or not isinstance(self.delay_samples, int):
-            raise FieldError(
-                "delay_samples",
-                self.delay_samples,
-                "not a whole number",
-                allowed="0 … 8 samples",
-                remedy="give whole samples",
-            )
-        _number("delay_samples", self.delay_samples, 0, 8, "samples")
+        object.__setattr__(self, "pole", checked_between("pole", self.pole, 0.0, 1e6, "rad/s", open_low=True))
+        samples = checked_whole("delay_samples", self.delay_samples, 0, 8, "samples")
+        object.__setattr__(self, "delay_samples", samples)
         for field, value, allowed in (
             ("kind", self.kind, ("ideal", "sampled")),
             ("placement", self.placement, ("tustin", "direct")),
@@ -131,14 +104,14 @@ class Controller:
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__
-        set_(self, "gain", _number("gain", self.gain, 0.0, _LARGEST, "s^β", open_low=True))
-        order = _number("order", self.order, 0.0, 2.0, "", open_low=True)
+        set_(self, "gain", checked_between("gain", self.gain, 0.0, _LARGEST, "s^β", open_low=True))
+        order = checked_between("order", self.order, 0.0, 2.0, "", open_low=True)
         if order >= 2.0:
             raise FieldError(
                 "order", order, "out of range", allowed="> 0 and < 2", remedy="lower the derivative's order"
             )
         set_(self, "order", order)
-        set_(self, "filter_time", _number("filter_time", self.filter_time, 0.0, 1e6, "s"))
+        set_(self, "filter_time", checked_between("filter_time", self.filter_time, 0.0, 1e6, "s"))
         if isinstance(self.filter_order, bool) or self.filter_order not in (1, 2):
             raise FieldError(
                 "filter_order",
@@ -148,7 +121,7 @@ class Controller:
                 remedy="n = 1 for β < 1, else 2",
             )
         if self.period is not None:
-            set_(self, "period", _number("period", self.period, 0.0, 10.0, "s", open_low=True))
+            set_(self, "period", checked_between("period", self.period, 0.0, 10.0, "s", open_low=True))
 
     @property
     def is_strictly_proper(self) -> bool:
@@ -193,7 +166,11 @@ class Controller:
         """
         from fraclink.law import discretize_controller
 
-        chosen = self.period if period is None else _number("period", period, 0.0, 10.0, "s", open_low=True)
+        chosen = (
+            self.period
+            if period is None
+            else checked_between("period", period, 0.0, 10.0, "s", open_low=True)
+        )
         if chosen is None:
             raise FieldError(
                 "period", None, "missing", allowed="> 0 s", remedy="give the control period in seconds"

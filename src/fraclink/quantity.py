@@ -9,7 +9,7 @@ import numpy as np
 
 from fraclink.errors import FieldError
 
-__all__ = ["checked_number", "checked_whole", "is_whole"]
+__all__ = ["checked_between", "checked_number", "checked_whole", "is_whole"]
 
 
 def checked_number(
@@ -40,6 +40,33 @@ def checked_number(
     if not math.isfinite(number) or not holds(number):
         raise FieldError(field, number, "out of range", allowed=allowed, remedy=remedy)
     return number
+
+
+def checked_between(
+    field: str,
+    value: object,
+    low: float,
+    high: float,
+    unit: str = "",
+    *,
+    open_low: bool = False,
+    remedy: str = "check the value and its unit",
+) -> float:
+    """Return `value` as a float in [low, high], or in (low, high] with `open_low`; FieldError otherwise.
+
+    >>> checked_between("filter_time", 2, 0.0, 10.0, "s")
+    2.0
+    >>> checked_between("pole", 0.0, 0.0, 9.0, "rad/s", open_low=True, remedy="raise it")
+    Traceback (most recent call last):
+    fraclink.errors.FieldError: pole: 0.0 is out of range; allowed > 0 and <= 9 rad/s; raise it
+    """
+    return checked_number(
+        field,
+        value,
+        allowed=f"{'>' if open_low else '>='} {low:g} and <= {high:g} {unit}".rstrip(),
+        remedy=remedy,
+        holds=lambda number: (low < number if open_low else low <= number) and number <= high,
+    )
 
 
 def checked_whole(field: str, value: object, low: int, high: int, unit: str = "") -> int:

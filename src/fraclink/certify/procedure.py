@@ -13,8 +13,9 @@ from fraclink.certify.search import Failure, prove
 from fraclink.certify.statement import Statement, state
 from fraclink.controller import Controller
 from fraclink.design import Plan
-from fraclink.design.request import check_number, link_at
+from fraclink.design.request import link_at
 from fraclink.errors import FieldError
+from fraclink.quantity import checked_between
 
 if TYPE_CHECKING:
     from fraclink.law import Law
@@ -88,7 +89,7 @@ def certify(
     if modulus_margin is None:
         claim = replace(claim, modulus=max(math.floor(100.0 * _SHARE * distance) / 100.0, 0.01))
     else:
-        wanted = check_number("modulus_margin", modulus_margin, 0.0, 1.0, "", open_low=True)
+        wanted = checked_between("modulus_margin", modulus_margin, 0.0, 1.0, "", open_low=True)
         claim = replace(claim, modulus=wanted)
     unstable = windings(claim, proper)
     if unstable is not None:
@@ -140,13 +141,13 @@ def _statement(
     chosen = law if law is not None else subject
     assert not isinstance(chosen, (Plan, Controller))  # noqa: S101  # both branches above gave a law
     light, heavy = payloads or (rig.payloads.low, rig.payloads.high)
-    light = check_number("payloads[0]", light, 0.0, 1e4, "kg", open_low=True)
-    heavy = check_number("payloads[1]", heavy, light, 1e4, "kg")
+    light = checked_between("payloads[0]", light, 0.0, 1e4, "kg", open_low=True)
+    heavy = checked_between("payloads[1]", heavy, light, 1e4, "kg")
     kind = inner or "ideal"
     period = chosen.period
     first, last = delay or (0.0, period)
-    first = check_number("delay[0]", first, 0.0, 8.0 * period, "s")
-    last = check_number("delay[1]", last, first, period if kind == "sampled" else 8.0 * period, "s")
+    first = checked_between("delay[0]", first, 0.0, 8.0 * period, "s")
+    last = checked_between("delay[1]", last, first, period if kind == "sampled" else 8.0 * period, "s")
     nominal = link_at(model, rig, heavy)
     claim = state(
         chosen,

@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 from fraclink.design.loop import OpenLoop
 from fraclink.design.measure import measure
 from fraclink.design.plan import Plan, Requirement, open_loop
-from fraclink.design.request import check_number
 from fraclink.errors import FieldError
+from fraclink.quantity import checked_between
 
 __all__ = [
     "MarginCurve",
@@ -90,7 +90,7 @@ def margin_curve(plan: Plan, payloads: ArrayLike, *, kind: str = "loop") -> Marg
     """
     masses = np.atleast_1d(np.asarray(payloads, dtype=float))
     for value in masses:
-        check_number("payloads", float(value), 0.0, 1e4, "kg", open_low=True)
+        checked_between("payloads", float(value), 0.0, 1e4, "kg", open_low=True)
     if kind == "sampled":
         found = [plan.sampled_at(float(m)) for m in masses]
         columns = [
@@ -205,14 +205,14 @@ def spillover(plan: Plan, modes: Sequence[VibrationMode], *, limit: float = 0.5)
     A mode adds ``share/(1 - (ω/ω_i)² + 2jζω/ω_i)`` to the tip estimate, ``share/(2ζ)`` at its peak; the loop
     gain there is ``|Ĉ M| share/(2ζ)``.
     """
-    check_number("limit", limit, 0.0, 1e3, "", open_low=True)
+    checked_between("limit", limit, 0.0, 1e3, "", open_low=True)
     loop = open_loop(plan.controller, plan.model, plan.rig, margins="loop")
     link = replace(loop, gain=1.0, order=0.0, filter_time=0.0, lag=0.0, delay=0.0, correction=None)
     pi = plan.natural_frequencies[1]
     found = []
     for number, mode in enumerate(modes, start=2):
-        w = check_number("mode.frequency", mode.frequency, 0.0, 1e6, "rad/s", open_low=True)
-        zeta = check_number("mode.damping_ratio", mode.damping_ratio, 0.0, 1.0, "", open_low=True)
+        w = checked_between("mode.frequency", mode.frequency, 0.0, 1e6, "rad/s", open_low=True)
+        zeta = checked_between("mode.damping_ratio", mode.damping_ratio, 0.0, 1.0, "", open_low=True)
         rest = float(np.exp(loop.level(w, pi) - link.level(w, pi)))
         value = rest * abs(mode.share) / (2.0 * zeta)
         found.append(Requirement.at_most(f"loop gain at mode {number}", limit, value, "", plan.payloads[0]))

@@ -11,9 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from fraclink.design.measure import noise_points
 from fraclink.design.procedure import specification
-from fraclink.design.request import check_number, check_request
+from fraclink.design.request import check_request
 from fraclink.design.solve import MARGIN_SHARE, Specification
 from fraclink.errors import FieldError, SizeError
+from fraclink.quantity import checked_between
 
 if TYPE_CHECKING:
     from fraclink.link import LinkModel
@@ -54,7 +55,7 @@ def _axis(field: str, values: ArrayLike, unit: str) -> Real:
     if axis.ndim != 1:
         raise FieldError(field, axis.shape, "not a list", allowed="shape (N,)", remedy="give one axis")
     for value in axis:
-        check_number(field, float(value), 0.0, 1e6, unit, open_low=True)
+        checked_between(field, float(value), 0.0, 1e6, unit, open_low=True)
     return axis
 
 

@@ -11,8 +11,9 @@ import numpy as np
 
 from fraclink.design.measure import measure
 from fraclink.design.plan import Requirement, open_loop
-from fraclink.design.request import Request, check_number, payload_of
+from fraclink.design.request import Request, payload_of
 from fraclink.errors import FieldError, InfeasibleError
+from fraclink.quantity import checked_between
 
 if TYPE_CHECKING:
     from fraclink.controller import Controller
@@ -42,7 +43,7 @@ def check_goals(max_sensitivity: object, noise_gain: object, settling_time: obje
     """Return the bounds with every number checked."""
 
     def number(field: str, value: object, low: float, high: float, unit: str) -> float | None:
-        return None if value is None else check_number(field, value, low, high, unit, open_low=True)
+        return None if value is None else checked_between(field, value, low, high, unit, open_low=True)
 
     return Goals(
         number("max_sensitivity", max_sensitivity, 1.0, 100.0, ""),

@@ -6,15 +6,14 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from fraclink.errors import FieldError
+from fraclink.quantity import checked_between
 
 if TYPE_CHECKING:
     from fraclink.link import LinkModel
     from fraclink.rig import Motor, Rig
 
-__all__ = ["Request", "check_number", "check_request", "deg", "link_at"]
+__all__ = ["Request", "check_request", "deg", "link_at"]
 
 
 def deg(angle: float) -> float:
@@ -29,33 +28,7 @@ def deg(angle: float) -> float:
     >>> round(deg(50), 6)
     0.872665
     """
-    return math.radians(check_number("angle", angle, -1e9, 1e9, "deg"))
-
-
-def check_number(
-    field: str,
-    value: object,
-    low: float,
-    high: float,
-    unit: str,
-    *,
-    open_low: bool = False,
-    remedy: str = "check the value and its unit",
-) -> float:
-    """Return `value` as a float inside [low, high] (or (low, high]); raise FieldError otherwise."""
-    allowed = f"{'>' if open_low else '>='} {low:g} and <= {high:g} {unit}".rstrip()
-    # bool is a subclass of int: `true` in a file must not become 1.0.
-    if isinstance(value, bool) or not isinstance(value, (int, float, np.floating, np.integer)):
-        raise FieldError(field, value, "not a number", allowed=allowed, remedy="give one number")
-    try:
-        number = float(value)
-    except OverflowError:
-        number = math.inf
-    if not math.isfinite(number):
-        raise FieldError(field, str(value)[:24], "not finite", allowed=allowed, remedy=remedy)
-    if number > high or number < low or (open_low and number == low):
-        raise FieldError(field, number, "out of range", allowed=allowed, remedy=remedy)
-    return number
+    return math.radians(checked_between("angle", angle, -1e9, 1e9, "deg"))
 
 
 @dataclass(frozen=True)
@@ -100,8 +73,8 @@ def _pair(field: str, value: object, high: float, unit: str) -> tuple[float, flo
         raise FieldError(
             field, value, "not a pair", allowed=f"(low, high) in {unit}", remedy="give two numbers"
         )
-    first = check_number(f"{field}[0]", value[0], 0.0, high, unit, open_low=True)
-    second = check_number(f"{field}[1]", value[1], 0.0, high, unit, open_low=True)
+    first = checked_between(f"{field}[0]", value[0], 0.0, high, unit, open_low=True)
+    second = checked_between(f"{field}[1]", value[1], 0.0, high, unit, open_low=True)
     if first > second:
         raise FieldError(
             field,
@@ -142,7 +115,7 @@ def _range(
 
 
 def _phase_margin(value: object) -> float:
-    number = check_number(
+    number = checked_between(
         "phase_margin", value, 0.0, 1e9, "rad", open_low=True, remedy="give an angle between 0 and π"
     )
     if number >= math.pi:
@@ -190,7 +163,9 @@ def check_request(
 ) -> Request:
     """Return the request with every number checked (entries B25–B44 of the list of bad inputs)."""
     low, high, masses = _range(model, rig, payloads, natural_frequencies)
-    check_number("order", model.order, 1.0, 2.0, "(λ)", open_low=True, remedy="λ is 2 for a classical link")
+    checked_between(
+        "order", model.order, 1.0, 2.0, "(λ)", open_low=True, remedy="λ is 2 for a classical link"
+    )
     kind = _choice("margins", margins, ("loop", "ideal"))
     if kind == "ideal" and low <= 1.0:
         raise FieldError(
@@ -200,8 +175,8 @@ def check_request(
             allowed="> 1 s^(-λ/2)",
             remedy='say margins="loop", which checks the whole range itself',
         )
-    period = check_number("period", rig.period, 0.0, 10.0, "s", open_low=True)
-    crossover = check_number("gain_crossover", gain_crossover, 0.0, 1e6, "rad/s", open_low=True)
+    period = checked_between("period", rig.period, 0.0, 10.0, "s", open_low=True)
+    crossover = checked_between("gain_crossover", gain_crossover, 0.0, 1e6, "rad/s", open_low=True)
     _check_bandwidth(crossover, kind, rig, period)
     return Request(
         model=model,
@@ -212,11 +187,13 @@ def check_request(
         gain_crossover=crossover,
         phase_margin=_phase_margin(phase_margin),
         margins=kind,
-        filter_time=None if filter_time is None else check_number("filter_time", filter_time, 0.0, 1e3, "s"),
+        filter_time=None
+        if filter_time is None
+        else checked_between("filter_time", filter_time, 0.0, 1e3, "s"),
         filter_order=_filter_order(filter_order),
         inner_kind=_choice("inner", inner, ("ideal", "sampled")),
         placement=_choice("placement", placement, ("tustin", "direct")),
-        inner_pole=check_number("inner.pole", rig.inner.pole, 0.0, 1e6, "rad/s", open_low=True),
+        inner_pole=checked_between("inner.pole", rig.inner.pole, 0.0, 1e6, "rad/s", open_low=True),
         delay_samples=int(rig.inner.delay_samples),
         period=period,
     )

@@ -13,8 +13,8 @@ from fraclink.design.loop import OpenLoop
 from fraclink.design.measure import measure, sensitivity_peak
 from fraclink.design.plan import Plan, open_loop
 from fraclink.design.poles import PRINTED, match_at
-from fraclink.design.request import check_number
 from fraclink.errors import InfeasibleError
+from fraclink.quantity import checked_between
 
 __all__ = ["Rival", "compare_at_equal_sensitivity", "optimise", "scale_to_sensitivity"]
 
@@ -63,7 +63,7 @@ def scale_to_sensitivity(plan: Plan, controller: Controller, max_sensitivity: fl
 
     Raises InfeasibleError where no gain reaches it.
     """
-    bound = check_number("max_sensitivity", max_sensitivity, 1.0, 100.0, "", open_low=True)
+    bound = checked_between("max_sensitivity", max_sensitivity, 1.0, 100.0, "", open_low=True)
     loop, pi = _loop_of(plan, controller), np.geomspace(*plan.natural_frequencies, 9)
     nyquist = math.pi / plan.rig.period
     ratios = np.geomspace(1e-2, 1e2, 240)

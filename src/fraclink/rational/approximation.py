@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from fraclink.errors import FieldError
 from fraclink.fractional import FractionalTransferFunction
 from fraclink.quantity import is_whole
-from fraclink.rational.discrete import fit_discrete
+from fraclink.rational.discrete import checked_band, fit_discrete
 from fraclink.rational.growth import finish, grow
 from fraclink.rational.minimax import Target
 from fraclink.rational.oustaloup import oustaloup
@@ -180,15 +180,7 @@ def _check(
             allowed=f"a whole number from 1 to {highest}",
             remedy="change the order",
         )
-    limit = math.inf if period is None else math.pi / period
-    if not 0 < band[0] < band[1] <= limit * (1 + 1e-9) or not math.isfinite(band[1]):
-        raise FieldError(
-            "band",
-            band,
-            "not a band",
-            allowed=f"0 < low < high <= {limit:.6g} rad/s",
-            remedy="swap or lower it",
-        )
+    checked_band(band, period)
     if any(t.delay for t in (*system.numerator, *system.denominator)):
         raise FieldError(
             "system",

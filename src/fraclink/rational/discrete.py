@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink.errors import FieldError
-from fraclink.quantity import is_whole
+from fraclink.quantity import checked_number, is_whole
 from fraclink.rational.growth import finish, grow
 from fraclink.rational.minimax import PartialFractions, Target, score
 from fraclink.rational.parallel import DiscreteRational
 
-__all__ = ["fit_discrete"]
+__all__ = ["checked_band", "fit_discrete"]
 
 Complex = NDArray[np.complex128]
 Real = NDArray[np.float64]
@@ -163,20 +163,32 @@ def _target(
     )
 
 
+def checked_band(band: object, period: object | None) -> tuple[float, float]:
+    """Return `band` as (low, high) [rad/s], below the Nyquist frequency of `period` [s] if there is one."""
+    allowed, remedy = "0 < low < high rad/s", "give (low, high) in rad/s"
+    limit = math.inf
+    if period is not None:
+        limit = math.pi / checked_number(
+            "period",
+            period,
+            allowed="> 0 s",
+            remedy="give the period in seconds",
+            holds=lambda time: time > 0.0,
+        )
+        allowed = f"0 < low < high <= {limit:.6g} rad/s"
+        remedy = "lower the upper end or shorten the period"
+    if not isinstance(band, tuple | list | np.ndarray) or len(band) != 2:
+        raise FieldError("band", band, "not a pair", allowed=allowed, remedy="give (low, high) in rad/s")
+    low, high = (
+        checked_number(f"band[{i}]", value, allowed=allowed, remedy=remedy) for i, value in enumerate(band)
+    )
+    if not 0.0 < low < high <= limit * (1.0 + 1e-9):
+        raise FieldError("band", (low, high), "not a band", allowed=allowed, remedy=remedy)
+    return low, high
+
+
 def _check(period: float, band: tuple[float, float], order: int, zeros_at_one: int) -> None:
-    if not (math.isfinite(period) and period > 0):
-        raise FieldError(
-            "period", period, "not a sampling period", allowed="> 0 s", remedy="give the period in seconds"
-        )
-    low, high = band
-    if not (0 < low < high <= math.pi / period * (1 + 1e-9)):
-        raise FieldError(
-            "band",
-            band,
-            "not a band below the Nyquist frequency",
-            allowed=f"0 < low < high <= {math.pi / period:.6g} rad/s",
-            remedy="lower the upper end or shorten the period",
-        )
+    checked_band(band, period)
     if not is_whole(order, 0, HIGHEST_ORDER):
         allowed = f"a whole number from 0 to {HIGHEST_ORDER}"
         raise FieldError("order", order, "out of range", allowed=allowed, remedy="use order=None to choose")

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fraclink.errors import FieldError, NotConvergedError
 from fraclink.roots.count import count_strip
-from fraclink.roots.exponential import ExponentialSum, NearZeroError
+from fraclink.roots.exponential import ROUNDING, ExponentialSum, NearZeroError
 from fraclink.roots.search import aberth, bisect, newton_polygon, settle_clusters
 
 __all__ = [
@@ -32,8 +32,10 @@ __all__ = [
 ]
 
 # Heights at which the counted strip may end above `angle`: the first that no zero is near is taken.
-_MARGINS = (0.0618, 0.0382, 0.0871, 0.0197, 0.1303, 0.0093)
+# The wide ones are for multiple zeros on the edge: below them D is lost in rounding, 0.13^12 of its terms.
+_MARGINS = (0.0618, 0.0382, 0.0871, 0.0197, 0.1303, 0.0093, 0.2419, 0.3704)
 _ON_EDGE = 1e-12  # a zero computed this far above `angle` (or off the real axis) lies on it
+_BLURRED = 1e-7  # and at most this far where rounding blurs it; a multiple zero has D' = 0
 
 
 def count_zeros(coefficients: ArrayLike, orders: ArrayLike, *, angle: float) -> int:
@@ -95,12 +97,12 @@ def log_zeros(coefficients: ArrayLike, orders: ArrayLike, *, angle: float) -> ND
         return np.empty(0, dtype=complex)
     if len(terms.rates) == 2:
         (low, high), gap = terms.coefficients, terms.rates[1]
-        return _upper(np.array(two_term_zeros(low / high, gap, angle), dtype=complex), angle)
+        return _upper(terms, np.array(two_term_zeros(low / high, gap, angle), dtype=complex), angle)
     height, count = _counted(terms, angle)
     found = settle_clusters(terms, aberth(terms, height, count))
     if not _complete(found, count):
         found = _by_bisection(terms, height, count)
-    return _upper(found, angle)
+    return _upper(terms, found, angle)
 
 
 def two_term_zeros(ratio: float, gap: float, angle: float) -> list[complex]:
@@ -135,13 +137,14 @@ def _counted(terms: ExponentialSum, angle: float) -> tuple[float, int]:
     for margin in _MARGINS:
         try:
             return angle + margin, count_strip(terms, angle + margin)
-        except NearZeroError:
+        except NotConvergedError:  # a zero lies near this height, or the phase drowned in rounding beside one
             continue
     raise NotConvergedError(
         "counting zeros",
         reached=0,
         wanted=1,
-        remedy="zeros lie at every height tried above the angle; choose another angle",
+        remedy="a zero lies near every height tried above the angle, or is of too high a multiplicity "
+        "(above eight the digits run out); cancel common factors or choose another angle",
     )
 
 
@@ -165,9 +168,13 @@ def _by_bisection(terms: ExponentialSum, height: float, count: int) -> NDArray[n
     return found
 
 
-def _upper(found: NDArray[np.complex128], angle: float) -> NDArray[np.complex128]:
+def _upper(terms: ExponentialSum, found: NDArray[np.complex128], angle: float) -> NDArray[np.complex128]:
     z = found.copy()
-    z.imag[np.abs(z.imag) < _ON_EDGE] = 0.0
-    z.imag[np.abs(z.imag - angle) < _ON_EDGE * (1 + angle)] = angle
+    # A zero in a close company is known to ε/|D'| only; left a hair beyond the edge it would be lost.
+    values, moduli = terms.derivatives(z, 2)
+    known = 4.0 * ROUNDING * moduli[0] / np.maximum(np.abs(values[1]), 1e-300)
+    reach = np.clip(known, _ON_EDGE, _BLURRED)
+    z.imag[np.abs(z.imag) < reach] = 0.0
+    z.imag[np.abs(z.imag - angle) < reach * (1 + angle)] = angle
     z = z[(z.imag >= 0) & (z.imag <= angle)]
     return np.asarray(z[np.lexsort((z.real, z.imag))])

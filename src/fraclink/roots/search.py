@@ -15,7 +15,11 @@ from fraclink.roots.exponential import ExponentialSum, NearZeroError
 __all__ = ["aberth", "bisect", "newton_polygon", "settle_clusters"]
 
 Complex = NDArray[np.complex128]
+Mask = NDArray[np.bool_]
 _ROUNDS = 120  # multiple zeros are approached linearly, halving the distance each time
+# Widest first: twelve points that rounding leaves around a twelvefold zero fill a disc of radius 0.1, and two
+# of them alone would pass for a double zero beside it.
+_CLUSTERS = (0.25, 0.06, 0.015, 3e-3)
 START_LIMIT = 4096  # zeros in one strip; orders up to about 4000 on the principal sheet
 
 
@@ -100,19 +104,27 @@ def settle_clusters(sum_: ExponentialSum, points: Complex) -> Complex:
     settled = np.empty_like(points)
     free = np.ones(len(points), dtype=bool)
     for i in range(len(points)):
-        if not free[i]:
-            continue
-        near = free & (np.abs(points - points[i]) < 3e-3)
+        if free[i]:
+            near, centre = _cluster(sum_, points, free, i)
+            settled[near] = centre
+            free &= ~near
+    return settled
+
+
+def _cluster(sum_: ExponentialSum, points: Complex, free: Mask, i: int) -> tuple[Mask, complex]:
+    """The points that stand for the same zero as points[i], and that zero."""
+    for radius in _CLUSTERS:
+        near = free & (np.abs(points - points[i]) < radius)
         m = int(near.sum())
+        if m < 2:
+            break
         centre = _newton(sum_, points[near].mean(), m)
         values, moduli = sum_.derivatives(np.array([centre]), m)
-        vanishes = np.abs(values[: m - 1, 0]) <= 1e-12 * moduli[: m - 1, 0]
-        if m > 1 and not vanishes.all():
-            settled[near] = [_newton(sum_, z, 1) for z in points[near]]
-        else:
-            settled[near] = centre
-        free &= ~near
-    return settled
+        if np.all(np.abs(values[: m - 1, 0]) <= 1e-12 * moduli[: m - 1, 0]):
+            return near, centre
+    alone = np.zeros(len(points), dtype=bool)
+    alone[i] = True
+    return alone, _newton(sum_, points[i], 1)
 
 
 def _newton(sum_: ExponentialSum, z: complex, m: int) -> complex:
@@ -174,5 +186,6 @@ def _halves(sum_: ExponentialSum, a: complex, b: complex, n: int) -> list[tuple[
         "halving a box of zeros",
         reached=abs(b - a),
         wanted=1e-4,
-        remedy="the zeros lie too close together; check the coefficients",
+        remedy="the zeros lie too close together, or one of them is of too high a multiplicity: cancel "
+        "common factors",
     )

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from fraclink.errors import FieldError
 from fraclink.fractional import FractionalTransferFunction
+from fraclink.quantity import checked_number
 from fraclink.stability.fractional_loop import FractionalLoop
 from fraclink.stability.sweep import Loop
 
@@ -72,9 +73,13 @@ class CallableLoop:
 
 def as_loop(loop: object, limit: float | None) -> Loop:
     """Return the loop with its range of frequencies and its seeds."""
-    if limit is not None and not (math.isfinite(limit) and limit > 0):
-        raise FieldError(
-            "limit", limit, "not a frequency", allowed="> 0 rad/s", remedy="give the Nyquist frequency"
+    if limit is not None:
+        limit = checked_number(
+            "limit",
+            limit,
+            allowed="> 0 rad/s",
+            remedy="give the Nyquist frequency",
+            holds=lambda frequency: frequency > 0.0,
         )
     system = getattr(loop, "fractional", loop)  # what to_control wraps
     if isinstance(system, FractionalTransferFunction) and system.numerator:
