@@ -35,7 +35,9 @@ def conduct(
     certify: bool = False,
     begin: Callable[[str], None] = _silent,
 ) -> Study:
-    """Examine a log, fit the four structures, design for the payloads and simulate a move at each.
+    """Examine a log, fit the four structures, design for the payloads and simulate a move at several.
+
+    Moves are made at both ends of the range designed for, and at the nominal payload where it lies within.
 
     Arguments:
         rig: the rig that made the log.
@@ -53,9 +55,9 @@ def conduct(
     >>> from fraclink.readers import bundled_log, read_log
     >>> rig = Rig.named("paper-2023")
     >>> log = read_log(bundled_log("prbs_30g"), rig=rig)
-    >>> study = conduct(rig, log)
+    >>> study = conduct(rig, log, Request(payloads=(0.020, 0.045)))
     >>> study.holds, [f"{1e3 * run.payload:g} g" for run in study.runs]
-    (True, ['20 g', '30 g', '40 g'])
+    (True, ['20 g', '30 g', '45 g'])
     """
     from fraclink.diagnose import diagnose
     from fraclink.identify import identify_all
@@ -95,9 +97,15 @@ def conduct(
     if certify:
         begin("proving")
         found = _certified(found, plan, law)
-    payloads = sorted({rig.payloads.low, rig.payloads.nominal, rig.payloads.high})
-    runs = tuple(simulate_move(plan, move or Move(), payload, law=law) for payload in payloads)
+    runs = tuple(simulate_move(plan, move or Move(), payload, law=law) for payload in _moved(plan))
     return replace(found, plan=plan, law=law, runs=runs, assumptions=(*found.assumptions, *more))
+
+
+def _moved(plan: Plan) -> tuple[float, ...]:
+    """The payloads to move [kg]: both ends of the range designed for, and the nominal one within it."""
+    low, high = plan.payloads
+    nominal = plan.rig.payloads.nominal
+    return tuple(sorted({low, high} | ({nominal} if low < nominal < high else set())))
 
 
 def _certified(study: Study, plan: Plan, law: Law) -> Study:
