@@ -8,8 +8,7 @@
  *    flipped bit or a wiped memory is healed in it: each sum that is formed from states is checked, and the states
  *    behind it are clamped where the check fails. Clamping each state at every entry costs 280 instructions a period.
  *  - The correction works on the *change* of the error, so that a constant error, such as a gauge's offset, gives
- *    exactly zero whatever the rounding; its modes are kept in delta form (pole - 1), which does not round slow
- *    poles away in single precision.
+ *    exactly zero whatever the rounding.
  *  - States that have died away are set to 0, one in each period: as denormals they would stay for ever and cost
  *    three times the period on a desktop. (Adding and taking away a constant does not do: a slow mode stops at the
  *    constant's last digit.)
@@ -301,7 +300,7 @@ static law_real run_modes(law_real direct, law_real *states, law_real input, con
     for (i = 0U; i < count; i++) {
         const law_real value = states[i];
         sum += modes[i].gain * value;
-        states[i] = value + ((modes[i].decay * value) + input);
+        states[i] = (modes[i].pole * value) + input;
     }
     return sum;
 }
@@ -332,8 +331,8 @@ static law_real correct(law_state *s, const law_params *p, law_real change)
         const law_real re = state[0];
         const law_real im = state[1];
         sum += (pair->gain * re) - (pair->cross * im);
-        state[0] = re + (((pair->decay * re) - (pair->turn * im)) + change);
-        state[1] = im + ((pair->decay * im) + (pair->turn * re));
+        state[0] = ((pair->pole * re) - (pair->turn * im)) + change;
+        state[1] = (pair->pole * im) + (pair->turn * re);
     }
 #endif
     return sum;

@@ -31,7 +31,7 @@ typedef float law_real;
 typedef double law_real;
 #endif
 
-#define LAW_VERSION 1U
+#define LAW_VERSION 2U
 /* The package compiles law.c with room for every design. A board may compile it for one design alone: the README of
  * an export gives the flags. Loops then have fixed lengths and the arrays no spare places; the
  * arithmetic, and so every bit of the outputs, stays the same. A block made for other lengths is refused by its size. */
@@ -88,16 +88,17 @@ typedef double law_real;
 #define LAW_FLAG_STARTED 128U  /* started in this period, without a bump */
 #define LAW_FLAG_RESIDUAL 256U /* motor angle away from the motor model in this period */
 
-/* A real mode gain/(z - 1 - decay); decay = pole - 1 is exact for slow poles where the pole itself would round. */
+/* A real mode gain/(z - pole). The exporter's poles are numbers of single precision, so that both precisions
+ * run the same filter. */
 typedef struct {
-    law_real decay;
+    law_real pole;
     law_real gain;
 } law_mode;
 
 #if !defined(LAW_EXACT) || defined(LAW_PAIRS)
-/* A pair of modes, half of it: (gain + j cross)/(z - 1 - decay - j turn). */
+/* A pair of modes, half of it: (gain + j cross)/(z - pole - j turn). */
 typedef struct {
-    law_real decay;
+    law_real pole;
     law_real turn;
     law_real gain;
     law_real cross;

@@ -32,7 +32,7 @@ MUTANTS: tuple[tuple[str, str], ...] = (
     ("if (s->overload >= p->bad_limit) {", "if (s->overload == 0xFFFFU) {"),
     ("if (p->real_modes < count) {", "if (p->real_modes < 100U) {"),
     ("sum += modes[i].gain * value;", "sum -= modes[i].gain * value;"),
-    ("((modes[i].decay * value) + input)", "((modes[i].decay * value) - input)"),
+    ("(modes[i].pole * value) + input;", "(modes[i].pole * value) - input;"),
     ("(pair->gain * re) - (pair->cross * im)", "(pair->gain * re) + (pair->cross * im)"),
     ("if (credible(correction, p->sum_limit) == 0U) {", "if (credible(correction, p->sum_limit) == 2U) {"),
     ("((excess * eps) <= (law_real)0)", "((excess * eps) >= (law_real)0)"),

@@ -47,7 +47,7 @@ def test_the_block_survives_packing(precision: str) -> None:
     assert values["direct"] == float(kind(made.correction.direct))
     assert values["stiffness"] == float(kind(1.56))
     # type: ignore[index]
-    assert values["real"][0 : 2 * made.order : 2] == [float(kind(p - 1)) for p in made.correction.poles]
+    assert values["real"][0 : 2 * made.order : 2] == list(made.correction.poles)
 
 
 def test_the_state_fits_the_promise() -> None:
@@ -133,11 +133,15 @@ def test_feed_forward_inverts_the_link() -> None:
         g / (z - p) for g, p in zip(made.feedforward.gains, made.feedforward.poles, strict=True)
     )
     wanted = (1 / link.tip()(1j * w) - 1) / (1j * w) ** 2
-    assert np.abs(20 * np.log10(np.abs(filtered / wanted))).max() <= 0.3
+    miss = np.abs(filtered - wanted) * w**2 / (1 + np.abs(wanted) * w**2)
+    assert miss.max() <= 0.015  # of the motor's motion
+    fast = w >= 5.0  # about the resonance and above, where the flexion is more than a sixth of it
+    assert np.abs(20 * np.log10(np.abs(filtered / wanted)))[fast].max() <= 0.3
+    assert made.feedforward_error == pytest.approx((0.096, 0.478), abs=0.001)
     classical = discretize_controller(
         replace(default_controller(), link=LinkModel(1.56, 10.0, order=2.0)), PERIOD
     )
-    assert classical.feedforward == Modes(pytest.approx(0.01, rel=1e-9))  # 1/ϖ², no state at all
+    assert classical.feedforward == Modes(float(np.float32(0.01)))  # 1/ϖ², no state at all
 
 
 def test_step_and_run_are_the_same() -> None:

@@ -39,7 +39,7 @@ def worst_case(law: Law, *, error: float = 0.5) -> Bounds:
     n, m = len(law.correction.poles), len(law.correction.pair_poles)
     real = np.asarray(c["real"]).reshape(-1, 2)[:n].tolist()
     pair = np.asarray(c["pair"]).reshape(-1, 4)[:m].tolist()
-    poles: list[complex] = [1 + decay for decay, _ in real] + [complex(1 + a, b) for a, b, _, _ in pair]
+    poles: list[complex] = [pole for pole, _ in real] + [complex(a, b) for a, b, _, _ in pair]
     gains: list[complex] = [gain for _, gain in real] + [complex(a, b) for _, _, a, b in pair]
     direct = float(c["direct"])  # type: ignore[arg-type]
     slowest = max((abs(p) for p in poles), default=0.0)
@@ -93,7 +93,7 @@ def _rounding(law: Law, direct: float, poles: list[complex], gains: list[complex
         # `change`
         steady = isinstance(pole, float) and pole >= 0
         size = change if steady else change / (1 - abs(pole))
-        step = (abs(pole - 1) * size * 3 + change * 2 + size) * unit * (1 if isinstance(pole, float) else 2)
+        step = (abs(pole) * size * 3 + change) * unit * (1 if isinstance(pole, float) else 2)
         total += abs(gain) * step / (1 - abs(pole)) + abs(gain) * size * unit
         partial += abs(gain) * size
     terms = len(poles) + 1

@@ -42,20 +42,24 @@ def _correction(modes: Modes) -> dict[str, Any]:
         "real_modes": len(modes.poles),
         "pair_modes": len(modes.pair_poles),
         "direct": modes.direct,
-        "real": [x for pole, gain in zip(modes.poles, modes.gains, strict=True) for x in (pole - 1, gain)],
+        "real": _listed(modes),
         "pair": [
             x
             for pole, gain in zip(modes.pair_poles, modes.pair_gains, strict=True)
-            for x in (pole.real - 1, pole.imag, gain.real, gain.imag)
+            for x in (pole.real, pole.imag, gain.real, gain.imag)
         ],
     }
+
+
+def _listed(modes: Modes) -> list[float]:
+    return [x for mode in zip(modes.poles, modes.gains, strict=True) for x in mode]
 
 
 def _feedforward(modes: Modes) -> dict[str, Any]:
     return {
         "forward_modes": len(modes.poles),
         "forward_direct": modes.direct,
-        "forward": [x for pole, gain in zip(modes.poles, modes.gains, strict=True) for x in (pole - 1, gain)],
+        "forward": _listed(modes),
     }
 
 

@@ -13,7 +13,7 @@ __all__ = ["COUNTS", "HEADER", "REALS", "Precision", "exact_header", "pack", "re
 
 Precision = Literal["single", "double"]
 
-VERSION = 1
+VERSION = 2
 REAL_MODES, PAIR_MODES, FORWARD_MODES = 8, 2, 8
 WITH_INNER = 1
 
@@ -29,7 +29,7 @@ COUNTS = (
     "stuck_limit",
 )
 # Name and length of every real field, in the order of law.h; a test reads law.h and compares. Modes lie as
-# (decay, gain), pairs as (decay, turn, gain, cross).
+# (pole, gain), pairs as (pole, turn, gain, cross).
 REALS: tuple[tuple[str, int], ...] = (
     ("period", 1),
     ("compliance", 1),

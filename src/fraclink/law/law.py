@@ -35,9 +35,10 @@ class Law:
     `Controller.discretize`.
 
     Attributes: `period` [s]; `precision` "single" or "double"; `stiffness` c [N·m/rad]; `correction` and
-    `feedforward` as `Modes`; `correction_error` and `feedforward_error`, the largest errors of their fits in
-    (decibels, degrees) up to `band` [rad/s]; `inner_pole` p of M(s) [rad/s]; `drive`, None for a robot
-    that has its own position servo; `limits` of the guards.
+    `feedforward` as `Modes`; `correction_error`, the largest error of C = 1 + Ĉ in (decibels, degrees) on
+    `band` [rad/s]; `feedforward_error`, the same of F times the flexion's share of the motor's motion;
+    `inner_pole` p of M(s) [rad/s]; `drive`, None for a robot that has its own position servo; `limits` of
+    the guards.
 
     >>> from fraclink.controller import Controller
     >>> from fraclink.link import LinkModel
@@ -101,13 +102,13 @@ class Law:
         w = np.asarray(frequency, dtype=float)
         c = self.coefficients
         half = 0.5 * w * self.period
-        # z − 1 without cancellation: at 0.05 rad/s and 4 ms it is 2e-4
+        # z − 1 without cancellation: at 0.05 rad/s and 4 ms it is 2e-4; pole − 1 is exact for slow poles
         beyond = (2j * np.sin(half) * np.exp(1j * half))[..., None]
         n, m = len(self.correction.poles), len(self.correction.pair_poles)  # the block's lists end in zeros
         poles, gains = np.asarray(c["real"]).reshape(-1, 2)[:n].T
-        decay, turn, gain, cross = np.asarray(c["pair"]).reshape(-1, 4)[:m].T
-        pairs, crossed = decay + 1j * turn, gain + 1j * cross
-        total = c["direct"] + (gains / (beyond - poles)).sum(-1)
+        pole, turn, gain, cross = np.asarray(c["pair"]).reshape(-1, 4)[:m].T
+        pairs, crossed = pole - 1 + 1j * turn, gain + 1j * cross
+        total = c["direct"] + (gains / (beyond - (poles - 1))).sum(-1)
         total = total + 0.5 * (crossed / (beyond - pairs) + crossed.conj() / (beyond - pairs.conj())).sum(-1)
         return np.asarray(2j * np.sin(half) * np.exp(-1j * half) * total, dtype=np.complex128)
 
