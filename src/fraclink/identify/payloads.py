@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -130,7 +131,11 @@ def _assembled(
         shape, _ = coordinates.shape(theta, i)
         raw = columns_of(search.kernel, shape)[0]
         gain, offset = _linear(raw, log.output, search)
-        models.append(model_of(shape, max(abs(gain), 1e-12), log.payload))
+        model = model_of(shape, max(abs(gain), 1e-12), log.payload)
+        if "damping" in coordinates.names and model.damping > 0:
+            # The way through each log's own resonance rounds: a common damping would differ in the last digit.
+            model = replace(model, damping=math.exp(theta[coordinates.index("damping", i)]))
+        models.append(model)
         error = log.output - gain * raw - offset
         gains.append(gain)
         offsets.append(offset)
