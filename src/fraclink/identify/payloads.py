@@ -133,7 +133,7 @@ def _assembled(
         gain, offset = _linear(raw, log.output, search)
         model = model_of(shape, max(abs(gain), 1e-12), log.payload)
         if "damping" in coordinates.names and model.damping > 0:
-            # The way through each log's own resonance rounds: a common damping would differ in the last digit.
+            # The way through each log's own resonance rounds: the last digits would differ.
             model = replace(model, damping=math.exp(theta[coordinates.index("damping", i)]))
         models.append(model)
         error = log.output - gain * raw - offset
