@@ -9,6 +9,7 @@ void bind_fit(nb::module_ &m);
 void bind_law(nb::module_ &m);
 void bind_loop(nb::module_ &m);
 void bind_modes(nb::module_ &m);
+void bind_realtime(nb::module_ &m);
 void bind_twin(nb::module_ &m);
 
 NB_MODULE(_kernels, m) {
@@ -18,5 +19,6 @@ NB_MODULE(_kernels, m) {
     bind_law(m);
     bind_loop(m);
     bind_modes(m);
+    bind_realtime(m);
     bind_twin(m);
 }

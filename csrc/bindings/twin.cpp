@@ -4,42 +4,20 @@
 
 #include <cstdint>
 #include <cstring>
-#include <stdexcept>
 #include <vector>
 
-extern "C" {
-#include "twin.h"
-}
+#include "twin_arrays.h"
 
 namespace nb = nanobind;
+using namespace twin_arrays;
 
 namespace {
 
-using Vector = nb::ndarray<const double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
-using Matrix = nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
-using Mutable = nb::ndarray<double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
-using MutableBytes = nb::ndarray<std::uint8_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
-using Counters = nb::ndarray<std::uint32_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 using Result = nb::ndarray<nb::numpy, double, nb::ndim<2>>;
-
-void require(bool holds, const char *message) {
-    if (!holds) {
-        throw std::invalid_argument(message);
-    }
-}
 
 Result matrix(double *data, std::size_t rows, std::size_t columns) {
     nb::capsule owner(data, [](void *p) noexcept { delete[] static_cast<double *>(p); });
     return Result(data, {rows, columns}, owner);
-}
-
-twin_step step_of(const Matrix &transition, const Vector &hub, const Vector &tip, const Matrix &outputs) {
-    const std::size_t stride = transition.shape(1);
-    require(stride % 8 == 0 && transition.shape(0) <= stride, "transition: (states, stride), stride a multiple of 8");
-    require(hub.size() == stride && tip.size() == stride, "hub, tip: one value per row");
-    require(outputs.shape(0) == TWIN_OUTPUTS && outputs.shape(1) == stride, "outputs: (6, stride)");
-    return {static_cast<int>(transition.shape(0)), static_cast<int>(stride), transition.data(), hub.data(),
-            tip.data(), outputs.data()};
 }
 
 Result march(Matrix transition, Vector hub, Vector tip, Matrix outputs, Vector input, int substeps, Mutable state) {
@@ -53,39 +31,6 @@ Result march(Matrix transition, Vector hub, Vector tip, Matrix outputs, Vector i
     twin_march(&step, static_cast<int>(input.size()), substeps, input.data(), state.data(), scratch.data(), data);
     return result;
 }
-
-twin_rig rig_of(const Vector &values) {
-    require(values.size() == 10, "rig: 10 values");
-    const double *v = values.data();
-    const twin_rig rig = {static_cast<int>(v[0]), static_cast<int>(v[1]), static_cast<int>(v[2]), v[3], v[4], v[5],
-                          v[6], v[7], v[8], v[9]};
-    require(rig.substeps >= 1 && rig.voltage_delay >= 0 && rig.gauge_delay >= 0, "rig: counts");
-    return rig;
-}
-
-// Buffers that the caller owns and the kernel continues from: link, gauge ring, voltage queue, counters.
-struct Memory {
-    Mutable state, gauge, voltage, sensed;
-    Counters counters;
-    std::vector<double> scratch;
-
-    twin_memory checked(const twin_rig &rig, std::size_t stride) {
-        require(state.size() == stride, "state: one value per row");
-        require(gauge.size() == static_cast<std::size_t>(rig.gauge_delay) + 1, "gauge: delay + 1 values");
-        require(voltage.size() == static_cast<std::size_t>(rig.voltage_delay) + 1, "voltage: delay + 1 values");
-        require(sensed.size() == 2 && counters.size() == 2, "sensed: angle, torque; counters: stuck, tick");
-        scratch.assign(stride, 0.0);
-        return {state.data(), gauge.data(), voltage.data(), scratch.data(), sensed.data()[0], sensed.data()[1],
-                static_cast<int>(counters.data()[0]), counters.data()[1]};
-    }
-
-    void keep(const twin_memory &memory) {
-        sensed.data()[0] = memory.angle;
-        sensed.data()[1] = memory.torque;
-        counters.data()[0] = static_cast<std::uint32_t>(memory.stuck);
-        counters.data()[1] = memory.tick;
-    }
-};
 
 Result run(Matrix transition, Vector hub, Vector tip, Matrix outputs, Vector rig_values, Vector obstacle_values,
            nb::bytes params, bool single, Matrix input, MutableBytes law, Mutable state, Mutable gauge, Mutable voltage,

@@ -1,0 +1,217 @@
+// The real-time loops from Python: a way to reach the arm, one call per run, arrays in and out.
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+#include <nanobind/stl/pair.h>
+
+#include <cerrno>
+#include <cstring>
+#include <exception>
+#include <memory>
+#include <stdexcept>
+#include <system_error>
+#include <utility>
+#include <vector>
+
+#include "twin_arrays.h"
+
+extern "C" {
+#include "realtime.h"
+}
+
+namespace nb = nanobind;
+using namespace twin_arrays;
+
+#ifdef __linux__
+namespace {
+
+using Record = nb::ndarray<double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+using Marks = nb::ndarray<std::uint32_t, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+
+// A way to the arm. Exactly one of the three is in use: a channel, the two functions of a library, two callables.
+struct Io {
+    realtime_channel *channel = nullptr;
+    int (*read_arm)(arm_sample *) = nullptr;
+    int (*write_arm)(const arm_command *) = nullptr;
+    nb::object read, write;
+    std::exception_ptr failure;  // of a callable; C has no way to pass it on
+
+    Io() = default;
+    Io(Io &&other) noexcept
+        : channel(std::exchange(other.channel, nullptr)), read_arm(other.read_arm), write_arm(other.write_arm),
+          read(std::move(other.read)), write(std::move(other.write)) {}
+    ~Io() {
+        if (channel) channel->close(channel);
+    }
+};
+
+int read_library(void *self, realtime_sample *sample) {
+    const int missing = static_cast<Io *>(self)->read_arm(&sample->value);
+    return missing < 0 ? missing : missing == 0;
+}
+
+int write_library(void *self, const arm_command *command) {
+    const int refused = static_cast<Io *>(self)->write_arm(command);
+    return refused < 0 ? refused : 0;
+}
+
+// Runs `work` under the GIL; the first exception is kept for Python and becomes -1, which stops the run.
+template <class Work> int guarded(Io *io, Work work) {
+    const nb::gil_scoped_acquire acquire;
+    try {
+        return work();
+    } catch (...) {
+        if (!io->failure) io->failure = std::current_exception();
+        return -1;
+    }
+}
+
+int read_callable(void *self, realtime_sample *sample) {
+    Io *const io = static_cast<Io *>(self);
+    return guarded(io, [&] {
+        const nb::object given = io->read();
+        if (given.is_none()) return 0;
+        std::pair<double, double> values;
+        if (!nb::try_cast(given, values)) throw nb::type_error("read() must return (motor_angle, torque) or None");
+        sample->value = {values.first, values.second};
+        return 1;
+    });
+}
+
+int write_callable(void *self, const arm_command *c) {
+    Io *const io = static_cast<Io *>(self);
+    return guarded(io, [&] {
+        io->write(c->motor_reference, c->voltage, c->tick, c->mode, c->reason, c->flags);
+        return 0;
+    });
+}
+
+realtime_io io_of(Io &io) {
+    if (io.channel) return realtime_io_of(io.channel);
+    if (io.read_arm) return {&io, 0, read_library, write_library};
+    return {&io, 0, read_callable, write_callable};
+}
+
+Io channel_of(realtime_channel *channel) {
+    if (!channel) throw std::system_error(errno, std::generic_category());
+    Io io;
+    io.channel = channel;
+    return io;
+}
+
+Io library(std::uintptr_t read, std::uintptr_t write) {
+    require(read != 0 && write != 0, "library: two functions");
+    Io io;
+    io.read_arm = reinterpret_cast<int (*)(arm_sample *)>(read);
+    io.write_arm = reinterpret_cast<int (*)(const arm_command *)>(write);
+    return io;
+}
+
+Io callables(nb::callable read, nb::callable write) {
+    Io io;
+    io.read = std::move(read);
+    io.write = std::move(write);
+    return io;
+}
+
+std::vector<std::uint64_t> aligned(const nb::bytes &bytes) {
+    std::vector<std::uint64_t> words(bytes.size() / 8 + 1);
+    std::memcpy(words.data(), bytes.c_str(), bytes.size());
+    return words;
+}
+
+nb::dict told(const realtime_outcome &o) {
+    nb::dict d;
+    d["stop"] = o.stop;
+    d["count"] = o.count;
+    d["lost"] = o.lost;
+    d["priority_error"] = o.priority_error;
+    d["memory_error"] = o.memory_error;
+    d["origin"] = o.origin;
+    d["period_ns"] = o.period_ns;
+    return d;
+}
+
+// Rows of `path`: reference, acceleration, one value a period.
+nb::dict run(Io &io, nb::bytes params, nb::bytes state, bool single, Matrix path, Record record, Marks marks,
+             std::int64_t period_ns, std::int64_t patience_ns, bool relative, int priority, bool lock_memory) {
+    const std::size_t length = path.shape(1);
+    require(path.shape(0) == 2 && length >= 1 && period_ns >= 1, "path: (2, periods), period above 0");
+    require(record.shape(0) == length && record.shape(1) == REALTIME_COLUMNS, "record: (periods, columns)");
+    require(marks.shape(0) == length && marks.shape(1) == REALTIME_MARKS, "marks: (periods, marks)");
+    int params_size = 0, state_size = 0;
+    (single ? twin_sizes_single : twin_sizes_double)(&params_size, &state_size);
+    require(params.size() == std::size_t(params_size) && state.size() == std::size_t(state_size), "law: other sizes");
+    const auto block = aligned(params);
+    auto memory = aligned(state);
+    const realtime_plan plan = {period_ns, std::int64_t(length), path.data(), path.data() + length,
+                                patience_ns, relative, priority, lock_memory};
+    const realtime_io way = io_of(io);
+    realtime_outcome outcome;
+    {
+        nb::gil_scoped_release release;
+        realtime_run(&plan, &way, single ? realtime_law_single : realtime_law_double, memory.data(), block.data(),
+                     record.data(), marks.data(), &outcome);
+    }
+    if (io.failure) std::rethrow_exception(std::exchange(io.failure, nullptr));
+    return told(outcome);
+}
+
+nb::dict bare(Mutable latency, std::int64_t period_ns, int priority, bool lock_memory) {
+    const realtime_plan plan = {period_ns, std::int64_t(latency.size()), nullptr, nullptr, 0, 0, priority, lock_memory};
+    realtime_outcome outcome;
+    {
+        nb::gil_scoped_release release;
+        realtime_bare(&plan, latency.data(), &outcome);
+    }
+    return told(outcome);
+}
+
+nb::dict serve(Io &io, Matrix transition, Vector hub, Vector tip, Matrix outputs, Vector rig_values, Mutable state,
+               Mutable gauge, Mutable voltage, Mutable sensed, Counters counters, Vector gauge_error, Record record,
+               std::int64_t period_ns, std::int64_t watchdog, bool once) {
+    require(io.channel != nullptr, "serve: messages only");
+    const twin_step step = step_of(transition, hub, tip, outputs);
+    const twin_rig rig = rig_of(rig_values);
+    require(record.shape(0) == gauge_error.size() && record.shape(1) == SERVED_COLUMNS, "record: (periods, columns)");
+    Memory buffers{state, gauge, voltage, sensed, counters, {}};
+    twin_memory memory = buffers.checked(rig, hub.size());
+    const served_plan plan = {period_ns, std::int64_t(gauge_error.size()), watchdog, rig.voltage_delay, once,
+                              gauge_error.data()};
+    served_outcome outcome;
+    {
+        nb::gil_scoped_release release;
+        realtime_serve(&plan, io.channel, &step, &rig, &memory, record.data(), &outcome);
+    }
+    buffers.keep(memory);
+    nb::dict d;
+    d["stop"] = outcome.stop;
+    d["count"] = outcome.count;
+    d["late"] = outcome.late;
+    d["controllers"] = outcome.controllers;
+    d["silences"] = outcome.silences;
+    d["rejected"] = outcome.rejected;
+    return d;
+}
+
+}  // namespace
+#endif
+
+void bind_realtime(nb::module_ &m) {
+#ifdef __linux__
+    m.attr("REALTIME") = true;
+    nb::class_<Io>(m, "RealtimeIo")
+        .def_static("socket", [](int file, bool arm) { return channel_of(realtime_open_socket(file, arm)); })
+        .def_static("memory", [](int file, bool arm) { return channel_of(realtime_open_memory(file, arm)); })
+        .def_static("library", &library)
+        .def_static("callables", &callables);
+    m.def("realtime_run", &run);
+    m.def("realtime_bare", &bare);
+    m.def("realtime_serve", &serve);
+    m.def("realtime_memory_size", &realtime_memory_size);
+    m.attr("REALTIME_COLUMNS") = int(REALTIME_COLUMNS);
+    m.attr("REALTIME_MARKS") = int(REALTIME_MARKS);
+    m.attr("SERVED_COLUMNS") = int(SERVED_COLUMNS);
+#else
+    m.attr("REALTIME") = false;
+#endif
+}

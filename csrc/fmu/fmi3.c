@@ -1,0 +1,279 @@
+/* The functions of FMI 3.0 for co-simulation (FMI 3.0, sections 2.2 and 4.2) around fmu_core.h.
+ *
+ * The standard wants every function to be there, also those of capabilities that modelDescription.xml does not offer.
+ * An importer that compiles this file may put fmi3Functions.h of the standard in front (-include); its compiler then
+ * compares every declaration. Without it the declarations below serve, so that no header has to be shipped. */
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#if !defined(fmi3Functions_h)
+typedef void *fmi3Instance;
+typedef void *fmi3InstanceEnvironment;
+typedef void *fmi3FMUState;
+typedef uint32_t fmi3ValueReference;
+typedef float fmi3Float32;
+typedef double fmi3Float64;
+typedef int8_t fmi3Int8;
+typedef uint8_t fmi3UInt8;
+typedef int16_t fmi3Int16;
+typedef uint16_t fmi3UInt16;
+typedef int32_t fmi3Int32;
+typedef uint32_t fmi3UInt32;
+typedef int64_t fmi3Int64;
+typedef uint64_t fmi3UInt64;
+typedef bool fmi3Boolean;
+typedef char fmi3Char;
+typedef const fmi3Char *fmi3String;
+typedef uint8_t fmi3Byte;
+typedef const fmi3Byte *fmi3Binary;
+typedef bool fmi3Clock;
+typedef enum { fmi3OK, fmi3Warning, fmi3Discard, fmi3Error, fmi3Fatal } fmi3Status;
+typedef enum {
+    fmi3Independent,
+    fmi3Constant,
+    fmi3Fixed,
+    fmi3Tunable,
+    fmi3Discrete,
+    fmi3Dependent
+} fmi3DependencyKind;
+typedef enum { fmi3IntervalNotYetKnown, fmi3IntervalUnchanged, fmi3IntervalChanged } fmi3IntervalQualifier;
+typedef void (*fmi3LogMessageCallback)(fmi3InstanceEnvironment environment, fmi3Status status, fmi3String category,
+                                       fmi3String message);
+typedef void (*fmi3ClockUpdateCallback)(fmi3InstanceEnvironment environment);
+typedef void (*fmi3IntermediateUpdateCallback)(fmi3InstanceEnvironment environment, fmi3Float64 time,
+                                               fmi3Boolean set_requested, fmi3Boolean get_allowed,
+                                               fmi3Boolean step_finished, fmi3Boolean can_return_early,
+                                               fmi3Boolean *return_requested, fmi3Float64 *return_time);
+typedef void (*fmi3LockPreemptionCallback)(void);
+typedef void (*fmi3UnlockPreemptionCallback)(void);
+#endif
+
+/* Sources that are linked, not loaded, get the importer's prefix, as in fmi3Functions.h. */
+#if defined(FMI3_OVERRIDE_FUNCTION_PREFIX)
+#if defined(FMI3_ACTUAL_FUNCTION_PREFIX)
+#define FMU_PREFIX FMI3_ACTUAL_FUNCTION_PREFIX
+#endif
+#elif defined(FMI3_FUNCTION_PREFIX)
+#define FMU_PREFIX FMI3_FUNCTION_PREFIX
+#endif
+#if !defined(FMU_PREFIX)
+#define FMU_PREFIX
+#endif
+#if defined(_WIN32)
+#define FMU_EXPORT __declspec(dllexport)
+#else
+#define FMU_EXPORT __attribute__((visibility("default")))
+#endif
+#define FMU_PASTE(prefix, version, name) prefix##version##name
+#define FMU_NAME(prefix, name) FMU_PASTE(prefix, fmi3, name)
+#define FMI3(name) FMU_NAME(FMU_PREFIX, name)
+#define FMI3_STATUS(name) FMU_EXPORT fmi3Status FMI3(name)
+
+typedef fmi3Status fmu_status;
+#define FMU_OK fmi3OK
+#define FMU_ERROR fmi3Error
+
+typedef struct {
+    fmi3LogMessageCallback log;
+    fmi3InstanceEnvironment environment;
+    bool logging;
+} fmu_host;
+
+#include "fmu_core.h"
+
+/* FMI 3 wants silence where logging is off: the status alone then tells of the error. */
+static void fmu_tell(const fmu_host *host, const char *message)
+{
+    if (host->logging && (host->log != NULL))
+        host->log(host->environment, fmi3Error, "logStatusError", message);
+}
+
+FMU_EXPORT const char *FMI3(GetVersion)(void) { return "3.0"; }
+
+FMI3_STATUS(SetDebugLogging)(fmi3Instance me, fmi3Boolean on, size_t count, const fmi3String categories[])
+{
+    fmu_instance *const instance = me;
+    bool chosen = count == 0U;
+    for (size_t i = 0; i < count; i++)
+        chosen = chosen || (strcmp(categories[i], "logStatusError") == 0);
+    instance->host.logging = on && chosen;
+    return fmi3OK;
+}
+
+FMU_EXPORT fmi3Instance FMI3(InstantiateCoSimulation)(fmi3String name, fmi3String token, fmi3String resources,
+                                                      fmi3Boolean visible, fmi3Boolean logging, fmi3Boolean events,
+                                                      fmi3Boolean early_return,
+                                                      const fmi3ValueReference intermediate[],
+                                                      size_t intermediate_count, fmi3InstanceEnvironment environment,
+                                                      fmi3LogMessageCallback log,
+                                                      fmi3IntermediateUpdateCallback update)
+{
+    /* why there is no instance is always told: it has no logging to switch off yet */
+    fmu_host host = {log, environment, true};
+    fmu_instance *me = NULL;
+    (void)name;
+    (void)resources;
+    (void)visible;
+    (void)early_return;
+    (void)intermediate;
+    (void)update;
+    if (events || (intermediate_count > 0U)) {
+        fmu_tell(&host, "this FMU has neither event mode nor intermediate updates");
+        return NULL;
+    }
+    me = fmu_instantiate(&host, token);
+    if (me != NULL)
+        me->host.logging = logging;
+    return me;
+}
+
+FMU_EXPORT fmi3Instance FMI3(InstantiateModelExchange)(fmi3String name, fmi3String token, fmi3String resources,
+                                                       fmi3Boolean visible, fmi3Boolean logging,
+                                                       fmi3InstanceEnvironment environment,
+                                                       fmi3LogMessageCallback log)
+{
+    const fmu_host host = {log, environment, true};
+    (void)name;
+    (void)token;
+    (void)resources;
+    (void)visible;
+    (void)logging;
+    fmu_tell(&host, "this FMU is for co-simulation, not for model exchange");
+    return NULL;
+}
+
+FMU_EXPORT fmi3Instance FMI3(InstantiateScheduledExecution)(
+    fmi3String name, fmi3String token, fmi3String resources, fmi3Boolean visible, fmi3Boolean logging,
+    fmi3InstanceEnvironment environment, fmi3LogMessageCallback log, fmi3ClockUpdateCallback update,
+    fmi3LockPreemptionCallback lock, fmi3UnlockPreemptionCallback unlock)
+{
+    const fmu_host host = {log, environment, true};
+    (void)name;
+    (void)token;
+    (void)resources;
+    (void)visible;
+    (void)logging;
+    (void)update;
+    (void)lock;
+    (void)unlock;
+    fmu_tell(&host, "this FMU is for co-simulation, not for scheduled execution");
+    return NULL;
+}
+
+FMU_EXPORT void FMI3(FreeInstance)(fmi3Instance me) { free(me); }
+
+FMI3_STATUS(EnterInitializationMode)(fmi3Instance me, fmi3Boolean with_tolerance, fmi3Float64 tolerance,
+                                     fmi3Float64 start, fmi3Boolean with_end, fmi3Float64 end)
+{
+    const fmu_status status = fmu_set_start(me, start);
+    (void)with_tolerance;
+    (void)tolerance;
+    (void)with_end;
+    (void)end;
+    return (status == FMU_OK ? fmu_enter_initialization(me) : status);
+}
+
+FMI3_STATUS(ExitInitializationMode)(fmi3Instance me) { return fmu_exit_initialization(me); }
+FMI3_STATUS(Terminate)(fmi3Instance me) { return fmu_terminate(me); }
+
+FMI3_STATUS(Reset)(fmi3Instance me)
+{
+    fmu_restart(me);
+    return fmi3OK;
+}
+
+FMI3_STATUS(DoStep)(fmi3Instance me, fmi3Float64 now, fmi3Float64 step, fmi3Boolean no_rollback, fmi3Boolean *events,
+                    fmi3Boolean *terminate, fmi3Boolean *early_return, fmi3Float64 *reached)
+{
+    const fmu_status status = fmu_step(me, now, step);
+    (void)no_rollback;
+    *events = false;
+    *terminate = false;
+    *early_return = false;
+    *reached = ((const fmu_instance *)me)->memory.time;
+    return status;
+}
+
+static fmi3Status not_scalar(fmu_instance *me)
+{
+    return fmu_refuse(me, "every variable is a scalar: one value for each reference");
+}
+
+FMI3_STATUS(GetFloat64)(fmi3Instance me, const fmi3ValueReference references[], size_t count, fmi3Float64 values[],
+                        size_t value_count)
+{
+    return value_count == count ? fmu_get_reals(me, references, count, values) : not_scalar(me);
+}
+
+FMI3_STATUS(SetFloat64)(fmi3Instance me, const fmi3ValueReference references[], size_t count,
+                        const fmi3Float64 values[], size_t value_count)
+{
+    return value_count == count ? fmu_set_reals(me, references, count, values) : not_scalar(me);
+}
+
+FMI3_STATUS(GetUInt32)(fmi3Instance me, const fmi3ValueReference references[], size_t count, fmi3UInt32 values[],
+                       size_t value_count)
+{
+    fmu_status status = value_count == count ? FMU_OK : not_scalar(me);
+    for (size_t i = 0; (i < count) && (status == FMU_OK); i++)
+        status = fmu_get_mark(me, references[i], &values[i]);
+    return status;
+}
+
+#define FMI3_NO_VARIABLES(access, constness, type)                                                                     \
+    FMI3_STATUS(access)(fmi3Instance me, const fmi3ValueReference references[], size_t count, constness type values[], \
+                        size_t value_count)                                                                            \
+    {                                                                                                                  \
+        (void)references;                                                                                              \
+        (void)values;                                                                                                  \
+        (void)value_count;                                                                                             \
+        return fmu_no_variables(me, count);                                                                            \
+    }
+#define FMI3_NO_ACCESS(name, type)       \
+    FMI3_NO_VARIABLES(Get##name, , type) \
+    FMI3_NO_VARIABLES(Set##name, const, type)
+FMI3_NO_ACCESS(Float32, fmi3Float32)
+FMI3_NO_ACCESS(Int8, fmi3Int8)
+FMI3_NO_ACCESS(UInt8, fmi3UInt8)
+FMI3_NO_ACCESS(Int16, fmi3Int16)
+FMI3_NO_ACCESS(UInt16, fmi3UInt16)
+FMI3_NO_ACCESS(Int32, fmi3Int32)
+FMI3_NO_ACCESS(Int64, fmi3Int64)
+FMI3_NO_ACCESS(UInt64, fmi3UInt64)
+FMI3_NO_ACCESS(Boolean, fmi3Boolean)
+FMI3_NO_ACCESS(String, fmi3String)
+FMI3_NO_VARIABLES(SetUInt32, const, fmi3UInt32)
+
+FMI3_STATUS(GetFMUState)(fmi3Instance me, fmi3FMUState *state) { return fmu_save(me, state); }
+FMI3_STATUS(SetFMUState)(fmi3Instance me, fmi3FMUState state) { return fmu_restore(me, state); }
+
+FMI3_STATUS(FreeFMUState)(fmi3Instance me, fmi3FMUState *state)
+{
+    (void)me;
+    if (state != NULL) {
+        free(*state);
+        *state = NULL;
+    }
+    return fmi3OK;
+}
+
+FMI3_STATUS(SerializedFMUStateSize)(fmi3Instance me, fmi3FMUState state, size_t *size)
+{
+    (void)me;
+    (void)state;
+    *size = sizeof(fmu_memory);
+    return fmi3OK;
+}
+
+FMI3_STATUS(SerializeFMUState)(fmi3Instance me, fmi3FMUState state, fmi3Byte bytes[], size_t size)
+{
+    return fmu_serialize(me, state, bytes, size);
+}
+
+FMI3_STATUS(DeserializeFMUState)(fmi3Instance me, const fmi3Byte bytes[], size_t size, fmi3FMUState *state)
+{
+    return fmu_deserialize(me, bytes, size, state);
+}
+
+#include "fmi3_not_offered.h"

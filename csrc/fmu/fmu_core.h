@@ -1,0 +1,274 @@
+/* The life of an FMU around law_step: what FMI 2 and FMI 3 share.
+ *
+ * fmi2.c and fmi3.c include this file. Before, they define `fmu_status` with FMU_OK and FMU_ERROR, and `fmu_host`, what
+ * the importer handed over; behind come their own functions, which only translate types. Everything here is static, so
+ * that the sources of several FMUs link into one program. The generated all.c puts law.c, law_data, FMU_TOKEN and
+ * FMU_PERIOD in front. */
+#ifndef FRACLINK_FMU_CORE_H
+#define FRACLINK_FMU_CORE_H
+
+#include <float.h>
+#include <stdint.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "law.h"
+
+/* Value references: inputs, then outputs in the order of modelDescription.xml, then the time. */
+#define FMU_INPUTS 4U
+#define FMU_REALS 7U
+#define FMU_VALUES 10U
+#define FMU_TIME 10U
+
+/* An error ends the simulation, as FMI 3 has it: only reset, a restored state or freeing leads on. */
+#define FMU_INSTANTIATED 0U
+#define FMU_INITIALIZING 1U
+#define FMU_STEPPING 2U
+#define FMU_TERMINATED 3U
+
+#define FMU_MESSAGE 160U
+
+/* Everything a simulation changes, and so everything a snapshot holds; plain data. */
+typedef struct {
+    uint32_t owner; /* CRC-32 of the parameters: a snapshot of another law is refused */
+    uint32_t phase;
+    uint32_t tick;
+    uint32_t marks[FMU_VALUES - FMU_REALS];
+    double time; /* end of the last step [s] */
+    double reals[FMU_REALS];
+    law_state law;
+} fmu_memory;
+
+typedef struct {
+    fmu_host host;
+    fmu_memory memory;
+} fmu_instance;
+
+/* Hand a message to the importer's logger. */
+static void fmu_tell(const fmu_host *host, const char *message);
+
+static fmu_status fmu_refuse(fmu_instance *me, const char *message)
+{
+    me->memory.phase = FMU_TERMINATED;
+    fmu_tell(&me->host, message);
+    return FMU_ERROR;
+}
+
+static void fmu_restart(fmu_instance *me)
+{
+    memset(&me->memory, 0, sizeof me->memory); /* padding too: equal simulations serialize to equal bytes */
+    me->memory.owner = law_data.crc;
+    (void)law_init(&me->memory.law, &law_data);
+}
+
+static fmu_instance *fmu_instantiate(const fmu_host *host, const char *token)
+{
+    fmu_instance *me = NULL;
+    if ((token == NULL) || (strcmp(token, FMU_TOKEN) != 0)) {
+        fmu_tell(host, "modelDescription.xml and the library are not of one FMU: the tokens differ");
+    } else if (law_check(&law_data) != LAW_OK) {
+        fmu_tell(host, "the law refuses its parameters: the FMU is damaged");
+    } else {
+        me = (fmu_instance *)calloc(1U, sizeof *me); /* the FMU's; the law itself allocates nothing */
+        if (me == NULL) {
+            fmu_tell(host, "out of memory");
+        } else {
+            me->host = *host;
+            fmu_restart(me);
+        }
+    }
+    return me;
+}
+
+static fmu_status fmu_enter_initialization(fmu_instance *me)
+{
+    if (me->memory.phase != FMU_INSTANTIATED)
+        return fmu_refuse(me, "initialization is entered once, right after instantiation or a reset");
+    me->memory.phase = FMU_INITIALIZING;
+    return FMU_OK;
+}
+
+static fmu_status fmu_exit_initialization(fmu_instance *me)
+{
+    if (me->memory.phase != FMU_INITIALIZING)
+        return fmu_refuse(me, "initialization is left without having been entered");
+    me->memory.phase = FMU_STEPPING;
+    return FMU_OK;
+}
+
+static fmu_status fmu_set_start(fmu_instance *me, double start)
+{
+    if (me->memory.phase != FMU_INSTANTIATED)
+        return fmu_refuse(me, "the start time is set before initialization only");
+    me->memory.time = start;
+    return FMU_OK;
+}
+
+static fmu_status fmu_terminate(fmu_instance *me)
+{
+    if (me->memory.phase != FMU_STEPPING)
+        return fmu_refuse(me, "only a simulation that runs can be terminated");
+    me->memory.phase = FMU_TERMINATED;
+    return FMU_OK;
+}
+
+/* A law in single precision: the cast of a double beyond float is undefined in C. The law refuses both alike. */
+static law_real fmu_narrowed(double value)
+{
+#ifdef LAW_SINGLE
+    double kept = value;
+    if (value > (double)FLT_MAX)
+        kept = (double)FLT_MAX;
+    if (value < -(double)FLT_MAX)
+        kept = -(double)FLT_MAX;
+    return (law_real)kept;
+#else
+    return value;
+#endif
+}
+
+/* Before the first step the outputs are those of an arm at rest where its encoder says: a drive that follows
+ * motor_reference is not thrown to 0 for a period. */
+static void fmu_rest(fmu_memory *m)
+{
+    const double angle = m->reals[2], torque = m->reals[3];
+    const double range = (double)law_data.motor_limit, push = (double)law_data.torque_limit;
+    m->reals[4] = ((angle >= -range) && (angle <= range)) ? angle : 0.0;
+    m->reals[6] = m->reals[4];
+    if ((torque >= -push) && (torque <= push))
+        m->reals[6] -= torque * (double)law_data.compliance;
+}
+
+static fmu_status fmu_get_reals(fmu_instance *me, const uint32_t references[], size_t count, double values[])
+{
+    for (size_t i = 0; i < count; i++) {
+        if (references[i] < FMU_REALS) {
+            values[i] = me->memory.reals[references[i]];
+        } else if (references[i] == FMU_TIME) {
+            values[i] = me->memory.time;
+        } else {
+            return fmu_refuse(me, "a value reference is read that is no real number; see modelDescription.xml");
+        }
+    }
+    return FMU_OK;
+}
+
+/* mode, reason or flags */
+static fmu_status fmu_get_mark(fmu_instance *me, uint32_t reference, uint32_t *value)
+{
+    if ((reference < FMU_REALS) || (reference >= FMU_VALUES))
+        return fmu_refuse(me, "a value reference is read that is no whole number; see modelDescription.xml");
+    *value = me->memory.marks[reference - FMU_REALS];
+    return FMU_OK;
+}
+
+static fmu_status fmu_set_reals(fmu_instance *me, const uint32_t references[], size_t count, const double values[])
+{
+    fmu_memory *const m = &me->memory;
+    if (m->phase == FMU_TERMINATED)
+        return fmu_refuse(me, "an input is set after the end; reset the FMU first");
+    for (size_t i = 0; i < count; i++) {
+        if (references[i] >= FMU_INPUTS)
+            return fmu_refuse(me, "a value reference is set that is no input; see modelDescription.xml");
+        m->reals[references[i]] = values[i];
+    }
+    if (m->phase != FMU_STEPPING)
+        fmu_rest(m);
+    return FMU_OK;
+}
+
+/* A type that no variable has: nothing to read or to set. */
+static fmu_status fmu_no_variables(fmu_instance *me, size_t count)
+{
+    return count == 0U ? FMU_OK : fmu_refuse(me, "no variable has the type that is read or set");
+}
+
+static fmu_status fmu_not_offered(fmu_instance *me)
+{
+    return fmu_refuse(me, "a function is called that modelDescription.xml does not offer");
+}
+
+static fmu_status fmu_step(fmu_instance *me, double now, double step)
+{
+    fmu_memory *const m = &me->memory;
+    char message[FMU_MESSAGE];
+    law_input in;
+    law_output out;
+    if (m->phase != FMU_STEPPING)
+        return fmu_refuse(me, "a step is asked for outside the simulation: initialize first, or reset after the end");
+    /* importers subtract communication points; at 1e5 s that rounds to 4e-9 of a period of 4 ms */
+    if (!((step > FMU_PERIOD * (1.0 - 1e-6)) && (step < FMU_PERIOD * (1.0 + 1e-6)))) {
+        (void)snprintf(message, sizeof message,
+                       "the law runs at its period: set the communication step to %.9g s (it was %.9g s)", FMU_PERIOD,
+                       step);
+        return fmu_refuse(me, message);
+    }
+    /* a step that is repeated or left out is another law: half a period is nearer to neither */
+    if ((m->tick > 0U) && !((now - m->time < 0.5 * FMU_PERIOD) && (m->time - now < 0.5 * FMU_PERIOD))) {
+        (void)snprintf(message, sizeof message,
+                       "steps follow each other: the last one ended at %.9g s, this one begins at %.9g s", m->time,
+                       now);
+        return fmu_refuse(me, message);
+    }
+    in.tick = m->tick; /* from 0, as in the package's simulation */
+    in.reference = fmu_narrowed(m->reals[0]);
+    in.reference_acceleration = fmu_narrowed(m->reals[1]);
+    in.motor_angle = fmu_narrowed(m->reals[2]);
+    in.torque = fmu_narrowed(m->reals[3]);
+    law_step(&m->law, &law_data, &in, &out);
+    m->reals[4] = (double)out.motor_reference;
+    m->reals[5] = (double)out.voltage;
+    m->reals[6] = (double)out.tip_estimate;
+    m->marks[0] = out.mode;
+    m->marks[1] = out.reason;
+    m->marks[2] = out.flags;
+    m->tick++;
+    m->time = now + step;
+    return FMU_OK;
+}
+
+/* Take a snapshot; `snapshot` is NULL or an earlier one to overwrite. */
+static fmu_status fmu_save(fmu_instance *me, void **snapshot)
+{
+    if (*snapshot == NULL)
+        *snapshot = malloc(sizeof me->memory);
+    if (*snapshot == NULL)
+        return fmu_refuse(me, "out of memory");
+    memcpy(*snapshot, &me->memory, sizeof me->memory);
+    return FMU_OK;
+}
+
+static fmu_status fmu_restore(fmu_instance *me, const void *snapshot)
+{
+    if (snapshot == NULL)
+        return fmu_refuse(me, "there is no state to restore");
+    memcpy(&me->memory, snapshot, sizeof me->memory);
+    return FMU_OK;
+}
+
+static fmu_status fmu_serialize(fmu_instance *me, const void *snapshot, void *bytes, size_t size)
+{
+    if ((snapshot == NULL) || (size < sizeof me->memory))
+        return fmu_refuse(me, "the room for a state is too small, or there is no state");
+    memcpy(bytes, snapshot, sizeof me->memory);
+    return FMU_OK;
+}
+
+static fmu_status fmu_deserialize(fmu_instance *me, const void *bytes, size_t size, void **snapshot)
+{
+    fmu_memory memory;
+    if (size != sizeof memory)
+        return fmu_refuse(me, "a serialized state has another size: it is not of this FMU");
+    memcpy(&memory, bytes, sizeof memory);
+    if ((memory.owner != law_data.crc) || (memory.phase > FMU_TERMINATED))
+        return fmu_refuse(me, "a serialized state is of another law, or damaged");
+    if (*snapshot == NULL)
+        *snapshot = malloc(sizeof memory);
+    if (*snapshot == NULL)
+        return fmu_refuse(me, "out of memory");
+    memcpy(*snapshot, &memory, sizeof memory);
+    return FMU_OK;
+}
+
+#endif

@@ -1,0 +1,188 @@
+/* The law in real time: a loop on absolute deadlines around some way to reach an arm. Linux only, desktop only. */
+#ifndef FRACLINK_REALTIME_H
+#define FRACLINK_REALTIME_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+#include "arm_io.h"
+#include "twin.h"
+
+/* ---- how samples come and commands go ---- */
+
+typedef struct {
+    uint32_t period_ns; /* of an arm with a clock of its own; 0: it has none, and samples when it is asked */
+    arm_sample value;
+} realtime_sample;
+
+/* `read` returns 1 with a sample that was not given before, 0 without one, negative where the way is broken;
+ * `write` 0, 1 where the command may be lost, negative where the way is broken. */
+typedef struct {
+    void *self;
+    int clocked; /* the arm has a clock of its own: samples come when it sends them */
+    int (*read)(void *self, realtime_sample *sample);
+    int (*write)(void *self, const arm_command *command);
+} realtime_io;
+
+/* ---- the controller's loop ---- */
+
+enum {
+    REALTIME_FINISHED,
+    REALTIME_SIGNAL,    /* SIGINT, SIGTERM or SIGHUP */
+    REALTIME_LAW_OFF,   /* the law asks for the drive to be switched off */
+    REALTIME_NO_SAMPLE, /* none before the patience was over: the law never ran */
+    REALTIME_IO_FAILED,
+    REALTIME_OTHER_PERIOD /* the arm runs at another one */
+};
+
+/* Columns of the record: one row for every period that ran. */
+enum {
+    REALTIME_DEADLINE, /* of this period, after the first one [s] */
+    REALTIME_LATENCY,  /* from the deadline that was slept for to being awake [s] */
+    REALTIME_WORK,     /* from being awake to the command being written [s] */
+    REALTIME_REFERENCE,
+    REALTIME_ACCELERATION,
+    REALTIME_MOTOR_ANGLE, /* NaN where no sample came, as the law was told */
+    REALTIME_TORQUE,
+    REALTIME_MOTOR_REFERENCE,
+    REALTIME_VOLTAGE,
+    REALTIME_COMPENSATION,
+    REALTIME_TIP_ESTIMATE,
+    REALTIME_ERROR,
+    REALTIME_COLUMNS
+};
+enum { REALTIME_TICK, REALTIME_MODE, REALTIME_REASON, REALTIME_FLAGS, REALTIME_MARKS };
+
+/* The law of one precision, behind one type: `inputs` and `outputs` are columns of a record's row. */
+typedef void realtime_law(void *state, const void *params, uint32_t tick, const double *inputs, double *outputs,
+                          uint32_t *marks);
+realtime_law realtime_law_double, realtime_law_single;
+
+typedef struct {
+    int64_t period_ns;
+    int64_t length; /* periods */
+    const double *reference;
+    const double *acceleration;
+    int64_t patience_ns; /* for the first sample */
+    int relative;        /* the reference counts from the angle of the first sample */
+    int priority;        /* of SCHED_FIFO; 0: none is asked for */
+    int lock_memory;
+} realtime_plan;
+
+typedef struct {
+    int stop;
+    int64_t count;       /* rows of the record */
+    int64_t lost;        /* commands that the way did not take */
+    int priority_error;  /* errno of what was asked for and refused, else 0 */
+    int memory_error;
+    double origin;       /* added to the reference [rad] */
+    uint32_t period_ns;  /* the arm's own; 0: it has none */
+} realtime_outcome;
+
+/* Run; the last thing written is always a stop: voltage 0, the motor reference held, ARM_MODE_OFF. */
+void realtime_run(const realtime_plan *plan, const realtime_io *io, realtime_law *law, void *state,
+                  const void *params, double *record, uint32_t *marks, realtime_outcome *outcome);
+
+/* The bare loop to compare with: sleep on the same deadlines, note the latency [s], nothing else. */
+void realtime_bare(const realtime_plan *plan, double *latency, realtime_outcome *outcome);
+
+/* ---- messages: a datagram, or a slot of shared memory, of MESSAGE_BYTES; docs/reference/file-formats.md ---- */
+
+#define MESSAGE_BYTES 48
+#define MESSAGE_SAMPLE 1U
+#define MESSAGE_COMMAND 2U
+
+typedef struct {
+    uint32_t kind;
+    uint32_t sequence;
+    uint32_t tick;
+    double first;  /* motor angle, or motor reference */
+    double second; /* torque, or voltage */
+    uint32_t words[3]; /* period_ns, 0, 0, or mode, reason, flags */
+} realtime_message;
+
+void realtime_encode(const realtime_message *message, uint8_t bytes[MESSAGE_BYTES]);
+/* Return 1, or 0 for bytes that are no message: magic, version or checksum wrong. */
+int realtime_decode(const uint8_t bytes[MESSAGE_BYTES], realtime_message *message);
+
+/* A way for messages between two processes. `receive` returns 1 with a message, 0 without; `send` 0, or 1 where it was
+ * not taken. `keep` makes the sender of the last message the only one that is heard and answered, `forget` ends that. */
+typedef struct realtime_channel {
+    int (*send)(struct realtime_channel *self, const uint8_t bytes[MESSAGE_BYTES]);
+    int (*receive)(struct realtime_channel *self, uint8_t bytes[MESSAGE_BYTES]);
+    void (*keep)(struct realtime_channel *self);
+    void (*forget)(struct realtime_channel *self);
+    void (*close)(struct realtime_channel *self);
+    uint32_t sent;
+    uint32_t taken;    /* sequence of the last message that was used; 0: none yet */
+    uint32_t rejected; /* messages that were damaged, of another kind or too old */
+} realtime_channel;
+
+/* Both return NULL with errno set; `file` stays the caller's. A controller's socket is connected, an arm's is bound. */
+realtime_channel *realtime_open_socket(int file, int is_arm);
+realtime_channel *realtime_open_memory(int file, int is_arm);
+/* Bytes of the shared memory. */
+size_t realtime_memory_size(void);
+
+/* The newest message of `kind` since the last call; 1 or 0. */
+int realtime_newest(realtime_channel *channel, uint32_t kind, realtime_message *message);
+/* The controller's side of a channel. */
+realtime_io realtime_io_of(realtime_channel *channel);
+
+/* ---- the simulated arm ---- */
+
+enum {
+    SERVED_TIP_ANGLE,
+    SERVED_MOTOR_ANGLE,
+    SERVED_TORQUE,
+    SERVED_VOLTAGE,   /* that acted in this period */
+    SERVED_CONNECTED, /* 1 where a controller is heard */
+    SERVED_COLUMNS
+};
+
+typedef struct {
+    int64_t period_ns;
+    int64_t length;     /* periods */
+    int64_t watchdog;   /* periods without a command after which the drive is switched off */
+    int queue;          /* further periods between a command and its effect, >= 0 */
+    int once;           /* end when the first controller has left */
+    const double *gauge_error; /* [N m], one value a period */
+} served_plan;
+
+typedef struct {
+    int stop;           /* REALTIME_FINISHED or REALTIME_SIGNAL */
+    int64_t count;      /* rows of the record */
+    int64_t late;       /* periods that began after their own end */
+    int64_t controllers;
+    int64_t silences;   /* controllers that left without a stop */
+    uint32_t rejected;
+} served_outcome;
+
+/* Run the twin in real time; `memory->voltage` has queue + 1 places. */
+void realtime_serve(const served_plan *plan, realtime_channel *channel, const twin_step *step, const twin_rig *rig,
+                    twin_memory *memory, double *record, served_outcome *outcome);
+
+/* ---- the process ---- */
+
+/* Nanoseconds of CLOCK_MONOTONIC. */
+int64_t realtime_now(void);
+/* Sleep until that time, or until a signal. */
+void realtime_sleep_until(int64_t time_ns);
+/* Signals that end a run are noted instead of obeyed between these two; calls may nest and come from any thread. */
+void realtime_watch_signals(void);
+void realtime_release_signals(void);
+int realtime_signalled(void);
+
+/* What a thread was before it was made ready for real time. */
+typedef struct {
+    int policy;
+    int priority;
+    int slack;
+    int scheduled;
+    int locked;
+} realtime_privileges;
+
+realtime_privileges realtime_prepare(const realtime_plan *plan, realtime_outcome *outcome);
+void realtime_relax(const realtime_privileges *before);
+
+#endif

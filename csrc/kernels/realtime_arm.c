@@ -1,0 +1,105 @@
+/* The twin in real time, for a controller that reaches it by messages: the same steps as twin_law.c, on a clock.
+ *
+ * At the beginning of a period the arm takes the newest command, samples its sensors, sends the sample, and moves on for
+ * a period under the voltage of that command: the one period of delay that a board has. It never waits for anybody. */
+#include "realtime.h"
+
+#ifdef __linux__
+
+#include <math.h>
+#include <string.h>
+
+typedef struct {
+    int connected;
+    int64_t silent; /* periods since the last command */
+    double voltage;
+} served_controller;
+
+static void leave(realtime_channel *channel, served_controller *who)
+{
+    channel->forget(channel);
+    who->connected = 0;
+    who->voltage = 0.0;
+}
+
+/* Hear the controller, or act for it where it has been silent for too long: the drive off. */
+static void listen_once(const served_plan *plan, realtime_channel *channel, served_controller *who,
+                        served_outcome *outcome)
+{
+    realtime_message command;
+    if (realtime_newest(channel, MESSAGE_COMMAND, &command)) {
+        who->silent = 0;
+        if (command.words[0] == ARM_MODE_OFF) {
+            leave(channel, who);
+            return;
+        }
+        outcome->controllers += !who->connected;
+        who->connected = 1;
+        who->voltage = command.second;
+    } else if (who->connected && ++who->silent >= plan->watchdog) {
+        outcome->silences++;
+        leave(channel, who);
+    }
+}
+
+static void send_sample(const served_plan *plan, realtime_channel *channel, int64_t tick, double angle, double torque)
+{
+    const realtime_message sample = {MESSAGE_SAMPLE, ++channel->sent,
+                                     (uint32_t)tick, angle,
+                                     torque,         {(uint32_t)plan->period_ns, 0U, 0U}};
+    uint8_t bytes[MESSAGE_BYTES];
+    realtime_encode(&sample, bytes);
+    (void)channel->send(channel, bytes); /* nobody there, or it notices by the number */
+}
+
+/* What acts in this period: `queue` periods late, within the amplifier's limit. */
+static double acting(const served_plan *plan, const twin_rig *rig, double asked, double *queue)
+{
+    queue[plan->queue] = isfinite(asked) ? asked : 0.0;
+    const double voltage = fmax(fmin(queue[0], rig->voltage_limit), -rig->voltage_limit);
+    memmove(queue, queue + 1, sizeof(double) * (size_t)plan->queue);
+    return voltage;
+}
+
+void realtime_serve(const served_plan *plan, realtime_channel *channel, const twin_step *step, const twin_rig *rig,
+                    twin_memory *memory, double *record, served_outcome *outcome)
+{
+    const served_outcome none = {0};
+    served_controller who = {0, 0, 0.0};
+    double input[TWIN_INPUTS] = {0.0};
+    input[TWIN_ENCODER_GAIN] = input[TWIN_GAUGE_GAIN] = 1.0;
+    *outcome = none;
+    realtime_watch_signals();
+    const int64_t start = realtime_now() + plan->period_ns;
+    for (int64_t k = 0; k < plan->length; k++, record += SERVED_COLUMNS) {
+        double angle;
+        double torque;
+        realtime_sleep_until(start + k * plan->period_ns);
+        if (realtime_signalled()) {
+            outcome->stop = REALTIME_SIGNAL;
+            break;
+        }
+        listen_once(plan, channel, &who, outcome);
+        if (plan->once && outcome->controllers > 0 && !who.connected)
+            break;
+        input[TWIN_GAUGE_ERROR] = plan->gauge_error[k];
+        twin_sense(rig, memory, input, &angle, &torque);
+        send_sample(plan, channel, k, angle, torque);
+        outcome->late += realtime_now() > start + (k + 1) * plan->period_ns;
+        const double voltage = acting(plan, rig, who.voltage, memory->voltage);
+        record[SERVED_TIP_ANGLE] = twin_output(step, 2, memory->state);
+        record[SERVED_MOTOR_ANGLE] = memory->state[0];
+        record[SERVED_TORQUE] = twin_output(step, 3, memory->state);
+        record[SERVED_VOLTAGE] = voltage;
+        record[SERVED_CONNECTED] = who.connected;
+        for (int j = 0; j < rig->substeps; j++)
+            twin_motor_step(step, rig, rig->torque_per_volt * voltage, 0.0, memory);
+        outcome->count = k + 1;
+        if (!(fabs(memory->state[0]) < 1e6))
+            break; /* diverged: the numbers behind it would be infinite */
+    }
+    outcome->rejected = channel->rejected;
+    realtime_release_signals();
+}
+
+#endif

@@ -1,0 +1,4 @@
+/* realtime_law.c around the single-precision law. */
+#include "law_single.h"
+#define REALTIME_LAW realtime_law_single
+#include "realtime_law.c"

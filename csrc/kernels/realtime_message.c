@@ -1,0 +1,139 @@
+/* Messages between controller and arm: little-endian whatever the machine, with a sequence and a checksum. */
+#include <string.h>
+
+#include "realtime.h"
+
+#ifdef __linux__
+
+#define MAGIC 0x54524C46U /* "FLRT" */
+#define VERSION 1U
+/* A flood of datagrams must not hold up the period; a healthy peer sends one in each. */
+#define MOST_IN_A_PERIOD 64
+
+static void put(uint8_t *bytes, uint64_t value, int count)
+{
+    for (int i = 0; i < count; i++)
+        bytes[i] = (uint8_t)(value >> (8 * i));
+}
+
+static uint64_t get(const uint8_t *bytes, int count)
+{
+    uint64_t value = 0;
+    for (int i = 0; i < count; i++)
+        value |= (uint64_t)bytes[i] << (8 * i);
+    return value;
+}
+
+static uint64_t bits_of(double value)
+{
+    uint64_t bits;
+    memcpy(&bits, &value, sizeof(bits));
+    return bits;
+}
+
+static double value_of(uint64_t bits)
+{
+    double value;
+    memcpy(&value, &bits, sizeof(value));
+    return value;
+}
+
+/* CRC-32 of IEEE 802.3: UDP's own checksum is 16 bits, optional, and not there in shared memory. */
+static uint32_t checksum(const uint8_t *bytes, int count)
+{
+    uint32_t crc = 0xFFFFFFFFU;
+    for (int i = 0; i < count; i++) {
+        crc ^= bytes[i];
+        for (int bit = 0; bit < 8; bit++)
+            crc = (crc >> 1) ^ (0xEDB88320U & (0U - (crc & 1U)));
+    }
+    return crc ^ 0xFFFFFFFFU;
+}
+
+void realtime_encode(const realtime_message *message, uint8_t bytes[MESSAGE_BYTES])
+{
+    put(bytes, MAGIC, 4);
+    put(bytes + 4, VERSION, 2);
+    put(bytes + 6, message->kind, 2);
+    put(bytes + 8, message->sequence, 4);
+    put(bytes + 12, message->tick, 4);
+    put(bytes + 16, bits_of(message->first), 8);
+    put(bytes + 24, bits_of(message->second), 8);
+    for (int i = 0; i < 3; i++)
+        put(bytes + 32 + 4 * i, message->words[i], 4);
+    put(bytes + 44, checksum(bytes, 44), 4);
+}
+
+int realtime_decode(const uint8_t bytes[MESSAGE_BYTES], realtime_message *message)
+{
+    if (get(bytes, 4) != MAGIC || get(bytes + 4, 2) != VERSION || get(bytes + 44, 4) != checksum(bytes, 44))
+        return 0;
+    message->kind = (uint32_t)get(bytes + 6, 2);
+    message->sequence = (uint32_t)get(bytes + 8, 4);
+    message->tick = (uint32_t)get(bytes + 12, 4);
+    message->first = value_of(get(bytes + 16, 8));
+    message->second = value_of(get(bytes + 24, 8));
+    for (int i = 0; i < 3; i++)
+        message->words[i] = (uint32_t)get(bytes + 32 + 4 * i, 4);
+    return 1;
+}
+
+int realtime_newest(realtime_channel *channel, uint32_t kind, realtime_message *message)
+{
+    uint8_t bytes[MESSAGE_BYTES];
+    realtime_message each;
+    int found = 0;
+    for (int i = 0; i < MOST_IN_A_PERIOD && channel->receive(channel, bytes) > 0; i++) {
+        /* The difference of the numbers, so that the count may wrap around; what comes twice or late is dropped. */
+        if (!realtime_decode(bytes, &each) || each.kind != kind ||
+            (channel->taken != 0U && (int32_t)(each.sequence - channel->taken) <= 0)) {
+            channel->rejected++;
+            continue;
+        }
+        channel->taken = each.sequence;
+        /* Who says goodbye is not taken for a new controller. */
+        if (kind == MESSAGE_COMMAND && each.words[0] != ARM_MODE_OFF)
+            channel->keep(channel);
+        *message = each;
+        found = 1;
+    }
+    return found;
+}
+
+static int read_sample(void *self, realtime_sample *sample)
+{
+    realtime_message message;
+    if (!realtime_newest((realtime_channel *)self, MESSAGE_SAMPLE, &message))
+        return 0;
+    sample->period_ns = message.words[0];
+    sample->value.motor_angle = message.first;
+    sample->value.torque = message.second;
+    return 1;
+}
+
+static int write_command(void *self, const arm_command *command)
+{
+    realtime_channel *const channel = (realtime_channel *)self;
+    const realtime_message message = {MESSAGE_COMMAND,
+                                      ++channel->sent,
+                                      command->tick,
+                                      command->motor_reference,
+                                      command->voltage,
+                                      {command->mode, command->reason, command->flags}};
+    uint8_t bytes[MESSAGE_BYTES];
+    realtime_encode(&message, bytes);
+    int lost = channel->send(channel, bytes);
+    /* Nothing follows a stop that could replace it: three datagrams, of which one will arrive. The arm takes the first
+     * and drops the others by their number. */
+    for (int i = 0; command->mode == ARM_MODE_OFF && i < 2; i++)
+        lost &= channel->send(channel, bytes);
+    return lost;
+}
+
+realtime_io realtime_io_of(realtime_channel *channel)
+{
+    const realtime_io io = {channel, 1, read_sample, write_command};
+    return io;
+}
+
+#endif

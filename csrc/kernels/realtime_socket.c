@@ -1,0 +1,94 @@
+/* Messages as UDP datagrams. The socket is opened and closed in Python, where its errors have names. */
+#define _GNU_SOURCE
+#include "realtime.h"
+
+#ifdef __linux__
+
+#include <stdlib.h>
+#include <string.h>
+#include <sys/socket.h>
+
+typedef struct {
+    realtime_channel base;
+    int file;
+    int is_arm;
+    int kept;                     /* only `peer` is heard */
+    struct sockaddr_storage peer; /* of an arm: its controller */
+    struct sockaddr_storage last; /* sender of the last datagram */
+    socklen_t peer_size;
+    socklen_t last_size;
+} socket_channel;
+
+static int send_datagram(realtime_channel *self, const uint8_t bytes[MESSAGE_BYTES])
+{
+    const socket_channel *const c = (const socket_channel *)self;
+    ssize_t sent;
+    if (c->is_arm && !c->kept)
+        return 0;
+    sent = c->is_arm ? sendto(c->file, bytes, MESSAGE_BYTES, MSG_DONTWAIT | MSG_NOSIGNAL,
+                              (const struct sockaddr *)&c->peer, c->peer_size)
+                     : send(c->file, bytes, MESSAGE_BYTES, MSG_DONTWAIT | MSG_NOSIGNAL);
+    return sent == MESSAGE_BYTES ? 0 : 1;
+}
+
+static int same(const socket_channel *c)
+{
+    return c->last_size == c->peer_size && memcmp(&c->last, &c->peer, c->peer_size) == 0;
+}
+
+static int receive_datagram(realtime_channel *self, uint8_t bytes[MESSAGE_BYTES])
+{
+    socket_channel *const c = (socket_channel *)self;
+    uint8_t room[MESSAGE_BYTES + 1]; /* one more, so that a longer datagram is seen to be one */
+    for (int i = 0; i < 64; i++) {
+        c->last_size = sizeof(c->last);
+        memset(&c->last, 0, sizeof(c->last)); /* `same` compares bytes, padding included */
+        const ssize_t size =
+            recvfrom(c->file, room, sizeof(room), MSG_DONTWAIT, (struct sockaddr *)&c->last, &c->last_size);
+        if (size < 0)
+            return 0; /* nothing there, or the last datagram found no listener: the silence will tell */
+        if (size != MESSAGE_BYTES || (c->kept && !same(c))) {
+            self->rejected++;
+            continue;
+        }
+        memcpy(bytes, room, MESSAGE_BYTES);
+        return 1;
+    }
+    return 0;
+}
+
+static void keep_sender(realtime_channel *self)
+{
+    socket_channel *const c = (socket_channel *)self;
+    c->peer = c->last;
+    c->peer_size = c->last_size;
+    c->kept = 1;
+}
+
+static void forget_sender(realtime_channel *self)
+{
+    ((socket_channel *)self)->kept = 0;
+    self->taken = 0U;
+}
+
+static void close_socket(realtime_channel *self)
+{
+    free(self);
+}
+
+realtime_channel *realtime_open_socket(int file, int is_arm)
+{
+    socket_channel *const c = calloc(1, sizeof(*c));
+    if (c == NULL)
+        return NULL;
+    c->base.send = send_datagram;
+    c->base.receive = receive_datagram;
+    c->base.keep = keep_sender;
+    c->base.forget = forget_sender;
+    c->base.close = close_socket;
+    c->file = file;
+    c->is_arm = is_arm;
+    return &c->base;
+}
+
+#endif
