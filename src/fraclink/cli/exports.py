@@ -72,16 +72,35 @@ def matlab(
 def fmu(
     plan_file: DesignFile,
     out: Annotated[Path, typer.Option("--out", help="File to write, .fmu.")] = Path("arm_law.fmu"),
-    binary: Annotated[
-        bool, typer.Option("--binary/--source", help="With a Linux library, or sources only.")
-    ] = True,
+    fmi: Annotated[
+        Literal["2", "3"],
+        typer.Option("--fmi", help="Version of the standard: 2 is what every importer reads."),
+    ] = "2",
+    precision: Annotated[
+        Literal["single", "double"], typer.Option("--precision", help="Arithmetic of the law.")
+    ] = "double",
+    compiler: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--compiler",
+            help="Each adds a library for its platform: cc (where none is given), x86_64-w64-mingw32-gcc ...",
+        ),
+    ] = None,
+    source: Annotated[bool, typer.Option("--source", help="C sources only, no library.")] = False,
     json: Json = False,
     force: Force = False,
 ) -> int:
-    """Write the law as an FMU (FMI 2.0, co-simulation) for Simulink, Dymola or OpenModelica."""
+    """Write the law as an FMU for co-simulation (FMI 2.0 or 3.0): Simulink, Dymola, OpenModelica, FMPy."""
     from fraclink.export import export_fmu
 
-    path = export_fmu(_law(plan_file, motor=True), out, binary=binary, force=force)
+    path = export_fmu(
+        _law(plan_file, motor=True),
+        out,
+        fmi=3 if fmi == "3" else 2,
+        precision=precision,
+        compilers=() if source else compiler or ("cc",),
+        force=force,
+    )
     emit_json({"out": str(path)}) if json else emit(str(path))
     return HOLDS
 
