@@ -163,6 +163,7 @@ def test_b16_no_payload() -> None:
 
 def test_b16_a_payload_outside_the_rigs_range() -> None:
     assert found(changed(payload=0.06), "W216", Rig.named("paper-2023")).evidence["high"] == 0.04
+    assert found(changed(payload=30.0), "W105", Rig.named("paper-2023")).severity == "warning"
 
 
 def test_b17_another_period_than_the_rigs() -> None:

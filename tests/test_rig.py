@@ -68,6 +68,18 @@ def test_a_heavy_link_is_pointed_out() -> None:
     assert [finding.code for finding in Rig.load(RIGS / "merced.toml").warnings] == ["W104"]
 
 
+@pytest.mark.parametrize("payload", [20.0, 30, 1e-4])
+def test_a_payload_in_another_unit_is_doubted(payload: float) -> None:
+    finding = Rig.named("paper-2023").payloads.doubt(payload)
+    assert finding is not None
+    assert (finding.code, finding.severity) == ("W105", "warning")
+
+
+@pytest.mark.parametrize("payload", [0.002, 0.030, 0.5])
+def test_a_payload_beyond_the_range_is_believed(payload: float) -> None:
+    assert Rig.named("paper-2023").payloads.doubt(payload) is None
+
+
 def test_the_gear_is_included_in_the_gain() -> None:
     geared = Motor(inertia=1e-4, viscous_friction=1e-3, torque_constant=0.2, gear_ratio=50)
     assert geared.gain == pytest.approx(0.2 / (50 * 1e-4))

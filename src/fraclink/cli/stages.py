@@ -171,10 +171,13 @@ def simulate(
     move = Move(
         amplitude, move_time, duration, gauge_offset=gauge_offset, noise=noise, inner=inner, seed=seed
     )
-    run = simulate_move(Plan.load(plan_file), move, payload)
+    plan = Plan.load(plan_file)
+    run = simulate_move(plan, move, payload)
     run.save(place)
     emit_json(run_values(run) | {"out": str(place)}) if json else emit(run_text(run))
     if not json:
+        if doubt := plan.rig.payloads.doubt(payload):
+            tell(str(doubt))
         tell(f"written: {place}")
     return HOLDS if run.verdict.holds else FAILS
 

@@ -242,7 +242,8 @@ def study_values(study: Study) -> dict[str, object]:
 def study_text(study: Study) -> str:
     """A whole study for people."""
     parts: list[str] = []
-    warned = [finding for finding in study.findings if finding.severity != "info"]
+    designed = study.plan.findings if study.plan else ()
+    warned = [finding for finding in (*study.findings, *designed) if finding.severity != "info"]
     if warned:
         parts.append("\n".join(f"{finding.code}: {finding.message}" for finding in warned))
     if study.comparison:
@@ -264,5 +265,7 @@ def study_text(study: Study) -> str:
         parts.append(plan_text(study.plan))
     if study.runs:
         parts.append(table(_RUN_HEADER, [_run_row(run) for run in study.runs]))
-    parts.append("verdict: " + ("holds" if study.holds else "does not hold: " + "; ".join(study.reasons)))
+    # One reason a line, so that none is lost in another.
+    reasons = "".join(f"\n  {reason}" for reason in study.reasons)
+    parts.append(f"verdict: does not hold{reasons}" if reasons else "verdict: holds")
     return "\n\n".join(parts)

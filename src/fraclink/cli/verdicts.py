@@ -85,7 +85,8 @@ def twin(
             {"holds": run.verdict.holds, "reason": run.verdict.reason, "metrics": metrics_values(run.metrics)}
         )
     else:
-        for finding in arm.findings:
+        doubt = None if payload is None else rig.payloads.doubt(payload)
+        for finding in (*arm.findings, *filter(None, [doubt])):
             tell(str(finding))
         metrics = run.metrics
         emit(

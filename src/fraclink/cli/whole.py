@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from fraclink.cli.console import emit, emit_json, steps, tell
+from fraclink.cli.console import emit, emit_json, steps
 from fraclink.cli.options import (
     Columns,
     Force,
@@ -80,8 +80,6 @@ def run(
     else:
         emit(study_text(study))
         emit(str(place))
-    for reason in () if study.holds else study.reasons:
-        tell(f"does not hold: {reason}")
     return HOLDS if study.holds else FAILS
 
 

@@ -57,7 +57,9 @@ def labels(experiment: Experiment, rig: Rig | None) -> Iterator[Finding]:
         )
     if experiment.payload is None or rig is None:
         return
-    if not rig.payloads.low <= experiment.payload <= rig.payloads.high:
+    if doubt := rig.payloads.doubt(experiment.payload):
+        yield doubt
+    elif not rig.payloads.low <= experiment.payload <= rig.payloads.high:
         yield Finding(
             "W216",
             "info",

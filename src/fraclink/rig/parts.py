@@ -7,9 +7,13 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from fraclink.errors import FieldError
+from fraclink.findings import Finding
 from fraclink.rig.quantities import Quantity, check_fields
 
 __all__ = ["DesignRequest", "Encoder", "Gauge", "Inner", "Link", "Motor", "Payloads"]
+
+# Gram and kilogram are 1000 apart, and no arm carries payloads a hundred times beyond its own range.
+_ANOTHER_UNIT = 100.0
 
 
 @dataclass(frozen=True)
@@ -128,6 +132,26 @@ class Payloads:
                 allowed=f"{self.low:g} … {self.high:g} kg",
                 remedy="choose a nominal payload between low and high",
             )
+
+    def doubt(self, payload: float) -> Finding | None:
+        """Return finding W105 where a payload [kg] is so far off the range that its unit must be wrong.
+
+        >>> finding = Payloads(low=0.020, high=0.040, nominal=0.030).doubt(30)
+        >>> finding.message
+        'a payload of 30 kg is 750 times the heaviest that the rig states'
+        """
+        if self.low / _ANOTHER_UNIT <= payload <= self.high * _ANOTHER_UNIT:
+            return None
+        above = payload > self.high
+        share = payload / self.high if above else payload / self.low
+        return Finding(
+            "W105",
+            "warning",
+            f"a payload of {payload:.4g} kg is {share:.3g} times the {'heaviest' if above else 'lightest'} "
+            "that the rig states",
+            {"payload": payload, "low": self.low, "high": self.high},
+            "payloads are stated in kg: 30 g is 0.030",
+        )
 
 
 @dataclass(frozen=True)

@@ -114,9 +114,14 @@ def design_for(rig: Rig, model: LinkModel | None, request: Request) -> tuple[Pla
         asked, assumed = replace(asked, gain_crossover=crossover), (sentence,)
     options = {item.name: getattr(asked, item.name) for item in fields(asked)}
     if asked.phase_margin is not None or asked.max_sensitivity is not None:
-        return design(link, rig, **options), assumed
-    plan, sentence = _largest_margin(lambda margin: design(link, rig, **options | {"phase_margin": margin}))
-    return plan, (*assumed, sentence)
+        plan = design(link, rig, **options)
+    else:
+        plan, sentence = _largest_margin(
+            lambda margin: design(link, rig, **options | {"phase_margin": margin})
+        )
+        assumed = (*assumed, sentence)
+    doubts = filter(None, map(rig.payloads.doubt, plan.payloads))
+    return replace(plan, findings=(*plan.findings, *doubts)), assumed
 
 
 def _usual_crossover(link: LinkModel, heaviest: float) -> tuple[float, str]:

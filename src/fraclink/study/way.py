@@ -114,7 +114,7 @@ def _certified(study: Study, plan: Plan, law: Law) -> Study:
     certificate = certify(plan, law=law)
     if certificate.holds:
         return replace(study, certificate=certificate)
-    return replace(study, uncertified=certificate.verdict)
+    return replace(study, uncertified=certificate.verdict.removeprefix("Not certified: "))
 
 
 def _with_payload(model: LinkModel, rig: Rig) -> tuple[LinkModel, tuple[str, ...]]:
