@@ -1,10 +1,10 @@
 /* Instructions of a period on an emulated Cortex-M: SysTick under -icount counts 1.25 instructions a tick.
  * The law is included as text, so that the outer law alone (tip estimate, correction, feed-forward) can be timed;
  * the call that makes it a function here, and that law_step does not have, is subtracted. */
-#include <stdio.h>
-
 #include "law.c"
 #include "law_data.h"
+
+int printf(const char *format, ...); /* no header: clang for a bare machine brings none of a C library's */
 
 #define SYST_CSR (*(volatile uint32_t *)0xE000E010U)
 #define SYST_RVR (*(volatile uint32_t *)0xE000E014U)

@@ -1,0 +1,83 @@
+"""The law on a microcontroller: instructions of a period on a Cortex-M4F, by compiler and flags; memory.
+
+QEMU counts instructions, not cycles. "Outer law": tip estimate, correction and feed-forward, without guards.
+"""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import tempfile
+from pathlib import Path
+
+from bench_law import ROOT, default_law, figure
+from fraclink.export import export_c
+from fraclink.export.data import exact_flags, exact_sizes
+from fraclink.law import Law
+
+CORE = ("-mcpu=cortex-m4", "-mfpu=fpv4-sp-d16", "-mfloat-abi=hard", "-DLAW_SINGLE")
+CLANG = ("clang", "--target=thumbv7em-none-eabihf", "-ffreestanding")
+# Compiler, flags, whether for the one design: every build gives the same bits.
+BUILDS: tuple[tuple[tuple[str, ...], tuple[str, ...], bool], ...] = (
+    (("arm-none-eabi-gcc", "-mthumb"), ("-O2",), True),
+    (("arm-none-eabi-gcc", "-mthumb"), ("-O3",), True),
+    # with the tables of a core whose VMLA is fast; on a Cortex-M4 it takes three cycles, VMUL and VADD two
+    (("arm-none-eabi-gcc", "-mthumb"), ("-O2", "-mtune=cortex-a5"), True),
+    (CLANG, ("-O2",), True),
+    (("arm-none-eabi-gcc", "-mthumb"), ("-O2",), False),
+)
+
+
+def instructions() -> None:
+    """Instructions of a period on an emulated Cortex-M4F, default design; the first build is the figure."""
+    missing = [
+        tool for tool in ("arm-none-eabi-gcc", "clang", "qemu-system-arm") if shutil.which(tool) is None
+    ]
+    if missing:
+        figure("instructions on a Cortex-M4F", f"not installed: {missing}", "<= 80, <= 400", False)
+        return
+    law = default_law("single")
+    modes = f"{law.order} + {len(law.feedforward.poles)} modes"
+    for place, (compiler, options, exact) in enumerate(BUILDS):
+        outer, whole = counted(law, compiler, (*options, *(exact_flags(law) if exact else ())))
+        name = " ".join((compiler[0], *options, "" if exact else "room for every design")).strip()
+        wanted = ("<= 80", "<= 400") if place == 0 else ("printed", "printed")
+        figure(f"{name}: outer law", str(outer), wanted[0], place > 0 or outer <= 80, modes)
+        figure(f"{name}: with guards and motor loop", str(whole), wanted[1], place > 0 or whole <= 400)
+
+
+def counted(law: Law, compiler: tuple[str, ...], flags: tuple[str, ...]) -> tuple[int, int]:
+    """Return the instructions (of the outer law without guards, of law_step) of one build in QEMU."""
+    board = ROOT / "tests" / "firmware"
+
+    def run(*command: str | Path) -> str:
+        return subprocess.run(  # noqa: S603
+            command, cwd=scratch, check=True, capture_output=True, text=True
+        ).stdout
+
+    with tempfile.TemporaryDirectory() as scratch:
+        export_c(law, Path(scratch) / "law")
+        run(*compiler, "-std=c99", "-ffp-contract=off", *CORE, *flags, "-Ilaw", "-c", board / "count.c")
+        link = ("-T", board / "board.ld", "--specs=rdimon.specs", "-nostartfiles", "-o", "board.elf")
+        run("arm-none-eabi-gcc", "-mthumb", *CORE, "-O2", "count.o", board / "start.c", *link)
+        machine = ("-M", "mps2-an386", "-nographic", "-icount", "shift=5")
+        semihosting = ("-semihosting-config", "enable=on,target=native", "-kernel", "board.elf")
+        told = run("qemu-system-arm", *machine, *semihosting).split()
+    return int(told[1]), int(told[3])
+
+
+def main() -> None:
+    instructions()
+    law = default_law("single")
+    params, state = exact_sizes(law)
+    figure(
+        "state of the law, built for this design",
+        f"{state} B",
+        "<= 256 B",
+        state <= 256,
+        f"{params} B of flash",
+    )
+
+
+if __name__ == "__main__":
+    main()
