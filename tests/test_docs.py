@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import importlib
+import pkgutil
 import re
+import shutil
+import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
+import fraclink
 from fraclink import errors
 from guard_sources import ROOT
 
@@ -66,3 +72,115 @@ def test_every_saved_kind_stands_in_the_file_formats() -> None:
     kinds = {kind for source in sources for kind in (*constant.findall(source), *literal.findall(source))}
     assert len(kinds) >= 8
     assert {kind for kind in kinds if f"`{kind}`" not in text} == set()
+
+
+PUBLIC = (
+    "campaign",
+    "campaign.faults",
+    "certify",
+    "compare",
+    "controller",
+    "design",
+    "design.assess",
+    "design.feasibility",
+    "design.files",
+    "design.inner",
+    "design.poles",
+    "design.rivals",
+    "diagnose",
+    "errors",
+    "experiment",
+    "export",
+    "findings",
+    "fractional",
+    "identify",
+    "interop",
+    "law",
+    "link",
+    "motor",
+    "plots",
+    "rational",
+    "readers",
+    "reference",
+    "report",
+    "report.campaigns",
+    "reproduce",
+    "response",
+    "rig",
+    "roots",
+    "simulate",
+    "stability",
+    "study",
+    "twin",
+)
+PRIVATE = {"files", "npz", "quantity", "_kernels", "__main__", "cli"}  # plumbing, and the command line
+
+
+def documented() -> list[str]:
+    """The full names of all entries of the reference."""
+    pages = (DOCS / "reference").rglob("*.md")
+    entry = re.compile(r"^\.\. (?:auto\w+|py:\w+):: ([\w.]+)", flags=re.MULTILINE)
+    return [name for page in sorted(pages) for name in entry.findall(page.read_text("utf-8"))]
+
+
+def test_every_module_is_public_or_plumbing() -> None:
+    found = {module.name for module in pkgutil.iter_modules(fraclink.__path__)}
+    assert found == {name.partition(".")[0] for name in PUBLIC} | PRIVATE
+
+
+@pytest.mark.parametrize("module", PUBLIC)
+def test_every_public_name_has_an_entry_in_the_reference(module: str) -> None:
+    home = importlib.import_module(f"fraclink.{module}")
+    entries = set(documented())
+    known = {id(resolved(name)) for name in entries if name.startswith("fraclink.")}
+    known |= {id(getattr(home, name)) for name in entries if "." not in name and name in home.__all__}
+    missing = [name for name in home.__all__ if id(getattr(home, name)) not in known]
+    assert missing == []
+
+
+def test_every_entry_of_the_reference_stands_once() -> None:
+    entries = documented()
+    assert sorted(entries) == sorted(set(entries))
+
+
+def resolved(name: str) -> object:
+    """The object of a full name."""
+    head, _, last = name.rpartition(".")
+    return getattr(importlib.import_module(head), last)
+
+
+BROKEN = {
+    "an undefined symbol": ("`fl.desing` makes a plan", "fraclink.desing"),
+    "a method that is not": ("`fl.Plan.sample_at(0.02)`", "fraclink.Plan.sample_at"),
+    "a link to no page": ("[see](no-such-page.md)", "no-such-page.md"),
+    "a link to no heading": ("[see](#no-such-heading)", "no-such-heading"),
+    "a class that is not": ("```{eval-rst}\n.. autoclass:: fraclink.Plane\n```", "Plane"),
+}
+
+
+def build(folder: Path, text: str) -> subprocess.CompletedProcess[str]:
+    """One page, built with the configuration of the documentation and its strictness."""
+    source = folder / "source"
+    shutil.copytree(DOCS / "extensions", source / "extensions", dirs_exist_ok=True)
+    shutil.copy(DOCS / "conf.py", source)
+    (source / "_static").mkdir(exist_ok=True)
+    (source / "index.md").write_text(f"# A page\n\n{text}\n\n{ENTRY}", "utf-8")
+    command = [sys.executable, "-m", "sphinx", "--quiet", "--fail-on-warning", "--keep-going", "-b", "html"]
+    return subprocess.run(  # noqa: S603
+        [*command, str(source), str(folder / "html")], capture_output=True, text=True, check=False
+    )
+
+
+ENTRY = "## Entries\n\n```{eval-rst}\n.. py:class:: fraclink.Plan\n```\n"
+
+
+def test_a_page_without_faults_builds_and_its_names_are_links(tmp_path: Path) -> None:
+    done = build(tmp_path, "`fl.Plan` and [the entries](#entries), `fraclink.twin`, `fraclink run`, `law.c`")
+    assert done.returncode == 0, done.stderr
+    assert 'href="#fraclink.Plan"' in (tmp_path / "html" / "index.html").read_text("utf-8")
+
+
+def test_dead_links_and_undefined_symbols_fail_the_build(tmp_path: Path) -> None:
+    done = build(tmp_path, "\n\n".join(text for text, _ in BROKEN.values()))
+    assert done.returncode != 0
+    assert [what for what, (_, named) in BROKEN.items() if named not in done.stderr] == []

@@ -1,0 +1,74 @@
+"""Docstrings as they are written in the source, made ready for Sphinx.
+
+They are plain text with formulas, for `help()` first. Three things would be misread: a paragraph after the
+last section of numpy's style, a colon in the first line of a property, a bar or a star in a formula.
+All of it is mended before napoleon reads them.
+"""
+
+from __future__ import annotations
+
+import inspect
+import re
+
+from sphinx.application import Sphinx
+
+# napoleon's own handler stands at Sphinx's default of 500.
+BEFORE_NAPOLEON = 400
+SECTION = re.compile(r"(Parameters|Returns|Raises|Attributes)$")
+TITLES = {"Source:": "References", ">>>": "Examples"}
+
+
+def end_sections(app: Sphinx, what: str, name: str, obj: object, options: object, lines: list[str]) -> None:
+    """Give "Source: …" and an example after the last section a title: napoleon takes them for its entries."""
+    if what in ("property", "attribute", "data"):
+        lines[:0] = ["..", ""]  # an empty comment: the words before a colon in the first line would be a type
+        return
+    inside = False
+    ready: list[str] = []
+    for number, line in enumerate(lines):
+        following = lines[number + 1] if number + 1 < len(lines) else ""
+        if set(following) == {"-"}:
+            inside = bool(SECTION.match(line))
+        start = next((start for start in TITLES if line.startswith(start)), None)
+        if inside and start and not lines[number - 1]:
+            ready += [TITLES[start], "-" * len(TITLES[start])]
+            inside = start != ">>>"
+        ready.append(line)
+    lines[:] = ready
+
+
+def plain_text(app: Sphinx, what: str, name: str, obj: object, options: object, lines: list[str]) -> None:
+    """A bar in |L(jω)| must not begin a substitution, nor a star in θt* or *.toml an emphasis."""
+    example = False
+    for number, line in enumerate(lines):
+        example = line.lstrip().startswith(">>>") or (example and bool(line.strip()))
+        if not example:
+            parts = re.split(r"(``.*?``|`[^`]*`)", line)
+            lines[number] = "".join(
+                part if part.startswith("`") else re.sub(r"[|*]", r"\\\g<0>", part) for part in parts
+            )
+
+
+def short_signature(
+    app: Sphinx, what: str, name: str, obj: type, options: object, signature: str, return_annotation: str
+) -> tuple[str, None] | None:
+    """The fields of a noun by name: their types and ranges stand below, the annotations would fill a page."""
+    if what != "class":
+        return None
+    fields = inspect.signature(obj).parameters.values()
+    shown = [field.name + ("" if field.default is field.empty else "=…") for field in fields]
+    return f"({', '.join(shown)})", None
+
+
+def no_alias(app: Sphinx, what: str, name: str, obj: object, skip: bool, options: object) -> bool | None:
+    """Leave out the fields of a named tuple: "Alias for field number 0" tells nobody anything."""
+    return True if (getattr(obj, "__doc__", None) or "").startswith("Alias for field") else None
+
+
+def setup(app: Sphinx) -> dict[str, bool]:
+    """Called by Sphinx."""
+    app.connect("autodoc-process-signature", short_signature)
+    app.connect("autodoc-skip-member", no_alias)
+    app.connect("autodoc-process-docstring", plain_text, priority=BEFORE_NAPOLEON)
+    app.connect("autodoc-process-docstring", end_sections, priority=BEFORE_NAPOLEON)
+    return {"parallel_read_safe": True}
