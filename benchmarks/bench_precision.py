@@ -1,8 +1,7 @@
 """Rounding: the law in both precisions against the exact law, in ball arithmetic, over a million periods.
 
 The exact law has the coefficients of double precision; samples are numbers of single precision, as those of a
-converter are. Its recursion runs in balls of 160 bits; the figures stand beside their radius, the bound on what
-was rounded away.
+converter are. Its recursion runs in balls of 160 bits, whose radius stands beside the figures.
 """
 
 from __future__ import annotations
