@@ -124,8 +124,8 @@ nb::dict told(const realtime_outcome &o) {
     d["stop"] = o.stop;
     d["count"] = o.count;
     d["lost"] = o.lost;
-    d["priority_error"] = o.priority_error;
-    d["memory_error"] = o.memory_error;
+    d["priority_error"] = o.privileges.priority_error;
+    d["memory_error"] = o.privileges.memory_error;
     d["origin"] = o.origin;
     d["period_ns"] = o.period_ns;
     return d;
@@ -168,7 +168,7 @@ nb::dict bare(Mutable latency, std::int64_t period_ns, int priority, bool lock_m
 
 nb::dict serve(Io &io, Matrix transition, Vector hub, Vector tip, Matrix outputs, Vector rig_values, Mutable state,
                Mutable gauge, Mutable voltage, Mutable sensed, Counters counters, Vector gauge_error, Record record,
-               std::int64_t period_ns, std::int64_t watchdog, bool once) {
+               std::int64_t period_ns, std::int64_t watchdog, bool once, int priority) {
     require(io.channel != nullptr, "serve: messages only");
     const twin_step step = step_of(transition, hub, tip, outputs);
     const twin_rig rig = rig_of(rig_values);
@@ -176,7 +176,7 @@ nb::dict serve(Io &io, Matrix transition, Vector hub, Vector tip, Matrix outputs
     Memory buffers{state, gauge, voltage, sensed, counters, {}};
     twin_memory memory = buffers.checked(rig, hub.size());
     const served_plan plan = {period_ns, std::int64_t(gauge_error.size()), watchdog, rig.voltage_delay, once,
-                              gauge_error.data()};
+                              gauge_error.data(), priority};
     served_outcome outcome;
     {
         nb::gil_scoped_release release;
@@ -190,6 +190,7 @@ nb::dict serve(Io &io, Matrix transition, Vector hub, Vector tip, Matrix outputs
     d["controllers"] = outcome.controllers;
     d["silences"] = outcome.silences;
     d["rejected"] = outcome.rejected;
+    d["priority_error"] = outcome.privileges.priority_error;
     return d;
 }
 

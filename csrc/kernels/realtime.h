@@ -69,14 +69,24 @@ typedef struct {
     int lock_memory;
 } realtime_plan;
 
+/* What a thread was before it was made ready for real time, and the errno of what was asked for and refused, else 0. */
+typedef struct {
+    int policy;
+    int priority;
+    int slack;
+    int scheduled;
+    int locked;
+    int priority_error;
+    int memory_error;
+} realtime_privileges;
+
 typedef struct {
     int stop;
-    int64_t count;       /* rows of the record */
-    int64_t lost;        /* commands that the way did not take */
-    int priority_error;  /* errno of what was asked for and refused, else 0 */
-    int memory_error;
-    double origin;       /* added to the reference [rad] */
-    uint32_t period_ns;  /* the arm's own; 0: it has none */
+    int64_t count;      /* rows of the record */
+    int64_t lost;       /* commands that the way did not take */
+    double origin;      /* added to the reference [rad] */
+    uint32_t period_ns; /* the arm's own; 0: it has none */
+    realtime_privileges privileges;
 } realtime_outcome;
 
 /* Run; the last thing written is always a stop: voltage 0, the motor reference held, ARM_MODE_OFF. */
@@ -147,6 +157,7 @@ typedef struct {
     int queue;          /* further periods between a command and its effect, >= 0 */
     int once;           /* end when the first controller has left */
     const double *gauge_error; /* [N m], one value a period */
+    int priority;       /* of SCHED_FIFO; 0: none is asked for */
 } served_plan;
 
 typedef struct {
@@ -156,6 +167,7 @@ typedef struct {
     int64_t controllers;
     int64_t silences;   /* controllers that left without a stop */
     uint32_t rejected;
+    realtime_privileges privileges;
 } served_outcome;
 
 /* Run the twin in real time; `memory->voltage` has queue + 1 places. */
@@ -173,16 +185,8 @@ void realtime_watch_signals(void);
 void realtime_release_signals(void);
 int realtime_signalled(void);
 
-/* What a thread was before it was made ready for real time. */
-typedef struct {
-    int policy;
-    int priority;
-    int slack;
-    int scheduled;
-    int locked;
-} realtime_privileges;
-
-realtime_privileges realtime_prepare(const realtime_plan *plan, realtime_outcome *outcome);
+/* Ask for SCHED_FIFO of a `priority` above 0 and for memory that stays; what is refused is noted, not fatal. */
+realtime_privileges realtime_prepare(int priority, int lock_memory);
 void realtime_relax(const realtime_privileges *before);
 
 #endif

@@ -70,6 +70,7 @@ void realtime_serve(const served_plan *plan, realtime_channel *channel, const tw
     input[TWIN_ENCODER_GAIN] = input[TWIN_GAUGE_GAIN] = 1.0;
     *outcome = none;
     realtime_watch_signals();
+    outcome->privileges = realtime_prepare(plan->priority, 0);
     const int64_t start = realtime_now() + plan->period_ns;
     for (int64_t k = 0; k < plan->length; k++, record += SERVED_COLUMNS) {
         double angle;
@@ -99,6 +100,7 @@ void realtime_serve(const served_plan *plan, realtime_channel *channel, const tw
             break; /* diverged: the numbers behind it would be infinite */
     }
     outcome->rejected = channel->rejected;
+    realtime_relax(&outcome->privileges);
     realtime_release_signals();
 }
 

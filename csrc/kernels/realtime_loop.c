@@ -123,7 +123,7 @@ void realtime_run(const realtime_plan *plan, const realtime_io *io, realtime_law
     realtime_sample sample = {0U, {0.0, 0.0}};
     *outcome = none;
     realtime_watch_signals();
-    const realtime_privileges before = realtime_prepare(plan, outcome);
+    outcome->privileges = realtime_prepare(plan->priority, plan->lock_memory);
     outcome->stop = await_sample(plan, io, &command, &sample);
     outcome->period_ns = sample.period_ns;
     if (outcome->stop == REALTIME_FINISHED) {
@@ -132,7 +132,7 @@ void realtime_run(const realtime_plan *plan, const realtime_io *io, realtime_law
         run_periods(plan, io, law, state, params, &sample, record, marks, &command, outcome);
     }
     stop_drive(io, &command);
-    realtime_relax(&before);
+    realtime_relax(&outcome->privileges);
     realtime_release_signals();
 }
 
@@ -141,14 +141,14 @@ void realtime_bare(const realtime_plan *plan, double *latency, realtime_outcome 
     const realtime_outcome none = {0};
     *outcome = none;
     realtime_watch_signals();
-    const realtime_privileges before = realtime_prepare(plan, outcome);
+    outcome->privileges = realtime_prepare(plan->priority, plan->lock_memory);
     const int64_t start = realtime_now() + plan->period_ns;
     for (int64_t k = 0; k < plan->length && !realtime_signalled(); k++) {
         realtime_sleep_until(start + k * plan->period_ns);
         latency[k] = 1e-9 * (double)(realtime_now() - (start + k * plan->period_ns));
         outcome->count++;
     }
-    realtime_relax(&before);
+    realtime_relax(&outcome->privileges);
     realtime_release_signals();
 }
 

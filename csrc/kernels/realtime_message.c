@@ -84,12 +84,16 @@ int realtime_newest(realtime_channel *channel, uint32_t kind, realtime_message *
     realtime_message each;
     int found = 0;
     for (int i = 0; i < MOST_IN_A_PERIOD && channel->receive(channel, bytes) > 0; i++) {
-        /* The difference of the numbers, so that the count may wrap around; what comes twice or late is dropped. */
-        if (!realtime_decode(bytes, &each) || each.kind != kind ||
-            (channel->taken != 0U && (int32_t)(each.sequence - channel->taken) <= 0)) {
+        if (!realtime_decode(bytes, &each) || each.kind != kind) {
             channel->rejected++;
             continue;
         }
+        /* The difference of the numbers, so that the count may wrap around. What comes late would be a step back; the
+         * same again is a stop that was sent for safety. */
+        const int32_t newer = channel->taken == 0U ? 1 : (int32_t)(each.sequence - channel->taken);
+        channel->rejected += newer < 0;
+        if (newer <= 0)
+            continue;
         channel->taken = each.sequence;
         /* Who says goodbye is not taken for a new controller. */
         if (kind == MESSAGE_COMMAND && each.words[0] != ARM_MODE_OFF)

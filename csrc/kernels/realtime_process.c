@@ -80,25 +80,23 @@ static void touch_stack(void)
         room[i] = 0;
 }
 
-realtime_privileges realtime_prepare(const realtime_plan *plan, realtime_outcome *outcome)
+realtime_privileges realtime_prepare(int priority, int lock_memory)
 {
-    realtime_privileges before = {SCHED_OTHER, 0, 0, 0, 0};
+    realtime_privileges before = {SCHED_OTHER, 0, 0, 0, 0, 0, 0};
     struct sched_param parameters;
     pthread_getschedparam(pthread_self(), &before.policy, &parameters);
     before.priority = parameters.sched_priority;
     before.slack = prctl(PR_GET_TIMERSLACK);
     /* An ordinary thread may be woken 50 us late to save power; SCHED_FIFO knows no such slack. */
     prctl(PR_SET_TIMERSLACK, 1UL);
-    outcome->priority_error = 0;
-    outcome->memory_error = 0;
-    if (plan->priority > 0) {
-        parameters.sched_priority = plan->priority;
-        outcome->priority_error = pthread_setschedparam(pthread_self(), SCHED_FIFO, &parameters);
-        before.scheduled = outcome->priority_error == 0;
+    if (priority > 0) {
+        parameters.sched_priority = priority;
+        before.priority_error = pthread_setschedparam(pthread_self(), SCHED_FIFO, &parameters);
+        before.scheduled = before.priority_error == 0;
     }
-    if (plan->lock_memory) {
+    if (lock_memory) {
         before.locked = mlockall(MCL_CURRENT | MCL_FUTURE) == 0;
-        outcome->memory_error = before.locked ? 0 : errno;
+        before.memory_error = before.locked ? 0 : errno;
     }
     touch_stack();
     return before;

@@ -14,6 +14,7 @@ from fraclink.cli import (
     identification,
     logs,
     mapping,
+    realtime,
     record,
     spectrum,
     stages,
@@ -64,6 +65,7 @@ def application() -> typer.Typer:
         assessment,
         mapping,
         exports,
+        realtime,
         campaign,
     ):
         module.register(app)

@@ -105,6 +105,19 @@ def fmu(
     return HOLDS
 
 
+def io(
+    out: Annotated[Path, typer.Option("--out", help="Folder to write to.")] = Path("board"),
+    json: Json = False,
+    force: Force = False,
+) -> int:
+    """Write a board to begin with, for the real-time loop: arm_io.h and a library in C that stands still."""
+    from fraclink.export import export_io
+
+    paths = export_io(out, force=force)
+    emit_json({"out": [str(path) for path in paths]}) if json else emit("\n".join(map(str, paths)))
+    return HOLDS
+
+
 def replay(
     folder: Annotated[Path, typer.Argument(metavar="FIRMWARE", help="Folder made by `fraclink export c`.")],
     log_file: Annotated[str, typer.Argument(metavar="LOG", help="Log file, or demo for the bundled one.")],
@@ -137,10 +150,11 @@ def replay(
 
 def register(app: typer.Typer) -> None:
     """Add the verbs of this module to the application, below `export`."""
-    export = typer.Typer(help="Hand a design on: C for a board, MATLAB, FMU.")
+    export = typer.Typer(help="Hand a design on: C for a board, MATLAB, FMU, a board's I/O.")
     export.command()(c)
     export.command()(matlab)
     export.command()(fmu)
+    export.command()(io)
     export.callback()(lambda: None)
     app.add_typer(export, name="export")
     app.command()(replay)

@@ -1,10 +1,11 @@
-"""Out of the building: C, MATLAB and FMU files of a law, and the replay of logs through them."""
+"""Out of the building: C, MATLAB and FMU files, replay of logs through them, a board to begin with."""
 
 from __future__ import annotations
 
+from fraclink.export.board import export_io
 from fraclink.export.c import export_c
 from fraclink.export.fmu import export_fmu
 from fraclink.export.matlab import export_matlab
 from fraclink.export.replay import Replay, replay, replay_log
 
-__all__ = ["Replay", "export_c", "export_fmu", "export_matlab", "replay", "replay_log"]
+__all__ = ["Replay", "export_c", "export_fmu", "export_io", "export_matlab", "replay", "replay_log"]

@@ -1,4 +1,4 @@
-"""Where law.h and law.c are: beside the compiled kernels in an installed package, in csrc/ of a checkout."""
+"""Where the C files for users are: beside the installed kernels, or in csrc/ of a checkout."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ __all__ = ["law_source"]
 
 
 def law_source(name: str) -> bytes:
-    """Return the bytes of "law.h" or "law.c" as this package was built from.
+    """Return the bytes of "law.h", "law.c" or "arm_io.h" as this package was built from.
 
     >>> law_source("law.h").startswith(b"/* The control law")
     True
