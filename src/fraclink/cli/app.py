@@ -22,6 +22,7 @@ from fraclink.cli import (
     whole,
 )
 from fraclink.cli.console import emit
+from fraclink.cli.listing import Listing
 from fraclink.cli.outcome import guarded
 
 __all__ = ["application", "run"]
@@ -47,6 +48,7 @@ def application() -> typer.Typer:
     """Return the command line's application with all verbs."""
     app = typer.Typer(
         name="fraclink",
+        cls=Listing,
         epilog="Exit code: 0 holds, 1 does not hold, 2 bad input.",
         add_completion=False,
         pretty_exceptions_enable=False,

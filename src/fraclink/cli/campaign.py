@@ -5,13 +5,14 @@ from __future__ import annotations
 import typer
 
 from fraclink.cli import faults, montecarlo, sweep
+from fraclink.cli.listing import Listing
 
 __all__ = ["register"]
 
 
 def register(app: typer.Typer) -> None:
     """Add `campaign` with its verbs to the application."""
-    campaign = typer.Typer(help="Many runs: Monte Carlo, faults, sweeps.")
+    campaign = typer.Typer(cls=Listing, help="Many runs: Monte Carlo, faults, sweeps.")
     montecarlo.register(campaign)
     faults.register(campaign)
     sweep.register(campaign)

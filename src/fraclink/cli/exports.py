@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from fraclink.cli.console import emit, emit_json
+from fraclink.cli.listing import Listing
 from fraclink.cli.options import Columns, Force, Json, RigName, load_log, load_rig
 from fraclink.cli.outcome import FAILS, HOLDS
 from fraclink.cli.verdicts import DesignFile
@@ -150,7 +151,7 @@ def replay(
 
 def register(app: typer.Typer) -> None:
     """Add the verbs of this module to the application, below `export`."""
-    export = typer.Typer(help="Hand a design on: C for a board, MATLAB, FMU, a board's I/O.")
+    export = typer.Typer(cls=Listing, help="Hand a design on: C for a board, MATLAB, FMU, a board's I/O.")
     export.command()(c)
     export.command()(matlab)
     export.command()(fmu)

@@ -40,21 +40,28 @@ def faults(
         float | None, typer.Option("--link-mass", help="Mass of the link [kg]; default: the rig's.")
     ] = None,
     only: Annotated[
-        list[str] | None, typer.Option("--only", help="A fault of the catalogue, e.g. F07; may be repeated.")
+        list[str] | None,
+        typer.Option("--only", metavar="FAULT", help="A fault of the catalogue, e.g. F07; may be repeated."),
     ] = None,
     severity: Annotated[
-        list[int] | None, typer.Option("--severity", help="1, 2 or 3; may be repeated; default: all.")
+        list[int] | None,
+        typer.Option("--severity", metavar="LEVEL", help="1, 2 or 3; may be repeated; default: all."),
     ] = None,
     payload: Annotated[
         list[float] | None,
-        typer.Option("--payload", help="Payload [kg]; may be repeated; default: low, nominal, high."),
+        typer.Option(
+            "--payload", metavar="KG", help="Payload [kg]; may be repeated; default: low, nominal, high."
+        ),
     ] = None,
     phase: Annotated[
         list[str] | None,
-        typer.Option("--phase", help="whole, start, mid or rest; may be repeated; default: all."),
+        typer.Option(
+            "--phase", metavar="PHASE", help="whole, start, mid or rest; may be repeated; default: all."
+        ),
     ] = None,
     seed: Annotated[
-        list[int] | None, typer.Option("--seed", help="Seed; may be repeated; default: 1, 2, 3.")
+        list[int] | None,
+        typer.Option("--seed", metavar="SEED", help="Seed; may be repeated; default: 1, 2, 3."),
     ] = None,
     figures: Annotated[Figures, typer.Option("--figures", help="Runs to draw.")] = "failures",
     json: Json = False,

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 import typer
 
 from fraclink.cli.console import emit, emit_json, steps, table
-from fraclink.cli.options import Columns, Json, RigName, load_log, load_rig
+from fraclink.cli.options import Columns, Json, LogName, RigName, load_log, load_rig
 from fraclink.cli.outcome import HOLDS
 
 __all__ = ["register"]
@@ -16,7 +16,7 @@ StructureName = Annotated[str, typer.Option("--structure", help="UD-IOM, D-IOM, 
 
 
 def identify_all(
-    log: Annotated[str, typer.Argument(help="The log; `demo` is the bundled one.")],
+    log: LogName,
     rig: RigName,
     payload: Annotated[float | None, typer.Option("--payload", help="Payload of the log [kg].")] = None,
     column: Columns = None,
@@ -63,11 +63,14 @@ def identify_all(
 
 
 def identify_payloads(
-    logs: Annotated[list[str], typer.Argument(help="Two or more logs, each of another payload.")],
+    logs: Annotated[
+        list[str], typer.Argument(metavar="LOG", help="Two or more logs, each of another payload.")
+    ],
     rig: RigName,
     structure: StructureName = "UD-FOM",
     payload: Annotated[
-        list[float] | None, typer.Option("--payload", help="Payload of each log [kg], in their order.")
+        list[float] | None,
+        typer.Option("--payload", metavar="KG", help="Payload of a log [kg]; once for each, in their order."),
     ] = None,
     tied: Annotated[bool, typer.Option("--tied", help="Tie ϖ to the payload by equation (5).")] = False,
     column: Columns = None,
@@ -124,7 +127,7 @@ def identify_payloads(
 
 
 def identify_motor(
-    log: Annotated[str, typer.Argument(help="A log with the amplifier's voltage.")],
+    log: Annotated[str, typer.Argument(metavar="LOG", help="A log with the amplifier's voltage.")],
     rig: RigName,
     column: Columns = None,
     json: Json = False,
@@ -139,11 +142,11 @@ def identify_motor(
     experiment = load_log(log, known, None, column)
     if experiment.voltage is None:
         raise LogError(
-            "voltage",
+            "log",
             log,
-            "not in this log",
-            allowed="a voltage column",
-            remedy="name it in the rig file's [log]",
+            "without the amplifier's voltage",
+            allowed="a log with a voltage column",
+            remedy='name it in the rig file\'s [log], or by --column "voltage=NAME [V]"',
         )
     torque = experiment.output if experiment.output_kind == "torque" else None
     fit = fit_motor(
@@ -176,13 +179,15 @@ def identify_motor(
 
 def plan_experiment(
     rig: RigName,
-    standard_error: Annotated[float, typer.Option("--standard-error", help="Wanted of λ.")],
-    noise: Annotated[float, typer.Option("--noise", help="Standard deviation of the gauge [N·m].")],
-    duration: Annotated[float, typer.Option("--duration", help="Of the log [s].")] = 20.0,
+    standard_error: Annotated[
+        float, typer.Option("--standard-error", help="Standard error of λ that is wanted.")
+    ],
+    noise: Annotated[float, typer.Option("--noise", help="Standard deviation of the gauge's noise [N·m].")],
+    duration: Annotated[float, typer.Option("--duration", help="Length of the log [s].")] = 20.0,
     deflection_limit: Annotated[
         float, typer.Option("--deflection-limit", help="Largest |θm − θt| [rad].")
     ] = float("inf"),
-    kind: Annotated[Literal["prbs", "multisine"], typer.Option("--kind", help="Of excitation.")] = "prbs",
+    kind: Annotated[Literal["prbs", "multisine"], typer.Option("--kind", help="Excitation.")] = "prbs",
     json: Json = False,
 ) -> int:
     """Choose amplitude and band of an excitation for a wanted standard error of λ."""

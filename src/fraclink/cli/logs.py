@@ -2,32 +2,41 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from fraclink.cli.console import emit, emit_json
-from fraclink.cli.options import Columns, Interpolate, Json, Resample, RigName, load_log, load_rig
+from fraclink.cli.options import (
+    Columns,
+    Interpolate,
+    Json,
+    LogName,
+    Resample,
+    RigName,
+    load_log,
+    load_rig,
+    log_path,
+)
 from fraclink.cli.outcome import FAILS, HOLDS
 
 __all__ = ["register"]
 
 
 def inspect(
-    log: Annotated[Path, typer.Argument(help="The file to look into.")],
+    log: LogName,
     json: Json = False,
 ) -> int:
     """List a log's channels, rates and ranges, and a mapping to paste into the rig file."""
     from fraclink.readers import inspect_log
 
-    listing = inspect_log(log)
+    listing = inspect_log(log_path(log))
     emit_json(listing.values()) if json else emit(str(listing))
     return HOLDS
 
 
 def diagnose(
-    log: Annotated[str, typer.Argument(help="The log; `demo` is the bundled one.")],
+    log: LogName,
     rig: RigName,
     payload: Annotated[float | None, typer.Option("--payload", help="Payload of the log [kg].")] = None,
     column: Columns = None,

@@ -19,18 +19,24 @@ __all__ = [
     "GainCrossover",
     "Interpolate",
     "Json",
+    "LogName",
     "PayloadRange",
     "PhaseMarginDeg",
     "Resample",
     "RigName",
     "load_log",
     "load_rig",
+    "log_path",
     "radians",
 ]
 
 BUNDLED_LOG = "prbs_30g"  # simulated by the twin; its header says so
+LogName = Annotated[str, typer.Argument(metavar="LOG", help="The log; `demo` is the bundled one.")]
 RigName = Annotated[
-    str, typer.Option("--rig", help="A rig file (rig.toml) or the name of a bundled rig, e.g. paper-2023.")
+    str,
+    typer.Option(
+        "--rig", metavar="RIG", help="A rig file (rig.toml) or the name of a bundled rig, e.g. paper-2023."
+    ),
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as one JSON object on standard output.")]
 Force = Annotated[bool, typer.Option("--force", help="Overwrite files that are already there.")]
@@ -78,15 +84,21 @@ def load_log(
     resample: bool = False,
     interpolate: bool = False,
 ) -> Experiment:
-    """Return the log of a file; ``demo`` is the bundled one."""
-    from fraclink.readers import bundled_log, read_log
+    """Return the log of a file, or the bundled one."""
+    from fraclink.readers import read_log
     from fraclink.rig import parse_columns
 
-    path = bundled_log(BUNDLED_LOG) if name == "demo" else Path(name)
     stated = parse_columns(columns) if columns else None
     return read_log(
-        path, rig=rig, columns=stated, payload=payload, resample=resample, interpolate=interpolate
+        log_path(name), rig=rig, columns=stated, payload=payload, resample=resample, interpolate=interpolate
     )
+
+
+def log_path(name: str) -> Path:
+    """The file of a log that was named on the command line; ``demo`` is the bundled one."""
+    from fraclink.readers import bundled_log
+
+    return bundled_log(BUNDLED_LOG) if name == "demo" else Path(name)
 
 
 def radians(degrees: float | None) -> float | None:

@@ -38,6 +38,16 @@ def _describe(error: BaseException) -> dict[str, object]:
     return {"problem": _line(text)}
 
 
+def _usage(error: Exception) -> str:
+    """What is wrong with the words of a command, and where the right ones are listed."""
+    text = error.format_message() if hasattr(error, "format_message") else str(error)
+    # The library that checks the values puts its own class's name before what it says.
+    text = text.replace("Value error, ", "").rstrip(".")
+    context = getattr(error, "ctx", None)
+    verb = "fraclink" if context is None else context.command_path
+    return f"{text} (`{verb} --help` says more)"
+
+
 def _verdict(error: BaseException) -> tuple[int, str]:
     """Exit code and the line that explains it."""
     if isinstance(error, FieldError | MissingExtraError):
@@ -82,8 +92,7 @@ def guarded(work: Callable[[], int | None], *, as_json: bool) -> int:
         sys.stdout.flush()
         return HOLDS if code is None else int(code)
     except usage_error as error:
-        text = error.format_message() if hasattr(error, "format_message") else str(error)
-        code, lines, parts = BAD_INPUT, [f"error: {text}"], _describe(error)
+        code, lines, parts = BAD_INPUT, [f"error: {_usage(error)}"], _describe(error)
     except BrokenPipeError:
         # The reader of a pipe left (`| head`): no error of ours, but stdout must not be flushed again.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

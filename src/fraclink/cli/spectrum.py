@@ -21,11 +21,14 @@ def identify_spectrum(
     response: Annotated[
         Path,
         typer.Argument(
-            help="Table with frequency_rad_s or frequency_Hz, gain or gain_dB, phase_rad or phase_deg."
+            metavar="TABLE",
+            help="Table with frequency_rad_s or frequency_Hz, gain or gain_dB, phase_rad or phase_deg.",
         ),
     ],
-    resonances: Annotated[int, typer.Option("--resonances", min=1, max=6, help="How many.")] = 1,
-    anti_resonances: Annotated[int, typer.Option("--anti-resonances", min=0, max=6, help="How many.")] = 0,
+    resonances: Annotated[int, typer.Option("--resonances", min=1, max=6, help="Number of resonances.")] = 1,
+    anti_resonances: Annotated[
+        int, typer.Option("--anti-resonances", min=0, max=6, help="Number of anti-resonances.")
+    ] = 0,
     json: Json = False,
 ) -> int:
     """Fit modes with one common λ to a table of gain and phase; a column `coherence` is used."""

@@ -14,6 +14,7 @@ from fraclink.cli.options import (
     GainCrossover,
     Interpolate,
     Json,
+    LogName,
     PayloadRange,
     PhaseMarginDeg,
     Resample,
@@ -34,7 +35,7 @@ Inner = Literal["ideal", "sampled"]
 
 
 def identify(
-    log: Annotated[str, typer.Argument(help="The log: CSV or MAT; `demo` is the bundled one.")],
+    log: LogName,
     rig: RigName,
     out: Annotated[Path, typer.Option("--out", help="File to write the model to.")] = Path("model.json"),
     structure: Annotated[str, typer.Option("--structure", help="UD-IOM, D-IOM, UD-FOM or D-FOM.")] = "UD-FOM",
@@ -183,7 +184,7 @@ def simulate(
 
 
 def report(
-    folder: Annotated[Path, typer.Argument(help="Folder with what the stages wrote.")],
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder with what the stages wrote.")],
     out: Annotated[
         Path | None, typer.Option("--out", help="File to write; default: report.html there.")
     ] = None,

@@ -25,13 +25,20 @@ def sweep(
     out: Annotated[Path, typer.Option("--out", help="File for the map (.json); the page goes beside it.")],
     rig: RigName = "paper-2023",
     gain_crossover: Annotated[
-        Many, typer.Option("--gain-crossover", help="[rad/s]; give it several times.")
+        Many,
+        typer.Option("--gain-crossover", metavar="RAD/S", help="Gain crossover [rad/s]; may be repeated."),
     ] = None,
     phase_margin_deg: Annotated[
-        Many, typer.Option("--phase-margin-deg", help="[degrees]; give it several times.")
+        Many,
+        typer.Option(
+            "--phase-margin-deg", metavar="DEGREES", help="Phase margin [degrees]; may be repeated."
+        ),
     ] = None,
     payload: Annotated[
-        Many, typer.Option("--payload", help="Of the twin [kg]; several times; default: the rig's range.")
+        Many,
+        typer.Option(
+            "--payload", metavar="KG", help="Payload [kg]; may be repeated; default: the rig's range."
+        ),
     ] = None,
     link_mass: Annotated[
         float | None, typer.Option("--link-mass", help="Mass of the twin's link [kg].")

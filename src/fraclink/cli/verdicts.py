@@ -103,7 +103,8 @@ def compare(
         "comparison"
     ),
     only: Annotated[
-        list[str] | None, typer.Option("--only", help="Run rivals whose name contains this; may be repeated.")
+        list[str] | None,
+        typer.Option("--only", metavar="TEXT", help="Run rivals whose name contains this; may be repeated."),
     ] = None,
     seed: Annotated[int, typer.Option("--seed", help="Seed of the noise, the same for all.")] = 0,
     json: Json = False,

@@ -29,6 +29,8 @@ _FOREIGN = (
     (b"%PDF", "PDF"),
     (b"\x93NUMPY", "NumPy"),
     (b"\x80\x04", "pickle"),
+    (b"{", "JSON"),
+    (b"<", "HTML or XML"),
 )
 # Names that promise a format; other endings (.txt, .dat, .log …) promise nothing.
 _PROMISED = {
@@ -53,7 +55,11 @@ def sniffed_kind(path: Path) -> str:
         if (path / "metadata.yaml").is_file():
             return "ROS 2"
         raise FileFormatError(
-            "log", path.name, "a folder", allowed="a file, or a rosbag2 folder", remedy="give the file itself"
+            "log",
+            path.name or str(path),
+            "a folder",
+            allowed="a file, or a rosbag2 folder",
+            remedy="give the file itself",
         )
     check_file(path)
     with path.open("rb") as stream:
