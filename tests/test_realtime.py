@@ -1,0 +1,344 @@
+"""The real-time loop around two functions: the same law, missed periods, lost samples, a stop at the end.
+
+No test asserts how late a machine wakes up: periods are lost on purpose, by sleeping in the functions.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import fraclink as fl
+from fraclink import _kernels
+from fraclink.errors import FieldError, FileFormatError, SizeError
+from fraclink.law import MODES, REASONS, Law
+from fraclink.realtime import Callback, Command, RealtimeRun, Spread, run_realtime
+from needed_tools import missing
+
+if not _kernels.REALTIME:
+    pytest.skip("the real-time loop is Linux's", allow_module_level=True)
+
+RIG = fl.Rig.named("paper-2023")
+PERIOD = 0.02  # long enough that a busy machine loses no period of its own accord; the law is the same file
+OFF = MODES.index("off")
+MISSED, ENCODER = 8, 1  # LAW_FLAG_MISSED and LAW_FLAG_ENCODER of law.h
+
+
+@pytest.fixture(scope="module")
+def law() -> Law:
+    return fl.Controller(gain=0.069876, order=0.612197, link=RIG.model).discretize(PERIOD, order=4)
+
+
+class Board:
+    """An arm that stands where it is told to, with a note of everything that was written to it."""
+
+    def __init__(self) -> None:
+        self.angle = 0.3
+        self.reads = 0
+        self.commands: list[Command] = []
+
+    def read(self) -> tuple[float, float] | None:
+        self.reads += 1
+        return self.angle, 0.01 * math.sin(0.1 * self.reads)
+
+    def write(self, command: Command) -> None:
+        self.commands.append(command)
+        if command.mode != OFF:
+            self.angle += 0.5 * (command.motor_reference - self.angle)
+
+    def run(self, law: Law, **options: object) -> RealtimeRun:
+        given = {"duration": 0.3, "priority": 0, "lock_memory": False} | options
+        return run_realtime(
+            law,
+            fl.smooth_step(0.1, 0.2),
+            Callback(self.read, self.write),
+            **given,  # type: ignore[arg-type]
+        )
+
+
+def stopped(board: Board) -> bool:
+    """Whether the last command is a stop: the drive off, no voltage."""
+    return board.commands[-1].mode == OFF and board.commands[-1].voltage == 0.0
+
+
+@pytest.mark.parametrize("precision", ["double", "single"])
+def test_the_record_replays_to_the_last_bit(law: Law, precision: str) -> None:
+    used = law.in_precision(precision)  # type: ignore[arg-type]
+    board = Board()
+    run = board.run(used)
+    assert run.stopped == "finished"
+    assert run.first_difference is None
+    assert run.difference(used) is None
+    assert run.holds or run.overruns
+    assert len(run.time) + run.missed <= 16
+    assert run.time == pytest.approx(PERIOD * (run.tick - 1.0), abs=1e-12)
+    assert run.origin == pytest.approx(0.3)
+    assert run.reference[-1] == pytest.approx(0.4, abs=1e-6)
+    # what was written is what is recorded, and after it the stop
+    given = np.array([command.motor_reference for command in board.commands])
+    assert given[:-1].tobytes() == run.motor_reference.tobytes()
+    assert stopped(board)
+    assert board.commands[-1].motor_reference == run.motor_reference[-1]
+    assert all(command.mode != OFF for command in board.commands[:-1])
+
+
+def test_a_record_that_was_touched_does_not(law: Law) -> None:
+    run = Board().run(law)
+
+    def touched(name: str, value: float) -> RealtimeRun:
+        values = getattr(run, name).copy()
+        values[4] = value
+        return replace(run, **{name: values})
+
+    for name in ("motor_angle", "torque", "reference"):
+        assert touched(name, getattr(run, name)[4] + 1e-9).difference(law) == 4
+    for name in ("motor_reference", "voltage", "tip_estimate"):
+        assert touched(name, np.nextafter(getattr(run, name)[4], 2.0)).difference(law) == 4
+    for name in ("mode", "flags"):
+        assert touched(name, 2).difference(law) == 4
+    with pytest.raises(FieldError, match="another than the one that ran"):
+        run.difference(law.in_precision("single"))
+
+
+def test_the_reference_counts_from_where_the_arm_stands_or_from_zero(law: Law) -> None:
+    here, there = Board().run(law), Board().run(law, relative=False)
+    assert here.reference[0] == pytest.approx(0.3)
+    assert (there.origin, there.reference[0]) == (0.0, 0.0)
+    assert abs(here.motor_reference[-1] - 0.4) < 0.02
+    assert there.motor_reference[-1] < 0.25
+
+
+def test_missed_periods_reach_the_law(law: Law) -> None:
+    board = Board()
+
+    def late() -> tuple[float, float] | None:
+        if board.reads == 5:
+            time.sleep(2.5 * PERIOD)
+        return board.read()
+
+    run = run_realtime(
+        law, fl.hold(0.0), Callback(late, board.write), duration=0.4, priority=0, lock_memory=False
+    )
+    jump = int(np.flatnonzero(np.diff(run.tick) > 1)[0]) + 1
+    assert run.missed >= 1
+    assert run.overruns >= 1
+    assert run.flags[jump] & MISSED
+    assert run.mode[jump] == MODES.index("run")  # ridden through
+    assert run.first_difference is None
+    assert not run.holds
+    assert "overruns, allowed 0" in run.problem
+    assert replace(run, allowed_overruns=run.overruns).holds
+
+
+def test_too_many_missed_periods_switch_the_drive_off(law: Law) -> None:
+    board = Board()
+
+    def asleep() -> tuple[float, float] | None:
+        if board.reads == 5:
+            time.sleep((law.limits.missed_limit + 3) * PERIOD)
+        return board.read()
+
+    run = run_realtime(
+        law, fl.hold(0.0), Callback(asleep, board.write), duration=2.0, priority=0, lock_memory=False
+    )
+    assert run.stopped == "law off"
+    assert REASONS[run.reason[-1]] == "missed periods"
+    assert run.problem == "safe stop: the law switched off (missed periods)"
+    assert len(run.time) < 12
+    assert run.first_difference is None
+    assert stopped(board)
+
+
+def test_lost_samples_are_ridden_through_and_a_silent_arm_is_given_up(law: Law) -> None:
+    board = Board()
+    lost = {3, 4, *range(8, 1000)}
+
+    def read() -> tuple[float, float] | None:
+        sample = board.read()
+        return None if board.reads in lost else sample
+
+    run = run_realtime(
+        law, fl.hold(0.0), Callback(read, board.write), duration=5.0, priority=0, lock_memory=False
+    )
+    missing_rows = np.flatnonzero(np.isnan(run.motor_angle))
+    assert len(missing_rows) == run.lost_samples == 2 + law.limits.bad_limit
+    assert all(run.flags[missing_rows] & ENCODER)
+    assert run.mode[missing_rows[2] - 1] == MODES.index("run")
+    assert (run.stopped, REASONS[run.reason[-1]]) == ("law off", "encoder")
+    assert run.first_difference is None
+    assert stopped(board)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_stops_the_run_and_python_has_its_handler_back(law: Law, number: signal.Signals) -> None:
+    board = Board()
+    before = signal.getsignal(number)
+
+    def read() -> tuple[float, float] | None:
+        if board.reads == 4:
+            os.kill(os.getpid(), number)
+        return board.read()
+
+    run = run_realtime(
+        law, fl.hold(0.0), Callback(read, board.write), duration=5.0, priority=0, lock_memory=False
+    )
+    assert run.stopped == "signal"
+    assert run.problem == "safe stop: signal"
+    assert len(run.time) <= 6
+    assert stopped(board)
+    assert signal.getsignal(number) is before
+    with pytest.raises(KeyboardInterrupt):
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(1)
+
+
+def test_an_exception_of_a_callback_stops_the_drive_first(law: Law) -> None:
+    board = Board()
+
+    def read() -> tuple[float, float] | None:
+        if board.reads == 4:
+            raise RuntimeError("the board is gone")
+        return board.read()
+
+    with pytest.raises(RuntimeError, match="the board is gone"):
+        run_realtime(law, fl.hold(0.0), Callback(read, board.write), duration=5.0, priority=0)
+    assert stopped(board)
+    calls: list[Command] = []
+
+    def write(command: Command) -> None:
+        calls.append(command)
+        if len(calls) == 3:
+            raise ValueError("the amplifier refuses")
+
+    with pytest.raises(ValueError, match="the amplifier refuses"):
+        run_realtime(law, fl.hold(0.0), Callback(Board().read, write), duration=5.0, priority=0)
+    assert calls[-1].mode == OFF
+    with pytest.raises(TypeError, match=r"must return \(motor_angle, torque\) or None"):
+        run_realtime(law, fl.hold(0.0), Callback(lambda: "0.1", write), duration=1.0, priority=0)  # type: ignore[arg-type,return-value]
+
+
+def test_an_arm_that_gives_no_sample_is_named(law: Law) -> None:
+    commands: list[Command] = []
+    with pytest.raises(FieldError, match=r"io: callback is silent: no sample in 0.05 s"):
+        run_realtime(law, fl.hold(0.0), Callback(lambda: None, commands.append), patience=0.05, priority=0)
+    assert {(command.voltage, command.motor_reference) for command in commands} == {(0.0, 0.0)}
+    assert commands[-1].mode == OFF
+    commands.clear()
+    with pytest.raises(FieldError, match="silent"):  # a sample that is no number starts nothing
+        run_realtime(
+            law,
+            fl.hold(0.0),
+            Callback(lambda: (math.nan, 0.0), commands.append),
+            patience=0.05,
+            priority=0,
+        )
+
+
+def test_a_saved_record_comes_back(law: Law, tmp_path: Path) -> None:
+    run = Board().run(law)
+    run.save(tmp_path / "run.npz")
+    again = RealtimeRun.load(tmp_path / "run.npz")
+    assert again.difference(law) is None
+    for name in ("time", "latency", "work", "torque", "tick", "flags"):
+        assert getattr(again, name).tobytes() == getattr(run, name).tobytes()
+    for name in ("stopped", "period", "connection", "scheduling", "memory", "origin", "first_difference"):
+        assert getattr(again, name) == getattr(run, name)
+    with pytest.raises(ValueError, match="read-only"):
+        again.torque[0] = 1.0
+    quick = fl.Controller(gain=0.069876, order=0.612197, link=RIG.model).discretize(RIG.period, order=4)
+    assert RIG.model is not None
+    other = tmp_path / "other.npz"
+    fl.simulate(RIG, RIG.model, quick, fl.hold(0.0), duration=0.1).save(other)
+    with pytest.raises(FileFormatError, match="kind"):
+        RealtimeRun.load(other)
+
+
+def test_the_spread_is_that_of_a_sorted_list() -> None:
+    values = np.arange(1.0, 2001.0)
+    assert Spread.of(values) == (1.0, 1000.5, 1999.0, 2000.0)
+    assert all(math.isnan(value) for value in Spread.of(np.array([])))
+
+
+@pytest.mark.parametrize(
+    ("options", "field"),
+    [
+        ({"duration": 0.0}, "duration"),
+        ({"duration": math.nan}, "duration"),
+        ({"patience": -1.0}, "patience"),
+        ({"priority": 100}, "priority"),
+        ({"priority": True}, "priority"),
+        ({"allowed_overruns": -1}, "allowed_overruns"),
+    ],
+)
+def test_bad_values_are_named(law: Law, options: dict[str, object], field: str) -> None:
+    board = Board()
+    with pytest.raises(FieldError) as caught:
+        board.run(law, **options)
+    assert caught.value.field == field
+    assert board.commands == []
+
+
+def test_periods_and_lengths_out_of_range_are_refused(law: Law) -> None:
+    slow = fl.Controller(gain=0.069876, order=0.612197, link=RIG.model).discretize(1.5, order=2)
+    with pytest.raises(FieldError, match=r"period: 1\.5 .* 5e-05 to 1 s"):
+        Board().run(slow)
+    with pytest.raises(SizeError):
+        Board().run(law, duration=1e6)
+    with pytest.raises(FieldError, match=r"callback\.write"):
+        run_realtime(law, fl.hold(0.0), Callback(lambda: None, None))  # type: ignore[arg-type]
+
+
+def test_another_system_is_told_plainly(law: Law, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(_kernels, "REALTIME", False)
+    with pytest.raises(FieldError, match="allowed Linux"):
+        Board().run(law)
+
+
+REFUSED = """
+    import os, resource, sys
+    import fraclink as fl
+    from fraclink.realtime import Callback, run_realtime
+    rig = fl.Rig.named("paper-2023")
+    law = fl.Controller(gain=0.07, order=0.6, link=rig.model).discretize(0.02, order=4)
+    still = Callback(lambda: (0.0, 0.0), lambda command: None)
+    run_realtime(law, fl.hold(0.0), still, duration=0.04, priority=0, lock_memory=False)
+    resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))
+    resource.setrlimit(resource.RLIMIT_MEMLOCK, (65536, 65536))
+    if os.geteuid() == 0:
+        os.setresuid(65534, 65534, 65534)
+    run = run_realtime(law, fl.hold(0.0), still, duration=0.1)
+    print(run.scheduling, "|", run.memory, "|", run.stopped)
+"""
+
+
+def test_what_the_machine_refuses_stands_in_the_result() -> None:
+    answer = subprocess.run(  # noqa: S603
+        [sys.executable, "-c", textwrap.dedent(REFUSED)], capture_output=True, text=True, check=True
+    )
+    told = answer.stdout.strip().split(" | ")
+    assert told[0] == "refused (Operation not permitted)"
+    assert told[1].startswith("refused (")
+    assert told[2] == "finished"
+
+
+def test_what_it_grants_too_and_takes_it_back(law: Law) -> None:
+    before = os.sched_getscheduler(0)
+    run = Board().run(law, priority=5, lock_memory=True)
+    if run.scheduling != "SCHED_FIFO 5":
+        missing("this user may not have SCHED_FIFO (limit rtprio)")
+    assert run.memory == "locked"
+    assert os.sched_getscheduler(0) == before
+    locked = next(
+        line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmLck")
+    )
+    assert int(locked.split()[1]) == 0
