@@ -30,7 +30,7 @@ nb_merge_streams = True
 nb_render_markdown_format = "myst"  # a table made by a cell is a table on the page
 
 # Formulas are written in Unicode: the usual renderer would fetch a script from elsewhere.
-exclude_patterns = ["_build"]
+exclude_patterns = ["_build", "**/_*.md"]  # parts of pages begin with an underscore
 html_theme = "furo"
 html_title = f"fraclink {version}"
 html_static_path = ["_static"]
