@@ -91,10 +91,10 @@ class Loop:
         """(pole, gain) of every mode, conjugates included."""
         acb = self.flint.acb
         real, pair = c["real"], c["pair"]
-        found = [(acb(p) + 1, acb(g)) for p, g in zip(real[::2], real[1::2], strict=True) if g]
+        found = [(acb(p), acb(g)) for p, g in zip(real[::2], real[1::2], strict=True) if g]
         for re, im, g, x in zip(*(pair[k::4] for k in range(4)), strict=True):
             if g or x:
-                pole, gain = acb(re, im) + 1, acb(g, x) / 2
+                pole, gain = acb(re, im), acb(g, x) / 2
                 found += [(pole, gain), (pole.conjugate(), gain.conjugate())]
         return found
 
