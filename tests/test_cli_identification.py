@@ -87,3 +87,37 @@ def test_plan_experiment(capsys: pytest.CaptureFixture[str]) -> None:
     assert "amplitude" in capsys.readouterr().out
     assert run([*wanted, "--deflection-limit", "0.001"]) == 1
     assert "nearest feasible" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("verb", ["identify", "identify-all"])
+def test_a_log_with_a_reversed_gauge_is_fitted_and_does_not_hold(
+    verb: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The fit is as good as with the right sign; what the diagnosis says decides the exit code."""
+    log = tmp_path / "reversed.csv"
+    lines = bundled_log("pulse_30g").read_text("utf-8").splitlines()
+    names = next(line for line in lines if not line.startswith("#")).split(",")
+    turned = names.index("torque_Nm")
+    first = lines.index(",".join(names)) + 1
+    for number in range(first, len(lines)):
+        cells = lines[number].split(",")
+        cells[turned] = str(-float(cells[turned]))
+        lines[number] = ",".join(cells)
+    log.write_text("\n".join(lines) + "\n", "utf-8")
+    out = ["--out", str(tmp_path / "model.json")] if verb == "identify" else []
+    asked = [verb, str(log), "--rig", "paper-2023", *out]
+    assert run(asked) == 1
+    assert "state sign = -1" in capsys.readouterr().out
+    assert run([*asked, "--json", *(["--force"] if out else [])]) == 1
+    findings = json.loads(capsys.readouterr().out)["findings"]
+    assert {finding["severity"] for finding in findings} == {"error"}
+
+
+def test_a_natural_frequency_of_zero_is_a_dash_with_its_meaning(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert run(["identify-all", "demo", "--rig", "paper-2023"]) == 0
+    text = capsys.readouterr().out
+    row = next(line for line in text.splitlines() if line.startswith("D-FOM"))
+    assert row.split()[1] == "–"
+    assert "UD-FOM with λ = 2 − α = 1.9197, ϖ = √μ = 10.78" in text

@@ -8,7 +8,7 @@ import typer
 
 from fraclink.cli.console import emit, emit_json, steps, table
 from fraclink.cli.options import Columns, Json, LogName, RigName, load_log, load_rig
-from fraclink.cli.outcome import HOLDS
+from fraclink.cli.outcome import FAILS, HOLDS
 
 __all__ = ["register"]
 
@@ -23,23 +23,35 @@ def identify_all(
     json: Json = False,
 ) -> int:
     """Fit all four structures to a log and say what it tells apart."""
-    from fraclink.cli.summary import finding_text, fit_values
+    from fraclink.cli.logs import what_is_wrong
+    from fraclink.cli.summary import finding_text, finding_values, findings_text, fit_values
     from fraclink.identify import identify_all as fit_all
+    from fraclink.identify.text import coincidence_text, frequency_text
 
     known = load_rig(rig)
     experiment = load_log(log, known, payload, column)
     stiffness = known.link.stiffness if experiment.output_kind == "deflection" else None
-    with steps(1) as begin:
+    with steps(2) as begin:
+        begin("examining the log")
+        wrong = what_is_wrong(experiment, known)
         begin("fitting four structures")
         comparison = fit_all(experiment, stiffness=stiffness)
     if json:
         fits = {name: fit_values(fit) for name, fit in comparison.fits.items()}
-        emit_json({"preferred": comparison.preferred, "verdict": comparison.verdict, "fits": fits})
-        return HOLDS
+        findings = [*map(finding_values, wrong)]
+        emit_json(
+            {
+                "preferred": comparison.preferred,
+                "verdict": comparison.verdict,
+                "fits": fits,
+                "findings": findings,
+            }
+        )
+        return FAILS if wrong else HOLDS
     rows = [
         (
             name,
-            f"{fit.model.natural_frequency:.4f}",
+            frequency_text(fit),
             f"{fit.model.order:.4f}",
             f"{fit.model.damping:.4g}",
             f"{1e3 * fit.delay:.2f}",
@@ -50,7 +62,7 @@ def identify_all(
         for name, fit in comparison.fits.items()
     ]
     emit(table(("model", "ϖ", "λ", "μ", "delay [ms]", "MSE", "AIC", "held-out NMSE"), rows))
-    emit(comparison.verdict)
+    emit("\n".join([*coincidence_text(comparison.fits), comparison.verdict]))
     warned = [
         f"{name}: {finding_text(f)}"
         for name, fit in comparison.fits.items()
@@ -59,7 +71,9 @@ def identify_all(
     ]
     if warned:
         emit("\n".join(warned))
-    return HOLDS
+    if wrong:
+        emit(findings_text(wrong).lstrip())
+    return FAILS if wrong else HOLDS
 
 
 def identify_payloads(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -20,7 +20,19 @@ from fraclink.cli.options import (
 )
 from fraclink.cli.outcome import FAILS, HOLDS
 
-__all__ = ["register"]
+if TYPE_CHECKING:
+    from fraclink.experiment import Experiment
+    from fraclink.findings import Finding
+    from fraclink.rig import Rig
+
+__all__ = ["register", "what_is_wrong"]
+
+
+def what_is_wrong(experiment: Experiment, rig: Rig) -> tuple[Finding, ...]:
+    """Findings that make a log unusable: a model fits a reversed gauge as well as a right one."""
+    from fraclink.diagnose import diagnose as examine
+
+    return tuple(finding for finding in examine(experiment, rig) if finding.severity == "error")
 
 
 def inspect(

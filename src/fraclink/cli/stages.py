@@ -47,23 +47,28 @@ def identify(
     force: Force = False,
 ) -> int:
     """Fit a link model to a log; gain, offset and sensor delay are fitted along."""
-    from fraclink.cli.summary import fit_text, fit_values
+    from fraclink.cli.logs import what_is_wrong
+    from fraclink.cli.summary import finding_values, findings_text, fit_text, fit_values
     from fraclink.identify import identify as fit_log
 
     place = output_path(out, force=force)
-    with steps(2) as begin:
+    with steps(3) as begin:
         begin("reading the log")
         known = load_rig(rig)
         experiment = load_log(log, known, payload, column, resample=resample, interpolate=interpolate)
+        begin("examining the log")
+        wrong = what_is_wrong(experiment, known)
         begin(f"fitting {structure}")
         # A deflection log cannot show the stiffness; a torque log measures it.
         stiffness = known.link.stiffness if experiment.output_kind == "deflection" else None
         fit = fit_log(experiment, structure, stiffness=stiffness)
     fit.save(place)
-    emit_json(fit_values(fit) | {"out": str(place)}) if json else emit(fit_text(fit))
-    if not json:
+    if json:
+        emit_json(fit_values(fit) | {"findings": [*map(finding_values, wrong)], "out": str(place)})
+    else:
+        emit(fit_text(fit) + findings_text(wrong))
         tell(f"written: {place}")
-    return HOLDS
+    return FAILS if wrong else HOLDS
 
 
 def design(

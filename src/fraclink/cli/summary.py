@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from fraclink.cli.console import table
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 __all__ = [
     "finding_text",
     "finding_values",
+    "findings_text",
     "fit_text",
     "fit_values",
     "metrics_values",
@@ -58,6 +59,11 @@ def finding_values(finding: Finding) -> dict[str, object]:
 def finding_text(finding: Finding) -> str:
     """A finding for people."""
     return str(finding)
+
+
+def findings_text(findings: Sequence[Finding]) -> str:
+    """Findings that take a verdict away, to append to a result; nothing where there are none."""
+    return "".join(f"\n{finding_text(finding)}" for finding in findings)
 
 
 def fit_values(fit: Fit) -> dict[str, object]:
@@ -241,6 +247,8 @@ def study_values(study: Study) -> dict[str, object]:
 
 def study_text(study: Study) -> str:
     """A whole study for people."""
+    from fraclink.identify.text import coincidence_text, frequency_text
+
     parts: list[str] = []
     designed = study.plan.findings if study.plan else ()
     warned = [finding for finding in (*study.findings, *designed) if finding.severity != "info"]
@@ -250,7 +258,7 @@ def study_text(study: Study) -> str:
         rows = [
             (
                 name,
-                f"{fit.model.natural_frequency:.4f}",
+                frequency_text(fit),
                 f"{fit.model.order:.4f}",
                 f"{fit.mse:.4g}",
                 f"{fit.aic:.1f}",
@@ -260,7 +268,7 @@ def study_text(study: Study) -> str:
             for name, fit in study.comparison.fits.items()
         ]
         parts.append(table(("model", "ϖ", "λ", "MSE", "AIC", "held-out NMSE", "delay"), rows))
-        parts.append(study.comparison.verdict)
+        parts.append("\n".join([*coincidence_text(study.comparison.fits), study.comparison.verdict]))
     if study.plan:
         parts.append(plan_text(study.plan))
     if study.runs:

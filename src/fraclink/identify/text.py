@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from fraclink.link import structure
@@ -10,7 +12,7 @@ if TYPE_CHECKING:
     from fraclink.identify.comparison import Comparison
     from fraclink.identify.fit import Fit
 
-__all__ = ["SYMBOLS", "comparison_text", "fit_text"]
+__all__ = ["SYMBOLS", "coincidence_text", "comparison_text", "fit_text", "frequency_text"]
 
 SYMBOLS = {
     "natural_frequency": ("ϖ", "s^(-λ/2)"),
@@ -33,6 +35,20 @@ def _parameters(fit: Fit) -> str:
         value = f"{symbol} = {getattr(fit.model, name):.6g}" + ("" if error is None else f" ± {error:.2g}")
         told.append(f"{value} {unit}".rstrip())
     return ", ".join(told)
+
+
+def frequency_text(fit: Fit) -> str:
+    """ϖ for a table; a dash where it ended at its bound, zero, and is no natural frequency."""
+    return f"{fit.model.natural_frequency:.4f}" if fit.model.natural_frequency else "–"
+
+
+def coincidence_text(fits: Mapping[str, Fit]) -> list[str]:
+    """What the dash of a table means: s²/(s² + μ s^α) is s^(2−α)/(s^(2−α) + μ), one model by two names."""
+    damped = fits.get("D-FOM")
+    if damped is None or damped.model.natural_frequency:
+        return []
+    order, frequency = 2.0 - damped.model.damping_order, math.sqrt(damped.model.damping)
+    return [f"– D-FOM ended at ϖ = 0: it is UD-FOM with λ = 2 − α = {order:.4f}, ϖ = √μ = {frequency:.4f}."]
 
 
 def fit_text(fit: Fit) -> str:
