@@ -170,18 +170,27 @@ def compare(
 
     Parameters
     ----------
-    rig: with a light hub (W601) it gets a gear of 50:1, and a note says so
-    model: what the designers know; default the rig's
-    link_mass: of the twin's link [kg]; default the rig's, or 7.35 g (a carbon rod of 3 mm) where that is 0
-    gain_crossover: of our design [rad/s]; phase_margin [rad]; filter_time: its δ [s], default the 10 % rule
-    payloads: at which the worst is looked for [kg], all > 0
-    reference: the move of the tip; default 1 rad in 1 s
-    names: run only the rivals whose names contain one of these words; ours always runs
-    seed: of the gauge's noise, the same for all
+    rig
+        with a light hub (W601) it gets a gear of 50:1, and a note says so
+    model
+        what the designers know; default the rig's
+    link_mass
+        of the twin's link [kg]; default the rig's, or 7.35 g (a carbon rod of 3 mm) where that is 0
+    gain_crossover, phase_margin, filter_time
+        of our design [rad/s], [rad], [s]; the filter's default is the 10 % rule
+    payloads
+        at which the worst is looked for [kg], all > 0
+    reference
+        the move of the tip; default 1 rad in 1 s
+    names
+        run only the rivals whose names contain one of these words; ours always runs
+    seed
+        of the gauge's noise, the same for all
 
     Raises
     ------
-    FieldError: the rig has no model, or a value is out of range.
+    FieldError
+        the rig has no model, or a value is out of range.
 
     >>> import fraclink as fl
     >>> result = compare(fl.Rig.named("paper-2023"), payloads=(0.030,), names=["ZV shaping"])

@@ -79,15 +79,23 @@ class Twin:
 
     Parameters
     ----------
-    beam: link and payload
-    damping: what the link's material does
-    motor: motor and amplifier as in the rig file; its inertia, friction and torques act at the gear's
+    beam
+        link and payload
+    damping
+        what the link's material does
+    motor
+        motor and amplifier as in the rig file; its inertia, friction and torques act at the gear's
         output as n²J, n²ν, nΓc and nK V
-    sensors: encoder and gauge
-    stiction: breakaway torque at the motor's side [N·m], >= the Coulomb torque; default 1.2 times that
-    voltage_delay: control periods between reading the sensors and the voltage's effect, 0 to 100
-    modes: number of modes; default as many of the first three as the step resolves
-    step: longest exact step [s]
+    sensors
+        encoder and gauge
+    stiction
+        breakaway torque at the motor's side [N·m], >= the Coulomb torque; default 1.2 times that
+    voltage_delay
+        control periods between reading the sensors and the voltage's effect, 0 to 100
+    modes
+        number of modes; default as many of the first three as the step resolves
+    step
+        longest exact step [s]
 
     >>> from fraclink.rig import Rig
     >>> twin = Twin.from_rig(Rig.named("paper-2023"), link_mass=0.00735)
@@ -136,8 +144,10 @@ class Twin:
         Parameters
         ----------
         payload, link_mass [kg], rigidity: see `Beam.from_rig`
-        damping: default the material of the rig's model (`damping_of`)
-        gauge_delay: of the strain amplifier [s]
+        damping
+            default the material of the rig's model (`damping_of`)
+        gauge_delay
+            of the strain amplifier [s]
         """
         if damping is None:
             if rig.model is None:

@@ -55,16 +55,22 @@ class Beam:
 
     Parameters
     ----------
-    length: length L of the link [m], > 0
-    flexural_rigidity: EI [N·m²], > 0
-    link_mass: mass ρA·L of the whole link [kg], >= 0
-    payload: mass m at the tip [kg], >= 0; link and payload must not both be massless
-    payload_inertia: moment of inertia of the payload about the tip [kg·m²], >= 0. The default 0 is the
+    length
+        length L of the link [m], > 0
+    flexural_rigidity
+        EI [N·m²], > 0
+    link_mass
+        mass ρA·L of the whole link [kg], >= 0
+    payload
+        mass m at the tip [kg], >= 0; link and payload must not both be massless
+    payload_inertia
+        moment of inertia of the payload about the tip [kg·m²], >= 0. The default 0 is the
         paper's rig: the disk turns freely, so no moment acts at the tip.
 
     Raises
     ------
-    FieldError: a value is negative, not finite, or there is nothing that could move.
+    FieldError
+        a value is negative, not finite, or there is nothing that could move.
 
     >>> rod = Beam(length=0.65, flexural_rigidity=0.26, link_mass=0.00735, payload=0.030)
     >>> [round(w, 2) for w in rod.modes(3).frequencies.tolist()]
@@ -146,8 +152,10 @@ class Beam:
 
         Parameters
         ----------
-        payload: mass at the tip [kg]; default the rig's nominal payload
-        link_mass: mass of the link [kg]; default the rig's
+        payload
+            mass at the tip [kg]; default the rig's nominal payload
+        link_mass
+            mass of the link [kg]; default the rig's
         """
         if rigidity not in ("stiffness", "tabulated"):
             raise FieldError(

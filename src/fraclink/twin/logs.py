@@ -106,13 +106,18 @@ def simulate_log(
 
     Parameters
     ----------
-    reference: hub reference, one value per period [rad], shape (N,). With ``drive="servo"`` it is held over
+    reference
+        hub reference, one value per period [rad], shape (N,). With ``drive="servo"`` it is held over
         the period and the hub follows through M(s) = 1/(1 + s/p)², equation (21); with ``"prescribed"`` the
         hub passes through the samples on straight lines.
-    sensors: imperfections; default none
-    modes: modes of the link; default as many of the first three as `step` resolves
-    step: longest exact step [s], at most 1 ms
-    seed: of the gauge's noise
+    sensors
+        imperfections; default none
+    modes
+        modes of the link; default as many of the first three as `step` resolves
+    step
+        longest exact step [s], at most 1 ms
+    seed
+        of the gauge's noise
 
     >>> import numpy as np
     >>> from fraclink.twin import PowerLaw

@@ -67,15 +67,21 @@ def run_twin(
 
     Parameters
     ----------
-    law: single or double precision; where it has no inner loop it gets that of the twin's motor
-    reference: of the tip, with velocity and acceleration; `.then()` makes several moves in a row
-    duration: of the run [s]; default the reference's and 3 s more
-    events: changes of payload, pulses, obstacles, restarts
-    seed: of the gauge's noise
+    law
+        single or double precision; where it has no inner loop it gets that of the twin's motor
+    reference
+        of the tip, with velocity and acceleration; `.then()` makes several moves in a row
+    duration
+        of the run [s]; default the reference's and 3 s more
+    events
+        changes of payload, pulses, obstacles, restarts
+    seed
+        of the gauge's noise
 
     Raises
     ------
-    FieldError: the law has another period than its inner loop; the duration is out of range.
+    FieldError
+        the law has another period than its inner loop; the duration is out of range.
 
     >>> import fraclink as fl
     >>> from fraclink.reference import smooth_step

@@ -176,12 +176,18 @@ def assemble(
 
     Parameters
     ----------
-    drive: what moves the hub, see the module's equations
-    modes: number of modes; default as many of the first three as `step` resolves
-    step: longest step that will be taken [s]
-    hub_inertia: J of motor and hub at the link's side [kg·m²], drive "motor" only
-    hub_friction: ν [N·m·s/rad], drive "motor" only
-    servo_pole: p of M(s) = 1/(1 + s/p)² [rad/s], drive "servo" only
+    drive
+        what moves the hub, see the module's equations
+    modes
+        number of modes; default as many of the first three as `step` resolves
+    step
+        longest step that will be taken [s]
+    hub_inertia
+        J of motor and hub at the link's side [kg·m²], drive "motor" only
+    hub_friction
+        ν [N·m·s/rad], drive "motor" only
+    servo_pole
+        p of M(s) = 1/(1 + s/p)² [rad/s], drive "servo" only
 
     >>> from fraclink.twin import PowerLaw
     >>> rod = Beam(0.65, 0.338, 0.0, 0.030)

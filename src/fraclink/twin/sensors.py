@@ -21,13 +21,20 @@ class Sensors:
 
     Parameters
     ----------
-    counts_per_revolution: encoder counts per turn of the hub, None for a continuous angle
-    gauge_noise: standard deviation of white noise [N·m], >= 0
-    gauge_offset: constant error [N·m]
-    gauge_drift: its growth [N·m/s]
-    gauge_quantum: resolution of the converter [N·m], 0 for none
-    gauge_limit: readings are clipped to ± this [N·m], None for no limit
-    gauge_delay: delay of the strain amplifier [s], >= 0
+    counts_per_revolution
+        encoder counts per turn of the hub, None for a continuous angle
+    gauge_noise
+        standard deviation of white noise [N·m], >= 0
+    gauge_offset
+        constant error [N·m]
+    gauge_drift
+        its growth [N·m/s]
+    gauge_quantum
+        resolution of the converter [N·m], 0 for none
+    gauge_limit
+        readings are clipped to ± this [N·m], None for no limit
+    gauge_delay
+        delay of the strain amplifier [s], >= 0
 
     >>> import numpy as np
     >>> Sensors(gauge_quantum=0.1, gauge_offset=0.02).gauge(np.array([0.11, 0.19]), period=0.004)
