@@ -7,7 +7,6 @@
 #ifndef FRACLINK_FMU_CORE_H
 #define FRACLINK_FMU_CORE_H
 
-#include <float.h>
 #include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -113,21 +112,6 @@ static fmu_status fmu_terminate(fmu_instance *me)
     return FMU_OK;
 }
 
-/* A law in single precision: the cast of a double beyond float is undefined in C. The law refuses both alike. */
-static law_real fmu_narrowed(double value)
-{
-#ifdef LAW_SINGLE
-    double kept = value;
-    if (value > (double)FLT_MAX)
-        kept = (double)FLT_MAX;
-    if (value < -(double)FLT_MAX)
-        kept = -(double)FLT_MAX;
-    return (law_real)kept;
-#else
-    return value;
-#endif
-}
-
 /* Before the first step the outputs are those of an arm at rest where its encoder says: a drive that follows
  * motor_reference is not thrown to 0 for a period. */
 static void fmu_rest(fmu_memory *m)
@@ -212,10 +196,11 @@ static fmu_status fmu_step(fmu_instance *me, double now, double step)
         return fmu_refuse(me, message);
     }
     in.tick = m->tick; /* from 0, as in the package's simulation */
-    in.reference = fmu_narrowed(m->reals[0]);
-    in.reference_acceleration = fmu_narrowed(m->reals[1]);
-    in.motor_angle = fmu_narrowed(m->reals[2]);
-    in.torque = fmu_narrowed(m->reals[3]);
+    /* a double beyond float becomes infinite, as in the package, and is refused by the law */
+    in.reference = (law_real)m->reals[0];
+    in.reference_acceleration = (law_real)m->reals[1];
+    in.motor_angle = (law_real)m->reals[2];
+    in.torque = (law_real)m->reals[3];
     law_step(&m->law, &law_data, &in, &out);
     m->reals[4] = (double)out.motor_reference;
     m->reals[5] = (double)out.voltage;

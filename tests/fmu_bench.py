@@ -1,0 +1,189 @@
+"""What the tests of the FMU share: a long eventful run of the twin, and an FMU in FMPy's hands."""
+
+from __future__ import annotations
+
+import functools
+import importlib.util
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import fraclink as fl
+from fraclink.law import Law, discretize_controller
+from fraclink.reference import Path as Trajectory
+from fraclink.twin import PayloadChange, SensorFault, TipPulse, Twin, TwinRun, geared, run_twin
+from law_bench import default_controller
+from needed_tools import missing
+
+INPUTS, REALS, WHOLES = (0, 1, 2, 3), (4, 5, 6), (7, 8, 9)
+
+
+@functools.cache
+def geared_law(precision: str) -> tuple[Twin, Law]:
+    """The twin of the geared rig, and a law with its motor loop."""
+    rig = geared(fl.Rig.named("paper-2023"))
+    law = discretize_controller(default_controller(), rig.period, rig=rig)
+    return Twin.from_rig(rig, link_mass=0.00735), law.in_precision(precision)  # type: ignore[arg-type]
+
+
+def _moves(count: int) -> Trajectory:
+    """Back and forth; every tenth move is too fast for the motor, which then saturates."""
+    path = fl.smooth_step(1.0, duration=0.6, start=0.4)
+    for k in range(1, count):
+        duration = 0.25 if k % 10 == 5 else 0.5 + 0.01 * (k % 40)
+        path = path.then(fl.smooth_step((-1.0) ** k, duration=duration, start=0.8))
+    return path
+
+
+def _events(period: float, law: Law, end: float, ending: str) -> list[Any]:
+    """Faults that the law rides through, and at last those that it does not: see `ending`."""
+    kinds = (
+        ("gauge value", math.nan),
+        ("encoder value", math.nan),
+        ("gauge value", math.inf),
+        ("encoder value", -9.0),
+        ("gauge value", 1e300),  # beyond a float: a law in single precision must refuse it too
+        ("gauge offset", 0.05),
+    )
+    events: list[Any] = [PayloadChange(0.3 * end, 0.040), PayloadChange(0.55 * end, 0.020)]
+    events += [TipPulse(0.1 * end + 0.085 * k * end, 0.3) for k in range(6)]
+    for k in range(40):
+        kind, value = kinds[k % len(kinds)]
+        begin = 0.01 * end + 0.0175 * k * end
+        lasting = 200 if kind == "gauge offset" else 3
+        events.append(SensorFault(begin, begin + lasting * period, kind, value))
+    if ending == "degraded":  # the gauge is lost, later the encoder stands still while the motor is driven
+        events.append(SensorFault(0.8 * end, 0.81 * end, "gauge value", math.nan))
+        events.append(SensorFault(0.9 * end, 2 * end, "encoder frozen"))
+    else:  # the torque of a blocked link rises step by step: hold; later the encoder is lost: off
+        rise = np.linspace(0.0, law.limits.torque_trip + 0.5, 40)
+        for k, offset in enumerate(rise):
+            begin = 0.8 * end + k * period
+            until = 0.85 * end if k == len(rise) - 1 else begin + period
+            events.append(SensorFault(begin, until, "gauge offset", float(offset)))
+        events.append(SensorFault(0.9 * end, 2 * end, "encoder value", math.nan))
+    return events
+
+
+@functools.cache
+def eventful(periods: int, precision: str, ending: str) -> tuple[Law, NDArray[np.float64], TwinRun]:
+    """A run of the twin under its law: the law, what the law read, shape (4, periods + 1), and the run."""
+    twin, law = geared_law(precision)
+    end = periods * law.period
+    reference = _moves(math.ceil(end / 1.45))
+    events = _events(law.period, law, end, ending)
+    run = run_twin(twin, law, reference, duration=end, events=events, seed=3)
+    rows = np.array(
+        [run.reference, reference.acceleration(run.time), run.motor_angle_measured, run.torque_measured]
+    )
+    return law, rows, run
+
+
+class Imported:
+    """An FMU that FMPy has loaded, with one face for both versions; `messages` is what it told its logger."""
+
+    def __init__(self, file: Path, folder: Path, *, logging: bool = True, token: str | None = None) -> None:
+        if importlib.util.find_spec("fmpy") is None:
+            missing("FMPy is not installed (Python package fmpy)")
+        import fmpy
+        from fmpy.fmi2 import FMU2Slave
+        from fmpy.fmi3 import FMU3Slave
+
+        self.about = fmpy.read_model_description(file)
+        self.fmi = int(self.about.fmiVersion[0])
+        self.messages: list[str] = []
+        fmpy.extract(file, unzipdir=folder)
+        self.slave: Any = (FMU2Slave if self.fmi == 2 else FMU3Slave)(
+            guid=self.about.guid if token is None else token,
+            modelIdentifier=self.about.coSimulation.modelIdentifier,
+            unzipDirectory=str(folder),
+        )
+        self.instance = self._instantiate(logging)
+        self._inputs, self._values = (_array("c_uint", 4, INPUTS), _array("c_double", 4))
+        self._reals, self._real_values = (_array("c_uint", 3, REALS), _array("c_double", 3))
+        self._wholes = _array("c_uint", 3, WHOLES)
+        self._whole_values = _array("c_int" if self.fmi == 2 else "c_uint32", 3)
+
+    def _instantiate(self, logging: bool) -> Any:
+        if self.fmi == 3:
+            self.slave.instantiate(loggingOn=logging, logMessage=lambda *told: self._hear(told))
+            return self.slave.component
+        from ctypes import byref
+
+        from fmpy.fmi1 import fmi1CallbackLoggerTYPE
+        from fmpy.fmi2 import fmi2CallbackFunctions
+        from fmpy.logging import addLoggerProxy
+
+        callbacks = fmi2CallbackFunctions()
+        callbacks.logger = fmi1CallbackLoggerTYPE(lambda *told: self._hear(told))
+        addLoggerProxy(byref(callbacks))
+        self.slave.instantiate(callbacks=callbacks, loggingOn=logging)
+        return self.slave.component
+
+    def _hear(self, told: tuple[Any, ...]) -> None:
+        self.messages.append(told[-1].decode())
+
+    def call(self, name: str, *arguments: Any) -> Any:
+        """Call a function of the standard by its name without "fmi2" or "fmi3"."""
+        return self.slave._call(f"fmi{self.fmi}{name}", self.instance, *arguments)
+
+    def initialize(self, start: float = 0.0) -> None:
+        """From instantiation to the first step."""
+        if self.fmi == 2:
+            self.slave.setupExperiment(startTime=start)
+            self.slave.enterInitializationMode()
+        else:
+            self.slave.enterInitializationMode(startTime=start)
+        self.slave.exitInitializationMode()
+
+    def write(self, values: NDArray[np.float64]) -> None:
+        """Set the four inputs."""
+        self._values[:] = values.tolist()
+        if self.fmi == 2:
+            self.call("SetReal", self._inputs, 4, self._values)
+        else:
+            self.call("SetFloat64", self._inputs, 4, self._values, 4)
+
+    def read(self) -> list[float]:
+        """Return the six outputs."""
+        if self.fmi == 2:
+            self.call("GetReal", self._reals, 3, self._real_values)
+            self.call("GetInteger", self._wholes, 3, self._whole_values)
+        else:
+            self.call("GetFloat64", self._reals, 3, self._real_values, 3)
+            self.call("GetUInt32", self._wholes, 3, self._whole_values, 3)
+        return [*self._real_values, *self._whole_values]
+
+    def step(self, now: float, size: float) -> None:
+        """One communication step."""
+        self.slave.doStep(now, size)
+
+    def run(
+        self, rows: NDArray[np.float64], period: float, *, first: int = 0, each: Callable[[int], None] = id
+    ) -> NDArray[np.float64]:
+        """Step through `rows`, shape (4, N), from period `first` on; return the outputs, shape (N, 6)."""
+        got = np.empty((rows.shape[1], 6))
+        for k, values in enumerate(rows.T):
+            self.write(values)
+            self.step((first + k) * period, period)
+            got[k] = self.read()
+            each(k)
+        return got
+
+    def save(self) -> Any:
+        """Take a snapshot of the simulation."""
+        return self.slave.getFMUstate() if self.fmi == 2 else self.slave.getFMUState()
+
+    def restore(self, state: Any) -> None:
+        """Go back to a snapshot."""
+        self.slave.setFMUstate(state) if self.fmi == 2 else self.slave.setFMUState(state)
+
+
+def _array(kind: str, length: int, values: tuple[int, ...] = ()) -> Any:
+    import ctypes
+
+    return (getattr(ctypes, kind) * length)(*values)

@@ -1,0 +1,232 @@
+"""The FMU's calls out of order, with wrong values, saved, restored and in pairs, as FMPy makes them."""
+
+from __future__ import annotations
+
+import ctypes
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fmu_bench import Imported
+from fraclink.export import export_fmu
+from law_bench import PERIOD, law, signals
+from needed_tools import tool
+
+ROWS = signals(300)
+ERROR = 3
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> dict[int, Path]:
+    tool("cc", "gcc")
+    place = tmp_path_factory.mktemp("fmus")
+    return {fmi: export_fmu(law(), place / f"arm{fmi}.fmu", fmi=fmi) for fmi in (2, 3)}  # type: ignore[arg-type]
+
+
+@pytest.fixture(params=[2, 3])
+def arm(request: pytest.FixtureRequest, files: dict[int, Path], tmp_path: Path) -> Imported:
+    return Imported(files[request.param], tmp_path / "fmu")
+
+
+def _refused(arm: Imported, why: str, name: str, *arguments: object) -> None:
+    """The call ends in an error that says why, and ends the simulation."""
+    from fmpy.fmi1 import FMICallException
+
+    arm.messages.clear()
+    with pytest.raises(FMICallException) as told:
+        if name == "DoStep":
+            arm.step(*arguments)  # type: ignore[arg-type]
+        elif name == "EnterInitializationMode":
+            arm.slave.enterInitializationMode()
+        else:
+            arm.call(name, *arguments)
+    assert told.value.status == ERROR
+    assert len(arm.messages) == 1 and why in arm.messages[0], arm.messages
+
+
+def test_another_step_than_the_period_is_an_error_until_a_reset(arm: Imported) -> None:
+    arm.initialize()
+    fresh = arm.run(ROWS, PERIOD)
+    _refused(
+        arm, "set the communication step to 0.004 s (it was 0.008 s)", "DoStep", 300 * PERIOD, 2 * PERIOD
+    )
+    _refused(arm, "initialize first, or reset", "DoStep", 300 * PERIOD, PERIOD)
+    assert arm.read() == fresh[-1].tolist()  # what was reached can still be read
+    arm.call("Reset")
+    arm.initialize()
+    np.testing.assert_array_equal(arm.run(ROWS, PERIOD), fresh)
+
+
+@pytest.mark.parametrize("step", [0.0, -PERIOD, float("nan"), float("inf"), PERIOD * (1 + 1e-5)])
+def test_steps_that_are_none(arm: Imported, step: float) -> None:
+    arm.initialize()
+    _refused(arm, "communication step", "DoStep", 0.0, step)
+
+
+def test_rounding_of_the_step_is_no_error(arm: Imported) -> None:
+    arm.initialize(1e5)
+    now = 1e5
+    for _ in range(50):
+        after = now + PERIOD
+        arm.step(now, after - now)  # 1.4e-11 s of rounding
+        now = after
+
+
+def test_steps_follow_each_other(arm: Imported) -> None:
+    arm.initialize(5.0)
+    arm.step(5.0, PERIOD)
+    arm.step(5.0 + PERIOD, PERIOD)
+    _refused(arm, "the last one ended at 5.008 s, this one begins at 5.004 s", "DoStep", 5.0 + PERIOD, PERIOD)
+    arm.call("Reset")
+    arm.initialize()
+    arm.step(0.0, PERIOD)
+    _refused(arm, "this one begins at 0.008 s", "DoStep", 2 * PERIOD, PERIOD)
+
+
+def test_calls_out_of_order(arm: Imported) -> None:
+    _refused(arm, "outside the simulation", "DoStep", 0.0, PERIOD)
+    arm.call("Reset")
+    _refused(arm, "without having been entered", "ExitInitializationMode")
+    arm.call("Reset")
+    _refused(arm, "only a simulation that runs", "Terminate")
+    arm.call("Reset")
+    arm.initialize()
+    _refused(arm, "before initialization only" if arm.fmi == 3 else "entered once", "EnterInitializationMode")
+    arm.call("Reset")
+    arm.initialize()
+    arm.call("Terminate")
+    assert arm.read()[3] == 0
+    _refused(arm, "outside the simulation", "DoStep", 0.0, PERIOD)
+    _refused(arm, "after the end", *_writing(arm, 0, 1.0))
+
+
+def _writing(arm: Imported, reference: int, value: float) -> tuple[object, ...]:
+    references, values = (ctypes.c_uint * 1)(reference), (ctypes.c_double * 1)(value)
+    if arm.fmi == 2:
+        return "SetReal", references, 1, values
+    return "SetFloat64", references, 1, values, 1
+
+
+@pytest.mark.parametrize("reference", [4, 6, 9, 10, 11, 2**32 - 1])
+def test_only_inputs_are_set(arm: Imported, reference: int) -> None:
+    arm.initialize()
+    _refused(arm, "that is no input", *_writing(arm, reference, 1.0))
+
+
+def test_wrong_kinds_of_variables(arm: Imported) -> None:
+    arm.initialize()
+    references, reals, wholes = (ctypes.c_uint * 1)(7), (ctypes.c_double * 1)(), (ctypes.c_uint32 * 1)()
+    flags = (ctypes.c_bool * 1)() if arm.fmi == 3 else (ctypes.c_int * 1)()
+    more = (1,) if arm.fmi == 3 else ()
+    real, whole = {2: ("Real", "Integer"), 3: ("Float64", "UInt32")}[arm.fmi]
+    if arm.fmi == 2:
+        wholes = (ctypes.c_int * 1)()  # type: ignore[assignment]
+    _refused(arm, "no real number", f"Get{real}", references, 1, reals, *more)
+    arm.call("Reset")
+    references[0] = 4
+    _refused(arm, "no whole number", f"Get{whole}", references, 1, wholes, *more)
+    arm.call("Reset")
+    _refused(arm, "no variable has the type", "GetBoolean", references, 1, flags, *more)
+    arm.call("Reset")
+    arm.call("GetBoolean", references, 0, flags, *(0 for _ in more))  # nothing is asked for
+    if arm.fmi == 3:
+        _refused(arm, "one value for each reference", "GetFloat64", references, 1, reals, 2)
+
+
+def test_what_is_not_offered_says_so(arm: Imported) -> None:
+    arm.initialize()
+    _refused(arm, "does not offer", *(("CancelStep",) if arm.fmi == 2 else ("EnterEventMode",)))
+
+
+def test_instances_that_cannot_be(arm: Imported, files: dict[int, Path], tmp_path: Path) -> None:
+    arm.messages.clear()
+    if arm.fmi == 2:
+        answer = arm.slave.fmi2Instantiate(b"x", 0, b"", b"", ctypes.byref(arm.slave.callbacks), 0, 0)
+        assert not answer and "not for model exchange" in arm.messages[0]
+    else:
+        hear = lambda *told: arm.messages.append(told[-1].decode())  # noqa: E731
+        with pytest.raises(Exception, match="instantiate"):
+            arm.slave.instantiate(eventModeUsed=True, logMessage=hear)
+        assert "neither event mode" in arm.messages[0]
+    with pytest.raises(Exception, match="instantiate"):
+        Imported(files[arm.fmi], tmp_path / "other", token="{another}")  # noqa: S106 - no secret
+
+
+def test_fmi_3_is_silent_where_logging_is_off(files: dict[int, Path], tmp_path: Path) -> None:
+    from fmpy.fmi1 import FMICallException
+
+    arm = Imported(files[3], tmp_path / "fmu", logging=False)
+    for wanted, categories in ((0, None), (1, [b"logStatusError"]), (0, [b"logAll"]), (1, [])):
+        if categories is not None:
+            arm.slave.setDebugLogging(True, [name.decode() for name in categories])
+        arm.call("Reset")
+        arm.messages.clear()
+        with pytest.raises(FMICallException):
+            arm.step(0.0, PERIOD)
+        assert len(arm.messages) == wanted, categories
+
+
+def test_before_the_first_step_the_arm_rests_where_it_is(arm: Imported) -> None:
+    arm.write(np.array([0.0, 0.0, 0.7, 0.156]))
+    stiffness = law().stiffness
+    assert arm.read() == pytest.approx([0.7, 0.0, 0.7 - 0.156 / stiffness, 0, 0, 0])
+    arm.write(np.array([0.0, 0.0, np.nan, np.inf]))
+    assert arm.read() == [0.0, 0.0, 0.0, 0, 0, 0]
+
+
+def test_a_saved_state_comes_back_also_after_an_error(arm: Imported) -> None:
+    arm.initialize()
+    arm.run(ROWS[:, :200], PERIOD)
+    saved = arm.save()
+    first = arm.run(ROWS[:, 200:], PERIOD, first=200)
+    _refused(arm, "communication step", "DoStep", 1.2, 1.0)
+    arm.restore(saved)
+    np.testing.assert_array_equal(arm.run(ROWS[:, 200:], PERIOD, first=200), first)
+
+
+def test_a_serialized_state_goes_on_in_another_instance(
+    arm: Imported, files: dict[int, Path], tmp_path: Path
+) -> None:
+    arm.initialize()
+    arm.run(ROWS[:, :200], PERIOD)
+    write, read = (
+        ("serializeFMUstate", "deSerializeFMUstate")
+        if arm.fmi == 2
+        else ("serializeFMUState", "deserializeFMUState")
+    )
+    stored = getattr(arm.slave, write)(arm.save())
+    other = Imported(files[arm.fmi], tmp_path / "other")
+    other.restore(getattr(other.slave, read)(stored))
+    np.testing.assert_array_equal(
+        other.run(ROWS[:, 200:], PERIOD, first=200), arm.run(ROWS[:, 200:], PERIOD, first=200)
+    )
+    from fmpy.fmi1 import FMICallException
+
+    for damaged, why in ((stored[:-1], "another size"), (bytes([stored[0] ^ 1]) + stored[1:], "another law")):
+        with pytest.raises(FMICallException):
+            getattr(other.slave, read)(damaged)
+        assert why in other.messages[-1]
+
+
+def test_two_instances_do_not_see_each_other(arm: Imported) -> None:
+    arm.initialize()
+    alone = arm.run(ROWS, PERIOD)
+    arm.call("Reset")
+    first, second = arm.instance, arm._instantiate(True)
+    for instance in (first, second):
+        arm.instance = arm.slave.component = instance
+        arm.initialize()
+    got: dict[int, list[list[float]]] = {0: [], 1: []}
+    for k in range(ROWS.shape[1]):
+        for number, instance in enumerate((first, second)):
+            arm.instance = arm.slave.component = instance
+            arm.write(ROWS[:, k] * (1 - 2 * number))  # the second one moves the other way
+            arm.step(k * PERIOD, PERIOD)
+            got[number].append(arm.read())
+    np.testing.assert_array_equal(np.array(got[0]), alone)
+    np.testing.assert_array_equal(np.array(got[1])[:, :3], -alone[:, :3])
+    arm.instance = first
+    arm.call("FreeInstance")
+    arm.instance = second
+    arm.read()  # the other one lives on
