@@ -1,7 +1,8 @@
-"""The outer controller of the tip: ``C(s) = 1 + k_d s^β / (1 + δ s)^n`` (eq. (57))."""
+"""The outer controller of the tip: ``C(s) = 1 + k_d s^β / (1 + δ s)^n`` (eq. (57)), and a lead."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from fraclink.law.block import Precision
     from fraclink.link import LinkModel
 
-__all__ = ["Controller", "InnerLoopSettings"]
+__all__ = ["Controller", "InnerLoopSettings", "Lead"]
 
 _LARGEST = 1e12  # gains and times beyond it are slips of the pen; squaring them must not overflow
 
@@ -58,10 +59,68 @@ class InnerLoopSettings:
 
 
 @dataclass(frozen=True)
+class Lead:
+    """A fractional lead ``(1 + (a s)^ν)/(1 + (b s)^ν)``; with a < b it is a lag, an integrator that ends.
+
+    It is one at s = 0. Behind s^β it leaves ``C(0) = 1``, and with it the rejection of the gauge's offset,
+    as it was; a pure integrator k_i s^-α would take it away.
+
+    Parameters
+    ----------
+    zero_time
+        a [s], > 0.
+    pole_time
+        b [s], > 0.
+    order
+        ν, 0 < ν <= 1: no pole on the principal sheet but -1/b for ν = 1.
+
+    Examples
+    --------
+    >>> from fraclink.controller import Lead
+    >>> lead = Lead(zero_time=0.18, pole_time=0.045, order=0.5)
+    >>> print(f"{abs(lead.response(1e-9)):.3f} {abs(lead.response(1e9)):.3f}")
+    1.000 2.000
+    """
+
+    zero_time: float
+    pole_time: float
+    order: float
+
+    def __post_init__(self) -> None:
+        for field, high, unit in (("zero_time", 1e6, "s"), ("pole_time", 1e6, "s"), ("order", 1.0, "")):
+            value = checked_between(f"lead.{field}", getattr(self, field), 0.0, high, unit, open_low=True)
+            object.__setattr__(self, field, value)
+
+    def log(self, frequency: ArrayLike) -> NDArray[np.complex128]:
+        """Return its logarithm at real `frequency` [rad/s] > 0; the phase is continuous, as ν <= 1."""
+        turned = np.exp(self.order * (np.log(np.asarray(frequency, dtype=float)) + 0.5j * np.pi))
+        up, down = (np.log1p(time**self.order * turned) for time in (self.zero_time, self.pole_time))
+        return np.asarray(up - down, dtype=np.complex128)
+
+    def response(self, frequency: ArrayLike) -> NDArray[np.complex128]:
+        """Return its value at jω, real `frequency` [rad/s] > 0, shape kept."""
+        return np.asarray(np.exp(self.log(frequency)), dtype=np.complex128)
+
+    def at(self, s: ArrayLike) -> NDArray[np.complex128]:
+        """Return its value at complex `s` [rad/s] with |arg s| < π, shape kept."""
+        power = np.exp(self.order * np.log(np.asarray(s, dtype=np.complex128)))
+        up, down = (1.0 + time**self.order * power for time in (self.zero_time, self.pole_time))
+        return np.asarray(up / down, dtype=np.complex128)
+
+    def transfer(self) -> FractionalTransferFunction:
+        """Return it as a fractional transfer function."""
+        from fraclink.fractional import s
+
+        power = s**self.order
+        up, down = (math.pow(time, self.order) for time in (self.zero_time, self.pole_time))
+        return (1.0 + up * power) / (1.0 + down * power)
+
+
+@dataclass(frozen=True)
 class Controller:
     """The fractional outer controller and what it was designed for.
 
-    ``C(s) = 1 + Ĉ(s)``, ``Ĉ(s) = k_d s^β / (1 + δ s)^n`` (eqs. (28), (56), (57)).
+    ``C(s) = 1 + Ĉ(s)``, ``Ĉ(s) = k_d s^β / (1 + δ s)^n`` (eqs. (28), (56), (57)), times its `Lead`.
     ``C(0) = 1`` removes the gauge's offset from the tip (eq. (27)).
 
     Parameters
@@ -80,6 +139,8 @@ class Controller:
         the inner loop the controller was designed for.
     period
         control period [s] it was designed for.
+    lead
+        the lead that `optimise` may add; none in the paper's structure.
 
     Raises
     ------
@@ -101,6 +162,7 @@ class Controller:
     link: LinkModel | None = None
     inner: InnerLoopSettings | None = None
     period: float | None = None
+    lead: Lead | None = None
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__
@@ -124,6 +186,25 @@ class Controller:
             set_(self, "period", checked_between("period", self.period, 0.0, 10.0, "s", open_low=True))
 
     @property
+    def formula(self) -> str:
+        """C(s) as text, numbers to five digits.
+
+        >>> from fraclink.controller import Controller
+        >>> Controller(gain=0.148, order=0.65, filter_time=0.16, filter_order=2).formula
+        'C(s) = 1 + 0.148 s^0.65 / (1 + 0.16 s)^2'
+        """
+        text = f"C(s) = 1 + {self.gain:.5g} s^{self.order:.5g}"
+        if self.filter_time:
+            text += f" / (1 + {self.filter_time:.5g} s)" + ("" if self.filter_order == 1 else "^2")
+        if self.lead is None:
+            return text
+        up, down = (
+            f"(1 + ({time:.5g} s)^{self.lead.order:.5g})"
+            for time in (self.lead.zero_time, self.lead.pole_time)
+        )
+        return f"{text} · {up}/{down}"
+
+    @property
     def is_strictly_proper(self) -> bool:
         """Whether Ĉ(jω) → 0 for ω → ∞, the high-frequency noise condition (32)."""
         return self.filter_time > 0.0 and self.filter_order > self.order
@@ -137,14 +218,16 @@ class Controller:
         """
         w = np.asarray(frequency, dtype=float)
         # k ω^β e^{jπβ/2}: the power of a real base, so that no branch has to be chosen.
-        lead = self.gain * np.power(w, self.order) * np.exp(0.5j * np.pi * self.order)
-        return np.asarray(lead / (1.0 + 1j * self.filter_time * w) ** self.filter_order, dtype=np.complex128)
+        derivative = self.gain * np.power(w, self.order) * np.exp(0.5j * np.pi * self.order)
+        value = derivative / (1.0 + 1j * self.filter_time * w) ** self.filter_order
+        return np.asarray(value if self.lead is None else value * self.lead.response(w), dtype=np.complex128)
 
     def correction(self) -> FractionalTransferFunction:
         """Return ``Ĉ(s) = k_d s^β/(1 + δ s)^n`` as a fractional transfer function (eq. (57))."""
         from fraclink.fractional import s
 
-        return self.gain * s**self.order / (1.0 + self.filter_time * s) ** self.filter_order
+        plain = self.gain * s**self.order / (1.0 + self.filter_time * s) ** self.filter_order
+        return plain if self.lead is None else plain * self.lead.transfer()
 
     def transfer(self) -> FractionalTransferFunction:
         """Return ``C(s) = 1 + Ĉ(s)`` as a fractional transfer function (eq. (57))."""

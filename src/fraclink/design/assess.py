@@ -54,12 +54,12 @@ def phase_budget(plan: Plan, payload: float) -> tuple[PhaseShare, ...]:
     loop = open_loop(plan.controller, plan.model, plan.rig, margins="loop")
     pi = plan.natural_frequency(payload)
     w = float(np.max(loop.crossings(pi, highest=math.pi / plan.rig.period).frequency))
-    bare = OpenLoop(1.0, 0.0, loop.link_order, loop.damping, loop.damping_order)
     inner = 0.0 if loop.correction is None else float(loop.correction(np.asarray(w)).imag)
     return (
-        PhaseShare("link", float(bare.log(w, pi).imag)),
+        PhaseShare("link", float(loop.link().log(w, pi).imag)),
         PhaseShare("derivative", 0.5 * math.pi * loop.order),
         PhaseShare("filter", -loop.filter_order * math.atan(loop.filter_time * w)),
+        *(() if loop.lead is None else (PhaseShare("lead", float(loop.lead.log(w).imag)),)),
         PhaseShare("motor loop", -2.0 * math.atan(loop.lag * w) + inner),
         PhaseShare("hold", -0.5 * plan.rig.period * w),
         PhaseShare("computation delay", -(loop.delay - 0.5 * plan.rig.period) * w),
@@ -207,7 +207,7 @@ def spillover(plan: Plan, modes: Sequence[VibrationMode], *, limit: float = 0.5)
     """
     checked_between("limit", limit, 0.0, 1e3, "", open_low=True)
     loop = open_loop(plan.controller, plan.model, plan.rig, margins="loop")
-    link = replace(loop, gain=1.0, order=0.0, filter_time=0.0, lag=0.0, delay=0.0, correction=None)
+    link = loop.link()
     pi = plan.natural_frequencies[1]
     found = []
     for number, mode in enumerate(modes, start=2):

@@ -7,7 +7,7 @@ from dataclasses import asdict, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fraclink.controller import Controller, InnerLoopSettings
+from fraclink.controller import Controller, InnerLoopSettings, Lead
 from fraclink.errors import FieldError, FileFormatError
 from fraclink.files import read_json, write_json
 from fraclink.findings import Finding
@@ -18,7 +18,8 @@ if TYPE_CHECKING:
 
 __all__ = ["controller_from", "load_plan", "save_plan"]
 
-KIND, FORMAT = "design", 1
+KIND, FORMAT = "design", 2
+_WITHOUT_LEAD = 1  # the format of 0.1, whose controllers have no lead
 
 
 def save_plan(plan: Plan, path: Path) -> None:
@@ -78,7 +79,7 @@ def load_plan(path: Path) -> Plan:
     from fraclink.rig import Rig
     from fraclink.rig.reading import parse_arguments
 
-    data = read_json(path, KIND, (FORMAT,))
+    data = read_json(path, KIND, (_WITHOUT_LEAD, FORMAT))
     missing = sorted(_FIELDS - data.keys())
     if missing:
         raise FileFormatError(
@@ -88,7 +89,7 @@ def load_plan(path: Path) -> Plan:
         return Plan(
             model=link_from(data["model"]),
             rig=Rig(**parse_arguments(_toml(data["rig"]))),
-            controller=controller_from(data["controller"]),
+            controller=controller_from(data["controller"], lead=data["format"] != _WITHOUT_LEAD),
             requirements=tuple(Requirement(**known(Requirement, item)) for item in data["requirements"]),
             margins_kind=data["margins_kind"],
             payloads=_pair(data["payloads"]),
@@ -143,9 +144,11 @@ def link_from(item: object) -> LinkModel:
     return LinkModel(**known(LinkModel, item))
 
 
-def controller_from(item: object) -> Controller:
-    """A controller from the dictionary that `save_plan` wrote."""
-    values = known(Controller, item)
+def controller_from(item: object, *, lead: bool = True) -> Controller:
+    """A controller from the dictionary that `save_plan` wrote; files of format 1 have no `lead`."""
+    values = known(Controller, item if lead or not isinstance(item, dict) else {**item, "lead": None})
+    if values["lead"] is not None:
+        values["lead"] = Lead(**known(Lead, values["lead"]))
     if values["link"] is not None:
         values["link"] = link_from(values["link"])
     if values["inner"] is not None:

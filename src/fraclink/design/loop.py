@@ -13,6 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fraclink.controller import Lead
+
 __all__ = ["Crossings", "OpenLoop"]
 
 Real = NDArray[np.float64]
@@ -42,7 +44,8 @@ class Crossings:
 class OpenLoop:
     """``L(jω; ϖ) = k (jω)^β / (1 + jδω)^n · e^{-jωτ} / (1 + jωε)² · G(jω; ϖ)``.
 
-    ``lag`` is ε = 1/p of the motor loop M(s), zero for the ideal one; ``delay`` is τ [s].
+    ``lag`` is ε = 1/p of the motor loop M(s), zero for the ideal one; ``delay`` is τ [s]; a ``lead`` is a
+    further factor.
     ``G = (μ s^α + ϖ²)/(s^λ + μ s^α + ϖ²)``. ``correction(ω)`` is the logarithm of what the sampled
     motor loop makes of M(s) and the delay, where it is known.
     """
@@ -57,16 +60,12 @@ class OpenLoop:
     lag: float = 0.0
     delay: float = 0.0
     correction: Callable[[Real], Complex] | None = None
+    lead: Lead | None = None
 
     def log(self, frequency: ArrayLike, natural_frequency: ArrayLike) -> Complex:
         """Return ln L(jω) with the unwrapped phase as its imaginary part; the arguments broadcast."""
         w = np.asarray(frequency, dtype=float)
-        ln_w = np.log(w)
-        value = (
-            math.log(self.gain) + self.order * (ln_w + 0.5j * np.pi) + self._log_link(ln_w, natural_frequency)
-        )
-        if self.filter_time:
-            value = value - self.filter_order * np.log(1.0 + 1j * self.filter_time * w)
+        value = self.outer_log(w) + self._log_link(np.log(w), natural_frequency)
         if self.lag:
             value = value - 2.0 * np.log(1.0 + 1j * self.lag * w)
         if self.correction is not None:
@@ -89,6 +88,8 @@ class OpenLoop:
         for time, power in ((self.filter_time, self.filter_order), (self.lag, 2)):
             if time:
                 value = value - 0.5 * power * np.log1p((time * w) ** 2)
+        if self.lead is not None:
+            value = value + self.lead.log(w).real
         if self.correction is not None:
             value = value + self.correction(w).real
         return np.asarray(value)
@@ -120,12 +121,28 @@ class OpenLoop:
         for time, power in ((self.filter_time, self.filter_order), (self.lag, 2)):
             if time:
                 value = value - power * 1j * time * w / (1.0 + 1j * time * w)
-        if self.correction is not None:
+        for factor in (self.correction, None if self.lead is None else self.lead.log):
+            if factor is None:
+                continue
             step = (
                 1e-5  # of ln ω: the central difference is then good to 1e-10, ample for Newton and for signs
             )
-            up, down = self.correction(w * math.exp(step)), self.correction(w * math.exp(-step))
+            up, down = factor(w * math.exp(step)), factor(w * math.exp(-step))
             value = value + (up - down) / (2.0 * step)
+        return np.asarray(value, dtype=np.complex128)
+
+    def link(self) -> OpenLoop:
+        """Return the link alone, G: nothing else of the loop."""
+        return OpenLoop(1.0, 0.0, self.link_order, self.damping, self.damping_order)
+
+    def outer_log(self, frequency: ArrayLike) -> Complex:
+        """Return ln Ĉ(jω) alone, as the loop has it: without its filter in the paper's reading."""
+        w = np.asarray(frequency, dtype=float)
+        value = math.log(self.gain) + self.order * (np.log(w) + 0.5j * np.pi)
+        if self.filter_time:
+            value = value - self.filter_order * np.log(1.0 + 1j * self.filter_time * w)
+        if self.lead is not None:
+            value = value + self.lead.log(w)
         return np.asarray(value, dtype=np.complex128)
 
     def __call__(self, frequency: ArrayLike, natural_frequency: ArrayLike) -> Complex:
@@ -159,14 +176,18 @@ class OpenLoop:
         points that cluster there are what keeps a narrow peak from hiding between two points.
         """
         mode = self.peak(pi)
+        # A lead changes the level by no more than its gain at high frequency, (a/b)^ν, up or down.
+        spread = 0.0
+        if self.lead is not None:
+            spread = self.lead.order * abs(math.log(self.lead.zero_time / self.lead.pole_time))
         near = 1.0 + np.geomspace(1e-6, 0.2, 16)
         low, high = 1e-4, 1e4
         if self.order > 0.0:
             # Far below the mode |L| = k ω^β, far above at most k ϖ² ω^(β-λ): they cross one where these do.
-            first = math.exp(min(max(-math.log(self.gain) / self.order, -300.0), 300.0))
+            first = math.exp(min(max(-(math.log(self.gain) + spread) / self.order, -300.0), 300.0))
             low = min(low, float(np.min(0.5 * first / mode)))
         if self.order < self.link_order and not self.damping:
-            reach = (math.log(self.gain) + 2.0 * np.log(pi)) / (self.link_order - self.order)
+            reach = (math.log(self.gain) + spread + 2.0 * np.log(pi)) / (self.link_order - self.order)
             high = max(high, float(np.max(2.0 * np.exp(np.minimum(reach, 300.0)) / mode)))
         decades = math.log10(high / low)
         shape = np.unique(

@@ -69,7 +69,7 @@ def noise_gain(loop: OpenLoop, pi: Real, period: float) -> Real:
     found = []
     for value in np.atleast_1d(pi):
         w, weights = noise_points(loop, float(value), period)
-        outer = loop.gain * w**loop.order / (1.0 + (loop.filter_time * w) ** 2) ** (0.5 * loop.filter_order)
+        outer = np.exp(loop.outer_log(w).real)
         found.append(np.sqrt(np.sum((outer / np.abs(1.0 + loop(w, value))) ** 2 * weights)))
     return np.asarray(found, dtype=float)
 

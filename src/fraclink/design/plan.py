@@ -92,6 +92,7 @@ def open_loop(controller: Controller, model: LinkModel, rig: Rig, *, margins: st
         lag=1.0 / pole if inside else 0.0,
         delay=(samples + 0.5) * period if inside else 0.0,
         correction=correction,
+        lead=controller.lead,
     )
 
 
@@ -185,7 +186,7 @@ class Plan:
     def sampled_plant(self, natural_frequency: float) -> SampledPlant:
         """Return what the law sees from its motor reference to the tip estimate, exactly sampled."""
         inner, period = self.controller.inner or InnerLoopSettings(), self.rig.period
-        link = replace(self.loop, gain=1.0, order=0.0, filter_time=0.0, lag=0.0, delay=0.0, correction=None)
+        link = self.loop.link()
         if inner.kind == "sampled":
             motor = sampled_inner(self.rig, inner.pole, inner.delay_samples, placement=inner.placement)
             return link_plant(link, natural_frequency, motor=motor, period=period, delay=0.0)

@@ -124,9 +124,10 @@ def compare_at_equal_sensitivity(plan: Plan, *, max_sensitivity: float) -> tuple
 
 
 def _start(own: Controller, order: float, frequency: float) -> Controller:
-    """The plan's controller with another β and the same gain at `frequency` [rad/s]."""
+    """The plan's controller with another β, no lead, and the same gain at `frequency` [rad/s]."""
     n = max(own.filter_order, 2 if order >= 1.0 and own.filter_time else 1)
-    return replace(own, order=order, gain=own.gain * frequency ** (own.order - order), filter_order=n)
+    gain = own.gain * frequency ** (own.order - order)
+    return replace(own, order=order, gain=gain, filter_order=n, lead=own.lead if order == own.order else None)
 
 
 def optimise(

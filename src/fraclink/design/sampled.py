@@ -159,4 +159,5 @@ def _law(controller: Controller, period: float) -> Law:
 def _grunwald(controller: Controller, frequency: Real, period: float) -> Complex:
     lead = grunwald_response(controller.gain, controller.order, frequency, period)
     difference = -np.expm1(-1j * np.asarray(frequency) * period) / period
-    return np.asarray(lead / (1.0 + controller.filter_time * difference) ** controller.filter_order)
+    value = lead / (1.0 + controller.filter_time * difference) ** controller.filter_order
+    return np.asarray(value if controller.lead is None else value * controller.lead.at(difference))

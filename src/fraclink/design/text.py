@@ -13,10 +13,7 @@ __all__ = ["plan_text"]
 
 def plan_text(plan: Plan) -> str:
     """Return controller, requirements and findings of a plan."""
-    c = plan.controller
-    power = "" if c.filter_order == 1 else f"^{c.filter_order}"
-    divisor = f" / (1 + {c.filter_time:.5g} s){power}" if c.filter_time else ""
-    lines = [f'C(s) = 1 + {c.gain:.5g} s^{c.order:.5g}{divisor}; margins of the "{plan.margins_kind}" loop']
+    lines = [f'{plan.controller.formula}; margins of the "{plan.margins_kind}" loop']
     for item in plan.requirements:
         told = [math.degrees(x) if item.unit == "rad" else x for x in (item.wanted, item.achieved)]
         unit = "°" if item.unit == "rad" else f" {item.unit}".rstrip()
