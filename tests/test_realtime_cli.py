@@ -1,0 +1,255 @@
+"""run-realtime, serve-arm and export io, as a user calls them: libraries in C, an arm in another process."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+import fraclink as fl
+from fraclink import _kernels
+from fraclink.cli import main
+from fraclink.controller import InnerLoopSettings
+from fraclink.errors import FieldError
+from fraclink.export import export_io
+from fraclink.realtime import Library, RealtimeRun, ServedArm, Udp, run_realtime
+from fraclink.twin import geared
+from needed_tools import tool
+
+if not _kernels.REALTIME:
+    pytest.skip("the real-time loop is Linux's", allow_module_level=True)
+
+Command = Callable[[str], tuple[int, str, str]]
+STRICT = ("-std=c99", "-pedantic", "-Wall", "-Wextra", "-Wconversion", "-Wno-unused-parameter", "-Werror")
+PERIOD = 0.02  # see test_realtime_messages.py
+
+# A motor that follows a voltage as a rate, one lost sample, and a note of the last command.
+BOARD = """
+#include "arm_io.h"
+#include <math.h>
+#include <stdio.h>
+static double angle;
+static double voltage;
+static int reads;
+uint32_t arm_io_version(void) { return VERSION; }
+int arm_open(void) { return OPENED; }
+int arm_read(arm_sample *sample)
+{
+    angle += 0.02 * voltage;
+    sample->motor_angle = angle;
+    sample->torque = 0.0;
+    reads++;
+    if (reads >= BROKEN)
+        return -1;
+    return reads == 5;
+}
+int arm_write(const arm_command *command)
+{
+    voltage = command->voltage;
+    FILE *const file = fopen("last", "w");
+    (void)fprintf(file, "%u %.17g", (unsigned)command->mode, command->voltage);
+    return fclose(file);
+}
+void arm_close(void)
+{
+    FILE *const file = fopen("closed", "w");
+    (void)fclose(file);
+}
+"""
+
+
+@pytest.fixture(scope="module")
+def design(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    rig = geared(replace(fl.Rig.named("paper-2023"), period=PERIOD))
+    assert rig.model is not None
+    plan = fl.design(rig.model, rig, gain_crossover=12.0, phase_margin=fl.deg(20), filter_time=0.0)
+    slow = replace(plan.controller, inner=InnerLoopSettings(pole=20.0))
+    place = tmp_path_factory.mktemp("design") / "design.json"
+    replace(plan, controller=slow).save(place)
+    return place
+
+
+@pytest.fixture(scope="module")
+def law(design: Path) -> fl.Law:
+    return fl.Plan.load(design).law(order=4)
+
+
+@pytest.fixture
+def fraclink(
+    design: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Command:
+    """Run the command line in a folder that holds design.json."""
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(design, tmp_path)
+
+    def run(line: str) -> tuple[int, str, str]:
+        code = main(line.split())
+        streams = capsys.readouterr()
+        return code, streams.out, streams.err
+
+    return run
+
+
+def compiled(folder: Path, name: str, text: str, **defines: object) -> Path:
+    (folder / f"{name}.c").write_text(text, encoding="utf-8")
+    library = folder / f"{name}.so"
+    given = {"VERSION": "ARM_IO_VERSION", "OPENED": 0, "BROKEN": 1000000} | defines
+    flags = [f"-D{key}={value}" for key, value in given.items()]
+    subprocess.run(  # noqa: S603
+        [tool("cc", "gcc"), *STRICT, "-shared", "-fPIC", *flags, f"{name}.c", "-o", library],
+        cwd=folder,
+        check=True,
+    )
+    return library
+
+
+def test_the_template_compiles_and_stands_still(fraclink: Command, tmp_path: Path) -> None:
+    code, out, _ = fraclink("export io --out board")
+    assert (code, out.split()) == (0, ["board/arm_io.h", "board/my_board.c"])
+    text = (tmp_path / "board" / "my_board.c").read_text("utf-8")
+    compiled(tmp_path / "board", "my_board", text)
+    code, out, err = fraclink(
+        "run-realtime design.json --io library:board/my_board.so --amplitude 0 --duration 0.2"
+    )
+    assert code == 0, out + err
+    assert "the record replays through the law to the last bit" in out
+    assert "written: realtime.npz" in err
+    assert fraclink("export io --out board")[0] == 2  # never over the user's work
+    assert fraclink("export io --out board --force")[0] == 0
+    # the header is C++ too
+    cxx = [tool("c++", "g++"), "-fsyntax-only", "-Wall", "-Werror", "-x", "c++", "my_board.c"]
+    subprocess.run(cxx, cwd=tmp_path / "board", check=True)  # noqa: S603
+
+
+def test_a_library_is_run_and_left_in_order(fraclink: Command, tmp_path: Path) -> None:
+    export_io(tmp_path, force=True)
+    compiled(tmp_path, "arm", BOARD)
+    line = "run-realtime design.json --io library:arm.so --amplitude 0.05 --move-time 0.5 --duration 0.6"
+    code, out, err = fraclink(f"{line} --json --allowed-overruns 99")
+    told = json.loads(out)
+    assert (code, told["holds"], told["stopped"], told["replays"]) == (0, True, "finished", True), err
+    assert told["periods"] + told["missed"] <= 31
+    assert told["lost_samples"] == 1
+    assert set(told["latency_s"]) == {"least", "mean", "high", "most"}
+    run = RealtimeRun.load(told["out"])
+    assert run.motor_angle[-1] > 0.01
+    assert (tmp_path / "last").read_text() == "4 0"  # off, without voltage
+    assert (tmp_path / "closed").is_file()
+    assert fraclink(line)[0] == 2  # the record is kept
+    assert fraclink(f"{line} --force --single --no-motor --allowed-overruns 99")[0] == 0
+    assert not RealtimeRun.load("realtime.npz").voltage.any()
+
+
+def test_a_library_that_breaks_is_a_safe_stop(fraclink: Command, tmp_path: Path) -> None:
+    export_io(tmp_path, force=True)
+    compiled(tmp_path, "arm", BOARD, BROKEN=9)
+    code, out, _ = fraclink("run-realtime design.json --io library:arm.so --duration 5")
+    assert code == 1
+    assert out.splitlines()[-1] == "does not hold: safe stop: connection failed"
+    assert (tmp_path / "last").read_text() == "4 0"
+    assert len(RealtimeRun.load("realtime.npz").time) == 7  # the first read found the arm, the ninth failed
+
+
+@pytest.mark.parametrize(
+    ("io", "said"),
+    [
+        ("udp", "io: udp is without a port"),
+        ("udp:127.0.0.1", "without a port"),
+        ("udp::5005", "without a host"),
+        ("udp:127.0.0.1:0", "port: 0 is not in range; allowed whole number 1 to 65535"),
+        ("udp:127.0.0.1:70000", "port: 70000"),
+        ("udp:127.0.0.1:http", "without a port"),
+        ("shm:", "not a name"),
+        ("shm:../etc", "not a name"),
+        ("library:", "no way to an arm"),
+        ("serial:ttyUSB0", "no way to an arm"),
+        ("", "no way to an arm"),
+    ],
+)
+def test_ways_that_lead_nowhere(fraclink: Command, tmp_path: Path, io: str, said: str) -> None:
+    code = main(["run-realtime", "design.json", "--io", io, "--patience", "0.05"])
+    assert code == 2
+    assert not (tmp_path / "realtime.npz").exists()
+    _, _, err = fraclink("--version")
+    assert said in err
+    assert len(err.strip().splitlines()) == 1
+
+
+def test_ways_that_fail_when_they_are_opened(
+    law: fl.Law, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    export_io(tmp_path)
+    for name, text, defines in (
+        ("newer", BOARD, {"VERSION": 7}),
+        ("asleep", BOARD, {"OPENED": 3}),
+        ("bare", "int nothing;\n", {}),
+    ):
+        compiled(tmp_path, name, text, **defines)
+    for way, said in (
+        (Library(Path("newer.so")), r"made for version 7 of arm_io\.h"),
+        (Library(Path("asleep.so")), r"not ready: arm_open gave 3"),
+        (Library(Path("bare.so")), r"without arm_read, arm_write and arm_io_version"),
+        (Library(Path("nowhere.so")), r"not to be loaded"),
+        (Library(Path("arm_io.h")), r"not to be loaded"),
+        (Udp("no-such-host.invalid", 5005), r"io: udp:no-such-host\.invalid:5005 is refused"),
+    ):
+        with pytest.raises(FieldError, match=said):
+            run_realtime(law, fl.hold(0.0), way, patience=0.05)
+    assert not (tmp_path / "last").exists()
+
+
+def arm_process(io: str, *more: str) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", "fraclink", "serve-arm", "design.json", "--link-mass", "0.00735"]
+    return subprocess.Popen(  # noqa: S603
+        [*command, "--io", io, *more], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+
+
+def test_an_arm_in_another_process(fraclink: Command, tmp_path: Path) -> None:
+    io = f"shm:cli-{os.getpid()}"
+    with arm_process(io, "--once", "--out", "arm.npz", "--json") as arm:
+        line = f"run-realtime design.json --io {io} --amplitude 0.2 --duration 1 --patience 60"
+        code, out, err = fraclink(f"{line} --allowed-overruns 99 --json")
+        printed, _ = arm.communicate(timeout=60)
+    assert (code, arm.returncode) == (0, 0), out + err
+    told = json.loads(printed)
+    assert (told["controllers"], told["silences"]) == (1, 0)
+    assert ServedArm.load("arm.npz").tip_angle[-1] == pytest.approx(told["last_tip_angle"])
+    assert told["last_tip_angle"] > 0.1
+
+
+def test_an_arm_that_freezes_is_given_up_and_can_be_ended(fraclink: Command) -> None:
+    io = f"shm:ice-{os.getpid()}"
+    place = Path(f"/dev/shm/fraclink-{io.removeprefix('shm:')}")  # noqa: S108
+    with arm_process(io) as arm:
+
+        def freeze() -> None:
+            while not place.exists() and arm.poll() is None:
+                time.sleep(0.01)
+            time.sleep(1.0)
+            arm.send_signal(signal.SIGSTOP)
+
+        frost = threading.Thread(target=freeze)
+        frost.start()
+        code, out, _ = fraclink(f"run-realtime design.json --io {io} --duration 60 --patience 60 --json")
+        frost.join(60.0)
+        arm.send_signal(signal.SIGCONT)
+        arm.send_signal(signal.SIGINT)
+        printed, _ = arm.communicate(timeout=60)
+    told = json.loads(out)
+    assert (code, told["stopped"], told["replays"]) == (1, "law off", True)
+    assert told["problem"] == "safe stop: the law switched off (encoder)"
+    # The controller took its leave, which the arm found when it woke up; Ctrl-C is how it is meant to end.
+    assert (arm.returncode, "0 of them left without a stop" in printed) == (0, True)
+    assert not place.exists()
