@@ -68,4 +68,4 @@ def comparison_text(comparison: Comparison) -> str:
         f"AIC {fit.aic:.1f}: {_parameters(fit)}"
         for name, fit in comparison.fits.items()
     ]
-    return "\n".join([*lines, comparison.verdict])
+    return "\n".join([*lines, *coincidence_text(comparison.fits), comparison.verdict])
