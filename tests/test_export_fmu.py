@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import importlib.util
+import os
+import re
 import shutil
 import stat
+import sys
 import xml.etree.ElementTree as ET
 import zipfile
 from pathlib import Path
@@ -98,8 +101,12 @@ def test_fmpy_finds_no_problem_and_simulates_to_the_bit(fmi: int, precision: str
 
 
 @pytest.mark.parametrize("fmi", FMIS)
-def test_an_importer_builds_the_same_from_the_sources(fmi: int, tmp_path: Path) -> None:
+def test_an_importer_builds_the_same_from_the_sources(
+    fmi: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     _fmpy()
+    # cmake is one of the build's packages: it lies beside the interpreter
+    monkeypatch.setenv("PATH", f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}")
     tool("cmake")
     from fmpy.build import build_platform_binary
 
@@ -179,6 +186,26 @@ def test_two_fmus_link_into_one_program(tmp_path: Path) -> None:
     (tmp_path / "main.c").write_text(calls, encoding="utf-8")
     shell(compiler, "main.c", "first.o", "second.o", "-o", "both", cwd=tmp_path)
     shell(tmp_path / "both")
+
+
+@pytest.mark.parametrize("fmi", FMIS)
+def test_a_cross_compiler_adds_windows(fmi: int, tmp_path: Path) -> None:
+    cross = tool("x86_64-w64-mingw32-gcc", "gcc-mingw-w64-x86-64-win32")
+    file = export_fmu(law(), tmp_path / "arm.fmu", fmi=fmi, compilers=(tool("gcc"), cross))  # type: ignore[arg-type]
+    _extracted(file, tmp_path / "fmu")
+    linux, windows = {2: ("linux64", "win64"), 3: ("x86_64-linux", "x86_64-windows")}[fmi]
+    exported = []
+    for path, lister in (
+        (f"{linux}/arm.so", "nm -D"),
+        (f"{windows}/arm.dll", "x86_64-w64-mingw32-objdump -p"),
+    ):
+        program, option = lister.split()
+        told = shell(tool(program, "binutils"), option, tmp_path / "fmu" / "binaries" / path).stdout
+        exported.append(set(re.findall(rf"\bfmi{fmi}\w+", told)))
+    assert exported[0] == exported[1]
+    assert len(exported[0]) == {2: 34, 3: 75}[fmi]  # all that the standard wants for co-simulation
+    with pytest.raises(FieldError, match=r"the second one for x86_64-linux"):
+        export_fmu(law(), tmp_path / "other.fmu", fmi=fmi, compilers=("gcc", "cc"))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("fmi", FMIS)

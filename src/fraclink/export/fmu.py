@@ -92,8 +92,16 @@ def export_fmu(
     for compiler in compilers:
         platform = platform_of(compiler)
         folder = _folder(platform, standard.platforms, fmi)
-        suffix = SUFFIXES[platform.rpartition("-")[2]]
-        parts[f"binaries/{folder}/{name}{suffix}"] = compiled(sources, compiler)
+        library = f"binaries/{folder}/{name}{SUFFIXES[platform.rpartition('-')[2]]}"
+        if library in parts:
+            raise FieldError(
+                "compiler",
+                compiler,
+                f"the second one for {platform}",
+                allowed="one for each platform",
+                remedy="leave one of them out",
+            )
+        parts[library] = compiled(sources, compiler)
     with atomic_write(place, "wb") as out:
         out.write(_zipped(parts))
     return place

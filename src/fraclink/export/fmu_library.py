@@ -50,7 +50,8 @@ def compiled(sources: Mapping[str, str], compiler: str) -> bytes:
         folder = Path(scratch)
         for name, text in sources.items():
             (folder / name).write_text(text, encoding="utf-8")
-        command = [found(compiler), *_FLAGS, "all.c", "-o", "library"]
+        library = folder / "law.library"  # with a suffix of its own: compilers for Windows add one else
+        command = [found(compiler), *_FLAGS, "all.c", "-o", library.name]
         answer = subprocess.run(  # noqa: S603
             command, cwd=folder, capture_output=True, text=True, errors="replace", check=False
         )
@@ -63,4 +64,4 @@ def compiled(sources: Mapping[str, str], compiler: str) -> bytes:
                 allowed="a C99 compiler with its standard library",
                 remedy="install another one, or export sources only",
             )
-        return (folder / "library").read_bytes()
+        return library.read_bytes()
