@@ -199,3 +199,10 @@ def test_the_table_of_peers_is_what_the_benchmark_measures(monkeypatch: pytest.M
         assert [row.problem for row in found if f"| {row.problem} |" not in written] == []
     finally:
         sys.modules.pop("bench_peers", None)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(DOCS).as_posix())
+def test_no_page_shows_the_source_of_a_formula(page: Path) -> None:
+    """Formulas are written in Unicode; TeX would stand on the page as it was typed."""
+    text = page.read_text("utf-8")
+    assert [mark for mark in ("$$", "\\frac", "\\omega", "\\hat") if mark in text] == []

@@ -15,7 +15,7 @@ from sphinx.application import Sphinx
 # napoleon's own handler stands at Sphinx's default of 500.
 BEFORE_NAPOLEON = 400
 SECTION = re.compile(r"(Parameters|Returns|Raises|Attributes)$")
-TITLES = {"Source:": "References", ">>>": "Examples"}
+TITLES = {"Source:": "References", "Sources:": "References", ">>>": "Examples"}
 
 
 def end_sections(app: Sphinx, what: str, name: str, obj: object, options: object, lines: list[str]) -> None:
