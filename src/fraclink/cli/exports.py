@@ -84,6 +84,7 @@ def fmu(
         list[str] | None,
         typer.Option(
             "--compiler",
+            metavar="CC",
             help="Each adds a library for its platform: cc (where none is given), x86_64-w64-mingw32-gcc ...",
         ),
     ] = None,
