@@ -101,6 +101,7 @@ PUBLIC = (
     "plots",
     "rational",
     "readers",
+    "realtime",
     "reference",
     "report",
     "report.campaigns",
