@@ -64,7 +64,7 @@ def run_realtime(
     json: Json = False,
     force: Force = False,
 ) -> int:
-    """Run the shipped law on an arm in real time (Linux): a loop on absolute deadlines with a safe stop.
+    """Run the shipped law on an arm in real time (Linux), with times, overruns and a safe stop.
 
     The exit code is 1 after a safe stop (the law's guards, a signal, a broken connection) or too many
     overruns; the record is written all the same. Without an arm: `fraclink serve-arm`.
@@ -181,9 +181,9 @@ def serve_arm(
     json: Json = False,
     force: Force = False,
 ) -> int:
-    """Serve the twin in real time, an arm for `fraclink run-realtime`; --duration, --once or Ctrl-C ends it.
+    """Serve a simulated arm in real time, for run-realtime to move; --duration, --once or Ctrl-C ends it.
 
-    The exit code is 1 where a controller went silent and the watchdog had to switch the drive off.
+    It is the twin on a clock. The exit code is 1 where a controller went silent and the watchdog had to switch the drive off.
     """
     from fraclink.realtime import parse_connection
     from fraclink.realtime import serve_arm as serve

@@ -74,7 +74,7 @@ def run_realtime(
         A value out of its range, an arm that does not answer or runs at another period, a library that does
         not fit, another system than Linux. SizeError for more than 2 000 000 periods.
 
-    Sources: clock_nanosleep(2), mlockall(2), sched(7).
+    Source: the manual pages clock_nanosleep(2), mlockall(2) and sched(7).
 
     >>> import fraclink as fl
     >>> from fraclink.realtime import Callback, run_realtime
