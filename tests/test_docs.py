@@ -84,6 +84,7 @@ PUBLIC = (
     "design.assess",
     "design.feasibility",
     "design.files",
+    "design.higher_modes",
     "design.inner",
     "design.poles",
     "design.rivals",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -19,7 +20,9 @@ __all__ = [
     "GainCrossover",
     "Interpolate",
     "Json",
+    "LinkMass",
     "LogName",
+    "ModeGain",
     "PayloadRange",
     "PhaseMarginDeg",
     "Resample",
@@ -50,6 +53,15 @@ GainCrossover = Annotated[
 PhaseMarginDeg = Annotated[
     float | None, typer.Option("--phase-margin-deg", help="Least phase margin [degrees]; default: the rig's.")
 ]
+ModeGain = Annotated[
+    float | None,
+    typer.Option(
+        "--mode-gain", help="Bound on the loop gain at modes 2 and 3 of a link with mass: 0.5."
+    ),
+]
+LinkMass = Annotated[
+    float | None, typer.Option("--link-mass", help="Mass of the link [kg]; default: the rig's.")
+]
 Columns = Annotated[
     list[str] | None,
     typer.Option(
@@ -67,12 +79,13 @@ Interpolate = Annotated[
 ]
 
 
-def load_rig(name: str) -> Rig:
-    """Return the rig of a file, or the bundled one of that name."""
+def load_rig(name: str, *, link_mass: float | None = None) -> Rig:
+    """Return the rig of a file, or the bundled one of that name, with `link_mass` [kg] if one is given."""
     from fraclink.rig import Rig
 
     looks_like_a_path = name.endswith(".toml") or "/" in name or "\\" in name
-    return Rig.load(Path(name)) if looks_like_a_path or Path(name).is_file() else Rig.named(name)
+    rig = Rig.load(Path(name)) if looks_like_a_path or Path(name).is_file() else Rig.named(name)
+    return rig if link_mass is None else replace(rig, link=replace(rig.link, mass=link_mass))
 
 
 def load_log(

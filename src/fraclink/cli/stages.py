@@ -14,7 +14,9 @@ from fraclink.cli.options import (
     GainCrossover,
     Interpolate,
     Json,
+    LinkMass,
     LogName,
+    ModeGain,
     PayloadRange,
     PhaseMarginDeg,
     Resample,
@@ -105,6 +107,8 @@ def design(
         float | None,
         typer.Option("--settling-time", help="Bound on 2π/ω_c [s]; alone it takes the crossover's place."),
     ] = None,
+    mode_gain: ModeGain = None,
+    link_mass: LinkMass = None,
     out: Annotated[Path, typer.Option("--out", help="File to write the design to.")] = Path("design.json"),
     json: Json = False,
     force: Force = False,
@@ -126,8 +130,9 @@ def design(
         max_sensitivity=max_sensitivity,
         noise_gain=noise_gain,
         settling_time=settling_time,
+        mode_gain=mode_gain,
     )
-    plan, assumptions = design_for(load_rig(rig), _model(model), request)
+    plan, assumptions = design_for(load_rig(rig, link_mass=link_mass), _model(model), request)
     plan = plan.with_law()
     plan.save(place)
     if json:

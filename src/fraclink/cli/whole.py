@@ -14,6 +14,7 @@ from fraclink.cli.options import (
     GainCrossover,
     Interpolate,
     Json,
+    ModeGain,
     PayloadRange,
     PhaseMarginDeg,
     Resample,
@@ -47,6 +48,7 @@ def run(
     filter_time: Annotated[
         float | None, typer.Option("--filter-time", help="δ [s], 0 for none; default: the 10 % rule.")
     ] = None,
+    mode_gain: ModeGain = None,
     certify: Annotated[
         bool, typer.Option("--certify", help="Prove the design, too; takes a few seconds.")
     ] = False,
@@ -66,6 +68,7 @@ def run(
         gain_crossover=gain_crossover,
         phase_margin=radians(phase_margin_deg),
         filter_time=filter_time,
+        mode_gain=mode_gain,
     )
     with steps(_PARTS + certify) as begin:
         begin("reading the log")

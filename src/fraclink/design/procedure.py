@@ -43,6 +43,7 @@ def design(
     max_sensitivity: float | None = None,
     noise_gain: float | None = None,
     settling_time: float | None = None,
+    mode_gain: float | None = None,
 ) -> Plan:
     """Design ``C(s) = 1 + k_d s^β/(1 + δs)^n`` for every payload of a range (section 6, eqs. (54)–(57)).
 
@@ -80,6 +81,9 @@ def design(
         bound on the motor reference's RMS for white gauge noise of RMS one, > 0; more filter where needed.
     settling_time
         bound on 2π/ω_c [s], > 0.
+    mode_gain
+        bound on the loop gain at modes 2 and 3 of a link with mass, > 0; more filter where needed, paid for
+        with a larger β. Below one no phase of the mode can destabilise it.
 
     Returns
     -------
@@ -103,7 +107,7 @@ def design(
     >>> round(plan.controller.gain, 6), round(plan.controller.order, 6), plan.holds
     (0.069876, 0.612197, True)
     """
-    goals = check_goals(max_sensitivity, noise_gain, settling_time)
+    goals = check_goals(max_sensitivity, noise_gain, settling_time, mode_gain, rig)
     request = check_request(
         model,
         rig,
@@ -117,6 +121,7 @@ def design(
         inner=inner,
         placement=placement,
     )
+    asked = request
     if goals.any:
 
         def made(changed: Request, solution: Solution, order: int) -> Controller:
@@ -139,7 +144,7 @@ def design(
         phase_margin=request.phase_margin,
         chi=solution.chi,
         gain_crossover_upper=solution.upper,
-        findings=findings_of(request, rig, controller, solution),
+        findings=findings_of(asked, rig, controller, solution, asked_mode=goals.mode_gain is not None),
     )
 
 

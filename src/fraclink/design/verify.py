@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink.controller import Controller
+from fraclink.design.higher_modes import LIMIT, higher_modes, spillover_requirements
 from fraclink.design.loop import OpenLoop
 from fraclink.design.measure import sweep
 from fraclink.design.plan import Requirement, open_loop
@@ -65,12 +66,16 @@ def verify(request: Request, rig: Rig, controller: Controller) -> tuple[Requirem
 
 
 def findings_of(
-    request: Request, rig: Rig, controller: Controller, solution: Solution
+    request: Request, rig: Rig, controller: Controller, solution: Solution, *, asked_mode: bool
 ) -> tuple[Finding, ...]:
-    """Findings W401 … of a design: what holds less than it seems."""
+    """Findings W401 … of a design: what holds less than it seems.
+
+    `request` is what was asked for, before any bound changed it; `asked_mode` tells that the loop gain at the
+    higher modes is among the requirements.
+    """
     found = []
     cost = controller.filter_order * math.atan(controller.filter_time * solution.upper)
-    if cost > MARGIN_SHARE * request.phase_margin * (1.0 + 1e-2):
+    if request.filter_time is not None and cost > MARGIN_SHARE * request.phase_margin * (1.0 + 1e-2):
         found.append(
             Finding(
                 "W401",
@@ -104,4 +109,26 @@ def findings_of(
                 {"gain_crossover": request.gain_crossover, "condition_39": bound},
             )
         )
-    return tuple(found)
+    return (*found, *(() if asked_mode else _spillover(request, rig, controller)))
+
+
+def _spillover(request: Request, rig: Rig, controller: Controller) -> tuple[Finding, ...]:
+    """W405 where the loop reaches a higher mode of a link that states its mass."""
+    loop = open_loop(controller, request.model, rig, margins="loop")
+    modes = higher_modes(request.model, rig, loop, request.payloads)
+    if modes is None:
+        return ()
+    found = spillover_requirements(modes, loop, LIMIT)
+    worst = max(found, key=lambda item: item.achieved)
+    if worst.holds:
+        return ()
+    return (
+        Finding(
+            "W405",
+            "warning" if worst.achieved >= 1.0 else "info",
+            f"the loop gain at mode {worst.name[-1]} of the link is high: above 1 the mode's phase decides, which "
+            "nobody modelled",
+            {"loop_gain": worst.achieved, "limit": LIMIT, "payload_kg": worst.at_payload},
+            "ask for mode_gain=0.5 (--mode-gain 0.5), which lengthens the filter",
+        ),
+    )

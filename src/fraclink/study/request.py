@@ -41,6 +41,7 @@ class Request:
         max_sensitivity: bound on Ms; without a phase margin it takes its place.
         noise_gain: bound on the motor reference's RMS for white gauge noise of RMS one.
         settling_time: bound on 2π/ω_c [s]; without a gain crossover it takes its place.
+        mode_gain: bound on the loop gain at modes 2 and 3 of a link that states its mass.
 
     >>> Request(payloads=(0.02, 0.04)).margins
     'loop'
@@ -57,6 +58,7 @@ class Request:
     max_sensitivity: float | None = None
     noise_gain: float | None = None
     settling_time: float | None = None
+    mode_gain: float | None = None
 
 
 def _completed(request: Request, rig: Rig) -> Request:
@@ -70,7 +72,7 @@ def _completed(request: Request, rig: Rig) -> Request:
         request = replace(request, gain_crossover=wish.gain_crossover)
     if request.phase_margin is None and request.max_sensitivity is None:
         request = replace(request, phase_margin=wish.phase_margin)
-    if request.filter_time is None and request.noise_gain is None:
+    if request.filter_time is None and request.noise_gain is None and request.mode_gain is None:
         request = replace(request, filter_time=wish.filter_time)
     return request
 

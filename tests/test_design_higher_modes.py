@@ -1,0 +1,143 @@
+"""Modes 2 and 3 of a link with mass: their loop gain on the assembled twin, and the filter that bounds it."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import fraclink as fl
+from fraclink.cli import main
+from fraclink.compare.linear import NominalLoop, law_filter, sampled
+from fraclink.design import Plan
+from fraclink.design.higher_modes import mode_gains
+from fraclink.errors import FieldError, InfeasibleError
+from fraclink.rig import Rig
+from fraclink.twin import Beam, KelvinVoigt, PowerLaw, assemble
+from fraclink.twin.damping import Damping
+
+WANTED = {"payloads": (0.020, 0.040), "gain_crossover": 12.0, "phase_margin": fl.deg(50)}
+
+
+def with_mass(mass: float) -> Rig:
+    rig = Rig.named("paper-2023")
+    return replace(rig, link=replace(rig.link, mass=mass))
+
+
+def on_the_twin(plan: Plan, payload: float, number: int, damping: Damping) -> tuple[float, float]:
+    """Loop gain of the shipped law at a mode of the twin, and the spectral radius of the whole loop."""
+    stiffness, rig = plan.model.stiffness, plan.rig
+    beam = Beam.from_rig(rig, payload=payload)
+    plant = assemble(beam, damping, drive="servo", servo_pole=rig.inner.pole)
+    seen = sampled(plant, plant.outputs[0] - plant.outputs[3] / stiffness, rig.period, 1)
+    shipped = law_filter(plan.controller.discretize(rig.period))
+    mode = float(plant.modes.frequencies[number - 1])
+    z = np.exp(1j * np.linspace(0.9 * mode, min(1.6 * mode, math.pi / rig.period), 3000) * rig.period)
+    gain = float(np.abs(seen.response(z) * shipped.response(z)).max())
+    return gain, NominalLoop(seen, rig.period, stiffness).radius(shipped)
+
+
+@pytest.mark.parametrize("mass", [0.00735, 0.0141])
+@pytest.mark.parametrize("filter_time", [None, 0.04])
+def test_the_gain_at_mode_two_is_that_of_the_sampled_loop_on_the_twin(
+    mass: float, filter_time: float | None
+) -> None:
+    rig = with_mass(mass)
+    plan = fl.design(rig.model, rig, filter_time=filter_time, **WANTED)
+    second = mode_gains(plan)[0]
+    gain, _ = on_the_twin(plan, second.at_payload, 2, PowerLaw(rig.model.order))
+    assert second.achieved == pytest.approx(gain, rel=0.01)
+
+
+def test_a_viscous_link_has_its_own_damping_at_mode_two() -> None:
+    rig = with_mass(0.00735)
+    ratio, pole = 0.06, rig.natural_frequency(0.030)
+    model = replace(rig.model, order=2.0, natural_frequency=pole, damping=2 * ratio * pole)
+    plan = fl.design(model, rig, **WANTED)
+    second = mode_gains(plan)[0]
+    gain, _ = on_the_twin(plan, second.at_payload, 2, KelvinVoigt(2 * ratio / pole))
+    assert second.achieved == pytest.approx(gain, rel=0.03)
+
+
+def test_less_damping_is_more_gain_and_an_undamped_model_is_given_some() -> None:
+    rig = with_mass(0.00735)
+    plan = fl.design(rig.model, rig, **WANTED)
+    rough, fine = (mode_gains(plan, damping_ratio=ratio)[0].achieved for ratio in (0.04, 0.02))
+    assert fine == pytest.approx(2.0 * rough, rel=0.05)
+    bare = fl.design(replace(rig.model, order=2.0), rig, **(WANTED | {"gain_crossover": 13.0}))
+    assert mode_gains(bare) == mode_gains(bare, damping_ratio=0.02)
+
+
+def test_a_link_with_mass_brings_a_finding_and_a_massless_one_does_not() -> None:
+    codes = {}
+    for mass in (0.0, 0.00735):
+        rig = with_mass(mass)
+        found = fl.design(rig.model, rig, **WANTED).findings
+        codes[mass] = {finding.code: finding for finding in found}
+    assert "W405" not in codes[0.0]
+    finding = codes[0.00735]["W405"]
+    assert finding.severity == "warning"
+    assert finding.evidence["loop_gain"] == pytest.approx(1.46, abs=0.01)
+    assert "mode_gain=0.5" in finding.remedy
+
+
+def test_the_bound_is_kept_with_the_margin_that_was_asked_for() -> None:
+    rig = with_mass(0.00735)
+    plan = fl.design(rig.model, rig, mode_gain=0.5, **WANTED)
+    assert plan.holds
+    assert [r.name for r in plan.requirements[-2:]] == ["loop gain at mode 2", "loop gain at mode 3"]
+    assert plan.requirements[-2].achieved == pytest.approx(0.5, rel=1e-6)  # no longer a filter than needed
+    for payload in (0.020, 0.025, 0.030, 0.040):
+        kept = plan.sampled_at(payload, realisation="exact").phase_margin
+        assert kept >= fl.deg(49.9)
+    gain, radius = on_the_twin(plan, 0.040, 2, PowerLaw(rig.model.order))
+    assert gain < 0.51 and radius < 1.0 + 1e-9
+    assert not {"W401", "W405"} & {finding.code for finding in plan.findings}
+
+
+def test_the_heavier_link_is_unstable_by_the_rule_and_stable_by_the_bound() -> None:
+    rig = with_mass(0.0141)
+    ruled = fl.design(rig.model, rig, **WANTED)
+    bounded = fl.design(rig.model, rig, mode_gain=0.9, **WANTED)
+    law = PowerLaw(rig.model.order)
+    assert on_the_twin(ruled, 0.040, 2, law)[1] > 1.001
+    assert on_the_twin(bounded, 0.040, 2, law)[1] < 1.0 + 1e-9
+
+
+def test_what_no_filter_reaches_is_refused_with_the_nearest_bound() -> None:
+    rig = with_mass(0.0141)
+    with pytest.raises(InfeasibleError, match="mode gain") as caught:
+        fl.design(rig.model, rig, mode_gain=0.3, **WANTED)
+    nearest = caught.value.nearest
+    assert 0.5 < nearest["mode_gain"] < 0.7
+    assert fl.design(rig.model, rig, **nearest, **WANTED).holds
+
+
+@pytest.mark.parametrize("bound", [0.0, -1.0, math.nan, "0.5", 10**400])
+def test_bad_bounds_are_refused(bound: object) -> None:
+    rig = with_mass(0.00735)
+    with pytest.raises(FieldError) as caught:
+        fl.design(rig.model, rig, mode_gain=bound, **WANTED)  # type: ignore[arg-type]
+    assert caught.value.field == "mode_gain"
+
+
+def test_a_massless_link_has_no_mode_to_bound() -> None:
+    rig = with_mass(0.0)
+    with pytest.raises(FieldError, match="mass_kg"):
+        fl.design(rig.model, rig, mode_gain=0.5, **WANTED)
+
+
+def test_the_command_line_bounds_the_mode(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    place = tmp_path / "design.json"
+    line = ["design", "--rig", "paper-2023", "--link-mass", "0.00735", "--out", str(place)]
+    assert main(line) == 0
+    assert "W405 warning" in capsys.readouterr().err
+    assert main([*line, "--mode-gain", "0.5", "--json", "--force"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    names = {item["name"]: item["achieved"] for item in told["requirements"]}
+    assert names["loop gain at mode 2"] == pytest.approx(0.5, rel=1e-6)
+    assert Plan.load(place).rig.link.mass == 0.00735
