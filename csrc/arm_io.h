@@ -14,7 +14,9 @@
 /* A library is refused unless it was compiled with the header of the release that loads it. */
 #define ARM_IO_VERSION 1U
 
-/* Modes in which the law may give a command; see law.h. In the last one the drive must be switched off. */
+/* Modes of a command; the others are in law.h. In both of these the drive must be off, and the motor reference means
+ * nothing: idle before the law has started, off for the safe stop, which is the last command of every run. */
+#define ARM_MODE_IDLE 0U
 #define ARM_MODE_OFF 4U
 
 typedef struct {
@@ -26,7 +28,7 @@ typedef struct {
     double motor_reference; /* for a robot with a position servo of its own [rad] */
     double voltage;         /* for a motor that the law drives [V] */
     uint32_t tick;          /* number of the period; it jumps where periods were missed */
-    uint32_t mode;          /* of the law; ARM_MODE_OFF is the safe stop, and the last command of every run */
+    uint32_t mode;
     uint32_t reason;
     uint32_t flags;
 } arm_command;

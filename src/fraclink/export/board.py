@@ -38,8 +38,8 @@ int arm_read(arm_sample *sample)
 
 int arm_write(const arm_command *command)
 {
-    if (command->mode == ARM_MODE_OFF) {
-        /* 3. Switch the drive off. */
+    if ((command->mode == ARM_MODE_IDLE) || (command->mode == ARM_MODE_OFF)) {
+        /* 3. Keep or switch the drive off. */
         return 0;
     }
     /* 4. Give command->voltage [V] to the amplifier, or command->motor_reference [rad] to the servo. */

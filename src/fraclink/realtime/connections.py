@@ -21,7 +21,8 @@ class Command(NamedTuple):
     """What the law gives in one period: motor_reference θm* [rad], voltage [V], the number of the period,
     and the law's mode, reason and flags (see law.h).
 
-    Mode 4 is the safe stop: the drive must be switched off. Every run ends with it.
+    In modes 0 and 4 the drive must be off, and the motor reference means nothing: 0 before the law has
+    started, 4 for the safe stop, which is the last command of every run.
     """
 
     motor_reference: float
