@@ -55,7 +55,8 @@ def _identification(number: int, log: str, name: str, span: tuple[float, float])
             measured = fit.predicted + fit.residual
             axes.plot(time[part], measured[part], color=GREY, alpha=0.5, linewidth=2.0, label="measured")
             axes.plot(time[part], fit.predicted[part], color=color, linewidth=0.9, label=structure)
-            axes.legend(loc="upper right", ncols=2)
+            # Beside the title: inside it would lie on the curves.
+            axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.97), ncols=2, borderaxespad=0.0)
             axes.set_title(f"{structure}: MSE {fit.mse:.3g} (N·m)²")
         rows[-1].set_xlabel("time [s]")
         rows[-1].set_xlim(*span)
@@ -87,8 +88,9 @@ def nyquist_picture() -> Picture:
         axes.annotate(
             f"ω_c = {found.frequency:.2f} rad/s\nφ_m = {found.margin:.1f}°",
             (point.real, point.imag),
-            xytext=(-92, -6),
-            textcoords="offset points",
+            xytext=(-5.7, 1.5),
+            textcoords="data",
+            arrowprops={"arrowstyle": "-", "color": GREY, "linewidth": 0.7},
         )
         axes.plot(-1, 0, "+", color=INK, markersize=10, markeredgewidth=1.4)
         axes.set(xlim=(-6, 6), ylim=(-9, 3), xlabel="real part", ylabel="imaginary part")
