@@ -36,7 +36,7 @@ class Law:
 
     Attributes: `period` [s]; `precision` "single" or "double"; `stiffness` c [N·m/rad]; `correction` and
     `feedforward` as `Modes`; `correction_error`, the largest error of C = 1 + Ĉ in (decibels, degrees) on
-    `band` [rad/s]; `feedforward_error`, the same of F times the flexion's share of the motor's motion;
+    `band` [rad/s]; `feedforward_error`, the same of F from a fifth of the resonance on;
     `inner_pole` p of M(s) [rad/s]; `drive`, None for a robot that has its own position servo; `limits` of
     the guards.
 

@@ -139,7 +139,9 @@ def judge(
     # A tip that is away because it was left behind does not swing out of its band: its noise may still
     # rise a little, and to call that unstable would name the wrong cause.
     swings = 0.5 * float(np.ptp(_tail(tip - reference))) > _band(reference)
-    if not np.all(np.isfinite(tip)) or (rate > 0 and swings and not math.isfinite(metrics.settling_time)):
+    # A growing vibration that is just passing through the band leaves it again within half a period.
+    stays = metrics.settling_time <= float(time[-1]) - 0.5 * vibration_period
+    if not np.all(np.isfinite(tip)) or (rate > 0 and swings and not stays):
         grown = f"unstable: the vibration grows at {rate:.3g} 1/s"
         return Verdict(False, f"{grown}; the law trips at {time[stop]:.3g} s" if abnormal.size else grown)
     if abnormal.size:
