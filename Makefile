@@ -43,7 +43,7 @@ bench: setup
 	$(PY) benchmarks/run.py
 
 docs: setup
-	$(BIN)/sphinx-build --quiet --fail-on-warning --keep-going -b html docs docs/_build/html
+	$(BIN)/sphinx-build --quiet --jobs auto --fail-on-warning --keep-going -b html docs docs/_build/html
 	@echo docs/_build/html/index.html
 
 reproduce: setup
