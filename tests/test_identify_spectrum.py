@@ -45,6 +45,21 @@ def test_outliers_are_set_aside_and_named() -> None:
     assert spoilt.standard_errors["order"] > 3 * fit.standard_errors["order"]
 
 
+@pytest.mark.parametrize("weighed", [False, True])
+def test_the_order_of_the_lines_does_not_matter(weighed: bool) -> None:
+    response = noisy(0)
+    response[[20, 77, 150]] *= [5, -3, 0.1]
+    coherence = np.linspace(0.6, 0.99, FREQUENCY.size) if weighed else None
+    sorted_fit = identify_frequency_response(FREQUENCY, response, coherence=coherence)
+    mixed = np.random.default_rng(3).permutation(FREQUENCY.size)
+    fit = identify_frequency_response(
+        FREQUENCY[mixed], response[mixed], coherence=None if coherence is None else coherence[mixed]
+    )
+    assert fit.order == sorted_fit.order
+    assert set(FREQUENCY[mixed][list(fit.outliers)]) == set(FREQUENCY[list(sorted_fit.outliers)])
+    assert np.array_equal(fit.predicted, sorted_fit.predicted[mixed])
+
+
 def test_tip_angle_and_known_values() -> None:
     response = LINK.tip()(1j * FREQUENCY)
     fit = identify_frequency_response(FREQUENCY, response, derivative=0, delay=0.0)

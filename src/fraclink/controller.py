@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fraclink.errors import FieldError
-from fraclink.quantity import checked_between, checked_whole
+from fraclink.quantity import checked_between, checked_whole, is_whole
 
 if TYPE_CHECKING:
     from fraclink.fractional import FractionalTransferFunction
@@ -174,7 +174,7 @@ class Controller:
             )
         set_(self, "order", order)
         set_(self, "filter_time", checked_between("filter_time", self.filter_time, 0.0, 1e6, "s"))
-        if isinstance(self.filter_order, bool) or self.filter_order not in (1, 2):
+        if not is_whole(self.filter_order, 1, 2):
             raise FieldError(
                 "filter_order",
                 self.filter_order,

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from fraclink.errors import FieldError, LogError
 from fraclink.files import write_text
 from fraclink.findings import Finding
-from fraclink.quantity import checked_number
+from fraclink.quantity import checked_choice, checked_number, checked_series
 
 __all__ = ["Experiment"]
 
@@ -62,16 +62,9 @@ class Experiment:
         _number("start_time", self.start_time, "s", positive=False)
         if self.payload is not None:
             _number("payload", self.payload, "kg", positive=True)
-        if self.output_kind not in ("torque", "deflection"):
-            raise FieldError(
-                "output_kind",
-                self.output_kind,
-                "unknown",
-                allowed="torque, deflection",
-                remedy="state one of them",
-            )
+        checked_choice("output_kind", self.output_kind, ("torque", "deflection"))
         for name in ("motor_angle", "output", "voltage"):
-            if getattr(self, name) is not None:
+            if name != "voltage" or self.voltage is not None:
                 object.__setattr__(self, name, _frozen(name, getattr(self, name)))
         self._check_lengths()
 
@@ -186,9 +179,7 @@ def _same(one: object, other: object) -> bool:
 
 
 def _frozen(name: str, values: ArrayLike) -> NDArray[np.float64]:
-    array = np.array(values, dtype=np.float64)
-    if array.ndim != 1:
-        raise LogError(name, array.shape, "not one column", allowed="shape (N,)", remedy="give one channel")
+    array = checked_series(name, values, error=LogError, remedy="give one channel")
     bad = np.flatnonzero(~np.isfinite(array))
     if bad.size:
         raise LogError(

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from fraclink.errors import FieldError
-from fraclink.quantity import checked_number
+from fraclink.quantity import checked_choice, checked_number
 
 if TYPE_CHECKING:
     from fraclink.fractional import FractionalTransferFunction
@@ -57,11 +57,7 @@ def structure(name: str) -> Structure:
     >>> structure("D-IOM").sentence
     'viscous damping, integer order'
     """
-    if name not in STRUCTURES:
-        raise FieldError(
-            "structure", name, "unknown", allowed=", ".join(STRUCTURES), remedy="choose one of these"
-        )
-    return STRUCTURES[name]
+    return STRUCTURES[checked_choice("structure", name, STRUCTURES)]
 
 
 def _mass(payload: object) -> float:

@@ -1,15 +1,27 @@
-"""Numbers that come from outside: one check for every noun, one form of its error."""
+"""Values that come from outside: one check for every kind, one form of its error."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fraclink.errors import FieldError
 
-__all__ = ["checked_between", "checked_number", "checked_whole", "is_whole"]
+__all__ = [
+    "checked_between",
+    "checked_choice",
+    "checked_noun",
+    "checked_number",
+    "checked_series",
+    "checked_whole",
+    "is_whole",
+]
+
+Noun = TypeVar("Noun")
 
 
 def checked_number(
@@ -88,3 +100,64 @@ def is_whole(value: object, low: int, high: int) -> bool:
     (True, False, False, False)
     """
     return isinstance(value, int | np.integer) and not isinstance(value, bool) and bool(low <= value <= high)
+
+
+def checked_choice(
+    field: str, value: object, choices: Iterable[str], *, remedy: str = "choose one of these"
+) -> str:
+    """Return `value` where it is one of the words in `choices`; FieldError for anything else.
+
+    >>> checked_choice("hold", "zero", ("zero", "first"))
+    'zero'
+    >>> checked_choice("hold", ["zero"], ("zero", "first"))
+    Traceback (most recent call last):
+    fraclink.errors.FieldError: hold: ['zero'] is unknown; allowed zero, first; choose one of these
+    """
+    words = tuple(choices)
+    if not isinstance(value, str) or value not in words:
+        raise FieldError(field, value, "unknown", allowed=", ".join(words), remedy=remedy)
+    return value
+
+
+def checked_noun(field: str, value: object, kind: type[Noun], *, remedy: str) -> Noun:
+    """Return `value` where it is a `kind`; FieldError, which says where to get one, for anything else.
+
+    >>> checked_noun("log", "log.csv", dict, remedy="read it first")
+    Traceback (most recent call last):
+    fraclink.errors.FieldError: log: 'log.csv' is no dict; allowed a dict; read it first
+    """
+    if not isinstance(value, kind):
+        name = kind.__name__
+        article = "an" if name[0] in "AEIOU" else "a"
+        raise FieldError(field, repr(value), f"no {name}", allowed=f"{article} {name}", remedy=remedy)
+    return value
+
+
+def checked_series(
+    field: str,
+    value: object,
+    *,
+    remedy: str = "give one column of numbers",
+    error: type[FieldError] = FieldError,
+) -> NDArray[np.float64]:
+    """Return `value` as an array of shape (N,); `error` where it is no single column of real numbers.
+
+    Whether the numbers are finite is for the caller to ask: some columns may have gaps.
+
+    >>> checked_series("torque", [0, 0.1]).tolist()
+    [0.0, 0.1]
+    >>> checked_series("torque", "0, 0.1", remedy="read the file")
+    Traceback (most recent call last):
+    fraclink.errors.FieldError: torque: str is no column of numbers; allowed shape (N,); read the file
+    """
+    allowed = "shape (N,)"
+    try:
+        array = np.asarray(value)
+        numbers = array.astype(np.float64) if array.dtype.kind in "iuf" else None
+    except (TypeError, ValueError, OverflowError):  # rows of different lengths; objects that are no numbers
+        numbers = None
+    if numbers is None:
+        raise error(field, type(value).__name__, "no column of numbers", allowed=allowed, remedy=remedy)
+    if numbers.ndim != 1:
+        raise error(field, numbers.shape, "not one column", allowed=allowed, remedy=remedy)
+    return numbers

@@ -8,30 +8,37 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fraclink.errors import FieldError, SizeError
-from fraclink.quantity import checked_number
+from fraclink.quantity import checked_between, checked_whole, is_whole
 
-__all__ = ["Chirp", "Path", "Reference", "chirp", "hold", "prbs", "pulse", "sampled", "smooth_step"]
+__all__ = [
+    "Chirp",
+    "Path",
+    "Reference",
+    "checked_reference",
+    "chirp",
+    "hold",
+    "prbs",
+    "pulse",
+    "sampled",
+    "smooth_step",
+]
 
 Real = NDArray[np.float64]
 
-# samples of one reference (RELIABILITY B52): 2 h at 4 ms, 48 MB of angle, velocity, acceleration
+# Samples of one reference: 2 h at 4 ms, 48 MB of angle, velocity and acceleration.
 LONGEST = 2_000_000
-_QUINTIC = (
-    0.0,
-    0.0,
-    0.0,
-    10.0,
-    -15.0,
-    6.0,
-)  # 10x³ − 15x⁴ + 6x⁵: rest to rest, velocity and acceleration continuous
+# A quintic divides by the fifth power of its duration: beyond these the quotients leave a float's range.
+_SHORTEST, _LARGEST = 1e-9, 1e9
+_QUINTIC = (0.0, 0.0, 0.0, 10.0, -15.0, 6.0)  # rest to rest, velocity and acceleration continuous
 
 
+@runtime_checkable
 class Reference(Protocol):
     """What every reference offers; times in [s], any shape, kept."""
 
@@ -149,20 +156,22 @@ class Chirp:
 def _number(
     field: str, value: float, unit: str, *, positive: bool = False, at_least: float | None = None
 ) -> float:
-    allowed = (
-        f"> 0 {unit}"
-        if positive
-        else f">= {at_least:g} {unit}"
-        if at_least is not None
-        else f"finite, {unit}"
-    )
-    return checked_number(
-        field,
-        value,
-        allowed=allowed,
-        remedy="give one number in this range",
-        holds=lambda x: not (positive and x <= 0) and (at_least is None or x >= at_least),
-    )
+    """A number whose powers and quotients a float still holds."""
+    low = _SHORTEST if positive else -_LARGEST if at_least is None else at_least
+    return checked_between(field, value, low, _LARGEST, unit, remedy="give one number in this range")
+
+
+def checked_reference(value: object) -> Reference:
+    """Return `value` where it is a reference; FieldError for anything else, a number among it."""
+    if not isinstance(value, Reference):
+        raise FieldError(
+            "reference",
+            repr(value),
+            "no reference",
+            allowed="an angle over time",
+            remedy="smooth_step, pulse, prbs, chirp and hold make one",
+        )
+    return value
 
 
 def smooth_step(amplitude: float, duration: float, start: float = 0.0) -> Path:
@@ -193,7 +202,7 @@ def pulse(amplitude: float, width: float, start: float = 0.0, *, rise: float = 0
     wide = _number("width", width, "s", positive=True)
     begin = _number("start", start, "s", at_least=0.0)
     edge = _number("rise", rise, "s", at_least=0.0)
-    if edge > 0:
+    if edge >= _SHORTEST:
         if edge > wide:
             raise FieldError(
                 "rise", edge, "longer than the pulse", allowed=f"<= {wide} s", remedy="widen the pulse"
@@ -226,14 +235,11 @@ def prbs(amplitude: float, bit: float, *, bits: int = 127, register: int = 7, st
     (128, 25.4)
     """
     taps = {3: 2, 4: 3, 5: 3, 6: 5, 7: 6, 9: 5, 10: 7, 11: 9}  # x^n + x^k + 1 is primitive
-    if register not in taps:
+    if not is_whole(register, 3, 12) or register not in taps:
         raise FieldError(
             "register", register, "not offered", allowed=", ".join(map(str, taps)), remedy="7 gives 127 bits"
         )
-    if isinstance(bits, bool) or not isinstance(bits, int) or not 1 <= bits <= LONGEST:
-        raise FieldError(
-            "bits", bits, "out of range", allowed=f"1 to {LONGEST}", remedy="give a whole number"
-        )
+    checked_whole("bits", bits, 1, LONGEST)
     height = _number("amplitude", amplitude, "rad")
     length = _number("bit", bit, "s", positive=True)
     begin = _number("start", start, "s", at_least=0.0)

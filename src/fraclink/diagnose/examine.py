@@ -19,6 +19,7 @@ from fraclink.diagnose.mode import mode_findings
 from fraclink.diagnose.scan import Mode, find_mode
 from fraclink.experiment import Experiment
 from fraclink.findings import Finding
+from fraclink.quantity import checked_noun
 from fraclink.rig import Rig
 
 __all__ = ["diagnose"]
@@ -45,6 +46,9 @@ def diagnose(experiment: Experiment, rig: Rig | None = None) -> tuple[Finding, .
     >>> any(finding.severity == "error" for finding in findings)
     False
     """
+    checked_noun("experiment", experiment, Experiment, remedy="read the file with read_log first")
+    if rig is not None:
+        checked_noun("rig", rig, Rig, remedy="Rig.named or Rig.load make one")
     return tuple(sorted(_all(experiment, rig), key=lambda finding: _ORDER[finding.severity]))
 
 

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink.errors import FieldError, InfeasibleError
+from fraclink.errors import InfeasibleError
 from fraclink.identify.problem import Window, columns_of
 from fraclink.identify.shape import FREE, mask_of, shape_of
 from fraclink.link import LinkModel
+from fraclink.quantity import checked_between, checked_choice, checked_noun
 from fraclink.reference import prbs
 from fraclink.rig import Motor
 
@@ -21,15 +22,9 @@ __all__ = ["ExperimentDesign", "design_experiment"]
 
 Reals = NDArray[np.float64]
 
-_BANDS = (
-    0.25,
-    0.35,
-    0.5,
-    0.7,
-    1.0,
-    1.4,
-    2.0,
-)  # of the resonance, for the PRBS's bit or the multisine's centre
+# Of the resonance, for the PRBS's bit or the multisine's centre.
+_BANDS = (0.25, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0)
+_LEAST_SAMPLES, _MOST_SAMPLES = 200, 1_000_000  # of a log; each band is simulated sample by sample
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,37 +86,37 @@ def design_experiment(
     >>> plan.limit, plan.standard_error <= 0.001 * (1 + 1e-9), 0.01 < plan.amplitude < 1
     ('none', True, True)
     """
-    for name, value in (
-        ("standard_error", standard_error),
-        ("noise", noise),
-        ("period", period),
-        ("duration", duration),
-    ):
-        if not (math.isfinite(value) and value > 0):
-            raise FieldError(name, value, "out of range", allowed="> 0", remedy="give a positive number")
+    link = checked_noun("model", model, LinkModel, remedy="fit.model, or a first guess of it")
+    checked_choice("kind", kind, ("prbs", "multisine"))
+    wanted = checked_between("standard_error", standard_error, 0.0, 1.0, open_low=True)
+    noise = checked_between("noise", noise, 1e-12, 1e6, "N·m")
+    period = checked_between("period", period, 1e-6, 1.0, "s")
+    least, longest = _LEAST_SAMPLES * period, _MOST_SAMPLES * period
+    duration = checked_between("duration", duration, least, longest, "s")
+    inner_pole = checked_between("inner_pole", inner_pole, 0.1, 1e6, "rad/s")
+    if motor is not None:
+        checked_noun("motor", motor, Motor, remedy="rig.motor")
+    if not (isinstance(deflection_limit, float) and deflection_limit == math.inf):  # no limit
+        deflection_limit = checked_between(
+            "deflection_limit", deflection_limit, 0.0, math.pi, "rad", open_low=True
+        )
     tried = [
-        _unit(model, bit, band, motion, noise, period, motor)
-        for bit, band, motion in _motions(kind, model, period, duration, inner_pole)
+        _unit(link, bit, band, motion, noise, period, motor)
+        for bit, band, motion in _motions(kind, link, period, duration, inner_pole)
     ]
-    plans = [_scaled(unit, standard_error, deflection_limit, motor) for unit in tried]
+    plans = [_scaled(unit, wanted, deflection_limit, motor) for unit in tried]
     allowed = [plan for plan, reached in plans if reached]
     if allowed:
-        return _named(min(allowed, key=lambda plan: plan.amplitude), kind)
+        return replace(min(allowed, key=lambda plan: plan.amplitude), kind=kind)
     best = min((plan for plan, _ in plans), key=lambda plan: plan.standard_error)
+    # The error of an estimate falls with the square root of the samples.
+    enough = duration * (best.standard_error / wanted) ** 2
+    longer = f"; a log of {math.ceil(enough)} s may do" if enough <= longest else ""
     raise InfeasibleError(
         f"{best.limit} limit",
-        f"standard error {standard_error:.3g} of λ needs more than {best.amplitude:.3g} rad",
-        {
-            "standard_error": best.standard_error * (1 + 1e-6),
-            "duration": duration * (best.standard_error / standard_error) ** 2,
-        },
+        f"standard error {wanted:.3g} of λ needs more than {best.amplitude:.3g} rad{longer}",
+        {"standard_error": best.standard_error * (1 + 1e-6)},
     )
-
-
-def _named(plan: ExperimentDesign, kind: str) -> ExperimentDesign:
-    from dataclasses import replace
-
-    return replace(plan, kind=kind)
 
 
 def _motions(
@@ -138,11 +133,9 @@ def _motions(
             path = prbs(1.0, bit, bits=max(int((duration - 0.5) / bit), 1), register=9, start=0.2)
             band = (2 * math.pi / duration, 0.44 * 2 * math.pi / bit)
             result.append((bit, band, _followed(path.angle(time), period, inner_pole)))
-        elif kind == "multisine":
+        else:
             band = (0.5 * centre, 2.0 * centre)
             result.append((None, band, _followed(_multisine(time, band), period, inner_pole)))
-        else:
-            raise FieldError("kind", kind, "unknown", allowed="prbs, multisine", remedy="choose one of these")
     return result
 
 

@@ -17,8 +17,9 @@ import numpy as np
 from numpy.polynomial import Polynomial
 from numpy.typing import ArrayLike, NDArray
 
-from fraclink.errors import FieldError, LogError
+from fraclink.errors import LogError
 from fraclink.identify.statistics import long_run_covariance
+from fraclink.quantity import checked_between, checked_series
 
 __all__ = ["MotorFit", "identify_motor"]
 
@@ -26,6 +27,7 @@ Reals = NDArray[np.float64]
 
 _BUMP = Polynomial([1.0, 0.0, -1.0]) ** 5  # (1 − x²)⁵: five derivatives vanish at its ends
 _LEAST_WINDOWS = 20
+_LEAST_SAMPLES = 200
 
 
 @dataclass(frozen=True)
@@ -85,9 +87,20 @@ def identify_motor(
     >>> [round(x, 2) for x in (fit.gain / 3056.77, fit.decay / 15.153, fit.coulomb_voltage / 0.02)]
     [1.0, 1.0, 1.0]
     """
-    u, angle = np.asarray(voltage, dtype=np.float64), np.asarray(motor_angle, dtype=np.float64)
-    load = None if torque is None else np.asarray(torque, dtype=np.float64)
-    _check(u, angle, load, period, inertia)
+    u, angle, load = _channels(voltage, motor_angle, torque)
+    period = checked_between("period", period, 1e-6, 10.0, "s")
+    if inertia is not None:
+        inertia = checked_between(
+            "inertia", inertia, 0.0, 1e6, "kg·m²", open_low=True, remedy="give J or leave it out"
+        )
+    longest = period * angle.size
+    if delay is not None:
+        delay = checked_between("delay", delay, 0.0, longest, "s")
+    if dead_zone is not None:
+        top = float(np.max(np.abs(u)))
+        dead_zone = checked_between("dead_zone", dead_zone, 0.0, 0.99 * top, "V")
+    if window is not None:
+        window = checked_between("window", window, 0.0, longest, "s", open_low=True)
     half = max(15, round((0.04 if window is None else window / 2) / period))
     bumps = _Bumps(angle, load, period, half)
     if bumps.places.size < _LEAST_WINDOWS:
@@ -224,25 +237,26 @@ def _result(bumps: _Bumps, u: Reals, delay: float, zone: float, inertia: float |
     )
 
 
-def _check(u: Reals, angle: Reals, load: Reals | None, period: float, inertia: float | None) -> None:
-    if not (math.isfinite(period) and period > 0):
-        raise FieldError("period", period, "out of range", allowed="> 0 s", remedy="give the sampling period")
-    if inertia is not None and not inertia > 0:
-        raise FieldError(
-            "inertia", inertia, "out of range", allowed="> 0 kg·m²", remedy="give J or leave it out"
-        )
-    for name, values in (("voltage", u), ("motor_angle", angle), ("torque", load)):
-        if values is None:
-            continue
-        if values.ndim != 1 or values.size != angle.size or values.size < 200:
+def _channels(
+    voltage: ArrayLike, motor_angle: ArrayLike, torque: ArrayLike | None
+) -> tuple[Reals, Reals, Reals | None]:
+    """The channels as columns of one length that move; LogError otherwise."""
+    given = {"voltage": voltage, "motor_angle": motor_angle}
+    if torque is not None:
+        given["torque"] = torque
+    columns = {name: checked_series(name, values, error=LogError) for name, values in given.items()}
+    samples = columns["motor_angle"].size
+    for name, values in columns.items():
+        if values.size != samples or samples < _LEAST_SAMPLES:
             raise LogError(
                 name,
-                str(values.shape),
+                values.size,
                 "too short or of another length",
-                allowed=">= 200 samples, all alike",
+                allowed=f">= {_LEAST_SAMPLES} samples, all alike",
                 remedy="cut the channels to their common span",
             )
         if not np.all(np.isfinite(values)):
             raise LogError(name, "NaN", "not finite", allowed="finite numbers", remedy="repair the log")
         if np.ptp(values) == 0:
             raise LogError(name, float(values[0]), "constant", allowed="a motion", remedy="check the wiring")
+    return columns["voltage"], columns["motor_angle"], columns.get("torque")

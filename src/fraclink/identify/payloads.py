@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fraclink.errors import FieldError, LogError
+from fraclink.experiment import Experiment
 from fraclink.identify.joint import Coordinates
 from fraclink.identify.jointfit import JointFit, LikelihoodRatio
 from fraclink.identify.jointsolve import make_coordinates, minimise, start_of, weight_of
@@ -21,9 +21,7 @@ from fraclink.identify.single import make_search
 from fraclink.identify.solution import Solution
 from fraclink.identify.statistics import aic
 from fraclink.link import structure as structure_row
-
-if TYPE_CHECKING:
-    from fraclink.experiment import Experiment
+from fraclink.quantity import checked_between, checked_choice, checked_noun
 
 __all__ = ["JointFit", "LikelihoodRatio", "identify_payloads"]
 
@@ -74,6 +72,8 @@ def identify_payloads(
     """
     names = _names(structure, common)
     _check(logs, tied)
+    if length is not None:
+        length = checked_between("length", length, 0.0, 1e3, "m", open_low=True)
     fixed = {} if delay is None else {"delay": delay}
     searches = [
         make_search(log, heldout=0.0, stiffness=stiffness, fixed=fixed, guess=None, hold=hold) for log in logs
@@ -91,16 +91,17 @@ def _names(structure: str, common: Sequence[str] | None) -> tuple[str, ...]:
     own = [name for name in structure_row(structure).free if name != "natural_frequency"]
     if common is None:
         return tuple(own)
-    for name in common:
-        if name not in (*own, "delay"):
-            allowed = ", ".join((*own, "delay"))
-            raise FieldError(
-                "common", name, f"no parameter of {structure}", allowed=allowed, remedy="drop it"
-            )
-    return tuple(common)
+    return tuple(
+        checked_choice("common", name, (*own, "delay"), remedy=f"{structure} has these")
+        for name in (common if isinstance(common, list | tuple) else (common,))
+    )
 
 
 def _check(logs: Sequence[Experiment], tied: bool) -> None:
+    if not isinstance(logs, list | tuple):
+        raise FieldError("logs", logs, "no list", allowed=">= 2 experiments", remedy="give [first, second]")
+    for i, log in enumerate(logs):
+        checked_noun(f"logs[{i}]", log, Experiment, remedy="read the file with read_log first")
     if len(logs) < 2:
         raise LogError("logs", len(logs), "too few", allowed=">= 2", remedy="use identify for a single log")
     payloads = [log.payload for log in logs]

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._kernels import FitProblem
-from fraclink.errors import FieldError, NotConvergedError
+from fraclink.errors import NotConvergedError
+from fraclink.quantity import checked_choice
 
 __all__ = ["Hold", "Window", "chosen_hold", "columns_of"]
 
@@ -33,8 +34,7 @@ def chosen_hold(motor_angle: Vector, hold: Hold) -> Literal["zero", "first"]:
     between two samples and rests before and after is held instead. Read as a ramp it would delay the link
     by half a sample, and λ pays for that.
     """
-    if hold not in ("auto", "zero", "first"):
-        raise FieldError("hold", hold, "unknown", allowed="auto, zero, first", remedy="choose one of these")
+    checked_choice("hold", hold, ("auto", "zero", "first"))
     if hold != "auto":
         return hold
     steps = np.abs(np.diff(motor_angle, prepend=motor_angle[:1], append=motor_angle[-1:]))

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fraclink.errors import FieldError, LogError
+from fraclink.experiment import Experiment
 from fraclink.identify.errors_of_fit import Uncertainty, uncertainty
 from fraclink.identify.fit import Fit
 from fraclink.identify.notes import findings_of
@@ -21,15 +21,13 @@ from fraclink.identify.solution import Solution
 from fraclink.identify.statistics import ResidualTests, aic, bic, residual_tests
 from fraclink.link import LinkModel
 from fraclink.link import structure as structure_row
-
-if TYPE_CHECKING:
-    from fraclink.experiment import Experiment
+from fraclink.quantity import checked_between, checked_choice, checked_noun, checked_series
 
 __all__ = ["identify"]
 
 _FIXABLE: dict[str, tuple[float, float]] = {
-    "gain": (-math.inf, math.inf),
-    "offset": (-math.inf, math.inf),
+    "gain": (-1e12, 1e12),
+    "offset": (-1e12, 1e12),
     "delay": (-1.0, 10.0),
     "order": ORDER_LIMITS,
     "damping_order": ALPHA_LIMITS,
@@ -96,10 +94,21 @@ def simulated_torque(
 
     It is what `identify` compares a log with; the independent way is `fraclink.time_response`.
     """
-    angle = np.asarray(motor_angle, dtype=np.float64)
-    window = Window(angle, np.zeros_like(angle), period, chosen_hold(angle, hold))
-    kernel = window.kernel(abs(model.pole), longest_delay=abs(delay))
-    return np.asarray(model.stiffness * columns_of(kernel, shape_of(model, delay))[0])
+    link = checked_noun("model", model, LinkModel, remedy="fit.model, or LinkModel(...)")
+    angle = checked_series("motor_angle", motor_angle)
+    step = checked_between("period", period, 1e-6, 1e6, "s")
+    late = checked_between("delay", delay, *_FIXABLE["delay"], "s")
+    if angle.size < 2 or not np.all(np.isfinite(angle)):
+        raise FieldError(
+            "motor_angle",
+            f"{angle.size} samples",
+            "too short or not finite",
+            allowed=">= 2 finite samples",
+            remedy="cut or repair it",
+        )
+    window = Window(angle, np.zeros_like(angle), step, chosen_hold(angle, hold))
+    kernel = window.kernel(abs(link.pole), longest_delay=abs(late))
+    return np.asarray(link.stiffness * columns_of(kernel, shape_of(link, late))[0])
 
 
 def make_search(
@@ -112,45 +121,42 @@ def make_search(
     hold: Hold,
 ) -> Search:
     """Check the options and cut the fitted part of the log."""
-    if not (isinstance(heldout, int | float) and 0 <= heldout <= 0.9):
-        raise FieldError(
-            "heldout", heldout, "out of range", allowed="0 to 0.9", remedy="give 0.4, or 0 for none"
-        )
-    values = _checked(fixed or {})
+    checked_noun("log", log, Experiment, remedy="read the file with read_log first")
+    share = checked_between("heldout", heldout, 0.0, 0.9, remedy="give 0.4, or 0 for none")
+    values = {} if fixed is None else _checked(fixed)
     if stiffness is not None:
-        if not (math.isfinite(stiffness) and stiffness > 0):
-            raise FieldError(
-                "stiffness", stiffness, "out of range", allowed="> 0 N·m/rad", remedy="give c or leave it out"
-            )
+        known = checked_between(
+            "stiffness", stiffness, 0.0, 1e9, "N·m/rad", open_low=True, remedy="give c or leave it out"
+        )
         if log.output_kind == "torque":
-            values.setdefault("gain", float(stiffness))
-    count = log.output.size - round(heldout * log.output.size)
+            values.setdefault("gain", known)
+    count = log.output.size - round(share * log.output.size)
     chosen = chosen_hold(log.motor_angle, hold)
     _check_motion(log, count)
     window = Window(log.motor_angle[:count], log.output[:count], log.period, chosen)
     start = None
     if guess is not None:
+        checked_noun("guess", guess, LinkModel, remedy="give a LinkModel, or leave it out: none is needed")
         start = shape_of(guess, values.get("delay", 0.0))
         start[0] = np.clip(start[0], *ORDER_LIMITS)
     return Search(window, values, start)
 
 
-def _checked(fixed: Mapping[str, float]) -> dict[str, float]:
-    for name, value in fixed.items():
-        if name not in _FIXABLE:
-            raise FieldError(
-                "fixed", name, "unknown", allowed=", ".join(_FIXABLE), remedy="name one of these"
-            )
-        low, high = _FIXABLE[name]
-        if not (math.isfinite(value) and low <= value <= high):
-            raise FieldError(
-                f"fixed {name}",
-                value,
-                "out of range",
-                allowed=f"{low:g} to {high:g}",
-                remedy="give another value",
-            )
-    return {name: float(value) for name, value in fixed.items()}
+def _checked(fixed: object) -> dict[str, float]:
+    if not isinstance(fixed, Mapping):
+        raise FieldError(
+            "fixed",
+            fixed,
+            "no mapping",
+            allowed="names to values",
+            remedy='give values by name, such as {"delay": 0.0}',
+        )
+    return {
+        checked_choice("fixed", name, _FIXABLE): checked_between(
+            f"fixed {name}", value, *_FIXABLE[name], remedy="give another value"
+        )
+        for name, value in fixed.items()
+    }
 
 
 def _check_motion(log: Experiment, count: int) -> None:

@@ -8,13 +8,15 @@ are); p_i = ϖ_i^(2/λ). d = 1 without anti-resonances is the torque of a link, 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fraclink.errors import FieldError, LogError
 from fraclink.identify.modal import ModalProblem, SpectrumFit
+from fraclink.quantity import checked_between, checked_series, checked_whole
 
 __all__ = ["FrequencyResponse", "SpectrumFit", "frequency_response", "identify_frequency_response"]
 
@@ -22,6 +24,7 @@ Reals = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 
 _EXCITED = 0.05  # of the largest input line: below, a line's ratio is mostly noise
+_MOST_MODES = 12  # each takes two parameters; measured tables seldom tell more than six apart
 _ROUNDS = 5  # of setting outliers aside
 _HAMPEL = 6.0  # robust standard deviations from the neighbours' median
 
@@ -53,8 +56,10 @@ def frequency_response(
     >>> found.response.real.round(6).tolist(), (found.frequency / 2 / np.pi).tolist()
     ([2.0], [0.0625])
     """
-    u, y = np.asarray(signal, dtype=np.float64), np.asarray(output, dtype=np.float64)
-    if u.ndim != 1 or u.shape != y.shape or u.size < 16:
+    u, y = checked_series("signal", signal), checked_series("output", output)
+    checked_between("period", period, 0.0, 1e6, "s", open_low=True)
+    checked_between("threshold", threshold, 0.0, 1.0)
+    if u.shape != y.shape or u.size < 16:
         raise LogError(
             "output",
             str(y.shape),
@@ -104,8 +109,15 @@ def identify_frequency_response(
     (1.92, 1.56, 10.02)
     """
     w, h, weight = _checked(frequency, response, coherence, weights)
-    power = (0 if anti_resonances else 1) if derivative is None else derivative
-    problem = ModalProblem(w, h, weight, resonances, anti_resonances, power, order, delay)
+    ascending = np.argsort(w)
+    checked_whole("resonances", resonances, 0, _MOST_MODES)
+    checked_whole("anti_resonances", anti_resonances, 0, _MOST_MODES)
+    default = 0 if anti_resonances else 1
+    power = default if derivative is None else checked_whole("derivative", derivative, -4, 4)
+    if order is not None:
+        order = checked_between("order", order, 1.0, 2.0)
+    if delay is not None:
+        delay = checked_between("delay", delay, -10.0, 10.0, "s")
     if w.size < 2 * (resonances + anti_resonances) + 4:
         raise FieldError(
             "frequency",
@@ -114,12 +126,23 @@ def identify_frequency_response(
             allowed=f">= {2 * (resonances + anti_resonances) + 4}",
             remedy="fit fewer modes",
         )
+    columns = (w[ascending], h[ascending], weight[ascending])
+    problem = ModalProblem(*columns, resonances, anti_resonances, power, order, delay)
     if not robust:
         every = np.ones(w.size, dtype=bool)
-        return problem.result(problem.solve(every, None, loss="linear"), every)
-    # A loss that ignores outliers may also ignore a mode; one that does not may follow an outlier. Try both.
-    tried = [_without_outliers(problem, loss) for loss in ("soft_l1", "linear")]
-    return max(tried, key=lambda fit: fit.fit - 100 * len(fit.outliers) / w.size)
+        found = problem.result(problem.solve(every, None, loss="linear"), every)
+    else:
+        # A loss that ignores outliers may also ignore a mode; one that does not may follow an outlier.
+        tried = [_without_outliers(problem, loss) for loss in ("soft_l1", "linear")]
+        found = max(tried, key=lambda fit: fit.fit - 100 * len(fit.outliers) / w.size)
+    return _in_order(found, ascending)
+
+
+def _in_order(fit: SpectrumFit, ascending: NDArray[np.intp]) -> SpectrumFit:
+    """The fit with its lines numbered as the caller gave them."""
+    predicted = np.empty_like(fit.predicted)
+    predicted[ascending] = fit.predicted
+    return replace(fit, outliers=tuple(sorted(int(ascending[k]) for k in fit.outliers)), predicted=predicted)
 
 
 def _without_outliers(problem: ModalProblem, loss: str) -> SpectrumFit:
@@ -151,8 +174,8 @@ def _standing_out(error: Complexes) -> NDArray[np.bool_]:
 def _checked(
     frequency: ArrayLike, response: ArrayLike, coherence: ArrayLike | None, weights: ArrayLike | None
 ) -> tuple[Reals, Complexes, Reals]:
-    w, h = np.asarray(frequency, dtype=np.float64), np.asarray(response, dtype=np.complex128)
-    if w.ndim != 1 or h.shape != w.shape:
+    w, h = checked_series("frequency", frequency), _complexes(response)
+    if h.shape != w.shape:
         raise FieldError(
             "response",
             str(h.shape),
@@ -173,21 +196,44 @@ def _checked(
             "weights", "both", "given beside coherence", allowed="one of them", remedy="drop one"
         )
     if coherence is not None:
-        share = np.asarray(coherence, dtype=np.float64)
+        share = checked_series("coherence", coherence)
         if share.shape != w.shape or not np.all((share > 0) & (share <= 1)):
             raise FieldError(
                 "coherence",
-                float(share.min()),
+                float(share.min()) if share.size else "an empty column",
                 "out of range",
                 allowed="0 < γ² <= 1, one a line",
                 remedy="leave lines without coherence out",
             )
+        if not np.all(np.abs(h) > 0):
+            raise FieldError("response", 0, "zero at a line", allowed="|H| > 0", remedy="leave that line out")
         share = np.minimum(share, 1 - 1e-6)
         return w, h, np.sqrt(share / (1 - share)) / np.abs(h)
-    weight = np.ones(w.size) if weights is None else np.asarray(weights, dtype=np.float64)
-    if weight.shape != w.shape or not np.all(weight >= 0):
+    weight = np.ones(w.size) if weights is None else checked_series("weights", weights)
+    if weight.shape != w.shape or not np.all((weight >= 0) & (weight < math.inf)):
         raise FieldError(
-            "weights", str(weight.shape), "of another length or negative", allowed=">= 0", remedy="check"
+            "weights",
+            f"{weight.size} weights",
+            "of another length, negative or not finite",
+            allowed=">= 0, one a line",
+            remedy="give one for each frequency",
         )
-    order = np.argsort(w)
-    return w[order], h[order], weight[order]
+    return w, h, weight
+
+
+def _complexes(response: ArrayLike) -> Complexes:
+    """The response as a complex column; FieldError for anything else."""
+    try:
+        values = np.asarray(response)
+        numbers = values.astype(np.complex128) if values.dtype.kind in "iufc" else None
+    except (TypeError, ValueError, OverflowError):
+        numbers = None
+    if numbers is None or numbers.ndim != 1:
+        raise FieldError(
+            "response",
+            type(response).__name__,
+            "no column of complex numbers",
+            allowed="shape (N,)",
+            remedy="give gain·exp(j·phase)",
+        )
+    return numbers

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -12,14 +12,12 @@ from fraclink import _kernels
 from fraclink.errors import FieldError
 from fraclink.law import Law, equip
 from fraclink.link import LinkModel
-from fraclink.quantity import checked_number, checked_whole
-from fraclink.reference import Reference, sampled
+from fraclink.quantity import checked_choice, checked_noun, checked_number, checked_whole
+from fraclink.reference import Reference, checked_reference, sampled
+from fraclink.rig import Rig
 from fraclink.simulate.metrics import judge, measure
 from fraclink.simulate.plant import link_weights
 from fraclink.simulate.run import Run, Settings
-
-if TYPE_CHECKING:
-    from fraclink.rig import Rig
 
 __all__ = ["judged", "simulate"]
 
@@ -98,10 +96,14 @@ def simulate(
     >>> run.verdict.holds, run.metrics.settling_time < 1.0
     (True, True)
     """
+    checked_noun("rig", rig, Rig, remedy="Rig.named or Rig.load make one")
+    checked_noun("model", model, LinkModel, remedy="fit.model, or rig.model")
+    checked_noun("law", law, Law, remedy="controller.discretize(rig.period) makes one")
+    checked_reference(reference)
     link = _at_payload(model, rig, payload)
     law = _fitting(law, rig, model, inner)
     ended = reference.duration
-    length = ended + SETTLE if duration is None else _number("duration", duration, "s", law.period, math.inf)
+    length = ended + SETTLE if duration is None else _number("duration", duration, "s", law.period, 1e300)
     count = math.floor(length / law.period * (1 + 1e-12)) + 1
     path = sampled(reference, law.period, count)
     if not np.all(np.isfinite(path)):
@@ -183,19 +185,18 @@ def judged(
 
 
 def _at_payload(model: LinkModel, rig: Rig, payload: float | None) -> LinkModel:
-    if payload is None or payload == model.payload:
+    if payload is None:
         return model
     mass = _number("payload", payload, "kg", 1e-9, 1e9)
+    if mass == model.payload:
+        return model
     if model.payload is not None:
         return model.at_payload(mass)
     return replace(model, natural_frequency=rig.natural_frequency(mass), payload=mass)
 
 
 def _fitting(law: Law, rig: Rig, model: LinkModel, inner: str) -> Law:
-    if inner not in ("ideal", "sampled"):
-        raise FieldError(
-            "inner", inner, "unknown", allowed="ideal or sampled", remedy='"ideal" is M(s) of (21)'
-        )
+    checked_choice("inner", inner, ("ideal", "sampled"), remedy='"ideal" is M(s) of (21)')
     if not math.isclose(law.period, rig.period, rel_tol=1e-9):
         raise FieldError(
             "period",
@@ -232,12 +233,12 @@ def _loop_rig(rig: Rig, law: Law, settings: Settings, start: float, stiffness: f
 
 
 def _compensation(value: str, inner: str) -> str:
-    if value not in ("ideal", "measured") or (value == "measured" and inner != "sampled"):
+    if checked_choice("compensation", value, ("ideal", "measured")) == "measured" and inner != "sampled":
         raise FieldError(
             "compensation",
             value,
-            'unknown, or without inner="sampled"',
-            allowed="ideal or measured",
+            'given without inner="sampled"',
+            allowed="ideal",
             remedy="the ideal inner loop M(s) has no coupling torque to compensate",
         )
     return value

@@ -61,7 +61,14 @@ def conduct(
     """
     from fraclink.diagnose import diagnose
     from fraclink.identify import identify_all
+    from fraclink.quantity import checked_noun
+    from fraclink.rig import Rig
 
+    checked_noun("rig", rig, Rig, remedy="Rig.named or Rig.load make one")
+    if request is not None:
+        checked_noun("request", request, Request, remedy="Request(gain_crossover=12.0)")
+    if move is not None:
+        checked_noun("move", move, Move, remedy="Move(amplitude=1.0)")
     begin("examining the log")
     findings = (*rig.warnings, *diagnose(experiment, rig))
     begin("identifying")
@@ -138,9 +145,13 @@ def simulate_move(plan: Plan, move: Move, payload: float, *, law: Law | None = N
     >>> simulate_move(plan, Move(amplitude=0.2), 0.020).payload
     0.02
     """
+    from fraclink.design import Plan
+    from fraclink.quantity import checked_noun
     from fraclink.reference import smooth_step
     from fraclink.simulate import simulate
 
+    checked_noun("plan", plan, Plan, remedy="design(...) makes one")
+    checked_noun("move", move, Move, remedy="Move(amplitude=1.0)")
     return simulate(
         plan.rig,
         plan.model,

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Literal
 
 from fraclink.errors import FieldError
 from fraclink.findings import Finding
-from fraclink.rig import Motor
+from fraclink.quantity import checked_between, checked_noun, checked_whole
+from fraclink.rig import Motor, Rig
 from fraclink.twin.beam import Beam
 from fraclink.twin.damping import Damping, FractionalKelvinVoigt, KelvinVoigt, PowerLaw
 from fraclink.twin.plant import LONGEST_STEP, Plant, assemble
@@ -16,7 +17,6 @@ from fraclink.twin.sensors import Sensors
 
 if TYPE_CHECKING:
     from fraclink.link import LinkModel
-    from fraclink.rig import Rig
 
 __all__ = ["Twin", "damping_of", "geared"]
 
@@ -38,6 +38,7 @@ def geared(rig: Rig, ratio: float = 50.0) -> Rig:
 
     ratio: n, motor turns for one turn of the output, > 0
     """
+    checked_noun("rig", rig, Rig, remedy="Rig.named or Rig.load make one")
     return replace(rig, motor=replace(rig.motor, gear_ratio=ratio))
 
 
@@ -113,19 +114,16 @@ class Twin:
     step: float = LONGEST_STEP
 
     def __post_init__(self) -> None:
-        if self.stiction is not None and not self.stiction >= self.motor.coulomb_torque:
-            raise FieldError(
+        if self.stiction is not None:
+            checked_between(
                 "stiction",
                 self.stiction,
-                "below the Coulomb torque",
-                allowed=f">= {self.motor.coulomb_torque:g} N·m",
+                self.motor.coulomb_torque,
+                1e6,
+                "N·m",
                 remedy="a motor that slides more easily than it starts has stiction above its friction",
             )
-        delay = self.voltage_delay
-        if isinstance(delay, bool) or not isinstance(delay, int) or not 0 <= delay <= 100:
-            raise FieldError(
-                "voltage_delay", delay, "out of range", allowed="0 to 100 periods", remedy="1 is usual"
-            )
+        checked_whole("voltage_delay", self.voltage_delay, 0, 100, "periods")
 
     @staticmethod
     def from_rig(
@@ -149,6 +147,7 @@ class Twin:
         gauge_delay
             of the strain amplifier [s]
         """
+        checked_noun("rig", rig, Rig, remedy="Rig.named or Rig.load make one")
         if damping is None:
             if rig.model is None:
                 raise FieldError(

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink.errors import FieldError
+from fraclink.quantity import checked_between, checked_choice
 
 if TYPE_CHECKING:
     from fraclink.rig import Rig
@@ -35,15 +36,7 @@ ELEMENTS = 48
 
 
 def _check(field: str, value: float, *, zero: bool, unit: str, remedy: str) -> None:
-    allowed = f"{'>=' if zero else '>'} 0 {unit}"
-    if isinstance(value, bool) or not isinstance(value, int | float | np.floating):
-        raise FieldError(field, value, "not a number", allowed=allowed, remedy=remedy)
-    if not math.isfinite(value):
-        raise FieldError(field, value, "not finite", allowed=allowed, remedy=remedy)
-    if value < 0.0:
-        raise FieldError(field, value, "negative", allowed=allowed, remedy=remedy)
-    if value == 0.0 and not zero:
-        raise FieldError(field, value, "zero", allowed=allowed, remedy=remedy)
+    checked_between(field, value, 0.0, 1e9, unit, open_low=not zero, remedy=remedy)
 
 
 @dataclass(frozen=True)
@@ -157,14 +150,12 @@ class Beam:
         link_mass
             mass of the link [kg]; default the rig's
         """
-        if rigidity not in ("stiffness", "tabulated"):
-            raise FieldError(
-                "rigidity",
-                rigidity,
-                "unknown",
-                allowed="'stiffness' or 'tabulated'",
-                remedy="say whether the measured stiffness or the tabulated EI holds",
-            )
+        checked_choice(
+            "rigidity",
+            rigidity,
+            ("stiffness", "tabulated"),
+            remedy="say whether the measured stiffness or the tabulated EI holds",
+        )
         link = rig.link
         tabulated = link.flexural_rigidity
         from_stiffness = link.stiffness * link.length / 3.0

@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink.errors import FieldError
+from fraclink.quantity import checked_number
 
 __all__ = ["Chain", "Damping", "FractionalKelvinVoigt", "KelvinVoigt", "PowerLaw"]
 
@@ -98,13 +99,7 @@ def _refuse(field: str, value: object, problem: str, allowed: str, remedy: str) 
 
 
 def _real(field: str, value: object, allowed: str) -> float:
-    if (
-        isinstance(value, bool)
-        or not isinstance(value, int | float | np.floating)
-        or not math.isfinite(value)
-    ):
-        raise _refuse(field, value, "not a finite number", allowed, "give a number")
-    return float(value)
+    return checked_number(field, value, allowed=allowed, remedy="give a number")
 
 
 @dataclass(frozen=True)

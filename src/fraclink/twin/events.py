@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 from fraclink.errors import FieldError
+from fraclink.quantity import checked_between, checked_choice, is_whole
 
 __all__ = ["FAULTS", "Event", "Obstacle", "PayloadChange", "Restart", "SensorFault", "TipPulse"]
 
 
 def _time(field: str, value: object, *, zero: bool = True) -> None:
-    good = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-    if not good or value < 0.0 or (value == 0.0 and not zero):  # type: ignore[operator]
-        raise FieldError(
-            field, value, "not a time", allowed=f"{'>=' if zero else '>'} 0 s", remedy="give seconds"
-        )
+    checked_between(field, value, 0.0, 1e6, "s", open_low=not zero, remedy="give seconds")
 
 
 @dataclass(frozen=True)
@@ -33,10 +29,7 @@ class PayloadChange:
 
     def __post_init__(self) -> None:
         _time("time", self.time)
-        if not (math.isfinite(self.payload) and self.payload >= 0.0):
-            raise FieldError(
-                "payload", self.payload, "not a mass", allowed=">= 0 kg", remedy="give the new mass in kg"
-            )
+        checked_between("payload", self.payload, 0.0, 1e9, "kg", remedy="give the new mass in kg")
 
 
 @dataclass(frozen=True)
@@ -54,8 +47,7 @@ class TipPulse:
     def __post_init__(self) -> None:
         _time("time", self.time)
         _time("duration", self.duration, zero=False)
-        if not math.isfinite(self.force):
-            raise FieldError("force", self.force, "not finite", allowed="any force", remedy="give newtons")
+        checked_between("force", self.force, -1e9, 1e9, "N", remedy="give newtons")
 
 
 @dataclass(frozen=True)
@@ -84,23 +76,20 @@ class Obstacle:
             raise FieldError(
                 "until", self.until, "not after time", allowed=f"> {self.time:g} s", remedy="exchange the two"
             )
-        if self.side not in (-1, 1):
+        if not is_whole(self.side, -1, 1) or self.side == 0:
             raise FieldError("side", self.side, "unknown", allowed="+1 or -1", remedy="which way is barred?")
-        if not math.isfinite(self.angle):
-            raise FieldError("angle", self.angle, "not finite", allowed="any angle", remedy="give radians")
+        checked_between("angle", self.angle, -1e6, 1e6, "rad", remedy="give radians")
         # Above 1e4 N/m a 1 ms step no longer resolves the contact of a payload of 10 g.
-        if not 0.0 < self.stiffness <= 1e4:
-            raise FieldError(
-                "stiffness",
-                self.stiffness,
-                "out of range",
-                allowed="0 < stiffness <= 1e4 N/m",
-                remedy="a stop of foam has 500 N/m, one of wood 1e4",
-            )
-        if not 0.0 <= self.damping <= 20.0:
-            raise FieldError(
-                "damping", self.damping, "out of range", allowed="0 to 20 N·s/m", remedy="2 is a dull contact"
-            )
+        checked_between(
+            "stiffness",
+            self.stiffness,
+            0.0,
+            1e4,
+            "N/m",
+            open_low=True,
+            remedy="a stop of foam has 500 N/m, one of wood 1e4",
+        )
+        checked_between("damping", self.damping, 0.0, 20.0, "N·s/m", remedy="2 is a dull contact")
 
 
 @dataclass(frozen=True)
@@ -159,10 +148,7 @@ class SensorFault:
             raise FieldError(
                 "until", self.until, "not after time", allowed=f"> {self.time:g} s", remedy="exchange the two"
             )
-        if self.kind not in FAULTS:
-            raise FieldError(
-                "kind", self.kind, "unknown", allowed=", ".join(FAULTS), remedy="choose one of them"
-            )
+        checked_choice("kind", self.kind, FAULTS)
         if (self.value is not None) != (self.kind in _VALUED):
             raise FieldError(
                 "value",

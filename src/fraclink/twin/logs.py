@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fraclink.errors import FieldError, SizeError
+from fraclink.quantity import checked_between, checked_choice, checked_noun, checked_series, checked_whole
 from fraclink.twin.beam import Beam
 from fraclink.twin.damping import Damping
 from fraclink.twin.plant import LONGEST_STEP, StepMatrices, assemble
@@ -62,13 +63,13 @@ class TwinLog:
 
 def substeps(period: float, step: float) -> int:
     """Return how many steps of at most `step` fill one period."""
-    if not (math.isfinite(period) and period > 0.0):
-        raise FieldError("period", period, "not positive", allowed="> 0 s", remedy="give the sampling period")
+    checked_between("period", period, 0.0, 10.0, "s", open_low=True, remedy="give the sampling period")
+    checked_between("step", step, 1e-6, LONGEST_STEP, "s", remedy="1 ms is exact for three modes")
     return max(1, math.ceil(period / step - 1e-9))
 
 
 def _samples(reference: ArrayLike) -> Vector:
-    values = np.asarray(reference, dtype=float)
+    values = checked_series("reference", reference)
     if values.size > MOST_SAMPLES:
         raise SizeError(
             "reference",
@@ -77,7 +78,7 @@ def _samples(reference: ArrayLike) -> Vector:
             allowed=f"{MOST_SAMPLES} samples",
             remedy="simulate a shorter log",
         )
-    if values.ndim != 1 or values.size < 2 or not np.all(np.isfinite(values)):
+    if values.size < 2 or not np.all(np.isfinite(values)):
         raise FieldError(
             "reference",
             f"array of shape {values.shape}",
@@ -126,12 +127,13 @@ def simulate_log(
     >>> round(float(log.motor_angle[-1]), 6), bool(abs(log.tip_angle[-1] - 0.1) < 0.05)
     (0.1, True)
     """
+    checked_noun("beam", beam, Beam, remedy="Beam(...), or Twin.from_rig(rig).beam")
     values = _samples(reference)
-    sensors = sensors or Sensors()
-    if drive not in ("servo", "prescribed"):
-        raise FieldError(
-            "drive", drive, "unknown", allowed="'servo' or 'prescribed'", remedy="a motor needs run_twin"
-        )
+    if sensors is None:
+        sensors = Sensors()
+    checked_noun("sensors", sensors, Sensors, remedy="Sensors(...) makes them")
+    checked_choice("drive", drive, ("servo", "prescribed"), remedy="a motor needs run_twin")
+    checked_whole("seed", seed, 0, 2**64 - 1)
     count = substeps(period, step)
     fine = period / count
     lag = round(sensors.gauge_delay / fine)

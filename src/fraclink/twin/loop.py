@@ -5,13 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fraclink import _kernels
 from fraclink.errors import FieldError, SizeError
+from fraclink.law import Law
+from fraclink.quantity import checked_between, checked_noun, checked_whole
+from fraclink.reference import Reference, checked_reference
 from fraclink.twin import vessel
 from fraclink.twin.arm import Twin
 from fraclink.twin.events import FAULTS, Event, Obstacle, PayloadChange, Restart, SensorFault, TipPulse
@@ -27,10 +29,6 @@ from fraclink.twin.vessel import (
     VELOCITY,
     Vessel,
 )
-
-if TYPE_CHECKING:
-    from fraclink.law import Law
-    from fraclink.reference import Reference
 
 __all__ = ["driven", "healthy_inputs", "run_twin"]
 
@@ -95,17 +93,19 @@ def run_twin(
     >>> bool(abs(run.error[-1]) < 0.02)
     True
     """
-    law = driven(twin, law)
+    checked_noun("twin", twin, Twin, remedy="Twin.from_rig makes one")
+    law = driven(twin, checked_noun("law", law, Law, remedy="controller.discretize(rig.period) makes one"))
+    checked_reference(reference)
+    checked_whole("seed", seed, 0, 2**64 - 1)
     length = reference.duration + 3.0 if duration is None else duration
-    if not (math.isfinite(length) and length > 2 * law.period):
-        raise FieldError("duration", length, "too short", allowed="> 2 periods", remedy="give seconds")
-    count = round(length / law.period) + 1
-    if count > MOST_SAMPLES:
+    checked_between("duration", length, 2 * law.period, 1e300, "s", open_low=True)
+    if length > MOST_SAMPLES * law.period:
         raise SizeError("duration", length, "too long", allowed=f"{MOST_SAMPLES} periods", remedy="split it")
+    count = round(length / law.period) + 1
     inputs = healthy_inputs(twin, reference, law.period, count, np.random.default_rng(seed))
     arm = Vessel(twin, law.period, law.initial_state(), start_angle=float(inputs[0, REFERENCE]))
     records, payloads = [], []
-    happening = tuple(events)
+    happening = _checked(events)
     for first, last, changes in _segments(happening, law.period, inputs):
         _apply(arm, law, changes)
         part = arm.run(law.block, inputs[first:last], single=law.precision == "single")
@@ -129,6 +129,21 @@ def run_twin(
             "events": "; ".join(map(repr, happening)),
         },
     )
+
+
+def _checked(events: Iterable[Event]) -> tuple[Event, ...]:
+    """The events as a tuple; FieldError for anything that is none."""
+    given = tuple(events) if isinstance(events, Iterable) else (events,)
+    for event in given:
+        if not isinstance(event, Event):
+            raise FieldError(
+                "events",
+                repr(event),
+                "no event",
+                allowed="PayloadChange, TipPulse, Obstacle, Restart, SensorFault",
+                remedy="give a list of these",
+            )
+    return given
 
 
 def driven(twin: Twin, law: Law) -> Law:

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink.errors import FieldError
+from fraclink.quantity import checked_between
 from fraclink.twin.beam import Beam, Modes
 from fraclink.twin.damping import Chain, Damping
 
@@ -197,6 +198,14 @@ def assemble(
     >>> bool(abs(plant.response(s)[2] * s - exact) < 1e-6)
     True
     """
+    if not isinstance(damping, Damping):
+        raise FieldError(
+            "damping",
+            repr(damping),
+            "no damping law",
+            allowed="KelvinVoigt, FractionalKelvinVoigt or PowerLaw",
+            remedy="damping_of(model) gives that of a model",
+        )
     kept = resolved(beam, modes, step)
     chain = damping.chain(TOLERANCE, 0.5 * np.pi / step)  # no mode is above that, whatever the payload
     size = 2 + kept.count * (2 + chain.rates.size)
@@ -251,10 +260,7 @@ def _attach_hub(
         return
     a[0, 1] = 1.0
     if drive == "servo":
-        if not pole > 0.0:
-            raise FieldError(
-                "servo_pole", pole, "not positive", allowed="> 0 rad/s", remedy="the paper's is 80"
-            )
+        checked_between("servo_pole", pole, 0.0, 1e6, "rad/s", open_low=True, remedy="the paper's is 80")
         a[1, 0], a[1, 1], b[1, 0] = -(pole**2), -2.0 * pole, pole**2
         return
     if not inertia > 0.0:

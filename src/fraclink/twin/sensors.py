@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink.errors import FieldError
+from fraclink.quantity import checked_between, checked_whole
 
 __all__ = ["Sensors"]
 
@@ -50,37 +51,17 @@ class Sensors:
     gauge_delay: float = 0.0
 
     def __post_init__(self) -> None:
-        counts = self.counts_per_revolution
-        if counts is not None and (isinstance(counts, bool) or not isinstance(counts, int) or counts < 4):
-            raise FieldError(
-                "counts_per_revolution",
-                counts,
-                "not a number of counts",
-                allowed="an integer >= 4, or None",
-                remedy="multiply the encoder's lines by 4 and by the gear ratio",
-            )
+        if self.counts_per_revolution is not None:
+            # An encoder's lines count fourfold, and the gear multiplies them.
+            checked_whole("counts_per_revolution", self.counts_per_revolution, 4, 2**53, "counts")
+        off = "0 switches it off"
         for field, unit in (("gauge_noise", "N·m"), ("gauge_quantum", "N·m"), ("gauge_delay", "s")):
-            value = getattr(self, field)
-            if not (math.isfinite(value) and value >= 0.0):
-                raise FieldError(
-                    field, value, "not a size", allowed=f">= 0 {unit}", remedy="0 switches it off"
-                )
-        for field in ("gauge_offset", "gauge_drift"):
-            if not math.isfinite(getattr(self, field)):
-                raise FieldError(
-                    field,
-                    getattr(self, field),
-                    "not finite",
-                    allowed="any number",
-                    remedy="0 switches it off",
-                )
-        if self.gauge_limit is not None and not self.gauge_limit > 0.0:
-            raise FieldError(
-                "gauge_limit",
-                self.gauge_limit,
-                "not positive",
-                allowed="> 0 N·m",
-                remedy="None switches it off",
+            checked_between(field, getattr(self, field), 0.0, 1e6, unit, remedy=off)
+        for field, unit in (("gauge_offset", "N·m"), ("gauge_drift", "N·m/s")):
+            checked_between(field, getattr(self, field), -1e6, 1e6, unit, remedy=off)
+        if self.gauge_limit is not None:
+            checked_between(
+                "gauge_limit", self.gauge_limit, 0.0, 1e6, "N·m", open_low=True, remedy="None switches it off"
             )
 
     @property

@@ -1,0 +1,287 @@
+"""Whatever is handed to a public noun or verb, in any argument: it works or raises an error of fraclink.
+
+The values are what scripts hand over by mistake: the file's name for the log, the plan for the law, a text, a
+gap, a whole number that no float holds. Each stands alone in a call whose other arguments are right.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+import fraclink as fl
+from fraclink.errors import FraclinkError
+from fraclink.experiment import Experiment
+from fraclink.identify import (
+    design_experiment,
+    identify_frequency_response,
+    identify_motor,
+    identify_payloads,
+    simulated_torque,
+)
+from fraclink.link import LinkModel
+from fraclink.study import Move, simulate_move
+from fraclink.twin import (
+    Beam,
+    FractionalKelvinVoigt,
+    KelvinVoigt,
+    Obstacle,
+    PayloadChange,
+    PowerLaw,
+    Restart,
+    SensorFault,
+    Sensors,
+    TipPulse,
+    geared,
+    simulate_log,
+)
+
+RIG = fl.Rig.named("paper-2023")
+LINK = LinkModel(stiffness=1.56, natural_frequency=11.0, order=1.92, damping=0.1, payload=0.030)
+TIME = 0.004 * np.arange(301)
+ANGLE = 0.1 * np.sin(7.0 * TIME)
+FREQUENCY = np.geomspace(1.0, 100.0, 40)
+
+JUNK: tuple[object, ...] = (
+    *(None, "12", "", "\x00", b"x", 1j, object(), print, Path("log.csv"), RIG, LINK, {}, {"a": 1.0}),
+    *(math.nan, math.inf, -math.inf, -1.0, 0.0, -0.0, 5e-324, 1e308, 1e12, 10**400, -(10**400), 2**64),
+    *([1.0], (1.0,), (1.0, 2.0, 3.0), (math.nan, 2.0), ("a", "b"), [None], [[1.0], [1.0, 2.0]]),
+    *(np.array([]), np.array([1.0, math.nan]), np.ones((3, 3)), np.float64(math.nan)),
+)
+
+
+@functools.cache
+def log() -> Experiment:
+    noise = np.random.default_rng(1).normal(0.0, 0.01, ANGLE.size)
+    return Experiment(0.004, ANGLE, simulated_torque(LINK, ANGLE, 0.004) + noise, payload=0.030)
+
+
+@functools.cache
+def plan() -> fl.Plan:
+    request = {"payloads": (0.020, 0.040), "gain_crossover": 12.0, "phase_margin": fl.deg(50)}
+    return fl.design(LINK, RIG, **request, filter_time=0.0)
+
+
+@functools.cache
+def law() -> fl.Law:
+    return plan().controller.discretize(RIG.period)
+
+
+@functools.cache
+def twin() -> fl.Twin:
+    return fl.Twin.from_rig(geared(RIG))
+
+
+def fields_of(noun: object) -> dict[str, Any]:
+    """The arguments that make a frozen noun."""
+    return {field.name: getattr(noun, field.name) for field in dataclasses.fields(noun) if field.init}  # type: ignore[arg-type]
+
+
+# What is called, and arguments with which it works. Options that are plain switches are left out.
+CALLS: dict[str, tuple[Callable[..., object], Callable[[], Mapping[str, Any]]]] = {
+    "LinkModel": (LinkModel, lambda: fields_of(LINK)),
+    "Controller": (
+        fl.Controller,
+        lambda: {"gain": 0.07, "order": 0.7, "filter_time": 0.01, "filter_order": 1},
+    ),
+    "Experiment": (Experiment, lambda: {**fields_of(log()), "findings": (), "notes": ()}),
+    "Motor": (type(RIG.motor), lambda: fields_of(RIG.motor)),
+    "Link": (type(RIG.link), lambda: fields_of(RIG.link)),
+    "Payloads": (type(RIG.payloads), lambda: fields_of(RIG.payloads)),
+    "Gauge": (type(RIG.gauge), lambda: fields_of(RIG.gauge)),
+    "Inner": (type(RIG.inner), lambda: fields_of(RIG.inner)),
+    "smooth_step": (fl.smooth_step, lambda: {"amplitude": 1.0, "duration": 0.5, "start": 0.0}),
+    "pulse": (fl.pulse, lambda: {"amplitude": 1.0, "width": 0.5, "start": 0.0, "rise": 0.1}),
+    "prbs": (fl.prbs, lambda: {"amplitude": 1.0, "bit": 0.1, "bits": 20, "register": 7, "start": 0.0}),
+    "chirp": (
+        fl.chirp,
+        lambda: {"amplitude": 1.0, "start_frequency_hz": 1.0, "end_frequency_hz": 5.0, "duration": 2.0},
+    ),
+    "hold": (fl.hold, lambda: {"angle": 1.0, "duration": 1.0}),
+    "identify": (
+        functools.partial(fl.identify, details=False),
+        lambda: {
+            "log": log(),
+            "structure": "UD-FOM",
+            "heldout": 0.4,
+            "stiffness": None,
+            "fixed": None,
+            "guess": None,
+            "hold": "auto",
+        },
+    ),
+    "identify_payloads": (
+        identify_payloads,
+        lambda: {
+            "logs": [log(), log()],
+            "structure": "UD-FOM",
+            "common": None,
+            "length": 0.65,
+            "stiffness": None,
+            "delay": None,
+            "hold": "auto",
+        },
+    ),
+    "identify_motor": (
+        identify_motor,
+        lambda: {
+            "voltage": np.sign(np.sin(3.0 * TIME)),
+            "motor_angle": ANGLE,
+            "period": 0.004,
+            "torque": None,
+            "inertia": 6.87e-5,
+            "delay": None,
+            "dead_zone": None,
+            "window": None,
+        },
+    ),
+    "identify_frequency_response": (
+        identify_frequency_response,
+        lambda: {
+            "frequency": FREQUENCY,
+            "response": LINK.torque()(1j * FREQUENCY),
+            "coherence": None,
+            "weights": None,
+            "resonances": 1,
+            "anti_resonances": 0,
+            "derivative": None,
+            "order": None,
+            "delay": None,
+        },
+    ),
+    "design_experiment": (
+        design_experiment,
+        lambda: {
+            "model": LINK,
+            "standard_error": 0.001,
+            "noise": 0.01,
+            "period": 0.004,
+            "duration": 1.0,
+            "kind": "prbs",
+            "motor": RIG.motor,
+            "deflection_limit": math.inf,
+            "inner_pole": 80.0,
+        },
+    ),
+    "simulated_torque": (
+        simulated_torque,
+        lambda: {"model": LINK, "motor_angle": ANGLE, "period": 0.004, "delay": 0.0, "hold": "auto"},
+    ),
+    "identify_all": (functools.partial(fl.identify_all, details=False), lambda: {"log": log()}),
+    "diagnose": (fl.diagnose, lambda: {"experiment": log(), "rig": RIG}),
+    "simulate": (
+        fl.simulate,
+        lambda: {
+            "rig": RIG,
+            "model": LINK,
+            "law": law(),
+            "reference": fl.smooth_step(1.0, duration=0.2),
+            "payload": 0.030,
+            "duration": 0.4,
+            "inner": "ideal",
+            "gauge_offset": 0.0,
+            "noise": 0.0,
+            "seed": 0,
+            "delay_samples": 1,
+            "substeps": 10,
+            "compensation": "ideal",
+        },
+    ),
+    "simulate_move": (
+        simulate_move,
+        lambda: {"plan": plan(), "move": Move(duration=0.6), "payload": 0.030, "law": law()},
+    ),
+    "Twin.from_rig": (
+        fl.Twin.from_rig,
+        lambda: {
+            "rig": RIG,
+            "payload": 0.030,
+            "link_mass": 0.007,
+            "rigidity": "stiffness",
+            "gauge_delay": 0.0,
+            "stiction": None,
+            "modes": None,
+            "damping": None,
+        },
+    ),
+    "run_twin": (
+        fl.run_twin,
+        lambda: {
+            "twin": twin(),
+            "law": law(),
+            "reference": fl.smooth_step(1.0, duration=0.2),
+            "duration": 0.3,
+            "events": (),
+            "seed": 0,
+        },
+    ),
+    "simulate_log": (
+        simulate_log,
+        lambda: {
+            "beam": twin().beam,
+            "damping": KelvinVoigt(0.001),
+            "reference": ANGLE,
+            "period": 0.004,
+            "drive": "servo",
+            "sensors": None,
+            "modes": None,
+            "step": 0.001,
+            "servo_pole": 80.0,
+            "seed": 0,
+        },
+    ),
+    "Beam": (Beam, lambda: fields_of(twin().beam)),
+    "Sensors": (Sensors, lambda: fields_of(twin().sensors)),
+    "KelvinVoigt": (KelvinVoigt, lambda: {"time": 0.01}),
+    "FractionalKelvinVoigt": (FractionalKelvinVoigt, lambda: {"coefficient": 0.01, "order": 0.5}),
+    "PowerLaw": (PowerLaw, lambda: {"order": 1.92}),
+    "PayloadChange": (PayloadChange, lambda: {"time": 0.1, "payload": 0.030}),
+    "Obstacle": (Obstacle, lambda: fields_of(Obstacle(time=0.1, until=0.2, angle=0.1))),
+    "Restart": (Restart, lambda: {"time": 0.1}),
+    "SensorFault": (SensorFault, lambda: {"time": 0.1, "until": 0.2, "kind": "gauge offset", "value": 0.1}),
+    "TipPulse": (TipPulse, lambda: {"time": 0.1, "force": 0.1, "duration": 0.02}),
+    "geared": (geared, lambda: {"rig": RIG, "ratio": 50.0}),
+}
+ARGUMENTS = [(name, field) for name, (_, usual) in CALLS.items() for field in usual()]
+
+
+@pytest.mark.parametrize("name", CALLS)
+def test_the_usual_call_works(name: str) -> None:
+    call, usual = CALLS[name]
+    call(**usual())
+
+
+@pytest.mark.filterwarnings("ignore")  # of numpy, on the way to an error
+@pytest.mark.parametrize(("name", "field"), ARGUMENTS, ids=[".".join(pair) for pair in ARGUMENTS])
+def test_junk_in_one_argument_is_taken_or_refused_by_name(name: str, field: str) -> None:
+    call, usual = CALLS[name]
+    arguments = usual()
+    for value in JUNK:
+        try:
+            call(**{**arguments, field: value})
+        except FraclinkError as error:
+            assert "\n" not in str(error)
+            assert len(str(error)) < 600
+
+
+NUMBERS = [(name, field) for name, field in ARGUMENTS if isinstance(CALLS[name][1]()[field], float)]
+
+
+@pytest.mark.filterwarnings("ignore")
+@settings(max_examples=150, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+@given(st.sampled_from(NUMBERS), st.floats() | st.integers() | st.floats(-3.0, 3.0))
+def test_any_number_in_one_argument_is_taken_or_refused(where: tuple[str, str], value: float) -> None:
+    call, usual = CALLS[where[0]]
+    try:
+        call(**{**usual(), where[1]: value})
+    except FraclinkError as error:
+        assert "\n" not in str(error)
