@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from fraclink.cli.console import emit, emit_json
+from fraclink.cli.console import emit, emit_json, tell
 from fraclink.cli.listing import Listing
 from fraclink.cli.options import Columns, Force, Json, RigName, load_log, load_rig
 from fraclink.cli.outcome import FAILS, HOLDS
 from fraclink.cli.verdicts import DesignFile
 
 if TYPE_CHECKING:
+    from fraclink.certify import Certificate
     from fraclink.law import Law
 
 __all__ = ["register"]
@@ -33,19 +35,44 @@ def c(
         str, typer.Option("--name", help="C identifier of the block of coefficients.")
     ] = "law_data",
     title: Annotated[str, typer.Option("--title", help="Text for the first comment.")] = "",
+    prove: Annotated[
+        bool,
+        typer.Option(
+            "--prove", help="Prove what the page claims; exit code 1 where something is not proved."
+        ),
+    ] = False,
     json: Json = False,
     force: Force = False,
 ) -> int:
     """Write the law as C99: the files that were simulated, the coefficients, a self-test, a page to read."""
-    from fraclink.export import export_c
+    from fraclink.export import Proof, export_c
 
-    whole = _law(plan_file, motor=motor)
-    paths = export_c(whole, out, precision=precision, name=name, title=title, force=force)
+    shipped = _law(plan_file, motor=motor).in_precision(precision)
+    certificate = _certificate(plan_file, shipped, motor=motor) if prove else None
+    paths = export_c(shipped, out, name=name, title=title, prove=prove, certificate=certificate, force=force)
+    proof = Proof.load(out / "proof.json") if prove else None
     if json:
-        emit_json({"out": [str(path) for path in paths]})
+        told: dict[str, object] = {"out": [str(path) for path in paths]}
+        if proof is not None:
+            told |= {"holds": proof.holds, "claims": [asdict(claim) for claim in proof.claims]}
+        emit_json(told)
     else:
-        emit("\n".join(map(str, paths)))
-    return HOLDS
+        emit("\n".join(map(str, (*paths, *([] if proof is None else [proof])))))
+    return HOLDS if proof is None or proof.holds else FAILS
+
+
+def _certificate(plan_file: Path, law: Law, *, motor: bool) -> Certificate | None:
+    """The certificate of the loop that `law` closes; None, which leaves the claim open, without the extra."""
+    from fraclink.certify import certify
+    from fraclink.design import Plan
+    from fraclink.errors import MissingExtraError
+
+    plan = Plan.load(plan_file)
+    try:
+        return certify(plan, law=law, inner=None if motor else "ideal")
+    except MissingExtraError as error:
+        tell(f"the loop is not certified: {error}")
+        return None
 
 
 def _law(plan_file: Path, *, motor: bool) -> Law:

@@ -6,6 +6,17 @@ from fraclink.export.board import export_io
 from fraclink.export.c import export_c
 from fraclink.export.fmu import export_fmu
 from fraclink.export.matlab import export_matlab
+from fraclink.export.proof import Claim, Proof
 from fraclink.export.replay import Replay, replay, replay_log
 
-__all__ = ["Replay", "export_c", "export_fmu", "export_io", "export_matlab", "replay", "replay_log"]
+__all__ = [
+    "Claim",
+    "Proof",
+    "Replay",
+    "export_c",
+    "export_fmu",
+    "export_io",
+    "export_matlab",
+    "replay",
+    "replay_log",
+]

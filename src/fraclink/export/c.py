@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
+import tempfile
+from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from fraclink.errors import FieldError
 from fraclink.export.data import data_header
 from fraclink.export.names import identifier, title_text
+from fraclink.export.proof import Proof
+from fraclink.export.proof import prove as prove_folder
 from fraclink.export.readme import readme
 from fraclink.export.selftest import selftest_source
 from fraclink.export.sources import law_source
 from fraclink.files import atomic_write
 from fraclink.law import Law
 from fraclink.law.block import Precision
+
+if TYPE_CHECKING:
+    from fraclink.certify import Certificate
 
 __all__ = ["export_c"]
 
@@ -24,6 +32,8 @@ def export_c(
     precision: Precision | None = None,
     name: str = "law_data",
     title: str = "",
+    prove: bool = False,
+    certificate: Certificate | None = None,
     force: bool = False,
 ) -> tuple[Path, ...]:
     """Write the law as C99 to `folder` and return the paths written.
@@ -45,8 +55,14 @@ def export_c(
         C identifier of the block, and of its header's guard.
     title : str
         Plain text for the first comment, at most 80 characters.
+    prove : bool
+        Prove what can be proved about these very files with the provers that are installed (Debian's
+        frama-c-base, z3 or cvc5, gappa; python-flint): README.md then claims what was proved and nothing
+        else, proof.json lists it (`Proof.load`), proof/ holds the logs. Half a minute on a desktop.
+    certificate : Certificate, optional
+        Of the loop that the exported law closes, from `fraclink.certify`; with `prove` it becomes a claim.
     force : bool
-        Overwrite the six files in an existing folder.
+        Overwrite the files in an existing folder.
 
     Raises FieldError for an existing folder, an illegal name or title.
 
@@ -76,8 +92,10 @@ def export_c(
         "law.c": law_source("law.c"),
         data: data_header(shipped, name=name, title=title).encode(),
         "law_selftest.c": selftest_source(shipped, name=name, data=data).encode(),
-        "README.md": readme(shipped, name=name, data=data).encode(),
     }
+    proof, logs = _proved(shipped, files, name, data, certificate) if prove else (None, {})
+    files["README.md"] = readme(shipped, name=name, data=data, proof=proof).encode()
+    files |= logs
     # Everything is made before anything is written: a failure above leaves no half folder.
     place.mkdir(parents=True, exist_ok=True)
     for file, content in files.items():
@@ -85,4 +103,21 @@ def export_c(
             stream.write(content)
     # the law itself, for `fraclink replay`: nothing that is compiled reads it
     shipped.save(place / "law.json")
-    return (*(place / file for file in files), place / "law.json")
+    written = [*(place / file for file in files), place / "law.json"]
+    if proof is not None:
+        proof.save(place / "proof.json")
+        written.append(place / "proof.json")
+    return tuple(written)
+
+
+def _proved(
+    law: Law, files: Mapping[str, bytes], name: str, data: str, certificate: Certificate | None
+) -> tuple[Proof, dict[str, bytes]]:
+    """Prove in a scratch folder, so that a failure in between leaves nothing behind."""
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch)
+        for file, content in files.items():
+            (folder / file).write_bytes(content)
+        proof = prove_folder(law, folder, name=name, data=data, certificate=certificate)
+        logs = {f"proof/{path.name}": path.read_bytes() for path in sorted((folder / "proof").glob("*"))}
+    return proof, logs

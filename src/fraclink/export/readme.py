@@ -7,6 +7,8 @@ from dataclasses import asdict
 from fraclink import _kernels
 from fraclink.export.bounds import worst_case
 from fraclink.export.data import exact_flags, exact_sizes
+from fraclink.export.proof import Proof
+from fraclink.export.proof.page import claims_text
 from fraclink.export.selftest import expected
 from fraclink.law import Law
 
@@ -70,8 +72,8 @@ def _for_one_design(law: Law) -> str:
     )
 
 
-def readme(law: Law, *, name: str, data: str) -> str:
-    """Return the text of the exported README.md."""
+def readme(law: Law, *, name: str, data: str, proof: Proof | None = None) -> str:
+    """Return the text of the exported README.md; with `proof`, its claims are those of this very folder."""
     bounds = worst_case(law)
     params, state = _kernels.law_sizes(law.precision == "single")
     flag = " -DLAW_SINGLE" if law.precision == "single" else ""
@@ -85,7 +87,6 @@ def readme(law: Law, *, name: str, data: str) -> str:
         if law.drive is not None
         else "no motor loop: `motor_reference` goes to the drive's own position servo, `voltage` stays 0"
     )
-    voltage = f" and `voltage` within ±{law.drive.voltage_limit:g} V" if law.drive is not None else ""
     return f"""# Control law, period {law.period * 1e3:g} ms, {law.precision} precision
 
 Law `{law.digest}`.
@@ -137,16 +138,4 @@ destabilises the arm, and no other check finds it.
 | worst-case gain, \\|Ĉe\\| ≤ gain · max\\|e\\| ({made}) | {bounds.gain:.9g} |
 | rounding of Ĉe for \\|e\\| ≤ {bounds.error:g} rad, all times | ≤ {bounds.rounding:.2e} rad |
 
-## Claimed
-For this `law.c`, compiled as ISO C99 without fast-math and with contraction off, whatever the inputs (NaN and
-infinities among them) and whatever the state memory holds: no undefined behaviour, every output finite,
-`motor_reference` within ±{law.limits.motor_limit:.6g} rad{
-        voltage
-    }. Proved with Frama-C Eva for the designs of
-fraclink's own tests; `tests/firmware/eva_main.c` of fraclink's sources repeats the proof for this one.
-
-## Not claimed
-Anything about the compiler; about a motor loop that is not M(s); about Coulomb friction, modes above the
-first, saturation, a payload that changes in a move (simulated only); about the physical robot. Stability
-of the loop is the design's matter.
-"""
+{claims_text(law, proof)}"""

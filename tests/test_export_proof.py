@@ -1,0 +1,253 @@
+"""`export_c(..., prove=True)`: what is proved holds, what is seeded is refuted, what is missing is named."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import fraclink as fl
+from fraclink.certify import certify
+from fraclink.export import Proof, export_c
+from fraclink.export.proof import eva, formulas, rounding, source, step, symbolic, tools
+from fraclink.export.proof.loop import loop_claim
+from fraclink.files import sha256_of
+from law_bench import default_controller, law
+from law_bench import run as run_law
+from needed_tools import tool
+from test_export import run
+
+SEEDED = (
+    # (claim, text of law.c, what a slip would make of it)
+    ("slew", "clamped(change, p->motor_step)", "change"),
+    (
+        "slew",
+        "s->motor_reference = clamped(wanted, p->motor_limit);",
+        "s->motor_reference = wanted + before;",
+    ),
+    (
+        "outputs",
+        "const law_real voltage = clamped(wanted, p->voltage_limit);",
+        "const law_real voltage = wanted;",
+    ),
+    ("finite", "s->torque = clamped(s->torque, p->torque_limit);", ""),
+)
+
+
+def claim_of(name: str, folder: Path) -> step.Claim:
+    made = law("single")
+    if name == "outputs":
+        return eva.commands_claim(made, folder, name="law_data", data="law_data.h")
+    return {"slew": step.slew_claim, "finite": step.finite_claim}[name](made, folder)
+
+
+@pytest.fixture(scope="module")
+def proved(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    for program in (tools.FRAMA_C, tools.SOLVERS[0], tools.GAPPA):
+        tool(program.program, program.package)
+    rig, made = fl.Rig.named("paper-2023"), law("single")
+    certificate = certify(default_controller(), model=rig.model, rig=rig, law=made)
+    folder = tmp_path_factory.mktemp("proved") / "firmware"
+    export_c(made, folder, prove=True, certificate=certificate)
+    return folder
+
+
+def test_everything_is_proved_and_the_page_says_so(proved: Path) -> None:
+    proof = Proof.load(proved / "proof.json")
+    assert proof.holds, str(proof)
+    assert {claim.name for claim in proof.claims} == {"outputs", "finite", "slew", "rounding", "loop"}
+    assert proof.law == law("single").digest
+    assert proof.sources == {name: sha256_of(proved / name) for name in ("law.h", "law.c", "law_data.h")}
+    page = re.sub(r"\s+", " ", (proved / "README.md").read_text(encoding="utf-8"))
+    assert "Not proved" not in page
+    for claim in proof.claims:
+        assert claim.statement in page
+        assert claim.logs
+        for file, digest in claim.logs:
+            assert sha256_of(proved / file) == digest
+            assert f"`{file}` {digest[:12]}" in page
+
+
+def test_the_logs_tell_no_path_and_no_time(proved: Path) -> None:
+    """The same files and tools give the same logs, so that their hashes can be compared."""
+    for path in (proved / "proof").iterdir():
+        text = path.read_text(encoding="utf-8")
+        assert str(proved.parent) not in text
+        assert re.search(r"\d\d:\d\d|/home|tmp", text) is None
+
+
+def test_eva_bounds_the_commands_by_their_limits(proved: Path) -> None:
+    limits = law("single").limits
+    for build in ("general", "exact"):
+        text = (proved / "proof" / f"eva_{build}.log").read_text(encoding="utf-8")
+        for output, bound in (("motor_reference", limits.motor_limit), ("voltage", 10.0)):
+            found = re.search(rf"\.{output} ∈ \[(-?[\d.]+) \.\. (-?[\d.]+)\] or UNINIT", text)
+            assert found is not None
+            assert [float(x.rstrip(".")) for x in found.groups()] == pytest.approx([-bound, bound], rel=1e-6)
+
+
+@pytest.mark.parametrize(("name", "old", "new"), SEEDED)
+def test_a_seeded_defect_is_refuted(name: str, old: str, new: str, tmp_path: Path) -> None:
+    tool("frama-c" if name == "outputs" else "z3", "frama-c-base" if name == "outputs" else "z3")
+    export_c(law("single"), tmp_path)
+    text = (tmp_path / "law.c").read_text(encoding="utf-8")
+    assert text.count(old) == 1, f"the defect's pattern is gone: {old}"
+    (tmp_path / "law.c").write_text(text.replace(old, new), encoding="utf-8")
+    claim = claim_of(name, tmp_path)
+    assert claim.status == "failed", claim
+    assert claim.reason
+
+
+def test_the_slew_bound_is_that_of_an_exact_difference() -> None:
+    """motor_step (1 + 2^-22) alone is not enough: the sum with the step is rounded at the command's size."""
+    made = law("single")
+    step_size, limit = np.float32(made.limits.motor_step), np.float32(made.limits.motor_limit)
+    before = np.float32(1) + np.spacing(np.float32(1)) * np.arange(2**16, dtype=np.float32)
+    before = np.concatenate([before, before + np.float32(4), limit - before])
+    moved = np.max(np.abs((before + step_size).astype(float) - before.astype(float)))
+    assert float(step_size) * (1 + 2.0**-22) < moved <= step.slew_bound(made)
+
+
+def test_a_square_is_compared_as_its_root() -> None:
+    """x·x ≤ c·c rewritten as |x| < d, on the neighbours of c and of d, in both precisions."""
+    rng = np.random.default_rng(3)
+    for kind, name in ((np.float32, "single"), (np.float64, "double")):
+        for bound in 10.0 ** rng.uniform(-6, 6, 200):
+            limit = kind(bound)
+            beyond = kind(formulas.first_beyond(float(limit), name))  # type: ignore[arg-type]
+            near = limit + np.arange(-6, 7, dtype=kind) * np.spacing(limit)
+            assert ((near * near <= limit * limit) == (np.abs(near) < beyond)).all()
+
+
+def exact_correction(errors: NDArray[np.float64]) -> list[Fraction]:
+    """Ĉe with the coefficients of single precision, in rational numbers."""
+    values = law("single").coefficients
+    count = len(law("single").correction.poles)
+    numbers = [Fraction(x) for x in values["real"][: 2 * count]]  # type: ignore[index]
+    poles, gains = numbers[::2], numbers[1::2]
+    # the law starts without a bump: its first change is zero
+    states, before, out = [Fraction(0)] * count, Fraction(errors[0]), []
+    for error in map(Fraction, errors.tolist()):
+        change, before = error - before, error
+        out.append(Fraction(values["direct"]) * change + sum(map(Fraction.__mul__, gains, states)))  # type: ignore[arg-type]
+        states = [p * x + change for p, x in zip(poles, states, strict=True)]
+    return out
+
+
+def test_the_rounding_stays_below_its_bound_and_a_slip_does_not(tmp_path: Path) -> None:
+    """Measured against rational arithmetic; gains that are off by 1e-4 pass the bound."""
+    tool("gappa")
+    made = law("single", equipped=False)
+    export_c(made, tmp_path)
+    assert rounding.rounding_claim(made, tmp_path, error=0.02).status == "proved"
+    answer = (tmp_path / "proof" / "rounding.log").read_text(encoding="utf-8")
+    bound = rounding.rounding_bound(made, answer, rounding.worst_case(made, error=0.02))
+    rng = np.random.default_rng(4)
+    rows = np.zeros((4, 150))
+    rows[3] = 1.56 * (0.01 * np.sin(0.05 * np.arange(150)) + 0.001 * rng.uniform(-1, 1, 150))
+    slipped = made.correction._replace(gains=tuple(1.0001 * gain for gain in made.correction.gains))
+    distances = []
+    for run_by in (made, replace(made, correction=slipped)):
+        out = run_law(run_by, rows)
+        assert (out.mode == 1).all()
+        assert (out.flags & 32 == 0).all()  # nothing was limited
+        exact = np.array([float(x) for x in exact_correction(out.error)])
+        distances.append(np.abs(out.motor_reference - exact).max())
+    assert bound.correction / 1000 < distances[0] <= bound.correction < distances[1]
+
+
+def test_another_form_of_the_law_is_not_proved_by_the_old_script(tmp_path: Path) -> None:
+    tool("gappa")
+    export_c(law("single"), tmp_path)
+    text = (tmp_path / "law.c").read_text(encoding="utf-8")
+    (tmp_path / "law.c").write_text(
+        text.replace("sum += modes[i].gain * value", "sum -= modes[i].gain * value")
+    )
+    claim = rounding.rounding_claim(law("single"), tmp_path)
+    assert claim.status == "not proved"
+    assert "form" in claim.reason
+
+
+def test_what_is_missing_is_named_and_not_claimed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    export_c(law("single"), tmp_path / "firmware", prove=True)
+    proof = Proof.load(tmp_path / "firmware" / "proof.json")
+    assert not proof.holds
+    assert {claim.status for claim in proof.claims} == {"not proved"}
+    for claim, package in (
+        ("outputs", "frama-c-base"),
+        ("slew", "z3"),
+        ("finite", "cvc5"),
+        ("rounding", "gappa"),
+    ):
+        assert f"Debian package {package}" in proof[claim].reason
+    page = (tmp_path / "firmware" / "README.md").read_text(encoding="utf-8")
+    assert "## Proved" not in page
+    assert "## Not proved" in page
+
+
+def test_a_certificate_of_another_law_proves_nothing(tmp_path: Path) -> None:
+    rig = fl.Rig.named("paper-2023")
+    certificate = certify(default_controller(), model=rig.model, rig=rig, law=law("double"))
+    assert loop_claim(law("double"), tmp_path, certificate).status == "proved"
+    assert "not about this one" in loop_claim(law("single"), tmp_path, certificate).reason
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "for (i = 0U; i < 3U; i++) { x = i; }",
+        "switch (x) { }",
+        "x++;",
+        "x = y ? 1U : 0U",
+        "double z = 1.0;",
+        "goto end;",
+        "x = `y`;",
+    ],
+)
+def test_what_the_reader_does_not_know_is_refused(text: str) -> None:
+    function = source.Function("f", "void", (), text)
+    with pytest.raises(source.Unreadable):
+        function.body()
+
+
+def test_the_formulas_compute_what_the_compiler_does(tmp_path: Path) -> None:
+    """clamped, credible and limited as formulas, evaluated by a solver beside the compiled law.c."""
+    solver = tool("z3")
+    export_c(law("single"), tmp_path)
+    preprocessed = run(tool("gcc"), "-E", "-P", "-std=c99", "-DLAW_SINGLE", "law.c", cwd=tmp_path).stdout
+    read = source.read_source(preprocessed)
+    values = [float(np.float32(x)) for x in (0.0, -0.0, 1.5, -1.5, 3.0, -3.0, 1e-42, 3e38)]
+    program = (
+        '#include "law.c"\n#include <stdio.h>\nint main(void) { float v[8] = {0.0F, -0.0F, 1.5F, -1.5F, 3.0F,'
+    )
+    program += (
+        " -3.0F, 1e-42F, 3e38F}; for (int i = 0; i < 8; i++) "
+        '{ printf("%a %u %a\\n", (double)clamped(v[i], 1.5F), credible(v[i], 1.5F), '
+        "(double)limited(v[i], 1.5F)); } return 0; }\n"
+    )
+    (tmp_path / "try.c").write_text(program, encoding="utf-8")
+    run(tool("gcc"), "-std=c99", "-DLAW_SINGLE", "try.c", "-o", "try", cwd=tmp_path)
+    lines = run(tmp_path / "try").stdout.splitlines()
+    executed = symbolic.Symbolic(read, "single", constants={}, tracked=frozenset())
+    literal = formulas.real_literal
+    goals = []
+    for value, line in zip(values, lines, strict=True):
+        clamped, credible, limited = line.split()
+        given = tuple(formulas.Value("real", literal(x, "single")) for x in (value, 1.5))
+        for name, wanted in (("clamped", clamped), ("limited", limited)):
+            answer = executed.call(name, given)
+            assert answer is not None
+            goals.append(f"(= {answer.term} {literal(float.fromhex(wanted), 'single')})")
+        answer = executed.call("credible", given)
+        assert answer is not None
+        goals.append(f"(= {answer.term} (_ bv{credible} 32))")
+    for goal, wanted in ((f"(not (and {' '.join(goals)}))", "unsat"), (f"(and {' '.join(goals)})", "sat")):
+        problem = ["(set-logic QF_BVFP)", *executed.lines, f"(assert {goal})", "(check-sat)"]
+        (tmp_path / "try.smt2").write_text("\n".join(problem), encoding="utf-8")
+        assert run(solver, tmp_path / "try.smt2").stdout.strip() == wanted
