@@ -88,7 +88,7 @@ def design_experiment(
     """
     link = checked_noun("model", model, LinkModel, remedy="fit.model, or a first guess of it")
     checked_choice("kind", kind, ("prbs", "multisine"))
-    wanted = checked_between("standard_error", standard_error, 0.0, 1.0, open_low=True)
+    wanted = checked_between("standard_error", standard_error, 1e-12, 1.0)
     noise = checked_between("noise", noise, 1e-12, 1e6, "N·m")
     period = checked_between("period", period, 1e-6, 1.0, "s")
     least, longest = _LEAST_SAMPLES * period, _MOST_SAMPLES * period
