@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from dataclasses import replace
 from fractions import Fraction
@@ -13,10 +14,13 @@ from numpy.typing import NDArray
 
 import fraclink as fl
 from fraclink.certify import certify
+from fraclink.cli import main
 from fraclink.export import Proof, export_c
 from fraclink.export.proof import eva, formulas, rounding, source, step, symbolic, tools
 from fraclink.export.proof.loop import loop_claim
 from fraclink.files import sha256_of
+from fraclink.law import Law
+from fraclink.study import Request, design_for
 from law_bench import default_controller, law
 from law_bench import run as run_law
 from needed_tools import tool
@@ -47,13 +51,21 @@ def claim_of(name: str, folder: Path) -> step.Claim:
 
 
 @pytest.fixture(scope="module")
-def proved(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def design(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("design") / "design.json"
+    plan, _ = design_for(fl.Rig.named("paper-2023"), None, Request(filter_time=0.0))
+    plan.save(path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def proved(design: Path) -> Path:
+    """A folder made by the command line, with every tool there."""
     for program in (tools.FRAMA_C, tools.SOLVERS[0], tools.GAPPA):
         tool(program.program, program.package)
-    rig, made = fl.Rig.named("paper-2023"), law("single")
-    certificate = certify(default_controller(), model=rig.model, rig=rig, law=made)
-    folder = tmp_path_factory.mktemp("proved") / "firmware"
-    export_c(made, folder, prove=True, certificate=certificate)
+    folder = design.parent / "firmware"
+    code = main(["export", "c", str(design), "--out", str(folder), "--prove"])
+    assert code == 0, Proof.load(folder / "proof.json")
     return folder
 
 
@@ -61,7 +73,7 @@ def test_everything_is_proved_and_the_page_says_so(proved: Path) -> None:
     proof = Proof.load(proved / "proof.json")
     assert proof.holds, str(proof)
     assert {claim.name for claim in proof.claims} == {"outputs", "finite", "slew", "rounding", "loop"}
-    assert proof.law == law("single").digest
+    assert proof.law == Law.load(proved / "law.json").digest
     assert proof.sources == {name: sha256_of(proved / name) for name in ("law.h", "law.c", "law_data.h")}
     page = re.sub(r"\s+", " ", (proved / "README.md").read_text(encoding="utf-8"))
     assert "Not proved" not in page
@@ -82,7 +94,7 @@ def test_the_logs_tell_no_path_and_no_time(proved: Path) -> None:
 
 
 def test_eva_bounds_the_commands_by_their_limits(proved: Path) -> None:
-    limits = law("single").limits
+    limits = Law.load(proved / "law.json").limits
     for build in ("general", "exact"):
         text = (proved / "proof" / f"eva_{build}.log").read_text(encoding="utf-8")
         for output, bound in (("motor_reference", limits.motor_limit), ("voltage", 10.0)):
@@ -173,12 +185,20 @@ def test_another_form_of_the_law_is_not_proved_by_the_old_script(tmp_path: Path)
     assert "form" in claim.reason
 
 
-def test_what_is_missing_is_named_and_not_claimed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_missing_is_named_and_not_claimed(
+    design: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Exit code 1, a list of what was proved and what was not, and a page that claims no more."""
     monkeypatch.setenv("PATH", str(tmp_path))
-    export_c(law("single"), tmp_path / "firmware", prove=True)
-    proof = Proof.load(tmp_path / "firmware" / "proof.json")
-    assert not proof.holds
-    assert {claim.status for claim in proof.claims} == {"not proved"}
+    folder = tmp_path / "firmware"
+    assert main(["export", "c", str(design), "--out", str(folder), "--prove", "--json"]) == 1
+    told = json.loads(capsys.readouterr().out)
+    assert told["holds"] is False
+    assert {claim["name"]: claim["status"] for claim in told["claims"]} == {
+        **dict.fromkeys(("outputs", "finite", "slew", "rounding"), "not proved"),
+        "loop": "proved",
+    }
+    proof = Proof.load(folder / "proof.json")
     for claim, package in (
         ("outputs", "frama-c-base"),
         ("slew", "z3"),
@@ -186,9 +206,10 @@ def test_what_is_missing_is_named_and_not_claimed(tmp_path: Path, monkeypatch: p
         ("rounding", "gappa"),
     ):
         assert f"Debian package {package}" in proof[claim].reason
-    page = (tmp_path / "firmware" / "README.md").read_text(encoding="utf-8")
-    assert "## Proved" not in page
-    assert "## Not proved" in page
+    page = re.sub(r"\s+", " ", (folder / "README.md").read_text(encoding="utf-8"))
+    shown, rest = page.split("## Proved")[1].split("## Not proved")
+    assert "undefined behaviour" not in shown
+    assert rest.count(": not proved. ") == 4
 
 
 def test_a_certificate_of_another_law_proves_nothing(tmp_path: Path) -> None:
