@@ -15,6 +15,8 @@ from sphinx.application import Sphinx
 # napoleon's own handler stands at Sphinx's default of 500.
 BEFORE_NAPOLEON = 400
 SECTION = re.compile(r"(Parameters|Returns|Raises|Attributes)$")
+ARRAY = re.compile(r"~?numpy\.ndarray\[tuple\[(~typing\.)?Any, \.\.\.\], ~?numpy\.dtype\[(?P<kind>.*?)\]\]")
+ALIAS = re.compile(r"TypeAliasForwardRef\('(?P<name>\w+)'\)")
 TITLES = {"Source:": "References", "Sources:": "References", ">>>": "Examples"}
 
 
@@ -50,14 +52,25 @@ def plain_text(app: Sphinx, what: str, name: str, obj: object, options: object, 
 
 
 def short_signature(
-    app: Sphinx, what: str, name: str, obj: type, options: object, signature: str, return_annotation: str
-) -> tuple[str, None] | None:
+    app: Sphinx,
+    what: str,
+    name: str,
+    obj: type,
+    options: object,
+    signature: str | None,
+    return_annotation: str | None,
+) -> tuple[str | None, str | None]:
     """The fields of a noun by name: their types and ranges stand below, the annotations would fill a page."""
     if what != "class":
-        return None
+        return short_arrays(signature), short_arrays(return_annotation)
     fields = inspect.signature(obj).parameters.values()
     shown = [field.name + ("" if field.default is field.empty else "=…") for field in fields]
     return f"({', '.join(shown)})", None
+
+
+def short_arrays(annotations: str | None) -> str | None:
+    """Arrays by the names that numpy.typing gives them; a shape of anything says nothing."""
+    return annotations and ALIAS.sub(r"\g<name>", ARRAY.sub(r"NDArray[\g<kind>]", annotations))
 
 
 def no_alias(app: Sphinx, what: str, name: str, obj: object, skip: bool, options: object) -> bool | None:
