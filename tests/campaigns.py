@@ -8,7 +8,8 @@ import sys
 from pathlib import Path
 
 import fraclink as fl
-from fraclink.campaign import Campaign
+from fraclink.campaign import Campaign, save_campaign
+from fraclink.campaign.part import write_part
 
 
 @functools.cache
@@ -24,6 +25,27 @@ def started(out: Path, *, runs: int, workers: int = 2, seed: int = 7) -> subproc
     line = ["campaign", "montecarlo", "--out", str(out), "--runs", str(runs), "--seed", str(seed)]
     return subprocess.Popen(  # noqa: S603 - our own command
         [sys.executable, "-m", "fraclink", *line, "--workers", str(workers)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+
+
+def computed(campaign: Campaign, folder: Path) -> Path:
+    """Every part of a campaign, one after the other, in this process: what nobody disturbed."""
+    save_campaign(campaign, folder)
+    for part in range(campaign.parts):
+        write_part(campaign, folder, part)
+    return folder
+
+
+def continued(folder: Path, *, workers: int = 2) -> subprocess.Popen[str]:
+    """`conduct` for the campaign kept in `folder`, as a process in a session of its own."""
+    code = "import sys; from fraclink.campaign import conduct, load_campaign; f = sys.argv[1]; "
+    code += f"conduct(load_campaign(f), f, workers={workers})"
+    return subprocess.Popen(  # noqa: S603 - our own interpreter
+        [sys.executable, "-c", code, str(folder)],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

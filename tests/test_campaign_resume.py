@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import json
 import os
 import random
@@ -12,12 +13,13 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from campaigns import parts_of, small, started
+from campaigns import computed, continued, parts_of, small, started
 from fraclink.campaign import conduct, load_campaign, read_part, save_campaign
 from fraclink.campaign import part as part_module
 from fraclink.campaign.conduct import compute
@@ -30,9 +32,7 @@ RUNS = 8000
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory) -> Path:
     """A finished campaign of three parts."""
-    folder = tmp_path_factory.mktemp("whole")
-    conduct(small(), folder)
-    return folder
+    return computed(small(), tmp_path_factory.mktemp("whole"))
 
 
 @pytest.fixture
@@ -51,10 +51,13 @@ def identities(folder: Path) -> dict[str, tuple[int, int]]:
     return found
 
 
-def kill_after(folder: Path, delay: float, parts: int) -> dict[str, tuple[int, int]]:
-    """Start the command, wait for `parts` more parts and `delay` seconds, kill it and its workers."""
+Begin = Callable[[Path], subprocess.Popen[str]]
+
+
+def kill_after(folder: Path, begin: Begin, delay: float, parts: int) -> dict[str, tuple[int, int]]:
+    """Begin, wait for `parts` more parts and `delay` seconds, kill the process and its workers."""
     there = len(identities(folder)) if folder.exists() else 0
-    process = started(folder, runs=RUNS)
+    process = begin(folder)
     try:
         until = time.monotonic() + 60
         while len(identities(folder)) < there + parts and process.poll() is None:
@@ -68,37 +71,59 @@ def kill_after(folder: Path, delay: float, parts: int) -> dict[str, tuple[int, i
     return identities(folder)
 
 
-def resumed(folder: Path, kills: int) -> None:
-    """Kill a campaign `kills` times at random, finish it, and compare it with one that nobody disturbed."""
+def killed(folder: Path, begin: Begin, kills: int) -> str:
+    """Kill a campaign `kills` times at random and let it finish: no part is done twice. What it printed."""
     rng = random.Random(4)  # noqa: S311 - moments, not secrets
     kept: dict[str, tuple[int, int]] = {}
     for _ in range(kills):
-        left = kill_after(folder, rng.uniform(0.0, 0.3), rng.randrange(2))
+        left = kill_after(folder, begin, rng.uniform(0.0, 0.3), rng.randrange(2))
         assert kept.items() <= left.items()
         kept = left
-    process = started(folder, runs=RUNS)
+    process = begin(folder)
     out, err = process.communicate(timeout=120)
     assert process.returncode in (0, 1), err
     assert kept.items() <= identities(folder).items()
-    assert len(identities(folder)) == RUNS // 1000 and f"of {RUNS} runs" in out
-
-
-def undisturbed(folder: Path) -> dict[str, bytes]:
-    process = started(folder, runs=RUNS, workers=1)
-    _, err = process.communicate(timeout=120)
-    assert process.returncode in (0, 1), err
-    return parts_of(folder)
+    assert not list(folder.glob(".*.tmp"))
+    return out
 
 
 def test_killed_campaigns_resume_to_the_same_bytes(tmp_path):
-    resumed(tmp_path / "killed", 2)
-    assert parts_of(tmp_path / "killed") == undisturbed(tmp_path / "alone")
+    folder, campaign = tmp_path / "killed", small(4000)
+    save_campaign(campaign, folder)
+    killed(folder, continued, 2)
+    assert parts_of(folder) == parts_of(computed(campaign, tmp_path / "alone"))
 
 
 @pytest.mark.slow
-def test_five_kills_leave_the_same_bytes(tmp_path):
-    resumed(tmp_path / "killed", 5)
-    assert parts_of(tmp_path / "killed") == undisturbed(tmp_path / "alone")
+def test_the_command_killed_five_times_resumes_to_the_same_bytes(tmp_path):
+    folder = tmp_path / "killed"
+    out = killed(folder, functools.partial(started, runs=RUNS), 5)
+    assert f"of {RUNS} runs" in out and len(parts_of(folder)) == RUNS // 1000
+    assert parts_of(folder) == parts_of(computed(load_campaign(folder), tmp_path / "alone"))
+
+
+def test_the_half_of_a_part_that_a_kill_left_is_cleaned_up(copy, whole):
+    (copy / "part-0000001.parquet").unlink()
+    half = copy / ".part-0000001.parquet.k9x_2a.tmp"  # as `atomic_write` names it
+    half.write_bytes(b"PAR1")
+    anothers = copy / ".notes.txt.tmp"
+    anothers.write_text("not ours")
+    conduct(small(), copy)
+    assert not half.exists() and anothers.exists() and parts_of(copy) == parts_of(whole)
+
+
+def test_a_script_that_its_workers_run_again_is_told_where_to_put_the_call(tmp_path):
+    script = tmp_path / "many_arms.py"
+    lines = ["from fraclink.campaign.workers import process_pool", "with process_pool(2) as pool:"]
+    script.write_text("\n".join([*lines, "    pool.submit(abs, -1).result()"]))
+    answer = subprocess.run([sys.executable, str(script)], capture_output=True, text=True)  # noqa: S603
+    assert answer.returncode == 1
+    told = answer.stderr.splitlines()[-1]
+    assert "many_arms.py is run again by every worker" in told and 'if __name__ == "__main__":' in told
+    guarded = 'if __name__ == "__main__":\n    with process_pool(2) as pool:\n        '
+    script.write_text(f"{lines[0]}\n{guarded}print(pool.submit(abs, -1).result())")
+    answer = subprocess.run([sys.executable, str(script)], capture_output=True, text=True)  # noqa: S603
+    assert (answer.returncode, answer.stdout) == (0, "1\n"), answer.stderr
 
 
 def test_two_workers_write_the_bytes_of_one(whole, tmp_path):
@@ -116,8 +141,7 @@ def test_a_longer_campaign_goes_on(copy, whole, tmp_path):
         n: v for n, v in kept.items() if n[5:12] < "0000002"
     }
     assert load_campaign(copy).runs == 3000
-    conduct(longer, tmp_path / "new")
-    assert parts_of(copy) == parts_of(tmp_path / "new")
+    assert parts_of(copy) == parts_of(computed(longer, tmp_path / "new"))
 
 
 def test_a_worker_that_is_killed_is_replaced(tmp_path, whole):

@@ -50,7 +50,8 @@ def conduct(
     folder
         where rig.toml, law.json, campaign.json and part-*.parquet are kept.
     workers
-        processes on this machine, 1 … 1024. The result does not depend on it.
+        processes on this machine, 1 … 1024; the result does not depend on it. One is this process. More
+        import the script that runs: it calls this below ``if __name__ == "__main__":``.
     scheduler
         address of a Dask scheduler, e.g. "tcp://127.0.0.1:8786"; its workers must see `folder`.
     watch
@@ -59,7 +60,8 @@ def conduct(
     Raises
     ------
     FieldError
-        the folder belongs to another campaign, or cannot be written (finished parts are kept).
+        the folder belongs to another campaign, or cannot be written (finished parts are kept); the script
+        has no such line.
     NotConvergedError
         worker processes die without finishing anything.
     """
@@ -73,7 +75,10 @@ def conduct(
     before = campaign.runs - sum(campaign.part_runs(part) for part in missing)
     progress = Progress(before, before, campaign.runs)
     try:
-        source = _on_cluster(place, missing, scheduler) if scheduler else _on_pool(place, missing, workers)
+        if scheduler:
+            source = _on_cluster(place, missing, scheduler)
+        else:
+            source = _on_pool(place, missing, workers) if workers > 1 else _here(place, missing)
         with closing(source) as finished:
             for part in finished:
                 progress = Progress(before, progress.done + campaign.part_runs(part), campaign.runs)
@@ -126,6 +131,12 @@ def compute(folder: str, part: int) -> int:
     return part
 
 
+def _here(place: Path, missing: list[int]) -> Generator[int, None, None]:
+    """One worker needs no process of its own: a second to start it, and no script that is run again."""
+    for part in missing:
+        yield compute(str(place), part)
+
+
 def _on_pool(place: Path, missing: list[int], workers: int) -> Generator[int, None, None]:
     from concurrent.futures.process import BrokenProcessPool
 
@@ -150,22 +161,18 @@ def _on_pool(place: Path, missing: list[int], workers: int) -> Generator[int, No
 
 
 def _one_pool(place: Path, parts: list[int], workers: int) -> Generator[int, None, None]:
-    import multiprocessing
-    from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+    from concurrent.futures import FIRST_COMPLETED, Future, wait
 
-    # spawn: a forked child would inherit threads of numerical libraries in the middle of a lock
-    context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(max_workers=workers, mp_context=context)
+    from fraclink.campaign.workers import process_pool
+
     waiting, running = list(reversed(parts)), set[Future[int]]()
-    try:
+    with process_pool(workers) as pool:
         while waiting or running:
             while waiting and len(running) < IN_FLIGHT * workers:
                 running.add(pool.submit(compute, str(place), waiting.pop()))
             finished, running = wait(running, return_when=FIRST_COMPLETED)
             for future in finished:
                 yield future.result()
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
 
 
 def _on_cluster(place: Path, missing: list[int], scheduler: str | None) -> Generator[int, None, None]:

@@ -165,6 +165,10 @@ def part_path(folder: Path, part: int) -> Path:
 def write_part(campaign: Campaign, folder: Path, part: int) -> int:
     """Simulate a part and write its file in one step; return its number of runs."""
     pa, parquet = _parquet()
+    place = part_path(folder, part)
+    # A kill leaves the half of the file that it cut off: its part is missing, and is computed here again.
+    for left in folder.glob(f".{place.name}.*.tmp"):
+        left.unlink(missing_ok=True)
     columns = simulate_part(campaign, part)
     table = pa.table(columns).replace_schema_metadata(
         {
@@ -175,7 +179,7 @@ def write_part(campaign: Campaign, folder: Path, part: int) -> int:
             "columns": ",".join(columns),
         }
     )
-    with atomic_write(part_path(folder, part), "wb") as stream:
+    with atomic_write(place, "wb") as stream:
         # No statistics and no time: two computations of one part give the same bytes.
         # Checksums: zstd alone unpacks a flipped bit into other numbers without a word.
         parquet.write_table(

@@ -161,10 +161,9 @@ def _rows(tasks: list[Task], workers: int) -> Iterator[list[Cell]]:
     if workers == 1:
         yield from map(_request, tasks)
         return
-    import multiprocessing
-    from concurrent.futures import ProcessPoolExecutor
+    from fraclink.campaign.workers import process_pool
 
-    with ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn")) as pool:
+    with process_pool(workers) as pool:
         yield from pool.map(_request, tasks)
 
 
