@@ -13,6 +13,7 @@ from fraclink.export import Replay, export_c, export_matlab, replay, replay_log
 from fraclink.law import Law
 from law_bench import PERIOD, law, signals, with_pair
 from needed_tools import tool
+from test_export import run as shell
 
 ROWS = signals(2000)
 
@@ -92,7 +93,23 @@ def test_the_m_file_holds_every_number_to_the_bit(tmp_path: Path) -> None:
     assert text.startswith("function law = arm_law()")
     for value in (made.correction.direct, *made.correction.poles, *made.correction.gains):
         assert repr(value) in text
-    assert text.count("for ") == text.count("function ") - 1 == 1
+
+
+def test_octave_runs_the_m_file_and_gets_the_laws_response(tmp_path: Path) -> None:
+    made = with_pair()
+    export_matlab(made, tmp_path / "arm_law.m")
+    frequencies = np.geomspace(0.05, 500.0, 30)
+    code = f"pkg load control; law = arm_law(); w = {frequencies.tolist()};"
+    code += "h = squeeze(freqresp(law.correction.sys, w)); printf('%.17g %.17g\\n', [real(h) imag(h)].');"
+    code += "printf('%.17g %d\\n', law.correction.sys.Ts, numel(pole(law.feedforward.sys)));"
+    answer = shell(tool("octave-cli", "octave-control"), "--quiet", "--eval", code, cwd=tmp_path, check=False)
+    assert answer.returncode == 0, answer.stderr
+    *rows, last = (tuple(map(float, row.split())) for row in answer.stdout.splitlines())
+    # as a quotient of polynomials it is 1e-4 off at 0.05 rad/s
+    np.testing.assert_allclose(
+        [complex(*row) for row in rows], made.frequency_response(frequencies), rtol=1e-10
+    )
+    assert last == (PERIOD, len(made.feedforward.poles))
 
 
 def test_matlab_names_and_existing_files(tmp_path: Path) -> None:

@@ -20,8 +20,9 @@ def export_matlab(law: Law, path: Path | str, *, force: bool = False) -> Path:
     return it.
 
     Both hold: period [s], stiffness [N·m/rad], and for correction and feed-forward the direct part, poles and
-    residues of d + Σ g/(z − p); the correction is that times (1 − 1/z). The .m file returns them as tf
-    objects where the Control System Toolbox is there. Guards and motor loop are in the C export only.
+    residues of d + Σ g/(z − p); the correction is that times (1 − 1/z). Where the Control System Toolbox or
+    Octave's control package is there, the .m file also returns them as systems, `sys`, in state space: a
+    quotient of polynomials would lose digits. Guards and motor loop are in the C export only.
     Raises FieldError for another ending, a file name that is no MATLAB function name, and an existing file
     without `force`.
 
@@ -92,26 +93,33 @@ def _function(law: Law, name: str) -> str:
             f"law.{part}.residues = {_vector(residues)};",
         ]
     lines += [
-        "if exist('tf', 'file') || exist('tf', 'class')",
-        "    z = tf('z', law.period);",
-        "    law.correction.tf = (1 - 1/z) * parallel_form(law.correction, z);",
-        "    law.feedforward.tf = parallel_form(law.feedforward, z);",
+        "if exist('ss') > 0 % the Control System Toolbox, or Octave's control package",
+        "    difference = ss(0, 1, -1, 1, law.period); % 1 - 1/z",
+        "    law.correction.sys = difference * modal_form(law.correction, law.period);",
+        "    law.feedforward.sys = modal_form(law.feedforward, law.period);",
         "end",
         "end",
         "",
-        "function total = parallel_form(part, z)",
-        "% Conjugate poles stand in one second-order term, so that every coefficient is real.",
-        "total = tf(part.direct);",
-        "total.Ts = z.Ts;",
+        "function sys = modal_form(part, period)",
+        "% A block for each real pole and each pair. As a quotient of polynomials (tf) poles this close to 1",
+        "% would lose three digits and more.",
+        "A = [];",
+        "B = [];",
+        "C = [];",
         "for k = 1:numel(part.poles)",
         "    p = part.poles(k);",
         "    g = part.residues(k);",
         "    if imag(p) == 0",
-        "        total = total + real(g) / (z - real(p));",
+        "        A = blkdiag(A, real(p));",
+        "        B = [B; 1];",
+        "        C = [C, real(g)];",
         "    elseif imag(p) > 0",
-        "        total = total + (2*real(g)*z - 2*real(g*conj(p))) / (z^2 - 2*real(p)*z + abs(p)^2);",
+        "        A = blkdiag(A, [real(p), imag(p); -imag(p), real(p)]);",
+        "        B = [B; 1; 0];",
+        "        C = [C, 2*real(g), 2*imag(g)];",
         "    end",
         "end",
+        "sys = ss(A, B, C, part.direct, period);",
         "end",
         "",
     ]
