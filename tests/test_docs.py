@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import doctest
 import importlib
 import pkgutil
 import re
@@ -208,3 +209,19 @@ def test_no_page_shows_the_source_of_a_formula(page: Path) -> None:
     """Formulas are written in Unicode; TeX would stand on the page as it was typed."""
     text = page.read_text("utf-8")
     assert [mark for mark in ("$$", "\\frac", "\\omega", "\\hat") if mark in text] == []
+
+
+SESSION = re.compile(r"```python\n(>>> .*?)```", flags=re.DOTALL)
+
+
+@pytest.mark.parametrize(
+    "page",
+    [page for page in PAGES if SESSION.search(page.read_text("utf-8"))],
+    ids=lambda page: page.relative_to(DOCS).as_posix(),
+)
+def test_sessions_that_are_not_cells_print_what_they_say(page: Path) -> None:
+    text = "\n".join(SESSION.findall(page.read_text("utf-8")))
+    test = doctest.DocTestParser().get_doctest(text, {}, page.name, str(page), 0)
+    outcome = doctest.DocTestRunner(optionflags=doctest.REPORT_NDIFF).run(test)
+    assert outcome.attempted > 0
+    assert outcome.failed == 0
