@@ -93,6 +93,7 @@ def identify_payloads(
     """Fit several payloads together and test whether their parameters may be common."""
     from fraclink.errors import FieldError
     from fraclink.identify import identify_payloads as fit_together
+    from fraclink.link import structure as structure_row
 
     if payload and len(payload) != len(logs):
         raise FieldError(
@@ -123,13 +124,14 @@ def identify_payloads(
             }
         )
         return HOLDS
+    free = structure_row(fit.structure).free
     rows = [
         (
             log,
             f"{m.natural_frequency:.4f}",
             f"{m.order:.4f}",
-            f"{m.damping:.4g}",
-            f"{m.damping_order:.3f}",
+            f"{m.damping:.4g}" if "damping" in free else "–",
+            f"{m.damping_order:.3f}" if "damping_order" in free else "–",
             f"{mse:.4g}",
             f"{alone:.4g}",
         )
@@ -236,11 +238,15 @@ def plan_experiment(
     if json:
         emit_json(told)
     else:
-        told["band"] = f"{plan.band[0]:.3g} to {plan.band[1]:.3g}"
         rows = [
-            (name.replace("_", " "), f"{value:.5g}" if isinstance(value, float) else str(value))
-            for name, value in told.items()
-            if value is not None
+            ("kind", plan.kind),
+            ("amplitude [rad]", f"{plan.amplitude:.5g}"),
+            *([] if plan.bit is None else [("bit [s]", f"{plan.bit:.5g}")]),
+            ("band [rad/s]", f"{plan.band[0]:.3g} to {plan.band[1]:.3g}"),
+            ("duration [s]", f"{plan.duration:.5g}"),
+            ("standard error of λ", f"{plan.standard_error:.5g}"),
+            ("peak deflection [rad]", f"{plan.peak_deflection:.5g}"),
+            *([] if plan.peak_voltage is None else [("peak voltage [V]", f"{plan.peak_voltage:.5g}")]),
         ]
         emit(table(("experiment", "value"), rows))
     return HOLDS

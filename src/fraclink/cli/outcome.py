@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import sys
 import warnings
@@ -48,10 +49,24 @@ def _usage(error: Exception) -> str:
     return f"{text} (`{verb} --help` says more)"
 
 
+def _option(name: str, value: float) -> str:
+    """A keyword argument as the option that stands for it; all digits: the nearest request lies on a bound.
+
+    >>> _option("phase_margin", math.radians(50.5)), _option("gain_crossover", 12.0)
+    ('--phase-margin-deg 50.5', '--gain-crossover 12.0')
+    """
+    word = f"--{name.replace('_', '-')}"
+    # Rounded to degrees, an angle may come back on the other side of its bound by a part in 1e16.
+    return f"{word}-deg {math.degrees(value):.12g}" if name == "phase_margin" else f"{word} {value!r}"
+
+
 def _verdict(error: BaseException) -> tuple[int, str]:
     """Exit code and the line that explains it."""
     if isinstance(error, FieldError | MissingExtraError):
         return BAD_INPUT, f"error: {error}"
+    if isinstance(error, InfeasibleError) and error.nearest:
+        options = " ".join(_option(name, value) for name, value in error.nearest.items())
+        return FAILS, f"does not hold: {error.condition}: {error.explanation}; nearest feasible: {options}"
     if isinstance(error, FraclinkError):
         return FAILS, f"does not hold: {error}"
     if isinstance(error, OSError):

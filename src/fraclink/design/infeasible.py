@@ -32,7 +32,8 @@ def _nearest(request: Request, field: str, values: NDArray[np.float64], attempt:
     for value in sorted(map(float, values), key=lambda v: abs(math.log(v / asked))):
         if feasible(value):
             bad, good = asked, value
-            for _ in range(40):
+            # To about 1e-8 and not to the last bit: what is told must hold when it is typed in again.
+            for _ in range(20):
                 middle = math.sqrt(bad * good)
                 bad, good = (bad, middle) if feasible(middle) else (middle, good)
             return good

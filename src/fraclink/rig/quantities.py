@@ -48,8 +48,8 @@ class Quantity:
         """Return `value` as a plain number, or raise FieldError naming `path`."""
         problem = self._problem(value)
         if problem:
-            remedy = (
-                self.remedy or f"give {path.rsplit('.', 1)[-1]} as a number in {self.unit or 'plain numbers'}"
+            remedy = self.remedy or f"give {path.rsplit('.', 1)[-1]} as a number" + (
+                f" in {self.unit}" if self.unit else ""
             )
             raise FieldError(path, value, problem, allowed=self.allowed, remedy=remedy)
         number = cast(float, value)  # what _problem has just checked
