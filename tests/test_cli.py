@@ -143,8 +143,8 @@ def test_an_infeasible_request_is_exit_code_1_and_writes_nothing(fraclink: Comma
     [
         (("design", "--rig", "paper-2032"), ("rig: paper-2032 is unknown", "did you mean 'paper-2023'?")),
         (("design", "--rig", "missing.toml"), ("missing.toml", "not a file")),
-        ((*DESIGN, "--phase-margin-deg", "200"), ("phase_margin", "allowed")),
-        ((*DESIGN, "--phase-margin-deg", "-5"), ("phase_margin", "allowed")),
+        ((*DESIGN, "--phase-margin-deg", "200"), ("phase_margin_deg: 200", "allowed", "179")),
+        ((*DESIGN, "--phase-margin-deg", "-5"), ("phase_margin_deg: -5", "allowed")),
         (("design", "--rig", "paper-2023", "--payloads", "0.04", "0.02"), ("payloads", "allowed")),
         (("design", "--rig", "paper-2023", "--payloads", "0", "0.02"), ("payloads", "allowed")),
         (("design", "--rig", "paper-2023", "--payloads", "nan", "0.02"), ("payloads", "allowed")),

@@ -55,9 +55,7 @@ PhaseMarginDeg = Annotated[
 ]
 ModeGain = Annotated[
     float | None,
-    typer.Option(
-        "--mode-gain", help="Bound on the loop gain at modes 2 and 3 of a link with mass: 0.5."
-    ),
+    typer.Option("--mode-gain", help="Bound on the loop gain at modes 2 and 3 of a link with mass: 0.5."),
 ]
 LinkMass = Annotated[
     float | None, typer.Option("--link-mass", help="Mass of the link [kg]; default: the rig's.")
@@ -115,5 +113,12 @@ def log_path(name: str) -> Path:
 
 
 def radians(degrees: float | None) -> float | None:
-    """Degrees of an option in radians."""
-    return None if degrees is None else math.radians(degrees)
+    """Degrees of `--phase-margin-deg` in radians; what is out of range is named as it was typed."""
+    from fraclink.quantity import checked_between
+
+    if degrees is None:
+        return None
+    remedy = "50° is a usual margin"
+    return math.radians(
+        checked_between("phase_margin_deg", degrees, 0.0, 179.0, "°", open_low=True, remedy=remedy)
+    )
