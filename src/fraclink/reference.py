@@ -16,18 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from fraclink.errors import FieldError, SizeError
 from fraclink.quantity import checked_between, checked_whole, is_whole
 
-__all__ = [
-    "Chirp",
-    "Path",
-    "Reference",
-    "checked_reference",
-    "chirp",
-    "hold",
-    "prbs",
-    "pulse",
-    "sampled",
-    "smooth_step",
-]
+__all__ = ["Chirp", "Path", "Reference", "chirp", "hold", "prbs", "pulse", "sampled", "smooth_step"]
 
 Real = NDArray[np.float64]
 
