@@ -120,6 +120,18 @@ def test_a_run_of_a_part_is_the_run_that_replay_repeats():
         assert bool(part["holds"][at]) == bool(run.verdict), at
 
 
+def test_a_vibration_that_passes_through_the_band_has_not_settled():
+    """Part and replay judge by one rule; the settling time alone would let these runs hold."""
+    rig = fl.Rig.named("paper-2023")
+    asked = {"payloads": (0.020, 0.040), "gain_crossover": 12.0, "phase_margin": fl.deg(50)}
+    campaign = Campaign.of(rig, rig.model, fl.design(rig.model, rig, **asked).law(), runs=200, seed=1)
+    part = simulate_part(campaign, 0)
+    told = [replay(campaign, run).verdict.holds for run in range(200)]
+    assert part["holds"].tolist() == told
+    passing = np.isfinite(part["settling_time"]) & ~part["holds"] & (part["mode"] == 1)
+    assert passing.sum() > 5  # the rule had something to decide
+
+
 def test_a_run_is_what_simulate_says_of_its_arm():
     campaign = varied_delay()
     part = simulate_part(campaign, 2)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink.simulate.metrics import BAND
+from fraclink.simulate.metrics import BAND, latest_settling
 
 __all__ = ["Signals", "measure_many"]
 
@@ -36,7 +36,8 @@ def measure_many(
 
     `reference` (R, N) [rad]; `ended` (R,) when each reference comes to rest [s]; `vibration_period` (R,) [s].
     ``mode`` and ``reason`` are the law's first abnormal ones (1 and 0 where there is none); ``holds`` is
-    whether the tip settled and the law never left its normal mode.
+    whether the tip settled, half a vibration period before the end at the latest, and the law never left
+    its normal mode.
     """
     tip, final = signals.tip, reference[:, -1:]
     move = final[:, 0] - reference[:, 0]
@@ -44,6 +45,7 @@ def measure_many(
     tenth = max(8, int(0.1 * tip.shape[1]))
     settling = _settling(np.abs(excess), BAND * np.abs(move), period)
     mode, reason = _first_abnormal(signals)
+    settled = settling <= latest_settling(period * (tip.shape[1] - 1), vibration_period)
     return {
         "overshoot": np.maximum(0.0, (excess * np.sign(move)[:, None]).max(axis=1) / np.abs(move)),
         "settling_time": settling,
@@ -55,7 +57,7 @@ def measure_many(
         "saturated": ((signals.flags & _SATURATED) != 0).mean(axis=1),
         "mode": mode,
         "reason": reason,
-        "holds": np.isfinite(settling) & (mode == _RUN),
+        "holds": settled & (mode == _RUN),
     }
 
 

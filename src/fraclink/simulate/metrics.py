@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fraclink.law import MODES, REASONS
 
-__all__ = ["Metrics", "Verdict", "judge", "measure"]
+__all__ = ["Metrics", "Verdict", "judge", "latest_settling", "measure"]
 
 Real = NDArray[np.float64]
 
@@ -107,6 +107,14 @@ def measure(
     )
 
 
+def latest_settling(last: float, vibration_period: Real | float) -> Real | float:
+    """Return the latest settling time [s] that counts in a run that ends at `last` [s].
+
+    A vibration that only passes through the band leaves it again within half of its period [s].
+    """
+    return last - 0.5 * vibration_period
+
+
 def _growth(time: Real, deviation: Real, vibration_period: float) -> float:
     """Growth rate [1/s] of the vibration's envelope, from its peaks in windows of one period."""
     count = max(2, round(vibration_period / (time[1] - time[0])))
@@ -139,15 +147,14 @@ def judge(
     # A tip that is away because it was left behind does not swing out of its band: its noise may still
     # rise a little, and to call that unstable would name the wrong cause.
     swings = 0.5 * float(np.ptp(_tail(tip - reference))) > _band(reference)
-    # A growing vibration that is just passing through the band leaves it again within half a period.
-    stays = metrics.settling_time <= float(time[-1]) - 0.5 * vibration_period
-    if not np.all(np.isfinite(tip)) or (rate > 0 and swings and not stays):
+    settled = metrics.settling_time <= latest_settling(float(time[-1]), vibration_period)
+    if not np.all(np.isfinite(tip)) or (rate > 0 and swings and not settled):
         grown = f"unstable: the vibration grows at {rate:.3g} 1/s"
         return Verdict(False, f"{grown}; the law trips at {time[stop]:.3g} s" if abnormal.size else grown)
     if abnormal.size:
         what = f"{MODES[mode[stop]]} ({REASONS[reason[stop]]})"
         return Verdict(False, f"tripped: the law goes to {what} at {time[stop]:.3g} s")
-    if not math.isfinite(metrics.settling_time):
+    if not settled:
         lasting = "saturated: the voltage is at its limit" if metrics.saturated > 0.2 else "not settled"
         error = float(np.max(np.abs(_tail(tip - reference))))
         return Verdict(False, f"{lasting}; the tip is still {error:.3g} rad away at {time[-1]:.3g} s")
