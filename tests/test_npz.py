@@ -14,7 +14,7 @@ import pytest
 
 from fraclink.errors import FieldError, FileFormatError
 from fraclink.files import parse_json, read_json, write_json
-from fraclink.npz import read_npz, write_npz
+from fraclink.npz import kind_of, read_npz, write_npz
 from mutants import mutate
 
 ARRAYS = {
@@ -78,6 +78,14 @@ def test_another_kind_or_version_is_named(tmp_path: Path) -> None:
     error = refused(tmp_path / "a.npz")
     assert (error.field, error.value) == ("format", 9)
     assert refused(tmp_path / "none.npz").problem == "not there"
+
+
+def test_the_kind_is_told_without_reading_the_arrays(tmp_path: Path) -> None:
+    write_npz(tmp_path / "one.npz", "some-kind", 1, {}, {"x": np.zeros(3)})
+    np.savez(tmp_path / "foreign.npz", x=np.zeros(3))
+    (tmp_path / "damaged.npz").write_bytes(b"PK\x03\x04" + bytes(50))
+    found = {path.stem: kind_of(path) for path in sorted(tmp_path.iterdir())}
+    assert found == {"damaged": "", "foreign": "", "one": "some-kind"}
 
 
 def test_nothing_half_written_remains(tmp_path: Path) -> None:

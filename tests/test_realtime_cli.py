@@ -23,6 +23,7 @@ from fraclink.controller import InnerLoopSettings
 from fraclink.errors import FieldError
 from fraclink.export import export_io
 from fraclink.realtime import Library, RealtimeRun, ServedArm, Udp, run_realtime
+from fraclink.study import load_study
 from fraclink.twin import geared
 from needed_tools import tool
 
@@ -148,6 +149,8 @@ def test_a_library_is_run_and_left_in_order(fraclink: Command, tmp_path: Path) -
     assert fraclink(line)[0] == 2  # the record is kept
     assert fraclink(f"{line} --force --single --no-motor --allowed-overruns 99")[0] == 0
     assert not RealtimeRun.load("realtime.npz").voltage.any()
+    # a record among the results of the other stages does not hinder their report
+    assert load_study(tmp_path).plan is not None
 
 
 def test_a_library_that_breaks_is_a_safe_stop(fraclink: Command, tmp_path: Path) -> None:

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from fraclink.errors import FieldError, FileFormatError
 from fraclink.files import atomic_write, checked_envelope, parse_json
 
-__all__ = ["read_npz", "write_npz"]
+__all__ = ["kind_of", "read_npz", "write_npz"]
 
 UNPACKED_LIMIT = 400_000_000  # bytes of all members: 8 signals of 6 million samples
 RATIO_LIMIT = 200  # unpacked to packed, above 10 MB: a constant signal packs that well, a log does not
@@ -107,6 +107,19 @@ def read_npz(
         raise _broken(kind, place, f"damaged ({error})", "make it again") from error
     about = _about(members.pop(_ABOUT, None), kind, versions, place)
     return about, {name: values for name, values in members.items() if isinstance(values, np.ndarray)}
+
+
+def kind_of(path: Path | str) -> str:
+    """Return the kind in the envelope of an NPZ file; an empty text where it is damaged or foreign."""
+    place = Path(path)
+    try:
+        with zipfile.ZipFile(place) as archive:
+            item = archive.getinfo(f"{_ABOUT}.npy")
+            text = _member(archive, item, "fraclink", place) if item.file_size <= _TEXT_LIMIT else ""
+        about = parse_json(text) if isinstance(text, str) else None
+    except _DAMAGES:
+        return ""
+    return str(about.get("fraclink", "")) if isinstance(about, dict) else ""
 
 
 def _broken(kind: str, place: Path, problem: str, remedy: str) -> FileFormatError:

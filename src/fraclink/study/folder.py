@@ -17,7 +17,8 @@ from typing import TYPE_CHECKING, Any
 from fraclink.errors import FileFormatError
 from fraclink.files import read_json, write_json
 from fraclink.findings import Finding
-from fraclink.study.log_file import is_log, load_log, save_log
+from fraclink.npz import kind_of
+from fraclink.study.log_file import load_log, save_log
 from fraclink.study.nouns import Study
 
 if TYPE_CHECKING:
@@ -117,7 +118,7 @@ def _kind(path: Path) -> str:
     if path.suffix == ".toml":
         return "rig"
     if path.suffix == ".npz":
-        return "log" if is_log(path) else "run"
+        return kind_of(path) or "run"  # what is damaged is told when it is read
     if path.suffix != ".json":
         return ""
     with path.open("rb") as stream:

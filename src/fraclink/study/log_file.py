@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import zipfile
 from pathlib import Path
 
 from fraclink.errors import FileFormatError
 from fraclink.experiment import Experiment
 from fraclink.npz import read_npz, write_npz
 
-__all__ = ["is_log", "load_log", "save_log"]
+__all__ = ["load_log", "save_log"]
 
 _FORMAT = 1
 _PLAIN = ("period", "output_kind", "payload", "source", "sha256", "start_time")
@@ -22,15 +21,6 @@ def save_log(log: Experiment, path: Path | str) -> None:
     if log.voltage is not None:
         arrays["voltage"] = log.voltage
     write_npz(path, "log", _FORMAT, about, arrays, compressed=True)
-
-
-def is_log(path: Path) -> bool:
-    """Whether an NPZ file holds a log and not a run."""
-    try:
-        with zipfile.ZipFile(path) as archive:
-            return "output.npy" in archive.namelist()
-    except (OSError, zipfile.BadZipFile):
-        return False
 
 
 def load_log(path: Path | str) -> Experiment:
