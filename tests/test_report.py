@@ -14,13 +14,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fraclink.campaign.faults import Case, Check, FaultTable, Outcome
 from fraclink.experiment import Experiment
 from fraclink.findings import Finding
 from fraclink.report import render_report, write_report
 from fraclink.report.figures.drawing import envelope
 from fraclink.report.numbers import number, uncertain
 from fraclink.rig import Rig
-from fraclink.study import Request, Study, design_for
+from fraclink.study import Request, Study, design_for, load_study, save_study
 from needed_tools import tool
 
 HOSTILE = [
@@ -104,7 +105,19 @@ def study(text: str, *, plan: bool = False) -> Study:
         plan=made,
         infeasible=text,
         assumptions=(text,),
+        faults=faults(text),
     )
+
+
+def faults(text: str) -> FaultTable:
+    """A campaign with a fault that is met and one that is not."""
+    checks = (Check("peak", 1.0, 1.1, holds=True), Check(text, 1.3, 1.1, holds=False))
+    cases = (Case("F09", 1, 0.02, "mid", 1), Case("F11", 2, 0.03, "start", 1))
+    outcomes = tuple(
+        Outcome(case, checks[:count], 0.1, 0.1, 0.0, "run", "none", 0, text)
+        for count, case in enumerate(cases, start=1)
+    )
+    return FaultTable(outcomes, {"command": text})
 
 
 @pytest.fixture(scope="module")
@@ -165,6 +178,19 @@ def test_a_report_of_nothing_says_so() -> None:
 
 def test_an_infeasible_design_is_told() -> None:
     assert "because of the moon" in render_report(Study(rig=RIG, infeasible="because of the moon"))
+
+
+def test_faults_have_a_section_and_a_verdict_of_their_own(tmp_path: Path) -> None:
+    made, _ = design_for(RIG, None, Request())
+    saved = Study(rig=RIG, plan=made, faults=faults("peak over clean"))
+    save_study(saved, tmp_path)
+    back = load_study(tmp_path)
+    assert back.faults == saved.faults and back.reasons == replace(saved, faults=None).reasons
+    texts = " ".join(parsed(render_report(back)).texts)
+    assert "1 of 2 faults met in every run, 2 runs" in texts
+    assert "peak over clean: 1.3 (limit 1.1) (F11-2-30g-start-1: peak over clean)" in texts
+    assert "≤ 1.1 × clean" in texts
+    assert 'id="faults"' not in render_report(replace(back, faults=None))
 
 
 def test_the_design_shows_every_requirement_with_its_payload() -> None:

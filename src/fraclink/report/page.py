@@ -69,7 +69,7 @@ def _contents(study: Study, title: str | None) -> dict[str, object]:
         "version": __version__,
         "title": title or f"{name}: {sections.source_name(study.experiment)}",
         "study": study,
-        "in_short": sections.in_short(study),
+        "in_short": [*sections.in_short(study), *_faults_in_short(study)],
         "fit_findings": study.fit.findings if study.fit else (),
         "source": sections.source_name(study.experiment),
         "rig_rows": sections.rig_rows(study.rig) if study.rig else [],
@@ -79,6 +79,7 @@ def _contents(study: Study, title: str | None) -> dict[str, object]:
         "fit_rows": sections.fit_rows(study.fits),
         "move_rows": sections.move_rows(study.runs),
         **_design(study),
+        **_faults(study),
         **_figures(study),
     }
 
@@ -94,6 +95,25 @@ def _design(study: Study) -> dict[str, object]:
         "controller_rows": sections.controller_rows(plan, study.law),
         "requirement_rows": sections.requirement_rows(plan),
         "margin_rows": sections.margin_rows(plan, payloads),
+    }
+
+
+def _faults_in_short(study: Study) -> list[tuple[str, str]]:
+    from fraclink.report.faults import faults_met
+
+    return [] if study.faults is None else [("Faults on the twin", faults_met(study.faults))]
+
+
+def _faults(study: Study) -> dict[str, object]:
+    from fraclink.report.faults import fault_lines, fault_notes, faults_met
+
+    table = study.faults
+    if table is None:
+        return {"fault_lines": []}
+    return {
+        "fault_lines": fault_lines(table),
+        "fault_notes": fault_notes(table),
+        "faults_met": faults_met(table),
     }
 
 

@@ -1,6 +1,7 @@
 """A study as a folder of files, one for each noun, and back.
 
-    rig.toml  log.npz  model.json  model-UD-IOM.json …  design.json  law.json  run-20g.npz …  study.json
+    rig.toml  log.npz  model.json  model-UD-IOM.json …  design.json  law.json  run-20g.npz …  faults.json
+    study.json
 
 Any of them may be missing, and the files that single stages wrote count whatever they are called: what a
 file is stands in its envelope.
@@ -64,6 +65,8 @@ def save_study(study: Study, folder: Path | str) -> None:
         study.certificate.save(place / "certificate.json")
     for run in study.runs:
         run.save(place / run_name(run.payload))
+    if study.faults is not None:
+        study.faults.save(place / "faults.json")
     write_json(place / "study.json", _KIND, _VERSION, _summary(study))
 
 
@@ -122,11 +125,12 @@ def _kind(path: Path) -> str:
     if path.suffix != ".json":
         return ""
     with path.open("rb") as stream:
-        found = re.match(rb'\s*\{\s*"fraclink":\s*"(\w+)"', stream.read(200))
+        found = re.match(rb'\s*\{\s*"fraclink":\s*"([\w-]+)"', stream.read(200))
     return found.group(1).decode() if found else ""
 
 
 def _gathered(by_kind: Mapping[str, list[Path]]) -> Study:
+    from fraclink.campaign.faults import FaultTable
     from fraclink.certify import Certificate
     from fraclink.design import Plan
     from fraclink.identify import Fit
@@ -138,7 +142,7 @@ def _gathered(by_kind: Mapping[str, list[Path]]) -> Study:
         return by_kind.get(kind, [None])[0]
 
     rig, log, plan, law, about = (first(kind) for kind in ("rig", "log", "design", "law", "study"))
-    proof = first("certificate")
+    proof, faults = first("certificate"), first("fault-campaign")
     fits = {fit.structure: fit for fit in map(Fit.load, by_kind.get("fit", []))}
     told = read_json(about, _KIND, (_VERSION,)) if about else {}
     design = Plan.load(plan) if plan else None
@@ -157,6 +161,7 @@ def _gathered(by_kind: Mapping[str, list[Path]]) -> Study:
         uncertified=told.get("uncertified"),
         runs=tuple(runs),
         assumptions=tuple(told.get("assumptions", ())),
+        faults=FaultTable.load(faults) if faults else None,
     )
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
+    from fraclink.campaign.faults import FaultTable
     from fraclink.certify import Certificate
     from fraclink.design import Plan
     from fraclink.experiment import Experiment
@@ -62,6 +63,7 @@ class Study:
         uncertified: why there is none, where one was asked for.
         runs: simulated moves, one for each payload.
         assumptions: sentences on everything that nobody stated.
+        faults: a fault campaign on the design; it has a verdict of its own.
 
     >>> Study().holds
     False
@@ -79,6 +81,7 @@ class Study:
     uncertified: str | None = None
     runs: tuple[Run, ...] = ()
     assumptions: tuple[str, ...] = ()
+    faults: FaultTable | None = None
 
     @property
     def fits(self) -> Mapping[str, Fit]:
