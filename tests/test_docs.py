@@ -157,6 +157,10 @@ BROKEN = {
     "a method that is not": ("`fl.Plan.sample_at(0.02)`", "fraclink.Plan.sample_at"),
     "a link to no page": ("[see](no-such-page.md)", "no-such-page.md"),
     "a link to no heading": ("[see](#no-such-heading)", "no-such-heading"),
+    "a type of a signature": (
+        "```{eval-rst}\n.. py:function:: fraclink.told(plan: fraclink.Plann) -> None\n```",
+        "fraclink.Plann",
+    ),
     "a class that is not": ("```{eval-rst}\n.. autoclass:: fraclink.Plane\n```", "Plane"),
 }
 
