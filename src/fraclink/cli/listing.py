@@ -17,7 +17,7 @@ _SECTIONS = {
         *("identify-all", "identify-payloads", "identify-motor", "identify-spectrum"),
         *("plan-experiment", "record"),
     ),
-    "More on designs and laws": ("assess", "compare", "design-map", "campaign", "replay"),
+    "More on designs and laws": ("assess", "optimise", "compare", "design-map", "campaign", "replay"),
 }
 _LAST = "Further verbs"
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 from fraclink.cli.console import table
@@ -128,6 +129,7 @@ def plan_values(plan: Plan) -> dict[str, object]:
             "order": controller.order,
             "filter_time": controller.filter_time,
             "filter_order": controller.filter_order,
+            "lead": None if controller.lead is None else asdict(controller.lead),
         },
         "requirements": [
             {
@@ -174,6 +176,9 @@ def plan_text(plan: Plan) -> str:
         for item in plan.requirements
     ]
     head = f"controller: k_d = {controller.gain:.6g}, β = {controller.order:.6g}{filtered}"
+    if controller.lead is not None:
+        lead = controller.lead
+        head += f", lead a = {lead.zero_time:.5g} s, b = {lead.pole_time:.5g} s, ν = {lead.order:.5g}"
     return head + "\n" + table(("requirement", "wanted", "achieved", "at", "verdict"), rows)
 
 

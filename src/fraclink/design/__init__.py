@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from fraclink.design.optimum import Optimised, Step, optimise
 from fraclink.design.plan import Plan, Requirement
 from fraclink.design.procedure import design
 from fraclink.design.request import deg
 
-__all__ = ["Plan", "Requirement", "deg", "design"]
+__all__ = ["Optimised", "Plan", "Requirement", "Step", "deg", "design", "optimise"]

@@ -144,7 +144,7 @@ def design(
         phase_margin=request.phase_margin,
         chi=solution.chi,
         gain_crossover_upper=solution.upper,
-        findings=findings_of(asked, rig, controller, solution, asked_mode=goals.mode_gain is not None),
+        findings=findings_of(asked, rig, controller, solution.upper, asked_mode=goals.mode_gain is not None),
     )
 
 

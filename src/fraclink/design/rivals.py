@@ -16,7 +16,7 @@ from fraclink.design.poles import PRINTED, match_at
 from fraclink.errors import InfeasibleError
 from fraclink.quantity import checked_between
 
-__all__ = ["Rival", "compare_at_equal_sensitivity", "optimise", "scale_to_sensitivity"]
+__all__ = ["Rival", "compare_at_equal_sensitivity", "scale_to_sensitivity"]
 
 Real = NDArray[np.float64]
 
@@ -105,6 +105,9 @@ def compare_at_equal_sensitivity(plan: Plan, *, max_sensitivity: float) -> tuple
     nominal = plan.rig.payloads.nominal
     pi = plan.natural_frequency(nominal)
     loop = replace(plan.loop, filter_time=0.0, lag=0.0, delay=0.0, correction=None)
+    if own.lead is not None:  # C' has none: matched to a C whose lead is its gain at the crossover
+        at = abs(complex(own.lead.response(plan.gain_crossover_upper)))
+        loop = replace(loop, lead=None, gain=loop.gain * at)
     found = loop.crossings(pi)
     upper = int(np.argmax(found.frequency))
     matched = match_at(
@@ -118,7 +121,7 @@ def compare_at_equal_sensitivity(plan: Plan, *, max_sensitivity: float) -> tuple
     for name, order in entries:
         start = _start(own, order, float(found.frequency[upper]))
         rivals.append(_rate(plan, name, scale_to_sensitivity(plan, start, max_sensitivity)))
-    rivals.append(optimise(plan, max_sensitivity=max_sensitivity, filters=(own.filter_time,)))
+    rivals.append(_best_order(plan, max_sensitivity))
     rivals += [_rate(plan, f"printed {name}", printed) for name, printed in PRINTED.items()]
     return tuple(rivals)
 
@@ -130,56 +133,27 @@ def _start(own: Controller, order: float, frequency: float) -> Controller:
     return replace(own, order=order, gain=gain, filter_order=n, lead=own.lead if order == own.order else None)
 
 
-def optimise(
-    plan: Plan,
-    *,
-    max_sensitivity: float,
-    noise_gain: float | None = None,
-    filters: tuple[float, ...] | None = None,
-) -> Rival:
-    """Return the controller with the highest worst-payload crossover under bounds on Ms and noise.
-
-    Searches β and δ from the plan's closed-form values; for each pair the gain is the largest that the
-    bounds allow, so the search is over two numbers and needs no starting gain.
-
-    Parameters
-    ----------
-    max_sensitivity
-        bound on the worst Ms, > 1.
-    noise_gain
-        bound on the worst noise gain, > 0; none when left out.
-    filters
-        values of δ [s] to try; from none to ten times the plan's own when left out.
-
-    Raises InfeasibleError where no pair meets the bounds.
-    """
-    own = plan.controller
-    base = own.filter_time or 0.2 / plan.gain_crossover_upper
-    times = filters if filters is not None else (0.0, 0.25 * base, 0.5 * base, base, 2.0 * base, 4.0 * base)
+def _best_order(plan: Plan, max_sensitivity: float) -> Rival:
+    """The β, with the plan's own filter, that crosses highest for the worst payload at this Ms."""
     best: Rival | None = None
-    for time in times:
-        centre, width = own.order, 0.35
-        for _ in range(3):
-            for order in centre + width * np.linspace(-1.0, 1.0, 7):
-                if not 0.05 < order < min(plan.model.order, 1.95):
-                    continue
-                rival = _try(plan, replace(own, filter_time=time), float(order), max_sensitivity, noise_gain)
-                if rival is not None and (best is None or rival.gain_crossover > best.gain_crossover):
-                    best = rival
-            centre = best.controller.order if best is not None else centre
-            width /= 3.0
+    centre, width = plan.controller.order, 0.35
+    for _ in range(3):
+        for order in centre + width * np.linspace(-1.0, 1.0, 7):
+            if not 0.05 < order < min(plan.model.order, 1.95):
+                continue
+            rival = _try(plan, float(order), max_sensitivity)
+            if rival is not None and (best is None or rival.gain_crossover > best.gain_crossover):
+                best = rival
+        centre = best.controller.order if best is not None else centre
+        width /= 3.0
     if best is None:
-        raise InfeasibleError("sensitivity peak", "no order and filter meet the bounds")
+        raise InfeasibleError("sensitivity peak", f"no order β brings Ms to {max_sensitivity:g}")
     return best
 
 
-def _try(
-    plan: Plan, own: Controller, order: float, max_sensitivity: float, noise: float | None
-) -> Rival | None:
-    start = _start(own, order, plan.gain_crossover_upper)
+def _try(plan: Plan, order: float, max_sensitivity: float) -> Rival | None:
+    start = _start(plan.controller, order, plan.gain_crossover_upper)
     try:
-        scaled = scale_to_sensitivity(plan, start, max_sensitivity)
+        return _rate(plan, "best β", scale_to_sensitivity(plan, start, max_sensitivity))
     except InfeasibleError:
         return None
-    rival = _rate(plan, "optimised", scaled)
-    return rival if noise is None or rival.noise_gain <= noise else None

@@ -15,7 +15,7 @@ from fraclink.design.loop import OpenLoop
 from fraclink.design.measure import sweep
 from fraclink.design.plan import Requirement, open_loop
 from fraclink.design.request import Request, payload_of
-from fraclink.design.solve import MARGIN_SHARE, Solution
+from fraclink.design.solve import MARGIN_SHARE
 from fraclink.findings import Finding
 
 if TYPE_CHECKING:
@@ -66,15 +66,15 @@ def verify(request: Request, rig: Rig, controller: Controller) -> tuple[Requirem
 
 
 def findings_of(
-    request: Request, rig: Rig, controller: Controller, solution: Solution, *, asked_mode: bool
+    request: Request, rig: Rig, controller: Controller, upper: float, *, asked_mode: bool
 ) -> tuple[Finding, ...]:
     """Findings W401 … of a design: what holds less than it seems.
 
-    `request` is what was asked for, before any bound changed it; `asked_mode` tells that the loop gain at the
-    higher modes is among the requirements.
+    `request` is what was asked for, before any bound changed it; `upper` the crossover of the lightest
+    payload [rad/s]; `asked_mode` tells that the loop gain at the higher modes is among the requirements.
     """
     found = []
-    cost = controller.filter_order * math.atan(controller.filter_time * solution.upper)
+    cost = controller.filter_order * math.atan(controller.filter_time * upper)
     if request.filter_time is not None and cost > MARGIN_SHARE * request.phase_margin * (1.0 + 1e-2):
         found.append(
             Finding(
@@ -126,8 +126,8 @@ def _spillover(request: Request, rig: Rig, controller: Controller) -> tuple[Find
         Finding(
             "W405",
             "warning" if worst.achieved >= 1.0 else "info",
-            f"the loop gain at mode {worst.name[-1]} of the link is high: above 1 the mode's phase decides, which "
-            "nobody modelled",
+            f"the loop gain at mode {worst.name[-1]} of the link is high: above 1 the mode's phase decides, "
+            "which nobody modelled",
             {"loop_gain": worst.achieved, "limit": LIMIT, "payload_kg": worst.at_payload},
             "ask for mode_gain=0.5 (--mode-gain 0.5), which lengthens the filter",
         ),

@@ -131,6 +131,10 @@ def controller_rows(plan: Plan, law: Law | None) -> list[Row]:
         rows.append(("δ, n", "filter", f"{number(controller.filter_time)} s, {controller.filter_order}"))
     else:
         rows.append(("δ", "filter", "none"))
+    if controller.lead is not None:
+        lead = controller.lead
+        times = f"{number(lead.zero_time)} s, {number(lead.pole_time)} s, {number(lead.order)}"
+        rows.append(("a, b, ν", "lead", times))
     rows.append(("ω̄_c", "crossover at the lightest payload", f"{number(plan.gain_crossover_upper, 6)} rad/s"))
     if law is not None:
         decibel, degree = law.correction_error

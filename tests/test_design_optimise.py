@@ -1,0 +1,226 @@
+"""The optimised design and its lead: gradients, bounds on a fine grid, another optimiser, what is carried."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+
+import fraclink as fl
+from fraclink.certify import certify
+from fraclink.cli import main
+from fraclink.controller import Controller, Lead
+from fraclink.design import Optimised, Plan, optimise
+from fraclink.design.assess import phase_budget
+from fraclink.design.measure import measure, noise_gain
+from fraclink.design.plan import open_loop
+from fraclink.design.problem import Bounds, Problem
+from fraclink.design.sampled import realised
+from fraclink.errors import FieldError, InfeasibleError
+from fraclink.rig import Rig
+
+RIG = Rig.named("paper-2023")
+WANTED = {"payloads": (0.020, 0.040), "gain_crossover": 12.0, "phase_margin": fl.deg(50)}
+LEAD = Lead(zero_time=0.12, pole_time=0.03, order=0.6)
+CONTROLLER = Controller(gain=0.03, order=0.7, filter_time=0.01, filter_order=2, lead=LEAD)
+
+
+@pytest.fixture(scope="module")
+def plan() -> Plan:
+    return fl.design(RIG.model, RIG, **WANTED)
+
+
+@pytest.fixture(scope="module")
+def quiet(plan: Plan) -> Optimised:
+    return optimise(plan)
+
+
+def test_the_lead_is_one_value_in_every_form() -> None:
+    w = np.geomspace(0.1, 700.0, 9)
+    s = 1j * w
+    exact = (1 + (0.12 * s) ** 0.6) / (1 + (0.03 * s) ** 0.6)
+    for value in (LEAD.response(w), LEAD.at(s), LEAD.transfer()(s), np.exp(LEAD.log(w))):
+        np.testing.assert_allclose(value, exact, rtol=1e-13)
+    plain = replace(CONTROLLER, lead=None)
+    np.testing.assert_allclose(CONTROLLER.response(w), plain.response(w) * exact, rtol=1e-13)
+    np.testing.assert_allclose(CONTROLLER.correction()(s), CONTROLLER.response(w), rtol=1e-12)
+    assert CONTROLLER.formula.endswith("^2 · (1 + (0.12 s)^0.6)/(1 + (0.03 s)^0.6)")
+
+
+def test_a_lead_leaves_c_at_zero_one_and_an_integrator_would_not() -> None:
+    assert abs(CONTROLLER.response(1e-9)) < 1e-7
+    # What a constant offset of the estimate leaves in the tip is Ĉ(0)/(1 + Ĉ(0)): all of it for k/s^α.
+    integrator = 0.1 * (1j * 1e-12) ** -0.5
+    assert abs(integrator / (1 + integrator)) == pytest.approx(1.0, abs=1e-4)
+
+
+def test_the_loop_with_a_lead_is_the_product_of_its_parts(plan: Plan) -> None:
+    controller = replace(CONTROLLER, inner=plan.controller.inner, period=RIG.period)
+    loop = open_loop(controller, RIG.model, RIG, margins="loop")
+    w, pi = np.array([3.0, 12.0, 40.0, 300.0]), 11.0
+    expected = (
+        controller.response(w)
+        * pi**2
+        / ((1j * w) ** RIG.model.order + pi**2)
+        / (1 + 1j * w / RIG.inner.pole) ** 2
+        * np.exp(-1j * w * 1.5 * RIG.period)
+    )
+    np.testing.assert_allclose(loop(w, pi), expected, rtol=1e-12)
+    np.testing.assert_allclose(loop.level(w, pi), np.log(np.abs(expected)), rtol=1e-12)
+    step = 1e-6
+    slope = (loop.log(w * math.exp(step), pi) - loop.log(w * math.exp(-step), pi)) / (2 * step)
+    np.testing.assert_allclose(loop.slope(w, pi), slope, rtol=1e-6, atol=1e-8)
+    grunwald = realised(controller, 1e-6, "grunwald")  # a period of a microsecond is nearly continuous
+    np.testing.assert_allclose(grunwald(w), controller.response(w), rtol=1e-3)
+
+
+@pytest.mark.parametrize("goal", ["noise", "crossover"])
+@pytest.mark.parametrize("lead", [False, True])
+def test_gradients_are_those_of_differences(plan: Plan, goal: str, lead: bool) -> None:
+    bare = replace(plan.loop, gain=1.0, order=0.0, filter_time=0.0)
+    bounds = Bounds(1.6, 12.0, 1.4)
+    problem = Problem(bare, plan.natural_frequencies, RIG.period, 2, lead, goal, bounds)  # type: ignore[arg-type]
+    x = problem.start(replace(plan.controller, lead=LEAD if lead else None))
+    _, gradient = problem.constraints(x)
+    for i, unit in enumerate(np.eye(x.size)):
+        up, down = (problem.constraints(x + 1e-6 * sign * unit)[0] for sign in (1, -1))
+        np.testing.assert_allclose(gradient[:, i], (up - down) / 2e-6, atol=1e-7)
+
+
+def test_the_bounds_are_kept_on_a_finer_grid_than_they_were_found_on(plan: Plan, quiet: Optimised) -> None:
+    found = quiet.plan
+    assert quiet.pays and found.holds and found.controller.lead is not None
+    w = np.geomspace(0.3, math.pi / RIG.period, 20_000)
+    low, high = found.natural_frequencies
+    start = measure(plan.loop, np.array([low, high]), RIG.period, highest=math.pi / RIG.period)
+    peak = max(float(np.max(1 / np.abs(1 + found.loop(w, pi)))) for pi in np.geomspace(low, high, 21))
+    assert peak <= float(np.max(start.sensitivity_peak)) * (1 + 1e-5)
+    assert max(c.frequency for c in found.at(0.040).gain_crossings) >= 12.0 - 1e-6
+    loud = float(np.max(noise_gain(found.loop, np.geomspace(low, high, 21), RIG.period)))
+    assert loud == pytest.approx(quiet.steps[-1].value, rel=1e-6)
+    assert quiet.gain == pytest.approx(1 - loud / float(np.max(start.noise_gain)), rel=1e-6)
+    assert quiet.gain > 0.7
+
+
+def test_another_optimiser_without_gradients_finds_no_better(plan: Plan, quiet: Optimised) -> None:
+    """Nelder and Mead on the same figures with penalties, from the closed form, for n = 2 without a lead."""
+    pi, nyquist = np.geomspace(*plan.natural_frequencies, 5), math.pi / RIG.period
+    bound = float(np.max(measure(plan.loop, pi, RIG.period, highest=nyquist).sensitivity_peak))
+
+    def cost(x: np.ndarray) -> float:
+        if not 0.05 < x[1] < 1.9:
+            return 1e3
+        loop = replace(plan.loop, gain=math.exp(x[0]), order=x[1], filter_time=math.exp(x[2]), filter_order=2)
+        got = measure(loop, pi, RIG.period, highest=nyquist)
+        if np.any(got.phase_margin <= 0) or not np.all(got.gain_crossover > 0):
+            return 1e2
+        over = max(0.0, math.log(np.max(got.sensitivity_peak) / bound))
+        slow = max(0.0, math.log(12.0 / np.min(got.gain_crossover)))
+        return math.log(float(np.max(got.noise_gain))) + 30 * (over + slow)
+
+    c = plan.controller
+    start = [math.log(0.01), 1.4, math.log(0.035)]
+    other = minimize(cost, start, method="Nelder-Mead", options={"maxfev": 500, "xatol": 1e-4, "fatol": 1e-6})
+    assert c.filter_order == 1
+    ours = next(step.value for step in quiet.steps if step.structure == "k_d, β, δ, n = 2")
+    assert ours <= math.exp(other.fun) * 1.02
+
+
+def test_the_fastest_loop_keeps_its_noise(plan: Plan) -> None:
+    found = optimise(plan, goal="crossover", lead=False)
+    assert found.pays and found.plan.holds
+    noise = next(r for r in found.plan.requirements if r.name == "noise gain")
+    assert noise.achieved <= noise.wanted * (1 + 1e-9)
+    assert found.plan.requirements[0].achieved == pytest.approx(12.956, abs=0.02)
+
+
+def test_what_does_not_pay_leaves_the_closed_form(plan: Plan) -> None:
+    found = optimise(plan, goal="crossover", lead=False, least=0.5)
+    assert not found.pays and found.plan is plan and found.gain == 0.0
+    assert "closed-form design is returned" in str(found)
+
+
+def test_a_bound_on_the_mode_is_kept() -> None:
+    rig = replace(RIG, link=replace(RIG.link, mass=0.0141))
+    start = fl.design(rig.model, rig, **WANTED)
+    found = optimise(start, mode_gain=0.9, lead=False)
+    second = next(r for r in found.plan.requirements if r.name == "loop gain at mode 2")
+    assert found.plan.holds and second.achieved <= 0.9 * (1 + 1e-9)
+    assert math.isnan(found.steps[0].value) and math.isnan(found.gain)  # the closed form reaches the mode
+
+
+def test_the_law_the_certificate_and_the_file_carry_the_lead(quiet: Optimised, tmp_path: Path) -> None:
+    plan = quiet.plan
+    assert math.pi + sum(share.phase for share in phase_budget(plan, 0.020)) == pytest.approx(
+        plan.at(0.020).phase_margin
+    )
+    assert "lead" in {share.element for share in phase_budget(plan, 0.020)}
+    law = plan.law()
+    assert law.correction_error[0] < 0.1 and law.correction_error[1] < 0.5
+    shipped = plan.with_law()
+    assert shipped.holds
+    assert certify(plan, law=law, modulus_margin=0.5).holds
+    plan.save(tmp_path / "design.json")
+    assert Plan.load(tmp_path / "design.json") == plan
+
+
+def test_a_design_of_format_one_reads_without_a_lead(plan: Plan, tmp_path: Path) -> None:
+    place = tmp_path / "design.json"
+    plan.save(place)
+    data = json.loads(place.read_text("utf-8"))
+    data["format"] = 1
+    del data["controller"]["lead"]
+    place.write_text(json.dumps(data), "utf-8")
+    assert Plan.load(place) == plan
+
+
+@pytest.mark.parametrize(
+    ("options", "field"),
+    [
+        ({"goal": "speed"}, "goal"),
+        ({"max_sensitivity": 1.0}, "max_sensitivity"),
+        ({"gain_crossover": -1.0}, "gain_crossover"),
+        ({"noise_gain": "1"}, "noise_gain"),
+        ({"mode_gain": 0.5}, "mode_gain"),
+        ({"least": 2.0}, "least"),
+    ],
+)
+def test_bad_requests_are_refused(plan: Plan, options: dict[str, object], field: str) -> None:
+    with pytest.raises(FieldError) as caught:
+        optimise(plan, **options)  # type: ignore[arg-type]
+    assert caught.value.field == field
+
+
+def test_the_papers_reading_is_refused() -> None:
+    ideal = fl.design(RIG.model, RIG, **WANTED, margins="ideal")
+    with pytest.raises(FieldError, match="margins"):
+        optimise(ideal)
+
+
+def test_bounds_that_nothing_keeps_are_infeasible(plan: Plan) -> None:
+    with pytest.raises(InfeasibleError, match="no structure"):
+        optimise(plan, max_sensitivity=1.02, lead=False)
+
+
+@pytest.mark.parametrize("values", [(0.0, 0.1, 0.5), (0.1, -1.0, 0.5), (0.1, 0.1, 1.1), (0.1, math.nan, 0.5)])
+def test_leads_out_of_range_are_refused(values: tuple[float, float, float]) -> None:
+    with pytest.raises(FieldError, match=r"lead\."):
+        Lead(*values)
+
+
+def test_the_verb_writes_a_design_that_other_verbs_read(
+    plan: Plan, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plan.save(tmp_path / "design.json")
+    out = tmp_path / "optimised.json"
+    line = ["optimise", str(tmp_path / "design.json"), "--no-lead", "--out", str(out)]
+    assert main([*line, "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["pays"] and told["controller"]["lead"] is None
+    assert Plan.load(out).controller.gain == told["controller"]["gain"]
+    assert main(line) == 2  # what is there is kept without --force
