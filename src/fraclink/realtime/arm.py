@@ -149,8 +149,8 @@ def serve_arm(
         )
     # A twin whose way through the messages is the first period of its delay.
     arm = Vessel(replace(twin, voltage_delay=twin.voltage_delay - 1), period, b"")
-    record = np.zeros((count, _kernels.SERVED_COLUMNS))
-    from fraclink.realtime.opening import arm_end
+    record = np.full((count, _kernels.SERVED_COLUMNS), 0.0)
+    from fraclink.realtime.opening import arm_end  # locks of files are Unix's
 
     with arm_end(connection) as way:
         told = _kernels.realtime_serve(

@@ -97,12 +97,10 @@ def run_realtime(
     if not np.all(np.isfinite(path)):
         raise FieldError("reference", "NaN", "not finite", allowed="finite", remedy="check the reference")
     count = path.shape[1]
-    # Written here, so that no page of the record is missing when its period comes.
-    record, marks = (
-        np.full((count, _kernels.REALTIME_COLUMNS), np.nan),
-        np.zeros((count, _kernels.REALTIME_MARKS), dtype=np.uint32),
-    )
-    from fraclink.realtime.opening import controller_end
+    # Written and not only claimed, so that no page of the record is missing when its period comes.
+    record = np.full((count, _kernels.REALTIME_COLUMNS), np.nan)
+    marks = np.full((count, _kernels.REALTIME_MARKS), 0, dtype=np.uint32)
+    from fraclink.realtime.opening import controller_end  # locks of files are Unix's
 
     with controller_end(connection, patience) as way:
         told = _kernels.realtime_run(
