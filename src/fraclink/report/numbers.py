@@ -75,12 +75,13 @@ def milli(value: float | None, places: int = 1) -> str:
 def sentence(text: str) -> str:
     """`text` with a capital and a full stop.
 
-    >>> sentence("measure it"), sentence("Is it?")
-    ('Measure it.', 'Is it?')
+    >>> sentence("measure it"), sentence("link.stiffness = 1.56 contradicts 3EI/L")
+    ('Measure it.', 'link.stiffness = 1.56 contradicts 3EI/L.')
     """
     text = text.strip()
-    # The name of a field is written as the file writes it.
-    named = "_" in text.partition(" ")[0]
+    first = text.partition(" ")[0]
+    # The name of a field is written as the file writes it, and ours without a capital.
+    named = "_" in first or "." in first.rstrip(".") or first == "fraclink"
     return (
         (text[:1] if named else text[:1].upper())
         + text[1:]

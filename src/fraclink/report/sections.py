@@ -87,7 +87,7 @@ def log_rows(log: Experiment) -> list[Row]:
     if log.sha256:
         rows.append(("SHA-256 of the file", log.sha256))
     rows += [
-        (name, value) for name, value in log.notes if name in {"title", "simulated", "source", "damping"}
+        (name.capitalize(), value) for name, value in log.notes if name in {"title", "simulated", "source", "damping"}
     ]
     return rows
 
