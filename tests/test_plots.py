@@ -5,15 +5,18 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 
 import control
 import matplotlib as mpl
 import numpy as np
 import pytest
 
-from fraclink import plots
+import fraclink as fl
+from fraclink import _kernels, plots
 from fraclink.errors import FieldError, MissingExtraError
 from fraclink.fractional import s
+from fraclink.realtime import Callback, run_realtime
 
 mpl.use("Agg")
 LINK = 1.56 * s**1.92 / (s**1.92 + 100.4)
@@ -192,3 +195,18 @@ def test_without_matplotlib(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(MissingExtraError, match="matplotlib"):
         plots.bode(LINK)
+
+
+@pytest.mark.skipif(not _kernels.REALTIME, reason="the real-time loop is Linux's")
+def test_the_times_of_a_run_are_all_in_the_histograms() -> None:
+    rig = fl.Rig.named("paper-2023")
+    law = fl.Controller(gain=0.069876, order=0.612197, link=rig.model).discretize(rig.period, order=4)
+    at_rest = Callback(read=lambda: (0.0, 0.0), write=lambda command: None)
+    run = run_realtime(law, fl.hold(0.0), at_rest, duration=0.1, priority=0, lock_memory=False)
+    count = len(run.tick)
+    late = replace(run, latency=np.full(count, 0.0321), work=np.zeros(count))
+    for each in (run, late):
+        axis = plots.latency(each)
+        bars = [sum(bar.get_height() for bar in group) for group in axis.containers]
+        assert bars == [count, count]
+        assert axis.get_lines()[0].get_xdata()[0] == pytest.approx(4000.0)

@@ -48,7 +48,7 @@ class Board:
         self.reads = 0
         self.commands: list[Command] = []
 
-    def read(self) -> tuple[float, float] | None:
+    def read(self) -> tuple[float, float]:
         self.reads += 1
         return self.angle, 0.01 * math.sin(0.1 * self.reads)
 
@@ -178,6 +178,22 @@ def test_lost_samples_are_ridden_through_and_a_silent_arm_is_given_up(law: Law) 
     assert (run.stopped, REASONS[run.reason[-1]]) == ("law off", "encoder")
     assert run.first_difference is None
     assert stopped(board)
+
+
+def test_a_law_that_gave_up_the_gauge_goes_on_and_does_not_hold(law: Law) -> None:
+    board = Board()
+    run = run_realtime(
+        law,
+        fl.hold(0.0),
+        Callback(lambda: (board.read()[0], math.nan), board.write),
+        duration=0.3,
+        priority=0,
+        lock_memory=False,
+        allowed_overruns=99,
+    )
+    assert (run.stopped, run.holds) == ("finished", False)
+    assert run.problem == "the law ended in mode degraded (gauge)"
+    assert run.first_difference is None
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from fraclink.plots.bode import bode, margins
 from fraclink.plots.planes import nichols, nyquist
+from fraclink.plots.realtime import latency
 from fraclink.plots.time import step
 
-__all__ = ["bode", "margins", "nichols", "nyquist", "step"]
+__all__ = ["bode", "latency", "margins", "nichols", "nyquist", "step"]

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink.errors import FieldError, FileFormatError
-from fraclink.law import REASONS, Law
+from fraclink.law import MODES, REASONS, Law
 from fraclink.npz import read_npz, write_npz
 
 __all__ = ["STOPS", "RealtimeRun", "Spread"]
@@ -145,7 +145,7 @@ class RealtimeRun:
 
     @property
     def holds(self) -> bool:
-        """Whether the run went to its end, in time, with the outputs that the law gives."""
+        """Whether the run went to its end, in time and in mode "run", with the outputs that the law gives."""
         return not self.problem
 
     @property
@@ -155,6 +155,11 @@ class RealtimeRun:
             return f"safe stop: the law switched off ({REASONS[int(self.reason[-1])]})"
         if self.stopped != "finished":
             return f"safe stop: {self.stopped}"
+        if not len(self.mode) or MODES[int(self.mode[-1])] != "run":
+            left = (
+                f"{MODES[int(self.mode[-1])]} ({REASONS[int(self.reason[-1])]})" if len(self.mode) else "idle"
+            )
+            return f"the law ended in mode {left}"
         if self.overruns > self.allowed_overruns:
             return f"{self.overruns} overruns, allowed {self.allowed_overruns}"
         if self.first_difference is not None:
