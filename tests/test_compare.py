@@ -21,12 +21,12 @@ from fraclink.compare.outer import (
     pd_correction,
     sliding_correction,
 )
-from fraclink.compare.published import integer_twin
+from fraclink.compare.published import CORRECTED, INTEGER, PRINTED, integer_twin
 from fraclink.compare.rivals import builders, servo_law
 from fraclink.compare.run import feed_forward, run_rival
 from fraclink.compare.setting import Setting
 from fraclink.compare.shaping import Shaped, shaper_impulses
-from fraclink.compare.spillover import mode_gain
+from fraclink.compare.spillover import linear_growth, mode_gain
 from fraclink.errors import FieldError, NotConvergedError
 from fraclink.reference import smooth_step
 from fraclink.stability import margins
@@ -308,11 +308,30 @@ def test_sampled_delay_is_a_delay(setting):
 
 
 @pytest.mark.slow
-def test_every_rival_is_stable_at_the_nominal_payload(everything):
+def test_every_rival_that_was_tuned_is_sound_at_the_nominal_payload(everything):
+    published = {INTEGER, PRINTED, CORRECTED}  # taken as the paper has them, whatever comes of it
     for standing in everything.standings:
-        assert standing.holds, f"{standing.name}: {standing.reason}"
+        assert standing.sound or standing.name in published, f"{standing.name}: {standing.reason}"
         assert standing.rule and standing.knob
     assert len(everything.standings) == 13
+
+
+@pytest.mark.slow
+def test_a_rival_that_friction_holds_is_told_from_a_sound_one(everything):
+    printed = next(s for s in everything.standings if s.name == PRINTED)
+    assert printed.growth == pytest.approx(0.17, abs=0.03) and not printed.sound
+    assert all(PRINTED not in names for names in everything.winners().values())
+    if printed.holds:
+        assert f"{PRINTED}: the linear loop on the twin is unstable" in everything.markdown()
+
+
+def test_linear_growth_is_that_of_the_loops_eigenvalues(setting):
+    twin = Twin.from_rig(RIG, link_mass=0.0, payload=0.030)
+    made = builders(setting)
+    assert linear_growth(setting, twin, made["ours"]()) == 0.0
+    assert linear_growth(setting, twin, made["ZV shaping"]()) == 0.0
+    # Without hold and delay (58) has poles at +0.106 ± 12.89j; hold and delay cost a little more.
+    assert linear_growth(setting, twin, made[PRINTED]()) == pytest.approx(0.13, abs=0.06)
 
 
 @pytest.mark.slow

@@ -11,6 +11,7 @@ import typer
 
 if TYPE_CHECKING:
     from fraclink.experiment import Experiment
+    from fraclink.link import LinkModel
     from fraclink.rig import Rig
 
 __all__ = [
@@ -23,10 +24,12 @@ __all__ = [
     "LinkMass",
     "LogName",
     "ModeGain",
+    "ModelFile",
     "PayloadRange",
     "PhaseMarginDeg",
     "Resample",
     "RigName",
+    "load_link_model",
     "load_log",
     "load_rig",
     "log_path",
@@ -52,6 +55,9 @@ GainCrossover = Annotated[
 ]
 PhaseMarginDeg = Annotated[
     float | None, typer.Option("--phase-margin-deg", help="Least phase margin [degrees]; default: the rig's.")
+]
+ModelFile = Annotated[
+    Path | None, typer.Option("--model", help="Model made by identify; default: the rig's own.")
 ]
 ModeGain = Annotated[
     float | None,
@@ -84,6 +90,15 @@ def load_rig(name: str, *, link_mass: float | None = None) -> Rig:
     looks_like_a_path = name.endswith(".toml") or "/" in name or "\\" in name
     rig = Rig.load(Path(name)) if looks_like_a_path or Path(name).is_file() else Rig.named(name)
     return rig if link_mass is None else replace(rig, link=replace(rig.link, mass=link_mass))
+
+
+def load_link_model(path: Path | None) -> LinkModel | None:
+    """Return the model of a file that `identify` wrote; None where none is given."""
+    if path is None:
+        return None
+    from fraclink.identify import load_model
+
+    return load_model(path)
 
 
 def load_log(

@@ -17,10 +17,12 @@ from fraclink.cli.options import (
     LinkMass,
     LogName,
     ModeGain,
+    ModelFile,
     PayloadRange,
     PhaseMarginDeg,
     Resample,
     RigName,
+    load_link_model,
     load_log,
     load_rig,
     radians,
@@ -29,7 +31,7 @@ from fraclink.cli.outcome import FAILS, HOLDS
 from fraclink.files import output_path
 
 if TYPE_CHECKING:
-    from fraclink.link import LinkModel
+    pass
 
 __all__ = ["register"]
 
@@ -75,9 +77,7 @@ def identify(
 
 def design(
     rig: RigName,
-    model: Annotated[
-        Path | None, typer.Option("--model", help="Model made by identify; default: the rig's own.")
-    ] = None,
+    model: ModelFile = None,
     payloads: PayloadRange = None,
     gain_crossover: GainCrossover = None,
     phase_margin_deg: PhaseMarginDeg = None,
@@ -132,7 +132,7 @@ def design(
         settling_time=settling_time,
         mode_gain=mode_gain,
     )
-    plan, assumptions = design_for(load_rig(rig, link_mass=link_mass), _model(model), request)
+    plan, assumptions = design_for(load_rig(rig, link_mass=link_mass), load_link_model(model), request)
     plan = plan.with_law()
     plan.save(place)
     if json:
@@ -145,14 +145,6 @@ def design(
         tell(str(finding))
     tell(f"written: {place}")
     return HOLDS if plan.holds else FAILS
-
-
-def _model(path: Path | None) -> LinkModel | None:
-    if path is None:
-        return None
-    from fraclink.identify import load_model
-
-    return load_model(path)
 
 
 def simulate(

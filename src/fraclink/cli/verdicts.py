@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
@@ -9,7 +10,7 @@ from typing import Annotated
 import typer
 
 from fraclink.cli.console import emit, emit_json, steps, tell
-from fraclink.cli.options import Force, Json, RigName, load_rig
+from fraclink.cli.options import Force, Json, LinkMass, ModelFile, RigName, load_link_model, load_rig
 from fraclink.cli.outcome import FAILS, HOLDS
 from fraclink.files import output_path
 
@@ -58,9 +59,7 @@ def twin(
     payload: Annotated[
         float | None, typer.Option("--payload", help="Payload [kg]; default: nominal.")
     ] = None,
-    link_mass: Annotated[
-        float | None, typer.Option("--link-mass", help="Mass of the link [kg]; default: the rig's.")
-    ] = None,
+    link_mass: LinkMass = None,
     gear: Annotated[
         float | None, typer.Option("--gear", help="Gear ratio to put before the motor; default: the rig's.")
     ] = None,
@@ -106,6 +105,15 @@ def compare(
         list[str] | None,
         typer.Option("--only", metavar="TEXT", help="Run rivals whose name contains this; may be repeated."),
     ] = None,
+    model: ModelFile = None,
+    link_mass: LinkMass = None,
+    gain_crossover: Annotated[float, typer.Option("--gain-crossover", help="Of our design [rad/s].")] = 12.0,
+    phase_margin_deg: Annotated[
+        float, typer.Option("--phase-margin-deg", help="Of our design [degrees].")
+    ] = 50.0,
+    filter_time: Annotated[
+        float | None, typer.Option("--filter-time", help="δ of our design [s]; default: the 10 % rule.")
+    ] = None,
     seed: Annotated[int, typer.Option("--seed", help="Seed of the noise, the same for all.")] = 0,
     json: Json = False,
     force: Force = False,
@@ -116,7 +124,17 @@ def compare(
 
     table = output_path(out / "comparison.md", force=force)
     with steps(14) as begin:
-        result = hold(load_rig(rig), names=only or None, seed=seed, progress=begin)
+        result = hold(
+            load_rig(rig),
+            model=load_link_model(model),
+            link_mass=link_mass,
+            gain_crossover=gain_crossover,
+            phase_margin=math.radians(phase_margin_deg),
+            filter_time=filter_time,
+            names=only or None,
+            seed=seed,
+            progress=begin,
+        )
     write_text(table, result.markdown())
     result.save(out / "comparison.json")
     result.draw(out / "comparison.svg")

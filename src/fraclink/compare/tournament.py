@@ -13,7 +13,7 @@ import numpy as np
 from fraclink.compare.rivals import OFFSET, OURS, Rival, builders
 from fraclink.compare.run import run_rival
 from fraclink.compare.setting import Request, Setting, prepare
-from fraclink.compare.spillover import mode_gain
+from fraclink.compare.spillover import linear_growth, mode_gain
 from fraclink.errors import FieldError, InfeasibleError
 from fraclink.reference import Reference, smooth_step
 from fraclink.twin.arm import Twin
@@ -33,14 +33,15 @@ AFTER = 5.0  # [s] of every run after the reference has come to rest
 class Standing:
     """What one rival reached; smaller is better for every number.
 
-    settling_time [s] (2 %), overshoot [1], residual_vibration [rad]: nominal payload. offset_error [rad]: tip
-    error over the last second after the gauge's offset has jumped by 0.05 N·m. motor_reference_noise [rad]:
-    standard deviation at rest. saturated: part of the periods with the voltage at its limit. worst_payload
-    [kg]: the one with the longest settling, worst_settling [s], infinite where the tip does not stay in its
-    band for the last second. mode_gain: largest |L| around the twin's second mode. peak: Ms on the lumped
-    model at the nominal payload, infinite where that is unstable. states and multiplications: of the outer
-    controller, per tick. holds: neither unstable nor tripped at the nominal payload on the twin; reason: the
-    verdict's words.
+    settling_time [s] (2 %), overshoot [1], residual_vibration [rad]: nominal payload. offset_error [rad]:
+    tip error over the last second after the gauge's offset has jumped by 0.05 N·m. motor_reference_noise
+    [rad]: standard deviation at rest. saturated: part of the periods with the voltage at its limit.
+    worst_payload [kg]: the one with the longest settling, worst_settling [s], infinite where the tip does
+    not stay in its band for the last second. mode_gain: largest |L| around the twin's second mode. growth
+    [1/s]: of the linear loop on the twin at the nominal payload, 0 where that is stable. peak: Ms on the
+    lumped model at the nominal payload, infinite where that is unstable. states and multiplications: of
+    the outer controller, per tick. holds: neither unstable nor tripped at the nominal payload on the
+    twin; reason: the verdict's words.
     """
 
     name: str
@@ -57,9 +58,15 @@ class Standing:
     worst_payload: float
     worst_settling: float
     mode_gain: float
+    growth: float
     peak: float
     states: int
     multiplications: int
+
+    @property
+    def sound(self) -> bool:
+        """Whether it holds, and not only because friction or a limit hides that its linear loop grows."""
+        return self.holds and self.growth == 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,12 +78,12 @@ class Tournament:
     runs: dict[str, TwinRun]
 
     def winners(self) -> dict[str, tuple[str, ...]]:
-        """Return who is best in every figure, among those that hold at the nominal payload.
+        """Return who is best in every figure, among the sound: those that hold and whose linear loop does.
 
         Several names stand together where they differ by less than 2 %, or 0.1 mrad, or 10 ms.
         """
         result = {}
-        able = [s for s in self.standings if s.holds]
+        able = [s for s in self.standings if s.sound]
         for name, floor in _FIGURES.items():
             values = [float(getattr(s, name)) for s in able]
             best = min(values)
@@ -91,7 +98,7 @@ class Tournament:
         sentences = []
         for name, winner in self.winners().items():
             words = name.replace("_", " ")
-            best = min(float(getattr(s, name)) for s in self.standings if s.holds)
+            best = min(float(getattr(s, name)) for s in self.standings if s.sound)
             own = float(getattr(ours, name))
             if ours.name in winner:
                 also = [w for w in winner if w != ours.name]
@@ -260,6 +267,7 @@ def _standing(
         worst_payload=worst,
         worst_settling=settling[worst],
         mode_gain=mode_gain(setting, twin, rival),
+        growth=linear_growth(setting, twin, rival),
         peak=rival.peak,
         states=rival.states,
         multiplications=rival.multiplications,
