@@ -26,7 +26,6 @@ from test_export import run as shell
 from test_export_gates import CLANG, GCC
 
 FMIS = [2, 3]
-FOLDERS = {2: "linux64", 3: "x86_64-linux"}
 ROWS = signals(1000)
 
 
@@ -237,6 +236,20 @@ def test_sources_only_and_the_same_law_the_same_file(fmi: int, tmp_path: Path) -
         assert not any(name.startswith("binaries") for name in archive.namelist())
         assert all(info.external_attr >> 16 & stat.S_IROTH for info in archive.infolist())
         assert archive.read("sources/law.c") == (Path(__file__).parents[1] / "csrc" / "law.c").read_bytes()
+
+
+@pytest.mark.parametrize("equipped", [True, False])
+def test_the_page_inside_explains_every_number(equipped: bool, tmp_path: Path) -> None:
+    file = export_fmu(law(equipped=equipped), tmp_path / "arm.fmu", compilers=())
+    with zipfile.ZipFile(file) as archive:
+        text, header = (archive.read(name).decode() for name in ("documentation/index.html", "sources/law.h"))
+    root = ET.fromstring(text.replace("<!doctype html>", "").replace('<meta charset="utf-8">', ""))  # noqa: S314
+    cells = [["".join(cell.itertext()) for cell in row] for row in root.iter("tr")]
+    bits = {int(bit): name for name, bit in re.findall(r"LAW_FLAG_(\w+) (\d+)U", header)}
+    assert {int(row[0]): row[1] for row in cells if len(row) == 3 and row[0].isdigit()} == bits
+    assert sum(bits) == next(v.largest for v in VARIABLES if v.name == "flags")
+    assert [row[0] for row in cells if len(row) == 4][1:] == [v.name for v in VARIABLES]
+    assert ("connect voltage, within ±10 V" in "".join(root.itertext())) == equipped
 
 
 def test_another_law_has_another_token(tmp_path: Path) -> None:

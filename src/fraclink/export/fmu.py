@@ -13,6 +13,7 @@ from fraclink.export import fmi2, fmi3
 from fraclink.export.data import data_header
 from fraclink.export.fmu_library import SUFFIXES, compiled, platform_of
 from fraclink.export.fmu_model import FmuModel, token_of
+from fraclink.export.fmu_page import documentation
 from fraclink.export.names import identifier
 from fraclink.export.sources import law_source
 from fraclink.files import atomic_write, output_path
@@ -89,6 +90,7 @@ def export_fmu(
     model = FmuModel(name=name, token=token, period=shipped.period, digest=shipped.digest)
     parts = {f"sources/{file}": text.encode() for file, text in sources.items()}
     parts |= {file: text.encode() for file, text in standard.descriptions(model).items()}
+    parts["documentation/index.html"] = documentation(model, shipped).encode()
     for compiler in compilers:
         platform = platform_of(compiler)
         folder = _folder(platform, standard.platforms, fmi)

@@ -9,6 +9,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
+from fraclink.law.nouns import MODES, REASONS
+
 __all__ = ["UNITS", "VARIABLES", "FmuModel", "Unit", "Variable", "token_of", "xml_text"]
 
 
@@ -46,8 +48,15 @@ VARIABLES: tuple[Variable, ...] = (
         "rad",
         start_from=("motor_angle", "torque"),
     ),
-    Variable("mode", "output", "0 idle, 1 run, 2 degraded, 3 hold, 4 off", largest=4),
-    Variable("reason", "output", "why a mode above run was entered, LAW_... in law.h", largest=13),
+    Variable(
+        "mode",
+        "output",
+        ", ".join(f"{number} {name}" for number, name in enumerate(MODES)),
+        largest=len(MODES) - 1,
+    ),
+    Variable(
+        "reason", "output", "why a mode above run was entered, LAW_... in law.h", largest=len(REASONS) - 1
+    ),
     Variable("flags", "output", "bits of the last period, LAW_FLAG_... in law.h", largest=511),
     Variable("time", "independent", "simulation time", "s"),
 )
