@@ -26,7 +26,7 @@ def documentation(model: FmuModel, law: Law) -> str:
     servo = (
         f"The law closes the motor loop: connect <code>voltage</code>, within ±{law.drive.voltage_limit:g} V."
         if law.drive is not None
-        else "The robot closes the motor loop: connect <code>motor_reference</code>, not <code>voltage</code>."
+        else "The robot has a motor loop: connect <code>motor_reference</code>, not <code>voltage</code>."
     )
     variables = [(v.name, v.causality, v.unit or "–", v.description) for v in VARIABLES]
     return f"""<!doctype html>
