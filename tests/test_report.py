@@ -17,6 +17,8 @@ import pytest
 from fraclink.campaign.faults import Case, Check, FaultTable, Outcome
 from fraclink.experiment import Experiment
 from fraclink.findings import Finding
+from fraclink.identify import identify_all
+from fraclink.readers import bundled_log, read_log
 from fraclink.report import render_report, write_report
 from fraclink.report.figures.drawing import envelope
 from fraclink.report.numbers import number, uncertain
@@ -200,6 +202,15 @@ def test_the_design_shows_every_requirement_with_its_payload() -> None:
         assert requirement.name in texts
     assert number(made.controller.gain, 6) in texts
     assert "48.8°" in texts or "50.0°" in texts  # the sampled margin at 20 g stands beside the one asked for
+
+
+def test_a_model_without_a_natural_frequency_is_named_by_the_model_that_it_is() -> None:
+    log = read_log(bundled_log("pulse_30g"))
+    comparison = identify_all(log, details=False)
+    page = render_report(Study(experiment=log, comparison=comparison, fit=comparison.fits["UD-FOM"]))
+    row = page[page.index("<td>D-FOM</td>") :].partition("</tr>")[0]
+    assert re.findall(r"<td[^>]*>(.*?)</td>", row)[1] == "–"
+    assert "D-FOM ended at ϖ = 0: it is UD-FOM with λ = 2 − α" in page
 
 
 def test_nothing_is_left_when_writing_fails(tmp_path: Path) -> None:

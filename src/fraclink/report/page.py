@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from fraclink.errors import MissingExtraError
 from fraclink.files import write_text
+from fraclink.identify.text import coincidence_text
 from fraclink.report import sections
 from fraclink.report.numbers import sentence
 
@@ -77,6 +78,7 @@ def _contents(study: Study, title: str | None) -> dict[str, object]:
         "log_findings": [finding for finding in study.findings if not finding.code.startswith("W1")],
         "log_rows": sections.log_rows(study.experiment) if study.experiment else [],
         "fit_rows": sections.fit_rows(study.fits),
+        "coincidence": coincidence_text(study.fits),
         "move_rows": sections.move_rows(study.runs),
         **_design(study),
         **_faults(study),

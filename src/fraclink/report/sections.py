@@ -87,7 +87,9 @@ def log_rows(log: Experiment) -> list[Row]:
     if log.sha256:
         rows.append(("SHA-256 of the file", log.sha256))
     rows += [
-        (name.capitalize(), value) for name, value in log.notes if name in {"title", "simulated", "source", "damping"}
+        (name.capitalize(), value)
+        for name, value in log.notes
+        if name in {"title", "simulated", "source", "damping"}
     ]
     return rows
 
@@ -96,6 +98,8 @@ def _parameter(fit: Fit, name: str) -> str:
     from fraclink.link import structure
 
     value = getattr(fit.model, name)
+    if name == "natural_frequency" and value == 0:
+        return "–"  # a D-FOM that ended at its bound: the line below the table says which UD-FOM it is
     if name not in structure(fit.structure).free:
         return "–" if value == 0 or (name == "damping_order" and fit.model.damping == 0) else number(value)
     # A line may end before the sign, never behind it.
