@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import importlib.util
 import math
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import fraclink as fl
-from fraclink.law import Law, discretize_controller
+from fraclink.law import Law, LawOutputs, discretize_controller
 from fraclink.reference import Path as Trajectory
 from fraclink.twin import PayloadChange, SensorFault, TipPulse, Twin, TwinRun, geared, run_twin
 from law_bench import default_controller
@@ -39,8 +40,9 @@ def _moves(count: int) -> Trajectory:
     return path
 
 
-def _events(period: float, law: Law, end: float, ending: str) -> list[Any]:
+def _events(law: Law, reference: Trajectory, end: float, ending: str) -> list[Any]:
     """Faults that the law rides through, and at last those that it does not: see `ending`."""
+    period = law.period
     kinds = (
         ("gauge value", math.nan),
         ("encoder value", math.nan),
@@ -56,9 +58,11 @@ def _events(period: float, law: Law, end: float, ending: str) -> list[Any]:
         begin = 0.01 * end + 0.0175 * k * end
         lasting = 200 if kind == "gauge offset" else 3
         events.append(SensorFault(begin, begin + lasting * period, kind, value))
-    if ending == "degraded":  # the gauge is lost, later the encoder stands still while the motor is driven
+    if ending == "degraded":  # the gauge is lost; later, at angle 0, the encoder: the motor leaves its model
         events.append(SensorFault(0.8 * end, 0.81 * end, "gauge value", math.nan))
-        events.append(SensorFault(0.9 * end, 2 * end, "encoder frozen"))
+        late = 0.9 * end + period * np.arange(2000)
+        at_zero = float(late[np.argmin(np.abs(reference.angle(late)))])
+        events.append(SensorFault(at_zero, 2 * end, "encoder gain", 1e-3))
     else:  # the torque of a blocked link rises step by step: hold; later the encoder is lost: off
         rise = np.linspace(0.0, law.limits.torque_trip + 0.5, 40)
         for k, offset in enumerate(rise):
@@ -75,7 +79,7 @@ def eventful(periods: int, precision: str, ending: str) -> tuple[Law, NDArray[np
     twin, law = geared_law(precision)
     end = periods * law.period
     reference = _moves(math.ceil(end / 1.45))
-    events = _events(law.period, law, end, ending)
+    events = _events(law, reference, end, ending)
     run = run_twin(twin, law, reference, duration=end, events=events, seed=3)
     rows = np.array(
         [run.reference, reference.acceleration(run.time), run.motor_angle_measured, run.torque_measured]
@@ -83,13 +87,33 @@ def eventful(periods: int, precision: str, ending: str) -> tuple[Law, NDArray[np
     return law, rows, run
 
 
+def fmpy_or_skip() -> Any:
+    """The module FMPy, or a skip that names it."""
+    if importlib.util.find_spec("fmpy") is None:
+        missing("FMPy is not installed (Python package fmpy)")
+    import fmpy
+
+    return fmpy
+
+
+def sources_of(file: Path, folder: Path) -> Path:
+    """Extract an FMU; return the folder of its C files."""
+    with zipfile.ZipFile(file) as archive:
+        archive.extractall(folder)
+    return folder / "sources"
+
+
+def outputs_of(columns: LawOutputs) -> NDArray[np.float64]:
+    """The law's outputs as `Imported.run` returns an FMU's, shape (N, 6)."""
+    names = ("motor_reference", "voltage", "tip_estimate", "mode", "reason", "flags")
+    return np.column_stack([getattr(columns, name) for name in names])
+
+
 class Imported:
     """An FMU that FMPy has loaded, with one face for both versions; `messages` is what it told its logger."""
 
     def __init__(self, file: Path, folder: Path, *, logging: bool = True, token: str | None = None) -> None:
-        if importlib.util.find_spec("fmpy") is None:
-            missing("FMPy is not installed (Python package fmpy)")
-        import fmpy
+        fmpy = fmpy_or_skip()
         from fmpy.fmi2 import FMU2Slave
         from fmpy.fmi3 import FMU3Slave
 

@@ -2,54 +2,24 @@
 
 from __future__ import annotations
 
-import importlib.util
-import os
 import re
-import shutil
 import stat
-import sys
 import xml.etree.ElementTree as ET
 import zipfile
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
-from fmu_bench import Imported, eventful
+from fmu_bench import Imported, eventful, fmpy_or_skip, outputs_of
 from fraclink.errors import FieldError
 from fraclink.export import export_fmu
 from fraclink.export.fmu_model import VARIABLES
 from law_bench import PERIOD, law, run, signals
-from needed_tools import missing, tool
-from test_export import run as shell
-from test_export_gates import CLANG, GCC
+from needed_tools import tool
 
 FMIS = [2, 3]
 ROWS = signals(1000)
-
-
-def _fmpy() -> Any:
-    if importlib.util.find_spec("fmpy") is None:
-        missing("FMPy is not installed (Python package fmpy)")
-    import fmpy
-
-    return fmpy
-
-
-def _extracted(file: Path, folder: Path) -> Path:
-    with zipfile.ZipFile(file) as archive:
-        archive.extractall(folder)
-    return folder / "sources"
-
-
-def _outputs(columns: Any) -> np.ndarray:
-    return np.column_stack(
-        [
-            getattr(columns, name)
-            for name in ("motor_reference", "voltage", "tip_estimate", "mode", "reason", "flags")
-        ]
-    )
 
 
 @pytest.mark.parametrize(
@@ -66,7 +36,7 @@ def test_50_000_periods_are_those_of_the_simulation(
     imported.initialize()
     got = imported.run(rows, made.period)
     assert got.shape[0] > 50_000
-    np.testing.assert_array_equal(got, _outputs(made.run(made.initial_state(), *rows, first_tick=0)[1]))
+    np.testing.assert_array_equal(got, outputs_of(made.run(made.initial_state(), *rows, first_tick=0)[1]))
     np.testing.assert_array_equal(got[:, 0], simulated.motor_reference)
     # the twin tells the voltage that acts: the one of the period before
     np.testing.assert_array_equal(got[:-1, 1], simulated.voltage[1:])
@@ -79,7 +49,7 @@ def test_50_000_periods_are_those_of_the_simulation(
 @pytest.mark.parametrize("fmi", FMIS)
 @pytest.mark.parametrize("precision", ["single", "double"])
 def test_fmpy_finds_no_problem_and_simulates_to_the_bit(fmi: int, precision: str, tmp_path: Path) -> None:
-    fmpy = _fmpy()
+    fmpy = fmpy_or_skip()
     tool("cc", "gcc")
     from fmpy.validation import validate_fmu
 
@@ -96,115 +66,7 @@ def test_fmpy_finds_no_problem_and_simulates_to_the_bit(fmi: int, precision: str
     )
     own = run(made, ROWS, first_tick=0)
     got = np.column_stack([result[v.name] for v in VARIABLES if v.causality == "output"])
-    np.testing.assert_array_equal(got[1:], _outputs(own)[:-1])
-
-
-@pytest.mark.parametrize("fmi", FMIS)
-def test_an_importer_builds_the_same_from_the_sources(
-    fmi: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    _fmpy()
-    # cmake is one of the build's packages: it lies beside the interpreter
-    monkeypatch.setenv("PATH", f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}")
-    tool("cmake")
-    from fmpy.build import build_platform_binary
-
-    made = law("single")
-    file = export_fmu(made, tmp_path / "arm.fmu", fmi=fmi, compilers=())  # type: ignore[arg-type]
-    folder = tmp_path / "built"
-    _extracted(file, folder)
-    (tmp_path / "build").mkdir()
-    build_platform_binary(folder, tmp_path / "build", all_warnings=True)
-    rebuilt = shutil.make_archive(str(tmp_path / "again"), "zip", folder)
-    imported = Imported(Path(rebuilt), tmp_path / "fmu")
-    imported.initialize()
-    np.testing.assert_array_equal(imported.run(ROWS, made.period), _outputs(run(made, ROWS, first_tick=0)))
-
-
-@pytest.mark.parametrize("fmi", FMIS)
-def test_the_declarations_are_those_of_the_standard(fmi: int, tmp_path: Path) -> None:
-    """The standard's own header in front: compilers then compare; strict warnings, with and without it."""
-    headers = Path(_fmpy().__file__).parent / "c-code"
-    for precision in ("single", "double"):
-        file = export_fmu(law(precision), tmp_path / f"{precision}_law.fmu", fmi=fmi, compilers=())  # type: ignore[arg-type]
-        sources = _extracted(file, tmp_path / precision)
-        for compiler, flags in (("gcc", GCC), ("clang", (*CLANG, "-Wno-missing-prototypes"))):
-            shell(tool(compiler), *flags, "-c", "all.c", "-o", "all.o", cwd=sources)
-    with_header = ("-isystem", str(headers), "-include", f"fmi{fmi}Functions.h", "-fsyntax-only", "all.c")
-    # that header refers each function's name to itself
-    shell(tool("clang"), *CLANG, "-Wno-disabled-macro-expansion", *with_header, cwd=sources)
-
-
-@pytest.mark.parametrize("fmi", FMIS)
-def test_checkers_have_nothing_to_say(fmi: int, tmp_path: Path) -> None:
-    sources = _extracted(
-        export_fmu(law("single"), tmp_path / "arm.fmu", fmi=fmi, compilers=()),  # type: ignore[arg-type]
-        tmp_path / "fmu",
-    )
-    unset = [f"-U{name}" for name in ("_WIN32", "LAW_REALS", "LAW_PAIRS", "LAW_FORWARDS")]
-    unset += [f"-UFMI{fmi}_{kind}FUNCTION_PREFIX" for kind in ("", "ACTUAL_")]
-    command = [tool("cppcheck"), "-q", "--std=c99", "--inconclusive", *unset]
-    command += ["--enable=warning,style,performance,portability", "all.c"]
-    answer = shell(*command, cwd=sources, check=False)
-    assert answer.stdout + answer.stderr == ""
-    # one file that includes the others is what all.c is for
-    checks = "--checks=-*,bugprone-*,-bugprone-suspicious-include,cert-*,clang-analyzer-*"
-    command = [tool("clang-tidy"), "all.c", checks, "--", "-std=c99"]
-    answer = shell(*command, cwd=sources, check=False)
-    assert "warning:" not in answer.stdout and "error:" not in answer.stdout, answer.stdout[:2000]
-
-
-@pytest.mark.parametrize("fmi", FMIS)
-def test_a_life_under_sanitizers(fmi: int, tmp_path: Path) -> None:
-    """Right and wrong calls in C: no leak, no access outside, nothing undefined."""
-    sources = _extracted(
-        export_fmu(law("single"), tmp_path / "arm.fmu", fmi=fmi, compilers=()),  # type: ignore[arg-type]
-        tmp_path / "fmu",
-    )
-    driver = Path(__file__).parent / "firmware" / "fmu_life.c"
-    flags = ["-std=c99", "-g", "-O1", "-ffp-contract=off", f"-DFMI={fmi}", "-I", "."]
-    flags += ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
-    command = [tool("gcc"), *flags, driver, "-o", "life"]
-    shell(*command, cwd=sources)
-    answer = shell(sources / "life", check=False)
-    assert answer.returncode == 0, answer.stdout + answer.stderr[-2000:]
-    assert answer.stdout.strip() == "lived"
-
-
-def test_two_fmus_link_into_one_program(tmp_path: Path) -> None:
-    """Importers for real-time targets compile sources and link them; each FMU brings its own law."""
-    compiler = tool("gcc")
-    names = ("first", "second")
-    for name, precision in zip(names, ("single", "double"), strict=True):
-        file = export_fmu(law(precision), tmp_path / f"{name}.fmu", compilers=())
-        sources = _extracted(file, tmp_path / name)
-        flags = ["-std=c99", "-ffp-contract=off", f"-DFMI2_FUNCTION_PREFIX={name}_"]
-        shell(compiler, *flags, "-c", "all.c", "-o", tmp_path / f"{name}.o", cwd=sources)
-    calls = "".join(f"const char *{name}_fmi2GetVersion(void);\n" for name in names)
-    calls += "int main(void) { return first_fmi2GetVersion()[0] != second_fmi2GetVersion()[0]; }\n"
-    (tmp_path / "main.c").write_text(calls, encoding="utf-8")
-    shell(compiler, "main.c", "first.o", "second.o", "-o", "both", cwd=tmp_path)
-    shell(tmp_path / "both")
-
-
-@pytest.mark.parametrize("fmi", FMIS)
-def test_a_cross_compiler_adds_windows(fmi: int, tmp_path: Path) -> None:
-    cross = tool("x86_64-w64-mingw32-gcc", "gcc-mingw-w64-x86-64-win32")
-    file = export_fmu(law(), tmp_path / "arm.fmu", fmi=fmi, compilers=(tool("gcc"), cross))  # type: ignore[arg-type]
-    _extracted(file, tmp_path / "fmu")
-    linux, windows = {2: ("linux64", "win64"), 3: ("x86_64-linux", "x86_64-windows")}[fmi]
-    exported = []
-    for path, lister in (
-        (f"{linux}/arm.so", "nm -D"),
-        (f"{windows}/arm.dll", "x86_64-w64-mingw32-objdump -p"),
-    ):
-        program, option = lister.split()
-        told = shell(tool(program, "binutils"), option, tmp_path / "fmu" / "binaries" / path).stdout
-        exported.append(set(re.findall(rf"\bfmi{fmi}\w+", told)))
-    assert exported[0] == exported[1]
-    assert len(exported[0]) == {2: 34, 3: 75}[fmi]  # all that the standard wants for co-simulation
-    with pytest.raises(FieldError, match=r"the second one for x86_64-linux"):
-        export_fmu(law(), tmp_path / "other.fmu", fmi=fmi, compilers=("gcc", "cc"))  # type: ignore[arg-type]
+    np.testing.assert_array_equal(got[1:], outputs_of(own)[:-1])
 
 
 @pytest.mark.parametrize("fmi", FMIS)
