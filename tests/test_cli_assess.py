@@ -45,6 +45,27 @@ def test_the_shares_of_all_modes_add_up_to_the_rigid_link() -> None:
     )
 
 
+def test_assess_writes_its_figures_and_their_numbers(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plan = _design(tmp_path / "design.json")
+    line = ["assess", str(tmp_path / "design.json"), "--link-mass", "0.001", "--out", str(tmp_path / "worth")]
+    assert main(line) == 0
+    assert "limit 0.5, the model's damping) holds" in capsys.readouterr().out
+    for name in ("margins.svg", "phase-budget.svg"):
+        assert b"<svg" in (tmp_path / "worth" / name).read_bytes()
+    found = json.loads((tmp_path / "worth" / "assessment.json").read_text("utf-8"))
+    curves = found["curves"]
+    assert curves["payload"][0] < 0.010 and curves["payload"][-1] > 0.040
+    place = 20
+    kept = plan.sampled_at(curves["payload"][place]).phase_margin
+    assert curves["sampled"][place] == pytest.approx(kept, rel=1e-9)
+    first = (tmp_path / "worth" / "margins.svg").read_bytes()
+    assert main(line) == 2  # what is there is kept without --force
+    assert main([*line, "--force"]) == 0
+    assert (tmp_path / "worth" / "margins.svg").read_bytes() == first
+
+
 def test_a_massless_link_has_no_spillover(tmp_path: Path) -> None:
     plan = _design(tmp_path / "design.json")
     assert spillover_of(plan, link_mass=0.0, damping=0.02) == ()
@@ -74,5 +95,11 @@ def test_the_map_is_a_figure_and_its_numbers(tmp_path: Path, capsys: pytest.Capt
     rig = fl.Rig.named("paper-2023")
     plan = fl.design(rig.model, rig, gain_crossover=12.0, phase_margin=found["phase_margin"][3])
     assert found["order"][3][4] == pytest.approx(plan.controller.order, rel=1e-9)
+    options = ["--filter-order", "2", "--filter-time", "0.01", "--inner", "sampled", "--placement", "direct"]
+    assert main([*line, *options, "--force"]) == 0
+    other = json.loads((tmp_path / "map.json").read_text("utf-8"))
+    asked = {"filter_order": 2, "filter_time": 0.01, "inner": "sampled", "placement": "direct"}
+    plan = fl.design(rig.model, rig, gain_crossover=12.0, phase_margin=other["phase_margin"][3], **asked)
+    assert other["order"][3][4] == pytest.approx(plan.controller.order, rel=1e-9)
     assert b"<svg" in place.read_bytes()
     assert main(line) == 2  # what is there is kept without --force

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import sys
 from collections.abc import Iterator
@@ -14,6 +15,7 @@ import pytest
 
 import fraclink as fl
 from fraclink import _kernels, plots
+from fraclink.design.assess import margin_curve, phase_budget
 from fraclink.errors import FieldError, MissingExtraError
 from fraclink.fractional import s
 from fraclink.realtime import Callback, run_realtime
@@ -210,3 +212,29 @@ def test_the_times_of_a_run_are_all_in_the_histograms() -> None:
         bars = [sum(bar.get_height() for bar in group) for group in axis.containers]
         assert bars == [count, count]
         assert axis.get_lines()[0].get_xdata()[0] == pytest.approx(4000.0)
+
+
+def test_margins_against_payload_are_drawn_in_grams_and_degrees() -> None:
+    rig = fl.Rig.named("paper-2023")
+    plan = fl.design(rig.model, rig, gain_crossover=12.0, phase_margin=fl.deg(50))
+    curves = [margin_curve(plan, [0.020, 0.030, 0.040], kind=kind) for kind in ("motor", "loop")]
+    axis = plots.margins_against_payload(curves, payloads=(0.020, 0.040), wanted=plan.phase_margin)
+    drawn = {line.get_label(): line for line in axis.get_lines()}
+    grams, degrees = drawn["with hold and delay, too"].get_data()
+    np.testing.assert_allclose(grams, [20.0, 30.0, 40.0])
+    assert degrees[0] == pytest.approx(50.0, abs=1e-6)
+    with pytest.raises(FieldError, match="curves"):
+        plots.margins_against_payload([])
+
+
+def test_the_phase_budget_falls_from_half_a_turn_to_the_margin() -> None:
+    rig = fl.Rig.named("paper-2023")
+    plan = fl.design(rig.model, rig, gain_crossover=12.0, phase_margin=fl.deg(50))
+    axis = plots.phase_shares(phase_budget(plan, 0.020))
+    bars = axis.patches
+    assert bars[0].get_height() == 180.0
+    assert bars[-1].get_height() == pytest.approx(50.0, abs=1e-6)
+    for left, right in itertools.pairwise(bars[1:-1]):
+        assert left.get_y() + left.get_height() == pytest.approx(right.get_y())
+    with pytest.raises(FieldError, match="shares"):
+        plots.phase_shares([])

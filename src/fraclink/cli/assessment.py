@@ -3,43 +3,42 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict
+from dataclasses import asdict, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+import numpy as np
 import typer
 
 from fraclink.cli.console import emit, emit_json, table, tell
-from fraclink.cli.options import Json
+from fraclink.cli.figures import save_axes
+from fraclink.cli.options import Force, Json, LinkMass
 from fraclink.cli.outcome import FAILS, HOLDS
 from fraclink.cli.verdicts import DesignFile
+from fraclink.files import output_path, write_json
 
 if TYPE_CHECKING:
     from fraclink.design import Plan, Requirement
-    from fraclink.design.assess import Tolerances
+    from fraclink.design.assess import PhaseShare, Tolerances
     from fraclink.design.rivals import Rival
 
 __all__ = ["register", "sentences", "spillover_of"]
 
 KINDS = ("ideal", "motor", "loop", "sampled")
+FIGURES, NUMBERS = ("margins.svg", "phase-budget.svg"), "assessment.json"
+_POINTS = 41  # payloads of a curve: the sampled margins take most of the second it costs
 
 
-def spillover_of(plan: Plan, *, link_mass: float | None, damping: float) -> tuple[Requirement, ...]:
-    """Return the loop gain at modes 2 and 3 of the twin's beam at the lightest payload, ζ = `damping`.
+def spillover_of(plan: Plan, *, link_mass: float | None, damping: float | None) -> tuple[Requirement, ...]:
+    """Return the loop gain at modes 2 and 3 of the link; empty where the link has no mass.
 
-    A mode's share in the tip estimate θm − Γ/c is Γi²ωi²/c: participation times base curvature over c.
-    Empty where the link has no mass and so no further mode.
+    The mass is the rig's unless `link_mass` [kg] is given; the damping the model's unless a ratio is.
     """
-    from fraclink.design.assess import VibrationMode, spillover
-    from fraclink.twin import Beam
+    from fraclink.design.higher_modes import mode_gains
 
-    beam = Beam.from_rig(plan.rig, payload=plan.payloads[0], link_mass=link_mass)
-    modes = beam.modes(3)
-    shares = modes.participation * modes.curvature / plan.model.stiffness
-    higher = [
-        VibrationMode(float(w), damping, float(share))
-        for w, share in zip(modes.frequencies[1:], shares[1:], strict=True)
-    ]
-    return spillover(plan, higher)
+    if link_mass is not None:
+        plan = replace(plan, rig=replace(plan.rig, link=replace(plan.rig.link, mass=link_mass)))
+    return mode_gains(plan, damping_ratio=damping)
 
 
 def sentences(rivals: tuple[Rival, ...]) -> tuple[str, ...]:
@@ -49,6 +48,9 @@ def sentences(rivals: tuple[Rival, ...]) -> tuple[str, ...]:
     for rival in others:
         if not rival.stable:
             found.append(f"{rival.name}: unstable for some payload of the range")
+            continue
+        if rival.gain_crossover == 0.0:
+            found.append(f"{rival.name} (β = {rival.controller.order:.3g}) crosses nowhere at this Ms")
             continue
         speed, noise = rival.gain_crossover / own.gain_crossover, rival.noise_gain / own.noise_gain
         found.append(
@@ -64,19 +66,28 @@ def assess(
         float | None,
         typer.Option("--max-sensitivity", help="Ms at which rivals are compared; default: the design's own."),
     ] = None,
-    link_mass: Annotated[
-        float | None, typer.Option("--link-mass", help="Mass of the link [kg]; default: the rig's.")
-    ] = None,
+    link_mass: LinkMass = None,
     mode_damping: Annotated[
-        float, typer.Option("--mode-damping", help="Damping ratio assumed for modes 2 and 3.")
-    ] = 0.02,
+        float | None,
+        typer.Option(
+            "--mode-damping", help="Damping ratio of modes 2 and 3; default: the model's damping."
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", help="Folder to write two figures and assessment.json to."),
+    ] = None,
     json: Json = False,
+    force: Force = False,
 ) -> int:
     """Tell what a design is worth: phase budget, margins, tolerances, rivals at equal Ms, spillover."""
     from fraclink.design import Plan
     from fraclink.design.assess import margin_curve, phase_budget, tolerances
     from fraclink.design.rivals import compare_at_equal_sensitivity
 
+    if out is not None:
+        for name in (*FIGURES, NUMBERS):
+            output_path(out / name, force=force)
     plan = Plan.load(plan_file)
     low, high = plan.payloads
     payloads = (high, math.sqrt(low * high), low)
@@ -88,18 +99,19 @@ def assess(
     spill = spillover_of(plan, link_mass=link_mass, damping=mode_damping)
     said = sentences(rivals)
     code = HOLDS if all(item.holds for item in spill) else FAILS
+    told = {
+        "phase_budget": {share.element: share.phase for share in budget},
+        "payloads": list(payloads),
+        "phase_margin": {c.kind: c.phase_margin.tolist() for c in curves},
+        "tolerances": {k: v if math.isfinite(v) else None for k, v in asdict(held).items()},
+        "max_sensitivity": peak,
+        "rivals": list(said),
+        "spillover": [asdict(item) for item in spill],
+    }
+    if out is not None:
+        _write(out, plan, budget, told)
     if json:
-        emit_json(
-            {
-                "phase_budget": {share.element: share.phase for share in budget},
-                "payloads": list(payloads),
-                "phase_margin": {c.kind: c.phase_margin.tolist() for c in curves},
-                "tolerances": {k: v if math.isfinite(v) else None for k, v in asdict(held).items()},
-                "max_sensitivity": peak,
-                "rivals": list(said),
-                "spillover": [asdict(item) for item in spill],
-            }
-        )
+        emit_json(told if out is None else told | {"out": str(out)})
         return code
     shown = [(share.element, f"{math.degrees(share.phase):+.2f}°") for share in budget]
     emit(table((f"phase at {1e3 * low:g} g", "share"), shown) + "\n")
@@ -111,8 +123,28 @@ def assess(
         tell("no spillover: a massless link has one mode; give --link-mass [kg]")
     for item in spill:
         verdict = "holds" if item.holds else "MISSED"
-        emit(f"{item.name}: {item.achieved:.3f} (limit {item.wanted:g}, ζ = {mode_damping:g}) {verdict}")
+        damped = "the model's damping" if mode_damping is None else f"ζ = {mode_damping:g}"
+        emit(f"{item.name}: {item.achieved:.3f} (limit {item.wanted:g}, {damped}) {verdict}")
+    if out is not None:
+        tell("written: " + ", ".join(str(out / name) for name in (*FIGURES, NUMBERS)))
     return code
+
+
+def _write(out: Path, plan: Plan, budget: tuple[PhaseShare, ...], told: dict[str, object]) -> None:
+    """Figures of margins and budget, and the numbers of both."""
+    from fraclink.design.assess import margin_curve
+    from fraclink.plots import margins_against_payload, phase_shares
+
+    low, high = plan.payloads
+    masses = np.geomspace(low / 2.5, 1.25 * high, _POINTS)
+    curves = [margin_curve(plan, masses, kind=kind) for kind in KINDS]
+    save_axes(
+        out / FIGURES[0],
+        lambda ax: margins_against_payload(curves, payloads=plan.payloads, wanted=plan.phase_margin, ax=ax),
+    )
+    save_axes(out / FIGURES[1], lambda ax: phase_shares(budget, ax=ax))
+    drawn = {c.kind: c.phase_margin.tolist() for c in curves}
+    write_json(out / NUMBERS, "assessment", 1, told | {"curves": {"payload": masses.tolist()} | drawn})
 
 
 def _tolerated(held: Tolerances) -> str:

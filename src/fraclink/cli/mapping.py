@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 import typer
 
 from fraclink.cli.console import emit, emit_json
+from fraclink.cli.figures import save_axes
 from fraclink.cli.options import Force, Json, PayloadRange, RigName, load_rig
 from fraclink.cli.outcome import FAILS, HOLDS
-from fraclink.files import atomic_write, output_path, write_json
+from fraclink.files import output_path, write_json
 
 if TYPE_CHECKING:
     from fraclink.design.feasibility import FeasibilityMap
@@ -25,33 +26,23 @@ _SETTLING = (0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6, 0.8)
 
 def draw(found: FeasibilityMap, path: Path) -> None:
     """Draw β in colour where a controller exists, with contours of noise gain and settling time."""
-    from fraclink.errors import MissingExtraError
 
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ModuleNotFoundError as error:
-        raise MissingExtraError("matplotlib", "report") from error
-    figure = Figure(figsize=(7.5, 5.0), layout="constrained")
-    FigureCanvasAgg(figure)
-    axis = figure.subplots()
-    grid = (found.gain_crossover, np.degrees(found.phase_margin))
-    shade = axis.pcolormesh(*grid, np.ma.masked_invalid(found.order), cmap="Blues", shading="nearest")
-    figure.colorbar(shade, ax=axis, label="β")
-    noise = axis.contour(*grid, np.ma.masked_invalid(found.noise_gain), _NOISE, colors="#c0392b")
-    axis.clabel(noise, fmt="noise %g", fontsize=8)
-    settling = axis.contour(*grid, np.ma.masked_invalid(found.settling_time), _SETTLING, colors="#444444")
-    axis.clabel(settling, fmt="%g s", fontsize=8)
-    axis.set(
-        xlabel="gain crossover ω_c at the heaviest payload [rad/s]",
-        ylabel="phase margin at the lightest payload [°]",
-        title="Feasible requests; red: noise gain, grey: 2π/ω_c",
-    )
-    axis.set_facecolor("#f4f4f4")
-    kind = path.suffix.lstrip(".").lower() or "svg"
-    extra = {"metadata": {"Date": None}} if kind == "svg" else {"dpi": 110}
-    with atomic_write(path, "wb") as stream:
-        figure.savefig(stream, format=kind, **extra)
+    def fill(axis: Any) -> None:
+        grid = (found.gain_crossover, np.degrees(found.phase_margin))
+        shade = axis.pcolormesh(*grid, np.ma.masked_invalid(found.order), cmap="Blues", shading="nearest")
+        axis.figure.colorbar(shade, ax=axis, label="β")
+        noise = axis.contour(*grid, np.ma.masked_invalid(found.noise_gain), _NOISE, colors="#c0392b")
+        axis.clabel(noise, fmt="noise %g", fontsize=8)
+        settling = axis.contour(*grid, np.ma.masked_invalid(found.settling_time), _SETTLING, colors="#444444")
+        axis.clabel(settling, fmt="%g s", fontsize=8)
+        axis.set(
+            xlabel="gain crossover ω_c at the heaviest payload [rad/s]",
+            ylabel="phase margin at the lightest payload [°]",
+            title="Feasible requests; red: noise gain, grey: 2π/ω_c",
+        )
+        axis.set_facecolor("#f4f4f4")
+
+    save_axes(path, fill)
 
 
 def design_map(
@@ -64,10 +55,20 @@ def design_map(
     crossovers: Annotated[
         tuple[float, float], typer.Option("--crossovers", metavar="LOW HIGH", help="Range of ω_c [rad/s].")
     ] = (8.0, 45.0),
+    filter_time: Annotated[
+        float | None, typer.Option("--filter-time", help="δ [s], 0 for none; default: the 10 % rule.")
+    ] = None,
+    filter_order: Annotated[
+        int, typer.Option("--filter-order", help="n, 1 or 2, the same for the whole map.")
+    ] = 1,
+    inner: Annotated[Literal["ideal", "sampled"], typer.Option("--inner", help="Motor loop.")] = "ideal",
+    placement: Annotated[
+        Literal["tustin", "direct"], typer.Option("--placement", help="Poles of the sampled motor loop.")
+    ] = "tustin",
     json: Json = False,
     force: Force = False,
 ) -> int:
-    """Map which crossovers and margins are feasible (filter of order 1), with noise and settling contours."""
+    """Map which crossovers and margins are feasible, with noise and settling contours."""
     from fraclink.design.feasibility import feasibility_map
     from fraclink.study.request import model_of
 
@@ -80,6 +81,10 @@ def design_map(
         payloads=payloads,
         gain_crossovers=np.linspace(*crossovers, points),
         phase_margins=np.radians(np.linspace(10.0, 110.0, points)),
+        filter_time=filter_time,
+        filter_order=filter_order,
+        inner=inner,
+        placement=placement,
     )
     draw(found, place)
     names = ("gain", "order", "upper", "filter_time", "settling_time", "noise_gain")

@@ -68,7 +68,10 @@ def phase_budget(plan: Plan, payload: float) -> tuple[PhaseShare, ...]:
 
 @dataclass(frozen=True)
 class MarginCurve:
-    """Margins against payload (Fig. 10): arrays of shape (N,) in kg, rad/s, rad and 1."""
+    """Margins against payload (Fig. 10): arrays of shape (N,) in kg, rad/s, rad and 1.
+
+    ``phase_margin`` is the smallest over all gain crossings, below zero where the loop is unstable.
+    """
 
     kind: str
     payload: Real
@@ -93,10 +96,14 @@ def margin_curve(plan: Plan, payloads: ArrayLike, *, kind: str = "loop") -> Marg
         checked_between("payloads", float(value), 0.0, 1e4, "kg", open_low=True)
     if kind == "sampled":
         found = [plan.sampled_at(float(m)) for m in masses]
-        columns = [
-            [getattr(f, name) for f in found] for name in ("gain_crossover", "phase_margin", "modulus_margin")
-        ]
-        return MarginCurve(kind, masses, *(np.asarray(c, dtype=float) for c in columns))
+        size = np.array([abs(f.phase_margin) for f in found])
+        return MarginCurve(
+            kind,
+            masses,
+            np.array([f.gain_crossover for f in found]),
+            np.where([bool(f.stable) for f in found], size, -size),
+            np.array([f.modulus_margin for f in found]),
+        )
     whole = open_loop(plan.controller, plan.model, plan.rig, margins="loop")
     loops = {
         "ideal": open_loop(plan.controller, plan.model, plan.rig, margins="ideal"),

@@ -71,11 +71,13 @@ def feasibility_map(
     filter_time: float | None = None,
     filter_order: int = 1,
     inner: str = "ideal",
+    placement: str = "tustin",
 ) -> FeasibilityMap:
     """Solve the closed procedure for every pair of crossover [rad/s] and phase margin [rad] at once.
 
-    The options are those of `design`. Each cell satisfies (54), (55) and the exact condition of Theorem 1;
-    the margin at the lower gain crossing is not looked at, `design` does that.
+    The options are those of `design`, with one n for the whole map. Each cell satisfies (54), (55) and the
+    exact condition of Theorem 1, and keeps the margin where |L| rises through one, too, at both ends of the
+    range.
 
     Raises FieldError, or SizeError beyond a million cells.
 
@@ -108,7 +110,7 @@ def feasibility_map(
         filter_time=filter_time,
         filter_order=filter_order,
         inner=inner,
-        placement="tustin",
+        placement=placement,
     )
     spec = specification(request, filter_order)
     shape = (angles.size, crossovers.size)
@@ -118,9 +120,50 @@ def feasibility_map(
         solved = _row(replace(spec, phase_margin=float(angle)), crossovers, request.model.order)
         order[row], upper[row], time[row], chi[row] = solved
     gain = chi / crossovers**order
+    cells = _Cells(spec, gain, order, time)
+    kept = np.minimum(cells.rising(spec.low, crossovers), cells.rising(spec.high, upper)) >= angles[:, None]
+    order, upper, time, gain = (np.where(kept, v, np.nan) for v in (order, upper, time, gain))
     settling = np.where(np.isfinite(order), 2.0 * math.pi / crossovers, np.nan)
     noise = _noise(spec, gain, order, time, request.period)
     return FeasibilityMap(crossovers, angles, gain, order, upper, time, settling, noise)
+
+
+@dataclass(frozen=True)
+class _Cells:
+    """The loops of all cells; NaN where a cell is infeasible."""
+
+    spec: Specification
+    gain: Real
+    order: Real
+    time: Real
+
+    def log(self, frequency: Real, natural_frequency: float) -> NDArray[np.complex128]:
+        """ln L of every cell at its own frequency [rad/s]."""
+        value = self.spec.bare.log(frequency, natural_frequency) + np.log(self.gain)
+        value = value + self.order * (np.log(frequency) + 0.5j * math.pi)
+        if self.spec.rule:
+            value = value - self.spec.bare.filter_order * np.log(1.0 + 1j * self.time * frequency)
+        return np.asarray(value)
+
+    def rising(self, natural_frequency: float, falling: Real) -> Real:
+        """Phase margin where |L| rises through one, below the `falling` crossing [rad/s]; NaN where NaN.
+
+        The phase there is positive, so the margin is what is left to π.
+        """
+        peak = np.broadcast_to(self.spec.bare.peak(natural_frequency), self.order.shape)
+        with np.errstate(invalid="ignore", over="ignore"):
+            above = np.log(falling * np.ones(self.order.shape)) - 1e-6
+            peaked = self.log(peak, natural_frequency).real > 0.0
+            high = np.where(peaked, np.minimum(np.log(peak), above), above)
+            # Below the resonance |G| is at most its value at the peak: |L| < 1 there for certain.
+            loudest = self.spec.bare.level(peak, natural_frequency)
+            low = np.minimum(-(np.log(self.gain) + np.maximum(loudest, 0.0)) / self.order, high) - 1.0
+            low = np.maximum(low, -300.0)
+            for _ in range(50):
+                middle = 0.5 * (low + high)
+                loud = self.log(np.exp(middle), natural_frequency).real > 0.0
+                low, high = np.where(loud, low, middle), np.where(loud, middle, high)
+            return np.asarray(math.pi - np.abs(self.log(np.exp(high), natural_frequency).imag))
 
 
 def _row(spec: Specification, crossovers: Real, link_order: float) -> tuple[Real, Real, Real, Real]:

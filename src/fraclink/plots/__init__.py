@@ -8,8 +8,18 @@ s^0.65 is drawn at 58.5° and not at −301.5°. matplotlib is imported at the f
 from __future__ import annotations
 
 from fraclink.plots.bode import bode, margins
+from fraclink.plots.design import margins_against_payload, phase_shares
 from fraclink.plots.planes import nichols, nyquist
 from fraclink.plots.realtime import latency
 from fraclink.plots.time import step
 
-__all__ = ["bode", "latency", "margins", "nichols", "nyquist", "step"]
+__all__ = [
+    "bode",
+    "latency",
+    "margins",
+    "margins_against_payload",
+    "nichols",
+    "nyquist",
+    "phase_shares",
+    "step",
+]
