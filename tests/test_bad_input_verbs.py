@@ -29,6 +29,7 @@ from fraclink.identify import (
     simulated_torque,
 )
 from fraclink.link import LinkModel
+from fraclink.response import grunwald_letnikov
 from fraclink.study import Move, simulate_move
 from fraclink.twin import (
     Beam,
@@ -47,6 +48,7 @@ from fraclink.twin import (
 
 RIG = fl.Rig.named("paper-2023")
 LINK = LinkModel(stiffness=1.56, natural_frequency=11.0, order=1.92, damping=0.1, payload=0.030)
+SYSTEM = 100 / (fl.s**1.92 + 100)
 TIME = 0.004 * np.arange(301)
 ANGLE = 0.1 * np.sin(7.0 * TIME)
 FREQUENCY = np.geomspace(1.0, 100.0, 40)
@@ -237,6 +239,27 @@ CALLS: dict[str, tuple[Callable[..., object], Callable[[], Mapping[str, Any]]]] 
             "step": 0.001,
             "servo_pole": 80.0,
             "seed": 0,
+        },
+    ),
+    "step_response": (fl.step_response, lambda: {"G": SYSTEM, "time": 1.0, "period": 0.1}),
+    "impulse_response": (fl.impulse_response, lambda: {"G": SYSTEM, "time": 1.0, "period": 0.1}),
+    "time_response": (
+        fl.time_response,
+        lambda: {"G": SYSTEM, "u": np.ones(9), "period": 0.1, "hold": "zero"},
+    ),
+    "grunwald_letnikov": (grunwald_letnikov, lambda: {"G": SYSTEM, "u": np.ones(9), "period": 0.1}),
+    "poles": (fl.poles, lambda: {"system": SYSTEM}),
+    "is_stable": (fl.is_stable, lambda: {"system": SYSTEM}),
+    "norm": (fl.norm, lambda: {"system": SYSTEM, "p": 2}),
+    "margins": (fl.margins, lambda: {"loop": SYSTEM, "limit": None, "unstable_poles": None}),
+    "approximate": (
+        fl.approximate,
+        lambda: {
+            "system": SYSTEM,
+            "band": (1.0, 100.0),
+            "order": 3,
+            "method": "oustaloup",
+            "period": None,
         },
     ),
     "Beam": (Beam, lambda: fields_of(twin().beam)),

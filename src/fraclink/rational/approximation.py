@@ -10,7 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from fraclink.errors import FieldError
 from fraclink.fractional import FractionalTransferFunction
-from fraclink.quantity import is_whole
+from fraclink.fractional.checks import checked_system
+from fraclink.quantity import checked_choice, is_whole
 from fraclink.rational.discrete import checked_band, fit_discrete
 from fraclink.rational.growth import finish, grow
 from fraclink.rational.minimax import Target
@@ -167,10 +168,8 @@ def _check(
     method: str,
     period: float | None,
 ) -> None:
-    if method not in ("oustaloup", "minimax"):
-        raise FieldError(
-            "method", method, "unknown", allowed="oustaloup or minimax", remedy="choose one of the two"
-        )
+    checked_system("system", system)
+    checked_choice("method", method, ("oustaloup", "minimax"))
     highest = 40 if method == "oustaloup" else 12
     if not is_whole(order, 1, highest):
         raise FieldError(

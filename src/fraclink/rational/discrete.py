@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink.errors import FieldError
-from fraclink.quantity import checked_number, is_whole
+from fraclink.quantity import checked_between, checked_number, checked_whole, is_whole
 from fraclink.rational.growth import finish, grow
 from fraclink.rational.minimax import PartialFractions, Target, score
 from fraclink.rational.parallel import DiscreteRational
@@ -200,7 +200,6 @@ def _check(period: float, band: tuple[float, float], order: int, zeros_at_one: i
 
 def _check_tolerance(tolerance_db: float, tolerance_deg: float, pairs: int | None) -> None:
     for field, value in (("tolerance_db", tolerance_db), ("tolerance_deg", tolerance_deg)):
-        if not (math.isfinite(value) and value > 0):
-            raise FieldError(field, value, "not a tolerance", allowed="> 0", remedy="use 0.1 dB and 0.5°")
-    if pairs is not None and pairs < 0:
-        raise FieldError("pairs", pairs, "negative", allowed=">= 0", remedy="0 asks for real poles only")
+        checked_between(field, value, 1e-9, 1e3, remedy="use 0.1 dB and 0.5°")
+    if pairs is not None:
+        checked_whole("pairs", pairs, 0, 100)  # 0 asks for real poles only

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -36,8 +37,21 @@ def positive(name: str, value: object) -> float:
     )
 
 
+def _array(name: str, values: ArrayLike) -> NDArray[Any]:
+    try:
+        return np.asarray(values)
+    except ValueError as error:  # rows of different lengths
+        raise FieldError(
+            name,
+            type(values).__name__,
+            "not an array",
+            allowed="shape (N,)",
+            remedy="give one number a sample",
+        ) from error
+
+
 def samples(u: ArrayLike) -> Reals:
-    values = np.asarray(u)
+    values = _array("u", u)
     if values.ndim != 1 or values.dtype.kind not in "biuf":
         raise FieldError(
             "u",
@@ -61,7 +75,7 @@ def samples(u: ArrayLike) -> Reals:
 
 
 def instants(time: float | ArrayLike, period: float | None) -> Reals:
-    values = np.asarray(time)
+    values = _array("time", time)
     if values.ndim == 0:
         duration = positive("time", values.item())
         if period is None:

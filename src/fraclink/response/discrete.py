@@ -8,6 +8,8 @@ import numpy as np
 
 from fraclink.errors import FieldError
 from fraclink.fractional import FractionalTransferFunction, Term
+from fraclink.fractional.checks import checked_system
+from fraclink.quantity import checked_choice
 from fraclink.response.held import HeldQuotient
 from fraclink.response.modes import DiscreteModes
 
@@ -58,6 +60,7 @@ def discretize(
     >>> modes.decays, modes.gains
     (array([0.90483742]), array([0.09516258]))
     """
+    checked_system("G", G)
     check_request(period, hold, span, tolerance)
     groups = delay_groups(G)
     if len(groups) > 1:
@@ -83,10 +86,7 @@ def discretize(
 
 def check_request(period: float, hold: str, span: float, tolerance: float) -> None:
     """Raise `FieldError` for a period, hold, span or tolerance out of range."""
-    if hold not in HOLDS:
-        raise FieldError(
-            "hold", hold, "unknown", allowed='"zero" or "first"', remedy='"zero" is a D/A converter'
-        )
+    checked_choice("hold", hold, HOLDS, remedy='"zero" is a D/A converter')
     for name, value, low, high in (
         ("period", period, 1e-12, 1e12),
         ("span", span, period, 1e15),

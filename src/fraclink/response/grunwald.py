@@ -10,7 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 from fraclink import _kernels
 from fraclink.errors import FieldError, SizeError
 from fraclink.fractional import FractionalTransferFunction, Term
-from fraclink.response.checks import positive, samples
+from fraclink.fractional.checks import checked_system
+from fraclink.quantity import checked_between
+from fraclink.response.checks import samples
 
 __all__ = ["grunwald_letnikov", "grunwald_letnikov_weights"]
 
@@ -46,9 +48,10 @@ def grunwald_letnikov(G: FractionalTransferFunction, u: ArrayLike, period: float
     >>> grunwald_letnikov(1 / (s + 1), [1.0, 1.0, 1.0], 1.0)  # implicit Euler: 1 - 2^-(k+1)
     array([0.5  , 0.75 , 0.875])
     """
+    checked_system("G", G)
     if any(t.delay for t in (*G.numerator, *G.denominator)):
         raise FieldError("delay", G.delay, "present", allowed="no delays", remedy="use time_response")
-    period = positive("period", period)
+    period = checked_between("period", period, 1e-12, 1e12, "s")
     values = samples(u)
     count = len(values)
     if count > _LONGEST:

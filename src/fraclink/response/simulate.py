@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fraclink.errors import FieldError, NotConvergedError
 from fraclink.fractional import FractionalTransferFunction
+from fraclink.fractional.checks import checked_system
 from fraclink.response.checks import (
     FFT_BYTES,
     grid,
@@ -87,6 +88,7 @@ def time_response(
     >>> result.output.round(6), result.method
     (array([0.      , 0.632121, 0.864665]), 'modes')
     """
+    checked_system("G", G)
     values = samples(u)
     period = positive("period", period)
     check_request(period, hold, max(len(values), 1) * period, TOLERANCE)
@@ -137,6 +139,7 @@ def impulse_response(
 def _fixed(
     G: FractionalTransferFunction, time: float | ArrayLike, period: float | None, degree: int
 ) -> TimeResponse:
+    checked_system("G", G)
     times = instants(time, period)
     if any(t.delay for t in G.denominator):
         return _fixed_by_inversion(G, times, period, degree)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from fraclink.quantity import checked_whole
 from fraclink.stability.crossings import crossings, modulus_margin
 from fraclink.stability.fractional_loop import FractionalLoop
 from fraclink.stability.loops import as_loop
@@ -72,6 +73,8 @@ def margins(
     >>> print(f"{m.gain_crossover:.6f} rad/s, {m.phase_margin:.6f} rad, {m.gain_margin:.6f}, {m.stable}")
     1.143203 rad/s, 0.199404 rad, 1.500000, True
     """
+    if unstable_poles is not None:
+        checked_whole("unstable_poles", unstable_poles, 0, 1000)
     known = as_loop(loop, limit)
     if unstable_poles is None and isinstance(known, FractionalLoop):
         unstable_poles = known.unstable_poles

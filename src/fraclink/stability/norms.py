@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from fraclink.errors import FieldError, UnstableError
 from fraclink.fractional import FractionalTransferFunction
+from fraclink.fractional.checks import checked_system
 from fraclink.stability.fractional_loop import FractionalLoop
 from fraclink.stability.poles import is_stable
 from fraclink.stability.polish import extreme, gain_level
@@ -63,7 +64,8 @@ def norm(system: FractionalTransferFunction, p: float) -> float:
     >>> round(norm(G, 2), 12), round(norm(G, math.inf), 12)
     (5.0, 5.025189076296)
     """
-    if p not in (2, math.inf):
+    checked_system("system", system)
+    if not (isinstance(p, int | float) and p in (2, math.inf)):
         raise FieldError("p", p, "not a norm offered here", allowed="2 or inf", remedy="use 2 or math.inf")
     if not system.numerator:
         return 0.0

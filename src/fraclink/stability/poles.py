@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from fraclink.errors import FieldError
 from fraclink.fractional import FractionalTransferFunction, Term
+from fraclink.fractional.checks import checked_system
 from fraclink.roots import log_zeros
 from fraclink.stability.delays import right_half_plane_zeros
 
@@ -86,6 +87,7 @@ def poles(system: FractionalTransferFunction) -> Complex:
     >>> poles(1.56 * s**1.92 / (s**1.92 + 100)).round(4)
     array([-0.7199+10.9834j, -0.7199-10.9834j])
     """
+    checked_system("system", system)
     return _both_halves(_pole_logs(system)[0], _poles_at_origin(system))
 
 
@@ -118,6 +120,7 @@ def is_stable(system: FractionalTransferFunction) -> StabilityVerdict:
     >>> print(is_stable(1 / (s**0.5 * (s + 1))).reason)
     s^0.5 divides the denominator: a step gives an unbounded output
     """
+    checked_system("system", system)
     integrators = _integrators(system)
     if any(t.delay for t in system.denominator):
         count = right_half_plane_zeros(system.denominator)
