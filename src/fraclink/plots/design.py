@@ -52,9 +52,10 @@ def margins_against_payload(
     --------
     >>> import fraclink as fl
     >>> from fraclink.design.assess import margin_curve
+    >>> from fraclink.plots import margins_against_payload
     >>> rig = fl.Rig.named("paper-2023")
     >>> plan = fl.design(rig.model, rig, gain_crossover=12.0, phase_margin=fl.deg(50))
-    >>> axis = fl.plots.margins_against_payload([margin_curve(plan, [0.02, 0.03, 0.04])])
+    >>> axis = margins_against_payload([margin_curve(plan, [0.02, 0.03, 0.04])])
     >>> axis.get_ylabel()
     'phase margin [°]'
     """
@@ -96,9 +97,9 @@ def phase_shares(shares: Sequence[PhaseShare], *, ax: Any = None) -> Any:
 
     Examples
     --------
-    >>> import fraclink as fl
     >>> from fraclink.design.assess import PhaseShare
-    >>> axis = fl.plots.phase_shares([PhaseShare("link", -2.9), PhaseShare("derivative", 1.0)])
+    >>> from fraclink.plots import phase_shares
+    >>> axis = phase_shares([PhaseShare("link", -2.9), PhaseShare("derivative", 1.0)])
     >>> [text.get_text() for text in axis.get_xticklabels()][-1]
     'phase margin'
     """
