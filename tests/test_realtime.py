@@ -20,7 +20,7 @@ import pytest
 
 import fraclink as fl
 from fraclink import _kernels
-from fraclink.errors import FieldError, FileFormatError, SizeError
+from fraclink.errors import FieldError, FileFormatError, LogError, SizeError
 from fraclink.law import MODES, REASONS, Law
 from fraclink.npz import write_npz
 from fraclink.realtime import Callback, Command, RealtimeRun, Spread, run_realtime
@@ -275,6 +275,26 @@ def test_a_saved_record_comes_back(law: Law, tmp_path: Path) -> None:
     write_npz(other, "run", 1, {}, {"time": run.time})
     with pytest.raises(FileFormatError, match="kind"):
         RealtimeRun.load(other)
+
+
+def test_a_run_is_a_log_to_identify_from(law: Law) -> None:
+    run = Board().run(law, duration=2.1)
+    count = int(run.tick[-1])
+    assert count > 100
+    lost = run.motor_angle.copy()
+    lost[40] = math.nan
+    log = replace(run, motor_angle=lost.copy()).experiment(payload=0.03)
+    assert (log.period, log.payload, log.output_kind) == (PERIOD, 0.03, "torque")
+    assert len(log.motor_angle) == count
+    present = np.delete(np.arange(len(run.tick)), 40)
+    rows = run.tick[present].astype(int) - 1
+    assert log.motor_angle[rows].tobytes() == run.motor_angle[present].tobytes()
+    assert log.output[rows].tobytes() == run.torque[present].tobytes()
+    assert log.motor_angle[run.tick[40] - 1] == pytest.approx(0.5 * (lost[39] + lost[41]), abs=1e-3)
+    assert ("interpolated_samples", str(1 + run.missed + run.lost_samples)) in log.notes
+    lost[40:50] = math.nan
+    with pytest.raises(LogError, match=rf"1[0-9] of {count} samples is lost; allowed 1 %"):
+        replace(run, motor_angle=lost).experiment()
 
 
 def test_the_spread_is_that_of_a_sorted_list() -> None:

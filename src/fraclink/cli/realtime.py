@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -13,14 +13,18 @@ from fraclink.cli.console import emit, emit_json, table, tell
 from fraclink.cli.options import Force, Json
 from fraclink.cli.outcome import FAILS, HOLDS
 from fraclink.cli.verdicts import DesignFile
+from fraclink.errors import LogError
 from fraclink.files import output_path
 
 if TYPE_CHECKING:
     from fraclink.design import Plan
     from fraclink.law import Law
     from fraclink.realtime import RealtimeRun, Spread
+    from fraclink.reference import Reference
 
 __all__ = ["register"]
+
+Excitation = Literal["move", "prbs"]
 
 Way = Annotated[str, typer.Option("--io", metavar="WAY", help="udp:HOST:PORT, shm:NAME or library:FILE.so.")]
 Gear = Annotated[
@@ -38,6 +42,12 @@ def run_realtime(
     move_time: Annotated[float, typer.Option("--move-time", help="Time of the move [s].")] = 1.0,
     duration: Annotated[
         float | None, typer.Option("--duration", help="Time to run [s]; default: 3 s after the move.")
+    ] = None,
+    excitation: Annotated[
+        Excitation, typer.Option("--excitation", help="Reference of the tip: a move, or 20 s of a PRBS.")
+    ] = "move",
+    log: Annotated[
+        Path | None, typer.Option("--log", help="File for the motion as a log (CSV), to identify from.")
     ] = None,
     absolute: Annotated[
         bool, typer.Option("--absolute", help="The move begins at angle 0, not where the arm stands.")
@@ -71,14 +81,14 @@ def run_realtime(
     """
     from fraclink.realtime import parse_connection
     from fraclink.realtime import run_realtime as run_law
-    from fraclink.reference import smooth_step
 
     place = output_path(out, force=force)
+    log_place = None if log is None else output_path(log, force=force)
     connection = parse_connection(io)
     law = _law(_plan(plan_file, gear), motor=motor, single=single)
     run = run_law(
         law,
-        smooth_step(amplitude, duration=move_time),
+        _reference(excitation, amplitude, move_time),
         connection,
         duration=duration,
         relative=not absolute,
@@ -93,7 +103,29 @@ def run_realtime(
     _tell_refused("memory", run.memory)
     if not json:
         tell(f"written: {place}")
+    if log_place is not None and not _logged(run, log_place):
+        return FAILS
     return HOLDS if run.holds else FAILS
+
+
+def _logged(run: RealtimeRun, place: Path) -> bool:
+    """Write the run as a log, or tell why it is none: the record of the run is kept in any case."""
+    try:
+        run.experiment().save(place)
+    except LogError as error:
+        tell(f"no log: {error}")
+        return False
+    tell(f"written: {place}")
+    return True
+
+
+def _reference(kind: Excitation, amplitude: float, move_time: float) -> Reference:
+    from fraclink.reference import prbs, smooth_step
+
+    if kind == "move":
+        return smooth_step(amplitude, duration=move_time)
+    # As `fraclink record` excites the twin: bits of 0.24 s have their power where an arm's first mode is.
+    return prbs(amplitude, 0.24, bits=81, register=9, start=0.5)
 
 
 def _tell_refused(what: str, granted: str) -> None:
@@ -183,7 +215,8 @@ def serve_arm(
 ) -> int:
     """Serve a simulated arm in real time, for run-realtime to move; --duration, --once or Ctrl-C ends it.
 
-    It is the twin on a clock. The exit code is 1 where a controller went silent and the watchdog had to switch the drive off.
+    It is the twin on a clock. The exit code is 1 where a controller went silent and the watchdog had to
+    switch the drive off.
     """
     from fraclink.realtime import parse_connection
     from fraclink.realtime import serve_arm as serve

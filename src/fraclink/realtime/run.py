@@ -10,7 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink.errors import FieldError, FileFormatError
+from fraclink.errors import FieldError, FileFormatError, LogError
+from fraclink.experiment import Experiment
 from fraclink.law import MODES, REASONS, Law
 from fraclink.npz import read_npz, write_npz
 
@@ -37,6 +38,7 @@ SIGNALS = (
     "error",
 )
 MARKS = ("tick", "mode", "reason", "flags")
+_LOST_SHARE = 0.01  # what a reader may fill in too
 _ABOUT = (
     "period",
     "law_sha256",
@@ -180,6 +182,37 @@ class RealtimeRun:
                 remedy="give the design of the run",
             )
         return first_difference(law, {name: getattr(self, name) for name in (*SIGNALS, *MARKS)})
+
+    def experiment(self, *, payload: float | None = None) -> Experiment:
+        """Return the motion as a log, for `identify`; `payload` at the tip [kg], where it is known.
+
+        The law closes its loop around the link, which does not matter to an identification from the motor
+        angle to the torque. Samples that were lost are interpolated, up to 1 % of them; LogError beyond.
+        """
+        came = np.isfinite(self.motor_angle) & np.isfinite(self.torque)
+        count = int(self.tick[-1]) if len(self.tick) else 0
+        lost = count - int(np.count_nonzero(came))
+        if count == 0 or lost > _LOST_SHARE * count:
+            raise LogError(
+                "run",
+                f"{lost} of {count} samples",
+                "lost",
+                allowed=f"{100 * _LOST_SHARE:g} %",
+                remedy="run it again on a machine that keeps the period",
+            )
+        grid = np.arange(1, count + 1)
+        motor, torque, voltage = (
+            np.interp(grid, self.tick[came], x[came]) for x in (self.motor_angle, self.torque, self.voltage)
+        )
+        return Experiment(
+            period=self.period,
+            motor_angle=motor,
+            output=torque,
+            payload=payload,
+            source=f"run in real time by {self.connection}",
+            voltage=voltage if voltage.any() else None,
+            notes=(("law_sha256", self.law_sha256), ("interpolated_samples", str(lost))),
+        )
 
     def save(self, path: Path | str) -> None:
         """Write signals, times and how it ended to one NPZ file, complete or not at all."""
