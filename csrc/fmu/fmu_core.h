@@ -15,9 +15,16 @@
 #include "law.h"
 
 /* Value references: inputs, then outputs in the order of modelDescription.xml, then the time. */
+#define FMU_REFERENCE 0U
+#define FMU_REFERENCE_ACCELERATION 1U
+#define FMU_MOTOR_ANGLE 2U
+#define FMU_TORQUE 3U
 #define FMU_INPUTS 4U
+#define FMU_MOTOR_REFERENCE 4U
+#define FMU_VOLTAGE 5U
+#define FMU_TIP_ESTIMATE 6U
 #define FMU_REALS 7U
-#define FMU_VALUES 10U
+#define FMU_VALUES 10U /* mode, reason and flags are the marks in between */
 #define FMU_TIME 10U
 
 /* An error ends the simulation, as FMI 3 has it: only reset, a restored state or freeing leads on. */
@@ -116,12 +123,12 @@ static fmu_status fmu_terminate(fmu_instance *me)
  * motor_reference is not thrown to 0 for a period. */
 static void fmu_rest(fmu_memory *m)
 {
-    const double angle = m->reals[2], torque = m->reals[3];
+    const double angle = m->reals[FMU_MOTOR_ANGLE], torque = m->reals[FMU_TORQUE];
     const double range = (double)law_data.motor_limit, push = (double)law_data.torque_limit;
-    m->reals[4] = ((angle >= -range) && (angle <= range)) ? angle : 0.0;
-    m->reals[6] = m->reals[4];
+    m->reals[FMU_MOTOR_REFERENCE] = ((angle >= -range) && (angle <= range)) ? angle : 0.0;
+    m->reals[FMU_TIP_ESTIMATE] = m->reals[FMU_MOTOR_REFERENCE];
     if ((torque >= -push) && (torque <= push))
-        m->reals[6] -= torque * (double)law_data.compliance;
+        m->reals[FMU_TIP_ESTIMATE] -= torque * (double)law_data.compliance;
 }
 
 static fmu_status fmu_get_reals(fmu_instance *me, const uint32_t references[], size_t count, double values[])
@@ -188,7 +195,7 @@ static fmu_status fmu_step(fmu_instance *me, double now, double step)
                        step);
         return fmu_refuse(me, message);
     }
-    /* a step that is repeated or left out is another law: half a period is nearer to neither */
+    /* A step that is repeated or left out would be another law. Either is a whole period away: half of one tells. */
     if ((m->tick > 0U) && !((now - m->time < 0.5 * FMU_PERIOD) && (m->time - now < 0.5 * FMU_PERIOD))) {
         (void)snprintf(message, sizeof message,
                        "steps follow each other: the last one ended at %.9g s, this one begins at %.9g s", m->time,
@@ -197,14 +204,14 @@ static fmu_status fmu_step(fmu_instance *me, double now, double step)
     }
     in.tick = m->tick; /* from 0, as in the package's simulation */
     /* a double beyond float becomes infinite, as in the package, and is refused by the law */
-    in.reference = (law_real)m->reals[0];
-    in.reference_acceleration = (law_real)m->reals[1];
-    in.motor_angle = (law_real)m->reals[2];
-    in.torque = (law_real)m->reals[3];
+    in.reference = (law_real)m->reals[FMU_REFERENCE];
+    in.reference_acceleration = (law_real)m->reals[FMU_REFERENCE_ACCELERATION];
+    in.motor_angle = (law_real)m->reals[FMU_MOTOR_ANGLE];
+    in.torque = (law_real)m->reals[FMU_TORQUE];
     law_step(&m->law, &law_data, &in, &out);
-    m->reals[4] = (double)out.motor_reference;
-    m->reals[5] = (double)out.voltage;
-    m->reals[6] = (double)out.tip_estimate;
+    m->reals[FMU_MOTOR_REFERENCE] = (double)out.motor_reference;
+    m->reals[FMU_VOLTAGE] = (double)out.voltage;
+    m->reals[FMU_TIP_ESTIMATE] = (double)out.tip_estimate;
     m->marks[0] = out.mode;
     m->marks[1] = out.reason;
     m->marks[2] = out.flags;
