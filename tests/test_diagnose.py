@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -128,6 +129,7 @@ def test_b13_clipped_samples(side: int) -> None:
     finding = found(changed(output=side * np.minimum(side * GOOD.output, limit)), "W213")
     assert finding.evidence["value"] == pytest.approx(side * limit)
     assert finding.evidence["samples"] > 10
+    assert f"{100 * finding.evidence['samples'] / 2000:.3g} %" in finding.message
 
 
 def test_b13_a_known_limit_of_the_gauge() -> None:
@@ -139,6 +141,12 @@ def test_b13_a_known_limit_of_the_gauge() -> None:
 def test_b13_a_fine_crest_is_not_clipped() -> None:
     stepped = 0.01 * np.round(GOOD.output / 0.01)
     assert "W213" not in codes(changed(output=stepped))
+
+
+def test_b13_a_coarse_crest_is_not_clipped() -> None:
+    # A sine in steps of a twentieth: its crest is the fullest level, the one below is nearly as full.
+    sine = 0.05 * np.round(20 * np.sin(2 * np.pi * np.arange(2000) / 200.3))
+    assert "W213" not in codes(changed(output=sine))
 
 
 def test_b14_coarse_steps() -> None:
@@ -155,6 +163,8 @@ def test_b15_few_samples_in_a_period() -> None:
     log = dataclasses.replace(slow, motor_angle=longer, output=made_output(longer, 0.08))
     finding = found(log, "W215")
     assert finding.evidence["samples_per_period"] == pytest.approx(2 * math.pi / 10 / 0.08, rel=0.1)
+    (longest,) = re.findall(r"below ([\d.]+) ms", finding.remedy)
+    assert float(longest) == pytest.approx(1e3 * 2 * math.pi / 10 / 10, rel=0.1)
 
 
 def test_b16_no_payload() -> None:
@@ -162,7 +172,12 @@ def test_b16_no_payload() -> None:
 
 
 def test_b16_a_payload_outside_the_rigs_range() -> None:
-    assert found(changed(payload=0.06), "W216", Rig.named("paper-2023")).evidence["high"] == 0.04
+    rig = Rig.named("paper-2023")
+    for outside in (0.06, 0.01):
+        assert found(changed(payload=outside), "W216", rig).evidence["high"] == 0.04
+    for inside in (0.02, 0.04):
+        assert "W216" not in codes(dataclasses.replace(changed(payload=inside), findings=()))
+        assert "W216" not in {finding.code for finding in diagnose(changed(payload=inside), rig)}
     assert found(changed(payload=30.0), "W105", Rig.named("paper-2023")).severity == "warning"
 
 

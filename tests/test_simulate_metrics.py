@@ -1,0 +1,110 @@
+"""Metrics and verdicts on signals whose figures are known by hand."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from fraclink.simulate.metrics import Metrics, Verdict, judge, measure
+
+PERIOD, ENDED, VIBRATION = 0.01, 1.0, 0.5
+TIME = PERIOD * np.arange(601)
+REFERENCE = np.clip(TIME / ENDED, 0.0, 1.0)
+RUNNING = np.ones(TIME.size, dtype=np.uint32)
+NO_REASON = np.zeros(TIME.size, dtype=np.uint32)
+
+
+def measured(tip: np.ndarray, **changes: np.ndarray) -> Metrics:
+    signals = {
+        "motor_reference": np.zeros_like(TIME),
+        "voltage": np.zeros_like(TIME),
+        "saturated": np.zeros(TIME.size, dtype=bool),
+    } | changes
+    return measure(TIME, REFERENCE, tip, **signals, ended=ENDED, vibration_period=VIBRATION)
+
+
+def judged(tip: np.ndarray, mode: np.ndarray = RUNNING, reason: np.ndarray = NO_REASON) -> Verdict:
+    return judge(measured(tip), TIME, REFERENCE, tip, mode, reason, ended=ENDED, vibration_period=VIBRATION)
+
+
+def vibrating(amplitude: np.ndarray | float) -> np.ndarray:
+    return np.asarray(REFERENCE + amplitude * np.sin(2 * math.pi * TIME / VIBRATION))
+
+
+def test_overshoot_and_the_largest_error_are_those_of_the_signals() -> None:
+    tip = REFERENCE.copy()
+    tip[120] = 1.25
+    tip[30] = REFERENCE[30] - 0.4
+    metrics = measured(tip)
+    assert metrics.overshoot == pytest.approx(0.25)
+    assert metrics.peak_tip_error == pytest.approx(0.4)
+
+
+def test_the_tip_settles_with_its_last_sample_outside_the_band() -> None:
+    tip = REFERENCE.copy()
+    tip[300] = 1.021  # 2.1 % of the move
+    tip[400] = 1.019
+    assert measured(tip).settling_time == pytest.approx(TIME[301])
+    tip[-1] = 0.9
+    assert measured(tip).settling_time == math.inf
+
+
+def test_residual_vibration_is_that_of_two_periods_after_the_reference() -> None:
+    inside = (TIME >= ENDED) & (TIME <= ENDED + 2 * VIBRATION)
+    assert measured(vibrating(np.where(inside, 0.03, 0.2))).residual_vibration == pytest.approx(
+        0.03, rel=0.01
+    )
+
+
+def test_what_is_left_at_the_end_is_a_mean_of_its_last_tenth() -> None:
+    tip = REFERENCE.copy()
+    tip[-60:] += 0.004
+    assert measured(tip).steady_state_error == pytest.approx(0.004)
+    noise = 0.01 * np.random.default_rng(1).standard_normal(TIME.size)
+    assert measured(tip, motor_reference=TIME**2 + noise).motor_reference_noise == pytest.approx(
+        0.01, rel=0.3
+    )
+
+
+def test_voltage_and_saturation_are_counted() -> None:
+    voltage = np.where(TIME < 0.6, -3.0, 2.0)
+    metrics = measured(REFERENCE, voltage=voltage, saturated=voltage < 0)
+    assert metrics.peak_voltage == 3.0
+    assert metrics.saturated == pytest.approx(60 / 601)
+
+
+def test_a_vibration_is_unstable_where_it_grows_and_only_after_the_move() -> None:
+    growing = judged(vibrating(0.02 * np.exp(0.5 * (TIME - ENDED))))
+    assert not growing.holds
+    assert "0.5" in growing.reason
+    # Large while the arm moves, quiet behind it: what happened before the rest is no growth.
+    assert judged(vibrating(np.where(TIME < ENDED, 0.3, 0.001))).holds
+
+
+def test_a_vibration_that_lasts_without_growing_has_not_settled() -> None:
+    # Quiet until a period after the move, then slowly dying: over that border it would seem to grow.
+    dying = 0.1 * np.exp(-0.05 * TIME)
+    verdict = judged(vibrating(np.where(TIME < ENDED + VIBRATION, 0.001, dying)))
+    assert not verdict.holds
+    assert verdict.reason.startswith("not settled; the tip is still 0.07")
+
+
+def test_a_tip_that_is_held_back_by_the_limit_is_called_saturated() -> None:
+    tip = 0.5 * REFERENCE
+    for share, word in ((0.3, "saturated"), (0.1, "not settled")):
+        metrics = measured(tip, saturated=TIME / TIME[-1] < share)
+        verdict = judge(
+            metrics, TIME, REFERENCE, tip, RUNNING, NO_REASON, ended=ENDED, vibration_period=VIBRATION
+        )
+        assert verdict.reason.startswith(word)
+
+
+def test_a_trip_names_mode_reason_and_time() -> None:
+    mode = RUNNING.copy()
+    mode[250:] = 4
+    verdict = judged(np.where(TIME < 2.5, REFERENCE, 0.0), mode)
+    assert not verdict.holds
+    assert verdict.reason.startswith("tripped: the law goes to off")
+    assert verdict.reason.endswith("at 2.5 s")
