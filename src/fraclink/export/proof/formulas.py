@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import struct
 from collections.abc import Mapping, Sequence
@@ -12,10 +13,14 @@ import numpy as np
 from fraclink.export.proof.source import Unreadable
 from fraclink.law.block import Precision
 
-__all__ = ["Formulas", "Value", "first_beyond", "kind_of", "real_literal"]
+__all__ = ["FALSE", "TRUE", "Formulas", "Value", "first_beyond", "kind_of", "real_literal"]
 
 _WIDTHS = {"single": (8, 24), "double": (11, 53)}
 _REAL = {"+": "fp.add RNE", "-": "fp.sub RNE", "*": "fp.mul RNE", "/": "fp.div RNE"}
+_REAL |= {
+    "-up": "fp.sub RTP",
+    "-down": "fp.sub RTN",
+}  # no signs of C: a difference that encloses the exact one
 _REAL_TESTS = {"<": "fp.lt", "<=": "fp.leq", ">": "fp.gt", ">=": "fp.geq", "==": "fp.eq"}
 _WORD = {
     "+": "bvadd",
@@ -29,7 +34,7 @@ _WORD = {
 }
 _WORD_TESTS = {"<": "bvult", "<=": "bvule", ">": "bvugt", ">=": "bvuge", "==": "="}
 _NAMES = re.compile(r"\b(?:any_\w+|t\d+)\b")
-_SUM = re.compile(r"\(fp\.(?:add|sub) RNE (\S+) ([^\s)]+)\)\)$")
+_SUM = re.compile(r"\(fp\.(?:add|sub) R.. (\S+) ([^\s)]+)\)\)$")
 
 
 @dataclass(frozen=True)
@@ -38,6 +43,9 @@ class Value:
 
     kind: str
     term: str
+
+
+TRUE, FALSE = Value("bool", "true"), Value("bool", "false")
 
 
 def real_literal(value: float, precision: Precision) -> str:
@@ -63,6 +71,9 @@ class Formulas:
         self.known = {real_literal(value, precision): value for value in known}
         self.lines: list[str] = []
         self.count = 0
+        self._names: dict[tuple[str, str], Value] = {}
+        self.choices: dict[str, tuple[Value, Value, Value]] = {}  # by name: condition, and both values
+        self.bounded: dict[str, float] = {}  # by name: |value| is assumed to be at most this, and no NaN
 
     def sort(self, kind: str) -> str:
         """Return the SMT-LIB sort of a kind."""
@@ -77,23 +88,84 @@ class Formulas:
 
     def defined(self, kind: str, term: str) -> Value:
         """Return a name for `term`, so that it is written once however often it is used."""
-        self.count += 1
-        name = f"t{self.count}"
-        self.lines.append(f"(define-fun {name} () {self.sort(kind)} {term})")
-        return Value(kind, name)
+        if (kind, term) not in self._names:
+            self.count += 1
+            name = f"t{self.count}"
+            self.lines.append(f"(define-fun {name} () {self.sort(kind)} {term})")
+            self._names[kind, term] = Value(kind, name)
+        return self._names[kind, term]
+
+    def choice(self, test: Value, yes: Value, no: Value) -> Value:
+        """Return `yes` where `test` holds, else `no`."""
+        if test == TRUE or yes == no:
+            return yes
+        if test == FALSE:
+            return no
+        if (yes, no) == (TRUE, FALSE):
+            return test
+        chosen = self.defined(yes.kind, f"(ite {test.term} {yes.term} {no.term})")
+        self.choices[chosen.term] = (test, yes, no)
+        return chosen
+
+    def negated(self, test: Value) -> Value:
+        """Return the condition that `test` does not hold."""
+        if test in (TRUE, FALSE):
+            return FALSE if test == TRUE else TRUE
+        return self.defined("bool", f"(not {test.term})")
+
+    def joined(self, sign: str, tests: Sequence[Value]) -> Value:
+        """Return `tests[0] && tests[1]` or `||`; neither has an effect."""
+        left, right = tests
+        return self.choice(left, right, FALSE) if sign == "&&" else self.choice(left, TRUE, right)
 
     def operated(self, sign: str, a: Value, b: Value) -> Value:
-        """Return `a sign b` as C computes it, for two reals or two words."""
+        """Return `a sign b` as C computes it, for two reals or two words.
+
+        A sum of a choice and the bounded command becomes a choice of sums, so that two roundings of one
+        difference are seen to be of one difference.
+        """
         if a.kind != b.kind or a.kind not in ("real", "word"):
             raise Unreadable(f"{a.kind} {sign} {b.kind}")
+        if sign == "!=":
+            return self.negated(self.operated("==", a, b))
+        for left in (True, False):
+            chosen, other = (a.term, b.term) if left else (b.term, a.term)
+            if chosen in self.choices and other in self.bounded:
+                test, *values = self.choices[chosen]
+                yes, no = (self.operated(sign, *((x, b) if left else (a, x))) for x in values)
+                return self.choice(test, yes, no)
+        decided = self._decided(sign, a, b)
+        if decided is not None:
+            return decided
         operations, tests_of = (_REAL, _REAL_TESTS) if a.kind == "real" else (_WORD, _WORD_TESTS)
         if sign in operations:
             return self.defined(a.kind, f"({operations[sign]} {a.term} {b.term})")
-        if sign == "!=":
-            return self.defined("bool", f"(not ({tests_of['==']} {a.term} {b.term}))")
         if sign in tests_of:
             return self.defined("bool", f"({tests_of[sign]} {a.term} {b.term})")
         raise Unreadable(f"{a.kind} {sign} {b.kind}")
+
+    def _decided(self, sign: str, a: Value, b: Value) -> Value | None:
+        """A comparison whose answer is known already: of constants, or by what is assumed."""
+        if a.kind == "word":
+            if a.term.startswith("(_ bv") and b.term.startswith("(_ bv") and sign == "==":
+                return TRUE if a == b else FALSE
+            return TRUE if a == b and sign == "==" else None
+        if a == b and sign == "==" and a.term in self.bounded:
+            return TRUE
+        limit = self.known.get(b.term)
+        if limit is None or a.term not in self.bounded or self.bounded[a.term] > abs(limit):
+            return None
+        if (sign == ">" and limit > 0) or (sign == "<" and limit < 0):
+            return FALSE
+        return None
+
+    def negative(self, value: Value) -> Value:
+        """Return `-value`."""
+        if value.term in self.known:
+            literal = real_literal(-self.known[value.term], self.precision)
+            self.known[literal] = -self.known[value.term]
+            return Value("real", literal)
+        return self.defined(value.kind, f"({'fp.neg' if value.kind == 'real' else 'bvneg'} {value.term})")
 
     def within(self, root: Value, bound: float) -> Value:
         """x·x ≤ c·c for a constant c, without a multiplication that a solver would have to take apart.
@@ -101,6 +173,8 @@ class Formulas:
         Rounding is monotone, so that the rounded square grows with |x|: the comparison is the same as
         |x| < d, with d the first number whose rounded square is above that of c. NaN and infinity fail both.
         """
+        if self.bounded.get(root.term, math.inf) <= bound:
+            return TRUE
         limit = real_literal(first_beyond(bound, self.precision), self.precision)
         return self.defined("bool", f"(fp.lt (fp.abs {root.term}) {limit})")
 
@@ -119,7 +193,7 @@ class Formulas:
             return value
         if value.kind != "word":
             raise Unreadable(f"{value.kind} as a condition")
-        return self.defined("bool", f"(not (= {value.term} (_ bv0 32)))")
+        return self.operated("!=", value, Value("word", "(_ bv0 32)"))
 
     def converted(self, kind: str, value: Value) -> Value:
         """Return `value` as the type `kind` of C."""

@@ -49,13 +49,12 @@ def slew_claim(law: Law, folder: Path) -> Claim:
         "not proved",
     )
 
-    def query(executed: Symbolic) -> list[str]:
+    def query(executed: Symbolic) -> list[Value]:
         before = executed.memory["before", "motor_reference"]
         after = executed.memory["law_output", "motor_reference"]
-        largest, least = (real_literal(sign * bound, law.precision) for sign in (1, -1))
-        # rounded outwards, so that the exact difference is inside where the rounded one is
-        up, down = (f"(fp.sub {mode} {after.term} {before.term})" for mode in ("RTP", "RTN"))
-        return [f"(not (fp.leq {up} {largest}))", f"(not (fp.geq {down} {least}))"]
+        up, down = (executed.operated(sign, after, before) for sign in ("-up", "-down"))
+        most, least = (Value("real", real_literal(x, law.precision)) for x in (bound, -bound))
+        return [executed.operated("<=", up, most), executed.operated(">=", down, least)]
 
     return _decided(
         claim,
@@ -78,9 +77,10 @@ def finite_claim(law: Law, folder: Path) -> Claim:
     outputs = ("tip_estimate", "error", "compensation")
     sensors = ("motor_angle", "torque", "reference")
 
-    def query(executed: Symbolic) -> list[str]:
+    def query(executed: Symbolic) -> list[Value]:
         terms = [executed.memory["law_output", name].term for name in outputs]
-        return [f"(or {' '.join(f'(fp.isNaN {t}) (fp.isInfinite {t})' for t in terms)})"]
+        infinite = " ".join(f"(fp.isNaN {term}) (fp.isInfinite {term})" for term in terms)
+        return [executed.defined("bool", f"(not (or {infinite}))")]
 
     tracked = {("law_output", name) for name in outputs} | {("law_state", name) for name in sensors}
     return _decided(claim, law, folder, "finite", query, tracked=tracked, started=False)
@@ -91,7 +91,7 @@ def _decided(
     law: Law,
     folder: Path,
     file: str,
-    query: Callable[[Symbolic], list[str]],
+    query: Callable[[Symbolic], list[Value]],
     *,
     tracked: Set[tuple[str, str]],
     started: bool = True,
@@ -135,7 +135,7 @@ def _first_answer(solvers: list[Tool], name: str, folder: Path) -> tuple[str, st
 def _problems(
     law: Law,
     folder: Path,
-    query: Callable[[Symbolic], list[str]],
+    query: Callable[[Symbolic], list[Value]],
     tracked: frozenset[tuple[str, str]],
     *,
     started: bool,
@@ -145,21 +145,24 @@ def _problems(
     names = [name for name, length in REALS if length == 1]
     values = {name: float(law.coefficients[name]) for name in names}  # type: ignore[arg-type]
     executed = Symbolic(read_source(text), law.precision, constants=values, tracked=tracked)
-    state = {name: executed.load(("law_state", name)) for name in ("stamp", "mode", "motor_reference")}
-    stamp = executed.load(("law_params", "crc"))
-    executed.memory["before", "motor_reference"] = state["motor_reference"]
+    assumed = _started(executed, values["motor_limit"]) if started else []
     executed.call("law_step", tuple(Value("pointer", struct) for struct in _STRUCTS))
-    limit, command = law.coefficients["motor_limit"], state["motor_reference"].term
-    assumed = [
-        f"(= {state['stamp'].term} {stamp.term})",
-        f"(not (= {state['mode'].term} (_ bv0 32)))",
-        f"(fp.leq {command} {real_literal(limit, law.precision)})",  # type: ignore[arg-type]
-        f"(fp.geq {command} {real_literal(-limit, law.precision)})",  # type: ignore[operator]
-    ]
     problems = []
-    for negation in query(executed):
-        asserted = [*(assumed if started else []), negation]
+    for goal in query(executed):
+        asserted = [*assumed, f"(not {goal.term})"]
         lines = ["(set-logic QF_BVFP)", *executed.relevant(asserted)]
         lines += [f"(assert {line})" for line in asserted]
         problems.append("\n".join((*lines, "(check-sat)", "")))
     return problems
+
+
+def _started(executed: Symbolic, limit: float) -> list[str]:
+    """Assume a law that was started with these parameters and whose last command is still in its memory."""
+    state = {name: executed.load(("law_state", name)) for name in ("mode", "motor_reference")}
+    executed.memory["law_state", "stamp"] = executed.load(("law_params", "crc"))
+    command = executed.memory["before", "motor_reference"] = state["motor_reference"]
+    executed.bounded[command.term] = limit
+    return [
+        f"(not (= {state['mode'].term} (_ bv0 32)))",
+        f"(fp.leq (fp.abs {command.term}) {real_literal(limit, executed.precision)})",
+    ]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from fraclink.export.proof.formulas import Formulas, Value, kind_of, real_literal
+from fraclink.export.proof.formulas import FALSE, TRUE, Formulas, Value, kind_of, real_literal
 from fraclink.export.proof.source import Function, Node, Source, Unreadable
 from fraclink.law.block import Precision
 
@@ -73,7 +73,7 @@ class Symbolic(Formulas):
         return returned
 
     def _anything(self, function: Function, arguments: tuple[Value, ...]) -> Value | None:
-        for owner, member in self.source.effects(function.name):
+        for owner, member in sorted(self.source.effects(function.name)):
             kind = self.source.members.get(member)
             if kind is None:
                 raise Unreadable(f"{function.name} writes {member}, of unknown type")
@@ -109,21 +109,23 @@ class Symbolic(Formulas):
 
     def _branch(self, statement: Node, frame: str) -> None:
         test = self.truth(self._value(_node(statement[1]), frame))
+        if test in (TRUE, FALSE):
+            for part in _nodes(statement[2 if test == TRUE else 3]):
+                self._run(part, frame)
+            return
         before = dict(self.memory)
         for part in _nodes(statement[2]):
             self._run(part, frame)
         after, self.memory = self.memory, before
         for part in _nodes(statement[3]):
             self._run(part, frame)
-        for place in after.keys() | self.memory.keys():
+        for place in dict.fromkeys((*after, *self.memory)):
             yes = after.get(place) or self._late(place)
             no = self.memory.get(place) or self._late(place)
             if yes is None or no is None:  # a variable of one branch alone: nothing behind reads it
                 self.memory.pop(place, None)
-            elif yes != no:
-                self.memory[place] = self.defined(yes.kind, f"(ite {test.term} {yes.term} {no.term})")
             else:
-                self.memory[place] = yes
+                self.memory[place] = self.choice(test, yes, no)
 
     def _late(self, place: Place) -> Value | None:
         """A member that one branch alone has touched: in the other it has any value, which is sound."""
@@ -166,23 +168,22 @@ class Symbolic(Formulas):
         if kind == "cast":
             return self.converted(str(node[1]), self._value(_node(node[2]), frame))
         if kind == "minus":
-            value = self._value(_node(node[1]), frame)
-            return self.defined(value.kind, f"({'fp.neg' if value.kind == 'real' else 'bvneg'} {value.term})")
+            return self.negative(self._value(_node(node[1]), frame))
         if kind == "choice":
             test = self.truth(self._value(_node(node[1]), frame))
             yes, no = self._value(_node(node[2]), frame), self._value(_node(node[3]), frame)
             if yes.kind != no.kind:
                 raise Unreadable("a choice between two types")
-            return self.defined(yes.kind, f"(ite {test.term} {yes.term} {no.term})")
+            return self.choice(test, yes, no)
         return self._binary(str(node[1]), _node(node[2]), _node(node[3]), frame)
 
     def _binary(self, sign: str, left: Node, right: Node, frame: str) -> Value:
         if sign in ("&&", "||"):
             before = dict(self.memory)
-            tests = [self.truth(self._value(part, frame)).term for part in (left, right)]
+            tests = [self.truth(self._value(part, frame)) for part in (left, right)]
             if any(self.memory.get(place) != value for place, value in before.items()):
                 raise Unreadable("an effect inside a condition")
-            return self.defined("bool", f"({'and' if sign == '&&' else 'or'} {' '.join(tests)})")
+            return self.joined(sign, tests)
         if sign == "<=" and _square(left) and _square(right):
             root, bound = self._value(_node(left[2]), frame), self._value(_node(right[2]), frame)
             if self.known.get(bound.term, 0.0) > 0.0:
