@@ -34,19 +34,20 @@ Command = Callable[[str], tuple[int, str, str]]
 STRICT = ("-std=c99", "-pedantic", "-Wall", "-Wextra", "-Wconversion", "-Wno-unused-parameter", "-Werror")
 PERIOD = 0.02  # see test_realtime_messages.py
 
-# A motor that follows a voltage as a rate, one lost sample, and a note of the last command.
+# A motor that follows a voltage as a rate and a reference as a servo, one lost sample, a note of the last command.
 BOARD = """
 #include "arm_io.h"
 #include <math.h>
 #include <stdio.h>
 static double angle;
 static double voltage;
+static double reference;
 static int reads;
 uint32_t arm_io_version(void) { return VERSION; }
 int arm_open(void) { return OPENED; }
 int arm_read(arm_sample *sample)
 {
-    angle += 0.02 * voltage;
+    angle += (voltage != 0.0) ? (0.02 * voltage) : (0.5 * (reference - angle));
     sample->motor_angle = angle;
     sample->torque = 0.0;
     reads++;
@@ -57,6 +58,7 @@ int arm_read(arm_sample *sample)
 int arm_write(const arm_command *command)
 {
     voltage = command->voltage;
+    reference = command->motor_reference;
     FILE *const file = fopen("last", "w");
     (void)fprintf(file, "%u %.17g", (unsigned)command->mode, command->voltage);
     return fclose(file);
