@@ -34,7 +34,7 @@ Command = Callable[[str], tuple[int, str, str]]
 STRICT = ("-std=c99", "-pedantic", "-Wall", "-Wextra", "-Wconversion", "-Wno-unused-parameter", "-Werror")
 PERIOD = 0.02  # see test_realtime_messages.py
 
-# A motor that follows a voltage as a rate and a reference as a servo, one lost sample, a note of the last command.
+# A motor that follows a voltage or, as a servo, a reference; one sample is lost, the last command is noted.
 BOARD = """
 #include "arm_io.h"
 #include <math.h>
