@@ -102,7 +102,7 @@ static void clear(law_state *s)
     s->residual = 0U;
     s->stuck = 0U;
     s->overload = 0U;
-    s->spare = 0U;
+    s->frozen = 0U;
     /*@ loop unroll 8; */
     for (i = 0U; i < LAW_REAL_MODES; i++) {
         s->real[i] = zero;
@@ -125,19 +125,24 @@ static void clear(law_state *s)
     s->model_near = zero;
     s->model_angle = zero;
     s->stuck_torque = zero;
+    s->encoder = zero;
+    s->encoder_model = zero;
+    s->input_reference = zero;
     s->fade = (law_real)1;
     s->integral = zero;
     s->filter = zero;
     s->voltage = zero;
 }
 
-/* Clamp modes: called where their sum is not credible. */
+/* Begin modes anew that no input explains: called where their sum is not credible. */
 static void heal(law_real limit, law_real *states, uint32_t count)
 {
     uint32_t i;
     /*@ loop unroll 8; */
     for (i = 0U; i < count; i++) {
-        states[i] = clamped(states[i], limit);
+        if (credible(states[i], limit) == 0U) {
+            states[i] = (law_real)0;
+        }
     }
 }
 
@@ -164,6 +169,14 @@ static void sweep(law_state *s)
     }
 }
 
+/* The motor loop's memory of an arm that has stood at this angle for ever. */
+static void rest_motor(law_state *s, const law_params *p, law_real angle)
+{
+    const law_real filter = -((p->filter_angle_now + p->filter_angle_before) * angle) / ((law_real)1 - p->filter_decay);
+    s->integral = (p->inner_angle * angle) - filter;
+    s->filter = filter + (p->filter_angle_now * angle);
+}
+
 /* Begin at the measured angle: the first motor reference is where the motor is, the motor loop is at rest. */
 static uint32_t start(law_state *s, const law_params *p, const law_input *in)
 {
@@ -172,7 +185,6 @@ static uint32_t start(law_state *s, const law_params *p, const law_input *in)
     s->reason = law_check(p);
     if ((s->reason == LAW_OK) && (credible(in->motor_angle, p->angle_limit) != 0U)) {
         const law_real angle = in->motor_angle;
-        law_real filter;
         flags = LAW_FLAG_STARTED;
         s->stamp = p->crc;
         s->mode = LAW_RUN;
@@ -182,14 +194,14 @@ static uint32_t start(law_state *s, const law_params *p, const law_input *in)
         s->motor_reference = clamped(angle, p->motor_limit);
         s->model_near = s->motor_reference;
         s->model_angle = s->motor_reference;
+        s->encoder = angle;
+        s->encoder_model = s->model_angle;
+        s->input_reference = angle;
         if (credible(in->torque, p->torque_limit) != 0U) {
             s->torque = in->torque;
         }
         s->error = s->torque * p->compliance;
-        /* the motor loop's memory of an arm that has stood at this angle for ever */
-        filter = -((p->filter_angle_now + p->filter_angle_before) * angle) / ((law_real)1 - p->filter_decay);
-        s->integral = (p->inner_angle * angle) - filter;
-        s->filter = filter + (p->filter_angle_now * angle);
+        rest_motor(s, p, angle);
     }
     return flags;
 }
@@ -203,17 +215,49 @@ static void stretch(law_real *step, uint32_t periods)
     }
 }
 
-/* Take the encoder's sample if it is credible, else keep the last one. */
+/* The encoder's angle. A reading that has not changed by a single count while the motor model moved on is frozen:
+ * lost samples, or a dead encoder. The motor loop would drive a strong motor away from it within ten periods; the
+ * model's move since the last change is added instead, until the encoder lives again or the law trips. */
+static law_real watch_encoder(law_state *s, const law_params *p, law_real reading, uint32_t *flags)
+{
+    law_real angle = reading;
+    law_real moved = s->model_angle - s->encoder_model;
+    if ((reading < s->encoder) || (reading > s->encoder)) {
+        s->encoder = reading;
+        s->encoder_model = s->model_angle;
+        s->frozen = 0U;
+    } else if ((s->frozen != 0U) || (credible(moved, p->frozen_angle) == 0U)) {
+        if (credible(moved, p->angle_limit) == 0U) {
+            s->encoder_model = s->model_angle; /* damaged memory */
+            moved = (law_real)0;
+        }
+        s->frozen = counted(s->frozen);
+        if (s->frozen > 1U) { /* twice the same count is chance where noise turns the motor round */
+            *flags |= LAW_FLAG_ENCODER;
+            angle = reading + moved;
+        }
+        if (s->frozen >= p->frozen_limit) {
+            latch(s, LAW_RESIDUAL);
+        }
+    } else {
+        /* unchanged, and nothing has asked the motor to move */
+    }
+    return angle;
+}
+
+/* Take the encoder's angle if it is credible, else keep the last one. */
 static uint32_t read_encoder(law_state *s, const law_params *p, const law_input *in, uint32_t periods)
 {
     uint32_t flags = 0U;
+    const law_real angle = watch_encoder(s, p, in->motor_angle, &flags);
     law_real step = p->angle_step;
     stretch(&step, periods + s->bad_encoder);
-    if ((credible(in->motor_angle, p->angle_limit) != 0U) && (credible(in->motor_angle - s->motor_angle, step) != 0U)) {
-        s->motor_angle = in->motor_angle;
+    if ((credible(angle, p->angle_limit) != 0U) &&
+        ((credible(angle - s->motor_angle, step) != 0U) || (credible(s->motor_angle, p->angle_limit) == 0U))) {
+        s->motor_angle = angle;
         s->bad_encoder = 0U;
     } else {
-        flags = LAW_FLAG_ENCODER;
+        flags |= LAW_FLAG_ENCODER;
         s->motor_angle = clamped(s->motor_angle, p->angle_limit);
         s->bad_encoder = counted(s->bad_encoder);
         if (s->bad_encoder >= p->bad_limit) {
@@ -229,7 +273,8 @@ static uint32_t read_gauge(law_state *s, const law_params *p, const law_input *i
     uint32_t flags = 0U;
     law_real step = p->torque_step;
     stretch(&step, periods + s->bad_gauge);
-    if ((credible(in->torque, p->torque_limit) != 0U) && (credible(in->torque - s->torque, step) != 0U)) {
+    if ((credible(in->torque, p->torque_limit) != 0U) &&
+        ((credible(in->torque - s->torque, step) != 0U) || (credible(s->torque, p->torque_limit) == 0U))) {
         s->torque = in->torque;
         s->bad_gauge = 0U;
     } else {
@@ -269,18 +314,21 @@ static uint32_t watch(law_state *s, const law_params *p)
         s->residual = 0U;
     } else {
         flags = LAW_FLAG_RESIDUAL;
-        s->model_near = clamped(s->model_near, p->motor_limit);
-        s->model_angle = clamped(s->model_angle, p->motor_limit);
+        if ((credible(s->model_near, p->motor_limit) == 0U) || (credible(s->model_angle, p->motor_limit) == 0U)) {
+            s->model_near = clamped(s->motor_angle, p->motor_limit); /* damaged memory: begin where the motor is */
+            s->model_angle = s->model_near;
+        }
         s->residual = counted(s->residual);
         if (s->residual >= p->residual_limit) {
             latch(s, LAW_RESIDUAL);
         }
     }
-    if ((s->mode == LAW_DEGRADED) || (credible(s->torque, p->torque_trip) != 0U)) {
+    if ((s->mode == LAW_DEGRADED) || (credible(s->torque, p->torque_block) != 0U)) {
         s->overload = 0U;
     } else {
         s->overload = counted(s->overload);
-        if (s->overload >= p->bad_limit) {
+        if ((s->overload >= p->block_limit) ||
+            ((s->overload >= p->bad_limit) && (credible(s->torque, p->torque_trip) == 0U))) {
             latch(s, LAW_OVERLOAD);
         }
     }
@@ -387,16 +435,39 @@ static uint32_t close_motor(law_state *s, const law_params *p, law_output *out)
     out->compensation = compensation;
     if (inside == 0U) {
         flags = LAW_FLAG_SATURATED;
-        if (credible(wanted, p->integral_limit) == 0U) {
-            s->integral = clamped(s->integral, p->integral_limit);
-            s->filter = clamped(s->filter, p->filter_limit);
+        if (credible(wanted, p->wanted_limit) == 0U) {
+            rest_motor(s, p, angle); /* damaged memory, or wound up beyond all errors: begin anew */
         }
     }
     return flags;
 }
 
+/* Come nearer to a reference that has left its speed limit. What little a restart leaves behind is caught up with at
+ * full speed; a jump shrinks at the rate of the link's own motion, because a faster one rings; and beneath both the
+ * reference's own motion goes on. */
+static void catch_up(law_state *s, const law_params *p, const law_input *in, uint32_t periods)
+{
+    const law_real reference = in->reference;
+    law_real step = p->reference_step;
+    law_real moved = reference - s->input_reference;
+    law_real behind = reference - s->reference;
+    stretch(&step, periods);
+    if ((credible(s->reference, p->angle_limit) == 0U) || (credible(behind, step) != 0U)) {
+        s->reference = reference; /* damaged memory, or periods that were missed */
+    } else {
+        if (credible(moved, step) == 0U) {
+            moved = (law_real)0;
+        }
+        behind -= moved;
+        if (credible(behind, (law_real)2 * p->reference_step) == 0U) {
+            behind *= p->reference_rate;
+        }
+        s->reference = clamped(s->reference + (moved + clamped(behind, p->reference_step)), p->angle_limit);
+    }
+}
+
 /* Follow the reference at no more than its largest speed and return its acceleration; an unusable sample holds. */
-static law_real follow(law_state *s, const law_params *p, const law_input *in, uint32_t *flags)
+static law_real follow(law_state *s, const law_params *p, const law_input *in, uint32_t periods, uint32_t *flags)
 {
     law_real acceleration = (law_real)0;
     if (credible(in->reference, p->angle_limit) != 0U) {
@@ -406,9 +477,9 @@ static law_real follow(law_state *s, const law_params *p, const law_input *in, u
             s->reference = in->reference; /* not reference + change: that would round */
         } else {
             *flags |= LAW_FLAG_REFERENCE;
-            s->reference = clamped(s->reference, p->angle_limit) + clamped(change, p->reference_step);
-            s->reference = clamped(s->reference, p->angle_limit);
+            catch_up(s, p, in, periods);
         }
+        s->input_reference = in->reference;
     } else {
         *flags |= LAW_FLAG_REFERENCE;
         s->reference = clamped(s->reference, p->angle_limit);
@@ -450,7 +521,7 @@ static law_real faded(law_state *s, const law_params *p, law_real correction)
 static uint32_t run(law_state *s, const law_params *p, const law_input *in, law_output *out, uint32_t periods)
 {
     uint32_t flags = 0U;
-    const law_real acceleration = follow(s, p, in, &flags);
+    const law_real acceleration = follow(s, p, in, periods, &flags);
     law_real forward;
     law_real correction;
     flags |= read_encoder(s, p, in, periods);

@@ -119,6 +119,8 @@ typedef struct {
     uint32_t missed_limit;   /* missed periods in a row that are ridden through */
     uint32_t residual_limit; /* periods in a row with a residual above `residual_angle` */
     uint32_t stuck_limit;    /* periods in a row with an unchanged gauge while the model moves */
+    uint32_t frozen_limit;   /* periods in a row with an unchanged encoder while the model moves */
+    uint32_t block_limit;    /* periods in a row with a torque above `torque_block`: half a vibration and more */
     law_real period;
     law_real compliance; /* 1/c: torque to deflection [rad/(N m)] */
     /* correction (1 - 1/z)(direct + sum of modes) of the error */
@@ -139,13 +141,16 @@ typedef struct {
     law_real torque_limit;     /* largest credible gauge torque [N m] */
     law_real torque_step;      /* largest credible change in one period [N m] */
     law_real torque_trip;      /* torque of a blocked link [N m] */
+    law_real torque_block;     /* the same where it does not swing back in `block_limit` periods [N m] */
     law_real reference_step;   /* largest change of the reference in one period [rad] */
+    law_real reference_rate;   /* part of a jump of the reference that is followed in one period */
     law_real acceleration_limit;
     law_real motor_limit;    /* range of the motor reference [rad] */
     law_real motor_step;     /* largest change of the motor reference in one period [rad] */
     law_real fade_step;      /* fade of the correction in one period after the gauge is given up */
     law_real residual_angle; /* largest credible distance from the motor model [rad] */
     law_real residual_rate;  /* motor model: 1 - exp(-pole period) */
+    law_real frozen_angle;   /* move of the motor model at which an unchanged encoder is frozen [rad] */
     law_real stuck_torque;   /* change of the model's torque at which an unchanged gauge is stuck [N m] */
     law_real stiffness;      /* c [N m/rad], for the model's torque */
     law_real wiring_energy;  /* sum of squared motor steps from which the wiring test decides [rad^2] */
@@ -159,8 +164,7 @@ typedef struct {
     law_real filter_angle_now;
     law_real filter_angle_before;
     law_real filter_decay;
-    law_real integral_limit; /* [V] */
-    law_real filter_limit;   /* [V] */
+    law_real wanted_limit; /* largest credible voltage before the limit: beyond, the loop's memory is wrong [V] */
     law_real voltage_limit;
     law_real torque_voltage;  /* compensation of the coupling torque [V/(N m)] */
     law_real coulomb_voltage; /* compensation of Coulomb friction [V] */
@@ -178,7 +182,7 @@ typedef struct {
     uint32_t residual;
     uint32_t stuck;
     uint32_t overload;
-    uint32_t spare; /* keeps the reals aligned */
+    uint32_t frozen; /* tenth counter: an even number of them keeps the reals aligned */
     law_real real[LAW_REAL_MODES]; /* states of the modes */
     law_real forward[LAW_FORWARD_MODES];
 #if !defined(LAW_EXACT) || defined(LAW_PAIRS)
@@ -192,6 +196,9 @@ typedef struct {
     law_real model_near; /* motor model: two equal lags behind the motor reference */
     law_real model_angle;
     law_real stuck_torque; /* model torque when the gauge last moved */
+    law_real encoder;      /* last reading, and motor model when it last changed */
+    law_real encoder_model;
+    law_real input_reference; /* last one that was a number in range */
     law_real fade;
     law_real integral;
     law_real filter;

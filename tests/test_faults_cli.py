@@ -33,20 +33,20 @@ def test_an_open_fault_exits_with_1_and_its_command_repeats_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    given = ["--only", "F40", "--severity", "3", "--phase", "mid", "--payload", "0.02", "--payload", "0.03"]
+    given = ["--only", "F07", "--severity", "3", "--phase", "mid", "--payload", "0.02", "--payload", "0.03"]
     assert run([*ARM, *given, "--seed", "3", "--out", "first", "--json"]) == 1
     told = json.loads(capsys.readouterr().out)
-    assert told["holds"] is False and told["faults"] == {"F40": {"runs": 2, "open": 2}}
-    for name in ("F40-3-20g-mid-3", "F40-3-30g-mid-3"):
+    assert told["holds"] is False and told["faults"] == {"F07": {"runs": 2, "open": 2}}
+    for name in ("F07-3-20g-mid-3", "F07-3-30g-mid-3"):
         figure = tmp_path / "first" / "figures" / f"{name}.svg"
         assert figure.read_text("utf-8").lstrip().startswith("<?xml")
     words = shlex.split(told["open"][1]["replay"])
     assert words[0] == "fraclink"
     assert run(words[1:]) == 1
-    again = FaultTable.load(tmp_path / "F40-3-30g-mid-3" / "faults.json")
+    again = FaultTable.load(tmp_path / "F07-3-30g-mid-3" / "faults.json")
     assert again.outcomes == FaultTable.load(tmp_path / "first" / "faults.json").outcomes[1:]
-    first = (tmp_path / "first" / "figures" / "F40-3-30g-mid-3.svg").read_bytes()
-    assert (tmp_path / "F40-3-30g-mid-3" / "figures" / "F40-3-30g-mid-3.svg").read_bytes() == first
+    first = (tmp_path / "first" / "figures" / "F07-3-30g-mid-3.svg").read_bytes()
+    assert (tmp_path / "F07-3-30g-mid-3" / "figures" / "F07-3-30g-mid-3.svg").read_bytes() == first
 
 
 @pytest.mark.parametrize(

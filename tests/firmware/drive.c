@@ -128,9 +128,9 @@ static void trips(void)
     require((out.mode == LAW_HOLD) && (out.reason == LAW_OVERLOAD));
     require(law_init(&state, &law_data) == LAW_OK);
     in.torque = (law_real)0;
-    in.motor_angle = (law_real)0;
     for (uint32_t k = 1U; k < 400U; k++) {
         in.tick = k;
+        in.motor_angle = (law_real)(k & 1U) / (law_real)4096; /* alive, but it does not follow */
         in.reference = (law_real)((k < 100U) ? k : 100U) / (law_real)64;
         law_step(&state, &law_data, &in, &out);
     }
@@ -229,17 +229,104 @@ static void memory(void)
 {
     begin((law_real)0.25F);
     state.real[0] = (law_real)1e20F;
-    state.forward[0] = (law_real)1000;
+    state.forward[0] = (law_real)1e6F;
+    state.forward[1] = (law_real)1000;
     step(1U);
-    require((state.real[0] <= law_data.correction_limit) && (state.forward[0] > (law_real)500));
+    require((state.real[0] == (law_real)0) && (state.forward[0] == (law_real)0) && (state.forward[1] > (law_real)500));
     begin((law_real)0.25F);
+    const law_real holding = state.integral;
     state.integral = (law_real)1e6F;
     step(1U);
-    require(state.integral <= law_data.integral_limit);
+    require(fabs((double)(state.integral - holding)) < 1.0); /* begun anew, as for an arm at rest */
+    begin((law_real)0.25F);
+    state.real[0] = (law_real)NAN;
+    state.error = (law_real)NAN;
+    state.motor_angle = (law_real)NAN;
+    state.torque = (law_real)NAN;
+    state.model_near = (law_real)1e20F;
+    state.reference = (law_real)1e20F;
+    state.encoder_model = (law_real)NAN;
+    step(1U);
+    step(1U);
+    require((out.mode == LAW_RUN) && (fabs((double)out.motor_reference - 0.25) < 0.01));
+    require((state.reference == (law_real)0.25F) && (state.model_angle == (law_real)0.25F));
+    require((state.real[0] == (law_real)0) && (state.encoder_model == state.model_angle));
+    begin((law_real)0.25F);
+    state.bad_gauge = LAW_COUNT_MAX;
+    in.torque = (law_real)NAN;
+    step(1U);
+    require(state.bad_gauge == LAW_COUNT_MAX); /* a counter does not wrap around */
     begin((law_real)0.25F);
     state.motor_reference = (law_real)NAN;
     step(1U);
     require(fabs((double)out.motor_reference - 0.25) < 0.1);
+}
+
+/* A jump of the reference is followed slowly, its own motion beneath it at once, a little that is left at once. */
+static void jumps(void)
+{
+    begin((law_real)0);
+    in.reference = (law_real)0.5F;
+    step(1U);
+    const law_real first = state.reference;
+    require((first > (law_real)0) && (first < (law_real)0.05F * in.reference));
+    in.reference += law_data.reference_step / (law_real)2;
+    step(1U);
+    const law_real behind = law_data.reference_rate * ((law_real)0.5F - first);
+    require(fabs((double)(((state.reference - first) - (law_data.reference_step / (law_real)2)) - behind)) < 1e-6);
+    require((out.flags & LAW_FLAG_REFERENCE) != 0U);
+    for (uint32_t k = 0U; k < 2000U; k++) {
+        in.motor_angle = state.model_angle;
+        step(1U);
+    }
+    require((state.reference == in.reference) && (out.flags == 0U));
+    in.reference += law_data.reference_step * (law_real)1.5F;
+    step(1U);
+    require((out.flags & LAW_FLAG_REFERENCE) != 0U);
+    require(fabs((double)((in.reference - state.reference) - (law_data.reference_step / (law_real)2))) < 1e-6);
+    in.reference += law_data.reference_step;
+    step(2U);
+    require(state.reference == in.reference); /* the time between was there to move in */
+}
+
+/* An encoder that stands still to the count while the motor moves: the model stands in for it, then the drive is off. */
+static void frozen(void)
+{
+    begin((law_real)0);
+    uint32_t periods = 0U;
+    for (uint32_t k = 1U; (k < 200U) && (out.mode == LAW_RUN); k++) {
+        in.reference += law_data.reference_step / (law_real)2;
+        in.torque = (law_real)(k & 1U) / (law_real)1024;
+        step(1U);
+        periods += ((out.flags & LAW_FLAG_ENCODER) != 0U) ? 1U : 0U;
+        if ((out.flags & LAW_FLAG_ENCODER) != 0U) {
+            require(state.motor_angle > law_data.frozen_angle);
+        }
+    }
+    require((out.mode == LAW_OFF) && (out.reason == LAW_RESIDUAL) && (periods == (law_data.frozen_limit - 1U)));
+    begin((law_real)0); /* one that lives again in time is taken back */
+    for (uint32_t k = 1U; k < law_data.frozen_limit; k++) {
+        in.reference += law_data.reference_step / (law_real)2;
+        step(1U);
+    }
+    in.motor_angle = state.model_angle;
+    step(1U);
+    require((out.mode == LAW_RUN) && (state.frozen == 0U) && (state.motor_angle == in.motor_angle));
+}
+
+/* A torque that no vibration takes back holds, though it is far below that of a hard stop. */
+static void blocked(void)
+{
+    begin((law_real)0);
+    uint32_t periods = 0U;
+    for (uint32_t k = 1U; (k < 2000U) && (out.mode == LAW_RUN); k++) {
+        const law_real torque = (law_data.torque_block * (law_real)1.1F) + ((law_real)(k & 1U) / (law_real)1024);
+        in.torque += (torque - in.torque) / (law_real)8;
+        in.motor_angle = state.model_angle;
+        step(1U);
+        periods += (in.torque > law_data.torque_block) ? 1U : 0U;
+    }
+    require((out.mode == LAW_HOLD) && (out.reason == LAW_OVERLOAD) && (periods == law_data.block_limit));
 }
 
 static void held(void)
@@ -249,6 +336,8 @@ static void held(void)
         in.torque = (law_real)((k < 160U) ? k : 160U) / (law_real)64;
         in.motor_angle = state.model_angle;
         step(1U);
+        require((out.mode == LAW_RUN) || (in.torque >= law_data.torque_trip));
+        require((out.mode == LAW_HOLD) || (in.torque < (law_data.torque_trip + (law_real)0.05F)));
     }
     require((out.mode == LAW_HOLD) && (out.reason == LAW_OVERLOAD));
     const law_real place = out.motor_reference;
@@ -280,6 +369,9 @@ int main(int count, char **words)
     clocks();
     limits();
     memory();
+    jumps();
+    frozen();
+    blocked();
     held();
     const uint32_t hash = quiet();
     for (long i = 0; i < runs; i++) {

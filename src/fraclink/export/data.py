@@ -65,7 +65,7 @@ def exact_sizes(law: Law) -> tuple[int, int]:
     """Return the bytes of (parameters, state) of a build with `exact_flags`."""
     modes = _modes(law)
     width = 4 if law.precision == "single" else 8
-    states = modes["real"] + modes["forward"] + 2 * modes["pair"] + 12
+    states = modes["real"] + modes["forward"] + 2 * modes["pair"] + 15
     return layout.exact_header(law.block, law.precision, modes)[0], 40 + width * states
 
 
@@ -82,7 +82,10 @@ def _exact(law: Law) -> str:
 def data_header(law: Law, *, name: str, title: str) -> str:
     """Return the text of law_data.h for `law`; the same law gives the same text, to the byte."""
     values, modes = law.coefficients, _modes(law)
-    whole = struct.unpack(f"<{len(layout.HEADER) + len(layout.COUNTS)}I", law.block[:48])
+    whole = struct.unpack(
+        f"<{len(layout.HEADER) + len(layout.COUNTS)}I",
+        law.block[: 4 * (len(layout.HEADER) + len(layout.COUNTS))],
+    )
     rows = [f"    .{f} = {n}U," for f, n in zip((*layout.HEADER, *layout.COUNTS), whole, strict=True)]
     size, crc = layout.exact_header(law.block, law.precision, modes)
     rows[1:4] = [

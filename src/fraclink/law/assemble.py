@@ -27,7 +27,7 @@ def block_values(
         asdict(limits)
         | _correction(correction)
         | _feedforward(feedforward)
-        | _inner(drive, limits.angle_limit)
+        | _inner(drive, limits, inner_pole)
         | {
             "period": period,
             "compliance": 1 / stiffness,
@@ -63,7 +63,7 @@ def _feedforward(modes: Modes) -> dict[str, Any]:
     }
 
 
-def _inner(drive: Drive | None, angle: float) -> dict[str, Any]:
+def _inner(drive: Drive | None, limits: Limits, pole: float) -> dict[str, Any]:
     names = (
         "inner_direct",
         "inner_angle",
@@ -74,8 +74,7 @@ def _inner(drive: Drive | None, angle: float) -> dict[str, Any]:
         "filter_angle_now",
         "filter_angle_before",
         "filter_decay",
-        "integral_limit",
-        "filter_limit",
+        "wanted_limit",
         "voltage_limit",
         "torque_voltage",
         "coulomb_voltage",
@@ -84,11 +83,9 @@ def _inner(drive: Drive | None, angle: float) -> dict[str, Any]:
     if drive is None:
         return dict.fromkeys(names, 0.0) | {"options": 0}
     loop = drive.loop
-    at_rest = (loop.filter_now + loop.filter_before) / (1 - loop.filter_decay)  # 1/c: DC gain of 1/(s + c)
-    hold = (
-        abs(loop.angle_direct + loop.angle_filter_gain * at_rest) * angle
-    )  # what Cm2 asks for at the far end
-    swing = (abs(loop.angle_filter_gain) + abs(loop.filter_gain)) * at_rest * angle
+    # The motor follows at the reference's largest speed with the loop's lag, and a model's error behind it.
+    friction = drive.coulomb_voltage
+    error = (2 / (pole * loop.period) + 1.5) * limits.motor_step + limits.residual_angle
     values = (
         loop.direct,
         loop.angle_direct,
@@ -99,11 +96,10 @@ def _inner(drive: Drive | None, angle: float) -> dict[str, Any]:
         loop.angle_filter_gain * loop.filter_now,
         loop.angle_filter_gain * loop.filter_before,
         loop.filter_decay,
-        1.5 * (hold + 2 * drive.voltage_limit),
-        1.5 * (swing + drive.voltage_limit),
+        drive.voltage_limit + loop.direct * error + drive.torque_voltage * limits.torque_limit + friction,
         drive.voltage_limit,
         drive.torque_voltage,
-        drive.coulomb_voltage,
+        friction,
         1 / (drive.coulomb_speed * loop.period) if drive.coulomb_voltage > 0 else 0.0,
     )
     return dict(zip(names, values, strict=True)) | {"options": WITH_INNER}

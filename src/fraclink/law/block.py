@@ -27,6 +27,8 @@ COUNTS = (
     "missed_limit",
     "residual_limit",
     "stuck_limit",
+    "frozen_limit",
+    "block_limit",
 )
 # Name and length of every real field, in the order of law.h; a test reads law.h and compares. Modes lie as
 # (pole, gain), pairs as (pole, turn, gain, cross).
@@ -46,13 +48,16 @@ REALS: tuple[tuple[str, int], ...] = (
     ("torque_limit", 1),
     ("torque_step", 1),
     ("torque_trip", 1),
+    ("torque_block", 1),
     ("reference_step", 1),
+    ("reference_rate", 1),
     ("acceleration_limit", 1),
     ("motor_limit", 1),
     ("motor_step", 1),
     ("fade_step", 1),
     ("residual_angle", 1),
     ("residual_rate", 1),
+    ("frozen_angle", 1),
     ("stuck_torque", 1),
     ("stiffness", 1),
     ("wiring_energy", 1),
@@ -65,8 +70,7 @@ REALS: tuple[tuple[str, int], ...] = (
     ("filter_angle_now", 1),
     ("filter_angle_before", 1),
     ("filter_decay", 1),
-    ("integral_limit", 1),
-    ("filter_limit", 1),
+    ("wanted_limit", 1),
     ("voltage_limit", 1),
     ("torque_voltage", 1),
     ("coulomb_voltage", 1),
@@ -153,5 +157,5 @@ def exact_header(block: bytes, precision: Precision, modes: Mapping[str, int]) -
     for name, _ in REALS:
         value = values[name]
         flat += value[: each[name] * modes[name]] if isinstance(value, list) else [value]
-    body = block[16:48] + struct.pack(f"<{len(flat)}{real_type(precision)}", *flat)
+    body = block[16 : 16 + 4 * len(COUNTS)] + struct.pack(f"<{len(flat)}{real_type(precision)}", *flat)
     return 16 + len(body), zlib.crc32(body)

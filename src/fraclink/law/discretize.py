@@ -15,7 +15,7 @@ from fraclink.law.correction import fit_correction
 from fraclink.law.law import Law
 from fraclink.law.limits import Moves, derive_limits
 from fraclink.law.nouns import Drive, Modes
-from fraclink.motor import inner_loop
+from fraclink.motor import DiscreteInnerLoop, inner_loop
 from fraclink.rational import DiscreteRational, fit_discrete
 
 if TYPE_CHECKING:
@@ -29,6 +29,7 @@ __all__ = ["discretize_controller", "drive_for", "equip"]
 BELOW_ONE = float(np.nextafter(np.float32(1.0), np.float32(0.0)))
 LOWEST = 0.05  # [rad/s]: below, Ĉ is under 1e-2 of its value at the crossover, and C is 1 to the tolerance
 FLEXIBLE = 0.2  # of the resonance: below, the flexion is under 5 % of the motor's motion, its error under 1 %
+STICTION = 3.0  # times the Coulomb friction, at most: a motor that is stuck beyond is a fault
 COULOMB_SPEED = 0.02  # [rad/s]: a wider band leaves stiction to stop small corrections, a sharp sign chatters
 
 
@@ -111,9 +112,10 @@ def equip(law: Law, rig: Rig, link: LinkModel, *, moves: Moves | None = None) ->
             allowed=f"{rig.period} s",
             remedy="discretise the controller at the rig's period",
         )
+    drive = drive_for(rig, law.inner_pole)
     return replace(
         law,
-        drive=drive_for(rig, law.inner_pole),
+        drive=drive,
         limits=derive_limits(
             link,
             law.period,
@@ -123,6 +125,7 @@ def equip(law: Law, rig: Rig, link: LinkModel, *, moves: Moves | None = None) ->
             gauge_noise=rig.gauge.noise,
             gauge_quantum=rig.gauge.quantum,
             encoder_resolution=rig.encoder.resolution,
+            sticking=STICTION * drive.coulomb_voltage / _stiffness(drive.loop),
             kick=abs(law.correction.direct),
         ),
     )
@@ -138,6 +141,11 @@ def drive_for(rig: Rig, pole: float) -> Drive:
         coulomb_voltage=motor.coulomb_torque / motor.torque_constant,
         coulomb_speed=COULOMB_SPEED,
     )
+
+
+def _stiffness(loop: DiscreteInnerLoop) -> float:
+    """Voltage over a lasting error of the angle, before the integral acts [V/rad]."""
+    return loop.direct + loop.filter_gain * (loop.filter_now + loop.filter_before) / (1 - loop.filter_decay)
 
 
 def _check_period(controller: Controller, period: float) -> None:

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Limits", "Moves", "derive_limits"]
 
+JUMP = 3.0  # of 1/ω_resonance: the time constant with which a jump of the reference is followed
 FADE_TIME = (
     0.2  # [s]: the correction leaves slowly enough not to ring the link, fast enough to be gone in a move
 )
@@ -60,18 +61,23 @@ class Limits:
     torque_limit: float
     torque_step: float
     torque_trip: float
+    torque_block: float
     reference_step: float
+    reference_rate: float
     acceleration_limit: float
     motor_limit: float
     motor_step: float
     fade_step: float
     residual_angle: float
+    frozen_angle: float
     stuck_torque: float
     wiring_energy: float
     bad_limit: int = 5  # 20 ms at 4 ms: three lost samples in a row are ridden through, a dead wire is not
     missed_limit: int = 5
     residual_limit: int = 10
     stuck_limit: int = 12
+    frozen_limit: int = 8  # lost samples do not come in such rows, and a motor is not far by then
+    block_limit: int = 100  # derived from the resonance
 
 
 def derive_limits(
@@ -84,13 +90,15 @@ def derive_limits(
     gauge_noise: float = 0.0,
     gauge_quantum: float = 0.0,
     encoder_resolution: float = 0.0,
+    sticking: float = math.inf,
     kick: float = 3.0,
 ) -> Limits:
     """Return the thresholds for moves up to `moves` at `period` [s].
 
-    `kick` is Ĉ's gain at the highest frequency, the direct part of its filter. Largest torque of a move: c
-    a |s^(λ-2)/(μ s^α + ϖ²)| at the resonance, doubled for payloads beyond the nominal one. Lag of the
-    loop: 2/p + 1.5 T. Reasons stand beside each number in the source.
+    `sticking` [rad]: how far friction may keep the motor behind its reference, infinite where nobody knows.
+    `kick`: Ĉ's gain at the highest frequency, the direct part of its filter. Largest torque of a move: c a
+    |s^(λ-2)/(μ s^α + ϖ²)| at the resonance, doubled for payloads beyond the nominal one. Lag of the loop:
+    2/p + 1.5 T. Reasons stand beside each number in the source.
     """
     resonance = abs(link.pole)
     flexible = abs(1 / link.tip()(1j * resonance) - 1) / resonance**2 * moves.acceleration
@@ -103,6 +111,13 @@ def derive_limits(
         4 * torque, 0.975 * gauge_limit
     )  # an amplifier at its rail reads its limit: not credible
     error = lag * moves.velocity
+    # A link that vibrates swings back in half a period; what it is bent by for longer is an acceleration that
+    # the reference's speed, from one end to the other, leaves room for.
+    held = 1.5 * math.pi / resonance
+    slow = abs(1 / link.tip()(1j * math.pi / held) - 1) * (held / math.pi) ** 2
+    block = 2 * link.stiffness * slow * min(moves.acceleration, 2 * moves.velocity / held)
+    # two periods of delay that the motor model leaves out, at the speed of reference and feed-forward
+    residual = 3 * moves.velocity * period + 0.02
     # the motor can bend the link by its own step; a sample's noise is below 8 deviations for centuries
     torque_step = 2 * link.stiffness * motor_step + 8 * gauge_noise + 2 * gauge_quantum
     return Limits(
@@ -116,14 +131,20 @@ def derive_limits(
         torque_limit=torque_limit,
         torque_step=torque_step,
         torque_trip=min(1.5 * torque, 0.9 * torque_limit),
+        torque_block=min(block, 0.9 * torque_limit),
         reference_step=1.05 * moves.velocity * period,
+        reference_rate=-math.expm1(-resonance * period / JUMP),
         acceleration_limit=1.2 * moves.acceleration,
         motor_limit=angle,
         motor_step=motor_step,
         fade_step=min(1.0, period / FADE_TIME),
-        # two periods of delay that the motor model leaves out, at the speed of reference and feed-forward
-        residual_angle=3 * moves.velocity * period + 0.02,
+        residual_angle=residual,
+        # a move that has begun in the model but, for three periods of delay, not in the motor
+        frozen_angle=min(
+            residual, 2 * encoder_resolution + max(sticking, 4.5 * moves.acceleration * period**2)
+        ),
         stuck_torque=max(0.1 * torque, 8 * gauge_quantum + 4 * gauge_noise),
+        block_limit=max(5, round(held / period)),
         # sum of squared motor steps whose torque stands 6 deviations above the noise of a torque step, and at
         # least that of 0.1 rad in 25 periods
         wiring_energy=max((6 * math.sqrt(2) * gauge_noise / link.stiffness) ** 2, 0.1**2 / 25),

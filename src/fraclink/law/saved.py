@@ -14,7 +14,7 @@ from fraclink.motor import DiscreteInnerLoop
 
 __all__ = ["arguments_of", "as_json"]
 
-_COUNTS = {"bad_limit", "missed_limit", "residual_limit", "stuck_limit"}
+_COUNTS = {"bad_limit", "missed_limit", "residual_limit", "stuck_limit", "frozen_limit", "block_limit"}
 
 
 def as_json(value: Any) -> Any:

@@ -28,7 +28,7 @@ __all__ = ["MEMORY"]
 
 IDLE = 0
 BAD_VERSION, BAD_SIZE, BAD_CRC = 1, 2, 3
-HEADER, COUNTS = 16, 32  # bytes of law_params before its reals
+HEADER, COUNTS = 16, 40  # bytes of law_params before its reals
 
 
 def _flip(trial: Trial) -> None:
