@@ -218,6 +218,25 @@ def test_a_signal_stops_the_run_and_python_has_its_handler_back(law: Law, number
         time.sleep(1)
 
 
+def test_a_signal_before_the_first_sample_leaves_an_empty_record(law: Law, tmp_path: Path) -> None:
+    board = Board()
+
+    def read() -> None:
+        board.read()
+        if board.reads == 3:
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    run = run_realtime(law, fl.hold(0.0), Callback(read, board.write), duration=5.0, priority=0)
+    assert (run.stopped, run.problem, len(run.tick), run.missed) == ("signal", "safe stop: signal", 0, 0)
+    assert stopped(board)
+    run.save(tmp_path / "run.npz")
+    again = RealtimeRun.load(tmp_path / "run.npz")
+    assert math.isnan(again.latencies.mean)
+    assert again.difference(law) is None
+    with pytest.raises(LogError, match="0 of 0 samples"):
+        again.experiment()
+
+
 def test_an_exception_of_a_callback_stops_the_drive_first(law: Law) -> None:
     board = Board()
 
