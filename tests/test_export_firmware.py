@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 import struct
 from pathlib import Path
@@ -79,9 +80,9 @@ def test_fifty_thousand_periods_agree_to_the_bit(precision: str, tmp_path: Path)
     export_c(made, tmp_path)
     wanted = reference_hash(made)
     sources = (FIRMWARE / "long.c", tmp_path / "law.c")
-    for compiler in ("gcc", "clang"):
-        run(tool(compiler), *FLAGS, *single(made), "-I", tmp_path, *sources, "-o", tmp_path / "long")
-        assert _hash(run(tmp_path / "long").stdout) == wanted, compiler
+    for compiler, exact in itertools.product(("gcc", "clang"), ((), exact_flags(made))):
+        run(tool(compiler), *FLAGS, *single(made), *exact, "-I", tmp_path, *sources, "-o", tmp_path / "long")
+        assert _hash(run(tmp_path / "long").stdout) == wanted, (compiler, exact)
     for board in BOARDS:
         assert _hash(on_board(tmp_path, made, board, *sources)) == wanted, board
         assert _hash(on_board(tmp_path, made, board, *sources, exact=True)) == wanted, board
