@@ -263,9 +263,10 @@ def test_an_arm_that_freezes_is_given_up_and_can_be_ended(fraclink: Command) -> 
     with arm_process(io) as arm:
 
         def freeze() -> None:
-            while not place.exists() and arm.poll() is None:
-                time.sleep(0.01)
-            time.sleep(1.0)
+            # until commands come: their slot is at byte 128 (docs/reference/file-formats.md)
+            while not (place.exists() and any(place.read_bytes()[128:132])) and arm.poll() is None:
+                time.sleep(0.02)
+            time.sleep(0.5)
             arm.send_signal(signal.SIGSTOP)
 
         frost = threading.Thread(target=freeze)
