@@ -229,8 +229,8 @@ def _block(place: int, factor: float, *, mend: bool) -> Callable[[dict[str, Any]
 
     def change(data: dict[str, Any]) -> None:
         block = bytearray.fromhex(data["statement"]["block"])
-        (old,) = struct.unpack_from("<d", block, 48 + 8 * place)
-        struct.pack_into("<d", block, 48 + 8 * place, old * factor)
+        (old,) = struct.unpack_from("<d", block, 56 + 8 * place)
+        struct.pack_into("<d", block, 56 + 8 * place, old * factor)
         if mend:
             struct.pack_into("<I", block, 12, zlib.crc32(block[16:]))
             data["statement"]["digest"] = hashlib.sha256(block).hexdigest()
@@ -323,3 +323,18 @@ def test_key_given_twice_and_other_law_are_rejected(
 
 def test_statement_survives_json_bit_for_bit(certificate: Certificate):
     assert Statement.from_json(certificate.statement.to_json()) == certificate.statement
+
+
+def test_the_checker_reads_the_block_where_the_law_wrote_it(checker: ModuleType) -> None:
+    """It knows the block by offsets alone; a field that moves must not be taken for another."""
+    law = plan_for("sampled").law()
+    claim = certify(plan_for("sampled"), law=law, modulus_margin=0.35).statement
+    fields = {k: v if k in checker.TEXT else float.fromhex(v) for k, v in claim.to_json().items()}
+    loop, written = checker.Loop(fields), law.coefficients
+    names = ("direct", "angle", "integral_now", "integral_before", "filter_now", "filter_before")
+    motor = [f"{'inner_' if name in ('direct', 'angle') else ''}{name}" for name in names]
+    motor += ["filter_angle_now", "filter_angle_before", "filter_decay"]
+    assert [float(v.mid) for v in loop.pid] == [written[name] for name in motor]
+    assert (float(loop.T.mid), float(loop.direct.mid)) == (written["period"], written["direct"])
+    poles = [float(p.real.mid) for p, _ in loop.modes]
+    assert poles == list(law.correction.poles)

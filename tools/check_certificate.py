@@ -34,11 +34,11 @@ class Loop:
         need(hashlib.sha256(block).hexdigest() == s["digest"], "the hash of the law is wrong")
         head, kind = (2, len(block), width, zlib.crc32(block[16:])), "fd"[width == 8]
         need(struct.unpack("<4I", block[:16]) == head, "the law is damaged or of another version")
-        v = [iv.mpf(x) for x, in struct.iter_unpack("<" + kind, block[48:])]  # law.h
+        v = [iv.mpf(x) for x, in struct.iter_unpack("<" + kind, block[56:])]  # law.h
         modes = [(iv.mpc(p, 0), iv.mpc(g, 0)) for p, g in zip(v[3:19:2], v[4:19:2])]
         for p, y, g, x in zip(v[19:27:4], v[20:27:4], v[21:27:4], v[22:27:4]):
             modes += [(iv.mpc(p, t * y), iv.mpc(g, t * x) / 2) for t in (1, -1)]
-        self.s, self.sampled, self.T, self.direct, self.pid = s, not ideal, v[0], v[2], v[-15:-6]
+        self.s, self.sampled, self.T, self.direct, self.pid = s, not ideal, v[0], v[2], v[-14:-5]
         self.modes = [(p, g) for p, g in modes if size(g).b > 0]
         need(all(above(1, size(p)) for p, _ in self.modes), "a pole of the correction is not stable")
         self.A, self.B, self.mu = (iv.mpf(s[k]) for k in ("gain", "decay", "damping"))
