@@ -239,8 +239,9 @@ uint32_t law_check(const law_params *params);
 uint32_t law_init(law_state *state, const law_params *params);
 /* One control period. */
 void law_step(law_state *state, const law_params *params, const law_input *input, law_output *output);
-/* Commissioning: turn the motor by 0.1 rad or more within a quarter of the link's vibration period, feed every
- * period's samples, and read the answer: LAW_OK, or one of LAW_GAUGE_REVERSED, LAW_GAUGE_DEAD, LAW_NOT_MOVED. */
+/* Commissioning: turn the motor within a quarter of the link's vibration period by the angle that the export's
+ * README states, feed every period's samples, and read the answer: LAW_OK, or one of LAW_GAUGE_REVERSED,
+ * LAW_GAUGE_DEAD, LAW_NOT_MOVED. */
 uint32_t law_check_wiring(law_wiring *test, const law_params *params, law_real motor_angle, law_real torque);
 
 #endif

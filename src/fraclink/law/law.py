@@ -45,7 +45,7 @@ class Law:
     >>> link = LinkModel(stiffness=1.56, natural_frequency=11.094, order=1.92)
     >>> law = Controller(gain=0.069876, order=0.612197, link=link).discretize(0.004, order=4)
     >>> abs(law.frequency_response(0.0)).item(), len(law.block)
-    (0.0, 664)
+    (0.0, 688)
     """
 
     period: float
@@ -174,8 +174,9 @@ class Law:
     def check_wiring(self, motor_angle: ArrayLike, torque: ArrayLike) -> str:
         """Return "none", or what is wrong with the gauge's wiring: law.c's commissioning test on a log.
 
-        The motor must turn by 0.1 rad or more within a quarter of the link's vibration period: the tip then
-        lags behind, and the torque [N·m] must rise with the motor angle [rad]; both have shape (N,).
+        The motor must turn by `wiring_angle()` or more within a quarter of the link's vibration period: the
+        tip then lags behind, and the torque [N·m] must rise with the motor angle [rad]; both have shape (N,),
+        one value a period. The answers are "none", "gauge reversed", "gauge dead" and "not moved enough".
         """
         angle, twist = (np.ascontiguousarray(x, dtype=float) for x in (motor_angle, torque))
         if angle.ndim != 1 or angle.shape != twist.shape:
@@ -187,6 +188,27 @@ class Law:
                 remedy="give two signals",
             )
         return REASONS[_kernels.law_wiring(self.block, angle, twist, self.precision == "single")]
+
+    def wiring_angle(self, duration: float | None = None) -> float:
+        """Return by how much [rad] the motor must turn in `duration` [s] for `check_wiring` to decide.
+
+        Along the quintic of `smooth_step` the sum of squared steps is 10/7 θ² T/duration, and must reach the
+        limits' `wiring_energy`, where the link's torque stands clear of the gauge's noise. Default duration:
+        a quarter of the link's vibration period. FieldError unless duration > 0.
+
+        >>> import fraclink as fl
+        >>> from fraclink.law import discretize_controller
+        >>> rig = fl.Rig.named("paper-2023")
+        >>> controller = fl.Controller(gain=0.069876, order=0.612197, link=rig.model)
+        >>> law = discretize_controller(controller, rig.period, rig=rig)
+        >>> f"{law.wiring_angle():.2f} rad, in half a second {law.wiring_angle(0.5):.2f} rad"
+        '0.26 rad, in half a second 0.51 rad'
+        """
+        # `block_limit` is one and a half times half a vibration.
+        time = self.limits.block_limit * self.period / 3 if duration is None else duration
+        if not (math.isfinite(time) and time > 0):
+            raise FieldError("duration", duration, "not a time", allowed="> 0 s", remedy="give seconds")
+        return math.sqrt(0.7 * self.limits.wiring_energy * time / self.period)
 
     def save(self, path: Path | str) -> None:
         """Write the law to a JSON file; reals are hex floats, so that every bit comes back."""

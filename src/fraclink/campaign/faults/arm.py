@@ -21,7 +21,7 @@ __all__ = ["ARM"]
 
 BAD_ENCODER, RESIDUAL, OVERLOAD = 5, 8, 10  # reasons of law.h
 MOVE_BEGINS = 1.0  # [s]
-# 0.1 rad is the least the self-test accepts; the noise of the paper's gauge, 0.01 N·m, asks for 0.25 rad.
+# The paper's gauge, with a noise of 0.01 N·m, asks for 0.24 rad in this time (`Law.wiring_angle`).
 SELF_TEST = smooth_step(0.35, duration=0.12, start=0.1)
 ANY = 10**6  # periods: the catalogue states no number
 
