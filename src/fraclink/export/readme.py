@@ -126,8 +126,8 @@ if (output.mode == LAW_OFF) {{ /* switch the drive off */ }}
 The first `law_step` with a credible encoder starts at the measured angle, without a bump. Outputs take
 effect one period after the samples (the design counts on it). A trip is left by `law_init` only. Before
 the first enabling, run the wiring test `law_check_wiring` (see law.h) while the motor turns by
-{law.wiring_angle():.2f} rad or more in {law.limits.block_limit * law.period / 3:.2f} s: a gauge wired backwards
-destabilises the arm, and no other check finds it.
+{law.wiring_angle():.2f} rad or more within {law.limits.block_limit * law.period / 3:.2f} s: a gauge wired
+backwards destabilises the arm, and no other check finds it.
 
 | memory | bytes |
 |---|---|
