@@ -9,7 +9,7 @@ STAMP := $(VENV)/.installed
 MODULES := $(VENV)/.modules-$(shell find src/fraclink -name '*.py' | LC_ALL=C sort | cksum | cut -d' ' -f1)
 CSRC := $(wildcard csrc/*.[ch] csrc/kernels/*.[ch] csrc/bindings/*.cpp csrc/bindings/*.h)
 
-.PHONY: setup demo test lint bench build docs reproduce clean lock
+.PHONY: setup demo test lint bench build docs fuzz reproduce clean lock
 
 setup: $(STAMP)
 
@@ -41,6 +41,9 @@ lint: setup
 
 bench: setup
 	$(PY) benchmarks/run.py
+
+fuzz: setup
+	$(PY) tools/fuzz_law.py --seconds 60
 
 docs: setup
 	$(BIN)/sphinx-build --quiet --jobs auto --fail-on-warning --keep-going -b html docs docs/_build/html

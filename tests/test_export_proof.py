@@ -21,7 +21,7 @@ from fraclink.export.proof.loop import loop_claim
 from fraclink.files import sha256_of
 from fraclink.law import Law
 from fraclink.study import Request, design_for
-from law_bench import default_controller, law
+from law_bench import default_controller, law, with_pair
 from law_bench import run as run_law
 from needed_tools import tool
 from test_export import run
@@ -171,6 +171,21 @@ def test_the_rounding_stays_below_its_bound_and_a_slip_does_not(tmp_path: Path) 
         exact = np.array([float(x) for x in exact_correction(out.error)])
         distances.append(np.abs(out.motor_reference - exact).max())
     assert bound.correction / 1000 < distances[0] <= bound.correction < distances[1]
+
+
+def test_the_rounding_of_complex_pairs_is_bounded_too(tmp_path: Path) -> None:
+    tool("gappa")
+    made = with_pair("single")
+    export_c(made, tmp_path)
+    claim = rounding.rounding_claim(made, tmp_path)
+    assert claim.status == "proved", claim.reason
+    assert "pair0_turned" in (tmp_path / "proof" / "rounding.gappa").read_text(encoding="utf-8")
+
+
+def test_a_new_export_takes_an_old_proof_away(tmp_path: Path) -> None:
+    (tmp_path / "proof.json").write_text("{}", encoding="utf-8")
+    export_c(law("single"), tmp_path, force=True)
+    assert not (tmp_path / "proof.json").exists()
 
 
 def test_another_form_of_the_law_is_not_proved_by_the_old_script(tmp_path: Path) -> None:

@@ -40,7 +40,11 @@ def build(folder: Path, *, precision: str, exact: bool) -> Path:
     coverage = ("-fprofile-instr-generate", "-fcoverage-mapping")
     options = ("-g", "-O1", "-ffp-contract=off", f"-fsanitize={SANITIZERS}", *coverage, *defines)
     source = ROOT / "tests" / "firmware" / "fuzz.c"
-    run("clang", *options, "-I", folder, source, "law.c", "-lm", "-o", "fuzz", folder=folder)
+    command = ("clang", *options, "-I", folder, source, "law.c", "-lm", "-o", "fuzz")
+    built = run(*command, folder=folder, check=False)
+    if built.returncode and "libclang_rt" in built.stderr:
+        raise SystemExit("clang's fuzzer is not installed (Debian package libclang-rt-14-dev)")
+    built.check_returncode()
     return folder / "fuzz"
 
 
@@ -84,8 +88,7 @@ def main() -> int:
     parser.add_argument("--exact", action="store_true", help="the build for this design alone")
     given = parser.parse_args()
     if shutil.which("clang") is None:
-        print("clang is not installed (Debian packages clang and libclang-rt-14-dev)")
-        return 2
+        raise SystemExit("clang is not installed (Debian packages clang and libclang-rt-14-dev)")
     folder = Path(tempfile.mkdtemp(prefix="fuzz_law_"))
     program = build(folder, precision=given.precision, exact=given.exact)
     code = fuzz(program, given.seconds, given.seed)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from fraclink.cli.console import emit, emit_json, tell
+from fraclink.cli.console import emit, emit_json, steps, tell
 from fraclink.cli.listing import Listing
 from fraclink.cli.options import Columns, Force, Json, RigName, load_log, load_rig
 from fraclink.cli.outcome import FAILS, HOLDS
@@ -48,8 +48,15 @@ def c(
     from fraclink.export import Proof, export_c
 
     shipped = _law(plan_file, motor=motor).in_precision(precision)
-    certificate = _certificate(plan_file, shipped, motor=motor) if prove else None
-    paths = export_c(shipped, out, name=name, title=title, prove=prove, certificate=certificate, force=force)
+    with steps(2 if prove else 0) as begin:
+        certificate = None
+        if prove:
+            begin("certifying the loop")
+            certificate = _certificate(plan_file, shipped, motor=motor)
+            begin("proving the files, half a minute")
+        paths = export_c(
+            shipped, out, name=name, title=title, prove=prove, certificate=certificate, force=force
+        )
     proof = Proof.load(out / "proof.json") if prove else None
     if json:
         told: dict[str, object] = {"out": [str(path) for path in paths]}

@@ -98,6 +98,8 @@ def export_c(
     files |= logs
     # Everything is made before anything is written: a failure above leaves no half folder.
     place.mkdir(parents=True, exist_ok=True)
+    # a proof of what stood here before says nothing about what is written now
+    (place / "proof.json").unlink(missing_ok=True)
     for file, content in files.items():
         with atomic_write(place / file, "wb") as stream:
             stream.write(content)

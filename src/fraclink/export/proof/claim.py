@@ -21,9 +21,10 @@ def at_most(value: float, digits: int = 6) -> str:
     """Return a positive number in `digits` digits, rounded up: a bound that is printed smaller is no bound.
 
     >>> at_most(7.08102178574), at_most(9.2981e-16, 3)
-    ('7.08103', '9.30E-16')
+    ('7.08103', '9.3e-16')
     """
-    return str(Context(prec=digits, rounding=ROUND_CEILING).create_decimal_from_float(value))
+    rounded = Context(prec=digits, rounding=ROUND_CEILING).create_decimal_from_float(value)
+    return f"{float(rounded):.{digits}g}"
 
 
 def sha256_of_text(text: str) -> str:
