@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -14,6 +15,7 @@ from fraclink.certify.balls import Disc, Loop, Window, outside
 from fraclink.certify.numeric import loop_values
 from fraclink.certify.search import Box, halves, widest_side
 from fraclink.certify.statement import Statement
+from fraclink.design.solve import root
 
 if TYPE_CHECKING:
     from fraclink.law import Law
@@ -108,19 +110,16 @@ def _attained(statement: Statement, law: Law) -> tuple[float, float, float]:
     best = (math.pi, statement.payload_low, 0.0)
     mode = (statement.softness * statement.payload_low) ** (-1.0 / statement.order)
     w = np.geomspace(0.3 * mode, min(6.0 * mode, math.pi / law.period), 4000)
-    for payload in (statement.payload_low, statement.payload_high):
-        for late in (statement.delay_low, statement.delay_high):
-            value = loop_values(statement, law, w, payload, late)
-            for i in np.nonzero((np.abs(value[:-1]) > 1.0) != (np.abs(value[1:]) > 1.0))[0]:
-                a, b = float(w[i]), float(w[i + 1])
-                over = abs(value[i]) > 1.0
-                for _ in range(50):
-                    c = 0.5 * (a + b)
-                    a, b = (
-                        (c, b)
-                        if (abs(loop_values(statement, law, c, payload, late)) > 1.0) == over
-                        else (a, c)
-                    )
-                margin = float(np.abs(np.angle(-loop_values(statement, law, a, payload, late))))
-                best = min(best, (margin, float(payload), a))
+    payloads = sorted({statement.payload_low, statement.payload_high})
+    delays = sorted({statement.delay_low, statement.delay_high})
+    for payload, late in itertools.product(payloads, delays):
+
+        def level(at: float, payload: float = payload, late: float = late) -> float:
+            return float(np.log(np.abs(loop_values(statement, law, at, payload, late))))
+
+        loud = np.abs(loop_values(statement, law, w, payload, late)) > 1.0
+        for i in np.flatnonzero(loud[:-1] != loud[1:]):
+            crossing = root(level, float(w[i]), float(w[i + 1]))
+            margin = float(np.abs(np.angle(-loop_values(statement, law, crossing, payload, late))))
+            best = min(best, (margin, payload, crossing))
     return best
