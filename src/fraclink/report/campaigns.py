@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fraclink.campaign import Campaign, Cell, MetricSummary, Summary, Sweep, columns
-from fraclink.errors import MissingExtraError
 from fraclink.files import write_text
+from fraclink.report.templating import needed, rendered
 
 __all__ = ["write_campaign_report", "write_sweep_report"]
 
@@ -29,7 +29,7 @@ def write_campaign_report(campaign: Campaign, folder: Path | str, summary: Summa
 
     Raises MissingExtraError where matplotlib or jinja2 are not installed.
     """
-    _needed()
+    needed()
     from fraclink.report.figures.campaign import SHOWN, drivers_figure, failures_figure, spread_figure
 
     names = [name for name, _, _ in SHOWN]
@@ -97,7 +97,7 @@ def _quantiles(metric: MetricSummary) -> tuple[str, ...]:
 
 def write_sweep_report(found: Sweep, path: Path | str) -> Path:
     """Write the design map of a sweep to `path`; return it. Raises MissingExtraError as above."""
-    _needed()
+    needed()
     from fraclink.report.figures.campaign import sweep_figure
 
     infeasible = [c for c in found.cells if c.infeasible]
@@ -140,37 +140,25 @@ def _request(cell: Cell) -> tuple[str, str]:
     return f"{cell.gain_crossover:.4g} rad/s", f"{math.degrees(cell.phase_margin):.4g}°"
 
 
-def _needed() -> None:
-    try:
-        import jinja2  # noqa: F401
-        import matplotlib  # noqa: F401
-    except ModuleNotFoundError as error:
-        raise MissingExtraError(error.name or "jinja2", "report") from error
-
-
 def _write(
     path: Path | str, title: str, subtitle: str, holds: bool, sentence: str, parts: list[_Part]
 ) -> Path:
     from dataclasses import replace
-    from importlib.resources import files
 
-    import jinja2
     from markupsafe import Markup
 
     from fraclink import __version__
 
-    folder = files("fraclink.report") / "templates"
-    environment = jinja2.Environment(
-        loader=jinja2.FunctionLoader(lambda name: (folder / name).read_text("utf-8")),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
     # matplotlib's SVG writer has escaped every text of a figure already.
     drawn = [replace(part, figure=Markup(part.figure)) for part in parts]  # noqa: S704
-    text = environment.get_template("campaign.html").render(
-        version=__version__, title=title, subtitle=subtitle, holds=holds, sentence=sentence, parts=drawn
+    text = rendered(
+        "campaign.html",
+        version=__version__,
+        title=title,
+        subtitle=subtitle,
+        holds=holds,
+        sentence=sentence,
+        parts=drawn,
     )
     write_text(path, text)
     return Path(path)

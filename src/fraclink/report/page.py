@@ -5,11 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fraclink.errors import MissingExtraError
 from fraclink.files import write_text
 from fraclink.identify.text import coincidence_text
 from fraclink.report import sections
-from fraclink.report.numbers import sentence
+from fraclink.report.templating import needed, rendered
 
 if TYPE_CHECKING:
     from fraclink.study import Study
@@ -42,23 +41,8 @@ def render_report(study: Study, *, title: str | None = None) -> str:
     >>> "Content-Security-Policy" in render_report(Study(), title="<script>")
     True
     """
-    try:
-        import jinja2
-        import matplotlib  # noqa: F401  (absent, the first figure would fail half-way)
-    except ModuleNotFoundError as error:
-        raise MissingExtraError(error.name or "jinja2", "report") from error
-    from importlib.resources import files
-
-    folder = files("fraclink.report") / "templates"
-    environment = jinja2.Environment(
-        loader=jinja2.FunctionLoader(lambda name: (folder / name).read_text("utf-8")),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters["sentence"] = sentence
-    return environment.get_template("report.html").render(_contents(study, title))
+    needed()
+    return rendered("report.html", **_contents(study, title))
 
 
 def _contents(study: Study, title: str | None) -> dict[str, object]:
