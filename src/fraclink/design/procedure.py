@@ -209,7 +209,7 @@ def _achieved(request: Request, solution: Solution, order: int) -> float:
 
 def candidates(request: Request) -> tuple[Solution, ...]:
     """Every solution of the two equations, admissible or not: what a refusal is explained from."""
-    return solve(specification(request, request.filter_order or 1))
+    return tuple(solve(specification(request, request.filter_order or 1)))
 
 
 def _controller(request: Request, rig: Rig, solution: Solution, order: int) -> Controller:

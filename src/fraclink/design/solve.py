@@ -9,7 +9,7 @@ the loop's.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -112,8 +112,11 @@ def root(function: Callable[[float], float], low: float, high: float) -> float:
     return b
 
 
-def solve(spec: Specification) -> tuple[Solution, ...]:
-    """Return every solution of (54), (55) with ω̄_c between 0.9 ω_c and `spec.highest`, lowest ω̄_c first."""
+def solve(spec: Specification) -> Iterator[Solution]:
+    """Yield every solution of (54), (55) with ω̄_c between 0.9 ω_c and `spec.highest`, lowest ω̄_c first.
+
+    One by one: the first is the admissible one as a rule, and the others then cost nothing.
+    """
     top = min(spec.highest, 50.0 * spec.gain_crossover * (spec.high / spec.low) ** 2)
     grid = np.geomspace(0.9 * spec.gain_crossover, max(top, 1.1 * spec.gain_crossover), _GRID)
     residual = _state(spec, grid)[0]
@@ -122,7 +125,8 @@ def solve(spec: Specification) -> tuple[Solution, ...]:
     def at(upper: float) -> float:
         return float(_state(spec, np.asarray(upper))[0])
 
-    return tuple(_solution(spec, root(at, float(grid[i]), float(grid[i + 1]))) for i in places)
+    for i in places:
+        yield _solution(spec, root(at, float(grid[i]), float(grid[i + 1])))
 
 
 def _solution(spec: Specification, upper: float) -> Solution:
