@@ -10,9 +10,10 @@ import pytest
 
 from campaigns import small
 from fraclink.campaign import conduct, read_part, summarise
-from fraclink.campaign.summary import METRICS, PARAMETERS, _failure, _quantile
+from fraclink.campaign.summary import METRICS, PARAMETERS, _failure, _quantile, _trips
 from fraclink.cli import main
 from fraclink.errors import FieldError
+from fraclink.law import MODES
 
 
 @pytest.fixture(scope="module")
@@ -72,6 +73,15 @@ def test_a_summary_is_that_of_all_runs(folder):
     assert {name for name, _ in metric.drivers} == set(PARAMETERS)
     worst = int(np.argmax(column["peak_tip_error"]))
     assert metric.worst[0] == (worst, float(column["peak_tip_error"][worst]))
+    left = column["mode"] != MODES.index("run")
+    assert sum(count for _, _, count in found.trips) == int(left.sum())
+    for mode, reason, count in found.trips:
+        assert count == int(((column["mode"] == mode) & (column["reason"] == reason)).sum())
+
+
+def test_trips_are_counted_by_mode_and_reason():
+    mode, reason = np.array([1, 3, 3, 4, 1, 3]), np.array([0, 7, 7, 2, 0, 5])
+    assert _trips(mode, reason) == ((3, 5, 1), (3, 7, 2), (4, 2, 1))
 
 
 def test_an_unfinished_campaign_is_summarised_as_far_as_it_is(folder, tmp_path):
