@@ -227,8 +227,9 @@ static law_real watch_encoder(law_state *s, const law_params *p, law_real readin
         s->encoder_model = s->model_angle;
         s->frozen = 0U;
     } else if ((s->frozen != 0U) || (credible(moved, p->frozen_angle) == 0U)) {
-        if (credible(moved, p->angle_limit) == 0U) {
-            s->encoder_model = s->model_angle; /* damaged memory */
+        if ((credible(moved, p->angle_limit) == 0U) || (credible(s->encoder, p->angle_limit) == 0U)) {
+            s->encoder = reading; /* damaged memory: NaN is never another count */
+            s->encoder_model = s->model_angle;
             moved = (law_real)0;
         }
         s->frozen = counted(s->frozen);

@@ -252,6 +252,11 @@ static void memory(void)
     require((state.reference == (law_real)0.25F) && (state.model_angle == (law_real)0.25F));
     require((state.real[0] == (law_real)0) && (state.encoder_model == state.model_angle));
     begin((law_real)0.25F);
+    state.encoder = (law_real)NAN;
+    state.encoder_model = (law_real)-1;
+    step(1U);
+    require((state.encoder == in.motor_angle) && (state.encoder_model == (law_real)0.25F) && (out.flags == 0U));
+    begin((law_real)0.25F);
     state.bad_gauge = LAW_COUNT_MAX;
     in.torque = (law_real)NAN;
     step(1U);
