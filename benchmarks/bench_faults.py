@@ -10,10 +10,15 @@ from __future__ import annotations
 import argparse
 import statistics
 import time
+from dataclasses import replace
+
+import numpy as np
 
 import fraclink as fl
-from fraclink.campaign.faults import CATALOGUE, Bench, FaultTable, cases, run_faults, soak
-from fraclink.law import Moves, equip
+from fraclink.campaign.faults import CATALOGUE, Bench, Case, FaultTable, cases, run_faults, soak
+from fraclink.campaign.faults.inject import TICK_MISSED, add_fault
+from fraclink.campaign.faults.trial import MOVE, Trial, execute
+from fraclink.law import Modes, Moves, equip
 from fraclink.twin import geared
 
 
@@ -82,6 +87,29 @@ def narrower(bench: Bench, plan: fl.Plan) -> None:
     line("clean periods with guards for 2 rad/s", f"{clean.trips} trips in {clean.periods}", "0", "")
 
 
+def floors(bench: Bench, plan: fl.Plan) -> None:
+    """Print why some bounds are out of reach on this arm: what is left when the law cannot be blamed."""
+    for phase in ("mid", "rest"):
+        peaks = []
+        for payload in bench.payloads:
+            trial = Trial(bench, Case("F07", 1, payload, phase, 1), bench.law, MOVE, 7.0)
+            add_fault(trial, slice(trial.row, trial.count), TICK_MISSED)
+            trial.at(trial.row, lambda vessel: vessel.voltage.fill(0.0))
+            peaks.append(float(np.abs(execute(trial).error).max()))
+        wanted = "F07: 0.4 rad" if phase == "mid" else "F08: 1.1 x clean, 0.043 rad"
+        line(f"drive cut in the very period of the fault, {phase}: peak", f"{max(peaks):.3f} rad", wanted)
+    alone = bench.with_law(replace(bench.law, correction=Modes(0.0)))
+    table = run_faults(alone, cases(alone, only=["F24"], severities=(2, 3), seeds=(1,)), single=False)
+    trips = sum(outcome.mode == "off" for outcome in table.outcomes)
+    line(
+        "F24, two and three periods more, correction left out", f"{trips} of {len(table.outcomes)} trip", "0"
+    )
+    rig = replace(bench.rig, gauge=replace(bench.rig.gauge, noise=0.0))
+    quiet_bench = Bench.of(replace(plan, rig=rig), link_mass=0.00735)
+    table = run_faults(quiet_bench, cases(quiet_bench, only=["F28"], seeds=(1,)), single=False)
+    line("F28 without the gauge's noise", f"{len(table.failures)} of {len(table.outcomes)} open", "0")
+
+
 def main() -> None:
     """Print every figure."""
     parser = argparse.ArgumentParser()
@@ -92,6 +120,7 @@ def main() -> None:
     verdicts(bench, options.seeds)
     quiet(bench, options.periods)
     narrower(bench, plan)
+    floors(bench, plan)
 
 
 if __name__ == "__main__":

@@ -145,6 +145,7 @@ CLOCK: tuple[Fault, ...] = (
         "A",
         _missed,
         (need.flagged(need.MISSED, "missed"), need.only(RUN), need.peak_ratio(1.1)),
+        note="while the task does not run, the motor keeps its last voltage; no law changes that",
     ),
     Fault(
         "F22",
@@ -177,6 +178,7 @@ CLOCK: tuple[Fault, ...] = (
         _delay,
         (need.only(RUN), need.peak_ratio(1.05)),
         phases=("whole",),
+        note="the motor loop alone does not bear two periods more; a slower one, or a shorter period, does",
     ),
     Fault(
         "F25",
@@ -221,5 +223,6 @@ CLOCK: tuple[Fault, ...] = (
         _slow,
         (need.only(RUN), need.limit_cycle(2e-3)),
         phases=("whole",),
+        note="what is left moving is the gauge's noise, not a limit cycle: without noise it stays below",
     ),
 )
