@@ -69,9 +69,7 @@ def assess(
     link_mass: LinkMass = None,
     mode_damping: Annotated[
         float | None,
-        typer.Option(
-            "--mode-damping", help="Damping ratio of modes 2 and 3; default: the model's damping."
-        ),
+        typer.Option("--mode-damping", help="Damping ratio of modes 2 and 3; default: the model's damping."),
     ] = None,
     out: Annotated[
         Path | None,
