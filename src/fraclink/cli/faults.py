@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from fraclink.cli.console import emit, emit_json, steps, table, tell
-from fraclink.cli.options import Force, Json, load_rig
+from fraclink.cli.options import Force, Gear, Json, LinkMass, load_rig
 from fraclink.cli.outcome import FAILS, HOLDS
 from fraclink.errors import FieldError
 from fraclink.files import output_path, write_text
@@ -33,12 +33,8 @@ def faults(
     design_file: Annotated[
         Path | None, typer.Option("--design", help="Design whose law is tested; default: the rig's request.")
     ] = None,
-    gear: Annotated[
-        float | None, typer.Option("--gear", help="Gear ratio to put before the motor; default: the rig's.")
-    ] = None,
-    link_mass: Annotated[
-        float | None, typer.Option("--link-mass", help="Mass of the link [kg]; default: the rig's.")
-    ] = None,
+    gear: Gear = None,
+    link_mass: LinkMass = None,
     only: Annotated[
         list[str] | None,
         typer.Option("--only", metavar="FAULT", help="A fault of the catalogue, e.g. F07; may be repeated."),

@@ -19,12 +19,14 @@ __all__ = [
     "Columns",
     "Force",
     "GainCrossover",
+    "Gear",
     "Interpolate",
     "Json",
     "LinkMass",
     "LogName",
     "ModeGain",
     "ModelFile",
+    "Payload",
     "PayloadRange",
     "PhaseMarginDeg",
     "Resample",
@@ -46,6 +48,7 @@ RigName = Annotated[
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as one JSON object on standard output.")]
 Force = Annotated[bool, typer.Option("--force", help="Overwrite files that are already there.")]
+Payload = Annotated[float | None, typer.Option("--payload", help="Payload [kg]; default: nominal.")]
 PayloadRange = Annotated[
     tuple[float, float] | None,
     typer.Option("--payloads", metavar="LOW HIGH", help="Payload range [kg]; default: the rig's."),
@@ -65,6 +68,9 @@ ModeGain = Annotated[
 ]
 LinkMass = Annotated[
     float | None, typer.Option("--link-mass", help="Mass of the link [kg]; default: the rig's.")
+]
+Gear = Annotated[
+    float | None, typer.Option("--gear", help="Gear ratio to put before the motor; default: the rig's.")
 ]
 Columns = Annotated[
     list[str] | None,

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from fraclink.cli.console import emit, emit_json, table, tell
-from fraclink.cli.options import Force, Json
+from fraclink.cli.options import Force, Gear, Json, LinkMass, Payload
 from fraclink.cli.outcome import FAILS, HOLDS
 from fraclink.cli.verdicts import DesignFile
 from fraclink.errors import LogError
@@ -27,9 +27,6 @@ __all__ = ["register"]
 Excitation = Literal["move", "prbs"]
 
 Way = Annotated[str, typer.Option("--io", metavar="WAY", help="udp:HOST:PORT, shm:NAME or library:FILE.so.")]
-Gear = Annotated[
-    float | None, typer.Option("--gear", help="Gear ratio to put before the motor; default: the rig's.")
-]
 
 
 def run_realtime(
@@ -191,12 +188,8 @@ def _text(run: RealtimeRun) -> str:
 def serve_arm(
     plan_file: DesignFile,
     io: Annotated[str, typer.Option("--io", metavar="WAY", help="udp:HOST:PORT or shm:NAME.")],
-    payload: Annotated[
-        float | None, typer.Option("--payload", help="Payload [kg]; default: nominal.")
-    ] = None,
-    link_mass: Annotated[
-        float | None, typer.Option("--link-mass", help="Mass of the link [kg]; default: the rig's.")
-    ] = None,
+    payload: Payload = None,
+    link_mass: LinkMass = None,
     gear: Gear = None,
     duration: Annotated[float, typer.Option("--duration", help="Time to serve [s].")] = 600.0,
     watchdog: Annotated[

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from fraclink.cli.console import emit_json, tell
-from fraclink.cli.options import Force, Json, RigName, load_rig
+from fraclink.cli.options import Force, Json, LinkMass, Payload, RigName, load_rig
 from fraclink.cli.outcome import HOLDS
 from fraclink.errors import FieldError
 from fraclink.files import output_path
@@ -39,12 +39,8 @@ def record(
     out: Annotated[Path, typer.Option("--out", help="File to write the log to (CSV).")] = Path(
         "twin_log.csv"
     ),
-    payload: Annotated[
-        float | None, typer.Option("--payload", help="Payload [kg]; default: nominal.")
-    ] = None,
-    link_mass: Annotated[
-        float | None, typer.Option("--link-mass", help="Mass of the link [kg]; default: the rig's.")
-    ] = None,
+    payload: Payload = None,
+    link_mass: LinkMass = None,
     excitation: Annotated[Excitation, typer.Option("--excitation", help="Motor reference.")] = "prbs",
     amplitude: Annotated[float, typer.Option("--amplitude", help="Size of the excitation [rad].")] = 0.1,
     duration: Annotated[float, typer.Option("--duration", help="Length of the log [s].")] = 20.0,

@@ -10,7 +10,17 @@ from typing import Annotated
 import typer
 
 from fraclink.cli.console import emit, emit_json, steps, tell
-from fraclink.cli.options import Force, Json, LinkMass, ModelFile, RigName, load_link_model, load_rig
+from fraclink.cli.options import (
+    Force,
+    Gear,
+    Json,
+    LinkMass,
+    ModelFile,
+    Payload,
+    RigName,
+    load_link_model,
+    load_rig,
+)
 from fraclink.cli.outcome import FAILS, HOLDS
 from fraclink.files import output_path
 
@@ -56,13 +66,9 @@ def certify(
 
 def twin(
     plan_file: DesignFile,
-    payload: Annotated[
-        float | None, typer.Option("--payload", help="Payload [kg]; default: nominal.")
-    ] = None,
+    payload: Payload = None,
     link_mass: LinkMass = None,
-    gear: Annotated[
-        float | None, typer.Option("--gear", help="Gear ratio to put before the motor; default: the rig's.")
-    ] = None,
+    gear: Gear = None,
     amplitude: Annotated[float, typer.Option("--amplitude", help="Size of the move [rad].")] = 1.0,
     move_time: Annotated[float, typer.Option("--move-time", help="Time of the move [s].")] = 1.0,
     seed: Annotated[int, typer.Option("--seed", help="Seed of the noise.")] = 0,

@@ -1,4 +1,4 @@
-"""FMI 3.0: modelDescription.xml, buildDescription.xml names of platforms (FMI 3.0, sections 2.4 and 2.5)."""
+"""FMI 3.0: both descriptions and the names of platforms (FMI 3.0, sections 2.4 and 2.5)."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ Real = NDArray[np.float64]
 Count = NDArray[np.uint32]
 
 KIND, FORMAT = "realtime-run", 1
-# How a run ends, in the order of the kernel's codes; the last two are errors and never reach a user.
+# How a run ends, in the order of the kernel's codes; "no sample" and "other period" are raised as errors.
 STOPS = ("finished", "signal", "law off", "no sample", "connection failed", "other period")
 SIGNALS = (
     "time",

@@ -66,7 +66,9 @@ def _loop(controller: Controller, natural_frequency: float, parts: _Parts) -> Ca
         value = controller.response(np.imag(s)) * tip(s) * np.exp(-parts.delay * s)
         if parts.sums:  # the backward difference in place of s
             value = value * ((1.0 - np.exp(-s * parts.sums)) / (s * parts.sums)) ** controller.order
-        return np.asarray(value / (1.0 + s / 80.0) ** 2 if parts.motor else value, dtype=np.complex128)
+        return np.asarray(
+            value / (1.0 + s / designs.rig().inner.pole) ** 2 if parts.motor else value, dtype=np.complex128
+        )
 
     return loop
 
@@ -121,7 +123,7 @@ def _printed_poles() -> list[tuple[str, str]]:
     link = LinkModel(designs.rig().link.stiffness, _NOMINAL, order=designs.ORDER)
     found = []
     for number, controller in PRINTED.items():
-        pole = closed_loop_poles(controller, link, inner_pole=80.0)[0]
+        pole = closed_loop_poles(controller, link, inner_pole=designs.rig().inner.pole)[0]
         found.append((number, f"{pole.real:+.3f} ± {abs(pole.imag):.2f}j rad/s"))
     return found
 
