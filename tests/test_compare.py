@@ -376,3 +376,7 @@ def test_refusals():
         compare(rig, payloads=(0.03, -0.01))
     with pytest.raises(FieldError, match="link_mass"):
         compare(rig, link_mass=-0.001)
+    with pytest.raises(
+        FieldError, match=r"names: zzz is part of no rival's name; allowed ours, .*ZV shaping"
+    ):
+        compare(rig, names=["ZV shaping", "zzz"])

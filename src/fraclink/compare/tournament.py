@@ -197,7 +197,7 @@ def compare(
     Raises
     ------
     FieldError
-        the rig has no model, or a value is out of range.
+        the rig has no model, a value is out of range, or no rival's name contains one of `names`.
 
     >>> import fraclink as fl
     >>> result = compare(fl.Rig.named("paper-2023"), payloads=(0.030,), names=["ZV shaping"])
@@ -216,22 +216,37 @@ def compare(
             "payloads", tuple(payloads), "not masses", allowed="> 0 kg", remedy="give masses in kg"
         )
     made = builders(setting)
-    words = [word.lower() for word in made] if names is None else [word.lower() for word in names]
-    chosen = [name for name in made if name == OURS or any(word in name.lower() for word in words)]
+    chosen = _chosen(tuple(made), names)
     standings, runs = [], {}
     for name in chosen:
         if progress is not None:
             progress(name)
         try:
             rival = made[name]()
-        except (
-            InfeasibleError
-        ) as error:  # a request that our own variant cannot meet is no fault of the table
+        except InfeasibleError as error:
+            # a request that our own variant cannot meet is no fault of the table
             notes.append(f"{name} left out: {error}")
             continue
         standing, runs[name] = _standing(setting, twin, rival, move, tuple(payloads), seed)
         standings.append(standing)
     return Tournament(tuple(standings), tuple(notes), runs)
+
+
+def _chosen(known: tuple[str, ...], names: Sequence[str] | None) -> list[str]:
+    """Ours and the rivals that `names` ask for; FieldError for a word that is in no name."""
+    if names is None:
+        return list(known)
+    words = [word.lower() for word in names]
+    for word in words:
+        if not any(word in name.lower() for name in known):
+            raise FieldError(
+                "names",
+                word,
+                "part of no rival's name",
+                allowed=", ".join(known),
+                remedy="give a part of one of these",
+            )
+    return [name for name in known if name == OURS or any(word in name.lower() for word in words)]
 
 
 def _standing(

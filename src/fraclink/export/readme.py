@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict
 
 from fraclink import _kernels
-from fraclink.export.bounds import worst_case
+from fraclink.export.bounds import Bounds, worst_case
 from fraclink.export.data import exact_flags, exact_sizes
 from fraclink.export.proof import Proof
 from fraclink.export.proof.page import claims_text
@@ -82,6 +82,12 @@ def _for_one_design(law: Law) -> str:
     )
 
 
+def _rounding(bounds: Bounds, proof: Proof | None) -> str:
+    if proof is not None and proof["rounding"].status == "proved":
+        return ""  # a sharper bound stands among the claims; two for one thing would confuse
+    return f"| rounding of Ĉe for \\|e\\| ≤ {bounds.error:g} rad, all times | ≤ {bounds.rounding:.2e} rad |\n"
+
+
 def readme(law: Law, *, name: str, data: str, proof: Proof | None = None) -> str:
     """Return the text of the exported README.md; with `proof`, its claims are those of this very folder."""
     bounds = worst_case(law)
@@ -147,6 +153,5 @@ backwards destabilises the arm, and no other check finds it.
 | feed-forward against s^(λ−2)/ϖ² | {law.feedforward_error[0]:.3f} dB, {law.feedforward_error[1]:.3f}° |
 | Ĉ at constant input | exactly 0 |
 | worst-case gain, \\|Ĉe\\| ≤ gain · max\\|e\\| ({made}) | {bounds.gain:.9g} |
-| rounding of Ĉe for \\|e\\| ≤ {bounds.error:g} rad, all times | ≤ {bounds.rounding:.2e} rad |
-
+{_rounding(bounds, proof)}
 {claims_text(law, proof)}"""
