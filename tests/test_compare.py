@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -254,7 +255,6 @@ def test_integer_twin_goes_through_our_crossing(setting):
 
 def test_rivals_and_the_law_run_on_the_same_arm(setting):
     """Our filter run tick by tick in Python, and law.c: the same motor reference to rounding."""
-    from dataclasses import replace
 
     from fraclink.compare.rivals import Rival
     from fraclink.law import Modes
@@ -274,7 +274,6 @@ def test_rivals_and_the_law_run_on_the_same_arm(setting):
 
 def test_feed_forward_is_the_laws(setting):
     """The law without correction at a motor that stands at the reference asks for reference and F θ̈t*."""
-    from dataclasses import replace
 
     from fraclink.law import LawInputs, Modes
 
@@ -356,6 +355,16 @@ def test_verdicts_say_where_a_rival_wins(everything):
 
 
 @pytest.mark.slow
+def test_no_winner_without_somebody_sound_or_somebody_else(everything):
+    ours = everything.standings[0]
+    alone = replace(everything, standings=(ours,))
+    assert alone.verdicts() == ("ours ran alone: there is nobody to compare with",)
+    growing = replace(everything, standings=(replace(ours, growth=0.2), replace(ours, holds=False)))
+    assert growing.winners() == {}
+    assert growing.verdicts()[0].startswith("no figure has a winner")
+    assert "no figure has a winner" in growing.markdown()
+
+
 def test_saved_and_drawn(everything, tmp_path):
     everything.save(tmp_path / "comparison.json")
     data = json.loads((tmp_path / "comparison.json").read_text())
@@ -367,8 +376,6 @@ def test_saved_and_drawn(everything, tmp_path):
 
 
 def test_refusals():
-    from dataclasses import replace
-
     rig = fl.Rig.named("paper-2023")
     with pytest.raises(FieldError, match="model"):
         compare(replace(rig, model=None))

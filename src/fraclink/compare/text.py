@@ -1,4 +1,4 @@
-"""The tournament as Markdown."""
+"""The tournament in sentences and as Markdown."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from fraclink.compare.tournament import Standing, Tournament
 
-__all__ = ["markdown"]
+__all__ = ["markdown", "sentences"]
 
 _HEAD = (
     "rival",
@@ -66,6 +66,38 @@ def _hidden(result: Tournament) -> list[str]:
             f"these runs {bounded}. It is no design to ship, and no figure's winner."
         )
     return ["", "Unstable, though the runs hold:", "", *lines] if lines else []
+
+
+def sentences(result: Tournament) -> tuple[str, ...]:
+    """Return a sentence for every figure: where ours is best, and where a rival is better."""
+    winners, ours = result.winners(), result.standings[0]
+    if not winners:
+        return ("no figure has a winner: nobody holds with a linear loop that is stable",)
+    if len(result.standings) == 1:
+        return (f"{ours.name} ran alone: there is nobody to compare with",)
+    made = []
+    for name, winner in winners.items():
+        words = name.replace("_", " ")
+        best = min(float(getattr(s, name)) for s in result.standings if s.sound)
+        own = float(getattr(ours, name))
+        if ours.name in winner:
+            also = [w for w in winner if w != ours.name]
+            shared = f", with {', '.join(also)}" if also else ""
+            made.append(f"{words}: {ours.name} is best ({_figure(name, own)}){shared}")
+        else:
+            reached = f"{_figure(name, best)} against {_figure(name, own)}"
+            made.append(f"{words}: better than ours: {', '.join(winner)} ({reached})")
+    return tuple(made)
+
+
+def _figure(name: str, value: float) -> str:
+    if math.isinf(value):
+        return "never"
+    if name in ("residual_vibration", "offset_error", "motor_reference_noise"):
+        return f"{1e3 * value if value > 1e-9 else 0.0:.3g} mrad"
+    if name in ("settling_time", "worst_settling"):
+        return f"{value:.3g} s"
+    return f"{100 * value:.2g} %" if name in ("overshoot", "saturated") else f"{value:.3g}"
 
 
 def markdown(result: Tournament) -> str:

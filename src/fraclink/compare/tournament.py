@@ -80,10 +80,13 @@ class Tournament:
     def winners(self) -> dict[str, tuple[str, ...]]:
         """Return who is best in every figure, among the sound: those that hold and whose linear loop does.
 
-        Several names stand together where they differ by less than 2 %, or 0.1 mrad, or 10 ms.
+        Several names stand together where they differ by less than 2 %, or 0.1 mrad, or 10 ms. Empty where
+        nobody is sound.
         """
-        result = {}
+        result: dict[str, tuple[str, ...]] = {}
         able = [s for s in self.standings if s.sound]
+        if not able:
+            return result
         for name, floor in _FIGURES.items():
             values = [float(getattr(s, name)) for s in able]
             best = min(values)
@@ -94,20 +97,9 @@ class Tournament:
 
     def verdicts(self) -> tuple[str, ...]:
         """Return a sentence for every figure: where ours is best, and where a rival is better."""
-        ours = self.standings[0]
-        sentences = []
-        for name, winner in self.winners().items():
-            words = name.replace("_", " ")
-            best = min(float(getattr(s, name)) for s in self.standings if s.sound)
-            own = float(getattr(ours, name))
-            if ours.name in winner:
-                also = [w for w in winner if w != ours.name]
-                shared = f", with {', '.join(also)}" if also else ""
-                sentences.append(f"{words}: ours is best ({_text(name, own)}){shared}")
-            else:
-                better, reached, had = ", ".join(winner), _text(name, best), _text(name, own)
-                sentences.append(f"{words}: better than ours: {better} ({reached} against {had})")
-        return tuple(sentences)
+        from fraclink.compare.text import sentences
+
+        return sentences(self)
 
     def markdown(self) -> str:
         """Return the table, the rules and the verdicts as Markdown."""
@@ -147,16 +139,6 @@ _FIGURES = {
     "states": 0.0,
     "multiplications": 0.0,
 }
-
-
-def _text(name: str, value: float) -> str:
-    if math.isinf(value):
-        return "never"
-    if name in ("residual_vibration", "offset_error", "motor_reference_noise"):
-        return f"{1e3 * value if value > 1e-9 else 0.0:.3g} mrad"
-    if name in ("settling_time", "worst_settling"):
-        return f"{value:.3g} s"
-    return f"{100 * value:.2g} %" if name in ("overshoot", "saturated") else f"{value:.3g}"
 
 
 def compare(
