@@ -365,6 +365,7 @@ def test_no_winner_without_somebody_sound_or_somebody_else(everything):
     assert "no figure has a winner" in growing.markdown()
 
 
+@pytest.mark.slow
 def test_saved_and_drawn(everything, tmp_path):
     everything.save(tmp_path / "comparison.json")
     data = json.loads((tmp_path / "comparison.json").read_text())
