@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fraclink.errors import FieldError
-from fraclink.quantity import checked_between, checked_whole, is_whole
+from fraclink.link import LinkModel
+from fraclink.quantity import checked_between, checked_choice, checked_noun, checked_whole, is_whole
 
 if TYPE_CHECKING:
     from fraclink.fractional import FractionalTransferFunction
     from fraclink.law import Law
     from fraclink.law.block import Precision
-    from fraclink.link import LinkModel
 
 __all__ = ["Controller", "InnerLoopSettings", "Lead"]
 
@@ -52,10 +52,7 @@ class InnerLoopSettings:
             ("kind", self.kind, ("ideal", "sampled")),
             ("placement", self.placement, ("tustin", "direct")),
         ):
-            if value not in allowed:
-                raise FieldError(
-                    field, value, "not known", allowed=" or ".join(allowed), remedy=f"say {allowed[0]!r}"
-                )
+            checked_choice(field, value, allowed, remedy=f"say {allowed[0]!r}")
 
 
 @dataclass(frozen=True)
@@ -182,6 +179,13 @@ class Controller:
                 allowed="1 or 2",
                 remedy="n = 1 for β < 1, else 2",
             )
+        for field, kind, remedy in (
+            ("link", LinkModel, "fit.model, or rig.model"),
+            ("inner", InnerLoopSettings, "InnerLoopSettings(pole=80.0)"),
+            ("lead", Lead, "Lead(zero_time, pole_time, order), or leave it out"),
+        ):
+            if getattr(self, field) is not None:
+                checked_noun(field, getattr(self, field), kind, remedy=remedy)
         if self.period is not None:
             set_(self, "period", checked_between("period", self.period, 0.0, 10.0, "s", open_low=True))
 

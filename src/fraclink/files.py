@@ -22,6 +22,7 @@ from fraclink.errors import FieldError, FileFormatError
 __all__ = [
     "atomic_write",
     "checked_envelope",
+    "checked_path",
     "output_path",
     "parse_json",
     "read_json",
@@ -43,9 +44,27 @@ def sha256_of(path: Path) -> str:
     return digest.hexdigest()
 
 
+def checked_path(field: str, value: object) -> Path:
+    """Return `value` as a path; FieldError for anything that names no file.
+
+    An empty text is refused: it would stand for the folder one happens to be in.
+
+    >>> checked_path("out", "law.fmu").name
+    'law.fmu'
+    >>> checked_path("out", None)
+    Traceback (most recent call last):
+    fraclink.errors.FieldError: out: None is no path; allowed a name of a file or a folder; give its path
+    """
+    text = os.fspath(value) if isinstance(value, str | os.PathLike) else None
+    if not isinstance(text, str) or not text or "\0" in text:
+        allowed = "a name of a file or a folder"
+        raise FieldError(field, repr(value), "no path", allowed=allowed, remedy="give its path")
+    return Path(text)
+
+
 def output_path(path: Path | str, *, force: bool = False) -> Path:
     """Return `path` after checking that it may be written; an existing file needs `force`."""
-    place = Path(path)
+    place = checked_path("out", path)
     if place.exists() and not force:
         raise FieldError(
             "out",

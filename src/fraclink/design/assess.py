@@ -12,8 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 from fraclink.design.loop import OpenLoop
 from fraclink.design.measure import measure
 from fraclink.design.plan import Plan, Requirement, open_loop
+from fraclink.design.request import checked_axis
 from fraclink.errors import FieldError
-from fraclink.quantity import checked_between
+from fraclink.quantity import checked_between, checked_choice, checked_noun
 
 __all__ = [
     "MarginCurve",
@@ -51,9 +52,14 @@ def phase_budget(plan: Plan, payload: float) -> tuple[PhaseShare, ...]:
     >>> print(f"{sum(share.phase for share in shares) + 3.141592653589793:.4f}")
     0.8727
     """
+    checked_noun("plan", plan, Plan, remedy="fl.design makes one")
     loop = open_loop(plan.controller, plan.model, plan.rig, margins="loop")
     pi = plan.natural_frequency(payload)
-    w = float(np.max(loop.crossings(pi, highest=math.pi / plan.rig.period).frequency))
+    crossings = loop.crossings(pi, highest=math.pi / plan.rig.period).frequency
+    if crossings.size == 0:
+        allowed, remedy = "a payload at which |L| crosses one", "give the mass in kg"
+        raise FieldError("payload", payload, "without a gain crossover", allowed=allowed, remedy=remedy)
+    w = float(np.max(crossings))
     inner = 0.0 if loop.correction is None else float(loop.correction(np.asarray(w)).imag)
     return (
         PhaseShare("link", float(loop.link().log(w, pi).imag)),
@@ -91,9 +97,11 @@ def margin_curve(plan: Plan, payloads: ArrayLike, *, kind: str = "loop") -> Marg
         "ideal" (the paper's L), "motor" (its LM, with M(s) and the filter), "loop" (hold and delay too) or
         "sampled" (the law that is shipped, in the exactly sampled loop).
     """
-    masses = np.atleast_1d(np.asarray(payloads, dtype=float))
+    checked_noun("plan", plan, Plan, remedy="fl.design makes one")
+    masses = checked_axis("payloads", payloads)
     for value in masses:
         checked_between("payloads", float(value), 0.0, 1e4, "kg", open_low=True)
+    checked_choice("kind", kind, ("ideal", "motor", "loop", "sampled"), remedy="say 'loop'")
     if kind == "sampled":
         found = [plan.sampled_at(float(m)) for m in masses]
         size = np.array([abs(f.phase_margin) for f in found])
@@ -110,10 +118,6 @@ def margin_curve(plan: Plan, payloads: ArrayLike, *, kind: str = "loop") -> Marg
         "motor": replace(whole, delay=0.0, correction=None),
         "loop": whole,
     }
-    if kind not in loops:
-        raise FieldError(
-            "kind", kind, "not known", allowed="ideal, motor, loop or sampled", remedy="say 'loop'"
-        )
     pi = np.array([plan.natural_frequency(float(m)) for m in masses])
     got = measure(loops[kind], pi, plan.rig.period, highest=math.pi / plan.rig.period)
     return MarginCurve(kind, masses, got.gain_crossover, got.phase_margin, 1.0 / got.sensitivity_peak)
@@ -151,6 +155,7 @@ def _edge(stable: Callable[[float], bool], start: float, end: float) -> float | 
 
 def tolerances(plan: Plan) -> Tolerances:
     """Return how much delay, payload, stiffness and motor-pole error the loop that runs tolerates."""
+    checked_noun("plan", plan, Plan, remedy="fl.design makes one")
     loop = open_loop(plan.controller, plan.model, plan.rig, margins="loop")
     low, high = plan.natural_frequencies
     grid = np.geomspace(low, high, 9)
@@ -212,6 +217,7 @@ def spillover(plan: Plan, modes: Sequence[VibrationMode], *, limit: float = 0.5)
     A mode adds ``share/(1 - (ω/ω_i)² + 2jζω/ω_i)`` to the tip estimate, ``share/(2ζ)`` at its peak; the loop
     gain there is ``|Ĉ M| share/(2ζ)``.
     """
+    checked_noun("plan", plan, Plan, remedy="fl.design makes one")
     checked_between("limit", limit, 0.0, 1e3, "", open_low=True)
     loop = open_loop(plan.controller, plan.model, plan.rig, margins="loop")
     link = loop.link()

@@ -11,10 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from fraclink.design.measure import noise_points
 from fraclink.design.procedure import specification
-from fraclink.design.request import check_request
+from fraclink.design.request import check_arm, check_request, checked_axis
 from fraclink.design.solve import MARGIN_SHARE, Specification
-from fraclink.errors import FieldError, SizeError
-from fraclink.quantity import checked_between
+from fraclink.errors import SizeError
+from fraclink.quantity import checked_between, checked_whole
 
 if TYPE_CHECKING:
     from fraclink.link import LinkModel
@@ -51,9 +51,7 @@ class FeasibilityMap:
 
 
 def _axis(field: str, values: ArrayLike, unit: str) -> Real:
-    axis = np.atleast_1d(np.asarray(values, dtype=float))
-    if axis.ndim != 1:
-        raise FieldError(field, axis.shape, "not a list", allowed="shape (N,)", remedy="give one axis")
+    axis = checked_axis(field, values)
     for value in axis:
         checked_between(field, float(value), 0.0, 1e6, unit, open_low=True)
     return axis
@@ -89,6 +87,8 @@ def feasibility_map(
     >>> found.feasible.tolist(), round(float(found.order[0, 1]), 4)
     ([[False, True]], 0.6122)
     """
+    check_arm(model, rig)
+    checked_whole("filter_order", filter_order, 1, 2)
     crossovers = _axis("gain_crossovers", gain_crossovers, "rad/s")
     angles = _axis("phase_margins", phase_margins, "rad")
     if crossovers.size * angles.size > _CELLS:

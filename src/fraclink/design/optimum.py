@@ -14,7 +14,7 @@ from fraclink.design.plan import Plan
 from fraclink.design.problem import Goal
 from fraclink.design.search import Search
 from fraclink.errors import InfeasibleError
-from fraclink.quantity import checked_between
+from fraclink.quantity import checked_between, checked_noun
 
 __all__ = ["Optimised", "Step", "optimise"]
 
@@ -129,6 +129,7 @@ def optimise(
     >>> better.pays, better.plan.holds, better.gain > 0.5
     (True, True, True)
     """
+    checked_noun("plan", plan, Plan, remedy="fl.design makes one")
     search = Search.of(plan, goal, (max_sensitivity, gain_crossover, noise_gain, mode_gain))
     needed = checked_between("least", least, 0.0, 1.0)
     closed = search.kept(plan.controller)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from fraclink.controller import Controller, InnerLoopSettings
 from fraclink.design.inner import inner_correction, sampled_inner
 from fraclink.design.loop import OpenLoop
-from fraclink.design.request import link_at, payload_of
+from fraclink.design.request import checked_natural_frequency, link_at, payload_of
 from fraclink.design.sampled import SampledPlant, link_plant, realised
 from fraclink.findings import Finding
 
@@ -175,6 +175,7 @@ class Plan:
         """Return every margin of the loop the design was asked for, at a link with this ϖ [s^(-λ/2)]."""
         from fraclink.stability import margins
 
+        checked_natural_frequency(natural_frequency)
         loop = self.loop
 
         def response(s: NDArray[np.complex128]) -> NDArray[np.complex128]:
@@ -185,6 +186,7 @@ class Plan:
 
     def sampled_plant(self, natural_frequency: float) -> SampledPlant:
         """Return what the law sees from its motor reference to the tip estimate, exactly sampled."""
+        checked_natural_frequency(natural_frequency)
         inner, period = self.controller.inner or InnerLoopSettings(), self.rig.period
         link = self.loop.link()
         if inner.kind == "sampled":
@@ -240,7 +242,7 @@ class Plan:
 
     def payload(self, natural_frequency: float) -> float:
         """Return the payload [kg] that gives the link this ϖ: the inverse of ``natural_frequency``."""
-        return payload_of(self.model, self.rig, natural_frequency)
+        return payload_of(self.model, self.rig, checked_natural_frequency(natural_frequency))
 
     def save(self, path: Path | str) -> None:
         """Write the plan to one JSON file that ``Plan.load`` reads back equal."""

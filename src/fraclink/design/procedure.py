@@ -16,7 +16,7 @@ from fraclink.design.infeasible import refuse
 from fraclink.design.inner import inner_correction
 from fraclink.design.loop import OpenLoop
 from fraclink.design.plan import Plan
-from fraclink.design.request import Request, check_request, link_at
+from fraclink.design.request import Request, check_arm, check_request, link_at
 from fraclink.design.solve import Solution, Specification, filter_by_rule, solve
 from fraclink.design.verify import findings_of, verify, worst
 
@@ -107,6 +107,7 @@ def design(
     >>> round(plan.controller.gain, 6), round(plan.controller.order, 6), plan.holds
     (0.069876, 0.612197, True)
     """
+    check_arm(model, rig)
     goals = check_goals(max_sensitivity, noise_gain, settling_time, mode_gain, rig)
     request = check_request(
         model,

@@ -6,14 +6,26 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
+from numpy.typing import NDArray
+
 from fraclink.errors import FieldError
-from fraclink.quantity import checked_between
+from fraclink.link import LinkModel
+from fraclink.quantity import checked_between, checked_noun, checked_series, is_whole
+from fraclink.rig import Rig
 
 if TYPE_CHECKING:
-    from fraclink.link import LinkModel
-    from fraclink.rig import Motor, Rig
+    from fraclink.rig import Motor
 
-__all__ = ["Request", "check_request", "deg", "link_at"]
+__all__ = [
+    "Request",
+    "check_arm",
+    "check_request",
+    "checked_axis",
+    "checked_natural_frequency",
+    "deg",
+    "link_at",
+]
 
 
 def deg(angle: float) -> float:
@@ -52,6 +64,12 @@ class Request:
     period: float
 
 
+def check_arm(model: object, rig: object) -> None:
+    """FieldError where a design is handed anything but a link and a rig, such as a fit or a file's name."""
+    checked_noun("model", model, LinkModel, remedy="fit.model, or rig.model")
+    checked_noun("rig", rig, Rig, remedy="Rig.named or Rig.load make one")
+
+
 def link_at(model: LinkModel, rig: Rig, payload: float) -> LinkModel:
     """Return the link at `payload` [kg]: ϖ ∝ m^(-1/2) from the model's own payload, else eq. (5)."""
     from dataclasses import replace
@@ -59,6 +77,20 @@ def link_at(model: LinkModel, rig: Rig, payload: float) -> LinkModel:
     if model.payload is not None:
         return model.at_payload(payload)
     return replace(model, natural_frequency=rig.natural_frequency(payload), payload=payload)
+
+
+def checked_natural_frequency(value: object) -> float:
+    """Return a link's ϖ as a float; FieldError where it is no number that a link can have."""
+    return checked_between("natural_frequency", value, 0.0, 1e6, "s^(-λ/2)", open_low=True)
+
+
+def checked_axis(field: str, values: object) -> NDArray[np.float64]:
+    """Return one number or a list of them as an array of shape (N,), N > 0; FieldError for anything else."""
+    single = isinstance(values, int | float | np.number) and not isinstance(values, bool)
+    axis = checked_series(field, [values] if single else values, remedy="give one axis of numbers")
+    if axis.size == 0:
+        raise FieldError(field, 0, "without values", allowed="one or more", remedy="give numbers")
+    return axis
 
 
 def payload_of(model: LinkModel, rig: Rig, natural_frequency: float) -> float:
@@ -130,7 +162,7 @@ def _phase_margin(value: object) -> float:
 
 
 def _choice(field: str, value: object, allowed: tuple[str, ...]) -> str:
-    if value not in allowed or not isinstance(value, str):
+    if not isinstance(value, str) or value not in allowed:
         raise FieldError(
             field, value, "not known", allowed=" or ".join(map(repr, allowed)), remedy=f"say {allowed[0]!r}"
         )
@@ -140,11 +172,11 @@ def _choice(field: str, value: object, allowed: tuple[str, ...]) -> str:
 def _filter_order(value: object) -> int | None:
     if value is None:
         return None
-    if isinstance(value, bool) or value not in (1, 2) or not isinstance(value, int):
+    if not is_whole(value, 1, 2):
         raise FieldError(
             "filter_order", value, "not 1 or 2", allowed="1 or 2", remedy="n = 1 for β < 1, else 2"
         )
-    return value
+    return int(value)  # type: ignore[call-overload, no-any-return]
 
 
 def check_request(

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from fraclink.controller import Controller
 from fraclink.design.inner import SampledInner
 from fraclink.design.loop import OpenLoop
-from fraclink.errors import FieldError
+from fraclink.quantity import checked_choice
 
 if TYPE_CHECKING:
     from fraclink.law import Law
@@ -135,19 +135,13 @@ def link_plant(
 
 def realised(controller: Controller, period: float, realisation: str) -> Callable[[Real], Complex]:
     """Return Ĉ as a function of ω [rad/s]: of the law, of the continuous Ĉ, or of Grünwald–Letnikov."""
+    remedy = "say 'law' for what is shipped"
+    checked_choice("realisation", realisation, ("law", "exact", "grunwald"), remedy=remedy)
     if realisation == "law":
         return _law(controller, period).frequency_response
     if realisation == "exact":
         return controller.response
-    if realisation == "grunwald":
-        return lambda w: _grunwald(controller, w, period)
-    raise FieldError(
-        "realisation",
-        realisation,
-        "not known",
-        allowed="'law', 'exact' or 'grunwald'",
-        remedy="say 'law' for what is shipped",
-    )
+    return lambda w: _grunwald(controller, w, period)
 
 
 @lru_cache(maxsize=8)

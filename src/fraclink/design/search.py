@@ -17,7 +17,7 @@ from fraclink.design.problem import Bounds, Goal, Problem, solve
 from fraclink.design.request import check_request
 from fraclink.design.verify import findings_of, verify
 from fraclink.errors import FieldError
-from fraclink.quantity import checked_between
+from fraclink.quantity import checked_between, checked_choice
 
 __all__ = ["Found", "Search"]
 
@@ -49,10 +49,7 @@ class Search:
                 allowed="loop",
                 remedy='design with margins="loop" first',
             )
-        if goal not in ("noise", "crossover"):
-            raise FieldError(
-                "goal", goal, "not known", allowed="'noise' or 'crossover'", remedy="say 'noise'"
-            )
+        checked_choice("goal", goal, ("noise", "crossover"))
         goals = check_goals(asked[0], asked[2], None, asked[3], plan.rig)
         crossover = plan.gain_crossover if asked[1] is None else asked[1]
         crossover = checked_between("gain_crossover", crossover, 0.0, 1e6, "rad/s", open_low=True)
