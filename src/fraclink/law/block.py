@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from typing import Literal
 
 from fraclink.errors import FieldError
+from fraclink.quantity import checked_choice
 
 __all__ = ["COUNTS", "HEADER", "REALS", "Precision", "exact_header", "pack", "real_type", "unpack"]
 
@@ -80,14 +81,8 @@ REALS: tuple[tuple[str, int], ...] = (
 
 def real_type(precision: Precision) -> Literal["f", "d"]:
     """The struct code of a real number, or FieldError for an unknown precision."""
-    if precision not in ("single", "double"):
-        raise FieldError(
-            "precision",
-            precision,
-            "unknown",
-            allowed="single or double",
-            remedy="use single for a microcontroller with a single-precision FPU",
-        )
+    remedy = "use single for a microcontroller with a single-precision FPU"
+    checked_choice("precision", precision, ("single", "double"), remedy=remedy)
     return "f" if precision == "single" else "d"
 
 

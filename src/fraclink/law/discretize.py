@@ -15,15 +15,17 @@ from fraclink.law.correction import fit_correction
 from fraclink.law.law import Law
 from fraclink.law.limits import Moves, derive_limits
 from fraclink.law.nouns import Drive, Modes
+from fraclink.link import LinkModel
 from fraclink.motor import DiscreteInnerLoop, inner_loop
+from fraclink.quantity import checked_noun, checked_number
 from fraclink.rational import DiscreteRational, fit_discrete
+from fraclink.rational.discrete import checked_band
+from fraclink.rig import Rig
 
 if TYPE_CHECKING:
     from fraclink.controller import Controller
-    from fraclink.link import LinkModel
-    from fraclink.rig import Rig
 
-__all__ = ["discretize_controller", "drive_for", "equip"]
+__all__ = ["check_rigs_period", "discretize_controller", "drive_for", "equip"]
 
 # A slow pole must not round to an integrator.
 BELOW_ONE = float(np.nextafter(np.float32(1.0), np.float32(0.0)))
@@ -67,6 +69,7 @@ def discretize_controller(
     (4, True, True)
     """
     real_type(precision)
+    _check_options(link, rig, moves)
     model = link or controller.link
     if model is None:
         raise FieldError(
@@ -77,7 +80,7 @@ def discretize_controller(
             remedy="give the nominal link model: tip estimate and feed-forward need it",
         )
     _check_period(controller, period)
-    reach = band or _band(controller, period)
+    reach = _band(controller, period) if band is None else checked_band(band, period)
     correction = fit_correction(controller, model, period, reach, order)
     forward = _forward_fit(model, period)
     inner_pole = controller.inner.pole if controller.inner is not None else 80.0
@@ -104,14 +107,11 @@ def equip(law: Law, rig: Rig, link: LinkModel, *, moves: Moves | None = None) ->
     The inner loop has the pole the law was made for; its guards are derived again from the gauge's range,
     noise and quantum and the encoder's resolution. Raises FieldError where the periods differ.
     """
-    if not math.isclose(law.period, rig.period, rel_tol=1e-9):
-        raise FieldError(
-            "period",
-            law.period,
-            "not the rig's",
-            allowed=f"{rig.period} s",
-            remedy="discretise the controller at the rig's period",
-        )
+    checked_noun("law", law, Law, remedy="controller.discretize(rig.period) makes one")
+    checked_noun("rig", rig, Rig, remedy="Rig.named or Rig.load make one")
+    checked_noun("link", link, LinkModel, remedy="fit.model, or rig.model")
+    _check_options(None, None, moves)
+    check_rigs_period(law, rig)
     drive = drive_for(rig, law.inner_pole)
     return replace(
         law,
@@ -131,6 +131,18 @@ def equip(law: Law, rig: Rig, link: LinkModel, *, moves: Moves | None = None) ->
     )
 
 
+def check_rigs_period(law: Law, rig: Rig) -> None:
+    """FieldError where the law was made for another period than the rig's."""
+    if not math.isclose(law.period, rig.period, rel_tol=1e-9):
+        raise FieldError(
+            "period",
+            law.period,
+            "not the rig's",
+            allowed=f"{rig.period} s",
+            remedy="discretise the controller at the rig's period",
+        )
+
+
 def drive_for(rig: Rig, pole: float) -> Drive:
     """Return the inner loop of `rig` for the pole p [rad/s], with the compensations its motor needs."""
     motor = rig.motor
@@ -148,9 +160,20 @@ def _stiffness(loop: DiscreteInnerLoop) -> float:
     return loop.direct + loop.filter_gain * (loop.filter_now + loop.filter_before) / (1 - loop.filter_decay)
 
 
+def _check_options(link: object, rig: object, moves: object) -> None:
+    """FieldError where an option that was given is of another kind, before the fit takes its second."""
+    kinds: tuple[tuple[str, object, type, str], ...] = (
+        ("link", link, LinkModel, "fit.model, or rig.model"),
+        ("rig", rig, Rig, "Rig.named or Rig.load make one"),
+        ("moves", moves, Moves, "Moves(angle, velocity, acceleration)"),
+    )
+    for field, value, kind, remedy in kinds:
+        if value is not None:
+            checked_noun(field, value, kind, remedy=remedy)
+
+
 def _check_period(controller: Controller, period: float) -> None:
-    if not (isinstance(period, int | float) and math.isfinite(period) and period > 0):
-        raise FieldError("period", period, "not a positive time", allowed="> 0 s", remedy="give seconds")
+    checked_number("period", period, allowed="> 0 s", remedy="give seconds", holds=lambda time: time > 0.0)
     designed = controller.period
     if designed is not None and not math.isclose(designed, period, rel_tol=1e-9):
         raise FieldError(

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING
 
-from fraclink.errors import FieldError
+from fraclink.quantity import checked_between
 
 if TYPE_CHECKING:
     from fraclink.link import LinkModel
@@ -36,17 +36,16 @@ class Moves:
 
     def __post_init__(self) -> None:
         for field in fields(self):
-            value = getattr(self, field.name)
-            if isinstance(value, bool) or not (
-                isinstance(value, int | float) and math.isfinite(value) and value > 0
-            ):
-                raise FieldError(
-                    f"moves.{field.name}",
-                    value,
-                    "not a positive number",
-                    allowed="> 0, in rad and s",
-                    remedy="give the largest value the reference will have",
-                )
+            value = checked_between(
+                f"moves.{field.name}",
+                getattr(self, field.name),
+                0.0,
+                1e6,
+                "in rad and s",
+                open_low=True,
+                remedy="give the largest value the reference will have",
+            )
+            object.__setattr__(self, field.name, value)
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,8 +87,10 @@ def fit_discrete(
     >>> h.order, h.error_db < 0.1, h.error_deg < 0.5
     (4, True, True)
     """
+    checked_number("period", period, allowed="> 0 s", remedy="give seconds", holds=lambda time: time > 0.0)
     _check(period, band, highest if order is None else order, zeros_at_one)
     _check_tolerance(tolerance_db, tolerance_deg, pairs)
+    checked_number("offset", offset, allowed="a finite number", remedy="1 for C = 1 + H")
     target = _target(response, period, band, zeros_at_one, offset, weight, (tolerance_db, tolerance_deg))
     plane = (math.tan(0.5 * band[0] * period), math.tan(min(0.5 * band[1] * period, 1.55)))
     best = _grown(target, plane, order, highest, pairs)
@@ -140,7 +143,7 @@ def _target(
     above = np.linspace(band[1], nyquist, 21)[1:] * (1 - 1e-9) if band[1] < 0.99 * nyquist else np.empty(0)
     w = np.concatenate([inside, above])
     w = np.minimum(w, nyquist * (1 - 1e-6))  # tan(ωT/2) is infinite at the Nyquist frequency
-    wanted = np.asarray(response(w), dtype=complex)
+    wanted = _values("response", response, w, complex)
     within = np.arange(w.size) < inside.size
     base = np.where(within, offset + wanted, np.abs(wanted))
     if wanted.shape != w.shape or not np.all(np.isfinite(wanted)) or not np.all(base):
@@ -151,7 +154,7 @@ def _target(
             allowed="finite values that are not zero, one for each frequency",
             remedy="check the response between the band's ends and the Nyquist frequency",
         )
-    emphasis = np.ones_like(w) if weight is None else np.where(within, weight(w), 1.0)
+    emphasis = np.ones_like(w) if weight is None else np.where(within, _weights(weight, w, within), 1.0)
     half = 0.5 * w * period
     return Target(
         np.tan(half),
@@ -161,6 +164,34 @@ def _target(
         np.where(within, 20 / (math.log(10) * tolerance[0]), 1 / _GUARD),
         np.where(within, 180 / (math.pi * tolerance[1]), 1 / _GUARD),
     )
+
+
+def _values(field: str, function: object, frequency: Real, kind: type) -> NDArray[Any]:
+    """What the caller's function gives at `frequency`; FieldError where it is none, or gives no numbers."""
+    if not callable(function):
+        allowed = "a function of ω [rad/s]"
+        raise FieldError(field, repr(function), "not to be called", allowed=allowed, remedy="give a function")
+    values = function(frequency)
+    try:
+        return np.asarray(values, dtype=kind)
+    except (TypeError, ValueError) as error:
+        allowed = "one number for each frequency"
+        raise FieldError(
+            field, type(values).__name__, "no numbers", allowed=allowed, remedy="return an array"
+        ) from error
+
+
+def _weights(weight: object, frequency: Real, within: NDArray[np.bool_]) -> Real:
+    values = _values("weight", weight, frequency, float)
+    if values.shape != frequency.shape or not np.all((values > 0.0) & np.isfinite(values), where=within):
+        raise FieldError(
+            "weight",
+            values.shape,
+            "not positive and finite, or of another shape",
+            allowed="> 0, one for each frequency",
+            remedy="check the weight between the band's ends",
+        )
+    return values
 
 
 def checked_band(band: object, period: object | None) -> tuple[float, float]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from fraclink import _kernels
 from fraclink.errors import FieldError
-from fraclink.law import Law, equip
+from fraclink.law import Law, check_rigs_period, equip
 from fraclink.link import LinkModel
 from fraclink.quantity import checked_choice, checked_noun, checked_number, checked_whole
 from fraclink.reference import Reference, checked_reference, sampled
@@ -197,14 +197,7 @@ def _at_payload(model: LinkModel, rig: Rig, payload: float | None) -> LinkModel:
 
 def _fitting(law: Law, rig: Rig, model: LinkModel, inner: str) -> Law:
     checked_choice("inner", inner, ("ideal", "sampled"), remedy='"ideal" is M(s) of (21)')
-    if not math.isclose(law.period, rig.period, rel_tol=1e-9):
-        raise FieldError(
-            "period",
-            law.period,
-            "not the rig's",
-            allowed=f"{rig.period} s",
-            remedy="discretise the controller at the rig's period",
-        )
+    check_rigs_period(law, rig)
     return equip(law, rig, model) if inner == "sampled" and law.drive is None else law
 
 
