@@ -6,16 +6,14 @@ import hashlib
 import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from fraclink.campaign.draws import Distribution, Draws, draws_for
 from fraclink.errors import FieldError, FileFormatError, SizeError
 from fraclink.files import read_json, write_json
+from fraclink.law import Law, equip
 from fraclink.link import LinkModel
-
-if TYPE_CHECKING:
-    from fraclink.law import Law
-    from fraclink.rig import Rig
+from fraclink.quantity import checked_between, checked_choice, checked_noun
+from fraclink.rig import Rig
 
 __all__ = ["PART_RUNS", "Campaign", "load_campaign", "save_campaign"]
 
@@ -45,6 +43,10 @@ class Campaign:
     duration: float = DURATION
 
     def __post_init__(self) -> None:
+        checked_noun("rig", self.rig, Rig, remedy="Rig.named or Rig.load make one")
+        checked_noun("model", self.model, LinkModel, remedy="fit.model, or rig.model")
+        checked_noun("law", self.law, Law, remedy="controller.discretize(rig.period) makes one")
+        checked_noun("draws", self.draws, Draws, remedy="draws_for(rig, model)")
         for name, low, high in (("runs", 1, LARGEST), ("seed", 0, 2**63 - 1)):
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int) or value < low:
@@ -57,18 +59,16 @@ class Campaign:
                 )
             if value > high:
                 raise SizeError(name, value, "too many", allowed=f"<= {high}", remedy="ask for less")
-        if self.inner not in ("ideal", "sampled"):
-            raise FieldError(
-                "inner", self.inner, "not known", allowed="ideal or sampled", remedy='say "sampled"'
-            )
-        if not max(SHAPES) + 1.0 <= self.duration <= 600.0:
-            raise FieldError(
-                "duration",
-                self.duration,
-                "out of range",
-                allowed=f"{max(SHAPES) + 1.0:g} … 600 s",
-                remedy="leave time to settle after the longest move",
-            )
+        checked_choice("inner", self.inner, ("ideal", "sampled"), remedy='say "sampled"')
+        duration = checked_between(
+            "duration",
+            self.duration,
+            max(SHAPES) + 1.0,
+            600.0,
+            "s",
+            remedy="leave time to settle after the longest move",
+        )
+        object.__setattr__(self, "duration", duration)
         if self.model.structure not in ("UD-FOM", "UD-IOM"):
             raise FieldError(
                 "model",
@@ -112,10 +112,11 @@ class Campaign:
         >>> Campaign.of(rig, rig.model, law, runs=2500).parts
         3
         """
-        from fraclink.law import equip
-
+        checked_noun("law", law, Law, remedy="controller.discretize(rig.period) makes one")
+        checked_choice("inner", inner, ("ideal", "sampled"), remedy='say "sampled"')
         equipped = equip(law, rig, model) if inner == "sampled" and law.drive is None else law
-        return Campaign(rig, model, equipped, draws or draws_for(rig, model), runs, seed, inner)
+        chosen = draws_for(rig, model) if draws is None else draws
+        return Campaign(rig, model, equipped, chosen, runs, seed, inner)
 
 
 def _about(campaign: Campaign) -> dict[str, object]:
@@ -146,9 +147,6 @@ def save_campaign(campaign: Campaign, folder: Path) -> None:
 
 def load_campaign(folder: Path | str) -> Campaign:
     """Read back what `save_campaign` wrote; FileFormatError where a file is damaged or does not belong."""
-    from fraclink.law import Law
-    from fraclink.rig import Rig
-
     place = Path(folder)
     data = read_json(place / "campaign.json", KIND, (FORMAT,))
     try:

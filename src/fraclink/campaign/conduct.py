@@ -14,6 +14,8 @@ from pathlib import Path
 from fraclink.campaign.campaign import Campaign, load_campaign, save_campaign
 from fraclink.campaign.part import part_path, read_part, write_part
 from fraclink.errors import FieldError, MissingExtraError, NotConvergedError
+from fraclink.files import checked_path
+from fraclink.quantity import checked_noun, checked_whole
 
 __all__ = ["Progress", "conduct"]
 
@@ -65,11 +67,9 @@ def conduct(
     NotConvergedError
         worker processes die without finishing anything.
     """
-    place = Path(folder)
-    if isinstance(workers, bool) or not isinstance(workers, int) or not 1 <= workers <= 1024:
-        raise FieldError(
-            "workers", workers, "out of range", allowed="1 … 1024", remedy="give the number of cores"
-        )
+    checked_noun("campaign", campaign, Campaign, remedy="Campaign.of makes one, load_campaign reads one")
+    place = checked_path("folder", folder)
+    checked_whole("workers", workers, 1, 1024)
     _claim(campaign, place)
     missing = [part for part in range(campaign.parts) if not _is_done(campaign, place, part)]
     before = campaign.runs - sum(campaign.part_runs(part) for part in missing)

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, fields
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, fields
+from dataclasses import field as with_default
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fraclink.errors import FieldError
-
-if TYPE_CHECKING:
-    from fraclink.link import LinkModel
-    from fraclink.rig import Rig
+from fraclink.link import LinkModel
+from fraclink.quantity import checked_choice, checked_noun, checked_number
+from fraclink.rig import Rig
 
 __all__ = ["Distribution", "Draws", "draw", "draws_for"]
 
@@ -39,11 +38,11 @@ class Distribution:
     high: float
 
     def __post_init__(self) -> None:
-        if self.kind not in _KINDS:
-            raise FieldError(
-                "kind", self.kind, "not known", allowed=", ".join(_KINDS), remedy="use one of them"
-            )
-        if not (math.isfinite(self.low) and math.isfinite(self.high) and self.low <= self.high):
+        checked_choice("kind", self.kind, _KINDS, remedy="use one of them")
+        for name in ("low", "high"):
+            value = checked_number(name, getattr(self, name), allowed="a finite number")
+            object.__setattr__(self, name, value)
+        if self.low > self.high:
             raise FieldError(
                 "low, high",
                 (self.low, self.high),
@@ -87,13 +86,16 @@ class Draws:
     order: Distribution
     gauge_offset: Distribution
     delay_samples: Distribution
-    motor_gain: Distribution = field(default_factory=lambda: _around(1.0, 0.1))
-    viscous_friction: Distribution = field(default_factory=lambda: _around(1.0, 0.3))
-    coulomb_torque: Distribution = field(default_factory=lambda: Distribution("uniform", 0.5, 1.5))
-    noise: Distribution = field(default_factory=lambda: Distribution("uniform", 0.5, 2.0))
-    amplitude: Distribution = field(default_factory=lambda: Distribution("uniform", 0.2, 1.2))
+    motor_gain: Distribution = with_default(default_factory=lambda: _around(1.0, 0.1))
+    viscous_friction: Distribution = with_default(default_factory=lambda: _around(1.0, 0.3))
+    coulomb_torque: Distribution = with_default(default_factory=lambda: Distribution("uniform", 0.5, 1.5))
+    noise: Distribution = with_default(default_factory=lambda: Distribution("uniform", 0.5, 2.0))
+    amplitude: Distribution = with_default(default_factory=lambda: Distribution("uniform", 0.2, 1.2))
 
     def __post_init__(self) -> None:
+        for field in fields(self):
+            own, remedy = getattr(self, field.name), 'say Distribution("uniform", low, high)'
+            checked_noun(f"draws.{field.name}", own, Distribution, remedy=remedy)
         for name in ("payload", "stiffness", "motor_gain", "amplitude"):
             if getattr(self, name).low <= 0.0:
                 raise FieldError(
@@ -134,7 +136,8 @@ def draws_for(rig: Rig, model: LinkModel) -> Draws:
     >>> draws_for(rig, rig.model).payload.high
     0.04
     """
-    order = model.order
+    checked_noun("rig", rig, Rig, remedy="Rig.named or Rig.load make one")
+    order = checked_noun("model", model, LinkModel, remedy="fit.model, or rig.model").order
     return Draws(
         payload=Distribution("uniform", rig.payloads.low, rig.payloads.high),
         stiffness=_around(model.stiffness, 0.08),

@@ -16,6 +16,7 @@ from fraclink.campaign.links import batch_links
 from fraclink.campaign.metrics import Signals, measure_many
 from fraclink.errors import MissingExtraError
 from fraclink.files import atomic_write
+from fraclink.quantity import checked_noun, checked_whole
 from fraclink.reference import sampled, smooth_step
 
 if TYPE_CHECKING:
@@ -32,7 +33,8 @@ SUBSTEPS = 10  # friction steps in a period, as in `simulate`
 
 def simulate_part(campaign: Campaign, part: int) -> dict[str, NDArray[np.generic]]:
     """Return parameters and metrics of every run of a part, by column name; shape (runs of the part,)."""
-    runs = campaign.part_runs(part)
+    checked_noun("campaign", campaign, Campaign, remedy="Campaign.of makes one, load_campaign reads one")
+    runs = campaign.part_runs(checked_whole("part", part, 0, campaign.parts - 1))
     values = draw(campaign.draws, campaign.seed, part, runs)
     path = unit_paths(campaign)
     columns = [_simulate_block(campaign, values, path, part, at) for at in range(0, runs, BLOCK)]

@@ -13,6 +13,7 @@ from fraclink.campaign.draws import draw
 from fraclink.campaign.part import BLOCK, SUBSTEPS, Block, block_of, shared_rig, unit_paths
 from fraclink.errors import FieldError
 from fraclink.link import LinkModel
+from fraclink.quantity import checked_noun, is_whole
 from fraclink.reference import smooth_step
 from fraclink.rig import Rig
 from fraclink.simulate.run import Run, Settings
@@ -25,7 +26,8 @@ Real = NDArray[np.float64]
 
 def _drawn(campaign: Campaign, run: int) -> tuple[dict[str, Real], int, int]:
     """All draws of the run's part, the part, and the run's place in it."""
-    if not 0 <= run < campaign.runs:
+    checked_noun("campaign", campaign, Campaign, remedy="Campaign.of makes one, load_campaign reads one")
+    if not is_whole(run, 0, campaign.runs - 1):
         raise FieldError(
             "run",
             run,

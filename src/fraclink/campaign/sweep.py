@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING
 
 from fraclink.errors import FieldError, InfeasibleError, SizeError
 from fraclink.files import read_json, write_json
+from fraclink.quantity import checked_between, checked_noun, checked_series, checked_whole
+from fraclink.rig import Rig
 
 if TYPE_CHECKING:
     from fraclink.law import Law
     from fraclink.link import LinkModel
-    from fraclink.rig import Rig
 
     # rig, gain crossover, phase margin, payloads, link mass: plain values that reach any process
     Task = tuple[Rig, float, float, tuple[float, ...], float | None]
@@ -109,7 +110,9 @@ def sweep(
     >>> map_.cells[0].holds, map_.cells[0].infeasible
     (True, '')
     """
-    _model(rig)
+    _model(checked_noun("rig", rig, Rig, remedy="Rig.named or Rig.load make one"))
+    if link_mass is not None:
+        link_mass = checked_between("link_mass", link_mass, 0.0, 1e4, "kg")
     masses = (
         sorted({rig.payloads.low, rig.payloads.nominal, rig.payloads.high}) if payloads is None else payloads
     )
@@ -122,10 +125,7 @@ def sweep(
         raise SizeError(
             "cells", math.prod(map(len, axes)), "too many", allowed=f"<= {LARGEST}", remedy="ask less"
         )
-    if isinstance(workers, bool) or not isinstance(workers, int) or not 1 <= workers <= 1024:
-        raise FieldError(
-            "workers", workers, "out of range", allowed="1 … 1024", remedy="give the number of cores"
-        )
+    checked_whole("workers", workers, 1, 1024)
     tasks = [(rig, crossover, margin, axes[2], link_mass) for crossover in axes[0] for margin in axes[1]]
     cells: list[Cell] = []
     for done, row in enumerate(_rows(tasks, workers), start=1):
@@ -148,7 +148,7 @@ def _model(rig: Rig) -> LinkModel:
 
 
 def _axis(name: str, values: Sequence[float]) -> tuple[float, ...]:
-    axis = tuple(map(float, values))
+    axis = tuple(map(float, checked_series(name, values, remedy="give a list of numbers")))
     if not axis or not all(math.isfinite(v) and v > 0.0 for v in axis) or len(set(axis)) != len(axis):
         raise FieldError(
             name, list(axis), "not usable", allowed="different numbers > 0", remedy="give at least one value"

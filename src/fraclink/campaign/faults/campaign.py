@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from fraclink.campaign.faults.table import FaultTable
 from fraclink.campaign.faults.trial import MOVE, Bench, Signals, Trial, execute
 from fraclink.errors import FieldError
 from fraclink.law import Law
+from fraclink.quantity import checked_choice, checked_noun
 
 __all__ = ["cases", "observe", "run_case", "run_faults"]
 
@@ -32,20 +34,24 @@ def cases(
 
     Raises FieldError for unknown faults, phases, severities, payloads, and where nothing is left to run.
     """
-    faults = [fault_named(name) for name in only] or list(CATALOGUE)
+    _checked_bench(bench)
+    faults = [fault_named(name) for name in _listed("only", only)] or list(CATALOGUE)
+    masses = _listed("payloads", payloads) or bench.payloads
+    chosen = tuple(checked_choice("phase", phase, PHASES) for phase in _listed("phases", phases))
+    degrees, dice = _listed("severities", severities), _listed("seeds", seeds)
     result = tuple(
-        Case(fault.number, severity, float(payload), phase, seed)
+        Case(fault.number, severity, payload, phase, seed)
         for fault in faults
-        for severity in severities
-        for payload in (payloads or bench.payloads)
-        for phase in phases
-        for seed in seeds
-        if _sensible(fault, severity, phase)
+        for severity in degrees
+        for payload in masses
+        for phase in chosen
+        for seed in dice
+        if phase in fault.phases and (severity, phase) not in fault.skips
     )
     if not result:
         raise FieldError(
             "phase",
-            ", ".join(phases),
+            ", ".join(chosen),
             "none in which the fault is run",
             allowed=", ".join(sorted({phase for fault in faults for phase in fault.phases})),
             remedy="choose one of these",
@@ -53,14 +59,22 @@ def cases(
     return result
 
 
-def _sensible(fault: Fault, severity: int, phase: str) -> bool:
-    if phase not in PHASES:
-        raise FieldError("phase", phase, "unknown", allowed=", ".join(PHASES), remedy="choose one of these")
-    return phase in fault.phases and (severity, phase) not in fault.skips
+def _checked_bench(bench: object) -> None:
+    checked_noun("bench", bench, Bench, remedy="Bench.of(plan) makes one")
+
+
+def _listed(field: str, values: object) -> tuple[Any, ...]:
+    """Return a list's values; FieldError for a single one, which a text would be taken apart for."""
+    if not isinstance(values, list | tuple | range):
+        allowed, remedy = "a list", "put even a single value in a list"
+        raise FieldError(field, repr(values), "no list", allowed=allowed, remedy=remedy)
+    return tuple(values)
 
 
 def observe(bench: Bench, case: Case, law: Law, *, clean: CleanRuns | None = None) -> Evidence:
     """Run one case with `law` and return both runs; `clean` keeps the clean ones for the next case."""
+    _checked_bench(bench)
+    checked_noun("law", law, Law, remedy="bench.law, or plan.law()")
     fault = fault_named(case.fault)
     trial = _trial(bench, fault, case, law)
     fault.inject(trial)
@@ -100,7 +114,8 @@ def run_case(bench: Bench, case: Case, *, single: bool = True, clean: CleanRuns 
     >>> outcome.holds, outcome.mode, outcome.reason, outcome.reacted
     (True, 'degraded', 'gauge', 5)
     """
-    fault = fault_named(case.fault)
+    _checked_bench(bench)
+    fault = fault_named(checked_noun("case", case, Case, remedy="cases(bench) makes them").fault)
     e = observe(bench, case, bench.law.in_precision("double"), clean=clean)
     checks = [*shared_checks(e, e.faulty), *(check(e) for check in fault.checks)]
     if single:
@@ -141,6 +156,8 @@ def run_faults(
 
     progress: called with the number of each fault when it begins. about: what the table is to remember.
     """
+    _checked_bench(bench)
+    _listed("planned", planned)
     return FaultTable(
         outcomes=tuple(_outcomes(bench, planned, single, progress)),
         about={"law_sha256": bench.law.digest, **(about or {})},

@@ -23,7 +23,7 @@ def fault_named(number: str) -> Fault:
     'encoder stuck in a move'
     """
     for fault in CATALOGUE:
-        if fault.number == number.upper():
+        if isinstance(number, str) and fault.number == number.upper():
             return fault
     raise FieldError(
         "only", number, "not in the catalogue", allowed="F01 … F44", remedy="choose one of these"

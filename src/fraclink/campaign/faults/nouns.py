@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from fraclink.errors import FieldError
+from fraclink.quantity import checked_between, checked_choice, checked_noun, checked_whole
 
 if TYPE_CHECKING:
     from fraclink.campaign.faults.evidence import Evidence
@@ -55,16 +55,12 @@ class Case:
     seed: int
 
     def __post_init__(self) -> None:
-        for field, good, allowed in (
-            ("severity", self.severity in (1, 2, 3), "1, 2 or 3"),
-            ("phase", self.phase in PHASES, ", ".join(PHASES)),
-            ("payload", 0.0 < self.payload < 1e3, "> 0 kg"),
-            ("seed", 0 <= self.seed < 2**63, ">= 0"),
-        ):
-            if not good:
-                raise FieldError(
-                    field, getattr(self, field), "out of range", allowed=allowed, remedy="choose one of these"
-                )
+        checked_noun("fault", self.fault, str, remedy="the number of a fault, such as F07")
+        checked_whole("severity", self.severity, 1, 3)
+        mass = checked_between("payload", self.payload, 0.0, 1e3, "kg", open_low=True)
+        object.__setattr__(self, "payload", mass)
+        checked_choice("phase", self.phase, PHASES)
+        checked_whole("seed", self.seed, 0, 2**63 - 1)
 
     @property
     def name(self) -> str:

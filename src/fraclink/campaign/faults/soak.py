@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fraclink.campaign.faults.trial import Bench
-from fraclink.errors import FieldError
+from fraclink.quantity import checked_noun, checked_whole
 from fraclink.reference import hold, smooth_step
 from fraclink.twin.loop import healthy_inputs
 from fraclink.twin.vessel import GAUGE_ERROR, Vessel
@@ -36,8 +36,9 @@ def soak(bench: Bench, payload: float, *, periods: int = 1_000_000, seed: int = 
     payload [kg] > 0. The gauge has the rig's noise, offset and quantum. Raises FieldError for a count below
     1.
     """
-    if periods < 1:
-        raise FieldError("periods", periods, "nothing to run", allowed=">= 1", remedy="give a count")
+    checked_noun("bench", bench, Bench, remedy="Bench.of(plan) makes one")
+    checked_whole("periods", periods, 1, 10**12)
+    checked_whole("seed", seed, 0, 2**64 - 1)
     law = bench.law
     twin = bench.twin.with_payload(payload)
     generator = np.random.default_rng(seed)

@@ -13,14 +13,15 @@ from numpy.typing import NDArray
 
 from fraclink.campaign.faults.nouns import Case
 from fraclink.errors import FieldError
+from fraclink.quantity import checked_noun
 from fraclink.reference import Reference, smooth_step
+from fraclink.rig import Rig
 from fraclink.twin.loop import driven, healthy_inputs
 from fraclink.twin.vessel import REFERENCE, Vessel
 
 if TYPE_CHECKING:
     from fraclink.design import Plan
     from fraclink.law import Law
-    from fraclink.rig import Rig
     from fraclink.twin import Twin
 
 __all__ = ["MOVE", "TIMES", "Bench", "Signals", "Trial", "execute"]
@@ -49,9 +50,12 @@ class Bench:
     @staticmethod
     def of(plan: Plan, rig: Rig | None = None, *, link_mass: float | None = None) -> Bench:
         """Return the bench of a design on `rig` (default: its own), with its shipped law and motor loop."""
+        from fraclink.design import Plan
         from fraclink.twin import Twin
 
+        checked_noun("plan", plan, Plan, remedy="fl.design makes one")
         arm = plan.rig if rig is None else rig
+        checked_noun("rig", arm, Rig, remedy="Rig.named or Rig.load make one")
         law = replace(plan, rig=arm).law()
         twin = Twin.from_rig(arm, link_mass=link_mass)
         low, high = plan.payloads
