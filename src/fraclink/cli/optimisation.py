@@ -80,7 +80,7 @@ def optimise(
     rows = [
         (
             s.structure,
-            "keeps the bounds nowhere" if math.isnan(s.value) else f"{s.value:.4g}",
+            "none found in the bounds" if math.isnan(s.value) else f"{s.value:.4g}",
             "taken" * s.taken,
         )
         for s in found.steps

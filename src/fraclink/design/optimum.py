@@ -63,7 +63,7 @@ class Optimised:
         word, unit = ("worst noise gain", "") if self.goal == "noise" else ("smallest crossover", " rad/s")
         lines = [f"{word}, each structure with the same bounds, taken if better by {100 * self.least:g} %:"]
         for step in self.steps:
-            value = "keeps the bounds nowhere" if math.isnan(step.value) else f"{step.value:.4g}{unit}"
+            value = "none found in the bounds" if math.isnan(step.value) else f"{step.value:.4g}{unit}"
             lines.append(f"  {step.structure}: {value}{', taken' if step.taken else ''}")
         if not self.pays:
             lines.append("nothing else pays: the closed-form design is returned as it is")
