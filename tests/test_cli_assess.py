@@ -103,3 +103,24 @@ def test_the_map_is_a_figure_and_its_numbers(tmp_path: Path, capsys: pytest.Capt
     assert other["order"][3][4] == pytest.approx(plan.controller.order, rel=1e-9)
     assert b"<svg" in place.read_bytes()
     assert main(line) == 2  # what is there is kept without --force
+
+
+@pytest.mark.parametrize(
+    ("option", "told"),
+    [
+        (["--crossovers", "40", "8"], "say --crossovers 8 40"),
+        (["--crossovers", "8", "8"], "low < high"),
+        (["--out", "map.pdf"], "map.pdf is of another kind; allowed .svg or .png"),
+    ],
+)
+def test_a_map_of_no_range_or_of_another_kind_is_refused(
+    option: list[str],
+    told: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("map.json").write_text("{}", encoding="utf-8")  # the ending is the first thing that is wrong
+    assert main(["design-map", "--rig", "paper-2023", *option]) == 2
+    assert told in capsys.readouterr().err

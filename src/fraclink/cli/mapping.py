@@ -13,6 +13,7 @@ from fraclink.cli.console import emit, emit_json
 from fraclink.cli.figures import save_axes
 from fraclink.cli.options import Force, Json, PayloadRange, RigName, load_rig
 from fraclink.cli.outcome import FAILS, HOLDS
+from fraclink.errors import FieldError
 from fraclink.files import output_path, write_json
 
 if TYPE_CHECKING:
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
 
 __all__ = ["register"]
 
+_KINDS = (".svg", ".png")
 _NOISE = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 300.0)
 _SETTLING = (0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6, 0.8)
 
@@ -72,6 +74,14 @@ def design_map(
     from fraclink.design.feasibility import feasibility_map
     from fraclink.study.request import model_of
 
+    if out.suffix.lower() not in _KINDS:
+        allowed, remedy = " or ".join(_KINDS), "end the figure's name in one of these"
+        raise FieldError("out", out.name, "of another kind", allowed=allowed, remedy=remedy)
+    low, high = crossovers
+    if not low < high:
+        remedy = f"say --crossovers {high:g} {low:g}" if high < low else "give two different numbers"
+        allowed = "low < high"
+        raise FieldError("crossovers", crossovers, "no range", allowed=allowed, remedy=remedy)
     place = output_path(out, force=force)
     numbers = output_path(place.with_suffix(".json"), force=force)
     arm = load_rig(rig)
@@ -79,7 +89,7 @@ def design_map(
         model_of(arm, None),
         arm,
         payloads=payloads,
-        gain_crossovers=np.linspace(*crossovers, points),
+        gain_crossovers=np.linspace(low, high, points),
         phase_margins=np.radians(np.linspace(10.0, 110.0, points)),
         filter_time=filter_time,
         filter_order=filter_order,
