@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from fraclink.export.sources import law_source
-from fraclink.files import atomic_write, output_path
+from fraclink.files import atomic_write, checked_path, output_path
 
 __all__ = ["export_io"]
 
@@ -62,8 +62,9 @@ def export_io(folder: Path | str, *, force: bool = False) -> tuple[Path, ...]:
     >>> [path.name for path in export_io(tempfile.mkdtemp())]
     ['arm_io.h', 'my_board.c']
     """
+    chosen = checked_path("folder", folder)
     contents = {"arm_io.h": law_source("arm_io.h"), "my_board.c": _BOARD}
-    places = {name: output_path(Path(folder) / name, force=force) for name in contents}
+    places = {name: output_path(chosen / name, force=force) for name in contents}
     for name, place in places.items():
         with atomic_write(place, "wb") as stream:
             stream.write(contents[name])

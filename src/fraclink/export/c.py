@@ -15,9 +15,10 @@ from fraclink.export.proof import prove as prove_folder
 from fraclink.export.readme import readme
 from fraclink.export.selftest import selftest_source
 from fraclink.export.sources import law_source
-from fraclink.files import atomic_write
+from fraclink.files import atomic_write, checked_path
 from fraclink.law import Law
 from fraclink.law.block import Precision
+from fraclink.quantity import checked_noun
 
 if TYPE_CHECKING:
     from fraclink.certify import Certificate
@@ -76,7 +77,12 @@ def export_c(
     """
     identifier("name", name)
     title_text(title)
-    place = Path(folder)
+    checked_noun("law", law, Law, remedy="controller.discretize(rig.period) makes one")
+    if certificate is not None:
+        from fraclink.certify import Certificate
+
+        checked_noun("certificate", certificate, Certificate, remedy="fraclink.certify makes one")
+    place = checked_path("folder", folder)
     if place.is_file() or (place.is_dir() and any(place.iterdir()) and not force):
         raise FieldError(
             "out",

@@ -19,6 +19,7 @@ from fraclink.export.sources import law_source
 from fraclink.files import atomic_write, output_path
 from fraclink.law import Law
 from fraclink.law.block import Precision
+from fraclink.quantity import checked_noun, is_whole
 
 __all__ = ["export_fmu"]
 
@@ -78,11 +79,15 @@ def export_fmu(
     >>> export_fmu(law, Path(tempfile.mkdtemp()) / "arm_law.fmu", fmi=3, compilers=()).name
     'arm_law.fmu'
     """
+    checked_noun("law", law, Law, remedy="controller.discretize(rig.period) makes one")
+    if not isinstance(compilers, list | tuple):
+        allowed = "a list of names"
+        raise FieldError("compilers", repr(compilers), "no list", allowed=allowed, remedy='say ("cc",)')
     place = output_path(path, force=force)
     if place.suffix != ".fmu":
         raise FieldError("out", place.name, "of another kind", allowed=".fmu", remedy="end the name in .fmu")
     name = identifier("out", place.stem)
-    if fmi not in _STANDARDS:
+    if not is_whole(fmi, 2, 3):
         raise FieldError("fmi", fmi, "not offered", allowed="2 or 3", remedy="2 is read by every importer")
     standard = _STANDARDS[fmi]
     shipped = law if precision is None else law.in_precision(precision)

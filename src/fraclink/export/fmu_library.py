@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from fraclink.errors import FieldError
+from fraclink.quantity import checked_noun
 
 __all__ = ["SUFFIXES", "compiled", "found", "platform_of"]
 
@@ -20,7 +21,7 @@ _FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-shared", "-fvisibil
 
 def found(compiler: str) -> str:
     """Return the path of a compiler, or raise FieldError where it is not installed."""
-    path = shutil.which(compiler)
+    path = shutil.which(checked_noun("compiler", compiler, str, remedy="a name on the PATH, such as cc"))
     if path is None:
         raise FieldError(
             "compiler",

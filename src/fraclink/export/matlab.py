@@ -11,6 +11,7 @@ from fraclink.errors import FieldError
 from fraclink.export.names import identifier
 from fraclink.files import atomic_write, output_path
 from fraclink.law import Law
+from fraclink.quantity import checked_noun
 
 __all__ = ["export_matlab"]
 
@@ -32,6 +33,7 @@ def export_matlab(law: Law, path: Path | str, *, force: bool = False) -> Path:
     >>> export_matlab(law, Path(tempfile.mkdtemp()) / "arm_law.m").name
     'arm_law.m'
     """
+    checked_noun("law", law, Law, remedy="controller.discretize(rig.period) makes one")
     place = output_path(path, force=force)
     if place.suffix not in (".m", ".mat"):
         raise FieldError(

@@ -13,7 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from fraclink.errors import FieldError
 from fraclink.experiment import Experiment
+from fraclink.files import checked_path
 from fraclink.law import Law
+from fraclink.quantity import checked_noun, checked_series
 
 __all__ = ["Replay", "replay", "replay_log"]
 
@@ -105,10 +107,16 @@ def replay(
     from fraclink.export.names import identifier
 
     identifier("name", name)
-    place = Path(folder).resolve()
+    checked_noun("law", law, Law, remedy="Law.load reads the folder's law.json")
+    place = checked_path("folder", folder).resolve()
     rows = np.ascontiguousarray(
         np.column_stack(
-            [np.asarray(x, float) for x in (reference, reference_acceleration, motor_angle, torque)]
+            _signals(
+                reference=reference,
+                reference_acceleration=reference_acceleration,
+                motor_angle=motor_angle,
+                torque=torque,
+            )
         )
     )
     _check_block(place, law, name)
@@ -134,13 +142,24 @@ def replay(
     )
 
 
+def _signals(**given: ArrayLike) -> list[Real]:
+    """The four columns; FieldError where one is none, or of another length than the first."""
+    columns = [checked_series(field, values) for field, values in given.items()]
+    for field, column in zip(given, columns, strict=True):
+        if column.shape != columns[0].shape:
+            allowed = f"{columns[0].size} samples, as many as the reference has"
+            raise FieldError(field, column.size, "of another length", allowed=allowed, remedy="cut or extend")
+    return columns
+
+
 def replay_log(folder: Path | str, log: Experiment, *, compiler: str = "cc") -> Replay:
     """Run the sensors of a log through the law exported to `folder` and through the package's, and compare.
 
     The motor's own path is the reference, with acceleration 0, so that the guards see a motor that
     follows. The law is the folder's law.json. Raises FieldError where its period [s] is not that of the log.
     """
-    place = Path(folder)
+    checked_noun("log", log, Experiment, remedy="read_log makes one")
+    place = checked_path("folder", folder)
     law_file = place / "law.json"
     if not law_file.is_file():
         raise FieldError(
@@ -188,7 +207,7 @@ def _check_block(place: Path, law: Law, name: str) -> None:
 
 
 def _compiled(place: Path, law: Law, name: str, compiler: str, log: bytes) -> bytes:
-    found = shutil.which(compiler)
+    found = shutil.which(checked_noun("compiler", compiler, str, remedy="a name on the PATH, such as cc"))
     if found is None:
         raise FieldError(
             "compiler", compiler, "not installed", allowed="a C compiler", remedy="install gcc or clang"
