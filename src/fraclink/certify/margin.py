@@ -9,16 +9,14 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from fraclink.certify.balls import Disc, Loop, Window, outside
 from fraclink.certify.numeric import loop_values
 from fraclink.certify.search import Box, halves, widest_side
 from fraclink.certify.statement import Statement
 from fraclink.design.solve import root
-
-if TYPE_CHECKING:
-    from fraclink.law import Law
+from fraclink.law import Law
+from fraclink.quantity import checked_between, checked_noun, checked_whole
 
 __all__ = ["Enclosure", "enclose_phase_margin"]
 
@@ -89,6 +87,10 @@ def enclose_phase_margin(
     The upper end is attained at a crossing, known to rounding; the lower end is proved by bisection. For
     margins below 90°.
     """
+    checked_noun("statement", statement, Statement, remedy="certify(plan).statement")
+    checked_noun("law", law, Law, remedy="the law that was certified")
+    checked_between("width", width, 0.0, 0.5 * math.pi, "rad", open_low=True)
+    checked_whole("most", most, 1, 10**9)
     high, payload, frequency = _attained(statement, law)
     loop = Loop(statement, law.coefficients)
     windows: Windows = {}

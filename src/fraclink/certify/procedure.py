@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 from fraclink.certify.balls import Loop, load_flint
 from fraclink.certify.certificate import Certificate
@@ -15,12 +14,10 @@ from fraclink.controller import Controller
 from fraclink.design import Plan
 from fraclink.design.request import link_at
 from fraclink.errors import FieldError
-from fraclink.quantity import checked_between
-
-if TYPE_CHECKING:
-    from fraclink.law import Law
-    from fraclink.link import LinkModel
-    from fraclink.rig import Rig
+from fraclink.law import Law, discretize_controller
+from fraclink.link import LinkModel
+from fraclink.quantity import checked_between, checked_choice, checked_noun
+from fraclink.rig import Rig
 
 __all__ = ["certify"]
 
@@ -121,11 +118,12 @@ def _statement(
     law: Law | None,
     inner: str | None,
 ) -> tuple[Statement, Law]:
+    _check_nouns(subject, model, rig, law)
     if isinstance(subject, Plan):
         model, rig = model or subject.model, rig or subject.rig
-        payloads, law = payloads or subject.payloads, law or subject.law()
+        payloads, law = subject.payloads if payloads is None else payloads, law or subject.law()
         settings = subject.controller.inner
-        inner = inner or (settings.kind if settings else "ideal")
+        inner = (settings.kind if settings else "ideal") if inner is None else inner
     if model is None or rig is None:
         raise FieldError(
             "model" if model is None else "rig",
@@ -135,17 +133,15 @@ def _statement(
             remedy="give both beside a controller or a law, or certify a plan",
         )
     if isinstance(subject, Controller):
-        from fraclink.law import discretize_controller
-
         law = law or discretize_controller(subject, rig.period, link=model, rig=rig)
     chosen = law if law is not None else subject
     assert not isinstance(chosen, (Plan, Controller))  # noqa: S101  # both branches above gave a law
-    light, heavy = payloads or (rig.payloads.low, rig.payloads.high)
+    light, heavy = _ends("payloads", (rig.payloads.low, rig.payloads.high) if payloads is None else payloads)
     light = checked_between("payloads[0]", light, 0.0, 1e4, "kg", open_low=True)
     heavy = checked_between("payloads[1]", heavy, light, 1e4, "kg")
-    kind = inner or "ideal"
+    kind = checked_choice("inner", "ideal" if inner is None else inner, ("ideal", "sampled"))
     period = chosen.period
-    first, last = delay or (0.0, period)
+    first, last = _ends("delay", (0.0, period) if delay is None else delay)
     first = checked_between("delay[0]", first, 0.0, 8.0 * period, "s")
     last = checked_between("delay[1]", last, first, period if kind == "sampled" else 8.0 * period, "s")
     nominal = link_at(model, rig, heavy)
@@ -161,6 +157,27 @@ def _statement(
         modulus=0.5,
     )
     return claim, chosen
+
+
+def _ends(field: str, value: object) -> tuple[object, object]:
+    if not isinstance(value, tuple | list) or len(value) != 2:
+        allowed, remedy = "(low, high)", "give two numbers, the same twice for one value"
+        raise FieldError(field, repr(value), "not a pair", allowed=allowed, remedy=remedy)
+    return value[0], value[1]
+
+
+def _check_nouns(subject: object, model: object, rig: object, law: object) -> None:
+    if not isinstance(subject, Plan | Controller | Law):
+        allowed, remedy = "a Plan, a Controller or a Law", "fl.design makes a plan"
+        raise FieldError("subject", repr(subject), "none of them", allowed=allowed, remedy=remedy)
+    kinds: tuple[tuple[str, object, type, str], ...] = (
+        ("model", model, LinkModel, "fit.model, or rig.model"),
+        ("rig", rig, Rig, "Rig.named or Rig.load make one"),
+        ("law", law, Law, "controller.discretize(rig.period) makes one"),
+    )
+    for field, value, kind, remedy in kinds:
+        if value is not None:
+            checked_noun(field, value, kind, remedy=remedy)
 
 
 def _unstable(
