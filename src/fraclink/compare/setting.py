@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypedDict
+from typing import TypedDict
 
 from fraclink.compare.linear import NominalLoop, law_filter
 from fraclink.controller import Controller
 from fraclink.errors import FieldError
 from fraclink.law import Law
+from fraclink.link import LinkModel
+from fraclink.quantity import checked_between, checked_noun
+from fraclink.rig import Rig
 from fraclink.twin.arm import Twin, damping_of, geared
 from fraclink.twin.loop import driven
-
-if TYPE_CHECKING:
-    from fraclink.link import LinkModel
-    from fraclink.rig import Rig
 
 __all__ = ["Request", "Setting", "prepare"]
 
@@ -51,10 +50,13 @@ def prepare(
     """Return what the rivals are told, the twin they run on, and what was assumed."""
     from fraclink.design import design
 
-    known = model or rig.model
+    checked_noun("rig", rig, Rig, remedy="Rig.named or Rig.load make one")
+    known = rig.model if model is None else checked_noun("model", model, LinkModel, remedy="fit.model")
     if known is None:
         raise FieldError("model", None, "missing", allowed="a LinkModel", remedy="identify one first")
-    mass = rig.link.mass or 0.00735 if link_mass is None else link_mass
+    mass = rig.link.mass or 0.00735
+    if link_mass is not None:
+        mass = checked_between("link_mass", link_mass, 0.0, 1e4, "kg")
     nominal = known.at_payload(rig.payloads.nominal) if known.payload else known
     notes = [f"link of {1e3 * mass:g} g, {damping_of(nominal).label}"]
     if Twin.from_rig(rig, link_mass=mass, damping=damping_of(nominal)).findings:

@@ -9,9 +9,19 @@ from pathlib import Path
 from typing import NamedTuple
 
 from fraclink.errors import FieldError
-from fraclink.quantity import checked_whole
+from fraclink.files import checked_path
+from fraclink.quantity import checked_noun, checked_whole
 
-__all__ = ["Callback", "Command", "Connection", "Library", "SharedMemory", "Udp", "parse_connection"]
+__all__ = [
+    "Callback",
+    "Command",
+    "Connection",
+    "Library",
+    "SharedMemory",
+    "Udp",
+    "check_connection",
+    "parse_connection",
+]
 
 _NAME = re.compile(r"[A-Za-z0-9_-]{1,64}")
 _FORMS = "udp:HOST:PORT, shm:NAME or library:FILE.so"
@@ -45,7 +55,7 @@ class Udp:
     port: int
 
     def __post_init__(self) -> None:
-        if not self.host:
+        if not isinstance(self.host, str) or not self.host:
             raise FieldError("io", "udp:", "without a host", allowed=_FORMS, remedy="udp:127.0.0.1:5005")
         checked_whole("port", self.port, 1, 65535)
 
@@ -64,7 +74,7 @@ class SharedMemory:
     name: str
 
     def __post_init__(self) -> None:
-        if not _NAME.fullmatch(self.name):
+        if not isinstance(self.name, str) or not _NAME.fullmatch(self.name):
             raise FieldError(
                 "io",
                 f"shm:{self.name}",
@@ -86,6 +96,9 @@ class Library:
     """
 
     path: Path
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "path", checked_path("path", self.path))
 
     def __str__(self) -> str:
         return f"library:{self.path}"
@@ -110,6 +123,13 @@ class Callback:
 Connection = Udp | SharedMemory | Library | Callback
 
 
+def check_connection(value: object) -> None:
+    """FieldError for anything that is no way to an arm, the words of the command line among it."""
+    if not isinstance(value, Connection):
+        allowed, remedy = "Udp, SharedMemory, Library or Callback", "parse_connection reads udp:HOST:PORT"
+        raise FieldError("connection", repr(value), "no way to an arm", allowed=allowed, remedy=remedy)
+
+
 def parse_connection(text: str) -> Udp | SharedMemory | Library:
     """Return what the words of the command line name: udp:HOST:PORT, shm:NAME or library:FILE.so.
 
@@ -120,6 +140,7 @@ def parse_connection(text: str) -> Udp | SharedMemory | Library:
     fraclink.errors.FieldError: io: tcp:localhost:5005 is no way to an arm; allowed udp:HOST:PORT, shm:NAME or
     library:FILE.so; start with udp:, shm: or library:
     """
+    checked_noun("io", text, str, remedy="udp:127.0.0.1:5005")
     kind, _, rest = text.partition(":")
     if kind == "shm":
         return SharedMemory(rest)

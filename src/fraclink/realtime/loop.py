@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from fraclink import _kernels
 from fraclink.errors import FieldError
 from fraclink.law import Law
-from fraclink.quantity import checked_number, checked_whole
-from fraclink.realtime.connections import Connection
+from fraclink.quantity import checked_noun, checked_number, checked_whole
+from fraclink.realtime.connections import Connection, check_connection
 from fraclink.realtime.run import MARKS, SIGNALS, STOPS, RealtimeRun, first_difference
-from fraclink.reference import Reference, sampled
+from fraclink.reference import Reference, checked_reference, sampled
 
 __all__ = ["PRIORITY", "check_machine", "granted_priority", "period_ns", "run_realtime"]
 
@@ -87,9 +87,12 @@ def run_realtime(
     ('finished', 0.2, None, 4)
     """
     check_machine()
+    checked_noun("law", law, Law, remedy="plan.law() makes one")
+    checked_reference(reference)
+    check_connection(connection)
     nanoseconds = period_ns(law.period)
     length = reference.duration + SETTLE if duration is None else duration
-    checked_number("duration", length, allowed=f">= {law.period} s", holds=lambda x: x >= law.period)
+    length = checked_number("duration", length, allowed=f">= {law.period} s", holds=lambda x: x >= law.period)
     checked_number("patience", patience, allowed="0 to 3600 s", holds=lambda x: 0 <= x <= 3600)
     checked_whole("priority", priority, 0, 99)
     checked_whole("allowed_overruns", allowed_overruns, 0, 2**31)

@@ -56,8 +56,8 @@ class Bench:
         checked_noun("plan", plan, Plan, remedy="fl.design makes one")
         arm = plan.rig if rig is None else rig
         checked_noun("rig", arm, Rig, remedy="Rig.named or Rig.load make one")
-        law = replace(plan, rig=arm).law()
         twin = Twin.from_rig(arm, link_mass=link_mass)
+        law = replace(plan, rig=arm).law()
         low, high = plan.payloads
         nominal = arm.payloads.nominal
         if not low <= nominal <= high:
