@@ -14,6 +14,8 @@ import pytest
 from fmu_bench import Imported, fmpy_or_skip, outputs_of, sources_of
 from fraclink.errors import FieldError
 from fraclink.export import export_fmu
+from fraclink.export.fmu_model import VARIABLES
+from fraclink.export.sources import law_source
 from law_bench import law, run, signals
 from needed_tools import tool
 from test_export import run as shell
@@ -21,6 +23,11 @@ from test_export_gates import CLANG, GCC
 
 FMIS = [2, 3]
 ROWS = signals(1000)
+
+
+def test_the_largest_flags_are_all_flags_of_the_law() -> None:
+    bits = re.findall(r"#define LAW_FLAG_\w+ (\d+)U", law_source("law.h").decode())
+    assert next(v.largest for v in VARIABLES if v.name == "flags") == sum(map(int, bits))
 
 
 @pytest.mark.parametrize("fmi", FMIS)
