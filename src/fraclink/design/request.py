@@ -23,6 +23,7 @@ __all__ = [
     "check_request",
     "checked_axis",
     "checked_natural_frequency",
+    "checked_pair",
     "deg",
     "link_at",
 ]
@@ -100,7 +101,8 @@ def payload_of(model: LinkModel, rig: Rig, natural_frequency: float) -> float:
     return rig.payloads.nominal * (rig.natural_frequency(rig.payloads.nominal) / natural_frequency) ** 2
 
 
-def _pair(field: str, value: object, high: float, unit: str) -> tuple[float, float]:
+def checked_pair(field: str, value: object, high: float, unit: str) -> tuple[float, float]:
+    """Return (low, high), each in (0, high]; FieldError for anything else."""
     if not isinstance(value, (tuple, list)) or len(value) != 2:
         raise FieldError(
             field, value, "not a pair", allowed=f"(low, high) in {unit}", remedy="give two numbers"
@@ -134,11 +136,11 @@ def _range(
             remedy="leave one out",
         )
     if natural_frequencies is not None:
-        low, high = _pair("natural_frequencies", natural_frequencies, 1e4, "s^(-λ/2)")
+        low, high = checked_pair("natural_frequencies", natural_frequencies, 1e4, "s^(-λ/2)")
         return low, high, (payload_of(model, rig, high), payload_of(model, rig, low))
     if payloads is None:
         payloads = (rig.payloads.low, rig.payloads.high)
-    light, heavy = _pair("payloads", payloads, 1e4, "kg")
+    light, heavy = checked_pair("payloads", payloads, 1e4, "kg")
     return (
         link_at(model, rig, heavy).natural_frequency,
         link_at(model, rig, light).natural_frequency,

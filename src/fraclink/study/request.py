@@ -8,11 +8,12 @@ from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING
 
 from fraclink.errors import FieldError, InfeasibleError
+from fraclink.link import LinkModel
+from fraclink.quantity import checked_noun
+from fraclink.rig import Rig
 
 if TYPE_CHECKING:
     from fraclink.design import Plan
-    from fraclink.link import LinkModel
-    from fraclink.rig import Rig
 
 __all__ = ["Request", "design_for"]
 
@@ -107,12 +108,16 @@ def design_for(rig: Rig, model: LinkModel | None, request: Request) -> tuple[Pla
     (0.0699, ())
     """
     from fraclink.design import design
+    from fraclink.design.request import checked_pair
 
-    link = model_of(rig, model)
+    checked_noun("rig", rig, Rig, remedy="Rig.named or Rig.load make one")
+    checked_noun("request", request, Request, remedy="Request(gain_crossover=12.0)")
+    link = checked_noun("model", model_of(rig, model), LinkModel, remedy="fit.model, or rig.model")
     asked = _completed(request, rig)
     assumed: tuple[str, ...] = ()
     if asked.gain_crossover is None and asked.settling_time is None:
-        crossover, sentence = _usual_crossover(link, (asked.payloads or (0.0, rig.payloads.high))[1])
+        own = (rig.payloads.low, rig.payloads.high) if asked.payloads is None else asked.payloads
+        crossover, sentence = _usual_crossover(link, checked_pair("payloads", own, 1e4, "kg")[1])
         asked, assumed = replace(asked, gain_crossover=crossover), (sentence,)
     options = {item.name: getattr(asked, item.name) for item in fields(asked)}
     if asked.phase_margin is not None or asked.max_sensitivity is not None:
