@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from fraclink import _kernels
 from fraclink.errors import FieldError
 from fraclink.law import Law
-from fraclink.quantity import checked_noun, checked_number, checked_whole
+from fraclink.quantity import checked_between, checked_noun, checked_number, checked_whole
 from fraclink.realtime.connections import Connection, check_connection
 from fraclink.realtime.run import MARKS, SIGNALS, STOPS, RealtimeRun, first_difference
 from fraclink.reference import Reference, checked_reference, sampled
@@ -92,7 +92,8 @@ def run_realtime(
     check_connection(connection)
     nanoseconds = period_ns(law.period)
     length = reference.duration + SETTLE if duration is None else duration
-    length = checked_number("duration", length, allowed=f">= {law.period} s", holds=lambda x: x >= law.period)
+    # The periods must be a number before they can be found too many.
+    length = checked_between("duration", length, law.period, 1e300, "s")
     checked_number("patience", patience, allowed="0 to 3600 s", holds=lambda x: 0 <= x <= 3600)
     checked_whole("priority", priority, 0, 99)
     checked_whole("allowed_overruns", allowed_overruns, 0, 2**31)

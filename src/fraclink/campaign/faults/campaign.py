@@ -14,7 +14,7 @@ from fraclink.campaign.faults.table import FaultTable
 from fraclink.campaign.faults.trial import MOVE, Bench, Signals, Trial, execute
 from fraclink.errors import FieldError
 from fraclink.law import Law
-from fraclink.quantity import checked_choice, checked_noun
+from fraclink.quantity import checked_choice, checked_noun, checked_whole
 
 __all__ = ["cases", "observe", "run_case", "run_faults"]
 
@@ -38,14 +38,14 @@ def cases(
     faults = [fault_named(name) for name in _listed("only", only)] or list(CATALOGUE)
     masses = _listed("payloads", payloads) or bench.payloads
     chosen = tuple(checked_choice("phase", phase, PHASES) for phase in _listed("phases", phases))
-    degrees, dice = _listed("severities", severities), _listed("seeds", seeds)
+    degrees = tuple(checked_whole("severity", degree, 1, 3) for degree in _listed("severities", severities))
     result = tuple(
         Case(fault.number, severity, payload, phase, seed)
         for fault in faults
         for severity in degrees
         for payload in masses
         for phase in chosen
-        for seed in dice
+        for seed in _listed("seeds", seeds)
         if phase in fault.phases and (severity, phase) not in fault.skips
     )
     if not result:
@@ -157,7 +157,8 @@ def run_faults(
     progress: called with the number of each fault when it begins. about: what the table is to remember.
     """
     _checked_bench(bench)
-    _listed("planned", planned)
+    for case in _listed("planned", planned):
+        checked_noun("planned", case, Case, remedy="cases(bench) makes them")
     return FaultTable(
         outcomes=tuple(_outcomes(bench, planned, single, progress)),
         about={"law_sha256": bench.law.digest, **(about or {})},
