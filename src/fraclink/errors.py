@@ -90,6 +90,10 @@ class UnstableError(FieldError):
     """The quantity asked for exists for stable systems only."""
 
 
+# Of the arguments that a request names; the others have none.
+_UNITS = {"phase_margin": " rad", "gain_crossover": " rad/s"}
+
+
 class InfeasibleError(FraclinkError, ValueError):
     """A design request cannot be met.
 
@@ -99,7 +103,7 @@ class InfeasibleError(FraclinkError, ValueError):
 
     def __init__(self, condition: str, explanation: str, nearest: dict[str, float] | None = None) -> None:
         self.condition, self.explanation, self.nearest = condition, explanation, dict(nearest or {})
-        hint = ", ".join(f"{name} = {value:.6g}" for name, value in self.nearest.items())
+        hint = ", ".join(f"{n} = {value:.6g}{_UNITS.get(n, '')}" for n, value in self.nearest.items())
         super().__init__(f"{condition}: {explanation}" + (f"; nearest feasible: {hint}" if hint else ""))
 
 
