@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from fraclink.law.discretize import check_rigs_period, discretize_controller, drive_for, equip
+from fraclink.law.discretize import discretize_controller, drive_for, equip
 from fraclink.law.law import Law
 from fraclink.law.limits import Limits, Moves, derive_limits
 from fraclink.law.nouns import MODES, REASONS, Drive, LawInputs, LawOutputs, Modes
@@ -17,7 +17,6 @@ __all__ = [
     "Limits",
     "Modes",
     "Moves",
-    "check_rigs_period",
     "derive_limits",
     "discretize_controller",
     "drive_for",

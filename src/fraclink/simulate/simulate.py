@@ -10,7 +10,8 @@ import numpy as np
 
 from fraclink import _kernels
 from fraclink.errors import FieldError
-from fraclink.law import Law, check_rigs_period, equip
+from fraclink.law import Law, equip
+from fraclink.law.discretize import check_rigs_period
 from fraclink.link import LinkModel
 from fraclink.quantity import checked_choice, checked_noun, checked_number, checked_whole
 from fraclink.reference import Reference, checked_reference, sampled
