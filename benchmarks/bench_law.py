@@ -234,14 +234,6 @@ def speed() -> None:
         f"{each}; tips differ {apart:.1e}",
     )
     figure("a period from Python / plain C without guards", f"{without:.2f}", "<= 2", without <= 2.0, each)
-    campaign = 10_000 * 5000 * middle["python"] / PERIODS
-    figure(
-        "10 000 runs of 5000 periods, one core",
-        f"{campaign:.1f} s",
-        "<= 8 s",
-        campaign <= 8.0,
-        "extrapolated",
-    )
 
 
 def main() -> None:
