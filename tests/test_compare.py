@@ -388,3 +388,21 @@ def test_refusals():
         FieldError, match=r"names: zzz is part of no rival's name; allowed ours, .*ZV shaping"
     ):
         compare(rig, names=["ZV shaping", "zzz"])
+
+
+@pytest.mark.parametrize("field", ["payloads", "names", "seed", "reference"])
+def test_what_is_no_payload_name_seed_or_reference_is_refused_by_its_field(field: str):
+    for junk in (
+        "12",
+        b"x",
+        1j,
+        print,
+        math.nan,
+        -1.0,
+        10**400,
+        [None],
+        [[1.0], [1.0, 2.0]],
+        np.ones((3, 3)),
+    ):
+        with pytest.raises(FieldError, match=field):
+            compare(RIG, **{"names": ["ours"], field: junk})

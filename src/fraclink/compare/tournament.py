@@ -10,12 +10,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fraclink.compare.rivals import OFFSET, OURS, Rival, builders
+from fraclink.compare.asked import checked_masses, checked_words, chosen_rivals
+from fraclink.compare.rivals import OFFSET, Rival, builders
 from fraclink.compare.run import run_rival
 from fraclink.compare.setting import Request, Setting, prepare
 from fraclink.compare.spillover import linear_growth, mode_gain
-from fraclink.errors import FieldError, InfeasibleError
-from fraclink.reference import Reference, smooth_step
+from fraclink.errors import InfeasibleError
+from fraclink.quantity import checked_whole
+from fraclink.reference import Reference, checked_reference, smooth_step
 from fraclink.twin.arm import Twin
 from fraclink.twin.run import TwinRun
 
@@ -191,14 +193,12 @@ def compare(
         "phase_margin": phase_margin,
         "filter_time": filter_time,
     }
+    masses, words = checked_masses(payloads), checked_words(names)
+    checked_whole("seed", seed, 0, 2**64 - 1)
+    move = smooth_step(1.0, duration=1.0) if reference is None else checked_reference(reference)
     setting, twin, notes = prepare(rig, model, link_mass, request)
-    move = smooth_step(1.0, duration=1.0) if reference is None else reference
-    if not payloads or any(not (math.isfinite(p) and p > 0.0) for p in payloads):
-        raise FieldError(
-            "payloads", tuple(payloads), "not masses", allowed="> 0 kg", remedy="give masses in kg"
-        )
     made = builders(setting)
-    chosen = _chosen(tuple(made), names)
+    chosen = chosen_rivals(tuple(made), words)
     standings, runs = [], {}
     for name in chosen:
         if progress is not None:
@@ -209,26 +209,9 @@ def compare(
             # a request that our own variant cannot meet is no fault of the table
             notes.append(f"{name} left out: {error}")
             continue
-        standing, runs[name] = _standing(setting, twin, rival, move, tuple(payloads), seed)
+        standing, runs[name] = _standing(setting, twin, rival, move, masses, seed)
         standings.append(standing)
     return Tournament(tuple(standings), tuple(notes), runs)
-
-
-def _chosen(known: tuple[str, ...], names: Sequence[str] | None) -> list[str]:
-    """Ours and the rivals that `names` ask for; FieldError for a word that is in no name."""
-    if names is None:
-        return list(known)
-    words = [word.lower() for word in names]
-    for word in words:
-        if not any(word in name.lower() for name in known):
-            raise FieldError(
-                "names",
-                word,
-                "part of no rival's name",
-                allowed=", ".join(known),
-                remedy="give a part of one of these",
-            )
-    return [name for name in known if name == OURS or any(word in name.lower() for word in words)]
 
 
 def _standing(
