@@ -23,7 +23,7 @@ def checked_masses(payloads: Sequence[float]) -> tuple[float, ...]:
 
 
 def checked_words(names: Sequence[str] | None) -> tuple[str, ...] | None:
-    """Return the words in small letters, None for every rival; FieldError for anything but a list of words."""
+    """Return the words in small letters, None for every rival; FieldError for what is no list of words."""
     if names is None:
         return None
     listed = isinstance(names, Sequence) and not isinstance(names, str)
