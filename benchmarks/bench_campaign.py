@@ -25,9 +25,9 @@ import numpy as np
 
 import fraclink as fl
 from fraclink import _kernels
-from fraclink.campaign import Campaign, conduct, simulate_part
-from fraclink.campaign import part as part_module
-from fraclink.campaign.draws import draw
+from fraclink._campaign import Campaign, conduct, simulate_part
+from fraclink._campaign import part as part_module
+from fraclink._campaign.draws import draw
 
 ROOT = Path(__file__).resolve().parent.parent
 TICKS = 5000
@@ -131,7 +131,7 @@ def scaling() -> None:
 
 ALONE = """
 import sys, time
-from fraclink.campaign import load_campaign, simulate_part
+from fraclink._campaign import load_campaign, simulate_part
 asked = load_campaign(sys.argv[1])
 simulate_part(asked, 0)
 began = time.thread_time()
@@ -143,7 +143,7 @@ print(time.thread_time() - began)
 
 def implied() -> None:
     """The same by processor time, which others disturb less: one process against two at once."""
-    from fraclink.campaign import save_campaign
+    from fraclink._campaign import save_campaign
 
     with tempfile.TemporaryDirectory() as folder:
         save_campaign(campaign(8000, ticks=TICKS), Path(folder))
@@ -169,7 +169,7 @@ def implied() -> None:
 
 MEMORY = """
 import resource, sys
-from fraclink.campaign.conduct import compute
+from fraclink._campaign.conduct import compute
 for part in range(int(sys.argv[2])):
     compute(sys.argv[1], part)
 print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
@@ -178,7 +178,7 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
 
 def memory() -> None:
     """Largest resident memory of a worker after 1 and after 20 parts of a campaign of a million runs."""
-    from fraclink.campaign import save_campaign
+    from fraclink._campaign import save_campaign
 
     with tempfile.TemporaryDirectory() as folder:
         save_campaign(campaign(1_000_000), Path(folder))

@@ -21,13 +21,13 @@ from types import ModuleType
 import numpy as np
 
 import fraclink as fl
-from fraclink.certify import Certificate, certify, enclose_phase_margin
-from fraclink.design import Plan
-from fraclink.design.feasibility import feasibility_map
-from fraclink.design.inner import inner_costs
-from fraclink.design.poles import PRINTED, closed_loop_poles, match_at
-from fraclink.design.rivals import compare_at_equal_sensitivity
-from fraclink.rig import Rig
+from fraclink._arm.rig import Rig
+from fraclink._certify import Certificate, certify, enclose_phase_margin
+from fraclink._design import Plan
+from fraclink._design.feasibility import feasibility_map
+from fraclink._design.inner import inner_costs
+from fraclink._design.poles import PRINTED, closed_loop_poles, match_at
+from fraclink._design.rivals import compare_at_equal_sensitivity
 
 RIG = Rig.named("paper-2023")
 WANTED = {"payloads": (0.020, 0.040), "gain_crossover": 12.0, "phase_margin": fl.deg(50)}

@@ -15,11 +15,11 @@ from dataclasses import replace
 import numpy as np
 
 import fraclink as fl
-from fraclink.campaign.faults import CATALOGUE, Bench, Case, FaultTable, cases, run_faults, soak
-from fraclink.campaign.faults.inject import TICK_MISSED, add_fault
-from fraclink.campaign.faults.trial import MOVE, Trial, execute
-from fraclink.law import Modes, Moves, equip
-from fraclink.twin import geared
+from fraclink._campaign.faults import CATALOGUE, Bench, Case, FaultTable, cases, run_faults, soak
+from fraclink._campaign.faults.inject import TICK_MISSED, add_fault
+from fraclink._campaign.faults.trial import MOVE, Trial, execute
+from fraclink._law import Modes, Moves, equip
+from fraclink._simulate.twin import geared
 
 
 def line(what: str, value: str, wanted: str, error: str = "") -> None:

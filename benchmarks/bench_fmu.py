@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 import fraclink as fl
-from fraclink.export import export_fmu
-from fraclink.law import Law, discretize_controller
-from fraclink.twin import SensorFault, Twin, TwinRun, geared, run_twin
+from fraclink._export import export_fmu
+from fraclink._law import Law, discretize_controller
+from fraclink._simulate.twin import SensorFault, Twin, TwinRun, geared, run_twin
 
 INPUTS = ("reference", "reference_acceleration", "motor_angle", "torque")
 

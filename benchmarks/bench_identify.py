@@ -15,18 +15,18 @@ import numpy as np
 from scipy.fft import rfft
 from scipy.optimize import least_squares
 
-from fraclink.experiment import Experiment
-from fraclink.identify import (
+from fraclink._arm.experiment import Experiment
+from fraclink._arm.link import LinkModel
+from fraclink._identify import (
     Fit,
     identify,
     identify_all,
     identify_motor,
     identify_payloads,
 )
-from fraclink.identify.motor_example import example_motor_log
-from fraclink.identify.problem import Window
-from fraclink.link import LinkModel
-from fraclink.response import grunwald_letnikov
+from fraclink._identify.motor_example import example_motor_log
+from fraclink._identify.problem import Window
+from fraclink._systems.response import grunwald_letnikov
 from identify_logs import NOISE, PERIOD, SAMPLES, TRUTH, clean_log, line, noisy_log
 from identify_recorded import daisy, real_logs
 

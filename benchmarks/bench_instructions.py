@@ -11,9 +11,9 @@ import tempfile
 from pathlib import Path
 
 from bench_law import ROOT, default_law, figure
-from fraclink.export import export_c
-from fraclink.export.data import exact_flags, exact_sizes
-from fraclink.law import Law
+from fraclink._export import export_c
+from fraclink._export.data import exact_flags, exact_sizes
+from fraclink._law import Law
 
 CORE = ("-mcpu=cortex-m4", "-mfpu=fpv4-sp-d16", "-mfloat-abi=hard", "-DLAW_SINGLE")
 CLANG = ("clang", "--target=thumbv7em-none-eabihf", "-ffreestanding")

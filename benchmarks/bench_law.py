@@ -19,9 +19,9 @@ import numpy as np
 
 import fraclink as fl
 from fraclink import _kernels
-from fraclink.export import export_c
-from fraclink.law import Law, discretize_controller, equip
-from fraclink.simulate.plant import link_weights
+from fraclink._export import export_c
+from fraclink._law import Law, discretize_controller, equip
+from fraclink._simulate.plant import link_weights
 
 ROOT = Path(__file__).resolve().parents[1]
 RIG = fl.Rig.named("paper-2023")

@@ -32,8 +32,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import fraclink as fl
-from fraclink.files import write_text
-from fraclink.response import grunwald_letnikov
+from fraclink._files import write_text
+from fraclink._systems.response import grunwald_letnikov
 
 PAGE = Path(__file__).parents[1] / "docs" / "explanation" / "_peers.md"
 Real = NDArray[np.float64]

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 import fraclink as fl
 from bench_law import RIG, figure
-from fraclink.law import Law, discretize_controller
+from fraclink._law import Law, discretize_controller
 
 PERIODS = 1_000_000
 BITS = 160

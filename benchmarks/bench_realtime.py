@@ -21,9 +21,9 @@ import numpy as np
 
 import fraclink as fl
 from fraclink import _kernels
-from fraclink.export import export_io
-from fraclink.law import Law, equip
-from fraclink.realtime import (
+from fraclink._export import export_io
+from fraclink._law import Law, equip
+from fraclink._realtime import (
     Callback,
     Connection,
     Library,
@@ -33,7 +33,7 @@ from fraclink.realtime import (
     run_realtime,
     serve_arm,
 )
-from fraclink.twin import Twin, geared
+from fraclink._simulate.twin import Twin, geared
 
 RIG = geared(fl.Rig.named("paper-2023"))
 PRIORITY = 80

@@ -17,10 +17,10 @@ from pathlib import Path
 import numpy as np
 from scipy.fft import rfft
 
-from fraclink.fractional import FractionalTransferFunction, s
-from fraclink.response import discretize, grunwald_letnikov, step_response, time_response
-from fraclink.response.discrete import held_quotient
-from fraclink.response.modes import DiscreteModes
+from fraclink._systems.fractional import FractionalTransferFunction, s
+from fraclink._systems.response import discretize, grunwald_letnikov, step_response, time_response
+from fraclink._systems.response.discrete import held_quotient
+from fraclink._systems.response.modes import DiscreteModes
 
 PERIOD = 0.004
 REFERENCE = Path(__file__).parents[1] / "tests" / "reference" / "step_responses.json"

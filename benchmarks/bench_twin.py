@@ -14,14 +14,14 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
+from fraclink._arm.experiment import Experiment
+from fraclink._arm.reference import prbs, smooth_step
+from fraclink._arm.rig import Rig
+from fraclink._compare.linear import NominalLoop, law_filter, sampled
+from fraclink._design import design
+from fraclink._identify import identify_all
 from fraclink._kernels import twin_march
-from fraclink.compare.linear import NominalLoop, law_filter, sampled
-from fraclink.design import design
-from fraclink.experiment import Experiment
-from fraclink.identify import identify_all
-from fraclink.reference import prbs, smooth_step
-from fraclink.rig import Rig
-from fraclink.twin import (
+from fraclink._simulate.twin import (
     Beam,
     FractionalKelvinVoigt,
     KelvinVoigt,

@@ -16,7 +16,7 @@ import time
 from pathlib import Path
 
 import fraclink as fl
-from fraclink.campaign import Campaign, conduct, summarise
+from fraclink._campaign import Campaign, conduct, summarise
 
 
 def line(what: str, value: str, wanted: str, error: str = "") -> None:

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink.experiment import Experiment
-from fraclink.identify import simulated_torque
-from fraclink.link import LinkModel
+from fraclink._arm.experiment import Experiment
+from fraclink._arm.link import LinkModel
+from fraclink._identify import simulated_torque
 
 PERIOD = 0.004
 SAMPLES = 5000

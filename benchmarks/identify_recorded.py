@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fraclink.identify import frequency_response, identify_all, identify_frequency_response
+from fraclink._identify import frequency_response, identify_all, identify_frequency_response
 from identify_logs import ist, line, merced, recorded
 
 

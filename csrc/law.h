@@ -154,7 +154,7 @@ typedef struct {
     law_real stuck_torque;   /* change of the model's torque at which an unchanged gauge is stuck [N m] */
     law_real stiffness;      /* c [N m/rad], for the model's torque */
     law_real wiring_energy;  /* sum of squared motor steps from which the wiring test decides [rad^2] */
-    /* inner loop: u = a2 eps - b1 angle + integral + filter, see fraclink.motor */
+    /* inner loop: u = a2 eps - b1 angle + integral + filter, see fraclink._arm.motor */
     law_real inner_direct;
     law_real inner_angle;
     law_real integral_now; /* gains times the Tustin weights [V/rad] */

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 import fraclink as fl
-from fraclink.law import Law, LawOutputs, discretize_controller
-from fraclink.reference import Path as Trajectory
-from fraclink.twin import PayloadChange, SensorFault, TipPulse, Twin, TwinRun, geared, run_twin
+from fraclink._arm.reference import Path as Trajectory
+from fraclink._law import Law, LawOutputs, discretize_controller
+from fraclink._simulate.twin import PayloadChange, SensorFault, TipPulse, Twin, TwinRun, geared, run_twin
 from law_bench import default_controller
 from needed_tools import missing
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink.experiment import Experiment
-from fraclink.identify import simulated_torque
-from fraclink.link import LinkModel
+from fraclink._arm.experiment import Experiment
+from fraclink._arm.link import LinkModel
+from fraclink._identify import simulated_torque
 
 PERIOD = 0.004
 TRUTH = LinkModel(stiffness=1.56, natural_frequency=10.02, order=1.92)

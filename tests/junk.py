@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 
 import fraclink as fl
+from fraclink._arm.experiment import Experiment
+from fraclink._arm.link import LinkModel
+from fraclink._identify import simulated_torque
+from fraclink._simulate.twin import geared
 from fraclink.errors import FraclinkError
-from fraclink.experiment import Experiment
-from fraclink.identify import simulated_torque
-from fraclink.link import LinkModel
-from fraclink.twin import geared
 
 Call = tuple[Callable[..., object], Callable[[], Mapping[str, Any]]]
 

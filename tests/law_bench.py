@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import fraclink as fl
-from fraclink.law import Law, LawInputs, LawOutputs, discretize_controller
+from fraclink._law import Law, LawInputs, LawOutputs, discretize_controller
 
 PERIOD = 0.004
 DESIGN = (0.069876, 0.612197)  # default design of issue 2: c 1.56, 20-40 g, 12 rad/s, 50 degrees, no filter

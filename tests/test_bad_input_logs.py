@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fraclink._arm.rig import Channel, LogColumns, Rig, parse_columns
+from fraclink._logs.readers import limits as reader_limits
+from fraclink._logs.readers import read_columns, read_log
 from fraclink.errors import FieldError, FileFormatError, LogError, SizeError
-from fraclink.readers import limits as reader_limits
-from fraclink.readers import read_columns, read_log
-from fraclink.rig import Channel, LogColumns, Rig, parse_columns
 from made_logs import HEADER, made_rows, write_log
 
 Rows = list[list[str]]
@@ -241,7 +241,7 @@ def test_b51_b55_a_gigabyte_is_refused_without_being_read(
 
 
 def test_b55_too_many_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from fraclink.readers import text
+    from fraclink._logs.readers import text
 
     monkeypatch.setattr(text, "SAMPLE_LIMIT", 300)
     error = refused(write_log(tmp_path / "log.csv", made_rows()))
@@ -473,7 +473,7 @@ def test_columns_stated_in_words_equal_those_of_a_rig_file() -> None:
 
 
 def test_the_command_line_states_columns_and_repairs(tmp_path: Path) -> None:
-    from fraclink.cli import main
+    from fraclink._cli import main
 
     rows = made_rows(600)
     rows[100][1], rows[200][0] = "nan", rows[199][0]

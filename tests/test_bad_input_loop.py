@@ -9,19 +9,21 @@ import numpy as np
 import pytest
 
 import fraclink as fl
-from fraclink import _kernels, campaign, export
-from fraclink.campaign import Campaign, Distribution, Draws, draws_for, faults
-from fraclink.certify import Statement, enclose_phase_margin
-from fraclink.controller import InnerLoopSettings, Lead
-from fraclink.design import optimise
-from fraclink.design.assess import margin_curve, phase_budget
-from fraclink.design.feasibility import feasibility_map
+from fraclink import _campaign as campaign
+from fraclink import _export as export
+from fraclink import _kernels
+from fraclink._arm.controller import InnerLoopSettings, Lead
+from fraclink._campaign import Campaign, Distribution, Draws, draws_for, faults
+from fraclink._certify import Statement, enclose_phase_margin
+from fraclink._design import optimise
+from fraclink._design.assess import margin_curve, phase_budget
+from fraclink._design.feasibility import feasibility_map
+from fraclink._law import Moves, discretize_controller, equip
+from fraclink._realtime import Callback, Library, SharedMemory, Udp, parse_connection, run_realtime
+from fraclink._simulate.twin import geared
+from fraclink._systems.rational import fit_discrete
+from fraclink._workflow import Move, Request, design_for
 from fraclink.errors import FieldError
-from fraclink.law import Moves, discretize_controller, equip
-from fraclink.rational import fit_discrete
-from fraclink.realtime import Callback, Library, SharedMemory, Udp, parse_connection, run_realtime
-from fraclink.study import Move, Request, design_for
-from fraclink.twin import geared
 from junk import JUNK, LINK, RIG, Call, fields_of, law, plan, take_or_refuse
 
 WANTED = {

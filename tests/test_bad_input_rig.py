@@ -13,9 +13,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fraclink._arm.rig import Channel, Encoder, Inner, Link, LogColumns, Motor, Payloads, Rig
+from fraclink._arm.rig.reading import RigError, parse_arguments
 from fraclink.errors import FieldError, FileFormatError
-from fraclink.rig import Channel, Encoder, Inner, Link, LogColumns, Motor, Payloads, Rig
-from fraclink.rig.reading import RigError, parse_arguments
 from processor_limit import processor_limit
 
 PAPER = Path(__file__).parents[1] / "src" / "fraclink" / "rigs" / "paper-2023.toml"
@@ -300,7 +300,7 @@ def test_any_junk_in_any_field_is_a_rig_or_a_field_error(
 def test_the_command_line_prints_a_line_for_each_fault(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from fraclink.cli import main
+    from fraclink._cli import main
 
     text = (
         PAPER.read_text(encoding="utf-8")
@@ -321,7 +321,7 @@ def test_the_command_line_prints_a_line_for_each_fault(
 def test_the_command_line_keeps_one_line_for_one_fault(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from fraclink.cli import main
+    from fraclink._cli import main
 
     path = tmp_path / "rig.toml"
     path.write_text(changed('name = "a"\nnombre = "b\\nc"', tmp_path), encoding="utf-8")

@@ -14,11 +14,11 @@ import pytest
 
 import fraclink as fl
 from campaigns import small
-from fraclink.design.poles import PRINTED
+from fraclink._arm.experiment import Experiment
+from fraclink._arm.link import LinkModel
+from fraclink._design.poles import PRINTED
+from fraclink._identify import identify_payloads, simulated_torque
 from fraclink.errors import FieldError, InfeasibleError, SizeError
-from fraclink.experiment import Experiment
-from fraclink.identify import identify_payloads, simulated_torque
-from fraclink.link import LinkModel
 from identify_cases import TRUTH, made_log, smooth_pulse
 
 RIG = fl.Rig.named("paper-2023")

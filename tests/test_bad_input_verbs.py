@@ -15,19 +15,16 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import fraclink as fl
-from fraclink.errors import FraclinkError
-from fraclink.experiment import Experiment
-from fraclink.identify import (
+from fraclink._arm.experiment import Experiment
+from fraclink._arm.link import LinkModel
+from fraclink._identify import (
     design_experiment,
     identify_frequency_response,
     identify_motor,
     identify_payloads,
     simulated_torque,
 )
-from fraclink.link import LinkModel
-from fraclink.response import grunwald_letnikov
-from fraclink.study import Move, simulate_move
-from fraclink.twin import (
+from fraclink._simulate.twin import (
     Beam,
     FractionalKelvinVoigt,
     KelvinVoigt,
@@ -41,6 +38,9 @@ from fraclink.twin import (
     geared,
     simulate_log,
 )
+from fraclink._systems.response import grunwald_letnikov
+from fraclink._workflow import Move, simulate_move
+from fraclink.errors import FraclinkError
 from junk import (
     ANGLE,
     FREQUENCY,

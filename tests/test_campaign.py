@@ -9,14 +9,14 @@ import pytest
 
 import fraclink as fl
 from campaigns import small
-from fraclink.campaign import Campaign, Distribution, arm_of, draws_for, replay, simulate_part
-from fraclink.campaign.draws import draw
-from fraclink.campaign.links import batch_links
-from fraclink.campaign.metrics import Signals, measure_many
+from fraclink._arm.link import LinkModel
+from fraclink._campaign import Campaign, Distribution, arm_of, draws_for, replay, simulate_part
+from fraclink._campaign.draws import draw
+from fraclink._campaign.links import batch_links
+from fraclink._campaign.metrics import Signals, measure_many
+from fraclink._simulate.metrics import measure
+from fraclink._simulate.plant import POWERS, link_weights
 from fraclink.errors import FieldError, SizeError
-from fraclink.link import LinkModel
-from fraclink.simulate.metrics import measure
-from fraclink.simulate.plant import POWERS, link_weights
 
 METRICS = ("overshoot", "settling_time", "residual_vibration", "steady_state_error", "peak_tip_error")
 METRICS += ("peak_voltage", "motor_reference_noise", "saturated")

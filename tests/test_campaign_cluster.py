@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 
 from campaigns import computed, parts_of, small
-from fraclink.campaign import conduct
-from fraclink.cli import main
+from fraclink._campaign import conduct
+from fraclink._cli import main
 from fraclink.errors import MissingExtraError
 from needed_tools import missing
 
@@ -72,7 +72,7 @@ def test_a_scheduler_that_is_not_there_is_told(tmp_path, capsys, monkeypatch):
         import distributed  # noqa: F401
     except ImportError:
         missing("distributed is not installed (extra cluster)")
-    module = sys.modules["fraclink.campaign.conduct"]
+    module = sys.modules["fraclink._campaign.conduct"]
     monkeypatch.setattr(module, "CONNECT", 1)
     line = ["campaign", "montecarlo", "--runs", "10", "--out", str(tmp_path / "parts")]
     assert main([*line, "--scheduler", "tcp://127.0.0.1:9"]) == 2

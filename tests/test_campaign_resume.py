@@ -20,10 +20,10 @@ from pathlib import Path
 import pytest
 
 from campaigns import computed, continued, parts_of, small, started
-from fraclink.campaign import conduct, load_campaign, read_part, save_campaign
-from fraclink.campaign import part as part_module
-from fraclink.campaign.conduct import compute
-from fraclink.cli import main
+from fraclink._campaign import conduct, load_campaign, read_part, save_campaign
+from fraclink._campaign import part as part_module
+from fraclink._campaign.conduct import compute
+from fraclink._cli import main
 from fraclink.errors import FieldError, FileFormatError, NotConvergedError
 
 RUNS = 8000
@@ -114,7 +114,7 @@ def test_the_half_of_a_part_that_a_kill_left_is_cleaned_up(copy, whole):
 
 def test_a_script_that_its_workers_run_again_is_told_where_to_put_the_call(tmp_path):
     script = tmp_path / "many_arms.py"
-    lines = ["from fraclink.campaign.workers import process_pool", "with process_pool(2) as pool:"]
+    lines = ["from fraclink._campaign.workers import process_pool", "with process_pool(2) as pool:"]
     script.write_text("\n".join([*lines, "    pool.submit(abs, -1).result()"]))
     answer = subprocess.run([sys.executable, str(script)], capture_output=True, text=True)  # noqa: S603
     assert answer.returncode == 1
@@ -164,7 +164,7 @@ def test_a_worker_that_is_killed_is_replaced(tmp_path, whole):
 def test_workers_that_always_die_end_the_campaign(tmp_path, monkeypatch):
     from concurrent.futures.process import BrokenProcessPool
 
-    module = sys.modules["fraclink.campaign.conduct"]  # the function hides the module of its name
+    module = sys.modules["fraclink._campaign.conduct"]  # the function hides the module of its name
 
     def broken(*_: object):
         raise BrokenProcessPool("died")

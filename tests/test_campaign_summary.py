@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from campaigns import small
-from fraclink.campaign import conduct, read_part, summarise
-from fraclink.campaign.summary import METRICS, PARAMETERS, _failure, _quantile, _trips
-from fraclink.cli import main
+from fraclink._campaign import conduct, read_part, summarise
+from fraclink._campaign.summary import METRICS, PARAMETERS, _failure, _quantile, _trips
+from fraclink._cli import main
+from fraclink._law import MODES
 from fraclink.errors import FieldError
-from fraclink.law import MODES
 
 
 @pytest.fixture(scope="module")

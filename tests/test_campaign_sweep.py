@@ -10,11 +10,11 @@ import pytest
 
 import fraclink as fl
 from campaigns import computed, small
-from fraclink.campaign import load_sweep, save_sweep, summarise, sweep
-from fraclink.cli import main
+from fraclink._campaign import load_sweep, save_sweep, summarise, sweep
+from fraclink._cli import main
+from fraclink._show.report.campaigns import write_sweep_report
+from fraclink._simulate.twin import Twin, geared, run_twin
 from fraclink.errors import FieldError, FileFormatError, SizeError
-from fraclink.report.campaigns import write_sweep_report
-from fraclink.twin import Twin, geared, run_twin
 
 MASS = 0.00735
 

@@ -19,16 +19,16 @@ import numpy as np
 import pytest
 
 import fraclink as fl
-from fraclink.certify import Certificate, certify
-from fraclink.certify.balls import Loop, outside
-from fraclink.certify.numeric import loop_values
-from fraclink.certify.search import Failure, clear, prove
-from fraclink.certify.statement import Statement
-from fraclink.design import Plan
-from fraclink.design.poles import PRINTED
+from fraclink._arm.rig import Rig
+from fraclink._certify import Certificate, certify
+from fraclink._certify.balls import Loop, outside
+from fraclink._certify.numeric import loop_values
+from fraclink._certify.search import Failure, clear, prove
+from fraclink._certify.statement import Statement
+from fraclink._design import Plan
+from fraclink._design.poles import PRINTED
+from fraclink._law import Law
 from fraclink.errors import FieldError, FileFormatError, NotCertifiedError
-from fraclink.law import Law
-from fraclink.rig import Rig
 
 RIG = Rig.named("paper-2023")
 CHECKER = Path(__file__).resolve().parents[1] / "tools" / "check_certificate.py"

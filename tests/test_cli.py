@@ -11,11 +11,11 @@ from typing import NamedTuple
 
 import pytest
 
-from fraclink.cli import main
-from fraclink.cli.console import clean, table
-from fraclink.cli.outcome import guarded
+from fraclink._arm.rig import Rig
+from fraclink._cli import main
+from fraclink._cli.console import clean, table
+from fraclink._cli.outcome import guarded
 from fraclink.errors import FieldError, InfeasibleError, MissingExtraError, NotCertifiedError
-from fraclink.rig import Rig
 
 
 class Answer(NamedTuple):

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 import fraclink as fl
-from fraclink.cli import main
-from fraclink.cli.assessment import spillover_of
-from fraclink.twin import Beam
+from fraclink._cli import main
+from fraclink._cli.assessment import spillover_of
+from fraclink._simulate.twin import Beam
 
 
 def _design(place: Path) -> fl.Plan:

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from fraclink.cli.app import run
-from fraclink.readers import bundled_log
+from fraclink._cli.app import run
+from fraclink._logs.readers import bundled_log
 
 
 def told(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> dict[str, object]:
@@ -64,7 +64,7 @@ def test_identify_motor_needs_a_voltage(capsys: pytest.CaptureFixture[str]) -> N
 
 
 def test_identify_motor(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    from fraclink.identify.motor_example import example_motor_log
+    from fraclink._identify.motor_example import example_motor_log
 
     voltage, angle = example_motor_log(samples=2500)
     rows = ["time_s,motor_angle_rad,deflection_rad,voltage_V"]

@@ -16,14 +16,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fraclink.cli import main
+from fraclink._arm.rig import Rig
+from fraclink._cli import main
+from fraclink._identify import Fit
+from fraclink._logs.readers import bundled_log
+from fraclink._show.report import render_report
+from fraclink._simulate import Run
+from fraclink._workflow import Move, Request, design_for, load_study, simulate_move
 from fraclink.errors import FileFormatError
-from fraclink.identify import Fit
-from fraclink.readers import bundled_log
-from fraclink.report import render_report
-from fraclink.rig import Rig
-from fraclink.simulate import Run
-from fraclink.study import Move, Request, design_for, load_study, simulate_move
 from shared_data import shared_data
 
 RIGS = Path(__file__).parent / "rigs"

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from fraclink.certify import Certificate
-from fraclink.cli import main
-from fraclink.design import Plan
-from fraclink.readers import bundled_log
-from fraclink.reproduce import designs
-from fraclink.rig import Rig
-from fraclink.study import Request, design_for
+from fraclink._arm.rig import Rig
+from fraclink._certify import Certificate
+from fraclink._cli import main
+from fraclink._design import Plan
+from fraclink._logs.readers import bundled_log
+from fraclink._reproduce import designs
+from fraclink._workflow import Request, design_for
 
 Command = Callable[..., tuple[int, str, str]]
 

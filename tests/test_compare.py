@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 import fraclink as fl
-from fraclink.compare import Tournament, compare
-from fraclink.compare.linear import Filter, NominalLoop, law_filter, sampled, tune, tustin
-from fraclink.compare.optimal import hinf_correction, integer_mode, lqg_correction
-from fraclink.compare.outer import (
+from fraclink._arm.reference import smooth_step
+from fraclink._compare import Tournament, compare
+from fraclink._compare.linear import Filter, NominalLoop, law_filter, sampled, tune, tustin
+from fraclink._compare.optimal import hinf_correction, integer_mode, lqg_correction
+from fraclink._compare.outer import (
     Algebraic,
     Linear,
     Seen,
@@ -22,17 +23,16 @@ from fraclink.compare.outer import (
     pd_correction,
     sliding_correction,
 )
-from fraclink.compare.published import CORRECTED, INTEGER, PRINTED, integer_twin
-from fraclink.compare.rivals import builders, servo_law
-from fraclink.compare.run import feed_forward, run_rival
-from fraclink.compare.setting import Setting
-from fraclink.compare.shaping import Shaped, shaper_impulses
-from fraclink.compare.spillover import linear_growth, mode_gain
+from fraclink._compare.published import CORRECTED, INTEGER, PRINTED, integer_twin
+from fraclink._compare.rivals import builders, servo_law
+from fraclink._compare.run import feed_forward, run_rival
+from fraclink._compare.setting import Setting
+from fraclink._compare.shaping import Shaped, shaper_impulses
+from fraclink._compare.spillover import linear_growth, mode_gain
+from fraclink._simulate.twin import Twin, geared
+from fraclink._simulate.twin.loop import driven, run_twin
+from fraclink._systems.stability import margins
 from fraclink.errors import FieldError, NotConvergedError
-from fraclink.reference import smooth_step
-from fraclink.stability import margins
-from fraclink.twin import Twin, geared
-from fraclink.twin.loop import driven, run_twin
 
 RIG = geared(fl.Rig.named("paper-2023"))
 MOVE = smooth_step(1.0, duration=1.0)
@@ -61,8 +61,8 @@ def test_law_filter_is_the_law(setting):
 
 def test_nominal_loop_is_the_designers(setting):
     """The sampled loop of design/, made from alias sums, and ours, from a state space: the same Ms."""
-    from fraclink.design.loop import OpenLoop
-    from fraclink.design.sampled import link_plant
+    from fraclink._design.loop import OpenLoop
+    from fraclink._design.sampled import link_plant
 
     bare = OpenLoop(gain=1.0, order=0.0, link_order=RIG.model.order)
     plant = link_plant(bare, RIG.model.natural_frequency, motor=1 / 80, period=RIG.period, delay=RIG.period)
@@ -224,7 +224,7 @@ def test_shapers_cancel_the_mode():
 
 def test_a_longer_filter_keeps_the_request_and_quietens(setting):
     """δ inside (55) costs β, not margin: what the 10 % rule leaves on the table."""
-    from fraclink.compare.quieter import _noise, quieter
+    from fraclink._compare.quieter import _noise, quieter
 
     _, controller = quieter(setting)
     assert controller.filter_time > 2 * setting.controller.filter_time
@@ -241,7 +241,7 @@ def test_a_longer_filter_keeps_the_request_and_quietens(setting):
 
 
 def test_integer_twin_goes_through_our_crossing(setting):
-    from fraclink.compare.published import _nominal_crossing
+    from fraclink._compare.published import _nominal_crossing
 
     crossover, margin = _nominal_crossing(setting)
     _, controller = integer_twin(setting)
@@ -256,8 +256,8 @@ def test_integer_twin_goes_through_our_crossing(setting):
 def test_rivals_and_the_law_run_on_the_same_arm(setting):
     """Our filter run tick by tick in Python, and law.c: the same motor reference to rounding."""
 
-    from fraclink.compare.rivals import Rival
-    from fraclink.law import Modes
+    from fraclink._compare.rivals import Rival
+    from fraclink._law import Modes
 
     twin = Twin.from_rig(RIG, link_mass=0.00735)
     whole = servo_law(setting.ours)
@@ -275,7 +275,7 @@ def test_rivals_and_the_law_run_on_the_same_arm(setting):
 def test_feed_forward_is_the_laws(setting):
     """The law without correction at a motor that stands at the reference asks for reference and F θ̈t*."""
 
-    from fraclink.law import LawInputs, Modes
+    from fraclink._law import LawInputs, Modes
 
     law = replace(servo_law(setting.ours), correction=Modes(0.0))
     acceleration = MOVE.acceleration(RIG.period * np.arange(200))
@@ -297,7 +297,7 @@ def test_mode_gain_sees_only_feedback_of_the_tip(setting):
 
 
 def test_sampled_delay_is_a_delay(setting):
-    from fraclink.twin.plant import assemble
+    from fraclink._simulate.twin.plant import assemble
 
     twin = Twin.from_rig(RIG, link_mass=0.0)
     plant = assemble(twin.beam, twin.damping, drive="servo")

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 import fraclink as fl
-from fraclink.design import Plan
-from fraclink.design.loop import OpenLoop
-from fraclink.design.poles import PRINTED, closed_loop_poles, match_at
+from fraclink._arm.rig import Rig
+from fraclink._design import Plan
+from fraclink._design.loop import OpenLoop
+from fraclink._design.poles import PRINTED, closed_loop_poles, match_at
 from fraclink.errors import FieldError, InfeasibleError
-from fraclink.rig import Rig
 
 RIG = Rig.named("paper-2023")
 DEFAULT = {"payloads": (0.020, 0.040), "gain_crossover": 12.0, "phase_margin": fl.deg(50), "filter_time": 0.0}

@@ -9,18 +9,18 @@ import numpy as np
 import pytest
 
 import fraclink as fl
-from fraclink.certify import certify, enclose_phase_margin
-from fraclink.controller import Controller, InnerLoopSettings
-from fraclink.design import Plan
-from fraclink.design.assess import VibrationMode, margin_curve, phase_budget, spillover, tolerances
-from fraclink.design.feasibility import feasibility_map
-from fraclink.design.inner import direct_placement, held_motor, inner_costs, sampled_inner
-from fraclink.design.measure import noise_gain, sensitivity_peak
-from fraclink.design.rivals import compare_at_equal_sensitivity
-from fraclink.design.sampled import SampledPlant
+from fraclink._arm.controller import Controller, InnerLoopSettings
+from fraclink._arm.rig import Rig
+from fraclink._certify import certify, enclose_phase_margin
+from fraclink._design import Plan
+from fraclink._design.assess import VibrationMode, margin_curve, phase_budget, spillover, tolerances
+from fraclink._design.feasibility import feasibility_map
+from fraclink._design.inner import direct_placement, held_motor, inner_costs, sampled_inner
+from fraclink._design.measure import noise_gain, sensitivity_peak
+from fraclink._design.rivals import compare_at_equal_sensitivity
+from fraclink._design.sampled import SampledPlant
+from fraclink._law import equip
 from fraclink.errors import FieldError, InfeasibleError, SizeError
-from fraclink.law import equip
-from fraclink.rig import Rig
 
 RIG = Rig.named("paper-2023")
 WANTED = {"payloads": (0.020, 0.040), "gain_crossover": 12.0, "phase_margin": fl.deg(50)}

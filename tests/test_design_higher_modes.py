@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 
 import fraclink as fl
-from fraclink.cli import main
-from fraclink.compare.linear import NominalLoop, law_filter, sampled
-from fraclink.design import Plan
-from fraclink.design.higher_modes import mode_gains
+from fraclink._arm.rig import Rig
+from fraclink._cli import main
+from fraclink._compare.linear import NominalLoop, law_filter, sampled
+from fraclink._design import Plan
+from fraclink._design.higher_modes import mode_gains
+from fraclink._simulate.twin import Beam, KelvinVoigt, PowerLaw, assemble
+from fraclink._simulate.twin.damping import Damping
 from fraclink.errors import FieldError, InfeasibleError
-from fraclink.rig import Rig
-from fraclink.twin import Beam, KelvinVoigt, PowerLaw, assemble
-from fraclink.twin.damping import Damping
 
 WANTED = {"payloads": (0.020, 0.040), "gain_crossover": 12.0, "phase_margin": fl.deg(50)}
 

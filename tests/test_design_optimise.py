@@ -12,17 +12,17 @@ import pytest
 from scipy.optimize import minimize
 
 import fraclink as fl
-from fraclink.certify import certify
-from fraclink.cli import main
-from fraclink.controller import Controller, Lead
-from fraclink.design import Optimised, Plan, optimise
-from fraclink.design.assess import phase_budget
-from fraclink.design.measure import measure, noise_gain
-from fraclink.design.plan import open_loop
-from fraclink.design.problem import Bounds, Problem
-from fraclink.design.sampled import realised
+from fraclink._arm.controller import Controller, Lead
+from fraclink._arm.rig import Rig
+from fraclink._certify import certify
+from fraclink._cli import main
+from fraclink._design import Optimised, Plan, optimise
+from fraclink._design.assess import phase_budget
+from fraclink._design.measure import measure, noise_gain
+from fraclink._design.plan import open_loop
+from fraclink._design.problem import Bounds, Problem
+from fraclink._design.sampled import realised
 from fraclink.errors import FieldError, InfeasibleError
-from fraclink.rig import Rig
 
 RIG = Rig.named("paper-2023")
 WANTED = {"payloads": (0.020, 0.040), "gain_crossover": 12.0, "phase_margin": fl.deg(50)}

@@ -9,7 +9,7 @@ import numpy as np
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from fraclink.design.loop import OpenLoop
+from fraclink._design.loop import OpenLoop
 
 
 @dataclass(frozen=True)

@@ -10,14 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fraclink.diagnose import Finding, diagnose
-from fraclink.diagnose.scan import find_mode
-from fraclink.experiment import Experiment
-from fraclink.identify import simulated_torque
-from fraclink.link import LinkModel
-from fraclink.readers import bundled_log, bundled_logs, read_log
-from fraclink.reference import chirp, prbs, pulse
-from fraclink.rig import Gauge, Rig
+from fraclink._arm.experiment import Experiment
+from fraclink._arm.link import LinkModel
+from fraclink._arm.reference import chirp, prbs, pulse
+from fraclink._arm.rig import Gauge, Rig
+from fraclink._identify import simulated_torque
+from fraclink._logs.diagnose import Finding, diagnose
+from fraclink._logs.diagnose.scan import find_mode
+from fraclink._logs.readers import bundled_log, bundled_logs, read_log
 from made_logs import made_experiment, made_motion, made_output
 from shared_data import shared_data
 

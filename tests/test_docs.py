@@ -182,7 +182,9 @@ ENTRY = "## Entries\n\n```{eval-rst}\n.. py:class:: fraclink.Plan\n```\n"
 
 
 def test_a_page_without_faults_builds_and_its_names_are_links(tmp_path: Path) -> None:
-    done = build(tmp_path, "`fl.Plan` and [the entries](#entries), `fraclink.twin`, `fraclink run`, `law.c`")
+    done = build(
+        tmp_path, "`fl.Plan` and [the entries](#entries), `fraclink._simulate.twin`, `fraclink run`, `law.c`"
+    )
     assert done.returncode == 0, done.stderr
     assert 'href="#fraclink.Plan"' in (tmp_path / "html" / "index.html").read_text("utf-8")
 

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fraclink._arm.experiment import Experiment
+from fraclink._logs.readers import read_log
 from fraclink.errors import FieldError, LogError
-from fraclink.experiment import Experiment
-from fraclink.readers import read_log
 
 
 def test_arrays_are_copies_that_cannot_be_written() -> None:

@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fraclink._export import export_c, export_matlab
+from fraclink._export.bounds import _plain_norm, worst_case
+from fraclink._export.data import hex_float
+from fraclink._law import Law
 from fraclink.errors import FieldError
-from fraclink.export import export_c, export_matlab
-from fraclink.export.bounds import _plain_norm, worst_case
-from fraclink.export.data import hex_float
-from fraclink.law import Law
 from law_bench import law
 from law_bench import run as run_law
 from needed_tools import tool

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fraclink.export import export_c
-from fraclink.export.data import exact_flags, exact_sizes
-from fraclink.law import Law
+from fraclink._export import export_c
+from fraclink._export.data import exact_flags, exact_sizes
+from fraclink._law import Law
 from law_bench import law
 from needed_tools import tool
 from test_export import FLAGS, run, single

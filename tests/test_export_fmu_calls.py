@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from fmu_bench import Imported
-from fraclink.export import export_fmu
+from fraclink._export import export_fmu
 from law_bench import PERIOD, law, signals
 from needed_tools import tool
 

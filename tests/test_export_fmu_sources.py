@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from fmu_bench import Imported, fmpy_or_skip, outputs_of, sources_of
+from fraclink._export import export_fmu
+from fraclink._export.fmu_model import VARIABLES
+from fraclink._export.sources import law_source
 from fraclink.errors import FieldError
-from fraclink.export import export_fmu
-from fraclink.export.fmu_model import VARIABLES
-from fraclink.export.sources import law_source
 from law_bench import law, run, signals
 from needed_tools import tool
 from test_export import run as shell

@@ -13,14 +13,14 @@ import pytest
 from numpy.typing import NDArray
 
 import fraclink as fl
-from fraclink.certify import certify
-from fraclink.cli import main
-from fraclink.export import Proof, export_c
-from fraclink.export.proof import eva, formulas, rounding, source, step, symbolic, tools
-from fraclink.export.proof.loop import loop_claim
-from fraclink.files import sha256_of
-from fraclink.law import Law
-from fraclink.study import Request, design_for
+from fraclink._certify import certify
+from fraclink._cli import main
+from fraclink._export import Proof, export_c
+from fraclink._export.proof import eva, formulas, rounding, source, step, symbolic, tools
+from fraclink._export.proof.loop import loop_claim
+from fraclink._files import sha256_of
+from fraclink._law import Law
+from fraclink._workflow import Request, design_for
 from law_bench import default_controller, law, with_pair
 from law_bench import run as run_law
 from needed_tools import tool

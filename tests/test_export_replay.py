@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import fraclink as fl
+from fraclink._export import Replay, export_c, export_matlab, replay, replay_log
+from fraclink._law import Law
 from fraclink.errors import FieldError
-from fraclink.export import Replay, export_c, export_matlab, replay, replay_log
-from fraclink.law import Law
 from law_bench import PERIOD, law, signals, with_pair
 from needed_tools import tool
 from test_export import run as shell
@@ -125,7 +125,7 @@ def test_matlab_names_and_existing_files(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("precision", ["single", "double"])
 def test_the_verb_replays_a_log(precision: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    from fraclink.cli.app import run as fraclink
+    from fraclink._cli.app import run as fraclink
 
     tool("cc", "gcc")
     made = law(precision)

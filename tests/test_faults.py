@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import fraclink as fl
-from fraclink.campaign.faults import (
+from fraclink._campaign.faults import (
     CATALOGUE,
     Bench,
     Case,
@@ -21,10 +21,10 @@ from fraclink.campaign.faults import (
     run_faults,
     soak,
 )
-from fraclink.campaign.faults.evidence import shared_checks
-from fraclink.campaign.faults.inject import REALS, members
+from fraclink._campaign.faults.evidence import shared_checks
+from fraclink._campaign.faults.inject import REALS, members
+from fraclink._simulate.twin import geared
 from fraclink.errors import FieldError, FileFormatError
-from fraclink.twin import geared
 
 # Open points of the shipped law on this arm; docs/how-to/run-a-fault-campaign.md gives their values.
 OPEN = {"F06", "F07", "F08", "F11", "F21", "F23", "F24", "F27", "F28", "F30", "F37", "F38"}

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from fraclink._files import atomic_write, output_path, read_json, sha256_of, write_json, write_text
 from fraclink.errors import (
     FieldError,
     FileFormatError,
@@ -23,7 +24,6 @@ from fraclink.errors import (
     SizeError,
     UnstableError,
 )
-from fraclink.files import atomic_write, output_path, read_json, sha256_of, write_json, write_text
 
 
 def test_a_failure_leaves_the_old_file_and_no_other(tmp_path: Path) -> None:

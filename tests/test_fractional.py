@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fraclink._systems.fractional import FractionalTransferFunction, Term, s
 from fraclink.errors import FieldError
-from fraclink.fractional import FractionalTransferFunction, Term, s
 
 LINK = 1.56 * s**1.92 / (s**1.92 + 10.02**2)
 W = np.array([0.01, 0.3, 1.0, 7.0, 90.0])

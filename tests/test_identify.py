@@ -12,12 +12,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fraclink._arm.experiment import Experiment
+from fraclink._arm.link import LinkModel
+from fraclink._files import write_json
+from fraclink._identify import Fit, aic, identify, load_model, save_model
+from fraclink._systems.response import time_response
 from fraclink.errors import FieldError, FileFormatError, LogError, SizeError
-from fraclink.experiment import Experiment
-from fraclink.files import write_json
-from fraclink.identify import Fit, aic, identify, load_model, save_model
-from fraclink.link import LinkModel
-from fraclink.response import time_response
 from identify_cases import PERIOD, TRUTH, made_log, smooth_pulse
 
 NOISE = 0.0052**0.5

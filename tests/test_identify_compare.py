@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fraclink.experiment import Experiment
-from fraclink.identify import identify, identify_all
-from fraclink.link import STRUCTURES, LinkModel
-from fraclink.readers import read_log
-from fraclink.rig import Rig
+from fraclink._arm.experiment import Experiment
+from fraclink._arm.link import STRUCTURES, LinkModel
+from fraclink._arm.rig import Rig
+from fraclink._identify import identify, identify_all
+from fraclink._logs.readers import read_log
 from identify_cases import TRUTH, made_log
 from shared_data import shared_data
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fraclink.identify import simulated_torque
-from fraclink.identify.problem import Window, chosen_hold
-from fraclink.identify.shape import shape_of, undamped_as_damped
-from fraclink.link import LinkModel
-from fraclink.response import time_response
+from fraclink._arm.link import LinkModel
+from fraclink._identify import simulated_torque
+from fraclink._identify.problem import Window, chosen_hold
+from fraclink._identify.shape import shape_of, undamped_as_damped
+from fraclink._systems.response import time_response
 from identify_cases import PERIOD, TRUTH, smooth_pulse
 
 LINKS = [

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from fraclink._arm.experiment import Experiment
+from fraclink._arm.link import LinkModel
+from fraclink._arm.rig import Rig
+from fraclink._identify import design_experiment, identify, identify_motor, simulated_torque
+from fraclink._identify.motor_example import example_motor_log
 from fraclink.errors import FieldError, InfeasibleError, LogError
-from fraclink.experiment import Experiment
-from fraclink.identify import design_experiment, identify, identify_motor, simulated_torque
-from fraclink.identify.motor_example import example_motor_log
-from fraclink.link import LinkModel
-from fraclink.rig import Rig
 from identify_cases import PERIOD
 
 GAIN, DECAY, INERTIA = 3056.77, 15.153, 6.87e-5

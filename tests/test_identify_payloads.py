@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from fraclink._arm.experiment import Experiment
+from fraclink._arm.link import LinkModel
+from fraclink._identify import identify, identify_payloads
+from fraclink._identify.joint import Coordinates
 from fraclink.errors import FieldError, LogError
-from fraclink.experiment import Experiment
-from fraclink.identify import identify, identify_payloads
-from fraclink.identify.joint import Coordinates
-from fraclink.link import LinkModel
 from identify_cases import made_log
 
 LINK = LinkModel(1.56, 11.0, order=1.92, payload=0.03)

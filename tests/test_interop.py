@@ -12,10 +12,10 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 
+from fraclink._systems.fractional import FractionalTransferFunction, s
+from fraclink._systems.interop import from_control, to_control
+from fraclink._systems.stability import margins
 from fraclink.errors import FieldError, MissingExtraError
-from fraclink.fractional import FractionalTransferFunction, s
-from fraclink.interop import from_control, to_control
-from fraclink.stability import margins
 
 mpl.use("Agg")
 W = 10.31
@@ -235,6 +235,6 @@ def test_a_name_is_shown() -> None:
 
 def test_without_python_control(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "control", None)
-    monkeypatch.delitem(sys.modules, "fraclink.interop.adapter", raising=False)
+    monkeypatch.delitem(sys.modules, "fraclink._systems.interop.adapter", raising=False)
     with pytest.raises(MissingExtraError, match=r"fraclink\[control\]"):
         to_control(LOOP)

@@ -13,10 +13,10 @@ import pytest
 
 import fraclink as fl
 from fraclink import _kernels
+from fraclink._arm.link import LinkModel
+from fraclink._law import Law, LawInputs, Modes, Moves, derive_limits, discretize_controller
+from fraclink._law import block as layout
 from fraclink.errors import FieldError, FileFormatError
-from fraclink.law import Law, LawInputs, Modes, Moves, derive_limits, discretize_controller
-from fraclink.law import block as layout
-from fraclink.link import LinkModel
 from law_bench import PERIOD, default_controller, law, run, signals
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from flint import arb, ctx
 
-from fraclink.law import Law
+from fraclink._law import Law
 from law_bench import law, run
 
 PERIODS = 20_000  # benchmarks/bench_precision.py does the same for a million

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fraclink.law import MODES, REASONS, LawOutputs
+from fraclink._law import MODES, REASONS, LawOutputs
 from law_bench import closed_loop, law, run, signals
 
 PRECISIONS = ("double", "single")

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fraclink._arm.link import STRUCTURES, LinkModel, structure
 from fraclink.errors import FieldError
-from fraclink.link import STRUCTURES, LinkModel, structure
 
 
 def denominator(link: LinkModel, s: complex) -> complex:

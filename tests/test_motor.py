@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import fraclink as fl
+from fraclink._arm.motor import InnerLoop, inner_loop
 from fraclink.errors import FieldError
-from fraclink.motor import InnerLoop, inner_loop
 
 A, B = 0.21 / 6.87e-5, 1.041e-3 / 6.87e-5
 

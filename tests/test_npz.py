@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fraclink._files import parse_json, read_json, write_json
+from fraclink._npz import kind_of, read_npz, write_npz
 from fraclink.errors import FieldError, FileFormatError
-from fraclink.files import parse_json, read_json, write_json
-from fraclink.npz import kind_of, read_npz, write_npz
 from mutants import mutate
 
 ARRAYS = {

@@ -14,11 +14,12 @@ import numpy as np
 import pytest
 
 import fraclink as fl
-from fraclink import _kernels, plots
-from fraclink.design.assess import margin_curve, phase_budget
+from fraclink import _kernels
+from fraclink._design.assess import margin_curve, phase_budget
+from fraclink._realtime import Callback, run_realtime
+from fraclink._show import plots
+from fraclink._systems.fractional import s
 from fraclink.errors import FieldError, MissingExtraError
-from fraclink.fractional import s
-from fraclink.realtime import Callback, run_realtime
 
 mpl.use("Agg")
 LINK = 1.56 * s**1.92 / (s**1.92 + 100.4)

@@ -8,9 +8,9 @@ import control
 import numpy as np
 import pytest
 
+from fraclink._systems.fractional import FractionalTransferFunction, s
+from fraclink._systems.rational import RationalApproximation, approximate
 from fraclink.errors import FieldError
-from fraclink.fractional import FractionalTransferFunction, s
-from fraclink.rational import RationalApproximation, approximate
 
 BAND = (1e-2, 700.0)
 

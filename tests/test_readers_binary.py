@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fraclink._arm.rig import Channel, LogColumns
+from fraclink._logs.readers import inspect_log, read_columns, read_log
+from fraclink._logs.readers.child import ReaderChild
+from fraclink._logs.readers.formats import read_table, sniffed_kind
 from fraclink.errors import FieldError, FileFormatError, LogError, MissingExtraError, SizeError
-from fraclink.readers import inspect_log, read_columns, read_log
-from fraclink.readers.child import ReaderChild
-from fraclink.readers.formats import read_table, sniffed_kind
-from fraclink.rig import Channel, LogColumns
 from made_files import KINDS, made_columns, made_file, write_mat5
 from shared_data import shared_data
 
@@ -212,7 +212,7 @@ def test_b66_a_child_that_dies_is_named_and_replaced(tmp_path: Path) -> None:
 def test_b66_the_signal_that_ended_a_parser_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import subprocess
 
-    from fraclink.readers import child as module
+    from fraclink._logs.readers import child as module
 
     code = "import os, signal, sys; sys.stdin.readline(); os.kill(os.getpid(), signal.SIGSEGV)"
     start = subprocess.Popen
@@ -275,7 +275,7 @@ def test_columns_are_called_as_their_program_calls_them(kind: str, tmp_path: Pat
 def test_b66_objects_of_matlab_yield_no_columns() -> None:
     from scipy.io.matlab import MatlabFunction, MatlabObject, MatlabOpaque
 
-    from fraclink.readers.parsers.mat5 import _flat
+    from fraclink._logs.readers.parsers.mat5 import _flat
 
     fields = np.zeros((1, 1), dtype=[("s0", "O"), ("arr", "O")])
     fields["arr"][0, 0] = np.arange(6, dtype=np.uint32).reshape(6, 1)

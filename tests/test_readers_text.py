@@ -11,13 +11,13 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from fraclink._arm.rig import Channel, LogColumns, Rig
+from fraclink._logs.readers import bundled_log, bundled_logs, inspect_log, read_columns, read_log
+from fraclink._logs.readers.cells import NUMBER, parse_cells
+from fraclink._logs.readers.stated import suggested_mapping
+from fraclink._logs.readers.table import Table
+from fraclink._logs.readers.text import read_text_table
 from fraclink.errors import FieldError
-from fraclink.readers import bundled_log, bundled_logs, inspect_log, read_columns, read_log
-from fraclink.readers.cells import NUMBER, parse_cells
-from fraclink.readers.stated import suggested_mapping
-from fraclink.readers.table import Table
-from fraclink.readers.text import read_text_table
-from fraclink.rig import Channel, LogColumns, Rig
 from made_logs import HEADER, made_rows, write_log
 from shared_data import shared_data
 

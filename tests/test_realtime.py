@@ -20,10 +20,10 @@ import pytest
 
 import fraclink as fl
 from fraclink import _kernels
+from fraclink._law import MODES, REASONS, Law
+from fraclink._npz import write_npz
+from fraclink._realtime import Callback, Command, RealtimeRun, Spread, run_realtime
 from fraclink.errors import FieldError, FileFormatError, LogError, SizeError
-from fraclink.law import MODES, REASONS, Law
-from fraclink.npz import write_npz
-from fraclink.realtime import Callback, Command, RealtimeRun, Spread, run_realtime
 
 if not _kernels.REALTIME:
     pytest.skip("the real-time loop is Linux's", allow_module_level=True)
@@ -360,7 +360,7 @@ def test_another_system_is_told_plainly(law: Law, monkeypatch: pytest.MonkeyPatc
 REFUSED = """
     import os, resource, sys
     import fraclink as fl
-    from fraclink.realtime import Callback, run_realtime
+    from fraclink._realtime import Callback, run_realtime
     rig = fl.Rig.named("paper-2023")
     law = fl.Controller(gain=0.07, order=0.6, link=rig.model).discretize(0.02, order=4)
     still = Callback(lambda: (0.0, 0.0), lambda command: None)

@@ -18,13 +18,13 @@ import pytest
 
 import fraclink as fl
 from fraclink import _kernels
-from fraclink.cli import main
-from fraclink.controller import InnerLoopSettings
+from fraclink._arm.controller import InnerLoopSettings
+from fraclink._cli import main
+from fraclink._export import export_io
+from fraclink._realtime import Library, RealtimeRun, ServedArm, Udp, run_realtime
+from fraclink._simulate.twin import geared
+from fraclink._workflow import load_study
 from fraclink.errors import FieldError
-from fraclink.export import export_io
-from fraclink.realtime import Library, RealtimeRun, ServedArm, Udp, run_realtime
-from fraclink.study import load_study
-from fraclink.twin import geared
 from needed_tools import tool
 
 if not _kernels.REALTIME:

@@ -24,11 +24,11 @@ import pytest
 
 import fraclink as fl
 from fraclink import _kernels
-from fraclink.controller import InnerLoopSettings
+from fraclink._arm.controller import InnerLoopSettings
+from fraclink._law import REASONS, Law, equip
+from fraclink._realtime import Library, RealtimeRun, ServedArm, SharedMemory, Udp, run_realtime, serve_arm
+from fraclink._simulate.twin import Twin, geared, run_twin
 from fraclink.errors import FieldError, FileFormatError, SizeError
-from fraclink.law import REASONS, Law, equip
-from fraclink.realtime import Library, RealtimeRun, ServedArm, SharedMemory, Udp, run_realtime, serve_arm
-from fraclink.twin import Twin, geared, run_twin
 
 if not _kernels.REALTIME:
     pytest.skip("the real-time loop is Linux's", allow_module_level=True)

@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import fraclink as fl
+from fraclink._arm.reference import Path, Reference, sampled
 from fraclink.errors import FieldError, SizeError
-from fraclink.reference import Path, Reference, sampled
 
 SMOOTH: dict[str, Reference] = {
     "step": fl.smooth_step(1.0, 0.5, 0.3),

@@ -14,16 +14,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fraclink.campaign.faults import Case, Check, FaultTable, Outcome
-from fraclink.experiment import Experiment
+from fraclink._arm.experiment import Experiment
+from fraclink._arm.rig import Rig
+from fraclink._campaign.faults import Case, Check, FaultTable, Outcome
+from fraclink._identify import identify_all
+from fraclink._logs.readers import bundled_log, read_log
+from fraclink._show.report import render_report, write_report
+from fraclink._show.report.figures.drawing import envelope
+from fraclink._show.report.numbers import number, uncertain
+from fraclink._workflow import Request, Study, design_for, load_study, save_study
 from fraclink.findings import Finding
-from fraclink.identify import identify_all
-from fraclink.readers import bundled_log, read_log
-from fraclink.report import render_report, write_report
-from fraclink.report.figures.drawing import envelope
-from fraclink.report.numbers import number, uncertain
-from fraclink.rig import Rig
-from fraclink.study import Request, Study, design_for, load_study, save_study
 from needed_tools import tool
 
 HOSTILE = [
@@ -160,8 +160,8 @@ def test_ids_are_unique_and_every_reference_has_its_target() -> None:
 
 def test_the_same_study_gives_the_same_bytes_in_another_process(tmp_path: Path) -> None:
     code = (
-        "from fraclink.rig import Rig; from fraclink.study import Request, Study, design_for\n"
-        "from fraclink.report import write_report\n"
+        "from fraclink._arm.rig import Rig; from fraclink._workflow import Request, Study, design_for\n"
+        "from fraclink._show.report import write_report\n"
         "rig = Rig.named('paper-2023'); plan, _ = design_for(rig, None, Request())\n"
         "import sys; write_report(Study(rig=rig, plan=plan), sys.argv[1])"
     )

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from fraclink.cli import main
+from fraclink._cli import main
+from fraclink._reproduce import omissions, read_published, reproduce
+from fraclink._reproduce.evidence import EVIDENCE
+from fraclink._reproduce.published import Claim, Equation, Number, agreement, agrees
+from fraclink._reproduce.values import computed
 from fraclink.errors import FileFormatError
-from fraclink.reproduce import omissions, read_published, reproduce
-from fraclink.reproduce.evidence import EVIDENCE
-from fraclink.reproduce.published import Claim, Equation, Number, agreement, agrees
-from fraclink.reproduce.values import computed
 from guard_sources import ROOT
 
 FOLDER = ROOT / "reproduce"

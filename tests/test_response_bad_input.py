@@ -8,16 +8,16 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from fraclink.errors import FieldError, SizeError
-from fraclink.fractional import s
-from fraclink.rational import approximate
-from fraclink.response import (
+from fraclink._systems.fractional import s
+from fraclink._systems.rational import approximate
+from fraclink._systems.response import (
     discretize,
     grunwald_letnikov,
     impulse_response,
     step_response,
     time_response,
 )
+from fraclink.errors import FieldError, SizeError
 from processor_limit import processor_limit
 
 LINK = 100 / (s**1.92 + 100)

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from scipy.special import erfcx, wofz
 
-from fraclink.fractional import FractionalTransferFunction, s
-from fraclink.response import impulse_response, step_response, time_response
+from fraclink._systems.fractional import FractionalTransferFunction, s
+from fraclink._systems.response import impulse_response, step_response, time_response
 
 REFERENCE = Path(__file__).parent / "reference" / "step_responses.json"
 PERIOD = 0.004

@@ -11,9 +11,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fraclink._arm.link import LinkModel
+from fraclink._arm.rig import Channel, Encoder, Gauge, Inner, Link, LogColumns, Motor, Payloads, Rig
 from fraclink.errors import FieldError, FileFormatError
-from fraclink.link import LinkModel
-from fraclink.rig import Channel, Encoder, Gauge, Inner, Link, LogColumns, Motor, Payloads, Rig
 
 ROOT = Path(__file__).parents[1]
 RIGS = ROOT / "tests" / "rigs"
@@ -180,8 +180,8 @@ def test_a_missing_file_is_one_line(tmp_path: Path) -> None:
 
 
 def test_every_key_of_the_file_stands_in_the_reference() -> None:
-    from fraclink.rig.quantities import specs
-    from fraclink.rig.schema import SECTIONS
+    from fraclink._arm.rig.quantities import specs
+    from fraclink._arm.rig.schema import SECTIONS
 
     page = (ROOT / "docs" / "reference" / "file-formats.md").read_text(encoding="utf-8")
     keys = [spec.key for kind in SECTIONS.values() for spec in specs(kind).values()]
@@ -191,7 +191,7 @@ def test_every_key_of_the_file_stands_in_the_reference() -> None:
 
 def test_every_code_of_a_rig_and_a_log_stands_in_the_reference() -> None:
     page = (ROOT / "docs" / "reference" / "errors.md").read_text(encoding="utf-8")
-    folders = [ROOT / "src" / "fraclink" / name for name in ("rig", "readers", "diagnose")]
+    folders = [ROOT / "src" / "fraclink" / name for name in ("_arm", "_logs")]
     sources = [path.read_text(encoding="utf-8") for folder in folders for path in folder.rglob("*.py")]
     codes = {code for source in sources for code in re.findall(r'"(W[12]\d\d)"', source)}
     assert len(codes) > 20

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 import fraclink as fl
 from fraclink import _kernels
+from fraclink._arm.link import LinkModel
+from fraclink._arm.rig import Encoder, Gauge, Rig
+from fraclink._simulate import simulate
 from fraclink.errors import FieldError, FileFormatError, SizeError
-from fraclink.link import LinkModel
-from fraclink.rig import Encoder, Gauge, Rig
-from fraclink.simulate import simulate
 from law_bench import PERIOD, law
 
 RIG = Rig.named("paper-2023")

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from fraclink.simulate.metrics import Metrics, Verdict, judge, measure
+from fraclink._simulate.metrics import Metrics, Verdict, judge, measure
 
 PERIOD, ENDED, VIBRATION = 0.01, 1.0, 0.5
 TIME = PERIOD * np.arange(601)

@@ -11,9 +11,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fraclink._systems.fractional import FractionalTransferFunction, s
+from fraclink._systems.stability import Margins, is_stable, margins
 from fraclink.errors import FieldError
-from fraclink.fractional import FractionalTransferFunction, s
-from fraclink.stability import Margins, is_stable, margins
 
 K, BETA, W = 0.148, 0.65, 10.0
 

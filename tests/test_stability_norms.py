@@ -7,9 +7,9 @@ import math
 import mpmath
 import pytest
 
+from fraclink._systems.fractional import FractionalTransferFunction, s
+from fraclink._systems.stability import norm
 from fraclink.errors import FieldError, UnstableError
-from fraclink.fractional import FractionalTransferFunction, s
-from fraclink.stability import norm
 
 INF = math.inf
 

@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fraclink._systems.fractional import FractionalTransferFunction, s
+from fraclink._systems.stability import is_stable, margins, poles
 from fraclink.errors import FieldError
-from fraclink.fractional import FractionalTransferFunction, s
-from fraclink.stability import is_stable, margins, poles
 
 
 def test_poles_of_integer_systems_are_the_polynomial_roots() -> None:

@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from fraclink.cli import main
+from fraclink._cli import main
 
 
 def test_record_then_identify(tmp_path, capsys):

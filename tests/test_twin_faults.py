@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import fraclink as fl
+from fraclink._arm.reference import smooth_step
+from fraclink._law import discretize_controller
+from fraclink._simulate.twin import SensorFault, Twin, geared, run_twin
 from fraclink.errors import FieldError
-from fraclink.law import discretize_controller
-from fraclink.reference import smooth_step
-from fraclink.twin import SensorFault, Twin, geared, run_twin
 
 RIG = geared(fl.Rig.named("paper-2023"))
 MOVE = smooth_step(1.0, duration=1.0)

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 import fraclink as fl
-from fraclink.errors import FieldError, FileFormatError
-from fraclink.law import Modes, discretize_controller
-from fraclink.reference import hold, smooth_step
-from fraclink.twin import (
+from fraclink._arm.reference import hold, smooth_step
+from fraclink._law import Modes, discretize_controller
+from fraclink._simulate.twin import (
     KelvinVoigt,
     Obstacle,
     PayloadChange,
@@ -24,8 +23,9 @@ from fraclink.twin import (
     geared,
     run_twin,
 )
-from fraclink.twin.loop import driven, healthy_inputs
-from fraclink.twin.vessel import Vessel
+from fraclink._simulate.twin.loop import driven, healthy_inputs
+from fraclink._simulate.twin.vessel import Vessel
+from fraclink.errors import FieldError, FileFormatError
 
 RIG = geared(fl.Rig.named("paper-2023"))
 LINK_MASS = 0.00735
@@ -237,7 +237,7 @@ def test_a_run_saves_and_loads_equal(law, tmp_path):
 
 
 def test_a_rig_that_contradicts_its_model_is_refused():
-    from fraclink.link import LinkModel
+    from fraclink._arm.link import LinkModel
 
     other = LinkModel(stiffness=1.56, natural_frequency=20.0, order=1.92, payload=0.030)
     with pytest.raises(FieldError, match="contradicting"):

@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fraclink._kernels import twin_march
+from fraclink._simulate.twin import Beam, FractionalKelvinVoigt, KelvinVoigt, PowerLaw, assemble
 from fraclink.errors import FieldError
-from fraclink.twin import Beam, FractionalKelvinVoigt, KelvinVoigt, PowerLaw, assemble
 
 ROD = Beam(0.65, 1.56 * 0.65 / 3, 0.00735, 0.030)
 MASSLESS = Beam(0.65, 1.56 * 0.65 / 3, 0.0, 0.030)

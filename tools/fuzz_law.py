@@ -16,8 +16,8 @@ import tempfile
 from pathlib import Path
 
 import fraclink as fl
-from fraclink.export.data import exact_flags
-from fraclink.law import discretize_controller
+from fraclink._export.data import exact_flags
+from fraclink._law import discretize_controller
 
 ROOT = Path(__file__).resolve().parents[1]
 SANITIZERS = "fuzzer,address,undefined,float-divide-by-zero,float-cast-overflow"

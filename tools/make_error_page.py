@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from fraclink import errors
-from fraclink.cli.outcome import guarded
-from fraclink.files import write_text
+from fraclink._cli.outcome import guarded
+from fraclink._files import write_text
 
 ROOT = Path(__file__).resolve().parent.parent
 SOURCE = ROOT / "src" / "fraclink"

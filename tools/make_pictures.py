@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 
 import fraclink as fl
-from fraclink.files import write_text
-from fraclink.report.svg import BLUE, GREEN, GREY, ORANGE, figure, svg
-from fraclink.stability import Margins
+from fraclink._files import write_text
+from fraclink._show.report.svg import BLUE, GREEN, GREY, ORANGE, figure, svg
+from fraclink._systems.stability import Margins
 
 PLACE = Path(__file__).resolve().parent.parent / "docs" / "_static" / "result.svg"
 

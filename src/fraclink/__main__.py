@@ -2,6 +2,6 @@
 
 import sys
 
-from fraclink.cli import main
+from fraclink._cli import main
 
 sys.exit(main())

@@ -1,0 +1,86 @@
+"""One run of a fault as a picture: tip, motor and gauge beside the clean run, and what the law did."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from fraclink._campaign.faults.campaign import observe
+from fraclink._campaign.faults.catalogue import fault_named
+from fraclink._campaign.faults.nouns import Outcome
+from fraclink._campaign.faults.trial import Bench
+from fraclink._files import atomic_write
+from fraclink._law import MODES
+from fraclink.errors import MissingExtraError
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from fraclink._campaign.faults.evidence import Evidence
+
+__all__ = ["draw_outcome"]
+
+_CLEAN, _FAULTY, _WANTED, _EVENT = "#9aa7ad", "#1f6f8b", "#444444", "#c0392b"
+
+
+def draw_outcome(bench: Bench, outcome: Outcome, path: Path | str) -> None:
+    """Run a case again and draw it; the kind of file follows the name (SVG, PNG, PDF).
+
+    Raises MissingExtraError where matplotlib is not installed.
+    """
+    try:
+        import matplotlib as mpl
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+    except ModuleNotFoundError as error:
+        raise MissingExtraError("matplotlib", "report") from error
+    e = observe(bench, outcome.case, bench.law.in_precision("double"))
+    fault = fault_named(outcome.case.fault)
+    figure = Figure(figsize=(8.0, 7.2), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(4, 1, sharex=True, height_ratios=(3, 2, 2, 1))
+    for axis, draw in zip(axes, (_tip, _motor, _gauge, _mode), strict=True):
+        draw(axis, e)
+        axis.axvline(e.row * e.law.period, color=_EVENT, linewidth=0.8, linestyle=":")
+        axis.spines[["top", "right"]].set_visible(False)
+        axis.tick_params(labelsize=8)
+    axes[-1].set_xlabel("time [s]")
+    first = outcome.failed[0] if outcome.failed else None
+    verdict = "holds" if first is None else str(first)
+    figure.suptitle(f"{outcome.name}: {fault.title}\n{verdict}", fontsize=10)
+    kind = Path(path).suffix.lstrip(".") or "svg"
+    # A fixed salt and no date: the same run gives the same bytes.
+    with mpl.rc_context({"svg.hashsalt": "fraclink"}), atomic_write(path, "wb") as stream:
+        figure.savefig(stream, format=kind, metadata={"Date": None} if kind == "svg" else None)
+
+
+def _tip(axis: Axes, e: Evidence) -> None:
+    axis.plot(e.clean.time, e.clean.tip, color=_CLEAN, label="tip, clean")
+    axis.plot(e.faulty.time, e.faulty.tip, color=_FAULTY, label="tip, faulty")
+    axis.plot(e.faulty.time, e.faulty.wanted, color=_WANTED, linewidth=0.8, linestyle="--", label="reference")
+    axis.set_ylabel("angle [rad]", fontsize=8)
+    axis.legend(fontsize=8, frameon=False, loc="best")
+
+
+def _motor(axis: Axes, e: Evidence) -> None:
+    axis.plot(e.faulty.time, e.faulty.motor, color=_CLEAN, label="motor, true")
+    axis.plot(e.faulty.time, e.faulty.encoder, color=_EVENT, linewidth=0.6, label="encoder")
+    axis.plot(e.faulty.time, e.faulty.command, color=_FAULTY, linewidth=0.8, label="motor reference")
+    low, high = float(e.faulty.motor.min()), float(e.faulty.motor.max())
+    edge = 0.2 * max(high - low, 0.5)
+    axis.set_ylim(low - edge, high + edge)  # an encoder in degrees would flatten everything else
+    axis.set_ylabel("motor [rad]", fontsize=8)
+    axis.legend(fontsize=8, frameon=False, loc="best")
+
+
+def _gauge(axis: Axes, e: Evidence) -> None:
+    axis.plot(e.faulty.time, e.faulty.gauge, color=_EVENT, linewidth=0.6, label="gauge")
+    axis.plot(e.faulty.time, e.faulty.torque, color=_CLEAN, label="torque, true")
+    axis.set_ylabel("torque [N·m]", fontsize=8)
+    axis.legend(fontsize=8, frameon=False, loc="best")
+
+
+def _mode(axis: Axes, e: Evidence) -> None:
+    axis.step(e.faulty.time, e.faulty.mode, where="post", color=_FAULTY)
+    axis.set_yticks(range(len(MODES)), MODES)
+    axis.set_ylim(-0.4, len(MODES) - 0.6)

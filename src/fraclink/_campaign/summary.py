@@ -1,0 +1,208 @@
+"""What a campaign's runs say: quantiles, failures, worst cases and what drives them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink._campaign.campaign import Campaign
+from fraclink._campaign.part import read_part
+from fraclink.errors import FieldError
+
+__all__ = ["METRICS", "PARAMETERS", "Failure", "MetricSummary", "Quantile", "Summary", "columns", "summarise"]
+
+Real = NDArray[np.float64]
+
+METRICS = (
+    "overshoot",
+    "settling_time",
+    "residual_vibration",
+    "steady_state_error",
+    "peak_tip_error",
+    "peak_voltage",
+    "motor_reference_noise",
+    "saturated",
+)
+PARAMETERS = (
+    "payload",
+    "stiffness",
+    "order",
+    "gauge_offset",
+    "delay_samples",
+    "motor_gain",
+    "viscous_friction",
+    "coulomb_torque",
+    "noise",
+    "amplitude",
+)
+PROBABILITIES = (0.05, 0.5, 0.95, 0.99, 0.999)
+CONFIDENCE = 0.95
+WORST = 5
+
+
+@dataclass(frozen=True)
+class Quantile:
+    """A quantile and its 95 % interval, free of any distribution: order statistics of the sample.
+
+    An end of the interval is infinite where the sample is too small to bound it.
+    """
+
+    probability: float
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class MetricSummary:
+    """One metric: quantiles, the run numbers of its worst cases, and Spearman's rank correlation with
+    every parameter, largest first."""
+
+    name: str
+    quantiles: tuple[Quantile, ...]
+    worst: tuple[tuple[int, float], ...]
+    drivers: tuple[tuple[str, float], ...]
+
+
+@dataclass(frozen=True)
+class Failure:
+    """How often the law does not hold: count, estimate, and the two-sided 95 % Clopper–Pearson interval."""
+
+    count: int
+    runs: int
+    estimate: float
+    low: float
+    high: float
+
+    @property
+    def sentence(self) -> str:
+        """The claim in words, with the number of runs a stronger one needs."""
+        share = f"{self.estimate:.3g} ({self.low:.3g} … {self.high:.3g})"
+        claim = f"{self.count} of {self.runs} runs do not hold: {share}"
+        if self.count:
+            return claim
+        more = f"ten times less needs {10 * self.runs} runs without one"
+        return f"{claim}; below {self.high:.2g} at 95 %: {more}"
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What `summarise` found: failures, tripped runs by (mode, reason), and every metric."""
+
+    failure: Failure
+    trips: tuple[tuple[int, int, int], ...]
+    metrics: tuple[MetricSummary, ...]
+    failed: tuple[int, ...]
+
+
+def summarise(campaign: Campaign, folder: Path | str) -> Summary:
+    """Summarise the finished parts of a campaign; FieldError where none is.
+
+    Columns are read one at a time: the memory is that of two columns, 16 bytes a run.
+    """
+    place = Path(folder)
+    parts = _finished(campaign, place)
+
+    def column(name: str) -> NDArray[np.generic]:
+        return np.concatenate([_column(campaign, place, part, name) for part in parts])
+
+    run, holds = column("run"), column("holds").astype(bool)
+    failed = run[~holds]
+    drawn = {name: _ranks(column(name)) for name in PARAMETERS}
+    metrics = tuple(_metric(name, np.asarray(column(name), dtype=float), run, drawn) for name in METRICS)
+    return Summary(
+        failure=_failure(len(failed), len(run)),
+        trips=_trips(column("mode"), column("reason")),
+        metrics=metrics,
+        failed=tuple(int(n) for n in failed[:100]),
+    )
+
+
+def columns(campaign: Campaign, folder: Path | str, *names: str) -> tuple[NDArray[np.generic], ...]:
+    """Return columns of all finished parts of a campaign, by name; FieldError where no part is finished."""
+    place = Path(folder)
+    parts = _finished(campaign, place)
+    return tuple(np.concatenate([_column(campaign, place, part, name) for part in parts]) for name in names)
+
+
+def _finished(campaign: Campaign, place: Path) -> list[int]:
+    parts = [p for p in range(campaign.parts) if read_part(campaign, place, p, names=("run",)) is not None]
+    if not parts:
+        raise FieldError(
+            "parts",
+            str(place),
+            "empty",
+            allowed="at least one finished part",
+            remedy="run the campaign first",
+        )
+    return parts
+
+
+def _column(campaign: Campaign, place: Path, part: int, name: str) -> NDArray[np.generic]:
+    columns = read_part(campaign, place, part, names=(name,))
+    if columns is None:
+        raise FieldError(
+            "part", part, "gone while it was read", allowed="a finished part", remedy="run the campaign again"
+        )
+    return columns[name]
+
+
+def _metric(name: str, values: Real, run: NDArray[np.generic], drawn: dict[str, Real]) -> MetricSummary:
+    size = np.abs(values) if name == "steady_state_error" else values
+    order = np.sort(size)
+    worst = np.argsort(size)[::-1][:WORST]
+    ranks = _ranks(size)
+    drivers = [(p, _correlation(ranks, other)) for p, other in drawn.items()]
+    return MetricSummary(
+        name,
+        tuple(_quantile(order, p) for p in PROBABILITIES),
+        tuple((int(run[i]), float(values[i])) for i in worst),
+        tuple(sorted(drivers, key=lambda pair: -abs(pair[1]))),
+    )
+
+
+def _quantile(order: Real, probability: float) -> Quantile:
+    """Order statistics l, u with P(B < l), P(B ≥ u) ≤ 2.5 %, B binomial(n, p) (David and Nagaraja 2003)."""
+    from scipy.stats import binom
+
+    n, tail = len(order), 0.5 * (1.0 - CONFIDENCE)
+    low = int(binom.ppf(tail, n, probability))
+    high = int(binom.ppf(1.0 - tail, n, probability)) + 1
+    return Quantile(
+        probability,
+        float(order[max(math.ceil(probability * n), 1) - 1]),
+        float(order[low - 1]) if low >= 1 else -math.inf,
+        float(order[high - 1]) if high <= n else math.inf,
+    )
+
+
+def _failure(count: int, runs: int) -> Failure:
+    """Clopper and Pearson 1934: the beta quantiles that make the binomial tails 2.5 %."""
+    from scipy.special import betaincinv
+
+    tail = 0.5 * (1.0 - CONFIDENCE)
+    low = float(betaincinv(count, runs - count + 1, tail)) if count else 0.0
+    high = float(betaincinv(count + 1, runs - count, 1.0 - tail)) if count < runs else 1.0
+    return Failure(count, runs, count / runs, low, high)
+
+
+def _trips(mode: NDArray[np.generic], reason: NDArray[np.generic]) -> tuple[tuple[int, int, int], ...]:
+    pairs, counts = np.unique(np.stack([mode, reason], axis=1), axis=0, return_counts=True)
+    return tuple((int(m), int(r), int(c)) for (m, r), c in zip(pairs, counts, strict=True) if m != 1)
+
+
+def _ranks(values: NDArray[np.generic]) -> Real:
+    """Mean ranks, centred and of length one: a dot product of two of them is Spearman's correlation."""
+    from scipy.stats import rankdata
+
+    ranks = rankdata(values) - 0.5 * (len(values) + 1)
+    length = float(np.linalg.norm(ranks))
+    return np.asarray(ranks / length if length else ranks)
+
+
+def _correlation(a: Real, b: Real) -> float:
+    return float(a @ b)

@@ -1,0 +1,227 @@
+"""`certify`: prove that a law keeps its distance from -1 for every payload and delay, or say where not."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+from fraclink._arm.controller import Controller
+from fraclink._arm.link import LinkModel
+from fraclink._arm.rig import Rig
+from fraclink._certify.balls import Loop, load_flint
+from fraclink._certify.certificate import Certificate
+from fraclink._certify.numeric import windings, worst_distance
+from fraclink._certify.search import Failure, prove
+from fraclink._certify.statement import Statement, state
+from fraclink._design import Plan
+from fraclink._design.request import link_at
+from fraclink._law import Law, discretize_controller
+from fraclink._validate import checked_between, checked_choice, checked_noun
+from fraclink.errors import FieldError
+
+__all__ = ["certify"]
+
+_SHARE = 0.9  # of the distance a grid finds, what is claimed when nothing is asked: room for a small proof
+
+
+def certify(
+    subject: Plan | Controller | Law,
+    *,
+    model: LinkModel | None = None,
+    rig: Rig | None = None,
+    payloads: tuple[float, float] | None = None,
+    delay: tuple[float, float] | None = None,
+    modulus_margin: float | None = None,
+    law: Law | None = None,
+    inner: str | None = None,
+) -> Certificate:
+    """Prove that the sampled loop is stable with ``|1 + L| > m`` for every payload and delay.
+
+    The proof is in ball arithmetic and covers the law's exact coefficients, the zero-order hold, every delay
+    of a range, the motor loop and all aliases; tools/check_certificate.py checks it with other arithmetic.
+
+    Parameters
+    ----------
+    subject
+        a plan; or a controller or a law, then `model` and `rig` are needed.
+    model, rig
+        the link and the rig; the plan's own when left out.
+    payloads
+        (lightest, heaviest) [kg], > 0; the plan's or the rig's when left out.
+    delay
+        (shortest, longest) computation delay [s], at most Ts for a sampled motor loop; (0, Ts) when left out.
+    modulus_margin
+        m, 0 < m < 1; nine tenths of what a grid finds when left out.
+    law
+        the law to prove, where the plan's own is not meant (single precision, another order).
+    inner
+        "ideal" or "sampled" motor loop; the plan's own when left out.
+
+    Returns
+    -------
+    Certificate
+        with ``holds``, ``verdict``, and where it fails the payload, the frequency and what was found there.
+
+    Raises
+    ------
+    FieldError
+        a value is out of its range, or λ = 2 without damping.
+    MissingExtraError
+        python-flint is not installed.
+
+    Examples
+    --------
+    >>> import fraclink as fl
+    >>> from fraclink._certify import certify
+    >>> rig = fl.Rig.named("paper-2023")
+    >>> wanted = {"gain_crossover": 12.0, "phase_margin": fl.deg(50), "filter_time": 0.0}
+    >>> plan = fl.design(rig.model, rig, payloads=(0.020, 0.040), **wanted)
+    >>> certificate = certify(plan, modulus_margin=0.35)
+    >>> certificate.holds
+    True
+    """
+    load_flint()
+    claim, proper = _statement(subject, model, rig, payloads, delay, law, inner)
+    distance, frequency, payload, late = worst_distance(claim, proper)
+    if modulus_margin is None:
+        claim = replace(claim, modulus=max(math.floor(100.0 * _SHARE * distance) / 100.0, 0.01))
+    else:
+        wanted = checked_between("modulus_margin", modulus_margin, 0.0, 1.0, "", open_low=True)
+        claim = replace(claim, modulus=wanted)
+    unstable = windings(claim, proper)
+    if unstable is not None:
+        return _unstable(claim, subject, model, *unstable)
+    if distance <= claim.modulus:
+        return _too_close(claim, distance, frequency, payload, late)
+    outcome = prove(Loop(claim, proper.coefficients))
+    if isinstance(outcome, Failure):
+        return Certificate(
+            claim,
+            False,
+            f"Not certified: {outcome.reason} at {outcome.payload * 1e3:.4g} g, "
+            f"{outcome.frequency:.6g} rad/s and {outcome.delay * 1e3:.4g} ms of delay; "
+            f"a grid finds |1 + L| = {distance:.4g}",
+            payload=outcome.payload,
+            frequency=outcome.frequency,
+            delay=outcome.delay,
+            distance=distance,
+        )
+    return Certificate(claim, True, claim.words(), outcome.tree, outcome.leaves)
+
+
+def _statement(
+    subject: Plan | Controller | Law,
+    model: LinkModel | None,
+    rig: Rig | None,
+    payloads: tuple[float, float] | None,
+    delay: tuple[float, float] | None,
+    law: Law | None,
+    inner: str | None,
+) -> tuple[Statement, Law]:
+    _check_nouns(subject, model, rig, law)
+    if isinstance(subject, Plan):
+        model, rig = model or subject.model, rig or subject.rig
+        payloads, law = subject.payloads if payloads is None else payloads, law or subject.law()
+        settings = subject.controller.inner
+        inner = (settings.kind if settings else "ideal") if inner is None else inner
+    if model is None or rig is None:
+        raise FieldError(
+            "model" if model is None else "rig",
+            None,
+            "missing",
+            allowed="a link model and a rig",
+            remedy="give both beside a controller or a law, or certify a plan",
+        )
+    if isinstance(subject, Controller):
+        law = law or discretize_controller(subject, rig.period, link=model, rig=rig)
+    chosen = law if law is not None else subject
+    assert not isinstance(chosen, (Plan, Controller))  # noqa: S101  # both branches above gave a law
+    light, heavy = _ends("payloads", (rig.payloads.low, rig.payloads.high) if payloads is None else payloads)
+    light = checked_between("payloads[0]", light, 0.0, 1e4, "kg", open_low=True)
+    heavy = checked_between("payloads[1]", heavy, light, 1e4, "kg")
+    kind = checked_choice("inner", "ideal" if inner is None else inner, ("ideal", "sampled"))
+    period = chosen.period
+    first, last = _ends("delay", (0.0, period) if delay is None else delay)
+    first = checked_between("delay[0]", first, 0.0, 8.0 * period, "s")
+    last = checked_between("delay[1]", last, first, period if kind == "sampled" else 8.0 * period, "s")
+    nominal = link_at(model, rig, heavy)
+    claim = state(
+        chosen,
+        model,
+        rig,
+        payloads=(light, heavy),
+        natural_frequency=nominal.natural_frequency,
+        at_payload=heavy,
+        delay=(first, last),
+        inner=kind,
+        modulus=0.5,
+    )
+    return claim, chosen
+
+
+def _ends(field: str, value: object) -> tuple[object, object]:
+    if not isinstance(value, tuple | list) or len(value) != 2:
+        allowed, remedy = "(low, high)", "give two numbers, the same twice for one value"
+        raise FieldError(field, repr(value), "not a pair", allowed=allowed, remedy=remedy)
+    return value[0], value[1]
+
+
+def _check_nouns(subject: object, model: object, rig: object, law: object) -> None:
+    if not isinstance(subject, Plan | Controller | Law):
+        allowed, remedy = "a Plan, a Controller or a Law", "fl.design makes a plan"
+        raise FieldError("subject", repr(subject), "none of them", allowed=allowed, remedy=remedy)
+    kinds: tuple[tuple[str, object, type, str], ...] = (
+        ("model", model, LinkModel, "fit.model, or rig.model"),
+        ("rig", rig, Rig, "Rig.named or Rig.load make one"),
+        ("law", law, Law, "controller.discretize(rig.period) makes one"),
+    )
+    for field, value, kind, remedy in kinds:
+        if value is not None:
+            checked_noun(field, value, kind, remedy=remedy)
+
+
+def _unstable(
+    claim: Statement,
+    subject: Plan | Controller | Law,
+    model: LinkModel | None,
+    payload: float,
+    late: float,
+    frequency: float,
+) -> Certificate:
+    poles: tuple[complex, ...] = ()
+    controller = subject.controller if isinstance(subject, Plan) else subject
+    link = subject.model if isinstance(subject, Plan) else model
+    text = ""
+    if isinstance(controller, Controller) and link is not None:
+        from fraclink._design.poles import closed_loop_poles
+
+        at = replace(link, natural_frequency=(claim.softness * payload) ** -0.5)
+        pole = claim.pole or (controller.inner.pole if controller.inner else 80.0)
+        poles = tuple(complex(p) for p in closed_loop_poles(controller, at, inner_pole=pole))
+        if poles and poles[0].real > 0.0:
+            text = f"; poles {poles[0].real:+.3f} ± {abs(poles[0].imag):.2f}j rad/s without hold and delay"
+    return Certificate(
+        claim,
+        False,
+        f"Not certified: unstable at {payload * 1e3:.4g} g with {late * 1e3:.3g} ms of delay; "
+        f"L passes left of -1 near {frequency:.4g} rad/s{text}",
+        payload=payload,
+        frequency=frequency,
+        delay=late,
+        poles=poles,
+    )
+
+
+def _too_close(
+    claim: Statement, distance: float, frequency: float, payload: float, late: float
+) -> Certificate:
+    return Certificate(
+        claim,
+        False,
+        f"Not certified: |1 + L| = {distance:.4g} is not above {claim.modulus:g} at {payload * 1e3:.4g} g, "
+        f"{frequency:.6g} rad/s and {late * 1e3:.3g} ms of delay",
+        payload=payload,
+        frequency=frequency,
+        delay=late,
+        distance=distance,
+    )

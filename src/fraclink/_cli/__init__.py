@@ -1,0 +1,25 @@
+"""The command line: verbs that chain through files; the exit code is the verdict."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+
+__all__ = ["main"]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line with `arguments` (default: the process's own) and return the exit code.
+
+    0 holds, 1 does not hold (infeasible, not certified, a run that fails), 2 bad input.
+    """
+    try:
+        from fraclink._cli.app import run
+    except ModuleNotFoundError as error:
+        if error.name not in {"typer", "rich"}:
+            raise
+        from fraclink.errors import MissingExtraError
+
+        sys.stderr.write(f"error: {MissingExtraError(error.name, 'cli')}\n")
+        return 2
+    return run(sys.argv[1:] if arguments is None else arguments)

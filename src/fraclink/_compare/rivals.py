@@ -1,0 +1,267 @@
+"""The rivals: every one with the rule it was tuned by, none by hand."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+
+from fraclink._arm.controller import Controller
+from fraclink._compare.linear import Filter, law_filter, tune
+from fraclink._compare.optimal import hinf_correction, integer_mode, lqg_correction
+from fraclink._compare.outer import (
+    Algebraic,
+    Linear,
+    Outer,
+    Sliding,
+    gpi_correction,
+    pd_correction,
+    sliding_correction,
+)
+from fraclink._compare.setting import Setting
+from fraclink._compare.shaping import shaper_impulses
+from fraclink._law import Law, Modes
+
+__all__ = ["OURS", "Rival", "builders", "servo_law"]
+
+# Derivatives are filtered at 100 rad/s, above the motor servo (80) and below Nyquist (785).
+FILTER_TIME = 0.01
+ESTIMATION = 0.5  # [s] of the move for the algebraic estimator: half of it, one period of the slowest payload
+OFFSET = 0.05  # [N·m], the gauge offset of the offset test
+BEND = 0.1  # [rad] of bend whose acceleration the sliding mode may ask for: three times what OFFSET fakes
+UNBOUNDED = 1e6
+OURS = "ours"
+
+
+@dataclass(frozen=True)
+class Rival:
+    """One contender.
+
+    rule: how it was tuned; knob: the value that the rule gave; peak: Ms at the nominal payload on the lumped
+    model (1 without feedback of the tip); states and multiplications: of the outer controller per tick, with
+    feed-forward; law: what runs in the inner loop, the whole controller where `outer` and `impulses` are
+    None.
+    """
+
+    name: str
+    rule: str
+    knob: str
+    peak: float
+    states: int
+    multiplications: int
+    law: Law
+    correction: Filter | None = None
+    outer: Callable[[], Outer] | None = None
+    impulses: tuple[tuple[float, ...], tuple[float, ...]] | None = None
+
+
+Builder = Callable[[], Rival]
+
+
+def servo_law(law: Law) -> Law:
+    """Return the law with guards that never act: what is compared is control, for all rivals alike."""
+    # Every threshold but the fade, which is no threshold: the numbers are angles, torques and speeds.
+    limits = asdict(law.limits)
+    wide = {k: UNBOUNDED for k, v in limits.items() if isinstance(v, float) and k != "fade_step"}
+    limits_type = type(law.limits)
+    return replace(law, limits=limits_type(**(limits | wide)))
+
+
+def _bare(law: Law) -> Law:
+    return replace(servo_law(law), correction=Modes(0.0), feedforward=Modes(0.0))
+
+
+def _forward_cost(law: Law) -> tuple[int, int]:
+    modes = law.feedforward
+    return len(modes.poles), 1 + 2 * len(modes.poles)
+
+
+def _law_cost(law: Law) -> tuple[int, int]:
+    """States and multiplications of law.c's outer part: Ĉ, feed-forward, 1/c."""
+    modes = law.correction
+    states, products = _forward_cost(law)
+    states += 1 + len(modes.poles) + 2 * len(modes.pair_poles)
+    return states, products + 2 + 2 * len(modes.poles) + 6 * len(modes.pair_poles)
+
+
+def _filter_cost(law: Law, correction: Filter) -> tuple[int, int]:
+    """A filter of order n as a transfer function: n states, 2n + 1 products; feed-forward and 1/c as ours."""
+    states, products = _forward_cost(law)
+    return states + correction.order, products + 1 + 2 * correction.order + 1
+
+
+def _by_law(name: str, rule: str, controller: Controller, setting: Setting) -> Rival:
+    law = controller.discretize(setting.rig.period)
+    law = servo_law(replace(law, drive=setting.ours.drive))
+    c = controller
+    knob = f"k_d {c.gain:.4g}, β {c.order:.4g}, δ {c.filter_time:.3g} s, n {c.filter_order}"
+    states, products = _law_cost(law)
+    return Rival(name, rule, knob, setting.loop.peak(law_filter(law)), states, products, law)
+
+
+def _tuned(
+    name: str,
+    rule: str,
+    knob: str,
+    setting: Setting,
+    make: Callable[[float], Filter],
+    limits: tuple[float, float],
+) -> Rival:
+    value, correction, reached = tune(setting.loop, make, limits, setting.target)
+    states, products = _filter_cost(setting.ours, correction)
+    return Rival(
+        name,
+        rule,
+        f"{knob} {value:.4g}" + ("" if reached else " (Ms of ours out of reach: the least it can have)"),
+        setting.loop.peak(correction),
+        states,
+        products,
+        _bare(setting.ours),
+        correction=correction,
+        outer=lambda: Linear(correction),
+    )
+
+
+def _feedback_rivals(setting: Setting) -> dict[str, Builder]:
+    """Rivals with feedback of the tip estimate, each with one knob that is turned until Ms is ours."""
+    period, model, rig = setting.rig.period, setting.model, setting.rig
+    frequency, _ = integer_mode(model)
+    noise = max(rig.gauge.noise, 1e-4) / model.stiffness
+    pole, delay = setting.ours.inner_pole, rig.inner.delay_samples
+    same = "same Ms as ours at the nominal payload"
+
+    def tuned(
+        name: str,
+        rule: str,
+        knob: str,
+        make: Callable[[float], Filter],
+        limits: tuple[float, float],
+    ) -> tuple[str, Builder]:
+        return name, lambda: _tuned(name, rule, knob, setting, make, limits)
+
+    return dict(
+        (
+            tuned(
+                "PD on the tip estimate",
+                f"zero at the nominal mode, gain for the {same}",
+                "gain",
+                lambda g: pd_correction(g, corner=frequency, filter_time=FILTER_TIME, period=period),
+                (1e-3, 10.0),
+            ),
+            tuned(
+                "LQG",
+                f"integer model, offset state in the Kalman filter, control weight for the {same}",
+                "tip weight",
+                lambda q: lqg_correction(model, period=period, pole=pole, delay=delay, noise=noise, weight=q),
+                (1e-4, 1e4),
+            ),
+            tuned(
+                "H∞ loop shaping",
+                f"weight k s/(s + ω/10), γ = 1.1 γ_min, k for the {same}",
+                "k",
+                lambda k: hinf_correction(model, period=period, pole=pole, delay=delay, gain=k),
+                (1e-2, 1e2),
+            ),
+        )
+    )
+
+
+def _swapped(make: Callable[[float, float], Filter], time: float, rate: float) -> Filter:
+    return make(rate, time)
+
+
+def _noisy_rivals(setting: Setting) -> dict[str, Builder]:
+    """Rivals that cancel the link's stiffness: no knob gives them our Ms, so their rule is our noise.
+
+    Both need a derivative gain of about 2/ω. Its filter is the shortest of 10 ms · 1.25^k with which white
+    noise of the gauge reaches the motor reference no stronger than with our design, and the error poles
+    are those of the smallest Ms at that filter.
+    """
+    period, model = setting.rig.period, setting.model
+    frequency, _ = integer_mode(model)
+    wanted = setting.loop.noise(law_filter(setting.ours))
+
+    def quiet(make: Callable[[float, float], Filter]) -> tuple[float, float, Filter]:
+        for k in range(16):
+            time = FILTER_TIME * 1.25**k
+            at_rate = partial(_swapped, make, time)
+            rate, correction, _ = tune(setting.loop, at_rate, (0.3 * frequency, 4 * frequency), 1.0)
+            if setting.loop.noise(correction) <= wanted:
+                break
+        return rate, time, correction
+
+    def build(
+        name: str,
+        rule: str,
+        make: Callable[[float, float], Filter],
+        outer: Callable[[float, float], Outer],
+        extra: tuple[int, int],
+    ) -> Rival:
+        rate, time, correction = quiet(make)
+        states, products = _filter_cost(setting.ours, correction)
+        return Rival(
+            name,
+            f"{rule}; filter for our noise at the motor reference, error poles for the least Ms",
+            f"rate {rate:.4g} 1/s, filter {1e3 * time:.3g} ms",
+            setting.loop.peak(correction),
+            states + extra[0],
+            products + extra[1],
+            _bare(setting.ours),
+            correction=correction,
+            outer=lambda: outer(rate, time),
+        )
+
+    bound = frequency**2 * BEND
+    return {
+        "sliding mode": lambda: build(
+            "sliding mode",
+            f"two equal error poles in the boundary layer, switching bounded by a bend of {BEND:g} rad",
+            lambda r, t: sliding_correction(r, frequency, filter_time=t, period=period),
+            lambda r, t: Sliding(r, frequency, bound, filter_time=t, period=period),
+            (0, 2),
+        ),
+        "algebraic estimator + GPI": lambda: build(
+            "algebraic estimator + GPI",
+            f"four equal error poles, ω² estimated in the first {ESTIMATION:g} s",
+            lambda r, t: gpi_correction(r, frequency, filter_time=t, period=period),
+            lambda r, t: Algebraic(r, frequency, filter_time=t, period=period, until=ESTIMATION),
+            (7, 12),
+        ),
+    }
+
+
+def _shaping(setting: Setting, name: str, derivative: bool) -> Rival:
+    frequency, ratio = integer_mode(setting.model)
+    times, sizes = shaper_impulses(frequency, ratio, derivative=derivative)
+    return Rival(
+        name,
+        "impulses from the nominal mode and its damping; motor servo, no feedback of the tip",
+        f"half period {times[1]:.4g} s",
+        1.0,
+        math.ceil(float(times[-1]) / setting.rig.period),
+        len(sizes),
+        _bare(setting.ours),
+        impulses=(tuple(times.tolist()), tuple(sizes.tolist())),
+    )
+
+
+def builders(setting: Setting) -> dict[str, Builder]:
+    """Return how every rival is made, ours first; tuning happens when a builder is called."""
+    from fraclink._compare.collocated import collocated
+    from fraclink._compare.published import CORRECTED, INTEGER, PRINTED, corrected, integer_twin, printed
+    from fraclink._compare.quieter import QUIETER, quieter
+
+    request = "the request: gain crossover, phase margin, payloads"
+    return {
+        OURS: lambda: _by_law(OURS, request, setting.controller, setting),
+        QUIETER: lambda: _by_law(QUIETER, *quieter(setting), setting),
+        "collocated PD": lambda: collocated(setting, _bare(setting.ours)),
+        "ZV shaping": lambda: _shaping(setting, "ZV shaping", False),
+        "ZVD shaping": lambda: _shaping(setting, "ZVD shaping", True),
+        **_feedback_rivals(setting),
+        **_noisy_rivals(setting),
+        INTEGER: lambda: _by_law(INTEGER, *integer_twin(setting), setting),
+        PRINTED: lambda: _by_law(PRINTED, *printed(setting), setting),
+        CORRECTED: lambda: _by_law(CORRECTED, *corrected(setting), setting),
+    }

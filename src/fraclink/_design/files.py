@@ -1,0 +1,156 @@
+"""Plans on disk: one JSON object that reads back equal."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from fraclink._arm.controller import Controller, InnerLoopSettings, Lead
+from fraclink._files import read_json, write_json
+from fraclink.errors import FieldError, FileFormatError
+from fraclink.findings import Finding
+
+if TYPE_CHECKING:
+    from fraclink._arm.link import LinkModel
+    from fraclink._design.plan import Plan
+
+__all__ = ["controller_from", "load_plan", "save_plan"]
+
+KIND, FORMAT = "design", 2
+_WITHOUT_LEAD = 1  # the format of 0.1, whose controllers have no lead
+
+
+def save_plan(plan: Plan, path: Path) -> None:
+    """Write `plan` to `path` in one step."""
+    from fraclink._arm.rig.writing import rig_text
+
+    write_json(
+        path,
+        KIND,
+        FORMAT,
+        {
+            "period": plan.rig.period,
+            "rig": rig_text(plan.rig),
+            "model": asdict(plan.model),
+            "controller": asdict(plan.controller),
+            "margins_kind": plan.margins_kind,
+            "payloads": list(plan.payloads),
+            "natural_frequencies": list(plan.natural_frequencies),
+            "gain_crossover": plan.gain_crossover,
+            "phase_margin": plan.phase_margin,
+            "chi": plan.chi,
+            "gain_crossover_upper": plan.gain_crossover_upper,
+            "requirements": [asdict(requirement) for requirement in plan.requirements],
+            "findings": [
+                {
+                    "code": f.code,
+                    "severity": f.severity,
+                    "message": f.message,
+                    "evidence": dict(f.evidence),
+                    "remedy": f.remedy,
+                }
+                for f in plan.findings
+            ],
+        },
+    )
+
+
+_FIELDS = {
+    "rig",
+    "model",
+    "controller",
+    "margins_kind",
+    "payloads",
+    "natural_frequencies",
+    "gain_crossover",
+    "phase_margin",
+    "chi",
+    "gain_crossover_upper",
+    "requirements",
+    "findings",
+}
+
+
+def load_plan(path: Path) -> Plan:
+    """Read a plan that `save_plan` wrote; the controller and the model check their own values again."""
+    from fraclink._arm.rig import Rig
+    from fraclink._arm.rig.reading import parse_arguments
+    from fraclink._design.plan import Plan, Requirement
+
+    data = read_json(path, KIND, (_WITHOUT_LEAD, FORMAT))
+    missing = sorted(_FIELDS - data.keys())
+    if missing:
+        raise FileFormatError(
+            "file", str(path), f"without {missing[0]!r}", allowed="a design file", remedy="make it again"
+        )
+    try:
+        return Plan(
+            model=link_from(data["model"]),
+            rig=Rig(**parse_arguments(_toml(data["rig"]))),
+            controller=controller_from(data["controller"], lead=data["format"] != _WITHOUT_LEAD),
+            requirements=tuple(Requirement(**known(Requirement, item)) for item in data["requirements"]),
+            margins_kind=data["margins_kind"],
+            payloads=_pair(data["payloads"]),
+            natural_frequencies=_pair(data["natural_frequencies"]),
+            gain_crossover=float(data["gain_crossover"]),
+            phase_margin=float(data["phase_margin"]),
+            chi=float(data["chi"]),
+            gain_crossover_upper=float(data["gain_crossover_upper"]),
+            findings=tuple(Finding(**known(Finding, item)) for item in data["findings"]),
+        )
+    except (TypeError, KeyError, AttributeError) as error:
+        raise FileFormatError(
+            "file", str(path), f"damaged ({error})", allowed="a design file", remedy="make it again"
+        ) from error
+
+
+def _toml(text: object) -> Mapping[str, Any]:
+    import tomllib
+
+    if not isinstance(text, str):
+        raise FileFormatError("rig", text, "not text", allowed="a rig in TOML", remedy="make the file again")
+    return tomllib.loads(text)
+
+
+def _pair(value: object) -> tuple[float, float]:
+    if not isinstance(value, list) or len(value) != 2:
+        raise FileFormatError(
+            "range", value, "not a pair", allowed="two numbers", remedy="make the file again"
+        )
+    return float(value[0]), float(value[1])
+
+
+def known(kind: type, item: object) -> dict[str, Any]:
+    """`item` as keyword arguments of the dataclass `kind`; an unknown or missing key is an error."""
+    names = {field.name for field in fields(kind)}
+    if not isinstance(item, dict) or set(item) != names:
+        extra = sorted(set(item) ^ names) if isinstance(item, dict) else [type(item).__name__]
+        raise FieldError(
+            kind.__name__,
+            extra[0],
+            "not as expected",
+            allowed=", ".join(sorted(names)),
+            remedy="make it again",
+        )
+    return dict(item)
+
+
+def link_from(item: object) -> LinkModel:
+    """A link model from the dictionary that `save_plan` wrote."""
+    from fraclink._arm.link import LinkModel
+
+    return LinkModel(**known(LinkModel, item))
+
+
+def controller_from(item: object, *, lead: bool = True) -> Controller:
+    """A controller from the dictionary that `save_plan` wrote; files of format 1 have no `lead`."""
+    values = known(Controller, item if lead or not isinstance(item, dict) else {**item, "lead": None})
+    if values["lead"] is not None:
+        values["lead"] = Lead(**known(Lead, values["lead"]))
+    if values["link"] is not None:
+        values["link"] = link_from(values["link"])
+    if values["inner"] is not None:
+        values["inner"] = InnerLoopSettings(**known(InnerLoopSettings, values["inner"]))
+    return Controller(**values)

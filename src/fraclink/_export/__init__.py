@@ -1,0 +1,22 @@
+"""Out of the building: C, MATLAB and FMU files, replay of logs through them, a board to begin with."""
+
+from __future__ import annotations
+
+from fraclink._export.board import export_io
+from fraclink._export.c import export_c
+from fraclink._export.fmu import export_fmu
+from fraclink._export.matlab import export_matlab
+from fraclink._export.proof import Claim, Proof
+from fraclink._export.replay import Replay, replay, replay_log
+
+__all__ = [
+    "Claim",
+    "Proof",
+    "Replay",
+    "export_c",
+    "export_fmu",
+    "export_io",
+    "export_matlab",
+    "replay",
+    "replay_log",
+]

@@ -1,0 +1,38 @@
+"""Proofs about an exported folder, by the provers that are installed; nothing else is claimed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from fraclink._export.proof.claim import Claim, Proof
+from fraclink._export.proof.eva import commands_claim
+from fraclink._export.proof.loop import loop_claim
+from fraclink._export.proof.rounding import rounding_claim
+from fraclink._export.proof.step import finite_claim, slew_claim
+from fraclink._files import sha256_of
+from fraclink._law import Law
+
+if TYPE_CHECKING:
+    from fraclink._certify import Certificate
+
+__all__ = ["Claim", "Proof", "prove"]
+
+
+def prove(law: Law, folder: Path, *, name: str, data: str, certificate: Certificate | None = None) -> Proof:
+    """Prove what can be proved about law.h, law.c and the header `data` in `folder`; logs go to proof/ there.
+
+    (1) commands finite and in their limits, no undefined behaviour: Frama-C Eva. (2) the other outputs
+    finite, (3) the slew: law_step as an SMT problem in IEEE arithmetic, z3 or cvc5. (4) rounding for all
+    time: Gappa and ball arithmetic. (5) the loop: `certificate`. A tool that is missing leaves its claim
+    unproved and is named with its Debian package.
+    """
+    claims = (
+        commands_claim(law, folder, name=name, data=data),
+        finite_claim(law, folder),
+        slew_claim(law, folder),
+        rounding_claim(law, folder),
+        loop_claim(law, folder, certificate),
+    )
+    sources = {file: sha256_of(folder / file) for file in ("law.h", "law.c", data)}
+    return Proof(law.digest, sources, claims)

@@ -1,0 +1,271 @@
+"""Terms of SMT-LIB with their kinds, in the IEEE arithmetic of one precision."""
+
+from __future__ import annotations
+
+import math
+import re
+import struct
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fraclink._export.proof.source import Unreadable
+from fraclink._law.block import Precision
+
+__all__ = ["FALSE", "TRUE", "Formulas", "Value", "first_beyond", "kind_of", "real_literal"]
+
+_WIDTHS = {"single": (8, 24), "double": (11, 53)}
+_REAL = {"+": "fp.add RNE", "-": "fp.sub RNE", "*": "fp.mul RNE", "/": "fp.div RNE"}
+_REAL |= {
+    "-up": "fp.sub RTP",
+    "-down": "fp.sub RTN",
+}  # no signs of C: a difference that encloses the exact one
+_REAL_TESTS = {"<": "fp.lt", "<=": "fp.leq", ">": "fp.gt", ">=": "fp.geq", "==": "fp.eq"}
+_WORD = {
+    "+": "bvadd",
+    "-": "bvsub",
+    "*": "bvmul",
+    "|": "bvor",
+    "&": "bvand",
+    "^": "bvxor",
+    "<<": "bvshl",
+    ">>": "bvlshr",
+}
+_WORD_TESTS = {"<": "bvult", "<=": "bvule", ">": "bvugt", ">=": "bvuge", "==": "="}
+_NAMES = re.compile(r"\b(?:any_\w+|t\d+)\b")
+_SUM = re.compile(r"\(fp\.(?:add|sub) R.. (\S+) ([^\s)]+)\)\)$")
+
+
+@dataclass(frozen=True)
+class Value:
+    """A term and its kind: "real", "word" (32 bits), "bool", or "pointer" (term: the place pointed to)."""
+
+    kind: str
+    term: str
+
+
+TRUE, FALSE = Value("bool", "true"), Value("bool", "false")
+
+
+def real_literal(value: float, precision: Precision) -> str:
+    """Return `value`, which `precision` holds exactly, as SMT-LIB.
+
+    >>> real_literal(-0.5, "single")
+    '(fp #b1 #b01111110 #b00000000000000000000000)'
+    """
+    exponent, mantissa = _WIDTHS[precision]
+    code = "f" if precision == "single" else "d"
+    bits = int.from_bytes(struct.pack(f">{code}", value), "big")
+    text = f"{bits:0{exponent + mantissa}b}"
+    return f"(fp #b{text[0]} #b{text[1 : 1 + exponent]} #b{text[1 + exponent :]})"
+
+
+class Formulas:
+    """Makes terms; `lines` collects their definitions, `known` the values of the literals among them."""
+
+    def __init__(self, precision: Precision, known: Sequence[float]) -> None:
+        self.precision = precision
+        exponent, mantissa = _WIDTHS[precision]
+        self.real_sort = f"(_ FloatingPoint {exponent} {mantissa})"
+        self.known = {real_literal(value, precision): value for value in known}
+        self.lines: list[str] = []
+        self.count = 0
+        self._names: dict[tuple[str, str], Value] = {}
+        self.choices: dict[str, tuple[Value, Value, Value]] = {}  # by name: condition, and both values
+        self.bounded: dict[str, float] = {}  # by name: |value| is assumed to be at most this, and no NaN
+
+    def sort(self, kind: str) -> str:
+        """Return the SMT-LIB sort of a kind."""
+        return {"real": self.real_sort, "word": "(_ BitVec 32)", "bool": "Bool"}[kind]
+
+    def any(self, kind: str, hint: str) -> Value:
+        """Return a value that may be anything of its kind."""
+        self.count += 1
+        name = f"any_{hint}_{self.count}"
+        self.lines.append(f"(declare-const {name} {self.sort(kind)})")
+        return Value(kind, name)
+
+    def defined(self, kind: str, term: str) -> Value:
+        """Return a name for `term`, so that it is written once however often it is used."""
+        if (kind, term) not in self._names:
+            self.count += 1
+            name = f"t{self.count}"
+            self.lines.append(f"(define-fun {name} () {self.sort(kind)} {term})")
+            self._names[kind, term] = Value(kind, name)
+        return self._names[kind, term]
+
+    def choice(self, test: Value, yes: Value, no: Value) -> Value:
+        """Return `yes` where `test` holds, else `no`."""
+        if test == TRUE or yes == no:
+            return yes
+        if test == FALSE:
+            return no
+        if (yes, no) == (TRUE, FALSE):
+            return test
+        chosen = self.defined(yes.kind, f"(ite {test.term} {yes.term} {no.term})")
+        self.choices[chosen.term] = (test, yes, no)
+        return chosen
+
+    def negated(self, test: Value) -> Value:
+        """Return the condition that `test` does not hold."""
+        if test in (TRUE, FALSE):
+            return FALSE if test == TRUE else TRUE
+        return self.defined("bool", f"(not {test.term})")
+
+    def joined(self, sign: str, tests: Sequence[Value]) -> Value:
+        """Return `tests[0] && tests[1]` or `||`; neither has an effect."""
+        left, right = tests
+        return self.choice(left, right, FALSE) if sign == "&&" else self.choice(left, TRUE, right)
+
+    def operated(self, sign: str, a: Value, b: Value) -> Value:
+        """Return `a sign b` as C computes it, for two reals or two words.
+
+        A sum of a choice and the bounded command becomes a choice of sums, so that two roundings of one
+        difference are seen to be of one difference.
+        """
+        if a.kind != b.kind or a.kind not in ("real", "word"):
+            raise Unreadable(f"{a.kind} {sign} {b.kind}")
+        if sign == "!=":
+            return self.negated(self.operated("==", a, b))
+        for left in (True, False):
+            chosen, other = (a.term, b.term) if left else (b.term, a.term)
+            if chosen in self.choices and other in self.bounded:
+                test, *values = self.choices[chosen]
+                yes, no = (self.operated(sign, *((x, b) if left else (a, x))) for x in values)
+                return self.choice(test, yes, no)
+        decided = self._decided(sign, a, b)
+        if decided is not None:
+            return decided
+        operations, tests_of = (_REAL, _REAL_TESTS) if a.kind == "real" else (_WORD, _WORD_TESTS)
+        if sign in operations:
+            return self.defined(a.kind, f"({operations[sign]} {a.term} {b.term})")
+        if sign in tests_of:
+            return self.defined("bool", f"({tests_of[sign]} {a.term} {b.term})")
+        raise Unreadable(f"{a.kind} {sign} {b.kind}")
+
+    def _decided(self, sign: str, a: Value, b: Value) -> Value | None:
+        """A comparison whose answer is known already: of constants, or by what is assumed."""
+        if a.kind == "word":
+            if a.term.startswith("(_ bv") and b.term.startswith("(_ bv") and sign == "==":
+                return TRUE if a == b else FALSE
+            return TRUE if a == b and sign == "==" else None
+        if a == b and sign == "==" and a.term in self.bounded:
+            return TRUE
+        limit = self.known.get(b.term)
+        if limit is None or a.term not in self.bounded or self.bounded[a.term] > abs(limit):
+            return None
+        if (sign == ">" and limit > 0) or (sign == "<" and limit < 0):
+            return FALSE
+        return None
+
+    def negative(self, value: Value) -> Value:
+        """Return `-value`."""
+        if value.term in self.known:
+            literal = real_literal(-self.known[value.term], self.precision)
+            self.known[literal] = -self.known[value.term]
+            return Value("real", literal)
+        return self.defined(value.kind, f"({'fp.neg' if value.kind == 'real' else 'bvneg'} {value.term})")
+
+    def within(self, root: Value, bound: float) -> Value:
+        """x·x ≤ c·c for a constant c, without a multiplication that a solver would have to take apart.
+
+        Rounding is monotone, so that the rounded square grows with |x|: the comparison is the same as
+        |x| < d, with d the first number whose rounded square is above that of c. NaN and infinity fail both.
+        """
+        if self.bounded.get(root.term, math.inf) <= bound:
+            return TRUE
+        limit = real_literal(first_beyond(bound, self.precision), self.precision)
+        return self.defined("bool", f"(fp.lt (fp.abs {root.term}) {limit})")
+
+    def number(self, text: str) -> Value:
+        """Return a constant of C; "float" is the kind of one that a cast makes a real."""
+        if text.lower().startswith("0x") or text.rstrip("uU").isdigit():
+            return Value("word", f"(_ bv{int(text.rstrip('uU'), 0)} 32)")
+        if text[-1] not in "fF":
+            raise Unreadable(f"{text}, a constant in double precision")
+        # a C compiler rounds a float constant once, from its decimal digits
+        return Value("float", text[:-1])
+
+    def truth(self, value: Value) -> Value:
+        """Return `value` as a condition."""
+        if value.kind == "bool":
+            return value
+        if value.kind != "word":
+            raise Unreadable(f"{value.kind} as a condition")
+        return self.operated("!=", value, Value("word", "(_ bv0 32)"))
+
+    def converted(self, kind: str, value: Value) -> Value:
+        """Return `value` as the type `kind` of C."""
+        wanted = kind_of(kind)
+        if value.kind == wanted:
+            return value
+        if wanted == "real" and value.kind == "float":
+            return Value("real", real_literal(_single(value.term), self.precision))
+        if wanted == "real" and value.term == "(_ bv0 32)":
+            return Value("real", real_literal(0.0, self.precision))
+        if wanted == "real" and value.kind == "word":
+            exponent, mantissa = _WIDTHS[self.precision]
+            return self.defined("real", f"((_ to_fp_unsigned {exponent} {mantissa}) RNE {value.term})")
+        raise Unreadable(f"{value.kind} as {kind}")
+
+    def relevant(self, goals: Sequence[str]) -> list[str]:
+        """Return the definitions that `goals` stand on, in their order.
+
+        A sum with a part that may be anything and is used nowhere else may be anything itself: it is set
+        free, which leaves less to decide and allows no less than before.
+        """
+        defined = {line.split()[1]: line for line in self.lines}
+        while True:
+            uses = _uses(defined, goals)
+            sums = [
+                name
+                for name, count in uses.items()
+                if count
+                and (found := _SUM.search(defined[name]))
+                and any(uses.get(part) == 1 and "declare-const" in defined[part] for part in found.groups())
+            ]
+            if not sums:
+                return [line for name, line in defined.items() if uses.get(name)]
+            for name in sums:
+                defined[name] = f"(declare-const {name} {self.real_sort})"
+
+
+def _uses(defined: Mapping[str, str], goals: Sequence[str]) -> dict[str, int]:
+    """How often each name is used by the goals and by what they stand on."""
+    uses: dict[str, int] = {}
+    waiting = [name for goal in goals for name in _NAMES.findall(goal)]
+    while waiting:
+        name = waiting.pop()
+        uses[name] = uses.get(name, 0) + 1
+        if uses[name] == 1 and defined[name].startswith("(define-fun"):
+            waiting += _NAMES.findall(defined[name])[1:]
+    return uses
+
+
+def first_beyond(bound: float, precision: Precision) -> float:
+    """Return the smallest number whose rounded square is above the rounded square of `bound` > 0.
+
+    >>> first_beyond(1.0, "double") - 1.0 == 2.0**-52
+    True
+    """
+    kind = np.float32 if precision == "single" else np.float64
+    start = kind(bound)
+    square, beyond = start * start, start
+    if not (kind(0) < square < kind(np.inf)):
+        raise Unreadable(f"{bound}, whose square is not a number of this precision")
+    while beyond * beyond <= square:
+        beyond = np.nextafter(beyond, kind(np.inf))
+    return float(beyond)
+
+
+def _single(digits: str) -> float:
+    return float(struct.unpack("<f", struct.pack("<f", float(digits)))[0])
+
+
+def kind_of(c_type: str) -> str:
+    """Return the kind of a type of C."""
+    kinds = {"law_real": "real", "uint32_t": "word"}
+    if c_type not in kinds:
+        raise Unreadable(f"the type {c_type}")
+    return kinds[c_type]

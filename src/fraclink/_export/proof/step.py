@@ -1,0 +1,168 @@
+"""Claims about law_step in exact IEEE arithmetic, decided by SMT solvers: slew, and all outputs finite."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Set
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from fraclink._export.proof.claim import Claim, at_most, sha256_of_text
+from fraclink._export.proof.formulas import Value, real_literal
+from fraclink._export.proof.source import Unreadable, read_source
+from fraclink._export.proof.symbolic import Symbolic
+from fraclink._export.proof.tools import COMPILER, SOLVERS, Tool
+from fraclink._law import Law
+from fraclink._law.block import REALS
+
+__all__ = ["finite_claim", "slew_bound", "slew_claim"]
+
+_STRUCTS = ("law_state", "law_params", "law_input", "law_output")
+
+
+def slew_bound(law: Law) -> float:
+    """Return the largest change of the motor reference in a period [rad], rounding included.
+
+    motor_step (1 + 4u) + one unit in the last place of motor_limit: the sum of the last command and the step
+    is rounded at the size of the command, which is larger than the step.
+    """
+    kind = np.float32 if law.precision == "single" else np.float64
+    step, limit = kind(law.limits.motor_step), kind(law.limits.motor_limit)
+    bound = float(step) * (1 + 2 * float(np.finfo(kind).eps)) + float(np.spacing(limit))
+    return float(np.nextafter(kind(bound), kind(math.inf)))
+
+
+def slew_claim(law: Law, folder: Path) -> Claim:
+    """Prove that the command of two periods in a row differs by at most `slew_bound`.
+
+    law_step is followed from the text of law.c with every coefficient and every other state free; what is
+    asked of the state is that it was started and that the last command is still in it and in its range.
+    """
+    bound, step = slew_bound(law), law.limits.motor_step
+    claim = Claim(
+        "slew",
+        "for every sequence of inputs, once started: |motor_reference[k] - motor_reference[k-1]| ≤ "
+        f"motor_step + {at_most(bound - step, 3)} rad, with motor_step = {step:.6g} rad; the rest is the "
+        f"rounding of a sum in {law.precision} precision",
+        "not proved",
+    )
+
+    def query(executed: Symbolic) -> list[Value]:
+        before = executed.memory["before", "motor_reference"]
+        after = executed.memory["law_output", "motor_reference"]
+        up, down = (executed.operated(sign, after, before) for sign in ("-up", "-down"))
+        most, least = (Value("real", real_literal(x, law.precision)) for x in (bound, -bound))
+        return [executed.operated("<=", up, most), executed.operated(">=", down, least)]
+
+    return _decided(
+        claim,
+        law,
+        folder,
+        "slew",
+        query,
+        tracked={("law_state", "motor_reference"), ("law_output", "motor_reference")},
+    )
+
+
+def finite_claim(law: Law, folder: Path) -> Claim:
+    """Prove that the outputs that are no commands are finite too, whatever is in the state and the inputs."""
+    claim = Claim(
+        "finite",
+        "for every sequence of inputs and every content of the state's memory: tip_estimate, error and "
+        "compensation are finite",
+        "not proved",
+    )
+    outputs = ("tip_estimate", "error", "compensation")
+    sensors = ("motor_angle", "torque", "reference")
+
+    def query(executed: Symbolic) -> list[Value]:
+        terms = [executed.memory["law_output", name].term for name in outputs]
+        infinite = " ".join(f"(fp.isNaN {term}) (fp.isInfinite {term})" for term in terms)
+        return [executed.defined("bool", f"(not (or {infinite}))")]
+
+    tracked = {("law_output", name) for name in outputs} | {("law_state", name) for name in sensors}
+    return _decided(claim, law, folder, "finite", query, tracked=tracked, started=False)
+
+
+def _decided(
+    claim: Claim,
+    law: Law,
+    folder: Path,
+    file: str,
+    query: Callable[[Symbolic], list[Value]],
+    *,
+    tracked: Set[tuple[str, str]],
+    started: bool = True,
+) -> Claim:
+    """Ask the solvers whether a negation of the claim can be met: "unsat" for all of them proves it."""
+    solvers = [tool for tool in SOLVERS if tool.path]
+    if not solvers:
+        return replace(claim, reason=" and ".join(tool.missing for tool in SOLVERS) + "; one is enough")
+    if COMPILER.path is None:
+        return replace(claim, reason=COMPILER.missing)
+    try:
+        problems = _problems(law, folder, query, frozenset(tracked), started=started)
+    except Unreadable as error:
+        return replace(claim, reason=f"law.c has a form that the proof does not read: {error}")
+    (folder / "proof").mkdir(exist_ok=True)
+    logs, used = [], set()
+    for number, problem in enumerate(problems, start=1):
+        name = f"proof/{file}_{number}.smt2"
+        (folder / name).write_text(problem, encoding="utf-8")
+        logs.append((name, sha256_of_text(problem)))
+        decided = _first_answer(solvers, name, folder)
+        if decided is None:
+            return replace(claim, logs=tuple(logs), reason=f"{name}: no solver decided it")
+        used.add(decided[0])
+        if decided[1] == "sat":
+            reason = f"{decided[0]} found a step that breaks it ({name})"
+            return replace(claim, status="failed", logs=tuple(logs), reason=reason)
+    return replace(claim, status="proved", tools=tuple(sorted(used)), logs=tuple(logs))
+
+
+def _first_answer(solvers: list[Tool], name: str, folder: Path) -> tuple[str, str] | None:
+    """The first solver that answers, and "sat" or "unsat"; None where none does."""
+    for tool in solvers:
+        language = ("--lang", "smt2") if tool.program == "cvc5" else ()
+        answer = tool.run((*language, name), folder).text.split("\n", 1)[0]
+        if answer in ("sat", "unsat"):
+            return tool.name, answer
+    return None
+
+
+def _problems(
+    law: Law,
+    folder: Path,
+    query: Callable[[Symbolic], list[Value]],
+    tracked: frozenset[tuple[str, str]],
+    *,
+    started: bool,
+) -> list[str]:
+    single = ("-DLAW_SINGLE",) if law.precision == "single" else ()
+    text = COMPILER.run(("-E", "-P", "-std=c99", *single, "law.c"), folder).text
+    names = [name for name, length in REALS if length == 1]
+    values = {name: float(law.coefficients[name]) for name in names}  # type: ignore[arg-type]
+    executed = Symbolic(read_source(text), law.precision, constants=values, tracked=tracked)
+    assumed = _started(executed, values["motor_limit"]) if started else []
+    executed.call("law_step", tuple(Value("pointer", struct) for struct in _STRUCTS))
+    problems = []
+    for goal in query(executed):
+        asserted = [*assumed, f"(not {goal.term})"]
+        lines = ["(set-logic QF_BVFP)", *executed.relevant(asserted)]
+        lines += [f"(assert {line})" for line in asserted]
+        problems.append("\n".join((*lines, "(check-sat)", "")))
+    return problems
+
+
+def _started(executed: Symbolic, limit: float) -> list[str]:
+    """Assume a law that was started with these parameters and whose last command is still in its memory."""
+    state = {name: executed.load(("law_state", name)) for name in ("mode", "motor_reference")}
+    executed.memory["law_state", "stamp"] = executed.load(("law_params", "crc"))
+    command = executed.memory["before", "motor_reference"] = state["motor_reference"]
+    executed.bounded[command.term] = limit
+    return [
+        f"(not (= {state['mode'].term} (_ bv0 32)))",
+        f"(fp.leq (fp.abs {command.term}) {real_literal(limit, executed.precision)})",
+    ]

@@ -1,0 +1,231 @@
+"""Replay: compile an exported law and run a log through it, period by period, beside the package's own."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fraclink._arm.experiment import Experiment
+from fraclink._files import checked_path
+from fraclink._law import Law
+from fraclink._validate import checked_noun, checked_series
+from fraclink.errors import FieldError
+
+__all__ = ["Replay", "replay", "replay_log"]
+
+Real = NDArray[np.float64]
+
+_HARNESS = """\
+#include "law.h"
+#include "@DATA@"
+#include <stdio.h>
+
+int main(void)
+{
+    static law_state state;
+    double row[4];
+    law_input in;
+    law_output out;
+    if (law_init(&state, &@NAME@) != LAW_OK) {
+        return 3;
+    }
+    in.tick = 0U;
+    while (fread(row, sizeof(row), 1, stdin) == 1U) {
+        in.tick++;
+        in.reference = (law_real)row[0];
+        in.reference_acceleration = (law_real)row[1];
+        in.motor_angle = (law_real)row[2];
+        in.torque = (law_real)row[3];
+        law_step(&state, &@NAME@, &in, &out);
+        const double result[6] = {(double)out.motor_reference, (double)out.voltage, (double)out.tip_estimate,
+                                  (double)out.error, (double)out.mode, (double)out.flags};
+        if (fwrite(result, sizeof(result), 1, stdout) != 1U) {
+            return 4;
+        }
+    }
+    return 0;
+}
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class Replay:
+    """What the exported law and the package's law gave for the same log; signals have shape (N,).
+
+    motor_reference [rad], voltage [V], tip_estimate [rad] and mode of the exported law; `first_difference`
+    is the first period in which any output differs from the package's, None where all agree to the last bit.
+    """
+
+    motor_reference: Real
+    voltage: Real
+    tip_estimate: Real
+    mode: Real
+    flags: Real
+    first_difference: int | None
+    largest_difference: float
+
+    @property
+    def holds(self) -> bool:
+        """Whether every output of every period agrees to the last bit."""
+        return self.first_difference is None
+
+
+def replay(
+    folder: Path | str,
+    law: Law,
+    *,
+    reference: ArrayLike,
+    reference_acceleration: ArrayLike,
+    motor_angle: ArrayLike,
+    torque: ArrayLike,
+    name: str = "law_data",
+    compiler: str = "cc",
+) -> Replay:
+    """Compile the law exported to `folder`, run the log through it and compare it with `law`, period by
+    period.
+
+    Parameters: signals of shape (N,) at the law's period: reference [rad], its acceleration [rad/s²], motor
+    angle [rad], torque [N·m]; `name` of the block; `compiler`, a C compiler on the PATH. Raises FieldError
+    where the folder holds no export, its block is not that of `law`, or the compiler fails.
+
+    >>> import fraclink as fl, tempfile
+    >>> from fraclink._export import export_c, replay
+    >>> rig = fl.Rig.named("paper-2023")
+    >>> law = fl.Controller(gain=0.069876, order=0.612197, link=rig.model).discretize(rig.period, order=4)
+    >>> folder = tempfile.mkdtemp()
+    >>> _ = export_c(law, folder)
+    >>> rest = np.zeros(100)
+    >>> replay(folder, law, reference=rest, reference_acceleration=rest, motor_angle=rest, torque=rest).holds
+    True
+    """
+    from fraclink._export.names import identifier
+
+    identifier("name", name)
+    checked_noun("law", law, Law, remedy="Law.load reads the folder's law.json")
+    place = checked_path("folder", folder).resolve()
+    rows = np.ascontiguousarray(
+        np.column_stack(
+            _signals(
+                reference=reference,
+                reference_acceleration=reference_acceleration,
+                motor_angle=motor_angle,
+                torque=torque,
+            )
+        )
+    )
+    _check_block(place, law, name)
+    output = _compiled(place, law, name, compiler, rows.tobytes())
+    got = np.frombuffer(output, dtype=np.float64).reshape(-1, 6)
+    _, own = law.run(law.initial_state(), *rows.T)
+    wanted = np.column_stack(
+        [own.motor_reference, own.voltage, own.tip_estimate, own.error, own.mode, own.flags]
+    )
+    if got.shape != wanted.shape:
+        raise FieldError(
+            "firmware", got.shape, "incomplete", allowed=f"{wanted.shape}", remedy="export the law again"
+        )
+    differs = np.flatnonzero(np.any(got != wanted, axis=1))
+    return Replay(
+        motor_reference=got[:, 0].copy(),
+        voltage=got[:, 1].copy(),
+        tip_estimate=got[:, 2].copy(),
+        mode=got[:, 4].copy(),
+        flags=got[:, 5].copy(),
+        first_difference=int(differs[0]) if differs.size else None,
+        largest_difference=float(np.max(np.abs(got - wanted), initial=0.0)),
+    )
+
+
+def _signals(**given: ArrayLike) -> list[Real]:
+    """The four columns; FieldError where one is none, or of another length than the first."""
+    columns = [checked_series(field, values) for field, values in given.items()]
+    for field, column in zip(given, columns, strict=True):
+        if column.shape != columns[0].shape:
+            allowed = f"{columns[0].size} samples, as many as the reference has"
+            raise FieldError(field, column.size, "of another length", allowed=allowed, remedy="cut or extend")
+    return columns
+
+
+def replay_log(folder: Path | str, log: Experiment, *, compiler: str = "cc") -> Replay:
+    """Run the sensors of a log through the law exported to `folder` and through the package's, and compare.
+
+    The motor's own path is the reference, with acceleration 0, so that the guards see a motor that
+    follows. The law is the folder's law.json. Raises FieldError where its period [s] is not that of the log.
+    """
+    checked_noun("log", log, Experiment, remedy="read_log makes one")
+    place = checked_path("folder", folder)
+    law_file = place / "law.json"
+    if not law_file.is_file():
+        raise FieldError(
+            "firmware", str(place), "not an export", allowed="a folder of export_c", remedy="export the law"
+        )
+    law = Law.load(law_file)
+    if abs(log.period - law.period) > 1e-6 * law.period:
+        raise FieldError(
+            "period", log.period, "not the law's", allowed=f"{law.period} s", remedy="resample the log"
+        )
+    headers = [
+        file.stem for file in sorted(place.glob("*.h")) if f"law {law.digest}" in file.read_text("utf-8")
+    ]
+    torque = log.output if log.output_kind == "torque" else law.stiffness * log.output
+    return replay(
+        place,
+        law,
+        reference=log.motor_angle,
+        reference_acceleration=np.zeros_like(log.motor_angle),
+        motor_angle=log.motor_angle,
+        torque=torque,
+        name=headers[0] if headers else "law_data",
+        compiler=compiler,
+    )
+
+
+def _check_block(place: Path, law: Law, name: str) -> None:
+    header = place / f"{name}.h"
+    if not (header.is_file() and (place / "law.c").is_file()):
+        raise FieldError(
+            "firmware",
+            str(place),
+            "not an export",
+            allowed="a folder of export_c",
+            remedy="export the law first",
+        )
+    if f"law {law.digest}" not in header.read_text(encoding="utf-8"):
+        raise FieldError(
+            "firmware",
+            str(place),
+            "the export of another law",
+            allowed=f"law {law.digest[:16]}...",
+            remedy="export this law, in the precision it has",
+        )
+
+
+def _compiled(place: Path, law: Law, name: str, compiler: str, log: bytes) -> bytes:
+    found = shutil.which(checked_noun("compiler", compiler, str, remedy="a name on the PATH, such as cc"))
+    if found is None:
+        raise FieldError(
+            "compiler", compiler, "not installed", allowed="a C compiler", remedy="install gcc or clang"
+        )
+    with tempfile.TemporaryDirectory() as scratch:
+        source, program = Path(scratch) / "replay.c", Path(scratch) / "replay"
+        source.write_text(_HARNESS.replace("@DATA@", f"{name}.h").replace("@NAME@", name), encoding="utf-8")
+        single = ["-DLAW_SINGLE"] if law.precision == "single" else []
+        command = [found, "-std=c99", "-O2", "-ffp-contract=off", *single, f"-I{place}", str(source)]
+        built = subprocess.run(  # noqa: S603 - the compiler the caller named, on files that were checked
+            [*command, str(place / "law.c"), "-o", str(program)], capture_output=True, text=True, check=False
+        )
+        if built.returncode:
+            raise FieldError(
+                "firmware",
+                built.stderr.strip().splitlines()[0] if built.stderr else "no message",
+                "refused by the compiler",
+                allowed="C99",
+                remedy="export the law again",
+            )
+        return subprocess.run([program], input=log, capture_output=True, check=True).stdout  # noqa: S603

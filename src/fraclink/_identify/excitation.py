@@ -1,0 +1,231 @@
+"""Design the experiment: how large and how fast must the motor move for λ to be known well enough?"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink._arm.link import LinkModel
+from fraclink._arm.reference import prbs
+from fraclink._arm.rig import Motor
+from fraclink._identify.problem import Window, columns_of
+from fraclink._identify.shape import FREE, mask_of, shape_of
+from fraclink._validate import checked_between, checked_choice, checked_noun
+from fraclink.errors import InfeasibleError
+
+__all__ = ["ExperimentDesign", "design_experiment"]
+
+Reals = NDArray[np.float64]
+
+# Of the resonance, for the PRBS's bit or the multisine's centre.
+_BANDS = (0.25, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0)
+_LEAST_SAMPLES, _MOST_SAMPLES = 200, 1_000_000  # of a log; each band is simulated sample by sample
+
+
+@dataclass(frozen=True, eq=False)
+class ExperimentDesign:
+    """An excitation that reaches a wanted standard error of λ.
+
+    Arguments:
+        kind: "prbs" or "multisine". amplitude: largest motor angle asked for [rad].
+        bit: duration of a PRBS bit [s], else None. band: (low, high) where its power lies [rad/s].
+        duration: [s]. standard_error: of λ that is to be expected [1].
+        peak_deflection: largest θm − θt [rad]; peak_voltage: largest |V| [V], None without a motor.
+        limit: what kept the amplitude down: "none", "deflection" or "voltage".
+        time, motor_angle: the motion itself, shape (N,) [s], [rad].
+    """
+
+    kind: str
+    amplitude: float
+    bit: float | None
+    band: tuple[float, float]
+    duration: float
+    standard_error: float
+    peak_deflection: float
+    peak_voltage: float | None
+    limit: str
+    time: Reals = field(repr=False)
+    motor_angle: Reals = field(repr=False)
+
+
+def design_experiment(
+    model: LinkModel,
+    *,
+    standard_error: float,
+    noise: float,
+    period: float,
+    duration: float = 20.0,
+    kind: Literal["prbs", "multisine"] = "prbs",
+    motor: Motor | None = None,
+    deflection_limit: float = math.inf,
+    inner_pole: float = 80.0,
+) -> ExperimentDesign:
+    """Choose amplitude and band of an excitation for a wanted standard error of λ, within limits.
+
+        s.e.(λ) = σ √[(JᵀJ)⁻¹]_λλ,    J = ∂(output)/∂(λ, ϖ, delay, gain, offset) ∝ amplitude
+
+    Arguments:
+        model: the link one expects. standard_error: wanted of λ, > 0 [1].
+        noise: standard deviation of the gauge, white [N·m]. period: [s]. duration: of the log [s].
+        kind: "prbs" (±amplitude, tried with several bit lengths) or "multisine" (flat in a band around the
+            resonance, random phases with a low crest factor).
+        motor: gives the voltage limit and what the motion costs, V = (θm'' + Bθm')/A + Γ/(nK); friction is
+            left to the compensation. deflection_limit: largest |θm − θt| [rad].
+        inner_pole: double pole of the motor loop that follows the reference [rad/s].
+
+    Of all bands the one with the smallest amplitude that meets the request within the limits is taken.
+    Raises InfeasibleError, with the standard error that can be reached, where the limits forbid it.
+
+    >>> link = LinkModel(1.56, 10.0, order=1.92)
+    >>> plan = design_experiment(link, standard_error=0.001, noise=0.05, period=0.004)
+    >>> plan.limit, plan.standard_error <= 0.001 * (1 + 1e-9), 0.01 < plan.amplitude < 1
+    ('none', True, True)
+    """
+    link = checked_noun("model", model, LinkModel, remedy="fit.model, or a first guess of it")
+    checked_choice("kind", kind, ("prbs", "multisine"))
+    wanted = checked_between("standard_error", standard_error, 1e-12, 1.0)
+    noise = checked_between("noise", noise, 1e-12, 1e6, "N·m")
+    period = checked_between("period", period, 1e-6, 1.0, "s")
+    least, longest = _LEAST_SAMPLES * period, _MOST_SAMPLES * period
+    duration = checked_between("duration", duration, least, longest, "s")
+    inner_pole = checked_between("inner_pole", inner_pole, 0.1, 1e6, "rad/s")
+    if motor is not None:
+        checked_noun("motor", motor, Motor, remedy="rig.motor")
+    if not (isinstance(deflection_limit, float) and deflection_limit == math.inf):  # no limit
+        deflection_limit = checked_between(
+            "deflection_limit", deflection_limit, 0.0, math.pi, "rad", open_low=True
+        )
+    tried = [
+        _unit(link, bit, band, motion, noise, period, motor)
+        for bit, band, motion in _motions(kind, link, period, duration, inner_pole)
+    ]
+    plans = [_scaled(unit, wanted, deflection_limit, motor) for unit in tried]
+    allowed = [plan for plan, reached in plans if reached]
+    if allowed:
+        return replace(min(allowed, key=lambda plan: plan.amplitude), kind=kind)
+    best = min((plan for plan, _ in plans), key=lambda plan: plan.standard_error)
+    # The error of an estimate falls with the square root of the samples.
+    enough = duration * (best.standard_error / wanted) ** 2
+    longer = f"; a log of {math.ceil(enough)} s may do" if enough <= longest else ""
+    raise InfeasibleError(
+        f"{best.limit} limit",
+        f"standard error {wanted:.3g} of λ needs more than {best.amplitude:.3g} rad{longer}",
+        {"standard_error": best.standard_error * (1 + 1e-6)},
+    )
+
+
+def _motions(
+    kind: str, model: LinkModel, period: float, duration: float, inner_pole: float
+) -> Sequence[tuple[float | None, tuple[float, float], Reals]]:
+    """(bit, band, motion of amplitude 1 after the motor loop) for every band that is tried."""
+    resonance = abs(model.pole)
+    time: Reals = np.asarray(period * np.arange(round(duration / period) + 1), dtype=np.float64)
+    result: list[tuple[float | None, tuple[float, float], Reals]] = []
+    for share in _BANDS:
+        centre = share * resonance
+        if kind == "prbs":
+            bit = max(round(math.pi / centre / period), 2) * period
+            path = prbs(1.0, bit, bits=max(int((duration - 0.5) / bit), 1), register=9, start=0.2)
+            band = (2 * math.pi / duration, 0.44 * 2 * math.pi / bit)
+            result.append((bit, band, _followed(path.angle(time), period, inner_pole)))
+        else:
+            band = (0.5 * centre, 2.0 * centre)
+            result.append((None, band, _followed(_multisine(time, band), period, inner_pole)))
+    return result
+
+
+def _multisine(time: Reals, band: tuple[float, float]) -> Reals:
+    """Unit-peak multisine with Schroeder's phases, faded in over a second so that it starts at rest."""
+    span = time[-1]
+    lines = np.arange(math.ceil(band[0] * span / 2 / math.pi), math.floor(band[1] * span / 2 / math.pi) + 1)
+    lines = lines[lines > 0]
+    phases = -math.pi * np.arange(lines.size) * (np.arange(lines.size) - 1) / max(lines.size, 1)
+    wave = np.zeros_like(time)
+    for line, phase in zip(lines, phases, strict=True):
+        wave += np.cos(2 * math.pi * line * time / span + phase)
+    wave *= np.clip(time, 0, 1) ** 2 * (3 - 2 * np.clip(time, 0, 1))
+    return np.asarray(wave / np.max(np.abs(wave)))
+
+
+def _followed(reference: Reals, period: float, pole: float) -> Reals:
+    """The reference, held between samples, after 1/(1 + s/pole)²."""
+    fade, level, slope = math.exp(-pole * period), 0.0, 0.0
+    result = np.empty_like(reference)
+    for k, target in enumerate(reference):
+        result[k] = level
+        gap = level - target
+        push = slope + pole * gap
+        level = target + (gap + push * period) * fade
+        slope = (push - pole * (gap + push * period)) * fade
+    return result
+
+
+@dataclass(frozen=True, eq=False)
+class _Unit:
+    """What a motion of amplitude 1 does."""
+
+    bit: float | None
+    band: tuple[float, float]
+    motion: Reals
+    period: float
+    error: float
+    deflection: float
+    voltage: float | None
+
+
+def _unit(
+    model: LinkModel,
+    bit: float | None,
+    band: tuple[float, float],
+    motion: Reals,
+    noise: float,
+    period: float,
+    motor: Motor | None,
+) -> _Unit:
+    window = Window(motion, np.zeros_like(motion), period, "first")
+    kernel = window.kernel(abs(model.pole), longest_delay=2 * period)
+    fractional = LinkModel(model.stiffness, model.natural_frequency, model.order)
+    columns = columns_of(kernel, shape_of(fractional), mask_of((*FREE["UD-FOM"], 4)))
+    scaled = np.vstack([model.stiffness * columns, np.ones(motion.size)])
+    scaled[0] /= model.stiffness  # the gain's own derivative
+    size = np.linalg.norm(scaled, axis=1)
+    inverse = np.linalg.inv((scaled / size[:, None]) @ (scaled / size[:, None]).T)
+    error = noise * math.sqrt(inverse[1, 1]) / float(size[1])
+    voltage = None
+    if motor is not None:
+        speed = np.gradient(motion, period)
+        load = model.stiffness * columns[0] / (motor.gear_ratio * motor.torque_constant)
+        drive = (np.gradient(speed, period) + motor.decay * speed) / motor.gain + load
+        voltage = float(np.max(np.abs(drive)))
+    return _Unit(bit, band, motion, period, error, float(np.max(np.abs(columns[0]))), voltage)
+
+
+def _scaled(
+    unit: _Unit, wanted: float, deflection_limit: float, motor: Motor | None
+) -> tuple[ExperimentDesign, bool]:
+    """The motion at the amplitude that meets the request, or at the largest the limits admit."""
+    needed = unit.error / wanted
+    most = {"deflection": deflection_limit / unit.deflection}
+    if motor is not None and unit.voltage:
+        most["voltage"] = motor.voltage_limit / unit.voltage
+    limit = min(most, key=lambda name: most[name])
+    reached = needed <= most[limit]
+    amplitude = needed if reached else most[limit]
+    return ExperimentDesign(
+        kind="",
+        amplitude=amplitude,
+        bit=unit.bit,
+        band=unit.band,
+        duration=unit.period * (unit.motion.size - 1),
+        standard_error=unit.error / amplitude,
+        peak_deflection=amplitude * unit.deflection,
+        peak_voltage=None if unit.voltage is None else amplitude * unit.voltage,
+        limit="none" if reached else limit,
+        time=np.asarray(unit.period * np.arange(unit.motion.size), dtype=np.float64),
+        motor_angle=amplitude * unit.motion,
+    ), reached

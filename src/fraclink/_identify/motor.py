@@ -1,0 +1,262 @@
+"""Identify the motor from its voltage and angle: K/J, ν/J, Coulomb torque, dead zone, delay.
+
+    θm'' = A·z(V(t − τ)) − B θm' − C sign(θm') − Γ/J,    A = K/J, B = ν/J, C = Γc/J
+
+z is the amplifier's dead zone. The equation is multiplied by smooth bumps and integrated by parts, so that
+nothing is differentiated: the encoder's steps average out, and (A, B, C, 1/J) follow from linear equations.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from numpy.polynomial import Polynomial
+from numpy.typing import ArrayLike, NDArray
+
+from fraclink._identify.statistics import long_run_covariance
+from fraclink._validate import checked_between, checked_series
+from fraclink.errors import LogError
+
+__all__ = ["MotorFit", "identify_motor"]
+
+Reals = NDArray[np.float64]
+
+_BUMP = Polynomial([1.0, 0.0, -1.0]) ** 5  # (1 − x²)⁵: five derivatives vanish at its ends
+_LEAST_WINDOWS = 20
+_LEAST_SAMPLES = 200
+
+
+@dataclass(frozen=True)
+class MotorFit:
+    """The motor as its log shows it.
+
+    Arguments:
+        gain: A = K/J [rad/(V·s²)]; decay: B = ν/J [1/s].
+        coulomb_voltage: friction as the voltage that overcomes it, Γc/K [V].
+        coulomb_torque: Γc [N·m], None where neither the inertia nor the link's torque was given.
+        dead_zone: voltage below which the amplifier does nothing [V].
+        delay: of the voltage's effect [s].
+        inertia: J [kg·m²], given or identified from the torque, else None.
+        standard_errors: of gain, decay, coulomb_voltage (and inertia), autocorrelation allowed for.
+        nmse: unexplained share of the accelerations' mean square [1].
+        windows: how many stretches of motion in one direction the fit rests on.
+    """
+
+    gain: float
+    decay: float
+    coulomb_voltage: float
+    coulomb_torque: float | None
+    dead_zone: float
+    delay: float
+    inertia: float | None
+    standard_errors: dict[str, float]
+    nmse: float
+    windows: int
+
+
+def identify_motor(
+    voltage: ArrayLike,
+    motor_angle: ArrayLike,
+    *,
+    period: float,
+    torque: ArrayLike | None = None,
+    inertia: float | None = None,
+    delay: float | None = None,
+    dead_zone: float | None = None,
+    window: float | None = None,
+) -> MotorFit:
+    """Identify the motor of eq. (1) with friction from voltage and angle; no guess is asked.
+
+    Arguments:
+        voltage: V, shape (N,), held between samples [V]; motor_angle: θm, shape (N,) [rad]; period [s].
+        torque: base torque Γ of the link, shape (N,) [N·m]: it loads the motor and, known, gives J itself.
+        inertia: J [kg·m²] where it is known and no torque was recorded, for the Coulomb torque.
+        delay, dead_zone: [s], [V] where they are known; searched for otherwise.
+        window: length of a bump [s]; 30 samples or 80 ms by default.
+
+    Motion near rest is left out: there the friction takes any value up to Γc. Raises LogError for
+    signals without motion, FieldError for arguments out of range. Source: the paper, equation (1).
+
+    >>> from fraclink._identify.motor_example import example_motor_log
+    >>> voltage, angle = example_motor_log()
+    >>> fit = identify_motor(voltage, angle, period=0.004)
+    >>> [round(x, 2) for x in (fit.gain / 3056.77, fit.decay / 15.153, fit.coulomb_voltage / 0.02)]
+    [1.0, 1.0, 1.0]
+    """
+    u, angle, load = _channels(voltage, motor_angle, torque)
+    period = checked_between("period", period, 1e-6, 10.0, "s")
+    if inertia is not None:
+        inertia = checked_between(
+            "inertia", inertia, 0.0, 1e6, "kg·m²", open_low=True, remedy="give J or leave it out"
+        )
+    longest = period * angle.size
+    if delay is not None:
+        delay = checked_between("delay", delay, 0.0, longest, "s")
+    if dead_zone is not None:
+        top = float(np.max(np.abs(u)))
+        dead_zone = checked_between("dead_zone", dead_zone, 0.0, 0.99 * top, "V")
+    if window is not None:
+        window = checked_between("window", window, 0.0, longest, "s", open_low=True)
+    half = max(15, round((0.04 if window is None else window / 2) / period))
+    bumps = _Bumps(angle, load, period, half)
+    if bumps.places.size < _LEAST_WINDOWS:
+        raise LogError(
+            "motor_angle",
+            int(bumps.places.size),
+            "too little motion in one direction",
+            allowed=f">= {_LEAST_WINDOWS} stretches of {2 * half * period:.3g} s",
+            remedy="drive the motor further, with voltages of both signs",
+        )
+    best_delay, best_zone = _search(bumps, u, period, delay, dead_zone)
+    return _result(bumps, u, best_delay, best_zone, inertia)
+
+
+class _Bumps:
+    """Bumps over stretches where the motor moves one way, and their integrals with what is known."""
+
+    def __init__(self, angle: Reals, load: Reals | None, period: float, half: int) -> None:
+        self.period, self.half = period, half
+        width = half * period
+        x = np.arange(-half, half + 1) / half
+        first, second = _BUMP.deriv(1)(x) / width, _BUMP.deriv(2)(x) / width**2
+        slope = -np.correlate(angle, first, "valid") * period  # ∫ φ θ'
+        mean = slope / (np.sum(_BUMP(x)) * period)
+        wide = np.lib.stride_tricks.sliding_window_view(mean, 2 * half + 1)
+        least = 0.03 * float(np.max(np.abs(mean)))
+        steady = (np.min(wide, axis=1) > least) | (np.max(wide, axis=1) < -least)
+        # A bump at k touches velocities half a bump to each side: all of them must have one sign.
+        self.places = (np.flatnonzero(steady) + half)[:: max(1, half // 4)]
+        self.centres = self.places + half
+        self.sign = np.sign(mean[self.places])
+        self.acceleration = (np.correlate(angle, second, "valid") * period)[self.places]
+        self.velocity = slope[self.places]
+        self.area = float(np.sum(_BUMP(x)) * period)
+        weighted = None if load is None else np.correlate(load, _BUMP(x), "valid") * period
+        self.load = None if weighted is None else weighted[self.places]
+
+    def driven(self, u: Reals, delay: float) -> Reals:
+        """∫ φ(t) u(t − τ) dt of a held voltage, exact for every τ."""
+        width = self.half * self.period
+        integral = _BUMP.integ()
+        reach = self.half + 1
+        shift = delay / self.period
+        whole = math.floor(shift)
+        edges = np.arange(-reach, reach + 2) + (shift - whole)
+        inside = np.clip(edges * self.period / width, -1, 1)
+        weights = np.diff(integral(inside)) * width
+        padded = np.concatenate(
+            [np.full(reach + abs(whole) + 1, u[0]), u, np.full(reach + abs(whole) + 1, u[-1])]
+        )
+        products = np.correlate(padded, weights, "valid")
+        # products[k] belongs to the sample k − (abs(whole) + 1) of u as the bump's centre, moved by `whole`.
+        return np.asarray(products[self.centres + abs(whole) + 1 - whole], dtype=np.float64)
+
+    def matrix(self, u: Reals, delay: float, zone: float) -> Reals:
+        """Columns of A, B, C (and 1/J)."""
+        columns = [
+            self.driven(np.sign(u) * np.maximum(np.abs(u) - zone, 0), delay),
+            -self.velocity,
+            -self.sign * self.area,
+        ]
+        if self.load is not None:
+            columns.append(-self.load)
+        return np.column_stack(columns)
+
+    def cost(self, u: Reals, delay: float, zone: float) -> float:
+        matrix = self.matrix(u, delay, zone)
+        solution = np.linalg.lstsq(matrix, self.acceleration, rcond=None)[0]
+        return float(np.sum((self.acceleration - matrix @ solution) ** 2))
+
+
+def _search(
+    bumps: _Bumps, u: Reals, period: float, delay: float | None, dead_zone: float | None
+) -> tuple[float, float]:
+    delays = np.arange(0, 8.01, 0.5) * period if delay is None else np.array([delay])
+    top = 0.5 * float(np.median(np.abs(u[u != 0]))) if np.any(u) else 0.0
+    zones = np.linspace(0, top, 9) if dead_zone is None else np.array([dead_zone])
+    costs = np.array([[bumps.cost(u, d, z) for z in zones] for d in delays])
+    i, j = np.unravel_index(int(np.argmin(costs)), costs.shape)
+    best_delay, best_zone = float(delays[i]), float(zones[j])
+    for _ in range(4):  # each in turn; they hardly move each other
+        if delay is None:
+            best_delay = _narrowed(partial(_at_delay, bumps, u, best_zone), best_delay, 0.5 * period)
+        if dead_zone is None and top > 0:
+            best_zone = _narrowed(partial(bumps.cost, u, best_delay), best_zone, top / 8)
+    return best_delay, best_zone
+
+
+def _at_delay(bumps: _Bumps, u: Reals, zone: float, delay: float) -> float:
+    return bumps.cost(u, delay, zone)
+
+
+def _narrowed(cost: Callable[[float], float], centre: float, reach: float) -> float:
+    from scipy.optimize import minimize_scalar
+
+    low = max(centre - reach, 0.0)
+    found = minimize_scalar(
+        cost, bounds=(low, centre + reach), method="bounded", options={"xatol": 1e-4 * reach}
+    )
+    # The edge itself (no delay, no dead zone) is never tried by the bounded search.
+    return low if cost(low) <= found.fun else float(found.x)
+
+
+def _result(bumps: _Bumps, u: Reals, delay: float, zone: float, inertia: float | None) -> MotorFit:
+    matrix = bumps.matrix(u, delay, zone)
+    values = np.linalg.lstsq(matrix, bumps.acceleration, rcond=None)[0]
+    error = bumps.acceleration - matrix @ values
+    inverse = np.linalg.pinv(matrix.T @ matrix)
+    meat = long_run_covariance(
+        (matrix * error[:, None]).T, min(16, error.size // 4)
+    )  # bumps overlap eightfold
+    covariance = inverse @ meat @ inverse
+    gain, decay, coulomb = (float(v) for v in values[:3])
+    by_gain = np.array([-coulomb / gain**2, 0.0, 1 / gain])
+    errors = {
+        "gain": math.sqrt(max(covariance[0, 0], 0)),
+        "decay": math.sqrt(max(covariance[1, 1], 0)),
+        "coulomb_voltage": math.sqrt(max(float(by_gain @ covariance[:3, :3] @ by_gain), 0)),
+    }
+    if bumps.load is not None:
+        inertia = 1 / float(values[3])
+        errors["inertia"] = math.sqrt(max(covariance[3, 3], 0)) * inertia**2
+    return MotorFit(
+        gain=gain,
+        decay=decay,
+        coulomb_voltage=coulomb / gain,
+        coulomb_torque=None if inertia is None else coulomb * inertia,
+        dead_zone=zone,
+        delay=delay,
+        inertia=inertia,
+        standard_errors=errors,
+        nmse=float(np.sum(error**2) / np.sum(bumps.acceleration**2)),
+        windows=int(bumps.places.size),
+    )
+
+
+def _channels(
+    voltage: ArrayLike, motor_angle: ArrayLike, torque: ArrayLike | None
+) -> tuple[Reals, Reals, Reals | None]:
+    """The channels as columns of one length that move; LogError otherwise."""
+    given = {"voltage": voltage, "motor_angle": motor_angle}
+    if torque is not None:
+        given["torque"] = torque
+    columns = {name: checked_series(name, values, error=LogError) for name, values in given.items()}
+    samples = columns["motor_angle"].size
+    for name, values in columns.items():
+        if values.size != samples or samples < _LEAST_SAMPLES:
+            raise LogError(
+                name,
+                values.size,
+                "too short or of another length",
+                allowed=f">= {_LEAST_SAMPLES} samples, all alike",
+                remedy="cut the channels to their common span",
+            )
+        if not np.all(np.isfinite(values)):
+            raise LogError(name, "NaN", "not finite", allowed="finite numbers", remedy="repair the log")
+        if np.ptp(values) == 0:
+            raise LogError(name, float(values[0]), "constant", allowed="a motion", remedy="check the wiring")
+    return columns["voltage"], columns["motor_angle"], columns.get("torque")

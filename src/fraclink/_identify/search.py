@@ -1,0 +1,276 @@
+"""The way to the best fit of a structure, with no guess asked: a scan, then Levenberg–Marquardt."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink._identify.problem import Window
+from fraclink._identify.shape import ALPHA_LIMITS, FREE, ORDER_LIMITS, Shape, mask_of, undamped_as_damped
+from fraclink._identify.solution import Solution
+from fraclink._kernels import FitProblem
+from fraclink.errors import NotConvergedError
+
+__all__ = ["Search"]
+
+_SWEEP_ORDER, _SWEEP_STEP = 1.85, 0.2  # ζ = 0.13 and a step in ln Ω: neighbours on the grid overlap
+_SCAN_ORDER = 1.92  # ζ = 0.065, for the places between them
+_ITERATIONS = 200  # an undamped link on a damped log converges by a third a step
+# Delays that are tried as starts, as parts of the vibration's period: a fit creeps over ± 0.15 by itself.
+_DELAY_STARTS = (0.12, 0.24)
+_DELAY_LIMITS = (-0.12, 0.35)
+
+
+@dataclass(eq=False)
+class Search:
+    """Fits of one window; every structure's start is taken from those found before.
+
+    `fixed` may hold "gain", "offset", "delay" and model coordinates "order", "damping_order".
+    """
+
+    window: Window
+    fixed: Mapping[str, float]
+    start: Shape | None = None
+    solutions: dict[str, Solution] = field(default_factory=dict)
+    _kernel: FitProblem | None = None
+    _seed: Shape | None = None
+    _evaluations: int = 0
+
+    @property
+    def gain(self) -> float:
+        """The gain where it is fixed, NaN where it is free."""
+        return self.fixed.get("gain", math.nan)
+
+    @property
+    def offset(self) -> float:
+        """The offset where it is fixed, NaN where it is free."""
+        return self.fixed.get("offset", math.nan)
+
+    @property
+    def seed(self) -> Shape:
+        """A point near the resonance: the best of the scan, or the guess that was given if it is better.
+
+        With a free gain a fit from a bad guess ends beside the optimum in one of five cases, with the
+        sign of the gain reversed; from the scan it does not. With a known gain any guess leads there (2000
+        of 2000 with ϖ up to three times off), and the scan is saved.
+        """
+        if self._seed is None:
+            self._seed = self.start if self.start is not None and "gain" in self.fixed else self._scan()
+        return self._seed
+
+    @property
+    def wave(self) -> float:
+        """The vibration's period at the seed [s]."""
+        return 2 * math.pi / math.exp(self.seed[1])
+
+    @property
+    def kernel(self) -> FitProblem:
+        """The kernel on a grid for this resonance; a guess may be three times too high."""
+        if self._kernel is None:
+            self._kernel = self.window.kernel(self.lowest, longest_delay=self.longest_delay)
+        return self._kernel
+
+    @property
+    def lowest(self) -> float:
+        """The lowest resonance [rad/s] the grid of rates must serve: a guess may be three times too high."""
+        return math.exp(self.seed[1]) / (3 if self.seed is self.start else 1)
+
+    @property
+    def longest_delay(self) -> float:
+        """The largest delay [s] that the kernel must be able to apply."""
+        fixed = abs(self.fixed.get("delay", 0.0))
+        span = self.window.samples * self.window.period
+        return max(fixed, min(0.36 * self.wave * (3 if self.seed is self.start else 1), span))
+
+    def _scan(self) -> Shape:
+        """Sweep ln Ω with a broad resonance, then its neighbourhood with a narrower one, then delays."""
+        low, high = (math.log(x) for x in self.window.frequency_limits)
+        delay = self.fixed.get("delay", 0.0)
+        points = max(int((high - low) / _SWEEP_STEP), 8)
+        kernel = self.window.kernel(math.exp(low), longest_delay=abs(delay), coarse=True)
+        broad, costs = self._tried(kernel, np.linspace(low, high, points), _SWEEP_ORDER, delay)
+        near = broad[_lowest_valleys(costs, 2)]
+        fine = (near[:, 1:2] + _SWEEP_STEP * np.array([-0.4, -0.2, 0.0, 0.2, 0.4])).ravel()
+        narrow, costs = self._tried(kernel, fine, _SCAN_ORDER, delay)
+        if self.start is not None:
+            narrow = np.concatenate([narrow, self.start[None, :]])
+            costs = kernel.costs(narrow, self.gain, self.offset)
+        best: Shape = narrow[int(np.argmin(costs))]
+        if "delay" in self.fixed:
+            return best
+        late = np.concatenate([_delayed(near, part) for part in _DELAY_STARTS])
+        kernel = self.window.kernel(math.exp(low), longest_delay=float(np.max(late[:, 4])), coarse=True)
+        late_costs = kernel.costs(late, self.gain, self.offset)
+        self._evaluations += len(late)
+        least = int(np.argmin(late_costs))
+        return best if float(np.min(costs)) <= late_costs[least] else np.asarray(late[least])
+
+    def _tried(
+        self, kernel: FitProblem, places: NDArray[np.float64], order: float, delay: float
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        order = self.fixed.get("order", order)
+        rows = np.array([[order, x, 0.0, 1.0, delay] for x in places])
+        self._evaluations += len(rows)
+        return rows, kernel.costs(rows, self.gain, self.offset)
+
+    def limits(self, *, may_lead: bool) -> tuple[Shape, Shape]:
+        """Lower and upper limits of the coordinates; `may_lead` admits a delay below zero."""
+        low, high = (math.log(x) for x in self.window.frequency_limits)
+        shortest = max(_DELAY_LIMITS[0] * self.wave, -0.9 * self.longest_delay) if may_lead else 0.0
+        longest = min(_DELAY_LIMITS[1] * self.wave, 0.97 * self.longest_delay)
+        lower = np.array([ORDER_LIMITS[0], low - 0.5, 0.0, ALPHA_LIMITS[0], shortest])
+        upper = np.array([ORDER_LIMITS[1], high + 0.3, 0.9, ALPHA_LIMITS[1], longest])
+        return lower, upper
+
+    def free(self, name: str) -> tuple[int, ...]:
+        """Free coordinates of a structure, the delay included unless it is fixed."""
+        names = {0: "order", 3: "damping_order"}
+        own = tuple(i for i in FREE[name] if names.get(i, "") not in self.fixed)
+        return own if "delay" in self.fixed else (*own, 4)
+
+    def solve(self, name: str) -> Solution:
+        """The best fit of a structure; found once."""
+        if name not in self.solutions:
+            found = self._best(name, list(self._starts(name)))
+            if "delay" not in self.fixed:
+                if self.window.hold == "zero":
+                    found = self._over_the_jumps(found)
+                elif self.window.is_rough:
+                    found = self._over_the_kinks(found)
+            self.solutions[name] = found
+        return self.solutions[name]
+
+    def reconcile(self) -> None:
+        """Fit a structure again from a special case of it that did better.
+
+        On a log without a clear resonance a scan may end in another valley for each structure; a structure
+        that is worse than its own special case would be the search's fault.
+        """
+        for name, special in (
+            ("D-IOM", "UD-IOM"),
+            ("UD-FOM", "UD-IOM"),
+            ("D-FOM", "D-IOM"),
+            ("D-FOM", "UD-FOM"),
+        ):
+            inner, outer = self.solve(special), self.solve(name)
+            if outer.cost > inner.cost * (1 + 1e-9) and not {"order", "damping_order"} & set(self.fixed):
+                shape = inner.shape
+                start = undamped_as_damped(shape) if (name, special) == ("D-FOM", "UD-FOM") else shape
+                again = self._best(name, [start], may_lead=True)
+                self.solutions[name] = min((outer, again), key=lambda s: s.cost)
+
+    def _over_the_jumps(self, found: Solution) -> Solution:
+        """Fits within the two nearest sampling intervals of delay.
+
+        A held input jumps, and so does the torque: as a function of the delay the cost jumps wherever a
+        sample passes a jump, and is smooth only from a sample (included) back to the one before.
+        """
+        period, best = self.window.period, found
+        for whole in {math.floor(found.shape[4] / period), math.ceil(found.shape[4] / period - 1e-9)}:
+            start = found.shape.copy()
+            start[4] = whole * period
+            shortest, longest = found.lower[4], found.upper[4]
+            inside = (max((whole - 1 + 1e-6) * period, shortest), min(whole * period, longest))
+            if inside[0] >= inside[1]:
+                continue
+            best = min((best, self._best(found.structure, [start], delays=inside)), key=lambda s: s.cost)
+        return best
+
+    def _over_the_kinks(self, found: Solution) -> Solution:
+        """Fits from the neighbouring half samples of delay, and from delays that are truly negative.
+
+        A straight line averages the noise of two samples, most of it half-way between them, so that a
+        rough angle rewards every half sample of delay. Within a sample such a gain says nothing on which
+        channel is later: the delay is then not let below zero (see `limits`).
+        """
+        rows = []
+        for shift in (-0.6, 0.6, -2.5):
+            rows.append(found.shape.copy())
+            rows[-1][4] += shift * self.window.period
+        best = min((found, self._best(found.structure, rows[:2])), key=lambda s: s.cost)
+        early = self._best(found.structure, rows[2:], may_lead=True)
+        leads = early.shape[4] < -1.5 * self.window.period and early.cost < best.cost
+        return early if leads else best
+
+    def _best(
+        self,
+        name: str,
+        rows: list[Shape],
+        *,
+        may_lead: bool | None = None,
+        delays: tuple[float, float] | None = None,
+    ) -> Solution:
+        free = self.free(name)
+        lower, upper = self.limits(may_lead=not self.window.is_rough if may_lead is None else may_lead)
+        if name == "D-FOM":
+            # As a UD-FOM near λ = 1 it vibrates far below its poles' modulus, and hardly at all.
+            lower[1], upper[2] = lower[1] - 3.0, 50.0
+        if delays is not None:
+            lower[4], upper[4] = delays
+        starts = np.array(rows)
+        if "delay" in self.fixed:
+            starts[:, 4] = self.fixed["delay"]
+        starts[:, list(free)] = np.clip(starts[:, list(free)], lower[list(free)], upper[list(free)])
+        status, shape, gain, offset, cost, evaluations, gram = self.kernel.solve(
+            starts, mask_of(free), lower, upper, self.gain, self.offset, _ITERATIONS
+        )
+        if status == 3:
+            raise NotConvergedError(
+                f"the fit of {name}", reached=math.inf, wanted=0.0, remedy="examine the log with diagnose"
+            )
+        return Solution(
+            name, free, shape, gain, offset, cost, gram, lower, upper, status, evaluations + self._evaluations
+        )
+
+    def _starts(self, name: str) -> Iterable[Shape]:
+        seed = self.seed
+        if name == "UD-FOM":
+            yield np.array([self.fixed.get("order", min(seed[0], 1.95)), seed[1], 0.0, 1.0, seed[4]])
+            return
+        fractional = self.solve("UD-FOM").shape
+        ratio = max(-math.cos(math.pi / fractional[0]), 1e-4)
+        if name == "D-IOM":
+            yield np.array([2.0, fractional[1], max(ratio, 1e-3), 1.0, fractional[4]])
+        elif name == "UD-IOM":
+            yield from self._undamped(fractional)
+        else:
+            yield from self._damped(fractional, ratio)
+
+    def _undamped(self, near: Shape) -> Iterable[Shape]:
+        # Without damping the phase must fit over the whole log: a dip of the cost every π/T, each is tried.
+        spacing = min(math.pi / (self.window.samples * self.window.period * math.exp(near[1])), 0.1)
+        reach = min(math.ceil(0.15 / spacing), 60)
+        offsets = near[1] + spacing * np.arange(-reach, reach + 1)
+        rows = np.array([[2.0, x, 0.0, 1.0, delay] for x in offsets for delay in {near[4], 0.0}])
+        costs = self.kernel.costs(rows, self.gain, self.offset)
+        yield from rows[np.argsort(costs)[:3]]
+
+    def _damped(self, fractional: Shape, ratio: float) -> Iterable[Shape]:
+        # Nested structures first: a step never raises the cost, so D-FOM is never worse than either.
+        if "damping_order" not in self.fixed:
+            yield self.solve("D-IOM").shape
+            yield undamped_as_damped(fractional)
+            others: tuple[float, ...] = (0.4, 1.5)
+        else:
+            others = (self.fixed["damping_order"],)
+        for other in others:
+            most = math.tan(other * math.pi / 2) / 2 if other < 1 else 0.9
+            yield np.array([2.0, fractional[1], min(ratio, 0.9 * most), other, fractional[4]])
+
+
+def _delayed(rows: NDArray[np.float64], part: float) -> NDArray[np.float64]:
+    """The rows with a delay of `part` of their vibration's period."""
+    result = rows.copy()
+    result[:, 4] = part * 2 * math.pi / np.exp(rows[:, 1])
+    return result
+
+
+def _lowest_valleys(costs: NDArray[np.float64], count: int) -> NDArray[np.int_]:
+    """Indices of the lowest local minima, the lowest first; a plateau beside a minimum is not another."""
+    padded = np.concatenate([[np.inf], costs, [np.inf]])
+    valleys = np.flatnonzero((costs <= padded[:-2]) & (costs <= padded[2:]))
+    return np.asarray(valleys[np.argsort(costs[valleys])][:count])

@@ -1,0 +1,24 @@
+"""The control law: what is simulated is what is shipped (csrc/law.c), and these are its coefficients."""
+
+from __future__ import annotations
+
+from fraclink._law.discretize import discretize_controller, drive_for, equip
+from fraclink._law.law import Law
+from fraclink._law.limits import Limits, Moves, derive_limits
+from fraclink._law.nouns import MODES, REASONS, Drive, LawInputs, LawOutputs, Modes
+
+__all__ = [
+    "MODES",
+    "REASONS",
+    "Drive",
+    "Law",
+    "LawInputs",
+    "LawOutputs",
+    "Limits",
+    "Modes",
+    "Moves",
+    "derive_limits",
+    "discretize_controller",
+    "drive_for",
+    "equip",
+]

@@ -1,0 +1,156 @@
+"""The parameter block of law.c: its fields in their order, packed as the C struct is laid out."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Mapping, Sequence
+from typing import Literal
+
+from fraclink._validate import checked_choice
+from fraclink.errors import FieldError
+
+__all__ = ["COUNTS", "HEADER", "REALS", "Precision", "exact_header", "pack", "real_type", "unpack"]
+
+Precision = Literal["single", "double"]
+
+VERSION = 2
+REAL_MODES, PAIR_MODES, FORWARD_MODES = 8, 2, 8
+WITH_INNER = 1
+
+HEADER = ("version", "size", "precision", "crc")
+COUNTS = (
+    "options",
+    "real_modes",
+    "pair_modes",
+    "forward_modes",
+    "bad_limit",
+    "missed_limit",
+    "residual_limit",
+    "stuck_limit",
+    "frozen_limit",
+    "block_limit",
+)
+# Name and length of every real field, in the order of law.h; a test reads law.h and compares. Modes lie as
+# (pole, gain), pairs as (pole, turn, gain, cross).
+REALS: tuple[tuple[str, int], ...] = (
+    ("period", 1),
+    ("compliance", 1),
+    ("direct", 1),
+    ("real", 2 * REAL_MODES),
+    ("pair", 4 * PAIR_MODES),
+    ("forward_direct", 1),
+    ("forward", 2 * FORWARD_MODES),
+    ("sum_limit", 1),
+    ("correction_limit", 1),
+    ("forward_limit", 1),
+    ("angle_limit", 1),
+    ("angle_step", 1),
+    ("torque_limit", 1),
+    ("torque_step", 1),
+    ("torque_trip", 1),
+    ("torque_block", 1),
+    ("reference_step", 1),
+    ("reference_rate", 1),
+    ("acceleration_limit", 1),
+    ("motor_limit", 1),
+    ("motor_step", 1),
+    ("fade_step", 1),
+    ("residual_angle", 1),
+    ("residual_rate", 1),
+    ("frozen_angle", 1),
+    ("stuck_torque", 1),
+    ("stiffness", 1),
+    ("wiring_energy", 1),
+    ("inner_direct", 1),
+    ("inner_angle", 1),
+    ("integral_now", 1),
+    ("integral_before", 1),
+    ("filter_now", 1),
+    ("filter_before", 1),
+    ("filter_angle_now", 1),
+    ("filter_angle_before", 1),
+    ("filter_decay", 1),
+    ("wanted_limit", 1),
+    ("voltage_limit", 1),
+    ("torque_voltage", 1),
+    ("coulomb_voltage", 1),
+    ("coulomb_slope", 1),
+)
+
+
+def real_type(precision: Precision) -> Literal["f", "d"]:
+    """The struct code of a real number, or FieldError for an unknown precision."""
+    remedy = "use single for a microcontroller with a single-precision FPU"
+    checked_choice("precision", precision, ("single", "double"), remedy=remedy)
+    return "f" if precision == "single" else "d"
+
+
+def _format(precision: Precision) -> str:
+    reals = sum(length for _, length in REALS)
+    body = len(COUNTS) * 4 + reals * struct.calcsize("<" + real_type(precision))
+    # The struct ends on the alignment of its largest member.
+    return f"<{len(COUNTS)}I{reals}{real_type(precision)}{-body % struct.calcsize(real_type(precision))}x"
+
+
+def pack(values: Mapping[str, float | Sequence[float]], precision: Precision) -> bytes:
+    """Return the block as bytes, with size and CRC-32 filled in; lists shorter than their field end in
+    zeros.
+    """
+    flat: list[float] = []
+    for name, length in REALS:
+        given = values[name]
+        items = list(given) if isinstance(given, Sequence) else [given]
+        if len(items) > length:
+            raise FieldError(
+                name,
+                len(items),
+                "too many for the law",
+                allowed=f"at most {length}",
+                remedy="ask for a lower order",
+            )
+        flat += items + [0.0] * (length - len(items))
+    counts = [int(values[name]) for name in COUNTS]  # type: ignore[arg-type]
+    try:
+        body = struct.pack(_format(precision), *counts, *flat)
+    except (OverflowError, struct.error) as error:
+        raise FieldError(
+            "law", str(error), "not representable", allowed=f"{precision} precision", remedy="use double"
+        ) from error
+    width, crc = (4 if precision == "single" else 8), zlib.crc32(body)
+    if crc == 0:  # the stamp of a state that was never started; one block in 4 billion
+        raise FieldError(
+            "law", 0, "a block with CRC 0", allowed="any other", remedy="change a limit slightly"
+        )
+    return struct.pack("<IIII", VERSION, 16 + len(body), width, crc) + body
+
+
+def unpack(block: bytes, precision: Precision) -> dict[str, float | list[float]]:
+    """Return what `pack` was given, as the law really has it: reals rounded to its precision, lists in
+    full.
+    """
+    items = list(struct.unpack(_format(precision), block[16:]))
+    result: dict[str, float | list[float]] = dict(
+        zip(HEADER, map(float, struct.unpack("<IIII", block[:16])), strict=True)
+    )
+    for name in COUNTS:
+        result[name] = items.pop(0)
+    for name, length in REALS:
+        taken, items = items[:length], items[length:]
+        result[name] = taken if length > 1 else taken[0]
+    return result
+
+
+def exact_header(block: bytes, precision: Precision, modes: Mapping[str, int]) -> tuple[int, int]:
+    """Return (size, CRC-32) of the block with arrays of just `modes` real modes, pairs and forward modes.
+
+    The keys are "real", "pair" and "forward"; law.c has that layout where it is compiled for one design.
+    """
+    values = unpack(block, precision)
+    each = {"real": 2, "pair": 4, "forward": 2}
+    flat: list[float] = []
+    for name, _ in REALS:
+        value = values[name]
+        flat += value[: each[name] * modes[name]] if isinstance(value, list) else [value]
+    body = block[16 : 16 + 4 * len(COUNTS)] + struct.pack(f"<{len(flat)}{real_type(precision)}", *flat)
+    return 16 + len(body), zlib.crc32(body)

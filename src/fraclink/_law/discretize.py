@@ -1,0 +1,241 @@
+"""From the designed controller to the law at its period."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink._arm.link import LinkModel
+from fraclink._arm.motor import DiscreteInnerLoop, inner_loop
+from fraclink._arm.rig import Rig
+from fraclink._law.block import FORWARD_MODES, PAIR_MODES, REAL_MODES, Precision, real_type
+from fraclink._law.correction import fit_correction
+from fraclink._law.law import Law
+from fraclink._law.limits import Moves, derive_limits
+from fraclink._law.nouns import Drive, Modes
+from fraclink._systems.rational import DiscreteRational, fit_discrete
+from fraclink._systems.rational.discrete import checked_band
+from fraclink._validate import checked_noun, checked_number
+from fraclink.errors import FieldError
+
+if TYPE_CHECKING:
+    from fraclink._arm.controller import Controller
+
+__all__ = ["check_rigs_period", "discretize_controller", "drive_for", "equip"]
+
+# A slow pole must not round to an integrator.
+BELOW_ONE = float(np.nextafter(np.float32(1.0), np.float32(0.0)))
+LOWEST = 0.05  # [rad/s]: below, Ĉ is under 1e-2 of its value at the crossover, and C is 1 to the tolerance
+FLEXIBLE = 0.2  # of the resonance: below, the flexion is under 5 % of the motor's motion, its error under 1 %
+STICTION = 3.0  # times the Coulomb friction, at most: a motor that is stuck beyond is a fault
+COULOMB_SPEED = 0.02  # [rad/s]: a wider band leaves stiction to stop small corrections, a sharp sign chatters
+
+
+def discretize_controller(
+    controller: Controller,
+    period: float,
+    *,
+    order: int | None = None,
+    precision: Precision = "double",
+    link: LinkModel | None = None,
+    rig: Rig | None = None,
+    moves: Moves | None = None,
+    band: tuple[float, float] | None = None,
+) -> Law:
+    """Return the law that runs the controller at `period` [s].
+
+    Ĉ(s) = k_d s^β/(1 + δs)^n becomes (1 − z⁻¹)(d + Σ g/(z − p)) by a minimax fit of C = 1 + Ĉ on `band`
+    [rad/s], closest about the gain crossover (`fit_correction`), and the feed-forward s^λ θt*/ϖ² becomes a
+    fit of s^(λ−2)/ϖ² that works on the reference's known acceleration.
+
+    Parameters: `order`, states of Ĉ (0 to 8; None: few that meet 0.1 dB and 0.5°, else the best of 8);
+    `precision` "double" or "single"; `link`, nominal model, the controller's own where it is left out;
+    `rig`, which adds the inner loop, the sensors' limits and the motor's compensations (see `equip`);
+    `moves`, the largest move, from which the guards' thresholds follow. Without a filter Ĉ is improper: no
+    sampled controller can follow it to the Nyquist frequency, and the default band ends at 300 rad/s (600
+    with a filter). The errors reached stand in `Law.correction_error`. Raises FieldError for a period,
+    order or band out of range and for a missing link.
+
+    >>> from fraclink._arm.controller import Controller
+    >>> from fraclink._arm.link import LinkModel
+    >>> link = LinkModel(stiffness=1.56, natural_frequency=11.094, order=1.92)
+    >>> controller = Controller(gain=0.148, order=0.65, filter_time=0.16, filter_order=2, link=link)
+    >>> law = discretize_controller(controller, 0.004)
+    >>> law.order, law.correction_error[0] < 0.1, law.correction_error[1] < 0.5
+    (4, True, True)
+    """
+    real_type(precision)
+    _check_options(link, rig, moves)
+    model = link or controller.link
+    if model is None:
+        raise FieldError(
+            "link",
+            None,
+            "missing",
+            allowed="a LinkModel",
+            remedy="give the nominal link model: tip estimate and feed-forward need it",
+        )
+    _check_period(controller, period)
+    reach = _band(controller, period) if band is None else checked_band(band, period)
+    correction = fit_correction(controller, model, period, reach, order)
+    forward = _forward_fit(model, period)
+    inner_pole = controller.inner.pole if controller.inner is not None else 80.0
+    law = Law(
+        period=period,
+        precision=precision,
+        stiffness=model.stiffness,
+        correction=_modes("order", correction, REAL_MODES, PAIR_MODES),
+        feedforward=_modes("link.order", forward, FORWARD_MODES, 0),
+        inner_pole=inner_pole,
+        limits=derive_limits(
+            model, period, moves or Moves(), pole=inner_pole, kick=abs(correction.feedthrough)
+        ),
+        correction_error=(correction.error_db, correction.error_deg),
+        feedforward_error=(forward.error_db, forward.error_deg),
+        band=reach,
+    )
+    return law if rig is None else equip(law, rig, model, moves=moves)
+
+
+def equip(law: Law, rig: Rig, link: LinkModel, *, moves: Moves | None = None) -> Law:
+    """Return the law with the rig's inner loop, compensations and sensor limits.
+
+    The inner loop has the pole the law was made for; its guards are derived again from the gauge's range,
+    noise and quantum and the encoder's resolution. Raises FieldError where the periods differ.
+    """
+    checked_noun("law", law, Law, remedy="controller.discretize(rig.period) makes one")
+    checked_noun("rig", rig, Rig, remedy="Rig.named or Rig.load make one")
+    checked_noun("link", link, LinkModel, remedy="fit.model, or rig.model")
+    _check_options(None, None, moves)
+    check_rigs_period(law, rig)
+    drive = drive_for(rig, law.inner_pole)
+    return replace(
+        law,
+        drive=drive,
+        limits=derive_limits(
+            link,
+            law.period,
+            moves or Moves(),
+            pole=law.inner_pole,
+            gauge_limit=rig.gauge.limit,
+            gauge_noise=rig.gauge.noise,
+            gauge_quantum=rig.gauge.quantum,
+            encoder_resolution=rig.encoder.resolution,
+            sticking=STICTION * drive.coulomb_voltage / _stiffness(drive.loop),
+            kick=abs(law.correction.direct),
+        ),
+    )
+
+
+def check_rigs_period(law: Law, rig: Rig) -> None:
+    """FieldError where the law was made for another period than the rig's."""
+    if not math.isclose(law.period, rig.period, rel_tol=1e-9):
+        raise FieldError(
+            "period",
+            law.period,
+            "not the rig's",
+            allowed=f"{rig.period} s",
+            remedy="discretise the controller at the rig's period",
+        )
+
+
+def drive_for(rig: Rig, pole: float) -> Drive:
+    """Return the inner loop of `rig` for the pole p [rad/s], with the compensations its motor needs."""
+    motor = rig.motor
+    return Drive(
+        loop=inner_loop(motor, pole).discretize(rig.period),
+        voltage_limit=min(motor.voltage_limit, 1e4),  # a block holds finite numbers; 10 kV is no limit
+        torque_voltage=1 / (motor.torque_constant * motor.gear_ratio),
+        coulomb_voltage=motor.coulomb_torque / motor.torque_constant,
+        coulomb_speed=COULOMB_SPEED,
+    )
+
+
+def _stiffness(loop: DiscreteInnerLoop) -> float:
+    """Voltage over a lasting error of the angle, before the integral acts [V/rad]."""
+    return loop.direct + loop.filter_gain * (loop.filter_now + loop.filter_before) / (1 - loop.filter_decay)
+
+
+def _check_options(link: object, rig: object, moves: object) -> None:
+    """FieldError where an option that was given is of another kind, before the fit takes its second."""
+    kinds: tuple[tuple[str, object, type, str], ...] = (
+        ("link", link, LinkModel, "fit.model, or rig.model"),
+        ("rig", rig, Rig, "Rig.named or Rig.load make one"),
+        ("moves", moves, Moves, "Moves(angle, velocity, acceleration)"),
+    )
+    for field, value, kind, remedy in kinds:
+        if value is not None:
+            checked_noun(field, value, kind, remedy=remedy)
+
+
+def _check_period(controller: Controller, period: float) -> None:
+    checked_number("period", period, allowed="> 0 s", remedy="give seconds", holds=lambda time: time > 0.0)
+    designed = controller.period
+    if designed is not None and not math.isclose(designed, period, rel_tol=1e-9):
+        raise FieldError(
+            "period",
+            period,
+            "not the one the controller was designed for",
+            allowed=f"{designed} s",
+            remedy="design again for this period, or use controller.period",
+        )
+    if period > 0.2 * math.pi / LOWEST:
+        raise FieldError("period", period, "too long", allowed="<= 12 s", remedy="give the period in seconds")
+
+
+def _band(controller: Controller, period: float) -> tuple[float, float]:
+    nyquist = math.pi / period
+    high = min(600.0, 0.764 * nyquist) if controller.is_strictly_proper else min(300.0, 0.382 * nyquist)
+    return min(LOWEST, 1e-3 * nyquist), high
+
+
+def _forward_fit(link: LinkModel, period: float) -> DiscreteRational:
+    """s^(λ-2)/(μ s^α + ϖ²): what the reference's acceleration must add to the motor angle (1/G − 1 over
+    s²).
+    """
+
+    def response(frequency: NDArray[np.float64]) -> NDArray[np.complex128]:
+        s = 1j * frequency
+        return np.asarray((1 / link.tip()(s) - 1) / s**2, dtype=np.complex128)
+
+    high = min(200.0, 0.5 * math.pi / period)
+    # 0.3 dB of the feed-forward is 3 % of the flexion, well below what an unknown payload changes.
+    return fit_discrete(
+        response,
+        period=period,
+        band=(min(FLEXIBLE * abs(link.pole), 0.1 * high), high),
+        tolerance_db=0.3,
+        tolerance_deg=1.5,
+        highest=FORWARD_MODES,
+        pairs=0,
+    )
+
+
+def _modes(field: str, fit: DiscreteRational, reals: int, pairs: int) -> Modes:
+    if len(fit.decays) > reals or len(fit.pole_decays) > pairs:
+        raise FieldError(
+            field,
+            f"{len(fit.decays)} real modes and {len(fit.pole_decays)} pairs",
+            "more than law.c holds",
+            allowed=f"{reals} real modes and {pairs} pairs",
+            remedy="ask for a lower order",
+        )
+    slowest_last = np.argsort(fit.decays)
+    return Modes(
+        _single(fit.feedthrough),
+        tuple(min(_single(x), BELOW_ONE) for x in fit.decays[slowest_last]),
+        tuple(_single(x) for x in fit.gains[slowest_last]),
+        tuple(complex(_single(x.real), _single(x.imag)) for x in fit.pole_decays),
+        tuple(complex(_single(x.real), _single(x.imag)) for x in fit.pole_gains),
+    )
+
+
+def _single(value: float) -> float:
+    """The nearest number of single precision: both precisions then run the same filter, and what a double
+    simulation shows differs from the board by rounding alone.
+    """
+    return float(np.float32(value))

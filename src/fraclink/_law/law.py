@@ -1,0 +1,230 @@
+"""The control law at its period: one frozen object, the same block of numbers that a board gets."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fraclink import _kernels
+from fraclink._files import read_json, write_json
+from fraclink._law import block as layout
+from fraclink._law.assemble import block_values
+from fraclink._law.limits import Limits
+from fraclink._law.nouns import REASONS, Drive, LawInputs, LawOutputs, Modes
+from fraclink._law.saved import arguments_of, as_json
+from fraclink.errors import FieldError, FileFormatError
+
+__all__ = ["Law"]
+
+Real = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Law:
+    """A controller as it runs: every coefficient of law.c at its period.
+
+    θm* = θt* + F(z) θ̈t* + Ĉ(z)(θt* − θte),  θte = θm − Γ/c (22), (23), with Ĉ(z) = (1 − z⁻¹)(d + Σ g/(z −
+    p)), so that Ĉ(1) = 0 exactly in any arithmetic (28). Made by `discretize_controller` or
+    `Controller.discretize`.
+
+    Attributes: `period` [s]; `precision` "single" or "double"; `stiffness` c [N·m/rad]; `correction` and
+    `feedforward` as `Modes`; `correction_error`, the largest error of C = 1 + Ĉ in (decibels, degrees) on
+    `band` [rad/s]; `feedforward_error`, the same of F from a fifth of the resonance on;
+    `inner_pole` p of M(s) [rad/s]; `drive`, None for a robot that has its own position servo; `limits` of
+    the guards.
+
+    >>> from fraclink._arm.controller import Controller
+    >>> from fraclink._arm.link import LinkModel
+    >>> link = LinkModel(stiffness=1.56, natural_frequency=11.094, order=1.92)
+    >>> law = Controller(gain=0.069876, order=0.612197, link=link).discretize(0.004, order=4)
+    >>> abs(law.frequency_response(0.0)).item(), len(law.block)
+    (0.0, 688)
+    """
+
+    period: float
+    precision: layout.Precision
+    stiffness: float
+    correction: Modes
+    feedforward: Modes
+    inner_pole: float
+    limits: Limits
+    drive: Drive | None = None
+    correction_error: tuple[float, float] = (math.nan, math.nan)
+    feedforward_error: tuple[float, float] = (math.nan, math.nan)
+    band: tuple[float, float] = (math.nan, math.nan)
+
+    @property
+    def order(self) -> int:
+        """Number of states of the correction Ĉ, without the one of its difference."""
+        return len(self.correction.poles) + 2 * len(self.correction.pair_poles)
+
+    @cached_property
+    def block(self) -> bytes:
+        """The parameter block of law.c, byte for byte."""
+        values = block_values(
+            self.period,
+            self.stiffness,
+            self.inner_pole,
+            self.correction,
+            self.feedforward,
+            self.limits,
+            self.drive,
+        )
+        made = layout.pack(values, self.precision)
+        if len(made) != _kernels.law_sizes(self.precision == "single")[0]:
+            raise AssertionError("fraclink._law.block does not match csrc/law.h")
+        return made
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the block, 64 hexadecimal digits: two laws with one digest run alike to the last bit."""
+        return hashlib.sha256(self.block).hexdigest()
+
+    @property
+    def coefficients(self) -> dict[str, float | list[float]]:
+        """Every number of the block under its name in law.h, as the law has it (rounded to its precision)."""
+        return layout.unpack(self.block, self.precision)
+
+    def in_precision(self, precision: layout.Precision) -> Law:
+        """Return the same law in "single" or "double" precision."""
+        layout.real_type(precision)
+        return replace(self, precision=precision)
+
+    def frequency_response(self, frequency: ArrayLike) -> NDArray[np.complex128]:
+        """Return Ĉ(e^(jωT)) of the coefficients as they are rounded, at ω [rad/s]; any shape."""
+        w = np.asarray(frequency, dtype=float)
+        c = self.coefficients
+        half = 0.5 * w * self.period
+        # z − 1 without cancellation: at 0.05 rad/s and 4 ms it is 2e-4; pole − 1 is exact for slow poles
+        beyond = (2j * np.sin(half) * np.exp(1j * half))[..., None]
+        n, m = len(self.correction.poles), len(self.correction.pair_poles)  # the block's lists end in zeros
+        poles, gains = np.asarray(c["real"]).reshape(-1, 2)[:n].T
+        pole, turn, gain, cross = np.asarray(c["pair"]).reshape(-1, 4)[:m].T
+        pairs, crossed = pole - 1 + 1j * turn, gain + 1j * cross
+        total = c["direct"] + (gains / (beyond - (poles - 1))).sum(-1)
+        total = total + 0.5 * (crossed / (beyond - pairs) + crossed.conj() / (beyond - pairs.conj())).sum(-1)
+        return np.asarray(2j * np.sin(half) * np.exp(-1j * half) * total, dtype=np.complex128)
+
+    def initial_state(self) -> bytes:
+        """Return the state before the first period; the first step starts at the measured angle without a
+        bump.
+        """
+        state, reason = _kernels.law_init(self.block, self.precision == "single")
+        if reason:
+            raise FieldError(
+                "law", REASONS[reason], "refused by law.c", allowed="a valid block", remedy="report it"
+            )
+        return bytes(state)
+
+    def step(self, state: bytes, inputs: LawInputs, *, tick: int = 1) -> tuple[bytes, LawOutputs]:
+        """Run law.c for one period and return (new state, outputs); `tick` is the number of the period."""
+        after, outputs = self.run(state, *([value] for value in inputs), first_tick=tick)
+        return after, LawOutputs(*(column[0].item() for column in outputs))
+
+    def run(
+        self,
+        state: bytes,
+        reference: ArrayLike,
+        reference_acceleration: ArrayLike,
+        motor_angle: ArrayLike,
+        torque: ArrayLike,
+        *,
+        first_tick: int = 1,
+        ticks: Sequence[int] | NDArray[np.uint32] | None = None,
+    ) -> tuple[bytes, LawOutputs]:
+        """Run law.c over whole signals, shape (N,), and return (new state, outputs of shape (N,)).
+
+        Periods are numbered from `first_tick`, or by `ticks` where some were missed.
+        """
+        signals = np.ascontiguousarray(
+            [np.asarray(x, dtype=float) for x in (reference, reference_acceleration, motor_angle, torque)]
+        )
+        if signals.ndim != 2:
+            raise FieldError(
+                "inputs",
+                signals.shape,
+                "not five signals",
+                allowed="five of shape (N,)",
+                remedy="give arrays",
+            )
+        count = signals.shape[1]
+        numbers = np.arange(count) + first_tick if ticks is None else np.asarray(ticks)
+        numbers = np.ascontiguousarray(numbers.astype(np.int64) % 2**32, dtype=np.uint32)
+        if numbers.shape != (count,):
+            raise FieldError(
+                "ticks",
+                numbers.shape,
+                "not one number a period",
+                allowed=f"({count},)",
+                remedy="give N numbers",
+            )
+        outputs, marks = np.empty((5, count)), np.empty((3, count), dtype=np.uint32)
+        after = _kernels.law_run(
+            self.block, state, numbers, signals, outputs, marks, self.precision == "single"
+        )
+        return bytes(after), LawOutputs(*outputs, *marks)
+
+    def check_wiring(self, motor_angle: ArrayLike, torque: ArrayLike) -> str:
+        """Return "none", or what is wrong with the gauge's wiring: law.c's commissioning test on a log.
+
+        The motor must turn by `wiring_angle()` or more within a quarter of the link's vibration period: the
+        tip then lags behind, and the torque [N·m] must rise with the motor angle [rad]; both have shape (N,),
+        one value a period. The answers are "none", "gauge reversed", "gauge dead" and "not moved enough".
+        """
+        angle, twist = (np.ascontiguousarray(x, dtype=float) for x in (motor_angle, torque))
+        if angle.ndim != 1 or angle.shape != twist.shape:
+            raise FieldError(
+                "torque",
+                twist.shape,
+                "not one value a sample",
+                allowed=f"{angle.shape}",
+                remedy="give two signals",
+            )
+        return REASONS[_kernels.law_wiring(self.block, angle, twist, self.precision == "single")]
+
+    def wiring_angle(self, duration: float | None = None) -> float:
+        """Return by how much [rad] the motor must turn in `duration` [s] for `check_wiring` to decide.
+
+        Along the quintic of `smooth_step` the sum of squared steps is 10/7 θ² T/duration, and must reach the
+        limits' `wiring_energy`, where the link's torque stands clear of the gauge's noise. Default duration:
+        a quarter of the link's vibration period. FieldError unless duration > 0.
+
+        >>> import fraclink as fl
+        >>> from fraclink._law import discretize_controller
+        >>> rig = fl.Rig.named("paper-2023")
+        >>> controller = fl.Controller(gain=0.069876, order=0.612197, link=rig.model)
+        >>> law = discretize_controller(controller, rig.period, rig=rig)
+        >>> f"{law.wiring_angle():.2f} rad, in half a second {law.wiring_angle(0.5):.2f} rad"
+        '0.26 rad, in half a second 0.51 rad'
+        """
+        # `block_limit` is one and a half times half a vibration.
+        time = self.limits.block_limit * self.period / 3 if duration is None else duration
+        if not (math.isfinite(time) and time > 0):
+            raise FieldError("duration", duration, "not a time", allowed="> 0 s", remedy="give seconds")
+        return math.sqrt(0.7 * self.limits.wiring_energy * time / self.period)
+
+    def save(self, path: Path | str) -> None:
+        """Write the law to a JSON file; reals are hex floats, so that every bit comes back."""
+        write_json(path, "law", 1, {"sha256": self.digest} | as_json(self))
+
+    @classmethod
+    def load(cls, path: Path | str) -> Law:
+        """Read what `save` wrote; FileFormatError where the file is damaged or its digest does not fit."""
+        data = read_json(path, "law")
+        law = cls(**arguments_of(data))
+        if data.get("sha256") != law.digest:
+            raise FileFormatError(
+                "sha256",
+                data.get("sha256"),
+                "not that of the law",
+                allowed=law.digest,
+                remedy="make the file again",
+            )
+        return law

@@ -1,0 +1,150 @@
+"""The law's guards: every threshold from the largest move, the design and the sensors, none guessed."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING
+
+from fraclink._validate import checked_between
+
+if TYPE_CHECKING:
+    from fraclink._arm.link import LinkModel
+
+__all__ = ["Limits", "Moves", "derive_limits"]
+
+JUMP = 3.0  # of 1/ω_resonance: the time constant with which a jump of the reference is followed
+FADE_TIME = (
+    0.2  # [s]: the correction leaves slowly enough not to ring the link, fast enough to be gone in a move
+)
+
+
+@dataclass(frozen=True)
+class Moves:
+    """The largest move the arm is meant to make; the guards take anything far beyond it for a fault.
+
+    Parameters: `angle` [rad], `velocity` [rad/s] and `acceleration` [rad/s²] of the reference, all > 0. The
+    default covers 1 rad in 0.4 s along the quintic of `smooth_step` (4.7 rad/s, 36 rad/s²).
+
+    >>> Moves().velocity
+    6.0
+    """
+
+    angle: float = 2 * math.pi
+    velocity: float = 6.0
+    acceleration: float = 60.0
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = checked_between(
+                f"moves.{field.name}",
+                getattr(self, field.name),
+                0.0,
+                1e6,
+                "in rad and s",
+                open_low=True,
+                remedy="give the largest value the reference will have",
+            )
+            object.__setattr__(self, field.name, value)
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Thresholds of the guards in law.c; the names are those of its parameter block."""
+
+    sum_limit: float
+    correction_limit: float
+    forward_limit: float
+    angle_limit: float
+    angle_step: float
+    torque_limit: float
+    torque_step: float
+    torque_trip: float
+    torque_block: float
+    reference_step: float
+    reference_rate: float
+    acceleration_limit: float
+    motor_limit: float
+    motor_step: float
+    fade_step: float
+    residual_angle: float
+    frozen_angle: float
+    stuck_torque: float
+    wiring_energy: float
+    bad_limit: int = 5  # 20 ms at 4 ms: three lost samples in a row are ridden through, a dead wire is not
+    missed_limit: int = 5
+    residual_limit: int = 10
+    stuck_limit: int = 12
+    frozen_limit: int = 8  # lost samples do not come in such rows, and a motor is not far by then
+    block_limit: int = 100  # derived from the resonance
+
+
+def derive_limits(
+    link: LinkModel,
+    period: float,
+    moves: Moves,
+    *,
+    pole: float = 80.0,
+    gauge_limit: float = math.inf,
+    gauge_noise: float = 0.0,
+    gauge_quantum: float = 0.0,
+    encoder_resolution: float = 0.0,
+    sticking: float = math.inf,
+    kick: float = 3.0,
+) -> Limits:
+    """Return the thresholds for moves up to `moves` at `period` [s].
+
+    `sticking` [rad]: how far friction may keep the motor behind its reference, infinite where nobody knows.
+    `kick`: Ĉ's gain at the highest frequency, the direct part of its filter. Largest torque of a move: c a
+    |s^(λ-2)/(μ s^α + ϖ²)| at the resonance, doubled for payloads beyond the nominal one. Lag of the loop:
+    2/p + 1.5 T. Reasons stand beside each number in the source.
+    """
+    resonance = abs(link.pole)
+    flexible = abs(1 / link.tip()(1j * resonance) - 1) / resonance**2 * moves.acceleration
+    torque = 2 * link.stiffness * flexible
+    angle = moves.angle + 2 * flexible
+    lag = 2 / pole + 1.5 * period
+    # Reference, feed-forward and correction may each ask for the full speed at once.
+    motor_step = 3 * moves.velocity * period
+    torque_limit = min(
+        4 * torque, 0.975 * gauge_limit
+    )  # an amplifier at its rail reads its limit: not credible
+    error = lag * moves.velocity
+    # A link that vibrates swings back in half a period; what it is bent by for longer is an acceleration that
+    # the reference's speed, from one end to the other, leaves room for.
+    held = 1.5 * math.pi / resonance
+    slow = abs(1 / link.tip()(1j * math.pi / held) - 1) * (held / math.pi) ** 2
+    block = 2 * link.stiffness * slow * min(moves.acceleration, 2 * moves.velocity / held)
+    # two periods of delay that the motor model leaves out, at the speed of reference and feed-forward
+    residual = 3 * moves.velocity * period + 0.02
+    # the motor can bend the link by its own step; a sample's noise is below 8 deviations for centuries
+    torque_step = 2 * link.stiffness * motor_step + 8 * gauge_noise + 2 * gauge_quantum
+    return Limits(
+        # what an offset that appears may ask for at once, on top of the feed-forward
+        sum_limit=4 * flexible + kick * (torque_step / link.stiffness + 1.05 * moves.velocity * period),
+        correction_limit=1.5
+        * (error + 0.15),  # 0.15 rad: residual vibration and gauge offset on top of the lag
+        forward_limit=3 * moves.velocity / period,  # the states sum the acceleration, which sums to the speed
+        angle_limit=angle,
+        angle_step=2 * motor_step + 2 * encoder_resolution,
+        torque_limit=torque_limit,
+        torque_step=torque_step,
+        torque_trip=min(1.5 * torque, 0.9 * torque_limit),
+        torque_block=min(block, 0.9 * torque_limit),
+        reference_step=1.05 * moves.velocity * period,
+        reference_rate=-math.expm1(-resonance * period / JUMP),
+        acceleration_limit=1.2 * moves.acceleration,
+        motor_limit=angle,
+        motor_step=motor_step,
+        fade_step=min(1.0, period / FADE_TIME),
+        residual_angle=residual,
+        # a move that has begun in the model but, for three periods of delay, not in the motor
+        frozen_angle=min(
+            residual, 2 * encoder_resolution + max(sticking, 4.5 * moves.acceleration * period**2)
+        ),
+        stuck_torque=max(0.1 * torque, 8 * gauge_quantum + 4 * gauge_noise),
+        block_limit=max(5, round(held / period)),
+        # sum of squared motor steps whose torque stands 6 deviations above the noise of a torque step, and at
+        # least that of 0.1 rad in 25 periods
+        wiring_energy=max((6 * math.sqrt(2) * gauge_noise / link.stiffness) ** 2, 0.1**2 / 25),
+    )

@@ -1,0 +1,1 @@
+"""Recorded logs: read, inspected, diagnosed."""

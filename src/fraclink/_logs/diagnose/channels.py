@@ -1,0 +1,221 @@
+"""Checks on one channel at a time: labels, ranges, outliers, clipping, steps of the converter, the start."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink._arm.experiment import Experiment
+from fraclink._arm.rig import Rig
+from fraclink._logs.diagnose.scan import Mode
+from fraclink._logs.readers import converter_step
+from fraclink.findings import Finding
+
+__all__ = [
+    "clipping",
+    "constant_channels",
+    "labels",
+    "outliers",
+    "quantisation",
+    "range_of_angle",
+    "rest_at_start",
+    "voltage_limit",
+]
+
+_CLIPPED = 0.005  # share of samples at the extreme value
+_PILE = 4.0  # times as many samples at the extreme as one step inside; a sine's crest has 2.4 times as many
+_FAR = 8.0  # times the range that holds 99 % of the samples: no motion goes there
+_FINE = 20_000  # levels: beyond a converter of 14 bits the steps are those of the numbers' text
+_OFFSET_INFO, _OFFSET_WARNING = 0.1, 0.5  # of the standard deviation of the motion
+
+
+def labels(experiment: Experiment, rig: Rig | None) -> Iterator[Finding]:
+    """What the log says of itself: the payload, and whether it was simulated."""
+    if experiment.simulated:
+        yield Finding(
+            "W230", "info", "the log says that it was simulated", {}, "results describe a model, not a rig"
+        )
+    if experiment.payload is None:
+        yield Finding(
+            "W216",
+            "warning",
+            "no payload is stated for this log",
+            {},
+            "state it (--payload, or # payload_kg: in the log): from a known one a model scales to others",
+        )
+    if rig is not None and abs(experiment.period - rig.period) > 0.01 * rig.period:
+        yield Finding(
+            "W217",
+            "info",
+            f"the log has a sample every {1e3 * experiment.period:.4g} ms, the rig's law runs every "
+            f"{1e3 * rig.period:.4g} ms",
+            {"log_period_s": experiment.period, "rig_period_s": rig.period},
+            "the model does not depend on it; check period_ms if they should be the same",
+        )
+    if experiment.payload is None or rig is None:
+        return
+    if doubt := rig.payloads.doubt(experiment.payload):
+        yield doubt
+    elif not rig.payloads.low <= experiment.payload <= rig.payloads.high:
+        yield Finding(
+            "W216",
+            "info",
+            f"the payload of {experiment.payload:g} kg lies outside the rig's range",
+            {"payload": experiment.payload, "low": rig.payloads.low, "high": rig.payloads.high},
+            "check the label",
+        )
+
+
+def _channels(experiment: Experiment) -> tuple[tuple[str, str, str], ...]:
+    """Attribute, name in words and unit of the two channels."""
+    return (
+        ("motor_angle", "motor angle", "rad"),
+        ("output", experiment.output_kind, experiment.output_unit),
+    )
+
+
+def constant_channels(experiment: Experiment) -> Iterator[Finding]:
+    """B02, B03, B21: a channel that moves by less than a billionth of its value tells nothing."""
+    remedies = ("excite the arm: a pulse, a PRBS or a square wave", "check the gauge and its amplifier")
+    for code, (name, named, unit), remedy in zip(
+        ("W202", "W203"), _channels(experiment), remedies, strict=True
+    ):
+        values = getattr(experiment, name)
+        spread, size = float(values.std()), float(np.abs(values).max())
+        if spread <= 1e-9 * size or size == 0:
+            state = f"constant at {float(values[0]):.6g} {unit}" if size else "zero throughout"
+            yield Finding(code, "error", f"the {named} is {state}", {"standard_deviation": spread}, remedy)
+
+
+def range_of_angle(experiment: Experiment) -> Iterator[Finding]:
+    """B09: more than a turn is rare on these rigs; degrees called radians are not."""
+    largest = float(np.abs(experiment.motor_angle - experiment.motor_angle[0]).max())
+    if largest > 2 * math.pi:
+        yield Finding(
+            "W209",
+            "warning",
+            f"the motor turns by {largest:.4g} rad, more than a full turn: are these degrees called radians?",
+            {"largest_angle": largest, "if_degrees": math.radians(largest)},
+            'state unit = "deg" for the motor angle if they are',
+        )
+
+
+def outliers(experiment: Experiment) -> Iterator[Finding]:
+    """B24: samples far outside the range that holds 99 % of the channel."""
+    for name, named, _unit in _channels(experiment):
+        values = getattr(experiment, name)
+        low, middle, high = np.quantile(values, (0.005, 0.5, 0.995))
+        reach = max(high - middle, middle - low) or float(values.std())
+        far = np.flatnonzero(np.abs(values - middle) > _FAR * reach)
+        if far.size:
+            worst = int(far[np.argmax(np.abs(values[far] - middle))])
+            yield Finding(
+                "W224",
+                "error" if far.size < 0.02 * values.size else "warning",
+                f"{far.size} outliers in the {named}, the largest at sample {worst}",
+                {"value": float(values[worst]), "median": float(middle), "outliers": far.size},
+                "remove or repair these rows: a fit by least squares follows them",
+            )
+
+
+def _piled(values: NDArray[np.float64], step: float) -> tuple[int, int]:
+    """Samples at the maximum, and samples one step inside of it."""
+    top = float(values.max())
+    return int((values >= top - 0.5 * step).sum()), int(
+        ((values < top - 0.5 * step) & (values >= top - 1.5 * step)).sum()
+    )
+
+
+def clipping(experiment: Experiment, rig: Rig | None) -> Iterator[Finding]:
+    """B13: samples that pile up at the largest or smallest reading."""
+    values = experiment.output
+    step = converter_step(values) or float(np.ptp(values)) / 500
+    for side, signed in (("largest", values), ("smallest", -values)):
+        at, inside = _piled(signed, step)
+        if at > _CLIPPED * values.size and at > _PILE * max(inside, 1):
+            yield Finding(
+                "W213",
+                "warning",
+                f"{100 * at / values.size:.3g} % of the samples lie at the {side} output: it seems clipped",
+                {"value": float(signed.max()) * (1 if side == "largest" else -1), "samples": at},
+                "move less or lower the amplifier's gain; a clipped torque biases every fit",
+            )
+    limit = rig.gauge.limit if rig is not None and experiment.output_kind == "torque" else math.inf
+    beyond = int((np.abs(values) >= 0.99 * limit).sum()) if math.isfinite(limit) else 0
+    if beyond:
+        yield Finding(
+            "W213",
+            "warning",
+            f"{beyond} samples of the torque reach the gauge's limit of {limit:g} N·m",
+            {"limit": limit, "samples": beyond},
+            "move less or lower the amplifier's gain",
+        )
+
+
+def voltage_limit(experiment: Experiment, rig: Rig | None) -> Iterator[Finding]:
+    """Samples at the amplifier's limit: the motor loop was open there."""
+    if experiment.voltage is None or rig is None or not math.isfinite(rig.motor.voltage_limit):
+        return
+    share = float((np.abs(experiment.voltage) >= 0.99 * rig.motor.voltage_limit).mean())
+    if share:
+        yield Finding(
+            "W236",
+            "info",
+            f"the voltage is at its limit in {100 * share:.3g} % of the samples",
+            {"limit": rig.motor.voltage_limit, "share": share},
+            "the link's model is not touched by it; a motor's model is",
+        )
+
+
+def rest_at_start(experiment: Experiment, offset: float, spread: float) -> Iterator[Finding]:
+    """Offset of the gauge (B12), and whether the link is at rest before the motion begins."""
+    ratio = abs(offset) / spread if spread else math.inf
+    if ratio > _OFFSET_INFO:
+        yield Finding(
+            "W212",
+            "warning" if ratio > _OFFSET_WARNING else "info",
+            f"the {experiment.output_kind} has an offset of {offset:.4g} {experiment.output_unit}, "
+            f"{100 * ratio:.3g} % of the motion in it",
+            {"offset": offset, "motion": spread},
+            "it is fitted with the model; balance the gauge bridge if it grows",
+        )
+    lead = max(10, round(0.01 * experiment.output.size))
+    first, angle = experiment.output[:lead], experiment.motor_angle
+    moved = float(np.ptp(angle[:lead])) > 0.02 * float(np.ptp(angle))
+    bent = abs(float(first.mean()) - offset) > 0.5 * spread
+    if moved or bent:
+        what = "the motor moves" if moved else "the link is bent"
+        yield Finding(
+            "W231",
+            "warning",
+            f"the log does not start at rest: {what} in its first {lead * experiment.period:.3g} s",
+            {
+                "first_output": float(first.mean()),
+                "offset": offset,
+                "first_move": float(np.ptp(angle[:lead])),
+            },
+            "start recording before the motion, or let the fit skip the first periods: models assume rest",
+        )
+
+
+def quantisation(experiment: Experiment, mode: Mode | None) -> Iterator[Finding]:
+    """B14: steps of the converter against the signal and against what the mode leaves unexplained."""
+    for name, named, unit in _channels(experiment):
+        values = getattr(experiment, name)
+        step = converter_step(values)
+        if not step:
+            continue
+        levels = float(np.ptp(values)) / step
+        if levels > _FINE:
+            continue
+        coarse = levels < 50 or (name == "output" and mode is not None and step > 2 * mode.residual)
+        yield Finding(
+            "W214",
+            "warning" if coarse else "info",
+            f"the {named} has steps of {step:.4g} {unit}: {levels:.0f} levels",
+            {"step": step, "levels": levels, "noise_of_steps": step / math.sqrt(12)},
+            "move further or use a finer converter" if coarse else "fine enough for a fit",
+        )

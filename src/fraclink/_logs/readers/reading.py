@@ -1,0 +1,190 @@
+"""`read_log`: the one door from a file to an `Experiment`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink._arm.experiment import Experiment
+from fraclink._arm.rig import Channel, LogColumns, Rig
+from fraclink._files import sha256_of
+from fraclink._logs.readers.formats import read_table
+from fraclink._logs.readers.limits import SAMPLE_LIMIT
+from fraclink._logs.readers.signals import check_signals, clean_column, stated_payload
+from fraclink._logs.readers.stated import columns_of_names, suggested_columns
+from fraclink._logs.readers.table import Table
+from fraclink._logs.readers.timebase import resampled, time_base
+from fraclink.errors import FieldError, LogError
+from fraclink.findings import Finding
+
+__all__ = ["bundled_log", "bundled_logs", "read_columns", "read_log"]
+
+_LOGS = Path(__file__).resolve().parents[2] / "logs"
+_FEWEST = 200  # samples: three parameters, an offset and a held-out part need more than that
+
+
+def bundled_logs() -> tuple[str, ...]:
+    """The names of the logs that come with the package; every one is simulated and says so.
+
+    >>> "prbs_30g" in bundled_logs()
+    True
+    """
+    return tuple(sorted(path.stem for path in _LOGS.glob("*.csv")))
+
+
+def bundled_log(name: str) -> Path:
+    """The path of a log that comes with the package; FieldError lists the known ones.
+
+    >>> bundled_log("prbs_30g").name
+    'prbs_30g.csv'
+    """
+    if name not in bundled_logs():
+        raise FieldError(
+            "log", name, "unknown", allowed=", ".join(bundled_logs()), remedy="give one of these, or a path"
+        )
+    return _LOGS / f"{name}.csv"
+
+
+def read_columns(path: Path | str) -> dict[str, NDArray[np.float64]]:
+    """Read a table of numbers as it stands: column name to values, shape (N,), in the file's own units.
+
+    For tables that are no log, such as a frequency response. Every format of `read_log` is read.
+    Raises FileFormatError, LogError (a cell is no number, a name stands twice) or SizeError.
+
+    >>> sorted(read_columns(bundled_log("prbs_30g")))[:2]
+    ['motor_angle_rad', 'time_s']
+    """
+    table = read_table(Path(path))
+    found: dict[str, NDArray[np.float64]] = {}
+    for name in table.names:
+        found[name] = clean_column(table, table.place(name, "the table"), interpolate=False)[0]
+    return found
+
+
+def read_log(
+    path: Path | str,
+    *,
+    rig: Rig | None = None,
+    columns: LogColumns | None = None,
+    payload: float | None = None,
+    resample: bool = False,
+    interpolate: bool = False,
+) -> Experiment:
+    """Read a recorded log: CSV and other text, MAT, HDF5, Parquet, TDMS, rosbag2 or MCAP.
+
+    Which column is what, in which unit and with which sign, is stated and never guessed: by `columns`, by the
+    rig's `[log]` table, or by names in the log that are a role and a unit (``time_s``, ``motor_angle_rad``,
+    ``torque_Nm`` or ``deflection_rad``, ``voltage_V``).
+
+    Arguments:
+        path: the log.
+        rig: whose `[log]` table states the columns.
+        columns: states them instead.
+        payload: m [kg], > 0; default: the log's own ``# payload_kg:`` line, if it has one.
+        resample: interpolate onto a uniform grid where the stamps have gaps, repeats or strong jitter.
+        interpolate: fill missing cells linearly, at most 1 % of a column.
+
+    Returns the Experiment in SI units: motor angle [rad], torque [N·m] or deflection [rad], voltage [V].
+    Raises LogError, FileFormatError or SizeError (ValueError is their base), or MissingExtraError.
+
+    >>> log = read_log(bundled_log("prbs_30g"))
+    >>> log.period, log.payload, log.output_kind, log.simulated
+    (0.004, 0.03, 'torque', True)
+    """
+    place = Path(path)
+    table = read_table(place)
+    stated = columns or (rig.log if rig else None) or columns_of_names(table.names)
+    if stated is None:
+        raise _unstated(table)
+    data, findings = _channels(table, stated, interpolate)
+    stamps = data.pop("time")
+    base = time_base(stamps, resample=resample)
+    if resample and base.findings:  # uniform stamps need no interpolation, which would cost the last bits
+        _check_span(stamps, base.period)
+        data = {role: resampled(stamps, base, values) for role, values in data.items()}
+    output = data[stated.output_kind]
+    check_signals(data["motor_angle"], output, stated.output_kind)
+    known, payload_findings = stated_payload(table, payload)
+    return Experiment(
+        period=base.period,
+        motor_angle=data["motor_angle"],
+        output=output,
+        output_kind=stated.output_kind,
+        payload=known,
+        source=place.name,
+        sha256=sha256_of(place) if place.is_file() else "",
+        findings=(*findings, *base.findings, *payload_findings),
+        start_time=base.start,
+        voltage=data.get("voltage"),
+        notes=table.notes,
+    )
+
+
+def _unstated(table: Table) -> LogError:
+    words = " ".join(f'--column "{role}={name} [{unit}]"' for role, name, unit in suggested_columns(table))
+    return LogError(
+        "columns",
+        ", ".join(table.names[:12]),
+        "not stated: which column is what, in which unit, is never guessed",
+        allowed="a [log] table in the rig file, or names such as time_s, motor_angle_rad, torque_Nm",
+        remedy=f"paste what inspect_log (fraclink inspect) suggests into the rig file, or give {words}",
+    )
+
+
+def _channels(
+    table: Table, stated: LogColumns, interpolate: bool
+) -> tuple[dict[str, NDArray[np.float64]], list[Finding]]:
+    """Every stated channel in SI units, with what was noticed."""
+    data: dict[str, NDArray[np.float64]] = {}
+    findings: list[Finding] = []
+    for role, channel in stated.channels().items():
+        if role == "voltage" and channel.column not in table.names:
+            findings.append(_no_voltage(channel))
+            continue
+        place = table.place(channel.column, role)
+        raw, filled = clean_column(table, place, interpolate=interpolate)
+        findings += filled
+        data[role] = channel.in_si(raw, role)
+    _check_lengths(data, stated)
+    return data, findings
+
+
+def _no_voltage(channel: Channel) -> Finding:
+    return Finding(
+        "W219", "info", f"the log has no column {channel.column!r} of voltage", {}, "only friction needs it"
+    )
+
+
+def _check_lengths(data: dict[str, NDArray[np.float64]], stated: LogColumns) -> None:
+    count = data["time"].size
+    for role, values in data.items():
+        if values.size != count:
+            raise LogError(
+                f"column of {role}",
+                stated.channels()[role].column,
+                f"{values.size} samples long, while time has {count}",
+                allowed="columns of one length",
+                remedy="state the time column that belongs to it, or export the channels at one rate",
+            )
+    if count < _FEWEST:
+        raise LogError(
+            "log",
+            f"{count} samples",
+            "too short",
+            allowed=f">= {_FEWEST} samples and 3 periods of the vibration",
+            remedy="record for longer",
+        )
+
+
+def _check_span(stamps: NDArray[np.float64], period: float) -> None:
+    count = float(stamps[-1] - stamps[0]) / period
+    if count > SAMPLE_LIMIT:
+        raise LogError(
+            "time",
+            f"{float(stamps[-1] - stamps[0]):.6g} s",
+            f"too long to resample at {period * 1e3:.4g} ms",
+            allowed=f"{SAMPLE_LIMIT} samples",
+            remedy="cut the log at its gaps",
+        )

@@ -1,0 +1,114 @@
+"""What a log says of itself: columns whose names are a role and a unit, such as ``motor_angle_rad``.
+
+Only these exact names count as stated. Everything else needs the `[log]` table of a rig file.
+"""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink._arm.rig import Channel, LogColumns
+from fraclink._arm.rig.columns import QUANTITY_OF, UNITS
+from fraclink._arm.rig.writing import toml_value
+from fraclink._logs.readers.table import Table
+from fraclink.errors import LogError
+
+__all__ = ["clock_step", "columns_of_names", "suggested_columns", "suggested_mapping"]
+
+_NAME = re.compile(r"(time|motor_angle|torque|deflection|voltage)(?:_| *\[| *\()([A-Za-z·*]{1,5})[\])]?")
+# Words that loggers use; a hint for a person to check, never a reading.
+_HINTS = {  # the time is known by its values: they never decrease
+    "motor_angle": ("motor_angle", "theta", "pot", "enc", "position", "angle", "hub", "joint"),
+    "torque": ("torque", "gamma", "moment", "effort", "nm"),
+    "deflection": ("deflection", "alpha", "strain", "gauge", "bend"),
+    "voltage": ("volt", "u_v", "vm", "motor_v", "command"),
+}
+_COMMANDED = ("ref", "cmd", "set", "target", "desired")  # what was asked for is not what was measured
+
+
+def columns_of_names(names: tuple[str, ...]) -> LogColumns | None:
+    """The columns that `names` state by themselves, or None where one of the three needed is not stated.
+
+    >>> columns_of_names(("time_s", "motor_angle_deg", "torque_Nm")).motor_angle.unit
+    'deg'
+    """
+    found: dict[str, Channel] = {}
+    for name in names:
+        match = _NAME.fullmatch(name)
+        if match is None or match[2] not in UNITS[QUANTITY_OF[match[1]]]:
+            continue
+        if match[1] in found:
+            raise LogError(
+                f"column of {match[1]}",
+                name,
+                f"stated twice, as {found[match[1]].column!r} too",
+                allowed="one column for each role",
+                remedy="say in [log] of the rig file which one is meant",
+            )
+        found[match[1]] = Channel(name, match[2])
+    if "torque" in found and "deflection" in found:
+        raise LogError(
+            "columns",
+            f"{found['torque'].column}, {found['deflection'].column}",
+            "two outputs",
+            allowed="torque or deflection",
+            remedy="say in [log] of the rig file which one is meant",
+        )
+    output = found.get("torque") or found.get("deflection")
+    if output is None or "time" not in found or "motor_angle" not in found:
+        return None
+    kind = "torque" if "torque" in found else "deflection"
+    return LogColumns(found["time"], found["motor_angle"], output, kind, found.get("voltage"))  # type: ignore[arg-type]
+
+
+def _unit_in(name: str, role: str) -> str:
+    """The unit that a column's name ends with, if it is one of the role's; "?" otherwise."""
+    ending = re.split(r"[_ \[\]()/.]+", name.strip(" ])"))[-1]
+    return ending if ending in UNITS[QUANTITY_OF[role]] else "?"
+
+
+def clock_step(values: NDArray[np.float64]) -> float | None:
+    """Median step of values that never decrease, as those of a clock; None for others."""
+    finite = values[np.isfinite(values)]
+    steps = np.diff(finite)
+    if finite.size < 3 or bool((steps < 0).any()):
+        return None
+    step = float(np.median(steps))
+    return step if step > 0 else None
+
+
+def suggested_mapping(table: Table) -> str:
+    """A `[log]` table to paste into a rig file; what it could not tell is a ``?`` for a person to fill in."""
+    lines = ["[log] # check every line: column, unit and sign"]
+    for role, name, unit in suggested_columns(table):
+        lines.append(f"{role} = {{ column = {toml_value(name)}, unit = {toml_value(unit)} }}")
+    return "\n".join(lines)
+
+
+def suggested_columns(table: Table) -> list[tuple[str, str, str]]:
+    """What the names and values of the columns suggest: (role, column, unit), "?" for what they do not."""
+    sizes = dict(zip(table.names, (values.size for values in table.values), strict=True))
+    clocks = [
+        name for name, values in zip(table.names, table.values, strict=True) if clock_step(values) is not None
+    ]
+    clocks.sort(key=lambda name: -sizes[name])
+    length = sizes[clocks[0]] if clocks else max(sizes.values(), default=0)
+    free = [name for name in table.names if name not in clocks and sizes[name] == length]
+    found: dict[str, str] = {"time": clocks[0] if clocks else "?"}
+    for role, words in _HINTS.items():
+        if role == "deflection" and "torque" in found:
+            continue
+        candidates = [name for word in words for name in free if word in name.lower()]
+        candidates.sort(key=lambda name: any(word in name.lower() for word in _COMMANDED))
+        candidates = [name for name in candidates if name not in found.values()]
+        if candidates or role in ("motor_angle", "deflection"):
+            found[role] = candidates[0] if candidates else "?"
+    return [(role, name, _suggested_unit(table, role, name)) for role, name in found.items()]
+
+
+def _suggested_unit(table: Table, role: str, name: str) -> str:
+    stated = table.units[table.names.index(name)] if table.units and name != "?" else ""
+    return stated if stated in UNITS[QUANTITY_OF[role]] else _unit_in(name, role)

@@ -1,0 +1,205 @@
+"""Tables in text: CSV, TSV, semicolons or blanks, with comment lines before the header.
+
+The whole body is checked at once by its bytes (only digits, signs, points, exponents and the separator; the
+same number of separators in every line), then converted by numpy's C parser. Only where that check fails
+are the cells looked at one by one, to say which line is wrong and how.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink._logs.readers.cells import NUMBER, parse_cells
+from fraclink._logs.readers.limits import COLUMN_LIMIT, LINE_LIMIT, SAMPLE_LIMIT, VALUE_LIMIT, check_file
+from fraclink._logs.readers.table import CellFaults, Table
+from fraclink.errors import FileFormatError, LogError, SizeError
+
+__all__ = ["read_text_table"]
+
+_SEPARATORS = ("\t", ";", ",")  # in this order: a semicolon file may have decimal commas
+_NOTE = re.compile(r"[#%]+\s*([^:=]{1,80}?)\s*[:=]\s*(.{0,500})")
+_NOTE_LIMIT = 200
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where the body of a text table begins, and how its cells are separated ("" for blanks)."""
+
+    names: tuple[str, ...]
+    separator: str
+    first_line: int  # number of the body's first line in the file, counted from 1
+    body: bytes
+    notes: tuple[tuple[str, str], ...]
+
+
+def read_text_table(path: Path) -> Table:
+    """Read the table of numbers at `path`.
+
+    Raises FileFormatError (another encoding, binary), LogError (no header, no rows, ragged rows) or
+    SizeError (over the limits of `fraclink._logs.readers.limits`).
+    """
+    check_file(path)
+    layout = _layout(_normal_bytes(path.read_bytes(), path), path)
+    _check_rows(layout)
+    values = _parse_fast(layout)
+    faults: dict[int, CellFaults] = {}
+    if values is None:
+        values, faults = parse_cells(layout.body, layout.separator, layout.names, layout.first_line)
+    columns = tuple(np.ascontiguousarray(values[:, place]) for place in range(len(layout.names)))
+    return Table(layout.names, columns, "text", layout.notes, faults)
+
+
+def _normal_bytes(raw: bytes, path: Path) -> bytes:
+    """The text as UTF-8 bytes with line feeds only, whatever editor wrote it; other encodings are refused."""
+    wide = ((b"\xff\xfe", "UTF-16 or UTF-32"), (b"\xfe\xff", "UTF-16"), (b"\x00\x00\xfe\xff", "UTF-32"))
+    for mark, name in wide:
+        if raw.startswith(mark):
+            raise _not_text(path, f"{name} text", "save it as UTF-8")
+    if b"\x00" in raw:
+        place = raw.index(b"\x00")
+        raise _not_text(path, f"damaged or binary (NUL at byte {place})", "export the log as CSV in UTF-8")
+    raw = raw.removeprefix(b"\xef\xbb\xbf")
+    try:
+        raw.decode("utf-8")
+    except UnicodeDecodeError as error:
+        problem = f"not UTF-8 (byte {raw[error.start]:#04x} at {error.start})"
+        raise _not_text(path, problem, "save it as UTF-8") from error
+    return raw.replace(b"\r\n", b"\n").replace(b"\r", b"\n") if b"\r" in raw else raw
+
+
+def _not_text(path: Path, problem: str, remedy: str) -> FileFormatError:
+    return FileFormatError("log", path.name, problem, allowed="UTF-8 text", remedy=remedy)
+
+
+def _layout(text: bytes, path: Path) -> Layout:
+    """Split comments, header and body; a table without a header has columns ``#1``, ``#2`` …"""
+    comments: list[str] = []
+    start, number = 0, 0
+    while start < len(text):
+        end = text.find(b"\n", start)
+        end = len(text) if end < 0 else end
+        _check_line_length(end - start, number + 1)
+        line = text[start:end].decode().strip()
+        if line and line[0] not in "#%":
+            return _with_header(text, (start, end), number, comments, path)
+        comments += [line] if line else []
+        start, number = end + 1, number + 1
+    raise LogError(
+        "log", path.name, "without samples", allowed="a header and samples", remedy="record or export again"
+    )
+
+
+def _with_header(text: bytes, span: tuple[int, int], number: int, comments: list[str], path: Path) -> Layout:
+    notes = tuple((m[1], m[2]) for c in comments[:_NOTE_LIMIT] if (m := _NOTE.fullmatch(c)))
+    line = text[slice(*span)].decode()
+    separator = next((mark for mark in _SEPARATORS if mark in line), "")
+    cells = _split_header(line, separator)
+    if all(NUMBER.fullmatch(cell) for cell in cells):
+        # The first row is numbers already: the names may stand in the last comment, as numpy writes them.
+        names = _names_of_comment(comments, len(cells)) or tuple(f"#{i + 1}" for i in range(len(cells)))
+        body, first = text[span[0] :], number + 1
+    else:
+        names, body, first = tuple(cells), text[span[1] + 1 :], number + 2
+    if len(names) > COLUMN_LIMIT:
+        raise SizeError(
+            "columns", len(names), "too many", allowed=f"{COLUMN_LIMIT}", remedy="export fewer channels"
+        )
+    body = body.rstrip(b" \t\n") if separator != "\t" else body.rstrip(b" \n")
+    if not body:
+        raise LogError("log", path.name, "a header only", allowed="samples", remedy="record or export again")
+    return Layout(names, separator, first, body + b"\n", notes)
+
+
+def _split_header(line: str, separator: str) -> list[str]:
+    cells = next(csv.reader([line], delimiter=separator)) if separator else line.split()
+    return [cell.strip() for cell in cells]
+
+
+def _names_of_comment(comments: list[str], count: int) -> tuple[str, ...]:
+    if not comments:
+        return ()
+    line = comments[-1].lstrip("#% ")
+    separator = next((mark for mark in _SEPARATORS if mark in line), "")
+    cells = _split_header(line, separator)
+    return tuple(cells) if len(cells) == count and all(cells) else ()
+
+
+def _check_line_length(length: int, number: int) -> None:
+    if length > LINE_LIMIT:
+        raise SizeError(
+            f"line {number}",
+            f"{length} bytes",
+            "too long",
+            allowed=f"{LINE_LIMIT} bytes",
+            remedy="write one sample a line",
+        )
+
+
+def _check_rows(layout: Layout) -> None:
+    """Refuse what is over the limits, and rows whose number of cells differs from the header's."""
+    data = np.frombuffer(layout.body, dtype=np.uint8)
+    ends = np.flatnonzero(data == ord("\n"))
+    lengths = np.diff(ends, prepend=-1) - 1
+    longest = int(np.argmax(lengths))
+    _check_line_length(int(lengths[longest]), layout.first_line + longest)
+    width = len(layout.names)
+    if ends.size > SAMPLE_LIMIT or ends.size * width > VALUE_LIMIT:
+        raise SizeError(
+            "log",
+            f"{ends.size} rows of {width} columns",
+            "too large",
+            allowed=f"{SAMPLE_LIMIT} rows, {VALUE_LIMIT} numbers",
+            remedy="cut the recording to one experiment, or record at a lower rate",
+        )
+    if not layout.separator:
+        return  # blanks repeat: the parser itself counts the cells
+    marks = np.flatnonzero(data == ord(layout.separator))
+    cells = np.diff(np.searchsorted(marks, ends), prepend=0) + 1
+    wrong = np.flatnonzero(cells != width)
+    if wrong.size:
+        raise _ragged(layout, int(wrong[0]), int(cells[wrong[0]]), wrong.size)
+
+
+def _ragged(layout: Layout, row: int, found: int, count: int) -> LogError:
+    width, line = len(layout.names), layout.first_line + row
+    text = layout.body.split(b"\n", row + 1)[row].decode()
+    remedy = "repair or remove the line"
+    if not text.strip():
+        remedy = "remove the blank line"
+    elif layout.separator == "," and found == 2 * width:
+        remedy = "numbers seem to have decimal commas: export with decimal points"
+    elif found == width + 1 and text.rstrip().endswith(layout.separator):
+        remedy = "rows end with a separator: remove it, or end the header with one as well"
+    elif found == 1 and any(mark in text for mark in (*_SEPARATORS, " ")):
+        remedy = "the separator differs from the header's: use one separator in the whole file"
+    return LogError(
+        f"line {line}",
+        text,
+        f"a row of {found} cells ({count} such)",
+        allowed=f"{width} cells",
+        remedy=remedy,
+    )
+
+
+def _parse_fast(layout: Layout) -> NDArray[np.float64] | None:
+    """The whole body by numpy's C parser, or None where a cell is not a plain finite number."""
+    allowed = np.zeros(256, dtype=bool)
+    allowed[list(b"0123456789+-.eE\n " + (layout.separator or "\t").encode())] = True
+    if not allowed[np.frombuffer(layout.body, dtype=np.uint8)].all():
+        return None
+    try:
+        values = np.loadtxt(
+            io.BytesIO(layout.body), delimiter=layout.separator or None, comments=None, ndmin=2
+        )
+    except ValueError:
+        return None
+    if values.shape != (layout.body.count(b"\n"), len(layout.names)) or not np.isfinite(values).all():
+        return None  # blank lines are skipped by the parser; 1e999 becomes infinite
+    return np.asarray(values, dtype=np.float64)

@@ -1,0 +1,36 @@
+"""The law in real time: a loop of fixed period around a board, a simulated arm or two functions of Python.
+
+The loop is C on absolute deadlines; what it runs is law.c, the file that is simulated and exported. It does
+not judge what happens on the way to the arm: a sample that did not come is NaN and a missed period is a
+jump of the tick, so that the law's own guards decide, and a record replays to the last bit.
+"""
+
+from __future__ import annotations
+
+from fraclink._realtime.arm import ServedArm, serve_arm
+from fraclink._realtime.connections import (
+    Callback,
+    Command,
+    Connection,
+    Library,
+    SharedMemory,
+    Udp,
+    parse_connection,
+)
+from fraclink._realtime.loop import run_realtime
+from fraclink._realtime.run import RealtimeRun, Spread
+
+__all__ = [
+    "Callback",
+    "Command",
+    "Connection",
+    "Library",
+    "RealtimeRun",
+    "ServedArm",
+    "SharedMemory",
+    "Spread",
+    "Udp",
+    "parse_connection",
+    "run_realtime",
+    "serve_arm",
+]

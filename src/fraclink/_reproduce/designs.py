@@ -1,0 +1,168 @@
+"""The controllers that the comparison is about: printed, corrected, and designed for the loop that runs."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from fraclink._arm.controller import Controller, InnerLoopSettings
+from fraclink._arm.link import LinkModel
+from fraclink._arm.rig import Rig
+
+if TYPE_CHECKING:
+    from fraclink._design import Plan
+
+__all__ = [
+    "ORDER",
+    "Pair",
+    "corrected",
+    "in_loop",
+    "matched_integer",
+    "measured",
+    "printed",
+    "printed_plan",
+    "rig",
+]
+
+ORDER = 1.92  # λ of Tables 2 and 3
+_PRINTED = (9.42, 11.54, 14.14)  # ϖ of Table 1: minimal, nominal, maximal
+
+
+@dataclass(frozen=True)
+class Pair:
+    """A controller from the fractional model, C, and its rival from the integer model, C'."""
+
+    name: str
+    fractional: Controller
+    integer: Controller
+
+
+@cache
+def rig() -> Rig:
+    """The paper's rig, with the measured stiffness."""
+    return Rig.named("paper-2023")
+
+
+def link(payload: float, order: float = ORDER) -> LinkModel:
+    """The link at `payload` [kg] by eq. (5) with the measured c = 1.56 N·m."""
+    arm = rig()
+    return LinkModel(arm.link.stiffness, arm.natural_frequency(payload), order=order, payload=payload)
+
+
+def _plan(low: float, high: float, nominal: float, **options: object) -> Plan:
+    from fraclink._design import design
+
+    model = LinkModel(rig().link.stiffness, nominal, order=ORDER, payload=rig().payloads.nominal)
+    return design(
+        model,
+        rig(),
+        natural_frequencies=(low, high),
+        gain_crossover=16.0,
+        phase_margin=math.radians(70.0),
+        margins="ideal",
+        **options,  # type: ignore[arg-type]
+    )
+
+
+@cache
+def printed_plan() -> Plan:
+    """Section 6 applied to the printed inputs of Table 1, without a filter."""
+    return _plan(_PRINTED[0], _PRINTED[2], _PRINTED[1], filter_time=0.0)
+
+
+@cache
+def measured_plan() -> Plan:
+    """Section 6 applied to eq. (5) with c = 1.56 N·m at 40, 30 and 20 g, without a filter."""
+    arm = rig()
+    return _plan(*(arm.natural_frequency(m) for m in (0.040, 0.020, 0.030)), filter_time=0.0)
+
+
+@cache
+def rule_filter(which: str, order: int) -> float:
+    """δ [s] of the paper's 10 % rule for the "printed" or the "measured" inputs."""
+    arm = rig()
+    ends = _PRINTED if which == "printed" else tuple(arm.natural_frequency(m) for m in (0.040, 0.030, 0.020))
+    return _plan(ends[0], ends[2], ends[1], filter_order=order).controller.filter_time
+
+
+def matched_integer(plan: Plan, nominal: float) -> tuple[float, float]:
+    """(k_d', β') that give λ = 2 the crossing and the margin of `plan` at ϖ = `nominal`, from (42).
+
+    (ω_c² − ϖ²)/ϖ² is |1/G| above the resonance, and the phase of −L is β'π/2.
+    """
+    found = plan.at_frequency(nominal)
+    crossing = max(found.gain_crossings, key=lambda item: item.frequency)
+    order = 2.0 * crossing.phase_margin / math.pi
+    gain = (crossing.frequency**2 - nominal**2) / (nominal**2 * crossing.frequency**order)
+    return gain, order
+
+
+def measured() -> tuple[Plan, float]:
+    """The plan for c = 1.56 N·m and its nominal ϖ."""
+    return measured_plan(), rig().natural_frequency(0.030)
+
+
+@cache
+def printed() -> Pair:
+    """(58) and (59) as they are printed."""
+    base = _controller(0.148, 0.65, 0.16, 2, ORDER)
+    return Pair("printed (58), (59)", base, _controller(0.241, 0.65, 0.16, 2, 2.0))
+
+
+@cache
+def corrected() -> Pair:
+    """Section 6 carried out with c = 1.56 N·m and the filter of its own 10 % rule, n = 2."""
+    plan, nominal = measured()
+    delta = rule_filter("measured", 2)
+    gain, order = matched_integer(plan, nominal)
+    base = _controller(plan.controller.gain, plan.controller.order, delta, 2, ORDER)
+    return Pair("corrected", base, _controller(gain, order, delta, 2, 2.0))
+
+
+@cache
+def in_loop() -> Pair:
+    """Designed on the loop that runs (12 rad/s, 50°, 10 % rule), and λ = 2 matched at 30 g in that loop."""
+    from fraclink._design import design
+
+    base = design(
+        link(0.030),
+        rig(),
+        payloads=(0.020, 0.040),
+        gain_crossover=12.0,
+        phase_margin=math.radians(50.0),
+    )
+    return Pair("in the loop", base.controller, _matched_in_loop(base))
+
+
+def _matched_in_loop(plan: Plan) -> Controller:
+    """The controller that gives the loop with λ = 2 the same crossing and phase at 30 g."""
+    nominal = plan.natural_frequency(0.030)
+    crossing = max(plan.at(0.030).gain_crossings, key=lambda item: item.frequency)
+    s = 1j * crossing.frequency
+    fractional = nominal**2 / (np.exp(ORDER * np.log(s)) + nominal**2)
+    integer = nominal**2 / (s**2 + nominal**2 + 0j)
+    # (jω)^β carries both: its phase takes up the difference of the links' phases.
+    shift = np.angle(fractional / integer)
+    order = plan.controller.order + 2.0 * float(np.mod(shift + math.pi, 2 * math.pi) - math.pi) / math.pi
+    gain = (
+        plan.controller.gain
+        * abs(fractional / integer)
+        * crossing.frequency ** (plan.controller.order - order)
+    )
+    return replace(plan.controller, gain=float(gain), order=order, link=link(0.030, 2.0))
+
+
+def _controller(gain: float, order: float, delta: float, n: int, link_order: float) -> Controller:
+    return Controller(
+        gain=gain,
+        order=order,
+        filter_time=delta,
+        filter_order=n,
+        link=link(0.030, link_order),
+        inner=InnerLoopSettings(pole=80.0, delay_samples=1),
+        period=rig().period,
+    )

@@ -1,0 +1,164 @@
+"""Campaigns and sweeps as one HTML file each, in the style of a study's report."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+from fraclink._campaign import Campaign, Cell, MetricSummary, Summary, Sweep, columns
+from fraclink._files import write_text
+from fraclink._show.report.templating import needed, rendered
+
+__all__ = ["write_campaign_report", "write_sweep_report"]
+
+
+@dataclass(frozen=True)
+class _Part:
+    title: str
+    text: str = ""
+    figure: str = ""
+    caption: str = ""
+    header: tuple[str, ...] = ()
+    rows: tuple[tuple[str, ...], ...] = ()
+    words: bool = False  # the last column is text
+
+
+def write_campaign_report(campaign: Campaign, folder: Path | str, summary: Summary, path: Path | str) -> Path:
+    """Write histograms, failure map, drivers and worst cases of a campaign to `path`; return it.
+
+    Raises MissingExtraError where matplotlib or jinja2 are not installed.
+    """
+    needed()
+    from fraclink._show.report.figures.campaign import SHOWN, drivers_figure, failures_figure, spread_figure
+
+    names = [name for name, _, _ in SHOWN]
+    values = dict(zip(names, columns(campaign, folder, *names), strict=True))
+    payload, offset, holds = columns(campaign, folder, "payload", "gauge_offset", "holds")
+    failed = ~holds.astype(bool)
+    runs = summary.failure.runs
+    parts = [
+        _Part(
+            "How the metrics are spread",
+            figure=spread_figure(values),
+            caption="Median and 95 % quantile of the runs that have one; the last bar holds the last 0.1 %.",
+            header=("metric", *(f"{100 * q.probability:g} %" for q in summary.metrics[0].quantiles)),
+            rows=tuple(_quantiles(m) for m in summary.metrics),
+        ),
+        _Part(
+            "Where runs fail",
+            figure=failures_figure(
+                1e3 * payload.astype(float),
+                offset.astype(float),
+                failed,
+                ("payload [g]", "gauge offset [N·m]"),
+            ),
+            caption="Share of each cell's runs that do not settle, or whose law leaves its normal mode.",
+        ),
+        _Part(
+            "What drives the metrics",
+            text="Spearman's rank correlation with each parameter; ±1: a monotonic function of it alone.",
+            figure=drivers_figure(summary),
+            caption="Correlations below 0.05 are left without a number.",
+        ),
+        _Part(
+            "Worst cases",
+            text="Each can be repeated with all its signals by the command beside it.",
+            words=True,
+            header=("metric", "value", "command"),
+            rows=tuple(
+                (m.name, f"{value:.4g}", f"fraclink campaign replay {folder} --run {run}")
+                for m in summary.metrics
+                for run, value in m.worst[:2]
+                if m.name != "saturated"
+            ),
+        ),
+    ]
+    subtitle = f"{runs} of {campaign.runs} runs · seed {campaign.seed} · {campaign.duration:g} s each"
+    return _write(
+        path,
+        f"Campaign on {campaign.rig.name}",
+        subtitle,
+        summary.failure.count == 0,
+        summary.failure.sentence,
+        parts,
+    )
+
+
+def _quantiles(metric: MetricSummary) -> tuple[str, ...]:
+    def shown(value: float) -> str:
+        return f"{value:.3g}" if math.isfinite(value) else "never" if value > 0 else "?"
+
+    return (
+        metric.name.replace("_", " "),
+        *(f"{shown(q.value)} ({shown(q.low)} … {shown(q.high)})" for q in metric.quantiles),
+    )
+
+
+def write_sweep_report(found: Sweep, path: Path | str) -> Path:
+    """Write the design map of a sweep to `path`; return it. Raises MissingExtraError as above."""
+    needed()
+    from fraclink._show.report.figures.campaign import sweep_figure
+
+    infeasible = [c for c in found.cells if c.infeasible]
+    failing = [c for c in found.cells if not c.infeasible and not c.holds]
+    parts = [
+        _Part(
+            "Settling time on the twin",
+            figure=sweep_figure(found),
+            caption="× feasible on the model, fails on the twin · – infeasible for all payloads.",
+        ),
+        _Part(
+            "Feasible requests that fail on the twin",
+            words=True,
+            header=("gain crossover", "phase margin", "payload", "why"),
+            rows=tuple((*_request(c), f"{1e3 * c.payload:.4g} g", c.reason) for c in failing),
+        ),
+        _Part(
+            "Infeasible requests",
+            words=True,
+            header=("gain crossover", "phase margin", "binding condition"),
+            rows=tuple(dict.fromkeys((*_request(c), c.infeasible) for c in infeasible)),
+        ),
+    ]
+    sentence = (
+        f"{len(found.cells) - len(infeasible) - len(failing)} cells hold, {len(failing)} fail on the twin, "
+        f"{len(infeasible)} are infeasible"
+    )
+    subtitle = f"twin with a link of {1e3 * found.link_mass:.4g} g · move of 1 rad in 0.6 s"
+    return _write(
+        path,
+        f"Design map of {found.rig}",
+        subtitle,
+        found.holds,
+        sentence,
+        [p for p in parts if p.figure or p.rows],
+    )
+
+
+def _request(cell: Cell) -> tuple[str, str]:
+    return f"{cell.gain_crossover:.4g} rad/s", f"{math.degrees(cell.phase_margin):.4g}°"
+
+
+def _write(
+    path: Path | str, title: str, subtitle: str, holds: bool, sentence: str, parts: list[_Part]
+) -> Path:
+    from dataclasses import replace
+
+    from markupsafe import Markup
+
+    from fraclink import __version__
+
+    # matplotlib's SVG writer has escaped every text of a figure already.
+    drawn = [replace(part, figure=Markup(part.figure)) for part in parts]  # noqa: S704
+    text = rendered(
+        "campaign.html",
+        version=__version__,
+        title=title,
+        subtitle=subtitle,
+        holds=holds,
+        sentence=sentence,
+        parts=drawn,
+    )
+    write_text(path, text)
+    return Path(path)

@@ -1,0 +1,277 @@
+"""The twin as one linear system, stepped exactly: hub, modes and the material's Maxwell elements.
+
+States: hub angle θm and velocity v, then for every mode the absolute coordinate pi = qi + Γi θm, its
+velocity, and one state zj per Maxwell element of the damping:
+
+    fi  = ωi² (e qi + d q̇i + Σj wj zj)           modal force of the material, e spring, d dashpot
+    żj  = q̇i − rj zj
+    p̈i  = −fi + φi(L) F                           F: a force on the tip [N]
+    hub (motor):       (J + I_res) v̇ = τ − ν v + Σ Γi fi     I_res = I − Σ Γi²: what the modes leave out
+    hub (servo):       v̇ = p²(θ* − θm) − 2 p v               M(s) of equation (21)
+    hub (prescribed):  θ̇m given, constant over a step
+
+Between two steps the inputs are constant and the step is the exact matrix exponential.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink._arm.beam import Beam, Modes
+from fraclink._simulate.twin.damping import Chain, Damping
+from fraclink._validate import checked_between
+from fraclink.errors import FieldError
+
+__all__ = ["LONGEST_STEP", "Drive", "Plant", "StepMatrices", "assemble"]
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+Drive = Literal["motor", "servo", "prescribed"]
+
+# Relative error of D(jω), for all modes alike so that the elements keep their meaning when the payload and
+# with it the shapes change. At λ = 1.92 the resonance amplifies it about 50 times in the tip angle.
+TOLERANCE = 3e-8
+LONGEST_STEP = 1e-3  # [s]; longer steps would hold the hub's force or speed over a quarter of mode 2
+
+# Rows of the outputs.
+HUB_ANGLE, HUB_VELOCITY, TIP_ANGLE, GAUGE_TORQUE, TIP_VELOCITY, HUB_MOMENT = range(6)
+
+
+@dataclass(frozen=True)
+class StepMatrices:
+    """x⁺ = A x + b u, y = C x over `step` seconds, laid out for the kernel.
+
+    Row j of `transition` is column j of A, padded with zeros to a whole number of vectors; `hub` and `tip`
+    are the columns of b, `outputs` is C, padded alike.
+    """
+
+    step: float
+    order: int
+    transition: Matrix
+    hub: Vector
+    tip: Vector
+    outputs: Matrix
+
+    @property
+    def arrays(self) -> tuple[Matrix, Vector, Vector, Matrix]:
+        """What the kernel takes first."""
+        return self.transition, self.hub, self.tip, self.outputs
+
+    def rest(self) -> Vector:
+        """Return the state of a straight link at rest with its hub at 0."""
+        return np.zeros(self.hub.size)
+
+
+@dataclass(frozen=True)
+class Plant:
+    """The assembled twin: ẋ = A x + B u, y = C x, and its energy xᵀ E x.
+
+    Inputs u: (hub input, tip force [N]); the hub input is the net motor torque [N·m], the servo's reference
+    [rad] or the hub's velocity [rad/s]. Outputs y: hub angle [rad], hub velocity [rad/s], tip angle [rad],
+    gauge torque −EI w''(0) [N·m], tip velocity [rad/s], moment of the material on the hub [N·m].
+    """
+
+    beam: Beam
+    modes: Modes
+    chain: Chain
+    drive: Drive
+    inertia: float
+    dynamics: Matrix
+    inputs: Matrix
+    outputs: Matrix
+    energy_matrix: Matrix
+
+    @property
+    def order(self) -> int:
+        """Number of states."""
+        return int(self.dynamics.shape[0])
+
+    def mode_slice(self, mode: int) -> slice:
+        """Return where the states of one mode are: its coordinate, its velocity, its Maxwell elements."""
+        width = 2 + self.chain.rates.size
+        return slice(2 + mode * width, 2 + (mode + 1) * width)
+
+    def energy(self, state: Vector) -> float:
+        """Kinetic plus stored energy of hub and link [J]; without input it can only fall."""
+        inner = state[: self.order]
+        return float(inner @ self.energy_matrix @ inner)
+
+    def response(self, s: complex) -> NDArray[np.complex128]:
+        """Return the outputs per unit of hub input at the complex frequency s, shape (6,)."""
+        matrix = s * np.eye(self.order) - self.dynamics
+        return np.asarray(self.outputs @ np.linalg.solve(matrix, self.inputs[:, 0]), dtype=np.complex128)
+
+    def discretise(self, step: float) -> StepMatrices:
+        """Return the exact step of length `step` [s] for inputs held over it."""
+        from scipy.linalg import expm
+
+        n, m = self.inputs.shape
+        block = np.zeros((n + m, n + m))
+        block[:n, :n], block[:n, n:] = self.dynamics * step, self.inputs * step
+        exact = expm(block)
+        stride = -(-n // 8) * 8
+        columns, drives = np.zeros((n, stride)), np.zeros((m, stride))
+        outputs = np.zeros((self.outputs.shape[0], stride))
+        columns[:, :n], drives[:, :n], outputs[:, :n] = exact[:n, :n].T, exact[:n, n:].T, self.outputs
+        for array in (columns, drives, outputs):
+            array.flags.writeable = False
+        return StepMatrices(step, n, columns, drives[0], drives[1], outputs)
+
+
+def resolved(beam: Beam, modes: int | None, step: float) -> Modes:
+    """Return the modes that a step resolves; an explicit number that it does not is refused."""
+    if isinstance(step, bool) or not isinstance(step, int | float) or not 0.0 < step <= LONGEST_STEP:
+        raise FieldError(
+            "step", step, "out of range", allowed=f"0 < step <= {LONGEST_STEP} s", remedy="use 0.001 s"
+        )
+    found = beam.modes(3 if modes is None else modes)
+    # Four steps per period: with fewer the input held over a step cannot follow the mode at all.
+    fit = int(np.count_nonzero(found.frequencies * step <= np.pi / 2))
+    if fit == 0 or (modes is not None and fit < found.count):
+        raise FieldError(
+            "modes",
+            modes,
+            f"more than the step resolves (mode {fit + 1} is at {found.frequencies[fit]:.4g} rad/s)",
+            allowed=f"frequency x step <= pi/2, here {fit} modes",
+            remedy=f"take fewer modes or a step of {0.5 * np.pi / found.frequencies[-1]:.2g} s",
+        )
+    return beam.modes(fit)
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """One mode's quantities as rows over the states."""
+
+    place: Vector  # qi
+    speed: Vector  # q̇i, without the prescribed velocity's share
+    force: Vector  # fi, without it
+
+
+def _rows(size: int, at: int, omega: float, load: float, chain: Chain, prescribed: bool) -> _Rows:
+    place, speed, force = np.zeros(size), np.zeros(size), np.zeros(size)
+    place[at], place[0] = 1.0, -load
+    speed[at + 1] = 1.0
+    if not prescribed:
+        speed[1] = -load
+    force += omega**2 * (chain.spring * place + chain.dashpot * speed)
+    force[at + 2 : at + 2 + chain.rates.size] = omega**2 * chain.weights
+    return _Rows(place, speed, force)
+
+
+def assemble(
+    beam: Beam,
+    damping: Damping,
+    *,
+    drive: Drive,
+    modes: int | None = None,
+    step: float = LONGEST_STEP,
+    hub_inertia: float = 0.0,
+    hub_friction: float = 0.0,
+    servo_pole: float = 80.0,
+) -> Plant:
+    """Assemble the linear twin.
+
+    Parameters
+    ----------
+    drive
+        what moves the hub, see the module's equations
+    modes
+        number of modes; default as many of the first three as `step` resolves
+    step
+        longest step that will be taken [s]
+    hub_inertia
+        J of motor and hub at the link's side [kg·m²], drive "motor" only
+    hub_friction
+        ν [N·m·s/rad], drive "motor" only
+    servo_pole
+        p of M(s) = 1/(1 + s/p)² [rad/s], drive "servo" only
+
+    >>> from fraclink._simulate.twin import PowerLaw
+    >>> rod = Beam(0.65, 0.338, 0.0, 0.030)
+    >>> plant = assemble(rod, PowerLaw(1.92), drive="prescribed")
+    >>> s = 12j  # the massless limit is equation (9); the hub input is a velocity, s times the angle
+    >>> exact = rod.lumped_frequency**2 / (s**1.92 + rod.lumped_frequency**2)
+    >>> bool(abs(plant.response(s)[2] * s - exact) < 1e-6)
+    True
+    """
+    if not isinstance(damping, Damping):
+        raise FieldError(
+            "damping",
+            repr(damping),
+            "no damping law",
+            allowed="KelvinVoigt, FractionalKelvinVoigt or PowerLaw",
+            remedy="damping_of(model) gives that of a model",
+        )
+    kept = resolved(beam, modes, step)
+    chain = damping.chain(TOLERANCE, 0.5 * np.pi / step)  # no mode is above that, whatever the payload
+    size = 2 + kept.count * (2 + chain.rates.size)
+    a, b, y, energy = np.zeros((size, size)), np.zeros((size, 2)), np.zeros((6, size)), np.zeros((size, size))
+    prescribed = drive == "prescribed"
+    residual = max(beam.inertia - float(np.sum(kept.participation**2)), 0.0)
+    inertia = hub_inertia + residual
+    y[HUB_ANGLE, 0] = y[HUB_VELOCITY, 1] = y[TIP_ANGLE, 0] = 1.0
+    if not prescribed:
+        y[TIP_VELOCITY, 1] = 1.0
+
+    at = 2
+    for i in range(kept.count):
+        omega, load, tip = kept.frequencies[i], kept.participation[i], kept.tip[i]
+        rows = _rows(size, at, omega, load, chain, prescribed)
+        elements = slice(at + 2, at + 2 + chain.rates.size)
+        a[at, at + 1] = 1.0
+        a[at + 1] = -rows.force
+        b[at + 1, 1] = tip * beam.length
+        a[elements] = rows.speed
+        a[elements, elements] -= np.diag(chain.rates)
+        if prescribed:
+            b[elements, 0] = -load
+            b[at + 1, 0] = omega**2 * chain.dashpot * load
+        y[TIP_ANGLE] += tip * rows.place
+        y[GAUGE_TORQUE] -= omega**2 * load * rows.place
+        y[TIP_VELOCITY] += tip * rows.speed
+        y[HUB_MOMENT] += load * rows.force
+        energy[at + 1, at + 1] += 0.5
+        energy += 0.5 * omega**2 * chain.spring * np.outer(rows.place, rows.place)
+        energy[elements, elements] += 0.5 * omega**2 * np.diag(chain.weights)
+        at = elements.stop
+    _attach_hub(a, b, y, energy, drive, inertia, hub_friction, servo_pole)
+    for array in (a, b, y, energy):
+        array.flags.writeable = False
+    return Plant(beam, kept, chain, drive, inertia, a, b, y, energy)
+
+
+def _attach_hub(
+    a: Matrix,
+    b: Matrix,
+    y: Matrix,
+    energy: Matrix,
+    drive: Drive,
+    inertia: float,
+    friction: float,
+    pole: float,
+) -> None:
+    """Write the hub's two rows."""
+    if drive == "prescribed":
+        b[0, 0] = 1.0
+        return
+    a[0, 1] = 1.0
+    if drive == "servo":
+        checked_between("servo_pole", pole, 0.0, 1e6, "rad/s", open_low=True, remedy="the paper's is 80")
+        a[1, 0], a[1, 1], b[1, 0] = -(pole**2), -2.0 * pole, pole**2
+        return
+    if not inertia > 0.0:
+        raise FieldError(
+            "hub_inertia", inertia, "not positive", allowed="> 0 kg·m²", remedy="give the motor's J"
+        )
+    if not friction >= 0.0:
+        raise FieldError(
+            "hub_friction", friction, "negative", allowed=">= 0 N·m·s/rad", remedy="check its sign"
+        )
+    a[1] = y[HUB_MOMENT] / inertia
+    a[1, 1] -= friction / inertia
+    b[1, 0] = 1.0 / inertia
+    energy[1, 1] += 0.5 * inertia

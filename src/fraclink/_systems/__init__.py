@@ -1,0 +1,1 @@
+"""Mathematics that knows no robot: fractional functions, roots, responses, stability, rational fits."""

@@ -1,0 +1,159 @@
+"""What a design is asked for, and what fraclink asks for where nobody said."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING
+
+from fraclink._arm.link import LinkModel
+from fraclink._arm.rig import Rig
+from fraclink._validate import checked_noun
+from fraclink.errors import FieldError, InfeasibleError
+
+if TYPE_CHECKING:
+    from fraclink._design import Plan
+
+__all__ = ["Request", "design_for"]
+
+# The source paper's own proportions on its rig: a crossover of 12 rad/s where the heaviest payload's
+# torque resonates at 10.4 rad/s. Below 1 there is no crossing right of the peak; each further step costs
+# phase margin at the light end.
+_CROSSOVER_RATIO = 1.15
+_PHASE_MARGIN_DEG = 50.0
+# An arm with a slow control period cannot have 50 degrees; the largest of these that is feasible is taken.
+_FALLBACK_DEG = (45.0, 40.0, 35.0, 30.0)
+
+
+@dataclass(frozen=True)
+class Request:
+    """A design request; None leaves a value to the rig file, and failing that to the default rule.
+
+    Arguments:
+        payloads: (lightest, heaviest) [kg].
+        gain_crossover: least gain crossover over the range [rad/s].
+        phase_margin: least phase margin over the range [rad].
+        margins: ``"loop"`` (filter, motor loop, hold and delay included) or ``"ideal"`` (the paper's).
+        filter_time: δ [s]; 0 for none.
+        filter_order: n, 1 or 2.
+        inner: the motor loop the design assumes, ``"ideal"`` or ``"sampled"``.
+        placement: of the sampled motor loop's poles, ``"tustin"`` or ``"direct"``.
+        max_sensitivity: bound on Ms; without a phase margin it takes its place.
+        noise_gain: bound on the motor reference's RMS for white gauge noise of RMS one.
+        settling_time: bound on 2π/ω_c [s]; without a gain crossover it takes its place.
+        mode_gain: bound on the loop gain at modes 2 and 3 of a link that states its mass.
+
+    >>> Request(payloads=(0.02, 0.04)).margins
+    'loop'
+    """
+
+    payloads: tuple[float, float] | None = None
+    gain_crossover: float | None = None
+    phase_margin: float | None = None
+    margins: str = "loop"
+    filter_time: float | None = None
+    filter_order: int | None = None
+    inner: str = "ideal"
+    placement: str = "tustin"
+    max_sensitivity: float | None = None
+    noise_gain: float | None = None
+    settling_time: float | None = None
+    mode_gain: float | None = None
+
+
+def _completed(request: Request, rig: Rig) -> Request:
+    """The request with what the rig's ``[design]`` table states where the user says nothing else."""
+    payloads = request.payloads or (rig.payloads.low, rig.payloads.high)
+    request = replace(request, payloads=payloads)
+    wish = rig.design
+    if wish is None:
+        return request
+    if request.gain_crossover is None and request.settling_time is None:
+        request = replace(request, gain_crossover=wish.gain_crossover)
+    if request.phase_margin is None and request.max_sensitivity is None:
+        request = replace(request, phase_margin=wish.phase_margin)
+    if request.filter_time is None and request.noise_gain is None and request.mode_gain is None:
+        request = replace(request, filter_time=wish.filter_time)
+    return request
+
+
+def model_of(rig: Rig, model: LinkModel | None) -> LinkModel:
+    """Return the model given, else the rig's own; FieldError where there is neither."""
+    if model is not None:
+        return model
+    if rig.model is not None:
+        return rig.model
+    raise FieldError(
+        "model",
+        None,
+        "not given, and the rig carries none",
+        allowed="a model file",
+        remedy="identify a log first, then give --model model.json",
+    )
+
+
+def design_for(rig: Rig, model: LinkModel | None, request: Request) -> tuple[Plan, tuple[str, ...]]:
+    """Design for a request completed from the rig; also return what had to be assumed, in sentences.
+
+    Where neither the request nor the rig's ``[design]`` table states them, the gain crossover is 1.15 times
+    the torque resonance of the heaviest payload [rad/s] and the phase margin 50° (or the largest of 45, 40,
+    35 and 30° that is feasible).
+
+    Raises InfeasibleError where the request cannot be met, FieldError where a value is out of its range.
+
+    >>> from fraclink._arm.rig import Rig
+    >>> plan, assumed = design_for(Rig.named("paper-2023"), None, Request(filter_time=0.0))
+    >>> round(plan.controller.gain, 4), assumed
+    (0.0699, ())
+    """
+    from fraclink._design import design
+    from fraclink._design.request import checked_pair
+
+    checked_noun("rig", rig, Rig, remedy="Rig.named or Rig.load make one")
+    checked_noun("request", request, Request, remedy="Request(gain_crossover=12.0)")
+    link = checked_noun("model", model_of(rig, model), LinkModel, remedy="fit.model, or rig.model")
+    asked = _completed(request, rig)
+    assumed: tuple[str, ...] = ()
+    if asked.gain_crossover is None and asked.settling_time is None:
+        own = (rig.payloads.low, rig.payloads.high) if asked.payloads is None else asked.payloads
+        crossover, sentence = _usual_crossover(link, checked_pair("payloads", own, 1e4, "kg")[1])
+        asked, assumed = replace(asked, gain_crossover=crossover), (sentence,)
+    options = {item.name: getattr(asked, item.name) for item in fields(asked)}
+    if asked.phase_margin is not None or asked.max_sensitivity is not None:
+        plan = design(link, rig, **options)
+    else:
+        plan, sentence = _largest_margin(
+            lambda margin: design(link, rig, **options | {"phase_margin": margin})
+        )
+        assumed = (*assumed, sentence)
+    doubts = filter(None, map(rig.payloads.doubt, plan.payloads))
+    return replace(plan, findings=(*plan.findings, *doubts)), assumed
+
+
+def _usual_crossover(link: LinkModel, heaviest: float) -> tuple[float, str]:
+    heavy = link.at_payload(heaviest)
+    resonance = heavy.torque_resonance or heavy.natural_frequency ** (2.0 / heavy.order)
+    crossover = _CROSSOVER_RATIO * resonance
+    return crossover, (
+        f"gain crossover {crossover:.3g} rad/s: {_CROSSOVER_RATIO:g} times the torque resonance of the "
+        f"heaviest payload ({resonance:.3g} rad/s), as neither the rig nor the request states one"
+    )
+
+
+def _largest_margin(ask: Callable[[float], Plan]) -> tuple[Plan, str]:
+    """The plan with the largest of the usual phase margins that is feasible."""
+    for degrees in (_PHASE_MARGIN_DEG, *_FALLBACK_DEG[:-1]):
+        try:
+            plan = ask(math.radians(degrees))
+        except InfeasibleError:
+            continue
+        return plan, _margin_sentence(degrees)
+    return ask(math.radians(_FALLBACK_DEG[-1])), _margin_sentence(_FALLBACK_DEG[-1])
+
+
+def _margin_sentence(degrees: float) -> str:
+    less = (
+        "" if degrees == _PHASE_MARGIN_DEG else f"; {_PHASE_MARGIN_DEG:g}° is not feasible at this crossover"
+    )
+    return f"phase margin {degrees:g}°, as neither the rig nor the request states one{less}"
