@@ -1,0 +1,709 @@
+"""Golden figures: what the package computes today, recorded so that a rebuilding can be compared with it.
+
+    python tests/golden/record.py runs designs    # record these topics again
+    python tests/golden/record.py                 # list the topics
+
+Each topic is a function that returns plain JSON values; `tests/test_golden.py` calls it again and names every
+entry that differs. What is under a key ``sha256`` is compared bit for bit, and only where this machine's
+floating-point functions give the bits of the machine that recorded it (`probe`); the numbers beside the
+digests are compared everywhere. Record a topic again only for a difference that is understood and wanted.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import io
+import json
+import math
+import re
+import sys
+import tempfile
+import zipfile
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+import fraclink as fl
+
+# The names that are not at the root: all of them here, so that a move of modules is one edit.
+from fraclink._campaign import Campaign, simulate_part, sweep
+from fraclink._campaign.faults import Bench, Case, run_case
+from fraclink._certify import Certificate
+from fraclink._design import optimise
+from fraclink._export import export_fmu, export_io, export_matlab
+from fraclink._identify import (
+    design_experiment,
+    identify_frequency_response,
+    identify_motor,
+    identify_payloads,
+)
+from fraclink._identify.motor_example import example_motor_log
+from fraclink._law import equip
+from fraclink._reproduce import read_published
+from fraclink._reproduce.evidence import EVIDENCE
+from fraclink._reproduce.values import computed
+from fraclink._simulate.twin import (
+    FractionalKelvinVoigt,
+    KelvinVoigt,
+    Obstacle,
+    PayloadChange,
+    PowerLaw,
+    Restart,
+    SensorFault,
+    TipPulse,
+    geared,
+)
+from fraclink.errors import InfeasibleError
+
+HERE = Path(__file__).resolve().parent
+ROOT = HERE.parents[1]
+LINK_MASS = 0.00735  # [kg], of the twin: a quarter of the nominal payload
+RIG = fl.Rig.named("paper-2023")
+GEARED = geared(RIG)  # the motor behind its gear of 50
+LINK = RIG.model
+METRICS = ("steady_state_error", "residual_vibration", "overshoot", "peak_tip_error", "settling_time")
+
+Plain = dict[str, Any]
+
+
+def plain(value: Any) -> Any:
+    """`value` as JSON has it; what is not finite becomes a word."""
+    if isinstance(value, float | np.floating):
+        return float(value) if math.isfinite(value) else str(float(value))
+    if isinstance(value, complex):
+        return [plain(value.real), plain(value.imag)]
+    if isinstance(value, bool | np.bool_):
+        return bool(value)
+    if isinstance(value, np.integer):
+        return int(value)
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    return value
+
+
+def digest(values: ArrayLike | bytes) -> str:
+    """The first 16 hexadecimal digits of SHA-256 of bytes, or of an array's bytes as float64 or uint32."""
+    if not isinstance(values, bytes):
+        array = np.asarray(values)
+        values = np.ascontiguousarray(array, dtype="<u4" if array.dtype.kind == "u" else "<f8").tobytes()
+    return hashlib.sha256(values).hexdigest()[:16]
+
+
+def probe() -> str:
+    """Digest of what this machine makes of the functions whose last bit is not the same everywhere."""
+    x = np.linspace(-3.0, 3.0, 1001)
+    z = (0.3 + 1j * np.abs(x) + 1e-3) ** 0.61
+    matrix = np.sin(np.outer(np.arange(1.0, 9.0), np.arange(1.0, 9.0)))
+    parts = (np.exp(x), np.sin(x), np.log(np.abs(x) + 0.1), z.real, z.imag, matrix @ matrix.T)
+    roots = np.linalg.eigvals(matrix)
+    return digest(np.concatenate([np.ravel(p) for p in (*parts, roots.real, roots.imag)]))
+
+
+# --- the laws that the runs are made with: files, so that another fit of a law changes no run
+
+
+def design_of(rig: fl.Rig, **asked: Any) -> fl.Plan:
+    """The design that most figures start from."""
+    wanted = {"payloads": (0.020, 0.040), "gain_crossover": 12.0, "phase_margin": fl.deg(50)}
+    return fl.design(rig.model, rig, **(wanted | asked))
+
+
+def laws() -> dict[str, fl.Law]:
+    """The laws of today's fits. Recorded once; the runs read the files."""
+    printed = fl.Controller(gain=0.148, order=0.65, filter_time=0.16, filter_order=2, link=LINK)
+    default = design_of(RIG).law()
+    far = replace(  # guards that are never met
+        default.limits,
+        torque_trip=1e6,
+        torque_block=1e6,
+        residual_angle=1e6,
+        frozen_angle=1e6,
+        stuck_torque=1e6,
+    )
+    return {
+        "default": default,
+        "order-4": design_of(RIG, filter_time=0.0).law(order=4),
+        "unguarded": replace(default, limits=far),
+        "outer": replace(default, drive=None),
+        "direct": design_of(RIG, inner="sampled", placement="direct").law(),
+        "printed": equip(printed.discretize(RIG.period), RIG, LINK),
+        "geared": design_of(GEARED).law(),
+    }
+
+
+@functools.cache
+def law(name: str, precision: str = "double") -> fl.Law:
+    """A recorded law."""
+    return fl.Law.load(HERE / "laws" / f"{name}.json").in_precision(precision)  # type: ignore[arg-type]
+
+
+# --- runs
+
+SIGNALS = (
+    "reference",
+    "tip_angle",
+    "motor_angle",
+    "motor_reference",
+    "torque",
+    "torque_measured",
+    "motor_angle_measured",
+    "voltage",
+    "tip_estimate",
+    "flags",
+    "mode",
+    "reason",
+)
+
+
+def run_figures(run: Any) -> Plain:
+    """Digest of every signal that a run has, and what makes a difference readable."""
+    figures = {name: getattr(run.metrics, name) for name in (*METRICS, "peak_voltage", "saturated")}
+    return plain(
+        {
+            "sha256": {name: digest(getattr(run, name)) for name in SIGNALS if hasattr(run, name)},
+            "samples": len(run.time),
+            "final_tip_angle": run.tip_angle[-1],
+            "largest_torque": np.abs(run.torque).max(),
+            "final_mode": run.mode[-1],
+            "final_reason": run.reason[-1],
+            "holds": run.verdict.holds,
+            **figures,
+        }
+    )
+
+
+def model_runs() -> Iterator[tuple[str, fl.Run]]:
+    """Runs on the lumped model."""
+    move = fl.smooth_step(1.0, 0.5)
+    for seed, grams in enumerate((8, 16, 20, 30, 40, 60)):
+        for inner, named in (("ideal", "outer"), ("sampled", "default")):
+            options: Plain = {"payload": grams / 1e3, "seed": seed, "inner": inner, "duration": 3.0}
+            yield f"model {grams} g {inner}", fl.simulate(RIG, LINK, law(named), move, **options)
+    several: dict[str, tuple[str, str, Plain]] = {
+        "quiet": ("default", "double", {"noise": 0.0}),
+        "noise": ("default", "double", {"noise": 0.03, "seed": 11}),
+        "offset": ("default", "double", {"gauge_offset": 0.078, "seed": 12}),
+        "offset beyond": ("default", "double", {"gauge_offset": -3.0, "seed": 13}),
+        "delay 0": ("default", "double", {"delay_samples": 0, "seed": 14}),
+        "delay 3": ("default", "double", {"delay_samples": 3, "seed": 15}),
+        "unguarded delay 3": ("unguarded", "double", {"delay_samples": 3, "seed": 15}),
+        "single": ("default", "single", {"seed": 16}),
+        "order 4": ("order-4", "double", {"seed": 17}),
+        "direct": ("direct", "double", {"seed": 18}),
+        "measured": ("default", "double", {"compensation": "measured", "seed": 19, "substeps": 3}),
+        "printed": ("printed", "double", {"payload": 0.040, "seed": 20}),
+    }
+    for title, (named, precision, options) in several.items():
+        made = {"inner": "sampled", "duration": 3.0} | options
+        yield f"model {title}", fl.simulate(RIG, LINK, law(named, precision), move, **made)
+    links = {
+        "D-FOM": fl.LinkModel(1.56, 11.0, damping=0.8, damping_order=0.6),
+        "D-IOM": fl.LinkModel(1.56, 11.0, damping=0.5),
+        "UD-IOM": fl.LinkModel(1.56, 11.0),
+    }
+    for title, link in links.items():
+        yield f"model {title}", fl.simulate(RIG, link, law("outer", "single"), move, seed=21, duration=3.0)
+    yield (
+        "model pulse",
+        fl.simulate(RIG, LINK, law("default"), fl.pulse(0.4, 0.5, 1.5), seed=22, duration=3.0),
+    )
+    yield "model at rest", fl.simulate(RIG, LINK, law("outer"), fl.hold(0.0), seed=23, duration=3.0)
+
+
+def twin_runs() -> Iterator[tuple[str, Any]]:
+    """Runs on the arm with distributed mass."""
+    move = fl.smooth_step(1.0, 1.0)
+    materials = {
+        "power law": PowerLaw(1.92),
+        "viscous": KelvinVoigt(0.0118),
+        "fractional": FractionalKelvinVoigt(0.05, 0.6),
+    }
+    for seed, (title, damping) in enumerate(materials.items()):
+        for grams in (20, 40):
+            arm = fl.Twin.from_rig(GEARED, payload=grams / 1e3, link_mass=LINK_MASS, damping=damping)
+            yield f"twin {title} {grams} g", fl.run_twin(arm, law("geared"), move, duration=3.0, seed=seed)
+    arm = fl.Twin.from_rig(GEARED, link_mass=LINK_MASS)
+    slow = fl.Twin.from_rig(GEARED, link_mass=LINK_MASS, gauge_delay=0.004)
+    nan = float("nan")
+    events: dict[str, list[Any]] = {
+        "tip pulse": [TipPulse(time=1.5, force=0.5, duration=0.02)],
+        "payload lost": [PayloadChange(time=0.5, payload=0.008)],
+        "obstacle": [Obstacle(time=0.0, until=0.9, angle=0.5)],
+        "restart": [Restart(time=0.5)],
+        "gauge NaN": [SensorFault(time=0.5, until=0.6, kind="gauge value", value=nan)],
+        "encoder frozen": [SensorFault(time=0.5, until=0.8, kind="encoder frozen")],
+        "gauge gain": [SensorFault(time=0.3, until=2.0, kind="gauge gain", value=0.8)],
+        "channels swapped": [SensorFault(time=0.5, until=0.508, kind="channels swapped")],
+        "ticks": [
+            SensorFault(time=0.4, until=0.404, kind="tick missed"),
+            SensorFault(time=0.8, until=0.804, kind="tick repeated"),
+        ],
+    }
+    for seed, (title, list_) in enumerate(events.items()):
+        run = fl.run_twin(arm, law("geared"), move, duration=3.0, seed=seed, events=list_)
+        yield f"twin {title}", run
+    yield "twin single", fl.run_twin(arm, law("geared", "single"), move, duration=3.0, seed=5)
+    yield "twin late gauge", fl.run_twin(slow, law("geared"), move, duration=3.0, seed=6)
+    there = fl.smooth_step(1.0, 0.6).then(fl.smooth_step(-0.5, 0.6))
+    yield "twin two moves", fl.run_twin(arm, law("geared"), there, duration=3.0, seed=7)
+
+
+def campaign_figures(inner: str, seed: int) -> Plain:
+    """Every column of a Monte Carlo part of 250 arms."""
+    columns = simulate_part(Campaign.of(RIG, LINK, law("default"), runs=250, seed=seed, inner=inner), 0)
+    finite = {name: np.asarray(values, dtype=float) for name, values in columns.items()}
+    return plain(
+        {
+            "sha256": {name: digest(values) for name, values in finite.items()},
+            "median": {name: float(np.median(values)) for name, values in finite.items()},
+            "largest": {name: float(np.max(values)) for name, values in finite.items()},
+        }
+    )
+
+
+def fault_figures(name: str, severity: int, phase: str) -> Plain:
+    """One case of the fault campaign in double and single precision."""
+    bench = replace(_bench(), law=law("geared"))
+    outcome = run_case(bench, Case(name, severity, 0.030, phase, 3), single=severity == 1)
+    checks = {check.name: [check.measured, check.limit, check.holds] for check in outcome.checks}
+    told = {field: getattr(outcome, field) for field in ("peak", "clean_peak", "final", "mode", "reason")}
+    return plain(told | {"reacted": outcome.reacted, "checks": checks})
+
+
+@functools.cache
+def _bench() -> Bench:
+    return Bench.of(design_of(GEARED), link_mass=LINK_MASS)
+
+
+FAULTS = (("F02", 2, "mid"), ("F07", 3, "mid"), ("F09", 1, "mid"), ("F14", 2, "rest"), ("F23", 2, "mid"))
+
+
+def runs() -> Plain:
+    """Seeded runs of model, twin, Monte Carlo campaign, faults and sweep."""
+    made = {title: run_figures(run) for title, run in (*model_runs(), *twin_runs())}
+    made |= {
+        f"campaign {inner}": campaign_figures(inner, seed) for inner, seed in (("sampled", 7), ("ideal", 8))
+    }
+    return made | {
+        f"fault {name}-{severity}-{phase}": fault_figures(name, severity, phase)
+        for name, severity, phase in FAULTS
+    }
+
+
+# --- the paper
+
+
+def paper() -> Plain:
+    """Every value that the reproduction computes, and every verdict on the printed ones."""
+    published = read_published(ROOT / "reproduce")
+    return plain(
+        {
+            "values": computed(published),
+            "numbers": {item.id: item.verdict for item in published.numbers},
+            "claims": {item.id: EVIDENCE[item.evidence](published).verdict for item in published.claims},
+        }
+    )
+
+
+# --- certificates
+
+
+def certificate_figures(found: Certificate) -> Plain:
+    """What is claimed and over which ranges; where it fails, the place."""
+    s = found.statement
+    ranges = [s.payload_low, s.payload_high, s.delay_low, s.delay_high]
+    place = [found.payload, found.frequency, found.delay, found.distance]
+    return plain(
+        {
+            "holds": found.holds,
+            "modulus": s.modulus,
+            "ranges": ranges,
+            "inner": s.inner,
+            "precision": s.precision,
+            "numbers": [s.order, s.damping, s.damping_order, s.softness, s.pole, s.gain, s.decay, s.lowest],
+            "leaves": found.leaves,
+            "fails_at": place,
+            "poles": found.poles,
+            "sha256": {"certificate": found.sha256[:16], "tree": digest(found.tree.encode())},
+        }
+    )
+
+
+def certificates() -> Plain:
+    """Claims of proofs that succeed and of two that do not."""
+    about: Plain = {"model": LINK, "rig": RIG, "payloads": (0.020, 0.040)}
+    asked: dict[str, tuple[fl.Law, Plain]] = {
+        "asked 0.35": (law("outer"), {"modulus_margin": 0.35}),
+        "nine tenths of the grid": (law("outer"), {}),
+        "single": (law("outer", "single"), {"modulus_margin": 0.4}),
+        "sampled": (law("default"), {"modulus_margin": 0.35, "inner": "sampled"}),
+        "direct": (law("direct"), {"modulus_margin": 0.35, "inner": "sampled"}),
+        "wider": (law("order-4"), {"payloads": (0.010, 0.050), "delay": (0.0, 0.008), "modulus_margin": 0.2}),
+        "too much": (law("outer"), {"modulus_margin": 0.9}),
+        "printed": (law("printed"), {}),
+    }
+    return {
+        title: certificate_figures(fl.certify(subject, **(about | options)))
+        for title, (subject, options) in asked.items()
+    }
+
+
+# --- designs
+
+
+def controller_figures(controller: fl.Controller) -> Plain:
+    """The numbers of a controller."""
+    lead = controller.lead
+    return plain(
+        {
+            "gain": controller.gain,
+            "order": controller.order,
+            "filter_time": controller.filter_time,
+            "filter_order": controller.filter_order,
+            "lead": None if lead is None else [lead.zero_time, lead.pole_time, lead.order],
+        }
+    )
+
+
+def plan_figures(plan: fl.Plan) -> Plain:
+    """Controller, requirements, the margins at both ends and the codes of the findings."""
+    ends = [plan.at(payload) for payload in plan.payloads]
+    return plain(
+        {
+            "controller": controller_figures(plan.controller),
+            "holds": plan.holds,
+            "chi": plan.chi,
+            "gain_crossover_upper": plan.gain_crossover_upper,
+            "natural_frequencies": plan.natural_frequencies,
+            "payloads": plan.payloads,
+            "phase_margins": [found.phase_margin for found in ends],
+            "gain_margins": [found.gain_margin for found in ends],
+            "requirements": {
+                item.name: [item.wanted, item.achieved, item.at_payload, item.slack, item.holds]
+                for item in plan.requirements
+            },
+            "findings": [finding.code for finding in plan.findings],
+        }
+    )
+
+
+REQUESTS: dict[str, Plain] = {
+    "default": {},
+    "no filter": {"filter_time": 0.0},
+    "filter 10 ms": {"filter_time": 0.01, "filter_order": 2},
+    "narrow range": {"payloads": (0.028, 0.032)},
+    "wide range": {"payloads": (0.008, 0.060), "gain_crossover": 10.0, "phase_margin": fl.deg(40)},
+    "slow": {"gain_crossover": 9.0, "phase_margin": fl.deg(60)},
+    "fast": {"gain_crossover": 16.0, "phase_margin": fl.deg(40)},
+    "sampled": {"inner": "sampled"},
+    "direct": {"inner": "sampled", "placement": "direct"},
+    "paper": {
+        "payloads": None,
+        "natural_frequencies": (9.42, 14.14),
+        "gain_crossover": 16.0,
+        "phase_margin": fl.deg(70),
+        "margins": "ideal",
+    },
+    "paper, n = 1": {
+        "gain_crossover": 16.0,
+        "phase_margin": fl.deg(70),
+        "margins": "ideal",
+        "filter_order": 1,
+    },
+    "Ms": {"phase_margin": None, "max_sensitivity": 1.6},
+    "bounds": {
+        "gain_crossover": None,
+        "phase_margin": None,
+        "max_sensitivity": 1.6,
+        "settling_time": 0.55,
+        "noise_gain": 2.0,
+    },
+    "noise": {"noise_gain": 1.2},
+    "infeasible margin": {"gain_crossover": 30.0, "phase_margin": fl.deg(80)},
+    "infeasible crossover": {"gain_crossover": 2.0},
+    "infeasible noise": {"noise_gain": 0.05},
+    "infeasible Ms": {"phase_margin": None, "max_sensitivity": 1.02},
+}
+
+
+def answer(rig: fl.Rig, asked: Plain) -> Plain:
+    """The figures of a design, or the condition that refuses it with the nearest request."""
+    try:
+        return plan_figures(design_of(rig, **asked))
+    except InfeasibleError as error:
+        return plain({"condition": error.condition, "nearest": error.nearest})
+
+
+def designs() -> Plain:
+    """Designs over a grid of requests, of other links, with a bound on higher modes, and optimised ones."""
+    made = {title: answer(RIG, asked) for title, asked in REQUESTS.items()}
+    made["damped link"] = plan_figures(
+        fl.design(
+            fl.LinkModel(1.56, 11.0, damping=0.8, damping_order=0.6, payload=0.03),
+            RIG,
+            payloads=(0.02, 0.04),
+            gain_crossover=12.0,
+            phase_margin=fl.deg(50),
+        )
+    )
+    # The law of a design takes a second to fit: its margin is added to two of them.
+    shipped = {"filter_time": 0.0}, {"inner": "sampled", "placement": "direct"}
+    for asked in shipped:
+        made[f"with law {asked}"] = plan_figures(design_of(RIG, **asked).with_law())
+    massive = replace(GEARED, link=replace(GEARED.link, mass=LINK_MASS))
+    for bound in (0.9, 0.05):
+        made[f"mode gain {bound:g}"] = answer(massive, {"mode_gain": bound, "phase_margin": fl.deg(40)})
+    for title, options in (("noise", {}), ("crossover", {"goal": "crossover"})):
+        best = optimise(design_of(RIG), lead=False, **options)
+        steps = {step.structure: [step.value, step.taken] for step in best.steps}
+        made[f"optimised {title}"] = plan_figures(best.plan) | {"steps": plain(steps)}
+    found = sweep(
+        GEARED, gain_crossovers=[11.0, 20.0], phase_margins=[0.9, 1.2], payloads=[0.03], link_mass=LINK_MASS
+    )
+    made["sweep"] = plain(
+        [[c.holds, c.settling_time, c.overshoot, c.residual_vibration, c.infeasible] for c in found.cells]
+    )
+    return made
+
+
+# --- identification
+
+LOGS = ("pulse_30g", "prbs_20g", "prbs_30g", "prbs_40g")
+LINK_NUMBERS = ("stiffness", "natural_frequency", "order", "damping", "damping_order")
+FIT_NUMBERS = (
+    "gain",
+    "offset",
+    "delay",
+    "mse",
+    "nmse",
+    "aic",
+    "bic",
+    "tic",
+    "heldout_nmse",
+    "effective_parameters",
+)
+
+
+def fit_figures(fit: fl.Fit) -> Plain:
+    """Parameters, errors and judgement of a fit."""
+    return plain(
+        {name: getattr(fit.model, name) for name in LINK_NUMBERS}
+        | {f"fit_{name}": getattr(fit, name) for name in FIT_NUMBERS}
+        | {
+            "standard_errors": fit.standard_errors,
+            "white_standard_errors": fit.white_standard_errors,
+            "intervals": {name: [item.low, item.high] for name, item in fit.intervals.items()},
+            "at_bound": fit.at_bound,
+            "hold": fit.hold,
+            "samples": [fit.samples, fit.fitted_samples],
+            "findings": [finding.code for finding in fit.findings],
+        }
+    )
+
+
+def spectrum_figures() -> Plain:
+    """A frequency response with noise and outliers."""
+    frequency = np.linspace(1.0, 40.0, 200)
+    generator = np.random.default_rng(0)
+    response = LINK.torque()(1j * frequency) * np.exp(-1j * frequency * 0.01)
+    response = response * (1 + 0.02 * (generator.normal(size=200) + 1j * generator.normal(size=200)))
+    response[[20, 77, 150]] *= [5, -3, 0.1]
+    fit = identify_frequency_response(frequency, response)
+    return plain(
+        {
+            "order": fit.order,
+            "delay": fit.delay,
+            "natural_frequency": fit.model().natural_frequency,
+            "stiffness": fit.model().stiffness,
+            "outliers": fit.outliers,
+            "standard_errors": fit.standard_errors,
+        }
+    )
+
+
+def identification() -> Plain:
+    """Fits of the bundled logs, several payloads together, the motor, a spectrum, an experiment's design."""
+    logs = {name: fl.read_log(fl.bundled_log(name), rig=RIG) for name in LOGS}
+    made: Plain = {}
+    for name, log in logs.items():
+        found = fl.identify_all(log)
+        made[name] = {structure: fit_figures(fit) for structure, fit in found.fits.items()}
+        made[name]["preferred"] = found.preferred
+        made[name]["advantage"] = plain(found.contest.advantage)
+        made[name]["diagnosis"] = [finding.code for finding in fl.diagnose(log)]
+    for title, tied in (("payloads", False), ("payloads tied", True)):
+        joint = identify_payloads([logs[name] for name in LOGS[1:]], tied=tied, length=RIG.link.length)
+        made[title] = plain(
+            {
+                "links": [[getattr(model, name) for name in LINK_NUMBERS] for model in joint.models],
+                "standard_errors": joint.standard_errors,
+                "test": [joint.test.statistic, joint.test.degrees, joint.test.p_value, joint.test.common],
+            }
+        )
+    voltage, angle = example_motor_log(samples=2500, dead_zone=0.03, delay=0.006)
+    motor = identify_motor(voltage, angle, period=0.004, inertia=RIG.motor.inertia)
+    names = (
+        "gain",
+        "decay",
+        "coulomb_voltage",
+        "coulomb_torque",
+        "dead_zone",
+        "delay",
+        "nmse",
+        "standard_errors",
+    )
+    made["motor"] = plain({name: getattr(motor, name) for name in names})
+    made["spectrum"] = spectrum_figures()
+    wanted = design_experiment(LINK, standard_error=0.001, noise=0.04, period=0.004, motor=RIG.motor)
+    names = (
+        "amplitude",
+        "bit",
+        "band",
+        "duration",
+        "standard_error",
+        "peak_deflection",
+        "peak_voltage",
+        "limit",
+    )
+    made["experiment"] = plain({name: getattr(wanted, name) for name in names})
+    return made
+
+
+# --- exports
+
+
+COMMENT = re.compile(rb"/\*.*?\*/", re.DOTALL)
+TOKEN = re.compile(rb'FMU_TOKEN "([^"]+)"')
+
+
+def shipped(name: str, content: bytes) -> str:
+    """Digest of an exported file: of C the code without its comments, nowhere the release's number."""
+    if name.endswith((".c", ".h")):
+        content = b" ".join(COMMENT.sub(b"", content).split())
+    return digest(content.replace(fl.__version__.encode(), b"VERSION"))
+
+
+def _files(folder: Path) -> Plain:
+    paths = [path for path in sorted(folder.rglob("*")) if path.is_file()]
+    return {path.relative_to(folder).as_posix(): shipped(path.name, path.read_bytes()) for path in paths}
+
+
+def _members(path: Path) -> Plain:
+    with zipfile.ZipFile(io.BytesIO(path.read_bytes())) as archive:
+        contents = {name: archive.read(name) for name in sorted(archive.namelist())}
+    # The token is a hash over the sources with their comments.
+    token = TOKEN.search(contents["sources/all.c"])
+    assert token is not None
+    return {name: shipped(name, content.replace(token[1], b"TOKEN")) for name, content in contents.items()}
+
+
+def _matlab(path: Path) -> str:
+    # The first 116 bytes of a .mat file are a text with the date.
+    content = path.read_bytes()
+    return shipped(path.name, content if path.suffix == ".m" else content[116:])
+
+
+def exports() -> Plain:
+    """Bytes of what leaves the package, for laws that are read from files; digests of laws fitted now."""
+    made: Plain = {}
+    with tempfile.TemporaryDirectory() as temporary:
+        place = Path(temporary)
+        for named in ("default", "outer", "geared"):
+            for precision in ("double", "single"):
+                title, chosen = f"{named} {precision}", law(named, precision)
+                fl.export_c(chosen, place / title, title="golden")
+                made[f"C {title}"] = {"sha256": _files(place / title)}
+                for fmi in (2, 3):
+                    target = place / f"arm_{named}_{precision}_{fmi}.fmu"
+                    export_fmu(chosen, target, fmi=fmi, compilers=())
+                    made[f"FMU {fmi} {title}"] = {"sha256": _members(target)}
+        for ending in ("m", "mat"):
+            path = export_matlab(law("default"), place / f"arm_law.{ending}")
+            made[f"MATLAB .{ending}"] = {"sha256": {"file": _matlab(path)}}
+        export_io(place / "board")
+        made["board"] = {"sha256": _files(place / "board")}
+    for named, fitted in laws().items():
+        made[f"law {named}"] = plain(
+            {
+                "sha256": {"recorded": law(named).digest[:16], "fitted": fitted.digest[:16]},
+                "states": fitted.order,
+                "correction_error": fitted.correction_error,
+                "feedforward_error": fitted.feedforward_error,
+                "band": fitted.band,
+                "response": _response(fitted),
+            }
+        )
+    return made
+
+
+def _response(fitted: fl.Law) -> list[list[float]]:
+    values: NDArray[np.complex128] = fitted.frequency_response([1.0, 5.0, 12.0, 20.0, 60.0, 200.0])
+    return [[value.real, value.imag] for value in values.tolist()]
+
+
+# --- record and compare
+
+TOPICS: dict[str, tuple[Callable[[], Plain], float]] = {  # topic: its figures and their relative tolerance
+    "runs": (runs, 1e-9),
+    "paper": (paper, 1e-9),
+    "certificates": (certificates, 1e-9),
+    "designs": (designs, 1e-9),
+    "identification": (identification, 1e-7),
+    "exports": (exports, 1e-9),
+}
+
+
+def differences(told: Any, found: Any, rel: float, *, bits: bool, place: str = "") -> list[str]:
+    """Every entry in which `found` differs from what was recorded, with both values."""
+    if isinstance(told, dict) and isinstance(found, dict):
+        lost = [f"{place}/{key}: gone" for key in told if key not in found]
+        new = [f"{place}/{key}: new" for key in found if key not in told]
+        same = [key for key in told if key in found and (bits or key != "sha256")]
+        inner = [differences(told[k], found[k], rel, bits=bits, place=f"{place}/{k}") for k in same]
+        return lost + new + [line for lines in inner for line in lines]
+    if isinstance(told, list) and isinstance(found, list) and len(told) == len(found):
+        pairs = zip(told, found, strict=True)
+        inner = [differences(a, b, rel, bits=bits, place=f"{place}[{i}]") for i, (a, b) in enumerate(pairs)]
+        return [line for lines in inner for line in lines]
+    numbers = all(isinstance(x, int | float) and not isinstance(x, bool) for x in (told, found))
+    # What should be zero is a rounding error: it is not held to relative digits.
+    if numbers and math.isclose(told, found, rel_tol=rel, abs_tol=1e-3 * rel):
+        return []
+    return [] if type(told) is type(found) and told == found else [f"{place}: {told!r} became {found!r}"]
+
+
+def recorded(topic: str) -> Plain:
+    """What was recorded of a topic."""
+    return dict(json.loads((HERE / f"{topic}.json").read_text("utf-8")))
+
+
+def record(topic: str) -> None:
+    """Record a topic again."""
+    figures = TOPICS[topic][0]()
+    text = json.dumps({"probe": probe(), "figures": figures}, indent=1, ensure_ascii=False, allow_nan=False)
+    (HERE / f"{topic}.json").write_text(text + "\n", "utf-8")
+
+
+def main(names: list[str]) -> int:
+    """Record the topics named on the command line."""
+    for name in names:
+        if name == "laws":
+            for title, made in laws().items():
+                made.save(HERE / "laws" / f"{title}.json")
+        else:
+            record(name)
+        print("recorded", name)
+    if not names:
+        print("topics: laws (the runs' input), " + ", ".join(TOPICS))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
