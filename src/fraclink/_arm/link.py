@@ -1,8 +1,8 @@
 """The flexible link: one formula, four structures.
 
-    Γ(s)/θm(s) = c s^λ / (s^λ + μ s^α + ϖ²)
+    Γ(s)/θm(s) = c s^λ / (s^λ + μ s^α + ω₀²)
 
-A structure of the paper is a row of one table that says which of (ϖ, λ, μ, α) are free; the others
+A structure of the paper is a row of one table that says which of (ω₀, λ, μ, α) are free; the others
 keep the value that makes the term vanish or classical.
 """
 
@@ -14,13 +14,16 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from fraclink._validate import checked_choice, checked_number
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fraclink._validate import checked_choice, checked_noun, checked_number
 from fraclink.errors import FieldError
 
 if TYPE_CHECKING:
     from fraclink._systems.fractional import FractionalTransferFunction
 
-__all__ = ["STRUCTURES", "LinkModel", "Structure", "structure"]
+__all__ = ["STRUCTURES", "LinkModel", "SecondMode", "Structure", "structure"]
 
 
 @dataclass(frozen=True)
@@ -60,6 +63,16 @@ def structure(name: str) -> Structure:
     return STRUCTURES[checked_choice("structure", name, STRUCTURES)]
 
 
+_Check = tuple[str, Callable[[float], bool], str, str]
+
+
+def _store(model: object, *checks: _Check) -> None:
+    """Check the named numbers of a frozen model and store them as floats."""
+    for field, holds, allowed, remedy in checks:
+        number = checked_number(field, getattr(model, field), holds=holds, allowed=allowed, remedy=remedy)
+        object.__setattr__(model, field, number)
+
+
 def _mass(payload: object) -> float:
     return checked_number(
         "payload",
@@ -71,21 +84,94 @@ def _mass(payload: object) -> float:
 
 
 @dataclass(frozen=True)
+class SecondMode:
+    """The second vibration mode of the link, as a log shows it in the torque.
+
+        Γ/(c θm) gains the term  gain · s²/(s² + 2 ζ ω₂ s + ω₂²)
+
+    Parameters
+    ----------
+    frequency
+        ω₂ [rad/s], > 0.
+    gain
+        static share of the mode in the tip estimate [1], of either sign.
+    damping_ratio
+        ζ [1], 0 < ζ < 1.
+
+    Raises
+    ------
+    FieldError
+        a value out of its range.
+
+    Examples
+    --------
+    >>> mode = SecondMode(frequency=180.0, gain=0.05, damping_ratio=0.02)
+    >>> round(abs(complex(mode.response(180.0j))), 3)
+    1.25
+    """
+
+    frequency: float
+    gain: float
+    damping_ratio: float = 0.02
+
+    def __post_init__(self) -> None:
+        _store(
+            self,
+            ("frequency", lambda x: 0 < x < 1e6, "> 0 and < 1e6 rad/s", "give the frequency of mode 2"),
+            ("gain", lambda x: abs(x) < 1e3, "-1e3 to 1e3", "give its static share in Γ/(c θm)"),
+            ("damping_ratio", lambda x: 0 < x < 1, "0 < ζ < 1", "give ζ, 0.02 where it is not known"),
+        )
+
+    def response(self, s: ArrayLike) -> NDArray[np.complex128]:
+        """Return ``gain s²/(s² + 2 ζ ω₂ s + ω₂²)`` at complex `s` [rad/s], shape kept."""
+        x = np.asarray(s, dtype=np.complex128) / self.frequency
+        return np.asarray(self.gain * x**2 / (x**2 + 2.0 * self.damping_ratio * x + 1.0))
+
+
+@dataclass(frozen=True)
 class LinkModel:
-    """A flexible link that carries a payload, seen from the motor angle.
+    """A flexible link with a payload, seen from the motor angle, and the gauge that measures its torque.
 
-        Γ/θm = c s^λ / (s^λ + μ s^α + ϖ²),    θt/θm = (μ s^α + ϖ²) / (s^λ + μ s^α + ϖ²)
+        Γ/θm = c s^λ / (s^λ + μ s^α + ω₀²),    θt/θm = (μ s^α + ω₀²) / (s^λ + μ s^α + ω₀²)
 
-    Arguments:
-        stiffness: c > 0 [N·m/rad].
-        natural_frequency: ϖ ≥ 0 [s^(-λ/2)]; it is rad/s only for λ = 2, and may be 0 only where μ > 0.
-        order: λ in [1, 2] [1], the order of the inertia.
-        damping: μ ≥ 0 [s^(α-λ)].
-        damping_order: α in (0, 2) [1]; without damping it plays no part.
-        payload: m > 0 [kg] at which ϖ holds, or None where it is not known.
+    The controller reads the torque as ``g e^(−τ_g s) Γ``, with the second mode added where one is known.
 
-    Raises FieldError for a value out of its range. Source: the paper, equations (6), (10), (15), (16).
+    Parameters
+    ----------
+    stiffness
+        c > 0 [N·m/rad].
+    natural_frequency
+        ω₀ ≥ 0 [s^(-λ/2)]; it is rad/s only for λ = 2, and may be 0 only where μ > 0.
+    order
+        λ in [1, 2], the order of the inertia.
+    damping
+        μ ≥ 0 [s^(α-λ)].
+    damping_order
+        α in (0, 2); without damping it plays no part.
+    payload
+        m > 0 [kg] at which ω₀ was found, or None where it is not known.
+    gauge_delay
+        τ_g [s], −10 to 10: the torque signal lags the motor angle by it; below zero it leads.
+    gauge_gain
+        g [1], not 0: measured over true torque.
+    second_mode
+        the second vibration mode, or None where none is known.
+    unseen_up_to
+        frequency [rad/s] up to which the log showed no second mode, or None where nobody looked.
+    intervals
+        (name, low, high) of each identified parameter's 95 % interval, in the unit of the parameter.
 
+    Raises
+    ------
+    FieldError
+        a value out of its range.
+
+    References
+    ----------
+    Benftima et al. (2023), equations (6), (10), (15), (16).
+
+    Examples
+    --------
     >>> link = LinkModel(stiffness=1.56, natural_frequency=10.02, order=1.92)
     >>> link.structure, round(link.tip_resonance, 3), round(link.damping_ratio, 4)
     ('UD-FOM', 10.984, 0.0654)
@@ -97,25 +183,49 @@ class LinkModel:
     damping: float = 0.0
     damping_order: float = 1.0
     payload: float | None = None
+    gauge_delay: float = 0.0
+    gauge_gain: float = 1.0
+    second_mode: SecondMode | None = None
+    unseen_up_to: float | None = None
+    intervals: tuple[tuple[str, float, float], ...] = ()
 
     def __post_init__(self) -> None:
-        put = object.__setattr__
-        checks: tuple[tuple[str, Callable[[float], bool], str, str], ...] = (
+        _store(
+            self,
             ("stiffness", lambda x: x > 0, "> 0 N·m/rad", "give the measured torque per radian"),
-            (_FREQUENCY, lambda x: 0 <= x < 1e6, "0 to 1e6 s^(-λ/2)", "give ϖ = sqrt(c/(m L²))"),
+            (_FREQUENCY, lambda x: 0 <= x < 1e6, "0 to 1e6 s^(-λ/2)", "give ω₀ = sqrt(c/(m L²))"),
             ("order", lambda x: 1 <= x <= 2, "1 to 2", "give λ, 2 for a classical link"),
             ("damping", lambda x: x >= 0, ">= 0", "give μ, 0 for an undamped link"),
             ("damping_order", lambda x: 0 < x < 2, "0 < α < 2", "give α, 1 for viscous damping"),
+            ("gauge_delay", lambda x: abs(x) <= 10, "-10 to 10 s", "give the delay in seconds"),
+            (
+                "gauge_gain",
+                lambda x: 0 < abs(x) <= 1e6,
+                "not 0, at most 1e6",
+                "give measured over true torque",
+            ),
         )
-        for field, holds, allowed, remedy in checks:
-            value = getattr(self, field)
-            put(self, field, checked_number(field, value, holds=holds, allowed=allowed, remedy=remedy))
         if self.payload is not None:
-            put(self, "payload", _mass(self.payload))
+            object.__setattr__(self, "payload", _mass(self.payload))
+        if self.unseen_up_to is not None:
+            _store(self, ("unseen_up_to", lambda x: x > 0, "> 0 rad/s", "leave it out where it is not known"))
+        if self.second_mode is not None:
+            checked_noun("second_mode", self.second_mode, SecondMode, remedy="SecondMode(frequency, gain)")
         if self.natural_frequency == 0 and self.damping == 0:
             raise FieldError(
-                _FREQUENCY, 0.0, "zero without damping", allowed="> 0", remedy="give ϖ = sqrt(c/(m L²))"
+                _FREQUENCY, 0.0, "zero without damping", allowed="> 0", remedy="give ω₀ = sqrt(c/(m L²))"
             )
+        rows = ((str(name), float(low), float(high)) for name, low, high in self.intervals)
+        object.__setattr__(self, "intervals", tuple(rows))
+
+    def interval(self, name: str) -> tuple[float, float] | None:
+        """Return the identified 95 % interval (low, high) of parameter `name`, None where there is none.
+
+        >>> link = LinkModel(1.56, 10.0, order=1.92, intervals=(("order", 1.91, 1.93),))
+        >>> link.interval("order"), link.interval("damping")
+        ((1.91, 1.93), None)
+        """
+        return next(((low, high) for field, low, high in self.intervals if field == name), None)
 
     @property
     def structure(self) -> str:
@@ -123,14 +233,14 @@ class LinkModel:
 
         A model with both λ < 2 and μ > 0 obeys the one formula but is none of the four: "general".
         """
-        if self.damping == 0:
-            return "UD-IOM" if self.order == 2 else "UD-FOM"
-        if self.order != 2:
-            return "general"
-        return "D-IOM" if self.damping_order == 1 else "D-FOM"
+        free = {_FREQUENCY}
+        free |= {"order"} if self.order != 2 else set()
+        free |= {"damping"} if self.damping else set()
+        free |= {"damping_order"} if self.damping and self.damping_order != 1 else set()
+        return next((row.name for row in STRUCTURES.values() if set(row.free) == free), "general")
 
     def tip(self) -> FractionalTransferFunction:
-        """Return θt/θm = (μ s^α + ϖ²)/(s^λ + μ s^α + ϖ²) [rad/rad], the paper's (4) and (9).
+        """Return θt/θm = (μ s^α + ω₀²)/(s^λ + μ s^α + ω₀²) [rad/rad], the paper's (4) and (9).
 
         >>> abs(LinkModel(1.56, 10.0, order=1.9).tip()(0.001j)).__round__(6)
         1.0
@@ -138,7 +248,7 @@ class LinkModel:
         return self._over_denominator(1.0, inertia=False)
 
     def torque(self) -> FractionalTransferFunction:
-        """Return Γ/θm = c s^λ/(s^λ + μ s^α + ϖ²) [N·m/rad], the paper's (6), (10), (15), (16).
+        """Return Γ/θm = c s^λ/(s^λ + μ s^α + ω₀²) [N·m/rad], the paper's (6), (10), (15), (16).
 
         >>> abs(LinkModel(1.56, 10.0, order=1.9).torque()(1e6j)).__round__(4)
         1.56
@@ -157,9 +267,9 @@ class LinkModel:
 
     @property
     def pole(self) -> complex:
-        """The vibration pole with positive imaginary part [rad/s], root of s^λ + μ s^α + ϖ² = 0.
+        """The vibration pole with positive imaginary part [rad/s], root of s^λ + μ s^α + ω₀² = 0.
 
-        Without damping it is ϖ^(2/λ) e^(jπ/λ) exactly; with damping a Newton iteration in ln s
+        Without damping it is ω₀^(2/λ) e^(jπ/λ) exactly; with damping a Newton iteration in ln s
         follows it there from that value (negative real where the link is overdamped).
         """
         if self.damping == 0:
@@ -175,7 +285,7 @@ class LinkModel:
     def tip_resonance(self) -> float | None:
         """Frequency [rad/s] where |θt/θm| peaks, None where it has no peak.
 
-        For UD-FOM it is (14), ω_r = (−ϖ² cos(πλ/2))^(1/λ).
+        For UD-FOM it is (14), ω_r = (−ω₀² cos(πλ/2))^(1/λ).
         """
         if self.damping == 0:
             cosine = -math.cos(math.pi * self.order / 2)
@@ -186,7 +296,7 @@ class LinkModel:
     def torque_resonance(self) -> float | None:
         """Frequency [rad/s] where |Γ/θm| peaks, None where it has no peak.
 
-        For UD-FOM it is (−ϖ²/cos(πλ/2))^(1/λ), which is what a torque spectrum shows; the paper
+        For UD-FOM it is (−ω₀²/cos(πλ/2))^(1/λ), which is what a torque spectrum shows; the paper
         compares (14), the peak of the tip angle, with the measured torque.
         """
         if self.damping == 0:
@@ -195,49 +305,63 @@ class LinkModel:
         return self._peak(inertia=True)
 
     def _peak(self, *, inertia: bool) -> float | None:
-        import numpy as np
+        from scipy.optimize import minimize_scalar
 
-        def level(log_frequency: float) -> float:
-            s = 1j * math.exp(log_frequency)
+        def level(log_frequency: ArrayLike) -> NDArray[np.float64]:
+            s = 1j * np.exp(np.asarray(log_frequency, dtype=float))
             restoring = self.damping * s**self.damping_order + self.natural_frequency**2
             moving = s**self.order
-            return abs((moving if inertia else restoring) / (moving + restoring))
+            return np.asarray(np.abs((moving if inertia else restoring) / (moving + restoring)))
 
         centre = math.log(abs(self.pole))
         grid = np.linspace(centre - 3.0, centre + 3.0, 601)
-        values = [level(x) for x in grid]
-        best = int(np.argmax(values))
-        if best in (0, len(values) - 1):
+        best = int(np.argmax(level(grid)))
+        if best in (0, grid.size - 1):
             return None  # a monotone curve: its largest value on the grid is an end of it
-        return math.exp(_golden(level, float(grid[best - 1]), float(grid[best + 1])))
+        found = minimize_scalar(
+            # 1e-9: the square root of the precision, as a maximum is flat to 1e-18 there
+            lambda x: -float(level(x)),
+            bounds=(float(grid[best - 1]), float(grid[best + 1])),
+            method="bounded",
+            options={"xatol": 1e-9},
+        )
+        return math.exp(float(found.x))
 
     def at_payload(self, payload: float) -> LinkModel:
-        """Return the model at another `payload` [kg > 0]: ϖ scales by sqrt(m/payload), eq. (5).
+        """Return the model at another `payload` [kg > 0]: ω₀ scales by sqrt(m/payload), eq. (5).
 
         λ, μ and α are kept, as the paper keeps them in Table 3. Needs a known `payload`.
 
         >>> LinkModel(1.56, 10.0, order=1.92, payload=0.03).at_payload(0.12).natural_frequency
         5.0
         """
+        known = self._known_payload()
+        wanted = _mass(payload)
+        frequency = self.natural_frequency * math.sqrt(known / wanted)
+        return replace(self, natural_frequency=frequency, payload=wanted)
+
+    def payload_at(self, natural_frequency: float) -> float:
+        """Return the payload [kg] at which the link has this ω₀ [s^(-λ/2)], the inverse of `at_payload`.
+
+        >>> LinkModel(1.56, 10.0, order=1.92, payload=0.03).payload_at(5.0)
+        0.12
+        """
+        return self._known_payload() * (self.natural_frequency / natural_frequency) ** 2
+
+    def _known_payload(self) -> float:
         if self.payload is None:
             raise FieldError(
                 "payload",
                 None,
                 "not known",
                 allowed="> 0 kg",
-                remedy="make the model with the payload at which its frequency holds",
+                remedy="make the model with the payload at which its frequency was found",
             )
-        wanted = _mass(payload)
-        ratio = self.payload / wanted
-        return replace(
-            self,
-            natural_frequency=self.natural_frequency * math.sqrt(ratio),
-            payload=wanted,
-        )
+        return self.payload
 
 
 def _damped_pole(order: float, damping: float, damping_order: float, square: float) -> complex:
-    """Newton on z ↦ e^{λz} + μ e^{αz} + ϖ², z = ln s, while μ grows from 0 (or ϖ² from 0) to its value."""
+    """Newton on z ↦ e^{λz} + μ e^{αz} + ω₀², z = ln s, while μ grows from 0 (or ω₀² from 0) to its value."""
     alone = damping ** (1 / (order - damping_order)) if order > damping_order and square == 0 else 0.0
     if alone:
         return cmath.rect(alone, min(math.pi / (order - damping_order), math.pi))
@@ -251,11 +375,3 @@ def _damped_pole(order: float, damping: float, damping_order: float, square: flo
             if abs(step) < 1e-15:
                 break
     return cmath.exp(z)
-
-
-def _golden(level: Callable[[float], float], low: float, high: float) -> float:
-    ratio = (math.sqrt(5) - 1) / 2
-    while high - low > 1e-9:  # the square root of the precision: a maximum is flat to 1e-18 there
-        left, right = high - ratio * (high - low), low + ratio * (high - low)
-        low, high = (low, right) if level(left) > level(right) else (left, high)
-    return (low + high) / 2

@@ -139,9 +139,14 @@ def known(kind: type, item: object) -> dict[str, Any]:
 
 def link_from(item: object) -> LinkModel:
     """A link model from the dictionary that `save_plan` wrote."""
-    from fraclink._arm.link import LinkModel
+    from fraclink._arm.link import LinkModel, SecondMode
 
-    return LinkModel(**known(LinkModel, item))
+    # Files of 0.1 state neither gauge nor second mode.
+    unstated = {"gauge_delay": 0.0, "gauge_gain": 1.0, "second_mode": None, "unseen_up_to": None}
+    values = known(LinkModel, {**unstated, "intervals": (), **item} if isinstance(item, dict) else item)
+    if values["second_mode"] is not None:
+        values["second_mode"] = SecondMode(**known(SecondMode, values["second_mode"]))
+    return LinkModel(**values)
 
 
 def controller_from(item: object, *, lead: bool = True) -> Controller:
