@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 PY := $(BIN)/python
 STAMP := $(VENV)/.installed
 # An editable install knows the modules that there were when it was made: a new one needs another.
-MODULES := $(VENV)/.modules-$(shell find src/fraclink -name '*.py' | LC_ALL=C sort | cksum | cut -d' ' -f1)
+MODULES := $(VENV)/.modules-$(shell find src/fraclink prove/src -name '*.py' | LC_ALL=C sort | cksum | cut -d' ' -f1)
 CSRC := $(wildcard csrc/*.[ch] csrc/kernels/*.[ch] csrc/bindings/*.cpp csrc/bindings/*.h)
 
 .PHONY: setup demo test lint bench build docs fuzz reproduce clean lock
@@ -22,8 +22,9 @@ $(MODULES): $(VENV)/.locked
 	rm -f $(VENV)/.modules-*
 	touch $@
 
-$(STAMP): $(VENV)/.locked $(MODULES) pyproject.toml CMakeLists.txt $(CSRC)
+$(STAMP): $(VENV)/.locked $(MODULES) pyproject.toml prove/pyproject.toml CMakeLists.txt $(CSRC)
 	$(PY) -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
+	$(PY) -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable prove
 	touch $@
 
 build: setup
@@ -58,4 +59,4 @@ lock:
 	  --no-emit-index-url --no-emit-find-links requirements.in -o requirements.lock
 
 clean:
-	rm -rf build results .pytest_cache .mypy_cache .ruff_cache $(VENV)
+	rm -rf build prove/build results .pytest_cache .mypy_cache .ruff_cache $(VENV)

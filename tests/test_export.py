@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from fraclink._export import export_c, export_matlab
 from fraclink._export.bounds import _plain_norm, worst_case
 from fraclink._export.data import hex_float
 from fraclink._law import Law
-from fraclink.errors import FieldError
+from fraclink.errors import FieldError, MissingExtraError
 from law_bench import law
 from law_bench import run as run_law
 from needed_tools import tool
@@ -258,3 +259,12 @@ def test_octave_steps_the_m_file_as_the_law(tmp_path: Path) -> None:
     np.testing.assert_allclose(
         np.array(printed.split(), dtype=float), out.motor_reference, rtol=1e-12, atol=1e-13
     )
+
+
+def test_a_proof_without_the_provers_names_their_package(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "fraclink_prove", None)
+    with pytest.raises(MissingExtraError, match=r"fraclink-prove .*pip install \./prove"):
+        export_c(law("single"), tmp_path / "firmware", prove=True)
+    assert not (tmp_path / "firmware").exists()

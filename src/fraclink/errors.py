@@ -124,11 +124,15 @@ class NotConvergedError(FraclinkError, RuntimeError):
 
 
 class MissingExtraError(FraclinkError, ImportError):
-    """An optional dependency is not installed; the message names the extra that brings it."""
+    """An optional dependency is not installed; the message says how to install it.
 
-    def __init__(self, package: str, extra: str) -> None:
+    `install` is the requirement for pip where the package is not one that the extra brings.
+    """
+
+    def __init__(self, package: str, extra: str, *, install: str | None = None) -> None:
         self.package, self.extra = package, extra
-        super().__init__(f"{package} is not installed; it comes with `pip install 'fraclink[{extra}]'`")
+        requirement = f"'fraclink[{extra}]'" if install is None else install
+        super().__init__(f"{package} is not installed; it comes with `pip install {requirement}`")
 
 
 class FraclinkWarning(UserWarning):

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from fraclink._export.board import export_io
 from fraclink._export.c import export_c
+from fraclink._export.claims import Claim, Proof
 from fraclink._export.fmu import export_fmu
 from fraclink._export.matlab import export_matlab
-from fraclink._export.proof import Claim, Proof
 from fraclink._export.replay import Replay, replay, replay_log
 
 __all__ = [

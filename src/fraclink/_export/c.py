@@ -7,10 +7,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from fraclink._export.claims import Proof
 from fraclink._export.data import data_header
 from fraclink._export.names import identifier, title_text
-from fraclink._export.proof import Proof
-from fraclink._export.proof import prove as prove_folder
 from fraclink._export.readme import readme
 from fraclink._export.selftest import selftest_source
 from fraclink._export.sources import law_source
@@ -18,7 +17,7 @@ from fraclink._files import atomic_write, checked_path
 from fraclink._law import Law
 from fraclink._law.block import Precision
 from fraclink._validate import checked_noun
-from fraclink.errors import FieldError
+from fraclink.errors import FieldError, MissingExtraError
 
 if TYPE_CHECKING:
     from fraclink._certify import Certificate
@@ -60,13 +59,15 @@ def export_c(
     prove : bool
         Prove what can be proved about these very files with the provers that are installed (Debian's
         frama-c-base, z3 or cvc5, gappa; python-flint): README.md then claims what was proved and nothing
-        else, proof.json lists it (`Proof.load`), proof/ holds the logs. Half a minute on a desktop.
+        else, proof.json lists it (`Proof.load`), proof/ holds the logs. Half a minute on a desktop. Needs
+        the package fraclink-prove (folder prove/ of the repository).
     certificate : Certificate, optional
         Of the loop that the exported law closes, from `fraclink._certify`; with `prove` it becomes a claim.
     force : bool
         Overwrite the files in an existing folder.
 
-    Raises FieldError for an existing folder, an illegal name or title.
+    Raises FieldError for an existing folder, an illegal name or title; MissingExtraError for `prove` without
+    fraclink-prove.
 
     >>> import tempfile
     >>> import fraclink as fl
@@ -123,6 +124,10 @@ def _proved(
     law: Law, files: Mapping[str, bytes], name: str, data: str, certificate: Certificate | None
 ) -> tuple[Proof, dict[str, bytes]]:
     """Prove in a scratch folder, so that a failure in between leaves nothing behind."""
+    try:
+        from fraclink_prove import prove as prove_folder
+    except ImportError as error:
+        raise MissingExtraError("fraclink-prove", "prove", install="./prove") from error
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
         for file, content in files.items():

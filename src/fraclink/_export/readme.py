@@ -6,9 +6,8 @@ from dataclasses import asdict
 
 from fraclink import _kernels
 from fraclink._export.bounds import Bounds, worst_case
+from fraclink._export.claims import Proof, claims_text
 from fraclink._export.data import exact_flags, exact_sizes
-from fraclink._export.proof import Proof
-from fraclink._export.proof.page import claims_text
 from fraclink._export.selftest import expected
 from fraclink._law import Law
 

@@ -16,11 +16,11 @@ import fraclink as fl
 from fraclink._certify import certify
 from fraclink._cli import main
 from fraclink._export import Proof, export_c
-from fraclink._export.proof import eva, formulas, rounding, source, step, symbolic, tools
-from fraclink._export.proof.loop import loop_claim
 from fraclink._files import sha256_of
 from fraclink._law import Law
 from fraclink._workflow import Request, design_for
+from fraclink_prove import eva, formulas, rounding, source, step, symbolic, tools
+from fraclink_prove.certificate import loop_claim
 from law_bench import default_controller, law, with_pair
 from law_bench import run as run_law
 from needed_tools import tool

@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fraclink._export.proof.claim import Claim
+from fraclink._export.claims import Claim
 from fraclink._files import sha256_of
 from fraclink._law import Law
 

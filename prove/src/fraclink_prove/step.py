@@ -9,13 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
-from fraclink._export.proof.claim import Claim, at_most, sha256_of_text
-from fraclink._export.proof.formulas import Value, real_literal
-from fraclink._export.proof.source import Unreadable, read_source
-from fraclink._export.proof.symbolic import Symbolic
-from fraclink._export.proof.tools import COMPILER, SOLVERS, Tool
+from fraclink._export.claims import Claim
 from fraclink._law import Law
 from fraclink._law.block import REALS
+from fraclink_prove.formulas import Value, real_literal
+from fraclink_prove.source import Unreadable, read_source
+from fraclink_prove.symbolic import Symbolic
+from fraclink_prove.tools import COMPILER, SOLVERS, Tool, at_most, sha256_of_text
 
 __all__ = ["finite_claim", "slew_bound", "slew_claim"]
 

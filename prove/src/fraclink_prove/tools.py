@@ -1,15 +1,17 @@
-"""The provers that may be installed, and how each is run."""
+"""The provers that may be installed, how each is run, and how their numbers are printed."""
 
 from __future__ import annotations
 
+import hashlib
 import os
 import shutil
 import subprocess
 from collections.abc import Sequence
 from dataclasses import dataclass
+from decimal import ROUND_CEILING, Context
 from pathlib import Path
 
-__all__ = ["COMPILER", "FRAMA_C", "GAPPA", "SOLVERS", "Answer", "Tool"]
+__all__ = ["COMPILER", "FRAMA_C", "GAPPA", "SOLVERS", "Answer", "Tool", "at_most", "sha256_of_text"]
 
 # A proof takes seconds on a desktop; ten minutes without an answer is one that will not come.
 SECONDS = 600
@@ -73,3 +75,18 @@ GAPPA = Tool("gappa", "gappa")
 COMPILER = Tool("cc", "gcc")
 # In the order they are asked, until one decides.
 SOLVERS = (Tool("z3", "z3"), Tool("cvc5", "cvc5"))
+
+
+def at_most(value: float, digits: int = 6) -> str:
+    """Return a positive number in `digits` digits, rounded up: a bound that is printed smaller is no bound.
+
+    >>> at_most(7.08102178574), at_most(9.2981e-16, 3)
+    ('7.08103', '9.3e-16')
+    """
+    rounded = Context(prec=digits, rounding=ROUND_CEILING).create_decimal_from_float(value)
+    return f"{float(rounded):.{digits}g}"
+
+
+def sha256_of_text(text: str) -> str:
+    """Return the SHA-256 of the text's UTF-8 bytes as 64 hexadecimal digits."""
+    return hashlib.sha256(text.encode()).hexdigest()

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fraclink._export.proof.source import Unreadable
 from fraclink._law.block import Precision
+from fraclink_prove.source import Unreadable
 
 __all__ = ["FALSE", "TRUE", "Formulas", "Value", "first_beyond", "kind_of", "real_literal"]
 

@@ -1,22 +1,25 @@
-"""Proofs about an exported folder, by the provers that are installed; nothing else is claimed."""
+"""Prove claims about the C files that fraclink exports, with the provers that are installed.
+
+`fraclink export c --prove` imports this package where it is installed; fraclink itself does not need it.
+"""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fraclink._export.proof.claim import Claim, Proof
-from fraclink._export.proof.eva import commands_claim
-from fraclink._export.proof.loop import loop_claim
-from fraclink._export.proof.rounding import rounding_claim
-from fraclink._export.proof.step import finite_claim, slew_claim
+from fraclink._export.claims import Proof
 from fraclink._files import sha256_of
 from fraclink._law import Law
+from fraclink_prove.certificate import loop_claim
+from fraclink_prove.eva import commands_claim
+from fraclink_prove.rounding import rounding_claim
+from fraclink_prove.step import finite_claim, slew_claim
 
 if TYPE_CHECKING:
     from fraclink._certify import Certificate
 
-__all__ = ["Claim", "Proof", "prove"]
+__all__ = ["prove"]
 
 
 def prove(law: Law, folder: Path, *, name: str, data: str, certificate: Certificate | None = None) -> Proof:

@@ -6,10 +6,10 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
+from fraclink._export.claims import Claim
 from fraclink._export.data import exact_flags
-from fraclink._export.proof.claim import Claim, at_most, sha256_of_text
-from fraclink._export.proof.tools import FRAMA_C
 from fraclink._law import Law
+from fraclink_prove.tools import FRAMA_C, at_most, sha256_of_text
 
 __all__ = ["commands_claim", "driver"]
 

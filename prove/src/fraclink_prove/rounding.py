@@ -10,10 +10,10 @@ from fractions import Fraction
 from pathlib import Path
 
 from fraclink._export.bounds import Bounds, worst_case
+from fraclink._export.claims import Claim
 from fraclink._export.data import hex_float
-from fraclink._export.proof.claim import Claim, at_most, sha256_of_text
-from fraclink._export.proof.tools import GAPPA
 from fraclink._law import Law
+from fraclink_prove.tools import GAPPA, at_most, sha256_of_text
 
 __all__ = ["Rounding", "rounding_bound", "rounding_claim"]
 

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from fraclink._export.proof.formulas import FALSE, TRUE, Formulas, Value, kind_of, real_literal
-from fraclink._export.proof.source import Function, Node, Source, Unreadable
 from fraclink._law.block import Precision
+from fraclink_prove.formulas import FALSE, TRUE, Formulas, Value, kind_of, real_literal
+from fraclink_prove.source import Function, Node, Source, Unreadable
 
 __all__ = ["Symbolic"]
 

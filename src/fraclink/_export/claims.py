@@ -1,35 +1,23 @@
-"""What a proof of an exported law says: its claims, each proved or not, and the file that carries them."""
+"""The claims about an exported law, each proved or not: their file, and their text in the export's README.
+
+The provers themselves are a package of their own, `fraclink_prove`; reading a proof needs only this module.
+"""
 
 from __future__ import annotations
 
-import hashlib
+import textwrap
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from decimal import ROUND_CEILING, Context
 from pathlib import Path
 from typing import Literal
 
 from fraclink._files import read_json, write_json
+from fraclink._law import Law
 
-__all__ = ["Claim", "Proof", "Status", "at_most", "sha256_of_text"]
+__all__ = ["Claim", "Proof", "claims_text"]
 
 KIND, FORMAT = "proof", 1
 Status = Literal["proved", "failed", "not proved"]
-
-
-def at_most(value: float, digits: int = 6) -> str:
-    """Return a positive number in `digits` digits, rounded up: a bound that is printed smaller is no bound.
-
-    >>> at_most(7.08102178574), at_most(9.2981e-16, 3)
-    ('7.08103', '9.3e-16')
-    """
-    rounded = Context(prec=digits, rounding=ROUND_CEILING).create_decimal_from_float(value)
-    return f"{float(rounded):.{digits}g}"
-
-
-def sha256_of_text(text: str) -> str:
-    """Return the SHA-256 of the text's UTF-8 bytes as 64 hexadecimal digits."""
-    return hashlib.sha256(text.encode()).hexdigest()
 
 
 @dataclass(frozen=True)
@@ -112,3 +100,49 @@ class Proof:
             for claim in data["claims"]
         )
         return Proof(str(data["law"]), dict(data["sources"]), claims)
+
+
+NOT_CLAIMED = """\
+Anything about the compiler; about a motor loop that is not the one designed for; about Coulomb friction,
+modes above the first, saturation, a payload that changes in a move (simulated only); about the physical
+robot.
+"""
+
+
+def claims_text(law: Law, proof: Proof | None) -> str:
+    """Return the sections "Claimed" and "Not claimed" of README.md."""
+    built = "For this `law.c`, compiled as ISO C99 without fast-math and with contraction off:"
+    if proof is None:
+        voltage = f" and `voltage` within ±{law.drive.voltage_limit:g} V" if law.drive is not None else ""
+        claimed = (
+            f"{built} whatever the inputs (NaN and\n"
+            "infinities among them) and whatever the state memory holds, no undefined behaviour, both\n"
+            f"commands finite, `motor_reference` within ±{law.limits.motor_limit:.6g} rad{voltage}.\n"
+            "This was proved for the designs of fraclink's own tests, not for this one: `fraclink export c\n"
+            "... --prove` proves it for this one, and more.\n"
+        )
+        stability = "Stability of the loop is the design's matter.\n"
+        return f"## Claimed\n{claimed}\n## Not claimed\n{NOT_CLAIMED}{stability}"
+    proved = [claim for claim in proof.claims if claim.status == "proved"]
+    rest = [claim for claim in proof.claims if claim.status != "proved"]
+    text = f"## Proved\n{built}\n\n" + "\n".join(map(_proved, proved)) if proved else ""
+    if rest:
+        text += "\n\n## Not proved\n" + "\n".join(_open(claim) for claim in rest)
+    listed = "`proof.json` lists the tools and the hashes of all files named here."
+    return f"{text.strip()}\n\n{listed}\n\n## Not claimed\n{NOT_CLAIMED}"
+
+
+def _proved(claim: Claim) -> str:
+    shown = ", ".join(f"`{file}` {digest[:12]}" for file, digest in claim.logs)
+    return _item(f"{claim.statement}. ({', '.join(claim.tools)}: {shown})")
+
+
+def _open(claim: Claim) -> str:
+    word = "does not hold" if claim.status == "failed" else "not proved"
+    return _item(f"{claim.statement}: {word}. {claim.reason}.")
+
+
+def _item(text: str) -> str:
+    return textwrap.fill(
+        text, 105, initial_indent="- ", subsequent_indent="  ", break_long_words=False, break_on_hyphens=False
+    )
