@@ -23,7 +23,7 @@ import numpy as np
 import fraclink as fl
 from fraclink._arm.rig import Rig
 from fraclink._certify import Certificate, certify, enclose_phase_margin
-from fraclink._design import Plan
+from fraclink._design import Design
 from fraclink._design.feasibility import feasibility_map
 from fraclink._design.inner import inner_costs
 from fraclink._design.poles import PRINTED, closed_loop_poles, match_at
@@ -62,7 +62,7 @@ def timed(name: str, work: Callable[[], object], repeats: int, limit: float) -> 
 
 
 def paper() -> None:
-    plan = fl.design(
+    design = fl.design(
         RIG.model,
         RIG,
         natural_frequencies=(9.42, 14.14),
@@ -71,11 +71,11 @@ def paper() -> None:
         margins="ideal",
     )
     for name, value, wanted in (
-        ("χ (54)", plan.chi, 1.324873),
-        ("β (55)", plan.controller.order, 0.655361),
-        ("k_d", plan.controller.gain, 0.215299),
-        ("ω̄_c [rad/s]", plan.gain_crossover_upper, 27.346181),
-        ("δ by the 10 % rule, n = 1 [s]", plan.controller.filter_time, 0.004529),
+        ("χ (54)", design.chi, 1.324873),
+        ("β (55)", design.controller.order, 0.655361),
+        ("k_d", design.controller.gain, 0.215299),
+        ("ω̄_c [rad/s]", design.gain_crossover_upper, 27.346181),
+        ("δ by the 10 % rule, n = 1 [s]", design.controller.filter_time, 0.004529),
     ):
         near(name, value, wanted, 5e-7)
     two = fl.design(
@@ -88,7 +88,7 @@ def paper() -> None:
         filter_order=2,
     )
     near("δ by the 10 % rule, n = 2 [s]", two.controller.filter_time, 0.002246, 5e-7)
-    nominal = plan.at_frequency(11.54)
+    nominal = design.at_frequency(11.54)
     near("nominal ω_c [rad/s]", nominal.gain_crossover, 20.865280, 5e-7)
     near("nominal φ [deg]", math.degrees(nominal.phase_margin), 70.741858, 5e-7)
     link = replace(RIG.model, order=2.0)
@@ -102,32 +102,32 @@ def paper() -> None:
     near("(58) printed: |Im|", abs(pole.imag), 12.89, 5e-3)
 
 
-def default() -> Plan:
-    plan = fl.design(RIG.model, RIG, **WANTED, filter_time=0.0)
-    near("default k_d", plan.controller.gain, 0.069876, 5e-7)
-    near("default β", plan.controller.order, 0.612197, 5e-7)
-    near("default ω̄_c [rad/s]", plan.gain_crossover_upper, 17.7718, 5e-5)
+def default() -> Design:
+    design = fl.design(RIG.model, RIG, **WANTED, filter_time=0.0)
+    near("default k_d", design.controller.gain, 0.069876, 5e-7)
+    near("default β", design.controller.order, 0.612197, 5e-7)
+    near("default ω̄_c [rad/s]", design.gain_crossover_upper, 17.7718, 5e-5)
     given = ((0.040, 63.9), (0.030, 57.9), (0.020, 48.8), (0.016, 43.3), (0.008, 23.9))
     for payload, wanted in given:
-        found = plan.sampled_at(payload, realisation="grunwald")
+        found = design.sampled_at(payload, realisation="grunwald")
         name = f"sampled margin, Grünwald law, {payload * 1e3:g} g [deg]"
         near(name, math.degrees(found.phase_margin), wanted, 0.5)
     for payload, wanted in given:
-        found = plan.sampled_at(payload)
+        found = design.sampled_at(payload)
         name = f"sampled margin, shipped law, {payload * 1e3:g} g [deg]"
         value = math.degrees(found.phase_margin)
         figure(name, f"{value:.4f}", f">= {wanted} - 0.5", value >= wanted - 0.5)
-    return plan
+    return design
 
 
-def independent_margin(plan: Plan, payload: float) -> float:
+def independent_margin(design: Design, payload: float) -> float:
     """Phase margin of the sampled loop with Ĉ(jω), in mpmath: 400 aliases, no closed tail."""
     from mpmath import mp
 
     mp.dps = 30
-    period, pole, order = mp.mpf(RIG.period), mp.mpf(80), mp.mpf(plan.model.order)
-    spring = mp.mpf(plan.natural_frequency(payload)) ** 2
-    c = plan.controller
+    period, pole, order = mp.mpf(RIG.period), mp.mpf(80), mp.mpf(design.model.order)
+    spring = mp.mpf(design.natural_frequency(payload)) ** 2
+    c = design.controller
 
     def loop(w: object) -> object:
         total = mp.mpc(0)
@@ -138,19 +138,19 @@ def independent_margin(plan: Plan, payload: float) -> float:
         outer = c.gain * mp.mpc(0, w) ** c.order / (1 + c.filter_time * mp.mpc(0, w)) ** c.filter_order
         return outer * (1 - x) / period * x * total
 
-    guess = plan.at(payload).gain_crossover
+    guess = design.at(payload).gain_crossover
     w = mp.findroot(lambda v: mp.log(abs(loop(v))), (guess, guess * 1.001))
     return float(mp.degrees(mp.arg(-loop(w))))
 
 
-def margins(plan: Plan) -> None:
+def margins(design: Design) -> None:
     for payload in (0.020, 0.040):
-        exact = independent_margin(plan, payload)
-        found = math.degrees(plan.sampled_at(payload, realisation="exact").phase_margin)
+        exact = independent_margin(design, payload)
+        found = math.degrees(design.sampled_at(payload, realisation="exact").phase_margin)
         near(f"sampled margin against mpmath, {payload * 1e3:g} g [deg]", found, exact, 0.01)
         near(
             f"margin the design claims, {payload * 1e3:g} g [deg]",
-            math.degrees(plan.at(payload).phase_margin),
+            math.degrees(design.at(payload).phase_margin),
             exact,
             0.01,
         )
@@ -163,7 +163,7 @@ def speed() -> None:
     # Another crossover each time: a repeated request would be answered from a cache.
     asked = count()
 
-    def call(**options: str) -> Plan:
+    def call(**options: str) -> Design:
         crossover = 12.0 + 1e-3 * next(asked)
         wanted = {"gain_crossover": crossover, "phase_margin": fl.deg(50), "payloads": (0.020, 0.040)}
         return fl.design(RIG.model, RIG, **wanted, **options)
@@ -194,20 +194,20 @@ def load_checker() -> ModuleType:
 def certificates() -> None:
     checker = load_checker()
     for inner, placement in (("ideal", "tustin"), ("sampled", "tustin"), ("sampled", "direct")):
-        plan = fl.design(RIG.model, RIG, **WANTED, filter_time=0.0, inner=inner, placement=placement)
-        law = plan.law()
+        design = fl.design(RIG.model, RIG, **WANTED, filter_time=0.0, inner=inner, placement=placement)
+        law = design.law()
         name = f"{inner} motor loop" + (f", {placement}" if inner == "sampled" else "")
         found: list[Certificate] = []
 
         def make() -> None:
-            found.append(certify(plan, law=law, modulus_margin=0.35))  # noqa: B023  # called at once
+            found.append(certify(design, law=law, modulus_margin=0.35))  # noqa: B023  # called at once
 
         timed(f"certificate |1+L| > 0.35, {name}: make", make, 3, 5.0)
         with tempfile.TemporaryDirectory() as folder:
             place = Path(folder) / "certificate.json"
             found[0].save(place)
             timed(f"certificate, {name}: check", partial(checker.check, str(place)), 3, 5.0)
-        figure(f"certificate, {name}: leaves", str(found[0].leaves), "proved", found[0].holds)
+        figure(f"certificate, {name}: leaves", str(found[0].leaves), "proved", found[0].passed)
         exact = replace(found[0].statement, delay_low=0.004)
         enclosed = enclose_phase_margin(exact, law)
         limit = 0.05 if inner == "ideal" else 1.0
@@ -219,10 +219,10 @@ def certificates() -> None:
     figure("(58) as printed", refused.verdict[:60], "refused as unstable", "unstable" in refused.verdict)
 
 
-def comparison(plan: Plan) -> None:
+def comparison(design: Design) -> None:
     print("\nat equal worst Ms = 1.55, 20–40 g, no filter (printed controllers as they are):")
     print(f"{'controller':<22}{'β':>8}{'k_d':>10}{'stable':>8}{'ω_c':>8}{'φ_m':>8}{'noise':>9}")
-    for rival in compare_at_equal_sensitivity(plan, max_sensitivity=1.55):
+    for rival in compare_at_equal_sensitivity(design, max_sensitivity=1.55):
         c = rival.controller
         print(
             f"{rival.name:<22}{c.order:>8.4f}{c.gain:>10.5f}{rival.stable!s:>8}{rival.gain_crossover:>8.2f}"
@@ -239,11 +239,11 @@ def comparison(plan: Plan) -> None:
 
 def main() -> None:
     paper()
-    plan = default()
-    margins(plan)
+    design = default()
+    margins(design)
     speed()
     certificates()
-    comparison(plan)
+    comparison(design)
 
 
 if __name__ == "__main__":

@@ -27,11 +27,11 @@ def line(what: str, value: str, wanted: str, error: str = "") -> None:
     print(f"{what} | {value} | {wanted} | {error}", flush=True)
 
 
-def arm() -> tuple[Bench, fl.Plan]:
+def arm() -> tuple[Bench, fl.Design]:
     """Return the default design on the paper's arm with a gear of 50 and a carbon rod."""
     rig = geared(fl.Rig.named("paper-2023"))
-    plan = fl.design(rig.model, rig, payloads=(0.020, 0.040), gain_crossover=12.0, phase_margin=fl.deg(50))
-    return Bench.of(plan, link_mass=0.00735), plan
+    design = fl.design(rig.model, rig, payloads=(0.020, 0.040), gain_crossover=12.0, phase_margin=fl.deg(50))
+    return Bench.of(design, link_mass=0.00735), design
 
 
 def verdicts(bench: Bench, seeds: int) -> FaultTable:
@@ -42,10 +42,10 @@ def verdicts(bench: Bench, seeds: int) -> FaultTable:
     rows = table.rows()
     runs = len(table.outcomes)
     line("faults with a verdict", f"{len(rows)} of {len(CATALOGUE)}", "44", f"{runs} runs, {seeds} seed(s)")
-    met = sum(row.holds for row in rows)
+    met = sum(row.passed for row in rows)
     line("faults met in every run", f"{met}", "44 or listed as open", f"{len(table.failures)} open runs")
     for row in rows:
-        if not row.holds:
+        if not row.passed:
             line(f"open: {row.number} {row.title}", f"{row.failed} of {row.runs} runs", "0", row.worst)
     line("time of a run in both precisions", f"{1e3 * seconds / runs:.1f} ms", "-", "clean runs included")
     return table
@@ -67,10 +67,10 @@ def quiet(bench: Bench, periods: int) -> None:
             )
 
 
-def narrower(bench: Bench, plan: fl.Plan) -> None:
+def narrower(bench: Bench, design: fl.Design) -> None:
     """Print what guards for the campaign's own move, instead of the default largest one, would change."""
     moves = Moves(velocity=2.0, acceleration=10.0)  # the move has 1.6 rad/s and 4 rad/s²
-    narrow = bench.with_law(equip(bench.law, bench.rig, plan.model, moves=moves))
+    narrow = bench.with_law(equip(bench.law, bench.rig, design.model, moves=moves))
     for only in ("F07", "F08", "F40"):
         for name, tried in (("6 rad/s", bench), ("2 rad/s", narrow)):
             table = run_faults(tried, cases(tried, only=[only]), single=False)
@@ -87,7 +87,7 @@ def narrower(bench: Bench, plan: fl.Plan) -> None:
     line("clean periods with guards for 2 rad/s", f"{clean.trips} trips in {clean.periods}", "0", "")
 
 
-def floors(bench: Bench, plan: fl.Plan) -> None:
+def floors(bench: Bench, design: fl.Design) -> None:
     """Print why some bounds are out of reach on this arm: what is left when the law cannot be blamed."""
     for phase in ("mid", "rest"):
         peaks = []
@@ -105,7 +105,7 @@ def floors(bench: Bench, plan: fl.Plan) -> None:
         "F24, two and three periods more, correction left out", f"{trips} of {len(table.outcomes)} trip", "0"
     )
     rig = replace(bench.rig, gauge=replace(bench.rig.gauge, noise=0.0))
-    quiet_bench = Bench.of(replace(plan, rig=rig), link_mass=0.00735)
+    quiet_bench = Bench.of(replace(design, rig=rig), link_mass=0.00735)
     table = run_faults(quiet_bench, cases(quiet_bench, only=["F28"], seeds=(1,)), single=False)
     line("F28 without the gauge's noise", f"{len(table.failures)} of {len(table.outcomes)} open", "0")
 
@@ -116,11 +116,11 @@ def main() -> None:
     parser.add_argument("--periods", type=int, default=1_000_000)
     parser.add_argument("--seeds", type=int, default=3)
     options = parser.parse_args()
-    bench, plan = arm()
+    bench, design = arm()
     verdicts(bench, options.seeds)
     quiet(bench, options.periods)
-    narrower(bench, plan)
-    floors(bench, plan)
+    narrower(bench, design)
+    floors(bench, design)
 
 
 if __name__ == "__main__":

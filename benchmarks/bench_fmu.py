@@ -54,11 +54,11 @@ def main() -> None:
     parser.add_argument("--periods", type=int, default=50_000)
     periods = parser.parse_args().periods
     rig = geared(fl.Rig.named("paper-2023"))
-    plan = fl.design(rig.model, rig, payloads=(0.020, 0.040), gain_crossover=12.0, phase_margin=fl.deg(50))
+    design = fl.design(rig.model, rig, payloads=(0.020, 0.040), gain_crossover=12.0, phase_margin=fl.deg(50))
     twin = Twin.from_rig(rig, link_mass=0.00735)
     folder = Path(tempfile.mkdtemp())
     for precision in ("double", "single"):
-        law = discretize_controller(plan.controller, rig.period, rig=rig).in_precision(precision)
+        law = discretize_controller(design.controller, rig.period, rig=rig).in_precision(precision)
         run, inputs = recorded(law, twin, periods)
         began = time.process_time()
         law.run(law.initial_state(), *(inputs[name] for name in INPUTS), first_tick=0)

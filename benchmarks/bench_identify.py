@@ -64,10 +64,10 @@ def kernel_and_fits() -> None:
     }
     spent = interleaved(calls, 200)
     for name, title, wanted in (
-        ("2", "residual + Jacobian (λ, ϖ) + Gram matrix, N = 5000", 1.5),
+        ("2", "residual + Jacobian (λ, ω₀) + Gram matrix, N = 5000", 1.5),
         ("3", "the same with the delay's derivative", 1.5),
         ("fit", "UD-FOM fit from Python, no guess", 40.0),
-        ("guess", "UD-FOM fit from Python, guess λ 1.3, ϖ 25", 40.0),
+        ("guess", "UD-FOM fit from Python, guess λ 1.3, ω₀ 25", 40.0),
     ):
         value, spread = ratio(spent, name)
         line(title, f"{value:.2f} ± {spread:.2f} R", f"<= {wanted:g} R", value <= wanted)
@@ -95,7 +95,7 @@ def random_starts(count: int) -> None:
         missed += not fit.mse <= best.mse * (1 + 1e-7)
     spent = (time.perf_counter() - begin) / count
     line(
-        f"UD-FOM from {count} random starts (λ in [1, 2], ϖ × or ÷ 3)",
+        f"UD-FOM from {count} random starts (λ in [1, 2], ω₀ × or ÷ 3)",
         f"{100 * (1 - missed / count):.2f} % at the optimum, {1e3 * spent:.2f} ms",
         "100 %",
         missed == 0,
@@ -130,7 +130,7 @@ def coverage(count: int) -> None:
         orders.append(fit.model.order)
     for name, title in (
         ("order", "λ"),
-        ("natural_frequency", "ϖ"),
+        ("natural_frequency", "ω₀"),
         ("delay", "delay"),
         ("normal order", "λ ± 1.96 s.e."),
     ):

@@ -94,10 +94,10 @@ def true_margin() -> float:
 def default_loop() -> fl.FractionalTransferFunction:
     """1/(1 + ĈG) of the design for 20 g … 40 g, 12 rad/s and 50°, at 30 g."""
     rig = fl.Rig.named("paper-2023")
-    plan = fl.design(
+    design = fl.design(
         rig.model, rig, payloads=(0.020, 0.040), gain_crossover=12.0, phase_margin=fl.deg(50), margins="ideal"
     )
-    return 1 / (1 + plan.controller.correction() * rig.model.tip())
+    return 1 / (1 + design.controller.correction() * rig.model.tip())
 
 
 def step_rows() -> list[Row]:

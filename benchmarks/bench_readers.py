@@ -72,7 +72,7 @@ def costs(folder: Path) -> None:
 
 
 def faults() -> None:
-    """What jitter, lost samples and a late gauge do to ϖ, in percent."""
+    """What jitter, lost samples and a late gauge do to ω₀, in percent."""
     count, rng = 5000, np.random.default_rng(6)
     fine = 4  # the truth is sampled four times as often as the log, so that stamps may lie anywhere
     model = LinkModel(stiffness=1.56, natural_frequency=10.31, order=1.92)
@@ -103,14 +103,16 @@ def faults() -> None:
     def shift(value: float) -> float:
         return 100 * (value / clean - 1)
 
-    line("jitter of 0.5 ms rms taken as uniform: shift of ϖ", shift(frequency(*sampled(jittered))), "%", 0.05)
     line(
-        "1 % of samples lost, taken as uniform (refused): shift of ϖ",
+        "jitter of 0.5 ms rms taken as uniform: shift of ω₀", shift(frequency(*sampled(jittered))), "%", 0.05
+    )
+    line(
+        "1 % of samples lost, taken as uniform (refused): shift of ω₀",
         shift(frequency(angle, torque)),
         "%",
         None,
     )
-    line("the same, resampled on its stamps: shift of ϖ", shift(frequency(*bridged)), "%", 0.05)
+    line("the same, resampled on its stamps: shift of ω₀", shift(frequency(*bridged)), "%", 0.05)
 
 
 def smooth(angle: np.ndarray, period: float) -> np.ndarray:

@@ -176,7 +176,7 @@ def against_oustaloup() -> None:
     exact = time_response(LINK, u, PERIOD).output
 
     def system() -> control.StateSpace:
-        """ϖ²/s^1.92 as ϖ²/s · (s^-0.92 by Oustaloup, 1e-3 … 1e5 rad/s, N = 7) in modal form, closed, sampled.
+        """ω₀²/s^1.92 as ω₀²/s · (s^-0.92 by Oustaloup, 1e-3 … 1e5 rad/s) in modal form, closed, sampled.
 
         In modal form, because as a transfer function of order 16 its coefficients span 40 decades.
         """

@@ -51,7 +51,7 @@ def link_loop(order: float, gain: float = GAIN, beta: float = BETA) -> Fractiona
 def exact_crossings(order: float, gain: float, beta: float) -> list[float]:
     """Every root of |L| = 1 in 30 digits, between the stationary points of |L|.
 
-    With u = ω^λ and b = β/λ: (b − 1) u² + (2b − 1) cos(πλ/2) ϖ² u + b ϖ⁴ = 0.
+    With u = ω^λ and b = β/λ: (b − 1) u² + (2b − 1) cos(πλ/2) ω₀² u + b ω₀⁴ = 0.
     """
     with mpmath.workdps(30):
         k, beta, order, w2 = (mpmath.mpf(v) for v in (gain, beta, order, W**2))
@@ -86,7 +86,7 @@ def crossings() -> None:
         for found in _both_ways(link_loop(order)):
             errors = [abs(w / e - 1) for w, e in zip(found, exact, strict=True)]
             worst = max(worst, *errors)
-    figure = "crossings of k s^β ϖ²/(s^λ+ϖ²), λ 1.2 … 1.99999, relative error"
+    figure = "crossings of k s^β ω₀²/(s^λ+ω₀²), λ 1.2 … 1.99999, relative error"
     line(figure, f"{worst:.1e}", "1e-9", worst <= 1e-9)
 
     rng, wrong, cases = np.random.default_rng(7), 0, 300
@@ -99,7 +99,7 @@ def crossings() -> None:
     loops = {f"{order}": partial(margins, link_loop(order)) for order in (1.92, 1.999, 2.0)}
     for name, (median, spread) in timed(loops, 300).items():
         shown = f"{median * 1e3:.3f} ± {spread * 1e3:.3f} ms"
-        line(f"all margins of k s^β ϖ²/(s^λ+ϖ²), λ = {name}", shown, "0.3 ms", median <= 0.3e-3)
+        line(f"all margins of k s^β ω₀²/(s^λ+ω₀²), λ = {name}", shown, "0.3 ms", median <= 0.3e-3)
 
 
 def _both_ways(loop: FractionalTransferFunction) -> list[list[float]]:

@@ -108,7 +108,7 @@ def spillover(filter_time: float | None) -> None:
     1 + 1e-9.
     """
     rig = geared(Rig.named("paper-2023"))
-    plan = design(
+    result = design(
         rig.model,
         rig,
         payloads=(0.020, 0.040),
@@ -116,8 +116,8 @@ def spillover(filter_time: float | None) -> None:
         phase_margin=np.radians(50.0),
         filter_time=filter_time,
     )
-    filtered = f"{1e3 * plan.controller.filter_time:.2g} ms"
-    correction = law_filter(plan.controller.discretize(rig.period))
+    filtered = f"{1e3 * result.controller.filter_time:.2g} ms"
+    correction = law_filter(result.controller.discretize(rig.period))
     for mass in (LINK_MASS, 0.0141):
         beam = Beam(LENGTH, RIGIDITY, mass, 0.030)
         omega = float(beam.modes(1).frequencies[0])

@@ -72,5 +72,5 @@ def imported_modules(source: Source, *, at_once: bool = False) -> Iterator[str]:
             base = node.module.removeprefix("fraclink").removeprefix(".")
             for alias in node.names:
                 longer = f"{base}.{alias.name}".removeprefix(".")
-                # `from fraclink._design import plan` may name a module or a value of the package.
+                # `from fraclink._design import design` may name a module or a value of the package.
                 yield longer if longer in names else base

@@ -42,14 +42,14 @@ def log() -> Experiment:
 
 
 @functools.cache
-def plan() -> fl.Plan:
+def design() -> fl.Design:
     request = {"payloads": (0.020, 0.040), "gain_crossover": 12.0, "phase_margin": fl.deg(50)}
     return fl.design(LINK, RIG, **request, filter_time=0.0)
 
 
 @functools.cache
 def law() -> fl.Law:
-    return plan().controller.discretize(RIG.period)
+    return design().controller.discretize(RIG.period)
 
 
 @functools.cache

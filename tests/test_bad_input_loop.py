@@ -24,7 +24,7 @@ from fraclink._simulate.twin import geared
 from fraclink._systems.rational import fit_discrete
 from fraclink._workflow import Move, Request, design_for
 from fraclink.errors import FieldError
-from junk import JUNK, LINK, RIG, Call, fields_of, law, plan, take_or_refuse
+from junk import JUNK, LINK, RIG, Call, design, fields_of, law, take_or_refuse
 
 WANTED = {
     "payloads": (0.020, 0.040),
@@ -44,7 +44,7 @@ WANTED = {
 
 @functools.cache
 def statement() -> Statement:
-    return fl.certify(plan(), payloads=(0.030, 0.030), delay=(0.0, 0.0), modulus_margin=0.999).statement
+    return fl.certify(design(), payloads=(0.030, 0.030), delay=(0.0, 0.0), modulus_margin=0.999).statement
 
 
 @functools.cache
@@ -54,7 +54,7 @@ def drawn() -> Campaign:
 
 @functools.cache
 def bench() -> faults.Bench:
-    return faults.Bench.of(plan(), geared(RIG))
+    return faults.Bench.of(design(), geared(RIG))
 
 
 def at_rest() -> Callback:
@@ -64,13 +64,13 @@ def at_rest() -> Callback:
 # What is called, and arguments with which it works; what takes a file is called in a scratch folder.
 CALLS: dict[str, Call] = {
     "design": (fl.design, lambda: {"model": LINK, "rig": RIG, "natural_frequencies": None, **WANTED}),
-    "Plan.at": (plan().at, lambda: {"payload": 0.030}),
-    "Plan.at_frequency": (plan().at_frequency, lambda: {"natural_frequency": 11.0}),
-    "Plan.payload": (plan().payload, lambda: {"natural_frequency": 11.0}),
-    "Plan.sampled_at": (plan().sampled_at, lambda: {"payload": 0.030, "realisation": "exact"}),
-    "Plan.sampled_plant": (plan().sampled_plant, lambda: {"natural_frequency": 11.0}),
-    "Plan.law": (plan().law, lambda: {"order": 1, "precision": "double"}),
-    "optimise": (functools.partial(optimise, lead=False), lambda: {"plan": plan(), "goal": "noise"}),
+    "Design.at": (design().at, lambda: {"payload": 0.030}),
+    "Design.at_frequency": (design().at_frequency, lambda: {"natural_frequency": 11.0}),
+    "Design.payload": (design().payload, lambda: {"natural_frequency": 11.0}),
+    "Design.sampled_at": (design().sampled_at, lambda: {"payload": 0.030, "realisation": "exact"}),
+    "Design.sampled_plant": (design().sampled_plant, lambda: {"natural_frequency": 11.0}),
+    "Design.law": (design().law, lambda: {"order": 1, "precision": "double"}),
+    "optimise": (functools.partial(optimise, lead=False), lambda: {"plan": design(), "goal": "noise"}),
     "feasibility_map": (
         feasibility_map,
         lambda: {
@@ -87,19 +87,19 @@ CALLS: dict[str, Call] = {
             "placement": "tustin",
         },
     ),
-    "phase_budget": (phase_budget, lambda: {"plan": plan(), "payload": 0.030}),
-    "margin_curve": (margin_curve, lambda: {"plan": plan(), "payloads": [0.030], "kind": "loop"}),
-    "Controller": (fl.Controller, lambda: fields_of(plan().controller)),
+    "phase_budget": (phase_budget, lambda: {"plan": design(), "payload": 0.030}),
+    "margin_curve": (margin_curve, lambda: {"plan": design(), "payloads": [0.030], "kind": "loop"}),
+    "Controller": (fl.Controller, lambda: fields_of(design().controller)),
     "InnerLoopSettings": (InnerLoopSettings, lambda: fields_of(InnerLoopSettings())),
     "Lead": (Lead, lambda: {"zero_time": 0.18, "pole_time": 0.04, "order": 0.5}),
     "Moves": (Moves, lambda: fields_of(Moves())),
     "equip": (equip, lambda: {"law": law(), "rig": RIG, "link": LINK, "moves": None}),
     "discretize": (
-        plan().controller.discretize,
+        design().controller.discretize,
         lambda: {"period": RIG.period, "order": 1, "precision": "double"},
     ),
     "discretize_controller": (
-        functools.partial(discretize_controller, plan().controller),
+        functools.partial(discretize_controller, design().controller),
         lambda: {
             "period": RIG.period,
             "order": 1,
@@ -127,7 +127,7 @@ CALLS: dict[str, Call] = {
     "certify": (
         fl.certify,
         lambda: {
-            "subject": plan(),
+            "subject": design(),
             "model": None,
             "rig": None,
             "payloads": (0.030, 0.030),
@@ -196,7 +196,7 @@ CALLS: dict[str, Call] = {
             "workers": 1,
         },
     ),
-    "Bench.of": (faults.Bench.of, lambda: {"plan": plan(), "rig": geared(RIG)}),
+    "Bench.of": (faults.Bench.of, lambda: {"plan": design(), "rig": geared(RIG)}),
     "cases": (
         faults.cases,
         lambda: {
@@ -262,7 +262,7 @@ def test_junk_in_one_argument_of_a_run_in_real_time(field: str) -> None:
 @pytest.mark.parametrize("value", ["12", float("nan"), -1.0, np.ones(2)])
 def test_a_bound_of_the_optimisation_is_refused_before_the_search(field: str, value: object) -> None:
     with pytest.raises(FieldError, match=field):
-        optimise(plan(), **{field: value})  # type: ignore[arg-type]
+        optimise(design(), **{field: value})  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("out", ["", "\x00", None, b"law"])

@@ -36,7 +36,7 @@ def refused(call: Callable[[], object], field: str) -> FieldError:
     return error
 
 
-def planned(model: LinkModel = LINK, rig: fl.Rig = RIG, **changes: object) -> fl.Plan:
+def planned(model: LinkModel = LINK, rig: fl.Rig = RIG, **changes: object) -> fl.Design:
     request = {"payloads": (0.020, 0.040), "gain_crossover": 12.0, "phase_margin": fl.deg(50)}
     return fl.design(model, rig, **(request | changes))
 
@@ -65,12 +65,12 @@ def test_b31_an_order_outside_one_to_two(order: float) -> None:
 
 
 def test_b31_the_integer_orders_themselves() -> None:
-    # λ = 1: c (1 − e^{−ϖ² t} …), λ = 2: c cos ϖt: exact cases, nothing special-cased by the caller.
+    # λ = 1: c (1 − e^{−ω₀² t} …), λ = 2: c cos ω₀t: exact cases, nothing special-cased by the caller.
     time = np.array([0.1, 0.2, 0.7])
     for order, wanted in ((1.0, 1.56 * np.exp(-9 * time)), (2.0, 1.56 * np.cos(3 * time))):
         torque = LinkModel(1.56, 3.0, order=order).torque()
         assert fl.step_response(torque, time).output == pytest.approx(wanted, abs=1e-11)
-    assert planned(dataclasses.replace(LINK, order=2.0)).holds
+    assert planned(dataclasses.replace(LINK, order=2.0)).passed
 
 
 @pytest.mark.parametrize(("values", "field"), [({"order": 2.4}, "order"), ({"damping": -1.0}, "damping")])
@@ -113,7 +113,7 @@ def test_b36_left_of_the_peak_names_the_crossover_needed(margins: str) -> None:
     assert "(39)" in str(caught.value)
     needed = caught.value.nearest["gain_crossover"]
     assert needed > 9.0
-    assert planned(**dict(caught.value.nearest), margins=margins).holds
+    assert planned(**dict(caught.value.nearest), margins=margins).passed
 
 
 def test_b37_the_largest_phase_margin_is_told_and_reached() -> None:
@@ -121,7 +121,7 @@ def test_b37_the_largest_phase_margin_is_told_and_reached() -> None:
         planned(phase_margin=fl.deg(120))
     largest = re.search(r"at 12 rad/s the largest phase margin is ([\d.]+)°", str(caught.value))
     assert largest is not None
-    assert planned(phase_margin=fl.deg(float(largest[1]) - 0.1)).holds
+    assert planned(phase_margin=fl.deg(float(largest[1]) - 0.1)).passed
     with pytest.raises(InfeasibleError):
         planned(phase_margin=fl.deg(float(largest[1]) + 0.1))
 
@@ -132,18 +132,18 @@ def test_b38_a_crossover_beyond_nyquist_or_the_motor_loop(crossover: float, boun
 
 
 def test_b39_the_papers_filter_costs_more_than_a_tenth_of_the_margin() -> None:
-    plan = planned(filter_time=0.16, margins="ideal")
-    finding = next(finding for finding in plan.findings if finding.code == "W401")
+    design = planned(filter_time=0.16, margins="ideal")
+    finding = next(finding for finding in design.findings if finding.code == "W401")
     assert finding.evidence["cost_rad"] > fl.deg(50)  # 0.16 s costs more than all of the 50°
     assert "W401" not in {finding.code for finding in planned().findings}
 
 
 def test_b40_a_certificate_that_is_not_obtained_names_payload_frequency_and_margin() -> None:
     printed = fl.certify(PRINTED["(58)"], model=LINK, rig=RIG, payloads=(0.020, 0.040))
-    assert not printed.holds
+    assert not printed.passed
     assert printed.payload == pytest.approx(0.040)
     found = fl.certify(planned(), modulus_margin=0.95)
-    assert not found.holds
+    assert not found.passed
     assert found.payload is not None and 0.0199 < found.payload < 0.0401
     assert found.frequency is not None and found.frequency > 0
     assert found.distance is not None and found.distance < 0.95
@@ -168,7 +168,7 @@ def test_b42_states_of_a_law_out_of_range(order: int) -> None:
 def test_b43_a_move_beyond_the_motor_does_not_hold() -> None:
     law = planned(RIG.model).controller.discretize(0.004)
     run = fl.simulate(RIG, RIG.model, law, fl.smooth_step(1000.0, duration=0.01), payload=0.020)
-    assert not run.verdict.holds
+    assert not run.verdict.passed
     assert abs(run.metrics.steady_state_error) > 1.0
     # What is wrong is that the tip is not there; it does not swing, so nothing is called unstable.
     assert "unstable" not in run.verdict.reason

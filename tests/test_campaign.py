@@ -117,7 +117,7 @@ def test_a_run_of_a_part_is_the_run_that_replay_repeats():
         run = replay(campaign, 2000 + at)
         for name in METRICS:
             assert float(part[name][at]) == pytest.approx(getattr(run.metrics, name), rel=1e-9, abs=1e-12)
-        assert bool(part["holds"][at]) == bool(run.verdict), at
+        assert bool(part["passed"][at]) == bool(run.verdict), at
 
 
 def test_a_vibration_that_passes_through_the_band_has_not_settled():
@@ -126,9 +126,9 @@ def test_a_vibration_that_passes_through_the_band_has_not_settled():
     asked = {"payloads": (0.020, 0.040), "gain_crossover": 12.0, "phase_margin": fl.deg(50)}
     campaign = Campaign.of(rig, rig.model, fl.design(rig.model, rig, **asked).law(), runs=200, seed=1)
     part = simulate_part(campaign, 0)
-    told = [replay(campaign, run).verdict.holds for run in range(200)]
-    assert part["holds"].tolist() == told
-    passing = np.isfinite(part["settling_time"]) & ~part["holds"] & (part["mode"] == 1)
+    told = [replay(campaign, run).verdict.passed for run in range(200)]
+    assert part["passed"].tolist() == told
+    passing = np.isfinite(part["settling_time"]) & ~part["passed"] & (part["mode"] == 1)
     assert passing.sum() > 5  # the rule had something to decide
 
 
@@ -180,7 +180,7 @@ def test_many_runs_are_measured_as_one_is():
         one = measure(*arrays, ended=0.5, vibration_period=float(vibration[r]))
         for name in METRICS:
             assert many[name][r] == pytest.approx(getattr(one, name), rel=1e-9, abs=1e-12), (name, r)
-    assert (many["mode"][5], many["reason"][5], bool(many["holds"][5])) == (3, 8, False)
+    assert (many["mode"][5], many["reason"][5], bool(many["passed"][5])) == (3, 8, False)
     assert (many["mode"][4], many["reason"][4]) == (1, 0)
     assert 0 < np.isfinite(many["settling_time"]).sum() < 24  # both kinds were met
 
@@ -189,7 +189,7 @@ def test_the_law_that_does_not_hold_is_counted():
     rig = fl.Rig.named("paper-2023")
     wild = fl.Controller(gain=3.0, order=0.9, link=rig.model).discretize(rig.period, order=4)
     part = simulate_part(Campaign.of(rig, rig.model, wild, runs=64), 0)
-    assert not part["holds"].any() and (part["mode"] != 1).any()
+    assert not part["passed"].any() and (part["mode"] != 1).any()
 
 
 def test_an_ideal_motor_loop_is_run_too():

@@ -61,8 +61,8 @@ def test_a_summary_is_that_of_all_runs(folder):
     parts = [read_part(small(), folder, part) for part in range(3)]
     column = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     found = summarise(small(), folder)
-    assert found.failure.runs == 2500 and found.failure.count == int((~column["holds"]).sum())
-    assert list(found.failed) == column["run"][~column["holds"]][:100].tolist()
+    assert found.failure.runs == 2500 and found.failure.count == int((~column["passed"]).sum())
+    assert list(found.failed) == column["run"][~column["passed"]][:100].tolist()
     by_name = {metric.name: metric for metric in found.metrics}
     assert set(by_name) == set(METRICS)
     metric = by_name["peak_tip_error"]

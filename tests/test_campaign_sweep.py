@@ -36,17 +36,17 @@ def found(rig):
 
 
 def test_a_cell_is_the_design_run_on_the_twin(rig, found):
-    plan = fl.design(rig.model, rig, gain_crossover=12.0, phase_margin=fl.deg(60))
+    design = fl.design(rig.model, rig, gain_crossover=12.0, phase_margin=fl.deg(60))
     twin = Twin.from_rig(rig, payload=0.03, link_mass=MASS)
-    run = run_twin(twin, plan.controller.discretize(rig.period), fl.smooth_step(1.0, 0.6))
+    run = run_twin(twin, design.controller.discretize(rig.period), fl.smooth_step(1.0, 0.6))
     cell = found.at(12.0, fl.deg(60), 0.03)
     assert (cell.gain_crossover, cell.phase_margin, cell.payload) == (12.0, fl.deg(60), 0.03)
-    assert cell.settling_time == run.metrics.settling_time and cell.holds == run.verdict.holds
+    assert cell.settling_time == run.metrics.settling_time and cell.passed == run.verdict.passed
 
 
 def test_infeasible_cells_name_their_condition(found):
     cell = found.at(8.0, fl.deg(60), 0.02)
-    assert "heaviest payload" in cell.infeasible and not cell.holds and math.isnan(cell.settling_time)
+    assert "heaviest payload" in cell.infeasible and not cell.passed and math.isnan(cell.settling_time)
     assert not found.at(12.0, fl.deg(60), 0.02).infeasible
 
 
@@ -106,12 +106,12 @@ def test_the_command_writes_map_and_page(tmp_path, capsys):
     line += ["--gain-crossover", "12", "--phase-margin-deg", "50"]
     assert main(line) == 0
     assert "12 rad/s, 50°" in capsys.readouterr().out
-    assert load_sweep(out).holds and out.with_suffix(".html").exists()
+    assert load_sweep(out).passed and out.with_suffix(".html").exists()
     assert main(line) == 2  # never over a file that is there
     capsys.readouterr()
     assert main([*line, "--force", "--json", "--gain-crossover", "18"]) == 1
     told = json.loads(capsys.readouterr().out)
-    assert [cell["holds"] for cell in told["cells"]] == [True, False]
+    assert [cell["passed"] for cell in told["cells"]] == [True, False]
 
 
 def is_one_closed_page(text: str) -> None:

@@ -25,7 +25,7 @@ from fraclink._certify.balls import Loop, outside
 from fraclink._certify.numeric import loop_values
 from fraclink._certify.search import Failure, clear, prove
 from fraclink._certify.statement import Statement
-from fraclink._design import Plan
+from fraclink._design import Design
 from fraclink._design.poles import PRINTED
 from fraclink._law import Law
 from fraclink.errors import FieldError, FileFormatError, NotCertifiedError
@@ -34,7 +34,7 @@ RIG = Rig.named("paper-2023")
 CHECKER = Path(__file__).resolve().parents[1] / "tools" / "check_certificate.py"
 
 
-def plan_for(inner: str, placement: str = "tustin") -> Plan:
+def plan_for(inner: str, placement: str = "tustin") -> Design:
     wanted = {"gain_crossover": 12.0, "phase_margin": fl.deg(50), "filter_time": 0.0}
     return fl.design(RIG.model, RIG, payloads=(0.020, 0.040), inner=inner, placement=placement, **wanted)
 
@@ -68,7 +68,7 @@ def document(certificate: Certificate, tmp_path_factory: pytest.TempPathFactory)
 def test_default_design_is_certified_and_checked_by_other_arithmetic(
     certificate: Certificate, tmp_path: Path
 ):
-    assert certificate.holds
+    assert certificate.passed
     assert "20 to 40 g" in certificate.verdict and "0 to 4 ms" in certificate.verdict
     certificate.save(tmp_path / "c.json")
     assert Certificate.load(tmp_path / "c.json") == certificate
@@ -84,14 +84,14 @@ def test_default_design_is_certified_and_checked_by_other_arithmetic(
 @pytest.mark.parametrize("placement", ["tustin", "direct"])
 def test_sampled_motor_loop_is_certified_and_checked(placement: str, checker: ModuleType, tmp_path: Path):
     found = certify(plan_for("sampled", placement), modulus_margin=0.35)
-    assert found.holds, found.verdict
+    assert found.passed, found.verdict
     found.save(tmp_path / "c.json")
     assert "0.35" in checker.check(str(tmp_path / "c.json"))
 
 
 def test_single_precision_law_and_default_claim(law: Law):
     found = certify(plan_for("ideal"), law=law.in_precision("single"))
-    assert found.holds
+    assert found.passed
     assert 0.5 < found.statement.modulus < 0.66
 
 
@@ -103,9 +103,9 @@ def test_checker_is_one_short_file_of_mpmath_only():
 
 @pytest.mark.parametrize("inner", ["ideal", "sampled"])
 def test_balls_hold_the_loop_at_random_points_of_random_boxes(inner: str):
-    plan = plan_for(inner)
-    proper = plan.law()
-    claim = certify(plan, law=proper, modulus_margin=0.999).statement
+    design = plan_for(inner)
+    proper = design.law()
+    claim = certify(design, law=proper, modulus_margin=0.999).statement
     loop, rng = Loop(claim, proper.coefficients), np.random.default_rng(5)
     for _ in range(60):
         w0, m0 = float(np.exp(rng.uniform(-1, 6.5))), float(rng.uniform(0.02, 0.039))
@@ -124,11 +124,11 @@ def test_balls_hold_the_loop_at_random_points_of_random_boxes(inner: str):
 
 def test_loop_of_the_certificate_is_the_sampled_loop_of_the_plan():
     for inner, delay in (("ideal", 0.004), ("sampled", 0.004)):
-        plan = plan_for(inner)
-        proper = plan.law()
-        claim = certify(plan, law=proper, modulus_margin=0.999).statement
+        design = plan_for(inner)
+        proper = design.law()
+        claim = certify(design, law=proper, modulus_margin=0.999).statement
         w = np.geomspace(1.0, 300.0, 40)
-        plant = plan.sampled_plant(plan.natural_frequency(0.023))
+        plant = design.sampled_plant(design.natural_frequency(0.023))
         true = proper.frequency_response(w) * plant(w)
         main = loop_values(claim, proper, w, 0.023, delay)
         balls = Loop(claim, proper.coefficients)
@@ -139,7 +139,7 @@ def test_loop_of_the_certificate_is_the_sampled_loop_of_the_plan():
 
 def test_claim_above_the_truth_is_refused_with_the_place(law: Law):
     found = certify(plan_for("ideal"), law=law, modulus_margin=0.9)
-    assert not found.holds
+    assert not found.passed
     assert found.payload == pytest.approx(0.020)
     assert found.distance is not None and found.distance < 0.9
     assert "20 g" in found.verdict and "rad/s" in found.verdict
@@ -157,7 +157,7 @@ def test_claim_just_above_the_truth_is_not_proved(law: Law):
 
 def test_printed_controller_is_refused_with_payload_and_poles():
     found = certify(PRINTED["(58)"], model=RIG.model, rig=RIG, payloads=(0.020, 0.040))
-    assert not found.holds and "unstable" in found.verdict
+    assert not found.passed and "unstable" in found.verdict
     assert found.payload == pytest.approx(0.040)
     assert found.poles[0].real == pytest.approx(0.168, abs=5e-4)
     assert abs(found.poles[0].imag) == pytest.approx(10.84, abs=5e-3)

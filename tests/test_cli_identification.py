@@ -120,4 +120,4 @@ def test_a_natural_frequency_of_zero_is_a_dash_with_its_meaning(
     text = capsys.readouterr().out
     row = next(line for line in text.splitlines() if line.startswith("D-FOM"))
     assert row.split()[1] == "–"
-    assert "UD-FOM with λ = 2 − α = 1.9197, ϖ = √μ = 10.78" in text
+    assert "UD-FOM with λ = 2 − α = 1.9197, ω₀ = √μ = 10.78" in text

@@ -83,7 +83,7 @@ def test_the_model_is_the_one_that_made_the_bundled_log(results: Path) -> None:
 
 def test_a_folder_reads_back_as_the_study_that_wrote_it(results: Path) -> None:
     study = load_study(results)
-    assert study.holds
+    assert study.passed
     assert render_report(study) == (results / "report.html").read_text("utf-8")
     assert [round(1e3 * run.payload) for run in study.runs] == [20, 30, 40]
 
@@ -108,7 +108,7 @@ def test_a_proof_may_be_asked_for_and_machines_are_told_the_same(
     command = ["run", "--rig", "paper-2023", "--log", "demo", "--out", str(tmp_path / "out")]
     assert main([*command, "--certify", "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
-    assert result["holds"] is True
+    assert result["passed"] is True
     assert {fit["structure"] for fit in result["fits"]} == {"UD-IOM", "D-IOM", "UD-FOM", "D-FOM"}
     assert len(result["runs"]) == 3
     assert result["report"].endswith("report.html")
@@ -118,7 +118,7 @@ def test_a_proof_may_be_asked_for_and_machines_are_told_the_same(
     assert study.certificate.sha256 in page
     assert render_report(study) == page
     refused = replace(study, certificate=None, uncertified="because of the moon")
-    assert not refused.holds
+    assert not refused.passed
     assert "because of the moon" in render_report(refused)
 
 
@@ -147,8 +147,8 @@ def test_the_stages_chain_through_files(
 def test_a_move_that_does_not_hold_is_exit_code_1_and_is_kept(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    plan, _ = design_for(Rig.named("paper-2023"), None, Request(filter_time=0.0))
-    plan.save(tmp_path / "design.json")
+    design, _ = design_for(Rig.named("paper-2023"), None, Request(filter_time=0.0))
+    design.save(tmp_path / "design.json")
     arguments = ["simulate", str(tmp_path / "design.json"), "--payload", "0.020", "--duration", "0.4"]
     assert main([*arguments, "--out", str(tmp_path / "run.npz")]) == 1
     told = capsys.readouterr()
@@ -159,9 +159,9 @@ def test_a_move_that_does_not_hold_is_exit_code_1_and_is_kept(
 def test_an_offset_of_the_gauge_does_not_move_the_tip() -> None:
     # 0.05 rad of the tip estimate is 0.05·c on the gauge; the figure of the default design.
     rig = Rig.named("paper-2023")
-    plan, _ = design_for(rig, None, Request(filter_time=0.0))
+    design, _ = design_for(rig, None, Request(filter_time=0.0))
     move = Move(gauge_offset=0.05 * rig.link.stiffness, noise=0.0, inner="ideal", duration=8.0)
-    run = simulate_move(plan, move, 0.030)
+    run = simulate_move(design, move, 0.030)
     error = np.abs(run.tip_angle - run.reference)
     after = run.time > 4.0
     assert error[after].max() < 1e-3

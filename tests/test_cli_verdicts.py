@@ -11,7 +11,7 @@ import pytest
 from fraclink._arm.rig import Rig
 from fraclink._certify import Certificate
 from fraclink._cli import main
-from fraclink._design import Plan
+from fraclink._design import Design
 from fraclink._logs.readers import bundled_log
 from fraclink._reproduce import designs
 from fraclink._workflow import Request, design_for
@@ -23,8 +23,8 @@ Command = Callable[..., tuple[int, str, str]]
 def fraclink(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Command:
     """Run the command line in a folder that holds design.json."""
     monkeypatch.chdir(tmp_path)
-    plan, _ = design_for(Rig.named("paper-2023"), None, Request(filter_time=0.0))
-    plan.save("design.json")
+    design, _ = design_for(Rig.named("paper-2023"), None, Request(filter_time=0.0))
+    design.save("design.json")
 
     def run(line: str) -> tuple[int, str, str]:
         code = main(line.split())
@@ -39,21 +39,21 @@ def test_the_default_design_is_certified(fraclink: Command) -> None:
     assert code == 0
     assert "every payload from 20 to 40 g and every delay from 0 to 4 ms" in out
     assert err == "written: certificate.json\n"
-    assert Certificate.load("certificate.json").holds
+    assert Certificate.load("certificate.json").passed
 
 
 def test_the_printed_controller_is_refused_with_its_poles(fraclink: Command, tmp_path: Path) -> None:
-    plan = Plan.load("design.json")
+    design = Design.load("design.json")
     from dataclasses import replace
 
-    replace(plan, controller=designs.printed().fractional).save("printed.json")
+    replace(design, controller=designs.printed().fractional).save("printed.json")
     code, out, _ = fraclink("certify printed.json --out certificate.json")
     assert code == 1
     assert "unstable" in out
     assert " g" in out
     assert not (tmp_path / "certificate.json").exists()
     told = json.loads(fraclink("certify printed.json --out certificate.json --json")[1])
-    assert told["holds"] is False
+    assert told["passed"] is False
     assert 0.020 <= told["payload"] <= 0.040
 
 
@@ -80,9 +80,9 @@ def test_the_law_leaves_as_c(fraclink: Command, tmp_path: Path) -> None:
 def test_the_twin_runs_the_design(fraclink: Command) -> None:
     code, out, err = fraclink("twin design.json --gear 50 --link-mass 0.00735")
     assert code == 0, err
-    assert out.rstrip().endswith("holds")
+    assert out.rstrip().endswith("passed")
     told = json.loads(fraclink("twin design.json --gear 50 --link-mass 0.00735 --json")[1])
-    assert told["holds"] is True
+    assert told["passed"] is True
     code, _, err = fraclink("twin design.json --link-mass -1")
     assert code == 2
     assert "-1" in err

@@ -40,12 +40,14 @@ MOVE = smooth_step(1.0, duration=1.0)
 
 @pytest.fixture(scope="module")
 def setting() -> Setting:
-    plan = fl.design(RIG.model, RIG, payloads=(0.020, 0.040), gain_crossover=12.0, phase_margin=fl.deg(50.0))
+    design = fl.design(
+        RIG.model, RIG, payloads=(0.020, 0.040), gain_crossover=12.0, phase_margin=fl.deg(50.0)
+    )
     twin = Twin.from_rig(RIG, link_mass=0.00735)
-    law = driven(twin, plan.controller.discretize(RIG.period))
+    law = driven(twin, design.controller.discretize(RIG.period))
     loop = NominalLoop.of(RIG.model, 0.030, period=RIG.period, pole=80.0, delay=1)
     request = {"gain_crossover": 12.0, "phase_margin": fl.deg(50.0), "filter_time": None}
-    return Setting(RIG, RIG.model, law, plan.controller, loop, request)
+    return Setting(RIG, RIG.model, law, design.controller, loop, request)
 
 
 @pytest.fixture(scope="module")
@@ -229,7 +231,7 @@ def test_a_longer_filter_keeps_the_request_and_quietens(setting):
     _, controller = quieter(setting)
     assert controller.filter_time > 2 * setting.controller.filter_time
     assert _noise(setting, controller) < 0.5 * _noise(setting, setting.controller)
-    plan = fl.design(
+    design = fl.design(
         RIG.model,
         RIG,
         payloads=(0.020, 0.040),
@@ -237,7 +239,7 @@ def test_a_longer_filter_keeps_the_request_and_quietens(setting):
         phase_margin=fl.deg(50.0),
         filter_time=controller.filter_time,
     )
-    assert plan.holds and plan.controller.gain == pytest.approx(controller.gain)
+    assert design.passed and design.controller.gain == pytest.approx(controller.gain)
 
 
 def test_integer_twin_goes_through_our_crossing(setting):
@@ -320,7 +322,7 @@ def test_a_rival_that_friction_holds_is_told_from_a_sound_one(everything):
     printed = next(s for s in everything.standings if s.name == PRINTED)
     assert printed.growth == pytest.approx(0.17, abs=0.03) and not printed.sound
     assert all(PRINTED not in names for names in everything.winners().values())
-    if printed.holds:
+    if printed.passed:
         assert f"{PRINTED}: the linear loop on the twin is unstable" in everything.markdown()
 
 
@@ -359,7 +361,7 @@ def test_no_winner_without_somebody_sound_or_somebody_else(everything):
     ours = everything.standings[0]
     alone = replace(everything, standings=(ours,))
     assert alone.verdicts() == ("ours ran alone: there is nobody to compare with",)
-    growing = replace(everything, standings=(replace(ours, growth=0.2), replace(ours, holds=False)))
+    growing = replace(everything, standings=(replace(ours, growth=0.2), replace(ours, passed=False)))
     assert growing.winners() == {}
     assert growing.verdicts()[0].startswith("no figure has a winner")
     assert "no figure has a winner" in growing.markdown()

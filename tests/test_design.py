@@ -11,7 +11,7 @@ import pytest
 
 import fraclink as fl
 from fraclink._arm.rig import Rig
-from fraclink._design import Plan
+from fraclink._design import Design
 from fraclink._design.loop import OpenLoop
 from fraclink._design.poles import PRINTED, closed_loop_poles, match_at
 from fraclink.errors import FieldError, InfeasibleError
@@ -26,17 +26,17 @@ PAPER = {
 }
 
 
-def paper_plan(**changes: object) -> Plan:
+def paper_plan(**changes: object) -> Design:
     return fl.design(RIG.model, RIG, **(PAPER | changes))
 
 
-def default_plan(**changes: object) -> Plan:
+def default_plan(**changes: object) -> Design:
     return fl.design(RIG.model, RIG, **(DEFAULT | changes))
 
 
-def plain_loop(plan: Plan, w: float, pi: float, *, inside: bool) -> complex:
+def plain_loop(design: Design, w: float, pi: float, *, inside: bool) -> complex:
     """L written out once more in scalar complex arithmetic, independent of OpenLoop."""
-    c, s, order = plan.controller, 1j * w, plan.model.order
+    c, s, order = design.controller, 1j * w, design.model.order
     value = c.gain * s**c.order * pi**2 / (s**order + pi**2)
     if inside:
         value *= cmath.exp(-1.5 * 0.004 * s) / (1 + s / 80) ** 2 / (1 + c.filter_time * s) ** c.filter_order
@@ -44,22 +44,22 @@ def plain_loop(plan: Plan, w: float, pi: float, *, inside: bool) -> complex:
 
 
 def test_ideal_reading_gives_the_recomputed_numbers_of_section_7():
-    plan = paper_plan()
-    assert plan.chi == pytest.approx(1.324873, abs=5e-7)
-    assert plan.controller.order == pytest.approx(0.655361, abs=5e-7)
-    assert plan.controller.gain == pytest.approx(0.215299, abs=5e-7)
-    assert plan.gain_crossover_upper == pytest.approx(27.346181, abs=5e-7)
-    nominal = plan.at_frequency(11.54)
+    design = paper_plan()
+    assert design.chi == pytest.approx(1.324873, abs=5e-7)
+    assert design.controller.order == pytest.approx(0.655361, abs=5e-7)
+    assert design.controller.gain == pytest.approx(0.215299, abs=5e-7)
+    assert design.gain_crossover_upper == pytest.approx(27.346181, abs=5e-7)
+    nominal = design.at_frequency(11.54)
     assert nominal.gain_crossover == pytest.approx(20.865280, abs=5e-7)
     assert math.degrees(nominal.phase_margin) == pytest.approx(70.741858, abs=5e-7)
 
 
 def test_stiffness_156_gives_its_column():
     low, high = RIG.natural_frequency(0.040), RIG.natural_frequency(0.020)
-    plan = paper_plan(natural_frequencies=(low, high))
-    got = (plan.chi, plan.controller.order, plan.controller.gain, plan.gain_crossover_upper)
+    design = paper_plan(natural_frequencies=(low, high))
+    got = (design.chi, design.controller.order, design.controller.gain, design.gain_crossover_upper)
     assert got == pytest.approx((1.235891, 0.649593, 0.204076, 25.139026), abs=1e-6)
-    nominal = plan.at(0.030)
+    nominal = design.at(0.030)
     assert (nominal.gain_crossover, math.degrees(nominal.phase_margin)) == pytest.approx(
         (19.26919, 70.81972), abs=1e-5
     )
@@ -69,9 +69,9 @@ def test_stiffness_156_gives_its_column():
 
 
 def test_both_equations_hold_to_rounding():
-    plan = paper_plan()
-    assert abs(plain_loop(plan, 16.0, 9.42, inside=False)) == pytest.approx(1.0, abs=1e-13)
-    value = plain_loop(plan, plan.gain_crossover_upper, 14.14, inside=False)
+    design = paper_plan()
+    assert abs(plain_loop(design, 16.0, 9.42, inside=False)) == pytest.approx(1.0, abs=1e-13)
+    value = plain_loop(design, design.gain_crossover_upper, 14.14, inside=False)
     assert abs(value + cmath.exp(1j * fl.deg(70))) < 1e-13
     inside = default_plan()
     value = plain_loop(inside, inside.gain_crossover_upper, inside.natural_frequencies[1], inside=True)
@@ -80,27 +80,27 @@ def test_both_equations_hold_to_rounding():
 
 @pytest.mark.parametrize(("order", "time"), [(1, 0.004529), (2, 0.002246)])
 def test_ten_per_cent_rule(order: int, time: float):
-    plan = paper_plan(filter_order=order)
-    assert plan.controller.filter_time == pytest.approx(time, abs=5e-7)
-    filtered = replace(plan.loop, filter_time=plan.controller.filter_time, filter_order=order)
+    design = paper_plan(filter_order=order)
+    assert design.controller.filter_time == pytest.approx(time, abs=5e-7)
+    filtered = replace(design.loop, filter_time=design.controller.filter_time, filter_order=order)
     found = filtered.crossings(14.14)
     assert math.degrees(float(np.min(np.abs(found.phase_margin)))) == pytest.approx(63.0, abs=1e-9)
 
 
 def test_default_design():
-    plan = default_plan()
-    assert plan.controller.gain == pytest.approx(0.069876, abs=5e-7)
-    assert plan.controller.order == pytest.approx(0.612197, abs=5e-7)
-    assert plan.gain_crossover_upper == pytest.approx(17.7718, abs=5e-5)
-    assert plan.holds
-    assert plan.at(0.020).phase_margin == pytest.approx(fl.deg(50), abs=1e-9)
-    assert plan.at(0.040).gain_crossover == pytest.approx(12.0, abs=1e-9)
+    design = default_plan()
+    assert design.controller.gain == pytest.approx(0.069876, abs=5e-7)
+    assert design.controller.order == pytest.approx(0.612197, abs=5e-7)
+    assert design.gain_crossover_upper == pytest.approx(17.7718, abs=5e-5)
+    assert design.passed
+    assert design.at(0.020).phase_margin == pytest.approx(fl.deg(50), abs=1e-9)
+    assert design.at(0.040).gain_crossover == pytest.approx(12.0, abs=1e-9)
 
 
 def test_grunwald_law_has_the_known_sampled_margins():
-    plan = default_plan()
+    design = default_plan()
     for payload, margin in ((0.040, 63.9), (0.030, 57.9), (0.020, 48.8), (0.016, 43.3), (0.008, 23.9)):
-        found = plan.sampled_at(payload, realisation="grunwald")
+        found = design.sampled_at(payload, realisation="grunwald")
         assert math.degrees(found.phase_margin) == pytest.approx(margin, abs=0.06)
 
 
@@ -111,13 +111,13 @@ def test_exact_law_keeps_the_promised_margin_when_sampled():
 
 
 def test_the_rule_stands_inside_the_loop_design():
-    plan = default_plan(filter_time=None)
-    c = plan.controller
-    lag = c.filter_order * math.atan(c.filter_time * plan.gain_crossover_upper)
+    design = default_plan(filter_time=None)
+    c = design.controller
+    lag = c.filter_order * math.atan(c.filter_time * design.gain_crossover_upper)
     assert lag == pytest.approx(0.1 * fl.deg(50), rel=1e-9)
     assert c.is_strictly_proper
-    assert plan.at(0.020).phase_margin == pytest.approx(fl.deg(50), abs=1e-9)
-    assert "W402" not in {finding.code for finding in plan.findings}
+    assert design.at(0.020).phase_margin == pytest.approx(fl.deg(50), abs=1e-9)
+    assert "W402" not in {finding.code for finding in design.findings}
 
 
 def test_requirements_name_the_payload_of_the_worst_value():
@@ -128,26 +128,26 @@ def test_requirements_name_the_payload_of_the_worst_value():
 
 
 def test_plan_reads_back_equal(tmp_path):
-    for plan in (default_plan(), default_plan(filter_time=None), paper_plan()):
-        plan.save(tmp_path / "design.json")
-        assert Plan.load(tmp_path / "design.json") == plan
+    for design in (default_plan(), default_plan(filter_time=None), paper_plan()):
+        design.save(tmp_path / "design.json")
+        assert Design.load(tmp_path / "design.json") == design
 
 
 def test_margins_of_the_plan_are_those_of_the_loop_written_out():
-    plan = default_plan(filter_time=0.002)
-    pi = plan.natural_frequency(0.027)
-    found = plan.at(0.027)
+    design = default_plan(filter_time=0.002)
+    pi = design.natural_frequency(0.027)
+    found = design.at(0.027)
     assert len(found.gain_crossings) == 2
     for crossing in found.gain_crossings:
-        value = plain_loop(plan, crossing.frequency, pi, inside=True)
+        value = plain_loop(design, crossing.frequency, pi, inside=True)
         assert abs(value) == pytest.approx(1.0, abs=1e-9)
         assert cmath.phase(-value) == pytest.approx(crossing.phase_margin, abs=1e-9)
 
 
 def test_filter_that_costs_too_much_is_said():
-    plan = default_plan(filter_time=0.02)
-    assert "W401" in {finding.code for finding in plan.findings}
-    assert plan.holds  # inside (55) the margin is kept all the same
+    design = default_plan(filter_time=0.02)
+    assert "W401" in {finding.code for finding in design.findings}
+    assert design.passed  # inside (55) the margin is kept all the same
 
 
 @pytest.mark.parametrize(
@@ -206,7 +206,7 @@ def test_infeasible_requests_name_the_bound_and_a_request_that_works(
         default_plan(**changes)
     assert condition in caught.value.condition
     assert caught.value.nearest
-    assert default_plan(**(changes | caught.value.nearest)).holds
+    assert default_plan(**(changes | caught.value.nearest)).passed
     # Nearest: a step further towards the request fails again.
     asked = DEFAULT | changes
     beyond = {k: v + 0.01 * (asked[k] - v) for k, v in caught.value.nearest.items()}
@@ -248,13 +248,13 @@ def test_integer_controller_matched_at_the_nominal_point():
 
 @pytest.mark.parametrize(("changes", "says"), [({}, False), ({"margins": "ideal"}, True)])
 def test_a_plan_says_what_its_law_keeps(changes: dict[str, object], says: bool):
-    plan = default_plan(**changes)
-    shipped = plan.with_law()
-    kept = min(abs(plan.sampled_at(payload).phase_margin) for payload in (0.020, 0.030, 0.040))
-    assert ("W404" in {finding.code for finding in shipped.findings}) == says == (kept < plan.phase_margin)
+    design = default_plan(**changes)
+    shipped = design.with_law()
+    kept = min(abs(design.sampled_at(payload).phase_margin) for payload in (0.020, 0.030, 0.040))
+    assert ("W404" in {finding.code for finding in shipped.findings}) == says == (kept < design.phase_margin)
     assert shipped.with_law() == shipped
     if says:
-        assert shipped.requirements == plan.requirements
+        assert shipped.requirements == design.requirements
         assert shipped.findings[-1].severity == "warning"
         assert shipped.findings[-1].evidence["phase_margin_rad"] == pytest.approx(kept)
     else:

@@ -12,7 +12,7 @@ import fraclink as fl
 from fraclink._arm.controller import Controller, InnerLoopSettings
 from fraclink._arm.rig import Rig
 from fraclink._certify import certify, enclose_phase_margin
-from fraclink._design import Plan
+from fraclink._design import Design
 from fraclink._design.assess import VibrationMode, margin_curve, phase_budget, spillover, tolerances
 from fraclink._design.feasibility import feasibility_map
 from fraclink._design.inner import direct_placement, held_motor, inner_costs, sampled_inner
@@ -27,13 +27,13 @@ WANTED = {"payloads": (0.020, 0.040), "gain_crossover": 12.0, "phase_margin": fl
 
 
 @pytest.fixture(scope="module")
-def plan() -> Plan:
+def design() -> Design:
     return fl.design(RIG.model, RIG, **WANTED, filter_time=0.0)
 
 
 def test_sensitivity_bound_chooses_the_margin_and_holds_on_a_fine_grid():
     found = fl.design(RIG.model, RIG, payloads=(0.020, 0.040), gain_crossover=12.0, max_sensitivity=1.5)
-    assert found.holds
+    assert found.passed
     w = np.geomspace(1.0, 785.0, 40_000)
     peaks = [
         float(np.max(1 / np.abs(1 + found.loop(w, pi)))) for pi in np.geomspace(*found.natural_frequencies, 7)
@@ -46,7 +46,7 @@ def test_noise_bound_chooses_the_filter():
     loose = float(noise_gain(free.loop, np.array([free.natural_frequencies[1]]), RIG.period)[0])
     bound = 0.7 * loose
     found = fl.design(RIG.model, RIG, **(WANTED | {"phase_margin": fl.deg(40)}), noise_gain=bound)
-    assert found.holds
+    assert found.passed
     assert found.controller.filter_time > free.controller.filter_time
     requirement = next(r for r in found.requirements if r.name == "noise gain")
     assert requirement.achieved == pytest.approx(bound, rel=1e-6)
@@ -58,7 +58,7 @@ def test_bounds_on_noise_and_sensitivity_hold_together():
     light = np.array([loose.natural_frequencies[1]])
     bound = 0.8 * float(noise_gain(loose.loop, light, RIG.period)[0])
     found = fl.design(RIG.model, RIG, payloads=(0.020, 0.040), **asked, noise_gain=bound)
-    assert found.holds, found.requirements
+    assert found.passed, found.requirements
 
 
 def test_settling_time_sets_the_crossover():
@@ -75,7 +75,7 @@ def test_unreachable_bounds_name_themselves(changes: dict[str, float], condition
     wanted |= {"phase_margin": fl.deg(50)} if "noise_gain" in changes else {}
     with pytest.raises(InfeasibleError, match=condition) as caught:
         fl.design(RIG.model, RIG, **wanted, **changes)
-    assert fl.design(RIG.model, RIG, **wanted, **(changes | caught.value.nearest)).holds
+    assert fl.design(RIG.model, RIG, **wanted, **(changes | caught.value.nearest)).passed
 
 
 def test_neither_crossover_nor_settling_time_is_an_error():
@@ -85,14 +85,16 @@ def test_neither_crossover_nor_settling_time_is_an_error():
         fl.design(RIG.model, RIG, gain_crossover=12.0)
 
 
-def test_noise_gain_and_peak_against_a_fine_grid(plan: Plan):
-    pi = np.array(plan.natural_frequencies)
+def test_noise_gain_and_peak_against_a_fine_grid(design: Design):
+    pi = np.array(design.natural_frequencies)
     w = np.linspace(0.005, math.pi / RIG.period, 400_001)
     for k, value in enumerate(pi):
-        distance = np.abs(1 + plan.loop(w, value))
-        power = (np.abs(plan.controller.response(w)) / distance) ** 2
-        assert noise_gain(plan.loop, pi, RIG.period)[k] == pytest.approx(math.sqrt(np.mean(power)), rel=1e-4)
-        assert sensitivity_peak(plan.loop, pi, math.inf)[k] == pytest.approx(1 / np.min(distance), rel=1e-6)
+        distance = np.abs(1 + design.loop(w, value))
+        power = (np.abs(design.controller.response(w)) / distance) ** 2
+        assert noise_gain(design.loop, pi, RIG.period)[k] == pytest.approx(
+            math.sqrt(np.mean(power)), rel=1e-4
+        )
+        assert sensitivity_peak(design.loop, pi, math.inf)[k] == pytest.approx(1 / np.min(distance), rel=1e-6)
 
 
 @pytest.mark.parametrize("filter_time", [0.0, None, 0.03])
@@ -137,48 +139,48 @@ def test_phase_budget_adds_up_to_the_margin(inner: str):
         assert total == pytest.approx(made.at(payload).phase_margin, abs=1e-9)
 
 
-def test_margin_curves_are_the_margins_of_the_plan(plan: Plan):
+def test_margin_curves_are_the_margins_of_the_plan(design: Design):
     masses = [0.016, 0.020, 0.035]
-    loop = margin_curve(plan, masses)
+    loop = margin_curve(design, masses)
     for k, payload in enumerate(masses):
-        exact = plan.at(payload)
+        exact = design.at(payload)
         assert loop.phase_margin[k] == pytest.approx(exact.phase_margin, abs=1e-9)
         assert loop.gain_crossover[k] == pytest.approx(exact.gain_crossover, rel=1e-9)
         assert loop.modulus_margin[k] == pytest.approx(exact.modulus_margin, abs=1e-5)
-    ideal, motor = (margin_curve(plan, masses, kind=k) for k in ("ideal", "motor"))
+    ideal, motor = (margin_curve(design, masses, kind=k) for k in ("ideal", "motor"))
     assert np.all(ideal.phase_margin > motor.phase_margin) and np.all(motor.phase_margin > loop.phase_margin)
-    sampled = margin_curve(plan, [0.020], kind="sampled")
-    assert sampled.phase_margin[0] == pytest.approx(plan.sampled_at(0.020).phase_margin)
+    sampled = margin_curve(design, [0.020], kind="sampled")
+    assert sampled.phase_margin[0] == pytest.approx(design.sampled_at(0.020).phase_margin)
     with pytest.raises(FieldError):
-        margin_curve(plan, [0.02], kind="digital")
+        margin_curve(design, [0.02], kind="digital")
 
 
-def test_tolerances_are_where_stability_is_lost(plan: Plan):
-    found = tolerances(plan)
-    late = replace(plan.loop, delay=plan.loop.delay + found.delay)
-    high = plan.natural_frequencies[1]
+def test_tolerances_are_where_stability_is_lost(design: Design):
+    found = tolerances(design)
+    late = replace(design.loop, delay=design.loop.delay + found.delay)
+    high = design.natural_frequencies[1]
     assert late.encirclements(high) in (0, 1)
     assert replace(late, delay=late.delay * 1.001).encirclements(high) == 1
     assert replace(late, delay=late.delay * 0.999).encirclements(high) == 0
-    light = plan.natural_frequency(found.payload_low)
-    assert plan.loop.encirclements(light * 0.999) == 0
-    assert plan.loop.encirclements(light * 1.001) == 1
+    light = design.natural_frequency(found.payload_low)
+    assert design.loop.encirclements(light * 0.999) == 0
+    assert design.loop.encirclements(light * 1.001) == 1
     assert found.stiffness_high > 1.2
 
 
-def test_spillover_is_the_peak_of_a_mode_times_the_controller(plan: Plan):
+def test_spillover_is_the_peak_of_a_mode_times_the_controller(design: Design):
     mode = VibrationMode(frequency=177.5, damping_ratio=0.02, share=0.05)
-    (found,) = spillover(plan, [mode], limit=0.5)
-    outer = abs(plan.controller.response(177.5)) / abs(1 + 177.5j / 80) ** 2
+    (found,) = spillover(design, [mode], limit=0.5)
+    outer = abs(design.controller.response(177.5)) / abs(1 + 177.5j / 80) ** 2
     assert found.achieved == pytest.approx(outer * 0.05 / 0.04, rel=1e-9)
-    assert found.holds
-    assert not spillover(plan, [replace(mode, share=1.0)])[0].holds
+    assert found.passed
+    assert not spillover(design, [replace(mode, share=1.0)])[0].passed
     with pytest.raises(FieldError):
-        spillover(plan, [replace(mode, damping_ratio=0.0)])
+        spillover(design, [replace(mode, damping_ratio=0.0)])
 
 
-def test_rivals_meet_at_one_sensitivity_and_noise_tells_them_apart(plan: Plan):
-    rivals = {r.name: r for r in compare_at_equal_sensitivity(plan, max_sensitivity=1.55)}
+def test_rivals_meet_at_one_sensitivity_and_noise_tells_them_apart(design: Design):
+    rivals = {r.name: r for r in compare_at_equal_sensitivity(design, max_sensitivity=1.55)}
     equal = [r for name, r in rivals.items() if not name.startswith("printed")]
     assert all(r.sensitivity_peak == pytest.approx(1.55, abs=1e-6) and r.stable for r in equal)
     assert not rivals["printed (58)"].stable and not rivals["printed (59)"].stable
@@ -256,9 +258,9 @@ def test_law_of_a_direct_plan_carries_the_placed_motor_loop():
     assert drive.loop.filter_decay == placed.filter_decay
 
 
-def test_plan_certifies_the_very_law_that_is_exported(plan: Plan):
-    exported = equip(plan.controller.discretize(RIG.period), plan.rig, plan.model)
-    assert plan.law().digest == exported.digest
+def test_plan_certifies_the_very_law_that_is_exported(design: Design):
+    exported = equip(design.controller.discretize(RIG.period), design.rig, design.model)
+    assert design.law().digest == exported.digest
 
 
 def test_alias_sum_is_exact_where_the_answer_is_known():
@@ -271,11 +273,11 @@ def test_alias_sum_is_exact_where_the_answer_is_known():
     assert np.allclose(plant(w), exact, rtol=2e-5)
 
 
-def test_phase_margin_is_enclosed_to_a_hundredth_of_a_degree(plan: Plan):
-    proper = plan.law()
-    claim = certify(plan, law=proper, delay=(0.004, 0.004), modulus_margin=0.999).statement
+def test_phase_margin_is_enclosed_to_a_hundredth_of_a_degree(design: Design):
+    proper = design.law()
+    claim = certify(design, law=proper, delay=(0.004, 0.004), modulus_margin=0.999).statement
     found = enclose_phase_margin(claim, proper)
-    true = plan.sampled_at(0.020).phase_margin
+    true = design.sampled_at(0.020).phase_margin
     assert found.low <= true <= found.high + 1e-6
     assert math.degrees(found.high - found.low) <= 0.01 + 1e-9
     assert found.payload == pytest.approx(0.020)

@@ -14,7 +14,7 @@ import fraclink as fl
 from fraclink._arm.rig import Rig
 from fraclink._cli import main
 from fraclink._compare.linear import NominalLoop, law_filter, sampled
-from fraclink._design import Plan
+from fraclink._design import Design
 from fraclink._design.higher_modes import mode_gains
 from fraclink._simulate.twin import Beam, KelvinVoigt, PowerLaw, assemble
 from fraclink._simulate.twin.damping import Damping
@@ -28,13 +28,13 @@ def with_mass(mass: float) -> Rig:
     return replace(rig, link=replace(rig.link, mass=mass))
 
 
-def on_the_twin(plan: Plan, payload: float, number: int, damping: Damping) -> tuple[float, float]:
+def on_the_twin(design: Design, payload: float, number: int, damping: Damping) -> tuple[float, float]:
     """Loop gain of the shipped law at a mode of the twin, and the spectral radius of the whole loop."""
-    stiffness, rig = plan.model.stiffness, plan.rig
+    stiffness, rig = design.model.stiffness, design.rig
     beam = Beam.from_rig(rig, payload=payload)
     plant = assemble(beam, damping, drive="servo", servo_pole=rig.inner.pole)
     seen = sampled(plant, plant.outputs[0] - plant.outputs[3] / stiffness, rig.period, 1)
-    shipped = law_filter(plan.controller.discretize(rig.period))
+    shipped = law_filter(design.controller.discretize(rig.period))
     mode = float(plant.modes.frequencies[number - 1])
     z = np.exp(1j * np.linspace(0.9 * mode, min(1.6 * mode, math.pi / rig.period), 3000) * rig.period)
     gain = float(np.abs(seen.response(z) * shipped.response(z)).max())
@@ -47,9 +47,9 @@ def test_the_gain_at_mode_two_is_that_of_the_sampled_loop_on_the_twin(
     mass: float, filter_time: float | None
 ) -> None:
     rig = with_mass(mass)
-    plan = fl.design(rig.model, rig, filter_time=filter_time, **WANTED)
-    second = mode_gains(plan)[0]
-    gain, _ = on_the_twin(plan, second.at_payload, 2, PowerLaw(rig.model.order))
+    design = fl.design(rig.model, rig, filter_time=filter_time, **WANTED)
+    second = mode_gains(design)[0]
+    gain, _ = on_the_twin(design, second.at_payload, 2, PowerLaw(rig.model.order))
     assert second.achieved == pytest.approx(gain, rel=0.01)
 
 
@@ -57,16 +57,16 @@ def test_a_viscous_link_has_its_own_damping_at_mode_two() -> None:
     rig = with_mass(0.00735)
     ratio, pole = 0.06, rig.natural_frequency(0.030)
     model = replace(rig.model, order=2.0, natural_frequency=pole, damping=2 * ratio * pole)
-    plan = fl.design(model, rig, **WANTED)
-    second = mode_gains(plan)[0]
-    gain, _ = on_the_twin(plan, second.at_payload, 2, KelvinVoigt(2 * ratio / pole))
+    design = fl.design(model, rig, **WANTED)
+    second = mode_gains(design)[0]
+    gain, _ = on_the_twin(design, second.at_payload, 2, KelvinVoigt(2 * ratio / pole))
     assert second.achieved == pytest.approx(gain, rel=0.03)
 
 
 def test_less_damping_is_more_gain_and_an_undamped_model_is_given_some() -> None:
     rig = with_mass(0.00735)
-    plan = fl.design(rig.model, rig, **WANTED)
-    rough, fine = (mode_gains(plan, damping_ratio=ratio)[0].achieved for ratio in (0.04, 0.02))
+    design = fl.design(rig.model, rig, **WANTED)
+    rough, fine = (mode_gains(design, damping_ratio=ratio)[0].achieved for ratio in (0.04, 0.02))
     assert fine == pytest.approx(2.0 * rough, rel=0.05)
     bare = fl.design(replace(rig.model, order=2.0), rig, **(WANTED | {"gain_crossover": 13.0}))
     assert mode_gains(bare) == mode_gains(bare, damping_ratio=0.02)
@@ -87,16 +87,16 @@ def test_a_link_with_mass_brings_a_finding_and_a_massless_one_does_not() -> None
 
 def test_the_bound_is_kept_with_the_margin_that_was_asked_for() -> None:
     rig = with_mass(0.00735)
-    plan = fl.design(rig.model, rig, mode_gain=0.5, **WANTED)
-    assert plan.holds
-    assert [r.name for r in plan.requirements[-2:]] == ["loop gain at mode 2", "loop gain at mode 3"]
-    assert plan.requirements[-2].achieved == pytest.approx(0.5, rel=1e-6)  # no longer a filter than needed
+    design = fl.design(rig.model, rig, mode_gain=0.5, **WANTED)
+    assert design.passed
+    assert [r.name for r in design.requirements[-2:]] == ["loop gain at mode 2", "loop gain at mode 3"]
+    assert design.requirements[-2].achieved == pytest.approx(0.5, rel=1e-6)  # no longer a filter than needed
     for payload in (0.020, 0.025, 0.030, 0.040):
-        kept = plan.sampled_at(payload, realisation="exact").phase_margin
+        kept = design.sampled_at(payload, realisation="exact").phase_margin
         assert kept >= fl.deg(49.9)
-    gain, radius = on_the_twin(plan, 0.040, 2, PowerLaw(rig.model.order))
+    gain, radius = on_the_twin(design, 0.040, 2, PowerLaw(rig.model.order))
     assert gain < 0.51 and radius < 1.0 + 1e-9
-    assert not {"W401", "W405"} & {finding.code for finding in plan.findings}
+    assert not {"W401", "W405"} & {finding.code for finding in design.findings}
 
 
 def test_the_heavier_link_is_unstable_by_the_rule_and_stable_by_the_bound() -> None:
@@ -114,7 +114,7 @@ def test_what_no_filter_reaches_is_refused_with_the_nearest_bound() -> None:
         fl.design(rig.model, rig, mode_gain=0.3, **WANTED)
     nearest = caught.value.nearest
     assert 0.5 < nearest["mode_gain"] < 0.7
-    assert fl.design(rig.model, rig, **nearest, **WANTED).holds
+    assert fl.design(rig.model, rig, **nearest, **WANTED).passed
 
 
 @pytest.mark.parametrize("bound", [0.0, -1.0, math.nan, "0.5", 10**400])
@@ -140,4 +140,4 @@ def test_the_command_line_bounds_the_mode(tmp_path: Path, capsys: pytest.Capture
     told = json.loads(capsys.readouterr().out)
     names = {item["name"]: item["achieved"] for item in told["requirements"]}
     assert names["loop gain at mode 2"] == pytest.approx(0.5, rel=1e-6)
-    assert Plan.load(place).rig.link.mass == 0.00735
+    assert Design.load(place).rig.link.mass == 0.00735

@@ -16,7 +16,7 @@ from fraclink._arm.controller import Controller, Lead
 from fraclink._arm.rig import Rig
 from fraclink._certify import certify
 from fraclink._cli import main
-from fraclink._design import Optimised, Plan, optimise
+from fraclink._design import Design, Optimised, optimise
 from fraclink._design.assess import phase_budget
 from fraclink._design.measure import measure, noise_gain
 from fraclink._design.plan import open_loop
@@ -31,13 +31,13 @@ CONTROLLER = Controller(gain=0.03, order=0.7, filter_time=0.01, filter_order=2, 
 
 
 @pytest.fixture(scope="module")
-def plan() -> Plan:
+def design() -> Design:
     return fl.design(RIG.model, RIG, **WANTED)
 
 
 @pytest.fixture(scope="module")
-def quiet(plan: Plan) -> Optimised:
-    return optimise(plan)
+def quiet(design: Design) -> Optimised:
+    return optimise(design)
 
 
 def test_the_lead_is_one_value_in_every_form() -> None:
@@ -59,8 +59,8 @@ def test_a_lead_leaves_c_at_zero_one_and_an_integrator_would_not() -> None:
     assert abs(integrator / (1 + integrator)) == pytest.approx(1.0, abs=1e-4)
 
 
-def test_the_loop_with_a_lead_is_the_product_of_its_parts(plan: Plan) -> None:
-    controller = replace(CONTROLLER, inner=plan.controller.inner, period=RIG.period)
+def test_the_loop_with_a_lead_is_the_product_of_its_parts(design: Design) -> None:
+    controller = replace(CONTROLLER, inner=design.controller.inner, period=RIG.period)
     loop = open_loop(controller, RIG.model, RIG, margins="loop")
     w, pi = np.array([3.0, 12.0, 40.0, 300.0]), 11.0
     expected = (
@@ -81,23 +81,25 @@ def test_the_loop_with_a_lead_is_the_product_of_its_parts(plan: Plan) -> None:
 
 @pytest.mark.parametrize("goal", ["noise", "crossover"])
 @pytest.mark.parametrize("lead", [False, True])
-def test_gradients_are_those_of_differences(plan: Plan, goal: str, lead: bool) -> None:
-    bare = replace(plan.loop, gain=1.0, order=0.0, filter_time=0.0)
+def test_gradients_are_those_of_differences(design: Design, goal: str, lead: bool) -> None:
+    bare = replace(design.loop, gain=1.0, order=0.0, filter_time=0.0)
     bounds = Bounds(1.6, 12.0, 1.4)
-    problem = Problem(bare, plan.natural_frequencies, RIG.period, 2, lead, goal, bounds)  # type: ignore[arg-type]
-    x = problem.start(replace(plan.controller, lead=LEAD if lead else None))
+    problem = Problem(bare, design.natural_frequencies, RIG.period, 2, lead, goal, bounds)  # type: ignore[arg-type]
+    x = problem.start(replace(design.controller, lead=LEAD if lead else None))
     _, gradient = problem.constraints(x)
     for i, unit in enumerate(np.eye(x.size)):
         up, down = (problem.constraints(x + 1e-6 * sign * unit)[0] for sign in (1, -1))
         np.testing.assert_allclose(gradient[:, i], (up - down) / 2e-6, atol=1e-7)
 
 
-def test_the_bounds_are_kept_on_a_finer_grid_than_they_were_found_on(plan: Plan, quiet: Optimised) -> None:
-    found = quiet.plan
-    assert quiet.pays and found.holds and found.controller.lead is not None
+def test_the_bounds_are_kept_on_a_finer_grid_than_they_were_found_on(
+    design: Design, quiet: Optimised
+) -> None:
+    found = quiet.design
+    assert quiet.pays and found.passed and found.controller.lead is not None
     w = np.geomspace(0.3, math.pi / RIG.period, 20_000)
     low, high = found.natural_frequencies
-    start = measure(plan.loop, np.array([low, high]), RIG.period, highest=math.pi / RIG.period)
+    start = measure(design.loop, np.array([low, high]), RIG.period, highest=math.pi / RIG.period)
     peak = max(float(np.max(1 / np.abs(1 + found.loop(w, pi)))) for pi in np.geomspace(low, high, 21))
     assert peak <= float(np.max(start.sensitivity_peak)) * (1 + 1e-5)
     assert max(c.frequency for c in found.at(0.040).gain_crossings) >= 12.0 - 1e-6
@@ -107,15 +109,17 @@ def test_the_bounds_are_kept_on_a_finer_grid_than_they_were_found_on(plan: Plan,
     assert quiet.gain > 0.7
 
 
-def test_another_optimiser_without_gradients_finds_no_better(plan: Plan, quiet: Optimised) -> None:
+def test_another_optimiser_without_gradients_finds_no_better(design: Design, quiet: Optimised) -> None:
     """Nelder and Mead on the same figures with penalties, from the closed form, for n = 2 without a lead."""
-    pi, nyquist = np.geomspace(*plan.natural_frequencies, 5), math.pi / RIG.period
-    bound = float(np.max(measure(plan.loop, pi, RIG.period, highest=nyquist).sensitivity_peak))
+    pi, nyquist = np.geomspace(*design.natural_frequencies, 5), math.pi / RIG.period
+    bound = float(np.max(measure(design.loop, pi, RIG.period, highest=nyquist).sensitivity_peak))
 
     def cost(x: np.ndarray) -> float:
         if not 0.05 < x[1] < 1.9:
             return 1e3
-        loop = replace(plan.loop, gain=math.exp(x[0]), order=x[1], filter_time=math.exp(x[2]), filter_order=2)
+        loop = replace(
+            design.loop, gain=math.exp(x[0]), order=x[1], filter_time=math.exp(x[2]), filter_order=2
+        )
         got = measure(loop, pi, RIG.period, highest=nyquist)
         if np.any(got.phase_margin <= 0) or not np.all(got.gain_crossover > 0):
             return 1e2
@@ -123,7 +127,7 @@ def test_another_optimiser_without_gradients_finds_no_better(plan: Plan, quiet: 
         slow = max(0.0, math.log(12.0 / np.min(got.gain_crossover)))
         return math.log(float(np.max(got.noise_gain))) + 30 * (over + slow)
 
-    c = plan.controller
+    c = design.controller
     start = [math.log(0.01), 1.4, math.log(0.035)]
     other = minimize(cost, start, method="Nelder-Mead", options={"maxfev": 500, "xatol": 1e-4, "fatol": 1e-6})
     assert c.filter_order == 1
@@ -131,12 +135,12 @@ def test_another_optimiser_without_gradients_finds_no_better(plan: Plan, quiet: 
     assert ours <= math.exp(other.fun) * 1.02
 
 
-def test_the_fastest_loop_keeps_its_noise(plan: Plan) -> None:
-    found = optimise(plan, goal="crossover", lead=False)
-    assert found.pays and found.plan.holds
-    noise = next(r for r in found.plan.requirements if r.name == "noise gain")
+def test_the_fastest_loop_keeps_its_noise(design: Design) -> None:
+    found = optimise(design, goal="crossover", lead=False)
+    assert found.pays and found.design.passed
+    noise = next(r for r in found.design.requirements if r.name == "noise gain")
     assert noise.achieved <= noise.wanted * (1 + 1e-9)
-    assert found.plan.requirements[0].achieved == pytest.approx(12.977, abs=0.01)
+    assert found.design.requirements[0].achieved == pytest.approx(12.977, abs=0.01)
 
 
 def test_a_long_filter_is_found_from_a_short_one() -> None:
@@ -148,9 +152,9 @@ def test_a_long_filter_is_found_from_a_short_one() -> None:
     assert found.steps[2].value < 0.6 * found.steps[1].value
 
 
-def test_what_does_not_pay_leaves_the_closed_form(plan: Plan) -> None:
-    found = optimise(plan, goal="crossover", lead=False, least=0.5)
-    assert not found.pays and found.plan is plan and found.gain == 0.0
+def test_what_does_not_pay_leaves_the_closed_form(design: Design) -> None:
+    found = optimise(design, goal="crossover", lead=False, least=0.5)
+    assert not found.pays and found.design is design and found.gain == 0.0
     assert "closed-form design is returned" in str(found)
 
 
@@ -158,34 +162,34 @@ def test_a_bound_on_the_mode_is_kept() -> None:
     rig = replace(RIG, link=replace(RIG.link, mass=0.0141))
     start = fl.design(rig.model, rig, **WANTED)
     found = optimise(start, mode_gain=0.9, lead=False)
-    second = next(r for r in found.plan.requirements if r.name == "loop gain at mode 2")
-    assert found.plan.holds and second.achieved <= 0.9 * (1 + 1e-9)
+    second = next(r for r in found.design.requirements if r.name == "loop gain at mode 2")
+    assert found.design.passed and second.achieved <= 0.9 * (1 + 1e-9)
     assert math.isnan(found.steps[0].value) and math.isnan(found.gain)  # the closed form reaches the mode
 
 
 def test_the_law_the_certificate_and_the_file_carry_the_lead(quiet: Optimised, tmp_path: Path) -> None:
-    plan = quiet.plan
-    assert math.pi + sum(share.phase for share in phase_budget(plan, 0.020)) == pytest.approx(
-        plan.at(0.020).phase_margin
+    design = quiet.design
+    assert math.pi + sum(share.phase for share in phase_budget(design, 0.020)) == pytest.approx(
+        design.at(0.020).phase_margin
     )
-    assert "lead" in {share.element for share in phase_budget(plan, 0.020)}
-    law = plan.law()
+    assert "lead" in {share.element for share in phase_budget(design, 0.020)}
+    law = design.law()
     assert law.correction_error[0] < 0.1 and law.correction_error[1] < 0.5
-    shipped = plan.with_law()
-    assert shipped.holds
-    assert certify(plan, law=law, modulus_margin=0.5).holds
-    plan.save(tmp_path / "design.json")
-    assert Plan.load(tmp_path / "design.json") == plan
+    shipped = design.with_law()
+    assert shipped.passed
+    assert certify(design, law=law, modulus_margin=0.5).passed
+    design.save(tmp_path / "design.json")
+    assert Design.load(tmp_path / "design.json") == design
 
 
-def test_a_design_of_format_one_reads_without_a_lead(plan: Plan, tmp_path: Path) -> None:
+def test_a_design_of_format_one_reads_without_a_lead(design: Design, tmp_path: Path) -> None:
     place = tmp_path / "design.json"
-    plan.save(place)
+    design.save(place)
     data = json.loads(place.read_text("utf-8"))
     data["format"] = 1
     del data["controller"]["lead"]
     place.write_text(json.dumps(data), "utf-8")
-    assert Plan.load(place) == plan
+    assert Design.load(place) == design
 
 
 @pytest.mark.parametrize(
@@ -199,9 +203,9 @@ def test_a_design_of_format_one_reads_without_a_lead(plan: Plan, tmp_path: Path)
         ({"least": 2.0}, "least"),
     ],
 )
-def test_bad_requests_are_refused(plan: Plan, options: dict[str, object], field: str) -> None:
+def test_bad_requests_are_refused(design: Design, options: dict[str, object], field: str) -> None:
     with pytest.raises(FieldError) as caught:
-        optimise(plan, **options)  # type: ignore[arg-type]
+        optimise(design, **options)  # type: ignore[arg-type]
     assert caught.value.field == field
 
 
@@ -211,9 +215,9 @@ def test_the_papers_reading_is_refused() -> None:
         optimise(ideal)
 
 
-def test_bounds_that_nothing_keeps_are_infeasible(plan: Plan) -> None:
+def test_bounds_that_nothing_keeps_are_infeasible(design: Design) -> None:
     with pytest.raises(InfeasibleError, match="no structure"):
-        optimise(plan, max_sensitivity=1.02, lead=False)
+        optimise(design, max_sensitivity=1.02, lead=False)
 
 
 @pytest.mark.parametrize("values", [(0.0, 0.1, 0.5), (0.1, -1.0, 0.5), (0.1, 0.1, 1.1), (0.1, math.nan, 0.5)])
@@ -223,13 +227,13 @@ def test_leads_out_of_range_are_refused(values: tuple[float, float, float]) -> N
 
 
 def test_the_verb_writes_a_design_that_other_verbs_read(
-    plan: Plan, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    design: Design, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    plan.save(tmp_path / "design.json")
+    design.save(tmp_path / "design.json")
     out = tmp_path / "optimised.json"
     line = ["optimise", str(tmp_path / "design.json"), "--no-lead", "--out", str(out)]
     assert main([*line, "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["pays"] and told["controller"]["lead"] is None
-    assert Plan.load(out).controller.gain == told["controller"]["gain"]
+    assert Design.load(out).controller.gain == told["controller"]["gain"]
     assert main(line) == 2  # what is there is kept without --force

@@ -21,7 +21,7 @@ class Case:
 
 @st.composite
 def cases(draw: st.DrawFn, *, right_of_39: bool) -> Case:
-    """A loop (34) with 1 < λ <= 2, 0 < β < λ, ϖ > 1, crossing at ω_c, right of (39) or left of it."""
+    """A loop (34) with 1 < λ <= 2, 0 < β < λ, ω₀ > 1, crossing at ω_c, right of (39) or left of it."""
     order = draw(st.floats(1.05, 2.0))
     beta = order * draw(st.floats(0.05, 0.95))
     pi = draw(st.floats(1.5, 40.0))
@@ -73,7 +73,7 @@ def test_lemma_1_homothety(case: Case, factor: float):
 @settings(max_examples=200, deadline=None)
 @given(cases(right_of_39=True))
 def test_theorem_1_and_remark_1(case: Case):
-    """With (39): φ_m falls and ω_c rises with ϖ, and the denominator of (49) is positive."""
+    """With (39): φ_m falls and ω_c rises with ω₀, and the denominator of (49) is positive."""
     assert denominator_49(case) > 0.0
     crossovers, margins = zip(
         *(last_crossing(case.loop, case.pi * f) for f in (1.0, 1.05, 1.2, 2.0)), strict=True

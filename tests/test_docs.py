@@ -154,11 +154,11 @@ def resolved(name: str) -> object:
 
 BROKEN = {
     "an undefined symbol": ("`fl.desing` makes a plan", "fraclink.desing"),
-    "a method that is not": ("`fl.Plan.sample_at(0.02)`", "fraclink.Plan.sample_at"),
+    "a method that is not": ("`fl.Design.sample_at(0.02)`", "fraclink.Design.sample_at"),
     "a link to no page": ("[see](no-such-page.md)", "no-such-page.md"),
     "a link to no heading": ("[see](#no-such-heading)", "no-such-heading"),
     "a type of a signature": (
-        "```{eval-rst}\n.. py:function:: fraclink.told(plan: fraclink.Plann) -> None\n```",
+        "```{eval-rst}\n.. py:function:: fraclink.told(design: fraclink.Plann) -> None\n```",
         "fraclink.Plann",
     ),
     "a class that is not": ("```{eval-rst}\n.. autoclass:: fraclink.Plane\n```", "Plane"),
@@ -178,15 +178,16 @@ def build(folder: Path, text: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-ENTRY = "## Entries\n\n```{eval-rst}\n.. py:class:: fraclink.Plan\n```\n"
+ENTRY = "## Entries\n\n```{eval-rst}\n.. py:class:: fraclink.Design\n```\n"
 
 
 def test_a_page_without_faults_builds_and_its_names_are_links(tmp_path: Path) -> None:
     done = build(
-        tmp_path, "`fl.Plan` and [the entries](#entries), `fraclink._simulate.twin`, `fraclink run`, `law.c`"
+        tmp_path,
+        "`fl.Design` and [the entries](#entries), `fraclink._simulate.twin`, `fraclink run`, `law.c`",
     )
     assert done.returncode == 0, done.stderr
-    assert 'href="#fraclink.Plan"' in (tmp_path / "html" / "index.html").read_text("utf-8")
+    assert 'href="#fraclink.Design"' in (tmp_path / "html" / "index.html").read_text("utf-8")
 
 
 def test_dead_links_and_undefined_symbols_fail_the_build(tmp_path: Path) -> None:

@@ -30,7 +30,7 @@ def test_the_export_repeats_the_package_to_the_bit(precision: str, compiler: str
     made = law(precision)
     export_c(made, tmp_path / "firmware")
     result = _replay(tmp_path / "firmware", made, compiler)
-    assert result.holds
+    assert result.passed
     assert result.first_difference is None
     assert result.largest_difference == 0.0
     assert len(result.voltage) == 2000
@@ -46,7 +46,7 @@ def test_a_changed_law_is_found_in_its_period(tmp_path: Path) -> None:
         text.replace("sum += modes[i].gain * value;", "sum -= modes[i].gain * value;"), encoding="utf-8"
     )
     result = _replay(tmp_path / "firmware", made)
-    assert not result.holds
+    assert not result.passed
     assert result.first_difference in (1, 2)
     assert result.largest_difference > 1e-6
 

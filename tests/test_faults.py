@@ -34,8 +34,8 @@ WIDE = 1e3
 @pytest.fixture(scope="module")
 def bench() -> Bench:
     rig = geared(fl.Rig.named("paper-2023"))
-    plan = fl.design(rig.model, rig, payloads=(0.020, 0.040), gain_crossover=12.0, phase_margin=fl.deg(50))
-    return Bench.of(plan, link_mass=0.00735)
+    design = fl.design(rig.model, rig, payloads=(0.020, 0.040), gain_crossover=12.0, phase_margin=fl.deg(50))
+    return Bench.of(design, link_mass=0.00735)
 
 
 @pytest.fixture(scope="module")
@@ -69,7 +69,7 @@ def test_outputs_are_finite_and_in_limits_in_every_run(table: FaultTable) -> Non
 def test_both_precisions_take_the_same_modes(table: FaultTable) -> None:
     for outcome in table.outcomes:
         assert outcome.checks[-1].name.startswith("single precision"), outcome.case.name
-        assert outcome.checks[-1].holds, outcome.case.name
+        assert outcome.checks[-1].passed, outcome.case.name
 
 
 @pytest.mark.parametrize(
@@ -88,8 +88,8 @@ def test_both_precisions_take_the_same_modes(table: FaultTable) -> None:
 def test_a_guard_that_is_removed_turns_the_verdict(
     bench: Bench, name: Case, limits: dict[str, float]
 ) -> None:
-    assert run_case(bench, name, single=False).holds
-    assert not run_case(loosened(bench, **limits), name, single=False).holds
+    assert run_case(bench, name, single=False).passed
+    assert not run_case(loosened(bench, **limits), name, single=False).passed
 
 
 @pytest.mark.parametrize(
@@ -102,15 +102,15 @@ def test_a_guard_that_is_removed_turns_the_verdict(
 def test_a_counter_that_never_ends_turns_the_verdict(
     bench: Bench, case: Case, limits: dict[str, int]
 ) -> None:
-    assert run_case(bench, case, single=False).holds
-    assert not run_case(loosened(bench, **limits), case, single=False).holds
+    assert run_case(bench, case, single=False).passed
+    assert not run_case(loosened(bench, **limits), case, single=False).passed
 
 
 def test_a_blocked_link_is_held_for_a_torque_that_does_not_swing_back(bench: Bench) -> None:
     case = Case("F40", 3, 0.03, "mid", 1)  # C
-    assert run_case(bench, case, single=False).holds
-    assert run_case(loosened(bench, torque_trip=WIDE), case, single=False).holds
-    assert not run_case(loosened(bench, torque_block=WIDE), case, single=False).holds
+    assert run_case(bench, case, single=False).passed
+    assert run_case(loosened(bench, torque_trip=WIDE), case, single=False).passed
+    assert not run_case(loosened(bench, torque_block=WIDE), case, single=False).passed
 
 
 @pytest.mark.parametrize(
@@ -122,16 +122,16 @@ def test_a_run_in_which_nothing_happened_does_not_pass(bench: Bench, number: str
     case = next(iter(cases(bench, only=[number], severities=(2,), payloads=(0.03,))))
     e = observe(bench, case, bench.law)
     e = replace(e, faulty=e.clean)
-    assert not all(check(e).holds for check in fault.checks)
+    assert not all(check(e).passed for check in fault.checks)
 
 
 def test_the_shared_criteria_see_what_they_are_for(bench: Bench) -> None:
     e = observe(bench, Case("F02", 1, 0.03, "mid", 1), bench.law)
-    assert all(check.holds for check in shared_checks(e, e.faulty))
+    assert all(check.passed for check in shared_checks(e, e.faulty))
     for field, value in (("command", math.nan), ("command", 50.0), ("asked", 11.0), ("command", 0.8)):
         values = np.array(getattr(e.faulty, field))
         values[100] = value
-        assert not all(check.holds for check in shared_checks(e, replace(e.faulty, **{field: values})))
+        assert not all(check.passed for check in shared_checks(e, replace(e.faulty, **{field: values})))
 
 
 @pytest.mark.parametrize("precision", ["double", "single"])

@@ -20,7 +20,7 @@ def test_a_fault_that_is_met_exits_with_0(tmp_path: Path, capsys: pytest.Capture
     out = tmp_path / "met"
     assert run([*ARM, *ONE, "--only", "F02", "--out", str(out)]) == 0
     assert "1 of 1 faults" in capsys.readouterr().out
-    assert FaultTable.load(out / "faults.json").holds
+    assert FaultTable.load(out / "faults.json").passed
     assert not (out / "figures").exists()
     about, signals = read_npz(out / "run.npz", "fault-run", (1,))
     assert about["case"] == "F02-2-30g-mid-1" and len(signals["tip"]) == 1751
@@ -36,7 +36,7 @@ def test_an_open_fault_exits_with_1_and_its_command_repeats_it(
     given = ["--only", "F07", "--severity", "3", "--phase", "mid", "--payload", "0.02", "--payload", "0.03"]
     assert run([*ARM, *given, "--seed", "3", "--out", "first", "--json"]) == 1
     told = json.loads(capsys.readouterr().out)
-    assert told["holds"] is False and told["faults"] == {"F07": {"runs": 2, "open": 2}}
+    assert told["passed"] is False and told["faults"] == {"F07": {"runs": 2, "open": 2}}
     for name in ("F07-3-20g-mid-3", "F07-3-30g-mid-3"):
         figure = tmp_path / "first" / "figures" / f"{name}.svg"
         assert figure.read_text("utf-8").lstrip().startswith("<?xml")

@@ -142,7 +142,7 @@ def test_feed_forward_inverts_the_link() -> None:
     classical = discretize_controller(
         replace(default_controller(), link=LinkModel(1.56, 10.0, order=2.0)), PERIOD
     )
-    assert classical.feedforward == Modes(float(np.float32(0.01)))  # 1/ϖ², no state at all
+    assert classical.feedforward == Modes(float(np.float32(0.01)))  # 1/ω₀², no state at all
 
 
 def test_step_and_run_are_the_same() -> None:
@@ -235,10 +235,10 @@ def test_limits_follow_the_move() -> None:
 def test_the_law_keeps_the_margins_of_the_exact_controller(changes: dict[str, float | str]) -> None:
     rig = fl.Rig.named("paper-2023")
     wanted = {"payloads": (0.020, 0.040), "gain_crossover": 12.0, "phase_margin": fl.deg(50)}
-    plan = fl.design(rig.model, rig, **wanted, **changes)  # type: ignore[arg-type]
-    assert plan.law().order <= 6
+    design = fl.design(rig.model, rig, **wanted, **changes)  # type: ignore[arg-type]
+    assert design.law().order <= 6
     for payload in (0.040, 0.030, 0.020, 0.016, 0.008):
         exact, shipped = (
-            plan.sampled_at(payload, realisation=kind).phase_margin for kind in ("exact", "law")
+            design.sampled_at(payload, realisation=kind).phase_margin for kind in ("exact", "law")
         )
         assert shipped == pytest.approx(exact, abs=fl.deg(0.2)), payload

@@ -95,7 +95,7 @@ def test_torque_and_tip_add_up() -> None:
 
 
 def test_undamped_fractional_link_is_a_fractionally_damped_one() -> None:
-    # ERRATA: UD-FOM is D-FOM with ϖ = 0, μ = ϖ², α = 2 − λ.
+    # ERRATA: UD-FOM is D-FOM with ω₀ = 0, μ = ω₀², α = 2 − λ.
     link = LinkModel(1.56, 10.02, order=1.92)
     same = LinkModel(1.56, 0.0, damping=10.02**2, damping_order=0.08)
     s = 1j * np.geomspace(0.1, 100, 50)

@@ -217,9 +217,9 @@ def test_the_times_of_a_run_are_all_in_the_histograms() -> None:
 
 def test_margins_against_payload_are_drawn_in_grams_and_degrees() -> None:
     rig = fl.Rig.named("paper-2023")
-    plan = fl.design(rig.model, rig, gain_crossover=12.0, phase_margin=fl.deg(50))
-    curves = [margin_curve(plan, [0.020, 0.030, 0.040], kind=kind) for kind in ("motor", "loop")]
-    axis = plots.margins_against_payload(curves, payloads=(0.020, 0.040), wanted=plan.phase_margin)
+    design = fl.design(rig.model, rig, gain_crossover=12.0, phase_margin=fl.deg(50))
+    curves = [margin_curve(design, [0.020, 0.030, 0.040], kind=kind) for kind in ("motor", "loop")]
+    axis = plots.margins_against_payload(curves, payloads=(0.020, 0.040), wanted=design.phase_margin)
     drawn = {line.get_label(): line for line in axis.get_lines()}
     grams, degrees = drawn["with hold and delay, too"].get_data()
     np.testing.assert_allclose(grams, [20.0, 30.0, 40.0])
@@ -230,8 +230,8 @@ def test_margins_against_payload_are_drawn_in_grams_and_degrees() -> None:
 
 def test_the_phase_budget_falls_from_half_a_turn_to_the_margin() -> None:
     rig = fl.Rig.named("paper-2023")
-    plan = fl.design(rig.model, rig, gain_crossover=12.0, phase_margin=fl.deg(50))
-    axis = plots.phase_shares(phase_budget(plan, 0.020))
+    design = fl.design(rig.model, rig, gain_crossover=12.0, phase_margin=fl.deg(50))
+    axis = plots.phase_shares(phase_budget(design, 0.020))
     bars = axis.patches
     assert bars[0].get_height() == 180.0
     assert bars[-1].get_height() == pytest.approx(50.0, abs=1e-6)

@@ -79,7 +79,7 @@ def test_the_record_replays_to_the_last_bit(law: Law, precision: str) -> None:
     assert run.stopped == "finished"
     assert run.first_difference is None
     assert run.difference(used) is None
-    assert run.holds or run.overruns
+    assert run.passed or run.overruns
     assert len(run.time) + run.missed <= 16
     assert run.time == pytest.approx(PERIOD * (run.tick - 1.0), abs=1e-12)
     assert run.origin == pytest.approx(0.3)
@@ -135,9 +135,9 @@ def test_missed_periods_reach_the_law(law: Law) -> None:
     assert run.flags[jump] & MISSED
     assert run.mode[jump] == MODES.index("run")  # ridden through
     assert run.first_difference is None
-    assert not run.holds
+    assert not run.passed
     assert "overruns, allowed 0" in run.problem
-    assert replace(run, allowed_overruns=run.overruns).holds
+    assert replace(run, allowed_overruns=run.overruns).passed
 
 
 def test_too_many_missed_periods_switch_the_drive_off(law: Law) -> None:
@@ -190,7 +190,7 @@ def test_a_law_that_gave_up_the_gauge_goes_on_and_does_not_hold(law: Law) -> Non
         lock_memory=False,
         allowed_overruns=99,
     )
-    assert (run.stopped, run.holds) == ("finished", False)
+    assert (run.stopped, run.passed) == ("finished", False)
     assert run.problem == "the law ended in mode degraded (gauge)"
     assert run.first_difference is None
 

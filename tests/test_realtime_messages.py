@@ -185,7 +185,7 @@ def test_a_controller_that_dies_is_replaced_by_the_watchdog(twin: Twin) -> None:
             plug.send(message(2, sequence, 0.0, 3.0))
             time.sleep(0.5 * PERIOD)
     served = ended()
-    assert (served.controllers, served.silences, served.holds) == (1, 1, False)
+    assert (served.controllers, served.silences, served.passed) == (1, 1, False)
     driven = np.flatnonzero(served.voltage == 3.0)
     assert len(driven) >= 10  # the watchdog's periods among them, in which the last voltage acts
     assert served.motor_angle.max() > 0.01
@@ -208,7 +208,7 @@ def test_the_bytes_on_the_wire_are_the_documented_ones(twin: Twin) -> None:
         assert angle == 0.0
         numbers.append((sequence, tick))
     assert np.all(np.diff(np.array(numbers), axis=0) == 1)
-    assert ended().holds
+    assert ended().passed
 
 
 def test_what_is_damaged_late_or_from_somebody_else_changes_nothing(twin: Twin) -> None:

@@ -88,7 +88,7 @@ def parsed(text: str) -> Elements:
     return elements
 
 
-def study(text: str, *, plan: bool = False) -> Study:
+def study(text: str, *, design: bool = False) -> Study:
     """A study whose every text from outside is `text`."""
     time = np.arange(400) * 0.004
     log = Experiment(
@@ -99,12 +99,12 @@ def study(text: str, *, plan: bool = False) -> Study:
         notes=(("title", text), ("source", text)),
     )
     finding = Finding("W201", "warning", text, {}, text)
-    made = design_for(RIG, None, Request())[0] if plan else None
+    made = design_for(RIG, None, Request())[0] if design else None
     return Study(
         rig=replace(RIG, name=text, source=text, assumptions=(text,)),
         experiment=log,
         findings=(finding, replace(finding, code="W101")),
-        plan=made,
+        design=made,
         infeasible=text,
         assumptions=(text,),
         faults=faults(text),
@@ -113,7 +113,7 @@ def study(text: str, *, plan: bool = False) -> Study:
 
 def faults(text: str) -> FaultTable:
     """A campaign with a fault that is met and one that is not."""
-    checks = (Check("peak", 1.0, 1.1, holds=True), Check(text, 1.3, 1.1, holds=False))
+    checks = (Check("peak", 1.0, 1.1, passed=True), Check(text, 1.3, 1.1, passed=False))
     cases = (Case("F09", 1, 0.02, "mid", 1), Case("F11", 2, 0.03, "start", 1))
     outcomes = tuple(
         Outcome(case, checks[:count], 0.1, 0.1, 0.0, "run", "none", 0, text)
@@ -142,7 +142,7 @@ def test_the_counter_sees_a_new_element(plain: Elements) -> None:
 
 
 def test_the_page_asks_nobody_for_anything() -> None:
-    text = render_report(study("plain", plan=True))
+    text = render_report(study("plain", design=True))
     assert all(reference.startswith("#") for reference in parsed(text).references)
     assert "url(" not in re.sub(r"url\(#[\w-]+\)", "", text)
     assert "@import" not in text
@@ -151,7 +151,7 @@ def test_the_page_asks_nobody_for_anything() -> None:
 
 
 def test_ids_are_unique_and_every_reference_has_its_target() -> None:
-    text = render_report(study("plain", plan=True))
+    text = render_report(study("plain", design=True))
     ids = re.findall(r'\bid="([^"]+)"', text)
     assert [name for name, count in Counter(ids).items() if count > 1] == []
     used = re.findall(r'href="#([^"]+)"|url\(#([^)]+)\)', text)
@@ -162,8 +162,8 @@ def test_the_same_study_gives_the_same_bytes_in_another_process(tmp_path: Path) 
     code = (
         "from fraclink._arm.rig import Rig; from fraclink._workflow import Request, Study, design_for\n"
         "from fraclink._show.report import write_report\n"
-        "rig = Rig.named('paper-2023'); plan, _ = design_for(rig, None, Request())\n"
-        "import sys; write_report(Study(rig=rig, plan=plan), sys.argv[1])"
+        "rig = Rig.named('paper-2023'); design, _ = design_for(rig, None, Request())\n"
+        "import sys; write_report(Study(rig=rig, design=design), sys.argv[1])"
     )
     places = [tmp_path / "a.html", tmp_path / "b.html"]
     for place, seed in zip(places, ("1", "2"), strict=True):
@@ -184,7 +184,7 @@ def test_an_infeasible_design_is_told() -> None:
 
 def test_faults_have_a_section_and_a_verdict_of_their_own(tmp_path: Path) -> None:
     made, _ = design_for(RIG, None, Request())
-    saved = Study(rig=RIG, plan=made, faults=faults("peak over clean"))
+    saved = Study(rig=RIG, design=made, faults=faults("peak over clean"))
     save_study(saved, tmp_path)
     back = load_study(tmp_path)
     assert back.faults == saved.faults and back.reasons == replace(saved, faults=None).reasons
@@ -197,7 +197,7 @@ def test_faults_have_a_section_and_a_verdict_of_their_own(tmp_path: Path) -> Non
 
 def test_the_design_shows_every_requirement_with_its_payload() -> None:
     made, _ = design_for(RIG, None, Request())
-    texts = " ".join(parsed(render_report(Study(rig=RIG, plan=made))).texts)
+    texts = " ".join(parsed(render_report(Study(rig=RIG, design=made))).texts)
     for requirement in made.requirements:
         assert requirement.name in texts
     assert number(made.controller.gain, 6) in texts
@@ -210,7 +210,7 @@ def test_a_model_without_a_natural_frequency_is_named_by_the_model_that_it_is() 
     page = render_report(Study(experiment=log, comparison=comparison, fit=comparison.fits["UD-FOM"]))
     row = page[page.index("<td>D-FOM</td>") :].partition("</tr>")[0]
     assert re.findall(r"<td[^>]*>(.*?)</td>", row)[1] == "–"
-    assert "D-FOM ended at ϖ = 0: it is UD-FOM with λ = 2 − α" in page
+    assert "D-FOM ended at ω₀ = 0: it is UD-FOM with λ = 2 − α" in page
 
 
 def test_nothing_is_left_when_writing_fails(tmp_path: Path) -> None:
@@ -247,7 +247,7 @@ def test_an_uncertain_number_shows_the_digits_it_has() -> None:
 
 def test_a_browser_shows_the_page_without_a_complaint(tmp_path: Path) -> None:
     browser = tool("chromium")
-    place = write_report(study(HOSTILE[0], plan=True), tmp_path / "report.html")
+    place = write_report(study(HOSTILE[0], design=True), tmp_path / "report.html")
     command = [
         browser,
         "--headless",

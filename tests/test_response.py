@@ -220,7 +220,7 @@ def test_grunwald_letnikov_converges_slowly_to_the_same_response() -> None:
 
 @pytest.mark.parametrize("order", [1.01, 1.37, 1.92, 2.0])
 def test_homothety(order: float) -> None:
-    """The response of ϖ²/(s^λ + ϖ²) depends on t ϖ^(2/λ) only (Lemma 1 of the source paper)."""
+    """The response of ω₀²/(s^λ + ω₀²) depends on t ω₀^(2/λ) only (Lemma 1 of the source paper)."""
     t = np.linspace(0.01, 3.0, 50)
     slow = step_response(1 / (s**order + 1), t * 11.54 ** (2 / order)).output
     fast = step_response(11.54**2 / (s**order + 11.54**2), t).output
@@ -235,7 +235,7 @@ def test_parseval() -> None:
     w = (0.5 * np.diff(edges)[:, None] * weight).ravel() * np.exp(x)
     in_time = float(w @ impulse_response(LINK, np.exp(x)).output ** 2)
     in_frequency = float(w @ np.abs(LINK(1j * np.exp(x))) ** 2) / math.pi
-    # Beyond ω = 1e4 there is ϖ⁴ ω^-2.84/2.84 = 3e-8 of the integral; below 1e-7 nothing of note.
+    # Beyond ω = 1e4 there is ω₀⁴ ω^-2.84/2.84 = 3e-8 of the integral; below 1e-7 nothing of note.
     tail = 11.54**4 * 1e4**-2.84 / 2.84 / math.pi
     assert in_time == pytest.approx(in_frequency + tail, rel=1e-7)
 

@@ -33,7 +33,7 @@ def reference_cases() -> dict[tuple[str, ...], list[tuple[int, float]]]:
 
 @pytest.mark.parametrize("case", sorted(reference_cases()), ids=" ".join)
 def test_link_for_100_s_at_4_ms(case: tuple[str, ...]) -> None:
-    """UD-FOM (λ, ϖ) and D-FOM (λ, μ, α, ϖ) against values on which two methods agree to 40 digits."""
+    """UD-FOM (λ, ω₀) and D-FOM (λ, μ, α, ω₀) against values on which two methods agree to 40 digits."""
     order, *damping, frequency = map(float, case)
     loss = damping[0] * s ** damping[1] if damping else 0.0
     output = time_response(frequency**2 / (s**order + loss + frequency**2), np.ones(25_001), PERIOD).output

@@ -95,11 +95,11 @@ def _coast(gain: float, decay: float, friction: float, speed: float, *, substeps
 @pytest.mark.parametrize("payload", [0.008, 0.016, 0.020, 0.030, 0.040])
 def test_the_default_design_holds_for_every_payload(payload: float) -> None:
     run = simulate(EXACT, MODEL, law(), fl.smooth_step(1.0, 0.5), payload=payload)
-    assert run.verdict.holds, run.verdict.reason
+    assert run.verdict.passed, run.verdict.reason
     assert abs(run.metrics.steady_state_error) < 1e-3
     assert run.payload == payload
     sampled = simulate(EXACT, MODEL, law(), fl.smooth_step(1.0, 0.5), payload=payload, inner="sampled")
-    assert sampled.verdict.holds, sampled.verdict.reason
+    assert sampled.verdict.passed, sampled.verdict.reason
 
 
 @pytest.mark.parametrize("payload", [0.030, 0.040])
@@ -125,11 +125,11 @@ def test_a_gauge_offset_leaves_the_tip() -> None:
 def test_friction_is_compensated(payload: float) -> None:
     """With the design that the rig asks for; without its filter the 20 g arm keeps 0.11 of the swing."""
     rough = replace(EXACT, motor=RIG.motor)
-    plan = fl.design(MODEL, rough, gain_crossover=12.0, phase_margin=fl.deg(50))
-    made, move = plan.law(), fl.smooth_step(1.0, 0.5)
+    design = fl.design(MODEL, rough, gain_crossover=12.0, phase_margin=fl.deg(50))
+    made, move = design.law(), fl.smooth_step(1.0, 0.5)
     assert made.drive is not None
     run = simulate(rough, MODEL, made, move, payload=payload, inner="sampled")
-    assert run.verdict.holds, run.verdict.reason
+    assert run.verdict.passed, run.verdict.reason
     bare = replace(made, drive=replace(made.drive, coulomb_voltage=0.0))
     worse = simulate(rough, MODEL, bare, move, payload=payload, inner="sampled")
     assert np.ptp(run.tip_angle[-250:]) < 0.1 * np.ptp(worse.tip_angle[-250:])
@@ -247,7 +247,7 @@ def test_a_measured_compensation_costs_damping() -> None:
     for kind in ("ideal", "measured"):
         options: dict[str, Any] = {"inner": "sampled", "compensation": kind, "duration": 3.0}
         run = simulate(EXACT, MODEL, law(), move, payload=0.03, **options)
-        assert run.verdict.holds, run.verdict.reason
+        assert run.verdict.passed, run.verdict.reason
         late[kind] = np.ptp(run.tip_angle[-250:])
     assert late["measured"] > 2 * late["ideal"]
     light = simulate(EXACT, MODEL, law(), move, payload=0.008, inner="sampled", compensation="measured")

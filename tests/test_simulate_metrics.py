@@ -77,17 +77,17 @@ def test_voltage_and_saturation_are_counted() -> None:
 
 def test_a_vibration_is_unstable_where_it_grows_and_only_after_the_move() -> None:
     growing = judged(vibrating(0.02 * np.exp(0.5 * (TIME - ENDED))))
-    assert not growing.holds
+    assert not growing.passed
     assert "0.5" in growing.reason
     # Large while the arm moves, quiet behind it: what happened before the rest is no growth.
-    assert judged(vibrating(np.where(TIME < ENDED, 0.3, 0.001))).holds
+    assert judged(vibrating(np.where(TIME < ENDED, 0.3, 0.001))).passed
 
 
 def test_a_vibration_that_lasts_without_growing_has_not_settled() -> None:
     # Quiet until a period after the move, then slowly dying: over that border it would seem to grow.
     dying = 0.1 * np.exp(-0.05 * TIME)
     verdict = judged(vibrating(np.where(TIME < ENDED + VIBRATION, 0.001, dying)))
-    assert not verdict.holds
+    assert not verdict.passed
     assert verdict.reason.startswith("not settled; the tip is still 0.07")
 
 
@@ -105,6 +105,6 @@ def test_a_trip_names_mode_reason_and_time() -> None:
     mode = RUNNING.copy()
     mode[250:] = 4
     verdict = judged(np.where(TIME < 2.5, REFERENCE, 0.0), mode)
-    assert not verdict.holds
+    assert not verdict.passed
     assert verdict.reason.startswith("tripped: the law goes to off")
     assert verdict.reason.endswith("at 2.5 s")

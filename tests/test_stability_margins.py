@@ -55,7 +55,7 @@ def test_both_crossings_of_the_link_loop(order: float, as_callable: bool) -> Non
 
 @pytest.mark.parametrize("as_callable", [False, True])
 def test_undamped_link_has_a_pole_on_the_axis(as_callable: bool) -> None:
-    """k ω^β ϖ² = |ϖ² − ω²| on both sides of the pole."""
+    """k ω^β ω₀² = |ω₀² − ω²| on both sides of the pole."""
     loop = link_loop(2.0)
     found = margins((lambda z: loop(z)) if as_callable else loop, unstable_poles=0)
     with mpmath.workdps(30):

@@ -45,7 +45,7 @@ def test_h2_closed_forms(system: FractionalTransferFunction, exact: float) -> No
 
 
 def test_h2_of_a_damping_of_1e_8() -> None:
-    """Doubles hold ϖ² − ω² to 1e-16 ϖ², a 1e-8 part of the peak's width: so many digits are left."""
+    """Doubles hold ω₀² − ω² to 1e-16 ω₀², a 1e-8 part of the peak's width: so many digits are left."""
     assert norm(100 / (s**2 + 2e-7 * s + 100), 2) == pytest.approx(math.sqrt(2.5e8), rel=1e-8)
 
 
@@ -66,7 +66,7 @@ def test_h2_fractional(system: FractionalTransferFunction) -> None:
 
 @pytest.mark.parametrize("order", [1.2, 1.5, 1.92, 1.999])
 def test_peak_of_the_link(order: float) -> None:
-    """|s^λ/(s^λ + ϖ²)| peaks at 1/sin(πλ/2), where ω^λ = −ϖ²/cos(πλ/2) (ERRATA, (14))."""
+    """|s^λ/(s^λ + ω₀²)| peaks at 1/sin(πλ/2), where ω^λ = −ω₀²/cos(πλ/2) (ERRATA, (14))."""
     system = s**order / (s**order + 100)
     assert norm(system, INF) == pytest.approx(1 / math.sin(0.5 * math.pi * order), rel=1e-12)
 

@@ -25,7 +25,7 @@ def test_poles_of_integer_systems_are_the_polynomial_roots() -> None:
 
 @pytest.mark.parametrize("order", [1.01, 1.2, 1.5, 1.92, 1.999, 2.0])
 def test_pole_pair_of_the_link(order: float) -> None:
-    """ϖ^(2/λ) e^(±jπ/λ); damping ratio −cos(π/λ) (ERRATA, units)."""
+    """ω₀^(2/λ) e^(±jπ/λ); damping ratio −cos(π/λ) (ERRATA, units)."""
     w = 11.094
     found = poles(1.56 * s**order / (s**order + w**2))
     size = w ** (2 / order)

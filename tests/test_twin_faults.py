@@ -21,8 +21,8 @@ ROW = round(AT / RIG.period)
 
 @pytest.fixture(scope="module")
 def law():
-    plan = fl.design(RIG.model, RIG, payloads=(0.020, 0.040), gain_crossover=12.0, phase_margin=fl.deg(50))
-    return discretize_controller(plan.controller, RIG.period, rig=RIG)
+    design = fl.design(RIG.model, RIG, payloads=(0.020, 0.040), gain_crossover=12.0, phase_margin=fl.deg(50))
+    return discretize_controller(design.controller, RIG.period, rig=RIG)
 
 
 @pytest.fixture(scope="module")

@@ -33,10 +33,10 @@ LINK_MASS = 0.00735
 
 @pytest.fixture(scope="module")
 def law():
-    plan = fl.design(
+    design = fl.design(
         RIG.model, RIG, payloads=(0.020, 0.040), gain_crossover=12.0, phase_margin=fl.deg(50), filter_time=0.0
     )
-    return discretize_controller(plan.controller, RIG.period, rig=RIG)
+    return discretize_controller(design.controller, RIG.period, rig=RIG)
 
 
 def quiet(payload=0.030, link_mass=LINK_MASS, **changes):

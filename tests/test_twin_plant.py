@@ -43,7 +43,7 @@ def test_massless_limit_is_the_lumped_model(damping, frequency):
 
 
 def test_power_law_step_response_against_mittag_leffler():
-    """θt of a hub step in the massless limit is 1 − E_λ(−(ϖ t^(λ/2))²), here at 30 digits."""
+    """θt of a hub step in the massless limit is 1 − E_λ(−(ω₀ t^(λ/2))²), here at 30 digits."""
     order, period = 1.92, 1e-3
     plant = assemble(MASSLESS, PowerLaw(order), drive="prescribed")
     step = plant.discretise(period)
@@ -55,7 +55,7 @@ def test_power_law_step_response_against_mittag_leffler():
     mpmath.mp.dps = 60
     w2, lam = mpmath.mpf(OMEGA) ** 2, mpmath.mpf(order)
 
-    def integral(t):  # ∫ θt dt = t − t E_{λ,2}(−ϖ² t^λ)
+    def integral(t):  # ∫ θt dt = t − t E_{λ,2}(−ω₀² t^λ)
         z, total, term_index = -w2 * t**lam, mpmath.mpf(0), 0
         while True:
             term = z**term_index / mpmath.gamma(lam * term_index + 2)

@@ -239,7 +239,7 @@ def page() -> str:
         "## Codes of findings",
         "",
         "A finding does not stop the work. It is in `rig.warnings`, `log.findings`, `diagnose(log)`,",
-        "`fit.findings`, `plan.findings`, `twin.findings`, in the report and in the JSON, with its evidence",
+        "`fit.findings`, `design.findings`, `twin.findings`, report and JSON, with its evidence",
         "in numbers. Codes keep their meaning across releases; … stands for what is known at run time.",
         "*info* is good to know, *warning* may mislead, *error* makes the log unusable.",
     ]

@@ -53,8 +53,8 @@ def claim_of(name: str, folder: Path) -> step.Claim:
 @pytest.fixture(scope="module")
 def design(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("design") / "design.json"
-    plan, _ = design_for(fl.Rig.named("paper-2023"), None, Request(filter_time=0.0))
-    plan.save(path)
+    design, _ = design_for(fl.Rig.named("paper-2023"), None, Request(filter_time=0.0))
+    design.save(path)
     return path
 
 
@@ -71,7 +71,7 @@ def proved(design: Path) -> Path:
 
 def test_everything_is_proved_and_the_page_says_so(proved: Path) -> None:
     proof = Proof.load(proved / "proof.json")
-    assert proof.holds, str(proof)
+    assert proof.passed, str(proof)
     assert {claim.name for claim in proof.claims} == {"outputs", "finite", "slew", "rounding", "loop"}
     assert proof.law == Law.load(proved / "law.json").digest
     assert proof.sources == {name: sha256_of(proved / name) for name in ("law.h", "law.c", "law_data.h")}
@@ -209,7 +209,7 @@ def test_what_is_missing_is_named_and_not_claimed(
     folder = tmp_path / "firmware"
     assert main(["export", "c", str(design), "--out", str(folder), "--prove", "--json"]) == 1
     told = json.loads(capsys.readouterr().out)
-    assert told["holds"] is False
+    assert told["passed"] is False
     assert {claim["name"]: claim["status"] for claim in told["claims"]} == {
         **dict.fromkeys(("outputs", "finite", "slew", "rounding"), "not proved"),
         "loop": "proved",

@@ -18,7 +18,7 @@ _HOME: dict[str, str] = {
     "FractionalTransferFunction": "fraclink._systems.fractional",
     "Law": "fraclink._law",
     "LinkModel": "fraclink._arm.link",
-    "Plan": "fraclink._design",
+    "Design": "fraclink._design",
     "Rig": "fraclink._arm.rig",
     "Run": "fraclink._simulate",
     "Study": "fraclink._workflow",
@@ -65,7 +65,7 @@ if TYPE_CHECKING:  # what editors and type checkers see; nothing of this runs
     from fraclink._arm.reference import smooth_step as smooth_step
     from fraclink._arm.rig import Rig as Rig
     from fraclink._certify import certify as certify
-    from fraclink._design import Plan as Plan
+    from fraclink._design import Design as Design
     from fraclink._design import deg as deg
     from fraclink._design import design as design
     from fraclink._export import export_c as export_c
@@ -79,7 +79,7 @@ if TYPE_CHECKING:  # what editors and type checkers see; nothing of this runs
     from fraclink._logs.readers import read_log as read_log
     from fraclink._show.report import write_report as write_report
     from fraclink._simulate import Run as Run
-    from fraclink._simulate import simulate as simulate
+    from fraclink._simulate import simulate as simulate  # type: ignore[no-redef]
     from fraclink._simulate.twin import Twin as Twin
     from fraclink._simulate.twin import run_twin as run_twin
     from fraclink._systems.fractional import FractionalTransferFunction as FractionalTransferFunction

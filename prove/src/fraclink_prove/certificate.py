@@ -21,7 +21,7 @@ def loop_claim(law: Law, folder: Path, certificate: Certificate | None) -> Claim
     claim = Claim("loop", "the sampled loop is stable with a distance from -1", "not proved")
     if certificate is None:
         return replace(claim, reason="no certificate was given (fraclink._certify makes one from the design)")
-    if not certificate.holds:
+    if not certificate.passed:
         return replace(claim, status="failed", reason=certificate.verdict)
     if certificate.statement.digest != law.digest:
         made_for = certificate.statement.digest[:12]

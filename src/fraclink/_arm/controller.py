@@ -131,7 +131,7 @@ class Controller:
     filter_order
         n, 1 or 2. The noise condition (32) asks for n > β.
     link
-        nominal link model, used for the feed-forward ``s^λ/ϖ²`` (corrected eq. (22)).
+        nominal link model, used for the feed-forward ``s^λ/ω₀²`` (corrected eq. (22)).
     inner
         the inner loop the controller was designed for.
     period

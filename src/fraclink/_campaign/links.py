@@ -1,6 +1,6 @@
 """The links of many runs at once: the recursion of `fraclink._simulate.plant`, vectorised over the arms.
 
-The step response of ``G = ϖ²/(s^λ + ϖ²)`` is, in the link's own time x = Ω t with Ω = ϖ^(2/λ),
+The step response of ``G = ω₀²/(s^λ + ω₀²)`` is, in the link's own time x = Ω t with Ω = ω₀^(2/λ),
 
 ``S = 1 − (2/λ) Re e^(x e^(iπ/λ)) − (1/π) ∫ sin(πλ) e^(λv) / |1 + e^(λv + iπλ)|² · e^(−x e^v) dv``,
 
@@ -41,12 +41,12 @@ class BatchLinks:
 
 
 def batch_links(stiff: Real, order: Real, period: float) -> BatchLinks:
-    """Return the recursions of links ``G = ϖ²/(s^λ + ϖ²)`` at `period` [s] for a motor angle of degree 5.
+    """Return the recursions of links ``G = ω₀²/(s^λ + ω₀²)`` at `period` [s] for a motor angle of degree 5.
 
     Parameters
     ----------
     stiff
-        ϖ² of each run [s^−λ], shape (R,), > 0.
+        ω₀² of each run [s^−λ], shape (R,), > 0.
     order
         λ of each run, shape (R,), 1 < λ ≤ 2.
     period

@@ -57,7 +57,7 @@ def measure_many(
         "saturated": ((signals.flags & _SATURATED) != 0).mean(axis=1),
         "mode": mode,
         "reason": reason,
-        "holds": settled & (mode == _RUN),
+        "passed": settled & (mode == _RUN),
     }
 
 

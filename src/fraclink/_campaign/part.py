@@ -53,7 +53,7 @@ def unit_paths(campaign: Campaign) -> Real:
 
 @dataclass(frozen=True)
 class Block:
-    """Runs that are simulated in one call: what the kernel takes of each. `stiff` is ϖ² of each link."""
+    """Runs that are simulated in one call: what the kernel takes of each. `stiff` is ω₀² of each link."""
 
     links: BatchLinks
     stiff: Real

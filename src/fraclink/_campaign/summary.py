@@ -110,7 +110,7 @@ def summarise(campaign: Campaign, folder: Path | str) -> Summary:
     def column(name: str) -> NDArray[np.generic]:
         return np.concatenate([_column(campaign, place, part, name) for part in parts])
 
-    run, holds = column("run"), column("holds").astype(bool)
+    run, holds = column("run"), column("passed").astype(bool)
     failed = run[~holds]
     drawn = {name: _ranks(column(name)) for name in PARAMETERS}
     metrics = tuple(_metric(name, np.asarray(column(name), dtype=float), run, drawn) for name in METRICS)

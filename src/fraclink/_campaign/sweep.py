@@ -37,7 +37,7 @@ class Cell:
     gain_crossover: float
     phase_margin: float
     payload: float
-    holds: bool
+    passed: bool
     settling_time: float
     overshoot: float
     residual_vibration: float
@@ -65,10 +65,10 @@ class Sweep:
         return self.cells[place]
 
     @property
-    def holds(self) -> bool:
+    def passed(self) -> bool:
         """Whether every feasible cell holds on the twin, and there is one."""
         feasible = [cell for cell in self.cells if not cell.infeasible]
-        return bool(feasible) and all(cell.holds for cell in feasible)
+        return bool(feasible) and all(cell.passed for cell in feasible)
 
 
 def sweep(
@@ -107,7 +107,7 @@ def sweep(
     >>> from fraclink._simulate.twin import geared
     >>> rig = geared(fl.Rig.named("paper-2023"))
     >>> map_ = sweep(rig, gain_crossovers=[12.0], phase_margins=[fl.deg(50)], payloads=[0.03])
-    >>> map_.cells[0].holds, map_.cells[0].infeasible
+    >>> map_.cells[0].passed, map_.cells[0].infeasible
     (True, '')
     """
     _model(checked_noun("rig", rig, Rig, remedy="Rig.named or Rig.load make one"))
@@ -172,14 +172,14 @@ def _request(task: Task) -> list[Cell]:
 
     rig, crossover, margin, payloads, _ = task
     try:
-        plan = design(_model(rig), rig, gain_crossover=crossover, phase_margin=margin)
+        result = design(_model(rig), rig, gain_crossover=crossover, phase_margin=margin)
     except InfeasibleError as error:
         nan = math.nan
         return [
             Cell(crossover, margin, m, False, nan, nan, nan, error.explanation, error.condition)
             for m in payloads
         ]
-    law = plan.controller.discretize(rig.period)
+    law = result.controller.discretize(rig.period)
     return [_on_twin(task, law, payload) for payload in payloads]
 
 
@@ -195,7 +195,7 @@ def _on_twin(task: Task, law: Law, payload: float) -> Cell:
         crossover,
         margin,
         payload,
-        run.verdict.holds,
+        run.verdict.passed,
         m.settling_time,
         m.overshoot,
         m.residual_vibration,

@@ -37,7 +37,7 @@ class Certificate:
     """
 
     statement: Statement
-    holds: bool
+    passed: bool
     verdict: str
     tree: str = ""
     leaves: int = 0
@@ -54,7 +54,7 @@ class Certificate:
 
     def save(self, path: Path | str) -> None:
         """Write the certificate to one JSON file; NotCertifiedError where nothing was proved."""
-        if not self.holds:
+        if not self.passed:
             raise NotCertifiedError(self.verdict, payload=self.payload, frequency=self.frequency)
         write_json(
             path,

@@ -87,7 +87,7 @@ def enclose_phase_margin(
     The upper end is attained at a crossing, known to rounding; the lower end is proved by bisection. For
     margins below 90°.
     """
-    checked_noun("statement", statement, Statement, remedy="certify(plan).statement")
+    checked_noun("statement", statement, Statement, remedy="certify(design).statement")
     checked_noun("law", law, Law, remedy="the law that was certified")
     checked_between("width", width, 0.0, 0.5 * math.pi, "rad", open_low=True)
     checked_whole("most", most, 1, 10**9)

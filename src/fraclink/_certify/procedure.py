@@ -13,7 +13,7 @@ from fraclink._certify.certificate import Certificate
 from fraclink._certify.numeric import windings, worst_distance
 from fraclink._certify.search import Failure, prove
 from fraclink._certify.statement import Statement, state
-from fraclink._design import Plan
+from fraclink._design import Design
 from fraclink._design.request import link_at
 from fraclink._law import Law, discretize_controller
 from fraclink._validate import checked_between, checked_choice, checked_noun
@@ -25,7 +25,7 @@ _SHARE = 0.9  # of the distance a grid finds, what is claimed when nothing is as
 
 
 def certify(
-    subject: Plan | Controller | Law,
+    subject: Design | Controller | Law,
     *,
     model: LinkModel | None = None,
     rig: Rig | None = None,
@@ -43,19 +43,19 @@ def certify(
     Parameters
     ----------
     subject
-        a plan; or a controller or a law, then `model` and `rig` are needed.
+        a design; or a controller or a law, then `model` and `rig` are needed.
     model, rig
-        the link and the rig; the plan's own when left out.
+        the link and the rig; the design's own when left out.
     payloads
-        (lightest, heaviest) [kg], > 0; the plan's or the rig's when left out.
+        (lightest, heaviest) [kg], > 0; the design's or the rig's when left out.
     delay
         (shortest, longest) computation delay [s], at most Ts for a sampled motor loop; (0, Ts) when left out.
     modulus_margin
         m, 0 < m < 1; nine tenths of what a grid finds when left out.
     law
-        the law to prove, where the plan's own is not meant (single precision, another order).
+        the law to prove, where the design's own is not meant (single precision, another order).
     inner
-        "ideal" or "sampled" motor loop; the plan's own when left out.
+        "ideal" or "sampled" motor loop; the design's own when left out.
 
     Returns
     -------
@@ -75,9 +75,9 @@ def certify(
     >>> from fraclink._certify import certify
     >>> rig = fl.Rig.named("paper-2023")
     >>> wanted = {"gain_crossover": 12.0, "phase_margin": fl.deg(50), "filter_time": 0.0}
-    >>> plan = fl.design(rig.model, rig, payloads=(0.020, 0.040), **wanted)
-    >>> certificate = certify(plan, modulus_margin=0.35)
-    >>> certificate.holds
+    >>> design = fl.design(rig.model, rig, payloads=(0.020, 0.040), **wanted)
+    >>> certificate = certify(design, modulus_margin=0.35)
+    >>> certificate.passed
     True
     """
     load_flint()
@@ -110,7 +110,7 @@ def certify(
 
 
 def _statement(
-    subject: Plan | Controller | Law,
+    subject: Design | Controller | Law,
     model: LinkModel | None,
     rig: Rig | None,
     payloads: tuple[float, float] | None,
@@ -119,7 +119,7 @@ def _statement(
     inner: str | None,
 ) -> tuple[Statement, Law]:
     _check_nouns(subject, model, rig, law)
-    if isinstance(subject, Plan):
+    if isinstance(subject, Design):
         model, rig = model or subject.model, rig or subject.rig
         payloads, law = subject.payloads if payloads is None else payloads, law or subject.law()
         settings = subject.controller.inner
@@ -135,7 +135,7 @@ def _statement(
     if isinstance(subject, Controller):
         law = law or discretize_controller(subject, rig.period, link=model, rig=rig)
     chosen = law if law is not None else subject
-    assert not isinstance(chosen, (Plan, Controller))  # noqa: S101  # both branches above gave a law
+    assert not isinstance(chosen, (Design, Controller))  # noqa: S101  # both branches above gave a law
     light, heavy = _ends("payloads", (rig.payloads.low, rig.payloads.high) if payloads is None else payloads)
     light = checked_between("payloads[0]", light, 0.0, 1e4, "kg", open_low=True)
     heavy = checked_between("payloads[1]", heavy, light, 1e4, "kg")
@@ -167,8 +167,8 @@ def _ends(field: str, value: object) -> tuple[object, object]:
 
 
 def _check_nouns(subject: object, model: object, rig: object, law: object) -> None:
-    if not isinstance(subject, Plan | Controller | Law):
-        allowed, remedy = "a Plan, a Controller or a Law", "fl.design makes a plan"
+    if not isinstance(subject, Design | Controller | Law):
+        allowed, remedy = "a Design, a Controller or a Law", "fl.design makes a plan"
         raise FieldError("subject", repr(subject), "none of them", allowed=allowed, remedy=remedy)
     kinds: tuple[tuple[str, object, type, str], ...] = (
         ("model", model, LinkModel, "fit.model, or rig.model"),
@@ -182,15 +182,15 @@ def _check_nouns(subject: object, model: object, rig: object, law: object) -> No
 
 def _unstable(
     claim: Statement,
-    subject: Plan | Controller | Law,
+    subject: Design | Controller | Law,
     model: LinkModel | None,
     payload: float,
     late: float,
     frequency: float,
 ) -> Certificate:
     poles: tuple[complex, ...] = ()
-    controller = subject.controller if isinstance(subject, Plan) else subject
-    link = subject.model if isinstance(subject, Plan) else model
+    controller = subject.controller if isinstance(subject, Design) else subject
+    link = subject.model if isinstance(subject, Design) else model
     text = ""
     if isinstance(controller, Controller) and link is not None:
         from fraclink._design.poles import closed_loop_poles

@@ -31,7 +31,7 @@ ASSUMPTIONS = (
 class Statement:
     """The claim: for every payload and delay of the ranges the sampled loop is stable and |1 + L| > modulus.
 
-    ``softness`` κ gives q = 1/ϖ² = κ m; ``inner`` is "ideal" (M(s) with `pole`) or "sampled" (the motor
+    ``softness`` κ gives q = 1/ω₀² = κ m; ``inner`` is "ideal" (M(s) with `pole`) or "sampled" (the motor
     `gain`/(s(s+`decay`)) with the PID in the law's block). Floats are written in hexadecimal.
     """
 
@@ -108,7 +108,7 @@ def state(
     inner: str,
     modulus: float,
 ) -> Statement:
-    """Return the statement about `law` on `model`; ϖ is `natural_frequency` at `at_payload` [kg]."""
+    """Return the statement about `law` on `model`; ω₀ is `natural_frequency` at `at_payload` [kg]."""
     if model.order >= 2.0 and not model.damping:
         raise FieldError(
             "model.order",
@@ -123,7 +123,7 @@ def state(
             inner,
             "without a motor loop in the law or friction in the motor",
             allowed="a law with its inner loop, B > 0",
-            remedy="make the law with Plan.law()",
+            remedy="make the law with Design.law()",
         )
     return Statement(
         block=law.block.hex(),

@@ -18,7 +18,7 @@ from fraclink._cli.verdicts import DesignFile
 from fraclink._files import output_path, write_json
 
 if TYPE_CHECKING:
-    from fraclink._design import Plan, Requirement
+    from fraclink._design import Design, Requirement
     from fraclink._design.assess import PhaseShare, Tolerances
     from fraclink._design.rivals import Rival
 
@@ -29,7 +29,9 @@ FIGURES, NUMBERS = ("margins.svg", "phase-budget.svg"), "assessment.json"
 _POINTS = 41  # payloads of a curve: the sampled margins take most of the second it costs
 
 
-def spillover_of(plan: Plan, *, link_mass: float | None, damping: float | None) -> tuple[Requirement, ...]:
+def spillover_of(
+    design: Design, *, link_mass: float | None, damping: float | None
+) -> tuple[Requirement, ...]:
     """Return the loop gain at modes 2 and 3 of the link; empty where the link has no mass.
 
     The mass is the rig's unless `link_mass` [kg] is given; the damping the model's unless a ratio is.
@@ -37,12 +39,12 @@ def spillover_of(plan: Plan, *, link_mass: float | None, damping: float | None) 
     from fraclink._design.higher_modes import mode_gains
 
     if link_mass is not None:
-        plan = replace(plan, rig=replace(plan.rig, link=replace(plan.rig.link, mass=link_mass)))
-    return mode_gains(plan, damping_ratio=damping)
+        design = replace(design, rig=replace(design.rig, link=replace(design.rig.link, mass=link_mass)))
+    return mode_gains(design, damping_ratio=damping)
 
 
 def sentences(rivals: tuple[Rival, ...]) -> tuple[str, ...]:
-    """Return what the comparison at equal Ms says, each rival against the plan's own controller."""
+    """Return what the comparison at equal Ms says, each rival against the design's own controller."""
     own, *others = rivals
     found = []
     for rival in others:
@@ -79,24 +81,24 @@ def assess(
     force: Force = False,
 ) -> int:
     """Tell what a design is worth: phase budget, margins, tolerances, rivals at equal Ms, spillover."""
-    from fraclink._design import Plan
+    from fraclink._design import Design
     from fraclink._design.assess import margin_curve, phase_budget, tolerances
     from fraclink._design.rivals import compare_at_equal_sensitivity
 
     if out is not None:
         for name in (*FIGURES, NUMBERS):
             output_path(out / name, force=force)
-    plan = Plan.load(plan_file)
-    low, high = plan.payloads
+    design = Design.load(plan_file)
+    low, high = design.payloads
     payloads = (high, math.sqrt(low * high), low)
-    budget = phase_budget(plan, low)
-    curves = [margin_curve(plan, payloads, kind=kind) for kind in KINDS]
-    held = tolerances(plan)
+    budget = phase_budget(design, low)
+    curves = [margin_curve(design, payloads, kind=kind) for kind in KINDS]
+    held = tolerances(design)
     peak = max_sensitivity or 1.0 / float(min(curves[2].modulus_margin))
-    rivals = compare_at_equal_sensitivity(plan, max_sensitivity=peak)
-    spill = spillover_of(plan, link_mass=link_mass, damping=mode_damping)
+    rivals = compare_at_equal_sensitivity(design, max_sensitivity=peak)
+    spill = spillover_of(design, link_mass=link_mass, damping=mode_damping)
     said = sentences(rivals)
-    code = HOLDS if all(item.holds for item in spill) else FAILS
+    code = HOLDS if all(item.passed for item in spill) else FAILS
     told = {
         "phase_budget": {share.element: share.phase for share in budget},
         "payloads": list(payloads),
@@ -107,7 +109,7 @@ def assess(
         "spillover": [asdict(item) for item in spill],
     }
     if out is not None:
-        _write(out, plan, budget, told)
+        _write(out, design, budget, told)
     if json:
         emit_json(told if out is None else told | {"out": str(out)})
         return code
@@ -120,7 +122,7 @@ def assess(
     if not spill:
         tell("no spillover: a massless link has one mode; give --link-mass [kg]")
     for item in spill:
-        verdict = "holds" if item.holds else "MISSED"
+        verdict = "passed" if item.passed else "MISSED"
         damped = "the model's damping" if mode_damping is None else f"ζ = {mode_damping:g}"
         emit(f"{item.name}: {item.achieved:.3f} (limit {item.wanted:g}, {damped}) {verdict}")
     if out is not None:
@@ -128,17 +130,19 @@ def assess(
     return code
 
 
-def _write(out: Path, plan: Plan, budget: tuple[PhaseShare, ...], told: dict[str, object]) -> None:
+def _write(out: Path, design: Design, budget: tuple[PhaseShare, ...], told: dict[str, object]) -> None:
     """Figures of margins and budget, and the numbers of both."""
     from fraclink._design.assess import margin_curve
     from fraclink._show.plots import margins_against_payload, phase_shares
 
-    low, high = plan.payloads
+    low, high = design.payloads
     masses = np.geomspace(low / 2.5, 1.25 * high, _POINTS)
-    curves = [margin_curve(plan, masses, kind=kind) for kind in KINDS]
+    curves = [margin_curve(design, masses, kind=kind) for kind in KINDS]
     save_axes(
         out / FIGURES[0],
-        lambda ax: margins_against_payload(curves, payloads=plan.payloads, wanted=plan.phase_margin, ax=ax),
+        lambda ax: margins_against_payload(
+            curves, payloads=design.payloads, wanted=design.phase_margin, ax=ax
+        ),
     )
     save_axes(out / FIGURES[1], lambda ax: phase_shares(budget, ax=ax))
     drawn = {c.kind: c.phase_margin.tolist() for c in curves}

@@ -61,33 +61,33 @@ def c(
     if json:
         told: dict[str, object] = {"out": [str(path) for path in paths]}
         if proof is not None:
-            told |= {"holds": proof.holds, "claims": [asdict(claim) for claim in proof.claims]}
+            told |= {"passed": proof.passed, "claims": [asdict(claim) for claim in proof.claims]}
         emit_json(told)
     else:
         emit("\n".join(map(str, (*paths, *([] if proof is None else [proof])))))
-    return HOLDS if proof is None or proof.holds else FAILS
+    return HOLDS if proof is None or proof.passed else FAILS
 
 
 def _certificate(plan_file: Path, law: Law, *, motor: bool) -> Certificate | None:
     """The certificate of the loop that `law` closes; None, which leaves the claim open, without the extra."""
     from fraclink._certify import certify
-    from fraclink._design import Plan
+    from fraclink._design import Design
     from fraclink.errors import MissingExtraError
 
-    plan = Plan.load(plan_file)
+    design = Design.load(plan_file)
     try:
-        return certify(plan, law=law, inner=None if motor else "ideal")
+        return certify(design, law=law, inner=None if motor else "ideal")
     except MissingExtraError as error:
         tell(f"the loop is not certified: {error}")
         return None
 
 
 def _law(plan_file: Path, *, motor: bool) -> Law:
-    from fraclink._design import Plan
+    from fraclink._design import Design
 
-    plan = Plan.load(plan_file)
+    design = Design.load(plan_file)
     # Without the motor loop the robot has its own servo, and no placement of ours reaches it.
-    return plan.law() if motor else plan.controller.discretize(plan.rig.period)
+    return design.law() if motor else design.controller.discretize(design.rig.period)
 
 
 def matlab(
@@ -166,7 +166,7 @@ def replay(
 
     result = replay_log(folder, load_log(log_file, load_rig(rig), None, column))
     told = {
-        "holds": result.holds,
+        "passed": result.passed,
         "periods": len(result.mode),
         "first_difference": result.first_difference,
         "largest_difference": result.largest_difference,
@@ -174,14 +174,14 @@ def replay(
     }
     if json:
         emit_json(told)
-    elif result.holds:
+    elif result.passed:
         emit(f"{len(result.mode)} periods: the exported law and the package agree to the last bit")
     else:
         emit(
             f"they part in period {result.first_difference}; "
             f"largest difference {result.largest_difference:.3g}"
         )
-    return HOLDS if result.holds else FAILS
+    return HOLDS if result.passed else FAILS
 
 
 def register(app: typer.Typer) -> None:

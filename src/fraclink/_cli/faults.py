@@ -90,12 +90,12 @@ def faults(
     if len(planned) == 1:
         _keep_signals(bench, planned[0], out / "run.npz")
     _tell(result, command, out, json=json)
-    return HOLDS if result.holds else FAILS
+    return HOLDS if result.passed else FAILS
 
 
 def _bench(rig: str | None, design_file: Path | None, gear: float | None, link_mass: float | None) -> Bench:
     from fraclink._campaign.faults import Bench
-    from fraclink._design import Plan
+    from fraclink._design import Design
     from fraclink._simulate.twin import geared
     from fraclink._workflow import Request, design_for
 
@@ -109,12 +109,12 @@ def _bench(rig: str | None, design_file: Path | None, gear: float | None, link_m
         )
     given = None if rig is None else load_rig(rig)
     if design_file is not None:
-        plan = Plan.load(design_file)
+        design = Design.load(design_file)
     else:
         assert given is not None  # noqa: S101  # refused above
-        plan, _ = design_for(given, None, Request())
-    arm = given or plan.rig
-    bench = Bench.of(plan, arm if gear is None else geared(arm, gear), link_mass=link_mass)
+        design, _ = design_for(given, None, Request())
+    arm = given or design.rig
+    bench = Bench.of(design, arm if gear is None else geared(arm, gear), link_mass=link_mass)
     for finding in bench.twin.findings:
         tell(str(finding))
     return bench
@@ -190,7 +190,7 @@ def _tell(result: FaultTable, command: str, out: Path, *, json: bool) -> None:
     if json:
         emit_json(
             {
-                "holds": result.holds,
+                "passed": result.passed,
                 "runs": len(result.outcomes),
                 "faults": {row.number: {"runs": row.runs, "open": row.failed} for row in rows},
                 "open": [_values(outcome, command) for outcome in result.failures],
@@ -211,7 +211,7 @@ def _tell(result: FaultTable, command: str, out: Path, *, json: bool) -> None:
             emit(f"{row.number}: {row.worst}\n  {_replay(row.example.case, command)}")
     if result.failures:
         emit(f"\nall {len(result.failures)} open runs: {out / 'faults.md'}, {out / 'figures'}")
-    met = sum(row.holds for row in rows)
+    met = sum(row.passed for row in rows)
     emit(f"{met} of {len(rows)} faults meet their requirement in every run ({len(result.outcomes)} runs)")
     tell(f"written: {out}")
 

@@ -61,7 +61,7 @@ def identify_all(
         )
         for name, fit in comparison.fits.items()
     ]
-    emit(table(("model", "ϖ", "λ", "μ", "delay [ms]", "MSE", "AIC", "held-out NMSE"), rows))
+    emit(table(("model", "ω₀", "λ", "μ", "delay [ms]", "MSE", "AIC", "held-out NMSE"), rows))
     emit("\n".join([*coincidence_text(comparison.fits), comparison.verdict]))
     warned = [
         f"{name}: {finding_text(f)}"
@@ -86,7 +86,7 @@ def identify_payloads(
         list[float] | None,
         typer.Option("--payload", metavar="KG", help="Payload of a log [kg]; once for each, in their order."),
     ] = None,
-    tied: Annotated[bool, typer.Option("--tied", help="Tie ϖ to the payload by equation (5).")] = False,
+    tied: Annotated[bool, typer.Option("--tied", help="Tie ω₀ to the payload by equation (5).")] = False,
     column: Columns = None,
     json: Json = False,
 ) -> int:
@@ -137,7 +137,7 @@ def identify_payloads(
         )
         for log, m, mse, alone in zip(logs, fit.models, fit.mse, fit.alone_mse, strict=True)
     ]
-    emit(table(("log", "ϖ", "λ", "μ", "α", "MSE", "MSE alone"), rows))
+    emit(table(("log", "ω₀", "λ", "μ", "α", "MSE", "MSE alone"), rows))
     emit(fit.verdict)
     return HOLDS
 

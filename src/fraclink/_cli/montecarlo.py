@@ -39,15 +39,15 @@ def montecarlo(
 ) -> int:
     """Run a law on many arms that differ; resumes, and gives the same result whatever the workers."""
     from fraclink._campaign import Campaign, conduct, summarise
-    from fraclink._design import Plan
+    from fraclink._design import Design
     from fraclink._workflow import Request, design_for
 
     if design_file is not None:
-        plan = Plan.load(design_file)
+        design = Design.load(design_file)
     else:
-        plan, _ = design_for(load_rig(rig), None, Request())
-    law = plan.law()
-    campaign = Campaign.of(plan.rig, plan.model, law, runs=runs, seed=seed)
+        design, _ = design_for(load_rig(rig), None, Request())
+    law = design.law()
+    campaign = Campaign.of(design.rig, design.model, law, runs=runs, seed=seed)
     with _watching(campaign.runs) as watch:
         conduct(campaign, out, workers=workers, scheduler=scheduler, watch=watch)
     return _tell_summary(summarise(campaign, out), out, json=json)
@@ -89,13 +89,13 @@ def replay(
     campaign = load_campaign(parts)
     found = repeat(campaign, run)
     found.save(place)
-    told = {"run": run, "holds": found.verdict.holds, "verdict": str(found.verdict), "out": str(place)}
+    told = {"run": run, "passed": found.verdict.passed, "verdict": str(found.verdict), "out": str(place)}
     emit_json(told | {"metrics": metrics_values(found.metrics)}) if json else emit(
         f"run {run}: {found.verdict}"
     )
     if not json:
         tell(f"written: {place}")
-    return HOLDS if found.verdict.holds else FAILS
+    return HOLDS if found.verdict.passed else FAILS
 
 
 def _tell_summary(summary: Summary, parts: Path, *, json: bool) -> int:

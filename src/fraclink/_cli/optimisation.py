@@ -51,14 +51,14 @@ def optimise(
 ) -> int:
     """Optimise k_d, β, δ, n and a lead for the worst payload, from a closed-form design."""
     from fraclink._cli.summary import plan_text, plan_values
-    from fraclink._design import Plan
+    from fraclink._design import Design
     from fraclink._design import optimise as better
 
     place = output_path(out, force=force)
     with steps(1) as begin:
         begin("optimising")
         found = better(
-            Plan.load(plan_file),
+            Design.load(plan_file),
             goal=goal,
             max_sensitivity=max_sensitivity,
             gain_crossover=gain_crossover,
@@ -67,15 +67,15 @@ def optimise(
             lead=lead,
             least=0.01 * least_percent,
         )
-    plan = found.plan.with_law()
-    plan.save(place)
+    design = found.design.with_law()
+    design.save(place)
     tried = [
         {"structure": s.structure, "value": None if math.isnan(s.value) else s.value, "taken": s.taken}
         for s in found.steps
     ]
     if json:
-        emit_json(plan_values(plan) | {"pays": found.pays, "tried": tried, "out": str(place)})
-        return HOLDS if plan.holds else FAILS
+        emit_json(plan_values(design) | {"pays": found.pays, "tried": tried, "out": str(place)})
+        return HOLDS if design.passed else FAILS
     figure = "worst noise gain" if goal == "noise" else "smallest crossover [rad/s]"
     rows = [
         (
@@ -88,11 +88,11 @@ def optimise(
     emit(table(("structure", figure, ""), rows))
     if not found.pays:
         emit(f"no structure is better by {least_percent:g} %: the closed-form design is returned")
-    emit("\n" + plan_text(plan))
-    for finding in plan.findings:
+    emit("\n" + plan_text(design))
+    for finding in design.findings:
         tell(str(finding))
     tell(f"written: {place}")
-    return HOLDS if plan.holds else FAILS
+    return HOLDS if design.passed else FAILS
 
 
 def register(app: typer.Typer) -> None:

@@ -18,7 +18,7 @@ from fraclink.errors import LogError
 
 if TYPE_CHECKING:
     from fraclink._arm.reference import Reference
-    from fraclink._design import Plan
+    from fraclink._design import Design
     from fraclink._law import Law
     from fraclink._realtime import RealtimeRun, Spread
 
@@ -102,7 +102,7 @@ def run_realtime(
         tell(f"written: {place}")
     if log_place is not None and not _logged(run, log_place):
         return FAILS
-    return HOLDS if run.holds else FAILS
+    return HOLDS if run.passed else FAILS
 
 
 def _logged(run: RealtimeRun, place: Path) -> bool:
@@ -130,16 +130,16 @@ def _tell_refused(what: str, granted: str) -> None:
         tell(f"{what}: {granted}; the loop ran without it (limits rtprio and memlock of the user)")
 
 
-def _plan(plan_file: Path, gear: float | None) -> Plan:
-    from fraclink._design import Plan
+def _plan(plan_file: Path, gear: float | None) -> Design:
+    from fraclink._design import Design
     from fraclink._simulate.twin import geared
 
-    plan = Plan.load(plan_file)
-    return plan if gear is None else replace(plan, rig=geared(plan.rig, gear))
+    design = Design.load(plan_file)
+    return design if gear is None else replace(design, rig=geared(design.rig, gear))
 
 
-def _law(plan: Plan, *, motor: bool, single: bool) -> Law:
-    law = plan.law() if motor else plan.controller.discretize(plan.rig.period)
+def _law(design: Design, *, motor: bool, single: bool) -> Law:
+    law = design.law() if motor else design.controller.discretize(design.rig.period)
     return law.in_precision("single") if single else law
 
 
@@ -148,7 +148,7 @@ def _values(run: RealtimeRun) -> dict[str, object]:
         return None if math.isnan(values.mean) else {name: float(v) for name, v in values._asdict().items()}
 
     return {
-        "holds": run.holds,
+        "passed": run.passed,
         "problem": run.problem,
         "stopped": run.stopped,
         "periods": len(run.tick),
@@ -179,7 +179,7 @@ def _text(run: RealtimeRun) -> str:
             f"scheduling {run.scheduling}, memory {run.memory}",
             table(["time [µs]", "least", "mean", "99.9 %", "most"], rows),
             same,
-            "holds" if run.holds else f"does not hold: {run.problem}",
+            "passed" if run.passed else f"does not hold: {run.problem}",
         )
         if line
     )
@@ -217,15 +217,15 @@ def serve_arm(
 
     place = None if out is None else output_path(out, force=force)
     connection = parse_connection(io)
-    plan = _plan(plan_file, gear)
-    arm = Twin.from_rig(plan.rig, payload=payload, link_mass=link_mass)
+    design = _plan(plan_file, gear)
+    arm = Twin.from_rig(design.rig, payload=payload, link_mass=link_mass)
     for finding in arm.findings:
         tell(str(finding))
-    tell(f"an arm at {connection}, {1e3 * plan.rig.period:g} ms")
+    tell(f"an arm at {connection}, {1e3 * design.rig.period:g} ms")
     served = serve(
         arm,
         connection,
-        plan.rig.period,
+        design.rig.period,
         duration=duration,
         watchdog=watchdog,
         once=once,
@@ -236,7 +236,7 @@ def serve_arm(
     if place is not None:
         served.save(place)
     told = {
-        "holds": served.holds,
+        "passed": served.passed,
         "periods": len(served.voltage),
         "late": served.late,
         "controllers": served.controllers,
@@ -251,7 +251,7 @@ def serve_arm(
             f"{told['periods']} periods, {served.late} late; {served.controllers} controllers, "
             f"{served.silences} of them left without a stop; {served.rejected} messages rejected"
         )
-    return HOLDS if served.holds else FAILS
+    return HOLDS if served.passed else FAILS
 
 
 def register(app: typer.Typer) -> None:

@@ -132,19 +132,19 @@ def design(
         settling_time=settling_time,
         mode_gain=mode_gain,
     )
-    plan, assumptions = design_for(load_rig(rig, link_mass=link_mass), load_link_model(model), request)
-    plan = plan.with_law()
-    plan.save(place)
+    design, assumptions = design_for(load_rig(rig, link_mass=link_mass), load_link_model(model), request)
+    design = design.with_law()
+    design.save(place)
     if json:
-        emit_json(plan_values(plan) | {"out": str(place)})
-        return HOLDS if plan.holds else FAILS
+        emit_json(plan_values(design) | {"out": str(place)})
+        return HOLDS if design.passed else FAILS
     for sentence in assumptions:
         tell(f"assumed: {sentence}")
-    emit(plan_text(plan))
-    for finding in plan.findings:
+    emit(plan_text(design))
+    for finding in design.findings:
         tell(str(finding))
     tell(f"written: {place}")
-    return HOLDS if plan.holds else FAILS
+    return HOLDS if design.passed else FAILS
 
 
 def simulate(
@@ -167,22 +167,22 @@ def simulate(
 ) -> int:
     """Simulate a move of the tip with the law as it is shipped; the exit code says whether it holds."""
     from fraclink._cli.summary import run_text, run_values
-    from fraclink._design import Plan
+    from fraclink._design import Design
     from fraclink._workflow import Move, simulate_move
 
     place = output_path(out, force=force)
     move = Move(
         amplitude, move_time, duration, gauge_offset=gauge_offset, noise=noise, inner=inner, seed=seed
     )
-    plan = Plan.load(plan_file)
-    run = simulate_move(plan, move, payload)
+    design = Design.load(plan_file)
+    run = simulate_move(design, move, payload)
     run.save(place)
     emit_json(run_values(run) | {"out": str(place)}) if json else emit(run_text(run))
     if not json:
-        if doubt := plan.rig.payloads.doubt(payload):
+        if doubt := design.rig.payloads.doubt(payload):
             tell(str(doubt))
         tell(f"written: {place}")
-    return HOLDS if run.verdict.holds else FAILS
+    return HOLDS if run.verdict.passed else FAILS
 
 
 def report(
@@ -201,7 +201,7 @@ def report(
     place = output_path(out or folder / "report.html", force=force)
     study = load_study(folder)
     write_report(study, place, title=title)
-    emit_json({"out": str(place), "holds": study.holds}) if json else emit(str(place))
+    emit_json({"out": str(place), "passed": study.passed}) if json else emit(str(place))
     return HOLDS
 
 

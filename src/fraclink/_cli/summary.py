@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from fraclink._cli.console import table
 
 if TYPE_CHECKING:
-    from fraclink._design import Plan
+    from fraclink._design import Design
     from fraclink._identify import Fit
     from fraclink._simulate import Run
     from fraclink._simulate.metrics import Metrics
@@ -118,12 +118,12 @@ def fit_text(fit: Fit) -> str:
     return table((f"{fit.structure}", "value", "error"), rows)
 
 
-def plan_values(plan: Plan) -> dict[str, object]:
+def plan_values(design: Design) -> dict[str, object]:
     """A design for machines."""
-    controller = plan.controller
+    controller = design.controller
     return {
-        "holds": plan.holds,
-        "margins": plan.margins_kind,
+        "passed": design.passed,
+        "margins": design.margins_kind,
         "controller": {
             "gain": controller.gain,
             "order": controller.order,
@@ -139,9 +139,9 @@ def plan_values(plan: Plan) -> dict[str, object]:
                 "unit": item.unit,
                 "at_payload": _finite(item.at_payload),
                 "slack": _finite(item.slack),
-                "holds": item.holds,
+                "passed": item.passed,
             }
-            for item in plan.requirements
+            for item in design.requirements
         ],
     }
 
@@ -155,11 +155,11 @@ def shown_quantity(value: float, unit: str) -> str:
     return f"{math.degrees(value):.5g}°" if unit == "rad" else f"{value:.5g} {unit}".strip()
 
 
-def plan_text(plan: Plan) -> str:
+def plan_text(design: Design) -> str:
     """A design for people."""
     from fraclink._show.report.sections import relation
 
-    controller = plan.controller
+    controller = design.controller
     filtered = (
         f", filter δ = {controller.filter_time:.6g} s, n = {controller.filter_order}"
         if controller.filter_time
@@ -171,9 +171,9 @@ def plan_text(plan: Plan) -> str:
             f"{relation(item)} {shown_quantity(item.wanted, item.unit)}",
             shown_quantity(item.achieved, item.unit),
             "" if item.at_payload is None else _grams(item.at_payload),
-            "holds" if item.holds else "MISSED",
+            "passed" if item.passed else "MISSED",
         )
-        for item in plan.requirements
+        for item in design.requirements
     ]
     head = f"controller: k_d = {controller.gain:.6g}, β = {controller.order:.6g}{filtered}"
     if controller.lead is not None:
@@ -186,7 +186,7 @@ def run_values(run: Run) -> dict[str, object]:
     """A simulated move for machines."""
     return {
         "payload": run.payload,
-        "holds": run.verdict.holds,
+        "passed": run.verdict.passed,
         "reason": run.verdict.reason,
         "metrics": metrics_values(run.metrics),
     }
@@ -215,7 +215,7 @@ def _run_row(run: Run) -> tuple[str, ...]:
         f"{1e3 * metrics.residual_vibration:.3g} mrad",
         f"{1e3 * metrics.steady_state_error:.3g} mrad",
         f"{metrics.peak_voltage:.3g} V",
-        "holds" if run.verdict.holds else "FAILS",
+        "passed" if run.verdict.passed else "FAILS",
     )
 
 
@@ -233,18 +233,18 @@ _RUN_HEADER = (
 def run_text(run: Run) -> str:
     """A simulated move for people."""
     text = table(_RUN_HEADER, [_run_row(run)])
-    return text if run.verdict.holds else f"{text}\ndoes not hold: {run.verdict.reason}"
+    return text if run.verdict.passed else f"{text}\ndoes not hold: {run.verdict.reason}"
 
 
 def study_values(study: Study) -> dict[str, object]:
     """A whole study for machines."""
     comparison = study.comparison
     return {
-        "holds": study.holds,
+        "passed": study.passed,
         "reasons": list(study.reasons),
         "findings": [finding_values(finding) for finding in study.findings],
         "fits": [fit_values(fit) for fit in comparison.fits.values()] if comparison else [],
-        "design": plan_values(study.plan) if study.plan else None,
+        "design": plan_values(study.design) if study.design else None,
         "runs": [run_values(run) for run in study.runs],
         "assumptions": list(study.assumptions),
     }
@@ -255,7 +255,7 @@ def study_text(study: Study) -> str:
     from fraclink._identify.text import coincidence_text, frequency_text
 
     parts: list[str] = []
-    designed = study.plan.findings if study.plan else ()
+    designed = study.design.findings if study.design else ()
     warned = [finding for finding in (*study.findings, *designed) if finding.severity != "info"]
     if warned:
         parts.append("\n".join(f"{finding.code}: {finding.message}" for finding in warned))
@@ -272,10 +272,10 @@ def study_text(study: Study) -> str:
             )
             for name, fit in study.comparison.fits.items()
         ]
-        parts.append(table(("model", "ϖ", "λ", "MSE", "AIC", "held-out NMSE", "delay"), rows))
+        parts.append(table(("model", "ω₀", "λ", "MSE", "AIC", "held-out NMSE", "delay"), rows))
         parts.append("\n".join([*coincidence_text(study.comparison.fits), study.comparison.verdict]))
-    if study.plan:
-        parts.append(plan_text(study.plan))
+    if study.design:
+        parts.append(plan_text(study.design))
     if study.runs:
         parts.append(table(_RUN_HEADER, [_run_row(run) for run in study.runs]))
     # One reason a line, so that none is lost in another.

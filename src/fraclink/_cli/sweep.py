@@ -75,7 +75,7 @@ def sweep(
     write_sweep_report(found, page)
     _tell(found, json=json)
     tell(f"written: {place}, {page}")
-    return HOLDS if found.holds else FAILS
+    return HOLDS if found.passed else FAILS
 
 
 def _tell(found: Sweep, *, json: bool) -> None:
@@ -85,14 +85,14 @@ def _tell(found: Sweep, *, json: bool) -> None:
                 "gain_crossover": c.gain_crossover,
                 "phase_margin": c.phase_margin,
                 "payload": c.payload,
-                "holds": c.holds,
+                "passed": c.passed,
                 "settling_time": c.settling_time if math.isfinite(c.settling_time) else None,
                 "infeasible": c.infeasible,
                 "reason": c.reason,
             }
             for c in found.cells
         ]
-        emit_json({"holds": found.holds, "cells": told})
+        emit_json({"passed": found.passed, "cells": told})
         return
     header = ["request", *(f"{1e3 * m:.4g} g" for m in found.payloads)]
     rows = [
@@ -108,7 +108,7 @@ def _tell(found: Sweep, *, json: bool) -> None:
 def _cell(cell: Cell) -> str:
     if cell.infeasible:
         return "infeasible"
-    return f"{cell.settling_time:.3g} s" if cell.holds else cell.reason.split(":")[0].split(";")[0]
+    return f"{cell.settling_time:.3g} s" if cell.passed else cell.reason.split(":")[0].split(";")[0]
 
 
 def register(app: typer.Typer) -> None:

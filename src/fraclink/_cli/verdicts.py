@@ -42,26 +42,26 @@ def certify(
 ) -> int:
     """Prove stability for every payload and delay in range; exit code 1 where the proof fails."""
     from fraclink._certify import certify as prove
-    from fraclink._design import Plan
+    from fraclink._design import Design
 
     place = output_path(out, force=force)
     with steps(1) as begin:
         begin("proving")
-        certificate = prove(Plan.load(plan_file), modulus_margin=modulus_margin)
-    if certificate.holds:
+        certificate = prove(Design.load(plan_file), modulus_margin=modulus_margin)
+    if certificate.passed:
         certificate.save(place)
     told = {
-        "holds": certificate.holds,
+        "passed": certificate.passed,
         "verdict": certificate.verdict,
         "payload": certificate.payload,
         "frequency": certificate.frequency,
-        "sha256": certificate.sha256 if certificate.holds else None,
-        "out": str(place) if certificate.holds else None,
+        "sha256": certificate.sha256 if certificate.passed else None,
+        "out": str(place) if certificate.passed else None,
     }
     emit_json(told) if json else emit(certificate.verdict)
-    if certificate.holds and not json:
+    if certificate.passed and not json:
         tell(f"written: {place}")
-    return HOLDS if certificate.holds else FAILS
+    return HOLDS if certificate.passed else FAILS
 
 
 def twin(
@@ -77,17 +77,21 @@ def twin(
     """Run the shipped law on the twin: an arm with distributed mass that is not the model."""
     from fraclink._arm.reference import smooth_step
     from fraclink._cli.summary import metrics_values
-    from fraclink._design import Plan
+    from fraclink._design import Design
     from fraclink._simulate.twin import Twin, geared, run_twin
 
-    plan = Plan.load(plan_file)
-    rig = plan.rig if gear is None else geared(plan.rig, gear)
+    design = Design.load(plan_file)
+    rig = design.rig if gear is None else geared(design.rig, gear)
     arm = Twin.from_rig(rig, payload=payload, link_mass=link_mass)
-    law = replace(plan, rig=rig).law()
+    law = replace(design, rig=rig).law()
     run = run_twin(arm, law, smooth_step(amplitude, duration=move_time), seed=seed)
     if json:
         emit_json(
-            {"holds": run.verdict.holds, "reason": run.verdict.reason, "metrics": metrics_values(run.metrics)}
+            {
+                "passed": run.verdict.passed,
+                "reason": run.verdict.reason,
+                "metrics": metrics_values(run.metrics),
+            }
         )
     else:
         doubt = None if payload is None else rig.payloads.doubt(payload)
@@ -99,7 +103,7 @@ def twin(
             f"{1e3 * metrics.residual_vibration:.3g} mrad, peak voltage {metrics.peak_voltage:.3g} V\n"
             f"{run.verdict}"
         )
-    return HOLDS if run.verdict.holds else FAILS
+    return HOLDS if run.verdict.passed else FAILS
 
 
 def compare(
@@ -148,7 +152,7 @@ def compare(
         emit_json({"verdicts": list(result.verdicts()), "winners": result.winners(), "out": str(out)})
     else:
         emit("\n".join((*result.verdicts(), str(table))))
-    return HOLDS if result.standings[0].holds else FAILS
+    return HOLDS if result.standings[0].passed else FAILS
 
 
 def reproduce(

@@ -83,7 +83,7 @@ def run(
     else:
         emit(study_text(study))
         emit(str(place))
-    return HOLDS if study.holds else FAILS
+    return HOLDS if study.passed else FAILS
 
 
 def register(app: typer.Typer) -> None:

@@ -32,7 +32,7 @@ def corrected(setting: Setting) -> Ruled:
     from fraclink._design import deg, design
 
     payloads = setting.rig.payloads
-    plan = design(
+    result = design(
         setting.model,
         setting.rig,
         payloads=(payloads.low, payloads.high),
@@ -42,7 +42,7 @@ def corrected(setting: Setting) -> Ruled:
         filter_order=2,
     )
     rule = "the paper's procedure (54)-(57) recomputed: ω_c 16 rad/s, 70° for M = 1 without sampling"
-    return rule, plan.controller
+    return rule, result.controller
 
 
 def integer_twin(setting: Setting) -> Ruled:

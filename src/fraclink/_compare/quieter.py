@@ -34,7 +34,7 @@ def quieter(setting: Setting) -> tuple[str, Controller]:
     refused: InfeasibleError | None = None
     for factor in FACTORS:
         try:
-            plan = design(
+            result = design(
                 setting.model,
                 rig,
                 payloads=(rig.payloads.low, rig.payloads.high),
@@ -45,7 +45,7 @@ def quieter(setting: Setting) -> tuple[str, Controller]:
         except InfeasibleError as error:
             refused = error
             continue
-        made.append((_noise(setting, plan.controller), plan.controller))
+        made.append((_noise(setting, result.controller), result.controller))
     if not made:
         raise refused or InfeasibleError("filter_time", "no longer filter was tried")
     best = min(made, key=lambda pair: pair[0])

@@ -63,13 +63,13 @@ def prepare(
         rig = geared(rig)
         notes.append("the rig's hub is too light for a sampled compensation (W601): a gear of 50:1 added")
     twin = Twin.from_rig(rig, link_mass=mass, damping=damping_of(nominal))
-    plan = design(
+    result = design(
         nominal,
         rig,
         payloads=(rig.payloads.low, rig.payloads.high),
         **request,
     )
-    law = driven(twin, plan.controller.discretize(rig.period))
+    law = driven(twin, result.controller.discretize(rig.period))
     loop = NominalLoop.of(
         nominal,
         rig.payloads.nominal,
@@ -77,10 +77,10 @@ def prepare(
         pole=law.inner_pole,
         delay=rig.inner.delay_samples,
     )
-    setting = Setting(rig, nominal, law, plan.controller, loop, request)
+    setting = Setting(rig, nominal, law, result.controller, loop, request)
     notes.append(
         f"our design: crossover {request['gain_crossover']:g} rad/s, "
-        f"margin {math.degrees(request['phase_margin']):g}°, δ {plan.controller.filter_time:.3g} s; "
+        f"margin {math.degrees(request['phase_margin']):g}°, δ {result.controller.filter_time:.3g} s; "
         f"its Ms at {1e3 * rig.payloads.nominal:g} g is {setting.target:.3f} on the lumped model"
     )
     return setting, twin, notes

@@ -34,7 +34,7 @@ def _number(value: float, digits: int = 3) -> str:
 def _row(s: Standing) -> tuple[str, ...]:
     settled = "never" if math.isinf(s.worst_settling) else f"{s.worst_settling:.2f} s"
     return (
-        s.name if s.holds else f"{s.name} (does not hold)",
+        s.name if s.passed else f"{s.name} (does not hold)",
         "never" if math.isinf(s.settling_time) else f"{s.settling_time:.2f}",
         f"{100 * s.overshoot:.1f}",
         f"{1e3 * s.residual_vibration:.1f}",
@@ -54,7 +54,7 @@ def _hidden(result: Tournament) -> list[str]:
     """Why a rival holds whose linear loop does not."""
     lines = []
     for s in result.standings:
-        if s.growth == 0.0 or not s.holds:
+        if s.growth == 0.0 or not s.passed:
             continue
         bounded = (
             f"the voltage limit, reached in {100 * s.saturated:.2g} % of the periods, bounds it"

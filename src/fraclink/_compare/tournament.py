@@ -49,7 +49,7 @@ class Standing:
     name: str
     rule: str
     knob: str
-    holds: bool
+    passed: bool
     reason: str
     settling_time: float
     overshoot: float
@@ -68,7 +68,7 @@ class Standing:
     @property
     def sound(self) -> bool:
         """Whether it holds, and not only because friction or a limit hides that its linear loop grows."""
-        return self.holds and self.growth == 0.0
+        return self.passed and self.growth == 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,7 +236,7 @@ def _standing(
         rule=rival.rule,
         knob=rival.knob,
         # A tip that noise carries over the edge of its band in the last second is no loss of stability.
-        holds=not nominal.verdict.reason.startswith(("unstable", "tripped")),
+        passed=not nominal.verdict.reason.startswith(("unstable", "tripped")),
         reason=nominal.verdict.reason,
         settling_time=_settled(nominal),
         overshoot=m.overshoot,

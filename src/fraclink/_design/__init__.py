@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from fraclink._design.optimum import Optimised, Step, optimise
-from fraclink._design.plan import Plan, Requirement
+from fraclink._design.plan import Design, Requirement
 from fraclink._design.procedure import design
 from fraclink._design.request import deg
 
-__all__ = ["Optimised", "Plan", "Requirement", "Step", "deg", "design", "optimise"]
+__all__ = ["Design", "Optimised", "Requirement", "Step", "deg", "design", "optimise"]

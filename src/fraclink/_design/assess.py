@@ -1,4 +1,4 @@
-"""What a user asks a finished plan: where the phase goes, how margins move, what it tolerates."""
+"""What a user asks a finished design: where the phase goes, how margins move, what it tolerates."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fraclink._design.loop import OpenLoop
 from fraclink._design.measure import measure
-from fraclink._design.plan import Plan, Requirement, open_loop
+from fraclink._design.plan import Design, Requirement, open_loop
 from fraclink._design.request import checked_axis
 from fraclink._validate import checked_between, checked_choice, checked_noun
 from fraclink.errors import FieldError
@@ -38,7 +38,7 @@ class PhaseShare:
     phase: float
 
 
-def phase_budget(plan: Plan, payload: float) -> tuple[PhaseShare, ...]:
+def phase_budget(design: Design, payload: float) -> tuple[PhaseShare, ...]:
     """Return what each element of the loop gives at the upper gain crossover, at `payload` [kg] > 0.
 
     The shares and the half turn of feedback add up to the phase margin of the loop with everything inside.
@@ -47,15 +47,15 @@ def phase_budget(plan: Plan, payload: float) -> tuple[PhaseShare, ...]:
     >>> from fraclink._design.assess import phase_budget
     >>> rig = fl.Rig.named("paper-2023")
     >>> wanted = {"gain_crossover": 12.0, "phase_margin": fl.deg(50), "filter_time": 0.0}
-    >>> plan = fl.design(rig.model, rig, payloads=(0.020, 0.040), **wanted)
-    >>> shares = phase_budget(plan, 0.020)
+    >>> design = fl.design(rig.model, rig, payloads=(0.020, 0.040), **wanted)
+    >>> shares = phase_budget(design, 0.020)
     >>> print(f"{sum(share.phase for share in shares) + 3.141592653589793:.4f}")
     0.8727
     """
-    checked_noun("plan", plan, Plan, remedy="fl.design makes one")
-    loop = open_loop(plan.controller, plan.model, plan.rig, margins="loop")
-    pi = plan.natural_frequency(payload)
-    crossings = loop.crossings(pi, highest=math.pi / plan.rig.period).frequency
+    checked_noun("plan", design, Design, remedy="fl.design makes one")
+    loop = open_loop(design.controller, design.model, design.rig, margins="loop")
+    pi = design.natural_frequency(payload)
+    crossings = loop.crossings(pi, highest=math.pi / design.rig.period).frequency
     if crossings.size == 0:
         allowed, remedy = "a payload at which |L| crosses one", "give the mass in kg"
         raise FieldError("payload", payload, "without a gain crossover", allowed=allowed, remedy=remedy)
@@ -67,8 +67,8 @@ def phase_budget(plan: Plan, payload: float) -> tuple[PhaseShare, ...]:
         PhaseShare("filter", -loop.filter_order * math.atan(loop.filter_time * w)),
         *(() if loop.lead is None else (PhaseShare("lead", float(loop.lead.log(w).imag)),)),
         PhaseShare("motor loop", -2.0 * math.atan(loop.lag * w) + inner),
-        PhaseShare("hold", -0.5 * plan.rig.period * w),
-        PhaseShare("computation delay", -(loop.delay - 0.5 * plan.rig.period) * w),
+        PhaseShare("hold", -0.5 * design.rig.period * w),
+        PhaseShare("computation delay", -(loop.delay - 0.5 * design.rig.period) * w),
     )
 
 
@@ -86,8 +86,8 @@ class MarginCurve:
     modulus_margin: Real
 
 
-def margin_curve(plan: Plan, payloads: ArrayLike, *, kind: str = "loop") -> MarginCurve:
-    """Return the margins of a plan against payload (Fig. 10).
+def margin_curve(design: Design, payloads: ArrayLike, *, kind: str = "loop") -> MarginCurve:
+    """Return the margins of a design against payload (Fig. 10).
 
     Parameters
     ----------
@@ -97,13 +97,13 @@ def margin_curve(plan: Plan, payloads: ArrayLike, *, kind: str = "loop") -> Marg
         "ideal" (the paper's L), "motor" (its LM, with M(s) and the filter), "loop" (hold and delay too) or
         "sampled" (the law that is shipped, in the exactly sampled loop).
     """
-    checked_noun("plan", plan, Plan, remedy="fl.design makes one")
+    checked_noun("plan", design, Design, remedy="fl.design makes one")
     masses = checked_axis("payloads", payloads)
     for value in masses:
         checked_between("payloads", float(value), 0.0, 1e4, "kg", open_low=True)
     checked_choice("kind", kind, ("ideal", "motor", "loop", "sampled"), remedy="say 'loop'")
     if kind == "sampled":
-        found = [plan.sampled_at(float(m)) for m in masses]
+        found = [design.sampled_at(float(m)) for m in masses]
         size = np.array([abs(f.phase_margin) for f in found])
         return MarginCurve(
             kind,
@@ -112,14 +112,14 @@ def margin_curve(plan: Plan, payloads: ArrayLike, *, kind: str = "loop") -> Marg
             np.where([bool(f.stable) for f in found], size, -size),
             np.array([f.modulus_margin for f in found]),
         )
-    whole = open_loop(plan.controller, plan.model, plan.rig, margins="loop")
+    whole = open_loop(design.controller, design.model, design.rig, margins="loop")
     loops = {
-        "ideal": open_loop(plan.controller, plan.model, plan.rig, margins="ideal"),
+        "ideal": open_loop(design.controller, design.model, design.rig, margins="ideal"),
         "motor": replace(whole, delay=0.0, correction=None),
         "loop": whole,
     }
-    pi = np.array([plan.natural_frequency(float(m)) for m in masses])
-    got = measure(loops[kind], pi, plan.rig.period, highest=math.pi / plan.rig.period)
+    pi = np.array([design.natural_frequency(float(m)) for m in masses])
+    got = measure(loops[kind], pi, design.rig.period, highest=math.pi / design.rig.period)
     return MarginCurve(kind, masses, got.gain_crossover, got.phase_margin, 1.0 / got.sensitivity_peak)
 
 
@@ -153,13 +153,13 @@ def _edge(stable: Callable[[float], bool], start: float, end: float) -> float | 
     return good
 
 
-def tolerances(plan: Plan) -> Tolerances:
+def tolerances(design: Design) -> Tolerances:
     """Return how much delay, payload, stiffness and motor-pole error the loop that runs tolerates."""
-    checked_noun("plan", plan, Plan, remedy="fl.design makes one")
-    loop = open_loop(plan.controller, plan.model, plan.rig, margins="loop")
-    low, high = plan.natural_frequencies
+    checked_noun("plan", design, Design, remedy="fl.design makes one")
+    loop = open_loop(design.controller, design.model, design.rig, margins="loop")
+    low, high = design.natural_frequencies
     grid = np.geomspace(low, high, 9)
-    nyquist = math.pi / plan.rig.period
+    nyquist = math.pi / design.rig.period
     found = loop.crossings(grid, highest=nyquist)
     falling = found.slope < 0.0
     delay = float(np.min(np.remainder(found.phase_margin[falling], 2 * math.pi) / found.frequency[falling]))
@@ -179,8 +179,8 @@ def tolerances(plan: Plan) -> Tolerances:
     soft, stiff = _edge(with_stiffness, 1.0, 0.05), _edge(with_stiffness, 1.0, 20.0)
     return Tolerances(
         delay=delay,
-        payload_low=plan.payload(light) if light else 0.0,
-        payload_high=plan.payload(heavy) if heavy else math.inf,
+        payload_low=design.payload(light) if light else 0.0,
+        payload_high=design.payload(heavy) if heavy else math.inf,
         stiffness_low=soft or 0.0,
         stiffness_high=stiff or math.inf,
         motor_pole=slow or 0.0,
@@ -190,7 +190,7 @@ def tolerances(plan: Plan) -> Tolerances:
 def _stiffness_holds(loop: OpenLoop, pi: float, ratio: float, nyquist: float) -> bool:
     """Stable where the true stiffness is `ratio` times the one in the tip estimate and in the design.
 
-    The estimate is then ``θm - Γ/c = θm (1 - ratio s^λ/(s^λ + ratio ϖ²))`` and the mode moves with the ratio.
+    The estimate is then ``θm - Γ/c = θm (1 - ratio s^λ/(s^λ + ratio ω₀²))`` and the mode moves with it.
     """
     true = pi * math.sqrt(ratio)
     w = np.unique(np.concatenate([loop.peak(true) * np.geomspace(0.02, 50.0, 3000), [nyquist]]))
@@ -211,22 +211,24 @@ class VibrationMode:
     share: float = 1.0
 
 
-def spillover(plan: Plan, modes: Sequence[VibrationMode], *, limit: float = 0.5) -> tuple[Requirement, ...]:
+def spillover(
+    design: Design, modes: Sequence[VibrationMode], *, limit: float = 0.5
+) -> tuple[Requirement, ...]:
     """Return the loop gain at each higher mode against `limit`: below one it cannot be destabilised by phase.
 
     A mode adds ``share/(1 - (ω/ω_i)² + 2jζω/ω_i)`` to the tip estimate, ``share/(2ζ)`` at its peak; the loop
     gain there is ``|Ĉ M| share/(2ζ)``.
     """
-    checked_noun("plan", plan, Plan, remedy="fl.design makes one")
+    checked_noun("plan", design, Design, remedy="fl.design makes one")
     checked_between("limit", limit, 0.0, 1e3, "", open_low=True)
-    loop = open_loop(plan.controller, plan.model, plan.rig, margins="loop")
+    loop = open_loop(design.controller, design.model, design.rig, margins="loop")
     link = loop.link()
-    pi = plan.natural_frequencies[1]
+    pi = design.natural_frequencies[1]
     found = []
     for number, mode in enumerate(modes, start=2):
         w = checked_between("mode.frequency", mode.frequency, 0.0, 1e6, "rad/s", open_low=True)
         zeta = checked_between("mode.damping_ratio", mode.damping_ratio, 0.0, 1.0, "", open_low=True)
         rest = float(np.exp(loop.level(w, pi) - link.level(w, pi)))
         value = rest * abs(mode.share) / (2.0 * zeta)
-        found.append(Requirement.at_most(f"loop gain at mode {number}", limit, value, "", plan.payloads[0]))
+        found.append(Requirement.at_most(f"loop gain at mode {number}", limit, value, "", design.payloads[0]))
     return tuple(found)

@@ -1,4 +1,4 @@
-"""Plans on disk: one JSON object that reads back equal."""
+"""Designs on disk: one JSON object that reads back equal."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from fraclink.findings import Finding
 
 if TYPE_CHECKING:
     from fraclink._arm.link import LinkModel
-    from fraclink._design.plan import Plan
+    from fraclink._design.plan import Design
 
 __all__ = ["controller_from", "load_plan", "save_plan"]
 
@@ -22,8 +22,8 @@ KIND, FORMAT = "design", 2
 _WITHOUT_LEAD = 1  # the format of 0.1, whose controllers have no lead
 
 
-def save_plan(plan: Plan, path: Path) -> None:
-    """Write `plan` to `path` in one step."""
+def save_plan(design: Design, path: Path) -> None:
+    """Write `design` to `path` in one step."""
     from fraclink._arm.rig.writing import rig_text
 
     write_json(
@@ -31,18 +31,18 @@ def save_plan(plan: Plan, path: Path) -> None:
         KIND,
         FORMAT,
         {
-            "period": plan.rig.period,
-            "rig": rig_text(plan.rig),
-            "model": asdict(plan.model),
-            "controller": asdict(plan.controller),
-            "margins_kind": plan.margins_kind,
-            "payloads": list(plan.payloads),
-            "natural_frequencies": list(plan.natural_frequencies),
-            "gain_crossover": plan.gain_crossover,
-            "phase_margin": plan.phase_margin,
-            "chi": plan.chi,
-            "gain_crossover_upper": plan.gain_crossover_upper,
-            "requirements": [asdict(requirement) for requirement in plan.requirements],
+            "period": design.rig.period,
+            "rig": rig_text(design.rig),
+            "model": asdict(design.model),
+            "controller": asdict(design.controller),
+            "margins_kind": design.margins_kind,
+            "payloads": list(design.payloads),
+            "natural_frequencies": list(design.natural_frequencies),
+            "gain_crossover": design.gain_crossover,
+            "phase_margin": design.phase_margin,
+            "chi": design.chi,
+            "gain_crossover_upper": design.gain_crossover_upper,
+            "requirements": [asdict(requirement) for requirement in design.requirements],
             "findings": [
                 {
                     "code": f.code,
@@ -51,7 +51,7 @@ def save_plan(plan: Plan, path: Path) -> None:
                     "evidence": dict(f.evidence),
                     "remedy": f.remedy,
                 }
-                for f in plan.findings
+                for f in design.findings
             ],
         },
     )
@@ -73,11 +73,11 @@ _FIELDS = {
 }
 
 
-def load_plan(path: Path) -> Plan:
-    """Read a plan that `save_plan` wrote; the controller and the model check their own values again."""
+def load_plan(path: Path) -> Design:
+    """Read a design that `save_plan` wrote; the controller and the model check their own values again."""
     from fraclink._arm.rig import Rig
     from fraclink._arm.rig.reading import parse_arguments
-    from fraclink._design.plan import Plan, Requirement
+    from fraclink._design.plan import Design, Requirement
 
     data = read_json(path, KIND, (_WITHOUT_LEAD, FORMAT))
     missing = sorted(_FIELDS - data.keys())
@@ -86,7 +86,7 @@ def load_plan(path: Path) -> Plan:
             "file", str(path), f"without {missing[0]!r}", allowed="a design file", remedy="make it again"
         )
     try:
-        return Plan(
+        return Design(
             model=link_from(data["model"]),
             rig=Rig(**parse_arguments(_toml(data["rig"]))),
             controller=controller_from(data["controller"], lead=data["format"] != _WITHOUT_LEAD),

@@ -90,7 +90,7 @@ def margin_for(goals: Goals, phase_margin: object) -> object:
 
 
 def _worst(request: Request, rig: Rig, controller: Controller) -> tuple[tuple[float, float], ...]:
-    """((Ms, its ϖ), (noise gain, its ϖ)) over the payload range."""
+    """((Ms, its ω₀), (noise gain, its ω₀)) over the payload range."""
     loop = open_loop(controller, request.model, rig, margins=request.margins)
     highest = math.pi / request.period if request.margins == "loop" else math.inf
     got = measure(loop, np.geomspace(request.low, request.high, 9), request.period, highest=highest)

@@ -4,7 +4,7 @@ On a uniform clamped beam with a payload the estimate of the tip answers the mot
 
     Θ̂t/Θm = 1 - Σ share_i s²/(s² + ω_i² D_i(s)),   share_i = Γi² ω_i²/c,
 
-where D is the damping law of the link model: s^(2-λ), or 1 + μ s^α/ϖ². For a massless link the sum has one
+where D is the damping law of the link model: s^(2-λ), or 1 + μ s^α/ω₀². For a massless link the sum has one
 term, of share one, and is the G of the design.
 """
 
@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._design.loop import OpenLoop
-from fraclink._design.plan import Plan, Requirement, open_loop
+from fraclink._design.plan import Design, Requirement, open_loop
 from fraclink._validate import checked_between
 
 if TYPE_CHECKING:
@@ -176,7 +176,7 @@ def spillover_requirements(modes: HigherModes, loop: OpenLoop, limit: float) -> 
 
 
 def mode_gains(
-    plan: Plan, *, limit: float = LIMIT, damping_ratio: float | None = None
+    design: Design, *, limit: float = LIMIT, damping_ratio: float | None = None
 ) -> tuple[Requirement, ...]:
     """Return the loop gain at modes 2 and 3 of the rig's link against `limit`; empty for a massless link.
 
@@ -190,12 +190,12 @@ def mode_gains(
     >>> from fraclink._design.higher_modes import mode_gains
     >>> rig = fl.Rig.named("paper-2023")
     >>> rig = replace(rig, link=replace(rig.link, mass=0.00735))
-    >>> plan = fl.design(rig.model, rig, gain_crossover=12.0, phase_margin=fl.deg(50))
-    >>> second, third = mode_gains(plan)
-    >>> second.holds, 1.3 < second.achieved < 1.6
+    >>> design = fl.design(rig.model, rig, gain_crossover=12.0, phase_margin=fl.deg(50))
+    >>> second, third = mode_gains(design)
+    >>> second.passed, 1.3 < second.achieved < 1.6
     (False, True)
     """
     checked = checked_between("limit", limit, 0.0, 1e3, open_low=True)
-    loop = open_loop(plan.controller, plan.model, plan.rig, margins="loop")
-    modes = higher_modes(plan.model, plan.rig, loop, plan.payloads, damping_ratio=damping_ratio)
+    loop = open_loop(design.controller, design.model, design.rig, margins="loop")
+    modes = higher_modes(design.model, design.rig, loop, design.payloads, damping_ratio=damping_ratio)
     return () if modes is None else spillover_requirements(modes, loop, checked)

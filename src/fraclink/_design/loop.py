@@ -23,9 +23,9 @@ Complex = NDArray[np.complex128]
 
 @dataclass(frozen=True)
 class Crossings:
-    """Every gain crossing of loops that differ in ϖ only; arrays of equal length, one entry a crossing.
+    """Every gain crossing of loops that differ in ω₀ only; arrays of equal length, one entry a crossing.
 
-    ``row`` is the index of ϖ, ``frequency`` in rad/s, ``phase`` the unwrapped phase of L [rad], ``slope``
+    ``row`` is the index of ω₀, ``frequency`` in rad/s, ``phase`` the unwrapped phase of L [rad], ``slope``
     the slope of ln|L| over ln ω: negative means that L falls below one.
     """
 
@@ -42,11 +42,11 @@ class Crossings:
 
 @dataclass(frozen=True)
 class OpenLoop:
-    """``L(jω; ϖ) = k (jω)^β / (1 + jδω)^n · e^{-jωτ} / (1 + jωε)² · G(jω; ϖ)``.
+    """``L(jω; ω₀) = k (jω)^β / (1 + jδω)^n · e^{-jωτ} / (1 + jωε)² · G(jω; ω₀)``.
 
     ``lag`` is ε = 1/p of the motor loop M(s), zero for the ideal one; ``delay`` is τ [s]; a ``lead`` is a
     further factor.
-    ``G = (μ s^α + ϖ²)/(s^λ + μ s^α + ϖ²)``. ``correction(ω)`` is the logarithm of what the sampled
+    ``G = (μ s^α + ω₀²)/(s^λ + μ s^α + ω₀²)``. ``correction(ω)`` is the logarithm of what the sampled
     motor loop makes of M(s) and the delay, where it is known.
     """
 
@@ -95,7 +95,7 @@ class OpenLoop:
         return np.asarray(value)
 
     def _link_terms(self, ln_w: Real, natural_frequency: ArrayLike) -> tuple[Complex, Complex, Complex]:
-        """(jω)^λ, μ (jω)^α and ϖ²: upper half plane all of them, so principal logarithms stay continuous."""
+        """(jω)^λ, μ (jω)^α and ω₀²: upper half plane all of them, so principal logarithms stay continuous."""
         inertia = np.exp(self.link_order * ln_w) * np.exp(0.5j * np.pi * self.link_order)
         drag = self.damping * np.exp(self.damping_order * ln_w) * np.exp(0.5j * np.pi * self.damping_order)
         return inertia, drag, np.square(np.asarray(natural_frequency, dtype=np.complex128))
@@ -150,17 +150,17 @@ class OpenLoop:
         return np.asarray(np.exp(self.log(frequency, natural_frequency)), dtype=np.complex128)
 
     def peak(self, natural_frequency: ArrayLike) -> Real:
-        """Return the resonance of the undamped structure, ``(-ϖ² cos(πλ/2))^(1/λ)`` (eq. (14)) [rad/s]."""
+        """Return the resonance of the undamped structure, ``(-ω₀² cos(πλ/2))^(1/λ)`` (eq. (14)) [rad/s]."""
         squared = np.square(np.asarray(natural_frequency, dtype=float))
         return np.asarray((-squared * math.cos(0.5 * math.pi * self.link_order)) ** (1.0 / self.link_order))
 
     def sufficient(self, natural_frequency: float) -> float:
-        """Return the bound of condition (39), ``(-ϖ²/cos(πλ/2))^(1/λ)`` [rad/s]: sufficient only."""
+        """Return the bound of condition (39), ``(-ω₀²/cos(πλ/2))^(1/λ)`` [rad/s]: sufficient only."""
         cosine = -math.cos(0.5 * math.pi * self.link_order)
         return float((natural_frequency**2 / cosine) ** (1.0 / self.link_order))
 
     def crossings(self, natural_frequency: ArrayLike, *, highest: float = math.inf) -> Crossings:
-        """Return every crossing of |L| = 1 below `highest` [rad/s] for each ϖ of the array."""
+        """Return every crossing of |L| = 1 below `highest` [rad/s] for each ω₀ of the array."""
         pi = np.atleast_1d(np.asarray(natural_frequency, dtype=float))
         w = self._grid(pi, highest)
         level = self.level(w, pi[:, None])
@@ -170,7 +170,7 @@ class OpenLoop:
         return Crossings(row, frequency, value.imag, self.slope(frequency, pi[row]).real)
 
     def _grid(self, pi: Real, highest: float) -> Real:
-        """One row of frequencies a ϖ: eight decades around the mode, and the mode itself from both sides.
+        """One row of frequencies a ω₀: eight decades around the mode, and the mode itself from both sides.
 
         Between two crossings the peak of |L| lies within a per cent of the mode of G when it is sharp, so the
         points that cluster there are what keeps a narrow peak from hiding between two points.
@@ -183,7 +183,7 @@ class OpenLoop:
         near = 1.0 + np.geomspace(1e-6, 0.2, 16)
         low, high = 1e-4, 1e4
         if self.order > 0.0:
-            # Far below the mode |L| = k ω^β, far above at most k ϖ² ω^(β-λ): they cross one where these do.
+            # Far below the mode |L| = k ω^β, far above at most k ω₀² ω^(β-λ): they cross one where these do.
             first = math.exp(min(max(-(math.log(self.gain) + spread) / self.order, -300.0), 300.0))
             low = min(low, float(np.min(0.5 * first / mode)))
         if self.order < self.link_order and not self.damping:

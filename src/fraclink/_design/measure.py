@@ -17,7 +17,7 @@ Real = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Measured:
-    """One value for each ϖ: upper gain crossover [rad/s], phase margin [rad] (negative where the loop is
+    """One value for each ω₀: upper gain crossover [rad/s], phase margin [rad] (negative where the loop is
     unstable), sensitivity peak Ms = max 1/|1 + L|, and noise gain.
     """
 
@@ -29,7 +29,7 @@ class Measured:
 
 
 def measure(loop: OpenLoop, natural_frequency: Real, period: float, *, highest: float) -> Measured:
-    """Return what `loop` achieves at each ϖ; noise is white up to the Nyquist frequency of `period` [s]."""
+    """Return what `loop` achieves at each ω₀; noise is white up to the Nyquist frequency of `period` [s]."""
     pi = np.atleast_1d(np.asarray(natural_frequency, dtype=float))
     crossover, margin = sweep(loop, pi, highest)
     peak = sensitivity_peak(loop, pi, highest)
@@ -37,7 +37,7 @@ def measure(loop: OpenLoop, natural_frequency: Real, period: float, *, highest: 
 
 
 def sweep(loop: OpenLoop, pi: Real, highest: float) -> tuple[Real, Real]:
-    """(upper gain crossover, signed worst phase margin) for each ϖ; no crossing at all counts as π."""
+    """(upper gain crossover, signed worst phase margin) for each ω₀; no crossing at all counts as π."""
     found = loop.crossings(pi, highest=highest)
     crossover, margin = np.zeros(pi.size), np.full(pi.size, math.pi)
     np.maximum.at(crossover, found.row, found.frequency)
@@ -49,7 +49,7 @@ def sweep(loop: OpenLoop, pi: Real, highest: float) -> tuple[Real, Real]:
 
 
 def sensitivity_peak(loop: OpenLoop, pi: Real, highest: float) -> Real:
-    """Ms = 1/min|1 + L| for each ϖ: a scan over two decades about the mode, closed in on twice."""
+    """Ms = 1/min|1 + L| for each ω₀: a scan over two decades about the mode, closed in on twice."""
     mode = loop.peak(pi)[:, None]
     w = np.minimum(mode * np.geomspace(0.2, 30.0, 240), highest)
     for _ in range(3):

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from fraclink._design.plan import Plan
+from fraclink._design.plan import Design
 from fraclink._design.problem import Goal
 from fraclink._design.search import Search
 from fraclink._validate import checked_between, checked_noun
@@ -37,14 +37,14 @@ class Step:
 
 @dataclass(frozen=True)
 class Optimised:
-    """The answer of `optimise`: a plan like any other, and what it gained.
+    """The answer of `optimise`: a design like any other, and what it gained.
 
-    ``plan`` is the accepted design, the closed form itself where nothing pays; ``goal`` "noise" or
+    ``design`` is the accepted design, the closed form itself where nothing pays; ``goal`` "noise" or
     "crossover"; ``steps`` every structure that was tried, the closed form first; ``least`` the part of the
     objective by which a structure must be better than the simpler one to be taken.
     """
 
-    plan: Plan
+    design: Design
     goal: Goal
     steps: tuple[Step, ...]
     least: float
@@ -67,11 +67,11 @@ class Optimised:
             lines.append(f"  {step.structure}: {value}{', taken' if step.taken else ''}")
         if not self.pays:
             lines.append("nothing else pays: the closed-form design is returned as it is")
-        return "\n".join([*lines, str(self.plan)])
+        return "\n".join([*lines, str(self.design)])
 
 
 def optimise(
-    plan: Plan,
+    design: Design,
     *,
     goal: Goal = "noise",
     max_sensitivity: float | None = None,
@@ -83,23 +83,23 @@ def optimise(
 ) -> Optimised:
     """Return the best ``C = 1 + k_d s^β/(1 + δs)^n`` for the worst payload, with a lead where it pays.
 
-    Started from the closed-form `plan`; n = 1 and 2 are tried, then both with a `Lead`
+    Started from the closed-form `design`; n = 1 and 2 are tried, then both with a `Lead`
     ``(1 + (a s)^ν)/(1 + (b s)^ν)``, a lag where a < b. All keep ``C(0) = 1`` and so reject the gauge's
     offset. A pure fractional integrator is not offered: it would take the *estimate* to the reference and
     leave the whole of the offset, Γ₀/c, in the tip. β < n, so that Ĉ stays strictly proper (32).
 
     Parameters
     ----------
-    plan
+    design
         a design with ``margins="loop"``, on any motor loop.
     goal
         "noise": least noise at the motor reference; "crossover": highest crossover of the heaviest payload.
     max_sensitivity
-        bound on the worst Ms, > 1; the plan's own when left out.
+        bound on the worst Ms, > 1; the design's own when left out.
     gain_crossover
-        bound on the smallest crossover [rad/s], > 0, for the goal "noise"; the plan's when left out.
+        bound on the smallest crossover [rad/s], > 0, for the goal "noise"; the design's when left out.
     noise_gain
-        bound on the worst noise gain, > 0, for the goal "crossover"; the plan's own when left out.
+        bound on the worst noise gain, > 0, for the goal "crossover"; the design's own when left out.
     mode_gain
         bound on the loop gain at modes 2 and 3 of a link with mass, > 0; none when left out.
     lead
@@ -110,12 +110,12 @@ def optimise(
     Returns
     -------
     Optimised
-        its ``plan`` is certified, saved and shipped like any other; its requirements are the bounds.
+        its ``design`` is certified, saved and shipped like any other; its requirements are the bounds.
 
     Raises
     ------
     FieldError
-        a value out of its range, or a plan with ``margins="ideal"``.
+        a value out of its range, or a design with ``margins="ideal"``.
     InfeasibleError
         no structure keeps the bounds, the closed form included.
 
@@ -124,16 +124,16 @@ def optimise(
     >>> import fraclink as fl
     >>> from fraclink._design import optimise
     >>> rig = fl.Rig.named("paper-2023")
-    >>> plan = fl.design(rig.model, rig, gain_crossover=12.0, phase_margin=fl.deg(50))
-    >>> better = optimise(plan, lead=False)
-    >>> better.pays, better.plan.holds, better.gain > 0.5
+    >>> design = fl.design(rig.model, rig, gain_crossover=12.0, phase_margin=fl.deg(50))
+    >>> better = optimise(design, lead=False)
+    >>> better.pays, better.design.passed, better.gain > 0.5
     (True, True, True)
     """
-    checked_noun("plan", plan, Plan, remedy="fl.design makes one")
-    search = Search.of(plan, goal, (max_sensitivity, gain_crossover, noise_gain, mode_gain))
+    checked_noun("plan", design, Design, remedy="fl.design makes one")
+    search = Search.of(design, goal, (max_sensitivity, gain_crossover, noise_gain, mode_gain))
     needed = checked_between("least", least, 0.0, 1.0)
-    closed = search.kept(plan.controller)
-    found = [(CLOSED, plan.controller, closed), *search.simple(plan.controller)]
+    closed = search.kept(design.controller)
+    found = [(CLOSED, design.controller, closed), *search.simple(design.controller)]
     if lead:
         found += search.widened(found[1:])
     best = 0
@@ -144,7 +144,7 @@ def optimise(
     if math.isnan(found[best][2]):
         raise InfeasibleError("bounds of the optimisation", "no structure keeps all of them; loosen one")
     steps = tuple(Step(name, value, i == best) for i, (name, _, value) in enumerate(found))
-    return Optimised(plan if best == 0 else search.plan(found[best][1]), goal, steps, needed)
+    return Optimised(design if best == 0 else search.design(found[best][1]), goal, steps, needed)
 
 
 def _gain(goal: Goal, before: float, after: float) -> float:

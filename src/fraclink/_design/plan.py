@@ -1,4 +1,4 @@
-"""A plan: the controller that was designed, what was asked of it and what it achieves."""
+"""A design: the controller that was designed, what was asked of it and what it achieves."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from fraclink._law.block import Precision
     from fraclink._systems.stability import Margins
 
-__all__ = ["Plan", "Requirement", "open_loop"]
+__all__ = ["Design", "Requirement", "open_loop"]
 
 _ROUNDING = 1e-9  # relative: the equations are solved to 1e-15, a requirement met with equality must hold
 
@@ -43,13 +43,13 @@ class Requirement:
     unit: str
     at_payload: float
     slack: float
-    holds: bool
+    passed: bool
 
     @staticmethod
     def at_least(name: str, wanted: float, achieved: float, unit: str, at_payload: float) -> Requirement:
         """A lower bound: holds where achieved >= wanted.
 
-        >>> Requirement.at_least("phase margin", 0.8, 0.9, "rad", 0.02).holds
+        >>> Requirement.at_least("phase margin", 0.8, 0.9, "rad", 0.02).passed
         True
         """
         slack = achieved - wanted
@@ -61,7 +61,7 @@ class Requirement:
     def at_most(name: str, wanted: float, achieved: float, unit: str, at_payload: float) -> Requirement:
         """An upper bound: holds where achieved <= wanted.
 
-        >>> Requirement.at_most("Ms", 1.5, 1.6, "", 0.02).holds
+        >>> Requirement.at_most("Ms", 1.5, 1.6, "", 0.02).passed
         False
         """
         slack = wanted - achieved
@@ -97,7 +97,7 @@ def open_loop(controller: Controller, model: LinkModel, rig: Rig, *, margins: st
 
 
 @dataclass(frozen=True)
-class Plan:
+class Design:
     """The answer of `design`.
 
     Attributes
@@ -113,7 +113,7 @@ class Plan:
     payloads
         (lightest, heaviest) [kg].
     natural_frequencies
-        ϖ at (heaviest, lightest) payload [s^(-λ/2)].
+        ω₀ at (heaviest, lightest) payload [s^(-λ/2)].
     gain_crossover, phase_margin
         as asked, [rad/s] and [rad].
     chi
@@ -127,10 +127,10 @@ class Plan:
     --------
     >>> import fraclink as fl
     >>> rig = fl.Rig.named("paper-2023")
-    >>> plan = fl.design(rig.model, rig, gain_crossover=12.0, phase_margin=fl.deg(50), filter_time=0.0)
-    >>> plan.holds, round(plan.at(0.020).phase_margin / fl.deg(1), 3)
+    >>> design = fl.design(rig.model, rig, gain_crossover=12.0, phase_margin=fl.deg(50), filter_time=0.0)
+    >>> design.passed, round(design.at(0.020).phase_margin / fl.deg(1), 3)
     (True, 50.0)
-    >>> print(plan)  # doctest: +ELLIPSIS
+    >>> print(design)  # doctest: +ELLIPSIS
     C(s) = 1 + 0.0698... s^0.612...; margins of the "loop" loop
     ...
     """
@@ -154,17 +154,17 @@ class Plan:
         return plan_text(self)
 
     @property
-    def holds(self) -> bool:
+    def passed(self) -> bool:
         """Whether every requirement holds over the whole payload range."""
-        return all(requirement.holds for requirement in self.requirements)
+        return all(requirement.passed for requirement in self.requirements)
 
     @property
     def loop(self) -> OpenLoop:
-        """The open loop the design was asked for; call it with ω [rad/s] and ϖ."""
+        """The open loop the design was asked for; call it with ω [rad/s] and ω₀."""
         return open_loop(self.controller, self.model, self.rig, margins=self.margins_kind)
 
     def natural_frequency(self, payload: float) -> float:
-        """ϖ of `payload` [kg] as the design used it (eq. (5)) [s^(-λ/2)]."""
+        """ω₀ of `payload` [kg] as the design used it (eq. (5)) [s^(-λ/2)]."""
         return link_at(self.model, self.rig, payload).natural_frequency
 
     def at(self, payload: float) -> Margins:
@@ -172,7 +172,7 @@ class Plan:
         return self.at_frequency(self.natural_frequency(payload))
 
     def at_frequency(self, natural_frequency: float) -> Margins:
-        """Return every margin of the loop the design was asked for, at a link with this ϖ [s^(-λ/2)]."""
+        """Return every margin of the loop the design was asked for, at a link with this ω₀ [s^(-λ/2)]."""
         from fraclink._systems.stability import margins
 
         checked_natural_frequency(natural_frequency)
@@ -231,8 +231,8 @@ class Plan:
         placed = sampled_inner(self.rig, inner.pole, inner.delay_samples, placement="direct").loop
         return replace(law, drive=replace(law.drive, loop=placed))
 
-    def with_law(self) -> Plan:
-        """Return the plan with the worst sampled margin of its law as a further requirement.
+    def with_law(self) -> Design:
+        """Return the design with the worst sampled margin of its law as a further requirement.
 
         The law is a fit: finding W404 says where it keeps less phase margin than was asked for.
         """
@@ -241,18 +241,18 @@ class Plan:
         return with_law(self)
 
     def payload(self, natural_frequency: float) -> float:
-        """Return the payload [kg] that gives the link this ϖ: the inverse of ``natural_frequency``."""
+        """Return the payload [kg] that gives the link this ω₀: the inverse of ``natural_frequency``."""
         return payload_of(self.model, self.rig, checked_natural_frequency(natural_frequency))
 
     def save(self, path: Path | str) -> None:
-        """Write the plan to one JSON file that ``Plan.load`` reads back equal."""
+        """Write the design to one JSON file that ``Design.load`` reads back equal."""
         from fraclink._design.files import save_plan
 
         save_plan(self, Path(path))
 
     @staticmethod
-    def load(path: Path | str) -> Plan:
-        """Read a plan back; FileFormatError or FieldError where the file is not one."""
+    def load(path: Path | str) -> Design:
+        """Read a design back; FileFormatError or FieldError where the file is not one."""
         from fraclink._design.files import load_plan
 
         return load_plan(Path(path))

@@ -67,7 +67,7 @@ def match_at(
     gain_crossover: float,
     phase_margin: float,
 ) -> Controller:
-    """Return the unfiltered controller that has this crossover and margin at one ϖ (eq. (42)): C'.
+    """Return the unfiltered controller that has this crossover and margin at one ω₀ (eq. (42)): C'.
 
     One complex equation in k_d and β; `gain_crossover` [rad/s], `phase_margin` [rad].
 

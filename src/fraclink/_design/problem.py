@@ -49,7 +49,7 @@ class Bounds:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """A loop without its Ĉ over a range of ϖ, the bounds, and which of them is to be improved."""
+    """A loop without its Ĉ over a range of ω₀, the bounds, and which of them is to be improved."""
 
     loop: OpenLoop  # with k = 1, β = 0 and no filter
     natural_frequencies: tuple[float, float]
@@ -83,7 +83,7 @@ class Problem:
 
     @cached_property
     def _noise(self) -> list[tuple[Real, Real, Complex]]:
-        """(ω, weight, L without Ĉ) of the mean that is the noise gain, for each ϖ."""
+        """(ω, weight, L without Ĉ) of the mean that is the noise gain, for each ω₀."""
         found = []
         for value in self._payloads:
             w, weights = noise_points(self.loop, float(value), self.period)

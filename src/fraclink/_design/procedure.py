@@ -1,4 +1,4 @@
-"""`design`: from a request to a plan, or to the reason why there is none."""
+"""`design`: from a request to a design, or to the reason why there is none."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from fraclink._design.goals import check_goals, crossover_for, goal_requirements
 from fraclink._design.infeasible import refuse
 from fraclink._design.inner import inner_correction
 from fraclink._design.loop import OpenLoop
-from fraclink._design.plan import Plan
+from fraclink._design.plan import Design
 from fraclink._design.request import Request, check_arm, check_request, link_at
 from fraclink._design.solve import Solution, Specification, filter_by_rule, solve
 from fraclink._design.verify import findings_of, verify, worst
@@ -44,22 +44,22 @@ def design(
     noise_gain: float | None = None,
     settling_time: float | None = None,
     mode_gain: float | None = None,
-) -> Plan:
+) -> Design:
     """Design ``C(s) = 1 + k_d s^β/(1 + δs)^n`` for every payload of a range (section 6, eqs. (54)–(57)).
 
     The gain crossover is met at the heaviest payload and the phase margin at the lightest; both are
-    smallest there (Theorem 1), and the plan reports the worst value found over the whole range.
+    smallest there (Theorem 1), and the design reports the worst value found over the whole range.
 
     Parameters
     ----------
     model
-        the link; its ``order``, ``damping`` and, where ``payload`` is known, its own ϖ are used.
+        the link; its ``order``, ``damping`` and, where ``payload`` is known, its own ω₀ are used.
     rig
         motor loop, sampling period, payloads and stiffness.
     payloads
         (lightest, heaviest) [kg], > 0; the rig's own when neither range is given.
     natural_frequencies
-        (low, high) ϖ [s^(-λ/2)] instead of payloads.
+        (low, high) ω₀ [s^(-λ/2)] instead of payloads.
     gain_crossover
         smallest ω_c [rad/s], > 0 and right of the peak of |L|; from `settling_time` when left out.
     phase_margin
@@ -87,7 +87,7 @@ def design(
 
     Returns
     -------
-    Plan
+    Design
         controller, requirements with what is achieved, findings.
 
     Raises
@@ -103,8 +103,8 @@ def design(
     >>> from fraclink._arm.rig import Rig
     >>> rig = Rig.named("paper-2023")
     >>> wanted = {"gain_crossover": 12.0, "phase_margin": deg(50), "filter_time": 0.0}
-    >>> plan = design(rig.model, rig, payloads=(0.020, 0.040), **wanted)
-    >>> round(plan.controller.gain, 6), round(plan.controller.order, 6), plan.holds
+    >>> design = design(rig.model, rig, payloads=(0.020, 0.040), **wanted)
+    >>> round(design.controller.gain, 6), round(design.controller.order, 6), design.passed
     (0.069876, 0.612197, True)
     """
     check_arm(model, rig)
@@ -133,7 +133,7 @@ def design(
     controller = _controller(request, rig, solution, order)
     requirements = verify(request, rig, controller)
     requirements += goal_requirements(request, rig, controller, goals, requirements[0].achieved)
-    return Plan(
+    return Design(
         model=model,
         rig=rig,
         controller=controller,

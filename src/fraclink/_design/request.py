@@ -50,8 +50,8 @@ class Request:
 
     model: LinkModel
     motor: Motor
-    low: float  # ϖ of the heaviest payload
-    high: float  # ϖ of the lightest payload
+    low: float  # ω₀ of the heaviest payload
+    high: float  # ω₀ of the lightest payload
     payloads: tuple[float, float]  # kg, (light, heavy)
     gain_crossover: float
     phase_margin: float
@@ -72,7 +72,7 @@ def check_arm(model: object, rig: object) -> None:
 
 
 def link_at(model: LinkModel, rig: Rig, payload: float) -> LinkModel:
-    """Return the link at `payload` [kg]: ϖ ∝ m^(-1/2) from the model's own payload, else eq. (5)."""
+    """Return the link at `payload` [kg]: ω₀ ∝ m^(-1/2) from the model's own payload, else eq. (5)."""
     from dataclasses import replace
 
     if model.payload is not None:
@@ -81,7 +81,7 @@ def link_at(model: LinkModel, rig: Rig, payload: float) -> LinkModel:
 
 
 def checked_natural_frequency(value: object) -> float:
-    """Return a link's ϖ as a float; FieldError where it is no number that a link can have."""
+    """Return a link's ω₀ as a float; FieldError where it is no number that a link can have."""
     return checked_between("natural_frequency", value, 0.0, 1e6, "s^(-λ/2)", open_low=True)
 
 
@@ -126,7 +126,7 @@ def _range(
     payloads: object,
     natural_frequencies: object,
 ) -> tuple[float, float, tuple[float, float]]:
-    """(ϖ low, ϖ high, payloads) from whichever of the two the user gave; else the rig's own payloads."""
+    """(ω₀ low, ω₀ high, payloads) from whichever of the two the user gave; else the rig's own payloads."""
     if payloads is not None and natural_frequencies is not None:
         raise FieldError(
             "natural_frequencies",
@@ -205,7 +205,7 @@ def check_request(
         raise FieldError(
             "natural_frequencies",
             low,
-            "not above one (Theorem 2 needs ϖ > 1)",
+            "not above one (Theorem 2 needs ω₀ > 1)",
             allowed="> 1 s^(-λ/2)",
             remedy='say margins="loop", which checks the whole range itself',
         )

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from fraclink._arm.controller import Controller
 from fraclink._design.loop import OpenLoop
 from fraclink._design.measure import measure, sensitivity_peak
-from fraclink._design.plan import Plan, open_loop
+from fraclink._design.plan import Design, open_loop
 from fraclink._design.poles import PRINTED, match_at
 from fraclink._validate import checked_between
 from fraclink.errors import InfeasibleError
@@ -23,7 +23,7 @@ Real = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Rival:
-    """A controller and its worst values over the payload range of a plan, on the loop that runs."""
+    """A controller and its worst values over the payload range of a design, on the loop that runs."""
 
     name: str
     controller: Controller
@@ -35,15 +35,17 @@ class Rival:
     settling_time: float  # 2π/gain_crossover [s]
 
 
-def _loop_of(plan: Plan, controller: Controller) -> OpenLoop:
-    equipped = replace(controller, inner=plan.controller.inner, period=plan.rig.period)
-    return open_loop(equipped, plan.model, plan.rig, margins="loop")
+def _loop_of(design: Design, controller: Controller) -> OpenLoop:
+    equipped = replace(controller, inner=design.controller.inner, period=design.rig.period)
+    return open_loop(equipped, design.model, design.rig, margins="loop")
 
 
-def _rate(plan: Plan, name: str, controller: Controller) -> Rival:
-    low, high = plan.natural_frequencies
-    nyquist = math.pi / plan.rig.period
-    got = measure(_loop_of(plan, controller), np.geomspace(low, high, 9), plan.rig.period, highest=nyquist)
+def _rate(design: Design, name: str, controller: Controller) -> Rival:
+    low, high = design.natural_frequencies
+    nyquist = math.pi / design.rig.period
+    got = measure(
+        _loop_of(design, controller), np.geomspace(low, high, 9), design.rig.period, highest=nyquist
+    )
     stable = bool(np.all(got.phase_margin > 0.0))
     slowest = float(np.min(got.gain_crossover))
     return Rival(
@@ -58,14 +60,14 @@ def _rate(plan: Plan, name: str, controller: Controller) -> Rival:
     )
 
 
-def scale_to_sensitivity(plan: Plan, controller: Controller, max_sensitivity: float) -> Controller:
+def scale_to_sensitivity(design: Design, controller: Controller, max_sensitivity: float) -> Controller:
     """Return the controller with the largest gain whose worst Ms over the payloads is `max_sensitivity` > 1.
 
     Raises InfeasibleError where no gain reaches it.
     """
     bound = checked_between("max_sensitivity", max_sensitivity, 1.0, 100.0, "", open_low=True)
-    loop, pi = _loop_of(plan, controller), np.geomspace(*plan.natural_frequencies, 9)
-    nyquist = math.pi / plan.rig.period
+    loop, pi = _loop_of(design, controller), np.geomspace(*design.natural_frequencies, 9)
+    nyquist = math.pi / design.rig.period
     ratios = np.geomspace(1e-2, 1e2, 240)
     holds = _rough_peaks(loop, pi, nyquist, ratios) <= bound
     if not holds.any():
@@ -94,24 +96,24 @@ def _rough_peaks(loop: OpenLoop, pi: Real, nyquist: float, ratios: Real) -> Real
     return np.where(ratios * crossing < 1.0, peaks, math.inf)
 
 
-def compare_at_equal_sensitivity(plan: Plan, *, max_sensitivity: float) -> tuple[Rival, ...]:
+def compare_at_equal_sensitivity(design: Design, *, max_sensitivity: float) -> tuple[Rival, ...]:
     """Rate C, C', PD and the best β at one worst Ms, and the paper's printed controllers as they are.
 
-    C' has the order of the integer-model design matched to the plan at the nominal payload (eq. (42) with
-    λ = 2); PD is β = 1. Each gets the largest gain that the bound on Ms allows, with the plan's own filter.
+    C' has the order of the integer-model design matched to the design at the nominal payload (eq. (42) with
+    λ = 2); PD is β = 1. Each gets the largest gain that the bound on Ms allows, with the design's own filter.
     For matched designs the published advantage of the fractional model vanishes; this shows by how much.
     """
-    own = plan.controller
-    nominal = plan.rig.payloads.nominal
-    pi = plan.natural_frequency(nominal)
-    loop = replace(plan.loop, filter_time=0.0, lag=0.0, delay=0.0, correction=None)
+    own = design.controller
+    nominal = design.rig.payloads.nominal
+    pi = design.natural_frequency(nominal)
+    loop = replace(design.loop, filter_time=0.0, lag=0.0, delay=0.0, correction=None)
     if own.lead is not None:  # C' has none: matched to a C whose lead is its gain at the crossover
-        at = abs(complex(own.lead.response(plan.gain_crossover_upper)))
+        at = abs(complex(own.lead.response(design.gain_crossover_upper)))
         loop = replace(loop, lead=None, gain=loop.gain * at)
     found = loop.crossings(pi)
     upper = int(np.argmax(found.frequency))
     matched = match_at(
-        replace(plan.model, order=2.0, damping=0.0),
+        replace(design.model, order=2.0, damping=0.0),
         pi,
         float(found.frequency[upper]),
         float(np.remainder(found.phase_margin[upper], 2.0 * math.pi)),
@@ -120,28 +122,28 @@ def compare_at_equal_sensitivity(plan: Plan, *, max_sensitivity: float) -> tuple
     rivals = []
     for name, order in entries:
         start = _start(own, order, float(found.frequency[upper]))
-        rivals.append(_rate(plan, name, scale_to_sensitivity(plan, start, max_sensitivity)))
-    rivals.append(_best_order(plan, max_sensitivity))
-    rivals += [_rate(plan, f"printed {name}", printed) for name, printed in PRINTED.items()]
+        rivals.append(_rate(design, name, scale_to_sensitivity(design, start, max_sensitivity)))
+    rivals.append(_best_order(design, max_sensitivity))
+    rivals += [_rate(design, f"printed {name}", printed) for name, printed in PRINTED.items()]
     return tuple(rivals)
 
 
 def _start(own: Controller, order: float, frequency: float) -> Controller:
-    """The plan's controller with another β, no lead, and the same gain at `frequency` [rad/s]."""
+    """The design's controller with another β, no lead, and the same gain at `frequency` [rad/s]."""
     n = max(own.filter_order, 2 if order >= 1.0 and own.filter_time else 1)
     gain = own.gain * frequency ** (own.order - order)
     return replace(own, order=order, gain=gain, filter_order=n, lead=own.lead if order == own.order else None)
 
 
-def _best_order(plan: Plan, max_sensitivity: float) -> Rival:
-    """The β, with the plan's own filter, that crosses highest for the worst payload at this Ms."""
+def _best_order(design: Design, max_sensitivity: float) -> Rival:
+    """The β, with the design's own filter, that crosses highest for the worst payload at this Ms."""
     best: Rival | None = None
-    centre, width = plan.controller.order, 0.35
+    centre, width = design.controller.order, 0.35
     for _ in range(3):
         for order in centre + width * np.linspace(-1.0, 1.0, 7):
-            if not 0.05 < order < min(plan.model.order, 1.95):
+            if not 0.05 < order < min(design.model.order, 1.95):
                 continue
-            rival = _try(plan, float(order), max_sensitivity)
+            rival = _try(design, float(order), max_sensitivity)
             if rival is not None and (best is None or rival.gain_crossover > best.gain_crossover):
                 best = rival
         centre = best.controller.order if best is not None else centre
@@ -151,9 +153,9 @@ def _best_order(plan: Plan, max_sensitivity: float) -> Rival:
     return best
 
 
-def _try(plan: Plan, order: float, max_sensitivity: float) -> Rival | None:
-    start = _start(plan.controller, order, plan.gain_crossover_upper)
+def _try(design: Design, order: float, max_sensitivity: float) -> Rival | None:
+    start = _start(design.controller, order, design.gain_crossover_upper)
     try:
-        return _rate(plan, "best β", scale_to_sensitivity(plan, start, max_sensitivity))
+        return _rate(design, "best β", scale_to_sensitivity(design, start, max_sensitivity))
     except InfeasibleError:
         return None

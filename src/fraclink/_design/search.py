@@ -1,4 +1,4 @@
-"""The search of `optimise`: what a trial must keep, the best of each structure, the plan of the accepted."""
+"""The search of `optimise`: what a trial must keep, the best of each structure, the design accepted."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from fraclink._design.goals import Goals, check_goals, goal_requirements, margin
 from fraclink._design.higher_modes import HigherModes, higher_modes
 from fraclink._design.loop import OpenLoop
 from fraclink._design.measure import Measured, measure
-from fraclink._design.plan import Plan, open_loop
+from fraclink._design.plan import Design, open_loop
 from fraclink._design.problem import Bounds, Goal, Problem, solve
 from fraclink._design.request import check_request
 from fraclink._design.verify import findings_of, verify
@@ -34,29 +34,29 @@ Found = tuple[str, Controller, float]
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """The plan to better, what every trial must keep, and which figure is to be improved."""
+    """The design to better, what every trial must keep, and which figure is to be improved."""
 
-    origin: Plan
+    origin: Design
     goal: Goal
     bounds: Bounds
     modes: HigherModes | None
 
     @staticmethod
-    def of(plan: Plan, goal: Goal, asked: tuple[float | None, ...]) -> Search:
-        """The search with what was left out taken from the plan."""
-        if plan.margins_kind != "loop":
+    def of(design: Design, goal: Goal, asked: tuple[float | None, ...]) -> Search:
+        """The search with what was left out taken from the design."""
+        if design.margins_kind != "loop":
             raise FieldError(
                 "plan.margins_kind",
-                plan.margins_kind,
+                design.margins_kind,
                 "the paper's reading, without the motor loop and the delay",
                 allowed="loop",
                 remedy='design with margins="loop" first',
             )
         checked_choice("goal", goal, ("noise", "crossover"))
-        goals = check_goals(asked[0], asked[2], None, asked[3], plan.rig)
-        crossover = plan.gain_crossover if asked[1] is None else asked[1]
+        goals = check_goals(asked[0], asked[2], None, asked[3], design.rig)
+        crossover = design.gain_crossover if asked[1] is None else asked[1]
         crossover = checked_between("gain_crossover", crossover, 0.0, 1e6, "rad/s", open_low=True)
-        own = _measured(plan, plan.controller)
+        own = _measured(design, design.controller)
         bounds = Bounds(
             max_sensitivity=goals.max_sensitivity or float(np.max(own.sensitivity_peak)),
             gain_crossover=crossover,
@@ -65,8 +65,8 @@ class Search:
         )
         modes = None
         if goals.mode_gain is not None:
-            modes = higher_modes(plan.model, plan.rig, plan.loop, plan.payloads)
-        return Search(plan, goal, bounds, modes)
+            modes = higher_modes(design.model, design.rig, design.loop, design.payloads)
+        return Search(design, goal, bounds, modes)
 
     def kept(self, controller: Controller) -> float:
         """The objective of a controller that keeps the bounds, NaN of one that does not."""
@@ -147,8 +147,8 @@ class Search:
             drawn["gain_crossover"] = asked.gain_crossover * _over(wanted.gain_crossover / crossover)
         return replace(asked, **drawn)
 
-    def plan(self, controller: Controller) -> Plan:
-        """The plan of an accepted controller; its requirements are the bounds that it was found under."""
+    def design(self, controller: Controller) -> Design:
+        """The design of an accepted controller; its requirements are the bounds that it was found under."""
         origin, bounds = self.origin, self.bounds
         goals = Goals(bounds.max_sensitivity, bounds.noise_gain, None, bounds.mode_gain)
         settings = controller.inner
@@ -186,14 +186,14 @@ def _over(ratio: float) -> float:
     return min(max(ratio, 1.0), 1.02) * (1.0 + 1e-6) if ratio > _ROUNDING else 1.0
 
 
-def _loop(plan: Plan, controller: Controller) -> OpenLoop:
-    return open_loop(controller, plan.model, plan.rig, margins="loop")
+def _loop(design: Design, controller: Controller) -> OpenLoop:
+    return open_loop(controller, design.model, design.rig, margins="loop")
 
 
-def _measured(plan: Plan, controller: Controller) -> Measured:
-    pi = np.geomspace(*plan.natural_frequencies, 9)
-    nyquist = math.pi / plan.rig.period
-    return measure(_loop(plan, controller), pi, plan.rig.period, highest=nyquist)
+def _measured(design: Design, controller: Controller) -> Measured:
+    pi = np.geomspace(*design.natural_frequencies, 9)
+    nyquist = math.pi / design.rig.period
+    return measure(_loop(design, controller), pi, design.rig.period, highest=nyquist)
 
 
 def _steeper(controller: Controller, pair: tuple[float, float], frequency: float) -> Controller:

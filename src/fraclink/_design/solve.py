@@ -1,7 +1,7 @@
 """The closed procedure (54)–(57): two real equations for ω̄_c and β, reduced to one scalar equation.
 
 Magnitude at the heaviest payload gives ``k_d = χ/ω_c^β`` (54). The phase of (55) is linear in β and gives
-``β(ω̄_c) = (2/π)(φ_m - π - arg R(jω̄_c) G(jω̄_c; ϖ̄))``; its magnitude then leaves one equation in ω̄_c alone.
+``β(ω̄_c) = (2/π)(φ_m - π - arg R(jω̄_c) G(jω̄_c; ω₀̄))``; its magnitude then leaves one equation in ω̄_c alone.
 R is what stands in the loop beside Ĉ and G: one in the paper's reading; filter, M(s), hold and delay in
 the loop's.
 """
@@ -29,8 +29,8 @@ class Specification:
     """What the two equations need. ``bare`` is the loop with gain 1 and β = 0: R·G, no rule's filter."""
 
     bare: OpenLoop
-    low: float  # ϖ of the heaviest payload
-    high: float  # ϖ of the lightest
+    low: float  # ω₀ of the heaviest payload
+    high: float  # ω₀ of the lightest
     gain_crossover: float  # wanted at `low` [rad/s]
     phase_margin: float  # wanted at `high` [rad]
     highest: float  # frequency above which nothing is looked for [rad/s]
@@ -46,14 +46,14 @@ class Solution:
     upper: float  # ω̄_c [rad/s]
     chi: float
     filter_time: float
-    slope_low: float  # d ln|L| / d ln ω at (ϖ low, ω_c): negative means right of the peak
-    slope_high: float  # the same at (ϖ high, ω̄_c)
+    slope_low: float  # d ln|L| / d ln ω at (ω₀ low, ω_c): negative means right of the peak
+    slope_high: float  # the same at (ω₀ high, ω̄_c)
 
     def violated(self, link_order: float) -> str | None:
         """Name the first condition of Theorem 1 that fails, None where all hold.
 
         Right of the peak of |L| is the exact condition: the denominator of (49) is minus the slope times a
-        positive factor, so its sign is what makes ω_c rise and φ_m fall with ϖ. (39) is only sufficient.
+        positive factor, so its sign is what makes ω_c rise and φ_m fall with ω₀. (39) is only sufficient.
         """
         limit = min(link_order, 2.0)
         if self.order <= 0.0:

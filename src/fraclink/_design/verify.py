@@ -24,14 +24,14 @@ if TYPE_CHECKING:
 __all__ = ["findings_of", "verify", "worst"]
 
 Real = NDArray[np.float64]
-_PAYLOADS = 17  # values of ϖ at a time; a minimum inside the range is closed in on from its neighbours
+_PAYLOADS = 17  # values of ω₀ at a time; a minimum inside the range is closed in on from its neighbours
 
 
 @lru_cache(maxsize=64)  # asked for once to admit a solution and once to report it
 def worst(
     loop: OpenLoop, low: float, high: float, highest: float
 ) -> tuple[tuple[float, float], tuple[float, float]]:
-    """((smallest crossover, its ϖ), (smallest phase margin, its ϖ)) over [low, high]."""
+    """((smallest crossover, its ω₀), (smallest phase margin, its ω₀)) over [low, high]."""
     pi = np.geomspace(low, high, _PAYLOADS)
     crossover, margin = sweep(loop, pi, highest)
     first = int(np.argmin(crossover))
@@ -120,7 +120,7 @@ def _spillover(request: Request, rig: Rig, controller: Controller) -> tuple[Find
         return ()
     found = spillover_requirements(modes, loop, LIMIT)
     worst = max(found, key=lambda item: item.achieved)
-    if worst.holds:
+    if worst.passed:
         return ()
     return (
         Finding(

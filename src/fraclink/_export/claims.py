@@ -67,7 +67,7 @@ class Proof:
     claims: tuple[Claim, ...]
 
     @property
-    def holds(self) -> bool:
+    def passed(self) -> bool:
         """Whether every claim is proved."""
         return all(claim.status == "proved" for claim in self.claims)
 
@@ -82,7 +82,7 @@ class Proof:
 
     def save(self, path: Path | str) -> None:
         """Write the proof to one JSON file."""
-        write_json(path, KIND, FORMAT, {"holds": self.holds} | asdict(self))
+        write_json(path, KIND, FORMAT, {"passed": self.passed} | asdict(self))
 
     @staticmethod
     def load(path: Path | str) -> Proof:

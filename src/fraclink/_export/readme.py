@@ -149,7 +149,7 @@ backwards destabilises the arm, and no other check finds it.
 |---|---|
 | C = 1 + Ĉ against the design, {law.band[0]:g} to {law.band[1]:g} rad/s | {law.correction_error[0]:.3f} dB, {
         law.correction_error[1]:.3f}° |
-| feed-forward against s^(λ−2)/ϖ², from a fifth of the resonance on | {law.feedforward_error[0]:.3f} dB, {
+| feed-forward against s^(λ−2)/ω₀², from a fifth of the resonance on | {law.feedforward_error[0]:.3f} dB, {
         law.feedforward_error[1]:.3f}° |
 | Ĉ at constant input | exactly 0 |
 | worst-case gain, \\|Ĉe\\| ≤ gain · max\\|e\\| ({made}) | {bounds.gain:.9g} |

@@ -71,7 +71,7 @@ class Replay:
     largest_difference: float
 
     @property
-    def holds(self) -> bool:
+    def passed(self) -> bool:
         """Whether every output of every period agrees to the last bit."""
         return self.first_difference is None
 
@@ -101,7 +101,7 @@ def replay(
     >>> folder = tempfile.mkdtemp()
     >>> _ = export_c(law, folder)
     >>> rest = np.zeros(100)
-    >>> replay(folder, law, reference=rest, reference_acceleration=rest, motor_angle=rest, torque=rest).holds
+    >>> replay(folder, law, reference=rest, reference_acceleration=rest, motor_angle=rest, torque=rest).passed
     True
     """
     from fraclink._export.names import identifier

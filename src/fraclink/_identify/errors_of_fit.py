@@ -67,7 +67,7 @@ def uncertainty(search: Search, solution: Solution, kernel: FitProblem, *, colou
 
 
 def _basis(solution: Solution, inside: list[int], linear: int) -> Matrix:
-    """Directions in which the point may move: all, but on ϖ = 0 the damping ratio follows α."""
+    """Directions in which the point may move: all, but on ω₀ = 0 the damping ratio follows α."""
     basis = np.eye(len(inside) + linear)
     if solution.on_edge and 2 in inside and 3 in inside:
         basis[inside.index(2), inside.index(3)] = np.pi / 4 / np.cos(solution.shape[3] * np.pi / 2) ** 2

@@ -67,7 +67,7 @@ def design_experiment(
 ) -> ExperimentDesign:
     """Choose amplitude and band of an excitation for a wanted standard error of λ, within limits.
 
-        s.e.(λ) = σ √[(JᵀJ)⁻¹]_λλ,    J = ∂(output)/∂(λ, ϖ, delay, gain, offset) ∝ amplitude
+        s.e.(λ) = σ √[(JᵀJ)⁻¹]_λλ,    J = ∂(output)/∂(λ, ω₀, delay, gain, offset) ∝ amplitude
 
     Arguments:
         model: the link one expects. standard_error: wanted of λ, > 0 [1].

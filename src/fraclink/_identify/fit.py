@@ -30,7 +30,7 @@ _SAMPLES_MOST = 300_000  # 47 bytes a sample, against the 16 MB that read_json a
 class Fit:
     """One structure fitted to one log.
 
-        output(t) = gain · y(t − delay) + offset,    Y = (s^λ/(s^λ + μ s^α + ϖ²)) Θm
+        output(t) = gain · y(t − delay) + offset,    Y = (s^λ/(s^λ + μ s^α + ω₀²)) Θm
 
     Arguments:
         structure: the structure that was fitted, "UD-IOM", "D-IOM", "UD-FOM" or "D-FOM".
@@ -67,7 +67,7 @@ class Fit:
     >>> fit.structure, round(fit.model.order, 2), fit.samples
     ('UD-FOM', 1.92, 5001)
     >>> print(fit)  # doctest: +ELLIPSIS
-    UD-FOM: ϖ = ..., λ = 1.9...
+    UD-FOM: ω₀ = ..., λ = 1.9...
     delay ... ms, offset ...; error ... % (NMSE), held-out error ... %; AIC ...
     """
 

@@ -4,7 +4,7 @@ The vector θ holds the common parameters first, then for every log its own ones
 follows from (ln Ω, λ, ln μ, α, delay) of a log:
 
     ζ = μ sin(απ/2) Ω^(α−λ) / 2                       (a common μ is not a common damping ratio)
-    Ω^λ = κ/m + μ Ω^α cos(απ/2), κ = c/L²              (ϖ tied to the payload m by eq. (5))
+    Ω^λ = κ/m + μ Ω^α cos(απ/2), κ = c/L²              (ω₀ tied to the payload m by eq. (5))
 """
 
 from __future__ import annotations

@@ -40,7 +40,7 @@ class JointFit:
         models, gains, offsets, delays: one for each log, in their order.
         mse, aic: for each log; alone_mse: of the fits of each log for itself.
         standard_errors: of the common parameters (and of "natural_frequency 1" … for the own ones).
-        stiffness: c [N·m/rad] where ϖ was tied by eq. (5) and the length was given, else None;
+        stiffness: c [N·m/rad] where ω₀ was tied by eq. (5) and the length was given, else None;
             stiffness_over_square: c/L² [N/m·rad] where it was tied.
         test: whether the parameters may be common. verdict: the same in words.
         predicted: one array for each log [unit of its output].

@@ -54,7 +54,7 @@ def start_of(coordinates: Coordinates, alone: Sequence[Solution], structure: str
     for i, solution in enumerate(alone):
         shape = solution.shape.copy()
         if structure == "D-FOM" and solution.on_edge:
-            # ϖ = 0 holds for one μ only; from the middle of the valley a common μ finds its place.
+            # ω₀ = 0 holds for one μ only; from the middle of the valley a common μ finds its place.
             ratio = float(shape[2])
             shape[2:4] = ratio, 1.0
         values = _values(shape, coordinates, i)

@@ -15,7 +15,7 @@ __all__ = ["findings_of"]
 _AT_BOUND = {
     "order": "at λ = 2 the link is classical: use UD-IOM or D-IOM",
     "damping": "the log shows no damping of this kind: use UD-IOM",
-    "natural_frequency": "at ϖ = 0 D-FOM is UD-FOM with λ = 2 − α: use UD-FOM",
+    "natural_frequency": "at ω₀ = 0 D-FOM is UD-FOM with λ = 2 − α: use UD-FOM",
     "damping_order": "the log does not determine α: use UD-FOM or D-IOM",
     "delay": "the delay is larger than a third of a period, or the channels do not belong together",
 }

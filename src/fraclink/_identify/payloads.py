@@ -47,7 +47,7 @@ def identify_payloads(
         logs: two or more experiments, each at another payload; sampling periods may differ.
         structure: "UD-IOM", "D-IOM", "UD-FOM" or "D-FOM".
         common: of "order", "damping", "damping_order", "delay"; all of the structure's own by default.
-        tied: ϖ_i = sqrt(c/(m_i L²)), eq. (5), through one stiffness instead of an own ϖ for each.
+        tied: ω₀_i = sqrt(c/(m_i L²)), eq. (5), through one stiffness instead of an own ω₀ for each.
         length: L [m], only to report c from c/L² where tied.
         stiffness: gain [N·m/rad] where it is known.
         delay: [s] where it is known; otherwise every log has its own.

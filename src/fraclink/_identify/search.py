@@ -56,7 +56,7 @@ class Search:
 
         With a free gain a fit from a bad guess ends beside the optimum in one of five cases, with the
         sign of the gain reversed; from the scan it does not. With a known gain any guess leads there (2000
-        of 2000 with ϖ up to three times off), and the scan is saved.
+        of 2000 with ω₀ up to three times off), and the scan is saved.
         """
         if self._seed is None:
             self._seed = self.start if self.start is not None and "gain" in self.fixed else self._scan()

@@ -3,9 +3,9 @@
 A shape is (λ, ln Ω, ζ, α, τ): order of inertia, logarithm of the resonance [rad/s], damping ratio there,
 order of the damping, delay [s]. With S = sin(απ/2), C = cos(απ/2)
 
-    μ = 2ζ Ω^(λ−α) / S,    ϖ² = Ω^λ (1 − 2ζ C/S).
+    μ = 2ζ Ω^(λ−α) / S,    ω₀² = Ω^λ (1 − 2ζ C/S).
 
-In (ϖ, μ, α) a D-FOM fit runs along a valley, since α, μ and ϖ shift one resonance and one width
+In (ω₀, μ, α) a D-FOM fit runs along a valley, since α, μ and ω₀ shift one resonance and one width
 between three numbers; in (Ω, ζ, α) the valley is the α axis.
 """
 
@@ -51,7 +51,7 @@ def mask_of(free: Sequence[int]) -> int:
 
 
 def damping_and_square(shape: Shape) -> tuple[float, float]:
-    """(μ, ϖ²) of a shape; a rounding error below zero is zero."""
+    """(μ, ω₀²) of a shape; a rounding error below zero is zero."""
     order, log_resonance, ratio, other = (float(x) for x in shape[:4])
     sine, cosine = math.sin(other * math.pi / 2), math.cos(other * math.pi / 2)
     whole = math.exp(order * log_resonance)
@@ -75,7 +75,7 @@ def shape_of(model: LinkModel, delay: float = 0.0) -> Shape:
         return np.array([model.order, math.log(abs(pole)), 0.0, 1.0, delay])
     turn = model.damping_order * math.pi / 2
     resonance = abs(pole)
-    for _ in range(60):  # Ω² = ϖ² + μ Ω^α cos(απ/2): a contraction for a weakly damped link
+    for _ in range(60):  # Ω² = ω₀² + μ Ω^α cos(απ/2): a contraction for a weakly damped link
         reach = model.damping * resonance**model.damping_order
         resonance = math.sqrt(max(model.natural_frequency**2 + reach * math.cos(turn), 1e-12))
     ratio = reach * math.sin(turn) / (2 * resonance**2)
@@ -83,7 +83,7 @@ def shape_of(model: LinkModel, delay: float = 0.0) -> Shape:
 
 
 def undamped_as_damped(shape: Shape) -> Shape:
-    """The D-FOM that is the UD-FOM of `shape`: ϖ = 0, μ = ϖ², α = 2 − λ (its inertia divided by s^α)."""
+    """The D-FOM that is the UD-FOM of `shape`: ω₀ = 0, μ = ω₀², α = 2 − λ (its inertia divided by s^α)."""
     order = float(shape[0])
     other = min(max(2 - order, ALPHA_LIMITS[0]), ALPHA_LIMITS[1])
     turn = other * math.pi / 2
@@ -92,7 +92,7 @@ def undamped_as_damped(shape: Shape) -> Shape:
 
 
 def model_gradients(shape: Shape) -> NDArray[np.float64]:
-    """∂(ϖ, λ, μ, α)/∂(λ, ln Ω, ζ, α), shape (4, 4), by central differences (exact to 1e-9 here)."""
+    """∂(ω₀, λ, μ, α)/∂(λ, ln Ω, ζ, α), shape (4, 4), by central differences (exact to 1e-9 here)."""
 
     def values(point: Shape) -> NDArray[np.float64]:
         damping, square = damping_and_square(point)
@@ -109,7 +109,7 @@ def model_gradients(shape: Shape) -> NDArray[np.float64]:
 
 
 def on_physical_side(shape: Shape) -> Shape:
-    """The shape with ζ no larger than tan(απ/2)/2, beyond which ϖ² would be negative."""
+    """The shape with ζ no larger than tan(απ/2)/2, beyond which ω₀² would be negative."""
     other = float(shape[3])
     if other < 1 and shape[2] > (most := math.tan(other * math.pi / 2) / 2):
         shape = shape.copy()

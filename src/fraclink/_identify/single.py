@@ -49,7 +49,7 @@ def identify(
 ) -> Fit:
     """Fit a link structure to a log; gain, offset and sensor delay are fitted along, no guess is asked.
 
-        minimise Σ (output − gain·y(t − delay) − offset)²,    Y = s^λ/(s^λ + μ s^α + ϖ²) Θm
+        minimise Σ (output − gain·y(t − delay) − offset)²,    Y = s^λ/(s^λ + μ s^α + ω₀²) Θm
 
     Arguments:
         log: the recorded motion, at rest before its first sample.
@@ -225,7 +225,7 @@ def _intervals(search: Search, solution: Solution, errors: Uncertainty, allow: b
     if 3 in solution.free and "damping_order" not in result:  # at a limit: one-sided, but never left out
         result["damping_order"] = profile_interval(search, solution, search.kernel, "damping_order", 0.2, 1.0)
     if solution.on_edge:
-        # ϖ = 0 is where the interval begins; its width is set by how fast α may leave the edge.
+        # ω₀ = 0 is where the interval begins; its width is set by how fast α may leave the edge.
         reach = 0.05 * math.exp(solution.shape[1])
         result["natural_frequency"] = profile_interval(
             search, solution, search.kernel, "natural_frequency", reach, 1.0

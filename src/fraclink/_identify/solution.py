@@ -31,7 +31,7 @@ class Solution:
 
     @property
     def on_edge(self) -> bool:
-        """Whether a D-FOM ended on ϖ = 0, where it is the UD-FOM with λ = 2 − α."""
+        """Whether a D-FOM ended on ω₀ = 0, where it is the UD-FOM with λ = 2 − α."""
         other = float(self.shape[3])
         return (
             3 in self.free and other < 1 and self.shape[2] >= (1 - 1e-7) * math.tan(other * math.pi / 2) / 2

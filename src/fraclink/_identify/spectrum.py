@@ -3,7 +3,7 @@
     H(s) = g e^(−τs) s^(dλ) Π_i (s^λ + z_i^λ) / Π_i (s^λ + p_i^λ)
 
 A resonance p_i and an anti-resonance z_i are in rad/s (or in radians per sample, where the frequencies
-are); p_i = ϖ_i^(2/λ). d = 1 without anti-resonances is the torque of a link, d = 0 its tip.
+are); p_i = ω₀_i^(2/λ). d = 1 without anti-resonances is the torque of a link, d = 0 its tip.
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 __all__ = ["SYMBOLS", "coincidence_text", "comparison_text", "fit_text", "frequency_text"]
 
 SYMBOLS = {
-    "natural_frequency": ("ϖ", "s^(-λ/2)"),
+    "natural_frequency": ("ω₀", "s^(-λ/2)"),
     "order": ("λ", ""),
     "damping": ("μ", "s^(α-λ)"),
     "damping_order": ("α", ""),
@@ -38,7 +38,7 @@ def _parameters(fit: Fit) -> str:
 
 
 def frequency_text(fit: Fit) -> str:
-    """ϖ for a table; a dash where it ended at its bound, zero, and is no natural frequency."""
+    """ω₀ for a table; a dash where it ended at its bound, zero, and is no natural frequency."""
     return f"{fit.model.natural_frequency:.4f}" if fit.model.natural_frequency else "–"
 
 
@@ -48,7 +48,7 @@ def coincidence_text(fits: Mapping[str, Fit]) -> list[str]:
     if damped is None or damped.model.natural_frequency:
         return []
     order, frequency = 2.0 - damped.model.damping_order, math.sqrt(damped.model.damping)
-    return [f"– D-FOM ended at ϖ = 0: it is UD-FOM with λ = 2 − α = {order:.4f}, ϖ = √μ = {frequency:.4f}."]
+    return [f"– D-FOM ended at ω₀ = 0: it is UD-FOM with λ = 2 − α = {order:.4f}, ω₀ = √μ = {frequency:.4f}."]
 
 
 def fit_text(fit: Fit) -> str:

@@ -49,8 +49,8 @@ def discretize_controller(
     """Return the law that runs the controller at `period` [s].
 
     Ĉ(s) = k_d s^β/(1 + δs)^n becomes (1 − z⁻¹)(d + Σ g/(z − p)) by a minimax fit of C = 1 + Ĉ on `band`
-    [rad/s], closest about the gain crossover (`fit_correction`), and the feed-forward s^λ θt*/ϖ² becomes a
-    fit of s^(λ−2)/ϖ² that works on the reference's known acceleration.
+    [rad/s], closest about the gain crossover (`fit_correction`), and the feed-forward s^λ θt*/ω₀² becomes a
+    fit of s^(λ−2)/ω₀² that works on the reference's known acceleration.
 
     Parameters: `order`, states of Ĉ (0 to 8; None: few that meet 0.1 dB and 0.5°, else the best of 8);
     `precision` "double" or "single"; `link`, nominal model, the controller's own where it is left out;
@@ -194,7 +194,7 @@ def _band(controller: Controller, period: float) -> tuple[float, float]:
 
 
 def _forward_fit(link: LinkModel, period: float) -> DiscreteRational:
-    """s^(λ-2)/(μ s^α + ϖ²): what the reference's acceleration must add to the motor angle (1/G − 1 over
+    """s^(λ-2)/(μ s^α + ω₀²): what the reference's acceleration must add to the motor angle (1/G − 1 over
     s²).
     """
 

@@ -96,7 +96,7 @@ def derive_limits(
 
     `sticking` [rad]: how far friction may keep the motor behind its reference, infinite where nobody knows.
     `kick`: Ĉ's gain at the highest frequency, the direct part of its filter. Largest torque of a move: c a
-    |s^(λ-2)/(μ s^α + ϖ²)| at the resonance, doubled for payloads beyond the nominal one. Lag of the loop:
+    |s^(λ-2)/(μ s^α + ω₀²)| at the resonance, doubled for payloads beyond the nominal one. Lag of the loop:
     2/p + 1.5 T. Reasons stand beside each number in the source.
     """
     resonance = abs(link.pole)

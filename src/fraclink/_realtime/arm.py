@@ -59,7 +59,7 @@ class ServedArm:
         return np.asarray(self.period * np.arange(len(self.tip_angle)))
 
     @property
-    def holds(self) -> bool:
+    def passed(self) -> bool:
         """Whether every controller took its leave: the watchdog never had to act."""
         return self.silences == 0
 

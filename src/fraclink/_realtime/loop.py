@@ -49,7 +49,7 @@ def run_realtime(
     Parameters
     ----------
     law : Law
-        From `Plan.law`, at the period [s] of the arm, 50 µs to 1 s. With a motor loop it gives a voltage.
+        From `Design.law`, at the period [s] of the arm, 50 µs to 1 s. With a motor loop it gives a voltage.
     reference : Reference
         Of the tip, e.g. `smooth_step`.
     connection : Udp, SharedMemory, Library or Callback

@@ -146,7 +146,7 @@ class RealtimeRun:
         return Spread.of(self.work)
 
     @property
-    def holds(self) -> bool:
+    def passed(self) -> bool:
         """Whether the run went to its end, in time and in mode "run", with the outputs that the law gives."""
         return not self.problem
 

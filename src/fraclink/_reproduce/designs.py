@@ -14,7 +14,7 @@ from fraclink._arm.link import LinkModel
 from fraclink._arm.rig import Rig
 
 if TYPE_CHECKING:
-    from fraclink._design import Plan
+    from fraclink._design import Design
 
 __all__ = [
     "ORDER",
@@ -53,7 +53,7 @@ def link(payload: float, order: float = ORDER) -> LinkModel:
     return LinkModel(arm.link.stiffness, arm.natural_frequency(payload), order=order, payload=payload)
 
 
-def _plan(low: float, high: float, nominal: float, **options: object) -> Plan:
+def _plan(low: float, high: float, nominal: float, **options: object) -> Design:
     from fraclink._design import design
 
     model = LinkModel(rig().link.stiffness, nominal, order=ORDER, payload=rig().payloads.nominal)
@@ -69,13 +69,13 @@ def _plan(low: float, high: float, nominal: float, **options: object) -> Plan:
 
 
 @cache
-def printed_plan() -> Plan:
+def printed_plan() -> Design:
     """Section 6 applied to the printed inputs of Table 1, without a filter."""
     return _plan(_PRINTED[0], _PRINTED[2], _PRINTED[1], filter_time=0.0)
 
 
 @cache
-def measured_plan() -> Plan:
+def measured_plan() -> Design:
     """Section 6 applied to eq. (5) with c = 1.56 N·m at 40, 30 and 20 g, without a filter."""
     arm = rig()
     return _plan(*(arm.natural_frequency(m) for m in (0.040, 0.020, 0.030)), filter_time=0.0)
@@ -89,20 +89,20 @@ def rule_filter(which: str, order: int) -> float:
     return _plan(ends[0], ends[2], ends[1], filter_order=order).controller.filter_time
 
 
-def matched_integer(plan: Plan, nominal: float) -> tuple[float, float]:
-    """(k_d', β') that give λ = 2 the crossing and the margin of `plan` at ϖ = `nominal`, from (42).
+def matched_integer(design: Design, nominal: float) -> tuple[float, float]:
+    """(k_d', β') that give λ = 2 the crossing and the margin of `design` at ϖ = `nominal`, from (42).
 
     (ω_c² − ϖ²)/ϖ² is |1/G| above the resonance, and the phase of −L is β'π/2.
     """
-    found = plan.at_frequency(nominal)
+    found = design.at_frequency(nominal)
     crossing = max(found.gain_crossings, key=lambda item: item.frequency)
     order = 2.0 * crossing.phase_margin / math.pi
     gain = (crossing.frequency**2 - nominal**2) / (nominal**2 * crossing.frequency**order)
     return gain, order
 
 
-def measured() -> tuple[Plan, float]:
-    """The plan for c = 1.56 N·m and its nominal ϖ."""
+def measured() -> tuple[Design, float]:
+    """The design for c = 1.56 N·m and its nominal ϖ."""
     return measured_plan(), rig().natural_frequency(0.030)
 
 
@@ -116,10 +116,10 @@ def printed() -> Pair:
 @cache
 def corrected() -> Pair:
     """Section 6 carried out with c = 1.56 N·m and the filter of its own 10 % rule, n = 2."""
-    plan, nominal = measured()
+    design, nominal = measured()
     delta = rule_filter("measured", 2)
-    gain, order = matched_integer(plan, nominal)
-    base = _controller(plan.controller.gain, plan.controller.order, delta, 2, ORDER)
+    gain, order = matched_integer(design, nominal)
+    base = _controller(design.controller.gain, design.controller.order, delta, 2, ORDER)
     return Pair("corrected", base, _controller(gain, order, delta, 2, 2.0))
 
 
@@ -138,22 +138,22 @@ def in_loop() -> Pair:
     return Pair("in the loop", base.controller, _matched_in_loop(base))
 
 
-def _matched_in_loop(plan: Plan) -> Controller:
+def _matched_in_loop(design: Design) -> Controller:
     """The controller that gives the loop with λ = 2 the same crossing and phase at 30 g."""
-    nominal = plan.natural_frequency(0.030)
-    crossing = max(plan.at(0.030).gain_crossings, key=lambda item: item.frequency)
+    nominal = design.natural_frequency(0.030)
+    crossing = max(design.at(0.030).gain_crossings, key=lambda item: item.frequency)
     s = 1j * crossing.frequency
     fractional = nominal**2 / (np.exp(ORDER * np.log(s)) + nominal**2)
     integer = nominal**2 / (s**2 + nominal**2 + 0j)
     # (jω)^β carries both: its phase takes up the difference of the links' phases.
     shift = np.angle(fractional / integer)
-    order = plan.controller.order + 2.0 * float(np.mod(shift + math.pi, 2 * math.pi) - math.pi) / math.pi
+    order = design.controller.order + 2.0 * float(np.mod(shift + math.pi, 2 * math.pi) - math.pi) / math.pi
     gain = (
-        plan.controller.gain
+        design.controller.gain
         * abs(fractional / integer)
-        * crossing.frequency ** (plan.controller.order - order)
+        * crossing.frequency ** (design.controller.order - order)
     )
-    return replace(plan.controller, gain=float(gain), order=order, link=link(0.030, 2.0))
+    return replace(design.controller, gain=float(gain), order=order, link=link(0.030, 2.0))
 
 
 def _controller(gain: float, order: float, delta: float, n: int, link_order: float) -> Controller:

@@ -52,9 +52,9 @@ def _margin(which: str, parts: _Parts) -> float:
     """Phase margin [°] of the procedure's own controller at the last gain crossing."""
     from fraclink._systems.stability import margins
 
-    plan = designs.printed_plan() if which == "printed" else designs.measured()[0]
+    design = designs.printed_plan() if which == "printed" else designs.measured()[0]
     delta = designs.rule_filter(which, 2) if parts.filtered else 0.0
-    controller = replace(plan.controller, filter_time=delta, filter_order=2)
+    controller = replace(design.controller, filter_time=delta, filter_order=2)
     found = margins(_loop(controller, _LIGHTEST[which], parts), unstable_poles=0)
     return math.degrees(max(found.gain_crossings, key=lambda item: item.frequency).phase_margin)
 
@@ -80,7 +80,7 @@ def sampled_margins() -> tuple[tuple[float, ...], ...]:
     """
     from fraclink._design import design
 
-    plan = design(
+    result = design(
         designs.link(0.030),
         designs.rig(),
         payloads=(0.020, 0.040),
@@ -92,7 +92,7 @@ def sampled_margins() -> tuple[tuple[float, ...], ...]:
         (
             payload,
             *(
-                math.degrees(plan.sampled_at(payload, realisation=which).phase_margin)
+                math.degrees(result.sampled_at(payload, realisation=which).phase_margin)
                 for which in ("exact", "law", "grunwald")
             ),
         )

@@ -67,7 +67,7 @@ def _tracking(number: int, payload: float) -> Picture:
                 axes.plot(run.time[alive], run.tip_angle[alive], color=color, linestyle=style, label=line)
                 if not alive.all():
                     axes.plot(run.time[alive][-1], run.tip_angle[alive][-1], "x", color=color, markersize=7)
-                if not run.verdict.holds:
+                if not run.verdict.passed:
                     ends.append(f"{name}, {line}: {run.verdict.reason}.")
             axes.plot(run.time, run.reference, color=GREY, linewidth=0.8, linestyle=(0, (1, 1)))
             axes.set(title=name, xlabel="time [s]", xlim=(0, 5), ylim=(-0.1, 1.6))

@@ -55,17 +55,17 @@ def _slug(name: str) -> str:
 def _designs() -> dict[str, float]:
     values: dict[str, float] = {}
     measured, measured_nominal = designs.measured()
-    for which, plan, nominal in (
+    for which, design, nominal in (
         ("printed", designs.printed_plan(), 11.54),
         ("measured", measured, measured_nominal),
     ):
-        found = max(plan.at_frequency(nominal).gain_crossings, key=lambda item: item.frequency)
-        gain, order = designs.matched_integer(plan, nominal)
+        found = max(design.at_frequency(nominal).gain_crossings, key=lambda item: item.frequency)
+        gain, order = designs.matched_integer(design, nominal)
         named = {
-            "chi": plan.chi,
-            "beta": plan.controller.order,
-            "gain": plan.controller.gain,
-            "crossover_upper": plan.gain_crossover_upper,
+            "chi": design.chi,
+            "beta": design.controller.order,
+            "gain": design.controller.gain,
+            "crossover_upper": design.gain_crossover_upper,
             "nominal_crossover": found.frequency,
             "nominal_margin": math.degrees(found.phase_margin),
             "integer_gain": gain,

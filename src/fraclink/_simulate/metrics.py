@@ -50,14 +50,14 @@ class Verdict:
     (True, 'does not hold: unstable: grows')
     """
 
-    holds: bool
+    passed: bool
     reason: str
 
     def __bool__(self) -> bool:
-        return self.holds
+        return self.passed
 
     def __str__(self) -> str:
-        return "holds" if self.holds else f"does not hold: {self.reason}"
+        return "passed" if self.passed else f"does not hold: {self.reason}"
 
 
 def _tail(values: Real, part: float = 0.1) -> Real:

@@ -62,7 +62,7 @@ def link_weights(model: LinkModel, period: float, span: float) -> LinkWeights:
 
 
 def _end_of_power(model: LinkModel, period: float, power: int) -> float:
-    """Response of G to xʲ at x = 1: G = Σ −(−X)ⁿ, X = (μ s^α + ϖ²)/s^λ, term by term ∫ ... = t^q/Γ(q + 1)."""
+    """Response of G to xʲ at x = 1: G = Σ −(−X)ⁿ, X = (μ s^α + ω₀²)/s^λ, term by term: t^q/Γ(q + 1)."""
     stiff = model.natural_frequency**2 * period**model.order
     soft = model.damping * period ** (model.order - model.damping_order)
     total = 0.0

@@ -59,7 +59,7 @@ def simulate(
     reference : Reference
         Of the tip, e.g. `smooth_step`.
     payload : float, optional
-        Mass at the tip [kg], > 0; the model's own where it is left out. ϖ scales as sqrt(1/payload) (5).
+        Mass at the tip [kg], > 0; the model's own where it is left out. ω₀ scales as sqrt(1/payload) (5).
     duration : float, optional
         Time to simulate [s]; 5 s after the reference's end where it is left out.
     inner : {"ideal", "sampled"}
@@ -94,7 +94,7 @@ def simulate(
     >>> rig = fl.Rig.named("paper-2023")
     >>> law = Controller(gain=0.069876, order=0.612197, link=rig.model).discretize(rig.period)
     >>> run = simulate(rig, rig.model, law, fl.smooth_step(1.0, 0.5), payload=0.02, noise=0.0)
-    >>> run.verdict.holds, run.metrics.settling_time < 1.0
+    >>> run.verdict.passed, run.metrics.settling_time < 1.0
     (True, True)
     """
     checked_noun("rig", rig, Rig, remedy="Rig.named or Rig.load make one")

@@ -57,8 +57,8 @@ def save_study(study: Study, folder: Path | str) -> None:
     for name, fit in study.fits.items():
         chosen = study.fit is not None and fit.structure == study.fit.structure
         fit.save(place / ("model.json" if chosen else f"model-{name}.json"))
-    if study.plan is not None:
-        study.plan.save(place / "design.json")
+    if study.design is not None:
+        study.design.save(place / "design.json")
     if study.law is not None:
         study.law.save(place / "law.json")
     if study.certificate is not None:
@@ -133,7 +133,7 @@ def _gathered(by_kind: Mapping[str, list[Path]]) -> Study:
     from fraclink._arm.rig import Rig
     from fraclink._campaign.faults import FaultTable
     from fraclink._certify import Certificate
-    from fraclink._design import Plan
+    from fraclink._design import Design
     from fraclink._identify import Fit
     from fraclink._law import Law
     from fraclink._simulate import Run
@@ -141,11 +141,11 @@ def _gathered(by_kind: Mapping[str, list[Path]]) -> Study:
     def first(kind: str) -> Path | None:
         return by_kind.get(kind, [None])[0]
 
-    rig, log, plan, law, about = (first(kind) for kind in ("rig", "log", "design", "law", "study"))
+    rig, log, design_file, law, about = (first(kind) for kind in ("rig", "log", "design", "law", "study"))
     proof, faults = first("certificate"), first("fault-campaign")
     fits = {fit.structure: fit for fit in map(Fit.load, by_kind.get("fit", []))}
     told = read_json(about, _KIND, (_VERSION,)) if about else {}
-    design = Plan.load(plan) if plan else None
+    design = Design.load(design_file) if design_file else None
     runs = sorted((Run.load(path) for path in by_kind.get("run", [])), key=lambda run: run.payload)
     chosen = told.get("structure") or next(iter(fits), None)
     return Study(
@@ -154,7 +154,7 @@ def _gathered(by_kind: Mapping[str, list[Path]]) -> Study:
         findings=tuple(Finding(**item) for item in told.get("findings", [])),
         comparison=_comparison(fits, told.get("comparison")),
         fit=fits.get(str(chosen)),
-        plan=design,
+        design=design,
         law=Law.load(law) if law else None,
         infeasible=told.get("infeasible"),
         certificate=Certificate.load(proof) if proof else None,

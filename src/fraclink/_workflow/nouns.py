@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from fraclink._arm.rig import Rig
     from fraclink._campaign.faults import FaultTable
     from fraclink._certify import Certificate
-    from fraclink._design import Plan
+    from fraclink._design import Design
     from fraclink._identify import Comparison, Fit
     from fraclink._law import Law
     from fraclink._simulate import Run
@@ -56,7 +56,7 @@ class Study:
         findings: what its examination noticed.
         comparison: the fits of all structures.
         fit: the fit whose model the design used.
-        plan: the design.
+        design: the design.
         law: the discrete law of the design.
         infeasible: why there is no design, where there is none.
         certificate: the proof of the design, where one was asked for and found.
@@ -65,7 +65,7 @@ class Study:
         assumptions: sentences on everything that nobody stated.
         faults: a fault campaign on the design; it has a verdict of its own.
 
-    >>> Study().holds
+    >>> Study().passed
     False
     """
 
@@ -74,7 +74,7 @@ class Study:
     findings: tuple[Finding, ...] = ()
     comparison: Comparison | None = None
     fit: Fit | None = None
-    plan: Plan | None = None
+    design: Design | None = None
     law: Law | None = None
     infeasible: str | None = None
     certificate: Certificate | None = None
@@ -95,22 +95,22 @@ class Study:
         """Why the study does not hold; empty where it does."""
         # A design may be good and the log behind it wrong: a reversed gauge fits as well as a right one.
         wrong = tuple(f"the log: {f.message}; {f.remedy}" for f in self.findings if f.severity == "error")
-        if self.plan is None:
+        if self.design is None:
             return (*wrong, self.infeasible or "there is no design")
         missed = (
             f"{requirement.name}: wanted {requirement.wanted:.4g}, achieved {requirement.achieved:.4g}"
-            for requirement in self.plan.requirements
-            if not requirement.holds
+            for requirement in self.design.requirements
+            if not requirement.passed
         )
         moves = (
             f"move at {1e3 * run.payload:g} g: {run.verdict.reason}"
             for run in self.runs
-            if not run.verdict.holds
+            if not run.verdict.passed
         )
         unproved = () if self.uncertified is None else (f"not certified: {self.uncertified}",)
         return (*wrong, *missed, *unproved, *moves, *(() if self.runs else ("no move was simulated",)))
 
     @property
-    def holds(self) -> bool:
+    def passed(self) -> bool:
         """True where the log is sound and every requirement of the design and every simulated move holds."""
         return not self.reasons

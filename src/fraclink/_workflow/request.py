@@ -13,7 +13,7 @@ from fraclink._validate import checked_noun
 from fraclink.errors import FieldError, InfeasibleError
 
 if TYPE_CHECKING:
-    from fraclink._design import Plan
+    from fraclink._design import Design
 
 __all__ = ["Request", "design_for"]
 
@@ -93,7 +93,7 @@ def model_of(rig: Rig, model: LinkModel | None) -> LinkModel:
     )
 
 
-def design_for(rig: Rig, model: LinkModel | None, request: Request) -> tuple[Plan, tuple[str, ...]]:
+def design_for(rig: Rig, model: LinkModel | None, request: Request) -> tuple[Design, tuple[str, ...]]:
     """Design for a request completed from the rig; also return what had to be assumed, in sentences.
 
     Where neither the request nor the rig's ``[design]`` table states them, the gain crossover is 1.15 times
@@ -103,8 +103,8 @@ def design_for(rig: Rig, model: LinkModel | None, request: Request) -> tuple[Pla
     Raises InfeasibleError where the request cannot be met, FieldError where a value is out of its range.
 
     >>> from fraclink._arm.rig import Rig
-    >>> plan, assumed = design_for(Rig.named("paper-2023"), None, Request(filter_time=0.0))
-    >>> round(plan.controller.gain, 4), assumed
+    >>> design, assumed = design_for(Rig.named("paper-2023"), None, Request(filter_time=0.0))
+    >>> round(design.controller.gain, 4), assumed
     (0.0699, ())
     """
     from fraclink._design import design
@@ -121,14 +121,14 @@ def design_for(rig: Rig, model: LinkModel | None, request: Request) -> tuple[Pla
         asked, assumed = replace(asked, gain_crossover=crossover), (sentence,)
     options = {item.name: getattr(asked, item.name) for item in fields(asked)}
     if asked.phase_margin is not None or asked.max_sensitivity is not None:
-        plan = design(link, rig, **options)
+        result = design(link, rig, **options)
     else:
-        plan, sentence = _largest_margin(
+        result, sentence = _largest_margin(
             lambda margin: design(link, rig, **options | {"phase_margin": margin})
         )
         assumed = (*assumed, sentence)
-    doubts = filter(None, map(rig.payloads.doubt, plan.payloads))
-    return replace(plan, findings=(*plan.findings, *doubts)), assumed
+    doubts = filter(None, map(rig.payloads.doubt, result.payloads))
+    return replace(result, findings=(*result.findings, *doubts)), assumed
 
 
 def _usual_crossover(link: LinkModel, heaviest: float) -> tuple[float, str]:
@@ -141,14 +141,14 @@ def _usual_crossover(link: LinkModel, heaviest: float) -> tuple[float, str]:
     )
 
 
-def _largest_margin(ask: Callable[[float], Plan]) -> tuple[Plan, str]:
-    """The plan with the largest of the usual phase margins that is feasible."""
+def _largest_margin(ask: Callable[[float], Design]) -> tuple[Design, str]:
+    """The design with the largest of the usual phase margins that is feasible."""
     for degrees in (_PHASE_MARGIN_DEG, *_FALLBACK_DEG[:-1]):
         try:
-            plan = ask(math.radians(degrees))
+            design = ask(math.radians(degrees))
         except InfeasibleError:
             continue
-        return plan, _margin_sentence(degrees)
+        return design, _margin_sentence(degrees)
     return ask(math.radians(_FALLBACK_DEG[-1])), _margin_sentence(_FALLBACK_DEG[-1])
 
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from fraclink._arm.experiment import Experiment
     from fraclink._arm.link import LinkModel
     from fraclink._arm.rig import Rig
-    from fraclink._design import Plan
+    from fraclink._design import Design
     from fraclink._law import Law
     from fraclink._simulate import Run
 
@@ -56,7 +56,7 @@ def conduct(
     >>> rig = Rig.named("paper-2023")
     >>> log = read_log(bundled_log("prbs_30g"), rig=rig)
     >>> study = conduct(rig, log, Request(payloads=(0.020, 0.045)))
-    >>> study.holds, [f"{1e3 * run.payload:g} g" for run in study.runs]
+    >>> study.passed, [f"{1e3 * run.payload:g} g" for run in study.runs]
     (True, ['20 g', '30 g', '45 g'])
     """
     from fraclink._arm.rig import Rig
@@ -95,37 +95,37 @@ def conduct(
         assumptions=(*rig.assumptions, *assumed),
     )
     try:
-        plan, more = design_for(rig, model, request or Request())
+        design, more = design_for(rig, model, request or Request())
     except InfeasibleError as error:
         return replace(found, infeasible=str(error))
     begin("simulating")
-    plan = plan.with_law()
-    law = plan.law()
+    design = design.with_law()
+    law = design.law()
     if certify:
         begin("proving")
-        found = _certified(found, plan, law)
-    runs = tuple(simulate_move(plan, move or Move(), payload, law=law) for payload in _moved(plan))
-    return replace(found, plan=plan, law=law, runs=runs, assumptions=(*found.assumptions, *more))
+        found = _certified(found, design, law)
+    runs = tuple(simulate_move(design, move or Move(), payload, law=law) for payload in _moved(design))
+    return replace(found, design=design, law=law, runs=runs, assumptions=(*found.assumptions, *more))
 
 
-def _moved(plan: Plan) -> tuple[float, ...]:
+def _moved(design: Design) -> tuple[float, ...]:
     """The payloads to move [kg]: both ends of the range designed for, and the nominal one within it."""
-    low, high = plan.payloads
-    nominal = plan.rig.payloads.nominal
+    low, high = design.payloads
+    nominal = design.rig.payloads.nominal
     return tuple(sorted({low, high} | ({nominal} if low < nominal < high else set())))
 
 
-def _certified(study: Study, plan: Plan, law: Law) -> Study:
+def _certified(study: Study, design: Design, law: Law) -> Study:
     from fraclink._certify import certify
 
-    certificate = certify(plan, law=law)
-    if certificate.holds:
+    certificate = certify(design, law=law)
+    if certificate.passed:
         return replace(study, certificate=certificate)
     return replace(study, uncertified=certificate.verdict.removeprefix("Not certified: "))
 
 
 def _with_payload(model: LinkModel, rig: Rig) -> tuple[LinkModel, tuple[str, ...]]:
-    """The model with the payload it holds for: ϖ can be carried to other payloads from there only."""
+    """The model with the payload it holds for: ω₀ can be carried to other payloads from there only."""
     if model.payload is not None:
         return model, ()
     nominal = rig.payloads.nominal
@@ -134,28 +134,28 @@ def _with_payload(model: LinkModel, rig: Rig) -> tuple[LinkModel, tuple[str, ...
     )
 
 
-def simulate_move(plan: Plan, move: Move, payload: float, *, law: Law | None = None) -> Run:
+def simulate_move(design: Design, move: Move, payload: float, *, law: Law | None = None) -> Run:
     """Simulate one move of the tip with the design's law at `payload` [kg].
 
     `law` is the design's own where it is left out; making it takes a second.
 
     >>> from fraclink._arm.rig import Rig
     >>> from fraclink._workflow.request import Request, design_for
-    >>> plan, _ = design_for(Rig.named("paper-2023"), None, Request(filter_time=0.0))
-    >>> simulate_move(plan, Move(amplitude=0.2), 0.020).payload
+    >>> design, _ = design_for(Rig.named("paper-2023"), None, Request(filter_time=0.0))
+    >>> simulate_move(design, Move(amplitude=0.2), 0.020).payload
     0.02
     """
     from fraclink._arm.reference import smooth_step
-    from fraclink._design import Plan
+    from fraclink._design import Design
     from fraclink._simulate import simulate
     from fraclink._validate import checked_noun
 
-    checked_noun("plan", plan, Plan, remedy="design(...) makes one")
+    checked_noun("plan", design, Design, remedy="design(...) makes one")
     checked_noun("move", move, Move, remedy="Move(amplitude=1.0)")
     return simulate(
-        plan.rig,
-        plan.model,
-        law if law is not None else plan.law(),
+        design.rig,
+        design.model,
+        law if law is not None else design.law(),
         smooth_step(move.amplitude, duration=move.move_time),
         payload=payload,
         duration=move.duration,

@@ -105,7 +105,7 @@ class Rig:
         write_text(path, rig_text(self))
 
     def natural_frequency(self, payload: float) -> float:
-        """ϖ = √(c/(m L²)) of a payload m [kg], eq. (5), in s^(−λ/2): rad/s for λ = 2 only.
+        """ω₀ = √(c/(m L²)) of a payload m [kg], eq. (5), in s^(−λ/2): rad/s for λ = 2 only.
 
         Raises FieldError where the payload is not a positive number.
 

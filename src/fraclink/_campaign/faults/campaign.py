@@ -60,7 +60,7 @@ def cases(
 
 
 def _checked_bench(bench: object) -> None:
-    checked_noun("bench", bench, Bench, remedy="Bench.of(plan) makes one")
+    checked_noun("bench", bench, Bench, remedy="Bench.of(design) makes one")
 
 
 def _listed(field: str, values: object) -> tuple[Any, ...]:
@@ -74,7 +74,7 @@ def _listed(field: str, values: object) -> tuple[Any, ...]:
 def observe(bench: Bench, case: Case, law: Law, *, clean: CleanRuns | None = None) -> Evidence:
     """Run one case with `law` and return both runs; `clean` keeps the clean ones for the next case."""
     _checked_bench(bench)
-    checked_noun("law", law, Law, remedy="bench.law, or plan.law()")
+    checked_noun("law", law, Law, remedy="bench.law, or design.law()")
     fault = fault_named(case.fault)
     trial = _trial(bench, fault, case, law)
     fault.inject(trial)
@@ -107,11 +107,11 @@ def run_case(bench: Bench, case: Case, *, single: bool = True, clean: CleanRuns 
     >>> import fraclink as fl
     >>> from fraclink._simulate.twin import geared
     >>> rig = geared(fl.Rig.named("paper-2023"))
-    >>> plan = fl.design(
+    >>> design = fl.design(
     ...     rig.model, rig, payloads=(0.020, 0.040), gain_crossover=12.0, phase_margin=fl.deg(50)
     ... )
-    >>> outcome = run_case(Bench.of(plan, link_mass=0.00735), Case("F09", 1, 0.030, "mid", 1))
-    >>> outcome.holds, outcome.mode, outcome.reason, outcome.reacted
+    >>> outcome = run_case(Bench.of(design, link_mass=0.00735), Case("F09", 1, 0.030, "mid", 1))
+    >>> outcome.passed, outcome.mode, outcome.reason, outcome.reacted
     (True, 'degraded', 'gauge', 5)
     """
     _checked_bench(bench)
@@ -121,14 +121,14 @@ def run_case(bench: Bench, case: Case, *, single: bool = True, clean: CleanRuns 
     if single:
         other = observe(bench, case, bench.law.in_precision("single"), clean=clean)
         again = (*shared_checks(other, other.faulty), *(check(other) for check in fault.checks))
-        checks += [_renamed(check) for check in again if not check.holds]
+        checks += [_renamed(check) for check in again if not check.passed]
         checks.append(_same_modes(e.faulty, other.faulty))
     mode, reason = e.end
     return Outcome(case, tuple(checks), e.peak, e.clean_peak, e.final, mode, reason, e.reacted, e.detail)
 
 
 def _renamed(check: Check) -> Check:
-    return Check(f"{check.name}, single precision", check.measured, check.limit, check.holds)
+    return Check(f"{check.name}, single precision", check.measured, check.limit, check.passed)
 
 
 def _changes(signals: Signals) -> list[tuple[int, int]]:

@@ -46,7 +46,7 @@ def draw_outcome(bench: Bench, outcome: Outcome, path: Path | str) -> None:
         axis.tick_params(labelsize=8)
     axes[-1].set_xlabel("time [s]")
     first = outcome.failed[0] if outcome.failed else None
-    verdict = "holds" if first is None else str(first)
+    verdict = "passed" if first is None else str(first)
     figure.suptitle(f"{outcome.name}: {fault.title}\n{verdict}", fontsize=10)
     kind = Path(path).suffix.lstrip(".") or "svg"
     # A fixed salt and no date: the same run gives the same bytes.

@@ -22,14 +22,14 @@ PHASES = ("whole", "start", "mid", "rest")
 class Check:
     """One requirement on one run: what was measured, the limit it must not exceed, and whether it holds.
 
-    >>> Check.at_most("peak [rad]", 0.5, 0.4).holds
+    >>> Check.at_most("peak [rad]", 0.5, 0.4).passed
     False
     """
 
     name: str
     measured: float
     limit: float
-    holds: bool
+    passed: bool
 
     @staticmethod
     def at_most(name: str, measured: float, limit: float) -> Check:
@@ -117,9 +117,9 @@ class Outcome:
     detail: str = ""
 
     @property
-    def holds(self) -> bool:
+    def passed(self) -> bool:
         """Whether every check holds."""
-        return all(check.holds for check in self.checks)
+        return all(check.passed for check in self.checks)
 
     @property
     def name(self) -> str:
@@ -129,4 +129,4 @@ class Outcome:
     @property
     def failed(self) -> tuple[Check, ...]:
         """The checks that do not hold."""
-        return tuple(check for check in self.checks if not check.holds)
+        return tuple(check for check in self.checks if not check.passed)

@@ -36,7 +36,7 @@ def soak(bench: Bench, payload: float, *, periods: int = 1_000_000, seed: int = 
     payload [kg] > 0. The gauge has the rig's noise, offset and quantum. Raises FieldError for a count below
     1.
     """
-    checked_noun("bench", bench, Bench, remedy="Bench.of(plan) makes one")
+    checked_noun("bench", bench, Bench, remedy="Bench.of(design) makes one")
     checked_whole("periods", periods, 1, 10**12)
     checked_whole("seed", seed, 0, 2**64 - 1)
     law = bench.law

@@ -32,7 +32,7 @@ class Row:
     example: Outcome | None
 
     @property
-    def holds(self) -> bool:
+    def passed(self) -> bool:
         """Whether every run met the requirement."""
         return self.failed == 0
 
@@ -45,14 +45,14 @@ class FaultTable:
     about: Mapping[str, str] = field(default_factory=dict)
 
     @property
-    def holds(self) -> bool:
+    def passed(self) -> bool:
         """Whether every run of every fault met its requirement."""
-        return all(outcome.holds for outcome in self.outcomes)
+        return all(outcome.passed for outcome in self.outcomes)
 
     @property
     def failures(self) -> tuple[Outcome, ...]:
         """The runs that did not meet their requirement: the open points."""
-        return tuple(outcome for outcome in self.outcomes if not outcome.holds)
+        return tuple(outcome for outcome in self.outcomes if not outcome.passed)
 
     def rows(self) -> tuple[Row, ...]:
         """Return one row a fault."""
@@ -62,7 +62,7 @@ class FaultTable:
     def _row(self, number: str) -> Row:
         fault = fault_named(number)
         mine = [outcome for outcome in self.outcomes if outcome.case.fault == number]
-        failed = [outcome for outcome in mine if not outcome.holds]
+        failed = [outcome for outcome in mine if not outcome.passed]
         worst = max(
             ((check, o) for o in failed for check in o.failed), key=lambda x: _excess(x[0]), default=None
         )
@@ -126,7 +126,7 @@ def _excess(check: Check) -> float:
 
 
 def _check_values(check: Check) -> list[object]:
-    return [check.name, check.measured, check.limit, check.holds]
+    return [check.name, check.measured, check.limit, check.passed]
 
 
 def _plain(value: Any) -> Any:

@@ -20,7 +20,7 @@ from fraclink._validate import checked_noun
 from fraclink.errors import FieldError
 
 if TYPE_CHECKING:
-    from fraclink._design import Plan
+    from fraclink._design import Design
     from fraclink._law import Law
     from fraclink._simulate.twin import Twin
 
@@ -48,21 +48,21 @@ class Bench:
     modulus_margin: float
 
     @staticmethod
-    def of(plan: Plan, rig: Rig | None = None, *, link_mass: float | None = None) -> Bench:
+    def of(design: Design, rig: Rig | None = None, *, link_mass: float | None = None) -> Bench:
         """Return the bench of a design on `rig` (default: its own), with its shipped law and motor loop."""
-        from fraclink._design import Plan
+        from fraclink._design import Design
         from fraclink._simulate.twin import Twin
 
-        checked_noun("plan", plan, Plan, remedy="fl.design makes one")
-        arm = plan.rig if rig is None else rig
+        checked_noun("plan", design, Design, remedy="fl.design makes one")
+        arm = design.rig if rig is None else rig
         checked_noun("rig", arm, Rig, remedy="Rig.named or Rig.load make one")
         twin = Twin.from_rig(arm, link_mass=link_mass)
-        law = replace(plan, rig=arm).law()
-        low, high = plan.payloads
+        law = replace(design, rig=arm).law()
+        low, high = design.payloads
         nominal = arm.payloads.nominal
         if not low <= nominal <= high:
             nominal = 0.5 * (low + high)
-        margin = min(plan.sampled_at(p).modulus_margin for p in (low, high))
+        margin = min(design.sampled_at(p).modulus_margin for p in (low, high))
         return Bench(arm, driven(twin, law), twin, (low, nominal, high), margin)
 
     def with_law(self, law: Law) -> Bench:

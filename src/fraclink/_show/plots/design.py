@@ -54,8 +54,8 @@ def margins_against_payload(
     >>> from fraclink._design.assess import margin_curve
     >>> from fraclink._show.plots import margins_against_payload
     >>> rig = fl.Rig.named("paper-2023")
-    >>> plan = fl.design(rig.model, rig, gain_crossover=12.0, phase_margin=fl.deg(50))
-    >>> axis = margins_against_payload([margin_curve(plan, [0.02, 0.03, 0.04])])
+    >>> design = fl.design(rig.model, rig, gain_crossover=12.0, phase_margin=fl.deg(50))
+    >>> axis = margins_against_payload([margin_curve(design, [0.02, 0.03, 0.04])])
     >>> axis.get_ylabel()
     'phase margin [°]'
     """

@@ -34,7 +34,7 @@ def write_campaign_report(campaign: Campaign, folder: Path | str, summary: Summa
 
     names = [name for name, _, _ in SHOWN]
     values = dict(zip(names, columns(campaign, folder, *names), strict=True))
-    payload, offset, holds = columns(campaign, folder, "payload", "gauge_offset", "holds")
+    payload, offset, holds = columns(campaign, folder, "payload", "gauge_offset", "passed")
     failed = ~holds.astype(bool)
     runs = summary.failure.runs
     parts = [
@@ -101,7 +101,7 @@ def write_sweep_report(found: Sweep, path: Path | str) -> Path:
     from fraclink._show.report.figures.campaign import sweep_figure
 
     infeasible = [c for c in found.cells if c.infeasible]
-    failing = [c for c in found.cells if not c.infeasible and not c.holds]
+    failing = [c for c in found.cells if not c.infeasible and not c.passed]
     parts = [
         _Part(
             "Settling time on the twin",
@@ -130,7 +130,7 @@ def write_sweep_report(found: Sweep, path: Path | str) -> Path:
         path,
         f"Design map of {found.rig}",
         subtitle,
-        found.holds,
+        found.passed,
         sentence,
         [p for p in parts if p.figure or p.rows],
     )

@@ -21,7 +21,7 @@ class FaultLine(NamedTuple):
     runs: str
     failed: str
     worst: str
-    holds: bool
+    passed: bool
 
 
 def fault_lines(table: FaultTable) -> list[FaultLine]:
@@ -32,9 +32,9 @@ def fault_lines(table: FaultTable) -> list[FaultLine]:
             row.title,
             row.required.replace("<=", "≤").replace(" x ", " × "),
             str(row.runs),
-            "–" if row.holds else str(row.failed),
+            "–" if row.passed else str(row.failed),
             row.worst,
-            row.holds,
+            row.passed,
         )
         for row in table.rows()
     ]
@@ -54,5 +54,5 @@ def faults_met(table: FaultTable) -> str:
     '0 of 0 faults met in every run, 0 runs'
     """
     rows = table.rows()
-    met = sum(row.holds for row in rows)
+    met = sum(row.passed for row in rows)
     return f"{met} of {len(rows)} faults met in every run, {len(table.outcomes)} runs"

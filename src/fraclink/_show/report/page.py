@@ -73,14 +73,14 @@ def _contents(study: Study, title: str | None) -> dict[str, object]:
 def _design(study: Study) -> dict[str, object]:
     from fraclink._show.report.figures.loop import payloads_of
 
-    plan = study.plan
-    if plan is None:
+    design = study.design
+    if design is None:
         return {"controller_rows": [], "requirement_rows": [], "margin_rows": []}
-    payloads = [_BEYOND * plan.payloads[0], *payloads_of(plan)]
+    payloads = [_BEYOND * design.payloads[0], *payloads_of(design)]
     return {
-        "controller_rows": sections.controller_rows(plan, study.law),
-        "requirement_rows": sections.requirement_rows(plan),
-        "margin_rows": sections.margin_rows(plan, payloads),
+        "controller_rows": sections.controller_rows(design, study.law),
+        "requirement_rows": sections.requirement_rows(design),
+        "margin_rows": sections.margin_rows(design, payloads),
     }
 
 
@@ -113,10 +113,10 @@ def _figures(study: Study) -> dict[str, object]:
         drawn["log"] = figures.log_figure(study.experiment)
     if study.fits:
         drawn["models"] = figures.models_figure(study.fits)
-    if study.plan is not None:
-        drawn["bode"] = figures.bode_figure(study.plan)
-        drawn["nyquist"] = figures.nyquist_figure(study.plan)
-        drawn["margins"] = figures.margins_figure(study.plan)
+    if study.design is not None:
+        drawn["bode"] = figures.bode_figure(study.design)
+        drawn["nyquist"] = figures.nyquist_figure(study.design)
+        drawn["margins"] = figures.margins_figure(study.design)
     if study.runs:
         drawn["moves"] = figures.moves_figure(study.runs)
     # matplotlib's SVG writer has escaped every text of a figure; escaping it again would show the markup.

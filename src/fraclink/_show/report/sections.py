@@ -12,7 +12,7 @@ from fraclink._show.report.numbers import degrees, grams, milli, number, quantit
 if TYPE_CHECKING:
     from fraclink._arm.experiment import Experiment
     from fraclink._arm.rig import Rig
-    from fraclink._design import Plan, Requirement
+    from fraclink._design import Design, Requirement
     from fraclink._identify import Fit
     from fraclink._law import Law
     from fraclink._simulate import Run
@@ -124,9 +124,9 @@ def fit_rows(fits: Mapping[str, Fit]) -> list[Row]:
     ]
 
 
-def controller_rows(plan: Plan, law: Law | None) -> list[Row]:
+def controller_rows(design: Design, law: Law | None) -> list[Row]:
     """Symbol, meaning and value of the controller's parameters, and of its law."""
-    controller = plan.controller
+    controller = design.controller
     rows: list[Row] = [
         ("k_d", "gain", f"{number(controller.gain, 6)} s^β"),
         ("β", "order of the derivative", number(controller.order, 6)),
@@ -139,7 +139,9 @@ def controller_rows(plan: Plan, law: Law | None) -> list[Row]:
         lead = controller.lead
         times = f"{number(lead.zero_time)} s, {number(lead.pole_time)} s, {number(lead.order)}"
         rows.append(("a, b, ν", "lead", times))
-    rows.append(("ω̄_c", "crossover at the lightest payload", f"{number(plan.gain_crossover_upper, 6)} rad/s"))
+    rows.append(
+        ("ω̄_c", "crossover at the lightest payload", f"{number(design.gain_crossover_upper, 6)} rad/s")
+    )
     if law is not None:
         decibel, degree = law.correction_error
         order = len(law.correction.poles) + 2 * len(law.correction.pair_poles)
@@ -160,7 +162,7 @@ def relation(item: Requirement) -> str:
     return "≤" if item.name.startswith(_UPPER) else "≥"
 
 
-def requirement_rows(plan: Plan) -> list[tuple[str, str, str, str, str, bool]]:
+def requirement_rows(design: Design) -> list[tuple[str, str, str, str, str, bool]]:
     """Name, wanted, achieved, payload, slack, and whether it holds."""
     return [
         (
@@ -170,17 +172,17 @@ def requirement_rows(plan: Plan) -> list[tuple[str, str, str, str, str, bool]]:
             grams(item.at_payload),
             # The equations are solved to rounding: 1e-16 of slack is none.
             quantity(0.0 if abs(item.slack) < 1e-9 * max(1.0, abs(item.wanted)) else item.slack, item.unit),
-            item.holds,
+            item.passed,
         )
-        for item in plan.requirements
+        for item in design.requirements
     ]
 
 
-def margin_rows(plan: Plan, payloads: list[float]) -> list[Row]:
+def margin_rows(design: Design, payloads: list[float]) -> list[Row]:
     """Margins at some payloads, of the loop asked for and of the sampled one."""
     rows: list[Row] = []
     for payload in payloads:
-        asked, sampled = plan.at(payload), plan.sampled_at(payload)
+        asked, sampled = design.at(payload), design.sampled_at(payload)
         rows.append(
             (
                 grams(payload),
@@ -207,7 +209,7 @@ def move_rows(runs: tuple[Run, ...]) -> list[tuple[Row, bool, str]]:
                 number(run.metrics.peak_voltage, 3),
                 milli(run.metrics.motor_reference_noise),
             ),
-            run.verdict.holds,
+            run.verdict.passed,
             run.verdict.reason,
         )
         for run in runs
@@ -223,15 +225,15 @@ def in_short(study: Study) -> list[Row]:
             "" if study.fit.heldout_nmse is None else f", held-out error {100 * study.fit.heldout_nmse:.2g} %"
         )
         order, frequency = number(model.order, 5), number(model.natural_frequency, 5)
-        rows.append(("Model", f"{study.fit.structure}: λ = {order}, ϖ = {frequency}{held}"))
-    if study.plan is not None:
-        controller, (low, high) = study.plan.controller, study.plan.payloads
+        rows.append(("Model", f"{study.fit.structure}: λ = {order}, ω₀ = {frequency}{held}"))
+    if study.design is not None:
+        controller, (low, high) = study.design.controller, study.design.payloads
         filtered = f", δ = {number(1e3 * controller.filter_time, 3)} ms" if controller.filter_time else ""
         rows.append(
             ("Controller", f"k_d = {number(controller.gain, 5)}, β = {number(controller.order, 5)}{filtered}")
         )
         span = " and ".join(
-            f"{degrees(study.plan.sampled_at(payload).phase_margin)} at {grams(payload)}"
+            f"{degrees(study.design.sampled_at(payload).phase_margin)} at {grams(payload)}"
             for payload in sorted({low, high})
         )
         rows.append(("Phase margin of the sampled loop", span))

@@ -45,7 +45,7 @@ def geared(rig: Rig, ratio: float = 50.0) -> Rig:
 def damping_of(model: LinkModel) -> Damping:
     """Return the material whose massless link is the given lumped model.
 
-    UD-FOM is a power law, D-IOM viscous with η = μ/ϖ², D-FOM fractional with η = μ/ϖ², UD-IOM undamped.
+    UD-FOM is a power law, D-IOM viscous with η = μ/ω₀², D-FOM fractional with η = μ/ω₀², UD-IOM undamped.
 
     >>> from fraclink._arm.link import LinkModel
     >>> damping_of(LinkModel(stiffness=1.56, natural_frequency=10.0, order=1.92))

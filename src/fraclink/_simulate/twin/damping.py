@@ -2,8 +2,8 @@
 
 Stress and strain of the link are tied by D(s), in the modal equation q̈i + ωi² D(s) qi = −Γi θ̈m:
 
-    viscous (Kelvin–Voigt)       D = 1 + η s            massless limit: D-IOM, equation (15), μ = η ϖ²
-    fractional (Kelvin–Voigt)    D = 1 + η s^α          massless limit: D-FOM, equation (16), μ = η ϖ²
+    viscous (Kelvin–Voigt)       D = 1 + η s            massless limit: D-IOM, equation (15), μ = η ω₀²
+    fractional (Kelvin–Voigt)    D = 1 + η s^α          massless limit: D-FOM, equation (16), μ = η ω₀²
     power law (springpot)        D = s^(2−λ)            massless limit: UD-FOM, equation (10)
 
 s^a with 0 < a < 1 is the exact superposition of Maxwell elements s/(s + r),

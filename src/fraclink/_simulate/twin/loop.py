@@ -93,10 +93,10 @@ def run_twin(
     >>> from fraclink._arm.reference import smooth_step
     >>> from fraclink._simulate.twin import Twin, geared, run_twin
     >>> rig = geared(fl.Rig.named("paper-2023"))
-    >>> plan = fl.design(
+    >>> design = fl.design(
     ...     rig.model, rig, payloads=(0.020, 0.040), gain_crossover=12.0, phase_margin=fl.deg(50)
     ... )
-    >>> law = plan.controller.discretize(rig.period)
+    >>> law = design.controller.discretize(rig.period)
     >>> run = run_twin(Twin.from_rig(rig, link_mass=0.00735), law, smooth_step(1.0, duration=1.0))
     >>> bool(abs(run.error[-1]) < 0.02)
     True

@@ -109,7 +109,7 @@ def drivers_figure(summary: Summary) -> str:
 def sweep_figure(found: Sweep) -> str:
     """Settling time over gain crossover and phase margin, one panel a payload."""
     count = len(found.payloads)
-    finite = [c.settling_time for c in found.cells if c.holds and math.isfinite(c.settling_time)]
+    finite = [c.settling_time for c in found.cells if c.passed and math.isfinite(c.settling_time)]
     top = max(finite, default=1.0)
     with figure(FULL_WIDTH, 1.0 + 2.2 * math.ceil(count / 3)) as drawing:
         panels = np.atleast_1d(
@@ -128,7 +128,7 @@ def sweep_figure(found: Sweep) -> str:
 def _sweep_panel(axes: Any, found: Sweep, payload: float, low: float, top: float) -> Any:
     crossovers, margins = found.gain_crossovers, found.phase_margins
     cells = [[found.at(w, p, payload) for w in crossovers] for p in margins]
-    values = [[c.settling_time if c.holds else math.nan for c in row] for row in cells]
+    values = [[c.settling_time if c.passed else math.nan for c in row] for row in cells]
     axes.grid(visible=False)
     axes.set_facecolor("white")
     image = _cells(axes, values, "viridis_r", low, top)
@@ -136,7 +136,7 @@ def _sweep_panel(axes: Any, found: Sweep, payload: float, low: float, top: float
         for x, cell in enumerate(row):
             if cell.infeasible:
                 axes.text(x, y, "–", ha="center", va="center", color=GREY)
-            elif not cell.holds:
+            elif not cell.passed:
                 axes.text(x, y, "×", ha="center", va="center", color=_FAILED, fontsize=11, weight="bold")
     axes.set_xticks(range(len(crossovers)), [f"{w:.3g}" for w in crossovers])
     axes.set_yticks(range(len(margins)), [f"{math.degrees(p):.3g}" for p in margins])
