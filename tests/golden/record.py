@@ -109,7 +109,7 @@ def probe() -> str:
 # --- the laws that the runs are made with: files, so that another fit of a law changes no run
 
 
-def design_of(rig: fl.Rig, **asked: Any) -> fl.Plan:
+def design_of(rig: fl.Rig, **asked: Any) -> fl.Design:
     """The design that most figures start from."""
     wanted = {"payloads": (0.020, 0.040), "gain_crossover": 12.0, "phase_margin": fl.deg(50)}
     return fl.design(rig.model, rig, **(wanted | asked))
@@ -173,7 +173,7 @@ def run_figures(run: Any) -> Plain:
             "largest_torque": np.abs(run.torque).max(),
             "final_mode": run.mode[-1],
             "final_reason": run.reason[-1],
-            "holds": run.verdict.holds,
+            "holds": run.verdict.passed,
             **figures,
         }
     )
@@ -272,7 +272,7 @@ def fault_figures(name: str, severity: int, phase: str) -> Plain:
     """One case of the fault campaign in double and single precision."""
     bench = replace(_bench(), law=law("geared"))
     outcome = run_case(bench, Case(name, severity, 0.030, phase, 3), single=severity == 1)
-    checks = {check.name: [check.measured, check.limit, check.holds] for check in outcome.checks}
+    checks = {check.name: [check.measured, check.limit, check.passed] for check in outcome.checks}
     told = {field: getattr(outcome, field) for field in ("peak", "clean_peak", "final", "mode", "reason")}
     return plain(told | {"reacted": outcome.reacted, "checks": checks})
 
@@ -322,7 +322,7 @@ def certificate_figures(found: Certificate) -> Plain:
     place = [found.payload, found.frequency, found.delay, found.distance]
     return plain(
         {
-            "holds": found.holds,
+            "holds": found.passed,
             "modulus": s.modulus,
             "ranges": ranges,
             "inner": s.inner,
@@ -372,13 +372,13 @@ def controller_figures(controller: fl.Controller) -> Plain:
     )
 
 
-def plan_figures(plan: fl.Plan) -> Plain:
+def plan_figures(plan: fl.Design) -> Plain:
     """Controller, requirements, the margins at both ends and the codes of the findings."""
     ends = [plan.at(payload) for payload in plan.payloads]
     return plain(
         {
             "controller": controller_figures(plan.controller),
-            "holds": plan.holds,
+            "holds": plan.passed,
             "chi": plan.chi,
             "gain_crossover_upper": plan.gain_crossover_upper,
             "natural_frequencies": plan.natural_frequencies,
@@ -386,7 +386,7 @@ def plan_figures(plan: fl.Plan) -> Plain:
             "phase_margins": [found.phase_margin for found in ends],
             "gain_margins": [found.gain_margin for found in ends],
             "requirements": {
-                item.name: [item.wanted, item.achieved, item.at_payload, item.slack, item.holds]
+                item.name: [item.wanted, item.achieved, item.at_payload, item.slack, item.passed]
                 for item in plan.requirements
             },
             "findings": [finding.code for finding in plan.findings],
@@ -468,7 +468,7 @@ def designs() -> Plain:
         GEARED, gain_crossovers=[11.0, 20.0], phase_margins=[0.9, 1.2], payloads=[0.03], link_mass=LINK_MASS
     )
     made["sweep"] = plain(
-        [[c.holds, c.settling_time, c.overshoot, c.residual_vibration, c.infeasible] for c in found.cells]
+        [[c.passed, c.settling_time, c.overshoot, c.residual_vibration, c.infeasible] for c in found.cells]
     )
     return made
 
