@@ -81,7 +81,7 @@ def _order_of_payloads(published: Published) -> Evidence:
     spread = max(f.model.order for f in fits.values()) - min(f.model.order for f in fits.values())
     error = max(fit.standard_errors["order"] for fit in fits.values())
     return Evidence(
-        f"the twin's three PRBS logs give λ = {shown}", "passed" if spread < 4 * error else "does not hold"
+        f"the twin's three PRBS logs give λ = {shown}", "holds" if spread < 4 * error else "does not hold"
     )
 
 
@@ -96,7 +96,7 @@ def _ratios_of_table_3(published: Published) -> Evidence:
         f"ϖ(30 g)/ϖ(40 g) = {second:.3f} where it asks for {math.sqrt(4 / 3):.3f}"
     )
     good = abs(first - math.sqrt(1.5)) < 0.02 and abs(second - math.sqrt(4 / 3)) < 0.02
-    return Evidence(text, "passed" if good else "does not hold")
+    return Evidence(text, "holds" if good else "does not hold")
 
 
 def _mse(published: Published, name: str) -> float:
@@ -106,7 +106,7 @@ def _mse(published: Published, name: str) -> float:
 def _error_of_undamped(published: Published) -> Evidence:
     ratios = [_mse(published, "udiom") / _mse(published, name) for name in ("diom", "udfom", "dfom")]
     text = f"Table 2: {min(ratios):.1f} to {max(ratios):.1f} times"
-    return Evidence(text, "passed" if min(ratios) >= 9.5 and max(ratios) <= 12 else "does not hold")
+    return Evidence(text, "holds" if min(ratios) >= 9.5 and max(ratios) <= 12 else "does not hold")
 
 
 def _gap_of_aic(published: Published) -> Evidence:
@@ -145,13 +145,13 @@ def _sweep(motor: bool) -> tuple[list[Crossing], list[Crossing]]:
 def _monotone_crossover(published: Published) -> Evidence:
     found = [item.frequency for item in _sweep(False)[0]]
     text = f"C of the procedure: {found[0]:.2f} rad/s at 8 g, {found[-1]:.2f} rad/s at 45 g, never rising"
-    return Evidence(text, "passed" if bool(np.all(np.diff(found) < 0)) else "does not hold")
+    return Evidence(text, "holds" if bool(np.all(np.diff(found) < 0)) else "does not hold")
 
 
 def _monotone_margin(published: Published) -> Evidence:
     found = [item.margin for item in _sweep(False)[0]]
     text = f"C of the procedure: {found[0]:.2f}° at 8 g, {found[-1]:.2f}° at 45 g, never falling between"
-    return Evidence(text, "passed" if bool(np.all(np.diff(found) > 0)) else "does not hold")
+    return Evidence(text, "holds" if bool(np.all(np.diff(found) > 0)) else "does not hold")
 
 
 def _tracking_printed(published: Published) -> Evidence:
@@ -216,7 +216,7 @@ def _margins_below(published: Published) -> Evidence:
     alike = abs(rows[0.016][2].margin - rows[0.016][3].margin) < 2 and not rows[0.008][2].stable
     return Evidence(
         "phase margin of C and C' in the loop of 4 ms " + text,
-        "holds in part" if good and alike else "passed",
+        "holds in part" if good and alike else "holds",
     )
 
 
@@ -227,7 +227,7 @@ def _cost_of_motor_loop(published: Published) -> Evidence:
         for m in (0.008, 0.020, 0.040)
     ]
     text = f"M(s) costs {cost[0]:.1f}°, {cost[1]:.1f}° and {cost[2]:.1f}° at 8, 20 and 40 g"
-    return Evidence(text, "passed" if min(cost) > 15 else "does not hold")
+    return Evidence(text, "holds" if min(cost) > 15 else "does not hold")
 
 
 def _crossover_order(published: Published) -> Evidence:
@@ -238,14 +238,14 @@ def _crossover_order(published: Published) -> Evidence:
         f"at 20 g, L_M and L'_M: printed gains {rows[0][0]:.2f} and {rows[0][1]:.2f} rad/s, "
         f"the procedure's own {rows[1][0]:.2f} and {rows[1][1]:.2f} rad/s"
     )
-    return Evidence(text, "passed" if all(a < b for a, b in rows) else "does not hold")
+    return Evidence(text, "holds" if all(a < b for a, b in rows) else "does not hold")
 
 
 def _motor_lowers_crossover(published: Published) -> Evidence:
     without, within = _sweep(False), _sweep(True)
     drop = [a.frequency - b.frequency for k in (0, 1) for a, b in zip(without[k], within[k], strict=True)]
     text = f"by {min(drop):.2f} to {max(drop):.2f} rad/s between 8 g and 45 g, for C and C'"
-    return Evidence(text, "passed" if min(drop) > 0 else "does not hold")
+    return Evidence(text, "holds" if min(drop) > 0 else "does not hold")
 
 
 def _reversal_with_motor_loop(published: Published) -> Evidence:
@@ -264,7 +264,7 @@ def _reversal_with_motor_loop(published: Published) -> Evidence:
     )
     first = all(r[1] > r[0] for r in rows.values())
     second = [r[2] > r[3] for r in rows.values()]
-    verdict = "passed" if first and all(second) else "holds in part" if first else "does not hold"
+    verdict = "holds" if first and all(second) else "holds in part" if first else "does not hold"
     return Evidence("the procedure's own C and C' " + text, verdict)
 
 

@@ -15,7 +15,7 @@ __all__ = ["VERDICTS", "Claim", "Equation", "Number", "Published", "agreement", 
 
 VERDICTS = ("input", "reproduced", "corrected", "contradicts", "not reproducible")
 _EQUATIONS = ("right", "misprint")
-_CLAIMS = ("passed", "does not hold", "holds in part")
+_CLAIMS = ("holds", "does not hold", "holds in part")
 
 
 @dataclass(frozen=True)
