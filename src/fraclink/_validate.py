@@ -1,27 +1,225 @@
-"""Values that come from outside: one check for every kind, one form of its error."""
+"""Values from outside: a range is written once, in the annotation, and checked where the value enters.
+
+    @checked
+    def design(model: LinkModel, *, gain_crossover: Frequency, hold: Literal["zero", "first"] = "zero"): ...
+
+    @checked
+    @dataclass(frozen=True)
+    class Sensor:
+        period: Period
+        noise: Annotated[float, Between(0.0, 1e6, "N·m")] = 0.0
+
+`checked` reads the annotations at the first call, refuses what they do not admit with a FieldError, and
+hands on plain values: float and int (never a bool or a numpy scalar), tuples, paths, float64 arrays. The
+same annotation gives the command line's help (`describe`) and the rule of a file's field (`rules`).
+"""
 
 from __future__ import annotations
 
+import contextlib
+import functools
+import inspect
 import math
+import os
+import sys
+import types
 from collections.abc import Callable, Iterable
-from typing import TypeVar
+from dataclasses import dataclass, is_dataclass
+from typing import Annotated, Any, TypeVar, cast, get_type_hints, overload
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from fraclink._ranges import CHECK_UNIT as CHECK_UNIT
+from fraclink._ranges import Array as Array
+from fraclink._ranges import Between as Between
+from fraclink._ranges import Check, Refused, number_rule, whole_rule
+from fraclink._ranges import Length as Length
+from fraclink._ranges import Ordered as Ordered
+from fraclink._ranges import Rule as Rule
+from fraclink._ranges import Where as Where
+from fraclink._rules import array_rule, conditional_rule, instance_rule, listed, rule
 from fraclink.errors import FieldError
 
-__all__ = [
-    "checked_between",
-    "checked_choice",
-    "checked_noun",
-    "checked_number",
-    "checked_series",
-    "checked_whole",
-    "is_whole",
-]
+Target = TypeVar("Target", bound=Callable[..., Any])
+Instance = TypeVar("Instance")
 
-Noun = TypeVar("Noun")
+# --- ranges that recur --------------------------------------------------------------------------------
+
+Positive = Annotated[float, Between(0.0, low_open=True)]
+NonNegative = Annotated[float, Between(0.0)]
+Fraction = Annotated[float, Between(0.0, 1.0)]
+Period = Annotated[
+    float, Between(0.0, 10.0, "s", low_open=True, remedy="give the sampling period in seconds")
+]
+Time = Annotated[float, Between(0.0, 1e6, "s", remedy="give seconds")]
+Duration = Annotated[float, Between(0.0, 1e6, "s", low_open=True, remedy="give seconds")]
+Payload = Annotated[float, Between(0.0, 1e4, "kg", low_open=True, remedy="give the mass at the tip in kg")]
+Frequency = Annotated[float, Between(0.0, 1e6, "rad/s", low_open=True)]
+NaturalFrequency = Annotated[float, Between(0.0, 1e6, "s^(-λ/2)", low_open=True)]
+Angle = Annotated[float, Between(-1e6, 1e6, "rad", remedy="give radians; deg(50) converts degrees")]
+_HALF_TURN = Between(
+    0.0, math.pi, "rad", low_open=True, high_open=True, remedy="give radians; deg(50) converts degrees"
+)
+PhaseMargin = Annotated[float, _HALF_TURN]
+LinkOrder = Annotated[float, Between(1.0, 2.0, "(λ)", remedy="λ is 2 for a classical link")]
+Count = Annotated[int, Between(1, 10**9)]
+Seed = Annotated[int, Between(0, 2**64 - 1)]
+Workers = Annotated[int, Between(1, 1024)]
+Series = Annotated[NDArray[np.float64], Array(1)]
+SeriesLike = Annotated[ArrayLike, Array(1)]
+FilePath = str | os.PathLike[str]
+
+
+def describe(annotation: Any) -> str:
+    """Return what `annotation` admits in words, as errors and the command line's help print it.
+
+    >>> from typing import Literal
+    >>> describe(Period), describe(Annotated[int, Between(1, 8, "samples")] | None)
+    ('> 0 and <= 10 s', 'whole number 1 to 8 samples')
+    >>> describe(Literal["zero", "first"]), describe(tuple[Payload, Payload])
+    ('zero or first', 'a pair, each > 0 and <= 10000 kg')
+    """
+    return rule(annotation).expected
+
+
+# --- the decorator ------------------------------------------------------------------------------------
+
+_TARGETS: list[Callable[..., Any]] = []  # every checked function and class, for the test of their annotations
+
+
+@overload
+def checked(target: Target, /) -> Target: ...
+@overload
+def checked(*, error: type[FieldError] = ..., prefix: str = ...) -> Callable[[Target], Target]: ...
+def checked(target: Any = None, /, *, error: type[FieldError] = FieldError, prefix: str = "") -> Any:
+    """Check the arguments of a function, or the fields of a frozen dataclass, by their annotations.
+
+    Defaults are trusted and not checked. `error` is the class that is raised; `prefix` stands before the
+    field's name ("lead."). Put it above `@dataclass(frozen=True)`; the class's own ``__post_init__`` then
+    sees normalised fields and checks only what involves several of them. A dataclass that inherits from
+    a checked one needs its own `@checked`, because `dataclass` writes it a new ``__init__``.
+
+    >>> from typing import Literal
+    >>> @checked
+    ... def sample(duration: Duration, *, hold: Literal["zero", "first"] = "zero") -> float:
+    ...     return duration
+    >>> sample(1)
+    1.0
+    >>> sample(1, hold="second")
+    Traceback (most recent call last):
+    fraclink.errors.FieldError: hold: unknown (got second); expected zero or first. Choose one of these.
+    """
+    if target is None:
+        return functools.partial(_checked, error=error, prefix=prefix)
+    return _checked(target, error=error, prefix=prefix)
+
+
+def _checked(target: Any, *, error: type[FieldError], prefix: str) -> Any:
+    _TARGETS.append(target)
+    if not isinstance(target, type):
+        return _guarded(target, target, error, prefix, own=False)
+    if not is_dataclass(target):
+        raise TypeError(f"checked: {target.__name__} is not a dataclass; put checked above dataclass")
+    target.__init__ = _guarded(target.__init__, target, error, prefix, own=True)  # type: ignore[method-assign]
+    return target
+
+
+@dataclass(frozen=True)
+class _Plan:
+    """How to check one call: by position (name, check), by name, and what *args and **kwargs hold."""
+
+    ordered: list[tuple[str, Check | None]]
+    named: dict[str, Check | None]
+    rest: Check | None
+    others: Check | None
+
+
+def _plan(function: Callable[..., Any], target: Any, own: bool) -> _Plan:
+    checks = {name: rule(hint, own=own).convert for name, hint in _hints(target).items()}
+    kinds: dict[Any, list[str]] = {}
+    for name, parameter in inspect.signature(function).parameters.items():
+        kinds.setdefault(parameter.kind, []).append(name)
+    one = inspect.Parameter
+    ordered = kinds.get(one.POSITIONAL_ONLY, []) + kinds.get(one.POSITIONAL_OR_KEYWORD, [])
+    named = kinds.get(one.POSITIONAL_OR_KEYWORD, []) + kinds.get(one.KEYWORD_ONLY, [])
+    rest, others = (checks.get(kinds.get(kind, [""])[0]) for kind in (one.VAR_POSITIONAL, one.VAR_KEYWORD))
+    return _Plan(
+        [(name, checks.get(name)) for name in ordered],
+        {name: checks.get(name) for name in named},
+        rest,
+        others,
+    )
+
+
+def _guarded(
+    function: Callable[..., Any], target: Any, error: type[FieldError], prefix: str, *, own: bool
+) -> Callable[..., Any]:
+    plan: _Plan | None = None  # made at the first call, when every name of the module exists
+
+    @functools.wraps(function)
+    def call(*args: Any, **kwargs: Any) -> Any:
+        nonlocal plan
+        if plan is None:
+            plan = _plan(function, target, own)
+        name, ordered = "", plan.ordered
+        try:
+            if args:
+                values = list(args)
+                for index, value in enumerate(args):
+                    name, check = ordered[index] if index < len(ordered) else ("", plan.rest)
+                    if check is not None:
+                        values[index] = check(value)
+                args = tuple(values)
+            for name, value in kwargs.items():
+                check = plan.named.get(name, plan.others)
+                if check is not None:
+                    kwargs[name] = check(value)
+        except Refused as refused:
+            raise refused.error(prefix + name, error) from None
+        return function(*args, **kwargs)
+
+    return call
+
+
+def rules(target: Callable[..., Any]) -> dict[str, Rule]:
+    """Return the rule of each annotated argument of a function, or field of a dataclass.
+
+    >>> rules(Between.check)["field"].expected
+    'a text'
+    """
+    return {name: rule(hint) for name, hint in _hints(target).items()}
+
+
+def _hints(target: Any, *, strict: bool = False) -> dict[str, Any]:
+    """The annotations of `target`, without what cannot be resolved unless `strict`.
+
+    A name imported under TYPE_CHECKING only does not exist when the program runs. That is a mistake in
+    fraclink, found by its tests; a user's call must not fail for it.
+    """
+    try:
+        hints = get_type_hints(target, include_extras=True)
+    except NameError:
+        if strict:
+            raise
+        hints = {}
+        for part in reversed(target.__mro__) if isinstance(target, type) else (target,):
+            hints |= _resolvable(part)
+    hints.pop("return", None)
+    return hints
+
+
+def _resolvable(target: Any) -> dict[str, Any]:
+    hints: dict[str, Any] = {}
+    scope = vars(sys.modules[target.__module__])
+    for name, hint in inspect.get_annotations(target).items():
+        lone = types.SimpleNamespace(__annotations__={name: hint})
+        with contextlib.suppress(NameError):
+            hints |= get_type_hints(lone, globalns=scope, include_extras=True)
+    return hints
+
+
+# --- calls by name, while packages move to annotations ------------------------------------------------
 
 
 def checked_number(
@@ -29,29 +227,17 @@ def checked_number(
     value: object,
     *,
     allowed: str,
-    remedy: str = "check the value and its unit",
+    remedy: str = CHECK_UNIT,
     holds: Callable[[float], bool] = lambda number: True,
 ) -> float:
-    """Return `value` as a finite float that `holds`.
-
-    `allowed` is the range in words, with its unit in brackets or behind it. Raises FieldError for anything
-    else: a text, a bool (True is an int in Python), NaN, and a whole number that no float can hold.
-
-    >>> checked_number("payload", 3e-2, allowed="> 0 kg", holds=lambda mass: mass > 0)
-    0.03
-    >>> checked_number("payload", 10**400, allowed="> 0 kg")
-    Traceback (most recent call last):
-    fraclink.errors.FieldError: payload: inf is out of range; allowed > 0 kg; check the value and its unit
-    """
-    if isinstance(value, bool | np.bool_) or not isinstance(value, int | float | np.floating | np.integer):
-        raise FieldError(field, value, "not a number", allowed=allowed, remedy=remedy)
+    """Return `value` as a finite float that `holds`; `allowed` is the range in words."""
+    where = Where(holds, allowed, remedy=remedy)
+    number = Between(remedy=remedy)
     try:
-        number = float(value)
-    except OverflowError:
-        number = math.inf
-    if not math.isfinite(number) or not holds(number):
-        raise FieldError(field, number, "out of range", allowed=allowed, remedy=remedy)
-    return number
+        return cast(float, conditional_rule(number_rule(number), where).convert(value))
+    except Refused as refused:
+        refused.expected = allowed
+        raise refused.error(field, FieldError) from None
 
 
 def checked_between(
@@ -62,75 +248,39 @@ def checked_between(
     unit: str = "",
     *,
     open_low: bool = False,
-    remedy: str = "check the value and its unit",
+    remedy: str = CHECK_UNIT,
 ) -> float:
-    """Return `value` as a float in [low, high], or in (low, high] with `open_low`; FieldError otherwise.
-
-    >>> checked_between("filter_time", 2, 0.0, 10.0, "s")
-    2.0
-    >>> checked_between("pole", 0.0, 0.0, 9.0, "rad/s", open_low=True, remedy="raise it")
-    Traceback (most recent call last):
-    fraclink.errors.FieldError: pole: 0.0 is out of range; allowed > 0 and <= 9 rad/s; raise it
-    """
-    return checked_number(
-        field,
-        value,
-        allowed=f"{'>' if open_low else '>='} {low:g} and <= {high:g} {unit}".rstrip(),
-        remedy=remedy,
-        holds=lambda number: (low < number if open_low else low <= number) and number <= high,
-    )
+    """Return `value` as a float in [low, high], or in (low, high] with `open_low`."""
+    return Between(low, high, unit, low_open=open_low, remedy=remedy).check(field, value)
 
 
 def checked_whole(field: str, value: object, low: int, high: int, unit: str = "") -> int:
-    """Return `value` as an int from `low` to `high`, both included; FieldError for anything else.
-
-    >>> checked_whole("seed", 7, 0, 10), checked_whole("delay_samples", np.int64(2), 0, 8, "samples")
-    (7, 2)
-    """
-    if not is_whole(value, low, high):
-        allowed = f"whole number {low} to {high} {unit}".rstrip()
-        raise FieldError(field, value, "not in range", allowed=allowed, remedy="give a whole number")
-    return int(value)  # type: ignore[call-overload, no-any-return]
+    """Return `value` as an int from `low` to `high`, both included."""
+    return cast(int, whole_rule(Between(low, high, unit)).check(field, value))
 
 
 def is_whole(value: object, low: int, high: int) -> bool:
-    """Whether `value` is an integer from `low` to `high`, and neither a bool nor a float.
-
-    >>> is_whole(3, 0, 12), is_whole(True, 0, 12), is_whole(2.0, 0, 12), is_whole(13, 0, 12)
-    (True, False, False, False)
-    """
+    """Whether `value` is an integer from `low` to `high`, and neither a bool nor a float."""
     return isinstance(value, int | np.integer) and not isinstance(value, bool) and bool(low <= value <= high)
 
 
 def checked_choice(
     field: str, value: object, choices: Iterable[str], *, remedy: str = "choose one of these"
 ) -> str:
-    """Return `value` where it is one of the words in `choices`; FieldError for anything else.
-
-    >>> checked_choice("hold", "zero", ("zero", "first"))
-    'zero'
-    >>> checked_choice("hold", ["zero"], ("zero", "first"))
-    Traceback (most recent call last):
-    fraclink.errors.FieldError: hold: ['zero'] is unknown; allowed zero, first; choose one of these
-    """
+    """Return `value` where it is one of the words in `choices`."""
     words = tuple(choices)
     if not isinstance(value, str) or value not in words:
-        raise FieldError(field, value, "unknown", allowed=", ".join(words), remedy=remedy)
+        raise FieldError(field, value, "unknown", allowed=listed(words), remedy=remedy)
     return value
 
 
-def checked_noun(field: str, value: object, kind: type[Noun], *, remedy: str) -> Noun:
-    """Return `value` where it is a `kind`; FieldError, which says where to get one, for anything else.
-
-    >>> checked_noun("log", "log.csv", dict, remedy="read it first")
-    Traceback (most recent call last):
-    fraclink.errors.FieldError: log: 'log.csv' is no dict; allowed a dict; read it first
-    """
-    if not isinstance(value, kind):
-        name = kind.__name__
-        article = "an" if name[0] in "AEIOU" else "a"
-        raise FieldError(field, repr(value), f"no {name}", allowed=f"{article} {name}", remedy=remedy)
-    return value
+def checked_noun(field: str, value: object, kind: type[Instance], *, remedy: str) -> Instance:
+    """Return `value` where it is a `kind`; `remedy` says where to get one."""
+    try:
+        return cast(Instance, instance_rule(kind).convert(value))
+    except Refused as refused:
+        refused.remedy = remedy
+        raise refused.error(field, FieldError) from None
 
 
 def checked_series(
@@ -140,24 +290,9 @@ def checked_series(
     remedy: str = "give one column of numbers",
     error: type[FieldError] = FieldError,
 ) -> NDArray[np.float64]:
-    """Return `value` as an array of shape (N,); `error` where it is no single column of real numbers.
-
-    Whether the numbers are finite is for the caller to ask: some columns may have gaps.
-
-    >>> checked_series("torque", [0, 0.1]).tolist()
-    [0.0, 0.1]
-    >>> checked_series("torque", "0, 0.1", remedy="read the file")
-    Traceback (most recent call last):
-    fraclink.errors.FieldError: torque: str is no column of numbers; allowed shape (N,); read the file
-    """
-    allowed = "shape (N,)"
+    """Return `value` as an array of shape (N,), which may hold NaN."""
     try:
-        array = np.asarray(value)
-        numbers = array.astype(np.float64) if array.dtype.kind in "iuf" else None
-    except (TypeError, ValueError, OverflowError):  # rows of different lengths; objects that are no numbers
-        numbers = None
-    if numbers is None:
-        raise error(field, type(value).__name__, "no column of numbers", allowed=allowed, remedy=remedy)
-    if numbers.ndim != 1:
-        raise error(field, numbers.shape, "not one column", allowed=allowed, remedy=remedy)
-    return numbers
+        return np.array(array_rule(NDArray[np.float64], Array(1, finite=False), None, False).convert(value))
+    except Refused as refused:
+        refused.remedy = remedy
+        raise refused.error(field, error) from None

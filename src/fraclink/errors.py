@@ -32,14 +32,31 @@ __all__ = [
     "UnstableError",
 ]
 
-_VALUE_LIMIT = 80  # characters of a value that a message repeats: a 10 MB cell must not flood a terminal
+# What a message repeats of something that came from outside: a cell of 10 MB must not flood a terminal.
+_VALUE_LIMIT = 80
+_SENTENCE_LIMIT = 400
 
 
-def _shown(value: object) -> str:
+def value_text(value: object) -> str:
+    """Return repr(value), or its type where Python declines: a whole number of over 4300 digits."""
+    try:
+        return repr(value)
+    except ValueError:
+        return f"a huge {type(value).__name__}"
+
+
+def _shown(value: object, limit: int = _VALUE_LIMIT) -> str:
     """The value as a message prints it: one line, printable characters only, bounded."""
-    text = value if isinstance(value, str) else repr(value)
-    text = "".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in text[: _VALUE_LIMIT + 1])
-    return text if len(text) <= _VALUE_LIMIT else text[:_VALUE_LIMIT] + "…"
+    text = value if isinstance(value, str) else value_text(value)
+    text = "".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in text[: limit + 1])
+    return text if len(text) <= limit else text[:limit] + "…"
+
+
+def _sentence(text: str) -> str:
+    """`text` as a sentence; a leading identifier such as ``read_log(...)`` keeps its spelling."""
+    if text and text.split(maxsplit=1)[0].rstrip(",;:").isalpha():
+        text = text[0].upper() + text[1:]
+    return text if text.endswith((".", "?", "!", "…")) else f"{text}."
 
 
 class FraclinkError(Exception):
@@ -49,18 +66,27 @@ class FraclinkError(Exception):
 class FieldError(FraclinkError, ValueError):
     """A value is outside its range.
 
-    The message reads ``field: value is problem; allowed range; remedy`` and every part of it is an
-    attribute, so that a program can act on it and a form can show it beside the field.
+    The message reads ``field: problem (got value); expected range. Remedy.``, and each part of it is an
+    attribute, so that a program can act on it and a form can show it beside the field. The problem
+    "missing" reads ``field is required; expected range. Remedy.``, as there is no value to show.
 
     >>> raise FieldError("payload", -0.03, "negative", allowed="> 0 kg", remedy="give the mass in kg")
     Traceback (most recent call last):
-    fraclink.errors.FieldError: payload: -0.03 is negative; allowed > 0 kg; give the mass in kg
+    fraclink.errors.FieldError: payload: negative (got -0.03); expected > 0 kg. Give the mass in kg.
+    >>> raise FieldError("rig", None, "missing", allowed="a Rig", remedy="use Rig.named or Rig.load")
+    Traceback (most recent call last):
+    fraclink.errors.FieldError: rig is required; expected a Rig. Use Rig.named or Rig.load.
     """
 
     def __init__(self, field: str, value: object, problem: str, *, allowed: str, remedy: str) -> None:
         self.field, self.value, self.problem = field, value, problem
         self.allowed, self.remedy = allowed, remedy
-        super().__init__(f"{_shown(field)}: {_shown(value)} is {problem}; allowed {allowed}; {remedy}")
+        # Parsers of binary files put raw bytes of the file into the problem; every part is escaped.
+        name, expected = _shown(field), _shown(allowed, _SENTENCE_LIMIT)
+        what = _shown(problem, _SENTENCE_LIMIT)
+        head = f"{name} is required" if problem == "missing" else f"{name}: {what} (got {_shown(value)})"
+        advice = f" {_sentence(_shown(remedy, _SENTENCE_LIMIT))}" if remedy else ""
+        super().__init__(f"{head}; expected {expected.rstrip('.')}.{advice}")
 
     def __reduce__(self) -> tuple[object, ...]:
         # Keyword-only arguments are lost by the default protocol, and errors cross process borders
