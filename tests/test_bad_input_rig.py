@@ -113,7 +113,7 @@ def test_b46_an_unknown_key_is_answered_by_the_nearest(
 
 
 def test_b46_an_unknown_table_is_answered_by_the_nearest(tmp_path: Path) -> None:
-    with pytest.raises(FieldError, match="did you mean 'inner_loop'"):
+    with pytest.raises(FieldError, match="Did you mean 'inner_loop'"):
         load(PAPER.read_text(encoding="utf-8").replace("[inner_loop]", "[inner]"), tmp_path)
 
 
@@ -153,7 +153,7 @@ def test_the_period_is_stated_once(tmp_path: Path) -> None:
     text = PAPER.read_text(encoding="utf-8")
     with pytest.raises(FieldError, match="given twice"):
         load(text.replace("period_ms = 4.0", "period_ms = 4.0\nperiod_s = 0.004"), tmp_path)
-    with pytest.raises(FieldError, match=r"period_ms: .*missing"):
+    with pytest.raises(FieldError, match=r"period_ms is required"):
         load(text.replace("period_ms = 4.0", ""), tmp_path)
 
 

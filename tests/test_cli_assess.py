@@ -110,7 +110,7 @@ def test_the_map_is_a_figure_and_its_numbers(tmp_path: Path, capsys: pytest.Capt
     [
         (["--crossovers", "40", "8"], "say --crossovers 8 40"),
         (["--crossovers", "8", "8"], "low < high"),
-        (["--out", "map.pdf"], "map.pdf is of another kind; allowed .svg or .png"),
+        (["--out", "map.pdf"], "of another kind (got map.pdf); expected .svg or .png"),
     ],
 )
 def test_a_map_of_no_range_or_of_another_kind_is_refused(

@@ -387,7 +387,7 @@ def test_refusals():
     with pytest.raises(FieldError, match="link_mass"):
         compare(rig, link_mass=-0.001)
     with pytest.raises(
-        FieldError, match=r"names: zzz is part of no rival's name; allowed ours, .*ZV shaping"
+        FieldError, match=r"names: part of no rival's name \(got zzz\); expected ours, .*ZV shaping"
     ):
         compare(rig, names=["ZV shaping", "zzz"])
 

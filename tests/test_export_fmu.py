@@ -151,14 +151,14 @@ def _compiler(folder: Path, triple: str) -> str:
 
 def test_compilers_that_cannot_are_named(tmp_path: Path) -> None:
     out = tmp_path / "arm.fmu"
-    with pytest.raises(FieldError, match=r"compiler: no-such-cc is not installed"):
+    with pytest.raises(FieldError, match=r"compiler: not installed"):
         export_fmu(law(), out, compilers=("no-such-cc",))
-    with pytest.raises(FieldError, match=r"riscv64-linux is a platform that FMI 3 has no name for"):
+    with pytest.raises(FieldError, match=r"a platform that FMI 3 has no name for .got riscv64-linux"):
         export_fmu(law(), out, fmi=3, compilers=(_compiler(tmp_path, "riscv64-linux-gnu"),))
-    with pytest.raises(FieldError, match=r"aarch64-darwin is a platform that FMI 2 has no name for"):
+    with pytest.raises(FieldError, match=r"a platform that FMI 2 has no name for .got aarch64-darwin"):
         export_fmu(law(), out, compilers=(_compiler(tmp_path, "arm64-apple-darwin23"),))
     with pytest.raises(FieldError, match=r"unable to compile the FMU \(all.c:1: error: no\)"):
         export_fmu(law(), out, fmi=3, compilers=(_compiler(tmp_path, "arm64-apple-darwin23"),))
-    with pytest.raises(FieldError, match=r"fmi: 1 is not offered"):
+    with pytest.raises(FieldError, match=r"fmi: not offered"):
         export_fmu(law(), out, fmi=1, compilers=())  # type: ignore[arg-type]
     assert not out.exists()

@@ -266,7 +266,7 @@ def test_periods_that_differ_are_refused(law: Law, twin: Twin, way: Way) -> None
         target=lambda: results.append(serve_arm(twin, way, 0.025, duration=1.0, once=True))
     )
     thread.start()
-    with pytest.raises(FieldError, match=r"period: 0\.02 is not the arm's; allowed 0\.025 s"):
+    with pytest.raises(FieldError, match=r"period: not the arm's \(got 0\.02\); expected 0\.025 s"):
         run_realtime(law, fl.hold(0.0), way)
     thread.join(15.0)
     assert results[0].silences == 0

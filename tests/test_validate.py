@@ -400,7 +400,7 @@ def test_an_error_inside_the_function_is_not_touched() -> None:
     def fail(count: Count) -> None:
         raise ValueError("inside")
 
-    with pytest.raises(ValueError, match="^inside$"):
+    with pytest.raises(ValueError, match=r"^inside$"):
         fail(1)
 
 

@@ -53,7 +53,7 @@ def checked_path(field: str, value: object) -> Path:
     'law.fmu'
     >>> checked_path("out", None)
     Traceback (most recent call last):
-    fraclink.errors.FieldError: out: None is no path; allowed a name of a file or a folder; give its path
+    fraclink.errors.FieldError: out: no path (got None); expected a name of a file or a folder. Give its path.
     """
     text = os.fspath(value) if isinstance(value, str | os.PathLike) else None
     if not isinstance(text, str) or not text or "\0" in text:
@@ -145,7 +145,7 @@ def parse_json(text: str) -> Any:
 
     >>> parse_json('{"a": 1, "a": 2}')
     Traceback (most recent call last):
-    fraclink.errors.FieldError: a: 2 is given twice; allowed each key once; remove one
+    fraclink.errors.FieldError: a: given twice (got 2); expected each key once. Remove one.
     """
     try:
         return json.loads(

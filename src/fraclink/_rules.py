@@ -87,7 +87,7 @@ def _narrowed(base: Any, metadata: tuple[Any, ...], own: bool) -> Rule:
     if shape is None and get_origin(base) in (
         Union,
         types.UnionType,
-    ):  # Annotated[float | None, Between(...)]
+    ):
         members = (
             Annotated[member, *metadata] if member is not type(None) else member for member in get_args(base)
         )

@@ -68,7 +68,7 @@ class Rig:
 
         >>> Rig.named("paper")
         Traceback (most recent call last):
-        fraclink.errors.FieldError: rig: paper is unknown; allowed paper-2023; did you mean 'paper-2023'?
+        fraclink.errors.FieldError: rig: unknown (got paper); expected paper-2023. Did you mean 'paper-2023'?
         """
         from fraclink._arm.rig.reading import suggestion
 
