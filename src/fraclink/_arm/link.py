@@ -94,7 +94,8 @@ class SecondMode:
     frequency
         ω₂ [rad/s], > 0.
     gain
-        static share of the mode in the tip estimate [1], of either sign.
+        static share of the mode in the tip estimate [1], > 0: the gauge sits at the root, where every mode
+        pulls with the same sign.
     damping_ratio
         ζ [1], 0 < ζ < 1.
 
@@ -118,7 +119,7 @@ class SecondMode:
         _store(
             self,
             ("frequency", lambda x: 0 < x < 1e6, "> 0 and < 1e6 rad/s", "give the frequency of mode 2"),
-            ("gain", lambda x: abs(x) < 1e3, "-1e3 to 1e3", "give its static share in Γ/(c θm)"),
+            ("gain", lambda x: 0 < x < 1e3, "> 0 and < 1e3", "give its static share in Γ/(c θm)"),
             ("damping_ratio", lambda x: 0 < x < 1, "0 < ζ < 1", "give ζ, 0.02 where it is not known"),
         )
 
@@ -226,6 +227,11 @@ class LinkModel:
         ((1.91, 1.93), None)
         """
         return next(((low, high) for field, low, high in self.intervals if field == name), None)
+
+    @property
+    def exact_gauge(self) -> bool:
+        """Whether encoder and gauge show θt itself: no gauge delay, unit gauge gain, no second mode."""
+        return self.gauge_delay == 0.0 and self.gauge_gain == 1.0 and self.second_mode is None
 
     @property
     def structure(self) -> str:

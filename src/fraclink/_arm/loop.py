@@ -1,0 +1,604 @@
+"""The loop: controller, motor loop, hold, computation delay, and the link as the gauge shows it.
+
+The controller reads the tip from two sensors, ``θte = θm − g e^{−τ_g s} Γ/c``, and ``Γ/c = θm (1 − G)``. So
+
+    L = k_d s^β/(1 + δs)^n · M(s) e^{−τs} · B(s),    B = 1 − g e^{−τ_g s} (1 − G(s) + H(s)),
+
+with G = (μ s^α + ω₀²)/(s^λ + μ s^α + ω₀²) the tip of the massless link, H its second mode where one is known,
+g and τ_g the gain and the delay of the gauge, M the motor loop, and τ half a period of hold and the
+computation delay. With g = 1, τ_g = 0 and no second mode B is G.
+
+`Loop` is its logarithm with the true, unwrapped phase. Every factor is continuous in ω, so neither a
+crossing nor an encirclement can be lost to a phase that jumps by 2π. It is evaluated over many frequencies
+and many links (ω₀, and so payloads) at once. `fraclink._arm.sampled` has the same loop as it is sampled.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fraclink._arm.link import LinkModel, SecondMode
+from fraclink._arm.motor_loop import MotorConstants, MotorLoop
+
+if TYPE_CHECKING:
+    from fraclink._arm.controller import Controller
+    from fraclink._arm.rig import Rig
+    from fraclink._systems.stability import Margins
+
+__all__ = ["Achieved", "Crossings", "Loop", "noise_points", "with_payload", "worst_margins", "worst_over_box"]
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+_PAYLOADS = 17  # links at a time; a minimum inside the range is closed in on from its neighbours
+_INTERIOR = 200  # random points of a box beside its corners
+
+
+def with_payload(model: LinkModel, rig: Rig) -> LinkModel:
+    """Return the model with a known payload: its own, else ω₀ of eq. (5) at the rig's nominal payload.
+
+    From here on `LinkModel.at_payload` and `LinkModel.payload_at` are the only conversion between m and ω₀.
+    """
+    if model.payload is not None:
+        return model
+    nominal = rig.payloads.nominal
+    return replace(model, natural_frequency=rig.natural_frequency(nominal), payload=nominal)
+
+
+@dataclass(frozen=True)
+class Crossings:
+    """Every gain crossing of loops that differ in ω₀ only; arrays of equal length, one entry a crossing.
+
+    ``row`` is the index of ω₀, ``frequency`` in rad/s, ``phase`` the unwrapped phase of L [rad], ``slope``
+    the slope of ln|L| over ln ω: negative means that L falls below one.
+    """
+
+    row: NDArray[np.int64]
+    frequency: Real
+    phase: Real
+    slope: Real
+
+    @property
+    def phase_margin(self) -> Real:
+        """Angle of -L at each crossing, in (-π, π] [rad]."""
+        return np.asarray(-np.remainder(-(self.phase + np.pi) + np.pi, 2 * np.pi) + np.pi)
+
+
+@dataclass(frozen=True)
+class Achieved:
+    """What a loop achieves, one value for each ω₀.
+
+    Upper gain crossover [rad/s], phase margin [rad] (negative where the loop is unstable), sensitivity peak
+    Ms = max 1/|1 + L| (infinite where it is unstable), and noise gain.
+    """
+
+    natural_frequency: Real
+    gain_crossover: Real
+    phase_margin: Real
+    sensitivity_peak: Real
+    noise_gain: Real
+
+
+@dataclass(frozen=True)
+class Loop:
+    """``L(jω; ω₀) = k (jω)^β / (1 + jδω)^n · e^{-jωτ} / (1 + jωε)² · B(jω; ω₀)``.
+
+    Parameters
+    ----------
+    gain, order, filter_time, filter_order
+        k_d, β, δ [s] and n of the controller; with gain 1 and order 0 the loop is all that stands beside Ĉ.
+    link_order, damping, damping_order
+        λ, μ and α of the link.
+    gauge_delay, gauge_gain, second_mode
+        τ_g [s], g, and the second mode, as in `LinkModel`.
+    lag
+        ε = 1/p of the motor loop M(s) [s], zero for an ideal motor.
+    delay
+        τ [s]: computation delay and half a period of hold.
+    correction
+        logarithm of what the sampled motor loop makes of M(s) and the delay, a function of ω, or None.
+    highest
+        frequency [rad/s] above which nothing is looked for: the Nyquist frequency of a sampled controller.
+    """
+
+    gain: float = 1.0
+    order: float = 0.0
+    link_order: float = 2.0
+    damping: float = 0.0
+    damping_order: float = 1.0
+    filter_time: float = 0.0
+    filter_order: int = 1
+    lag: float = 0.0
+    delay: float = 0.0
+    gauge_delay: float = 0.0
+    gauge_gain: float = 1.0
+    second_mode: SecondMode | None = None
+    correction: Callable[[Real], Complex] | None = None
+    highest: float = math.inf
+
+    @staticmethod
+    def around(model: LinkModel, motor_loop: MotorLoop, motor: MotorConstants, period: float) -> Loop:
+        """Return all that stands in the loop beside Ĉ, for a controller that runs at `period` [s]."""
+        return replace(
+            Loop.ideal(model),
+            lag=1.0 / motor_loop.pole,
+            delay=(motor_loop.delay_samples + 0.5) * period,
+            gauge_delay=model.gauge_delay,
+            gauge_gain=model.gauge_gain,
+            second_mode=model.second_mode,
+            correction=motor_loop.correction(motor, period),
+            highest=math.pi / period,
+        )
+
+    @staticmethod
+    def ideal(model: LinkModel) -> Loop:
+        """Return G alone, the paper's reading: no motor loop, no delay, an exact gauge."""
+        return Loop(link_order=model.order, damping=model.damping, damping_order=model.damping_order)
+
+    @staticmethod
+    def of(controller: Controller, model: LinkModel, rig: Rig) -> Loop:
+        """Return the loop that runs: `controller` on `model`, with the rig's motor loop and period.
+
+        The controller's own motor loop and period take precedence over the rig's.
+        """
+        settings = controller.inner or MotorLoop(rig.inner.pole, rig.inner.delay_samples)
+        period = rig.period if controller.period is None else controller.period
+        return Loop.around(model, settings, rig.motor, period).with_controller(controller)
+
+    def with_controller(self, controller: Controller) -> Loop:
+        """Return the loop with Ĉ of `controller`, its filter included."""
+        return replace(
+            self,
+            gain=controller.gain,
+            order=controller.order,
+            filter_time=controller.filter_time,
+            filter_order=controller.filter_order,
+        )
+
+    @property
+    def exact_gauge(self) -> bool:
+        """Whether B is G: no gauge delay, unit gauge gain, no second mode."""
+        return self.gauge_delay == 0.0 and self.gauge_gain == 1.0 and self.second_mode is None
+
+    # ---- response -------------------------------------------------------------------------------------
+
+    def outer_log(self, frequency: ArrayLike) -> Complex:
+        """Return ln Ĉ(jω)."""
+        w = np.asarray(frequency, dtype=float)
+        value = math.log(self.gain) + self.order * (np.log(w) + 0.5j * math.pi)
+        if self.filter_time:
+            value = value - self.filter_order * np.log(1.0 + 1j * self.filter_time * w)
+        return np.asarray(value, dtype=np.complex128)
+
+    def motor_log(self, frequency: ArrayLike) -> Complex:
+        """Return ln(M e^{-τs}) at jω: motor loop, hold and computation delay."""
+        w = np.asarray(frequency, dtype=float)
+        value = -1j * self.delay * w
+        if self.lag:
+            value = value - 2.0 * np.log(1.0 + 1j * self.lag * w)
+        if self.correction is not None:
+            value = value + self.correction(w)
+        return np.asarray(value, dtype=np.complex128)
+
+    def link_log(self, frequency: ArrayLike, natural_frequency: ArrayLike) -> Complex:
+        """Return ln B(jω): the link as encoder and gauge show it together."""
+        ln_w = np.log(np.asarray(frequency, dtype=float))
+        inertia, drag, spring = self._link_terms(ln_w, natural_frequency)
+        if not self.exact_gauge:
+            return self._gauge_log(np.exp(ln_w), natural_frequency)
+        if not self.damping:
+            return np.asarray(-np.log1p(inertia / spring), dtype=np.complex128)
+        return np.asarray(np.log(drag + spring) - np.log(inertia + drag + spring), dtype=np.complex128)
+
+    def log(self, frequency: ArrayLike, natural_frequency: ArrayLike) -> Complex:
+        """Return ln L(jω) with the unwrapped phase as its imaginary part; the arguments broadcast."""
+        w = np.asarray(frequency, dtype=float)
+        return np.asarray(self.outer_log(w) + self.link_log(w, natural_frequency) + self.motor_log(w))
+
+    def __call__(self, frequency: ArrayLike, natural_frequency: ArrayLike) -> Complex:
+        """Return L(jω)."""
+        if self.exact_gauge:
+            return np.asarray(np.exp(self.log(frequency, natural_frequency)), dtype=np.complex128)
+        w = np.asarray(frequency, dtype=float)
+        bracket, _, _ = self._gauge(w, natural_frequency)
+        return np.asarray(np.exp(self.outer_log(w) + self.motor_log(w)) * bracket, dtype=np.complex128)
+
+    def level(self, frequency: ArrayLike, natural_frequency: ArrayLike) -> Real:
+        """Return ln|L(jω)|: the real part of `log` in real arithmetic, for scans of many points."""
+        w = np.asarray(frequency, dtype=float)
+        ln_w = np.log(w)
+        value = math.log(self.gain) + self.order * ln_w + self._link_level(w, ln_w, natural_frequency)
+        for time, power in ((self.filter_time, self.filter_order), (self.lag, 2)):
+            if time:
+                value = value - 0.5 * power * np.log1p((time * w) ** 2)
+        if self.correction is not None:
+            value = value + self.correction(w).real
+        return np.asarray(value)
+
+    def _link_level(self, w: Real, ln_w: Real, natural_frequency: ArrayLike) -> Real:
+        """ln|B|; without the cost of complex powers where B is G."""
+        if not self.exact_gauge:
+            with np.errstate(divide="ignore"):  # B may have a zero on the axis
+                return np.asarray(np.log(np.abs(self._gauge(w, natural_frequency)[0])))
+        spring = np.square(np.asarray(natural_frequency, dtype=float))
+        inertia, turn = np.exp(self.link_order * ln_w), 0.5 * math.pi * self.link_order
+        real, imaginary = spring + inertia * math.cos(turn), inertia * math.sin(turn)
+        value = np.log(spring)
+        if self.damping:
+            drag = self.damping * np.exp(self.damping_order * ln_w)
+            along, across = (f(0.5 * math.pi * self.damping_order) for f in (math.cos, math.sin))
+            value = 0.5 * np.log((spring + drag * along) ** 2 + (drag * across) ** 2)
+            real, imaginary = real + drag * along, imaginary + drag * across
+        return np.asarray(value - 0.5 * np.log(real * real + imaginary * imaginary))
+
+    def _link_terms(self, ln_w: Real, natural_frequency: ArrayLike) -> tuple[Complex, Complex, Complex]:
+        """(jω)^λ, μ (jω)^α and ω₀²: upper half plane all of them, so principal logarithms stay continuous."""
+        inertia = np.exp(self.link_order * ln_w) * np.exp(0.5j * np.pi * self.link_order)
+        drag = self.damping * np.exp(self.damping_order * ln_w) * np.exp(0.5j * np.pi * self.damping_order)
+        return inertia, drag, np.square(np.asarray(natural_frequency, dtype=np.complex128))
+
+    def slope(self, frequency: ArrayLike, natural_frequency: ArrayLike) -> Complex:
+        """Return d ln L / d ln ω: real part the slope of the gain, imaginary part that of the phase."""
+        w = np.asarray(frequency, dtype=float)
+        s = 1j * w
+        value = self.order - s * self.delay + self._link_slope(w, natural_frequency)
+        for time, power in ((self.filter_time, self.filter_order), (self.lag, 2)):
+            if time:
+                value = value - power * time * s / (1.0 + time * s)
+        if self.correction is not None:
+            step = 1e-5  # central difference: an error of 1e-10 only slows Newton's last step down
+            up, down = self.correction(w * math.exp(step)), self.correction(w * math.exp(-step))
+            value = value + (up - down) / (2.0 * step)
+        return np.asarray(value, dtype=np.complex128)
+
+    def _link_slope(self, w: Real, natural_frequency: ArrayLike) -> Complex:
+        inertia, drag, spring = self._link_terms(np.log(w), natural_frequency)
+        whole = inertia + drag + spring
+        moved = (self.link_order * inertia + self.damping_order * drag) / whole
+        if self.exact_gauge:
+            return np.asarray((self.damping_order * drag / (drag + spring) if self.damping else 0.0) - moved)
+        s = 1j * w
+        torque, change = inertia / whole, (self.link_order - moved) * inertia / whole
+        if self.second_mode is not None:
+            mode = self.second_mode
+            resonant = s**2 + 2.0 * mode.damping_ratio * mode.frequency * s + mode.frequency**2
+            rest = 2.0 * mode.damping_ratio * mode.frequency * s + 2.0 * mode.frequency**2
+            torque, change = torque + mode.response(s), change + mode.response(s) * rest / resonant
+        read = self.gauge_gain * np.exp(-self.gauge_delay * s)
+        return np.asarray(-read * (change - self.gauge_delay * s * torque) / (1.0 - read * torque))
+
+    # ---- the gauge ------------------------------------------------------------------------------------
+
+    def _gauge(self, w: Real, natural_frequency: ArrayLike) -> tuple[Complex, Real, Real]:
+        """(B, |X|, unwrapped arg X), X = g e^{-jωτ_g} Γ/(c θm) and B = 1 − X.
+
+        Γ/(c θm) lies in the upper half plane, as every mode of a link does at its root, so its own principal
+        phase is continuous and the delay adds a straight line.
+        """
+        s = 1j * w
+        inertia, drag, spring = self._link_terms(np.log(w), natural_frequency)
+        whole = inertia + drag + spring
+        # 1 − g e^{-τs} by expm1: at low frequencies B must not lose digits to a delay of microseconds.
+        turned = np.expm1(-self.gauge_delay * s)
+        bracket = (drag + spring + inertia * ((1.0 - self.gauge_gain) - self.gauge_gain * turned)) / whole
+        torque = inertia / whole
+        if self.second_mode is not None:
+            mode = self.second_mode.response(s)
+            torque = torque + mode
+            bracket = bracket - self.gauge_gain * (1.0 + turned) * mode
+        angle = np.angle(torque) - self.gauge_delay * w + (math.pi if self.gauge_gain < 0.0 else 0.0)
+        return np.asarray(bracket), np.asarray(np.abs(self.gauge_gain * torque)), np.asarray(angle)
+
+    def _gauge_log(self, w: Real, natural_frequency: ArrayLike) -> Complex:
+        """ln B with its unwrapped phase.
+
+        Where |X| <= 1, B = 1 − X lies in the right half plane. Where |X| > 1 it goes round the origin with X:
+        arg B = arg X − π + arg(1 − 1/X), and the last term stays within ±π/2 again. The whole turns of arg X
+        at the entry to and the exit from such an interval join the pieces.
+        """
+        w, frequency = np.broadcast_arrays(w, np.asarray(natural_frequency, dtype=float))
+        bracket, _, angle = self._gauge(w, frequency)
+        phase, outside = np.angle(bracket), np.zeros(w.shape, dtype=bool)
+        turns = np.zeros(w.shape)
+        for value in np.unique(frequency):
+            row = frequency == value
+            for place, entry in self._unit_gains(float(value)):
+                whole = math.floor(float(self._gauge(np.asarray(place), value)[2]) / (2.0 * math.pi))
+                past = row & (w > place)
+                outside[past] = entry
+                turns[past] += -whole if entry else whole
+        with np.errstate(divide="ignore"):
+            size = np.log(np.abs(bracket))
+            x = 1.0 - bracket
+            round_origin = angle - math.pi + np.angle(-bracket * np.conj(x))
+        value = size + 1j * (np.where(outside, round_origin, phase) + 2.0 * math.pi * turns)
+        return np.asarray(value, dtype=np.complex128)
+
+    def _unit_gains(self, natural_frequency: float) -> Iterator[tuple[float, bool]]:
+        """(ω, whether |X| rises) of every crossing |X| = 1, ascending.
+
+        The delay turns X and does not change its size, so a scan about the modes finds all. Their place is
+        needed to the accuracy of a phase only.
+        """
+        near = np.geomspace(1e-6, 0.3, 24)
+        shape = np.concatenate([np.geomspace(1e-3, 1e4, 200), 1.0 + near, 1.0 / (1.0 + near)])
+        grid = float(self.peak(natural_frequency)) * shape
+        if self.second_mode is not None:
+            width = self.second_mode.damping_ratio * np.linspace(-8.0, 8.0, 97)
+            grid = np.concatenate([grid, self.second_mode.frequency * np.exp(width)])
+        grid = np.unique(grid)
+        level = np.log(self._gauge(grid, natural_frequency)[1])
+        for i in np.flatnonzero((level[:-1] > 0.0) != (level[1:] > 0.0)):
+            share = level[i] / (level[i] - level[i + 1])
+            yield float(grid[i] * (grid[i + 1] / grid[i]) ** share), bool(level[i + 1] > 0.0)
+
+    # ---- crossings ------------------------------------------------------------------------------------
+
+    def peak(self, natural_frequency: ArrayLike) -> Real:
+        """Return the resonance of the undamped structure, ``(-ω₀² cos(πλ/2))^(1/λ)`` (eq. (14)) [rad/s]."""
+        squared = np.square(np.asarray(natural_frequency, dtype=float))
+        return np.asarray((-squared * math.cos(0.5 * math.pi * self.link_order)) ** (1.0 / self.link_order))
+
+    def sufficient(self, natural_frequency: float) -> float:
+        """Return the bound of condition (39), ``(-ω₀²/cos(πλ/2))^(1/λ)`` [rad/s]: sufficient only."""
+        cosine = -math.cos(0.5 * math.pi * self.link_order)
+        return float((natural_frequency**2 / cosine) ** (1.0 / self.link_order))
+
+    def crossings(self, natural_frequency: ArrayLike) -> Crossings:
+        """Return every crossing of |L| = 1 below `highest` for each ω₀ of the array."""
+        w0 = np.atleast_1d(np.asarray(natural_frequency, dtype=float))
+        w = self._grid(w0)
+        level = self.level(w, w0[:, None])
+        row, column = np.nonzero((level[:, :-1] > 0.0) != (level[:, 1:] > 0.0))
+        frequency = self._polish(w[row, column], w[row, column + 1], level[row, column], w0[row])
+        value = self.log(frequency, w0[row])
+        return Crossings(row, frequency, value.imag, self.slope(frequency, w0[row]).real)
+
+    def _grid(self, w0: Real) -> Real:
+        """One row of frequencies per ω₀: eight decades around the mode, and the mode itself from both sides.
+
+        Between two crossings the peak of |L| lies within a per cent of the mode of G when it is sharp, so the
+        points that cluster there are what keeps a narrow peak from hiding between two points.
+        """
+        mode = self.peak(w0)
+        near = 1.0 + np.geomspace(1e-6, 0.2, 16)
+        low, high = 1e-4, 1e4
+        if self.order > 0.0:
+            # Far below the mode |L| = k ω^β, far above at most k ω₀² ω^(β-λ): they cross one where these do.
+            first = math.exp(min(max(-math.log(self.gain) / self.order, -300.0), 300.0))
+            low = min(low, float(np.min(0.5 * first / mode)))
+        if self.order < self.link_order and not self.damping:
+            reach = (math.log(self.gain) + 2.0 * np.log(w0)) / (self.link_order - self.order)
+            high = max(high, float(np.max(2.0 * np.exp(np.minimum(reach, 300.0)) / mode)))
+        decades = math.log10(high / low)
+        shape = np.unique(
+            np.concatenate([np.geomspace(low, high, int(15 * decades) + 1), near, 1.0 / near, [1.0]])
+        )
+        parts = [mode[:, None] * shape, self._top(w0)[:, None]]
+        if not self.exact_gauge:
+            points = self._gauge_points(w0)
+            parts.append(np.broadcast_to(points, (w0.size, points.size)))
+        grid = np.minimum(np.sort(np.concatenate(parts, axis=1), axis=1), self.highest)
+        needed = int(np.sum(np.any(grid < self.highest, axis=0))) + 1  # past it every row stands at `highest`
+        return np.asarray(grid[:, :needed])
+
+    def _gauge_points(self, w0: Real) -> Real:
+        """Frequencies at which a late gauge or a second mode bends |B| faster than the grid of G follows.
+
+        A delay makes |B| oscillate with the period 2π/τ_g in ω, as far up as |L| can still reach one.
+        """
+        mode = self.peak(w0)
+        found = [mode[:1]]
+        if self.gauge_delay:
+            low, high = 0.25 * float(mode.min()), min(self.highest, 1e3 * float(mode.max()))
+            scan = np.geomspace(low, high, 80)
+            # Above the modes |X| stays below |g| times 1 and the share of mode 2; the resonances themselves
+            # are met by the grid of G and below.
+            most = 1.0 + abs(self.gauge_gain) * (2.0 + (self.second_mode.gain if self.second_mode else 0.0))
+            loud = (self.outer_log(scan) + self.motor_log(scan)).real + math.log(most) > 0.0
+            top = float(scan[loud][-1]) if loud.any() else 4.0 * float(mode.max())
+            count = int(6.0 * abs(self.gauge_delay) * (top - low) / math.pi) + 2
+            found.append(np.linspace(low, max(top, 1.01 * low), min(count, 20_000)))
+        if self.second_mode is not None:
+            width = self.second_mode.damping_ratio * np.linspace(-8.0, 8.0, 65)
+            found.append(self.second_mode.frequency * np.exp(width))
+        return np.concatenate(found)
+
+    def _top(self, w0: Real) -> Real:
+        """Peak of |Ĉ G|, where the denominator of (49) vanishes: a quadratic in ω^λ.
+
+        As a point of the grid it keeps a peak that only just exceeds one from hiding between its neighbours.
+        """
+        if not 0.0 < self.order < self.link_order:
+            return self.peak(w0)
+        rest, cosine = self.link_order - self.order, math.cos(0.5 * math.pi * self.link_order)
+        half = 0.5 * (rest - self.order) * cosine
+        root = (-half + math.sqrt(half * half + rest * self.order)) / rest
+        return np.asarray((root * w0**2) ** (1.0 / self.link_order))
+
+    def _polish(self, low: Real, high: Real, level: Real, w0: Real) -> Real:
+        """Newton in ln ω, kept inside its bracket by bisection; converges quadratically in 4 to 6 rounds."""
+        a, b, above = np.log(low), np.log(high), level > 0.0
+        x = 0.5 * (a + b)
+        for _ in range(50):
+            w = np.exp(x)
+            value = self.level(w, w0)
+            a, b = np.where((value > 0.0) == above, x, a), np.where((value > 0.0) == above, b, x)
+            step = -value / self.slope(w, w0).real
+            new = x + step
+            new = np.where((new >= a) & (new <= b), new, 0.5 * (a + b))
+            done = np.all(np.abs(new - x) <= 1e-15 * (1.0 + np.abs(x)))
+            x = new
+            if done:
+                break
+        return np.exp(x)
+
+    # ---- what the loop achieves -----------------------------------------------------------------------
+
+    def margins(self, natural_frequency: ArrayLike) -> tuple[Real, Real]:
+        """Return (upper gain crossover, signed phase margin) for each ω₀.
+
+        The margin is the smallest over all crossings, negative where the closed loop is unstable; without a
+        crossing it counts as π and the crossover as 0. L is open-loop stable, so the loop is stable where -1
+        is not encircled: |L| > 1 between a rising and the next falling crossing, and inside, each time the
+        unwrapped phase passes -π (mod 2π), the curve passes left of -1.
+        """
+        w0 = np.atleast_1d(np.asarray(natural_frequency, dtype=float))
+        found = self.crossings(w0)
+        crossover, margin = np.zeros(w0.size), np.full(w0.size, math.pi)
+        np.maximum.at(crossover, found.row, found.frequency)
+        np.minimum.at(margin, found.row, np.abs(found.phase_margin))
+        return crossover, np.where(_turns(found, w0.size) == 0.0, margin, -margin)
+
+    def encirclements(self, natural_frequency: float) -> int:
+        """Return how often L(jω), ω from 0 up, encircles -1 clockwise: the closed loop is stable at 0."""
+        return int(_turns(self.crossings(natural_frequency), 1)[0])
+
+    def margins_at(self, natural_frequency: float) -> Margins:
+        """Return every crossing and margin at one ω₀, from the general engine `fraclink.margins`."""
+        from fraclink._systems.stability import margins
+
+        limit = self.highest if math.isfinite(self.highest) else None
+        return margins(lambda s: self(np.imag(s), natural_frequency), limit=limit, unstable_poles=0)
+
+    def sensitivity_peak(self, natural_frequency: ArrayLike) -> Real:
+        """Return Ms = 1/min|1 + L| for each ω₀: a scan over two decades about the mode, refined twice."""
+        w0 = np.atleast_1d(np.asarray(natural_frequency, dtype=float))
+        mode = self.peak(w0)[:, None]
+        w = np.minimum(mode * np.geomspace(0.2, 30.0, 240), self.highest)
+        if not self.exact_gauge:
+            points = self._gauge_points(w0)
+            w = np.sort(np.concatenate([w, np.broadcast_to(points, (w0.size, points.size))], axis=1), axis=1)
+            w = np.minimum(w, self.highest)
+        rows = np.arange(w0.size)
+        for _ in range(3):
+            distance = np.abs(1.0 + self(w, w0[:, None]))
+            best = np.argmin(distance, axis=1)
+            low, high = w[rows, np.maximum(best - 1, 0)], w[rows, np.minimum(best + 1, w.shape[1] - 1)]
+            w = low[:, None] + (high - low)[:, None] * np.linspace(0.0, 1.0, 33)
+        return np.asarray(1.0 / np.min(distance, axis=1))
+
+    def noise_gain(self, natural_frequency: ArrayLike, period: float) -> Real:
+        """Return the noise gain for each ω₀, ``(∫₀^{ωN} |Ĉ/(1+L)|² dω / ωN)^½`` (30), ωN = π/`period`.
+
+        It is the RMS of the motor reference over that of white gauge noise, both as angles: the gauge's
+        torque noise divided by the stiffness.
+        """
+        found = []
+        for value in np.atleast_1d(np.asarray(natural_frequency, dtype=float)):
+            w, weights = noise_points(self, float(value), period)
+            outer = np.exp(self.outer_log(w).real)
+            found.append(np.sqrt(np.sum((outer / np.abs(1.0 + self(w, value))) ** 2 * weights)))
+        return np.asarray(found, dtype=float)
+
+    def achieved(self, natural_frequency: ArrayLike, period: float) -> Achieved:
+        """Return what the loop achieves at each ω₀; noise is white up to π/`period`."""
+        w0 = np.atleast_1d(np.asarray(natural_frequency, dtype=float))
+        crossover, margin = self.margins(w0)
+        peak = np.where(margin > 0.0, self.sensitivity_peak(w0), math.inf)
+        return Achieved(w0, crossover, margin, peak, self.noise_gain(w0, period))
+
+
+def _turns(found: Crossings, rows: int) -> Real:
+    """Clockwise encirclements of -1 for each row of ω₀."""
+    turns = np.floor((found.phase + math.pi) / (2.0 * math.pi))
+    total = np.zeros(rows)
+    np.add.at(total, found.row, np.where(found.slope > 0.0, turns, -turns))
+    return total
+
+
+def noise_points(loop: Loop, natural_frequency: float, period: float) -> tuple[Real, Real]:
+    """Frequencies and weights of the mean over [0, π/Ts] in `Loop.noise_gain`.
+
+    Six Gauss points on panels that shrink towards the mode, where |1 + L| changes fastest.
+    """
+    nyquist = math.pi / period
+    mode = float(loop.peak(natural_frequency))
+    inner = mode * np.geomspace(0.25, 8.0, 26)
+    edges = np.concatenate([[0.0], inner[inner < nyquist], [nyquist]])
+    points, weights = np.polynomial.legendre.leggauss(6)
+    half = 0.5 * np.diff(edges)[:, None]
+    return (edges[:-1, None] + half * (1.0 + points)).ravel(), (half * weights).ravel() / nyquist
+
+
+@lru_cache(maxsize=64)  # asked for once to admit a solution and once to report it
+def worst_margins(loop: Loop, low: float, high: float) -> tuple[tuple[float, float], tuple[float, float]]:
+    """((smallest crossover, its ω₀), (smallest signed phase margin, its ω₀)) over ω₀ in [low, high]."""
+    start = w0 = np.geomspace(low, high, _PAYLOADS)
+    crossover, margin = loop.margins(w0)
+    first, place = int(np.argmin(crossover)), int(np.argmin(margin))
+    value, at = float(margin[place]), float(w0[place])
+    for _ in range(4):
+        if place in (0, w0.size - 1):
+            break
+        w0 = np.geomspace(w0[place - 1], w0[place + 1], _PAYLOADS)
+        margin = loop.margins(w0)[1]
+        place = int(np.argmin(margin))
+        value, at = float(margin[place]), float(w0[place])
+    return (float(crossover[first]), float(start[first])), (value, at)
+
+
+# The parameters that a box may vary, and how each changes a loop; ω₀ is scaled by the caller.
+_VARIED: dict[str, Callable[[Loop, float], Loop]] = {
+    "order": lambda loop, x: replace(loop, link_order=x),
+    "damping": lambda loop, x: replace(loop, damping=x),
+    "damping_order": lambda loop, x: replace(loop, damping_order=x),
+    "gauge_delay": lambda loop, x: replace(loop, gauge_delay=x),
+    "gauge_gain": lambda loop, x: replace(loop, gauge_gain=x),
+    "pole": lambda loop, x: replace(loop, lag=1.0 / x),
+    "delay": lambda loop, x: replace(loop, delay=x),
+    "natural_frequency_ratio": lambda loop, x: loop,
+}
+
+
+def worst_over_box(
+    loop: Loop,
+    low: float,
+    high: float,
+    box: Mapping[str, tuple[float, float]],
+    *,
+    seed: int = 0,
+) -> tuple[float, dict[str, float]]:
+    """Return the smallest signed |1 + L| over a box of parameters, and the point that has it.
+
+    Every corner of the box and 200 random points inside, with ω₀ from `low` to `high`; unstable points count
+    as negative. A search and no proof: `certify` encloses the same box.
+
+    Parameters
+    ----------
+    loop
+        the nominal loop.
+    low, high
+        range of ω₀ [s^(-λ/2)].
+    box
+        (low, high) of "order", "damping", "damping_order", "gauge_delay" [s], "gauge_gain", "pole" [rad/s],
+        "delay" [s] (the whole τ) or "natural_frequency_ratio" (true over nominal ω₀).
+
+    Raises
+    ------
+    KeyError
+        a parameter of another name.
+    """
+    names = tuple(box)
+    ends = np.array([box[name] for name in names], dtype=float).reshape(len(names), 2)
+    corners = np.array(np.meshgrid(*ends, indexing="ij")).reshape(len(names), -1).T
+    inside = ends[:, 0] + np.random.default_rng(seed).random((_INTERIOR, len(names))) * np.diff(ends).T
+    worst, place = math.inf, dict.fromkeys(names, math.nan)
+    w0 = np.geomspace(low, high, 5)
+    for point in np.concatenate([corners, inside]) if names else corners:
+        varied, values = loop, dict(zip(names, map(float, point), strict=True))
+        for name, value in values.items():
+            varied = _VARIED[name](varied, value)
+        links = w0 * values.get("natural_frequency_ratio", 1.0)
+        distance = 1.0 / varied.sensitivity_peak(links)
+        signed = float(np.min(np.where(varied.margins(links)[1] > 0.0, distance, -distance)))
+        if signed < worst:
+            worst, place = signed, values
+    return worst, place

@@ -1,0 +1,513 @@
+"""The motor and the loop that closes it: two-degree-of-freedom PID by pole placement, as it is sampled.
+
+The motor at the gear's output is θm/u' = A/(s(s + B)) (1). Two controllers with one filter pole close it,
+u' = Cm1(s)(θm* − θm) − Cm2(s) θm with Cm1 = (a2 s² + a1 s + a0)/(s(s + c)) (19), Cm2 = (b1 s + b0)/(s + c)
+(20), so that θm/θm* = M(s) = 1/(1 + s/p)² (21). Source: Benftima et al. 2023; the printed c of (19) is the
+filter's pole, not the link's stiffness, and the values below are recomputed from A, B and p.
+
+At the period Ts, with x = z⁻¹, e = exp(-B Ts) and d samples of delay, the motor under its held voltage is
+``P(x) = x^{1+d}(m1 + m2 x)/((1-x)(1-e x))``. The placement "tustin" discretises (19), (20); "direct" solves
+``(1-x)²(1-e x)(1-r x) + x^{1+d}(m1 + m2 x) S(x) = (1-z₀x)³ f(x)`` for the PID itself, z₀ = exp(-p Ts): the
+delay then stands inside the equation instead of eating the margin afterwards.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING, Literal, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fraclink._validate import checked_between, checked_choice, checked_whole
+from fraclink.errors import FieldError
+
+if TYPE_CHECKING:
+    from fraclink._arm.rig import Rig
+    from fraclink._systems.fractional import FractionalTransferFunction
+
+__all__ = [
+    "ContinuousPid",
+    "DiscretePid",
+    "MotorLoop",
+    "MotorLoopCost",
+    "SampledMotorLoop",
+    "direct_placement",
+    "held_motor",
+    "motor_loop_costs",
+    "place_pid",
+]
+
+Complex = NDArray[np.complex128]
+Real = NDArray[np.float64]
+Method = Literal["tustin", "backward", "zero-order-hold"]
+
+LONGEST_DELAY = 100  # samples; beyond it no loop of an arm is worth closing
+# Beyond it the filter rings at the Nyquist frequency for longer than the loop itself takes to settle.
+_FASTEST_FILTER = 0.8
+
+
+class MotorConstants(Protocol):
+    """What a motor must tell: A = K/J [rad/(s²·V)] and B = ν/J [1/s], both at the gear's output."""
+
+    @property
+    def gain(self) -> float: ...
+    @property
+    def decay(self) -> float: ...
+
+
+@dataclass(frozen=True)
+class MotorLoop:
+    """The motor loop as the outer controller sees it: its pole, its delay, and how it is realised.
+
+    Parameters
+    ----------
+    pole
+        double pole at -p [rad/s], p > 0: ``M(s) = 1/(1 + s/p)²`` (eq. (21)).
+    delay_samples
+        computation delay in whole control periods, 0 … 100.
+    kind
+        "ideal" (M(s) as it is written) or "sampled" (the 2-DOF PID at the control period, on the motor).
+    placement
+        for ``kind="sampled"``: "tustin" discretises the continuous PID, "direct" places the poles in z.
+
+    Raises
+    ------
+    FieldError
+        a value out of its range.
+
+    Examples
+    --------
+    >>> from fraclink._arm.rig import Rig
+    >>> loop = MotorLoop(pole=80.0, kind="sampled").sampled(Rig.named("paper-2023").motor, 0.004)
+    >>> round(float(abs(loop.poles()[0])), 3)
+    0.951
+    """
+
+    pole: float = 80.0
+    delay_samples: int = 1
+    kind: str = "ideal"
+    placement: str = "tustin"
+
+    def __post_init__(self) -> None:
+        put = object.__setattr__
+        put(self, "pole", checked_between("pole", self.pole, 0.0, 1e6, "rad/s", open_low=True))
+        samples = checked_whole("delay_samples", self.delay_samples, 0, LONGEST_DELAY, "samples")
+        put(self, "delay_samples", samples)
+        checked_choice("kind", self.kind, ("ideal", "sampled"), remedy="say 'ideal'")
+        checked_choice("placement", self.placement, ("tustin", "direct"), remedy="say 'tustin'")
+
+    def pid(self, motor: MotorConstants, period: float) -> DiscretePid:
+        """Return the PID that law.c runs at `period` [s] for this pole and placement."""
+        if self.placement == "direct":
+            return direct_placement(motor, self.pole, period, self.delay_samples)
+        return place_pid(motor, self.pole).discretize(period)
+
+    def sampled(self, motor: MotorConstants, period: float) -> SampledMotorLoop:
+        """Return that PID around its motor, with the computation delay."""
+        return SampledMotorLoop(self.pid(motor, period), motor, self.delay_samples)
+
+    def correction(self, motor: MotorConstants, period: float) -> Callable[[Real], Complex] | None:
+        """Return ω ↦ ln(sampled motor loop and hold / their stand-in), None for the ideal motor loop.
+
+        The stand-in is ``M(s) e^{-(d+1/2)Ts s}``; see `SampledMotorLoop.ratio`.
+        """
+        return _correction(self, motor, period) if self.kind == "sampled" else None
+
+
+@lru_cache(maxsize=16)  # the same few motor loops are asked for over and over
+def _correction(settings: MotorLoop, motor: MotorConstants, period: float) -> Callable[[Real], Complex]:
+    loop = settings.sampled(motor, period)
+    return lambda w: np.log(loop.ratio(settings.pole, w))
+
+
+@dataclass(frozen=True)
+class DiscretePid:
+    """The PID of the motor loop at its period: two one-pole filters in parallel, as law.c computes them.
+
+    With ε = θm* − θm the control is u' = a2 ε − b1 θm + H1(z) (a0/c) ε + H2(z) (ρ1 ε − ρ2 θm), where
+    H1 stands for 1/s and H2 for 1/(s + c):  H(z) = (now + before z⁻¹)/(1 − decay z⁻¹).
+
+    >>> from types import SimpleNamespace
+    >>> loop = place_pid(SimpleNamespace(gain=3056.7686, decay=15.152838), 80.0).discretize(0.004)
+    >>> round(loop.filter_decay, 6)
+    0.242472
+    """
+
+    period: float
+    direct: float  # a2: ε -> u' [V/rad]
+    angle_direct: float  # b1: θm -> −u' [V/rad]
+    integral_gain: float  # a0/c [V/(rad·s)]
+    filter_gain: float  # ρ1, residue of Cm1 at −c [V/(rad·s)]
+    angle_filter_gain: float  # ρ2, residue of Cm2 at −c [V/(rad·s)]
+    integral_now: float  # [s]
+    integral_before: float
+    filter_now: float  # [s]
+    filter_before: float
+    filter_decay: float
+
+
+@dataclass(frozen=True)
+class ContinuousPid:
+    """Coefficients of the PID (19), (20) that closes the motor loop, for one pole p [rad/s].
+
+    Every closed-loop pole and both zeros lie at −p, so the loop is M(s) = 1/(1 + s/p)² exactly (21).
+
+    >>> from fraclink._arm.rig import Rig
+    >>> loop = place_pid(Rig.named("paper-2023").motor, 80.0)
+    >>> round(abs(loop.closed()(80.0j)), 3)
+    0.5
+    """
+
+    pole: float
+    gain: float  # A = K/J [rad/(s²·V)]
+    decay: float  # B = ν/J [1/s]
+    a0: float
+    a1: float
+    a2: float
+    b0: float
+    b1: float
+    filter_pole: float  # c of (19), (20) [rad/s]
+
+    def closed(self) -> FractionalTransferFunction:
+        """Return M(s) = θm/θm* = 1/(1 + s/p)² (21)."""
+        from fraclink._systems.fractional import FractionalTransferFunction, Term
+
+        p = self.pole
+        return FractionalTransferFunction(
+            (Term(1.0, 0.0),), (Term(1.0 / p**2, 2.0), Term(2.0 / p, 1.0), Term(1.0, 0.0))
+        )
+
+    def discretize(self, period: float, *, method: Method = "tustin") -> DiscretePid:
+        """Return the loop at `period` [s], 0 < period; Tustin is the one to run.
+
+        The other methods are offered for comparison: at 4 ms with one sample of delay and p = 80 they are
+        unstable (`sampled_radius`), because they lag or advance the PID where the loop has 7.4 ms to spare.
+        """
+        if not (math.isfinite(period) and period > 0):
+            raise FieldError(
+                "period",
+                period,
+                "not a positive time",
+                allowed="> 0 s",
+                remedy="give the control period in seconds",
+            )
+        c = self.filter_pole
+        integral = _one_pole(0.0, period, method)
+        filtered = _one_pole(c, period, method)
+        return DiscretePid(
+            period=period,
+            direct=self.a2,
+            angle_direct=self.b1,
+            integral_gain=self.a0 / c,
+            filter_gain=self.a1 - self.a2 * c - self.a0 / c,
+            angle_filter_gain=self.b0 - self.b1 * c,
+            integral_now=integral[0],
+            integral_before=integral[1],
+            filter_now=filtered[0],
+            filter_before=filtered[1],
+            filter_decay=filtered[2],
+        )
+
+    def sampled_radius(self, period: float, *, delay_samples: int = 1, method: Method = "tustin") -> float:
+        """Return the spectral radius of the sampled inner loop: below 1 it is stable.
+
+        The motor (1) is discretised exactly under a held voltage that comes `delay_samples` late.
+
+        >>> from types import SimpleNamespace
+        >>> loop = place_pid(SimpleNamespace(gain=3056.7686, decay=15.152838), 80.0)
+        >>> methods = ("tustin", "backward", "zero-order-hold")
+        >>> [round(loop.sampled_radius(0.004, method=method), 3) for method in methods]
+        [0.951, 1.004, 1.006]
+        """
+        pid = self.discretize(period, method=method)
+        return float(np.abs(SampledMotorLoop(pid, self, delay_samples).poles()[0]))
+
+
+def place_pid(motor: MotorConstants, pole: float = 80.0) -> ContinuousPid:
+    """Place all poles of the inner loop at −`pole` [rad/s] (19)–(21).
+
+    a0 = p⁴/A, a1 = b0 = 2p³/A, a2 = p²/A, b1 = (5p² − 4pB + B²)/A, filter pole 4p − B.
+
+    Parameters: `motor` with gain A [rad/(s²·V)] > 0 and decay B [1/s] ≥ 0; `pole` > B/4, so that the
+    filter is stable. Raises FieldError outside. Source: Benftima et al. 2023, (19)–(21), corrected.
+
+    >>> from types import SimpleNamespace
+    >>> loop = place_pid(SimpleNamespace(gain=0.21 / 6.87e-5, decay=1.041e-3 / 6.87e-5), 80.0)
+    >>> f"{loop.a0:.3f} {loop.a1:.5f} {loop.a2:.7f} {loop.b1:.7f} {loop.filter_pole:.5f}"
+    '13399.771 334.99429 2.0937143 8.9574005 304.84716'
+    """
+    gain, decay = float(motor.gain), float(motor.decay)
+    if not (math.isfinite(gain) and gain > 0):
+        raise FieldError(
+            "motor.gain", gain, "not positive", allowed="> 0 rad/(s²·V)", remedy="check K and J of the rig"
+        )
+    if not (math.isfinite(pole) and pole > decay / 4):
+        raise FieldError(
+            "inner.pole",
+            pole,
+            "too slow for this motor",
+            allowed=f"> B/4 = {decay / 4:.4g} rad/s",
+            remedy="ask for a faster inner loop; its filter pole 4p − B must be positive",
+        )
+    p = float(pole)
+    return ContinuousPid(
+        pole=p,
+        gain=gain,
+        decay=decay,
+        a0=p**4 / gain,
+        a1=2 * p**3 / gain,
+        a2=p**2 / gain,
+        b0=2 * p**3 / gain,
+        b1=(5 * p**2 - 4 * p * decay + decay**2) / gain,
+        filter_pole=4 * p - decay,
+    )
+
+
+def _one_pole(pole: float, period: float, method: Method) -> tuple[float, float, float]:
+    """(now, before, decay) of 1/(s + pole) by the method named."""
+    if method == "tustin":
+        half = period / 2
+        scale = half / (1 + pole * half)
+        return scale, scale, (1 - pole * half) / (1 + pole * half)
+    if method == "backward":
+        return period / (1 + pole * period), 0.0, 1 / (1 + pole * period)
+    if method == "zero-order-hold":
+        weight = period if pole == 0 else -math.expm1(-pole * period) / pole
+        return 0.0, weight, math.exp(-pole * period)
+    raise FieldError(
+        "method",
+        method,
+        "unknown",
+        allowed="tustin, backward, zero-order-hold",
+        remedy="use tustin: it is the stable one",
+    )
+
+
+def held_motor(motor: MotorConstants, period: float) -> tuple[float, float, float]:
+    """Return (m1, m2, e) of ``A/(s(s+B))`` under a zero-order hold: ``x(m1 + m2 x)/((1-x)(1-e x))``.
+
+    >>> from fraclink._arm.rig import Rig
+    >>> m1, m2, e = held_motor(Rig.named("paper-2023").motor, 0.004)
+    >>> print(f"{m1:.6f} {m2:.6f} {e:.6f}")
+    0.023967 0.023488 0.941189
+    """
+    gain, decay = motor.gain, motor.decay
+    e = math.exp(-decay * period)
+    if decay * period < 1e-8:
+        return 0.5 * gain * period**2, 0.5 * gain * period**2, e
+    weight = -math.expm1(-decay * period) / decay
+    return gain * (period - weight) / decay, gain * (weight - period * e) / decay, e
+
+
+@dataclass(frozen=True)
+class SampledMotorLoop:
+    """The PID at its period around its motor.
+
+    ``pid`` holds the coefficients that law.c runs; `delay_samples` whole periods pass between reading the
+    encoder and the new voltage.
+    """
+
+    pid: DiscretePid
+    motor: MotorConstants
+    delay_samples: int
+
+    def controllers(self, x: Complex) -> tuple[Complex, Complex]:
+        """(Cm1, Cm2) at x = z⁻¹."""
+        k = self.pid
+        integral = (k.integral_now + k.integral_before * x) / (1.0 - x)
+        filtered = (k.filter_now + k.filter_before * x) / (1.0 - k.filter_decay * x)
+        first = k.direct + k.integral_gain * integral + k.filter_gain * filtered
+        return first, k.angle_direct + k.angle_filter_gain * filtered
+
+    def plant(self, x: Complex) -> Complex:
+        """The held motor without its computation delay, at x = z⁻¹."""
+        m1, m2, e = held_motor(self.motor, self.pid.period)
+        return x * (m1 + m2 * x) / ((1.0 - x) * (1.0 - e * x))
+
+    def loop_gain(self, frequency: ArrayLike) -> Complex:
+        """Open loop of the motor loop, ``(Cm1 + Cm2) z^{-d} P`` at `frequency` [rad/s]."""
+        x = np.exp(-1j * np.asarray(frequency, dtype=float) * self.pid.period)
+        first, second = self.controllers(x)
+        return np.asarray((first + second) * x**self.delay_samples * self.plant(x))
+
+    def voltage(self, frequency: ArrayLike) -> Complex:
+        """From θm* to the applied voltage, ``z^{-d} Cm1/(1 + (Cm1 + Cm2) z^{-d} P)``, at ω [rad/s]."""
+        x = np.exp(-1j * np.asarray(frequency, dtype=float) * self.pid.period)
+        first, second = self.controllers(x)
+        late = x**self.delay_samples
+        return np.asarray(first * late / (1.0 + (first + second) * late * self.plant(x)))
+
+    def poles(self) -> Complex:
+        """Poles of the closed motor loop in z, largest modulus first."""
+        k = self.pid
+        m1, m2, e = held_motor(self.motor, k.period)
+        one, slow, motor = (np.array([1.0, -a]) for a in (1.0, k.filter_decay, e))
+        direct = k.direct + k.angle_direct
+        integral = k.integral_gain * np.array([k.integral_now, k.integral_before])
+        filtered = (k.filter_gain + k.angle_filter_gain) * np.array([k.filter_now, k.filter_before])
+        both = np.polyadd(
+            np.polyadd(direct * np.polymul(one, slow), np.polymul(integral, slow)), np.polymul(filtered, one)
+        )
+        left = np.polymul(np.polymul(one, motor), np.polymul(one, slow))
+        right = np.concatenate([np.zeros(1 + self.delay_samples), np.polymul([m1, m2], both)])
+        left = np.concatenate([left, np.zeros(right.size - left.size)])
+        found = np.roots(left + right)
+        return np.asarray(found[np.argsort(-np.abs(found))], dtype=np.complex128)
+
+    def ratio(self, pole: float, frequency: ArrayLike) -> Complex:
+        """Return hold, PID and motor over their stand-in ``M(s)·e^{-(d+1/2)Ts s}``, at ω [rad/s].
+
+        The aliases are left out: at half the Nyquist frequency they are 1e-4 of it, at the crossing 1e-9.
+        """
+        w = np.asarray(frequency, dtype=float)
+        s, period = 1j * w, self.pid.period
+        hold = -np.expm1(-s * period) / (s * period)
+        motor = self.motor.gain / (s * (s + self.motor.decay))
+        ideal = np.exp(-(self.delay_samples + 0.5) * period * s) / (1.0 + s / pole) ** 2
+        return np.asarray(self.voltage(w) * hold * motor / ideal)
+
+
+def direct_placement(motor: MotorConstants, pole: float, period: float, delay_samples: int) -> DiscretePid:
+    """Return the PID that has three closed-loop poles at ``z₀ = exp(-p Ts)``, its delay in the equation.
+
+    The PID has three feedback gains and one filter pole r; with d samples of delay 1 + d poles are left over.
+    r is chosen so that the slowest of them is as fast as it can be. Both zeros of Cm1 lie at z₀.
+
+    Parameters
+    ----------
+    motor
+        A and B.
+    pole
+        p [rad/s], > 0 and below π/Ts.
+    period
+        Ts [s], > 0.
+    delay_samples
+        d, 0 … 100.
+
+    Raises
+    ------
+    FieldError
+        no filter pole leaves the loop stable: the pole is too fast for this delay.
+    """
+    grid = np.linspace(-_FASTEST_FILTER, _FASTEST_FILTER, 61)
+    radii = [_left_over(motor, pole, period, delay_samples, float(r))[1] for r in grid]
+    best = int(np.argmin(radii))
+    fine = np.linspace(grid[max(best - 1, 0)], grid[min(best + 1, grid.size - 1)], 41)
+    radii = [_left_over(motor, pole, period, delay_samples, float(r))[1] for r in fine]
+    r = float(fine[int(np.argmin(radii))])
+    feedback, radius = _left_over(motor, pole, period, delay_samples, r)
+    if radius >= 1.0:
+        raise FieldError(
+            "inner.pole",
+            pole,
+            "not to be placed with this delay",
+            allowed="a slower motor loop",
+            remedy=f"with {delay_samples} samples of {period:g} s an unstable pole is left over",
+        )
+    return _parallel(feedback, r, math.exp(-pole * period), period)
+
+
+def _left_over(motor: MotorConstants, pole: float, period: float, delay: int, r: float) -> tuple[Real, float]:
+    """(S, modulus of the slowest left-over pole) for one filter pole: a linear system in S and f(x)."""
+    m1, m2, e = held_motor(motor, period)
+    base, target = np.array([1.0]), np.array([1.0])
+    for place in (1.0, 1.0, e, r):
+        base = np.convolve(base, [1.0, -place])
+    for _ in range(3):
+        target = np.convolve(target, [1.0, -math.exp(-pole * period)])
+    size = 4 + delay
+    matrix, right = np.zeros((size + 1, size)), np.zeros(size + 1)
+    for k in range(3):  # s0, s1, s2
+        matrix[1 + delay + k : 3 + delay + k, k] = m1, m2
+    for k in range(1, delay + 2):  # f1 … f(1+d)
+        matrix[k : k + 4, 2 + k] = -target
+    right[:4] += target
+    right[:5] -= base
+    solution = np.linalg.solve(matrix[1:], right[1:])
+    left_over = np.roots(np.concatenate([[1.0], solution[3:]]))
+    return np.asarray(solution[:3], dtype=float), float(np.max(np.abs(left_over)))
+
+
+def _parallel(s: Real, r: float, z0: float, period: float) -> DiscretePid:
+    """S(x) split into Cm1 with a double zero at z₀ and Cm2, as the two one-pole filters of law.c."""
+    half = 0.5 * period
+    rate = (1.0 - r) / (half * (1.0 + r))  # c of 1/(s + c) under Tustin
+    scale = half / (1.0 + rate * half)
+    first = float(np.sum(s)) * np.array([1.0, -2.0 * z0, z0**2]) / (1.0 - z0) ** 2
+    rest = s - first  # divisible by (1 - x): both have the same value at x = 1
+    t0, t1 = float(rest[0]), float(-rest[2])
+    # first = D(1-x)(1-r x) + I half (1+x)(1-r x) + F scale (1+x)(1-x)
+    basis = np.array(
+        [
+            [1.0, half, scale],
+            [-(1.0 + r), half * (1.0 - r), 0.0],
+            [r, -half * r, -scale],
+        ]
+    )
+    direct, integral, filtered = np.linalg.solve(basis, first)
+    angle_direct = (t0 - t1) / (1.0 + r)
+    return DiscretePid(
+        period=period,
+        direct=float(direct),
+        angle_direct=angle_direct,
+        integral_gain=float(integral),
+        filter_gain=float(filtered),
+        angle_filter_gain=(t0 - angle_direct) / scale,
+        integral_now=half,
+        integral_before=half,
+        filter_now=scale,
+        filter_before=scale,
+        filter_decay=r,
+    )
+
+
+@dataclass(frozen=True)
+class MotorLoopCost:
+    """What one placement of the motor loop costs."""
+
+    placement: str
+    radius: float  # largest |z| of the closed motor loop; below 1 it is stable
+    modulus_margin: float  # min |1 + L_inner|
+    lag: float  # [rad] that θm/θm* lags behind M(s) with hold and delay, at `frequency`
+    frequency: float  # [rad/s]
+    voltage_per_step: float  # [V/rad] first voltage after a unit step of θm*
+    voltage_per_noise: float  # [V/rad] largest gain from the encoder's noise to the voltage
+
+
+def motor_loop_costs(rig: Rig, *, frequency: float) -> tuple[MotorLoopCost, ...]:
+    """Return what "tustin" and "direct" cost at the rig's pole, delay and period, at `frequency` [rad/s].
+
+    >>> from fraclink._arm.rig import Rig
+    >>> [cost.placement for cost in motor_loop_costs(Rig.named("paper-2023"), frequency=18.0)]
+    ['tustin', 'direct']
+    """
+    found = []
+    pole, samples, period = rig.inner.pole, rig.inner.delay_samples, rig.period
+    grid = np.geomspace(1e-2, math.pi / period, 2000)
+    for placement in ("tustin", "direct"):
+        try:
+            loop = MotorLoop(pole, samples, "sampled", placement).sampled(rig.motor, period)
+        except FieldError:
+            continue
+        first = loop.controllers(np.zeros(1, dtype=np.complex128))[0]
+        found.append(
+            MotorLoopCost(
+                placement=placement,
+                radius=float(np.max(np.abs(loop.poles()))),
+                modulus_margin=float(np.min(np.abs(1.0 + loop.loop_gain(grid)))),
+                lag=float(-np.angle(loop.ratio(pole, frequency))),
+                frequency=frequency,
+                voltage_per_step=float(first.real[0]),
+                voltage_per_noise=float(np.max(np.abs(_noise_gain(loop, grid)))),
+            )
+        )
+    return tuple(found)
+
+
+def _noise_gain(loop: SampledMotorLoop, frequency: Real) -> Complex:
+    first, second = loop.controllers(np.exp(-1j * frequency * loop.pid.period))
+    return np.asarray((first + second) / (1.0 + loop.loop_gain(frequency)))

@@ -1,0 +1,130 @@
+"""The loop as it is sampled: Ĉ at the period times the zero-order-hold plant, alias sum included.
+
+Between two ticks the motor reference is held, so the computer sees
+``P_d(e^{jωTs}) = z^{-d} (1 - z^{-1})/Ts · Σ_k F(s_k)/s_k``, ``s_k = j(ω + kω_s)``, ``F = M·B``: the exact
+zero-order-hold discretisation, without a state-space model of an irrational plant. B is the bracket of
+`fraclink._arm.loop`, gauge delay, gauge gain and second mode included; none of them need be whole samples.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fraclink._arm.link import LinkModel
+from fraclink._arm.motor_loop import MotorConstants, MotorLoop
+
+__all__ = ["SampledPlant", "sampled_plant", "tail_sum"]
+
+Complex = NDArray[np.complex128]
+Real = NDArray[np.float64]
+
+_TERMS = 12  # aliases summed one by one on either side; the rest is 1e-7 of the sum and summed in closed form
+_UNSUMMED = 60  # where no closed form sums the rest: F/s falls with s^-3, what is left out is 3e-9 of the sum
+
+
+def tail_sum(exponent: float, start: Real | float) -> Real:
+    """Return ``Σ_{k>=0} (k + start)^(-exponent)`` by Euler–Maclaurin, for exponent > 1 and start >= 8.
+
+    The first term left out is below 1e-9 of the sum for exponents up to 6.
+
+    >>> round(float(tail_sum(2.0, 10.0)), 9)
+    0.105166336
+    """
+    a, q = np.asarray(start, dtype=float), exponent
+    third = q * (q + 1.0) * (q + 2.0)
+    fifth = third * (q + 3.0) * (q + 4.0)
+    series = a / (q - 1.0) + 0.5 + q / (12.0 * a) - third / (720.0 * a**3) + fifth / (30240.0 * a**5)
+    return np.asarray(a ** (-q) * series)
+
+
+@dataclass(frozen=True)
+class SampledPlant:
+    """``P_d``: hold, computation delay, motor loop and link, sampled at `period` [s].
+
+    ``response(s)`` is F(s), vectorised over complex s; ``decay`` and ``leading`` its asymptote
+    ``F(s)/s → leading · s^(-decay)``, which sums the far aliases, or ``leading`` is None where it has no
+    power for its asymptote (a delayed gauge). ``delay`` [s] need not be whole samples. ``before`` is what
+    acts ahead of the hold, a function of ω.
+    """
+
+    response: Callable[[Complex], Complex]
+    period: float
+    delay: float
+    decay: float
+    leading: float | None
+    before: Callable[[Real], Complex] | None = None
+
+    def __call__(self, frequency: ArrayLike) -> Complex:
+        """Return P_d at `frequency` [rad/s], 0 < ω <= π/Ts, shape kept."""
+        w = np.asarray(frequency, dtype=float)
+        rate = 2.0 * math.pi / self.period
+        terms = _UNSUMMED if self.leading is None else _TERMS
+        s = 1j * (w[..., None] + rate * np.arange(-terms, terms + 1))
+        total = np.sum(self.response(s) / s * np.exp(-self.delay * s), axis=-1)
+        if self.leading is not None and self._whole_samples:
+            total = total + self.leading * self._far(w, rate) * np.exp(-1j * self.delay * w)
+        held = -np.expm1(-1j * self.period * w) / self.period * total
+        return np.asarray(held if self.before is None else held * self.before(w), dtype=np.complex128)
+
+    @property
+    def _whole_samples(self) -> bool:
+        # e^{-τ s_k} turns with k unless τ is whole samples; its tail is then bounded, not summed.
+        return abs(self.delay / self.period - round(self.delay / self.period)) < 1e-12
+
+    def _far(self, w: Real, rate: float) -> Complex:
+        """Both tails of the alias sum from the asymptote: ``(±j)^(-q) ω_s^(-q) ζ(q, K + 1 ± ω/ω_s)``."""
+        q = self.decay
+        turn = np.exp(-0.5j * math.pi * q)
+        above = tail_sum(q, _TERMS + 1.0 + w / rate)
+        below = tail_sum(q, _TERMS + 1.0 - w / rate)
+        return np.asarray(rate**-q * (turn * above + np.conj(turn) * below))
+
+
+def sampled_plant(
+    model: LinkModel, motor_loop: MotorLoop, motor: MotorConstants, period: float
+) -> SampledPlant:
+    """Return what the law sees from its motor reference to the tip estimate, exactly sampled.
+
+    Parameters
+    ----------
+    model
+        link and gauge; ω₀ is the one of its payload.
+    motor_loop
+        pole and computation delay; "sampled" puts the PID on the `motor` in place of M(s).
+    motor
+        A and B of the motor.
+    period
+        control period [s], > 0.
+    """
+    sampled = motor_loop.sampled(motor, period) if motor_loop.kind == "sampled" else None
+    lag, spring = 1.0 / motor_loop.pole, model.natural_frequency**2
+
+    def response(s: Complex) -> Complex:
+        inertia = np.exp(model.order * np.log(s))
+        drag = model.damping * np.exp(model.damping_order * np.log(s)) if model.damping else 0.0
+        drive = s * (s + motor.decay) / motor.gain if sampled else (1.0 + lag * s) ** 2
+        whole = inertia + drag + spring
+        if model.exact_gauge:
+            return np.asarray((drag + spring) / (whole * drive), dtype=np.complex128)
+        torque = inertia / whole
+        if model.second_mode is not None:
+            torque = torque + model.second_mode.response(s)
+        read = model.gauge_gain * np.exp(-model.gauge_delay * s)
+        return np.asarray((1.0 - read * torque) / drive, dtype=np.complex128)
+
+    softest = model.order - (model.damping_order if model.damping else 0.0)
+    strength = model.damping if model.damping else spring
+    # The PID's voltage already carries the computation delay.
+    return SampledPlant(
+        response=response,
+        period=period,
+        delay=0.0 if sampled else motor_loop.delay_samples * period,
+        decay=3.0 + softest,
+        leading=strength * (motor.gain if sampled else lag**-2) if model.exact_gauge else None,
+        before=sampled.voltage if sampled else None,
+    )
