@@ -114,7 +114,8 @@ def test_an_existing_file_is_kept_without_force(fraclink: Command, tmp_path: Pat
     assert answer == Answer(
         2,
         "",
-        "error: out: already there (got design.json); expected a new name. Choose another name or add --force.\n",
+        "error: out: already there (got design.json); expected a new name. "
+        "Choose another name or add --force.\n",
     )
     assert place.read_text() == "mine"
     assert fraclink(*DESIGN, "--force").code == 0
@@ -184,7 +185,11 @@ def test_errors_are_json_too_where_json_was_asked_for(fraclink: Command) -> None
 @pytest.mark.parametrize(
     ("error", "code", "line"),
     [
-        (FieldError("m", -1, "negative", allowed="> 0 kg", remedy="say kg"), 2, "error: m: negative (got -1); "),
+        (
+            FieldError("m", -1, "negative", allowed="> 0 kg", remedy="say kg"),
+            2,
+            "error: m: negative (got -1)",
+        ),
         (MissingExtraError("flint", "certify"), 2, "error: flint is not installed; "),
         (
             InfeasibleError("(39)", "too slow", {"gain_crossover": 12.0}),
