@@ -130,9 +130,14 @@ def _float(text: str) -> float:
     return value if math.isfinite(value) else _refuse_constant(text)
 
 
+# Release 0.1 wrote the verdict of a run, a requirement and a cell under another name.
+RENAMED = {"holds": "passed"}
+
+
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     result: dict[str, Any] = {}
-    for key, value in pairs:
+    for written, value in pairs:
+        key = RENAMED.get(written, written)
         if key in result:
             # json keeps the last one silently; which of two values was meant only the author knows.
             raise FieldError(key, value, "given twice", allowed="each key once", remedy="remove one")

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 
 from fraclink._arm.link import LinkModel
 from fraclink._arm.rig import Rig
 from fraclink._campaign.draws import Distribution, Draws, draws_for
+from fraclink._design.files import link_from
 from fraclink._files import read_json, write_json
 from fraclink._law import Law, equip
 from fraclink._validate import checked_between, checked_choice, checked_noun
@@ -124,7 +125,7 @@ def _about(campaign: Campaign) -> dict[str, object]:
 
     return {
         "rig": rig_text(campaign.rig),
-        "model": asdict(campaign.model),
+        "model": _stated(campaign.model),
         "draws": asdict(campaign.draws),
         "seed": campaign.seed,
         "inner": campaign.inner,
@@ -132,6 +133,16 @@ def _about(campaign: Campaign) -> dict[str, object]:
         "part_runs": PART_RUNS,
         "shapes": list(SHAPES),
     }
+
+
+# Fields of a link that release 0.1 did not have.
+_LATER = {"gauge_delay", "gauge_gain", "second_mode", "unseen_up_to", "intervals"}
+
+
+def _stated(model: LinkModel) -> dict[str, object]:
+    """The link without later fields at their defaults: a campaign begun before them keeps its fingerprint."""
+    default = {item.name: item.default for item in fields(LinkModel)}
+    return {k: v for k, v in asdict(model).items() if k not in _LATER or v != default[k]}
 
 
 def save_campaign(campaign: Campaign, folder: Path) -> None:
@@ -152,7 +163,7 @@ def load_campaign(folder: Path | str) -> Campaign:
     try:
         campaign = Campaign(
             rig=Rig.load(place / "rig.toml"),
-            model=LinkModel(**data["model"]),
+            model=link_from(data["model"]),
             law=Law.load(place / "law.json"),
             draws=Draws(**{name: Distribution(**d) for name, d in data["draws"].items()}),
             runs=data["runs"],

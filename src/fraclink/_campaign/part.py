@@ -15,7 +15,7 @@ from fraclink._campaign.campaign import PART_RUNS, SHAPES, Campaign
 from fraclink._campaign.draws import draw
 from fraclink._campaign.links import batch_links
 from fraclink._campaign.metrics import Signals, measure_many
-from fraclink._files import atomic_write
+from fraclink._files import RENAMED, atomic_write
 from fraclink._validate import checked_noun, checked_whole
 from fraclink.errors import MissingExtraError
 
@@ -202,7 +202,8 @@ def read_part(
             part_path(folder, part), memory_map=False, page_checksum_verification=True
         ) as file:
             schema, rows = file.schema_arrow, file.metadata.num_rows
-            table = file.read(columns=list(names) or None)
+            own = {RENAMED.get(name, name): name for name in schema.names}
+            table = file.read(columns=[own.get(name, name) for name in names] or None)
     except (OSError, ValueError, pa.ArrowException):  # ValueError: a name that is not UTF-8 any more
         return None
     meta = schema.metadata or {}
@@ -213,7 +214,7 @@ def read_part(
     }
     if any(meta.get(k) != v for k, v in wanted.items()) or rows != campaign.part_runs(part):
         return None
-    return {name: table[name].to_numpy() for name in table.column_names}
+    return {RENAMED.get(name, name): table[name].to_numpy() for name in table.column_names}
 
 
 def _parquet() -> tuple[Any, Any]:
