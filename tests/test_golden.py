@@ -5,8 +5,11 @@ A difference is an improvement that its author names, or a defect. `tests/golden
 
 from __future__ import annotations
 
+import difflib
+
 import pytest
 
+from golden.commands import COMMANDS, TEXTS, answers
 from golden.record import TOPICS, differences, probe, recorded
 
 SLOW = {"designs", "exports"}
@@ -21,6 +24,26 @@ def test_the_recorded_figures_come_out(topic: str) -> None:
     # Digests hold for the arithmetic they were made with; numbers hold everywhere.
     found = differences(told["figures"], figures(), rel, bits=told["probe"] == probe(), place=topic)
     assert not found, f"{len(found)} entries differ:\n" + "\n".join(found)
+
+
+@pytest.fixture(scope="module")
+def printed() -> dict[str, str]:
+    """The texts of all commands, run once: each works on what those before it wrote."""
+    return dict(answers())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", COMMANDS)
+def test_a_command_prints_what_it_printed(name: str, printed: dict[str, str]) -> None:
+    told = (TEXTS / f"{name}.txt").read_text("utf-8")
+    lines = difflib.unified_diff(
+        told.splitlines(), printed[name].splitlines(), "recorded", "now", lineterm=""
+    )
+    assert printed[name] == told, f"commands/{name}.txt:\n" + "\n".join(lines)
+
+
+def test_every_text_is_of_a_command() -> None:
+    assert sorted(path.stem for path in TEXTS.glob("*.txt")) == sorted(COMMANDS)
 
 
 def test_a_difference_is_named() -> None:

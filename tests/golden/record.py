@@ -1,6 +1,7 @@
 """Golden figures: what the package computes today, recorded so that a rebuilding can be compared with it.
 
     python tests/golden/record.py runs designs    # record these topics again
+    python tests/golden/record.py commands        # the texts of the command line
     python tests/golden/record.py                 # list the topics
 
 Each topic is a function that returns plain JSON values; `tests/test_golden.py` calls it again and names every
@@ -61,6 +62,10 @@ from fraclink._simulate.twin import (
 from fraclink.errors import InfeasibleError
 
 HERE = Path(__file__).resolve().parent
+sys.path.insert(0, str(HERE.parent))
+from golden.commands import record_commands  # noqa: E402
+from golden.formats import formats  # noqa: E402
+
 ROOT = HERE.parents[1]
 LINK_MASS = 0.00735  # [kg], of the twin: a quarter of the nominal payload
 RIG = fl.Rig.named("paper-2023")
@@ -657,6 +662,7 @@ TOPICS: dict[str, tuple[Callable[[], Plain], float]] = {  # topic: its figures a
     "designs": (designs, 1e-9),
     "identification": (identification, 1e-7),
     "exports": (exports, 1e-9),
+    "formats": (lambda: plain(formats()), 1e-12),
 }
 
 
@@ -697,11 +703,13 @@ def main(names: list[str]) -> int:
         if name == "laws":
             for title, made in laws().items():
                 made.save(HERE / "laws" / f"{title}.json")
+        elif name == "commands":
+            record_commands()
         else:
             record(name)
         print("recorded", name)
     if not names:
-        print("topics: laws (the runs' input), " + ", ".join(TOPICS))
+        print("topics: laws (the runs' input), commands, " + ", ".join(TOPICS))
     return 0
 
 

@@ -1,0 +1,164 @@
+"""What the command line prints: both streams, exit code and files written, as one text for each command."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import math
+import os
+import re
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import fraclink as fl
+from fraclink._cli import main
+from fraclink._identify.motor_example import example_motor_log
+
+HERE = Path(__file__).resolve().parent
+TEXTS = HERE / "commands"
+WIDTH = "100"  # columns: what a help page is folded to must not depend on the terminal
+
+RIG = "--rig paper-2023"
+ARM = f"{RIG} --gear 50 --link-mass 0.00735"
+BUNDLED = ("prbs_20g", "prbs_30g", "prbs_40g", "pulse_30g")
+THREE = "prbs_20g.csv prbs_30g.csv prbs_40g.csv"
+
+# Name of the text: the command. They run one after another in one folder: a later one reads what an earlier
+# one wrote. Left out is what takes long or prints times: run-realtime, serve-arm, export c --prove.
+COMMANDS: dict[str, str] = {
+    "version": "--version",
+    "help": "--help",
+    "help-export": "export --help",
+    "help-campaign": "campaign --help",
+    "help-design": "design --help",
+    "inspect": "inspect demo",
+    "inspect-json": "inspect demo --json",
+    "diagnose": f"diagnose demo {RIG}",
+    "diagnose-json": f"diagnose demo {RIG} --json",
+    "diagnose-pulse": f"diagnose pulse_30g.csv {RIG}",
+    "identify": f"identify demo {RIG} --out model.json",
+    "identify-json": f"identify demo {RIG} --out model.json --force --json",
+    "identify-damped": f"identify demo {RIG} --structure D-FOM --out damped.json",
+    "identify-all": f"identify-all demo {RIG}",
+    "identify-payloads": f"identify-payloads {THREE} {RIG}",
+    "identify-payloads-tied": f"identify-payloads {THREE} {RIG} --tied",
+    "identify-motor": f"identify-motor motor.csv {RIG}",
+    "identify-spectrum": "identify-spectrum response.csv",
+    "plan-experiment": f"plan-experiment {RIG} --standard-error 0.001 --noise 0.04",
+    "plan-experiment-infeasible": f"plan-experiment {RIG} --standard-error 0.001 --noise 0.04 "
+    "--deflection-limit 0.001",
+    "record": f"record {RIG} --link-mass 0.00735 --seed 3 --duration 8 --out log.csv",
+    "design": f"design {RIG} --filter-time 0",
+    "design-json": f"design {RIG} --filter-time 0 --force --json",
+    "design-geared": f"design {RIG} --model model.json --link-mass 0.00735 --out massive.json",
+    "design-sampled": f"design {RIG} --inner sampled --placement direct --out sampled.json",
+    "design-bounds": f"design {RIG} --max-sensitivity 1.6 --settling-time 0.55 --noise-gain 2 --out b.json",
+    "design-infeasible": f"design {RIG} --gain-crossover 30 --phase-margin-deg 80 --out no.json",
+    "design-infeasible-json": f"design {RIG} --gain-crossover 30 --phase-margin-deg 80 --out no.json --json",
+    "design-there": f"design {RIG}",
+    "design-bad-rig": "design --rig paper-2032",
+    "design-bad-rig-json": "design --rig paper-2032 --json",
+    "design-bad-margin": f"design {RIG} --phase-margin-deg 200",
+    "design-no-rig": "design",
+    "no-such-command": "desing",
+    "simulate": "simulate design.json --payload 0.02",
+    "simulate-heavy": "simulate design.json --payload 0.2 --gauge-offset 0.1 --out heavy.npz",
+    "simulate-no-design": "simulate nothing.json --payload 0.02",
+    "twin": "twin design.json --gear 50 --link-mass 0.00735 --seed 1",
+    "certify": "certify design.json --modulus-margin 0.35",
+    "certify-fails": "certify design.json --modulus-margin 0.9 --out no.json",
+    "assess": "assess design.json --link-mass 0.00735",
+    "assess-json": "assess design.json --link-mass 0.00735 --json",
+    "optimise": "optimise design.json --no-lead",
+    "export-c": "export c design.json",
+    "export-matlab": "export matlab design.json",
+    "export-fmu": "export fmu design.json --source",
+    "export-io": "export io",
+    "replay-of-nothing": "replay nothing demo",
+    "run": f"run {RIG} --log demo --out results",
+    "report": "report results --out page.html",
+    "design-map": f"design-map {RIG} --points 7 --crossovers 9 15",
+    "compare": f"compare {RIG} --link-mass 0.00735 --only ours --only collocated --filter-time 0",
+    "campaign-montecarlo": "campaign montecarlo --design design.json --runs 200 --seed 7 --out carlo",
+    "campaign-replay": "campaign replay carlo --run 65 --out replayed.npz",
+    "campaign-faults": f"campaign faults --design design.json {ARM} --only F02 --severity 2 --payload 0.03 "
+    "--phase mid --seed 1 --out faults",
+    "campaign-faults-open": f"campaign faults --design design.json {ARM} --only F07 --severity 3 "
+    "--payload 0.03 --phase mid --seed 3 --out open --figures none",
+    "campaign-sweep": "campaign sweep --gear 50 --link-mass 0.00735 --gain-crossover 12 --gain-crossover 30 "
+    "--phase-margin-deg 50 --payload 0.03 --out sweep.json",
+    "run-realtime-no-arm": "run-realtime design.json --io nowhere",
+    "reproduce-of-nothing": "reproduce --published nothing --out again",
+}
+
+
+def _inputs() -> None:
+    """The bundled logs, a log with voltages, and a table of gain and phase, as a user has them."""
+    for name in BUNDLED:
+        Path(f"{name}.csv").write_bytes(fl.bundled_log(name).read_bytes())
+    voltage, angle = example_motor_log(samples=2500)
+    rows = ["time_s,motor_angle_rad,deflection_rad,voltage_V"]
+    for k, (a, v) in enumerate(zip(angle.tolist(), voltage.tolist(), strict=True)):
+        rows.append(f"{0.004 * k:.4f},{a:.9f},{0.01 * a:.9f},{v:.9f}")
+    Path("motor.csv").write_text("\n".join(rows) + "\n", "utf-8")
+    rows = ["frequency_Hz,gain_dB,phase_deg"]
+    for k in range(80):
+        x = (1j * (1 + 0.5 * k)) ** 1.92
+        h = 1.56 * x / (x + 100)
+        phase = math.degrees(math.atan2(h.imag, h.real))
+        rows.append(f"{(1 + 0.5 * k) / 2 / math.pi:.9f},{20 * math.log10(abs(h)):.9f},{phase:.9f}")
+    Path("response.csv").write_text("\n".join(rows) + "\n", "utf-8")
+
+
+def _rounded(match: re.Match[str]) -> str:
+    value = float(match[0])
+    return "~0" if abs(value) < 1e-12 else f"{value:.7g}"
+
+
+def normalised(text: str, folder: Path) -> str:
+    """`text` without what belongs to the machine: paths, the release, the last digits of long numbers."""
+    for place, word in ((str(fl.bundled_log("prbs_30g").parent), "LOGS"), (str(folder), "HERE")):
+        text = text.replace(place, word)
+    text = text.replace(fl.__version__, "VERSION")
+    # Only JSON prints as many digits; a rounding error at the end of them is no change of behaviour.
+    return re.sub(r"-?\d+\.\d{9,}(?:e[-+]?\d+)?|-?\d\.\d+e-\d+", _rounded, text)
+
+
+def answer(line: str, folder: Path) -> str:
+    """Run one command in the folder one is in and return all that it did, as one text."""
+    before = {path: path.stat().st_mtime_ns for path in folder.rglob("*") if path.is_file()}
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        code = main(line.split())
+    now = {path: path.stat().st_mtime_ns for path in folder.rglob("*") if path.is_file()}
+    written = sorted(path.relative_to(folder).as_posix() for path in now if now[path] != before.get(path))
+    parts = [f"$ fraclink {line}\n", out.getvalue()]
+    parts += ["--- standard error\n", err.getvalue()] if err.getvalue() else []
+    parts += [f"--- exit code {code}\n"]
+    parts += ["--- files\n", *(f"{name}\n" for name in written)] if written else []
+    return normalised("".join(parts), folder)
+
+
+def answers() -> Iterator[tuple[str, str]]:
+    """The texts of all commands, in the order in which they run."""
+    kept = os.environ.get("COLUMNS")
+    os.environ["COLUMNS"] = WIDTH
+    with tempfile.TemporaryDirectory() as temporary, contextlib.chdir(temporary):
+        folder = Path(temporary)
+        _inputs()
+        for name, line in COMMANDS.items():
+            yield name, answer(line, folder)
+    if kept is None:
+        del os.environ["COLUMNS"]
+    else:
+        os.environ["COLUMNS"] = kept
+
+
+def record_commands() -> None:
+    """Write the texts again."""
+    TEXTS.mkdir(exist_ok=True)
+    for old in TEXTS.glob("*.txt"):
+        old.unlink()
+    for name, text in answers():
+        (TEXTS / f"{name}.txt").write_text(text, "utf-8")
