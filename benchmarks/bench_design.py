@@ -21,11 +21,11 @@ from types import ModuleType
 import numpy as np
 
 import fraclink as fl
+from fraclink._arm.motor_loop import motor_loop_costs
 from fraclink._arm.rig import Rig
 from fraclink._certify import Certificate, certify, enclose_phase_margin
 from fraclink._design import Design
 from fraclink._design.feasibility import feasibility_map
-from fraclink._design.inner import inner_costs
 from fraclink._design.poles import PRINTED, closed_loop_poles, match_at
 from fraclink._design.rivals import compare_at_equal_sensitivity
 
@@ -229,7 +229,7 @@ def comparison(design: Design) -> None:
             f"{math.degrees(rival.phase_margin):>8.1f}{rival.noise_gain:>9.2f}"
         )
     print("\nthe motor loop at p = 80 rad/s, 4 ms, one sample of delay:")
-    for cost in inner_costs(RIG, frequency=18.0):
+    for cost in motor_loop_costs(RIG, frequency=18.0):
         print(
             f"{cost.placement:<8} radius {cost.radius:.4f}, modulus margin {cost.modulus_margin:.3f}, "
             f"lag behind M(s) {math.degrees(cost.lag):+.2f}° at 18 rad/s, "

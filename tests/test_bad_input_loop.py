@@ -12,7 +12,8 @@ import fraclink as fl
 from fraclink import _campaign as campaign
 from fraclink import _export as export
 from fraclink import _kernels
-from fraclink._arm.controller import InnerLoopSettings, Lead
+from fraclink._arm.controller import Lead
+from fraclink._arm.motor_loop import MotorLoop
 from fraclink._campaign import Campaign, Distribution, Draws, draws_for, faults
 from fraclink._certify import Statement, enclose_phase_margin
 from fraclink._design import optimise
@@ -90,7 +91,7 @@ CALLS: dict[str, Call] = {
     "phase_budget": (phase_budget, lambda: {"plan": design(), "payload": 0.030}),
     "margin_curve": (margin_curve, lambda: {"plan": design(), "payloads": [0.030], "kind": "loop"}),
     "Controller": (fl.Controller, lambda: fields_of(design().controller)),
-    "InnerLoopSettings": (InnerLoopSettings, lambda: fields_of(InnerLoopSettings())),
+    "MotorLoop": (MotorLoop, lambda: fields_of(MotorLoop())),
     "Lead": (Lead, lambda: {"zero_time": 0.18, "pole_time": 0.04, "order": 0.5}),
     "Moves": (Moves, lambda: fields_of(Moves())),
     "equip": (equip, lambda: {"law": law(), "rig": RIG, "link": LINK, "moves": None}),

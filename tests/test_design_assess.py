@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 import fraclink as fl
-from fraclink._arm.controller import Controller, InnerLoopSettings
+from fraclink._arm.controller import Controller
+from fraclink._arm.motor_loop import MotorLoop, direct_placement, held_motor, motor_loop_costs
 from fraclink._arm.rig import Rig
 from fraclink._certify import certify, enclose_phase_margin
 from fraclink._design import Design
 from fraclink._design.assess import VibrationMode, margin_curve, phase_budget, spillover, tolerances
 from fraclink._design.feasibility import feasibility_map
-from fraclink._design.inner import direct_placement, held_motor, inner_costs, sampled_inner
 from fraclink._design.measure import noise_gain, sensitivity_peak
 from fraclink._design.rivals import compare_at_equal_sensitivity
 from fraclink._design.sampled import SampledPlant
@@ -191,7 +191,7 @@ def test_rivals_meet_at_one_sensitivity_and_noise_tells_them_apart(design: Desig
 
 
 def test_tustin_is_nearly_unstable_and_direct_placement_is_not():
-    tustin, direct = inner_costs(RIG, frequency=18.0)
+    tustin, direct = motor_loop_costs(RIG, frequency=18.0)
     assert tustin.radius == pytest.approx(0.951, abs=5e-4)
     assert tustin.modulus_margin < 0.15 < 0.5 < direct.modulus_margin
     assert direct.radius < 0.85
@@ -201,7 +201,7 @@ def test_tustin_is_nearly_unstable_and_direct_placement_is_not():
 @pytest.mark.parametrize("pole", [40.0, 60.0])
 def test_direct_placement_puts_three_poles_where_it_says(pole: float, delay: int):
     try:
-        inner = sampled_inner(RIG, pole, delay, placement="direct")
+        inner = MotorLoop(pole, delay, "sampled", "direct").sampled(RIG.motor, RIG.period)
     except FieldError:
         pytest.fail("40 and 60 rad/s can be placed with up to two samples")
     poles, wanted = inner.poles(), math.exp(-pole * RIG.period)
@@ -212,9 +212,9 @@ def test_direct_placement_puts_three_poles_where_it_says(pole: float, delay: int
 def test_discrete_motor_loop_in_time_follows_its_reference():
     """A difference-equation simulation, coefficient by coefficient, against the closed form in z."""
     for placement in ("tustin", "direct"):
-        inner = sampled_inner(RIG, 60.0, 1, placement=placement)
+        inner = MotorLoop(60.0, 1, "sampled", placement).sampled(RIG.motor, RIG.period)
         m1, m2, e = held_motor(RIG.motor, RIG.period)
-        k, n = inner.loop, 600
+        k, n = inner.pid, 600
         angle, voltage = np.zeros(n), np.zeros(n)
         integral = filtered = 0.0
         for t in range(n):
@@ -305,11 +305,11 @@ def test_controllers_out_of_range_are_refused(values: dict[str, object], field: 
 
 
 @pytest.mark.parametrize(
-    "values", [{"pole": 0.0}, {"delay_samples": 1.5}, {"delay_samples": 9}, {"kind": "real"}]
+    "values", [{"pole": 0.0}, {"delay_samples": 1.5}, {"delay_samples": 101}, {"kind": "real"}]
 )
 def test_inner_settings_out_of_range_are_refused(values: dict[str, object]):
     with pytest.raises(FieldError):
-        InnerLoopSettings(**values)
+        MotorLoop(**values)
 
 
 def test_transfer_is_one_plus_the_correction():

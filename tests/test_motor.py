@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 import fraclink as fl
-from fraclink._arm.motor import InnerLoop, inner_loop
+from fraclink._arm.motor_loop import ContinuousPid, place_pid
 from fraclink.errors import FieldError
 
 A, B = 0.21 / 6.87e-5, 1.041e-3 / 6.87e-5
 
 
-def _loop(pole: float = 80.0) -> InnerLoop:
-    return inner_loop(fl.Rig.named("paper-2023").motor, pole)
+def _loop(pole: float = 80.0) -> ContinuousPid:
+    return place_pid(fl.Rig.named("paper-2023").motor, pole)
 
 
 def test_coefficients_of_table_1() -> None:

@@ -18,7 +18,7 @@ import pytest
 
 import fraclink as fl
 from fraclink import _kernels
-from fraclink._arm.controller import InnerLoopSettings
+from fraclink._arm.motor_loop import MotorLoop
 from fraclink._cli import main
 from fraclink._export import export_io
 from fraclink._realtime import Library, RealtimeRun, ServedArm, Udp, run_realtime
@@ -76,7 +76,7 @@ def design(tmp_path_factory: pytest.TempPathFactory) -> Path:
     rig = geared(replace(fl.Rig.named("paper-2023"), period=PERIOD))
     assert rig.model is not None
     design = fl.design(rig.model, rig, gain_crossover=12.0, phase_margin=fl.deg(20), filter_time=0.0)
-    slow = replace(design.controller, inner=InnerLoopSettings(pole=20.0))
+    slow = replace(design.controller, inner=MotorLoop(pole=20.0))
     place = tmp_path_factory.mktemp("design") / "design.json"
     replace(design, controller=slow).save(place)
     return place

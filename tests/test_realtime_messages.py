@@ -24,7 +24,7 @@ import pytest
 
 import fraclink as fl
 from fraclink import _kernels
-from fraclink._arm.controller import InnerLoopSettings
+from fraclink._arm.motor_loop import MotorLoop
 from fraclink._law import REASONS, Law, equip
 from fraclink._realtime import Library, RealtimeRun, ServedArm, SharedMemory, Udp, run_realtime, serve_arm
 from fraclink._simulate.twin import Twin, geared, run_twin
@@ -46,7 +46,7 @@ def rig() -> fl.Rig:
 
 @pytest.fixture(scope="module")
 def law(rig: fl.Rig) -> Law:
-    slow_motor = InnerLoopSettings(pole=20.0)  # what a period of 20 ms can close
+    slow_motor = MotorLoop(pole=20.0)  # what a period of 20 ms can close
     controller = fl.Controller(gain=0.069876, order=0.612197, link=rig.model, inner=slow_motor)
     assert rig.model is not None
     return equip(controller.discretize(PERIOD, order=4), rig, rig.model)

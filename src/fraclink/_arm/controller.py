@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fraclink._arm.link import LinkModel
-from fraclink._validate import checked_between, checked_choice, checked_noun, checked_whole, is_whole
+from fraclink._arm.motor_loop import MotorLoop
+from fraclink._validate import checked_between, checked_noun, is_whole
 from fraclink.errors import FieldError
 
 if TYPE_CHECKING:
@@ -18,41 +19,9 @@ if TYPE_CHECKING:
     from fraclink._law.block import Precision
     from fraclink._systems.fractional import FractionalTransferFunction
 
-__all__ = ["Controller", "InnerLoopSettings", "Lead"]
+__all__ = ["Controller", "Lead"]
 
 _LARGEST = 1e12  # gains and times beyond it are slips of the pen; squaring them must not overflow
-
-
-@dataclass(frozen=True)
-class InnerLoopSettings:
-    """What the outer controller assumes about the motor loop.
-
-    Parameters
-    ----------
-    pole
-        double pole at -p [rad/s], p > 0: ``M(s) = 1/(1 + s/p)²`` (eq. (21)).
-    delay_samples
-        computation delay in whole control periods, 0 … 8.
-    kind
-        "ideal" (M(s) as it is written) or "sampled" (the 2-DOF PID at the control period, on the motor).
-    placement
-        for ``kind="sampled"``: "tustin" discretises the continuous PID, "direct" places the poles in z.
-    """
-
-    pole: float = 80.0
-    delay_samples: int = 1
-    kind: str = "ideal"
-    placement: str = "tustin"
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "pole", checked_between("pole", self.pole, 0.0, 1e6, "rad/s", open_low=True))
-        samples = checked_whole("delay_samples", self.delay_samples, 0, 8, "samples")
-        object.__setattr__(self, "delay_samples", samples)
-        for field, value, allowed in (
-            ("kind", self.kind, ("ideal", "sampled")),
-            ("placement", self.placement, ("tustin", "direct")),
-        ):
-            checked_choice(field, value, allowed, remedy=f"say {allowed[0]!r}")
 
 
 @dataclass(frozen=True)
@@ -157,7 +126,7 @@ class Controller:
     filter_time: float = 0.0
     filter_order: int = 1
     link: LinkModel | None = None
-    inner: InnerLoopSettings | None = None
+    inner: MotorLoop | None = None
     period: float | None = None
     lead: Lead | None = None
 
@@ -181,7 +150,7 @@ class Controller:
             )
         for field, kind, remedy in (
             ("link", LinkModel, "fit.model, or rig.model"),
-            ("inner", InnerLoopSettings, "InnerLoopSettings(pole=80.0)"),
+            ("inner", MotorLoop, "MotorLoop(pole=80.0)"),
             ("lead", Lead, "Lead(zero_time, pole_time, order), or leave it out"),
         ):
             if getattr(self, field) is not None:

@@ -57,6 +57,7 @@ class MotorConstants(Protocol):
     def gain(self) -> float: ...
     @property
     def decay(self) -> float: ...
+    def __hash__(self) -> int: ...
 
 
 @dataclass(frozen=True)
@@ -342,20 +343,11 @@ class SampledMotorLoop:
         return np.asarray(first * late / (1.0 + (first + second) * late * self.plant(x)))
 
     def poles(self) -> Complex:
-        """Poles of the closed motor loop in z, largest modulus first."""
-        k = self.pid
-        m1, m2, e = held_motor(self.motor, k.period)
-        one, slow, motor = (np.array([1.0, -a]) for a in (1.0, k.filter_decay, e))
-        direct = k.direct + k.angle_direct
-        integral = k.integral_gain * np.array([k.integral_now, k.integral_before])
-        filtered = (k.filter_gain + k.angle_filter_gain) * np.array([k.filter_now, k.filter_before])
-        both = np.polyadd(
-            np.polyadd(direct * np.polymul(one, slow), np.polymul(integral, slow)), np.polymul(filtered, one)
-        )
-        left = np.polymul(np.polymul(one, motor), np.polymul(one, slow))
-        right = np.concatenate([np.zeros(1 + self.delay_samples), np.polymul([m1, m2], both)])
-        left = np.concatenate([left, np.zeros(right.size - left.size)])
-        found = np.roots(left + right)
+        """Poles of the closed motor loop in z, largest modulus first.
+
+        Eigenvalues, as the roots of the polynomial lose the poles of a short period: four of them meet at 1.
+        """
+        found = np.linalg.eigvals(_closed_matrix(self.motor, self.pid, self.delay_samples))
         return np.asarray(found[np.argsort(-np.abs(found))], dtype=np.complex128)
 
     def ratio(self, pole: float, frequency: ArrayLike) -> Complex:
@@ -369,6 +361,37 @@ class SampledMotorLoop:
         motor = self.motor.gain / (s * (s + self.motor.decay))
         ideal = np.exp(-(self.delay_samples + 0.5) * period * s) / (1.0 + s / pole) ** 2
         return np.asarray(self.voltage(w) * hold * motor / ideal)
+
+
+def _closed_matrix(motor: MotorConstants, d: DiscretePid, delay_samples: int) -> Real:
+    """State matrix of the sampled motor loop with θm* = 0: θ, θ̇, two filters, delayed voltages."""
+    a, b, period = motor.gain, motor.decay, d.period
+    weight = period if b == 0 else -math.expm1(-b * period) / b
+    second = period**2 / 2 if b == 0 else (period - weight) / b
+    n = 4 + delay_samples
+    # voltage now, as a row over the state; both filters are kept as their delayed part s:
+    # output = s + now·input, next s = decay·output + before·input.
+    integral_in = np.zeros(n)
+    integral_in[0] = -d.integral_gain
+    filter_in = np.zeros(n)
+    filter_in[0] = -d.filter_gain - d.angle_filter_gain
+    integral_out = d.integral_now * integral_in
+    integral_out[2] += 1.0
+    filter_out = d.filter_now * filter_in
+    filter_out[3] += 1.0
+    voltage = integral_out + filter_out
+    voltage[0] -= d.direct + d.angle_direct
+    applied = np.eye(n)[4] if delay_samples else voltage
+    matrix = np.zeros((n, n))
+    matrix[0, :2] = 1.0, weight
+    matrix[1, 1] = math.exp(-b * period)
+    matrix[0] += a * second * applied
+    matrix[1] += a * weight * applied
+    matrix[2] = integral_out + d.integral_before * integral_in
+    matrix[3] = d.filter_decay * filter_out + d.filter_before * filter_in
+    for k in range(4, n):
+        matrix[k] = np.eye(n)[k + 1] if k + 1 < n else voltage
+    return matrix
 
 
 def direct_placement(motor: MotorConstants, pole: float, period: float, delay_samples: int) -> DiscretePid:

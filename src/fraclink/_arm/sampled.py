@@ -105,13 +105,13 @@ def sampled_plant(
     lag, spring = 1.0 / motor_loop.pole, model.natural_frequency**2
 
     def response(s: Complex) -> Complex:
-        inertia = np.exp(model.order * np.log(s))
-        drag = model.damping * np.exp(model.damping_order * np.log(s)) if model.damping else 0.0
-        drive = s * (s + motor.decay) / motor.gain if sampled else (1.0 + lag * s) ** 2
+        drive: Complex = s * (s + motor.decay) / motor.gain if sampled else (1.0 + lag * s) ** 2
+        inertia: Complex = np.exp(model.order * np.log(s))
+        drag: Complex = model.damping * np.exp(model.damping_order * np.log(s))
         whole = inertia + drag + spring
         if model.exact_gauge:
             return np.asarray((drag + spring) / (whole * drive), dtype=np.complex128)
-        torque = inertia / whole
+        torque: Complex = inertia / whole
         if model.second_mode is not None:
             torque = torque + model.second_mode.response(s)
         read = model.gauge_gain * np.exp(-model.gauge_delay * s)

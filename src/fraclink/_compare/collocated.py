@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fraclink._arm.beam import Beam
-from fraclink._arm.motor import DiscreteInnerLoop
+from fraclink._arm.motor_loop import DiscretePid
 from fraclink._compare.linear import Filter, NominalLoop, fine_step, sampled, tune, tustin
 from fraclink._law import Drive, Law
 from fraclink._simulate.twin.arm import damping_of
@@ -73,7 +73,7 @@ def collocated(setting: Setting, bare: Law) -> Rival:
     c = DERIVATIVE_POLE
     half = 0.5 * setting.rig.period
     weight = half / (1.0 + c * half)
-    pd = DiscreteInnerLoop(
+    pd = DiscretePid(
         period=shape.period,
         direct=proportional,
         angle_direct=derivative * c,

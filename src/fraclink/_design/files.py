@@ -7,7 +7,8 @@ from dataclasses import asdict, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fraclink._arm.controller import Controller, InnerLoopSettings, Lead
+from fraclink._arm.controller import Controller, Lead
+from fraclink._arm.motor_loop import MotorLoop
 from fraclink._files import read_json, write_json
 from fraclink.errors import FieldError, FileFormatError
 from fraclink.findings import Finding
@@ -157,5 +158,5 @@ def controller_from(item: object, *, lead: bool = True) -> Controller:
     if values["link"] is not None:
         values["link"] = link_from(values["link"])
     if values["inner"] is not None:
-        values["inner"] = InnerLoopSettings(**known(InnerLoopSettings, values["inner"]))
+        values["inner"] = MotorLoop(**known(MotorLoop, values["inner"]))
     return Controller(**values)

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._arm.controller import Controller, InnerLoopSettings
-from fraclink._design.inner import inner_correction, sampled_inner
+from fraclink._arm.controller import Controller
+from fraclink._arm.motor_loop import MotorLoop
 from fraclink._design.loop import OpenLoop
 from fraclink._design.request import checked_natural_frequency, link_at, payload_of
 from fraclink._design.sampled import SampledPlant, link_plant, realised
@@ -80,7 +80,7 @@ def open_loop(controller: Controller, model: LinkModel, rig: Rig, *, margins: st
     kind = "ideal" if inner is None else inner.kind
     correction = None
     if inside and inner is not None and kind == "sampled":
-        correction = inner_correction(rig.motor, pole, period, samples, inner.placement)
+        correction = inner.correction(rig.motor, period)
     return OpenLoop(
         gain=controller.gain,
         order=controller.order,
@@ -187,10 +187,10 @@ class Design:
     def sampled_plant(self, natural_frequency: float) -> SampledPlant:
         """Return what the law sees from its motor reference to the tip estimate, exactly sampled."""
         checked_natural_frequency(natural_frequency)
-        inner, period = self.controller.inner or InnerLoopSettings(), self.rig.period
+        inner, period = self.controller.inner or MotorLoop(), self.rig.period
         link = self.loop.link()
         if inner.kind == "sampled":
-            motor = sampled_inner(self.rig, inner.pole, inner.delay_samples, placement=inner.placement)
+            motor = inner.sampled(self.rig.motor, period)
             return link_plant(link, natural_frequency, motor=motor, period=period, delay=0.0)
         delay = inner.delay_samples * period
         return link_plant(link, natural_frequency, motor=1.0 / inner.pole, period=period, delay=delay)
@@ -228,7 +228,7 @@ class Design:
         inner = self.controller.inner
         if inner is None or inner.placement != "direct" or law.drive is None:
             return law
-        placed = sampled_inner(self.rig, inner.pole, inner.delay_samples, placement="direct").loop
+        placed = inner.pid(self.rig.motor, self.rig.period)
         return replace(law, drive=replace(law.drive, loop=placed))
 
     def with_law(self) -> Design:

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._arm.controller import Controller, InnerLoopSettings
+from fraclink._arm.controller import Controller
+from fraclink._arm.motor_loop import MotorLoop
 from fraclink._design.goals import check_goals, crossover_for, goal_requirements, margin_for, reach
 from fraclink._design.infeasible import refuse
-from fraclink._design.inner import inner_correction
 from fraclink._design.loop import OpenLoop
 from fraclink._design.plan import Design
 from fraclink._design.request import Request, check_arm, check_request, link_at
@@ -178,9 +178,8 @@ def specification(request: Request, order: int) -> Specification:
 def _correction(request: Request) -> Callable[[NDArray[np.float64]], NDArray[np.complex128]] | None:
     if request.inner_kind != "sampled":
         return None
-    return inner_correction(
-        request.motor, request.inner_pole, request.period, request.delay_samples, request.placement
-    )
+    settings = MotorLoop(request.inner_pole, request.delay_samples, "sampled", request.placement)
+    return settings.correction(request.motor, request.period)
 
 
 def admissible(request: Request) -> tuple[Solution, int]:
@@ -228,9 +227,7 @@ def _controller(request: Request, rig: Rig, solution: Solution, order: int) -> C
         filter_time=time,
         filter_order=order,
         link=nominal,
-        inner=InnerLoopSettings(
-            request.inner_pole, request.delay_samples, request.inner_kind, request.placement
-        ),
+        inner=MotorLoop(request.inner_pole, request.delay_samples, request.inner_kind, request.placement),
         period=request.period,
     )
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fraclink._arm.controller import Controller
-from fraclink._design.inner import SampledInner
+from fraclink._arm.motor_loop import SampledMotorLoop
 from fraclink._design.loop import OpenLoop
 from fraclink._validate import checked_choice
 
@@ -100,7 +100,7 @@ def link_plant(
     link: OpenLoop,
     natural_frequency: float,
     *,
-    motor: float | SampledInner,
+    motor: float | SampledMotorLoop,
     period: float,
     delay: float,
 ) -> SampledPlant:
@@ -110,8 +110,8 @@ def link_plant(
     ideal one, or the sampled loop itself.
     """
     spring = natural_frequency**2
-    sampled = motor if isinstance(motor, SampledInner) else None
-    lag = 0.0 if isinstance(motor, SampledInner) else motor
+    sampled = motor if isinstance(motor, SampledMotorLoop) else None
+    lag = 0.0 if isinstance(motor, SampledMotorLoop) else motor
 
     def response(s: Complex) -> Complex:
         inertia = np.exp(link.link_order * np.log(s))

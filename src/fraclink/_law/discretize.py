@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._arm.link import LinkModel
-from fraclink._arm.motor import DiscreteInnerLoop, inner_loop
+from fraclink._arm.motor_loop import DiscretePid, place_pid
 from fraclink._arm.rig import Rig
 from fraclink._law.block import FORWARD_MODES, PAIR_MODES, REAL_MODES, Precision, real_type
 from fraclink._law.correction import fit_correction
@@ -147,7 +147,7 @@ def drive_for(rig: Rig, pole: float) -> Drive:
     """Return the inner loop of `rig` for the pole p [rad/s], with the compensations its motor needs."""
     motor = rig.motor
     return Drive(
-        loop=inner_loop(motor, pole).discretize(rig.period),
+        loop=place_pid(motor, pole).discretize(rig.period),
         voltage_limit=min(motor.voltage_limit, 1e4),  # a block holds finite numbers; 10 kV is no limit
         torque_voltage=1 / (motor.torque_constant * motor.gear_ratio),
         coulomb_voltage=motor.coulomb_torque / motor.torque_constant,
@@ -155,7 +155,7 @@ def drive_for(rig: Rig, pole: float) -> Drive:
     )
 
 
-def _stiffness(loop: DiscreteInnerLoop) -> float:
+def _stiffness(loop: DiscretePid) -> float:
     """Voltage over a lasting error of the angle, before the integral acts [V/rad]."""
     return loop.direct + loop.filter_gain * (loop.filter_now + loop.filter_before) / (1 - loop.filter_decay)
 

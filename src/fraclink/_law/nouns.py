@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
-    from fraclink._arm.motor import DiscreteInnerLoop
+    from fraclink._arm.motor_loop import DiscretePid
 
 __all__ = ["MODES", "REASONS", "Drive", "LawInputs", "LawOutputs", "Modes"]
 
@@ -45,7 +45,7 @@ class Drive:
     only.
     """
 
-    loop: DiscreteInnerLoop
+    loop: DiscretePid
     voltage_limit: float  # [V]
     torque_voltage: float  # compensation of the coupling torque, 1/(K n) [V/(N·m)]
     coulomb_voltage: float  # compensation of Coulomb friction, Γc/K [V]

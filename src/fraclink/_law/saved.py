@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from typing import Any
 
-from fraclink._arm.motor import DiscreteInnerLoop
+from fraclink._arm.motor_loop import DiscretePid
 from fraclink._law.limits import Limits
 from fraclink._law.nouns import Drive, Modes
 from fraclink.errors import FileFormatError
@@ -84,8 +84,8 @@ def _modes(field: str, given: Mapping[str, Any]) -> Modes:
 
 
 def _drive(given: Mapping[str, Any]) -> Drive:
-    names = [field.name for field in fields(DiscreteInnerLoop)]
-    loop = DiscreteInnerLoop(**{name: _real(f"drive.loop.{name}", given["loop"][name]) for name in names})
+    names = [field.name for field in fields(DiscretePid)]
+    loop = DiscretePid(**{name: _real(f"drive.loop.{name}", given["loop"][name]) for name in names})
     names = [field.name for field in fields(Drive) if field.name != "loop"]
     return Drive(loop, **{name: _real(f"drive.{name}", given[name]) for name in names})
 

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fraclink._arm.controller import Controller, InnerLoopSettings
+from fraclink._arm.controller import Controller
 from fraclink._arm.link import LinkModel
+from fraclink._arm.motor_loop import MotorLoop
 from fraclink._arm.rig import Rig
 
 if TYPE_CHECKING:
@@ -163,6 +164,6 @@ def _controller(gain: float, order: float, delta: float, n: int, link_order: flo
         filter_time=delta,
         filter_order=n,
         link=link(0.030, link_order),
-        inner=InnerLoopSettings(pole=80.0, delay_samples=1),
+        inner=MotorLoop(pole=80.0, delay_samples=1),
         period=rig().period,
     )

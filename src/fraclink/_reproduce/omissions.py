@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fraclink._arm.controller import Controller
 from fraclink._arm.link import LinkModel
-from fraclink._arm.motor import Method, inner_loop
+from fraclink._arm.motor_loop import Method, place_pid
 from fraclink._reproduce import designs
 
 __all__ = ["costs", "facts", "sampled_margins"]
@@ -129,7 +129,7 @@ def _printed_poles() -> list[tuple[str, str]]:
 
 
 def _inner_radii() -> str:
-    loop = inner_loop(designs.rig().motor, designs.rig().inner.pole)
+    loop = place_pid(designs.rig().motor, designs.rig().inner.pole)
     methods: tuple[Method, ...] = ("tustin", "backward", "zero-order-hold")
     radii = [f"{method} {loop.sampled_radius(designs.rig().period, method=method):.3f}" for method in methods]
     return ", ".join(radii)

@@ -156,14 +156,14 @@ def _checked(events: Iterable[Event]) -> tuple[Event, ...]:
 
 def driven(twin: Twin, law: Law) -> Law:
     """Return the law with the inner loop of the twin's motor, if it has none; refuse what cannot run."""
-    from fraclink._arm.motor import inner_loop
+    from fraclink._arm.motor_loop import place_pid
     from fraclink._law import Drive
     from fraclink._law.discretize import COULOMB_SPEED
 
     if law.drive is None:
         motor = twin.motor
         drive = Drive(
-            loop=inner_loop(motor, law.inner_pole).discretize(law.period),
+            loop=place_pid(motor, law.inner_pole).discretize(law.period),
             voltage_limit=min(motor.voltage_limit, 1e4),  # a block holds finite numbers
             torque_voltage=1.0 / (motor.torque_constant * motor.gear_ratio),
             coulomb_voltage=motor.coulomb_torque / motor.torque_constant,
