@@ -100,7 +100,7 @@ def test_b63_an_array_of_objects(tmp_path: Path) -> None:
     assert "damaged" in error.problem or "object" in error.problem
 
 
-@pytest.mark.parametrize("kind", ["<f4", "<i8", ">f8", "<c16", "|S8"])
+@pytest.mark.parametrize("kind", ["<f4", "<i4", ">f8", "<c8", "|S8"])
 def test_b63_an_array_of_another_type(kind: str, tmp_path: Path) -> None:
     blob = npy(np.zeros(4, dtype=kind))
     error = refused(archive(tmp_path / "a.npz", [("about.npy", header_npy()), ("x.npy", blob)]))
@@ -139,7 +139,7 @@ def test_b65_a_directory_that_lies_about_sizes(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["../x.npy", "/etc/x.npy", "a/b.npy", "x.txt", "C:x.npy", "é.npy", "x" * 80 + ".npy"]
+    "name", ["../x.npy", "/etc/x.npy", "a/b.npy", "x.txt", "C:x.npy", "é.npy", "x" * 120 + ".npy"]
 )
 def test_b67_a_member_with_a_path(name: str, tmp_path: Path) -> None:
     error = refused(archive(tmp_path / "a.npz", [("about.npy", header_npy()), (name, npy(np.zeros(3)))]))

@@ -39,6 +39,7 @@ _HOME: dict[str, str] = {
     "impulse_response": "fraclink._systems.response",
     "inspect_log": "fraclink._logs.readers",
     "is_stable": "fraclink._systems.stability",
+    "load": "fraclink._files",
     "margins": "fraclink._systems.stability",
     "norm": "fraclink._systems.stability",
     "poles": "fraclink._systems.stability",
@@ -47,6 +48,7 @@ _HOME: dict[str, str] = {
     "read_log": "fraclink._logs.readers",
     "run_twin": "fraclink._simulate.twin",
     "s": "fraclink._systems.fractional",
+    "save": "fraclink._files",
     "simulate": "fraclink._simulate",
     "smooth_step": "fraclink._arm.reference",
     "step_response": "fraclink._systems.response",
@@ -69,6 +71,8 @@ if TYPE_CHECKING:  # what editors and type checkers see; nothing of this runs
     from fraclink._design import deg as deg
     from fraclink._design import design as design
     from fraclink._export import export_c as export_c
+    from fraclink._files import load as load
+    from fraclink._files import save as save
     from fraclink._identify import Fit as Fit
     from fraclink._identify import identify as identify
     from fraclink._identify import identify_all as identify_all

@@ -1,204 +1,399 @@
-"""Files that fraclink writes: complete or not at all, and self-describing.
+"""Results on disk: one versioned codec for frozen dataclasses, as JSON or NPZ.
 
-Every saved noun is one JSON object with an envelope: what it is, the format's version, the tool's
-version, its units and the hashes of what it was made from. It is written to a temporary name beside its
-place and renamed, so that a full disk or a kill leaves the old file or none, never half of one.
+A class becomes a document by one decorator; its type hints say how each field is written:
+
+    @document("design", version=3, upgrades={1: from_format_1, 2: from_format_2})
+    @dataclass(frozen=True)
+    class Design: ...
+
+    save(design, "design.json")
+    load("design.json", kind=Design)
+
+A document is one JSON object: what it is ("fraclink"), the format's version, the tool's version, units, the
+period and the hashes of its sources where there are any, a SHA-256, and the content. The hash covers
+everything but the tool's version, arrays included, so that an edited gain is refused. In an NPZ file the same
+object is the header and the arrays are members that `numpy.load` opens for anybody.
 """
 
 from __future__ import annotations
 
 import contextlib
+import dataclasses
+import functools
 import hashlib
 import json
-import math
-import os
-import tempfile
-from collections.abc import Iterator, Mapping
+import re
+from collections.abc import Callable, Mapping
+from importlib import import_module
 from pathlib import Path
-from typing import IO, Any
+from typing import Any, Literal, TypeVar, overload
 
-from fraclink.errors import FieldError, FileFormatError
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink import _npz
+from fraclink._codec import Storage, codec_of, stored_as
+from fraclink._containers import (
+    JSON_LIMIT,
+    atomic_write,
+    broken,
+    checked_path,
+    guarded,
+    header_of,
+    json_text,
+    misfit,
+    output_path,
+    parse_json,
+    read_archive,
+    read_text,
+    sha256_of,
+    write_archive,
+    write_text,
+)
+from fraclink.errors import FieldError, FileFormatError, SizeError
 
 __all__ = [
     "atomic_write",
     "checked_envelope",
     "checked_path",
+    "digest_of",
+    "document",
+    "kind_of",
+    "load",
     "output_path",
     "parse_json",
     "read_json",
+    "save",
     "sha256_of",
+    "stored_as",
     "write_json",
     "write_text",
 ]
 
-JSON_LIMIT = 16_000_000  # bytes; a saved fit with its residuals of 100 000 samples is about 2 MB
-_DIGIT_LIMIT = 400  # a 5 000-digit integer is an attack or a damaged file, not a measurement
+T = TypeVar("T")
+Upgrade = Callable[[dict[str, Any]], dict[str, Any]]
+Container = Literal["json", "npz", "toml"]
+
+UNITS = "SI, radians"
+_ZIP = b"PK"  # how every zip archive begins
+# Kind -> module that defines its class, so that reading one file imports what that file needs and no more.
+_HOMES = {
+    "campaign": "fraclink._campaign",
+    "certificate": "fraclink._certify",
+    "comparison": "fraclink._compare",
+    "design": "fraclink._design",
+    "fault-campaign": "fraclink._campaign.faults",
+    "fit": "fraclink._identify",
+    "log": "fraclink._arm.experiment",
+    "model": "fraclink._arm.link",
+    "law": "fraclink._law",
+    "realtime-run": "fraclink._realtime",
+    "rig": "fraclink._arm.rig",
+    "run": "fraclink._simulate",
+    "served-arm": "fraclink._realtime",
+    "sweep": "fraclink._campaign",
+    "twin-run": "fraclink._simulate",
+}
 
 
-def sha256_of(path: Path) -> str:
-    """Return the SHA-256 of a file's bytes as 64 hexadecimal digits."""
-    digest = hashlib.sha256()
-    with Path(path).open("rb") as stream:
-        while block := stream.read(1 << 20):
-            digest.update(block)
-    return digest.hexdigest()
+@dataclasses.dataclass(frozen=True)
+class _Document:
+    """What `document` was told about a class."""
+
+    cls: type
+    kind: str
+    version: int
+    container: Container
+    hex_floats: bool
+    upgrades: Mapping[int | tuple[str, int], Upgrade]
+    period: Callable[[Any], float | None]
+    sources: Callable[[Any], Mapping[str, str]]
+    summary: Callable[[Any], Mapping[str, Any]]
+    before_save: Callable[[Any], None]
 
 
-def checked_path(field: str, value: object) -> Path:
-    """Return `value` as a path; FieldError for anything that names no file.
+_BY_KIND: dict[str, _Document] = {}
+_BY_CLASS: dict[type, _Document] = {}
 
-    An empty text is refused: it would stand for the folder one happens to be in.
 
-    >>> checked_path("out", "law.fmu").name
-    'law.fmu'
-    >>> checked_path("out", None)
-    Traceback (most recent call last):
-    fraclink.errors.FieldError: out: no path (got None); expected a name of a file or a folder. Give its path.
+def document(
+    kind: str,
+    *,
+    version: int = 1,
+    container: Container = "json",
+    upgrades: Mapping[int | tuple[str, int], Upgrade] | None = None,
+    hex_floats: bool = False,
+    period: Callable[[Any], float | None] = lambda value: None,
+    sources: Callable[[Any], Mapping[str, str]] = lambda value: {},
+    summary: Callable[[Any], Mapping[str, Any]] = lambda value: {},
+    before_save: Callable[[Any], None] = lambda value: None,
+) -> Callable[[type[T]], type[T]]:
+    """Register a frozen dataclass as a document of `kind`; put this decorator above ``@dataclass``.
+
+    Raise `version` and add an upgrade whenever a stored field is renamed, removed or means something else; a
+    new field with a default needs neither, as a file without it means the default.
+
+    Parameters
+    ----------
+    kind
+        the word in the file; add it to `_HOMES` above.
+    version
+        of the content's format.
+    container
+        "json", or "npz" for signals, whose arrays become members of the archive.
+    upgrades
+        version n (or ``(old kind, n)`` of a kind that was merged into this one) -> function that turns the
+        raw content of version n into that of n + 1. They may raise anything: it becomes FileFormatError.
+    hex_floats
+        whether reals are written as 0x1.8p+1, for readers that must not depend on a decimal parser.
+    period
+        the sampling period of a value [s], for the envelope; None where it has none.
+    sources
+        what a value was made from: name -> SHA-256.
+    summary
+        what people and other programs want to read in the file and what follows from the content, such as a
+        verdict's sentence: under the digest, not read back.
+    before_save
+        raises where a value must not be saved.
     """
-    text = os.fspath(value) if isinstance(value, str | os.PathLike) else None
-    if not isinstance(text, str) or not text or "\0" in text:
-        allowed = "a name of a file or a folder"
-        raise FieldError(field, repr(value), "no path", allowed=allowed, remedy="give its path")
-    return Path(text)
+
+    def register(cls: type[T]) -> type[T]:
+        hooks = (period, sources, summary, before_save)
+        made = _Document(cls, kind, version, container, hex_floats, upgrades or {}, *hooks)
+        merged = {key[0] for key in made.upgrades if isinstance(key, tuple)}
+        _BY_KIND.update(dict.fromkeys((kind, *merged), made))
+        _BY_CLASS[cls] = made
+        return cls
+
+    return register
 
 
-def output_path(path: Path | str, *, force: bool = False) -> Path:
-    """Return `path` after checking that it may be written; an existing file needs `force`."""
-    place = checked_path("out", path)
-    if place.exists() and not force:
-        raise FieldError(
-            "out",
-            str(place),
-            "already there",
-            allowed="a new name",
-            remedy="choose another name or add --force",
-        )
+def save(value: object, path: Path | str, *, force: bool = False) -> Path:
+    """Write a result to one file and return its path; `load` reads back an equal one.
+
+    The file is complete or not there. Designs, fits, laws, certificates and tables become JSON, runs and logs
+    NPZ, a rig TOML.
+
+    Parameters
+    ----------
+    value
+        a result of fraclink.
+    path
+        the file's name.
+    force
+        whether a file that is there already may be replaced.
+
+    Raises
+    ------
+    FieldError
+        where `value` has no file format, or `path` exists and `force` is not set.
+    SizeError
+        where the file would be too large to be read back.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import fraclink as fl
+    >>> log = fl.Experiment(period=0.004, motor_angle=[0.0, 0.1], output=[0.0, 0.01])
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     fl.load(fl.save(log, f"{folder}/log.npz")).output.tolist()
+    [0.0, 0.01]
+    """
+    found = _document_of(value)
+    found.before_save(value)
+    place = output_path(path, force=force)
+    if found.container == "toml":
+        write_text(place, getattr(value, "to_toml")())  # noqa: B009 - what such a class offers
+        return place
+    envelope, arrays = _enveloped(value, found)
+    if found.container == "npz":
+        with atomic_write(place, "wb") as stream:
+            write_archive(stream, json.dumps(envelope, allow_nan=False), arrays)
+        return place
+    text = json_text(envelope) + "\n"
+    if len(text) > JSON_LIMIT:
+        allowed, remedy = f"<= {JSON_LIMIT} bytes, which can be read back", "save a shorter one"
+        raise SizeError(found.kind, len(text), "too large to save", allowed=allowed, remedy=remedy)
+    write_text(place, text)
     return place
 
 
-@contextlib.contextmanager
-def atomic_write(path: Path | str, mode: str = "w") -> Iterator[IO[Any]]:
-    """Open a temporary file beside `path` and rename it over `path` when the block ends without error."""
-    place = Path(path)
-    place.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(dir=place.parent, prefix=f".{place.name[:100]}.", suffix=".tmp")
-    try:
-        with os.fdopen(handle, mode, encoding=None if "b" in mode else "utf-8") as stream:
-            yield stream
-            stream.flush()
-            os.fsync(stream.fileno())
-        # mkstemp makes files private; results are meant to be shared like any other file a user makes.
-        mask = os.umask(0)
-        os.umask(mask)
-        Path(name).chmod(0o666 & ~mask)
-        Path(name).replace(place)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise
+def digest_of(value: object) -> str:
+    """Return the SHA-256 that `save` writes into the file of `value`, by which others name their source."""
+    return str(_enveloped(value, _document_of(value))[0]["sha256"])
 
 
-def write_text(path: Path | str, text: str) -> None:
-    """Write `text` to `path` in one step."""
-    with atomic_write(path) as stream:
-        stream.write(text)
+def _document_of(value: object) -> _Document:
+    found = _BY_CLASS.get(type(value))
+    if found is None:
+        allowed = ", ".join(sorted(item.__name__ for item in _BY_CLASS))
+        name, remedy = type(value).__name__, "save one of these"
+        raise FieldError("value", name, "without a file format", allowed=allowed, remedy=remedy)
+    return found
 
 
-def write_json(path: Path | str, kind: str, version: int, payload: Mapping[str, Any]) -> None:
-    """Write a noun with its envelope; floats round-trip exactly, NaN and infinity are refused."""
+def _enveloped(value: object, found: _Document) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     from fraclink import __version__
 
-    envelope = {"fraclink": kind, "format": version, "tool": __version__, "units": "SI, radians"}
-    write_text(path, json.dumps(envelope | dict(payload), indent=1, allow_nan=False) + "\n")
+    arrays: dict[str, NDArray[Any]] = {}
+    storage = Storage(found.hex_floats, arrays if found.container == "npz" else None)
+    content = codec_of(found.cls).encode(value, "", storage)
+    optional = {
+        "period": found.period(value),
+        "sources": dict(found.sources(value)),
+        "summary": codec_of(Any).encode(found.summary(value), "summary", Storage()),
+        "arrays": {name: _array_digest(values) for name, values in arrays.items()},
+    }
+    head = {"fraclink": found.kind, "format": found.version, "tool": __version__, "units": UNITS}
+    head |= {key: item for key, item in optional.items() if item not in (None, {})}
+    return head | {"sha256": _digest(head | {"content": content}), "content": content}, arrays
 
 
-def _refuse_constant(text: str) -> float:
-    raise FieldError(
-        "number", text, "not a finite number", allowed="finite numbers", remedy="remove it from the file"
-    )
+def _digest(data: Mapping[str, Any]) -> str:
+    """SHA-256 of everything in a document but the tool's version: sorted keys, no spaces, ASCII."""
+    covered = {key: value for key, value in data.items() if key not in ("sha256", "tool")}
+    text = json.dumps(covered, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.sha256(text.encode("ascii")).hexdigest()
 
 
-def _integer(text: str) -> int:
-    if len(text) > _DIGIT_LIMIT:
-        raise FieldError(
-            "number", text, "too long", allowed=f"{_DIGIT_LIMIT} digits", remedy="remove it from the file"
-        )
-    return int(text)
+def _array_digest(values: NDArray[Any]) -> str:
+    stored = np.ascontiguousarray(values, dtype=values.dtype.newbyteorder("<"))
+    return hashlib.sha256(f"{stored.dtype.str}{values.shape}".encode() + stored.tobytes()).hexdigest()
 
 
-def _float(text: str) -> float:
-    value = float(text)
-    return value if math.isfinite(value) else _refuse_constant(text)
+_BEFORE_DIGESTS = {"fraclink", "format", "tool", "units"}
+_ENVELOPE = {*_BEFORE_DIGESTS, "period", "sources", "summary", "arrays", "sha256", "content"}
 
 
-# Release 0.1 wrote the verdict of a run, a requirement and a cell under another name.
-RENAMED = {"holds": "passed"}
+@overload
+def load(path: Path | str, kind: type[T]) -> T: ...
+@overload
+def load(path: Path | str, kind: tuple[type, ...] | None = None) -> Any: ...
+def load(path: Path | str, kind: type[Any] | tuple[type, ...] | None = None) -> Any:
+    """Read back what `save` wrote; files of earlier formats are upgraded while they are read.
 
+    Parameters
+    ----------
+    path
+        a file that fraclink wrote.
+    kind
+        the class that is expected, or several; any when it is left out.
 
-def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    result: dict[str, Any] = {}
-    for written, value in pairs:
-        key = RENAMED.get(written, written)
-        if key in result:
-            # json keeps the last one silently; which of two values was meant only the author knows.
-            raise FieldError(key, value, "given twice", allowed="each key once", remedy="remove one")
-        result[key] = value
-    return result
+    Raises
+    ------
+    FileFormatError
+        for every other file: missing, foreign, of another kind, of a later format, damaged, edited.
 
-
-def parse_json(text: str) -> Any:
-    """Parse JSON that may be hostile: keys given twice, NaN, infinity and endless digits are FieldErrors.
-
-    >>> parse_json('{"a": 1, "a": 2}')
+    Examples
+    --------
+    >>> import fraclink as fl
+    >>> fl.load("no-such-file.json")  # doctest: +ELLIPSIS
     Traceback (most recent call last):
-    fraclink.errors.FieldError: a: given twice (got 2); expected each key once. Remove one.
+    fraclink.errors.FileFormatError: file: ...
     """
-    try:
-        return json.loads(
-            text,
-            parse_constant=_refuse_constant,
-            parse_int=_integer,
-            parse_float=_float,
-            object_pairs_hook=_unique,
-        )
-    except RecursionError as error:
-        raise FileFormatError(
-            "json", text, "nested too deeply", allowed="a few levels", remedy="make the file again"
-        ) from error
+    place, wanted = checked_path("path", path), (kind if isinstance(kind, tuple) else (kind,) if kind else ())
+    if place.suffix == ".toml":
+        found = _registered("rig", wanted, place)
+        return getattr(found.cls, "load")(place)  # noqa: B009 - what such a class offers
+    data, arrays = _read(place)
+    found = _registered(data.get("fraclink"), wanted, place)
+    content = _content(data, arrays, found)
+    return codec_of(found.cls).decode(content, "", Storage(found.hex_floats, arrays))
 
 
-def read_json(path: Path | str, kind: str, versions: tuple[int, ...] = (1,)) -> dict[str, Any]:
-    """Read back what `write_json` wrote, after checking its kind and its format's version."""
+def kind_of(path: Path | str) -> str:
+    """Return the kind in the envelope of a file; an empty text where it is damaged or foreign."""
     place = Path(path)
-    if not place.is_file():
-        raise FileFormatError(
-            "file", str(place), "not there", allowed=f"a {kind} file", remedy="check the path"
-        )
-    if place.stat().st_size > JSON_LIMIT:
-        raise FileFormatError(
-            "file", str(place), "too large", allowed=f"{JSON_LIMIT} bytes", remedy=f"give a {kind} file"
-        )
-    try:
-        data = parse_json(place.read_text(encoding="utf-8"))
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise FileFormatError(
-            "file", str(place), f"not valid JSON ({error})", allowed=f"a {kind} file", remedy="make it again"
-        ) from error
-    return checked_envelope(data, kind, versions, place)
+    if place.suffix == ".toml":
+        return "rig"
+    start = b""
+    with contextlib.suppress(OSError), place.open("rb") as stream:
+        start = stream.read(200)
+    if start.startswith(_ZIP):
+        start = header_of(place)[:200].encode("utf-8", "replace")
+    found = re.match(rb'\s*\{\s*"fraclink":\s*"([\w-]+)"', start)
+    return found.group(1).decode() if found else ""
 
 
-def checked_envelope(data: object, kind: str, versions: tuple[int, ...], place: Path) -> dict[str, Any]:
-    """Return the object of a saved noun after checking its kind and its format's version."""
-    found = data.get("fraclink") if isinstance(data, dict) else None
-    if not isinstance(data, dict) or found != kind:
-        raise FileFormatError(
-            "file", str(place), f"of kind {found!r}", allowed=f"kind {kind!r}", remedy=f"give a {kind} file"
-        )
-    if data.get("format") not in versions:
-        raise FileFormatError(
-            "format",
-            data.get("format"),
-            "a version this release does not read",
-            allowed=", ".join(map(str, versions)),
-            remedy="make the file again with this release",
-        )
-    return dict(data)
+def _read(place: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """Return the object of a document and its arrays, JSON or NPZ by the file's first bytes."""
+    what, archive = "a file of fraclink", False
+    arrays: dict[str, NDArray[Any]] = {}
+    with contextlib.suppress(OSError), place.open("rb") as stream:
+        archive = stream.read(2) == _ZIP
+    if archive:
+        text, arrays = read_archive(place, what)
+    else:
+        text = read_text(place, what)
+    data = parse_json(text)
+    if not isinstance(data, dict) or "fraclink" not in data:
+        raise broken(what, place, "not written by fraclink", "give another file")
+    return data, arrays
+
+
+def _registered(kind: object, wanted: tuple[type, ...], place: Path) -> _Document:
+    """Return the document of a kind, whose module is imported where that has not happened."""
+    if isinstance(kind, str) and kind not in _BY_KIND and kind in _HOMES:
+        import_module(_HOMES[kind])
+    found = _BY_KIND.get(kind) if isinstance(kind, str) else None
+    allowed = ", ".join(sorted({*_HOMES, *_BY_KIND}))
+    if found is not None and wanted and found.cls not in wanted:
+        allowed = " or ".join(_BY_CLASS[cls].kind if cls in _BY_CLASS else cls.__name__ for cls in wanted)
+        found = None
+    if found is None:
+        problem, remedy = f"of kind {str(kind)[:40]!r}", "give another file"
+        raise FileFormatError("file", place.name, problem, allowed=allowed, remedy=remedy)
+    return found
+
+
+def _content(data: dict[str, Any], arrays: Mapping[str, NDArray[Any]], found: _Document) -> Any:
+    """Return the content in today's format, after the digest of what was written has been compared."""
+    # The version first: a later format may count its digest otherwise.
+    steps = _steps(str(data["fraclink"]), data.get("format"), found)
+    if "content" in data:
+        _check_digest(data, arrays)
+        content = data["content"]
+    elif steps:  # of the first formats, which had no digest: content and envelope were one object
+        content = {key: item for key, item in data.items() if key not in _BEFORE_DIGESTS} | dict(arrays)
+    else:
+        raise misfit("content", "(nothing)", "missing", "content and sha256")
+    for step in steps:
+        content = guarded(functools.partial(step, content), "")
+    return content
+
+
+def _steps(kind: str, version: object, found: _Document) -> list[Upgrade]:
+    """Return the upgrades that lead from one kind and version to those of today."""
+    steps: list[Upgrade] = []
+    while type(version) is int and (kind, version) != (found.kind, found.version):
+        own = found.upgrades.get(version) if kind == found.kind else None
+        step = found.upgrades.get((kind, version), own)
+        if step is None:
+            raise _unread(found, version)
+        steps.append(step)
+        kind, version = found.kind, version + 1
+    if type(version) is not int:
+        raise _unread(found, version)
+    return steps
+
+
+def _unread(found: _Document, version: object) -> FileFormatError:
+    allowed = ", ".join(sorted({str(found.version), *map(str, found.upgrades)}))
+    problem, remedy = "a version this release does not read", "update fraclink, or make the file again"
+    return FileFormatError("format", version, problem, allowed=allowed, remedy=remedy)
+
+
+def _check_digest(data: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> None:
+    unknown = sorted(set(data) - _ENVELOPE)
+    if unknown:
+        raise misfit(unknown[0], data[unknown[0]], "an unknown key", ", ".join(sorted(_ENVELOPE)))
+    actual = {name: _array_digest(values) for name, values in arrays.items()}
+    if data.get("arrays", {}) != actual:
+        raise misfit("arrays", ", ".join(actual), "changed after they were written", "the arrays as written")
+    digest = guarded(lambda: _digest(data), "sha256")
+    if data.get("sha256") != digest:
+        raise misfit("sha256", data.get("sha256"), "content changed after it was written", digest)
+
+
+# Of the packages that still write their files themselves; gone with the last of them.
+read_json, write_json, checked_envelope = _npz.read_json, _npz.write_json, _npz.checked_envelope

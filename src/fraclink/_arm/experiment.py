@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fraclink._files import write_text
+from fraclink._files import document, write_text
 from fraclink._validate import checked_choice, checked_number, checked_series
 from fraclink.errors import FieldError, LogError
 from fraclink.findings import Finding
@@ -19,6 +19,14 @@ __all__ = ["Experiment"]
 OutputKind = Literal["torque", "deflection"]
 
 
+@document(
+    "log",
+    version=2,
+    container="npz",
+    upgrades={1: dict},  # without a digest and without findings
+    period=lambda log: log.period,
+    sources=lambda log: {log.source: log.sha256} if log.sha256 else {},
+)
 @dataclass(frozen=True, eq=False)
 class Experiment:
     """One recorded motion of a flexible arm; what every identification starts from.

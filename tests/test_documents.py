@@ -1,0 +1,441 @@
+"""The codec: what was saved is loaded equal, and whatever else a file holds is FileFormatError."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import os
+import stat
+import threading
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal, NamedTuple
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import fraclink as fl
+from fraclink._files import digest_of, document, kind_of, load, save
+from fraclink.errors import FieldError, FileFormatError, SizeError
+from fraclink.findings import Finding
+from mutants import mutate
+
+
+class Span(NamedTuple):
+    low: float
+    high: float = math.inf
+
+
+SPAN = Span(0.0)
+
+
+@dataclasses.dataclass(frozen=True)
+class Gear:
+    ratio: float
+    teeth: tuple[int, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not self.ratio > 0:
+            raise FieldError("ratio", self.ratio, "not positive", allowed="> 0", remedy="give a ratio")
+
+
+@dataclasses.dataclass(frozen=True)
+class Belt:
+    length: float
+
+
+@document(
+    "made-up",
+    version=3,
+    period=lambda made: made.period,
+    sources=lambda made: {"log.csv": "0" * 64},
+    summary=lambda made: {"verdict": "passed" if made.holds else "failed", "worst": math.inf},
+    upgrades={
+        1: lambda old: {("name" if key == "title" else key): item for key, item in old.items()},
+        2: lambda old: old | {"period": old.pop("period_ms") / 1000} if "period_ms" in old else old,
+    },
+)
+@dataclasses.dataclass(frozen=True)
+class Made:
+    name: str
+    period: float
+    holds: bool = True
+    count: int = 0
+    drive: Gear | Belt | None = None
+    offset: float | Literal["first"] = 0.0
+    kind: Literal["zero", "first"] = "zero"
+    poles: tuple[complex, ...] = ()
+    pair: tuple[float, int] = (1.0, 2)
+    span: Span = SPAN
+    raw: bytes = b""
+    table: Mapping[str, Gear] = dataclasses.field(default_factory=dict)
+    by_payload: Mapping[float, int] = dataclasses.field(default_factory=dict)
+    findings: tuple[Finding, ...] = ()
+    notes: tuple[tuple[str, str], ...] = ()
+    anything: Any = None
+    mass: Annotated[float | None, "kg"] = None
+    cached: list[int] = dataclasses.field(default_factory=list, metadata={"stored": False}, compare=False)
+
+
+FULL = Made(
+    name='é "quoted" \ud800\n',
+    period=0.004,
+    holds=False,
+    count=2**70,
+    drive=Gear(50.0, (20, 1000)),
+    offset="first",
+    kind="first",
+    poles=(complex(-0.0, 1e-308), complex(math.inf, 0.1)),
+    pair=(0.1, -3),
+    span=Span(-math.inf, 1.7976931348623157e308),
+    raw=b"\x00\xff",
+    table={"a": Gear(1.0), "": Gear(2.0, (1,))},
+    by_payload={0.02: 1, 0.1: 2},
+    findings=(Finding("W101", "warning", "c contradicts", {"c": 1.56}, "measure"),),
+    notes=(("simulated", "true"),),
+    anything={"x": [1, None, "y", 2.5, {"z": True}]},
+    mass=0.03,
+    cached=[1],
+)
+
+
+@document("made-up-run", version=2, container="npz", upgrades={("made-up-old-run", 1): dict})
+@dataclasses.dataclass(frozen=True, eq=False)
+class Signals:
+    time: NDArray[np.float64]
+    flags: NDArray[np.uint32]
+    response: NDArray[np.complex128] | None = None
+    parts: tuple[NDArray[np.float64], ...] = ()
+    made: Made | None = None
+
+
+@document("made-up-exact", hex_floats=True)
+@dataclasses.dataclass(frozen=True)
+class Exact:
+    value: float
+    pole: complex
+    rows: NDArray[np.float64] = dataclasses.field(default_factory=lambda: np.zeros(0), compare=False)
+
+
+SIGNALS = Signals(
+    time=np.array([0.0, np.nan, -0.0, np.inf]),
+    flags=np.arange(3, dtype=np.uint32),
+    response=np.array([[1 + 2j, -0.0 - 1e-308j]]),
+    parts=(np.zeros((0, 2)), np.arange(6.0).reshape(2, 3).T),
+    made=FULL,
+)
+
+
+def same_signals(a: Signals, b: Signals) -> bool:
+    pairs = [
+        (a.time, b.time),
+        (a.flags, b.flags),
+        (a.response, b.response),
+        *zip(a.parts, b.parts, strict=True),
+    ]
+    return a.made == b.made and all(
+        x is y or (x.dtype == y.dtype and x.shape == y.shape and x.tobytes() == y.tobytes()) for x, y in pairs
+    )
+
+
+@pytest.mark.parametrize(
+    "made", [Made("plain", 1e-3), FULL, Made("x", 1, drive=Belt(2.0), count=np.int64(3))]
+)
+def test_a_nested_value_comes_back_equal(made: Made, tmp_path: Path) -> None:
+    path = save(made, tmp_path / "made.json")
+    assert load(path) == made
+    assert load(path, Made) == made and load(path, kind=(Made, Exact)) == made
+    assert [type(load(path).drive), type(load(path).period)] == [type(made.drive), float]
+
+
+def test_every_bit_of_a_real_comes_back(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    values = rng.integers(0, 2**63, 2000, dtype=np.uint64).view(np.float64)
+    values = values[np.isfinite(values)]
+    made = Made("x", 1.0, poles=tuple(complex(x, -x) for x in values))
+    assert load(save(made, tmp_path / "a.json")).poles == made.poles
+    exact = Exact(float(values[0]), complex(values[1], -0.0), values)
+    back = load(save(exact, tmp_path / "b.json"))
+    assert back == exact and back.rows.tobytes() == values.tobytes()
+    assert math.copysign(1.0, back.pole.imag) == -1.0
+    assert '"0x' in (tmp_path / "b.json").read_text() and '"0x' not in (tmp_path / "a.json").read_text()
+
+
+def test_signals_come_back_and_anybody_can_open_them(tmp_path: Path) -> None:
+    path = save(SIGNALS, tmp_path / "run.npz")
+    back = load(path, Signals)
+    assert same_signals(back, SIGNALS)
+    assert not back.time.flags.writeable
+    with np.load(path, allow_pickle=False) as data:
+        assert np.array_equal(data["parts.1"], SIGNALS.parts[1])
+        assert json.loads(str(data["about"]))["fraclink"] == "made-up-run"
+
+
+def test_the_same_value_gives_the_same_bytes_and_digest(tmp_path: Path) -> None:
+    for value, name in ((FULL, "x.json"), (SIGNALS, "x.npz")):
+        first = save(value, tmp_path / name).read_bytes()
+        assert save(value, tmp_path / name, force=True).read_bytes() == first
+        assert digest_of(value).encode() in first or name == "x.npz"
+    assert digest_of(FULL) != digest_of(dataclasses.replace(FULL, period=0.0040000000000000001 + 1e-18))
+
+
+def test_the_envelope_says_what_the_file_is(tmp_path: Path) -> None:
+    data = json.loads(save(FULL, tmp_path / "x.json").read_text())
+    assert (data["fraclink"], data["format"], data["units"]) == ("made-up", 3, "SI, radians")
+    assert (data["tool"], data["period"], data["sources"]) == (fl.__version__, 0.004, {"log.csv": "0" * 64})
+    assert data["summary"] == {"verdict": "failed", "worst": "inf"}
+    assert data["sha256"] == digest_of(FULL)
+    assert data["content"]["drive"] == {"type": "Gear", "ratio": 50.0, "teeth": [20, 1000]}
+    assert "cached" not in data["content"]
+
+
+def edited(path: Path, change: Any) -> Path:
+    data = json.loads(path.read_text())
+    change(data)
+    path.write_text(json.dumps(data))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("change", "field"),
+    [
+        (lambda d: d["content"]["drive"].update(ratio=400.0), "sha256"),
+        (lambda d: d["content"].update(holds=True), "sha256"),
+        (lambda d: d["summary"].update(verdict="passed"), "sha256"),
+        (lambda d: d["sources"].update({"log.csv": "1" * 64}), "sha256"),
+        (lambda d: d.update(period=0.008), "sha256"),
+        (lambda d: d.update(units="mm"), "sha256"),
+        (lambda d: d.pop("sha256"), "sha256"),
+        (lambda d: d.update(sha256=None), "sha256"),
+        (lambda d: d.update(more=1), "more"),
+        (lambda d: d.update(format=4), "format"),
+        (lambda d: d.update(format=True), "format"),
+        (lambda d: d.update(format=[3]), "format"),
+        (lambda d: d.update(fraclink="law"), "file"),
+        (lambda d: d.update(fraclink=["made-up"]), "file"),
+        (lambda d: d.pop("fraclink"), "file"),
+        (lambda d: d.pop("content"), "content"),
+    ],
+)
+def test_an_edited_file_is_refused(change: Any, field: str, tmp_path: Path) -> None:
+    path = edited(save(FULL, tmp_path / "x.json"), change)
+    with pytest.raises(FileFormatError) as caught:
+        load(path, Made)
+    assert caught.value.field == field and caught.value.remedy
+
+
+def test_another_version_of_the_tool_is_no_edit(tmp_path: Path) -> None:
+    path = edited(save(FULL, tmp_path / "x.json"), lambda d: d.update(tool="9.9"))
+    assert load(path) == FULL
+
+
+def old(tmp_path: Path, version: int, **content: Any) -> Path:
+    """A file of the first formats: envelope and content in one object, without a digest."""
+    path = tmp_path / "old.json"
+    head = {"fraclink": "made-up", "format": version, "tool": "0.0", "units": "SI, radians"}
+    path.write_text(json.dumps(head | content))
+    return path
+
+
+def test_earlier_formats_are_upgraded_step_by_step(tmp_path: Path) -> None:
+    assert load(old(tmp_path, 2, name="a", period_ms=4.0)).period == 0.004
+    assert load(old(tmp_path, 1, title="a", period=2)) == Made("a", 2.0)
+    with pytest.raises(FileFormatError, match="does not read"):
+        load(old(tmp_path, 0, title="a", period=2))
+
+
+@pytest.mark.parametrize(
+    ("content", "field"),
+    [
+        ({"name": "a"}, "period"),
+        ({"name": "a", "period": 1.0, "extra": 1}, "extra"),
+        ({"name": 5, "period": 1.0}, "name"),
+        ({"name": "a", "period": True}, "period"),
+        ({"name": "a", "period": "fast"}, "period"),
+        ({"name": "a", "period": 10**320}, "period"),
+        ({"name": "a", "period": "0x1.0p+1"}, "period"),
+        ({"name": "a", "period_ms": "x"}, "content"),
+        ({"name": "a", "period": 1.0, "count": 1.0}, "count"),
+        ({"name": "a", "period": 1.0, "holds": 1}, "holds"),
+        ({"name": "a", "period": 1.0, "drive": {"type": "Gear", "ratio": -1.0}}, "drive.ratio"),
+        ({"name": "a", "period": 1.0, "drive": {"type": "Gear"}}, "drive.ratio"),
+        ({"name": "a", "period": 1.0, "drive": {"type": "os.system"}}, "drive.type"),
+        ({"name": "a", "period": 1.0, "drive": {"type": ["Gear"]}}, "drive.type"),
+        ({"name": "a", "period": 1.0, "drive": {"ratio": 1.0}}, "drive"),
+        ({"name": "a", "period": 1.0, "kind": "second"}, "kind"),
+        ({"name": "a", "period": 1.0, "offset": "last"}, "offset"),
+        ({"name": "a", "period": 1.0, "poles": [[1.0]]}, "poles.0"),
+        ({"name": "a", "period": 1.0, "poles": {"0": 1}}, "poles"),
+        ({"name": "a", "period": 1.0, "pair": [1.0]}, "pair"),
+        ({"name": "a", "period": 1.0, "pair": [1.0, 2.5]}, "pair.1"),
+        ({"name": "a", "period": 1.0, "raw": "0g"}, "raw"),
+        ({"name": "a", "period": 1.0, "span": {"high": 1.0}}, "span.low"),
+        ({"name": "a", "period": 1.0, "table": {"x": {"ratio": 1.0, "teeth": [1, "2"]}}}, "table.x.teeth.1"),
+        ({"name": "a", "period": 1.0, "by_payload": {"x": 1}}, "by_payload"),
+        ({"name": "a", "period": 1.0, "findings": [{"code": "W1", "message": "x"}]}, "findings.0.severity"),
+    ],
+)
+def test_the_first_wrong_key_is_named(content: dict[str, Any], field: str, tmp_path: Path) -> None:
+    with pytest.raises(FileFormatError) as caught:
+        load(old(tmp_path, 2, **content))
+    assert caught.value.field == field
+    assert caught.value.allowed and caught.value.remedy
+
+
+def test_a_kind_that_was_merged_into_another_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "x.npz"
+    about = json.dumps({"fraclink": "made-up-old-run", "format": 1, "tool": "0", "units": "SI, radians"})
+    np.savez(path, about=np.array(about), time=np.zeros(2), flags=np.zeros(2, np.uint32))
+    assert load(path, Signals).time.tolist() == [0.0, 0.0]
+    np.savez(path, about=np.array(about), time=np.zeros(2), flags=np.zeros(2))
+    with pytest.raises(FileFormatError, match="flags"):
+        load(path)
+
+
+def test_what_is_expected_is_compared_before_anything_is_made(tmp_path: Path) -> None:
+    path = save(FULL, tmp_path / "x.json")
+    with pytest.raises(FileFormatError, match="of kind 'made-up'"):
+        load(path, Exact)
+    (tmp_path / "y.json").write_text('{"fraclink": "no-such-kind", "format": 1}')
+    with pytest.raises(FileFormatError, match="of kind 'no-such-kind'"):
+        load(tmp_path / "y.json")
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"PK", b"PK\x03\x04" + bytes(40), b"{", b"[]", b"null", b"\xff{}", b"[" * 99999]
+)
+def test_foreign_files_are_refused(content: bytes, tmp_path: Path) -> None:
+    for name in ("x.json", "x.npz", "x"):
+        (tmp_path / name).write_bytes(content)
+        with pytest.raises(FileFormatError):
+            load(tmp_path / name)
+    assert kind_of(tmp_path / "x.json") == kind_of(tmp_path / "x.npz") == ""
+    with pytest.raises(FileFormatError, match="not there"):
+        load(tmp_path / "none.json")
+    with pytest.raises(FileFormatError):
+        load(tmp_path)
+
+
+def test_the_kind_is_known_without_reading_the_rest(tmp_path: Path) -> None:
+    assert kind_of(save(FULL, tmp_path / "a.json")) == "made-up"
+    assert kind_of(save(SIGNALS, tmp_path / "b.npz")) == "made-up-run"
+    assert (kind_of(tmp_path / "rig.toml"), kind_of(tmp_path / "none.json")) == ("rig", "")
+
+
+@pytest.mark.parametrize(
+    ("value", "name"), [(FULL, "x.json"), (SIGNALS, "x.npz"), (Exact(0.1, 1j), "y.json")]
+)
+def test_two_thousand_mutants_are_equal_or_refused(value: Any, name: str, tmp_path: Path) -> None:
+    rng, refused = np.random.default_rng(5), 0
+    path = save(value, tmp_path / name)
+    raw, count = path.read_bytes(), 2000
+    for _ in range(count):
+        path.write_bytes(mutate(raw, rng))
+        try:
+            back = load(path)
+        except FileFormatError:
+            refused += 1
+        else:  # a blank, the tool's version, what the zip archive says twice
+            assert same_signals(back, value) if isinstance(value, Signals) else back == value
+    assert refused > 0.8 * count
+
+
+def test_two_thousand_mutants_without_a_digest_are_read_or_refused(tmp_path: Path) -> None:
+    rng, refused = np.random.default_rng(6), 0
+    data = json.loads(save(FULL, tmp_path / "x.json").read_text())
+    path = old(tmp_path, 2, **data["content"])
+    assert load(path) == FULL
+    raw = path.read_bytes()
+    for _ in range(2000):
+        path.write_bytes(mutate(raw, rng))
+        try:
+            assert isinstance(load(path), Made)
+        except FileFormatError:
+            refused += 1
+    assert 1000 < refused < 2000
+
+
+def test_what_cannot_be_saved_is_refused_before_a_file_is_made(tmp_path: Path) -> None:
+    path = tmp_path / "x.json"
+    for value in (5, Gear(1.0), Made):
+        with pytest.raises(FieldError, match="without a file format"):
+            save(value, path)
+    for wrong in (
+        Made(5, 1.0),
+        Made("x", "y"),
+        Made("x", 1.0, anything={1, 2}),
+        Made("x", 1.0, drive=Span(1.0)),
+    ):  # type: ignore[arg-type]
+        with pytest.raises(FieldError):
+            save(wrong, path)
+    with pytest.raises(SizeError):
+        save(Made("x", 1.0, anything="y" * 17_000_000), path)
+    with pytest.raises(FieldError, match="float64"):
+        save(Signals(np.zeros(3, np.float32), np.zeros(3, np.uint32)), tmp_path / "x.npz")  # type: ignore[arg-type]
+    assert list(tmp_path.iterdir()) == []
+    save(FULL, path)
+    with pytest.raises(FieldError, match="already there"):
+        save(FULL, path)
+    assert save(Made("new", 1.0), path, force=True) == path and load(path).name == "new"
+
+
+def test_a_hook_can_refuse(tmp_path: Path) -> None:
+    def refuse(value: object) -> None:
+        raise SizeError("value", 1, "not proved", allowed="a proof", remedy="prove it")
+
+    @document("made-up-claim", before_save=refuse)
+    @dataclasses.dataclass(frozen=True)
+    class Claim:
+        text: str
+
+    with pytest.raises(SizeError):
+        save(Claim("x"), tmp_path / "x.json")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_threads_that_save_leave_permissions_and_files_alone(tmp_path: Path) -> None:
+    mask = os.umask(0o027)
+    try:
+        seen: list[int] = []
+
+        def work(number: int) -> None:
+            for turn in range(20):
+                save(Made(str(number), 1.0), tmp_path / "shared.json", force=True)
+                own = tmp_path / f"{number}-{turn}"
+                own.touch()
+                seen.extend(
+                    (
+                        stat.S_IMODE(own.stat().st_mode),
+                        stat.S_IMODE((tmp_path / "shared.json").stat().st_mode),
+                    )
+                )
+                load(tmp_path / "shared.json")
+
+        threads = [threading.Thread(target=work, args=(number,)) for number in range(8)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+    finally:
+        os.umask(mask)
+    assert set(seen) == {0o640} and len(seen) == 320
+    assert len(list(tmp_path.iterdir())) == 161
+
+
+def test_a_zip_archive_with_arrays_exchanged_is_refused(tmp_path: Path) -> None:
+    path = save(SIGNALS, tmp_path / "x.npz")
+    with zipfile.ZipFile(path) as archive:
+        members = {item.filename: archive.read(item) for item in archive.infolist()}
+    members["time.npy"], members["parts.0.npy"] = members["parts.0.npy"], members["time.npy"]
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, blob in members.items():
+            archive.writestr(name, blob)
+    with pytest.raises(FileFormatError, match="arrays"):
+        load(path)
+
+
+def test_the_root_saves_and_loads(tmp_path: Path) -> None:
+    assert fl.load(fl.save(FULL, tmp_path / "x.json")) == FULL
