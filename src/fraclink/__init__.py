@@ -13,12 +13,12 @@ __version__ = "0.1.0"
 # Public name -> module that defines it. The tests guard the list; add the same name below TYPE_CHECKING.
 _HOME: dict[str, str] = {
     "Controller": "fraclink._arm.controller",
+    "Design": "fraclink._design",
     "Experiment": "fraclink._arm.experiment",
     "Fit": "fraclink._identify",
     "FractionalTransferFunction": "fraclink._systems.fractional",
     "Law": "fraclink._law",
     "LinkModel": "fraclink._arm.link",
-    "Design": "fraclink._design",
     "Rig": "fraclink._arm.rig",
     "Run": "fraclink._simulate",
     "Study": "fraclink._workflow",
