@@ -52,7 +52,7 @@ class Belt:
     version=3,
     period=lambda made: made.period,
     sources=lambda made: {"log.csv": "0" * 64},
-    summary=lambda made: {"verdict": "passed" if made.holds else "failed", "worst": math.inf},
+    summary=lambda made: {"verdict": "passed" if made.passed else "failed", "worst": math.inf},
     upgrades={
         1: lambda old: {("name" if key == "title" else key): item for key, item in old.items()},
         2: lambda old: old | {"period": old.pop("period_ms") / 1000} if "period_ms" in old else old,
@@ -62,7 +62,7 @@ class Belt:
 class Made:
     name: str
     period: float
-    holds: bool = True
+    passed: bool = True
     count: int = 0
     drive: Gear | Belt | None = None
     offset: float | Literal["first"] = 0.0
@@ -83,7 +83,7 @@ class Made:
 FULL = Made(
     name='é "quoted" \ud800\n',
     period=0.004,
-    holds=False,
+    passed=False,
     count=2**70,
     drive=Gear(50.0, (20, 1000)),
     offset="first",
@@ -203,7 +203,7 @@ def edited(path: Path, change: Any) -> Path:
     ("change", "field"),
     [
         (lambda d: d["content"]["drive"].update(ratio=400.0), "sha256"),
-        (lambda d: d["content"].update(holds=True), "sha256"),
+        (lambda d: d["content"].update(passed=True), "sha256"),
         (lambda d: d["summary"].update(verdict="passed"), "sha256"),
         (lambda d: d["sources"].update({"log.csv": "1" * 64}), "sha256"),
         (lambda d: d.update(period=0.008), "sha256"),
@@ -259,7 +259,7 @@ def test_earlier_formats_are_upgraded_step_by_step(tmp_path: Path) -> None:
         ({"name": "a", "period": "0x1.0p+1"}, "period"),
         ({"name": "a", "period_ms": "x"}, "content"),
         ({"name": "a", "period": 1.0, "count": 1.0}, "count"),
-        ({"name": "a", "period": 1.0, "holds": 1}, "holds"),
+        ({"name": "a", "period": 1.0, "passed": 1}, "passed"),
         ({"name": "a", "period": 1.0, "drive": {"type": "Gear", "ratio": -1.0}}, "drive.ratio"),
         ({"name": "a", "period": 1.0, "drive": {"type": "Gear"}}, "drive.ratio"),
         ({"name": "a", "period": 1.0, "drive": {"type": "os.system"}}, "drive.type"),
@@ -439,3 +439,17 @@ def test_a_zip_archive_with_arrays_exchanged_is_refused(tmp_path: Path) -> None:
 
 def test_the_root_saves_and_loads(tmp_path: Path) -> None:
     assert fl.load(fl.save(FULL, tmp_path / "x.json")) == FULL
+
+
+@pytest.mark.parametrize("depth", [100, 300, 600, 900, 980])
+@pytest.mark.parametrize("version", [2, 3])
+def test_deep_nesting_ends_in_a_file_format_error(depth: int, version: int, tmp_path: Path) -> None:
+    path = old(tmp_path, version, content=1) if version == 3 else old(tmp_path, version, name="x", period=1.0)
+    deep = "[" * depth + "]" * depth
+    path.write_text(
+        path.read_text().replace("1", deep, 1)
+        if version == 3
+        else path.read_text()[:-1] + f', "more": {deep}}}'
+    )
+    with pytest.raises(FileFormatError):
+        load(path)

@@ -31,7 +31,6 @@ from typing import Any, Literal, TypeVar, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink import _npz
 from fraclink._codec import Storage, codec_of, stored_as
 from fraclink._containers import (
     JSON_LIMIT,
@@ -50,9 +49,13 @@ from fraclink._containers import (
     write_archive,
     write_text,
 )
+
+# Envelopes of packages that still write their files themselves; gone with the last of them.
+from fraclink._npz import RENAMED, checked_envelope, read_json, renamed, write_json
 from fraclink.errors import FieldError, FileFormatError, SizeError
 
 __all__ = [
+    "RENAMED",
     "atomic_write",
     "checked_envelope",
     "checked_path",
@@ -354,7 +357,8 @@ def _content(data: dict[str, Any], arrays: Mapping[str, NDArray[Any]], found: _D
         _check_digest(data, arrays)
         content = data["content"]
     elif steps:  # of the first formats, which had no digest: content and envelope were one object
-        content = {key: item for key, item in data.items() if key not in _BEFORE_DIGESTS} | dict(arrays)
+        content = {key: item for key, item in data.items() if key not in _BEFORE_DIGESTS}
+        content = guarded(lambda: renamed(content), "") | dict(arrays)
     else:
         raise misfit("content", "(nothing)", "missing", "content and sha256")
     for step in steps:
@@ -393,7 +397,3 @@ def _check_digest(data: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -
     digest = guarded(lambda: _digest(data), "sha256")
     if data.get("sha256") != digest:
         raise misfit("sha256", data.get("sha256"), "content changed after it was written", digest)
-
-
-# Of the packages that still write their files themselves; gone with the last of them.
-read_json, write_json, checked_envelope = _npz.read_json, _npz.write_json, _npz.checked_envelope

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from fraclink._containers import (
     atomic_write,
+    guarded,
     header_of,
     parse_json,
     read_archive,
@@ -21,7 +22,32 @@ from fraclink._containers import (
 )
 from fraclink.errors import FieldError, FileFormatError
 
-__all__ = ["checked_envelope", "kind_of", "read_json", "read_npz", "write_json", "write_npz"]
+__all__ = [
+    "RENAMED",
+    "checked_envelope",
+    "kind_of",
+    "read_json",
+    "read_npz",
+    "renamed",
+    "write_json",
+    "write_npz",
+]
+
+# Release 0.1 wrote the verdict of a run, a requirement and a cell under another name.
+RENAMED = {"holds": "passed"}
+
+
+def renamed(data: Any) -> Any:
+    """Return plain JSON with the keys of release 0.1 under their names of today."""
+    if isinstance(data, list):
+        return [renamed(item) for item in data]
+    if not isinstance(data, dict):
+        return data
+    twice = next((old for old, new in RENAMED.items() if old in data and new in data), None)
+    if twice is not None:
+        problem, allowed = "given twice, under its old and its new name", "each key once"
+        raise FileFormatError(twice, data[twice], problem, allowed=allowed, remedy="remove one")
+    return {RENAMED.get(key, key): renamed(item) for key, item in data.items()}
 
 
 def _envelope(kind: str, version: int, payload: Mapping[str, Any]) -> dict[str, Any]:
@@ -89,4 +115,4 @@ def checked_envelope(data: object, kind: str, versions: tuple[int, ...], place: 
         allowed, remedy = ", ".join(map(str, versions)), "make the file again with this release"
         problem = "a version this release does not read"
         raise FileFormatError("format", data.get("format"), problem, allowed=allowed, remedy=remedy)
-    return dict(data)
+    return dict(guarded(lambda: renamed(data), kind))
