@@ -59,7 +59,7 @@ docs: setup
 	@echo docs/_build/html/index.html
 
 reproduce: setup
-	$(BIN)/fraclink reproduce --out reproduce --force
+	$(PY) -m reproduce
 
 # `make lock` needs uv on the path; everybody else installs from the file it wrote.
 lock:

@@ -80,8 +80,8 @@ def demo() -> None:
 def results() -> None:
     """Every number and figure of the paper."""
     with tempfile.TemporaryDirectory() as folder:
-        value = seconds([sys.executable, "-m", "fraclink", "reproduce", "--out", folder, "--force"])
-    row("fraclink reproduce [s]", value, "", "<= 120", value <= 120)
+        value = seconds([sys.executable, "-m", "reproduce", "--out", folder])
+    row("make reproduce [s]", value, "", "<= 120", value <= 120)
 
 
 def main() -> None:

@@ -13,8 +13,8 @@ from fraclink._certify import Certificate
 from fraclink._cli import main
 from fraclink._design import Design
 from fraclink._logs.readers import bundled_log
-from fraclink._reproduce import designs
 from fraclink._workflow import Request, design_for
+from reproduce import designs
 
 Command = Callable[..., tuple[int, str, str]]
 

@@ -1,8 +1,8 @@
 """Golden figures: what the package computes today, recorded so that a rebuilding can be compared with it.
 
-    python tests/golden/record.py runs designs    # record these topics again
-    python tests/golden/record.py commands        # the texts of the command line
-    python tests/golden/record.py                 # list the topics
+    python -m tests.golden.record runs designs    # record these topics again
+    python -m tests.golden.record commands        # the texts of the command line
+    python -m tests.golden.record                 # list the topics
 
 Each topic is a function that returns plain JSON values; `tests/test_golden.py` calls it again and names every
 entry that differs. What is under a key ``sha256`` is compared bit for bit, and only where this machine's
@@ -45,9 +45,6 @@ from fraclink._identify import (
 )
 from fraclink._identify.motor_example import example_motor_log
 from fraclink._law import equip
-from fraclink._reproduce import read_published
-from fraclink._reproduce.evidence import EVIDENCE
-from fraclink._reproduce.values import computed
 from fraclink._simulate.twin import (
     FractionalKelvinVoigt,
     KelvinVoigt,
@@ -60,6 +57,9 @@ from fraclink._simulate.twin import (
     geared,
 )
 from fraclink.errors import InfeasibleError
+from reproduce.evidence import EVIDENCE
+from reproduce.published import read_published
+from reproduce.values import computed
 
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent))

@@ -1,4 +1,4 @@
-"""Verbs on a design: certify, twin; and reproduce, which needs none."""
+"""Verbs on a design: certify, twin, compare."""
 
 from __future__ import annotations
 
@@ -155,27 +155,7 @@ def compare(
     return HOLDS if result.standings[0].passed else FAILS
 
 
-def reproduce(
-    out: Annotated[Path, typer.Option("--out", help="Folder for RESULTS.md and figures/.")] = Path(
-        "reproduce"
-    ),
-    published: Annotated[
-        Path, typer.Option("--published", help="Folder with published.toml and its neighbours.")
-    ] = Path("reproduce"),
-    json: Json = False,
-    force: Force = False,
-) -> int:
-    """Recompute every number, statement and figure of the source paper."""
-    from fraclink._reproduce import reproduce as recompute
-
-    output_path(out / "RESULTS.md", force=force)
-    with steps(4) as begin:
-        place = recompute(published, out, begin=begin)
-    emit_json({"out": str(place)}) if json else emit(str(place))
-    return HOLDS
-
-
 def register(app: typer.Typer) -> None:
     """Add the verbs of this module to the application."""
-    for verb in (certify, twin, compare, reproduce):
+    for verb in (certify, twin, compare):
         app.command()(verb)

@@ -5,13 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from functools import cache
-from typing import TYPE_CHECKING
 
-from fraclink._reproduce import designs
-
-if TYPE_CHECKING:
-    from fraclink._identify import Comparison
-    from fraclink._reproduce.published import Published
+from fraclink._identify import Comparison, aic, identify_all
+from fraclink._logs.readers import bundled_log, read_log
+from reproduce import designs
+from reproduce.published import Published
 
 __all__ = ["LOGS", "PAYLOADS", "comparison", "computed"]
 
@@ -38,8 +36,6 @@ def _law_of_payloads() -> dict[str, float]:
 
 
 def _table_2(published: Published) -> dict[str, float]:
-    from fraclink._identify import aic
-
     mse = {
         name: next(item.printed for item in published.numbers if item.id == f"table2_{_slug(name)}_mse")
         for name in _FREE
@@ -55,17 +51,17 @@ def _slug(name: str) -> str:
 def _designs() -> dict[str, float]:
     values: dict[str, float] = {}
     measured, measured_nominal = designs.measured()
-    for which, design, nominal in (
-        ("printed", designs.printed_plan(), 11.54),
+    for which, designed, nominal in (
+        ("printed", designs.printed_design(), 11.54),
         ("measured", measured, measured_nominal),
     ):
-        found = max(design.at_frequency(nominal).gain_crossings, key=lambda item: item.frequency)
-        gain, order = designs.matched_integer(design, nominal)
+        found = max(designed.at_frequency(nominal).gain_crossings, key=lambda item: item.frequency)
+        gain, order = designs.matched_integer(designed, nominal)
         named = {
-            "chi": design.chi,
-            "beta": design.controller.order,
-            "gain": design.controller.gain,
-            "crossover_upper": design.gain_crossover_upper,
+            "chi": designed.chi,
+            "beta": designed.controller.order,
+            "gain": designed.controller.gain,
+            "crossover_upper": designed.gain_crossover_upper,
             "nominal_crossover": found.frequency,
             "nominal_margin": math.degrees(found.phase_margin),
             "integer_gain": gain,
@@ -80,9 +76,6 @@ def _designs() -> dict[str, float]:
 @cache
 def comparison(log: str) -> Comparison:
     """The four fits of a log (a key of `LOGS`); all samples are fitted, as in the paper."""
-    from fraclink._identify import identify_all
-    from fraclink._logs.readers import bundled_log, read_log
-
     experiment = read_log(bundled_log(LOGS[log]), rig=designs.rig())
     return identify_all(experiment, heldout=0.0, details=False)
 

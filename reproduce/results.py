@@ -6,10 +6,10 @@ import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 
-from fraclink._reproduce import omissions
-from fraclink._reproduce.evidence import EVIDENCE
-from fraclink._reproduce.pictures import Picture
-from fraclink._reproduce.published import VERDICTS, Number, Published, agreement
+from reproduce import omissions
+from reproduce.evidence import EVIDENCE
+from reproduce.figures import Picture
+from reproduce.published import VERDICTS, Number, Published, agreement
 
 __all__ = ["results_text"]
 
@@ -159,7 +159,19 @@ def _figures(pictures: tuple[Picture, ...]) -> str:
 
 def _equations(published: Published) -> str:
     rows = [
-        (item.number, item.what, f"`{item.code.removeprefix('fraclink.')}`", item.verdict, item.reason)
+        (item.number, item.what, f"`{_name(item.code)}`", item.verdict, item.reason)
         for item in published.equations
     ]
     return "## Equations\n\n" + _table(("no.", "what", "function", "verdict", "why"), rows)
+
+
+def _name(code: str) -> str:
+    """The public part of a name: private modules move, and the page with them would change for nothing.
+
+    >>> _name("fraclink.LinkModel.tip"), _name("fraclink._identify.aic")
+    ('LinkModel.tip', 'aic')
+    """
+    parts = code.removeprefix("fraclink.").split(".")
+    while parts[0].startswith("_") or (code.startswith("fraclink._") and parts[0].islower() and parts[1:]):
+        parts.pop(0)
+    return ".".join(parts)

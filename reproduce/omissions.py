@@ -13,7 +13,10 @@ from numpy.typing import NDArray
 from fraclink._arm.controller import Controller
 from fraclink._arm.link import LinkModel
 from fraclink._arm.motor_loop import Method, place_pid
-from fraclink._reproduce import designs
+from fraclink._design import design
+from fraclink._design.poles import PRINTED, closed_loop_poles
+from fraclink._systems.stability import margins
+from reproduce import designs
 
 __all__ = ["costs", "facts", "sampled_margins"]
 
@@ -50,11 +53,9 @@ class _Parts:
 
 def _margin(which: str, parts: _Parts) -> float:
     """Phase margin [°] of the procedure's own controller at the last gain crossing."""
-    from fraclink._systems.stability import margins
-
-    design = designs.printed_plan() if which == "printed" else designs.measured()[0]
+    designed = designs.printed_design() if which == "printed" else designs.measured()[0]
     delta = designs.rule_filter(which, 2) if parts.filtered else 0.0
-    controller = replace(design.controller, filter_time=delta, filter_order=2)
+    controller = replace(designed.controller, filter_time=delta, filter_order=2)
     found = margins(_loop(controller, _LIGHTEST[which], parts), unstable_poles=0)
     return math.degrees(max(found.gain_crossings, key=lambda item: item.frequency).phase_margin)
 
@@ -78,9 +79,7 @@ def sampled_margins() -> tuple[tuple[float, ...], ...]:
 
     With Ĉ(jω) itself, with the law that is shipped, and with the paper's sums in place of s^β.
     """
-    from fraclink._design import design
-
-    result = design(
+    designed = design(
         designs.link(0.030),
         designs.rig(),
         payloads=(0.020, 0.040),
@@ -92,7 +91,7 @@ def sampled_margins() -> tuple[tuple[float, ...], ...]:
         (
             payload,
             *(
-                math.degrees(result.sampled_at(payload, realisation=which).phase_margin)
+                math.degrees(designed.sampled_at(payload, realisation=which).phase_margin)
                 for which in ("exact", "law", "grunwald")
             ),
         )
@@ -118,8 +117,6 @@ def facts() -> tuple[tuple[str, str], ...]:
 
 
 def _printed_poles() -> list[tuple[str, str]]:
-    from fraclink._design.poles import PRINTED, closed_loop_poles
-
     link = LinkModel(designs.rig().link.stiffness, _NOMINAL, order=designs.ORDER)
     found = []
     for number, controller in PRINTED.items():

@@ -5,17 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._reproduce import designs
-from fraclink._reproduce.values import PAYLOADS, comparison
-
-if TYPE_CHECKING:
-    from fraclink._arm.controller import Controller
-    from fraclink._reproduce.published import Published
+from fraclink._arm.controller import Controller
+from fraclink._identify import aic
+from fraclink._systems.stability import margins
+from reproduce import designs
+from reproduce.published import Published
+from reproduce.values import PAYLOADS, comparison
 
 __all__ = ["EVIDENCE", "Crossing", "Evidence", "last_crossing"]
 
@@ -51,8 +50,6 @@ def last_crossing(
     order: float = designs.ORDER,
 ) -> Crossing:
     """The crossing of Ĉ·G, with M(s) if `motor`, at `payload` [kg]; NaN where |L| < 1 everywhere."""
-    from fraclink._systems.stability import margins
-
     tip = designs.link(payload, order).tip()
 
     def loop(s: Complex) -> Complex:
@@ -110,8 +107,6 @@ def _error_of_undamped(published: Published) -> Evidence:
 
 
 def _gap_of_aic(published: Published) -> Evidence:
-    from fraclink._identify import aic
-
     udfom = aic(_mse(published, "udfom"), 5001, 2)
     gaps = [aic(_mse(published, name), 5001, k) - udfom for name, k in (("dfom", 3), ("diom", 2))]
     text = f"AIC of D-FOM and D-IOM lie {gaps[0]:.1f} and {gaps[1]:.1f} above UD-FOM's, all on fitted samples"
@@ -215,8 +210,7 @@ def _margins_below(published: Published) -> Evidence:
     good = all(r[0].margin > r[1].margin + 5 for r in rows.values())
     alike = abs(rows[0.016][2].margin - rows[0.016][3].margin) < 2 and not rows[0.008][2].stable
     return Evidence(
-        "phase margin of C and C' in the loop of 4 ms " + text,
-        "holds in part" if good and alike else "holds",
+        "phase margin of C and C' in the loop of 4 ms " + text, "holds in part" if good and alike else "holds"
     )
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,9 +12,8 @@ from fraclink._arm.controller import Controller
 from fraclink._arm.link import LinkModel
 from fraclink._arm.motor_loop import MotorLoop
 from fraclink._arm.rig import Rig
-
-if TYPE_CHECKING:
-    from fraclink._design import Design
+from fraclink._design import Design, design
+from fraclink._design.poles import PRINTED
 
 __all__ = [
     "ORDER",
@@ -25,7 +23,7 @@ __all__ = [
     "matched_integer",
     "measured",
     "printed",
-    "printed_plan",
+    "printed_design",
     "rig",
 ]
 
@@ -54,9 +52,7 @@ def link(payload: float, order: float = ORDER) -> LinkModel:
     return LinkModel(arm.link.stiffness, arm.natural_frequency(payload), order=order, payload=payload)
 
 
-def _plan(low: float, high: float, nominal: float, **options: object) -> Design:
-    from fraclink._design import design
-
+def _designed(low: float, high: float, nominal: float, **options: object) -> Design:
     model = LinkModel(rig().link.stiffness, nominal, order=ORDER, payload=rig().payloads.nominal)
     return design(
         model,
@@ -70,16 +66,16 @@ def _plan(low: float, high: float, nominal: float, **options: object) -> Design:
 
 
 @cache
-def printed_plan() -> Design:
+def printed_design() -> Design:
     """Section 6 applied to the printed inputs of Table 1, without a filter."""
-    return _plan(_PRINTED[0], _PRINTED[2], _PRINTED[1], filter_time=0.0)
+    return _designed(_PRINTED[0], _PRINTED[2], _PRINTED[1], filter_time=0.0)
 
 
 @cache
-def measured_plan() -> Design:
+def measured_design() -> Design:
     """Section 6 applied to eq. (5) with c = 1.56 N·m at 40, 30 and 20 g, without a filter."""
     arm = rig()
-    return _plan(*(arm.natural_frequency(m) for m in (0.040, 0.020, 0.030)), filter_time=0.0)
+    return _designed(*(arm.natural_frequency(m) for m in (0.040, 0.020, 0.030)), filter_time=0.0)
 
 
 @cache
@@ -87,15 +83,15 @@ def rule_filter(which: str, order: int) -> float:
     """δ [s] of the paper's 10 % rule for the "printed" or the "measured" inputs."""
     arm = rig()
     ends = _PRINTED if which == "printed" else tuple(arm.natural_frequency(m) for m in (0.040, 0.030, 0.020))
-    return _plan(ends[0], ends[2], ends[1], filter_order=order).controller.filter_time
+    return _designed(ends[0], ends[2], ends[1], filter_order=order).controller.filter_time
 
 
-def matched_integer(design: Design, nominal: float) -> tuple[float, float]:
-    """(k_d', β') that give λ = 2 the crossing and the margin of `design` at ϖ = `nominal`, from (42).
+def matched_integer(designed: Design, nominal: float) -> tuple[float, float]:
+    """(k_d', β') that give λ = 2 the crossing and the margin of `designed` at ϖ = `nominal`, from (42).
 
     (ω_c² − ϖ²)/ϖ² is |1/G| above the resonance, and the phase of −L is β'π/2.
     """
-    found = design.at_frequency(nominal)
+    found = designed.at_frequency(nominal)
     crossing = max(found.gain_crossings, key=lambda item: item.frequency)
     order = 2.0 * crossing.phase_margin / math.pi
     gain = (crossing.frequency**2 - nominal**2) / (nominal**2 * crossing.frequency**order)
@@ -104,31 +100,29 @@ def matched_integer(design: Design, nominal: float) -> tuple[float, float]:
 
 def measured() -> tuple[Design, float]:
     """The design for c = 1.56 N·m and its nominal ϖ."""
-    return measured_plan(), rig().natural_frequency(0.030)
+    return measured_design(), rig().natural_frequency(0.030)
 
 
 @cache
 def printed() -> Pair:
     """(58) and (59) as they are printed."""
-    base = _controller(0.148, 0.65, 0.16, 2, ORDER)
-    return Pair("printed (58), (59)", base, _controller(0.241, 0.65, 0.16, 2, 2.0))
+    pair = (_on_link(PRINTED["(58)"], ORDER), _on_link(PRINTED["(59)"], 2.0))
+    return Pair("printed (58), (59)", *pair)
 
 
 @cache
 def corrected() -> Pair:
     """Section 6 carried out with c = 1.56 N·m and the filter of its own 10 % rule, n = 2."""
-    design, nominal = measured()
+    designed, nominal = measured()
     delta = rule_filter("measured", 2)
-    gain, order = matched_integer(design, nominal)
-    base = _controller(design.controller.gain, design.controller.order, delta, 2, ORDER)
+    gain, order = matched_integer(designed, nominal)
+    base = _controller(designed.controller.gain, designed.controller.order, delta, 2, ORDER)
     return Pair("corrected", base, _controller(gain, order, delta, 2, 2.0))
 
 
 @cache
 def in_loop() -> Pair:
     """Designed on the loop that runs (12 rad/s, 50°, 10 % rule), and λ = 2 matched at 30 g in that loop."""
-    from fraclink._design import design
-
     base = design(
         link(0.030),
         rig(),
@@ -139,31 +133,29 @@ def in_loop() -> Pair:
     return Pair("in the loop", base.controller, _matched_in_loop(base))
 
 
-def _matched_in_loop(design: Design) -> Controller:
+def _matched_in_loop(designed: Design) -> Controller:
     """The controller that gives the loop with λ = 2 the same crossing and phase at 30 g."""
-    nominal = design.natural_frequency(0.030)
-    crossing = max(design.at(0.030).gain_crossings, key=lambda item: item.frequency)
+    nominal = designed.natural_frequency(0.030)
+    crossing = max(designed.at(0.030).gain_crossings, key=lambda item: item.frequency)
     s = 1j * crossing.frequency
     fractional = nominal**2 / (np.exp(ORDER * np.log(s)) + nominal**2)
     integer = nominal**2 / (s**2 + nominal**2 + 0j)
     # (jω)^β carries both: its phase takes up the difference of the links' phases.
     shift = np.angle(fractional / integer)
-    order = design.controller.order + 2.0 * float(np.mod(shift + math.pi, 2 * math.pi) - math.pi) / math.pi
+    order = designed.controller.order + 2.0 * float(np.mod(shift + math.pi, 2 * math.pi) - math.pi) / math.pi
     gain = (
-        design.controller.gain
+        designed.controller.gain
         * abs(fractional / integer)
-        * crossing.frequency ** (design.controller.order - order)
+        * crossing.frequency ** (designed.controller.order - order)
     )
-    return replace(design.controller, gain=float(gain), order=order, link=link(0.030, 2.0))
+    return replace(designed.controller, gain=float(gain), order=order, link=link(0.030, 2.0))
 
 
 def _controller(gain: float, order: float, delta: float, n: int, link_order: float) -> Controller:
-    return Controller(
-        gain=gain,
-        order=order,
-        filter_time=delta,
-        filter_order=n,
-        link=link(0.030, link_order),
-        inner=MotorLoop(pole=80.0, delay_samples=1),
-        period=rig().period,
-    )
+    return _on_link(Controller(gain=gain, order=order, filter_time=delta, filter_order=n), link_order)
+
+
+def _on_link(controller: Controller, link_order: float) -> Controller:
+    """`controller` with the link, the motor loop and the period of the paper's rig."""
+    inner = MotorLoop(pole=80.0, delay_samples=1)
+    return replace(controller, link=link(0.030, link_order), inner=inner, period=rig().period)

@@ -1,0 +1,1 @@
+"""The source paper recomputed: every printed number, statement and figure, with a verdict for each."""
