@@ -138,8 +138,7 @@ def parse_connection(text: str) -> Udp | SharedMemory | Library:
     >>> parse_connection("tcp:localhost:5005")
     Traceback (most recent call last):
     fraclink.errors.FieldError: io: no way to an arm (got tcp:localhost:5005); expected udp:HOST:PORT,
-    shm:NAME
-    or library:FILE.so. Start with udp:, shm: or library:.
+    shm:NAME or library:FILE.so. Start with udp:, shm: or library:.
     """
     checked_noun("io", text, str, remedy="udp:127.0.0.1:5005")
     kind, _, rest = text.partition(":")
