@@ -142,22 +142,25 @@ def test_an_infeasible_request_is_exit_code_1_and_writes_nothing(fraclink: Comma
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("design", "--rig", "paper-2032"), ("rig: paper-2032 is unknown", "did you mean 'paper-2023'?")),
+        (("design", "--rig", "paper-2032"), ("rig: unknown (got paper-2032)", "Did you mean 'paper-2023'?")),
         (("design", "--rig", "missing.toml"), ("missing.toml", "not a file")),
-        ((*DESIGN, "--phase-margin-deg", "200"), ("phase_margin_deg: 200", "allowed", "179")),
-        ((*DESIGN, "--phase-margin-deg", "-5"), ("phase_margin_deg: -5", "allowed")),
-        (("design", "--rig", "paper-2023", "--payloads", "0.04", "0.02"), ("payloads", "allowed")),
-        (("design", "--rig", "paper-2023", "--payloads", "0", "0.02"), ("payloads", "allowed")),
-        (("design", "--rig", "paper-2023", "--payloads", "nan", "0.02"), ("payloads", "allowed")),
-        (("design", "--rig", "paper-2023", "--gain-crossover", "1e300"), ("gain_crossover", "allowed")),
+        (
+            (*DESIGN, "--phase-margin-deg", "200"),
+            ("phase_margin_deg: out of range (got 200.0)", "expected", "179"),
+        ),
+        ((*DESIGN, "--phase-margin-deg", "-5"), ("phase_margin_deg: out of range (got -5.0)", "expected")),
+        (("design", "--rig", "paper-2023", "--payloads", "0.04", "0.02"), ("payloads", "expected")),
+        (("design", "--rig", "paper-2023", "--payloads", "0", "0.02"), ("payloads", "expected")),
+        (("design", "--rig", "paper-2023", "--payloads", "nan", "0.02"), ("payloads", "expected")),
+        (("design", "--rig", "paper-2023", "--gain-crossover", "1e300"), ("gain_crossover", "expected")),
         (("design", "--rig", "paper-2023", "--margins", "best"), ("margins", "'loop'")),
-        (("design", "--rig", "paper-2023", "--filter-order", "3"), ("filter_order", "allowed")),
+        (("design", "--rig", "paper-2023", "--filter-order", "3"), ("filter_order", "expected")),
         (("design", "--rig", "paper-2023", "--payloads", "0.02"), ("--payloads",)),
         (("design", "--rig", "paper-2023", "--gain", "12"), ("--gain",)),
         (("design",), ("Missing option '--rig'",)),
         (("desing",), ("No such command 'desing'",)),
-        (("simulate", "nothing.json", "--payload", "0.02"), ("nothing.json is not there",)),
-        (("certify", "nothing.json"), ("nothing.json is not there",)),
+        (("simulate", "nothing.json", "--payload", "0.02"), ("not there (got nothing.json)",)),
+        (("certify", "nothing.json"), ("not there (got nothing.json)",)),
     ],
 )
 def test_bad_input_is_one_line_and_exit_code_2(
@@ -255,4 +258,4 @@ def test_a_rig_without_a_model_says_what_to_do(fraclink: Command, tmp_path: Path
     (tmp_path / "rig.toml").write_text(kept[0] + "[design]" + rest[2])
     answer = fraclink("design", "--rig", "rig.toml")
     assert answer.code == 2
-    assert "identify a log first" in answer.err
+    assert "Identify a log first" in answer.err
