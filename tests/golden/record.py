@@ -10,6 +10,7 @@ floating-point functions give the bits of the machine that recorded it (`probe`)
 digests are compared everywhere. Record a topic again only for a difference that is understood and wanted.
 """
 
+# ruff: noqa: E402
 from __future__ import annotations
 
 import functools
@@ -30,6 +31,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import fraclink as fl
+
+# As a script it finds what the tests find by pytest's `pythonpath`.
+sys.path[:0] = [str(folder) for folder in Path(__file__).resolve().parents[1:3]]
 
 # The names that are not at the root: all of them here, so that a move of modules is one edit.
 from fraclink._campaign import Campaign, simulate_part, sweep
@@ -62,9 +66,8 @@ from reproduce.published import read_published
 from reproduce.values import computed
 
 HERE = Path(__file__).resolve().parent
-sys.path.insert(0, str(HERE.parent))
-from golden.commands import record_commands  # noqa: E402
-from golden.formats import formats  # noqa: E402
+from golden.commands import record_commands
+from golden.formats import formats
 
 ROOT = HERE.parents[1]
 LINK_MASS = 0.00735  # [kg], of the twin: a quarter of the nominal payload
@@ -468,7 +471,7 @@ def designs() -> Plain:
     for title, options in (("noise", {}), ("crossover", {"goal": "crossover"})):
         best = optimise(design_of(RIG), lead=False, **options)
         steps = {step.structure: [step.value, step.taken] for step in best.steps}
-        made[f"optimised {title}"] = plan_figures(best.plan) | {"steps": plain(steps)}
+        made[f"optimised {title}"] = plan_figures(best.design) | {"steps": plain(steps)}
     found = sweep(
         GEARED, gain_crossovers=[11.0, 20.0], phase_margins=[0.9, 1.2], payloads=[0.03], link_mass=LINK_MASS
     )
