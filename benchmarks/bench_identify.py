@@ -26,7 +26,7 @@ from fraclink._identify import (
 )
 from fraclink._identify.motor_example import example_motor_log
 from fraclink._identify.problem import Window
-from fraclink._systems.response import grunwald_letnikov
+from fraclink._systems.inversion import grunwald_letnikov
 from identify_logs import NOISE, PERIOD, SAMPLES, TRUTH, clean_log, line, noisy_log
 from identify_recorded import daisy, real_logs
 

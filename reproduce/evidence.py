@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fraclink._arm.controller import Controller
 from fraclink._identify import aic
-from fraclink._systems.stability import margins
+from fraclink._systems.margins import margins
 from reproduce import designs
 from reproduce.published import Published
 from reproduce.values import PAYLOADS, comparison

@@ -15,7 +15,7 @@ from fraclink._arm.link import LinkModel
 from fraclink._arm.motor_loop import Method, place_pid
 from fraclink._design import design
 from fraclink._design.poles import PRINTED, closed_loop_poles
-from fraclink._systems.stability import margins
+from fraclink._systems.margins import margins
 from reproduce import designs
 
 __all__ = ["costs", "facts", "sampled_margins"]

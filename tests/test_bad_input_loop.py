@@ -22,7 +22,7 @@ from fraclink._design.feasibility import feasibility_map
 from fraclink._law import Moves, discretize_controller, equip
 from fraclink._realtime import Callback, Library, SharedMemory, Udp, parse_connection, run_realtime
 from fraclink._simulate.twin import geared
-from fraclink._systems.rational import fit_discrete
+from fraclink._systems.discrete import fit_discrete
 from fraclink._workflow import Move, Request, design_for
 from fraclink.errors import FieldError
 from junk import JUNK, LINK, RIG, Call, design, fields_of, law, take_or_refuse

@@ -38,7 +38,7 @@ from fraclink._simulate.twin import (
     geared,
     simulate_log,
 )
-from fraclink._systems.response import grunwald_letnikov
+from fraclink._systems.inversion import grunwald_letnikov
 from fraclink._workflow import Move, simulate_move
 from fraclink.errors import FraclinkError
 from junk import (

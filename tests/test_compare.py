@@ -31,7 +31,7 @@ from fraclink._compare.shaping import Shaped, shaper_impulses
 from fraclink._compare.spillover import linear_growth, mode_gain
 from fraclink._simulate.twin import Twin, geared
 from fraclink._simulate.twin.loop import driven, run_twin
-from fraclink._systems.stability import margins
+from fraclink._systems.margins import margins
 from fraclink.errors import FieldError, NotConvergedError
 
 RIG = geared(fl.Rig.named("paper-2023"))

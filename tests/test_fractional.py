@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fraclink._systems.fractional import FractionalTransferFunction, Term, s
+from fraclink._systems.fractional import FractionalTransferFunction, s
+from fraclink._systems.terms import Term
 from fraclink.errors import FieldError
 
 LINK = 1.56 * s**1.92 / (s**1.92 + 10.02**2)

@@ -14,7 +14,7 @@ import pytest
 
 from fraclink._systems.fractional import FractionalTransferFunction, s
 from fraclink._systems.interop import from_control, to_control
-from fraclink._systems.stability import margins
+from fraclink._systems.margins import margins
 from fraclink.errors import FieldError, MissingExtraError
 
 mpl.use("Agg")
@@ -235,6 +235,6 @@ def test_a_name_is_shown() -> None:
 
 def test_without_python_control(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "control", None)
-    monkeypatch.delitem(sys.modules, "fraclink._systems.interop.adapter", raising=False)
+    monkeypatch.delitem(sys.modules, "fraclink._systems.control_adapter", raising=False)
     with pytest.raises(MissingExtraError, match=r"fraclink\[control\]"):
         to_control(LOOP)

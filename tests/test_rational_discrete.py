@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fraclink._systems.rational import DiscreteRational, fit_discrete
+from fraclink._systems.discrete import DiscreteRational, fit_discrete
 from fraclink.errors import FieldError
 
 PERIOD = 0.004

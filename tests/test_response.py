@@ -11,15 +11,16 @@ import pytest
 from scipy.special import erfcx, gamma, wofz
 
 from fraclink._arm.link import LinkModel
-from fraclink._systems.fractional import FractionalTransferFunction, Term, s
+from fraclink._systems.fractional import FractionalTransferFunction, s
+from fraclink._systems.inversion import grunwald_letnikov
 from fraclink._systems.response import (
     discretize,
-    grunwald_letnikov,
+    held_quotient,
     impulse_response,
     step_response,
     time_response,
 )
-from fraclink._systems.response.discrete import held_quotient
+from fraclink._systems.terms import Term
 from fraclink.errors import NotConvergedError
 
 T = 0.004
@@ -367,11 +368,11 @@ def test_inversion_where_poles_are_not_certified(hold: str, monkeypatch: pytest.
 
     system, u = 0.5 + 2 / (s + 1) ** 3, np.cos(np.arange(800) * 0.03)
     exact = time_response(system, u, 0.01, hold=hold)
-    monkeypatch.setattr("fraclink._systems.response.simulate.held_quotient", lost)
+    monkeypatch.setattr("fraclink._systems.response.held_quotient", lost)
     with pytest.raises(NotConvergedError):
         impulse_response(system, 1.0, 0.01)
     monkeypatch.setattr(
-        "fraclink._systems.response.simulate.held_quotient",
+        "fraclink._systems.response.held_quotient",
         lambda top, bottom: held_quotient(top, bottom) if len(bottom) == 1 else lost(),
     )
     result = time_response(system, u, 0.01, hold=hold)

@@ -8,10 +8,9 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fraclink._systems.contour import held_response
 from fraclink._systems.fractional import FractionalTransferFunction, s
-from fraclink._systems.response import discretize, step_response, time_response
-from fraclink._systems.response.contour import held_response
-from fraclink._systems.response.discrete import held_quotient
+from fraclink._systems.response import discretize, held_quotient, step_response, time_response
 
 orders = st.floats(0.05, 1.98).map(lambda x: round(x, 3))
 factors = st.builds(lambda a, c: (a, c), orders, st.floats(-3, 6).map(math.exp))

@@ -10,9 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fraclink._systems.roots import ExponentialSum, count_zeros, log_zeros
+from fraclink._systems.exponential import ExponentialSum
 from fraclink._systems.roots import _by_bisection as by_bisection
 from fraclink._systems.roots import _upper as upper
+from fraclink._systems.roots import count_zeros, log_zeros
 from fraclink.errors import FieldError, NotConvergedError
 
 PI = math.pi

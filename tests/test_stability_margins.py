@@ -12,7 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fraclink._systems.fractional import FractionalTransferFunction, s
-from fraclink._systems.stability import Margins, is_stable, margins
+from fraclink._systems.margins import Margins, margins
+from fraclink._systems.stability import is_stable
 from fraclink.errors import FieldError
 
 K, BETA, W = 0.148, 0.65, 10.0

@@ -11,7 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fraclink._systems.fractional import FractionalTransferFunction, s
-from fraclink._systems.stability import is_stable, margins, poles
+from fraclink._systems.margins import margins
+from fraclink._systems.stability import is_stable, poles
 from fraclink.errors import FieldError
 
 

@@ -275,7 +275,8 @@ def test_a_series_is_one_column_of_finite_floats(annotation: Any) -> None:
     for junk in (["a"], [None], [[1.0], [1.0, 2.0]], None, "12", [True], [1j], object()):
         assert refusal(annotation, junk).problem == "not an array of numbers"
     error = refusal(annotation, [0.0, math.nan])
-    assert (error.field, error.problem) == ("x[1]", "not finite")
+    assert (error.field, error.problem) == ("x", "not finite (entry 1)")
+    assert rule(annotation).check("x", [1e308, 1e308]).tolist() == [1e308, 1e308]  # only their sum is not
 
 
 def test_arrays_keep_the_shape_and_kind_of_their_annotation() -> None:
@@ -289,7 +290,12 @@ def test_arrays_keep_the_shape_and_kind_of_their_annotation() -> None:
 
 def test_a_range_beside_an_array_is_for_every_entry() -> None:
     masses = Annotated[NDArray[np.float64], Array(2), Between(0.0, 1.0, "kg", low_open=True)]
-    assert refusal(masses, [[0.5, 0.5], [0.5, 0.0]]).field == "x[1, 1]"
+    assert refusal(masses, [[0.5, 0.5], [0.5, 0.0]]).problem == "out of range (entry 1, 1)"
+
+
+def test_a_condition_is_a_signal_where_the_annotation_says_so() -> None:
+    signal = Annotated[NDArray[np.float64], Array(1, flags=True)]
+    assert rule(signal).check("u", np.arange(3) > 1).tolist() == [0.0, 0.0, 1.0]
 
 
 def test_arguments_are_not_copied_and_fields_are_read_only_copies() -> None:

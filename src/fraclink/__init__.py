@@ -89,13 +89,13 @@ if TYPE_CHECKING:  # what editors and type checkers see; nothing of this runs
     from fraclink._systems.fractional import FractionalTransferFunction as FractionalTransferFunction
     from fraclink._systems.fractional import s as s
     from fraclink._systems.interop import from_control as from_control
+    from fraclink._systems.margins import margins as margins
+    from fraclink._systems.norms import norm as norm
     from fraclink._systems.rational import approximate as approximate
     from fraclink._systems.response import impulse_response as impulse_response
     from fraclink._systems.response import step_response as step_response
     from fraclink._systems.response import time_response as time_response
     from fraclink._systems.stability import is_stable as is_stable
-    from fraclink._systems.stability import margins as margins
-    from fraclink._systems.stability import norm as norm
     from fraclink._systems.stability import poles as poles
     from fraclink._workflow import Study as Study
     from fraclink._workflow import conduct as conduct

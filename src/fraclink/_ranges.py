@@ -105,6 +105,7 @@ class Array:
     ndim: int | None = 1
     finite: bool = True
     min_size: int = 0
+    flags: bool = False  # whether True and False count as 1 and 0: a condition such as t > 1 is a step
 
     @property
     def expected(self) -> str:

@@ -260,7 +260,7 @@ def _entries(pairs: Iterable[tuple[Rule, Any]], keys: tuple[Any, ...] = ()) -> l
 
 def array_rule(annotation: Any, shape: Array, bounds: Between | None, own: bool) -> Rule:
     dtype = _dtype(annotation)
-    kinds = {"c": "iufc", "b": "b", "i": "iu"}.get(dtype.kind, "iuf")
+    kinds = {"c": "iufc", "b": "b", "i": "iu"}.get(dtype.kind, "iuf") + ("b" if shape.flags else "")
     expected = f"{shape.expected}, each {bounds.expected}" if bounds else shape.expected
     remedy = "give one column of numbers" if shape.ndim == 1 else "give an array of numbers"
 
@@ -274,7 +274,8 @@ def array_rule(annotation: Any, shape: Array, bounds: Between | None, own: bool)
         if (shape.ndim is not None and raw.ndim != shape.ndim) or raw.size < shape.min_size:
             raise Refused(f"shape {raw.shape}", "of another shape", expected, remedy)
         array = raw.astype(dtype, copy=False)
-        if shape.finite and dtype.kind in "fc":
+        # One pass without a copy: NaN and infinity show in the sum, and only then every entry is looked at.
+        if shape.finite and dtype.kind in "fc" and not _sums_up(array):
             _check_entries(array, np.isfinite(array), "not finite", expected, remedy)
         if bounds is not None:
             _check_entries(array, bounds.admits(array), "out of range", expected, bounds.remedy)
@@ -283,12 +284,16 @@ def array_rule(annotation: Any, shape: Array, bounds: Between | None, own: bool)
     return Rule(expected, convert, bounds.unit if bounds else "")
 
 
+def _sums_up(array: NDArray[Any]) -> bool:
+    with np.errstate(over="ignore", invalid="ignore"):
+        return bool(np.isfinite(array.sum()))
+
+
 def _check_entries(array: NDArray[Any], good: Any, problem: str, expected: str, remedy: str) -> None:
     if not good.all():
         place = np.argwhere(~good)[0]
-        refused = Refused(array[tuple(place)], problem, expected, remedy)
-        refused.place = f"[{', '.join(map(str, place))}]" if place.size else ""
-        raise refused
+        where = ", ".join(map(str, place)) if place.size else "the only one"
+        raise Refused(array[tuple(place)], f"{problem} (entry {where})", expected, remedy)
 
 
 def _owned(array: NDArray[Any]) -> NDArray[Any]:

@@ -262,7 +262,8 @@ class LinkModel:
         return self._over_denominator(self.stiffness, inertia=True)
 
     def _over_denominator(self, gain: float, *, inertia: bool) -> FractionalTransferFunction:
-        from fraclink._systems.fractional import FractionalTransferFunction, Term
+        from fraclink._systems.fractional import FractionalTransferFunction
+        from fraclink._systems.terms import Term
 
         restoring = [Term(self.natural_frequency**2, 0.0)] if self.natural_frequency else []
         restoring += [Term(self.damping, self.damping_order)] if self.damping else []

@@ -30,7 +30,7 @@ from fraclink._arm.motor_loop import MotorConstants, MotorLoop
 if TYPE_CHECKING:
     from fraclink._arm.controller import Controller
     from fraclink._arm.rig import Rig
-    from fraclink._systems.stability import Margins
+    from fraclink._systems.margins import Margins
 
 __all__ = ["Achieved", "Crossings", "Loop", "noise_points", "with_payload", "worst_margins", "worst_over_box"]
 
@@ -463,7 +463,7 @@ class Loop:
 
     def margins_at(self, natural_frequency: float) -> Margins:
         """Return every crossing and margin at one ω₀, from the general engine `fraclink.margins`."""
-        from fraclink._systems.stability import margins
+        from fraclink._systems.margins import margins
 
         limit = self.highest if math.isfinite(self.highest) else None
         return margins(lambda s: self(np.imag(s), natural_frequency), limit=limit, unstable_poles=0)

@@ -175,7 +175,8 @@ class ContinuousPid:
 
     def closed(self) -> FractionalTransferFunction:
         """Return M(s) = θm/θm* = 1/(1 + s/p)² (21)."""
-        from fraclink._systems.fractional import FractionalTransferFunction, Term
+        from fraclink._systems.fractional import FractionalTransferFunction
+        from fraclink._systems.terms import Term
 
         p = self.pole
         return FractionalTransferFunction(

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from fraclink._arm.rig import Rig
     from fraclink._law import Law
     from fraclink._law.block import Precision
-    from fraclink._systems.stability import Margins
+    from fraclink._systems.margins import Margins
 
 __all__ = ["Design", "Requirement", "open_loop"]
 
@@ -173,7 +173,7 @@ class Design:
 
     def at_frequency(self, natural_frequency: float) -> Margins:
         """Return every margin of the loop the design was asked for, at a link with this ω₀ [s^(-λ/2)]."""
-        from fraclink._systems.stability import margins
+        from fraclink._systems.margins import margins
 
         checked_natural_frequency(natural_frequency)
         loop = self.loop
@@ -206,7 +206,7 @@ class Design:
             "law" (the coefficients that are shipped), "exact" (Ĉ(jω) itself, which no computer runs) or
             "grunwald" (the paper's backward difference with all its memory, which lags by β ωTs/2).
         """
-        from fraclink._systems.stability import margins
+        from fraclink._systems.margins import margins
 
         plant = self.sampled_plant(self.natural_frequency(payload))
         outer = realised(self.controller, self.rig.period, realisation)

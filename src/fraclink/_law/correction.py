@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._systems.rational import DiscreteRational, fit_discrete
+from fraclink._systems.discrete import DiscreteRational, fit_discrete
 
 if TYPE_CHECKING:
     from fraclink._arm.controller import Controller

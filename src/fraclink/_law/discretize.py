@@ -17,8 +17,7 @@ from fraclink._law.correction import fit_correction
 from fraclink._law.law import Law
 from fraclink._law.limits import Moves, derive_limits
 from fraclink._law.nouns import Drive, Modes
-from fraclink._systems.rational import DiscreteRational, fit_discrete
-from fraclink._systems.rational.discrete import checked_band
+from fraclink._systems.discrete import DiscreteRational, checked_band, fit_discrete
 from fraclink._validate import checked_noun, checked_number
 from fraclink.errors import FieldError
 

@@ -42,7 +42,7 @@ def link_weights(model: LinkModel, period: float, span: float) -> LinkWeights:
     >>> len(weights.decay), len(weights.pair)
     (0, 1)
     """
-    from fraclink._systems.response.discrete import discretize
+    from fraclink._systems.response import discretize
 
     reach = abs(model.pole) * period
     if not reach < LONGEST:

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fraclink._show.plots.curves import Curve, labelled, pyplot, sample
-from fraclink._systems.stability import Margins
-from fraclink._systems.stability import margins as find_margins
+from fraclink._systems.margins import Margins
+from fraclink._systems.margins import margins as find_margins
 from fraclink.errors import FieldError
 
 __all__ = ["bode", "margins"]

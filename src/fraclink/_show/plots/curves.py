@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fraclink._systems.stability.grids import frequency_grid, refined
-from fraclink._systems.stability.loops import as_loop
-from fraclink._systems.stability.sweep import Loop
+from fraclink._systems.loops import Loop, as_loop
+from fraclink._systems.sweep import frequency_grid, refined
 from fraclink.errors import FieldError, MissingExtraError
 
 __all__ = ["Curve", "labelled", "pyplot", "sample"]

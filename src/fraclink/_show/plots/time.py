@@ -10,9 +10,9 @@ import numpy as np
 
 from fraclink._show.plots.curves import labelled, pyplot
 from fraclink._systems.fractional import FractionalTransferFunction
+from fraclink._systems.loops import FractionalLoop
 from fraclink._systems.response import step_response
 from fraclink._systems.stability import poles
-from fraclink._systems.stability.fractional_loop import FractionalLoop
 from fraclink.errors import FieldError
 
 __all__ = ["step"]

@@ -1,0 +1,210 @@
+"""Step and ramp responses at single times: trapezoid on a parabola, with exact correction of its poles.
+
+    f(t) = 1/(2πi) ∫ G(s) s^(-n) e^(st) ds,   s = μ (1 + iu)²,   u = kh
+
+17 nodes give 1e-14 for singularities on the negative axis and at 0 (more nodes for strong ones there). A pole
+p elsewhere enters with the weight 1/(1 - exp(-2πi u_p/h)) of its residue, u_p its place in the u-plane: 1
+outside the parabola, 0 deep inside, and exact in between. Every time has a parabola of its own, so that the
+result is accurate relative to f(t) itself: slow, and the judge of the modes.
+
+Source: Weideman and Trefethen, Math. Comp. 76 (2007) 1341, parabola with h = 3/N, μ = πN/(12 t).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from fraclink._systems.quotient import Cluster, Quotient
+from fraclink._systems.terms import Complexes, Reals
+
+_BESIDE_ZERO = 0.02  # |p| t
+_CHUNK = 1024  # times together: about 20 nodes each
+
+
+def held_response(quotient: Quotient, times: Reals, power: int) -> Reals:
+    """Return the inverse Laplace transform of G(s)/s^power at times > 0 [s] (1 step, 2 ramp, 0 impulse)."""
+    flat = np.ravel(times)
+    # Close poles are told apart or not by the time: each time has its own grouping then.
+    size = _CHUNK if quotient.is_sparse else 1
+    parts = [_on_parabola(quotient, flat[k : k + size], power) for k in range(0, len(flat), size)]
+    return np.concatenate(parts) if parts else np.empty(0)
+
+
+def _on_parabola(quotient: Quotient, times: Reals, power: int) -> Reals:
+    found, packed = quotient.grouped(lambda z: 0.3 * math.exp(-z.real) / float(times[0]))
+    simple = np.array([z for z in found if z.imag < math.pi - 1e-9], np.complex128)
+    clusters = [c for c in packed if c.centre.imag < math.pi - 1e-9]
+    nodes = _nodes(quotient.bottom[-1].order - quotient.top[-1].order + power)
+    step, scale = 3.0 / nodes, np.log(math.pi * nodes / (12.0 * times))
+    offset = _offset(np.concatenate((simple, [c.centre for c in clusters])), scale, step)
+    u = (np.arange(nodes + 2)[:, None] + offset) * step
+    root = 1.0 + 1j * u
+    z = 2.0 * np.log(root) + scale
+    values = quotient.value(z) * np.exp(z * (1 - power) + np.exp(z) * times) / root
+    values[0] *= np.where(offset == 0.0, 0.5, 1.0)  # the node u = 0 is its own conjugate
+    total: Reals = 2.0 * step / math.pi * values.real.sum(axis=0)
+    for pole in simple:
+        point = np.full(len(times), pole)
+        weight = _kernel(point, scale, offset, step) * np.exp((1 - power) * pole + np.exp(pole) * times)
+        # A pole beside the singular point 0 is seen from the parabola as a part of it, and its residue may be
+        # huge where the cut cancels it: 1e-14 of that is not a correction.
+        weight[math.exp(pole.real) * times < _BESIDE_ZERO] = 0.0
+        total += (1.0 if pole.imag == 0.0 else 2.0) * (quotient.residue(complex(pole)) * weight).real
+    for cluster in (c for c in clusters if math.exp(c.centre.real) * times[0] >= _BESIDE_ZERO):
+        share = 1.0 if cluster.centre.imag == 0.0 else 2.0
+        for k in range(len(times)):
+            total[k] += share * _cluster(quotient, cluster, scale[k], offset[k], step, times[k], power)
+    return total
+
+
+def _nodes(order: float) -> int:
+    """Nodes N for a transform that is s^-order at 0, which the parabola passes at Im u = 1.
+
+    The error e^(-2πN/3) then carries the factor (2πN/3)^(2a-1)/Γ(2a). More nodes than needed raise the
+    rounding error, e^(πN/12).
+    """
+    nodes, exponent = 16, max(2.0 * order - 1.0, 0.0)
+    while exponent * math.log(2.0 * math.pi * nodes / 3.0) - math.lgamma(exponent + 1.0) > 2.1 * nodes - 32.0:
+        nodes += 1
+    return nodes
+
+
+def _place(z: Complexes, scale: Reals) -> Complexes:
+    """Where the point e^z lies in the u-plane of the parabola of scale μ = e^scale."""
+    return np.asarray((np.exp(0.5 * (z - scale)) - 1.0) / 1j)
+
+
+def _kernel(z: Complexes, scale: Reals, offset: Reals, step: float) -> Complexes:
+    exponent = -2j * np.pi * (_place(z, scale) / step - offset)
+    return np.asarray(1.0 / (1.0 - np.exp(exponent)))
+
+
+def _offset(poles: Complexes, scale: Reals, step: float) -> Reals:
+    """0 or 1/2 for each time: the grid that is farther from the poles.
+
+    Only these two grids are symmetric, so that conjugate poles have conjugate weights.
+    """
+    if not poles.size:
+        return np.zeros(len(scale))
+    places = _place(poles[:, None], scale[None, :]) / step
+    gaps = [np.abs(places - o - np.round(places.real - o)).min(axis=0) for o in (0.0, 0.5)]
+    return np.where(gaps[0] >= gaps[1], 0.0, 0.5)
+
+
+def _cluster(
+    quotient: Quotient,
+    cluster: Cluster,
+    scale: float,
+    offset: float,
+    step: float,
+    time: float,
+    power: int,
+) -> float:
+    nodes = 2.0 * np.log(1.0 + 1j * (np.arange(-40, 41) + offset) * step) + scale
+    gap = float(min(np.abs(nodes - cluster.centre).min(), math.pi - cluster.centre.imag))
+    at = np.array([scale]), np.array([offset])
+    radius = math.exp(-cluster.centre.real) / time  # where e^(st) varies by a factor e
+    points, weights = quotient.circle(cluster, radius, gap, lambda z: _kernel(z, *at, step))
+    return float((weights * np.exp((1 - power) * points + np.exp(points) * time)).sum().real)
+
+
+# --- Held responses by one weight per lag, each from a contour of its own -----------------------------
+#
+# O(N log N) and a few microseconds per lag: for the functions whose modes cancel (poles and singular
+# powers that are much slower than the whole span), where relative accuracy needs a contour that grows
+# with time.
+
+
+def sample_response(quotient: Quotient, times: Reals, power: int, start: float) -> Reals:
+    """Step (power 1), ramp (2) or impulse (0) response at any times; `start` at 0 and nothing before."""
+    values, later = np.where(times == 0.0, start, 0.0), times > 0.0
+    values[later] = held_response(quotient, times[later], power)
+    return values
+
+
+def respond_by_weights(
+    quotient: Quotient, direct: float, u: Reals, period: float, hold: str, lag: int, ahead: float
+) -> Reals:
+    """Response to u delayed by `lag` periods and seen `ahead` [s] after its samples."""
+    output, count = np.zeros(len(u)), len(u) - lag
+    if count <= 0:
+        return output
+    times = np.arange(count, dtype=np.float64) * period + ahead
+    step = sample_response(quotient, times, 1, direct)
+    if hold == "zero":
+        output[lag:] = convolve(np.diff(step, prepend=0.0), u[:count])
+        return output
+    rise = np.diff(sample_response(quotient, times, 2, 0.0), prepend=0.0)
+    slopes = np.diff(u[: count + 1]) / period
+    slopes = np.concatenate((slopes, np.zeros(count - len(slopes))))
+    output[lag:] = u[0] * step + convolve(rise, slopes)
+    return output
+
+
+# --- Exact held responses of c·s^(-a): the response of s^(-a) to a step is t^a/Γ(1+a) -----------------
+
+Powers = Sequence[tuple[float, float]]
+
+
+def power_response(powers: Powers, times: Reals, degree: int) -> Reals:
+    """Sum of c t^(a+n-1)/Γ(a+n), n = `degree`: impulse (0), step (1) or ramp (2) response at times ≥ 0."""
+    total = np.zeros(len(times))
+    for factor, order in powers:
+        exponent = order + degree - 1
+        with np.errstate(divide="ignore"):
+            total += factor * np.exp(exponent * np.log(times) - math.lgamma(exponent + 1.0))
+    return total
+
+
+def power_weights(powers: Powers, period: float, ahead: float, count: int, hold: str) -> Reals:
+    """Weights of the held response at lags 0 … count-1, sampled `ahead` [s] after the input's samples.
+
+    Differences of t^b are taken without cancellation: by expm1 (step) or by the binomial series (ramp).
+    """
+    total = np.zeros(count)
+    steps = np.arange(count, dtype=np.float64) + ahead / period  # time in periods
+    for factor, order in powers:
+        scale = factor * math.exp(order * math.log(period) - math.lgamma(order + 1.0))
+        if hold == "zero":
+            total += scale * _first_difference(steps, order)
+        else:
+            total += scale / (order + 1.0) * _second_difference(steps, order + 1.0)
+    return total
+
+
+def jump_response(powers: Powers, period: float, times: Reals) -> Reals:
+    """Response to a unit jump at 0 minus that to a straight rise from -T to 0, at `times` ≥ 0."""
+    rise = power_response(powers, times + period, 2) - power_response(powers, times, 2)
+    return power_response(powers, times, 1) - rise / period
+
+
+def convolve(weights: Reals, u: Reals) -> Reals:
+    """First len(u) samples of the convolution, by FFT."""
+    size = 1 << max(2 * len(u) - 1, 1).bit_length()
+    spectrum = np.fft.rfft(weights, size) * np.fft.rfft(u, size)
+    result: Reals = np.fft.irfft(spectrum, size)[: len(u)]
+    return result
+
+
+def _first_difference(t: Reals, power: float) -> Reals:
+    """t^b - (t-1)^b for t ≥ 1, t^b before."""
+    result = t**power
+    later = t > 1.0
+    result[later] *= -np.expm1(power * np.log1p(-1.0 / t[later]))
+    return result
+
+
+def _second_difference(t: Reals, power: float) -> Reals:
+    """(t+1)^b - 2 t^b + (t-1)^b, the last term only for t ≥ 1."""
+    result = (t + 1.0) ** power - 2.0 * t**power + np.where(t > 1.0, np.abs(t - 1.0) ** power, 0.0)
+    far = t > 20.0  # 10 terms of 1/400^k: 1e-26
+    inverse = 1.0 / t[far] ** 2
+    term, total = np.ones(inverse.shape), np.zeros(inverse.shape)
+    for k in range(1, 11):
+        term = term * inverse * (power - 2 * k + 2) * (power - 2 * k + 1) / ((2 * k - 1) * (2 * k))
+        total += 2.0 * term
+    result[far] = t[far] ** power * total
+    return result

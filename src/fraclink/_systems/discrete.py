@@ -1,0 +1,344 @@
+"""A frequency response as a small discrete rational."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fraclink._systems.minimax import PartialFractions, Target, finish, grow, score
+from fraclink._systems.terms import Complexes, Reals
+from fraclink._validate import checked_between, checked_number, checked_whole, is_whole
+from fraclink.errors import FieldError
+
+HIGHEST_ORDER = 12
+_WITHIN = 0.97  # of the tolerance on the grid of the fit: between its points the error is up to 3 % larger
+_GUARD = 2.0  # above the band |H − F| may reach 2 |F| times the score: without it the gain there has no bound
+
+
+def fit_discrete(
+    response: Callable[[Reals], Complexes],
+    *,
+    period: float,
+    band: tuple[float, float],
+    order: int | None = None,
+    zeros_at_one: int = 0,
+    offset: float = 0.0,
+    weight: Callable[[Reals], Reals] | None = None,
+    tolerance_db: float = 0.1,
+    tolerance_deg: float = 0.5,
+    highest: int = 8,
+    pairs: int | None = None,
+) -> DiscreteRational:
+    """Return the discrete rational whose worst error in a band of frequencies is smallest.
+
+    The largest of |Re ε|/tolerance and |Im ε|/tolerance over the band is minimised, with
+    ε = weight · (H − F)/(offset + F), whose real part is an error in nepers and imaginary part in radians.
+
+    Parameters
+    ----------
+    response : callable
+        F(ω), an array of complex for an array of frequencies [rad/s].
+    period : float
+        Sampling period [s], > 0.
+    band : tuple of float
+        Lowest and highest frequency [rad/s] of the fit, 0 < low < high ≤ π/period.
+    order : int, optional
+        Number of poles, 0 … 12. None: the lowest order that meets both tolerances, else the best of those
+        up to `highest`.
+    zeros_at_one : int
+        Zeros imposed at z = 1 as factors (1 − z⁻¹)^m; 1 makes H(1) = 0 exactly.
+    offset : float
+        The error is judged on offset + H; 1 for a controller C = 1 + Ĉ fitted through Ĉ.
+    weight : callable, optional
+        Positive weight over frequency.
+    tolerance_db, tolerance_deg : float
+        Tolerances [dB] and [°]; their ratio sets the balance between errors of modulus and phase.
+    highest : int
+        Highest order that order=None tries, 0 … 12.
+    pairs : int, optional
+        Largest number of complex pairs among the poles; 0 for real poles only.
+
+    Returns
+    -------
+    DiscreteRational
+        All poles are inside the unit circle. `error_db` and `error_deg` are measured on a finer grid.
+
+    Raises
+    ------
+    FieldError
+        A band beyond the Nyquist frequency, an order out of range, a response that is not finite.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> h = fit_discrete(lambda w: 0.148 * (1j * w) ** 0.65 / (1 + 0.16j * w) ** 2, period=0.004,
+    ...                  band=(0.05, 785.0), order=4, zeros_at_one=1, offset=1.0)
+    >>> h.order, h.error_db < 0.1, h.error_deg < 0.5
+    (4, True, True)
+    """
+    checked_number("period", period, allowed="> 0 s", remedy="give seconds", holds=lambda time: time > 0.0)
+    _check(period, band, highest if order is None else order, zeros_at_one)
+    _check_tolerance(tolerance_db, tolerance_deg, pairs)
+    checked_number("offset", offset, allowed="a finite number", remedy="1 for C = 1 + H")
+    target = _target(response, period, band, zeros_at_one, offset, weight, (tolerance_db, tolerance_deg))
+    plane = (math.tan(0.5 * band[0] * period), math.tan(min(0.5 * band[1] * period, 1.55)))
+    best = _grown(target, plane, order, highest, pairs)
+    made = DiscreteRational.from_fractions(best, period=period, zeros_at_one=zeros_at_one, band=band)
+    w = _grid(band, 400)
+    ratio = np.log((offset + made(w)) / (offset + response(w)))
+    return replace(
+        made,
+        error_db=float(np.max(np.abs(ratio.real)) * 20 / math.log(10)),
+        error_deg=float(np.degrees(np.max(np.abs(ratio.imag)))),
+    )
+
+
+def _grown(
+    target: Target, plane: tuple[float, float], order: int | None, highest: int, pairs: int | None
+) -> PartialFractions:
+    """The fractions of the wanted order, of the lowest that meets the tolerances, or the best there are."""
+    grown: list[list[PartialFractions]] = []
+    for here in grow(target, plane, highest if order is None else order, pairs=pairs):
+        grown.append(here)
+        # What the quick norms reach is lowered by a tenth or two by the whole ladder.
+        if order is None and score(here[0], target) <= 1.3:
+            fit = finish(here, target)
+            if score(fit, target) <= _WITHIN:
+                return fit
+    if order is not None:
+        return finish(grown[-1], target)
+    likely = sorted(grown, key=lambda here: score(here[0], target))[:2]
+    return min((finish(here, target) for here in likely), key=lambda fit: score(fit, target))
+
+
+def _grid(band: tuple[float, float], count: int) -> Reals:
+    """Logarithmic over the band and linear in its upper three quarters, where the discrete error ripples."""
+    low, high = band
+    return np.unique(
+        np.concatenate([np.geomspace(low, high, count), np.linspace(0.25 * high, high, count // 2)])
+    )
+
+
+def _target(
+    response: Callable[[Reals], Complexes],
+    period: float,
+    band: tuple[float, float],
+    zeros_at_one: int,
+    offset: float,
+    weight: Callable[[Reals], Reals] | None,
+    tolerance: tuple[float, float],
+) -> Target:
+    inside, nyquist = _grid(band, 80), math.pi / period
+    above = np.linspace(band[1], nyquist, 21)[1:] * (1 - 1e-9) if band[1] < 0.99 * nyquist else np.empty(0)
+    w = np.concatenate([inside, above])
+    w = np.minimum(w, nyquist * (1 - 1e-6))  # tan(ωT/2) is infinite at the Nyquist frequency
+    wanted = _values("response", response, w, complex)
+    within = np.arange(w.size) < inside.size
+    base = np.where(within, offset + wanted, np.abs(wanted))
+    if wanted.shape != w.shape or not np.all(np.isfinite(wanted)) or not np.all(base):
+        raise FieldError(
+            "response",
+            wanted.shape,
+            "zero, not finite or of another shape at some frequency",
+            allowed="finite values that are not zero, one for each frequency",
+            remedy="check the response between the band's ends and the Nyquist frequency",
+        )
+    emphasis = np.ones_like(w) if weight is None else np.where(within, _weights(weight, w, within), 1.0)
+    half = 0.5 * w * period
+    return Target(
+        np.tan(half),
+        (2j * np.sin(half) * np.exp(-1j * half)) ** zeros_at_one,
+        wanted,
+        np.asarray(emphasis / base, dtype=complex),
+        np.where(within, 20 / (math.log(10) * tolerance[0]), 1 / _GUARD),
+        np.where(within, 180 / (math.pi * tolerance[1]), 1 / _GUARD),
+    )
+
+
+def _values(field: str, function: object, frequency: Reals, kind: type) -> NDArray[Any]:
+    """What the caller's function gives at `frequency`; FieldError where it is none, or gives no numbers."""
+    if not callable(function):
+        allowed = "a function of ω [rad/s]"
+        raise FieldError(field, repr(function), "not to be called", allowed=allowed, remedy="give a function")
+    values = function(frequency)
+    try:
+        return np.asarray(values, dtype=kind)
+    except (TypeError, ValueError) as error:
+        allowed = "one number for each frequency"
+        raise FieldError(
+            field, type(values).__name__, "no numbers", allowed=allowed, remedy="return an array"
+        ) from error
+
+
+def _weights(weight: object, frequency: Reals, within: NDArray[np.bool_]) -> Reals:
+    values = _values("weight", weight, frequency, float)
+    if values.shape != frequency.shape or not np.all((values > 0.0) & np.isfinite(values), where=within):
+        raise FieldError(
+            "weight",
+            values.shape,
+            "not positive and finite, or of another shape",
+            allowed="> 0, one for each frequency",
+            remedy="check the weight between the band's ends",
+        )
+    return values
+
+
+def checked_band(band: object, period: object | None) -> tuple[float, float]:
+    """Return `band` as (low, high) [rad/s], below the Nyquist frequency of `period` [s] if there is one."""
+    allowed, remedy = "0 < low < high rad/s", "give (low, high) in rad/s"
+    limit = math.inf
+    if period is not None:
+        limit = math.pi / checked_number(
+            "period",
+            period,
+            allowed="> 0 s",
+            remedy="give the period in seconds",
+            holds=lambda time: time > 0.0,
+        )
+        allowed = f"0 < low < high <= {limit:.6g} rad/s"
+        remedy = "lower the upper end or shorten the period"
+    if not isinstance(band, tuple | list | np.ndarray) or len(band) != 2:
+        raise FieldError("band", band, "not a pair", allowed=allowed, remedy="give (low, high) in rad/s")
+    low, high = (
+        checked_number(f"band[{i}]", value, allowed=allowed, remedy=remedy) for i, value in enumerate(band)
+    )
+    if not 0.0 < low < high <= limit * (1.0 + 1e-9):
+        raise FieldError("band", (low, high), "not a band", allowed=allowed, remedy=remedy)
+    return low, high
+
+
+def _check(period: float, band: tuple[float, float], order: int, zeros_at_one: int) -> None:
+    checked_band(band, period)
+    if not is_whole(order, 0, HIGHEST_ORDER):
+        allowed = f"a whole number from 0 to {HIGHEST_ORDER}"
+        raise FieldError("order", order, "out of range", allowed=allowed, remedy="use order=None to choose")
+    if not is_whole(zeros_at_one, 0, 3):
+        raise FieldError(
+            "zeros_at_one", zeros_at_one, "out of range", allowed="0 to 3", remedy="use 1 for a washout"
+        )
+
+
+def _check_tolerance(tolerance_db: float, tolerance_deg: float, pairs: int | None) -> None:
+    for field, value in (("tolerance_db", tolerance_db), ("tolerance_deg", tolerance_deg)):
+        checked_between(field, value, 1e-9, 1e3, remedy="use 0.1 dB and 0.5°")
+    if pairs is not None:
+        checked_whole("pairs", pairs, 0, 100)  # 0 asks for real poles only
+
+
+# --- A discrete rational transfer function in parallel form, with its zeros at z = 1 kept as factors
+
+
+@dataclass(frozen=True, eq=False)
+class DiscreteRational:
+    """H(z) = (1 − z⁻¹)^m · (d + Σ g_i/(z − p_i) + ½ Σ [c_j/(z − q_j) + c̄_j/(z − q̄_j)]).
+
+    With v[k] = (1 − z⁻¹)^m u[k] the recursion is
+
+        y[k] = d v[k] + Σ g_i x_i[k] + Re Σ c_j w_j[k]
+        x_i[k+1] = p_i x_i[k] + v[k],   w_j[k+1] = q_j w_j[k] + v[k]
+
+    Differencing first makes H(1) = 0 exactly in any arithmetic.
+
+    Attributes
+    ----------
+    period : float
+        Sampling period [s].
+    zeros_at_one : int
+        m, the zeros at z = 1 kept as factors.
+    feedthrough : float
+        d.
+    decays, gains : ndarray, shape (n,)
+        Real poles p_i in (−1, 1) and their residues g_i.
+    pole_decays, pole_gains : ndarray of complex, shape (k,)
+        One pole q_j of each pair (Im q > 0, |q| < 1) and its c_j.
+    band : tuple of float
+        Lowest and highest frequency [rad/s] of the fit.
+    error_db, error_deg : float
+        Largest error in the band of offset + H against offset + response, in decibels and in degrees
+        (see `fit_discrete`).
+    """
+
+    period: float
+    zeros_at_one: int
+    feedthrough: float
+    decays: Reals
+    gains: Reals
+    pole_decays: Complexes
+    pole_gains: Complexes
+    band: tuple[float, float]
+    error_db: float = math.nan
+    error_deg: float = math.nan
+
+    def __post_init__(self) -> None:
+        for name in ("decays", "gains", "pole_decays", "pole_gains"):
+            kind = complex if name.startswith("pole") else float
+            array = np.array(getattr(self, name), dtype=kind).reshape(-1)
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
+
+    @property
+    def order(self) -> int:
+        """Number of poles, which is the number of states without those of the differences."""
+        return len(self.decays) + 2 * len(self.pole_decays)
+
+    @property
+    def poles(self) -> Complexes:
+        """All poles in the z-plane, conjugates included."""
+        return np.concatenate([self.decays, self.pole_decays, self.pole_decays.conj()])
+
+    def __call__(self, frequency: ArrayLike) -> Complexes:
+        """H(e^(jωT)) at frequencies ω [rad/s], shape kept."""
+        w = np.asarray(frequency, dtype=float)
+        z = np.exp(1j * w * self.period)[..., None]
+        inner = self.feedthrough + (self.gains / (z - self.decays)).sum(-1)
+        inner = inner + 0.5 * (self.pole_gains / (z - self.pole_decays)).sum(-1)
+        inner = inner + 0.5 * (self.pole_gains.conj() / (z - self.pole_decays.conj())).sum(-1)
+        # 1 − e^(−jθ) = 2j sin(θ/2) e^(−jθ/2) keeps its relative precision at the lowest frequencies.
+        half = 0.5 * w * self.period
+        return np.asarray((2j * np.sin(half) * np.exp(-1j * half)) ** self.zeros_at_one * inner)
+
+    def filter(self, samples: ArrayLike) -> Reals:
+        """Response [any unit] to samples u[0], u[1], … from rest, by the recursion above."""
+        v = np.asarray(samples, dtype=float)
+        if v.ndim != 1:
+            raise FieldError(
+                "samples",
+                v.shape,
+                "not one signal",
+                allowed="shape (N,)",
+                remedy="filter one signal at a time",
+            )
+        for _ in range(self.zeros_at_one):
+            v = np.diff(v, prepend=0.0)
+        y = self.feedthrough * v
+        x, w = np.zeros(len(self.decays)), np.zeros(len(self.pole_decays), dtype=complex)
+        for k, drive in enumerate(v):
+            y[k] += self.gains @ x + (self.pole_gains @ w).real
+            x, w = self.decays * x + drive, self.pole_decays * w + drive
+        return y
+
+    @classmethod
+    def from_fractions(
+        cls, fit: PartialFractions, *, period: float, zeros_at_one: int, band: tuple[float, float]
+    ) -> DiscreteRational:
+        """Map partial fractions on the plane x = (z − 1)/(z + 1) = tanh(sT/2) back to z."""
+        sigma, q = np.exp(fit.real_logs), fit.poles_of_pairs()
+        real, pair = fit.real_gains * sigma / (1 + sigma), fit.pair_gains * q / (1 + q)
+        decays, turned = (1 - sigma) / (1 + sigma), (1 - q) / (1 + q)
+        gains = pair * (1 + turned)
+        below = turned.imag < 0
+        return cls(
+            period=period,
+            zeros_at_one=zeros_at_one,
+            feedthrough=float(fit.direct + real.sum() + pair.real.sum()),
+            decays=decays,
+            gains=real * (1 + decays),
+            pole_decays=np.where(below, turned.conj(), turned),
+            pole_gains=np.where(below, gains.conj(), gains),
+            band=band,
+        )

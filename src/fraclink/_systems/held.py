@@ -1,0 +1,288 @@
+"""Held responses of a delay-free quotient: exact weights at lags 0 and 1, modes from lag 2 on."""
+
+from __future__ import annotations
+
+import math
+import os
+from dataclasses import dataclass
+
+import numpy as np
+
+from fraclink import _kernels
+from fraclink._systems.contour import (
+    convolve,
+    held_response,
+    jump_response,
+    power_response,
+    power_weights,
+    respond_by_weights,
+    sample_response,
+)
+from fraclink._systems.modes import DiscreteModes, Expansion, expand
+from fraclink._systems.quotient import LowFrequency, Quotient, split_low_frequency
+from fraclink._systems.terms import Reals, Term, collect, same, snap
+from fraclink.errors import SizeError
+
+_CHECKS = 9  # times at which the modes are compared with the contour integral; their error swings in ln t
+_ENOUGH = 3e-11  # of the peak: above this the modes cancel, and a contour per lag is used …
+_MOST_WEIGHTS = 200_000  # … for so many samples (about 2 s); the error estimate tells the rest
+_BYTES = 40  # per sample: input, output, time and what a hold needs
+_CHUNK = 4096  # times that are evaluated together: 60 modes are 2 MB
+
+
+@dataclass(frozen=True)
+class Part:
+    """A response, its estimated error, the number of modes (0 without) and the method."""
+
+    output: Reals
+    error: float
+    modes: int
+    method: str
+
+
+@dataclass(frozen=True)
+class HeldQuotient:
+    """N/D without delays, split at low frequency, with its poles: from here any period and hold is cheap."""
+
+    low: LowFrequency
+    quotient: Quotient | None
+    direct: float
+    whole: Quotient
+
+    @classmethod
+    def of(cls, top: tuple[Term, ...], bottom: tuple[Term, ...]) -> HeldQuotient:
+        low = split_low_frequency(top, bottom)
+        whole = Quotient.of(top, bottom)
+        quotient = Quotient(low.top, whole.bottom, whole.zeros) if low.top else None
+        same_degree = bool(low.top) and low.top[0].order == low.bottom[0].order
+        direct = low.top[0].coefficient / low.bottom[0].coefficient if same_degree else 0.0
+        if len(low.top) == len(low.bottom) == 1 and same_degree:
+            quotient = None  # a pure gain
+        return cls(low, quotient, direct, whole)
+
+    def expansion(self, period: float, span: float, tolerance: float) -> Expansion:
+        """Modes of the step response from one period to the span, two periods later for the last hold."""
+        if self.quotient is None or not self.low.is_split:
+            none = np.empty(0)
+            return Expansion(none, none, none.astype(complex), none.astype(complex))
+        return expand(self.quotient, shortest=period, longest=span + 2.0 * period, tolerance=tolerance)
+
+    def exact(self, times: list[float], power: int) -> list[float]:
+        """Step (power 1) or ramp (2) response at single times ≥ 0, without integrator and singular powers."""
+        if self.quotient is None:
+            return [self.direct * (t if power == 2 else 1.0) for t in times]
+        start = self.direct if power == 1 else 0.0
+        later = [t for t in times if t > 0.0]
+        values = iter(held_response(self.quotient, np.array(later), power).tolist())
+        return [start if t == 0.0 else (0.0 if t < 0.0 else next(values)) for t in times]
+
+    def modes(
+        self, period: float, *, hold: str, span: float, tolerance: float, delay: float = 0.0
+    ) -> DiscreteModes:
+        """The recursion: exact weights at lags 0 and 1, modes from lag 2 on."""
+        parts = self.expansion(period, span, tolerance)
+        return self._recursion(parts, period, hold, span, tolerance, delay)
+
+    def _recursion(
+        self,
+        parts: Expansion,
+        period: float,
+        hold: str,
+        span: float,
+        tolerance: float,
+        delay: float,
+        step: float | None = None,
+    ) -> DiscreteModes:
+        lag, ahead = split_delay(delay, period)
+        integrator, early = self.low.integrator, 0.0
+        x, z = -parts.rates * period, parts.poles * period
+        if hold == "zero":
+            if ahead or step is None:
+                at, next_at = self.exact([ahead, period + ahead], 1)
+            else:
+                at, next_at = self.direct, step  # known from the check of the modes
+            zeroth, one = at + integrator * ahead, next_at - at + integrator * period
+            gains, pole_gains = parts.weights * np.expm1(x), 2.0 * parts.pole_weights * np.expm1(z)
+        else:
+            before, at, next_at = self.exact([ahead, period + ahead, 2.0 * period + ahead], 2)
+            early = before / period + 0.5 * integrator * ahead**2 / period
+            zeroth = (at - 2.0 * before) / period
+            zeroth += integrator * (0.5 * period + ahead - 0.5 * ahead**2 / period)
+            one = (next_at - 2.0 * at + before) / period + integrator * period
+            gains = parts.weights * np.expm1(x) ** 2 / x
+            pole_gains = 2.0 * parts.pole_weights * np.expm1(z) ** 2 / z
+        gains, pole_gains = gains * np.exp(x * ahead / period), pole_gains * np.exp(z * ahead / period)
+        if integrator:
+            x, gains = np.append(x, 0.0), np.append(gains, integrator * period)
+        first = one - float(gains.sum()) - float(pole_gains.sum().real)
+        return DiscreteModes(
+            period, hold, zeroth, first, x, gains, z, pole_gains, span, lag, early, tolerance
+        )
+
+    def respond(self, u: Reals, period: float, *, hold: str, tolerance: float, delay: float) -> Part:
+        """Response to the samples u."""
+        span = max(len(u), 1) * period
+        parts = self.expansion(period, span, tolerance)
+        error, peak, step = self.error(parts, period, span)
+        if self._needs_contour(error, peak, len(u)):
+            lag, ahead = split_delay(delay, period)
+            output = respond_by_weights(self.whole, self.direct, u, period, hold, lag, ahead)
+            return self._by_contour(output)
+        modes = self._recursion(parts, period, hold, span, tolerance, delay, step)
+        output = modes.respond(u)
+        lag, ahead = split_delay(delay, period)
+        if lag < len(u) and self.low.powers:
+            weights = power_weights(self.low.powers, period, ahead, len(u) - lag, hold)
+            output[lag:] += convolve(weights, u[: len(u) - lag])
+        if lag <= len(u) and hold == "first":
+            self._add_edges(output, u, parts, period, lag, ahead)
+        return Part(output, 4.0 * error * largest(u) + 4e-15 * largest(output), modes.count, self._method)
+
+    def _add_edges(
+        self, output: Reals, u: Reals, parts: Expansion, period: float, lag: int, ahead: float
+    ) -> None:
+        """Turn hats that start one period before their sample into a jump at 0 and straight lines after it.
+
+        With a delay between samples a hat is seen `ahead` before its peak: the singular powers' share of
+        that (the modes' is in `early`), less what the jump's own hat has of it.
+        """
+        if ahead:
+            rise = float(power_response(self.low.powers, np.array([ahead]), 2)[0]) / period
+            output[lag - 1 :] += rise * u[: len(u) - lag + 1]
+            early = self.exact([ahead], 2)[0] / period + 0.5 * self.low.integrator * ahead**2 / period
+            output[lag - 1] -= u[0] * (rise + early)
+        if lag < len(u) and u[0] != 0.0:
+            output[lag:] += u[0] * self._jump(len(u) - lag, parts, period, ahead)
+
+    def _jump(self, count: int, parts: Expansion, period: float, ahead: float) -> Reals:
+        """Response to a jump at 0 minus that to a straight rise from -T to 0, `ahead` after each sample."""
+        step, (ramp, next_ramp) = self.exact([ahead], 1)[0], self.exact([ahead, ahead + period], 2)
+        x, z = -parts.rates * period, parts.poles * period
+        gains = parts.weights * np.exp(x * ahead / period) * (1.0 - np.expm1(x) / x)
+        pole_gains = 2.0 * parts.pole_weights * np.exp(z * ahead / period) * (1.0 - np.expm1(z) / z)
+        start = np.concatenate((np.ones(len(x)), np.tile([1.0, 0.0], len(z))))
+        output: Reals = _kernels.modes_response(np.zeros(count), 0.0, 0.0, x, gains, z, pole_gains, start)
+        output[0] = step - (next_ramp - ramp) / period
+        output -= 0.5 * self.low.integrator * period
+        times = grid(count, period) + ahead
+        return np.asarray(output + jump_response(self.low.powers, period, times))
+
+    def at(self, times: Reals, degree: int, tolerance: float) -> Part:
+        """Impulse (degree 0) or step (1) response at any times [s]; 0 before time 0."""
+        output, later = np.zeros(len(times)), times > 0.0
+        output[times == 0.0] = self._initial(degree)
+        if not later.any():
+            return Part(output, 0.0, 0, "modes")
+        t = times[later]
+        shortest, longest = float(t.min()), float(t.max())
+        parts = self.expansion(shortest, longest, tolerance)
+        error, peak, first = self.error(parts, shortest, longest)
+        error *= 1.0 if degree else 1.0 / shortest
+        if self._needs_contour(error, peak, len(t)):
+            output[later] = sample_response(self.whole, t, degree, 0.0)
+            return self._by_contour(output)
+        scale, pole_scale = (1.0, 1.0) if degree else (-parts.rates, parts.poles)
+        basis = np.expm1 if degree else np.exp
+        value = np.empty(len(t))
+        for k in range(0, len(t), _CHUNK):
+            part = t[k : k + _CHUNK, None]
+            real = basis(-parts.rates * part) @ (parts.weights * scale)
+            pair = basis(parts.poles * part) @ (parts.pole_weights * pole_scale)
+            value[k : k + _CHUNK] = real + 2.0 * pair.real
+        if degree:
+            # The modes hold increments only: one exact value fixes the constant.
+            index = int(np.argmin(t))
+            value += (self.exact([shortest], 1)[0] if first is None else first) - value[index]
+        value += self.low.integrator * (t if degree else 1.0) + power_response(self.low.powers, t, degree)
+        output[later] = value
+        count = len(parts.rates) + 2 * len(parts.poles)
+        return Part(output, error + 4e-15 * largest(value), count, self._method)
+
+    def _by_contour(self, output: Reals) -> Part:
+        # Poles closer than 2 % lose the digits that their residues cancel; measured with merging resonances.
+        relative = 1e-13 if self.whole.is_sparse else 3e-11
+        finite = output[np.isfinite(output)]
+        return Part(output, relative * largest(finite), 0, "contour")
+
+    @property
+    def _method(self) -> str:
+        return "modes+convolution" if self.low.powers else "modes"
+
+    def _needs_contour(self, error: float, peak: float, count: int) -> bool:
+        return not self.low.is_split or (not error <= _ENOUGH * peak and count <= _MOST_WEIGHTS)
+
+    def _initial(self, degree: int) -> float:
+        """Value just after 0 of the step response, or of the impulse response without its δ."""
+        if degree:
+            return self.direct
+        if self.quotient is None:
+            tail, gap = 0.0, math.inf
+        else:
+            tail, gap = _leading(self.low.top, self.low.bottom, self.direct)
+        strongest = min([gap, *([1.0] if self.low.integrator else []), *(a for _, a in self.low.powers)])
+        if strongest < 1.0:
+            return math.copysign(math.inf, tail)
+        return (tail if gap == 1.0 else 0.0) + self.low.integrator
+
+    def error(self, parts: Expansion, shortest: float, longest: float) -> tuple[float, float, float | None]:
+        """Error of the modes' step response against a contour integral, its peak, and its first exact value.
+
+        The contour integrates the whole function, so that what the split at low frequency loses is seen. The
+        exact value at `shortest` is that without the parts split off; None where nothing was integrated.
+        """
+        if self.quotient is None and len(self.low.powers) + bool(self.low.integrator) <= 1:
+            return 0.0, 1.0, None
+        # geomspace by hand: its own checks cost a tenth of a short response.
+        growth = math.log(max(longest / shortest, 1.0001)) / (_CHECKS - 1)
+        times = shortest * np.exp(growth * np.arange(_CHECKS))
+        # Increments from 0 (expm1): the huge weight of a pole beside 0 would hide all else in a constant.
+        value = np.expm1(-np.outer(times, parts.rates)) @ parts.weights
+        value += 2.0 * (np.expm1(np.outer(times, parts.poles)) @ parts.pole_weights).real
+        exact = held_response(self.whole, times, 1)
+        split = bool(self.low.integrator or self.low.powers)
+        first = self.exact([shortest], 1)[0] if split else float(exact[0])
+        value += first - value[0]
+        if split:
+            value += self.low.integrator * times + power_response(self.low.powers, times, 1)
+        return float(np.max(np.abs(value - exact))), float(np.max(np.abs(exact))), first
+
+
+def split_delay(delay: float, period: float) -> tuple[int, float]:
+    """Whole periods of delay, rounded up, and how far the sample then is ahead of the delayed input [s]."""
+    steps = delay / period
+    lag = round(steps) if abs(steps - round(steps)) < 1e-9 * max(1.0, steps) else math.ceil(steps)
+    ahead = lag * period - delay
+    return lag, (0.0 if abs(ahead) < 1e-9 * max(period, delay) else ahead)
+
+
+def _leading(top: tuple[Term, ...], bottom: tuple[Term, ...], direct: float) -> tuple[float, float]:
+    """Coefficient and order of the leading power of 1/s in N/D - direct."""
+    rest = collect([*top, *(Term(-direct * t.coefficient, t.order) for t in bottom)] if direct else top)
+    rest = [t for t in rest if not direct or not same(t.order, bottom[0].order)]
+    if not rest:
+        return 0.0, math.inf
+    return rest[0].coefficient / bottom[0].coefficient, snap(bottom[0].order - rest[0].order)
+
+
+def largest(values: Reals) -> float:
+    """Largest modulus, NaN where there is one; two passes and no copy."""
+    return max(float(values.max()), -float(values.min())) if len(values) else 0.0
+
+
+def grid(count: int, period: float) -> Reals:
+    """Times k·period [s], k = 0 … count - 1."""
+    times = np.arange(count, dtype=np.float64)
+    times *= period
+    return times
+
+
+def refuse_beyond_memory(field: str, count: float, each: int = _BYTES) -> None:
+    """Raise `SizeError` where `count` samples need more memory than the machine has; nothing is allocated."""
+    # Where the system does not tell, 8 GiB: every machine that runs numpy in earnest has them.
+    known = hasattr(os, "sysconf")
+    available = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") if known else 8 << 30
+    if not count * each < available:
+        problem = f"too many samples: they need {count * each:.2g} bytes"
+        allowed = f"at most {available // each:.3g} samples on this machine"
+        remedy = "shorten the span or lengthen the period"
+        raise SizeError(field, count, problem, allowed=allowed, remedy=remedy)

@@ -1,0 +1,194 @@
+"""A delay-free quotient N(s)/D(s) on the log-plane z = ln s, and its poles.
+
+There every term is c·exp(a z), entire; the cut of the principal sheet is the line Im z = π and what lies
+above it is the next sheet. Poles are simple, or clusters: zeros of D so close to each other that their
+residues cancel (a double pole, merging resonances). A cluster is kept whole.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink._systems.roots import log_zeros
+from fraclink._systems.terms import Complexes, Term, collect, same
+from fraclink.errors import FieldError
+
+SHEET = 1.5 * math.pi  # poles up to a quarter turn beyond the cut bend the integrand on it
+_RANGE = 300.0  # of |ln |s||: squares of poles and of spans stay within doubles
+_CIRCLE = 96  # points of a circle at half the distance to the next obstacle: 2^-96, 1.5^-96 at worst
+_SYMMETRIC = 1e-7  # a double zero on the negative axis comes as a pair about it, 1e-8 apart by rounding
+_NEAR = 0.02  # zeros closer than this in ln s would lose two digits and more if kept apart
+
+
+@dataclass(frozen=True)
+class Cluster:
+    """Zeros of D near `centre` (in ln s), `count` of them with multiplicity, within `radius`."""
+
+    centre: complex
+    count: int
+    radius: float
+
+
+@dataclass(frozen=True)
+class Quotient:
+    """N/D as arrays; `zeros` are the zeros of D with 0 ≤ Im z ≤ 3π/2, z = ln s."""
+
+    top: tuple[Term, ...]
+    bottom: tuple[Term, ...]
+    zeros: Complexes
+
+    @classmethod
+    def of(cls, top: Sequence[Term], bottom: Sequence[Term]) -> Quotient:
+        found = log_zeros([t.coefficient for t in bottom], [t.order for t in bottom], angle=SHEET)
+        zeros = np.asarray(found, np.complex128)
+        if len(zeros) and np.abs(zeros.real).max() > _RANGE:
+            worst = float(zeros.real[np.argmax(np.abs(zeros.real))])
+            raise FieldError(
+                "denominator",
+                f"a pole at exp({worst:.6g}) rad/s",
+                "beyond the range of floating-point numbers",
+                allowed=f"exp(±{_RANGE:g}) rad/s",
+                remedy="look for two orders that are nearly equal",
+            )
+        return cls(tuple(top), tuple(bottom), zeros)
+
+    @property
+    def is_meromorphic(self) -> bool:
+        """True where all orders are integers: there is no branch cut."""
+        return all(float(t.order).is_integer() for t in (*self.top, *self.bottom))
+
+    def value(self, z: Complexes) -> Complexes:
+        """G(e^z) at points of the log-plane, on any sheet."""
+        return _sum(self.top, z) / _sum(self.bottom, z)
+
+    def on_cut(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Im G(r e^{iπ}) at x = ln r.
+
+        The angle of every term is πa reduced modulo 2π beforehand, so that integer orders are exactly real.
+        """
+        lowest = self.bottom[-1].order  # divided out, so that r^a does not underflow to 0/0 far down
+        with np.errstate(under="ignore"):
+            quotient = _sum_on_cut(self.top, x, lowest) / _sum_on_cut(self.bottom, x, lowest)
+        return quotient.imag
+
+    def residue(self, z: complex) -> complex:
+        """Residue of G(e^z) at a simple zero of D."""
+        point = np.array([z])
+        slope = tuple(Term(t.coefficient * t.order, t.order) for t in self.bottom if t.order)
+        return complex((_sum(self.top, point) / _sum(slope, point))[0])
+
+    @cached_property
+    def is_sparse(self) -> bool:
+        """True where no two zeros are close: every pole is simple at any resolution."""
+        gaps = np.abs(self.zeros[:, None] - self.zeros[None, :]) + 2.0 * np.eye(len(self.zeros))
+        return bool(gaps.min(initial=2.0) >= _NEAR)
+
+    def grouped(self, reach: Callable[[complex], float]) -> tuple[list[complex], list[Cluster]]:
+        """Split the zeros of D into simple ones and clusters.
+
+        Two zeros belong together where they are closer than `reach` (in ln s): what is told apart over the
+        times in question is simple, and its residues are as large as the response.
+        """
+        if self.is_sparse:
+            return self.zeros.tolist(), []
+        groups: list[list[complex]] = []
+        for z in self.zeros.tolist():
+            near = [g for g in groups if min(abs(z - w) for w in g) < min(_NEAR, reach(z))]
+            groups = [g for g in groups if g not in near]
+            groups.append([z, *(w for g in near for w in g)])
+        packed = []
+        for group in (g for g in groups if len(g) > 1):
+            centre = sum(group) / len(group)
+            if abs(centre.imag - math.pi) < _SYMMETRIC:
+                centre = complex(centre.real, math.pi)  # so that its modes are real
+            packed.append(Cluster(centre, len(group), max(abs(z - centre) for z in group)))
+        return [g[0] for g in groups if len(g) == 1], packed
+
+    def circle(
+        self, cluster: Cluster, radius: float, clearance: float, kernel: Callable[[Complexes], Complexes]
+    ) -> tuple[Complexes, Complexes]:
+        """Points z and weights w with Σ w φ(z) = Σ Res G(e^z) kernel(z) φ(z) over the cluster's zeros.
+
+        `radius` (in ln s) is where φ is best evaluated; `clearance` is the distance from the centre to the
+        next singularity of `kernel`. Other poles are respected here. Trapezoid rule on the circle, which
+        converges geometrically.
+        """
+        others = [abs(z - cluster.centre) for z in self.zeros if abs(z - cluster.centre) > cluster.radius]
+        size = max(min(radius, 0.5 * clearance, *(0.5 * o for o in others)), 1.5 * cluster.radius)
+        turn = np.exp(2j * np.pi * (np.arange(_CIRCLE) + 0.5) / _CIRCLE)
+        points = cluster.centre + size * turn
+        return points, self.value(points) * kernel(points) * size * turn / _CIRCLE
+
+
+def _sum(terms: Sequence[Term], z: Complexes) -> Complexes:
+    total = np.zeros(z.shape, np.complex128)
+    for t in terms:
+        total += t.coefficient * np.exp(t.order * z)
+    return total
+
+
+def _sum_on_cut(terms: Sequence[Term], x: NDArray[np.float64], lowest: float) -> Complexes:
+    total = np.zeros(x.shape, np.complex128)
+    for t in terms:
+        total += t.coefficient * np.exp((t.order - lowest) * x) * _turn(t.order)
+    return total
+
+
+def _turn(order: float) -> complex:
+    """e^{iπa}, exact for integers and halves."""
+    part = math.fmod(order, 2.0)
+    quarter = round(2.0 * part)
+    rest = math.pi * (part - 0.5 * quarter)
+    return complex(math.cos(rest), math.sin(rest)) * (1, 1j, -1, -1j)[quarter % 4]
+
+
+# --- What a transfer function does at s → 0, taken off before it is expanded into modes ---------------
+#
+#     G(s) = c/s + Σ c_i s^(-a_i) + rest,   a_i ≥ 0.94
+#
+# The integrator is a mode of its own (a decay of exactly 1). Higher singular powers have no modes whose
+# sum stays accurate from one period to the whole span; their responses t^a/Γ(1+a) are known and are
+# convolved. Weaker ones (a_i < 0.94) stay in the rest: the branch cut carries them.
+
+# The cut's quadrature runs down to where r^(1-a) is below rounding: 42/(1-a) e-folds. At 0.94 these are 700,
+# and the exponent range of a double ends near.
+STRONG = 0.94
+_MOST = 20  # singular powers: such a series in closely spaced orders is useless where it is not exact
+
+
+@dataclass(frozen=True)
+class LowFrequency:
+    """`integrator` c of c/s, `powers` as (c, a) of c·s^(-a), and the rest as numerator and denominator.
+
+    `is_split` is False where the powers are too many to be told apart; then the rest is all of G.
+    """
+
+    integrator: float
+    powers: tuple[tuple[float, float], ...]
+    top: tuple[Term, ...]
+    bottom: tuple[Term, ...]
+    is_split: bool = True
+
+
+def split_low_frequency(top: Sequence[Term], bottom: Sequence[Term]) -> LowFrequency:
+    """Divide in rising powers of s until what is left is weaker than s^(-0.94)."""
+    rest, lowest = collect(top), bottom[-1]
+    integrator, powers = 0.0, []
+    while rest and lowest.order - rest[-1].order >= STRONG:
+        factor, order = rest[-1].coefficient / lowest.coefficient, lowest.order - rest[-1].order
+        if same(order, 1.0):
+            integrator += factor
+        else:
+            powers.append((factor, order))
+        if len(powers) > _MOST:
+            return LowFrequency(0.0, (), tuple(top), tuple(bottom), is_split=False)
+        # The lowest term cancels by construction, exactly; leaving it to rounding would leave a pole at 0.
+        product = [Term(-factor * t.coefficient, t.order - order) for t in bottom[:-1]]
+        rest = collect([*rest[:-1], *product])
+    return LowFrequency(integrator, tuple(powers), tuple(rest), tuple(bottom))

@@ -1,0 +1,234 @@
+"""Integer-order stand-ins for fractional systems: Oustaloup's filter and the minimax rational."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fraclink._systems.discrete import checked_band, fit_discrete
+from fraclink._systems.fractional import FractionalTransferFunction, checked_system
+from fraclink._systems.minimax import Target, finish, grow
+from fraclink._systems.oustaloup import cascade, evaluate, oustaloup, residues, zeros_of_fractions
+from fraclink._systems.stability import poles
+from fraclink._systems.terms import Complexes, Reals
+from fraclink._validate import checked_choice, is_whole
+from fraclink.errors import FieldError
+
+
+@dataclass(frozen=True, eq=False)
+class RationalApproximation:
+    """R(s) = k Π(s − z_i)/Π(s − p_i), or the same in the variable z where `period` is given.
+
+    Attributes
+    ----------
+    zeros, poles : ndarray of complex, shapes (m,) and (order,)
+        z_i and p_i, conjugates included [rad/s]; in the z-plane without unit.
+    gain : float
+        k.
+    period : float or None
+        Sampling period [s] of a discrete approximation.
+    band : tuple of float
+        Frequencies [rad/s] it was made for.
+    method : str
+        "oustaloup" or "minimax".
+    error_db, error_deg : float
+        Largest error of modulus [dB] and phase [°] inside the band.
+    """
+
+    zeros: Complexes
+    poles: Complexes
+    gain: float
+    period: float | None
+    band: tuple[float, float]
+    method: str
+    error_db: float = math.nan
+    error_deg: float = math.nan
+
+    def __post_init__(self) -> None:
+        for name in ("zeros", "poles"):
+            array = np.array(getattr(self, name), dtype=complex).reshape(-1)
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
+
+    @property
+    def order(self) -> int:
+        """Number of poles."""
+        return len(self.poles)
+
+    @property
+    def residues(self) -> Complexes:
+        """Residues at the poles, shape (order,); infinite at a multiple pole."""
+        return residues(self.zeros, self.poles, self.gain)
+
+    @property
+    def direct(self) -> float:
+        """R at infinity: 0 where there are more poles than zeros."""
+        return self.gain if len(self.zeros) == len(self.poles) else 0.0
+
+    def __call__(self, s: ArrayLike) -> Complexes:
+        """R at s [rad/s], or at z for a discrete approximation; any shape."""
+        return evaluate(np.asarray(s, dtype=complex), self.zeros, self.poles, self.gain)
+
+    def frequency_response(self, frequency: ArrayLike) -> Complexes:
+        """R(jω) or R(e^(jωT)) at frequencies ω [rad/s], shape kept."""
+        w = np.asarray(frequency, dtype=float)
+        return self(1j * w if self.period is None else np.exp(1j * w * self.period))
+
+    def state_space(self) -> tuple[Reals, Reals, Reals, Reals]:
+        """Real matrices A, B, C, D of second-order sections in series.
+
+        Shapes (n, n), (n, 1), (1, n), (1, 1); ready for `control.ss(*r.state_space())`.
+        """
+        return cascade(self.zeros, self.poles, self.gain)
+
+
+def approximate(
+    system: FractionalTransferFunction,
+    band: tuple[float, float],
+    order: int,
+    *,
+    method: str = "oustaloup",
+    period: float | None = None,
+) -> RationalApproximation:
+    """Return an integer-order approximation of a fractional system in a band, with its achieved error.
+
+    Parameters
+    ----------
+    system : FractionalTransferFunction
+        Proper, or improper by less than one order; no delay.
+    band : tuple of float
+        Lowest and highest frequency [rad/s], 0 < low < high (≤ π/period).
+    order : int
+        "oustaloup": pole-zero pairs in place of each fractional power s^(a − ⌊a⌋), 1 … 40.
+        "minimax": number of poles of the whole, 1 … 12.
+    method : str
+        "oustaloup" is the recursive filter that FOMCON and others use, known to be poor at the band's ends;
+        "minimax" has the smallest worst relative error over the band for its number of poles.
+    period : float, optional
+        Sampling period [s] for a discrete result: Oustaloup's filter by the bilinear map, or the minimax fit
+        on the unit circle.
+
+    Returns
+    -------
+    RationalApproximation
+
+    Raises
+    ------
+    FieldError
+        Bad band, order or method, a delay, a system improper by one order or more, unstable poles (minimax).
+
+    References
+    ----------
+    Oustaloup et al., IEEE Trans. Circuits Syst. I 47 (2000) 25.
+
+    Examples
+    --------
+    >>> from fraclink._systems.fractional import s
+    >>> r = approximate(100 / (s**1.92 + 100), (0.1, 1000.0), 6, method="minimax")
+    >>> r.order, r.error_db < 0.5, r.error_deg < 3.0
+    (6, True, True)
+    """
+    _check(system, band, order, method, period)
+    if method == "oustaloup":
+        zeros, found, gain = oustaloup(system, band, order)
+        if period is not None:
+            zeros, found, gain = _bilinear(zeros, found, gain, period)
+    elif period is None:
+        zeros, found, gain = _continuous(system, band, order)
+    else:
+        fit = fit_discrete(lambda w: system(1j * w), period=period, band=band, order=order)
+        half = 0.5 * fit.pole_gains
+        parts = np.concatenate([fit.gains, half, half.conj()])
+        found = fit.poles
+        zeros, gain = zeros_of_fractions(found, parts, fit.feedthrough)
+    made = RationalApproximation(zeros, found, gain, period, band, method)
+    w = np.unique(np.concatenate([np.geomspace(*band, 2000), np.linspace(*band, 1000)]))
+    ratio = np.log(made.frequency_response(w) / system(1j * w))
+    return replace(
+        made,
+        error_db=float(np.max(np.abs(ratio.real)) * 20 / math.log(10)),
+        error_deg=float(np.degrees(np.max(np.abs(ratio.imag)))),
+    )
+
+
+def _check(
+    system: FractionalTransferFunction,
+    band: tuple[float, float],
+    order: int,
+    method: str,
+    period: float | None,
+) -> None:
+    checked_system("system", system)
+    checked_choice("method", method, ("oustaloup", "minimax"))
+    highest = 40 if method == "oustaloup" else 12
+    if not is_whole(order, 1, highest):
+        raise FieldError(
+            "order",
+            order,
+            "out of range",
+            allowed=f"a whole number from 1 to {highest}",
+            remedy="change the order",
+        )
+    checked_band(band, period)
+    if any(t.delay for t in (*system.numerator, *system.denominator)):
+        raise FieldError(
+            "system",
+            repr(system),
+            "delayed",
+            allowed="systems without delay",
+            remedy="approximate the system without its delay and keep the delay as samples",
+        )
+    if system.relative_degree <= -1:
+        raise FieldError(
+            "system",
+            repr(system),
+            "improper by one order or more",
+            allowed="relative degree > -1",
+            remedy="divide by a power of s: s^1.65 is s times s^0.65",
+        )
+
+
+def _continuous(
+    system: FractionalTransferFunction, band: tuple[float, float], order: int
+) -> tuple[Complexes, Complexes, float]:
+    known = poles(system)
+    if np.any(known.real >= 0):
+        raise FieldError(
+            "system",
+            repr(system),
+            "not stable",
+            allowed="stable poles for method='minimax'",
+            remedy="use method='oustaloup'",
+        )
+    w = np.geomspace(*band, 160)
+    near = known[(np.abs(known) > band[0]) & (np.abs(known) < band[1]) & (known.imag > 0)]
+    for p in near:  # a resonance needs points of its own
+        width = max(abs(p.real) / abs(p), 1e-6)
+        w = np.append(w, abs(p) * np.exp(width * np.sinh(np.linspace(-4, 4, 25))))
+    w = np.unique(w[(w >= band[0]) & (w <= band[1])])
+    wanted = system(1j * w)
+    nepers, radians = np.full(w.size, 20 / math.log(10) / 0.1), np.full(w.size, 180 / math.pi / 0.5)
+    target = Target(w, np.ones(w.size, dtype=complex), wanted, 1 / wanted, nepers, radians)
+    grown = list(grow(target, band, order, resonances=[-p for p in near]))
+    fit = finish(grown[-1], target)
+    sigma, q = np.exp(fit.real_logs), fit.poles_of_pairs()
+    found = np.concatenate([-sigma, -q, -q.conj()])
+    half = 0.5 * fit.pair_gains * q
+    zeros, gain = zeros_of_fractions(
+        found, np.concatenate([fit.real_gains * sigma, half, half.conj()]), fit.direct
+    )
+    return zeros, found, gain
+
+
+def _bilinear(
+    zeros: Complexes, found: Complexes, gain: float, period: float
+) -> tuple[Complexes, Complexes, float]:
+    """s = (2/T)(z − 1)/(z + 1): a root r goes to (1 + rT/2)/(1 − rT/2), missing zeros to −1."""
+    half = 0.5 * period
+    missing = len(found) - len(zeros)
+    scale = np.prod(1 - half * zeros) / np.prod(1 - half * found) * half**missing
+    moved = np.concatenate([(1 + half * zeros) / (1 - half * zeros), np.full(missing, -1.0)])
+    return moved, (1 + half * found) / (1 - half * found), float(gain * scale.real)

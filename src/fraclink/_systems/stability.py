@@ -1,0 +1,350 @@
+"""Poles on the principal sheet and the verdict on stability."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fraclink._systems.exponential import NearZeroError
+from fraclink._systems.fractional import FractionalTransferFunction, checked_system
+from fraclink._systems.roots import log_zeros
+from fraclink._systems.terms import Complexes, Reals, Term
+from fraclink.errors import FieldError
+
+_SAME = 1e-10  # relative distance at which a zero cancels a pole: what twelve-digit coefficients can tell
+_ON_AXIS = 1e-12  # rad between a pole and the imaginary axis below which it lies on it
+
+
+@dataclass(frozen=True)
+class StabilityVerdict:
+    """Whether a system is stable, and why; true or false where a bool is asked for.
+
+    Attributes
+    ----------
+    stable : bool
+        No pole of the principal sheet in Re s ≥ 0 and no integrator: bounded inputs give bounded outputs
+        (of an improper system: inputs with bounded derivatives).
+    reason : str
+        One sentence.
+    unstable_poles : tuple of complex
+        Poles with Re s ≥ 0, conjugates included; empty for a delay in the denominator (only counted).
+    integrators : float
+        a where s^a divides the denominator, 0 for none.
+    winding : int
+        Certified number of poles with Re s > 0 (argument principle), multiplicities counted.
+    """
+
+    stable: bool
+    reason: str
+    unstable_poles: tuple[complex, ...]
+    integrators: float
+    winding: int
+
+    def __bool__(self) -> bool:
+        return self.stable
+
+    def __str__(self) -> str:
+        return f"{'stable' if self.stable else 'not stable'}: {self.reason}"
+
+
+def poles(system: FractionalTransferFunction) -> Complexes:
+    """Return the poles on the principal sheet, −π < arg s ≤ π, with conjugates and multiplicities.
+
+    Σ d_k s^(b_k) = 0. Poles that a zero of the numerator cancels are left out. A factor s^n with an integer
+    n of a system of integer orders gives n poles 0; a factor s^a of a fractional system is a branch point
+    and no pole: `is_stable` names it. Poles on other sheets shape the response but have no mode.
+
+    Parameters
+    ----------
+    system : FractionalTransferFunction
+        Orders of any kind; no delay in the denominator.
+
+    Returns
+    -------
+    ndarray of complex128 [rad/s]
+        Sorted by argument, each pair together; possibly empty (1/(s^0.5 + 1) has none).
+
+    Raises
+    ------
+    FieldError
+        A delay in the denominator: such a system has infinitely many poles.
+
+    References
+    ----------
+    Matignon, Proc. IMACS-SMC (1996) 963, for orders with any common base; here without one.
+
+    Examples
+    --------
+    >>> from fraclink._systems.fractional import s
+    >>> poles(1.56 * s**1.92 / (s**1.92 + 100)).round(4)
+    array([-0.7199+10.9834j, -0.7199-10.9834j])
+    """
+    checked_system("system", system)
+    return _both_halves(_pole_logs(system)[0], _poles_at_origin(system))
+
+
+def is_stable(system: FractionalTransferFunction) -> StabilityVerdict:
+    """Return the verdict on stability: every pole of the principal sheet in Re s < 0 and no integrator.
+
+    The number of poles is certified by the argument principle on the log-plane. With a delay in the
+    denominator the poles in Re s > 0 are counted along the imaginary axis, which needs a highest order
+    without delay (retarded type).
+
+    Parameters
+    ----------
+    system : FractionalTransferFunction
+
+    Returns
+    -------
+    StabilityVerdict
+        Usable as a bool.
+
+    Raises
+    ------
+    FieldError
+        A denominator whose highest order is delayed (neutral type).
+
+    Examples
+    --------
+    >>> from fraclink._systems.fractional import s
+    >>> is_stable(1 / (s**1.5 + 1)).stable
+    True
+    >>> print(is_stable(1 / (s**0.5 * (s + 1))).reason)
+    s^0.5 divides the denominator: a step gives an unbounded output
+    """
+    checked_system("system", system)
+    integrators = _integrators(system)
+    if any(t.delay for t in system.denominator):
+        count = right_half_plane_zeros(system.denominator)
+        return _verdict(system, (), integrators, count, delayed=True)
+    logs, cancelled = _pole_logs(system)
+    bad = logs[logs.imag < 0.5 * math.pi + _ON_AXIS]
+    inside = bad[bad.imag < 0.5 * math.pi - _ON_AXIS]
+    winding = 2 * len(inside) - int(np.sum(inside.imag == 0))
+    found = tuple(complex(p) for p in _both_halves(bad, 0))
+    verdict = _verdict(system, found, integrators, winding, delayed=False)
+    hidden = cancelled[cancelled.imag < 0.5 * math.pi + _ON_AXIS]
+    if not hidden.size:
+        return verdict
+    where = _shown(complex(_both_halves(hidden, 0)[0]))
+    note = f"; a zero cancels the pole at {where} rad/s, which stays inside the system"
+    return replace(verdict, reason=verdict.reason + note)
+
+
+def _verdict(
+    system: FractionalTransferFunction,
+    bad: tuple[complex, ...],
+    integrators: float,
+    winding: int,
+    *,
+    delayed: bool,
+) -> StabilityVerdict:
+    if delayed and winding:
+        reason = f"{_counted(winding)} Re s > 0"
+    elif winding:
+        worst = max(bad, key=lambda p: p.real)
+        reason = f"{_counted(winding)} Re s > 0, the rightmost at {_shown(worst)} rad/s"
+    elif bad:
+        reason = f"a pole lies on the imaginary axis at {_shown(bad[0])} rad/s"
+    elif integrators:
+        power = "s" if integrators == 1 else f"s^{integrators:g}"
+        reason = f"{power} divides the denominator: a step gives an unbounded output"
+    else:
+        reason = "no pole has Re s ≥ 0"
+        if not system.is_proper:
+            reason += "; the system is improper: its output is bounded for smooth inputs only"
+    stable = not bad and not winding and not integrators
+    return StabilityVerdict(stable, reason, bad, integrators, winding)
+
+
+def _counted(count: int) -> str:
+    return "1 pole has" if count == 1 else f"{count} poles have"
+
+
+def _shown(p: complex) -> str:
+    return f"{p.real:.6g}" if p.imag == 0 else f"{p.real:.6g} ± {abs(p.imag):.6g}j"
+
+
+def _integrators(system: FractionalTransferFunction) -> float:
+    """a > 0 where G ~ s^(−a) at s = 0; numerator and denominator may both have terms that cancel there."""
+    return max(0.0, _lowest(system.denominator) - _lowest(system.numerator)) if system.numerator else 0.0
+
+
+def _lowest(terms: Sequence[Term]) -> float:
+    return min(t.order for t in terms)
+
+
+def _poles_at_origin(system: FractionalTransferFunction) -> int:
+    orders = [t.order for t in (*system.numerator, *system.denominator)]
+    return int(_integrators(system)) if all(float(a).is_integer() for a in orders) else 0
+
+
+def _pole_logs(system: FractionalTransferFunction) -> tuple[Complexes, Complexes]:
+    """z = ln s of the poles with 0 ≤ Im z ≤ π, and of those that a zero of the numerator cancels."""
+    if any(t.delay for t in system.denominator):
+        raise FieldError(
+            "denominator",
+            repr(system),
+            "delayed: it has infinitely many poles",
+            allowed="delays in the numerator only",
+            remedy="use is_stable or margins",
+        )
+    left, cancelled = _logs(system.denominator).tolist(), []
+    top = system.numerator
+    if len(top) > 1 and all(t.delay == top[0].delay for t in top):
+        for zero in _logs(top).tolist():
+            near = [p for p in left if abs(p - zero) < _SAME][:1]
+            if near:
+                left.remove(near[0])
+                cancelled += near
+    return np.array(left, dtype=complex), np.array(cancelled, dtype=complex)
+
+
+def _logs(terms: Sequence[Term]) -> Complexes:
+    return log_zeros([t.coefficient for t in terms], [t.order for t in terms], angle=math.pi)
+
+
+def _both_halves(z: Complexes, at_origin: int) -> Complexes:
+    """s = e^z and its conjugates, exact on the axes."""
+    found: list[complex] = [0j] * at_origin
+    for log in z:
+        size, angle = math.exp(log.real), float(log.imag)
+        if angle in (0.0, math.pi):
+            found.append(complex(math.copysign(size, math.cos(angle))))
+        elif abs(angle - 0.5 * math.pi) < _ON_AXIS:
+            found += [complex(0, size), complex(0, -size)]
+        else:
+            p = complex(np.exp(log))
+            found += [p, p.conjugate()]
+    return np.array(found, dtype=complex)
+
+
+# --- Quasi-polynomials Σ d_k s^(b_k) e^(−σ_k s): how many zeros have Re s > 0 -------------------------
+
+_PIECES = 200_000  # a delay of τ needs about 10 τ R pieces up to the frequency R that bounds the zeros
+
+
+def right_half_plane_zeros(terms: Sequence[Term]) -> int:
+    """Return the certified number of zeros with Re s > 0 of a retarded quasi-polynomial.
+
+    In Re s ≥ 0 every |e^(−σs)| ≤ 1, so beyond a radius R the highest order dominates and inside a radius r
+    the lowest one does; between, the change of phase along the imaginary axis is followed by steps that a
+    bound on the derivative makes certain. Raises `FieldError` for a neutral type and for zeros on the axis.
+    """
+    quasi = _Quasi.of(terms)
+    x = np.linspace(*quasi.range(), 65)
+    try:
+        turned = quasi.phase_change(x[:-1], x[1:])
+    except NearZeroError as error:
+        raise FieldError(
+            "denominator",
+            list(terms),
+            "zero on the imaginary axis, or too close to it to tell",
+            allowed="poles away from the axis",
+            remedy="change the gain or the delay a little",
+        ) from error
+    # Large arc: from the positive real axis, where D has the sign of d_0, the phase turns by b_0 π/2 + rest.
+    high = quasi.top * 0.5 * math.pi + quasi.deviation(x[-1], quasi.top)
+    low = quasi.bottom * 0.5 * math.pi + quasi.deviation(x[0], quasi.bottom)
+    return round((high - low - turned) / math.pi)
+
+
+@dataclass(frozen=True)
+class _Quasi:
+    coefficients: Reals
+    orders: Reals
+    delays: Reals
+    top: float
+    bottom: float
+
+    @classmethod
+    def of(cls, terms: Sequence[Term]) -> _Quasi:
+        top, bottom = terms[0].order, terms[-1].order
+        leading = [t for t in terms if t.order == top]
+        if len(leading) > 1 or leading[0].delay:
+            raise FieldError(
+                "denominator",
+                list(terms),
+                "of neutral or advanced type: its highest order is delayed",
+                allowed="a highest order without delay",
+                remedy="add roll-off to the loop: a strictly proper loop gives a retarded denominator",
+            )
+        if math.fsum(t.coefficient for t in terms if t.order == bottom) == 0:
+            raise FieldError(
+                "denominator",
+                list(terms),
+                "zero at s = 0 through terms that cancel there",
+                allowed="lowest-order coefficients with a sum that is not zero",
+                remedy="cancel the zero at the origin by hand",
+            )
+        return cls(
+            np.array([t.coefficient for t in terms]),
+            np.array([t.order for t in terms]),
+            np.array([t.delay for t in terms]),
+            top,
+            bottom,
+        )
+
+    def range(self) -> tuple[float, float]:
+        """ln ω below which the lowest order and above which the highest order exceeds all others."""
+        a, b = np.abs(self.coefficients), self.orders
+        lowest = b == self.bottom
+        base = abs(self.coefficients[lowest].sum())
+        others = math.log(4 * len(a))
+        low = []
+        for size, order, delay in zip(a, b, self.delays, strict=True):
+            if order > self.bottom:
+                low.append((math.log(base / size) - others) / (order - self.bottom))
+            elif delay:  # e^(−σ s) moves the lowest terms from their sum by at most σ|s| each
+                low.append(math.log(base / (size * delay)) - others)
+        below = b < b[0]
+        high = np.max((np.log(a[below] / a[0]) + others) / (b[0] - b[below]))
+        return min(low), max(float(high), min(low) + 1.0)
+
+    def value(self, x: Reals, shift: float | Reals) -> Complexes:
+        """D(j e^x) e^(−shift x)."""
+        w = np.exp(x)
+        phase = 0.5 * math.pi * self.orders[:, None] - self.delays[:, None] * w
+        size = self.coefficients[:, None] * np.exp((self.orders[:, None] - shift) * x)
+        return np.asarray((size * np.exp(1j * phase)).sum(0))
+
+    def deviation(self, x: float, order: float) -> float:
+        """arg of D(jω) over its dominant term, within ±π/2."""
+        value = self.value(np.array([x]), order)[0] * np.exp(-0.5j * math.pi * order)
+        sign = math.copysign(1.0, math.fsum(self.coefficients[self.orders == order]))
+        return float(np.angle(sign * value))
+
+    def phase_change(self, a: Reals, b: Reals) -> float:
+        """Certified change of arg D(j e^x) over the pieces [a, b]."""
+        total = 0.0
+        while a.size:
+            if a.size > _PIECES or np.min(b - a) < 1e-13:
+                raise NearZeroError(a.size)
+            middle = 0.5 * (a + b)
+            weights = np.abs(self.coefficients)[:, None] * np.exp(
+                self.orders[:, None] * (middle - middle.max())
+            )
+            shift = (weights * self.orders[:, None]).sum(0) / weights.sum(0)
+            at_a, at_b = self._centred(a, middle, shift), self._centred(b, middle, shift)
+            rate = np.abs(self.orders[:, None] - shift) + self.delays[:, None] * np.exp(b)
+            largest = np.maximum(self._sizes(a, middle, shift), self._sizes(b, middle, shift))
+            sure = (b - a) * (rate * largest).sum(0) + 1e-14 * largest.sum(0) < np.abs(at_a) + np.abs(at_b)
+            total += float(np.angle(at_b * at_a.conj())[sure].sum())
+            a, b = np.concatenate([a[~sure], middle[~sure]]), np.concatenate([middle[~sure], b[~sure]])
+        return total
+
+    def _sizes(self, x: Reals, middle: Reals, shift: Reals) -> Reals:
+        exponent = self.orders[:, None] * x - shift * (x - middle)
+        return np.abs(self.coefficients)[:, None] * np.exp(exponent - self._level(middle))
+
+    def _level(self, middle: Reals) -> Reals:
+        level: Reals = (np.log(np.abs(self.coefficients))[:, None] + self.orders[:, None] * middle).max(0)
+        return level
+
+    def _centred(self, x: Reals, middle: Reals, shift: Reals) -> Complexes:
+        phase = 0.5 * math.pi * self.orders[:, None] - self.delays[:, None] * np.exp(x)
+        signed = np.sign(self.coefficients)[:, None] * self._sizes(x, middle, shift)
+        return np.asarray((signed * np.exp(1j * phase)).sum(0))
