@@ -108,7 +108,7 @@ def test_the_map_is_a_figure_and_its_numbers(tmp_path: Path, capsys: pytest.Capt
 @pytest.mark.parametrize(
     ("option", "told"),
     [
-        (["--crossovers", "40", "8"], "say --crossovers 8 40"),
+        (["--crossovers", "40", "8"], "Say --crossovers 8 40"),
         (["--crossovers", "8", "8"], "low < high"),
         (["--out", "map.pdf"], "of another kind (got map.pdf); expected .svg or .png"),
     ],

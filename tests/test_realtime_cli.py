@@ -191,11 +191,11 @@ def test_a_library_that_breaks_is_a_safe_stop(fraclink: Command, tmp_path: Path)
 @pytest.mark.parametrize(
     ("io", "said"),
     [
-        ("udp", "io: udp is without a port"),
+        ("udp", "io: without a port (got udp)"),
         ("udp:127.0.0.1", "without a port"),
         ("udp::5005", "without a host"),
         ("udp:127.0.0.1:0", "port: out of range (got 0); expected whole number 1 to 65535"),
-        ("udp:127.0.0.1:70000", "port: 70000"),
+        ("udp:127.0.0.1:70000", "port: out of range (got 70000)"),
         ("udp:127.0.0.1:http", "without a port"),
         ("shm:", "not a name"),
         ("shm:../etc", "not a name"),
