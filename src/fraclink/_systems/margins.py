@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import brentq
 
 from fraclink._systems.fractional import FractionalTransferFunction
 from fraclink._systems.loops import FractionalLoop, Loop, as_loop
@@ -194,7 +195,7 @@ def margins(
 
 # --- Brackets of every crossing and of the modulus margin, from a swept response ----------------------
 
-Bracket = tuple[float, float, float, float]  # ln ω at both ends, and the function there
+Bracket = tuple[float, float]  # ln ω at both ends
 
 _FLAT = 1e-12  # rad: a phase of −180° at every frequency (1/s²) crosses nothing; this is its rounding
 
@@ -206,13 +207,13 @@ def crossings(
     level, turn = np.log(np.abs(values)), np.angle(-values)
     turn[np.abs(turn) < _FLAT] = 0.0
     gain = []
-    for bracket in _brackets(loop, "gain", x, level, np.isfinite(level)):
-        root, value = polish(loop, gain_level, *bracket)
+    for bracket in _brackets(loop, gain_level, x, level, np.isfinite(level)):
+        root, value = zero_of(loop, gain_level, *bracket)
         frequency, margin = math.exp(root), cmath.phase(-value)
         gain.append(GainCrossing(frequency, margin, (margin % (2 * math.pi)) / frequency))
     phase = []
-    for bracket in _brackets(loop, "phase", x, turn, _followed(loop, x, values, turn, quiet)):
-        root, value = polish(loop, phase_level, *bracket)
+    for bracket in _brackets(loop, phase_level, x, turn, _followed(loop, x, values, turn, quiet)):
+        root, value = zero_of(loop, phase_level, *bracket)
         phase.append(PhaseCrossing(math.exp(root), 1 / abs(value)))
     return tuple(gain), tuple(phase)
 
@@ -225,7 +226,7 @@ def _followed(loop: Loop, x: Reals, values: Complexes, turn: Reals, quiet: float
     return near
 
 
-def _brackets(loop: Loop, kind: str, x: Reals, y: Reals, usable: Mask) -> list[Bracket]:
+def _brackets(loop: Loop, level: Tendency, x: Reals, y: Reals, usable: Mask) -> list[Bracket]:
     """Changes of sign, and the pairs of them that hide around an extreme that almost touches zero."""
     place = np.flatnonzero(usable & (y != 0))
     here = y[place]
@@ -235,22 +236,17 @@ def _brackets(loop: Loop, kind: str, x: Reals, y: Reals, usable: Mask) -> list[B
     gap = np.diff(place)
     whole = (gap == 1) | ((gap == 2) & usable[np.minimum(place[:-1] + 1, len(x) - 1)])
     change = np.flatnonzero(((here[1:] > 0) != (here[:-1] > 0)) & whole)
-    found = [_bracket(x, y, place[i], place[i + 1]) for i in change]
+    found = [(float(x[place[i]]), float(x[place[i + 1]])) for i in change]
     for i in _near_touches(place, here):
-        found += _hidden(loop, kind, _bracket(x, y, place[i - 1], place[i + 1]))
+        found += _hidden(loop, level, float(x[place[i - 1]]), float(x[place[i + 1]]))
     return sorted(found)
 
 
-def _bracket(x: Reals, y: Reals, i: int, j: int) -> Bracket:
-    return float(x[i]), float(x[j]), float(y[i]), float(y[j])
-
-
-def _hidden(loop: Loop, kind: str, around: Bracket) -> list[Bracket]:
-    a, b, at_a, at_b = around
-    level = gain_level if kind == "gain" else phase_level
-    x, value = extreme(loop, lambda v, s: level(v, s)[1], a, b)
-    reached = level(value, 0j)[0]
-    return [(a, x, at_a, reached), (x, b, reached, at_b)] if reached * at_a < 0 else []
+def _hidden(loop: Loop, level: Tendency, a: float, b: float) -> list[Bracket]:
+    """The two brackets that an extreme between a and b makes where it passes zero."""
+    x, value = zero_of(loop, gain_slope if level is gain_level else phase_slope, a, b)
+    passed = level(value, 0j) * level(*loop.point(a)) < 0
+    return [(a, x), (x, b)] if passed else []
 
 
 def _near_touches(place: Index, y: Reals) -> list[int]:
@@ -274,7 +270,7 @@ def modulus_margin(loop: Loop, x: Reals, values: Complexes) -> tuple[float, floa
     low = (inner <= distance[:-2]) & (inner <= distance[2:]) & (inner < 3 * distance[best])
     smallest, at = float(distance[best]), float(x[best])
     for i in (np.flatnonzero(low) + 1).tolist():
-        place, value = extreme(loop, modulus_slope, float(x[i - 1]), float(x[i + 1]))
+        place, value = zero_of(loop, modulus_slope, float(x[i - 1]), float(x[i + 1]))
         if abs(1 + value) <= smallest:
             smallest, at = abs(1 + value), place
     frequency = math.exp(at)
@@ -285,22 +281,33 @@ def modulus_margin(loop: Loop, x: Reals, values: Complexes) -> tuple[float, floa
     return smallest, frequency
 
 
-# --- Roots and extremes of a response, polished from brackets by Newton's method with exact slopes
+# --- Roots and extremes of a response inside their brackets -------------------------------------------
 
-Level = Callable[[complex, complex], tuple[float, float]]
+Tendency = Callable[[complex, complex], float]  # of L and d ln L/d ln ω
 
-_DONE = 1e-9  # the error that a last Newton step of this length leaves is far below rounding
+# The least that brentq admits, relative to ln ω: crossings are then known to rounding.
+_RTOL = 4 * np.finfo(float).eps
 
 
-def gain_level(value: complex, slope: complex) -> tuple[float, float]:
-    """ln |L| and its derivative by ln ω."""
+def gain_level(value: complex, slope: complex) -> float:
+    """ln |L|; a pole or zero on the axis counts as e^±745, the range of doubles, to stay a number."""
     size = abs(value)
-    return (math.log(size) if 0 < size < math.inf else math.copysign(math.inf, size - 1)), slope.real
+    return math.log(size) if 0 < size < math.inf else math.copysign(745.0, size - 1)
 
 
-def phase_level(value: complex, slope: complex) -> tuple[float, float]:
-    """arg(−L) and its derivative by ln ω."""
-    return cmath.phase(-value), slope.imag
+def phase_level(value: complex, slope: complex) -> float:
+    """arg(−L)."""
+    return cmath.phase(-value)
+
+
+def gain_slope(value: complex, slope: complex) -> float:
+    """d ln |L|/d ln ω."""
+    return slope.real
+
+
+def phase_slope(value: complex, slope: complex) -> float:
+    """d arg L/d ln ω."""
+    return slope.imag
 
 
 def modulus_slope(value: complex, slope: complex) -> float:
@@ -308,53 +315,18 @@ def modulus_slope(value: complex, slope: complex) -> float:
     return ((1 + value).conjugate() * value * slope).real
 
 
-def polish(loop: Loop, level: Level, a: float, b: float, at_a: float, at_b: float) -> tuple[float, complex]:
-    """The root of `level` in the bracket [a, b], and L there; a step that leaves the bracket halves it."""
-    x = a - at_a * (b - a) / (at_b - at_a)
-    if not a <= x <= b:
-        x = 0.5 * (a + b)
-    for _ in range(100):
-        value, slope = loop.point(x)
-        f, rate = level(value, slope)
-        if (f < 0) == (at_a < 0):
-            a = x
-        else:
-            b = x
-        step = f / rate if rate and math.isfinite(f) else math.inf
-        new = x - step
-        if not a <= new <= b:
-            new = 0.5 * (a + b)
-        moved, x = new - x, new
-        if abs(moved) < _DONE or f == 0:
-            return x, value * cmath.exp(slope * moved)
+def zero_of(loop: Loop, tendency: Tendency, a: float, b: float) -> tuple[float, complex]:
+    """ln ω of a zero of `tendency` in [a, b], and L there; without a change of sign the better end.
+
+    A crossing is a zero of its level, an extreme one of its slope.
+    """
+    at_a, at_b = (tendency(*loop.point(x)) for x in (a, b))
+    # An end is the extreme itself, or the slope beside a pole of the axis is no number.
+    if at_a * at_b < 0:
+        x = float(brentq(lambda x: tendency(*loop.point(x)), a, b, xtol=1e-15, rtol=_RTOL))
+    else:
+        x = a if abs(at_a) < abs(at_b) else b
     return x, loop.point(x)[0]
-
-
-def extreme(
-    loop: Loop, tendency: Callable[[complex, complex], float], a: float, b: float
-) -> tuple[float, complex]:
-    """A zero of `tendency`, which has the sign of a derivative, between a and b (Anderson and Björck)."""
-    at_a, at_b = tendency(*loop.point(a)), tendency(*loop.point(b))
-    if at_a == 0 or at_b == 0:  # an end is the extreme itself
-        c = a if at_a == 0 else b
-        return c, loop.point(c)[0]
-    c, value = a, 0j
-    for _ in range(100):
-        last = c
-        c = b - at_b * (b - a) / (at_b - at_a) if at_b != at_a else 0.5 * (a + b)
-        if not min(a, b) <= c <= max(a, b):
-            c = 0.5 * (a + b)
-        value, slope = loop.point(c)
-        at_c = tendency(value, slope)
-        if at_c == 0 or abs(c - last) < _DONE:
-            break
-        if at_c * at_b < 0:
-            a, at_a = b, at_b
-        else:
-            share = 1 - at_c / at_b
-            at_a *= share if share > 0 else 0.5
-        b, at_b = c, at_c
-    return c, value
 
 
 # --- The Nyquist criterion on a swept response, with indentations around poles of the axis ------------

@@ -11,7 +11,7 @@ import numpy as np
 
 from fraclink._systems.fractional import FractionalTransferFunction, checked_system
 from fraclink._systems.loops import FractionalLoop
-from fraclink._systems.margins import extreme, gain_level
+from fraclink._systems.margins import gain_slope, zero_of
 from fraclink._systems.stability import is_stable
 from fraclink._systems.sweep import sweep
 from fraclink._systems.terms import Reals
@@ -136,7 +136,7 @@ def _peak(loop: FractionalLoop) -> float:
     largest = float(size.max())
     for i in (np.flatnonzero(inner) + 1).tolist():
         if size[i] > 0.5 * largest:
-            _, value = extreme(loop, lambda v, s: gain_level(v, s)[1], float(x[i - 1]), float(x[i + 1]))
+            _, value = zero_of(loop, gain_slope, float(x[i - 1]), float(x[i + 1]))
             largest = max(largest, abs(value))
     # A response that approaches its supremum at ω → 0 or ∞ has it as the ratio of two coefficients.
     return max(largest, *(abs(limit) for limit in loop.ends if not cmath.isnan(limit)))
