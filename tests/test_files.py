@@ -100,7 +100,7 @@ def test_a_missing_file_and_a_file_of_another_encoding(tmp_path: Path) -> None:
     with pytest.raises(FileFormatError, match="not there"):
         read_json(tmp_path / "none", "thing")
     (tmp_path / "x").write_bytes(b"\xff\xfe{}")
-    with pytest.raises(FileFormatError, match="not valid JSON"):
+    with pytest.raises(FileFormatError, match="not UTF-8"):
         read_json(tmp_path / "x", "thing")
 
 

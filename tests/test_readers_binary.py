@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fraclink._arm.rig import Channel, LogColumns
+from fraclink._arm.experiment import Channel, LogColumns
 from fraclink._logs.readers import inspect_log, read_columns, read_log
 from fraclink._logs.readers.child import ReaderChild
 from fraclink._logs.readers.formats import read_table, sniffed_kind

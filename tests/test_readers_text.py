@@ -11,7 +11,8 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from fraclink._arm.rig import Channel, LogColumns, Rig
+from fraclink._arm.experiment import Channel, LogColumns
+from fraclink._arm.rig import Rig
 from fraclink._logs.readers import bundled_log, bundled_logs, inspect_log, read_columns, read_log
 from fraclink._logs.readers.cells import NUMBER, parse_cells
 from fraclink._logs.readers.stated import suggested_mapping

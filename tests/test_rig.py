@@ -11,8 +11,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fraclink._arm.link import LinkModel
-from fraclink._arm.rig import Channel, Encoder, Gauge, Inner, Link, LogColumns, Motor, Payloads, Rig
+import fraclink as fl
+from fraclink._arm.experiment import Channel, LogColumns
+from fraclink._arm.link import LinkModel, SecondMode
+from fraclink._arm.motor_loop import MotorLoop
+from fraclink._arm.rig import DesignDefaults, Encoder, Gauge, Link, Motor, Payloads, Rig, Tolerances, _RigFile
+from fraclink._arm.tables import keys_of
 from fraclink.errors import FieldError, FileFormatError
 
 ROOT = Path(__file__).parents[1]
@@ -131,8 +135,8 @@ rigs = st.builds(
     payloads=positive.map(lambda m: Payloads(m, 2 * m, 1.5 * m)),
     period=st.floats(1e-6, 10),
     encoder=st.builds(Encoder, st.one_of(st.none(), st.integers(1, 10**9))),
-    gauge=st.builds(Gauge, positive, positive, positive, positive),
-    inner=st.builds(Inner, positive, st.integers(0, 100)),
+    gauge=st.builds(Gauge, positive, positive, positive, positive, st.booleans()),
+    motor_loop=st.builds(MotorLoop, st.floats(1e-9, 1e6), st.integers(0, 100)),
     log=st.one_of(
         st.none(),
         st.builds(
@@ -166,6 +170,55 @@ def test_any_rig_comes_back_equal_whatever_its_texts_hold(rig: Rig) -> None:
         assert Rig.load(path) == rig
 
 
+def test_what_was_identified_and_what_is_tolerated_stay_with_the_rig(tmp_path: Path) -> None:
+    model = LinkModel(
+        1.56,
+        11.0,
+        order=1.9,
+        payload=0.03,
+        gauge_delay=0.057,
+        gauge_gain=0.98,
+        second_mode=SecondMode(180.0, 0.05),
+        unseen_up_to=300.0,
+        intervals=(("order", 1.89, 1.91), ("a name with blanks", -1.0, 1.0)),
+    )
+    rig = dataclasses.replace(
+        Rig.named("paper-2023"),
+        model=model,
+        gauge=Gauge(delay_in_loop=False),
+        tolerances=Tolerances(order=0.05, gauge_delay=0.004),
+    )
+    rig.save(tmp_path / "rig.toml")
+    assert Rig.load(tmp_path / "rig.toml") == rig
+    text = (tmp_path / "rig.toml").read_text()
+    assert "delay_in_loop = false" in text and "gauge_delay_s = 0.057" in text
+    assert "frequency_rad_per_s = 180.0" in text
+
+
+def test_a_file_that_says_nothing_of_the_gauge_has_its_delay_in_the_loop() -> None:
+    rig = Rig.load(RIGS / "merced.toml")
+    assert rig.gauge.delay_in_loop is True
+    assert rig.tolerances == Tolerances()
+    assert "delay_in_loop" not in rig.to_toml() and "tolerances" not in rig.to_toml()
+
+
+def test_the_older_name_of_the_motor_loop_is_read() -> None:
+    new = Rig.named("paper-2023").to_toml()
+    assert "[motor_loop]" in new
+    slow = new.replace("[motor_loop]", "[inner_loop]").replace(
+        "pole_rad_per_s = 80.0", "pole_rad_per_s = 40.0"
+    )
+    assert Rig.from_toml(slow).motor_loop == MotorLoop(pole=40.0, delay_samples=1)
+    with pytest.raises(FieldError, match="unknown key"):
+        Rig.from_toml(new + "\n[inner_loop]\npole_rad_per_s = 80.0\n")
+
+
+def test_a_rig_saves_and_loads_as_any_result(tmp_path: Path) -> None:
+    rig = Rig.named("paper-2023")
+    assert fl.load(fl.save(rig, tmp_path / "rig.toml")) == rig
+    assert fl.load(tmp_path / "rig.toml", Rig).design == DesignDefaults(12.0, 50.0)
+
+
 def test_an_unknown_name_lists_the_known_ones() -> None:
     with pytest.raises(FieldError, match="paper-2023") as caught:
         Rig.named("paper2023")
@@ -179,14 +232,27 @@ def test_a_missing_file_is_one_line(tmp_path: Path) -> None:
     assert "paper-2023" in caught.value.remedy
 
 
-def test_every_key_of_the_file_stands_in_the_reference() -> None:
-    from fraclink._arm.rig.quantities import specs
-    from fraclink._arm.rig.schema import SECTIONS
+def _keys(kind: type) -> list[str]:
+    inner = [key.table for key in keys_of(kind).values() if key.table]
+    return [name for name, key in keys_of(kind).items() if not key.table] + [
+        k for t in inner for k in _keys(t)
+    ]
 
+
+def test_every_key_of_the_file_stands_in_the_reference() -> None:
     page = (ROOT / "docs" / "reference" / "file-formats.md").read_text(encoding="utf-8")
-    keys = [spec.key for kind in SECTIONS.values() for spec in specs(kind).values()]
-    assert [key for key in keys if f"`{key}`" not in page] == []
-    assert [section for section in SECTIONS if f"`[{section}]`" not in page] == []
+    assert [key for key in set(_keys(_RigFile)) if f"`{key}`" not in page and f"{key} = " not in page] == []
+    tables = [name for name, key in keys_of(_RigFile).items() if key.table]
+    assert len(tables) == 10
+    assert [name for name in tables if f"`[{name}]`" not in page] == []
+
+
+def test_every_default_of_the_tolerances_stands_in_the_reference() -> None:
+    page = (ROOT / "docs" / "reference" / "file-formats.md").read_text(encoding="utf-8")
+    rows = page.partition("[tolerances]")[2].partition("[log]")[0].splitlines()
+    for name, key in keys_of(Tolerances).items():
+        row = next(line for line in rows if line.startswith(f"| `{name}`"))
+        assert row.rstrip(" |").split("|")[-1].strip() == f"{key.default:g}"
 
 
 def test_every_code_of_a_rig_and_a_log_stands_in_the_reference() -> None:

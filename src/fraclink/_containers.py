@@ -154,7 +154,7 @@ def read_text(path: Path | str, what: str, *, limit: int = JSON_LIMIT) -> str:
     try:
         return raw.decode("utf-8")
     except UnicodeDecodeError as error:
-        raise broken(what, place, f"not valid JSON ({error})", "make it again") from error
+        raise broken(what, place, f"not UTF-8 text ({error.reason})", "save it as UTF-8") from error
 
 
 def broken(what: str, place: Path, problem: str, remedy: str) -> FileFormatError:

@@ -121,10 +121,9 @@ class Campaign:
 
 
 def _about(campaign: Campaign) -> dict[str, object]:
-    from fraclink._arm.rig.writing import rig_text
-
     return {
-        "rig": rig_text(campaign.rig),
+        # as release 0.1 called the table, so that its folders can be resumed
+        "rig": campaign.rig.to_toml().replace("[motor_loop]", "[inner_loop]"),
         "model": _stated(campaign.model),
         "draws": asdict(campaign.draws),
         "seed": campaign.seed,

@@ -117,7 +117,7 @@ def load_log(
     interpolate: bool = False,
 ) -> Experiment:
     """Return the log of a file, or the bundled one."""
-    from fraclink._arm.rig import parse_columns
+    from fraclink._arm.experiment import parse_columns
     from fraclink._logs.readers import read_log
 
     stated = parse_columns(columns) if columns else None

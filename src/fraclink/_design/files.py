@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,15 +24,13 @@ _WITHOUT_LEAD = 1  # the format of 0.1, whose controllers have no lead
 
 def save_plan(design: Design, path: Path) -> None:
     """Write `design` to `path` in one step."""
-    from fraclink._arm.rig.writing import rig_text
-
     write_json(
         path,
         KIND,
         FORMAT,
         {
             "period": design.rig.period,
-            "rig": rig_text(design.rig),
+            "rig": design.rig.to_toml(),
             "model": asdict(design.model),
             "controller": asdict(design.controller),
             "margins_kind": design.margins_kind,
@@ -77,7 +74,6 @@ _FIELDS = {
 def load_plan(path: Path) -> Design:
     """Read a design that `save_plan` wrote; the controller and the model check their own values again."""
     from fraclink._arm.rig import Rig
-    from fraclink._arm.rig.reading import parse_arguments
     from fraclink._design.plan import Design, Requirement
 
     data = read_json(path, KIND, (_WITHOUT_LEAD, FORMAT))
@@ -89,7 +85,7 @@ def load_plan(path: Path) -> Design:
     try:
         return Design(
             model=link_from(data["model"]),
-            rig=Rig(**parse_arguments(_toml(data["rig"]))),
+            rig=Rig.from_toml(_text(data["rig"])),
             controller=controller_from(data["controller"], lead=data["format"] != _WITHOUT_LEAD),
             requirements=tuple(Requirement(**known(Requirement, item)) for item in data["requirements"]),
             margins_kind=data["margins_kind"],
@@ -107,12 +103,10 @@ def load_plan(path: Path) -> Design:
         ) from error
 
 
-def _toml(text: object) -> Mapping[str, Any]:
-    import tomllib
-
+def _text(text: object) -> str:
     if not isinstance(text, str):
         raise FileFormatError("rig", text, "not text", allowed="a rig in TOML", remedy="make the file again")
-    return tomllib.loads(text)
+    return text
 
 
 def _pair(value: object) -> tuple[float, float]:

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._arm.experiment import Experiment
-from fraclink._arm.rig import Channel, LogColumns, Rig
+from fraclink._arm.experiment import Channel, Experiment, LogColumns
+from fraclink._arm.rig import Rig
 from fraclink._files import sha256_of
 from fraclink._logs.readers.formats import read_table
 from fraclink._logs.readers.limits import SAMPLE_LIMIT

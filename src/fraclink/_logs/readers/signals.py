@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._arm.rig.quantities import Quantity
 from fraclink._logs.readers.cells import NUMBER, cell_remedy
 from fraclink._logs.readers.table import Table
+from fraclink._rules import rule
+from fraclink._validate import Payload
 from fraclink.errors import LogError
 from fraclink.findings import Finding
 
@@ -78,7 +79,7 @@ def check_signals(angle: NDArray[np.float64], output: NDArray[np.float64], kind:
 
 def stated_payload(table: Table, stated: float | None) -> tuple[float | None, list[Finding]]:
     """The payload of a log, from the call or from its own header."""
-    spec = Quantity("payload", "kg", above=0, remedy="give the mass in kg")
+    mass_range = rule(Payload)
     labels = {value for key, value in table.notes if key == "payload_kg"}
     if len(labels) > 1:
         raise LogError(
@@ -94,10 +95,10 @@ def stated_payload(table: Table, stated: float | None) -> tuple[float | None, li
             raise LogError(
                 "payload_kg", label, "not a number", allowed="> 0 [kg]", remedy="write # payload_kg: 0.030"
             )
-        header = float(spec.check("payload_kg", float(label)))
+        header = mass_range.check("payload_kg", float(label))
     if stated is None:
         return header, []
-    mass = float(spec.check("payload", stated))
+    mass = mass_range.check("payload", stated)
     if header is None or abs(mass - header) <= 1e-9 * mass:
         return mass, []
     return mass, [

@@ -10,9 +10,8 @@ import re
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._arm.rig import Channel, LogColumns
-from fraclink._arm.rig.columns import QUANTITY_OF, UNITS
-from fraclink._arm.rig.writing import toml_value
+from fraclink._arm.experiment import QUANTITY_OF, UNITS, Channel, LogColumns
+from fraclink._arm.tables import toml_value
 from fraclink._logs.readers.table import Table
 from fraclink.errors import LogError
 
