@@ -3,27 +3,27 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-from fraclink._identify.search import Search
+from fraclink._identify.search import Search, Solution
 from fraclink._identify.shape import (
+    COORDINATE,
     NAMES,
     Shape,
     damping_and_square,
+    largest_ratio,
     mask_of,
     model_gradients,
-    on_physical_side,
 )
-from fraclink._identify.solution import Solution
-from fraclink._kernels import FitProblem
 
-__all__ = ["Interval", "profile_interval", "reduced"]
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
 
-_DIRECT = {"order": 0, "damping_order": 3, "delay": 4}
 _QUANTILE = 1.959963984540054  # of the normal distribution at 97.5 %
+_DIRECT = {name: COORDINATE[name] for name in ("order", "damping_order", "delay")}
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,6 @@ class _Profile:
 
     search: Search
     solution: Solution
-    kernel: FitProblem
     name: str
 
     def value(self, shape: Shape) -> float:
@@ -75,14 +74,16 @@ class _Profile:
         start[direct] = math.log(value) if direct == 1 else value
         others = [i for i in self.solution.free if i != direct]
         s = self.search
-        result = self.kernel.solve(
+        result = s.kernel.solve(
             start[None, :], mask_of(others), self.solution.lower, self.solution.upper, s.gain, s.offset, 60
         )
         return (math.inf, near) if result[0] == 3 else (float(result[4]), result[1])
 
     @property
     def _frequency_is_resonance(self) -> bool:
-        return self.name == "natural_frequency" and self.solution.structure in ("UD-IOM", "D-IOM")
+        """Whether ω₀ is the coordinate Ω itself, which viscous damping does not move."""
+        classical = self.solution.shape[0] == 2 and self.solution.shape[3] == 1
+        return self.name == "natural_frequency" and classical and not {0, 3} & set(self.solution.free)
 
     def _constrained(self, value: float, near: Shape) -> tuple[float, Shape]:
         """Gauss–Newton steps on the surface where the parameter has this value."""
@@ -90,7 +91,7 @@ class _Profile:
         shape = near.copy()
         best = (math.inf, near)
         for _ in range(8):
-            gram = self.kernel.gram(shape, mask_of(free))
+            gram = self.search.kernel.gram(shape, mask_of(free))
             if gram is None:
                 return best
             normal, slope, cost = reduced(gram, self.search)
@@ -102,17 +103,13 @@ class _Profile:
             row = model_gradients(shape)[NAMES.index(self.name)]
             along = np.array([row[i] if i < 4 else 0.0 for i in free])
             shape[free] += _on_surface(normal, slope, along, miss)
-            shape = on_physical_side(np.clip(shape, self.solution.lower, self.solution.upper))
+            shape = np.clip(shape, self.solution.lower, self.solution.upper)
+            if shape[3] < 1:  # beyond, ω₀² would be negative
+                shape[2] = min(shape[2], largest_ratio(float(shape[3])))
         return best
 
 
-def reduced(
-    gram: np.ndarray[tuple[int, ...], np.dtype[np.float64]], search: Search
-) -> tuple[
-    np.ndarray[tuple[int, ...], np.dtype[np.float64]],
-    np.ndarray[tuple[int, ...], np.dtype[np.float64]],
-    float,
-]:
+def reduced(gram: Matrix, search: Search) -> tuple[Matrix, Vector, float]:
     """Normal matrix, slope and cost of the shape with gain and offset at their best."""
     linear = [c for c, v in ((1, search.gain), (2, search.offset)) if math.isnan(v)]
     fixed = np.array([1.0, -np.nan_to_num(search.gain), -np.nan_to_num(search.offset)])
@@ -131,12 +128,8 @@ def reduced(
     return gain**2 * inner, gain * residual[3:], cost
 
 
-def _on_surface(
-    normal: np.ndarray[tuple[int, ...], np.dtype[np.float64]],
-    slope: np.ndarray[tuple[int, ...], np.dtype[np.float64]],
-    along: np.ndarray[tuple[int, ...], np.dtype[np.float64]],
-    miss: float,
-) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+def _on_surface(normal: Matrix, slope: Vector, along: Vector, miss: float) -> Vector:
+    """The Gauss–Newton step that moves the parameter by `miss`: a Lagrange multiplier borders the matrix."""
     size = normal.shape[0]
     system = np.zeros((size + 1, size + 1))
     system[:size, :size] = normal + 1e-10 * np.diag(np.diag(normal))
@@ -145,58 +138,41 @@ def _on_surface(
 
 
 def profile_interval(
-    search: Search, solution: Solution, kernel: FitProblem, name: str, error: float, inflation: float
+    search: Search, solution: Solution, name: str, error: float, inflation: float
 ) -> Interval:
     """The 95 % interval of one parameter: n ln(cost/least cost) ≤ 1.96² × `inflation`.
 
     `error` is its standard error (where the search for the ends begins) and `inflation` the factor by
     which the residual's colour widens its variance.
     """
-    profile = _Profile(search, solution, kernel, name)
+    profile = _Profile(search, solution, name)
     centre = profile.value(solution.shape)
     if solution.cost <= 1e-12 * solution.gram[0, 0]:  # a perfect fit: its likelihood is rounding noise
         return Interval(centre - _QUANTILE * error, centre + _QUANTILE * error, False, False)
     low, high = profile.limits()
-    ends = []
-    for side, limit in ((-1, low), (1, high)):
-        ends.append(_end(profile, centre, side * error, limit, inflation))
-    return Interval(ends[0][0], ends[1][0], ends[0][1], ends[1][1])
+    below, low_open = _end(profile, centre, -_QUANTILE * error, low, inflation)
+    above, high_open = _end(profile, centre, _QUANTILE * error, high, inflation)
+    return Interval(below, above, low_open, high_open)
 
 
-def _end(
-    profile: _Profile, centre: float, error: float, limit: float, inflation: float
-) -> tuple[float, bool]:
-    """One end, by secants on the root of the log-likelihood, which is nearly straight; (value, is open)."""
+def _end(profile: _Profile, centre: float, step: float, limit: float, inflation: float) -> tuple[float, bool]:
+    """One end of an interval and whether it is open.
+
+    The root of the log-likelihood is nearly straight (exactly so for a linear model), so that secants
+    through it meet the quantile in two or three fits where bisection would take twenty.
+    """
     samples, least = profile.search.window.samples, profile.solution.cost
-
-    def root(value: float, near: Shape) -> tuple[float, Shape]:
-        cost, shape = profile.cost(value, near)
-        if not math.isfinite(cost):
-            return math.inf, near
-        if least <= 0:
-            return (math.inf if cost > 0 else 0.0), shape
-        return math.sqrt(max(samples * math.log(max(cost / least, 1.0)) / inflation, 0.0)), shape
-
-    return _secant(root, profile.solution.shape, centre, error, limit)
-
-
-def _secant(
-    root: Callable[[float, Shape], tuple[float, Shape]],
-    shape: Shape,
-    centre: float,
-    error: float,
-    limit: float,
-) -> tuple[float, bool]:
-    inside, inside_root = centre, 0.0
-    outside: float | None = None
-    outside_root = math.inf
-    step = _QUANTILE * error
+    shape = profile.solution.shape
+    inside, inside_root, outside, outside_root = centre, 0.0, math.nan, math.inf
     value = centre + step
     for _ in range(25):
         beyond = (limit - value) * step <= 0
         value = limit if beyond else value
-        height, near = root(value, shape)
-        if abs(height - _QUANTILE) < 2e-3:
+        cost, near = profile.cost(value, shape)
+        height = math.inf
+        if math.isfinite(cost):
+            height = math.sqrt(max(samples * math.log(max(cost / least, 1.0)) / inflation, 0.0))
+        if abs(height - _QUANTILE) < 2e-3:  # a thousandth of the quantile: 0.01 % of the coverage
             return value, False
         if height < _QUANTILE:
             if beyond:
@@ -204,14 +180,14 @@ def _secant(
             inside, inside_root, shape = value, height, near
         else:
             outside, outside_root = value, height
-        if outside is None:
+        if math.isnan(outside):
             ratio = _QUANTILE / inside_root if inside_root > 0 else 4.0
             value = centre + (inside - centre) * min(max(ratio, 1.05), 4.0)
         elif math.isfinite(outside_root):
             part = (_QUANTILE - inside_root) / (outside_root - inside_root)
             value = inside + (outside - inside) * min(max(part, 0.05), 0.95)
-        else:
+        else:  # no fit there at all: the secant has nothing to go by
             value = (inside + outside) / 2
-        if outside is not None and abs(outside - inside) < 1e-9 * abs(centre):
+        if abs(outside - inside) < 1e-9 * abs(centre):
             return outside, False
-    return value, outside is None
+    return value, math.isnan(outside)

@@ -9,13 +9,19 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._identify.problem import Window
-from fraclink._identify.shape import ALPHA_LIMITS, FREE, ORDER_LIMITS, Shape, mask_of, undamped_as_damped
-from fraclink._identify.solution import Solution
+from fraclink._arm.link import STRUCTURES, structure
+from fraclink._identify.shape import (
+    ALPHA_LIMITS,
+    ORDER_LIMITS,
+    Shape,
+    Window,
+    free_coordinates,
+    largest_ratio,
+    mask_of,
+    undamped_as_damped,
+)
 from fraclink._kernels import FitProblem
 from fraclink.errors import NotConvergedError
-
-__all__ = ["Search"]
 
 _SWEEP_ORDER, _SWEEP_STEP = 1.85, 0.2  # ζ = 0.13 and a step in ln Ω: neighbours on the grid overlap
 _SCAN_ORDER = 1.92  # ζ = 0.065, for the places between them
@@ -23,6 +29,40 @@ _ITERATIONS = 200  # an undamped link on a damped log converges by a third a ste
 # Delays that are tried as starts, as parts of the vibration's period: a fit creeps over ± 0.15 by itself.
 _DELAY_STARTS = (0.12, 0.24)
 _DELAY_LIMITS = (-0.12, 0.35)
+_FRACTIONAL = {"natural_frequency", "order"}
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """The least-squares point of one structure: coordinates, linear parameters, Gram matrix there."""
+
+    structure: str
+    free: tuple[int, ...]
+    shape: Shape
+    gain: float
+    offset: float
+    cost: float
+    gram: NDArray[np.float64]
+    lower: Shape
+    upper: Shape
+    status: int
+    evaluations: int
+
+    @property
+    def on_edge(self) -> bool:
+        """Whether fractional damping ended on ω₀ = 0, where it is an undamped link with λ = 2 − α."""
+        other = float(self.shape[3])
+        return 3 in self.free and other < 1 and self.shape[2] >= (1 - 1e-7) * largest_ratio(other)
+
+    @property
+    def at_bound(self) -> tuple[int, ...]:
+        """Free coordinates that ended on a limit."""
+        near = 1e-7 * (self.upper - self.lower)
+        return tuple(
+            i
+            for i in self.free
+            if self.shape[i] <= self.lower[i] + near[i] or self.shape[i] >= self.upper[i] - near[i]
+        )
 
 
 @dataclass(eq=False)
@@ -129,7 +169,7 @@ class Search:
     def free(self, name: str) -> tuple[int, ...]:
         """Free coordinates of a structure, the delay included unless it is fixed."""
         names = {0: "order", 3: "damping_order"}
-        own = tuple(i for i in FREE[name] if names.get(i, "") not in self.fixed)
+        own = tuple(i for i in free_coordinates(name) if names.get(i, "") not in self.fixed)
         return own if "delay" in self.fixed else (*own, 4)
 
     def solve(self, name: str) -> Solution:
@@ -150,17 +190,10 @@ class Search:
         On a log without a clear resonance a scan may end in another valley for each structure; a structure
         that is worse than its own special case would be the search's fault.
         """
-        for name, special in (
-            ("D-IOM", "UD-IOM"),
-            ("UD-FOM", "UD-IOM"),
-            ("D-FOM", "D-IOM"),
-            ("D-FOM", "UD-FOM"),
-        ):
+        for name, special in ((name, other) for name in STRUCTURES for other in special_cases(name)):
             inner, outer = self.solve(special), self.solve(name)
             if outer.cost > inner.cost * (1 + 1e-9) and not {"order", "damping_order"} & set(self.fixed):
-                shape = inner.shape
-                start = undamped_as_damped(shape) if (name, special) == ("D-FOM", "UD-FOM") else shape
-                again = self._best(name, [start], may_lead=True)
+                again = self._best(name, [_embedded(inner.shape, name)], may_lead=True)
                 self.solutions[name] = min((outer, again), key=lambda s: s.cost)
 
     def _over_the_jumps(self, found: Solution) -> Solution:
@@ -206,8 +239,8 @@ class Search:
     ) -> Solution:
         free = self.free(name)
         lower, upper = self.limits(may_lead=not self.window.is_rough if may_lead is None else may_lead)
-        if name == "D-FOM":
-            # As a UD-FOM near λ = 1 it vibrates far below its poles' modulus, and hardly at all.
+        if "damping_order" in structure(name).free:
+            # As an undamped link with λ near 1 it vibrates far below its poles' modulus, and hardly at all.
             lower[1], upper[2] = lower[1] - 3.0, 50.0
         if delays is not None:
             lower[4], upper[4] = delays
@@ -227,18 +260,25 @@ class Search:
         )
 
     def _starts(self, name: str) -> Iterable[Shape]:
-        seed = self.seed
-        if name == "UD-FOM":
-            yield np.array([self.fixed.get("order", min(seed[0], 1.95)), seed[1], 0.0, 1.0, seed[4]])
+        """Points to start from; only the undamped fractional link, which fits any ring-down, needs a scan."""
+        free = set(structure(name).free)
+        if free == _FRACTIONAL:
+            yield np.array(
+                [self.fixed.get("order", min(self.seed[0], 1.95)), self.seed[1], 0.0, 1.0, self.seed[4]]
+            )
             return
-        fractional = self.solve("UD-FOM").shape
+        fractional = self.solve(
+            next(row.name for row in STRUCTURES.values() if set(row.free) == _FRACTIONAL)
+        ).shape
         ratio = max(-math.cos(math.pi / fractional[0]), 1e-4)
-        if name == "D-IOM":
+        if "damping_order" in free:
+            yield from self._damped(name, fractional, ratio)
+        elif "order" in free:
+            yield from (self.solve(special).shape for special in special_cases(name))
+        elif "damping" in free:
             yield np.array([2.0, fractional[1], max(ratio, 1e-3), 1.0, fractional[4]])
-        elif name == "UD-IOM":
-            yield from self._undamped(fractional)
         else:
-            yield from self._damped(fractional, ratio)
+            yield from self._undamped(fractional)
 
     def _undamped(self, near: Shape) -> Iterable[Shape]:
         # Without damping the phase must fit over the whole log: a dip of the cost every π/T, each is tried.
@@ -249,17 +289,35 @@ class Search:
         costs = self.kernel.costs(rows, self.gain, self.offset)
         yield from rows[np.argsort(costs)[:3]]
 
-    def _damped(self, fractional: Shape, ratio: float) -> Iterable[Shape]:
-        # Nested structures first: a step never raises the cost, so D-FOM is never worse than either.
-        if "damping_order" not in self.fixed:
-            yield self.solve("D-IOM").shape
-            yield undamped_as_damped(fractional)
-            others: tuple[float, ...] = (0.4, 1.5)
-        else:
+    def _damped(self, name: str, fractional: Shape, ratio: float) -> Iterable[Shape]:
+        # Special cases first: a step never raises the cost, so the fit is never worse than any of them.
+        others: tuple[float, ...] = (0.4, 1.5)
+        if "damping_order" in self.fixed:
             others = (self.fixed["damping_order"],)
+        else:
+            damped = (other for other in special_cases(name) if "damping" in structure(other).free)
+            yield from (self.solve(other).shape for other in damped)
+            yield undamped_as_damped(fractional)
         for other in others:
-            most = math.tan(other * math.pi / 2) / 2 if other < 1 else 0.9
-            yield np.array([2.0, fractional[1], min(ratio, 0.9 * most), other, fractional[4]])
+            yield np.array([2.0, fractional[1], min(ratio, 0.9 * largest_ratio(other)), other, fractional[4]])
+
+
+def special_cases(name: str) -> list[str]:
+    """Structures that are special cases of this one, in the order of the table.
+
+    The undamped link of order λ is one of every link with a free α: see `undamped_as_damped`.
+    """
+    free = set(structure(name).free)
+    return [
+        row.name
+        for row in STRUCTURES.values()
+        if set(row.free) < free or ("damping_order" in free and set(row.free) == _FRACTIONAL)
+    ]
+
+
+def _embedded(shape: Shape, name: str) -> Shape:
+    """The shape of a special case in the coordinates of the structure `name`."""
+    return undamped_as_damped(shape) if shape[0] < 2 and "order" not in structure(name).free else shape
 
 
 def _delayed(rows: NDArray[np.float64], part: float) -> NDArray[np.float64]:

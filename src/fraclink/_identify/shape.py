@@ -1,48 +1,53 @@
-"""The coordinates a fit moves in, and the way from them to the link's parameters.
+"""The coordinates a fit moves in, the way from them to the link's parameters, and the log as the kernel sees it.
 
 A shape is (λ, ln Ω, ζ, α, τ): order of inertia, logarithm of the resonance [rad/s], damping ratio there,
 order of the damping, delay [s]. With S = sin(απ/2), C = cos(απ/2)
 
     μ = 2ζ Ω^(λ−α) / S,    ω₀² = Ω^λ (1 − 2ζ C/S).
 
-In (ω₀, μ, α) a D-FOM fit runs along a valley, since α, μ and ω₀ shift one resonance and one width
-between three numbers; in (Ω, ζ, α) the valley is the α axis.
+In (ω₀, μ, α) a fit of fractional damping runs along a valley, since α, μ and ω₀ shift one resonance and
+one width between three numbers; in (Ω, ζ, α) the valley is the α axis.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._arm.link import LinkModel
-
-__all__ = [
-    "ALPHA_LIMITS",
-    "COORDINATES",
-    "FREE",
-    "NAMES",
-    "ORDER_LIMITS",
-    "mask_of",
-    "model_gradients",
-    "model_of",
-    "on_physical_side",
-    "shape_of",
-    "undamped_as_damped",
-]
+from fraclink._arm.link import LinkModel, structure
+from fraclink._kernels import FitProblem
+from fraclink.errors import NotConvergedError
 
 Shape = NDArray[np.float64]
+Vector = NDArray[np.float64]
+Hold = Literal["auto", "zero", "first"]
 
-COORDINATES = ("order", "resonance", "ratio", "damping_order", "delay")
-FREE: dict[str, tuple[int, ...]] = {"UD-IOM": (1,), "D-IOM": (1, 2), "UD-FOM": (0, 1), "D-FOM": (1, 2, 3)}
+# The coordinate that moves each parameter; a structure's row in fraclink._arm.link says which are free.
+COORDINATE = {"order": 0, "natural_frequency": 1, "damping": 2, "damping_order": 3, "delay": 4}
 NAMES = ("natural_frequency", "order", "damping", "damping_order")
 # At λ = 1 the vibration pole lies on the branch cut and there is no vibration left to identify.
 ORDER_LIMITS = (1.01, 2.0)
-# Beyond, s^α is stiffness (0) or inertia (2). The lower limit is that close so that UD-FOM with λ = 2 − α
-# lies inside up to λ = 1.9999.
+# Beyond, s^α is stiffness (0) or inertia (2). The lower limit is that close so that a fractional link with
+# λ = 2 − α lies inside up to λ = 1.9999.
 ALPHA_LIMITS = (1e-4, 1.9)
+
+# The trapezoid rule in ln(rate) errs like exp(−π²/step): 3e-9 at 0.5, enough to find parameters to 1e-8.
+_STEP = 0.5
+_SCAN_STEP = 1.0  # 5e-5, for the scan only
+_DEPTH = 12.2  # rates down to Ω·e^−12.2: what lies below weighs less than 1e-9
+_REACH = 16.0  # rates above 16/Ts are gone within a sample (e^−16)
+_TAIL = 6.0  # and above 16/Ts·e^6 nothing is left of them
+_MODES_MAX = 64
+
+
+def free_coordinates(name: str) -> tuple[int, ...]:
+    """Coordinates that are free in a structure, the delay not counted."""
+    return tuple(sorted(COORDINATE[parameter] for parameter in structure(name).free))
 
 
 def mask_of(free: Sequence[int]) -> int:
@@ -63,7 +68,7 @@ def model_of(shape: Shape, stiffness: float, payload: float | None) -> LinkModel
     """The link model of a shape."""
     damping, square = damping_and_square(shape)
     order, other = float(shape[0]), float(shape[3])
-    # 1e-9 of the stiffness is below what any double-precision fit resolves: the D-FOM that is a UD-FOM.
+    # 1e-9 of the stiffness is below what any double-precision fit resolves: then the damping is all there is.
     square = 0.0 if damping > 0 and square < 1e-9 * math.exp(order * shape[1]) else square
     return LinkModel(stiffness, math.sqrt(square), order, damping, other if damping > 0 else 1.0, payload)
 
@@ -82,36 +87,97 @@ def shape_of(model: LinkModel, delay: float = 0.0) -> Shape:
     return np.array([model.order, math.log(resonance), ratio, model.damping_order, delay])
 
 
+def largest_ratio(other: float) -> float:
+    """The damping ratio ζ beyond which ω₀² is negative (α < 1), or the link no longer vibrates."""
+    return math.tan(other * math.pi / 2) / 2 if other < 1 else 0.9
+
+
 def undamped_as_damped(shape: Shape) -> Shape:
-    """The D-FOM that is the UD-FOM of `shape`: ω₀ = 0, μ = ω₀², α = 2 − λ (its inertia divided by s^α)."""
-    order = float(shape[0])
-    other = min(max(2 - order, ALPHA_LIMITS[0]), ALPHA_LIMITS[1])
-    turn = other * math.pi / 2
-    log_resonance = shape[1] + math.log(math.cos(turn)) / order
-    return np.array([2.0, log_resonance, math.tan(turn) / 2, other, shape[4]])
+    """The link with fractional damping that is the undamped one of order λ: its inertia divided by s^α.
+
+    ω₀ = 0, μ is the old ω₀² and α = 2 − λ.
+    """
+    other = min(max(2 - float(shape[0]), ALPHA_LIMITS[0]), ALPHA_LIMITS[1])
+    log_resonance = shape[1] + math.log(math.cos(other * math.pi / 2)) / float(shape[0])
+    return np.array([2.0, log_resonance, largest_ratio(other), other, shape[4]])
 
 
 def model_gradients(shape: Shape) -> NDArray[np.float64]:
     """∂(ω₀, λ, μ, α)/∂(λ, ln Ω, ζ, α), shape (4, 4), by central differences (exact to 1e-9 here)."""
 
-    def values(point: Shape) -> NDArray[np.float64]:
+    def values(point: Shape) -> Vector:
         damping, square = damping_and_square(point)
         return np.array([math.sqrt(square), point[0], damping, point[3]])
 
-    columns = []
-    for i in range(4):
-        step = 1e-6
-        up, down = shape.copy(), shape.copy()
-        up[i] += step
-        down[i] -= step
-        columns.append((values(up) - values(down)) / (2 * step))
-    return np.stack(columns, axis=1)
+    steps = 1e-6 * np.eye(5)[:4]
+    return np.stack([(values(shape + step) - values(shape - step)) / 2e-6 for step in steps], axis=1)
 
 
-def on_physical_side(shape: Shape) -> Shape:
-    """The shape with ζ no larger than tan(απ/2)/2, beyond which ω₀² would be negative."""
-    other = float(shape[3])
-    if other < 1 and shape[2] > (most := math.tan(other * math.pi / 2) / 2):
-        shape = shape.copy()
-        shape[2] = most
-    return shape
+def chosen_hold(motor_angle: Vector, hold: Hold) -> Literal["zero", "first"]:
+    """What the input does between samples.
+
+    A motor moves smoothly, so "auto" joins the samples by straight lines; a simulated command that jumps
+    between two samples and rests before and after is held instead. Read as a ramp it would delay the link
+    by half a sample, and λ pays for that.
+    """
+    if hold != "auto":
+        return hold
+    steps = np.abs(np.diff(motor_angle, prepend=motor_angle[:1], append=motor_angle[-1:]))
+    calm = np.maximum(steps[:-2], steps[2:]) <= 1e-3 * steps[1:-1]
+    jumps = calm & (steps[1:-1] > 0.05 * np.ptp(motor_angle))
+    return "zero" if steps[1:-1][jumps].sum() > 0.5 * steps.sum() > 0 else "first"
+
+
+@dataclass(frozen=True, eq=False)
+class Window:
+    """A stretch of a log from its start, in the kernel's terms."""
+
+    angle: Vector
+    output: Vector
+    period: float
+    hold: Literal["zero", "first"]
+
+    @property
+    def samples(self) -> int:
+        """Number of samples."""
+        return self.output.size
+
+    @property
+    def frequency_limits(self) -> tuple[float, float]:
+        """Resonances [rad/s] that the log can show: a period and a half in it, six samples in a period."""
+        return 3 * math.pi / (self.samples * self.period), math.pi / (3 * self.period)
+
+    @property
+    def is_rough(self) -> bool:
+        """Whether noise (such as an encoder's steps) shows in the angle's increments.
+
+        Noise of the samples makes neighbouring increments opposed, so that they resemble each other less
+        than the next but one do; a motion's resemblance falls with every sample.
+        """
+        steps = np.diff(self.angle)
+        return bool(steps[1:] @ steps[:-1] < steps[2:] @ steps[:-2])
+
+    def increments(self) -> Vector:
+        """Jump at each sample (held input) or slope after it; the link is at rest before the first one."""
+        if self.hold == "zero":
+            return np.diff(self.angle, prepend=self.angle[:1])
+        return np.diff(self.angle, append=self.angle[-1:]) / self.period
+
+    def kernel(self, resonance: float, *, longest_delay: float, coarse: bool = False) -> FitProblem:
+        """The kernel with a grid of rates that serves resonances from `resonance` [rad/s] up."""
+        step = _SCAN_STEP if coarse else _STEP
+        start = math.log(resonance) - (_DEPTH if not coarse else 8.0)
+        modes = math.ceil((math.log(_REACH / self.period) - start) / step)
+        modes, tail = min(max(modes, 4), _MODES_MAX - 4), math.ceil(_TAIL / step)
+        pad = math.ceil(longest_delay / self.period) + 32
+        held = int(self.hold == "first")
+        return FitProblem(self.increments(), self.output, self.period, held, start, step, modes, tail, pad)
+
+
+def columns_of(kernel: FitProblem, shape: Vector, mask: int = 0) -> NDArray[np.float64]:
+    """Output for unit gain and its derivatives for the coordinates in `mask`, shape (1 + k, N)."""
+    columns = kernel.columns(shape, mask)
+    if columns is None:
+        remedy = "give a model with a damping ratio below 0.9"
+        raise NotConvergedError("the vibration pole", reached=math.nan, wanted=0.0, remedy=remedy)
+    return columns

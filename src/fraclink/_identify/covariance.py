@@ -1,0 +1,243 @@
+"""How sure a fit is: information criteria, covariance under coloured residuals, tests of the residual."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import lstsq, toeplitz
+from scipy.special import gammaincc
+
+from fraclink._arm.link import structure
+from fraclink._identify.search import Search, Solution
+from fraclink._identify.shape import (
+    COORDINATE,
+    NAMES,
+    columns_of,
+    mask_of,
+    model_gradients,
+)
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+
+_LAGS = 25  # of the portmanteau tests
+
+
+def aic(mse: float, samples: int, parameters: int) -> float:
+    """Return Akaike's criterion 2k + n ln(MSE), equation (18); lower is better.
+
+    Parameters
+    ----------
+    mse
+        mean squared error > 0 [unit of the output, squared].
+    samples
+        n, number of fitted samples.
+    parameters
+        k of the structure (1, 2, 2, 3 in the order of the table).
+
+    Examples
+    --------
+    With n = 5001 it gives Table 2 of the paper:
+
+    >>> [round(aic(mse, 5001, k)) for mse, k in ((0.05845, 1), (0.00531, 2), (0.00524, 2), (0.00524, 3))]
+    [-14199, -26192, -26258, -26256]
+    """
+    return 2.0 * parameters + samples * math.log(mse) if mse > 0 else -math.inf
+
+
+def bic(mse: float, samples: int, parameters: int) -> float:
+    """Return Schwarz's criterion k ln(n) + n ln(MSE), arguments as for `aic`; lower is better.
+
+    >>> round(bic(0.00524, 5001, 2))
+    -26245
+    """
+    return parameters * math.log(samples) + samples * math.log(mse) if mse > 0 else -math.inf
+
+
+@dataclass(frozen=True)
+class ResidualTests:
+    """What the residual still holds, over the samples of the fit.
+
+    A real arm's residual is never white in a thousand samples (second mode, friction, quantisation): a
+    small `whiteness` says that standard errors must allow for colour, which they then do, not that the
+    model is useless. A small `input_independence` says that the motor's motion explains part of the
+    residual: the structure misses something.
+
+    Parameters
+    ----------
+    whiteness
+        p-value of Ljung and Box's test that the residual is white (25 lags).
+    input_independence
+        p-value of the test that it does not depend on the motor's motion (25 lags).
+    correlation_time
+        time after which its autocorrelation stays below 0.1 [s].
+    variance_inflation
+        by how much its colour widens the variance of the least well supported parameter.
+    """
+
+    whiteness: float
+    input_independence: float
+    correlation_time: float
+    variance_inflation: float
+
+
+def autocovariance(first: Vector, second: Vector | None = None) -> Vector:
+    """Sample covariances Σ_k x_{k+l} y_k / n of two series (or of one with itself) at lags 0..n−1."""
+    count = first.size
+    size = 1 << (2 * count - 1).bit_length()
+    spectrum = np.fft.rfft(first, size)
+    other = spectrum if second is None else np.fft.rfft(second, size)
+    return np.asarray(np.fft.irfft(spectrum * other.conj(), size)[:count] / count, dtype=np.float64)
+
+
+def long_run_covariance(scores: Matrix, lags: int) -> Matrix:
+    """Newey and West's estimate of n Σ_l Γ_l with Bartlett's weights up to `lags`; scores have shape (p, n).
+
+    Bartlett's weights are the Fejér kernel in frequency: one matrix product instead of a sum over lags.
+    """
+    count = scores.shape[1]
+    size = 1 << (count + lags).bit_length()
+    spectrum = np.fft.rfft(scores, size, axis=1)
+    half = np.pi * np.arange(1, spectrum.shape[1]) / size
+    kernel = np.concatenate([[lags + 1.0], (np.sin((lags + 1) * half) / np.sin(half)) ** 2 / (lags + 1)])
+    kernel[1 : (size + 1) // 2] *= 2  # the negative frequencies
+    return np.asarray(((spectrum * kernel) @ spectrum.conj().T).real / size, dtype=np.float64)
+
+
+def correlation_lag(residual: Vector) -> int:
+    """First lag after which the autocorrelation stays below 0.1 for as long again."""
+    covariance = autocovariance(residual)
+    if covariance[0] <= 0:
+        return 1
+    large = np.flatnonzero(np.abs(covariance[: residual.size // 4]) > 0.1 * covariance[0])
+    return int(large[-1]) + 1
+
+
+def residual_tests(
+    residual: Vector, motion: Vector, period: float, lag: int, inflation: float
+) -> ResidualTests:
+    """Test a residual against whiteness and against the motor's `motion` (its increments)."""
+    count = residual.size
+    centred = residual - residual.mean()
+    variance = float(centred @ centred) / count
+    if variance == 0:
+        return ResidualTests(1.0, 1.0, period, 1.0)
+    lags = min(_LAGS, count // 4)
+    rho = autocovariance(centred)[1 : lags + 1] / variance
+    ljung_box = count * (count + 2) * float(np.sum(rho**2 / (count - np.arange(1, lags + 1))))
+    return ResidualTests(
+        whiteness=float(gammaincc(lags / 2, ljung_box / 2)),
+        input_independence=float(gammaincc(lags / 2, _input_statistic(centred, motion, lags) / 2)),
+        correlation_time=lag * period,
+        variance_inflation=inflation,
+    )
+
+
+def _input_statistic(residual: Vector, motion: Vector, lags: int) -> float:
+    """n rᵀ R⁻¹ r of the cross-covariances r at lags 0..lags−1; R allows for colour on both sides."""
+    count = residual.size
+    moved = motion - motion.mean()
+    r = autocovariance(residual, moved)[:lags]
+    # Bartlett: cov(r_i, r_j) = Σ_l γ_e(l) γ_u(l + i − j) / n, with γ_e tapered against its own noise.
+    own, other = autocovariance(residual), autocovariance(moved)
+    reach = count // 4
+    taper = own[:reach] * (1 - np.arange(reach) / reach)
+    two_sided = np.concatenate([taper[:0:-1], taper])
+    shifted = np.concatenate([other[: reach + lags][:0:-1], other[: reach + lags]])
+    centre = reach + lags - 1
+    covariance = [
+        float(two_sided @ shifted[centre - reach + 1 + d : centre + reach + d]) for d in range(lags)
+    ]
+    solution = lstsq(toeplitz(covariance), r, cond=1e-8)[0]
+    return max(float(count * (r @ solution)), 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Uncertainty:
+    """Covariances of the free parameters, in the order of `names`.
+
+    `white` holds for independent residuals, `coloured` for residuals of any (short) correlation; None
+    where it was not asked for. `lag` is the residual's correlation in samples, `effective` the number of
+    parameters that the residual's colour makes of those fitted (Takeuchi's trace), `singular` says that
+    the log does not determine all of them.
+    """
+
+    names: tuple[str, ...]
+    white: Matrix
+    coloured: Matrix | None
+    lag: int
+    effective: float
+    singular: bool
+
+
+def uncertainty(search: Search, solution: Solution, *, coloured: bool) -> Uncertainty:
+    """Covariance at a solution; `coloured` adds the sandwich estimate from the residual's scores."""
+    inside = [i for i in solution.free if i not in solution.at_bound]
+    linear = [c for c, value in ((1, search.gain), (2, search.offset)) if np.isnan(value)]
+    columns = [3 + solution.free.index(i) for i in inside] + linear
+    scale = np.array([solution.gain] * len(inside) + [1.0] * len(linear))
+    basis = _basis(solution, inside, len(linear))
+    names = _names(solution, inside, linear)
+    through = _gradients(solution, names, inside, linear) @ basis
+    normal = basis.T @ (solution.gram[np.ix_(columns, columns)] * np.outer(scale, scale)) @ basis
+    inverse, singular = _inverse(normal)
+    samples = search.window.samples
+    variance = solution.cost / max(samples - basis.shape[1], 1)
+    white = variance * through @ inverse @ through.T
+    if not coloured:
+        return Uncertainty(names, white, None, 1, float(basis.shape[1]), singular)
+    raw = columns_of(search.kernel, solution.shape, mask_of(solution.free))
+    residual = search.window.output - solution.gain * raw[0] - solution.offset
+    by_column = {1: raw[0], 2: np.ones(samples)} | {3 + k: raw[1 + k] for k in range(len(solution.free))}
+    scores = basis.T @ (scale[:, None] * np.array([by_column[c] for c in columns]) * residual)
+    lag = correlation_lag(residual)
+    # Five correlation times catch the sum; a fifth of the log is the most that can be averaged.
+    meat = long_run_covariance(scores, min(max(5 * lag, 10), samples // 5))
+    sandwich = through @ inverse @ meat @ inverse @ through.T
+    effective = float(np.trace(inverse @ meat)) / variance if variance > 0 else float(basis.shape[1])
+    return Uncertainty(names, white, sandwich, lag, effective, singular)
+
+
+def _basis(solution: Solution, inside: list[int], linear: int) -> Matrix:
+    """Directions in which the point may move: all, but on ω₀ = 0 the damping ratio follows α."""
+    basis = np.eye(len(inside) + linear)
+    if solution.on_edge and 2 in inside and 3 in inside:
+        basis[inside.index(2), inside.index(3)] = np.pi / 4 / np.cos(solution.shape[3] * np.pi / 2) ** 2
+        basis = np.delete(basis, inside.index(2), axis=1)
+    return basis
+
+
+def _names(solution: Solution, inside: list[int], linear: list[int]) -> tuple[str, ...]:
+    """Names of the parameters that have an error: free and inside their limits."""
+    own = [name for name in structure(solution.structure).free if COORDINATE[name] in inside]
+    if solution.on_edge and "natural_frequency" in own:
+        own.remove("natural_frequency")
+    delay = ["delay"] if 4 in inside else []
+    return (*own, *delay, *({1: "gain", 2: "offset"}[c] for c in linear))
+
+
+def _gradients(solution: Solution, names: tuple[str, ...], inside: list[int], linear: list[int]) -> Matrix:
+    """∂(named parameters)/∂(coordinates inside their limits, then gain, then offset)."""
+    model = model_gradients(solution.shape)
+    rows = np.zeros((len(names), len(inside) + len(linear)))
+    for row, name in zip(rows, names, strict=True):
+        if name in ("gain", "offset"):
+            row[len(inside) + linear.index(1 if name == "gain" else 2)] = 1.0
+        elif name == "delay":
+            row[inside.index(4)] = 1.0
+        else:
+            row[: len(inside)] = [model[NAMES.index(name), i] if i < 4 else 0.0 for i in inside]
+    return rows
+
+
+def _inverse(normal: Matrix) -> tuple[Matrix, bool]:
+    size = np.sqrt(np.diag(normal))
+    size[size == 0] = 1.0
+    values, vectors = np.linalg.eigh(normal / np.outer(size, size))
+    singular = bool(values[0] < 1e-10)
+    values = np.maximum(values, 1e-14)
+    inverse: Matrix = (vectors / values) @ vectors.T / np.outer(size, size)
+    return inverse, singular
