@@ -7,9 +7,11 @@ processor time of the thread, so that other work on the machine does not count.
 from __future__ import annotations
 
 import argparse
+import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from scipy.fft import rfft
@@ -24,11 +26,13 @@ from fraclink._identify import (
     identify_motor,
     identify_payloads,
 )
-from fraclink._identify.motor_example import example_motor_log
-from fraclink._identify.problem import Window
+from fraclink._identify.shape import Window
 from fraclink._systems.inversion import grunwald_letnikov
 from identify_logs import NOISE, PERIOD, SAMPLES, TRUTH, clean_log, line, noisy_log
 from identify_recorded import daisy, real_logs
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+from made_logs import example_motor_log
 
 
 def interleaved(calls: dict[str, Callable[[], object]], rounds: int) -> dict[str, np.ndarray]:

@@ -64,7 +64,7 @@ def test_identify_motor_needs_a_voltage(capsys: pytest.CaptureFixture[str]) -> N
 
 
 def test_identify_motor(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    from fraclink._identify.motor_example import example_motor_log
+    from made_logs import example_motor_log
 
     voltage, angle = example_motor_log(samples=2500)
     rows = ["time_s,motor_angle_rad,deflection_rad,voltage_V"]

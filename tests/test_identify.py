@@ -117,7 +117,7 @@ def test_aic_of_table_2() -> None:
 def test_heldout_samples_are_not_seen() -> None:
     log = made_log(noise=0.05)
     spoilt = replace(log, output=np.where(np.arange(5001) < 3001, log.output, 0.0))
-    first, second = identify(log, details=False), identify(spoilt, details=False)
+    first, second = (identify(x, heldout=0.4, details=False) for x in (log, spoilt))
     assert first.fitted_samples == 3001
     assert first.model == second.model
     assert second.heldout_mse is not None
@@ -258,8 +258,8 @@ def test_damaged_fit_file_is_refused(tmp_path: Path) -> None:
         ("heldout", {"heldout": -0.1}),
         ("stiffness", {"stiffness": 0.0}),
         ("fixed", {"fixed": {"lambda": 1.9}}),
-        ("fixed order", {"fixed": {"order": 2.5}}),
-        ("fixed delay", {"fixed": {"delay": math.nan}}),
+        ("fixed['order']", {"fixed": {"order": 2.5}}),
+        ("fixed['delay']", {"fixed": {"delay": math.nan}}),
         ("hold", {"hold": "second"}),
     ],
 )

@@ -21,7 +21,7 @@ RIGS = Path(__file__).parent / "rigs"
 
 
 def test_all_four_in_the_papers_order() -> None:
-    comparison = identify_all(made_log(noise=0.05))
+    comparison = identify_all(made_log(noise=0.05), heldout=0.4)
     assert list(comparison.fits) == list(STRUCTURES)
     assert comparison.preferred == "UD-FOM"
     assert comparison.best is comparison.fits["UD-FOM"]
@@ -49,7 +49,9 @@ def test_a_noisy_log_cannot_tell_them_apart() -> None:
     log = made_log(LinkModel(1.56, 10.0, order=1.99), noise=0.4, seed=2)
     comparison = identify_all(log)
     assert comparison.contest.preferred is None
-    assert "UD-FOM and D-IOM cannot be told apart by this log" in comparison.verdict
+    assert set(comparison.undecided) | {comparison.preferred} >= {"UD-FOM", "D-IOM"}
+    assert comparison.verdict.startswith("This log cannot tell ")
+    assert "preferred" not in comparison.verdict
     assert "α is not identifiable" in comparison.verdict
 
 

@@ -9,9 +9,9 @@ from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import LinkModel
 from fraclink._arm.rig import Rig
 from fraclink._identify import design_experiment, identify, identify_motor, simulated_torque
-from fraclink._identify.motor_example import example_motor_log
 from fraclink.errors import FieldError, InfeasibleError, LogError
 from identify_cases import PERIOD
+from made_logs import example_motor_log
 
 GAIN, DECAY, INERTIA = 3056.77, 15.153, 6.87e-5
 LINK = LinkModel(1.56, 10.0, order=1.92)

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import fraclink as fl
 from fraclink._cli import main
-from fraclink._identify.motor_example import example_motor_log
+from made_logs import example_motor_log
 
 HERE = Path(__file__).resolve().parent
 TEXTS = HERE / "commands"

@@ -47,7 +47,6 @@ from fraclink._identify import (
     identify_motor,
     identify_payloads,
 )
-from fraclink._identify.motor_example import example_motor_log
 from fraclink._law import equip
 from fraclink._simulate.twin import (
     FractionalKelvinVoigt,
@@ -61,6 +60,7 @@ from fraclink._simulate.twin import (
     geared,
 )
 from fraclink.errors import InfeasibleError
+from made_logs import example_motor_log
 from reproduce.evidence import EVIDENCE
 from reproduce.published import read_published
 from reproduce.values import computed

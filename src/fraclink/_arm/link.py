@@ -52,6 +52,8 @@ STRUCTURES: dict[str, Structure] = {
         Structure("D-FOM", (_FREQUENCY, "damping", "damping_order"), "(16)", "damping of fractional order"),
     )
 }
+# The paper's four, for the few places that mean one of them; everything else iterates over the table.
+UNDAMPED, VISCOUS, FRACTIONAL, FRACTIONAL_DAMPING = tuple(STRUCTURES)
 
 
 def structure(name: str) -> Structure:
@@ -344,8 +346,13 @@ class LinkModel:
         """
         known = self._known_payload()
         wanted = _mass(payload)
-        frequency = self.natural_frequency * math.sqrt(known / wanted)
-        return replace(self, natural_frequency=frequency, payload=wanted)
+        scale = math.sqrt(known / wanted)
+        intervals = tuple(
+            (name, low * scale, high * scale) if name == _FREQUENCY else (name, low, high)
+            for name, low, high in self.intervals
+        )
+        frequency = self.natural_frequency * scale
+        return replace(self, natural_frequency=frequency, payload=wanted, intervals=intervals)
 
     def payload_at(self, natural_frequency: float) -> float:
         """Return the payload [kg] at which the link has this ω₀ [s^(-λ/2)], the inverse of `at_payload`.

@@ -25,8 +25,8 @@ def identify_all(
     """Fit all four structures to a log and say what it tells apart."""
     from fraclink._cli.logs import what_is_wrong
     from fraclink._cli.summary import finding_text, finding_values, findings_text, fit_values
+    from fraclink._identify import coincidence_text, frequency_text
     from fraclink._identify import identify_all as fit_all
-    from fraclink._identify.text import coincidence_text, frequency_text
 
     known = load_rig(rig)
     experiment = load_log(log, known, payload, column)

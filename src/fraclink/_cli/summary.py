@@ -96,7 +96,7 @@ def fit_values(fit: Fit) -> dict[str, object]:
 def fit_text(fit: Fit) -> str:
     """A fit for people."""
     from fraclink._arm.link import structure
-    from fraclink._identify.text import SYMBOLS
+    from fraclink._identify import SYMBOLS
 
     rows: list[tuple[str, str, str]] = []
     for name in structure(fit.structure).free:
@@ -252,7 +252,7 @@ def study_values(study: Study) -> dict[str, object]:
 
 def study_text(study: Study) -> str:
     """A whole study for people."""
-    from fraclink._identify.text import coincidence_text, frequency_text
+    from fraclink._identify import coincidence_text, frequency_text
 
     parts: list[str] = []
     designed = study.design.findings if study.design else ()

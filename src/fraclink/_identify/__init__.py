@@ -1,25 +1,32 @@
 """Identification: from a log to a link model, with what it takes to judge it.
 
-`identify` fits one structure, `identify_all` the four of them with a verdict in words.
+`identify` fits one structure, `identify_all` all of them with a verdict in words.
 """
 
-from fraclink._identify.comparison import Comparison, Contest, identify_all
+from fraclink._identify.compare import Comparison, Contest, identify_all
+from fraclink._identify.covariance import ResidualTests, aic, bic
 from fraclink._identify.excitation import ExperimentDesign, design_experiment
-from fraclink._identify.fit import Fit, load_model, save_model
-from fraclink._identify.jointfit import JointFit, LikelihoodRatio
+from fraclink._identify.fit import (
+    SYMBOLS,
+    Fit,
+    coincidence_text,
+    frequency_text,
+    load_model,
+    save_model,
+)
+from fraclink._identify.fitting import identify, simulated_torque
 from fraclink._identify.motor import MotorFit, identify_motor
-from fraclink._identify.payloads import identify_payloads
+from fraclink._identify.payloads import JointFit, LikelihoodRatio, identify_payloads
 from fraclink._identify.profile import Interval
-from fraclink._identify.single import identify, simulated_torque
 from fraclink._identify.spectrum import (
     FrequencyResponse,
     SpectrumFit,
     frequency_response,
     identify_frequency_response,
 )
-from fraclink._identify.statistics import ResidualTests, aic, bic
 
 __all__ = [
+    "SYMBOLS",
     "Comparison",
     "Contest",
     "ExperimentDesign",
@@ -33,8 +40,10 @@ __all__ = [
     "SpectrumFit",
     "aic",
     "bic",
+    "coincidence_text",
     "design_experiment",
     "frequency_response",
+    "frequency_text",
     "identify",
     "identify_all",
     "identify_frequency_response",

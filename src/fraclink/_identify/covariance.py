@@ -162,7 +162,8 @@ class Uncertainty:
     `white` holds for independent residuals, `coloured` for residuals of any (short) correlation; None
     where it was not asked for. `lag` is the residual's correlation in samples, `effective` the number of
     parameters that the residual's colour makes of those fitted (Takeuchi's trace), `singular` says that
-    the log does not determine all of them.
+    the log does not determine all of them. `resonance` is the relative standard error of the resonance Ω,
+    NaN where Ω ended at a limit; unlike ω₀ it does not trade with α and λ.
     """
 
     names: tuple[str, ...]
@@ -171,6 +172,7 @@ class Uncertainty:
     lag: int
     effective: float
     singular: bool
+    resonance: float
 
 
 def uncertainty(search: Search, solution: Solution, *, coloured: bool) -> Uncertainty:
@@ -187,8 +189,10 @@ def uncertainty(search: Search, solution: Solution, *, coloured: bool) -> Uncert
     samples = search.window.samples
     variance = solution.cost / max(samples - basis.shape[1], 1)
     white = variance * through @ inverse @ through.T
+    resonance = basis[inside.index(1)] if 1 in inside else np.full(basis.shape[1], np.nan)
     if not coloured:
-        return Uncertainty(names, white, None, 1, float(basis.shape[1]), singular)
+        error = float(np.sqrt(variance * resonance @ inverse @ resonance))
+        return Uncertainty(names, white, None, 1, float(basis.shape[1]), singular, error)
     raw = columns_of(search.kernel, solution.shape, mask_of(solution.free))
     residual = search.window.output - solution.gain * raw[0] - solution.offset
     by_column = {1: raw[0], 2: np.ones(samples)} | {3 + k: raw[1 + k] for k in range(len(solution.free))}
@@ -196,9 +200,10 @@ def uncertainty(search: Search, solution: Solution, *, coloured: bool) -> Uncert
     lag = correlation_lag(residual)
     # Five correlation times catch the sum; a fifth of the log is the most that can be averaged.
     meat = long_run_covariance(scores, min(max(5 * lag, 10), samples // 5))
-    sandwich = through @ inverse @ meat @ inverse @ through.T
+    sandwich = inverse @ meat @ inverse
     effective = float(np.trace(inverse @ meat)) / variance if variance > 0 else float(basis.shape[1])
-    return Uncertainty(names, white, sandwich, lag, effective, singular)
+    error = float(np.sqrt(np.maximum(resonance @ sandwich @ resonance, 0.0)))
+    return Uncertainty(names, white, through @ sandwich @ through.T, lag, effective, singular, error)
 
 
 def _basis(solution: Solution, inside: list[int], linear: int) -> Matrix:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,12 +13,9 @@ from numpy.typing import NDArray
 from fraclink._arm.link import LinkModel
 from fraclink._arm.reference import prbs
 from fraclink._arm.rig import Motor
-from fraclink._identify.problem import Window, columns_of
-from fraclink._identify.shape import FREE, mask_of, shape_of
-from fraclink._validate import checked_between, checked_choice, checked_noun
+from fraclink._identify.shape import COORDINATE, Window, columns_of, mask_of, shape_of
+from fraclink._validate import Between, checked
 from fraclink.errors import InfeasibleError
-
-__all__ = ["ExperimentDesign", "design_experiment"]
 
 Reals = NDArray[np.float64]
 
@@ -27,17 +24,38 @@ _BANDS = (0.25, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0)
 _LEAST_SAMPLES, _MOST_SAMPLES = 200, 1_000_000  # of a log; each band is simulated sample by sample
 
 
+Deflection = Annotated[
+    float,
+    Between(0.0, unit="rad", low_open=True, finite=False, remedy="give radians"),
+]
+
+
 @dataclass(frozen=True, eq=False)
 class ExperimentDesign:
     """An excitation that reaches a wanted standard error of λ.
 
-    Arguments:
-        kind: "prbs" or "multisine". amplitude: largest motor angle asked for [rad].
-        bit: duration of a PRBS bit [s], else None. band: (low, high) where its power lies [rad/s].
-        duration: [s]. standard_error: of λ that is to be expected [1].
-        peak_deflection: largest θm − θt [rad]; peak_voltage: largest |V| [V], None without a motor.
-        limit: what kept the amplitude down: "none", "deflection" or "voltage".
-        time, motor_angle: the motion itself, shape (N,) [s], [rad].
+    Parameters
+    ----------
+    kind
+        "prbs" or "multisine".
+    amplitude
+        largest motor angle asked for [rad].
+    bit
+        duration of a PRBS bit [s], else None.
+    band
+        (low, high) where its power lies [rad/s].
+    duration
+        of the motion [s].
+    standard_error
+        of λ that is to be expected [1].
+    peak_deflection
+        largest θm − θt [rad].
+    peak_voltage
+        largest |V| [V], None without a motor.
+    limit
+        what kept the amplitude down: "none", "deflection" or "voltage".
+    time, motor_angle
+        the motion itself, shape (N,) [s], [rad].
     """
 
     kind: str
@@ -53,62 +71,70 @@ class ExperimentDesign:
     motor_angle: Reals = field(repr=False)
 
 
+@checked
 def design_experiment(
     model: LinkModel,
     *,
-    standard_error: float,
-    noise: float,
-    period: float,
-    duration: float = 20.0,
+    standard_error: Annotated[float, Between(1e-12, 1.0)],
+    noise: Annotated[float, Between(1e-12, 1e6, "N·m")],
+    period: Annotated[float, Between(1e-6, 1.0, "s")],
+    duration: Annotated[float, Between(0.0, 1e6, "s", low_open=True)] = 20.0,
     kind: Literal["prbs", "multisine"] = "prbs",
     motor: Motor | None = None,
-    deflection_limit: float = math.inf,
-    inner_pole: float = 80.0,
+    deflection_limit: Deflection = math.inf,
+    inner_pole: Annotated[float, Between(0.1, 1e6, "rad/s")] = 80.0,
 ) -> ExperimentDesign:
     """Choose amplitude and band of an excitation for a wanted standard error of λ, within limits.
 
         s.e.(λ) = σ √[(JᵀJ)⁻¹]_λλ,    J = ∂(output)/∂(λ, ω₀, delay, gain, offset) ∝ amplitude
 
-    Arguments:
-        model: the link one expects. standard_error: wanted of λ, > 0 [1].
-        noise: standard deviation of the gauge, white [N·m]. period: [s]. duration: of the log [s].
-        kind: "prbs" (±amplitude, tried with several bit lengths) or "multisine" (flat in a band around the
-            resonance, random phases with a low crest factor).
-        motor: gives the voltage limit and what the motion costs, V = (θm'' + Bθm')/A + Γ/(nK); friction is
-            left to the compensation. deflection_limit: largest |θm − θt| [rad].
-        inner_pole: double pole of the motor loop that follows the reference [rad/s].
-
     Of all bands the one with the smallest amplitude that meets the request within the limits is taken.
-    Raises InfeasibleError, with the standard error that can be reached, where the limits forbid it.
 
+    Parameters
+    ----------
+    model
+        the link one expects.
+    standard_error
+        wanted of λ [1].
+    noise
+        standard deviation of the gauge, white [N·m].
+    period, duration
+        of the sampling and of the log [s]; 200 to 1e6 samples.
+    kind
+        "prbs" (±amplitude, tried with several bit lengths) or "multisine" (flat in a band around the
+        resonance, phases with a low crest factor).
+    motor
+        gives the voltage limit and what the motion costs, V = (θm'' + Bθm')/A + Γ/(nK); friction is left to
+        the compensation.
+    deflection_limit
+        largest |θm − θt| [rad].
+    inner_pole
+        double pole of the motor loop that follows the reference [rad/s].
+
+    Raises
+    ------
+    InfeasibleError
+        the limits forbid it; its `nearest` is the standard error that can be reached.
+
+    Examples
+    --------
     >>> link = LinkModel(1.56, 10.0, order=1.92)
-    >>> plan = design_experiment(link, standard_error=0.001, noise=0.05, period=0.004)
-    >>> plan.limit, plan.standard_error <= 0.001 * (1 + 1e-9), 0.01 < plan.amplitude < 1
+    >>> wanted = design_experiment(link, standard_error=0.001, noise=0.05, period=0.004)
+    >>> wanted.limit, wanted.standard_error <= 0.001 * (1 + 1e-9), 0.01 < wanted.amplitude < 1
     ('none', True, True)
     """
-    link = checked_noun("model", model, LinkModel, remedy="fit.model, or a first guess of it")
-    checked_choice("kind", kind, ("prbs", "multisine"))
-    wanted = checked_between("standard_error", standard_error, 1e-12, 1.0)
-    noise = checked_between("noise", noise, 1e-12, 1e6, "N·m")
-    period = checked_between("period", period, 1e-6, 1.0, "s")
-    least, longest = _LEAST_SAMPLES * period, _MOST_SAMPLES * period
-    duration = checked_between("duration", duration, least, longest, "s")
-    inner_pole = checked_between("inner_pole", inner_pole, 0.1, 1e6, "rad/s")
-    if motor is not None:
-        checked_noun("motor", motor, Motor, remedy="rig.motor")
-    if not (isinstance(deflection_limit, float) and deflection_limit == math.inf):  # no limit
-        deflection_limit = checked_between(
-            "deflection_limit", deflection_limit, 0.0, math.pi, "rad", open_low=True
-        )
+    longest = _MOST_SAMPLES * period
+    duration = Between(_LEAST_SAMPLES * period, longest, "s").check("duration", duration)
+    wanted = standard_error
     tried = [
-        _unit(link, bit, band, motion, noise, period, motor)
-        for bit, band, motion in _motions(kind, link, period, duration, inner_pole)
+        _unit(model, bit, band, motion, noise, period, motor)
+        for bit, band, motion in _motions(kind, model, period, duration, inner_pole)
     ]
-    plans = [_scaled(unit, wanted, deflection_limit, motor) for unit in tried]
-    allowed = [plan for plan, reached in plans if reached]
+    found = [_scaled(unit, wanted, deflection_limit, motor) for unit in tried]
+    allowed = [design for design, reached in found if reached]
     if allowed:
-        return replace(min(allowed, key=lambda plan: plan.amplitude), kind=kind)
-    best = min((plan for plan, _ in plans), key=lambda plan: plan.standard_error)
+        return replace(min(allowed, key=lambda design: design.amplitude), kind=kind)
+    best = min((design for design, _ in found), key=lambda design: design.standard_error)
     # The error of an estimate falls with the square root of the samples.
     enough = duration * (best.standard_error / wanted) ** 2
     longer = f"; a log of {math.ceil(enough)} s may do" if enough <= longest else ""
@@ -190,7 +216,8 @@ def _unit(
     window = Window(motion, np.zeros_like(motion), period, "first")
     kernel = window.kernel(abs(model.pole), longest_delay=2 * period)
     fractional = LinkModel(model.stiffness, model.natural_frequency, model.order)
-    columns = columns_of(kernel, shape_of(fractional), mask_of((*FREE["UD-FOM"], 4)))
+    mask = mask_of([COORDINATE[name] for name in ("order", "natural_frequency", "delay")])
+    columns = columns_of(kernel, shape_of(fractional), mask)
     scaled = np.vstack([model.stiffness * columns, np.ones(motion.size)])
     scaled[0] /= model.stiffness  # the gain's own derivative
     size = np.linalg.norm(scaled, axis=1)

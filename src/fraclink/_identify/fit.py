@@ -1,71 +1,111 @@
-"""A fit: the identified model with everything needed to judge it."""
+"""A fit: the identified link with everything needed to judge it, and the file it is kept in."""
 
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._arm.link import LinkModel, structure
+from fraclink._arm.link import FRACTIONAL, LinkModel, SecondMode, structure
 from fraclink._files import read_json, write_json
+from fraclink._identify.covariance import ResidualTests
 from fraclink._identify.profile import Interval
-from fraclink._identify.statistics import ResidualTests
 from fraclink.errors import FieldError, FileFormatError, SizeError
 from fraclink.findings import Finding
 
-__all__ = ["Fit", "load_model", "save_model"]
+if TYPE_CHECKING:
+    from fraclink._arm.rig import Rig
 
 _KIND, _VERSION = "fit", 1
 _MODEL_KIND = "model"
 _SAMPLES_MOST = 300_000  # 47 bytes a sample, against the 16 MB that read_json admits
+SYMBOLS = {
+    "natural_frequency": ("ω₀", "s^(-λ/2)"),
+    "order": ("λ", ""),
+    "damping": ("μ", "s^(α-λ)"),
+    "damping_order": ("α", ""),
+}
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Fit:
     """One structure fitted to one log.
 
         output(t) = gain · y(t − delay) + offset,    Y = (s^λ/(s^λ + μ s^α + ω₀²)) Θm
 
-    Arguments:
-        structure: the structure that was fitted, "UD-IOM", "D-IOM", "UD-FOM" or "D-FOM".
-        model: the link; for a torque log its stiffness is |gain|.
-        gain: output per radian of deflection, with its sign [N·m/rad], or [1] for a deflection log.
-        offset: of the gauge [unit of the output].
-        delay: of the output behind the motor angle [s]; negative where the motor angle is the later one.
-        hold: what the motor angle was taken to do between samples.
-        output_kind: "torque" [N·m] or "deflection" [rad].
-        period: sampling period [s].
-        fitted_samples: samples the fit has seen; the later ones are held out.
-        mse: mean squared error over the fitted samples [unit², eq. (18)].
-        nmse: mse over the mean square of (output − offset): 0 is perfect, 1 as bad as an arm at rest.
-        aic, bic: criteria of the fitted samples, eq. (18); k counts the structure's own parameters.
-        heldout_mse, heldout_nmse: the same over the samples held out; None where none were.
-        standard_errors: of the free parameters inside their limits, in their units. Where the residual is
-            coloured they come from the sandwich estimate, see `errors_allow_colour`.
-        white_standard_errors: what they would be if the residual were white.
-        errors_allow_colour: whether `standard_errors` are the sandwich estimate.
-        intervals: 95 % profile-likelihood intervals of the link's parameters and the delay.
-        at_bound: parameters that ended on a limit of their range; they have no error.
-        effective_parameters: fitted parameters (nuisances included) as the residual's colour counts them,
-            Takeuchi's tr(H⁻¹J); equal to their number where the residual is white.
-        tests: of the residual, None where details were not asked for.
-        converged: whether the optimiser met its tolerance; evaluations: passes over the data it took.
-        predicted, residual: model and output − model, every sample of the log, shape (N,) [unit].
-        findings: codes W3xx.
-        source, sha256: of the log.
+    Parameters
+    ----------
+    structure
+        the structure that was fitted, a key of the table in `fraclink._arm.link`.
+    model
+        the link with everything else that the log showed of it: gauge delay, gauge gain, second mode and
+        the 95 % intervals. For a torque log its stiffness is |gain|.
+    gain
+        output per radian of deflection, with its sign [N·m/rad], or [1] for a deflection log.
+    offset
+        of the gauge [unit of the output].
+    delay
+        of the output behind the motor angle [s]; negative where the motor angle is the later one.
+    hold
+        what the motor angle was taken to do between samples, "zero" or "first".
+    output_kind
+        "torque" [N·m] or "deflection" [rad].
+    period
+        sampling period [s].
+    fitted_samples
+        samples that the fit has seen; the later ones are held out.
+    mse
+        mean squared error over the fitted samples [unit², eq. (18)].
+    nmse
+        mse over the mean square of (output − offset): 0 is perfect, 1 as bad as an arm at rest.
+    aic, bic
+        criteria of the fitted samples, eq. (18); k counts the structure's own parameters.
+    heldout_mse, heldout_nmse
+        the same over the samples held out; None where none were.
+    standard_errors
+        of the free parameters inside their limits, in their units. Where the residual is coloured they
+        come from the sandwich estimate, see `errors_allow_colour`.
+    white_standard_errors
+        what they would be if the residual were white.
+    errors_allow_colour
+        whether `standard_errors` are the sandwich estimate.
+    intervals
+        95 % profile-likelihood intervals of the link's parameters and the delay.
+    at_bound
+        parameters that ended on a limit of their range; they have no error.
+    effective_parameters
+        fitted parameters (nuisances included) as the residual's colour counts them, Takeuchi's tr(H⁻¹J);
+        equal to their number where the residual is white.
+    tests
+        of the residual, None where details were not asked for.
+    converged
+        whether the optimiser met its tolerance.
+    evaluations
+        passes over the data that it took.
+    predicted, residual
+        model and output − model, every sample of the log, shape (N,) [unit].
+    findings
+        codes W3xx, worst first; one of severity "error" means that the model does not predict.
+    source, sha256
+        of the log.
 
-    Source: the paper, section 3.3, Algorithm 1 and equations (17), (18).
+    References
+    ----------
+    Benftima et al. (2023), section 3.3, Algorithm 1 and equations (17), (18).
 
+    Examples
+    --------
     >>> import fraclink as fl
     >>> fit = fl.identify(fl.read_log(fl.bundled_log("prbs_30g")), "UD-FOM", details=False)
-    >>> fit.structure, round(fit.model.order, 2), fit.samples
-    ('UD-FOM', 1.92, 5001)
+    >>> fit.structure, round(fit.model.order, 2), fit.samples, fit.passed
+    ('UD-FOM', 1.92, 5001, True)
     >>> print(fit)  # doctest: +ELLIPSIS
     UD-FOM: ω₀ = ..., λ = 1.9...
     delay ... ms, offset ...; error ... % (NMSE), held-out error ... %; AIC ...
@@ -95,11 +135,13 @@ class Fit:
     tests: ResidualTests | None
     converged: bool
     evaluations: int
-    predicted: NDArray[np.float64] = field(repr=False)
-    residual: NDArray[np.float64] = field(repr=False)
+    predicted: NDArray[np.float64]
+    residual: NDArray[np.float64]
     findings: tuple[Finding, ...] = ()
     source: str = ""
     sha256: str = ""
+
+    __made_by__ = "fraclink.identify(log)"
 
     def __post_init__(self) -> None:
         for name in ("standard_errors", "white_standard_errors", "intervals"):
@@ -117,10 +159,21 @@ class Fit:
     def __hash__(self) -> int:
         return hash((self.structure, self.model, self.gain, self.offset, self.delay, self.sha256))
 
-    def __str__(self) -> str:
-        from fraclink._identify.text import fit_text
+    def __repr__(self) -> str:
+        return f"Fit({self.structure}: {_parameters(self)}; {_share(self.heldout_nmse)})"
 
-        return fit_text(self)
+    def __str__(self) -> str:
+        figures = (
+            f"delay {1e3 * self.delay:.3g} ms, offset {self.offset:.3g}; "
+            f"error {100 * self.nmse:.3g} % (NMSE), {_share(self.heldout_nmse)}; AIC {self.aic:.1f}"
+        )
+        head = f"{self.structure}: {_parameters(self)}"
+        return "\n".join([head, figures, *_second_mode(self.model), *map(str, self.findings)])
+
+    @property
+    def passed(self) -> bool:
+        """Whether the model predicts: no finding of severity "error"."""
+        return not any(finding.severity == "error" for finding in self.findings)
 
     @property
     def tic(self) -> float:
@@ -136,77 +189,42 @@ class Fit:
         """Number of samples of the log."""
         return int(self.predicted.size)
 
+    def loop_model(self, rig: Rig) -> LinkModel:
+        """Return the model as the control loop meets it.
+
+        A delay that belongs to the logger and not to the loop (``[gauge] delay_in_loop = false`` in the
+        rig file) is left out; everything else that was identified stays.
+        """
+        gauge = getattr(rig, "gauge", None)
+        if gauge is None or gauge.delay_in_loop:
+            return self.model
+        kept = tuple(row for row in self.model.intervals if row[0] != "gauge_delay")
+        return dataclasses.replace(self.model, gauge_delay=0.0, intervals=kept)
+
     def save(self, path: Path | str) -> None:
         """Write the fit as JSON, complete or not at all; `load` reads back an equal one.
 
-        Raises SizeError where the log is so long that the file could not be read back.
+        Raises
+        ------
+        SizeError
+            the log is so long that the file could not be read back.
         """
         if self.samples > _SAMPLES_MOST:
-            raise SizeError(
-                "samples",
-                self.samples,
-                "too many to save with their residual",
-                allowed=f"<= {_SAMPLES_MOST}",
-                remedy="fit a part of the log, or keep the link alone with save_model(fit.model, path)",
-            )
+            remedy = "fit a part of the log, or keep the link alone with save_model(fit.model, path)"
+            problem, most = "too many to save with their residual", f"<= {_SAMPLES_MOST}"
+            raise SizeError("samples", self.samples, problem, allowed=most, remedy=remedy)
         write_json(path, _KIND, _VERSION, _to_plain(self))
 
     @classmethod
     def load(cls, path: Path | str) -> Fit:
-        """Read a fit that `save` wrote; FileFormatError where the file is another or damaged."""
+        """Read a fit that `save` wrote; raises FileFormatError where the file is another or damaged."""
         data = read_json(path, _KIND)
         try:
             return _from_plain(data)
         except FieldError:
             raise
         except (KeyError, TypeError, ValueError, AttributeError) as error:
-            raise FileFormatError(
-                "file",
-                str(path),
-                f"damaged ({type(error).__name__}: {error})",
-                allowed="a fit written by fraclink",
-                remedy="run identify again",
-            ) from error
-
-
-def _to_plain(fit: Fit) -> dict[str, Any]:
-    """The fit as plain JSON values."""
-    plain: dict[str, Any] = {}
-    for item in dataclasses.fields(fit):
-        value = getattr(fit, item.name)
-        if isinstance(value, np.ndarray):
-            value = value.tolist()
-        elif isinstance(value, Mapping):
-            value = {k: dataclasses.asdict(v) if isinstance(v, Interval) else v for k, v in value.items()}
-        elif item.name == "findings":
-            value = [
-                {name: getattr(f, name) for name in ("code", "severity", "message", "remedy")}
-                | {"evidence": dict(f.evidence)}
-                for f in value
-            ]
-        elif isinstance(value, LinkModel | ResidualTests):
-            value = dataclasses.asdict(value)
-        elif isinstance(value, tuple):
-            value = list(value)
-        elif isinstance(value, float):
-            value = _finite(value)
-        plain[item.name] = value
-    return plain
-
-
-def _finite(value: float) -> float:
-    # ln(0) of a perfect fit: JSON has no infinity, and the largest double orders the same way.
-    return float(np.nan_to_num(value))
-
-
-def _from_plain(data: dict[str, Any]) -> Fit:
-    values = {item.name: data[item.name] for item in dataclasses.fields(Fit)}
-    values["model"] = LinkModel(**values["model"])
-    values["intervals"] = {name: Interval(**value) for name, value in values["intervals"].items()}
-    values["tests"] = ResidualTests(**values["tests"]) if values["tests"] is not None else None
-    values["findings"] = tuple(Finding(**value) for value in values["findings"])
-    values["at_bound"] = tuple(values["at_bound"])
-    return Fit(**values)
+            raise _damaged(path, error) from error
 
 
 def save_model(model: LinkModel, path: Path | str) -> None:
@@ -217,7 +235,12 @@ def save_model(model: LinkModel, path: Path | str) -> None:
 def load_model(path: Path | str) -> LinkModel:
     """Read a link model from a file written by `Fit.save` or `save_model`.
 
-    Raises FileFormatError for any other file and FieldError for a value out of its range.
+    Raises
+    ------
+    FileFormatError
+        any other file.
+    FieldError
+        a value out of its range.
     """
     try:
         return Fit.load(path).model
@@ -226,12 +249,89 @@ def load_model(path: Path | str) -> LinkModel:
             raise
     data = read_json(path, _MODEL_KIND)
     try:
-        return LinkModel(**data["model"])
+        return _link(data["model"])
     except (KeyError, TypeError) as error:
-        raise FileFormatError(
-            "file",
-            str(path),
-            f"damaged ({error})",
-            allowed="a model written by fraclink",
-            remedy="make the file again",
-        ) from error
+        raise _damaged(path, error) from error
+
+
+def _damaged(path: Path | str, error: Exception) -> FileFormatError:
+    problem = f"damaged ({type(error).__name__}: {error})"
+    allowed, remedy = "a fit or model written by fraclink", "run identify again"
+    return FileFormatError("file", str(path), problem, allowed=allowed, remedy=remedy)
+
+
+def _to_plain(fit: Fit) -> dict[str, Any]:
+    """The fit as plain JSON values."""
+    return {item.name: _plain(getattr(fit, item.name)) for item in dataclasses.fields(fit)}
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if isinstance(value, Mapping):
+        return {key: _plain(entry) for key, entry in value.items()}
+    if isinstance(value, tuple):
+        return [_plain(entry) for entry in value]
+    if isinstance(value, Finding):
+        return {item.name: _plain(getattr(value, item.name)) for item in dataclasses.fields(value)}
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return dataclasses.asdict(value)
+    # ln(0) of a perfect fit: JSON has no infinity, and the largest double orders the same way.
+    return float(np.nan_to_num(value)) if isinstance(value, float) else value
+
+
+def _from_plain(data: dict[str, Any]) -> Fit:
+    values = {item.name: data[item.name] for item in dataclasses.fields(Fit)}
+    values["model"] = _link(values["model"])
+    values["intervals"] = {name: Interval(**value) for name, value in values["intervals"].items()}
+    values["tests"] = ResidualTests(**values["tests"]) if values["tests"] is not None else None
+    values["findings"] = tuple(Finding(**value) for value in values["findings"])
+    values["at_bound"] = tuple(values["at_bound"])
+    return Fit(**values)
+
+
+def _link(data: dict[str, Any]) -> LinkModel:
+    mode = data.get("second_mode")
+    return LinkModel(**data | {"second_mode": None if mode is None else SecondMode(**mode)})
+
+
+# --- a fit in words ---------------------------------------------------------------------------------------
+
+
+def _share(value: float | None) -> str:
+    return "nothing held out" if value is None else f"held-out error {100 * value:.3g} %"
+
+
+def _parameters(fit: Fit) -> str:
+    """Every free parameter with its standard error, in its unit."""
+    parts = []
+    for name in structure(fit.structure).free:
+        symbol, unit = SYMBOLS[name]
+        error = fit.standard_errors.get(name)
+        value = f"{symbol} = {getattr(fit.model, name):.6g}" + ("" if error is None else f" ± {error:.2g}")
+        parts.append(f"{value} {unit}".rstrip())
+    return ", ".join(parts)
+
+
+def _second_mode(model: LinkModel) -> list[str]:
+    if model.second_mode is not None:
+        mode = model.second_mode
+        return [
+            f"second mode at {mode.frequency:.4g} rad/s, gain {mode.gain:.3g}, ζ {mode.damping_ratio:.2g}"
+        ]
+    return [] if model.unseen_up_to is None else [f"no second mode up to {model.unseen_up_to:.4g} rad/s"]
+
+
+def frequency_text(fit: Fit) -> str:
+    """Return ω₀ for a table; a dash where it ended at its bound, zero, and is no natural frequency."""
+    return f"{fit.model.natural_frequency:.4f}" if fit.model.natural_frequency else "–"
+
+
+def coincidence_text(fits: Mapping[str, Fit]) -> list[str]:
+    """Return what the dash of a table means: s²/(s² + μ s^α) is s^(2−α)/(s^(2−α) + μ), one model."""
+    return [
+        f"– {name} ended at ω₀ = 0: it is {FRACTIONAL} with "
+        f"λ = 2 − α = {2.0 - fit.model.damping_order:.4f}, ω₀ = √μ = {math.sqrt(fit.model.damping):.4f}."
+        for name, fit in fits.items()
+        if not fit.model.natural_frequency
+    ]

@@ -1,33 +1,57 @@
-"""The least-squares problem of a frequency fit, and its result."""
+"""A modal model with one common λ: its starting points, its least-squares problem, its result.
+
+A start comes from peaks and dips, and from Levy's linear equations in x = s^λ. With H D(x) = N(x) linear in
+the coefficients of D and N, no guess is needed; the roots of D and N in x are −p^λ and −z^λ where the
+response is what the model says. Where a response has more modes than the model, Levy's roots pair up
+beside a strong one; its most prominent peaks and dips do not.
+"""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import least_squares
 
 from fraclink._arm.link import LinkModel
-from fraclink._identify.levy import starting_points
 from fraclink.errors import FieldError, NotConvergedError
-
-__all__ = ["ModalProblem", "SpectrumFit"]
 
 Reals = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
+
+_ORDERS = (1.98, 1.9, 1.75)
+_DELAYS = (0.0, 0.3, 1.0)  # in radians at the highest frequency
+_ROUNDS = 6
+_SPARE = 2  # peaks and dips more than there are modes
 
 
 @dataclass(frozen=True, eq=False)
 class SpectrumFit:
     """A modal model with one common λ, fitted to a frequency response.
 
-    Arguments:
-        order: λ; resonances, anti_resonances: p_i, z_i ascending [rad/s]; gain: g, delay: τ [s].
-        derivative: d. standard_errors: of "order", "delay", "resonance 1", … (robust to unequal noise).
-        fit: 100 (1 − ‖w(H − Ĥ)‖/‖wH‖) over the lines that were kept [%].
-        outliers: indices of the lines that were set aside. predicted: Ĥ at all lines.
-        at_bound: whether λ ended on 1 or 2.
+    Parameters
+    ----------
+    order
+        λ.
+    resonances, anti_resonances
+        p_i, z_i ascending [rad/s].
+    gain, delay
+        g [unit of H at high frequency] and τ [s].
+    derivative
+        d.
+    standard_errors
+        of "order", "delay", "resonance 1", … (robust to unequal noise).
+    fit
+        100 (1 − ‖w(H − Ĥ)‖/‖wH‖) over the lines that were kept [%].
+    outliers
+        indices of the lines that were set aside.
+    at_bound
+        whether λ ended on 1 or 2.
+    predicted
+        Ĥ at all lines.
     """
 
     order: float
@@ -53,15 +77,13 @@ class SpectrumFit:
     def model(self, *, stiffness: float | None = None, payload: float | None = None) -> LinkModel:
         """The link of a fit with one resonance and no anti-resonance; c is `stiffness` or |gain|."""
         if len(self.resonances) != 1 or self.anti_resonances:
+            allowed, remedy = "1 resonance, no anti-resonance", "fit one mode to make a LinkModel"
             raise FieldError(
-                "resonances",
-                len(self.resonances),
-                "no single-mode link",
-                allowed="1 resonance, no anti-resonance",
-                remedy="fit one mode to make a LinkModel",
+                "resonances", len(self.resonances), "no single-mode link", allowed=allowed, remedy=remedy
             )
         frequency = self.resonances[0] ** (self.order / 2)
-        return LinkModel(stiffness or abs(self.gain), frequency, self.order, payload=payload)
+        c = stiffness or abs(self.gain)
+        return LinkModel(c, frequency, self.order, payload=payload, gauge_delay=self.delay)
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,8 +119,6 @@ class ModalProblem:
         return np.concatenate([error.real, error.imag])
 
     def solve(self, kept: NDArray[np.bool_], start: Reals | None, *, loss: str) -> Reals:
-        from scipy.optimize import least_squares
-
         scale = float(np.median(np.abs((self.weight * self.response)[kept])))
         starts = [start] if start is not None else self._starts(kept)
         low, high = self._limits()
@@ -206,3 +226,108 @@ def _basis(full: Reals, frequency: Reals, resonances: int, derivative: int) -> C
     for log_pole in full[2 : 2 + resonances]:
         value = value / (power + math.exp(order * log_pole))
     return np.asarray(value, dtype=np.complex128)
+
+
+# --- starting points ---------------------------------------------------------------------------------------
+
+
+def starting_points(
+    frequency: Reals,
+    response: Complexes,
+    weight: Reals,
+    resonances: int,
+    anti_resonances: int,
+    derivative: int,
+    *,
+    order: float | None,
+    delay: float | None,
+) -> list[Reals]:
+    """Vectors (λ, τ, ln p…, ln z…) to start from, the best of a small grid in λ and τ first."""
+    found = []
+    scale = float(np.exp(np.mean(np.log(frequency))))
+    delays = [d / frequency.max() for d in _DELAYS] if delay is None else [delay]
+    for lam in _ORDERS if order is None else (order,):
+        x = np.asarray((1j * frequency / scale) ** lam, dtype=np.complex128)
+        for tau in delays:
+            moved = np.asarray(response * np.exp(1j * frequency * tau) / x**derivative, dtype=np.complex128)
+            top, bottom, error = _levy(x, moved, weight, anti_resonances, resonances)
+            places = [_places(c, lam, scale) for c in (bottom, top)]
+            found.append((error, np.array([lam, tau, *places[0], *places[1]])))
+    found.sort(key=lambda pair: pair[0])
+    by_eye = []
+    for lam in _ORDERS[:2] if order is None else (order,):
+        x = np.asarray((1j * frequency) ** lam, dtype=np.complex128)
+        for spots in _seen(frequency, response, resonances, anti_resonances):
+            error = _misfit(x, response, weight, np.exp(lam * np.array(spots)), resonances, derivative)
+            by_eye.append((error, np.array([lam, delays[0], *spots])))
+    by_eye.sort(key=lambda pair: pair[0])
+    return [point for _, point in found[:2] + by_eye[:3]]
+
+
+def _seen(frequency: Reals, response: Complexes, peaks: int, dips: int) -> list[tuple[float, ...]]:
+    """ln of prominent peaks and dips of |H|, every choice of them; noise may stand out like a mode."""
+    level = np.log(np.abs(response) + 1e-300)
+    smooth = np.array([np.median(level[max(0, k - 1) : k + 2]) for k in range(level.size)])
+    ups, downs = _prominent(smooth, peaks + _SPARE), _prominent(-smooth, dips + _SPARE)
+    logs = np.log(frequency)
+    return [
+        tuple(float(logs[k]) for k in (*up, *down))
+        for up in combinations(ups, peaks)
+        for down in combinations(downs, dips)
+    ]
+
+
+def _misfit(
+    x: Complexes, response: Complexes, weight: Reals, powers: Reals, resonances: int, derivative: int
+) -> float:
+    basis = x**derivative
+    for power in powers[resonances:]:
+        basis = basis * (x + power)
+    for power in powers[:resonances]:
+        basis = basis / (x + power)
+    a, b = weight * basis, weight * response
+    gain = np.real(np.vdot(a, b)) / np.real(np.vdot(a, a))
+    return float(np.linalg.norm(b - gain * a))
+
+
+def _prominent(level: Reals, count: int) -> list[int]:
+    """The `count` local maxima that stand highest over the saddle to a higher one."""
+    rows = []
+    for k in range(1, level.size - 1):
+        if not level[k - 1] < level[k] >= level[k + 1]:
+            continue
+        saddles = []
+        for side in (level[k::-1], level[k:]):
+            higher = np.flatnonzero(side > level[k])
+            saddles.append(float(np.min(side[: higher[0]] if higher.size else side)))
+        rows.append((level[k] - max(saddles), k))
+    return sorted(k for _, k in sorted(rows, reverse=True)[:count])
+
+
+def _levy(
+    x: Complexes, response: Complexes, weight: Reals, zeros: int, poles: int
+) -> tuple[Reals, Reals, float]:
+    """Coefficients (highest first) of N and D with D monic, and the weighted error of their ratio."""
+    divisor: Complexes = np.ones(x.size, dtype=np.complex128)
+    top, bottom, error = np.ones(zeros + 1), np.ones(poles + 1), np.inf
+    for _ in range(_ROUNDS):
+        row = (weight / np.abs(divisor))[:, None]
+        matrix = row * np.column_stack(
+            [x**k for k in range(zeros, -1, -1)] + [-response * x**k for k in range(poles - 1, -1, -1)]
+        )
+        right = row[:, 0] * response * x**poles
+        solution = np.linalg.lstsq(
+            np.concatenate([matrix.real, matrix.imag]), np.concatenate([right.real, right.imag]), rcond=None
+        )[0]
+        top, bottom = solution[: zeros + 1], np.concatenate([[1.0], solution[zeros + 1 :]])
+        divisor = np.asarray(np.polyval(bottom, x), dtype=np.complex128)
+        error = float(np.linalg.norm(weight * (response - np.polyval(top, x) / divisor)))
+    return top, bottom, error
+
+
+def _places(coefficients: Reals, order: float, scale: float) -> list[float]:
+    """ln of the frequencies |root|^(1/λ) of a polynomial in x."""
+    roots = np.roots(coefficients) if np.any(coefficients[:-1]) else np.zeros(0)
+    missing = coefficients.size - 1 - roots.size
+    sizes = np.sort(np.abs(roots)).tolist() + [1.0] * missing
+    return [float(np.log(max(size, 1e-9)) / order + np.log(scale)) for size in sizes]

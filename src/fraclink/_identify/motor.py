@@ -10,40 +10,57 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
+from typing import Annotated
 
 import numpy as np
 from numpy.polynomial import Polynomial
 from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import minimize_scalar
 
-from fraclink._identify.statistics import long_run_covariance
-from fraclink._validate import checked_between, checked_series
+from fraclink._identify.covariance import long_run_covariance
+from fraclink._validate import Between, checked, checked_series
 from fraclink.errors import LogError
-
-__all__ = ["MotorFit", "identify_motor"]
+from fraclink.findings import Finding
 
 Reals = NDArray[np.float64]
 
 _BUMP = Polynomial([1.0, 0.0, -1.0]) ** 5  # (1 − x²)⁵: five derivatives vanish at its ends
 _LEAST_WINDOWS = 20
 _LEAST_SAMPLES = 200
+_NMSE_MOST = 0.5  # a motor model that leaves half of the acceleration unexplained compensates no friction
+_SIGN = 3.0  # standard errors below zero at which a sign is impossible and not merely badly known
 
 
 @dataclass(frozen=True)
 class MotorFit:
     """The motor as its log shows it.
 
-    Arguments:
-        gain: A = K/J [rad/(V·s²)]; decay: B = ν/J [1/s].
-        coulomb_voltage: friction as the voltage that overcomes it, Γc/K [V].
-        coulomb_torque: Γc [N·m], None where neither the inertia nor the link's torque was given.
-        dead_zone: voltage below which the amplifier does nothing [V].
-        delay: of the voltage's effect [s].
-        inertia: J [kg·m²], given or identified from the torque, else None.
-        standard_errors: of gain, decay, coulomb_voltage (and inertia), autocorrelation allowed for.
-        nmse: unexplained share of the accelerations' mean square [1].
-        windows: how many stretches of motion in one direction the fit rests on.
+    Parameters
+    ----------
+    gain
+        A = K/J [rad/(V·s²)].
+    decay
+        B = ν/J [1/s].
+    coulomb_voltage
+        friction as the voltage that overcomes it, Γc/K [V].
+    coulomb_torque
+        Γc [N·m], None where neither the inertia nor the link's torque was given.
+    dead_zone
+        voltage below which the amplifier does nothing [V].
+    delay
+        of the voltage's effect [s].
+    inertia
+        J [kg·m²], given or identified from the torque, else None.
+    standard_errors
+        of gain, decay, coulomb_voltage (and inertia), autocorrelation allowed for.
+    nmse
+        unexplained share of the accelerations' mean square [1].
+    windows
+        how many stretches of motion in one direction the fit rests on.
+    findings
+        codes W33x; one of severity "error" means that the motor must not be used.
     """
 
     gain: float
@@ -56,63 +73,119 @@ class MotorFit:
     standard_errors: dict[str, float]
     nmse: float
     windows: int
+    findings: tuple[Finding, ...] = ()
+
+    @property
+    def passed(self) -> bool:
+        """Whether the model explains the motion: no finding of severity "error"."""
+        return not any(finding.severity == "error" for finding in self.findings)
 
 
+@checked
 def identify_motor(
     voltage: ArrayLike,
     motor_angle: ArrayLike,
     *,
-    period: float,
+    period: Annotated[float, Between(1e-6, 10.0, "s")],
     torque: ArrayLike | None = None,
-    inertia: float | None = None,
+    inertia: Annotated[float, Between(0.0, 1e6, "kg·m²", low_open=True)] | None = None,
     delay: float | None = None,
     dead_zone: float | None = None,
     window: float | None = None,
 ) -> MotorFit:
-    """Identify the motor of eq. (1) with friction from voltage and angle; no guess is asked.
+    """Identify the motor of eq. (1) with friction from voltage and angle; no guess is needed.
 
-    Arguments:
-        voltage: V, shape (N,), held between samples [V]; motor_angle: θm, shape (N,) [rad]; period [s].
-        torque: base torque Γ of the link, shape (N,) [N·m]: it loads the motor and, known, gives J itself.
-        inertia: J [kg·m²] where it is known and no torque was recorded, for the Coulomb torque.
-        delay, dead_zone: [s], [V] where they are known; searched for otherwise.
-        window: length of a bump [s]; 30 samples or 80 ms by default.
+        θm'' = A·z(V(t − τ)) − B θm' − C sign(θm') − Γ/J,    A = K/J, B = ν/J, C = Γc/J
 
-    Motion near rest is left out: there the friction takes any value up to Γc. Raises LogError for
-    signals without motion, FieldError for arguments out of range. Source: the paper, equation (1).
+    Motion near rest is left out: there the friction takes any value up to Γc.
 
-    >>> from fraclink._identify.motor_example import example_motor_log
-    >>> voltage, angle = example_motor_log()
+    Parameters
+    ----------
+    voltage
+        V, shape (N,), held between samples [V].
+    motor_angle
+        θm, shape (N,) [rad].
+    period
+        sampling period [s].
+    torque
+        base torque Γ of the link, shape (N,) [N·m]: it loads the motor and, known, gives J itself.
+    inertia
+        J where it is known and no torque was recorded, for the Coulomb torque [kg·m²].
+    delay, dead_zone
+        where they are known [s], [V]; searched for otherwise.
+    window
+        length of a bump [s]; 30 samples or 80 ms by default.
+
+    Raises
+    ------
+    LogError
+        signals without motion, or that give a motor with an impossible sign: K/J ≤ 0 (the voltage brakes),
+        ν/J or Coulomb friction clearly below zero (friction that drives).
+    FieldError
+        arguments out of range.
+
+    References
+    ----------
+    Benftima et al. (2023), equation (1).
+
+    Examples
+    --------
+    >>> from fraclink._systems.fractional import s
+    >>> from fraclink._systems.response import time_response
+    >>> voltage = np.repeat(np.random.default_rng(1).uniform(-2.0, 2.0, 60), 50)
+    >>> angle = time_response(100 / (s * (s + 5)), voltage, 0.004, hold="zero").output
     >>> fit = identify_motor(voltage, angle, period=0.004)
-    >>> [round(x, 2) for x in (fit.gain / 3056.77, fit.decay / 15.153, fit.coulomb_voltage / 0.02)]
-    [1.0, 1.0, 1.0]
+    >>> round(fit.gain, 2), round(fit.decay, 3), fit.nmse < 1e-6
+    (100.0, 5.0, True)
     """
     u, angle, load = _channels(voltage, motor_angle, torque)
-    period = checked_between("period", period, 1e-6, 10.0, "s")
-    if inertia is not None:
-        inertia = checked_between(
-            "inertia", inertia, 0.0, 1e6, "kg·m²", open_low=True, remedy="give J or leave it out"
-        )
     longest = period * angle.size
     if delay is not None:
-        delay = checked_between("delay", delay, 0.0, longest, "s")
+        delay = Between(0.0, longest, "s").check("delay", delay)
     if dead_zone is not None:
-        top = float(np.max(np.abs(u)))
-        dead_zone = checked_between("dead_zone", dead_zone, 0.0, 0.99 * top, "V")
+        dead_zone = Between(0.0, 0.99 * float(np.max(np.abs(u))), "V").check("dead_zone", dead_zone)
     if window is not None:
-        window = checked_between("window", window, 0.0, longest, "s", open_low=True)
+        window = Between(0.0, longest, "s", low_open=True).check("window", window)
     half = max(15, round((0.04 if window is None else window / 2) / period))
     bumps = _Bumps(angle, load, period, half)
     if bumps.places.size < _LEAST_WINDOWS:
-        raise LogError(
-            "motor_angle",
-            int(bumps.places.size),
-            "too little motion in one direction",
-            allowed=f">= {_LEAST_WINDOWS} stretches of {2 * half * period:.3g} s",
-            remedy="drive the motor further, with voltages of both signs",
-        )
+        allowed = f">= {_LEAST_WINDOWS} stretches of {2 * half * period:.3g} s"
+        problem, remedy = "too little motion in one direction", "drive further, with voltages of both signs"
+        raise LogError("motor_angle", int(bumps.places.size), problem, allowed=allowed, remedy=remedy)
     best_delay, best_zone = _search(bumps, u, period, delay, dead_zone)
-    return _result(bumps, u, best_delay, best_zone, inertia)
+    return _judged(_result(bumps, u, best_delay, best_zone, inertia))
+
+
+def _judged(fit: MotorFit) -> MotorFit:
+    """The fit with its findings; LogError where its signs are those of no motor.
+
+    Estimates of a motor with little friction scatter around zero, so that a sign is impossible only where
+    its standard error cannot explain it.
+    """
+    for name, symbol, value in (
+        ("gain", "K/J", fit.gain),
+        ("decay", "ν/J", fit.decay),
+        ("coulomb_voltage", "Coulomb friction", fit.coulomb_voltage),
+    ):
+        error = fit.standard_errors[name]
+        if value < -_SIGN * error or (name == "gain" and value <= 0):
+            problem = f"{symbol} of an impossible sign, with a standard error of {error:.3g}"
+            remedy = (
+                "check the sign of voltage and angle, the period, and give the link's torque if there is one"
+            )
+            raise LogError(name, value, problem, allowed=">= 0", remedy=remedy)
+    findings = []
+    if fit.nmse > _NMSE_MOST:
+        findings.append(
+            Finding(
+                "W331",
+                "error",
+                "the motor model leaves most of the acceleration unexplained",
+                {"nmse": fit.nmse, "most": _NMSE_MOST},
+                "check that voltage and angle are of one recording, and give the link's torque",
+            )
+        )
+    return replace(fit, findings=tuple(findings))
 
 
 class _Bumps:
@@ -194,8 +267,6 @@ def _at_delay(bumps: _Bumps, u: Reals, zone: float, delay: float) -> float:
 
 
 def _narrowed(cost: Callable[[float], float], centre: float, reach: float) -> float:
-    from scipy.optimize import minimize_scalar
-
     low = max(centre - reach, 0.0)
     found = minimize_scalar(
         cost, bounds=(low, centre + reach), method="bounded", options={"xatol": 1e-4 * reach}
@@ -248,12 +319,9 @@ def _channels(
     samples = columns["motor_angle"].size
     for name, values in columns.items():
         if values.size != samples or samples < _LEAST_SAMPLES:
+            allowed, remedy = f">= {_LEAST_SAMPLES} samples, all alike", "cut them to their common span"
             raise LogError(
-                name,
-                values.size,
-                "too short or of another length",
-                allowed=f">= {_LEAST_SAMPLES} samples, all alike",
-                remedy="cut the channels to their common span",
+                name, values.size, "too short or of another length", allowed=allowed, remedy=remedy
             )
         if not np.all(np.isfinite(values)):
             raise LogError(name, "NaN", "not finite", allowed="finite numbers", remedy="repair the log")

@@ -4,38 +4,112 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import gammaincc
 
 from fraclink._arm.experiment import Experiment
+from fraclink._arm.link import FRACTIONAL, LinkModel
 from fraclink._arm.link import structure as structure_row
-from fraclink._identify.joint import Coordinates
-from fraclink._identify.jointfit import JointFit, LikelihoodRatio
-from fraclink._identify.jointsolve import make_coordinates, minimise, start_of, weight_of
-from fraclink._identify.problem import Hold, columns_of
-from fraclink._identify.search import Search
-from fraclink._identify.shape import model_of
-from fraclink._identify.single import make_search
-from fraclink._identify.solution import Solution
-from fraclink._identify.statistics import aic
-from fraclink._validate import checked_between, checked_choice, checked_noun
-from fraclink.errors import FieldError, LogError
+from fraclink._identify.covariance import aic
+from fraclink._identify.fitting import Stiffness, make_search
+from fraclink._identify.joint import Coordinates, JointProblem, start_of, weight_of
+from fraclink._identify.search import Solution
+from fraclink._identify.shape import Hold, Vector, columns_of, model_of
+from fraclink._validate import Between, checked, checked_choice
+from fraclink.errors import LogError
 
-__all__ = ["JointFit", "LikelihoodRatio", "identify_payloads"]
-
-_COMMON = {"order": "λ", "damping": "μ", "damping_order": "α", "delay": "the delay"}
+_SYMBOLS = {"order": "λ", "damping": "μ", "damping_order": "α", "delay": "the delay"}
+Length = Annotated[float, Between(0.0, 1e3, "m", low_open=True)]
 
 
+@dataclass(frozen=True)
+class LikelihoodRatio:
+    """Test of the common parameters against own ones for every payload.
+
+    Parameters
+    ----------
+    statistic
+        Σ (n/k) ln(MSE joint / MSE alone), k the inflation by the residual's colour; it follows a χ²
+        distribution where the parameters are common.
+    degrees
+        of freedom of that distribution.
+    p_value
+        the chance of a larger statistic.
+    """
+
+    statistic: float
+    degrees: int
+    p_value: float
+
+    @property
+    def common(self) -> bool:
+        """Whether the logs let the parameters be common (p ≥ 0.05)."""
+        return self.p_value >= 0.05
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class JointFit:
+    """One structure fitted to several payloads at once.
+
+    Parameters
+    ----------
+    structure
+        the structure.
+    common
+        names of the parameters that all payloads share.
+    models, gains, offsets, delays
+        one for each log, in their order.
+    mse, aic
+        for each log.
+    alone_mse
+        of the fits of each log for itself.
+    standard_errors
+        of the common parameters (and of "resonance 1" … for the own ones).
+    stiffness
+        c [N·m/rad] where ω₀ was tied by eq. (5) and the length was given, else None.
+    stiffness_over_square
+        c/L² [N/m·rad] where ω₀ was tied.
+    test
+        whether the parameters may be common.
+    verdict
+        the same in words.
+    predicted
+        one array for each log [unit of its output].
+    """
+
+    structure: str
+    common: tuple[str, ...]
+    models: tuple[LinkModel, ...]
+    gains: tuple[float, ...]
+    offsets: tuple[float, ...]
+    delays: tuple[float, ...]
+    mse: tuple[float, ...]
+    aic: tuple[float, ...]
+    alone_mse: tuple[float, ...]
+    standard_errors: dict[str, float]
+    stiffness: float | None
+    stiffness_over_square: float | None
+    test: LikelihoodRatio
+    verdict: str
+    predicted: tuple[NDArray[np.float64], ...]
+
+    def __repr__(self) -> str:
+        return f"JointFit({self.structure} of {len(self.models)} logs: {self.verdict})"
+
+
+@checked
 def identify_payloads(
     logs: Sequence[Experiment],
-    structure: str = "UD-FOM",
+    structure: str = FRACTIONAL,
     *,
     common: Sequence[str] | None = None,
     tied: bool = False,
-    length: float | None = None,
-    stiffness: float | None = None,
+    length: Length | None = None,
+    stiffness: Stiffness | None = None,
     delay: float | None = None,
     hold: Hold = "auto",
 ) -> JointFit:
@@ -43,19 +117,38 @@ def identify_payloads(
 
         minimise Σ_i Σ_k (y_ik − gain_i·ŷ_ik − offset_i)² / (σ_i² k_i)
 
-    Arguments:
-        logs: two or more experiments, each at another payload; sampling periods may differ.
-        structure: "UD-IOM", "D-IOM", "UD-FOM" or "D-FOM".
-        common: of "order", "damping", "damping_order", "delay"; all of the structure's own by default.
-        tied: ω₀_i = sqrt(c/(m_i L²)), eq. (5), through one stiffness instead of an own ω₀ for each.
-        length: L [m], only to report c from c/L² where tied.
-        stiffness: gain [N·m/rad] where it is known.
-        delay: [s] where it is known; otherwise every log has its own.
-        hold: as in `identify`.
+    Parameters
+    ----------
+    logs
+        two or more experiments, each at another payload; sampling periods may differ.
+    structure
+        a key of the table of structures.
+    common
+        of "order", "damping", "damping_order", "delay"; all of the structure's own by default.
+    tied
+        ω₀_i = sqrt(c/(m_i L²)), eq. (5), through one stiffness instead of an own ω₀ for each.
+    length
+        L [m], only to report c from c/L² where tied.
+    stiffness
+        gain where it is known [N·m/rad].
+    delay
+        where it is known [s]; otherwise every log has its own.
+    hold
+        as in `identify`.
 
-    Raises LogError for fewer than two logs, a missing or repeated payload where tied, and FieldError for
-    unknown names. Source: the paper, Tables 2 and 3 and equation (5).
+    Raises
+    ------
+    LogError
+        fewer than two logs, a missing or repeated payload where tied.
+    FieldError
+        unknown names.
 
+    References
+    ----------
+    Benftima et al. (2023), Tables 2 and 3 and equation (5).
+
+    Examples
+    --------
     >>> from fraclink._arm.experiment import Experiment
     >>> from fraclink._identify import simulated_torque
     >>> from fraclink._arm.link import LinkModel
@@ -70,10 +163,14 @@ def identify_payloads(
     >>> round(fit.models[0].order, 6), round(fit.stiffness_over_square, 5), fit.test.common
     (1.92, 3.0, True)
     """
-    names = _names(structure, common)
+    own = tuple(name for name in structure_row(structure).free if name != "natural_frequency")
+    remedy = f"{structure} has these"
+    names = (
+        own
+        if common is None
+        else tuple(checked_choice("common", name, (*own, "delay"), remedy=remedy) for name in common)
+    )
     _check(logs, tied)
-    if length is not None:
-        length = checked_between("length", length, 0.0, 1e3, "m", open_low=True)
     fixed = {} if delay is None else {"delay": delay}
     searches = [
         make_search(log, heldout=0.0, stiffness=stiffness, fixed=fixed, guess=None, hold=hold) for log in logs
@@ -81,136 +178,107 @@ def identify_payloads(
     alone = [search.solve(structure) for search in searches]
     weights = [weight_of(search, solution) for search, solution in zip(searches, alone, strict=True)]
     payloads = tuple(float(log.payload or 0.0) for log in logs) if tied else None
-    coordinates = make_coordinates(structure, names, tied, len(logs), delay, payloads)
-    start = start_of(coordinates, alone, structure)
-    theta, normal = minimise(coordinates, searches, weights, start)
-    return _assembled(logs, structure, names, coordinates, searches, alone, weights, theta, normal, length)
-
-
-def _names(structure: str, common: Sequence[str] | None) -> tuple[str, ...]:
-    own = [name for name in structure_row(structure).free if name != "natural_frequency"]
-    if common is None:
-        return tuple(own)
-    return tuple(
-        checked_choice("common", name, (*own, "delay"), remedy=f"{structure} has these")
-        for name in (common if isinstance(common, list | tuple) else (common,))
-    )
+    every = ("frequency", *own, *(() if delay is not None else ("delay",)))
+    shared = (("frequency",) if tied else ()) + tuple(name for name in names if name in every)
+    coordinates = Coordinates(every, shared, len(logs), delay, payloads)
+    joint = JointProblem(coordinates, searches, weights)
+    theta, normal = joint.minimise(start_of(coordinates, alone))
+    return _result(logs, structure, names, joint, alone, theta, normal, length)
 
 
 def _check(logs: Sequence[Experiment], tied: bool) -> None:
-    if not isinstance(logs, list | tuple):
-        raise FieldError("logs", logs, "no list", allowed=">= 2 experiments", remedy="give [first, second]")
-    for i, log in enumerate(logs):
-        checked_noun(f"logs[{i}]", log, Experiment, remedy="read the file with read_log first")
     if len(logs) < 2:
         raise LogError("logs", len(logs), "too few", allowed=">= 2", remedy="use identify for a single log")
     payloads = [log.payload for log in logs]
     if tied and (None in payloads or len(set(payloads)) < 2):
-        raise LogError(
-            "payload",
-            str(payloads),
-            "missing or all the same",
-            allowed="a mass for every log, two of them different",
-            remedy="state payload= when reading the logs",
-        )
+        allowed = "a mass for every log, two of them different"
+        remedy = "state payload= when reading the logs"
+        raise LogError("payload", str(payloads), "missing or all the same", allowed=allowed, remedy=remedy)
 
 
-def _assembled(
+# --- the result -------------------------------------------------------------------------------------------
+
+
+def _result(
     logs: Sequence[Experiment],
     structure: str,
     common: tuple[str, ...],
-    coordinates: Coordinates,
-    searches: Sequence[Search],
+    joint: JointProblem,
     alone: Sequence[Solution],
-    weights: Sequence[float],
-    theta: NDArray[np.float64],
+    theta: Vector,
     normal: NDArray[np.float64],
     length: float | None,
 ) -> JointFit:
-    models, gains, offsets, delays, mse, criteria, predicted = [], [], [], [], [], [], []
-    for i, (log, search) in enumerate(zip(logs, searches, strict=True)):
-        shape, _ = coordinates.shape(theta, i)
-        raw = columns_of(search.kernel, shape)[0]
-        gain, offset = _linear(raw, log.output, search)
-        model = model_of(shape, max(abs(gain), 1e-12), log.payload)
-        if "damping" in coordinates.names and model.damping > 0:
-            # The way through each log's own resonance rounds: the last digits would differ.
-            model = replace(model, damping=math.exp(theta[coordinates.index("damping", i)]))
-        models.append(model)
-        error = log.output - gain * raw - offset
-        gains.append(gain)
-        offsets.append(offset)
-        delays.append(float(shape[4]))
-        mse.append(float(np.mean(error**2)))
-        criteria.append(aic(mse[-1], log.output.size, len(structure_row(structure).free)))
-        predicted.append(gain * raw + offset)
-    alone_mse = [solution.cost / log.output.size for solution, log in zip(alone, logs, strict=True)]
+    coordinates = joint.coordinates
+    rows = [_of_one(log, i, joint, theta) for i, log in enumerate(logs)]
+    models, gains, offsets, delays, predicted = (tuple(column) for column in zip(*rows, strict=True))
+    mse = tuple(float(np.mean((log.output - p) ** 2)) for log, p in zip(logs, predicted, strict=True))
+    parameters = len(structure_row(structure).free)
+    alone_mse = tuple(solution.cost / log.output.size for solution, log in zip(alone, logs, strict=True))
     over = math.exp(theta[coordinates.index("frequency", 0)]) if coordinates.payloads else None
-    test = _test(coordinates, logs, weights, mse, alone_mse, structure)
+    test = _test(joint, logs, mse, alone_mse)
     return JointFit(
-        structure=structure,
-        common=common,
-        models=tuple(models),
-        gains=tuple(gains),
-        offsets=tuple(offsets),
-        delays=tuple(delays),
-        mse=tuple(mse),
-        aic=tuple(criteria),
-        alone_mse=tuple(alone_mse),
-        standard_errors=_errors(coordinates, theta, normal),
+        structure,
+        common,
+        models,
+        gains,
+        offsets,
+        delays,
+        mse,
+        tuple(aic(value, log.output.size, parameters) for value, log in zip(mse, logs, strict=True)),
+        alone_mse,
+        _errors(coordinates, theta, normal),
         stiffness=over * length**2 if over is not None and length is not None else None,
         stiffness_over_square=over,
         test=test,
         verdict=_verdict(coordinates, common, test),
-        predicted=tuple(predicted),
+        predicted=predicted,
     )
 
 
-def _linear(raw: NDArray[np.float64], output: NDArray[np.float64], search: Search) -> tuple[float, float]:
-    gain, offset = search.gain, search.offset
-    if math.isnan(gain) and math.isnan(offset):
-        gain = float(np.cov(raw, output, bias=True)[0, 1] / np.var(raw))
-        return gain, float(np.mean(output) - gain * np.mean(raw))
+def _of_one(
+    log: Experiment, i: int, joint: JointProblem, theta: Vector
+) -> tuple[LinkModel, float, float, float, Vector]:
+    """Model, gain, offset, delay and prediction of one log."""
+    search, coordinates = joint.searches[i], joint.coordinates
+    shape, _ = coordinates.shape(theta, i)
+    raw = columns_of(search.kernel, shape)[0]
+    gain = search.gain
     if math.isnan(gain):
-        return float(raw @ (output - offset) / (raw @ raw)), offset
-    return gain, float(np.mean(output - gain * raw)) if math.isnan(offset) else offset
+        gain = float(np.cov(raw, log.output, bias=True)[0, 1] / np.var(raw))
+    offset = float(np.mean(log.output - gain * raw))
+    model = model_of(shape, max(abs(gain), 1e-12), log.payload)
+    if "damping" in coordinates.names and model.damping > 0:
+        # The way through each log's own resonance rounds: the last digits would differ.
+        model = replace(model, damping=math.exp(theta[coordinates.index("damping", i)]))
+    delay = float(shape[4])
+    return replace(model, gauge_delay=delay), gain, offset, delay, gain * raw + offset
 
 
-def _errors(
-    coordinates: Coordinates, theta: NDArray[np.float64], normal: NDArray[np.float64]
-) -> dict[str, float]:
+def _errors(coordinates: Coordinates, theta: Vector, normal: NDArray[np.float64]) -> dict[str, float]:
     covariance = np.linalg.pinv(normal, rcond=1e-14, hermitian=True)
     errors = np.sqrt(np.maximum(np.diag(covariance), 0))
     result: dict[str, float] = {}
     for name in coordinates.names:
+        label = name
+        if name == "frequency":
+            label = "stiffness_over_square" if coordinates.payloads else "resonance"
         for i in range(coordinates.logs):
             k = coordinates.index(name, i)
             scale = math.exp(theta[k]) if name in ("damping", "frequency") else 1.0
-            label = (
-                name
-                if name != "frequency"
-                else ("stiffness_over_square" if coordinates.payloads else "resonance")
-            )
             result[label if name in coordinates.common else f"{label} {i + 1}"] = float(errors[k] * scale)
     return result
 
 
 def _test(
-    coordinates: Coordinates,
-    logs: Sequence[Experiment],
-    weights: Sequence[float],
-    mse: Sequence[float],
-    alone_mse: Sequence[float],
-    structure: str,
+    joint: JointProblem, logs: Sequence[Experiment], mse: Sequence[float], alone_mse: Sequence[float]
 ) -> LikelihoodRatio:
-    from scipy.special import gammaincc
-
     statistic = 0.0
-    for log, weight, joint, own in zip(logs, weights, mse, alone_mse, strict=True):
-        scale = weight * own  # 1/k
-        statistic += log.output.size * scale * math.log(max(joint / own, 1.0)) if own > 0 else 0.0
-    own_size = coordinates.logs * len(coordinates.names)
-    degrees = own_size - coordinates.size
+    for log, weight, together, own in zip(logs, joint.weights, mse, alone_mse, strict=True):
+        if own > 0:  # weight · own is 1/k
+            statistic += log.output.size * weight * own * math.log(max(together / own, 1.0))
+    coordinates = joint.coordinates
+    degrees = coordinates.logs * len(coordinates.names) - coordinates.size
     p_value = float(gammaincc(degrees / 2, statistic / 2)) if degrees > 0 else 1.0
     return LikelihoodRatio(statistic, degrees, p_value)
 
@@ -218,10 +286,9 @@ def _test(
 def _verdict(coordinates: Coordinates, common: Sequence[str], test: LikelihoodRatio) -> str:
     if test.degrees == 0:
         return "Nothing is common: every log was fitted for itself."
-    shared = [_COMMON[name] for name in common]
+    shared = [_SYMBOLS[name] for name in common]
     if coordinates.payloads is not None:
         shared.append("the stiffness of eq. (5)")
-    subject = " and ".join(shared)
     chance = f"p = {test.p_value:.2g}" if test.p_value >= 1e-9 else "p < 1e-9"
     may = "may" if test.common else "cannot"
-    return f"{subject} {may} be common to these {coordinates.logs} logs ({chance})."
+    return f"{' and '.join(shared)} {may} be common to these {coordinates.logs} logs ({chance})."

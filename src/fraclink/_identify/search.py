@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._arm.link import STRUCTURES, structure
+from fraclink._arm.link import FRACTIONAL, STRUCTURES, structure
 from fraclink._identify.shape import (
     ALPHA_LIMITS,
     ORDER_LIMITS,
@@ -29,7 +29,6 @@ _ITERATIONS = 200  # an undamped link on a damped log converges by a third a ste
 # Delays that are tried as starts, as parts of the vibration's period: a fit creeps over ± 0.15 by itself.
 _DELAY_STARTS = (0.12, 0.24)
 _DELAY_LIMITS = (-0.12, 0.35)
-_FRACTIONAL = {"natural_frequency", "order"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,7 +189,7 @@ class Search:
         On a log without a clear resonance a scan may end in another valley for each structure; a structure
         that is worse than its own special case would be the search's fault.
         """
-        for name, special in ((name, other) for name in STRUCTURES for other in special_cases(name)):
+        for name, special in ((row, other) for row in STRUCTURES for other in special_cases(row)):
             inner, outer = self.solve(special), self.solve(name)
             if outer.cost > inner.cost * (1 + 1e-9) and not {"order", "damping_order"} & set(self.fixed):
                 again = self._best(name, [_embedded(inner.shape, name)], may_lead=True)
@@ -262,14 +261,11 @@ class Search:
     def _starts(self, name: str) -> Iterable[Shape]:
         """Points to start from; only the undamped fractional link, which fits any ring-down, needs a scan."""
         free = set(structure(name).free)
-        if free == _FRACTIONAL:
-            yield np.array(
-                [self.fixed.get("order", min(self.seed[0], 1.95)), self.seed[1], 0.0, 1.0, self.seed[4]]
-            )
+        if name == FRACTIONAL:
+            order = self.fixed.get("order", min(self.seed[0], 1.95))
+            yield np.array([order, self.seed[1], 0.0, 1.0, self.seed[4]])
             return
-        fractional = self.solve(
-            next(row.name for row in STRUCTURES.values() if set(row.free) == _FRACTIONAL)
-        ).shape
+        fractional = self.solve(FRACTIONAL).shape
         ratio = max(-math.cos(math.pi / fractional[0]), 1e-4)
         if "damping_order" in free:
             yield from self._damped(name, fractional, ratio)
@@ -311,7 +307,7 @@ def special_cases(name: str) -> list[str]:
     return [
         row.name
         for row in STRUCTURES.values()
-        if set(row.free) < free or ("damping_order" in free and set(row.free) == _FRACTIONAL)
+        if set(row.free) < free or ("damping_order" in free and row.name == FRACTIONAL)
     ]
 
 

@@ -1,4 +1,4 @@
-"""The coordinates a fit moves in, the way from them to the link's parameters, and the log as the kernel sees it.
+"""The coordinates a fit moves in, how they become a link's parameters, and the log as the kernel sees it.
 
 A shape is (λ, ln Ω, ζ, α, τ): order of inertia, logarithm of the resonance [rad/s], damping ratio there,
 order of the damping, delay [s]. With S = sin(απ/2), C = cos(απ/2)

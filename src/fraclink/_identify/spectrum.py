@@ -8,17 +8,15 @@ are); p_i = ω₀_i^(2/λ). d = 1 without anti-resonances is the torque of a lin
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from fraclink._identify.modal import ModalProblem, SpectrumFit
-from fraclink._validate import checked_between, checked_series, checked_whole
+from fraclink._validate import Array, Between, Fraction, LinkOrder, checked
 from fraclink.errors import FieldError, LogError
-
-__all__ = ["FrequencyResponse", "SpectrumFit", "frequency_response", "identify_frequency_response"]
 
 Reals = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -27,6 +25,15 @@ _EXCITED = 0.05  # of the largest input line: below, a line's ratio is mostly no
 _MOST_MODES = 12  # each takes two parameters; measured tables seldom tell more than six apart
 _ROUNDS = 5  # of setting outliers aside
 _HAMPEL = 6.0  # robust standard deviations from the neighbours' median
+
+Signal = Annotated[NDArray[np.float64], Array(1)]
+Modes = Annotated[int, Between(0, _MOST_MODES)]
+_OUT = "leave the line at zero frequency out"
+Lines = Annotated[NDArray[np.float64], Array(1), Between(0.0, low_open=True, unit="rad/s", remedy=_OUT)]
+Coherence = Annotated[
+    NDArray[np.float64], Array(1), Between(0.0, 1.0, low_open=True, remedy="leave lines without it out")
+]
+Weights = Annotated[NDArray[np.float64], Array(1), Between(0.0)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,65 +49,97 @@ class FrequencyResponse:
     magnitude: Reals
 
 
+@checked
 def frequency_response(
-    signal: ArrayLike, output: ArrayLike, *, period: float = 1.0, threshold: float = _EXCITED
+    signal: Signal,
+    output: Signal,
+    *,
+    period: Annotated[float, Between(0.0, 1e6, "s", low_open=True)] = 1.0,
+    threshold: Fraction = _EXCITED,
 ) -> FrequencyResponse:
     """Frequency response from whole periods of a periodic excitation.
 
-    Arguments: `signal` and `output`, shape (N,), one or more whole periods; sampling period [s] (1 where
-    it is unknown: frequencies are then in radians per sample); lines whose input is below `threshold`
-    (0 to 1) of the largest are left out. Raises LogError for other lengths.
+    Parameters
+    ----------
+    signal, output
+        shape (N,), one or more whole periods.
+    period
+        sampling period [s]; 1 where it is unknown: frequencies are then in radians per sample.
+    threshold
+        lines whose input is below this share of the largest are left out [1].
 
+    Raises
+    ------
+    LogError
+        lengths that differ.
+
+    Examples
+    --------
     >>> wave = np.cos(2 * np.pi * np.arange(64) / 16)
     >>> found = frequency_response(wave, 2 * wave)
     >>> found.response.real.round(6).tolist(), (found.frequency / 2 / np.pi).tolist()
     ([2.0], [0.0625])
     """
-    u, y = checked_series("signal", signal), checked_series("output", output)
-    checked_between("period", period, 0.0, 1e6, "s", open_low=True)
-    checked_between("threshold", threshold, 0.0, 1.0)
+    u, y = np.asarray(signal), np.asarray(output)
     if u.shape != y.shape or u.size < 16:
-        raise LogError(
-            "output",
-            str(y.shape),
-            f"not as long as the input {u.shape}",
-            allowed=">= 16 samples of each",
-            remedy="cut both to the same whole periods",
-        )
+        problem, remedy = f"not as long as the input {u.shape}", "cut both to the same whole periods"
+        raise LogError("output", str(y.shape), problem, allowed=">= 16 samples of each", remedy=remedy)
     into, out = np.fft.rfft(u)[1:], np.fft.rfft(y)[1:]
     lines = np.abs(into) >= threshold * np.max(np.abs(into))
     frequency = 2 * np.pi * np.arange(1, into.size + 1) / (u.size * period)
     return FrequencyResponse(frequency[lines], out[lines] / into[lines], np.abs(into[lines]))
 
 
+@checked
 def identify_frequency_response(
-    frequency: ArrayLike,
-    response: ArrayLike,
+    frequency: Lines,
+    response: Annotated[NDArray[np.complex128], Array(1)],
     *,
-    coherence: ArrayLike | None = None,
-    weights: ArrayLike | None = None,
-    resonances: int = 1,
-    anti_resonances: int = 0,
-    derivative: int | None = None,
-    order: float | None = None,
-    delay: float | None = None,
+    coherence: Coherence | None = None,
+    weights: Weights | None = None,
+    resonances: Modes = 1,
+    anti_resonances: Modes = 0,
+    derivative: Annotated[int, Between(-4, 4)] | None = None,
+    order: LinkOrder | None = None,
+    delay: Annotated[float, Between(-10.0, 10.0, "s")] | None = None,
     robust: bool = True,
 ) -> SpectrumFit:
-    """Fit modes with one common λ to a frequency response; no guess is asked.
+    """Fit modes with one common λ to a frequency response; no guess is needed.
 
-    Arguments:
-        frequency: ω, shape (N,), > 0, ascending or not [rad/s] (or radians per sample).
-        response: H(jω), complex, shape (N,).
-        coherence: γ² in (0, 1) of each line; an error then counts as √(γ²/(1 − γ²))/|H|.
-        weights: w of each line's error instead, such as the input's magnitude; 1 by default.
-        resonances, anti_resonances: their numbers. derivative: d; 1 where there are no anti-resonances
-            (base torque over motor angle), else 0.
-        order, delay: values of λ and τ [s] that are known.
-        robust: set lines aside that stand out from their neighbours (mains hum, lines of lost samples).
+        H(s) = g e^(−τs) s^(dλ) Π_i (s^λ + z_i^λ) / Π_i (s^λ + p_i^λ)
 
-    Raises FieldError for bad arguments, NotConvergedError where nothing fits. Source: the paper, (10) and
-    (11), extended to several modes.
+    Parameters
+    ----------
+    frequency
+        ω, shape (N,), > 0, ascending or not [rad/s] (or radians per sample).
+    response
+        H(jω), complex, shape (N,).
+    coherence
+        γ² in (0, 1] of each line; an error then counts as √(γ²/(1 − γ²))/|H|.
+    weights
+        w of each line's error instead, such as the input's magnitude; 1 by default.
+    resonances, anti_resonances
+        their numbers.
+    derivative
+        d; 1 where there are no anti-resonances (base torque over motor angle), else 0.
+    order, delay
+        values of λ and τ [s] that are known.
+    robust
+        set lines aside that stand out from their neighbours (mains hum, lines of lost samples).
 
+    Raises
+    ------
+    FieldError
+        arguments out of range or of different lengths.
+    NotConvergedError
+        nothing fits.
+
+    References
+    ----------
+    Benftima et al. (2023), (10) and (11), extended to several modes.
+
+    Examples
+    --------
     >>> from fraclink._arm.link import LinkModel
     >>> w = np.linspace(1, 40, 200)
     >>> link = LinkModel(1.56, 10.02, order=1.92)
@@ -108,24 +147,13 @@ def identify_frequency_response(
     >>> round(fit.order, 6), round(fit.gain, 6), round(fit.model().natural_frequency, 5)
     (1.92, 1.56, 10.02)
     """
-    w, h, weight = _checked(frequency, response, coherence, weights)
+    w, h, weight = _lines(frequency, response, coherence, weights)
     ascending = np.argsort(w)
-    checked_whole("resonances", resonances, 0, _MOST_MODES)
-    checked_whole("anti_resonances", anti_resonances, 0, _MOST_MODES)
-    default = 0 if anti_resonances else 1
-    power = default if derivative is None else checked_whole("derivative", derivative, -4, 4)
-    if order is not None:
-        order = checked_between("order", order, 1.0, 2.0)
-    if delay is not None:
-        delay = checked_between("delay", delay, -10.0, 10.0, "s")
-    if w.size < 2 * (resonances + anti_resonances) + 4:
-        raise FieldError(
-            "frequency",
-            w.size,
-            "too few lines",
-            allowed=f">= {2 * (resonances + anti_resonances) + 4}",
-            remedy="fit fewer modes",
-        )
+    power = (0 if anti_resonances else 1) if derivative is None else derivative
+    least = 2 * (resonances + anti_resonances) + 4
+    if w.size < least:
+        remedy = "fit fewer modes"
+        raise FieldError("frequency", w.size, "too few lines", allowed=f">= {least}", remedy=remedy)
     columns = (w[ascending], h[ascending], weight[ascending])
     problem = ModalProblem(*columns, resonances, anti_resonances, power, order, delay)
     if not robust:
@@ -136,6 +164,26 @@ def identify_frequency_response(
         tried = [_without_outliers(problem, loss) for loss in ("soft_l1", "linear")]
         found = max(tried, key=lambda fit: fit.fit - 100 * len(fit.outliers) / w.size)
     return _in_order(found, ascending)
+
+
+def _lines(
+    w: Reals, h: Complexes, coherence: Reals | None, weights: Reals | None
+) -> tuple[Reals, Complexes, Reals]:
+    """The lines with the weight of each; FieldError where their lengths differ."""
+    if weights is not None and coherence is not None:
+        raise FieldError(
+            "weights", "both", "given beside coherence", allowed="one of them", remedy="drop one"
+        )
+    for name, column in (("response", h), ("coherence", coherence), ("weights", weights)):
+        if column is not None and column.shape != w.shape:
+            problem, remedy = f"not as long as frequency {w.shape}", "give one for each frequency"
+            raise FieldError(name, str(column.shape), problem, allowed="equal lengths", remedy=remedy)
+    if coherence is None:
+        return w, h, np.ones(w.size) if weights is None else weights
+    if not np.all(np.abs(h) > 0):
+        raise FieldError("response", 0, "zero at a line", allowed="|H| > 0", remedy="leave that line out")
+    share = np.minimum(coherence, 1 - 1e-6)
+    return w, h, np.sqrt(share / (1 - share)) / np.abs(h)
 
 
 def _in_order(fit: SpectrumFit, ascending: NDArray[np.intp]) -> SpectrumFit:
@@ -169,71 +217,3 @@ def _standing_out(error: Complexes) -> NDArray[np.bool_]:
         spread = 1.4826 * float(np.median(np.abs(error[near] - centre)))
         result[k] = abs(error[k] - centre) > _HAMPEL * max(spread, floor)
     return result
-
-
-def _checked(
-    frequency: ArrayLike, response: ArrayLike, coherence: ArrayLike | None, weights: ArrayLike | None
-) -> tuple[Reals, Complexes, Reals]:
-    w, h = checked_series("frequency", frequency), _complexes(response)
-    if h.shape != w.shape:
-        raise FieldError(
-            "response",
-            str(h.shape),
-            f"not as long as frequency {w.shape}",
-            allowed="equal lengths",
-            remedy="cut one",
-        )
-    if not (np.all(np.isfinite(w)) and np.all(w > 0) and np.all(np.isfinite(h))):
-        raise FieldError(
-            "frequency",
-            float(w.min()) if w.size else 0.0,
-            "not positive or not finite",
-            allowed="> 0 rad/s",
-            remedy="leave the line at zero frequency out",
-        )
-    if weights is not None and coherence is not None:
-        raise FieldError(
-            "weights", "both", "given beside coherence", allowed="one of them", remedy="drop one"
-        )
-    if coherence is not None:
-        share = checked_series("coherence", coherence)
-        if share.shape != w.shape or not np.all((share > 0) & (share <= 1)):
-            raise FieldError(
-                "coherence",
-                float(share.min()) if share.size else "an empty column",
-                "out of range",
-                allowed="0 < γ² <= 1, one a line",
-                remedy="leave lines without coherence out",
-            )
-        if not np.all(np.abs(h) > 0):
-            raise FieldError("response", 0, "zero at a line", allowed="|H| > 0", remedy="leave that line out")
-        share = np.minimum(share, 1 - 1e-6)
-        return w, h, np.sqrt(share / (1 - share)) / np.abs(h)
-    weight = np.ones(w.size) if weights is None else checked_series("weights", weights)
-    if weight.shape != w.shape or not np.all((weight >= 0) & (weight < math.inf)):
-        raise FieldError(
-            "weights",
-            f"{weight.size} weights",
-            "of another length, negative or not finite",
-            allowed=">= 0, one a line",
-            remedy="give one for each frequency",
-        )
-    return w, h, weight
-
-
-def _complexes(response: ArrayLike) -> Complexes:
-    """The response as a complex column; FieldError for anything else."""
-    try:
-        values = np.asarray(response)
-        numbers = values.astype(np.complex128) if values.dtype.kind in "iufc" else None
-    except (TypeError, ValueError, OverflowError):
-        numbers = None
-    if numbers is None or numbers.ndim != 1:
-        raise FieldError(
-            "response",
-            type(response).__name__,
-            "no column of complex numbers",
-            allowed="shape (N,)",
-            remedy="give gain·exp(j·phase)",
-        )
-    return numbers

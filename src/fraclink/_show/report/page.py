@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fraclink._files import write_text
-from fraclink._identify.text import coincidence_text
+from fraclink._identify import coincidence_text
 from fraclink._show.report import sections
 from fraclink._show.report.templating import needed, rendered
 

@@ -1,0 +1,244 @@
+"""Every structure on one log, which of them is used, and how sure the log makes that choice."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+from fraclink._arm.experiment import Experiment
+from fraclink._arm.link import FRACTIONAL, STRUCTURES, VISCOUS, structure
+from fraclink._identify.fit import Fit, _parameters, _share, coincidence_text
+from fraclink._identify.fitting import HeldOut, Stiffness, fit_from, make_search
+from fraclink._identify.search import special_cases
+from fraclink._identify.shape import Hold
+from fraclink._validate import checked
+
+# Chance alone lowers the AIC by 2 or more with one superfluous parameter in one log of twenty-two (4: in one
+# of seventy): a difference below 4 is no reason to carry another parameter.
+_DECISIVE = 4.0
+
+
+@dataclass(frozen=True)
+class Contest:
+    """Which of two structures with equally many parameters a log supports.
+
+    Parameters
+    ----------
+    first, second
+        the structures.
+    advantage
+        of the second, n ln(MSE first / MSE second)/k: twice the difference of the log-likelihoods, with
+        the n samples counted as n/k where the residual is not white (k is the fits' variance inflation).
+        Below 4 the log cannot tell.
+    """
+
+    first: str
+    second: str
+    advantage: float
+
+    @property
+    def preferred(self) -> str | None:
+        """The better one, None where they cannot be told apart."""
+        if abs(self.advantage) < _DECISIVE:
+            return None
+        return self.second if self.advantage > 0 else self.first
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Comparison:
+    """Every structure fitted to one log.
+
+    Parameters
+    ----------
+    fits
+        structure → fit, in the order of the table of structures.
+    without_delay
+        the same with the delay held at zero (parameters and errors only, no details).
+    preferred
+        the structure to use: of those whose `Fit.tic` (the AIC where the residual is white) is within 4 of
+        the lowest, the one with the fewest parameters, then with the lowest `tic`.
+    contest
+        fractional against viscous damping, which have as many parameters.
+    verdict
+        what may be concluded, in words.
+    """
+
+    fits: Mapping[str, Fit]
+    without_delay: Mapping[str, Fit]
+    preferred: str
+    contest: Contest
+    verdict: str
+
+    def __post_init__(self) -> None:
+        for name in ("fits", "without_delay"):
+            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
+
+    def __repr__(self) -> str:
+        return f"Comparison({', '.join(self.fits)}: {self.verdict.partition('.')[0]})"
+
+    def __str__(self) -> str:
+        lines = [
+            f"{'*' if name == self.preferred else ' '} {name:7} {_share(fit.heldout_nmse)}, "
+            f"AIC {fit.aic:.1f}: {_parameters(fit)}"
+            for name, fit in self.fits.items()
+        ]
+        return "\n".join([*lines, *coincidence_text(self.fits), self.verdict])
+
+    @property
+    def best(self) -> Fit:
+        """The fit of the structure to use."""
+        return self.fits[self.preferred]
+
+    @property
+    def undecided(self) -> tuple[str, ...]:
+        """Structures that the log cannot tell from the one to use."""
+        return _undecided(self.fits, self.preferred, self.contest)
+
+
+@checked
+def identify_all(
+    log: Experiment,
+    *,
+    heldout: HeldOut | None = None,
+    stiffness: Stiffness | None = None,
+    fixed: Mapping[str, float] | None = None,
+    hold: Hold = "auto",
+    details: bool = True,
+) -> Comparison:
+    """Fit every structure to a log and say what it tells apart.
+
+    Parameters
+    ----------
+    log, heldout, fixed, hold, details
+        as in `identify`.
+    stiffness
+        c where it is known [N·m/rad].
+
+    Raises
+    ------
+    LogError, FieldError, NotConvergedError
+        as `identify` does.
+
+    References
+    ----------
+    Benftima et al. (2023), section 3.3 and Table 2.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from fraclink._arm.experiment import Experiment
+    >>> from fraclink._identify import simulated_torque
+    >>> from fraclink._arm.link import LinkModel
+    >>> angle = np.clip((0.004 * np.arange(3000) - 0.5) / 0.3, 0, 1)
+    >>> torque = simulated_torque(LinkModel(1.56, 10.02, order=1.92), angle, 0.004)
+    >>> noise = np.random.default_rng(0).normal(0, 0.02, torque.size)
+    >>> log = Experiment(period=0.004, motor_angle=angle, output=torque + noise)
+    >>> identify_all(log, details=False).preferred
+    'UD-FOM'
+    """
+    search = make_search(log, heldout=heldout, stiffness=stiffness, fixed=fixed, guess=None, hold=hold)
+    search.reconcile()
+    fits = {name: fit_from(search, name, log, stiffness=stiffness, details=details) for name in STRUCTURES}
+    still = {}
+    if "delay" not in search.fixed:
+        at_once = {**(fixed or {}), "delay": 0.0}
+        other = make_search(log, heldout=heldout, stiffness=stiffness, fixed=at_once, guess=None, hold=hold)
+        still = {
+            name: fit_from(other, name, log, stiffness=stiffness, details=False)
+            for name in (VISCOUS, FRACTIONAL)
+        }
+    contest = _contest(fits[FRACTIONAL], fits[VISCOUS])
+    preferred = _preferred(fits)
+    return Comparison(fits, still, preferred, contest, _verdict(fits, still, preferred, contest))
+
+
+def _preferred(fits: Mapping[str, Fit]) -> str:
+    lowest = min(fit.tic for fit in fits.values())
+    near = [name for name, fit in fits.items() if fit.tic - lowest < _DECISIVE]
+    return min(near, key=lambda name: (len(structure(name).free), fits[name].tic))
+
+
+def _undecided(fits: Mapping[str, Fit], preferred: str, contest: Contest) -> tuple[str, ...]:
+    """Structures that the log leaves open beside the one to use.
+
+    A structure that has the one to use as a special case is no rival: within 4 of it, its further parameter
+    is not needed. A fit that ended as the same model is the same answer, not another one. Between
+    fractional and viscous the contest decides: it counts samples by the colour of both residuals.
+    """
+    best = fits[preferred]
+    open_ones = []
+    for name, fit in fits.items():
+        same = abs(fit.mse - best.mse) <= 1e-9 * best.mse
+        near = abs(fit.tic - best.tic) < _DECISIVE
+        if {name, preferred} == {contest.first, contest.second}:
+            near = contest.preferred != preferred
+        if name != preferred and not same and near and preferred not in special_cases(name):
+            open_ones.append(name)
+    return tuple(open_ones)
+
+
+def _contest(first: Fit, second: Fit) -> Contest:
+    inflation = [max(f.effective_parameters / max(len(f.standard_errors), 1), 1.0) for f in (first, second)]
+    counted = first.fitted_samples / (sum(inflation) / 2)
+    ratio = math.log(first.mse / second.mse) if min(first.mse, second.mse) > 0 else 0.0
+    return Contest(first.structure, second.structure, counted * ratio)
+
+
+# --- the verdict in words ---------------------------------------------------------------------------------
+
+
+def _verdict(fits: Mapping[str, Fit], still: Mapping[str, Fit], preferred: str, contest: Contest) -> str:
+    sentences = [_choice(fits, preferred, contest), *_of_the_delay(fits, still), *_of_the_parameters(fits)]
+    return " ".join(sentences)
+
+
+def _choice(fits: Mapping[str, Fit], preferred: str, contest: Contest) -> str:
+    """The structure that is used and how sure that is: one sentence, so that it cannot contradict itself."""
+    best = fits[preferred]
+    held = "" if best.heldout_nmse is None else f"; held-out NMSE {best.heldout_nmse:.4g}"
+    undecided = _undecided(fits, preferred, contest)
+    if undecided:
+        others = " and ".join(undecided)
+        colour = " under a residual of this colour" if best.errors_allow_colour else ""
+        reason = "the fewest parameters, then the lowest AIC"
+        return (
+            f"This log cannot tell {preferred} from {others}{colour}; {preferred} is used ({reason}){held}."
+        )
+    rivals = [fit for fit in fits.values() if abs(fit.mse - best.mse) > 1e-9 * best.mse]
+    if not rivals:
+        return f"{preferred} is preferred: every other structure ended as the same model{held}."
+    other = min(rivals, key=lambda fit: fit.tic)
+    gap = other.tic - best.tic
+    criterion = "AIC, corrected for the residual's colour," if best.errors_allow_colour else "AIC"
+    return f"{preferred} is preferred: its {criterion} is {gap:.1f} below that of {other.structure}{held}."
+
+
+def _of_the_delay(fits: Mapping[str, Fit], still: Mapping[str, Fit]) -> list[str]:
+    if not still:
+        return []
+    viscous, fractional = fits[VISCOUS], fits[FRACTIONAL]
+    at_once_wins = still[FRACTIONAL].aic < still[VISCOUS].aic - 2
+    # Less than a sample of delay may be the noise of the angle, averaged between two samples.
+    shown = max(3 * viscous.standard_errors.get("delay", math.inf), viscous.period)
+    if at_once_wins and viscous.aic <= fractional.aic + 2 and abs(viscous.delay) > shown:
+        return [
+            f"λ is explained by the delay: without it {FRACTIONAL} wins "
+            f"(λ = {still[FRACTIONAL].model.order:.3f}), with the {1e3 * viscous.delay:.1f} ms that the log "
+            f"shows {VISCOUS} is at least as good."
+        ]
+    return []
+
+
+def _of_the_parameters(fits: Mapping[str, Fit]) -> list[str]:
+    sentences = []
+    order = fits[FRACTIONAL]
+    if "order" in order.at_bound:
+        sentences.append("λ is at its bound 2: this log shows no fractional order.")
+    interval = order.intervals.get("order")
+    if interval is not None and interval.high_open and "order" not in order.at_bound:
+        sentences.append("λ = 2 is not excluded by this log.")
+    if any(finding.code == "W308" for fit in fits.values() for finding in fit.findings):
+        sentences.append("α is not identifiable.")
+    return sentences

@@ -1,0 +1,365 @@
+"""Identify one structure from one log: options, the part that is held out, the fit and how sure it is."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink._arm.experiment import Experiment
+from fraclink._arm.link import FRACTIONAL, LinkModel
+from fraclink._arm.link import structure as structure_row
+from fraclink._identify.covariance import ResidualTests, Uncertainty, aic, bic, residual_tests, uncertainty
+from fraclink._identify.findings import findings_of
+from fraclink._identify.fit import Fit
+from fraclink._identify.profile import Interval, profile_interval
+from fraclink._identify.search import Search, Solution
+from fraclink._identify.second_mode import find_second_mode
+from fraclink._identify.shape import (
+    ALPHA_LIMITS,
+    ORDER_LIMITS,
+    Hold,
+    Vector,
+    Window,
+    chosen_hold,
+    columns_of,
+    model_of,
+    shape_of,
+)
+from fraclink._validate import Array, Between, checked, checked_between, checked_choice
+from fraclink.errors import LogError
+
+_FIXABLE: dict[str, tuple[float, float]] = {
+    "gain": (-1e12, 1e12),
+    "offset": (-1e12, 1e12),
+    "delay": (-1.0, 10.0),
+    "order": ORDER_LIMITS,
+    "damping_order": ALPHA_LIMITS,
+}
+HeldOut = Annotated[float, Between(0.0, 0.9, remedy="give 0.4, 0 for none, or leave it out")]
+Stiffness = Annotated[
+    float, Between(0.0, 1e9, "N·m/rad", low_open=True, remedy="give c in N·m/rad or leave it out")
+]
+Motion = Annotated[NDArray[np.float64], Array(1, min_size=2)]
+Delay = Annotated[float, Between(*_FIXABLE["delay"], "s")]
+SamplingPeriod = Annotated[float, Between(1e-6, 1e6, "s")]
+
+_LEAST_SAMPLES = 50
+_COLOURED = 0.01  # p-value below which the residual is taken for coloured
+_HELDOUT = 0.4
+_MOVES = 0.05  # of the motor's motion (mean square speed) that a held-out part must contain
+_BLOCKS = 60  # of a log, in which its motion is measured; a vibration's period spans one or two
+
+
+@checked
+def identify(
+    log: Experiment,
+    structure: str = FRACTIONAL,
+    *,
+    heldout: HeldOut | None = None,
+    stiffness: Stiffness | None = None,
+    fixed: Mapping[str, float] | None = None,
+    guess: LinkModel | None = None,
+    hold: Hold = "auto",
+    details: bool = True,
+) -> Fit:
+    """Fit a link structure to a log; gain, offset and gauge delay are fitted along, no guess is needed.
+
+        minimise Σ (output − gain·y(t − delay) − offset)²,    Y = s^λ/(s^λ + μ s^α + ω₀²) Θm
+
+    Parameters
+    ----------
+    log
+        the recorded motion, at rest before its first sample.
+    structure
+        a key of the table of structures.
+    heldout
+        share of the samples at the end that the fit does not see [1]. Without it, the last 40 %, or more
+        where these contain no motion: an arm at rest tests no model.
+    stiffness
+        c where it is known [N·m/rad]: a torque log's gain is fixed to it; a deflection log, which cannot
+        show it, gets it as the model's stiffness.
+    fixed
+        values of "gain", "offset", "delay" [s], "order", "damping_order" that are not to be fitted.
+    guess
+        a start to try beside the scan over all frequencies of the log.
+    hold
+        what the motor angle does between samples: "first" (a measured motion), "zero" (a held command) or
+        "auto" (zero only for angles that jump and rest).
+    details
+        False leaves out intervals, tests, the second mode and the allowance for coloured residuals (ten
+        times faster, for loops over thousands of logs).
+
+    Raises
+    ------
+    LogError
+        a log without motion, or too short.
+    FieldError
+        an option out of its range.
+    NotConvergedError
+        no start has a fit.
+
+    References
+    ----------
+    Benftima et al. (2023), Algorithm 1 and section 3.3.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from fraclink._arm.experiment import Experiment
+    >>> time = 0.004 * np.arange(3000)
+    >>> angle = np.clip((time - 0.5) / 0.3, 0, 1)
+    >>> swing = LinkModel(1.56, 10.02, order=1.92)
+    >>> log = Experiment(period=0.004, motor_angle=angle, output=simulated_torque(swing, angle, 0.004))
+    >>> fit = identify(log)
+    >>> round(fit.model.order, 6), round(fit.model.natural_frequency, 5), round(fit.gain, 6)
+    (1.92, 10.02, 1.56)
+    """
+    structure_row(structure)
+    search = make_search(log, heldout=heldout, stiffness=stiffness, fixed=fixed, guess=guess, hold=hold)
+    return fit_from(search, structure, log, stiffness=stiffness, details=details)
+
+
+@checked
+def simulated_torque(
+    model: LinkModel,
+    motor_angle: Motion,
+    period: SamplingPeriod,
+    *,
+    delay: Delay = 0.0,
+    hold: Hold = "auto",
+) -> NDArray[np.float64]:
+    """Return the torque [N·m] of a link whose motor angle [rad] is linear or held between its samples.
+
+    The link is at rest at first. It is what `identify` compares a log with; `fraclink.time_response` is
+    the independent way.
+    """
+    window = Window(motor_angle, np.zeros_like(motor_angle), period, chosen_hold(motor_angle, hold))
+    kernel = window.kernel(abs(model.pole), longest_delay=abs(delay))
+    return np.asarray(model.stiffness * columns_of(kernel, shape_of(model, delay))[0])
+
+
+def make_search(
+    log: Experiment,
+    *,
+    heldout: float | None,
+    stiffness: float | None,
+    fixed: Mapping[str, float] | None,
+    guess: LinkModel | None,
+    hold: Hold,
+) -> Search:
+    """Check what is fixed and cut the fitted part off the log."""
+    values = {
+        checked_choice("fixed", name, _FIXABLE): checked_between(
+            f"fixed[{name!r}]", value, *_FIXABLE[name], remedy="give another value"
+        )
+        for name, value in (fixed or {}).items()
+    }
+    if stiffness is not None and log.output_kind == "torque":
+        values.setdefault("gain", stiffness)
+    count = fitted_samples(log) if heldout is None else log.output.size - round(heldout * log.output.size)
+    _check_motion(log, count)
+    window = Window(
+        log.motor_angle[:count], log.output[:count], log.period, chosen_hold(log.motor_angle, hold)
+    )
+    start = None
+    if guess is not None:
+        start = shape_of(guess, values.get("delay", 0.0))
+        start[0] = np.clip(start[0], *ORDER_LIMITS)
+    return Search(window, values, start)
+
+
+def _check_motion(log: Experiment, count: int) -> None:
+    if count < _LEAST_SAMPLES:
+        least, remedy = f">= {_LEAST_SAMPLES}", "record a longer log"
+        raise LogError("output", count, "too few samples to fit", allowed=least, remedy=remedy)
+    for name, values in (("motor_angle", log.motor_angle), ("output", log.output)):
+        if np.ptp(values[:count]) == 0:
+            problem = "constant over the fitted part"
+            remedy = "check the wiring, or fit a part in which the arm moves"
+            raise LogError(name, float(values[0]), problem, allowed="a motion", remedy=remedy)
+
+
+# --- the held-out part ------------------------------------------------------------------------------------
+
+
+def _activity(signal: Vector) -> Vector:
+    """Share of the signal's energy after each of the blocks' borders, shape (_BLOCKS + 1,).
+
+    Twice the level of the quietest blocks is taken for noise and left out: without that, half an hour of
+    a noisy gauge at rest would outweigh a move of a second.
+    """
+    blocks = np.array([np.mean(part**2) for part in np.array_split(signal, _BLOCKS)])
+    energy = np.maximum(blocks - 2 * np.quantile(blocks, 0.05), 0.0)
+    energy = energy if energy.sum() > 0 else np.ones(_BLOCKS)  # the same everywhere: a periodic motion
+    return np.concatenate([np.cumsum(energy[::-1])[::-1], [0.0]]) / energy.sum()
+
+
+def motion_after(log: Experiment, count: int) -> tuple[float, float]:
+    """Shares of the motor's motion and of the output's vibration that lie after sample `count`."""
+    places = np.linspace(0, log.output.size, _BLOCKS + 1)
+    swing = log.output - np.median(log.output)
+    motor, output = (float(np.interp(count, places, _activity(x))) for x in (np.diff(log.motor_angle), swing))
+    return motor, output
+
+
+def fitted_samples(log: Experiment) -> int:
+    """Number of samples to fit, so that those held out contain motion.
+
+    The last 40 % are held out where they contain a twentieth of the motor's motion. Otherwise the border
+    moves to rest before the last moves that make a quarter of it; a log of one move is cut within its
+    ring-down, where a tenth of the vibration is still to come.
+    """
+    total = log.output.size
+    count = total - round(_HELDOUT * total)
+    if total < 2 * _BLOCKS or motion_after(log, count)[0] >= _MOVES:
+        return count
+    places = np.linspace(0, total, _BLOCKS + 1).astype(int)
+    motor = _activity(np.diff(log.motor_angle))
+    for border in range(_BLOCKS - 1, 0, -1):
+        quiet = motor[border - 1] - motor[border] < 0.01 and places[border] >= _LEAST_SAMPLES
+        if quiet and places[border] <= count and 0.25 <= motor[border] <= 0.75:
+            return int(places[border])
+    swing = _activity(log.output - np.median(log.output))
+    ringing = [int(k) for k, left in zip(places, swing, strict=True) if left >= 0.1 and k <= count]
+    return max([k for k in ringing if k >= _LEAST_SAMPLES], default=count)
+
+
+# --- the fit and how sure it is ----------------------------------------------------------------------------
+
+
+def fit_from(search: Search, name: str, log: Experiment, *, stiffness: float | None, details: bool) -> Fit:
+    """The fit of one structure from a search, judged on the whole log."""
+    solution = search.solve(name)
+    window = search.window
+    whole = Window(log.motor_angle, log.output, log.period, window.hold)
+    kernel = whole.kernel(search.lowest, longest_delay=search.longest_delay)
+    predicted = solution.gain * columns_of(kernel, solution.shape)[0] + solution.offset
+    residual = log.output - predicted
+    errors = uncertainty(search, solution, coloured=details)
+    tests, allow, intervals = None, False, {}
+    if details:
+        tests = _tests(search, residual[: window.samples], errors)
+        allow = tests.whiteness < _COLOURED and errors.coloured is not None
+        intervals = _intervals(search, solution, errors, allow)
+    variances = _variances(errors, allow)
+    fit = Fit(
+        structure=name,
+        model=model_of(solution.shape, 1.0, log.payload),
+        gain=float(solution.gain),
+        offset=float(solution.offset),
+        delay=float(solution.shape[4]),
+        hold=window.hold,
+        output_kind=log.output_kind,
+        period=float(log.period),
+        **_figures(log, residual, window.samples, solution),
+        standard_errors=dict(zip(errors.names, np.sqrt(np.maximum(variances, 0)).tolist(), strict=True)),
+        white_standard_errors=dict(
+            zip(errors.names, np.sqrt(np.maximum(np.diag(errors.white), 0)).tolist(), strict=True)
+        ),
+        errors_allow_colour=bool(allow),
+        intervals=intervals,
+        at_bound=_bounds(solution),
+        effective_parameters=errors.effective,
+        tests=tests,
+        converged=solution.status == 0,
+        evaluations=solution.evaluations,
+        predicted=predicted,
+        residual=residual,
+        source=log.source,
+        sha256=log.sha256,
+    )
+    fit = dataclasses.replace(fit, model=_identified(fit, search, solution, stiffness, details))
+    findings = findings_of(fit, solution, errors, stiffness, motion_after(log, window.samples))
+    return dataclasses.replace(fit, findings=findings)
+
+
+def _figures(log: Experiment, residual: Vector, count: int, solution: Solution) -> dict[str, Any]:
+    """Errors and criteria over the fitted part and over the one held out."""
+    parameters = len(structure_row(solution.structure).free)
+    squares, powers = residual**2, (log.output - solution.offset) ** 2
+    mse, held, held_power = float(np.mean(squares[:count])), None, 0.0
+    if count < residual.size:
+        held, held_power = float(np.mean(squares[count:])), float(np.mean(powers[count:]))
+    return {
+        "fitted_samples": count,
+        "mse": mse,
+        "nmse": mse / float(np.mean(powers[:count])),
+        "aic": aic(mse, count, parameters),
+        "bic": bic(mse, count, parameters),
+        "heldout_mse": held,
+        "heldout_nmse": held / held_power if held is not None and held_power > 0 else None,
+    }
+
+
+def _identified(
+    fit: Fit, search: Search, solution: Solution, stiffness: float | None, details: bool
+) -> LinkModel:
+    """The link with all that the log showed of it, so that nobody behind has to be told again.
+
+    A torque log shows gauge gain times stiffness and nothing that tells them apart: the product is the
+    stiffness that the controller meets. A deflection log shows the gauge gain itself. A reversed sign is a
+    wiring fault to be stated in the rig file (W307), not a property of the gauge.
+    """
+    size = max(abs(fit.gain), 1e-12)
+    torque = fit.output_kind == "torque"
+    reach = 1.96 * fit.standard_errors.get("gain", math.nan)
+    rows = [(name, end.low, end.high) for name, end in fit.intervals.items() if name != "delay"]
+    if "delay" in fit.intervals:
+        rows.append(("gauge_delay", fit.intervals["delay"].low, fit.intervals["delay"].high))
+    if details and math.isfinite(reach):
+        rows.append(("stiffness" if torque else "gauge_gain", size - reach, size + reach))
+    mode, unseen = find_second_mode(search, solution) if details else (None, None)
+    return dataclasses.replace(
+        fit.model,
+        stiffness=size if torque else (stiffness or 1.0),
+        gauge_delay=fit.delay,
+        gauge_gain=1.0 if torque else size,
+        second_mode=mode,
+        unseen_up_to=unseen,
+        intervals=tuple(rows),
+    )
+
+
+def _variances(errors: Uncertainty, allow: bool) -> NDArray[np.float64]:
+    white = np.diag(errors.white)
+    # Colour may also narrow an estimate, but the sandwich is too noisy to be believed there.
+    return np.maximum(np.diag(errors.coloured), white) if allow and errors.coloured is not None else white
+
+
+def _tests(search: Search, residual: Vector, errors: Uncertainty) -> ResidualTests:
+    ratio = 1.0
+    if errors.coloured is not None and errors.names:
+        pairs = zip(np.diag(errors.coloured).tolist(), np.diag(errors.white).tolist(), strict=True)
+        ratio = min(max((c / w for c, w in pairs if w > 0), default=1.0), 1e12)
+    motion = search.window.increments()
+    return residual_tests(residual, motion, search.window.period, errors.lag, ratio)
+
+
+def _intervals(search: Search, solution: Solution, errors: Uncertainty, allow: bool) -> dict[str, Interval]:
+    variances, white = _variances(errors, allow), np.diag(errors.white)
+    result = {}
+    for i, name in enumerate(errors.names):
+        if name in ("gain", "offset"):
+            continue
+        inflation = min(float(variances[i]) / float(white[i]), 1e12) if white[i] > 0 else 1.0
+        error = math.sqrt(max(white[i], 0.0) * inflation)
+        result[name] = profile_interval(search, solution, name, error, inflation)
+    if 3 in solution.free and "damping_order" not in result:  # at a limit: one-sided, but never left out
+        result["damping_order"] = profile_interval(search, solution, "damping_order", 0.2, 1.0)
+    if solution.on_edge:
+        # ω₀ = 0 is where the interval begins; its width is set by how fast α may leave the edge.
+        reach = 0.05 * math.exp(solution.shape[1])
+        result["natural_frequency"] = profile_interval(search, solution, "natural_frequency", reach, 1.0)
+    return result
+
+
+def _bounds(solution: Solution) -> tuple[str, ...]:
+    names = ("order", "natural_frequency", "damping", "damping_order", "delay")
+    found = [names[i] for i in solution.at_bound]
+    edge = ["natural_frequency"] if solution.on_edge and "natural_frequency" not in found else []
+    return (*found, *edge)
