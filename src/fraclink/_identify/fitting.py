@@ -196,7 +196,7 @@ def _activity(signal: Vector) -> Vector:
     blocks = np.array([np.mean(part**2) for part in np.array_split(signal, _BLOCKS)])
     energy = np.maximum(blocks - 2 * np.quantile(blocks, 0.05), 0.0)
     energy = energy if energy.sum() > 0 else np.ones(_BLOCKS)  # the same everywhere: a periodic motion
-    return np.concatenate([np.cumsum(energy[::-1])[::-1], [0.0]]) / energy.sum()
+    return np.asarray(np.concatenate([np.cumsum(energy[::-1])[::-1], [0.0]]) / energy.sum())
 
 
 def motion_after(log: Experiment, count: int) -> tuple[float, float]:

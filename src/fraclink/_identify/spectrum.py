@@ -14,7 +14,8 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._identify.modal import ModalProblem, SpectrumFit
+from fraclink._identify.modal import ModalProblem as ModalProblem
+from fraclink._identify.modal import SpectrumFit as SpectrumFit
 from fraclink._validate import Array, Between, Fraction, LinkOrder, checked
 from fraclink.errors import FieldError, LogError
 
