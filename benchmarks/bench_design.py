@@ -206,7 +206,7 @@ def certificates() -> None:
         with tempfile.TemporaryDirectory() as folder:
             place = Path(folder) / "certificate.json"
             found[0].save(place)
-            timed(f"certificate, {name}: check", partial(checker.check, str(place)), 3, 5.0)
+            timed(f"certificate, {name}: check", partial(checker.check, str(place), law.digest), 3, 5.0)
         figure(f"certificate, {name}: leaves", str(found[0].leaves), "proved", found[0].passed)
         exact = replace(found[0].statement, delay_low=0.004)
         enclosed = enclose_phase_margin(exact, law)

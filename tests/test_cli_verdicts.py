@@ -37,7 +37,7 @@ def fraclink(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: py
 def test_the_default_design_is_certified(fraclink: Command) -> None:
     code, out, err = fraclink("certify design.json --out certificate.json")
     assert code == 0
-    assert "every payload from 20 to 40 g and every delay from 0 to 4 ms" in out
+    assert "every payload from 0.02 to 0.04 kg and every computation delay from 0.0 to 0.004 s" in out
     assert err == "written: certificate.json\n"
     assert Certificate.load("certificate.json").passed
 

@@ -13,6 +13,7 @@ import numpy as np
 
 import fraclink as fl
 from fraclink._campaign import load_campaign, load_sweep, read_part
+from fraclink._certify import Certificate
 from fraclink._export import Proof
 from fraclink._identify import load_model
 from fraclink._realtime.arm import ServedArm
@@ -81,8 +82,9 @@ def designs() -> Found:
 def study() -> Found:
     """A whole folder of results."""
     got = load_study(FOLDER / "study")
+    old = Certificate.load(FOLDER / "study" / "certificate.json")
     assert got.experiment is not None and got.comparison is not None
-    assert got.certificate is not None and got.faults is not None and got.fit is not None
+    assert got.faults is not None and got.fit is not None
     return {
         "log": _named(got.experiment, "period", "payload", "source", "notes", "output_kind")
         | _sums(got.experiment, "motor_angle", "output"),
@@ -96,8 +98,9 @@ def study() -> Found:
         "chosen": got.fit.structure,
         "preferred": got.comparison.preferred,
         "findings": [[finding.code, finding.severity] for finding in got.findings],
-        "certificate": _named(got.certificate, "passed", "leaves", "sha256")
-        | _named(got.certificate.statement, "modulus", "payload_low", "payload_high", "delay_high", "digest"),
+        "certificate": _named(old, "passed", "leaves", "verdict")
+        | _named(old.statement, "modulus", "payload_low", "payload_high", "delay_high", "digest"),
+        "uncertified": got.uncertified,
         "runs": [_run(run) for run in got.runs],
         "assumptions": got.assumptions,
         "faults": {

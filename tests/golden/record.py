@@ -333,7 +333,7 @@ def certificate_figures(found: Certificate) -> Plain:
             "holds": found.passed,
             "modulus": s.modulus,
             "ranges": ranges,
-            "inner": s.inner,
+            "inner": s.motor_loop,
             "precision": s.precision,
             "numbers": [s.order, s.damping, s.damping_order, s.softness, s.pole, s.gain, s.decay, s.lowest],
             "leaves": found.leaves,

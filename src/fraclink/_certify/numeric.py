@@ -26,10 +26,15 @@ def loop_values(
     s, period = 1j * w, law.period
     soft = statement.softness * m
     drag = soft * statement.damping * s**statement.damping_order
-    link = (1.0 + drag) / (1.0 + soft * s**statement.order + drag)
+    tip = (1.0 + drag) / (1.0 + soft * s**statement.order + drag)
+    mode = np.zeros_like(s)
+    if statement.mode_frequency:
+        ratio = s / statement.mode_frequency
+        mode = statement.mode_gain * ratio**2 / (ratio**2 + 2 * statement.mode_damping * ratio + 1)
+    link = 1.0 - statement.gauge * np.exp(-s * statement.gauge_delay) * (1.0 - tip + mode)
     hold = -np.expm1(-s * period) / (s * period)
     outer = law.frequency_response(w) * hold * link * np.exp(-s * late)
-    if statement.inner == "ideal":
+    if statement.motor_loop == "ideal":
         return np.asarray(outer / (1.0 + s / statement.pole) ** 2)
     return np.asarray(
         outer * _voltage(statement, law, w, late) * statement.gain / (s * (s + statement.decay))

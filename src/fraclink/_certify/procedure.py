@@ -5,17 +5,19 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+from scipy.optimize import brentq
+
 from fraclink._arm.controller import Controller
 from fraclink._arm.link import LinkModel
 from fraclink._arm.rig import Rig
 from fraclink._certify.balls import Loop, load_flint
-from fraclink._certify.certificate import Certificate
 from fraclink._certify.numeric import windings, worst_distance
 from fraclink._certify.search import Failure, prove
-from fraclink._certify.statement import Statement, state
+from fraclink._certify.statement import Certificate, Statement, state
 from fraclink._design import Design
 from fraclink._design.request import link_at
 from fraclink._law import Law, discretize_controller
+from fraclink._law.limits import JUMP
 from fraclink._validate import checked_between, checked_choice, checked_noun
 from fraclink.errors import FieldError
 
@@ -144,19 +146,42 @@ def _statement(
     first, last = _ends("delay", (0.0, period) if delay is None else delay)
     first = checked_between("delay[0]", first, 0.0, 8.0 * period, "s")
     last = checked_between("delay[1]", last, first, period if kind == "sampled" else 8.0 * period, "s")
-    nominal = link_at(model, rig, heavy)
+    at_heavy = link_at(model, rig, heavy)
     claim = state(
         chosen,
         model,
         rig,
         payloads=(light, heavy),
-        natural_frequency=nominal.natural_frequency,
-        at_payload=heavy,
+        softness=1.0 / (at_heavy.natural_frequency**2 * heavy),
+        nominal_payload=_nominal_payload(chosen, at_heavy),
         delay=(first, last),
-        inner=kind,
+        motor_loop=kind,
         modulus=0.5,
     )
     return claim, chosen
+
+
+def _nominal_payload(law: Law, link: LinkModel) -> float:
+    """Return the payload [kg] at which `link` has the resonance that the law's limits were derived from.
+
+    It ties the statement's link to the block on the board: a forged link has another resonance.
+    """
+    wanted = -JUMP / law.period * math.log1p(-law.limits.reference_rate)
+
+    def beyond(log_payload: float) -> float:
+        return math.log(abs(link.at_payload(math.exp(log_payload)).pole) / wanted)
+
+    try:
+        payload = math.exp(brentq(beyond, math.log(1e-6), math.log(1e4), xtol=1e-14, rtol=1e-14))
+        return float(f"{payload:.6g}")
+    except ValueError as error:
+        raise FieldError(
+            "law.limits.reference_rate",
+            law.limits.reference_rate,
+            "not that of this link at any payload",
+            allowed="a law that was made for this link",
+            remedy="discretise the controller with this link",
+        ) from error
 
 
 def _ends(field: str, value: object) -> tuple[object, object]:

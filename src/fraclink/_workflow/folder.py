@@ -145,6 +145,8 @@ def _gathered(by_kind: Mapping[str, list[Path]]) -> Study:
     proof, faults = first("certificate"), first("fault-campaign")
     fits = {fit.structure: fit for fit in map(Fit.load, by_kind.get("fit", []))}
     told = read_json(about, _KIND, (_VERSION,)) if about else {}
+    certificate = Certificate.load(proof) if proof else None
+    proved = certificate is not None and certificate.passed
     design = Design.load(design_file) if design_file else None
     runs = sorted((Run.load(path) for path in by_kind.get("run", [])), key=lambda run: run.payload)
     chosen = told.get("structure") or next(iter(fits), None)
@@ -157,8 +159,8 @@ def _gathered(by_kind: Mapping[str, list[Path]]) -> Study:
         design=design,
         law=Law.load(law) if law else None,
         infeasible=told.get("infeasible"),
-        certificate=Certificate.load(proof) if proof else None,
-        uncertified=told.get("uncertified"),
+        certificate=certificate if proved else None,
+        uncertified=told.get("uncertified") if proved or certificate is None else certificate.verdict,
         runs=tuple(runs),
         assumptions=tuple(told.get("assumptions", ())),
         faults=FaultTable.load(faults) if faults else None,
