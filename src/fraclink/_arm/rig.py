@@ -3,273 +3,39 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 from fraclink._arm.experiment import Channel, LogColumns
 from fraclink._arm.link import LinkModel, SecondMode
 from fraclink._arm.motor_loop import LONGEST_DELAY, MotorLoop
-from fraclink._arm.tables import parse_toml, read_table, read_toml, suggestion, table_of, toml_text
+from fraclink._arm.rig_parts import (
+    DesignDefaults,
+    Encoder,
+    Gauge,
+    Link,
+    Motor,
+    Name,
+    Payloads,
+    Sentence,
+    Source,
+    Tolerances,
+    at_least_zero,
+    positive,
+)
 from fraclink._files import document, stored_as, write_text
-from fraclink._validate import Between, Frequency, Length, Payload, Period, Where, checked
+from fraclink._tables import parse_toml, read_table, read_toml, suggestion, table_of, toml_text
+from fraclink._validate import Between, Frequency, Payload, Period, checked
 from fraclink.errors import FieldError, FileFormatError
 from fraclink.findings import Finding
 
 __all__ = ["DesignDefaults", "Encoder", "Gauge", "Link", "Motor", "Payloads", "Rig", "Tolerances"]
 
+T = TypeVar("T")
+
 _FOLDER = Path(__file__).resolve().parents[1] / "rigs"
 _AGREEMENT = 0.02  # two measurements of one stiffness agree to about 2 %; the paper's differ by 30 %
-# Gram and kilogram are 1000 apart, and no arm carries payloads a hundred times beyond its own range.
-_ANOTHER_UNIT = 100.0
-# Products of a handful of values between these stay far from overflow (1e308) and underflow.
-_SMALLEST, _LARGEST = 1e-15, 1e15
-
-
-def _positive(unit: str = "") -> Between:
-    return Between(_SMALLEST, _LARGEST, unit)
-
-
-def _at_least_zero(unit: str = "") -> Between:
-    return Between(0.0, _LARGEST, unit)
-
-
-def _limit(unit: str) -> Between:
-    return Between(_SMALLEST, math.inf, unit, finite=False)
-
-
-def _is_unicode(text: str) -> bool:
-    return not any(0xD800 <= ord(character) <= 0xDFFF for character in text)
-
-
-_UNICODE = Where(_is_unicode, "Unicode text", "not valid Unicode (a lone surrogate)", "remove that character")
-Name = Annotated[str, Length(1, 100), _UNICODE]
-Source = Annotated[str, Length(0, 500), _UNICODE]
-Sentence = Annotated[str, Length(1, 500), _UNICODE]
-
-
-@checked(prefix="motor.")
-@dataclass(frozen=True)
-class Motor:
-    """The motor with its servo-amplifier and gear, eq. (1) of the source paper.
-
-    With everything but `gear_ratio` n referred to the motor's side of the gear,
-
-        J n θm'' + ν n θm' = K V − sign(θm') Γc − Γ/n,      θm/V = A/(s(s + B)),  A = K/(nJ),  B = ν/J
-
-    where θm is the angle of the gear's output. With n = 1 this is eq. (1).
-
-    Parameters
-    ----------
-    inertia
-        J [kg·m²], > 0.
-    viscous_friction
-        ν [N·m·s], >= 0.
-    torque_constant
-        K [N·m/V], > 0: motor torque for one volt at the amplifier's input.
-    gear_ratio
-        n, motor turns for one turn of the output, > 0; 1 where J, ν, K are already at the output.
-    coulomb_torque
-        Γc [N·m], >= 0, at the motor.
-    voltage_limit
-        |V| that the amplifier accepts [V], > 0; infinity where there is none.
-
-    Raises
-    ------
-    FieldError
-        a value out of its range.
-
-    References
-    ----------
-    Benftima, Gharab, Feliu-Batlle (2023), eq. (1), Table 1.
-
-    Examples
-    --------
-    >>> motor = Motor(inertia=6.87e-5, viscous_friction=1.041e-3, torque_constant=0.21)
-    >>> round(motor.gain, 4), round(motor.decay, 6)
-    (3056.7686, 15.152838)
-    """
-
-    inertia: Annotated[float, _positive("kg·m²")]
-    viscous_friction: Annotated[float, _at_least_zero("N·m·s")]
-    torque_constant: Annotated[float, _positive("N·m/V")]
-    gear_ratio: Annotated[float, _positive()] = 1.0
-    coulomb_torque: Annotated[float, _at_least_zero("N·m")] = 0.0
-    voltage_limit: Annotated[float, _limit("V")] = math.inf
-
-    @property
-    def gain(self) -> float:
-        """A = K/(nJ) [rad/(V·s²)] of eq. (1)."""
-        return self.torque_constant / (self.gear_ratio * self.inertia)
-
-    @property
-    def decay(self) -> float:
-        """B = ν/J [1/s] of eq. (1)."""
-        return self.viscous_friction / self.inertia
-
-
-@checked(prefix="link.")
-@dataclass(frozen=True)
-class Link:
-    """The flexible link: length L [m], flexural rigidity EI [N·m²], measured stiffness c [N·m/rad] > 0.
-
-    A stiffness that is left out is c = 3EI/L of a uniform beam, eq. (3). The `mass` [kg] is the link's own:
-    the lumped models neglect it, the twin does not.
-
-    >>> round(Link(length=0.65, flexural_rigidity=0.260).stiffness, 12)
-    1.2
-    """
-
-    length: Annotated[float, _positive("m")]
-    flexural_rigidity: Annotated[float, _positive("N·m²")]
-    # None stands for "not measured" in the call only: the attribute is always a number.
-    stiffness: Annotated[float, _positive("N·m/rad")] = None  # type: ignore[assignment]
-    mass: Annotated[float, _at_least_zero("kg")] = 0.0
-
-    def __post_init__(self) -> None:
-        if self.stiffness is None:
-            object.__setattr__(self, "stiffness", self.beam_stiffness)
-
-    @property
-    def beam_stiffness(self) -> float:
-        """3EI/L [N·m/rad], the stiffness of a uniform beam clamped at the motor."""
-        return 3 * self.flexural_rigidity / self.length
-
-
-@checked(prefix="payloads.")
-@dataclass(frozen=True)
-class Payloads:
-    """The payloads that the arm carries: lightest, heaviest and nominal mass [kg], low <= nominal <= high.
-
-    >>> Payloads(low=0.020, high=0.040, nominal=0.030).nominal
-    0.03
-    """
-
-    low: Annotated[float, _positive("kg")]
-    high: Annotated[float, _positive("kg")]
-    nominal: Annotated[float, _positive("kg")]
-
-    def __post_init__(self) -> None:
-        if self.low > self.high:
-            problem, allowed = f"above payloads.high = {self.high:g} kg", "low <= nominal <= high [kg]"
-            raise FieldError("payloads.low", self.low, problem, allowed=allowed, remedy="exchange the two")
-        if not self.low <= self.nominal <= self.high:
-            raise FieldError(
-                "payloads.nominal",
-                self.nominal,
-                "outside the payload range",
-                allowed=f"{self.low:g} … {self.high:g} kg",
-                remedy="choose a nominal payload between low and high",
-            )
-
-    def doubt(self, payload: float) -> Finding | None:
-        """Return finding W105 where a payload [kg] is so far off the range that its unit must be wrong.
-
-        >>> finding = Payloads(low=0.020, high=0.040, nominal=0.030).doubt(30)
-        >>> finding.message
-        'a payload of 30 kg is 750 times the heaviest that the rig states'
-        """
-        if self.low / _ANOTHER_UNIT <= payload <= self.high * _ANOTHER_UNIT:
-            return None
-        nearest, word = (self.high, "heaviest") if payload > self.high else (self.low, "lightest")
-        return Finding(
-            "W105",
-            "warning",
-            f"a payload of {payload:.4g} kg is {payload / nearest:.3g} times the {word} that the rig states",
-            {"payload": payload, "low": self.low, "high": self.high},
-            "payloads are stated in kg: 30 g is 0.030",
-        )
-
-
-@checked(prefix="encoder.")
-@dataclass(frozen=True)
-class Encoder:
-    """The encoder of the gear's output: counts for one turn, or None where it is taken as exact.
-
-    >>> round(Encoder(counts_per_revolution=4096).resolution, 6)
-    0.001534
-    """
-
-    counts_per_revolution: Annotated[int | None, Between(1, 10**15)] = None
-
-    @property
-    def resolution(self) -> float:
-        """Angle of one count [rad]; 0 where the encoder is taken as exact."""
-        return 0.0 if self.counts_per_revolution is None else 2 * math.pi / self.counts_per_revolution
-
-
-@checked(prefix="gauge.")
-@dataclass(frozen=True)
-class Gauge:
-    """The strain gauges at the base of the link, calibrated as coupling torque.
-
-    Parameters
-    ----------
-    noise
-        standard deviation of the noise of one sample [N·m], >= 0.
-    offset
-        constant added to every reading [N·m].
-    limit
-        largest |torque| that the amplifier shows [N·m], > 0; infinity where there is none.
-    quantum
-        step of the converter [N·m], >= 0; 0 where it is taken as exact.
-    delay_in_loop
-        whether a delay that is identified between motor angle and torque is in the control loop; False where
-        the logger alone is late, not the signal that the controller reads.
-
-    Examples
-    --------
-    >>> Gauge(noise=0.01).limit
-    inf
-    """
-
-    noise: Annotated[float, _at_least_zero("N·m")] = 0.0
-    offset: Annotated[float, Between(-_LARGEST, _LARGEST, "N·m")] = 0.0
-    limit: Annotated[float, _limit("N·m")] = math.inf
-    quantum: Annotated[float, _at_least_zero("N·m")] = 0.0
-    delay_in_loop: bool = True
-
-
-@checked(prefix="design.")
-@dataclass(frozen=True)
-class DesignDefaults:
-    """What a design for this rig reaches where the call does not say: the `[design]` table.
-
-    `gain_crossover` [rad/s] and `phase_margin_deg` [°] are the least over the payload range; `filter_time`
-    δ [s] is 0 for no filter and None for the 10 % rule.
-
-    >>> round(DesignDefaults(gain_crossover=12.0, phase_margin_deg=50.0).phase_margin, 6)
-    0.872665
-    """
-
-    gain_crossover: Frequency
-    phase_margin_deg: Annotated[float, Between(0.0, 179.0, "°", low_open=True)]
-    filter_time: Annotated[float | None, _at_least_zero("s")] = None
-
-    @property
-    def phase_margin(self) -> float:
-        """Least phase margin [rad]."""
-        return math.radians(self.phase_margin_deg)
-
-
-@checked(prefix="tolerances.")
-@dataclass(frozen=True)
-class Tolerances:
-    """How far the arm may differ from its model: what a proof covers, at least, beyond what a fit is sure of.
-
-    natural_frequency, gauge_gain and motor_pole are relative [1]; order λ is absolute [1]; gauge_delay is the
-    largest delay beyond the identified one [s]. The defaults are a careful laboratory's: 3 % of ω₀², a strain
-    gauge calibrated to 5 %, half a period of an undeclared delay at 4 ms.
-
-    >>> Tolerances().order
-    0.03
-    """
-
-    natural_frequency: Annotated[float, Between(0.0, 0.5)] = 0.015
-    order: Annotated[float, Between(0.0, 0.5)] = 0.03
-    gauge_gain: Annotated[float, Between(0.0, 0.9)] = 0.05
-    gauge_delay: Annotated[float, Between(0.0, 1.0, "s")] = 0.002
-    motor_pole: Annotated[float, Between(0.0, 0.9)] = 0.10
 
 
 @checked
@@ -468,6 +234,12 @@ def _contradiction(code: str, first: str, value: float, second: str, other: floa
 # --- the file: one class a table, where it differs from the object that it becomes -----------------------
 
 
+def _like(kind: type[T], other: Any, **changes: Any) -> T:
+    """Return a `kind` with the fields that it shares with `other`, but for `changes`."""
+    shared = {item.name for item in fields(kind)} & {item.name for item in fields(other)}  # type: ignore[arg-type]
+    return kind(**({name: getattr(other, name) for name in shared} | changes))
+
+
 @checked(prefix="motor_loop.")
 @dataclass(frozen=True)
 class _MotorLoopTable:
@@ -489,52 +261,41 @@ class _ModelTable:
     """What it leaves out follows from the link and the nominal payload."""
 
     order: Annotated[float, Between(1.0, 2.0, low_open=True)]
-    stiffness: Annotated[float | None, _positive("N·m/rad")] = None
-    natural_frequency: Annotated[float | None, _positive("s^(-order/2)")] = None
-    damping: Annotated[float, _at_least_zero()] = 0.0
+    stiffness: Annotated[float | None, positive("N·m/rad")] = None
+    natural_frequency: Annotated[float | None, positive("s^(-order/2)")] = None
+    damping: Annotated[float, at_least_zero()] = 0.0
     damping_order: Annotated[float, Between(0.0, 2.0)] = 1.0
-    payload: Annotated[float | None, _positive("kg")] = None
+    payload: Annotated[float | None, positive("kg")] = None
     gauge_delay: Annotated[float | None, Between(-10.0, 10.0, "s")] = None
     gauge_gain: Annotated[float | None, Between(-1e6, 1e6)] = None
     second_mode: _SecondModeTable | None = None
-    unseen_up_to: Annotated[float | None, _positive("rad/s")] = None
+    unseen_up_to: Annotated[float | None, positive("rad/s")] = None
     intervals: dict[str, tuple[float, float]] | None = None
 
     def build(self, link: Link, payloads: Payloads) -> LinkModel:
         """Return the link model, with eq. (5) where the file states no natural frequency."""
         stiffness, payload = self.stiffness or link.stiffness, self.payload or payloads.nominal
-        mode = self.second_mode
-        second = None if mode is None else SecondMode(mode.frequency, mode.gain, mode.damping_ratio)
-        return LinkModel(
+        return _like(
+            LinkModel,
+            self,
             stiffness=stiffness,
             natural_frequency=self.natural_frequency or _lumped_frequency(stiffness, payload, link.length),
-            order=self.order,
-            damping=self.damping,
-            damping_order=self.damping_order,
             payload=payload,
             gauge_delay=self.gauge_delay or 0.0,
             gauge_gain=1.0 if self.gauge_gain is None else self.gauge_gain,
-            second_mode=second,
-            unseen_up_to=self.unseen_up_to,
+            second_mode=self.second_mode and _like(SecondMode, self.second_mode),
             intervals=tuple((name, *pair) for name, pair in (self.intervals or {}).items()),
         )
 
     @staticmethod
     def of(model: LinkModel) -> _ModelTable:
         """Return the table of a link model; an ideal gauge is left out."""
-        mode = model.second_mode
-        second = None if mode is None else _SecondModeTable(mode.frequency, mode.gain, mode.damping_ratio)
-        return _ModelTable(
-            order=model.order,
-            stiffness=model.stiffness,
-            natural_frequency=model.natural_frequency,
-            damping=model.damping,
-            damping_order=model.damping_order,
-            payload=model.payload,
+        return _like(
+            _ModelTable,
+            model,
             gauge_delay=model.gauge_delay or None,
             gauge_gain=None if model.gauge_gain == 1.0 else model.gauge_gain,
-            second_mode=second,
-            unseen_up_to=model.unseen_up_to,
+            second_mode=model.second_mode and _like(_SecondModeTable, model.second_mode),
             intervals={name: (low, high) for name, low, high in model.intervals} or None,
         )
 
@@ -600,41 +361,28 @@ class _RigFile:
 
     def build(self) -> Rig:
         """Return the rig that the file describes."""
-        return Rig(
-            name=self.name,
-            motor=self.motor,
-            link=self.link,
-            payloads=self.payloads,
-            period=self.period_ms / 1000 if self.period is None else self.period,  # type: ignore[operator]
-            encoder=self.encoder,
-            gauge=self.gauge,
-            motor_loop=MotorLoop(self.motor_loop.pole, self.motor_loop.delay_samples),
-            model=None if self.model is None else self.model.build(self.link, self.payloads),
-            log=None if self.log is None else self.log.build(),
-            design=self.design,
-            assumptions=self.assumptions,
+        return _like(
+            Rig,
+            self,
             source=self.source or "",
+            period=self.period_ms / 1000 if self.period is None else self.period,  # type: ignore[operator]
+            motor_loop=_like(MotorLoop, self.motor_loop),
+            model=self.model and self.model.build(self.link, self.payloads),
+            log=self.log and self.log.build(),
             tolerances=self.tolerances or Tolerances(),
         )
 
     @staticmethod
     def of(rig: Rig) -> _RigFile:
         """Return the file that describes `rig`."""
-        return _RigFile(
-            name=rig.name,
-            motor=rig.motor,
-            link=rig.link,
-            payloads=rig.payloads,
+        return _like(
+            _RigFile,
+            rig,
             source=rig.source or None,
-            period=rig.period,
-            assumptions=rig.assumptions,
-            encoder=rig.encoder,
-            gauge=rig.gauge,
-            motor_loop=_MotorLoopTable(rig.motor_loop.pole, rig.motor_loop.delay_samples),
-            model=None if rig.model is None else _ModelTable.of(rig.model),
-            design=rig.design,
+            motor_loop=_like(_MotorLoopTable, rig.motor_loop),
+            model=rig.model and _ModelTable.of(rig.model),
             tolerances=None if rig.tolerances == Tolerances() else rig.tolerances,
-            log=None if rig.log is None else _LogTable(**rig.log.channels()),
+            log=rig.log and _LogTable(**rig.log.channels()),
         )
 
 

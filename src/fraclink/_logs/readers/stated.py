@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._arm.experiment import QUANTITY_OF, UNITS, Channel, LogColumns
-from fraclink._arm.tables import toml_value
 from fraclink._logs.readers.table import Table
+from fraclink._tables import toml_value
 from fraclink.errors import LogError
 
 __all__ = ["clock_step", "columns_of_names", "suggested_columns", "suggested_mapping"]

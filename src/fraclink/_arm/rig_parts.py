@@ -1,0 +1,266 @@
+"""The parts of a rig: motor, link, payloads, sensors, and how far they may differ from what is stated."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Annotated
+
+from fraclink._validate import Between, Frequency, Length, Where, checked
+from fraclink.errors import FieldError
+from fraclink.findings import Finding
+
+__all__ = ["DesignDefaults", "Encoder", "Gauge", "Link", "Motor", "Payloads", "Tolerances"]
+
+# Gram and kilogram are 1000 apart, and no arm carries payloads a hundred times beyond its own range.
+_ANOTHER_UNIT = 100.0
+# Products of a handful of values between these stay far from overflow (1e308) and underflow.
+_SMALLEST, _LARGEST = 1e-15, 1e15
+
+
+def positive(unit: str = "") -> Between:
+    """Return the range of a quantity that divides or is divided by others."""
+    return Between(_SMALLEST, _LARGEST, unit)
+
+
+def at_least_zero(unit: str = "") -> Between:
+    """Return the range of a quantity that may be absent."""
+    return Between(0.0, _LARGEST, unit)
+
+
+def _limit(unit: str) -> Between:
+    return Between(_SMALLEST, math.inf, unit, finite=False)
+
+
+def _is_unicode(text: str) -> bool:
+    return not any(0xD800 <= ord(character) <= 0xDFFF for character in text)
+
+
+_UNICODE = Where(_is_unicode, "Unicode text", "not valid Unicode (a lone surrogate)", "remove that character")
+Name = Annotated[str, Length(1, 100), _UNICODE]
+Source = Annotated[str, Length(0, 500), _UNICODE]
+Sentence = Annotated[str, Length(1, 500), _UNICODE]
+
+
+@checked(prefix="motor.")
+@dataclass(frozen=True)
+class Motor:
+    """The motor with its servo-amplifier and gear, eq. (1) of the source paper.
+
+    With everything but `gear_ratio` n referred to the motor's side of the gear,
+
+        J n θm'' + ν n θm' = K V − sign(θm') Γc − Γ/n,      θm/V = A/(s(s + B)),  A = K/(nJ),  B = ν/J
+
+    where θm is the angle of the gear's output. With n = 1 this is eq. (1).
+
+    Parameters
+    ----------
+    inertia
+        J [kg·m²], > 0.
+    viscous_friction
+        ν [N·m·s], >= 0.
+    torque_constant
+        K [N·m/V], > 0: motor torque for one volt at the amplifier's input.
+    gear_ratio
+        n, motor turns for one turn of the output, > 0; 1 where J, ν, K are already at the output.
+    coulomb_torque
+        Γc [N·m], >= 0, at the motor.
+    voltage_limit
+        |V| that the amplifier accepts [V], > 0; infinity where there is none.
+
+    Raises
+    ------
+    FieldError
+        a value out of its range.
+
+    References
+    ----------
+    Benftima, Gharab, Feliu-Batlle (2023), eq. (1), Table 1.
+
+    Examples
+    --------
+    >>> motor = Motor(inertia=6.87e-5, viscous_friction=1.041e-3, torque_constant=0.21)
+    >>> round(motor.gain, 4), round(motor.decay, 6)
+    (3056.7686, 15.152838)
+    """
+
+    inertia: Annotated[float, positive("kg·m²")]
+    viscous_friction: Annotated[float, at_least_zero("N·m·s")]
+    torque_constant: Annotated[float, positive("N·m/V")]
+    gear_ratio: Annotated[float, positive()] = 1.0
+    coulomb_torque: Annotated[float, at_least_zero("N·m")] = 0.0
+    voltage_limit: Annotated[float, _limit("V")] = math.inf
+
+    @property
+    def gain(self) -> float:
+        """A = K/(nJ) [rad/(V·s²)] of eq. (1)."""
+        return self.torque_constant / (self.gear_ratio * self.inertia)
+
+    @property
+    def decay(self) -> float:
+        """B = ν/J [1/s] of eq. (1)."""
+        return self.viscous_friction / self.inertia
+
+
+@checked(prefix="link.")
+@dataclass(frozen=True)
+class Link:
+    """The flexible link: length L [m], flexural rigidity EI [N·m²], measured stiffness c [N·m/rad] > 0.
+
+    A stiffness that is left out is c = 3EI/L of a uniform beam, eq. (3). The `mass` [kg] is the link's own:
+    the lumped models neglect it, the twin does not.
+
+    >>> round(Link(length=0.65, flexural_rigidity=0.260).stiffness, 12)
+    1.2
+    """
+
+    length: Annotated[float, positive("m")]
+    flexural_rigidity: Annotated[float, positive("N·m²")]
+    # None stands for "not measured" in the call only: the attribute is always a number.
+    stiffness: Annotated[float, positive("N·m/rad")] = None  # type: ignore[assignment]
+    mass: Annotated[float, at_least_zero("kg")] = 0.0
+
+    def __post_init__(self) -> None:
+        if self.stiffness is None:
+            object.__setattr__(self, "stiffness", self.beam_stiffness)
+
+    @property
+    def beam_stiffness(self) -> float:
+        """3EI/L [N·m/rad], the stiffness of a uniform beam clamped at the motor."""
+        return 3 * self.flexural_rigidity / self.length
+
+
+@checked(prefix="payloads.")
+@dataclass(frozen=True)
+class Payloads:
+    """The payloads that the arm carries: lightest, heaviest and nominal mass [kg], low <= nominal <= high.
+
+    >>> Payloads(low=0.020, high=0.040, nominal=0.030).nominal
+    0.03
+    """
+
+    low: Annotated[float, positive("kg")]
+    high: Annotated[float, positive("kg")]
+    nominal: Annotated[float, positive("kg")]
+
+    def __post_init__(self) -> None:
+        if self.low > self.high:
+            problem, allowed = f"above payloads.high = {self.high:g} kg", "low <= nominal <= high [kg]"
+            raise FieldError("payloads.low", self.low, problem, allowed=allowed, remedy="exchange the two")
+        if not self.low <= self.nominal <= self.high:
+            raise FieldError(
+                "payloads.nominal",
+                self.nominal,
+                "outside the payload range",
+                allowed=f"{self.low:g} … {self.high:g} kg",
+                remedy="choose a nominal payload between low and high",
+            )
+
+    def doubt(self, payload: float) -> Finding | None:
+        """Return finding W105 where a payload [kg] is so far off the range that its unit must be wrong.
+
+        >>> finding = Payloads(low=0.020, high=0.040, nominal=0.030).doubt(30)
+        >>> finding.message
+        'a payload of 30 kg is 750 times the heaviest that the rig states'
+        """
+        if self.low / _ANOTHER_UNIT <= payload <= self.high * _ANOTHER_UNIT:
+            return None
+        nearest, word = (self.high, "heaviest") if payload > self.high else (self.low, "lightest")
+        return Finding(
+            "W105",
+            "warning",
+            f"a payload of {payload:.4g} kg is {payload / nearest:.3g} times the {word} that the rig states",
+            {"payload": payload, "low": self.low, "high": self.high},
+            "payloads are stated in kg: 30 g is 0.030",
+        )
+
+
+@checked(prefix="encoder.")
+@dataclass(frozen=True)
+class Encoder:
+    """The encoder of the gear's output: counts for one turn, or None where it is taken as exact.
+
+    >>> round(Encoder(counts_per_revolution=4096).resolution, 6)
+    0.001534
+    """
+
+    counts_per_revolution: Annotated[int | None, Between(1, 10**15)] = None
+
+    @property
+    def resolution(self) -> float:
+        """Angle of one count [rad]; 0 where the encoder is taken as exact."""
+        return 0.0 if self.counts_per_revolution is None else 2 * math.pi / self.counts_per_revolution
+
+
+@checked(prefix="gauge.")
+@dataclass(frozen=True)
+class Gauge:
+    """The strain gauges at the base of the link, calibrated as coupling torque.
+
+    Parameters
+    ----------
+    noise
+        standard deviation of the noise of one sample [N·m], >= 0.
+    offset
+        constant added to every reading [N·m].
+    limit
+        largest |torque| that the amplifier shows [N·m], > 0; infinity where there is none.
+    quantum
+        step of the converter [N·m], >= 0; 0 where it is taken as exact.
+    delay_in_loop
+        whether a delay that is identified between motor angle and torque is in the control loop; False where
+        the logger alone is late, not the signal that the controller reads.
+
+    Examples
+    --------
+    >>> Gauge(noise=0.01).limit
+    inf
+    """
+
+    noise: Annotated[float, at_least_zero("N·m")] = 0.0
+    offset: Annotated[float, Between(-_LARGEST, _LARGEST, "N·m")] = 0.0
+    limit: Annotated[float, _limit("N·m")] = math.inf
+    quantum: Annotated[float, at_least_zero("N·m")] = 0.0
+    delay_in_loop: bool = True
+
+
+@checked(prefix="design.")
+@dataclass(frozen=True)
+class DesignDefaults:
+    """What a design for this rig reaches where the call does not say: the `[design]` table.
+
+    `gain_crossover` [rad/s] and `phase_margin_deg` [°] are the least over the payload range; `filter_time`
+    δ [s] is 0 for no filter and None for the 10 % rule.
+
+    >>> round(DesignDefaults(gain_crossover=12.0, phase_margin_deg=50.0).phase_margin, 6)
+    0.872665
+    """
+
+    gain_crossover: Frequency
+    phase_margin_deg: Annotated[float, Between(0.0, 179.0, "°", low_open=True)]
+    filter_time: Annotated[float | None, at_least_zero("s")] = None
+
+    @property
+    def phase_margin(self) -> float:
+        """Least phase margin [rad]."""
+        return math.radians(self.phase_margin_deg)
+
+
+@checked(prefix="tolerances.")
+@dataclass(frozen=True)
+class Tolerances:
+    """How far the arm may differ from its model: what a proof covers, at least, beyond what a fit is sure of.
+
+    natural_frequency, gauge_gain and motor_pole are relative [1]; order λ is absolute [1]; gauge_delay is the
+    largest delay beyond the identified one [s]. The defaults are a careful laboratory's: 3 % of ω₀², a strain
+    gauge calibrated to 5 %, half a period of an undeclared delay at 4 ms.
+
+    >>> Tolerances().order
+    0.03
+    """
+
+    natural_frequency: Annotated[float, Between(0.0, 0.5)] = 0.015
+    order: Annotated[float, Between(0.0, 0.5)] = 0.03
+    gauge_gain: Annotated[float, Between(0.0, 0.9)] = 0.05
+    gauge_delay: Annotated[float, Between(0.0, 1.0, "s")] = 0.002
+    motor_pole: Annotated[float, Between(0.0, 0.9)] = 0.10
