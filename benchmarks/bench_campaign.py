@@ -25,9 +25,9 @@ import numpy as np
 
 import fraclink as fl
 from fraclink import _kernels
-from fraclink._campaign import Campaign, conduct, simulate_part
-from fraclink._campaign import part as part_module
-from fraclink._campaign.draws import draw
+from fraclink._campaign import Campaign, run_campaign, simulate_part
+from fraclink._campaign import arms as part_module
+from fraclink._campaign.campaign import draw
 
 ROOT = Path(__file__).resolve().parent.parent
 TICKS = 5000
@@ -114,7 +114,7 @@ def scaling() -> None:
         for workers in (1, 2):
             with tempfile.TemporaryDirectory() as folder:
                 finished: list[float] = []
-                conduct(
+                run_campaign(
                     asked, folder, workers=workers, watch=lambda _, f=finished: f.append(time.monotonic())
                 )
                 # From the first part on: the start of processes is a constant of 2 s, whatever the campaign.
@@ -169,7 +169,7 @@ def implied() -> None:
 
 MEMORY = """
 import resource, sys
-from fraclink._campaign.conduct import compute
+from fraclink._campaign.run import compute
 for part in range(int(sys.argv[2])):
     compute(sys.argv[1], part)
 print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)

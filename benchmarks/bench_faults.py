@@ -19,7 +19,7 @@ from fraclink._campaign.faults import CATALOGUE, Bench, Case, FaultTable, cases,
 from fraclink._campaign.faults.inject import TICK_MISSED, add_fault
 from fraclink._campaign.faults.trial import MOVE, Trial, execute
 from fraclink._law import Modes, Moves, equip
-from fraclink._simulate.twin import geared
+from fraclink._simulate import geared
 
 
 def line(what: str, value: str, wanted: str, error: str = "") -> None:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 import fraclink as fl
 from fraclink._export import export_fmu
 from fraclink._law import Law, discretize_controller
-from fraclink._simulate.twin import SensorFault, Twin, TwinRun, geared, run_twin
+from fraclink._simulate import Run, SensorFault, Twin, geared
 
 INPUTS = ("reference", "reference_acceleration", "motor_angle", "torque")
 
@@ -31,7 +31,7 @@ def line(what: str, value: str, wanted: str, error: str = "") -> None:
     print(f"{what} | {value} | {wanted} | {error}", flush=True)
 
 
-def recorded(law: Law, twin: Twin, periods: int) -> tuple[TwinRun, NDArray[np.void]]:
+def recorded(law: Law, twin: Twin, periods: int) -> tuple[Run, NDArray[np.void]]:
     """Return a run of the twin and the inputs of its law as FMPy takes them."""
     end = periods * law.period
     moves = fl.smooth_step(1.0, duration=0.5, start=0.5)
@@ -41,7 +41,7 @@ def recorded(law: Law, twin: Twin, periods: int) -> tuple[TwinRun, NDArray[np.vo
     # 9 N·m is not credible: the law rides through short losses, the last one degrades it
     losses = [(k * end / 10, 3 * law.period) for k in range(1, 9)] + [(0.9 * end, end)]
     events = [SensorFault(begin, begin + lasting, "gauge value", 9.0) for begin, lasting in losses]
-    run = run_twin(twin, law, moves, duration=end, events=events)
+    run = fl.simulate(law, moves, arm=twin, duration=end, events=events)
     # FMPy's own instants: between samples it would interpolate
     columns = [law.period * np.arange(len(run.time)), run.reference, moves.acceleration(run.time)]
     columns += [run.motor_angle_measured, run.torque_measured]

@@ -33,7 +33,7 @@ from fraclink._realtime import (
     run_realtime,
     serve_arm,
 )
-from fraclink._simulate.twin import Twin, geared
+from fraclink._simulate import Twin, geared
 
 RIG = geared(fl.Rig.named("paper-2023"))
 PRIORITY = 80

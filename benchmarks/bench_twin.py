@@ -21,7 +21,7 @@ from fraclink._compare.linear import NominalLoop, law_filter, sampled
 from fraclink._design import design
 from fraclink._identify import identify_all
 from fraclink._kernels import twin_march
-from fraclink._simulate.twin import (
+from fraclink._simulate import (
     Beam,
     FractionalKelvinVoigt,
     KelvinVoigt,

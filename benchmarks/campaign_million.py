@@ -16,7 +16,7 @@ import time
 from pathlib import Path
 
 import fraclink as fl
-from fraclink._campaign import Campaign, conduct, summarise
+from fraclink._campaign import Campaign, run_campaign, summarise
 
 
 def line(what: str, value: str, wanted: str, error: str = "") -> None:
@@ -36,7 +36,7 @@ def measure(runs: int, workers: int, folder: Path) -> None:
     law = fl.Controller(gain=0.069876, order=0.612197, link=rig.model).discretize(rig.period, order=4)
     campaign = Campaign.of(rig, rig.model, law, runs=runs, seed=7)
     load, began = os.getloadavg()[0], time.monotonic()
-    progress = conduct(campaign, folder, workers=workers)
+    progress = run_campaign(campaign, folder, workers=workers)
     took, busy = time.monotonic() - began, spent(resource.RUSAGE_CHILDREN)
     done = progress.done - progress.before
     each = (

@@ -188,10 +188,10 @@ def _laws() -> dict[tuple[str, str], Law]:
 
 def _run(law: Law, payload: float, noise: float = 0.0) -> Run:
     return simulate(
-        designs.rig(),
-        designs.link(0.030),
         law,
         smooth_step(1.0, duration=1.0),
+        rig=designs.rig(),
+        model=designs.link(0.030),
         payload=payload,
         duration=5.0,
         noise=noise,

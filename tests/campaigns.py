@@ -9,7 +9,7 @@ from pathlib import Path
 
 import fraclink as fl
 from fraclink._campaign import Campaign, save_campaign
-from fraclink._campaign.part import write_part
+from fraclink._campaign.run import write_part
 
 
 @functools.cache
@@ -41,9 +41,9 @@ def computed(campaign: Campaign, folder: Path) -> Path:
 
 
 def continued(folder: Path, *, workers: int = 2) -> subprocess.Popen[str]:
-    """`conduct` for the campaign kept in `folder`, as a process in a session of its own."""
-    code = "import sys; from fraclink._campaign import conduct, load_campaign; f = sys.argv[1]; "
-    code += f"conduct(load_campaign(f), f, workers={workers})"
+    """`run_campaign` for the campaign kept in `folder`, as a process in a session of its own."""
+    code = "import sys; from fraclink._campaign import run_campaign, load_campaign; f = sys.argv[1]; "
+    code += f"run_campaign(load_campaign(f), f, workers={workers})"
     return subprocess.Popen(  # noqa: S603 - our own interpreter
         [sys.executable, "-c", code, str(folder)],
         stdout=subprocess.PIPE,

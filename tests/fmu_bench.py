@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 import fraclink as fl
 from fraclink._arm.reference import Path as Trajectory
 from fraclink._law import Law, LawOutputs, discretize_controller
-from fraclink._simulate.twin import PayloadChange, SensorFault, TipPulse, Twin, TwinRun, geared, run_twin
+from fraclink._simulate import PayloadChange, Run, SensorFault, TipPulse, Twin, geared
 from law_bench import default_controller
 from needed_tools import missing
 
@@ -74,13 +74,13 @@ def _events(law: Law, reference: Trajectory, end: float, ending: str) -> list[An
 
 
 @functools.cache
-def eventful(periods: int, precision: str, ending: str) -> tuple[Law, NDArray[np.float64], TwinRun]:
+def eventful(periods: int, precision: str, ending: str) -> tuple[Law, NDArray[np.float64], Run]:
     """A run of the twin under its law: the law, what the law read, shape (4, periods + 1), and the run."""
     twin, law = geared_law(precision)
     end = periods * law.period
     reference = _moves(math.ceil(end / 1.45))
     events = _events(law, reference, end, ending)
-    run = run_twin(twin, law, reference, duration=end, events=events, seed=3)
+    run = fl.simulate(law, reference, arm=twin, duration=end, events=events, seed=3)
     rows = np.array(
         [run.reference, reference.acceleration(run.time), run.motor_angle_measured, run.torque_measured]
     )

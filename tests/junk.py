@@ -15,7 +15,7 @@ import fraclink as fl
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import LinkModel
 from fraclink._identify import simulated_torque
-from fraclink._simulate.twin import geared
+from fraclink._simulate import geared
 from fraclink.errors import FraclinkError
 
 Call = tuple[Callable[..., object], Callable[[], Mapping[str, Any]]]

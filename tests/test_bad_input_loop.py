@@ -21,7 +21,7 @@ from fraclink._design.assess import margin_curve, phase_budget
 from fraclink._design.feasibility import feasibility_map
 from fraclink._law import Moves, discretize_controller, equip
 from fraclink._realtime import Callback, Library, SharedMemory, Udp, parse_connection, run_realtime
-from fraclink._simulate.twin import geared
+from fraclink._simulate import geared
 from fraclink._systems.discrete import fit_discrete
 from fraclink._workflow import Move, Request, design_for
 from fraclink.errors import FieldError
@@ -186,17 +186,6 @@ CALLS: dict[str, Call] = {
     "Distribution": (Distribution, lambda: {"kind": "uniform", "low": 0.0, "high": 1.0}),
     "simulate_part": (campaign.simulate_part, lambda: {"campaign": drawn(), "part": 0}),
     "arm_of": (campaign.arm_of, lambda: {"campaign": drawn(), "run": 0}),
-    "sweep": (
-        campaign.sweep,
-        lambda: {
-            "rig": RIG,
-            "gain_crossovers": [79.0],  # no controller reaches it, so no twin runs
-            "phase_margins": [1.5],
-            "payloads": [0.030],
-            "link_mass": None,
-            "workers": 1,
-        },
-    ),
     "Bench.of": (faults.Bench.of, lambda: {"plan": design(), "rig": geared(RIG)}),
     "cases": (
         faults.cases,

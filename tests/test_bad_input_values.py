@@ -167,7 +167,14 @@ def test_b42_states_of_a_law_out_of_range(order: int) -> None:
 
 def test_b43_a_move_beyond_the_motor_does_not_hold() -> None:
     law = planned(RIG.model).controller.discretize(0.004)
-    run = fl.simulate(RIG, RIG.model, law, fl.smooth_step(1000.0, duration=0.01), payload=0.020)
+    run = fl.simulate(
+        law,
+        fl.smooth_step(1000.0, duration=0.01),
+        rig=RIG,
+        model=RIG.model,
+        motor_loop="ideal",
+        payload=0.020,
+    )
     assert not run.verdict.passed
     assert abs(run.metrics.steady_state_error) > 1.0
     # What is wrong is that the tip is not there; it does not swing, so nothing is called unstable.
@@ -183,7 +190,12 @@ def test_b44_b45_a_request_that_is_no_number(value: object) -> None:
 @pytest.mark.parametrize("seed", [-1, 1.5, True, "7", 2**64])
 def test_b48_a_seed_that_is_no_whole_number(seed: object) -> None:
     law = default_law()
-    refused(lambda: fl.simulate(RIG, LINK, law, fl.smooth_step(1.0, duration=0.5), seed=seed), "seed")
+    refused(
+        lambda: fl.simulate(
+            law, fl.smooth_step(1.0, duration=0.5), rig=RIG, model=LINK, motor_loop="ideal", seed=seed
+        ),
+        "seed",
+    )
 
 
 @pytest.mark.parametrize("name", ["int", "1a", "a b", "é", "a*/", "", "x" * 40])
@@ -198,7 +210,7 @@ def test_b52_more_samples_than_a_simulation_holds() -> None:
     move = fl.smooth_step(1.0, duration=0.5)
     for duration in (0.004 * 2.1e6, 1e12):
         with pytest.raises(SizeError, match="2000000 samples") as caught:
-            fl.simulate(RIG, LINK, law, move, duration=duration)
+            fl.simulate(law, move, rig=RIG, model=LINK, motor_loop="ideal", duration=duration)
         assert caught.value.field == "duration"
 
 
@@ -217,7 +229,12 @@ def test_b54_more_runs_than_a_campaign_can_end(runs: int) -> None:
         (lambda: LinkModel(10**400, 11.0), "stiffness"),
         (lambda: LINK.at_payload(10**400), "payload"),
         (lambda: Experiment(10**400, np.ones(3), np.ones(3)), "period"),
-        (lambda: fl.simulate(RIG, LINK, default_law(), fl.hold(0.0), payload=10**400), "payload"),
+        (
+            lambda: fl.simulate(
+                default_law(), fl.hold(0.0), rig=RIG, model=LINK, motor_loop="ideal", payload=10**400
+            ),
+            "payload",
+        ),
     ],
 )
 def test_b44_a_whole_number_that_no_float_holds(call: Callable[[], object], field: str) -> None:

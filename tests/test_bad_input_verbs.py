@@ -24,7 +24,7 @@ from fraclink._identify import (
     identify_payloads,
     simulated_torque,
 )
-from fraclink._simulate.twin import (
+from fraclink._simulate import (
     Beam,
     FractionalKelvinVoigt,
     KelvinVoigt,
@@ -152,13 +152,15 @@ CALLS: dict[str, Call] = {
     "simulate": (
         fl.simulate,
         lambda: {
+            "design": law(),
+            "reference": fl.smooth_step(1.0, duration=0.2),
             "rig": RIG,
             "model": LINK,
-            "law": law(),
-            "reference": fl.smooth_step(1.0, duration=0.2),
             "payload": 0.030,
             "duration": 0.4,
-            "inner": "ideal",
+            "motor_loop": "ideal",
+            "gauge_delay": 0.0,
+            "gauge_gain": 1.0,
             "gauge_offset": 0.0,
             "noise": 0.0,
             "seed": 0,
@@ -179,17 +181,18 @@ CALLS: dict[str, Call] = {
             "link_mass": 0.007,
             "rigidity": "stiffness",
             "gauge_delay": 0.0,
+            "gauge_gain": 1.0,
             "stiction": None,
             "modes": None,
             "damping": None,
         },
     ),
-    "run_twin": (
-        fl.run_twin,
+    "simulate the twin": (
+        fl.simulate,
         lambda: {
-            "twin": twin(),
-            "law": law(),
+            "design": law(),
             "reference": fl.smooth_step(1.0, duration=0.2),
+            "arm": twin(),
             "duration": 0.3,
             "events": (),
             "seed": 0,

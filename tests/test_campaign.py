@@ -11,11 +11,10 @@ import fraclink as fl
 from campaigns import small
 from fraclink._arm.link import LinkModel
 from fraclink._campaign import Campaign, Distribution, arm_of, draws_for, replay, simulate_part
-from fraclink._campaign.draws import draw
-from fraclink._campaign.links import batch_links
-from fraclink._campaign.metrics import Signals, measure_many
-from fraclink._simulate.metrics import measure
-from fraclink._simulate.plant import POWERS, link_weights
+from fraclink._campaign.arms import batch_links
+from fraclink._campaign.campaign import draw
+from fraclink._simulate.kernel import POWERS, link_weights
+from fraclink._simulate.metrics import Signals, judge_many, measure, measure_many
 from fraclink.errors import FieldError, SizeError
 
 METRICS = ("overshoot", "settling_time", "residual_vibration", "steady_state_error", "peak_tip_error")
@@ -67,7 +66,7 @@ def test_impossible_draws_are_refused(name):
         ("runs", 2.5, FieldError),
         ("runs", 10**10, SizeError),
         ("seed", -1, FieldError),
-        ("inner", "perfect", FieldError),
+        ("motor_loop", "perfect", FieldError),
         ("duration", 0.1, FieldError),
         ("model", LinkModel(1.56, 11.0, damping=0.3), FieldError),
     ],
@@ -95,8 +94,9 @@ def test_batch_links_are_the_links_of_simulate(order):
     links = batch_links(stiff, np.full(3, order), 0.004)
     for i, value in enumerate(stiff):
         exact = link_weights(LinkModel(1.56, value**0.5, order=order), 0.004, 20.0)
-        wanted = link_answers(exact.decay, exact.weight, exact.pair, exact.pair_weight, exact.first, 1500)
-        row = (links.decay[i], links.weight[i], links.pair[i], links.pair_weight[i], links.first[i])
+        names = ("decay", "weight", "pair", "pair_weight", "first")
+        wanted = link_answers(*(getattr(exact, name)[0] for name in names), 1500)
+        row = [getattr(links, name)[i] for name in names]
         assert np.abs(link_answers(*row, 1500) - wanted).max() < 3e-7
 
 
@@ -139,15 +139,15 @@ def test_a_run_is_what_simulate_says_of_its_arm():
     for at in range(0, 500, 41):
         rig, link, own = arm_of(campaign, 2000 + at)
         run = fl.simulate(
-            rig,
-            link,
             campaign.law,
             fl.smooth_step(own["amplitude"], (0.5, 0.75, 1.0)[int(own["shape"] % 3)]),
+            rig=rig,
+            model=link,
             duration=campaign.duration,
-            inner="sampled",
+            motor_loop="sampled",
             gauge_offset=own["gauge_offset"],
             noise=rig.gauge.noise * own["noise"],
-            seed=replay(campaign, 2000 + at).settings.seed,
+            seed=replay(campaign, 2000 + at).about["seed"],
             delay_samples=int(own["delay_samples"]),
         )
         apart.append(abs(run.metrics.peak_tip_error - float(part["peak_tip_error"][at])))
@@ -156,7 +156,7 @@ def test_a_run_is_what_simulate_says_of_its_arm():
 
 
 def test_a_run_that_is_not_there_cannot_be_replayed():
-    with pytest.raises(FieldError, match="run: 2500"):
+    with pytest.raises(FieldError, match="got 2500"):
         replay(small(), 2500)
 
 
@@ -172,12 +172,13 @@ def test_many_runs_are_measured_as_one_is():
     reason = np.zeros(tip.shape, dtype=np.uint32)
     mode[5, 300:], reason[5, 300:] = 3, 8
     ended, vibration = np.full(24, 0.5), rng.uniform(0.4, 0.7, 24)
-    signals = Signals(tip, 2 * tip, 3 * tip, flags, mode, reason)
-    many = measure_many(signals, reference, period=0.004, ended=ended, vibration_period=vibration)
+    signals = Signals(reference, tip, 2 * tip, 3 * tip, flags, mode, reason, 0.004, ended, vibration)
+    metrics = measure_many(signals)
+    many = metrics | judge_many(signals, metrics)
     for r in range(24):
-        saturated = flags[r] != 0
-        arrays = (time, reference[r], tip[r], 2 * tip[r], 3 * tip[r], saturated)
-        one = measure(*arrays, ended=0.5, vibration_period=float(vibration[r]))
+        row = slice(r, r + 1)
+        arrays = (reference[row], tip[row], 2 * tip[row], 3 * tip[row], flags[row], mode[row], reason[row])
+        one = measure(Signals(*arrays, 0.004, ended[row], vibration[row]))
         for name in METRICS:
             assert many[name][r] == pytest.approx(getattr(one, name), rel=1e-9, abs=1e-12), (name, r)
     assert (many["mode"][5], many["reason"][5], bool(many["passed"][5])) == (3, 8, False)
@@ -193,7 +194,7 @@ def test_the_law_that_does_not_hold_is_counted():
 
 
 def test_an_ideal_motor_loop_is_run_too():
-    ideal = Campaign.of(small().rig, small().model, small().law, runs=19, seed=2, inner="ideal")
+    ideal = Campaign.of(small().rig, small().model, small().law, runs=19, seed=2, motor_loop="ideal")
     part = simulate_part(ideal, 0)
     for at in (0, 9, 18):  # in a group of eight, and in the rest of a block
         run = replay(ideal, at)

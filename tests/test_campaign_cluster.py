@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from campaigns import computed, parts_of, small
-from fraclink._campaign import conduct
+from fraclink._campaign import run_campaign
 from fraclink._cli import main
 from fraclink.errors import MissingExtraError
 from needed_tools import missing
@@ -62,7 +62,7 @@ def test_a_cluster_gives_the_same_bytes_though_a_worker_dies(tmp_path):
                 workers[0].kill()
                 killed.append(workers[0].pid)
 
-        done = conduct(small(3500), tmp_path / "cluster", scheduler=address, watch=kill_one)
+        done = run_campaign(small(3500), tmp_path / "cluster", scheduler=address, watch=kill_one)
     assert killed and done.done == 3500
     assert parts_of(tmp_path / "cluster") == parts_of(computed(small(3500), tmp_path / "here"))
 
@@ -72,7 +72,7 @@ def test_a_scheduler_that_is_not_there_is_told(tmp_path, capsys, monkeypatch):
         import distributed  # noqa: F401
     except ImportError:
         missing("distributed is not installed (extra cluster)")
-    module = sys.modules["fraclink._campaign.conduct"]
+    module = sys.modules["fraclink._campaign.run"]
     monkeypatch.setattr(module, "CONNECT", 1)
     line = ["campaign", "montecarlo", "--runs", "10", "--out", str(tmp_path / "parts")]
     assert main([*line, "--scheduler", "tcp://127.0.0.1:9"]) == 2
@@ -82,4 +82,4 @@ def test_a_scheduler_that_is_not_there_is_told(tmp_path, capsys, monkeypatch):
 def test_without_the_extra_the_remedy_is_named(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(MissingExtraError, match="cluster"):
-        conduct(small(), tmp_path, scheduler="tcp://127.0.0.1:8786")
+        run_campaign(small(), tmp_path, scheduler="tcp://127.0.0.1:8786")

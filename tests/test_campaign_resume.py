@@ -20,9 +20,9 @@ from pathlib import Path
 import pytest
 
 from campaigns import computed, continued, parts_of, small, started
-from fraclink._campaign import conduct, load_campaign, read_part, save_campaign
-from fraclink._campaign import part as part_module
-from fraclink._campaign.conduct import compute
+from fraclink._campaign import load_campaign, read_part, run_campaign, save_campaign
+from fraclink._campaign import run as part_module
+from fraclink._campaign.run import compute
 from fraclink._cli import main
 from fraclink.errors import FieldError, FileFormatError, NotConvergedError
 
@@ -108,13 +108,13 @@ def test_the_half_of_a_part_that_a_kill_left_is_cleaned_up(copy, whole):
     half.write_bytes(b"PAR1")
     anothers = copy / ".notes.txt.tmp"
     anothers.write_text("not ours")
-    conduct(small(), copy)
+    run_campaign(small(), copy)
     assert not half.exists() and anothers.exists() and parts_of(copy) == parts_of(whole)
 
 
 def test_a_script_that_its_workers_run_again_is_told_where_to_put_the_call(tmp_path):
     script = tmp_path / "many_arms.py"
-    lines = ["from fraclink._campaign.workers import process_pool", "with process_pool(2) as pool:"]
+    lines = ["from fraclink._campaign.run import process_pool", "with process_pool(2) as pool:"]
     script.write_text("\n".join([*lines, "    pool.submit(abs, -1).result()"]))
     answer = subprocess.run([sys.executable, str(script)], capture_output=True, text=True)  # noqa: S603
     assert answer.returncode == 1
@@ -128,7 +128,7 @@ def test_a_script_that_its_workers_run_again_is_told_where_to_put_the_call(tmp_p
 
 def test_two_workers_write_the_bytes_of_one(whole, tmp_path):
     seen = []
-    done = conduct(small(), tmp_path / "two", workers=2, watch=seen.append)
+    done = run_campaign(small(), tmp_path / "two", workers=2, watch=seen.append)
     assert parts_of(tmp_path / "two") == parts_of(whole) and len(parts_of(whole)) == 3
     assert (done.before, done.done, done.runs) == (0, 2500, 2500) and len(seen) == 3
 
@@ -136,7 +136,7 @@ def test_two_workers_write_the_bytes_of_one(whole, tmp_path):
 def test_a_longer_campaign_goes_on(copy, whole, tmp_path):
     kept = identities(copy)
     longer = replace(small(), runs=3000)
-    assert conduct(longer, copy).before == 2000  # the last part was half full: it is done again
+    assert run_campaign(longer, copy).before == 2000  # the last part was half full: it is done again
     assert {n: v for n, v in identities(copy).items() if n[5:12] < "0000002"} == {
         n: v for n, v in kept.items() if n[5:12] < "0000002"
     }
@@ -157,14 +157,14 @@ def test_a_worker_that_is_killed_is_replaced(tmp_path, whole):
                 os.kill(child, signal.SIGKILL)
                 killed.append(child)
 
-    conduct(small(), folder, workers=2, watch=kill_one)
+    run_campaign(small(), folder, workers=2, watch=kill_one)
     assert killed and parts_of(folder) == parts_of(whole)
 
 
 def test_workers_that_always_die_end_the_campaign(tmp_path, monkeypatch):
     from concurrent.futures.process import BrokenProcessPool
 
-    module = sys.modules["fraclink._campaign.conduct"]  # the function hides the module of its name
+    module = sys.modules["fraclink._campaign.run"]
 
     def broken(*_: object):
         raise BrokenProcessPool("died")
@@ -172,7 +172,7 @@ def test_workers_that_always_die_end_the_campaign(tmp_path, monkeypatch):
 
     monkeypatch.setattr(module, "_one_pool", broken)
     with pytest.raises(NotConvergedError, match="workers"):
-        conduct(small(), tmp_path / "parts", workers=2)
+        run_campaign(small(), tmp_path / "parts", workers=2)
 
 
 def truncate(path: Path) -> None:
@@ -201,7 +201,7 @@ def test_a_damaged_part_is_done_again(copy, whole, damage):
     damage(path)
     assert path.read_bytes() != (whole / path.name).read_bytes()
     assert read_part(small(), copy, 1) is None
-    assert conduct(small(), copy).before == 1500
+    assert run_campaign(small(), copy).before == 1500
     assert parts_of(copy) == parts_of(whole)
     others = {n: v for n, v in kept.items() if n != path.name}
     assert others.items() <= identities(copy).items()
@@ -248,7 +248,7 @@ def test_other_formats_and_edited_campaigns_are_refused(copy, changes, field, ca
     with pytest.raises(FieldError, match=field):
         load_campaign(copy)
     with pytest.raises(FieldError, match=field):
-        conduct(small(), copy)
+        run_campaign(small(), copy)
     assert main(["campaign", "report", str(copy)]) == 2
     assert len(capsys.readouterr().err.strip().splitlines()) == 1
     assert identities(copy) == kept
@@ -256,7 +256,7 @@ def test_other_formats_and_edited_campaigns_are_refused(copy, changes, field, ca
 
 def test_the_folder_of_another_campaign_is_refused(copy):
     with pytest.raises(FieldError, match="another campaign"):
-        conduct(replace(small(), seed=8), copy)
+        run_campaign(replace(small(), seed=8), copy)
 
 
 def test_campaigns_read_back_equal(tmp_path):
@@ -270,7 +270,7 @@ def test_campaigns_read_back_equal(tmp_path):
 @pytest.mark.parametrize("workers", [0, 2000, 1.5, True])
 def test_impossible_workers_are_refused(tmp_path, workers):
     with pytest.raises(FieldError, match="workers"):
-        conduct(small(), tmp_path, workers=workers)
+        run_campaign(small(), tmp_path, workers=workers)
 
 
 def test_no_room_for_a_part_keeps_the_finished_ones(copy, whole):
@@ -279,10 +279,10 @@ def test_no_room_for_a_part_keeps_the_finished_ones(copy, whole):
     kept = identities(copy)
     campaign = load_campaign(copy)
     with pytest.raises(FieldError, match="not writable") as caught, _files_up_to(20_000):
-        conduct(campaign, copy, workers=1)
+        run_campaign(campaign, copy, workers=1)
     assert "finished parts are kept" in str(caught.value)
     assert identities(copy) == kept and not list(copy.glob(".*.tmp"))
-    assert conduct(campaign, copy).before == 1500
+    assert run_campaign(campaign, copy).before == 1500
     assert parts_of(copy) == parts_of(whole)
 
 
@@ -309,7 +309,7 @@ def test_a_full_disk_is_told(tmp_path, copy):
         pytest.skip("no right to mount a small disk")
     try:
         with pytest.raises(FieldError, match="No space left"):
-            conduct(small(), disk)
+            run_campaign(small(), disk)
         finished = parts_of(disk)
         assert finished and finished.items() <= parts_of(copy).items()
         assert not list(disk.glob(".*.tmp"))
@@ -320,7 +320,7 @@ def test_a_full_disk_is_told(tmp_path, copy):
 def test_an_unwritable_folder_is_told(tmp_path, capsys):
     (tmp_path / "file").write_text("not a folder")
     with pytest.raises(FieldError, match="not writable"):
-        conduct(small(), tmp_path / "file")
+        run_campaign(small(), tmp_path / "file")
     line = ["campaign", "montecarlo", "--out", str(tmp_path / "file" / "parts"), "--runs", "10"]
     assert main(line) == 2
     assert "not writable" in capsys.readouterr().err

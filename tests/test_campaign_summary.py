@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 import math
+import re
 
 import numpy as np
 import pytest
 
-from campaigns import small
-from fraclink._campaign import conduct, read_part, summarise
+from campaigns import computed, small
+from fraclink._campaign import read_part, run_campaign, summarise
 from fraclink._campaign.summary import METRICS, PARAMETERS, _failure, _quantile, _trips
 from fraclink._cli import main
 from fraclink._law import MODES
@@ -19,7 +20,7 @@ from fraclink.errors import FieldError
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     place = tmp_path_factory.mktemp("campaign")
-    conduct(small(), place)
+    run_campaign(small(), place)
     return place
 
 
@@ -135,3 +136,21 @@ def test_bad_input_is_one_line_and_exit_code_2(tmp_path, capsys, option, value, 
 def test_a_run_that_is_not_there_is_bad_input(folder, tmp_path, capsys):
     line = ["campaign", "replay", str(folder), "--run", "2500", "--out", str(tmp_path / "x.npz")]
     assert main(line) == 2 and "0 … 2499" in capsys.readouterr().err
+
+
+def is_one_closed_page(text: str) -> None:
+    assert "<script" not in text and "<image" not in text  # the page's own policy would not show an image
+    assert not re.search(r'(src|href)="(?!#)', text)
+
+
+def test_a_campaigns_page_names_its_worst_runs(tmp_path, capsys):
+    campaign = small(runs=300)
+    folder, page = computed(campaign, tmp_path / "parts"), tmp_path / "page.html"
+    line = ["campaign", "report", str(folder), "--out", str(page)]
+    assert main(line) == 1
+    assert "written" in capsys.readouterr().err
+    text, summary = page.read_text(), summarise(campaign, folder)
+    is_one_closed_page(text)
+    assert summary.failure.sentence in text and text.count("<svg") == 3
+    assert f"--run {summary.metrics[0].worst[0][0]}" in text
+    assert main(line) == 2  # never over a file that is there

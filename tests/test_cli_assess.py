@@ -11,7 +11,7 @@ import pytest
 import fraclink as fl
 from fraclink._cli import main
 from fraclink._cli.assessment import spillover_of
-from fraclink._simulate.twin import Beam
+from fraclink._simulate import Beam
 
 
 def _design(place: Path) -> fl.Design:

@@ -29,8 +29,8 @@ from fraclink._compare.run import feed_forward, run_rival
 from fraclink._compare.setting import Setting
 from fraclink._compare.shaping import Shaped, shaper_impulses
 from fraclink._compare.spillover import linear_growth, mode_gain
-from fraclink._simulate.twin import Twin, geared
-from fraclink._simulate.twin.loop import driven, run_twin
+from fraclink._simulate import Twin, geared
+from fraclink._simulate.simulate import with_motor_loop
 from fraclink._systems.margins import margins
 from fraclink.errors import FieldError, NotConvergedError
 
@@ -44,7 +44,7 @@ def setting() -> Setting:
         RIG.model, RIG, payloads=(0.020, 0.040), gain_crossover=12.0, phase_margin=fl.deg(50.0)
     )
     twin = Twin.from_rig(RIG, link_mass=0.00735)
-    law = driven(twin, design.controller.discretize(RIG.period))
+    law = with_motor_loop(design.controller.discretize(RIG.period), twin=twin)[0]
     loop = NominalLoop.of(RIG.model, 0.030, period=RIG.period, pole=80.0, delay=1)
     request = {"gain_crossover": 12.0, "phase_margin": fl.deg(50.0), "filter_time": None}
     return Setting(RIG, RIG.model, law, design.controller, loop, request)
@@ -270,7 +270,7 @@ def test_rivals_and_the_law_run_on_the_same_arm(setting):
     quiet = replace(twin, sensors=replace(twin.sensors, gauge_noise=0.0))
     one, two = (run_rival(quiet, r, MOVE, setting.ours, duration=1.5) for r in (python, shipped))
     assert one.tip_angle == pytest.approx(two.tip_angle, abs=1e-6)
-    same = run_twin(quiet, whole, MOVE, duration=1.5)
+    same = fl.simulate(whole, MOVE, arm=quiet, duration=1.5)
     assert np.array_equal(two.tip_angle, same.tip_angle)
 
 
@@ -299,7 +299,7 @@ def test_mode_gain_sees_only_feedback_of_the_tip(setting):
 
 
 def test_sampled_delay_is_a_delay(setting):
-    from fraclink._simulate.twin.plant import assemble
+    from fraclink._simulate.plant import assemble
 
     twin = Twin.from_rig(RIG, link_mass=0.0)
     plant = assemble(twin.beam, twin.damping, drive="servo")

@@ -16,8 +16,8 @@ from fraclink._cli import main
 from fraclink._compare.linear import NominalLoop, law_filter, sampled
 from fraclink._design import Design
 from fraclink._design.higher_modes import mode_gains
-from fraclink._simulate.twin import Beam, KelvinVoigt, PowerLaw, assemble
-from fraclink._simulate.twin.damping import Damping
+from fraclink._simulate import Beam, KelvinVoigt, PowerLaw, assemble
+from fraclink._simulate.damping import Damping
 from fraclink.errors import FieldError, InfeasibleError
 
 WANTED = {"payloads": (0.020, 0.040), "gain_crossover": 12.0, "phase_margin": fl.deg(50)}

@@ -184,7 +184,7 @@ ENTRY = "## Entries\n\n```{eval-rst}\n.. py:class:: fraclink.Design\n```\n"
 def test_a_page_without_faults_builds_and_its_names_are_links(tmp_path: Path) -> None:
     done = build(
         tmp_path,
-        "`fl.Design` and [the entries](#entries), `fraclink._simulate.twin`, `fraclink run`, `law.c`",
+        "`fl.Design` and [the entries](#entries), `fraclink._simulate`, `fraclink run`, `law.c`",
     )
     assert done.returncode == 0, done.stderr
     assert 'href="#fraclink.Design"' in (tmp_path / "html" / "index.html").read_text("utf-8")

@@ -23,7 +23,7 @@ from fraclink._campaign.faults import (
 )
 from fraclink._campaign.faults.evidence import shared_checks
 from fraclink._campaign.faults.inject import REALS, members
-from fraclink._simulate.twin import geared
+from fraclink._simulate import geared
 from fraclink.errors import FieldError, FileFormatError
 
 # Open points of the shipped law on this arm; docs/how-to/run-a-fault-campaign.md gives their values.

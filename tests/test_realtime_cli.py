@@ -22,7 +22,7 @@ from fraclink._arm.motor_loop import MotorLoop
 from fraclink._cli import main
 from fraclink._export import export_io
 from fraclink._realtime import Library, RealtimeRun, ServedArm, Udp, run_realtime
-from fraclink._simulate.twin import geared
+from fraclink._simulate import geared
 from fraclink._workflow import load_study
 from fraclink.errors import FieldError
 from needed_tools import tool

@@ -27,7 +27,7 @@ from fraclink import _kernels
 from fraclink._arm.motor_loop import MotorLoop
 from fraclink._law import REASONS, Law, equip
 from fraclink._realtime import Library, RealtimeRun, ServedArm, SharedMemory, Udp, run_realtime, serve_arm
-from fraclink._simulate.twin import Twin, geared, run_twin
+from fraclink._simulate import Twin, geared
 from fraclink.errors import FieldError, FileFormatError, SizeError
 
 if not _kernels.REALTIME:
@@ -132,7 +132,7 @@ def undisturbed(run: RealtimeRun) -> int:
 
 def test_the_arm_in_real_time_is_the_twin_to_the_last_bit(law: Law, twin: Twin, way: Way) -> None:
     move = fl.smooth_step(0.3, 1.0)
-    wanted = run_twin(twin, law, move, duration=1.0)
+    wanted = fl.simulate(law, move, arm=twin, duration=1.0)
     for _ in range(5):  # a busy machine may lose periods at once; what ran before is compared
         with serving(twin, way) as ended:
             run = run_realtime(law, move, way, duration=0.5)

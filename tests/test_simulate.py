@@ -55,7 +55,7 @@ def _tip_transfer(model: LinkModel) -> object:
     ids=lambda m: m.structure,
 )
 def test_the_tip_follows_an_independent_solution_behind_m_of_s(model: LinkModel) -> None:
-    run = simulate(EXACT, model, law(), STEP, duration=0.6)
+    run = simulate(law(), STEP, rig=EXACT, model=model, motor_loop="ideal", duration=0.6)
     delayed = np.concatenate([[0.0], run.motor_reference[:-1]])
     link = _tip_transfer(model)
     expected = _held(lambda s: link(s) / (1 + s / 80) ** 2, delayed)  # type: ignore[operator]
@@ -64,7 +64,7 @@ def test_the_tip_follows_an_independent_solution_behind_m_of_s(model: LinkModel)
 
 
 def test_the_tip_follows_an_independent_solution_behind_the_motor() -> None:
-    run = simulate(EXACT, MODEL, law(), STEP, duration=0.6, inner="sampled")
+    run = simulate(law(), STEP, rig=EXACT, model=MODEL, duration=0.6, motor_loop="sampled")
     # the law's voltage contains its compensation of the coupling torque, which is taken as exact
     voltage = run.voltage - law().coefficients["torque_voltage"] * run.torque_measured
     delayed = np.concatenate([[0.0], voltage[:-1]])
@@ -94,18 +94,30 @@ def _coast(gain: float, decay: float, friction: float, speed: float, *, substeps
 
 @pytest.mark.parametrize("payload", [0.008, 0.016, 0.020, 0.030, 0.040])
 def test_the_default_design_holds_for_every_payload(payload: float) -> None:
-    run = simulate(EXACT, MODEL, law(), fl.smooth_step(1.0, 0.5), payload=payload)
+    run = simulate(
+        law(), fl.smooth_step(1.0, 0.5), rig=EXACT, model=MODEL, motor_loop="ideal", payload=payload
+    )
     assert run.verdict.passed, run.verdict.reason
     assert abs(run.metrics.steady_state_error) < 1e-3
     assert run.payload == payload
-    sampled = simulate(EXACT, MODEL, law(), fl.smooth_step(1.0, 0.5), payload=payload, inner="sampled")
+    sampled = simulate(
+        law(), fl.smooth_step(1.0, 0.5), rig=EXACT, model=MODEL, payload=payload, motor_loop="sampled"
+    )
     assert sampled.verdict.passed, sampled.verdict.reason
 
 
 @pytest.mark.parametrize("payload", [0.030, 0.040])
 def test_the_printed_controller_visibly_diverges(payload: float) -> None:
     printed = fl.Controller(gain=0.148, order=0.65, filter_time=0.16, filter_order=2, link=MODEL)
-    run = simulate(EXACT, MODEL, printed.discretize(PERIOD), STEP, payload=payload, duration=12.0)
+    run = simulate(
+        printed.discretize(PERIOD),
+        STEP,
+        rig=EXACT,
+        model=MODEL,
+        motor_loop="ideal",
+        payload=payload,
+        duration=12.0,
+    )
     assert not run.verdict
     assert "unstable" in run.verdict.reason
     early, late = run.tip_angle[500:1000], run.tip_angle[-500:]
@@ -113,7 +125,15 @@ def test_the_printed_controller_visibly_diverges(payload: float) -> None:
 
 
 def test_a_gauge_offset_leaves_the_tip() -> None:
-    run = simulate(EXACT, MODEL, law(), fl.hold(0.0), duration=12.0, gauge_offset=0.05 * MODEL.stiffness)
+    run = simulate(
+        law(),
+        fl.hold(0.0),
+        rig=EXACT,
+        model=MODEL,
+        motor_loop="ideal",
+        duration=12.0,
+        gauge_offset=0.05 * MODEL.stiffness,
+    )
     error = np.abs(run.tip_angle)
     assert error.max() > 5e-3  # it is felt first
     levels = [error[round(t / PERIOD) :].max() for t in (4.0, 6.0, 8.0, 10.0)]
@@ -128,17 +148,17 @@ def test_friction_is_compensated(payload: float) -> None:
     design = fl.design(MODEL, rough, gain_crossover=12.0, phase_margin=fl.deg(50))
     made, move = design.law(), fl.smooth_step(1.0, 0.5)
     assert made.drive is not None
-    run = simulate(rough, MODEL, made, move, payload=payload, inner="sampled")
+    run = simulate(made, move, rig=rough, model=MODEL, payload=payload, motor_loop="sampled")
     assert run.verdict.passed, run.verdict.reason
     bare = replace(made, drive=replace(made.drive, coulomb_voltage=0.0))
-    worse = simulate(rough, MODEL, bare, move, payload=payload, inner="sampled")
+    worse = simulate(bare, move, rig=rough, model=MODEL, payload=payload, motor_loop="sampled")
     assert np.ptp(run.tip_angle[-250:]) < 0.1 * np.ptp(worse.tip_angle[-250:])
 
 
 def test_saturation_is_reported() -> None:
     weak = replace(EXACT, motor=replace(RIG.motor, voltage_limit=0.02))
     bounded = replace(law(), drive=replace(law().drive, voltage_limit=0.02))  # type: ignore[type-var]
-    run = simulate(weak, MODEL, bounded, fl.smooth_step(1.0, 0.5), inner="sampled")
+    run = simulate(bounded, fl.smooth_step(1.0, 0.5), rig=weak, model=MODEL, motor_loop="sampled")
     assert np.abs(run.voltage).max() <= 0.02
     assert run.metrics.saturated > 0.01
     assert not run.verdict
@@ -150,7 +170,7 @@ def test_sensors_quantise_clip_and_lie() -> None:
         encoder=Encoder(counts_per_revolution=2000),
         gauge=Gauge(noise=0.02, limit=0.15, quantum=0.01, offset=0.01),
     )
-    run = simulate(coarse, MODEL, law(), STEP, seed=5)
+    run = simulate(law(), STEP, rig=coarse, model=MODEL, motor_loop="ideal", seed=5)
     counts = run.torque_measured / 0.01
     np.testing.assert_allclose(counts, np.round(counts), atol=1e-9)
     assert np.abs(run.torque_measured).max() == 0.15
@@ -160,7 +180,10 @@ def test_sensors_quantise_clip_and_lie() -> None:
 
 
 def test_seeds_repeat_and_differ() -> None:
-    runs = [simulate(RIG, MODEL, law(), STEP, seed=seed, duration=1.0) for seed in (7, 7, 8)]
+    runs = [
+        simulate(law(), STEP, rig=RIG, model=MODEL, motor_loop="ideal", seed=seed, duration=1.0)
+        for seed in (7, 7, 8)
+    ]
     np.testing.assert_array_equal(runs[0].torque_measured, runs[1].torque_measured)
     assert np.any(runs[0].torque_measured != runs[2].torque_measured)
 
@@ -175,28 +198,34 @@ def test_noise_is_standard_normal() -> None:
 
 
 def test_the_delay_acts() -> None:
-    runs = {d: simulate(EXACT, MODEL, law(), STEP, duration=0.5, delay_samples=d) for d in (0, 1, 5)}
+    runs = {
+        d: simulate(law(), STEP, rig=EXACT, model=MODEL, motor_loop="ideal", duration=0.5, delay_samples=d)
+        for d in (0, 1, 5)
+    }
     for delay, run in runs.items():
         moved = int(np.argmax(run.motor_angle != 0))
         commanded = int(np.argmax(run.motor_reference != 0))
         assert moved == commanded + delay + 1
-    late = simulate(EXACT, MODEL, law(), STEP, duration=6.0, delay_samples=20)
+    late = simulate(law(), STEP, rig=EXACT, model=MODEL, motor_loop="ideal", duration=6.0, delay_samples=20)
     assert not late.verdict
 
 
 def test_a_start_away_from_zero_is_a_shifted_run() -> None:
     shifted = fl.hold(0.5, 0.0).then(STEP)
-    runs = simulate(EXACT, MODEL, law(), STEP), simulate(EXACT, MODEL, law(), shifted)
+    runs = (
+        simulate(law(), STEP, rig=EXACT, model=MODEL, motor_loop="ideal"),
+        simulate(law(), shifted, rig=EXACT, model=MODEL, motor_loop="ideal"),
+    )
     np.testing.assert_allclose(runs[1].tip_angle - 0.5, runs[0].tip_angle, atol=1e-12)
 
 
 def test_a_run_survives_its_file(tmp_path: Path) -> None:
-    run = simulate(RIG, MODEL, law(), STEP, payload=0.02, duration=1.0, seed=3)
+    run = simulate(law(), STEP, rig=RIG, model=MODEL, motor_loop="ideal", payload=0.02, duration=1.0, seed=3)
     run.save(tmp_path / "run.npz")
     back = fl.Run.load(tmp_path / "run.npz")
     assert back.metrics == run.metrics
     assert back.verdict == run.verdict
-    assert back.settings == run.settings
+    assert (back.about, back.payload, back.findings) == (run.about, run.payload, run.findings)
     np.testing.assert_array_equal(back.tip_angle, run.tip_angle)
     with pytest.raises(ValueError, match="read-only"):
         back.tip_angle[0] = 1.0
@@ -224,20 +253,20 @@ def test_a_run_survives_its_file(tmp_path: Path) -> None:
         ({"delay_samples": 101}, "delay_samples"),
         ({"delay_samples": True}, "delay_samples"),
         ({"substeps": 0}, "substeps"),
-        ({"inner": "perfect"}, "inner"),
+        ({"motor_loop": "perfect"}, "motor_loop"),
     ],
 )
 def test_bad_options_are_named(options: dict[str, object], field: str) -> None:
     with pytest.raises(FieldError) as caught:
-        simulate(RIG, MODEL, law(), STEP, **options)  # type: ignore[arg-type]
+        simulate(law(), STEP, rig=RIG, model=MODEL, **options)  # type: ignore[arg-type]
     assert caught.value.field == field
 
 
 def test_sizes_and_periods_are_checked_first() -> None:
     with pytest.raises(SizeError):
-        simulate(RIG, MODEL, law(), STEP, duration=1e9)
+        simulate(law(), STEP, rig=RIG, model=MODEL, motor_loop="ideal", duration=1e9)
     with pytest.raises(FieldError, match="period"):
-        simulate(replace(RIG, period=0.002), MODEL, law(), STEP)
+        simulate(law(), STEP, rig=replace(RIG, period=0.002), model=MODEL, motor_loop="ideal")
 
 
 def test_a_measured_compensation_costs_damping() -> None:
@@ -245,21 +274,30 @@ def test_a_measured_compensation_costs_damping() -> None:
     move = fl.smooth_step(1.0, 0.5)
     late = {}
     for kind in ("ideal", "measured"):
-        options: dict[str, Any] = {"inner": "sampled", "compensation": kind, "duration": 3.0}
-        run = simulate(EXACT, MODEL, law(), move, payload=0.03, **options)
+        options: dict[str, Any] = {"motor_loop": "sampled", "compensation": kind, "duration": 3.0}
+        run = simulate(law(), move, rig=EXACT, model=MODEL, payload=0.03, **options)
         assert run.verdict.passed, run.verdict.reason
         late[kind] = np.ptp(run.tip_angle[-250:])
     assert late["measured"] > 2 * late["ideal"]
-    light = simulate(EXACT, MODEL, law(), move, payload=0.008, inner="sampled", compensation="measured")
+    light = simulate(
+        law(), move, rig=EXACT, model=MODEL, payload=0.008, motor_loop="sampled", compensation="measured"
+    )
     assert not light.verdict
     with pytest.raises(FieldError, match="compensation"):
-        simulate(EXACT, MODEL, law(), move, compensation="measured")
+        simulate(law(), move, rig=EXACT, model=MODEL, motor_loop="ideal", compensation="measured")
 
 
 def test_the_coupled_motor_converges_with_its_substeps() -> None:
     ends = [
         simulate(
-            EXACT, MODEL, law(), STEP, duration=1.0, inner="sampled", compensation="measured", substeps=n
+            law(),
+            STEP,
+            rig=EXACT,
+            model=MODEL,
+            duration=1.0,
+            motor_loop="sampled",
+            compensation="measured",
+            substeps=n,
         ).tip_angle[-1]
         for n in (5, 10, 20, 160)
     ]

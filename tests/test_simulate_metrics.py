@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from fraclink._simulate.metrics import Metrics, Verdict, judge, measure
+from fraclink._simulate.metrics import Metrics, Signals, Verdict, judge, measure
 
 PERIOD, ENDED, VIBRATION = 0.01, 1.0, 0.5
 TIME = PERIOD * np.arange(601)
@@ -16,17 +16,35 @@ RUNNING = np.ones(TIME.size, dtype=np.uint32)
 NO_REASON = np.zeros(TIME.size, dtype=np.uint32)
 
 
+def signals(
+    tip: np.ndarray,
+    *,
+    motor_reference: np.ndarray | None = None,
+    voltage: np.ndarray | None = None,
+    saturated: np.ndarray | None = None,
+    mode: np.ndarray = RUNNING,
+) -> Signals:
+    nothing = np.zeros_like(TIME)
+    flags = 64 * np.asarray(nothing if saturated is None else saturated, dtype=np.uint32)
+    rows = (
+        REFERENCE,
+        tip,
+        nothing if motor_reference is None else motor_reference,
+        nothing if voltage is None else voltage,
+        flags,
+        mode,
+        NO_REASON,
+    )
+    return Signals(*(row[None, :] for row in rows), PERIOD, np.array([ENDED]), np.array([VIBRATION]))
+
+
 def measured(tip: np.ndarray, **changes: np.ndarray) -> Metrics:
-    signals = {
-        "motor_reference": np.zeros_like(TIME),
-        "voltage": np.zeros_like(TIME),
-        "saturated": np.zeros(TIME.size, dtype=bool),
-    } | changes
-    return measure(TIME, REFERENCE, tip, **signals, ended=ENDED, vibration_period=VIBRATION)
+    return measure(signals(tip, **changes))
 
 
-def judged(tip: np.ndarray, mode: np.ndarray = RUNNING, reason: np.ndarray = NO_REASON) -> Verdict:
-    return judge(measured(tip), TIME, REFERENCE, tip, mode, reason, ended=ENDED, vibration_period=VIBRATION)
+def judged(tip: np.ndarray, **changes: np.ndarray) -> Verdict:
+    block = signals(tip, **changes)
+    return judge(block, measure(block))
 
 
 def vibrating(amplitude: np.ndarray | float) -> np.ndarray:
@@ -83,6 +101,29 @@ def test_a_vibration_is_unstable_where_it_grows_and_only_after_the_move() -> Non
     assert judged(vibrating(np.where(TIME < ENDED, 0.3, 0.001))).passed
 
 
+def test_a_vibration_that_grows_fails_while_it_is_still_within_the_band() -> None:
+    """Settled by its size and unstable by its growth: what the size alone calls fine shakes itself apart."""
+    tip = vibrating(0.004 * np.exp(0.2 * (TIME - ENDED)))
+    assert measured(tip).settling_time < 1.5
+    verdict = judged(tip)
+    assert not verdict.passed and verdict.reason == "unstable: the vibration grows at 0.2 1/s"
+    assert measured(vibrating(0.004 * np.exp(-0.2 * (TIME - ENDED)))).growth == pytest.approx(-0.2, rel=1e-3)
+
+
+def test_a_vibration_that_noise_drives_does_not_grow() -> None:
+    """A resonance that noise rings has an envelope that wanders, up as often as down."""
+    pole = np.exp((-1.0 + 2j * math.pi / VIBRATION) * PERIOD)
+    rng = np.random.default_rng(5)
+    wrong = 0
+    for _ in range(500):
+        state, ringing = 0j, np.empty_like(TIME)
+        for k, push in enumerate(rng.standard_normal(TIME.size)):
+            state = pole * state + push
+            ringing[k] = 1e-3 * state.real
+        wrong += measured(REFERENCE + ringing).growth > 0.0
+    assert wrong == 0
+
+
 def test_a_vibration_that_lasts_without_growing_has_not_settled() -> None:
     # Quiet until a period after the move, then slowly dying: over that border it would seem to grow.
     dying = 0.1 * np.exp(-0.05 * TIME)
@@ -94,17 +135,14 @@ def test_a_vibration_that_lasts_without_growing_has_not_settled() -> None:
 def test_a_tip_that_is_held_back_by_the_limit_is_called_saturated() -> None:
     tip = 0.5 * REFERENCE
     for share, word in ((0.3, "saturated"), (0.1, "not settled")):
-        metrics = measured(tip, saturated=TIME / TIME[-1] < share)
-        verdict = judge(
-            metrics, TIME, REFERENCE, tip, RUNNING, NO_REASON, ended=ENDED, vibration_period=VIBRATION
-        )
+        verdict = judged(tip, saturated=TIME / TIME[-1] < share)
         assert verdict.reason.startswith(word)
 
 
 def test_a_trip_names_mode_reason_and_time() -> None:
     mode = RUNNING.copy()
     mode[250:] = 4
-    verdict = judged(np.where(TIME < 2.5, REFERENCE, 0.0), mode)
+    verdict = judged(np.where(TIME < 2.5, REFERENCE, 0.0), mode=mode)
     assert not verdict.passed
     assert verdict.reason.startswith("tripped: the law goes to off")
     assert verdict.reason.endswith("at 2.5 s")

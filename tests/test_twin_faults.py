@@ -10,7 +10,7 @@ import pytest
 import fraclink as fl
 from fraclink._arm.reference import smooth_step
 from fraclink._law import discretize_controller
-from fraclink._simulate.twin import SensorFault, Twin, geared, run_twin
+from fraclink._simulate import SensorFault, Twin, geared
 from fraclink.errors import FieldError
 
 RIG = geared(fl.Rig.named("paper-2023"))
@@ -27,12 +27,12 @@ def law():
 
 @pytest.fixture(scope="module")
 def clean(law):
-    return run_twin(Twin.from_rig(RIG, link_mass=0.00735), law, MOVE, duration=4.0)
+    return fl.simulate(law, MOVE, arm=Twin.from_rig(RIG, link_mass=0.00735), duration=4.0)
 
 
 def _run(law, kind, until=AT + RIG.period, value=None):
     fault = SensorFault(AT, until, kind, value)
-    return run_twin(Twin.from_rig(RIG, link_mass=0.00735), law, MOVE, duration=4.0, events=[fault])
+    return fl.simulate(law, MOVE, arm=Twin.from_rig(RIG, link_mass=0.00735), duration=4.0, events=[fault])
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 4.1])

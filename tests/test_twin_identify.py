@@ -8,7 +8,7 @@ import pytest
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.reference import prbs
 from fraclink._identify import identify_all
-from fraclink._simulate.twin import Beam, FractionalKelvinVoigt, KelvinVoigt, PowerLaw, simulate_log
+from fraclink._simulate import Beam, FractionalKelvinVoigt, KelvinVoigt, PowerLaw, simulate_log
 
 PERIOD, RATIO, SEEDS = 0.004, 0.0654, 8
 MASSLESS = Beam(0.65, 0.338, 0.0, 0.030)

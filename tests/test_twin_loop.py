@@ -10,21 +10,20 @@ import pytest
 import fraclink as fl
 from fraclink._arm.reference import hold, smooth_step
 from fraclink._law import Modes, discretize_controller
-from fraclink._simulate.twin import (
+from fraclink._simulate import (
     KelvinVoigt,
     Obstacle,
     PayloadChange,
     PowerLaw,
     Restart,
+    Run,
     Sensors,
     TipPulse,
     Twin,
-    TwinRun,
     geared,
-    run_twin,
 )
-from fraclink._simulate.twin.loop import driven, healthy_inputs
-from fraclink._simulate.twin.vessel import Vessel
+from fraclink._simulate.kernel import ArmState
+from fraclink._simulate.simulate import healthy_inputs, with_motor_loop
 from fraclink.errors import FieldError, FileFormatError
 
 RIG = geared(fl.Rig.named("paper-2023"))
@@ -56,7 +55,7 @@ MOVE = smooth_step(1.0, duration=1.0)
 
 @pytest.mark.parametrize("payload", [0.008, 0.016, 0.020, 0.030, 0.040])
 def test_the_design_holds_on_the_twin(law, payload):
-    run = run_twin(Twin.from_rig(RIG, payload=payload, link_mass=LINK_MASS), law, MOVE, duration=6.0)
+    run = fl.simulate(law, MOVE, arm=Twin.from_rig(RIG, payload=payload, link_mass=LINK_MASS), duration=6.0)
     assert run.finished and set(run.mode.tolist()) == {1}
     late = run.time > 2.5
     assert np.abs(run.error[late]).max() < 0.02  # 2 % of the move
@@ -64,7 +63,7 @@ def test_the_design_holds_on_the_twin(law, payload):
 
 
 def test_noise_free_error_vanishes(law):
-    run = run_twin(quiet(), smooth(law), MOVE, duration=10.0)
+    run = fl.simulate(smooth(law), MOVE, arm=quiet(), duration=10.0)
     assert abs(run.error[-1]) < 1e-3
     # The gauge's strain and the link's bend tell the same tip angle but for the modes: θt = θm − Γ/c.
     estimate = run.motor_angle - run.torque / RIG.link.stiffness
@@ -73,7 +72,7 @@ def test_noise_free_error_vanishes(law):
 
 def test_gauge_offset_does_not_stay_in_the_tip(law):
     twin = replace(quiet(), sensors=Sensors(gauge_offset=0.05))
-    run = run_twin(twin, smooth(law), MOVE, duration=12.0)
+    run = fl.simulate(smooth(law), MOVE, arm=twin, duration=12.0)
     assert abs(run.torque_measured[-1] - 0.05) < 2e-3
     assert abs(run.error[-1]) < 1e-3  # 0.05 N·m reads as 32 mrad of bend
 
@@ -83,9 +82,9 @@ def test_coulomb_friction_holds_the_hub_and_never_pushes(law):
     twin = Twin.from_rig(RIG, link_mass=LINK_MASS)
     still = replace(law, correction=Modes(0.0), feedforward=Modes(0.0))
     off = replace(still, drive=replace(still.drive, voltage_limit=1e-9))
-    run = run_twin(twin, off, hold(0.0, duration=1.0), duration=2.0, events=[TipPulse(0.1, 0.2, 0.02)])
+    run = fl.simulate(off, hold(0.0, duration=1.0), arm=twin, duration=2.0, events=[TipPulse(0.1, 0.2, 0.02)])
     assert np.abs(run.tip_angle).max() > 1e-3
-    assert np.all(run.motor_velocity == 0.0)
+    assert np.all(run.extras["motor_velocity"] == 0.0)
     assert np.abs(run.motor_angle).max() < 1e-5  # within a step the held friction lets it breathe
     assert np.abs(run.torque).max() < twin.breakaway
 
@@ -94,15 +93,15 @@ def test_stiction_breaks_above_its_level(law):
     twin = Twin.from_rig(RIG, link_mass=LINK_MASS)
     twin = replace(twin, motor=replace(twin.motor, coulomb_torque=1e-4))
     off = replace(law, drive=replace(law.drive, voltage_limit=1e-9))
-    run = run_twin(twin, off, hold(0.0, duration=1.0), duration=2.0, events=[TipPulse(0.1, 0.5, 0.05)])
-    assert np.abs(run.motor_velocity).max() > 0.0
+    run = fl.simulate(off, hold(0.0, duration=1.0), arm=twin, duration=2.0, events=[TipPulse(0.1, 0.5, 0.05)])
+    assert np.abs(run.extras["motor_velocity"]).max() > 0.0
 
 
 def test_free_swing_loses_energy_with_friction(law):
     """A kick, then no voltage: hub and link come to rest, energy falls in every period."""
     twin = Twin.from_rig(RIG, link_mass=LINK_MASS)
-    off = driven(twin, replace(law, drive=replace(law.drive, voltage_limit=1e-9)))
-    vessel = Vessel(twin, law.period, off.initial_state())
+    off = with_motor_loop(replace(law, drive=replace(law.drive, voltage_limit=1e-9)), twin=twin)[0]
+    vessel = ArmState(twin, law.period, off.initial_state())
     vessel.state[1], vessel.counters[0] = 3.0, 0
     energies = [vessel.plant.energy(vessel.state)]
     for _ in range(1500):
@@ -115,7 +114,7 @@ def test_free_swing_loses_energy_with_friction(law):
 @pytest.mark.parametrize("damping", [KelvinVoigt(0.0118), PowerLaw(1.92)], ids=["viscous", "power law"])
 def test_payload_exchange_conserves_shape_and_speed(law, damping):
     twin = quiet(payload=0.040, damping=damping)
-    vessel = Vessel(twin, law.period, law.initial_state())
+    vessel = ArmState(twin, law.period, law.initial_state())
     vessel.run(
         smooth(law).block, healthy_inputs(twin, MOVE, law.period, 150, np.random.default_rng(0))
     )  # mid-move
@@ -134,7 +133,7 @@ def test_payload_exchange_conserves_shape_and_speed(law, damping):
 
 def test_exchange_for_the_same_payload_changes_nothing(law):
     twin = quiet(payload=0.030)
-    vessel = Vessel(twin, law.period, law.initial_state())
+    vessel = ArmState(twin, law.period, law.initial_state())
     vessel.run(smooth(law).block, healthy_inputs(twin, MOVE, law.period, 150, np.random.default_rng(0)))
     before = vessel.state.copy()
     vessel.change_payload(0.030)
@@ -143,28 +142,28 @@ def test_exchange_for_the_same_payload_changes_nothing(law):
 
 def test_payload_lost_mid_move(law):
     twin = Twin.from_rig(RIG, payload=0.040, link_mass=LINK_MASS)
-    run = run_twin(twin, law, MOVE, duration=6.0, events=[PayloadChange(0.5, 0.008)])
+    run = fl.simulate(law, MOVE, arm=twin, duration=6.0, events=[PayloadChange(0.5, 0.008)])
     assert run.finished and set(run.mode.tolist()) == {1}
-    assert run.payload[0] == 0.040 and run.payload[-1] == 0.008
+    assert run.payload == 0.040 and run.extras["payload"][-1] == 0.008
     assert np.abs(run.error).max() < 0.25 and abs(run.error[-1]) < 0.02
 
 
 def test_obstacle_stops_the_tip_and_pushes_one_way(law):
     twin = Twin.from_rig(RIG, link_mass=LINK_MASS)
     wall = Obstacle(time=0.0, until=0.9, angle=0.5)
-    run = run_twin(twin, law, MOVE, duration=6.0, events=[wall])
+    run = fl.simulate(law, MOVE, arm=twin, duration=6.0, events=[wall])
     inside = run.time < 0.9
-    force = run.contact_force[inside].max()
+    force = run.extras["contact_force"][inside].max()
     assert force > 0.1
     # A spring of 500 N/m at 0.65 m: no deeper than the force says.
     assert run.tip_angle[inside].max() - 0.5 < force / 500.0 / 0.65 + 1e-3
-    assert np.all(run.contact_force[run.time > 0.91] == 0.0)
+    assert np.all(run.extras["contact_force"][run.time > 0.91] == 0.0)
     assert abs(run.error[-1]) < 0.02 or run.mode[-1] != 1  # it arrives, or the law has tripped and says so
 
 
 def test_restart_mid_motion_has_no_bump(law):
     twin = Twin.from_rig(RIG, link_mass=LINK_MASS)
-    run = run_twin(twin, law, MOVE, duration=6.0, events=[Restart(0.5)])
+    run = fl.simulate(law, MOVE, arm=twin, duration=6.0, events=[Restart(0.5)])
     at = round(0.5 / law.period)
     assert run.flags[at] & 128  # started in this period
     assert abs(run.motor_reference[at] - run.motor_angle_measured[at]) < 1.5 * law.limits.motor_step
@@ -175,7 +174,7 @@ def test_several_moves_in_a_row(law):
     moves = (
         MOVE.then(hold(0.0, duration=1.0)).then(smooth_step(-1.5, duration=1.2)).then(hold(0.0, duration=1.0))
     )
-    run = run_twin(Twin.from_rig(RIG, link_mass=LINK_MASS), law, moves)
+    run = fl.simulate(law, moves, arm=Twin.from_rig(RIG, link_mass=LINK_MASS))
     assert run.reference[-1] == pytest.approx(-0.5)
     assert abs(run.error[-1]) < 0.02
 
@@ -187,20 +186,20 @@ def test_the_printed_motor_is_unstable_and_the_twin_says_so(law):
     assert [f.code for f in twin.findings] == ["W601"]
     assert Twin.from_rig(RIG, link_mass=LINK_MASS).findings == ()
     printed = replace(law, drive=None)
-    run = run_twin(twin, printed, MOVE, duration=4.0)
+    run = fl.simulate(printed, MOVE, arm=twin, duration=4.0)
     assert run.mode[-1] == 4 or np.abs(run.error).max() > 0.5
 
 
 def test_same_seed_same_run_and_seeds_differ(law):
     twin = Twin.from_rig(RIG, link_mass=LINK_MASS)
-    one, two, other = (run_twin(twin, law, MOVE, duration=1.0, seed=s) for s in (3, 3, 4))
+    one, two, other = (fl.simulate(law, MOVE, arm=twin, duration=1.0, seed=s) for s in (3, 3, 4))
     assert np.array_equal(one.tip_angle, two.tip_angle)
     assert not np.array_equal(one.torque_measured, other.torque_measured)
 
 
 def test_encoder_counts_and_gauge_steps(law):
     twin = Twin.from_rig(RIG, link_mass=LINK_MASS)
-    run = run_twin(twin, law, MOVE, duration=1.0)
+    run = fl.simulate(law, MOVE, arm=twin, duration=1.0)
     counts = run.motor_angle_measured / (2 * np.pi / 100000)
     assert counts == pytest.approx(np.round(counts), abs=1e-6)
     assert np.abs(run.motor_angle_measured - run.motor_angle).max() <= np.pi / 100000 * (1 + 1e-9)
@@ -212,7 +211,7 @@ def test_gauge_delay_is_a_delay(law):
     prompt = quiet()
     late = replace(prompt, sensors=Sensors(gauge_delay=0.003))
     for twin, lag in ((prompt, 0), (late, 3)):
-        run = run_twin(twin, smooth(law), MOVE, duration=1.5)
+        run = fl.simulate(smooth(law), MOVE, arm=twin, duration=1.5)
         fine = np.interp(run.time - lag * 1e-3, run.time, run.torque)
         assert run.torque_measured[5:] == pytest.approx(fine[5:], abs=2e-3)
 
@@ -220,20 +219,20 @@ def test_gauge_delay_is_a_delay(law):
 def test_voltage_saturates(law):
     twin = Twin.from_rig(RIG, link_mass=LINK_MASS)
     weak = replace(twin, motor=replace(twin.motor, voltage_limit=1.0))
-    run = run_twin(weak, law, MOVE, duration=2.0)
+    run = fl.simulate(law, MOVE, arm=weak, duration=2.0)
     assert np.abs(run.voltage).max() == 1.0
 
 
 def test_a_run_saves_and_loads_equal(law, tmp_path):
-    run = run_twin(quiet(), smooth(law), MOVE, duration=1.0, events=[Restart(0.5)], seed=2)
+    run = fl.simulate(smooth(law), MOVE, arm=quiet(), duration=1.0, events=[Restart(0.5)], seed=2)
     run.save(tmp_path / "run.npz")
-    back = TwinRun.load(tmp_path / "run.npz")
+    back = Run.load(tmp_path / "run.npz")
     assert np.array_equal(back.tip_angle, run.tip_angle) and back.mode.dtype == run.mode.dtype
     assert back.metrics == run.metrics and back.verdict == run.verdict and back.about == run.about
     assert back.about["law_sha256"] == smooth(law).digest and "Restart" in back.about["events"]
     (tmp_path / "other.npz").write_bytes(b"PK\x03\x04nothing")
     with pytest.raises(FileFormatError):
-        TwinRun.load(tmp_path / "other.npz")
+        Run.load(tmp_path / "other.npz")
 
 
 def test_a_rig_that_contradicts_its_model_is_refused():
@@ -246,8 +245,8 @@ def test_a_rig_that_contradicts_its_model_is_refused():
 
 def test_single_precision_is_the_law_of_the_board(law):
     """The float law runs as float: not the double's bits, but the same move to a float's digits."""
-    one = run_twin(quiet(), smooth(law), MOVE, duration=2.0)
-    two = run_twin(quiet(), smooth(law).in_precision("single"), MOVE, duration=2.0)
+    one = fl.simulate(smooth(law), MOVE, arm=quiet(), duration=2.0)
+    two = fl.simulate(smooth(law).in_precision("single"), MOVE, arm=quiet(), duration=2.0)
     apart = np.abs(one.tip_angle - two.tip_angle).max()
     assert 1e-9 < apart < 1e-4
     assert np.all(two.motor_reference == two.motor_reference.astype(np.float32))
@@ -256,13 +255,17 @@ def test_single_precision_is_the_law_of_the_board(law):
 def test_refusals(law):
     twin = Twin.from_rig(RIG, link_mass=LINK_MASS)
     with pytest.raises(FieldError, match="period"):
-        run_twin(twin, replace(law, period=0.002), MOVE)
+        fl.simulate(replace(law, period=0.002), MOVE, arm=twin)
     with pytest.raises(FieldError, match="duration"):
-        run_twin(twin, law, MOVE, duration=0.0)
+        fl.simulate(law, MOVE, arm=twin, duration=0.0)
     with pytest.raises(FieldError, match="duration"):
-        run_twin(twin, law, MOVE, duration=1e9)
-    with pytest.raises(FieldError, match="gauge_delay"):
-        run_twin(replace(twin, sensors=Sensors(gauge_delay=0.0005)), law, MOVE)
+        fl.simulate(law, MOVE, arm=twin, duration=1e9)
+    with pytest.raises(FieldError, match="events"):
+        fl.simulate(law, MOVE, rig=RIG, events=[TipPulse(1.0, 0.5)])
+    with pytest.raises(FieldError, match="motor_loop"):
+        fl.simulate(law, MOVE, arm=twin, motor_loop="ideal")
+    with pytest.raises(FieldError, match="rig is required"):
+        fl.simulate(law, MOVE)
     with pytest.raises(FieldError, match="stiction"):
         replace(twin, stiction=0.001)
     with pytest.raises(FieldError, match="voltage_delay"):

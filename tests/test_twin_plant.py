@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fraclink._kernels import twin_march
-from fraclink._simulate.twin import Beam, FractionalKelvinVoigt, KelvinVoigt, PowerLaw, assemble
+from fraclink._simulate import Beam, FractionalKelvinVoigt, KelvinVoigt, PowerLaw, assemble
 from fraclink.errors import FieldError
 
 ROD = Beam(0.65, 1.56 * 0.65 / 3, 0.00735, 0.030)

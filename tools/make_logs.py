@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._simulate.twin import Beam, PowerLaw, Sensors, simulate_log
+from fraclink._simulate import Beam, PowerLaw, Sensors, simulate_log
 
 PERIOD, SAMPLES = 0.004, 5001
 STIFFNESS, LENGTH, LINK_MASS = 1.56, 0.65, 0.00735

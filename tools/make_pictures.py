@@ -39,12 +39,12 @@ def main() -> None:
         tip, margin = drawing.subplots(1, 2, width_ratios=(1.25, 1))
         for color, payload in zip((BLUE, ORANGE, GREEN), (0.020, 0.030, 0.040), strict=True):
             run = fl.simulate(
-                rig,
-                model,
                 law,
                 fl.smooth_step(1.0, duration=0.5),
+                rig=rig,
+                model=model,
                 payload=payload,
-                inner="sampled",
+                motor_loop="sampled",
                 duration=2.0,
             )
             tip.plot(run.time, run.tip_angle, color=color, label=f"{1e3 * payload:g} g")

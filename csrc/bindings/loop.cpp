@@ -1,52 +1,104 @@
-// The closed loop from Python: one call per run, arrays in, arrays out.
+// The closed loop from Python: one call for one arm or many, arrays in, arrays out.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 
+#include <complex>
 #include <cstring>
 #include <stdexcept>
 #include <vector>
 
 extern "C" {
-#include "loop.h"
+#include "batch.h"
+#include "law.h"
 }
 
 namespace nb = nanobind;
 
 namespace {
 
-using Vector = nb::ndarray<const double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
-using Matrix = nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
-using Signals = nb::ndarray<double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
-using Marks = nb::ndarray<uint32_t, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+template <typename T, int N>
+using Read = nb::ndarray<const T, nb::ndim<N>, nb::c_contig, nb::device::cpu>;
+template <typename T, int N>
+using Write = nb::ndarray<T, nb::ndim<N>, nb::c_contig, nb::device::cpu>;
+using Complex = std::complex<double>;
 
-// Rows of `signals`: tip, motor, motor reference, torque, measured torque, voltage, tip estimate; of `marks`: flags,
-// mode, reason; of `reference`: angle, velocity, acceleration.
-void run(nb::bytes params, bool single, const loop_rig &rig, double stiffness, Vector first, Vector decay,
-         Matrix weight, Vector pair_re, Vector pair_im, Matrix weight_re, Matrix weight_im, Matrix reference,
-         Signals signals, Marks marks) {
-    const size_t n = reference.shape(1);
-    const auto reals = decay.shape(0), pairs = pair_re.shape(0);
-    if (reference.shape(0) != 3 || signals.shape(0) != 7 || signals.shape(1) != n || marks.shape(0) != 3 ||
-        marks.shape(1) != n || first.shape(0) != LOOP_POWERS || weight.shape(0) != LOOP_POWERS || weight.shape(1) != reals ||
-        pair_im.shape(0) != pairs || weight_re.shape(0) != LOOP_POWERS || weight_re.shape(1) != pairs ||
-        weight_im.shape(0) != LOOP_POWERS || weight_im.shape(1) != pairs)
+// Links of R arms: decay (R, n), weight (R, 6, n), pair (R, m), pair_weight (R, 6, m), first (R, 6), and second
+// (R, LOOP_SECOND) or (0, LOOP_SECOND).
+struct Links {
+    Read<double, 2> decay;
+    Read<double, 3> weight;
+    Read<double, 2> first;
+    Read<double, 2> second;
+    size_t pairs;
+    std::vector<double> pair_re, pair_im, weight_re, weight_im;
+
+    Links(Read<double, 2> decay_, Read<double, 3> weight_, Read<Complex, 2> pair, Read<Complex, 3> pair_weight,
+          Read<double, 2> first_, Read<double, 2> second_)
+        : decay(decay_), weight(weight_), first(first_), second(second_), pairs(pair.shape(1)) {
+        const size_t runs = decay.shape(0);
+        if (weight.shape(0) != runs || weight.shape(1) != LOOP_POWERS || weight.shape(2) != decay.shape(1) ||
+            pair.shape(0) != runs || pair_weight.shape(0) != runs || pair_weight.shape(1) != LOOP_POWERS ||
+            pair_weight.shape(2) != pairs || first.shape(0) != runs || first.shape(1) != LOOP_POWERS ||
+            (second.shape(0) != runs && second.shape(0) != 0) || second.shape(1) != LOOP_SECOND)
+            throw std::invalid_argument("array shapes of the links disagree");
+        split(pair.data(), pair.size(), pair_re, pair_im);
+        split(pair_weight.data(), pair_weight.size(), weight_re, weight_im);
+    }
+
+    // The kernel's vectors run over modes, so that real and imaginary parts stand apart.
+    static void split(const Complex *z, size_t count, std::vector<double> &re, std::vector<double> &im) {
+        re.resize(count);
+        im.resize(count);
+        for (size_t i = 0; i < count; i++) {
+            re[i] = z[i].real();
+            im[i] = z[i].imag();
+        }
+    }
+
+    batch_links view() const {
+        return {int(decay.shape(1)), int(pairs),       decay.data(),     weight.data(), pair_re.data(),
+                pair_im.data(),      weight_re.data(), weight_im.data(), first.data(),
+                second.shape(0) ? second.data() : nullptr};
+    }
+};
+
+// `numbers` (R, BATCH_COLUMNS); `path` (K, 2, N): angle, acceleration; `signals` (3 or 7, R, N): tip, motor reference,
+// voltage, and motor, torque, measured torque, tip estimate; `marks` (3, R, N): flags, mode, reason.
+void run(nb::bytes params, bool single, const loop_rig &rig, const Links &links, Read<double, 2> numbers,
+         Read<uint64_t, 1> seeds, Read<int32_t, 1> chosen, Read<double, 3> path, Write<double, 3> signals,
+         Write<uint32_t, 3> marks) {
+    const size_t runs = numbers.shape(0), n = path.shape(2);
+    if (numbers.shape(1) != BATCH_COLUMNS || path.shape(1) != 2 || seeds.shape(0) != runs ||
+        chosen.shape(0) != runs || links.decay.shape(0) != runs ||
+        (signals.shape(0) != 3 && signals.shape(0) != 7) || signals.shape(1) != runs || signals.shape(2) != n ||
+        marks.shape(0) != 3 || marks.shape(1) != runs || marks.shape(2) != n)
         throw std::invalid_argument("array shapes of the closed loop disagree");
-    loop_link link = {int(reals), int(pairs), decay.data(), weight.data(), pair_re.data(), pair_im.data(),
-                      weight_re.data(), weight_im.data(), {0}, stiffness};
-    for (int i = 0; i < LOOP_POWERS; i++) link.first[i] = first.data()[i];
-    const double *r = reference.data();
-    const loop_reference path = {int64_t(n), r, r + 2 * n};
+    for (size_t r = 0; r < runs; r++)
+        if (chosen.data()[r] < 0 || size_t(chosen.data()[r]) >= path.shape(0))
+            throw std::invalid_argument("a run follows a reference that is not there");
+    const batch_links view = links.view();
+    const size_t plane = runs * n;
     double *o = signals.data();
+    double *rest = signals.shape(0) == 7 ? o + 3 * plane : nullptr;
     uint32_t *f = marks.data();
-    const loop_trace trace = {o, o + n, o + 2 * n, o + 3 * n, o + 4 * n, o + 5 * n, o + 6 * n, f, f + n, f + 2 * n};
-    // bytes objects promise no alignment; the law's block wants that of a double
-    std::vector<double> block(params.size() / sizeof(double) + 1);
+    const batch_traces traces = {o,
+                                 o + plane,
+                                 o + 2 * plane,
+                                 rest,
+                                 rest ? rest + plane : nullptr,
+                                 rest ? rest + 2 * plane : nullptr,
+                                 rest ? rest + 3 * plane : nullptr,
+                                 f,
+                                 f + plane,
+                                 f + 2 * plane};
+    std::vector<double> block(params.size() / sizeof(double) + 1);  // bytes promise no alignment
     std::memcpy(block.data(), params.c_str(), params.size());
+    std::vector<double> scratch(BATCH_SCRATCH * n);
     int failed = 0;
     {
         nb::gil_scoped_release release;
-        failed = single ? loop_run_single(&link, &rig, block.data(), &path, &trace)
-                        : loop_run_double(&link, &rig, block.data(), &path, &trace);
+        failed = batch_run(int64_t(runs), int64_t(n), &view, &rig, numbers.data(), seeds.data(), chosen.data(),
+                           path.data(), block.data(), single, scratch.data(), &traces);
     }
     if (failed) throw std::invalid_argument("too many modes or too long a delay for the closed loop");
 }
@@ -54,23 +106,43 @@ void run(nb::bytes params, bool single, const loop_rig &rig, double stiffness, V
 }  // namespace
 
 void bind_loop(nb::module_ &m) {
+    nb::class_<Links>(m, "Links")
+        .def(nb::init<Read<double, 2>, Read<double, 3>, Read<Complex, 2>, Read<Complex, 3>, Read<double, 2>,
+                      Read<double, 2>>(),
+             nb::kw_only(), nb::arg("decay"), nb::arg("weight"), nb::arg("pair"), nb::arg("pair_weight"),
+             nb::arg("first"), nb::arg("second"));
     nb::class_<loop_rig>(m, "LoopRig")
         .def("__init__",
-             [](loop_rig *self, bool sampled, int substeps, int delay, double period, double pole, double gain,
-                double decay, double friction, double coupling, double encoder, double offset, double noise,
-                double limit, double quantum, double start, uint64_t seed) {
-                 new (self) loop_rig{sampled, substeps, delay, period, pole, gain, decay, friction, coupling, encoder,
-                                     offset, noise, limit, quantum, start, seed};
+             [](loop_rig *self, bool sampled, int substeps, double period, double pole, double coupling,
+                double encoder, double limit, double quantum, double start) {
+                 new (self) loop_rig{};
+                 self->sampled = sampled;
+                 self->substeps = substeps;
+                 self->period = period;
+                 self->pole = pole;
+                 self->coupling = coupling;
+                 self->encoder = encoder;
+                 self->limit = limit;
+                 self->quantum = quantum;
+                 self->start = start;
              },
-             nb::kw_only(), nb::arg("sampled"), nb::arg("substeps"), nb::arg("delay"), nb::arg("period"),
-             nb::arg("pole"), nb::arg("gain"), nb::arg("decay"), nb::arg("friction"), nb::arg("coupling"),
-             nb::arg("encoder"), nb::arg("offset"), nb::arg("noise"), nb::arg("limit"), nb::arg("quantum"),
-             nb::arg("start"), nb::arg("seed"));
-    m.def("loop_run", &run);
+             nb::kw_only(), nb::arg("sampled"), nb::arg("substeps"), nb::arg("period"), nb::arg("pole"),
+             nb::arg("coupling"), nb::arg("encoder"), nb::arg("limit"), nb::arg("quantum"), nb::arg("start"));
+    m.def("loop_run", &run, "Closed loops of one or many arms under one law.");
     m.def("loop_coast", [](nb::ndarray<double, nb::ndim<1>, nb::c_contig, nb::device::cpu> angle, double speed,
                            double gain, double decay, double friction, double period, int substeps) {
-        const loop_rig rig = {1, substeps, 0, period, 0, gain, decay, friction, 0, 0, 0, 0, 0, 0, 0, 0};
+        loop_rig rig = {};
+        rig.sampled = 1;
+        rig.substeps = substeps;
+        rig.period = period;
+        rig.gain = gain;
+        rig.decay = decay;
+        rig.friction = friction;
         loop_coast(&rig, speed, angle.data(), int64_t(angle.shape(0)));
     });
     m.def("loop_normal", &loop_normal);
+    // law.h's own numbers, so that no module writes them down again
+    m.attr("LAW_RUN") = unsigned(LAW_RUN);
+    m.attr("LAW_FLAG_SATURATED") = unsigned(LAW_FLAG_SATURATED);
+    m.attr("LAW_FLAG_STARTED") = unsigned(LAW_FLAG_STARTED);
 }

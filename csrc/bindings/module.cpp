@@ -4,7 +4,6 @@
 
 namespace nb = nanobind;
 
-void bind_batch(nb::module_ &m);
 void bind_fit(nb::module_ &m);
 void bind_law(nb::module_ &m);
 void bind_loop(nb::module_ &m);
@@ -14,7 +13,6 @@ void bind_twin(nb::module_ &m);
 
 NB_MODULE(_kernels, m) {
     m.doc() = "Compiled kernels of fraclink. Private: the package's Python modules are the interface.";
-    bind_batch(m);
     bind_fit(m);
     bind_law(m);
     bind_loop(m);

@@ -39,11 +39,12 @@ inline twin_step step_of(const Matrix &transition, const Vector &hub, const Vect
 }
 
 inline twin_rig rig_of(const Vector &values) {
-    require(values.size() == 10, "rig: 10 values");
+    require(values.size() == 15, "rig: 15 values");
     const double *v = values.data();
     const twin_rig rig = {static_cast<int>(v[0]), static_cast<int>(v[1]), static_cast<int>(v[2]), v[3], v[4], v[5],
-                          v[6], v[7], v[8], v[9]};
+                          v[6], v[7], v[8], v[9], v[10], {v[11], v[12], v[13], v[14]}};
     require(rig.substeps >= 1 && rig.voltage_delay >= 0 && rig.gauge_delay >= 0, "rig: counts");
+    require(rig.gauge_weight[0] == 1.0 || rig.gauge_delay >= 3, "rig: a delay between steps needs four torques");
     return rig;
 }
 

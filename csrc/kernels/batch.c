@@ -1,4 +1,5 @@
-/* Eight runs at a time through group.c, the rest one by one through loop.c: both give the same bits. */
+/* Eight runs at a time through group.c, the rest, and runs with all their signals, one by one through loop.c: both give
+ * the same bits. */
 #include "batch.h"
 
 #include "group.h"
@@ -16,7 +17,8 @@ static loop_link link_of(const batch_links *all, int64_t run, double stiffness)
                       all->weight_re + run * m * LOOP_POWERS,
                       all->weight_im + run * m * LOOP_POWERS,
                       {0},
-                      stiffness};
+                      stiffness,
+                      all->second ? all->second + run * LOOP_SECOND : 0};
     for (int j = 0; j < LOOP_POWERS; j++)
         link.first[j] = all->first[run * LOOP_POWERS + j];
     return link;
@@ -31,6 +33,8 @@ static loop_rig rig_of(const loop_rig *shared, const double *row, uint64_t seed)
     rig.offset = row[BATCH_OFFSET];
     rig.noise = row[BATCH_NOISE];
     rig.delay = (int)row[BATCH_DELAY];
+    rig.gauge_delay = row[BATCH_GAUGE_DELAY];
+    rig.gauge_gain = row[BATCH_GAUGE_GAIN];
     rig.seed = seed;
     return rig;
 }
@@ -62,24 +66,33 @@ static group_loop loop_of(const batch *b, int64_t r, double *noise)
     return loop;
 }
 
-/* A run of the rest of a block, too small for a group. */
-static int run_alone(const group_loop *loop, const void *params, int single, double *scratch, int64_t length)
+/* A run by itself: one whose signals are all kept, or the rest of a block that is too small for a group. */
+static int run_alone(const batch *b, int64_t r, const void *params, int single, double *scratch)
 {
+    const group_loop loop = loop_of(b, r, scratch);
+    const batch_traces *all = b->traces;
+    const int64_t n = b->length;
     double *const angle = scratch;
-    double *const acceleration = scratch + length;
-    double *const spare = scratch + 2 * length;
-    for (int64_t k = 0; k < length; k++) {
-        angle[k] = loop->amplitude * loop->angle[k];
-        acceleration[k] = loop->amplitude * loop->acceleration[k];
+    double *const acceleration = scratch + n;
+    double *const spare = scratch + 2 * n;
+    for (int64_t k = 0; k < n; k++) {
+        angle[k] = loop.amplitude * loop.angle[k];
+        acceleration[k] = loop.amplitude * loop.acceleration[k];
     }
-    const loop_reference reference = {length, angle, acceleration};
-    const loop_trace trace = {loop->trace.tip,    spare,
-                              loop->trace.motor_reference, spare + length,
-                              spare + 2 * length, loop->trace.voltage,
-                              spare + 3 * length, loop->trace.flags,
-                              loop->trace.mode,   loop->trace.reason};
-    return single ? loop_run_single(&loop->link, &loop->rig, params, &reference, &trace)
-                  : loop_run_double(&loop->link, &loop->rig, params, &reference, &trace);
+    const int kept = all->motor != 0;
+    const loop_reference reference = {n, angle, acceleration};
+    const loop_trace trace = {loop.trace.tip,
+                              kept ? all->motor + r * n : spare,
+                              loop.trace.motor_reference,
+                              kept ? all->torque + r * n : spare + n,
+                              kept ? all->measured + r * n : spare + 2 * n,
+                              loop.trace.voltage,
+                              kept ? all->tip_estimate + r * n : spare + 3 * n,
+                              loop.trace.flags,
+                              loop.trace.mode,
+                              loop.trace.reason};
+    return single ? loop_run_single(&loop.link, &loop.rig, params, &reference, &trace)
+                  : loop_run_double(&loop.link, &loop.rig, params, &reference, &trace);
 }
 
 int batch_run(int64_t runs, int64_t length, const batch_links *links, const loop_rig *rig, const double *numbers,
@@ -89,7 +102,7 @@ int batch_run(int64_t runs, int64_t length, const batch_links *links, const loop
     const batch all = {links, rig, numbers, seeds, chosen, path, length, traces};
     int failed = 0;
     int64_t r = 0;
-    for (; r + GROUP_LANES <= runs && !failed; r += GROUP_LANES) {
+    for (; !traces->motor && r + GROUP_LANES <= runs && !failed; r += GROUP_LANES) {
         group_loop group[GROUP_LANES];
         for (int l = 0; l < GROUP_LANES; l++) {
             double *noise = scratch + l * length;
@@ -99,9 +112,7 @@ int batch_run(int64_t runs, int64_t length, const batch_links *links, const loop
         }
         failed = single ? group_run_single(group, params, length) : group_run_double(group, params, length);
     }
-    for (; r < runs && !failed; r++) {
-        const group_loop loop = loop_of(&all, r, scratch);
-        failed = run_alone(&loop, params, single, scratch, length);
-    }
+    for (; r < runs && !failed; r++)
+        failed = run_alone(&all, r, params, single, scratch);
     return failed;
 }

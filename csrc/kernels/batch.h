@@ -1,4 +1,5 @@
-/* Many closed loops in one call: the same law and references, another arm in each run. */
+/* Closed loops of many arms in one call: the same law and references, another arm in each run. One arm is a call with
+ * one run; there is no other way into the loop from Python. */
 #ifndef FRACLINK_BATCH_H
 #define FRACLINK_BATCH_H
 
@@ -10,14 +11,16 @@
 
 /* Columns of a run's numbers. */
 enum {
-    BATCH_STIFFNESS, /* c [N m/rad] */
-    BATCH_GAIN,      /* A of the motor [rad/(s^2 V)] */
-    BATCH_DECAY,     /* B of the motor [1/s] */
-    BATCH_FRICTION,  /* Coulomb deceleration [rad/s^2] */
-    BATCH_OFFSET,    /* of the gauge [N m] */
-    BATCH_NOISE,     /* standard deviation of a gauge sample [N m] */
-    BATCH_DELAY,     /* whole periods */
-    BATCH_AMPLITUDE, /* of the reference [rad] */
+    BATCH_STIFFNESS,   /* c [N m/rad] */
+    BATCH_GAIN,        /* A of the motor [rad/(s^2 V)] */
+    BATCH_DECAY,       /* B of the motor [1/s] */
+    BATCH_FRICTION,    /* Coulomb deceleration [rad/s^2] */
+    BATCH_OFFSET,      /* of the gauge [N m] */
+    BATCH_NOISE,       /* standard deviation of a gauge sample [N m] */
+    BATCH_DELAY,       /* whole periods */
+    BATCH_AMPLITUDE,   /* of the reference [rad] */
+    BATCH_GAUGE_DELAY, /* periods, whole or not */
+    BATCH_GAUGE_GAIN,  /* [1] */
     BATCH_COLUMNS
 };
 
@@ -32,13 +35,19 @@ typedef struct {
     const double *weight_re;
     const double *weight_im;
     const double *first;
+    const double *second; /* LOOP_SECOND numbers a run; null where no link has a second mode */
 } batch_links;
 
-/* Signals that the metrics need, one row of `length` a run; the other signals of a run are not kept. */
+/* One row of `length` a run. Where `motor` is null, the four signals that no metric needs are not kept, and eight runs
+ * at a time go through group.c. */
 typedef struct {
     double *tip;
     double *motor_reference;
     double *voltage;
+    double *motor;
+    double *torque;
+    double *measured;
+    double *tip_estimate;
     uint32_t *flags;
     uint32_t *mode;
     uint32_t *reason;

@@ -59,18 +59,9 @@ static void set_motor(motor_lanes *m, int l, const motor_state *one)
     m->late[l] = one->late;
 }
 
-static double gauge_of(const group_loop *loop, double torque, int64_t k)
-{
-    const loop_rig *rig = &loop->rig;
-    double reading = torque + (k > 0 ? rig->offset : 0.0);
-    if (rig->noise > 0.0)
-        reading += rig->noise * loop->noise[k];
-    reading = rounded_to(reading, rig->quantum);
-    return fmin(fmax(reading, -rig->limit), rig->limit);
-}
-
 /* Sensors and law of one loop; returns what it applies to the motor `delay` periods later. */
-static double decide(const group_loop *loop, const law_params *p, law_state *state, double motor, double tip, int64_t k)
+static double decide(const group_loop *loop, const law_params *p, law_state *state, gauge_line *gauge,
+                     const link_state *link, double motor, int64_t k)
 {
     const loop_rig *rig = &loop->rig;
     law_input in;
@@ -79,9 +70,10 @@ static double decide(const group_loop *loop, const law_params *p, law_state *sta
     in.reference = (law_real)(loop->amplitude * loop->angle[k]);
     in.reference_acceleration = (law_real)(loop->amplitude * loop->acceleration[k]);
     in.motor_angle = (law_real)rounded_to(rig->start + motor, rig->encoder);
-    in.torque = (law_real)gauge_of(loop, loop->link.stiffness * (motor - tip), k);
+    const double normal = rig->noise > 0.0 ? loop->noise[k] : 0.0;
+    in.torque = (law_real)gauge_reading(rig, gauge, root_torque(link, &loop->link, motor), normal, k);
     law_step(state, p, &in, &out);
-    loop->trace.tip[k] = rig->start + tip;
+    loop->trace.tip[k] = rig->start + link->tip;
     loop->trace.motor_reference[k] = (double)out.motor_reference;
     loop->trace.voltage[k] = (double)out.voltage;
     loop->trace.flags[k] = out.flags;
@@ -110,24 +102,22 @@ static void follow_one_by_one(const group_loop *loops, motor_lanes *m, const mot
     }
 }
 
-static int too_large(const group_loop *loop)
-{
-    return loop->link.reals > LOOP_MODES || loop->link.pairs > LOOP_MODES || loop->rig.delay >= LOOP_DELAY;
-}
-
 int GROUP_RUN(const group_loop loops[GROUP_LANES], const void *params, int64_t length)
 {
     const law_params *const p = (const law_params *)params;
     motor_lanes motor = {{0.0}, {0.0}, {0.0}, {0.0}, {0.0}, {0.0}, {0.0}, {0.0}, {0.0}, {0.0}};
     motor_weights w[GROUP_LANES];
-    link_state links[GROUP_LANES] = {{{0}, {0}, {0}, 0.0, 0.0}};
+    link_state links[GROUP_LANES];
     law_state states[GROUP_LANES];
+    gauge_line gauges[GROUP_LANES];
     double pending[GROUP_LANES][LOOP_DELAY];
     int in_lanes = 1;
     EACH_LANE(l)
     {
-        if (too_large(&loops[l]))
+        if (out_of_bounds(&loops[l].link, &loops[l].rig))
             return 1;
+        set_gauge(&gauges[l], loops[l].rig.gauge_delay);
+        links[l] = STRAIGHT;
         w[l] = weights_of(&loops[l].rig);
         motor.keep[l] = w[l].keep;
         motor.first[l] = w[l].first;
@@ -145,7 +135,8 @@ int GROUP_RUN(const group_loop loops[GROUP_LANES], const void *params, int64_t l
         EACH_LANE(l)
         {
             const int64_t slots = loops[l].rig.delay + 1;
-            pending[l][k % slots] = decide(&loops[l], p, &states[l], motor.angle[l], links[l].tip, k);
+            pending[l][k % slots] =
+                decide(&loops[l], p, &states[l], &gauges[l], &links[l], motor.angle[l], k);
             applied[l] = pending[l][(k + 1) % slots]; /* written `delay` periods ago */
             motor.held[l] = loops[l].rig.gain * applied[l];
         }

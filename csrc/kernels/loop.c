@@ -18,20 +18,23 @@ int LOOP_RUN(const loop_link *link, const loop_rig *rig, const void *params, con
     const law_params *const p = (const law_params *)params;
     const motor_weights w = weights_of(rig);
     motor_state motor = {0.0, 0.0, 0.0, 0.0};
-    link_state flexible = {{0}, {0}, {0}, 0.0, 0.0};
+    link_state flexible = STRAIGHT;
+    gauge_line gauge;
     double pending[LOOP_DELAY];
     law_state state;
     law_input in;
     law_output out;
-    if (link->reals > LOOP_MODES || link->pairs > LOOP_MODES || rig->delay >= LOOP_DELAY)
+    if (out_of_bounds(link, rig))
         return 1;
+    set_gauge(&gauge, rig->gauge_delay);
     const int slots = rig->delay + 1;
     for (int i = 0; i < slots; i++)
         pending[i] = 0.0;
     (void)law_init(&state, p);
     for (int64_t k = 0; k < reference->length; k++) {
-        const double torque = link->stiffness * (motor.angle - flexible.tip);
-        const double measured = gauge_reading(rig, torque, k);
+        const double torque = root_torque(&flexible, link, motor.angle);
+        const double normal = rig->noise > 0.0 ? loop_normal(rig->seed, (uint64_t)k) : 0.0;
+        const double measured = gauge_reading(rig, &gauge, torque, normal, k);
         in.tick = (uint32_t)k;
         in.reference = (law_real)reference->reference[k];
         in.reference_acceleration = (law_real)reference->acceleration[k];
@@ -73,7 +76,7 @@ void loop_coast(const loop_rig *rig, double speed, double *angle, int64_t length
 {
     const motor_weights w = weights_of(rig);
     motor_state motor = {0.0, speed, 0.0, 0.0};
-    const link_state rigid = {{0}, {0}, {0}, 0.0, 0.0};
+    const link_state rigid = STRAIGHT;
     for (int64_t k = 0; k < length; k++) {
         angle[k] = motor.angle;
         follow_voltage(&motor, rig, &w, 0.0, &rigid);

@@ -7,10 +7,12 @@
 #define LOOP_POWERS 6
 #define LOOP_MODES 64  /* most real modes, and most pairs, of a link */
 #define LOOP_DELAY 101 /* longest delay in periods, plus one */
+#define LOOP_SECOND 15 /* numbers of a second mode */
 
 /* The link from motor angle to tip angle, exact for a motor angle of degree 5 within each period:
  * tip[k+1] = sum_j first[j] q_j[k] + sum_i x_i[k+1] + Re sum_i z_i[k+1],
- * x_i[k+1] = decay_i x_i[k] + sum_j weight_ij q_j[k], the same for the pairs z. */
+ * x_i[k+1] = decay_i x_i[k] + sum_j weight_ij q_j[k], the same for the pairs z.
+ * A second mode is one more pair; it bends the gauge by gain theta_m + Re z and leaves the tip where it is. */
 typedef struct {
     int reals;
     int pairs;
@@ -22,6 +24,7 @@ typedef struct {
     const double *weight_im; /* 6 x pairs */
     double first[LOOP_POWERS];
     double stiffness;
+    const double *second; /* gain, decay (re, im), 6 weights re, 6 im; null where there is none */
 } loop_link;
 
 typedef struct {
@@ -39,6 +42,8 @@ typedef struct {
     double noise;          /* standard deviation of a gauge sample [N m] */
     double limit;          /* largest gauge reading [N m] */
     double quantum;        /* gauge resolution [N m], 0 = exact */
+    double gauge_delay;    /* age of the torque that the gauge shows, in periods, below LOOP_DELAY; 0 = none */
+    double gauge_gain;     /* what the gauge shows of a torque [1] */
     double start;          /* angle at rest before the first period [rad] */
     uint64_t seed;
 } loop_rig;

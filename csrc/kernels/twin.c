@@ -81,11 +81,18 @@ static double clamped(double value, double limit)
     return value > limit ? limit : (value < -limit ? -limit : value);
 }
 
+/* The torque as old as the strain amplifier's delay; between two steps the cubic through the four around it. */
+static double delayed_torque(const twin_rig *rig, const double *gauge)
+{
+    const double *w = rig->gauge_weight;
+    return w[0] == 1.0 ? gauge[0] : (w[0] * gauge[0] + w[1] * gauge[1]) + (w[2] * gauge[2] + w[3] * gauge[3]);
+}
+
 void twin_sense(const twin_rig *rig, twin_memory *memory, const double *input, double *angle, double *torque)
 {
     const int faults = (int)input[TWIN_FAULTS];
     double a = quantised(input[TWIN_ENCODER_GAIN] * memory->state[0] + input[TWIN_ENCODER_ERROR], rig->angle_quantum);
-    double g = input[TWIN_GAUGE_GAIN] * memory->gauge[0] + input[TWIN_GAUGE_ERROR];
+    double g = input[TWIN_GAUGE_GAIN] * rig->gauge_gain * delayed_torque(rig, memory->gauge) + input[TWIN_GAUGE_ERROR];
     g = quantised(clamped(g, rig->gauge_limit), rig->gauge_quantum);
     if (faults != 0) {
         a = (faults & TWIN_ENCODER_FROZEN) ? memory->angle : a;

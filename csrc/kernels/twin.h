@@ -20,7 +20,7 @@ typedef struct {
 typedef struct {
     int substeps;            /* steps per control period */
     int voltage_delay;       /* control periods between reading the sensors and the voltage's effect */
-    int gauge_delay;         /* steps of the strain amplifier's delay */
+    int gauge_delay;         /* age in steps of the oldest torque that the gauge needs */
     double torque_per_volt;  /* at the link's side [N m/V] */
     double voltage_limit;    /* of the amplifier [V] */
     double coulomb;          /* sliding friction [N m] */
@@ -28,6 +28,8 @@ typedef struct {
     double angle_quantum;    /* encoder count [rad], 0: none */
     double gauge_quantum;    /* [N m], 0: none */
     double gauge_limit;      /* [N m], infinity: none */
+    double gauge_gain;       /* what the gauge shows of a torque [1] */
+    double gauge_weight[4];  /* of the four oldest torques: 1, 0, 0, 0 where the delay is a whole number of steps */
 } twin_rig;
 
 /* An obstacle: a stop at `angle` that pushes back along `side` (+1: the tip may not pass above) as a spring. */
@@ -42,7 +44,7 @@ typedef struct {
 /* What the loop remembers besides the link's states and the law. */
 typedef struct {
     double *state;   /* stride */
-    double *gauge;   /* ring of gauge_delay + 1 true torques, the oldest first */
+    double *gauge;   /* queue of gauge_delay + 1 true torques, the oldest first */
     double *voltage; /* queue of voltage_delay voltages, the next one first; then the last one asked for */
     double *scratch; /* stride */
     double angle;    /* what the sensors gave last, for the fault of a frozen channel */
@@ -96,6 +98,7 @@ enum {
     TWIN_OUT_FLAGS,
     TWIN_OUT_MOTOR_VELOCITY,
     TWIN_OUT_CONTACT,
+    TWIN_OUT_TIP_ESTIMATE, /* not a number in a period that the law missed */
     TWIN_COLUMNS
 };
 

@@ -61,6 +61,7 @@ static double control(const twin_rig *rig, const law_params *params, const doubl
     record[TWIN_OUT_MODE] = answer.mode;
     record[TWIN_OUT_REASON] = answer.reason;
     record[TWIN_OUT_FLAGS] = answer.flags;
+    record[TWIN_OUT_TIP_ESTIMATE] = (faults & TWIN_TICK_MISSED) ? NAN : (double)answer.tip_estimate;
     return voltage;
 }
 

@@ -22,7 +22,7 @@ _HOME: dict[str, str] = {
     "Rig": "fraclink._arm.rig",
     "Run": "fraclink._simulate",
     "Study": "fraclink._workflow",
-    "Twin": "fraclink._simulate.twin",
+    "Twin": "fraclink._simulate",
     "approximate": "fraclink._systems.rational",
     "bundled_log": "fraclink._logs.readers",
     "certify": "fraclink._certify",
@@ -46,7 +46,6 @@ _HOME: dict[str, str] = {
     "prbs": "fraclink._arm.reference",
     "pulse": "fraclink._arm.reference",
     "read_log": "fraclink._logs.readers",
-    "run_twin": "fraclink._simulate.twin",
     "s": "fraclink._systems.fractional",
     "save": "fraclink._files",
     "simulate": "fraclink._simulate",
@@ -83,9 +82,8 @@ if TYPE_CHECKING:  # what editors and type checkers see; nothing of this runs
     from fraclink._logs.readers import read_log as read_log
     from fraclink._show.report import write_report as write_report
     from fraclink._simulate import Run as Run
+    from fraclink._simulate import Twin as Twin
     from fraclink._simulate import simulate as simulate  # type: ignore[no-redef]
-    from fraclink._simulate.twin import Twin as Twin
-    from fraclink._simulate.twin import run_twin as run_twin
     from fraclink._systems.fractional import FractionalTransferFunction as FractionalTransferFunction
     from fraclink._systems.fractional import s as s
     from fraclink._systems.interop import from_control as from_control

@@ -86,8 +86,6 @@ COMMANDS: dict[str, str] = {
     "--phase mid --seed 1 --out faults",
     "campaign-faults-open": f"campaign faults --design design.json {ARM} --only F07 --severity 3 "
     "--payload 0.03 --phase mid --seed 3 --out open --figures none",
-    "campaign-sweep": "campaign sweep --gear 50 --link-mass 0.00735 --gain-crossover 12 --gain-crossover 30 "
-    "--phase-margin-deg 50 --payload 0.03 --out sweep.json",
     "run-realtime-no-arm": "run-realtime design.json --io nowhere",
     "reproduce-of-nothing": "reproduce --published nothing --out again",
 }

@@ -7,18 +7,18 @@ before controllers had a lead. Results without a reader (comparison, assessment,
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
 import fraclink as fl
-from fraclink._campaign import load_campaign, load_sweep, read_part
+from fraclink._campaign import load_campaign, read_part
 from fraclink._certify import Certificate
 from fraclink._export import Proof
 from fraclink._identify import load_model
 from fraclink._realtime.arm import ServedArm
 from fraclink._realtime.run import RealtimeRun
-from fraclink._simulate.twin import TwinRun
 from fraclink._workflow.folder import load_study
 
 FOLDER = Path(__file__).resolve().parent / "formats"
@@ -114,21 +114,20 @@ def study() -> Found:
 def _run(run: fl.Run) -> Found:
     return (
         _named(run.metrics, "overshoot", "settling_time", "peak_voltage", "steady_state_error")
-        | {"passed": run.verdict.passed, "payload": run.payload, "seed": run.settings.seed}
+        | {"passed": run.verdict.passed, "payload": run.payload, "seed": run.about["seed"]}
         | _sums(run, "time", "reference", "tip_angle", "motor_angle", "torque", "voltage", "flags", "mode")
     )
 
 
 def runs() -> Found:
     """Runs of the twin, in real time, of a served arm, and a log as CSV."""
-    twin, live = TwinRun.load(FOLDER / "twin-run.npz"), RealtimeRun.load(FOLDER / "realtime-run.npz")
+    twin, live = fl.Run.load(FOLDER / "twin-run.npz"), RealtimeRun.load(FOLDER / "realtime-run.npz")
     arm = ServedArm.load(FOLDER / "served-arm.npz")
     log = fl.read_log(FOLDER / "log.csv")
     law = fl.Law.load(FOLDER / "study" / "law.json")
     return {
-        "twin": _sums(
-            twin, "time", "tip_angle", "motor_angle", "torque_measured", "voltage", "mode", "payload"
-        )
+        "twin": _sums(twin, "time", "tip_angle", "motor_angle", "torque_measured", "voltage", "mode")
+        | _sums(SimpleNamespace(**twin.extras), "payload")
         | {"finished": twin.finished, "overshoot": twin.metrics.overshoot, "about": twin.about},
         "real time": _sums(live, "time", "latency", "work", "motor_angle", "voltage", "tick", "mode", "flags")
         | _named(live, "period", "connection", "stopped", "lost_commands", "origin", "passed", "missed")
@@ -140,16 +139,14 @@ def runs() -> Found:
 
 
 def campaigns() -> Found:
-    """A campaign's folder with one part, a sweep, a proof."""
+    """A campaign's folder with one part, a proof."""
     campaign = load_campaign(FOLDER / "campaign")
     part = read_part(campaign, FOLDER / "campaign", 0)
     assert part is not None
-    sweep, proof = load_sweep(FOLDER / "sweep.json"), Proof.load(FOLDER / "proof.json")
+    proof = Proof.load(FOLDER / "proof.json")
     return {
-        "campaign": _named(campaign, "runs", "seed", "inner", "duration", "fingerprint"),
+        "campaign": _named(campaign, "runs", "seed", "motor_loop", "duration", "fingerprint"),
         "part": {name: float(np.sum(values)) for name, values in part.items()},
-        "sweep": _named(sweep, "rig", "link_mass", "gain_crossovers", "phase_margins", "payloads")
-        | {"cells": [[c.passed, c.settling_time, c.overshoot, c.infeasible] for c in sweep.cells]},
         "proof": {
             claim.name: [claim.statement, claim.status, claim.tools, claim.logs] for claim in proof.claims
         }

@@ -36,7 +36,7 @@ import fraclink as fl
 sys.path[:0] = [str(folder) for folder in Path(__file__).resolve().parents[1:3]]
 
 # The names that are not at the root: all of them here, so that a move of modules is one edit.
-from fraclink._campaign import Campaign, simulate_part, sweep
+from fraclink._campaign import Campaign, simulate_part
 from fraclink._campaign.faults import Bench, Case, run_case
 from fraclink._certify import Certificate
 from fraclink._design import optimise
@@ -48,7 +48,7 @@ from fraclink._identify import (
     identify_payloads,
 )
 from fraclink._law import equip
-from fraclink._simulate.twin import (
+from fraclink._simulate import (
     FractionalKelvinVoigt,
     KelvinVoigt,
     Obstacle,
@@ -192,8 +192,8 @@ def model_runs() -> Iterator[tuple[str, fl.Run]]:
     move = fl.smooth_step(1.0, 0.5)
     for seed, grams in enumerate((8, 16, 20, 30, 40, 60)):
         for inner, named in (("ideal", "outer"), ("sampled", "default")):
-            options: Plain = {"payload": grams / 1e3, "seed": seed, "inner": inner, "duration": 3.0}
-            yield f"model {grams} g {inner}", fl.simulate(RIG, LINK, law(named), move, **options)
+            options: Plain = {"payload": grams / 1e3, "seed": seed, "motor_loop": inner, "duration": 3.0}
+            yield f"model {grams} g {inner}", fl.simulate(law(named), move, rig=RIG, model=LINK, **options)
     several: dict[str, tuple[str, str, Plain]] = {
         "quiet": ("default", "double", {"noise": 0.0}),
         "noise": ("default", "double", {"noise": 0.03, "seed": 11}),
@@ -209,20 +209,38 @@ def model_runs() -> Iterator[tuple[str, fl.Run]]:
         "printed": ("printed", "double", {"payload": 0.040, "seed": 20}),
     }
     for title, (named, precision, options) in several.items():
-        made = {"inner": "sampled", "duration": 3.0} | options
-        yield f"model {title}", fl.simulate(RIG, LINK, law(named, precision), move, **made)
+        made = {"motor_loop": "sampled", "duration": 3.0} | options
+        yield f"model {title}", fl.simulate(law(named, precision), move, rig=RIG, model=LINK, **made)
     links = {
         "D-FOM": fl.LinkModel(1.56, 11.0, damping=0.8, damping_order=0.6),
         "D-IOM": fl.LinkModel(1.56, 11.0, damping=0.5),
         "UD-IOM": fl.LinkModel(1.56, 11.0),
     }
     for title, link in links.items():
-        yield f"model {title}", fl.simulate(RIG, link, law("outer", "single"), move, seed=21, duration=3.0)
+        yield (
+            f"model {title}",
+            fl.simulate(
+                law("outer", "single"), move, rig=RIG, model=link, motor_loop="ideal", seed=21, duration=3.0
+            ),
+        )
     yield (
         "model pulse",
-        fl.simulate(RIG, LINK, law("default"), fl.pulse(0.4, 0.5, 1.5), seed=22, duration=3.0),
+        fl.simulate(
+            law("default"),
+            fl.pulse(0.4, 0.5, 1.5),
+            rig=RIG,
+            model=LINK,
+            motor_loop="ideal",
+            seed=22,
+            duration=3.0,
+        ),
     )
-    yield "model at rest", fl.simulate(RIG, LINK, law("outer"), fl.hold(0.0), seed=23, duration=3.0)
+    yield (
+        "model at rest",
+        fl.simulate(
+            law("outer"), fl.hold(0.0), rig=RIG, model=LINK, motor_loop="ideal", seed=23, duration=3.0
+        ),
+    )
 
 
 def twin_runs() -> Iterator[tuple[str, Any]]:
@@ -236,7 +254,10 @@ def twin_runs() -> Iterator[tuple[str, Any]]:
     for seed, (title, damping) in enumerate(materials.items()):
         for grams in (20, 40):
             arm = fl.Twin.from_rig(GEARED, payload=grams / 1e3, link_mass=LINK_MASS, damping=damping)
-            yield f"twin {title} {grams} g", fl.run_twin(arm, law("geared"), move, duration=3.0, seed=seed)
+            yield (
+                f"twin {title} {grams} g",
+                fl.simulate(law("geared"), move, arm=arm, duration=3.0, seed=seed),
+            )
     arm = fl.Twin.from_rig(GEARED, link_mass=LINK_MASS)
     slow = fl.Twin.from_rig(GEARED, link_mass=LINK_MASS, gauge_delay=0.004)
     nan = float("nan")
@@ -255,17 +276,17 @@ def twin_runs() -> Iterator[tuple[str, Any]]:
         ],
     }
     for seed, (title, list_) in enumerate(events.items()):
-        run = fl.run_twin(arm, law("geared"), move, duration=3.0, seed=seed, events=list_)
+        run = fl.simulate(law("geared"), move, arm=arm, duration=3.0, seed=seed, events=list_)
         yield f"twin {title}", run
-    yield "twin single", fl.run_twin(arm, law("geared", "single"), move, duration=3.0, seed=5)
-    yield "twin late gauge", fl.run_twin(slow, law("geared"), move, duration=3.0, seed=6)
+    yield "twin single", fl.simulate(law("geared", "single"), move, arm=arm, duration=3.0, seed=5)
+    yield "twin late gauge", fl.simulate(law("geared"), move, arm=slow, duration=3.0, seed=6)
     there = fl.smooth_step(1.0, 0.6).then(fl.smooth_step(-0.5, 0.6))
-    yield "twin two moves", fl.run_twin(arm, law("geared"), there, duration=3.0, seed=7)
+    yield "twin two moves", fl.simulate(law("geared"), there, arm=arm, duration=3.0, seed=7)
 
 
 def campaign_figures(inner: str, seed: int) -> Plain:
     """Every column of a Monte Carlo part of 250 arms."""
-    columns = simulate_part(Campaign.of(RIG, LINK, law("default"), runs=250, seed=seed, inner=inner), 0)
+    columns = simulate_part(Campaign.of(RIG, LINK, law("default"), runs=250, seed=seed, motor_loop=inner), 0)
     finite = {name: np.asarray(values, dtype=float) for name, values in columns.items()}
     return plain(
         {
@@ -294,7 +315,7 @@ FAULTS = (("F02", 2, "mid"), ("F07", 3, "mid"), ("F09", 1, "mid"), ("F14", 2, "r
 
 
 def runs() -> Plain:
-    """Seeded runs of model, twin, Monte Carlo campaign, faults and sweep."""
+    """Seeded runs of model, twin, Monte Carlo campaign and faults."""
     made = {title: run_figures(run) for title, run in (*model_runs(), *twin_runs())}
     made |= {
         f"campaign {inner}": campaign_figures(inner, seed) for inner, seed in (("sampled", 7), ("ideal", 8))
@@ -472,12 +493,6 @@ def designs() -> Plain:
         best = optimise(design_of(RIG), lead=False, **options)
         steps = {step.structure: [step.value, step.taken] for step in best.steps}
         made[f"optimised {title}"] = plan_figures(best.design) | {"steps": plain(steps)}
-    found = sweep(
-        GEARED, gain_crossovers=[11.0, 20.0], phase_margins=[0.9, 1.2], payloads=[0.03], link_mass=LINK_MASS
-    )
-    made["sweep"] = plain(
-        [[c.passed, c.settling_time, c.overshoot, c.residual_vibration, c.infeasible] for c in found.cells]
-    )
     return made
 
 

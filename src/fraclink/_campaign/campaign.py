@@ -1,36 +1,203 @@
-"""The campaign as a noun: everything its result depends on, in one folder, and nothing else."""
+"""A campaign: one law, the arm that it was made for, and what varies from one arm to the next."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass, fields
+import math
+from collections.abc import Collection
+from dataclasses import MISSING, asdict, dataclass, fields
+from dataclasses import field as with_default
 from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr, ndtri
 
 from fraclink._arm.link import LinkModel
 from fraclink._arm.rig import Rig
-from fraclink._campaign.draws import Distribution, Draws, draws_for
 from fraclink._design.files import link_from
 from fraclink._files import read_json, write_json
 from fraclink._law import Law, equip
-from fraclink._validate import checked_between, checked_choice, checked_noun
+from fraclink._validate import Between, checked
 from fraclink.errors import FieldError, FileFormatError, SizeError
 
-__all__ = ["PART_RUNS", "Campaign", "load_campaign", "save_campaign"]
+__all__ = [
+    "PART_RUNS",
+    "SHAPES",
+    "Campaign",
+    "Distribution",
+    "Draws",
+    "draw",
+    "draws_for",
+    "load_campaign",
+    "save_campaign",
+]
+
+Real = NDArray[np.float64]
 
 KIND, FORMAT = "campaign", 1
 PART_RUNS = 1000  # runs of a part: a second of work is what a kill can cost, and a file of 100 kB
 LARGEST = 10**9  # runs; a year of one core is a slip of the pen
 DURATION = 4.0  # [s]: three seconds of rest after the longest move, twenty vibration periods
 SHAPES = (0.5, 0.75, 1.0)  # durations of the drawn moves [s]
+TAILS = 4.0  # a normal draw is cut at ±4σ: 6e-5 of the draws, and no motor of negative inertia
 
 
+# ── what is drawn ───────────────────────────────────────────────────────────────────────────────────────────
+
+
+@checked
+@dataclass(frozen=True)
+class Distribution:
+    """One parameter's distribution.
+
+    "uniform": low … high. "normal": mean (low + high)/2 and standard deviation (high − low)/8, cut at low
+    and high, which are ±4σ. "whole": whole numbers low … high, all equally likely.
+
+    >>> Distribution("uniform", 0.02, 0.04).at(np.array([0.5])).tolist()
+    [0.03]
+    """
+
+    kind: Literal["uniform", "normal", "whole"]
+    low: float
+    high: float
+
+    def __post_init__(self) -> None:
+        if self.low > self.high:
+            raise FieldError(
+                "low, high",
+                (self.low, self.high),
+                "not a range",
+                allowed="finite numbers, low <= high",
+                remedy="put the smaller number first",
+            )
+        if self.kind == "whole" and (self.low != math.floor(self.low) or self.high != math.floor(self.high)):
+            raise FieldError(
+                "low, high", (self.low, self.high), "not whole", allowed="whole numbers", remedy="round them"
+            )
+
+    def at(self, uniform: Real) -> Real:
+        """Return the values whose cumulated probability is `uniform`, in [0, 1); shape kept."""
+        if self.kind == "whole":
+            return np.asarray(self.low + np.floor(uniform * (self.high - self.low + 1.0)))
+        if self.kind == "uniform" or self.low == self.high:
+            return np.asarray(self.low + uniform * (self.high - self.low))
+        cut = ndtr(-TAILS)
+        deviation = ndtri(cut + uniform * (1.0 - 2.0 * cut))
+        return np.asarray(0.5 * (self.low + self.high) + deviation * (self.high - self.low) / (2.0 * TAILS))
+
+
+def _around(centre: float, part: float) -> Distribution:
+    """A normal distribution about `centre` whose ±4σ are `part` of it."""
+    return Distribution("normal", centre * (1.0 - part), centre * (1.0 + part))
+
+
+def _always(value: float) -> Distribution:
+    return Distribution("uniform", value, value)
+
+
+# Least and largest value of each parameter's range, and whether the least is allowed.
+_RANGES = {
+    "payload": (0.0, math.inf, False),
+    "stiffness": (0.0, math.inf, False),
+    "order": (1.0, 2.0, False),
+    "motor_gain": (0.0, math.inf, False),
+    "amplitude": (0.0, math.inf, False),
+    "delay_samples": (0.0, 100.0, True),
+    "viscous_friction": (0.0, math.inf, True),
+    "coulomb_torque": (0.0, math.inf, True),
+    "noise": (0.0, math.inf, True),
+    "gauge_delay": (0.0, math.inf, True),
+}
+
+
+@checked(prefix="draws.")
+@dataclass(frozen=True)
+class Draws:
+    """The distributions of one campaign; factors multiply the rig's own value.
+
+    payload [kg], stiffness [N·m/rad], order λ [1], motor_gain, viscous_friction, coulomb_torque and noise
+    [factors], gauge_offset [N·m], delay_samples [periods], amplitude of the move [rad], gauge_delay [s],
+    gauge_gain [1].
+    """
+
+    payload: Distribution
+    stiffness: Distribution
+    order: Distribution
+    gauge_offset: Distribution
+    delay_samples: Distribution
+    motor_gain: Distribution = with_default(default_factory=lambda: _around(1.0, 0.1))
+    viscous_friction: Distribution = with_default(default_factory=lambda: _around(1.0, 0.3))
+    coulomb_torque: Distribution = with_default(default_factory=lambda: Distribution("uniform", 0.5, 1.5))
+    noise: Distribution = with_default(default_factory=lambda: Distribution("uniform", 0.5, 2.0))
+    amplitude: Distribution = with_default(default_factory=lambda: Distribution("uniform", 0.2, 1.2))
+    gauge_delay: Distribution = with_default(default_factory=lambda: _always(0.0))
+    gauge_gain: Distribution = with_default(default_factory=lambda: _always(1.0))
+
+    def __post_init__(self) -> None:
+        for name, (low, high, closed) in _RANGES.items():
+            own = getattr(self, name)
+            if own.low < low or own.high > high or (own.low == low and not closed):
+                words = f"{low:g} {'<=' if closed else '<'} {name} <= {high:g}"
+                raise FieldError(
+                    f"draws.{name}", (own.low, own.high), "out of range", allowed=words, remedy="narrow it"
+                )
+
+
+@checked
+def draws_for(rig: Rig, model: LinkModel) -> Draws:
+    """Return the stated defaults: what varies between two arms of one drawing, and from day to day.
+
+    payload over the rig's range, stiffness ±8 % and λ ±0.02 at 4σ, motor gain ±10 %, viscous friction
+    ±30 %, Coulomb torque 0.5 … 1.5 ×, noise 0.5 … 2 ×, gauge offset ±0.05 N·m, moves of 0.2 … 1.2 rad.
+    The delay stays the rig's own: one more sample is another design, not a tolerance. The gauge's delay and
+    gain are those that were identified.
+
+    >>> import fraclink as fl
+    >>> rig = fl.Rig.named("paper-2023")
+    >>> draws_for(rig, rig.model).payload.high
+    0.04
+    """
+    reach = min(0.02, 2.0 - model.order)
+    return Draws(
+        payload=Distribution("uniform", rig.payloads.low, rig.payloads.high),
+        stiffness=_around(model.stiffness, 0.08),
+        order=Distribution("normal", model.order - reach, model.order + reach),
+        gauge_offset=Distribution("uniform", -0.05, 0.05),
+        delay_samples=Distribution("whole", rig.motor_loop.delay_samples, rig.motor_loop.delay_samples),
+        gauge_delay=_always(max(model.gauge_delay, 0.0)),
+        gauge_gain=_always(model.gauge_gain),
+    )
+
+
+def draw(draws: Draws, seed: int, part: int, runs: int) -> dict[str, Real]:
+    """Return the parameters of the runs of one part, by name; shape (runs,) each.
+
+    Part `part` has its own stream, ``SeedSequence(seed, spawn_key=(part,))``: what is drawn depends on the
+    seed and the part's number only, never on who computes it or when.
+    """
+    generator = np.random.Generator(np.random.Philox(np.random.SeedSequence(seed, spawn_key=(part,))))
+    names = [field.name for field in fields(draws)]
+    # The gauge's two came later: drawn behind the others, they leave what a seed gives as it was.
+    first = [name for name in names if name not in ("gauge_delay", "gauge_gain")]
+    uniform = dict(zip(first, generator.random((len(first), runs)), strict=True))
+    shape = np.floor(generator.random(runs) * 2**31)
+    uniform |= dict(zip(("gauge_delay", "gauge_gain"), generator.random((2, runs)), strict=True))
+    return {name: getattr(draws, name).at(uniform[name]) for name in names} | {"shape": shape}
+
+
+# ── the campaign ────────────────────────────────────────────────────────────────────────────────────────────
+
+
+@checked
 @dataclass(frozen=True)
 class Campaign:
     """Monte Carlo runs of one law on arms that differ: payload, stiffness, λ, motor, friction, sensors.
 
-    rig, model and law: the nominal arm and the law under test (equipped with its inner loop for
-    ``inner="sampled"``). draws: the distributions. runs: how many, 1 … 10⁹. seed: 0 … 2⁶³ − 1; the same
+    rig, model and law: the nominal arm and the law under test, with its motor loop for
+    ``motor_loop="sampled"``. draws: the distributions. runs: how many, 1 … 10⁹. seed: 0 … 2⁶³ − 1; the same
     seed gives the same runs whatever the number of workers. duration [s] of each run.
     """
 
@@ -38,38 +205,16 @@ class Campaign:
     model: LinkModel
     law: Law
     draws: Draws
-    runs: int
-    seed: int = 0
-    inner: str = "sampled"
-    duration: float = DURATION
+    runs: Annotated[int, Between(1)]
+    seed: Annotated[int, Between(0, 2**63 - 1)] = 0
+    motor_loop: Literal["ideal", "sampled"] = "sampled"
+    duration: Annotated[float, Between(max(SHAPES) + 1.0, 600.0, "s", remedy="leave time to settle")] = (
+        DURATION
+    )
 
     def __post_init__(self) -> None:
-        checked_noun("rig", self.rig, Rig, remedy="Rig.named or Rig.load make one")
-        checked_noun("model", self.model, LinkModel, remedy="fit.model, or rig.model")
-        checked_noun("law", self.law, Law, remedy="controller.discretize(rig.period) makes one")
-        checked_noun("draws", self.draws, Draws, remedy="draws_for(rig, model)")
-        for name, low, high in (("runs", 1, LARGEST), ("seed", 0, 2**63 - 1)):
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int) or value < low:
-                raise FieldError(
-                    name,
-                    value,
-                    "not a whole number in range",
-                    allowed=f"{low} … {high}",
-                    remedy="give a whole number",
-                )
-            if value > high:
-                raise SizeError(name, value, "too many", allowed=f"<= {high}", remedy="ask for less")
-        checked_choice("inner", self.inner, ("ideal", "sampled"), remedy='say "sampled"')
-        duration = checked_between(
-            "duration",
-            self.duration,
-            max(SHAPES) + 1.0,
-            600.0,
-            "s",
-            remedy="leave time to settle after the longest move",
-        )
-        object.__setattr__(self, "duration", duration)
+        if self.runs > LARGEST:
+            raise SizeError("runs", self.runs, "too many", allowed=f"<= {LARGEST}", remedy="ask for less")
         if self.model.structure not in ("UD-FOM", "UD-IOM"):
             raise FieldError(
                 "model",
@@ -91,10 +236,13 @@ class Campaign:
     @property
     def fingerprint(self) -> str:
         """SHA-256 of everything a part's result depends on; the number of runs is not among it."""
-        text = json.dumps(_about(self), sort_keys=True) + self.law.digest
+        # as release 0.1 called the table, so that its folders can be resumed
+        rig = self.rig.to_toml().replace("[motor_loop]", "[inner_loop]")
+        text = json.dumps({"rig": rig} | _about(self), sort_keys=True) + self.law.digest
         return hashlib.sha256(text.encode()).hexdigest()
 
     @staticmethod
+    @checked
     def of(
         rig: Rig,
         model: LinkModel,
@@ -103,7 +251,7 @@ class Campaign:
         runs: int,
         seed: int = 0,
         draws: Draws | None = None,
-        inner: str = "sampled",
+        motor_loop: Literal["ideal", "sampled"] = "sampled",
     ) -> Campaign:
         """Return the campaign of a law with the default draws of its rig; the law gets the rig's motor loop.
 
@@ -113,35 +261,35 @@ class Campaign:
         >>> Campaign.of(rig, rig.model, law, runs=2500).parts
         3
         """
-        checked_noun("law", law, Law, remedy="controller.discretize(rig.period) makes one")
-        checked_choice("inner", inner, ("ideal", "sampled"), remedy='say "sampled"')
-        equipped = equip(law, rig, model) if inner == "sampled" and law.drive is None else law
+        own = equip(law, rig, model) if motor_loop == "sampled" and law.drive is None else law
         chosen = draws_for(rig, model) if draws is None else draws
-        return Campaign(rig, model, equipped, chosen, runs, seed, inner)
+        return Campaign(rig, model, own, chosen, runs, seed, motor_loop)
 
 
 def _about(campaign: Campaign) -> dict[str, object]:
     return {
-        # as release 0.1 called the table, so that its folders can be resumed
-        "rig": campaign.rig.to_toml().replace("[motor_loop]", "[inner_loop]"),
-        "model": _stated(campaign.model),
-        "draws": asdict(campaign.draws),
+        "model": _stated(campaign.model, LATER_MODEL),
+        "draws": _stated(campaign.draws, LATER_DRAWS),
         "seed": campaign.seed,
-        "inner": campaign.inner,
+        "inner": campaign.motor_loop,
         "duration": campaign.duration,
         "part_runs": PART_RUNS,
         "shapes": list(SHAPES),
     }
 
 
-# Fields of a link that release 0.1 did not have.
-_LATER = {"gauge_delay", "gauge_gain", "second_mode", "unseen_up_to", "intervals"}
+# Fields that release 0.1 did not have.
+LATER_MODEL = {"gauge_delay", "gauge_gain", "second_mode", "unseen_up_to", "intervals"}
+LATER_DRAWS = {"gauge_delay": 0.0, "gauge_gain": 1.0}
 
 
-def _stated(model: LinkModel) -> dict[str, object]:
-    """The link without later fields at their defaults: a campaign begun before them keeps its fingerprint."""
-    default = {item.name: item.default for item in fields(LinkModel)}
-    return {k: v for k, v in asdict(model).items() if k not in _LATER or v != default[k]}
+def _stated(value: LinkModel | Draws, later: Collection[str]) -> dict[str, object]:
+    """The fields but later ones at their defaults: a campaign begun before them keeps its fingerprint."""
+    made = {
+        f.name: f.default_factory() if f.default_factory is not MISSING else f.default for f in fields(value)
+    }
+    stated = {f.name: getattr(value, f.name) for f in fields(value)}
+    return {k: v for k, v in asdict(value).items() if k not in later or stated[k] != made[k]}
 
 
 def save_campaign(campaign: Campaign, folder: Path) -> None:
@@ -149,9 +297,7 @@ def save_campaign(campaign: Campaign, folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     campaign.rig.save(folder / "rig.toml")
     campaign.law.save(folder / "law.json")
-    about = _about(campaign)
-    about.pop("rig")
-    record = about | {"runs": campaign.runs, "fingerprint": campaign.fingerprint}
+    record = _about(campaign) | {"runs": campaign.runs, "fingerprint": campaign.fingerprint}
     write_json(folder / "campaign.json", KIND, FORMAT, record)
 
 
@@ -167,7 +313,7 @@ def load_campaign(folder: Path | str) -> Campaign:
             draws=Draws(**{name: Distribution(**d) for name, d in data["draws"].items()}),
             runs=data["runs"],
             seed=data["seed"],
-            inner=data["inner"],
+            motor_loop=data["inner"],
             duration=data["duration"],
         )
     except (KeyError, TypeError) as error:

@@ -8,9 +8,11 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import betaincinv
+from scipy.stats import binom, rankdata
 
 from fraclink._campaign.campaign import Campaign
-from fraclink._campaign.part import read_part
+from fraclink._campaign.run import read_part
 from fraclink.errors import FieldError
 
 __all__ = ["METRICS", "PARAMETERS", "Failure", "MetricSummary", "Quantile", "Summary", "columns", "summarise"]
@@ -26,6 +28,7 @@ METRICS = (
     "peak_voltage",
     "motor_reference_noise",
     "saturated",
+    "growth",
 )
 PARAMETERS = (
     "payload",
@@ -38,6 +41,8 @@ PARAMETERS = (
     "coulomb_torque",
     "noise",
     "amplitude",
+    "gauge_delay",
+    "gauge_gain",
 )
 PROBABILITIES = (0.05, 0.5, 0.95, 0.99, 0.999)
 CONFIDENCE = 0.95
@@ -167,8 +172,6 @@ def _metric(name: str, values: Real, run: NDArray[np.generic], drawn: dict[str, 
 
 def _quantile(order: Real, probability: float) -> Quantile:
     """Order statistics l, u with P(B < l), P(B ≥ u) ≤ 2.5 %, B binomial(n, p) (David and Nagaraja 2003)."""
-    from scipy.stats import binom
-
     n, tail = len(order), 0.5 * (1.0 - CONFIDENCE)
     low = int(binom.ppf(tail, n, probability))
     high = int(binom.ppf(1.0 - tail, n, probability)) + 1
@@ -182,8 +185,6 @@ def _quantile(order: Real, probability: float) -> Quantile:
 
 def _failure(count: int, runs: int) -> Failure:
     """Clopper and Pearson 1934: the beta quantiles that make the binomial tails 2.5 %."""
-    from scipy.special import betaincinv
-
     tail = 0.5 * (1.0 - CONFIDENCE)
     low = float(betaincinv(count, runs - count + 1, tail)) if count else 0.0
     high = float(betaincinv(count + 1, runs - count, 1.0 - tail)) if count < runs else 1.0
@@ -197,8 +198,6 @@ def _trips(mode: NDArray[np.generic], reason: NDArray[np.generic]) -> tuple[tupl
 
 def _ranks(values: NDArray[np.generic]) -> Real:
     """Mean ranks, centred and of length one: a dot product of two of them is Spearman's correlation."""
-    from scipy.stats import rankdata
-
     ranks = rankdata(values) - 0.5 * (len(values) + 1)
     length = float(np.linalg.norm(ranks))
     return np.asarray(ranks / length if length else ranks)

@@ -96,7 +96,7 @@ def faults(
 def _bench(rig: str | None, design_file: Path | None, gear: float | None, link_mass: float | None) -> Bench:
     from fraclink._campaign.faults import Bench
     from fraclink._design import Design
-    from fraclink._simulate.twin import geared
+    from fraclink._simulate import geared
     from fraclink._workflow import Request, design_for
 
     if rig is None and design_file is None:

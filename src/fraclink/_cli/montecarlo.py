@@ -38,7 +38,7 @@ def montecarlo(
     json: Json = False,
 ) -> int:
     """Run a law on many arms that differ; resumes, and gives the same result whatever the workers."""
-    from fraclink._campaign import Campaign, conduct, summarise
+    from fraclink._campaign import Campaign, run_campaign, summarise
     from fraclink._design import Design
     from fraclink._workflow import Request, design_for
 
@@ -49,7 +49,7 @@ def montecarlo(
     law = design.law()
     campaign = Campaign.of(design.rig, design.model, law, runs=runs, seed=seed)
     with _watching(campaign.runs) as watch:
-        conduct(campaign, out, workers=workers, scheduler=scheduler, watch=watch)
+        run_campaign(campaign, out, workers=workers, scheduler=scheduler, watch=watch)
     return _tell_summary(summarise(campaign, out), out, json=json)
 
 

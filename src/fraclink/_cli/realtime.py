@@ -132,7 +132,7 @@ def _tell_refused(what: str, granted: str) -> None:
 
 def _plan(plan_file: Path, gear: float | None) -> Design:
     from fraclink._design import Design
-    from fraclink._simulate.twin import geared
+    from fraclink._simulate import geared
 
     design = Design.load(plan_file)
     return design if gear is None else replace(design, rig=geared(design.rig, gear))
@@ -213,7 +213,7 @@ def serve_arm(
     """
     from fraclink._realtime import parse_connection
     from fraclink._realtime import serve_arm as serve
-    from fraclink._simulate.twin import Twin
+    from fraclink._simulate import Twin
 
     place = None if out is None else output_path(out, force=force)
     connection = parse_connection(io)

@@ -54,7 +54,7 @@ def record(
     """Record a log of the twin, in the same CSV a rig writes, marked as simulated."""
     import numpy as np
 
-    from fraclink._simulate.twin import Twin, simulate_log
+    from fraclink._simulate import Twin, simulate_log
 
     place = output_path(out, force=force)
     known = load_rig(rig)

@@ -78,13 +78,13 @@ def twin(
     from fraclink._arm.reference import smooth_step
     from fraclink._cli.summary import metrics_values
     from fraclink._design import Design
-    from fraclink._simulate.twin import Twin, geared, run_twin
+    from fraclink._simulate import Twin, geared, simulate
 
     design = Design.load(plan_file)
     rig = design.rig if gear is None else geared(design.rig, gear)
     arm = Twin.from_rig(rig, payload=payload, link_mass=link_mass)
     law = replace(design, rig=rig).law()
-    run = run_twin(arm, law, smooth_step(amplitude, duration=move_time), seed=seed)
+    run = simulate(law, smooth_step(amplitude, duration=move_time), arm=arm, seed=seed)
     if json:
         emit_json(
             {

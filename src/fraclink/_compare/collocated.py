@@ -11,8 +11,8 @@ from fraclink._arm.beam import Beam
 from fraclink._arm.motor_loop import DiscretePid
 from fraclink._compare.linear import Filter, NominalLoop, fine_step, sampled, tune, tustin
 from fraclink._law import Drive, Law
-from fraclink._simulate.twin.arm import damping_of
-from fraclink._simulate.twin.plant import assemble
+from fraclink._simulate.arm import damping_of
+from fraclink._simulate.plant import assemble
 
 if TYPE_CHECKING:
     from fraclink._compare.rivals import Rival

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from fraclink._arm.beam import Beam
 from fraclink._arm.link import LinkModel
 from fraclink._law import Law
-from fraclink._simulate.twin.arm import damping_of
-from fraclink._simulate.twin.plant import LONGEST_STEP, Plant, assemble
+from fraclink._simulate.arm import damping_of
+from fraclink._simulate.plant import LONGEST_STEP, Plant, assemble
 from fraclink.errors import NotConvergedError
 
 __all__ = ["Filter", "NominalLoop", "fine_step", "law_filter", "sampled", "tune", "tustin"]

@@ -11,8 +11,8 @@ from fraclink._arm.link import LinkModel
 from fraclink._arm.rig import Rig
 from fraclink._compare.linear import NominalLoop, law_filter
 from fraclink._law import Law
-from fraclink._simulate.twin.arm import Twin, damping_of, geared
-from fraclink._simulate.twin.loop import driven
+from fraclink._simulate.arm import Twin, damping_of, geared
+from fraclink._simulate.simulate import with_motor_loop
 from fraclink._validate import checked_between, checked_noun
 from fraclink.errors import FieldError
 
@@ -69,7 +69,7 @@ def prepare(
         payloads=(rig.payloads.low, rig.payloads.high),
         **request,
     )
-    law = driven(twin, result.controller.discretize(rig.period))
+    law = with_motor_loop(result.controller.discretize(rig.period), twin=twin)[0]
     loop = NominalLoop.of(
         nominal,
         rig.payloads.nominal,

@@ -9,9 +9,9 @@ import numpy as np
 from fraclink._compare.linear import Filter, NominalLoop, fine_step, law_filter, sampled
 from fraclink._compare.rivals import Rival
 from fraclink._compare.setting import Setting
-from fraclink._simulate.twin.arm import Twin
-from fraclink._simulate.twin.damping import PowerLaw
-from fraclink._simulate.twin.plant import GAUGE_TORQUE, HUB_ANGLE, Plant, assemble
+from fraclink._simulate.arm import Twin
+from fraclink._simulate.damping import PowerLaw
+from fraclink._simulate.plant import GAUGE_TORQUE, HUB_ANGLE, Plant, assemble
 
 __all__ = ["linear_growth", "mode_gain"]
 

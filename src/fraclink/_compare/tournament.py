@@ -16,8 +16,8 @@ from fraclink._compare.rivals import OFFSET, Rival, builders
 from fraclink._compare.run import run_rival
 from fraclink._compare.setting import Request, Setting, prepare
 from fraclink._compare.spillover import linear_growth, mode_gain
-from fraclink._simulate.twin.arm import Twin
-from fraclink._simulate.twin.run import TwinRun
+from fraclink._simulate.arm import Twin
+from fraclink._simulate.run import Run
 from fraclink._validate import checked_whole
 from fraclink.errors import InfeasibleError
 
@@ -77,7 +77,7 @@ class Tournament:
 
     standings: tuple[Standing, ...]
     notes: tuple[str, ...]
-    runs: dict[str, TwinRun]
+    runs: dict[str, Run]
 
     def winners(self) -> dict[str, tuple[str, ...]]:
         """Return who is best in every figure, among the sound: those that hold and whose linear loop does.
@@ -216,10 +216,10 @@ def compare(
 
 def _standing(
     setting: Setting, twin: Twin, rival: Rival, move: Reference, payloads: tuple[float, ...], seed: int
-) -> tuple[Standing, TwinRun]:
+) -> tuple[Standing, Run]:
     duration = move.duration + AFTER
 
-    def run(payload: float, offset: float = 0.0) -> TwinRun:
+    def run(payload: float, offset: float = 0.0) -> Run:
         return run_rival(
             twin.with_payload(payload), rival, move, setting.ours, duration=duration, offset=offset, seed=seed
         )
@@ -255,7 +255,7 @@ def _standing(
     return standing, nominal
 
 
-def _settled(run: TwinRun) -> float:
+def _settled(run: Run) -> float:
     """Settling time, infinite where the tip has not been in its band for at least a second."""
     time = run.metrics.settling_time
     return time if run.verdict and time <= run.time[-1] - 1.0 else math.inf

@@ -14,8 +14,8 @@ from fraclink import _kernels
 from fraclink._npz import read_npz, write_npz
 from fraclink._realtime.connections import Connection
 from fraclink._realtime.loop import PRIORITY, check_machine, granted_priority, period_ns
-from fraclink._simulate.twin import Twin
-from fraclink._simulate.twin.vessel import Vessel
+from fraclink._simulate import Twin
+from fraclink._simulate.kernel import ArmState
 from fraclink._validate import checked_number, checked_whole
 from fraclink.errors import FieldError, FileFormatError, SizeError
 
@@ -148,7 +148,7 @@ def serve_arm(
             remedy="a command acts one period after its sample here, as on a board",
         )
     # A twin whose way through the messages is the first period of its delay.
-    arm = Vessel(replace(twin, voltage_delay=twin.voltage_delay - 1), period, b"")
+    arm = ArmState(replace(twin, voltage_delay=twin.voltage_delay - 1), period, b"")
     record = np.full((count, _kernels.SERVED_COLUMNS), 0.0)
     from fraclink._realtime.opening import arm_end  # locks of files are Unix's
 
@@ -175,7 +175,7 @@ def serve_arm(
 
 
 def _gauge_error(twin: Twin, period: float, count: int, seed: int) -> Real:
-    """Offset, drift and noise of the gauge, drawn as `run_twin` draws them."""
+    """Offset, drift and noise of the gauge, drawn as `simulate` draws them."""
     sensors = twin.sensors
     noise = np.random.default_rng(seed).standard_normal(count)
     drift = sensors.gauge_drift * period * np.arange(count)

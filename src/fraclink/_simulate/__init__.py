@@ -1,9 +1,37 @@
-"""Closed-loop simulation around law.c."""
+"""One arm and one run: the model (a massless link) or the twin, under the law that is shipped."""
 
 from __future__ import annotations
 
+from fraclink._arm.beam import Beam, Modes
+from fraclink._simulate.arm import Twin, TwinLog, damping_of, geared, simulate_log
+from fraclink._simulate.damping import FractionalKelvinVoigt, KelvinVoigt, PowerLaw
 from fraclink._simulate.metrics import Metrics, Verdict
-from fraclink._simulate.run import Run, Settings
+from fraclink._simulate.plant import Plant, assemble
+from fraclink._simulate.run import Run
+from fraclink._simulate.sensors import Obstacle, PayloadChange, Restart, SensorFault, Sensors, TipPulse
 from fraclink._simulate.simulate import simulate
 
-__all__ = ["Metrics", "Run", "Settings", "Verdict", "simulate"]
+__all__ = [
+    "Beam",
+    "FractionalKelvinVoigt",
+    "KelvinVoigt",
+    "Metrics",
+    "Modes",
+    "Obstacle",
+    "PayloadChange",
+    "Plant",
+    "PowerLaw",
+    "Restart",
+    "Run",
+    "SensorFault",
+    "Sensors",
+    "TipPulse",
+    "Twin",
+    "TwinLog",
+    "Verdict",
+    "assemble",
+    "damping_of",
+    "geared",
+    "simulate",
+    "simulate_log",
+]

@@ -1,98 +1,268 @@
-"""The link as the closed-loop kernel takes it: exact for a motor angle of degree 5 within each period.
+"""The twin as one linear system, stepped exactly: hub, modes and the material's Maxwell elements.
 
-Between two samples the motor's angle is Σ qⱼ xʲ with x = (t − kT)/T. The response of G = θt/θm to each
-power is exact: at the end of its own period by the power series of G, later by the modes of the step
-response (a sum of exponentials, see fraclink._systems.response).
+States: hub angle θm and velocity v, then for every mode the absolute coordinate pi = qi + Γi θm, its
+velocity, and one state zj per Maxwell element of the damping:
+
+    fi  = ωi² (e qi + d q̇i + Σj wj zj)           modal force of the material, e spring, d dashpot
+    żj  = q̇i − rj zj
+    p̈i  = −fi + φi(L) F                           F: a force on the tip [N]
+    hub (motor):       (J + I_res) v̇ = τ − ν v + Σ Γi fi     I_res = I − Σ Γi²: what the modes leave out
+    hub (servo):       v̇ = p²(θ* − θm) − 2 p v               M(s) of equation (21)
+    hub (prescribed):  θ̇m given, constant over a step
+
+Between two steps the inputs are constant and the step is the exact matrix exponential.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import expm
 
-from fraclink._arm.link import LinkModel
+from fraclink._arm.beam import Beam, Modes
+from fraclink._simulate.damping import Chain, Damping
+from fraclink._validate import Between, Frequency, NonNegative, Period, checked
 from fraclink.errors import FieldError
 
-__all__ = ["LinkWeights", "link_weights"]
+__all__ = ["LONGEST_STEP", "Drive", "Plant", "StepMatrices", "assemble", "substeps"]
 
-POWERS = 6
-LONGEST = 2.0  # |pole|·T [rad]: beyond, three samples a vibration, the power series cancels and no loop holds
-TOLERANCE = 1e-9  # of the step response: 1e-9 rad for a move of 1 rad, three digits below what is promised
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+Drive = Literal["motor", "servo", "prescribed"]
+
+# Relative error of D(jω), for all modes alike so that the elements keep their meaning when the payload and
+# with it the shapes change. At λ = 1.92 the resonance amplifies it about 50 times in the tip angle.
+TOLERANCE = 3e-8
+LONGEST_STEP = 1e-3  # [s]; longer steps would hold the hub's force or speed over a quarter of mode 2
+Step = Annotated[float, Between(1e-6, LONGEST_STEP, "s", remedy="1 ms is exact for three modes")]
+
+# Rows of the outputs.
+HUB_ANGLE, HUB_VELOCITY, TIP_ANGLE, GAUGE_TORQUE, TIP_VELOCITY, HUB_MOMENT = range(6)
 
 
 @dataclass(frozen=True)
-class LinkWeights:
-    """Decays and weights of the link's recursion; see loop.h for the formula."""
+class StepMatrices:
+    """x⁺ = A x + b u, y = C x over `step` seconds, laid out for the kernel.
 
-    first: NDArray[np.float64]
-    decay: NDArray[np.float64]
-    weight: NDArray[np.float64]
-    pair: NDArray[np.complex128]
-    pair_weight: NDArray[np.complex128]
-
-
-def link_weights(model: LinkModel, period: float, span: float) -> LinkWeights:
-    """Return the recursion of `model`'s tip at `period` [s], valid for `span` [s].
-
-    >>> weights = link_weights(LinkModel(1.56, 11.094, order=2.0), 0.004, 10.0)
-    >>> len(weights.decay), len(weights.pair)
-    (0, 1)
+    Row j of `transition` is column j of A, padded with zeros to a whole number of vectors; `hub` and `tip`
+    are the columns of b, `outputs` is C, padded alike.
     """
-    from fraclink._systems.response import discretize
 
-    reach = abs(model.pole) * period
-    if not reach < LONGEST:
+    step: float
+    order: int
+    transition: Matrix
+    hub: Vector
+    tip: Vector
+    outputs: Matrix
+
+    @property
+    def arrays(self) -> tuple[Matrix, Vector, Vector, Matrix]:
+        """What the kernel takes first."""
+        return self.transition, self.hub, self.tip, self.outputs
+
+    def rest(self) -> Vector:
+        """Return the state of a straight link at rest with its hub at 0."""
+        return np.zeros(self.hub.size)
+
+
+@dataclass(frozen=True)
+class Plant:
+    """The assembled twin: ẋ = A x + B u, y = C x, and its energy xᵀ E x.
+
+    Inputs u: (hub input, tip force [N]); the hub input is the net motor torque [N·m], the servo's reference
+    [rad] or the hub's velocity [rad/s]. Outputs y: hub angle [rad], hub velocity [rad/s], tip angle [rad],
+    gauge torque −EI w''(0) [N·m], tip velocity [rad/s], moment of the material on the hub [N·m].
+    """
+
+    beam: Beam
+    modes: Modes
+    chain: Chain
+    drive: Drive
+    inertia: float
+    dynamics: Matrix
+    inputs: Matrix
+    outputs: Matrix
+    energy_matrix: Matrix
+
+    @property
+    def order(self) -> int:
+        """Number of states."""
+        return int(self.dynamics.shape[0])
+
+    def mode_slice(self, mode: int) -> slice:
+        """Return where the states of one mode are: its coordinate, its velocity, its Maxwell elements."""
+        width = 2 + self.chain.rates.size
+        return slice(2 + mode * width, 2 + (mode + 1) * width)
+
+    def energy(self, state: Vector) -> float:
+        """Kinetic plus stored energy of hub and link [J]; without input it can only fall."""
+        inner = state[: self.order]
+        return float(inner @ self.energy_matrix @ inner)
+
+    def response(self, s: complex) -> NDArray[np.complex128]:
+        """Return the outputs per unit of hub input at the complex frequency s, shape (6,)."""
+        matrix = s * np.eye(self.order) - self.dynamics
+        return np.asarray(self.outputs @ np.linalg.solve(matrix, self.inputs[:, 0]), dtype=np.complex128)
+
+    def discretise(self, step: float) -> StepMatrices:
+        """Return the exact step of length `step` [s] for inputs held over it."""
+        n, m = self.inputs.shape
+        block = np.zeros((n + m, n + m))
+        block[:n, :n], block[:n, n:] = self.dynamics * step, self.inputs * step
+        exact = expm(block)
+        stride = -(-n // 8) * 8
+        columns, drives = np.zeros((n, stride)), np.zeros((m, stride))
+        outputs = np.zeros((self.outputs.shape[0], stride))
+        columns[:, :n], drives[:, :n], outputs[:, :n] = exact[:n, :n].T, exact[:n, n:].T, self.outputs
+        for array in (columns, drives, outputs):
+            array.flags.writeable = False
+        return StepMatrices(step, n, columns, drives[0], drives[1], outputs)
+
+
+@checked
+def substeps(period: Period, step: Step) -> int:
+    """Return how many steps of at most `step` [s] fill one period [s]."""
+    return max(1, math.ceil(period / step - 1e-9))
+
+
+def resolved(beam: Beam, modes: int | None, step: float) -> Modes:
+    """Return the modes that a step resolves; an explicit number that it does not is refused."""
+    found = beam.modes(3 if modes is None else modes)
+    # Four steps per period: with fewer the input held over a step cannot follow the mode at all.
+    fit = int(np.count_nonzero(found.frequencies * step <= np.pi / 2))
+    if fit == 0 or (modes is not None and fit < found.count):
         raise FieldError(
-            "period",
-            period,
-            "too long for this link",
-            allowed=f"< {LONGEST / abs(model.pole):.3g} s: {2 * math.pi / LONGEST:.2g} samples a vibration",
-            remedy="simulate at a shorter period",
+            "modes",
+            modes,
+            f"more than the step resolves (mode {fit + 1} is at {found.frequencies[fit]:.4g} rad/s)",
+            allowed=f"frequency x step <= pi/2, here {fit} modes",
+            remedy=f"take fewer modes or a step of {0.5 * np.pi / found.frequencies[-1]:.2g} s",
         )
-    modes = discretize(model.tip(), period, span=span, tolerance=TOLERANCE)
-    at_end = [_end_of_power(model, period, j) for j in range(POWERS)]
-    real = modes.gains * _relative_powers(modes.log_decays)
-    pair = modes.pole_gains * _relative_powers(modes.pole_log_decays)
-    first = np.array(at_end) - real.sum(axis=1) - pair.sum(axis=1).real
-    return LinkWeights(first, modes.decays, real, modes.pole_decays, pair)
+    return beam.modes(fit)
 
 
-def _end_of_power(model: LinkModel, period: float, power: int) -> float:
-    """Response of G to xʲ at x = 1: G = Σ −(−X)ⁿ, X = (μ s^α + ω₀²)/s^λ, term by term: t^q/Γ(q + 1)."""
-    stiff = model.natural_frequency**2 * period**model.order
-    soft = model.damping * period ** (model.order - model.damping_order)
-    total = 0.0
-    for n in range(1, 100):
-        part = 0.0
-        for k in range(n + 1 if soft else 1):
-            exponent = model.order * n - model.damping_order * k + power
-            size = math.comb(n, k) * soft**k * stiff ** (n - k)
-            part += size * math.exp(-math.lgamma(exponent + 1))
-        total -= (-1) ** n * part
-        if part < 1e-18 * abs(total):
-            break
-    return math.factorial(power) * total
+@dataclass(frozen=True)
+class _Rows:
+    """One mode's quantities as rows over the states."""
+
+    place: Vector  # qi
+    speed: Vector  # q̇i, without the prescribed velocity's share
+    force: Vector  # fi, without it
 
 
-def _relative_powers(log_decay: NDArray[Any]) -> NDArray[Any]:
-    """φ_j/φ_0 for j = 0 ... 5, φ_j(z) = ∫₀¹ x^j e^(z(1 − x)) dx: a mode's answer to x^j, relative to a step.
+def _rows(size: int, at: int, omega: float, load: float, chain: Chain, prescribed: bool) -> _Rows:
+    place, speed, force = np.zeros(size), np.zeros(size), np.zeros(size)
+    place[at], place[0] = 1.0, -load
+    speed[at + 1] = 1.0
+    if not prescribed:
+        speed[1] = -load
+    force += omega**2 * (chain.spring * place + chain.dashpot * speed)
+    force[at + 2 : at + 2 + chain.rates.size] = omega**2 * chain.weights
+    return _Rows(place, speed, force)
 
-    Where |z| is large φ_j = (j φ_(j-1) − 1)/z; that cancels for small |z|, where the series j! Σ zⁿ/(n + j
-    + 1)! is used.
+
+@checked
+def assemble(
+    beam: Beam,
+    damping: Damping,
+    *,
+    drive: Drive,
+    modes: int | None = None,
+    step: Step = LONGEST_STEP,
+    hub_inertia: NonNegative = 0.0,
+    hub_friction: NonNegative = 0.0,
+    servo_pole: Frequency = 80.0,
+) -> Plant:
+    """Assemble the linear twin.
+
+    Parameters
+    ----------
+    drive
+        what moves the hub, see the module's equations
+    modes
+        number of modes; default as many of the first three as `step` resolves
+    step
+        longest step that will be taken [s]
+    hub_inertia
+        J of motor and hub at the link's side [kg·m²], drive "motor" only
+    hub_friction
+        ν [N·m·s/rad], drive "motor" only
+    servo_pole
+        p of M(s) = 1/(1 + s/p)² [rad/s], drive "servo" only
+
+    >>> from fraclink._simulate import PowerLaw
+    >>> rod = Beam(0.65, 0.338, 0.0, 0.030)
+    >>> plant = assemble(rod, PowerLaw(1.92), drive="prescribed")
+    >>> s = 12j  # the massless limit is equation (9); the hub input is a velocity, s times the angle
+    >>> exact = rod.lumped_frequency**2 / (s**1.92 + rod.lumped_frequency**2)
+    >>> bool(abs(plant.response(s)[2] * s - exact) < 1e-6)
+    True
     """
-    z = np.atleast_1d(np.asarray(log_decay))
-    near = np.abs(z) < 1.0
-    small = np.where(near, z, 0.0)
-    large = np.where(near, 1.0, z)
-    rows = []
-    by_recursion = np.expm1(large) / large
-    for j in range(POWERS):
-        by_series = math.factorial(j) * sum(small**n / math.factorial(n + j + 1) for n in range(20))
-        if j:
-            by_recursion = (j * by_recursion - 1.0) / large
-        rows.append(np.where(near, by_series, by_recursion))
-    return np.asarray(np.array(rows) / rows[0])
+    kept = resolved(beam, modes, step)
+    chain = damping.chain(TOLERANCE, 0.5 * np.pi / step)  # no mode is above that, whatever the payload
+    size = 2 + kept.count * (2 + chain.rates.size)
+    a, b, y, energy = np.zeros((size, size)), np.zeros((size, 2)), np.zeros((6, size)), np.zeros((size, size))
+    prescribed = drive == "prescribed"
+    residual = max(beam.inertia - float(np.sum(kept.participation**2)), 0.0)
+    inertia = hub_inertia + residual
+    y[HUB_ANGLE, 0] = y[HUB_VELOCITY, 1] = y[TIP_ANGLE, 0] = 1.0
+    if not prescribed:
+        y[TIP_VELOCITY, 1] = 1.0
+
+    at = 2
+    for i in range(kept.count):
+        omega, load, tip = kept.frequencies[i], kept.participation[i], kept.tip[i]
+        rows = _rows(size, at, omega, load, chain, prescribed)
+        elements = slice(at + 2, at + 2 + chain.rates.size)
+        a[at, at + 1] = 1.0
+        a[at + 1] = -rows.force
+        b[at + 1, 1] = tip * beam.length
+        a[elements] = rows.speed
+        a[elements, elements] -= np.diag(chain.rates)
+        if prescribed:
+            b[elements, 0] = -load
+            b[at + 1, 0] = omega**2 * chain.dashpot * load
+        y[TIP_ANGLE] += tip * rows.place
+        y[GAUGE_TORQUE] -= omega**2 * load * rows.place
+        y[TIP_VELOCITY] += tip * rows.speed
+        y[HUB_MOMENT] += load * rows.force
+        energy[at + 1, at + 1] += 0.5
+        energy += 0.5 * omega**2 * chain.spring * np.outer(rows.place, rows.place)
+        energy[elements, elements] += 0.5 * omega**2 * np.diag(chain.weights)
+        at = elements.stop
+    _attach_hub(a, b, y, energy, drive, inertia, hub_friction, servo_pole)
+    for array in (a, b, y, energy):
+        array.flags.writeable = False
+    return Plant(beam, kept, chain, drive, inertia, a, b, y, energy)
+
+
+def _attach_hub(
+    a: Matrix,
+    b: Matrix,
+    y: Matrix,
+    energy: Matrix,
+    drive: Drive,
+    inertia: float,
+    friction: float,
+    pole: float,
+) -> None:
+    """Write the hub's two rows."""
+    if drive == "prescribed":
+        b[0, 0] = 1.0
+        return
+    a[0, 1] = 1.0
+    if drive == "servo":
+        a[1, 0], a[1, 1], b[1, 0] = -(pole**2), -2.0 * pole, pole**2
+        return
+    if not inertia > 0.0:
+        raise FieldError(
+            "hub_inertia", inertia, "not positive", allowed="> 0 kg·m²", remedy="give the motor's J"
+        )
+    a[1] = y[HUB_MOMENT] / inertia
+    a[1, 1] -= friction / inertia
+    b[1, 0] = 1.0 / inertia
+    energy[1, 1] += 0.5 * inertia

@@ -1,244 +1,503 @@
-"""Simulate the arm under its law: the law's own C code, an exact link, the motor and its sensors."""
+"""Simulate the arm under its law: the law's own C code around the model of the link, or around the twin."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
-from typing import Literal
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fraclink import _kernels
 from fraclink._arm.link import LinkModel
-from fraclink._arm.reference import Reference, checked_reference, sampled
+from fraclink._arm.motor_loop import place_pid
+from fraclink._arm.reference import Reference, sampled
 from fraclink._arm.rig import Rig
-from fraclink._law import Law, equip
-from fraclink._law.discretize import check_rigs_period
-from fraclink._simulate.metrics import judge, measure
-from fraclink._simulate.plant import link_weights
-from fraclink._simulate.run import Run, Settings
-from fraclink._validate import checked_choice, checked_noun, checked_number, checked_whole
-from fraclink.errors import FieldError
+from fraclink._design import Design
+from fraclink._law import Drive, Law, equip
+from fraclink._law.discretize import COULOMB_SPEED, check_rigs_period
+from fraclink._simulate import kernel
+from fraclink._simulate.arm import Twin
+from fraclink._simulate.kernel import ArmState, LumpedArms, link_weights, run_lumped
+from fraclink._simulate.run import Run, judged_run
+from fraclink._simulate.sensors import FAULTS, Event, Obstacle, PayloadChange, Restart, SensorFault, TipPulse
+from fraclink._validate import Between, Seed, checked
+from fraclink.errors import FieldError, SizeError
+from fraclink.findings import Finding
 
-__all__ = ["judged", "simulate"]
+__all__ = ["healthy_inputs", "simulate", "twin_run", "with_motor_loop"]
 
-Inner = Literal["ideal", "sampled"]
+Real = NDArray[np.float64]
+MotorLoop = Literal["ideal", "sampled"]
+Torque = Annotated[float, Between(-1e6, 1e6, "N·m")]
 
 SETTLE = 5.0  # [s] simulated after the reference has come to rest: 30 periods of the paper's slowest link
 SUBSTEPS = 10  # friction steps in a period: a stop is placed to 0.4 ms at 4 ms
+MOST_SAMPLES = 2_000_000
 
 
+@checked
 def simulate(
-    rig: Rig,
-    model: LinkModel,
-    law: Law,
+    design: Design | Law,
     reference: Reference,
     *,
-    payload: float | None = None,
-    duration: float | None = None,
-    inner: Inner = "ideal",
-    gauge_offset: float | None = None,
-    noise: float | None = None,
-    seed: int = 0,
-    delay_samples: int | None = None,
-    substeps: int = SUBSTEPS,
+    rig: Rig | None = None,
+    model: LinkModel | None = None,
+    arm: Twin | None = None,
+    payload: Annotated[float, Between(1e-9, 1e9, "kg")] | None = None,
+    duration: Annotated[float, Between(0.0, 1e300, "s", low_open=True)] | None = None,
+    motor_loop: MotorLoop | None = None,
+    events: Iterable[Event] = (),
+    gauge_delay: Annotated[float, Between(0.0, 1e3, "s")] | None = None,
+    gauge_gain: Annotated[float, Between(-1e6, 1e6)] | None = None,
+    gauge_offset: Torque | None = None,
+    noise: Annotated[float, Between(0.0, 1e6, "N·m")] | None = None,
+    seed: Seed = 0,
+    delay_samples: Annotated[int, Between(0, 100, "periods")] | None = None,
+    substeps: Annotated[int, Between(1, 1000)] = SUBSTEPS,
     compensation: Literal["ideal", "measured"] = "ideal",
 ) -> Run:
-    """Simulate the closed loop at the law's period and return its signals, metrics and verdict.
+    """Run the law that is shipped on an arm and return its signals, metrics and verdict.
 
-    The law is law.c itself, compiled in. The link is exact (see `fraclink._simulate.plant`).
+    The law is law.c itself, compiled in. The arm is the model, whose link is exact and massless
+    (see `fraclink._simulate.kernel`), or with `arm` the twin, whose link has mass and several modes. What
+    identification found, the gauge's delay and gain and a second mode, is in the simulation.
 
     Parameters
     ----------
-    rig : Rig
-        Motor, encoder and gauge; its period must be the law's.
-    model : LinkModel
-        The link that is simulated; it need not be the one the law was designed for.
-    law : Law
-        From `Controller.discretize`. Without an inner loop it gets the rig's for ``inner="sampled"``.
-    reference : Reference
-        Of the tip, e.g. `smooth_step`.
-    payload : float, optional
-        Mass at the tip [kg], > 0; the model's own where it is left out. ω₀ scales as sqrt(1/payload) (5).
-    duration : float, optional
-        Time to simulate [s]; 5 s after the reference's end where it is left out.
-    inner : {"ideal", "sampled"}
-        "ideal": the motor follows M(s) = 1/(1 + s/p)² (21). "sampled": the law's PID drives the motor through
-        its voltage, with Coulomb friction, stiction and saturation; the coupling torque is taken as
-        compensated without error, as the paper assumes.
-    gauge_offset : float, optional
-        Offset of the gauge [N·m], the rig's where it is left out. It appears in the second period: a law that
-        starts with it would not see it at all.
-    noise : float, optional
-        Standard deviation of a gauge sample [N·m], ≥ 0; the rig's where it is left out.
-    seed : int
-        Of the noise; 0 ... 2⁶⁴ − 1. A seed gives the same noise on every machine.
-    delay_samples : int, optional
-        Periods between a sample and its effect, 0 ... 100; the rig's where it is left out.
-    substeps : int
-        Friction steps in a period, 1 ... 1000.
-    compensation : {"ideal", "measured"}
-        "ideal": the coupling torque is compensated without error, as the paper assumes. "measured", for
-        ``inner="sampled"``: it acts on the motor, and the law compensates the gauge's reading, late;
-        a gauge offset then turns the motor too.
+    design
+        a design, which brings its rig, its model and its law, or a law, with `rig` and `model` or with `arm`.
+    reference
+        of the tip, e.g. `smooth_step`.
+    rig
+        motor, encoder and gauge; its period must be the law's.
+    model
+        the link that is simulated; it need not be the one the law was designed for.
+    arm
+        the arm with distributed mass that is simulated in place of the model.
+    payload
+        mass at the tip [kg]; the model's, or the twin's, where it is left out. ω₀ scales as sqrt(1/payload)
+        (5).
+    duration
+        time to simulate [s], at most 2 000 000 periods; 5 s after the reference's end where it is left out,
+        long enough to see a vibration grow.
+    motor_loop
+        "sampled": the law's PID drives the motor through its voltage, with friction, stiction and saturation;
+        the coupling torque is taken as compensated without error, as the paper assumes. "ideal": the motor
+        follows M(s) = 1/(1 + s/p)² (21). Default "sampled" where the law has a motor loop, or `arm` is given.
+    events
+        what happens to the twin: `PayloadChange`, `TipPulse`, `Obstacle`, `Restart`, `SensorFault`.
+    gauge_delay, gauge_gain
+        of the strain amplifier, 0 to 100 periods [s] and [1]; what was identified where they are left out.
+    gauge_offset, noise
+        of the gauge [N·m]; the rig's where they are left out. The model's offset appears in the second
+        period: a law that starts with it would not see it at all.
+    seed
+        of the noise. A seed gives the same noise on every machine.
+    delay_samples
+        periods between a sample and its effect; the rig's where it is left out.
+    substeps
+        of the model's friction in a period.
+    compensation
+        of the model: "ideal" compensates the coupling torque without error. With "measured" it acts on the
+        motor and the law compensates the gauge's reading, late; a gauge offset then turns the motor too.
 
     Raises
     ------
     FieldError
-        A value out of its range, or periods that differ. SizeError for more than 2 000 000 samples.
+        a value out of its range, periods that differ, an option that this arm does not have. SizeError for
+        more than 2 000 000 samples.
 
-    Source: control scheme of Benftima et al. 2023, figures 7 and 8, with (22) corrected.
+    References
+    ----------
+    Benftima et al. (2023), figures 7 and 8, with (22) corrected.
 
+    Examples
+    --------
     >>> import fraclink as fl
-    >>> from fraclink._arm.controller import Controller
     >>> rig = fl.Rig.named("paper-2023")
-    >>> law = Controller(gain=0.069876, order=0.612197, link=rig.model).discretize(rig.period)
-    >>> run = simulate(rig, rig.model, law, fl.smooth_step(1.0, 0.5), payload=0.02, noise=0.0)
+    >>> design = fl.design(rig.model, rig, payloads=(0.020, 0.040), gain_crossover=12.0,
+    phase_margin=fl.deg(50))
+    >>> run = fl.simulate(design, fl.smooth_step(1.0, duration=0.5), payload=0.02, noise=0.0)
     >>> run.verdict.passed, run.metrics.settling_time < 1.0
     (True, True)
     """
-    checked_noun("rig", rig, Rig, remedy="Rig.named or Rig.load make one")
-    checked_noun("model", model, LinkModel, remedy="fit.model, or rig.model")
-    checked_noun("law", law, Law, remedy="controller.discretize(rig.period) makes one")
-    checked_reference(reference)
-    link = _at_payload(model, rig, payload)
-    law = _fitting(law, rig, model, inner)
-    ended = reference.duration
-    length = ended + SETTLE if duration is None else _number("duration", duration, "s", law.period, 1e300)
+    law = design.law() if isinstance(design, Design) else design
+    length = reference.duration + SETTLE if duration is None else duration
+    if length > MOST_SAMPLES * law.period:
+        raise SizeError("duration", length, "too long", allowed=f"{MOST_SAMPLES} periods", remedy="split it")
+    Between(law.period, math.inf, "s").check("duration", length)
+    gauge = {"gauge_delay": gauge_delay, "gauge_gain": gauge_gain, "gauge_offset": gauge_offset}
+    gauge |= {"gauge_noise": noise}
+    if arm is not None:
+        _refuse_options(motor_loop=motor_loop == "ideal", compensation=compensation == "measured")
+        twin = arm if payload is None else arm.with_payload(payload)
+        given = {name: value for name, value in gauge.items() if value is not None}
+        twin = replace(twin, sensors=replace(twin.sensors, **given)) if given else twin
+        twin = twin if delay_samples is None else replace(twin, voltage_delay=delay_samples)
+        return _on_twin(twin, law, reference, length, tuple(events), seed)
+    _refuse_options(events=bool(tuple(events)))
+    if isinstance(design, Design):
+        rig, model = rig or design.rig, model or design.model
+    plan = _plan(law, rig, model, payload, motor_loop, gauge, delay_samples, substeps, compensation, seed)
+    return _on_model(plan, reference, length)
+
+
+def _refuse_options(**refused: bool) -> None:
+    needs = {
+        "motor_loop": ("sampled", "the twin has a motor; its motor loop is the law's"),
+        "compensation": ("ideal", "the twin's coupling torque always acts on its motor"),
+        "events": ("none", "give arm=Twin.from_rig(rig): only the twin has events"),
+    }
+    for field, given in refused.items():
+        if given:
+            allowed, remedy = needs[field]
+            raise FieldError(field, "this option", "not one of this arm", allowed=allowed, remedy=remedy)
+
+
+# ── the model ───────────────────────────────────────────────────────────────────────────────────────────────
+
+
+@dataclass(frozen=True)
+class _Plan:
+    """A run of the model before it starts: what the kernel takes, and what the run says of itself."""
+
+    law: Law
+    link: LinkModel
+    rig: Rig
+    motor_loop: str
+    coupling: float
+    substeps: int
+    seed: int
+    numbers: Mapping[str, float]
+    about: Mapping[str, Any]
+    findings: tuple[Finding, ...]
+
+
+def _plan(
+    law: Law,
+    rig: Rig | None,
+    model: LinkModel | None,
+    payload: float | None,
+    motor_loop: str | None,
+    gauge: Mapping[str, float | None],
+    delay_samples: int | None,
+    substeps: int,
+    compensation: str,
+    seed: int,
+) -> _Plan:
+    if rig is None:
+        remedy = "give rig= (and model=), arm=, or a design in place of the law"
+        raise FieldError("rig", None, "missing", allowed="the rig of the arm", remedy=remedy)
+    if model is None and rig.model is None:
+        remedy = "give model=fit.model, or a rig with a model"
+        raise FieldError("model", None, "missing", allowed="the model of the link", remedy=remedy)
+    check_rigs_period(law, rig)
+    link = _at_payload(model or rig.model, rig, payload)  # type: ignore[arg-type]
+    kind = motor_loop or ("ideal" if law.drive is None else "sampled")
+    if compensation == "measured" and kind != "sampled":
+        remedy = "the ideal motor loop M(s) has no coupling torque to compensate"
+        raise FieldError(
+            "compensation", compensation, 'given without motor_loop="sampled"', allowed="ideal", remedy=remedy
+        )
+    law, findings = with_motor_loop(law, rig=rig, link=link) if kind == "sampled" else (law, ())
+    motor = rig.motor
+    values = {
+        "gauge_delay": max(
+            link.gauge_delay, 0.0
+        ),  # a gauge that leads: the motor angle is late, as for the twin
+        "gauge_gain": link.gauge_gain,
+        "gauge_offset": rig.gauge.offset,
+        "gauge_noise": rig.gauge.noise,
+    } | {name: value for name, value in gauge.items() if value is not None}
+    delay = values["gauge_delay"] / law.period
+    Between(0.0, 100.0, "periods").check("gauge_delay", delay)
+    delays = rig.motor_loop.delay_samples if delay_samples is None else delay_samples
+    numbers = {
+        "stiffness": link.stiffness,
+        "motor_gain": motor.gain,
+        "motor_decay": motor.decay,
+        "friction": motor.coulomb_torque / (motor.inertia * motor.gear_ratio),
+        "gauge_offset": values["gauge_offset"],
+        "noise": values["gauge_noise"],
+        "delay_samples": float(delays),
+        "amplitude": 1.0,
+        "gauge_delay": delay,
+        "gauge_gain": values["gauge_gain"],
+    }
+    about = {
+        "arm": "model",
+        "rig": rig.name,
+        "law_sha256": law.digest,
+        "motor_loop": kind,
+        **values,
+        "seed": seed,
+        "delay_samples": delays,
+        "substeps": substeps,
+        "compensation": compensation,
+    }
+    coupling = link.stiffness / (motor.gear_ratio**2 * motor.inertia) if compensation == "measured" else 0.0
+    return _Plan(law, link, rig, kind, coupling, substeps, seed, numbers, about, findings)
+
+
+def _on_model(plan: _Plan, reference: Reference, length: float) -> Run:
+    law, rig = plan.law, plan.rig
     count = math.floor(length / law.period * (1 + 1e-12)) + 1
-    path = sampled(reference, law.period, count)
-    if not np.all(np.isfinite(path)):
-        raise FieldError("reference", "NaN", "not finite", allowed="finite", remedy="check the reference")
-    settings = Settings(
-        rig=rig.name,
-        law_sha256=law.digest,
-        payload=link.payload,
-        inner=inner,
-        gauge_offset=rig.gauge.offset
-        if gauge_offset is None
-        else _number("gauge_offset", gauge_offset, "N·m", -1e6, 1e6),
-        noise=rig.gauge.noise if noise is None else _number("noise", noise, "N·m", 0.0, 1e6),
-        seed=checked_whole("seed", seed, 0, 2**64 - 1),
-        delay_samples=rig.inner.delay_samples
-        if delay_samples is None
-        else checked_whole("delay_samples", delay_samples, 0, 100),
-        substeps=checked_whole("substeps", substeps, 1, 1000),
-        compensation=_compensation(compensation, inner),
+    path = _finite_path(reference, law.period, count)
+    shared = _kernels.LoopRig(
+        sampled=plan.motor_loop == "sampled",
+        substeps=plan.substeps,
+        period=law.period,
+        pole=law.inner_pole,
+        coupling=plan.coupling,
+        encoder=rig.encoder.resolution,
+        limit=rig.gauge.limit,
+        quantum=rig.gauge.quantum,
+        start=float(path[0, 0]),
     )
-    signals = np.empty((7, count))
-    marks = np.empty((3, count), dtype=np.uint32)
-    weights = link_weights(link, law.period, max(length, 2 * law.period))
-    _kernels.loop_run(
-        law.block,
-        law.precision == "single",
-        _loop_rig(rig, law, settings, float(path[0, 0]), link.stiffness),
-        link.stiffness,
-        weights.first,
-        weights.decay,
-        weights.weight,
-        np.ascontiguousarray(weights.pair.real),
-        np.ascontiguousarray(weights.pair.imag),
-        np.ascontiguousarray(weights.pair_weight.real),
-        np.ascontiguousarray(weights.pair_weight.imag),
-        path,
-        signals,
-        marks,
+    arm = LumpedArms(
+        links=link_weights(plan.link, law.period, max(length, 2 * law.period)),
+        seed=np.array([plan.seed], dtype=np.uint64),
+        **{name: np.array([value]) for name, value in plan.numbers.items()},
     )
-    return judged(law, link, path[0], signals, marks, settings, min(ended, (count - 1) * law.period))
+    signals, marks = run_lumped(
+        law, shared, arm, path[None, [0, 2]], np.zeros(1, dtype=np.int32), everything=True
+    )
+    return model_run(
+        law,
+        plan.link,
+        path[0],
+        signals[:, 0],
+        marks[:, 0],
+        encoder=rig.encoder.resolution,
+        ended=min(reference.duration, (count - 1) * law.period),
+        about=plan.about,
+        findings=plan.findings,
+    )
 
 
-def judged(
+def model_run(
     law: Law,
     link: LinkModel,
-    reference: np.ndarray,
-    signals: np.ndarray,
-    marks: np.ndarray,
-    settings: Settings,
+    reference: Real,
+    signals: Real,
+    marks: NDArray[np.uint32],
+    *,
+    encoder: float,
     ended: float,
+    about: Mapping[str, Any],
+    findings: tuple[Finding, ...] = (),
 ) -> Run:
-    """Return a run from what the kernel wrote: its signals (7, N) and marks (3, N), measured and judged."""
-    tip, motor, motor_reference, torque, measured, voltage, estimate = signals
-    flags, mode, reason = marks
-    time = law.period * np.arange(len(tip), dtype=np.float64)
-    vibration = 2 * math.pi / max(abs(link.pole.imag), 1e-3)
-    saturated = (flags & 64) != 0
-    metrics = measure(
-        time, reference, tip, motor_reference, voltage, saturated, ended=ended, vibration_period=vibration
+    """Return the run of what `run_lumped` gave for one arm: signals (7, N) and marks (3, N)."""
+    names = (
+        "tip_angle",
+        "motor_reference",
+        "voltage",
+        "motor_angle",
+        "torque",
+        "torque_measured",
+        "tip_estimate",
     )
-    verdict = judge(metrics, time, reference, tip, mode, reason, ended=ended, vibration_period=vibration)
-    return Run(
-        time=time,
-        reference=reference,
-        tip_angle=tip,
-        motor_angle=motor,
-        motor_reference=motor_reference,
-        torque=torque,
-        torque_measured=measured,
-        voltage=voltage,
-        tip_estimate=estimate,
-        flags=flags,
-        mode=mode,
-        reason=reason,
-        metrics=metrics,
-        verdict=verdict,
-        settings=settings,
+    rows = dict(zip(names, signals, strict=True)) | dict(zip(("flags", "mode", "reason"), marks, strict=True))
+    motor = rows["motor_angle"]
+    rows["motor_angle_measured"] = np.rint(motor / encoder) * encoder if encoder > 0.0 else motor.copy()
+    return judged_run(
+        rows | {"reference": reference},
+        payload=math.nan if link.payload is None else link.payload,
+        period=law.period,
+        ended=ended,
+        vibration_period=2 * math.pi / max(abs(link.pole.imag), 1e-3),
+        about=about,
+        findings=findings,
     )
+
+
+def _finite_path(reference: Reference, period: float, count: int) -> Real:
+    path = sampled(reference, period, count)
+    if not np.all(np.isfinite(path)):
+        raise FieldError("reference", "NaN", "not finite", allowed="finite", remedy="check the reference")
+    return path
 
 
 def _at_payload(model: LinkModel, rig: Rig, payload: float | None) -> LinkModel:
-    if payload is None:
-        return model
-    mass = _number("payload", payload, "kg", 1e-9, 1e9)
-    if mass == model.payload:
+    if payload is None or payload == model.payload:
         return model
     if model.payload is not None:
-        return model.at_payload(mass)
-    return replace(model, natural_frequency=rig.natural_frequency(mass), payload=mass)
+        return model.at_payload(payload)
+    return replace(model, natural_frequency=rig.natural_frequency(payload), payload=payload)
 
 
-def _fitting(law: Law, rig: Rig, model: LinkModel, inner: str) -> Law:
-    checked_choice("inner", inner, ("ideal", "sampled"), remedy='"ideal" is M(s) of (21)')
-    check_rigs_period(law, rig)
-    return equip(law, rig, model) if inner == "sampled" and law.drive is None else law
-
-
-def _loop_rig(rig: Rig, law: Law, settings: Settings, start: float, stiffness: float) -> _kernels.LoopRig:
-    motor = rig.motor
-    return _kernels.LoopRig(
-        sampled=settings.inner == "sampled",
-        substeps=settings.substeps,
-        delay=settings.delay_samples,
-        period=law.period,
-        pole=law.inner_pole,
-        gain=motor.gain,
-        decay=motor.decay,
-        friction=motor.coulomb_torque / (motor.inertia * motor.gear_ratio),
-        coupling=stiffness / (motor.gear_ratio**2 * motor.inertia)
-        if settings.compensation == "measured"
-        else 0.0,
-        encoder=rig.encoder.resolution,
-        offset=settings.gauge_offset,
-        noise=settings.noise,
-        limit=rig.gauge.limit,
-        quantum=rig.gauge.quantum,
-        start=start,
-        seed=settings.seed,
-    )
-
-
-def _compensation(value: str, inner: str) -> str:
-    if checked_choice("compensation", value, ("ideal", "measured")) == "measured" and inner != "sampled":
-        raise FieldError(
-            "compensation",
-            value,
-            'given without inner="sampled"',
-            allowed="ideal",
-            remedy="the ideal inner loop M(s) has no coupling torque to compensate",
+def with_motor_loop(
+    law: Law, *, rig: Rig | None = None, link: LinkModel | None = None, twin: Twin | None = None
+) -> tuple[Law, tuple[Finding, ...]]:
+    """Return the law with the motor loop of its rig, or of the twin's motor, and W602 where it had none."""
+    if law.drive is None:
+        finding = Finding(
+            "W602",
+            "warning",
+            "the law has no motor loop: it ran with the one of its arm, and is not the law in hand",
+            {},
+            "simulate design.law(), which has the motor loop that is shipped",
         )
-    return value
+        if rig is not None and link is not None:
+            return equip(law, rig, link), (finding,)
+        if twin is not None:
+            return replace(law, drive=_drive_of(twin, law)), (finding,)
+    elif not math.isclose(law.drive.loop.period, law.period, rel_tol=1e-9):
+        raise FieldError(
+            "period",
+            law.period,
+            "not the motor loop's",
+            allowed=f"{law.drive.loop.period} s",
+            remedy="discretise controller and motor loop at one period",
+        )
+    return law, ()
 
 
-def _number(field: str, value: object, unit: str, low: float, high: float) -> float:
-    return checked_number(
-        field, value, allowed=f"{low:g} to {high:g} {unit}", holds=lambda x: low <= x <= high
+def _drive_of(twin: Twin, law: Law) -> Drive:
+    motor = twin.motor
+    return Drive(
+        loop=place_pid(motor, law.inner_pole).discretize(law.period),
+        voltage_limit=min(motor.voltage_limit, 1e4),  # a block holds finite numbers
+        torque_voltage=1.0 / (motor.torque_constant * motor.gear_ratio),
+        coulomb_voltage=motor.coulomb_torque / motor.torque_constant,
+        coulomb_speed=COULOMB_SPEED,
     )
+
+
+# ── the twin ────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def healthy_inputs(
+    twin: Twin, reference: Reference, period: float, count: int, generator: np.random.Generator
+) -> Real:
+    """Return the kernel's inputs of a run without events or faults, shape (count, 11)."""
+    time = period * np.arange(count)
+    inputs = np.zeros((count, _kernels.TWIN_INPUTS))
+    inputs[:, kernel.REFERENCE] = reference.angle(time)
+    inputs[:, kernel.VELOCITY] = reference.velocity(time)
+    inputs[:, kernel.ACCELERATION] = reference.acceleration(time)
+    sensors = twin.sensors
+    inputs[:, kernel.GAUGE_ERROR] = sensors.gauge_offset + sensors.gauge_drift * time
+    # Drawn even where the noise is 0, so that a seed gives the same noise whatever its size.
+    inputs[:, kernel.GAUGE_ERROR] += sensors.gauge_noise * generator.standard_normal(count)
+    inputs[:, kernel.ENCODER_GAIN] = inputs[:, kernel.GAUGE_GAIN] = 1.0
+    return inputs
+
+
+def _on_twin(
+    twin: Twin, law: Law, reference: Reference, length: float, events: tuple[Event, ...], seed: int
+) -> Run:
+    law, findings = with_motor_loop(law, twin=twin)
+    count = round(length / law.period) + 1
+    inputs = healthy_inputs(twin, reference, law.period, count, np.random.default_rng(seed))
+    state = ArmState(twin, law.period, law.initial_state(), start_angle=float(inputs[0, kernel.REFERENCE]))
+    records, payloads = [], []
+    for first, last, changes in _segments(events, law.period, inputs):
+        _apply(state, law, changes)
+        part = state.run(law.block, inputs[first:last], single=law.precision == "single")
+        records.append(part)
+        payloads.append(np.full(len(part), state.twin.beam.payload))
+        if len(part) < last - first:
+            break
+    return twin_run(
+        np.vstack(records),
+        np.concatenate(payloads),
+        twin,
+        law.period,
+        finished=sum(map(len, records)) == count,
+        ended=reference.duration,
+        about={
+            "law_sha256": law.digest,
+            "seed": seed,
+            "motor_loop": "sampled",
+            "damping": twin.damping.label,
+            "link_mass": twin.beam.link_mass,
+            "payload": twin.beam.payload,
+            "events": "; ".join(map(repr, events)),
+        },
+        findings=(*twin.findings, *findings),
+    )
+
+
+def twin_run(
+    record: Real,
+    payload: Real,
+    twin: Twin,
+    period: float,
+    *,
+    finished: bool,
+    ended: float,
+    about: Mapping[str, Any],
+    findings: tuple[Finding, ...] = (),
+) -> Run:
+    """Return the run of what `ArmState.run` recorded: columns `kernel.RECORD`, and the payload [kg]."""
+    columns = {
+        name: np.ascontiguousarray(column) for name, column in zip(kernel.RECORD, record.T, strict=True)
+    }
+    columns |= {name: columns[name].astype(np.uint32) for name in ("mode", "reason", "flags")}
+    extras = {name: columns.pop(name) for name in ("motor_velocity", "contact_force", "voltage_asked")}
+    return judged_run(
+        columns,
+        payload=float(payload[0]),
+        period=period,
+        ended=ended,
+        vibration_period=twin.vibration_period,
+        about={"arm": "twin", **about},
+        findings=findings,
+        extras=extras | {"payload": payload},
+        finished=finished,
+    )
+
+
+def _segments(
+    events: tuple[Event, ...], period: float, inputs: Real
+) -> list[tuple[int, int, list[Event | None]]]:
+    """Cut the run where something changes; pulses go straight into the inputs."""
+    count = len(inputs)
+    changes: dict[int, list[Event | None]] = {0: []}
+    for event in sorted(events, key=lambda e: e.time):
+        at = round(event.time / period)
+        if isinstance(event, TipPulse):
+            inputs[at : at + max(1, round(event.duration / period)), kernel.TIP_FORCE] += event.force
+            continue
+        if isinstance(event, SensorFault):
+            _inject(event, inputs[at : max(at + 1, round(event.until / period))])
+            continue
+        changes.setdefault(min(at, count), []).append(event)
+        if isinstance(event, Obstacle):
+            changes.setdefault(min(round(event.until / period), count), []).append(None)
+    edges = sorted(changes)
+    return [
+        (first, last, changes[first])
+        for first, last in zip(edges, [*edges[1:], count], strict=True)
+        if first < last
+    ]
+
+
+def _inject(fault: SensorFault, rows: Real) -> None:
+    """Write a sensor's fault into the kernel's inputs."""
+    bit, name = FAULTS[fault.kind]
+    rows[:, kernel.FAULT_BITS] = rows[:, kernel.FAULT_BITS].astype(int) | bit
+    if name is None or fault.value is None:
+        return
+    column = getattr(kernel, name)
+    if name in ("ENCODER_ERROR", "GAUGE_ERROR"):
+        rows[:, column] += fault.value
+    else:
+        rows[:, column] = fault.value
+
+
+def _apply(state: ArmState, law: Law, changes: list[Event | None]) -> None:
+    for event in changes:
+        if event is None:
+            state.obstacle[1] = 0.0
+        elif isinstance(event, Obstacle):
+            length = state.twin.beam.length
+            state.obstacle[:] = (event.angle, event.stiffness, event.damping, length, event.side)
+        elif isinstance(event, PayloadChange):
+            state.change_payload(event.payload)
+        elif isinstance(event, Restart):
+            state.law = np.frombuffer(bytearray(law.initial_state()), dtype=np.uint8)

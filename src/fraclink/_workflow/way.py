@@ -153,13 +153,13 @@ def simulate_move(design: Design, move: Move, payload: float, *, law: Law | None
     checked_noun("plan", design, Design, remedy="design(...) makes one")
     checked_noun("move", move, Move, remedy="Move(amplitude=1.0)")
     return simulate(
-        design.rig,
-        design.model,
         law if law is not None else design.law(),
         smooth_step(move.amplitude, duration=move.move_time),
+        rig=design.rig,
+        model=design.model,
         payload=payload,
         duration=move.duration,
-        inner=move.inner,
+        motor_loop=move.inner,
         gauge_offset=move.gauge_offset,
         noise=move.noise,
         seed=move.seed,

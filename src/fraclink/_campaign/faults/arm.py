@@ -15,13 +15,13 @@ from fraclink._campaign.faults.nouns import Check, Fault
 from fraclink._campaign.faults.trial import Trial
 from fraclink._law import Modes
 from fraclink._law.discretize import drive_for
-from fraclink._simulate.twin.vessel import (
+from fraclink._simulate.kernel import (
     ENCODER_ERROR,
     ENCODER_GAIN,
     GAUGE_ERROR,
     GAUGE_GAIN,
     TIP_FORCE,
-    Vessel,
+    ArmState,
 )
 
 __all__ = ["ARM"]
@@ -105,7 +105,7 @@ def _payload_changes(trial: Trial) -> None:
     if trial.severity == 3:
         trial.twin = trial.bench.twin.with_payload(0.2 * payload)
 
-    def action(arm: Vessel) -> None:
+    def action(arm: ArmState) -> None:
         arm.change_payload(after)
 
     trial.at(trial.row, action)
@@ -117,7 +117,7 @@ def _hit(trial: Trial) -> None:
         return
     angle = float(trial.wanted[trial.row]) + 0.05
 
-    def wall(arm: Vessel) -> None:
+    def wall(arm: ArmState) -> None:
         arm.obstacle[:] = (angle, 500.0, 2.0, arm.twin.beam.length, 1.0)
 
     trial.at(trial.row, wall)
@@ -136,7 +136,7 @@ def _hit_reaction(e: Evidence) -> Check:
 def _sticky(trial: Trial) -> None:
     factor = trial.pick(1.5, 2.0, 3.0)
 
-    def action(arm: Vessel) -> None:
+    def action(arm: ArmState) -> None:
         arm.rig[5:7] *= factor
 
     trial.at(0, action)

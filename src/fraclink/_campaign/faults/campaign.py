@@ -105,7 +105,7 @@ def run_case(bench: Bench, case: Case, *, single: bool = True, clean: CleanRuns 
     A reading of 4.1 N·m for ever, beyond the gauge's range, must degrade the law within 5 samples:
 
     >>> import fraclink as fl
-    >>> from fraclink._simulate.twin import geared
+    >>> from fraclink._simulate import geared
     >>> rig = geared(fl.Rig.named("paper-2023"))
     >>> design = fl.design(
     ...     rig.model, rig, payloads=(0.020, 0.040), gain_crossover=12.0, phase_margin=fl.deg(50)

@@ -13,7 +13,7 @@ from fraclink._campaign.faults.evidence import OFF, RUN, Evidence
 from fraclink._campaign.faults.inject import TICK_REPEATED, add_fault, miss
 from fraclink._campaign.faults.nouns import Check, Fault
 from fraclink._campaign.faults.trial import MOVE, Trial
-from fraclink._simulate.twin.vessel import ACCELERATION, REFERENCE, Vessel
+from fraclink._simulate.kernel import ACCELERATION, REFERENCE, ArmState
 
 __all__ = ["CLOCK"]
 
@@ -47,7 +47,7 @@ def _dead(trial: Trial) -> None:
     count = int(trial.pick(8, 12, 25))
     miss(trial, count)
 
-    def watchdog(arm: Vessel) -> None:
+    def watchdog(arm: ArmState) -> None:
         arm.voltage[:] = 0.0
 
     trial.at(trial.row + WATCHDOG, watchdog)
@@ -64,7 +64,7 @@ def _off_at_once(e: Evidence) -> Check:
 def _repeated(trial: Trial) -> None:
     if trial.severity == 3:
 
-        def back(arm: Vessel) -> None:
+        def back(arm: ArmState) -> None:
             arm.counters[1] -= 3
 
         trial.at(trial.row, back)
@@ -78,7 +78,7 @@ def _repeated(trial: Trial) -> None:
 def _delay(trial: Trial) -> None:
     more = trial.severity
 
-    def later(arm: Vessel) -> None:
+    def later(arm: ArmState) -> None:
         arm.voltage = np.zeros(arm.voltage.size + more)
         arm.rig[1] += more
 

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._campaign.faults.trial import Trial
-from fraclink._simulate.twin import vessel
-from fraclink._simulate.twin.vessel import Vessel
+from fraclink._simulate import kernel
+from fraclink._simulate.kernel import ArmState
 
 __all__ = [
     "FROZEN_ENCODER",
@@ -66,7 +66,7 @@ Rows = slice | NDArray[np.int_]
 
 def add_fault(trial: Trial, rows: Rows, bits: int) -> None:
     """Set bits of the fault word."""
-    column = trial.inputs[:, vessel.FAULTS]
+    column = trial.inputs[:, kernel.FAULT_BITS]
     column[rows] = column[rows].astype(int) | bits
 
 
@@ -74,7 +74,7 @@ def bad_samples(trial: Trial, sensor: str, value: float | NDArray[np.float64], r
     """Replace readings of "encoder" or "gauge" by `value` and mark them as bad."""
     encoder = sensor == "encoder"
     add_fault(trial, rows, ENCODER_REPLACED if encoder else GAUGE_REPLACED)
-    trial.inputs[rows, vessel.ENCODER_VALUE if encoder else vessel.GAUGE_VALUE] = value
+    trial.inputs[rows, kernel.ENCODER_VALUE if encoder else kernel.GAUGE_VALUE] = value
     trial.marks[rows] = True
 
 
@@ -114,7 +114,7 @@ def flip(trial: Trial, name: str, bit_from_top: int) -> None:
     bit = 8 * size - 1 - bit_from_top
     trial.detail = f"{name}, {'sign' if bit_from_top == 0 else 'exponent'}"
 
-    def action(arm: Vessel) -> None:
+    def action(arm: ArmState) -> None:
         arm.law[place + bit // 8] ^= np.uint8(1 << (bit % 8))
 
     trial.at(trial.row, action)
@@ -124,7 +124,7 @@ def restart(trial: Trial, row: int) -> None:
     """Start the law anew before period `row`."""
     fresh = np.frombuffer(trial.law.initial_state(), dtype=np.uint8)
 
-    def action(arm: Vessel) -> None:
+    def action(arm: ArmState) -> None:
         arm.law[:] = fresh
 
     trial.at(row, action)

@@ -22,7 +22,7 @@ from fraclink._campaign.faults.inject import (
 )
 from fraclink._campaign.faults.nouns import Check, Fault
 from fraclink._campaign.faults.trial import Trial
-from fraclink._simulate.twin.vessel import Vessel
+from fraclink._simulate.kernel import ArmState
 
 __all__ = ["MEMORY"]
 
@@ -41,7 +41,7 @@ def _flip(trial: Trial) -> None:
 
 
 def _wipe(trial: Trial) -> None:
-    def action(arm: Vessel) -> None:
+    def action(arm: ArmState) -> None:
         if trial.severity == 3:
             members(arm.law, width(trial))[:] = math.nan
         else:

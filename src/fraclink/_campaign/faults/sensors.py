@@ -18,7 +18,7 @@ from fraclink._campaign.faults.inject import (
 )
 from fraclink._campaign.faults.nouns import Check, Fault
 from fraclink._campaign.faults.trial import Trial
-from fraclink._simulate.twin.vessel import GAUGE_ERROR, GAUGE_GAIN
+from fraclink._simulate.kernel import GAUGE_ERROR, GAUGE_GAIN
 
 __all__ = ["SENSORS"]
 

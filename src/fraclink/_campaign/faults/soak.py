@@ -6,15 +6,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fraclink import _kernels
 from fraclink._arm.reference import hold, smooth_step
 from fraclink._campaign.faults.trial import Bench
-from fraclink._simulate.twin.loop import healthy_inputs
-from fraclink._simulate.twin.vessel import GAUGE_ERROR, Vessel
+from fraclink._simulate.kernel import GAUGE_ERROR, ArmState
+from fraclink._simulate.simulate import healthy_inputs
 from fraclink._validate import checked_noun, checked_whole
 
 __all__ = ["Soak", "soak"]
 
-STARTED = 128  # LAW_FLAG_STARTED
 ROUND = smooth_step(1.0, duration=1.2).then(hold(0.0, 0.8)).then(smooth_step(-1.0, duration=1.2))
 ROUND_TIME = 4.0  # [s]: 0.8 s of rest at either end
 CHUNK = 100  # rounds at once: 9 MB of inputs
@@ -43,7 +43,7 @@ def soak(bench: Bench, payload: float, *, periods: int = 1_000_000, seed: int = 
     twin = bench.twin.with_payload(payload)
     generator = np.random.default_rng(seed)
     rounds = healthy_inputs(twin, ROUND, law.period, round(ROUND_TIME / law.period), generator)
-    arm = Vessel(twin, law.period, law.initial_state())
+    arm = ArmState(twin, law.period, law.initial_state())
     trips = flagged = done = 0
     peak = 0.0
     while done < periods:
@@ -53,7 +53,7 @@ def soak(bench: Bench, payload: float, *, periods: int = 1_000_000, seed: int = 
         record = arm.run(law.block, inputs, single=law.precision == "single")
         flags = record[:, 11].astype(int)
         trips += int(np.count_nonzero(record[:, 9] != 1))
-        flagged += int(np.count_nonzero(flags & ~STARTED))
+        flagged += int(np.count_nonzero(flags & ~_kernels.LAW_FLAG_STARTED))
         peak = max(peak, float(np.abs(record[:, 2] - record[:, 0]).max()))
         done += len(record)
         if len(record) < len(inputs):

@@ -14,21 +14,21 @@ from numpy.typing import NDArray
 from fraclink._arm.reference import Reference, smooth_step
 from fraclink._arm.rig import Rig
 from fraclink._campaign.faults.nouns import Case
-from fraclink._simulate.twin.loop import driven, healthy_inputs
-from fraclink._simulate.twin.vessel import REFERENCE, Vessel
+from fraclink._simulate.kernel import REFERENCE, ArmState
+from fraclink._simulate.simulate import healthy_inputs, with_motor_loop
 from fraclink._validate import checked_noun
 from fraclink.errors import FieldError
 
 if TYPE_CHECKING:
     from fraclink._design import Design
     from fraclink._law import Law
-    from fraclink._simulate.twin import Twin
+    from fraclink._simulate import Twin
 
 __all__ = ["MOVE", "TIMES", "Bench", "Signals", "Trial", "execute"]
 
 Real = NDArray[np.float64]
 Counts = NDArray[np.uint32]
-Action = Callable[[Vessel], None]
+Action = Callable[[ArmState], None]
 
 MOVE = smooth_step(1.0, duration=1.2, start=1.0)  # the catalogue's move: 1 rad, 1.0 to 2.2 s
 TIMES = {"whole": 0.0, "start": 1.1, "mid": 1.6, "rest": 3.2}  # [s]
@@ -51,7 +51,7 @@ class Bench:
     def of(design: Design, rig: Rig | None = None, *, link_mass: float | None = None) -> Bench:
         """Return the bench of a design on `rig` (default: its own), with its shipped law and motor loop."""
         from fraclink._design import Design
-        from fraclink._simulate.twin import Twin
+        from fraclink._simulate import Twin
 
         checked_noun("plan", design, Design, remedy="fl.design makes one")
         arm = design.rig if rig is None else rig
@@ -63,7 +63,7 @@ class Bench:
         if not low <= nominal <= high:
             nominal = 0.5 * (low + high)
         margin = min(design.sampled_at(p).modulus_margin for p in (low, high))
-        return Bench(arm, driven(twin, law), twin, (low, nominal, high), margin)
+        return Bench(arm, with_motor_loop(law, twin=twin)[0], twin, (low, nominal, high), margin)
 
     def with_law(self, law: Law) -> Bench:
         """Return the same bench for another law; FieldError where its period is not the rig's."""
@@ -75,7 +75,7 @@ class Bench:
                 allowed=f"{self.law.period} s",
                 remedy="discretise at the rig's period",
             )
-        return replace(self, law=driven(self.twin, law))
+        return replace(self, law=with_motor_loop(law, twin=self.twin)[0])
 
 
 class Trial:
@@ -124,7 +124,7 @@ class Trial:
 
 @dataclass(frozen=True, eq=False)
 class Signals:
-    """One value per control period of a run; units as in `TwinRun`. `law_state`: the law's memory at the
+    """One value per control period of a run; units as in `Run`. `law_state`: the law's memory at the
     end.
     """
 
@@ -152,7 +152,7 @@ class Signals:
 
 def execute(trial: Trial) -> Signals:
     """Run a trial on the twin."""
-    arm = Vessel(trial.twin, trial.period, trial.state, start_angle=trial.start_angle)
+    arm = ArmState(trial.twin, trial.period, trial.state, start_angle=trial.start_angle)
     single = trial.law.precision == "single"
     steps = None
     if trial.shifts is not None:
@@ -172,7 +172,7 @@ def execute(trial: Trial) -> Signals:
     return _signals(np.vstack(records), trial, arm)
 
 
-def _signals(record: Real, trial: Trial, arm: Vessel) -> Signals:
+def _signals(record: Real, trial: Trial, arm: ArmState) -> Signals:
     columns: list[Real] = [np.ascontiguousarray(column, dtype=np.float64) for column in record.T]
     count = len(record)
     time: Real = trial.period * np.arange(count, dtype=np.float64)

@@ -1,4 +1,4 @@
-"""Campaigns and sweeps as one HTML file each, in the style of a study's report."""
+"""A campaign as one HTML file, in the style of a study's report."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
-from fraclink._campaign import Campaign, Cell, MetricSummary, Summary, Sweep, columns
+from fraclink._campaign import Campaign, MetricSummary, Summary, columns
 from fraclink._files import write_text
 from fraclink._show.report.templating import needed, rendered
 
-__all__ = ["write_campaign_report", "write_sweep_report"]
+__all__ = ["write_campaign_report"]
 
 
 @dataclass(frozen=True)
@@ -93,51 +93,6 @@ def _quantiles(metric: MetricSummary) -> tuple[str, ...]:
         metric.name.replace("_", " "),
         *(f"{shown(q.value)} ({shown(q.low)} … {shown(q.high)})" for q in metric.quantiles),
     )
-
-
-def write_sweep_report(found: Sweep, path: Path | str) -> Path:
-    """Write the design map of a sweep to `path`; return it. Raises MissingExtraError as above."""
-    needed()
-    from fraclink._show.report.figures.campaign import sweep_figure
-
-    infeasible = [c for c in found.cells if c.infeasible]
-    failing = [c for c in found.cells if not c.infeasible and not c.passed]
-    parts = [
-        _Part(
-            "Settling time on the twin",
-            figure=sweep_figure(found),
-            caption="× feasible on the model, fails on the twin · – infeasible for all payloads.",
-        ),
-        _Part(
-            "Feasible requests that fail on the twin",
-            words=True,
-            header=("gain crossover", "phase margin", "payload", "why"),
-            rows=tuple((*_request(c), f"{1e3 * c.payload:.4g} g", c.reason) for c in failing),
-        ),
-        _Part(
-            "Infeasible requests",
-            words=True,
-            header=("gain crossover", "phase margin", "binding condition"),
-            rows=tuple(dict.fromkeys((*_request(c), c.infeasible) for c in infeasible)),
-        ),
-    ]
-    sentence = (
-        f"{len(found.cells) - len(infeasible) - len(failing)} cells hold, {len(failing)} fail on the twin, "
-        f"{len(infeasible)} are infeasible"
-    )
-    subtitle = f"twin with a link of {1e3 * found.link_mass:.4g} g · move of 1 rad in 0.6 s"
-    return _write(
-        path,
-        f"Design map of {found.rig}",
-        subtitle,
-        found.passed,
-        sentence,
-        [p for p in parts if p.figure or p.rows],
-    )
-
-
-def _request(cell: Cell) -> tuple[str, str]:
-    return f"{cell.gain_crossover:.4g} rad/s", f"{math.degrees(cell.phase_margin):.4g}°"
 
 
 def _write(

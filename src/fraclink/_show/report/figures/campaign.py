@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._campaign import Summary, Sweep
-from fraclink._show.report.figures.drawing import FULL_WIDTH, grams
-from fraclink._show.report.svg import BLUE, GREY, INK, ORANGE, figure, svg
+from fraclink._campaign import Summary
+from fraclink._show.report.figures.drawing import FULL_WIDTH
+from fraclink._show.report.svg import BLUE, INK, ORANGE, figure, svg
 
-__all__ = ["SHOWN", "drivers_figure", "failures_figure", "spread_figure", "sweep_figure"]
+__all__ = ["SHOWN", "drivers_figure", "failures_figure", "spread_figure"]
 
 # Metric, title, factor to the shown unit.
 SHOWN = (
@@ -104,41 +103,3 @@ def drivers_figure(summary: Summary) -> str:
                 axes.text(column, row, f"{value:+.2f}", ha="center", va="center", color=colour, fontsize=7)
         _bar(drawing, image, axes, "rank correlation")
         return svg(drawing, "drivers", "Rank correlation of metrics with parameters")
-
-
-def sweep_figure(found: Sweep) -> str:
-    """Settling time over gain crossover and phase margin, one panel a payload."""
-    count = len(found.payloads)
-    finite = [c.settling_time for c in found.cells if c.passed and math.isfinite(c.settling_time)]
-    top = max(finite, default=1.0)
-    with figure(FULL_WIDTH, 1.0 + 2.2 * math.ceil(count / 3)) as drawing:
-        panels = np.atleast_1d(
-            drawing.subplots(math.ceil(count / 3), min(3, count), sharex=True, sharey=True)
-        ).ravel()
-        for axes in panels[count:]:
-            axes.set_visible(False)
-        for axes, payload in zip(panels, found.payloads, strict=False):
-            image = _sweep_panel(axes, found, payload, min(finite, default=0.0), top)
-        _bar(drawing, image, list(panels[:count]), "settling time [s]")
-        drawing.supxlabel("gain crossover asked for [rad/s]", fontsize=8.5)
-        drawing.supylabel("phase margin asked for [°]", fontsize=8.5)
-        return svg(drawing, "sweep", "Settling time on the twin over the design request")
-
-
-def _sweep_panel(axes: Any, found: Sweep, payload: float, low: float, top: float) -> Any:
-    crossovers, margins = found.gain_crossovers, found.phase_margins
-    cells = [[found.at(w, p, payload) for w in crossovers] for p in margins]
-    values = [[c.settling_time if c.passed else math.nan for c in row] for row in cells]
-    axes.grid(visible=False)
-    axes.set_facecolor("white")
-    image = _cells(axes, values, "viridis_r", low, top)
-    for y, row in enumerate(cells):
-        for x, cell in enumerate(row):
-            if cell.infeasible:
-                axes.text(x, y, "–", ha="center", va="center", color=GREY)
-            elif not cell.passed:
-                axes.text(x, y, "×", ha="center", va="center", color=_FAILED, fontsize=11, weight="bold")
-    axes.set_xticks(range(len(crossovers)), [f"{w:.3g}" for w in crossovers])
-    axes.set_yticks(range(len(margins)), [f"{math.degrees(p):.3g}" for p in margins])
-    axes.set_title(grams(payload))
-    return image

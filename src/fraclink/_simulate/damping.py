@@ -19,12 +19,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._validate import checked_number
-from fraclink.errors import FieldError
+from fraclink._validate import Between, Fraction, Frequency, checked
 
 __all__ = ["Chain", "Damping", "FractionalKelvinVoigt", "KelvinVoigt", "PowerLaw"]
 
@@ -94,14 +94,16 @@ def _chain(spring: float, scale: float, order: float, tolerance: float, highest:
 _EMPTY = np.zeros(0)
 
 
-def _refuse(field: str, value: object, problem: str, allowed: str, remedy: str) -> FieldError:
-    return FieldError(field, value, problem, allowed=allowed, remedy=remedy)
+_ENERGY = "a negative one would make energy: check its sign"
+_LAMBDA = "use KelvinVoigt(0.0) for λ = 2; beyond it the link would make energy"
+Coefficient = Annotated[float, Between(0.0, 1e6, "s^α", remedy=_ENERGY)]
+FractionalOrder = Annotated[
+    float, Between(0.0, 1.0, low_open=True, high_open=True, remedy="use KelvinVoigt for α = 1")
+]
+LinkOrder = Annotated[float, Between(1.0, 2.0, "(λ)", low_open=True, high_open=True, remedy=_LAMBDA)]
 
 
-def _real(field: str, value: object, allowed: str) -> float:
-    return checked_number(field, value, allowed=allowed, remedy="give a number")
-
-
+@checked
 @dataclass(frozen=True)
 class KelvinVoigt:
     """Viscous damping, D = 1 + η s: modal damping ratio ηω/2, so ∝ ω² in the modal equation.
@@ -113,17 +115,12 @@ class KelvinVoigt:
 
     """
 
-    time: float
-
-    def __post_init__(self) -> None:
-        if _real("time", self.time, ">= 0 s") < 0.0:
-            raise _refuse("time", self.time, "negative (it would make energy)", ">= 0 s", "check its sign")
+    time: Annotated[float, Between(0.0, 1e6, "s", remedy=_ENERGY)]
 
     @staticmethod
-    def from_ratio(ratio: float, *, frequency: float) -> KelvinVoigt:
+    @checked
+    def from_ratio(ratio: Fraction, *, frequency: Frequency) -> KelvinVoigt:
         """Return the damping whose mode at `frequency` [rad/s] has the damping ratio `ratio`, η = 2ζ/ω."""
-        if _real("frequency", frequency, "> 0 rad/s") <= 0.0:
-            raise _refuse("frequency", frequency, "not positive", "> 0 rad/s", "give the mode's frequency")
         return KelvinVoigt(2.0 * ratio / frequency)
 
     def chain(self, tolerance: float, highest: float = 1500.0) -> Chain:
@@ -136,6 +133,7 @@ class KelvinVoigt:
         return f"viscous, D = 1 + {self.time:g} s"
 
 
+@checked
 @dataclass(frozen=True)
 class FractionalKelvinVoigt:
     """Fractional damping, D = 1 + η s^α.
@@ -147,22 +145,8 @@ class FractionalKelvinVoigt:
     'fractional, D = 1 + 0.012 s^0.9'
     """
 
-    coefficient: float
-    order: float
-
-    def __post_init__(self) -> None:
-        if _real("coefficient", self.coefficient, ">= 0 s^α") < 0.0:
-            raise _refuse(
-                "coefficient",
-                self.coefficient,
-                "negative (it would make energy)",
-                ">= 0 s^α",
-                "check its sign",
-            )
-        if not 0.0 < _real("order", self.order, "0 < α < 1") < 1.0:
-            raise _refuse(
-                "order", self.order, "not a passive damper", "0 < α < 1", "use KelvinVoigt for α = 1"
-            )
+    coefficient: Coefficient
+    order: FractionalOrder
 
     def chain(self, tolerance: float, highest: float = 1500.0) -> Chain:
         """Return D(s) as a passive chain, good up to `highest` [rad/s]."""
@@ -174,6 +158,7 @@ class FractionalKelvinVoigt:
         return f"fractional, D = 1 + {self.coefficient:g} s^{self.order:g}"
 
 
+@checked
 @dataclass(frozen=True)
 class PowerLaw:
     """Power-law link, D = s^(2−λ): the paper's order λ of the inertia, seen as the material's.
@@ -187,13 +172,7 @@ class PowerLaw:
     1.0
     """
 
-    order: float
-
-    def __post_init__(self) -> None:
-        if not 1.0 < _real("order", self.order, "1 < λ < 2") < 2.0:
-            raise _refuse(
-                "order", self.order, "not a passive link", "1 < λ < 2", "use KelvinVoigt(0.0) for λ = 2"
-            )
+    order: LinkOrder
 
     def chain(self, tolerance: float, highest: float = 1500.0) -> Chain:
         """Return D(s) as a passive chain, good up to `highest` [rad/s]."""

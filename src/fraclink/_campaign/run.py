@@ -6,23 +6,33 @@ again. So a kill costs the parts in flight and nothing more, and the same comman
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator
-from contextlib import closing
+import multiprocessing
+import sys
+from collections.abc import Callable, Generator, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from concurrent.futures.process import BrokenProcessPool, ProcessPoolExecutor
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from fraclink._campaign.campaign import Campaign, load_campaign, save_campaign
-from fraclink._campaign.part import part_path, read_part, write_part
-from fraclink._files import checked_path
-from fraclink._validate import checked_noun, checked_whole
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink._campaign.arms import simulate_part
+from fraclink._campaign.campaign import LATER_DRAWS, Campaign, load_campaign, save_campaign
+from fraclink._files import RENAMED, atomic_write, checked_path
+from fraclink._validate import FilePath, Workers, checked
 from fraclink.errors import FieldError, MissingExtraError, NotConvergedError
 
-__all__ = ["Progress", "conduct"]
+__all__ = ["Progress", "compute", "part_path", "process_pool", "read_part", "run_campaign", "write_part"]
 
 PATIENCE = (
     5  # pools that die one after the other without a single part done: something kills every one of them
 )
 CONNECT = 10  # [s] to reach a scheduler
+# Columns that the parts of release 0.1 do not have, and what held for all of its runs.
+_LATER = LATER_DRAWS | {"growth": 0.0}
 IN_FLIGHT = 2  # parts handed out per worker: one computed, one waiting, so that a worker never idles
 
 
@@ -35,11 +45,12 @@ class Progress:
     runs: int
 
 
-def conduct(
+@checked
+def run_campaign(
     campaign: Campaign,
-    folder: Path | str,
+    folder: FilePath,
     *,
-    workers: int = 1,
+    workers: Workers = 1,
     scheduler: str | None = None,
     watch: Callable[[Progress], None] | None = None,
 ) -> Progress:
@@ -67,9 +78,7 @@ def conduct(
     NotConvergedError
         worker processes die without finishing anything.
     """
-    checked_noun("campaign", campaign, Campaign, remedy="Campaign.of makes one, load_campaign reads one")
     place = checked_path("folder", folder)
-    checked_whole("workers", workers, 1, 1024)
     _claim(campaign, place)
     missing = [part for part in range(campaign.parts) if not _is_done(campaign, place, part)]
     before = campaign.runs - sum(campaign.part_runs(part) for part in missing)
@@ -138,8 +147,6 @@ def _here(place: Path, missing: list[int]) -> Generator[int, None, None]:
 
 
 def _on_pool(place: Path, missing: list[int], workers: int) -> Generator[int, None, None]:
-    from concurrent.futures.process import BrokenProcessPool
-
     left, deaths = list(missing), 0
     while left:
         done: list[int] = []
@@ -161,10 +168,6 @@ def _on_pool(place: Path, missing: list[int], workers: int) -> Generator[int, No
 
 
 def _one_pool(place: Path, parts: list[int], workers: int) -> Generator[int, None, None]:
-    from concurrent.futures import FIRST_COMPLETED, Future, wait
-
-    from fraclink._campaign.workers import process_pool
-
     waiting, running = list(reversed(parts)), set[Future[int]]()
     with process_pool(workers) as pool:
         while waiting or running:
@@ -195,3 +198,115 @@ def _on_cluster(place: Path, missing: list[int], scheduler: str | None) -> Gener
         futures = client.map(compute, [str(place.resolve())] * len(missing), missing, pure=False, retries=3)
         for future in as_completed(futures):
             yield future.result()
+
+
+# ── processes ───────────────────────────────────────────────────────────────────────────────────────────────
+
+
+@contextmanager
+def process_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
+    """Give a pool of `workers` processes; at the end what waits is cancelled and what runs is awaited.
+
+    Raises FieldError where the workers die because each runs the user's script again, BrokenProcessPool
+    where they die of anything else.
+    """
+    # spawn: a forked child would inherit threads of numerical libraries in the middle of a lock
+    pool = ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"))
+    try:
+        yield pool
+    except BrokenProcessPool as error:
+        script = _unguarded_script()
+        if script is None:
+            raise
+        raise FieldError(
+            "script",
+            script.name,
+            "run again by every worker process, and so starts workers itself",
+            allowed='a script whose work stands below `if __name__ == "__main__":`',
+            remedy="put that line above the call, and indent what follows",
+        ) from error
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _unguarded_script() -> Path | None:
+    """The script that runs, if it never asks whether it is the main one; a spawned process runs it again."""
+    file = getattr(sys.modules["__main__"], "__file__", None)
+    # a package's __main__.py (`python -m fraclink`) is not run again
+    if file is None or Path(file).name == "__main__.py" or not Path(file).is_file():
+        return None
+    text = Path(file).read_text(encoding="utf-8", errors="replace")
+    return None if "__main__" in text or "parent_process" in text else Path(file)
+
+
+# ── files ───────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def part_path(folder: Path, part: int) -> Path:
+    """Return the file of a part; its number has seven digits, so that names sort as numbers do."""
+    return folder / f"part-{part:07d}.parquet"
+
+
+def write_part(campaign: Campaign, folder: Path, part: int) -> int:
+    """Simulate a part and write its file in one step; return its number of runs."""
+    pa, parquet = _parquet()
+    place = part_path(folder, part)
+    # A kill leaves the half of the file that it cut off: its part is missing, and is computed here again.
+    for left in folder.glob(f".{place.name}.*.tmp"):
+        left.unlink(missing_ok=True)
+    columns = simulate_part(campaign, part)
+    table = pa.table(columns).replace_schema_metadata(
+        {
+            "fraclink": "campaign part",
+            "fingerprint": campaign.fingerprint,
+            "part": str(part),
+            # the file's footer has no checksum: a flipped bit in a column's name shows against this list
+            "columns": ",".join(columns),
+        }
+    )
+    with atomic_write(place, "wb") as stream:
+        # No statistics and no time: two computations of one part give the same bytes.
+        # Checksums: zstd alone unpacks a flipped bit into other numbers without a word.
+        parquet.write_table(
+            table, stream, compression="zstd", write_statistics=False, write_page_checksum=True
+        )
+    return int(table.num_rows)
+
+
+def read_part(
+    campaign: Campaign, folder: Path, part: int, *, names: tuple[str, ...] = ()
+) -> dict[str, NDArray[np.generic]] | None:
+    """Return columns `names` of a finished part (all where none is named); None where the file is missing,
+    damaged or of another campaign.
+    """
+    pa, parquet = _parquet()
+    try:
+        with parquet.ParquetFile(
+            part_path(folder, part), memory_map=False, page_checksum_verification=True
+        ) as file:
+            schema, rows = file.schema_arrow, file.metadata.num_rows
+            own = {RENAMED.get(name, name): name for name in schema.names}
+            table = file.read(columns=[own[name] for name in names if name in own] if names else None)
+    except (OSError, ValueError, pa.ArrowException):  # ValueError: a name that is not UTF-8 any more
+        return None
+    meta = schema.metadata or {}
+    wanted = {
+        b"fingerprint": campaign.fingerprint.encode(),
+        b"part": str(part).encode(),
+        b"columns": ",".join(schema.names).encode(),
+    }
+    if any(meta.get(k) != v for k, v in wanted.items()) or rows != campaign.part_runs(part):
+        return None
+    columns = {RENAMED.get(name, name): table[name].to_numpy() for name in table.column_names}
+    return columns | {
+        name: np.full(rows, _LATER[name]) for name in _LATER if name in names and name not in own
+    }
+
+
+def _parquet() -> tuple[Any, Any]:
+    try:
+        import pyarrow as pa  # the extra "io"
+        from pyarrow import parquet
+    except ImportError as error:
+        raise MissingExtraError("pyarrow", "io") from error
+    return pa, parquet

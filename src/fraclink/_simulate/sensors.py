@@ -1,0 +1,271 @@
+"""What the sensors make of the truth, and what happens to the arm while it moves."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink._validate import Angle, Between, Duration, Time, checked
+from fraclink.errors import FieldError
+
+__all__ = [
+    "FAULTS",
+    "Event",
+    "Obstacle",
+    "PayloadChange",
+    "Restart",
+    "SensorFault",
+    "Sensors",
+    "TipPulse",
+    "delay_line",
+]
+
+Vector = NDArray[np.float64]
+
+_OFF = "0 switches it off"
+Size = Annotated[float, Between(0.0, 1e6, "N·m", remedy=_OFF)]
+Error = Annotated[float, Between(-1e6, 1e6, "N·m", remedy=_OFF)]
+LONGEST_DELAY = 100  # periods or steps of the gauge's delay: what the kernels' queues hold
+
+
+def delay_line(delay: float) -> tuple[int, Vector]:
+    """Return the queue of a delayed signal: age of its oldest entry [steps], weights of its four oldest.
+
+    A whole delay is one entry; between two steps it is the cubic through the four around it, as in the
+    kernels.
+
+    delay: steps, >= 0
+
+    >>> delay_line(2.0), delay_line(0.5)[0]
+    ((2, array([1., 0., 0., 0.])), 3)
+    """
+    whole = round(delay)
+    if abs(delay - whole) < 1e-6:
+        return whole, np.array([1.0, 0.0, 0.0, 0.0])
+    youngest = max(math.floor(delay) - 1, 0)
+    at, nodes = delay - youngest, range(4)
+    lagrange = [math.prod((at - j) / (i - j) for j in nodes if j != i) for i in nodes]
+    return youngest + 3, np.array(lagrange[::-1])
+
+
+@checked
+@dataclass(frozen=True)
+class Sensors:
+    """Encoder at the hub and strain gauge at the base of the link.
+
+    Parameters
+    ----------
+    counts_per_revolution
+        encoder counts per turn of the hub, None for a continuous angle; an encoder's lines count fourfold,
+        and the gear multiplies them.
+    gauge_noise
+        standard deviation of white noise [N·m].
+    gauge_offset
+        constant error [N·m].
+    gauge_drift
+        its growth [N·m/s].
+    gauge_quantum
+        resolution of the converter [N·m], 0 for none.
+    gauge_limit
+        readings are clipped to ± this [N·m], None for no limit.
+    gauge_delay
+        delay of the strain amplifier [s].
+    gauge_gain
+        what the gauge shows of a torque [1].
+
+    >>> import numpy as np
+    >>> Sensors(gauge_quantum=0.1, gauge_offset=0.02).gauge(np.array([0.11, 0.19]), period=0.004)
+    array([0.1, 0.2])
+    """
+
+    counts_per_revolution: Annotated[int, Between(4, 2**53, "counts")] | None = None
+    gauge_noise: Size = 0.0
+    gauge_offset: Error = 0.0
+    gauge_drift: Error = 0.0
+    gauge_quantum: Size = 0.0
+    gauge_limit: Annotated[float, Between(0.0, 1e6, "N·m", low_open=True)] | None = None
+    gauge_delay: Time = 0.0
+    gauge_gain: Annotated[float, Between(-1e6, 1e6)] = 1.0
+
+    @property
+    def angle_quantum(self) -> float:
+        """Angle of one encoder count [rad], 0 for a continuous angle."""
+        return 2.0 * math.pi / self.counts_per_revolution if self.counts_per_revolution else 0.0
+
+    def encoder(self, angle: Vector) -> Vector:
+        """Return the angle as the encoder counts it [rad]: the last count passed."""
+        if not self.counts_per_revolution:
+            return angle.copy()
+        # A count changes at the edge of a line, so the reading is a floor; the offset of half a count that a
+        # floor has on average goes with the zeroing of the encoder.
+        quantum = self.angle_quantum
+        return np.asarray(np.floor(angle / quantum + 0.5) * quantum)
+
+    def delayed(self, torque: Vector, step: float) -> Vector:
+        """Return the torque [N·m], sampled every `step` [s], as late as the strain amplifier passes it on."""
+        oldest, weights = delay_line(self.gauge_delay / step)
+        if oldest == 0:
+            return torque
+        late = np.concatenate([np.full(oldest, torque[0]), torque])
+        if weights[0] == 1.0:
+            return late[: torque.size]
+        return np.asarray(sum(w * late[i : i + torque.size] for i, w in enumerate(weights)))
+
+    def gauge(
+        self,
+        torque: Vector,
+        *,
+        period: float,
+        start: float = 0.0,
+        generator: np.random.Generator | None = None,
+    ) -> Vector:
+        """Return the gauge's reading of a torque that is already delayed [N·m]."""
+        time = start + period * np.arange(torque.size)
+        reading = self.gauge_gain * torque + self.gauge_offset + self.gauge_drift * time
+        if self.gauge_noise > 0.0:
+            if generator is None:
+                raise FieldError(
+                    "generator", None, "missing", allowed="a numpy Generator", remedy="give a seed"
+                )
+            reading = reading + self.gauge_noise * generator.standard_normal(torque.size)
+        if self.gauge_limit is not None:
+            reading = np.clip(reading, -self.gauge_limit, self.gauge_limit)
+        if self.gauge_quantum > 0.0:
+            reading = np.round(reading / self.gauge_quantum) * self.gauge_quantum
+        return np.asarray(reading)
+
+
+# ── events ──────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+@checked
+@dataclass(frozen=True)
+class PayloadChange:
+    """From `time` [s] on the tip carries `payload` [kg]; a new part moves with the tip when it is taken.
+
+    Shape and speed of the link and what its material remembers stay; only the modes are new.
+
+    >>> PayloadChange(time=0.5, payload=0.008).payload
+    0.008
+    """
+
+    time: Time
+    payload: Annotated[float, Between(0.0, 1e9, "kg", remedy="give the new mass in kg")]
+
+
+@checked
+@dataclass(frozen=True)
+class TipPulse:
+    """A force on the tip, at right angles to the link, from `time` for `duration` [s]; `force` [N].
+
+    >>> TipPulse(time=1.0, force=0.5, duration=0.02).force
+    0.5
+    """
+
+    time: Time
+    force: Annotated[float, Between(-1e9, 1e9, "N", remedy="give newtons")]
+    duration: Duration = 0.02
+
+
+@checked
+@dataclass(frozen=True)
+class Obstacle:
+    """A stop in the way of the tip between `time` and `until` [s].
+
+    angle [rad]: where it stands. side: +1, the tip cannot pass above the angle; −1, not below. The stop is a
+    spring of `stiffness` [N/m] that pushes and never pulls, with a loss of `damping` [N·s/m] while pressed.
+    The default, 500 N/m, bends by 2 mm under a newton and makes a contact of about 20 ms with 30 g. Above
+    1e4 N/m a 1 ms step no longer resolves the contact of a payload of 10 g.
+
+    >>> Obstacle(time=0.0, until=1.0, angle=0.4).side
+    1
+    """
+
+    time: Time
+    until: Duration
+    angle: Angle
+    side: Literal[1, -1] = 1
+    stiffness: Annotated[
+        float,
+        Between(0.0, 1e4, "N/m", low_open=True, remedy="a stop of foam has 500 N/m, one of wood 1e4"),
+    ] = 500.0
+    damping: Annotated[float, Between(0.0, 20.0, "N·s/m", remedy="2 is a dull contact")] = 2.0
+
+    def __post_init__(self) -> None:
+        _check_span(self.time, self.until)
+
+
+@checked
+@dataclass(frozen=True)
+class Restart:
+    """At `time` [s] the controller loses its memory and starts anew while the arm goes on moving.
+
+    >>> Restart(time=0.7).time
+    0.7
+    """
+
+    time: Time
+
+
+# Kind -> (bit of the kernel's fault word or 0, name of the input column it sets or None).
+FAULTS: dict[str, tuple[int, str | None]] = {
+    "encoder value": (1, "ENCODER_VALUE"),
+    "gauge value": (2, "GAUGE_VALUE"),
+    "encoder frozen": (4, None),
+    "gauge frozen": (8, None),
+    "channels swapped": (16, None),
+    "tick missed": (32, None),
+    "tick repeated": (64, None),
+    "encoder gain": (0, "ENCODER_GAIN"),
+    "encoder offset": (0, "ENCODER_ERROR"),
+    "gauge gain": (0, "GAUGE_GAIN"),
+    "gauge offset": (0, "GAUGE_ERROR"),
+}
+_VALUED = tuple(kind for kind, (_, column) in FAULTS.items() if column)
+
+
+@checked
+@dataclass(frozen=True)
+class SensorFault:
+    """From `time` to `until` [s] a sensor or the control task fails.
+
+    kind: "encoder value" and "gauge value" replace the reading by `value` (NaN and infinity are allowed: that
+    is what broken interfaces give); "encoder gain", "gauge gain" multiply the true value, "encoder offset",
+    "gauge offset" add to it [rad, N·m]; "encoder frozen", "gauge frozen" repeat the last reading; "channels
+    swapped" exchanges the two; "tick missed" does not run the law, "tick repeated" runs it twice.
+
+    >>> SensorFault(time=0.5, until=0.52, kind="gauge value", value=float("nan")).kind
+    'gauge value'
+    """
+
+    time: Time
+    until: Duration
+    kind: str
+    value: Annotated[float, Between(finite=False)] | None = None
+
+    def __post_init__(self) -> None:
+        _check_span(self.time, self.until)
+        if self.kind not in FAULTS:
+            raise FieldError(
+                "kind", self.kind, "unknown", allowed=", ".join(FAULTS), remedy="choose one of these"
+            )
+        if (self.value is not None) != (self.kind in _VALUED):
+            raise FieldError(
+                "value",
+                self.value,
+                "missing" if self.kind in _VALUED else "not used by this kind",
+                allowed=f"a number for {', '.join(_VALUED)}",
+                remedy="give value=, or leave it out",
+            )
+
+
+Event = PayloadChange | TipPulse | Obstacle | Restart | SensorFault
+
+
+def _check_span(time: float, until: float) -> None:
+    if until <= time:
+        raise FieldError("until", until, "not after time", allowed=f"> {time:g} s", remedy="exchange the two")
