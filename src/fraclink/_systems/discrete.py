@@ -5,34 +5,44 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fraclink._rules import rule
 from fraclink._systems.minimax import PartialFractions, Target, finish, grow, score
 from fraclink._systems.terms import Complexes, Reals
-from fraclink._validate import checked_between, checked_number, checked_whole, is_whole
+from fraclink._validate import Between, Ordered, Positive, checked
 from fraclink.errors import FieldError
 
-HIGHEST_ORDER = 12
+Band = Annotated[
+    tuple[
+        Annotated[float, Between(0.0, unit="rad/s", low_open=True)],
+        Annotated[float, Between(0.0, unit="rad/s", low_open=True)],
+    ],
+    Ordered(strict=True),
+]
+Order = Annotated[int, Between(0, 12, remedy="use order=None to choose")]
+
 _WITHIN = 0.97  # of the tolerance on the grid of the fit: between its points the error is up to 3 % larger
 _GUARD = 2.0  # above the band |H − F| may reach 2 |F| times the score: without it the gain there has no bound
 
 
+@checked
 def fit_discrete(
     response: Callable[[Reals], Complexes],
     *,
-    period: float,
-    band: tuple[float, float],
-    order: int | None = None,
-    zeros_at_one: int = 0,
+    period: Positive,
+    band: Band,
+    order: Order | None = None,
+    zeros_at_one: Annotated[int, Between(0, 3, remedy="use 1 for a washout")] = 0,
     offset: float = 0.0,
     weight: Callable[[Reals], Reals] | None = None,
-    tolerance_db: float = 0.1,
-    tolerance_deg: float = 0.5,
-    highest: int = 8,
-    pairs: int | None = None,
+    tolerance_db: Annotated[float, Between(1e-9, 1e3, "dB", remedy="use 0.1 dB")] = 0.1,
+    tolerance_deg: Annotated[float, Between(1e-9, 1e3, "°", remedy="use 0.5°")] = 0.5,
+    highest: Order = 8,
+    pairs: Annotated[int, Between(0, 100)] | None = None,
 ) -> DiscreteRational:
     """Return the discrete rational whose worst error in a band of frequencies is smallest.
 
@@ -41,26 +51,26 @@ def fit_discrete(
 
     Parameters
     ----------
-    response : callable
+    response
         F(ω), an array of complex for an array of frequencies [rad/s].
-    period : float
+    period
         Sampling period [s], > 0.
-    band : tuple of float
+    band
         Lowest and highest frequency [rad/s] of the fit, 0 < low < high ≤ π/period.
-    order : int, optional
+    order
         Number of poles, 0 … 12. None: the lowest order that meets both tolerances, else the best of those
         up to `highest`.
-    zeros_at_one : int
+    zeros_at_one
         Zeros imposed at z = 1 as factors (1 − z⁻¹)^m; 1 makes H(1) = 0 exactly.
-    offset : float
+    offset
         The error is judged on offset + H; 1 for a controller C = 1 + Ĉ fitted through Ĉ.
-    weight : callable, optional
+    weight
         Positive weight over frequency.
-    tolerance_db, tolerance_deg : float
+    tolerance_db, tolerance_deg
         Tolerances [dB] and [°]; their ratio sets the balance between errors of modulus and phase.
-    highest : int
+    highest
         Highest order that order=None tries, 0 … 12.
-    pairs : int, optional
+    pairs
         Largest number of complex pairs among the poles; 0 for real poles only.
 
     Returns
@@ -81,10 +91,7 @@ def fit_discrete(
     >>> h.order, h.error_db < 0.1, h.error_deg < 0.5
     (4, True, True)
     """
-    checked_number("period", period, allowed="> 0 s", remedy="give seconds", holds=lambda time: time > 0.0)
-    _check(period, band, highest if order is None else order, zeros_at_one)
-    _check_tolerance(tolerance_db, tolerance_deg, pairs)
-    checked_number("offset", offset, allowed="a finite number", remedy="1 for C = 1 + H")
+    checked_band(band, period)
     target = _target(response, period, band, zeros_at_one, offset, weight, (tolerance_db, tolerance_deg))
     plane = (math.tan(0.5 * band[0] * period), math.tan(min(0.5 * band[1] * period, 1.55)))
     best = _grown(target, plane, order, highest, pairs)
@@ -141,13 +148,10 @@ def _target(
     within = np.arange(w.size) < inside.size
     base = np.where(within, offset + wanted, np.abs(wanted))
     if wanted.shape != w.shape or not np.all(np.isfinite(wanted)) or not np.all(base):
-        raise FieldError(
-            "response",
-            wanted.shape,
-            "zero, not finite or of another shape at some frequency",
-            allowed="finite values that are not zero, one for each frequency",
-            remedy="check the response between the band's ends and the Nyquist frequency",
-        )
+        problem = "zero, not finite or of another shape at some frequency"
+        allowed = "finite values that are not zero, one for each frequency"
+        remedy = "check the response between the band's ends and the Nyquist frequency"
+        raise FieldError("response", wanted.shape, problem, allowed=allowed, remedy=remedy)
     emphasis = np.ones_like(w) if weight is None else np.where(within, _weights(weight, w, within), 1.0)
     half = 0.5 * w * period
     return Target(
@@ -160,74 +164,33 @@ def _target(
     )
 
 
-def _values(field: str, function: object, frequency: Reals, kind: type) -> NDArray[Any]:
-    """What the caller's function gives at `frequency`; FieldError where it is none, or gives no numbers."""
-    if not callable(function):
-        allowed = "a function of ω [rad/s]"
-        raise FieldError(field, repr(function), "not to be called", allowed=allowed, remedy="give a function")
+def _values(field: str, function: Callable[[Reals], Any], frequency: Reals, kind: type) -> NDArray[Any]:
+    """What the caller's function gives at `frequency`; FieldError where it gives no numbers."""
     values = function(frequency)
     try:
         return np.asarray(values, dtype=kind)
     except (TypeError, ValueError) as error:
-        allowed = "one number for each frequency"
-        raise FieldError(
-            field, type(values).__name__, "no numbers", allowed=allowed, remedy="return an array"
-        ) from error
+        allowed, given = "one number for each frequency", type(values).__name__
+        raise FieldError(field, given, "no numbers", allowed=allowed, remedy="return an array") from error
 
 
-def _weights(weight: object, frequency: Reals, within: NDArray[np.bool_]) -> Reals:
+def _weights(weight: Callable[[Reals], Reals], frequency: Reals, within: NDArray[np.bool_]) -> Reals:
     values = _values("weight", weight, frequency, float)
     if values.shape != frequency.shape or not np.all((values > 0.0) & np.isfinite(values), where=within):
-        raise FieldError(
-            "weight",
-            values.shape,
-            "not positive and finite, or of another shape",
-            allowed="> 0, one for each frequency",
-            remedy="check the weight between the band's ends",
-        )
+        problem = "not positive and finite, or of another shape"
+        allowed, remedy = "> 0, one for each frequency", "check the weight between the band's ends"
+        raise FieldError("weight", values.shape, problem, allowed=allowed, remedy=remedy)
     return values
 
 
-def checked_band(band: object, period: object | None) -> tuple[float, float]:
+def checked_band(band: object, period: float | None) -> tuple[float, float]:
     """Return `band` as (low, high) [rad/s], below the Nyquist frequency of `period` [s] if there is one."""
-    allowed, remedy = "0 < low < high rad/s", "give (low, high) in rad/s"
-    limit = math.inf
-    if period is not None:
-        limit = math.pi / checked_number(
-            "period",
-            period,
-            allowed="> 0 s",
-            remedy="give the period in seconds",
-            holds=lambda time: time > 0.0,
-        )
-        allowed = f"0 < low < high <= {limit:.6g} rad/s"
-        remedy = "lower the upper end or shorten the period"
-    if not isinstance(band, tuple | list | np.ndarray) or len(band) != 2:
-        raise FieldError("band", band, "not a pair", allowed=allowed, remedy="give (low, high) in rad/s")
-    low, high = (
-        checked_number(f"band[{i}]", value, allowed=allowed, remedy=remedy) for i, value in enumerate(band)
-    )
-    if not 0.0 < low < high <= limit * (1.0 + 1e-9):
-        raise FieldError("band", (low, high), "not a band", allowed=allowed, remedy=remedy)
+    low, high = rule(Band).check("band", band)
+    limit = math.inf if period is None else math.pi / period
+    if high > limit * (1.0 + 1e-9):  # π/period itself is meant to pass, also when it was rounded up
+        allowed, remedy = f"0 < low < high <= {limit:.6g} rad/s", "lower the upper end or shorten the period"
+        raise FieldError("band", (low, high), "beyond the Nyquist frequency", allowed=allowed, remedy=remedy)
     return low, high
-
-
-def _check(period: float, band: tuple[float, float], order: int, zeros_at_one: int) -> None:
-    checked_band(band, period)
-    if not is_whole(order, 0, HIGHEST_ORDER):
-        allowed = f"a whole number from 0 to {HIGHEST_ORDER}"
-        raise FieldError("order", order, "out of range", allowed=allowed, remedy="use order=None to choose")
-    if not is_whole(zeros_at_one, 0, 3):
-        raise FieldError(
-            "zeros_at_one", zeros_at_one, "out of range", allowed="0 to 3", remedy="use 1 for a washout"
-        )
-
-
-def _check_tolerance(tolerance_db: float, tolerance_deg: float, pairs: int | None) -> None:
-    for field, value in (("tolerance_db", tolerance_db), ("tolerance_deg", tolerance_deg)):
-        checked_between(field, value, 1e-9, 1e3, remedy="use 0.1 dB and 0.5°")
-    if pairs is not None:
-        checked_whole("pairs", pairs, 0, 100)  # 0 asks for real poles only
 
 
 # --- A discrete rational transfer function in parallel form, with its zeros at z = 1 kept as factors
@@ -246,19 +209,19 @@ class DiscreteRational:
 
     Attributes
     ----------
-    period : float
+    period
         Sampling period [s].
-    zeros_at_one : int
+    zeros_at_one
         m, the zeros at z = 1 kept as factors.
-    feedthrough : float
+    feedthrough
         d.
-    decays, gains : ndarray, shape (n,)
+    decays, gains
         Real poles p_i in (−1, 1) and their residues g_i.
-    pole_decays, pole_gains : ndarray of complex, shape (k,)
+    pole_decays, pole_gains
         One pole q_j of each pair (Im q > 0, |q| < 1) and its c_j.
-    band : tuple of float
+    band
         Lowest and highest frequency [rad/s] of the fit.
-    error_db, error_deg : float
+    error_db, error_deg
         Largest error in the band of offset + H against offset + response, in decibels and in degrees
         (see `fit_discrete`).
     """
@@ -306,13 +269,8 @@ class DiscreteRational:
         """Response [any unit] to samples u[0], u[1], … from rest, by the recursion above."""
         v = np.asarray(samples, dtype=float)
         if v.ndim != 1:
-            raise FieldError(
-                "samples",
-                v.shape,
-                "not one signal",
-                allowed="shape (N,)",
-                remedy="filter one signal at a time",
-            )
+            remedy = "filter one signal at a time"
+            raise FieldError("samples", v.shape, "not one signal", allowed="shape (N,)", remedy=remedy)
         for _ in range(self.zeros_at_one):
             v = np.diff(v, prepend=0.0)
         y = self.feedthrough * v

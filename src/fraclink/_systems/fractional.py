@@ -36,7 +36,6 @@ from fraclink._systems.terms import (
     scaled,
     text,
 )
-from fraclink._validate import checked_noun
 from fraclink.errors import FieldError
 
 
@@ -71,21 +70,11 @@ class FractionalTransferFunction:
         top = collect(as_terms("numerator", self.numerator))
         bottom = collect(as_terms("denominator", self.denominator))
         if not bottom:
-            raise FieldError(
-                "denominator",
-                self.denominator,
-                "zero",
-                allowed="at least one nonzero term",
-                remedy="check the signs",
-            )
+            allowed, remedy = "at least one nonzero term", "check the signs"
+            raise FieldError("denominator", self.denominator, "zero", allowed=allowed, remedy=remedy)
         if bottom[-1].order < 0.0:
-            raise FieldError(
-                "denominator",
-                bottom[-1].order,
-                "a negative order",
-                allowed="orders ≥ 0",
-                remedy="multiply numerator and denominator by a power of s",
-            )
+            remedy, lowest = "multiply numerator and denominator by a power of s", bottom[-1].order
+            raise FieldError("denominator", lowest, "a negative order", allowed="orders >= 0", remedy=remedy)
         numerator, denominator = normal(top, bottom)
         object.__setattr__(self, "numerator", numerator)
         object.__setattr__(self, "denominator", denominator)
@@ -134,9 +123,8 @@ class FractionalTransferFunction:
         if right is NotImplemented:
             return NotImplemented
         if not right.numerator:
-            raise FieldError(
-                "denominator", 0.0, "zero", allowed="a nonzero function", remedy="do not divide by zero"
-            )
+            remedy = "do not divide by zero"
+            raise FieldError("denominator", 0.0, "zero", allowed="a nonzero function", remedy=remedy)
         return _quotient(self.numerator, self.denominator, right.denominator, right.numerator)
 
     def __sub__(self, other: object) -> FractionalTransferFunction:
@@ -171,13 +159,9 @@ class FractionalTransferFunction:
             return self._integer_power(int(power))
         single = len(self.numerator) == len(self.denominator) == 1
         if not single or self.numerator[0].coefficient <= 0.0:
-            raise FieldError(
-                "exponent",
-                exponent,
-                "a real power of a sum",
-                allowed="integers to 64, or any real power of a single term c·s^a with c > 0",
-                remedy="a real power of a sum is not a quotient of sums of powers of s",
-            )
+            allowed = "integers to 64, or any real power of a single term c·s^a with c > 0"
+            remedy = "a real power of a sum is not a quotient of sums of powers of s"
+            raise FieldError("exponent", exponent, "a real power of a sum", allowed=allowed, remedy=remedy)
         top, bottom = self.numerator[0], self.denominator[0]
         order = (top.order - bottom.order) * power
         return _build(
@@ -215,13 +199,8 @@ class FractionalTransferFunction:
             raise FieldError("sign", sign, "not a sign", allowed="-1 or +1", remedy="-1 is negative feedback")
         right = _operand(other)
         if right is NotImplemented:
-            raise FieldError(
-                "other",
-                other,
-                "not a transfer function",
-                allowed="a function or a number",
-                remedy="build it from s",
-            )
+            allowed, remedy = "a function or a number", "build it from s"
+            raise FieldError("other", other, "not a transfer function", allowed=allowed, remedy=remedy)
         loop = product(self.numerator, right.numerator)
         return _build(
             product(self.numerator, right.denominator),
@@ -292,16 +271,3 @@ def _operand(value: object) -> Any:
 
 s: FractionalTransferFunction = FractionalTransferFunction.power(1.0)
 """The Laplace variable [rad/s]: `G = 100 / (s**1.92 + 100)`."""
-
-
-# --- What every verb on a fractional system asks of its first argument --------------------------------
-
-
-def checked_system(field: str, value: object) -> FractionalTransferFunction:
-    """Return `value` where it is a fractional transfer function; FieldError for anything else."""
-    return checked_noun(
-        field,
-        value,
-        FractionalTransferFunction,
-        remedy="build it from fraclink.s, such as 100 / (s**1.92 + 100)",
-    )

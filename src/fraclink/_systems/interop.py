@@ -24,8 +24,8 @@ def to_control(system: FractionalTransferFunction, *, name: str | None = None) -
 
     Parameters
     ----------
-    system : FractionalTransferFunction
-    name : str, optional
+    system
+    name
         Name shown in python-control's legends.
 
     Returns
@@ -68,12 +68,9 @@ def from_control(system: Any) -> FractionalTransferFunction:
 
     Parameters
     ----------
-    system : control.TransferFunction, control.StateSpace, a number, or a result of `to_control`
+    system
         One input, one output, continuous time.
 
-    Returns
-    -------
-    FractionalTransferFunction
 
     Raises
     ------

@@ -15,7 +15,6 @@ from fraclink._systems.exponential import ExponentialSum
 from fraclink._systems.fractional import FractionalTransferFunction
 from fraclink._systems.roots import log_zeros, newton_polygon, two_term_zeros
 from fraclink._systems.terms import Complexes, Reals, Term
-from fraclink._validate import checked_number
 from fraclink.errors import FieldError
 
 
@@ -77,21 +76,14 @@ class CallableLoop:
         """L(j e^x)."""
         values = np.asarray(self.response(1j * np.exp(x)), dtype=complex)
         if values.shape != x.shape:
-            raise FieldError(
-                "loop",
-                values.shape,
-                "of another shape than its argument",
-                allowed=f"shape {x.shape}",
-                remedy="write the callable with numpy operations on arrays of s",
-            )
+            problem, allowed = "of another shape than its argument", f"shape {x.shape}"
+            remedy = "write the callable with numpy operations on arrays of s"
+            raise FieldError("loop", values.shape, problem, allowed=allowed, remedy=remedy)
         if np.isnan(values).any():
-            raise FieldError(
-                "loop",
-                "nan",
-                f"not a number at {math.exp(float(x[np.isnan(values)][0])):.6g} rad/s",
-                allowed="finite values (infinite at a pole on the axis)",
-                remedy="check the callable there or lower limit=",
-            )
+            problem = f"not a number at {math.exp(float(x[np.isnan(values)][0])):.6g} rad/s"
+            allowed = "finite values (infinite at a pole on the axis)"
+            remedy = "check the callable there or lower limit="
+            raise FieldError("loop", "nan", problem, allowed=allowed, remedy=remedy)
         return values
 
     def point(self, x: float) -> tuple[complex, complex]:
@@ -105,27 +97,15 @@ class CallableLoop:
 
 def as_loop(loop: object, limit: float | None) -> Loop:
     """Return the loop with its range of frequencies and its seeds."""
-    if limit is not None:
-        limit = checked_number(
-            "limit",
-            limit,
-            allowed="> 0 rad/s",
-            remedy="give the Nyquist frequency",
-            holds=lambda frequency: frequency > 0.0,
-        )
     system = getattr(loop, "fractional", loop)  # what to_control wraps
     if isinstance(system, FractionalTransferFunction) and system.numerator:
         return FractionalLoop.of(system, limit)
     if hasattr(loop, "frdata") and hasattr(loop, "omega"):
         return _data_loop(loop, limit)
     if not callable(loop):
-        raise FieldError(
-            "loop",
-            type(loop).__name__,
-            "not a loop",
-            allowed="a transfer function or a callable of s",
-            remedy="pass a FractionalTransferFunction or a function of s = jω",
-        )
+        allowed = "a transfer function or a callable of s"
+        remedy = "pass a FractionalTransferFunction or a function of s = jω"
+        raise FieldError("loop", type(loop).__name__, "not a loop", allowed=allowed, remedy=remedy)
     return _callable_loop(loop, limit)
 
 
@@ -134,13 +114,9 @@ def _data_loop(data: Any, limit: float | None) -> CallableLoop:
     omega, values = np.asarray(data.omega, dtype=float), np.asarray(data.frdata, dtype=complex)
     usable = omega > 0
     if values.size != omega.size or usable.sum() < 2 or not np.all(values):
-        raise FieldError(
-            "loop",
-            values.shape,
-            "not one response at two frequencies or more",
-            allowed="one input, one output, values that are not zero",
-            remedy="select one channel of the data",
-        )
+        problem = "not one response at two frequencies or more"
+        allowed, remedy = "one input, one output, values that are not zero", "select one channel of the data"
+        raise FieldError("loop", values.shape, problem, allowed=allowed, remedy=remedy)
     x, logs = np.log(omega[usable]), np.log(np.abs(values.reshape(-1)[usable]))
     phase = np.unwrap(np.angle(values.reshape(-1)[usable]))
 

@@ -6,6 +6,7 @@ import cmath
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,7 @@ from fraclink._systems.fractional import FractionalTransferFunction
 from fraclink._systems.loops import FractionalLoop, Loop, as_loop
 from fraclink._systems.sweep import sweep
 from fraclink._systems.terms import Complexes, Reals
-from fraclink._validate import checked_whole
+from fraclink._validate import Between, checked
 
 Mask = NDArray[np.bool_]
 
@@ -31,11 +32,11 @@ class GainCrossing:
 
     Attributes
     ----------
-    frequency : float
+    frequency
         ω [rad/s].
-    phase_margin : float
+    phase_margin
         arg L(jω) + π [rad], in (−π, π].
-    delay_margin : float
+    delay_margin
         Smallest added delay [s] that turns L(jω) to −1.
     """
 
@@ -125,11 +126,12 @@ class Margins:
 _ON_AXIS = 1e-12  # a modulus margin of zero is a closed-loop pole on the axis
 
 
+@checked
 def margins(
     loop: FractionalTransferFunction | Callable[[Complexes], Complexes],
     *,
-    limit: float | None = None,
-    unstable_poles: int | None = None,
+    limit: Annotated[float, Between(0.0, unit="rad/s", low_open=True)] | None = None,
+    unstable_poles: Annotated[int, Between(0, 1000)] | None = None,
 ) -> Margins:
     """Return every gain crossing, phase crossing and the modulus margin of an open loop L.
 
@@ -141,20 +143,17 @@ def margins(
 
     Parameters
     ----------
-    loop : FractionalTransferFunction, callable or python-control system
+    loop
         L under unity negative feedback. A callable takes s = jω (complex, shape (n,)) and returns L(s) of
         the same shape; it is looked at from 1e-6 to 1e6 rad/s. A python-control system is a callable; if it
         is sampled it is evaluated on the unit circle up to its Nyquist frequency. Frequency response data
         are used in their own range, straight in a Bode plot from point to point.
-    limit : float, optional
+    limit
         Highest frequency [rad/s], > 0; the Nyquist frequency of a sampled loop.
-    unstable_poles : int, optional
+    unstable_poles
         Number of poles of L with Re s > 0, conjugates counted, which a callable cannot tell. With it (or for
         a transfer function, which knows) the encirclements of −1 decide `stable`.
 
-    Returns
-    -------
-    Margins
 
     Raises
     ------
@@ -172,8 +171,6 @@ def margins(
     >>> print(f"{m.gain_crossover:.6f} rad/s, {m.phase_margin:.6f} rad, {m.gain_margin:.6f}, {m.stable}")
     1.143203 rad/s, 0.199404 rad, 1.500000, True
     """
-    if unstable_poles is not None:
-        checked_whole("unstable_poles", unstable_poles, 0, 1000)
     known = as_loop(loop, limit)
     if unstable_poles is None and isinstance(known, FractionalLoop):
         unstable_poles = known.unstable_poles

@@ -6,32 +6,39 @@ import cmath
 import itertools
 import math
 from collections.abc import Callable
+from typing import Annotated
 
 import numpy as np
 
-from fraclink._systems.fractional import FractionalTransferFunction, checked_system
+from fraclink._systems.fractional import FractionalTransferFunction
 from fraclink._systems.loops import FractionalLoop
 from fraclink._systems.margins import gain_slope, zero_of
 from fraclink._systems.stability import is_stable
 from fraclink._systems.sweep import sweep
 from fraclink._systems.terms import Reals
+from fraclink._validate import Between, Where, checked
 from fraclink.errors import FieldError, NotConvergedError, UnstableError
 
+NORMS = Where(
+    lambda p: p in (2.0, math.inf), "2 or inf", problem="not a norm offered here", remedy="use 2 or inf"
+)
+_FILTER = "multiply by a low-pass filter, as the real input would"
 _TOLERANCE = 1e-13
 # In ln ω: where terms a gap of orders apart differ by e^(−37) ≈ 1e-16 the response is its own asymptote.
 _NEGLIGIBLE = 37.0
 
 
-def norm(system: FractionalTransferFunction, p: float) -> float:
+@checked
+def norm(system: FractionalTransferFunction, p: Annotated[float, Between(finite=False), NORMS]) -> float:
     """Return the H2 norm (p = 2) or the H∞ norm (p = inf) of a stable system.
 
     ‖G‖₂² = (1/π) ∫₀^∞ |G(jω)|² dω,      ‖G‖∞ = sup |G(jω)|
 
     Parameters
     ----------
-    system : FractionalTransferFunction
+    system
         Stable; for p = 2 with a relative degree > 1/2, for p = inf proper. Delays are allowed.
-    p : float
+    p
         2 or `math.inf` [1].
 
     Returns
@@ -59,37 +66,22 @@ def norm(system: FractionalTransferFunction, p: float) -> float:
     >>> round(norm(G, 2), 12), round(norm(G, math.inf), 12)
     (5.0, 5.025189076296)
     """
-    checked_system("system", system)
-    if not (isinstance(p, int | float) and p in (2, math.inf)):
-        raise FieldError("p", p, "not a norm offered here", allowed="2 or inf", remedy="use 2 or math.inf")
     if not system.numerator:
         return 0.0
     verdict = is_stable(system)
     if not verdict:
-        raise UnstableError(
-            "system",
-            repr(system),
+        problem, remedy = (
             f"not stable: {verdict.reason}",
-            allowed="stable systems",
-            remedy="close a loop around it, add damping, or use margins",
+            "close a loop around it, add damping, or use margins",
         )
+        raise UnstableError("system", repr(system), problem, allowed="stable systems", remedy=remedy)
     degree = system.relative_degree
     if p == 2 and degree <= 0.5:
-        raise FieldError(
-            "system",
-            repr(system),
-            f"of relative degree {degree:g}: its H2 norm is infinite",
-            allowed="relative degree > 1/2",
-            remedy="multiply by a low-pass filter, as the real input would",
-        )
+        problem = f"of relative degree {degree:g}: its H2 norm is infinite"
+        raise FieldError("system", repr(system), problem, allowed="relative degree > 1/2", remedy=_FILTER)
     if degree < 0:
-        raise FieldError(
-            "system",
-            repr(system),
-            "improper: its gain grows without bound",
-            allowed="proper systems",
-            remedy="multiply by a low-pass filter, as the real input would",
-        )
+        problem = "improper: its gain grows without bound"
+        raise FieldError("system", repr(system), problem, allowed="proper systems", remedy=_FILTER)
     loop = FractionalLoop.of(system, None)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         return _h2(system, loop) if p == 2 else _peak(loop)

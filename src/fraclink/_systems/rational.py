@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fraclink._systems.discrete import checked_band, fit_discrete
-from fraclink._systems.fractional import FractionalTransferFunction, checked_system
+from fraclink._systems.discrete import Band, checked_band, fit_discrete
+from fraclink._systems.fractional import FractionalTransferFunction
 from fraclink._systems.minimax import Target, finish, grow
 from fraclink._systems.oustaloup import cascade, evaluate, oustaloup, residues, zeros_of_fractions
 from fraclink._systems.stability import poles
 from fraclink._systems.terms import Complexes, Reals
-from fraclink._validate import checked_choice, is_whole
+from fraclink._validate import Between, Positive, checked
 from fraclink.errors import FieldError
 
 
@@ -24,17 +25,17 @@ class RationalApproximation:
 
     Attributes
     ----------
-    zeros, poles : ndarray of complex, shapes (m,) and (order,)
+    zeros, poles
         z_i and p_i, conjugates included [rad/s]; in the z-plane without unit.
-    gain : float
+    gain
         k.
-    period : float or None
+    period
         Sampling period [s] of a discrete approximation.
-    band : tuple of float
+    band
         Frequencies [rad/s] it was made for.
-    method : str
+    method
         "oustaloup" or "minimax".
-    error_db, error_deg : float
+    error_db, error_deg
         Largest error of modulus [dB] and phase [°] inside the band.
     """
 
@@ -85,35 +86,33 @@ class RationalApproximation:
         return cascade(self.zeros, self.poles, self.gain)
 
 
+@checked
 def approximate(
     system: FractionalTransferFunction,
-    band: tuple[float, float],
-    order: int,
+    band: Band,
+    order: Annotated[int, Between(1, 40)],
     *,
-    method: str = "oustaloup",
-    period: float | None = None,
+    method: Literal["oustaloup", "minimax"] = "oustaloup",
+    period: Positive | None = None,
 ) -> RationalApproximation:
     """Return an integer-order approximation of a fractional system in a band, with its achieved error.
 
     Parameters
     ----------
-    system : FractionalTransferFunction
+    system
         Proper, or improper by less than one order; no delay.
-    band : tuple of float
+    band
         Lowest and highest frequency [rad/s], 0 < low < high (≤ π/period).
-    order : int
+    order
         "oustaloup": pole-zero pairs in place of each fractional power s^(a − ⌊a⌋), 1 … 40.
         "minimax": number of poles of the whole, 1 … 12.
-    method : str
+    method
         "oustaloup" is the recursive filter that FOMCON and others use, known to be poor at the band's ends;
         "minimax" has the smallest worst relative error over the band for its number of poles.
-    period : float, optional
+    period
         Sampling period [s] for a discrete result: Oustaloup's filter by the bilinear map, or the minimax fit
         on the unit circle.
 
-    Returns
-    -------
-    RationalApproximation
 
     Raises
     ------
@@ -131,7 +130,9 @@ def approximate(
     >>> r.order, r.error_db < 0.5, r.error_deg < 3.0
     (6, True, True)
     """
-    _check(system, band, order, method, period)
+    _check(system, band, period)
+    if method == "minimax":  # more poles than this are below the rounding of the fit
+        Between(1, 12).check("order", order)
     if method == "oustaloup":
         zeros, found, gain = oustaloup(system, band, order)
         if period is not None:
@@ -154,41 +155,17 @@ def approximate(
     )
 
 
-def _check(
-    system: FractionalTransferFunction,
-    band: tuple[float, float],
-    order: int,
-    method: str,
-    period: float | None,
-) -> None:
-    checked_system("system", system)
-    checked_choice("method", method, ("oustaloup", "minimax"))
-    highest = 40 if method == "oustaloup" else 12
-    if not is_whole(order, 1, highest):
-        raise FieldError(
-            "order",
-            order,
-            "out of range",
-            allowed=f"a whole number from 1 to {highest}",
-            remedy="change the order",
-        )
+def _check(system: FractionalTransferFunction, band: tuple[float, float], period: float | None) -> None:
+    """What involves several arguments, or the system's own structure."""
     checked_band(band, period)
     if any(t.delay for t in (*system.numerator, *system.denominator)):
-        raise FieldError(
-            "system",
-            repr(system),
-            "delayed",
-            allowed="systems without delay",
-            remedy="approximate the system without its delay and keep the delay as samples",
-        )
+        remedy = "approximate the system without its delay and keep the delay as samples"
+        allowed = "systems without delay"
+        raise FieldError("system", repr(system), "delayed", allowed=allowed, remedy=remedy)
     if system.relative_degree <= -1:
-        raise FieldError(
-            "system",
-            repr(system),
-            "improper by one order or more",
-            allowed="relative degree > -1",
-            remedy="divide by a power of s: s^1.65 is s times s^0.65",
-        )
+        problem, remedy = "improper by one order or more", "divide by a power of s: s^1.65 is s times s^0.65"
+        allowed = "relative degree > -1"
+        raise FieldError("system", repr(system), problem, allowed=allowed, remedy=remedy)
 
 
 def _continuous(
@@ -196,13 +173,8 @@ def _continuous(
 ) -> tuple[Complexes, Complexes, float]:
     known = poles(system)
     if np.any(known.real >= 0):
-        raise FieldError(
-            "system",
-            repr(system),
-            "not stable",
-            allowed="stable poles for method='minimax'",
-            remedy="use method='oustaloup'",
-        )
+        allowed, remedy = "stable poles for method='minimax'", "use method='oustaloup'"
+        raise FieldError("system", repr(system), "not stable", allowed=allowed, remedy=remedy)
     w = np.geomspace(*band, 160)
     near = known[(np.abs(known) > band[0]) & (np.abs(known) < band[1]) & (known.imag > 0)]
     for p in near:  # a resonance needs points of its own

@@ -52,11 +52,11 @@ def log_zeros(coefficients: ArrayLike, orders: ArrayLike, *, angle: float) -> ND
 
     Parameters
     ----------
-    coefficients : array_like, shape (K,)
+    coefficients
         Real a_k. Equal orders are merged.
-    orders : array_like, shape (K,)
+    orders
         Real α_k; only their differences matter.
-    angle : float
+    angle
         Largest argument [rad], ≥ 0. π is the principal sheet with its cut, π/2 the closed right half plane.
 
     Returns

@@ -9,9 +9,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fraclink._systems.exponential import NearZeroError
-from fraclink._systems.fractional import FractionalTransferFunction, checked_system
+from fraclink._systems.fractional import FractionalTransferFunction
 from fraclink._systems.roots import log_zeros
 from fraclink._systems.terms import Complexes, Reals, Term
+from fraclink._validate import checked
 from fraclink.errors import FieldError
 
 _SAME = 1e-10  # relative distance at which a zero cancels a pole: what twelve-digit coefficients can tell
@@ -24,16 +25,16 @@ class StabilityVerdict:
 
     Attributes
     ----------
-    stable : bool
+    stable
         No pole of the principal sheet in Re s ≥ 0 and no integrator: bounded inputs give bounded outputs
         (of an improper system: inputs with bounded derivatives).
-    reason : str
+    reason
         One sentence.
-    unstable_poles : tuple of complex
+    unstable_poles
         Poles with Re s ≥ 0, conjugates included; empty for a delay in the denominator (only counted).
-    integrators : float
+    integrators
         a where s^a divides the denominator, 0 for none.
-    winding : int
+    winding
         Certified number of poles with Re s > 0 (argument principle), multiplicities counted.
     """
 
@@ -50,6 +51,7 @@ class StabilityVerdict:
         return f"{'stable' if self.stable else 'not stable'}: {self.reason}"
 
 
+@checked
 def poles(system: FractionalTransferFunction) -> Complexes:
     """Return the poles on the principal sheet, −π < arg s ≤ π, with conjugates and multiplicities.
 
@@ -59,7 +61,7 @@ def poles(system: FractionalTransferFunction) -> Complexes:
 
     Parameters
     ----------
-    system : FractionalTransferFunction
+    system
         Orders of any kind; no delay in the denominator.
 
     Returns
@@ -82,10 +84,10 @@ def poles(system: FractionalTransferFunction) -> Complexes:
     >>> poles(1.56 * s**1.92 / (s**1.92 + 100)).round(4)
     array([-0.7199+10.9834j, -0.7199-10.9834j])
     """
-    checked_system("system", system)
     return _both_halves(_pole_logs(system)[0], _poles_at_origin(system))
 
 
+@checked
 def is_stable(system: FractionalTransferFunction) -> StabilityVerdict:
     """Return the verdict on stability: every pole of the principal sheet in Re s < 0 and no integrator.
 
@@ -95,7 +97,7 @@ def is_stable(system: FractionalTransferFunction) -> StabilityVerdict:
 
     Parameters
     ----------
-    system : FractionalTransferFunction
+    system
 
     Returns
     -------
@@ -115,7 +117,6 @@ def is_stable(system: FractionalTransferFunction) -> StabilityVerdict:
     >>> print(is_stable(1 / (s**0.5 * (s + 1))).reason)
     s^0.5 divides the denominator: a step gives an unbounded output
     """
-    checked_system("system", system)
     integrators = _integrators(system)
     if any(t.delay for t in system.denominator):
         count = right_half_plane_zeros(system.denominator)
@@ -185,13 +186,9 @@ def _poles_at_origin(system: FractionalTransferFunction) -> int:
 def _pole_logs(system: FractionalTransferFunction) -> tuple[Complexes, Complexes]:
     """z = ln s of the poles with 0 ≤ Im z ≤ π, and of those that a zero of the numerator cancels."""
     if any(t.delay for t in system.denominator):
-        raise FieldError(
-            "denominator",
-            repr(system),
-            "delayed: it has infinitely many poles",
-            allowed="delays in the numerator only",
-            remedy="use is_stable or margins",
-        )
+        allowed, problem = "delays in the numerator only", "delayed: it has infinitely many poles"
+        remedy = "use is_stable or margins"
+        raise FieldError("denominator", repr(system), problem, allowed=allowed, remedy=remedy)
     left, cancelled = _logs(system.denominator).tolist(), []
     top = system.numerator
     if len(top) > 1 and all(t.delay == top[0].delay for t in top):
@@ -239,12 +236,10 @@ def right_half_plane_zeros(terms: Sequence[Term]) -> int:
     try:
         turned = quasi.phase_change(x[:-1], x[1:])
     except NearZeroError as error:
+        problem = "zero on the imaginary axis, or too close to it to tell"
+        remedy = "change the gain or the delay a little"
         raise FieldError(
-            "denominator",
-            list(terms),
-            "zero on the imaginary axis, or too close to it to tell",
-            allowed="poles away from the axis",
-            remedy="change the gain or the delay a little",
+            "denominator", list(terms), problem, allowed="poles away from the axis", remedy=remedy
         ) from error
     # Large arc: from the positive real axis, where D has the sign of d_0, the phase turns by b_0 π/2 + rest.
     high = quasi.top * 0.5 * math.pi + quasi.deviation(x[-1], quasi.top)
@@ -265,21 +260,15 @@ class _Quasi:
         top, bottom = terms[0].order, terms[-1].order
         leading = [t for t in terms if t.order == top]
         if len(leading) > 1 or leading[0].delay:
-            raise FieldError(
-                "denominator",
-                list(terms),
-                "of neutral or advanced type: its highest order is delayed",
-                allowed="a highest order without delay",
-                remedy="add roll-off to the loop: a strictly proper loop gives a retarded denominator",
-            )
+            problem = "of neutral or advanced type: its highest order is delayed"
+            remedy = "add roll-off to the loop: a strictly proper loop gives a retarded denominator"
+            allowed = "a highest order without delay"
+            raise FieldError("denominator", list(terms), problem, allowed=allowed, remedy=remedy)
         if math.fsum(t.coefficient for t in terms if t.order == bottom) == 0:
-            raise FieldError(
-                "denominator",
-                list(terms),
-                "zero at s = 0 through terms that cancel there",
-                allowed="lowest-order coefficients with a sum that is not zero",
-                remedy="cancel the zero at the origin by hand",
-            )
+            problem = "zero at s = 0 through terms that cancel there"
+            allowed = "lowest-order coefficients with a sum that is not zero"
+            remedy = "cancel the zero at the origin by hand"
+            raise FieldError("denominator", list(terms), problem, allowed=allowed, remedy=remedy)
         return cls(
             np.array([t.coefficient for t in terms]),
             np.array([t.order for t in terms]),
