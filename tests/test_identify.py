@@ -13,9 +13,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fraclink._arm.experiment import Experiment
-from fraclink._arm.link import LinkModel
+from fraclink._arm.link import STRUCTURES, LinkModel, Structure
 from fraclink._files import write_json
-from fraclink._identify import Fit, aic, identify, load_model, save_model
+from fraclink._identify import Fit, aic, identify, identify_all, load_model, save_model
 from fraclink._systems.response import time_response
 from fraclink.errors import FieldError, FileFormatError, LogError, SizeError
 from identify_cases import PERIOD, TRUTH, made_log, smooth_pulse
@@ -278,3 +278,21 @@ def test_logs_without_motion_are_refused() -> None:
         assert caught.value.field == field
     with pytest.raises(LogError, match="too few"):
         identify(Experiment(period=PERIOD, motor_angle=angle[300:340], output=angle[300:340]))
+
+
+def test_a_fifth_structure_is_one_row(monkeypatch: pytest.MonkeyPatch) -> None:
+    row = Structure("DF", ("natural_frequency", "order", "damping"), "", "fractional order, viscous damping")
+    monkeypatch.setitem(STRUCTURES, row.name, row)
+    link = LinkModel(1.56, 10.0, order=1.95, damping=0.8)
+    # The kernel's derivatives and time response of both terms: an independent simulation.
+    angle = smooth_pulse(PERIOD * np.arange(4000))
+    torque = time_response(link.torque(), angle, PERIOD, hold="first").output
+    log = Experiment(period=PERIOD, motor_angle=angle, output=torque + 1e-3 * np.sin(np.arange(4000) ** 2))
+    comparison = identify_all(log)
+    assert list(comparison.fits)[-1] == "DF"
+    assert comparison.preferred in ("DF", "D-FOM")
+    fit = comparison.fits["DF"]
+    assert fit.model.order == pytest.approx(1.95, abs=5e-3)
+    assert fit.model.damping == pytest.approx(0.8, rel=0.05)
+    assert fit.mse <= min(comparison.fits[name].mse for name in ("UD-FOM", "D-IOM")) * (1 + 1e-7)
+    assert set(fit.standard_errors) >= set(row.free)

@@ -106,7 +106,8 @@ def _of_the_prediction(fit: Fit, motion: tuple[float, float]) -> Iterator[Findin
     held, relative = fit.heldout_mse, fit.heldout_nmse
     if held is None or relative is None:
         return
-    white = fit.tests is not None and fit.tests.whiteness > 0.01 and held < 1.5 * fit.mse
+    # A ring-down that has sunk into the noise: the error is that of the fitted part, not of a wrong model.
+    noise = fit.nmse < HELDOUT_MOST and held < 1.5 * fit.mse
     if max(motion) < 0.01:
         yield Finding(
             "W317",
@@ -115,7 +116,7 @@ def _of_the_prediction(fit: Fit, motion: tuple[float, float]) -> Iterator[Findin
             {"motion": motion[0], "vibration": motion[1], "heldout_nmse": relative},
             "leave heldout out, or hold out a part in which the motor moves",
         )
-    elif relative > HELDOUT_MOST and not white:
+    elif relative > HELDOUT_MOST and not noise:
         yield Finding(
             "W318",
             "error",

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._arm.experiment import Experiment
-from fraclink._arm.link import FRACTIONAL, LinkModel
+from fraclink._arm.link import FRACTIONAL, LinkModel, SecondMode
 from fraclink._arm.link import structure as structure_row
 from fraclink._identify.covariance import ResidualTests, Uncertainty, aic, bic, residual_tests, uncertainty
 from fraclink._identify.findings import findings_of
@@ -208,25 +208,23 @@ def motion_after(log: Experiment, count: int) -> tuple[float, float]:
 
 
 def fitted_samples(log: Experiment) -> int:
-    """Number of samples to fit, so that those held out contain motion.
+    """Number of samples to fit, so that both the fitted and the held-out part contain motion.
 
-    The last 40 % are held out where they contain a twentieth of the motor's motion. Otherwise the border
-    moves to rest before the last moves that make a quarter of it; a log of one move is cut within its
+    The last 40 % are held out where the motor moves enough on both sides. Otherwise the border moves to the
+    rest before the last moves that make a quarter of the motion; a log of one move is cut within its
     ring-down, where a tenth of the vibration is still to come.
     """
     total = log.output.size
     count = total - round(_HELDOUT * total)
-    if total < 2 * _BLOCKS or motion_after(log, count)[0] >= _MOVES:
+    if total < 2 * _BLOCKS or _MOVES <= motion_after(log, count)[0] <= 1 - _MOVES:
         return count
     places = np.linspace(0, total, _BLOCKS + 1).astype(int)
     motor = _activity(np.diff(log.motor_angle))
-    for border in range(_BLOCKS - 1, 0, -1):
-        quiet = motor[border - 1] - motor[border] < 0.01 and places[border] >= _LEAST_SAMPLES
-        if quiet and places[border] <= count and 0.25 <= motor[border] <= 0.75:
-            return int(places[border])
     swing = _activity(log.output - np.median(log.output))
-    ringing = [int(k) for k, left in zip(places, swing, strict=True) if left >= 0.1 and k <= count]
-    return max([k for k in ringing if k >= _LEAST_SAMPLES], default=count)
+    borders = [k for k in range(1, _BLOCKS) if places[k] >= _LEAST_SAMPLES]
+    rests = [k for k in borders if motor[k - 1] - motor[k] < 0.01 and 0.25 <= motor[k] <= 0.75]
+    ringing = [k for k in borders if swing[k] >= 0.1 and motor[k] < 0.5]
+    return int(places[max(rests or ringing or [round(_BLOCKS * (1 - _HELDOUT))])])
 
 
 # --- the fit and how sure it is ----------------------------------------------------------------------------
@@ -273,7 +271,8 @@ def fit_from(search: Search, name: str, log: Experiment, *, stiffness: float | N
         source=log.source,
         sha256=log.sha256,
     )
-    fit = dataclasses.replace(fit, model=_identified(fit, search, solution, stiffness, details))
+    mode = find_second_mode(search, solution, log.motor_angle, residual) if details else (None, None)
+    fit = dataclasses.replace(fit, model=_identified(fit, mode, stiffness))
     findings = findings_of(fit, solution, errors, stiffness, motion_after(log, window.samples))
     return dataclasses.replace(fit, findings=findings)
 
@@ -296,9 +295,7 @@ def _figures(log: Experiment, residual: Vector, count: int, solution: Solution) 
     }
 
 
-def _identified(
-    fit: Fit, search: Search, solution: Solution, stiffness: float | None, details: bool
-) -> LinkModel:
+def _identified(fit: Fit, mode: tuple[SecondMode | None, float | None], stiffness: float | None) -> LinkModel:
     """The link with all that the log showed of it, so that nobody behind has to be told again.
 
     A torque log shows gauge gain times stiffness and nothing that tells them apart: the product is the
@@ -311,16 +308,15 @@ def _identified(
     rows = [(name, end.low, end.high) for name, end in fit.intervals.items() if name != "delay"]
     if "delay" in fit.intervals:
         rows.append(("gauge_delay", fit.intervals["delay"].low, fit.intervals["delay"].high))
-    if details and math.isfinite(reach):
+    if fit.intervals and math.isfinite(reach):
         rows.append(("stiffness" if torque else "gauge_gain", size - reach, size + reach))
-    mode, unseen = find_second_mode(search, solution) if details else (None, None)
     return dataclasses.replace(
         fit.model,
         stiffness=size if torque else (stiffness or 1.0),
         gauge_delay=fit.delay,
         gauge_gain=1.0 if torque else size,
-        second_mode=mode,
-        unseen_up_to=unseen,
+        second_mode=mode[0],
+        unseen_up_to=mode[1],
         intervals=tuple(rows),
     )
 

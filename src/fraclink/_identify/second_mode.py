@@ -30,11 +30,17 @@ _SIGNIFICANT = 6.0
 _SEEN = 0.05  # a mode of this static share is one that a design must know: at ζ = 0.02 its peak is 1.25 c
 
 
-def find_second_mode(search: Search, solution: Solution) -> tuple[SecondMode | None, float | None]:
-    """The second mode in the residual of a fit, and else the frequency [rad/s] up to which none was seen."""
+def find_second_mode(
+    search: Search, solution: Solution, motor_angle: Vector, whole: Vector
+) -> tuple[SecondMode | None, float | None]:
+    """The second mode in the residual of a fit, and else the frequency [rad/s] up to which none was seen.
+
+    `motor_angle` and `whole` are the angle and the residual of the whole log: what the fitted part shows
+    must show again in the part that was held out.
+    """
     window, shape = search.window, solution.shape
     columns = columns_of(search.kernel, shape, mask_of(solution.free))
-    residual = window.output - solution.gain * columns[0] - solution.offset
+    residual = whole[: window.samples]
     basis = np.linalg.qr(np.vstack([columns, np.ones(window.samples)]).T)[0]
     low, high = math.log(_LOWEST) + shape[1], math.log(_HIGHEST * math.pi / window.period)
     if high - low < 0.5 or not np.any(residual):
@@ -60,7 +66,8 @@ def find_second_mode(search: Search, solution: Solution) -> tuple[SecondMode | N
         )
         gain, error = _regressed(residual, response(found))
         share = gain / solution.gain
-        if not at_limit and share > 0 and abs(gain) > _SIGNIFICANT * error:
+        certain = not at_limit and share > 0 and abs(gain) > _SIGNIFICANT * error
+        if certain and _shows_again(window, found, gain, motor_angle, whole):
             return SecondMode(math.exp(found[1]), share, float(found[2])), None
     noise = _noise(residual)
     seen = None
@@ -70,6 +77,16 @@ def find_second_mode(search: Search, solution: Solution) -> tuple[SecondMode | N
             break
         seen = math.exp(log_frequency)
     return None, seen
+
+
+def _shows_again(window: Window, place: Vector, gain: float, motor_angle: Vector, whole: Vector) -> bool:
+    """Whether the held-out part agrees; three standard errors there, as only one mode is on trial."""
+    if whole.size - window.samples < 100:
+        return True
+    log = Window(motor_angle, whole, window.period, window.hold)
+    column = columns_of(log.kernel(math.exp(place[1]), longest_delay=abs(place[4])), place)[0]
+    again, error = _regressed(whole[window.samples :], column[window.samples :])
+    return again * gain > 0 and abs(again) > 3.0 * error and 1 / 3 < again / gain < 3
 
 
 def _regressed(residual: Vector, response: Vector) -> tuple[float, float]:

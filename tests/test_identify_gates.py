@@ -1,0 +1,197 @@
+"""The gates of identification: logs that must not give a model to design with, and logs that must."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from fraclink._arm.experiment import Experiment
+from fraclink._arm.link import LinkModel
+from fraclink._arm.reference import prbs
+from fraclink._identify import identify, identify_motor, simulated_torque
+from fraclink.errors import FraclinkError, LogError
+from identify_cases import PERIOD, TRUTH
+from made_logs import example_motor_log
+
+Array = NDArray[np.float64]
+COUNT = 4001
+TIME = PERIOD * np.arange(COUNT)
+ANGLE = prbs(0.3, 0.2, bits=78, register=9, start=0.2).angle(TIME)
+ANGLE = np.asarray(lfilter([0.1], [1, -0.9], ANGLE))
+TORQUE = simulated_torque(TRUTH, ANGLE, PERIOD, delay=0.004)
+RANDOM = np.random.default_rng(7)
+WHITE = RANDOM.normal(0, 1, COUNT)
+SLOW = np.asarray(lfilter([0.0199**0.5], [1, -0.98], RANDOM.normal(0, 1, 5 * COUNT)))[-COUNT:]
+RING = np.asarray(np.clip((TIME - 0.5) / 0.2, 0, 1))
+
+
+def log(angle: Array = ANGLE, output: Array | None = None, **options: object) -> Experiment:
+    values = TORQUE + 0.02 * WHITE if output is None else output
+    return Experiment(period=PERIOD, motor_angle=angle, output=values, **options)  # type: ignore[arg-type]
+
+
+def rolled(seconds: float) -> Array:
+    return np.roll(TORQUE, round(seconds / PERIOD))
+
+
+def slipped() -> Array:
+    light = simulated_torque(replace(TRUTH, natural_frequency=22.0), ANGLE, PERIOD)
+    return np.where(TIME < 9.0, TORQUE, light) + 0.02 * WHITE
+
+
+def saturated(share: float) -> Array:
+    return np.asarray(np.clip(TORQUE, -share * TORQUE.std(), share * TORQUE.std()))
+
+
+DEFLECTION = TORQUE / 1.56
+BAD: dict[str, tuple[Callable[[], Experiment], str]] = {
+    # --- units, scale and sign
+    "deflection in degrees": (lambda: log(output=np.rad2deg(DEFLECTION), output_kind="deflection"), "W320"),
+    "deflection in mrad": (lambda: log(output=1e3 * DEFLECTION, output_kind="deflection"), "W320"),
+    "deflection in metres": (lambda: log(output=0.4 * DEFLECTION, output_kind="deflection"), "W320"),
+    "deflection in volts": (lambda: log(output=4.0 * DEFLECTION, output_kind="deflection"), "W320"),
+    "torque as deflection": (lambda: log(output=TORQUE, output_kind="deflection"), "W320"),
+    "angle in degrees": (lambda: log(np.rad2deg(ANGLE), DEFLECTION, output_kind="deflection"), "W320"),
+    "torque with the other sign": (lambda: log(output=-TORQUE), "W307"),
+    "deflection with the other sign": (lambda: log(output=-DEFLECTION, output_kind="deflection"), "W307"),
+    "angle with the other sign": (lambda: log(-ANGLE), "W307"),
+    # --- wrong columns
+    "the angle twice": (lambda: log(output=ANGLE), "any"),
+    "the speed as torque": (lambda: log(output=np.gradient(ANGLE, PERIOD)), "any"),
+    "the acceleration as torque": (lambda: log(output=np.gradient(np.gradient(ANGLE))), "any"),
+    "the time as torque": (lambda: log(output=TIME.copy()), "any"),
+    "the time as angle": (lambda: log(TIME.copy()), "any"),
+    "the reference as torque": (lambda: log(output=np.sign(ANGLE)), "any"),
+    "a counter as torque": (lambda: log(output=np.arange(COUNT) % 256.0), "any"),
+    "another log's torque": (lambda: log(output=TORQUE[::-1].copy()), "any"),
+    "channels two seconds apart": (lambda: log(output=rolled(2.0)), "any"),
+    "channels half a second apart": (lambda: log(output=rolled(0.5)), "any"),
+    "torque five samples per row": (lambda: log(output=np.repeat(TORQUE, 5)[:COUNT]), "any"),
+    # --- no signal
+    "noise alone": (lambda: log(output=WHITE), "any"),
+    "slow noise alone": (lambda: log(output=SLOW), "any"),
+    "mains hum alone": (lambda: log(output=np.sin(2 * np.pi * 50 * TIME) + 0.1 * WHITE), "any"),
+    "an amplifier's drift": (lambda: log(output=0.1 * TIME + 0.02 * WHITE), "any"),
+    "vibration under the noise": (lambda: log(output=TORQUE + 30 * TORQUE.std() * WHITE), "any"),
+    "vibration under slow noise": (lambda: log(output=TORQUE + 10 * TORQUE.std() * SLOW), "any"),
+    # --- no excitation
+    "a motor that creeps": (lambda: log(0.02 * TIME, 0.02 * WHITE), "any"),
+    "a motor that only trembles": (lambda: log(1e-6 * WHITE, 0.02 * SLOW), "any"),
+    "a link too stiff to vibrate": (
+        lambda: log(output=1e-3 * np.gradient(np.gradient(ANGLE, PERIOD), PERIOD) + 0.02 * WHITE),
+        "any",
+    ),
+    # --- an arm that changes
+    "a payload that slips": (lambda: log(output=slipped()), "W318"),
+    "a gauge that dies": (lambda: log(output=np.where(TIME < 9.0, TORQUE, 0.0) + 0.02 * WHITE), "any"),
+    "a gauge that drifts away": (
+        lambda: log(output=TORQUE + np.maximum(TIME - 8.0, 0.0) * 3 * TORQUE.std()),
+        "W318",
+    ),
+    "a gauge hard at its stops": (lambda: log(output=saturated(0.05)), "any"),
+    "a motor that stops, and noise": (
+        lambda: log(np.where(TIME < 0.3, ANGLE, ANGLE[75]), 0.2 * WHITE),
+        "any",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_a_bad_log_gives_no_model_that_passes(name: str) -> None:
+    make, code = BAD[name]
+    try:
+        fit = identify(make())
+    except FraclinkError:
+        assert code == "any"
+        return
+    errors = {finding.code for finding in fit.findings if finding.severity == "error"}
+    assert not fit.passed
+    assert errors if code == "any" else code in errors
+    assert all(finding.remedy for finding in fit.findings if finding.severity == "error")
+
+
+def test_a_good_log_passes_every_gate() -> None:
+    for noise in (0.0, 0.02 * WHITE, 0.02 * SLOW):
+        assert identify(log(output=TORQUE + noise)).passed
+        deflection = log(output=(TORQUE + noise) / 1.56, output_kind="deflection")
+        assert identify(deflection, stiffness=1.56).passed
+
+
+def test_a_quiet_end_is_not_what_is_held_out() -> None:
+    torque = simulated_torque(TRUTH, RING, PERIOD)
+    fit = identify(log(RING, torque + 0.02 * WHITE))
+    assert fit.passed
+    assert "W319" in {finding.code for finding in fit.findings}
+    assert fit.heldout_nmse is not None
+    assert fit.heldout_nmse < 0.5
+    quiet = identify(log(RING, torque + 0.02 * WHITE), heldout=0.4)
+    assert not quiet.passed
+    assert quiet.findings[0].code == "W317"
+
+
+def test_motion_that_comes_late_is_on_both_sides() -> None:
+    late = np.asarray(0.3 * np.clip((TIME - 11) / 0.2, 0, 1) - 0.3 * np.clip((TIME - 13.5) / 0.2, 0, 1))
+    fit = identify(log(late, simulated_torque(TRUTH, late, PERIOD) + 0.005 * WHITE))
+    assert fit.passed
+    assert 11 / PERIOD < fit.fitted_samples < 13.5 / PERIOD
+
+
+def test_what_was_identified_travels_with_the_model() -> None:
+    fit = identify(log())
+    assert fit.model.gauge_delay == fit.delay == pytest.approx(0.004, abs=5e-4)
+    assert fit.model.gauge_gain == 1.0
+    assert fit.model.interval("gauge_delay") == (fit.intervals["delay"].low, fit.intervals["delay"].high)
+    assert fit.model.interval("order") == (fit.intervals["order"].low, fit.intervals["order"].high)
+    low, high = fit.model.interval("stiffness") or (0.0, 0.0)
+    assert low < 1.56 < high
+    deflection = identify(log(output=1.1 * DEFLECTION, output_kind="deflection"), stiffness=1.56)
+    assert deflection.model.gauge_gain == pytest.approx(1.1, rel=1e-2)
+    assert deflection.model.stiffness == 1.56
+
+
+@pytest.mark.parametrize("frequency", [80.0, 190.0, 400.0])
+@pytest.mark.parametrize("ratio", [0.005, 0.03])
+def test_a_second_mode_is_found_and_measured(frequency: float, ratio: float) -> None:
+    second = LinkModel(1.0, frequency, damping=2 * ratio * frequency)
+    share = 30.0 / frequency
+    both = TORQUE + 1.56 * share * simulated_torque(second, ANGLE, PERIOD, delay=0.004)
+    for noise in (WHITE, SLOW):
+        mode = identify(log(output=both + 0.005 * noise)).model.second_mode
+        assert mode is not None
+        assert mode.frequency == pytest.approx(frequency, rel=0.03)
+        assert mode.gain == pytest.approx(share, rel=0.3)
+        assert mode.damping_ratio == pytest.approx(ratio, rel=0.5, abs=0.003)
+
+
+def test_no_second_mode_is_said_with_the_band_that_was_searched() -> None:
+    for noise in (0.01 * WHITE, 0.01 * SLOW):
+        model = identify(log(output=TORQUE + noise)).model
+        assert model.second_mode is None
+        assert model.unseen_up_to is not None
+        assert 50.0 < model.unseen_up_to <= 0.8 * np.pi / PERIOD
+    loud = identify(log(output=TORQUE + 0.5 * WHITE)).model
+    assert loud.unseen_up_to is None or loud.unseen_up_to < model.unseen_up_to
+
+
+@pytest.mark.parametrize("channel", ["voltage", "angle"])
+def test_a_motor_with_impossible_signs_is_refused(channel: str) -> None:
+    voltage, angle = example_motor_log(samples=2500)
+    signs = (-1, 1) if channel == "voltage" else (1, -1)
+    with pytest.raises(LogError, match="impossible sign"):
+        identify_motor(signs[0] * voltage, signs[1] * angle, period=PERIOD)
+    fit = identify_motor(voltage, angle, period=PERIOD)
+    assert fit.passed
+    assert fit.nmse < 0.05
+
+
+def test_a_motor_that_its_voltage_does_not_explain_fails() -> None:
+    voltage, angle = example_motor_log(samples=2500)
+    with pytest.raises(FraclinkError):
+        fit = identify_motor(voltage[::-1].copy(), angle, period=PERIOD)
+        assert not fit.passed
+        raise FraclinkError(fit.findings[0].message)
