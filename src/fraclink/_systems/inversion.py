@@ -33,13 +33,14 @@ _SHIFTS = (0.0, 4.0, 8.0, 16.0)  # tried in turn, in units of 1/span, for respon
 
 def delay_free_part(G: FractionalTransferFunction) -> FractionalTransferFunction:
     """G without the delayed terms of its denominator: its response until the first of them acts."""
-    leading = G.denominator[0]
-    kept = tuple(t for t in G.denominator if t.delay == 0.0)
-    if leading.delay != 0.0 or not kept:
-        problem = "on the highest power of the denominator"
-        remedy = "such a system answers before its input or has no response from rest"
-        allowed = "a highest power without delay"
-        raise FieldError("delay", leading.delay, problem, allowed=allowed, remedy=remedy)
+    highest = G.denominator[0].order
+    late = [term.delay for term in G.denominator if term.order == highest and term.delay]
+    if late:
+        # Its response jumps again after every delay, and a truncated series misses a jump by half of it.
+        problem = "on the highest power of the denominator: the response jumps anew after each delay"
+        allowed, remedy = "a highest power without delay", "add roll-off: a strictly proper loop has no jumps"
+        raise FieldError("delay", max(late), problem, allowed=allowed, remedy=remedy)
+    kept = tuple(term for term in G.denominator if term.delay == 0.0)
     return FractionalTransferFunction(G.numerator, kept)
 
 

@@ -35,7 +35,8 @@ class StabilityVerdict:
     integrators
         a where s^a divides the denominator, 0 for none.
     winding
-        Certified number of poles with Re s > 0 (argument principle), multiplicities counted.
+        Certified number of poles with Re s > 0 (argument principle), multiplicities counted; −1 where they
+        are infinitely many or come as near to the axis as one likes.
     """
 
     stable: bool
@@ -92,8 +93,9 @@ def is_stable(system: FractionalTransferFunction) -> StabilityVerdict:
     """Return the verdict on stability: every pole of the principal sheet in Re s < 0 and no integrator.
 
     The number of poles is certified by the argument principle on the log-plane. With a delay in the
-    denominator the poles in Re s > 0 are counted along the imaginary axis, which needs a highest order
-    without delay (retarded type).
+    denominator the poles in Re s > 0 are counted along the imaginary axis. A loop of neutral type (its direct
+    path is delayed) is stable only if that path's gain is below 1: otherwise every harmonic of the delay
+    grows, or decays as slowly as one likes.
 
     Parameters
     ----------
@@ -107,7 +109,7 @@ def is_stable(system: FractionalTransferFunction) -> StabilityVerdict:
     Raises
     ------
     FieldError
-        A denominator whose highest order is delayed (neutral type).
+        A delay in the denominator, and a pole on the imaginary axis or too close to it to tell.
 
     Examples
     --------
@@ -143,7 +145,9 @@ def _verdict(
     *,
     delayed: bool,
 ) -> StabilityVerdict:
-    if delayed and winding:
+    if winding < 0:
+        reason = "a delayed direct path has a gain of 1 or more: infinitely many poles tend to Re s ≥ 0"
+    elif delayed and winding:
         reason = f"{_counted(winding)} Re s > 0"
     elif winding:
         worst = max(bad, key=lambda p: p.real)
@@ -225,12 +229,19 @@ _PIECES = 200_000  # a delay of τ needs about 10 τ R pieces up to the frequenc
 
 
 def right_half_plane_zeros(terms: Sequence[Term]) -> int:
-    """Return the certified number of zeros with Re s > 0 of a retarded quasi-polynomial.
+    """Return the certified number of zeros with Re s > 0 of a quasi-polynomial, −1 for infinitely many.
 
     In Re s ≥ 0 every |e^(−σs)| ≤ 1, so beyond a radius R the highest order dominates and inside a radius r
     the lowest one does; between, the change of phase along the imaginary axis is followed by steps that a
-    bound on the derivative makes certain. Raises `FieldError` for a neutral type and for zeros on the axis.
+    bound on the derivative makes certain. Of the neutral type (delays on the highest order, too) that holds
+    where the delayed coefficients' moduli add up to less than the undelayed one's; otherwise zeros of any
+    size lie in Re s > 0 or come as near to the axis as one likes. Raises `FieldError` for zeros on the axis.
+
+    Source: Hale and Verduyn Lunel, Introduction to Functional Differential Equations (1993), chapter 9.
     """
+    leading = [t for t in terms if t.order == terms[0].order]
+    if leading[0].delay or 2.0 * abs(leading[0].coefficient) <= sum(abs(t.coefficient) for t in leading):
+        return -1
     quasi = _Quasi.of(terms)
     x = np.linspace(*quasi.range(), 65)
     try:
@@ -258,12 +269,6 @@ class _Quasi:
     @classmethod
     def of(cls, terms: Sequence[Term]) -> _Quasi:
         top, bottom = terms[0].order, terms[-1].order
-        leading = [t for t in terms if t.order == top]
-        if len(leading) > 1 or leading[0].delay:
-            problem = "of neutral or advanced type: its highest order is delayed"
-            remedy = "add roll-off to the loop: a strictly proper loop gives a retarded denominator"
-            allowed = "a highest order without delay"
-            raise FieldError("denominator", list(terms), problem, allowed=allowed, remedy=remedy)
         if math.fsum(t.coefficient for t in terms if t.order == bottom) == 0:
             problem = "zero at s = 0 through terms that cancel there"
             allowed = "lowest-order coefficients with a sum that is not zero"
@@ -290,8 +295,10 @@ class _Quasi:
             elif delay:  # e^(−σ s) moves the lowest terms from their sum by at most σ|s| each
                 low.append(math.log(base / (size * delay)) - others)
         below = b < b[0]
-        high = np.max((np.log(a[below] / a[0]) + others) / (b[0] - b[below]))
-        return min(low), max(float(high), min(low) + 1.0)
+        # In Re s >= 0 the delayed terms of the highest order take at most their sum from the first one.
+        left = 2.0 * a[0] - a[~below].sum()
+        high = np.max((np.log(a[below] / left) + others) / (b[0] - b[below]), initial=-math.inf)
+        return min(low, default=0.0), max(float(high), min(low, default=0.0) + 1.0)
 
     def value(self, x: Reals, shift: float | Reals) -> Complexes:
         """D(j e^x) e^(−shift x)."""
