@@ -1,21 +1,19 @@
 """Controller and simulated arm by messages: the documented bytes, one controller at a time, silence.
 
-Arm and controller run in two threads of this process (both leave the interpreter alone while they run), or
-one of them is a few lines of Python that speak the format of docs/reference/file-formats.md.
+Arm and controller run in two threads of this process, or one of them is a few lines of Python that speak the
+format of docs/reference/file-formats.md. They take turns on a virtual clock, so that no machine is too busy.
 """
 
 from __future__ import annotations
 
+import contextlib
 import math
 import os
 import random
 import socket
 import struct
 import threading
-import time
 import zlib
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,17 +23,28 @@ import pytest
 import fraclink as fl
 from fraclink import _kernels
 from fraclink._arm.motor_loop import MotorLoop
+from fraclink._arm.reference import Reference
 from fraclink._law import REASONS, Law, equip
-from fraclink._realtime import Library, RealtimeRun, ServedArm, SharedMemory, Udp, run_realtime, serve_arm
+from fraclink._realtime import (
+    Library,
+    RealtimeRun,
+    ServedArm,
+    SharedMemory,
+    Udp,
+    VirtualClock,
+    run_realtime,
+    serve_arm,
+)
+from fraclink._realtime.connections import arm_end, controller_end
 from fraclink._simulate import Twin, geared
 from fraclink.errors import FieldError, FileFormatError, SizeError
 
 if not _kernels.REALTIME:
     pytest.skip("the real-time loop is Linux's", allow_module_level=True)
 
-PERIOD = 0.02  # half of it is the margin: a busy machine rarely wakes up 10 ms late
+PERIOD = 0.02
 OFF = 4
-MESSAGE = "<4sHHIIddIII"  # without its checksum
+MESSAGE = "<4sHHIIddIIIQ"  # without its checksum
 Way = Udp | SharedMemory
 
 
@@ -69,108 +78,114 @@ def free_port() -> int:
         return int(plug.getsockname()[1])
 
 
-@contextmanager
-def serving(twin: Twin, way: Way, **options: object) -> Iterator[Callable[[], ServedArm]]:
-    """Serve the arm in a thread; yields a function that waits for its end."""
-    results: list[ServedArm] = []
-    given = {"duration": 10.0, "once": True} | options
-    thread = threading.Thread(
-        target=lambda: results.append(serve_arm(twin, way, PERIOD, **given))  # type: ignore[arg-type]
-    )
-    thread.start()
+class Serving:
+    """An arm in a thread of its own, and the clock that it shares with the thread of the test."""
 
-    def ended() -> ServedArm:
-        thread.join(15.0)
-        return results[0]
+    def __init__(self, twin: Twin, way: Way, period: float = PERIOD, **options: object) -> None:
+        self.way, self.clock = way, VirtualClock(2)
+        self.results: list[ServedArm] = []
+        given = {"duration": 10.0, "once": True, "priority": 0, "clock": self.clock} | options
 
-    yield ended
-    thread.join(15.0)
-    assert not thread.is_alive()
+        def serve() -> None:
+            try:
+                self.results.append(serve_arm(twin, way, period, **given))  # type: ignore[arg-type]
+            finally:
+                self.clock.leave()
+
+        self.thread = threading.Thread(target=serve)
+
+    def __enter__(self) -> Serving:
+        self.thread.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.clock.leave()  # the arm goes on alone, until its time is over
+        self.thread.join(60.0)
+        assert not self.thread.is_alive() and not self.clock.stalled
+
+    @property
+    def arm(self) -> ServedArm:
+        """What happened there, once the block has ended."""
+        return self.results[0]
+
+    def control(self, law: Law, reference: Reference | None = None, **options: object) -> RealtimeRun:
+        """Run a law on the arm."""
+        given = {"clock": self.clock, "priority": 0, "lock_memory": False} | options
+        return run_realtime(law, reference or fl.hold(0.0), self.way, **given)  # type: ignore[arg-type]
 
 
-def message(kind: int, sequence: int, first: float, second: float, mode: int = 1, tick: int = 0) -> bytes:
-    body = struct.pack(MESSAGE, b"FLRT", 1, kind, sequence, tick, first, second, mode, 0, 0)
+class Peer(socket.socket):
+    """A controller in Python: what it sends, the arm takes at its next period."""
+
+    def __init__(self, serving: Serving) -> None:
+        super().__init__(socket.AF_INET, socket.SOCK_DGRAM)
+        assert isinstance(serving.way, Udp)
+        self.address, self.clock, self.run = (serving.way.host, serving.way.port), serving.clock, 0
+        self.setblocking(False)
+
+    def say(self, sequence: int, voltage: float = 0.0, *, mode: int = 1, run: int | None = None) -> bytes:
+        """Send a command, and wait for a period and a bit."""
+        sent = message(2, sequence, 0.0, voltage, mode, self.run if run is None else run)
+        self.pass_on(sent)
+        return sent
+
+    def pass_on(self, sent: bytes, periods: float = 1.1) -> None:
+        """Send bytes as they are."""
+        with contextlib.suppress(ConnectionRefusedError):  # of the message before, which found no arm yet
+            self.sendto(sent, self.address)
+        self.clock.sleep(periods * PERIOD)
+
+    def greet(self) -> bytes:
+        """Knock until the arm answers; return its first sample and take the number of the run from it."""
+        with contextlib.suppress(BlockingIOError, ConnectionRefusedError):
+            while self.recv(100):  # samples of the run before
+                pass
+        for _ in range(100):
+            self.say(1, mode=0, run=0)
+            with contextlib.suppress(BlockingIOError, ConnectionRefusedError):
+                sample = self.recv(100)
+                self.run = struct.unpack(MESSAGE, sample[:-4])[-1]
+                return sample
+        pytest.fail("the arm never answered")
+
+
+def message(kind: int, sequence: int, first: float, second: float, mode: int = 1, run: int = 0) -> bytes:
+    body = struct.pack(MESSAGE, b"FLRT", 2, kind, sequence, 0, first, second, mode, 0, 0, run)
     return body + struct.pack("<I", zlib.crc32(body))
-
-
-def await_arm(way: Way) -> None:
-    """Wait until somebody serves `way`."""
-    for _ in range(500):
-        if isinstance(way, SharedMemory):
-            place = Path(f"/dev/shm/fraclink-{way.name}")  # noqa: S108
-            # it gets its size once the arm holds it
-            if place.exists() and place.stat().st_size == _kernels.realtime_memory_size():
-                return
-        else:
-            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as plug:
-                try:
-                    plug.bind((way.host, way.port))
-                except OSError:
-                    return
-        time.sleep(0.01)
-    pytest.fail(f"nobody serves {way}")
-
-
-def greet(plug: socket.socket, way: Udp) -> bytes:
-    """Knock until the arm answers, and return its first sample."""
-    plug.connect((way.host, way.port))
-    plug.settimeout(PERIOD)
-    for _ in range(500):
-        try:
-            plug.send(message(2, 1, 0.0, 0.0, mode=0))
-            return plug.recv(100)
-        except (TimeoutError, ConnectionRefusedError):
-            time.sleep(0.01)
-    pytest.fail("the arm never answered")
-
-
-def undisturbed(run: RealtimeRun) -> int:
-    """How many periods ran before the machine lost the first one."""
-    lost = np.flatnonzero(np.isnan(run.motor_angle) | (run.tick != np.arange(1, len(run.tick) + 1)))
-    return int(lost[0]) if lost.size else len(run.tick)
 
 
 def test_the_arm_in_real_time_is_the_twin_to_the_last_bit(law: Law, twin: Twin, way: Way) -> None:
     move = fl.smooth_step(0.3, 1.0)
-    wanted = fl.simulate(law, move, arm=twin, duration=1.0)
-    for _ in range(5):  # a busy machine may lose periods at once; what ran before is compared
-        with serving(twin, way) as ended:
-            run = run_realtime(law, move, way, duration=0.5)
-        assert run.first_difference is None
-        assert ended().silences == 0
-        alike = undisturbed(run)
-        for name, other in (
-            ("motor_angle", "motor_angle_measured"),
-            ("torque", "torque_measured"),
-            ("motor_reference", "motor_reference"),
-        ):
-            got, expected = getattr(run, name)[:alike], getattr(wanted, other)[:alike]
-            assert got.tobytes() == expected.tobytes(), name
-        if alike >= 15:
-            assert run.motor_angle[alike - 1] > 0.01
-            return
-    pytest.fail("the machine lost a sample within 15 periods, five times in a row")
+    simulated = fl.simulate(law, move, arm=twin, duration=1.0)
+    with Serving(twin, way) as serving:
+        run = serving.control(law, move, duration=0.5)
+    assert (run.passed, len(run.tick), run.missed, run.lost_samples) == (True, 26, 0, 0)
+    assert serving.arm.passed
+    for name, other in (
+        ("motor_angle", "motor_angle_measured"),
+        ("torque", "torque_measured"),
+        ("motor_reference", "motor_reference"),
+    ):
+        assert getattr(run, name).tobytes() == getattr(simulated, other)[:26].tobytes(), name
+    assert run.motor_angle[-1] > 0.01
 
 
-def test_a_longer_delay_is_waited_out_by_the_arm(law: Law, twin: Twin) -> None:
+def test_a_longer_delay_is_waited_out_by_the_arm(twin: Twin) -> None:
     way = Udp("127.0.0.1", free_port())
-    slow = replace(twin, voltage_delay=3)
-    with serving(slow, way) as ended, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as plug:
-        answered = struct.unpack(MESSAGE, greet(plug, way)[:44])[4]  # the arm's period of the sample
-        plug.send(message(2, 2, 0.0, 3.0))
-        plug.settimeout(5.0)
-        for _ in range(5):
-            plug.recv(100)
-        plug.send(message(2, 3, 0.0, 0.0, mode=OFF))
-    acted = int(np.flatnonzero(ended().voltage == 3.0)[0])
+    with Serving(replace(twin, voltage_delay=3), way) as serving, Peer(serving) as peer:
+        answered = struct.unpack(MESSAGE, peer.greet()[:-4])[4]  # the arm's period of the sample
+        for sequence in range(2, 8):
+            peer.say(sequence, 3.0)
+        peer.say(8, mode=OFF)
+    acted = int(np.flatnonzero(serving.arm.voltage == 3.0)[0])
     assert acted - answered >= 3
     with pytest.raises(FieldError, match="voltage_delay"):
         serve_arm(replace(twin, voltage_delay=0), way, PERIOD)
 
 
 def test_an_arm_that_dies_is_given_up_by_the_law(law: Law, twin: Twin, way: Way) -> None:
-    with serving(twin, way, duration=0.4, once=False):
-        run = run_realtime(law, fl.smooth_step(0.3, 1.0), way, duration=5.0)
+    with Serving(twin, way, duration=0.4, once=False) as serving:
+        run = serving.control(law, fl.smooth_step(0.3, 1.0), duration=5.0)
     assert (run.stopped, REASONS[run.reason[-1]]) == ("law off", "encoder")
     assert np.isnan(run.motor_angle[-law.limits.bad_limit :]).all()
     assert run.voltage[-1] == 0.0
@@ -179,97 +194,141 @@ def test_an_arm_that_dies_is_given_up_by_the_law(law: Law, twin: Twin, way: Way)
 
 def test_a_controller_that_dies_is_replaced_by_the_watchdog(twin: Twin) -> None:
     way = Udp("127.0.0.1", free_port())
-    with serving(twin, way, watchdog=10) as ended, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as plug:
-        greet(plug, way)
+    with Serving(twin, way, watchdog=10) as serving, Peer(serving) as peer:
+        peer.greet()
         for sequence in range(2, 20):
-            plug.send(message(2, sequence, 0.0, 3.0))
-            time.sleep(0.5 * PERIOD)
-    served = ended()
+            peer.say(sequence, 3.0)
+        peer.clock.sleep(20 * PERIOD)
+    served = serving.arm
     assert (served.controllers, served.silences, served.passed) == (1, 1, False)
     driven = np.flatnonzero(served.voltage == 3.0)
-    assert len(driven) >= 10  # the watchdog's periods among them, in which the last voltage acts
+    assert len(driven) >= 17 + 9  # the watchdog's periods among them, in which the last voltage acts
     assert served.motor_angle.max() > 0.01
     assert set(served.voltage) == {0.0, 3.0}
 
 
+def test_no_command_of_a_run_that_is_over_moves_the_arm(twin: Twin) -> None:
+    """Late or recorded, from the controller's own address, and however its number stands."""
+    way = Udp("127.0.0.1", free_port())
+    with Serving(twin, way, duration=4.0, once=False) as serving, Peer(serving) as peer:
+        peer.greet()
+        first = peer.run
+        recorded = [peer.say(sequence, 4.0) for sequence in range(2, 20)]
+        off = message(2, 20, 0.0, 0.0, OFF, first)
+        for _ in range(3):
+            peer.pass_on(off, 0.0)
+        peer.clock.sleep(2 * PERIOD)
+        until = peer.clock.now
+        for late in [*recorded, message(2, 10_000, 0.0, 4.0, 1, first), message(2, 10_000, 0.0, 4.0, 1, 0)]:
+            peer.pass_on(late)
+        peer.greet()  # a new run: the next controller is welcome, and its count begins anew
+        assert peer.run not in (0, first)
+        for late in recorded:
+            peer.pass_on(late, 0.0)
+        peer.say(2, 3.0)
+        peer.clock.sleep(15 * PERIOD)  # silent: the watchdog ends this run, too
+        peer.say(3, 4.0)
+    served = serving.arm
+    driven = served.time[served.voltage == 4.0]
+    assert driven.size and driven.max() < until
+    assert np.count_nonzero(served.voltage == 3.0) == 10  # until the watchdog
+    assert (served.controllers, served.silences) == (2, 1)
+    assert served.rejected == 2 * len(recorded) + 3
+
+
+def test_an_idle_command_moves_nothing_whatever_voltage_it_carries(twin: Twin) -> None:
+    way = Udp("127.0.0.1", free_port())
+    with Serving(twin, way) as serving, Peer(serving) as peer:
+        peer.greet()
+        peer.say(2, 5.0, mode=0)
+        peer.say(3, mode=OFF)
+    assert set(serving.arm.voltage) == {0.0}
+
+
+def test_an_arm_that_starts_again_in_a_run_is_another_one(law: Law, twin: Twin) -> None:
+    """Its samples carry another number, so that the law goes blind instead of jumping."""
+    way = SharedMemory(f"again-{os.getpid()}")
+    clock = VirtualClock(2)
+
+    def serve_twice() -> None:
+        for _ in range(2):
+            serve_arm(twin, way, PERIOD, duration=0.4, priority=0, clock=clock)
+        clock.leave()
+
+    thread = threading.Thread(target=serve_twice)
+    thread.start()
+    run = run_realtime(law, fl.hold(0.0), way, duration=5.0, priority=0, lock_memory=False, clock=clock)
+    clock.leave()
+    thread.join(60.0)
+    assert (run.stopped, REASONS[run.reason[-1]]) == ("law off", "encoder")
+
+
 def test_the_bytes_on_the_wire_are_the_documented_ones(twin: Twin) -> None:
     way = Udp("127.0.0.1", free_port())
-    with serving(twin, way) as ended, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as plug:
-        first = greet(plug, way)
-        plug.settimeout(5.0)
-        samples = [first, plug.recv(100), plug.recv(100)]
-        plug.send(message(2, 2, 0.0, 0.0, mode=OFF))
+    with Serving(twin, way) as serving, Peer(serving) as peer:
+        samples = [peer.greet()]
+        peer.clock.sleep(3 * PERIOD)
+        samples += [peer.recv(100), peer.recv(100)]
+        peer.say(2, mode=OFF)
     numbers = []
     for sample in samples:
-        assert len(sample) == 48
-        assert struct.unpack("<I", sample[44:]) == (zlib.crc32(sample[:44]),)
-        magic, version, kind, sequence, tick, angle, _, period, *rest = struct.unpack(MESSAGE, sample[:44])
-        assert (magic, version, kind, period, rest) == (b"FLRT", 1, 1, 20_000_000, [0, 0])
+        assert len(sample) == 56
+        assert struct.unpack("<I", sample[52:]) == (zlib.crc32(sample[:52]),)
+        magic, version, kind, sequence, tick, angle, _, period, *rest = struct.unpack(MESSAGE, sample[:52])
+        assert (magic, version, kind, period, rest) == (b"FLRT", 2, 1, 20_000_000, [0, 0, peer.run])
         assert angle == 0.0
         numbers.append((sequence, tick))
     assert np.all(np.diff(np.array(numbers), axis=0) == 1)
-    assert ended().passed
+    assert serving.arm.passed
 
 
 def test_what_is_damaged_late_or_from_somebody_else_changes_nothing(twin: Twin) -> None:
     """Every message that must be dropped would drive the arm with 5 V if it were heard."""
     way = Udp("127.0.0.1", free_port())
-    plugs = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2)]
-    drive = message(2, 10_000, 0.0, 5.0)
-    noise = random.Random(7)  # noqa: S311  # not a secret
-    flipped = [
-        drive[:at] + bytes([drive[at] ^ 1 << noise.randrange(8)]) + drive[at + 1 :] for at in range(48)
-    ]
-    wrong = [
-        b"",
-        drive[:47],
-        drive + b"\0",
-        noise.randbytes(48),
-        message(1, 10_000, 0.0, 5.0),  # a sample where a command is due
-        message(2, 1, 0.0, 5.0),  # a step back
-        *flipped,
-    ]
-    with serving(twin, way) as ended, plugs[0] as controller, plugs[1] as stranger:
-        greet(controller, way)
-        controller.send(message(2, 1000, 0.0, 0.0))
-        time.sleep(2 * PERIOD)
-        stranger.connect((way.host, way.port))
+    with Serving(twin, way, duration=30.0) as serving, Peer(serving) as peer, Peer(serving) as stranger:
+        peer.greet()
+        drive = message(2, 10_000, 0.0, 5.0, 1, peer.run)
+        noise = random.Random(7)  # noqa: S311  # not a secret
+        flipped = [
+            drive[:at] + bytes([drive[at] ^ 1 << noise.randrange(8)]) + drive[at + 1 :]
+            for at in range(len(drive))
+        ]
+        wrong = [
+            b"",
+            drive[:-1],
+            drive + b"\0",
+            noise.randbytes(len(drive)),
+            message(1, 10_000, 0.0, 5.0, 1, peer.run),  # a sample where a command is due
+            message(2, 1, 0.0, 5.0, 1, peer.run),  # a step back
+            message(2, 10_000, 0.0, 5.0, 1, peer.run ^ 1),  # another run
+            *flipped,
+        ]
+        peer.say(1000)
         for number, bad in enumerate(wrong):
-            controller.send(message(2, 1001 + number, 0.0, 0.0))  # it is not silent
-            controller.send(bad)
-            stranger.send(drive)
-            time.sleep(1.2 * PERIOD)
-        controller.send(message(2, 20_000, math.nan, math.inf, mode=OFF))
-    served = ended()
+            peer.say(1001 + number)  # it is not silent
+            stranger.pass_on(drive, 0.0)
+            peer.pass_on(bad)
+        peer.pass_on(message(2, 20_000, math.nan, math.inf, OFF, peer.run))
+    served = serving.arm
     assert set(served.voltage) == {0.0}
     assert served.rejected == 2 * len(wrong)
     assert (served.controllers, served.silences) == (1, 0)
 
 
 def test_the_next_controller_is_welcome_and_its_count_may_begin_anew(law: Law, twin: Twin, way: Way) -> None:
-    results: list[ServedArm] = []
-    thread = threading.Thread(target=lambda: results.append(serve_arm(twin, way, PERIOD, duration=1.8)))
-    thread.start()
-    runs = [run_realtime(law, fl.smooth_step(0.1, 0.4), way, duration=0.5) for _ in range(2)]
-    thread.join(15.0)
-    assert [run.stopped for run in runs] == ["finished", "finished"]
-    assert (results[0].controllers, results[0].silences, results[0].rejected) == (2, 0, 0)
+    with Serving(twin, way, duration=1.8, once=False) as serving:
+        runs = [serving.control(law, fl.smooth_step(0.1, 0.4), duration=0.5) for _ in range(2)]
+    assert [run.problem for run in runs] == ["", ""]
+    assert (serving.arm.controllers, serving.arm.silences, serving.arm.rejected) == (2, 0, 0)
     # the second move begins where the first one ended
-    assert runs[1].origin == pytest.approx(
-        runs[0].motor_angle[np.isfinite(runs[0].motor_angle)][-1], abs=0.05
-    )
+    assert runs[1].origin == pytest.approx(runs[0].motor_angle[-1], abs=0.05)
 
 
 def test_periods_that_differ_are_refused(law: Law, twin: Twin, way: Way) -> None:
-    results: list[ServedArm] = []
-    thread = threading.Thread(
-        target=lambda: results.append(serve_arm(twin, way, 0.025, duration=1.0, once=True))
-    )
-    thread.start()
-    with pytest.raises(FieldError, match=r"period: not the arm's \(got 0\.02\); expected 0\.025 s"):
-        run_realtime(law, fl.hold(0.0), way)
-    thread.join(15.0)
-    assert results[0].silences == 0
+    message = r"period: not the arm's \(got 0\.02\); expected 0\.025 s"
+    with Serving(twin, way, 0.025) as serving, pytest.raises(FieldError, match=message):
+        serving.control(law)
+    assert serving.arm.silences == 0
 
 
 def test_nobody_there_and_somebody_there_already(law: Law, twin: Twin, way: Way) -> None:
@@ -277,42 +336,41 @@ def test_nobody_there_and_somebody_there_already(law: Law, twin: Twin, way: Way)
         run_realtime(law, fl.hold(0.0), way, patience=0.1)
     assert caught.value.value == str(way)
     assert "fraclink serve-arm" in caught.value.remedy
-    with serving(twin, way, duration=1.0, once=False):
-        await_arm(way)
-        with pytest.raises(FieldError) as busy:
-            serve_arm(twin, way, PERIOD, duration=0.1)
+    with arm_end(way), pytest.raises(FieldError) as busy:
+        serve_arm(twin, way, PERIOD, duration=0.1)
     assert busy.value.field == "io"
 
 
-def test_one_controller_at_a_time_in_shared_memory(law: Law, twin: Twin) -> None:
+def test_another_machine_needs_a_word(law: Law, twin: Twin) -> None:
+    """An address kept for documentation, which is nobody's; and every address of this machine at once."""
+    for host in ("203.0.113.7", "0.0.0.0", "::"):  # noqa: S104
+        for call in (
+            lambda way: run_realtime(law, fl.hold(0.0), way, patience=0.05),
+            lambda way: serve_arm(twin, way, PERIOD, duration=0.1),
+        ):
+            with pytest.raises(FieldError, match=r"not this machine: .*password.*--unsafe-remote"):
+                call(Udp(host, free_port()))
+    with pytest.raises(FieldError, match="refused"):
+        serve_arm(twin, Udp("203.0.113.7", 5005, unsafe_remote=True), PERIOD)
+    way = Udp("0.0.0.0", free_port(), unsafe_remote=True)  # noqa: S104
+    assert serve_arm(twin, way, PERIOD, duration=0.1, clock=VirtualClock(1)).controllers == 0
+
+
+def test_one_controller_at_a_time_in_shared_memory(law: Law) -> None:
     way = SharedMemory(f"one-{os.getpid()}")
-    refused: list[FieldError] = []
-
-    def second() -> None:
-        time.sleep(0.2)
-        with pytest.raises(FieldError) as caught:
-            run_realtime(law, fl.hold(0.0), way, duration=0.1)
-        refused.append(caught.value)
-
-    thread = threading.Thread(target=second)
-    with serving(twin, way):
-        thread.start()
-        run = run_realtime(law, fl.hold(0.0), way, duration=0.5)
-        thread.join(5.0)
-    assert run.stopped == "finished"
-    assert "another controller" in str(refused[0])
+    with arm_end(way), controller_end(way, 1.0), pytest.raises(FieldError, match="another controller"):
+        run_realtime(law, fl.hold(0.0), way, duration=0.1)
 
 
 def test_shared_memory_is_private_and_leaves_nothing_behind(law: Law, twin: Twin) -> None:
     way = SharedMemory(f"left-{os.getpid()}")
     place = Path("/dev/shm") / f"fraclink-{way.name}"  # noqa: S108
     place.write_bytes(b"\xff" * 512)  # an arm that was killed, of another release
-    with serving(twin, way):
-        run = run_realtime(law, fl.hold(0.0), way, duration=0.1)
+    with Serving(twin, way) as serving:
+        run = serving.control(law, duration=0.1)
     assert run.stopped == "finished"
     assert not place.exists()
-    with serving(twin, way, duration=1.0, once=False):
-        await_arm(way)
+    with arm_end(way):
         assert place.stat().st_mode & 0o077 == 0
     place.symlink_to("elsewhere")
     try:
@@ -324,23 +382,22 @@ def test_shared_memory_is_private_and_leaves_nothing_behind(law: Law, twin: Twin
 
 def test_a_command_from_before_a_kill_is_not_obeyed(twin: Twin) -> None:
     way = SharedMemory(f"stale-{os.getpid()}")
-    slot = struct.pack("<I60x", 2) + message(2, 7, 0.0, 5.0) + bytes(16)  # turn, and at byte 64 the message
+    slot = struct.pack("<I60x", 2) + message(2, 7, 0.0, 5.0) + bytes(8)  # turn, and at byte 64 the message
     (Path("/dev/shm") / f"fraclink-{way.name}").write_bytes(bytes(128) + slot)  # noqa: S108
-    served = serve_arm(twin, way, PERIOD, duration=0.2)
+    served = serve_arm(twin, way, PERIOD, duration=0.2, clock=VirtualClock(1))
     assert (served.controllers, served.rejected, set(served.voltage)) == (0, 0, {0.0})
 
 
 def test_the_record_of_the_arm_comes_back(law: Law, twin: Twin, way: Way, tmp_path: Path) -> None:
-    with serving(twin, way) as ended:
-        run_realtime(law, fl.hold(0.0), way, duration=0.1)
-    served = ended()
-    served.save(tmp_path / "arm.npz")
-    again = ServedArm.load(tmp_path / "arm.npz")
+    with Serving(twin, way) as serving:
+        serving.control(law, duration=0.1)
+    served = serving.arm
+    again = fl.load(fl.save(served, tmp_path / "arm.npz"), ServedArm)
     assert again.voltage.tobytes() == served.voltage.tobytes()
     assert (again.period, again.late, again.scheduling) == (PERIOD, served.late, served.scheduling)
     assert again.time[-1] == pytest.approx(PERIOD * (len(again.voltage) - 1))
     with pytest.raises(FileFormatError, match="kind"):
-        RealtimeRun.load(tmp_path / "arm.npz")
+        fl.load(tmp_path / "arm.npz", RealtimeRun)
 
 
 @pytest.mark.parametrize(
@@ -363,5 +420,3 @@ def test_more_is_refused_before_memory_is_taken(twin: Twin) -> None:
         serve_arm(twin, SharedMemory("long"), PERIOD, duration=1e5)
     with pytest.raises(FieldError, match="no way to serve an arm"):
         serve_arm(twin, Library(Path("board.so")), PERIOD)  # type: ignore[arg-type]
-    with pytest.raises(FieldError, match="refused"):
-        serve_arm(twin, Udp("203.0.113.7", 5005), PERIOD)  # an address of nobody's, kept for documentation

@@ -4,6 +4,7 @@
 #include <nanobind/stl/pair.h>
 
 #include <cerrno>
+#include <cmath>
 #include <cstring>
 #include <exception>
 #include <memory>
@@ -87,8 +88,8 @@ int write_callable(void *self, const arm_command *c) {
 
 realtime_io io_of(Io &io) {
     if (io.channel) return realtime_io_of(io.channel);
-    if (io.read_arm) return {&io, 0, read_library, write_library};
-    return {&io, 0, read_callable, write_callable};
+    if (io.read_arm) return {&io, 0, 1, read_library, write_library};
+    return {&io, 0, 0, read_callable, write_callable};
 }
 
 Io channel_of(realtime_channel *channel) {
@@ -113,6 +114,31 @@ Io callables(nb::callable read, nb::callable write) {
     return io;
 }
 
+// A virtual clock for some threads; for none, the machine's.
+struct Clock {
+    realtime_clock *clock;
+    explicit Clock(int threads) : clock(nullptr) {
+        require(threads >= 0 && threads <= 8, "clock: at most 8 threads");
+        clock = threads ? realtime_clock_open(threads) : nullptr;
+        if (threads && !clock) throw std::bad_alloc();
+    }
+    Clock(const Clock &) = delete;
+    Clock &operator=(const Clock &) = delete;
+    ~Clock() {
+        if (clock) realtime_clock_close(clock);
+    }
+
+    double now() const { return 1e-9 * double(realtime_now(clock)); }
+    void sleep(double seconds) {
+        const nb::gil_scoped_release release;
+        realtime_sleep_until(clock, realtime_now(clock) + std::int64_t(std::llround(1e9 * seconds)));
+    }
+    void leave() {
+        if (clock) realtime_clock_leave(clock);
+    }
+    bool stalled() const { return clock && realtime_clock_stalled(clock) != 0; }
+};
+
 std::vector<std::uint64_t> aligned(const nb::bytes &bytes) {
     std::vector<std::uint64_t> words(bytes.size() / 8 + 1);
     std::memcpy(words.data(), bytes.c_str(), bytes.size());
@@ -133,7 +159,8 @@ nb::dict told(const realtime_outcome &o) {
 
 // Rows of `path`: reference, acceleration, one value a period.
 nb::dict run(Io &io, nb::bytes params, nb::bytes state, bool single, Matrix path, Record record, Marks marks,
-             std::int64_t period_ns, std::int64_t patience_ns, bool relative, int priority, bool lock_memory) {
+             std::int64_t period_ns, std::int64_t patience_ns, bool relative, int priority, bool lock_memory,
+             Clock &clock) {
     const std::size_t length = path.shape(1);
     require(path.shape(0) == 2 && length >= 1 && period_ns >= 1, "path: (2, periods), period above 0");
     require(record.shape(0) == length && record.shape(1) == REALTIME_COLUMNS, "record: (periods, columns)");
@@ -144,7 +171,7 @@ nb::dict run(Io &io, nb::bytes params, nb::bytes state, bool single, Matrix path
     const auto block = aligned(params);
     auto memory = aligned(state);
     const realtime_plan plan = {period_ns, std::int64_t(length), path.data(), path.data() + length,
-                                patience_ns, relative, priority, lock_memory};
+                                patience_ns, relative, priority, lock_memory, clock.clock};
     const realtime_io way = io_of(io);
     realtime_outcome outcome;
     {
@@ -157,7 +184,8 @@ nb::dict run(Io &io, nb::bytes params, nb::bytes state, bool single, Matrix path
 }
 
 nb::dict bare(Mutable latency, std::int64_t period_ns, int priority, bool lock_memory) {
-    const realtime_plan plan = {period_ns, std::int64_t(latency.size()), nullptr, nullptr, 0, 0, priority, lock_memory};
+    const realtime_plan plan = {period_ns, std::int64_t(latency.size()), nullptr, nullptr, 0, 0, priority, lock_memory,
+                                nullptr};
     realtime_outcome outcome;
     {
         nb::gil_scoped_release release;
@@ -168,7 +196,7 @@ nb::dict bare(Mutable latency, std::int64_t period_ns, int priority, bool lock_m
 
 nb::dict serve(Io &io, Matrix transition, Vector hub, Vector tip, Matrix outputs, Vector rig_values, Mutable state,
                Mutable gauge, Mutable voltage, Mutable sensed, Counters counters, Vector gauge_error, Record record,
-               std::int64_t period_ns, std::int64_t watchdog, bool once, int priority) {
+               std::int64_t period_ns, std::int64_t watchdog, bool once, int priority, Clock &clock) {
     require(io.channel != nullptr, "serve: messages only");
     const twin_step step = step_of(transition, hub, tip, outputs);
     const twin_rig rig = rig_of(rig_values);
@@ -176,7 +204,7 @@ nb::dict serve(Io &io, Matrix transition, Vector hub, Vector tip, Matrix outputs
     Memory buffers{state, gauge, voltage, sensed, counters, {}};
     twin_memory memory = buffers.checked(rig, hub.size());
     const served_plan plan = {period_ns, std::int64_t(gauge_error.size()), watchdog, rig.voltage_delay, once,
-                              gauge_error.data(), priority};
+                              gauge_error.data(), priority, clock.clock};
     served_outcome outcome;
     {
         nb::gil_scoped_release release;
@@ -205,6 +233,12 @@ void bind_realtime(nb::module_ &m) {
         .def_static("memory", [](int file, bool arm) { return channel_of(realtime_open_memory(file, arm)); })
         .def_static("library", &library)
         .def_static("callables", &callables);
+    nb::class_<Clock>(m, "RealtimeClock")
+        .def(nb::init<int>())
+        .def("sleep", &Clock::sleep)
+        .def("leave", &Clock::leave)
+        .def_prop_ro("now", &Clock::now)
+        .def_prop_ro("stalled", &Clock::stalled);
     m.def("realtime_run", &run);
     m.def("realtime_bare", &bare);
     m.def("realtime_serve", &serve);

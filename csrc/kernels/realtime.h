@@ -8,6 +8,24 @@
 #include "arm_io.h"
 #include "twin.h"
 
+/* ---- the clock ---- */
+
+/* Time in nanoseconds. Every function below takes NULL for the machine's CLOCK_MONOTONIC, or a virtual clock for tests:
+ * it stands still until each of its `threads` sleeps in it, goes on to the earliest wake-up, and lets that one thread
+ * run. So threads take turns in an order that no load changes, what they do takes no time, and a minute of sleeping
+ * passes at once. */
+typedef struct realtime_clock realtime_clock;
+realtime_clock *realtime_clock_open(int threads);
+void realtime_clock_close(realtime_clock *clock);
+/* The calling thread sleeps no more: the others go on without it. */
+void realtime_clock_leave(realtime_clock *clock);
+/* Whether a thread slept 30 s of real time without its turn: one of the others forgot to leave. */
+int realtime_clock_stalled(const realtime_clock *clock);
+
+int64_t realtime_now(realtime_clock *clock);
+/* Sleep until that time, or until a signal. */
+void realtime_sleep_until(realtime_clock *clock, int64_t time_ns);
+
 /* ---- how samples come and commands go ---- */
 
 typedef struct {
@@ -20,6 +38,7 @@ typedef struct {
 typedef struct {
     void *self;
     int clocked; /* the arm has a clock of its own: samples come when it sends them */
+    int direct;  /* `write` is C and needs no interpreter: a fault's handler may call it */
     int (*read)(void *self, realtime_sample *sample);
     int (*write)(void *self, const arm_command *command);
 } realtime_io;
@@ -28,7 +47,7 @@ typedef struct {
 
 enum {
     REALTIME_FINISHED,
-    REALTIME_SIGNAL,    /* SIGINT, SIGTERM or SIGHUP */
+    REALTIME_SIGNAL,    /* one that would have ended or stopped the process */
     REALTIME_LAW_OFF,   /* the law asks for the drive to be switched off */
     REALTIME_NO_SAMPLE, /* none before the patience was over: the law never ran */
     REALTIME_IO_FAILED,
@@ -67,6 +86,7 @@ typedef struct {
     int relative;        /* the reference counts from the angle of the first sample */
     int priority;        /* of SCHED_FIFO; 0: none is asked for */
     int lock_memory;
+    realtime_clock *clock;
 } realtime_plan;
 
 /* What a thread was before it was made ready for real time, and the errno of what was asked for and refused, else 0. */
@@ -98,7 +118,7 @@ void realtime_bare(const realtime_plan *plan, double *latency, realtime_outcome 
 
 /* ---- messages: a datagram, or a slot of shared memory, of MESSAGE_BYTES; docs/reference/file-formats.md ---- */
 
-#define MESSAGE_BYTES 48
+#define MESSAGE_BYTES 56
 #define MESSAGE_SAMPLE 1U
 #define MESSAGE_COMMAND 2U
 
@@ -109,6 +129,7 @@ typedef struct {
     double first;  /* motor angle, or motor reference */
     double second; /* torque, or voltage */
     uint32_t words[3]; /* period_ns, 0, 0, or mode, reason, flags */
+    uint64_t run; /* drawn by the arm for one controller's visit and given back in its commands; 0: not known yet */
 } realtime_message;
 
 void realtime_encode(const realtime_message *message, uint8_t bytes[MESSAGE_BYTES]);
@@ -125,7 +146,9 @@ typedef struct realtime_channel {
     void (*close)(struct realtime_channel *self);
     uint32_t sent;
     uint32_t taken;    /* sequence of the last message that was used; 0: none yet */
-    uint32_t rejected; /* messages that were damaged, of another kind or too old */
+    uint32_t rejected; /* messages that were damaged, of another kind or run, or too old */
+    uint64_t run;      /* the one that is going on; 0 at a controller that has heard no arm yet */
+    uint64_t former;   /* at an arm: the one before, whose stop may come more than once */
 } realtime_channel;
 
 /* Both return NULL with errno set; `file` stays the caller's. A controller's socket is connected, an arm's is bound. */
@@ -136,6 +159,8 @@ size_t realtime_memory_size(void);
 
 /* The newest message of `kind` since the last call; 1 or 0. */
 int realtime_newest(realtime_channel *channel, uint32_t kind, realtime_message *message);
+/* End a visit at the arm: forget the controller, and draw the number of the next run. */
+void realtime_next_run(realtime_channel *channel);
 /* The controller's side of a channel. */
 realtime_io realtime_io_of(realtime_channel *channel);
 
@@ -158,6 +183,7 @@ typedef struct {
     int once;           /* end when the first controller has left */
     const double *gauge_error; /* [N m], one value a period */
     int priority;       /* of SCHED_FIFO; 0: none is asked for */
+    realtime_clock *clock;
 } served_plan;
 
 typedef struct {
@@ -176,14 +202,14 @@ void realtime_serve(const served_plan *plan, realtime_channel *channel, const tw
 
 /* ---- the process ---- */
 
-/* Nanoseconds of CLOCK_MONOTONIC. */
-int64_t realtime_now(void);
-/* Sleep until that time, or until a signal. */
-void realtime_sleep_until(int64_t time_ns);
-/* Signals that end a run are noted instead of obeyed between these two; calls may nest and come from any thread. */
+/* A signal that would end or stop the process is noted instead of obeyed between these two; calls may nest and come from
+ * any thread. SIGKILL and SIGSTOP cannot be caught: there the board's own watchdog must switch the drive off. */
 void realtime_watch_signals(void);
 void realtime_release_signals(void);
 int realtime_signalled(void);
+/* A fault of the process (SIGSEGV, SIGABRT …) writes `stop` to `io` before it takes its course, if the way is `direct`;
+ * NULL ends that. One loop at a time: the last one that asked. */
+void realtime_stop_on_fault(const realtime_io *io, const arm_command *stop);
 
 /* Ask for SCHED_FIFO of a `priority` above 0 and for memory that stays; what is refused is noted, not fatal. */
 realtime_privileges realtime_prepare(int priority, int lock_memory);

@@ -17,7 +17,7 @@ typedef struct {
 
 static void leave(realtime_channel *channel, served_controller *who)
 {
-    channel->forget(channel);
+    realtime_next_run(channel);
     who->connected = 0;
     who->voltage = 0.0;
 }
@@ -35,7 +35,7 @@ static void listen_once(const served_plan *plan, realtime_channel *channel, serv
         }
         outcome->controllers += !who->connected;
         who->connected = 1;
-        who->voltage = command.second;
+        who->voltage = command.words[0] == ARM_MODE_IDLE ? 0.0 : command.second;
     } else if (who->connected && ++who->silent >= plan->watchdog) {
         outcome->silences++;
         leave(channel, who);
@@ -46,7 +46,8 @@ static void send_sample(const served_plan *plan, realtime_channel *channel, int6
 {
     const realtime_message sample = {MESSAGE_SAMPLE, ++channel->sent,
                                      (uint32_t)tick, angle,
-                                     torque,         {(uint32_t)plan->period_ns, 0U, 0U}};
+                                     torque,         {(uint32_t)plan->period_ns, 0U, 0U},
+                                     channel->run};
     uint8_t bytes[MESSAGE_BYTES];
     realtime_encode(&sample, bytes);
     (void)channel->send(channel, bytes); /* nobody there, or it notices by the number */
@@ -71,11 +72,12 @@ void realtime_serve(const served_plan *plan, realtime_channel *channel, const tw
     *outcome = none;
     realtime_watch_signals();
     outcome->privileges = realtime_prepare(plan->priority, 0);
-    const int64_t start = realtime_now() + plan->period_ns;
+    realtime_next_run(channel);
+    const int64_t start = realtime_now(plan->clock) + plan->period_ns;
     for (int64_t k = 0; k < plan->length; k++, record += SERVED_COLUMNS) {
         double angle;
         double torque;
-        realtime_sleep_until(start + k * plan->period_ns);
+        realtime_sleep_until(plan->clock, start + k * plan->period_ns);
         if (realtime_signalled()) {
             outcome->stop = REALTIME_SIGNAL;
             break;
@@ -86,7 +88,7 @@ void realtime_serve(const served_plan *plan, realtime_channel *channel, const tw
         input[TWIN_GAUGE_ERROR] = plan->gauge_error[k];
         twin_sense(rig, memory, input, &angle, &torque);
         send_sample(plan, channel, k, angle, torque);
-        outcome->late += realtime_now() > start + (k + 1) * plan->period_ns;
+        outcome->late += realtime_now(plan->clock) > start + (k + 1) * plan->period_ns;
         const double voltage = acting(plan, rig, who.voltage, memory->voltage);
         record[SERVED_TIP_ANGLE] = twin_output(step, 2, memory->state);
         record[SERVED_MOTOR_ANGLE] = memory->state[0];

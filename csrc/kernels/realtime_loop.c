@@ -10,23 +10,29 @@
 
 #include <math.h>
 
-static void stop_drive(const realtime_io *io, arm_command *command)
+/* An arm with a clock of its own takes the stop when its next period comes. It is told again then, should that message
+ * have been lost, and nobody comes after this loop, to write over it or to be taken for it, before it was heard. */
+static void stop_drive(const realtime_plan *plan, const realtime_io *io, arm_command *command)
 {
     command->voltage = 0.0;
     command->mode = ARM_MODE_OFF;
     command->tick++;
     io->write(io->self, command);
+    for (int i = 0; io->clocked && i < 2; i++) {
+        realtime_sleep_until(plan->clock, realtime_now(plan->clock) + plan->period_ns);
+        io->write(io->self, command);
+    }
 }
 
 /* Wait for an arm that moves no motor yet: return how it ended, REALTIME_FINISHED for a sample. */
 static int await_sample(const realtime_plan *plan, const realtime_io *io, const arm_command *rest,
                         realtime_sample *sample)
 {
-    const int64_t last = realtime_now() + plan->patience_ns;
+    const int64_t last = realtime_now(plan->clock) + plan->patience_ns;
     /* 16 looks in a period: the arrival, from which the deadlines count, is known to 6 % of it. */
     const int64_t step = plan->period_ns / (io->clocked ? 16 : 1);
     while (!realtime_signalled()) {
-        const int64_t now = realtime_now();
+        const int64_t now = realtime_now(plan->clock);
         const int found = io->read(io->self, sample);
         if (found < 0)
             return REALTIME_IO_FAILED;
@@ -38,7 +44,7 @@ static int await_sample(const realtime_plan *plan, const realtime_io *io, const 
             return REALTIME_IO_FAILED;
         if (now > last)
             return REALTIME_NO_SAMPLE;
-        realtime_sleep_until(now + step);
+        realtime_sleep_until(plan->clock, now + step);
     }
     return REALTIME_SIGNAL;
 }
@@ -80,13 +86,13 @@ static void run_periods(const realtime_plan *plan, const realtime_io *io, realti
                         arm_command *command, realtime_outcome *outcome)
 {
     /* Half a period after a sample came, the next deadline lies where neither side's jitter changes whose turn it is. */
-    const int64_t start = realtime_now() + plan->period_ns / 2;
+    const int64_t start = realtime_now(plan->clock) + plan->period_ns / 2;
     int64_t next = 0;
     outcome->stop = REALTIME_FINISHED;
     while (next < plan->length) {
         const int64_t deadline = start + next * plan->period_ns;
-        realtime_sleep_until(deadline);
-        const int64_t awake = realtime_now();
+        realtime_sleep_until(plan->clock, deadline);
+        const int64_t awake = realtime_now(plan->clock);
         if (realtime_signalled()) {
             outcome->stop = REALTIME_SIGNAL;
             return;
@@ -105,7 +111,7 @@ static void run_periods(const realtime_plan *plan, const realtime_io *io, realti
         }
         row[REALTIME_DEADLINE] = 1e-9 * (double)(tick * plan->period_ns);
         row[REALTIME_LATENCY] = 1e-9 * (double)(awake - deadline);
-        row[REALTIME_WORK] = 1e-9 * (double)(realtime_now() - awake);
+        row[REALTIME_WORK] = 1e-9 * (double)(realtime_now(plan->clock) - awake);
         outcome->count++;
         if (command->mode == ARM_MODE_OFF) {
             outcome->stop = REALTIME_LAW_OFF;
@@ -119,10 +125,12 @@ void realtime_run(const realtime_plan *plan, const realtime_io *io, realtime_law
                   const void *params, double *record, uint32_t *marks, realtime_outcome *outcome)
 {
     const realtime_outcome none = {0};
+    static const arm_command off = {0.0, 0.0, 0U, ARM_MODE_OFF, 0U, 0U}; /* a drive that is off needs no reference */
     arm_command command = {0.0, 0.0, 0U, 0U, 0U, 0U};
     realtime_sample sample = {0U, {0.0, 0.0}};
     *outcome = none;
     realtime_watch_signals();
+    realtime_stop_on_fault(io, &off);
     outcome->privileges = realtime_prepare(plan->priority, plan->lock_memory);
     outcome->stop = await_sample(plan, io, &command, &sample);
     outcome->period_ns = sample.period_ns;
@@ -131,7 +139,8 @@ void realtime_run(const realtime_plan *plan, const realtime_io *io, realtime_law
         command.motor_reference = sample.value.motor_angle;
         run_periods(plan, io, law, state, params, &sample, record, marks, &command, outcome);
     }
-    stop_drive(io, &command);
+    stop_drive(plan, io, &command);
+    realtime_stop_on_fault(NULL, NULL);
     realtime_relax(&outcome->privileges);
     realtime_release_signals();
 }
@@ -142,10 +151,10 @@ void realtime_bare(const realtime_plan *plan, double *latency, realtime_outcome 
     *outcome = none;
     realtime_watch_signals();
     outcome->privileges = realtime_prepare(plan->priority, plan->lock_memory);
-    const int64_t start = realtime_now() + plan->period_ns;
+    const int64_t start = realtime_now(plan->clock) + plan->period_ns;
     for (int64_t k = 0; k < plan->length && !realtime_signalled(); k++) {
-        realtime_sleep_until(start + k * plan->period_ns);
-        latency[k] = 1e-9 * (double)(realtime_now() - (start + k * plan->period_ns));
+        realtime_sleep_until(plan->clock, start + k * plan->period_ns);
+        latency[k] = 1e-9 * (double)(realtime_now(plan->clock) - (start + k * plan->period_ns));
         outcome->count++;
     }
     realtime_relax(&outcome->privileges);

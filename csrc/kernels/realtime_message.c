@@ -1,12 +1,14 @@
 /* Messages between controller and arm: little-endian whatever the machine, with a sequence and a checksum. */
-#include <string.h>
-
 #include "realtime.h"
 
 #ifdef __linux__
 
+#include <string.h>
+#include <sys/random.h>
+
 #define MAGIC 0x54524C46U /* "FLRT" */
-#define VERSION 1U
+#define VERSION 2U
+#define CHECKED (MESSAGE_BYTES - 4) /* bytes before the checksum */
 /* A flood of datagrams must not hold up the period; a healthy peer sends one in each. */
 #define MOST_IN_A_PERIOD 64
 
@@ -61,12 +63,13 @@ void realtime_encode(const realtime_message *message, uint8_t bytes[MESSAGE_BYTE
     put(bytes + 24, bits_of(message->second), 8);
     for (int i = 0; i < 3; i++)
         put(bytes + 32 + 4 * i, message->words[i], 4);
-    put(bytes + 44, checksum(bytes, 44), 4);
+    put(bytes + 44, message->run, 8);
+    put(bytes + CHECKED, checksum(bytes, CHECKED), 4);
 }
 
 int realtime_decode(const uint8_t bytes[MESSAGE_BYTES], realtime_message *message)
 {
-    if (get(bytes, 4) != MAGIC || get(bytes + 4, 2) != VERSION || get(bytes + 44, 4) != checksum(bytes, 44))
+    if (get(bytes, 4) != MAGIC || get(bytes + 4, 2) != VERSION || get(bytes + CHECKED, 4) != checksum(bytes, CHECKED))
         return 0;
     message->kind = (uint32_t)get(bytes + 6, 2);
     message->sequence = (uint32_t)get(bytes + 8, 4);
@@ -75,7 +78,31 @@ int realtime_decode(const uint8_t bytes[MESSAGE_BYTES], realtime_message *messag
     message->second = value_of(get(bytes + 24, 8));
     for (int i = 0; i < 3; i++)
         message->words[i] = (uint32_t)get(bytes + 32 + 4 * i, 4);
+    message->run = get(bytes + 44, 8);
     return 1;
+}
+
+/* Whether a message belongs to the run that is going on. A controller takes the number from the first sample. A command
+ * that moves the arm must give it back, so that one from before a stop, late or replayed, moves nothing; idle commands
+ * are how a controller introduces itself, and a stop of one that has heard no sample yet does no harm. */
+static int of_this_run(realtime_channel *channel, const realtime_message *message)
+{
+    if (message->kind == MESSAGE_SAMPLE && channel->run == 0U)
+        channel->run = message->run;
+    const uint32_t mode = message->words[0];
+    const int harmless = message->kind == MESSAGE_COMMAND && message->run == 0U &&
+                         (mode == ARM_MODE_IDLE || mode == ARM_MODE_OFF);
+    return message->run == channel->run || harmless;
+}
+
+void realtime_next_run(realtime_channel *channel)
+{
+    channel->former = channel->run;
+    channel->forget(channel);
+    /* By chance, so that no recorded number comes again; without randomness, the next number is still another one. */
+    if (getrandom(&channel->run, sizeof(channel->run), GRND_NONBLOCK) != (ssize_t)sizeof(channel->run))
+        channel->run = channel->former + (uint64_t)realtime_now(NULL);
+    channel->run += channel->run == 0U;
 }
 
 int realtime_newest(realtime_channel *channel, uint32_t kind, realtime_message *message)
@@ -84,12 +111,16 @@ int realtime_newest(realtime_channel *channel, uint32_t kind, realtime_message *
     realtime_message each;
     int found = 0;
     for (int i = 0; i < MOST_IN_A_PERIOD && channel->receive(channel, bytes) > 0; i++) {
-        if (!realtime_decode(bytes, &each) || each.kind != kind) {
+        const int readable = realtime_decode(bytes, &each) && each.kind == kind;
+        /* A stop is sent three times for safety; the second and third are of a run that has ended. */
+        if (readable && kind == MESSAGE_COMMAND && each.words[0] == ARM_MODE_OFF && each.run != 0U &&
+            each.run == channel->former)
+            continue;
+        if (!readable || !of_this_run(channel, &each)) {
             channel->rejected++;
             continue;
         }
-        /* The difference of the numbers, so that the count may wrap around. What comes late would be a step back; the
-         * same again is a stop that was sent for safety. */
+        /* The difference of the numbers, so that the count may wrap around. What comes late would be a step back. */
         const int32_t newer = channel->taken == 0U ? 1 : (int32_t)(each.sequence - channel->taken);
         channel->rejected += newer < 0;
         if (newer <= 0)
@@ -123,20 +154,16 @@ static int write_command(void *self, const arm_command *command)
                                       command->tick,
                                       command->motor_reference,
                                       command->voltage,
-                                      {command->mode, command->reason, command->flags}};
+                                      {command->mode, command->reason, command->flags},
+                                      channel->run};
     uint8_t bytes[MESSAGE_BYTES];
     realtime_encode(&message, bytes);
-    int lost = channel->send(channel, bytes);
-    /* Nothing follows a stop that could replace it: three datagrams, of which one will arrive. The arm takes the first
-     * and drops the others by their number. */
-    for (int i = 0; command->mode == ARM_MODE_OFF && i < 2; i++)
-        lost &= channel->send(channel, bytes);
-    return lost;
+    return channel->send(channel, bytes);
 }
 
 realtime_io realtime_io_of(realtime_channel *channel)
 {
-    const realtime_io io = {channel, 1, read_sample, write_command};
+    const realtime_io io = {channel, 1, 1, read_sample, write_command};
     return io;
 }
 

@@ -1,4 +1,4 @@
-/* What the process needs for real time: the clock, a priority, memory that stays, and signals that end a run in order. */
+/* What the process needs for real time: signals that end a run in order, a priority, and memory that stays. */
 #define _GNU_SOURCE
 #include "realtime.h"
 
@@ -11,28 +11,17 @@
 #include <string.h>
 #include <sys/mman.h>
 #include <sys/prctl.h>
-#include <time.h>
 
 #define STACK_BYTES 65536 /* the deepest call of a period needs about 2 kB, a user's library may need more */
 
-int64_t realtime_now(void)
-{
-    struct timespec t;
-    clock_gettime(CLOCK_MONOTONIC, &t);
-    return (int64_t)t.tv_sec * 1000000000 + t.tv_nsec;
-}
-
-void realtime_sleep_until(int64_t time_ns)
-{
-    const struct timespec t = {time_ns / 1000000000, time_ns % 1000000000};
-    clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &t, NULL);
-}
+/* ---- signals ---- */
 
 /* A signal handler reaches nothing but a static object. */
 static volatile sig_atomic_t caught;
-static const int watched[] = {SIGINT, SIGTERM, SIGHUP};
-enum { WATCHED = sizeof(watched) / sizeof(watched[0]) };
-static struct sigaction former[WATCHED];
+static const realtime_io *volatile faulting_io;
+static const arm_command *volatile faulting_stop;
+static struct sigaction former[NSIG];
+static int taken[NSIG];
 static int watchers;
 static pthread_mutex_t watchers_lock = PTHREAD_MUTEX_INITIALIZER;
 
@@ -41,18 +30,70 @@ static void note(int number)
     caught = number;
 }
 
+/* The process is about to die of its own fault and nothing of it can be trusted but this: one last stop, then the fault
+ * as if nobody had watched. A second fault in here finds the former handler. */
+static void stop_and_fall(int number)
+{
+    const realtime_io *const io = faulting_io;
+    sigaction(number, &former[number], NULL);
+    if (io != NULL)
+        io->write(io->self, faulting_stop);
+    raise(number);
+}
+
+void realtime_stop_on_fault(const realtime_io *io, const arm_command *stop)
+{
+    faulting_io = NULL;
+    faulting_stop = stop;
+    faulting_io = io != NULL && io->direct ? io : NULL;
+}
+
+static int is_fault(int number)
+{
+    return number == SIGSEGV || number == SIGBUS || number == SIGFPE || number == SIGILL || number == SIGABRT ||
+           number == SIGTRAP || number == SIGSYS;
+}
+
+/* Whether a signal is to end the run: Ctrl-C, Ctrl-\, Ctrl-Z, a closed terminal and SIGTERM, whatever Python does about
+ * them; and every other one whose default would end or stop the process, unless the program has a use of its own for
+ * it. What is ignored stays ignored: nohup means it. */
+static int ends_the_run(int number, const struct sigaction *before)
+{
+    if (before->sa_handler == SIG_IGN)
+        return 0;
+    switch (number) {
+    case SIGINT:
+    case SIGTERM:
+    case SIGHUP:
+    case SIGQUIT:
+    case SIGTSTP:
+        return 1;
+    case SIGKILL: /* these two cannot be caught, */
+    case SIGSTOP:
+    case SIGCHLD: /* and the default of these is to go on */
+    case SIGCONT:
+    case SIGURG:
+    case SIGWINCH:
+        return 0;
+    default:
+        return before->sa_handler == SIG_DFL;
+    }
+}
+
 void realtime_watch_signals(void)
 {
     pthread_mutex_lock(&watchers_lock);
     if (watchers++ == 0) {
         struct sigaction action;
         memset(&action, 0, sizeof(action));
-        action.sa_handler = note; /* without SA_RESTART: a sleeping loop wakes up */
         caught = 0;
-        for (int i = 0; i < WATCHED; i++) {
-            sigaction(watched[i], NULL, &former[i]);
-            if (former[i].sa_handler != SIG_IGN) /* nohup means it */
-                sigaction(watched[i], &action, NULL);
+        for (int i = 1; i < NSIG; i++) {
+            if (sigaction(i, NULL, &former[i]) != 0)
+                continue; /* kept by the C library */
+            taken[i] = is_fault(i) || ends_the_run(i, &former[i]);
+            action.sa_handler = is_fault(i) ? stop_and_fall : note; /* without SA_RESTART: a sleeping loop wakes up */
+            if (taken[i])
+                taken[i] = sigaction(i, &action, NULL) == 0;
         }
     }
     pthread_mutex_unlock(&watchers_lock);
@@ -62,8 +103,9 @@ void realtime_release_signals(void)
 {
     pthread_mutex_lock(&watchers_lock);
     if (--watchers == 0)
-        for (int i = 0; i < WATCHED; i++)
-            sigaction(watched[i], &former[i], NULL);
+        for (int i = 1; i < NSIG; i++)
+            if (taken[i])
+                sigaction(i, &former[i], NULL);
     pthread_mutex_unlock(&watchers_lock);
 }
 
@@ -71,6 +113,8 @@ int realtime_signalled(void)
 {
     return caught;
 }
+
+/* ---- privileges ---- */
 
 /* Touch the stack that the loop will use, so that no page of it is missing in a period. */
 static void touch_stack(void)

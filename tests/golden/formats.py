@@ -17,8 +17,7 @@ from fraclink._campaign import load_campaign, read_part
 from fraclink._certify import Certificate
 from fraclink._export import Proof
 from fraclink._identify import load_model
-from fraclink._realtime.arm import ServedArm
-from fraclink._realtime.run import RealtimeRun
+from fraclink._realtime import RealtimeRun, ServedArm
 from fraclink._workflow.folder import load_study
 
 FOLDER = Path(__file__).resolve().parent / "formats"
@@ -121,8 +120,8 @@ def _run(run: fl.Run) -> Found:
 
 def runs() -> Found:
     """Runs of the twin, in real time, of a served arm, and a log as CSV."""
-    twin, live = fl.Run.load(FOLDER / "twin-run.npz"), RealtimeRun.load(FOLDER / "realtime-run.npz")
-    arm = ServedArm.load(FOLDER / "served-arm.npz")
+    twin, live = fl.Run.load(FOLDER / "twin-run.npz"), fl.load(FOLDER / "realtime-run.npz", RealtimeRun)
+    arm = fl.load(FOLDER / "served-arm.npz", ServedArm)
     log = fl.read_log(FOLDER / "log.csv")
     law = fl.Law.load(FOLDER / "study" / "law.json")
     return {

@@ -13,7 +13,7 @@ from fraclink._cli.console import emit, emit_json, table, tell
 from fraclink._cli.options import Force, Gear, Json, LinkMass, Payload
 from fraclink._cli.outcome import FAILS, HOLDS
 from fraclink._cli.verdicts import DesignFile
-from fraclink._files import output_path
+from fraclink._files import output_path, save
 from fraclink.errors import LogError
 
 if TYPE_CHECKING:
@@ -27,6 +27,10 @@ __all__ = ["register"]
 Excitation = Literal["move", "prbs"]
 
 Way = Annotated[str, typer.Option("--io", metavar="WAY", help="udp:HOST:PORT, shm:NAME or library:FILE.so.")]
+UnsafeRemote = Annotated[
+    bool,
+    typer.Option("--unsafe-remote", help="Allow another host: whoever can send there moves the arm."),
+]
 
 
 def run_realtime(
@@ -69,6 +73,7 @@ def run_realtime(
         typer.Option("--allowed-overruns", help="Commands after the next deadline, up to which it holds."),
     ] = 0,
     json: Json = False,
+    unsafe_remote: UnsafeRemote = False,
     force: Force = False,
 ) -> int:
     """Run the shipped law on an arm in real time (Linux), with times, overruns and a safe stop.
@@ -81,25 +86,27 @@ def run_realtime(
 
     place = output_path(out, force=force)
     log_place = None if log is None else output_path(log, force=force)
-    connection = parse_connection(io)
+    connection = parse_connection(io, unsafe_remote=unsafe_remote)
     law = _law(_plan(plan_file, gear), motor=motor, single=single)
     run = run_law(
         law,
         _reference(excitation, amplitude, move_time),
         connection,
         duration=duration,
+        out=place,
         relative=not absolute,
         patience=patience,
         priority=priority,
         lock_memory=lock_memory,
         allowed_overruns=allowed_overruns,
     )
-    run.save(place)
-    emit_json(_values(run) | {"out": str(place)}) if json else emit(_text(run))
+    emit_json(_values(run) | {"out": run.saved}) if json else emit(_text(run))
     _tell_refused("priority", run.scheduling)
     _tell_refused("memory", run.memory)
     if not json:
-        tell(f"written: {place}")
+        tell(f"written: {run.saved}")
+    if run.saved != str(place):
+        tell(f"{place} could not be written")
     if log_place is not None and not _logged(run, log_place):
         return FAILS
     return HOLDS if run.passed else FAILS
@@ -200,6 +207,7 @@ def serve_arm(
     priority: Annotated[
         int, typer.Option("--priority", help="Of SCHED_FIFO, below the controller's; 0 asks for none.")
     ] = 70,
+    unsafe_remote: UnsafeRemote = False,
     out: Annotated[
         Path | None, typer.Option("--out", help="File for what really happened (npz); default: none.")
     ] = None,
@@ -216,7 +224,7 @@ def serve_arm(
     from fraclink._simulate import Twin
 
     place = None if out is None else output_path(out, force=force)
-    connection = parse_connection(io)
+    connection = parse_connection(io, unsafe_remote=unsafe_remote)
     design = _plan(plan_file, gear)
     arm = Twin.from_rig(design.rig, payload=payload, link_mass=link_mass)
     for finding in arm.findings:
@@ -234,7 +242,7 @@ def serve_arm(
     )
     _tell_refused("priority", served.scheduling)
     if place is not None:
-        served.save(place)
+        save(served, place, force=True)
     told = {
         "passed": served.passed,
         "periods": len(served.voltage),

@@ -7,6 +7,7 @@ jump of the tick, so that the law's own guards decide, and a record replays to t
 
 from __future__ import annotations
 
+from fraclink import _kernels
 from fraclink._realtime.arm import ServedArm, serve_arm
 from fraclink._realtime.connections import (
     Callback,
@@ -30,7 +31,11 @@ __all__ = [
     "SharedMemory",
     "Spread",
     "Udp",
+    "VirtualClock",
     "parse_connection",
     "run_realtime",
     "serve_arm",
 ]
+
+# Time for tests, in which `threads` loops and their peers take turns; see csrc/kernels/realtime.h.
+VirtualClock = getattr(_kernels, "RealtimeClock", None)  # Linux only

@@ -1,9 +1,13 @@
-"""What a run in real time leaves: every period's signals and times, statistics, and how it ended."""
+"""What a run in real time leaves: every period's signals and times, statistics, and a place to write it."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+import contextlib
+import os
+import secrets
+import tempfile
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -11,46 +15,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._arm.experiment import Experiment
+from fraclink._files import document, save
 from fraclink._law import MODES, REASONS, Law
-from fraclink._npz import read_npz, write_npz
-from fraclink.errors import FieldError, FileFormatError, LogError
+from fraclink.errors import FieldError, LogError
 
-__all__ = ["STOPS", "RealtimeRun", "Spread"]
+__all__ = ["STOPS", "RealtimeRun", "Spread", "first_difference", "reserved", "saved"]
 
 Real = NDArray[np.float64]
 Count = NDArray[np.uint32]
 
-KIND, FORMAT = "realtime-run", 1
 # How a run ends, in the order of the kernel's codes; "no sample" and "other period" are raised as errors.
 STOPS = ("finished", "signal", "law off", "no sample", "connection failed", "other period")
-SIGNALS = (
-    "time",
-    "latency",
-    "work",
-    "reference",
-    "reference_acceleration",
-    "motor_angle",
-    "torque",
-    "motor_reference",
-    "voltage",
-    "compensation",
-    "tip_estimate",
-    "error",
-)
+INPUTS = ("reference", "reference_acceleration", "motor_angle", "torque")
+OUTPUTS = ("motor_reference", "voltage", "compensation", "tip_estimate", "error")
+SIGNALS = ("time", "latency", "work", *INPUTS, *OUTPUTS)
 MARKS = ("tick", "mode", "reason", "flags")
 _LOST_SHARE = 0.01  # what a reader may fill in too
-_ABOUT = (
-    "period",
-    "law_sha256",
-    "connection",
-    "stopped",
-    "lost_commands",
-    "scheduling",
-    "memory",
-    "origin",
-    "first_difference",
-    "allowed_overruns",
-)
 
 
 class Spread(NamedTuple):
@@ -71,22 +51,55 @@ class Spread(NamedTuple):
         return Spread(float(values.min()), float(values.mean()), float(high), float(values.max()))
 
 
+@document(
+    "realtime-run",
+    version=2,
+    container="npz",
+    upgrades={1: dict},  # without a digest
+    period=lambda run: run.period,
+    sources=lambda run: {"law": run.law_sha256},
+    summary=lambda run: {"passed": run.passed, "problem": run.problem},
+)
 @dataclass(frozen=True, eq=False)
 class RealtimeRun:
     """The law in real time, one value for each period that ran; every signal has shape (N,).
 
-    time of the period's deadline after the first one [s]; latency from the deadline that was slept for to
-    being awake [s]; work from there to the command being written [s]; the law's inputs: reference θt* [rad],
-    reference_acceleration [rad/s²], motor_angle θm [rad] and torque Γ [N·m], NaN where no sample came; its
-    outputs: motor_reference θm* [rad], voltage [V], compensation [V], tip_estimate θm − Γ/c [rad], error
-    [rad]; tick, 1 in the first period and more than one further where periods were missed; the law's mode,
-    reason and flags (see law.h).
-
-    `period` [s]; `law_sha256`, the law's digest; `connection`; `stopped`, one of "finished", "signal", "law
-    off" and "connection failed"; `lost_commands`, which the way to the arm did not take; `scheduling` and
-    `memory`, what the machine granted; `origin`, added to the reference [rad]; `first_difference`, the first
-    row whose outputs the recorded inputs do not give again, None where all agree to the last bit;
-    `allowed_overruns`, up to which the run holds.
+    Parameters
+    ----------
+    time
+        of the period's deadline after the first one [s].
+    latency
+        from the deadline that was slept for to being awake [s].
+    work
+        from there to the command being written [s].
+    reference, reference_acceleration, motor_angle, torque
+        the law's inputs: θt* [rad], its acceleration [rad/s²], θm [rad], Γ [N·m]; NaN where no sample came.
+    motor_reference, voltage, compensation, tip_estimate, error
+        its outputs: θm* [rad], voltage and compensation [V], θm − Γ/c [rad], error [rad].
+    tick
+        number of the period, from 1; more than one further where periods were missed.
+    mode, reason, flags
+        of the law, see law.h.
+    period
+        [s].
+    law_sha256
+        the law's digest.
+    connection
+        how the arm was reached.
+    stopped
+        "finished", "signal", "law off" or "connection failed".
+    lost_commands
+        how many the connection did not take.
+    scheduling, memory
+        what the machine granted.
+    origin
+        added to the reference [rad].
+    first_difference
+        the first row whose outputs the recorded inputs do not give again; None where all agree bit for bit.
+    allowed_overruns
+        up to which the run passes.
+    saved
+        file that the record was written to; empty where none was asked for.
     """
 
     time: Real
@@ -115,6 +128,7 @@ class RealtimeRun:
     origin: float
     first_difference: int | None
     allowed_overruns: int
+    saved: str = field(default="", metadata={"stored": False})
 
     def __post_init__(self) -> None:
         for name in (*SIGNALS, *MARKS):
@@ -152,16 +166,15 @@ class RealtimeRun:
 
     @property
     def problem(self) -> str:
-        """Why the run does not hold; empty where it does."""
+        """Why the run failed; empty where it passed."""
+        mode = MODES[int(self.mode[-1])] if len(self.mode) else "idle"
+        reason = REASONS[int(self.reason[-1])] if len(self.mode) else "none"
         if self.stopped == "law off":
-            return f"safe stop: the law switched off ({REASONS[int(self.reason[-1])]})"
+            return f"safe stop: the law switched off ({reason})"
         if self.stopped != "finished":
             return f"safe stop: {self.stopped}"
-        if not len(self.mode) or MODES[int(self.mode[-1])] != "run":
-            left = (
-                f"{MODES[int(self.mode[-1])]} ({REASONS[int(self.reason[-1])]})" if len(self.mode) else "idle"
-            )
-            return f"the law ended in mode {left}"
+        if mode != "run":
+            return f"the law ended in mode {mode} ({reason})"
         if self.overruns > self.allowed_overruns:
             return f"{self.overruns} overruns, allowed {self.allowed_overruns}"
         if self.first_difference is not None:
@@ -174,13 +187,9 @@ class RealtimeRun:
         Every output is compared by its bits. Raises FieldError for another law than the one that ran.
         """
         if law.digest != self.law_sha256:
-            raise FieldError(
-                "law",
-                law.digest[:16],
-                "another than the one that ran",
-                allowed=self.law_sha256[:16],
-                remedy="give the design of the run",
-            )
+            allowed, remedy = self.law_sha256[:16], "give the design of the run"
+            problem = "another than the one that ran"
+            raise FieldError("law", law.digest[:16], problem, allowed=allowed, remedy=remedy)
         return first_difference(law, {name: getattr(self, name) for name in (*SIGNALS, *MARKS)})
 
     def experiment(self, *, payload: float | None = None) -> Experiment:
@@ -193,13 +202,8 @@ class RealtimeRun:
         count = int(self.tick[-1]) if len(self.tick) else 0
         lost = count - int(np.count_nonzero(came))
         if count == 0 or lost > _LOST_SHARE * count:
-            raise LogError(
-                "run",
-                f"{lost} of {count} samples",
-                "lost",
-                allowed=f"{100 * _LOST_SHARE:g} %",
-                remedy="run it again on a machine that keeps the period",
-            )
+            allowed, remedy = f"{100 * _LOST_SHARE:g} %", "run it again on a machine that keeps the period"
+            raise LogError("run", f"{lost} of {count} samples", "lost", allowed=allowed, remedy=remedy)
         grid = np.arange(1, count + 1)
         motor, torque, voltage = (
             np.interp(grid, self.tick[came], x[came]) for x in (self.motor_angle, self.torque, self.voltage)
@@ -214,39 +218,59 @@ class RealtimeRun:
             notes=(("law_sha256", self.law_sha256), ("interpolated_samples", str(lost))),
         )
 
-    def save(self, path: Path | str) -> None:
-        """Write signals, times and how it ended to one NPZ file, complete or not at all."""
-        about = {name: getattr(self, name) for name in _ABOUT}
-        write_npz(path, KIND, FORMAT, about, {name: getattr(self, name) for name in (*SIGNALS, *MARKS)})
-
-    @classmethod
-    def load(cls, path: Path | str) -> RealtimeRun:
-        """Read back what `save` wrote; FileFormatError for anything else."""
-        about, arrays = read_npz(path, KIND, (FORMAT,))
-        try:
-            columns: dict[str, Any] = {name: arrays[name] for name in (*SIGNALS, *MARKS)}
-            return cls(**columns, **{name: about[name] for name in _ABOUT})
-        except (KeyError, TypeError, ValueError) as error:
-            raise FileFormatError(
-                "run",
-                str(path),
-                "not a run in real time",
-                allowed="an NPZ of RealtimeRun.save",
-                remedy="run it again",
-            ) from error
-
 
 def first_difference(law: Law, columns: Mapping[str, NDArray[Any]]) -> int | None:
     """Return the first row whose outputs `law` does not give for its inputs, compared by their bits."""
     tick = columns["tick"]
     if not len(tick):
         return None
-    inputs = (columns[name] for name in ("reference", "reference_acceleration", "motor_angle", "torque"))
-    _, again = law.run(law.initial_state(), *inputs, ticks=tick)
+    _, again = law.run(law.initial_state(), *(columns[name] for name in INPUTS), ticks=tick)
     differs = np.zeros(len(tick), dtype=bool)
-    for name in ("motor_reference", "voltage", "compensation", "tip_estimate", "error"):
+    for name in OUTPUTS:
         # by bits, so that -0 is not 0
         differs |= getattr(again, name).view(np.uint64) != columns[name].view(np.uint64)
     for name in ("mode", "reason", "flags"):
         differs |= getattr(again, name) != columns[name]
     return int(np.argmax(differs)) if differs.any() else None
+
+
+# ---- where the record goes ---------------------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def reserved(place: Path, size: int) -> Iterator[None]:
+    """Hold `size` bytes of disk beside `place` until the block ends; FieldError where that cannot be had.
+
+    A folder that is missing or read-only, or a full disk, is so found before the arm moves.
+    """
+    holder = place.with_name(f".{place.name[:100]}.{secrets.token_hex(8)}.reserved")
+    try:
+        try:
+            place.parent.mkdir(parents=True, exist_ok=True)
+            with holder.open("xb") as stream:
+                os.posix_fallocate(stream.fileno(), 0, size)
+        except OSError as error:
+            problem = f"not writable ({error.strerror}); the arm has not moved"
+            allowed = f"a folder with {1e-6 * size:.1f} MB to spare"
+            raise FieldError(
+                "out", str(place), problem, allowed=allowed, remedy="name another file"
+            ) from error
+        yield
+    finally:
+        with contextlib.suppress(OSError):  # a folder that was never there has nothing to remove
+            holder.unlink()
+
+
+def saved(value: object, place: Path) -> Path:
+    """Write a record to `place`, or where that fails after all beside others' temporary files or at home.
+
+    Returns the file that was written; raises the first error where no place took it.
+    """
+    try:
+        return save(value, place, force=True)
+    except OSError:
+        name = f"{place.stem}-{secrets.token_hex(4)}{place.suffix}"  # never over another record
+        for folder in (Path(tempfile.gettempdir()), Path.home()):
+            with contextlib.suppress(OSError):
+                return save(value, folder / name)
+        raise
