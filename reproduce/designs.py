@@ -13,7 +13,7 @@ from fraclink._arm.link import LinkModel
 from fraclink._arm.motor_loop import MotorLoop
 from fraclink._arm.rig import Rig
 from fraclink._design import Design, design
-from fraclink._design.poles import PRINTED
+from fraclink._design.assess import PRINTED
 
 __all__ = [
     "ORDER",

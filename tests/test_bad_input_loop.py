@@ -12,13 +12,11 @@ import fraclink as fl
 from fraclink import _campaign as campaign
 from fraclink import _export as export
 from fraclink import _kernels
-from fraclink._arm.controller import Lead
 from fraclink._arm.motor_loop import MotorLoop
 from fraclink._campaign import Campaign, Distribution, Draws, draws_for, faults
 from fraclink._certify import Statement, enclose_phase_margin
 from fraclink._design import optimise
-from fraclink._design.assess import margin_curve, phase_budget
-from fraclink._design.feasibility import feasibility_map
+from fraclink._design.assess import feasibility_map, margin_curve, phase_budget
 from fraclink._law import Moves, discretize_controller, equip
 from fraclink._realtime import Callback, Library, SharedMemory, Udp, parse_connection, run_realtime
 from fraclink._simulate import geared
@@ -71,7 +69,7 @@ CALLS: dict[str, Call] = {
     "Design.sampled_at": (design().sampled_at, lambda: {"payload": 0.030, "realisation": "exact"}),
     "Design.sampled_plant": (design().sampled_plant, lambda: {"natural_frequency": 11.0}),
     "Design.law": (design().law, lambda: {"order": 1, "precision": "double"}),
-    "optimise": (functools.partial(optimise, lead=False), lambda: {"plan": design(), "goal": "noise"}),
+    "optimise": (optimise, lambda: {"plan": design(), "goal": "noise"}),
     "feasibility_map": (
         feasibility_map,
         lambda: {
@@ -92,7 +90,6 @@ CALLS: dict[str, Call] = {
     "margin_curve": (margin_curve, lambda: {"plan": design(), "payloads": [0.030], "kind": "loop"}),
     "Controller": (fl.Controller, lambda: fields_of(design().controller)),
     "MotorLoop": (MotorLoop, lambda: fields_of(MotorLoop())),
-    "Lead": (Lead, lambda: {"zero_time": 0.18, "pole_time": 0.04, "order": 0.5}),
     "Moves": (Moves, lambda: fields_of(Moves())),
     "equip": (equip, lambda: {"law": law(), "rig": RIG, "link": LINK, "moves": None}),
     "discretize": (

@@ -16,7 +16,7 @@ import fraclink as fl
 from campaigns import small
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import LinkModel
-from fraclink._design.poles import PRINTED
+from fraclink._design.assess import PRINTED
 from fraclink._identify import identify_payloads, simulated_torque
 from fraclink.errors import FieldError, InfeasibleError, SizeError
 from identify_cases import TRUTH, made_log, smooth_pulse

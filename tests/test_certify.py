@@ -29,7 +29,7 @@ from fraclink._certify.numeric import loop_values
 from fraclink._certify.search import Failure, clear, prove
 from fraclink._certify.statement import ASSUMPTIONS, CLAIM, Statement
 from fraclink._design import Design
-from fraclink._design.poles import PRINTED
+from fraclink._design.assess import PRINTED
 from fraclink._export import export_c
 from fraclink._law import Law
 from fraclink._law.block import COUNTS, REALS

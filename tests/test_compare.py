@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 
 import fraclink as fl
+from fraclink._arm.motor_loop import MotorLoop
 from fraclink._arm.reference import smooth_step
+from fraclink._arm.sampled import sampled_plant
 from fraclink._compare import Tournament, compare
 from fraclink._compare.linear import Filter, NominalLoop, law_filter, sampled, tune, tustin
 from fraclink._compare.optimal import hinf_correction, integer_mode, lqg_correction
@@ -63,11 +65,7 @@ def test_law_filter_is_the_law(setting):
 
 def test_nominal_loop_is_the_designers(setting):
     """The sampled loop of design/, made from alias sums, and ours, from a state space: the same Ms."""
-    from fraclink._design.loop import OpenLoop
-    from fraclink._design.sampled import link_plant
-
-    bare = OpenLoop(gain=1.0, order=0.0, link_order=RIG.model.order)
-    plant = link_plant(bare, RIG.model.natural_frequency, motor=1 / 80, period=RIG.period, delay=RIG.period)
+    plant = sampled_plant(RIG.model, MotorLoop(pole=80.0, delay_samples=1), RIG.motor, RIG.period)
     frequency = np.array([1.0, 8.0, 12.0, 13.0, 40.0, 300.0])
     ours = setting.loop.plant.response(np.exp(1j * frequency * RIG.period))
     assert ours == pytest.approx(plant(frequency), rel=2e-6)

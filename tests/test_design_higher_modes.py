@@ -15,7 +15,7 @@ from fraclink._arm.rig import Rig
 from fraclink._cli import main
 from fraclink._compare.linear import NominalLoop, law_filter, sampled
 from fraclink._design import Design
-from fraclink._design.higher_modes import mode_gains
+from fraclink._design.assess import mode_gains
 from fraclink._simulate import Beam, KelvinVoigt, PowerLaw, assemble
 from fraclink._simulate.damping import Damping
 from fraclink.errors import FieldError, InfeasibleError

@@ -1,4 +1,4 @@
-"""The optimised design and its lead: gradients, bounds on a fine grid, another optimiser, what is carried."""
+"""The optimised design: gradients, bounds on a fine grid, another optimiser, what is carried."""
 
 from __future__ import annotations
 
@@ -12,22 +12,16 @@ import pytest
 from scipy.optimize import minimize
 
 import fraclink as fl
-from fraclink._arm.controller import Controller, Lead
 from fraclink._arm.rig import Rig
 from fraclink._certify import certify
 from fraclink._cli import main
 from fraclink._design import Design, Optimised, optimise
 from fraclink._design.assess import phase_budget
-from fraclink._design.measure import measure, noise_gain
-from fraclink._design.plan import open_loop
-from fraclink._design.problem import Bounds, Problem
-from fraclink._design.sampled import realised
+from fraclink._design.optimisation import Bounds, Problem
 from fraclink.errors import FieldError, InfeasibleError
 
 RIG = Rig.named("paper-2023")
 WANTED = {"payloads": (0.020, 0.040), "gain_crossover": 12.0, "phase_margin": fl.deg(50)}
-LEAD = Lead(zero_time=0.12, pole_time=0.03, order=0.6)
-CONTROLLER = Controller(gain=0.03, order=0.7, filter_time=0.01, filter_order=2, lead=LEAD)
 
 
 @pytest.fixture(scope="module")
@@ -40,52 +34,12 @@ def quiet(design: Design) -> Optimised:
     return optimise(design)
 
 
-def test_the_lead_is_one_value_in_every_form() -> None:
-    w = np.geomspace(0.1, 700.0, 9)
-    s = 1j * w
-    exact = (1 + (0.12 * s) ** 0.6) / (1 + (0.03 * s) ** 0.6)
-    for value in (LEAD.response(w), LEAD.at(s), LEAD.transfer()(s), np.exp(LEAD.log(w))):
-        np.testing.assert_allclose(value, exact, rtol=1e-13)
-    plain = replace(CONTROLLER, lead=None)
-    np.testing.assert_allclose(CONTROLLER.response(w), plain.response(w) * exact, rtol=1e-13)
-    np.testing.assert_allclose(CONTROLLER.correction()(s), CONTROLLER.response(w), rtol=1e-12)
-    assert CONTROLLER.formula.endswith("^2 · (1 + (0.12 s)^0.6)/(1 + (0.03 s)^0.6)")
-
-
-def test_a_lead_leaves_c_at_zero_one_and_an_integrator_would_not() -> None:
-    assert abs(CONTROLLER.response(1e-9)) < 1e-7
-    # What a constant offset of the estimate leaves in the tip is Ĉ(0)/(1 + Ĉ(0)): all of it for k/s^α.
-    integrator = 0.1 * (1j * 1e-12) ** -0.5
-    assert abs(integrator / (1 + integrator)) == pytest.approx(1.0, abs=1e-4)
-
-
-def test_the_loop_with_a_lead_is_the_product_of_its_parts(design: Design) -> None:
-    controller = replace(CONTROLLER, inner=design.controller.inner, period=RIG.period)
-    loop = open_loop(controller, RIG.model, RIG, margins="loop")
-    w, pi = np.array([3.0, 12.0, 40.0, 300.0]), 11.0
-    expected = (
-        controller.response(w)
-        * pi**2
-        / ((1j * w) ** RIG.model.order + pi**2)
-        / (1 + 1j * w / RIG.inner.pole) ** 2
-        * np.exp(-1j * w * 1.5 * RIG.period)
-    )
-    np.testing.assert_allclose(loop(w, pi), expected, rtol=1e-12)
-    np.testing.assert_allclose(loop.level(w, pi), np.log(np.abs(expected)), rtol=1e-12)
-    step = 1e-6
-    slope = (loop.log(w * math.exp(step), pi) - loop.log(w * math.exp(-step), pi)) / (2 * step)
-    np.testing.assert_allclose(loop.slope(w, pi), slope, rtol=1e-6, atol=1e-8)
-    grunwald = realised(controller, 1e-6, "grunwald")  # a period of a microsecond is nearly continuous
-    np.testing.assert_allclose(grunwald(w), controller.response(w), rtol=1e-3)
-
-
 @pytest.mark.parametrize("goal", ["noise", "crossover"])
-@pytest.mark.parametrize("lead", [False, True])
-def test_gradients_are_those_of_differences(design: Design, goal: str, lead: bool) -> None:
+def test_gradients_are_those_of_differences(design: Design, goal: str) -> None:
     bare = replace(design.loop, gain=1.0, order=0.0, filter_time=0.0)
     bounds = Bounds(1.6, 12.0, 1.4)
-    problem = Problem(bare, design.natural_frequencies, RIG.period, 2, lead, goal, bounds)  # type: ignore[arg-type]
-    x = problem.start(replace(design.controller, lead=LEAD if lead else None))
+    problem = Problem(bare, design.natural_frequencies, RIG.period, 2, goal, bounds)  # type: ignore[arg-type]
+    x = problem.start(design.controller)
     _, gradient = problem.constraints(x)
     for i, unit in enumerate(np.eye(x.size)):
         up, down = (problem.constraints(x + 1e-6 * sign * unit)[0] for sign in (1, -1))
@@ -96,23 +50,23 @@ def test_the_bounds_are_kept_on_a_finer_grid_than_they_were_found_on(
     design: Design, quiet: Optimised
 ) -> None:
     found = quiet.design
-    assert quiet.pays and found.passed and found.controller.lead is not None
+    assert quiet.pays and found.passed
     w = np.geomspace(0.3, math.pi / RIG.period, 20_000)
     low, high = found.natural_frequencies
-    start = measure(design.loop, np.array([low, high]), RIG.period, highest=math.pi / RIG.period)
+    start = design.loop.achieved(np.array([low, high]), RIG.period)
     peak = max(float(np.max(1 / np.abs(1 + found.loop(w, pi)))) for pi in np.geomspace(low, high, 21))
     assert peak <= float(np.max(start.sensitivity_peak)) * (1 + 1e-5)
     assert max(c.frequency for c in found.at(0.040).gain_crossings) >= 12.0 - 1e-6
-    loud = float(np.max(noise_gain(found.loop, np.geomspace(low, high, 21), RIG.period)))
+    loud = float(np.max(found.loop.noise_gain(np.geomspace(low, high, 21), RIG.period)))
     assert loud == pytest.approx(quiet.steps[-1].value, rel=1e-6)
     assert quiet.gain == pytest.approx(1 - loud / float(np.max(start.noise_gain)), rel=1e-6)
-    assert quiet.gain > 0.7
+    assert quiet.gain > 0.65
 
 
 def test_another_optimiser_without_gradients_finds_no_better(design: Design, quiet: Optimised) -> None:
-    """Nelder and Mead on the same figures with penalties, from the closed form, for n = 2 without a lead."""
-    pi, nyquist = np.geomspace(*design.natural_frequencies, 5), math.pi / RIG.period
-    bound = float(np.max(measure(design.loop, pi, RIG.period, highest=nyquist).sensitivity_peak))
+    """Nelder and Mead on the same figures with penalties, from the closed form."""
+    pi = np.geomspace(*design.natural_frequencies, 5)
+    bound = float(np.max(design.loop.achieved(pi, RIG.period).sensitivity_peak))
 
     def cost(x: np.ndarray) -> float:
         if not 0.05 < x[1] < 1.9:
@@ -120,7 +74,7 @@ def test_another_optimiser_without_gradients_finds_no_better(design: Design, qui
         loop = replace(
             design.loop, gain=math.exp(x[0]), order=x[1], filter_time=math.exp(x[2]), filter_order=2
         )
-        got = measure(loop, pi, RIG.period, highest=nyquist)
+        got = loop.achieved(pi, RIG.period)
         if np.any(got.phase_margin <= 0) or not np.all(got.gain_crossover > 0):
             return 1e2
         over = max(0.0, math.log(np.max(got.sensitivity_peak) / bound))
@@ -136,7 +90,7 @@ def test_another_optimiser_without_gradients_finds_no_better(design: Design, qui
 
 
 def test_the_fastest_loop_keeps_its_noise(design: Design) -> None:
-    found = optimise(design, goal="crossover", lead=False)
+    found = optimise(design, goal="crossover")
     assert found.pays and found.design.passed
     noise = next(r for r in found.design.requirements if r.name == "noise gain")
     assert noise.achieved <= noise.wanted * (1 + 1e-9)
@@ -146,14 +100,14 @@ def test_the_fastest_loop_keeps_its_noise(design: Design) -> None:
 def test_a_long_filter_is_found_from_a_short_one() -> None:
     """The steps from the closed form alone go astray on the link that the bundled log gives."""
     link = replace(RIG.model, order=1.91974, natural_frequency=10.7828, stiffness=1.59576)
-    found = optimise(fl.design(link, RIG, **WANTED), lead=False)
+    found = optimise(fl.design(link, RIG, **WANTED))
     assert found.steps[2].structure.endswith("n = 2")
     assert found.steps[2].taken
     assert found.steps[2].value < 0.6 * found.steps[1].value
 
 
 def test_what_does_not_pay_leaves_the_closed_form(design: Design) -> None:
-    found = optimise(design, goal="crossover", lead=False, least=0.5)
+    found = optimise(design, goal="crossover", least=0.5)
     assert not found.pays and found.design is design and found.gain == 0.0
     assert "closed-form design is returned" in str(found)
 
@@ -161,18 +115,17 @@ def test_what_does_not_pay_leaves_the_closed_form(design: Design) -> None:
 def test_a_bound_on_the_mode_is_kept() -> None:
     rig = replace(RIG, link=replace(RIG.link, mass=0.0141))
     start = fl.design(rig.model, rig, **WANTED)
-    found = optimise(start, mode_gain=0.9, lead=False)
+    found = optimise(start, mode_gain=0.9)
     second = next(r for r in found.design.requirements if r.name == "loop gain at mode 2")
     assert found.design.passed and second.achieved <= 0.9 * (1 + 1e-9)
     assert math.isnan(found.steps[0].value) and math.isnan(found.gain)  # the closed form reaches the mode
 
 
-def test_the_law_the_certificate_and_the_file_carry_the_lead(quiet: Optimised, tmp_path: Path) -> None:
+def test_the_law_the_certificate_and_the_file_carry_the_design(quiet: Optimised, tmp_path: Path) -> None:
     design = quiet.design
     assert math.pi + sum(share.phase for share in phase_budget(design, 0.020)) == pytest.approx(
         design.at(0.020).phase_margin
     )
-    assert "lead" in {share.element for share in phase_budget(design, 0.020)}
     law = design.law()
     assert law.correction_error[0] < 0.1 and law.correction_error[1] < 0.5
     shipped = design.with_law()
@@ -182,14 +135,10 @@ def test_the_law_the_certificate_and_the_file_carry_the_lead(quiet: Optimised, t
     assert Design.load(tmp_path / "design.json") == design
 
 
-def test_a_design_of_format_one_reads_without_a_lead(design: Design, tmp_path: Path) -> None:
-    place = tmp_path / "design.json"
-    design.save(place)
-    data = json.loads(place.read_text("utf-8"))
-    data["format"] = 1
-    del data["controller"]["lead"]
-    place.write_text(json.dumps(data), "utf-8")
-    assert Design.load(place) == design
+def test_a_saved_design_with_a_lead_is_refused() -> None:
+    """Release 0.1 could add a fractional lead; without it the file would be another controller."""
+    with pytest.raises(FieldError, match="lead"):
+        Design.load(Path(__file__).parent / "golden" / "formats" / "design-lead.json")
 
 
 @pytest.mark.parametrize(
@@ -217,13 +166,7 @@ def test_the_papers_reading_is_refused() -> None:
 
 def test_bounds_that_nothing_keeps_are_infeasible(design: Design) -> None:
     with pytest.raises(InfeasibleError, match="no structure"):
-        optimise(design, max_sensitivity=1.02, lead=False)
-
-
-@pytest.mark.parametrize("values", [(0.0, 0.1, 0.5), (0.1, -1.0, 0.5), (0.1, 0.1, 1.1), (0.1, math.nan, 0.5)])
-def test_leads_out_of_range_are_refused(values: tuple[float, float, float]) -> None:
-    with pytest.raises(FieldError, match=r"lead\."):
-        Lead(*values)
+        optimise(design, max_sensitivity=1.02)
 
 
 def test_the_verb_writes_a_design_that_other_verbs_read(
@@ -231,9 +174,9 @@ def test_the_verb_writes_a_design_that_other_verbs_read(
 ) -> None:
     design.save(tmp_path / "design.json")
     out = tmp_path / "optimised.json"
-    line = ["optimise", str(tmp_path / "design.json"), "--no-lead", "--out", str(out)]
+    line = ["optimise", str(tmp_path / "design.json"), "--out", str(out)]
     assert main([*line, "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
-    assert told["pays"] and told["controller"]["lead"] is None
+    assert told["pays"]
     assert Design.load(out).controller.gain == told["controller"]["gain"]
     assert main(line) == 2  # what is there is kept without --force

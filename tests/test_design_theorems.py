@@ -9,12 +9,12 @@ import numpy as np
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from fraclink._design.loop import OpenLoop
+from fraclink._arm.loop import Loop
 
 
 @dataclass(frozen=True)
 class Case:
-    loop: OpenLoop
+    loop: Loop
     pi: float
     crossover: float
 
@@ -25,14 +25,14 @@ def cases(draw: st.DrawFn, *, right_of_39: bool) -> Case:
     order = draw(st.floats(1.05, 2.0))
     beta = order * draw(st.floats(0.05, 0.95))
     pi = draw(st.floats(1.5, 40.0))
-    bare = OpenLoop(1.0, beta, order)
+    bare = Loop(gain=1.0, order=beta, link_order=order)
     ratio = draw(st.floats(1.02, 8.0)) if right_of_39 else draw(st.floats(0.3, 1.0))
     crossover = bare.sufficient(pi) * ratio
     gain = math.exp(-float(bare.log(crossover, pi).real))
-    return Case(OpenLoop(gain, beta, order), pi, crossover)
+    return Case(Loop(gain=gain, order=beta, link_order=order), pi, crossover)
 
 
-def last_crossing(loop: OpenLoop, pi: float) -> tuple[float, float]:
+def last_crossing(loop: Loop, pi: float) -> tuple[float, float]:
     """(ω_c, φ_m) of the falling crossing."""
     found = loop.crossings(pi)
     last = int(np.argmax(found.frequency))

@@ -70,7 +70,7 @@ COMMANDS: dict[str, str] = {
     "certify-fails": "certify design.json --modulus-margin 0.9 --out no.json",
     "assess": "assess design.json --link-mass 0.00735",
     "assess-json": "assess design.json --link-mass 0.00735 --json",
-    "optimise": "optimise design.json --no-lead",
+    "optimise": "optimise design.json",
     "export-c": "export c design.json",
     "export-matlab": "export matlab design.json",
     "export-fmu": "export fmu design.json --source",

@@ -53,11 +53,9 @@ def rigs() -> Found:
 
 
 def _plan(plan: fl.Design) -> Found:
-    lead = plan.controller.lead
     return {
         **_named(plan.controller, "gain", "order", "filter_time", "filter_order", "period"),
         **_named(plan, "gain_crossover", "phase_margin", "chi", "payloads", "natural_frequencies", "passed"),
-        "lead": None if lead is None else [lead.zero_time, lead.pole_time, lead.order],
         "rig": plan.rig.name,
         "model": _named(plan.model, *LINK),
         "requirements": [[r.name, r.wanted, r.achieved, r.passed] for r in plan.requirements],
@@ -67,7 +65,7 @@ def _plan(plan: fl.Design) -> Found:
 
 def designs() -> Found:
     """Designs of both formats, links and laws."""
-    files = ("design-format-1.json", "design-lead.json", "study/design.json")
+    files = ("design-format-1.json", "study/design.json")
     found: Found = {name: _plan(fl.Design.load(FOLDER / name)) for name in files}
     for name in ("law-single.json", "law-no-motor.json", "study/law.json"):
         law = fl.Law.load(FOLDER / name)

@@ -389,14 +389,12 @@ def certificates() -> Plain:
 
 def controller_figures(controller: fl.Controller) -> Plain:
     """The numbers of a controller."""
-    lead = controller.lead
     return plain(
         {
             "gain": controller.gain,
             "order": controller.order,
             "filter_time": controller.filter_time,
             "filter_order": controller.filter_order,
-            "lead": None if lead is None else [lead.zero_time, lead.pole_time, lead.order],
         }
     )
 
@@ -490,7 +488,7 @@ def designs() -> Plain:
     for bound in (0.9, 0.05):
         made[f"mode gain {bound:g}"] = answer(massive, {"mode_gain": bound, "phase_margin": fl.deg(40)})
     for title, options in (("noise", {}), ("crossover", {"goal": "crossover"})):
-        best = optimise(design_of(RIG), lead=False, **options)
+        best = optimise(design_of(RIG), **options)
         steps = {step.structure: [step.value, step.taken] for step in best.steps}
         made[f"optimised {title}"] = plan_figures(best.design) | {"steps": plain(steps)}
     return made

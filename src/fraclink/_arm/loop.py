@@ -26,6 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fraclink._arm.link import LinkModel, SecondMode
 from fraclink._arm.motor_loop import MotorConstants, MotorLoop
+from fraclink._systems.brackets import bracketed_roots
 
 if TYPE_CHECKING:
     from fraclink._arm.controller import Controller
@@ -357,7 +358,7 @@ class Loop:
         w = self._grid(w0)
         level = self.level(w, w0[:, None])
         row, column = np.nonzero((level[:, :-1] > 0.0) != (level[:, 1:] > 0.0))
-        frequency = self._polish(w[row, column], w[row, column + 1], level[row, column], w0[row])
+        frequency = self._polish(w[row, column], w[row, column + 1], w0[row])
         value = self.log(frequency, w0[row])
         return Crossings(row, frequency, value.imag, self.slope(frequency, w0[row]).real)
 
@@ -423,22 +424,16 @@ class Loop:
         root = (-half + math.sqrt(half * half + rest * self.order)) / rest
         return np.asarray((root * w0**2) ** (1.0 / self.link_order))
 
-    def _polish(self, low: Real, high: Real, level: Real, w0: Real) -> Real:
-        """Newton in ln ω, kept inside its bracket by bisection; converges quadratically in 4 to 6 rounds."""
-        a, b, above = np.log(low), np.log(high), level > 0.0
-        x = 0.5 * (a + b)
-        for _ in range(50):
-            w = np.exp(x)
-            value = self.level(w, w0)
-            a, b = np.where((value > 0.0) == above, x, a), np.where((value > 0.0) == above, b, x)
-            step = -value / self.slope(w, w0).real
-            new = x + step
-            new = np.where((new >= a) & (new <= b), new, 0.5 * (a + b))
-            done = np.all(np.abs(new - x) <= 1e-15 * (1.0 + np.abs(x)))
-            x = new
-            if done:
-                break
-        return np.exp(x)
+    def _polish(self, low: Real, high: Real, w0: Real) -> Real:
+        """The crossing inside each bracket, by Newton's method in ln ω."""
+        return np.exp(
+            bracketed_roots(
+                lambda x: self.level(np.exp(x), w0),
+                np.log(low),
+                np.log(high),
+                slope=lambda x: self.slope(np.exp(x), w0).real,
+            )
+        )
 
     # ---- what the loop achieves -----------------------------------------------------------------------
 

@@ -10,17 +10,21 @@ import itertools
 import math
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from fraclink._certify.balls import Disc, Loop, Window, outside
 from fraclink._certify.numeric import loop_values
 from fraclink._certify.search import Box, halves, widest_side
 from fraclink._certify.statement import Statement
-from fraclink._design.solve import root
 from fraclink._law import Law
+from fraclink._systems.brackets import bracketed_roots
 from fraclink._validate import checked_between, checked_noun, checked_whole
 
 __all__ = ["Enclosure", "enclose_phase_margin"]
 
 
+Real = NDArray[np.float64]
 Windows = dict[tuple[float, float], Window]
 
 
@@ -107,8 +111,6 @@ def enclose_phase_margin(
 
 def _attained(statement: Statement, law: Law) -> tuple[float, float, float]:
     """(margin, payload, frequency) of the worst falling crossing at the corners of the box."""
-    import numpy as np
-
     best = (math.pi, statement.payload_low, 0.0)
     mode = (statement.softness * statement.payload_low) ** (-1.0 / statement.order)
     w = np.geomspace(0.3 * mode, min(6.0 * mode, math.pi / law.period), 4000)
@@ -116,12 +118,12 @@ def _attained(statement: Statement, law: Law) -> tuple[float, float, float]:
     delays = sorted({statement.delay_low, statement.delay_high})
     for payload, late in itertools.product(payloads, delays):
 
-        def level(at: float, payload: float = payload, late: float = late) -> float:
-            return float(np.log(np.abs(loop_values(statement, law, at, payload, late))))
+        def level(at: Real, payload: float = payload, late: float = late) -> Real:
+            return np.asarray(np.log(np.abs(loop_values(statement, law, at, payload, late))))
 
         loud = np.abs(loop_values(statement, law, w, payload, late)) > 1.0
         for i in np.flatnonzero(loud[:-1] != loud[1:]):
-            crossing = root(level, float(w[i]), float(w[i + 1]))
+            crossing = float(bracketed_roots(level, w[i], w[i + 1]))
             margin = float(np.abs(np.angle(-loop_values(statement, law, crossing, payload, late))))
             best = min(best, (margin, payload, crossing))
     return best

@@ -9,13 +9,13 @@ from scipy.optimize import brentq
 
 from fraclink._arm.controller import Controller
 from fraclink._arm.link import LinkModel
+from fraclink._arm.loop import with_payload
 from fraclink._arm.rig import Rig
 from fraclink._certify.balls import Loop, load_flint
 from fraclink._certify.numeric import windings, worst_distance
 from fraclink._certify.search import Failure, prove
 from fraclink._certify.statement import Certificate, Statement, state
 from fraclink._design import Design
-from fraclink._design.request import link_at
 from fraclink._law import Law, discretize_controller
 from fraclink._law.limits import JUMP
 from fraclink._validate import checked_between, checked_choice, checked_noun
@@ -146,7 +146,7 @@ def _statement(
     first, last = _ends("delay", (0.0, period) if delay is None else delay)
     first = checked_between("delay[0]", first, 0.0, 8.0 * period, "s")
     last = checked_between("delay[1]", last, first, period if kind == "sampled" else 8.0 * period, "s")
-    at_heavy = link_at(model, rig, heavy)
+    at_heavy = with_payload(model, rig).at_payload(heavy)
     claim = state(
         chosen,
         model,
@@ -218,7 +218,7 @@ def _unstable(
     link = subject.model if isinstance(subject, Design) else model
     text = ""
     if isinstance(controller, Controller) and link is not None:
-        from fraclink._design.poles import closed_loop_poles
+        from fraclink._design.assess import closed_loop_poles
 
         at = replace(link, natural_frequency=(claim.softness * payload) ** -0.5)
         pole = claim.pole or (controller.inner.pole if controller.inner else 80.0)

@@ -19,8 +19,7 @@ from fraclink._files import output_path, write_json
 
 if TYPE_CHECKING:
     from fraclink._design import Design, Requirement
-    from fraclink._design.assess import PhaseShare, Tolerances
-    from fraclink._design.rivals import Rival
+    from fraclink._design.assess import PhaseShare, Rival, Tolerances
 
 __all__ = ["register", "sentences", "spillover_of"]
 
@@ -36,7 +35,7 @@ def spillover_of(
 
     The mass is the rig's unless `link_mass` [kg] is given; the damping the model's unless a ratio is.
     """
-    from fraclink._design.higher_modes import mode_gains
+    from fraclink._design.assess import mode_gains
 
     if link_mass is not None:
         design = replace(design, rig=replace(design.rig, link=replace(design.rig.link, mass=link_mass)))
@@ -82,8 +81,7 @@ def assess(
 ) -> int:
     """Tell what a design is worth: phase budget, margins, tolerances, rivals at equal Ms, spillover."""
     from fraclink._design import Design
-    from fraclink._design.assess import margin_curve, phase_budget, tolerances
-    from fraclink._design.rivals import compare_at_equal_sensitivity
+    from fraclink._design.assess import compare_at_equal_sensitivity, margin_curve, phase_budget, tolerances
 
     if out is not None:
         for name in (*FIGURES, NUMBERS):

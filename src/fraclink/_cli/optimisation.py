@@ -40,16 +40,13 @@ def optimise(
         ),
     ] = None,
     mode_gain: ModeGain = None,
-    lead: Annotated[
-        bool, typer.Option("--lead/--no-lead", help="Whether a fractional lead is tried.")
-    ] = True,
     least_percent: Annotated[
         float, typer.Option("--least-percent", help="Improvement below which the simpler structure is kept.")
     ] = 2.0,
     json: Json = False,
     force: Force = False,
 ) -> int:
-    """Optimise k_d, β, δ, n and a lead for the worst payload, from a closed-form design."""
+    """Optimise k_d, β, δ and n for the worst payload, from a closed-form design."""
     from fraclink._cli.summary import plan_text, plan_values
     from fraclink._design import Design
     from fraclink._design import optimise as better
@@ -64,7 +61,6 @@ def optimise(
             gain_crossover=gain_crossover,
             noise_gain=noise_gain,
             mode_gain=mode_gain,
-            lead=lead,
             least=0.01 * least_percent,
         )
     design = found.design.with_law()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 from fraclink._cli.console import table
@@ -129,7 +128,6 @@ def plan_values(design: Design) -> dict[str, object]:
             "order": controller.order,
             "filter_time": controller.filter_time,
             "filter_order": controller.filter_order,
-            "lead": None if controller.lead is None else asdict(controller.lead),
         },
         "requirements": [
             {
@@ -157,7 +155,6 @@ def shown_quantity(value: float, unit: str) -> str:
 
 def plan_text(design: Design) -> str:
     """A design for people."""
-    from fraclink._show.report.sections import relation
 
     controller = design.controller
     filtered = (
@@ -168,7 +165,7 @@ def plan_text(design: Design) -> str:
     rows = [
         (
             item.name,
-            f"{relation(item)} {shown_quantity(item.wanted, item.unit)}",
+            f"{'≤' if item.bound == 'at most' else '≥'} {shown_quantity(item.wanted, item.unit)}",
             shown_quantity(item.achieved, item.unit),
             "" if item.at_payload is None else _grams(item.at_payload),
             "passed" if item.passed else "MISSED",
@@ -176,9 +173,6 @@ def plan_text(design: Design) -> str:
         for item in design.requirements
     ]
     head = f"controller: k_d = {controller.gain:.6g}, β = {controller.order:.6g}{filtered}"
-    if controller.lead is not None:
-        lead = controller.lead
-        head += f", lead a = {lead.zero_time:.5g} s, b = {lead.pole_time:.5g} s, ν = {lead.order:.5g}"
     return head + "\n" + table(("requirement", "wanted", "achieved", "at", "verdict"), rows)
 
 

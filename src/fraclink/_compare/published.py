@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
-import cmath
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from fraclink._arm.controller import Controller
+from fraclink._arm.loop import Loop
+from fraclink._arm.motor_loop import MotorLoop
 from fraclink._compare.optimal import integer_mode
+from fraclink._design.assess import matched_in
 
 if TYPE_CHECKING:
     from fraclink._compare.setting import Setting
@@ -51,24 +56,11 @@ def integer_twin(setting: Setting) -> Ruled:
     β' and k' give the loop with the mode ω²/(s² + ω²) the crossover and the phase margin that ours has at the
     nominal payload; filter, M(s), hold and delay are in both.
     """
-    ours, period = setting.controller, setting.rig.period
     crossover, margin = _nominal_crossing(setting)
     mode, _ = integer_mode(setting.model)
-    s = 1j * crossover
-    delay = (setting.rig.inner.delay_samples + 0.5) * period
-    known = mode**2 / (s**2 + mode**2) / (1 + s / setting.ours.inner_pole) ** 2 * cmath.exp(-s * delay)
-    known /= (1 + ours.filter_time * s) ** ours.filter_order
-    # Above its resonance the undamped mode is at −180° exactly.
-    order = (margin - math.pi - (cmath.phase(-known) - math.pi)) / (0.5 * math.pi)
-    controller = Controller(
-        gain=1.0 / (abs(known) * crossover**order),
-        order=order,
-        filter_time=ours.filter_time,
-        filter_order=ours.filter_order,
-        link=ours.link,
-        inner=ours.inner,
-        period=period,
-    )
+    beside = replace(_loop(setting), gain=1.0, order=0.0, link_order=2.0, damping=0.0)
+    matched = matched_in(beside, mode, crossover, margin)
+    controller = replace(setting.controller, gain=matched.gain, order=matched.order)
     rule = (
         "integer-order model with the nominal mode; crossover and phase margin of ours at the nominal payload"
     )
@@ -77,27 +69,14 @@ def integer_twin(setting: Setting) -> Ruled:
 
 def _nominal_crossing(setting: Setting) -> tuple[float, float]:
     """Crossover [rad/s] and phase margin [rad] of our continuous loop at the nominal payload."""
-    from fraclink._design.loop import OpenLoop
+    loop, w0 = _loop(setting), setting.model.natural_frequency
+    found = loop.crossings(w0)
+    last = int(np.argmax(found.frequency))
+    return float(found.frequency[last]), float(found.phase[last]) + math.pi
 
-    c, period = setting.controller, setting.rig.period
-    link = setting.model
-    loop = OpenLoop(
-        gain=c.gain,
-        order=c.order,
-        link_order=link.order,
-        damping=link.damping,
-        damping_order=link.damping_order,
-        filter_time=c.filter_time,
-        filter_order=c.filter_order,
-        lag=1.0 / setting.ours.inner_pole,
-        delay=(setting.rig.inner.delay_samples + 0.5) * period,
-    )
-    low, high = 1.02 * integer_mode(link)[0], 0.9 * math.pi / period
-    for _ in range(200):  # |L| falls from the peak on: the crossing is bracketed
-        middle = math.sqrt(low * high)
-        if float(loop.level(middle, link.natural_frequency)) > 0.0:
-            low = middle
-        else:
-            high = middle
-    phase = float(loop.log(low, link.natural_frequency).imag)
-    return low, phase + math.pi
+
+def _loop(setting: Setting) -> Loop:
+    """Our loop, with the ideal motor loop of the law."""
+    motor_loop = MotorLoop(setting.ours.inner_pole, setting.rig.inner.delay_samples)
+    beside = Loop.around(setting.model, motor_loop, setting.rig.motor, setting.rig.period)
+    return beside.with_controller(setting.controller)

@@ -6,7 +6,7 @@ from dataclasses import asdict, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fraclink._arm.controller import Controller, Lead
+from fraclink._arm.controller import Controller
 from fraclink._arm.motor_loop import MotorLoop
 from fraclink._files import read_json, write_json
 from fraclink.errors import FieldError, FileFormatError
@@ -14,7 +14,7 @@ from fraclink.findings import Finding
 
 if TYPE_CHECKING:
     from fraclink._arm.link import LinkModel
-    from fraclink._design.plan import Design
+    from fraclink._design.specification import Design, Requirement
 
 __all__ = ["controller_from", "load_plan", "save_plan"]
 
@@ -74,7 +74,7 @@ _FIELDS = {
 def load_plan(path: Path) -> Design:
     """Read a design that `save_plan` wrote; the controller and the model check their own values again."""
     from fraclink._arm.rig import Rig
-    from fraclink._design.plan import Design, Requirement
+    from fraclink._design.specification import Design
 
     data = read_json(path, KIND, (_WITHOUT_LEAD, FORMAT))
     missing = sorted(_FIELDS - data.keys())
@@ -86,8 +86,8 @@ def load_plan(path: Path) -> Design:
         return Design(
             model=link_from(data["model"]),
             rig=Rig.from_toml(_text(data["rig"])),
-            controller=controller_from(data["controller"], lead=data["format"] != _WITHOUT_LEAD),
-            requirements=tuple(Requirement(**known(Requirement, item)) for item in data["requirements"]),
+            controller=controller_from(data["controller"]),
+            requirements=tuple(_requirement(item) for item in data["requirements"]),
             margins_kind=data["margins_kind"],
             payloads=_pair(data["payloads"]),
             natural_frequencies=_pair(data["natural_frequencies"]),
@@ -144,11 +144,21 @@ def link_from(item: object) -> LinkModel:
     return LinkModel(**values)
 
 
-def controller_from(item: object, *, lead: bool = True) -> Controller:
-    """A controller from the dictionary that `save_plan` wrote; files of format 1 have no `lead`."""
-    values = known(Controller, item if lead or not isinstance(item, dict) else {**item, "lead": None})
-    if values["lead"] is not None:
-        values["lead"] = Lead(**known(Lead, values["lead"]))
+def _requirement(item: Any) -> Requirement:
+    """A requirement; files of 0.1 state its slack and verdict in place of its direction."""
+    from fraclink._design.specification import Requirement
+
+    if "bound" in item:
+        return Requirement(**known(Requirement, item))
+    upwards = (item["achieved"] - item["wanted"]) * item["slack"] >= 0.0
+    values = {key: item[key] for key in ("name", "wanted", "achieved", "unit", "at_payload")}
+    return Requirement(**values, bound="at least" if upwards else "at most")
+
+
+def controller_from(item: object) -> Controller:
+    """A controller from the dictionary that `save_plan` wrote; a lead of 0.1 is not run any more."""
+    values = {key: value for key, value in dict(item).items() if key != "lead" or value is not None}  # type: ignore[call-overload]
+    values = known(Controller, values)
     if values["link"] is not None:
         values["link"] = link_from(values["link"])
     if values["inner"] is not None:

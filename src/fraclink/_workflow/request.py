@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING
+from dataclasses import fields, replace
 
 from fraclink._arm.link import LinkModel
 from fraclink._arm.rig import Rig
+from fraclink._design import Design, Specification, design
 from fraclink._validate import checked_noun
 from fraclink.errors import FieldError, InfeasibleError
-
-if TYPE_CHECKING:
-    from fraclink._design import Design
 
 __all__ = ["Request", "design_for"]
 
@@ -26,40 +23,7 @@ _PHASE_MARGIN_DEG = 50.0
 _FALLBACK_DEG = (45.0, 40.0, 35.0, 30.0)
 
 
-@dataclass(frozen=True)
-class Request:
-    """A design request; None leaves a value to the rig file, and failing that to the default rule.
-
-    Arguments:
-        payloads: (lightest, heaviest) [kg].
-        gain_crossover: least gain crossover over the range [rad/s].
-        phase_margin: least phase margin over the range [rad].
-        margins: ``"loop"`` (filter, motor loop, hold and delay included) or ``"ideal"`` (the paper's).
-        filter_time: δ [s]; 0 for none.
-        filter_order: n, 1 or 2.
-        inner: the motor loop the design assumes, ``"ideal"`` or ``"sampled"``.
-        placement: of the sampled motor loop's poles, ``"tustin"`` or ``"direct"``.
-        max_sensitivity: bound on Ms; without a phase margin it takes its place.
-        noise_gain: bound on the motor reference's RMS for white gauge noise of RMS one.
-        settling_time: bound on 2π/ω_c [s]; without a gain crossover it takes its place.
-        mode_gain: bound on the loop gain at modes 2 and 3 of a link that states its mass.
-
-    >>> Request(payloads=(0.02, 0.04)).margins
-    'loop'
-    """
-
-    payloads: tuple[float, float] | None = None
-    gain_crossover: float | None = None
-    phase_margin: float | None = None
-    margins: str = "loop"
-    filter_time: float | None = None
-    filter_order: int | None = None
-    inner: str = "ideal"
-    placement: str = "tustin"
-    max_sensitivity: float | None = None
-    noise_gain: float | None = None
-    settling_time: float | None = None
-    mode_gain: float | None = None
+Request = Specification  # None leaves a value to the rig file, and failing that to the default rule
 
 
 def _completed(request: Request, rig: Rig) -> Request:
@@ -107,9 +71,6 @@ def design_for(rig: Rig, model: LinkModel | None, request: Request) -> tuple[Des
     >>> round(design.controller.gain, 4), assumed
     (0.0699, ())
     """
-    from fraclink._design import design
-    from fraclink._design.request import checked_pair
-
     checked_noun("rig", rig, Rig, remedy="Rig.named or Rig.load make one")
     checked_noun("request", request, Request, remedy="Request(gain_crossover=12.0)")
     link = checked_noun("model", model_of(rig, model), LinkModel, remedy="fit.model, or rig.model")
@@ -117,7 +78,7 @@ def design_for(rig: Rig, model: LinkModel | None, request: Request) -> tuple[Des
     assumed: tuple[str, ...] = ()
     if asked.gain_crossover is None and asked.settling_time is None:
         own = (rig.payloads.low, rig.payloads.high) if asked.payloads is None else asked.payloads
-        crossover, sentence = _usual_crossover(link, checked_pair("payloads", own, 1e4, "kg")[1])
+        crossover, sentence = _usual_crossover(link, own[1])
         asked, assumed = replace(asked, gain_crossover=crossover), (sentence,)
     options = {item.name: getattr(asked, item.name) for item in fields(asked)}
     if asked.phase_margin is not None or asked.max_sensitivity is not None:

@@ -32,7 +32,6 @@ __all__ = [
 ]
 
 Row = tuple[str, ...]
-_UPPER = ("sensitivity peak", "noise gain", "settling time", "loop gain")
 
 
 def source_name(log: Experiment | None) -> str:
@@ -135,10 +134,6 @@ def controller_rows(design: Design, law: Law | None) -> list[Row]:
         rows.append(("δ, n", "filter", f"{number(controller.filter_time)} s, {controller.filter_order}"))
     else:
         rows.append(("δ", "filter", "none"))
-    if controller.lead is not None:
-        lead = controller.lead
-        times = f"{number(lead.zero_time)} s, {number(lead.pole_time)} s, {number(lead.order)}"
-        rows.append(("a, b, ν", "lead", times))
     rows.append(
         ("ω̄_c", "crossover at the lightest payload", f"{number(design.gain_crossover_upper, 6)} rad/s")
     )
@@ -158,8 +153,7 @@ def relation(item: Requirement) -> str:
     >>> relation(Requirement.at_most("noise gain", 2.0, 2.0, "", 0.02))
     '≤'
     """
-    # Of a bound that is met exactly the numbers do not say which side it guards.
-    return "≤" if item.name.startswith(_UPPER) else "≥"
+    return "≤" if item.bound == "at most" else "≥"
 
 
 def requirement_rows(design: Design) -> list[tuple[str, str, str, str, str, bool]]:

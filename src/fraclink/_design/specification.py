@@ -1,0 +1,370 @@
+"""What a design is asked for, and what it is: `Specification`, `Requirement`, `Design`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink._arm.controller import Controller
+from fraclink._arm.link import LinkModel
+from fraclink._arm.loop import Loop, with_payload
+from fraclink._arm.motor_loop import MotorLoop
+from fraclink._arm.rig import Rig
+from fraclink._arm.sampled import SampledPlant, sampled_plant
+from fraclink._validate import (
+    Between,
+    Duration,
+    Frequency,
+    NaturalFrequency,
+    Ordered,
+    Payload,
+    PhaseMargin,
+    checked,
+    checked_between,
+    checked_choice,
+)
+from fraclink.findings import Finding
+
+if TYPE_CHECKING:
+    from fraclink._law import Law
+    from fraclink._law.block import Precision
+    from fraclink._systems.margins import Margins
+
+__all__ = ["Design", "Requirement", "Specification", "deg"]
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+_ROUNDING = 1e-9  # relative: the equations are solved to 1e-15, a requirement met with equality must pass
+_PAYLOADS = 9  # at which the shipped law is looked at
+LAW_MARGIN = "phase margin, shipped law"
+LAW_ALLOWANCE = math.radians(0.5)  # of the fit of C, which the law states as its own error
+
+
+def deg(angle: float) -> float:
+    """Return an angle given in degrees in radians, ``x π/180``.
+
+    >>> round(deg(50), 6)
+    0.872665
+    """
+    return math.radians(checked_between("angle", angle, -1e9, 1e9, "deg"))
+
+
+@checked
+@dataclass(frozen=True)
+class Specification:
+    """What a design is asked for; None leaves a value to its rule.
+
+    Parameters
+    ----------
+    payloads
+        (lightest, heaviest) [kg]; the rig's own where neither range is given.
+    natural_frequencies
+        (low, high) ω₀ [s^(-λ/2)] instead of payloads.
+    gain_crossover
+        least ω_c [rad/s] over the range; from `settling_time` when left out.
+    phase_margin
+        least φ_m [rad] over the range; from `max_sensitivity` when left out.
+    margins
+        "loop" (everything that is in the real loop) or "ideal" (the paper's reading, Ĉ·G alone).
+    filter_time
+        δ [s], 0 for no filter; chosen so that it costs 10 % of the margin when left out.
+    filter_order
+        n; 1 for β < 1 and 2 otherwise when left out.
+    inner
+        the motor loop that is assumed: "ideal" or "sampled".
+    placement
+        of the sampled motor loop's poles, "tustin" or "direct".
+    max_sensitivity
+        bound on Ms.
+    noise_gain
+        bound on the motor reference's RMS for white gauge noise of RMS one.
+    settling_time
+        bound on 2π/ω_c [s].
+    mode_gain
+        bound on the loop gain at the higher modes of the link.
+
+    Examples
+    --------
+    >>> Specification(gain_crossover=12, phase_margin=deg(50)).margins
+    'loop'
+    """
+
+    payloads: Annotated[tuple[Payload, Payload], Ordered()] | None = None
+    natural_frequencies: Annotated[tuple[NaturalFrequency, NaturalFrequency], Ordered()] | None = None
+    gain_crossover: Frequency | None = None
+    phase_margin: PhaseMargin | None = None
+    margins: Literal["loop", "ideal"] = "loop"
+    filter_time: Annotated[float, Between(0.0, 1e3, "s")] | None = None
+    filter_order: Annotated[int, Between(1, 2, remedy="use 1 for β < 1, else 2")] | None = None
+    inner: Literal["ideal", "sampled"] = "ideal"
+    placement: Literal["tustin", "direct"] = "tustin"
+    max_sensitivity: Annotated[float, Between(1.0, 100.0, low_open=True)] | None = None
+    noise_gain: Annotated[float, Between(0.0, 1e6, low_open=True)] | None = None
+    settling_time: Duration | None = None
+    mode_gain: Annotated[float, Between(0.0, 1e3, low_open=True)] | None = None
+
+    @property
+    def bounded(self) -> bool:
+        """Whether anything is bounded beside crossover and phase margin."""
+        bounds = (self.max_sensitivity, self.noise_gain, self.settling_time, self.mode_gain)
+        return any(bound is not None for bound in bounds)
+
+
+@dataclass(frozen=True)
+class Requirement:
+    """One requirement, the value achieved over the whole payload range, and where it is worst.
+
+    ``bound`` says whether `wanted` is the least or the most that is admitted; ``at_payload`` [kg] is the
+    payload of the worst value; ``unit`` the unit of wanted, achieved and slack.
+
+    Examples
+    --------
+    >>> Requirement.at_least("phase margin", 0.8, 0.9, "rad", 0.02).passed
+    True
+    >>> Requirement.at_most("Ms", 1.5, 1.6, "", 0.02).passed
+    False
+    """
+
+    name: str
+    wanted: float
+    achieved: float
+    unit: str
+    at_payload: float
+    bound: Literal["at least", "at most"]
+
+    @staticmethod
+    def at_least(name: str, wanted: float, achieved: float, unit: str, at_payload: float) -> Requirement:
+        """A lower bound: passed where achieved >= wanted."""
+        return Requirement(name, wanted, achieved, unit, at_payload, "at least")
+
+    @staticmethod
+    def at_most(name: str, wanted: float, achieved: float, unit: str, at_payload: float) -> Requirement:
+        """An upper bound: passed where achieved <= wanted."""
+        return Requirement(name, wanted, achieved, unit, at_payload, "at most")
+
+    @property
+    def slack(self) -> float:
+        """Distance from the wanted value, positive with room to spare."""
+        gap = self.achieved - self.wanted
+        return gap if self.bound == "at least" else -gap
+
+    @property
+    def passed(self) -> bool:
+        """Whether the bound is kept, to rounding."""
+        return self.slack >= -_ROUNDING * max(1.0, abs(self.wanted))
+
+    def __str__(self) -> str:
+        shown = [math.degrees(x) if self.unit == "rad" else x for x in (self.wanted, self.achieved)]
+        unit = "°" if self.unit == "rad" else f" {self.unit}".rstrip()
+        verdict = "passed" if self.passed else "FAILED"
+        return (
+            f"{self.name}: wanted {shown[0]:.5g}{unit}, achieved {shown[1]:.5g}{unit} "
+            f"at {1e3 * self.at_payload:g} g, {verdict}"
+        )
+
+
+@dataclass(frozen=True)
+class Design:
+    """Result of `design`.
+
+    Attributes
+    ----------
+    model, rig
+        what it was designed for.
+    controller
+        the controller (eq. (57)).
+    requirements
+        each requirement with the value achieved, the payload where it is worst, and the slack.
+    margins_kind
+        "loop" or "ideal": which loop the margins of ``at`` belong to.
+    payloads
+        (lightest, heaviest) [kg].
+    natural_frequencies
+        ω₀ at (heaviest, lightest) payload [s^(-λ/2)].
+    gain_crossover, phase_margin
+        as asked, [rad/s] and [rad].
+    chi
+        χ of eq. (54).
+    gain_crossover_upper
+        ω̄_c of eq. (55), the crossing at the lightest payload [rad/s].
+    findings
+        what a user should know (codes W4xx).
+
+    Examples
+    --------
+    >>> import fraclink as fl
+    >>> rig = fl.Rig.named("paper-2023")
+    >>> design = fl.design(rig.model, rig, gain_crossover=12.0, phase_margin=fl.deg(50), filter_time=0.0)
+    >>> design.passed, round(design.at(0.020).phase_margin / fl.deg(1), 3)
+    (True, 50.0)
+    >>> print(design)  # doctest: +ELLIPSIS
+    C(s) = 1 + 0.0698... s^0.612...; margins of the "loop" loop
+    ...
+    """
+
+    model: LinkModel
+    rig: Rig
+    controller: Controller
+    requirements: tuple[Requirement, ...]
+    margins_kind: str
+    payloads: tuple[float, float]
+    natural_frequencies: tuple[float, float]
+    gain_crossover: float
+    phase_margin: float
+    chi: float
+    gain_crossover_upper: float
+    findings: tuple[Finding, ...] = ()
+
+    def __str__(self) -> str:
+        lines = [f'{self.controller.formula}; margins of the "{self.margins_kind}" loop']
+        return "\n".join([*lines, *map(str, self.requirements), *map(str, self.findings)])
+
+    @property
+    def passed(self) -> bool:
+        """Whether every requirement is met over the whole payload range."""
+        return all(requirement.passed for requirement in self.requirements)
+
+    @property
+    def motor_loop(self) -> MotorLoop:
+        """The motor loop that the controller was designed for."""
+        return self.controller.inner or MotorLoop(self.rig.inner.pole, self.rig.inner.delay_samples)
+
+    @property
+    def loop(self) -> Loop:
+        """The open loop the design was asked for; call it with ω [rad/s] and ω₀."""
+        return self.full_loop if self.margins_kind == "loop" else self.ideal_loop
+
+    @property
+    def full_loop(self) -> Loop:
+        """The loop that runs, whichever the design was asked for."""
+        return Loop.of(self.controller, self.model, self.rig)
+
+    @property
+    def ideal_loop(self) -> Loop:
+        """Ĉ·G alone, without the filter: the paper's L."""
+        return Loop.ideal(self.model).with_controller(self.controller.without_filter())
+
+    def natural_frequency(self, payload: float) -> float:
+        """ω₀ of `payload` [kg] as the design used it (eq. (5)) [s^(-λ/2)]."""
+        return with_payload(self.model, self.rig).at_payload(payload).natural_frequency
+
+    def payload(self, natural_frequency: float) -> float:
+        """Return the payload [kg] that gives the link this ω₀: the inverse of ``natural_frequency``."""
+        return with_payload(self.model, self.rig).payload_at(_checked_frequency(natural_frequency))
+
+    def at(self, payload: float) -> Margins:
+        """Return every margin of the loop the design was asked for, at `payload` [kg] > 0."""
+        return self.at_frequency(self.natural_frequency(payload))
+
+    def at_frequency(self, natural_frequency: float) -> Margins:
+        """Return every margin of the loop the design was asked for, at a link with this ω₀ [s^(-λ/2)]."""
+        return self.loop.margins_at(_checked_frequency(natural_frequency))
+
+    def sampled_plant(self, natural_frequency: float) -> SampledPlant:
+        """Return what the law sees from its motor reference to the tip estimate, exactly sampled."""
+        link = replace(self.model, natural_frequency=_checked_frequency(natural_frequency))
+        return sampled_plant(link, self.motor_loop, self.rig.motor, self.rig.period)
+
+    def sampled_at(self, payload: float, *, realisation: Callable[[Real], Complex] | str = "law") -> Margins:
+        """Return every margin of the true sampled loop at `payload` [kg] > 0.
+
+        Parameters
+        ----------
+        payload
+            mass at the tip [kg].
+        realisation
+            "law" (the coefficients that are shipped), "exact" (Ĉ(jω) itself, which no computer runs), or Ĉ
+            on the unit circle as a function of ω [rad/s].
+        """
+        from fraclink._systems.margins import margins
+
+        if not callable(realisation):
+            checked_choice(
+                "realisation", realisation, ("law", "exact"), remedy="say 'law' for what is shipped"
+            )
+            shipped = realisation == "law"
+            outer = _law_of(self.controller, self.rig.period).frequency_response if shipped else None
+            realisation = outer or self.controller.response
+        response, plant = realisation, self.sampled_plant(self.natural_frequency(payload))
+        return margins(
+            lambda s: response(np.imag(s)) * plant(np.imag(s)),
+            limit=math.pi / self.rig.period,
+            unstable_poles=0,
+        )
+
+    def law(self, *, order: int | None = None, precision: Precision = "double") -> Law:
+        """Return the law that runs on the rig: Ĉ at the period, and the motor loop the design was made for.
+
+        `order` is the number of states of Ĉ; chosen to meet 0.1 dB and 0.5° when it is left out.
+        """
+        from fraclink._law import discretize_controller, equip
+
+        law = discretize_controller(self.controller, self.rig.period, order=order, precision=precision)
+        law = equip(law, self.rig, self.model)
+        if self.motor_loop.placement != "direct" or law.drive is None:
+            return law
+        placed = self.motor_loop.pid(self.rig.motor, self.rig.period)
+        return replace(law, drive=replace(law.drive, loop=placed))
+
+    def with_law(self) -> Design:
+        """Return the design with the worst sampled phase margin of its law as a further requirement.
+
+        It is the margin asked for less the law's own tolerance of 0.5°; finding W404 says where less than the
+        margin asked for is kept. A design for the paper's reading (`margins` "ideal") gets the finding alone:
+        the sampled loop was not what it was asked for.
+        """
+        kept, payload = min(map(self._kept_by_law, np.geomspace(*self.natural_frequencies, _PAYLOADS)))
+        requirements = tuple(r for r in self.requirements if r.name != LAW_MARGIN)
+        if self.margins_kind == "loop":
+            wanted = self.phase_margin - LAW_ALLOWANCE
+            requirements += (Requirement.at_least(LAW_MARGIN, wanted, kept, "rad", payload),)
+        findings = tuple(f for f in self.findings if f.code != "W404")
+        if kept < self.phase_margin:
+            finding = Finding(
+                "W404",
+                "info" if kept >= self.phase_margin - LAW_ALLOWANCE else "warning",
+                "the shipped law in the sampled loop keeps less phase margin than was asked for",
+                {"phase_margin_rad": kept, "wanted_rad": self.phase_margin, "payload_kg": payload},
+                "ask for as much more as is missing, with margins='loop'",
+            )
+            findings += (finding,)
+        return replace(self, requirements=requirements, findings=findings)
+
+    def _kept_by_law(self, natural_frequency: float) -> tuple[float, float]:
+        """(signed phase margin of the law [rad], payload [kg]); negative where unstable."""
+        payload = self.payload(float(natural_frequency))
+        found = self.sampled_at(payload)
+        margin = math.pi if found.phase_margin is None else abs(found.phase_margin)
+        return (margin if found.stable else -margin), payload
+
+    def save(self, path: Path | str) -> None:
+        """Write the design to one JSON file that ``Design.load`` reads back equal."""
+        from fraclink._design.files import save_plan
+
+        save_plan(self, Path(path))
+
+    @staticmethod
+    def load(path: Path | str) -> Design:
+        """Read a design back; FileFormatError or FieldError where the file is not one."""
+        from fraclink._design.files import load_plan
+
+        return load_plan(Path(path))
+
+
+def _checked_frequency(value: object) -> float:
+    return checked_between("natural_frequency", value, 0.0, 1e6, "s^(-λ/2)", open_low=True)
+
+
+@lru_cache(maxsize=8)
+def _law_of(controller: Controller, period: float) -> Law:
+    # The minimax fit costs a tenth of a second; a table of margins asks for the same law once a payload.
+    from fraclink._law import discretize_controller
+
+    return discretize_controller(controller, period)
