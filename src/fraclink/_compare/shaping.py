@@ -32,27 +32,14 @@ def shaper_impulses(frequency: float, ratio: float, *, derivative: bool) -> tupl
     return times, np.asarray(sizes / sizes.sum())
 
 
-class Shaped:
+class Shaped(Reference):
     """A reference convolved with impulses: exact, angle, velocity and acceleration."""
 
     def __init__(self, reference: Reference, times: tuple[float, ...], sizes: tuple[float, ...]) -> None:
         self._reference, self._impulses = reference, tuple(zip(times, sizes, strict=True))
+        self.duration = float(reference.duration + times[-1])
 
-    @property
-    def duration(self) -> float:
-        """Time at which the shaped reference comes to rest [s]."""
-        return float(self._reference.duration + self._impulses[-1][0])
-
-    def angle(self, time: ArrayLike) -> Real:
-        """Angle [rad]."""
-        return np.asarray(sum(a * self._reference.angle(np.asarray(time) - t) for t, a in self._impulses))
-
-    def velocity(self, time: ArrayLike) -> Real:
-        """Velocity [rad/s]."""
-        return np.asarray(sum(a * self._reference.velocity(np.asarray(time) - t) for t, a in self._impulses))
-
-    def acceleration(self, time: ArrayLike) -> Real:
-        """Acceleration [rad/s²]."""
-        return np.asarray(
-            sum(a * self._reference.acceleration(np.asarray(time) - t) for t, a in self._impulses)
-        )
+    def derivative(self, time: ArrayLike, order: int) -> Real:
+        """Return the derivative of `order` [rad/s^order] at `time` [s]."""
+        parts = (a * self._reference.derivative(np.asarray(time) - t, order) for t, a in self._impulses)
+        return np.asarray(sum(parts))
