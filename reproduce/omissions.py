@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fraclink._arm.controller import Controller
 from fraclink._arm.link import LinkModel
-from fraclink._arm.motor_loop import Method, place_pid
+from fraclink._arm.motor import Method, place_pid
 from fraclink._design import Design, design
 from fraclink._design.assess import PRINTED, closed_loop_poles
 from fraclink._systems.margins import margins

@@ -16,7 +16,8 @@ from fraclink._arm.motor_loop import MotorLoop
 from fraclink._campaign import Campaign, Distribution, Draws, draws_for, faults
 from fraclink._certify import Statement, enclose_phase_margin
 from fraclink._design import optimise
-from fraclink._design.assess import feasibility_map, margin_curve, phase_budget
+from fraclink._design.alternatives import feasibility_map
+from fraclink._design.assess import margin_curve, phase_budget
 from fraclink._law import Moves, discretize_controller, equip
 from fraclink._realtime import Callback, Library, SharedMemory, Udp, parse_connection, run_realtime
 from fraclink._simulate import geared

@@ -10,20 +10,14 @@ import pytest
 
 import fraclink as fl
 from fraclink._arm.controller import Controller
-from fraclink._arm.motor_loop import MotorLoop, direct_placement, held_motor, motor_loop_costs
+from fraclink._arm.motor import held_motor
+from fraclink._arm.motor_loop import MotorLoop, direct_placement, motor_loop_costs
 from fraclink._arm.rig import Rig
 from fraclink._arm.sampled import SampledPlant
 from fraclink._certify import certify, enclose_phase_margin
 from fraclink._design import Design
-from fraclink._design.assess import (
-    VibrationMode,
-    compare_at_equal_sensitivity,
-    feasibility_map,
-    margin_curve,
-    phase_budget,
-    spillover,
-    tolerances,
-)
+from fraclink._design.alternatives import compare_at_equal_sensitivity, feasibility_map
+from fraclink._design.assess import VibrationMode, margin_curve, phase_budget, spillover, tolerances
 from fraclink._law import equip
 from fraclink.errors import FieldError, InfeasibleError, SizeError
 

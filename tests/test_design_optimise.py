@@ -17,7 +17,7 @@ from fraclink._certify import certify
 from fraclink._cli import main
 from fraclink._design import Design, Optimised, optimise
 from fraclink._design.assess import phase_budget
-from fraclink._design.optimisation import Bounds, Problem
+from fraclink._design.problem import Bounds, Problem
 from fraclink.errors import FieldError, InfeasibleError
 
 RIG = Rig.named("paper-2023")

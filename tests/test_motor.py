@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import fraclink as fl
-from fraclink._arm.motor_loop import ContinuousPid, place_pid
+from fraclink._arm.motor import ContinuousPid, place_pid
 from fraclink.errors import FieldError
 
 A, B = 0.21 / 6.87e-5, 1.041e-3 / 6.87e-5

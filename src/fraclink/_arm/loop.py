@@ -1,12 +1,9 @@
 """The loop: controller, motor loop, hold, computation delay, and the link as the gauge shows it.
 
-The controller reads the tip from two sensors, ``θte = θm − g e^{−τ_g s} Γ/c``, and ``Γ/c = θm (1 − G)``. So
-
     L = k_d s^β/(1 + δs)^n · M(s) e^{−τs} · B(s),    B = 1 − g e^{−τ_g s} (1 − G(s) + H(s)),
 
-with G = (μ s^α + ω₀²)/(s^λ + μ s^α + ω₀²) the tip of the massless link, H its second mode where one is known,
-g and τ_g the gain and the delay of the gauge, M the motor loop, and τ half a period of hold and the
-computation delay. With g = 1, τ_g = 0 and no second mode B is G.
+M is the motor loop, τ half a period of hold and the computation delay, and B the link with the gauge's delay
+and gain and its second mode (`fraclink._arm.gauged_link`).
 
 `Loop` is its logarithm with the true, unwrapped phase. Every factor is continuous in ω, so neither a
 crossing nor an encirclement can be lost to a phase that jumps by 2π. It is evaluated over many frequencies
@@ -16,7 +13,7 @@ and many links (ω₀, and so payloads) at once. `fraclink._arm.sampled` has the
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING
@@ -24,8 +21,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fraclink._arm.link import LinkModel, SecondMode
-from fraclink._arm.motor_loop import MotorConstants, MotorLoop
+from fraclink._arm.gauged_link import GaugedLink
+from fraclink._arm.link import LinkModel
+from fraclink._arm.motor import MotorConstants
+from fraclink._arm.motor_loop import MotorLoop
 from fraclink._systems.brackets import bracketed_roots
 
 if TYPE_CHECKING:
@@ -33,13 +32,12 @@ if TYPE_CHECKING:
     from fraclink._arm.rig import Rig
     from fraclink._systems.margins import Margins
 
-__all__ = ["Achieved", "Crossings", "Loop", "noise_points", "with_payload", "worst_margins", "worst_over_box"]
+__all__ = ["Achieved", "Crossings", "Loop", "noise_points", "with_payload", "worst_margins"]
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 _PAYLOADS = 17  # links at a time; a minimum inside the range is closed in on from its neighbours
-_INTERIOR = 200  # random points of a box beside its corners
 
 
 def with_payload(model: LinkModel, rig: Rig) -> LinkModel:
@@ -88,17 +86,15 @@ class Achieved:
 
 
 @dataclass(frozen=True)
-class Loop:
+class Loop(GaugedLink):
     """``L(jω; ω₀) = k (jω)^β / (1 + jδω)^n · e^{-jωτ} / (1 + jωε)² · B(jω; ω₀)``.
 
     Parameters
     ----------
     gain, order, filter_time, filter_order
         k_d, β, δ [s] and n of the controller; with gain 1 and order 0 the loop is all that stands beside Ĉ.
-    link_order, damping, damping_order
-        λ, μ and α of the link.
-    gauge_delay, gauge_gain, second_mode
-        τ_g [s], g, and the second mode, as in `LinkModel`.
+    link_order, damping, damping_order, gauge_delay, gauge_gain, second_mode
+        the link and its gauge, as in `GaugedLink`.
     lag
         ε = 1/p of the motor loop M(s) [s], zero for an ideal motor.
     delay
@@ -111,16 +107,10 @@ class Loop:
 
     gain: float = 1.0
     order: float = 0.0
-    link_order: float = 2.0
-    damping: float = 0.0
-    damping_order: float = 1.0
     filter_time: float = 0.0
     filter_order: int = 1
     lag: float = 0.0
     delay: float = 0.0
-    gauge_delay: float = 0.0
-    gauge_gain: float = 1.0
-    second_mode: SecondMode | None = None
     correction: Callable[[Real], Complex] | None = None
     highest: float = math.inf
 
@@ -163,13 +153,6 @@ class Loop:
             filter_order=controller.filter_order,
         )
 
-    @property
-    def exact_gauge(self) -> bool:
-        """Whether B is G: no gauge delay, unit gauge gain, no second mode."""
-        return self.gauge_delay == 0.0 and self.gauge_gain == 1.0 and self.second_mode is None
-
-    # ---- response -------------------------------------------------------------------------------------
-
     def outer_log(self, frequency: ArrayLike) -> Complex:
         """Return ln Ĉ(jω)."""
         w = np.asarray(frequency, dtype=float)
@@ -187,16 +170,6 @@ class Loop:
         if self.correction is not None:
             value = value + self.correction(w)
         return np.asarray(value, dtype=np.complex128)
-
-    def link_log(self, frequency: ArrayLike, natural_frequency: ArrayLike) -> Complex:
-        """Return ln B(jω): the link as encoder and gauge show it together."""
-        ln_w = np.log(np.asarray(frequency, dtype=float))
-        inertia, drag, spring = self._link_terms(ln_w, natural_frequency)
-        if not self.exact_gauge:
-            return self._gauge_log(np.exp(ln_w), natural_frequency)
-        if not self.damping:
-            return np.asarray(-np.log1p(inertia / spring), dtype=np.complex128)
-        return np.asarray(np.log(drag + spring) - np.log(inertia + drag + spring), dtype=np.complex128)
 
     def log(self, frequency: ArrayLike, natural_frequency: ArrayLike) -> Complex:
         """Return ln L(jω) with the unwrapped phase as its imaginary part; the arguments broadcast."""
@@ -223,28 +196,6 @@ class Loop:
             value = value + self.correction(w).real
         return np.asarray(value)
 
-    def _link_level(self, w: Real, ln_w: Real, natural_frequency: ArrayLike) -> Real:
-        """ln|B|; without the cost of complex powers where B is G."""
-        if not self.exact_gauge:
-            with np.errstate(divide="ignore"):  # B may have a zero on the axis
-                return np.asarray(np.log(np.abs(self._gauge(w, natural_frequency)[0])))
-        spring = np.square(np.asarray(natural_frequency, dtype=float))
-        inertia, turn = np.exp(self.link_order * ln_w), 0.5 * math.pi * self.link_order
-        real, imaginary = spring + inertia * math.cos(turn), inertia * math.sin(turn)
-        value = np.log(spring)
-        if self.damping:
-            drag = self.damping * np.exp(self.damping_order * ln_w)
-            along, across = (f(0.5 * math.pi * self.damping_order) for f in (math.cos, math.sin))
-            value = 0.5 * np.log((spring + drag * along) ** 2 + (drag * across) ** 2)
-            real, imaginary = real + drag * along, imaginary + drag * across
-        return np.asarray(value - 0.5 * np.log(real * real + imaginary * imaginary))
-
-    def _link_terms(self, ln_w: Real, natural_frequency: ArrayLike) -> tuple[Complex, Complex, Complex]:
-        """(jω)^λ, μ (jω)^α and ω₀²: upper half plane all of them, so principal logarithms stay continuous."""
-        inertia = np.exp(self.link_order * ln_w) * np.exp(0.5j * np.pi * self.link_order)
-        drag = self.damping * np.exp(self.damping_order * ln_w) * np.exp(0.5j * np.pi * self.damping_order)
-        return inertia, drag, np.square(np.asarray(natural_frequency, dtype=np.complex128))
-
     def slope(self, frequency: ArrayLike, natural_frequency: ArrayLike) -> Complex:
         """Return d ln L / d ln ω: real part the slope of the gain, imaginary part that of the phase."""
         w = np.asarray(frequency, dtype=float)
@@ -259,98 +210,7 @@ class Loop:
             value = value + (up - down) / (2.0 * step)
         return np.asarray(value, dtype=np.complex128)
 
-    def _link_slope(self, w: Real, natural_frequency: ArrayLike) -> Complex:
-        inertia, drag, spring = self._link_terms(np.log(w), natural_frequency)
-        whole = inertia + drag + spring
-        moved = (self.link_order * inertia + self.damping_order * drag) / whole
-        if self.exact_gauge:
-            return np.asarray((self.damping_order * drag / (drag + spring) if self.damping else 0.0) - moved)
-        s = 1j * w
-        torque, change = inertia / whole, (self.link_order - moved) * inertia / whole
-        if self.second_mode is not None:
-            mode = self.second_mode
-            resonant = s**2 + 2.0 * mode.damping_ratio * mode.frequency * s + mode.frequency**2
-            rest = 2.0 * mode.damping_ratio * mode.frequency * s + 2.0 * mode.frequency**2
-            torque, change = torque + mode.response(s), change + mode.response(s) * rest / resonant
-        read = self.gauge_gain * np.exp(-self.gauge_delay * s)
-        return np.asarray(-read * (change - self.gauge_delay * s * torque) / (1.0 - read * torque))
-
-    # ---- the gauge ------------------------------------------------------------------------------------
-
-    def _gauge(self, w: Real, natural_frequency: ArrayLike) -> tuple[Complex, Real, Real]:
-        """(B, |X|, unwrapped arg X), X = g e^{-jωτ_g} Γ/(c θm) and B = 1 − X.
-
-        Γ/(c θm) lies in the upper half plane, as every mode of a link does at its root, so its own principal
-        phase is continuous and the delay adds a straight line.
-        """
-        s = 1j * w
-        inertia, drag, spring = self._link_terms(np.log(w), natural_frequency)
-        whole = inertia + drag + spring
-        # 1 − g e^{-τs} by expm1: at low frequencies B must not lose digits to a delay of microseconds.
-        turned = np.expm1(-self.gauge_delay * s)
-        bracket = (drag + spring + inertia * ((1.0 - self.gauge_gain) - self.gauge_gain * turned)) / whole
-        torque = inertia / whole
-        if self.second_mode is not None:
-            mode = self.second_mode.response(s)
-            torque = torque + mode
-            bracket = bracket - self.gauge_gain * (1.0 + turned) * mode
-        angle = np.angle(torque) - self.gauge_delay * w + (math.pi if self.gauge_gain < 0.0 else 0.0)
-        return np.asarray(bracket), np.asarray(np.abs(self.gauge_gain * torque)), np.asarray(angle)
-
-    def _gauge_log(self, w: Real, natural_frequency: ArrayLike) -> Complex:
-        """ln B with its unwrapped phase.
-
-        Where |X| <= 1, B = 1 − X lies in the right half plane. Where |X| > 1 it goes round the origin with X:
-        arg B = arg X − π + arg(1 − 1/X), and the last term stays within ±π/2 again. The whole turns of arg X
-        at the entry to and the exit from such an interval join the pieces.
-        """
-        w, frequency = np.broadcast_arrays(w, np.asarray(natural_frequency, dtype=float))
-        bracket, _, angle = self._gauge(w, frequency)
-        phase, outside = np.angle(bracket), np.zeros(w.shape, dtype=bool)
-        turns = np.zeros(w.shape)
-        for value in np.unique(frequency):
-            row = frequency == value
-            for place, entry in self._unit_gains(float(value)):
-                whole = math.floor(float(self._gauge(np.asarray(place), value)[2]) / (2.0 * math.pi))
-                past = row & (w > place)
-                outside[past] = entry
-                turns[past] += -whole if entry else whole
-        with np.errstate(divide="ignore"):
-            size = np.log(np.abs(bracket))
-            x = 1.0 - bracket
-            round_origin = angle - math.pi + np.angle(-bracket * np.conj(x))
-        value = size + 1j * (np.where(outside, round_origin, phase) + 2.0 * math.pi * turns)
-        return np.asarray(value, dtype=np.complex128)
-
-    def _unit_gains(self, natural_frequency: float) -> Iterator[tuple[float, bool]]:
-        """(ω, whether |X| rises) of every crossing |X| = 1, ascending.
-
-        The delay turns X and does not change its size, so a scan about the modes finds all. Their place is
-        needed to the accuracy of a phase only.
-        """
-        near = np.geomspace(1e-6, 0.3, 24)
-        shape = np.concatenate([np.geomspace(1e-3, 1e4, 200), 1.0 + near, 1.0 / (1.0 + near)])
-        grid = float(self.peak(natural_frequency)) * shape
-        if self.second_mode is not None:
-            width = self.second_mode.damping_ratio * np.linspace(-8.0, 8.0, 97)
-            grid = np.concatenate([grid, self.second_mode.frequency * np.exp(width)])
-        grid = np.unique(grid)
-        level = np.log(self._gauge(grid, natural_frequency)[1])
-        for i in np.flatnonzero((level[:-1] > 0.0) != (level[1:] > 0.0)):
-            share = level[i] / (level[i] - level[i + 1])
-            yield float(grid[i] * (grid[i + 1] / grid[i]) ** share), bool(level[i + 1] > 0.0)
-
     # ---- crossings ------------------------------------------------------------------------------------
-
-    def peak(self, natural_frequency: ArrayLike) -> Real:
-        """Return the resonance of the undamped structure, ``(-ω₀² cos(πλ/2))^(1/λ)`` (eq. (14)) [rad/s]."""
-        squared = np.square(np.asarray(natural_frequency, dtype=float))
-        return np.asarray((-squared * math.cos(0.5 * math.pi * self.link_order)) ** (1.0 / self.link_order))
-
-    def sufficient(self, natural_frequency: float) -> float:
-        """Return the bound of condition (39), ``(-ω₀²/cos(πλ/2))^(1/λ)`` [rad/s]: sufficient only."""
-        cosine = -math.cos(0.5 * math.pi * self.link_order)
-        return float((natural_frequency**2 / cosine) ** (1.0 / self.link_order))
 
     def crossings(self, natural_frequency: ArrayLike) -> Crossings:
         """Return every crossing of |L| = 1 below `highest` for each ω₀ of the array."""
@@ -538,62 +398,3 @@ def worst_margins(loop: Loop, low: float, high: float) -> tuple[tuple[float, flo
         place = int(np.argmin(margin))
         value, at = float(margin[place]), float(w0[place])
     return (float(crossover[first]), float(start[first])), (value, at)
-
-
-# The parameters that a box may vary, and how each changes a loop; ω₀ is scaled by the caller.
-_VARIED: dict[str, Callable[[Loop, float], Loop]] = {
-    "order": lambda loop, x: replace(loop, link_order=x),
-    "damping": lambda loop, x: replace(loop, damping=x),
-    "damping_order": lambda loop, x: replace(loop, damping_order=x),
-    "gauge_delay": lambda loop, x: replace(loop, gauge_delay=x),
-    "gauge_gain": lambda loop, x: replace(loop, gauge_gain=x),
-    "pole": lambda loop, x: replace(loop, lag=1.0 / x),
-    "delay": lambda loop, x: replace(loop, delay=x),
-    "natural_frequency_ratio": lambda loop, x: loop,
-}
-
-
-def worst_over_box(
-    loop: Loop,
-    low: float,
-    high: float,
-    box: Mapping[str, tuple[float, float]],
-    *,
-    seed: int = 0,
-) -> tuple[float, dict[str, float]]:
-    """Return the smallest signed |1 + L| over a box of parameters, and the point that has it.
-
-    Every corner of the box and 200 random points inside, with ω₀ from `low` to `high`; unstable points count
-    as negative. A search and no proof: `certify` encloses the same box.
-
-    Parameters
-    ----------
-    loop
-        the nominal loop.
-    low, high
-        range of ω₀ [s^(-λ/2)].
-    box
-        (low, high) of "order", "damping", "damping_order", "gauge_delay" [s], "gauge_gain", "pole" [rad/s],
-        "delay" [s] (the whole τ) or "natural_frequency_ratio" (true over nominal ω₀).
-
-    Raises
-    ------
-    KeyError
-        a parameter of another name.
-    """
-    names = tuple(box)
-    ends = np.array([box[name] for name in names], dtype=float).reshape(len(names), 2)
-    corners = np.array(np.meshgrid(*ends, indexing="ij")).reshape(len(names), -1).T
-    inside = ends[:, 0] + np.random.default_rng(seed).random((_INTERIOR, len(names))) * np.diff(ends).T
-    worst, place = math.inf, dict.fromkeys(names, math.nan)
-    w0 = np.geomspace(low, high, 5)
-    for point in np.concatenate([corners, inside]) if names else corners:
-        varied, values = loop, dict(zip(names, map(float, point), strict=True))
-        for name, value in values.items():
-            varied = _VARIED[name](varied, value)
-        links = w0 * values.get("natural_frequency_ratio", 1.0)
-        distance = 1.0 / varied.sensitivity_peak(links)
-        signed = float(np.min(np.where(varied.margins(links)[1] > 0.0, distance, -distance)))
-        if signed < worst:
-            worst, place = signed, values
-    return worst, place

@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fraclink._arm.link import LinkModel
-from fraclink._arm.motor_loop import MotorConstants, MotorLoop
+from fraclink._arm.motor import MotorConstants
+from fraclink._arm.motor_loop import MotorLoop
 
 __all__ = ["SampledPlant", "sampled_plant", "tail_sum"]
 

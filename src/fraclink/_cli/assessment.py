@@ -19,7 +19,8 @@ from fraclink._files import output_path, write_json
 
 if TYPE_CHECKING:
     from fraclink._design import Design, Requirement
-    from fraclink._design.assess import PhaseShare, Rival, Tolerances
+    from fraclink._design.alternatives import Rival
+    from fraclink._design.assess import PhaseShare, Tolerances
 
 __all__ = ["register", "sentences", "spillover_of"]
 
@@ -81,7 +82,8 @@ def assess(
 ) -> int:
     """Tell what a design is worth: phase budget, margins, tolerances, rivals at equal Ms, spillover."""
     from fraclink._design import Design
-    from fraclink._design.assess import compare_at_equal_sensitivity, margin_curve, phase_budget, tolerances
+    from fraclink._design.alternatives import compare_at_equal_sensitivity
+    from fraclink._design.assess import margin_curve, phase_budget, tolerances
 
     if out is not None:
         for name in (*FIGURES, NUMBERS):

@@ -17,7 +17,7 @@ from fraclink._files import output_path, write_json
 from fraclink.errors import FieldError
 
 if TYPE_CHECKING:
-    from fraclink._design.assess import FeasibilityMap
+    from fraclink._design.alternatives import FeasibilityMap
 
 __all__ = ["register"]
 
@@ -71,7 +71,7 @@ def design_map(
     force: Force = False,
 ) -> int:
     """Map which crossovers and margins are feasible, with noise and settling contours."""
-    from fraclink._design.assess import feasibility_map
+    from fraclink._design.alternatives import feasibility_map
     from fraclink._workflow.request import model_of
 
     if out.suffix.lower() not in _KINDS:

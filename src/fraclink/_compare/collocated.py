@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fraclink._arm.beam import Beam
-from fraclink._arm.motor_loop import DiscretePid
+from fraclink._arm.motor import DiscretePid
 from fraclink._compare.linear import Filter, NominalLoop, fine_step, sampled, tune, tustin
 from fraclink._law import Drive, Law
 from fraclink._simulate.arm import damping_of

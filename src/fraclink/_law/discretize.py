@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._arm.link import LinkModel
-from fraclink._arm.motor_loop import DiscretePid, place_pid
+from fraclink._arm.motor import DiscretePid, place_pid
 from fraclink._arm.rig import Rig
 from fraclink._law.block import FORWARD_MODES, PAIR_MODES, REAL_MODES, Precision, real_type
 from fraclink._law.correction import fit_correction

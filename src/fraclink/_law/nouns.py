@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
-    from fraclink._arm.motor_loop import DiscretePid
+    from fraclink._arm.motor import DiscretePid
 
 __all__ = ["MODES", "REASONS", "Drive", "LawInputs", "LawOutputs", "Modes"]
 

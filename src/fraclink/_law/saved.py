@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from typing import Any
 
-from fraclink._arm.motor_loop import DiscretePid
+from fraclink._arm.motor import DiscretePid
 from fraclink._law.limits import Limits
 from fraclink._law.nouns import Drive, Modes
 from fraclink.errors import FileFormatError

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fraclink import _kernels
 from fraclink._arm.link import LinkModel
-from fraclink._arm.motor_loop import place_pid
+from fraclink._arm.motor import place_pid
 from fraclink._arm.reference import Reference, sampled
 from fraclink._arm.rig import Rig
 from fraclink._design import Design

@@ -1,0 +1,177 @@
+"""The link as encoder and gauge show it together: B, its logarithm, its level and its slope over frequency.
+
+The controller reads the tip from two sensors, ``θte = θm − g e^{−τ_g s} Γ/c``, and ``Γ/c = θm (1 − G)``. So
+
+    θte/θm = B(s) = 1 − g e^{−τ_g s} (1 − G(s) + H(s)),
+
+with G = (μ s^α + ω₀²)/(s^λ + μ s^α + ω₀²) the tip of the massless link, H its second mode where one is known,
+g and τ_g the gain and the delay of the gauge. With g = 1, τ_g = 0 and no second mode B is G.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fraclink._arm.link import SecondMode
+
+__all__ = ["GaugedLink"]
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class GaugedLink:
+    """``B(jω; ω₀)``, vectorised over frequency and over links that differ in ω₀.
+
+    Parameters
+    ----------
+    link_order, damping, damping_order
+        λ, μ and α of the link.
+    gauge_delay, gauge_gain, second_mode
+        τ_g [s], g, and the second mode, as in `LinkModel`.
+
+    Examples
+    --------
+    >>> link = GaugedLink(link_order=1.92, gauge_delay=0.02)
+    >>> round(float(np.exp(link.link_log(30.0, 11.0).real)), 4)
+    0.6574
+    """
+
+    link_order: float = 2.0
+    damping: float = 0.0
+    damping_order: float = 1.0
+    gauge_delay: float = 0.0
+    gauge_gain: float = 1.0
+    second_mode: SecondMode | None = None
+
+    @property
+    def exact_gauge(self) -> bool:
+        """Whether B is G: no gauge delay, unit gauge gain, no second mode."""
+        return self.gauge_delay == 0.0 and self.gauge_gain == 1.0 and self.second_mode is None
+
+    def link_log(self, frequency: ArrayLike, natural_frequency: ArrayLike) -> Complex:
+        """Return ln B(jω): the link as encoder and gauge show it together."""
+        ln_w = np.log(np.asarray(frequency, dtype=float))
+        inertia, drag, spring = self._link_terms(ln_w, natural_frequency)
+        if not self.exact_gauge:
+            return self._gauge_log(np.exp(ln_w), natural_frequency)
+        if not self.damping:
+            return np.asarray(-np.log1p(inertia / spring), dtype=np.complex128)
+        return np.asarray(np.log(drag + spring) - np.log(inertia + drag + spring), dtype=np.complex128)
+
+    def _link_level(self, w: Real, ln_w: Real, natural_frequency: ArrayLike) -> Real:
+        """ln|B|; without the cost of complex powers where B is G."""
+        if not self.exact_gauge:
+            with np.errstate(divide="ignore"):  # B may have a zero on the axis
+                return np.asarray(np.log(np.abs(self._gauge(w, natural_frequency)[0])))
+        spring = np.square(np.asarray(natural_frequency, dtype=float))
+        inertia, turn = np.exp(self.link_order * ln_w), 0.5 * math.pi * self.link_order
+        real, imaginary = spring + inertia * math.cos(turn), inertia * math.sin(turn)
+        value = np.log(spring)
+        if self.damping:
+            drag = self.damping * np.exp(self.damping_order * ln_w)
+            along, across = (f(0.5 * math.pi * self.damping_order) for f in (math.cos, math.sin))
+            value = 0.5 * np.log((spring + drag * along) ** 2 + (drag * across) ** 2)
+            real, imaginary = real + drag * along, imaginary + drag * across
+        return np.asarray(value - 0.5 * np.log(real * real + imaginary * imaginary))
+
+    def _link_terms(self, ln_w: Real, natural_frequency: ArrayLike) -> tuple[Complex, Complex, Complex]:
+        """(jω)^λ, μ (jω)^α and ω₀²: upper half plane all of them, so principal logarithms stay continuous."""
+        inertia = np.exp(self.link_order * ln_w) * np.exp(0.5j * np.pi * self.link_order)
+        drag = self.damping * np.exp(self.damping_order * ln_w) * np.exp(0.5j * np.pi * self.damping_order)
+        return inertia, drag, np.square(np.asarray(natural_frequency, dtype=np.complex128))
+
+    def _link_slope(self, w: Real, natural_frequency: ArrayLike) -> Complex:
+        inertia, drag, spring = self._link_terms(np.log(w), natural_frequency)
+        whole = inertia + drag + spring
+        moved = (self.link_order * inertia + self.damping_order * drag) / whole
+        if self.exact_gauge:
+            return np.asarray((self.damping_order * drag / (drag + spring) if self.damping else 0.0) - moved)
+        s = 1j * w
+        torque, change = inertia / whole, (self.link_order - moved) * inertia / whole
+        if self.second_mode is not None:
+            mode = self.second_mode
+            resonant = s**2 + 2.0 * mode.damping_ratio * mode.frequency * s + mode.frequency**2
+            rest = 2.0 * mode.damping_ratio * mode.frequency * s + 2.0 * mode.frequency**2
+            torque, change = torque + mode.response(s), change + mode.response(s) * rest / resonant
+        read = self.gauge_gain * np.exp(-self.gauge_delay * s)
+        return np.asarray(-read * (change - self.gauge_delay * s * torque) / (1.0 - read * torque))
+
+    def _gauge(self, w: Real, natural_frequency: ArrayLike) -> tuple[Complex, Real, Real]:
+        """(B, |X|, unwrapped arg X), X = g e^{-jωτ_g} Γ/(c θm) and B = 1 − X.
+
+        Γ/(c θm) lies in the upper half plane, as every mode of a link does at its root, so its own principal
+        phase is continuous and the delay adds a straight line.
+        """
+        s = 1j * w
+        inertia, drag, spring = self._link_terms(np.log(w), natural_frequency)
+        whole = inertia + drag + spring
+        # 1 − g e^{-τs} by expm1: at low frequencies B must not lose digits to a delay of microseconds.
+        turned = np.expm1(-self.gauge_delay * s)
+        bracket = (drag + spring + inertia * ((1.0 - self.gauge_gain) - self.gauge_gain * turned)) / whole
+        torque = inertia / whole
+        if self.second_mode is not None:
+            mode = self.second_mode.response(s)
+            torque = torque + mode
+            bracket = bracket - self.gauge_gain * (1.0 + turned) * mode
+        angle = np.angle(torque) - self.gauge_delay * w + (math.pi if self.gauge_gain < 0.0 else 0.0)
+        return np.asarray(bracket), np.asarray(np.abs(self.gauge_gain * torque)), np.asarray(angle)
+
+    def _gauge_log(self, w: Real, natural_frequency: ArrayLike) -> Complex:
+        """ln B with its unwrapped phase.
+
+        Where |X| <= 1, B = 1 − X lies in the right half plane. Where |X| > 1 it goes round the origin with X:
+        arg B = arg X − π + arg(1 − 1/X), and the last term stays within ±π/2 again. The whole turns of arg X
+        at the entry to and the exit from such an interval join the pieces.
+        """
+        w, frequency = np.broadcast_arrays(w, np.asarray(natural_frequency, dtype=float))
+        bracket, _, angle = self._gauge(w, frequency)
+        phase, outside = np.angle(bracket), np.zeros(w.shape, dtype=bool)
+        turns = np.zeros(w.shape)
+        for value in np.unique(frequency):
+            row = frequency == value
+            for place, entry in self._unit_gains(float(value)):
+                whole = math.floor(float(self._gauge(np.asarray(place), value)[2]) / (2.0 * math.pi))
+                past = row & (w > place)
+                outside[past] = entry
+                turns[past] += -whole if entry else whole
+        with np.errstate(divide="ignore"):
+            size = np.log(np.abs(bracket))
+            x = 1.0 - bracket
+            round_origin = angle - math.pi + np.angle(-bracket * np.conj(x))
+        value = size + 1j * (np.where(outside, round_origin, phase) + 2.0 * math.pi * turns)
+        return np.asarray(value, dtype=np.complex128)
+
+    def _unit_gains(self, natural_frequency: float) -> Iterator[tuple[float, bool]]:
+        """(ω, whether |X| rises) of every crossing |X| = 1, ascending.
+
+        The delay turns X and does not change its size, so a scan about the modes finds all. Their place is
+        needed to the accuracy of a phase only.
+        """
+        near = np.geomspace(1e-6, 0.3, 24)
+        shape = np.concatenate([np.geomspace(1e-3, 1e4, 200), 1.0 + near, 1.0 / (1.0 + near)])
+        grid = float(self.peak(natural_frequency)) * shape
+        if self.second_mode is not None:
+            width = self.second_mode.damping_ratio * np.linspace(-8.0, 8.0, 97)
+            grid = np.concatenate([grid, self.second_mode.frequency * np.exp(width)])
+        grid = np.unique(grid)
+        level = np.log(self._gauge(grid, natural_frequency)[1])
+        for i in np.flatnonzero((level[:-1] > 0.0) != (level[1:] > 0.0)):
+            share = level[i] / (level[i] - level[i + 1])
+            yield float(grid[i] * (grid[i + 1] / grid[i]) ** share), bool(level[i + 1] > 0.0)
+
+    def peak(self, natural_frequency: ArrayLike) -> Real:
+        """Return the resonance of the undamped structure, ``(-ω₀² cos(πλ/2))^(1/λ)`` (eq. (14)) [rad/s]."""
+        squared = np.square(np.asarray(natural_frequency, dtype=float))
+        return np.asarray((-squared * math.cos(0.5 * math.pi * self.link_order)) ** (1.0 / self.link_order))
+
+    def sufficient(self, natural_frequency: float) -> float:
+        """Return the bound of condition (39), ``(-ω₀²/cos(πλ/2))^(1/λ)`` [rad/s]: sufficient only."""
+        cosine = -math.cos(0.5 * math.pi * self.link_order)
+        return float((natural_frequency**2 / cosine) ** (1.0 / self.link_order))

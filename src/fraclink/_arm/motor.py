@@ -1,0 +1,264 @@
+"""The motor and the PID that closes its loop, by pole placement.
+
+The motor at the gear's output is θm/u' = A/(s(s + B)) (1). Two controllers with one filter pole close it,
+u' = Cm1(s)(θm* − θm) − Cm2(s) θm with Cm1 = (a2 s² + a1 s + a0)/(s(s + c)) (19), Cm2 = (b1 s + b0)/(s + c)
+(20), so that θm/θm* = M(s) = 1/(1 + s/p)² (21). Source: Benftima et al. 2023; the printed c of (19) is the
+filter's pole, not the link's stiffness, and the values below are recomputed from A, B and p.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink.errors import FieldError
+
+if TYPE_CHECKING:
+    from fraclink._systems.fractional import FractionalTransferFunction
+
+__all__ = [
+    "ContinuousPid",
+    "DiscretePid",
+    "Method",
+    "MotorConstants",
+    "closed_poles",
+    "held_motor",
+    "place_pid",
+]
+
+Complex = NDArray[np.complex128]
+Real = NDArray[np.float64]
+Method = Literal["tustin", "backward", "zero-order-hold"]
+
+
+class MotorConstants(Protocol):
+    """What a motor must tell: A = K/J [rad/(s²·V)] and B = ν/J [1/s], both at the gear's output."""
+
+    @property
+    def gain(self) -> float: ...
+    @property
+    def decay(self) -> float: ...
+    def __hash__(self) -> int: ...
+
+
+@dataclass(frozen=True)
+class DiscretePid:
+    """The PID of the motor loop at its period: two one-pole filters in parallel, as law.c computes them.
+
+    With ε = θm* − θm the control is u' = a2 ε − b1 θm + H1(z) (a0/c) ε + H2(z) (ρ1 ε − ρ2 θm), where
+    H1 stands for 1/s and H2 for 1/(s + c):  H(z) = (now + before z⁻¹)/(1 − decay z⁻¹).
+
+    >>> from types import SimpleNamespace
+    >>> loop = place_pid(SimpleNamespace(gain=3056.7686, decay=15.152838), 80.0).discretize(0.004)
+    >>> round(loop.filter_decay, 6)
+    0.242472
+    """
+
+    period: float
+    direct: float  # a2: ε -> u' [V/rad]
+    angle_direct: float  # b1: θm -> −u' [V/rad]
+    integral_gain: float  # a0/c [V/(rad·s)]
+    filter_gain: float  # ρ1, residue of Cm1 at −c [V/(rad·s)]
+    angle_filter_gain: float  # ρ2, residue of Cm2 at −c [V/(rad·s)]
+    integral_now: float  # [s]
+    integral_before: float
+    filter_now: float  # [s]
+    filter_before: float
+    filter_decay: float
+
+
+@dataclass(frozen=True)
+class ContinuousPid:
+    """Coefficients of the PID (19), (20) that closes the motor loop, for one pole p [rad/s].
+
+    Every closed-loop pole and both zeros lie at −p, so the loop is M(s) = 1/(1 + s/p)² exactly (21).
+
+    >>> from fraclink._arm.rig import Rig
+    >>> loop = place_pid(Rig.named("paper-2023").motor, 80.0)
+    >>> round(abs(loop.closed()(80.0j)), 3)
+    0.5
+    """
+
+    pole: float
+    gain: float  # A = K/J [rad/(s²·V)]
+    decay: float  # B = ν/J [1/s]
+    a0: float
+    a1: float
+    a2: float
+    b0: float
+    b1: float
+    filter_pole: float  # c of (19), (20) [rad/s]
+
+    def closed(self) -> FractionalTransferFunction:
+        """Return M(s) = θm/θm* = 1/(1 + s/p)² (21)."""
+        from fraclink._systems.fractional import FractionalTransferFunction
+        from fraclink._systems.terms import Term
+
+        p = self.pole
+        return FractionalTransferFunction(
+            (Term(1.0, 0.0),), (Term(1.0 / p**2, 2.0), Term(2.0 / p, 1.0), Term(1.0, 0.0))
+        )
+
+    def discretize(self, period: float, *, method: Method = "tustin") -> DiscretePid:
+        """Return the loop at `period` [s], 0 < period; Tustin is the one to run.
+
+        The other methods are offered for comparison: at 4 ms with one sample of delay and p = 80 they are
+        unstable (`sampled_radius`), because they lag or advance the PID where the loop has 7.4 ms to spare.
+        """
+        if not (math.isfinite(period) and period > 0):
+            raise FieldError(
+                "period",
+                period,
+                "not a positive time",
+                allowed="> 0 s",
+                remedy="give the control period in seconds",
+            )
+        c = self.filter_pole
+        integral = _one_pole(0.0, period, method)
+        filtered = _one_pole(c, period, method)
+        return DiscretePid(
+            period=period,
+            direct=self.a2,
+            angle_direct=self.b1,
+            integral_gain=self.a0 / c,
+            filter_gain=self.a1 - self.a2 * c - self.a0 / c,
+            angle_filter_gain=self.b0 - self.b1 * c,
+            integral_now=integral[0],
+            integral_before=integral[1],
+            filter_now=filtered[0],
+            filter_before=filtered[1],
+            filter_decay=filtered[2],
+        )
+
+    def sampled_radius(self, period: float, *, delay_samples: int = 1, method: Method = "tustin") -> float:
+        """Return the spectral radius of the sampled inner loop: below 1 it is stable.
+
+        The motor (1) is discretised exactly under a held voltage that comes `delay_samples` late.
+
+        >>> from types import SimpleNamespace
+        >>> loop = place_pid(SimpleNamespace(gain=3056.7686, decay=15.152838), 80.0)
+        >>> methods = ("tustin", "backward", "zero-order-hold")
+        >>> [round(loop.sampled_radius(0.004, method=method), 3) for method in methods]
+        [0.951, 1.004, 1.006]
+        """
+        return float(np.abs(closed_poles(self, self.discretize(period, method=method), delay_samples)[0]))
+
+
+def place_pid(motor: MotorConstants, pole: float = 80.0) -> ContinuousPid:
+    """Place all poles of the inner loop at −`pole` [rad/s] (19)–(21).
+
+    a0 = p⁴/A, a1 = b0 = 2p³/A, a2 = p²/A, b1 = (5p² − 4pB + B²)/A, filter pole 4p − B.
+
+    Parameters: `motor` with gain A [rad/(s²·V)] > 0 and decay B [1/s] ≥ 0; `pole` > B/4, so that the
+    filter is stable. Raises FieldError outside. Source: Benftima et al. 2023, (19)–(21), corrected.
+
+    >>> from types import SimpleNamespace
+    >>> loop = place_pid(SimpleNamespace(gain=0.21 / 6.87e-5, decay=1.041e-3 / 6.87e-5), 80.0)
+    >>> f"{loop.a0:.3f} {loop.a1:.5f} {loop.a2:.7f} {loop.b1:.7f} {loop.filter_pole:.5f}"
+    '13399.771 334.99429 2.0937143 8.9574005 304.84716'
+    """
+    gain, decay = float(motor.gain), float(motor.decay)
+    if not (math.isfinite(gain) and gain > 0):
+        raise FieldError(
+            "motor.gain", gain, "not positive", allowed="> 0 rad/(s²·V)", remedy="check K and J of the rig"
+        )
+    if not (math.isfinite(pole) and pole > decay / 4):
+        raise FieldError(
+            "inner.pole",
+            pole,
+            "too slow for this motor",
+            allowed=f"> B/4 = {decay / 4:.4g} rad/s",
+            remedy="ask for a faster inner loop; its filter pole 4p − B must be positive",
+        )
+    p = float(pole)
+    return ContinuousPid(
+        pole=p,
+        gain=gain,
+        decay=decay,
+        a0=p**4 / gain,
+        a1=2 * p**3 / gain,
+        a2=p**2 / gain,
+        b0=2 * p**3 / gain,
+        b1=(5 * p**2 - 4 * p * decay + decay**2) / gain,
+        filter_pole=4 * p - decay,
+    )
+
+
+def _one_pole(pole: float, period: float, method: Method) -> tuple[float, float, float]:
+    """(now, before, decay) of 1/(s + pole) by the method named."""
+    if method == "tustin":
+        half = period / 2
+        scale = half / (1 + pole * half)
+        return scale, scale, (1 - pole * half) / (1 + pole * half)
+    if method == "backward":
+        return period / (1 + pole * period), 0.0, 1 / (1 + pole * period)
+    if method == "zero-order-hold":
+        weight = period if pole == 0 else -math.expm1(-pole * period) / pole
+        return 0.0, weight, math.exp(-pole * period)
+    raise FieldError(
+        "method",
+        method,
+        "unknown",
+        allowed="tustin, backward, zero-order-hold",
+        remedy="use tustin: it is the stable one",
+    )
+
+
+def held_motor(motor: MotorConstants, period: float) -> tuple[float, float, float]:
+    """Return (m1, m2, e) of ``A/(s(s+B))`` under a zero-order hold: ``x(m1 + m2 x)/((1-x)(1-e x))``.
+
+    >>> from fraclink._arm.rig import Rig
+    >>> m1, m2, e = held_motor(Rig.named("paper-2023").motor, 0.004)
+    >>> print(f"{m1:.6f} {m2:.6f} {e:.6f}")
+    0.023967 0.023488 0.941189
+    """
+    gain, decay = motor.gain, motor.decay
+    e = math.exp(-decay * period)
+    if decay * period < 1e-8:
+        return 0.5 * gain * period**2, 0.5 * gain * period**2, e
+    weight = -math.expm1(-decay * period) / decay
+    return gain * (period - weight) / decay, gain * (weight - period * e) / decay, e
+
+
+def closed_poles(motor: MotorConstants, pid: DiscretePid, delay_samples: int) -> Complex:
+    """Return the poles in z of the sampled PID around its motor, largest modulus first.
+
+    Eigenvalues, as the roots of the polynomial lose the poles of a short period: four of them meet at 1.
+    """
+    found = np.linalg.eigvals(_closed_matrix(motor, pid, delay_samples))
+    return np.asarray(found[np.argsort(-np.abs(found))], dtype=np.complex128)
+
+
+def _closed_matrix(motor: MotorConstants, d: DiscretePid, delay_samples: int) -> Real:
+    """State matrix of the sampled motor loop with θm* = 0: θ, θ̇, two filters, delayed voltages."""
+    a, b, period = motor.gain, motor.decay, d.period
+    weight = period if b == 0 else -math.expm1(-b * period) / b
+    second = period**2 / 2 if b == 0 else (period - weight) / b
+    n = 4 + delay_samples
+    # voltage now, as a row over the state; both filters are kept as their delayed part s:
+    # output = s + now·input, next s = decay·output + before·input.
+    integral_in = np.zeros(n)
+    integral_in[0] = -d.integral_gain
+    filter_in = np.zeros(n)
+    filter_in[0] = -d.filter_gain - d.angle_filter_gain
+    integral_out = d.integral_now * integral_in
+    integral_out[2] += 1.0
+    filter_out = d.filter_now * filter_in
+    filter_out[3] += 1.0
+    voltage = integral_out + filter_out
+    voltage[0] -= d.direct + d.angle_direct
+    applied = np.eye(n)[4] if delay_samples else voltage
+    matrix = np.zeros((n, n))
+    matrix[0, :2] = 1.0, weight
+    matrix[1, 1] = math.exp(-b * period)
+    matrix[0] += a * second * applied
+    matrix[1] += a * weight * applied
+    matrix[2] = integral_out + d.integral_before * integral_in
+    matrix[3] = d.filter_decay * filter_out + d.filter_before * filter_in
+    for k in range(4, n):
+        matrix[k] = np.eye(n)[k + 1] if k + 1 < n else voltage
+    return matrix

@@ -1,0 +1,170 @@
+"""The higher modes of the link, which the closed procedure does not see and the strain gauge sees well.
+
+On a uniform clamped beam with a payload the estimate of the tip answers the motor with
+
+    Θ̂t/Θm = 1 - Σ share_i s²/(s² + ω_i² D_i(s)),   share_i = Γi² ω_i²/c,
+
+where D is the damping law of the link model: s^(2-λ), or 1 + μ s^α/ω₀². For a massless link the sum has one
+term, of share one, and is the G of the design. A second mode that was identified takes the place of the
+beam's.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink._arm.beam import Beam
+from fraclink._arm.link import LinkModel
+from fraclink._arm.loop import Loop
+from fraclink._arm.rig import Rig
+from fraclink._design.specification import Requirement
+from fraclink._validate import checked_between
+
+__all__ = ["MODE_LIMIT", "HigherModes", "higher_modes", "mode_requirements"]
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+MODE_LIMIT = 0.5  # of the loop gain: 6 dB below the one at which phase alone would decide
+ASSUMED_RATIO = 0.02  # of a model without damping, whose modes would be infinitely high
+_MODES = 3  # the fourth mode of the paper's arm lies beyond the Nyquist frequency, where the hold ends it
+# The gain of a mode changes by 3 % over a range of two: its ends and the middle are plenty.
+_MODE_PAYLOADS = 3
+_WIDEST = 0.035  # so that the points of a mode that is damped away do not reach down to the first mode
+_POINTS = np.sinh(np.linspace(-3.0, 3.0, 61))  # of ln ω in damping ratios: closest at the peak
+
+
+@dataclass(frozen=True)
+class HigherModes:
+    """Where modes 2 and 3 of a link lie, and what the loop there is without Ĉ.
+
+    One row for each payload and mode: ``number`` (K,), ``payload`` (K,) [kg], ``frequency`` (K, N) [rad/s] as
+    the computer sees it, ``level`` (K, N), ln|hold · M · Θ̂t/Θm|.
+    """
+
+    number: NDArray[np.int64]
+    payload: Real
+    frequency: Real
+    level: Real
+
+    def gains(self, loop: Loop) -> Real:
+        """Return the largest loop gain of each row with the Ĉ of `loop`, shape (K,)."""
+        return np.asarray(np.max(np.exp(loop.outer_log(self.frequency).real + self.level), axis=1))
+
+
+@lru_cache(maxsize=64)
+def _shape(beam: Beam) -> tuple[Real, Real]:
+    """(ω_i, Γi² ω_i²) of the clamped beam; asked for again by every request for one rig."""
+    modes = beam.modes(_MODES)
+    return modes.frequencies, modes.participation * modes.curvature
+
+
+def higher_modes(
+    model: LinkModel,
+    rig: Rig,
+    loop: Loop,
+    payloads: tuple[float, float],
+    *,
+    damping_ratio: float | None = None,
+) -> HigherModes | None:
+    """Return the higher modes of the link over `payloads` [kg], None where neither rig nor model knows one.
+
+    Parameters
+    ----------
+    model
+        its second mode, where it was identified; its damping law for the modes of the rig's beam.
+    rig
+        length, stiffness and mass of the link; control period.
+    loop
+        the loop whose motor loop and gauge stand around the link.
+    payloads
+        (lightest, heaviest) [kg], > 0.
+    damping_ratio
+        of the beam's modes, 0 < ζ < 1, instead of the model's law; 0.02 where the model has no damping.
+    """
+    if rig.link.mass <= 0.0 and model.second_mode is None:
+        return None
+    if damping_ratio is not None:
+        damping_ratio = checked_between("mode_damping", damping_ratio, 0.0, 0.999, open_low=True)
+    elif model.order == 2.0 and model.damping == 0.0:
+        damping_ratio = ASSUMED_RATIO
+    rows: list[tuple[int, float, Real, Real]] = []
+    for payload in map(float, np.unique(np.geomspace(*payloads, _MODE_PAYLOADS))):
+        if model.second_mode is not None:
+            width = min(model.second_mode.damping_ratio, _WIDEST)
+            w = model.second_mode.frequency * np.exp(width * _POINTS)
+            link = model.at_payload(payload).natural_frequency if model.payload else model.natural_frequency
+            rows.append((2, payload, w, loop.link_log(w, link).real))
+        if rig.link.mass > 0.0:
+            rows += _beam_modes(model, rig, payload, damping_ratio)
+    number, masses, frequencies, answers = zip(*rows, strict=True)
+    w = np.array(frequencies)
+    level = _rest(loop, w, rig.period) + np.array(answers)
+    return HigherModes(np.array(number), np.array(masses), _seen(w, rig.period), level)
+
+
+def _beam_modes(
+    model: LinkModel, rig: Rig, payload: float, ratio: float | None
+) -> list[tuple[int, float, Real, Real]]:
+    """(number, payload, ω, ln|Θ̂t/Θm|) of the beam's modes that nobody identified."""
+    frequencies, sizes = _shape(Beam.from_rig(rig, payload=payload))
+    found = []
+    for i in range(1 if model.second_mode is None else 2, frequencies.size):
+        w = _around(model, float(frequencies[i]), ratio)
+        s = np.asarray(1j * w, dtype=np.complex128)
+        answer = np.ones(s.shape, dtype=np.complex128)
+        for frequency, share in zip(frequencies, sizes / model.stiffness, strict=True):
+            answer -= share * s**2 / (s**2 + frequency**2 * _law(model, s, float(frequency), ratio))
+        found.append((i + 1, payload, w, np.log(np.abs(answer))))
+    return found
+
+
+def _law(model: LinkModel, s: Complex, frequency: float, ratio: float | None) -> Complex:
+    """D_i(s) of the mode at `frequency` [rad/s]."""
+    if ratio is not None:
+        return np.asarray(1.0 + 2.0 * ratio * s / frequency)
+    if model.order < 2.0:
+        return np.asarray(np.exp((2.0 - model.order) * np.log(s)))
+    turned = np.exp(model.damping_order * np.log(s))
+    return np.asarray(1.0 + model.damping / model.natural_frequency**2 * turned)
+
+
+def _around(model: LinkModel, frequency: float, ratio: float | None) -> Real:
+    """Frequencies about the peak of a mode: a power law moves it, by 25 % for λ = 1.92."""
+    peak = frequency
+    for _ in range(30):  # ω² = ω_i² Re D(jω), a contraction as Re D grows by less than ω^1
+        law = complex(_law(model, np.asarray(1j * peak), frequency, ratio))
+        peak = frequency * math.sqrt(max(law.real, 0.25))
+    law = complex(_law(model, np.asarray(1j * peak), frequency, ratio))
+    width = min(max(0.5 * abs(math.atan2(law.imag, law.real)), 1e-3), _WIDEST)
+    return np.asarray(peak * np.exp(width * _POINTS))
+
+
+def _seen(w: Real, period: float) -> Real:
+    """Where the computer sees ω: beyond the Nyquist frequency it is folded back."""
+    nyquist = math.pi / period
+    return np.maximum(np.abs(np.remainder(w + nyquist, 2.0 * nyquist) - nyquist), 1e-3 * nyquist)
+
+
+def _rest(loop: Loop, w: Real, period: float) -> Real:
+    """ln|hold · M|; beyond the Nyquist frequency M is taken there, where it is larger."""
+    half = 0.5 * period * w
+    motor = loop.motor_log(np.minimum(w, math.pi / period)).real
+    return np.asarray(np.log(np.abs(np.sin(half)) / half + 1e-300) + motor)
+
+
+def mode_requirements(modes: HigherModes, loop: Loop, limit: float) -> tuple[tuple[int, Requirement], ...]:
+    """Return (number, the worst loop gain against `limit`) of each higher mode."""
+    gains = modes.gains(loop)
+    found = []
+    for number in map(int, np.unique(modes.number)):
+        rows = np.flatnonzero(modes.number == number)
+        worst = rows[int(np.argmax(gains[rows]))]
+        name, payload = f"loop gain at mode {number}", float(modes.payload[worst])
+        found.append((number, Requirement.at_most(name, limit, float(gains[worst]), "", payload)))
+    return tuple(found)
