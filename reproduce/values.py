@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from functools import cache
 
 from fraclink._identify import Comparison, aic, identify_all
-from fraclink._logs.readers import bundled_log, read_log
+from fraclink._logs import bundled_log, read_log
 from reproduce import designs
 from reproduce.published import Published
 

@@ -10,8 +10,8 @@ import pytest
 
 from fraclink._arm.experiment import Channel, LogColumns, parse_columns
 from fraclink._arm.rig import Rig
-from fraclink._logs.readers import limits as reader_limits
-from fraclink._logs.readers import read_columns, read_log
+from fraclink._logs import read_columns, read_log
+from fraclink._logs import table as reader_limits
 from fraclink.errors import FieldError, FileFormatError, LogError, SizeError
 from made_logs import HEADER, made_rows, write_log
 
@@ -242,7 +242,7 @@ def test_b51_b55_a_gigabyte_is_refused_without_being_read(
 
 
 def test_b55_too_many_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from fraclink._logs.readers import text
+    from fraclink._logs import text
 
     monkeypatch.setattr(text, "SAMPLE_LIMIT", 300)
     error = refused(write_log(tmp_path / "log.csv", made_rows()))

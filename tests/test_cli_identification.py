@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from fraclink._cli.app import run
-from fraclink._logs.readers import bundled_log
+from fraclink._logs import bundled_log
 
 
 def told(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> dict[str, object]:

@@ -19,7 +19,7 @@ import pytest
 from fraclink._arm.rig import Rig
 from fraclink._cli import main
 from fraclink._identify import Fit
-from fraclink._logs.readers import bundled_log
+from fraclink._logs import bundled_log
 from fraclink._show.report import render_report
 from fraclink._simulate import Run
 from fraclink._workflow import Move, Request, design_for, load_study, simulate_move

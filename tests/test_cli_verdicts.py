@@ -12,7 +12,7 @@ from fraclink._arm.rig import Rig
 from fraclink._certify import Certificate
 from fraclink._cli import main
 from fraclink._design import Design
-from fraclink._logs.readers import bundled_log
+from fraclink._logs import bundled_log
 from fraclink._workflow import Request, design_for
 from reproduce import designs
 

@@ -15,9 +15,9 @@ from fraclink._arm.link import LinkModel
 from fraclink._arm.reference import chirp, prbs, pulse
 from fraclink._arm.rig import Gauge, Rig
 from fraclink._identify import simulated_torque
-from fraclink._logs.diagnose import Finding, diagnose
-from fraclink._logs.diagnose.scan import find_mode
-from fraclink._logs.readers import bundled_log, bundled_logs, read_log
+from fraclink._logs import bundled_log, bundled_logs, diagnose, read_log
+from fraclink._logs.scan import find_mode
+from fraclink.findings import Finding
 from made_logs import made_experiment, made_motion, made_output
 from shared_data import shared_data
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fraclink._arm.experiment import Experiment
-from fraclink._logs.readers import read_log
+from fraclink._logs import read_log
 from fraclink.errors import FieldError, LogError
 
 

@@ -13,7 +13,7 @@ from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import STRUCTURES, LinkModel
 from fraclink._arm.rig import Rig
 from fraclink._identify import identify, identify_all
-from fraclink._logs.readers import read_log
+from fraclink._logs import read_log
 from identify_cases import TRUTH, made_log
 from shared_data import shared_data
 

@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 
 from fraclink._arm.experiment import Channel, LogColumns
-from fraclink._logs.readers import inspect_log, read_columns, read_log
-from fraclink._logs.readers.child import ReaderChild
-from fraclink._logs.readers.formats import read_table, sniffed_kind
+from fraclink._logs import inspect_log, read_columns, read_log
+from fraclink._logs.formats import ReaderChild, read_table, sniffed_kind
 from fraclink.errors import FieldError, FileFormatError, LogError, MissingExtraError, SizeError
 from made_files import KINDS, made_columns, made_file, write_mat5
 from shared_data import shared_data
@@ -212,7 +211,7 @@ def test_b66_a_child_that_dies_is_named_and_replaced(tmp_path: Path) -> None:
 def test_b66_the_signal_that_ended_a_parser_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import subprocess
 
-    from fraclink._logs.readers import child as module
+    from fraclink._logs import formats as module
 
     code = "import os, signal, sys; sys.stdin.readline(); os.kill(os.getpid(), signal.SIGSEGV)"
     start = subprocess.Popen
@@ -275,10 +274,38 @@ def test_columns_are_called_as_their_program_calls_them(kind: str, tmp_path: Pat
 def test_b66_objects_of_matlab_yield_no_columns() -> None:
     from scipy.io.matlab import MatlabFunction, MatlabObject, MatlabOpaque
 
-    from fraclink._logs.readers.parsers.mat5 import _flat
+    from fraclink._logs.parsers import _flat
 
     fields = np.zeros((1, 1), dtype=[("s0", "O"), ("arr", "O")])
     fields["arr"][0, 0] = np.arange(6, dtype=np.uint32).reshape(6, 1)
     assert [column.name for column in _flat("x", fields, 6)] == ["x.arr"]
     for kind in (MatlabOpaque, MatlabFunction, MatlabObject):
         assert list(_flat("x", fields.view(kind), 6)) == []
+
+
+def test_900_columns_with_long_names_are_read(tmp_path: Path) -> None:
+    """As ASCII escapes the list of columns was 2 MB, over the parent's limit: it waited 60 s for nothing."""
+    pa = pytest.importorskip("pyarrow")
+    from pyarrow import parquet
+
+    parquet.write_table(
+        pa.table({"\U0001f600" * 190 + str(i): range(10) for i in range(900)}), tmp_path / "n.parquet"
+    )
+    assert len(read_table(tmp_path / "n.parquet").names) == 900
+
+
+def test_an_answer_that_never_ends_is_not_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import subprocess
+
+    from fraclink._logs import formats as module
+
+    monkeypatch.setattr(module, "WALL_SECONDS", 10**6)
+    code = "import sys, time; sys.stdin.readline(); print('x' * 3_000_000); time.sleep(1000)"
+    start = subprocess.Popen
+
+    def endless(command: list[str], **options: object) -> subprocess.Popen[bytes]:
+        return start([sys.executable, "-c", code], **options)  # type: ignore[call-overload,no-any-return]
+
+    monkeypatch.setattr(module.subprocess, "Popen", endless)
+    error = refused(write_mat5(tmp_path / "a.mat", made_columns()))
+    assert "no list of columns" in error.problem

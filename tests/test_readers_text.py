@@ -13,11 +13,10 @@ from hypothesis import strategies as st
 
 from fraclink._arm.experiment import Channel, LogColumns
 from fraclink._arm.rig import Rig
-from fraclink._logs.readers import bundled_log, bundled_logs, inspect_log, read_columns, read_log
-from fraclink._logs.readers.cells import NUMBER, parse_cells
-from fraclink._logs.readers.stated import suggested_mapping
-from fraclink._logs.readers.table import Table
-from fraclink._logs.readers.text import read_text_table
+from fraclink._logs import bundled_log, bundled_logs, inspect_log, read_columns, read_log
+from fraclink._logs.columns import suggested_mapping
+from fraclink._logs.table import Table
+from fraclink._logs.text import NUMBER, parse_cells, read_text_table
 from fraclink.errors import FieldError
 from made_logs import HEADER, made_rows, write_log
 from shared_data import shared_data

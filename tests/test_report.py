@@ -18,7 +18,7 @@ from fraclink._arm.experiment import Experiment
 from fraclink._arm.rig import Rig
 from fraclink._campaign.faults import Case, Check, FaultTable, Outcome
 from fraclink._identify import identify_all
-from fraclink._logs.readers import bundled_log, read_log
+from fraclink._logs import bundled_log, read_log
 from fraclink._show.report import render_report, write_report
 from fraclink._show.report.figures.drawing import envelope
 from fraclink._show.report.numbers import number, uncertain

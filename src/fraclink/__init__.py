@@ -24,20 +24,20 @@ _HOME: dict[str, str] = {
     "Study": "fraclink._workflow",
     "Twin": "fraclink._simulate",
     "approximate": "fraclink._systems.rational",
-    "bundled_log": "fraclink._logs.readers",
+    "bundled_log": "fraclink._logs",
     "certify": "fraclink._certify",
     "chirp": "fraclink._arm.reference",
     "conduct": "fraclink._workflow",
     "deg": "fraclink._design",
     "design": "fraclink._design",
-    "diagnose": "fraclink._logs.diagnose",
+    "diagnose": "fraclink._logs",
     "export_c": "fraclink._export",
     "from_control": "fraclink._systems.interop",
     "hold": "fraclink._arm.reference",
     "identify": "fraclink._identify",
     "identify_all": "fraclink._identify",
     "impulse_response": "fraclink._systems.response",
-    "inspect_log": "fraclink._logs.readers",
+    "inspect_log": "fraclink._logs",
     "is_stable": "fraclink._systems.stability",
     "load": "fraclink._files",
     "margins": "fraclink._systems.margins",
@@ -45,7 +45,7 @@ _HOME: dict[str, str] = {
     "poles": "fraclink._systems.stability",
     "prbs": "fraclink._arm.reference",
     "pulse": "fraclink._arm.reference",
-    "read_log": "fraclink._logs.readers",
+    "read_log": "fraclink._logs",
     "s": "fraclink._systems.fractional",
     "save": "fraclink._files",
     "simulate": "fraclink._simulate",
@@ -76,10 +76,10 @@ if TYPE_CHECKING:  # what editors and type checkers see; nothing of this runs
     from fraclink._identify import identify as identify
     from fraclink._identify import identify_all as identify_all
     from fraclink._law import Law as Law
-    from fraclink._logs.diagnose import diagnose as diagnose
-    from fraclink._logs.readers import bundled_log as bundled_log
-    from fraclink._logs.readers import inspect_log as inspect_log
-    from fraclink._logs.readers import read_log as read_log
+    from fraclink._logs import bundled_log as bundled_log
+    from fraclink._logs import diagnose as diagnose
+    from fraclink._logs import inspect_log as inspect_log
+    from fraclink._logs import read_log as read_log
     from fraclink._show.report import write_report as write_report
     from fraclink._simulate import Run as Run
     from fraclink._simulate import Twin as Twin

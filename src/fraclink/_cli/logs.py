@@ -30,7 +30,7 @@ __all__ = ["register", "what_is_wrong"]
 
 def what_is_wrong(experiment: Experiment, rig: Rig) -> tuple[Finding, ...]:
     """Findings that make a log unusable: a model fits a reversed gauge as well as a right one."""
-    from fraclink._logs.diagnose import diagnose as examine
+    from fraclink._logs import diagnose as examine
 
     return tuple(finding for finding in examine(experiment, rig) if finding.severity == "error")
 
@@ -40,7 +40,7 @@ def inspect(
     json: Json = False,
 ) -> int:
     """List a log's channels, rates and ranges, and a mapping to paste into the rig file."""
-    from fraclink._logs.readers import inspect_log
+    from fraclink._logs import inspect_log
 
     listing = inspect_log(log_path(log))
     emit_json(listing.values()) if json else emit(str(listing))
@@ -58,7 +58,7 @@ def diagnose(
 ) -> int:
     """Examine a log: offset, sign, delay, saturation, excitation; each finding with what to do."""
     from fraclink._cli.summary import finding_text, finding_values
-    from fraclink._logs.diagnose import diagnose as examine
+    from fraclink._logs import diagnose as examine
 
     known = load_rig(rig)
     findings = examine(

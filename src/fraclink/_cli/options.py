@@ -118,7 +118,7 @@ def load_log(
 ) -> Experiment:
     """Return the log of a file, or the bundled one."""
     from fraclink._arm.experiment import parse_columns
-    from fraclink._logs.readers import read_log
+    from fraclink._logs import read_log
 
     stated = parse_columns(columns) if columns else None
     return read_log(
@@ -128,7 +128,7 @@ def load_log(
 
 def log_path(name: str) -> Path:
     """The file of a log that was named on the command line; ``demo`` is the bundled one."""
-    from fraclink._logs.readers import bundled_log
+    from fraclink._logs import bundled_log
 
     return bundled_log(BUNDLED_LOG) if name == "demo" else Path(name)
 

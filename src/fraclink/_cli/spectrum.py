@@ -33,7 +33,7 @@ def identify_spectrum(
 ) -> int:
     """Fit modes with one common λ to a table of gain and phase; a column `coherence` is used."""
     from fraclink._identify import identify_frequency_response
-    from fraclink._logs.readers import read_columns
+    from fraclink._logs import read_columns
 
     columns = read_columns(response)
     frequency = _one_of(columns, {"frequency_rad_s": 1.0, "frequency_Hz": 2 * np.pi})

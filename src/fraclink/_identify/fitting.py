@@ -52,7 +52,7 @@ _LEAST_SAMPLES = 50
 _COLOURED = 0.01  # p-value below which the residual is taken for coloured
 _HELDOUT = 0.4
 _MOVES = 0.05  # of the motor's motion (mean square speed) that a held-out part must contain
-_BLOCKS = 60  # of a log, in which its motion is measured; a vibration's period spans one or two
+_BLOCKS = 120  # of a log, in which its motion is measured
 
 
 @checked
@@ -212,7 +212,7 @@ def fitted_samples(log: Experiment) -> int:
 
     The last 40 % are held out where the motor moves enough on both sides. Otherwise the border moves to the
     rest before the last moves that make a quarter of the motion; a log of one move is cut within its
-    ring-down, where a tenth of the vibration is still to come.
+    ring-down, where a quarter of the vibration is still to come.
     """
     total = log.output.size
     count = total - round(_HELDOUT * total)
@@ -223,7 +223,7 @@ def fitted_samples(log: Experiment) -> int:
     swing = _activity(log.output - np.median(log.output))
     borders = [k for k in range(1, _BLOCKS) if places[k] >= _LEAST_SAMPLES]
     rests = [k for k in borders if motor[k - 1] - motor[k] < 0.01 and 0.25 <= motor[k] <= 0.75]
-    ringing = [k for k in borders if swing[k] >= 0.1 and motor[k] < 0.5]
+    ringing = [k for k in borders if swing[k] >= 0.25 and motor[k] < 0.5]
     return int(places[max(rests or ringing or [round(_BLOCKS * (1 - _HELDOUT))])])
 
 

@@ -1,1 +1,25 @@
-"""Recorded logs: read, inspected, diagnosed."""
+"""Recorded logs: read, inspected, diagnosed. Stated columns in, an `Experiment` out."""
+
+from fraclink._logs.diagnosis import diagnose
+from fraclink._logs.reading import (
+    ChannelSummary,
+    LogListing,
+    bundled_log,
+    bundled_logs,
+    converter_step,
+    inspect_log,
+    read_columns,
+    read_log,
+)
+
+__all__ = [
+    "ChannelSummary",
+    "LogListing",
+    "bundled_log",
+    "bundled_logs",
+    "converter_step",
+    "diagnose",
+    "inspect_log",
+    "read_columns",
+    "read_log",
+]

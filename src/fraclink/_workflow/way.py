@@ -52,7 +52,7 @@ def conduct(
     Raises FieldError for a structure that is not known or a value out of its range.
 
     >>> from fraclink._arm.rig import Rig
-    >>> from fraclink._logs.readers import bundled_log, read_log
+    >>> from fraclink._logs import bundled_log, read_log
     >>> rig = Rig.named("paper-2023")
     >>> log = read_log(bundled_log("prbs_30g"), rig=rig)
     >>> study = conduct(rig, log, Request(payloads=(0.020, 0.045)))
@@ -61,7 +61,7 @@ def conduct(
     """
     from fraclink._arm.rig import Rig
     from fraclink._identify import identify_all
-    from fraclink._logs.diagnose import diagnose
+    from fraclink._logs import diagnose
     from fraclink._validate import checked_noun
 
     checked_noun("rig", rig, Rig, remedy="Rig.named or Rig.load make one")

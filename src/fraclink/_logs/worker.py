@@ -1,6 +1,6 @@
 """The child that parses binary files: one request a line on its input, columns as .npy bytes on its output.
 
-It is started as ``python -m fraclink._logs.readers.worker``, may use 1 GB of address space
+It is started as ``python -m fraclink._logs.worker``, may use 1 GB of address space
 and 10 s of processor time for a file, and is expected to die: one changed byte makes some parsers crash.
 """
 
@@ -15,11 +15,9 @@ from typing import BinaryIO
 
 import numpy as np
 
-from fraclink._logs.readers.limits import COLUMN_LIMIT, MEMORY_LIMIT, VALUE_LIMIT
-from fraclink._logs.readers.parsers import RawColumn, parser
+from fraclink._logs.parsers import PARSERS, RawColumn
+from fraclink._logs.table import COLUMN_LIMIT, MEMORY_LIMIT, VALUE_LIMIT
 from fraclink.errors import FieldError, MissingExtraError
-
-__all__ = ["main"]
 
 
 def _limit_memory() -> None:
@@ -45,7 +43,7 @@ def _limit_time(seconds: int) -> None:
 def _answer(path: Path, kind: str) -> tuple[dict[str, object], list[bytes]]:
     """The header of the answer and the columns' bytes."""
     try:
-        columns, notes = parser(kind)(path)
+        columns, notes = PARSERS[kind](path)
         _check_total(columns)
     except MissingExtraError as error:
         return {"missing": [error.package, error.extra]}, []
@@ -85,7 +83,8 @@ def _serve(requests: BinaryIO, answers: BinaryIO) -> None:
         request = json.loads(line)
         _limit_time(int(request["cpu_seconds"]))
         header, blobs = _answer(Path(request["path"]), request["kind"])
-        answers.write(json.dumps(header).encode() + b"\n")
+        # As UTF-8, not as ASCII escapes: those make 12 bytes of one emoji, and the parent's limit is bytes.
+        answers.write(json.dumps(header, ensure_ascii=False).encode("utf-8", "replace") + b"\n")
         for blob in blobs:
             answers.write(blob)
         answers.flush()

@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 from fraclink.errors import LogError
 from fraclink.findings import Finding
 
-__all__ = ["TimeBase", "resampled", "time_base"]
-
 _SILENT = 0.01  # of a period: stamps printed with a few digits
 _TOLERATED = 0.25  # of a period: jitter that moves no parameter, see the figures above
 _GAP = 1.5  # periods between stamps: a sample is missing

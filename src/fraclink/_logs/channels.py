@@ -10,20 +10,9 @@ from numpy.typing import NDArray
 
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.rig import Rig
-from fraclink._logs.diagnose.scan import Mode
-from fraclink._logs.readers import converter_step
+from fraclink._logs.reading import converter_step
+from fraclink._logs.scan import Mode
 from fraclink.findings import Finding
-
-__all__ = [
-    "clipping",
-    "constant_channels",
-    "labels",
-    "outliers",
-    "quantisation",
-    "range_of_angle",
-    "rest_at_start",
-    "voltage_limit",
-]
 
 _CLIPPED = 0.005  # share of samples at the extreme value
 _PILE = 4.0  # times as many samples at the extreme as one step inside; a sine's crest has 2.4 times as many

@@ -17,8 +17,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Mode", "find_mode"]
-
 _LONGEST = 8_192  # samples looked at: 8 s at 1 kHz, half a minute at 250 Hz
 _DAMPINGS = (0.01, 0.04, 0.15)
 _ROUNDS = 16  # of the search around the best point of the grid, which ends within 0.3 % of ω
