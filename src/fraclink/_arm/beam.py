@@ -15,16 +15,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._validate import checked_between, checked_choice
+from fraclink._arm.rig import Rig
+from fraclink._validate import Between, checked
 from fraclink.errors import FieldError
-
-if TYPE_CHECKING:
-    from fraclink._arm.rig import Rig
 
 __all__ = ["Beam", "Modes", "matrices", "rigid_rotation"]
 
@@ -35,10 +33,10 @@ Vector = NDArray[np.float64]
 ELEMENTS = 48
 
 
-def _check(field: str, value: float, *, zero: bool, unit: str, remedy: str) -> None:
-    checked_between(field, value, 0.0, 1e9, unit, open_low=not zero, remedy=remedy)
+_LARGEST = 1e9
 
 
+@checked
 @dataclass(frozen=True)
 class Beam:
     """A uniform slender link with a payload: what bends, and what it carries.
@@ -72,30 +70,20 @@ class Beam:
     1.2
     """
 
-    length: float
-    flexural_rigidity: float
-    link_mass: float
-    payload: float
-    payload_inertia: float = 0.0
+    length: Annotated[
+        float, Between(0.0, _LARGEST, "m", low_open=True, remedy="give the length of the link in metres")
+    ]
+    flexural_rigidity: Annotated[
+        float,
+        Between(0.0, _LARGEST, "N·m²", low_open=True, remedy="give EI, or c·L/3 from a measured stiffness"),
+    ]
+    link_mass: Annotated[float, Between(0.0, _LARGEST, "kg", remedy="give the mass of the link in kg")]
+    payload: Annotated[float, Between(0.0, _LARGEST, "kg", remedy="give the mass at the tip in kg")]
+    payload_inertia: Annotated[
+        float, Between(0.0, _LARGEST, "kg·m²", remedy="give 0 for a disk that turns freely on its pin")
+    ] = 0.0
 
     def __post_init__(self) -> None:
-        _check("length", self.length, zero=False, unit="m", remedy="give the length of the link in metres")
-        _check(
-            "flexural_rigidity",
-            self.flexural_rigidity,
-            zero=False,
-            unit="N·m²",
-            remedy="give EI, or c·L/3 from a measured stiffness",
-        )
-        _check("link_mass", self.link_mass, zero=True, unit="kg", remedy="give the mass of the link in kg")
-        _check("payload", self.payload, zero=True, unit="kg", remedy="give the mass at the tip in kg")
-        _check(
-            "payload_inertia",
-            self.payload_inertia,
-            zero=True,
-            unit="kg·m²",
-            remedy="give the inertia about the tip, 0 for a disk that turns freely",
-        )
         if self.link_mass == 0.0 and self.payload == 0.0 and self.payload_inertia == 0.0:
             raise FieldError(
                 "payload",
@@ -130,6 +118,7 @@ class Beam:
         return replace(self, payload=payload)
 
     @staticmethod
+    @checked
     def from_rig(
         rig: Rig,
         *,
@@ -150,32 +139,21 @@ class Beam:
         link_mass
             mass of the link [kg]; default the rig's
         """
-        checked_choice(
-            "rigidity",
-            rigidity,
-            ("stiffness", "tabulated"),
-            remedy="say whether the measured stiffness or the tabulated EI holds",
-        )
         link = rig.link
-        tabulated = link.flexural_rigidity
-        from_stiffness = link.stiffness * link.length / 3.0
-        chosen = from_stiffness if rigidity == "stiffness" or tabulated is None else tabulated
+        measured = link.stiffness * link.length / 3.0
         return Beam(
             length=link.length,
-            flexural_rigidity=chosen,
+            flexural_rigidity=measured if rigidity == "stiffness" else link.flexural_rigidity,
             link_mass=link.mass if link_mass is None else link_mass,
             payload=rig.payloads.nominal if payload is None else payload,
         )
 
-    def modes(self, count: int) -> Modes:
-        """Return the first `count` clamped modes, fewer where the beam has fewer.
+    @checked
+    def modes(self, count: Annotated[int, Between(1, 12, "modes")]) -> Modes:
+        """Return the first `count` clamped modes, 1 to 12, fewer where the beam has fewer.
 
         A massless link has one mode (two with tip inertia); asking for more returns those.
         """
-        if isinstance(count, bool) or not isinstance(count, int) or not 1 <= count <= 12:
-            raise FieldError(
-                "modes", count, "out of range", allowed="1 to 12", remedy="three modes are the usual choice"
-            )
         return _modes(self, count)
 
 
@@ -201,26 +179,20 @@ class Modes:
         return int(self.frequencies.size)
 
 
-def _element() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Mass and stiffness of one cubic element, degrees of freedom (w, h·w') at both ends."""
-    mass = (
-        np.array([[156, 22, 54, -13], [22, 4, 13, -3], [54, 13, 156, -22], [-13, -3, -22, 4]], dtype=float)
-        / 420.0
-    )
-    stiffness = np.array([[12, 6, -12, 6], [6, 4, -6, 2], [-12, -6, 12, -6], [6, 2, -6, 4]], dtype=float)
-    return mass, stiffness
+# Mass and stiffness of one cubic (Hermite) element, degrees of freedom (w, h·w') at both ends.
+_MASS = np.array([[156, 22, 54, -13], [22, 4, 13, -3], [54, 13, 156, -22], [-13, -3, -22, 4]]) / 420.0
+_STIFFNESS = np.array([[12.0, 6, -12, 6], [6, 4, -6, 2], [-12, -6, 12, -6], [6, 2, -6, 4]])
 
 
 def matrices(beam: Beam) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Mass matrix [kg] and stiffness matrix [N/m] of the clamped beam; slopes times element length."""
     size = beam.length / ELEMENTS
-    mass_unit, stiffness_unit = _element()
     mass = np.zeros((2 * ELEMENTS + 2,) * 2)
     stiffness = np.zeros_like(mass)
     for i in range(ELEMENTS):
         block = slice(2 * i, 2 * i + 4)
-        mass[block, block] += mass_unit * (beam.link_mass / ELEMENTS)
-        stiffness[block, block] += stiffness_unit * (beam.flexural_rigidity / size**3)
+        mass[block, block] += _MASS * (beam.link_mass / ELEMENTS)
+        stiffness[block, block] += _STIFFNESS * (beam.flexural_rigidity / size**3)
     mass[-2, -2] += beam.payload
     mass[-1, -1] += beam.payload_inertia / size**2
     return mass[2:, 2:], stiffness[2:, 2:]
@@ -253,12 +225,6 @@ def _modes(beam: Beam, count: int) -> Modes:
     # differentiating the cubic twice would lose two orders. It is the moment K φ leaves at the clamp.
     curvature = frequencies**2 * (rigid @ (mass @ shapes))
     result = Modes(frequencies, rigid @ (mass @ shapes), shapes[-2] / beam.length, curvature, shapes)
-    for array in (
-        result.frequencies,
-        result.participation,
-        result.tip,
-        result.curvature,
-        result.shapes,
-    ):
+    for array in vars(result).values():
         array.flags.writeable = False
     return result
