@@ -375,7 +375,11 @@ def test_what_cannot_be_saved_is_refused_before_a_file_is_made(tmp_path: Path) -
         save(Made("x", 1.0, anything="y" * 17_000_000), path)
     with pytest.raises(FieldError, match="float64"):
         save(Signals(np.zeros(3, np.float32), np.zeros(3, np.uint32)), tmp_path / "x.npz")  # type: ignore[arg-type]
+    for value, name in ((FULL, "x.npz"), (SIGNALS, "x.json"), (SIGNALS, "x.csv")):
+        with pytest.raises(FieldError, match="another kind of file"):
+            save(value, tmp_path / name)
     assert list(tmp_path.iterdir()) == []
+    assert load(save(FULL, tmp_path / "no-ending")) == FULL
     save(FULL, path)
     with pytest.raises(FieldError, match="already there"):
         save(FULL, path)

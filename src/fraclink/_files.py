@@ -78,6 +78,7 @@ Upgrade = Callable[[dict[str, Any]], dict[str, Any]]
 Container = Literal["json", "npz", "toml"]
 
 UNITS = "SI, radians"
+_ENDINGS = {".json", ".npz", ".toml", ".csv"}
 _ZIP = b"PK"  # how every zip archive begins
 # Kind -> module that defines its class, so that reading one file imports what that file needs and no more.
 _HOMES = {
@@ -205,6 +206,9 @@ def save(value: object, path: Path | str, *, force: bool = False) -> Path:
     found = _document_of(value)
     found.before_save(value)
     place = output_path(path, force=force)
+    if place.suffix in _ENDINGS - {f".{found.container}"}:
+        allowed, remedy = f".{found.container}, the ending of a {found.kind}", "change the ending"
+        raise FieldError("out", place.name, "of another kind of file", allowed=allowed, remedy=remedy)
     if found.container == "toml":
         write_text(place, getattr(value, "to_toml")())  # noqa: B009 - what such a class offers
         return place
@@ -275,20 +279,9 @@ def load(path: Path | str, kind: tuple[type, ...] | None = None) -> Any: ...
 def load(path: Path | str, kind: type[Any] | tuple[type, ...] | None = None) -> Any:
     """Read back what `save` wrote; files of earlier formats are upgraded while they are read.
 
-    Parameters
-    ----------
-    path
-        a file that fraclink wrote.
-    kind
-        the class that is expected, or several; any when it is left out.
+    `kind` is the class that is expected, or several of them; any when it is left out. FileFormatError is
+    raised for every other file: missing, foreign, of another kind, of a later format, damaged, edited.
 
-    Raises
-    ------
-    FileFormatError
-        for every other file: missing, foreign, of another kind, of a later format, damaged, edited.
-
-    Examples
-    --------
     >>> import fraclink as fl
     >>> fl.load("no-such-file.json")  # doctest: +ELLIPSIS
     Traceback (most recent call last):

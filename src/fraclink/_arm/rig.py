@@ -335,8 +335,6 @@ class _RigFile:
     """A rig file: its keys and tables in the order in which they are written."""
 
     format: Annotated[int, Between(1, 1)] = 1
-    __made_by__ = "Rig.named or Rig.load"
-
     name: Name
     source: Source | None = None
     period: Period | None = None
