@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
+from fraclink._cli.outcome import guarded
 
 from fraclink._arm.rig import Rig
 from fraclink._cli import main
 from fraclink._cli.console import clean, table
-from fraclink._cli.outcome import guarded
 from fraclink.errors import FieldError, InfeasibleError, MissingExtraError, NotCertifiedError
 
 

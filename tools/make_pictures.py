@@ -14,7 +14,7 @@ import numpy as np
 
 import fraclink as fl
 from fraclink._files import write_text
-from fraclink._show.report.svg import BLUE, GREEN, GREY, ORANGE, figure, svg
+from fraclink._show.drawing import BLUE, GREEN, GREY, ORANGE, figure, svg
 from fraclink._systems.margins import Margins
 
 PLACE = Path(__file__).resolve().parent.parent / "docs" / "_static" / "result.svg"

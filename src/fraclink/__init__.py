@@ -23,11 +23,11 @@ _HOME: dict[str, str] = {
     "Run": "fraclink._simulate",
     "Study": "fraclink._workflow",
     "Twin": "fraclink._simulate",
+    "Verdict": "fraclink._workflow",
     "approximate": "fraclink._systems.rational",
     "bundled_log": "fraclink._logs",
     "certify": "fraclink._certify",
     "chirp": "fraclink._arm.reference",
-    "conduct": "fraclink._workflow",
     "deg": "fraclink._design",
     "design": "fraclink._design",
     "diagnose": "fraclink._logs",
@@ -46,6 +46,7 @@ _HOME: dict[str, str] = {
     "prbs": "fraclink._arm.reference",
     "pulse": "fraclink._arm.reference",
     "read_log": "fraclink._logs",
+    "run": "fraclink._workflow",
     "s": "fraclink._systems.fractional",
     "save": "fraclink._files",
     "simulate": "fraclink._simulate",
@@ -96,7 +97,8 @@ if TYPE_CHECKING:  # what editors and type checkers see; nothing of this runs
     from fraclink._systems.stability import is_stable as is_stable
     from fraclink._systems.stability import poles as poles
     from fraclink._workflow import Study as Study
-    from fraclink._workflow import conduct as conduct
+    from fraclink._workflow import Verdict as Verdict
+    from fraclink._workflow import run as run
 
 __all__ = sorted(["__version__", *_HOME])
 

@@ -1,4 +1,4 @@
-"""The command line: verbs that chain through files; the exit code is the verdict."""
+"""The command line: commands that chain through files; the exit code is the verdict."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ __all__ = ["main"]
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line with `arguments` (default: the process's own) and return the exit code.
 
-    0 holds, 1 does not hold (infeasible, not certified, a run that fails), 2 bad input.
+    0 passed, 1 failed (infeasible, not certified, a run that does not settle) or not shown, 2 bad input.
     """
     try:
         from fraclink._cli.app import run

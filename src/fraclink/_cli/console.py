@@ -1,4 +1,4 @@
-"""What the command line prints, and where.
+"""What the command line prints, where, and with which exit code; never a traceback.
 
 Results go to standard output, everything else to standard error, so that a pipe carries results only.
 Names that come from files are stripped of terminal escapes before they are printed: a log's column
@@ -8,12 +8,32 @@ called ``\\x1b]0;...`` must not retitle, recolour or rewrite anybody's terminal.
 from __future__ import annotations
 
 import json
+import math
+import os
+import re
+import shutil
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+import time
+import warnings
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import Protocol
+from typing import Any, TextIO
 
-__all__ = ["Step", "clean", "emit", "emit_json", "steps", "table", "tell"]
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+from fraclink._show.tables import folded
+from fraclink.errors import FieldError, FraclinkError, FraclinkWarning, InfeasibleError, MissingExtraError
+
+__all__ = ["clean", "emit", "emit_json", "guarded", "steps", "tell", "watching", "width"]
+
+PASSED, FAILED, BAD_INPUT = 0, 1, 2
+DEFECT = 70  # a defect of fraclink itself, kept apart from the three verdicts (sysexits' EX_SOFTWARE)
+INTERRUPTED = 130  # 128 + SIGINT, as shells report it
+
+# Words keep their signs where there are no colours: pipes, NO_COLOR, readers of screens.
+_COLOURS = (("✓ passed|✓", "32"), ("✗ (?:failed|missed)|^error|✗", "31"), ("! not shown|^warning", "33"))
 
 
 def clean(text: object) -> str:
@@ -32,67 +52,172 @@ def _visible(character: str) -> str:
     return f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}"
 
 
+def width() -> int:
+    """Columns of the terminal, or of COLUMNS; 80 where neither says."""
+    return shutil.get_terminal_size().columns
+
+
+def _coloured(text: str, stream: TextIO) -> str:
+    if "NO_COLOR" in os.environ or not (stream.isatty() or "FORCE_COLOR" in os.environ):
+        return text
+    for words, code in _COLOURS:
+        text = re.sub(
+            words, lambda found, code=code: f"\x1b[{code}m{found[0]}\x1b[0m", text, flags=re.MULTILINE
+        )  # type: ignore[misc]
+    return text
+
+
 def emit(text: str) -> None:
     """Print a result on standard output."""
-    sys.stdout.write(clean(text) + "\n")
+    sys.stdout.write(_coloured(clean(text), sys.stdout) + "\n")
 
 
 def emit_json(value: Mapping[str, object]) -> None:
-    """Print a result for machines: one JSON object, numbers that read back exactly."""
+    """Print a result for programs: one JSON object, numbers that read back exactly."""
     sys.stdout.write(json.dumps(value, allow_nan=False, ensure_ascii=True) + "\n")
 
 
 def tell(text: str) -> None:
     """Print a remark on standard error."""
-    sys.stderr.write(clean(text) + "\n")
+    if sys.stderr.isatty():
+        text = folded(text, width())
+    sys.stderr.write(_coloured(clean(text), sys.stderr) + "\n")
 
 
-def table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    """Return a plain table: first column flush left, the others flush right.
-
-    >>> print(table(["payload", "margin"], [["20 g", "48.8°"], ["8 g", "23.9°"]]))
-    payload  margin
-    20 g      48.8°
-    8 g       23.9°
-    """
-    cells = [list(map(str, row)) for row in (header, *rows)]
-    widths = [max(len(row[column]) for row in cells) for column in range(len(header))]
-    lines = (
-        "  ".join(
-            cell.ljust(width) if column == 0 else cell.rjust(width)
-            for column, (cell, width) in enumerate(zip(row, widths, strict=True))
-        )
-        for row in cells
-    )
-    return "\n".join(line.rstrip() for line in lines)
-
-
-class Step(Protocol):
-    """Tells the user which part of the work begins."""
-
-    def __call__(self, name: str) -> None:
-        """Begin the part called `name`."""
+# --- progress -------------------------------------------------------------------------------------------
 
 
 @contextmanager
-def steps(total: int) -> Iterator[Step]:
+def steps(total: int) -> Iterator[Callable[[str], None]]:
     """Show progress over `total` parts on standard error; silent where that is not a terminal."""
     if not sys.stderr.isatty():
         yield lambda name: None
         return
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-
-    columns = (
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-    )
+    text = TextColumn("{task.description}", markup=False)
+    columns = (text, BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
         task = progress.add_task("", total=total + 1)
+        yield lambda name: progress.update(task, description=clean(name), advance=1)
 
-        def begin(name: str) -> None:
-            progress.update(task, description=clean(name), advance=1)
 
-        yield begin
+@contextmanager
+def watching(runs: int) -> Iterator[Callable[[Any], None] | None]:
+    """Show runs done, their rate and the time that is left on standard error; silent where no terminal is."""
+    if not sys.stderr.isatty():
+        yield None
+        return
+    began = time.monotonic()
+    text = TextColumn("{task.description}", markup=False)
+    with Progress(text, BarColumn(), console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("simulating", total=runs)
+
+        def watch(progress: Any) -> None:
+            rate = (progress.done - progress.before) / max(time.monotonic() - began, 1e-9)
+            left = (runs - progress.done) / max(rate, 1e-9)
+            shown = f"{progress.done} / {runs} · {rate:.0f} runs/s · {left:.0f} s left"
+            bar.update(task, completed=progress.done, description=shown)
+
+        yield watch
+
+
+# --- from an error to one line and an exit code -----------------------------------------------------------
+
+
+def _line(text: str) -> str:
+    return clean(" ".join(text.split()))
+
+
+def _describe(error: BaseException) -> dict[str, object]:
+    """The parts of an error that a program can act on."""
+    if isinstance(error, FieldError):
+        names = ("field", "value", "problem", "allowed", "remedy")
+        return {name: clean(getattr(error, name)) for name in names}
+    if isinstance(error, InfeasibleError):
+        return {"condition": error.condition, "problem": clean(error.explanation), "nearest": error.nearest}
+    text = error.format_message() if hasattr(error, "format_message") else str(error)
+    return {"problem": _line(text)}
+
+
+def _usage(error: Exception) -> str:
+    """What is wrong with the words of a command, and where the right ones are listed."""
+    text = error.format_message() if hasattr(error, "format_message") else str(error)
+    context = getattr(error, "ctx", None)
+    command = "fraclink" if context is None else context.command_path
+    return f"{text.rstrip('.')} (see `{command} --help`)"
+
+
+def _option(name: str, value: float) -> str:
+    """A keyword argument as the option that stands for it, rounded into the feasible side.
+
+    >>> _option("phase_margin", math.radians(50.58)), _option("gain_crossover", 12.3456)
+    ('--phase-margin-deg 50.57', '--gain-crossover 12.34')
+    """
+    # The nearest request lies on a bound: half a digit up would be infeasible again.
+    word = f"--{name.replace('_', '-')}"
+    shown, word = (math.degrees(value), f"{word}-deg") if name == "phase_margin" else (value, word)
+    return f"{word} {math.floor(100 * shown * (1 - 1e-6)) / 100:g}"
+
+
+def _answer(error: BaseException) -> tuple[int, str]:
+    """Exit code and the line that explains it."""
+    if isinstance(error, FieldError | MissingExtraError):
+        return BAD_INPUT, f"error: {error}"
+    if isinstance(error, InfeasibleError) and error.nearest:
+        options = " ".join(_option(name, value) for name, value in error.nearest.items())
+        return FAILED, f"✗ failed: {error.condition}: {error.explanation}; nearest feasible: {options}"
+    if isinstance(error, FraclinkError):
+        return FAILED, f"✗ failed: {error}"
+    if isinstance(error, OSError):
+        name = error.filename if error.filename is not None else "file"
+        return BAD_INPUT, f"error: {name}: {error.strerror or error}"
+    if isinstance(error, KeyboardInterrupt):
+        return INTERRUPTED, "interrupted; finished files are complete, nothing is half written"
+    return DEFECT, (
+        f"error: fraclink failed inside ({type(error).__name__}: {error}); this is a defect, please report it"
+        " (FRACLINK_TRACEBACK=1 shows where)"
+    )
+
+
+@contextmanager
+def _warnings_as_lines() -> Iterator[None]:
+    """Print fraclink's warnings as lines on standard error and drop those of other libraries."""
+
+    def show(message: Warning | str, category: type[Warning], *_: object, **__: object) -> None:
+        if issubclass(category, FraclinkWarning):
+            tell(_line(f"warning: {message}"))
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        warnings.simplefilter("always", FraclinkWarning)
+        warnings.showwarning = show
+        yield
+
+
+def guarded(work: Callable[[], int | None], *, as_json: bool) -> int:
+    """Run `work` and return its exit code, or the one its error stands for."""
+    # typer carries its own copy of click; its base of usage errors is reached through a public name.
+    usage_error: type[Exception] = typer.BadParameter.__mro__[2]
+    try:
+        with _warnings_as_lines():
+            code = work()
+        sys.stdout.flush()
+        return PASSED if code is None else int(code)
+    except usage_error as error:
+        code, lines, parts = BAD_INPUT, [f"error: {_usage(error)}"], _describe(error)
+    except BrokenPipeError:
+        # The reader of a pipe left (`| head`): no error here, but stdout must not be flushed again.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return PASSED
+    except (Exception, KeyboardInterrupt) as error:
+        if os.environ.get("FRACLINK_TRACEBACK") == "1":
+            raise
+        (code, line), parts = _answer(error), _describe(error)
+        lines = [line]
+        if faults := getattr(error, "faults", ()):  # a rig file lists all its faults at once: a line for each
+            lines = [f"error: {fault}" for fault in faults]
+            parts = parts | {"faults": [_describe(fault) for fault in faults]}
+    for line in lines:
+        tell(_line(line))
+    if as_json:
+        emit_json({"exit": code, "error": parts})
+    return code

@@ -1,1 +1,1 @@
-"""The only place that formats or draws."""
+"""The only place that formats or draws: results as tables, figures and reports."""

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fraclink._show.plots.curves import Curve, labelled, pyplot, sample
+from fraclink._show.curves import Curve, labelled, pyplot, sample
+from fraclink._show.drawing import ORANGE
 
 __all__ = ["nichols", "nyquist"]
 
@@ -71,7 +72,7 @@ def nyquist(
             ax.plot(values.real, -values.imag, **shade)
         _arrows(ax, values, line.get_color(), min(shown, float(np.nanmax(np.abs(values)))))
         largest = max(largest, float(np.nanmax(np.abs(values))))
-    ax.plot([-1], [0], "+", color="tab:red", markersize=11, markeredgewidth=2)
+    ax.plot([-1], [0], "+", color=ORANGE, markersize=11, markeredgewidth=2)
     half = reach or (1.1 * largest if largest <= 8 else 5.0)
     ax.set(xlim=(-half, half), ylim=(-half, half), xlabel="Re L", ylabel="Im L")
     ax.set_aspect("equal")
@@ -145,7 +146,7 @@ def nichols(
         for turn in range(math.floor(low / 360), math.ceil(high / 360) + 1):
             _contours(ax, 360.0 * turn)
     for critical in range(math.floor((low + 180) / 360), math.ceil((high + 180) / 360) + 1):
-        ax.plot([360 * critical - 180], [0], "+", color="tab:red", markersize=11, markeredgewidth=2)
+        ax.plot([360 * critical - 180], [0], "+", color=ORANGE, markersize=11, markeredgewidth=2)
     ax.set(xlim=(low, high), ylim=(bottom, top), xlabel="phase [°]", ylabel="magnitude [dB]")
     ax.grid(True, color="0.92")
     if labels is not None:

@@ -1,0 +1,318 @@
+"""Commands on logs and link models: inspect, diagnose, record, and every identification."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+import typer
+from numpy.typing import NDArray
+
+from fraclink import _identify as identification
+from fraclink._arm.experiment import Experiment
+from fraclink._arm.reference import Reference, chirp, prbs, pulse
+from fraclink._arm.rig import Rig
+from fraclink._cli.app import group
+from fraclink._cli.command import Answer, Writes, command, option
+from fraclink._cli.console import steps
+from fraclink._cli.options import (
+    Columns,
+    Interpolate,
+    LinkMass,
+    LogName,
+    LogPayload,
+    ModelFile,
+    Payload,
+    Resample,
+    RigName,
+    SeedNumber,
+    load_log,
+    load_rig,
+    log_path,
+)
+from fraclink._logs import diagnose as examine
+from fraclink._logs import inspect_log, read_columns
+from fraclink._show.tables import View, to_json, view
+from fraclink._simulate import Twin, simulate_log
+from fraclink._validate import Between, checked
+from fraclink.errors import FieldError, LogError
+from fraclink.findings import Finding
+
+StructureName = Annotated[str, option("--structure", help="UD-IOM, D-IOM, UD-FOM or D-FOM.")]
+
+app = group()
+
+
+def _errors(log: Experiment, rig: Rig) -> tuple[Finding, ...]:
+    """Findings that make a log unusable: a model fits a reversed gauge as well as a right one."""
+    return tuple(finding for finding in examine(log, rig) if finding.severity == "error")
+
+
+def _known_stiffness(log: Experiment, rig: Rig) -> float | None:
+    """A deflection log cannot show the stiffness; a torque log measures it."""
+    return rig.link.stiffness if log.output_kind == "deflection" else None
+
+
+def _doubted(shown: View, wrong: tuple[Finding, ...]) -> View:
+    """A result of a log that is unusable: the findings stand first, and nothing is shown by it."""
+    if not wrong:
+        return shown
+    return View(
+        f"the log is unusable; {shown.headline}", shown.tables, (*map(str, wrong), *shown.notes), "not shown"
+    )
+
+
+@app.command()
+@command
+def inspect(log: LogName) -> Answer:
+    """List a log's channels, rates and ranges, and a mapping to paste into the rig file."""
+    listing = inspect_log(log_path(log))
+    return Answer(text=str(listing), values=listing.values())
+
+
+@app.command()
+@command
+def diagnose(
+    log: LogName,
+    rig: RigName,
+    payload: LogPayload = None,
+    column: Columns = None,
+    resample: Resample = False,
+    interpolate: Interpolate = False,
+) -> Answer:
+    """Examine a log: offset, sign, delay, saturation, excitation; each finding with what to do."""
+    known = load_rig(rig)
+    found = examine(load_log(log, known, payload, column, resample=resample, interpolate=interpolate), known)
+    failed = any(finding.severity == "error" for finding in found)
+    return Answer(found, not failed, following="" if failed else f"fraclink identify {log} --rig {rig}")
+
+
+@app.command()
+@command
+def identify(
+    log: LogName,
+    rig: RigName,
+    out: Annotated[Path, option("--out", help="File to write the model to."), Writes()] = Path("model.json"),
+    structure: StructureName = "UD-FOM",
+    payload: LogPayload = None,
+    column: Columns = None,
+    resample: Resample = False,
+    interpolate: Interpolate = False,
+) -> Answer:
+    """Fit a link model to a log; gain, offset and gauge delay are fitted along."""
+    with steps(3) as begin:
+        begin("reading the log")
+        known = load_rig(rig)
+        experiment = load_log(log, known, payload, column, resample=resample, interpolate=interpolate)
+        begin("examining the log")
+        wrong = _errors(experiment, known)
+        begin(f"fitting {structure}")
+        fit = identification.identify(experiment, structure, stiffness=_known_stiffness(experiment, known))
+    fit.save(out)
+    shown = _doubted(view(fit), wrong)
+    return Answer(
+        fit,
+        shown.state == "passed",
+        shown,
+        {"findings": [to_json(finding) for finding in (*wrong, *fit.findings)]},
+        written=(out,),
+        following=f"fraclink design --rig {rig} --model {out}",
+    )
+
+
+@app.command()
+@command
+def identify_all(log: LogName, rig: RigName, payload: LogPayload = None, column: Columns = None) -> Answer:
+    """Fit all four structures to a log and compare them."""
+    known = load_rig(rig)
+    experiment = load_log(log, known, payload, column)
+    with steps(2) as begin:
+        begin("examining the log")
+        wrong = _errors(experiment, known)
+        begin("fitting four structures")
+        found = identification.identify_all(experiment, stiffness=_known_stiffness(experiment, known))
+    values = {"findings": [to_json(finding) for finding in wrong]}
+    return Answer(found, not wrong, _doubted(view(found), wrong), values)
+
+
+@app.command()
+@command
+def identify_payloads(
+    logs: Annotated[
+        list[str], typer.Argument(metavar="LOG", help="Two or more logs, each of another payload.")
+    ],
+    rig: RigName,
+    structure: StructureName = "UD-FOM",
+    payload: Annotated[
+        list[float] | None,
+        option("--payload", metavar="KG", help="Payload of a log [kg]; once for each, in their order."),
+    ] = None,
+    tied: Annotated[bool, option("--tied", help="Tie ω₀ to the payload by equation (5).")] = False,
+    column: Columns = None,
+) -> Answer:
+    """Fit several payloads together and test whether their parameters may be common."""
+    if payload and len(payload) != len(logs):
+        problem, remedy = "not one for each log", "repeat --payload"
+        raise FieldError("payload", len(payload), problem, allowed=f"{len(logs)} values", remedy=remedy)
+    known = load_rig(rig)
+    masses: list[float | None] = list(payload) if payload else [None] * len(logs)
+    experiments = [load_log(log, known, mass, column) for log, mass in zip(logs, masses, strict=True)]
+    return Answer(
+        identification.identify_payloads(experiments, structure, tied=tied, length=known.link.length)
+    )
+
+
+@app.command()
+@command
+def identify_motor(
+    log: Annotated[str, typer.Argument(metavar="LOG", help="A log with the amplifier's voltage.")],
+    rig: RigName,
+    column: Columns = None,
+) -> Answer:
+    """Identify the motor from voltage and angle: K/J, ν/J, Coulomb torque, dead zone, delay."""
+    known = load_rig(rig)
+    experiment = load_log(log, known, None, column)
+    if experiment.voltage is None:
+        allowed = "a log with a voltage column"
+        remedy = 'name it in the rig file\'s [log], or by --column "voltage=NAME [V]"'
+        raise LogError("log", log, "without the amplifier's voltage", allowed=allowed, remedy=remedy)
+    torque = experiment.output if experiment.output_kind == "torque" else None
+    return Answer(
+        identification.identify_motor(
+            experiment.voltage,
+            experiment.motor_angle,
+            period=experiment.period,
+            torque=torque,
+            inertia=None if torque is not None else known.motor.inertia,
+        )
+    )
+
+
+@app.command()
+@command
+def identify_spectrum(
+    response: Annotated[
+        Path,
+        typer.Argument(
+            metavar="TABLE",
+            help="Table with frequency_rad_s or frequency_Hz, gain or gain_dB, phase_rad or phase_deg.",
+        ),
+    ],
+    resonances: Annotated[int, option("--resonances", min=1, max=6, help="Number of resonances.")] = 1,
+    anti_resonances: Annotated[
+        int, option("--anti-resonances", min=0, max=6, help="Number of anti-resonances.")
+    ] = 0,
+) -> Answer:
+    """Fit modes with one common λ to a table of gain and phase; a column `coherence` is used."""
+    columns = read_columns(response)
+    frequency = _one_of(columns, {"frequency_rad_s": 1.0, "frequency_Hz": 2 * np.pi})
+    decibel = "gain_dB" in columns and "gain" not in columns
+    level = _one_of(columns, {"gain": 1.0, "gain_dB": 1.0})
+    phase = _one_of(columns, {"phase_rad": 1.0, "phase_deg": np.pi / 180})
+    fit = identification.identify_frequency_response(
+        frequency,
+        (10 ** (level / 20) if decibel else level) * np.exp(1j * phase),
+        coherence=columns.get("coherence"),
+        resonances=resonances,
+        anti_resonances=anti_resonances,
+    )
+    return Answer(fit, values={"outliers": [float(frequency[k]) for k in fit.outliers]})
+
+
+def _one_of(columns: Mapping[str, NDArray[np.float64]], scales: Mapping[str, float]) -> NDArray[np.float64]:
+    """The first column that is there, in SI units."""
+    for name, scale in scales.items():
+        if name in columns:
+            return np.asarray(columns[name] * scale, dtype=np.float64)
+    allowed, remedy = " or ".join(scales), "rename it in the table's header"
+    raise LogError("column", ", ".join(columns), "without one that is needed", allowed=allowed, remedy=remedy)
+
+
+@app.command()
+@command
+def plan_experiment(
+    rig: RigName,
+    standard_error: Annotated[float, option("--standard-error", help="Standard error of λ that is wanted.")],
+    noise: Annotated[float, option("--noise", help="Standard deviation of the gauge's noise [N·m].")],
+    duration: Annotated[float, option("--duration", help="Length of the log [s].")] = 20.0,
+    deflection_limit: Annotated[float, option("--deflection-limit", help="Largest |θm − θt| [rad].")] = float(
+        "inf"
+    ),
+    kind: Annotated[Literal["prbs", "multisine"], option("--kind", help="Excitation.")] = "prbs",
+    model: ModelFile = None,
+) -> Answer:
+    """Choose amplitude and band of an excitation for a wanted standard error of λ."""
+    known = load_rig(rig, model=model)
+    if known.model is None:
+        allowed, remedy = "a first guess of the link", "give --model, or add [model] to the rig file"
+        raise FieldError("model", None, "missing", allowed=allowed, remedy=remedy)
+    return Answer(
+        identification.design_experiment(
+            known.model,
+            standard_error=standard_error,
+            noise=noise,
+            period=known.period,
+            duration=duration,
+            kind=kind,
+            motor=known.motor,
+            deflection_limit=deflection_limit,
+        )
+    )
+
+
+AT_REST = 0.5  # [s] before the excitation: an identification takes the first sample for rest
+Excitation = Literal["prbs", "pulse", "chirp"]
+_LogLength = Annotated[float, Between(2.0, 3600.0, "s", remedy="20 s is usual")]
+
+
+@checked
+def _excitation(kind: Excitation, amplitude: float, duration: _LogLength) -> Reference:
+    if kind == "pulse":
+        return pulse(amplitude, 0.35 * duration, start=AT_REST)
+    if kind == "chirp":
+        return chirp(amplitude, 0.2, 5.0, duration=duration)
+    bit = 0.24
+    return prbs(amplitude, bit, bits=max(1, int(duration / bit)), register=9, start=AT_REST)
+
+
+@app.command()
+@command
+def record(
+    rig: RigName,
+    out: Annotated[Path, option("--out", help="File to write the log to (CSV)."), Writes()] = Path(
+        "twin_log.csv"
+    ),
+    payload: Payload = None,
+    link_mass: LinkMass = None,
+    model: ModelFile = None,
+    excitation: Annotated[Excitation, option("--excitation", help="Motor reference.")] = "prbs",
+    amplitude: Annotated[float, option("--amplitude", help="Size of the excitation [rad].")] = 0.1,
+    duration: Annotated[float, option("--duration", range=_LogLength, help="Length of the log")] = 20.0,
+    gauge_delay: Annotated[
+        float, option("--gauge-delay", help="Delay of the strain amplifier [s], whole milliseconds.")
+    ] = 0.0,
+    seed: SeedNumber = 0,
+) -> Answer:
+    """Record a log of the twin, in the same CSV a rig writes, marked as simulated."""
+    known = load_rig(rig, model=model)
+    reference = _excitation(excitation, amplitude, duration)
+    arm = Twin.from_rig(known, payload=payload, link_mass=link_mass, gauge_delay=gauge_delay)
+    count = round(duration / known.period) + 1
+    log = simulate_log(
+        arm.beam,
+        arm.damping,
+        reference.angle(known.period * np.arange(count)),
+        period=known.period,
+        sensors=arm.sensors,
+        servo_pole=known.inner.pole,
+        seed=seed,
+    )
+    log.save(out)
+    return Answer(
+        values={"samples": count, "header": dict(log.header)},
+        remarks=(f"{count} samples, simulated",),
+        written=(out,),
+        following=f"fraclink diagnose {out} --rig {rig}",
+    )
