@@ -22,7 +22,7 @@ from fraclink._law import Moves, discretize_controller, equip
 from fraclink._realtime import Callback, Library, SharedMemory, Udp, parse_connection, run_realtime
 from fraclink._simulate import geared
 from fraclink._systems.discrete import fit_discrete
-from fraclink._workflow import Move, Request, design_for
+from fraclink._workflow import design_for
 from fraclink.errors import FieldError
 from junk import JUNK, LINK, RIG, Call, design, fields_of, law, take_or_refuse
 
@@ -200,9 +200,7 @@ CALLS: dict[str, Call] = {
     "Case": (faults.Case, lambda: fields_of(faults.Case("F07", 2, 0.030, "mid", 1))),
     "run_case": (faults.run_case, lambda: {"bench": bench(), "case": faults.Case("F07", 2, 0.030, "mid", 1)}),
     "run_faults": (faults.run_faults, lambda: {"bench": bench(), "planned": []}),
-    "Request": (Request, lambda: WANTED),
-    "Move": (Move, lambda: fields_of(Move())),
-    "design_for": (design_for, lambda: {"rig": RIG, "model": LINK, "request": Request(**WANTED)}),
+    "design_for": (design_for, lambda: {"rig": RIG, "model": LINK, **WANTED}),
     "Udp": (Udp, lambda: {"host": "localhost", "port": 5005}),
     "SharedMemory": (SharedMemory, lambda: {"name": "arm"}),
     "Library": (Library, lambda: {"path": Path("board.so")}),

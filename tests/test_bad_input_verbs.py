@@ -39,7 +39,7 @@ from fraclink._simulate import (
     simulate_log,
 )
 from fraclink._systems.inversion import grunwald_letnikov
-from fraclink._workflow import Move, simulate_move
+from fraclink._workflow import simulate_move
 from fraclink.errors import FraclinkError
 from junk import (
     ANGLE,
@@ -171,7 +171,7 @@ CALLS: dict[str, Call] = {
     ),
     "simulate_move": (
         simulate_move,
-        lambda: {"plan": plan(), "move": Move(duration=0.6), "payload": 0.030, "law": law()},
+        lambda: {"made": plan(), "duration": 0.6, "payload": 0.030, "law": law()},
     ),
     "Twin.from_rig": (
         fl.Twin.from_rig,

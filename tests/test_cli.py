@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
-from fraclink._cli.outcome import guarded
 
 from fraclink._arm.rig import Rig
 from fraclink._cli import main
-from fraclink._cli.console import clean, table
+from fraclink._cli.console import clean, guarded
+from fraclink._show.tables import Table, View, plain_text, table_text
 from fraclink.errors import FieldError, InfeasibleError, MissingExtraError, NotCertifiedError
 
 
@@ -51,7 +51,7 @@ def test_version_and_help(fraclink: Command) -> None:
     assert answer.code == 0
     for verb in ("run", "inspect", "diagnose", "identify", "design", "simulate", "report", "certify"):
         assert f"\n  {verb} " in answer.out
-    assert "Exit code: 0 holds, 1 does not hold, 2 bad input." in answer.out
+    assert "Exit code: 0 passed, 1 failed or not shown, 2 bad input." in answer.out
     assert fraclink().out == answer.out
 
 
@@ -66,21 +66,21 @@ def test_every_verb_is_listed_with_its_whole_sentence(fraclink: Command) -> None
 def test_a_group_without_a_verb_says_where_they_are_listed(fraclink: Command) -> None:
     answer = fraclink("campaign")
     assert answer.code == 2
-    assert answer.err == "error: Missing command (`fraclink campaign --help` says more)\n"
+    assert answer.err == "error: Missing command (see `fraclink campaign --help`)\n"
 
 
 def test_the_design_prints_what_it_asked_and_got(fraclink: Command, tmp_path: Path) -> None:
     answer = fraclink(*DESIGN, "--phase-margin-deg", "50", "--filter-time", "0", "--out", "design.json")
     assert answer.code == 0
-    assert answer.out == (
-        "controller: k_d = 0.0698762, β = 0.612197, no filter\n"
-        "requirement                    wanted  achieved    at  verdict\n"
-        "gain crossover             ≥ 12 rad/s  12 rad/s  40 g   passed\n"
-        "phase margin                    ≥ 50°       50°  20 g   passed\n"
-        "phase margin, shipped law     ≥ 49.5°   50.106°  20 g   passed\n"
-    )
-    assert answer.err.startswith("W402 info")  # no filter was asked for
-    assert answer.err.endswith("written: design.json\n")
+    assert answer.out.startswith(
+        "✓ passed: controller k_d = 0.069876, β = 0.6122, no filter\n\n"
+        "requirement                  required  achieved  worst at    slack  verdict\n"
+        "gain crossover             ≥ 12 rad/s  12 rad/s      40 g  0 rad/s  ✓ passed\n"
+        "phase margin                  ≥ 50.0°     50.0°      20 g     0.0°  ✓ passed\n"
+        "phase margin, shipped law     ≥ 49.5°     50.1°      20 g     0.6°  ✓ passed\n\n"
+        "W402 info: "
+    )  # no filter was asked for
+    assert answer.err == "written: design.json\nnext: fraclink simulate design.json --payload 0.02\n"
     assert [entry.name for entry in tmp_path.iterdir()] == ["design.json"]
 
 
@@ -126,13 +126,13 @@ def test_an_infeasible_request_is_exit_code_1_and_writes_nothing(fraclink: Comma
     arguments = ("design", "--rig", "paper-2023", "--gain-crossover", "30", "--phase-margin-deg", "80")
     answer = fraclink(*arguments)
     assert answer.code == 1
-    assert answer.err.startswith("does not hold: phase margin unreachable: ")
+    assert answer.err.startswith("✗ failed: phase margin unreachable: ")
     assert answer.err.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
     nearest = answer.err.partition("nearest feasible: ")[2].split()
     assert {"--phase-margin-deg", "--gain-crossover"} <= set(nearest)
     again = fraclink("design", "--rig", "paper-2023", *nearest)  # to be pasted as it is
-    assert again.out.startswith("controller: ")
+    assert "controller k_d = " in again.out.splitlines()[0]
     (tmp_path / "design.json").unlink()
     told = json.loads(fraclink(*arguments, "--json").out)
     assert told["exit"] == 1
@@ -197,9 +197,9 @@ def test_errors_are_json_too_where_json_was_asked_for(fraclink: Command) -> None
         (
             InfeasibleError("(39)", "too slow", {"gain_crossover": 12.0}),
             1,
-            "does not hold: (39): too slow; nearest",
+            "✗ failed: (39): too slow; nearest",
         ),
-        (NotCertifiedError("at 20 g"), 1, "does not hold: at 20 g\n"),
+        (NotCertifiedError("at 20 g"), 1, "✗ failed: at 20 g\n"),
         (OSError(28, "No space left on device", "out.json"), 2, "error: out.json: No space left on device\n"),
         (PermissionError(13, "Permission denied", "/x/y"), 2, "error: /x/y: Permission denied\n"),
         (KeyboardInterrupt(), 130, "interrupted; "),
@@ -240,7 +240,20 @@ def test_clean_leaves_greek_and_units_alone() -> None:
 
 
 def test_tables_are_aligned() -> None:
-    assert table(("a", "b"), [("x", "10"), ("long", "1")]) == "a      b\nx     10\nlong   1"
+    shown = Table(("a", "b"), (("x", "10"), ("long", "1")))
+    assert table_text(shown) == "a      b\nx     10\nlong   1"
+    wide = Table(("metric", "share of the runs [%]"), (("x", "10"), ("long", "1")))
+    assert table_text(wide, 20).splitlines()[-1] == "long          1"
+
+
+def test_no_line_is_wider_than_the_terminal_and_no_word_is_broken() -> None:
+    words = "a sentence of several words that must be broken between them and nowhere else"
+    shown = View(
+        "verdict", (Table(("fault", "worst run", "why"), (("F07", "x" * 20, words),) * 2),), (words,)
+    )
+    lines = plain_text(shown, 60).splitlines()
+    assert max(map(len, lines)) <= 60
+    assert set(" ".join(lines).split()) >= set(words.split())
 
 
 def test_the_module_is_the_command() -> None:

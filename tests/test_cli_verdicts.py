@@ -13,7 +13,7 @@ from fraclink._certify import Certificate
 from fraclink._cli import main
 from fraclink._design import Design
 from fraclink._logs import bundled_log
-from fraclink._workflow import Request, design_for
+from fraclink._workflow import design_for
 from reproduce import designs
 
 Command = Callable[..., tuple[int, str, str]]
@@ -23,7 +23,7 @@ Command = Callable[..., tuple[int, str, str]]
 def fraclink(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Command:
     """Run the command line in a folder that holds design.json."""
     monkeypatch.chdir(tmp_path)
-    design, _ = design_for(Rig.named("paper-2023"), None, Request(filter_time=0.0))
+    design, _ = design_for(Rig.named("paper-2023"), filter_time=0.0)
     design.save("design.json")
 
     def run(line: str) -> tuple[int, str, str]:
@@ -37,7 +37,7 @@ def fraclink(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: py
 def test_the_default_design_is_certified(fraclink: Command) -> None:
     code, out, err = fraclink("certify design.json --out certificate.json")
     assert code == 0
-    assert "every payload from 0.02 to 0.04 kg and every computation delay from 0.0 to 0.004 s" in out
+    assert "every payload from 0.02 to 0.04 kg and every computation delay" in " ".join(out.split())
     assert err == "written: certificate.json\n"
     assert Certificate.load("certificate.json").passed
 
@@ -80,7 +80,7 @@ def test_the_law_leaves_as_c(fraclink: Command, tmp_path: Path) -> None:
 def test_the_twin_runs_the_design(fraclink: Command) -> None:
     code, out, err = fraclink("twin design.json --gear 50 --link-mass 0.00735")
     assert code == 0, err
-    assert out.rstrip().endswith("passed")
+    assert out.startswith("✓ passed: ")
     told = json.loads(fraclink("twin design.json --gear 50 --link-mass 0.00735 --json")[1])
     assert told["passed"] is True
     code, _, err = fraclink("twin design.json --link-mass -1")
@@ -89,9 +89,9 @@ def test_the_twin_runs_the_design(fraclink: Command) -> None:
 
 
 def test_rivals_run_on_equal_terms(fraclink: Command, tmp_path: Path) -> None:
-    code, out, _ = fraclink("compare --rig paper-2023 --only ZVD --out comparison")
+    code, _, err = fraclink("compare --rig paper-2023 --only ZVD --out comparison")
     assert code == 0
-    assert out.splitlines()[-1] == "comparison/comparison.md"
+    assert err.splitlines()[-1] == "written: comparison/comparison.md"
     text = (tmp_path / "comparison" / "comparison.md").read_text("utf-8")
     assert "| ours |" in text
     assert "ZVD" in text

@@ -36,7 +36,7 @@ def test_an_open_fault_exits_with_1_and_its_command_repeats_it(
     given = ["--only", "F07", "--severity", "3", "--phase", "mid", "--payload", "0.02", "--payload", "0.03"]
     assert run([*ARM, *given, "--seed", "3", "--out", "first", "--json"]) == 1
     told = json.loads(capsys.readouterr().out)
-    assert told["passed"] is False and told["faults"] == {"F07": {"runs": 2, "open": 2}}
+    assert told["passed"] is False and told["faults"] == {"F07": {"runs": 2, "failed": 2}}
     for name in ("F07-3-20g-mid-3", "F07-3-30g-mid-3"):
         figure = tmp_path / "first" / "figures" / f"{name}.svg"
         assert figure.read_text("utf-8").lstrip().startswith("<?xml")

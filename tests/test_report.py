@@ -19,10 +19,10 @@ from fraclink._arm.rig import Rig
 from fraclink._campaign.faults import Case, Check, FaultTable, Outcome
 from fraclink._identify import identify_all
 from fraclink._logs import bundled_log, read_log
+from fraclink._show.drawing import envelope
 from fraclink._show.report import render_report, write_report
-from fraclink._show.report.figures.drawing import envelope
-from fraclink._show.report.numbers import number, uncertain
-from fraclink._workflow import Request, Study, design_for, load_study, save_study
+from fraclink._show.tables import number, uncertain
+from fraclink._workflow import Scope, Study, Verdict, design_for, load_study, save_study
 from fraclink.findings import Finding
 from needed_tools import tool
 
@@ -99,13 +99,13 @@ def study(text: str, *, design: bool = False) -> Study:
         notes=(("title", text), ("source", text)),
     )
     finding = Finding("W201", "warning", text, {}, text)
-    made = design_for(RIG, None, Request())[0] if design else None
+    made = design_for(RIG)[0] if design else None
     return Study(
         rig=replace(RIG, name=text, source=text, assumptions=(text,)),
         experiment=log,
         findings=(finding, replace(finding, code="W101")),
         design=made,
-        infeasible=text,
+        stopped=text,
         assumptions=(text,),
         faults=faults(text),
     )
@@ -160,9 +160,9 @@ def test_ids_are_unique_and_every_reference_has_its_target() -> None:
 
 def test_the_same_study_gives_the_same_bytes_in_another_process(tmp_path: Path) -> None:
     code = (
-        "from fraclink._arm.rig import Rig; from fraclink._workflow import Request, Study, design_for\n"
+        "from fraclink._arm.rig import Rig; from fraclink._workflow import Study, design_for\n"
         "from fraclink._show.report import write_report\n"
-        "rig = Rig.named('paper-2023'); design, _ = design_for(rig, None, Request())\n"
+        "rig = Rig.named('paper-2023'); design, _ = design_for(rig)\n"
         "import sys; write_report(Study(rig=rig, design=design), sys.argv[1])"
     )
     places = [tmp_path / "a.html", tmp_path / "b.html"]
@@ -174,33 +174,61 @@ def test_the_same_study_gives_the_same_bytes_in_another_process(tmp_path: Path) 
 
 def test_a_report_of_nothing_says_so() -> None:
     text = render_report(Study())
-    assert "Does not hold" in text
-    assert "there is no design" in text
+    assert "– not run" in text
+    assert '<div class="verdict not-run">' in text
 
 
 def test_an_infeasible_design_is_told() -> None:
-    assert "because of the moon" in render_report(Study(rig=RIG, infeasible="because of the moon"))
+    assert "because of the moon" in render_report(Study(rig=RIG, stopped="because of the moon"))
 
 
 def test_faults_have_a_section_and_a_verdict_of_their_own(tmp_path: Path) -> None:
-    made, _ = design_for(RIG, None, Request())
+    made, _ = design_for(RIG)
     saved = Study(rig=RIG, design=made, faults=faults("peak over clean"))
     save_study(saved, tmp_path)
     back = load_study(tmp_path)
-    assert back.faults == saved.faults and back.reasons == replace(saved, faults=None).reasons
+    assert back.faults == saved.faults
+    assert back.verdict.reality == Scope("failed", ("1 of 2 faults miss their requirement",))
+    assert back.verdict.promise == replace(saved, faults=None).verdict.promise
     texts = " ".join(parsed(render_report(back)).texts)
-    assert "1 of 2 faults met in every run, 2 runs" in texts
+    assert "1 of 2 faults meet their requirement in every run, 2 runs" in texts
     assert "peak over clean: 1.3 (limit 1.1) (F11-2-30g-start-1: peak over clean)" in texts
     assert "≤ 1.1 × clean" in texts
     assert 'id="faults"' not in render_report(replace(back, faults=None))
 
 
+@pytest.mark.parametrize(
+    ("states", "whole"),
+    [
+        (("passed", "passed", "passed"), "passed"),
+        (("passed", "passed", "not run"), "not run"),
+        (("not shown", "passed", "not run"), "not shown"),
+        (("passed", "failed", "not shown"), "failed"),
+        (("passed", "passed", "failed"), "failed"),
+    ],
+)
+def test_the_headline_is_never_better_than_its_worst_part(states: tuple[str, ...], whole: str) -> None:
+    verdict = Verdict(*(Scope(state) for state in states))
+    assert verdict.state == whole
+    assert verdict.passed == (whole == "passed")
+    assert verdict.refuted == (whole in ("failed", "not shown"))
+
+
+def test_an_error_of_log_or_model_leaves_nothing_shown() -> None:
+    wrong = Finding("W399", "error", "the model predicts nothing", {}, "record again")
+    made, _ = design_for(RIG)
+    verdict = Study(rig=RIG, design=made, findings=(wrong,)).verdict
+    assert [scope.state for scope in verdict.scopes.values()] == ["not shown"] * 3
+    page = render_report(Study(rig=RIG, design=made, findings=(wrong,)))
+    assert '<div class="verdict not-shown">' in page
+
+
 def test_the_design_shows_every_requirement_with_its_payload() -> None:
-    made, _ = design_for(RIG, None, Request())
+    made, _ = design_for(RIG)
     texts = " ".join(parsed(render_report(Study(rig=RIG, design=made))).texts)
     for requirement in made.requirements:
         assert requirement.name in texts
-    assert number(made.controller.gain, 6) in texts
+    assert number(made.controller.gain, 5) in texts
     assert "48.8°" in texts or "50.0°" in texts  # the sampled margin at 20 g stands beside the one asked for
 
 

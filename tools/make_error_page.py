@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from fraclink import errors
-from fraclink._cli.outcome import guarded
+from fraclink._cli.console import guarded
 from fraclink._files import write_text
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -18,7 +18,7 @@ from fraclink._cli import main
 from fraclink._export import Proof, export_c
 from fraclink._files import sha256_of
 from fraclink._law import Law
-from fraclink._workflow import Request, design_for
+from fraclink._workflow import design_for
 from fraclink_prove import eva, formulas, rounding, source, step, symbolic, tools
 from fraclink_prove.certificate import loop_claim
 from law_bench import default_controller, law, with_pair
@@ -53,7 +53,7 @@ def claim_of(name: str, folder: Path) -> step.Claim:
 @pytest.fixture(scope="module")
 def design(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("design") / "design.json"
-    design, _ = design_for(fl.Rig.named("paper-2023"), None, Request(filter_time=0.0))
+    design, _ = design_for(fl.Rig.named("paper-2023"), filter_time=0.0)
     design.save(path)
     return path
 

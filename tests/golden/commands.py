@@ -87,7 +87,6 @@ COMMANDS: dict[str, str] = {
     "campaign-faults-open": f"campaign faults --design design.json {ARM} --only F07 --severity 3 "
     "--payload 0.03 --phase mid --seed 3 --out open --figures none",
     "run-realtime-no-arm": "run-realtime design.json --io nowhere",
-    "reproduce-of-nothing": "reproduce --published nothing --out again",
 }
 
 

@@ -18,7 +18,7 @@ from fraclink._certify import Certificate
 from fraclink._export import Proof
 from fraclink._identify import load_model
 from fraclink._realtime import RealtimeRun, ServedArm
-from fraclink._workflow.folder import load_study
+from fraclink._workflow import load_study
 
 FOLDER = Path(__file__).resolve().parent / "formats"
 LINK = ("stiffness", "natural_frequency", "order", "damping", "damping_order", "payload")

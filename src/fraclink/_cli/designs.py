@@ -183,8 +183,8 @@ def design(
     made = made.with_law()
     made.save(out)
     assumed = tuple(f"assumed: {sentence}" for sentence in assumptions)
-    following = f"fraclink simulate {out} --payload {made.payloads[0]:g}"
-    return Answer(made, made.passed, remarks=assumed, written=(out,), following=following)
+    step = f"simulate {out} --payload {made.payloads[0]:g}" if made.passed else f"assess {out}"
+    return Answer(made, made.passed, remarks=assumed, written=(out,), following=f"fraclink {step}")
 
 
 @app.command()
@@ -485,7 +485,7 @@ def compare(
 
 
 @checked
-def _crossover_axis(*, crossovers: Annotated[tuple[float, float], Ordered()], points: int) -> Any:
+def _crossover_axis(*, crossovers: Annotated[tuple[float, float], Ordered(strict=True)], points: int) -> Any:
     return np.linspace(*crossovers, points)
 
 

@@ -20,10 +20,10 @@ from fraclink._show.curves import Curve, labelled, pyplot, sample
 from fraclink._show.drawing import BLUE, FAINT, GREEN, GREY, INK, ORANGE
 from fraclink._show.planes import nichols, nyquist
 from fraclink._systems.fractional import FractionalTransferFunction
-from fraclink._systems.response import step_response
 from fraclink._systems.loops import FractionalLoop
 from fraclink._systems.margins import Margins
 from fraclink._systems.margins import margins as find_margins
+from fraclink._systems.response import step_response
 from fraclink._systems.stability import poles
 from fraclink.errors import FieldError
 

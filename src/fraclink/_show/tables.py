@@ -209,15 +209,16 @@ def folded(text: str, width: int) -> str:
 def table_text(table: Table, width: int = 80) -> str:
     """A table of text: first column flush left, others right; heads and the last column wrap at words.
 
-    >>> print(table_text(Table(("payload", "phase margin [°]"), (("20 g", "48.8"), ("8 g", "23.9")))))
-             phase
+    >>> print(table_text(Table(("payload", "phase margin [°]"), (("20 g", "48.8"), ("8 g", "23.9"))), 16))
+              phase
              margin
     payload     [°]
     20 g       48.8
     8 g        23.9
     """
     rows = [(*row[:-1], marked(row[-1])) if table.judged else row for row in table.rows]
-    words = [max(map(len, head.split() or [""])) for head in table.header]
+    # A head folds into three lines at most, and never within a word.
+    words = [max(-(-len(head) // 3), *map(len, head.split() or [""])) for head in table.header]
     widths = [max(word, *(len(row[k]) for row in rows)) for k, word in enumerate(words)]
     spare = width - sum(widths) - 2 * (len(widths) - 1)
     if spare < 0:
