@@ -153,7 +153,7 @@ def test_an_infeasible_request_is_exit_code_1_and_writes_nothing(fraclink: Comma
         (("design", "--rig", "paper-2023", "--payloads", "0", "0.02"), ("payloads", "expected")),
         (("design", "--rig", "paper-2023", "--payloads", "nan", "0.02"), ("payloads", "expected")),
         (("design", "--rig", "paper-2023", "--gain-crossover", "1e300"), ("gain_crossover", "expected")),
-        (("design", "--rig", "paper-2023", "--margins", "best"), ("margins", "'loop'")),
+        (("design", "--rig", "paper-2023", "--margins", "best"), ("margins", "loop or ideal")),
         (("design", "--rig", "paper-2023", "--filter-order", "3"), ("filter_order", "expected")),
         (("design", "--rig", "paper-2023", "--payloads", "0.02"), ("--payloads",)),
         (("design", "--rig", "paper-2023", "--gain", "12"), ("--gain",)),

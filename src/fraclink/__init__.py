@@ -21,9 +21,7 @@ _HOME: dict[str, str] = {
     "LinkModel": "fraclink._arm.link",
     "Rig": "fraclink._arm.rig",
     "Run": "fraclink._simulate",
-    "Study": "fraclink._workflow",
     "Twin": "fraclink._simulate",
-    "Verdict": "fraclink._workflow",
     "approximate": "fraclink._systems.rational",
     "bundled_log": "fraclink._logs",
     "certify": "fraclink._certify",
@@ -96,8 +94,6 @@ if TYPE_CHECKING:  # what editors and type checkers see; nothing of this runs
     from fraclink._systems.response import time_response as time_response
     from fraclink._systems.stability import is_stable as is_stable
     from fraclink._systems.stability import poles as poles
-    from fraclink._workflow import Study as Study
-    from fraclink._workflow import Verdict as Verdict
     from fraclink._workflow import run as run
 
 __all__ = sorted(["__version__", *_HOME])
