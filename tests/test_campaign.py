@@ -9,12 +9,12 @@ import pytest
 
 import fraclink as fl
 from campaigns import small
-from fraclink._arm.link import LinkModel
+from fraclink._arm.link import LinkModel, SecondMode
 from fraclink._campaign import Campaign, Distribution, arm_of, draws_for, replay, simulate_part
 from fraclink._campaign.arms import batch_links
 from fraclink._campaign.campaign import draw
-from fraclink._simulate.kernel import POWERS, link_weights
 from fraclink._simulate.metrics import Signals, judge_many, measure, measure_many
+from fraclink._simulate.plant import POWERS, link_weights
 from fraclink.errors import FieldError, SizeError
 
 METRICS = ("overshoot", "settling_time", "residual_vibration", "steady_state_error", "peak_tip_error")
@@ -205,3 +205,23 @@ def test_an_ideal_motor_loop_is_run_too():
 def test_defaults_stay_in_the_models_range():
     rig = fl.Rig.named("paper-2023")
     assert draws_for(rig, LinkModel(1.56, 11.0, order=2.0)).order == Distribution("normal", 2.0, 2.0)
+
+
+def test_a_part_has_the_gauges_delay_and_gain_and_the_second_mode():
+    """In groups of eight and one by one: what the kernel of one arm gives, to the last bit."""
+    plain = small()
+    model = replace(plain.model, second_mode=SecondMode(frequency=200.0, gain=0.02))
+    gauge = {
+        "gauge_delay": Distribution("uniform", 0.0, 0.009),
+        "gauge_gain": Distribution("uniform", 0.9, 1.1),
+    }
+    campaign = replace(plain, model=model, draws=replace(plain.draws, **gauge), runs=19)
+    part = simulate_part(campaign, 0)
+    assert part["gauge_delay"].max() > 0.004
+    for at in (0, 7, 8, 18):
+        run = replay(campaign, at)
+        assert run.about["gauge_delay"] == part["gauge_delay"][at]
+        assert part["peak_tip_error"][at] == run.metrics.peak_tip_error
+    other = simulate_part(replace(plain, runs=19), 0)
+    assert (other["payload"] == part["payload"]).all()  # what a seed drew before stays
+    assert (other["peak_tip_error"] != part["peak_tip_error"]).all()

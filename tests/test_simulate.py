@@ -12,10 +12,12 @@ import mpmath
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from scipy.signal import lsim
 
 import fraclink as fl
 from fraclink import _kernels
-from fraclink._arm.link import LinkModel
+from fraclink._arm.link import LinkModel, SecondMode
 from fraclink._arm.rig import Encoder, Gauge, Rig
 from fraclink._simulate import simulate
 from fraclink.errors import FieldError, FileFormatError, SizeError
@@ -304,3 +306,96 @@ def test_the_coupled_motor_converges_with_its_substeps() -> None:
     errors = np.abs(np.array(ends[:3]) - ends[3])
     assert errors[2] < 1e-5
     assert errors[0] > 3 * errors[1] > 9 * errors[2]
+
+
+# ── what identification found is in the simulation ──────────────────────────────────────────────────────────
+
+
+def test_the_printed_controller_fails_within_four_seconds() -> None:
+    """Controller (58) at 30 g grows by 0.14 a second: small enough to pass for settled."""
+    printed = fl.Controller(gain=0.148, order=0.65, filter_time=0.16, filter_order=2, link=MODEL)
+    made = printed.discretize(PERIOD)
+    for move, noise in ((fl.smooth_step(1.0, 1.0), 0.0), (fl.smooth_step(0.2, 0.5), None)):
+        run = simulate(made, move, rig=RIG, model=MODEL, payload=0.030, duration=4.0, noise=noise)
+        assert run.verdict.reason.startswith("unstable: the vibration grows"), run.verdict.reason
+        assert run.metrics.growth > 0.1
+    quiet = simulate(
+        made, fl.smooth_step(1.0, 1.0), rig=RIG, model=MODEL, payload=0.030, noise=0.0, duration=4.0
+    )
+    assert quiet.metrics.settling_time < 2.0  # by its size alone it would have passed
+
+
+@pytest.mark.parametrize("delay", [0.004, 0.057, 0.0013, 0.0578])
+def test_the_gauge_shows_the_torque_of_its_delay(delay: float) -> None:
+    slow = fl.smooth_step(0.5, 1.0)
+    run = simulate(law(), slow, rig=EXACT, model=MODEL, gauge_delay=delay, gauge_gain=-0.7, duration=3.0)
+    # A spline through all samples is another interpolation than the kernel's cubic through four of them.
+    before = np.arange(-50, 0) * PERIOD
+    spline = CubicSpline(np.concatenate([before, run.time]), np.concatenate([0 * before, run.torque]))
+    tolerance = 1e-12 if delay == 0.004 else 4e-3 * np.abs(run.torque).max()
+    np.testing.assert_allclose(run.torque_measured, -0.7 * spline(run.time - delay), atol=tolerance)
+    assert run.about["gauge_delay"] == delay
+
+
+def test_a_delay_between_samples_is_a_delay_to_fourth_order() -> None:
+    """The phase of a vibration that lasts, between what was there and what the gauge showed."""
+    undamped = LinkModel(1.56, 11.0)
+    idle = replace(law(), limits=replace(law().limits, torque_trip=1e6, residual_angle=1e6))
+    run = simulate(
+        idle,
+        fl.pulse(0.4, 0.1, 0.2),
+        rig=EXACT,
+        model=undamped,
+        motor_loop="ideal",
+        gauge_delay=0.0103,
+        duration=0.6,
+    )
+    inner = slice(20, 140)
+    at = run.time[inner] - 0.0103
+    wanted = CubicSpline(run.time, run.torque)(at)
+    assert np.abs(run.torque_measured[inner] - wanted).max() < 5e-4 * np.abs(run.torque).max()
+
+
+def test_the_model_brings_its_gauge_and_its_second_mode() -> None:
+    found = replace(
+        MODEL, gauge_delay=0.012, gauge_gain=1.1, second_mode=SecondMode(frequency=200.0, gain=0.05)
+    )
+    told = simulate(law(), STEP, rig=EXACT, model=found, duration=1.0)
+    plain = replace(MODEL, second_mode=found.second_mode)
+    asked = simulate(law(), STEP, rig=EXACT, model=plain, gauge_delay=0.012, gauge_gain=1.1, duration=1.0)
+    np.testing.assert_array_equal(told.torque_measured, asked.torque_measured)
+    assert (told.about["gauge_delay"], told.about["gauge_gain"]) == (0.012, 1.1)
+    late = simulate(law(), STEP, rig=EXACT, model=replace(MODEL, gauge_delay=0.057), payload=0.02)
+    assert not late.verdict  # a delay that was measured and is not in the design
+    twin = fl.Twin.from_rig(EXACT, model=found)
+    assert (twin.sensors.gauge_delay, twin.sensors.gauge_gain) == (0.012, 1.1)
+
+
+def test_the_second_mode_is_its_transfer_function() -> None:
+    mode = SecondMode(frequency=150.0, gain=0.2, damping_ratio=0.1)
+    made = replace(law(), drive=None)
+    options = {"rig": EXACT, "motor_loop": "ideal", "duration": 0.4}
+    run = simulate(made, STEP, model=replace(MODEL, second_mode=mode), **options)
+    extra = run.torque - MODEL.stiffness * (run.motor_angle - run.tip_angle)
+    # Another way: the mode's state space under the motor angle, which is smooth, at 40 steps a period.
+    fine = np.linspace(0.0, run.time[-1], 40 * (len(run.time) - 1) + 1)
+    w, z = mode.frequency, mode.damping_ratio
+    system = ([mode.gain, 0.0, 0.0], [1.0, 2 * z * w, w**2])
+    _, answer, _ = lsim(system, CubicSpline(run.time, run.motor_angle)(fine), fine)
+    assert np.abs(extra - MODEL.stiffness * answer[::40]).max() < 2e-3 * np.abs(extra).max()
+
+
+def test_a_law_without_a_motor_loop_is_said() -> None:
+    bare = replace(law(), drive=None)
+    equipped = simulate(bare, STEP, rig=EXACT, model=MODEL, motor_loop="sampled", duration=1.0)
+    assert [finding.code for finding in equipped.findings] == ["W602"]
+    assert simulate(bare, STEP, rig=EXACT, model=MODEL, duration=1.0).findings == ()
+    assert simulate(law(), STEP, rig=EXACT, model=MODEL, duration=1.0).about["motor_loop"] == "sampled"
+
+
+def test_a_design_brings_rig_model_and_law() -> None:
+    design = fl.design(MODEL, RIG, payloads=(0.02, 0.04), gain_crossover=12.0, phase_margin=fl.deg(50))
+    told = simulate(design, STEP, payload=0.02, duration=1.0)
+    asked = simulate(design.law(), STEP, rig=RIG, model=MODEL, payload=0.02, duration=1.0)
+    np.testing.assert_array_equal(told.tip_angle, asked.tip_angle)
+    assert told.about["law_sha256"] == design.law().digest

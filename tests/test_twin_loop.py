@@ -22,8 +22,8 @@ from fraclink._simulate import (
     Twin,
     geared,
 )
-from fraclink._simulate.kernel import ArmState
-from fraclink._simulate.simulate import healthy_inputs, with_motor_loop
+from fraclink._simulate.kernel import ArmState, healthy_inputs
+from fraclink._simulate.simulate import with_motor_loop
 from fraclink.errors import FieldError, FileFormatError
 
 RIG = geared(fl.Rig.named("paper-2023"))

@@ -18,22 +18,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaln
 
-from fraclink import _kernels
 from fraclink._arm.link import LinkModel
 from fraclink._arm.reference import sampled, smooth_step
 from fraclink._arm.rig import Rig
 from fraclink._campaign.campaign import PART_RUNS, SHAPES, Campaign, draw
-from fraclink._simulate.kernel import (
-    LONGEST,
-    POWERS,
-    LinkWeights,
-    LumpedArms,
-    run_lumped,
-    second_mode_weights,
-)
+from fraclink._simulate.kernel import SUBSTEPS, LumpedArms, run_lumped, shared_rig
 from fraclink._simulate.metrics import Signals, judge_many, measure_many
+from fraclink._simulate.plant import LONGEST, POWERS, LinkWeights, second_mode_weights
 from fraclink._simulate.run import Run
-from fraclink._simulate.simulate import SUBSTEPS, model_run
+from fraclink._simulate.simulate import model_run
 from fraclink._validate import Between, checked, is_whole
 from fraclink.errors import FieldError
 
@@ -78,7 +71,9 @@ def _measured_block(
 ) -> dict[str, NDArray[np.generic]]:
     own = {name: column[at : at + BLOCK] for name, column in values.items()}
     arms, chosen = block_of(campaign, own, part * PART_RUNS + at)
-    signals, marks = run_lumped(campaign.law, _shared(campaign), arms, path, chosen)
+    signals, marks = run_lumped(
+        campaign.law, shared_rig(campaign.rig, campaign.law, campaign.motor_loop), arms, path, chosen
+    )
     tip, motor_reference, voltage = signals
     pole = (own["stiffness"] / (own["payload"] * campaign.rig.link.length**2)) ** (1.0 / own["order"])
     block = Signals(
@@ -98,44 +93,24 @@ def _measured_block(
 def block_of(campaign: Campaign, own: dict[str, Real], first: int) -> tuple[LumpedArms, NDArray[np.int32]]:
     """Return the arms of what was drawn for runs `first` …, and which reference each follows."""
     rig, period = campaign.rig, campaign.law.period
-    motor, count = rig.motor, len(own["payload"])
+    count = len(own["payload"])
     stiff = own["stiffness"] / (own["payload"] * rig.link.length**2)
     links = batch_links(stiff, own["order"], period)
     second = np.repeat(second_mode_weights(campaign.model.second_mode, period), count, axis=0)
     number = first + np.arange(count, dtype=np.uint64)
     with np.errstate(over="ignore"):  # an odd multiplier folds the run's number into the seed: a bijection
         seeds = np.asarray(number * np.uint64(0x9E3779B97F4A7C15) + np.uint64(campaign.seed), dtype=np.uint64)
-    arms = LumpedArms(
-        links=replace(links, second=second),
-        stiffness=own["stiffness"],
-        motor_gain=motor.gain * own["motor_gain"],
-        motor_decay=motor.decay * own["viscous_friction"],
-        friction=motor.coulomb_torque / (motor.inertia * motor.gear_ratio) * own["coulomb_torque"],
-        gauge_offset=own["gauge_offset"],
+    same = ("stiffness", "motor_gain", "viscous_friction", "coulomb_torque", "gauge_offset", "delay_samples")
+    values = {name: own[name] for name in (*same, "amplitude", "gauge_gain")}
+    arms = LumpedArms.of(
+        rig,
+        replace(links, second=second),
+        seeds,
         noise=rig.gauge.noise * own["noise"],
-        delay_samples=own["delay_samples"],
-        amplitude=own["amplitude"],
         gauge_delay=own["gauge_delay"] / period,
-        gauge_gain=own["gauge_gain"],
-        seed=seeds,
+        **values,
     )
     return arms, (own["shape"] % len(SHAPES)).astype(np.int32)
-
-
-def _shared(campaign: Campaign) -> _kernels.LoopRig:
-    """What all arms of a campaign have in common."""
-    rig = campaign.rig
-    return _kernels.LoopRig(
-        sampled=campaign.motor_loop == "sampled",
-        substeps=SUBSTEPS,
-        period=campaign.law.period,
-        pole=campaign.law.inner_pole,
-        coupling=0.0,
-        encoder=rig.encoder.resolution,
-        limit=rig.gauge.limit,
-        quantum=rig.gauge.quantum,
-        start=0.0,
-    )
 
 
 # ── one run again ───────────────────────────────────────────────────────────────────────────────────────────
@@ -200,7 +175,14 @@ def replay(campaign: Campaign, run: int) -> Run:
     row = slice(at - first, at - first + 1)
     arms, chosen = arms.rows(row), chosen[row]
     path = unit_paths(campaign)
-    signals, marks = run_lumped(campaign.law, _shared(campaign), arms, path, chosen, everything=True)
+    signals, marks = run_lumped(
+        campaign.law,
+        shared_rig(campaign.rig, campaign.law, campaign.motor_loop),
+        arms,
+        path,
+        chosen,
+        everything=True,
+    )
     return model_run(
         campaign.law,
         link,

@@ -12,9 +12,9 @@ from fraclink._compare.rivals import Rival
 from fraclink._compare.shaping import Shaped
 from fraclink._law import Law
 from fraclink._simulate.arm import Twin
-from fraclink._simulate.kernel import ACCELERATION, GAUGE_ERROR, REFERENCE, VELOCITY, ArmState
+from fraclink._simulate.kernel import ACCELERATION, GAUGE_ERROR, REFERENCE, VELOCITY, ArmState, healthy_inputs
 from fraclink._simulate.run import Run
-from fraclink._simulate.simulate import healthy_inputs, twin_run
+from fraclink._simulate.simulate import twin_run
 
 __all__ = ["run_rival"]
 

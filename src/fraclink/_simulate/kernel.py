@@ -1,11 +1,7 @@
 """Where Python meets the compiled arm: what the kernels take, and the two calls into them.
 
-The lumped model (a massless beam) runs through `run_lumped`, one arm or many; the twin through `ArmState`,
-which can be stopped, tampered with and continued.
-
-Between two samples the motor's angle is Σ qⱼ xʲ with x = (t − kT)/T. The response of the lumped link to each
-power is exact: at the end of its own period by the power series of G = θt/θm, later by the modes of the step
-response (a sum of exponentials, see fraclink._systems.response).
+The model, whose link is massless and lumped, runs through `run_lumped`, one arm or many; the twin through
+`ArmState`, which can be stopped, tampered with and continued.
 """
 
 from __future__ import annotations
@@ -13,31 +9,35 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fraclink import _kernels
 from fraclink._arm.beam import matrices
-from fraclink._arm.link import LinkModel, SecondMode
+from fraclink._arm.reference import Reference
+from fraclink._arm.rig import Rig
 from fraclink._law import Law
 from fraclink._simulate.arm import Twin
-from fraclink._simulate.plant import Plant, StepMatrices, substeps
-from fraclink._simulate.sensors import delay_line
-from fraclink._systems.response import discretize
-from fraclink.errors import FieldError
+from fraclink._simulate.plant import LinkWeights, Plant, StepMatrices, substeps
+from fraclink._simulate.sensors import (
+    FAULTS,
+    Event,
+    Obstacle,
+    PayloadChange,
+    Restart,
+    SensorFault,
+    TipPulse,
+    delay_line,
+)
 
-__all__ = ["ArmState", "LinkWeights", "LumpedArms", "link_weights", "run_lumped", "second_mode_weights"]
+__all__ = ["ArmState", "LumpedArms", "apply", "healthy_inputs", "run_lumped", "segments", "shared_rig"]
 
 Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 Bits = NDArray[np.uint32]
 
-POWERS = 6
-# |pole|·T [rad]: beyond, three samples a vibration, the power series cancels and no loop passes.
-LONGEST = 2.0
-TOLERANCE = 1e-9  # of the step response: 1e-9 rad for a move of 1 rad, three digits below what is promised
+
+SUBSTEPS = 10  # friction steps in a period: a stop is placed to 0.4 ms at 4 ms
 
 # Columns of the twin's inputs and of its record (csrc/kernels/twin.h).
 REFERENCE, VELOCITY, ACCELERATION, GAUGE_ERROR, TIP_FORCE, FAULT_BITS = range(6)
@@ -61,107 +61,12 @@ RECORD = (
 )
 
 
-# ── the lumped link ─────────────────────────────────────────────────────────────────────────────────────────
+# What `run_lumped` returns of each arm, and what more with `everything`.
+SHORT_SIGNALS = ("tip_angle", "motor_reference", "voltage")
+OTHER_SIGNALS = ("motor_angle", "torque", "torque_measured", "tip_estimate")
 
 
-@dataclass(frozen=True)
-class LinkWeights:
-    """Decays and weights of the recursions of R links; see loop.h for the formula.
-
-    decay (R, n), weight (R, 6, n), pair (R, m), pair_weight (R, 6, m), first (R, 6), and second (R, 15), or
-    (0, 15) where no link has a second mode.
-    """
-
-    decay: Real
-    weight: Real
-    pair: Complex
-    pair_weight: Complex
-    first: Real
-    second: Real
-
-    def rows(self, rows: slice) -> LinkWeights:
-        """Return the recursions of some of the links."""
-        return LinkWeights(**{field.name: getattr(self, field.name)[rows] for field in fields(self)})
-
-
-def link_weights(model: LinkModel, period: float, span: float) -> LinkWeights:
-    """Return the recursion of one link's tip at `period` [s], valid for `span` [s].
-
-    >>> weights = link_weights(LinkModel(1.56, 11.094, order=2.0), 0.004, 10.0)
-    >>> weights.decay.shape, weights.pair.shape
-    ((1, 0), (1, 1))
-    """
-    reach = abs(model.pole) * period
-    if not reach < LONGEST:
-        raise FieldError(
-            "period",
-            period,
-            "too long for this link",
-            allowed=f"< {LONGEST / abs(model.pole):.3g} s: {2 * math.pi / LONGEST:.2g} samples a vibration",
-            remedy="simulate at a shorter period",
-        )
-    modes = discretize(model.tip(), period, span=span, tolerance=TOLERANCE)
-    at_end = [_end_of_power(model, period, j) for j in range(POWERS)]
-    real = modes.gains * _relative_powers(modes.log_decays)
-    pair = modes.pole_gains * _relative_powers(modes.pole_log_decays)
-    first = np.array(at_end) - real.sum(axis=1) - pair.sum(axis=1).real
-    second = second_mode_weights(model.second_mode, period)
-    return LinkWeights(
-        modes.decays[None], real[None], modes.pole_decays[None], pair[None], first[None], second
-    )
-
-
-def second_mode_weights(mode: SecondMode | None, period: float) -> Real:
-    """Return the kernel's row of a second mode, shape (1, 15); (0, 15) where there is none.
-
-    Its step response is Re(g₀ e^(pt)) with g₀ = gain (1 + jζ/√(1 − ζ²)): a state z' = p z + g₀ p θm, and the
-    angle gain θm + Re z that it adds to the bend: exact at the samples, above the Nyquist frequency too.
-    """
-    if mode is None:
-        return np.zeros((0, 15))
-    damped = math.sqrt(1.0 - mode.damping_ratio**2)
-    z = mode.frequency * period * complex(-mode.damping_ratio, damped)
-    step = mode.gain * complex(1.0, mode.damping_ratio / damped) * np.expm1(z)
-    weights = step * _relative_powers(np.array([z]))[:, 0]
-    decay = np.exp(z)
-    return np.concatenate([[mode.gain, decay.real, decay.imag], weights.real, weights.imag])[None]
-
-
-def _end_of_power(model: LinkModel, period: float, power: int) -> float:
-    """Response of G to xʲ at x = 1: G = Σ −(−X)ⁿ, X = (μ s^α + ω₀²)/s^λ, term by term: t^q/Γ(q + 1)."""
-    stiff = model.natural_frequency**2 * period**model.order
-    soft = model.damping * period ** (model.order - model.damping_order)
-    total = 0.0
-    for n in range(1, 100):
-        part = 0.0
-        for k in range(n + 1 if soft else 1):
-            exponent = model.order * n - model.damping_order * k + power
-            size = math.comb(n, k) * soft**k * stiff ** (n - k)
-            part += size * math.exp(-math.lgamma(exponent + 1))
-        total -= (-1) ** n * part
-        if part < 1e-18 * abs(total):
-            break
-    return math.factorial(power) * total
-
-
-def _relative_powers(log_decay: NDArray[Any]) -> NDArray[Any]:
-    """φ_j/φ_0 for j = 0 ... 5, φ_j(z) = ∫₀¹ x^j e^(z(1 − x)) dx: a mode's answer to x^j, relative to a step.
-
-    Where |z| is large φ_j = (j φ_(j-1) − 1)/z; that cancels for small |z|, where the series j! Σ zⁿ/(n + j
-    + 1)! is used.
-    """
-    z = np.atleast_1d(np.asarray(log_decay))
-    near = np.abs(z) < 1.0
-    small = np.where(near, z, 0.0)
-    large = np.where(near, 1.0, z)
-    rows = []
-    by_recursion = np.expm1(large) / large
-    for j in range(POWERS):
-        by_series = math.factorial(j) * sum(small**n / math.factorial(n + j + 1) for n in range(20))
-        if j:
-            by_recursion = (j * by_recursion - 1.0) / large
-        rows.append(np.where(near, by_series, by_recursion))
-    return np.asarray(np.array(rows) / rows[0])
+# ── the model ───────────────────────────────────────────────────────────────────────────────────────────────
 
 
 # Columns of a run's numbers, in the order of batch.h.
@@ -201,10 +106,47 @@ class LumpedArms:
     gauge_gain: Real
     seed: NDArray[np.uint64]
 
+    @staticmethod
+    def of(rig: Rig, links: LinkWeights, seed: NDArray[np.uint64], **values: Real) -> LumpedArms:
+        """Return arms of one rig; motor gain, viscous friction, Coulomb torque are factors of its own."""
+        motor = rig.motor
+        friction = motor.coulomb_torque / (motor.inertia * motor.gear_ratio) * values.pop("coulomb_torque")
+        return LumpedArms(
+            links=links,
+            seed=seed,
+            motor_gain=motor.gain * values.pop("motor_gain"),
+            motor_decay=motor.decay * values.pop("viscous_friction"),
+            friction=friction,
+            **values,
+        )
+
     def rows(self, rows: slice) -> LumpedArms:
         """Return some of the arms."""
         values = {name: getattr(self, name)[rows] for name in (*_NUMBERS, "seed")}
         return LumpedArms(links=self.links.rows(rows), **values)
+
+
+def shared_rig(
+    rig: Rig,
+    law: Law,
+    motor_loop: str,
+    *,
+    substeps: int = SUBSTEPS,
+    coupling: float = 0.0,
+    start: float = 0.0,
+) -> _kernels.LoopRig:
+    """Return what the arms of one call have in common; start: the angle at rest before they run [rad]."""
+    return _kernels.LoopRig(
+        sampled=motor_loop == "sampled",
+        substeps=substeps,
+        period=law.period,
+        pole=law.inner_pole,
+        coupling=coupling,
+        encoder=rig.encoder.resolution,
+        limit=rig.gauge.limit,
+        quantum=rig.gauge.quantum,
+        start=start,
+    )
 
 
 def run_lumped(
@@ -354,3 +296,81 @@ def _transfer(old: Plant, new: Plant, state: Real, step: StepMatrices) -> Real:
     for i in range(new.modes.count):
         result[new.mode_slice(i)] = moved[i]
     return result
+
+
+def healthy_inputs(
+    twin: Twin, reference: Reference, period: float, count: int, generator: np.random.Generator
+) -> Real:
+    """Return the kernel's inputs of a run without events or faults, shape (count, 11)."""
+    time = period * np.arange(count)
+    inputs = np.zeros((count, _kernels.TWIN_INPUTS))
+    inputs[:, REFERENCE] = reference.angle(time)
+    inputs[:, VELOCITY] = reference.velocity(time)
+    inputs[:, ACCELERATION] = reference.acceleration(time)
+    sensors = twin.sensors
+    inputs[:, GAUGE_ERROR] = sensors.gauge_offset + sensors.gauge_drift * time
+    # Drawn even where the noise is 0, so that a seed gives the same noise whatever its size.
+    inputs[:, GAUGE_ERROR] += sensors.gauge_noise * generator.standard_normal(count)
+    inputs[:, ENCODER_GAIN] = inputs[:, GAUGE_GAIN] = 1.0
+    return inputs
+
+
+def segments(
+    events: tuple[Event, ...], period: float, inputs: Real
+) -> list[tuple[int, int, list[Event | None]]]:
+    """Cut the run where something changes; pulses go straight into the inputs."""
+    count = len(inputs)
+    changes: dict[int, list[Event | None]] = {0: []}
+    for event in sorted(events, key=lambda e: e.time):
+        at = round(event.time / period)
+        if isinstance(event, TipPulse):
+            inputs[at : at + max(1, round(event.duration / period)), TIP_FORCE] += event.force
+            continue
+        if isinstance(event, SensorFault):
+            _inject(event, inputs[at : max(at + 1, round(event.until / period))])
+            continue
+        changes.setdefault(min(at, count), []).append(event)
+        if isinstance(event, Obstacle):
+            changes.setdefault(min(round(event.until / period), count), []).append(None)
+    edges = sorted(changes)
+    return [
+        (first, last, changes[first])
+        for first, last in zip(edges, [*edges[1:], count], strict=True)
+        if first < last
+    ]
+
+
+_FAULT_COLUMNS = {
+    "ENCODER_GAIN": ENCODER_GAIN,
+    "ENCODER_ERROR": ENCODER_ERROR,
+    "ENCODER_VALUE": ENCODER_VALUE,
+    "GAUGE_GAIN": GAUGE_GAIN,
+    "GAUGE_ERROR": GAUGE_ERROR,
+    "GAUGE_VALUE": GAUGE_VALUE,
+}
+
+
+def _inject(fault: SensorFault, rows: Real) -> None:
+    """Write a sensor's fault into the kernel's inputs."""
+    bit, name = FAULTS[fault.kind]
+    rows[:, FAULT_BITS] = rows[:, FAULT_BITS].astype(int) | bit
+    if name is None or fault.value is None:
+        return
+    column = _FAULT_COLUMNS[name]
+    if name in ("ENCODER_ERROR", "GAUGE_ERROR"):
+        rows[:, column] += fault.value
+    else:
+        rows[:, column] = fault.value
+
+
+def apply(state: ArmState, law: Law, changes: list[Event | None]) -> None:
+    for event in changes:
+        if event is None:
+            state.obstacle[1] = 0.0
+        elif isinstance(event, Obstacle):
+            length = state.twin.beam.length
+            state.obstacle[:] = (event.angle, event.stiffness, event.damping, length, event.side)
+        elif isinstance(event, PayloadChange):
+            state.change_payload(event.payload)
+        elif isinstance(event, Restart):
+            state.law = np.frombuffer(bytearray(law.initial_state()), dtype=np.uint8)

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._npz import kind_of, read_npz, write_npz
+from fraclink._files import document, load, save
 from fraclink._simulate.metrics import Metrics, Signals, Verdict, judge, measure
-from fraclink.errors import FileFormatError
 from fraclink.findings import Finding
 
 __all__ = ["Run", "judged_run"]
@@ -21,7 +20,6 @@ __all__ = ["Run", "judged_run"]
 Real = NDArray[np.float64]
 Bits = NDArray[np.uint32]
 
-FORMAT = 2
 SIGNALS = (
     "time",
     "reference",
@@ -39,6 +37,36 @@ SIGNALS = (
 )
 
 
+def _of_model(old: dict[str, Any]) -> dict[str, Any]:
+    """A run of the model of format 1: its settings are what is said about it now."""
+    about = {"arm": "model", **old.pop("settings")}
+    about["motor_loop"] = about.pop("inner")
+    mass = about.pop("payload")
+    return _upgraded(old, about, math.nan if mass is None else mass)
+
+
+def _of_twin(old: dict[str, Any]) -> dict[str, Any]:
+    """A run of the twin of format 1: the payload was a signal."""
+    about = {"arm": "twin", **old.pop("about")}
+    return _upgraded(old, about, float(old["payload"][0])) | {"finished": old["finished"]}
+
+
+def _upgraded(old: dict[str, Any], about: dict[str, Any], payload: float) -> dict[str, Any]:
+    unknown = np.full(len(old["time"]), math.nan)
+    extras = {k: v for k, v in old.items() if isinstance(v, np.ndarray) and k not in SIGNALS}
+    signals = {name: old.get(name, unknown) for name in SIGNALS}
+    judged = {"metrics": old["metrics"] | {"growth": 0.0}, "verdict": old["verdict"]}
+    return {**signals, **judged, "about": about, "payload": payload, "findings": [], "extras": extras}
+
+
+@document(
+    "run",
+    version=2,
+    container="npz",
+    upgrades={1: _of_model, ("twin-run", 1): _of_twin},
+    period=lambda run: run.period,
+    sources=lambda run: {"law": run.about["law_sha256"]} if "law_sha256" in run.about else {},
+)
 @dataclass(frozen=True, eq=False)
 class Run:
     """A run of the closed loop, one value per control period, each at the period's beginning; shape (N,).
@@ -112,7 +140,7 @@ class Run:
     verdict: Verdict
     about: Mapping[str, Any] = field(default_factory=dict)
     findings: tuple[Finding, ...] = ()
-    extras: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    extras: Mapping[str, Real] = field(default_factory=dict)
     finished: bool = True
 
     def __post_init__(self) -> None:
@@ -133,59 +161,12 @@ class Run:
 
     def save(self, path: Path | str) -> None:
         """Write signals, metrics and what was run to one NPZ file, complete or not at all."""
-        about = {
-            "metrics": {k: v if math.isfinite(v) else str(v) for k, v in asdict(self.metrics).items()},
-            "verdict": asdict(self.verdict),
-            "about": dict(self.about),
-            "payload": self.payload if math.isfinite(self.payload) else str(self.payload),
-            "findings": [asdict(finding) for finding in self.findings],
-            "finished": self.finished,
-        }
-        extras = {f"extra_{name}": values for name, values in self.extras.items()}
-        write_npz(path, "run", FORMAT, about, {name: getattr(self, name) for name in SIGNALS} | extras)
+        save(self, path, force=True)
 
-    @classmethod
-    def load(cls, path: Path | str) -> Run:
+    @staticmethod
+    def load(path: Path | str) -> Run:
         """Read back what `save` wrote, in this format or the first; FileFormatError for anything else."""
-        kind = "twin-run" if kind_of(path) == "twin-run" else "run"
-        about, arrays = read_npz(path, kind, (1,) if kind == "twin-run" else (1, FORMAT))
-        try:
-            if about["format"] == 1:
-                about, arrays = _upgraded(about, arrays)
-            return cls(
-                **{name: arrays.pop(name) for name in SIGNALS},
-                metrics=Metrics(**{k: float(v) for k, v in about["metrics"].items()}),
-                verdict=Verdict(**about["verdict"]),
-                payload=float(about["payload"]),
-                about=about["about"],
-                findings=tuple(Finding(**finding) for finding in about["findings"]),
-                extras={name.removeprefix("extra_"): values for name, values in arrays.items()},
-                finished=bool(about["finished"]),
-            )
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
-            raise FileFormatError(
-                "run",
-                str(path),
-                "not a run",
-                allowed="an NPZ of Run.save",
-                remedy="give a file that Run.save wrote",
-            ) from error
-
-
-def _upgraded(about: Mapping[str, Any], arrays: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """A file of format 1, of the model ("run") or of the twin ("twin-run"), as format 2 has it."""
-    twin = about["fraclink"] == "twin-run"
-    unknown = np.full(len(arrays["time"]), math.nan)
-    settings = {"arm": "twin", **about["about"]} if twin else {"arm": "model", **about["settings"]}
-    signals = {name: arrays.get(name, unknown) for name in SIGNALS}
-    payload = arrays["payload"][0] if twin else None
-    if not twin:
-        payload = settings.pop("payload")
-        settings["motor_loop"] = settings.pop("inner")
-    extras = {f"extra_{name}": values for name, values in arrays.items() if name not in SIGNALS}
-    told = {"metrics": about["metrics"], "verdict": about["verdict"], "about": settings, "findings": []}
-    told["payload"] = str(math.nan if payload is None else payload)
-    return told | {"finished": about.get("finished", True)}, signals | extras
+        return load(path, Run)
 
 
 def judged_run(

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink import _kernels
 from fraclink._arm.link import LinkModel
 from fraclink._arm.motor import place_pid
 from fraclink._arm.reference import Reference, sampled
@@ -18,23 +17,35 @@ from fraclink._arm.rig import Rig
 from fraclink._design import Design
 from fraclink._law import Drive, Law, equip
 from fraclink._law.discretize import COULOMB_SPEED, check_rigs_period
-from fraclink._simulate import kernel
 from fraclink._simulate.arm import Twin
-from fraclink._simulate.kernel import ArmState, LumpedArms, link_weights, run_lumped
+from fraclink._simulate.kernel import (
+    OTHER_SIGNALS,
+    RECORD,
+    REFERENCE,
+    SHORT_SIGNALS,
+    SUBSTEPS,
+    ArmState,
+    LumpedArms,
+    apply,
+    healthy_inputs,
+    run_lumped,
+    segments,
+    shared_rig,
+)
+from fraclink._simulate.plant import link_weights
 from fraclink._simulate.run import Run, judged_run
-from fraclink._simulate.sensors import FAULTS, Event, Obstacle, PayloadChange, Restart, SensorFault, TipPulse
+from fraclink._simulate.sensors import Event
 from fraclink._validate import Between, Seed, checked
 from fraclink.errors import FieldError, SizeError
 from fraclink.findings import Finding
 
-__all__ = ["healthy_inputs", "simulate", "twin_run", "with_motor_loop"]
+__all__ = ["model_run", "simulate", "twin_run", "with_motor_loop"]
 
 Real = NDArray[np.float64]
 MotorLoop = Literal["ideal", "sampled"]
 Torque = Annotated[float, Between(-1e6, 1e6, "N·m")]
 
 SETTLE = 5.0  # [s] simulated after the reference has come to rest: 30 periods of the paper's slowest link
-SUBSTEPS = 10  # friction steps in a period: a stop is placed to 0.4 ms at 4 ms
 MOST_SAMPLES = 2_000_000
 
 
@@ -125,156 +136,144 @@ def simulate(
     (True, True)
     """
     law = design.law() if isinstance(design, Design) else design
-    length = reference.duration + SETTLE if duration is None else duration
-    if length > MOST_SAMPLES * law.period:
-        raise SizeError("duration", length, "too long", allowed=f"{MOST_SAMPLES} periods", remedy="split it")
-    Between(law.period, math.inf, "s").check("duration", length)
-    gauge = {"gauge_delay": gauge_delay, "gauge_gain": gauge_gain, "gauge_offset": gauge_offset}
-    gauge |= {"gauge_noise": noise}
+    length = _length(reference, duration, law.period)
+    options = {
+        "gauge_delay": gauge_delay,
+        "gauge_gain": gauge_gain,
+        "gauge_offset": gauge_offset,
+        "gauge_noise": noise,
+    }
+    gauge = {name: value for name, value in options.items() if value is not None}
     if arm is not None:
-        _refuse_options(motor_loop=motor_loop == "ideal", compensation=compensation == "measured")
+        _refuse(motor_loop=motor_loop == "ideal", compensation=compensation == "measured")
         twin = arm if payload is None else arm.with_payload(payload)
-        given = {name: value for name, value in gauge.items() if value is not None}
-        twin = replace(twin, sensors=replace(twin.sensors, **given)) if given else twin
+        twin = replace(twin, sensors=replace(twin.sensors, **gauge)) if gauge else twin
         twin = twin if delay_samples is None else replace(twin, voltage_delay=delay_samples)
         return _on_twin(twin, law, reference, length, tuple(events), seed)
-    _refuse_options(events=bool(tuple(events)))
+    _refuse(events=bool(tuple(events)))
     if isinstance(design, Design):
         rig, model = rig or design.rig, model or design.model
-    plan = _plan(law, rig, model, payload, motor_loop, gauge, delay_samples, substeps, compensation, seed)
-    return _on_model(plan, reference, length)
-
-
-def _refuse_options(**refused: bool) -> None:
-    needs = {
-        "motor_loop": ("sampled", "the twin has a motor; its motor loop is the law's"),
-        "compensation": ("ideal", "the twin's coupling torque always acts on its motor"),
-        "events": ("none", "give arm=Twin.from_rig(rig): only the twin has events"),
+    own, link = _rig_and_link(law, rig, model, payload)
+    kind = motor_loop or ("ideal" if law.drive is None else "sampled")
+    _refuse(measured=compensation == "measured" and kind == "ideal")
+    law, findings = with_motor_loop(law, rig=own, link=link) if kind == "sampled" else (law, ())
+    about = {
+        "arm": "model",
+        "rig": own.name,
+        "law_sha256": law.digest,
+        "motor_loop": kind,
+        "gauge_delay": max(link.gauge_delay, 0.0),  # one that leads: the motor angle is late, as for the twin
+        "gauge_gain": link.gauge_gain,
+        "gauge_offset": own.gauge.offset,
+        "gauge_noise": own.gauge.noise,
+        "seed": seed,
+        "delay_samples": own.motor_loop.delay_samples if delay_samples is None else delay_samples,
+        "substeps": substeps,
+        "compensation": compensation,
     }
-    for field, given in refused.items():
-        if given:
-            allowed, remedy = needs[field]
-            raise FieldError(field, "this option", "not one of this arm", allowed=allowed, remedy=remedy)
+    return _on_model(law, link, own, reference, length, about | gauge, findings)
+
+
+def _length(reference: Reference, duration: float | None, period: float) -> float:
+    length = reference.duration + SETTLE if duration is None else duration
+    if length > MOST_SAMPLES * period:
+        raise SizeError("duration", length, "too long", allowed=f"{MOST_SAMPLES} periods", remedy="split it")
+    return Between(period, math.inf, "s").check("duration", length)
+
+
+_NOT_HERE = {  # option: what is allowed, and why
+    "motor_loop": ("sampled", "the twin has a motor; its motor loop is the law's"),
+    "compensation": ("ideal", "the twin's coupling torque always acts on its motor"),
+    "measured": ("ideal", "an ideal motor loop has no coupling torque to compensate"),
+    "events": ("none", "give arm=Twin.from_rig(rig): only the twin has events"),
+}
+
+
+def _refuse(**given: bool) -> None:
+    """FieldError for an option that was given and that this arm does not have."""
+    for option in (name for name, is_given in given.items() if is_given):
+        allowed, remedy = _NOT_HERE[option]
+        field = "compensation" if option == "measured" else option
+        raise FieldError(field, "given", "not an option of this arm", allowed=allowed, remedy=remedy)
 
 
 # ── the model ───────────────────────────────────────────────────────────────────────────────────────────────
 
 
-@dataclass(frozen=True)
-class _Plan:
-    """A run of the model before it starts: what the kernel takes, and what the run says of itself."""
-
-    law: Law
-    link: LinkModel
-    rig: Rig
-    motor_loop: str
-    coupling: float
-    substeps: int
-    seed: int
-    numbers: Mapping[str, float]
-    about: Mapping[str, Any]
-    findings: tuple[Finding, ...]
-
-
-def _plan(
-    law: Law,
-    rig: Rig | None,
-    model: LinkModel | None,
-    payload: float | None,
-    motor_loop: str | None,
-    gauge: Mapping[str, float | None],
-    delay_samples: int | None,
-    substeps: int,
-    compensation: str,
-    seed: int,
-) -> _Plan:
+def _rig_and_link(
+    law: Law, rig: Rig | None, model: LinkModel | None, payload: float | None
+) -> tuple[Rig, LinkModel]:
     if rig is None:
         remedy = "give rig= (and model=), arm=, or a design in place of the law"
         raise FieldError("rig", None, "missing", allowed="the rig of the arm", remedy=remedy)
-    if model is None and rig.model is None:
+    link = model or rig.model
+    if link is None:
         remedy = "give model=fit.model, or a rig with a model"
         raise FieldError("model", None, "missing", allowed="the model of the link", remedy=remedy)
     check_rigs_period(law, rig)
-    link = _at_payload(model or rig.model, rig, payload)  # type: ignore[arg-type]
-    kind = motor_loop or ("ideal" if law.drive is None else "sampled")
-    if compensation == "measured" and kind != "sampled":
-        remedy = "the ideal motor loop M(s) has no coupling torque to compensate"
-        raise FieldError(
-            "compensation", compensation, 'given without motor_loop="sampled"', allowed="ideal", remedy=remedy
-        )
-    law, findings = with_motor_loop(law, rig=rig, link=link) if kind == "sampled" else (law, ())
-    motor = rig.motor
+    if payload is None or payload == link.payload:
+        return rig, link
+    if link.payload is not None:
+        return rig, link.at_payload(payload)
+    return rig, replace(link, natural_frequency=rig.natural_frequency(payload), payload=payload)
+
+
+def _on_model(
+    law: Law,
+    link: LinkModel,
+    rig: Rig,
+    reference: Reference,
+    length: float,
+    about: Mapping[str, Any],
+    findings: tuple[Finding, ...],
+) -> Run:
+    count = math.floor(length / law.period * (1 + 1e-12)) + 1
+    path = sampled(reference, law.period, count)
+    if not np.all(np.isfinite(path)):
+        raise FieldError("reference", "NaN", "not finite", allowed="finite", remedy="check the reference")
+    delay = Between(0.0, 100.0, "periods").check("gauge_delay", about["gauge_delay"] / law.period)
     values = {
-        "gauge_delay": max(
-            link.gauge_delay, 0.0
-        ),  # a gauge that leads: the motor angle is late, as for the twin
-        "gauge_gain": link.gauge_gain,
-        "gauge_offset": rig.gauge.offset,
-        "gauge_noise": rig.gauge.noise,
-    } | {name: value for name, value in gauge.items() if value is not None}
-    delay = values["gauge_delay"] / law.period
-    Between(0.0, 100.0, "periods").check("gauge_delay", delay)
-    delays = rig.motor_loop.delay_samples if delay_samples is None else delay_samples
-    numbers = {
         "stiffness": link.stiffness,
-        "motor_gain": motor.gain,
-        "motor_decay": motor.decay,
-        "friction": motor.coulomb_torque / (motor.inertia * motor.gear_ratio),
-        "gauge_offset": values["gauge_offset"],
-        "noise": values["gauge_noise"],
-        "delay_samples": float(delays),
+        "motor_gain": 1.0,
+        "viscous_friction": 1.0,
+        "coulomb_torque": 1.0,
+        "gauge_offset": about["gauge_offset"],
+        "noise": about["gauge_noise"],
+        "delay_samples": float(about["delay_samples"]),
         "amplitude": 1.0,
         "gauge_delay": delay,
-        "gauge_gain": values["gauge_gain"],
+        "gauge_gain": about["gauge_gain"],
     }
-    about = {
-        "arm": "model",
-        "rig": rig.name,
-        "law_sha256": law.digest,
-        "motor_loop": kind,
-        **values,
-        "seed": seed,
-        "delay_samples": delays,
-        "substeps": substeps,
-        "compensation": compensation,
-    }
-    coupling = link.stiffness / (motor.gear_ratio**2 * motor.inertia) if compensation == "measured" else 0.0
-    return _Plan(law, link, rig, kind, coupling, substeps, seed, numbers, about, findings)
-
-
-def _on_model(plan: _Plan, reference: Reference, length: float) -> Run:
-    law, rig = plan.law, plan.rig
-    count = math.floor(length / law.period * (1 + 1e-12)) + 1
-    path = _finite_path(reference, law.period, count)
-    shared = _kernels.LoopRig(
-        sampled=plan.motor_loop == "sampled",
-        substeps=plan.substeps,
-        period=law.period,
-        pole=law.inner_pole,
-        coupling=plan.coupling,
-        encoder=rig.encoder.resolution,
-        limit=rig.gauge.limit,
-        quantum=rig.gauge.quantum,
+    arm = LumpedArms.of(
+        rig,
+        link_weights(link, law.period, max(length, 2 * law.period)),
+        np.array([about["seed"]], dtype=np.uint64),
+        **{name: np.array([value]) for name, value in values.items()},
+    )
+    # it acts on the motor only where it is compensated from the gauge's reading
+    coupled = link.stiffness / (rig.motor.gear_ratio**2 * rig.motor.inertia)
+    shared = shared_rig(
+        rig,
+        law,
+        about["motor_loop"],
+        substeps=about["substeps"],
+        coupling=coupled if about["compensation"] == "measured" else 0.0,
         start=float(path[0, 0]),
     )
-    arm = LumpedArms(
-        links=link_weights(plan.link, law.period, max(length, 2 * law.period)),
-        seed=np.array([plan.seed], dtype=np.uint64),
-        **{name: np.array([value]) for name, value in plan.numbers.items()},
-    )
-    signals, marks = run_lumped(
-        law, shared, arm, path[None, [0, 2]], np.zeros(1, dtype=np.int32), everything=True
-    )
+    first = np.zeros(1, dtype=np.int32)
+    signals, marks = run_lumped(law, shared, arm, path[None, [0, 2]], first, everything=True)
+    ended = min(reference.duration, (count - 1) * law.period)
+    encoder = rig.encoder.resolution
     return model_run(
         law,
-        plan.link,
+        link,
         path[0],
         signals[:, 0],
         marks[:, 0],
-        encoder=rig.encoder.resolution,
-        ended=min(reference.duration, (count - 1) * law.period),
-        about=plan.about,
-        findings=plan.findings,
+        encoder=encoder,
+        ended=ended,
+        about=about,
+        findings=findings,
     )
 
 
@@ -291,15 +290,7 @@ def model_run(
     findings: tuple[Finding, ...] = (),
 ) -> Run:
     """Return the run of what `run_lumped` gave for one arm: signals (7, N) and marks (3, N)."""
-    names = (
-        "tip_angle",
-        "motor_reference",
-        "voltage",
-        "motor_angle",
-        "torque",
-        "torque_measured",
-        "tip_estimate",
-    )
+    names = (*SHORT_SIGNALS, *OTHER_SIGNALS)
     rows = dict(zip(names, signals, strict=True)) | dict(zip(("flags", "mode", "reason"), marks, strict=True))
     motor = rows["motor_angle"]
     rows["motor_angle_measured"] = np.rint(motor / encoder) * encoder if encoder > 0.0 else motor.copy()
@@ -312,21 +303,6 @@ def model_run(
         about=about,
         findings=findings,
     )
-
-
-def _finite_path(reference: Reference, period: float, count: int) -> Real:
-    path = sampled(reference, period, count)
-    if not np.all(np.isfinite(path)):
-        raise FieldError("reference", "NaN", "not finite", allowed="finite", remedy="check the reference")
-    return path
-
-
-def _at_payload(model: LinkModel, rig: Rig, payload: float | None) -> LinkModel:
-    if payload is None or payload == model.payload:
-        return model
-    if model.payload is not None:
-        return model.at_payload(payload)
-    return replace(model, natural_frequency=rig.natural_frequency(payload), payload=payload)
 
 
 def with_motor_loop(
@@ -370,33 +346,16 @@ def _drive_of(twin: Twin, law: Law) -> Drive:
 # ── the twin ────────────────────────────────────────────────────────────────────────────────────────────────
 
 
-def healthy_inputs(
-    twin: Twin, reference: Reference, period: float, count: int, generator: np.random.Generator
-) -> Real:
-    """Return the kernel's inputs of a run without events or faults, shape (count, 11)."""
-    time = period * np.arange(count)
-    inputs = np.zeros((count, _kernels.TWIN_INPUTS))
-    inputs[:, kernel.REFERENCE] = reference.angle(time)
-    inputs[:, kernel.VELOCITY] = reference.velocity(time)
-    inputs[:, kernel.ACCELERATION] = reference.acceleration(time)
-    sensors = twin.sensors
-    inputs[:, kernel.GAUGE_ERROR] = sensors.gauge_offset + sensors.gauge_drift * time
-    # Drawn even where the noise is 0, so that a seed gives the same noise whatever its size.
-    inputs[:, kernel.GAUGE_ERROR] += sensors.gauge_noise * generator.standard_normal(count)
-    inputs[:, kernel.ENCODER_GAIN] = inputs[:, kernel.GAUGE_GAIN] = 1.0
-    return inputs
-
-
 def _on_twin(
     twin: Twin, law: Law, reference: Reference, length: float, events: tuple[Event, ...], seed: int
 ) -> Run:
     law, findings = with_motor_loop(law, twin=twin)
     count = round(length / law.period) + 1
     inputs = healthy_inputs(twin, reference, law.period, count, np.random.default_rng(seed))
-    state = ArmState(twin, law.period, law.initial_state(), start_angle=float(inputs[0, kernel.REFERENCE]))
+    state = ArmState(twin, law.period, law.initial_state(), start_angle=float(inputs[0, REFERENCE]))
     records, payloads = [], []
-    for first, last, changes in _segments(events, law.period, inputs):
-        _apply(state, law, changes)
+    for first, last, changes in segments(events, law.period, inputs):
+        apply(state, law, changes)
         part = state.run(law.block, inputs[first:last], single=law.precision == "single")
         records.append(part)
         payloads.append(np.full(len(part), state.twin.beam.payload))
@@ -433,10 +392,8 @@ def twin_run(
     about: Mapping[str, Any],
     findings: tuple[Finding, ...] = (),
 ) -> Run:
-    """Return the run of what `ArmState.run` recorded: columns `kernel.RECORD`, and the payload [kg]."""
-    columns = {
-        name: np.ascontiguousarray(column) for name, column in zip(kernel.RECORD, record.T, strict=True)
-    }
+    """Return the run of what `ArmState.run` recorded: columns `RECORD`, and the payload [kg]."""
+    columns = {name: np.ascontiguousarray(column) for name, column in zip(RECORD, record.T, strict=True)}
     columns |= {name: columns[name].astype(np.uint32) for name in ("mode", "reason", "flags")}
     extras = {name: columns.pop(name) for name in ("motor_velocity", "contact_force", "voltage_asked")}
     return judged_run(
@@ -450,54 +407,3 @@ def twin_run(
         extras=extras | {"payload": payload},
         finished=finished,
     )
-
-
-def _segments(
-    events: tuple[Event, ...], period: float, inputs: Real
-) -> list[tuple[int, int, list[Event | None]]]:
-    """Cut the run where something changes; pulses go straight into the inputs."""
-    count = len(inputs)
-    changes: dict[int, list[Event | None]] = {0: []}
-    for event in sorted(events, key=lambda e: e.time):
-        at = round(event.time / period)
-        if isinstance(event, TipPulse):
-            inputs[at : at + max(1, round(event.duration / period)), kernel.TIP_FORCE] += event.force
-            continue
-        if isinstance(event, SensorFault):
-            _inject(event, inputs[at : max(at + 1, round(event.until / period))])
-            continue
-        changes.setdefault(min(at, count), []).append(event)
-        if isinstance(event, Obstacle):
-            changes.setdefault(min(round(event.until / period), count), []).append(None)
-    edges = sorted(changes)
-    return [
-        (first, last, changes[first])
-        for first, last in zip(edges, [*edges[1:], count], strict=True)
-        if first < last
-    ]
-
-
-def _inject(fault: SensorFault, rows: Real) -> None:
-    """Write a sensor's fault into the kernel's inputs."""
-    bit, name = FAULTS[fault.kind]
-    rows[:, kernel.FAULT_BITS] = rows[:, kernel.FAULT_BITS].astype(int) | bit
-    if name is None or fault.value is None:
-        return
-    column = getattr(kernel, name)
-    if name in ("ENCODER_ERROR", "GAUGE_ERROR"):
-        rows[:, column] += fault.value
-    else:
-        rows[:, column] = fault.value
-
-
-def _apply(state: ArmState, law: Law, changes: list[Event | None]) -> None:
-    for event in changes:
-        if event is None:
-            state.obstacle[1] = 0.0
-        elif isinstance(event, Obstacle):
-            length = state.twin.beam.length
-            state.obstacle[:] = (event.angle, event.stiffness, event.damping, length, event.side)
-        elif isinstance(event, PayloadChange):
-            state.change_payload(event.payload)
-        elif isinstance(event, Restart):
-            state.law = np.frombuffer(bytearray(law.initial_state()), dtype=np.uint8)

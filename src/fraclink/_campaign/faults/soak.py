@@ -9,8 +9,7 @@ import numpy as np
 from fraclink import _kernels
 from fraclink._arm.reference import hold, smooth_step
 from fraclink._campaign.faults.trial import Bench
-from fraclink._simulate.kernel import GAUGE_ERROR, ArmState
-from fraclink._simulate.simulate import healthy_inputs
+from fraclink._simulate.kernel import GAUGE_ERROR, ArmState, healthy_inputs
 from fraclink._validate import checked_noun, checked_whole
 
 __all__ = ["Soak", "soak"]

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from fraclink._arm.reference import Reference, smooth_step
 from fraclink._arm.rig import Rig
 from fraclink._campaign.faults.nouns import Case
-from fraclink._simulate.kernel import REFERENCE, ArmState
-from fraclink._simulate.simulate import healthy_inputs, with_motor_loop
+from fraclink._simulate.kernel import REFERENCE, ArmState, healthy_inputs
+from fraclink._simulate.simulate import with_motor_loop
 from fraclink._validate import checked_noun
 from fraclink.errors import FieldError
 
