@@ -76,15 +76,18 @@ def _measured_block(
     )
     tip, motor_reference, voltage = signals
     pole = (own["stiffness"] / (own["payload"] * campaign.rig.link.length**2)) ** (1.0 / own["order"])
+    flags, mode, reason = marks
     block = Signals(
-        arms.amplitude[:, None] * path[chosen, 0],
-        tip,
-        motor_reference,
-        voltage,
-        *marks,
-        campaign.law.period,
-        np.asarray(SHAPES)[chosen],
-        2.0 * np.pi / (pole * np.sin(np.pi / own["order"])),
+        reference=arms.amplitude[:, None] * path[chosen, 0],
+        tip=tip,
+        motor_reference=motor_reference,
+        voltage=voltage,
+        flags=flags,
+        mode=mode,
+        reason=reason,
+        period=campaign.law.period,
+        ended=np.asarray(SHAPES)[chosen],
+        vibration_period=2.0 * np.pi / (pole * np.sin(np.pi / own["order"])),
     )
     metrics = measure_many(block)
     return metrics | judge_many(block, metrics)

@@ -187,11 +187,11 @@ def _settling(distance: Real, band: Real, period: float) -> Real:
     length = distance.shape[1]
     last = length - 1 - np.argmax(outside[:, ::-1], axis=1)  # last sample outside, where there is one
     time = np.where(outside.any(axis=1), (last + 1.0) * period, 0.0)
-    return np.where(outside[:, -1], np.inf, time)
+    return np.asarray(np.where(outside[:, -1], np.inf, time))
 
 
 def _latest_settling(signals: Signals) -> Real:
-    return signals.period * (signals.tip.shape[1] - 1) - 0.5 * signals.vibration_period
+    return np.asarray(signals.period * (signals.tip.shape[1] - 1) - 0.5 * signals.vibration_period)
 
 
 def _residual(signals: Signals) -> Real:
@@ -214,7 +214,7 @@ def _noise(tail: Real) -> Real:
 def _first_abnormal(mode: Bits) -> NDArray[np.intp]:
     """Index of the first period that is not LAW_RUN, or the number of periods; shape (R,)."""
     abnormal = mode != _kernels.LAW_RUN
-    return np.where(abnormal.any(axis=1), np.argmax(abnormal, axis=1), mode.shape[1])
+    return np.asarray(np.where(abnormal.any(axis=1), np.argmax(abnormal, axis=1), mode.shape[1]))
 
 
 def _growth(signals: Signals) -> Real:

@@ -194,9 +194,17 @@ def judged_run(
     vibration_period
         of the link [s].
     """
-    judged = ("reference", "tip_angle", "motor_reference", "voltage", "flags", "mode", "reason")
-    rows = (signals[name][None, :] for name in judged)
-    block = Signals(*rows, period, np.array([ended]), np.array([vibration_period]))
+    rows = {
+        name: signals[name][None, :] for name in ("motor_reference", "voltage", "flags", "mode", "reason")
+    }
+    block = Signals(
+        reference=signals["reference"][None, :],
+        tip=signals["tip_angle"][None, :],
+        **rows,
+        period=period,
+        ended=np.array([ended]),
+        vibration_period=np.array([vibration_period]),
+    )
     metrics = measure(block)
     return Run(
         time=period * np.arange(len(signals["reference"]), dtype=np.float64),

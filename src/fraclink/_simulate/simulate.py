@@ -137,13 +137,12 @@ def simulate(
     """
     law = design.law() if isinstance(design, Design) else design
     length = _length(reference, duration, law.period)
-    options = {
-        "gauge_delay": gauge_delay,
-        "gauge_gain": gauge_gain,
-        "gauge_offset": gauge_offset,
-        "gauge_noise": noise,
-    }
-    gauge = {name: value for name, value in options.items() if value is not None}
+    options = zip(
+        ("gauge_delay", "gauge_gain", "gauge_offset", "gauge_noise"),
+        (gauge_delay, gauge_gain, gauge_offset, noise),
+        strict=True,
+    )
+    gauge: dict[str, Any] = {name: value for name, value in options if value is not None}
     if arm is not None:
         _refuse(motor_loop=motor_loop == "ideal", compensation=compensation == "measured")
         twin = arm if payload is None else arm.with_payload(payload)
@@ -232,18 +231,9 @@ def _on_model(
     if not np.all(np.isfinite(path)):
         raise FieldError("reference", "NaN", "not finite", allowed="finite", remedy="check the reference")
     delay = Between(0.0, 100.0, "periods").check("gauge_delay", about["gauge_delay"] / law.period)
-    values = {
-        "stiffness": link.stiffness,
-        "motor_gain": 1.0,
-        "viscous_friction": 1.0,
-        "coulomb_torque": 1.0,
-        "gauge_offset": about["gauge_offset"],
-        "noise": about["gauge_noise"],
-        "delay_samples": float(about["delay_samples"]),
-        "amplitude": 1.0,
-        "gauge_delay": delay,
-        "gauge_gain": about["gauge_gain"],
-    }
+    values = {"stiffness": link.stiffness, "noise": about["gauge_noise"], "gauge_delay": delay}
+    values |= {name: float(about[name]) for name in ("gauge_offset", "gauge_gain", "delay_samples")}
+    values |= dict.fromkeys(("motor_gain", "viscous_friction", "coulomb_torque", "amplitude"), 1.0)
     arm = LumpedArms.of(
         rig,
         link_weights(link, law.period, max(length, 2 * law.period)),
@@ -263,18 +253,9 @@ def _on_model(
     first = np.zeros(1, dtype=np.int32)
     signals, marks = run_lumped(law, shared, arm, path[None, [0, 2]], first, everything=True)
     ended = min(reference.duration, (count - 1) * law.period)
-    encoder = rig.encoder.resolution
-    return model_run(
-        law,
-        link,
-        path[0],
-        signals[:, 0],
-        marks[:, 0],
-        encoder=encoder,
-        ended=ended,
-        about=about,
-        findings=findings,
-    )
+    signals, marks, encoder = signals[:, 0], marks[:, 0], rig.encoder.resolution
+    judged: dict[str, Any] = {"encoder": encoder, "ended": ended, "about": about, "findings": findings}
+    return model_run(law, link, path[0], signals, marks, **judged)
 
 
 def model_run(
