@@ -63,8 +63,8 @@ def kernel_and_fits() -> None:
         "R": lambda: rfft(signal),
         "2": lambda: kernel.gram(shape, 0b00011),
         "3": lambda: kernel.gram(shape, 0b10011),
-        "fit": lambda: identify(log, heldout=0, details=False),
-        "guess": lambda: identify(log, heldout=0, details=False, guess=bad),
+        "fit": lambda: identify(log, "UD-FOM", heldout=0, details=False),
+        "guess": lambda: identify(log, "UD-FOM", heldout=0, details=False, guess=bad),
     }
     spent = interleaved(calls, 200)
     for name, title, wanted in (
@@ -87,7 +87,7 @@ def kernel_and_fits() -> None:
 
 def random_starts(count: int) -> None:
     log = noisy_log(0)
-    best = identify(log, heldout=0, details=False)
+    best = identify(log, "UD-FOM", heldout=0, details=False)
     generator = np.random.default_rng(1)
     missed = 0
     begin = time.perf_counter()
@@ -95,7 +95,7 @@ def random_starts(count: int) -> None:
         order = float(generator.uniform(1.001, 2.0))
         frequency = 10.02 * 3 ** float(generator.uniform(-1, 1))
         guess = LinkModel(1.0, frequency ** (order / 1.92), order=order)
-        fit = identify(log, heldout=0, details=False, guess=guess)
+        fit = identify(log, "UD-FOM", heldout=0, details=False, guess=guess)
         missed += not fit.mse <= best.mse * (1 + 1e-7)
     spent = (time.perf_counter() - begin) / count
     line(
@@ -108,12 +108,12 @@ def random_starts(count: int) -> None:
     for _ in range(count):
         order, frequency = float(generator.uniform(1.001, 2.0)), 10.02 * 3 ** float(generator.uniform(-1, 1))
         guess = LinkModel(1.0, frequency ** (order / 1.92), order=order)
-        fit = identify(log, heldout=0, details=False, guess=guess, stiffness=1.56)
+        fit = identify(log, "UD-FOM", heldout=0, details=False, guess=guess, stiffness=1.56)
         missed += abs(fit.model.order - 1.92) > 4 * fit.standard_errors["order"]
     found = f"{100 * (1 - missed / count):.2f} % within 4 standard errors"
     line("the same with a known gain, which saves the scan", found, "100 %", missed == 0)
     missed = sum(
-        abs(identify(noisy_log(seed), heldout=0, details=False).model.order - 1.92) > 0.01
+        abs(identify(noisy_log(seed), "UD-FOM", heldout=0, details=False).model.order - 1.92) > 0.01
         for seed in range(60)
     )
     line("60 logs without a guess", f"{60 - missed} found", "60", missed == 0)
@@ -126,7 +126,9 @@ def coverage(count: int) -> None:
     errors, orders = [], []
     for seed in range(count):
         noise = np.random.default_rng(1000 + seed).normal(0, NOISE, torque.size)
-        fit = identify(Experiment(period=PERIOD, motor_angle=angle, output=torque + noise), heldout=0)
+        fit = identify(
+            Experiment(period=PERIOD, motor_angle=angle, output=torque + noise), "UD-FOM", heldout=0
+        )
         for name, value in truth.items():
             inside[name] += fit.intervals[name].contains(value)
         inside["normal order"] += abs(fit.model.order - 1.92) <= 1.96 * fit.standard_errors["order"]
@@ -180,7 +182,13 @@ def against_the_usual_way() -> None:
 
     def ours() -> Fit:
         return identify(
-            log, heldout=0, stiffness=1.56, fixed={"delay": 0.0, "offset": 0.0}, guess=start, details=False
+            log,
+            "UD-FOM",
+            heldout=0,
+            stiffness=1.56,
+            fixed={"delay": 0.0, "offset": 0.0},
+            guess=start,
+            details=False,
         )
 
     spent = interleaved({"R": usual, "ours": ours}, 9)

@@ -27,7 +27,7 @@ def test_noise_free_pulse_of_20_seconds_to_six_digits() -> None:
     time = PERIOD * np.arange(5001)
     angle = np.where((time >= 1) & (time < 8), 1.0, 0.0)
     torque = time_response(TRUTH.torque(), angle, PERIOD).output
-    fit = identify(Experiment(period=PERIOD, motor_angle=angle, output=torque))
+    fit = identify(Experiment(period=PERIOD, motor_angle=angle, output=torque), "UD-FOM")
     assert fit.hold == "zero"
     assert fit.model.order == pytest.approx(1.92, abs=1e-6)
     assert fit.model.natural_frequency == pytest.approx(10.02, abs=1e-6)
@@ -37,7 +37,7 @@ def test_noise_free_pulse_of_20_seconds_to_six_digits() -> None:
 
 def test_gain_offset_and_delay_are_found_along() -> None:
     log = made_log(delay=0.0137, offset=-0.3, gain=-0.7)
-    fit = identify(log)
+    fit = identify(log, "UD-FOM")
     # 1e-4: the motor moves smoothly, the fit joins its samples by straight lines.
     assert fit.model.order == pytest.approx(1.92, abs=1e-4)
     assert fit.model.natural_frequency == pytest.approx(10.02, abs=1e-3)
@@ -57,7 +57,7 @@ def test_gain_offset_and_delay_are_found_along() -> None:
 )
 def test_any_link_is_found_without_a_guess(order: float, frequency: float, delay: float, seed: int) -> None:
     link = LinkModel(2.0, frequency ** (order / 2), order=order)
-    fit = identify(made_log(link, noise=0.02, delay=delay, seed=seed, samples=3001), details=False)
+    fit = identify(made_log(link, noise=0.02, delay=delay, seed=seed, samples=3001), "UD-FOM", details=False)
     for name, value in (("order", order), ("natural_frequency", link.natural_frequency), ("delay", delay)):
         found = fit.delay if name == "delay" else getattr(fit.model, name)
         assert abs(found - value) < 6 * fit.standard_errors[name] + 2e-3 * abs(value) + 1e-4
@@ -65,13 +65,13 @@ def test_any_link_is_found_without_a_guess(order: float, frequency: float, delay
 
 def test_bad_guesses_do_not_matter() -> None:
     log = made_log(noise=NOISE)
-    best = identify(log, heldout=0, details=False)
+    best = identify(log, "UD-FOM", heldout=0, details=False)
     generator = np.random.default_rng(2)
     for _ in range(40):
         order = float(generator.uniform(1.001, 2.0))
         frequency = (10.02 * 3 ** float(generator.uniform(-1, 1))) ** (order / 1.92)
         guess = LinkModel(1.0, frequency, order=order)
-        assert identify(log, heldout=0, guess=guess, details=False).mse <= best.mse * (1 + 1e-7)
+        assert identify(log, "UD-FOM", heldout=0, guess=guess, details=False).mse <= best.mse * (1 + 1e-7)
 
 
 def test_known_values_are_kept() -> None:
@@ -110,24 +110,24 @@ def test_aic_of_table_2() -> None:
     rows = ((0.05845, 1, -14199), (0.00531, 2, -26192), (0.00524, 2, -26258), (0.00524, 3, -26256))
     for mse, parameters, wanted in rows:
         assert round(aic(mse, 5001, parameters)) == wanted
-    fit = identify(made_log(noise=NOISE), heldout=0)
+    fit = identify(made_log(noise=NOISE), "UD-FOM", heldout=0)
     assert fit.aic == pytest.approx(2 * 2 + 5001 * math.log(fit.mse), rel=1e-14)
 
 
 def test_heldout_samples_are_not_seen() -> None:
     log = made_log(noise=0.05)
     spoilt = replace(log, output=np.where(np.arange(5001) < 3001, log.output, 0.0))
-    first, second = (identify(x, heldout=0.4, details=False) for x in (log, spoilt))
+    first, second = (identify(x, "UD-FOM", heldout=0.4, details=False) for x in (log, spoilt))
     assert first.fitted_samples == 3001
     assert first.model == second.model
     assert second.heldout_mse is not None
     assert first.heldout_mse is not None
     assert second.heldout_mse != first.heldout_mse
-    assert identify(log, heldout=0, details=False).heldout_nmse is None
+    assert identify(log, "UD-FOM", heldout=0, details=False).heldout_nmse is None
 
 
 def test_b32_order_at_its_bound_has_no_error() -> None:
-    fit = identify(made_log(LinkModel(1.56, 10.0), noise=0.05, seed=0))
+    fit = identify(made_log(LinkModel(1.56, 10.0), noise=0.05, seed=0), "UD-FOM")
     assert fit.at_bound == ("order",)
     assert fit.model.order == 2.0
     assert fit.model.structure == "UD-IOM"
@@ -145,7 +145,7 @@ def test_b50_a_log_that_does_not_show_alpha_says_so() -> None:
 
 def test_intervals_cover_and_agree_with_standard_errors() -> None:
     log = made_log(noise=NOISE)
-    fit = identify(log, heldout=0)
+    fit = identify(log, "UD-FOM", heldout=0)
     for name, value in (("order", 1.92), ("natural_frequency", 10.02), ("delay", 0.0)):
         interval, error = fit.intervals[name], fit.standard_errors[name]
         assert interval.contains(value)
@@ -158,7 +158,7 @@ def test_coverage_of_the_intervals() -> None:
     inside = {"order": 0, "natural_frequency": 0}
     for seed in range(60):
         noise = np.random.default_rng(seed).normal(0, NOISE, clean.output.size)
-        fit = identify(replace(clean, output=clean.output + noise), heldout=0)
+        fit = identify(replace(clean, output=clean.output + noise), "UD-FOM", heldout=0)
         inside["order"] += fit.intervals["order"].contains(1.92)
         inside["natural_frequency"] += fit.intervals["natural_frequency"].contains(10.02)
     assert min(inside.values()) >= 52
@@ -169,7 +169,9 @@ def test_coloured_noise_widens_the_errors() -> None:
     generator = np.random.default_rng(5)
     white = generator.normal(0, 1, 5001 + 200)
     coloured = np.convolve(white, np.exp(-np.arange(200) / 20), "valid")[:5001]
-    fit = identify(replace(clean, output=clean.output + 0.05 * coloured / coloured.std()), heldout=0)
+    fit = identify(
+        replace(clean, output=clean.output + 0.05 * coloured / coloured.std()), "UD-FOM", heldout=0
+    )
     assert fit.tests is not None
     assert fit.tests.whiteness < 1e-6
     assert fit.errors_allow_colour
@@ -180,7 +182,7 @@ def test_coloured_noise_widens_the_errors() -> None:
 def test_tests_of_a_white_residual_are_calm() -> None:
     p_values = []
     for seed in range(12):
-        fit = identify(made_log(noise=NOISE, seed=seed), heldout=0)
+        fit = identify(made_log(noise=NOISE, seed=seed), "UD-FOM", heldout=0)
         assert fit.tests is not None
         p_values.append((fit.tests.whiteness, fit.tests.input_independence))
     assert np.median(p_values, axis=0).min() > 0.1

@@ -122,3 +122,27 @@ def test_sign_of_a_rough_angle_delay() -> None:
     log = made_log(noise=0.01)
     rough = replace(log, motor_angle=np.round(log.motor_angle / 0.005) * 0.005)
     assert identify(rough, details=False).delay >= 0.0
+
+
+@pytest.mark.parametrize(
+    ("link", "structure"),
+    [(TRUTH, "UD-FOM"), (LinkModel(1.56, 10.0, damping=1.3), "D-IOM"), (LinkModel(1.56, 10.0), "UD-IOM")],
+)
+def test_identify_uses_the_structure_that_the_log_supports(link: LinkModel, structure: str) -> None:
+    fit = identify(made_log(link, noise=0.01))
+    assert fit.structure == structure
+    assert "W322" not in {finding.code for finding in fit.findings}
+
+
+def test_identify_says_where_the_log_cannot_tell() -> None:
+    log = made_log(LinkModel(1.56, 10.0, order=1.99), noise=0.4, seed=2)
+    fit, comparison = identify(log), identify_all(log)
+    assert fit.structure == comparison.preferred
+    finding = next(finding for finding in fit.findings if finding.code == "W322")
+    assert all(name in finding.message for name in comparison.undecided)
+
+
+def test_a_parameter_that_is_held_stays_in_the_model() -> None:
+    assert identify(made_log(noise=0.05), fixed={"order": 1.9}, details=False).model.order == 1.9
+    damped = identify(made_log(noise=0.05), fixed={"damping_order": 0.8}, details=False)
+    assert damped.model.damping_order == 0.8

@@ -84,7 +84,7 @@ def test_designed_experiment_reaches_its_standard_error(kind: str) -> None:
     for seed in range(40):
         noise = np.random.default_rng(seed).normal(0, 0.05, torque.size)
         log = Experiment(period=PERIOD, motor_angle=plan.motor_angle, output=torque + noise)
-        orders.append(identify(log, heldout=0, details=False).model.order)
+        orders.append(identify(log, "UD-FOM", heldout=0, details=False).model.order)
     # The deviation of 40 values is known to 11 %; three times that.
     assert np.std(orders) == pytest.approx(0.001, rel=0.35)
     assert plan.peak_deflection > 0

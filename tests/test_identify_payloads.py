@@ -40,7 +40,7 @@ def test_common_order_and_own_frequencies() -> None:
 
 def test_joint_errors_are_smaller_than_those_alone() -> None:
     logs = payload_logs(LINK)
-    alone = min(identify(log, heldout=0).standard_errors["order"] for log in logs)
+    alone = min(identify(log, "UD-FOM", heldout=0).standard_errors["order"] for log in logs)
     assert identify_payloads(logs).standard_errors["order"] < alone
 
 

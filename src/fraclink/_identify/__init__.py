@@ -1,9 +1,9 @@
 """Identification: from a log to a link model, with what it takes to judge it.
 
-`identify` fits one structure, `identify_all` all of them with a verdict in words.
+`identify` fits the structure that the log supports, `identify_all` shows all of them with a verdict.
 """
 
-from fraclink._identify.compare import Comparison, Contest, identify_all
+from fraclink._identify.compare import Comparison, Contest, identify, identify_all
 from fraclink._identify.covariance import ResidualTests, aic, bic
 from fraclink._identify.excitation import ExperimentDesign, design_experiment
 from fraclink._identify.fit import (
@@ -14,7 +14,7 @@ from fraclink._identify.fit import (
     load_model,
     save_model,
 )
-from fraclink._identify.fitting import identify, simulated_torque
+from fraclink._identify.fitting import simulated_torque
 from fraclink._identify.motor import MotorFit, identify_motor
 from fraclink._identify.payloads import JointFit, LikelihoodRatio, identify_payloads
 from fraclink._identify.profile import Interval

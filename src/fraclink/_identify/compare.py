@@ -1,19 +1,21 @@
-"""Every structure on one log, which of them is used, and how sure the log makes that choice."""
+"""Identify a log: every structure, which of them is used, and how sure the log makes that choice."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 from fraclink._arm.experiment import Experiment
-from fraclink._arm.link import FRACTIONAL, STRUCTURES, VISCOUS, structure
+from fraclink._arm.link import FRACTIONAL, STRUCTURES, VISCOUS, LinkModel
+from fraclink._arm.link import structure as structure_row
 from fraclink._identify.fit import Fit, _parameters, _share, coincidence_text
 from fraclink._identify.fitting import HeldOut, Stiffness, fit_from, make_search
 from fraclink._identify.search import special_cases
 from fraclink._identify.shape import Hold
 from fraclink._validate import checked
+from fraclink.findings import Finding
 
 # Chance alone lowers the AIC by 2 or more with one superfluous parameter in one log of twenty-two (4: in one
 # of seventy): a difference below 4 is no reason to carry another parameter.
@@ -98,6 +100,97 @@ class Comparison:
 
 
 @checked
+def identify(
+    log: Experiment,
+    structure: str | None = None,
+    *,
+    heldout: HeldOut | None = None,
+    stiffness: Stiffness | None = None,
+    fixed: Mapping[str, float] | None = None,
+    guess: LinkModel | None = None,
+    hold: Hold = "auto",
+    details: bool = True,
+) -> Fit:
+    """Fit a link structure to a log; gain, offset and gauge delay are fitted along, no guess is needed.
+
+        minimise Σ (output − gain·y(t − delay) − offset)²,    Y = s^λ/(s^λ + μ s^α + ω₀²) Θm
+
+    Parameters
+    ----------
+    log
+        the recorded motion, at rest before its first sample.
+    structure
+        a key of the table of structures; without it, the one that the log supports: the simplest that no
+        other beats clearly (see `identify_all`), with finding W322 where the log cannot tell.
+    heldout
+        share of the samples at the end that the fit does not see [1]. Without it, the last 40 %, or more
+        where these contain no motion: an arm at rest tests no model.
+    stiffness
+        c where it is known [N·m/rad]: a torque log's gain is fixed to it; a deflection log, which cannot
+        show it, gets it as the model's stiffness.
+    fixed
+        values of "gain", "offset", "delay" [s], "order", "damping_order" that are not to be fitted.
+    guess
+        a start to try beside the scan over all frequencies of the log.
+    hold
+        what the motor angle does between samples: "first" (a measured motion), "zero" (a held command) or
+        "auto" (zero only for angles that jump and rest).
+    details
+        False leaves out intervals, tests, the second mode and the allowance for coloured residuals (ten
+        times faster, for loops over thousands of logs).
+
+    Raises
+    ------
+    LogError
+        a log without motion, or too short.
+    FieldError
+        an option out of its range.
+    NotConvergedError
+        no start has a fit.
+
+    References
+    ----------
+    Benftima et al. (2023), Algorithm 1 and section 3.3.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from fraclink._arm.experiment import Experiment
+    >>> from fraclink._arm.link import LinkModel
+    >>> from fraclink._identify import simulated_torque
+    >>> time = 0.004 * np.arange(3000)
+    >>> angle = np.clip((time - 0.5) / 0.3, 0, 1)
+    >>> swing = LinkModel(1.56, 10.02, order=1.92)
+    >>> log = Experiment(period=0.004, motor_angle=angle, output=simulated_torque(swing, angle, 0.004))
+    >>> fit = identify(log)
+    >>> fit.structure, round(fit.model.order, 6), round(fit.model.natural_frequency, 5), round(fit.gain, 6)
+    ('UD-FOM', 1.92, 10.02, 1.56)
+    """
+    # A structure without the parameter that is held, such as λ, would not keep what it was given.
+    held = {"order", "damping_order"} & set(fixed or {})
+    names = [row.name for row in STRUCTURES.values() if held <= set(row.free)]
+    if structure is not None:
+        names = [structure_row(structure).name]
+    search = make_search(log, heldout=heldout, stiffness=stiffness, fixed=fixed, guess=guess, hold=hold)
+    if len(names) == len(STRUCTURES):
+        search.reconcile()
+    fits = {name: fit_from(search, name, log, stiffness=stiffness, details=details) for name in names}
+    best = fits[_preferred(fits)]
+    undecided = _undecided(fits, best.structure, _contest(fits)) if len(names) == len(STRUCTURES) else ()
+    if not undecided:
+        return best
+    gaps = {f"AIC of {name} above": fits[name].tic - best.tic for name in undecided}
+    finding = Finding(
+        "W322",
+        "info",
+        f"this log cannot tell {best.structure} from {' and '.join(undecided)}: the simplest is used",
+        gaps,
+        "record a longer log, or with more motion, if the structure matters",
+    )
+    return replace(best, findings=(*best.findings, finding))
+
+
+@checked
 def identify_all(
     log: Experiment,
     *,
@@ -149,7 +242,7 @@ def identify_all(
             name: fit_from(other, name, log, stiffness=stiffness, details=False)
             for name in (VISCOUS, FRACTIONAL)
         }
-    contest = _contest(fits[FRACTIONAL], fits[VISCOUS])
+    contest = _contest(fits)
     preferred = _preferred(fits)
     return Comparison(fits, still, preferred, contest, _verdict(fits, still, preferred, contest))
 
@@ -157,7 +250,7 @@ def identify_all(
 def _preferred(fits: Mapping[str, Fit]) -> str:
     lowest = min(fit.tic for fit in fits.values())
     near = [name for name, fit in fits.items() if fit.tic - lowest < _DECISIVE]
-    return min(near, key=lambda name: (len(structure(name).free), fits[name].tic))
+    return min(near, key=lambda name: (len(structure_row(name).free), fits[name].tic))
 
 
 def _undecided(fits: Mapping[str, Fit], preferred: str, contest: Contest) -> tuple[str, ...]:
@@ -179,7 +272,8 @@ def _undecided(fits: Mapping[str, Fit], preferred: str, contest: Contest) -> tup
     return tuple(open_ones)
 
 
-def _contest(first: Fit, second: Fit) -> Contest:
+def _contest(fits: Mapping[str, Fit]) -> Contest:
+    first, second = fits[FRACTIONAL], fits[VISCOUS]
     inflation = [max(f.effective_parameters / max(len(f.standard_errors), 1), 1.0) for f in (first, second)]
     counted = first.fitted_samples / (sum(inflation) / 2)
     ratio = math.log(first.mse / second.mse) if min(first.mse, second.mse) > 0 else 0.0

@@ -1,4 +1,4 @@
-"""Identify one structure from one log: options, the part that is held out, the fit and how sure it is."""
+"""Fit one structure to one log: options, the part that is held out, the fit and how sure it is."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._arm.experiment import Experiment
-from fraclink._arm.link import FRACTIONAL, LinkModel, SecondMode
+from fraclink._arm.link import LinkModel, SecondMode
 from fraclink._arm.link import structure as structure_row
 from fraclink._identify.covariance import ResidualTests, Uncertainty, aic, bic, residual_tests, uncertainty
 from fraclink._identify.findings import findings_of
@@ -53,75 +53,6 @@ _COLOURED = 0.01  # p-value below which the residual is taken for coloured
 _HELDOUT = 0.4
 _MOVES = 0.05  # of the motor's motion (mean square speed) that a held-out part must contain
 _BLOCKS = 120  # of a log, in which its motion is measured
-
-
-@checked
-def identify(
-    log: Experiment,
-    structure: str = FRACTIONAL,
-    *,
-    heldout: HeldOut | None = None,
-    stiffness: Stiffness | None = None,
-    fixed: Mapping[str, float] | None = None,
-    guess: LinkModel | None = None,
-    hold: Hold = "auto",
-    details: bool = True,
-) -> Fit:
-    """Fit a link structure to a log; gain, offset and gauge delay are fitted along, no guess is needed.
-
-        minimise Σ (output − gain·y(t − delay) − offset)²,    Y = s^λ/(s^λ + μ s^α + ω₀²) Θm
-
-    Parameters
-    ----------
-    log
-        the recorded motion, at rest before its first sample.
-    structure
-        a key of the table of structures.
-    heldout
-        share of the samples at the end that the fit does not see [1]. Without it, the last 40 %, or more
-        where these contain no motion: an arm at rest tests no model.
-    stiffness
-        c where it is known [N·m/rad]: a torque log's gain is fixed to it; a deflection log, which cannot
-        show it, gets it as the model's stiffness.
-    fixed
-        values of "gain", "offset", "delay" [s], "order", "damping_order" that are not to be fitted.
-    guess
-        a start to try beside the scan over all frequencies of the log.
-    hold
-        what the motor angle does between samples: "first" (a measured motion), "zero" (a held command) or
-        "auto" (zero only for angles that jump and rest).
-    details
-        False leaves out intervals, tests, the second mode and the allowance for coloured residuals (ten
-        times faster, for loops over thousands of logs).
-
-    Raises
-    ------
-    LogError
-        a log without motion, or too short.
-    FieldError
-        an option out of its range.
-    NotConvergedError
-        no start has a fit.
-
-    References
-    ----------
-    Benftima et al. (2023), Algorithm 1 and section 3.3.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from fraclink._arm.experiment import Experiment
-    >>> time = 0.004 * np.arange(3000)
-    >>> angle = np.clip((time - 0.5) / 0.3, 0, 1)
-    >>> swing = LinkModel(1.56, 10.02, order=1.92)
-    >>> log = Experiment(period=0.004, motor_angle=angle, output=simulated_torque(swing, angle, 0.004))
-    >>> fit = identify(log)
-    >>> round(fit.model.order, 6), round(fit.model.natural_frequency, 5), round(fit.gain, 6)
-    (1.92, 10.02, 1.56)
-    """
-    structure_row(structure)
-    search = make_search(log, heldout=heldout, stiffness=stiffness, fixed=fixed, guess=guess, hold=hold)
-    return fit_from(search, structure, log, stiffness=stiffness, details=details)
 
 
 @checked
