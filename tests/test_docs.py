@@ -84,7 +84,6 @@ PUBLIC = (
     "design",
     "design.assess",
     "design.feasibility",
-    "design.files",
     "design.higher_modes",
     "design.inner",
     "design.poles",

@@ -457,3 +457,45 @@ def test_deep_nesting_ends_in_a_file_format_error(depth: int, version: int, tmp_
     )
     with pytest.raises(FileFormatError):
         load(path)
+
+
+GOLDEN = Path(__file__).parent / "golden" / "formats"
+
+
+def test_d9_an_edited_gain_of_a_design_is_refused(tmp_path: Path) -> None:
+    rig = fl.Rig.named("paper-2023")
+    design = fl.design(rig.model, rig, gain_crossover=12.0, phase_margin=fl.deg(50), filter_time=0.0)
+    path = save(design, tmp_path / "design.json")
+    assert load(path, fl.Design) == design
+
+    def louder(data: dict[str, Any]) -> None:
+        data["content"]["controller"]["gain"] *= 8
+
+    with pytest.raises(FileFormatError, match="changed after it was written"):
+        load(edited(path, louder))
+
+
+@pytest.mark.parametrize("name", ["design-format-1.json", "study/design.json", "study/log.npz"])
+def test_d8_mutants_of_a_file_of_release_0_1_are_read_or_refused(name: str, tmp_path: Path) -> None:
+    raw, rng = (GOLDEN / name).read_bytes(), np.random.default_rng(7)
+    path, refused = tmp_path / Path(name).name, 0
+    path.write_bytes(raw)
+    whole = load(path)
+    for _ in range(1000):
+        path.write_bytes(mutate(raw, rng))
+        try:
+            assert type(load(path)) is type(whole)
+        except FileFormatError:
+            refused += 1
+    assert 300 < refused < 1000
+
+
+@pytest.mark.parametrize("text", ["x = 1", "[motor]", "name = 1"])
+def test_d8_a_rig_in_a_design_that_is_no_rig(text: str, tmp_path: Path) -> None:
+    def damage(data: dict[str, Any]) -> None:
+        data["rig"] += "\n" + text
+
+    path = tmp_path / "design.json"
+    path.write_bytes((GOLDEN / "study" / "design.json").read_bytes())
+    with pytest.raises(FileFormatError):
+        load(edited(path, damage))

@@ -26,7 +26,7 @@ import re
 from collections.abc import Callable, Mapping
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Literal, TypeVar, overload
+from typing import Any, Literal, TypeVar, cast, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,6 +61,7 @@ __all__ = [
     "checked_path",
     "digest_of",
     "document",
+    "from_plain",
     "kind_of",
     "load",
     "output_path",
@@ -295,6 +296,12 @@ def load(path: Path | str, kind: type[Any] | tuple[type, ...] | None = None) -> 
     found = _registered(data.get("fraclink"), wanted, place)
     content = _content(data, arrays, found)
     return codec_of(found.cls).decode(content, "", Storage(found.hex_floats, arrays))
+
+
+def from_plain(kind: type[T], data: Any, path: str = "") -> T:
+    """Return the `kind` that plain JSON holds; FileFormatError names the place, below `path`."""
+    hint: Any = kind
+    return cast(T, codec_of(hint).decode(data, path, Storage()))
 
 
 def kind_of(path: Path | str) -> str:

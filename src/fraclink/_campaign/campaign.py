@@ -17,8 +17,7 @@ from scipy.special import ndtr, ndtri
 
 from fraclink._arm.link import LinkModel
 from fraclink._arm.rig import Rig
-from fraclink._design.files import link_from
-from fraclink._files import read_json, write_json
+from fraclink._files import from_plain, read_json, write_json
 from fraclink._law import Law, equip
 from fraclink._validate import Between, checked
 from fraclink.errors import FieldError, FileFormatError, SizeError
@@ -308,7 +307,7 @@ def load_campaign(folder: Path | str) -> Campaign:
     try:
         campaign = Campaign(
             rig=Rig.load(place / "rig.toml"),
-            model=link_from(data["model"]),
+            model=from_plain(LinkModel, data["model"], "model"),
             law=Law.load(place / "law.json"),
             draws=Draws(**{name: Distribution(**d) for name, d in data["draws"].items()}),
             runs=data["runs"],

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ from fraclink._arm.loop import Loop, with_payload
 from fraclink._arm.motor_loop import MotorLoop
 from fraclink._arm.rig import Rig
 from fraclink._arm.sampled import SampledPlant, sampled_plant
+from fraclink._files import document, load, save
 from fraclink._validate import (
     Between,
     Duration,
@@ -170,6 +171,26 @@ class Requirement:
         )
 
 
+def _from_first_formats(data: dict[str, Any]) -> dict[str, Any]:
+    """The content of a design of release 0.1; its requirements stated slack and verdict, no direction."""
+    data.pop("period")  # the rig's
+    if data["controller"].get("lead", ...) is None:  # one with a lead is not run any more
+        del data["controller"]["lead"]
+    for item in data["requirements"]:
+        slack = item.pop("slack")
+        del item["passed"]
+        rises = (item["achieved"] - item["wanted"]) * slack >= 0.0
+        item["bound"] = "at least" if rises else "at most"
+    return data
+
+
+@document(
+    "design",
+    version=3,
+    upgrades={1: dict, 2: _from_first_formats},
+    period=lambda made: made.rig.period,
+    summary=lambda made: {"passed": made.passed, "controller": made.controller.formula},
+)
 @dataclass(frozen=True)
 class Design:
     """Result of `design`.
@@ -346,16 +367,12 @@ class Design:
 
     def save(self, path: Path | str) -> None:
         """Write the design to one JSON file that ``Design.load`` reads back equal."""
-        from fraclink._design.files import save_plan
-
-        save_plan(self, Path(path))
+        save(self, path, force=True)
 
     @staticmethod
     def load(path: Path | str) -> Design:
-        """Read a design back; FileFormatError or FieldError where the file is not one."""
-        from fraclink._design.files import load_plan
-
-        return load_plan(Path(path))
+        """Read a design back; FileFormatError where the file is not one, or was edited."""
+        return load(path, Design)
 
 
 def _checked_frequency(value: object) -> float:
