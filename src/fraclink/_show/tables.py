@@ -216,20 +216,23 @@ def table_text(table: Table, width: int = 80) -> str:
     20 g       48.8
     8 g        23.9
     """
-    rows = [(*row[:-1], marked(row[-1])) if table.judged else row for row in table.rows]
+    # What keeps a value and its error together on a page only shows as an escape in a terminal.
+    plain = [tuple(cell.replace("\N{NO-BREAK SPACE}", " ") for cell in row) for row in table.rows]
+    rows = [(*row[:-1], marked(row[-1])) if table.judged else row for row in plain]
     # A head folds into three lines at most, and never within a word.
     words = [max(-(-len(head) // 3), *map(len, head.split() or [""])) for head in table.header]
     widths = [max(word, *(len(row[k]) for row in rows)) for k, word in enumerate(words)]
     spare = width - sum(widths) - 2 * (len(widths) - 1)
     if spare < 0:
-        widths[-1] = max(20, widths[-1] + spare)
+        # Sentences give way: the widest column folds, as far as a line of it can still be read.
+        widest = max(range(len(widths)), key=widths.__getitem__)
+        widths[widest] = max(24, widths[widest] + spare)
     # Heads need not fold where there is room: from left to right each takes what it needs.
     for k, head in enumerate(table.header):
         more = min(max(spare, 0), max(0, len(head) - widths[k])) if spare >= len(head) - widths[k] else 0
         widths[k], spare = widths[k] + more, spare - more
-    left = [
-        k == 0 or (k == len(widths) - 1 and (table.judged or _wordy(rows, k))) for k in range(len(widths))
-    ]
+    last = len(widths) - 1
+    left = [k == 0 or (k == last and table.judged) or _wordy(rows, k) for k in range(len(widths))]
     lines = _folded_row(table.header, widths, left, bottom=True)
     for row in rows:
         lines += _folded_row(row, widths, left, bottom=False)
@@ -237,7 +240,7 @@ def table_text(table: Table, width: int = 80) -> str:
 
 
 def _wordy(rows: Sequence[Row], column: int) -> bool:
-    return any(re.search(r"[^\W\d_]{4,}", row[column]) for row in rows)
+    return any(re.search(r"[^\W\d_]{4,} [^\W\d_]{2,}", row[column]) for row in rows)
 
 
 def _folded_row(row: Row, widths: list[int], left: list[bool], *, bottom: bool) -> list[str]:
