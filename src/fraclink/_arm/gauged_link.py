@@ -11,8 +11,8 @@ g and τ_g the gain and the delay of the gauge. With g = 1, τ_g = 0 and no seco
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -69,7 +69,7 @@ class GaugedLink:
         """ln|B|; without the cost of complex powers where B is G."""
         if not self.exact_gauge:
             with np.errstate(divide="ignore"):  # B may have a zero on the axis
-                return np.asarray(np.log(np.abs(self._gauge(w, natural_frequency)[0])))
+                return np.asarray(np.log(np.abs(self.parts(w, natural_frequency)[0])))
         spring = np.square(np.asarray(natural_frequency, dtype=float))
         inertia, turn = np.exp(self.link_order * ln_w), 0.5 * math.pi * self.link_order
         real, imaginary = spring + inertia * math.cos(turn), inertia * math.sin(turn)
@@ -103,8 +103,8 @@ class GaugedLink:
         read = self.gauge_gain * np.exp(-self.gauge_delay * s)
         return np.asarray(-read * (change - self.gauge_delay * s * torque) / (1.0 - read * torque))
 
-    def _gauge(self, w: Real, natural_frequency: ArrayLike) -> tuple[Complex, Real, Real]:
-        """(B, |X|, unwrapped arg X), X = g e^{-jωτ_g} Γ/(c θm) and B = 1 − X.
+    def parts(self, w: Real, natural_frequency: ArrayLike) -> tuple[Complex, Real, Real]:
+        """Return (B, |X|, unwrapped arg X) of X = g e^{-jωτ_g} Γ/(c θm), B = 1 − X.
 
         Γ/(c θm) lies in the upper half plane, as every mode of a link does at its root, so its own principal
         phase is continuous and the delay adds a straight line.
@@ -131,13 +131,13 @@ class GaugedLink:
         at the entry to and the exit from such an interval join the pieces.
         """
         w, frequency = np.broadcast_arrays(w, np.asarray(natural_frequency, dtype=float))
-        bracket, _, angle = self._gauge(w, frequency)
+        bracket, _, angle = self.parts(w, frequency)
         phase, outside = np.angle(bracket), np.zeros(w.shape, dtype=bool)
         turns = np.zeros(w.shape)
-        for value in np.unique(frequency):
-            row = frequency == value
-            for place, entry in self._unit_gains(float(value)):
-                whole = math.floor(float(self._gauge(np.asarray(place), value)[2]) / (2.0 * math.pi))
+        single = frequency.flat[0] if frequency.size and np.all(frequency == frequency.flat[0]) else None
+        for value in np.unique(frequency) if single is None else (single,):
+            row = np.True_ if single is not None else frequency == value
+            for place, whole, entry in _unit_gains(self._alone, float(value)):
                 past = row & (w > place)
                 outside[past] = entry
                 turns[past] += -whole if entry else whole
@@ -148,23 +148,10 @@ class GaugedLink:
         value = size + 1j * (np.where(outside, round_origin, phase) + 2.0 * math.pi * turns)
         return np.asarray(value, dtype=np.complex128)
 
-    def _unit_gains(self, natural_frequency: float) -> Iterator[tuple[float, bool]]:
-        """(ω, whether |X| rises) of every crossing |X| = 1, ascending.
-
-        The delay turns X and does not change its size, so a scan about the modes finds all. Their place is
-        needed to the accuracy of a phase only.
-        """
-        near = np.geomspace(1e-6, 0.3, 24)
-        shape = np.concatenate([np.geomspace(1e-3, 1e4, 200), 1.0 + near, 1.0 / (1.0 + near)])
-        grid = float(self.peak(natural_frequency)) * shape
-        if self.second_mode is not None:
-            width = self.second_mode.damping_ratio * np.linspace(-8.0, 8.0, 97)
-            grid = np.concatenate([grid, self.second_mode.frequency * np.exp(width)])
-        grid = np.unique(grid)
-        level = np.log(self._gauge(grid, natural_frequency)[1])
-        for i in np.flatnonzero((level[:-1] > 0.0) != (level[1:] > 0.0)):
-            share = level[i] / (level[i] - level[i + 1])
-            yield float(grid[i] * (grid[i + 1] / grid[i]) ** share), bool(level[i + 1] > 0.0)
+    @cached_property
+    def _alone(self) -> GaugedLink:
+        """The link without what a subclass adds: loops that differ in Ĉ only share what is cached for it."""
+        return GaugedLink(*(getattr(self, field.name) for field in fields(GaugedLink)))
 
     def peak(self, natural_frequency: ArrayLike) -> Real:
         """Return the resonance of the undamped structure, ``(-ω₀² cos(πλ/2))^(1/λ)`` (eq. (14)) [rad/s]."""
@@ -175,3 +162,27 @@ class GaugedLink:
         """Return the bound of condition (39), ``(-ω₀²/cos(πλ/2))^(1/λ)`` [rad/s]: sufficient only."""
         cosine = -math.cos(0.5 * math.pi * self.link_order)
         return float((natural_frequency**2 / cosine) ** (1.0 / self.link_order))
+
+
+@lru_cache(maxsize=4096)  # a design asks for the same few links over and over
+def _unit_gains(link: GaugedLink, natural_frequency: float) -> tuple[tuple[float, int, bool], ...]:
+    """(ω, whole turns of arg X, whether |X| rises) of every crossing |X| = 1, ascending.
+
+    The delay turns X and does not change its size, so a scan about the modes finds all. Their place is needed
+    to the accuracy of a phase only.
+    """
+    near = np.geomspace(1e-6, 0.3, 24)
+    shape = np.concatenate([np.geomspace(1e-3, 1e4, 200), 1.0 + near, 1.0 / (1.0 + near)])
+    grid = float(link.peak(natural_frequency)) * shape
+    if link.second_mode is not None:
+        width = link.second_mode.damping_ratio * np.linspace(-8.0, 8.0, 97)
+        grid = np.concatenate([grid, link.second_mode.frequency * np.exp(width)])
+    grid = np.unique(grid)
+    level = np.log(link.parts(grid, natural_frequency)[1])
+    found = []
+    for i in np.flatnonzero((level[:-1] > 0.0) != (level[1:] > 0.0)):
+        share = level[i] / (level[i] - level[i + 1])
+        place = float(grid[i] * (grid[i + 1] / grid[i]) ** share)
+        angle = float(link.parts(np.asarray(place), natural_frequency)[2])
+        found.append((place, math.floor(angle / (2.0 * math.pi)), bool(level[i + 1] > 0.0)))
+    return tuple(found)

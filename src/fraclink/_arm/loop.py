@@ -181,7 +181,7 @@ class Loop(GaugedLink):
         if self.exact_gauge:
             return np.asarray(np.exp(self.log(frequency, natural_frequency)), dtype=np.complex128)
         w = np.asarray(frequency, dtype=float)
-        bracket, _, _ = self._gauge(w, natural_frequency)
+        bracket, _, _ = self.parts(w, natural_frequency)
         return np.asarray(np.exp(self.outer_log(w) + self.motor_log(w)) * bracket, dtype=np.complex128)
 
     def level(self, frequency: ArrayLike, natural_frequency: ArrayLike) -> Real:

@@ -220,7 +220,30 @@ def refuse(task: Task, attempt: Attempt, found: tuple[Solution, ...], fastest: f
         parts.append(f"with {degrees:.4g}° the {word} gain crossover is {crossover:.6g} rad/s")
         if abs(math.log(crossover / task.gain_crossover)) < change:
             nearest = asked | {"gain_crossover": crossover}
+    if not nearest:
+        nearest = _both_lower(task, top, attempt)
+        parts += [
+            f"with {math.degrees(nearest['phase_margin']):.3g}° and {nearest['gain_crossover']:.6g} rad/s "
+            "there is a controller"
+            if nearest
+            else "no smaller margin at another crossover has a controller either"
+        ]
     raise InfeasibleError(condition, "; ".join(parts), nearest)
+
+
+def _both_lower(task: Task, top: float, attempt: Attempt) -> dict[str, float]:
+    """A smaller margin and the nearest crossover that has it: a late gauge may leave neither alone.
+
+    It leaves a narrow band right of the modes, which is therefore searched in steps of 2 %.
+    """
+    low, high = (float(Loop.ideal(task.model).peak(w0)) for w0 in (task.low, task.high))
+    band = np.geomspace(0.8 * low, min(2.5 * high, top), 80)
+    for margin in np.radians([40.0, 30.0, 20.0, 10.0]):
+        if margin < task.phase_margin:
+            crossover = _nearest(replace(task, phase_margin=float(margin)), "gain_crossover", band, attempt)
+            if crossover is not None:
+                return {"phase_margin": float(margin), "gain_crossover": crossover}
+    return {}
 
 
 def _nearest(task: Task, field: str, values: Real, attempt: Attempt) -> float | None:

@@ -268,7 +268,7 @@ def attempt(task: Task) -> tuple[Solution, int] | None:
     gauge, its gain or a second mode may put them inside: the equations then aim as much higher as was
     missing, until what is achieved is what was asked.
     """
-    aim = task
+    aim, last = task, math.inf
     for _ in range(1 if task.model.exact_gauge or not task.inside else _AIMS):
         shortfall: tuple[float, float] | None = None
         for order in (task.filter_order,) if task.filter_order else (1, 2):
@@ -282,8 +282,9 @@ def attempt(task: Task) -> tuple[Solution, int] | None:
                     return solution, order
                 if crossover > 0.0 and margin > 0.0 and shortfall is None:
                     shortfall = task.gain_crossover / crossover, task.phase_margin - margin
-        if shortfall is None:
-            return None
+        if shortfall is None or max(shortfall[0] - 1.0, shortfall[1]) > 0.7 * last:
+            return None  # nothing near, or what is missing does not shrink
+        last = max(shortfall[0] - 1.0, shortfall[1])
         wider = aim.phase_margin + 1.02 * max(shortfall[1], 0.0)
         aim = replace(aim, gain_crossover=aim.gain_crossover * max(shortfall[0], 1.0), phase_margin=wider)
         if aim.phase_margin >= math.pi or aim.gain_crossover >= aim.bare(1).highest:

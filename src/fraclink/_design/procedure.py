@@ -163,7 +163,8 @@ def _link_of(model: LinkModel | Fit, rig: Rig) -> LinkModel:
     found = getattr(model, "model", model)
     link = checked_noun("model", found, LinkModel, remedy="give a fit, fit.model, or rig.model")
     checked_between("order", link.order, 1.0, 2.0, "(λ)", open_low=True, remedy="λ is 2 for a classical link")
-    return link
+    # The logger alone may be late, and not the signal that the controller reads.
+    return link if rig.gauge.delay_in_loop else replace(link, gauge_delay=0.0)
 
 
 def requirements_of(task: Task, controller: Controller, spec: Specification) -> tuple[Requirement, ...]:
