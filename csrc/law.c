@@ -7,6 +7,10 @@
  *  - Whatever the state memory holds, the outputs are finite and in their limits within the same period, and a
  *    flipped bit or a wiped memory is healed in it: each sum that is formed from states is checked, and the states
  *    behind it are clamped where the check fails. Clamping each state at every entry costs 280 instructions a period.
+ *  - What decides whether the drive runs is kept so that one flipped bit cannot decide otherwise: the mode in four
+ *    copies, and a stamp that does not fit starts nothing where the copies agree on a trip.
+ *  - A clock that stands or runs backwards trips like one that jumps: a law that waits for a new period keeps its
+ *    last voltage on, whatever the arm does.
  *  - The correction works on the *change* of the error, so that a constant error, such as a gauge's offset, gives
  *    exactly zero whatever the rounding.
  *  - States that have died away are set to 0, one in each period: as denormals they would stay for ever and cost
@@ -18,9 +22,11 @@
 
 #if defined(__clang__)
 #pragma STDC FP_CONTRACT OFF
-#elif defined(__GNUC__) && !defined(__STRICT_ANSI__) && (defined(__FMA__) || defined(__ARM_FEATURE_FMA)) && \
-    !defined(LAW_CONTRACT_OFF)
-/* gcc ignores the pragma and fuses a * b + c in its gnu modes: one rounding where the simulation has two. */
+#elif defined(__GNUC__) && !defined(__STRICT_ANSI__) && !defined(LAW_CONTRACT_OFF) && \
+    (defined(__FMA__) || defined(__ARM_FEATURE_FMA) || defined(__riscv_flen) || defined(__FP_FAST_FMA) || \
+     defined(__FP_FAST_FMAF))
+/* gcc ignores the pragma and fuses a * b + c in its gnu modes: one rounding where the simulation has two. RISC-V
+ * fuses wherever it has floating point (__riscv_flen); __FP_FAST_FMA is gcc's own word on every other machine. */
 #error "compile law.c with -std=c99, or with -ffp-contract=off -DLAW_CONTRACT_OFF"
 #endif
 
@@ -60,6 +66,21 @@ static law_real limited(law_real value, law_real limit)
     return result;
 }
 
+/* A mode as the state keeps it: a copy in each byte. */
+static uint32_t copied(uint32_t mode)
+{
+    return mode * 0x01010101U;
+}
+
+/* What three of the copies say by majority, which one flipped bit in any of them does not change. */
+static uint32_t voted(uint32_t word)
+{
+    const uint32_t second = word >> 8U;
+    const uint32_t third = word >> 16U;
+    const uint32_t most = ((word & second) | (word & third) | (second & third)) & 0xFFU;
+    return copied((most <= LAW_OFF) ? most : LAW_OFF);
+}
+
 /* Enter the mode that a reason asks for, unless a more severe one is latched; the first reason stays with its mode.
  * The motor loop lives on the encoder: without it nothing is left to hold with. The link is stable alone: without
  * the gauge the feed-forward can go on. */
@@ -73,6 +94,7 @@ static void latch(law_state *s, uint32_t reason)
     } else {
         /* encoder, motor or clock */
     }
+    mode = copied(mode);
     if (s->mode < mode) {
         s->mode = mode;
         s->reason = reason;
@@ -103,6 +125,8 @@ static void clear(law_state *s)
     s->stuck = 0U;
     s->overload = 0U;
     s->frozen = 0U;
+    s->repeated = 0U;
+    s->repeated_at = 0U;
     /*@ loop unroll 8; */
     for (i = 0U; i < LAW_REAL_MODES; i++) {
         s->real[i] = zero;
@@ -187,7 +211,7 @@ static uint32_t start(law_state *s, const law_params *p, const law_input *in)
         const law_real angle = in->motor_angle;
         flags = LAW_FLAG_STARTED;
         s->stamp = p->crc;
-        s->mode = LAW_RUN;
+        s->mode = copied(LAW_RUN);
         s->tick = in->tick - 1U;
         s->motor_angle = angle;
         s->reference = angle;
@@ -324,7 +348,7 @@ static uint32_t watch(law_state *s, const law_params *p)
             latch(s, LAW_RESIDUAL);
         }
     }
-    if ((s->mode == LAW_DEGRADED) || (credible(s->torque, p->torque_block) != 0U)) {
+    if ((s->mode == copied(LAW_DEGRADED)) || (credible(s->torque, p->torque_block) != 0U)) {
         s->overload = 0U;
     } else {
         s->overload = counted(s->overload);
@@ -508,7 +532,7 @@ static uint32_t command(law_state *s, const law_params *p, law_real offset)
 static law_real faded(law_state *s, const law_params *p, law_real correction)
 {
     law_real left = correction;
-    if (s->mode == LAW_DEGRADED) {
+    if (s->mode == copied(LAW_DEGRADED)) {
         s->fade = clamped(s->fade - p->fade_step, (law_real)1);
         if (s->fade < (law_real)0) {
             s->fade = (law_real)0;
@@ -545,13 +569,13 @@ static uint32_t run(law_state *s, const law_params *p, const law_input *in, law_
         correction = healed_correction(s, p, correction);
     }
     s->error = out->error;
-    if (s->mode <= LAW_DEGRADED) {
+    if (s->mode <= copied(LAW_DEGRADED)) {
         flags |= command(s, p, forward + faded(s, p, correction));
     } else {
         s->motor_reference = clamped(s->motor_reference, p->motor_limit);
     }
     out->motor_reference = s->motor_reference;
-    if ((s->mode <= LAW_HOLD) && ((p->options & LAW_WITH_INNER) != 0U)) {
+    if ((s->mode <= copied(LAW_HOLD)) && ((p->options & LAW_WITH_INNER) != 0U)) {
         flags |= close_motor(s, p, out);
     } else {
         s->voltage = (law_real)0;
@@ -601,6 +625,36 @@ uint32_t law_init(law_state *state, const law_params *params)
     return state->reason;
 }
 
+/* A call that is not a new period: hold the outputs, and trip once that lasts as long as periods may be missed. */
+static void repeat(law_state *s, const law_params *p, law_output *out)
+{
+    if (s->repeated_at != s->tick) { /* the calls before belong to another period: a good one lies in between */
+        s->repeated_at = s->tick;
+        s->repeated = 0U;
+    }
+    s->repeated = counted(s->repeated);
+    if (s->repeated > p->missed_limit) {
+        latch(s, LAW_MISSED);
+    }
+    if (s->mode > copied(LAW_HOLD)) {
+        s->voltage = (law_real)0;
+    }
+    out->motor_reference = clamped(s->motor_reference, p->motor_limit);
+    out->voltage = clamped(s->voltage, p->voltage_limit);
+}
+
+/* Make the state fit the parameters: begin anew, or stay tripped where the stamp alone is damaged. */
+static uint32_t restart(law_state *s, const law_params *p, const law_input *in)
+{
+    uint32_t flags = 0U;
+    if ((s->mode > copied(LAW_RUN)) && (s->mode == voted(s->mode)) && (law_check(p) == LAW_OK)) {
+        s->stamp = p->crc;
+    } else {
+        flags = start(s, p, in);
+    }
+    return flags;
+}
+
 void law_step(law_state *state, const law_params *params, const law_input *input, law_output *output)
 {
     uint32_t flags = 0U;
@@ -609,7 +663,10 @@ void law_step(law_state *state, const law_params *params, const law_input *input
     output->tip_estimate = (law_real)0;
     output->error = (law_real)0;
     if (state->stamp != params->crc) { /* the exporter gives out no block with crc 0, the stamp of a cleared state */
-        flags |= start(state, params, input);
+        flags |= restart(state, params, input);
+    }
+    if (state->mode != copied(LAW_RUN)) {
+        state->mode = voted(state->mode); /* every undamaged mode is its own majority */
     }
     periods = input->tick - state->tick;
     if (state->mode == LAW_IDLE) {
@@ -618,19 +675,18 @@ void law_step(law_state *state, const law_params *params, const law_input *input
         output->voltage = (law_real)0;
     } else if ((periods == 0U) || (periods > LAW_COUNT_MAX)) {
         flags |= LAW_FLAG_REPEATED;
-        output->motor_reference = clamped(state->motor_reference, params->motor_limit);
-        output->voltage = clamped(state->voltage, params->voltage_limit);
+        repeat(state, params, output);
     } else {
         state->tick = input->tick;
         if (periods > 1U) {
             flags |= LAW_FLAG_MISSED;
-        }
-        if ((periods - 1U) > params->missed_limit) {
-            latch(state, LAW_MISSED);
+            if ((periods - 1U) > params->missed_limit) {
+                latch(state, LAW_MISSED);
+            }
         }
         flags |= run(state, params, input, output, periods);
     }
-    output->mode = (state->mode <= LAW_OFF) ? state->mode : LAW_OFF;
+    output->mode = state->mode >> 24U;
     output->reason = state->reason;
     output->flags = flags;
 }

@@ -70,7 +70,7 @@ typedef double law_real;
 #define LAW_BAD_GAUGE 6U   /* not a number, out of range or jumping, too long */
 #define LAW_GAUGE_STUCK 7U /* gauge does not move where the model says it must */
 #define LAW_RESIDUAL 8U    /* motor angle far from the motor model: encoder stuck or wrong, or drive failed */
-#define LAW_MISSED 9U      /* too many periods missed */
+#define LAW_MISSED 9U      /* too many periods missed, or too many calls without a new one: the clock stands */
 #define LAW_OVERLOAD 10U   /* coupling torque above its limit: link blocked */
 
 #define LAW_GAUGE_REVERSED 11U /* wiring test: torque falls where it must rise */
@@ -82,7 +82,7 @@ typedef double law_real;
 #define LAW_FLAG_GAUGE 2U      /* gauge sample rejected */
 #define LAW_FLAG_REFERENCE 4U  /* reference sample rejected or its speed limited */
 #define LAW_FLAG_MISSED 8U     /* periods were missed */
-#define LAW_FLAG_REPEATED 16U  /* called twice in one period, or time ran backwards: nothing was done */
+#define LAW_FLAG_REPEATED 16U  /* called twice in one period, or time ran backwards: held, off if it goes on */
 #define LAW_FLAG_LIMITED 32U   /* motor reference limited in speed or range */
 #define LAW_FLAG_SATURATED 64U /* voltage limited */
 #define LAW_FLAG_STARTED 128U  /* started in this period, without a bump */
@@ -173,8 +173,8 @@ typedef struct {
 
 /* Everything the law remembers. */
 typedef struct {
-    uint32_t stamp; /* crc of the parameters it was started with; anything else starts anew */
-    uint32_t mode;
+    uint32_t stamp; /* crc of the parameters it was started with; anything else starts anew, but no trip */
+    uint32_t mode;  /* in each of its four bytes, so that one flipped bit is outvoted */
     uint32_t reason;
     uint32_t tick;
     uint32_t bad_encoder;
@@ -182,7 +182,9 @@ typedef struct {
     uint32_t residual;
     uint32_t stuck;
     uint32_t overload;
-    uint32_t frozen; /* tenth counter: an even number of them keeps the reals aligned */
+    uint32_t frozen;
+    uint32_t repeated;    /* calls in a row that were not a new period, counted at the tick below */
+    uint32_t repeated_at; /* twelfth word: an even number of them keeps the reals aligned */
     law_real real[LAW_REAL_MODES]; /* states of the modes */
     law_real forward[LAW_FORWARD_MODES];
 #if !defined(LAW_EXACT) || defined(LAW_PAIRS)

@@ -98,6 +98,16 @@ def test_the_self_test_finds_a_compiler_that_contracts(exported: tuple[Law, Path
     assert "ffp-contract=off" in refused.stderr
 
 
+@pytest.mark.parametrize("machine", ["__riscv_flen=32", "__FP_FAST_FMAF=1", "__ARM_FEATURE_FMA=1"])
+def test_machines_that_fuse_are_refused_by_their_own_words(machine: str, tmp_path: Path) -> None:
+    """What a cross compiler defines, without one: gnu modes fuse, ISO modes and -ffp-contract=off do not."""
+    export_c(law("single"), tmp_path)
+    command = (tool("gcc"), "-fsyntax-only", "-DLAW_SINGLE", f"-D{machine}", "law.c")
+    assert "ffp-contract=off" in run(*command, "-std=gnu99", cwd=tmp_path, check=False).stderr
+    run(*command, "-std=c99", cwd=tmp_path)
+    run(*command, "-std=gnu99", "-ffp-contract=off", "-DLAW_CONTRACT_OFF", cwd=tmp_path)
+
+
 @pytest.mark.parametrize("compiler", ["gcc", "clang"])
 def test_fast_math_and_the_wrong_precision_are_refused(exported: tuple[Law, Path], compiler: str) -> None:
     made, folder = exported

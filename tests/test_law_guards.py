@@ -220,6 +220,80 @@ def test_a_repeated_or_backward_period_does_nothing(jump: int) -> None:
     np.testing.assert_array_equal(outputs.motor_reference[202:], once.motor_reference[201:])
 
 
+@pytest.mark.parametrize("step", [0, -1, -5])
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_a_clock_that_stands_or_runs_backwards_switches_the_drive_off(precision: str, step: int) -> None:
+    """As many repeated calls as missed periods are ridden through; the next one latches."""
+    made, rows = law(precision), quiet()
+    ticks = np.arange(1, COUNT + 1)
+    ticks[200:] = 200 + step * np.arange(1, COUNT - 199)
+    outputs = run(made, rows, ticks=ticks)
+    allowed = made.limits.missed_limit
+    assert np.all(outputs.mode[: 200 + allowed] == 1)
+    assert np.all(outputs.voltage[1 : 200 + allowed] != 0)
+    assert np.all(outputs.mode[200 + allowed :] == 4)
+    assert np.all(outputs.voltage[200 + allowed :] == 0)
+    assert ended(outputs) == ("off", "missed periods")
+
+
+def test_a_caller_that_calls_twice_in_every_period_is_ridden_through() -> None:
+    rows = quiet()
+    rows[0] += 0.05 * np.sin(0.05 * np.arange(COUNT))
+    rows[3] += 0.01 * (-1.0) ** np.arange(COUNT)
+    once = run(law(), rows)
+    twice = run(law(), np.repeat(rows, 2, axis=1), ticks=np.repeat(np.arange(1, COUNT + 1), 2))
+    np.testing.assert_array_equal(twice.motor_reference[::2], once.motor_reference)
+    assert np.all(twice.mode[::2] == once.mode)
+    assert once.mode[100] == 1
+
+
+def flipped(state: bytes, word: int, bit: int) -> bytes:
+    """The state with one bit of its 32-bit words flipped: 0 stamp, 1 mode, 2 reason, 3 tick ..."""
+    damaged = bytearray(state)
+    damaged[4 * word + bit // 8] ^= 1 << (bit % 8)
+    return bytes(damaged)
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_no_flipped_bit_of_a_word_freezes_the_law(precision: str) -> None:
+    """Ten periods later the law is off, or its command moves with the reference again."""
+    made, rows = law(precision), quiet(120)
+    rows[0, 100:] += 0.001 * np.arange(20)
+    state, _ = made.run(made.initial_state(), *rows[:, :100])
+    _, clean = made.run(state, *rows[:, 100:120], first_tick=101)
+    assert clean.motor_reference[-1] > 0.31 and clean.mode[10] == 1
+    for word in range(12):
+        for bit in range(32):
+            _, outputs = made.run(flipped(state, word, bit), *rows[:, 100:120], first_tick=101)
+            moved = np.abs(outputs.motor_reference[10:] - clean.motor_reference[10:]) < 0.005
+            assert outputs.mode[10] == 4 or np.all(moved), (word, bit)
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+@pytest.mark.parametrize("mode", [2, 3, 4])
+def test_no_flipped_bit_of_a_word_starts_a_tripped_drive(precision: str, mode: int) -> None:
+    """No upset of the counters, the stamp or the mode leads back to a less severe mode."""
+    made, rows = law(precision), quiet(120)
+    state, _ = made.run(made.initial_state(), *rows[:, :100])
+    tripped = state[:4] + bytes([mode]) * 4 + state[8:]
+    _, outputs = made.run(tripped, *rows[:, 100:], first_tick=101)
+    assert np.all(outputs.mode == mode)
+    for word in range(12):
+        for bit in range(32):
+            _, outputs = made.run(flipped(tripped, word, bit), *rows[:, 100:], first_tick=101)
+            assert np.all(outputs.mode >= mode), (word, bit)
+
+
+def test_a_flipped_bit_of_the_mode_does_not_stop_a_drive_that_runs() -> None:
+    made, rows = law(), quiet()
+    state, _ = made.run(made.initial_state(), *rows[:, :100])
+    _, clean = made.run(state, *rows[:, 100:], first_tick=101)
+    assert np.all(clean.mode == 1)
+    for bit in range(32):
+        _, outputs = made.run(flipped(state, 1, bit), *rows[:, 100:], first_tick=101)
+        np.testing.assert_array_equal(outputs.motor_reference, clean.motor_reference)
+
+
 def test_the_period_counter_may_wrap_around() -> None:
     rows = signals(COUNT)
     plain = run(law(), rows)

@@ -187,6 +187,23 @@ static void clocks(void)
     step(1U);
     require((out.flags & LAW_FLAG_ENCODER) != 0U);
     require((out.flags & LAW_FLAG_GAUGE) != 0U);
+    /* a clock that stands: the voltage is held for as long as periods may be missed, and then no longer */
+    begin((law_real)0.25F);
+    in.reference = (law_real)0.27F;
+    step(1U);
+    require(out.voltage != (law_real)0);
+    for (uint32_t k = 0U; k < law_data.missed_limit; k++) {
+        step(0U);
+        require((out.mode == LAW_RUN) && (out.voltage != (law_real)0));
+    }
+    step(0U);
+    require((out.mode == LAW_OFF) && (out.reason == LAW_MISSED) && (out.voltage == (law_real)0));
+    begin((law_real)0.25F); /* called twice in every period: the count begins anew in each */
+    for (uint32_t k = 0U; k < 50U; k++) {
+        step(1U);
+        step(0U);
+        require(out.mode == LAW_RUN);
+    }
     /* memory that says "started" and "idle" at once: idle for a period, then a start */
     begin((law_real)0.25F);
     state.mode = LAW_IDLE;
@@ -194,6 +211,37 @@ static void clocks(void)
     require(out.mode == LAW_IDLE);
     step(1U);
     require((out.mode == LAW_RUN) && ((out.flags & LAW_FLAG_STARTED) != 0U));
+}
+
+/* One flipped bit of what decides whether the drive runs: it neither starts a drive that is off nor stops one that runs. */
+static void upsets(void)
+{
+    for (uint32_t bit = 0U; bit < 32U; bit++) {
+        for (uint32_t mode = LAW_RUN; mode <= LAW_OFF; mode++) {
+            begin((law_real)0.25F);
+            state.mode = copied(mode);
+            state.stamp ^= 1U << bit;
+            step(1U);
+            require(out.mode == mode);
+            state.mode ^= 1U << bit;
+            step(1U);
+            require((out.mode == mode) && (state.stamp == law_data.crc));
+        }
+        begin((law_real)0.25F);
+        state.tick ^= 1U << bit;
+        for (uint32_t k = 0U; k < 10U; k++) {
+            in.reference += law_data.reference_step / (law_real)8;
+            step(1U);
+        }
+        require((out.mode == LAW_OFF) || (out.motor_reference > (law_real)0.25F));
+    }
+    begin((law_real)0.25F); /* parameters that went bad are not run on, tripped or not */
+    law_params block = law_data;
+    block.crc ^= 1U;
+    state.mode = copied(LAW_HOLD);
+    in.tick++;
+    law_step(&state, &block, &in, &out);
+    require((out.mode == LAW_IDLE) && (out.reason == LAW_BAD_CRC));
 }
 
 static void limits(void)
@@ -372,6 +420,7 @@ int main(int count, char **words)
     wiring();
     trips();
     clocks();
+    upsets();
     limits();
     memory();
     jumps();

@@ -19,6 +19,8 @@ from fraclink_prove.tools import COMPILER, SOLVERS, Tool, at_most, sha256_of_tex
 
 __all__ = ["finite_claim", "slew_bound", "slew_claim"]
 
+# Modes of a law that was started, as its state keeps them: a copy in each byte (law.c, `copied`).
+_STARTED, _COPIES = (1, 2, 3, 4), 0x01010101
 _STRUCTS = ("law_state", "law_params", "law_input", "law_output")
 
 
@@ -162,7 +164,8 @@ def _started(executed: Symbolic, limit: float) -> list[str]:
     executed.memory["law_state", "stamp"] = executed.load(("law_params", "crc"))
     command = executed.memory["before", "motor_reference"] = state["motor_reference"]
     executed.bounded[command.term] = limit
+    modes = (f"(= {state['mode'].term} (_ bv{mode * _COPIES} 32))" for mode in _STARTED)
     return [
-        f"(not (= {state['mode'].term} (_ bv0 32)))",
+        f"(or {' '.join(modes)})",
         f"(fp.leq (fp.abs {command.term}) {real_literal(limit, executed.precision)})",
     ]

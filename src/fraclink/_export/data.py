@@ -66,7 +66,7 @@ def exact_sizes(law: Law) -> tuple[int, int]:
     modes = _modes(law)
     width = 4 if law.precision == "single" else 8
     states = modes["real"] + modes["forward"] + 2 * modes["pair"] + 15
-    return layout.exact_header(law.block, law.precision, modes)[0], 40 + width * states
+    return layout.exact_header(law.block, law.precision, modes)[0], 48 + width * states
 
 
 def _exact(law: Law) -> str:

@@ -40,7 +40,7 @@ ENCODER_REPLACED, GAUGE_REPLACED, FROZEN_ENCODER, FROZEN_GAUGE, SWAPPED, TICK_MI
     32,
     64,
 )
-# Members of law_state behind its ten counters, in the order of law.h.
+# Members of law_state behind its twelve words, in the order of law.h.
 REALS = (
     *(f"modes[{i}]" for i in range(20)),
     "error",
@@ -59,7 +59,7 @@ REALS = (
     "filter",
     "voltage",
 )
-COUNTERS = 10
+COUNTERS = 12
 
 Rows = slice | NDArray[np.int_]
 
