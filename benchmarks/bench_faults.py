@@ -15,9 +15,8 @@ from dataclasses import replace
 import numpy as np
 
 import fraclink as fl
+from fraclink._campaign.fault_trial import MOVE, TICK_MISSED, Trial, execute
 from fraclink._campaign.faults import CATALOGUE, Bench, Case, FaultTable, cases, run_faults, soak
-from fraclink._campaign.faults.inject import TICK_MISSED, add_fault
-from fraclink._campaign.faults.trial import MOVE, Trial, execute
 from fraclink._law import Modes, Moves, equip
 from fraclink._simulate import geared
 
@@ -93,7 +92,7 @@ def floors(bench: Bench, design: fl.Design) -> None:
         peaks = []
         for payload in bench.payloads:
             trial = Trial(bench, Case("F07", 1, payload, phase, 1), bench.law, MOVE, 7.0)
-            add_fault(trial, slice(trial.row, trial.count), TICK_MISSED)
+            trial.set_bits(slice(trial.row, trial.count), TICK_MISSED)
             trial.at(trial.row, lambda vessel: vessel.voltage.fill(0.0))
             peaks.append(float(np.abs(execute(trial).error).max()))
         wanted = "F07: 0.4 rad" if phase == "mid" else "F08: 1.1 x clean, 0.043 rad"

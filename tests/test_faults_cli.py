@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+import fraclink as fl
 from fraclink._campaign.faults import FaultTable
 from fraclink._cli.app import run
 from fraclink._npz import read_npz
@@ -20,7 +21,7 @@ def test_a_fault_that_is_met_exits_with_0(tmp_path: Path, capsys: pytest.Capture
     out = tmp_path / "met"
     assert run([*ARM, *ONE, "--only", "F02", "--out", str(out)]) == 0
     assert "1 of 1 faults" in capsys.readouterr().out
-    assert FaultTable.load(out / "faults.json").passed
+    assert fl.load(out / "faults.json", FaultTable).passed
     assert not (out / "figures").exists()
     about, signals = read_npz(out / "run.npz", "fault-run", (1,))
     assert about["case"] == "F02-2-30g-mid-1" and len(signals["tip"]) == 1751
@@ -43,8 +44,8 @@ def test_an_open_fault_exits_with_1_and_its_command_repeats_it(
     words = shlex.split(told["open"][1]["replay"])
     assert words[0] == "fraclink"
     assert run(words[1:]) == 1
-    again = FaultTable.load(tmp_path / "F07-3-30g-mid-3" / "faults.json")
-    assert again.outcomes == FaultTable.load(tmp_path / "first" / "faults.json").outcomes[1:]
+    again = fl.load(tmp_path / "F07-3-30g-mid-3" / "faults.json", FaultTable)
+    assert again.outcomes == fl.load(tmp_path / "first" / "faults.json", FaultTable).outcomes[1:]
     first = (tmp_path / "first" / "figures" / "F07-3-30g-mid-3.svg").read_bytes()
     assert (tmp_path / "F07-3-30g-mid-3" / "figures" / "F07-3-30g-mid-3.svg").read_bytes() == first
 
@@ -54,7 +55,7 @@ def test_an_open_fault_exits_with_1_and_its_command_repeats_it(
     [
         ([*ARM, "--only", "F99"], "only"),
         ([*ARM, "--only", "F08", "--phase", "start"], "phase"),
-        ([*ARM, "--severity", "0"], "severity"),
+        ([*ARM, "--severity", "0"], "severities[0]"),
         (["campaign", "faults"], "design"),
         (["campaign", "faults", "--design", "missing.json"], "missing.json"),
     ],

@@ -464,7 +464,6 @@ def save_study(study: Study, folder: Path | str) -> None:
         "design.json": study.design,
         "law.json": study.law,
         "certificate.json": study.certificate,
-        "faults.json": study.faults,
     }
     for name, fit in study.fits.items():
         chosen = study.fit is not None and fit.structure == study.fit.structure
@@ -475,6 +474,8 @@ def save_study(study: Study, folder: Path | str) -> None:
             part.save(place / name)
     if study.experiment is not None:
         save(study.experiment, place / "log.npz", force=True)
+    if study.faults is not None:
+        save(study.faults, place / "faults.json", force=True)
     write_json(place / "study.json", "study", 1, _summary(study))
 
 
@@ -548,7 +549,7 @@ def _gathered(place: Path, by_kind: Mapping[str, list[Path]]) -> Study:
         uncertified=proof.verdict if refuted else about.get("uncertified"),
         runs=tuple(sorted(map(Run.load, by_kind.get("run", [])), key=lambda move: move.payload)),
         arms=None if campaign is None else summarise(campaign, place / "arms"),
-        faults=first("fault-campaign", FaultTable.load),
+        faults=first("fault-campaign", lambda path: load(path, FaultTable)),
         assumptions=tuple(about.get("assumptions", ())),
     )
 

@@ -13,14 +13,14 @@ import typer
 from fraclink import _campaign as campaigns
 from fraclink._campaign import Campaign, Summary
 from fraclink._campaign.faults import PHASES, Bench, Case, FaultTable, Outcome, cases, observe, run_faults
-from fraclink._campaign.faults.figure import draw_outcome
 from fraclink._cli.app import group
 from fraclink._cli.command import Answer, Writes, command, option
 from fraclink._cli.console import steps, watching
 from fraclink._cli.options import Gear, LinkMass, ModelFile, RigName, load_design, load_link_model, load_rig
 from fraclink._design import Design
-from fraclink._files import write_text
+from fraclink._files import save, write_text
 from fraclink._npz import write_npz
+from fraclink._show.faults import draw_outcome
 from fraclink._show.report import write_campaign_report
 from fraclink._show.tables import View, view
 from fraclink._simulate import geared
@@ -160,7 +160,7 @@ def faults(
     out.mkdir(parents=True, exist_ok=True)  # a folder that cannot be written is found out before the work
     with steps(len({case.fault for case in planned})) as begin:
         result = run_faults(bench, planned, progress=begin, about={"command": repeat})
-    result.save(out / "faults.json")
+    save(result, out / "faults.json", force=True)
     write_text(out / "faults.md", _page(result, repeat))
     drawn = {"failures": result.failures, "all": result.outcomes, "none": ()}[figures]
     with steps(len(drawn)) as begin:

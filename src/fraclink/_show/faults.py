@@ -5,18 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fraclink._campaign.faults.campaign import observe
-from fraclink._campaign.faults.catalogue import fault_named
-from fraclink._campaign.faults.nouns import Outcome
-from fraclink._campaign.faults.trial import Bench
+from fraclink._campaign.faults import Bench, Evidence, Outcome, fault_named, observe
 from fraclink._files import atomic_write
 from fraclink._law import MODES
 from fraclink.errors import MissingExtraError
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-    from fraclink._campaign.faults.evidence import Evidence
 
 __all__ = ["draw_outcome"]
 

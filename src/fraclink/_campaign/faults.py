@@ -1,0 +1,385 @@
+"""Forty-four ways to break an arm, injected into the shipped law on the twin, each with a verdict."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Annotated, Any, Literal
+
+import numpy as np
+
+from fraclink import _kernels
+from fraclink._arm.reference import hold, smooth_step
+from fraclink._campaign.fault_rules import CATALOGUE, Fault, fault_named
+from fraclink._campaign.fault_trial import (
+    MOVE,
+    PHASES,
+    RUN,
+    Bench,
+    Case,
+    Check,
+    Evidence,
+    Signals,
+    Trial,
+    execute,
+    shared_checks,
+)
+from fraclink._files import document
+from fraclink._law import MODES, REASONS, Law
+from fraclink._simulate.kernel import GAUGE_ERROR, ArmState, healthy_inputs
+from fraclink._validate import Between, Payload, Seed, checked
+from fraclink.errors import FieldError
+
+__all__ = [
+    "CATALOGUE",
+    "PHASES",
+    "Bench",
+    "Case",
+    "Check",
+    "Evidence",
+    "Fault",
+    "FaultTable",
+    "Outcome",
+    "Row",
+    "Signals",
+    "Soak",
+    "cases",
+    "fault_named",
+    "observe",
+    "run_case",
+    "run_faults",
+    "soak",
+]
+
+CleanRuns = dict[tuple[object, ...], Signals]
+Phase = Literal["whole", "start", "mid", "rest"]
+ROUND = smooth_step(1.0, duration=1.2).then(hold(0.0, 0.8)).then(smooth_step(-1.0, duration=1.2))
+ROUND_TIME = 4.0  # [s]: 0.8 s of rest at either end
+CHUNK = 100  # rounds at once: 9 MB of inputs
+
+
+# ---- the table of verdicts ---------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What one run showed: every check, peak and final tip error [rad], and where the law ended.
+
+    final: |mean tip error| of the last second, so that the gauge's noise averages out. reacted: periods from
+    the fault to the first other mode, -1 where the law kept running. detail: what chance chose, such as the
+    number of the state in which a bit was flipped.
+    """
+
+    case: Case
+    checks: tuple[Check, ...]
+    peak: float
+    clean_peak: float
+    final: float
+    mode: str
+    reason: str
+    reacted: int
+    detail: str = ""
+
+    @property
+    def passed(self) -> bool:
+        """Whether every check holds."""
+        return not self.failed
+
+    @property
+    def name(self) -> str:
+        """The case's name, with what chance chose."""
+        return f"{self.case.name}: {self.detail}" if self.detail else self.case.name
+
+    @property
+    def failed(self) -> tuple[Check, ...]:
+        """The checks that do not hold."""
+        return tuple(check for check in self.checks if not check.passed)
+
+
+@dataclass(frozen=True)
+class Row:
+    """One fault in the summary: its runs, those that fail, the check that fails worst and its run."""
+
+    number: str
+    title: str
+    reaction: str
+    required: str
+    runs: int
+    failed: int
+    worst: str
+    example: Outcome | None
+
+    @property
+    def passed(self) -> bool:
+        """Whether every run met the requirement."""
+        return self.failed == 0
+
+
+def _from_format_1(content: dict[str, Any]) -> dict[str, Any]:
+    """Checks were lists, and had no digest."""
+    names = ("name", "measured", "limit", "passed")
+    rows = [
+        row | {"checks": [dict(zip(names, check, strict=True)) for check in row["checks"]]}
+        for row in content["outcomes"]
+    ]
+    return content | {"outcomes": rows}
+
+
+@document(
+    "fault-campaign",
+    version=2,
+    upgrades={1: _from_format_1},
+    sources=lambda table: {"law": table.about["law_sha256"]} if "law_sha256" in table.about else {},
+    summary=lambda table: {"passed": table.passed, "failures": len(table.failures)},
+)
+@dataclass(frozen=True)
+class FaultTable:
+    """Verdicts of a campaign in the order of the runs; `about` says what was run."""
+
+    outcomes: tuple[Outcome, ...]
+    about: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def passed(self) -> bool:
+        """Whether every run of every fault met its requirement."""
+        return not self.failures
+
+    @property
+    def failures(self) -> tuple[Outcome, ...]:
+        """The runs that did not meet their requirement: the open points."""
+        return tuple(outcome for outcome in self.outcomes if not outcome.passed)
+
+    def rows(self) -> tuple[Row, ...]:
+        """Return one row a fault."""
+        numbers = dict.fromkeys(outcome.case.fault for outcome in self.outcomes)
+        return tuple(self._row(fault_named(number)) for number in numbers)
+
+    def _row(self, fault: Fault) -> Row:
+        mine = [outcome for outcome in self.outcomes if outcome.case.fault == fault.number]
+        failed = [outcome for outcome in mine if not outcome.passed]
+        candidates = ((check, o) for o in failed for check in o.failed)
+        check, example = max(candidates, key=lambda x: _excess(x[0]), default=(None, None))
+        worst = "" if example is None else f"{check} ({example.name})"
+        counts = (len(mine), len(failed))
+        return Row(fault.number, fault.title, fault.reaction, fault.required, *counts, worst, example)
+
+    def markdown(self) -> str:
+        """Return the summary as a Markdown table, then what the campaign cannot show of a fault."""
+        lines = [
+            "| fault | what | class | required | runs | open | worst |",
+            "|---|---|---|---|---|---|---|",
+        ]
+        rows = self.rows()
+        for row in rows:
+            cells = (row.number, row.title, row.reaction, row.required, row.runs, row.failed, row.worst)
+            lines.append("| " + " | ".join(str(cell).replace("|", "\\|") for cell in cells) + " |")
+        notes = {row.number: fault_named(row.number).note for row in rows}
+        lines += ["", *(f"- {number}: {note}." for number, note in notes.items() if note)]
+        return "\n".join(lines).rstrip("\n") + "\n"
+
+
+def _excess(check: Check) -> float:
+    """By how much a limit is exceeded, as a factor; a reaction that never came is the worst."""
+    if not math.isfinite(check.measured):
+        return math.inf
+    return check.measured / check.limit if check.limit > 0 else check.measured
+
+
+# ---- running -----------------------------------------------------------------------------------------
+
+
+@checked
+def cases(
+    bench: Bench,
+    *,
+    only: Sequence[str] = (),
+    severities: Sequence[Annotated[int, Between(1, 3)]] = (1, 2, 3),
+    payloads: Sequence[Payload] = (),
+    phases: Sequence[Phase] = PHASES,
+    seeds: Sequence[Annotated[int, Between(0, 2**63 - 1)]] = (1, 2, 3),
+) -> tuple[Case, ...]:
+    """Return every case of a campaign in order; empty `only` and `payloads` mean all.
+
+    Raises FieldError for unknown faults, phases, severities, payloads, and where nothing is left to run.
+    """
+    faults = [fault_named(name) for name in only] or list(CATALOGUE)
+    result = tuple(
+        Case(fault.number, severity, payload, phase, seed)
+        for fault in faults
+        for severity in severities
+        for payload in payloads or bench.payloads
+        for phase in phases
+        for seed in seeds
+        if phase in fault.phases and (severity, phase) not in fault.skips
+    )
+    if not result:
+        allowed = ", ".join(sorted({phase for fault in faults for phase in fault.phases}))
+        problem, remedy = "none in which the fault is run", "choose one of these"
+        raise FieldError("phases", ", ".join(phases), problem, allowed=allowed, remedy=remedy)
+    return result
+
+
+@checked
+def observe(bench: Bench, case: Case, law: Law, *, clean: CleanRuns | None = None) -> Evidence:
+    """Run one case with `law` and return both runs; `clean` keeps the clean ones for the next case.
+
+    Raises FieldError where the clean arm does not stay in mode run: nothing could be learnt from its faults.
+    """
+    fault = fault_named(case.fault)
+    trial = _trial(bench, fault, case, law)
+    fault.rule.inject(trial)
+    payload = bench.payloads[1] if fault.nominal else case.payload
+    special = fault.number if fault.rule.prepare or fault.rule.reference is not MOVE else ""
+    key = (payload, case.seed, fault.duration, special, law.digest)
+    known = {} if clean is None else clean
+    if key not in known:
+        healthy = execute(_trial(bench, fault, Case(fault.number, 1, payload, "whole", case.seed), law))
+        _check_clean(healthy, payload)
+        known[key] = healthy
+    return Evidence(bench, case, trial.law, trial.row, trial.marks, execute(trial), known[key], trial.detail)
+
+
+def _trial(bench: Bench, fault: Fault, case: Case, law: Law) -> Trial:
+    trial = Trial(bench, case, law, fault.rule.reference, fault.duration)
+    if fault.rule.prepare is not None:
+        fault.rule.prepare(trial)
+    return trial
+
+
+def _check_clean(run: Signals, payload: float) -> None:
+    tripped = np.flatnonzero(run.mode > RUN)
+    if tripped.size or not run.finished:
+        row = int(tripped[0]) if tripped.size else -1
+        where = f"{MODES[run.mode[row]]} ({REASONS[run.reason[row]]}) at {run.time[row]:.3f} s"
+        raise FieldError(
+            "bench",
+            where,
+            f"trips with {1e3 * payload:g} g before anything is broken",
+            allowed="a healthy arm that stays in mode run",
+            remedy="mend the rig or the design first; the paper's arm needs a gear (--gear 50)",
+        )
+
+
+@checked
+def run_case(bench: Bench, case: Case, *, single: bool = True, clean: CleanRuns | None = None) -> Outcome:
+    """Run one case and judge it; `single`: in single precision too, which must meet the same.
+
+    A reading of 4.1 N·m for ever, beyond the gauge's range, must degrade the law within 5 samples:
+
+    >>> import fraclink as fl
+    >>> from fraclink._simulate import geared
+    >>> rig = geared(fl.Rig.named("paper-2023"))
+    >>> design = fl.design(
+    ...     rig.model, rig, payloads=(0.020, 0.040), gain_crossover=12.0, phase_margin=fl.deg(50)
+    ... )
+    >>> outcome = run_case(Bench.of(design, link_mass=0.00735), Case("F09", 1, 0.030, "mid", 1))
+    >>> outcome.passed, outcome.mode, outcome.reason, outcome.reacted
+    (True, 'degraded', 'gauge', 5)
+    """
+    e = observe(bench, case, bench.law.in_precision("double"), clean=clean)
+    checks = _judged(e)
+    if single:
+        other = observe(bench, case, bench.law.in_precision("single"), clean=clean)
+        checks += [
+            Check(f"{check.name}, single precision", check.measured, check.limit, check.passed)
+            for check in _judged(other)
+            if not check.passed
+        ]
+        # In the same order; a diverging loop may take them a few periods apart.
+        apart = _changes(e.faulty) != _changes(other.faulty)
+        checks.append(Check.at_most("single precision: other modes or reasons", int(apart), 0))
+    mode, reason = e.end
+    return Outcome(case, tuple(checks), e.peak, e.clean_peak, e.final, mode, reason, e.reacted, e.detail)
+
+
+def _judged(e: Evidence) -> list[Check]:
+    return [*shared_checks(e), *(check(e) for check in fault_named(e.case.fault).rule.require)]
+
+
+def _changes(signals: Signals) -> list[tuple[int, int]]:
+    """Modes and reasons in their order, without how long each lasted."""
+    pairs = np.column_stack((signals.mode, signals.reason)).astype(int)
+    kept = np.append(True, np.any(np.diff(pairs, axis=0) != 0, axis=1))
+    return [(int(mode), int(reason)) for mode, reason in pairs[kept]]
+
+
+@checked
+def run_faults(
+    bench: Bench,
+    planned: Sequence[Case],
+    *,
+    single: bool = True,
+    progress: Callable[[str], None] = lambda name: None,
+    about: dict[str, str] | None = None,
+) -> FaultTable:
+    """Run `planned` cases on the bench and return the table of their verdicts.
+
+    A healthy arm that trips ends the campaign at once, with a FieldError.
+
+    Parameters
+    ----------
+    single
+        whether each case must pass in single precision, too.
+    progress
+        called with the number of each fault when it begins.
+    about
+        what the table is to remember.
+    """
+    outcomes = tuple(_outcomes(bench, planned, single, progress))
+    return FaultTable(outcomes, {"law_sha256": bench.law.digest, **(about or {})})
+
+
+def _outcomes(
+    bench: Bench, planned: Sequence[Case], single: bool, progress: Callable[[str], None]
+) -> Iterator[Outcome]:
+    clean: CleanRuns = {}
+    current = ""
+    for case in planned:
+        if case.fault != current:
+            current = case.fault
+            progress(current)
+        yield run_case(bench, case, single=single, clean=clean)
+
+
+# ---- clean running for long: what the guards must not do ---------------------------------------------
+
+
+@dataclass(frozen=True)
+class Soak:
+    """Clean periods, those in another mode than RUN, those with a flag, and the largest tip error [rad]."""
+
+    periods: int
+    trips: int
+    flagged: int
+    peak: float
+
+
+@checked
+def soak(
+    bench: Bench, payload: Payload, *, periods: Annotated[int, Between(1, 10**12)] = 1_000_000, seed: Seed = 1
+) -> Soak:
+    """Move the healthy arm to and fro by 1 rad for `periods` control periods and count what the law says.
+
+    The gauge has the rig's noise, offset and quantum.
+    """
+    law = bench.law
+    twin = bench.twin.with_payload(payload)
+    generator = np.random.default_rng(seed)
+    rounds = healthy_inputs(twin, ROUND, law.period, round(ROUND_TIME / law.period), generator)
+    arm = ArmState(twin, law.period, law.initial_state())
+    trips = flagged = done = 0
+    peak = 0.0
+    while done < periods:
+        inputs = np.tile(rounds, (CHUNK, 1))[: periods - done]
+        noise = twin.sensors.gauge_noise * generator.standard_normal(len(inputs))
+        inputs[:, GAUGE_ERROR] = twin.sensors.gauge_offset + noise
+        record = arm.run(law.block, inputs, single=law.precision == "single")
+        flags = record[:, 11].astype(int)
+        trips += int(np.count_nonzero(record[:, 9] != RUN))
+        flagged += int(np.count_nonzero(flags & ~_kernels.LAW_FLAG_STARTED))
+        peak = max(peak, float(np.abs(record[:, 2] - record[:, 0]).max()))
+        done += len(record)
+        if len(record) < len(inputs):
+            return Soak(done, trips + periods - done, flagged, peak)
+    return Soak(done, trips, flagged, peak)
