@@ -184,7 +184,7 @@ CALLS: dict[str, Call] = {
     "Distribution": (Distribution, lambda: {"kind": "uniform", "low": 0.0, "high": 1.0}),
     "simulate_part": (campaign.simulate_part, lambda: {"campaign": drawn(), "part": 0}),
     "arm_of": (campaign.arm_of, lambda: {"campaign": drawn(), "run": 0}),
-    "Bench.of": (faults.Bench.of, lambda: {"plan": design(), "rig": geared(RIG)}),
+    "Bench.of": (faults.Bench.of, lambda: {"design": design(), "rig": geared(RIG)}),
     "cases": (
         faults.cases,
         lambda: {
@@ -204,7 +204,7 @@ CALLS: dict[str, Call] = {
     "Udp": (Udp, lambda: {"host": "localhost", "port": 5005}),
     "SharedMemory": (SharedMemory, lambda: {"name": "arm"}),
     "Library": (Library, lambda: {"path": Path("board.so")}),
-    "parse_connection": (parse_connection, lambda: {"text": "shm:arm"}),
+    "parse_connection": (parse_connection, lambda: {"io": "shm:arm"}),
 }
 ARGUMENTS = [(name, field) for name, (_, usual) in CALLS.items() for field in usual()]
 REALTIME: Call = (
