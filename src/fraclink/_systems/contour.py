@@ -16,28 +16,77 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fraclink._systems.quotient import Cluster, Quotient
 from fraclink._systems.terms import Complexes, Reals
 
 _BESIDE_ZERO = 0.02  # |p| t
+_EPS = float(np.finfo(float).eps)
+_TRUNCATION = 2e-14  # of the integrand: what is left beyond the last node and between the nodes
 _CHUNK = 1024  # times together: about 20 nodes each
 
 
 def held_response(quotient: Quotient, times: Reals, power: int) -> Reals:
     """Return the inverse Laplace transform of G(s)/s^power at times > 0 [s] (1 step, 2 ramp, 0 impulse)."""
     flat = np.ravel(times)
+    nodes = _nodes(quotient.bottom[-1].order - quotient.top[-1].order + power)
     # Close poles are told apart or not by the time: each time has its own grouping then.
     size = _CHUNK if quotient.is_sparse else 1
-    parts = [_on_parabola(quotient, flat[k : k + size], power) for k in range(0, len(flat), size)]
+    parts = [_on_parabola(quotient, flat[k : k + size], power, nodes)[0] for k in range(0, len(flat), size)]
     return np.concatenate(parts) if parts else np.empty(0)
 
 
-def _on_parabola(quotient: Quotient, times: Reals, power: int) -> Reals:
+def careful_response(
+    quotient: Quotient, times: Reals, power: int, *, bounded: bool = True
+) -> tuple[Reals, float]:
+    """`held_response` accurate relative to itself also where it begins like t^6; a bound of its error.
+
+    As long as |p| t is small for every pole, the poles lie beside 0 for the parabola and G is to it the power
+    of s that it is at high frequency: more nodes are needed than for its order at 0. The bound adds what
+    five more nodes change to the rounding that is followed through every node and residue.
+    """
+    values, needed = np.empty(len(times)), _needed(quotient, times, power)
+    bound, size = 0.0, _CHUNK if quotient.is_sparse else 1
+    for nodes in np.unique(needed):
+        place = np.flatnonzero(needed == nodes)
+        for k in range(0, len(place), size):
+            part = place[k : k + size]
+            values[part] = _on_parabola(quotient, times[part], power, int(nodes))[0]
+        if not bounded:
+            continue
+        # The bound changes slowly with the time: some forty of many times show its largest value.
+        chosen = place[np.argsort(times[place])]
+        even = np.linspace(0, len(place) - 1, min(len(place), 25)).astype(int)
+        early = np.geomspace(1, len(place), min(len(place), 15)).astype(int) - 1
+        for index in chosen[np.union1d(even, early)]:
+            at = times[index : index + 1]
+            rounding = _on_parabola(quotient, at, power, int(nodes), noise=True)[1]
+            other = _on_parabola(quotient, at, power, int(nodes) + 5)[0]
+            bound = max(bound, float(rounding[0]) + 2.0 * abs(float(other[0]) - float(values[index])))
+    return values, bound
+
+
+def _needed(quotient: Quotient, times: Reals, power: int) -> NDArray[np.intp]:
+    """Nodes for each time, from the power of s that G/s^n resembles at frequencies near 1/t."""
+    order = np.full(len(times), quotient.bottom[-1].order - quotient.top[-1].order + float(power))
+    # The parabola's error comes from |s| t of about 0.7; G's slope there, and on either side of it.
+    for share in (0.3, 1.0, 3.0):
+        z = np.asarray(np.log(share / times), np.complex128)
+        order = np.maximum(order, power - quotient.slope(z))
+    steepest = quotient.bottom[0].order + power  # no slope exceeds it but beside a zero of G
+    steps = np.ceil(4.0 * np.minimum(np.nan_to_num(order, nan=steepest), steepest)).astype(int)
+    table = {step: _nodes(0.25 * step) for step in np.unique(steps).tolist()}
+    return np.array([table[step] for step in steps.tolist()])
+
+
+def _on_parabola(
+    quotient: Quotient, times: Reals, power: int, nodes: int, *, noise: bool = False
+) -> tuple[Reals, Reals]:
+    """The response, and with `noise` a bound of its error (zeros without)."""
     found, packed = quotient.grouped(lambda z: 0.3 * math.exp(-z.real) / float(times[0]))
     simple = np.array([z for z in found if z.imag < math.pi - 1e-9], np.complex128)
     clusters = [c for c in packed if c.centre.imag < math.pi - 1e-9]
-    nodes = _nodes(quotient.bottom[-1].order - quotient.top[-1].order + power)
     step, scale = 3.0 / nodes, np.log(math.pi * nodes / (12.0 * times))
     offset = _offset(np.concatenate((simple, [c.centre for c in clusters])), scale, step)
     u = (np.arange(nodes + 2)[:, None] + offset) * step
@@ -46,18 +95,36 @@ def _on_parabola(quotient: Quotient, times: Reals, power: int) -> Reals:
     values = quotient.value(z) * np.exp(z * (1 - power) + np.exp(z) * times) / root
     values[0] *= np.where(offset == 0.0, 0.5, 1.0)  # the node u = 0 is its own conjugate
     total: Reals = 2.0 * step / math.pi * values.real.sum(axis=0)
+    error = np.zeros(len(times))
+    if noise:
+        units = _TRUNCATION / _EPS + quotient.condition(z) + _exponent_error(z, times, power)
+        error += 2.0 * step / math.pi * _EPS * (np.abs(values) * units).sum(axis=0)
     for pole in simple:
         point = np.full(len(times), pole)
         weight = _kernel(point, scale, offset, step) * np.exp((1 - power) * pole + np.exp(pole) * times)
         # A pole beside the singular point 0 is seen from the parabola as a part of it, and its residue may be
         # huge where the cut cancels it: 1e-14 of that is not a correction.
         weight[math.exp(pole.real) * times < _BESIDE_ZERO] = 0.0
-        total += (1.0 if pole.imag == 0.0 else 2.0) * (quotient.residue(complex(pole)) * weight).real
+        part = np.asarray((1.0 if pole.imag == 0.0 else 2.0) * quotient.residue(complex(pole)) * weight)
+        total += part.real
+        if noise:
+            place, own = quotient.pole_error(complex(pole))
+            # A moved pole is weighted and exponentiated at its moved place.
+            turned = np.abs((1.0 - _kernel(point, scale, offset, step)) * _place_slope(point, scale))
+            moved = place * (np.exp(pole.real) * times + abs(1 - power) + 2.0 * math.pi / step * turned)
+            error += _EPS * np.abs(part) * (own + moved + _exponent_error(point, times, power))
     for cluster in (c for c in clusters if math.exp(c.centre.real) * times[0] >= _BESIDE_ZERO):
         share = 1.0 if cluster.centre.imag == 0.0 else 2.0
         for k in range(len(times)):
-            total[k] += share * _cluster(quotient, cluster, scale[k], offset[k], step, times[k], power)
-    return total
+            value, bound = _cluster(quotient, cluster, scale[k], offset[k], step, times[k], power)
+            total[k] += share * value
+            error[k] += share * bound
+    return total, error
+
+
+def _exponent_error(z: Complexes, times: Reals, power: int) -> Reals:
+    """Relative error of exp((1 - n) z + e^z t) in units of rounding: the absolute one of its exponent."""
+    return np.asarray(4.0 + np.abs((1 - power) * z) + np.exp(z.real) * times * (1.0 + np.abs(z)))
 
 
 def _nodes(order: float) -> int:
@@ -75,6 +142,10 @@ def _nodes(order: float) -> int:
 def _place(z: Complexes, scale: Reals) -> Complexes:
     """Where the point e^z lies in the u-plane of the parabola of scale μ = e^scale."""
     return np.asarray((np.exp(0.5 * (z - scale)) - 1.0) / 1j)
+
+
+def _place_slope(z: Complexes, scale: Reals) -> Complexes:
+    return np.asarray(0.5 * np.exp(0.5 * (z - scale)))
 
 
 def _kernel(z: Complexes, scale: Reals, offset: Reals, step: float) -> Complexes:
@@ -102,13 +173,15 @@ def _cluster(
     step: float,
     time: float,
     power: int,
-) -> float:
+) -> tuple[float, float]:
     nodes = 2.0 * np.log(1.0 + 1j * (np.arange(-40, 41) + offset) * step) + scale
     gap = float(min(np.abs(nodes - cluster.centre).min(), math.pi - cluster.centre.imag))
     at = np.array([scale]), np.array([offset])
     radius = math.exp(-cluster.centre.real) / time  # where e^(st) varies by a factor e
     points, weights = quotient.circle(cluster, radius, gap, lambda z: _kernel(z, *at, step))
-    return float((weights * np.exp((1 - power) * points + np.exp(points) * time)).sum().real)
+    parts = weights * np.exp((1 - power) * points + np.exp(points) * time)
+    units = quotient.condition(points) + _exponent_error(points, np.array([time]), power)
+    return float(parts.sum().real), _EPS * float((np.abs(parts) * units).sum())
 
 
 # --- Held responses by one weight per lag, each from a contour of its own -----------------------------
@@ -118,30 +191,44 @@ def _cluster(
 # with time.
 
 
-def sample_response(quotient: Quotient, times: Reals, power: int, start: float) -> Reals:
-    """Step (power 1), ramp (2) or impulse (0) response at any times; `start` at 0 and nothing before."""
-    values, later = np.where(times == 0.0, start, 0.0), times > 0.0
-    values[later] = held_response(quotient, times[later], power)
-    return values
+def sample_response(quotient: Quotient, times: Reals, power: int, start: float) -> tuple[Reals, float]:
+    """Step (power 1), ramp (2) or impulse (0) response at any times, and a bound of its error.
+
+    It is `start` at 0 and nothing before.
+    """
+    values, later, bound = np.where(times == 0.0, start, 0.0), times > 0.0, 0.0
+    if later.any():
+        values[later], bound = careful_response(quotient, times[later], power)
+    return values, bound
 
 
 def respond_by_weights(
     quotient: Quotient, direct: float, u: Reals, period: float, hold: str, lag: int, ahead: float
-) -> Reals:
-    """Response to u delayed by `lag` periods and seen `ahead` [s] after its samples."""
+) -> tuple[Reals, float]:
+    """Response to u delayed by `lag` periods, seen `ahead` [s] after its samples; a bound of its error."""
     output, count = np.zeros(len(u)), len(u) - lag
     if count <= 0:
-        return output
+        return output, 0.0
     times = np.arange(count, dtype=np.float64) * period + ahead
-    step = sample_response(quotient, times, 1, direct)
+    step, noise = sample_response(quotient, times, 1, direct)
     if hold == "zero":
         output[lag:] = convolve(np.diff(step, prepend=0.0), u[:count])
-        return output
-    rise = np.diff(sample_response(quotient, times, 2, 0.0), prepend=0.0)
+        return output, noise * _raised(u)
+    ramp, ramp_noise = sample_response(quotient, times, 2, 0.0)
     slopes = np.diff(u[: count + 1]) / period
     slopes = np.concatenate((slopes, np.zeros(count - len(slopes))))
-    output[lag:] = u[0] * step + convolve(rise, slopes)
-    return output
+    output[lag:] = u[0] * step + convolve(np.diff(ramp, prepend=0.0), slopes)
+    return output, noise * abs(float(u[0])) + ramp_noise * _raised(slopes)
+
+
+def _raised(u: Reals) -> float:
+    """How much a convolution with differences of a step response raises that response's errors.
+
+    What is common to neighbouring lags enters once with the largest input, what is not with the root of the
+    sum of squares of the input's changes, here at four standard deviations.
+    """
+    changes = float(np.linalg.norm(np.diff(u, prepend=0.0)))
+    return 2.0 * float(np.max(np.abs(u), initial=0.0)) + 4.0 * changes
 
 
 # --- Exact held responses of c·s^(-a): the response of s^(-a) to a step is t^a/Γ(1+a) -----------------

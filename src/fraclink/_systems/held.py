@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 import os
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from fraclink import _kernels
 from fraclink._systems.contour import (
+    careful_response,
     convolve,
     held_response,
     jump_response,
@@ -24,6 +26,7 @@ from fraclink._systems.terms import Reals, Term, collect, same, snap
 from fraclink.errors import SizeError
 
 _CHECKS = 9  # times at which the modes are compared with the contour integral; their error swings in ln t
+_SWING = 4.0  # that error swings in ln t, and nine times need not meet its largest value
 _ENOUGH = 3e-11  # of the peak: above this the modes cancel, and a contour per lag is used …
 _MOST_WEIGHTS = 200_000  # … for so many samples (about 2 s); the error estimate tells the rest
 _BYTES = 40  # per sample: input, output, time and what a hold needs
@@ -126,8 +129,8 @@ class HeldQuotient:
         error, peak, step = self.error(parts, period, span)
         if self._needs_contour(error, peak, len(u)):
             lag, ahead = split_delay(delay, period)
-            output = respond_by_weights(self.whole, self.direct, u, period, hold, lag, ahead)
-            return self._by_contour(output)
+            output, error = respond_by_weights(self.whole, self.direct, u, period, hold, lag, ahead)
+            return Part(output, error + 4e-15 * largest(output), 0, "contour")
         modes = self._recursion(parts, period, hold, span, tolerance, delay, step)
         output = modes.respond(u)
         lag, ahead = split_delay(delay, period)
@@ -136,7 +139,8 @@ class HeldQuotient:
             output[lag:] += convolve(weights, u[: len(u) - lag])
         if lag <= len(u) and hold == "first":
             self._add_edges(output, u, parts, period, lag, ahead)
-        return Part(output, 4.0 * error * largest(u) + 4e-15 * largest(output), modes.count, self._method)
+        estimate = _SWING * error * largest(u) + 4e-15 * largest(output)
+        return Part(output, estimate, modes.count, self._method)
 
     def _add_edges(
         self, output: Reals, u: Reals, parts: Expansion, period: float, lag: int, ahead: float
@@ -176,11 +180,15 @@ class HeldQuotient:
         t = times[later]
         shortest, longest = float(t.min()), float(t.max())
         parts = self.expansion(shortest, longest, tolerance)
-        error, peak, first = self.error(parts, shortest, longest)
-        error *= 1.0 if degree else 1.0 / shortest
+        first = None
+        if degree:
+            error, peak, first = self.error(parts, shortest, longest, careful=True)
+        else:
+            error, peak = self.impulse_error(parts, shortest, longest)
         if self._needs_contour(error, peak, len(t)):
-            output[later] = sample_response(self.whole, t, degree, 0.0)
-            return self._by_contour(output)
+            function = self.whole if degree else self.falling
+            output[later], error = sample_response(function, t, degree, 0.0)
+            return Part(output, error + 4e-15 * largest(output[later]), 0, "contour")
         scale, pole_scale = (1.0, 1.0) if degree else (-parts.rates, parts.poles)
         basis = np.expm1 if degree else np.exp
         value = np.empty(len(t))
@@ -196,13 +204,7 @@ class HeldQuotient:
         value += self.low.integrator * (t if degree else 1.0) + power_response(self.low.powers, t, degree)
         output[later] = value
         count = len(parts.rates) + 2 * len(parts.poles)
-        return Part(output, error + 4e-15 * largest(value), count, self._method)
-
-    def _by_contour(self, output: Reals) -> Part:
-        # Poles closer than 2 % lose the digits that their residues cancel; measured with merging resonances.
-        relative = 1e-13 if self.whole.is_sparse else 3e-11
-        finite = output[np.isfinite(output)]
-        return Part(output, relative * largest(finite), 0, "contour")
+        return Part(output, _SWING * error + 4e-15 * largest(value), count, self._method)
 
     @property
     def _method(self) -> str:
@@ -224,7 +226,32 @@ class HeldQuotient:
             return math.copysign(math.inf, tail)
         return (tail if gap == 1.0 else 0.0) + self.low.integrator
 
-    def error(self, parts: Expansion, shortest: float, longest: float) -> tuple[float, float, float | None]:
+    @cached_property
+    def falling(self) -> Quotient:
+        """N/D less its direct part, which an impulse response does not show.
+
+        Left in, a constant would be integrated along the contour to zero, with an error of ε·direct/t.
+        """
+        rest = _without_direct(self.whole.top, self.whole.bottom, self.direct)
+        return Quotient(tuple(rest), self.whole.bottom, self.whole.zeros)
+
+    def impulse_error(self, parts: Expansion, shortest: float, longest: float) -> tuple[float, float]:
+        """Error of the modes' impulse response against a contour integral, and its peak.
+
+        Not that of the step response over a time: modes of high rates err most just after the first time.
+        """
+        if not self.falling.top or (self.quotient is None and not self.low.powers):
+            return 0.0, 1.0
+        times = _check_times(shortest, longest)
+        value = -np.exp(-np.outer(times, parts.rates)) @ (parts.rates * parts.weights)
+        value += 2.0 * (np.exp(np.outer(times, parts.poles)) @ (parts.poles * parts.pole_weights)).real
+        value += self.low.integrator + power_response(self.low.powers, times, 0)
+        exact = _judge(self.falling, times, 0)
+        return float(np.max(np.abs(value - exact))), float(np.max(np.abs(exact)))
+
+    def error(
+        self, parts: Expansion, shortest: float, longest: float, *, careful: bool = False
+    ) -> tuple[float, float, float | None]:
         """Error of the modes' step response against a contour integral, its peak, and its first exact value.
 
         The contour integrates the whole function, so that what the split at low frequency loses is seen. The
@@ -232,15 +259,17 @@ class HeldQuotient:
         """
         if self.quotient is None and len(self.low.powers) + bool(self.low.integrator) <= 1:
             return 0.0, 1.0, None
-        # geomspace by hand: its own checks cost a tenth of a short response.
-        growth = math.log(max(longest / shortest, 1.0001)) / (_CHECKS - 1)
-        times = shortest * np.exp(growth * np.arange(_CHECKS))
+        times = _check_times(shortest, longest)
         # Increments from 0 (expm1): the huge weight of a pole beside 0 would hide all else in a constant.
         value = np.expm1(-np.outer(times, parts.rates)) @ parts.weights
         value += 2.0 * (np.expm1(np.outer(times, parts.poles)) @ parts.pole_weights).real
-        exact = held_response(self.whole, times, 1)
+        exact = _judge(self.whole, times, 1) if careful else held_response(self.whole, times, 1)
         split = bool(self.low.integrator or self.low.powers)
-        first = self.exact([shortest], 1)[0] if split else float(exact[0])
+        first = float(exact[0])
+        if split and self.quotient is not None and careful:
+            first = float(_judge(self.quotient, times[:1], 1)[0])
+        elif split:
+            first = self.exact([shortest], 1)[0]
         value += first - value[0]
         if split:
             value += self.low.integrator * times + power_response(self.low.powers, times, 1)
@@ -255,10 +284,30 @@ def split_delay(delay: float, period: float) -> tuple[int, float]:
     return lag, (0.0 if abs(ahead) < 1e-9 * max(period, delay) else ahead)
 
 
+def _judge(quotient: Quotient, times: Reals, power: int) -> Reals:
+    """The response accurate relative to itself: a single early time has no later peak to hide its error."""
+    return careful_response(quotient, times, power, bounded=False)[0]
+
+
+def _check_times(shortest: float, longest: float) -> Reals:
+    """Times at which the modes are judged, even on a logarithmic scale."""
+    # geomspace by hand: its own checks cost a tenth of a short response.
+    growth = math.log(max(longest / shortest, 1.0001)) / (_CHECKS - 1)
+    return np.asarray(shortest * np.exp(growth * np.arange(_CHECKS)))
+
+
+def _without_direct(top: tuple[Term, ...], bottom: tuple[Term, ...], direct: float) -> list[Term]:
+    """Numerator of N/D - direct, in falling orders."""
+    if not direct:
+        return list(top)
+    rest = collect([*top, *(Term(-direct * t.coefficient, t.order) for t in bottom)])
+    # The leading term cancels by construction; left to rounding it would be a direct part of 1e-16.
+    return [t for t in rest if not same(t.order, bottom[0].order)]
+
+
 def _leading(top: tuple[Term, ...], bottom: tuple[Term, ...], direct: float) -> tuple[float, float]:
     """Coefficient and order of the leading power of 1/s in N/D - direct."""
-    rest = collect([*top, *(Term(-direct * t.coefficient, t.order) for t in bottom)] if direct else top)
-    rest = [t for t in rest if not direct or not same(t.order, bottom[0].order)]
+    rest = _without_direct(top, bottom, direct)
     if not rest:
         return 0.0, math.inf
     return rest[0].coefficient / bottom[0].coefficient, snap(bottom[0].order - rest[0].order)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._systems.roots import log_zeros
-from fraclink._systems.terms import Complexes, Term, collect, same
+from fraclink._systems.terms import Complexes, Reals, Term, collect, same
 from fraclink.errors import FieldError
 
 SHEET = 1.5 * math.pi  # poles up to a quarter turn beyond the cut bend the integrand on it
@@ -67,6 +67,26 @@ class Quotient:
         """G(e^z) at points of the log-plane, on any sheet."""
         return _sum(self.top, z) / _sum(self.bottom, z)
 
+    def slope(self, z: Complexes) -> Reals:
+        """d ln |G|/d ln |s| at points of the log-plane."""
+        sides = ((_sum(_derivative(side), z) / _sum(side, z)).real for side in (self.top, self.bottom))
+        return np.asarray(next(sides) - next(sides))
+
+    def condition(self, z: Complexes) -> Reals:
+        """Relative error of `value` in units of rounding: that of each power, raised by what cancels."""
+        return _condition(self.top, z) + _condition(self.bottom, z)
+
+    def pole_error(self, z: complex) -> tuple[float, float]:
+        """Errors of a simple zero of D (in ln s) and, relative, of its residue, both in units of rounding."""
+        point, slope = np.array([z]), _derivative(self.bottom)
+        rate = float(np.abs(_sum(slope, point))[0])
+        place = float(_moduli(self.bottom, point)[0]) / rate
+        # The residue moves with the pole as its numerator and its slope do.
+        moved = float(np.abs(_sum(_derivative(self.top), point) / _sum(self.top, point))[0])
+        moved += float(np.abs(_sum(_derivative(slope), point))[0]) / rate
+        own = float((_condition(self.top, point) + _condition(slope, point))[0])
+        return place, own + place * moved
+
     def on_cut(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
         """Im G(r e^{iπ}) at x = ln r.
 
@@ -80,8 +100,7 @@ class Quotient:
     def residue(self, z: complex) -> complex:
         """Residue of G(e^z) at a simple zero of D."""
         point = np.array([z])
-        slope = tuple(Term(t.coefficient * t.order, t.order) for t in self.bottom if t.order)
-        return complex((_sum(self.top, point) / _sum(slope, point))[0])
+        return complex((_sum(self.top, point) / _sum(_derivative(self.bottom), point))[0])
 
     @cached_property
     def is_sparse(self) -> bool:
@@ -131,6 +150,23 @@ def _sum(terms: Sequence[Term], z: Complexes) -> Complexes:
     for t in terms:
         total += t.coefficient * np.exp(t.order * z)
     return total
+
+
+def _derivative(terms: Sequence[Term]) -> tuple[Term, ...]:
+    """d/d ln s of a sum of powers."""
+    return tuple(Term(t.coefficient * t.order, t.order) for t in terms if t.order)
+
+
+def _moduli(terms: Sequence[Term], z: Complexes) -> Reals:
+    """Bound of the error of `_sum` in units of rounding: e^(a z) errs by |a z| units, a product by two."""
+    total = np.zeros(z.shape)
+    for t in terms:
+        total += abs(t.coefficient) * np.exp(t.order * z.real) * (2.0 + np.abs(t.order * z))
+    return total
+
+
+def _condition(terms: Sequence[Term], z: Complexes) -> Reals:
+    return np.asarray(_moduli(terms, z) / np.abs(_sum(terms, z))) if terms else np.zeros(z.shape)
 
 
 def _sum_on_cut(terms: Sequence[Term], x: NDArray[np.float64], lowest: float) -> Complexes:

@@ -260,7 +260,7 @@ def _assembled(time: Reals, parts: list[Part], period: float | None, hold: str) 
 
 
 def _by_inversion(
-    G: FractionalTransferFunction, exact: FractionalTransferFunction, u: Reals, period: float, hold: str
+    G: FractionalTransferFunction, exact: FractionalTransferFunction, u: Reals, period: float, hold: Hold
 ) -> TimeResponse:
     """The response of `exact`, which has one, plus the numerically inverted rest."""
     refuse_beyond_memory("u", len(u), FFT_BYTES)
