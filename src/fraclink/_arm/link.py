@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fraclink._files import document
 from fraclink._validate import checked_choice, checked_noun, checked_number
 from fraclink.errors import FieldError
 
@@ -131,6 +132,7 @@ class SecondMode:
         return np.asarray(self.gain * x**2 / (x**2 + 2.0 * self.damping_ratio * x + 1.0))
 
 
+@document("model", version=2, upgrades={1: lambda data: data["model"]})
 @dataclass(frozen=True)
 class LinkModel:
     """A flexible link with a payload, seen from the motor angle, and the gauge that measures its torque.

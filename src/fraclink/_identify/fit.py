@@ -8,24 +8,22 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._arm.link import FRACTIONAL, LinkModel, SecondMode, structure
-from fraclink._files import read_json, write_json
+from fraclink._arm.link import FRACTIONAL, LinkModel, structure
+from fraclink._files import document, load, save
 from fraclink._identify.covariance import ResidualTests
 from fraclink._identify.profile import Interval
-from fraclink.errors import FieldError, FileFormatError, SizeError
+from fraclink.errors import SizeError
 from fraclink.findings import Finding
 
 if TYPE_CHECKING:
     from fraclink._arm.rig import Rig
 
-_KIND, _VERSION = "fit", 1
-_MODEL_KIND = "model"
-_SAMPLES_MOST = 300_000  # 47 bytes a sample, against the 16 MB that read_json admits
+_SAMPLES_MOST = 300_000  # 47 bytes a sample, against the 16 MB that a JSON file may have
 SYMBOLS = {
     "natural_frequency": ("ω₀", "s^(-λ/2)"),
     "order": ("λ", ""),
@@ -34,6 +32,22 @@ SYMBOLS = {
 }
 
 
+def _check_size(fit: Fit) -> None:
+    if fit.samples > _SAMPLES_MOST:
+        remedy = "fit a part of the log, or keep the link alone with save(fit.model, path)"
+        problem, most = "too many to save with their residual", f"<= {_SAMPLES_MOST}"
+        raise SizeError("samples", fit.samples, problem, allowed=most, remedy=remedy)
+
+
+@document(
+    "fit",
+    version=2,
+    upgrades={1: dict},  # without a digest
+    period=lambda fit: fit.period,
+    sources=lambda fit: {fit.source: fit.sha256} if fit.sha256 else {},
+    summary=lambda fit: {"passed": fit.passed, "text": str(fit)},
+    before_save=_check_size,
+)
 @dataclass(frozen=True, eq=False, repr=False)
 class Fit:
     """One structure fitted to one log.
@@ -154,7 +168,8 @@ class Fit:
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Fit):
             return NotImplemented
-        return _to_plain(self) == _to_plain(other)
+        pairs = [(getattr(self, f.name), getattr(other, f.name)) for f in dataclasses.fields(self)]
+        return all(np.array_equal(a, b) if isinstance(a, np.ndarray) else a == b for a, b in pairs)
 
     def __hash__(self) -> int:
         return hash((self.structure, self.model, self.gain, self.offset, self.delay, self.sha256))
@@ -209,90 +224,23 @@ class Fit:
         SizeError
             the log is so long that the file could not be read back.
         """
-        if self.samples > _SAMPLES_MOST:
-            remedy = "fit a part of the log, or keep the link alone with save_model(fit.model, path)"
-            problem, most = "too many to save with their residual", f"<= {_SAMPLES_MOST}"
-            raise SizeError("samples", self.samples, problem, allowed=most, remedy=remedy)
-        write_json(path, _KIND, _VERSION, _to_plain(self))
+        save(self, path, force=True)
 
     @classmethod
     def load(cls, path: Path | str) -> Fit:
         """Read a fit that `save` wrote; raises FileFormatError where the file is another or damaged."""
-        data = read_json(path, _KIND)
-        try:
-            return _from_plain(data)
-        except FieldError:
-            raise
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
-            raise _damaged(path, error) from error
+        return load(path, cls)
 
 
 def save_model(model: LinkModel, path: Path | str) -> None:
     """Write a link model made by hand as JSON; `load_model` reads it back equal."""
-    write_json(path, _MODEL_KIND, 1, {"model": dataclasses.asdict(model)})
+    save(model, path, force=True)
 
 
 def load_model(path: Path | str) -> LinkModel:
-    """Read a link model from a file written by `Fit.save` or `save_model`.
-
-    Raises
-    ------
-    FileFormatError
-        any other file.
-    FieldError
-        a value out of its range.
-    """
-    try:
-        return Fit.load(path).model
-    except FileFormatError as error:
-        if f"of kind '{_MODEL_KIND}'" not in error.problem:
-            raise
-    data = read_json(path, _MODEL_KIND)
-    try:
-        return _link(data["model"])
-    except (KeyError, TypeError) as error:
-        raise _damaged(path, error) from error
-
-
-def _damaged(path: Path | str, error: Exception) -> FileFormatError:
-    problem = f"damaged ({type(error).__name__}: {error})"
-    allowed, remedy = "a fit or model written by fraclink", "run identify again"
-    return FileFormatError("file", str(path), problem, allowed=allowed, remedy=remedy)
-
-
-def _to_plain(fit: Fit) -> dict[str, Any]:
-    """The fit as plain JSON values."""
-    return {item.name: _plain(getattr(fit, item.name)) for item in dataclasses.fields(fit)}
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, np.ndarray):
-        return value.tolist()
-    if isinstance(value, Mapping):
-        return {key: _plain(entry) for key, entry in value.items()}
-    if isinstance(value, tuple):
-        return [_plain(entry) for entry in value]
-    if isinstance(value, Finding):
-        return {item.name: _plain(getattr(value, item.name)) for item in dataclasses.fields(value)}
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return dataclasses.asdict(value)
-    # ln(0) of a perfect fit: JSON has no infinity, and the largest double orders the same way.
-    return float(np.nan_to_num(value)) if isinstance(value, float) else value
-
-
-def _from_plain(data: dict[str, Any]) -> Fit:
-    values = {item.name: data[item.name] for item in dataclasses.fields(Fit)}
-    values["model"] = _link(values["model"])
-    values["intervals"] = {name: Interval(**value) for name, value in values["intervals"].items()}
-    values["tests"] = ResidualTests(**values["tests"]) if values["tests"] is not None else None
-    values["findings"] = tuple(Finding(**value) for value in values["findings"])
-    values["at_bound"] = tuple(values["at_bound"])
-    return Fit(**values)
-
-
-def _link(data: dict[str, Any]) -> LinkModel:
-    mode = data.get("second_mode")
-    return LinkModel(**data | {"second_mode": None if mode is None else SecondMode(**mode)})
+    """Read a link model from the file of a fit or of a link model; FileFormatError for any other."""
+    found: Fit | LinkModel = load(path, (Fit, LinkModel))
+    return found.model if isinstance(found, Fit) else found
 
 
 # --- a fit in words ---------------------------------------------------------------------------------------
