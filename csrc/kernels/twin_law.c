@@ -40,7 +40,7 @@ static double control(const twin_rig *rig, const law_params *params, const doubl
         answer = (law_output){0};
         answer.motor_reference = law->motor_reference;
         answer.voltage = queue[last];
-        answer.mode = law->mode;
+        answer.mode = law->mode & 0xFFU; /* one of the copies that law.c keeps */
         answer.reason = law->reason;
     } else {
         law_step(law, params, &given, &answer);
