@@ -14,23 +14,25 @@ from fraclink._arm.motor_loop import MotorLoop
 from fraclink._arm.reference import smooth_step
 from fraclink._arm.sampled import sampled_plant
 from fraclink._compare import Tournament, compare
-from fraclink._compare.linear import Filter, NominalLoop, law_filter, sampled, tune, tustin
-from fraclink._compare.optimal import hinf_correction, integer_mode, lqg_correction
-from fraclink._compare.outer import (
+from fraclink._compare.case import NominalLoop, Setting, tune
+from fraclink._compare.controllers import (
     Algebraic,
     Linear,
     Seen,
+    Shaped,
     Sliding,
     gpi_correction,
+    hinf_correction,
+    integer_mode,
+    lqg_correction,
     pd_correction,
+    shaper_impulses,
     sliding_correction,
 )
+from fraclink._compare.filters import Filter, law_filter, sampled, tustin
 from fraclink._compare.published import CORRECTED, INTEGER, PRINTED, integer_twin
 from fraclink._compare.rivals import builders, servo_law
-from fraclink._compare.run import feed_forward, run_rival
-from fraclink._compare.setting import Setting
-from fraclink._compare.shaping import Shaped, shaper_impulses
-from fraclink._compare.spillover import linear_growth, mode_gain
+from fraclink._compare.tournament import feed_forward, linear_growth, mode_gain, run_rival
 from fraclink._simulate import Twin, geared
 from fraclink._simulate.simulate import with_motor_loop
 from fraclink._systems.margins import margins
@@ -48,8 +50,7 @@ def setting() -> Setting:
     twin = Twin.from_rig(RIG, link_mass=0.00735)
     law = with_motor_loop(design.controller.discretize(RIG.period), twin=twin)[0]
     loop = NominalLoop.of(RIG.model, 0.030, period=RIG.period, pole=80.0, delay=1)
-    request = {"gain_crossover": 12.0, "phase_margin": fl.deg(50.0), "filter_time": None}
-    return Setting(RIG, RIG.model, law, design.controller, loop, request)
+    return Setting(RIG, RIG.model, law, design.controller, loop, 12.0, fl.deg(50.0))
 
 
 @pytest.fixture(scope="module")
@@ -59,8 +60,8 @@ def everything() -> Tournament:
 
 def test_law_filter_is_the_law(setting):
     frequency = np.array([0.1, 1.0, 12.0, 100.0, 700.0])
-    ours = law_filter(setting.ours).response(np.exp(1j * frequency * RIG.period))
-    assert ours == pytest.approx(setting.ours.frequency_response(frequency), rel=1e-9)
+    ours = law_filter(setting.law).response(np.exp(1j * frequency * RIG.period))
+    assert ours == pytest.approx(setting.law.frequency_response(frequency), rel=1e-9)
 
 
 def test_nominal_loop_is_the_designers(setting):
@@ -72,7 +73,7 @@ def test_nominal_loop_is_the_designers(setting):
 
 
 def test_peak_is_the_modulus_margin(setting):
-    correction = law_filter(setting.ours)
+    correction = law_filter(setting.law)
 
     def loop(s):
         return correction.response(np.exp(s * RIG.period)) * setting.loop.plant.response(
@@ -112,7 +113,7 @@ def test_tuned_to_the_same_ms(setting, name):
 @pytest.mark.parametrize("name", ["sliding mode", "algebraic estimator + GPI"])
 def test_structures_that_cannot_reach_the_ms_get_our_noise(setting, name):
     rival = builders(setting)[name]()
-    ours = law_filter(setting.ours)
+    ours = law_filter(setting.law)
     assert rival.peak > setting.target and rival.peak < 2.0
     assert setting.loop.noise(rival.correction) <= setting.loop.noise(ours)
     w, _ = integer_mode(setting.model)
@@ -128,7 +129,7 @@ def test_structures_that_cannot_reach_the_ms_get_our_noise(setting, name):
 
 def test_noise_is_what_white_noise_becomes(setting):
     """The closed loop marched with white noise on the tip estimate, against the integral of |Ĉ S|²."""
-    correction, plant = law_filter(setting.ours), setting.loop.plant
+    correction, plant = law_filter(setting.law), setting.loop.plant
     x, k = np.zeros(plant.order), np.zeros(correction.order)
     noise = np.random.default_rng(5).standard_normal(20000)
     commands = np.empty(20000)
@@ -150,7 +151,7 @@ def test_offset_rejection_by_structure(setting):
     """A constant tip error leads to no constant answer: H∞ by its weight, LQG by its offset state, ours."""
     one = np.array([1.0 + 1e-7j])
     for correction in (
-        law_filter(setting.ours),
+        law_filter(setting.law),
         hinf_correction(setting.model, period=0.004, pole=80.0, delay=1, gain=1.0),
         lqg_correction(setting.model, period=0.004, pole=80.0, delay=1, noise=0.006, weight=1.0),
     ):
@@ -224,11 +225,12 @@ def test_shapers_cancel_the_mode():
 
 def test_a_longer_filter_keeps_the_request_and_quietens(setting):
     """δ inside (55) costs β, not margin: what the 10 % rule leaves on the table."""
-    from fraclink._compare.quieter import _noise, quieter
+    from fraclink._compare.published import quieter
 
     _, controller = quieter(setting)
     assert controller.filter_time > 2 * setting.controller.filter_time
-    assert _noise(setting, controller) < 0.5 * _noise(setting, setting.controller)
+    noise = setting.loop.noise
+    assert noise(controller.response) < 0.5 * noise(setting.controller.response)
     design = fl.design(
         RIG.model,
         RIG,
@@ -260,13 +262,13 @@ def test_rivals_and_the_law_run_on_the_same_arm(setting):
     from fraclink._law import Modes
 
     twin = Twin.from_rig(RIG, link_mass=0.00735)
-    whole = servo_law(setting.ours)
+    whole = servo_law(setting.law)
     bare = replace(whole, correction=Modes(0.0), feedforward=Modes(0.0))
-    correction = law_filter(setting.ours)
+    correction = law_filter(setting.law)
     python = Rival("python", "", "", 1.0, 0, 0, bare, correction=correction, outer=lambda: Linear(correction))
     shipped = Rival("law.c", "", "", 1.0, 0, 0, whole)
     quiet = replace(twin, sensors=replace(twin.sensors, gauge_noise=0.0))
-    one, two = (run_rival(quiet, r, MOVE, setting.ours, duration=1.5) for r in (python, shipped))
+    one, two = (run_rival(quiet, r, MOVE, setting.law, duration=1.5) for r in (python, shipped))
     assert one.tip_angle == pytest.approx(two.tip_angle, abs=1e-6)
     same = fl.simulate(whole, MOVE, arm=quiet, duration=1.5)
     assert np.array_equal(two.tip_angle, same.tip_angle)
@@ -277,23 +279,23 @@ def test_feed_forward_is_the_laws(setting):
 
     from fraclink._law import LawInputs, Modes
 
-    law = replace(servo_law(setting.ours), correction=Modes(0.0))
+    law = replace(servo_law(setting.law), correction=Modes(0.0))
     acceleration = MOVE.acceleration(RIG.period * np.arange(200))
     state, commands = law.initial_state(), []
     for k, value in enumerate(acceleration.tolist()):
         state, outputs = law.step(state, LawInputs(0.0, value, 0.0, 0.0), tick=k + 1)
         commands.append(outputs.motor_reference)
-    assert feed_forward(setting.ours, acceleration) == pytest.approx(commands, abs=1e-12)
+    assert feed_forward(setting.law, acceleration) == pytest.approx(commands, abs=1e-12)
 
 
 def test_mode_gain_sees_only_feedback_of_the_tip(setting):
     twin = Twin.from_rig(RIG, link_mass=0.00735)
     made = builders(setting)
     assert mode_gain(setting, twin, made["ZV shaping"]()) == 0.0
-    ours = mode_gain(setting, twin, made["ours"]())
+    ours = mode_gain(setting, twin, made["fraclink"]())
     assert ours > 0.1
     massless = Twin.from_rig(RIG, link_mass=0.0)
-    assert mode_gain(setting, massless, made["ours"]()) == 0.0  # no second mode to reach
+    assert mode_gain(setting, massless, made["fraclink"]()) == 0.0  # no second mode to reach
 
 
 def test_sampled_delay_is_a_delay(setting):
@@ -327,7 +329,7 @@ def test_a_rival_that_friction_holds_is_told_from_a_sound_one(everything):
 def test_linear_growth_is_that_of_the_loops_eigenvalues(setting):
     twin = Twin.from_rig(RIG, link_mass=0.0, payload=0.030)
     made = builders(setting)
-    assert linear_growth(setting, twin, made["ours"]()) == 0.0
+    assert linear_growth(setting, twin, made["fraclink"]()) == 0.0
     assert linear_growth(setting, twin, made["ZV shaping"]()) == 0.0
     # Without hold and delay (58) has poles at +0.106 ± 12.89j; hold and delay cost a little more.
     assert linear_growth(setting, twin, made[PRINTED]()) == pytest.approx(0.13, abs=0.06)
@@ -346,9 +348,9 @@ def test_the_rule_of_the_same_ms_is_kept(everything):
 @pytest.mark.slow
 def test_verdicts_say_where_a_rival_wins(everything):
     sentences = everything.verdicts()
-    assert any("better than ours" in s for s in sentences)
+    assert any("better than fraclink" in s for s in sentences)
     noise = next(s for s in sentences if s.startswith("motor reference noise"))
-    assert "ZV shaping" in noise and "better than ours" in noise
+    assert "ZV shaping" in noise and "better than fraclink" in noise
     text = everything.markdown()
     for standing in everything.standings:
         assert standing.name in text and standing.rule in text
@@ -358,7 +360,7 @@ def test_verdicts_say_where_a_rival_wins(everything):
 def test_no_winner_without_somebody_sound_or_somebody_else(everything):
     ours = everything.standings[0]
     alone = replace(everything, standings=(ours,))
-    assert alone.verdicts() == ("ours ran alone: there is nobody to compare with",)
+    assert alone.verdicts() == ("fraclink ran alone: nothing to compare with",)
     growing = replace(everything, standings=(replace(ours, growth=0.2), replace(ours, passed=False)))
     assert growing.winners() == {}
     assert growing.verdicts()[0].startswith("no figure has a winner")
@@ -385,7 +387,7 @@ def test_refusals():
     with pytest.raises(FieldError, match="link_mass"):
         compare(rig, link_mass=-0.001)
     with pytest.raises(
-        FieldError, match=r"names: part of no rival's name \(got zzz\); expected ours, .*ZV shaping"
+        FieldError, match=r"names: part of no rival's name \(got zzz\); expected fraclink, .*ZV shaping"
     ):
         compare(rig, names=["ZV shaping", "zzz"])
 
@@ -405,4 +407,4 @@ def test_what_is_no_payload_name_seed_or_reference_is_refused_by_its_field(field
         np.ones((3, 3)),
     ):
         with pytest.raises(FieldError, match=field):
-            compare(RIG, **{"names": ["ours"], field: junk})
+            compare(RIG, **{"names": ["fraclink"], field: junk})

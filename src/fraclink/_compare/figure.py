@@ -44,7 +44,7 @@ def draw(result: Tournament, path: Path | str) -> None:
     for axis, (attribute, title, factor, left) in zip(axes, _PANELS, strict=True):
         values = [factor * float(getattr(s, attribute)) for s in result.standings]
         finite = [0.0 if math.isinf(v) else v for v in values]
-        colours = [_OURS if name.startswith("ours") else _RIVAL for name in names]
+        colours = [_OURS if name.startswith("fraclink") else _RIVAL for name in names]
         if left is not None:
             axis.set_xscale("log")
             finite = [max(v, left) for v in finite]

@@ -7,23 +7,42 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 
+import numpy as np
+
+from fraclink._arm.beam import Beam
 from fraclink._arm.controller import Controller
-from fraclink._compare.linear import Filter, law_filter, tune
-from fraclink._compare.optimal import hinf_correction, integer_mode, lqg_correction
-from fraclink._compare.outer import (
+from fraclink._arm.motor import DiscretePid
+from fraclink._compare.case import NominalLoop, Setting, tune
+from fraclink._compare.controllers import (
     Algebraic,
     Linear,
     Outer,
     Sliding,
     gpi_correction,
+    hinf_correction,
+    integer_mode,
+    lqg_correction,
     pd_correction,
+    shaper_impulses,
     sliding_correction,
 )
-from fraclink._compare.setting import Setting
-from fraclink._compare.shaping import shaper_impulses
-from fraclink._law import Law, Modes
+from fraclink._compare.filters import Filter, fine_step, law_filter, sampled, tustin
+from fraclink._compare.published import (
+    CORRECTED,
+    INTEGER,
+    PRINTED,
+    QUIETER,
+    corrected,
+    integer_twin,
+    printed,
+    quieter,
+)
+from fraclink._law import Drive, Law, Modes
+from fraclink._simulate.arm import damping_of
+from fraclink._simulate.plant import assemble
 
-__all__ = ["OURS", "Rival", "builders", "servo_law"]
+__all__ = ["OFFSET", "OURS", "Rival", "builders", "collocated", "servo_law"]
+
 
 # Derivatives are filtered at 100 rad/s, above the motor servo (80) and below Nyquist (785).
 FILTER_TIME = 0.01
@@ -31,7 +50,7 @@ ESTIMATION = 0.5  # [s] of the move for the algebraic estimator: half of it, one
 OFFSET = 0.05  # [N·m], the gauge offset of the offset test
 BEND = 0.1  # [rad] of bend whose acceleration the sliding mode may ask for: three times what OFFSET fakes
 UNBOUNDED = 1e6
-OURS = "ours"
+OURS = "fraclink"
 
 
 @dataclass(frozen=True)
@@ -86,14 +105,14 @@ def _law_cost(law: Law) -> tuple[int, int]:
 
 
 def _filter_cost(law: Law, correction: Filter) -> tuple[int, int]:
-    """A filter of order n as a transfer function: n states, 2n + 1 products; feed-forward and 1/c as ours."""
+    """A filter of order n as a transfer function: n states, 2n + 1 products, and feed-forward."""
     states, products = _forward_cost(law)
     return states + correction.order, products + 1 + 2 * correction.order + 1
 
 
 def _by_law(name: str, rule: str, controller: Controller, setting: Setting) -> Rival:
     law = controller.discretize(setting.rig.period)
-    law = servo_law(replace(law, drive=setting.ours.drive))
+    law = servo_law(replace(law, drive=setting.law.drive))
     c = controller
     knob = f"k_d {c.gain:.4g}, β {c.order:.4g}, δ {c.filter_time:.3g} s, n {c.filter_order}"
     states, products = _law_cost(law)
@@ -109,27 +128,27 @@ def _tuned(
     limits: tuple[float, float],
 ) -> Rival:
     value, correction, reached = tune(setting.loop, make, limits, setting.target)
-    states, products = _filter_cost(setting.ours, correction)
+    states, products = _filter_cost(setting.law, correction)
     return Rival(
         name,
         rule,
-        f"{knob} {value:.4g}" + ("" if reached else " (Ms of ours out of reach: the least it can have)"),
+        f"{knob} {value:.4g}" + ("" if reached else " (that Ms is out of reach: the least it can have)"),
         setting.loop.peak(correction),
         states,
         products,
-        _bare(setting.ours),
+        _bare(setting.law),
         correction=correction,
         outer=lambda: Linear(correction),
     )
 
 
 def _feedback_rivals(setting: Setting) -> dict[str, Builder]:
-    """Rivals with feedback of the tip estimate, each with one knob that is turned until Ms is ours."""
+    """Rivals with feedback of the tip estimate; one knob each, turned until Ms is that of the design."""
     period, model, rig = setting.rig.period, setting.model, setting.rig
     frequency, _ = integer_mode(model)
     noise = max(rig.gauge.noise, 1e-4) / model.stiffness
-    pole, delay = setting.ours.inner_pole, rig.inner.delay_samples
-    same = "same Ms as ours at the nominal payload"
+    pole, delay = setting.law.inner_pole, rig.inner.delay_samples
+    same = "same Ms as fraclink's design at the nominal payload"
 
     def tuned(
         name: str,
@@ -172,15 +191,15 @@ def _swapped(make: Callable[[float, float], Filter], time: float, rate: float) -
 
 
 def _noisy_rivals(setting: Setting) -> dict[str, Builder]:
-    """Rivals that cancel the link's stiffness: no knob gives them our Ms, so their rule is our noise.
+    """Rivals that cancel the link's stiffness: no knob gives them its Ms, so their rule is its noise.
 
     Both need a derivative gain of about 2/ω. Its filter is the shortest of 10 ms · 1.25^k with which white
-    noise of the gauge reaches the motor reference no stronger than with our design, and the error poles
+    noise of the gauge reaches the motor reference no stronger than with fraclink's, and the error poles
     are those of the smallest Ms at that filter.
     """
     period, model = setting.rig.period, setting.model
     frequency, _ = integer_mode(model)
-    wanted = setting.loop.noise(law_filter(setting.ours))
+    wanted = setting.loop.noise(law_filter(setting.law))
 
     def quiet(make: Callable[[float, float], Filter]) -> tuple[float, float, Filter]:
         for k in range(16):
@@ -199,15 +218,15 @@ def _noisy_rivals(setting: Setting) -> dict[str, Builder]:
         extra: tuple[int, int],
     ) -> Rival:
         rate, time, correction = quiet(make)
-        states, products = _filter_cost(setting.ours, correction)
+        states, products = _filter_cost(setting.law, correction)
         return Rival(
             name,
-            f"{rule}; filter for our noise at the motor reference, error poles for the least Ms",
+            f"{rule}; filter for the motor reference noise of the design, error poles for the least Ms",
             f"rate {rate:.4g} 1/s, filter {1e3 * time:.3g} ms",
             setting.loop.peak(correction),
             states + extra[0],
             products + extra[1],
-            _bare(setting.ours),
+            _bare(setting.law),
             correction=correction,
             outer=lambda: outer(rate, time),
         )
@@ -241,22 +260,19 @@ def _shaping(setting: Setting, name: str, derivative: bool) -> Rival:
         1.0,
         math.ceil(float(times[-1]) / setting.rig.period),
         len(sizes),
-        _bare(setting.ours),
+        _bare(setting.law),
         impulses=(tuple(times.tolist()), tuple(sizes.tolist())),
     )
 
 
 def builders(setting: Setting) -> dict[str, Builder]:
-    """Return how every rival is made, ours first; tuning happens when a builder is called."""
-    from fraclink._compare.collocated import collocated
-    from fraclink._compare.published import CORRECTED, INTEGER, PRINTED, corrected, integer_twin, printed
-    from fraclink._compare.quieter import QUIETER, quieter
+    """Return how every rival is made, fraclink first; tuning happens when a builder is called."""
 
     request = "the request: gain crossover, phase margin, payloads"
     return {
         OURS: lambda: _by_law(OURS, request, setting.controller, setting),
         QUIETER: lambda: _by_law(QUIETER, *quieter(setting), setting),
-        "collocated PD": lambda: collocated(setting, _bare(setting.ours)),
+        "collocated PD": lambda: collocated(setting, _bare(setting.law)),
         "ZV shaping": lambda: _shaping(setting, "ZV shaping", False),
         "ZVD shaping": lambda: _shaping(setting, "ZVD shaping", True),
         **_feedback_rivals(setting),
@@ -265,3 +281,80 @@ def builders(setting: Setting) -> dict[str, Builder]:
         PRINTED: lambda: _by_law(PRINTED, *printed(setting), setting),
         CORRECTED: lambda: _by_law(CORRECTED, *corrected(setting), setting),
     }
+
+
+DERIVATIVE_POLE = 300.0  # [rad/s] of the filtered derivative, about the inner loop's own filter
+
+
+def _gains(setting: Setting, pole: float) -> tuple[float, float]:
+    """Proportional [V/rad] and derivative gain [V·s/rad] for two hub poles at −`pole` without the link."""
+    motor = setting.rig.motor
+    return pole**2 / motor.gain, max(2.0 * pole - motor.decay, 0.0) / motor.gain
+
+
+def _controller(setting: Setting, pole: float) -> Filter:
+    proportional, derivative = _gains(setting, pole)
+    c = DERIVATIVE_POLE
+    return tustin(
+        np.array([[-c]]),
+        np.ones(1),
+        np.array([-derivative * c * c]),
+        proportional + derivative * c,
+        setting.rig.period,
+    )
+
+
+def _hub(setting: Setting) -> NominalLoop:
+    """Voltage to motor angle of the lumped arm on its free hub, held and delayed."""
+    model, motor, period = setting.model, setting.rig.motor, setting.rig.period
+    length = setting.rig.link.length
+    mass = model.stiffness / (model.natural_frequency * length) ** 2
+    ratio = motor.gear_ratio
+    plant = assemble(
+        Beam(length, model.stiffness * length / 3.0, 0.0, mass),
+        damping_of(model),
+        drive="motor",
+        step=fine_step(period),
+        hub_inertia=ratio**2 * motor.inertia,
+        hub_friction=ratio**2 * motor.viscous_friction,
+    )
+    gain = ratio * motor.torque_constant
+    held = sampled(plant, plant.outputs[0], period, setting.rig.inner.delay_samples, gain=gain)
+    return NominalLoop(held, period, model.stiffness)
+
+
+def collocated(setting: Setting, bare: Law) -> Rival:
+    """Return the collocated PD with the hub's double pole raised until Ms is that of fraclink's design."""
+
+    loop = _hub(setting)
+    pole, controller, _ = tune(loop, lambda p: _controller(setting, p), (1.0, 300.0), setting.target)
+    proportional, derivative = _gains(setting, pole)
+    inner = setting.law.drive
+    assert inner is not None  # noqa: S101  # the setting's law drives a motor
+    shape = inner.loop
+    c = DERIVATIVE_POLE
+    half = 0.5 * setting.rig.period
+    weight = half / (1.0 + c * half)
+    pd = DiscretePid(
+        period=shape.period,
+        direct=proportional,
+        angle_direct=derivative * c,
+        integral_gain=0.0,
+        filter_gain=0.0,
+        angle_filter_gain=-derivative * c * c,
+        integral_now=shape.integral_now,
+        integral_before=shape.integral_before,
+        filter_now=weight,
+        filter_before=weight,
+        filter_decay=(1.0 - c * half) / (1.0 + c * half),
+    )
+    drive: Drive = replace(inner, loop=pd, torque_voltage=0.0)
+    return Rival(
+        "collocated PD",
+        "encoder only; hub's double pole raised to the same Ms as fraclink's design at the motor's voltage",
+        f"hub pole {pole:.4g} rad/s",
+        loop.peak(controller),
+        1,
+        4,
+        replace(bare, drive=drive),
+    )

@@ -34,7 +34,7 @@ def _number(value: float, digits: int = 3) -> str:
 def _row(s: Standing) -> tuple[str, ...]:
     settled = "never" if math.isinf(s.worst_settling) else f"{s.worst_settling:.2f} s"
     return (
-        s.name if s.passed else f"{s.name} (does not hold)",
+        s.name if s.passed else f"{s.name} (failed)",
         "never" if math.isinf(s.settling_time) else f"{s.settling_time:.2f}",
         f"{100 * s.overshoot:.1f}",
         f"{1e3 * s.residual_vibration:.1f}",
@@ -51,7 +51,7 @@ def _row(s: Standing) -> tuple[str, ...]:
 
 
 def _hidden(result: Tournament) -> list[str]:
-    """Why a rival holds whose linear loop does not."""
+    """Explain a rival that passes although its linear loop is unstable."""
     lines = []
     for s in result.standings:
         if s.growth == 0.0 or not s.passed:
@@ -65,16 +65,16 @@ def _hidden(result: Tournament) -> list[str]:
             f"- {s.name}: the linear loop on the twin is unstable, e-fold in {1.0 / s.growth:.2g} s; in "
             f"these runs {bounded}. It is no design to ship, and no figure's winner."
         )
-    return ["", "Unstable, though the runs hold:", "", *lines] if lines else []
+    return ["", "Unstable linear loop, although the runs passed:", "", *lines] if lines else []
 
 
 def sentences(result: Tournament) -> tuple[str, ...]:
-    """Return a sentence for every figure: where ours is best, and where a rival is better."""
+    """Return a sentence for every figure: where fraclink is best, and where a rival is better."""
     winners, ours = result.winners(), result.standings[0]
     if not winners:
-        return ("no figure has a winner: nobody holds with a linear loop that is stable",)
+        return ("no figure has a winner: no design passes with a stable linear loop",)
     if len(result.standings) == 1:
-        return (f"{ours.name} ran alone: there is nobody to compare with",)
+        return (f"{ours.name} ran alone: nothing to compare with",)
     made = []
     for name, winner in winners.items():
         words = name.replace("_", " ")
@@ -86,7 +86,7 @@ def sentences(result: Tournament) -> tuple[str, ...]:
             made.append(f"{words}: {ours.name} is best ({_figure(name, own)}){shared}")
         else:
             reached = f"{_figure(name, best)} against {_figure(name, own)}"
-            made.append(f"{words}: better than ours: {', '.join(winner)} ({reached})")
+            made.append(f"{words}: better than fraclink: {', '.join(winner)} ({reached})")
     return tuple(made)
 
 

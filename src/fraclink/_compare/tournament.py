@@ -1,4 +1,4 @@
-"""All rivals on the same twin, and what came out."""
+"""All rivals on the same arm, with the same sensors, noise, motor loop and reference, and what came out."""
 
 from __future__ import annotations
 
@@ -6,28 +6,174 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Annotated
 
 import numpy as np
+from numpy.typing import NDArray
 
+from fraclink import _kernels
+from fraclink._arm.link import LinkModel
 from fraclink._arm.reference import Reference, checked_reference, smooth_step
-from fraclink._compare.asked import checked_masses, checked_words, chosen_rivals
-from fraclink._compare.rivals import OFFSET, Rival, builders
-from fraclink._compare.run import run_rival
-from fraclink._compare.setting import Request, Setting, prepare
-from fraclink._compare.spillover import linear_growth, mode_gain
+from fraclink._arm.rig import Rig
+from fraclink._compare.case import NominalLoop, Setting, prepare
+from fraclink._compare.controllers import Seen, Shaped
+from fraclink._compare.filters import Filter, fine_step, law_filter, sampled
+from fraclink._compare.rivals import OFFSET, OURS, Rival, builders
+from fraclink._law import Law
 from fraclink._simulate.arm import Twin
+from fraclink._simulate.damping import PowerLaw
+from fraclink._simulate.kernel import ACCELERATION, GAUGE_ERROR, REFERENCE, VELOCITY, ArmState, healthy_inputs
+from fraclink._simulate.plant import GAUGE_TORQUE, HUB_ANGLE, Plant, assemble
 from fraclink._simulate.run import Run
-from fraclink._validate import checked_whole
-from fraclink.errors import InfeasibleError
+from fraclink._simulate.simulate import twin_run
+from fraclink._validate import Between, Frequency, Length, Payload, PhaseMargin, Seed, Time, checked
+from fraclink.errors import FieldError, InfeasibleError
 
-if TYPE_CHECKING:
-    from fraclink._arm.link import LinkModel
-    from fraclink._arm.rig import Rig
+__all__ = ["Standing", "Tournament", "compare", "linear_growth", "mode_gain", "run_rival"]
 
-__all__ = ["Standing", "Tournament", "compare"]
+
+def _chosen(known: tuple[str, ...], names: Sequence[str] | None) -> list[str]:
+    """Return fraclink and the rivals whose names contain one of `names`; FieldError for one in no name."""
+    if names is None:
+        return list(known)
+    words = [name.lower() for name in names]
+    for word in words:
+        if not any(word in name.lower() for name in known):
+            raise FieldError(
+                "names",
+                word,
+                "part of no rival's name",
+                allowed=", ".join(known),
+                remedy="give a part of one of these",
+            )
+    return [name for name in known if name == OURS or any(word in name.lower() for word in words)]
+
+
+Real = NDArray[np.float64]
+
+
+def feed_forward(law: Law, acceleration: Real) -> Real:
+    """Return F θ̈t* as law.c computes it, shape (N,)."""
+    modes = law.feedforward
+    result = modes.direct * acceleration
+    for pole, gain in zip(modes.poles, modes.gains, strict=True):
+        state = 0.0
+        for k, value in enumerate(acceleration.tolist()):
+            result[k] += gain * state
+            state = pole * state + value
+    return np.asarray(result)
+
+
+def run_rival(
+    twin: Twin,
+    rival: Rival,
+    reference: Reference,
+    forward: Law,
+    *,
+    duration: float,
+    offset: float = 0.0,
+    offset_time: float = 0.2,
+    seed: int = 0,
+) -> Run:
+    """Run a rival; the gauge's offset jumps by `offset` [N·m] at `offset_time` [s].
+
+    forward: the law whose feed-forward the rivals with tip feedback share
+    """
+    law = rival.law
+    count = round(duration / law.period) + 1
+    followed: Reference = Shaped(reference, *rival.impulses) if rival.impulses else reference
+    inputs = healthy_inputs(twin, followed, law.period, count, np.random.default_rng(seed))
+    inputs[round(offset_time / law.period) :, GAUGE_ERROR] += offset
+    state = ArmState(twin, law.period, law.initial_state())
+    if rival.outer is None:
+        record = state.run(law.block, inputs)
+    else:
+        record = _tick_by_tick(state, rival, inputs, feed_forward(forward, inputs[:, ACCELERATION]))
+    wanted = reference.angle(law.period * np.arange(len(record)))
+    record[:, 0] = wanted  # judged by what was asked, not by the shaped reference
+    return twin_run(
+        record,
+        np.full(len(record), twin.beam.payload),
+        twin,
+        law.period,
+        finished=len(record) == count,
+        ended=followed.duration,  # a shaper's own delay counts as settling, not as vibration
+        about={"rival": rival.name, "seed": seed},
+    )
+
+
+def _tick_by_tick(state: ArmState, rival: Rival, inputs: Real, forward: Real) -> Real:
+    assert rival.outer is not None  # noqa: S101  # the caller's case
+    outer, block = rival.outer(), rival.law.block
+    compliance = 1.0 / rival.law.stiffness
+    record = np.empty((len(inputs), _kernels.TWIN_COLUMNS))
+    wanted = inputs[:, REFERENCE].tolist()
+    for k in range(len(inputs)):
+        angle, torque = state.sense(inputs[k])
+        bend = torque * compliance
+        error = wanted[k] - (angle - bend)
+        command = wanted[k] + forward[k] + outer(Seen(wanted[k], error, bend, forward[k]))
+        inputs[k, REFERENCE] = min(max(command, -1e3), 1e3)
+        inputs[k, VELOCITY], inputs[k, ACCELERATION] = inputs[k, VELOCITY], 0.0
+        record[k] = state.run(block, inputs[k : k + 1])[0]
+        if abs(record[k, 1]) > 1e2:
+            return record[: k + 1]
+    return record
+
+
+def _correction(rival: Rival) -> Filter | None:
+    """The rival's feedback of the tip estimate as a filter, None where it has none."""
+    if rival.correction is None and rival.law.correction.direct != 0.0:
+        return law_filter(rival.law)
+    return rival.correction
+
+
+def _plant(setting: Setting, twin: Twin) -> tuple[Plant, Filter]:
+    """The twin behind the ideal motor servo, and its tip estimate θm − Γ/c as the controller sees it."""
+    period = setting.rig.period
+    plant = assemble(
+        twin.beam,
+        twin.damping,
+        drive="servo",
+        modes=twin.modes,
+        step=fine_step(period),
+        servo_pole=setting.law.inner_pole,
+    )
+    estimate = plant.outputs[HUB_ANGLE] - plant.outputs[GAUGE_TORQUE] / setting.model.stiffness
+    return plant, sampled(plant, estimate, period, setting.rig.inner.delay_samples)
+
+
+def mode_gain(setting: Setting, twin: Twin, rival: Rival) -> float:
+    """Return the largest |L| around the twin's second mode; 0 without feedback of the tip estimate."""
+    correction, period = _correction(rival), setting.rig.period
+    plant, seen = _plant(setting, twin)
+    if correction is None or plant.modes.count < 2:
+        return 0.0
+    mode = float(plant.modes.frequencies[1])
+    # With a power law the mode is at ω^(2/λ), 25 % above ω here.
+    shifted = mode ** (2.0 / twin.damping.order) if isinstance(twin.damping, PowerLaw) else mode
+    frequency = np.geomspace(0.8 * mode, min(1.25 * shifted, 0.999 * np.pi / period), 600)
+    z = np.exp(1j * frequency * period)
+    return float(np.max(np.abs(seen.response(z) * correction.response(z))))
+
+
+def linear_growth(setting: Setting, twin: Twin, rival: Rival) -> float:
+    """Return how fast the rival's linear loop on the twin grows [1/s]; 0 where it is stable.
+
+    Friction and the voltage limit are not in it: friction can hide a slow growth, a limit can bound a fast
+    one, and a run of some seconds then ends well.
+    """
+    correction, period = _correction(rival), setting.rig.period
+    if correction is None:
+        return 0.0
+    _, seen = _plant(setting, twin)
+    radius = NominalLoop(seen, period, setting.model.stiffness).radius(correction)
+    # The power law's slowest relaxation lies within 1e-9 of one.
+    return math.log(radius) / period if radius > 1.0 + 1e-9 else 0.0
+
 
 PAYLOADS = (0.008, 0.012, 0.016, 0.020, 0.025, 0.030, 0.035, 0.040)
+PHASE_MARGIN = math.radians(50.0)
 AFTER = 5.0  # [s] of every run after the reference has come to rest
 
 
@@ -73,7 +219,7 @@ class Standing:
 
 @dataclass(frozen=True, eq=False)
 class Tournament:
-    """Every rival's standing, ours first, with what was assumed and the nominal runs for plots."""
+    """Every rival's standing, fraclink first, with what was assumed and the nominal runs for plots."""
 
     standings: tuple[Standing, ...]
     notes: tuple[str, ...]
@@ -98,7 +244,7 @@ class Tournament:
         return result
 
     def verdicts(self) -> tuple[str, ...]:
-        """Return a sentence for every figure: where ours is best, and where a rival is better."""
+        """Return a sentence for every figure: where fraclink is best, and where a rival is better."""
         from fraclink._compare.text import sentences
 
         return sentences(self)
@@ -143,21 +289,22 @@ _FIGURES = {
 }
 
 
+@checked
 def compare(
     rig: Rig,
     *,
     model: LinkModel | None = None,
-    link_mass: float | None = None,
-    gain_crossover: float = 12.0,
-    phase_margin: float = math.radians(50.0),
-    filter_time: float | None = None,
-    payloads: Sequence[float] = PAYLOADS,
+    link_mass: Annotated[float, Between(0.0, 1e4, "kg")] | None = None,
+    gain_crossover: Frequency = 12.0,
+    phase_margin: PhaseMargin = PHASE_MARGIN,
+    filter_time: Time | None = None,
+    payloads: Annotated[Sequence[Payload], Length(1)] = PAYLOADS,
     reference: Reference | None = None,
     names: Sequence[str] | None = None,
-    seed: int = 0,
+    seed: Seed = 0,
     progress: Callable[[str], None] | None = None,
 ) -> Tournament:
-    """Run our design and its rivals on one twin, each tuned by its rule.
+    """Run fraclink's design and its rivals on one arm, each tuned by its rule.
 
     Parameters
     ----------
@@ -168,13 +315,13 @@ def compare(
     link_mass
         of the twin's link [kg]; default the rig's, or 7.35 g (a carbon rod of 3 mm) where that is 0
     gain_crossover, phase_margin, filter_time
-        of our design [rad/s], [rad], [s]; the filter's default is the 10 % rule
+        of fraclink's design [rad/s], [rad], [s]; the filter's default is the 10 % rule
     payloads
         at which the worst is looked for [kg], all > 0
     reference
         the move of the tip; default 1 rad in 1 s
     names
-        run only the rivals whose names contain one of these words; ours always runs
+        run only the rivals whose names contain one of these words; fraclink's design always runs
     seed
         of the gauge's noise, the same for all
 
@@ -186,19 +333,19 @@ def compare(
     >>> import fraclink as fl
     >>> result = compare(fl.Rig.named("paper-2023"), payloads=(0.030,), names=["ZV shaping"])
     >>> [s.name for s in result.standings]
-    ['ours', 'ZV shaping']
+    ['fraclink', 'ZV shaping']
     """
-    request: Request = {
-        "gain_crossover": gain_crossover,
-        "phase_margin": phase_margin,
-        "filter_time": filter_time,
-    }
-    masses, words = checked_masses(payloads), checked_words(names)
-    checked_whole("seed", seed, 0, 2**64 - 1)
     move = smooth_step(1.0, duration=1.0) if reference is None else checked_reference(reference)
-    setting, twin, notes = prepare(rig, model, link_mass, request)
+    setting, twin, notes = prepare(
+        rig,
+        model,
+        link_mass,
+        gain_crossover=gain_crossover,
+        phase_margin=phase_margin,
+        filter_time=filter_time,
+    )
     made = builders(setting)
-    chosen = chosen_rivals(tuple(made), words)
+    chosen = _chosen(tuple(made), names)
     standings, runs = [], {}
     for name in chosen:
         if progress is not None:
@@ -206,10 +353,10 @@ def compare(
         try:
             rival = made[name]()
         except InfeasibleError as error:
-            # a request that our own variant cannot meet is no fault of the table
+            # a requirement that a variant of the design cannot meet is no fault of the table
             notes.append(f"{name} left out: {error}")
             continue
-        standing, runs[name] = _standing(setting, twin, rival, move, masses, seed)
+        standing, runs[name] = _standing(setting, twin, rival, move, tuple(payloads), seed)
         standings.append(standing)
     return Tournament(tuple(standings), tuple(notes), runs)
 
@@ -221,7 +368,7 @@ def _standing(
 
     def run(payload: float, offset: float = 0.0) -> Run:
         return run_rival(
-            twin.with_payload(payload), rival, move, setting.ours, duration=duration, offset=offset, seed=seed
+            twin.with_payload(payload), rival, move, setting.law, duration=duration, offset=offset, seed=seed
         )
 
     nominal = run(setting.rig.payloads.nominal)

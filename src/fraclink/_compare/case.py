@@ -1,0 +1,223 @@
+"""What every rival is tuned on: the rig, its lumped model, and fraclink's design, whose Ms is the target."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq, minimize_scalar
+
+from fraclink._arm.beam import Beam
+from fraclink._arm.controller import Controller
+from fraclink._arm.link import LinkModel
+from fraclink._arm.rig import Rig
+from fraclink._compare.filters import Filter, fine_step, law_filter, sampled
+from fraclink._design import design
+from fraclink._law import Law
+from fraclink._simulate.arm import Twin, damping_of, geared
+from fraclink._simulate.plant import assemble
+from fraclink._simulate.simulate import with_motor_loop
+from fraclink.errors import FieldError, NotConvergedError
+
+__all__ = ["NominalLoop", "Setting", "prepare", "tune"]
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+DEFAULT_MASS = 0.00735  # [kg] of the link where the rig states none: a carbon rod of 3 mm, 1 m long
+
+
+@dataclass(frozen=True, eq=False)
+class NominalLoop:
+    """The lumped model behind M(s), held and delayed, at the control period: what the designer knows.
+
+    `plant` is ZOH{M G} with the delay as extra states, from a motor reference to the tip angle.
+    """
+
+    plant: Filter
+    period: float
+    stiffness: float
+
+    @staticmethod
+    def of(model: LinkModel, payload: float, *, period: float, pole: float, delay: int) -> NominalLoop:
+        """Return the loop of a lumped model with its payload [kg] (both exact, no link mass)."""
+        # A massless beam is the lumped model; its length is free, the frequency fixes m L².
+        mass = model.stiffness / model.natural_frequency**2
+        beam = Beam(1.0, model.stiffness / 3.0, 0.0, mass)
+        step = fine_step(period)
+        plant = assemble(beam, damping_of(model), drive="servo", step=step, servo_pole=pole)
+        return NominalLoop(sampled(plant, plant.outputs[2], period, delay), period, model.stiffness)
+
+    @cached_property
+    def frequencies(self) -> Real:
+        """The grid [rad/s] on which the sensitivity is looked at: 2 % steps from 0.1 rad/s to Nyquist."""
+        nyquist = math.pi / self.period
+        return np.asarray(np.geomspace(0.1, 0.999 * nyquist, int(50 * math.log(nyquist / 0.1))))
+
+    @cached_property
+    def response(self) -> Complex:
+        """The plant on that grid."""
+        return self.plant.response(np.exp(1j * self.frequencies * self.period))
+
+    def loop(self, correction: Filter, frequency: Real) -> Complex:
+        """Return L = Ĉ P on the unit circle."""
+        z = np.exp(1j * np.asarray(frequency) * self.period)
+        return np.asarray(correction.response(z) * self.plant.response(z))
+
+    def radius(self, correction: Filter) -> float:
+        """Return the spectral radius of the closed loop: stable below 1."""
+        p, k = self.plant, correction
+        n = p.order
+        closed = np.zeros((n + k.order, n + k.order))
+        closed[:n, :n] = p.a - k.d * np.outer(p.b, p.c)
+        closed[:n, n:] = np.outer(p.b, k.c)
+        closed[n:, :n] = -np.outer(k.b, p.c)
+        closed[n:, n:] = k.a
+        return float(np.abs(np.linalg.eigvals(closed)).max())
+
+    def peak(self, correction: Filter) -> float:
+        """Return Ms = max |1/(1 + L)|, infinite where the loop is unstable."""
+        # The power-law link itself has a relaxation slower than any move: a pole at 1 to eleven digits.
+        if self.radius(correction) > 1.0 + 1e-9:
+            return math.inf
+        z = np.exp(1j * self.frequencies * self.period)
+        return float(np.max(1.0 / np.abs(1.0 + correction.response(z) * self.response)))
+
+    def noise(self, correction: Filter | Callable[[Real], Complex]) -> float:
+        """Return what white noise of the tip estimate becomes in the motor reference, rms per rms.
+
+        `correction` is a filter, or a continuous Ĉ as a function of ω [rad/s].
+        """
+        # White noise has equal power at equal steps of ω, so this grid is linear where that of Ms is not.
+        frequency = np.linspace(0.05, 0.999 * math.pi / self.period, 2000)
+        z = np.exp(1j * frequency * self.period)
+        gain = correction.response(z) if isinstance(correction, Filter) else correction(frequency)
+        return float(np.sqrt(np.mean(np.abs(gain / (1.0 + gain * self._noise_plant)) ** 2)))
+
+    @cached_property
+    def _noise_plant(self) -> Complex:
+        frequency = np.linspace(0.05, 0.999 * math.pi / self.period, 2000)
+        return self.plant.response(np.exp(1j * frequency * self.period))
+
+
+def tune(
+    loop: NominalLoop, make: Callable[[float], Filter], knob: tuple[float, float], target: float
+) -> tuple[float, Filter, bool]:
+    """Return the knob in [low, high] at which Ms is `target`, its filter, and whether Ms could be reached.
+
+    The knob is raised in 60 geometric steps; of the first range of knobs whose Ms is at or below the target
+    the upper end is taken, since more feedback is what a knob stands for. Larger knobs that come back under
+    the target lie behind a worse range and are not taken. Where no knob reaches the target the knob of the
+    smallest Ms is taken: the most careful tuning that the structure has.
+    """
+    values = np.geomspace(knob[0], knob[1], 60)
+    peaks = []
+    for value in values.tolist():
+        peaks.append(loop.peak(make(value)))
+        if peaks[-1] > target and any(p <= target for p in peaks):
+            break
+    good = [i for i, peak in enumerate(peaks) if peak <= target]
+    if not good:
+        return _least(loop, make, values, peaks)
+    last = good[-1]
+    if last + 1 == len(values):
+        return float(values[-1]), make(float(values[-1])), True
+    # Ms is infinite where the loop is unstable; brentq needs numbers, and only their sign matters there.
+    excess = brentq(
+        lambda x: min(loop.peak(make(math.exp(x))), 1e3) - target,
+        math.log(values[last]),
+        math.log(values[last + 1]),
+        xtol=1e-6,
+    )
+    value = math.exp(float(excess))
+    return value, make(value), True
+
+
+def _least(
+    loop: NominalLoop, make: Callable[[float], Filter], values: Real, peaks: list[float]
+) -> tuple[float, Filter, bool]:
+    best = int(np.argmin(peaks))
+    if not math.isfinite(peaks[best]):
+        raise NotConvergedError(
+            "tuning",
+            reached=peaks[best],
+            wanted=1.0,
+            remedy="no knob of the range stabilises the nominal arm",
+        )
+    low, high = float(values[max(best - 1, 0)]), float(values[min(best + 1, len(values) - 1)])
+    # Ms has one minimum between two neighbours of the grid.
+    found = minimize_scalar(
+        lambda x: loop.peak(make(math.exp(x))),
+        bounds=(math.log(low), math.log(high)),
+        method="bounded",
+        options={"xatol": 1e-5},
+    )
+    value = math.exp(float(found.x))
+    return value, make(value), False
+
+
+@dataclass(frozen=True)
+class Setting:
+    """Rig, lumped model and fraclink's design: what every rival is tuned from."""
+
+    rig: Rig
+    model: LinkModel
+    law: Law
+    controller: Controller
+    loop: NominalLoop
+    gain_crossover: float
+    phase_margin: float
+
+    @property
+    def target(self) -> float:
+        """Ms of fraclink's design at the nominal payload, on the lumped model."""
+        return self.loop.peak(law_filter(self.law))
+
+
+def prepare(
+    rig: Rig,
+    model: LinkModel | None,
+    link_mass: float | None,
+    *,
+    gain_crossover: float,
+    phase_margin: float,
+    filter_time: float | None,
+) -> tuple[Setting, Twin, list[str]]:
+    """Return what the rivals are tuned from, the arm they run on, and what was assumed."""
+    known = rig.model if model is None else model
+    if known is None:
+        raise FieldError("model", None, "missing", allowed="a LinkModel", remedy="identify one first")
+    mass = (rig.link.mass or DEFAULT_MASS) if link_mass is None else link_mass
+    nominal = known.at_payload(rig.payloads.nominal) if known.payload else known
+    notes = [f"link of {1e3 * mass:g} g, {damping_of(nominal).label}"]
+    if Twin.from_rig(rig, link_mass=mass, damping=damping_of(nominal)).findings:
+        rig = geared(rig)
+        notes.append("the rig's hub is too light for a sampled compensation (W601): a gear of 50:1 added")
+    twin = Twin.from_rig(rig, link_mass=mass, damping=damping_of(nominal))
+    result = design(
+        nominal,
+        rig,
+        payloads=(rig.payloads.low, rig.payloads.high),
+        gain_crossover=gain_crossover,
+        phase_margin=phase_margin,
+        filter_time=filter_time,
+    )
+    law, _ = with_motor_loop(result.controller.discretize(rig.period), twin=twin)
+    loop = NominalLoop.of(
+        nominal,
+        rig.payloads.nominal,
+        period=rig.period,
+        pole=law.inner_pole,
+        delay=rig.inner.delay_samples,
+    )
+    setting = Setting(rig, nominal, law, result.controller, loop, gain_crossover, phase_margin)
+    notes.append(
+        f"fraclink's design: crossover {gain_crossover:g} rad/s, margin {math.degrees(phase_margin):g}°, "
+        f"δ {result.controller.filter_time:.3g} s; its Ms at {1e3 * rig.payloads.nominal:g} g is "
+        f"{setting.target:.3f} on the lumped model"
+    )
+    return setting, twin, notes
