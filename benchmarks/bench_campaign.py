@@ -19,15 +19,14 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 
 import fraclink as fl
-from fraclink import _kernels
 from fraclink._campaign import Campaign, run_campaign, simulate_part
 from fraclink._campaign import arms as part_module
 from fraclink._campaign.campaign import draw
+from fraclink._simulate.kernel import SUBSTEPS, LumpedArms
 
 ROOT = Path(__file__).resolve().parent.parent
 TICKS = 5000
@@ -235,27 +234,27 @@ int main(int argc, char **argv) {
 def plain_c() -> None:
     """The loop, one run at a time, from a C program and from Python, on the same numbers, in turns."""
     asked = campaign(64, ticks=TICKS)
-    block = part_module.block_of(asked, draw(asked.draws, 7, 0, 64), 0, 0)
-    links, row = block.links, block.numbers[0]
-    angle, acceleration = row[-1] * part_module.unit_paths(asked)[block.chosen[0]]
+    drawn = {name: column[:64] for name, column in draw(asked.draws, 7, 0, 64).items()}
+    arms, chosen = part_module.block_of(asked, drawn, 0)
+    alone, path = arms.rows(slice(0, 1)), part_module.unit_paths(asked)
+    shared = part_module.shared_rig(asked.rig, asked.law, asked.motor_loop)
+    links = alone.links
+    angle, acceleration = alone.amplitude[0] * path[chosen[0]]
     pieces = [links.first[0], links.decay[0], links.weight[0], links.pair[0].real, links.pair[0].imag]
-    pieces += [links.pair_weight[0].real, links.pair_weight[0].imag, angle, acceleration, row[:1]]
-    path = np.stack([angle, np.zeros_like(angle), acceleration])
-    signals, marks = np.empty((7, TICKS)), np.empty((3, TICKS), dtype=np.uint32)
-    arrays = [np.ascontiguousarray(piece) for piece in pieces[:7]]
+    pieces += [links.pair_weight[0].real, links.pair_weight[0].imag, angle, acceleration, alone.stiffness]
 
     def from_python(repeats: int) -> float:
         for seed in range(repeats):
-            rig = part_module.shared_rig(asked, numbers=row, seed=seed)
-            _kernels.loop_run(asked.law.block, False, rig, float(row[0]), *arrays, path, signals, marks)
-        return float(signals[0, -1])
+            arm = replace(alone, seed=np.array([seed], dtype=np.uint64))
+            signals, _ = part_module.run_lumped(asked.law, shared, arm, path, chosen[:1], everything=True)
+        return float(signals[0, 0, -1])
 
     with tempfile.TemporaryDirectory() as folder:
         program = compiled(Path(folder))
         head = np.array(
             [TICKS, links.decay.shape[1], links.pair.shape[1], len(asked.law.block)], dtype=np.int64
         )
-        rig = rig_bytes(asked, row)
+        rig = rig_bytes(asked, alone)
         data = b"".join(
             [head.tobytes(), rig, *(np.ascontiguousarray(p).tobytes() for p in pieces), asked.law.block]
         )
@@ -266,7 +265,7 @@ def plain_c() -> None:
                 [program, str(Path(folder) / "data"), "200"], capture_output=True, check=True, text=True
             ).stdout.split()
             took = seconds(lambda: from_python(200))
-            assert float(out[1]) == signals[0, -1], "C and Python disagree"
+            assert float(out[1]) == from_python(200), "C and Python disagree"
             ratios.append(took / float(out[0]))
     spread = f"{min(ratios):.3f} ... {max(ratios):.3f} of 7; same last bit"
     line(
@@ -277,18 +276,14 @@ def plain_c() -> None:
     )
 
 
-def rig_bytes(asked: Campaign, row: np.ndarray) -> bytes:
-    """The C struct loop_rig of a run: three ints, padding, doubles, the seed."""
-    kernels = part_module._kernels
-    part_module._kernels = SimpleNamespace(LoopRig=dict)  # type: ignore[assignment]
-    try:
-        rig: dict[str, float] = part_module.shared_rig(asked, numbers=row)  # type: ignore[assignment]
-    finally:
-        part_module._kernels = kernels
-    names = ["period", "pole", "gain", "decay", "friction", "coupling", "encoder", "offset", "noise", "limit"]
-    names += ["quantum", "start"]
-    reals = [float(rig[name]) for name in names]
-    return struct.pack("@3i4x12dQ", *(int(rig[n]) for n in ("sampled", "substeps", "delay")), *reals, 0)
+def rig_bytes(asked: Campaign, arm: LumpedArms) -> bytes:
+    """The C struct loop_rig of an arm: three ints, padding, doubles, the seed."""
+    rig, law = asked.rig, asked.law
+    own = (arm.motor_gain, arm.motor_decay, arm.friction)
+    gauge = (rig.gauge.limit, rig.gauge.quantum, float(arm.gauge_delay[0]), float(arm.gauge_gain[0]))
+    reals = [law.period, law.inner_pole, *(float(value[0]) for value in own), 0.0, rig.encoder.resolution]
+    reals += [float(arm.gauge_offset[0]), float(arm.noise[0]), *gauge, 0.0]
+    return struct.pack("@3i4x14dQ", 1, SUBSTEPS, int(arm.delay_samples[0]), *reals, 0)
 
 
 def compiled(folder: Path) -> str:

@@ -13,15 +13,16 @@ import statistics
 import subprocess
 import tempfile
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 import fraclink as fl
-from fraclink import _kernels
 from fraclink._export import export_c
 from fraclink._law import Law, discretize_controller, equip
-from fraclink._simulate.plant import link_weights
+from fraclink._simulate.kernel import LumpedArms, run_lumped, shared_rig
+from fraclink._simulate.plant import LinkWeights, link_weights
 
 ROOT = Path(__file__).resolve().parents[1]
 RIG = fl.Rig.named("paper-2023")
@@ -63,7 +64,7 @@ int main(int count, char **words)
     FILE *const file = fopen(words[1], "rb");
     int sizes[3];
     loop_rig rig;
-    loop_link link;
+    loop_link link = {0};
     if (count < 2 || file == NULL || fread(sizes, sizeof(sizes), 1, file) != 1 || fread(&rig, sizeof(rig), 1, file) != 1)
         return 1;
     const int n = sizes[0], m = sizes[1], total = sizes[2];
@@ -152,21 +153,24 @@ def _rig(**changed: object) -> dict[str, object]:
         "sampled": True, "substeps": 10, "delay": 1, "period": RIG.period, "pole": 80.0, "gain": motor.gain,
         "decay": motor.decay, "friction": motor.coulomb_torque / motor.inertia, "coupling": 0.0,
         "encoder": RIG.encoder.resolution, "offset": 0.01, "noise": 0.01, "limit": 4.0, "quantum": RIG.gauge.quantum,
-        "start": 0.0, "seed": 1,
+        "gauge_delay": 0.0, "gauge_gain": 1.0, "start": 0.0, "seed": 1,
     } | changed  # fmt: skip
 
 
-def from_python(law: Law, weights: object, reference: np.ndarray) -> tuple[float, float]:
-    w = weights
-    signals, marks = np.empty((7, PERIODS)), np.empty((3, PERIODS), dtype=np.uint32)
-    rig = _kernels.LoopRig(**_rig())
-    begin = time.process_time()
-    _kernels.loop_run(
-        law.block, False, rig, 1.56, w.first, w.decay, w.weight, np.ascontiguousarray(w.pair.real),
-        np.ascontiguousarray(w.pair.imag), np.ascontiguousarray(w.pair_weight.real),
-        np.ascontiguousarray(w.pair_weight.imag), reference, signals, marks,
+def from_python(law: Law, weights: LinkWeights, reference: np.ndarray) -> tuple[float, float]:
+    r = _rig()
+    numbers = {name: np.array([float(r[name])]) for name in ("noise", "gauge_delay", "gauge_gain")}
+    arm = LumpedArms(
+        links=weights, stiffness=np.array([1.56]), motor_gain=np.array([r["gain"]]),
+        motor_decay=np.array([r["decay"]]), friction=np.array([r["friction"]]),
+        gauge_offset=np.array([r["offset"]]), delay_samples=np.array([1.0]), amplitude=np.array([1.0]),
+        seed=np.array([1], dtype=np.uint64), **numbers,
     )  # fmt: skip
-    return time.process_time() - begin, float(signals[0, -1])
+    shared = shared_rig(replace(RIG, gauge=replace(RIG.gauge, limit=4.0)), law, "sampled")
+    first = np.zeros(1, dtype=np.int32)
+    begin = time.process_time()
+    signals, _ = run_lumped(law, shared, arm, reference[None, [0, 2]], first, everything=True)
+    return time.process_time() - begin, float(signals[0, 0, -1])
 
 
 def _written(folder: Path, weights: object, reference: np.ndarray) -> Path:
@@ -174,9 +178,9 @@ def _written(folder: Path, weights: object, reference: np.ndarray) -> Path:
 
     w, r = weights, _rig()
     rig = struct.pack(
-        "<iii4x12dQ", int(bool(r["sampled"])), r["substeps"], r["delay"],
+        "<iii4x14dQ", int(bool(r["sampled"])), r["substeps"], r["delay"],
         *(float(r[k]) for k in ("period", "pole", "gain", "decay", "friction", "coupling", "encoder", "offset",
-                                "noise", "limit", "quantum", "start")), r["seed"],
+                                "noise", "limit", "quantum", "gauge_delay", "gauge_gain", "start")), r["seed"],
     )  # fmt: skip
     parts = [
         w.first,
@@ -190,7 +194,7 @@ def _written(folder: Path, weights: object, reference: np.ndarray) -> Path:
     ]
     flat = np.concatenate([np.ravel(part) for part in (*parts, reference[0], reference[2])])
     place = folder / "loop.bin"
-    sizes = struct.pack("<iii", len(w.decay), len(w.pair), PERIODS)
+    sizes = struct.pack("<iii", w.decay.size, w.pair.size, PERIODS)
     place.write_bytes(sizes + rig + flat.astype("<f8").tobytes())
     return place
 

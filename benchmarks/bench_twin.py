@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import argparse
 import statistics
+import sys
 import time
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,10 +30,12 @@ from fraclink._simulate import (
     KelvinVoigt,
     PowerLaw,
     assemble,
-    exact_frequencies,
     geared,
     simulate_log,
 )
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+from exact_frequencies import exact_frequencies
 
 STIFFNESS, LENGTH, LINK_MASS, PERIOD = 1.56, 0.65, 0.00735, 0.004
 RIGIDITY = STIFFNESS * LENGTH / 3
