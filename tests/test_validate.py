@@ -40,6 +40,7 @@ from fraclink._validate import (
     rules,
 )
 from fraclink.errors import FieldError, LogError
+from junk import JUNK
 
 if TYPE_CHECKING:
     from decimal import Decimal  # a name that does not exist when this file runs
@@ -510,3 +511,35 @@ def test_defaults_are_admitted_by_their_own_annotations() -> None:
             ):
                 continue
             found[name].check(f"{target.__qualname__}.{name}", default)
+
+
+def package_rules() -> list[tuple[str, str, Any]]:
+    """Every annotated argument and field of the package that is checked."""
+    for module in pkgutil.walk_packages(fraclink.__path__, "fraclink."):
+        if not module.name.endswith("__main__"):
+            importlib.import_module(module.name)
+    found = {
+        (target.__module__ + "." + target.__qualname__, name): checked_rule
+        for target in _validate._TARGETS
+        if target.__module__.startswith("fraclink.")
+        for name, checked_rule in rules(target).items()
+    }
+    return [(*place, checked_rule) for place, checked_rule in sorted(found.items())]
+
+
+def test_junk_is_taken_or_refused_in_one_line_everywhere() -> None:
+    """One table of values that scripts hand over by mistake, against the rule of every public argument."""
+    every = package_rules()
+    assert len(every) > 200
+    for place, name, checked_rule in every:
+        for value in JUNK:
+            try:
+                plain = checked_rule.check(name, value)
+            except FieldError as error:
+                text = str(error)
+                assert text.isprintable() and len(text) < 900, (place, name, value)
+                assert error.field.startswith(name) and error.allowed and error.problem
+            else:
+                # What passes a range lies in it, as a plain number.
+                if type(plain) in (int, float) and math.isfinite(checked_rule.low):
+                    assert checked_rule.low <= plain <= checked_rule.high, (place, name, value)

@@ -20,13 +20,21 @@ Severity = Literal["info", "warning", "error"]
 class Finding:
     """One observation of a check; `code` is stable across releases.
 
-    Arguments:
-        code: ``W101`` and so on: rig W1xx, log W2xx.
-        severity: ``info`` (good to know), ``warning`` (results may mislead) or ``error`` (unusable).
-        message: one sentence for a person.
-        evidence: the numbers behind it, name to value, in SI units and radians.
-        remedy: what to do.
+    Parameters
+    ----------
+    code
+        ``W101`` and so on: rig W1xx, log W2xx.
+    severity
+        ``info`` (good to know), ``warning`` (results may mislead) or ``error`` (unusable).
+    message
+        One sentence for a person.
+    evidence
+        The numbers behind it, name to value, in SI units and radians.
+    remedy
+        What to do.
 
+    Examples
+    --------
     >>> print(Finding("W101", "warning", "c contradicts 3EI/L", {"c": 1.56, "3EI/L": 1.2}, "measure c"))
     W101 warning: c contradicts 3EI/L (c 1.56, 3EI/L 1.2); measure c
     """

@@ -1,4 +1,4 @@
-"""The noun `DiscreteModes`: a held response at a period as a recursion of exponential modes."""
+"""A held response as a recursion of exponential modes, and the expansion that gives them."""
 
 from __future__ import annotations
 
