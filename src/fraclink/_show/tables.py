@@ -476,6 +476,7 @@ _FACTORS = {  # unit and factor of a campaign's metrics
     "peak_voltage": ("V", 1.0),
     "motor_reference_noise": ("mrad", 1e3),
     "saturated": ("%", 100.0),
+    "growth": ("1/s", 1.0),
 }
 
 
@@ -484,7 +485,7 @@ def spread_table(summary: Summary) -> Table:
     shares = [f"{100 * q.probability:g} %" for q in summary.metrics[0].quantiles]
     rows = []
     for metric in summary.metrics:
-        unit, factor = _FACTORS[metric.name]
+        unit, factor = _FACTORS.get(metric.name, ("SI", 1.0))
         values = (
             number(factor * q.value, 3) if math.isfinite(q.value) else "never" for q in metric.quantiles
         )
