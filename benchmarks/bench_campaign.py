@@ -40,7 +40,7 @@ def line(what: str, value: str, wanted: str, error: str = "") -> None:
 def campaign(runs: int, *, ticks: int = 1001) -> Campaign:
     """The paper's arm under our own order-4 law with all its guards, motor loop and friction included."""
     rig = fl.Rig.named("paper-2023")
-    law = fl.Controller(gain=0.069876, order=0.612197, link=rig.model).discretize(rig.period, order=4)
+    law = fl.discretize(fl.Controller(gain=0.069876, order=0.612197, link=rig.model), rig.period, order=4)
     return replace(Campaign.of(rig, rig.model, law, runs=runs, seed=7), duration=(ticks - 1) * law.period)
 
 

@@ -49,7 +49,7 @@ def law_at(period: float) -> Law:
     """Return the paper's design on the geared arm, with its motor loop."""
     assert RIG.model is not None
     controller = fl.Controller(gain=0.069876, order=0.612197, link=RIG.model)
-    return equip(controller.discretize(period, order=5), replace(RIG, period=period), RIG.model)
+    return equip(fl.discretize(controller, period, order=5), replace(RIG, period=period), RIG.model)
 
 
 def board(folder: Path) -> Connection:

@@ -24,6 +24,7 @@ from fraclink._compare.filters import law_filter, sampled
 from fraclink._design import design
 from fraclink._identify import identify_all
 from fraclink._kernels import twin_march
+from fraclink._law import discretize
 from fraclink._simulate import (
     Beam,
     FractionalKelvinVoigt,
@@ -122,7 +123,7 @@ def spillover(filter_time: float | None) -> None:
         filter_time=filter_time,
     )
     filtered = f"{1e3 * result.controller.filter_time:.2g} ms"
-    correction = law_filter(result.controller.discretize(rig.period))
+    correction = law_filter(discretize(result.controller, rig.period))
     for mass in (LINK_MASS, 0.0141):
         beam = Beam(LENGTH, RIGIDITY, mass, 0.030)
         omega = float(beam.modes(1).frequencies[0])

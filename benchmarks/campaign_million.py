@@ -33,7 +33,7 @@ def spent(who: int) -> float:
 def measure(runs: int, workers: int, folder: Path) -> None:
     """Compute the campaign, summarise it, and print what both took."""
     rig = fl.Rig.named("paper-2023")
-    law = fl.Controller(gain=0.069876, order=0.612197, link=rig.model).discretize(rig.period, order=4)
+    law = fl.discretize(fl.Controller(gain=0.069876, order=0.612197, link=rig.model), rig.period, order=4)
     campaign = Campaign.of(rig, rig.model, law, runs=runs, seed=7)
     load, began = os.getloadavg()[0], time.monotonic()
     progress = run_campaign(campaign, folder, workers=workers)

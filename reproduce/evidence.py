@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from fraclink._arm.controller import Controller
 from fraclink._identify import aic
+from fraclink._law import discretize
 from fraclink._systems.margins import margins
 from reproduce import designs
 from reproduce.published import Published
@@ -173,7 +174,7 @@ def _offset_left(published: Published) -> Evidence:
         tail = math.exp(math.lgamma(count + 1 - order) - math.lgamma(count + 1)) / math.gamma(1 - order)
         direct = gain * designs.rig().period ** -order * tail
         shares.append(100.0 * direct / (1.0 + direct))
-    law = designs.in_loop().fractional.discretize(designs.rig().period)
+    law = discretize(designs.in_loop().fractional, designs.rig().period)
     left = abs(complex(law.frequency_response(np.array([0.0]))[0]))
     text = (
         f"with a sum over 100 or 1000 samples {shares[0]:.1f} % or {shares[1]:.1f} % of the offset stays; "

@@ -11,7 +11,7 @@ import numpy as np
 
 from fraclink._arm.controller import Controller
 from fraclink._arm.reference import smooth_step
-from fraclink._law import Law
+from fraclink._law import Law, discretize
 from fraclink._show.drawing import BLUE, FAINT, GREY, INK, LEVELS, ORANGE, figure, svg
 from fraclink._simulate import Run, simulate
 from reproduce import designs
@@ -183,7 +183,7 @@ _CAPTION = (
 @cache
 def _laws() -> dict[tuple[str, str], Law]:
     period = designs.rig().period
-    return {(pair, line): controller.discretize(period) for pair, line, controller in controllers()}
+    return {(pair, line): discretize(controller, period) for pair, line, controller in controllers()}
 
 
 def _run(law: Law, payload: float, noise: float = 0.0) -> Run:

@@ -16,7 +16,7 @@ from fraclink._campaign.run import write_part
 def small(runs: int = 2500, seed: int = 7) -> Campaign:
     """The paper's arm under our own order-4 law: three parts, the last one half full."""
     rig = fl.Rig.named("paper-2023")
-    law = fl.Controller(gain=0.069876, order=0.612197, link=rig.model).discretize(rig.period, order=4)
+    law = fl.discretize(fl.Controller(gain=0.069876, order=0.612197, link=rig.model), rig.period, order=4)
     return Campaign.of(rig, rig.model, law, runs=runs, seed=seed)
 
 

@@ -49,7 +49,7 @@ def design() -> fl.Design:
 
 @functools.cache
 def law() -> fl.Law:
-    return design().controller.discretize(RIG.period)
+    return fl.discretize(design().controller, RIG.period)
 
 
 @functools.cache

@@ -94,7 +94,7 @@ CALLS: dict[str, Call] = {
     "Moves": (Moves, lambda: fields_of(Moves())),
     "equip": (equip, lambda: {"law": law(), "rig": RIG, "link": LINK, "moves": None}),
     "discretize": (
-        design().controller.discretize,
+        functools.partial(fl.discretize, design().controller),
         lambda: {"period": RIG.period, "order": 1, "precision": "double"},
     ),
     "discretize_controller": (

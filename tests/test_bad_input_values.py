@@ -43,7 +43,7 @@ def planned(model: LinkModel = LINK, rig: fl.Rig = RIG, **changes: object) -> fl
 
 @functools.cache
 def default_law() -> fl.Law:
-    return planned().controller.discretize(0.004)
+    return fl.discretize(planned().controller, 0.004)
 
 
 def test_b17_logs_of_different_periods_share_one_order() -> None:
@@ -151,22 +151,22 @@ def test_b40_a_certificate_that_is_not_obtained_names_payload_frequency_and_marg
 
 @pytest.mark.parametrize("period", [0.0, -0.004, math.nan, math.inf, True])
 def test_b41_a_period_that_is_none(period: float) -> None:
-    refused(lambda: planned().controller.discretize(period), "period")
+    refused(lambda: fl.discretize(planned().controller, period), "period")
 
 
 def test_b41_a_period_too_long_for_the_request() -> None:
     with pytest.raises(InfeasibleError):
         planned(rig=dataclasses.replace(RIG, period=0.2))
-    assert refused(lambda: planned().controller.discretize(0.1), "period").allowed == "0.004 s"
+    assert refused(lambda: fl.discretize(planned().controller, 0.1), "period").allowed == "0.004 s"
 
 
 @pytest.mark.parametrize("order", [-1, 13, 65, 2.5, True])
 def test_b42_states_of_a_law_out_of_range(order: int) -> None:
-    assert "12" in refused(lambda: planned().controller.discretize(0.004, order=order), "order").allowed
+    assert "12" in refused(lambda: fl.discretize(planned().controller, 0.004, order=order), "order").allowed
 
 
 def test_b43_a_move_beyond_the_motor_does_not_hold() -> None:
-    law = planned(RIG.model).controller.discretize(0.004)
+    law = fl.discretize(planned(RIG.model).controller, 0.004)
     run = fl.simulate(
         law,
         fl.smooth_step(1000.0, duration=0.01),

@@ -39,6 +39,7 @@ from fraclink._simulate import (
     simulate_log,
 )
 from fraclink._systems.inversion import grunwald_letnikov
+from fraclink._systems.response import impulse_response
 from fraclink._workflow import simulate_move
 from fraclink.errors import FraclinkError
 from junk import (
@@ -214,7 +215,7 @@ CALLS: dict[str, Call] = {
         },
     ),
     "step_response": (fl.step_response, lambda: {"G": SYSTEM, "time": 1.0, "period": 0.1}),
-    "impulse_response": (fl.impulse_response, lambda: {"G": SYSTEM, "time": 1.0, "period": 0.1}),
+    "impulse_response": (impulse_response, lambda: {"G": SYSTEM, "time": 1.0, "period": 0.1}),
     "time_response": (
         fl.time_response,
         lambda: {"G": SYSTEM, "u": np.ones(9), "period": 0.1, "hold": "zero"},

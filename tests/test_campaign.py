@@ -188,7 +188,7 @@ def test_many_runs_are_measured_as_one_is():
 
 def test_the_law_that_does_not_hold_is_counted():
     rig = fl.Rig.named("paper-2023")
-    wild = fl.Controller(gain=3.0, order=0.9, link=rig.model).discretize(rig.period, order=4)
+    wild = fl.discretize(fl.Controller(gain=3.0, order=0.9, link=rig.model), rig.period, order=4)
     part = simulate_part(Campaign.of(rig, rig.model, wild, runs=64), 0)
     assert not part["passed"].any() and (part["mode"] != 1).any()
 

@@ -48,7 +48,7 @@ def setting() -> Setting:
         RIG.model, RIG, payloads=(0.020, 0.040), gain_crossover=12.0, phase_margin=fl.deg(50.0)
     )
     twin = Twin.from_rig(RIG, link_mass=0.00735)
-    law = with_motor_loop(design.controller.discretize(RIG.period), twin=twin)[0]
+    law = with_motor_loop(fl.discretize(design.controller, RIG.period), twin=twin)[0]
     loop = NominalLoop.of(RIG.model, 0.030, period=RIG.period, pole=80.0, delay=1)
     return Setting(RIG, RIG.model, law, design.controller, loop, 12.0, fl.deg(50.0))
 

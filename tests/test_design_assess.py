@@ -256,7 +256,7 @@ def test_law_of_a_direct_plan_carries_the_placed_motor_loop():
 
 
 def test_plan_certifies_the_very_law_that_is_exported(design: Design):
-    exported = equip(design.controller.discretize(RIG.period), design.rig, design.model)
+    exported = equip(fl.discretize(design.controller, RIG.period), design.rig, design.model)
     assert design.law().digest == exported.digest
 
 

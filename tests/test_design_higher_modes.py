@@ -35,7 +35,7 @@ def on_the_twin(design: Design, payload: float, number: int, damping: Damping) -
     beam = Beam.from_rig(rig, payload=payload)
     plant = assemble(beam, damping, drive="servo", servo_pole=rig.inner.pole)
     seen = sampled(plant, plant.outputs[0] - plant.outputs[3] / stiffness, rig.period, 1)
-    shipped = law_filter(design.controller.discretize(rig.period))
+    shipped = law_filter(fl.discretize(design.controller, rig.period))
     mode = float(plant.modes.frequencies[number - 1])
     z = np.exp(1j * np.linspace(0.9 * mode, min(1.6 * mode, math.pi / rig.period), 3000) * rig.period)
     gain = float(np.abs(seen.response(z) * shipped.response(z)).max())

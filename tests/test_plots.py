@@ -203,7 +203,7 @@ def test_without_matplotlib(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.skipif(not _kernels.REALTIME, reason="the real-time loop is Linux's")
 def test_the_times_of_a_run_are_all_in_the_histograms() -> None:
     rig = fl.Rig.named("paper-2023")
-    law = fl.Controller(gain=0.069876, order=0.612197, link=rig.model).discretize(rig.period, order=4)
+    law = fl.discretize(fl.Controller(gain=0.069876, order=0.612197, link=rig.model), rig.period, order=4)
     at_rest = Callback(read=lambda: (0.0, 0.0), write=lambda command: None)
     run = run_realtime(law, fl.hold(0.0), at_rest, duration=0.1, priority=0, lock_memory=False)
     count = len(run.tick)

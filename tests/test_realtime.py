@@ -40,7 +40,7 @@ MISSED, ENCODER = 8, 1  # LAW_FLAG_MISSED and LAW_FLAG_ENCODER of law.h
 
 @pytest.fixture(scope="module")
 def law() -> Law:
-    return fl.Controller(gain=0.069876, order=0.612197, link=RIG.model).discretize(PERIOD, order=4)
+    return fl.discretize(fl.Controller(gain=0.069876, order=0.612197, link=RIG.model), PERIOD, order=4)
 
 
 class Board:
@@ -400,7 +400,7 @@ def test_bad_values_are_named(law: Law, options: dict[str, object], field: str) 
 
 
 def test_periods_and_lengths_out_of_range_are_refused(law: Law) -> None:
-    slow = fl.Controller(gain=0.069876, order=0.612197, link=RIG.model).discretize(1.5, order=2)
+    slow = fl.discretize(fl.Controller(gain=0.069876, order=0.612197, link=RIG.model), 1.5, order=2)
     with pytest.raises(FieldError, match=r"period: .*1\.5.* 5e-5 to 1 s"):
         Board().run(slow)
     with pytest.raises(SizeError):
@@ -420,7 +420,7 @@ REFUSED = """
     import fraclink as fl
     from fraclink._realtime import Callback, run_realtime
     rig = fl.Rig.named("paper-2023")
-    law = fl.Controller(gain=0.07, order=0.6, link=rig.model).discretize(0.02, order=4)
+    law = fl.discretize(fl.Controller(gain=0.07, order=0.6, link=rig.model), 0.02, order=4)
     still = Callback(lambda: (0.0, 0.0), lambda command: None)
     run_realtime(law, fl.hold(0.0), still, duration=0.04, priority=0, lock_memory=False)
     resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))

@@ -58,7 +58,7 @@ def law(rig: fl.Rig) -> Law:
     slow_motor = MotorLoop(pole=20.0)  # what a period of 20 ms can close
     controller = fl.Controller(gain=0.069876, order=0.612197, link=rig.model, inner=slow_motor)
     assert rig.model is not None
-    return equip(controller.discretize(PERIOD, order=4), rig, rig.model)
+    return equip(fl.discretize(controller, PERIOD, order=4), rig, rig.model)
 
 
 @pytest.fixture(scope="module")

@@ -112,7 +112,7 @@ def test_the_default_design_holds_for_every_payload(payload: float) -> None:
 def test_the_printed_controller_visibly_diverges(payload: float) -> None:
     printed = fl.Controller(gain=0.148, order=0.65, filter_time=0.16, filter_order=2, link=MODEL)
     run = simulate(
-        printed.discretize(PERIOD),
+        fl.discretize(printed, PERIOD),
         STEP,
         rig=EXACT,
         model=MODEL,
@@ -314,7 +314,7 @@ def test_the_coupled_motor_converges_with_its_substeps() -> None:
 def test_the_printed_controller_fails_within_four_seconds() -> None:
     """Controller (58) at 30 g grows by 0.14 a second, also where its vibration is still small."""
     printed = fl.Controller(gain=0.148, order=0.65, filter_time=0.16, filter_order=2, link=MODEL)
-    made = printed.discretize(PERIOD)
+    made = fl.discretize(printed, PERIOD)
     for amplitude in (1.0, 0.2, 0.1):
         move = fl.smooth_step(amplitude, 0.5)
         run = simulate(made, move, rig=RIG, model=MODEL, payload=0.030, duration=4.0, noise=0.0)

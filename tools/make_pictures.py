@@ -34,7 +34,7 @@ def main() -> None:
         margins="ideal",
         filter_order=2,
     )
-    law = ours.controller.discretize(rig.period)
+    law = fl.discretize(ours.controller, rig.period)
     with figure(9.2, 3.3) as drawing:
         tip, margin = drawing.subplots(1, 2, width_ratios=(1.25, 1))
         for color, payload in zip((BLUE, ORANGE, GREEN), (0.020, 0.030, 0.040), strict=True):

@@ -29,12 +29,12 @@ _HOME: dict[str, str] = {
     "deg": "fraclink._design",
     "design": "fraclink._design",
     "diagnose": "fraclink._logs",
+    "discretize": "fraclink._law",
     "export_c": "fraclink._export",
     "from_control": "fraclink._systems.interop",
     "hold": "fraclink._arm.reference",
     "identify": "fraclink._identify",
     "identify_all": "fraclink._identify",
-    "impulse_response": "fraclink._systems.response",
     "inspect_log": "fraclink._logs",
     "is_stable": "fraclink._systems.stability",
     "load": "fraclink._files",
@@ -75,6 +75,7 @@ if TYPE_CHECKING:  # what editors and type checkers see; nothing of this runs
     from fraclink._identify import identify as identify
     from fraclink._identify import identify_all as identify_all
     from fraclink._law import Law as Law
+    from fraclink._law import discretize as discretize
     from fraclink._logs import bundled_log as bundled_log
     from fraclink._logs import diagnose as diagnose
     from fraclink._logs import inspect_log as inspect_log
@@ -89,7 +90,6 @@ if TYPE_CHECKING:  # what editors and type checkers see; nothing of this runs
     from fraclink._systems.margins import margins as margins
     from fraclink._systems.norms import norm as norm
     from fraclink._systems.rational import approximate as approximate
-    from fraclink._systems.response import impulse_response as impulse_response
     from fraclink._systems.response import step_response as step_response
     from fraclink._systems.response import time_response as time_response
     from fraclink._systems.stability import is_stable as is_stable

@@ -141,7 +141,7 @@ def laws() -> dict[str, fl.Law]:
         "unguarded": replace(default, limits=far),
         "outer": replace(default, drive=None),
         "direct": design_of(RIG, inner="sampled", placement="direct").law(),
-        "printed": equip(printed.discretize(RIG.period), RIG, LINK),
+        "printed": equip(fl.discretize(printed, RIG.period), RIG, LINK),
         "geared": design_of(GEARED).law(),
     }
 

@@ -14,8 +14,6 @@ from fraclink._validate import checked_between, checked_noun, is_whole
 from fraclink.errors import FieldError
 
 if TYPE_CHECKING:
-    from fraclink._law import Law
-    from fraclink._law.block import Precision
     from fraclink._systems.fractional import FractionalTransferFunction
 
 __all__ = ["Controller"]
@@ -135,33 +133,6 @@ class Controller:
     def transfer(self) -> FractionalTransferFunction:
         """Return ``C(s) = 1 + Ĉ(s)`` as a fractional transfer function (eq. (57))."""
         return 1.0 + self.correction()
-
-    def discretize(
-        self, period: float | None = None, *, order: int | None = None, precision: Precision = "double"
-    ) -> Law:
-        """Return the law that runs at `period` [s]: the same coefficients are simulated and exported.
-
-        Parameters
-        ----------
-        period
-            control period [s]; the design's own when it is left out.
-        order
-            states of Ĉ; chosen to meet 0.1 dB and 0.5° when it is left out.
-        precision
-            "double" or "single".
-        """
-        from fraclink._law import discretize_controller
-
-        chosen = (
-            self.period
-            if period is None
-            else checked_between("period", period, 0.0, 10.0, "s", open_low=True)
-        )
-        if chosen is None:
-            raise FieldError(
-                "period", None, "missing", allowed="> 0 s", remedy="give the control period in seconds"
-            )
-        return discretize_controller(self, chosen, order=order, precision=precision)
 
     def without_filter(self) -> Controller:
         """Return the same controller with δ = 0 (eq. (56)).

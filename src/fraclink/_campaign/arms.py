@@ -166,7 +166,7 @@ def replay(campaign: Campaign, run: int) -> Run:
 
     >>> import fraclink as fl
     >>> rig = fl.Rig.named("paper-2023")
-    >>> law = fl.Controller(gain=0.069876, order=0.612197, link=rig.model).discretize(rig.period, order=4)
+    >>> law = fl.discretize(fl.Controller(gain=0.069876, order=0.612197, link=rig.model), rig.period, order=4)
     >>> replay(Campaign.of(rig, rig.model, law, runs=100), 42).verdict.passed
     True
     """

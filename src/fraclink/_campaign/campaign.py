@@ -256,7 +256,8 @@ class Campaign:
 
         >>> import fraclink as fl
         >>> rig = fl.Rig.named("paper-2023")
-        >>> law = fl.Controller(gain=0.069876, order=0.612197, link=rig.model).discretize(rig.period, order=4)
+        >>> controller = fl.Controller(gain=0.069876, order=0.612197, link=rig.model)
+        >>> law = fl.discretize(controller, rig.period, order=4)
         >>> Campaign.of(rig, rig.model, law, runs=2500).parts
         3
         """

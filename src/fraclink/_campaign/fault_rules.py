@@ -59,7 +59,7 @@ from fraclink._campaign.fault_trial import (
 )
 from fraclink._codec import Storage, codec_of
 from fraclink._law import Modes
-from fraclink._law.discretize import drive_for
+from fraclink._law.discretization import drive_for
 from fraclink._simulate import kernel
 from fraclink._simulate.kernel import ArmState
 from fraclink._validate import checked

@@ -198,7 +198,7 @@ def _check_nouns(subject: object, model: object, rig: object, law: object) -> No
     kinds: tuple[tuple[str, object, type, str], ...] = (
         ("model", model, LinkModel, "fit.model, or rig.model"),
         ("rig", rig, Rig, "Rig.named or Rig.load make one"),
-        ("law", law, Law, "controller.discretize(rig.period) makes one"),
+        ("law", law, Law, "fl.discretize(design) makes one"),
     )
     for field, value, kind, remedy in kinds:
         if value is not None:

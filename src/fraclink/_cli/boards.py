@@ -29,7 +29,7 @@ from fraclink._cli.options import (
 from fraclink._design import Design
 from fraclink._export import Proof, export_c, export_fmu, export_io, export_matlab, replay_log
 from fraclink._files import save
-from fraclink._law import Law
+from fraclink._law import Law, discretize
 from fraclink._simulate import Twin
 from fraclink.errors import LogError, MissingExtraError
 
@@ -48,7 +48,7 @@ UnsafeRemote = Annotated[
 
 def _law(made: Design, *, motor: bool) -> Law:
     # Without the motor loop the robot has its own servo, and no placement of poles reaches it.
-    return made.law() if motor else made.controller.discretize(made.rig.period)
+    return made.law() if motor else discretize(made.controller, made.rig.period)
 
 
 @export.command()

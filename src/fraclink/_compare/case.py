@@ -17,7 +17,7 @@ from fraclink._arm.link import LinkModel
 from fraclink._arm.rig import Rig
 from fraclink._compare.filters import Filter, fine_step, law_filter, sampled
 from fraclink._design import design
-from fraclink._law import Law
+from fraclink._law import Law, discretize
 from fraclink._simulate.arm import Twin, damping_of, geared
 from fraclink._simulate.plant import assemble
 from fraclink._simulate.simulate import with_motor_loop
@@ -206,7 +206,7 @@ def prepare(
         phase_margin=phase_margin,
         filter_time=filter_time,
     )
-    law, _ = with_motor_loop(result.controller.discretize(rig.period), twin=twin)
+    law, _ = with_motor_loop(discretize(result.controller, rig.period), twin=twin)
     loop = NominalLoop.of(
         nominal,
         rig.payloads.nominal,

@@ -37,7 +37,7 @@ from fraclink._compare.published import (
     printed,
     quieter,
 )
-from fraclink._law import Drive, Law, Modes
+from fraclink._law import Drive, Law, Modes, discretize
 from fraclink._simulate.arm import damping_of
 from fraclink._simulate.plant import assemble
 
@@ -111,7 +111,7 @@ def _filter_cost(law: Law, correction: Filter) -> tuple[int, int]:
 
 
 def _by_law(name: str, rule: str, controller: Controller, setting: Setting) -> Rival:
-    law = controller.discretize(setting.rig.period)
+    law = discretize(controller, setting.rig.period)
     law = servo_law(replace(law, drive=setting.law.drive))
     c = controller
     knob = f"k_d {c.gain:.4g}, β {c.order:.4g}, δ {c.filter_time:.3g} s, n {c.filter_order}"

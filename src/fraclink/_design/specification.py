@@ -51,6 +51,13 @@ LAW_ALLOWANCE = math.radians(0.5)  # of the fit of C, which the law states as it
 def deg(angle: float) -> float:
     """Return an angle given in degrees in radians, ``x π/180``.
 
+    Parameters
+    ----------
+    angle
+        angle [deg], any finite number.
+
+    Examples
+    --------
     >>> round(deg(50), 6)
     0.872665
     """
@@ -321,18 +328,10 @@ class Design:
         )
 
     def law(self, *, order: int | None = None, precision: Precision = "double") -> Law:
-        """Return the law that runs on the rig: Ĉ at the period, and the motor loop the design was made for.
+        """Return the law that runs on the rig, `fraclink.discretize` of this design."""
+        from fraclink._law import discretize
 
-        `order` is the number of states of Ĉ; chosen to meet 0.1 dB and 0.5° when it is left out.
-        """
-        from fraclink._law import discretize_controller, equip
-
-        law = discretize_controller(self.controller, self.rig.period, order=order, precision=precision)
-        law = equip(law, self.rig, self.model)
-        if self.motor_loop.placement != "direct" or law.drive is None:
-            return law
-        placed = self.motor_loop.pid(self.rig.motor, self.rig.period)
-        return replace(law, drive=replace(law.drive, loop=placed))
+        return discretize(self, order=order, precision=precision)
 
     def with_law(self) -> Design:
         """Return the design with the worst sampled phase margin of its law as a further requirement.

@@ -72,14 +72,14 @@ def export_c(
     >>> import tempfile
     >>> import fraclink as fl
     >>> rig = fl.Rig.named("paper-2023")
-    >>> law = fl.Controller(gain=0.069876, order=0.612197, link=rig.model).discretize(rig.period, order=4)
+    >>> law = fl.discretize(fl.Controller(gain=0.069876, order=0.612197, link=rig.model), rig.period, order=4)
     >>> folder = Path(tempfile.mkdtemp())
     >>> [path.name for path in export_c(law, folder, precision="single")]
     ['law.h', 'law.c', 'law_data.h', 'law_selftest.c', 'README.md', 'law.json']
     """
     identifier("name", name)
     title_text(title)
-    checked_noun("law", law, Law, remedy="controller.discretize(rig.period) makes one")
+    checked_noun("law", law, Law, remedy="fl.discretize(design) makes one")
     if certificate is not None:
         from fraclink._certify import Certificate
 

@@ -76,11 +76,11 @@ def export_fmu(
 
     >>> import fraclink as fl, tempfile
     >>> rig = fl.Rig.named("paper-2023")
-    >>> law = fl.Controller(gain=0.069876, order=0.612197, link=rig.model).discretize(rig.period, order=4)
+    >>> law = fl.discretize(fl.Controller(gain=0.069876, order=0.612197, link=rig.model), rig.period, order=4)
     >>> export_fmu(law, Path(tempfile.mkdtemp()) / "arm_law.fmu", fmi=3, compilers=()).name
     'arm_law.fmu'
     """
-    checked_noun("law", law, Law, remedy="controller.discretize(rig.period) makes one")
+    checked_noun("law", law, Law, remedy="fl.discretize(design) makes one")
     if not isinstance(compilers, list | tuple):
         allowed = "a list of names"
         raise FieldError("compilers", repr(compilers), "no list", allowed=allowed, remedy='say ("cc",)')

@@ -29,11 +29,11 @@ def export_matlab(law: Law, path: Path | str, *, force: bool = False) -> Path:
 
     >>> import fraclink as fl, tempfile
     >>> rig = fl.Rig.named("paper-2023")
-    >>> law = fl.Controller(gain=0.069876, order=0.612197, link=rig.model).discretize(rig.period, order=4)
+    >>> law = fl.discretize(fl.Controller(gain=0.069876, order=0.612197, link=rig.model), rig.period, order=4)
     >>> export_matlab(law, Path(tempfile.mkdtemp()) / "arm_law.m").name
     'arm_law.m'
     """
-    checked_noun("law", law, Law, remedy="controller.discretize(rig.period) makes one")
+    checked_noun("law", law, Law, remedy="fl.discretize(design) makes one")
     place = output_path(path, force=force)
     if place.suffix not in (".m", ".mat"):
         raise FieldError(

@@ -97,7 +97,7 @@ def replay(
     >>> import fraclink as fl, tempfile
     >>> from fraclink._export import export_c, replay
     >>> rig = fl.Rig.named("paper-2023")
-    >>> law = fl.Controller(gain=0.069876, order=0.612197, link=rig.model).discretize(rig.period, order=4)
+    >>> law = fl.discretize(fl.Controller(gain=0.069876, order=0.612197, link=rig.model), rig.period, order=4)
     >>> folder = tempfile.mkdtemp()
     >>> _ = export_c(law, folder)
     >>> rest = np.zeros(100)

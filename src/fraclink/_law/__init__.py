@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from fraclink._law.discretize import discretize_controller, drive_for, equip
+from fraclink._law.discretization import discretize, discretize_controller, drive_for, equip
 from fraclink._law.law import Law
 from fraclink._law.limits import Limits, Moves, derive_limits
 from fraclink._law.nouns import MODES, REASONS, Drive, LawInputs, LawOutputs, Modes
@@ -18,6 +18,7 @@ __all__ = [
     "Modes",
     "Moves",
     "derive_limits",
+    "discretize",
     "discretize_controller",
     "drive_for",
     "equip",

@@ -42,8 +42,9 @@ class Law:
 
     >>> from fraclink._arm.controller import Controller
     >>> from fraclink._arm.link import LinkModel
+    >>> from fraclink._law import discretize
     >>> link = LinkModel(stiffness=1.56, natural_frequency=11.094, order=1.92)
-    >>> law = Controller(gain=0.069876, order=0.612197, link=link).discretize(0.004, order=4)
+    >>> law = discretize(Controller(gain=0.069876, order=0.612197, link=link), 0.004, order=4)
     >>> abs(law.frequency_response(0.0)).item(), len(law.block)
     (0.0, 688)
     """

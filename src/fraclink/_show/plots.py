@@ -446,7 +446,7 @@ def latency(run: RealtimeRun, *, ax: Any = None) -> Any:
     >>> import fraclink as fl
     >>> from fraclink._realtime import Callback, run_realtime
     >>> rig = fl.Rig.named("paper-2023")
-    >>> law = fl.Controller(gain=0.069876, order=0.612197, link=rig.model).discretize(rig.period, order=4)
+    >>> law = fl.discretize(fl.Controller(gain=0.069876, order=0.612197, link=rig.model), rig.period, order=4)
     >>> at_rest = Callback(read=lambda: (0.0, 0.0), write=lambda command: None)
     >>> run = run_realtime(law, fl.hold(0.0), at_rest, duration=0.04, priority=0, lock_memory=False)
     >>> latency(run).get_xlabel()

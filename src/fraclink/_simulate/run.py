@@ -116,7 +116,7 @@ class Run:
     --------
     >>> import fraclink as fl
     >>> rig = fl.Rig.named("paper-2023")
-    >>> law = fl.Controller(gain=0.069876, order=0.612197, link=rig.model).discretize(rig.period, order=4)
+    >>> law = fl.discretize(fl.Controller(gain=0.069876, order=0.612197, link=rig.model), rig.period, order=4)
     >>> run = fl.simulate(law, fl.smooth_step(1.0, 0.5), rig=rig, model=rig.model, duration=2.0)
     >>> len(run.time), run.payload, run.about["motor_loop"]
     (501, 0.03, 'ideal')

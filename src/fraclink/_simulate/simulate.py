@@ -16,7 +16,7 @@ from fraclink._arm.reference import Reference, sampled
 from fraclink._arm.rig import Rig
 from fraclink._design import Design
 from fraclink._law import Drive, Law, equip
-from fraclink._law.discretize import COULOMB_SPEED, check_rigs_period
+from fraclink._law.discretization import COULOMB_SPEED, check_rigs_period
 from fraclink._simulate.arm import Twin
 from fraclink._simulate.kernel import (
     OTHER_SIGNALS,
