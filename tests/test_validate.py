@@ -504,13 +504,10 @@ def test_defaults_are_admitted_by_their_own_annotations() -> None:
         found = rules(target)
         for name, parameter in inspect.signature(target).parameters.items():
             default = parameter.default
-            if (
-                default is inspect.Parameter.empty
-                or type(default).__module__ == "dataclasses"
-                or name not in found
-            ):
-                continue
-            found[name].check(f"{target.__qualname__}.{name}", default)
+            # default_factory, or None where __post_init__ puts what follows from the other fields
+            made_later = default is None or type(default).__module__ == "dataclasses"
+            if name in found and default is not inspect.Parameter.empty and not made_later:
+                found[name].check(f"{target.__qualname__}.{name}", default)
 
 
 def package_rules() -> list[tuple[str, str, Any]]:
