@@ -170,20 +170,32 @@ def test_saved_laws_come_back_to_the_bit(tmp_path: Path) -> None:
         assert back.block == made.block
 
 
-def test_a_changed_file_is_refused(tmp_path: Path) -> None:
+FIRST_FORMAT = Path(__file__).parent / "golden" / "laws" / "default.json"
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_a_changed_file_is_refused(version: int, tmp_path: Path) -> None:
     place = tmp_path / "law.json"
-    law().save(place)
+    if version == 1:
+        place.write_bytes(FIRST_FORMAT.read_bytes())
+    else:
+        law().save(place)
     data = json.loads(place.read_text(encoding="utf-8"))
+    assert data["format"] == version
+    Law.load(place)
+    content = data if version == 1 else data["content"]
     for change in (
         {"stiffness": (1.57).hex()},
         {"stiffness": "1.57x"},
         {"correction": {}},
         {"precision": "half"},
-        {"limits": data["limits"] | {"bad_limit": 2.5}},
+        {"limits": content["limits"] | {"bad_limit": 2.5}},
         {"drive": {"loop": {}}},
         {"band": [1]},
     ):
-        place.write_text(json.dumps(data | change), encoding="utf-8")
+        changed = content | change
+        changed = changed if version == 1 else data | {"content": changed}
+        place.write_text(json.dumps(changed), encoding="utf-8")
         with pytest.raises((FileFormatError, FieldError)):
             Law.load(place)
 

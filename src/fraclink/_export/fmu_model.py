@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
-from fraclink._law.nouns import MODES, REASONS
+from fraclink._law import MODES, REASONS
 
 __all__ = ["UNITS", "VARIABLES", "FmuModel", "Unit", "Variable", "token_of", "xml_text"]
 

@@ -8,8 +8,7 @@ from html import escape
 
 from fraclink._export.fmu_model import VARIABLES, FmuModel
 from fraclink._export.sources import law_source
-from fraclink._law import Law
-from fraclink._law.nouns import MODES, REASONS
+from fraclink._law import MODES, REASONS, Law
 
 __all__ = ["documentation"]
 

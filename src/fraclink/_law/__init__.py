@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from fraclink._law.block import Drive, Modes
 from fraclink._law.discretization import discretize, discretize_controller, drive_for, equip
-from fraclink._law.law import Law
+from fraclink._law.law import MODES, REASONS, Law, LawInputs, LawOutputs
 from fraclink._law.limits import Limits, Moves, derive_limits
-from fraclink._law.nouns import MODES, REASONS, Drive, LawInputs, LawOutputs, Modes
 
 __all__ = [
     "MODES",

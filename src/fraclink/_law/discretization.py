@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Protocol
 
@@ -14,16 +15,16 @@ from fraclink._arm.link import LinkModel
 from fraclink._arm.motor import DiscretePid, place_pid
 from fraclink._arm.motor_loop import MotorLoop
 from fraclink._arm.rig import Rig
-from fraclink._law.block import FORWARD_MODES, PAIR_MODES, REAL_MODES, Precision, real_type
-from fraclink._law.correction import fit_correction
+from fraclink._law.block import FORWARD_MODES, PAIR_MODES, REAL_MODES, Drive, Modes, Precision, real_type
 from fraclink._law.law import Law
 from fraclink._law.limits import Moves, derive_limits
-from fraclink._law.nouns import Drive, Modes
 from fraclink._systems.discrete import DiscreteRational, checked_band, fit_discrete
 from fraclink._validate import checked_noun, checked_number
 from fraclink.errors import FieldError
 
 __all__ = ["check_rigs_period", "discretize", "discretize_controller", "drive_for", "equip"]
+
+Real = NDArray[np.float64]
 
 # A slow pole must not round to an integrator.
 BELOW_ONE = float(np.nextafter(np.float32(1.0), np.float32(0.0)))
@@ -31,6 +32,13 @@ LOWEST = 0.05  # [rad/s]: below, Ĉ is under 1e-2 of its value at the crossover,
 FLEXIBLE = 0.2  # of the resonance: below, the flexion is under 5 % of the motor's motion, its error under 1 %
 STICTION = 3.0  # times the Coulomb friction, at most: a motor that is stuck beyond is a fault
 COULOMB_SPEED = 0.02  # [rad/s]: a wider band leaves stiction to stop small corrections, a sharp sign chatters
+# Around the crossover an error of C counts this many times over |1 + Ĉ|/|Ĉ|: 0.5° of C is 1.2° of the
+# margin where |Ĉ| is 0.4, a third of 0.5° of Ĉ is 0.2°. The largest that C's 0.1 dB leaves room for is taken.
+EMPHASES = (3.0, 2.0, 1.0)
+REACH = 2.5  # either side of the nominal crossover: a factor of 5 in ω_c is one of 15 and more in payload
+STATES = 6  # spent on the margin at most; more only where C itself needs them
+MOST_STATES = 8  # what law.c holds
+TOLERANCE_DB, TOLERANCE_DEG = 0.1, 0.5
 
 
 def discretize_controller(
@@ -306,3 +314,60 @@ def _single(value: float) -> float:
     simulation shows differs from the board by rounding alone.
     """
     return float(np.float32(value))
+
+
+def fit_correction(
+    controller: Controller, link: LinkModel, period: float, band: tuple[float, float], order: int | None
+) -> DiscreteRational:
+    """Return Ĉ at `period` [s] as (1 − z⁻¹)(d + Σ g/(z − p)), fitted on `band` [rad/s].
+
+    C = 1 + Ĉ is met to 0.1 dB and 0.5° with few states; what these leave free makes Ĉ accurate in a factor
+    2.5 about the gain crossover with the nominal `link`, because the loop is Ĉ times the plant, not C. Where
+    no such fit has 6 states or fewer (or `order`), C alone is fitted.
+    """
+
+    def fit(weight: Callable[[Real], Real] | None, highest: int) -> DiscreteRational:
+        return fit_discrete(
+            controller.response,
+            period=period,
+            order=order,
+            zeros_at_one=1,
+            offset=1.0,
+            band=band,
+            weight=weight,
+            tolerance_db=TOLERANCE_DB,
+            tolerance_deg=TOLERANCE_DEG,
+            highest=highest,
+        )
+
+    centre = _crossover(controller, link)
+    if band[0] < centre < band[1]:
+        for emphasis in EMPHASES:
+            found = fit(_weight(controller, centre, emphasis), STATES)
+            if found.error_db <= TOLERANCE_DB and found.error_deg <= TOLERANCE_DEG:
+                return found
+    plain = fit(None, MOST_STATES)
+    if plain.error_db <= TOLERANCE_DB and plain.error_deg <= TOLERANCE_DEG:
+        return plain
+    # Nothing meets C everywhere: then where the loop crosses counts more than the end of the band.
+    near = fit(_weight(controller, centre, EMPHASES[0]), MOST_STATES)
+    return near if near.error_db <= 2.0 * plain.error_db else plain
+
+
+def _weight(controller: Controller, centre: float, emphasis: float) -> Callable[[Real], Real]:
+    def weight(frequency: Real) -> Real:
+        correction = controller.response(frequency)
+        near = np.abs(np.log(frequency / centre)) <= np.log(REACH)
+        relative = emphasis * np.abs(1.0 + correction) / np.abs(correction)
+        return np.where(near, np.maximum(1.0, relative), 1.0)
+
+    return weight
+
+
+def _crossover(controller: Controller, link: LinkModel) -> float:
+    """Where |Ĉ G| last falls through one [rad/s]; the link's resonance where it never does."""
+    resonance = abs(link.pole)
+    w = resonance * np.geomspace(0.2, 30.0, 500)
+    above = np.abs(controller.response(w) * link.tip()(1j * w)) > 1.0
+    falls = np.nonzero(above[:-1] & ~above[1:])[0]
+    return float(w[falls[-1]]) if falls.size else resonance

@@ -1,4 +1,4 @@
-"""The control law at its period: one frozen object, the same block of numbers that a board gets."""
+"""The control law at its period: one frozen object, the same block of numbers that a board gets, one file."""
 
 from __future__ import annotations
 
@@ -8,24 +8,93 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fraclink import _kernels
-from fraclink._files import read_json, write_json
+from fraclink._codec import Storage, codec_of
+from fraclink._files import document
+from fraclink._files import load as load_document
+from fraclink._files import save as save_document
 from fraclink._law import block as layout
-from fraclink._law.assemble import block_values
+from fraclink._law.block import Drive, Modes, block_values
 from fraclink._law.limits import Limits
-from fraclink._law.nouns import REASONS, Drive, LawInputs, LawOutputs, Modes
-from fraclink._law.saved import arguments_of, as_json
 from fraclink.errors import FieldError, FileFormatError
 
-__all__ = ["Law"]
+__all__ = ["MODES", "REASONS", "Law", "LawInputs", "LawOutputs"]
 
 Real = NDArray[np.float64]
 
 
+MODES = ("idle", "run", "degraded", "hold", "off")
+REASONS = (
+    "none",
+    "parameter version",
+    "parameter size",
+    "parameter CRC",
+    "parameter counts",
+    "encoder",
+    "gauge",
+    "gauge stuck",
+    "motor away from its model",
+    "missed periods",
+    "link overloaded",
+    "gauge reversed",
+    "gauge dead",
+    "not moved enough",
+)
+
+
+class LawInputs(NamedTuple):
+    """One period's inputs: reference [rad], its acceleration [rad/s²], θm [rad], Γ
+    [N·m].
+    """
+
+    reference: float
+    reference_acceleration: float
+    motor_angle: float
+    torque: float
+
+
+class LawOutputs(NamedTuple):
+    """One period's outputs; scalars from `Law.step`, arrays of shape (N,) from `Law.run`.
+
+    motor_reference θm* [rad], voltage [V], compensation: its part against the coupling torque [V],
+    tip_estimate θm − Γ/c [rad], error [rad], mode (index of MODES), reason (index of REASONS), flags (bits
+    of law.h).
+    """
+
+    motor_reference: Any
+    voltage: Any
+    compensation: Any
+    tip_estimate: Any
+    error: Any
+    mode: Any
+    reason: Any
+    flags: Any
+
+
+def _first_format(content: dict[str, Any]) -> dict[str, Any]:
+    """Format 1 had the same fields; its digest was that of the block."""
+    stated = content.pop("sha256", None)
+    law = codec_of(Law).decode(content, "", Storage(hex_floats=True))
+    if stated != law.digest:
+        raise FileFormatError(
+            "sha256", stated, "not that of the law", allowed=law.digest, remedy="make the file again"
+        )
+    return content
+
+
+@document(
+    "law",
+    version=2,
+    upgrades={1: _first_format},
+    hex_floats=True,
+    period=lambda law: float(law.period),
+    summary=lambda law: {"block": law.digest},
+)
 @dataclass(frozen=True)
 class Law:
     """A controller as it runs: every coefficient of law.c at its period.
@@ -213,19 +282,9 @@ class Law:
 
     def save(self, path: Path | str) -> None:
         """Write the law to a JSON file; reals are hex floats, so that every bit comes back."""
-        write_json(path, "law", 1, {"sha256": self.digest} | as_json(self))
+        save_document(self, path, force=True)
 
     @classmethod
     def load(cls, path: Path | str) -> Law:
         """Read what `save` wrote; FileFormatError where the file is damaged or its digest does not fit."""
-        data = read_json(path, "law")
-        law = cls(**arguments_of(data))
-        if data.get("sha256") != law.digest:
-            raise FileFormatError(
-                "sha256",
-                data.get("sha256"),
-                "not that of the law",
-                allowed=law.digest,
-                remedy="make the file again",
-            )
-        return law
+        return load_document(path, cls)
