@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Literal, NamedTuple
 
-from fraclink._arm.motor_loop import DiscretePid
+from fraclink._arm.motor import DiscretePid
 from fraclink._law.limits import Limits
 from fraclink._validate import checked_choice
 from fraclink.errors import FieldError
