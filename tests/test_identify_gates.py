@@ -13,6 +13,7 @@ from scipy.signal import lfilter
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import LinkModel
 from fraclink._arm.reference import prbs
+from fraclink._arm.rig import Rig
 from fraclink._identify import identify, identify_motor, simulated_torque
 from fraclink.errors import FraclinkError, LogError
 from identify_cases import PERIOD, TRUTH
@@ -195,3 +196,13 @@ def test_a_motor_that_its_voltage_does_not_explain_fails() -> None:
         fit = identify_motor(voltage[::-1].copy(), angle, period=PERIOD)
         assert not fit.passed
         raise FraclinkError(fit.findings[0].message)
+
+
+def test_a_delay_of_the_logger_stays_out_of_the_loop() -> None:
+    fit, rig = identify(log()), Rig.named("paper-2023")
+    assert fit.loop_model(rig) == fit.model
+    late_logger = replace(rig, gauge=replace(rig.gauge, delay_in_loop=False))
+    model = fit.loop_model(late_logger)
+    assert model.gauge_delay == 0.0
+    assert model.interval("gauge_delay") is None
+    assert model.interval("order") == fit.model.interval("order")
