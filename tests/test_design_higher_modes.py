@@ -33,7 +33,7 @@ def on_the_twin(design: Design, payload: float, number: int, damping: Damping) -
     """Loop gain of the shipped law at a mode of the twin, and the spectral radius of the whole loop."""
     stiffness, rig = design.model.stiffness, design.rig
     beam = Beam.from_rig(rig, payload=payload)
-    plant = assemble(beam, damping, drive="servo", servo_pole=rig.inner.pole)
+    plant = assemble(beam, damping, drive="servo", servo_pole=rig.motor_loop.pole)
     seen = sampled(plant, plant.outputs[0] - plant.outputs[3] / stiffness, rig.period, 1)
     shipped = law_filter(fl.discretize(design.controller, rig.period))
     mode = float(plant.modes.frequencies[number - 1])

@@ -139,7 +139,7 @@ class Loop(GaugedLink):
 
         The controller's own motor loop and period take precedence over the rig's.
         """
-        settings = controller.inner or MotorLoop(rig.inner.pole, rig.inner.delay_samples)
+        settings = controller.inner or MotorLoop(rig.motor_loop.pole, rig.motor_loop.delay_samples)
         period = rig.period if controller.period is None else controller.period
         return Loop.around(model, settings, rig.motor, period).with_controller(controller)
 

@@ -269,7 +269,7 @@ def motor_loop_costs(rig: Rig, *, frequency: float) -> tuple[MotorLoopCost, ...]
     ['tustin', 'direct']
     """
     found = []
-    pole, samples, period = rig.inner.pole, rig.inner.delay_samples, rig.period
+    pole, samples, period = rig.motor_loop.pole, rig.motor_loop.delay_samples, rig.period
     grid = np.geomspace(1e-2, math.pi / period, 2000)
     for placement in ("tustin", "direct"):
         try:

@@ -212,7 +212,7 @@ def prepare(
         rig.payloads.nominal,
         period=rig.period,
         pole=law.inner_pole,
-        delay=rig.inner.delay_samples,
+        delay=rig.motor_loop.delay_samples,
     )
     setting = Setting(rig, nominal, law, result.controller, loop, gain_crossover, phase_margin)
     notes.append(

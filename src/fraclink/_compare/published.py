@@ -71,7 +71,7 @@ def _nominal_crossing(setting: Setting) -> tuple[float, float]:
 
 def _loop(setting: Setting) -> Loop:
     """The design's loop, with the ideal motor loop of its law."""
-    motor_loop = MotorLoop(setting.law.inner_pole, setting.rig.inner.delay_samples)
+    motor_loop = MotorLoop(setting.law.inner_pole, setting.rig.motor_loop.delay_samples)
     beside = Loop.around(setting.model, motor_loop, setting.rig.motor, setting.rig.period)
     return beside.with_controller(setting.controller)
 

@@ -147,7 +147,7 @@ def _feedback_rivals(setting: Setting) -> dict[str, Builder]:
     period, model, rig = setting.rig.period, setting.model, setting.rig
     frequency, _ = integer_mode(model)
     noise = max(rig.gauge.noise, 1e-4) / model.stiffness
-    pole, delay = setting.law.inner_pole, rig.inner.delay_samples
+    pole, delay = setting.law.inner_pole, rig.motor_loop.delay_samples
     same = "same Ms as fraclink's design at the nominal payload"
 
     def tuned(
@@ -319,7 +319,7 @@ def _hub(setting: Setting) -> NominalLoop:
         hub_friction=ratio**2 * motor.viscous_friction,
     )
     gain = ratio * motor.torque_constant
-    held = sampled(plant, plant.outputs[0], period, setting.rig.inner.delay_samples, gain=gain)
+    held = sampled(plant, plant.outputs[0], period, setting.rig.motor_loop.delay_samples, gain=gain)
     return NominalLoop(held, period, model.stiffness)
 
 

@@ -140,7 +140,7 @@ def _plant(setting: Setting, twin: Twin) -> tuple[Plant, Filter]:
         servo_pole=setting.law.inner_pole,
     )
     estimate = plant.outputs[HUB_ANGLE] - plant.outputs[GAUGE_TORQUE] / setting.model.stiffness
-    return plant, sampled(plant, estimate, period, setting.rig.inner.delay_samples)
+    return plant, sampled(plant, estimate, period, setting.rig.motor_loop.delay_samples)
 
 
 def mode_gain(setting: Setting, twin: Twin, rival: Rival) -> float:

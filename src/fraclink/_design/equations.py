@@ -115,7 +115,9 @@ def task_of(model: LinkModel, rig: Rig, spec: Specification) -> Task:
     return Task(
         model=link,
         rig=rig,
-        motor_loop=MotorLoop(rig.inner.pole, int(rig.inner.delay_samples), spec.inner, spec.placement),
+        motor_loop=MotorLoop(
+            rig.motor_loop.pole, int(rig.motor_loop.delay_samples), spec.inner, spec.placement
+        ),
         low=low,
         high=high,
         payloads=payloads,
@@ -169,7 +171,11 @@ def _check_bandwidth(crossover: float, rig: Rig) -> None:
     """Above Nyquist nothing crosses; above the motor loop's pole its own lag alone exceeds 90°."""
     limits = (
         (math.pi / rig.period, "above the Nyquist frequency", "ask for a slower loop or sample faster"),
-        (rig.inner.pole, "above the motor loop's bandwidth", "ask for a slower loop or a faster motor loop"),
+        (
+            rig.motor_loop.pole,
+            "above the motor loop's bandwidth",
+            "ask for a slower loop or a faster motor loop",
+        ),
     )
     for limit, problem, remedy in limits:
         if crossover >= limit:

@@ -134,7 +134,7 @@ def design(
     task = reach(asked, spec, attempt) if spec.bounded else asked
     found = attempt(task)
     if found is None:
-        refuse(task, attempt, candidates(task), min(rig.inner.pole, math.pi / rig.period))
+        refuse(task, attempt, candidates(task), min(rig.motor_loop.pole, math.pi / rig.period))
     solution, order = found
     controller = task.controller(solution, order)
     requirements = requirements_of(task, controller, spec)

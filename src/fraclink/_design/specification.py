@@ -262,7 +262,7 @@ class Design:
     @property
     def motor_loop(self) -> MotorLoop:
         """The motor loop that the controller was designed for."""
-        return self.controller.inner or MotorLoop(self.rig.inner.pole, self.rig.inner.delay_samples)
+        return self.controller.inner or MotorLoop(self.rig.motor_loop.pole, self.rig.motor_loop.delay_samples)
 
     @property
     def loop(self) -> Loop:

@@ -273,7 +273,7 @@ def rig_table(rig: Rig) -> Table:
     """Quantity, symbol and value of everything the rig states."""
     motor, link, gauge, counts = rig.motor, rig.link, rig.gauge, rig.encoder.counts_per_revolution
     span = f"{number(1e3 * rig.payloads.low)} to {grams(rig.payloads.high)}, {grams(rig.payloads.nominal)}"
-    samples = rig.inner.delay_samples
+    samples = rig.motor_loop.delay_samples
     rows = (
         ("Motor inertia", "J", f"{number(motor.inertia)} kg·m²"),
         ("Motor viscous friction", "ν", f"{number(motor.viscous_friction)} N·m·s"),
@@ -288,7 +288,7 @@ def rig_table(rig: Rig) -> Table:
         ("Payload range, nominal", "m", span),
         ("Encoder", "", "exact" if counts is None else f"{counts} counts per turn"),
         ("Gauge noise, offset", "", f"{number(gauge.noise)} N·m, {number(gauge.offset)} N·m"),
-        ("Motor loop: double pole", "p", f"{number(rig.inner.pole)} rad/s"),
+        ("Motor loop: double pole", "p", f"{number(rig.motor_loop.pole)} rad/s"),
         ("Computation delay", "", f"{samples} sample{'' if samples == 1 else 's'}"),
         ("Sampling period", "Ts", f"{number(1e3 * rig.period)} ms"),
     )
