@@ -50,10 +50,10 @@ from junk import (
     SYSTEM,
     TIME,
     Call,
+    design,
     fields_of,
     law,
     log,
-    plan,
     take_or_refuse,
     twin,
 )
@@ -172,7 +172,7 @@ CALLS: dict[str, Call] = {
     ),
     "simulate_move": (
         simulate_move,
-        lambda: {"made": plan(), "duration": 0.6, "payload": 0.030, "law": law()},
+        lambda: {"made": design(), "duration": 0.6, "payload": 0.030, "law": law()},
     ),
     "Twin.from_rig": (
         fl.Twin.from_rig,
