@@ -70,7 +70,7 @@ CALLS: dict[str, Call] = {
     "Design.sampled_at": (design().sampled_at, lambda: {"payload": 0.030, "realisation": "exact"}),
     "Design.sampled_plant": (design().sampled_plant, lambda: {"natural_frequency": 11.0}),
     "Design.law": (design().law, lambda: {"order": 1, "precision": "double"}),
-    "optimise": (optimise, lambda: {"plan": design(), "goal": "noise"}),
+    "optimise": (optimise, lambda: {"design": design(), "goal": "noise"}),
     "feasibility_map": (
         feasibility_map,
         lambda: {

@@ -72,7 +72,10 @@ _Check = tuple[str, Callable[[float], bool], str, str]
 def _store(model: object, *checks: _Check) -> None:
     """Check the named numbers of a frozen model and store them as floats."""
     for field, holds, allowed, remedy in checks:
-        number = checked_number(field, getattr(model, field), holds=holds, allowed=allowed, remedy=remedy)
+        value = getattr(model, field)
+        if type(value) is float and math.isfinite(value) and holds(value):
+            continue  # a design makes a link for every payload: what is right costs nothing
+        number = checked_number(field, value, holds=holds, allowed=allowed, remedy=remedy)
         object.__setattr__(model, field, number)
 
 

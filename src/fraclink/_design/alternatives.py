@@ -270,7 +270,8 @@ class _Cells:
         limit = min(self.bare.link_order, 2.0)
 
         def terms(upper: Real, crossover: Real) -> tuple[Real, Real, Real, Real]:
-            return equation(self.bare, self.ends, upper, crossover, margin, rule=self.rule)
+            at_low = self.bare.log(crossover, low)
+            return equation(self.bare, high, upper, (crossover, at_low), margin, rule=self.rule)
 
         top = min(self.bare.highest, 50.0 * float(crossovers.max()) * (high / low) ** 2)
         grid = np.geomspace(0.9 * float(crossovers.min()), top, _POINTS)

@@ -27,6 +27,7 @@ from fraclink.errors import FieldError
 __all__ = ["MARGIN_SHARE", "Solution", "Task", "attempt", "candidates", "equation", "task_of"]
 
 Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
 MARGIN_SHARE = 0.1  # of the phase margin, what the filter may cost (section 6, step 5)
 _GRID = 240  # trial values of ω̄_c, among which a change of sign is looked for
 _AIMS = 8  # rounds in which a design for a late gauge aims higher than asked, see `attempt`
@@ -218,14 +219,14 @@ class Solution:
 
 
 def equation(
-    bare: Loop, ends: tuple[float, float], upper: Real, crossover: Real | float, margin: float, *, rule: bool
+    bare: Loop, high: float, upper: Real, low: tuple[Real | float, Complex], margin: float, *, rule: bool
 ) -> tuple[Real, Real, Real, Real]:
     """(residual of the magnitude of (55), β, ln χ, δ) at trial values of ω̄_c; the arguments broadcast.
 
+    `low` is (ω_c, ln of `bare` there at the heaviest payload), the same for all trials.
     With `rule` the filter inside is the one that lags by a tenth of φ_m at ω̄_c, n·atan(δ ω̄_c) = φ_m/10.
     """
-    n, (low, high) = bare.filter_order, ends
-    at_low, at_high = bare.log(crossover, low), bare.log(upper, high)
+    n, (crossover, at_low), at_high = bare.filter_order, low, bare.log(upper, high)
     time = np.full(np.shape(upper), bare.filter_time)
     if rule:
         time = np.asarray(math.tan(MARGIN_SHARE * margin / n) / upper)
@@ -244,10 +245,10 @@ def solutions(task: Task, order: int) -> Iterator[Solution]:
     """
     bare, crossover = task.bare(order), task.gain_crossover
     rule = task.inside and task.filter_time is None
-    ends = task.low, task.high
+    low = crossover, bare.log(crossover, task.low)
 
     def terms(upper: Real) -> tuple[Real, Real, Real, Real]:
-        return equation(bare, ends, upper, crossover, task.phase_margin, rule=rule)
+        return equation(bare, task.high, upper, low, task.phase_margin, rule=rule)
 
     top = min(bare.highest, 50.0 * crossover * (task.high / task.low) ** 2)
     grid = np.geomspace(0.9 * crossover, max(top, 1.1 * crossover), _GRID)
