@@ -48,21 +48,6 @@ def _check_size(fit: Fit) -> None:
     summary=lambda fit: {"passed": fit.passed, "text": str(fit)},
     before_save=_check_size,
 )
-def _check_size(fit: Fit) -> None:
-    if fit.samples > _SAMPLES_MOST:
-        remedy = "fit a part of the log, or keep the link alone with save_model(fit.model, path)"
-        problem, most = "too many to save with their residual", f"<= {_SAMPLES_MOST}"
-        raise SizeError("samples", fit.samples, problem, allowed=most, remedy=remedy)
-
-
-@document(
-    "fit",
-    version=2,
-    upgrades={1: lambda data: data},
-    period=lambda fit: fit.period,
-    sources=lambda fit: {"log": fit.sha256} if fit.sha256 else {},
-    before_save=_check_size,
-)
 @dataclass(frozen=True, eq=False, repr=False)
 class Fit:
     """One structure fitted to one log.
@@ -252,16 +237,8 @@ def save_model(model: LinkModel, path: Path | str) -> None:
 
 
 def load_model(path: Path | str) -> LinkModel:
-    """Read a link model from a file written by `Fit.save` or `save_model`.
-
-    Raises
-    ------
-    FileFormatError
-        any other file.
-    FieldError
-        a value out of its range.
-    """
-    found = load(path, (Fit, LinkModel))
+    """Read a link model from the file of a fit or of a link model; FileFormatError for any other."""
+    found: Fit | LinkModel = load(path, (Fit, LinkModel))
     return found.model if isinstance(found, Fit) else found
 
 
