@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from fraclink._certify.margin import Enclosure, enclose_phase_margin
 from fraclink._certify.procedure import certify
+from fraclink._certify.search import Enclosure, enclose_phase_margin
 from fraclink._certify.statement import ASSUMPTIONS, Certificate, Statement
 
 __all__ = ["ASSUMPTIONS", "Certificate", "Enclosure", "Statement", "certify", "enclose_phase_margin"]
