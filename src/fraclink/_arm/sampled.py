@@ -106,9 +106,11 @@ def sampled_plant(
     lag, spring = 1.0 / motor_loop.pole, model.natural_frequency**2
 
     def response(s: Complex) -> Complex:
-        drive: Complex = s * (s + motor.decay) / motor.gain if sampled else (1.0 + lag * s) ** 2
-        inertia: Complex = np.exp(model.order * np.log(s))
-        drag: Complex = model.damping * np.exp(model.damping_order * np.log(s))
+        ideal: Complex = (1.0 + lag * s) ** 2
+        drive: Complex = s * (s + motor.decay) / motor.gain if sampled else ideal
+        ln_s: Complex = np.log(s)
+        inertia: Complex = np.asarray(np.exp(model.order * ln_s), dtype=np.complex128)
+        drag: Complex = np.asarray(model.damping * np.exp(model.damping_order * ln_s), dtype=np.complex128)
         whole = inertia + drag + spring
         if model.exact_gauge:
             return np.asarray((drag + spring) / (whole * drive), dtype=np.complex128)

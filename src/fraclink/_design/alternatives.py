@@ -226,9 +226,9 @@ def feasibility_map(
     crossovers = axis_of("gain_crossovers", gain_crossovers, Payload)
     angles = axis_of("phase_margins", phase_margins, Payload)
     if crossovers.size * angles.size > _CELLS:
-        cells = crossovers.size * angles.size
+        count = crossovers.size * angles.size
         allowed, remedy = f"at most {_CELLS}", "take fewer values"
-        raise SizeError("gain_crossovers", cells, "too many cells", allowed=allowed, remedy=remedy)
+        raise SizeError("gain_crossovers", count, "too many cells", allowed=allowed, remedy=remedy)
     spec = Specification(
         gain_crossover=float(crossovers.min()),
         phase_margin=float(angles.max()),
@@ -322,7 +322,7 @@ class _Cells:
         w, weights = noise_points(self.bare, natural_frequency, period)
         rest = replace(self.bare, filter_time=0.0)(w, natural_frequency)
         found, n = np.full(cells[1].shape, np.nan), self.bare.filter_order
-        for row in range(found.shape[0]):
+        for row in range(len(found)):
             good = np.isfinite(cells[1][row])
             gain, order, time = (v[row, good][:, None] for v in cells)
             outer = gain * np.exp(order * (np.log(w) + 0.5j * math.pi)) / (1.0 + 1j * time * w) ** n

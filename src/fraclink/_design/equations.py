@@ -336,7 +336,7 @@ def _filter_afterwards(task: Task, solution: Solution, n: int) -> float:
         return np.asarray(loop.log(frequency, task.high).real + n * np.log(np.cos(turned)))
 
     # Below ω̄_c the unfiltered loop lags less and is louder: walk down until the filter can take enough of it.
-    steps = solution.upper * 0.99 ** np.arange(1, 201)
+    steps: Real = solution.upper * np.power(0.99, np.arange(1.0, 201.0))
     enough = (lag(steps) >= 0.45 * math.pi * n) | (level(steps) > 0.0)
     low = steps[int(np.argmax(enough))] if enough.any() else steps[-1]
     crossing = bracketed_roots(level, low, solution.upper)
