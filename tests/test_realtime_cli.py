@@ -200,7 +200,7 @@ def test_a_library_that_breaks_is_a_safe_stop(fraclink: Command, tmp_path: Path)
     compiled(tmp_path, "arm", BOARD, BROKEN=9)
     code, out, _ = fraclink("run-realtime design.json --io library:arm.so --duration 5")
     assert code == 1
-    assert out.splitlines()[-1] == "does not hold: safe stop: connection failed"
+    assert out.splitlines()[-1] == "stopped: safe stop: connection failed"
     assert (tmp_path / "last").read_text() == "4 0"
     assert (
         len(fl.load("realtime.npz", RealtimeRun).time) == 7

@@ -28,10 +28,11 @@ Real = NDArray[np.float64]
 Counts = NDArray[np.uint32]
 Rows = slice | NDArray[np.int_]
 Action = Callable[[ArmState], None]
+Phase = Literal["whole", "start", "mid", "rest"]
 
 MOVE = smooth_step(1.0, duration=1.2, start=1.0)  # the catalogue's move: 1 rad, 1.0 to 2.2 s
 TIMES = {"whole": 0.0, "start": 1.1, "mid": 1.6, "rest": 3.2}  # [s]
-PHASES = tuple(TIMES)
+PHASES: tuple[Phase, ...] = ("whole", "start", "mid", "rest")
 LAST = 1.0  # [s] of the end over which the final error is averaged
 
 # law.h: modes, reasons and flags.
@@ -68,7 +69,7 @@ class Case:
     fault: str
     severity: Annotated[int, Between(1, 3)]
     payload: Annotated[float, Between(0.0, 1e3, "kg", low_open=True)]
-    phase: Literal["whole", "start", "mid", "rest"]
+    phase: Phase
     seed: Annotated[int, Between(0, 2**63 - 1)]
 
     @property

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from fraclink._campaign.fault_trial import (
     Case,
     Check,
     Evidence,
+    Phase,
     Signals,
     Trial,
     execute,
@@ -53,7 +54,6 @@ __all__ = [
 ]
 
 CleanRuns = dict[tuple[object, ...], Signals]
-Phase = Literal["whole", "start", "mid", "rest"]
 ROUND = smooth_step(1.0, duration=1.2).then(hold(0.0, 0.8)).then(smooth_step(-1.0, duration=1.2))
 ROUND_TIME = 4.0  # [s]: 0.8 s of rest at either end
 CHUNK = 100  # rounds at once: 9 MB of inputs
