@@ -37,6 +37,7 @@ from fraclink._cli.options import (
     load_log,
     load_rig,
     radians,
+    required_model,
 )
 from fraclink._compare import compare as run_rivals
 from fraclink._design import Design
@@ -516,11 +517,8 @@ def design_map(
         raise FieldError("out", out.name, "of another kind", allowed=allowed, remedy=remedy)
     numbers = output_path(out.with_suffix(".json"), force=force)
     known = load_rig(rig, model=model)
-    if known.model is None:
-        allowed, remedy = "a model of the link", "give --model model.json, or add [model] to the rig file"
-        raise FieldError("model", None, "missing", allowed=allowed, remedy=remedy)
     found = feasibility_map(
-        known.model,
+        required_model(known),
         known,
         payloads=payloads,
         gain_crossovers=_crossover_axis(crossovers=crossovers, points=points),

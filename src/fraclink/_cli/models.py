@@ -31,6 +31,7 @@ from fraclink._cli.options import (
     load_log,
     load_rig,
     log_path,
+    required_model,
 )
 from fraclink._logs import diagnose as examine
 from fraclink._logs import inspect_log, read_columns
@@ -245,12 +246,9 @@ def plan_experiment(
 ) -> Answer:
     """Choose amplitude and band of an excitation for a wanted standard error of λ."""
     known = load_rig(rig, model=model)
-    if known.model is None:
-        allowed, remedy = "a first guess of the link", "give --model, or add [model] to the rig file"
-        raise FieldError("model", None, "missing", allowed=allowed, remedy=remedy)
     return Answer(
         identification.design_experiment(
-            known.model,
+            required_model(known),
             standard_error=standard_error,
             noise=noise,
             period=known.period,
@@ -297,6 +295,7 @@ def record(
 ) -> Answer:
     """Record a log of the twin, in the same CSV a rig writes, marked as simulated."""
     known = load_rig(rig, model=model)
+    required_model(known)  # the twin takes its damping from there
     reference = _excitation(excitation, amplitude, duration)
     arm = Twin.from_rig(known, payload=payload, link_mass=link_mass, gauge_delay=gauge_delay)
     count = round(duration / known.period) + 1

@@ -19,6 +19,7 @@ from fraclink._files import kind_of
 from fraclink._identify import load_model
 from fraclink._logs import bundled_log, read_log
 from fraclink._simulate import geared
+from fraclink.errors import FieldError
 
 BUNDLED_LOG = "prbs_30g"  # simulated by the twin; its header says so
 
@@ -87,6 +88,14 @@ def load_rig(name: str, *, link_mass: float | None = None, model: Path | None = 
     rig = Rig.load(Path(name)) if looks_like_a_path or Path(name).is_file() else Rig.named(name)
     rig = rig if link_mass is None else replace(rig, link=replace(rig.link, mass=link_mass))
     return rig if model is None else replace(rig, model=load_link_model(model))
+
+
+def required_model(rig: Rig) -> LinkModel:
+    """Return the rig's model, or FieldError that names the option which gives one."""
+    if rig.model is None:
+        allowed, remedy = "a model of the link", "give --model model.json, or add [model] to the rig file"
+        raise FieldError("model", None, "missing", allowed=allowed, remedy=remedy)
+    return rig.model
 
 
 def load_link_model(path: Path | None) -> LinkModel | None:
