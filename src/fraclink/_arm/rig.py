@@ -146,11 +146,6 @@ class Rig:
         file: _RigFile = read_table(_RigFile, data)
         return file.build()
 
-    @property
-    def inner(self) -> MotorLoop:
-        """The motor loop, under the name that some packages still use."""
-        return self.motor_loop
-
     def tables(self) -> dict[str, Any]:
         """Return the tables of the rig's file: SI units, plain values; `from_tables` reads them back."""
         return table_of(_RigFile.of(self))
