@@ -161,7 +161,7 @@ class Study:
 
     def _broken_promises(self) -> list[str]:
         missed = [
-            f"{item.name}: {item.achieved:.4g} {item.unit} instead of {item.wanted:.4g} {item.unit}"
+            f"{item.name}: {_stated(item.achieved, item.unit)} instead of {_stated(item.wanted, item.unit)}"
             for item in (self.design.requirements if self.design else ())
             if not item.passed
         ]
@@ -191,6 +191,10 @@ def _scope(failures: list[str], doubts: list[str], ran: bool) -> Scope:
     if doubts:
         return Scope("not shown", tuple(doubts))
     return Scope("passed" if ran else "not run")
+
+
+def _stated(value: float, unit: str) -> str:
+    return f"{math.degrees(value):.1f}°" if unit == "rad" else f"{value:.4g} {unit}".strip()
 
 
 def _failed_move(run: Run) -> str:
