@@ -41,7 +41,7 @@ def written_out(design: Design, model: LinkModel, payload: float, w: np.ndarray)
         )
     tip = 1 - model.gauge_gain * np.exp(-s * model.gauge_delay) * torque
     outer = c.gain * s**c.order / (1 + c.filter_time * s) ** c.filter_order
-    return outer * np.exp(-1.5 * RIG.period * s) / (1 + s / RIG.inner.pole) ** 2 * tip
+    return outer * np.exp(-1.5 * RIG.period * s) / (1 + s / RIG.motor_loop.pole) ** 2 * tip
 
 
 def is_stable(design: Design, model: LinkModel, payload: float) -> bool:

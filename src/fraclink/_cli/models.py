@@ -305,7 +305,7 @@ def record(
         reference.angle(known.period * np.arange(count)),
         period=known.period,
         sensors=arm.sensors,
-        servo_pole=known.inner.pole,
+        servo_pole=known.motor_loop.pole,
         seed=seed,
     )
     log.save(out)
