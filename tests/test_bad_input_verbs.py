@@ -70,7 +70,7 @@ CALLS: dict[str, Call] = {
     "Link": (type(RIG.link), lambda: fields_of(RIG.link)),
     "Payloads": (type(RIG.payloads), lambda: fields_of(RIG.payloads)),
     "Gauge": (type(RIG.gauge), lambda: fields_of(RIG.gauge)),
-    "Inner": (type(RIG.inner), lambda: fields_of(RIG.inner)),
+    "MotorLoop": (type(RIG.motor_loop), lambda: fields_of(RIG.motor_loop)),
     "smooth_step": (fl.smooth_step, lambda: {"amplitude": 1.0, "duration": 0.5, "start": 0.0}),
     "pulse": (fl.pulse, lambda: {"amplitude": 1.0, "width": 0.5, "start": 0.0, "rise": 0.1}),
     "prbs": (fl.prbs, lambda: {"amplitude": 1.0, "bit": 0.1, "bits": 20, "register": 7, "start": 0.0}),
