@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from fraclink._arm.experiment import Channel, LogColumns
 from fraclink._arm.motor_loop import MotorLoop
 from fraclink._arm.rig import Encoder, Link, Motor, Payloads, Rig
-from fraclink._tables import FileFaults
+from fraclink._files.toml import FileFaults
 from fraclink.errors import FieldError, FileFormatError
 from processor_limit import processor_limit
 

@@ -11,7 +11,7 @@ import pytest
 import fraclink as fl
 from fraclink._campaign.faults import FaultTable
 from fraclink._cli.app import run
-from fraclink._npz import read_npz
+from fraclink._files.envelope import read_npz
 
 ARM = ["campaign", "faults", "--rig", "paper-2023", "--gear", "50", "--link-mass", "0.00735"]
 ONE = ["--severity", "2", "--payload", "0.03", "--phase", "mid", "--seed", "1"]

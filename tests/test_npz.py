@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from fraclink._files import parse_json, read_json, write_json
-from fraclink._npz import kind_of, read_npz, write_npz
+from fraclink._files.envelope import kind_of, read_npz, write_npz
 from fraclink.errors import FieldError, FileFormatError
 from mutants import mutate
 

@@ -24,8 +24,8 @@ import pytest
 import fraclink as fl
 from fraclink import _kernels
 from fraclink._arm.reference import Reference
+from fraclink._files.envelope import write_npz
 from fraclink._law import MODES, REASONS, Law
-from fraclink._npz import write_npz
 from fraclink._realtime import Callback, Command, RealtimeRun, Spread, VirtualClock, run_realtime
 from fraclink.errors import FieldError, FileFormatError, LogError, SizeError
 

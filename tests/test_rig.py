@@ -16,7 +16,7 @@ from fraclink._arm.experiment import Channel, LogColumns
 from fraclink._arm.link import LinkModel, SecondMode
 from fraclink._arm.motor_loop import MotorLoop
 from fraclink._arm.rig import DesignDefaults, Encoder, Gauge, Link, Motor, Payloads, Rig, Tolerances, _RigFile
-from fraclink._tables import keys_of
+from fraclink._files.toml import keys_of
 from fraclink.errors import FieldError, FileFormatError
 
 ROOT = Path(__file__).parents[1]

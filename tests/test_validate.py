@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 
 import fraclink
 from fraclink import _validate
-from fraclink._rules import rule
 from fraclink._validate import (
     Angle,
     Array,
@@ -39,6 +38,7 @@ from fraclink._validate import (
     describe,
     rules,
 )
+from fraclink._validate.rules import rule
 from fraclink.errors import FieldError, LogError
 from junk import JUNK
 

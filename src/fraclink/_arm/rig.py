@@ -25,7 +25,7 @@ from fraclink._arm.rig_parts import (
     positive,
 )
 from fraclink._files import document, stored_as, write_text
-from fraclink._tables import parse_toml, read_table, read_toml, suggestion, table_of, toml_text
+from fraclink._files.toml import parse_toml, read_table, read_toml, suggestion, table_of, toml_text
 from fraclink._validate import Between, Frequency, Payload, Period, checked
 from fraclink.errors import FieldError, FileFormatError
 from fraclink.findings import Finding

@@ -57,7 +57,7 @@ from fraclink._campaign.fault_trial import (
     reacts,
     settled,
 )
-from fraclink._codec import Storage, codec_of
+from fraclink._files.codec import Storage, codec_of
 from fraclink._law import Modes
 from fraclink._law.discretization import drive_for
 from fraclink._simulate import kernel

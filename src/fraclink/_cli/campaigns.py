@@ -19,7 +19,7 @@ from fraclink._cli.console import steps, watching
 from fraclink._cli.options import Gear, LinkMass, ModelFile, RigName, load_design, load_link_model, load_rig
 from fraclink._design import Design
 from fraclink._files import save, write_text
-from fraclink._npz import write_npz
+from fraclink._files.envelope import write_npz
 from fraclink._show.faults import draw_outcome
 from fraclink._show.report import write_campaign_report
 from fraclink._show.tables import View, view

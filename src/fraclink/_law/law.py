@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fraclink import _kernels
-from fraclink._codec import Storage, codec_of
 from fraclink._files import document
 from fraclink._files import load as load_document
 from fraclink._files import save as save_document
+from fraclink._files.codec import Storage, codec_of
 from fraclink._law import block as layout
 from fraclink._law.block import Drive, Modes, block_values
 from fraclink._law.limits import Limits

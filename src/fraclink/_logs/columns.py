@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._arm.experiment import QUANTITY_OF, UNITS, Channel, LogColumns
+from fraclink._files.toml import toml_value
 from fraclink._logs.table import Table
 from fraclink._logs.text import NUMBER, cell_remedy
-from fraclink._rules import rule
-from fraclink._tables import toml_value
 from fraclink._validate import Payload
+from fraclink._validate.rules import rule
 from fraclink.errors import LogError
 from fraclink.findings import Finding
 

@@ -10,10 +10,10 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fraclink._rules import rule
 from fraclink._systems.minimax import PartialFractions, Target, finish, grow, score
 from fraclink._systems.terms import Complexes, Reals
 from fraclink._validate import Between, Ordered, Positive, checked
+from fraclink._validate.rules import rule
 from fraclink.errors import FieldError
 
 Band = Annotated[

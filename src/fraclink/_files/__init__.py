@@ -31,8 +31,8 @@ from typing import Any, Literal, TypeVar, cast, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._codec import Storage, codec_of, stored_as
-from fraclink._containers import (
+from fraclink._files.codec import Storage, codec_of, stored_as
+from fraclink._files.containers import (
     JSON_LIMIT,
     atomic_write,
     broken,
@@ -51,7 +51,7 @@ from fraclink._containers import (
 )
 
 # Envelopes of packages that still write their files themselves; gone with the last of them.
-from fraclink._npz import RENAMED, checked_envelope, read_json, renamed, write_json
+from fraclink._files.envelope import RENAMED, checked_envelope, read_json, renamed, write_json
 from fraclink.errors import FieldError, FileFormatError, SizeError
 
 __all__ = [

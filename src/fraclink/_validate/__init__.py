@@ -30,15 +30,15 @@ from typing import Annotated, Any, TypeVar, cast, get_type_hints, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fraclink._ranges import CHECK_UNIT as CHECK_UNIT
-from fraclink._ranges import Array as Array
-from fraclink._ranges import Between as Between
-from fraclink._ranges import Check, Refused, number_rule, whole_rule
-from fraclink._ranges import Length as Length
-from fraclink._ranges import Ordered as Ordered
-from fraclink._ranges import Rule as Rule
-from fraclink._ranges import Where as Where
-from fraclink._rules import array_rule, conditional_rule, instance_rule, listed, rule
+from fraclink._validate.ranges import CHECK_UNIT as CHECK_UNIT
+from fraclink._validate.ranges import Array as Array
+from fraclink._validate.ranges import Between as Between
+from fraclink._validate.ranges import Check, Refused, number_rule, whole_rule
+from fraclink._validate.ranges import Length as Length
+from fraclink._validate.ranges import Ordered as Ordered
+from fraclink._validate.ranges import Rule as Rule
+from fraclink._validate.ranges import Where as Where
+from fraclink._validate.rules import array_rule, conditional_rule, instance_rule, listed, rule
 from fraclink.errors import FieldError
 
 Target = TypeVar("Target", bound=Callable[..., Any])

@@ -31,7 +31,7 @@ from typing import Any, Literal, Protocol, Union, get_args, get_origin, get_type
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._containers import guarded, misfit
+from fraclink._files.containers import guarded, misfit
 from fraclink.errors import FileFormatError
 
 __all__ = ["Storage", "codec_of", "stored_as"]

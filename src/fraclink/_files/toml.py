@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple, get_args, get_type_hints
 
-from fraclink._containers import read_text
+from fraclink._files.containers import read_text
 from fraclink._validate import Rule, rules
 from fraclink.errors import FieldError, FileFormatError
 

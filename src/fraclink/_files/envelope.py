@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._containers import (
+from fraclink._files.containers import (
     atomic_write,
     guarded,
     header_of,

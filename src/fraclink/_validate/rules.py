@@ -17,7 +17,7 @@ from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._ranges import (
+from fraclink._validate.ranges import (
     Array,
     Between,
     Check,
