@@ -14,7 +14,7 @@ import pytest
 from fraclink._arm.rig import Rig
 from fraclink._cli import main
 from fraclink._cli.console import clean, guarded
-from fraclink._show.tables import Table, View, plain_text, table_text
+from fraclink._show.text import Table, View, plain_text, table_text
 from fraclink.errors import FieldError, InfeasibleError, MissingExtraError, NotCertifiedError
 
 

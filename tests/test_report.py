@@ -21,7 +21,7 @@ from fraclink._identify import identify_all
 from fraclink._logs import bundled_log, read_log
 from fraclink._show.drawing import envelope
 from fraclink._show.report import render_report, write_report
-from fraclink._show.tables import number, uncertain
+from fraclink._show.text import number, uncertain
 from fraclink._workflow import Scope, Study, Verdict, design_for, load_study, save_study
 from fraclink.findings import Finding
 from needed_tools import tool

@@ -22,7 +22,8 @@ from fraclink._files import save, write_text
 from fraclink._files.envelope import write_npz
 from fraclink._show.faults import draw_outcome
 from fraclink._show.report import write_campaign_report
-from fraclink._show.tables import View, view
+from fraclink._show.text import View
+from fraclink._show.views import view
 from fraclink._simulate import geared
 from fraclink._workflow import design_for
 from fraclink.errors import FieldError

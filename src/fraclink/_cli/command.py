@@ -13,7 +13,9 @@ import typer
 
 from fraclink._cli.console import FAILED, PASSED, emit, emit_json, tell, width
 from fraclink._files import output_path
-from fraclink._show.tables import View, plain_text, to_json, view
+from fraclink._show.records import to_json
+from fraclink._show.text import View, plain_text
+from fraclink._show.views import view
 from fraclink._validate import describe
 
 __all__ = ["Answer", "Writes", "command", "option"]

@@ -23,7 +23,7 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from fraclink._show.tables import folded
+from fraclink._show.text import folded
 from fraclink.errors import FieldError, FraclinkError, FraclinkWarning, InfeasibleError, MissingExtraError
 
 __all__ = ["clean", "emit", "emit_json", "guarded", "steps", "tell", "watching", "width"]

@@ -47,8 +47,10 @@ from fraclink._design.assess import margin_curve, mode_gains, phase_budget, tole
 from fraclink._files import output_path, write_json, write_text
 from fraclink._show.drawing import save_axes
 from fraclink._show.plots import feasibility, margins_against_payload, phase_shares
+from fraclink._show.records import finite
 from fraclink._show.report import write_report
-from fraclink._show.tables import Table, View, degrees, finite, grams, number, requirements_table
+from fraclink._show.tables import requirements_table
+from fraclink._show.text import Table, View, degrees, grams, number
 from fraclink._simulate import Twin
 from fraclink._simulate import simulate as run_law
 from fraclink._validate import Ordered, checked

@@ -35,7 +35,9 @@ from fraclink._cli.options import (
 )
 from fraclink._logs import diagnose as examine
 from fraclink._logs import inspect_log, read_columns
-from fraclink._show.tables import View, to_json, view
+from fraclink._show.records import to_json
+from fraclink._show.text import View
+from fraclink._show.views import view
 from fraclink._simulate import Twin, simulate_log
 from fraclink._validate import Between, checked
 from fraclink.errors import FieldError, LogError

@@ -26,7 +26,7 @@ from fraclink._show.drawing import (
     figure,
     svg,
 )
-from fraclink._show.tables import grams
+from fraclink._show.text import grams
 from fraclink._simulate import Run
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ from fraclink._campaign.faults import fault_named
 from fraclink._files import write_text
 from fraclink._show import figures, tables
 from fraclink._show.drawing import needed
-from fraclink._show.tables import Table
+from fraclink._show.text import Row, Table, marked, sentence
 from fraclink._workflow import Study
 
 __all__ = ["render_report", "write_campaign_report", "write_report"]
@@ -63,7 +63,7 @@ def render_report(study: Study, *, title: str | None = None) -> str:
     )
 
 
-def _scopes(study: Study) -> list[tuple[tables.Row, Any]]:
+def _scopes(study: Study) -> list[tuple[Row, Any]]:
     rows = tables.verdict_table(study.verdict).rows
     return list(zip(rows, study.verdict.scopes.values(), strict=True))
 
@@ -156,8 +156,8 @@ def _rendered(template: str, **contents: object) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters["sentence"] = tables.sentence
-    environment.filters["marked"] = tables.marked
+    environment.filters["sentence"] = sentence
+    environment.filters["marked"] = marked
     return environment.get_template(template).render(version=__version__, **contents)
 
 

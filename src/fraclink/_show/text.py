@@ -1,0 +1,241 @@
+"""Numbers, tables and views as text: what every result is shown with, whatever it is."""
+
+from __future__ import annotations
+
+import html
+import math
+import re
+import textwrap
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+__all__ = ["Table", "View", "marked", "plain_text"]
+
+Row = tuple[str, ...]
+
+
+# --- numbers as people read them: few digits, a real minus, powers of ten ---------------------------------
+
+_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def number(value: float | None, digits: int = 4) -> str:
+    """Return `value` with `digits` significant digits.
+
+    >>> number(-0.00068712), number(13399.771, 8), number(float("inf")), number(None)
+    ('−6.871×10⁻⁴', '13399.771', '∞', '–')
+    """
+    if value is None or math.isnan(value):
+        return "–"
+    if math.isinf(value):
+        return "∞" if value > 0 else "−∞"
+    text = f"{value:.{digits}g}"
+    mantissa, _, exponent = text.partition("e")
+    if 0 < abs(value) < 1e-3 and not exponent:
+        mantissa, _, exponent = f"{value:.{digits - 1}e}".partition("e")
+    mantissa = mantissa.replace("-", "−")
+    if not exponent:
+        return mantissa
+    if "." in mantissa:
+        mantissa = mantissa.rstrip("0").rstrip(".")
+    return f"{mantissa}×10{str(int(exponent)).translate(_RAISED)}"
+
+
+def uncertain(value: float, error: float | None) -> str:
+    """Return `value ± error`, both with the digits that the error leaves meaningful.
+
+    >>> uncertain(1.918734, 0.000213), uncertain(10.02, None), uncertain(116.0, 145.0)
+    ('1.91873 ± 0.00021', '10.02', 'undetermined')
+    """
+    if error is None or not math.isfinite(error) or error <= 0:
+        return number(value, 5)
+    if error >= abs(value):
+        return "undetermined"
+    places = max(0, 1 - math.floor(math.log10(error)))
+    if places > 9 or abs(value) >= 1e6:
+        return f"{number(value, 5)} ± {number(error, 2)}"
+    return f"{value:.{places}f} ± {error:.{places}f}".replace("-", "−")
+
+
+def grams(payload: float | None) -> str:
+    """A payload in grams.
+
+    >>> grams(0.0305)
+    '30.5 g'
+    """
+    return "–" if payload is None else f"{number(1e3 * payload)} g"
+
+
+def milli(value: float | None, places: int = 1) -> str:
+    """A value in thousandths, with as many decimal places as matter beside its neighbours in a column.
+
+    >>> milli(0.0633), milli(-0.0000519, 2), milli(-1e-9, 2)
+    ('63.3', '−0.05', '0.00')
+    """
+    if value is None or not math.isfinite(value):
+        return "–"
+    text = f"{1e3 * value:.{places}f}"
+    return text.lstrip("-") if float(text) == 0 else text.replace("-", "−")
+
+
+def degrees(angle: float | None, places: int = 1) -> str:
+    """An angle in degrees.
+
+    >>> degrees(math.pi / 6)
+    '30.0°'
+    """
+    if angle is None or math.isnan(angle):
+        return "–"
+    return f"{math.degrees(angle):.{places}f}°".replace("-", "−")
+
+
+def quantity(value: float | None, unit: str) -> str:
+    """A value with its unit; angles in degrees.
+
+    >>> quantity(12.0, "rad/s"), quantity(math.pi / 4, "rad")
+    ('12 rad/s', '45.0°')
+    """
+    return degrees(value) if unit == "rad" else f"{number(value)} {unit}".strip()
+
+
+def sentence(text: str) -> str:
+    """`text` with a capital and a full stop; the name of a field keeps its spelling.
+
+    >>> sentence("measure it"), sentence("link.stiffness = 1.56 contradicts 3EI/L")
+    ('Measure it.', 'link.stiffness = 1.56 contradicts 3EI/L.')
+    """
+    text = text.strip()
+    first = text.partition(" ")[0]
+    named = "_" in first or "." in first.rstrip(".") or first == "fraclink"
+    ended = text.endswith((".", "?", "!", ":")) or not text
+    return (text[:1] if named else text[:1].upper()) + text[1:] + ("" if ended else ".")
+
+
+# --- tables and views -------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Table:
+    """Header and rows of text; the last column is a word of a verdict where `judged`."""
+
+    header: Row
+    rows: tuple[Row, ...]
+    judged: bool = False
+
+
+@dataclass(frozen=True)
+class View:
+    """What people read of a result: verdict first, tables, then notes; `state` is the word of the verdict."""
+
+    headline: str = ""
+    tables: tuple[Table, ...] = ()
+    notes: tuple[str, ...] = ()
+    state: str = ""
+
+    def __str__(self) -> str:
+        return plain_text(self)
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows."""
+        parts = [f"<p><b>{html.escape(marked(self.state))}</b> {html.escape(self.headline)}</p>"]
+        for table in self.tables:
+            lines = [("th", table.header), *(("td", row) for row in table.rows)]
+            cells = ("".join(f"<{t}>{html.escape(c)}</{t}>" for c in row) for t, row in lines)
+            parts.append("<table>" + "".join(f"<tr>{row}</tr>" for row in cells) + "</table>")
+        return "\n".join([*parts, *(f"<p>{html.escape(note)}</p>" for note in self.notes)])
+
+
+_MARKS = {"passed": "✓", "failed": "✗", "missed": "✗", "not shown": "!", "not run": "–"}
+
+
+def marked(state: str) -> str:
+    """A verdict's word behind its sign, which is there without colours, too.
+
+    >>> marked("passed"), marked("failed"), marked("")
+    ('✓ passed', '✗ failed', '')
+    """
+    return f"{_MARKS[state]} {state}" if state in _MARKS else state
+
+
+def plain_text(shown: View, width: int = 80) -> str:
+    """Return `shown` as lines of at most `width` columns, broken between words."""
+    lead = f"{marked(shown.state)}: " if shown.state and shown.headline else marked(shown.state)
+    parts = [folded(lead + shown.headline, width)] if shown.headline or shown.state else []
+    parts += [table_text(table, width) for table in shown.tables if table.rows]
+    notes = "\n".join(folded(note, width) for note in shown.notes)
+    return "\n\n".join([*parts, *([notes] if notes else [])])
+
+
+def folded(text: str, width: int) -> str:
+    """Every line of `text` broken between words, then indented by two columns more; paths stay whole."""
+    return "\n".join(
+        textwrap.fill(
+            line,
+            width,
+            subsequent_indent=" " * (len(line) - len(line.lstrip()) + 2),
+            break_long_words=False,
+            break_on_hyphens=False,
+        )
+        for line in text.splitlines()
+    )
+
+
+def table_text(table: Table, width: int = 80) -> str:
+    """A table of text: first column flush left, others right; heads and the last column wrap at words.
+
+    >>> print(table_text(Table(("payload", "phase margin [°]"), (("20 g", "48.8"), ("8 g", "23.9"))), 16))
+              phase
+             margin
+    payload     [°]
+    20 g       48.8
+    8 g        23.9
+    """
+    # What keeps a value and its error together on a page only shows as an escape in a terminal.
+    plain = [tuple(cell.replace("\N{NO-BREAK SPACE}", " ") for cell in row) for row in table.rows]
+    rows = [(*row[:-1], marked(row[-1])) if table.judged else row for row in plain]
+    # A head folds into three lines at most, and never within a word.
+    words = [max(-(-len(head) // 3), *map(len, head.split() or [""])) for head in table.header]
+    widths = [max(word, *(len(row[k]) for row in rows)) for k, word in enumerate(words)]
+    spare = width - sum(widths) - 2 * (len(widths) - 1)
+    if spare < 0:
+        # Sentences give way: the widest column folds, as far as a line of it can still be read.
+        widest = max(range(len(widths)), key=widths.__getitem__)
+        widths[widest] = max(24, widths[widest] + spare)
+    # Heads need not fold where there is room: from left to right each takes what it needs.
+    for k, head in enumerate(table.header):
+        more = min(max(spare, 0), max(0, len(head) - widths[k])) if spare >= len(head) - widths[k] else 0
+        widths[k], spare = widths[k] + more, spare - more
+    last = len(widths) - 1
+    left = [k == 0 or (k == last and table.judged) or _wordy(rows, k) for k in range(len(widths))]
+    lines = _folded_row(table.header, widths, left, bottom=True)
+    for row in rows:
+        lines += _folded_row(row, widths, left, bottom=False)
+    return "\n".join(lines)
+
+
+def _wordy(rows: Sequence[Row], column: int) -> bool:
+    return any(re.search(r"[^\W\d_]{4,} [^\W\d_]{2,}", row[column]) for row in rows)
+
+
+def _folded_row(row: Row, widths: list[int], left: list[bool], *, bottom: bool) -> list[str]:
+    cells = [
+        textwrap.wrap(cell, size, break_long_words=False, break_on_hyphens=False) or [""]
+        for cell, size in zip(row, widths, strict=True)
+    ]
+    height = max(map(len, cells))
+    padded = [
+        [""] * (height - len(cell)) + cell if bottom else cell + [""] * (height - len(cell)) for cell in cells
+    ]
+    return [
+        "  ".join(
+            part.ljust(size) if flush else part.rjust(size)
+            for part, size, flush in zip(line, widths, left, strict=True)
+        ).rstrip()
+        for line in zip(*padded, strict=True)
+    ]
+
+
+def looked_up(by_class: Mapping[str, Callable[[Any], Any]], result: Any) -> Callable[[Any], Any]:
+    """The entry of a result's class, or of the nearest class above it that has one."""
+    return next(by_class[kind.__name__] for kind in type(result).__mro__ if kind.__name__ in by_class)
