@@ -29,7 +29,7 @@ _SECTIONS: dict[str, tuple[tuple[str, str], ...]] = {
         )
     ),
     "More on designs and laws": (
-        *(("assess", "designs"), ("optimise", "designs"), ("compare", "designs"), ("design-map", "designs")),
+        *((name, "assessments") for name in ("assess", "optimise", "compare", "design-map")),
         *(("campaign", "campaigns"), ("replay", "boards")),
     ),
 }

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -60,6 +60,10 @@ LinkMass = Annotated[float | None, option("--link-mass", help="Mass of the link 
 Gear = Annotated[
     float | None, option("--gear", help="Gear ratio to put before the motor; default: the rig's.")
 ]
+Placement = Annotated[
+    Literal["tustin", "direct"], option("--placement", help="Poles of the sampled motor loop.")
+]
+MotorLoopKind = Annotated[Literal["ideal", "sampled"], option("--inner", help="Motor loop.")]
 SeedNumber = Annotated[int, option("--seed", range=ranges.Seed, help="Seed of the noise")]
 Columns = Annotated[
     list[str] | None,

@@ -47,7 +47,8 @@ def view(result: Any) -> View:
     <BLANKLINE>
     W210 warning: the gauge has an offset; subtract it
     """
-    return looked_up(_VIEWS, result)(result)
+    shown: View = looked_up(_VIEWS, result)(result)
+    return shown
 
 
 def _findings_view(findings: tuple[Finding, ...]) -> View:
