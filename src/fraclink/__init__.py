@@ -1,100 +1,192 @@
 """From the log of a flexible-link robot to the fractional-order controller on its board.
 
-Public names are loaded when they are first used: ``import fraclink`` itself loads numpy only.
+Public names are loaded when they are first used: ``import fraclink`` itself loads numpy only. Everything
+public is an attribute of this module or of `fraclink.errors`; modules with an underscore are private.
 """
 
 from __future__ import annotations
 
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 __version__ = "0.1.0"
 
-# Public name -> module that defines it. The tests guard the list; add the same name below TYPE_CHECKING.
+# Public name -> module that defines it; `__init__.pyi` says the same to editors and type checkers.
 _HOME: dict[str, str] = {
-    "Controller": "fraclink._arm.controller",
-    "Design": "fraclink._design",
-    "Experiment": "fraclink._arm.experiment",
-    "Fit": "fraclink._identify",
-    "FractionalTransferFunction": "fraclink._systems.fractional",
-    "Law": "fraclink._law",
-    "LinkModel": "fraclink._arm.link",
-    "Rig": "fraclink._arm.rig",
-    "Run": "fraclink._simulate",
-    "Twin": "fraclink._simulate",
     "approximate": "fraclink._systems.rational",
-    "bundled_log": "fraclink._logs",
-    "certify": "fraclink._certify",
+    "Beam": "fraclink._arm.beam",
+    "Bench": "fraclink._campaign.fault_trial",
+    "bode": "fraclink._show.plots",
+    "bundled_log": "fraclink._logs.reading",
+    "bundled_logs": "fraclink._logs.reading",
+    "Callback": "fraclink._realtime.connections",
+    "Campaign": "fraclink._campaign.campaign",
+    "Case": "fraclink._campaign.fault_trial",
+    "cases": "fraclink._campaign.faults",
+    "CATALOGUE": "fraclink._campaign.fault_rules",
+    "Certificate": "fraclink._certify.statement",
+    "certify": "fraclink._certify.procedure",
+    "Channel": "fraclink._arm.experiment",
     "chirp": "fraclink._arm.reference",
-    "deg": "fraclink._design",
-    "design": "fraclink._design",
-    "diagnose": "fraclink._logs",
-    "discretize": "fraclink._law",
-    "export_c": "fraclink._export",
+    "Claim": "fraclink._export.claims",
+    "compare": "fraclink._compare.tournament",
+    "compare_at_equal_sensitivity": "fraclink._design.alternatives",
+    "Comparison": "fraclink._identify.compare",
+    "Contest": "fraclink._identify.compare",
+    "Controller": "fraclink._arm.controller",
+    "deg": "fraclink._design.specification",
+    "derive_limits": "fraclink._law.limits",
+    "Design": "fraclink._design.specification",
+    "design": "fraclink._design.procedure",
+    "design_experiment": "fraclink._identify.excitation",
+    "DesignDefaults": "fraclink._arm.rig_parts",
+    "diagnose": "fraclink._logs.diagnosis",
+    "discretize": "fraclink._law.discretization",
+    "Distribution": "fraclink._campaign.campaign",
+    "Draws": "fraclink._campaign.campaign",
+    "draws_for": "fraclink._campaign.campaign",
+    "enclose_phase_margin": "fraclink._certify.search",
+    "Enclosure": "fraclink._certify.search",
+    "Encoder": "fraclink._arm.rig_parts",
+    "equip": "fraclink._law.discretization",
+    "Experiment": "fraclink._arm.experiment",
+    "ExperimentDesign": "fraclink._identify.excitation",
+    "export_c": "fraclink._export.c",
+    "export_fmu": "fraclink._export.fmu",
+    "export_io": "fraclink._export.board",
+    "export_matlab": "fraclink._export.matlab",
+    "Fault": "fraclink._campaign.fault_rules",
+    "FaultTable": "fraclink._campaign.faults",
+    "feasibility_map": "fraclink._design.alternatives",
+    "FeasibilityMap": "fraclink._design.alternatives",
+    "Finding": "fraclink.findings",
+    "Fit": "fraclink._identify.fit",
+    "FractionalKelvinVoigt": "fraclink._simulate.damping",
+    "FractionalTransferFunction": "fraclink._systems.fractional",
+    "frequency_response": "fraclink._identify.spectrum",
+    "FrequencyResponse": "fraclink._identify.spectrum",
     "from_control": "fraclink._systems.interop",
+    "Gauge": "fraclink._arm.rig_parts",
+    "geared": "fraclink._simulate.arm",
+    "grunwald_letnikov": "fraclink._systems.inversion",
     "hold": "fraclink._arm.reference",
-    "identify": "fraclink._identify",
-    "identify_all": "fraclink._identify",
-    "inspect_log": "fraclink._logs",
+    "identify": "fraclink._identify.compare",
+    "identify_all": "fraclink._identify.compare",
+    "identify_frequency_response": "fraclink._identify.spectrum",
+    "identify_motor": "fraclink._identify.motor",
+    "identify_payloads": "fraclink._identify.payloads",
+    "impulse_response": "fraclink._systems.response",
+    "inspect_log": "fraclink._logs.reading",
+    "Interval": "fraclink._identify.profile",
     "is_stable": "fraclink._systems.stability",
+    "JointFit": "fraclink._identify.payloads",
+    "KelvinVoigt": "fraclink._simulate.damping",
+    "kind_of": "fraclink._files",
+    "latency": "fraclink._show.plots",
+    "Law": "fraclink._law.law",
+    "LawInputs": "fraclink._law.law",
+    "LawOutputs": "fraclink._law.law",
+    "Library": "fraclink._realtime.connections",
+    "Limits": "fraclink._law.limits",
+    "Link": "fraclink._arm.rig_parts",
+    "LinkModel": "fraclink._arm.link",
     "load": "fraclink._files",
+    "load_study": "fraclink._workflow",
+    "LogColumns": "fraclink._arm.experiment",
+    "LogListing": "fraclink._logs.reading",
+    "Loop": "fraclink._arm.loop",
+    "margin_curve": "fraclink._design.assess",
+    "MarginCurve": "fraclink._design.assess",
+    "Margins": "fraclink._systems.margins",
     "margins": "fraclink._systems.margins",
+    "margins_against_payload": "fraclink._show.plots",
+    "Metrics": "fraclink._simulate.metrics",
+    "mode_gains": "fraclink._design.assess",
+    "Motor": "fraclink._arm.rig_parts",
+    "motor_loop_costs": "fraclink._arm.motor_loop",
+    "MotorFit": "fraclink._identify.motor",
+    "MotorLoop": "fraclink._arm.motor_loop",
+    "Moves": "fraclink._law.limits",
+    "nichols": "fraclink._show.planes",
     "norm": "fraclink._systems.norms",
+    "nyquist": "fraclink._show.planes",
+    "Obstacle": "fraclink._simulate.sensors",
+    "optimise": "fraclink._design.optimisation",
+    "Optimised": "fraclink._design.optimisation",
+    "Outcome": "fraclink._campaign.faults",
+    "parse_connection": "fraclink._realtime.connections",
+    "PayloadChange": "fraclink._simulate.sensors",
+    "Payloads": "fraclink._arm.rig_parts",
+    "phase_budget": "fraclink._design.assess",
+    "phase_shares": "fraclink._show.plots",
+    "PHASES": "fraclink._campaign.fault_trial",
+    "PhaseShare": "fraclink._design.assess",
     "poles": "fraclink._systems.stability",
+    "PowerLaw": "fraclink._simulate.damping",
     "prbs": "fraclink._arm.reference",
+    "Progress": "fraclink._campaign.run",
+    "Proof": "fraclink._export.claims",
     "pulse": "fraclink._arm.reference",
-    "read_log": "fraclink._logs",
+    "RationalApproximation": "fraclink._systems.rational",
+    "read_columns": "fraclink._logs.reading",
+    "read_log": "fraclink._logs.reading",
+    "RealtimeRun": "fraclink._realtime.run",
+    "Reference": "fraclink._arm.reference",
+    "Replay": "fraclink._export.replay",
+    "replay_log": "fraclink._export.replay",
+    "Requirement": "fraclink._design.specification",
+    "Restart": "fraclink._simulate.sensors",
+    "Rig": "fraclink._arm.rig",
+    "Rival": "fraclink._compare.rivals",
+    "Run": "fraclink._simulate.run",
     "run": "fraclink._workflow",
+    "run_campaign": "fraclink._campaign.run",
+    "run_case": "fraclink._campaign.faults",
+    "run_faults": "fraclink._campaign.faults",
+    "run_realtime": "fraclink._realtime.loop",
     "s": "fraclink._systems.fractional",
     "save": "fraclink._files",
-    "simulate": "fraclink._simulate",
+    "Scope": "fraclink._workflow",
+    "SecondMode": "fraclink._arm.link",
+    "SensorFault": "fraclink._simulate.sensors",
+    "Sensors": "fraclink._simulate.sensors",
+    "serve_arm": "fraclink._realtime.arm",
+    "ServedArm": "fraclink._realtime.arm",
+    "SharedMemory": "fraclink._realtime.connections",
+    "simulate": "fraclink._simulate.simulate",
+    "simulate_log": "fraclink._simulate.arm",
+    "simulate_part": "fraclink._campaign.arms",
+    "simulated_torque": "fraclink._identify.fitting",
     "smooth_step": "fraclink._arm.reference",
+    "Soak": "fraclink._campaign.faults",
+    "soak": "fraclink._campaign.faults",
+    "Specification": "fraclink._design.specification",
+    "SpectrumFit": "fraclink._identify.modal",
+    "spillover": "fraclink._design.assess",
+    "StabilityVerdict": "fraclink._systems.stability",
+    "Standing": "fraclink._compare.tournament",
+    "Statement": "fraclink._certify.statement",
     "step_response": "fraclink._systems.response",
+    "Structure": "fraclink._arm.link",
+    "structure": "fraclink._arm.link",
+    "STRUCTURES": "fraclink._arm.link",
+    "Study": "fraclink._workflow",
+    "summarise": "fraclink._campaign.summary",
+    "Summary": "fraclink._campaign.summary",
     "time_response": "fraclink._systems.response",
+    "TimeResponse": "fraclink._systems.response",
+    "TipPulse": "fraclink._simulate.sensors",
+    "to_control": "fraclink._systems.interop",
+    "Tolerances": "fraclink._design.assess",
+    "tolerances": "fraclink._design.assess",
+    "Tournament": "fraclink._compare.tournament",
+    "Twin": "fraclink._simulate.arm",
+    "Udp": "fraclink._realtime.connections",
+    "Verdict": "fraclink._workflow",
+    "VibrationMode": "fraclink._design.assess",
+    "write_campaign_report": "fraclink._show.report",
     "write_report": "fraclink._show.report",
 }
-
-if TYPE_CHECKING:  # what editors and type checkers see; nothing of this runs
-    from fraclink._arm.controller import Controller as Controller
-    from fraclink._arm.experiment import Experiment as Experiment
-    from fraclink._arm.link import LinkModel as LinkModel
-    from fraclink._arm.reference import chirp as chirp
-    from fraclink._arm.reference import hold as hold
-    from fraclink._arm.reference import prbs as prbs
-    from fraclink._arm.reference import pulse as pulse
-    from fraclink._arm.reference import smooth_step as smooth_step
-    from fraclink._arm.rig import Rig as Rig
-    from fraclink._certify import certify as certify
-    from fraclink._design import Design as Design
-    from fraclink._design import deg as deg
-    from fraclink._design import design as design
-    from fraclink._export import export_c as export_c
-    from fraclink._files import load as load
-    from fraclink._files import save as save
-    from fraclink._identify import Fit as Fit
-    from fraclink._identify import identify as identify
-    from fraclink._identify import identify_all as identify_all
-    from fraclink._law import Law as Law
-    from fraclink._law import discretize as discretize
-    from fraclink._logs import bundled_log as bundled_log
-    from fraclink._logs import diagnose as diagnose
-    from fraclink._logs import inspect_log as inspect_log
-    from fraclink._logs import read_log as read_log
-    from fraclink._show.report import write_report as write_report
-    from fraclink._simulate import Run as Run
-    from fraclink._simulate import Twin as Twin
-    from fraclink._simulate import simulate as simulate  # type: ignore[no-redef]
-    from fraclink._systems.fractional import FractionalTransferFunction as FractionalTransferFunction
-    from fraclink._systems.fractional import s as s
-    from fraclink._systems.interop import from_control as from_control
-    from fraclink._systems.margins import margins as margins
-    from fraclink._systems.norms import norm as norm
-    from fraclink._systems.rational import approximate as approximate
-    from fraclink._systems.response import step_response as step_response
-    from fraclink._systems.response import time_response as time_response
-    from fraclink._systems.stability import is_stable as is_stable
-    from fraclink._systems.stability import poles as poles
-    from fraclink._workflow import run as run
 
 __all__ = sorted(["__version__", *_HOME])
 
