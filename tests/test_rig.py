@@ -40,6 +40,21 @@ def test_the_paper_rig_holds_table_1() -> None:
     assert rig.motor.decay == pytest.approx(15.152838, rel=1e-7)
 
 
+def test_the_geared_rig_differs_from_the_printed_one_by_gear_link_mass_and_request_only() -> None:
+    printed, geared = Rig.named("paper-2023"), Rig.named("paper-2023-geared")
+    assert geared.motor == dataclasses.replace(printed.motor, gear_ratio=50.0)
+    assert geared.link == dataclasses.replace(printed.link, mass=0.00735)
+    assert geared.design == DesignDefaults(12.0, 45.0)
+    same = {"motor": printed.motor, "link": printed.link, "design": printed.design, "name": printed.name}
+    assert dataclasses.replace(geared, **same, assumptions=printed.assumptions) == printed
+    assert set(printed.assumptions) < set(geared.assumptions)
+
+
+def test_the_geared_rig_has_the_link_mass_of_the_bundled_logs() -> None:
+    said = dict(fl.read_log(fl.bundled_log("prbs_30g"), rig=Rig.named("paper-2023-geared")).notes)
+    assert float(said["link_mass_kg"]) == Rig.named("paper-2023-geared").link.mass
+
+
 @pytest.mark.parametrize(("payload", "frequency"), [(0.030, 11.0940), (0.040, 9.6077), (0.020, 13.5873)])
 def test_natural_frequency_is_equation_5(payload: float, frequency: float) -> None:
     assert Rig.named("paper-2023").natural_frequency(payload) == pytest.approx(frequency, abs=5e-5)

@@ -105,9 +105,9 @@ class Rig:
     def named(name: str) -> Rig:
         """Return a rig that comes with the package; `Rig.names()` lists them.
 
-        >>> Rig.named("paper")
+        >>> Rig.named("paper")  # doctest: +ELLIPSIS
         Traceback (most recent call last):
-        fraclink.errors.FieldError: rig: unknown (got paper); expected paper-2023. Did you mean 'paper-2023'?
+        fraclink.errors.FieldError: rig: unknown (got paper); expected ... Did you mean 'paper-2023'?
         """
         names = Rig.names()
         if name not in names:
@@ -120,7 +120,7 @@ class Rig:
         """The names of the rigs that come with the package.
 
         >>> Rig.names()
-        ('paper-2023',)
+        ('paper-2023', 'paper-2023-geared')
         """
         return tuple(sorted(path.stem for path in _FOLDER.glob("*.toml")))
 
