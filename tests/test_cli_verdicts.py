@@ -93,7 +93,7 @@ def test_rivals_run_on_equal_terms(fraclink: Command, tmp_path: Path) -> None:
     assert code == 0
     assert err.splitlines()[-1] == "written: comparison/comparison.md"
     text = (tmp_path / "comparison" / "comparison.md").read_text("utf-8")
-    assert "| ours |" in text
+    assert "| fraclink |" in text
     assert "ZVD" in text
     assert fraclink("compare --rig paper-2023 --out comparison")[0] == 2
 

@@ -79,7 +79,7 @@ COMMANDS: dict[str, str] = {
     "run": f"run {RIG} --log demo --out results",
     "report": "report results --out page.html",
     "design-map": f"design-map {RIG} --points 7 --crossovers 9 15",
-    "compare": f"compare {RIG} --link-mass 0.00735 --only ours --only collocated --filter-time 0",
+    "compare": f"compare {RIG} --link-mass 0.00735 --only fraclink --only collocated --filter-time 0",
     "campaign-montecarlo": "campaign montecarlo --design design.json --runs 200 --seed 7 --out carlo",
     "campaign-replay": "campaign replay carlo --run 65 --out replayed.npz",
     "campaign-faults": f"campaign faults --design design.json {ARM} --only F02 --severity 2 --payload 0.03 "

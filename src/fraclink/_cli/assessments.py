@@ -35,7 +35,7 @@ from fraclink._design.assess import margin_curve, mode_gains, phase_budget, tole
 from fraclink._files import output_path, write_json, write_text
 from fraclink._show.drawing import save_axes
 from fraclink._show.plots import feasibility, margins_against_payload, phase_shares
-from fraclink._show.records import finite
+from fraclink._show.records import finite, requirement_json
 from fraclink._show.tables import requirements_table
 from fraclink._show.text import Table, View, degrees, grams, number
 from fraclink._validate import Ordered, checked
@@ -88,7 +88,7 @@ def assess(
         "tolerances": {name: finite(value) for name, value in asdict(tolerated).items()},
         "max_sensitivity": peak,
         "rivals": list(rivals),
-        "spillover": [asdict(item) for item in modes],
+        "spillover": [requirement_json(item) for item in modes],
     }
     if out is not None:
         masses = np.geomspace(low / 2.5, 1.25 * high, _POINTS)
