@@ -68,7 +68,7 @@ def _loop(controller: Controller, natural_frequency: float, parts: _Parts) -> Ca
         if parts.sums:  # the backward difference in place of s
             value = value * ((1.0 - np.exp(-s * parts.sums)) / (s * parts.sums)) ** controller.order
         return np.asarray(
-            value / (1.0 + s / designs.rig().inner.pole) ** 2 if parts.motor else value, dtype=np.complex128
+            value / (1.0 + s / designs.rig().motor_loop.pole) ** 2 if parts.motor else value, dtype=np.complex128
         )
 
     return loop
@@ -126,13 +126,13 @@ def _printed_poles() -> list[tuple[str, str]]:
     link = LinkModel(designs.rig().link.stiffness, _NOMINAL, order=designs.ORDER)
     found = []
     for number, controller in PRINTED.items():
-        pole = closed_loop_poles(controller, link, inner_pole=designs.rig().inner.pole)[0]
+        pole = closed_loop_poles(controller, link, inner_pole=designs.rig().motor_loop.pole)[0]
         found.append((number, f"{pole.real:+.3f} ± {abs(pole.imag):.2f}j rad/s"))
     return found
 
 
 def _inner_radii() -> str:
-    loop = place_pid(designs.rig().motor, designs.rig().inner.pole)
+    loop = place_pid(designs.rig().motor, designs.rig().motor_loop.pole)
     methods: tuple[Method, ...] = ("tustin", "backward", "zero-order-hold")
     radii = [f"{method} {loop.sampled_radius(designs.rig().period, method=method):.3f}" for method in methods]
     return ", ".join(radii)
