@@ -67,9 +67,8 @@ def _loop(controller: Controller, natural_frequency: float, parts: _Parts) -> Ca
         value = controller.response(np.imag(s)) * tip(s) * np.exp(-parts.delay * s)
         if parts.sums:  # the backward difference in place of s
             value = value * ((1.0 - np.exp(-s * parts.sums)) / (s * parts.sums)) ** controller.order
-        return np.asarray(
-            value / (1.0 + s / designs.rig().motor_loop.pole) ** 2 if parts.motor else value, dtype=np.complex128
-        )
+        motor = (1.0 + s / designs.rig().motor_loop.pole) ** -2 if parts.motor else 1.0
+        return np.asarray(value * motor, dtype=np.complex128)
 
     return loop
 
