@@ -24,9 +24,9 @@ import fraclink as fl
 from fraclink._arm.link import SecondMode
 from fraclink._arm.rig import Rig
 from fraclink._certify import Certificate, certify
-from fraclink._certify.balls import Loop, outside
+from fraclink._certify.balls import BallLoop, outside
 from fraclink._certify.numeric import loop_values
-from fraclink._certify.search import Failure, clear, prove
+from fraclink._certify.search import MarginFailure, clear, prove
 from fraclink._certify.statement import ASSUMPTIONS, CLAIM, Statement
 from fraclink._design import Design
 from fraclink._design.assess import PRINTED
@@ -112,7 +112,7 @@ def test_balls_hold_the_loop_at_random_points_of_random_boxes(inner: str):
     design = plan_for(inner)
     proper = design.law()
     claim = certify(design, law=proper, modulus_margin=0.999).statement
-    loop, rng = Loop(claim, proper.coefficients), np.random.default_rng(5)
+    loop, rng = BallLoop(claim, proper.coefficients), np.random.default_rng(5)
     for _ in range(60):
         w0, m0 = float(np.exp(rng.uniform(-1, 6.5))), float(rng.uniform(0.02, 0.039))
         t0 = float(rng.uniform(0, 0.0035))
@@ -137,7 +137,7 @@ def test_loop_of_the_certificate_is_the_sampled_loop_of_the_plan():
         plant = design.sampled_plant(design.natural_frequency(0.023))
         true = proper.frequency_response(w) * plant(w)
         main = loop_values(claim, proper, w, 0.023, delay)
-        balls = Loop(claim, proper.coefficients)
+        balls = BallLoop(claim, proper.coefficients)
         for k, frequency in enumerate(w):
             bound = balls.inverse(balls.window(frequency, frequency), (0.023, 0.023), (delay, delay))[2]
             assert abs(true[k] - main[k]) <= bound
@@ -156,8 +156,8 @@ def test_claim_above_the_truth_is_refused_with_the_place(law: Law):
 def test_claim_just_above_the_truth_is_not_proved(law: Law):
     found = certify(plan_for("ideal"), law=law, modulus_margin=0.3)
     close = replace(found.statement, modulus=0.6572)
-    outcome = prove(Loop(close, law.coefficients), most=20_000)
-    assert isinstance(outcome, Failure)
+    outcome = prove(BallLoop(close, law.coefficients), most=20_000)
+    assert isinstance(outcome, MarginFailure)
     assert outcome.payload == pytest.approx(0.020, rel=0.05)
 
 
@@ -232,7 +232,7 @@ def test_what_the_gauge_shows_is_in_the_proof(
     plain = replace(claim, gauge_gain=1.0, gauge_delay=0.0, mode_frequency=0.0, mode_gain=0.0)
     expected = loop_values(plain, law, w, 0.025, 0.001) / link * (1 - read * (1 - link + mode))
     assert loop_values(claim, law, w, 0.025, 0.001) == pytest.approx(expected, rel=1e-9)
-    balls = Loop(claim, law.coefficients)
+    balls = BallLoop(claim, law.coefficients)
     for frequency, value in zip(w[::9], expected[::9], strict=True):
         window = balls.window(frequency, frequency)
         inverse, size, _ = balls.inverse(window, (0.025, 0.025), (0.001, 0.001))

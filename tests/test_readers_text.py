@@ -15,7 +15,7 @@ from fraclink._arm.experiment import Channel, LogColumns
 from fraclink._arm.rig import Rig
 from fraclink._logs import bundled_log, bundled_logs, inspect_log, read_columns, read_log
 from fraclink._logs.columns import suggested_mapping
-from fraclink._logs.table import Table
+from fraclink._logs.table import LogTable
 from fraclink._logs.text import NUMBER, parse_cells, read_text_table
 from fraclink.errors import FieldError
 from made_logs import HEADER, made_rows, write_log
@@ -199,7 +199,7 @@ def test_inspect_shows_hostile_names_without_their_control_characters(tmp_path: 
 def test_b72_any_column_name_gives_a_mapping_that_parses(texts: list[str]) -> None:
     values = tuple(np.array([0.0, 1.0, 0.5]) for _ in texts)
     names = tuple(f"theta{text}" for text in texts)
-    mapping = tomllib.loads(suggested_mapping(Table(names, values, "text")))
+    mapping = tomllib.loads(suggested_mapping(LogTable(names, values, "text")))
     assert mapping["log"]["motor_angle"]["column"] in names
 
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from fraclink._simulate.metrics import Metrics, Signals, Verdict, judge, measure
+from fraclink._simulate.metrics import Metrics, MoveVerdict, Signals, judge, measure
 
 PERIOD, ENDED, VIBRATION = 0.01, 1.0, 0.5
 TIME = PERIOD * np.arange(601)
@@ -42,7 +42,7 @@ def measured(tip: np.ndarray, **changes: np.ndarray) -> Metrics:
     return measure(signals(tip, **changes))
 
 
-def judged(tip: np.ndarray, **changes: np.ndarray) -> Verdict:
+def judged(tip: np.ndarray, **changes: np.ndarray) -> MoveVerdict:
     block = signals(tip, **changes)
     return judge(block, measure(block))
 

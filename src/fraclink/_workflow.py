@@ -302,7 +302,7 @@ def run(
             if isinstance(error, FieldError) and error.field.partition(".")[0].partition("[")[0] in wanted:
                 raise
             why = str(error) if isinstance(error, InfeasibleError) else f"{name} failed: {error}"
-            study = replace(study, **{"uncertified" if name == "proving" else "stopped": why})
+            study = replace(study, uncertified=why) if name == "proving" else replace(study, stopped=why)
             if study.design is None:
                 break
     if out is not None:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
 
-from fraclink._export.bounds import Bounds, worst_case
+from fraclink._export.bounds import CommandBounds, worst_case
 from fraclink._export.claims import Claim
 from fraclink._export.data import hex_float
 from fraclink._law import Law
@@ -159,7 +159,7 @@ def rounding_claim(law: Law, folder: Path, *, error: float = 0.5) -> Claim:
     )
 
 
-def rounding_bound(law: Law, answer: str, bounds: Bounds) -> Rounding:
+def rounding_bound(law: Law, answer: str, bounds: CommandBounds) -> Rounding:
     """Return the all-time bounds from Gappa's `answer` about one step; ValueError where it is not enough."""
     step = _answers(answer)
     correction, ahead = _modes(law)

@@ -24,7 +24,7 @@ from fraclink._arm.rig import Rig
 from fraclink._validate import Between, checked
 from fraclink.errors import FieldError
 
-__all__ = ["Beam", "Modes", "matrices", "rigid_rotation"]
+__all__ = ["Beam", "BeamModes", "matrices", "rigid_rotation"]
 
 Vector = NDArray[np.float64]
 
@@ -149,7 +149,7 @@ class Beam:
         )
 
     @checked
-    def modes(self, count: Annotated[int, Between(1, 12, "modes")]) -> Modes:
+    def modes(self, count: Annotated[int, Between(1, 12, "modes")]) -> BeamModes:
         """Return the first `count` clamped modes, 1 to 12, fewer where the beam has fewer.
 
         A massless link has one mode (two with tip inertia); asking for more returns those.
@@ -158,7 +158,7 @@ class Beam:
 
 
 @dataclass(frozen=True)
-class Modes:
+class BeamModes:
     """Clamped modes of a beam, normalised to unit modal mass.
 
     frequencies: ωi [rad/s]; participation: Γi [√kg·m], the modal load of a unit hub acceleration;
@@ -206,7 +206,7 @@ def rigid_rotation(beam: Beam) -> Vector:
     return rigid
 
 
-def _modes(beam: Beam, count: int) -> Modes:
+def _modes(beam: Beam, count: int) -> BeamModes:
     mass, stiffness = matrices(beam)
     factor = np.linalg.cholesky(stiffness)
     # The eigenvalues of L⁻¹ M L⁻ᵀ are 1/ω²: the wanted modes are the largest ones, and a massless link
@@ -224,7 +224,7 @@ def _modes(beam: Beam, count: int) -> Modes:
     # EI φ''(0) from the base moment under the inertia load: exact to the order of the eigenvalue, where
     # differentiating the cubic twice would lose two orders. It is the moment K φ leaves at the clamp.
     curvature = frequencies**2 * (rigid @ (mass @ shapes))
-    result = Modes(frequencies, rigid @ (mass @ shapes), shapes[-2] / beam.length, curvature, shapes)
+    result = BeamModes(frequencies, rigid @ (mass @ shapes), shapes[-2] / beam.length, curvature, shapes)
     for array in vars(result).values():
         array.flags.writeable = False
     return result

@@ -20,7 +20,7 @@ from fraclink._arm.rig_parts import (
     Payloads,
     Sentence,
     Source,
-    Tolerances,
+    StatedTolerances,
     at_least_zero,
     positive,
 )
@@ -30,7 +30,7 @@ from fraclink._validate import Between, Frequency, Payload, Period, checked
 from fraclink.errors import FieldError, FileFormatError
 from fraclink.findings import Finding
 
-__all__ = ["DesignDefaults", "Encoder", "Gauge", "Link", "Motor", "Payloads", "Rig", "Tolerances"]
+__all__ = ["DesignDefaults", "Encoder", "Gauge", "Link", "Motor", "Payloads", "Rig", "StatedTolerances"]
 
 T = TypeVar("T")
 
@@ -99,7 +99,7 @@ class Rig:
     design: DesignDefaults | None = None
     assumptions: tuple[Sentence, ...] = ()
     source: Source = ""
-    tolerances: Tolerances = field(default_factory=Tolerances)
+    tolerances: StatedTolerances = field(default_factory=StatedTolerances)
 
     @staticmethod
     def named(name: str) -> Rig:
@@ -343,7 +343,7 @@ class _RigFile:
     motor_loop: _MotorLoopTable = field(default_factory=_MotorLoopTable)
     model: _ModelTable | None = None
     design: DesignDefaults | None = None
-    tolerances: Tolerances | None = None
+    tolerances: StatedTolerances | None = None
     log: _LogTable | None = None
 
     def __post_init__(self) -> None:
@@ -366,7 +366,7 @@ class _RigFile:
             motor_loop=_like(MotorLoop, self.motor_loop),
             model=self.model and self.model.build(self.link, self.payloads),
             log=self.log and self.log.build(),
-            tolerances=self.tolerances or Tolerances(),
+            tolerances=self.tolerances or StatedTolerances(),
         )
 
     @staticmethod
@@ -378,7 +378,7 @@ class _RigFile:
             source=rig.source or None,
             motor_loop=_like(_MotorLoopTable, rig.motor_loop),
             model=rig.model and _ModelTable.of(rig.model),
-            tolerances=None if rig.tolerances == Tolerances() else rig.tolerances,
+            tolerances=None if rig.tolerances == StatedTolerances() else rig.tolerances,
             log=rig.log and _LogTable(**rig.log.channels()),
         )
 

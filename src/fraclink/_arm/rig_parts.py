@@ -10,7 +10,7 @@ from fraclink._validate import Between, Frequency, Length, Where, checked
 from fraclink.errors import FieldError
 from fraclink.findings import Finding
 
-__all__ = ["DesignDefaults", "Encoder", "Gauge", "Link", "Motor", "Payloads", "Tolerances"]
+__all__ = ["DesignDefaults", "Encoder", "Gauge", "Link", "Motor", "Payloads", "StatedTolerances"]
 
 # Gram and kilogram are 1000 apart, and no arm carries payloads a hundred times beyond its own range.
 _ANOTHER_UNIT = 100.0
@@ -248,7 +248,7 @@ class DesignDefaults:
 
 @checked(prefix="tolerances.")
 @dataclass(frozen=True)
-class Tolerances:
+class StatedTolerances:
     """How far the arm may differ from its model: what a proof covers, at least, beyond what a fit is sure of.
 
     natural_frequency, gauge_gain and motor_pole are relative [1]; order λ is absolute [1]; gauge_delay is the

@@ -65,7 +65,7 @@ from fraclink._simulate.kernel import ArmState
 from fraclink._validate import checked
 from fraclink.errors import FieldError
 
-__all__ = ["CATALOGUE", "RULES", "Fault", "Rule", "fault_named"]
+__all__ = ["CATALOGUE", "RULES", "Fault", "FaultRule", "fault_named"]
 
 EVER = 1e6  # [s]
 ANY = 10**6  # periods: the catalogue states no number
@@ -479,7 +479,7 @@ def _quiet_trips(e: Evidence) -> Check:
 
 
 @dataclass(frozen=True)
-class Rule:
+class FaultRule:
     """What is done to a trial, and what is measured on its run.
 
     reference: of the run, where it is not the campaign's move. prepare: done to the faulty and the clean run
@@ -497,54 +497,54 @@ OFF_BY_ENCODER = (reacts(OFF, 20, BAD_ENCODER, RESIDUAL), only(RUN, OFF))
 GIVES_UP_GAUGE = (reacts(DEGRADED, 5, BAD_GAUGE), final(0.02), only(RUN, DEGRADED))
 
 RULES = {
-    "F01": Rule(_one_bad("encoder", math.nan), (flagged(ENCODER, "encoder"), *RIDES)),
-    "F02": Rule(_one_bad("gauge", math.nan), (flagged(GAUGE, "gauge"), *RIDES)),
-    "F03": Rule(_three, (flagged(ENCODER, "encoder"), *RIDES)),
-    "F04": Rule(_both, (reacts(OFF, 5, BAD_ENCODER), _held, only(RUN, OFF))),
-    "F05": Rule(_one_bad("gauge", math.inf, -math.inf), (flagged(GAUGE, "gauge"), *RIDES)),
-    "F06": Rule(_dropped, (*RIDES, _settling)),
-    "F07": Rule(
+    "F01": FaultRule(_one_bad("encoder", math.nan), (flagged(ENCODER, "encoder"), *RIDES)),
+    "F02": FaultRule(_one_bad("gauge", math.nan), (flagged(GAUGE, "gauge"), *RIDES)),
+    "F03": FaultRule(_three, (flagged(ENCODER, "encoder"), *RIDES)),
+    "F04": FaultRule(_both, (reacts(OFF, 5, BAD_ENCODER), _held, only(RUN, OFF))),
+    "F05": FaultRule(_one_bad("gauge", math.inf, -math.inf), (flagged(GAUGE, "gauge"), *RIDES)),
+    "F06": FaultRule(_dropped, (*RIDES, _settling)),
+    "F07": FaultRule(
         _stuck(FROZEN_ENCODER, 0.25, 0.5, EVER),
         (reacts(OFF, 20, BAD_ENCODER, RESIDUAL), peak(0.4, phases=("mid",)), only(RUN, OFF)),
     ),
-    "F08": Rule(_stuck(FROZEN_ENCODER, 0.5, 2.0, 3.5), RIDES),
-    "F09": Rule(_rail, GIVES_UP_GAUGE),
-    "F10": Rule(_saturated, GIVES_UP_GAUGE),
-    "F11": Rule(_stuck(FROZEN_GAUGE, 0.25, 0.5, 1.0), (only(RUN, DEGRADED), peak_ratio(1.1))),
+    "F08": FaultRule(_stuck(FROZEN_ENCODER, 0.5, 2.0, 3.5), RIDES),
+    "F09": FaultRule(_rail, GIVES_UP_GAUGE),
+    "F10": FaultRule(_saturated, GIVES_UP_GAUGE),
+    "F11": FaultRule(_stuck(FROZEN_GAUGE, 0.25, 0.5, 1.0), (only(RUN, DEGRADED), peak_ratio(1.1))),
     # An offset of the gauge, which Ĉ(1) = 0 must reject exactly whenever it comes.
-    "F12": Rule(_offset, (only(RUN), final(1e-3))),
-    "F13": Rule(_offset, (only(RUN), final(1e-3))),
-    "F14": Rule(_drift, (only(RUN), final(5e-3))),
-    "F15": Rule(_gain, RIDES),
-    "F16": Rule(_reversed, (_wiring_answer, _wiring_clean), SELF_TEST, _self_test),
-    "F17": Rule(_noise, (only(RUN), _noise_bound)),
-    "F18": Rule(_spikes, (flagged(GAUGE, "gauge"), only(RUN), peak_ratio(1.05))),
-    "F19": Rule(_coarse, (only(RUN), _one_count)),
-    "F20": Rule(_jitter, (only(RUN), peak_ratio(1.02))),
-    "F21": Rule(lambda trial: trial.miss(int(trial.pick(1, 3, 5))), (flagged(MISSED, "missed"), *RIDES)),
-    "F22": Rule(_dead, (flagged(MISSED, "missed"), _off_at_once, only(RUN, OFF))),
-    "F23": Rule(_repeated, (flagged(REPEATED, "repeated"), *RIDES)),
-    "F24": Rule(_delay, (only(RUN), peak_ratio(1.05))),
-    "F25": Rule(_jump, (flagged(REFERENCE, "reference"), only(RUN), _overshoot)),
-    "F26": Rule(_bad_reference, (flagged(REFERENCE, "reference"), only(RUN), final(0.02))),
-    "F27": Rule(_limited, (only(RUN), _recovery), THERE_AND_BACK),
-    "F28": Rule(_slow, (only(RUN), limit_cycle(2e-3))),
-    "F29": Rule(_flip, (only(RUN), peak(0.3), settled(1.0))),
-    "F30": Rule(_wipe, RIDES),
-    "F31": Rule(_mismatch, (_refused(BAD_VERSION, BAD_SIZE, BAD_CRC), _silent)),
-    "F32": Rule(_restarts, (flagged(STARTED, "started"), _bumpless, only(RUN), final(0.02))),
-    "F33": Rule(_far, (only(RUN), final(0.02))),
-    "F34": Rule(_blind_start, (flagged(ENCODER, "encoder"), _idle, _silent, only(IDLE, RUN))),
-    "F35": Rule(_degrees, OFF_BY_ENCODER),
-    "F36": Rule(_wrapped, OFF_BY_ENCODER),
-    "F37": Rule(_swapped, (reacts(OFF, ANY, BAD_ENCODER, RESIDUAL), only(RUN, OFF))),
-    "F38": Rule(_other_payload, (only(RUN), _payload_peak, final(0.02))),
-    "F39": Rule(_payload_changes, (only(RUN), bounded(0.1), final(0.02))),
-    "F40": Rule(_hit, (_hit_reaction, only(RUN, HOLD))),
-    "F41": Rule(_sticky, (only(RUN), limit_cycle(2e-3))),
-    "F42": Rule(_slow_motor, (only(RUN), bounded(0.2), final(0.02))),
-    "F43": Rule(_nothing, (only(RUN), _denormals, _quiet_trips)),
-    "F44": Rule(_damaged, (_refused(BAD_CRC, BAD_CRC, BAD_CRC), _silent)),
+    "F12": FaultRule(_offset, (only(RUN), final(1e-3))),
+    "F13": FaultRule(_offset, (only(RUN), final(1e-3))),
+    "F14": FaultRule(_drift, (only(RUN), final(5e-3))),
+    "F15": FaultRule(_gain, RIDES),
+    "F16": FaultRule(_reversed, (_wiring_answer, _wiring_clean), SELF_TEST, _self_test),
+    "F17": FaultRule(_noise, (only(RUN), _noise_bound)),
+    "F18": FaultRule(_spikes, (flagged(GAUGE, "gauge"), only(RUN), peak_ratio(1.05))),
+    "F19": FaultRule(_coarse, (only(RUN), _one_count)),
+    "F20": FaultRule(_jitter, (only(RUN), peak_ratio(1.02))),
+    "F21": FaultRule(lambda trial: trial.miss(int(trial.pick(1, 3, 5))), (flagged(MISSED, "missed"), *RIDES)),
+    "F22": FaultRule(_dead, (flagged(MISSED, "missed"), _off_at_once, only(RUN, OFF))),
+    "F23": FaultRule(_repeated, (flagged(REPEATED, "repeated"), *RIDES)),
+    "F24": FaultRule(_delay, (only(RUN), peak_ratio(1.05))),
+    "F25": FaultRule(_jump, (flagged(REFERENCE, "reference"), only(RUN), _overshoot)),
+    "F26": FaultRule(_bad_reference, (flagged(REFERENCE, "reference"), only(RUN), final(0.02))),
+    "F27": FaultRule(_limited, (only(RUN), _recovery), THERE_AND_BACK),
+    "F28": FaultRule(_slow, (only(RUN), limit_cycle(2e-3))),
+    "F29": FaultRule(_flip, (only(RUN), peak(0.3), settled(1.0))),
+    "F30": FaultRule(_wipe, RIDES),
+    "F31": FaultRule(_mismatch, (_refused(BAD_VERSION, BAD_SIZE, BAD_CRC), _silent)),
+    "F32": FaultRule(_restarts, (flagged(STARTED, "started"), _bumpless, only(RUN), final(0.02))),
+    "F33": FaultRule(_far, (only(RUN), final(0.02))),
+    "F34": FaultRule(_blind_start, (flagged(ENCODER, "encoder"), _idle, _silent, only(IDLE, RUN))),
+    "F35": FaultRule(_degrees, OFF_BY_ENCODER),
+    "F36": FaultRule(_wrapped, OFF_BY_ENCODER),
+    "F37": FaultRule(_swapped, (reacts(OFF, ANY, BAD_ENCODER, RESIDUAL), only(RUN, OFF))),
+    "F38": FaultRule(_other_payload, (only(RUN), _payload_peak, final(0.02))),
+    "F39": FaultRule(_payload_changes, (only(RUN), bounded(0.1), final(0.02))),
+    "F40": FaultRule(_hit, (_hit_reaction, only(RUN, HOLD))),
+    "F41": FaultRule(_sticky, (only(RUN), limit_cycle(2e-3))),
+    "F42": FaultRule(_slow_motor, (only(RUN), bounded(0.2), final(0.02))),
+    "F43": FaultRule(_nothing, (only(RUN), _denormals, _quiet_trips)),
+    "F44": FaultRule(_damaged, (_refused(BAD_CRC, BAD_CRC, BAD_CRC), _silent)),
 }
 
 
@@ -568,7 +568,7 @@ class Fault:
     note: str = ""
 
     @property
-    def rule(self) -> Rule:
+    def rule(self) -> FaultRule:
         """What is done and measured."""
         return RULES[self.number]
 

@@ -22,7 +22,18 @@ from fraclink._simulate.simulate import with_motor_loop
 from fraclink._validate import Between, checked
 from fraclink.errors import FieldError
 
-__all__ = ["MOVE", "PHASES", "TIMES", "Bench", "Case", "Check", "Evidence", "Signals", "Trial", "execute"]
+__all__ = [
+    "MOVE",
+    "PHASES",
+    "TIMES",
+    "Bench",
+    "Case",
+    "Check",
+    "Evidence",
+    "Trial",
+    "TrialSignals",
+    "execute",
+]
 
 Real = NDArray[np.float64]
 Counts = NDArray[np.uint32]
@@ -215,7 +226,7 @@ def members(memory: NDArray[np.uint8], size: int) -> NDArray[np.float64] | NDArr
 
 
 @dataclass(frozen=True, eq=False)
-class Signals:
+class TrialSignals:
     """One value per control period of a run; units as in `Run`. `law_state`: the law's memory at the end."""
 
     time: Real
@@ -258,7 +269,7 @@ _COLUMNS = {
 }
 
 
-def execute(trial: Trial) -> Signals:
+def execute(trial: Trial) -> TrialSignals:
     """Run a trial on the twin."""
     arm = ArmState(trial.twin, trial.period, trial.state, start_angle=trial.start_angle)
     single = trial.law.precision == "single"
@@ -279,7 +290,7 @@ def execute(trial: Trial) -> Signals:
     count = len(record)
     by_name = dict(zip(kernel.RECORD, np.ascontiguousarray(record.T), strict=False))
     marks = {name: by_name[name].astype(np.uint32) for name in ("mode", "reason", "flags")}
-    return Signals(
+    return TrialSignals(
         time=trial.period * np.arange(count, dtype=np.float64),
         wanted=trial.wanted[:count].copy(),
         **{name: by_name[column] for name, column in _COLUMNS.items()},
@@ -323,8 +334,8 @@ class Evidence:
     law: Law
     row: int
     marks: NDArray[np.bool_]
-    faulty: Signals
-    clean: Signals
+    faulty: TrialSignals
+    clean: TrialSignals
     detail: str = ""
 
     @property

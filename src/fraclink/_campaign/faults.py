@@ -21,8 +21,8 @@ from fraclink._campaign.fault_trial import (
     Check,
     Evidence,
     Phase,
-    Signals,
     Trial,
+    TrialSignals,
     execute,
     shared_checks,
 )
@@ -43,8 +43,8 @@ __all__ = [
     "FaultTable",
     "Outcome",
     "Row",
-    "Signals",
     "Soak",
+    "TrialSignals",
     "cases",
     "fault_named",
     "observe",
@@ -53,7 +53,7 @@ __all__ = [
     "soak",
 ]
 
-CleanRuns = dict[tuple[object, ...], Signals]
+CleanRuns = dict[tuple[object, ...], TrialSignals]
 ROUND = smooth_step(1.0, duration=1.2).then(hold(0.0, 0.8)).then(smooth_step(-1.0, duration=1.2))
 ROUND_TIME = 4.0  # [s]: 0.8 s of rest at either end
 CHUNK = 100  # rounds at once: 9 MB of inputs
@@ -247,7 +247,7 @@ def _trial(bench: Bench, fault: Fault, case: Case, law: Law) -> Trial:
     return trial
 
 
-def _check_clean(run: Signals, payload: float) -> None:
+def _check_clean(run: TrialSignals, payload: float) -> None:
     tripped = np.flatnonzero(run.mode > RUN)
     if tripped.size or not run.finished:
         row = int(tripped[0]) if tripped.size else -1
@@ -297,7 +297,7 @@ def _judged(e: Evidence) -> list[Check]:
     return [*shared_checks(e), *(check(e) for check in fault_named(e.case.fault).rule.require)]
 
 
-def _changes(signals: Signals) -> list[tuple[int, int]]:
+def _changes(signals: TrialSignals) -> list[tuple[int, int]]:
     """Modes and reasons in their order, without how long each lasted."""
     pairs = np.column_stack((signals.mode, signals.reason)).astype(int)
     kept = np.append(True, np.any(np.diff(pairs, axis=0) != 0, axis=1))

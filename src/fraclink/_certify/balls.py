@@ -21,7 +21,7 @@ from typing import Any, TypeAlias
 from fraclink._certify.statement import Statement
 from fraclink.errors import MissingExtraError
 
-__all__ = ["BITS", "Ball", "Disc", "Loop", "SampledMotor", "Window", "load_flint", "outside"]
+__all__ = ["BITS", "Ball", "BallLoop", "BallWindow", "Disc", "SampledMotor", "load_flint", "outside"]
 
 Ball: TypeAlias = Any  # flint.arb, a real ball; python-flint has no type stubs
 Disc: TypeAlias = Any  # flint.acb, a rectangle of two
@@ -46,7 +46,7 @@ def outside(value: Ball) -> tuple[float, float]:
 
 
 @dataclass(frozen=True)
-class Window:
+class BallWindow:
     """What one interval of frequencies contributes, whatever payload and delay."""
 
     frequency: Ball
@@ -170,7 +170,7 @@ class SampledMotor:
         return True
 
 
-class Loop:
+class BallLoop:
     """The sampled loop of a statement, in balls."""
 
     def __init__(self, statement: Statement, coefficients: dict[str, Any]) -> None:
@@ -272,7 +272,7 @@ class Loop:
         first = (arb(low).log() * order).exp() if low > 0.0 else arb(0)
         return first.union((arb(high).log() * order).exp())
 
-    def window(self, low: float, high: float) -> Window:
+    def window(self, low: float, high: float) -> BallWindow:
         """Enclose what frequencies [low, high] [rad/s] contribute, 0 < low < high <= π/Ts."""
         arb, acb = self.flint.arb, self.flint.acb
         w = self.hull(low, high)
@@ -290,7 +290,7 @@ class Loop:
             scale = sinc * inverse / 2
             motor = acb(1, w / self.statement.pole) * acb(1, w / self.statement.pole)
         read, unread = self.sensed(w)
-        return Window(
+        return BallWindow(
             frequency=w,
             factor=motor * acb(0, -scale) / (kernel * first),
             inertia=self.power(low, high, self.order) * self.direction,
@@ -304,7 +304,7 @@ class Loop:
             both=both,
         )
 
-    def closing_spread(self, window: Window, delay: tuple[float, float]) -> tuple[float, float]:
+    def closing_spread(self, window: BallWindow, delay: tuple[float, float]) -> tuple[float, float]:
         """Relative radius of X over a box that comes from the frequencies, and from the delays."""
         late = self.hull(*delay)
         value = self.motor.closing(window.back, window.both, late)
@@ -314,7 +314,7 @@ class Loop:
         return spread[1] / size, (spread[0] - spread[1]) / size
 
     def inverse(
-        self, window: Window, payload: tuple[float, float], delay: tuple[float, float]
+        self, window: BallWindow, payload: tuple[float, float], delay: tuple[float, float]
     ) -> tuple[Disc, Ball, float]:
         """Enclose 1/L without aliases over a box, then its modulus; bound what aliases add to L."""
         soft = self.hull(*payload) * self.statement.softness

@@ -11,9 +11,9 @@ from fraclink._arm.controller import Controller
 from fraclink._arm.link import LinkModel
 from fraclink._arm.loop import with_payload
 from fraclink._arm.rig import Rig
-from fraclink._certify.balls import Loop, load_flint
+from fraclink._certify.balls import BallLoop, load_flint
 from fraclink._certify.numeric import windings, worst_distance
-from fraclink._certify.search import Failure, prove
+from fraclink._certify.search import MarginFailure, prove
 from fraclink._certify.statement import Certificate, Statement, state
 from fraclink._design import Design
 from fraclink._law import Law, discretize_controller
@@ -95,8 +95,8 @@ def certify(
         return _unstable(claim, subject, model, *unstable)
     if distance <= claim.modulus:
         return _too_close(claim, distance, frequency, payload, late)
-    outcome = prove(Loop(claim, proper.coefficients))
-    if isinstance(outcome, Failure):
+    outcome = prove(BallLoop(claim, proper.coefficients))
+    if isinstance(outcome, MarginFailure):
         return Certificate(
             claim,
             False,

@@ -13,17 +13,26 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._certify.balls import Ball, Disc, Loop, Window, outside
+from fraclink._certify.balls import Ball, BallLoop, BallWindow, Disc, outside
 from fraclink._certify.numeric import loop_values
 from fraclink._certify.statement import Statement
 from fraclink._law import Law
 from fraclink._systems.brackets import bracketed_roots
 from fraclink._validate import checked_between, checked_noun, checked_whole
 
-__all__ = ["Box", "Enclosure", "Failure", "Proof", "clear", "enclose_phase_margin", "halves", "prove"]
+__all__ = [
+    "Box",
+    "Enclosure",
+    "MarginFailure",
+    "MarginProof",
+    "clear",
+    "enclose_phase_margin",
+    "halves",
+    "prove",
+]
 
 Real = NDArray[np.float64]
-Windows = dict[tuple[float, float], Window]
+Windows = dict[tuple[float, float], BallWindow]
 Box = tuple[float, float, float, float, float, float]  # ω, payload, delay: low and high of each
 _DEPTH = 60
 # Near the motor loop's resonance X is small and blurred; until it is sharp no other cut helps.
@@ -32,7 +41,7 @@ _SLACK = 1.0 + 1e-3  # proved a little more than claimed, so that other arithmet
 
 
 @dataclass(frozen=True)
-class Proof:
+class MarginProof:
     """A tree that covers the box: one letter a node in preorder; w, m, t split, "." is a leaf."""
 
     tree: str
@@ -41,7 +50,7 @@ class Proof:
 
 
 @dataclass(frozen=True)
-class Failure:
+class MarginFailure:
     """The middle of the box at which the proof stopped."""
 
     reason: str
@@ -90,22 +99,24 @@ def halves(box: Box, side: int) -> tuple[Box, Box]:
     return (*first,), (*second,)  # type: ignore[return-value]
 
 
-def prove(loop: Loop, *, most: int = 200_000) -> Proof | Failure:
+def prove(loop: BallLoop, *, most: int = 200_000) -> MarginProof | MarginFailure:
     """Bisect the statement's box until every leaf is proved, or give up at `most` nodes and say where."""
     s = loop.statement
     if not loop.correction_is_stable():
-        return Failure(
+        return MarginFailure(
             "a pole of the law's correction lies outside the unit circle", 0.0, s.payload_low, s.delay_low
         )
     if not loop.inner_is_stable():
-        return Failure(
+        return MarginFailure(
             "the sampled motor loop is not stable for every delay", 0.0, s.payload_low, s.delay_high
         )
     if not loop.low_bound() < 1.0 - s.modulus:
-        return Failure("the loop gain is not small at low frequency", s.lowest, s.payload_low, s.delay_low)
+        return MarginFailure(
+            "the loop gain is not small at low frequency", s.lowest, s.payload_low, s.delay_low
+        )
     nyquist = math.nextafter(math.pi / float(loop.period.mid()), math.inf)
     root: Box = (s.lowest, nyquist, s.payload_low, s.payload_high, s.delay_low, s.delay_high)
-    windows: dict[tuple[float, float], Window] = {}
+    windows: dict[tuple[float, float], BallWindow] = {}
     stack, letters, leaves = [(root, 0)], [], 0
     while stack:
         box, depth = stack.pop()
@@ -118,12 +129,12 @@ def prove(loop: Loop, *, most: int = 200_000) -> Proof | Failure:
             leaves += 1
             continue
         if depth == _DEPTH or len(letters) >= most:
-            return Failure("the bound is not met", *(0.5 * (box[i] + box[i + 1]) for i in (0, 2, 4)))
+            return MarginFailure("the bound is not met", *(0.5 * (box[i] + box[i + 1]) for i in (0, 2, 4)))
         side = widest_side(loop, box, window, value)
         letters.append("wmt"[side])
         first, second = halves(box, side)
         stack += [(second, depth + 1), (first, depth + 1)]
-    return Proof("".join(letters), leaves, len(letters))
+    return MarginProof("".join(letters), leaves, len(letters))
 
 
 def _proved(value: Disc, size: Ball, modulus: float) -> bool:
@@ -133,7 +144,7 @@ def _proved(value: Disc, size: Ball, modulus: float) -> bool:
     return value.is_finite() and clear(outside(value.real), outside(value.imag), modulus)
 
 
-def widest_side(loop: Loop, box: Box, window: Window, value: Disc) -> int:
+def widest_side(loop: BallLoop, box: Box, window: BallWindow, value: Disc) -> int:
     if not value.is_finite():
         return 0
     from_w, from_t = loop.closing_spread(window, box[4:6]) if loop.sampled else (0.0, 0.0)
@@ -159,7 +170,7 @@ def _misses_sector(real: tuple[float, float], imaginary: tuple[float, float], ta
     return real[0] >= 0.0 or across > -real[0] * tangent
 
 
-def _keeps_margin(loop: Loop, windows: Windows, box: Box, margin: float) -> Disc | None:
+def _keeps_margin(loop: BallLoop, windows: Windows, box: Box, margin: float) -> Disc | None:
     """None where the box is proved, else the enclosure of 1/L that was too wide."""
     window = windows.get(box[:2])
     if window is None:
@@ -176,7 +187,7 @@ def _keeps_margin(loop: Loop, windows: Windows, box: Box, margin: float) -> Disc
 
 
 def holds_everywhere(
-    loop: Loop, margin: float, windows: dict[tuple[float, float], Window], most: int
+    loop: BallLoop, margin: float, windows: dict[tuple[float, float], BallWindow], most: int
 ) -> int | None:
     """Number of nodes of a proof that every crossing keeps `margin` [rad] < π/2; None where there is none."""
     s = loop.statement
@@ -210,7 +221,7 @@ def enclose_phase_margin(
     checked_between("width", width, 0.0, 0.5 * math.pi, "rad", open_low=True)
     checked_whole("most", most, 1, 10**9)
     high, payload, frequency = _attained(statement, law)
-    loop = Loop(statement, law.coefficients)
+    loop = BallLoop(statement, law.coefficients)
     windows: Windows = {}
     nodes = holds_everywhere(loop, high - width, windows, most)
     if nodes is not None:

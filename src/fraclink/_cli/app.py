@@ -51,7 +51,7 @@ class _Group(TyperGroup):
         """The command of that name; its module is imported here and not before."""
         if ctx.parent is None and cmd_name in _HOMES and cmd_name not in self.commands:
             app = import_module(f"fraclink._cli.{_HOMES[cmd_name]}").app
-            self.commands.update(typer.main.get_group(app).commands)  # type: ignore[attr-defined]
+            self.commands.update(typer.main.get_group(app).commands)
         return super().get_command(ctx, cmd_name)
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:

@@ -30,7 +30,7 @@ from fraclink._cli.options import (
 from fraclink._compare import compare as run_rivals
 from fraclink._design import Design
 from fraclink._design import optimise as better
-from fraclink._design.alternatives import Rival, compare_at_equal_sensitivity, feasibility_map
+from fraclink._design.alternatives import Alternative, compare_at_equal_sensitivity, feasibility_map
 from fraclink._design.assess import margin_curve, mode_gains, phase_budget, tolerances
 from fraclink._files import output_path, write_json, write_text
 from fraclink._show.drawing import save_axes
@@ -140,7 +140,7 @@ def _tolerance_table(tolerated: dict[str, float]) -> Table:
     )
 
 
-def rival_sentences(rivals: tuple[Rival, ...]) -> tuple[str, ...]:
+def rival_sentences(rivals: tuple[Alternative, ...]) -> tuple[str, ...]:
     """Return what the comparison at equal Ms says, each rival against the design's own controller."""
     own, *others = rivals
     found = []

@@ -5,14 +5,24 @@ from __future__ import annotations
 import shlex
 from dataclasses import fields
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, cast
 
 import numpy as np
 import typer
 
 from fraclink import _campaign as campaigns
 from fraclink._campaign import Campaign, Summary
-from fraclink._campaign.faults import PHASES, Bench, Case, FaultTable, Outcome, cases, observe, run_faults
+from fraclink._campaign.faults import (
+    PHASES,
+    Bench,
+    Case,
+    FaultTable,
+    Outcome,
+    Phase,
+    cases,
+    observe,
+    run_faults,
+)
 from fraclink._cli.app import group
 from fraclink._cli.command import Answer, Writes, command, option
 from fraclink._cli.console import steps, watching
@@ -155,7 +165,7 @@ def faults(
         only=only or (),
         severities=severity or (1, 2, 3),
         payloads=payload or (),
-        phases=phase or PHASES,
+        phases=[cast(Phase, word) for word in phase] if phase else PHASES,
         seeds=seed or (1, 2, 3),
     )
     out.mkdir(parents=True, exist_ok=True)  # a folder that cannot be written is found out before the work

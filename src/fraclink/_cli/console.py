@@ -61,9 +61,7 @@ def _coloured(text: str, stream: TextIO) -> str:
     if "NO_COLOR" in os.environ or not (stream.isatty() or "FORCE_COLOR" in os.environ):
         return text
     for words, code in _COLOURS:
-        text = re.sub(
-            words, lambda found, code=code: f"\x1b[{code}m{found[0]}\x1b[0m", text, flags=re.MULTILINE
-        )  # type: ignore[misc]
+        text = re.sub(words, f"\x1b[{code}m\\g<0>\x1b[0m", text, flags=re.MULTILINE)
     return text
 
 

@@ -20,8 +20,8 @@ from fraclink._validate import Payload, checked_between, checked_noun, checked_w
 from fraclink.errors import InfeasibleError, SizeError
 
 __all__ = [
+    "Alternative",
     "FeasibilityMap",
-    "Rival",
     "compare_at_equal_sensitivity",
     "feasibility_map",
     "scale_to_sensitivity",
@@ -39,7 +39,7 @@ _MARGINAL = 1e-6  # [rad] of ln ω: below the falling crossing, so that it is no
 
 
 @dataclass(frozen=True)
-class Rival:
+class Alternative:
     """A controller and its worst values over the payload range of a design, on the loop that runs."""
 
     name: str
@@ -52,7 +52,7 @@ class Rival:
     settling_time: float  # 2π/gain_crossover [s]
 
 
-def compare_at_equal_sensitivity(design: Design, *, max_sensitivity: float) -> tuple[Rival, ...]:
+def compare_at_equal_sensitivity(design: Design, *, max_sensitivity: float) -> tuple[Alternative, ...]:
     """Rate C, C', PD and the best β at one worst Ms, and the paper's printed controllers as they are.
 
     C' has the order of the integer-model design matched to the design at the nominal payload (eq. (42) with
@@ -81,12 +81,12 @@ def _loop_of(design: Design, controller: Controller) -> Loop:
     return design.full_loop.with_controller(controller)
 
 
-def _rate(design: Design, name: str, controller: Controller) -> Rival:
+def _rate(design: Design, name: str, controller: Controller) -> Alternative:
     w0 = np.geomspace(*design.natural_frequencies, _PAYLOADS)
     got = _loop_of(design, controller).achieved(w0, design.rig.period)
     stable = bool(np.all(got.phase_margin > 0.0))
     slowest = float(np.min(got.gain_crossover))
-    return Rival(
+    return Alternative(
         name=name,
         controller=controller,
         stable=stable,
@@ -143,9 +143,9 @@ def _start(own: Controller, order: float, frequency: float) -> Controller:
     return replace(own, order=order, gain=own.gain * frequency ** (own.order - order), filter_order=n)
 
 
-def _best_order(design: Design, max_sensitivity: float) -> Rival:
+def _best_order(design: Design, max_sensitivity: float) -> Alternative:
     """The β, with the design's own filter, that crosses highest for the worst payload at this Ms."""
-    best: Rival | None = None
+    best: Alternative | None = None
     centre, width = design.controller.order, 0.35
     for _ in range(3):
         for order in map(float, centre + width * np.linspace(-1.0, 1.0, 7)):

@@ -17,7 +17,7 @@ from fraclink._design.specification import Requirement, Specification
 from fraclink.errors import InfeasibleError
 
 if TYPE_CHECKING:
-    from fraclink._design.equations import Solution, Task
+    from fraclink._design.equations import ClosedForm, Task
 
 __all__ = [
     "bound_requirements",
@@ -28,7 +28,7 @@ __all__ = [
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
-Attempt = Callable[["Task"], "tuple[Solution, int] | None"]
+Attempt = Callable[["Task"], "tuple[ClosedForm, int] | None"]
 Figure = Callable[["Task", Controller], float]
 
 _TURNS = 12
@@ -195,7 +195,7 @@ def _shortest(task: Task, bound: float, worst: Callable[[Task], float]) -> tuple
 # ---- the nearest feasible request -------------------------------------------------------------------------
 
 
-def refuse(task: Task, attempt: Attempt, found: tuple[Solution, ...], fastest: float) -> NoReturn:
+def refuse(task: Task, attempt: Attempt, found: tuple[ClosedForm, ...], fastest: float) -> NoReturn:
     """Raise InfeasibleError with the binding condition and the nearest feasible request.
 
     `found` are the solutions of the two equations, admissible or not; `fastest` [rad/s] is the crossover
@@ -262,7 +262,7 @@ def _nearest(task: Task, field: str, values: Real, attempt: Attempt) -> float | 
     return None
 
 
-def _reason(task: Task, found: tuple[Solution, ...]) -> tuple[str, str]:
+def _reason(task: Task, found: tuple[ClosedForm, ...]) -> tuple[str, str]:
     """(condition, sentence) of the bound that is hit."""
     if not found:
         where = "below the Nyquist frequency " if task.inside else ""

@@ -24,7 +24,7 @@ from fraclink._design.specification import Specification
 from fraclink._systems.brackets import bracketed_roots
 from fraclink.errors import FieldError
 
-__all__ = ["MARGIN_SHARE", "Solution", "Task", "attempt", "candidates", "equation", "task_of"]
+__all__ = ["MARGIN_SHARE", "ClosedForm", "Task", "attempt", "candidates", "equation", "task_of"]
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -74,7 +74,7 @@ class Task:
         """The loop that runs."""
         return Loop.of(controller, self.model, self.rig)
 
-    def controller(self, solution: Solution, order: int) -> Controller:
+    def controller(self, solution: ClosedForm, order: int) -> Controller:
         """The controller of a solution; the paper's reading gets its filter afterwards."""
         time = solution.filter_time
         if not self.inside:
@@ -189,7 +189,7 @@ def _check_bandwidth(crossover: float, rig: Rig) -> None:
 
 
 @dataclass(frozen=True)
-class Solution:
+class ClosedForm:
     """One solution of (54), (55), whether or not it is admissible."""
 
     order: float  # β
@@ -238,7 +238,7 @@ def equation(
     return np.asarray(residual), np.asarray(beta), np.asarray(chi), time
 
 
-def solutions(task: Task, order: int) -> Iterator[Solution]:
+def solutions(task: Task, order: int) -> Iterator[ClosedForm]:
     """Yield every solution of (54), (55) with ω̄_c above 0.9 ω_c, lowest ω̄_c first.
 
     One by one: the first is the admissible one as a rule, and the others then cost nothing.
@@ -257,7 +257,7 @@ def solutions(task: Task, order: int) -> Iterator[Solution]:
         upper = bracketed_roots(lambda x: terms(x)[0], grid[i], grid[i + 1])
         _, beta, log_chi, time = (float(x) for x in terms(upper))
         loop = replace(bare, order=beta, filter_time=time)
-        yield Solution(
+        yield ClosedForm(
             order=beta,
             gain=math.exp(log_chi) / crossover**beta,
             upper=float(upper),
@@ -268,7 +268,7 @@ def solutions(task: Task, order: int) -> Iterator[Solution]:
         )
 
 
-def attempt(task: Task) -> tuple[Solution, int] | None:
+def attempt(task: Task) -> tuple[ClosedForm, int] | None:
     """The admissible solution of a task and its n, None where there is none.
 
     Theorem 1 puts the worst crossover and the worst margin at the ends of the range for the link G. A late
@@ -299,12 +299,12 @@ def attempt(task: Task) -> tuple[Solution, int] | None:
     return None
 
 
-def _admissible(task: Task, solution: Solution, order: int) -> bool:
+def _admissible(task: Task, solution: ClosedForm, order: int) -> bool:
     proper = task.filter_order is not None or order == 2 or solution.order < 1.0
     return proper and solution.violated(task.model.order) is None
 
 
-def _achieved(task: Task, solution: Solution, order: int) -> tuple[float, float]:
+def _achieved(task: Task, solution: ClosedForm, order: int) -> tuple[float, float]:
     """(worst crossover, worst margin) over every payload and every crossing: (55) sees one of each only."""
     loop = replace(
         task.bare(order), gain=solution.gain, order=solution.order, filter_time=solution.filter_time
@@ -313,12 +313,12 @@ def _achieved(task: Task, solution: Solution, order: int) -> tuple[float, float]
     return crossover, margin
 
 
-def candidates(task: Task) -> tuple[Solution, ...]:
+def candidates(task: Task) -> tuple[ClosedForm, ...]:
     """Every solution of the two equations, admissible or not: what a refusal is explained from."""
     return tuple(solutions(task, task.filter_order or 1))
 
 
-def _filter_afterwards(task: Task, solution: Solution, n: int) -> float:
+def _filter_afterwards(task: Task, solution: ClosedForm, n: int) -> float:
     """δ [s] with which the filtered loop keeps exactly 90 % of the margin at the lightest payload.
 
     The crossing moves down with the filter; both move together: δ(ω) follows from the phase, and the

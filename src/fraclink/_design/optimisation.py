@@ -145,7 +145,7 @@ def optimise(
     (True, True, True)
     """
     checked_noun("design", design, Design, remedy="fl.design makes one")
-    search = Search.of(design, goal, (max_sensitivity, gain_crossover, noise_gain, mode_gain))
+    search = OptimumSearch.of(design, goal, (max_sensitivity, gain_crossover, noise_gain, mode_gain))
     needed = checked_between("least", least, 0.0, 1.0)
     found = [(CLOSED, design.controller, search.objective(design.controller)), *search.structures()]
     best = 0
@@ -167,7 +167,7 @@ def _gain(goal: Goal, before: float, after: float) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class Search:
+class OptimumSearch:
     """The design to better, what every trial must keep, and which figure is to be improved."""
 
     origin: Design
@@ -176,7 +176,7 @@ class Search:
     modes: HigherModes | None
 
     @staticmethod
-    def of(design: Design, goal: Goal, asked: tuple[float | None, ...]) -> Search:
+    def of(design: Design, goal: Goal, asked: tuple[float | None, ...]) -> OptimumSearch:
         """The search with what was left out taken from the design."""
         if design.margins_kind != "loop":
             raise FieldError(
@@ -207,7 +207,7 @@ class Search:
         modes = None
         if spec.mode_gain is not None:
             modes = higher_modes(design.model, design.rig, design.full_loop, design.payloads)
-        return Search(design, goal, bounds, modes)
+        return OptimumSearch(design, goal, bounds, modes)
 
     def objective(self, controller: Controller) -> float:
         """The objective of a controller that keeps the bounds, NaN of one that does not."""

@@ -11,11 +11,11 @@ import numpy as np
 
 from fraclink._law import Law
 
-__all__ = ["Bounds", "worst_case"]
+__all__ = ["CommandBounds", "worst_case"]
 
 
 @dataclass(frozen=True)
-class Bounds:
+class CommandBounds:
     """gain: |Ĉe| ≤ gain · max|e| for every error signal [rad/rad] (l1 norm of the exact coefficients).
 
     rounding: largest distance of the computed correction from the exact one while nothing is limited, for
@@ -29,7 +29,7 @@ class Bounds:
     rigorous: bool
 
 
-def worst_case(law: Law, *, error: float = 0.5) -> Bounds:
+def worst_case(law: Law, *, error: float = 0.5) -> CommandBounds:
     """Return the worst-case bounds of the correction for errors up to `error` [rad].
 
     With the modes apart, the impulse response of Ĉ is h[0] = d, h[k] = Σ g (p − 1) p^(k−2) + ...; its sum
@@ -45,7 +45,7 @@ def worst_case(law: Law, *, error: float = 0.5) -> Bounds:
     slowest = max((abs(p) for p in poles), default=0.0)
     count = 3 if slowest == 0 else min(200_000, max(50, math.ceil(-40 / math.log(slowest))))
     gain, rigorous = _ball_norm(direct, poles, gains, count)
-    return Bounds(gain, _rounding(law, direct, poles, gains, error), error, rigorous)
+    return CommandBounds(gain, _rounding(law, direct, poles, gains, error), error, rigorous)
 
 
 def _ball_norm(direct: float, poles: list[complex], gains: list[complex], count: int) -> tuple[float, bool]:

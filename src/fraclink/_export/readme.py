@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict
 
 from fraclink import _kernels
-from fraclink._export.bounds import Bounds, worst_case
+from fraclink._export.bounds import CommandBounds, worst_case
 from fraclink._export.claims import Proof, claims_text
 from fraclink._export.data import exact_flags, exact_sizes
 from fraclink._export.selftest import expected
@@ -81,7 +81,7 @@ def _for_one_design(law: Law) -> str:
     )
 
 
-def _rounding(bounds: Bounds, proof: Proof | None) -> str:
+def _rounding(bounds: CommandBounds, proof: Proof | None) -> str:
     if proof is not None and proof["rounding"].status == "proved":
         return ""  # a sharper bound stands among the claims; two for one thing would confuse
     return f"| rounding of Ĉe for \\|e\\| ≤ {bounds.error:g} rad, all times | ≤ {bounds.rounding:.2e} rad |\n"

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fraclink._arm.experiment import QUANTITY_OF, UNITS, Channel, LogColumns
 from fraclink._files.toml import toml_value
-from fraclink._logs.table import Table
+from fraclink._logs.table import LogTable
 from fraclink._logs.text import NUMBER, cell_remedy
 from fraclink._validate import Payload
 from fraclink._validate.rules import rule
@@ -81,7 +81,7 @@ def clock_step(values: NDArray[np.float64]) -> float | None:
     return step if step > 0 else None
 
 
-def suggested_mapping(table: Table) -> str:
+def suggested_mapping(table: LogTable) -> str:
     """A `[log]` table to paste into a rig file; what it could not tell is a ``?`` for a person to fill in."""
     lines = ["[log] # check every line: column, unit and sign"]
     for role, name, unit in suggested_columns(table):
@@ -89,7 +89,7 @@ def suggested_mapping(table: Table) -> str:
     return "\n".join(lines)
 
 
-def suggested_columns(table: Table) -> list[tuple[str, str, str]]:
+def suggested_columns(table: LogTable) -> list[tuple[str, str, str]]:
     """What the names and values of the columns suggest: (role, column, unit), "?" for what they do not."""
     sizes = dict(zip(table.names, (values.size for values in table.values), strict=True))
     clocks = [
@@ -110,7 +110,7 @@ def suggested_columns(table: Table) -> list[tuple[str, str, str]]:
     return [(role, name, _suggested_unit(table, role, name)) for role, name in found.items()]
 
 
-def _suggested_unit(table: Table, role: str, name: str) -> str:
+def _suggested_unit(table: LogTable, role: str, name: str) -> str:
     stated = table.units[table.names.index(name)] if table.units and name != "?" else ""
     return stated if stated in UNITS[QUANTITY_OF[role]] else _unit_in(name, role)
 
@@ -121,7 +121,9 @@ def _suggested_unit(table: Table, role: str, name: str) -> str:
 _INTERPOLATED = 0.01  # largest share of missing cells that may be interpolated
 
 
-def clean_column(table: Table, place: int, *, interpolate: bool) -> tuple[NDArray[np.float64], list[Finding]]:
+def clean_column(
+    table: LogTable, place: int, *, interpolate: bool
+) -> tuple[NDArray[np.float64], list[Finding]]:
     """One column without missing cells, or an error that names the first one."""
     values, name = table.values[place], table.names[place]
     faults = table.faults.get(place)
@@ -181,7 +183,7 @@ def check_signals(angle: NDArray[np.float64], output: NDArray[np.float64], kind:
             )
 
 
-def stated_payload(table: Table, stated: float | None) -> tuple[float | None, list[Finding]]:
+def stated_payload(table: LogTable, stated: float | None) -> tuple[float | None, list[Finding]]:
     """The payload of a log, from the call or from its own header."""
     mass_range = rule(Payload)
     labels = {value for key, value in table.notes if key == "payload_kg"}

@@ -18,7 +18,7 @@ from typing import IO, Any
 
 import numpy as np
 
-from fraclink._logs.table import CPU_SECONDS, FILE_LIMIT, MEMORY_LIMIT, WALL_SECONDS, Table, check_file
+from fraclink._logs.table import CPU_SECONDS, FILE_LIMIT, MEMORY_LIMIT, WALL_SECONDS, LogTable, check_file
 from fraclink._logs.text import read_text_table
 from fraclink.errors import FieldError, FileFormatError, LogError, MissingExtraError, SizeError
 
@@ -94,7 +94,7 @@ def _remedy(path: Path, kind: str) -> str:
     return "correct the ending of its name" if kind != "text" else "it is damaged, or correct its ending"
 
 
-def read_table(path: Path) -> Table:
+def read_table(path: Path) -> LogTable:
     """Read the columns of a file of any known format.
 
     Binary formats are parsed in a child process with limits of memory and time. Raises FileFormatError,
@@ -175,7 +175,7 @@ class ReaderChild:
             )
         return self._process
 
-    def read(self, path: Path, kind: str) -> Table:
+    def read(self, path: Path, kind: str) -> LogTable:
         """The table in the file at `path`; FileFormatError where the child refuses it or dies of it."""
         process = self._running()
         clock = threading.Timer(WALL_SECONDS, process.kill)
@@ -192,7 +192,7 @@ class ReaderChild:
         finally:
             clock.cancel()
 
-    def _ask(self, process: subprocess.Popen[bytes], path: Path, kind: str) -> Table:
+    def _ask(self, process: subprocess.Popen[bytes], path: Path, kind: str) -> LogTable:
         requests, answers = process.stdin, process.stdout
         if requests is None or answers is None:
             raise EOFError
@@ -207,7 +207,7 @@ class ReaderChild:
             names.append(name)
             units.append(unit)
             values.append(_array(answers, size))
-        return Table(tuple(names), tuple(values), kind, tuple(header["notes"].items()), {}, tuple(units))
+        return LogTable(tuple(names), tuple(values), kind, tuple(header["notes"].items()), {}, tuple(units))
 
 
 def _array(answers: IO[bytes], size: int) -> Any:

@@ -21,7 +21,7 @@ from fraclink._logs.columns import (
     suggested_mapping,
 )
 from fraclink._logs.formats import read_table
-from fraclink._logs.table import SAMPLE_LIMIT, Table
+from fraclink._logs.table import SAMPLE_LIMIT, LogTable
 from fraclink._logs.timebase import resampled, time_base
 from fraclink.errors import FieldError, LogError
 from fraclink.findings import Finding
@@ -127,7 +127,7 @@ def read_log(
     )
 
 
-def _unstated(table: Table) -> LogError:
+def _unstated(table: LogTable) -> LogError:
     words = " ".join(f'--column "{role}={name} [{unit}]"' for role, name, unit in suggested_columns(table))
     return LogError(
         "columns",
@@ -139,7 +139,7 @@ def _unstated(table: Table) -> LogError:
 
 
 def _channels(
-    table: Table, stated: LogColumns, interpolate: bool
+    table: LogTable, stated: LogColumns, interpolate: bool
 ) -> tuple[dict[str, NDArray[np.float64]], list[Finding]]:
     """Every stated channel in SI units, with what was noticed."""
     data: dict[str, NDArray[np.float64]] = {}
@@ -283,7 +283,7 @@ def inspect_log(path: Path | str) -> LogListing:
     return LogListing(place.name, table.kind, channels, table.notes, suggested_mapping(table))
 
 
-def _summary(table: Table, number: int) -> ChannelSummary:
+def _summary(table: LogTable, number: int) -> ChannelSummary:
     values = table.values[number]
     finite = values[np.isfinite(values)]
     period = clock_step(values)

@@ -65,7 +65,7 @@ class CellFaults:
 
 
 @dataclass(frozen=True, eq=False)
-class Table:
+class LogTable:
     """Columns of raw numbers in the order of the file; cells that are missing or bad hold NaN.
 
     Arguments:

@@ -26,7 +26,7 @@ from fraclink._logs.table import (
     SAMPLE_LIMIT,
     VALUE_LIMIT,
     CellFaults,
-    Table,
+    LogTable,
     check_file,
 )
 from fraclink.errors import FileFormatError, LogError, SizeError
@@ -47,7 +47,7 @@ class Layout:
     notes: tuple[tuple[str, str], ...]
 
 
-def read_text_table(path: Path) -> Table:
+def read_text_table(path: Path) -> LogTable:
     """Read the table of numbers at `path`.
 
     Raises FileFormatError (another encoding, binary), LogError (no header, no rows, ragged rows) or
@@ -61,7 +61,7 @@ def read_text_table(path: Path) -> Table:
     if values is None:
         values, faults = parse_cells(layout.body, layout.separator, layout.names, layout.first_line)
     columns = tuple(np.ascontiguousarray(values[:, place]) for place in range(len(layout.names)))
-    return Table(layout.names, columns, "text", layout.notes, faults)
+    return LogTable(layout.names, columns, "text", layout.notes, faults)
 
 
 def _normal_bytes(raw: bytes, path: Path) -> bytes:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fraclink._systems.loops import Loop, as_loop
+from fraclink._systems.loops import SampledLoop, as_loop
 from fraclink._systems.sweep import frequency_grid, refined
 from fraclink.errors import FieldError, MissingExtraError
 
@@ -83,7 +83,7 @@ def sample(
     return _evaluated(loop, x)
 
 
-def _evaluated(loop: Loop, x: Real) -> Curve:
+def _evaluated(loop: SampledLoop, x: Real) -> Curve:
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         values = loop(x)
     # A pole or zero hit exactly is drawn as a gap in nothing: its neighbours are 1e-9 beside it.

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from fraclink._arm.beam import Beam, Modes
+from fraclink._arm.beam import Beam, BeamModes
 from fraclink._simulate.arm import Twin, TwinLog, damping_of, geared, simulate_log
 from fraclink._simulate.damping import FractionalKelvinVoigt, KelvinVoigt, PowerLaw
-from fraclink._simulate.metrics import Metrics, Verdict
+from fraclink._simulate.metrics import Metrics, MoveVerdict
 from fraclink._simulate.plant import Plant, assemble
 from fraclink._simulate.run import Run
 from fraclink._simulate.sensors import Obstacle, PayloadChange, Restart, SensorFault, Sensors, TipPulse
@@ -13,10 +13,11 @@ from fraclink._simulate.simulate import simulate
 
 __all__ = [
     "Beam",
+    "BeamModes",
     "FractionalKelvinVoigt",
     "KelvinVoigt",
     "Metrics",
-    "Modes",
+    "MoveVerdict",
     "Obstacle",
     "PayloadChange",
     "Plant",
@@ -28,7 +29,6 @@ __all__ = [
     "TipPulse",
     "Twin",
     "TwinLog",
-    "Verdict",
     "assemble",
     "damping_of",
     "geared",

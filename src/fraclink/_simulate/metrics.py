@@ -13,7 +13,7 @@ from scipy.special import stdtrit
 from fraclink import _kernels
 from fraclink._law import MODES, REASONS
 
-__all__ = ["Metrics", "Verdict", "judge", "judge_many", "measure", "measure_many"]
+__all__ = ["Metrics", "MoveVerdict", "judge", "judge_many", "measure", "measure_many"]
 
 Real = NDArray[np.float64]
 Bits = NDArray[np.uint32]
@@ -67,7 +67,7 @@ class Metrics:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class MoveVerdict:
     """Whether a run passed, and why; true where it did.
 
     >>> bool(Verdict(True, "settled")), str(Verdict(False, "unstable: grows"))
@@ -151,28 +151,28 @@ def measure(signals: Signals) -> Metrics:
     return Metrics(**{field.name: float(values[field.name][0]) for field in fields(Metrics)})
 
 
-def judge(signals: Signals, metrics: Metrics) -> Verdict:
+def judge(signals: Signals, metrics: Metrics) -> MoveVerdict:
     """Return the verdict on the one run in `signals`, with the cause that comes first.
 
     Instability comes first, then trips, saturation, and a tip that has not settled.
     """
     many = judge_many(signals, {name: np.array([value]) for name, value in vars(metrics).items()})
     if many["passed"][0]:
-        return Verdict(True, f"settled in {metrics.settling_time:.3g} s")
+        return MoveVerdict(True, f"settled in {metrics.settling_time:.3g} s")
     stop = int(_first_abnormal(signals.mode)[0])
     tripped = stop < signals.mode.shape[1]
     if metrics.growth > 0.0 or not np.all(np.isfinite(signals.tip)):
         grown = f"unstable: the vibration grows at {metrics.growth:.3g} 1/s"
-        return Verdict(
+        return MoveVerdict(
             False, f"{grown}; the law trips at {signals.period * stop:.3g} s" if tripped else grown
         )
     if tripped:
         what = f"{MODES[int(many['mode'][0])]} ({REASONS[int(many['reason'][0])]})"
-        return Verdict(False, f"tripped: the law goes to {what} at {signals.period * stop:.3g} s")
+        return MoveVerdict(False, f"tripped: the law goes to {what} at {signals.period * stop:.3g} s")
     lasting = "saturated: the voltage is at its limit" if metrics.saturated > 0.2 else "not settled"
     error = signals.tip[0] - signals.reference[0]
     away, end = float(np.max(np.abs(error[-_tenth(len(error)) :]))), signals.period * (len(error) - 1)
-    return Verdict(False, f"{lasting}; the tip is still {away:.3g} rad away at {end:.3g} s")
+    return MoveVerdict(False, f"{lasting}; the tip is still {away:.3g} rad away at {end:.3g} s")
 
 
 def _tenth(count: int) -> int:

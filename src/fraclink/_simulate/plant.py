@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from fraclink._arm.beam import Beam, Modes
+from fraclink._arm.beam import Beam, BeamModes
 from fraclink._arm.link import LinkModel, SecondMode
 from fraclink._simulate.damping import Chain, Damping
 from fraclink._systems.response import discretize
@@ -102,7 +102,7 @@ class Plant:
     """
 
     beam: Beam
-    modes: Modes
+    modes: BeamModes
     chain: Chain
     drive: Drive
     inertia: float
@@ -152,7 +152,7 @@ def substeps(period: Period, step: Step) -> int:
     return max(1, math.ceil(period / step - 1e-9))
 
 
-def resolved(beam: Beam, modes: int | None, step: float) -> Modes:
+def resolved(beam: Beam, modes: int | None, step: float) -> BeamModes:
     """Return the modes that a step resolves; an explicit number that it does not is refused."""
     found = beam.modes(3 if modes is None else modes)
     # Four steps per period: with fewer the input held over a step cannot follow the mode at all.

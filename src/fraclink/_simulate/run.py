@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._files import document, load, save
-from fraclink._simulate.metrics import Metrics, Signals, Verdict, judge, measure
+from fraclink._simulate.metrics import Metrics, MoveVerdict, Signals, judge, measure
 from fraclink.findings import Finding
 
 __all__ = ["Run", "judged_run"]
@@ -137,7 +137,7 @@ class Run:
     flags: Bits
     payload: float
     metrics: Metrics
-    verdict: Verdict
+    verdict: MoveVerdict
     about: Mapping[str, Any] = field(default_factory=dict)
     findings: tuple[Finding, ...] = ()
     extras: Mapping[str, Real] = field(default_factory=dict)

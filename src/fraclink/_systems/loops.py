@@ -18,7 +18,7 @@ from fraclink._systems.terms import Complexes, Reals, Term
 from fraclink.errors import FieldError
 
 
-class Loop(Protocol):
+class SampledLoop(Protocol):
     """A response on the imaginary axis and what is known about it before it is evaluated."""
 
     @property
@@ -95,7 +95,7 @@ class CallableLoop:
         return here, cmath.log(high / low) / (above - below)
 
 
-def as_loop(loop: object, limit: float | None) -> Loop:
+def as_loop(loop: object, limit: float | None) -> SampledLoop:
     """Return the loop with its range of frequencies and its seeds."""
     system = getattr(loop, "fractional", loop)  # what to_control wraps
     if isinstance(system, FractionalTransferFunction) and system.numerator:

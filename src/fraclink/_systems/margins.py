@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from fraclink._systems.fractional import FractionalTransferFunction
-from fraclink._systems.loops import FractionalLoop, Loop, as_loop
+from fraclink._systems.loops import FractionalLoop, SampledLoop, as_loop
 from fraclink._systems.sweep import sweep
 from fraclink._systems.terms import Complexes, Reals
 from fraclink._validate import Between, checked
@@ -198,7 +198,7 @@ _FLAT = 1e-12  # rad: a phase of −180° at every frequency (1/s²) crosses not
 
 
 def crossings(
-    loop: Loop, x: Reals, values: Complexes, quiet: float
+    loop: SampledLoop, x: Reals, values: Complexes, quiet: float
 ) -> tuple[tuple[GainCrossing, ...], tuple[PhaseCrossing, ...]]:
     """Every gain crossing and every phase crossing where |L| > `quiet`, polished."""
     level, turn = np.log(np.abs(values)), np.angle(-values)
@@ -215,7 +215,7 @@ def crossings(
     return tuple(gain), tuple(phase)
 
 
-def _followed(loop: Loop, x: Reals, values: Complexes, turn: Reals, quiet: float) -> NDArray[np.bool_]:
+def _followed(loop: SampledLoop, x: Reals, values: Complexes, turn: Reals, quiet: float) -> NDArray[np.bool_]:
     """Points near the negative real axis whose phase was followed there."""
     near = np.abs(turn) < 0.5 * math.pi
     if quiet:
@@ -223,7 +223,7 @@ def _followed(loop: Loop, x: Reals, values: Complexes, turn: Reals, quiet: float
     return near
 
 
-def _brackets(loop: Loop, level: Tendency, x: Reals, y: Reals, usable: Mask) -> list[Bracket]:
+def _brackets(loop: SampledLoop, level: Tendency, x: Reals, y: Reals, usable: Mask) -> list[Bracket]:
     """Changes of sign, and the pairs of them that hide around an extreme that almost touches zero."""
     place = np.flatnonzero(usable & (y != 0))
     here = y[place]
@@ -239,7 +239,7 @@ def _brackets(loop: Loop, level: Tendency, x: Reals, y: Reals, usable: Mask) -> 
     return sorted(found)
 
 
-def _hidden(loop: Loop, level: Tendency, a: float, b: float) -> list[Bracket]:
+def _hidden(loop: SampledLoop, level: Tendency, a: float, b: float) -> list[Bracket]:
     """The two brackets that an extreme between a and b makes where it passes zero."""
     x, value = zero_of(loop, gain_slope if level is gain_level else phase_slope, a, b)
     passed = level(value, 0j) * level(*loop.point(a)) < 0
@@ -257,7 +257,7 @@ def _near_touches(place: Index, y: Reals) -> list[int]:
     return (np.flatnonzero(same & close) + 1).tolist()
 
 
-def modulus_margin(loop: Loop, x: Reals, values: Complexes) -> tuple[float, float]:
+def modulus_margin(loop: SampledLoop, x: Reals, values: Complexes) -> tuple[float, float]:
     """inf |1 + L| and its frequency [rad/s], 0 or inf where it is approached and not reached."""
     distance = np.abs(1 + values)
     distance[np.isnan(distance)] = math.inf
@@ -312,7 +312,7 @@ def modulus_slope(value: complex, slope: complex) -> float:
     return ((1 + value).conjugate() * value * slope).real
 
 
-def zero_of(loop: Loop, tendency: Tendency, a: float, b: float) -> tuple[float, complex]:
+def zero_of(loop: SampledLoop, tendency: Tendency, a: float, b: float) -> tuple[float, complex]:
     """ln ω of a zero of `tendency` in [a, b], and L there; without a change of sign the better end.
 
     A crossing is a zero of its level, an extreme one of its slope.
@@ -333,7 +333,7 @@ _BESIDE_POLE = 1e3
 
 
 def unstable_closed_loop_poles(
-    loop: Loop, x: Reals, values: Complexes, *, open_loop: int, ends_real: bool
+    loop: SampledLoop, x: Reals, values: Complexes, *, open_loop: int, ends_real: bool
 ) -> int | None:
     """Poles of 1/(1 + L) with Re s > 0, by the change of arg(1 + L); None where it is not a whole number.
 

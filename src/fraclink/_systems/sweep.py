@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._systems.fractional import FractionalTransferFunction
-from fraclink._systems.loops import FractionalLoop, Loop, as_loop
+from fraclink._systems.loops import FractionalLoop, SampledLoop, as_loop
 from fraclink._systems.terms import Complexes, Reals
 from fraclink.errors import FieldError
 
@@ -23,7 +23,7 @@ POINT_LIMIT = 50_000
 _PATIENCE = ((1e-3, 4000), (1e-2, 6000), (0.1, 12_000), (0.5, POINT_LIMIT))
 
 
-def sweep(loop: Loop, *, per_decade: int = 20) -> tuple[Reals, Complexes, float]:
+def sweep(loop: SampledLoop, *, per_decade: int = 20) -> tuple[Reals, Complexes, float]:
     """Return (ln ω, L, quiet): neither ln L nor 1 + L moves far between neighbours where |L| > quiet.
 
     `quiet` is the loop's own, or higher for a delay in a loop that rolls off slowly.
@@ -49,7 +49,7 @@ def sweep(loop: Loop, *, per_decade: int = 20) -> tuple[Reals, Complexes, float]
 
 
 def _refined(
-    loop: Loop, x: Reals, values: Complexes, quiet: float, limit: int
+    loop: SampledLoop, x: Reals, values: Complexes, quiet: float, limit: int
 ) -> tuple[Reals, Complexes] | None:
     while (wide := _too_wide(loop, x, values, quiet)).size:
         if x.size + wide.size > limit:
@@ -60,7 +60,7 @@ def _refined(
     return x, values
 
 
-def _too_wide(loop: Loop, x: Reals, values: Complexes, quiet: float) -> NDArray[np.intp]:
+def _too_wide(loop: SampledLoop, x: Reals, values: Complexes, quiet: float) -> NDArray[np.intp]:
     """Intervals to halve: ln L moves too far, or 1 + L more than its distance from zero."""
     change = np.log(values[1:] / values[:-1])
     fine = (np.abs(change.imag) <= TURN) & (np.abs(change.real) <= RISE)

@@ -12,7 +12,7 @@ import types
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import InitVar
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
+from typing import Annotated, Any, Literal, TypeVar, Union, cast, get_args, get_origin
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,7 +77,7 @@ def _container(kind: type, arguments: tuple[Any, ...], own: bool) -> Rule:
         return _sequence(rule(arguments[0] if arguments else Any, own=own), list if kind is list else tuple)
     if issubclass(kind, Mapping) and arguments:
         return _mapping(rule(arguments[1], own=own))
-    return _FUNCTION if kind is Callable else instance_rule(kind)
+    return _FUNCTION if kind is cast(object, Callable) else instance_rule(kind)
 
 
 def _narrowed(base: Any, metadata: tuple[Any, ...], own: bool) -> Rule:
