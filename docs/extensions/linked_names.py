@@ -43,6 +43,8 @@ def target_of(text: str) -> str | None:
 def entry_of(path: str) -> str:
     """The entry of the reference that tells about a name: a field stands in the text of its noun."""
     head, _, last = path.rpartition(".")
+    if path.startswith("_") and last in fraclink.__all__ and is_module(f"fraclink.{head}"):
+        return f"fraclink.{last}"  # its home is private, its name is public
     if last in fields_of(getattr(fraclink, head, None)):
         return f"fraclink.{head}"
     return f"fraclink.{path}"
