@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
@@ -18,8 +19,8 @@ from fraclink._arm.rig import Rig
 from fraclink._law.block import FORWARD_MODES, PAIR_MODES, REAL_MODES, Drive, Modes, Precision, real_type
 from fraclink._law.law import Law
 from fraclink._law.limits import Moves, derive_limits
-from fraclink._systems.discrete import DiscreteRational, checked_band, fit_discrete
-from fraclink._validate import checked_noun, checked_number
+from fraclink._systems.discrete import DiscreteRational, Order, checked_band, fit_discrete
+from fraclink._validate import checked_noun, checked_number, rule
 from fraclink.errors import FieldError
 
 __all__ = ["check_rigs_period", "discretize", "discretize_controller", "drive_for", "equip"]
@@ -86,6 +87,8 @@ def discretize_controller(
             remedy="give the nominal link model: tip estimate and feed-forward need it",
         )
     _check_period(controller, period)
+    if order is not None:
+        order = rule(Order).check("order", order)  # what keys the cache of fits must be a number
     reach = _band(controller, period) if band is None else checked_band(band, period)
     correction = fit_correction(controller, model, period, reach, order)
     forward = _forward_fit(model, period)
@@ -268,6 +271,7 @@ def _band(controller: Controller, period: float) -> tuple[float, float]:
     return min(LOWEST, 1e-3 * nyquist), high
 
 
+@lru_cache(maxsize=8)
 def _forward_fit(link: LinkModel, period: float) -> DiscreteRational:
     """s^(λ-2)/(μ s^α + ω₀²): what the reference's acceleration must add to the motor angle (1/G − 1 over
     s²).
@@ -316,6 +320,8 @@ def _single(value: float) -> float:
     return float(np.float32(value))
 
 
+# The design's margins, its moves, arms and certificate ask for the same law in turn, each fit takes seconds.
+@lru_cache(maxsize=8)
 def fit_correction(
     controller: Controller, link: LinkModel, period: float, band: tuple[float, float], order: int | None
 ) -> DiscreteRational:
