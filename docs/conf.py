@@ -57,7 +57,8 @@ nitpick_ignore_regex = [
     (r"py:.*", r"ArrayLike|NDArray|TypeAliasForwardRef|Axes|Path"),
     (r"py:.*", r"typing\.(Annotated|Literal)\[.*"),  # a range or a choice in a signature, cut at its comma
     # Private types in the signatures of public functions: what they mean stands in the text.
-    (r"py:class", r"fraclink\._law\.discretization\._Designed|fraclink\._campaign\.fault_rules\.Rule"),
+    (r"py:class", r"fraclink\._law\.discretization\._Designed|fraclink\._campaign\.fault_rules\.FaultRule"),
+    (r"py:class", r"fraclink\._files\.T"),
     (r"py:class", r"fraclink\._show\.text\.View"),
 ]
 suppress_warnings = ["myst.strikethrough"]
