@@ -57,6 +57,7 @@ from junk import (
     take_or_refuse,
     twin,
 )
+from made_logs import example_motor_log
 
 # What is called, and arguments with which it works. Options that are plain switches are left out.
 CALLS: dict[str, Call] = {
@@ -106,8 +107,8 @@ CALLS: dict[str, Call] = {
     "identify_motor": (
         identify_motor,
         lambda: {
-            "voltage": np.sign(np.sin(3.0 * TIME)),
-            "motor_angle": ANGLE,
+            "voltage": example_motor_log()[0],
+            "motor_angle": example_motor_log()[1],
             "period": 0.004,
             "torque": None,
             "inertia": 6.87e-5,

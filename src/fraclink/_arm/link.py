@@ -19,12 +19,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from fraclink._files import document
 from fraclink._validate import checked_choice, checked_noun, checked_number
+from fraclink._validate.rules import rule
 from fraclink.errors import FieldError
 
 if TYPE_CHECKING:
     from fraclink._systems.fractional import FractionalTransferFunction
 
 __all__ = ["STRUCTURES", "LinkModel", "SecondMode", "Structure", "structure"]
+
+# Name of a parameter, and the two ends of its interval.
+_INTERVALS = rule(tuple[tuple[str, float, float], ...])
 
 
 @dataclass(frozen=True)
@@ -223,8 +227,7 @@ class LinkModel:
             raise FieldError(
                 _FREQUENCY, 0.0, "zero without damping", allowed="> 0", remedy="give ω₀ = sqrt(c/(m L²))"
             )
-        rows = ((str(name), float(low), float(high)) for name, low, high in self.intervals)
-        object.__setattr__(self, "intervals", tuple(rows))
+        object.__setattr__(self, "intervals", _INTERVALS.check("intervals", self.intervals))
 
     def interval(self, name: str) -> tuple[float, float] | None:
         """Return the identified 95 % interval (low, high) of parameter `name`, None where there is none.

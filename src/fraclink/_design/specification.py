@@ -320,6 +320,8 @@ class Design:
             shipped = realisation == "law"
             outer = _law_of(self.controller, self.rig.period).frequency_response if shipped else None
             realisation = outer or self.controller.response
+        else:
+            _check_response(realisation)
         response, plant = realisation, self.sampled_plant(self.natural_frequency(payload))
         return margins(
             lambda s: response(np.imag(s)) * plant(np.imag(s)),
@@ -372,6 +374,22 @@ class Design:
     def load(path: Path | str) -> Design:
         """Read a design back; FileFormatError where the file is not one, or was edited."""
         return load(path, Design)
+
+
+def _check_response(response: Callable[[Real], Complex]) -> None:
+    """Raise FieldError where `response` does not turn frequencies into as many complex values."""
+    try:
+        shape = np.asarray(response(np.array([1.0, 2.0])), dtype=np.complex128).shape
+    except (TypeError, ValueError):
+        shape = ()
+    if shape != (2,):
+        raise FieldError(
+            "realisation",
+            repr(response),
+            "not a response",
+            allowed="Ĉ as a function of ω [rad/s], shape kept",
+            remedy="say 'law' for what is shipped",
+        )
 
 
 def _checked_frequency(value: object) -> float:
