@@ -48,7 +48,6 @@ from junk import (
     LINK,
     RIG,
     SYSTEM,
-    TIME,
     Call,
     design,
     fields_of,

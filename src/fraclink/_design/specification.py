@@ -31,6 +31,7 @@ from fraclink._validate import (
     checked_between,
     checked_choice,
 )
+from fraclink.errors import FieldError
 from fraclink.findings import Finding
 
 if TYPE_CHECKING:
