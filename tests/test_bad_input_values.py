@@ -209,7 +209,7 @@ def test_b52_more_samples_than_a_simulation_holds() -> None:
     law = default_law()
     move = fl.smooth_step(1.0, duration=0.5)
     for duration in (0.004 * 2.1e6, 1e12):
-        with pytest.raises(SizeError, match="2000000 samples") as caught:
+        with pytest.raises(SizeError, match="2000000 periods") as caught:
             fl.simulate(law, move, rig=RIG, model=LINK, motor_loop="ideal", duration=duration)
         assert caught.value.field == "duration"
 
