@@ -100,8 +100,8 @@ def test_an_unfinished_campaign_is_summarised_as_far_as_it_is(folder, tmp_path):
 
 def test_the_command_reports_and_replays(folder, tmp_path, capsys):
     assert main(["campaign", "report", str(folder)]) == 1  # some runs do not hold
-    text = capsys.readouterr().out
-    assert "of 2500 runs do not hold" in text and "campaign replay" in text
+    printed = capsys.readouterr()
+    assert "of 2500 runs do not hold" in printed.out and "campaign replay" in printed.err
     assert main(["campaign", "report", str(folder), "--json"]) == 1
     told = json.loads(capsys.readouterr().out)
     assert told["runs"] == 2500 and set(told["metrics"]) == set(METRICS)

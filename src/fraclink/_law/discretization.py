@@ -20,7 +20,8 @@ from fraclink._law.block import FORWARD_MODES, PAIR_MODES, REAL_MODES, Drive, Mo
 from fraclink._law.law import Law
 from fraclink._law.limits import Moves, derive_limits
 from fraclink._systems.discrete import DiscreteRational, Order, checked_band, fit_discrete
-from fraclink._validate import checked_noun, checked_number, rule
+from fraclink._validate import checked_noun, checked_number
+from fraclink._validate.rules import rule
 from fraclink.errors import FieldError
 
 __all__ = ["check_rigs_period", "discretize", "discretize_controller", "drive_for", "equip"]
