@@ -12,13 +12,13 @@ import typer
 
 from fraclink import _campaign as campaigns
 from fraclink._campaign import Campaign, Summary
+from fraclink._campaign.fault_trial import Phase
 from fraclink._campaign.faults import (
     PHASES,
     Bench,
     Case,
     FaultTable,
     Outcome,
-    Phase,
     cases,
     observe,
     run_faults,
