@@ -1,4 +1,4 @@
-"""Tests that are known to fail since the rebuild: they run, are reported as expected failures, and are to be mended.
+"""Tests that are known to fail since the rebuild: they run, and are reported as expected failures.
 
 The list is tests/known_failures.txt, one beginning of a test's name a line. A test leaves it when it passes.
 """
