@@ -115,11 +115,11 @@ def test_daisy_arm_has_one_common_order() -> None:
 @pytest.mark.parametrize(
     ("field", "options"),
     [
-        ("frequency[0]", {"frequency": -FREQUENCY}),
+        ("frequency", {"frequency": -FREQUENCY}),
         ("frequency", {"frequency": FREQUENCY[:5], "response": np.ones(5)}),
         ("response", {"response": np.ones(3)}),
-        ("coherence[0]", {"coherence": np.full(200, 1.5)}),
-        ("weights[0]", {"weights": -np.ones(200)}),
+        ("coherence", {"coherence": np.full(200, 1.5)}),
+        ("weights", {"weights": -np.ones(200)}),
         ("weights", {"weights": np.ones(200), "coherence": np.full(200, 0.9)}),
     ],
 )
