@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 import fraclink as fl
+from fraclink._campaign.fault_checks import shared_checks
 from fraclink._campaign.fault_rules import RULES
-from fraclink._campaign.fault_trial import REALS, members, shared_checks
+from fraclink._campaign.fault_trial import REALS, members
 from fraclink._campaign.faults import (
     CATALOGUE,
     Bench,

@@ -15,7 +15,17 @@ import fraclink as fl
 from fraclink._arm.experiment import Channel, LogColumns
 from fraclink._arm.link import LinkModel, SecondMode
 from fraclink._arm.motor_loop import MotorLoop
-from fraclink._arm.rig import DesignDefaults, Encoder, Gauge, Link, Motor, Payloads, Rig, Tolerances, _RigFile
+from fraclink._arm.rig import (
+    DesignDefaults,
+    Encoder,
+    Gauge,
+    Link,
+    Motor,
+    Payloads,
+    Rig,
+    StatedTolerances,
+    _RigFile,
+)
 from fraclink._files.toml import keys_of
 from fraclink.errors import FieldError, FileFormatError
 
@@ -201,7 +211,7 @@ def test_what_was_identified_and_what_is_tolerated_stay_with_the_rig(tmp_path: P
         Rig.named("paper-2023"),
         model=model,
         gauge=Gauge(delay_in_loop=False),
-        tolerances=Tolerances(order=0.05, gauge_delay=0.004),
+        tolerances=StatedTolerances(order=0.05, gauge_delay=0.004),
     )
     rig.save(tmp_path / "rig.toml")
     assert Rig.load(tmp_path / "rig.toml") == rig
@@ -213,7 +223,7 @@ def test_what_was_identified_and_what_is_tolerated_stay_with_the_rig(tmp_path: P
 def test_a_file_that_says_nothing_of_the_gauge_has_its_delay_in_the_loop() -> None:
     rig = Rig.load(RIGS / "merced.toml")
     assert rig.gauge.delay_in_loop is True
-    assert rig.tolerances == Tolerances()
+    assert rig.tolerances == StatedTolerances()
     assert "delay_in_loop" not in rig.to_toml() and "tolerances" not in rig.to_toml()
 
 
@@ -265,7 +275,7 @@ def test_every_key_of_the_file_stands_in_the_reference() -> None:
 def test_every_default_of_the_tolerances_stands_in_the_reference() -> None:
     page = (ROOT / "docs" / "reference" / "file-formats.md").read_text(encoding="utf-8")
     rows = page.partition("[tolerances]")[2].partition("[log]")[0].splitlines()
-    for name, key in keys_of(Tolerances).items():
+    for name, key in keys_of(StatedTolerances).items():
         row = next(line for line in rows if line.startswith(f"| `{name}`"))
         assert row.rstrip(" |").split("|")[-1].strip() == f"{key.default:g}"
 

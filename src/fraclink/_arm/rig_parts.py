@@ -255,7 +255,7 @@ class StatedTolerances:
     largest delay beyond the identified one [s]. The defaults are a careful laboratory's: 3 % of ω₀², a strain
     gauge calibrated to 5 %, half a period of an undeclared delay at 4 ms.
 
-    >>> Tolerances().order
+    >>> StatedTolerances().order
     0.03
     """
 

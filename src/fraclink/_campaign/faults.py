@@ -11,6 +11,7 @@ import numpy as np
 
 from fraclink import _kernels
 from fraclink._arm.reference import hold, smooth_step
+from fraclink._campaign.fault_checks import Check, Evidence, shared_checks
 from fraclink._campaign.fault_rules import CATALOGUE, Fault, fault_named
 from fraclink._campaign.fault_trial import (
     MOVE,
@@ -18,13 +19,10 @@ from fraclink._campaign.fault_trial import (
     RUN,
     Bench,
     Case,
-    Check,
-    Evidence,
     Phase,
     Trial,
     TrialSignals,
     execute,
-    shared_checks,
 )
 from fraclink._files import document
 from fraclink._law import MODES, REASONS, Law

@@ -10,6 +10,7 @@ from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from fraclink import _kernels
 from fraclink._arm.link import LinkModel
@@ -19,6 +20,7 @@ from fraclink._compare.case import NominalLoop, Setting, prepare
 from fraclink._compare.controllers import Seen, Shaped
 from fraclink._compare.filters import Filter, fine_step, law_filter, sampled
 from fraclink._compare.rivals import OFFSET, OURS, Rival, builders
+from fraclink._files import write_json
 from fraclink._law import Law
 from fraclink._simulate.arm import Twin
 from fraclink._simulate.damping import PowerLaw
@@ -39,13 +41,8 @@ def _chosen(known: tuple[str, ...], names: Sequence[str] | None) -> list[str]:
     words = [name.lower() for name in names]
     for word in words:
         if not any(word in name.lower() for name in known):
-            raise FieldError(
-                "names",
-                word,
-                "part of no rival's name",
-                allowed=", ".join(known),
-                remedy="give a part of one of these",
-            )
+            allowed, remedy = ", ".join(known), "give a part of one of these"
+            raise FieldError("names", word, "part of no rival's name", allowed=allowed, remedy=remedy)
     return [name for name in known if name == OURS or any(word in name.lower() for word in words)]
 
 
@@ -57,10 +54,7 @@ def feed_forward(law: Law, acceleration: Real) -> Real:
     modes = law.feedforward
     result = modes.direct * acceleration
     for pole, gain in zip(modes.poles, modes.gains, strict=True):
-        state = 0.0
-        for k, value in enumerate(acceleration.tolist()):
-            result[k] += gain * state
-            state = pole * state + value
+        result += lfilter([0.0, gain], [1.0, -pole], acceleration)
     return np.asarray(result)
 
 
@@ -263,8 +257,6 @@ class Tournament:
 
     def save(self, path: Path | str) -> None:
         """Write the standings to a JSON file; infinite figures are the text "inf"."""
-        from fraclink._files import write_json
-
         rows = [
             {k: "inf" if isinstance(v, float) and math.isinf(v) else v for k, v in asdict(s).items()}
             for s in self.standings

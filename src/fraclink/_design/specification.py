@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -312,6 +311,7 @@ class Design:
             "law" (the coefficients that are shipped), "exact" (Ĉ(jω) itself, which no computer runs), or Ĉ
             on the unit circle as a function of ω [rad/s].
         """
+        from fraclink._law import discretize_controller
         from fraclink._systems.margins import margins
 
         if not callable(realisation):
@@ -319,8 +319,8 @@ class Design:
                 "realisation", realisation, ("law", "exact"), remedy="say 'law' for what is shipped"
             )
             shipped = realisation == "law"
-            outer = _law_of(self.controller, self.rig.period).frequency_response if shipped else None
-            realisation = outer or self.controller.response
+            law = discretize_controller(self.controller, self.rig.period) if shipped else None
+            realisation = law.frequency_response if law else self.controller.response
         else:
             _check_response(realisation)
         response, plant = realisation, self.sampled_plant(self.natural_frequency(payload))
@@ -395,11 +395,3 @@ def _check_response(response: Callable[[Real], Complex]) -> None:
 
 def _checked_frequency(value: object) -> float:
     return checked_between("natural_frequency", value, 0.0, 1e6, "s^(-λ/2)", open_low=True)
-
-
-@lru_cache(maxsize=8)
-def _law_of(controller: Controller, period: float) -> Law:
-    # The minimax fit costs a tenth of a second; a table of margins asks for the same law once a payload.
-    from fraclink._law import discretize_controller
-
-    return discretize_controller(controller, period)

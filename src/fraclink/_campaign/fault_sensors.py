@@ -1,0 +1,218 @@
+"""Faults of sensors, clock, reference and limits: each injection, and what only it measures."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from fraclink._arm.reference import hold, smooth_step
+from fraclink._campaign.fault_checks import (
+    Check,
+    Evidence,
+)
+from fraclink._campaign.fault_trial import (
+    EVER,
+    FROZEN_ENCODER,
+    FROZEN_GAUGE,
+    MISSED_PERIODS,
+    MOVE,
+    MOVE_BEGINS,
+    OFF,
+    TICK_REPEATED,
+    Real,
+    Trial,
+)
+from fraclink._simulate import kernel
+from fraclink._simulate.kernel import ArmState
+
+WATCHDOG = 5  # periods after which a board's watchdog switches the drive off
+# A second move after ten seconds of the first: what a wound-up loop would spoil.
+BACK_AT = 12.2
+THERE_AND_BACK = MOVE.then(hold(0.0, 10.0)).then(smooth_step(-0.75, duration=1.2))
+
+
+# ---- sensors -----------------------------------------------------------------------------------------
+
+
+def one_bad(sensor: str, *values: float) -> Callable[[Trial], None]:
+    """One bad sample; the harder severities repeat it, always with good ones in between."""
+
+    def inject(trial: Trial) -> None:
+        every = (0, 25, 5)[trial.case.severity - 1]
+        rows = np.arange(trial.row, trial.row + (250 if every else 1), every or 1)
+        trial.replace_reading(sensor, np.resize(values, rows.size), rows)
+
+    return inject
+
+
+def three(trial: Trial) -> None:
+    trial.replace_reading("encoder", math.nan, slice(trial.row, trial.row + int(trial.pick(2, 3, 4))))
+
+
+def both(trial: Trial) -> None:
+    for sensor in ("encoder", "gauge"):
+        trial.replace_reading(sensor, math.nan, trial.rows(trial.pick(0.02, 0.1, EVER)))
+
+
+def held(e: Evidence) -> Check:
+    first = e.row + e.reacted - 1
+    moved = np.ptp(e.faulty.command[first:]) if e.reacted > 0 else np.inf
+    return Check.at_most("change of the held motor reference [rad]", moved, 0.0)
+
+
+def dropped(trial: Trial) -> None:
+    trial.set_bits(trial.sprinkled(trial.pick(0.01, 0.05, 0.2)), FROZEN_ENCODER | FROZEN_GAUGE)
+
+
+def last_outside(error: Real, band: float, e: Evidence, *, after: int = 0) -> float:
+    """When an error was outside `band` for the last time, and `after` periods [s]."""
+    return float(np.flatnonzero(np.abs(error) > band)[-1] + after) * e.law.period
+
+
+def settling(e: Evidence) -> Check:
+    faulty, clean = (last_outside(run.error, 0.02, e) - MOVE_BEGINS for run in (e.faulty, e.clean))
+    return Check.at_most("settling time over clean", faulty / clean, 1.02)
+
+
+def stuck(bits: int, *seconds: float) -> Callable[[Trial], None]:
+    return lambda trial: trial.set_bits(trial.rows(trial.pick(*seconds)), bits, mark=True)
+
+
+def rail(trial: Trial) -> None:
+    trial.replace_reading("gauge", trial.pick(4.1, -4.1, 40.0), trial.rows(EVER))
+
+
+def saturated(trial: Trial) -> None:
+    trial.replace_reading("gauge", trial.pick(2.0, 3.9, -3.9), trial.rows(trial.pick(0.04, 0.04, 0.2)))
+
+
+def offset(trial: Trial) -> None:
+    trial.inputs[trial.row :, kernel.GAUGE_ERROR] += trial.pick(0.025, 0.05, 0.1)
+
+
+def drift(trial: Trial) -> None:
+    time = trial.period * np.arange(trial.count - trial.row)
+    trial.inputs[trial.row :, kernel.GAUGE_ERROR] += trial.pick(0.005, 0.01, 0.02) * time
+
+
+def gain(trial: Trial) -> None:
+    trial.inputs[trial.row :, kernel.GAUGE_GAIN] = trial.pick(1.05, 1.1, 0.9)
+
+
+def noise(trial: Trial) -> None:
+    sigma = trial.pick(0.02, 0.05, 0.1)
+    trial.inputs[:, kernel.GAUGE_ERROR] = sigma * trial.chance.standard_normal(trial.count)
+
+
+def noise_bound(e: Evidence) -> Check:
+    """rms of the command against Ms σ/c ‖Ĉ‖₂: the sensitivity amplifies what the correction passes."""
+    grid = (np.arange(4096) + 0.5) * math.pi / 4096 / e.law.period
+    energy = math.sqrt(float(np.mean(np.abs(e.law.frequency_response(grid)) ** 2)))
+    bound = e.pick(0.02, 0.05, 0.1) / e.law.stiffness * energy / e.bench.modulus_margin
+    last = e.faulty.command[-round(2.0 / e.law.period) :]
+    return Check.at_most("rms of the command at rest [rad]", float(np.std(last)), bound)
+
+
+def spikes(trial: Trial) -> None:
+    rows = trial.sprinkled(trial.pick(0.0025, 0.005, 0.01))
+    rows = rows[rows >= trial.row]
+    rows = rows if rows.size else np.array([trial.row])
+    trial.inputs[rows, kernel.GAUGE_ERROR] += 3.0 * trial.chance.choice((-1.0, 1.0), rows.size)
+    trial.marks[rows] = True
+
+
+def coarse(trial: Trial) -> None:
+    quantum = 2 * math.pi / trial.pick(8000, 4000, 2000)
+    trial.at(0, lambda arm: arm.rig.__setitem__(7, quantum))
+
+
+def one_count(e: Evidence) -> Check:
+    return Check.at_most("final tip error [rad]", e.final, 2 * math.pi / e.pick(8000, 4000, 2000))
+
+
+# ---- clock, reference, limits ------------------------------------------------------------------------
+
+
+def jitter(trial: Trial) -> None:
+    """Move the sampling instants by up to one step of 1 ms; their mean stays."""
+    count = trial.count
+    if trial.case.severity == 3:
+        shifts = np.resize([1, -1], count)
+    else:
+        shifts = trial.chance.integers(-1, 2, count)
+        if trial.case.severity == 1:
+            shifts[trial.chance.random(count) > 0.1] = 0
+    shifts[0] = shifts[-1] = 0
+    trial.shifts = shifts
+    # The reference is a table over the task's periods; it is the instant that is late.
+    trial.wanted = np.asarray(trial.reference.angle(trial.period * np.arange(count) + 1e-3 * shifts))
+
+
+def dead(trial: Trial) -> None:
+    trial.miss(int(trial.pick(8, 12, 25)))
+    trial.at(trial.row + WATCHDOG, lambda arm: arm.voltage.fill(0.0))
+
+
+def off_at_once(e: Evidence) -> Check:
+    first = e.row + e.reacted - 1
+    good = e.reacted > 0 and e.faulty.mode[first] == OFF and e.faulty.reason[first] == MISSED_PERIODS
+    return Check.at_most("calls of the law until off", e.reacted - e.pick(8, 12, 25) if good else math.inf, 1)
+
+
+def repeated(trial: Trial) -> None:
+    if trial.case.severity == 3:
+        rows = slice(trial.row, trial.row + 3)
+
+        def back(arm: ArmState) -> None:
+            arm.counters[1] -= 3
+
+        trial.at(trial.row, back)
+    else:
+        rows = slice(trial.row, trial.row + int(trial.pick(1, 25, 0)))
+        trial.set_bits(rows, TICK_REPEATED)
+    trial.marks[rows] = True
+
+
+def delay(trial: Trial) -> None:
+    def later(arm: ArmState) -> None:
+        arm.voltage = np.zeros(arm.voltage.size + trial.case.severity)
+        arm.rig[1] += trial.case.severity
+
+    trial.at(0, later)
+
+
+def jump(trial: Trial) -> None:
+    trial.inputs[trial.row :, kernel.REFERENCE] += trial.pick(0.25, 0.5, 1.0)
+    trial.wanted = trial.inputs[:, kernel.REFERENCE].copy()
+    trial.marks[trial.row] = True
+
+
+def overshoot(e: Evidence) -> Check:
+    beyond = max(0.0, float(e.faulty.tip.max()) - float(e.faulty.wanted[-1]))
+    return Check.at_most("overshoot over the jump", beyond / e.pick(0.25, 0.5, 1.0), 0.2)
+
+
+def bad_reference(trial: Trial) -> None:
+    rows = trial.rows(trial.pick(trial.period, 0.1, 0.1))
+    trial.inputs[rows, kernel.REFERENCE] = trial.pick(math.nan, math.nan, 1e3)
+    trial.inputs[rows, kernel.ACCELERATION] = trial.pick(math.nan, math.nan, 1e6)
+    trial.marks[rows] = True
+
+
+def limited(trial: Trial) -> None:
+    limits = replace(trial.law.limits, motor_limit=trial.pick(0.9, 0.7, 0.5))
+    trial.use(replace(trial.law, limits=limits))
+
+
+def recovery(e: Evidence) -> Check:
+    band = 0.015  # 2 % of the move back
+    times = (last_outside(run.error, band, e, after=1) - BACK_AT for run in (e.faulty, e.clean))
+    return Check.at_most("settling time of the move back over clean", next(times) / next(times), 1.2)
+
+
+def slow(trial: Trial) -> None:
+    limits = trial.law.limits
+    trial.use(replace(trial.law, limits=replace(limits, motor_step=limits.motor_step / trial.pick(3, 5, 10))))

@@ -1,0 +1,7 @@
+"""The whole way from a log to a verdict, and the folder that keeps it."""
+
+from fraclink._workflow.defaults import design_for
+from fraclink._workflow.run import run, simulate_move
+from fraclink._workflow.study import Scope, Study, Verdict, load_study, save_study
+
+__all__ = ["Scope", "Study", "Verdict", "design_for", "load_study", "run", "save_study", "simulate_move"]

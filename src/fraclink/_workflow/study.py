@@ -1,0 +1,296 @@
+"""A study: whatever was computed from one log, its verdict, and its folder with one file for each part:
+
+rig.toml  log.npz  model.json  model-UD-IOM.json …  design.json  law.json  certificate.json
+run-20g.npz …  arms/  faults.json  study.json
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from fraclink._arm.experiment import Experiment
+from fraclink._arm.link import STRUCTURES
+from fraclink._arm.rig import Rig
+from fraclink._campaign import Summary, load_campaign, summarise
+from fraclink._campaign.faults import FaultTable
+from fraclink._certify import Certificate
+from fraclink._design import Design
+from fraclink._files import checked_path, kind_of, load, read_json, save, write_json
+from fraclink._identify import Comparison, Contest, Fit
+from fraclink._law import Law
+from fraclink._simulate import Run
+from fraclink.errors import FileFormatError
+from fraclink.findings import Finding
+
+__all__ = ["Scope", "Study", "Verdict", "load_study", "save_study"]
+
+State = Literal["passed", "failed", "not shown", "not run"]
+_WORST_FIRST: tuple[State, ...] = ("failed", "not shown", "not run", "passed")
+
+
+@dataclass(frozen=True)
+class Scope:
+    """One part of a verdict: its state, and the reasons for anything but "passed"."""
+
+    state: State
+    reasons: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What was shown, in three scopes; the whole is never better than its worst part.
+
+    promise: the requirements of the design, and their proof where one was asked for. model: simulated moves
+    of the identified model. reality: arms that differ from the model, and faults if they were injected.
+    remarks stand beside the verdict and do not change it.
+
+    >>> Verdict(Scope("passed"), Scope("passed"), Scope("not run")).state
+    'not run'
+    """
+
+    promise: Scope
+    model: Scope
+    reality: Scope
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def scopes(self) -> Mapping[str, Scope]:
+        """The three scopes by name."""
+        return {"promise": self.promise, "model": self.model, "reality": self.reality}
+
+    @property
+    def state(self) -> State:
+        """The worst state of the three."""
+        states = {scope.state for scope in self.scopes.values()}
+        return next(state for state in _WORST_FIRST if state in states)
+
+    @property
+    def passed(self) -> bool:
+        """Whether all three scopes passed."""
+        return self.state == "passed"
+
+    @property
+    def refuted(self) -> bool:
+        """Whether a scope failed or could not be shown; what was not run refutes nothing."""
+        return self.state in ("failed", "not shown")
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """The reasons of all scopes, each once."""
+        return tuple(dict.fromkeys(reason for scope in self.scopes.values() for reason in scope.reasons))
+
+
+@dataclass(frozen=True)
+class Study:
+    """What one log led to. Every part may be missing: a folder may hold some of the files only.
+
+    rig, experiment, findings (of their examination); comparison of the structures; the fit that the design
+    used; design, law and certificate; stopped and uncertified: why there is none of them; runs: simulated
+    moves, one for each payload; arms: the summary of many arms that differ; faults: a fault campaign;
+    assumptions: sentences on everything that nobody stated.
+
+    >>> Study().verdict.state
+    'not run'
+    """
+
+    rig: Rig | None = None
+    experiment: Experiment | None = None
+    findings: tuple[Finding, ...] = ()
+    comparison: Comparison | None = None
+    fit: Fit | None = None
+    design: Design | None = None
+    law: Law | None = None
+    stopped: str | None = None
+    certificate: Certificate | None = None
+    uncertified: str | None = None
+    runs: tuple[Run, ...] = ()
+    arms: Summary | None = None
+    faults: FaultTable | None = None
+    assumptions: tuple[str, ...] = ()
+
+    @property
+    def fits(self) -> Mapping[str, Fit]:
+        """The fits by structure: all that were compared, or the one that there is."""
+        if self.comparison is not None:
+            return self.comparison.fits
+        return {} if self.fit is None else {self.fit.structure: self.fit}
+
+    @property
+    def verdict(self) -> Verdict:
+        """The verdict in three scopes."""
+        # A design may be good and the log behind it wrong: a reversed gauge fits as well as a right one.
+        wrong = [("the log", finding) for finding in self.findings]
+        wrong += [("the model", finding) for finding in (self.fit.findings if self.fit else ())]
+        doubts = [f"{what}: {f.message}. {f.remedy}" for what, f in wrong if f.severity == "error"]
+        return Verdict(
+            _scope(self._broken_promises(), doubts, self.design is not None),
+            _scope(
+                [_failed_move(run) for run in self.runs if not run.verdict.passed], doubts, bool(self.runs)
+            ),
+            _scope(self._failures(), doubts, self.arms is not None or self.faults is not None),
+            ("the log is simulated, not measured",) if self.simulated else (),
+        )
+
+    @property
+    def simulated(self) -> bool:
+        """Whether the log's own header says that it was simulated."""
+        return self.experiment is not None and any(name == "simulated" for name, _ in self.experiment.notes)
+
+    def _broken_promises(self) -> list[str]:
+        missed = [
+            f"{item.name}: {_stated(item.achieved, item.unit)} instead of {_stated(item.wanted, item.unit)}"
+            for item in (self.design.requirements if self.design else ())
+            if not item.passed
+        ]
+        unproved = [] if self.uncertified is None else [f"not certified: {self.uncertified}"]
+        return ([] if self.stopped is None else [self.stopped]) + missed + unproved
+
+    def _failures(self) -> list[str]:
+        failed = []
+        if self.arms is not None and self.arms.failure.count:
+            count, runs = self.arms.failure.count, self.arms.failure.runs
+            settling = next(metric for metric in self.arms.metrics if metric.name == "settling_time")
+            causes = " and ".join(name.replace("_", " ") for name, _ in settling.drivers[:2])
+            failed.append(
+                f"{count} of {runs} arms fail ({100 * count / runs:.1f} %); most depends on {causes}"
+            )
+        if self.faults is not None and not self.faults.passed:
+            rows = self.faults.rows()
+            failed.append(
+                f"{sum(not row.passed for row in rows)} of {len(rows)} faults miss their requirement"
+            )
+        return failed
+
+
+def _scope(failures: list[str], doubts: list[str], ran: bool) -> Scope:
+    if failures:
+        return Scope("failed", tuple(failures + doubts))
+    if doubts:
+        return Scope("not shown", tuple(doubts))
+    return Scope("passed" if ran else "not run")
+
+
+def _stated(value: float, unit: str) -> str:
+    return f"{math.degrees(value):.1f}°" if unit == "rad" else f"{value:.4g} {unit}".strip()
+
+
+def _failed_move(run: Run) -> str:
+    return f"move at {1e3 * run.payload:g} g: {run.verdict.reason}"
+
+
+# --- a study as a folder --------------------------------------------------------------------------------
+
+
+def save_study(study: Study, folder: Path | str) -> None:
+    """Write every part of `study` to its file in `folder`; `load_study` reads them back.
+
+    >>> folder = Path(tempfile.mkdtemp())
+    >>> save_study(Study(rig=Rig.named("paper-2023")), folder)
+    >>> sorted(path.name for path in folder.iterdir()), load_study(folder).rig.name
+    (['rig.toml', 'study.json'], 'paper-2023')
+    """
+    place = checked_path("folder", folder)
+    parts: dict[str, Any] = {
+        "rig.toml": study.rig,
+        "design.json": study.design,
+        "law.json": study.law,
+        "certificate.json": study.certificate,
+    }
+    for name, fit in study.fits.items():
+        chosen = study.fit is not None and fit.structure == study.fit.structure
+        parts["model.json" if chosen else f"model-{name}.json"] = fit
+    parts |= {f"run-{1e3 * move.payload:.6g}g.npz": move for move in study.runs}
+    for name, part in parts.items():
+        if part is not None:
+            part.save(place / name)
+    if study.experiment is not None:
+        save(study.experiment, place / "log.npz", force=True)
+    if study.faults is not None:
+        save(study.faults, place / "faults.json", force=True)
+    write_json(place / "study.json", "study", 1, _summary(study))
+
+
+def _summary(study: Study) -> dict[str, Any]:
+    comparison = study.comparison
+    return {
+        "structure": study.fit.structure if study.fit else None,
+        "stopped": study.stopped,
+        "uncertified": study.uncertified,
+        "assumptions": list(study.assumptions),
+        "findings": [
+            {"code": f.code, "severity": f.severity, "message": f.message, "remedy": f.remedy}
+            | {"evidence": dict(f.evidence)}
+            for f in study.findings
+        ],
+        "comparison": None
+        if comparison is None
+        else {
+            "preferred": comparison.preferred,
+            "contest": asdict(comparison.contest),
+            "verdict": comparison.verdict,
+        },
+        "verdict": asdict(study.verdict),
+    }
+
+
+def load_study(folder: Path | str) -> Study:
+    """Read a folder that `fraclink run` or its single steps wrote, whatever its files are called.
+
+    Raises FileFormatError where the folder holds nothing of fraclink, or a file in it is damaged.
+    """
+    place = checked_path("folder", folder)
+    if not place.is_dir():
+        allowed, remedy = "a folder of results", "check the path"
+        raise FileFormatError("folder", str(place), "not a folder", allowed=allowed, remedy=remedy)
+    by_kind: dict[str, list[Path]] = {}
+    for path in sorted(place.iterdir()):
+        by_kind.setdefault(_kind(path), []).append(path)
+    if not set(by_kind) & {"rig", "fit", "design", "run", "log"}:
+        allowed, remedy = "model, design or run files", "run `fraclink run` with --out in this folder"
+        raise FileFormatError("folder", str(place), "without results", allowed=allowed, remedy=remedy)
+    return _gathered(place, by_kind)
+
+
+def _kind(path: Path) -> str:
+    """What a file holds; an empty text for anything foreign."""
+    if path.suffix == ".toml":
+        return "rig"
+    return kind_of(path) if path.suffix in (".json", ".npz") else ""
+
+
+def _gathered(place: Path, by_kind: Mapping[str, list[Path]]) -> Study:
+    def first(kind: str, read: Callable[[Path], Any]) -> Any:
+        return read(by_kind[kind][0]) if kind in by_kind else None
+
+    about = first("study", lambda path: read_json(path, "study")) or {}
+    fits = {fit.structure: fit for fit in map(Fit.load, by_kind.get("fit", []))}
+    made, proof = first("design", Design.load), first("certificate", Certificate.load)
+    refuted = proof is not None and not proof.passed
+    campaign = load_campaign(place / "arms") if (place / "arms").is_dir() else None
+    return Study(
+        rig=first("rig", Rig.load) or (made.rig if made else None),
+        experiment=first("log", lambda path: load(path, Experiment)),
+        findings=tuple(Finding(**item) for item in about.get("findings", [])),
+        comparison=_comparison(fits, about.get("comparison")),
+        fit=fits.get(str(about.get("structure") or next(iter(fits), None))),
+        design=made,
+        law=first("law", Law.load),
+        stopped=about.get("stopped", about.get("infeasible")),  # infeasible: release 0.1
+        certificate=None if refuted else proof,
+        uncertified=proof.verdict if refuted else about.get("uncertified"),
+        runs=tuple(sorted(map(Run.load, by_kind.get("run", [])), key=lambda move: move.payload)),
+        arms=None if campaign is None else summarise(campaign, place / "arms"),
+        faults=first("fault-campaign", lambda path: load(path, FaultTable)),
+        assumptions=tuple(about.get("assumptions", ())),
+    )
+
+
+def _comparison(fits: dict[str, Fit], about: dict[str, Any] | None) -> Comparison | None:
+    if about is None or set(fits) != set(STRUCTURES):
+        return None
+    ordered = {name: fits[name] for name in STRUCTURES}
+    return Comparison(ordered, {}, about["preferred"], Contest(**about["contest"]), about["verdict"])
