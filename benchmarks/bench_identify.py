@@ -27,7 +27,7 @@ from fraclink._identify import (
     identify_payloads,
 )
 from fraclink._identify.shape import Window
-from fraclink._systems.inversion import grunwald_letnikov
+from fraclink._systems.response import grunwald_letnikov
 from identify_logs import NOISE, PERIOD, SAMPLES, TRUTH, clean_log, line, noisy_log
 from identify_recorded import daisy, real_logs
 

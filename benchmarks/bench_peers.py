@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 
 import fraclink as fl
 from fraclink._files import write_text
-from fraclink._systems.inversion import grunwald_letnikov
+from fraclink._systems.response import grunwald_letnikov
 
 PAGE = Path(__file__).parents[1] / "docs" / "explanation" / "_peers.md"
 Real = NDArray[np.float64]

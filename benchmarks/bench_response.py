@@ -18,9 +18,14 @@ import numpy as np
 from scipy.fft import rfft
 
 from fraclink._systems.fractional import FractionalTransferFunction, s
-from fraclink._systems.inversion import grunwald_letnikov
 from fraclink._systems.modes import DiscreteModes
-from fraclink._systems.response import discretize, held_quotient, step_response, time_response
+from fraclink._systems.response import (
+    discretize,
+    grunwald_letnikov,
+    held_quotient,
+    step_response,
+    time_response,
+)
 
 PERIOD = 0.004
 REFERENCE = Path(__file__).parents[1] / "tests" / "reference" / "step_responses.json"

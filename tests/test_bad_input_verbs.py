@@ -38,8 +38,7 @@ from fraclink._simulate import (
     geared,
     simulate_log,
 )
-from fraclink._systems.inversion import grunwald_letnikov
-from fraclink._systems.response import impulse_response
+from fraclink._systems.response import grunwald_letnikov, impulse_response
 from fraclink._workflow import simulate_move
 from fraclink.errors import FraclinkError
 from junk import (

@@ -12,9 +12,9 @@ from scipy.special import erfcx, gamma, wofz
 
 from fraclink._arm.link import LinkModel
 from fraclink._systems.fractional import FractionalTransferFunction, s
-from fraclink._systems.inversion import grunwald_letnikov
 from fraclink._systems.response import (
     discretize,
+    grunwald_letnikov,
     held_quotient,
     impulse_response,
     step_response,

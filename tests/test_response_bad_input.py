@@ -9,9 +9,14 @@ import numpy as np
 import pytest
 
 from fraclink._systems.fractional import s
-from fraclink._systems.inversion import grunwald_letnikov
 from fraclink._systems.rational import approximate
-from fraclink._systems.response import discretize, impulse_response, step_response, time_response
+from fraclink._systems.response import (
+    discretize,
+    grunwald_letnikov,
+    impulse_response,
+    step_response,
+    time_response,
+)
 from fraclink.errors import FieldError, SizeError
 from processor_limit import processor_limit
 

@@ -8,7 +8,7 @@ import mpmath
 import pytest
 
 from fraclink._systems.fractional import FractionalTransferFunction, s
-from fraclink._systems.norms import norm
+from fraclink._systems.stability import norm
 from fraclink.errors import FieldError, UnstableError
 
 INF = math.inf

@@ -25,7 +25,7 @@ from fraclink._arm.gauged_link import GaugedLink
 from fraclink._arm.link import LinkModel
 from fraclink._arm.motor import MotorConstants
 from fraclink._arm.motor_loop import MotorLoop
-from fraclink._systems.brackets import bracketed_roots
+from fraclink._systems.sweep import bracketed_roots
 
 if TYPE_CHECKING:
     from fraclink._arm.controller import Controller

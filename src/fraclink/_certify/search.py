@@ -17,7 +17,7 @@ from fraclink._certify.balls import Ball, BallLoop, BallWindow, Disc, outside
 from fraclink._certify.numeric import loop_values
 from fraclink._certify.statement import Statement
 from fraclink._law import Law
-from fraclink._systems.brackets import bracketed_roots
+from fraclink._systems.sweep import bracketed_roots
 from fraclink._validate import checked_between, checked_noun, checked_whole
 
 __all__ = [

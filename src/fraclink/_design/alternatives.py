@@ -15,7 +15,7 @@ from fraclink._arm.rig import Rig
 from fraclink._design.assess import PRINTED, axis_of, match_at
 from fraclink._design.equations import equation, task_of
 from fraclink._design.specification import Design, Specification
-from fraclink._systems.brackets import bracketed_roots
+from fraclink._systems.sweep import bracketed_roots
 from fraclink._validate import Payload, checked_between, checked_noun, checked_whole
 from fraclink.errors import InfeasibleError, SizeError
 

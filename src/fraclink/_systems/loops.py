@@ -7,7 +7,7 @@ import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol, cast
+from typing import Any, cast
 
 import numpy as np
 
@@ -16,41 +16,6 @@ from fraclink._systems.fractional import FractionalTransferFunction
 from fraclink._systems.roots import log_zeros, newton_polygon, two_term_zeros
 from fraclink._systems.terms import Complexes, Reals, Term
 from fraclink.errors import FieldError
-
-
-class SampledLoop(Protocol):
-    """A response on the imaginary axis and what is known about it before it is evaluated."""
-
-    @property
-    def low(self) -> float:
-        """ln of the lowest frequency that can matter [rad/s]."""
-
-    @property
-    def high(self) -> float:
-        """ln of the highest frequency that can matter [rad/s]."""
-
-    @property
-    def seeds(self) -> Reals:
-        """ln ω where the response moves fast: near poles and zeros beside the axis."""
-
-    def __call__(self, x: Reals) -> Complexes:
-        """L(j e^x)."""
-
-    @property
-    def delayed(self) -> bool:
-        """Whether there may be a delay: where |L| is small its phase crossings are countless."""
-
-    @property
-    def follow(self) -> float:
-        """ln of the frequency up to which the phase is followed however small |L| is."""
-
-    @property
-    def ends(self) -> tuple[complex, complex]:
-        """L at ω → 0 and ω → ∞ where it has a limit that is known, else nan."""
-
-    def point(self, x: float) -> tuple[complex, complex]:
-        """L(j e^x) and d ln L/dx at one frequency."""
-
 
 Response = Callable[[Complexes], Complexes]
 
@@ -62,7 +27,13 @@ _STEP = 1e-5
 
 @dataclass(frozen=True)
 class CallableLoop:
-    """A loop given as a function of s, of which nothing else is known."""
+    """A loop given as a function of s, of which nothing else is known.
+
+    `low`, `high`: ln of the frequencies [rad/s] that can matter. `seeds`: ln ω where the response moves fast,
+    near poles and zeros beside the axis. `delayed`: whether there may be a delay, so that phase crossings are
+    countless where |L| is small; up to `follow` (ln ω) the phase is followed however small |L| is.
+    `ends`: L at ω → 0 and ω → ∞ where it has a limit that is known, else nan.
+    """
 
     response: Response
     low: float
@@ -261,6 +232,9 @@ class FractionalLoop:
             return None
         right = [z for z in self.zeros if z.imag < 0.5 * math.pi - _ON_AXIS]
         return sum(1 if z.imag == 0 else 2 for z in right)
+
+
+SampledLoop = CallableLoop | FractionalLoop
 
 
 def _faint(system: FractionalTransferFunction) -> float:

@@ -1,4 +1,4 @@
-"""What `margins` returns."""
+"""Every gain and phase crossing of a loop, its modulus margin, and the Nyquist criterion."""
 
 from __future__ import annotations
 
@@ -10,11 +10,19 @@ from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 
 from fraclink._systems.fractional import FractionalTransferFunction
 from fraclink._systems.loops import FractionalLoop, SampledLoop, as_loop
-from fraclink._systems.sweep import sweep
+from fraclink._systems.sweep import (
+    Tendency,
+    gain_level,
+    gain_slope,
+    modulus_slope,
+    phase_level,
+    phase_slope,
+    sweep,
+    zero_of,
+)
 from fraclink._systems.terms import Complexes, Reals
 from fraclink._validate import Between, checked
 
@@ -276,54 +284,6 @@ def modulus_margin(loop: SampledLoop, x: Reals, values: Complexes) -> tuple[floa
         if abs(1 + limit) < smallest:
             smallest, frequency = abs(1 + limit), place
     return smallest, frequency
-
-
-# --- Roots and extremes of a response inside their brackets -------------------------------------------
-
-Tendency = Callable[[complex, complex], float]  # of L and d ln L/d ln ω
-
-# The least that brentq admits, relative to ln ω: crossings are then known to rounding.
-_RTOL = 4 * np.finfo(float).eps
-
-
-def gain_level(value: complex, slope: complex) -> float:
-    """ln |L|; a pole or zero on the axis counts as e^±745, the range of doubles, to stay a number."""
-    size = abs(value)
-    return math.log(size) if 0 < size < math.inf else math.copysign(745.0, size - 1)
-
-
-def phase_level(value: complex, slope: complex) -> float:
-    """arg(−L)."""
-    return cmath.phase(-value)
-
-
-def gain_slope(value: complex, slope: complex) -> float:
-    """d ln |L|/d ln ω."""
-    return slope.real
-
-
-def phase_slope(value: complex, slope: complex) -> float:
-    """d arg L/d ln ω."""
-    return slope.imag
-
-
-def modulus_slope(value: complex, slope: complex) -> float:
-    """½ d|1 + L|²/d ln ω."""
-    return ((1 + value).conjugate() * value * slope).real
-
-
-def zero_of(loop: SampledLoop, tendency: Tendency, a: float, b: float) -> tuple[float, complex]:
-    """ln ω of a zero of `tendency` in [a, b], and L there; without a change of sign the better end.
-
-    A crossing is a zero of its level, an extreme one of its slope.
-    """
-    at_a, at_b = (tendency(*loop.point(x)) for x in (a, b))
-    # An end is the extreme itself, or the slope beside a pole of the axis is no number.
-    if at_a * at_b < 0:
-        x = float(brentq(lambda x: tendency(*loop.point(x)), a, b, xtol=1e-15, rtol=_RTOL))
-    else:
-        x = a if abs(at_a) < abs(at_b) else b
-    return x, loop.point(x)[0]
 
 
 # --- The Nyquist criterion on a swept response, with indentations around poles of the axis ------------

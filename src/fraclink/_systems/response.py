@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Annotated, Literal
@@ -9,14 +10,14 @@ from typing import Annotated, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fraclink._systems.contour import convolve
+from fraclink import _kernels
+from fraclink._systems.contour import convolve, delay_free_part, feedthrough, invert
 from fraclink._systems.fractional import FractionalTransferFunction
 from fraclink._systems.held import HeldQuotient, Part, grid, largest, refuse_beyond_memory
-from fraclink._systems.inversion import delay_free_part, feedthrough, invert
 from fraclink._systems.modes import DiscreteModes
 from fraclink._systems.terms import Reals, Term
 from fraclink._validate import Array, Between, Positive, checked
-from fraclink.errors import FieldError, NotConvergedError
+from fraclink.errors import FieldError, NotConvergedError, SizeError
 
 Signal = Annotated[ArrayLike, Array(1, flags=True)]
 Times = Annotated[ArrayLike, Array(1, min_size=1), Between(0.0, unit="s")]
@@ -308,3 +309,76 @@ def delay_groups(G: FractionalTransferFunction) -> dict[float, tuple[Term, ...]]
     for t in G.numerator:
         groups[t.delay] = (*groups.get(t.delay, ()), Term(t.coefficient, t.order))
     return groups
+
+
+# --- The Grünwald–Letnikov simulation, for comparison only --------------------------------------------
+
+_LONGEST = 300_000  # samples: N²/2 products of each of two sums, half a minute of one core
+
+
+def grunwald_letnikov_weights(order: float, count: int) -> Reals:
+    """Return (-1)^k binom(order, k), k = 0 … count-1.
+
+    h^(-order) Σ weights_k u(t - kh) approximates the derivative of that order of u.
+
+    >>> grunwald_letnikov_weights(0.5, 4)
+    array([ 1.    , -0.5   , -0.125 , -0.0625])
+    """
+    k = np.arange(1.0, count)
+    weights: Reals = np.concatenate(([1.0], np.cumprod(1.0 - (order + 1.0) / k)))[:count]
+    return weights
+
+
+@checked
+def grunwald_letnikov(
+    G: FractionalTransferFunction,
+    u: Annotated[ArrayLike, Array(1, flags=True)],
+    period: Annotated[float, Between(1e-12, 1e12, "s")],
+) -> Reals:
+    """Return the response of G to samples u by the Grünwald–Letnikov difference with full memory.
+
+    s^a becomes T^(-a) Σ_k (-1)^k binom(a, k) z^(-k) in numerator and denominator. This is the method of
+    FOMCON's `fode_sol` and of the source paper, offered for comparison: its error is of first order in the
+    period, 6 % (step) to 16 % (random binary input) of full scale on a lightly damped link at 4 ms, and its
+    cost is O(N²). Never use it for a plant.
+
+    Parameters
+    ----------
+    G
+        Without delays.
+    u
+        Input, shape (N,), N up to 300 000.
+    period
+        Sampling period, 1e-12 … 1e12 s.
+
+    Raises
+    ------
+    FieldError
+        Delays, or values out of range.
+    SizeError
+        A longer signal.
+
+    Examples
+    --------
+    >>> from fraclink._systems.fractional import s
+    >>> grunwald_letnikov(1 / (s + 1), [1.0, 1.0, 1.0], 1.0)  # implicit Euler: 1 - 2^-(k+1)
+    array([0.5  , 0.75 , 0.875])
+    """
+    if any(t.delay for t in (*G.numerator, *G.denominator)):
+        raise FieldError("delay", G.delay, "present", allowed="no delays", remedy="use time_response")
+    values = np.ascontiguousarray(u, np.float64)
+    count = len(values)
+    if count > _LONGEST:
+        problem = f"too many samples for a memory of all of them: {count**2:.2g} products"
+        remedy = "use time_response, whose cost is linear in N"
+        raise SizeError("u", count, problem, allowed=f"<= {_LONGEST}", remedy=remedy)
+    driven = np.asarray(_kernels.memory_sum(_combined(G.numerator, count, period), values))
+    output: Reals = np.asarray(_kernels.memory_solve(_combined(G.denominator, count, period), driven))
+    return output
+
+
+def _combined(terms: Sequence[Term], count: int, period: float) -> Reals:
+    total = np.zeros(count)
+    for t in terms:
+        total += t.coefficient * period**-t.order * grunwald_letnikov_weights(t.order, count)
+    return total

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -179,19 +179,8 @@ def text(terms: tuple[Term, ...]) -> str:
 # --- Values of sums of c·s^a·e^(-τs) on arrays: the arithmetic under `FractionalTransferFunction` -----
 
 
-class TermLike(Protocol):
-    """What a term must offer: a coefficient, an order and a delay [s]."""
-
-    @property
-    def coefficient(self) -> float: ...
-    @property
-    def order(self) -> float: ...
-    @property
-    def delay(self) -> float: ...
-
-
 def evaluate(
-    numerator: Sequence[TermLike], denominator: Sequence[TermLike], s: Any
+    numerator: Sequence[Term], denominator: Sequence[Term], s: Any
 ) -> complex | NDArray[np.complex128]:
     """Return numerator(s)/denominator(s) on the principal sheet, in the shape of `s`."""
     points = np.asarray(s)
@@ -209,7 +198,7 @@ def evaluate(
     return value.reshape(points.shape) if points.ndim else complex(value[0])
 
 
-def _sum(terms: Sequence[TermLike], s: Complexes, logs: Complexes, shift: float) -> Complexes:
+def _sum(terms: Sequence[Term], s: Complexes, logs: Complexes, shift: float) -> Complexes:
     total = np.zeros(s.shape, np.complex128)
     for term in terms:
         order = term.order - shift
@@ -227,7 +216,7 @@ def _sum(terms: Sequence[TermLike], s: Complexes, logs: Complexes, shift: float)
 
 
 def _extreme(
-    numerator: Sequence[TermLike], denominator: Sequence[TermLike], s: Complexes, logs: Complexes
+    numerator: Sequence[Term], denominator: Sequence[Term], s: Complexes, logs: Complexes
 ) -> Complexes:
     """Values where the plain quotient is not finite: poles, s = 0, and |s| so large that powers overflow."""
     highest = max((t.order for t in (*numerator, *denominator)), default=0.0)
