@@ -20,7 +20,7 @@ from scipy.fft import rfft
 from fraclink._systems.fractional import FractionalTransferFunction, s
 from fraclink._systems.modes import DiscreteModes
 from fraclink._systems.response import (
-    discretize,
+    discrete_modes,
     grunwald_letnikov,
     held_quotient,
     step_response,
@@ -88,8 +88,8 @@ def cost() -> None:
     samples = 1_000_000
     generator = np.random.default_rng(0)
     signal, u = generator.standard_normal(2 * samples), generator.standard_normal(samples)
-    modes = discretize(LINK, PERIOD, span=samples * PERIOD, tolerance=1e-11)
-    fine = discretize(LINK, PERIOD, span=samples * PERIOD)
+    modes = discrete_modes(LINK, PERIOD, span=samples * PERIOD, tolerance=1e-11)
+    fine = discrete_modes(LINK, PERIOD, span=samples * PERIOD)
     calls: dict[str, Callable[[], object]] = {
         "R": lambda: rfft(signal),
         "modes": lambda: modes.respond(u),
@@ -120,7 +120,7 @@ def linearity() -> None:
     spent = []
     for size in [10**k for k in range(3, 8)]:
         u = np.random.default_rng(1).standard_normal(size)
-        modes = discretize(LINK, PERIOD, span=size * PERIOD)
+        modes = discrete_modes(LINK, PERIOD, span=size * PERIOD)
         calls: dict[str, Callable[[], object]] = {
             "y": lambda u=u, modes=modes: modes.respond(u),
             "start": lambda u=u[:16], modes=modes: modes.respond(u),
@@ -196,7 +196,7 @@ def against_oustaloup() -> None:
         return control.sample_system(control.feedback(power * integrator), PERIOD, method="zoh")
 
     sampled, times = system(), np.arange(samples) * PERIOD
-    modes = discretize(LINK, PERIOD, span=samples * PERIOD)
+    modes = discrete_modes(LINK, PERIOD, span=samples * PERIOD)
     theirs = control.forced_response(sampled, times, u).outputs
     calls: dict[str, Callable[[], object]] = {
         "theirs": lambda: control.forced_response(sampled, times, u),
@@ -226,7 +226,7 @@ def against_oustaloup() -> None:
 def memory() -> None:
     samples = 10_000_000
     u = np.zeros(samples)
-    modes = discretize(LINK, PERIOD, span=samples * PERIOD)
+    modes = discrete_modes(LINK, PERIOD, span=samples * PERIOD)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     tracemalloc.start()
     modes.respond(u)

@@ -10,7 +10,7 @@ import pytest
 import fraclink as fl
 from campaigns import small
 from fraclink._arm.link import LinkModel, SecondMode
-from fraclink._campaign import Campaign, Distribution, arm_of, draws_for, replay, simulate_part
+from fraclink._campaign import Campaign, Distribution, arm_of, draws_for, replay_run, simulate_part
 from fraclink._campaign.arms import batch_links
 from fraclink._campaign.campaign import draw
 from fraclink._simulate.metrics import Signals, judge_many, measure, measure_many
@@ -114,7 +114,7 @@ def test_a_run_of_a_part_is_the_run_that_replay_repeats():
     part = simulate_part(campaign, 2)
     assert part["run"].tolist() == list(range(2000, 2500))
     for at in (0, 1, 49, 50, 263, 499):
-        run = replay(campaign, 2000 + at)
+        run = replay_run(campaign, 2000 + at)
         for name in METRICS:
             assert float(part[name][at]) == pytest.approx(getattr(run.metrics, name), rel=1e-9, abs=1e-12)
         assert bool(part["passed"][at]) == bool(run.verdict), at
@@ -126,7 +126,7 @@ def test_a_vibration_that_passes_through_the_band_has_not_settled():
     asked = {"payloads": (0.020, 0.040), "gain_crossover": 12.0, "phase_margin": fl.deg(50)}
     campaign = Campaign.of(rig, rig.model, fl.design(rig.model, rig, **asked).law(), runs=200, seed=1)
     part = simulate_part(campaign, 0)
-    told = [replay(campaign, run).verdict.passed for run in range(200)]
+    told = [replay_run(campaign, run).verdict.passed for run in range(200)]
     assert part["passed"].tolist() == told
     passing = np.isfinite(part["settling_time"]) & ~part["passed"] & (part["mode"] == 1)
     assert passing.sum() > 5  # the rule had something to decide
@@ -147,7 +147,7 @@ def test_a_run_is_what_simulate_says_of_its_arm():
             motor_loop="sampled",
             gauge_offset=own["gauge_offset"],
             noise=rig.gauge.noise * own["noise"],
-            seed=replay(campaign, 2000 + at).about["seed"],
+            seed=replay_run(campaign, 2000 + at).about["seed"],
             delay_samples=int(own["delay_samples"]),
         )
         apart.append(abs(run.metrics.peak_tip_error - float(part["peak_tip_error"][at])))
@@ -157,7 +157,7 @@ def test_a_run_is_what_simulate_says_of_its_arm():
 
 def test_a_run_that_is_not_there_cannot_be_replayed():
     with pytest.raises(FieldError, match="got 2500"):
-        replay(small(), 2500)
+        replay_run(small(), 2500)
 
 
 def test_many_runs_are_measured_as_one_is():
@@ -197,7 +197,7 @@ def test_an_ideal_motor_loop_is_run_too():
     ideal = Campaign.of(small().rig, small().model, small().law, runs=19, seed=2, motor_loop="ideal")
     part = simulate_part(ideal, 0)
     for at in (0, 9, 18):  # in a group of eight, and in the rest of a block
-        run = replay(ideal, at)
+        run = replay_run(ideal, at)
         assert part["peak_tip_error"][at] == pytest.approx(run.metrics.peak_tip_error, rel=1e-9)
         assert part["peak_voltage"][at] == pytest.approx(run.metrics.peak_voltage, rel=1e-9)
 
@@ -219,7 +219,7 @@ def test_a_part_has_the_gauges_delay_and_gain_and_the_second_mode():
     part = simulate_part(campaign, 0)
     assert part["gauge_delay"].max() > 0.004
     for at in (0, 7, 8, 18):
-        run = replay(campaign, at)
+        run = replay_run(campaign, at)
         assert run.about["gauge_delay"] == part["gauge_delay"][at]
         assert part["peak_tip_error"][at] == run.metrics.peak_tip_error
     other = simulate_part(replace(plain, runs=19), 0)

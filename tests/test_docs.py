@@ -9,11 +9,14 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
+import typer
 
 import fraclink
 from fraclink import errors
+from fraclink._cli.app import application
 from guard_sources import ROOT
 
 DOCS = ROOT / "docs"
@@ -62,6 +65,24 @@ def test_every_how_to_of_the_index_is_there() -> None:
         "read-a-certificate",
     )
     assert {name for name in promised if not (DOCS / "how-to" / f"{name}.md").is_file()} == set()
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(DOCS).as_posix())
+def test_pages_use_public_names_only(page: Path) -> None:
+    private = re.compile(r"^[ >.]*(?:from|import)\s+(fraclink\._\S+)", flags=re.MULTILINE)
+    assert private.findall(page.read_text("utf-8")) == []
+
+
+def test_every_command_stands_on_the_page_of_commands() -> None:
+    cells = "".join(re.findall(r"^options\((.*?)\)$", (DOCS / "reference/command-line.md").read_text(), re.M))
+    group: Any = typer.main.get_command(application())
+    context = typer.Context(group)
+    commands = [
+        f"{name} {inner}".strip()
+        for name in group.list_commands(context)
+        for inner in getattr(group.get_command(context, name), "commands", {"": None})
+    ]
+    assert re.findall(r'"([\w -]+)"', cells) == commands
 
 
 def test_every_saved_kind_stands_in_the_file_formats() -> None:

@@ -130,29 +130,29 @@ def test_nichols_contour_is_the_closed_loop_magnitude() -> None:
 
 def test_margins_are_marked() -> None:
     loop = 4 / (s * (s + 1) * (s + 2))
-    magnitude, phase = plots.margins(loop)
+    magnitude, phase = plots.margin_plot(loop)
     assert magnitude.get_title() == "phase margin 11.42° at 1.143 rad/s"
     texts = [t.get_text() for axis in (magnitude, phase) for t in axis.texts]
     assert texts == ["3.5 dB", "11.4°"]
     spans = [line.get_ydata() for line in phase.get_lines() if len(line.get_xdata()) == 2]
     assert any(np.allclose(np.sort(y), [-180, -180 + 11.4247], atol=1e-2) for y in map(np.asarray, spans))
-    assert "no gain crossing" in plots.margins(0.1 / (s + 1))[0].get_title()
+    assert "no gain crossing" in plots.margin_plot(0.1 / (s + 1))[0].get_title()
 
 
 def test_margins_of_a_sampled_loop_end_at_nyquist() -> None:
     plant = control.c2d(control.tf([2.0], [1.0, 1.0]), 0.1)
-    w = plots.margins(plant)[0].get_lines()[0].get_xdata()
+    w = plots.margin_plot(plant)[0].get_lines()[0].get_xdata()
     assert w[-1] == pytest.approx(math.pi / 0.1)
 
 
 def test_step_is_the_exact_response() -> None:
-    axis = plots.step(100 / (s**2 + 2 * s + 100), duration=3.0)
+    axis = plots.step_plot(100 / (s**2 + 2 * s + 100), duration=3.0)
     t, y = axis.get_lines()[0].get_data()
     wd = math.sqrt(99)
     exact = 1 - np.exp(-t) * (np.cos(wd * t) + np.sin(wd * t) / wd)
     np.testing.assert_allclose(y, exact, atol=1e-9)
-    assert plots.step(1 / (s + 2)).get_xlim() == (0.0, 4.0)
-    assert plots.step(1 / (s**0.5 + 1)).get_xlim()[1] > 1.0
+    assert plots.step_plot(1 / (s + 2)).get_xlim() == (0.0, 4.0)
+    assert plots.step_plot(1 / (s**0.5 + 1)).get_xlim()[1] > 1.0
 
 
 def test_several_systems_with_labels_and_given_axes() -> None:
@@ -166,7 +166,7 @@ def test_several_systems_with_labels_and_given_axes() -> None:
     _, single = plt.subplots()
     for draw in (plots.nyquist, plots.nichols):
         assert draw(LINK, LOOP, ax=single, labels=["a", "b"], color="black") is single
-    assert plots.step(1 / (s + 1), 2 / (s + 2), ax=single, labels=["a", "b"]) is single
+    assert plots.step_plot(1 / (s + 1), 2 / (s + 2), ax=single, labels=["a", "b"]) is single
 
 
 def test_given_frequencies_are_kept() -> None:
@@ -184,8 +184,8 @@ def test_given_frequencies_are_kept() -> None:
         (lambda: plots.nyquist(LINK, frequency=[1, 3, 2]), "frequency"),
         (lambda: plots.nichols(LINK, frequency=[0, 1, 2]), "frequency"),
         (lambda: plots.nyquist(3.0), "loop"),
-        (lambda: plots.step(1 / (s + 1), duration=0.0), "duration"),
-        (lambda: plots.step(1 / (s + 1), duration=math.inf), "duration"),
+        (lambda: plots.step_plot(1 / (s + 1), duration=0.0), "duration"),
+        (lambda: plots.step_plot(1 / (s + 1), duration=math.inf), "duration"),
     ],
 )
 def test_bad_input(call: object, field: str) -> None:

@@ -13,7 +13,7 @@ from scipy.special import erfcx, gamma, wofz
 from fraclink._arm.link import LinkModel
 from fraclink._systems.fractional import FractionalTransferFunction, s
 from fraclink._systems.response import (
-    discretize,
+    discrete_modes,
     grunwald_letnikov,
     held_quotient,
     impulse_response,
@@ -242,7 +242,7 @@ def test_parseval() -> None:
 
 
 def test_frequency_response_of_the_modes_sums_the_aliases() -> None:
-    modes = discretize(LINK, T, span=400.0)
+    modes = discrete_modes(LINK, T, span=400.0)
     w = np.array([0.5, 5.0, 11.0, 40.0, 300.0])
     shifts = w[:, None] + 2 * math.pi / T * np.arange(-400, 401)
     hold = -np.expm1(-1j * shifts * T) / (1j * shifts * T)
@@ -251,7 +251,7 @@ def test_frequency_response_of_the_modes_sums_the_aliases() -> None:
 
 
 def test_modes_are_the_recursion_they_document() -> None:
-    modes = discretize((1.56 * (1 - LINK)).delayed(1.5 * T), T, span=10.0)
+    modes = discrete_modes((1.56 * (1 - LINK)).delayed(1.5 * T), T, span=10.0)
     y, x, z = np.zeros(50), np.zeros(len(modes.gains)), np.zeros(len(modes.pole_gains), complex)
     v = np.concatenate((np.zeros(modes.lag), SIGNAL))[:50]
     for k in range(50):
@@ -262,7 +262,7 @@ def test_modes_are_the_recursion_they_document() -> None:
 
 
 def test_integrator_is_a_decay_of_exactly_one() -> None:
-    modes = discretize(LINK / s, T, span=10.0)
+    modes = discrete_modes(LINK / s, T, span=10.0)
     assert np.count_nonzero(modes.decays == 1.0) == 1
 
 
@@ -270,7 +270,7 @@ def test_fewer_modes_for_less_accuracy() -> None:
     exact = time_response(LINK, np.ones(5000), T).output
     counts = []
     for tolerance in (1e-4, 1e-6, 1e-8, 1e-10, 1e-12):
-        modes = discretize(LINK, T, span=20.0, tolerance=tolerance)
+        modes = discrete_modes(LINK, T, span=20.0, tolerance=tolerance)
         assert peak_error(modes.respond(np.ones(5000)), exact) < 3 * tolerance
         counts.append(modes.count)
     assert counts == sorted(counts)
@@ -282,7 +282,7 @@ def test_results_are_read_only_and_describe_themselves() -> None:
     assert not result.time.flags.writeable
     assert not result.output.flags.writeable
     assert (result.method, result.period, result.hold) == ("modes", T, "zero")
-    modes = discretize(LINK, T, span=1.0)
+    modes = discrete_modes(LINK, T, span=1.0)
     with pytest.raises(ValueError, match="read-only"):
         modes.gains[0] = 0.0
 

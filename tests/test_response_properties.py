@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from fraclink._systems.contour import careful_response
 from fraclink._systems.fractional import FractionalTransferFunction, s
-from fraclink._systems.response import discretize, held_quotient, step_response, time_response
+from fraclink._systems.response import discrete_modes, held_quotient, step_response, time_response
 
 orders = st.floats(0.05, 1.98).map(lambda x: round(x, 3))
 factors = st.builds(lambda a, c: (a, c), orders, st.floats(-3, 6).map(math.exp))
@@ -78,7 +78,7 @@ def test_delayed_step_is_the_step_delayed(G: FractionalTransferFunction, delay: 
 @settings(deadline=None, max_examples=20)
 @given(G=stable_systems(), tolerance=st.floats(-12, -4).map(lambda x: 10.0**x))
 def test_tolerance_is_kept(G: FractionalTransferFunction, tolerance: float) -> None:
-    modes = discretize(G, 0.01, span=10.0, tolerance=tolerance)
+    modes = discrete_modes(G, 0.01, span=10.0, tolerance=tolerance)
     exact = time_response(G, np.ones(1000), 0.01).output
     error = np.max(np.abs(modes.respond(np.ones(1000)) - exact))
     assert error <= (10 * tolerance + 2e-10) * np.max(np.abs(exact))

@@ -174,3 +174,12 @@ from fraclink._workflow import run as run
 from fraclink.findings import Finding as Finding
 
 __version__: str
+from fraclink._arm.motor import place_pid as place_pid
+from fraclink._campaign.arms import replay_run as replay_run
+from fraclink._cli import main as main
+from fraclink._show.bode import margin_plot as margin_plot
+from fraclink._show.faults import draw_outcome as draw_outcome
+from fraclink._show.figures import drivers_figure as drivers_figure
+from fraclink._show.plots import step_plot as step_plot
+from fraclink._systems.modes import DiscreteModes as DiscreteModes
+from fraclink._systems.response import discrete_modes as discrete_modes

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from fraclink._campaign.arms import arm_of, replay, simulate_part
+from fraclink._campaign.arms import arm_of, replay_run, simulate_part
 from fraclink._campaign.campaign import Campaign, Distribution, Draws, draws_for, load_campaign, save_campaign
 from fraclink._campaign.run import Progress, read_part, run_campaign
 from fraclink._campaign.summary import MetricSummary, Quantile, Summary, columns, summarise
@@ -20,7 +20,7 @@ __all__ = [
     "draws_for",
     "load_campaign",
     "read_part",
-    "replay",
+    "replay_run",
     "run_campaign",
     "save_campaign",
     "simulate_part",

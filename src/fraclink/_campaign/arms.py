@@ -30,7 +30,7 @@ from fraclink._simulate.simulate import model_run
 from fraclink._validate import Between, checked, is_whole
 from fraclink.errors import FieldError
 
-__all__ = ["arm_of", "replay", "simulate_part"]
+__all__ = ["arm_of", "replay_run", "simulate_part"]
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -159,7 +159,7 @@ def arm_of(campaign: Campaign, run: int) -> tuple[Rig, LinkModel, dict[str, floa
 
 
 @checked
-def replay(campaign: Campaign, run: int) -> Run:
+def replay_run(campaign: Campaign, run: int) -> Run:
     """Return run number `run` of a campaign with all its signals, to the last bit what the campaign saw.
 
     Raises FieldError where the campaign has no such run.
@@ -167,7 +167,7 @@ def replay(campaign: Campaign, run: int) -> Run:
     >>> import fraclink as fl
     >>> rig = fl.Rig.named("paper-2023")
     >>> law = fl.discretize(fl.Controller(gain=0.069876, order=0.612197, link=rig.model), rig.period, order=4)
-    >>> replay(Campaign.of(rig, rig.model, law, runs=100), 42).verdict.passed
+    >>> replay_run(Campaign.of(rig, rig.model, law, runs=100), 42).verdict.passed
     True
     """
     _, link, own = arm_of(campaign, run)

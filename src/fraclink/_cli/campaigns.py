@@ -109,7 +109,7 @@ def replay(
     ),
 ) -> Answer:
     """Repeat one run of a campaign with all its signals."""
-    found = campaigns.replay(campaigns.load_campaign(parts), run)
+    found = campaigns.replay_run(campaigns.load_campaign(parts), run)
     found.save(out)
     return Answer(found, found.verdict.passed, values={"run": run}, written=(out,))
 

@@ -15,7 +15,7 @@ from fraclink._systems.margins import Margins
 from fraclink._systems.margins import margins as find_margins
 from fraclink.errors import FieldError
 
-__all__ = ["bode", "margins"]
+__all__ = ["bode", "margin_plot"]
 
 Real = NDArray[np.float64]
 
@@ -66,7 +66,7 @@ def bode(
     return axes
 
 
-def margins(
+def margin_plot(
     loop: Any,
     *,
     ax: Sequence[Any] | None = None,
@@ -89,7 +89,7 @@ def margins(
 
     Examples
     --------
-    >>> axes = margins(lambda s: 4 / (s * (s + 1) * (s + 2)))
+    >>> axes = margin_plot(lambda s: 4 / (s * (s + 1) * (s + 2)))
     >>> axes[0].get_title()
     'phase margin 11.42° at 1.143 rad/s'
     """

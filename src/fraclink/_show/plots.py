@@ -15,7 +15,7 @@ import numpy as np
 
 from fraclink._design.alternatives import FeasibilityMap
 from fraclink._design.assess import MarginCurve, PhaseShare
-from fraclink._show.bode import bode, margins
+from fraclink._show.bode import bode, margin_plot
 from fraclink._show.curves import labelled, pyplot
 from fraclink._show.drawing import BLUE, FAINT, GREEN, INK, ORANGE
 from fraclink._show.planes import nichols, nyquist
@@ -32,19 +32,19 @@ __all__ = [
     "bode",
     "feasibility",
     "latency",
-    "margins",
+    "margin_plot",
     "margins_against_payload",
     "nichols",
     "nyquist",
     "phase_shares",
-    "step",
+    "step_plot",
 ]
 
 _POINTS = 1000
 _TIMES = 8.0  # time constants of the slowest pole: what is left of it is 3e-4
 
 
-def step(
+def step_plot(
     *systems: FractionalTransferFunction,
     duration: float | None = None,
     ax: Any = None,
@@ -72,7 +72,7 @@ def step(
     Examples
     --------
     >>> from fraclink._systems.fractional import s
-    >>> axis = step(100 / (s**1.92 + 100), duration=2.0)
+    >>> axis = step_plot(100 / (s**1.92 + 100), duration=2.0)
     >>> axis.get_xlabel()
     'time [s]'
     """

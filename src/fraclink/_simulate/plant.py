@@ -30,7 +30,7 @@ from scipy.linalg import expm
 from fraclink._arm.beam import Beam, BeamModes
 from fraclink._arm.link import LinkModel, SecondMode
 from fraclink._simulate.damping import Chain, Damping
-from fraclink._systems.response import discretize
+from fraclink._systems.response import discrete_modes
 from fraclink._validate import Between, Frequency, NonNegative, Period, checked
 from fraclink.errors import FieldError
 
@@ -330,7 +330,7 @@ def link_weights(model: LinkModel, period: float, span: float) -> LinkWeights:
             allowed=f"< {LONGEST / abs(model.pole):.3g} s: {2 * math.pi / LONGEST:.2g} samples a vibration",
             remedy="simulate at a shorter period",
         )
-    modes = discretize(model.tip(), period, span=span, tolerance=LINK_TOLERANCE)
+    modes = discrete_modes(model.tip(), period, span=span, tolerance=LINK_TOLERANCE)
     at_end = [_end_of_power(model, period, j) for j in range(POWERS)]
     real = modes.gains * _relative_powers(modes.log_decays)
     pair = modes.pole_gains * _relative_powers(modes.pole_log_decays)

@@ -1,4 +1,4 @@
-"""Time responses from rest: `time_response`, `step_response`, `impulse_response`, `discretize`."""
+"""Time responses from rest: `time_response`, `step_response`, `impulse_response`, `discrete_modes`."""
 
 from __future__ import annotations
 
@@ -153,7 +153,7 @@ def impulse_response(
 
 
 @checked
-def discretize(
+def discrete_modes(
     G: FractionalTransferFunction,
     period: SamplePeriod,
     *,
@@ -189,7 +189,7 @@ def discretize(
     Examples
     --------
     >>> from fraclink._systems.fractional import s
-    >>> modes = discretize(1 / (s + 1), 0.1, span=10.0)
+    >>> modes = discrete_modes(1 / (s + 1), 0.1, span=10.0)
     >>> modes.decays, modes.gains
     (array([0.90483742]), array([0.09516258]))
     """
@@ -198,7 +198,7 @@ def discretize(
     )
     groups = delay_groups(G)
     if len(groups) > 1:
-        allowed, remedy = "one delay common to all terms", "discretize the parts, or use time_response"
+        allowed, remedy = "one delay common to all terms", "take the parts one by one, or use time_response"
         raise FieldError("delay", sorted(groups), "several in the numerator", allowed=allowed, remedy=remedy)
     delay, top = next(iter(groups.items()), (0.0, ()))
     held = held_quotient(top, G.denominator)
