@@ -114,13 +114,14 @@ Io callables(nb::callable read, nb::callable write) {
     return io;
 }
 
-// A virtual clock for some threads; for none, the machine's.
+// A virtual clock for some threads, or the one that another process keeps in a file; for none, the machine's.
 struct Clock {
     realtime_clock *clock;
-    explicit Clock(int threads) : clock(nullptr) {
+    Clock(int threads, int file) : clock(nullptr) {
         require(threads >= 0 && threads <= 8, "clock: at most 8 threads");
-        clock = threads ? realtime_clock_open(threads) : nullptr;
-        if (threads && !clock) throw std::bad_alloc();
+        const bool machine = threads == 0 && file < 0;
+        clock = machine ? nullptr : realtime_clock_open(threads, file);
+        if (!machine && !clock) throw std::system_error(errno, std::generic_category());
     }
     Clock(const Clock &) = delete;
     Clock &operator=(const Clock &) = delete;
@@ -234,7 +235,7 @@ void bind_realtime(nb::module_ &m) {
         .def_static("library", &library)
         .def_static("callables", &callables);
     nb::class_<Clock>(m, "RealtimeClock")
-        .def(nb::init<int>())
+        .def(nb::init<int, int>(), nb::arg("threads"), nb::arg("file") = -1)
         .def("sleep", &Clock::sleep)
         .def("leave", &Clock::leave)
         .def_prop_ro("now", &Clock::now)

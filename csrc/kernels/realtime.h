@@ -15,11 +15,12 @@
  * run. So threads take turns in an order that no load changes, what they do takes no time, and a minute of sleeping
  * passes at once. */
 typedef struct realtime_clock realtime_clock;
-realtime_clock *realtime_clock_open(int threads);
+/* `file` is memory that another process opens with `threads` 0, so that its threads take their turns too; -1: none. */
+realtime_clock *realtime_clock_open(int threads, int file);
 void realtime_clock_close(realtime_clock *clock);
 /* The calling thread sleeps no more: the others go on without it. */
 void realtime_clock_leave(realtime_clock *clock);
-/* Whether a thread slept 30 s of real time without its turn: one of the others forgot to leave. */
+/* Whether a thread slept 120 s of real time without its turn: one of the others forgot to leave. */
 int realtime_clock_stalled(const realtime_clock *clock);
 
 int64_t realtime_now(realtime_clock *clock);

@@ -5,12 +5,14 @@
 #ifdef __linux__
 
 #include <pthread.h>
-#include <stdlib.h>
+#include <sys/mman.h>
 #include <time.h>
+#include <unistd.h>
 
-enum { MOST_THREADS = 8, STALL_SECONDS = 30 };
+enum { MOST_THREADS = 8, STALL_SECONDS = 120 };
 
 typedef struct {
+    pthread_cond_t turn; /* of its own, so that a thread without its turn never holds the lock: a process may freeze */
     int used; /* until its thread has seen its turn */
     int asleep;
     int64_t until;
@@ -19,7 +21,6 @@ typedef struct {
 
 struct realtime_clock {
     pthread_mutex_t lock;
-    pthread_cond_t turn;
     int64_t now;
     int threads;
     int asleep;
@@ -28,22 +29,38 @@ struct realtime_clock {
     sleeper sleepers[MOST_THREADS];
 };
 
-realtime_clock *realtime_clock_open(int threads)
+/* The clock holds no pointer, so that it may lie in memory that processes share. */
+static realtime_clock *mapped(int file)
 {
-    realtime_clock *const clock = calloc(1, sizeof(*clock));
-    if (clock == NULL)
+    const int flags = file < 0 ? MAP_SHARED | MAP_ANONYMOUS : MAP_SHARED;
+    void *const memory = mmap(NULL, sizeof(realtime_clock), PROT_READ | PROT_WRITE, flags, file, 0);
+    return memory == MAP_FAILED ? NULL : memory;
+}
+
+realtime_clock *realtime_clock_open(int threads, int file)
+{
+    pthread_mutexattr_t mutex;
+    pthread_condattr_t condition;
+    if (file >= 0 && ftruncate(file, (off_t)sizeof(realtime_clock)) != 0)
         return NULL;
-    pthread_mutex_init(&clock->lock, NULL);
-    pthread_cond_init(&clock->turn, NULL);
+    realtime_clock *const clock = mapped(file);
+    if (clock == NULL || threads == 0)
+        return clock;
+    pthread_mutexattr_init(&mutex);
+    pthread_mutexattr_setpshared(&mutex, PTHREAD_PROCESS_SHARED);
+    pthread_mutex_init(&clock->lock, &mutex);
+    pthread_condattr_init(&condition);
+    pthread_condattr_setpshared(&condition, PTHREAD_PROCESS_SHARED);
+    for (int i = 0; i < MOST_THREADS; i++)
+        pthread_cond_init(&clock->sleepers[i].turn, &condition);
     clock->threads = threads;
     return clock;
 }
 
+/* Neither mutex nor condition is destroyed: another process may wait in them, and they own nothing. */
 void realtime_clock_close(realtime_clock *clock)
 {
-    pthread_cond_destroy(&clock->turn);
-    pthread_mutex_destroy(&clock->lock);
-    free(clock);
+    munmap(clock, sizeof(*clock));
 }
 
 /* With everybody asleep, wake the one whose time comes first. */
@@ -61,7 +78,7 @@ static void pass_on(realtime_clock *clock)
     first->asleep = 0;
     clock->asleep--;
     clock->now = first->until > clock->now ? first->until : clock->now;
-    pthread_cond_broadcast(&clock->turn);
+    pthread_cond_signal(&first->turn);
 }
 
 void realtime_clock_leave(realtime_clock *clock)
@@ -87,16 +104,17 @@ static void take_turns(realtime_clock *clock, int64_t time_ns)
     while (place < MOST_THREADS - 1 && clock->sleepers[place].used)
         place++;
     sleeper *const me = &clock->sleepers[place];
-    *me = (sleeper){1, 1, time_ns, ++clock->order};
+    me->used = me->asleep = 1;
+    me->until = time_ns;
+    me->order = ++clock->order;
     clock->asleep++;
     pass_on(clock);
     while (me->asleep && !clock->stalled)
-        clock->stalled |= pthread_cond_timedwait(&clock->turn, &clock->lock, &limit) != 0 && me->asleep;
+        clock->stalled |= pthread_cond_timedwait(&me->turn, &clock->lock, &limit) != 0 && me->asleep;
     if (me->asleep) { /* nobody may hang for a mistake of another: let time run, and the test fail */
         me->asleep = 0;
         clock->asleep--;
         clock->now = time_ns > clock->now ? time_ns : clock->now;
-        pthread_cond_broadcast(&clock->turn);
     }
     me->used = 0;
     pthread_mutex_unlock(&clock->lock);
