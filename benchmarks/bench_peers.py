@@ -15,6 +15,7 @@ octave-control) and numfracpy (PyPI) run where they are installed.
 from __future__ import annotations
 
 import argparse
+import functools
 import importlib.util
 import math
 import shutil
@@ -123,7 +124,7 @@ def step_rows() -> list[Row]:
                 control.step_response(system, TIME).outputs,
             )
         )
-    if shutil.which("octave"):
+    if octave_control():
         output = in_octave("printf('%.17g ', step(G, 0:0.004:2))", stand_in(LINK, PAIRS))
         rows.append(row(f"Octave {octave_version()}, the same filter of {PAIRS} pairs", np.array(output)))
     if importlib.util.find_spec("numfracpy"):
@@ -175,7 +176,7 @@ def margin_rows() -> list[Row]:
                 control.margin(stand_in(LOOP, pairs))[1],
             )
         )
-    if shutil.which("octave"):
+    if octave_control():
         value = in_octave("[g, p] = margin(G); printf('%.17g ', p)", stand_in(LOOP, PAIRS))[0]
         rows.append(row(f"Octave {octave_version()}, the same filter of {PAIRS} pairs", value))
     return rows
@@ -228,6 +229,16 @@ def in_octave(command: str, system: control.StateSpace) -> list[float]:
     )
     script = f"pkg load control; G = ss({matrices}); {command}"
     return [float(word) for word in octave("--eval", script).split()]
+
+
+@functools.cache
+def octave_control() -> bool:
+    """Whether Octave is here, and its control package with it."""
+    try:
+        octave("--eval", "pkg load control")
+    except (OSError, subprocess.CalledProcessError):
+        return False
+    return True
 
 
 def octave_version() -> str:
@@ -285,7 +296,7 @@ def main() -> None:
     found = rows()
     print(*found, cost(), sep="\n")
     if wanted.write:
-        absent = [tool for tool in ("octave",) if not shutil.which(tool)]
+        absent = [] if octave_control() else ["octave with octave-control"]
         absent += [tool for tool in ("numfracpy",) if not importlib.util.find_spec(tool)]
         if absent:
             raise SystemExit(f"not installed: {', '.join(absent)}; the table would lose its rows")

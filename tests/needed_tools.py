@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import subprocess
 from typing import NoReturn
 
 import pytest
@@ -23,4 +24,15 @@ def tool(name: str, package: str | None = None) -> str:
     path = shutil.which(name)
     if path is None:
         missing(f"{name} is not installed (Debian package {package or name})")
+    return path
+
+
+def octave_with_control() -> str:
+    """Return the path of Octave, or skip and name what is missing of it: the program or its control package."""
+    path = tool("octave-cli", "octave")
+    loaded = subprocess.run(  # noqa: S603
+        [path, "--quiet", "--no-init-file", "--eval", "pkg load control"], capture_output=True, check=False
+    )
+    if loaded.returncode != 0:
+        missing("Octave's control package is not installed (Debian package octave-control)")
     return path

@@ -59,9 +59,7 @@ def kill_after(folder: Path, begin: Begin, delay: float, parts: int) -> dict[str
     there = len(identities(folder)) if folder.exists() else 0
     process = begin(folder)
     try:
-        until = time.monotonic() + 60
         while len(identities(folder)) < there + parts and process.poll() is None:
-            assert time.monotonic() < until, "no part within a minute"
             time.sleep(0.01)
         time.sleep(delay)
     finally:
@@ -80,7 +78,7 @@ def killed(folder: Path, begin: Begin, kills: int) -> str:
         assert kept.items() <= left.items()
         kept = left
     process = begin(folder)
-    out, err = process.communicate(timeout=120)
+    out, err = process.communicate()
     assert process.returncode in (0, 1), err
     assert kept.items() <= identities(folder).items()
     assert not list(folder.glob(".*.tmp"))
