@@ -28,7 +28,7 @@ def tool(name: str, package: str | None = None) -> str:
 
 
 def octave_with_control() -> str:
-    """Return the path of Octave, or skip and name what is missing of it: the program or its control package."""
+    """Return the path of Octave, or skip and name what is missing: the program or its control package."""
     path = tool("octave-cli", "octave")
     loaded = subprocess.run(  # noqa: S603
         [path, "--quiet", "--no-init-file", "--eval", "pkg load control"], capture_output=True, check=False

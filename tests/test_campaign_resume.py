@@ -236,7 +236,7 @@ def edit(folder: Path, **changes: object) -> None:
         ({"duration": 5.0}, "fingerprint"),
         ({"runs": "many"}, "runs"),
         ({"draws": {}}, "campaign"),
-        ({"model": {"stiffness": 1.0, "colour": "red"}}, "campaign"),
+        ({"model": {"stiffness": 1.0, "colour": "red"}}, "model.colour"),
         ({"fraclink": "plan"}, "file"),
     ],
 )

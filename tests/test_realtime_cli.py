@@ -1,6 +1,6 @@
 """run-realtime, serve-arm and export io, as a user calls them: libraries in C, an arm in another process.
 
-The loops run on a virtual clock, which two processes may share: nothing here depends on how busy the machine is.
+The loops run on a virtual clock, which two processes may share: a busy machine changes nothing.
 """
 
 from __future__ import annotations
