@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import json
+import os
+import shlex
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import pytest
+import typer
 
 from fraclink._arm.rig import Rig
 from fraclink._cli import main
+from fraclink._cli.app import application
 from fraclink._cli.console import clean, guarded
 from fraclink._show.text import Table, View, plain_text, table_text
 from fraclink.errors import FieldError, InfeasibleError, MissingExtraError, NotCertifiedError
@@ -49,21 +53,79 @@ def test_version_and_help(fraclink: Command) -> None:
     assert fraclink("--version") == Answer(0, "fraclink 0.1.0\n", "")
     answer = fraclink("--help")
     assert answer.code == 0
-    for verb in ("run", "inspect", "diagnose", "identify", "design", "simulate", "report", "certify"):
-        assert f"\n  {verb} " in answer.out
+    for name in ("run", "inspect", "diagnose", "identify", "design", "simulate", "report", "certify"):
+        assert f"\n  {name} " in answer.out
     assert "Exit code: 0 passed, 1 failed or not shown, 2 bad input." in answer.out
     assert fraclink().out == answer.out
 
 
-def test_every_verb_is_listed_with_its_whole_sentence(fraclink: Command) -> None:
-    listed = fraclink("--help").out
+def test_the_first_page_is_one_screen_and_imports_no_command(fraclink: Command) -> None:
+    lines = fraclink("--help").out.splitlines()
+    assert len(lines) <= 30 and max(map(len, lines)) <= 80
+    code = "import sys; from fraclink._cli import main; main(['--help']); print(*sys.modules)"
+    answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)  # noqa: S603
+    loaded = set(answer.stdout.splitlines()[-1].split())
+    assert not {name for name in loaded if name.startswith("fraclink._cli.")} & {
+        "fraclink._cli.models",
+        "fraclink._cli.designs",
+        "fraclink._cli.boards",
+    }
+    assert not loaded & {"scipy", "matplotlib", "jinja2", "fraclink._identify"}
+
+
+def _commands() -> Iterator[tuple[tuple[str, ...], Any]]:
+    """Every command with the words that call it."""
+    top = typer.main.get_command(application())
+    context = typer.Context(top)
+    for name in top.list_commands(context):
+        command = top.get_command(context, name)
+        if hasattr(command, "commands"):
+            yield from (((name, inner), found) for inner, found in command.commands.items())
+        else:
+            yield (name,), command
+
+
+def test_every_command_has_an_example_that_it_understands(fraclink: Command) -> None:
+    listed = fraclink("help", "all").out
+    for words, command in _commands():
+        example = command.help.partition("\n\n$ ")[2]
+        assert example.startswith(" ".join(("fraclink", *words))) and "\n" not in example, words
+        # Printed whole, so that it can be copied: the help is folded at 80 columns.
+        assert f"  $ {example}\n" in fraclink("help", *words).out
+        given = shlex.split(example)[1 + len(words) :]
+        command.make_context(words[-1], given)  # raises for an option that there is not
+        assert words[0] in listed
+
+
+def test_doctor_says_what_is_there(fraclink: Command) -> None:
+    answer = fraclink("doctor")
+    assert answer.code == 0
+    assert "✓ passed: fraclink 0.1.0 on " in answer.out
+    found = json.loads(fraclink("doctor", "--json").out)
+    assert found["extras"]["matplotlib"] and found["version"] == "0.1.0"
+
+
+@pytest.mark.parametrize(("shell", "marker"), [("bash", "design"), ("zsh", "design"), ("fish", "design")])
+def test_the_shell_completes_commands(shell: str, marker: str) -> None:
+    given = {"COMP_WORDS": "fraclink des", "COMP_CWORD": "1"}
+    given |= {"_TYPER_COMPLETE_ARGS": "fraclink des", "_TYPER_COMPLETE_FISH_ACTION": "get-args"}
+    environment = os.environ | given | {"_FRACLINK_COMPLETE": f"complete_{shell}"}
+    answer = subprocess.run(
+        [sys.executable, "-m", "fraclink"], capture_output=True, text=True, env=environment, check=False
+    )
+    assert marker in answer.stdout
+    assert "inspect" not in answer.stdout
+
+
+def test_every_command_is_listed_with_its_whole_sentence(fraclink: Command) -> None:
+    listed = fraclink("help", "all").out
     for shown in (listed, fraclink("export", "--help").out, fraclink("campaign", "--help").out):
         assert "..." not in shown.replace("COMMAND [ARGS]...", "")
     assert listed.index("\n  inspect ") < listed.index("\n  identify ") < listed.index("\n  design ")
     assert " ".join(listed.split()).count("a mapping to paste into the rig file.") == 1
 
 
-def test_a_group_without_a_verb_says_where_they_are_listed(fraclink: Command) -> None:
+def test_a_group_without_a_command_says_where_they_are_listed(fraclink: Command) -> None:
     answer = fraclink("campaign")
     assert answer.code == 2
     assert answer.err == "error: Missing command (see `fraclink campaign --help`)\n"

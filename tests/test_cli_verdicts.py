@@ -38,7 +38,7 @@ def test_the_default_design_is_certified(fraclink: Command) -> None:
     code, out, err = fraclink("certify design.json --out certificate.json")
     assert code == 0
     assert "every payload from 0.02 to 0.04 kg and every computation delay" in " ".join(out.split())
-    assert err == "written: certificate.json\n"
+    assert err == "written: certificate.json\nnext: fraclink export c design.json --out firmware\n"
     assert Certificate.load("certificate.json").passed
 
 

@@ -41,7 +41,7 @@ def test_an_open_fault_exits_with_1_and_its_command_repeats_it(
     for name in ("F07-3-20g-mid-3", "F07-3-30g-mid-3"):
         figure = tmp_path / "first" / "figures" / f"{name}.svg"
         assert figure.read_text("utf-8").lstrip().startswith("<?xml")
-    words = shlex.split(told["open"][1]["replay"])
+    words = shlex.split(told["failures"][1]["replay"])
     assert words[0] == "fraclink"
     assert run(words[1:]) == 1
     again = fl.load(tmp_path / "F07-3-30g-mid-3" / "faults.json", FaultTable)

@@ -14,26 +14,45 @@ from fraclink._cli.console import emit, guarded
 
 __all__ = ["application", "run"]
 
-# Section -> module -> commands; the help lists them in this order.
-_SECTIONS: dict[str, tuple[tuple[str, str], ...]] = {
-    "From a log to a board": (
-        *(("run", "designs"), ("inspect", "models"), ("diagnose", "models"), ("identify", "models")),
-        *(("design", "designs"), ("simulate", "designs"), ("twin", "designs"), ("certify", "designs")),
-        *(("export", "boards"), ("run-realtime", "boards"), ("serve-arm", "boards"), ("report", "designs")),
-    ),
-    "More on logs and models": tuple(
-        (name, "models")
-        for name in (
+# The commands of the first screen, with the few words that there is room for.
+_FIRST = {
+    "run": "log to model, controller, simulated moves and report, all in one",
+    "inspect": "list a log's channels, rates and ranges",
+    "diagnose": "examine a log before a model is fitted to it",
+    "identify": "fit a link model to a log",
+    "design": "design the controller for a payload range",
+    "simulate": "simulate a move of the tip",
+    "certify": "prove stability for every payload and delay",
+    "export": "write the controller as C99, FMU or MATLAB",
+    "report": "gather a folder of results into one HTML file",
+    "doctor": "check this installation",
+}
+
+# Section -> module -> commands; `fraclink help all` lists them in this order.
+_SECTIONS: dict[str, dict[str, str]] = {
+    "From a log to a board": {
+        **dict.fromkeys(("run",), "designs"),
+        **dict.fromkeys(("inspect", "diagnose", "identify"), "models"),
+        **dict.fromkeys(("design", "simulate", "twin", "certify"), "designs"),
+        **dict.fromkeys(("export", "run-realtime", "serve-arm"), "boards"),
+        "report": "designs",
+    },
+    "More on logs and models": dict.fromkeys(
+        (
             *("identify-all", "identify-payloads", "identify-motor", "identify-spectrum"),
             *("plan-experiment", "record"),
-        )
+        ),
+        "models",
     ),
-    "More on designs and laws": (
-        *((name, "assessments") for name in ("assess", "optimise", "compare", "design-map")),
-        *(("campaign", "campaigns"), ("replay", "boards")),
-    ),
+    "More on designs and laws": {
+        **dict.fromkeys(("assess", "optimise", "compare", "design-map"), "assessments"),
+        "campaign": "campaigns",
+        "replay": "boards",
+    },
+    "This installation": {"doctor": "doctor"},
 }
-_HOMES = {name: module for listed in _SECTIONS.values() for name, module in listed}
+_HOMES = {name: module for listed in _SECTIONS.values() for name, module in listed.items()}
+_EPILOG = "Exit code: 0 passed, 1 failed or not shown, 2 bad input."
 
 
 class _Group(TyperGroup):
@@ -61,16 +80,48 @@ class _Group(TyperGroup):
                 self.get_command(ctx, name)
         return super().resolve_command(ctx, args)
 
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Write the commands; the first screen has no room for options that every program has."""
+        if ctx.parent is not None:
+            super().format_options(ctx, formatter)
+            return
+        with formatter.section("Commands"):
+            formatter.write_dl(list(_FIRST.items()))
+        with formatter.section("More"):
+            formatter.write_dl(
+                [
+                    ("help all", "every command"),
+                    ("help COMMAND", "its options, and an example"),
+                    ("--version", "print the version"),
+                    ("--install-completion", "complete commands and options in this shell"),
+                ]
+            )
+
     def format_commands(self, ctx: Any, formatter: Any) -> None:
-        """Write a section for each purpose: command and whole sentence."""
-        sections = {title: [name for name, _ in listed] for title, listed in _SECTIONS.items()}
-        for title, names in sections.items() if ctx.parent is None else [("Commands", list(self.commands))]:
-            with formatter.section(title):
-                formatter.write_dl([(name, _sentence(self.get_command(ctx, name))) for name in names])
+        """Write each command of a group with its whole sentence."""
+        with formatter.section("Commands"):
+            self.list_with_sentences(ctx, formatter, list(self.commands))
+
+    def list_with_sentences(self, ctx: Any, formatter: Any, names: Sequence[str]) -> None:
+        """Write commands and the first sentence of their help."""
+        formatter.write_dl([(name, _sentence(self.get_command(ctx, name))) for name in names])
 
 
 def _sentence(command: Any) -> str:
     return " ".join((command.help or "").partition("\n\n")[0].split())
+
+
+def _everything() -> str:
+    """Every command with its whole sentence, in sections."""
+    top = typer.main.get_group(application())
+    context = typer.Context(top, info_name="fraclink")
+    formatter = context.make_formatter()
+    for title, listed in _SECTIONS.items():
+        with formatter.section(title):
+            top.list_with_sentences(context, formatter, list(listed))  # type: ignore[attr-defined]
+    formatter.write_paragraph()
+    formatter.write_text(_EPILOG)
+    return str(formatter.getvalue()).strip("\n")
 
 
 def group(help: str = "") -> typer.Typer:
@@ -97,8 +148,7 @@ def application() -> typer.Typer:
     app = typer.Typer(
         name="fraclink",
         cls=_Group,
-        epilog="Exit code: 0 passed, 1 failed or not shown, 2 bad input.",
-        add_completion=False,
+        epilog=_EPILOG,
         pretty_exceptions_enable=False,
         rich_markup_mode=None,
         context_settings={"help_option_names": ["-h", "--help"]},
@@ -110,6 +160,11 @@ def application() -> typer.Typer:
 def run(arguments: Sequence[str]) -> int:
     """Run the command line with `arguments` and return the exit code."""
     given = list(arguments) or ["--help"]
+    if given == ["help", "all"]:
+        emit(_everything())
+        return 0
+    if given[0] == "help":
+        given = [*given[1:], "--help"]
 
     def work() -> int | None:
         result = application()(args=given, standalone_mode=False, prog_name="fraclink")

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Unpack
 
 import typer
 
@@ -12,16 +13,17 @@ from fraclink import _realtime as realtime
 from fraclink._arm.reference import Reference, prbs, smooth_step
 from fraclink._certify import Certificate, certify
 from fraclink._cli.app import group
-from fraclink._cli.command import Answer, Writes, command, option
+from fraclink._cli.command import Answer, Writes, command
 from fraclink._cli.console import steps, tell
 from fraclink._cli.options import (
+    Amplitude,
+    ArmOptions,
     Columns,
     DesignFile,
     Gear,
-    LinkMass,
-    ModelFile,
-    Payload,
+    MoveTime,
     RigName,
+    load_arm,
     load_design,
     load_log,
     load_rig,
@@ -30,20 +32,15 @@ from fraclink._design import Design
 from fraclink._export import Proof, export_c, export_fmu, export_io, export_matlab, replay_log
 from fraclink._files import save
 from fraclink._law import Law, discretize
-from fraclink._simulate import Twin
 from fraclink.errors import LogError, MissingExtraError
 
 app = group()
-export = group("Hand a design on: C for a board, MATLAB, FMU, a board's I/O.")
+export = group("Write the controller for C on a board, MATLAB, an FMU, or a board's I/O.")
 app.add_typer(export, name="export")
 
-Motor = Annotated[
-    bool, option("--motor/--no-motor", help="With the motor loop, or for a robot with its own servo.")
-]
-
-UnsafeRemote = Annotated[
-    bool, option("--unsafe-remote", help="Allow another host: whoever can send there moves the arm.")
-]
+Motor = Annotated[bool, "With the motor loop, or for a robot with its own servo"]
+UnsafeRemote = Annotated[bool, "Allow another host: whoever can send there moves the arm"]
+Address = typer.Option(metavar="ADDRESS")
 
 
 def _law(made: Design, *, motor: bool) -> Law:
@@ -51,23 +48,31 @@ def _law(made: Design, *, motor: bool) -> Law:
     return made.law() if motor else discretize(made.controller, made.rig.period)
 
 
-@export.command()
-@command
+def _listed(paths: Iterable[Path], following: str = "") -> Answer:
+    """The files of an export, one a line."""
+    names = [str(path) for path in paths]
+    return Answer(
+        text="\n".join(names),
+        values={"out": names if len(names) > 1 else names[0]},
+        following=following,
+    )
+
+
+@command(export)
 def c(
     design_file: DesignFile,
-    out: Annotated[Path, option("--out", help="Folder to write to.")] = Path("firmware"),
-    precision: Annotated[
-        Literal["single", "double"], option("--precision", help="Arithmetic of the board.")
-    ] = "single",
+    out: Annotated[Path, "Folder to write to"] = Path("firmware"),
+    precision: Annotated[Literal["single", "double"], "Arithmetic of the board"] = "single",
     motor: Motor = True,
-    name: Annotated[str, option("--name", help="C identifier of the block of coefficients.")] = "law_data",
-    title: Annotated[str, option("--title", help="Text for the first comment.")] = "",
-    prove: Annotated[
-        bool, option("--prove", help="Prove what the page claims; exit code 1 where something is not proved.")
-    ] = False,
+    name: Annotated[str, "C identifier of the block of coefficients"] = "law_data",
+    title: Annotated[str, "Text for the first comment"] = "",
+    prove: Annotated[bool, "Prove what the page claims; exit code 1 where something is not proved"] = False,
     force: bool = False,
 ) -> Answer:
-    """Write the law as C99: the files that were simulated, the coefficients, a self-test, a page to read."""
+    """Write the law as C99: the files that were simulated, the coefficients, a self-test, a page to read.
+
+    $ fraclink export c design.json --out firmware
+    """
     made = Design.load(design_file)
     shipped = _law(made, motor=motor).in_precision(precision)
     with steps(2 if prove else 0) as begin:
@@ -76,14 +81,15 @@ def c(
             begin("certifying the loop")
             certificate = _certificate(made, shipped, motor=motor)
             begin("proving the files, half a minute")
-        options = {"name": name, "title": title, "prove": prove, "certificate": certificate, "force": force}
-        paths = export_c(shipped, out, **options)  # type: ignore[arg-type]
-    proof = Proof.load(out / "proof.json") if prove else None
-    values: dict[str, object] = {"out": [str(path) for path in paths]}
-    if proof is not None:
-        values |= {"passed": proof.passed, "claims": [asdict(claim) for claim in proof.claims]}
-    text = "\n".join(map(str, (*paths, *([] if proof is None else [proof]))))
-    return Answer(passed=proof is None or proof.passed, text=text, values=values)
+        paths = export_c(
+            shipped, out, name=name, title=title, prove=prove, certificate=certificate, force=force
+        )
+    listed = _listed(paths, f"fraclink replay {out} demo")
+    if not prove:
+        return listed
+    proof = Proof.load(out / "proof.json")
+    values = {"passed": proof.passed, "claims": [asdict(claim) for claim in proof.claims]}
+    return Answer(passed=proof.passed, text=f"{listed.text}\n{proof}", values=listed.values | values)
 
 
 def _certificate(made: Design, law: Law, *, motor: bool) -> Certificate | None:
@@ -95,41 +101,37 @@ def _certificate(made: Design, law: Law, *, motor: bool) -> Certificate | None:
         return None
 
 
-@export.command()
-@command
+@command(export)
 def matlab(
     design_file: DesignFile,
-    out: Annotated[Path, option("--out", help="File to write, .m or .mat.")] = Path("arm_law.m"),
+    out: Annotated[Path, "File to write, .m or .mat"] = Path("arm_law.m"),
     force: bool = False,
 ) -> Answer:
-    """Write the discrete law for MATLAB: a function (.m) or its numbers (.mat)."""
-    path = export_matlab(_law(Design.load(design_file), motor=False), out, force=force)
-    return Answer(text=str(path), values={"out": str(path)})
+    """Write the discrete law for MATLAB: a function (.m) or its numbers (.mat).
+
+    $ fraclink export matlab design.json --out arm_law.m
+    """
+    return _listed([export_matlab(_law(Design.load(design_file), motor=False), out, force=force)])
 
 
-@export.command()
-@command
+@command(export)
 def fmu(
     design_file: DesignFile,
-    out: Annotated[Path, option("--out", help="File to write, .fmu.")] = Path("arm_law.fmu"),
-    fmi: Annotated[
-        Literal["2", "3"], option("--fmi", help="Version of the standard: 2 is what every importer reads.")
-    ] = "2",
-    precision: Annotated[
-        Literal["single", "double"], option("--precision", help="Arithmetic of the law.")
-    ] = "double",
+    out: Annotated[Path, "File to write, .fmu"] = Path("arm_law.fmu"),
+    fmi: Annotated[Literal["2", "3"], "Version of the standard: 2 is what every importer reads"] = "2",
+    precision: Annotated[Literal["single", "double"], "Arithmetic of the law"] = "double",
     compiler: Annotated[
         list[str] | None,
-        option(
-            "--compiler",
-            metavar="CC",
-            help="Each adds a library for its platform: cc (where none is given), x86_64-w64-mingw32-gcc ...",
-        ),
+        typer.Option(metavar="CC"),
+        "Adds a library for its platform: cc (where none is given), x86_64-w64-mingw32-gcc",
     ] = None,
-    source: Annotated[bool, option("--source", help="C sources only, no library.")] = False,
+    source: Annotated[bool, "C sources only, no library"] = False,
     force: bool = False,
 ) -> Answer:
-    """Write the law as an FMU for co-simulation (FMI 2.0 or 3.0): Simulink, Dymola, OpenModelica, FMPy."""
+    """Write the law as an FMU for co-simulation (FMI 2.0 or 3.0): Simulink, Dymola, OpenModelica, FMPy.
+
+    $ fraclink export fmu design.json --out arm_law.fmu
+    """
     path = export_fmu(
         _law(Design.load(design_file), motor=True),
         out,
@@ -138,77 +140,64 @@ def fmu(
         compilers=() if source else compiler or ("cc",),
         force=force,
     )
-    return Answer(text=str(path), values={"out": str(path)})
+    return _listed([path])
 
 
-@export.command()
-@command
-def io(
-    out: Annotated[Path, option("--out", help="Folder to write to.")] = Path("board"), force: bool = False
-) -> Answer:
-    """Write a board to begin with, for the real-time loop: arm_io.h and a library in C that stands still."""
-    paths = [str(path) for path in export_io(out, force=force)]
-    return Answer(text="\n".join(paths), values={"out": paths})
+@command(export)
+def io(out: Annotated[Path, "Folder to write to"] = Path("board"), force: bool = False) -> Answer:
+    """Write the I/O of a board to start from, for the real-time loop: arm_io.h and a C library at rest.
+
+    $ fraclink export io --out board
+    """
+    return _listed(export_io(out, force=force))
 
 
-@app.command()
-@command
+@command(app)
 def replay(
-    folder: Annotated[Path, typer.Argument(metavar="FIRMWARE", help="Folder made by `fraclink export c`.")],
-    log_file: Annotated[str, typer.Argument(metavar="LOG", help="Log file, or demo for the bundled one.")],
+    folder: Annotated[Path, typer.Argument(metavar="FIRMWARE"), "Folder made by `fraclink export c`"],
+    log_file: Annotated[str, typer.Argument(metavar="LOG"), "Log file, or demo for the bundled one"],
     rig: RigName = "paper-2023",
     column: Columns = None,
 ) -> Answer:
-    """Compile an exported law and run a log through it beside the package's: bit for bit, or exit code 1."""
-    result = replay_log(folder, load_log(log_file, load_rig(rig), None, column))
+    """Compile an exported law and run a log through it beside the package's: bit for bit, or exit code 1.
+
+    $ fraclink replay firmware log.csv --rig rig.toml
+    """
+    result = replay_log(folder, load_log(log_file, load_rig(rig), column))
     return Answer(result, result.passed)
 
 
 # --- real time --------------------------------------------------------------------------------------------
 
 
-@app.command()
-@command
+@command(app)
 def run_realtime(
     design_file: DesignFile,
-    io: Annotated[str, option("--io", metavar="WAY", help="udp:HOST:PORT, shm:NAME or library:FILE.so.")],
-    out: Annotated[Path, option("--out", help="File to write the record to (npz)."), Writes()] = Path(
-        "realtime.npz"
-    ),
-    amplitude: Annotated[float, option("--amplitude", help="Size of the move [rad].")] = 1.0,
-    move_time: Annotated[float, option("--move-time", help="Time of the move [s].")] = 1.0,
-    duration: Annotated[
-        float | None, option("--duration", help="Time to run [s]; default: 3 s after the move.")
-    ] = None,
+    io: Annotated[str, Address, "udp:HOST:PORT, shm:NAME or library:FILE.so"],
+    out: Annotated[Path, "File to write the record to (npz)", Writes()] = Path("realtime.npz"),
+    amplitude: Amplitude = 1.0,
+    move_time: MoveTime = 1.0,
+    duration: Annotated[float | None, "Time to run [s]; default: 3 s after the move"] = None,
     excitation: Annotated[
-        Literal["move", "prbs"],
-        option("--excitation", help="Reference of the tip: a move, or 20 s of a PRBS."),
+        Literal["move", "prbs"], "Reference of the tip: a move, or 20 s of a PRBS"
     ] = "move",
-    log: Annotated[
-        Path | None,
-        option("--log", help="File for the motion as a log (CSV), to identify from."),
-        Writes(),
-    ] = None,
-    absolute: Annotated[
-        bool, option("--absolute", help="The move begins at angle 0, not where the arm stands.")
-    ] = False,
+    log: Annotated[Path | None, "File for the motion as a log (CSV), to identify from", Writes()] = None,
+    absolute: Annotated[bool, "The move begins at angle 0, not where the arm stands"] = False,
     gear: Gear = None,
     motor: Motor = True,
-    single: Annotated[bool, option("--single", help="In single precision, as on a microcontroller.")] = False,
-    patience: Annotated[float, option("--patience", help="Time to wait for the arm [s].")] = 5.0,
+    single: Annotated[bool, "In single precision, as on a microcontroller"] = False,
+    patience: Annotated[float, "Time to wait for the arm [s]"] = 5.0,
     unsafe_remote: UnsafeRemote = False,
-    priority: Annotated[int, option("--priority", help="Of SCHED_FIFO, 1 to 99; 0 asks for none.")] = 80,
-    lock_memory: Annotated[
-        bool, option("--lock-memory/--no-lock-memory", help="Keep the process in memory (mlockall).")
-    ] = True,
-    allowed_overruns: Annotated[
-        int, option("--allowed-overruns", help="Commands after the next deadline that are tolerated.")
-    ] = 0,
+    priority: Annotated[int, "Priority of SCHED_FIFO, 1 to 99; 0 asks for none"] = 80,
+    lock_memory: Annotated[bool, "Keep the process in memory (mlockall)"] = True,
+    allowed_overruns: Annotated[int, "Commands after the next deadline that are tolerated"] = 0,
 ) -> Answer:
     """Run the shipped law on an arm in real time (Linux), with times, overruns and a safe stop.
 
     The exit code is 1 after a safe stop (the law's guards, a signal, a broken connection) or too many
     overruns; the record is written all the same. Without an arm: `fraclink serve-arm`.
+
+    $ fraclink run-realtime design.json --io udp:127.0.0.1:5005
     """
     connection = realtime.parse_connection(io, unsafe_remote=unsafe_remote)
     law = _law(load_design(design_file, gear=gear), motor=motor)
@@ -250,37 +239,28 @@ def _refused(what: str, granted: str) -> tuple[str, ...]:
     return (f"{what}: {granted}; the loop ran without it (limits rtprio and memlock of the user)",)
 
 
-@app.command()
-@command
+@command(app)
 def serve_arm(
     design_file: DesignFile,
-    io: Annotated[str, option("--io", metavar="WAY", help="udp:HOST:PORT or shm:NAME.")],
-    payload: Payload = None,
-    link_mass: LinkMass = None,
-    gear: Gear = None,
-    model: ModelFile = None,
+    io: Annotated[str, Address, "udp:HOST:PORT or shm:NAME"],
     unsafe_remote: UnsafeRemote = False,
-    duration: Annotated[float, option("--duration", help="Time to serve [s].")] = 600.0,
-    watchdog: Annotated[
-        int, option("--watchdog", help="Silent periods after which the drive is switched off.")
-    ] = 10,
-    once: Annotated[bool, option("--once", help="End when the first controller has left.")] = False,
-    seed: Annotated[int, option("--seed", help="Seed of the gauge's noise.")] = 0,
-    priority: Annotated[
-        int, option("--priority", help="Of SCHED_FIFO, below the controller's; 0 asks for none.")
-    ] = 70,
-    out: Annotated[
-        Path | None, option("--out", help="File for what really happened (npz); default: none."), Writes()
-    ] = None,
+    duration: Annotated[float, "Time to serve [s]"] = 600.0,
+    watchdog: Annotated[int, "Silent periods after which the drive is switched off"] = 10,
+    once: Annotated[bool, "End when the first controller has left"] = False,
+    seed: Annotated[int, "Seed of the gauge's noise"] = 0,
+    priority: Annotated[int, "Priority of SCHED_FIFO, below the controller's; 0 asks for none"] = 70,
+    out: Annotated[Path | None, "File for the true motion of the arm (npz); default: none", Writes()] = None,
+    **options: Unpack[ArmOptions],
 ) -> Answer:
     """Serve a simulated arm in real time, for run-realtime to move; --duration, --once or Ctrl-C ends it.
 
     It is the twin on a clock. The exit code is 1 where a controller went silent and the watchdog had to
     switch the drive off.
+
+    $ fraclink serve-arm design.json --io udp:127.0.0.1:5005 --once
     """
     connection = realtime.parse_connection(io, unsafe_remote=unsafe_remote)
-    made = load_design(design_file, gear=gear, model=model)
-    arm = Twin.from_rig(made.rig, payload=payload, link_mass=link_mass)
+    made, arm = load_arm(design_file, options)
     for finding in arm.findings:
         tell(str(finding))
     tell(f"an arm at {connection}, {1e3 * made.rig.period:g} ms")
@@ -294,7 +274,5 @@ def serve_arm(
         seed=seed,
         priority=priority,
     )
-    if out is not None:
-        save(served, out, force=True)
-    written = () if out is None else (out,)
+    written = () if out is None else (save(served, out, force=True),)
     return Answer(served, served.passed, remarks=_refused("priority", served.scheduling), written=written)

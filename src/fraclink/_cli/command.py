@@ -1,38 +1,51 @@
-"""One decorator for every command: it checks the files to be written, calls, shows, and returns the code."""
+"""One decorator for every command: it declares the options, checks, calls, shows, and returns the code.
+
+What stands beside a parameter's type says everything about its option, once:
+
+    def simulate(payload: Annotated[Payload, "Payload"], out: Annotated[Path, "File", Writes()]): ...
+
+A text is the help, a range is checked and added to the help, `Writes` keeps what is already there, and a
+`typer.Option` or `typer.Argument` stands where the name alone does not say how it is written.
+"""
 
 from __future__ import annotations
 
+import copy
 import functools
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, get_args, get_type_hints
+from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 import typer
+from typer.models import OptionInfo, ParameterInfo
 
 from fraclink._cli.console import FAILED, PASSED, emit, emit_json, tell, width
 from fraclink._files import output_path
 from fraclink._show.records import to_json
 from fraclink._show.text import View, plain_text
 from fraclink._show.views import view
-from fraclink._validate import describe
+from fraclink._validate.rules import rule
+from fraclink.findings import Finding
 
-__all__ = ["Answer", "Writes", "command", "option"]
+__all__ = ["Answer", "Writes", "command"]
 
 
 @dataclass(frozen=True)
 class Answer:
     """What a command found: a result that `view` and `to_json` know, or text; and what follows from it.
 
-    text replaces the view and values the JSON; values are added to it otherwise. remarks go to standard error
-    and are left out with --json. written are the files; following is the command a user would give next.
+    text replaces the view and values the JSON; values are added to it otherwise. doubts are errors of the
+    input that leave nothing shown by the result. remarks go to standard error and are left out with --json.
+    written are the files; following is the command a user would give next.
     """
 
     result: Any = None
     passed: bool = True
     text: str | View = ""
     values: dict[str, Any] = field(default_factory=dict)
+    doubts: tuple[Finding, ...] = ()
     remarks: tuple[str, ...] = ()
     written: tuple[Path, ...] = ()
     following: str = ""
@@ -50,70 +63,120 @@ class Writes:
             output_path(path, force=force)
 
 
-def option(*words: str, range: Any = None, help: str, **more: Any) -> Any:
-    """An option whose help states the range that its annotation admits.
+@dataclass(frozen=True)
+class Declared:
+    """One parameter of a command: its plain type for typer, the type with its marks, and its default."""
 
-    >>> from fraclink._validate import Payload
-    >>> option("--payload", range=Payload, help="Payload [kg]").help
-    'Payload [kg], > 0 and <= 10000 kg.'
-    """
-    stated = help if range is None else f"{help}, {describe(range)}."
-    return typer.Option(*words, help=stated, **more)
+    name: str
+    kind: Any
+    hint: Any
+    default: Any
+
+    def mark(self, kind: type) -> Any:
+        """The first mark of that class, or None."""
+        return next((mark for mark in self._marks if isinstance(mark, kind)), None)
+
+    @property
+    def _marks(self) -> tuple[Any, ...]:
+        return get_args(self.hint)[1:] if get_origin(self.hint) is Annotated else ()
+
+    @property
+    def ranged(self) -> bool:
+        """Whether a range stands beside the type."""
+        return rule(self.hint).expected != rule(self.kind).expected
+
+    @property
+    def help(self) -> str:
+        """The text of the help, with the range and with what is true of every list.
+
+        >>> from fraclink._validate import Payload
+        >>> Declared("payload", float, Annotated[Payload, "Payload [kg]"], None).help
+        'Payload [kg], > 0 and <= 10000 kg.'
+        """
+        text = (self.mark(str) or "").rstrip(".")
+        text += f", {rule(self.hint).expected}" if self.ranged else ""
+        return text + ("; may be repeated." if list in (get_origin(k) for k in get_args(self.kind)) else ".")
+
+    @property
+    def parameter(self) -> inspect.Parameter:
+        """What typer reads."""
+        info = copy.copy(self.mark(ParameterInfo) or typer.Option())
+        info.help = self.help
+        if isinstance(info, OptionInfo) and not info.param_decls:
+            word = self.name.replace("_", "-")
+            info.param_decls = (f"--{word}/--no-{word}",) if self.default is True else (f"--{word}",)
+        hint = Annotated[self.kind, info]
+        return inspect.Parameter(
+            self.name, inspect.Parameter.KEYWORD_ONLY, default=self.default, annotation=hint
+        )
 
 
-_JSON = Annotated[
-    bool, typer.Option("--json", help="Print the result as one JSON object on standard output.")
-]
-_FORCE = Annotated[bool, typer.Option("--force", help="Overwrite files that are already there.")]
+_JSON = Declared("json", bool, Annotated[bool, "Print the result as one JSON object"], False)
+_FORCE = Declared("force", bool, Annotated[bool, "Overwrite files that are already there"], False)
 
 
-def command(function: Callable[..., Answer]) -> Callable[..., int]:
-    """Make a command of a function that returns an Answer: adds --json, and --force where it writes.
+def _declared(function: Callable[..., Any]) -> Iterator[Declared]:
+    """The parameters of a command; those of ``**options: Unpack[Group]`` are the keys of that TypedDict."""
+    kinds, hints = get_type_hints(function), get_type_hints(function, include_extras=True)
+    for name, parameter in inspect.signature(function).parameters.items():
+        if parameter.kind is not inspect.Parameter.VAR_KEYWORD:
+            yield Declared(name, kinds[name], hints[name], parameter.default)
+            continue
+        (group,) = get_args(hints[name])
+        plain = get_type_hints(group)
+        for key, hint in get_type_hints(group, include_extras=True).items():
+            yield Declared(key, plain[key], hint, False if plain[key] is bool else None)
+
+
+def command(app: typer.Typer) -> Callable[[Callable[..., Answer]], Callable[..., int]]:
+    """Add a function that returns an Answer to `app`, with --json, and with --force where it writes.
 
     A function that checks its files itself takes `force` as an argument of its own.
     """
-    hints = get_type_hints(function, include_extras=True)
-    writes = {
-        name: mark for name, hint in hints.items() for mark in get_args(hint) if isinstance(mark, Writes)
-    }
+    return lambda function: app.command()(_command(function))
+
+
+def _command(function: Callable[..., Answer]) -> Callable[..., int]:
+    declared = [part for part in _declared(function) if part.name != "force"]
+    own_force = "force" in inspect.signature(function).parameters
+    writes = {part.name: mark for part in declared if (mark := part.mark(Writes))}
+    ranges = {part.name: rule(part.hint) for part in declared if part.ranged}
+    added = [_JSON, _FORCE] if writes or own_force else [_JSON]
 
     @functools.wraps(function)
     def run(*, json: bool = False, force: bool = False, **given: Any) -> int:
+        for name, allowed in ranges.items():
+            if given[name] is not None:
+                given[name] = allowed.check(name, given[name])
         for name, mark in writes.items():
             if given[name] is not None:
                 mark.check(given[name], force=force)
-        answer = function(**given, **({"force": force} if "force" in hints else {}))
+        answer = function(**given, **({"force": force} if own_force else {}))
         (_show_json if json else _show_text)(answer)
-        return PASSED if answer.passed else FAILED
+        return PASSED if answer.passed and not answer.doubts else FAILED
 
-    one = inspect.Parameter
-    kept = [p for p in inspect.signature(function).parameters.values() if p.name != "force"]
-    added = {"json": _JSON, **({"force": _FORCE} if writes or "force" in hints else {})}
-    run.__annotations__ = {**{p.name: hints[p.name] for p in kept}, **added, "return": int}
-    run.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
-        [
-            *(p.replace(annotation=hints[p.name], kind=one.KEYWORD_ONLY) for p in kept),
-            *(one(name, one.KEYWORD_ONLY, default=False, annotation=hint) for name, hint in added.items()),
-        ]
-    )
+    parameters = [part.parameter for part in (*declared, *added)]
+    run.__annotations__ = {p.name: p.annotation for p in parameters} | {"return": int}
+    run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     del run.__wrapped__  # typer would read the annotations of what is wrapped
     return run
 
 
 def _show_json(answer: Answer) -> None:
     values = {} if answer.result is None else to_json(answer.result)
-    out: dict[str, Any] = {}
-    if answer.written:
-        paths = [str(path) for path in answer.written]
-        out = {"out": paths if len(paths) > 1 else paths[0]}
+    if answer.doubts:
+        values["findings"] = [*map(to_json, answer.doubts), *values.get("findings", ())]
+    paths = [str(path) for path in answer.written]
+    out: dict[str, Any] = {"out": paths if len(paths) > 1 else paths[0]} if paths else {}
     emit_json(values | out | answer.values)
 
 
 def _show_text(answer: Answer) -> None:
     shown = answer.text or (view(answer.result) if answer.result is not None else "")
-    text = plain_text(shown, width()) if isinstance(shown, View) else shown
-    if text:
-        emit(text)
+    if isinstance(shown, View):
+        shown = plain_text(shown.doubted(answer.doubts), width())
+    if shown:
+        emit(shown)
     for remark in answer.remarks:
         tell(remark)
     for path in answer.written:

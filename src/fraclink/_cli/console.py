@@ -33,7 +33,11 @@ DEFECT = 70  # a defect of fraclink itself, kept apart from the three verdicts (
 INTERRUPTED = 130  # 128 + SIGINT, as shells report it
 
 # Words keep their signs where there are no colours: pipes, NO_COLOR, readers of screens.
-_COLOURS = (("✓ passed|✓", "32"), ("✗ (?:failed|missed)|^error|✗", "31"), ("! not shown|^warning", "33"))
+_COLOURS = (
+    ("✓ passed|✓", "32"),
+    ("✗ (?:failed|missed)|^error|✗", "31"),
+    ("! (?:not shown|missing)|^warning", "33"),
+)
 
 
 def clean(text: object) -> str:

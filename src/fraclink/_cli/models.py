@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Unpack
 
 import numpy as np
 import typer
@@ -15,17 +15,14 @@ from fraclink._arm.experiment import Experiment
 from fraclink._arm.reference import Reference, chirp, prbs, pulse
 from fraclink._arm.rig import Rig
 from fraclink._cli.app import group
-from fraclink._cli.command import Answer, Writes, command, option
+from fraclink._cli.command import Answer, Writes, command
 from fraclink._cli.console import steps
 from fraclink._cli.options import (
     Columns,
-    Interpolate,
     LinkMass,
     LogName,
-    LogPayload,
+    LogOptions,
     ModelFile,
-    Payload,
-    Resample,
     RigName,
     SeedNumber,
     load_log,
@@ -35,15 +32,12 @@ from fraclink._cli.options import (
 )
 from fraclink._logs import diagnose as examine
 from fraclink._logs import inspect_log, read_columns
-from fraclink._show.records import to_json
-from fraclink._show.text import View
-from fraclink._show.views import view
 from fraclink._simulate import Twin, simulate_log
-from fraclink._validate import Between, checked
+from fraclink._validate import Between, Payload
 from fraclink.errors import FieldError, LogError
 from fraclink.findings import Finding
 
-StructureName = Annotated[str, option("--structure", help="UD-IOM, D-IOM, UD-FOM or D-FOM.")]
+StructureName = Annotated[str, "UD-IOM, D-IOM, UD-FOM or D-FOM"]
 
 app = group()
 
@@ -58,125 +52,108 @@ def _known_stiffness(log: Experiment, rig: Rig) -> float | None:
     return rig.link.stiffness if log.output_kind == "deflection" else None
 
 
-def _doubted(shown: View, wrong: tuple[Finding, ...]) -> View:
-    """A result of a log that is unusable: the findings stand first, and nothing is shown by it."""
-    if not wrong:
-        return shown
-    return View(
-        f"the log is unusable; {shown.headline}", shown.tables, (*map(str, wrong), *shown.notes), "not shown"
-    )
-
-
-@app.command()
-@command
+@command(app)
 def inspect(log: LogName) -> Answer:
-    """List a log's channels, rates and ranges, and a mapping to paste into the rig file."""
+    """List a log's channels, rates and ranges, and a mapping to paste into the rig file.
+
+    $ fraclink inspect log.csv
+    """
     listing = inspect_log(log_path(log))
     return Answer(text=str(listing), values=listing.values())
 
 
-@app.command()
-@command
-def diagnose(
-    log: LogName,
-    rig: RigName,
-    payload: LogPayload = None,
-    column: Columns = None,
-    resample: Resample = False,
-    interpolate: Interpolate = False,
-) -> Answer:
-    """Examine a log: offset, sign, delay, saturation, excitation; each finding with what to do."""
+@command(app)
+def diagnose(log: LogName, rig: RigName, **reading: Unpack[LogOptions]) -> Answer:
+    """Examine a log: offset, sign, delay, saturation, excitation; each finding with a remedy.
+
+    $ fraclink diagnose log.csv --rig rig.toml
+    """
     known = load_rig(rig)
-    found = examine(load_log(log, known, payload, column, resample=resample, interpolate=interpolate), known)
-    failed = any(finding.severity == "error" for finding in found)
-    return Answer(found, not failed, following="" if failed else f"fraclink identify {log} --rig {rig}")
+    findings = examine(load_log(log, known, **reading), known)
+    failed = any(finding.severity == "error" for finding in findings)
+    return Answer(findings, not failed, following="" if failed else f"fraclink identify {log} --rig {rig}")
 
 
-@app.command()
-@command
+@command(app)
 def identify(
     log: LogName,
     rig: RigName,
-    out: Annotated[Path, option("--out", help="File to write the model to."), Writes()] = Path("model.json"),
+    out: Annotated[Path, "File to write the model to", Writes()] = Path("model.json"),
     structure: StructureName = "UD-FOM",
-    payload: LogPayload = None,
-    column: Columns = None,
-    resample: Resample = False,
-    interpolate: Interpolate = False,
+    **reading: Unpack[LogOptions],
 ) -> Answer:
-    """Fit a link model to a log; gain, offset and gauge delay are fitted along."""
+    """Fit a link model to a log, with gain, offset and gauge delay as free parameters.
+
+    $ fraclink identify log.csv --rig rig.toml --out model.json
+    """
     with steps(3) as begin:
         begin("reading the log")
         known = load_rig(rig)
-        experiment = load_log(log, known, payload, column, resample=resample, interpolate=interpolate)
+        experiment = load_log(log, known, **reading)
         begin("examining the log")
-        wrong = _errors(experiment, known)
+        doubts = _errors(experiment, known)
         begin(f"fitting {structure}")
         fit = identification.identify(experiment, structure, stiffness=_known_stiffness(experiment, known))
     fit.save(out)
-    shown = _doubted(view(fit), wrong)
-    return Answer(
-        fit,
-        shown.state == "passed",
-        shown,
-        {"findings": [to_json(finding) for finding in (*wrong, *fit.findings)]},
-        written=(out,),
-        following=f"fraclink design --rig {rig} --model {out}",
-    )
+    errors = [finding for finding in fit.findings if finding.severity == "error"]
+    following = f"fraclink design --rig {rig} --model {out}"
+    return Answer(fit, not errors, doubts=doubts, written=(out,), following=following)
 
 
-@app.command()
-@command
-def identify_all(log: LogName, rig: RigName, payload: LogPayload = None, column: Columns = None) -> Answer:
-    """Fit all four structures to a log and compare them."""
+@command(app)
+def identify_all(log: LogName, rig: RigName, **reading: Unpack[LogOptions]) -> Answer:
+    """Fit all four structures to a log and compare them.
+
+    $ fraclink identify-all log.csv --rig rig.toml
+    """
     known = load_rig(rig)
-    experiment = load_log(log, known, payload, column)
+    experiment = load_log(log, known, **reading)
     with steps(2) as begin:
         begin("examining the log")
-        wrong = _errors(experiment, known)
+        doubts = _errors(experiment, known)
         begin("fitting four structures")
-        found = identification.identify_all(experiment, stiffness=_known_stiffness(experiment, known))
-    values = {"findings": [to_json(finding) for finding in wrong]}
-    return Answer(found, not wrong, _doubted(view(found), wrong), values)
+        comparison = identification.identify_all(experiment, stiffness=_known_stiffness(experiment, known))
+    return Answer(comparison, doubts=doubts)
 
 
-@app.command()
-@command
+@command(app)
 def identify_payloads(
-    logs: Annotated[
-        list[str], typer.Argument(metavar="LOG", help="Two or more logs, each of another payload.")
-    ],
+    logs: Annotated[list[str], typer.Argument(metavar="LOG"), "Two or more logs, each of another payload"],
     rig: RigName,
     structure: StructureName = "UD-FOM",
     payload: Annotated[
-        list[float] | None,
-        option("--payload", metavar="KG", help="Payload of a log [kg]; once for each, in their order."),
+        list[float] | None, typer.Option(metavar="KG"), "Payload of each log [kg], in their order"
     ] = None,
-    tied: Annotated[bool, option("--tied", help="Tie ω₀ to the payload by equation (5).")] = False,
+    tied: Annotated[bool, "Tie ω₀ to the payload by equation (5)"] = False,
     column: Columns = None,
 ) -> Answer:
-    """Fit several payloads together and test whether their parameters may be common."""
+    """Fit several payloads together and test whether their parameters may be common.
+
+    $ fraclink identify-payloads 20g.csv 40g.csv --rig rig.toml
+    """
     if payload and len(payload) != len(logs):
         problem, remedy = "not one for each log", "repeat --payload"
         raise FieldError("payload", len(payload), problem, allowed=f"{len(logs)} values", remedy=remedy)
     known = load_rig(rig)
     masses: list[float | None] = list(payload) if payload else [None] * len(logs)
-    experiments = [load_log(log, known, mass, column) for log, mass in zip(logs, masses, strict=True)]
+    experiments = [load_log(log, known, column, mass) for log, mass in zip(logs, masses, strict=True)]
     return Answer(
         identification.identify_payloads(experiments, structure, tied=tied, length=known.link.length)
     )
 
 
-@app.command()
-@command
+@command(app)
 def identify_motor(
-    log: Annotated[str, typer.Argument(metavar="LOG", help="A log with the amplifier's voltage.")],
+    log: Annotated[str, typer.Argument(metavar="LOG"), "A log with the amplifier's voltage"],
     rig: RigName,
     column: Columns = None,
 ) -> Answer:
-    """Identify the motor from voltage and angle: K/J, ν/J, Coulomb torque, dead zone, delay."""
+    """Identify the motor from voltage and angle: K/J, ν/J, Coulomb torque, dead zone, delay.
+
+    $ fraclink identify-motor log.csv --rig rig.toml
+    """
     known = load_rig(rig)
-    experiment = load_log(log, known, None, column)
+    experiment = load_log(log, known, column)
     if experiment.voltage is None:
         allowed = "a log with a voltage column"
         remedy = 'name it in the rig file\'s [log], or by --column "voltage=NAME [V]"'
@@ -193,22 +170,20 @@ def identify_motor(
     )
 
 
-@app.command()
-@command
+@command(app)
 def identify_spectrum(
     response: Annotated[
         Path,
-        typer.Argument(
-            metavar="TABLE",
-            help="Table with frequency_rad_s or frequency_Hz, gain or gain_dB, phase_rad or phase_deg.",
-        ),
+        typer.Argument(metavar="TABLE"),
+        "Table with frequency_rad_s or frequency_Hz, gain or gain_dB, phase_rad or phase_deg",
     ],
-    resonances: Annotated[int, option("--resonances", min=1, max=6, help="Number of resonances.")] = 1,
-    anti_resonances: Annotated[
-        int, option("--anti-resonances", min=0, max=6, help="Number of anti-resonances.")
-    ] = 0,
+    resonances: Annotated[int, Between(1, 6), "Number of resonances"] = 1,
+    anti_resonances: Annotated[int, Between(0, 6), "Number of anti-resonances"] = 0,
 ) -> Answer:
-    """Fit modes with one common λ to a table of gain and phase; a column `coherence` is used."""
+    """Fit modes with one common λ to a table of gain and phase; a column `coherence` is used.
+
+    $ fraclink identify-spectrum response.csv --resonances 2
+    """
     columns = read_columns(response)
     frequency = _one_of(columns, {"frequency_rad_s": 1.0, "frequency_Hz": 2 * np.pi})
     decibel = "gain_dB" in columns and "gain" not in columns
@@ -233,20 +208,20 @@ def _one_of(columns: Mapping[str, NDArray[np.float64]], scales: Mapping[str, flo
     raise LogError("column", ", ".join(columns), "without one that is needed", allowed=allowed, remedy=remedy)
 
 
-@app.command()
-@command
+@command(app)
 def plan_experiment(
     rig: RigName,
-    standard_error: Annotated[float, option("--standard-error", help="Standard error of λ that is wanted.")],
-    noise: Annotated[float, option("--noise", help="Standard deviation of the gauge's noise [N·m].")],
-    duration: Annotated[float, option("--duration", help="Length of the log [s].")] = 20.0,
-    deflection_limit: Annotated[float, option("--deflection-limit", help="Largest |θm − θt| [rad].")] = float(
-        "inf"
-    ),
-    kind: Annotated[Literal["prbs", "multisine"], option("--kind", help="Excitation.")] = "prbs",
+    standard_error: Annotated[float, "Standard error of λ that is wanted"],
+    noise: Annotated[float, "Standard deviation of the gauge's noise [N·m]"],
+    duration: Annotated[float, "Length of the log [s]"] = 20.0,
+    deflection_limit: Annotated[float, "Largest |θm − θt| [rad]"] = float("inf"),
+    kind: Annotated[Literal["prbs", "multisine"], "Excitation"] = "prbs",
     model: ModelFile = None,
 ) -> Answer:
-    """Choose amplitude and band of an excitation for a wanted standard error of λ."""
+    """Choose amplitude and band of an excitation for a wanted standard error of λ.
+
+    $ fraclink plan-experiment --rig rig.toml --standard-error 1e-3 --noise 0.04
+    """
     known = load_rig(rig, model=model)
     return Answer(
         identification.design_experiment(
@@ -264,11 +239,9 @@ def plan_experiment(
 
 AT_REST = 0.5  # [s] before the excitation: an identification takes the first sample for rest
 Excitation = Literal["prbs", "pulse", "chirp"]
-_LogLength = Annotated[float, Between(2.0, 3600.0, "s", remedy="20 s is usual")]
 
 
-@checked
-def _excitation(kind: Excitation, amplitude: float, duration: _LogLength) -> Reference:
+def _excitation(kind: Excitation, amplitude: float, duration: float) -> Reference:
     if kind == "pulse":
         return pulse(amplitude, 0.35 * duration, start=AT_REST)
     if kind == "chirp":
@@ -277,25 +250,23 @@ def _excitation(kind: Excitation, amplitude: float, duration: _LogLength) -> Ref
     return prbs(amplitude, bit, bits=max(1, int(duration / bit)), register=9, start=AT_REST)
 
 
-@app.command()
-@command
+@command(app)
 def record(
     rig: RigName,
-    out: Annotated[Path, option("--out", help="File to write the log to (CSV)."), Writes()] = Path(
-        "twin_log.csv"
-    ),
-    payload: Payload = None,
+    out: Annotated[Path, "File to write the log to (CSV)", Writes()] = Path("twin_log.csv"),
+    payload: Annotated[Payload | None, "Payload; default: nominal"] = None,
     link_mass: LinkMass = None,
     model: ModelFile = None,
-    excitation: Annotated[Excitation, option("--excitation", help="Motor reference.")] = "prbs",
-    amplitude: Annotated[float, option("--amplitude", help="Size of the excitation [rad].")] = 0.1,
-    duration: Annotated[float, option("--duration", range=_LogLength, help="Length of the log")] = 20.0,
-    gauge_delay: Annotated[
-        float, option("--gauge-delay", help="Delay of the strain amplifier [s], whole milliseconds.")
-    ] = 0.0,
+    excitation: Annotated[Excitation, "Motor reference"] = "prbs",
+    amplitude: Annotated[float, "Size of the excitation [rad]"] = 0.1,
+    duration: Annotated[float, Between(2.0, 3600.0, "s", remedy="20 s is usual"), "Length of the log"] = 20.0,
+    gauge_delay: Annotated[float, "Delay of the strain amplifier [s], whole milliseconds"] = 0.0,
     seed: SeedNumber = 0,
 ) -> Answer:
-    """Record a log of the twin, in the same CSV a rig writes, marked as simulated."""
+    """Record a log of the twin, in the same CSV a rig writes, marked as simulated.
+
+    $ fraclink record --rig paper-2023 --link-mass 0.00735 --out log.csv
+    """
     known = load_rig(rig, model=model)
     required_model(known)  # the twin takes its damping from there
     reference = _excitation(excitation, amplitude, duration)

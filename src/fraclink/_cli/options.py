@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, TypedDict
 
 import typer
 
@@ -13,77 +14,73 @@ from fraclink import _validate as ranges
 from fraclink._arm.experiment import Experiment, parse_columns
 from fraclink._arm.link import LinkModel
 from fraclink._arm.rig import Rig
-from fraclink._cli.command import option
 from fraclink._design import Design
 from fraclink._files import kind_of
 from fraclink._identify import load_model
 from fraclink._logs import bundled_log, read_log
-from fraclink._simulate import geared
+from fraclink._simulate import Twin, geared
 from fraclink.errors import FieldError
 
 BUNDLED_LOG = "prbs_30g"  # simulated by the twin; its header says so
 
-LogName = Annotated[str, typer.Argument(metavar="LOG", help="The log; `demo` is the bundled one.")]
-DesignFile = Annotated[Path, typer.Argument(metavar="DESIGN", help="Design made by `fraclink design`.")]
-RigName = Annotated[
-    str,
-    option(
-        "--rig", metavar="RIG", help="A rig file (rig.toml) or the name of a bundled rig, e.g. paper-2023."
-    ),
-]
-Payload = Annotated[float | None, option("--payload", range=ranges.Payload, help="Payload; default: nominal")]
-LogPayload = Annotated[float | None, option("--payload", range=ranges.Payload, help="Payload of the log")]
+LogName = Annotated[str, typer.Argument(metavar="LOG"), "The log; `demo` is the bundled one"]
+DesignFile = Annotated[Path, typer.Argument(metavar="DESIGN"), "Design made by `fraclink design`"]
+RigName = Annotated[str, typer.Option(metavar="RIG"), "A rig file, or a bundled rig such as paper-2023"]
+ModelFile = Annotated[Path | None, "Model of identify, or a design; default: the rig's or the design's own"]
+LinkMass = Annotated[float | None, "Mass of the link [kg]; default: the rig's"]
+Gear = Annotated[float | None, "Gear ratio to put before the motor; default: the rig's"]
 PayloadRange = Annotated[
-    tuple[float, float] | None,
-    option("--payloads", metavar="LOW HIGH", help="Payload range [kg]; default: the rig's."),
+    tuple[float, float] | None, typer.Option(metavar="LOW HIGH"), "Payload range [kg]; default: the rig's"
 ]
-GainCrossover = Annotated[
-    float | None,
-    option("--gain-crossover", range=ranges.Frequency, help="Least gain crossover; default: the rig's"),
-]
-_MarginDeg = Annotated[float, ranges.Between(0.0, 179.0, "°", low_open=True, remedy="50° is a usual margin")]
-PhaseMarginDeg = Annotated[
-    float | None,
-    option("--phase-margin-deg", range=_MarginDeg, help="Least phase margin; default: the rig's"),
-]
-FilterTime = Annotated[
-    float | None, option("--filter-time", help="δ [s], 0 for none; default: the 10 % rule.")
-]
-ModelFile = Annotated[
-    Path | None, option("--model", help="Model of identify, or a design; default: the rig's or design's own.")
-]
-ModeGain = Annotated[
-    float | None,
-    option("--mode-gain", help="Bound on the loop gain at modes 2 and 3 of a link with mass, usually 0.5."),
-]
-LinkMass = Annotated[float | None, option("--link-mass", help="Mass of the link [kg]; default: the rig's.")]
-Gear = Annotated[
-    float | None, option("--gear", help="Gear ratio to put before the motor; default: the rig's.")
-]
-Placement = Annotated[
-    Literal["tustin", "direct"], option("--placement", help="Poles of the sampled motor loop.")
-]
-MotorLoopKind = Annotated[Literal["ideal", "sampled"], option("--inner", help="Motor loop.")]
-SeedNumber = Annotated[int, option("--seed", range=ranges.Seed, help="Seed of the noise")]
+FilterTime = Annotated[float | None, "δ [s], 0 for none; default: the 10 % rule"]
+ModeGain = Annotated[float | None, "Bound on the loop gain at modes 2 and 3 of a link with mass, usually 0.5"]
+Placement = Annotated[Literal["tustin", "direct"], "Poles of the sampled motor loop"]
+MotorLoopKind = Annotated[Literal["ideal", "sampled"], "Motor loop"]
+SeedNumber = Annotated[ranges.Seed, "Seed of the noise"]
+Amplitude = Annotated[float, "Size of the move [rad]"]
+MoveTime = Annotated[float, "Time of the move [s]"]
 Columns = Annotated[
     list[str] | None,
-    option(
-        "--column",
-        metavar="ROLE=NAME [UNIT]",
-        help='A column of the log, such as "motor_angle=theta [deg]"; a minus turns the sign. '
-        "Instead of [log] in the rig file; roles: time, motor_angle, torque or deflection, voltage.",
-    ),
+    typer.Option(metavar="ROLE=NAME [UNIT]"),
+    'A column of the log, such as "motor_angle=theta [deg]"; a minus turns the sign. '
+    "Instead of [log] in the rig file; roles: time, motor_angle, torque or deflection, voltage",
 ]
-Resample = Annotated[
-    bool, option("--resample", help="Interpolate over gaps, repeated stamps and strong jitter.")
-]
-Interpolate = Annotated[bool, option("--interpolate", help="Fill missing cells, at most 1 % of a column.")]
+_MarginDeg = Annotated[float, ranges.Between(0.0, 179.0, "°", low_open=True, remedy="50° is a usual margin")]
 
 
-@ranges.checked
-def radians(*, phase_margin_deg: _MarginDeg | None) -> float | None:
-    """Degrees of `--phase-margin-deg` in radians; what is out of range is named as it was typed."""
-    return None if phase_margin_deg is None else math.radians(phase_margin_deg)
+class LogOptions(TypedDict):
+    """How a log is read where the rig file does not say it."""
+
+    payload: Annotated[ranges.Payload | None, "Payload of the log"]
+    column: Columns
+    resample: Annotated[bool, "Interpolate over gaps, repeated stamps and strong jitter"]
+    interpolate: Annotated[bool, "Fill missing cells, at most 1 % of a column"]
+
+
+class DesignRequest(TypedDict):
+    """What a design is asked for; the rig completes it."""
+
+    payloads: PayloadRange
+    gain_crossover: Annotated[ranges.Frequency | None, "Least gain crossover; default: the rig's"]
+    phase_margin_deg: Annotated[_MarginDeg | None, "Least phase margin; default: the rig's"]
+    filter_time: FilterTime
+    mode_gain: ModeGain
+
+
+class ArmOptions(TypedDict):
+    """The arm that a design is run on."""
+
+    payload: Annotated[ranges.Payload | None, "Payload; default: nominal"]
+    link_mass: LinkMass
+    gear: Gear
+    model: ModelFile
+
+
+def in_radians(wanted: Mapping[str, Any]) -> dict[str, Any]:
+    """The options of a request as the library takes them: ``phase_margin`` [rad] for the one in degrees."""
+    margin = wanted["phase_margin_deg"]
+    rest = {name: value for name, value in wanted.items() if name != "phase_margin_deg"}
+    return rest | {"phase_margin": None if margin is None else math.radians(margin)}
 
 
 def load_rig(name: str, *, link_mass: float | None = None, model: Path | None = None) -> Rig:
@@ -116,19 +113,18 @@ def load_design(path: Path, *, gear: float | None = None, model: Path | None = N
     return replace(made, rig=rig if gear is None else geared(rig, gear))
 
 
+def load_arm(path: Path, options: ArmOptions) -> tuple[Design, Twin]:
+    """Return a design and the twin that it is run on."""
+    made = load_design(path, gear=options["gear"], model=options["model"])
+    return made, Twin.from_rig(made.rig, payload=options["payload"], link_mass=options["link_mass"])
+
+
 def load_log(
-    name: str,
-    rig: Rig,
-    payload: float | None,
-    columns: list[str] | None = None,
-    *,
-    resample: bool = False,
-    interpolate: bool = False,
+    name: str, rig: Rig, column: list[str] | None = None, payload: float | None = None, **options: bool
 ) -> Experiment:
     """Return the log of a file, or the bundled one."""
-    stated = parse_columns(columns) if columns else None
-    options = {"resample": resample, "interpolate": interpolate}
-    return read_log(log_path(name), rig=rig, columns=stated, payload=payload, **options)
+    columns = parse_columns(column) if column else None
+    return read_log(log_path(name), rig=rig, columns=columns, payload=payload, **options)
 
 
 def log_path(name: str) -> Path:

@@ -7,145 +7,73 @@ package whatever is written.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import asdict
+from collections.abc import Callable, Mapping
+from dataclasses import fields, is_dataclass
+from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fraclink._show.tables import PARAMETERS
+import numpy as np
+
 from fraclink._show.text import looked_up
+from fraclink._show.views import repeated, rival_sentences
 
 if TYPE_CHECKING:
     from fraclink._campaign import Summary
-    from fraclink._campaign.faults import FaultTable
-    from fraclink._design import Design, Requirement
-    from fraclink._identify import Comparison, Fit
-    from fraclink._simulate import Run
     from fraclink._workflow import Study
-    from fraclink.findings import Finding
 
-__all__ = ["to_json"]
+__all__ = ["plain", "to_json"]
 
 
 def to_json(result: Any) -> dict[str, Any]:
     """Return what programs read of a result: plain values in SI units and radians, null where not finite."""
-    values: dict[str, Any] = looked_up(_JSON, result)(result)
+    values: dict[str, Any] = looked_up(_RECORDS, result)(result)
     return values
 
 
-def finite(value: float | None) -> float | None:
-    """JSON has no infinity: a number that is not finite is null."""
-    return None if value is None or not math.isfinite(value) else float(value)
+def plain(value: Any) -> Any:
+    """Return `value` as JSON has it: results by their records, other dataclasses by their fields.
+
+    >>> plain({"gain": np.float64(1.5), "limit": math.inf, "payloads": (0.02, 0.04)})
+    {'gain': 1.5, 'limit': None, 'payloads': [0.02, 0.04]}
+    """
+    if isinstance(value, float | np.floating):
+        return float(value) if math.isfinite(value) else None
+    if isinstance(value, np.ndarray | np.generic):
+        return plain(value.tolist())
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if is_dataclass(value):
+        named = {item.name: plain(getattr(value, item.name)) for item in fields(value)}
+        return to_json(value) if type(value).__name__ in _RECORDS else named
+    return str(value) if isinstance(value, Path) else value
 
 
-def _finding_json(finding: Finding) -> dict[str, Any]:
-    evidence = {name: finite(value) for name, value in finding.evidence.items()}
-    return {
-        "code": finding.code,
-        "severity": finding.severity,
-        "message": finding.message,
-        "evidence": evidence,
-        "remedy": finding.remedy,
-    }
+def _attribute(value: Any, path: str) -> Any:
+    """The attribute at a dotted path; through a tuple that of every element."""
+    for name in path.split("."):
+        value = [getattr(item, name) for item in value] if isinstance(value, tuple) else getattr(value, name)
+    return value
 
 
-def _findings_json(findings: tuple[Finding, ...]) -> dict[str, Any]:
-    return {"findings": [_finding_json(finding) for finding in findings]}
-
-
-def _fit_json(fit: Fit) -> dict[str, Any]:
-    names = ("stiffness", *PARAMETERS, "payload")
-    numbers = ("gain", "offset", "delay", "mse", "nmse", "aic", "bic", "heldout_nmse")
-    return {
-        "structure": fit.structure,
-        "model": {name: getattr(fit.model, name) for name in names},
-        **{name: finite(getattr(fit, name)) for name in numbers},
-        "standard_errors": {name: finite(value) for name, value in fit.standard_errors.items()},
-        "findings": [_finding_json(finding) for finding in fit.findings],
-    }
-
-
-def _comparison_json(comparison: Comparison) -> dict[str, Any]:
-    fits = {name: _fit_json(fit) for name, fit in comparison.fits.items()}
-    return {"preferred": comparison.preferred, "verdict": comparison.verdict, "fits": fits}
-
-
-def _payloads_json(fit: Any) -> dict[str, Any]:
-    return {
-        "structure": fit.structure,
-        "common": list(fit.common),
-        "natural_frequencies": [model.natural_frequency for model in fit.models],
-        "orders": [model.order for model in fit.models],
-        "dampings": [model.damping for model in fit.models],
-        "damping_orders": [model.damping_order for model in fit.models],
-        "mse": list(fit.mse),
-        "standard_errors": fit.standard_errors,
-        "stiffness": fit.stiffness,
-        "p_value": fit.test.p_value,
-        "verdict": fit.verdict,
-    }
-
-
-def _spectrum_json(fit: Any) -> dict[str, Any]:
-    return {
-        "order": fit.order,
-        "resonances": list(fit.resonances),
-        "anti_resonances": list(fit.anti_resonances),
-        "gain": fit.gain,
-        "delay": fit.delay,
-        "fit_percent": fit.fit,
-        "outliers": [int(k) for k in fit.outliers],
-        "standard_errors": fit.standard_errors,
-    }
-
-
-def _experiment_json(plan: Any) -> dict[str, Any]:
-    names = ("kind", "amplitude", "bit", "duration", "standard_error", "peak_deflection", "peak_voltage")
-    return {name: getattr(plan, name) for name in names} | {"band": list(plan.band)}
-
-
-def requirement_json(item: Requirement) -> dict[str, Any]:
-    """A requirement for programs."""
-    names = ("wanted", "achieved", "at_payload", "slack")
-    numbers = {name: finite(getattr(item, name)) for name in names}
-    return {"name": item.name, "unit": item.unit, "passed": item.passed} | numbers
-
-
-def _design_json(design: Design) -> dict[str, Any]:
-    names = ("gain", "order", "filter_time", "filter_order")
-    return {
-        "passed": design.passed,
-        "margins": design.margins_kind,
-        "controller": {name: getattr(design.controller, name) for name in names},
-        "requirements": [requirement_json(item) for item in design.requirements],
-        "findings": [_finding_json(finding) for finding in design.findings],
-    }
-
-
-def _optimised_json(found: Any) -> dict[str, Any]:
-    tried = [{"structure": s.structure, "value": finite(s.value), "taken": s.taken} for s in found.steps]
-    return _design_json(found.design) | {"pays": found.pays, "tried": tried}
-
-
-def _run_json(run: Run) -> dict[str, Any]:
-    names = (
-        *("overshoot", "settling_time", "residual_vibration", "steady_state_error"),
-        *("peak_voltage", "motor_reference_noise"),
-    )
-    metrics = {name: finite(getattr(run.metrics, name)) for name in names}
-    verdict = {"passed": run.verdict.passed, "reason": run.verdict.reason}
-    return {"payload": run.payload} | verdict | {"metrics": metrics}
-
-
-def _certificate_json(certificate: Any) -> dict[str, Any]:
-    names = ("passed", "verdict", "payload", "frequency")
-    return {name: getattr(certificate, name) for name in names} | {
-        "sha256": certificate.sha256 if certificate.passed else None
-    }
+def _record(names: str, result: Any) -> dict[str, Any]:
+    pairs = (name.partition(":") for name in names.split())
+    return {key: plain(_attribute(result, path or key)) for key, _, path in pairs}
 
 
 def _summary_json(summary: Summary) -> dict[str, Any]:
     def limit(x: float) -> float | str:
-        return x if math.isfinite(x) else str(x)
+        return x if math.isfinite(x) else str(x)  # "inf" is an answer here: the run never settles
+
+    def metric(m: Any) -> dict[str, Any]:
+        quantiles = [[q.probability, *map(limit, (q.value, q.low, q.high))] for q in m.quantiles]
+        return {
+            "quantiles": quantiles,
+            "worst": [[n, limit(v)] for n, v in m.worst],
+            "drivers": dict(m.drivers),
+        }
 
     failure = summary.failure
     return {
@@ -155,46 +83,29 @@ def _summary_json(summary: Summary) -> dict[str, Any]:
         "probability": [failure.estimate, failure.low, failure.high],
         "trips": [{"mode": m, "reason": r, "runs": c} for m, r, c in summary.trips],
         "failed": list(summary.failed),
-        "metrics": {
-            m.name: {
-                "quantiles": [
-                    [q.probability, limit(q.value), limit(q.low), limit(q.high)] for q in m.quantiles
-                ],
-                "worst": [[n, limit(v)] for n, v in m.worst],
-                "drivers": dict(m.drivers),
-            }
-            for m in summary.metrics
-        },
+        "metrics": {m.name: metric(m) for m in summary.metrics},
     }
-
-
-def _faults_json(table: FaultTable) -> dict[str, Any]:
-    faults = {row.number: {"runs": row.runs, "failed": row.failed} for row in table.rows()}
-    return {"passed": table.passed, "runs": len(table.outcomes), "faults": faults}
 
 
 def _study_json(study: Study) -> dict[str, Any]:
     verdict = study.verdict
-    fits = study.comparison.fits.values() if study.comparison else ()
-    return {
+    parts = {
         "passed": verdict.passed,
-        "verdict": {"state": verdict.state, **asdict(verdict)},
-        "reasons": list(verdict.reasons),
-        "findings": [_finding_json(finding) for finding in study.findings],
-        "fits": [_fit_json(fit) for fit in fits],
-        "design": _design_json(study.design) if study.design else None,
-        "runs": [_run_json(run) for run in study.runs],
-        "arms": _summary_json(study.arms) if study.arms else None,
-        "assumptions": list(study.assumptions),
+        "verdict": {"state": verdict.state, **plain(verdict)},
+        "reasons": verdict.reasons,
+        "findings": study.findings,
+        "fits": list(study.comparison.fits.values()) if study.comparison else [],
     }
+    rest = {name: getattr(study, name) for name in ("design", "runs", "arms", "assumptions")}
+    return {name: plain(part) for name, part in (parts | rest).items()}
 
 
 def _realtime_json(run: Any) -> dict[str, Any]:
     def spread(values: Any) -> dict[str, float] | None:
         return None if math.isnan(values.mean) else {name: float(v) for name, v in values._asdict().items()}
 
-    names = ("passed", "problem", "stopped", "missed", "overruns", "lost_samples", "lost_commands")
-    return {name: getattr(run, name) for name in (*names, "scheduling", "memory")} | {
+    names = "passed problem stopped missed overruns lost_samples lost_commands scheduling memory"
+    return _record(names, run) | {
         "periods": len(run.tick),
         "latency_s": spread(run.latencies),
         "work_s": spread(run.works),
@@ -203,42 +114,73 @@ def _realtime_json(run: Any) -> dict[str, Any]:
     }
 
 
-def _served_json(served: Any) -> dict[str, Any]:
-    names = ("passed", "late", "controllers", "silences", "rejected")
-    return {name: getattr(served, name) for name in names} | {
-        "periods": len(served.voltage),
-        "last_tip_angle": float(served.tip_angle[-1]) if len(served.tip_angle) else None,
-    }
-
-
-def _replay_json(result: Any) -> dict[str, Any]:
+def _assessment_json(found: Any) -> dict[str, Any]:
     return {
-        "passed": result.passed,
-        "periods": len(result.mode),
-        "first_difference": result.first_difference,
-        "largest_difference": result.largest_difference,
-        "last_mode": int(result.mode[-1]),
-    }
+        "phase_budget": {share.element: plain(share.phase) for share in found.budget},
+        "phase_margin": {curve.kind: plain(curve.phase_margin) for curve in found.curves},
+        "rivals": list(rival_sentences(found.rivals)),
+    } | _record("payloads tolerances max_sensitivity spillover:modes", found)
 
 
-_JSON: dict[str, Callable[[Any], dict[str, Any]]] = {
-    "tuple": _findings_json,
-    "Finding": _finding_json,
-    "Fit": _fit_json,
-    "Comparison": _comparison_json,
-    "JointFit": _payloads_json,
-    "MotorFit": asdict,
-    "SpectrumFit": _spectrum_json,
-    "ExperimentDesign": _experiment_json,
-    "Design": _design_json,
-    "Optimised": _optimised_json,
-    "Run": _run_json,
-    "Certificate": _certificate_json,
+def _faults_json(table: Any) -> dict[str, Any]:
+    failures = [
+        {
+            "name": o.case.name,
+            "detail": o.detail,
+            "failed": [*map(str, o.failed)],
+            "replay": repeated(table, o),
+        }
+        for o in table.failures
+    ]
+    faults = {row.number: {"runs": row.runs, "failed": row.failed} for row in table.rows()}
+    return {"passed": table.passed, "runs": len(table.outcomes), "faults": faults, "failures": failures}
+
+
+# Names of attributes; ``key:path`` where the key is another, or the value belongs to a part of the result.
+_NAMES = {
+    "Finding": "code severity message evidence remedy",
+    "LinkModel": "stiffness natural_frequency order damping damping_order payload",
+    "Fit": "structure model gain offset delay mse nmse aic bic heldout_nmse standard_errors findings",
+    "Comparison": "preferred verdict fits",
+    "JointFit": "structure common natural_frequencies:models.natural_frequency orders:models.order "
+    "dampings:models.damping damping_orders:models.damping_order mse standard_errors stiffness "
+    "p_value:test.p_value verdict",
+    "SpectrumFit": "order resonances anti_resonances gain delay fit_percent:fit outliers standard_errors",
+    "ExperimentDesign": "kind amplitude bit duration standard_error peak_deflection peak_voltage band",
+    "Controller": "gain order filter_time filter_order",
+    "Requirement": "name unit passed wanted achieved at_payload slack",
+    "Design": "passed margins:margins_kind controller requirements findings",
+    "Step": "structure value taken",
+    "Metrics": "overshoot settling_time residual_vibration steady_state_error peak_voltage "
+    "motor_reference_noise",
+    "Run": "payload passed:verdict.passed reason:verdict.reason metrics",
+}
+
+_RECORDS: dict[str, Callable[[Any], dict[str, Any]]] = {
+    **{name: partial(_record, names) for name, names in _NAMES.items()},
+    "tuple": lambda findings: {"findings": plain(findings)},
+    "MotorFit": lambda fit: {item.name: plain(getattr(fit, item.name)) for item in fields(fit)},
+    "Optimised": lambda found: to_json(found.design) | _record("pays tried:steps", found),
+    "Certificate": lambda certificate: (
+        _record("passed verdict payload frequency", certificate)
+        | {"sha256": certificate.sha256 if certificate.passed else None}
+    ),
+    "FeasibilityMap": lambda found: {"feasible": float(np.mean(found.feasible))},
+    "Assessment": _assessment_json,
     "Summary": _summary_json,
     "FaultTable": _faults_json,
     "Study": _study_json,
     "RealtimeRun": _realtime_json,
-    "ServedArm": _served_json,
-    "Replay": _replay_json,
+    "ServedArm": lambda served: (
+        _record("passed late controllers silences rejected", served)
+        | {
+            "periods": len(served.voltage),
+            "last_tip_angle": float(served.tip_angle[-1]) if len(served.tip_angle) else None,
+        }
+    ),
+    "Replay": lambda result: (
+        _record("passed first_difference largest_difference", result)
+        | {"periods": len(result.mode), "last_mode": int(result.mode[-1])}
+    ),
     "Tournament": lambda result: {"verdicts": list(result.verdicts()), "winners": result.winners()},
 }

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import PurePath
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from fraclink._arm.link import structure
 from fraclink._show.text import Row, Table, degrees, grams, milli, number, quantity, uncertain
@@ -22,9 +22,17 @@ if TYPE_CHECKING:
     from fraclink._workflow import Study, Verdict
 
 
+def state_of(result: Any) -> str:
+    """The word of a result's verdict."""
+    return "passed" if result.passed else "failed"
+
+
 def source_name(log: Experiment | None) -> str:
     """The log's name without the folders of one machine."""
     return PurePath(log.source.replace("\\", "/")).name if log is not None and log.source else "unnamed log"
+
+
+# --- rig, log and models ----------------------------------------------------------------------------------
 
 
 def rig_table(rig: Rig) -> Table:
@@ -70,6 +78,14 @@ def log_table(log: Experiment) -> Table:
     return Table(("log", "value"), tuple(rows))
 
 
+PARAMETERS = {
+    "natural_frequency": "ω₀ [s^(−λ/2)]",
+    "order": "λ",
+    "damping": "μ [s^(α−λ)]",
+    "damping_order": "α",
+}
+
+
 def _parameter(fit: Fit, name: str) -> str:
     value = getattr(fit.model, name)
     if name == "natural_frequency" and value == 0:
@@ -80,29 +96,25 @@ def _parameter(fit: Fit, name: str) -> str:
     return uncertain(value, fit.standard_errors.get(name)).replace("± ", "±\N{NO-BREAK SPACE}")
 
 
-PARAMETERS = ("natural_frequency", "order", "damping", "damping_order")
+def _aic(fit: Fit) -> str:
+    return f"{fit.aic:.1f}".replace("-", "−")
 
 
-def fits_table(fits: Mapping[str, Fit]) -> Table:
-    """One row for each structure: parameters with standard errors, then the criteria."""
-    header = (
-        "structure",
-        "ω₀ [s^(−λ/2)]",
-        "λ",
-        "μ [s^(α−λ)]",
-        "α",
-        "delay [ms]",
-        "MSE",
-        "AIC",
-        "held-out NMSE",
-    )
+def fits_table(fits: Mapping[str, Fit], *, brief: bool = False) -> Table:
+    """One row for each structure: parameters with standard errors, then the criteria.
+
+    A terminal has room for the `brief` table: the two parameters of the fractional link, and no MSE.
+    """
+    shown = [name for name in PARAMETERS if not (brief and name.startswith("damping"))]
+    errors = () if brief else ("MSE",)
+    header = ("structure", *(PARAMETERS[n] for n in shown), "delay [ms]", *errors, "AIC", "held-out NMSE")
     rows = tuple(
         (
             name,
-            *(_parameter(fit, parameter) for parameter in PARAMETERS),
+            *(_parameter(fit, parameter) for parameter in shown),
             milli(fit.delay, 2),
-            number(fit.mse),
-            f"{fit.aic:.1f}".replace("-", "−"),
+            *(number(fit.mse) for _ in errors),
+            _aic(fit),
             number(fit.heldout_nmse),
         )
         for name, fit in fits.items()
@@ -121,25 +133,20 @@ def coincidence(fits: Mapping[str, Fit]) -> list[str]:
 
 def fit_table(fit: Fit) -> Table:
     """Parameters of one fit, each with its standard error, then what says how good it is."""
-    names = {
-        "natural_frequency": "ω₀ [s^(−λ/2)]",
-        "order": "λ",
-        "damping": "μ [s^(α−λ)]",
-        "damping_order": "α",
-    }
-    rows = [(names[name], _parameter(fit, name)) for name in structure(fit.structure).free]
-    rows += [
+    held = "nothing held out" if fit.heldout_nmse is None else number(fit.heldout_nmse)
+    rows = (
+        *((PARAMETERS[name], _parameter(fit, name)) for name in structure(fit.structure).free),
         ("gauge delay [ms]", milli(fit.delay, 2)),
         ("gain", number(fit.gain)),
         ("offset", number(fit.offset)),
         ("mean squared error", number(fit.mse)),
-        ("AIC", f"{fit.aic:.1f}".replace("-", "−")),
-        (
-            "held-out error (NMSE)",
-            "nothing held out" if fit.heldout_nmse is None else number(fit.heldout_nmse),
-        ),
-    ]
-    return Table((fit.structure, "value"), tuple(rows))
+        ("AIC", _aic(fit)),
+        ("held-out error (NMSE)", held),
+    )
+    return Table((fit.structure, "value"), rows)
+
+
+# --- the design and its moves -----------------------------------------------------------------------------
 
 
 def controller_table(design: Design, law: Law | None = None) -> Table:
@@ -173,25 +180,23 @@ def relation(item: Requirement) -> str:
 
 def requirements_table(requirements: Iterable[Requirement]) -> Table:
     """Name, required value, achieved value, payload, slack, and whether it is met."""
-    header = ("requirement", "required", "achieved", "worst at", "slack", "verdict")
-    return Table(
-        header,
-        tuple(
-            (
-                item.name,
-                f"{relation(item)} {quantity(item.wanted, item.unit)}",
-                quantity(item.achieved, item.unit),
-                grams(item.at_payload),
-                # The equations are solved to rounding: 1e-16 of slack is none.
-                quantity(
-                    0.0 if abs(item.slack) < 1e-9 * max(1.0, abs(item.wanted)) else item.slack, item.unit
-                ),
-                "passed" if item.passed else "missed",
-            )
-            for item in requirements
-        ),
-        judged=True,
+
+    def slack(item: Requirement) -> float:
+        # The equations are solved to rounding: 1e-16 of slack is none.
+        return 0.0 if abs(item.slack) < 1e-9 * max(1.0, abs(item.wanted)) else item.slack
+
+    rows = tuple(
+        (
+            item.name,
+            f"{relation(item)} {quantity(item.wanted, item.unit)}",
+            quantity(item.achieved, item.unit),
+            grams(item.at_payload),
+            quantity(slack(item), item.unit),
+            "passed" if item.passed else "missed",
+        )
+        for item in requirements
     )
+    return Table(("requirement", "required", "achieved", "worst at", "slack", "verdict"), rows, judged=True)
 
 
 def margins_table(design: Design, payloads: Iterable[float]) -> Table:
@@ -199,42 +204,39 @@ def margins_table(design: Design, payloads: Iterable[float]) -> Table:
     header = ("payload", "ω_c [rad/s]", "φ_m", "sampled ω_c [rad/s]", "sampled φ_m", "distance to −1")
     rows: list[Row] = []
     for payload in payloads:
-        continuous, sampled = design.at(payload), design.sampled_at(payload)
-        pairs = ((m.gain_crossover, m.phase_margin) for m in (continuous, sampled))
-        cells = (cell for crossover, margin in pairs for cell in (number(crossover), degrees(margin)))
-        rows.append((grams(payload), *cells, number(sampled.modulus_margin, 3)))
+        both = (design.at(payload), design.sampled_at(payload))
+        cells = (cell for m in both for cell in (number(m.gain_crossover), degrees(m.phase_margin)))
+        rows.append((grams(payload), *cells, number(both[1].modulus_margin, 3)))
     return Table(header, tuple(rows))
+
+
+def _time(value: float, form: str) -> str:
+    return format(value, form) if math.isfinite(value) else "never"
 
 
 def moves_table(runs: Sequence[Run]) -> Table:
     """Payload and metrics of each move, and its verdict."""
-    header = (
-        *(
-            "payload",
-            "overshoot [%]",
-            "settles to 2 % [s]",
-            "residual vibration [mrad]",
-            "final error [mrad]",
-        ),
-        *("peak voltage [V]", "reference noise [mrad]", "verdict"),
-    )
+    errors = ("residual vibration [mrad]", "final error [mrad]", "peak voltage [V]", "reference noise [mrad]")
     rows = tuple(
         (
             grams(run.payload),
             f"{100 * run.metrics.overshoot:.1f}",
-            f"{run.metrics.settling_time:.2f}" if math.isfinite(run.metrics.settling_time) else "never",
+            _time(run.metrics.settling_time, ".2f"),
             milli(run.metrics.residual_vibration),
             milli(run.metrics.steady_state_error, 2),
             number(run.metrics.peak_voltage, 3),
             milli(run.metrics.motor_reference_noise),
-            "passed" if run.verdict.passed else "failed",
+            state_of(run.verdict),
         )
         for run in runs
     )
-    return Table(header, rows, judged=True)
+    return Table(("payload", "overshoot [%]", "settles to 2 % [s]", *errors, "verdict"), rows, judged=True)
 
 
-_FACTORS = {  # unit and factor of a campaign's metrics
+# --- many runs --------------------------------------------------------------------------------------------
+
+# Unit and factor of a campaign's metrics.
+UNITS = {
     "overshoot": ("%", 100.0),
     "settling_time": ("s", 1.0),
     "residual_vibration": ("mrad", 1e3),
@@ -252,7 +254,7 @@ def spread_table(summary: Summary) -> Table:
     shares = [f"{100 * q.probability:g} %" for q in summary.metrics[0].quantiles]
     rows = []
     for metric in summary.metrics:
-        unit, factor = _FACTORS.get(metric.name, ("SI", 1.0))
+        unit, factor = UNITS[metric.name]
         values = (
             number(factor * q.value, 3) if math.isfinite(q.value) else "never" for q in metric.quantiles
         )
@@ -261,24 +263,22 @@ def spread_table(summary: Summary) -> Table:
     return Table(("metric", *shares, "driven by"), tuple(rows))
 
 
-def faults_table(table: FaultTable) -> Table:
-    """One row for each fault, those that miss their requirement first."""
-    rows = sorted(table.rows(), key=lambda row: row.passed)
-    return Table(
-        ("fault", "required", "runs", "failed", "worst run", "verdict"),
-        tuple(
-            (
-                f"{row.number} {row.title}",
-                row.required.replace("<=", "≤").replace(" x ", " × "),
-                str(row.runs),
-                str(row.failed or "–"),
-                row.worst,
-                "passed" if row.passed else "failed",
-            )
-            for row in rows
-        ),
-        judged=True,
+def faults_table(table: FaultTable, *, brief: bool = False) -> Table:
+    """One row for each fault, those that miss their requirement first; `brief` leaves two columns out."""
+    rows = tuple(
+        (
+            f"{row.number} {row.title}",
+            row.required.replace("<=", "≤").replace(" x ", " × "),
+            str(row.runs),
+            str(row.failed or "–"),
+            row.worst,
+            state_of(row),
+        )
+        for row in sorted(table.rows(), key=lambda row: row.passed)
     )
+    header = ("fault", "required", "runs", "failed", "worst run", "verdict")
+    kept = (0, 2, 3, 5) if brief else range(len(header))
+    return Table(tuple(header[k] for k in kept), tuple(tuple(r[k] for k in kept) for r in rows), judged=True)
 
 
 def faults_sentence(table: FaultTable) -> str:
@@ -286,6 +286,9 @@ def faults_sentence(table: FaultTable) -> str:
     rows = table.rows()
     met = sum(row.passed for row in rows)
     return f"{met} of {len(rows)} faults meet their requirement in every run, {len(table.outcomes)} runs"
+
+
+# --- the study --------------------------------------------------------------------------------------------
 
 
 def verdict_sentence(verdict: Verdict) -> str:
@@ -298,15 +301,17 @@ def verdict_sentence(verdict: Verdict) -> str:
     return ", ".join(f"{name} {scope.state}" for name, scope in verdict.scopes.items())
 
 
+_SCOPES = {
+    "promise": "requirements and proof",
+    "model": "simulated moves of the model",
+    "reality": "arms that differ, on the twin",
+}
+
+
 def verdict_table(verdict: Verdict) -> Table:
-    """The three scopes, each with its first reason."""
-    what = {
-        "promise": "requirements and proof",
-        "model": "simulated moves of the model",
-        "reality": "arms that differ, on the twin",
-    }
+    """The three scopes, each with its reasons."""
     rows = tuple(
-        (name, what[name], "; ".join(scope.reasons) or "–", scope.state)
+        (name, _SCOPES[name], "; ".join(scope.reasons) or "–", scope.state)
         for name, scope in verdict.scopes.items()
     )
     return Table(("scope", "what", "why", "verdict"), rows, judged=True)

@@ -7,8 +7,10 @@ import math
 import re
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
+
+from fraclink.findings import Finding
 
 __all__ = ["Table", "View", "marked", "plain_text"]
 
@@ -136,6 +138,13 @@ class View:
     def __str__(self) -> str:
         return plain_text(self)
 
+    def doubted(self, findings: tuple[Finding, ...]) -> View:
+        """The same with errors of the input, which stand first: nothing is shown by this result."""
+        if not findings:
+            return self
+        notes = (*map(str, findings), *self.notes)
+        return replace(self, headline=f"the log is unusable; {self.headline}", notes=notes, state="not shown")
+
     def _repr_html_(self) -> str:
         """What a notebook shows."""
         parts = [f"<p><b>{html.escape(marked(self.state))}</b> {html.escape(self.headline)}</p>"]
@@ -146,7 +155,7 @@ class View:
         return "\n".join([*parts, *(f"<p>{html.escape(note)}</p>" for note in self.notes)])
 
 
-_MARKS = {"passed": "✓", "failed": "✗", "missed": "✗", "not shown": "!", "not run": "–"}
+_MARKS = {"passed": "✓", "failed": "✗", "missed": "✗", "not shown": "!", "missing": "!", "not run": "–"}
 
 
 def marked(state: str) -> str:

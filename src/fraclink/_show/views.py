@@ -7,35 +7,46 @@ is shown.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from fraclink._arm.link import structure
 from fraclink._law import MODES, REASONS
 from fraclink._show.tables import (
+    PARAMETERS,
     coincidence,
     faults_sentence,
     faults_table,
     fit_table,
     fits_table,
+    log_table,
     moves_table,
     requirements_table,
+    rig_table,
+    source_name,
     spread_table,
+    state_of,
     verdict_sentence,
     verdict_table,
 )
-from fraclink._show.text import Row, Table, View, grams, looked_up, number, uncertain
+from fraclink._show.text import Row, Table, View, degrees, grams, looked_up, number, uncertain
 
 if TYPE_CHECKING:
+    from fraclink._arm.rig import Rig
     from fraclink._campaign import Summary
-    from fraclink._campaign.faults import FaultTable
+    from fraclink._campaign.faults import FaultTable, Outcome
     from fraclink._design import Design
+    from fraclink._design.alternatives import Alternative
     from fraclink._identify import Comparison, Fit
+    from fraclink._law import Law
     from fraclink._simulate import Run
     from fraclink._workflow import Study
     from fraclink.findings import Finding
 
-__all__ = ["view"]
+__all__ = ["faults_page", "repeated", "rival_sentences", "view"]
 
 
 def view(result: Any) -> View:
@@ -51,32 +62,40 @@ def view(result: Any) -> View:
     return shown
 
 
+def _worth_reading(findings: Sequence[Finding]) -> tuple[str, ...]:
+    return tuple(str(finding) for finding in findings if finding.severity != "info")
+
+
 def _findings_view(findings: tuple[Finding, ...]) -> View:
-    worst = [f.severity for f in findings]
-    state = "failed" if "error" in worst else "not shown" if "warning" in worst else "passed"
-    counts = [(worst.count(word), word) for word in ("error", "warning", "info") if word in worst]
-    said = ", ".join(f"{n} {word}{'s' if n > 1 and word != 'info' else ''}" for n, word in counts)
-    return View(said or "no findings", notes=tuple(map(str, findings)), state=state)
+    found = [f.severity for f in findings]
+    state = "failed" if "error" in found else "not shown" if "warning" in found else "passed"
+    counts = [(found.count(word), word) for word in ("error", "warning", "info") if word in found]
+    headline = ", ".join(f"{n} {word}{'s' if n > 1 and word != 'info' else ''}" for n, word in counts)
+    return View(headline or "no findings", notes=tuple(map(str, findings)), state=state)
+
+
+# --- rig, log and models ----------------------------------------------------------------------------------
+
+
+def _rig_view(rig: Rig) -> View:
+    return View(rig.name, (rig_table(rig),), tuple(map(str, rig.warnings)))
+
+
+def _log_view(log: Any) -> View:
+    return View(source_name(log), (log_table(log),))
 
 
 def _fit_view(fit: Fit) -> View:
-    errors = [f for f in fit.findings if f.severity == "error"]
-    share = (
-        "nothing held out" if fit.heldout_nmse is None else f"held-out error {100 * fit.heldout_nmse:.2g} %"
-    )
-    notes = tuple(str(f) for f in fit.findings if f.severity != "info")
-    return View(f"{fit.structure}, {share}", (fit_table(fit),), notes, "not shown" if errors else "passed")
+    share = fit.heldout_nmse
+    held = "nothing held out" if share is None else f"held-out error {100 * share:.2g} %"
+    state = "passed" if fit.passed else "not shown"
+    return View(f"{fit.structure}, {held}", (fit_table(fit),), _worth_reading(fit.findings), state)
 
 
 def _comparison_view(comparison: Comparison) -> View:
-    warned = (
-        f"{name}: {finding}"
-        for name, fit in comparison.fits.items()
-        for finding in fit.findings
-        if finding.severity != "info"
-    )
-    notes = (*coincidence(comparison.fits), *warned)
-    return View(comparison.verdict, (fits_table(comparison.fits),), notes)
+    fits = comparison.fits
+    warned = (f"{name}: {text}" for name, fit in fits.items() for text in _worth_reading(fit.findings))
+    return View(comparison.verdict, (fits_table(fits),), (*coincidence(fits), *warned))
 
 
 def _payloads_view(fit: Any) -> View:
@@ -93,8 +112,8 @@ def _payloads_view(fit: Any) -> View:
         )
         for m, mse, alone in zip(fit.models, fit.mse, fit.alone_mse, strict=True)
     )
-    table = Table(("payload", "ω₀ [s^(−λ/2)]", "λ", "μ", "α", "MSE together", "MSE alone"), rows)
-    return View(fit.verdict, (table,))
+    names = (name.partition(" ")[0] if name.startswith("μ") else name for name in PARAMETERS.values())
+    return View(fit.verdict, (Table(("payload", *names, "MSE together", "MSE alone"), rows),))
 
 
 def _motor_view(fit: Any) -> View:
@@ -112,29 +131,34 @@ def _motor_view(fit: Any) -> View:
 
 def _spectrum_view(fit: Any) -> View:
     errors = fit.standard_errors
-    rows = [("λ", uncertain(fit.order, errors.get("order")))]
-    for name, values in (("resonance", fit.resonances), ("anti-resonance", fit.anti_resonances)):
-        rows += [
-            (f"{name} {i + 1} [rad/s]", uncertain(w, errors.get(f"{name} {i + 1}")))
-            for i, w in enumerate(values)
-        ]
+    named = {"resonance": fit.resonances, "anti-resonance": fit.anti_resonances}
+    modes = {f"{kind} {i}": w for kind, values in named.items() for i, w in enumerate(values, 1)}
     delay = uncertain(1e3 * fit.delay, 1e3 * errors["delay"] if "delay" in errors else None)
-    rows += [("delay [ms]", delay), ("gain", number(fit.gain)), ("fit [%]", f"{fit.fit:.2f}")]
+    rows = (
+        ("λ", uncertain(fit.order, errors.get("order"))),
+        *((f"{name} [rad/s]", uncertain(w, errors.get(name))) for name, w in modes.items()),
+        *(("delay [ms]", delay), ("gain", number(fit.gain)), ("fit [%]", f"{fit.fit:.2f}")),
+    )
     aside = (f"{len(fit.outliers)} frequencies set aside as outliers",) if len(fit.outliers) else ()
-    return View(tables=(Table(("frequency response", "value"), tuple(rows)),), notes=aside)
+    return View(tables=(Table(("frequency response", "value"), rows),), notes=aside)
 
 
 def _experiment_view(plan: Any) -> View:
-    rows = [("kind", plan.kind), ("amplitude [rad]", number(plan.amplitude, 5))]
-    rows += [] if plan.bit is None else [("bit [s]", number(plan.bit, 5))]
-    rows += [
-        ("band [rad/s]", f"{number(plan.band[0], 3)} to {number(plan.band[1], 3)}"),
-        ("duration [s]", number(plan.duration, 5)),
-        ("standard error of λ", number(plan.standard_error, 5)),
-        ("peak deflection [rad]", number(plan.peak_deflection, 5)),
-    ]
-    rows += [] if plan.peak_voltage is None else [("peak voltage [V]", number(plan.peak_voltage, 5))]
-    return View(tables=(Table(("experiment", "value"), tuple(rows)),))
+    rows = {
+        "kind": plan.kind,
+        "amplitude [rad]": number(plan.amplitude, 5),
+        "bit [s]": number(plan.bit, 5),
+        "band [rad/s]": f"{number(plan.band[0], 3)} to {number(plan.band[1], 3)}",
+        "duration [s]": number(plan.duration, 5),
+        "standard error of λ": number(plan.standard_error, 5),
+        "peak deflection [rad]": number(plan.peak_deflection, 5),
+        "peak voltage [V]": number(plan.peak_voltage, 5),
+    }
+    known = tuple((name, value) for name, value in rows.items() if value != "–")
+    return View(tables=(Table(("experiment", "value"), known),))
+
+
+# --- the design and what it is worth ----------------------------------------------------------------------
 
 
 def _design_view(design: Design) -> View:
@@ -143,9 +167,15 @@ def _design_view(design: Design) -> View:
         f", filter δ = {number(c.filter_time)} s, n = {c.filter_order}" if c.filter_time else ", no filter"
     )
     headline = f"controller k_d = {number(c.gain, 5)}, β = {number(c.order, 5)}{filtered}"
-    notes = tuple(map(str, design.findings))
-    state = "passed" if design.passed else "failed"
-    return View(headline, (requirements_table(design.requirements),), notes, state)
+    tables = (requirements_table(design.requirements),)
+    return View(headline, tables, tuple(map(str, design.findings)), state_of(design))
+
+
+def _law_view(law: Law) -> View:
+    order = len(law.correction.poles) + 2 * len(law.correction.pair_poles)
+    motor = "with its motor loop" if law.drive is not None else "for a robot with its own servo"
+    headline = f"{order} states, one step each {number(1e3 * law.period)} ms, {motor}"
+    return View(headline, notes=(f"SHA-256 {law.digest}",))
 
 
 def _optimised_view(found: Any) -> View:
@@ -159,22 +189,85 @@ def _optimised_view(found: Any) -> View:
         for s in found.steps
     )
     shown = _design_view(found.design)
-    notes = shown.notes
-    if not found.pays:
-        notes = (f"no structure is better by {100 * found.least:g} %: the closed-form design is kept", *notes)
-    return View(shown.headline, (Table(("structure", figure, ""), rows), *shown.tables), notes, shown.state)
+    kept = f"no structure is better by {100 * found.least:g} %: the closed-form design is kept"
+    notes = shown.notes if found.pays else (kept, *shown.notes)
+    return replace(shown, tables=(Table(("structure", figure, ""), rows), *shown.tables), notes=notes)
 
 
-def _run_view(run: Run) -> View:
-    where = "" if run.verdict.passed else run.verdict.reason
+def _assessment_view(found: Any) -> View:
+    payloads = found.payloads
+    shares = tuple((share.element, degrees(share.phase, 2)) for share in found.budget)
+    margins = tuple((c.kind, *(degrees(float(p), 2) for p in c.phase_margin)) for c in found.curves)
+    tables = (
+        requirements_table(found.modes),
+        Table((f"phase at {grams(payloads[-1])}", "share"), shares),
+        Table(("phase margin", *(grams(float(f"{m:.3g}")) for m in payloads)), margins),
+        _tolerance_table(found.tolerances),
+    )
+    rivals = rival_sentences(found.rivals)
+    notes = (
+        f"at equal worst-case Ms = {found.max_sensitivity:.3f}, the paper's printed controllers as they are:",
+        *rivals,
+        *(() if found.modes else ("higher modes: none, as the link has no mass; give --link-mass [kg]",)),
+    )
     return View(
-        where or "move settled", (moves_table([run]),), (), "passed" if run.verdict.passed else "failed"
+        f"stable with {1e3 * found.tolerances.delay:.3g} ms more delay", tables, notes, state_of(found)
     )
 
 
+def _tolerance_table(tolerated: Any) -> Table:
+    """Up to where the loop stays stable, one thing changed at a time."""
+    rows = (
+        ("delay", 1e3 * tolerated.delay, "ms more"),
+        ("lighter payload", 1e3 * tolerated.payload_low, "g"),
+        ("heavier payload", 1e3 * tolerated.payload_high, "g"),
+        ("softer link", tolerated.stiffness_low, "of the stiffness"),
+        ("stiffer link", tolerated.stiffness_high, "of the stiffness"),
+        ("slower motor loop", tolerated.motor_pole, "rad/s"),
+    )
+    limits = (
+        (what, f"{number(value, 3)} {unit}" if 0.0 < value < math.inf else "no limit found")
+        for what, value, unit in rows
+    )
+    return Table(("stable with", "up to"), tuple(limits))
+
+
+def rival_sentences(rivals: Sequence[Alternative]) -> tuple[str, ...]:
+    """Return what the comparison at equal Ms says, each rival against the design's own controller."""
+    own, *others = rivals
+    return tuple(_rival_sentence(rival, own) for rival in others)
+
+
+def _rival_sentence(rival: Alternative, own: Alternative) -> str:
+    name = f"{rival.name} (β = {rival.controller.order:.3g})"
+    if not rival.stable:
+        return f"{rival.name}: unstable for some payload of the range"
+    if rival.gain_crossover == 0.0:
+        return f"{name} crosses nowhere at this Ms"
+    speed, noise = rival.gain_crossover / own.gain_crossover, rival.noise_gain / own.noise_gain
+    return (
+        f"{name} crosses at {speed:.2f} times the crossover of {own.name} "
+        f"(β = {own.controller.order:.3g}), with {noise:.2f} times its noise"
+    )
+
+
+def _map_view(found: Any) -> View:
+    return View(
+        f"{100 * float(np.mean(found.feasible)):.0f} % of the map is feasible",
+        state="passed" if found.feasible.any() else "failed",
+    )
+
+
+def _run_view(run: Run) -> View:
+    headline = "move settled" if run.verdict.passed else run.verdict.reason
+    return View(headline, (moves_table([run]),), (), state_of(run.verdict))
+
+
 def _certificate_view(certificate: Any) -> View:
-    text = certificate.verdict.removeprefix("Not certified: ")
-    return View(text, state="passed" if certificate.passed else "failed")
+    return View(certificate.verdict.removeprefix("Not certified: "), state=state_of(certificate))
+
+
+# --- many runs --------------------------------------------------------------------------------------------
 
 
 def _summary_view(summary: Summary) -> View:
@@ -183,33 +276,50 @@ def _summary_view(summary: Summary) -> View:
     return View(summary.failure.sentence, (spread_table(summary),), trips, state)
 
 
-def _faults_view(table: FaultTable) -> View:
-    rows = faults_table(table)
-    short = Table(
-        ("fault", "runs", "failed", "verdict"),
-        tuple((r[0], r[2], r[3], r[5]) for r in rows.rows),
-        judged=True,
+def repeated(table: FaultTable, outcome: Outcome) -> str:
+    """The command that runs one case of a fault campaign again."""
+    case, begun = outcome.case, table.about.get("command", "fraclink campaign faults")
+    return (
+        f"{begun} --only {case.fault} --severity {case.severity} --payload {case.payload!r} "
+        f"--phase {case.phase} --seed {case.seed} --out {case.name}"
     )
-    return View(faults_sentence(table), (short,), (), "passed" if table.passed else "failed")
+
+
+def _faults_view(table: FaultTable) -> View:
+    """The table, and for each fault that fails its worst run with the command that repeats it."""
+    notes = tuple(
+        f"{row.number}: {row.worst}\n  {repeated(table, row.example)}" for row in table.rows() if row.example
+    )
+    return View(faults_sentence(table), (faults_table(table, brief=True),), notes, state_of(table))
+
+
+def faults_page(table: FaultTable) -> str:
+    """The table as a Markdown page, with the command that repeats each failed run."""
+    head = f"law {table.about['law_sha256'][:16]}, `{table.about['command']}`"
+    lines = ["# Fault campaign", "", head, "", table.markdown()]
+    lines += ["", "## Failed", ""] if table.failures else []
+    for outcome in table.failures:
+        lines.append(f"- {outcome.name}: {'; '.join(map(str, outcome.failed))}")
+        lines.append(f"  `{repeated(table, outcome)}`")
+    return "\n".join(lines) + "\n"
 
 
 def _study_view(study: Study) -> View:
-    verdict = study.verdict
-    tables = [verdict_table(verdict)]
-    notes = list(verdict.remarks)
-    warned = (*study.findings, *(study.design.findings if study.design else ()))
-    notes += [f"{finding.code}: {finding.message}" for finding in warned if finding.severity != "info"]
+    verdict, design = study.verdict, study.design
+    tables, notes = [verdict_table(verdict)], list(verdict.remarks)
+    for finding in (*study.findings, *(design.findings if design else ())):
+        notes += [f"{finding.code}: {finding.message}"] if finding.severity != "info" else []
     if study.comparison:
-        # The terminal has room for one number a structure; the report shows all.
-        shown = fits_table(study.comparison.fits)
-        picked = tuple(tuple(row[k] for k in (0, 1, 2, 5, 7, 8)) for row in shown.rows)
-        tables.append(Table(tuple(shown.header[k] for k in (0, 1, 2, 5, 7, 8)), picked))
+        tables.append(fits_table(study.comparison.fits, brief=True))
         notes += [*coincidence(study.comparison.fits), study.comparison.verdict]
-    if study.design:
-        tables.append(requirements_table(study.design.requirements))
+    if design:
+        tables.append(requirements_table(design.requirements))
     if study.runs:
         tables.append(moves_table(study.runs))
     return View(verdict_sentence(verdict), tuple(tables), tuple(notes), verdict.state)
+
+
+# --- real time --------------------------------------------------------------------------------------------
 
 
 def _realtime_view(run: Any) -> View:
@@ -223,7 +333,7 @@ def _realtime_view(run: Any) -> View:
     notes += ["the record replays through the law to the last bit"] if run.first_difference is None else []
     notes += [] if run.passed else [f"stopped: {run.problem}"]
     table = Table(("time [µs]", "least", "mean", "99.9 %", "most"), rows)
-    return View(headline, (table,), tuple(notes), "passed" if run.passed else "failed")
+    return View(headline, (table,), tuple(notes), state_of(run))
 
 
 def _served_view(served: Any) -> View:
@@ -231,7 +341,7 @@ def _served_view(served: Any) -> View:
         f"{len(served.voltage)} periods, {served.late} late; {served.controllers} controllers, "
         f"{served.silences} of them left without a stop; {served.rejected} messages rejected"
     )
-    return View(headline, state="passed" if served.passed else "failed")
+    return View(headline, state=state_of(served))
 
 
 def _replay_view(result: Any) -> View:
@@ -242,11 +352,13 @@ def _replay_view(result: Any) -> View:
 
 
 def _tournament_view(result: Any) -> View:
-    return View("\n".join(result.verdicts()), state="passed" if result.standings[0].passed else "failed")
+    return View("\n".join(result.verdicts()), state=state_of(result.standings[0]))
 
 
 _VIEWS: dict[str, Callable[[Any], View]] = {
     "tuple": _findings_view,
+    "Rig": _rig_view,
+    "Experiment": _log_view,
     "Fit": _fit_view,
     "Comparison": _comparison_view,
     "JointFit": _payloads_view,
@@ -254,7 +366,10 @@ _VIEWS: dict[str, Callable[[Any], View]] = {
     "SpectrumFit": _spectrum_view,
     "ExperimentDesign": _experiment_view,
     "Design": _design_view,
+    "Law": _law_view,
     "Optimised": _optimised_view,
+    "Assessment": _assessment_view,
+    "FeasibilityMap": _map_view,
     "Run": _run_view,
     "Certificate": _certificate_view,
     "Summary": _summary_view,

@@ -1,0 +1,67 @@
+"""`fraclink doctor`: what of this installation is there, and how to get the rest."""
+
+from __future__ import annotations
+
+import os
+import platform
+import shutil
+from importlib.metadata import PackageNotFoundError, version
+
+from fraclink import __version__, _kernels
+from fraclink._cli.app import group
+from fraclink._cli.command import Answer, command
+from fraclink._show.text import Row, Table, View
+
+app = group()
+
+# Distribution, the extra that installs it, and what it is for.
+_EXTRAS = (
+    ("matplotlib", "report", "figures and reports"),
+    ("jinja2", "report", "reports"),
+    ("control", "control", "exchange with python-control"),
+    ("python-flint", "certify", "proofs"),
+    ("h5py", "io", "logs in HDF5 and MATLAB 7.3"),
+    ("npTDMS", "io", "logs of LabVIEW"),
+    ("rosbags", "io", "logs of ROS"),
+    ("pyarrow", "io", "logs in Parquet, campaigns"),
+    ("distributed", "cluster", "campaigns on a cluster"),
+)
+
+
+def _installed(name: str) -> str | None:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return None
+
+
+def _row(name: str, found: str | None, instead: str, use: str) -> Row:
+    return (name, found or instead, use, "passed" if found else "missing")
+
+
+@command(app)
+def doctor() -> Answer:
+    """Check this installation: kernels, optional packages, C compiler, real-time loop.
+
+    $ fraclink doctor
+    """
+    extras = {name: _installed(name) for name, _, _ in _EXTRAS}
+    compiler = next(filter(None, map(shutil.which, (os.environ.get("CC", "cc"), "gcc", "clang"))), None)
+    rows = [
+        ("Python", platform.python_version(), "", "passed"),
+        ("numpy", _installed("numpy") or "", "", "passed"),
+        *(_row(name, extras[name], f"pip install 'fraclink[{extra}]'", use) for name, extra, use in _EXTRAS),
+        _row("C compiler", compiler, "none found", "replay, FMU"),
+        _row("real-time loop", "here" if _kernels.REALTIME else None, "Linux only", "run-realtime"),
+    ]
+    missing = [row[0] for row in rows if row[-1] == "missing"]
+    headline = f"fraclink {__version__} on {platform.system()} {platform.machine()}"
+    headline += f"; without {', '.join(missing)}" if missing else ""
+    table = Table(("part", "version", "for", "state"), tuple(rows), judged=True)
+    python = platform.python_version()
+    values = {"version": __version__, "python": python, "extras": extras, "compiler": compiler}
+    return Answer(
+        text=View(headline, (table,), state="passed"),
+        values=values,
+        following="fraclink run --rig paper-2023-geared --log demo --out results",
+    )
