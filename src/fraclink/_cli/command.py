@@ -105,7 +105,7 @@ class Declared:
         if isinstance(info, OptionInfo) and not info.param_decls:
             word = self.name.replace("_", "-")
             info.param_decls = (f"--{word}/--no-{word}",) if self.default is True else (f"--{word}",)
-        hint = Annotated[self.kind, info]
+        hint = Annotated[self.kind, info]  # type: ignore[name-defined]  # made at run time
         return inspect.Parameter(
             self.name, inspect.Parameter.KEYWORD_ONLY, default=self.default, annotation=hint
         )
