@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import STRUCTURES, LinkModel
@@ -140,6 +141,24 @@ def test_identify_says_where_the_log_cannot_tell() -> None:
     assert fit.structure == comparison.preferred
     finding = next(finding for finding in fit.findings if finding.code == "W322")
     assert all(name in finding.message for name in comparison.undecided)
+
+
+@pytest.mark.parametrize("correlation", [0.9, 0.98])
+@pytest.mark.parametrize(
+    ("link", "structure"), [(TRUTH, "UD-FOM"), (LinkModel(1.56, 10.0, damping=1.3), "D-IOM")]
+)
+def test_noise_that_wanders_makes_no_structure(link: LinkModel, structure: str, correlation: float) -> None:
+    """An AIC that counts every sample finds an α of its own in one of ten such logs."""
+    used = []
+    for seed in range(8):
+        log = made_log(link)
+        white = np.random.default_rng(seed).normal(0, 0.01 * (1 - correlation**2) ** 0.5, 5001)
+        fit = identify(
+            replace(log, output=log.output + lfilter([1], [1, -correlation], white)), details=False
+        )
+        used.append("undecided" if "W322" in {f.code for f in fit.findings} else fit.structure)
+    assert set(used) <= {structure, "undecided"}
+    assert used.count(structure) >= 6
 
 
 def test_a_parameter_that_is_held_stays_in_the_model() -> None:

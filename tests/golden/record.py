@@ -506,7 +506,6 @@ FIT_NUMBERS = (
     "nmse",
     "aic",
     "bic",
-    "tic",
     "heldout_nmse",
     "effective_parameters",
 )

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import lstsq, toeplitz
+from scipy.signal import lfilter
 from scipy.special import gammaincc
 
-from fraclink._arm.link import structure
+from fraclink._arm.link import STRUCTURES, structure
 from fraclink._identify.search import Search, Solution
 from fraclink._identify.shape import (
     COORDINATE,
@@ -219,8 +221,7 @@ class Uncertainty:
 
 def uncertainty(search: Search, solution: Solution, *, coloured: bool) -> Uncertainty:
     """Covariance at a solution; `coloured` adds the sandwich estimate from the residual's scores."""
-    inside = [i for i in solution.free if i not in solution.at_bound]
-    linear = [c for c, value in ((1, search.gain), (2, search.offset)) if np.isnan(value)]
+    inside, linear = _moving(search, solution)
     columns = [3 + solution.free.index(i) for i in inside] + linear
     scale = np.array([solution.gain] * len(inside) + [1.0] * len(linear))
     basis = _basis(solution, inside, len(linear))
@@ -235,10 +236,7 @@ def uncertainty(search: Search, solution: Solution, *, coloured: bool) -> Uncert
     if not coloured:
         error = float(np.sqrt(variance * resonance @ inverse @ resonance))
         return Uncertainty(names, white, None, 1, float(basis.shape[1]), singular, error)
-    raw = columns_of(search.kernel, solution.shape, mask_of(solution.free))
-    residual = search.window.output - solution.gain * raw[0] - solution.offset
-    by_column = {1: raw[0], 2: np.ones(samples)} | {3 + k: raw[1 + k] for k in range(len(solution.free))}
-    regressors = basis.T @ (scale[:, None] * np.array([by_column[c] for c in columns]))
+    regressors, residual = _linearised(search, solution)
     lag = correlation_lag(residual)
     meat = coloured_covariance(regressors, residual)
     # Misfit that depends on the motion is no independent noise; there the products of both tell more.
@@ -248,6 +246,22 @@ def uncertainty(search: Search, solution: Solution, *, coloured: bool) -> Uncert
     effective = float(np.trace(inverse @ meat)) / variance if variance > 0 else float(basis.shape[1])
     error = float(np.sqrt(np.maximum(resonance @ sandwich @ resonance, 0.0)))
     return Uncertainty(names, white, through @ sandwich @ through.T, lag, effective, singular, error)
+
+
+def _moving(search: Search, solution: Solution) -> tuple[list[int], list[int]]:
+    """Coordinates that are free and inside their limits, and the linear parameters that are free."""
+    inside = [i for i in solution.free if i not in solution.at_bound]
+    return inside, [c for c, value in ((1, search.gain), (2, search.offset)) if np.isnan(value)]
+
+
+def _linearised(search: Search, solution: Solution) -> tuple[Matrix, Vector]:
+    """∂(output)/∂(free parameters), one row for each direction of `_basis`, and the residual."""
+    inside, linear = _moving(search, solution)
+    raw = columns_of(search.kernel, solution.shape, mask_of(solution.free))
+    residual = search.window.output - solution.gain * raw[0] - solution.offset
+    shapes = [solution.gain * raw[1 + solution.free.index(i)] for i in inside]
+    straight = [{1: raw[0], 2: np.ones(residual.size)}[c] for c in linear]
+    return _basis(solution, inside, len(linear)).T @ np.array([*shapes, *straight]), residual
 
 
 def _basis(solution: Solution, inside: list[int], linear: int) -> Matrix:
@@ -294,3 +308,62 @@ def _inverse(normal: Matrix) -> tuple[Matrix, bool]:
     values = np.maximum(values, 1e-14)
     inverse: Matrix = (vectors / values) @ vectors.T / np.outer(size, size)
     return inverse, singular
+
+
+# --- which structure? -------------------------------------------------------------------------------------
+
+_SCORE_LAGS = 5  # what an autoregression leaves of a misfit lasts a few samples; more lags only add noise
+
+
+def structure_criteria(search: Search, errors: Mapping[str, Uncertainty]) -> dict[str, tuple[float, float]]:
+    """Two criteria of every structure under the noise of this log, both the AIC where it is white.
+
+    `errors` are the coloured uncertainties of all structures.
+
+        n ln(MSE) + 2 tr(H⁻¹J)    and    n ln(σ²)/k + 2 p
+
+    The AIC of eq. (18) takes every sample for a witness. Under noise that wanders (AR(1), ρ = 0.98) that
+    makes a wiggle of the noise look like a parameter.
+
+    The first, Takeuchi's, counts parameters as the residual's colour does. It is cautious, but it too finds a
+    superfluous α in one coloured log of ten. For the second all residuals pass one filter, the autoregression
+    of what the richest structure leaves, which makes the noise white; each fit takes the Gauss–Newton
+    step to its optimum behind that filter, and σ² is the variance of what is left. It tells more structures
+    apart under slow noise, but on a log whose residual is misfit (friction, a motor that is not straight
+    between two samples) the filter magnifies the misfit; k, by how much the richest fit's scores vary more
+    than white noise would let them, does not make up for all of that. Each errs where the other does not, so
+    that only what both say is taken for shown.
+    """
+    solutions = {name: search.solve(name) for name in STRUCTURES}
+    richest = max(STRUCTURES, key=lambda name: len(structure(name).free))
+    filtered = autoregression(_linearised(search, solutions[richest])[1])[0]
+    found = {name: _innovations(search, solution, filtered) for name, solution in solutions.items()}
+    scores, left = found[richest]
+    variance = max(float(left @ left) / left.size, 1e-300)
+    meat = long_run_covariance(scores * left, _SCORE_LAGS)
+    inflation = max(float(np.trace(_inverse(scores @ scores.T)[0] @ meat)) / variance / len(scores), 1.0)
+    samples = search.window.samples
+    return {
+        name: (
+            # A parameter at its limit counts, as it was free to leave it.
+            samples * _log(solution.cost / samples)
+            + 2.0 * (errors[name].effective + len(solution.at_bound) + solution.on_edge),
+            found[name][1].size * _log(float(np.mean(found[name][1] ** 2))) / inflation
+            + 2.0 * len(structure(name).free),
+        )
+        for name, solution in solutions.items()
+    }
+
+
+def _log(value: float) -> float:
+    return math.log(max(value, 1e-300))
+
+
+def _innovations(search: Search, solution: Solution, coefficients: Vector) -> tuple[Matrix, Vector]:
+    """Regressors and residual behind the filter that makes the noise white, after one Gauss–Newton step."""
+    regressors, residual = _linearised(search, solution)
+    rows = lfilter(coefficients, [1.0], np.vstack([regressors, residual]), axis=1)[:, coefficients.size :]
+    size = np.linalg.norm(rows[:-1], axis=1)
+    columns = rows[:-1] / np.where(size > 0, size, 1.0)[:, None]
+    step = lstsq(columns.T, rows[-1], cond=1e-9)[0]
+    return columns, np.asarray(rows[-1] - step @ columns)

@@ -191,15 +191,6 @@ class Fit:
         return not any(finding.severity == "error" for finding in self.findings)
 
     @property
-    def tic(self) -> float:
-        """Takeuchi's criterion n ln(MSE) + 2 tr(H⁻¹J): the AIC of a residual that is not white.
-
-        The AIC takes a thousand samples of one slow wiggle for a thousand witnesses; this does not.
-        """
-        counted = self.effective_parameters + len(self.at_bound)
-        return self.aic + 2 * (counted - len(structure(self.structure).free))
-
-    @property
     def samples(self) -> int:
         """Number of samples of the log."""
         return int(self.predicted.size)

@@ -161,15 +161,24 @@ def fitted_samples(log: Experiment) -> int:
 # --- the fit and how sure it is ----------------------------------------------------------------------------
 
 
-def fit_from(search: Search, name: str, log: Experiment, *, stiffness: float | None, details: bool) -> Fit:
-    """The fit of one structure from a search, judged on the whole log."""
+def fit_from(
+    search: Search,
+    name: str,
+    log: Experiment,
+    *,
+    stiffness: float | None,
+    details: bool,
+    errors: Uncertainty | None = None,
+) -> Fit:
+    """The fit of one structure from a search, judged on the whole log; `errors` where they are known."""
     solution = search.solve(name)
     window = search.window
     whole = Window(log.motor_angle, log.output, log.period, window.hold)
     kernel = whole.kernel(search.lowest, longest_delay=search.longest_delay)
     predicted = solution.gain * columns_of(kernel, solution.shape)[0] + solution.offset
     residual = log.output - predicted
-    errors = uncertainty(search, solution, coloured=details)
+    if errors is None or not details:
+        errors = uncertainty(search, solution, coloured=details)
     tests, allow, intervals = None, False, {}
     if details:
         tests = _tests(search, residual[: window.samples], errors)

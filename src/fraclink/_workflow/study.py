@@ -232,6 +232,7 @@ def _summary(study: Study) -> dict[str, Any]:
             "preferred": comparison.preferred,
             "contest": asdict(comparison.contest),
             "verdict": comparison.verdict,
+            "undecided": list(comparison.undecided),
         },
         "verdict": asdict(study.verdict),
     }
@@ -293,4 +294,5 @@ def _comparison(fits: dict[str, Fit], about: dict[str, Any] | None) -> Compariso
     if about is None or set(fits) != set(STRUCTURES):
         return None
     ordered = {name: fits[name] for name in STRUCTURES}
-    return Comparison(ordered, {}, about["preferred"], Contest(**about["contest"]), about["verdict"])
+    contest, undecided = Contest(**about["contest"]), tuple(about.get("undecided", ()))
+    return Comparison(ordered, {}, about["preferred"], contest, about["verdict"], undecided)

@@ -1,0 +1,178 @@
+"""What may be relied on of an identification: structure, gates, second mode, coverage under coloured noise.
+
+    python benchmarks/bench_gates.py [--logs 510] [--only structures]
+
+Every log is simulated with known truth, see identify_random.py.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections import Counter
+
+import numpy as np
+
+from fraclink._arm.experiment import Experiment
+from fraclink._arm.reference import prbs
+from fraclink._identify import identify
+from fraclink._simulate import Beam, KelvinVoigt, PowerLaw, simulate_log
+from identify_logs import TRUTH, clean_log, line
+from identify_random import COLOURS, PERIOD, coloured, random_log
+
+STRUCTURES = ("D-IOM", "UD-FOM")
+
+
+def name_of(colour: float) -> str:
+    """Noise in words."""
+    return f"AR(1) noise, ρ = {colour:g}" if colour else "white noise"
+
+
+def structures(count: int) -> None:
+    """How often the structure that is used is a wrong one, and W322 does not say that the log cannot tell."""
+    said: Counter[tuple[float, str]] = Counter()
+    for seed in range(count):
+        truth = STRUCTURES[seed // len(COLOURS) % 2]
+        made = random_log(seed, truth)
+        fit = identify(made.log, details=False)
+        open_ones = [finding for finding in fit.findings if finding.code == "W322"]
+        answer = "cannot tell" if open_ones else "right" if fit.structure == truth else "wrong"
+        if open_ones and truth not in (fit.structure, *open_ones[0].message.replace(":", " ").split()):
+            answer = "wrong"
+        said[made.colour, answer] += 1
+    for colour in (*COLOURS, None):
+        rows: Counter[str] = Counter()
+        for (of, answer), times in said.items():
+            rows[answer] += times if colour in (None, of) else 0
+        total = sum(rows.values())
+        share = 100 * rows["wrong"] / total
+        line(
+            f"fractional against viscous, {total} logs, {'all' if colour is None else name_of(colour)}",
+            f"{rows['wrong']} wrong ({share:.1f} %), {rows['cannot tell']} cannot tell",
+            "<= 2 % wrong",
+            share <= 2,
+        )
+
+
+def fractional_damping(count: int) -> None:
+    """How often a damping of its own order is found, by length of the log."""
+    for seconds in (20, 40, 80):
+        for colour in (0.0, 0.9):
+            found = sum(
+                identify(
+                    random_log(seed, "D-FOM", colour=colour, samples=round(seconds / PERIOD) + 1).log,
+                    details=False,
+                ).structure
+                == "D-FOM"
+                for seed in range(count)
+            )
+            share = 100 * found / count
+            line(
+                f"D-FOM found, {count} logs of {seconds} s, {name_of(colour)}",
+                f"{share:.0f} %",
+                ">= 60 %",
+                share >= 60,
+            )
+
+
+def good_logs(count: int) -> None:
+    """Good logs of all structures and colours, noise of 1 to 30 %: none may fail a gate."""
+    failed = []
+    for seed in range(count):
+        truth = ("D-IOM", "UD-FOM", "D-FOM", "UD-FOM")[seed // len(COLOURS) % 4]
+        fit = identify(random_log(seed, truth).log)
+        if not fit.passed:
+            failed.append(f"{seed}: {', '.join(f.code for f in fit.findings if f.severity == 'error')}")
+    line(
+        f"good logs that fail a gate, of {count}",
+        f"{len(failed)} {'; '.join(failed)}".strip(),
+        "0",
+        not failed,
+    )
+
+
+def coverage(count: int) -> None:
+    """Share of 95 % intervals that contain the truth under noise that wanders."""
+    angle, torque = clean_log(delay=0.003)
+    truth = {"order": TRUTH.order, "natural_frequency": TRUTH.natural_frequency, "delay": 0.003}
+    for colour in COLOURS[1:]:
+        inside: Counter[str] = Counter()
+        for seed in range(count):
+            noise = 0.05 * coloured(np.random.default_rng(1000 + seed), colour, torque.size)
+            log = Experiment(period=PERIOD, motor_angle=angle, output=torque + noise)
+            fit = identify(log, "UD-FOM", heldout=0)
+            for name, value in truth.items():
+                inside[name] += fit.intervals[name].contains(value)
+            inside["gain"] += abs(fit.gain - TRUTH.stiffness) <= 1.96 * fit.standard_errors["gain"]
+        for name, hits in inside.items():
+            share = 100 * hits / count
+            line(
+                f"coverage of the 95 % interval, {name}, {count} logs, {name_of(colour)}",
+                f"{share:.1f} %",
+                "92-97 %",
+                92 <= share <= 97,
+            )
+
+
+def second_mode() -> None:
+    """The second mode of links with mass, in logs of the twin: found or not, and its frequency."""
+    bits = prbs(0.1, 0.24, bits=83, register=9, start=0.5).angle(PERIOD * np.arange(5001))
+    for noise in (0.01, 0.03, 0.1):
+        found = missed = 0
+        worst = 0.0
+        for k, mass in enumerate((0.002, 0.00735, 0.015, 0.03, 0.06)):
+            for pole in (40.0, 80.0):
+                for payload in (0.01, 0.03, 0.06):
+                    beam = Beam(0.65, 0.338, mass, payload)
+                    modes = beam.modes(2).frequencies
+                    for damping in (PowerLaw(1.92), KelvinVoigt.from_ratio(0.02, frequency=float(modes[0]))):
+                        clean = [simulate_log(beam, damping, bits, servo_pole=pole, modes=n) for n in (1, 2)]
+                        torque = clean[1].torque
+                        share = np.std(torque - clean[0].torque) / torque.std()
+                        fast = float(modes[1]) > 0.8 * np.pi / PERIOD
+                        if share < 0.01 or fast:
+                            continue
+                        rng = np.random.default_rng([k, int(pole), int(1e4 * payload)])
+                        output = torque + noise * torque.std() * rng.standard_normal(torque.size)
+                        log = Experiment(period=PERIOD, motor_angle=clean[1].motor_angle, output=output)
+                        mode = identify(log).model.second_mode
+                        missed += mode is None
+                        if mode is not None:
+                            found += 1
+                            worst = max(worst, abs(mode.frequency / mode_frequency(beam, damping) - 1))
+        line(
+            f"second mode of more than 1 % of the output, noise {100 * noise:g} %: {found + missed} logs",
+            f"{found} found, worst error {100 * worst:.1f} %",
+            "all, 5 %",
+            missed == 0 and worst <= 0.05,
+        )
+
+
+def mode_frequency(beam: Beam, damping: object) -> float:
+    """Frequency of the second mode as a log shows it [rad/s]."""
+    undamped = float(beam.modes(2).frequencies[1])
+    # Under a power law ω is not in rad/s: the mode is at ω^(2/λ), where |s²| = ω² |D(s)|.
+    return undamped ** (2 / damping.order) if isinstance(damping, PowerLaw) else undamped
+
+
+FIGURES = {
+    "structures": lambda count: structures(count),
+    "good_logs": lambda count: good_logs(count),
+    "fractional_damping": lambda count: fractional_damping(max(count // 5, 1)),
+    "coverage": lambda count: coverage(max(count // 2, 1)),
+    "second_mode": lambda count: second_mode(),
+}
+
+
+def main() -> None:
+    """Print every figure."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--logs", type=int, default=510)
+    parser.add_argument("--only", choices=FIGURES)
+    options = parser.parse_args()
+    for name, figure in FIGURES.items():
+        if options.only in (None, name):
+            figure(options.logs)
+
+
+if __name__ == "__main__":
+    main()

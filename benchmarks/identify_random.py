@@ -1,0 +1,90 @@
+"""Random logs with known truth for bench_gates: links, excitations, delays and noise of every colour."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from fraclink._arm.experiment import Experiment
+from fraclink._arm.link import LinkModel
+from fraclink._arm.reference import prbs
+from fraclink._identify import simulated_torque
+from identify_logs import smooth_pulse
+
+PERIOD = 0.004
+SAMPLES = 5001
+FINE = 5  # inner steps of a sample: the motor is not linear between two samples
+COLOURS = (0.0, 0.9, 0.98)  # ρ of the noise's autoregression; 0 is white
+
+
+@dataclass(frozen=True)
+class RandomLog:
+    """A log with what made it."""
+
+    log: Experiment
+    model: LinkModel
+    delay: float
+    colour: float
+    noise: float
+
+
+def coloured(random: np.random.Generator, correlation: float, size: int) -> NDArray[np.float64]:
+    """Noise of unit variance, e_k = ρ e_(k−1) + w_k, from its stationary distribution."""
+    white = random.normal(0, (1 - correlation**2) ** 0.5, size)
+    white[0] = random.normal()
+    return np.asarray(lfilter([1.0], [1.0, -correlation], white))
+
+
+def motion(random: np.random.Generator, samples: int = SAMPLES) -> NDArray[np.float64]:
+    """A pulse, a PRBS or a row of steps after the motor loop, on the fine time base."""
+    time = PERIOD / FINE * np.arange(samples * FINE)
+    kind = random.integers(3)
+    if kind == 0:
+        return smooth_pulse(time, rise=random.uniform(0.15, 0.4))
+    if kind == 1:
+        bit = random.uniform(0.15, 0.4)
+        path = prbs(0.3, bit, bits=int(time[-1] / bit), register=9, start=0.5).angle(time)
+    else:
+        moves = random.uniform(-0.5, 0.5, int(time[-1] / 2.5))
+        path = sum(move * (time > 0.5 + 2.5 * k) for k, move in enumerate(moves))
+    fade = np.exp(-80.0 * PERIOD / FINE)  # the double pole of the motor loop
+    return np.asarray(lfilter([(1 - fade) ** 2], [1, -2 * fade, fade**2], path))
+
+
+def random_link(random: np.random.Generator, structure: str) -> LinkModel:
+    """A link of a structure that damps visibly: ζ from 2 to 11 %."""
+    frequency = random.uniform(6.0, 22.0)
+    if structure == "UD-FOM":
+        order = random.uniform(1.86, 1.97)
+        return LinkModel(1.56, frequency ** (order / 2), order)
+    ratio = random.uniform(0.02, 0.11)
+    if structure == "D-IOM":
+        return LinkModel(1.56, frequency, damping=2 * ratio * frequency)
+    other = random.uniform(0.4, 0.7)
+    damping = 2 * ratio * frequency ** (2 - other) / np.sin(other * np.pi / 2)
+    square = frequency**2 * (1 - 2 * ratio / np.tan(other * np.pi / 2))
+    return LinkModel(1.56, square**0.5, damping=damping, damping_order=other)
+
+
+def random_log(
+    seed: int,
+    structure: str,
+    *,
+    colour: float | None = None,
+    noise: float | None = None,
+    samples: int = SAMPLES,
+) -> RandomLog:
+    """A log of a random link; noise as a share of the output's standard deviation, 1 to 30 % by default."""
+    random = np.random.default_rng([seed, 14])
+    model = random_link(random, structure)
+    fine = motion(random, samples)
+    delay = random.uniform(0.0, 0.012)
+    torque = simulated_torque(model, fine, PERIOD / FINE, delay=delay, hold="first")[::FINE]
+    correlation = COLOURS[seed % len(COLOURS)] if colour is None else colour
+    share = 0.01 * 30.0 ** random.uniform() if noise is None else noise
+    output = torque + share * torque.std() * coloured(random, correlation, samples)
+    log = Experiment(period=PERIOD, motor_angle=fine[::FINE], output=output)
+    return RandomLog(log, model, delay, correlation, share)
