@@ -17,6 +17,7 @@ from typing import Annotated, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from fraclink._display import displayed
 from fraclink._files import document, write_text
 from fraclink._validate import Array, Between, Length, Payload, Positive, Where, checked
 from fraclink.errors import FieldError, LogError
@@ -180,6 +181,7 @@ def parse_columns(texts: Iterable[str]) -> LogColumns:
     return LogColumns(channels["time"], channels["motor_angle"], channels[kind], kind, voltage)
 
 
+@displayed
 @document(
     "log",
     version=2,

@@ -24,6 +24,7 @@ from fraclink._arm.rig_parts import (
     at_least_zero,
     positive,
 )
+from fraclink._display import displayed
 from fraclink._files import document, stored_as, write_text
 from fraclink._files.toml import parse_toml, read_table, read_toml, suggestion, table_of, toml_text
 from fraclink._validate import Between, Frequency, Payload, Period, checked
@@ -38,6 +39,7 @@ _FOLDER = Path(__file__).resolve().parents[1] / "rigs"
 _AGREEMENT = 0.02  # two measurements of one stiffness agree to about 2 %; the paper's differ by 30 %
 
 
+@displayed
 @checked
 @dataclass(frozen=True)
 class Rig:

@@ -15,6 +15,7 @@ from typing import Any
 
 from fraclink._arm.link import LinkModel
 from fraclink._arm.rig import Rig
+from fraclink._display import displayed
 from fraclink._files import read_json, write_json
 from fraclink._law import Law
 from fraclink._law import block as layout
@@ -122,6 +123,7 @@ class Statement:
         return CLAIM.format(**asdict(self), **read, law=self.digest[:12])
 
 
+@displayed
 @dataclass(frozen=True)
 class Certificate:
     """The outcome of `certify`: a proof, or the place where there is none.

@@ -42,7 +42,7 @@ from fraclink._design.assess import (
     tolerances,
 )
 from fraclink._files import output_path, write_json, write_text
-from fraclink._show.drawing import save_axes
+from fraclink._show.drawing import save_figure
 from fraclink._show.plots import feasibility, margins_against_payload, phase_shares
 from fraclink._show.records import plain, to_json
 from fraclink._validate import Between, Ordered
@@ -117,11 +117,12 @@ def _write_assessment(found: Assessment, made: Design, out: Path) -> None:
     low, high = made.payloads
     masses = np.geomspace(low / 2.5, 1.25 * high, _POINTS)
     curves = [margin_curve(made, masses, kind=kind) for kind in _KINDS]
-    save_axes(
+    span, margin = (low, high), made.phase_margin
+    save_figure(
         out / _FIGURES[0],
-        lambda ax: margins_against_payload(curves, payloads=(low, high), wanted=made.phase_margin, ax=ax),
+        lambda drawing: margins_against_payload(curves, payloads=span, wanted=margin, ax=drawing.subplots()),
     )
-    save_axes(out / _FIGURES[1], lambda ax: phase_shares(found.budget, ax=ax))
+    save_figure(out / _FIGURES[1], lambda drawing: phase_shares(found.budget, ax=drawing.subplots()))
     shown = {"payload": masses.tolist()} | {c.kind: c.phase_margin.tolist() for c in curves}
     write_json(out / _NUMBERS, "assessment", 1, to_json(found) | {"curves": shown})
 
@@ -243,6 +244,6 @@ def design_map(
         inner=inner,
         placement=placement,
     )
-    save_axes(out, lambda ax: feasibility(found, ax=ax))
+    save_figure(out, lambda drawing: feasibility(found, ax=drawing.subplots()))
     write_json(numbers, "design-map", 1, plain(vars(found)))
     return Answer(found, bool(found.feasible.any()), written=(out, numbers))

@@ -17,6 +17,7 @@ from fraclink._arm.loop import Loop, with_payload
 from fraclink._arm.motor_loop import MotorLoop
 from fraclink._arm.rig import Rig
 from fraclink._arm.sampled import SampledPlant, sampled_plant
+from fraclink._display import displayed
 from fraclink._files import document, load, save
 from fraclink._validate import (
     Between,
@@ -191,6 +192,7 @@ def _from_first_formats(data: dict[str, Any]) -> dict[str, Any]:
     return data
 
 
+@displayed
 @document(
     "design",
     version=3,

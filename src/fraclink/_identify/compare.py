@@ -10,6 +10,7 @@ from types import MappingProxyType
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import FRACTIONAL, STRUCTURES, VISCOUS, LinkModel
 from fraclink._arm.link import structure as structure_row
+from fraclink._display import displayed
 from fraclink._identify.covariance import structure_criteria, uncertainty
 from fraclink._identify.fit import Fit, _parameters, _share, coincidence_text
 from fraclink._identify.fitting import HeldOut, Stiffness, fit_from, make_search
@@ -50,6 +51,7 @@ class Contest:
         return self.second if self.advantage > 0 else self.first
 
 
+@displayed
 @dataclass(frozen=True, eq=False, repr=False)
 class Comparison:
     """Every structure fitted to one log.

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._arm.link import FRACTIONAL, LinkModel, structure
+from fraclink._display import displayed
 from fraclink._files import document, load, save
 from fraclink._identify.covariance import ResidualTests
 from fraclink._identify.profile import Interval
@@ -39,6 +40,7 @@ def _check_size(fit: Fit) -> None:
         raise SizeError("samples", fit.samples, problem, allowed=most, remedy=remedy)
 
 
+@displayed
 @document(
     "fit",
     version=2,

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fraclink import _kernels
+from fraclink._display import displayed
 from fraclink._files import document
 from fraclink._files import load as load_document
 from fraclink._files import save as save_document
@@ -87,6 +88,7 @@ def _first_format(content: dict[str, Any]) -> dict[str, Any]:
     return content
 
 
+@displayed
 @document(
     "law",
     version=2,

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fraclink._show.curves import Curve, labelled, pyplot, sample
+from fraclink._show.curves import Curve, labelled, new_axes, sample
 from fraclink._show.drawing import BLUE, GREEN, GREY, ORANGE
 from fraclink._systems.margins import Margins
 from fraclink._systems.margins import margins as find_margins
@@ -179,8 +179,7 @@ def _decibel_range(curve: Curve) -> tuple[float, float]:
 
 def _two_axes(ax: Sequence[Any] | None) -> Any:
     if ax is None:
-        _, axes = pyplot().subplots(2, 1, sharex=True, layout="constrained")
-        return axes
+        return new_axes(2)
     axes = np.asarray(ax, dtype=object).reshape(-1)
     if axes.size != 2:
         raise FieldError(

@@ -14,19 +14,27 @@ from fraclink._systems.loops import SampledLoop, as_loop
 from fraclink._systems.sweep import frequency_grid, refined
 from fraclink.errors import FieldError, MissingExtraError
 
-__all__ = ["Curve", "labelled", "pyplot", "sample"]
+__all__ = ["Curve", "finish", "labelled", "new_axes", "sample"]
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 
-def pyplot() -> Any:
-    """matplotlib.pyplot, imported when the first plot is drawn."""
+def new_axes(rows: int = 1) -> Any:
+    """New axes, one or one for each row; matplotlib.pyplot is imported when the first plot is drawn."""
     try:
-        from matplotlib import pyplot as plt
+        from matplotlib import pyplot
     except ImportError as error:
         raise MissingExtraError("matplotlib", "report") from error
-    return plt
+    return pyplot.subplots(rows, 1, sharex=True, layout="constrained")[1]
+
+
+def finish(ax: Any, labels: Sequence[str] | None, *, grid: str = "0.9") -> Any:
+    """Give axes their grid, and a legend where the curves have labels; return them."""
+    ax.grid(True, color=grid)
+    if labels is not None:
+        ax.legend(loc="best", fontsize="small")
+    return ax
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import io
 import re
 from collections.abc import Callable, Iterator
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = ["BLUE", "FAINT", "FULL_WIDTH", "GREEN", "GREY", "INK", "LEVELS", "LINES", "ORANGE", "VIOLET"]
-__all__ += ["envelope", "figure", "needed", "save_axes", "svg"]
+__all__ += ["envelope", "figure", "load_matplotlib", "save_figure", "svg"]
 
 INK, GREY, FAINT = "#1f2430", "#7b8494", "#d9dde4"
 # Okabe and Ito (2008): distinct with every common colour blindness. In grey print, and where curves lie on
@@ -33,13 +34,19 @@ LINES: tuple[dict[str, Any], ...] = tuple(
 FAILED = "#a8321f"
 
 
-def needed() -> None:
-    """Raise MissingExtraError where a report would fail half-way: at its first figure, or at its page."""
+def load_matplotlib() -> Any:
+    """Return matplotlib with the parts that draw without a display; it takes a third of a second to import.
+
+    Raises MissingExtraError where it is not installed.
+    """
     try:
-        import jinja2  # noqa: F401
-        import matplotlib  # noqa: F401
+        import matplotlib.backends.backend_agg
+        import matplotlib.backends.backend_svg
+        import matplotlib.figure
+        import matplotlib.ticker
     except ModuleNotFoundError as error:
-        raise MissingExtraError(error.name or "jinja2", "report") from error
+        raise MissingExtraError("matplotlib", "report") from error
+    return matplotlib
 
 
 _STYLE: dict[Any, Any] = {
@@ -75,11 +82,9 @@ _STYLE: dict[Any, Any] = {
 @contextmanager
 def figure(width: float, height: float) -> Iterator[Figure]:
     """Yield an empty figure of `width` × `height` inches in the report's style."""
-    import matplotlib
-    from matplotlib.figure import Figure
-
-    with matplotlib.rc_context(_STYLE):
-        yield Figure(figsize=(width, height), layout="constrained")
+    mpl = load_matplotlib()
+    with mpl.rc_context(_STYLE):
+        yield mpl.figure.Figure(figsize=(width, height), layout="constrained")
 
 
 _PLACES = re.compile(r'\b(?:d|x|y|x1|x2|y1|y2|width|height|viewBox|points)="[^"]*"|\btranslate\([^)]*\)')
@@ -94,13 +99,10 @@ def svg(drawing: Figure, name: str, description: str) -> str:
 
     Several SVGs share one page, and matplotlib names its clip paths and glyphs alike in each of them.
     """
-    import matplotlib
-    from markupsafe import escape
-    from matplotlib.backends.backend_svg import FigureCanvasSVG
-
-    stream = io.StringIO()
-    with matplotlib.rc_context(_STYLE):
-        FigureCanvasSVG(drawing).print_svg(stream, metadata={"Date": None, "Creator": None})  # type: ignore[no-untyped-call]
+    stream, mpl = io.StringIO(), load_matplotlib()
+    with mpl.rc_context(_STYLE):
+        canvas = mpl.backends.backend_svg.FigureCanvasSVG(drawing)
+        canvas.print_svg(stream, metadata={"Date": None, "Creator": None})
     text = stream.getvalue()
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>\s*", "", text, flags=re.DOTALL)
@@ -112,8 +114,8 @@ def svg(drawing: Figure, name: str, description: str) -> str:
     # differ in the last place between processors.
     text = _PLACES.sub(lambda place: re.sub(r"-?\d+\.\d{3,}", _rounded, place.group()), text)
     text = re.sub(r"\s*\n\s*", "\n", text)
-    opening = f'<svg role="img" aria-label="{escape(description)}" '
-    return opening + text[len("<svg") :].lstrip()
+    opening = f'<svg role="img" aria-label="{html.escape(description)}" '
+    return opening + text[len("<svg") :].strip()
 
 
 FULL_WIDTH = 8.6  # inches: the text's width on the page at 96 dots an inch
@@ -143,22 +145,20 @@ def envelope(time: NDArray[Any], values: NDArray[Any], points: int = _POINTS) ->
     return np.column_stack([time[edges], time[half]]).ravel(), np.column_stack([first, second]).ravel()
 
 
-def save_axes(path: Path, draw: Callable[[Any], object], *, size: tuple[float, float] = (7.5, 5.0)) -> None:
-    """Let `draw` fill one set of axes of `size` [inches] and write them as the suffix says (SVG without one).
+def save_figure(
+    path: Path | str, draw: Callable[[Figure], object], *, size: tuple[float, float] = (7.5, 5.0)
+) -> None:
+    """Let `draw` fill a figure of `size` [inches] and write it as the suffix says (SVG without one).
 
     Raises MissingExtraError where matplotlib is not installed.
     """
-    needed()
-    import matplotlib as mpl
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    kind = path.suffix.lstrip(".").lower() or "svg"
+    mpl = load_matplotlib()
+    kind = Path(path).suffix.lstrip(".").lower() or "svg"
     # Without a date and with ids that do not change a second run writes the same file.
     extra = {"metadata": {"Date": None}} if kind == "svg" else {"dpi": 110}
     with mpl.rc_context({"svg.hashsalt": "fraclink"}):
-        figure = Figure(figsize=size, layout="constrained")
-        FigureCanvasAgg(figure)
-        draw(figure.subplots())
+        drawing = mpl.figure.Figure(figsize=size, layout="constrained")
+        mpl.backends.backend_agg.FigureCanvasAgg(drawing)
+        draw(drawing)
         with atomic_write(path, "wb") as stream:
-            figure.savefig(stream, format=kind, **extra)
+            drawing.savefig(stream, format=kind, **extra)

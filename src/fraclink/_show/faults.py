@@ -6,12 +6,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fraclink._campaign.faults import Bench, Evidence, Outcome, fault_named, observe
-from fraclink._files import atomic_write
 from fraclink._law import MODES
-from fraclink.errors import MissingExtraError
+from fraclink._show.drawing import save_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 __all__ = ["draw_outcome"]
 
@@ -23,30 +23,21 @@ def draw_outcome(bench: Bench, outcome: Outcome, path: Path | str) -> None:
 
     Raises MissingExtraError where matplotlib is not installed.
     """
-    try:
-        import matplotlib as mpl
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ModuleNotFoundError as error:
-        raise MissingExtraError("matplotlib", "report") from error
     e = observe(bench, outcome.case, bench.law.in_precision("double"))
-    fault = fault_named(outcome.case.fault)
-    figure = Figure(figsize=(8.0, 7.2), layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.subplots(4, 1, sharex=True, height_ratios=(3, 2, 2, 1))
-    for axis, draw in zip(axes, (_tip, _motor, _gauge, _mode), strict=True):
-        draw(axis, e)
-        axis.axvline(e.row * e.law.period, color=_EVENT, linewidth=0.8, linestyle=":")
-        axis.spines[["top", "right"]].set_visible(False)
-        axis.tick_params(labelsize=8)
-    axes[-1].set_xlabel("time [s]")
-    first = outcome.failed[0] if outcome.failed else None
-    verdict = "passed" if first is None else str(first)
-    figure.suptitle(f"{outcome.name}: {fault.title}\n{verdict}", fontsize=10)
-    kind = Path(path).suffix.lstrip(".") or "svg"
-    # A fixed salt and no date: the same run gives the same bytes.
-    with mpl.rc_context({"svg.hashsalt": "fraclink"}), atomic_write(path, "wb") as stream:
-        figure.savefig(stream, format=kind, metadata={"Date": None} if kind == "svg" else None)
+    title = f"{outcome.name}: {fault_named(outcome.case.fault).title}"
+    verdict = str(outcome.failed[0]) if outcome.failed else "passed"
+
+    def draw(drawing: Figure) -> None:
+        axes = drawing.subplots(4, 1, sharex=True, height_ratios=(3, 2, 2, 1))
+        for axis, panel in zip(axes, (_tip, _motor, _gauge, _mode), strict=True):
+            panel(axis, e)
+            axis.axvline(e.row * e.law.period, color=_EVENT, linewidth=0.8, linestyle=":")
+            axis.spines[["top", "right"]].set_visible(False)
+            axis.tick_params(labelsize=8)
+        axes[-1].set_xlabel("time [s]")
+        drawing.suptitle(f"{title}\n{verdict}", fontsize=10)
+
+    save_figure(path, draw, size=(8.0, 7.2))
 
 
 def _tip(axis: Axes, e: Evidence) -> None:

@@ -24,8 +24,10 @@ from fraclink._show.drawing import (
     ORANGE,
     envelope,
     figure,
+    load_matplotlib,
     svg,
 )
+from fraclink._show.tables import UNITS
 from fraclink._show.text import grams
 from fraclink._simulate import Run
 
@@ -106,11 +108,10 @@ def _frequencies(design: Design, payload: float) -> NDArray[np.float64]:
 
 
 def _decade_lines(axes: Axes) -> None:
-    from matplotlib.ticker import FormatStrFormatter, NullFormatter
-
+    ticker = load_matplotlib().ticker
     axes.set_xscale("log")
-    axes.xaxis.set_major_formatter(FormatStrFormatter("%g"))
-    axes.xaxis.set_minor_formatter(NullFormatter())
+    axes.xaxis.set_major_formatter(ticker.FormatStrFormatter("%g"))
+    axes.xaxis.set_minor_formatter(ticker.NullFormatter())
     axes.grid(True, which="minor", color=FAINT, linewidth=0.25)
 
 
@@ -229,21 +230,22 @@ def moves_figure(runs: Sequence[Run]) -> str:
         return svg(drawing, "moves", "Tip angle, tip error, torque and voltage of the simulated moves")
 
 
-# Metric, title, factor to the shown unit.
-SHOWN = (
-    ("settling_time", "settling time [s]", 1.0),
-    ("overshoot", "overshoot [%]", 100.0),
-    ("residual_vibration", "residual vibration [mrad]", 1e3),
-    ("peak_tip_error", "largest tip error [mrad]", 1e3),
-    ("peak_voltage", "largest voltage [V]", 1.0),
-    ("motor_reference_noise", "motor reference noise [mrad]", 1e3),
-)
+# Metric of a campaign: what its histogram is called.
+SHOWN = {
+    "settling_time": "settling time",
+    "overshoot": "overshoot",
+    "residual_vibration": "residual vibration",
+    "peak_tip_error": "largest tip error",
+    "peak_voltage": "largest voltage",
+    "motor_reference_noise": "motor reference noise",
+}
 
 
 def spread_figure(values: dict[str, NDArray[Any]]) -> str:
     """Histograms of the metrics in SHOWN with their median and 95 % quantile."""
     with figure(FULL_WIDTH, 4.2) as drawing:
-        for axes, (name, title, factor) in zip(drawing.subplots(2, 3).flat, SHOWN, strict=True):
+        for axes, (name, title) in zip(drawing.subplots(2, 3).flat, SHOWN.items(), strict=True):
+            unit, factor = UNITS[name]
             column = factor * np.asarray(values[name], dtype=float)
             finite = column[np.isfinite(column)]
             if finite.size:
@@ -257,7 +259,7 @@ def spread_figure(values: dict[str, NDArray[Any]]) -> str:
                         label=f"{100 * share:g} % of the finite",
                     )
             missing = len(column) - len(finite)
-            axes.set_title(title)
+            axes.set_title(f"{title} [{unit}]")
             if missing:
                 text = f"never: {100 * missing / len(column):.3g} %"
                 axes.text(0.98, 0.95, text, ha="right", va="top", color=FAILED, transform=axes.transAxes)
@@ -287,11 +289,11 @@ def failures_figure(
 
 def _cells(axes: Any, values: Any, colours: str, low: float, top: float, *, edges: Any = None) -> Any:
     """Coloured rectangles: an image is a picture inside the SVG, which the page refuses."""
-    from matplotlib import colormaps
-
     table = np.asarray(values, dtype=float)
     x, y = edges or (np.arange(table.shape[1] + 1) - 0.5, np.arange(table.shape[0] + 1) - 0.5)
-    return axes.pcolormesh(x, y, table, cmap=colormaps[colours].resampled(24), vmin=low, vmax=top)
+    return axes.pcolormesh(
+        x, y, table, cmap=load_matplotlib().colormaps[colours].resampled(24), vmin=low, vmax=top
+    )
 
 
 def _bar(drawing: Any, mesh: Any, axes: Any, label: str) -> None:

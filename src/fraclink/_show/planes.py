@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fraclink._show.curves import Curve, labelled, pyplot, sample
+from fraclink._show.curves import Curve, finish, labelled, new_axes, sample
 from fraclink._show.drawing import ORANGE
 
 __all__ = ["nichols", "nyquist"]
@@ -50,7 +50,7 @@ def nyquist(
     1.0
     """
     named = labelled(systems, labels)
-    ax = _one_axis(ax)
+    ax = new_axes() if ax is None else ax
     angle = np.linspace(0, 2 * math.pi, 361)
     ax.plot(np.cos(angle), np.sin(angle), ":", color="0.6", linewidth=0.9)
     # An undamped resonance is refined as far as it is seen.
@@ -76,10 +76,7 @@ def nyquist(
     half = reach or (1.1 * largest if largest <= 8 else 5.0)
     ax.set(xlim=(-half, half), ylim=(-half, half), xlabel="Re L", ylabel="Im L")
     ax.set_aspect("equal")
-    ax.grid(True, color="0.9")
-    if labels is not None:
-        ax.legend(loc="best", fontsize="small")
-    return ax
+    return finish(ax, labels)
 
 
 def _arrows(ax: Any, values: NDArray[np.complex128], color: str, size: float) -> None:
@@ -131,7 +128,7 @@ def nichols(
     'phase [°]'
     """
     named = labelled(systems, labels)
-    ax = _one_axis(ax)
+    ax = new_axes() if ax is None else ax
 
     def drawn(curve: Curve) -> tuple[Real, Real]:
         decibels = np.clip(np.nan_to_num(curve.decibels, nan=0.0), -60, 60)
@@ -148,10 +145,7 @@ def nichols(
     for critical in range(math.floor((low + 180) / 360), math.ceil((high + 180) / 360) + 1):
         ax.plot([360 * critical - 180], [0], "+", color=ORANGE, markersize=11, markeredgewidth=2)
     ax.set(xlim=(low, high), ylim=(bottom, top), xlabel="phase [°]", ylabel="magnitude [dB]")
-    ax.grid(True, color="0.92")
-    if labels is not None:
-        ax.legend(loc="best", fontsize="small")
-    return ax
+    return finish(ax, labels, grid="0.92")
 
 
 def _seen(ax: Any, bottom: float, top: float) -> tuple[float, float]:
@@ -183,10 +177,3 @@ def _contours(ax: Any, shift: float) -> None:
             ha="center",
             annotation_clip=True,
         )
-
-
-def _one_axis(ax: Any) -> Any:
-    if ax is not None:
-        return ax
-    _, made = pyplot().subplots(layout="constrained")
-    return made

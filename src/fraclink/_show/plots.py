@@ -16,7 +16,7 @@ import numpy as np
 from fraclink._design.alternatives import FeasibilityMap
 from fraclink._design.assess import MarginCurve, PhaseShare
 from fraclink._show.bode import bode, margin_plot
-from fraclink._show.curves import labelled, pyplot
+from fraclink._show.curves import finish, labelled, new_axes
 from fraclink._show.drawing import BLUE, FAINT, GREEN, INK, ORANGE
 from fraclink._show.planes import nichols, nyquist
 from fraclink._systems.fractional import FractionalTransferFunction
@@ -83,16 +83,12 @@ def step_plot(
         raise FieldError(
             "duration", duration, "not a length of time", allowed="> 0 s", remedy="give the seconds to show"
         )
-    if ax is None:
-        _, ax = pyplot().subplots(layout="constrained")
+    ax = new_axes() if ax is None else ax
     time = np.linspace(0.0, duration, _POINTS)
     for system, label in named:
         ax.plot(time, step_response(system, time).output, label=label, **style)
     ax.set(xlabel="time [s]", ylabel="step response", xlim=(0, duration))
-    ax.grid(True, color="0.9")
-    if labels is not None:
-        ax.legend(loc="best", fontsize="small")
-    return ax
+    return finish(ax, labels)
 
 
 def _duration(system: FractionalTransferFunction) -> float:
@@ -153,8 +149,7 @@ def margins_against_payload(
     """
     if not curves:
         raise FieldError("curves", "none", "empty", allowed="one curve or more", remedy="call margin_curve")
-    if ax is None:
-        _, ax = pyplot().subplots(layout="constrained")
+    ax = new_axes() if ax is None else ax
     if payloads is not None:
         ax.axvspan(*(1e3 * mass for mass in payloads), color="0.94", zorder=0)
     if wanted is not None:
@@ -169,9 +164,7 @@ def margins_against_payload(
             label=_NAMES.get(curve.kind, curve.kind),
         )
     ax.set(xlabel="payload [g]", ylabel="phase margin [°]")
-    ax.grid(True, color="0.9")
-    ax.legend(loc="best", fontsize="small")
-    return ax
+    return finish(ax, [curve.kind for curve in curves])
 
 
 def phase_shares(shares: Sequence[PhaseShare], *, ax: Any = None) -> Any:
@@ -197,8 +190,7 @@ def phase_shares(shares: Sequence[PhaseShare], *, ax: Any = None) -> Any:
     """
     if not shares:
         raise FieldError("shares", "none", "empty", allowed="one share or more", remedy="call phase_budget")
-    if ax is None:
-        _, ax = pyplot().subplots(layout="constrained")
+    ax = new_axes() if ax is None else ax
     level, names = 180.0, ["180°", *(share.element for share in shares), "phase margin"]
     ax.bar(0, level, color="0.8")
     for place, share in enumerate(shares, start=1):
@@ -252,8 +244,7 @@ def latency(run: RealtimeRun, *, ax: Any = None) -> Any:
     >>> latency(run).get_xlabel()
     'time [µs]'
     """
-    if ax is None:
-        _, ax = pyplot().subplots(layout="constrained")
+    ax = new_axes() if ax is None else ax
     longest = max(run.period, *(float(np.max(x, initial=0.0)) for x in (run.latency, run.work)))
     bins = 1e6 * np.geomspace(_LEAST, 2 * longest, _BINS)
     for label, values in (("latency of the wake-up", run.latency), ("work of the period", run.work)):
@@ -288,8 +279,7 @@ def feasibility(found: FeasibilityMap, *, ax: Any = None) -> Any:
     >>> feasibility(feasibility_map(rig.model, rig, filter_order=1, **grid)).get_ylabel()
     'phase margin at the lightest payload [°]'
     """
-    if ax is None:
-        _, ax = pyplot().subplots(layout="constrained")
+    ax = new_axes() if ax is None else ax
     grid = (found.gain_crossover, np.degrees(found.phase_margin))
     shade = ax.pcolormesh(*grid, np.ma.masked_invalid(found.order), cmap="Blues", shading="nearest")
     ax.figure.colorbar(shade, ax=ax, label="β")

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fraclink._display import displayed
 from fraclink._files import document, load, save
 from fraclink._simulate.metrics import Metrics, MoveVerdict, Signals, judge, measure
 from fraclink.findings import Finding
@@ -59,6 +60,7 @@ def _upgraded(old: dict[str, Any], about: dict[str, Any], payload: float) -> dic
     return {**signals, **judged, "about": about, "payload": payload, "findings": [], "extras": extras}
 
 
+@displayed
 @document(
     "run",
     version=2,

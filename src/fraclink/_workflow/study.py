@@ -19,6 +19,7 @@ from fraclink._campaign import Summary, load_campaign, summarise
 from fraclink._campaign.faults import FaultTable
 from fraclink._certify import Certificate
 from fraclink._design import Design
+from fraclink._display import displayed
 from fraclink._files import checked_path, kind_of, load, read_json, save, write_json
 from fraclink._identify import Comparison, Contest, Fit
 from fraclink._law import Law
@@ -84,6 +85,7 @@ class Verdict:
         return tuple(dict.fromkeys(reason for scope in self.scopes.values() for reason in scope.reasons))
 
 
+@displayed
 @dataclass(frozen=True)
 class Study:
     """What one log led to. Every part may be missing: a folder may hold some of the files only.

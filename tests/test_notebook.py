@@ -1,0 +1,70 @@
+"""What a prompt and a notebook cell show of each result."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+import fraclink as fl
+from fraclink._certify import Certificate
+from fraclink._show.views import view
+
+RIG = fl.Rig.named("paper-2023")
+
+
+@pytest.fixture(scope="module")
+def results() -> dict[str, Any]:
+    """One result of every class that a notebook shows."""
+    log = fl.read_log(fl.bundled_log("pulse_30g"), rig=RIG)
+    comparison = fl.identify_all(log, details=False)
+    design = fl.design(RIG.model, RIG, gain_crossover=12.0, phase_margin=fl.deg(50), filter_time=0.0)
+    run = fl.simulate(design, fl.smooth_step(0.2, duration=0.5), payload=0.030)
+    refused = Certificate(None, passed=False, verdict="Not certified: <unstable> at 8 g")  # type: ignore[arg-type]
+    made = (RIG, log, comparison.fits["UD-FOM"], comparison, design, design.law(), run, refused)
+    return {type(result).__name__: result for result in made}
+
+
+NAMES = ("Rig", "Experiment", "Fit", "Comparison", "Design", "Law", "Run", "Certificate")
+DRAWN = {"Experiment", "Fit", "Comparison", "Design", "Run"}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_repr_is_one_short_line(name: str, results: dict[str, Any]) -> None:
+    text = repr(results[name])
+    assert text.startswith(f"{name}(") and text.endswith(")")
+    assert "\n" not in text and len(text) < 240 and "array(" not in text
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_cell_shows_the_table_and_the_drawing(name: str, results: dict[str, Any]) -> None:
+    page, drawing = results[name]._repr_html_(), results[name]._repr_svg_()
+    assert view(results[name]).state in page
+    assert (drawing is not None) == (name in DRAWN)
+    if drawing is not None:
+        assert drawing.startswith("<svg") and drawing in page
+    assert results[name]._repr_html_() == page
+
+
+def test_texts_are_escaped(results: dict[str, Any]) -> None:
+    assert "&lt;unstable&gt;" in results["Certificate"]._repr_html_()
+    page = replace(RIG, name="<script>alert(1)</script>")._repr_html_()
+    assert "<script" not in page and "&lt;script&gt;" in page
+
+
+def test_two_drawings_on_one_page_share_no_name(results: dict[str, Any]) -> None:
+    log = results["Experiment"]
+    other = replace(log, output=0.5 * log.output)
+    first, second = (set(part.split('id="')[1:]) for part in (log._repr_svg_(), other._repr_svg_()))
+    names = [{piece.partition('"')[0] for piece in pieces} for pieces in (first, second)]
+    assert names[0] and not names[0] & names[1]
+
+
+def test_without_matplotlib_the_table_is_left(
+    results: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    assert results["Design"]._repr_svg_() is None
+    assert "phase margin" in results["Design"]._repr_html_()
