@@ -33,13 +33,13 @@ struct Io {
     realtime_channel *channel = nullptr;
     int (*read_arm)(arm_sample *) = nullptr;
     int (*write_arm)(const arm_command *) = nullptr;
-    nb::object read, write;
+    nb::object read, write, seal;
     std::exception_ptr failure;  // of a callable; C has no way to pass it on
 
     Io() = default;
     Io(Io &&other) noexcept
         : channel(std::exchange(other.channel, nullptr)), read_arm(other.read_arm), write_arm(other.write_arm),
-          read(std::move(other.read)), write(std::move(other.write)) {}
+          read(std::move(other.read)), write(std::move(other.write)), seal(std::move(other.seal)) {}
     ~Io() {
         if (channel) channel->close(channel);
     }
@@ -96,6 +96,29 @@ Io channel_of(realtime_channel *channel) {
     if (!channel) throw std::system_error(errno, std::generic_category());
     Io io;
     io.channel = channel;
+    return io;
+}
+
+// The tag of a message by a function of Python, which has the key.
+int seal_message(void *sealer, const std::uint8_t *bytes, std::uint8_t *tag) {
+    const nb::gil_scoped_acquire acquire;
+    try {
+        const nb::bytes made(nb::handle(static_cast<PyObject *>(sealer))(nb::bytes(bytes, MESSAGE_BYTES)));
+        if (made.size() != MESSAGE_TAG) return -1;
+        std::memcpy(tag, made.data(), MESSAGE_TAG);
+        return 0;
+    } catch (...) {
+        return -1;  // the message is neither sent nor taken
+    }
+}
+
+Io socket_io(int file, bool arm, nb::object seal) {
+    Io io = channel_of(realtime_open_socket(file, arm));
+    if (!seal.is_none()) {
+        io.channel->seal = seal_message;
+        io.channel->sealer = seal.ptr();
+        io.seal = std::move(seal);
+    }
     return io;
 }
 
@@ -184,9 +207,9 @@ nb::dict run(Io &io, nb::bytes params, nb::bytes state, bool single, Matrix path
     return told(outcome);
 }
 
-nb::dict bare(Mutable latency, std::int64_t period_ns, int priority, bool lock_memory) {
+nb::dict bare(Mutable latency, std::int64_t period_ns, int priority, bool lock_memory, Clock &clock) {
     const realtime_plan plan = {period_ns, std::int64_t(latency.size()), nullptr, nullptr, 0, 0, priority, lock_memory,
-                                nullptr};
+                                clock.clock};
     realtime_outcome outcome;
     {
         nb::gil_scoped_release release;
@@ -230,7 +253,7 @@ void bind_realtime(nb::module_ &m) {
 #ifdef __linux__
     m.attr("REALTIME") = true;
     nb::class_<Io>(m, "RealtimeIo")
-        .def_static("socket", [](int file, bool arm) { return channel_of(realtime_open_socket(file, arm)); })
+        .def_static("socket", &socket_io, nb::arg("file"), nb::arg("arm"), nb::arg("seal").none() = nb::none())
         .def_static("memory", [](int file, bool arm) { return channel_of(realtime_open_memory(file, arm)); })
         .def_static("library", &library)
         .def_static("callables", &callables);

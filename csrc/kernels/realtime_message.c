@@ -163,7 +163,8 @@ static int write_command(void *self, const arm_command *command)
 
 realtime_io realtime_io_of(realtime_channel *channel)
 {
-    const realtime_io io = {channel, 1, 1, read_sample, write_command};
+    /* A tag needs the interpreter, which a fault's handler cannot wait for. */
+    const realtime_io io = {channel, 1, channel->seal == NULL, read_sample, write_command};
     return io;
 }
 

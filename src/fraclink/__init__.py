@@ -106,6 +106,7 @@ _HOME: dict[str, str] = {
     "Margins": "fraclink._systems.margins",
     "margins": "fraclink._systems.margins",
     "margins_against_payload": "fraclink._show.plots",
+    "measure_wake_ups": "fraclink._realtime.machine",
     "Metrics": "fraclink._simulate.metrics",
     "mode_gains": "fraclink._design.assess",
     "Motor": "fraclink._arm.rig_parts",
@@ -193,6 +194,7 @@ _HOME: dict[str, str] = {
     "Udp": "fraclink._realtime.connections",
     "Verdict": "fraclink._workflow",
     "VibrationMode": "fraclink._design.assess",
+    "WakeUps": "fraclink._realtime.machine",
     "write_campaign_report": "fraclink._show.report",
     "write_report": "fraclink._show.report",
 }

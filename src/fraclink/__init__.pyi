@@ -125,6 +125,8 @@ from fraclink._realtime.connections import SharedMemory as SharedMemory
 from fraclink._realtime.connections import Udp as Udp
 from fraclink._realtime.connections import parse_connection as parse_connection
 from fraclink._realtime.loop import run_realtime as run_realtime
+from fraclink._realtime.machine import WakeUps as WakeUps
+from fraclink._realtime.machine import measure_wake_ups as measure_wake_ups
 from fraclink._realtime.run import RealtimeRun as RealtimeRun
 from fraclink._show.planes import nichols as nichols
 from fraclink._show.planes import nyquist as nyquist

@@ -40,7 +40,15 @@ app.add_typer(export, name="export")
 
 Motor = Annotated[bool, "With the motor loop, or for a robot with its own servo"]
 UnsafeRemote = Annotated[bool, "Allow another host: whoever can send there moves the arm"]
+KeyFile = Annotated[Path | None, "File with a key of 16 bytes or more that both ends share (udp only)"]
 Address = typer.Option(metavar="ADDRESS")
+
+
+def _connection(
+    io: str, unsafe_remote: bool, key_file: Path | None
+) -> realtime.Udp | realtime.SharedMemory | realtime.Library:
+    key = None if key_file is None else key_file.read_bytes()
+    return realtime.parse_connection(io, unsafe_remote=unsafe_remote, key=key)
 
 
 def _law(made: Design, *, motor: bool) -> Law:
@@ -188,19 +196,26 @@ def run_realtime(
     single: Annotated[bool, "In single precision, as on a microcontroller"] = False,
     patience: Annotated[float, "Time to wait for the arm [s]"] = 5.0,
     unsafe_remote: UnsafeRemote = False,
+    key_file: KeyFile = None,
     priority: Annotated[int, "Priority of SCHED_FIFO, 1 to 99; 0 asks for none"] = 80,
     lock_memory: Annotated[bool, "Keep the process in memory (mlockall)"] = True,
     allowed_overruns: Annotated[int, "Commands after the next deadline that are tolerated"] = 0,
 ) -> Answer:
     """Run the shipped law on an arm in real time (Linux), with times, overruns and a safe stop.
 
+    First it measures for half a second how late this machine wakes up, says so, and refuses a period that
+    is not kept: more than 1 % of the wake-ups later than a period.
+
     The exit code is 1 after a safe stop (the law's guards, a signal, a broken connection) or too many
     overruns; the record is written all the same. Without an arm: `fraclink serve-arm`.
 
     $ fraclink run-realtime design.json --io udp:127.0.0.1:5005
     """
-    connection = realtime.parse_connection(io, unsafe_remote=unsafe_remote)
+    connection = _connection(io, unsafe_remote, key_file)
     law = _law(load_design(design_file, gear=gear), motor=motor)
+    awake = realtime.measure_wake_ups(law.period, priority=priority, lock_memory=lock_memory)
+    tell(str(awake))
+    awake.check()
     run = realtime.run_realtime(
         law.in_precision("single") if single else law,
         _reference(excitation, amplitude, move_time),
@@ -244,6 +259,7 @@ def serve_arm(
     design_file: DesignFile,
     io: Annotated[str, Address, "udp:HOST:PORT or shm:NAME"],
     unsafe_remote: UnsafeRemote = False,
+    key_file: KeyFile = None,
     duration: Annotated[float, "Time to serve [s]"] = 600.0,
     watchdog: Annotated[int, "Silent periods after which the drive is switched off"] = 10,
     once: Annotated[bool, "End when the first controller has left"] = False,
@@ -259,7 +275,7 @@ def serve_arm(
 
     $ fraclink serve-arm design.json --io udp:127.0.0.1:5005 --once
     """
-    connection = realtime.parse_connection(io, unsafe_remote=unsafe_remote)
+    connection = _connection(io, unsafe_remote, key_file)
     made, arm = load_arm(design_file, options)
     for finding in arm.findings:
         tell(str(finding))

@@ -19,7 +19,8 @@ from fraclink._realtime.connections import (
     parse_connection,
 )
 from fraclink._realtime.loop import run_realtime
-from fraclink._realtime.run import RealtimeRun, Spread
+from fraclink._realtime.machine import Spread, WakeUps, measure_wake_ups
+from fraclink._realtime.run import RealtimeRun
 
 __all__ = [
     "Callback",
@@ -32,6 +33,8 @@ __all__ = [
     "Spread",
     "Udp",
     "VirtualClock",
+    "WakeUps",
+    "measure_wake_ups",
     "parse_connection",
     "run_realtime",
     "serve_arm",

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from fraclink import _kernels
 from fraclink._files import document
 from fraclink._realtime.connections import Connection, arm_end
-from fraclink._realtime.loop import PRIORITY, Priority, check_machine, granted_priority, period_ns
+from fraclink._realtime.machine import PRIORITY, Priority, check_machine, granted_priority, period_ns
 from fraclink._simulate import Twin
 from fraclink._simulate.kernel import ArmState
 from fraclink._validate import Between, Seed, checked

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import hmac
 import ipaddress
 import os
 import re
@@ -12,7 +13,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -41,6 +42,8 @@ _NAME = re.compile(r"[A-Za-z0-9_-]{1,64}")
 _FORMS = "udp:HOST:PORT, shm:NAME or library:FILE.so"
 _SHARED = Path("/dev/shm")  # noqa: S108  # where Linux keeps POSIX shared memory, by shm_open(3)
 _ARM, _CONTROLLER = 0, 1  # bytes of the shared memory that each end locks while it lives
+_KEY_BYTES = 16  # what nobody guesses
+_TAG_BYTES = 16  # MESSAGE_TAG of realtime.h
 _LOOK = 0.02  # [s] between two looks for an arm that is not there yet
 
 
@@ -68,8 +71,9 @@ def _error(connection: object, problem: str, allowed: str, remedy: str) -> Field
 class Udp:
     """An arm that is reached by datagrams: `host`, a name or an address, and `port`, 1 to 65535.
 
-    Any host but this machine needs `unsafe_remote`: datagrams carry neither a password nor encryption, so
-    that everybody who can send to the arm can move it.
+    Any host but this machine needs `unsafe_remote`: datagrams are not encrypted, and without a `key`
+    everybody who can send to the arm can move it. With the same `key` of 16 bytes or more at both ends,
+    messages carry the first 16 bytes of their HMAC-SHA-256 (RFC 2104), and others are dropped.
 
     >>> str(Udp("127.0.0.1", 5005))
     'udp:127.0.0.1:5005'
@@ -78,11 +82,16 @@ class Udp:
     host: str
     port: int
     unsafe_remote: bool = False
+    key: bytes | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         if not isinstance(self.host, str) or not self.host:
             raise _error("udp:", "without a host", _FORMS, "udp:127.0.0.1:5005")
         checked_whole("port", self.port, 1, 65535)
+        if self.key is not None and not (isinstance(self.key, bytes) and len(self.key) >= _KEY_BYTES):
+            shown = f"{len(self.key)} {type(self.key).__name__}"  # never the key itself
+            allowed, remedy = f"{_KEY_BYTES} bytes or more", "head -c 32 /dev/urandom > arm.key"
+            raise FieldError("key", shown, "not a key", allowed=allowed, remedy=remedy)
 
     def __str__(self) -> str:
         return f"udp:{self.host}:{self.port}"
@@ -145,8 +154,12 @@ Connection = Udp | SharedMemory | Library | Callback
 
 
 @checked
-def parse_connection(io: str, *, unsafe_remote: bool = False) -> Udp | SharedMemory | Library:
+def parse_connection(
+    io: str, *, unsafe_remote: bool = False, key: bytes | None = None
+) -> Udp | SharedMemory | Library:
     """Return the connection that the command line names: udp:HOST:PORT, shm:NAME or library:FILE.so.
+
+    `unsafe_remote` and `key` are those of `Udp`; a key for another way is refused.
 
     >>> parse_connection("udp:localhost:5005")
     Udp(host='localhost', port=5005, unsafe_remote=False)
@@ -156,6 +169,8 @@ def parse_connection(io: str, *, unsafe_remote: bool = False) -> Udp | SharedMem
     shm:NAME or library:FILE.so. Start with udp:, shm: or library:.
     """
     kind, _, rest = io.partition(":")
+    if key is not None and kind != "udp":
+        raise FieldError("key", io, "of no use here", allowed="udp:HOST:PORT", remedy="leave it out")
     if kind == "shm":
         return SharedMemory(rest)
     if kind == "library" and rest:
@@ -165,7 +180,7 @@ def parse_connection(io: str, *, unsafe_remote: bool = False) -> Udp | SharedMem
     host, _, port = rest.rpartition(":")
     if not re.fullmatch(r"[0-9]{1,5}", port):
         raise _error(io, "without a port", "1 to 65535", "udp:127.0.0.1:5005")
-    return Udp(host.removeprefix("[").removesuffix("]"), int(port), unsafe_remote)
+    return Udp(host.removeprefix("[").removesuffix("]"), int(port), unsafe_remote, key)
 
 
 # ---- opening and closing -----------------------------------------------------------------------------
@@ -177,7 +192,7 @@ def controller_end(connection: Connection, patience: float) -> Iterator[Any]:
     if isinstance(connection, Udp):
         with _datagrams(connection) as (plug, address):
             plug.connect(address)
-            yield _kernels.RealtimeIo.socket(plug.fileno(), False)
+            yield _kernels.RealtimeIo.socket(plug.fileno(), False, _seal(connection))
     elif isinstance(connection, SharedMemory):
         with _attached(connection, patience) as file:
             yield _kernels.RealtimeIo.memory(file, False)
@@ -197,13 +212,21 @@ def arm_end(connection: Connection) -> Iterator[Any]:
                 plug.bind(address)
             except OSError as error:
                 raise _refused(connection, error, "a free port of this machine") from error
-            yield _kernels.RealtimeIo.socket(plug.fileno(), True)
+            yield _kernels.RealtimeIo.socket(plug.fileno(), True, _seal(connection))
     elif isinstance(connection, SharedMemory):
         with _created(connection) as file:
             yield _kernels.RealtimeIo.memory(file, True)
     else:
         remedy = "a library or a callback is the arm itself"
         raise _error(connection, "no way to serve an arm", "udp:HOST:PORT or shm:NAME", remedy)
+
+
+def _seal(connection: Udp) -> Callable[[bytes], bytes] | None:
+    """Return what gives a message its tag; None without a key."""
+    key = connection.key
+    if key is None:
+        return None
+    return lambda message: hmac.digest(key, message, "sha256")[:_TAG_BYTES]
 
 
 def _refused(connection: Connection, error: OSError, allowed: str) -> FieldError:
@@ -221,8 +244,13 @@ def _datagrams(connection: Udp) -> Iterator[tuple[socket.socket, Any]]:
     # The address and not the name: a name may lead anywhere.
     loopback = ipaddress.ip_address(str(address[0]).partition("%")[0]).is_loopback
     if not loopback and not connection.unsafe_remote:
-        problem = "not this machine: commands carry no password, so whoever can send there moves the arm"
-        remedy = "on a network of its own give --unsafe-remote (unsafe_remote=True)"
+        without = "not this machine: commands carry no password, so whoever can send there moves the arm"
+        problem = (
+            "not this machine: what is sent can be read and held up"
+            if connection.key is not None
+            else without
+        )
+        remedy = "on a network of its own give --unsafe-remote (unsafe_remote=True), and a key"
         raise _error(connection, problem, "127.0.0.1, ::1 or localhost", remedy)
     with socket.socket(family, kind, protocol) as plug:
         yield plug, address

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-import os
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -17,17 +15,14 @@ from fraclink import _kernels
 from fraclink._arm.reference import Reference, sampled
 from fraclink._law import Law
 from fraclink._realtime.connections import Connection, controller_end
+from fraclink._realtime.machine import PRIORITY, Priority, check_machine, granted, period_ns
 from fraclink._realtime.run import MARKS, SIGNALS, STOPS, RealtimeRun, first_difference, reserved, saved
 from fraclink._validate import Between, checked
 from fraclink.errors import FieldError
 
-__all__ = ["PRIORITY", "Priority", "check_machine", "granted_priority", "period_ns", "run_realtime"]
+__all__ = ["run_realtime"]
 
 SETTLE = 3.0  # [s] after the reference has come to rest, as on the twin
-PRIORITY = 80  # above the kernel's interrupt threads (50), below what keeps the machine alive (99)
-Priority = Annotated[int, Between(0, 99, remedy="0 asks for no real-time priority")]
-# A desktop's loop is not faster than that, and needs none of this when it is slower.
-_PERIOD = Between(5e-5, 1.0, "s", remedy="design for another period, or run the law on a board")
 _HEADER_BYTES = 65_536  # of the record's file, more than enough
 
 
@@ -142,23 +137,6 @@ def run_realtime(
     return run if out is None else replace(run, saved=str(saved(run, out)))
 
 
-def check_machine() -> None:
-    """Raise FieldError where this system has no real-time loop."""
-    if not _kernels.REALTIME:
-        problem = "without clock_nanosleep, mlockall and SCHED_FIFO"
-        remedy = "export the law with `fraclink export c` and run it on the board"
-        raise FieldError("system", sys.platform, problem, allowed="Linux", remedy=remedy)
-
-
-def period_ns(period: float) -> int:
-    """Return a period [s] in nanoseconds; FieldError outside 50 µs to 1 s.
-
-    >>> period_ns(0.004)
-    4000000
-    """
-    return round(1e9 * _PERIOD.check("period", period))
-
-
 def _check_answer(outcome: dict[str, float], connection: Connection, period: float, patience: float) -> None:
     stop = STOPS[int(outcome["stop"])]
     if stop == "no sample":
@@ -169,19 +147,6 @@ def _check_answer(outcome: dict[str, float], connection: Connection, period: flo
         allowed = f"{1e-9 * outcome['period_ns']:g} s"
         remedy = "run the arm at the law's period, or design for the arm's"
         raise FieldError("period", period, "not the arm's", allowed=allowed, remedy=remedy)
-
-
-def granted_priority(priority: int, refused: int) -> str:
-    """Return in words what came of asking for SCHED_FIFO; `refused` is the errno, 0 where it was granted.
-
-    >>> granted_priority(80, 0), granted_priority(80, 1)
-    ('SCHED_FIFO 80', 'refused (Operation not permitted)')
-    """
-    return _granted(f"SCHED_FIFO {priority}", refused) if priority else "ordinary, as asked"
-
-
-def _granted(what: str, refused: int) -> str:
-    return what if refused == 0 else f"refused ({os.strerror(refused)})"
 
 
 def _gathered(
@@ -198,6 +163,7 @@ def _gathered(
     columns: dict[str, NDArray[Any]] = {name: record[:count, i].copy() for i, name in enumerate(SIGNALS)}
     columns |= {name: marks[:count, i].copy() for i, name in enumerate(MARKS)}
     parts: dict[str, Any] = dict(columns)
+    scheduling, memory = granted(outcome, priority, lock_memory)
     return RealtimeRun(
         **parts,
         period=law.period,
@@ -205,8 +171,8 @@ def _gathered(
         connection=str(connection),
         stopped=STOPS[int(outcome["stop"])],
         lost_commands=int(outcome["lost"]),
-        scheduling=granted_priority(priority, int(outcome["priority_error"])),
-        memory=_granted("locked", int(outcome["memory_error"])) if lock_memory else "not locked, as asked",
+        scheduling=scheduling,
+        memory=memory,
         origin=float(outcome["origin"]),
         first_difference=first_difference(law, columns),
         allowed_overruns=allowed_overruns,

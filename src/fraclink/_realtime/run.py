@@ -9,7 +9,7 @@ import tempfile
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 from fraclink._arm.experiment import Experiment
 from fraclink._files import document, save
 from fraclink._law import MODES, REASONS, Law
+from fraclink._realtime.machine import Spread
 from fraclink.errors import FieldError, LogError
 
-__all__ = ["STOPS", "RealtimeRun", "Spread", "first_difference", "reserved", "saved"]
+__all__ = ["STOPS", "RealtimeRun", "first_difference", "reserved", "saved"]
 
 Real = NDArray[np.float64]
 Count = NDArray[np.uint32]
@@ -31,24 +32,6 @@ OUTPUTS = ("motor_reference", "voltage", "compensation", "tip_estimate", "error"
 SIGNALS = ("time", "latency", "work", *INPUTS, *OUTPUTS)
 MARKS = ("tick", "mode", "reason", "flags")
 _LOST_SHARE = 0.01  # what a reader may fill in too
-
-
-class Spread(NamedTuple):
-    """Smallest value, mean, 99.9 % quantile and largest value."""
-
-    least: float
-    mean: float
-    high: float
-    most: float
-
-    @staticmethod
-    def of(values: Real) -> Spread:
-        """Return the spread of (N,) values; NaN where there are none."""
-        if not values.size:
-            return Spread(*[float("nan")] * 4)
-        # "higher": a quantile that was measured, not one between two
-        high = np.quantile(values, 0.999, method="higher")
-        return Spread(float(values.min()), float(values.mean()), float(high), float(values.max()))
 
 
 @document(
