@@ -60,7 +60,7 @@ def short_signature(
     signature: str | None,
     return_annotation: str | None,
 ) -> tuple[str | None, str | None]:
-    """The fields of a noun by name: their types and ranges stand below, the annotations would fill a page."""
+    """The fields of a class by name: types and ranges follow below, the annotations would fill a page."""
     if what != "class":
         return short_arrays(signature), short_arrays(return_annotation)
     fields = inspect.signature(obj).parameters.values()
@@ -74,7 +74,7 @@ def short_arrays(annotations: str | None) -> str | None:
 
 
 def no_alias(app: Sphinx, what: str, name: str, obj: object, skip: bool, options: object) -> bool | None:
-    """Leave out the fields of a named tuple: "Alias for field number 0" tells nobody anything."""
+    """Leave out the fields of a named tuple: "Alias for field number 0" says nothing."""
     return True if (getattr(obj, "__doc__", None) or "").startswith("Alias for field") else None
 
 

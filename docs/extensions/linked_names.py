@@ -23,7 +23,7 @@ FILE = re.compile(r"\.(py|toml|md|csv|html|json)$")
 
 
 def target_of(text: str) -> str | None:
-    """The full name that a literal means, None where it means none of ours."""
+    """The full name that a literal means, None where it is not one of this package."""
     found = CALL.fullmatch(text)
     if not found or FILE.search(text):
         return None
@@ -41,7 +41,7 @@ def target_of(text: str) -> str | None:
 
 
 def entry_of(path: str) -> str:
-    """The entry of the reference that tells about a name: a field stands in the text of its noun."""
+    """The entry of the reference that tells about a name: a field stands in the text of its class."""
     head, _, last = path.rpartition(".")
     if path.startswith("_") and last in fraclink.__all__ and is_module(f"fraclink.{head}"):
         return f"fraclink.{last}"  # its home is private, its name is public
@@ -51,12 +51,12 @@ def entry_of(path: str) -> str:
 
 
 def fields_of(value: object) -> tuple[str, ...]:
-    """The names of a noun's fields, none for anything else."""
+    """The names of a data class's fields, none for anything else."""
     return tuple(field.name for field in fields(value)) if is_dataclass(value) else ()
 
 
 def is_module(name: str) -> bool:
-    """Whether this is a module of ours: named in prose as a place, and a place needs no entry."""
+    """Whether this is a module of this package: named in prose as a place, and a place needs no entry."""
     try:
         return find_spec(name) is not None
     except ModuleNotFoundError:

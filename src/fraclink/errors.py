@@ -12,7 +12,7 @@
     └── MissingExtraError(ImportError)      an optional dependency is not installed
 
 The command line turns ``FieldError`` and ``MissingExtraError`` into exit code 2 (bad input) and
-``InfeasibleError``, ``NotCertifiedError`` and ``NotConvergedError`` into exit code 1 (does not hold).
+``InfeasibleError``, ``NotCertifiedError`` and ``NotConvergedError`` into exit code 1 (failed).
 Warnings are ``FraclinkWarning`` with a stable code (``W101`` ...).
 """
 

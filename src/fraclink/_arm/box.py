@@ -1,4 +1,4 @@
-"""A loop over a box of parameters that nobody knows exactly: a search for its worst point."""
+"""A loop over a box of uncertain parameters: a search for its worst point."""
 
 from __future__ import annotations
 

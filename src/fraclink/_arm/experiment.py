@@ -207,7 +207,7 @@ class Experiment:
     output_kind
         ``"torque"`` or ``"deflection"``.
     payload
-        m [kg], > 0, or None where nobody stated it.
+        m [kg], > 0, or None where it was not stated.
     source
         file name or a sentence on where it comes from.
     sha256

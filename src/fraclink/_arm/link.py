@@ -169,7 +169,7 @@ class LinkModel:
     second_mode
         the second vibration mode, or None where none is known.
     unseen_up_to
-        frequency [rad/s] up to which the log showed no second mode, or None where nobody looked.
+        frequency [rad/s] up to which the log showed no second mode, or None where it was not examined.
     intervals
         (name, low, high) of each identified parameter's 95 % interval, in the unit of the parameter.
 

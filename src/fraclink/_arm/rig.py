@@ -64,7 +64,7 @@ class Rig:
     tolerances
         how far the arm may differ from its model.
     assumptions
-        sentences on values that nobody measured, shown in every report.
+        sentences on values that were not measured, shown in every report.
     source
         where the values come from.
 

@@ -1,4 +1,4 @@
-"""Monte Carlo campaigns: one law on a million arms, resumable, the same for a seed whoever computes it."""
+"""Monte Carlo campaigns: one law on a million arms, resumable, the same for a seed on any machine."""
 
 from __future__ import annotations
 

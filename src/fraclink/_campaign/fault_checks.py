@@ -30,7 +30,7 @@ __all__ = [
 
 @dataclass(frozen=True)
 class Check:
-    """One requirement on one run: what was measured, the limit it must not exceed, and whether it holds.
+    """One requirement on one run: what was measured, the limit it must not exceed, and whether it is met.
 
     >>> Check.at_most("peak [rad]", 0.5, 0.4).passed
     False
@@ -43,7 +43,7 @@ class Check:
 
     @staticmethod
     def at_most(name: str, measured: float, limit: float) -> Check:
-        """A check that holds where ``measured <= limit``; NaN never does."""
+        """A check that passes where ``measured <= limit``; NaN never does."""
         return Check(name, float(measured), float(limit), bool(measured <= limit))
 
     def __str__(self) -> str:

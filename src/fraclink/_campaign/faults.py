@@ -81,7 +81,7 @@ class Outcome:
 
     @property
     def passed(self) -> bool:
-        """Whether every check holds."""
+        """Whether every check passed."""
         return not self.failed
 
     @property
@@ -91,7 +91,7 @@ class Outcome:
 
     @property
     def failed(self) -> tuple[Check, ...]:
-        """The checks that do not hold."""
+        """The checks that failed."""
         return tuple(check for check in self.checks if not check.passed)
 
 
@@ -145,7 +145,7 @@ class FaultTable:
 
     @property
     def failures(self) -> tuple[Outcome, ...]:
-        """The runs that did not meet their requirement: the open points."""
+        """The runs that did not meet their requirement: the failed runs."""
         return tuple(outcome for outcome in self.outcomes if not outcome.passed)
 
     def rows(self) -> tuple[Row, ...]:
@@ -165,7 +165,7 @@ class FaultTable:
     def markdown(self) -> str:
         """Return the summary as a Markdown table, then what the campaign cannot show of a fault."""
         lines = [
-            "| fault | what | class | required | runs | open | worst |",
+            "| fault | what | class | required | runs | failed | worst |",
             "|---|---|---|---|---|---|---|",
         ]
         rows = self.rows()

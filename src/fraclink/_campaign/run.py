@@ -135,7 +135,7 @@ def _is_done(campaign: Campaign, place: Path, part: int) -> bool:
 
 
 def compute(folder: str, part: int) -> int:
-    """Compute one part of the campaign kept in `folder`; what a worker process is told, as plain values."""
+    """Compute one part of the campaign kept in `folder`; what a worker process receives, as plain values."""
     write_part(load_campaign(folder), Path(folder), part)
     return part
 

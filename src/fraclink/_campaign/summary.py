@@ -75,7 +75,7 @@ class MetricSummary:
 
 @dataclass(frozen=True)
 class Failure:
-    """How often the law does not hold: count, estimate, and the two-sided 95 % Clopper–Pearson interval."""
+    """How often the law fails: count, estimate, and the two-sided 95 % Clopper–Pearson interval."""
 
     count: int
     runs: int
@@ -87,7 +87,7 @@ class Failure:
     def sentence(self) -> str:
         """The claim in words, with the number of runs a stronger one needs."""
         share = f"{self.estimate:.3g} ({self.low:.3g} … {self.high:.3g})"
-        claim = f"{self.count} of {self.runs} runs do not hold: {share}"
+        claim = f"{self.count} of {self.runs} runs failed: {share}"
         if self.count:
             return claim
         more = f"ten times less needs {10 * self.runs} runs without one"
@@ -115,8 +115,8 @@ def summarise(campaign: Campaign, folder: Path | str) -> Summary:
     def column(name: str) -> NDArray[np.generic]:
         return np.concatenate([_column(campaign, place, part, name) for part in parts])
 
-    run, holds = column("run"), column("passed").astype(bool)
-    failed = run[~holds]
+    run, passed = column("run"), column("passed").astype(bool)
+    failed = run[~passed]
     drawn = {name: _ranks(column(name)) for name in PARAMETERS}
     metrics = tuple(_metric(name, np.asarray(column(name), dtype=float), run, drawn) for name in METRICS)
     return Summary(

@@ -62,7 +62,7 @@ def certify(
     Returns
     -------
     Certificate
-        with ``holds``, ``verdict``, and where it fails the payload, the frequency and what was found there.
+        with ``passed``, ``verdict``, and where it fails the payload, the frequency and what was found there.
 
     Raises
     ------

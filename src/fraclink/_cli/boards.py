@@ -39,7 +39,7 @@ export = group("Write the controller for C on a board, MATLAB, an FMU, or a boar
 app.add_typer(export, name="export")
 
 Motor = Annotated[bool, "With the motor loop, or for a robot with its own servo"]
-UnsafeRemote = Annotated[bool, "Allow another host: whoever can send there moves the arm"]
+UnsafeRemote = Annotated[bool, "Allow another host: any host that can send there moves the arm"]
 KeyFile = Annotated[Path | None, "File with a key of 16 bytes or more that both ends share (udp only)"]
 Address = typer.Option(metavar="ADDRESS")
 

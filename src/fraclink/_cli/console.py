@@ -2,7 +2,7 @@
 
 Results go to standard output, everything else to standard error, so that a pipe carries results only.
 Names that come from files are stripped of terminal escapes before they are printed: a log's column
-called ``\\x1b]0;...`` must not retitle, recolour or rewrite anybody's terminal.
+called ``\\x1b]0;...`` must not retitle, recolour or rewrite a terminal.
 """
 
 from __future__ import annotations

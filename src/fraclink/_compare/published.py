@@ -24,9 +24,9 @@ Ruled = tuple[str, Controller]
 
 def printed(setting: Setting) -> Ruled:
     """Return (58) with the numbers the paper prints."""
-    ours = setting.controller
+    own = setting.controller
     controller = Controller(
-        gain=0.148, order=0.65, filter_time=0.16, filter_order=2, link=ours.link, inner=ours.inner
+        gain=0.148, order=0.65, filter_time=0.16, filter_order=2, link=own.link, inner=own.inner
     )
     return "the paper's numbers: k_d 0.148, β 0.65, δ 0.16 s, n 2", controller
 

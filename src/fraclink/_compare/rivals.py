@@ -41,7 +41,7 @@ from fraclink._law import Drive, Law, Modes, discretize
 from fraclink._simulate.arm import damping_of
 from fraclink._simulate.plant import assemble
 
-__all__ = ["OFFSET", "OURS", "Rival", "builders", "collocated", "servo_law"]
+__all__ = ["FRACLINK", "OFFSET", "Rival", "builders", "collocated", "servo_law"]
 
 
 # Derivatives are filtered at 100 rad/s, above the motor servo (80) and below Nyquist (785).
@@ -50,7 +50,7 @@ ESTIMATION = 0.5  # [s] of the move for the algebraic estimator: half of it, one
 OFFSET = 0.05  # [N·m], the gauge offset of the offset test
 BEND = 0.1  # [rad] of bend whose acceleration the sliding mode may ask for: three times what OFFSET fakes
 UNBOUNDED = 1e6
-OURS = "fraclink"
+FRACLINK = "fraclink"
 
 
 @dataclass(frozen=True)
@@ -270,7 +270,7 @@ def builders(setting: Setting) -> dict[str, Builder]:
 
     request = "the request: gain crossover, phase margin, payloads"
     return {
-        OURS: lambda: _by_law(OURS, request, setting.controller, setting),
+        FRACLINK: lambda: _by_law(FRACLINK, request, setting.controller, setting),
         QUIETER: lambda: _by_law(QUIETER, *quieter(setting), setting),
         "collocated PD": lambda: collocated(setting, _bare(setting.law)),
         "ZV shaping": lambda: _shaping(setting, "ZV shaping", False),

@@ -63,27 +63,27 @@ def _hidden(result: Tournament) -> list[str]:
         )
         lines.append(
             f"- {s.name}: the linear loop on the twin is unstable, e-fold in {1.0 / s.growth:.2g} s; in "
-            f"these runs {bounded}. It is no design to ship, and no figure's winner."
+            f"these runs {bounded}. It is not a design to ship, and wins no figure."
         )
     return ["", "Unstable linear loop, although the runs passed:", "", *lines] if lines else []
 
 
 def sentences(result: Tournament) -> tuple[str, ...]:
     """Return a sentence for every figure: where fraclink is best, and where a rival is better."""
-    winners, ours = result.winners(), result.standings[0]
+    winners, first = result.winners(), result.standings[0]
     if not winners:
         return ("no figure has a winner: no design passes with a stable linear loop",)
     if len(result.standings) == 1:
-        return (f"{ours.name} ran alone: nothing to compare with",)
+        return (f"{first.name} ran alone: nothing to compare with",)
     made = []
     for name, winner in winners.items():
         words = name.replace("_", " ")
         best = min(float(getattr(s, name)) for s in result.standings if s.sound)
-        own = float(getattr(ours, name))
-        if ours.name in winner:
-            also = [w for w in winner if w != ours.name]
+        own = float(getattr(first, name))
+        if first.name in winner:
+            also = [w for w in winner if w != first.name]
             shared = f", with {', '.join(also)}" if also else ""
-            made.append(f"{words}: {ours.name} is best ({_figure(name, own)}){shared}")
+            made.append(f"{words}: {first.name} is best ({_figure(name, own)}){shared}")
         else:
             reached = f"{_figure(name, best)} against {_figure(name, own)}"
             made.append(f"{words}: better than fraclink: {', '.join(winner)} ({reached})")

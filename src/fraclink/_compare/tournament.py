@@ -19,7 +19,7 @@ from fraclink._arm.rig import Rig
 from fraclink._compare.case import NominalLoop, Setting, prepare
 from fraclink._compare.controllers import Seen, Shaped
 from fraclink._compare.filters import Filter, fine_step, law_filter, sampled
-from fraclink._compare.rivals import OFFSET, OURS, Rival, builders
+from fraclink._compare.rivals import FRACLINK, OFFSET, Rival, builders
 from fraclink._files import write_json
 from fraclink._law import Law
 from fraclink._simulate.arm import Twin
@@ -43,7 +43,7 @@ def _chosen(known: tuple[str, ...], names: Sequence[str] | None) -> list[str]:
         if not any(word in name.lower() for name in known):
             allowed, remedy = ", ".join(known), "give a part of one of these"
             raise FieldError("names", word, "part of no rival's name", allowed=allowed, remedy=remedy)
-    return [name for name in known if name == OURS or any(word in name.lower() for word in words)]
+    return [name for name in known if name == FRACLINK or any(word in name.lower() for word in words)]
 
 
 Real = NDArray[np.float64]
@@ -182,7 +182,7 @@ class Standing:
     not stay in its band for the last second. mode_gain: largest |L| around the twin's second mode. growth
     [1/s]: of the linear loop on the twin at the nominal payload, 0 where that is stable. peak: Ms on the
     lumped model at the nominal payload, infinite where that is unstable. states and multiplications: of
-    the outer controller, per tick. holds: neither unstable nor tripped at the nominal payload on the
+    the outer controller, per tick. passed: neither unstable nor tripped at the nominal payload on the
     twin; reason: the verdict's words.
     """
 
@@ -207,7 +207,7 @@ class Standing:
 
     @property
     def sound(self) -> bool:
-        """Whether it holds, and not only because friction or a limit hides that its linear loop grows."""
+        """Whether it passed, and not only because friction or a limit hides that its linear loop grows."""
         return self.passed and self.growth == 0.0
 
 
@@ -220,10 +220,10 @@ class Tournament:
     runs: dict[str, Run]
 
     def winners(self) -> dict[str, tuple[str, ...]]:
-        """Return who is best in every figure, among the sound: those that hold and whose linear loop does.
+        """Return who is best in every figure, among the sound: those that passed with a stable linear loop.
 
         Several names stand together where they differ by less than 2 %, or 0.1 mrad, or 10 ms. Empty where
-        nobody is sound.
+        no rival is sound.
         """
         result: dict[str, tuple[str, ...]] = {}
         able = [s for s in self.standings if s.sound]

@@ -111,7 +111,7 @@ def higher_modes(
 def _beam_modes(
     model: LinkModel, rig: Rig, payload: float, ratio: float | None
 ) -> list[tuple[int, float, Real, Real]]:
-    """(number, payload, ω, ln|Θ̂t/Θm|) of the beam's modes that nobody identified."""
+    """(number, payload, ω, ln|Θ̂t/Θm|) of the beam's modes that were not identified."""
     frequencies, sizes = _shape(Beam.from_rig(rig, payload=payload))
     found = []
     for i in range(1 if model.second_mode is None else 2, frequencies.size):

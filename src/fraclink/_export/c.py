@@ -47,7 +47,7 @@ def export_c(
     ----------
     law : Law
         From `Controller.discretize`;
-        equipped with a rig (`fraclink._law.equip`) it closes the motor loop too.
+        with the motor loop of a rig (`fraclink._law.equip`) it closes the motor loop too.
     folder : Path or str
         Made where it is missing; an existing one that is not empty needs `force`.
     precision : {"single", "double"}, optional

@@ -27,7 +27,7 @@ def descriptions(model: FmuModel) -> dict[str, str]:
         description=model.description,
         generationTool="fraclink",
     )
-    # the wrapper takes its few bytes from malloc: FMI 2 wants that told
+    # the wrapper takes its few bytes from malloc: FMI 2 wants that stated
     interface = model.interface("state") | {"canNotUseMemoryManagementFunctions": "true"}
     simulation = ET.SubElement(root, "CoSimulation", interface)
     ET.SubElement(ET.SubElement(simulation, "SourceFiles"), "File", name="all.c")

@@ -57,7 +57,7 @@ def export_fmu(
     ----------
     law : Law
         From `Controller.discretize`;
-        equipped with a rig (`fraclink._law.equip`) it closes the motor loop too.
+        with the motor loop of a rig (`fraclink._law.equip`) it closes the motor loop too.
     path : Path or str
         The file; its stem is the model's name and must be a C identifier. An existing one needs `force`.
     fmi : {2, 3}

@@ -12,7 +12,7 @@ A class becomes a document by one decorator; its type hints say how each field i
 A document is one JSON object: what it is ("fraclink"), the format's version, the tool's version, units, the
 period and the hashes of its sources where there are any, a SHA-256, and the content. The hash covers
 everything but the tool's version, arrays included, so that an edited gain is refused. In an NPZ file the same
-object is the header and the arrays are members that `numpy.load` opens for anybody.
+object is the header and the arrays are members that `numpy.load` opens.
 """
 
 from __future__ import annotations
@@ -103,7 +103,7 @@ _HOMES = {
 
 @dataclasses.dataclass(frozen=True)
 class _Document:
-    """What `document` was told about a class."""
+    """What `document` states about a class."""
 
     cls: type
     kind: str

@@ -178,7 +178,7 @@ def guarded(make: Callable[[], Any], path: str) -> Any:
         raise FileFormatError(
             field, error.value, error.problem, allowed=error.allowed, remedy=error.remedy
         ) from error
-    except Exception as error:  # a constructor that met values nobody foresaw may raise anything
+    except Exception as error:  # a constructor that meets unforeseen values may raise anything
         raise misfit(path, f"{type(error).__name__}: {error}", "damaged", "a file of fraclink") from error
 
 

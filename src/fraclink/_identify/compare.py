@@ -45,7 +45,7 @@ class Contest:
 
     @property
     def preferred(self) -> str | None:
-        """The better one, None where they cannot be told apart."""
+        """The better one, None where they cannot be distinguished."""
         if abs(self.advantage) < _DECISIVE:
             return None
         return self.second if self.advantage > 0 else self.first

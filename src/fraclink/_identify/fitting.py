@@ -236,7 +236,7 @@ def _figures(log: Experiment, residual: Vector, count: int, solution: Solution) 
 
 
 def _identified(fit: Fit, mode: tuple[SecondMode | None, float | None], stiffness: float | None) -> LinkModel:
-    """The link with all that the log showed of it, so that nobody behind has to be told again.
+    """The link with all that the log showed of it, so that no later step has to state it again.
 
     A torque log shows gauge gain times stiffness and nothing that tells them apart: the product is the
     stiffness that the controller meets. A deflection log shows the gauge gain itself. A reversed sign is a

@@ -134,7 +134,7 @@ def discretize(
     """Return the law that runs a design: the same coefficients are simulated and exported.
 
     Of a design it is the whole law, with the motor loop, the sensors' limits and the compensations of its
-    rig; of a controller alone it is Ĉ and the feed-forward, and the motor loop is whoever's drives the arm.
+    rig; of a controller alone it is Ĉ and the feed-forward, and the motor loop is that of the drive.
 
     Parameters
     ----------

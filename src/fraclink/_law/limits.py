@@ -94,7 +94,7 @@ def derive_limits(
 ) -> Limits:
     """Return the thresholds for moves up to `moves` at `period` [s].
 
-    `sticking` [rad]: how far friction may keep the motor behind its reference, infinite where nobody knows.
+    `sticking` [rad]: how far friction may keep the motor behind its reference, infinite where it is unknown.
     `kick`: Ĉ's gain at the highest frequency, the direct part of its filter. Largest torque of a move: c a
     |s^(λ-2)/(μ s^α + ω₀²)| at the resonance, doubled for payloads beyond the nominal one. Lag of the loop:
     2/p + 1.5 T. Reasons stand beside each number in the source.

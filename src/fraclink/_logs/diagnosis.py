@@ -199,7 +199,7 @@ def _delayed(experiment: Experiment, mode: Mode) -> Finding:
 # --- stiction: the motor stands still though it is driven ------------------------------------------------
 
 
-_WINDOW = 0.05  # s: over less, a slow motion cannot be told from a standstill by a coarse encoder
+_WINDOW = 0.05  # s: over less, a slow motion cannot be distinguished from a standstill by a coarse encoder
 _SHORTEST = 0.02  # s: a standstill shorter than that is a reversal
 _DRIVEN = 0.02  # of the largest voltage: less is an idle amplifier's offset
 
@@ -220,7 +220,7 @@ def _still(angle: NDArray[np.float64], window: int, reach: float) -> NDArray[np.
 def stiction(experiment: Experiment) -> Iterator[Finding]:
     """A motor that stands still under voltage, with the voltage that did not move it.
 
-    Without a voltage a standstill cannot be told from a motor that was asked to stand still.
+    Without a voltage a standstill cannot be distinguished from a reference that stands still.
     """
     if experiment.voltage is None:
         return

@@ -31,7 +31,7 @@ _FEWEST = 200  # samples: three parameters, an offset and a held-out part need m
 
 
 def bundled_logs() -> tuple[str, ...]:
-    """The names of the logs that come with the package; every one is simulated and says so.
+    """The names of the logs that come with the package; each is simulated and marked as such.
 
     >>> "prbs_30g" in bundled_logs()
     True
@@ -195,7 +195,7 @@ def _check_span(stamps: NDArray[np.float64], period: float) -> None:
         )
 
 
-# --- inspection: before anybody says what it means -------------------------------------------------------
+# --- inspection: before units and roles are known ---------------------------------------------------------
 
 
 _DISTINCT_LIMIT = 100_000  # samples looked at for the step of the converter

@@ -18,7 +18,7 @@ from fraclink.findings import Finding
 _SILENT = 0.01  # of a period: stamps printed with a few digits
 _TOLERATED = 0.25  # of a period: jitter that moves no parameter, see the figures above
 _GAP = 1.5  # periods between stamps: a sample is missing
-_SLOWEST = 1.0  # s: nobody samples a vibrating arm that slowly; milliseconds called seconds
+_SLOWEST = 1.0  # s: no vibrating arm is sampled that slowly; milliseconds called seconds
 
 
 @dataclass(frozen=True)

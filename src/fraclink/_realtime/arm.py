@@ -1,4 +1,4 @@
-"""The twin in real time at the other end: an arm for whoever has none at hand."""
+"""The twin in real time at the other end: an arm where there is no real one."""
 
 from __future__ import annotations
 

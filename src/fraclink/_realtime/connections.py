@@ -244,7 +244,7 @@ def _datagrams(connection: Udp) -> Iterator[tuple[socket.socket, Any]]:
     # The address and not the name: a name may lead anywhere.
     loopback = ipaddress.ip_address(str(address[0]).partition("%")[0]).is_loopback
     if not loopback and not connection.unsafe_remote:
-        without = "not this machine: commands carry no password, so whoever can send there moves the arm"
+        without = "not this machine: commands carry no password: any host that can send there moves the arm"
         problem = (
             "not this machine: what is sent can be read and held up"
             if connection.key is not None
@@ -282,7 +282,7 @@ def _served(file: int) -> bool:
 def _open_shared(connection: SharedMemory, flags: int) -> int | None:
     """Open the file behind shared memory; None where there is none."""
     try:
-        # Private: whoever may write here moves the arm. A link would lead to a file of somebody else's.
+        # Private: any process that may write here moves the arm. A link would lead to a file of another user.
         flags |= os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC
         return os.open(_SHARED / f"fraclink-{connection.name}", flags, 0o600)
     except FileNotFoundError:

@@ -20,7 +20,7 @@ Bits = NDArray[np.uint32]
 
 BAND = 0.02  # of the move: the usual band of the settling time
 REST_BAND = 2e-3  # [rad]: what "settled" means where there is no move to take 2 % of
-# A growing vibration is told from one that noise drives by how straight its envelope is in a logarithmic
+# A growing vibration differs from one that noise drives by how straight its envelope is in a logarithmic
 # plot: slope over standard error. Student's t would be enough for independent windows; those of a lightly
 # damped loop are not, hence the floor: with it none of 5000 good arms with the paper's noise grows, nor one
 # of 500 resonances that noise rings. The printed controller (58) reaches 20 to 160 in 4 s, where 18 is asked.
@@ -52,7 +52,7 @@ class Metrics:
         part of the periods with the voltage at its limit [1].
     growth
         rate at which the vibration's envelope grows [1/s]; negative where it decays, 0 where it cannot be
-        told from what noise does.
+        distinguished from what noise does.
     """
 
     overshoot: float

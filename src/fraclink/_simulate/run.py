@@ -73,7 +73,7 @@ def _upgraded(old: dict[str, Any], about: dict[str, Any], payload: float) -> dic
 class Run:
     """A run of the closed loop, one value per control period, each at the period's beginning; shape (N,).
 
-    A signal that this arm does not have is NaN: nobody measures the tip of a real arm.
+    A signal that this arm does not have is NaN: the tip of a real arm is not measured.
 
     Parameters
     ----------

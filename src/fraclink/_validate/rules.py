@@ -297,7 +297,7 @@ def _check_entries(array: NDArray[Any], good: Any, problem: str, expected: str, 
 
 
 def _owned(array: NDArray[Any]) -> NDArray[Any]:
-    """The array itself where nobody can write to it, a read-only copy otherwise."""
+    """The array itself where it is read-only, a read-only copy otherwise."""
     if array.flags.writeable or array.base is not None or not array.flags.c_contiguous:
         array = np.array(array, order="C")
         array.flags.writeable = False

@@ -22,7 +22,7 @@ _CROSSOVER_RATIO = 1.15
 # 50° where it is feasible; an arm with a slow control period cannot have them.
 _MARGINS_DEG = (50.0, 45.0, 40.0, 35.0, 30.0)
 
-# A loop gain of 0.7 at a mode that nobody asked about leaves 3 dB before its phase matters.
+# A loop gain of 0.7 at a mode that was not in the request leaves 3 dB before its phase matters.
 _MODE_GAIN = 0.7
 
 

@@ -145,12 +145,12 @@ def _moved(made: Design) -> tuple[float, ...]:
 
 
 def _with_payload(model: LinkModel, rig: Rig) -> tuple[LinkModel, tuple[str, ...]]:
-    """The model with the payload it holds for: ω₀ can be carried to other payloads from there only."""
+    """The model with the payload of its log: ω₀ can be carried to other payloads from there only."""
     if model.payload is not None:
         return model, ()
     nominal = rig.payloads.nominal
     return replace(model, payload=nominal), (
-        f"the log was made with the nominal payload, {1e3 * nominal:g} g, as nobody stated it",
+        f"the log was made with the nominal payload, {1e3 * nominal:g} g, as none was stated",
     )
 
 

@@ -93,7 +93,7 @@ class Study:
     rig, experiment, findings (of their examination); comparison of the structures; the fit that the design
     used; design, law and certificate; stopped and uncertified: why there is none of them; runs: simulated
     moves, one for each payload; arms: the summary of many arms that differ; faults: a fault campaign;
-    assumptions: sentences on everything that nobody stated.
+    assumptions: sentences on everything that was not stated.
 
     >>> Study().verdict.state
     'not run'
