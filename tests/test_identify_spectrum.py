@@ -109,7 +109,46 @@ def test_daisy_arm_has_one_common_order() -> None:
     )
     assert fit.order == pytest.approx(1.994, abs=0.002)
     assert fit.fit >= 97.3
+    assert fit.passed
     assert np.array(fit.resonances) / (2 * np.pi) == pytest.approx([0.058, 0.127], abs=1e-3)
+
+
+CLEAN = LINK.torque()(1j * FREQUENCY)
+WHITE = noisy(0) / (CLEAN * np.exp(-1j * FREQUENCY * 0.01)) - 1  # 2 %
+LOW = FREQUENCY < 5
+BAD = {
+    "noise alone": (FREQUENCY, 50 * WHITE, "W341"),
+    "the phase with the other sign": (FREQUENCY, np.conj(CLEAN), "W341"),
+    "the gain in dB": (FREQUENCY, 20 * np.log10(np.abs(CLEAN)) * np.exp(1j * np.angle(CLEAN)), "W341"),
+    "the phase in degrees": (FREQUENCY, np.abs(CLEAN) * np.exp(1j * np.degrees(np.angle(CLEAN))), "W341"),
+    "no phase at all": (FREQUENCY, np.abs(CLEAN) + 0j, "W341"),
+    "a band below the resonance": (FREQUENCY[LOW], noisy(0)[LOW], "W342"),
+    "no mode": (FREQUENCY, 1 + 5 * WHITE, "W342"),
+    "the other sign": (FREQUENCY, -CLEAN, "W346"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_a_response_without_this_mode_fails_a_gate(name: str) -> None:
+    frequency, response, code = BAD[name]
+    fit = identify_frequency_response(frequency, response)
+    assert not fit.passed
+    finding = next(finding for finding in fit.findings if finding.code == code)
+    assert finding.remedy
+    assert finding.evidence
+
+
+def test_an_angle_of_the_motor_is_no_tip_response() -> None:
+    """A motor with an anti-resonance at 26 and a peak at 29 rad/s: low frequencies win the fit."""
+    s = 1j * FREQUENCY
+    link = (s**2 + 0.52 * s + 26**2) / (s**2 + 1.16 * s + 29**2)
+    fit = identify_frequency_response(FREQUENCY, 3000 * link / (s * (s + 15)), anti_resonances=1)
+    assert "W342" in {finding.code for finding in fit.findings if finding.severity == "error"}
+
+
+def test_good_responses_pass() -> None:
+    assert identify_frequency_response(FREQUENCY, CLEAN).passed
+    assert all(identify_frequency_response(FREQUENCY, noisy(seed)).passed for seed in range(6))
 
 
 @pytest.mark.parametrize(

@@ -37,7 +37,9 @@ from fraclink._validate import Between, Payload
 from fraclink.errors import FieldError, LogError
 from fraclink.findings import Finding
 
-StructureName = Annotated[str, "UD-IOM, D-IOM, UD-FOM or D-FOM"]
+StructureName = Annotated[
+    str | None, "UD-IOM, D-IOM, UD-FOM or D-FOM; the one that the log supports where it is left out"
+]
 
 app = group()
 
@@ -79,7 +81,7 @@ def identify(
     log: LogName,
     rig: RigName,
     out: Annotated[Path, "File to write the model to", Writes()] = Path("model.json"),
-    structure: StructureName = "UD-FOM",
+    structure: StructureName = None,
     **reading: Unpack[LogOptions],
 ) -> Answer:
     """Fit a link model to a log, with gain, offset and gauge delay as free parameters.
@@ -92,7 +94,7 @@ def identify(
         experiment = load_log(log, known, **reading)
         begin("examining the log")
         doubts = _errors(experiment, known)
-        begin(f"fitting {structure}")
+        begin(f"fitting {structure or 'every structure'}")
         fit = identification.identify(experiment, structure, stiffness=_known_stiffness(experiment, known))
     fit.save(out)
     errors = [finding for finding in fit.findings if finding.severity == "error"]
@@ -120,7 +122,7 @@ def identify_all(log: LogName, rig: RigName, **reading: Unpack[LogOptions]) -> A
 def identify_payloads(
     logs: Annotated[list[str], typer.Argument(metavar="LOG"), "Two or more logs, each of another payload"],
     rig: RigName,
-    structure: StructureName = "UD-FOM",
+    structure: StructureName = None,
     payload: Annotated[
         list[float] | None, typer.Option(metavar="KG"), "Payload of each log [kg], in their order"
     ] = None,
@@ -159,15 +161,14 @@ def identify_motor(
         remedy = 'name it in the rig file\'s [log], or by --column "voltage=NAME [V]"'
         raise LogError("log", log, "without the amplifier's voltage", allowed=allowed, remedy=remedy)
     torque = experiment.output if experiment.output_kind == "torque" else None
-    return Answer(
-        identification.identify_motor(
-            experiment.voltage,
-            experiment.motor_angle,
-            period=experiment.period,
-            torque=torque,
-            inertia=None if torque is not None else known.motor.inertia,
-        )
+    fit = identification.identify_motor(
+        experiment.voltage,
+        experiment.motor_angle,
+        period=experiment.period,
+        torque=torque,
+        inertia=None if torque is not None else known.motor.inertia,
     )
+    return Answer(fit, fit.passed)
 
 
 @command(app)
@@ -196,7 +197,7 @@ def identify_spectrum(
         resonances=resonances,
         anti_resonances=anti_resonances,
     )
-    return Answer(fit, values={"outliers": [float(frequency[k]) for k in fit.outliers]})
+    return Answer(fit, fit.passed, values={"outliers": [float(frequency[k]) for k in fit.outliers]})
 
 
 def _one_of(columns: Mapping[str, NDArray[np.float64]], scales: Mapping[str, float]) -> NDArray[np.float64]:

@@ -15,12 +15,12 @@ from fraclink._identify.fit import (
     save_model,
 )
 from fraclink._identify.fitting import simulated_torque
+from fraclink._identify.modal import SpectrumFit
 from fraclink._identify.motor import MotorFit, identify_motor
 from fraclink._identify.payloads import JointFit, LikelihoodRatio, identify_payloads
 from fraclink._identify.profile import Interval
 from fraclink._identify.spectrum import (
     FrequencyResponse,
-    SpectrumFit,
     frequency_response,
     identify_frequency_response,
 )

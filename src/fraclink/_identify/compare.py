@@ -11,7 +11,7 @@ from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import FRACTIONAL, STRUCTURES, VISCOUS, LinkModel
 from fraclink._arm.link import structure as structure_row
 from fraclink._display import displayed
-from fraclink._identify.covariance import structure_criteria, uncertainty
+from fraclink._identify.covariance import Uncertainty, structure_criteria, uncertainty
 from fraclink._identify.fit import Fit, _parameters, _share, coincidence_text
 from fraclink._identify.fitting import HeldOut, Stiffness, fit_from, make_search
 from fraclink._identify.search import Search, special_cases
@@ -177,10 +177,8 @@ def identify(
     if len(names) < len(STRUCTURES):
         fits = [fit_from(search, name, log, stiffness=stiffness, details=details) for name in names]
         return min(fits, key=lambda fit: fit.aic)
-    search.reconcile()
-    errors = {name: uncertainty(search, search.solve(name), coloured=True) for name in STRUCTURES}
-    criteria = structure_criteria(search, errors)
-    preferred = _preferred(criteria)
+    criteria, errors = criteria_of(search)
+    preferred = preferred_structure(criteria)
     undecided = _undecided(search, criteria, preferred)
     best = fit_from(search, preferred, log, stiffness=stiffness, details=details, errors=errors[preferred])
     if not undecided:
@@ -238,8 +236,7 @@ def identify_all(
     'UD-FOM'
     """
     search = make_search(log, heldout=heldout, stiffness=stiffness, fixed=fixed, guess=None, hold=hold)
-    search.reconcile()
-    errors = {name: uncertainty(search, search.solve(name), coloured=True) for name in STRUCTURES}
+    criteria, errors = criteria_of(search)
     fits = {
         name: fit_from(search, name, log, stiffness=stiffness, details=details, errors=errors[name])
         for name in STRUCTURES
@@ -252,8 +249,7 @@ def identify_all(
             name: fit_from(other, name, log, stiffness=stiffness, details=False)
             for name in (VISCOUS, FRACTIONAL)
         }
-    criteria = structure_criteria(search, errors)
-    preferred = _preferred(criteria)
+    preferred = preferred_structure(criteria)
     undecided = _undecided(search, criteria, preferred)
     contest = Contest(FRACTIONAL, VISCOUS, _gap(criteria, FRACTIONAL, VISCOUS))
     verdict = _verdict(fits, still, preferred, undecided, criteria)
@@ -266,6 +262,13 @@ def _gap(criteria: Criteria, name: str, other: str) -> float:
     return max(min(gaps), 0.0) + min(max(gaps), 0.0)
 
 
+def criteria_of(search: Search) -> tuple[Criteria, Mapping[str, Uncertainty]]:
+    """Both criteria of every structure, and the uncertainties that they rest on."""
+    search.reconcile()
+    errors = {name: uncertainty(search, search.solve(name), coloured=True) for name in STRUCTURES}
+    return structure_criteria(search, errors), errors
+
+
 def _near(criteria: Criteria) -> list[str]:
     """Structures that at least one criterion does not set decisively behind the best."""
     lowest = [min(column) for column in zip(*criteria.values(), strict=True)]
@@ -276,7 +279,8 @@ def _near(criteria: Criteria) -> list[str]:
     ]
 
 
-def _preferred(criteria: Criteria) -> str:
+def preferred_structure(criteria: Criteria) -> str:
+    """The structure with the fewest parameters of those that are not decisively behind."""
     return min(_near(criteria), key=lambda name: (len(structure_row(name).free), criteria[name]))
 
 

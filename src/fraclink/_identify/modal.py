@@ -1,10 +1,4 @@
-"""A modal model with one common λ: its starting points, its least-squares problem, its result.
-
-A start comes from peaks and dips, and from Levy's linear equations in x = s^λ. With H D(x) = N(x) linear in
-the coefficients of D and N, no guess is needed; the roots of D and N in x are −p^λ and −z^λ where the
-response is what the model says. Where a response has more modes than the model, Levy's roots pair up
-beside a strong one; its most prominent peaks and dips do not.
-"""
+"""A modal model with one common λ: its result, its least-squares problem, the points to start from."""
 
 from __future__ import annotations
 
@@ -18,14 +12,18 @@ from scipy.optimize import least_squares
 
 from fraclink._arm.link import LinkModel
 from fraclink.errors import FieldError, NotConvergedError
+from fraclink.findings import Finding
 
 Reals = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
+Bits = NDArray[np.bool_]
 
-_ORDERS = (1.98, 1.9, 1.75)
+LONGEST = 20.0  # delay in radians at the highest frequency: beyond, lines are too far apart to unwrap it
+_ORDERS = (1.98, 1.9, 1.75)  # λ to start from: stiff links lie close to 2, and the fit creeps over ± 0.1
 _DELAYS = (0.0, 0.3, 1.0)  # in radians at the highest frequency
-_ROUNDS = 6
-_SPARE = 2  # peaks and dips more than there are modes
+_LEVY_ROUNDS = 6
+_SPARE = 2  # peaks and dips more than there are modes: noise may stand out like a mode
+_BEYOND = 1.5  # a resonance is sought up to e^1.5 beyond the lines, so that a gate can say that it is there
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +50,8 @@ class SpectrumFit:
         whether λ ended on 1 or 2.
     predicted
         Ĥ at all lines.
+    findings
+        codes W34x; one of severity "error" means that the modes are not those of the response.
     """
 
     order: float
@@ -65,6 +65,12 @@ class SpectrumFit:
     outliers: tuple[int, ...]
     at_bound: bool
     predicted: Complexes = field(repr=False)
+    findings: tuple[Finding, ...] = ()
+
+    @property
+    def passed(self) -> bool:
+        """Whether the response shows these modes: no finding of severity "error"."""
+        return not any(finding.severity == "error" for finding in self.findings)
 
     def response(self, frequency: ArrayLike) -> Complexes:
         """Ĥ(jω) at `frequency` [rad/s]."""
@@ -88,7 +94,10 @@ class SpectrumFit:
 
 @dataclass(frozen=True, eq=False)
 class ModalProblem:
-    """Lines of a response with their weights, and how many modes are to be found in them."""
+    """Lines of a response with their weights, and how many modes are to be found in them.
+
+    A full vector is (λ, τ, ln p…, ln z…); a free one leaves out what is known of λ and τ.
+    """
 
     frequency: Reals
     response: Complexes
@@ -99,38 +108,45 @@ class ModalProblem:
     order: float | None
     delay: float | None
 
+    @property
+    def moving(self) -> Bits:
+        """Which entries of a full vector are free."""
+        places = self.resonances + self.anti_resonances
+        return np.array([self.order is None, self.delay is None, *[True] * places])
+
     def full(self, free: Reals) -> Reals:
-        """All parameters from the free ones: λ, τ, ln p, ln z."""
-        values = list(free)
-        order = self.order if self.order is not None else values.pop(0)
-        delay = self.delay if self.delay is not None else values.pop(0)
-        return np.array([order, delay, *values])
+        """All parameters from the free ones."""
+        moving = self.moving
+        result = np.zeros(moving.size)
+        result[:2] = self.order or 0.0, self.delay or 0.0
+        result[moving] = free
+        return result
 
-    def predicted(self, free: Reals, kept: NDArray[np.bool_]) -> Complexes:
-        basis = _basis(self.full(free), self.frequency, self.resonances, self.derivative)
-        return self._gain(basis, kept) * basis
-
-    def _gain(self, basis: Complexes, kept: NDArray[np.bool_]) -> float:
+    def fitted(self, full: Reals, kept: Bits) -> tuple[float, Complexes]:
+        """The best gain for the lines that are kept, and Ĥ at all of them."""
+        basis = _basis(full, self.frequency, self.resonances, self.derivative)
         a, b = (self.weight * basis)[kept], (self.weight * self.response)[kept]
-        return float(np.real(np.vdot(a, b)) / np.real(np.vdot(a, a)))
+        gain = float(np.real(np.vdot(a, b)) / np.real(np.vdot(a, a)))
+        return gain, gain * basis
 
-    def errors(self, free: Reals, kept: NDArray[np.bool_]) -> Reals:
-        error = (self.weight * (self.response - self.predicted(free, kept)))[kept]
+    def errors(self, full: Reals, kept: Bits) -> Reals:
+        """Weighted errors of the kept lines, real parts first."""
+        error = (self.weight * (self.response - self.fitted(full, kept)[1]))[kept]
         return np.concatenate([error.real, error.imag])
 
-    def solve(self, kept: NDArray[np.bool_], start: Reals | None, *, loss: str) -> Reals:
+    def solve(self, kept: Bits, start: Reals | None, *, loss: str) -> Reals:
+        """The best free vector, from `start` or from points that need no guess."""
         scale = float(np.median(np.abs((self.weight * self.response)[kept])))
-        starts = [start] if start is not None else self._starts(kept)
+        starts = [start] if start is not None else [x[self.moving] for x in _starting_points(self, kept)]
         low, high = self._limits()
         best, least = None, math.inf
         for point in starts:
-            inside = np.clip(point, low + 1e-9, high - 1e-9)
             found = least_squares(
-                lambda x: self.errors(x, kept) / scale,
-                inside,
+                lambda x: self.errors(self.full(x), kept) / scale,
+                np.clip(point, low + 1e-9, high - 1e-9),
                 bounds=(low, high),
                 loss=loss,
-                f_scale=0.05,
+                f_scale=0.05,  # of the median line: what errs more than 5 % of it is doubted
                 x_scale="jac",
                 xtol=1e-12,
                 ftol=1e-12,
@@ -140,78 +156,55 @@ class ModalProblem:
             if found.cost < least:
                 best, least = np.asarray(found.x, dtype=np.float64), float(found.cost)
         if best is None:
-            raise NotConvergedError(
-                "the frequency fit", reached=math.inf, wanted=0.0, remedy="fit fewer modes or a narrower band"
-            )
+            remedy = "fit fewer modes or a narrower band"
+            raise NotConvergedError("the frequency fit", reached=math.inf, wanted=0.0, remedy=remedy)
         return best
 
     def _limits(self) -> tuple[Reals, Reals]:
-        low_w, high_w = math.log(self.frequency.min()) - 1.5, math.log(self.frequency.max()) + 1.5
-        most = 20 / self.frequency.max()
-        count = self.resonances + self.anti_resonances
-        low = ([] if self.order is not None else [1.0]) + ([] if self.delay is not None else [-most])
-        high = ([] if self.order is not None else [2.0]) + ([] if self.delay is not None else [most])
-        return np.array(low + [low_w] * count), np.array(high + [high_w] * count)
+        low, high = math.log(self.frequency.min()) - _BEYOND, math.log(self.frequency.max()) + _BEYOND
+        longest = LONGEST / self.frequency.max()
+        places = self.resonances + self.anti_resonances
+        ends = np.array([[1.0, -longest, *[low] * places], [2.0, longest, *[high] * places]])
+        return ends[0, self.moving], ends[1, self.moving]
 
-    def _starts(self, kept: NDArray[np.bool_]) -> list[Reals]:
-        places = starting_points(
-            self.frequency[kept],
-            self.response[kept],
-            self.weight[kept],
-            self.resonances,
-            self.anti_resonances,
-            self.derivative,
-            order=self.order,
-            delay=self.delay,
-        )
-        head = (0 if self.order is None else 1), (0 if self.delay is None else 1)
-        return [np.delete(x, [i for i in (0, 1) if head[i]]) for x in places]
-
-    def result(self, free: Reals, kept: NDArray[np.bool_]) -> SpectrumFit:
+    def result(self, free: Reals, kept: Bits) -> SpectrumFit:
+        """The fit with its errors."""
         full = self.full(free)
-        basis = _basis(full, self.frequency, self.resonances, self.derivative)
-        gain = self._gain(basis, kept)
-        p, z = np.exp(full[2 : 2 + self.resonances]), np.exp(full[2 + self.resonances :])
-        error = (self.weight * (self.response - gain * basis))[kept]
+        gain, predicted = self.fitted(full, kept)
+        places = np.exp(full[2:])
         whole = (self.weight * self.response)[kept]
         return SpectrumFit(
             order=float(full[0]),
-            resonances=tuple(np.sort(p).tolist()),
-            anti_resonances=tuple(np.sort(z).tolist()),
+            resonances=tuple(np.sort(places[: self.resonances]).tolist()),
+            anti_resonances=tuple(np.sort(places[self.resonances :]).tolist()),
             gain=gain,
             delay=float(full[1]),
             derivative=self.derivative,
             standard_errors=self._standard_errors(free, kept),
-            fit=100 * (1 - float(np.linalg.norm(error) / np.linalg.norm(whole))),
+            fit=100 * (1 - float(np.linalg.norm(self.errors(full, kept)) / np.linalg.norm(whole))),
             outliers=tuple(np.flatnonzero(~kept).tolist()),
             at_bound=self.order is None and not 1 + 1e-6 < full[0] < 2 - 1e-6,
-            predicted=gain * basis,
+            predicted=predicted,
         )
 
-    def _standard_errors(self, free: Reals, kept: NDArray[np.bool_]) -> dict[str, float]:
+    def _standard_errors(self, free: Reals, kept: Bits) -> dict[str, float]:
         """White's sandwich: lines near a resonance err more than others, and in their own way."""
-        steps = 1e-6
-        columns = [
-            (self.errors(free + steps * unit, kept) - self.errors(free - steps * unit, kept)) / (2 * steps)
-            for unit in np.eye(free.size)
-        ]
-        jacobian, error = np.array(columns).T, self.errors(free, kept)
+        full, step = self.full(free), 1e-6
+        units = step * np.eye(full.size)[self.moving]
+        ends = [(self.errors(full + unit, kept), self.errors(full - unit, kept)) for unit in units]
+        jacobian, error = np.array([(b - a) / (2 * step) for b, a in ends]).T, self.errors(full, kept)
         inverse = np.linalg.pinv(jacobian.T @ jacobian)
         meat = (jacobian * error[:, None]).T @ (jacobian * error[:, None])
-        spread = np.sqrt(np.maximum(np.diag(inverse @ meat @ inverse), 0))
-        names = ([] if self.order is not None else ["order"]) + ([] if self.delay is not None else ["delay"])
-        full = self.full(free)
-        result = dict(zip(names, spread[: len(names)].tolist(), strict=True))
-        for kind, first, count in (
-            ("resonance", 0, self.resonances),
-            ("anti-resonance", self.resonances, self.anti_resonances),
+        spread = np.zeros(full.size)
+        spread[self.moving] = np.sqrt(np.maximum(np.diag(inverse @ meat @ inverse), 0))
+        result = {name: float(spread[i]) for i, name in enumerate(("order", "delay")) if self.moving[i]}
+        places, own = np.exp(full[2:]), spread[2:] * np.exp(full[2:])
+        for kind, rows in (
+            ("resonance", slice(0, self.resonances)),
+            ("anti-resonance", slice(self.resonances, None)),
         ):
-            logs, own = (
-                full[2 + first : 2 + first + count],
-                spread[len(names) + first : len(names) + first + count],
-            )
-            for rank, i in enumerate(np.argsort(logs)):
-                result[f"{kind} {rank + 1}"] = float(own[i] * math.exp(logs[i]))
+            ascending = np.argsort(places[rows])
+            result |= {f"{kind} {rank + 1}": float(own[rows][i]) for rank, i in enumerate(ascending)}
         return result
 
 
@@ -231,37 +224,33 @@ def _basis(full: Reals, frequency: Reals, resonances: int, derivative: int) -> C
 # --- starting points ---------------------------------------------------------------------------------------
 
 
-def starting_points(
-    frequency: Reals,
-    response: Complexes,
-    weight: Reals,
-    resonances: int,
-    anti_resonances: int,
-    derivative: int,
-    *,
-    order: float | None,
-    delay: float | None,
-) -> list[Reals]:
-    """Vectors (λ, τ, ln p…, ln z…) to start from, the best of a small grid in λ and τ first."""
-    found = []
+def _starting_points(problem: ModalProblem, kept: Bits) -> list[Reals]:
+    """Full vectors to start from, the best of a small grid in λ and τ first.
+
+    Levy's equations, H D(x) = N(x) in x = s^λ, are linear in the coefficients of D and N, and the roots
+    in x are −p^λ and −z^λ where the response is what the model says. Where it has more modes than the model,
+    Levy's roots pair up beside a strong one; its most prominent peaks and dips do not.
+    """
+    frequency, response, weight = problem.frequency[kept], problem.response[kept], problem.weight[kept]
     scale = float(np.exp(np.mean(np.log(frequency))))
-    delays = [d / frequency.max() for d in _DELAYS] if delay is None else [delay]
-    for lam in _ORDERS if order is None else (order,):
+    orders = _ORDERS if problem.order is None else (problem.order,)
+    delays = [d / frequency.max() for d in _DELAYS] if problem.delay is None else [problem.delay]
+    found = []
+    for lam in orders:
         x = np.asarray((1j * frequency / scale) ** lam, dtype=np.complex128)
         for tau in delays:
-            moved = np.asarray(response * np.exp(1j * frequency * tau) / x**derivative, dtype=np.complex128)
-            top, bottom, error = _levy(x, moved, weight, anti_resonances, resonances)
+            moved = response * np.exp(1j * frequency * tau) / x**problem.derivative
+            top, bottom, error = _levy(x, moved, weight, problem.anti_resonances, problem.resonances)
             places = [_places(c, lam, scale) for c in (bottom, top)]
             found.append((error, np.array([lam, tau, *places[0], *places[1]])))
-    found.sort(key=lambda pair: pair[0])
-    by_eye = []
-    for lam in _ORDERS[:2] if order is None else (order,):
-        x = np.asarray((1j * frequency) ** lam, dtype=np.complex128)
-        for spots in _seen(frequency, response, resonances, anti_resonances):
-            error = _misfit(x, response, weight, np.exp(lam * np.array(spots)), resonances, derivative)
-            by_eye.append((error, np.array([lam, delays[0], *spots])))
-    by_eye.sort(key=lambda pair: pair[0])
-    return [point for _, point in found[:2] + by_eye[:3]]
+    seen = [
+        np.array([lam, delays[0], *spots])
+        for lam in orders[:2]
+        for spots in _seen(frequency, response, problem.resonances, problem.anti_resonances)
+    ]
+    by_eye = [(float(np.linalg.norm(problem.errors(full, kept))), full) for full in seen]
+    best = sorted(found, key=lambda pair: pair[0])[:2] + sorted(by_eye, key=lambda pair: pair[0])[:3]
+    return [full for _, full in best]
 
 
 def _seen(frequency: Reals, response: Complexes, peaks: int, dips: int) -> list[tuple[float, ...]]:
@@ -275,19 +264,6 @@ def _seen(frequency: Reals, response: Complexes, peaks: int, dips: int) -> list[
         for up in combinations(ups, peaks)
         for down in combinations(downs, dips)
     ]
-
-
-def _misfit(
-    x: Complexes, response: Complexes, weight: Reals, powers: Reals, resonances: int, derivative: int
-) -> float:
-    basis = x**derivative
-    for power in powers[resonances:]:
-        basis = basis * (x + power)
-    for power in powers[:resonances]:
-        basis = basis / (x + power)
-    a, b = weight * basis, weight * response
-    gain = np.real(np.vdot(a, b)) / np.real(np.vdot(a, a))
-    return float(np.linalg.norm(b - gain * a))
 
 
 def _prominent(level: Reals, count: int) -> list[int]:
@@ -310,7 +286,7 @@ def _levy(
     """Coefficients (highest first) of N and D with D monic, and the weighted error of their ratio."""
     divisor: Complexes = np.ones(x.size, dtype=np.complex128)
     top, bottom, error = np.ones(zeros + 1), np.ones(poles + 1), np.inf
-    for _ in range(_ROUNDS):
+    for _ in range(_LEVY_ROUNDS):
         row = (weight / np.abs(divisor))[:, None]
         matrix = row * np.column_stack(
             [x**k for k in range(zeros, -1, -1)] + [-response * x**k for k in range(poles - 1, -1, -1)]

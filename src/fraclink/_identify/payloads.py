@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 from scipy.special import gammaincc
 
 from fraclink._arm.experiment import Experiment
-from fraclink._arm.link import FRACTIONAL, LinkModel
+from fraclink._arm.link import STRUCTURES, LinkModel
 from fraclink._arm.link import structure as structure_row
+from fraclink._identify.compare import criteria_of, preferred_structure
 from fraclink._identify.covariance import aic
 from fraclink._identify.fitting import Stiffness, make_search
 from fraclink._identify.joint import Coordinates, JointProblem, start_of, weight_of
-from fraclink._identify.search import Solution
+from fraclink._identify.search import Search, Solution
 from fraclink._identify.shape import Hold, Vector, columns_of, model_of
 from fraclink._validate import Between, checked, checked_choice
 from fraclink.errors import LogError
@@ -104,7 +105,7 @@ class JointFit:
 @checked
 def identify_payloads(
     logs: Sequence[Experiment],
-    structure: str = FRACTIONAL,
+    structure: str | None = None,
     *,
     common: Sequence[str] | None = None,
     tied: bool = False,
@@ -122,7 +123,7 @@ def identify_payloads(
     logs
         two or more experiments, each at another payload; sampling periods may differ.
     structure
-        a key of the table of structures.
+        a key of the table of structures; without it, the one that all logs together support.
     common
         of "order", "damping", "damping_order", "delay"; all of the structure's own by default.
     tied
@@ -163,18 +164,21 @@ def identify_payloads(
     >>> round(fit.models[0].order, 6), round(fit.stiffness_over_square, 5), fit.test.common
     (1.92, 3.0, True)
     """
-    own = tuple(name for name in structure_row(structure).free if name != "natural_frequency")
-    remedy = f"{structure} has these"
-    names = (
-        own
-        if common is None
-        else tuple(checked_choice("common", name, (*own, "delay"), remedy=remedy) for name in common)
-    )
     _check(logs, tied)
     fixed = {} if delay is None else {"delay": delay}
     searches = [
         make_search(log, heldout=0.0, stiffness=stiffness, fixed=fixed, guess=None, hold=hold) for log in logs
     ]
+    structure = _supported(searches) if structure is None else structure
+    own = tuple(name for name in structure_row(structure).free if name != "natural_frequency")
+    names = (
+        own
+        if common is None
+        else tuple(
+            checked_choice("common", name, (*own, "delay"), remedy=f"{structure} has these")
+            for name in common
+        )
+    )
     alone = [search.solve(structure) for search in searches]
     weights = [weight_of(search, solution) for search, solution in zip(searches, alone, strict=True)]
     payloads = tuple(float(log.payload or 0.0) for log in logs) if tied else None
@@ -184,6 +188,13 @@ def identify_payloads(
     joint = JointProblem(coordinates, searches, weights)
     theta, normal = joint.minimise(start_of(coordinates, alone))
     return _result(logs, structure, names, joint, alone, theta, normal, length)
+
+
+def _supported(searches: Sequence[Search]) -> str:
+    """The structure that all logs together support: their log-likelihoods add up, and so do the criteria."""
+    found = [criteria_of(search)[0] for search in searches]
+    total = {name: tuple(sum(log[name][i] for log in found) for i in (0, 1)) for name in STRUCTURES}
+    return preferred_structure({name: (first, second) for name, (first, second) in total.items()})
 
 
 def _check(logs: Sequence[Experiment], tied: bool) -> None:

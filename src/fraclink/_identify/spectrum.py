@@ -8,24 +8,25 @@ are); p_i = ω₀_i^(2/λ). d = 1 without anti-resonances is the torque of a lin
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._identify.modal import ModalProblem as ModalProblem
-from fraclink._identify.modal import SpectrumFit as SpectrumFit
+from fraclink._identify.modal import LONGEST, Bits, Complexes, ModalProblem, Reals, SpectrumFit
 from fraclink._validate import Array, Between, Fraction, LinkOrder, checked
 from fraclink.errors import FieldError, LogError
-
-Reals = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
+from fraclink.findings import Finding
 
 _EXCITED = 0.05  # of the largest input line: below, a line's ratio is mostly noise
 _MOST_MODES = 12  # each takes two parameters; measured tables seldom tell more than six apart
 _ROUNDS = 5  # of setting outliers aside
 _HAMPEL = 6.0  # robust standard deviations from the neighbours' median
+# A gate: a model that leaves more than half of the response is none of this arm.
+_FIT_LEAST = 50.0
+_ERROR_MOST = 0.1  # relative standard error of a resonance, as in a fit to a log
 
 Signal = Annotated[NDArray[np.float64], Array(1)]
 Modes = Annotated[int, Between(0, _MOST_MODES)]
@@ -164,6 +165,7 @@ def identify_frequency_response(
         # A loss that ignores outliers may also ignore a mode; one that does not may follow an outlier.
         tried = [_without_outliers(problem, loss) for loss in ("soft_l1", "linear")]
         found = max(tried, key=lambda fit: fit.fit - 100 * len(fit.outliers) / w.size)
+    found = replace(found, findings=tuple(_findings(found, columns[0])))
     return _in_order(found, ascending)
 
 
@@ -187,6 +189,63 @@ def _lines(
     return w, h, np.sqrt(share / (1 - share)) / np.abs(h)
 
 
+def _findings(fit: SpectrumFit, frequency: Reals) -> Iterator[Finding]:
+    """The gates of a frequency response: least squares always ends somewhere, also without a mode."""
+    if fit.fit < _FIT_LEAST:
+        yield Finding(
+            "W341",
+            "error",
+            "the modes leave most of the response unexplained",
+            {"fit_percent": fit.fit, "least": _FIT_LEAST},
+            "check gain, phase and their units, and fit as many modes as the table shows",
+        )
+    low, high = float(frequency.min()), float(frequency.max())
+    places = {"resonance": fit.resonances, "anti-resonance": fit.anti_resonances}
+    for name, place in ((f"{kind} {i + 1}", w) for kind in places for i, w in enumerate(places[kind])):
+        error = fit.standard_errors[name] / place
+        if not low <= place <= high:
+            yield Finding(
+                "W342",
+                "error",
+                f"{name} lies outside of the frequencies that were measured",
+                {"place": place, "low": low, "high": high},
+                "fit fewer modes, or measure a wider band",
+            )
+        elif not error <= _ERROR_MOST:
+            yield Finding(
+                "W343",
+                "error",
+                f"the response does not determine {name}",
+                {"place": place, "relative_error": error, "most": _ERROR_MOST},
+                "fit fewer modes, or measure more lines around it",
+            )
+    longest = LONGEST / high
+    if "delay" in fit.standard_errors and abs(fit.delay) > 0.999 * longest:
+        yield Finding(
+            "W344",
+            "error",
+            "the delay ended at the bound of its range",
+            {"delay": fit.delay, "bound": longest},
+            "check the phase's sign and unit, or give delay",
+        )
+    if fit.at_bound and fit.order < 1.5:
+        yield Finding(
+            "W345",
+            "error",
+            "the order ended at 1, where nothing vibrates",
+            {"order": fit.order},
+            "check the unit of the frequency and which column is the gain",
+        )
+    if fit.gain < 0 and not fit.anti_resonances:
+        yield Finding(
+            "W346",
+            "error",
+            "the response has the opposite sign of a link's",
+            {"gain": fit.gain},
+            "turn the sign of one channel, or add 180° to the phase",
+        )
+
+
 def _in_order(fit: SpectrumFit, ascending: NDArray[np.intp]) -> SpectrumFit:
     """The fit with its lines numbered as the caller gave them."""
     predicted = np.empty_like(fit.predicted)
@@ -198,7 +257,9 @@ def _without_outliers(problem: ModalProblem, loss: str) -> SpectrumFit:
     kept = np.ones(problem.frequency.size, dtype=bool)
     best = problem.solve(kept, None, loss=loss)
     for _ in range(_ROUNDS):
-        again = ~_standing_out(problem.weight * (problem.response - problem.predicted(best, kept)))
+        again = ~_standing_out(
+            problem.weight * (problem.response - problem.fitted(problem.full(best), kept)[1])
+        )
         best = problem.solve(again, best, loss="linear")
         settled = np.array_equal(again, kept)
         kept = again
@@ -207,7 +268,7 @@ def _without_outliers(problem: ModalProblem, loss: str) -> SpectrumFit:
     return problem.result(best, kept)
 
 
-def _standing_out(error: Complexes) -> NDArray[np.bool_]:
+def _standing_out(error: Complexes) -> Bits:
     """Lines whose error is far from the median of its neighbours': a model's error is smooth over lines."""
     count, reach = error.size, 4
     result = np.zeros(count, dtype=bool)

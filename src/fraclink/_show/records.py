@@ -145,7 +145,8 @@ _NAMES = {
     "JointFit": "structure common natural_frequencies:models.natural_frequency orders:models.order "
     "dampings:models.damping damping_orders:models.damping_order mse standard_errors stiffness "
     "p_value:test.p_value verdict",
-    "SpectrumFit": "order resonances anti_resonances gain delay fit_percent:fit outliers standard_errors",
+    "SpectrumFit": "order resonances anti_resonances gain delay fit_percent:fit outliers standard_errors "
+    "findings",
     "ExperimentDesign": "kind amplitude bit duration standard_error peak_deflection peak_voltage band",
     "Controller": "gain order filter_time filter_order",
     "Requirement": "name unit passed wanted achieved at_payload slack",

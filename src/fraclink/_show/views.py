@@ -126,7 +126,8 @@ def _motor_view(fit: Any) -> View:
         ("dead zone [V]", number(fit.dead_zone)),
         ("delay [ms]", number(1e3 * fit.delay, 3)),
     )
-    return View(tables=(Table(("motor", "value"), rows),))
+    state = "" if fit.passed else "not shown"
+    return View(tables=(Table(("motor", "value"), rows),), notes=_worth_reading(fit.findings), state=state)
 
 
 def _spectrum_view(fit: Any) -> View:
@@ -140,7 +141,9 @@ def _spectrum_view(fit: Any) -> View:
         *(("delay [ms]", delay), ("gain", number(fit.gain)), ("fit [%]", f"{fit.fit:.2f}")),
     )
     aside = (f"{len(fit.outliers)} frequencies set aside as outliers",) if len(fit.outliers) else ()
-    return View(tables=(Table(("frequency response", "value"), rows),), notes=aside)
+    notes = (*aside, *_worth_reading(fit.findings))
+    state = "" if fit.passed else "not shown"
+    return View(tables=(Table(("frequency response", "value"), rows),), notes=notes, state=state)
 
 
 def _experiment_view(plan: Any) -> View:
