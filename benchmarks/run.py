@@ -2,16 +2,23 @@
 
 A benchmark prints one line per figure: `ok` or `MISS`, the figure, what was measured with its spread, what
 is wanted. The exit code is 1 where a benchmark crashed or printed nothing; a missed figure is a result.
+
+`--record` appends the figures to history.csv with version, commit and processor, so that a figure can be
+followed over the releases. Record on a machine that does nothing else.
 """
 
 from __future__ import annotations
 
 import argparse
+import csv
+import platform
 import subprocess
 import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
+
+from fraclink import __version__
 
 HERE = Path(__file__).parent
 MARKS = ("ok", "MISS")
@@ -51,10 +58,34 @@ def run(script: Path) -> Outcome:
     return Outcome(script.stem, tuple(figures), time.perf_counter() - begin, process.returncode)
 
 
+def record(outcomes: list[Outcome]) -> Path:
+    """Append every figure to history.csv, which is made with its header where there is none."""
+    commit = subprocess.run(
+        ["git", "describe", "--always", "--dirty"],  # noqa: S607
+        cwd=HERE,
+        capture_output=True,
+        text=True,
+        check=False,
+    ).stdout.strip()
+    path = HERE / "history.csv"
+    fresh = not path.exists()
+    with path.open("a", encoding="utf-8", newline="") as stream:
+        table = csv.writer(stream, lineterminator="\n")
+        if fresh:
+            table.writerow(("version", "commit", "processor", "benchmark", "figure"))
+        for outcome in outcomes:
+            for figure in outcome.figures:
+                machine = platform.processor() or platform.machine()
+                table.writerow((__version__, commit, machine, outcome.name, figure))
+    return path
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("names", nargs="*", help="benchmarks to run, e.g. response; all by default")
-    wanted = parser.parse_args().names
+    parser.add_argument("--record", action="store_true", help="append the figures to history.csv")
+    options = parser.parse_args()
+    wanted = options.names
     scripts = sorted(HERE.glob("bench_*.py"))
     unknown = [name for name in wanted if not (HERE / f"bench_{name}.py").is_file()]
     if unknown:
@@ -68,6 +99,8 @@ def main() -> int:
         missed = sum(line.startswith("MISS") for line in outcome.figures)
         note = f"  CRASHED (exit code {outcome.code})" if outcome.crashed else ""
         print(f"{outcome.name:<24} {len(outcome.figures):>8} {missed:>8} {outcome.seconds:>8.1f}{note}")
+    if options.record:
+        print(f"\n{record(outcomes)}")
     return 1 if any(outcome.crashed for outcome in outcomes) else 0
 
 

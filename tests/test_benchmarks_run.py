@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import csv
 import importlib.util
 import sys
 from pathlib import Path
 
 import pytest
+
+import fraclink
 
 RUNNER = Path(__file__).parents[1] / "benchmarks" / "run.py"
 spec = importlib.util.spec_from_file_location("benchmarks_run", RUNNER)
@@ -58,3 +61,19 @@ def test_an_unknown_benchmark_is_refused(monkeypatch: pytest.MonkeyPatch) -> Non
     with pytest.raises(SystemExit) as caught:
         runner.main()
     assert caught.value.code == 2
+
+
+def test_the_history_grows_by_the_figures_of_each_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "bench_one.py").write_text("print('ok speed 3, wanted 4')\nprint('a note')", encoding="utf-8")
+    monkeypatch.setattr(runner, "HERE", tmp_path)
+    monkeypatch.setattr(sys, "argv", ["run.py", "--record"])
+    assert (runner.main(), runner.main()) == (0, 0)
+    with (tmp_path / "history.csv").open(encoding="utf-8", newline="") as stream:
+        header, *rows = csv.reader(stream)
+    assert header == ["version", "commit", "processor", "benchmark", "figure"]
+    assert [(row[0], *row[3:]) for row in rows] == 2 * [
+        (fraclink.__version__, "bench_one", "ok speed 3, wanted 4")
+    ]
+    assert "history.csv" in capsys.readouterr().out

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import ast
+import re
 
-from guard_sources import Source, imported_modules, sources
+from guard_sources import ROOT, Source, imported_modules, sources
 
 # One row a floor: a module imports from the rows above its own and from its own package only.
 ROWS: tuple[tuple[str, ...], ...] = (
@@ -21,6 +22,14 @@ ROWS: tuple[tuple[str, ...], ...] = (
     ("_cli", "__main__"),
 )
 FLOORS = {name: floor for floor, row in enumerate(ROWS) for name in row}
+
+
+def test_the_floors_are_those_of_the_architecture_page() -> None:
+    page = (ROOT / "ARCHITECTURE.md").read_text("utf-8")
+    rows = re.findall(r"^\| (\d+) \| (`.*?) \|", page, flags=re.MULTILINE)
+    written = [tuple(re.findall(r"`(\w+)`", names)) for _, names in rows]
+    assert [int(number) for number, _ in rows] == list(range(len(ROWS)))
+    assert written == [tuple(name for name in row if name) for row in ROWS]
 
 
 def test_every_module_has_a_floor() -> None:

@@ -9,6 +9,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import Any
 
+from fraclink.errors import warn_deprecated
+
 __version__ = "0.1.0"
 
 # Public name -> module that defines it; `__init__.pyi` says the same to editors and type checkers.
@@ -199,6 +201,9 @@ _HOME: dict[str, str] = {
     "write_report": "fraclink._show.report",
 }
 
+# Old public name -> (new public name, release that removes the old one); docs/reference/stability.md.
+_RENAMED: dict[str, tuple[str, str]] = {}
+
 __all__ = sorted(["__version__", *_HOME])
 
 
@@ -207,6 +212,10 @@ def __getattr__(name: str) -> Any:
         value = getattr(import_module(_HOME[name]), name)
         globals()[name] = value
         return value
+    if name in _RENAMED:
+        new, removed = _RENAMED[name]
+        warn_deprecated(f"fraclink.{name}", use=f"fraclink.{new}", removed=removed)
+        return __getattr__(new)
     raise AttributeError(f"module 'fraclink' has no attribute {name!r}")
 
 

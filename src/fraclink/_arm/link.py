@@ -58,7 +58,7 @@ STRUCTURES: dict[str, Structure] = {
     )
 }
 # The paper's four, for the few places that mean one of them; everything else iterates over the table.
-UNDAMPED, VISCOUS, FRACTIONAL, FRACTIONAL_DAMPING = tuple(STRUCTURES)
+UNDAMPED, VISCOUS, FRACTIONAL, FRACTIONAL_DAMPING, *_ = STRUCTURES
 
 
 def structure(name: str) -> Structure:

@@ -169,6 +169,6 @@ def fault_named(number: str) -> Fault:
     """
     found = next((fault for fault in CATALOGUE if fault.number == number.upper()), None)
     if found is None:
-        remedy = "choose one of these"
-        raise FieldError("only", number, "not in the catalogue", allowed="F01 … F44", remedy=remedy)
+        allowed, remedy = f"{CATALOGUE[0].number} … {CATALOGUE[-1].number}", "choose one of these"
+        raise FieldError("only", number, "not in the catalogue", allowed=allowed, remedy=remedy)
     return found
