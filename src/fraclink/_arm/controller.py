@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fraclink._arm.link import LinkModel
 from fraclink._arm.motor_loop import MotorLoop
+from fraclink._systems.fractional import FractionalTransferFunction, s
 from fraclink._validate import checked_between, checked_noun, is_whole
 from fraclink.errors import FieldError
-
-if TYPE_CHECKING:
-    from fraclink._systems.fractional import FractionalTransferFunction
 
 __all__ = ["Controller"]
 
@@ -126,8 +123,6 @@ class Controller:
 
     def correction(self) -> FractionalTransferFunction:
         """Return ``Ĉ(s) = k_d s^β/(1 + δ s)^n`` as a fractional transfer function (eq. (57))."""
-        from fraclink._systems.fractional import s
-
         return self.gain * s**self.order / (1.0 + self.filter_time * s) ** self.filter_order
 
     def transfer(self) -> FractionalTransferFunction:

@@ -12,18 +12,16 @@ import cmath
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fraclink._files import document
+from fraclink._systems.fractional import FractionalTransferFunction
+from fraclink._systems.terms import Term
 from fraclink._validate import checked_choice, checked_noun, checked_number
 from fraclink._validate.rules import rule
 from fraclink.errors import FieldError
-
-if TYPE_CHECKING:
-    from fraclink._systems.fractional import FractionalTransferFunction
 
 __all__ = ["STRUCTURES", "LinkModel", "SecondMode", "Structure", "structure"]
 
@@ -272,9 +270,6 @@ class LinkModel:
         return self._over_denominator(self.stiffness, inertia=True)
 
     def _over_denominator(self, gain: float, *, inertia: bool) -> FractionalTransferFunction:
-        from fraclink._systems.fractional import FractionalTransferFunction
-        from fraclink._systems.terms import Term
-
         restoring = [Term(self.natural_frequency**2, 0.0)] if self.natural_frequency else []
         restoring += [Term(self.damping, self.damping_order)] if self.damping else []
         moving = Term(1.0, self.order)

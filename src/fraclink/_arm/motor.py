@@ -10,15 +10,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, Protocol
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fraclink._systems.fractional import FractionalTransferFunction
+from fraclink._systems.terms import Term
 from fraclink.errors import FieldError
-
-if TYPE_CHECKING:
-    from fraclink._systems.fractional import FractionalTransferFunction
 
 __all__ = [
     "ContinuousPid",
@@ -95,9 +94,6 @@ class ContinuousPid:
 
     def closed(self) -> FractionalTransferFunction:
         """Return M(s) = θm/θm* = 1/(1 + s/p)² (21)."""
-        from fraclink._systems.fractional import FractionalTransferFunction
-        from fraclink._systems.terms import Term
-
         p = self.pole
         return FractionalTransferFunction(
             (Term(1.0, 0.0),), (Term(1.0 / p**2, 2.0), Term(2.0 / p, 1.0), Term(1.0, 0.0))

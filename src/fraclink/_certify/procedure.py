@@ -16,6 +16,7 @@ from fraclink._certify.numeric import windings, worst_distance
 from fraclink._certify.search import MarginFailure, prove
 from fraclink._certify.statement import Certificate, Statement, state
 from fraclink._design import Design
+from fraclink._design.assess import closed_loop_poles
 from fraclink._law import Law, discretize_controller
 from fraclink._law.limits import JUMP
 from fraclink._validate import checked_between, checked_choice, checked_noun
@@ -218,8 +219,6 @@ def _unstable(
     link = subject.model if isinstance(subject, Design) else model
     text = ""
     if isinstance(controller, Controller) and link is not None:
-        from fraclink._design.assess import closed_loop_poles
-
         at = replace(link, natural_frequency=(claim.softness * payload) ** -0.5)
         pole = claim.pole or (controller.inner.pole if controller.inner else 80.0)
         poles = tuple(complex(p) for p in closed_loop_poles(controller, at, inner_pole=pole))

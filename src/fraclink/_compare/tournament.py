@@ -18,8 +18,10 @@ from fraclink._arm.reference import Reference, checked_reference, smooth_step
 from fraclink._arm.rig import Rig
 from fraclink._compare.case import NominalLoop, Setting, prepare
 from fraclink._compare.controllers import Seen, Shaped
+from fraclink._compare.figure import draw
 from fraclink._compare.filters import Filter, fine_step, law_filter, sampled
 from fraclink._compare.rivals import FRACLINK, OFFSET, Rival, builders
+from fraclink._compare.text import markdown, sentences
 from fraclink._files import write_json
 from fraclink._law import Law
 from fraclink._simulate.arm import Twin
@@ -239,20 +241,14 @@ class Tournament:
 
     def verdicts(self) -> tuple[str, ...]:
         """Return a sentence for every figure: where fraclink is best, and where a rival is better."""
-        from fraclink._compare.text import sentences
-
         return sentences(self)
 
     def markdown(self) -> str:
         """Return the table, the rules and the verdicts as Markdown."""
-        from fraclink._compare.text import markdown
-
         return markdown(self)
 
     def draw(self, path: Path | str) -> None:
         """Draw the figures as bars to a file (SVG, PDF or PNG by its ending)."""
-        from fraclink._compare.figure import draw
-
         draw(self, path)
 
     def save(self, path: Path | str) -> None:

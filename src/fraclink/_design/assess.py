@@ -18,7 +18,8 @@ from fraclink._arm.link import LinkModel
 from fraclink._arm.loop import Loop
 from fraclink._design.modes import MODE_LIMIT, higher_modes, mode_requirements
 from fraclink._design.specification import Design, Requirement
-from fraclink._systems.fractional import FractionalTransferFunction
+from fraclink._systems.fractional import FractionalTransferFunction, s
+from fraclink._systems.stability import poles
 from fraclink._validate import (
     Between,
     Payload,
@@ -296,8 +297,6 @@ def closed_loop(
 
     Hold and delay are left out: with them the loop has infinitely many poles.
     """
-    from fraclink._systems.fractional import s
-
     open_loop = controller.correction() * link.tip()
     if inner_pole is not None:
         open_loop = open_loop / (1.0 + s / inner_pole) ** 2
@@ -316,8 +315,6 @@ def closed_loop_poles(controller: Controller, link: LinkModel, *, inner_pole: fl
     >>> print(f"{pole.real:+.3f} ± {abs(pole.imag):.2f}j")
     +0.106 ± 12.89j
     """
-    from fraclink._systems.stability import poles
-
     found = poles(closed_loop(controller, link, inner_pole=inner_pole))
     return np.asarray(found[np.argsort(-found.real)], dtype=np.complex128)
 

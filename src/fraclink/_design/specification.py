@@ -19,6 +19,8 @@ from fraclink._arm.rig import Rig
 from fraclink._arm.sampled import SampledPlant, sampled_plant
 from fraclink._display import displayed
 from fraclink._files import document, load, save
+from fraclink._law import discretize, discretize_controller
+from fraclink._systems.margins import margins
 from fraclink._validate import (
     Between,
     Duration,
@@ -313,9 +315,6 @@ class Design:
             "law" (the coefficients that are shipped), "exact" (Ĉ(jω) itself, which no computer runs), or Ĉ
             on the unit circle as a function of ω [rad/s].
         """
-        from fraclink._law import discretize_controller
-        from fraclink._systems.margins import margins
-
         if not callable(realisation):
             checked_choice(
                 "realisation", realisation, ("law", "exact"), remedy="say 'law' for what is shipped"
@@ -334,8 +333,6 @@ class Design:
 
     def law(self, *, order: int | None = None, precision: Precision = "double") -> Law:
         """Return the law that runs on the rig, `fraclink.discretize` of this design."""
-        from fraclink._law import discretize
-
         return discretize(self, order=order, precision=precision)
 
     def with_law(self) -> Design:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from fraclink._certify import Certificate
 from fraclink._export.claims import Proof
 from fraclink._export.data import data_header
 from fraclink._export.names import identifier, title_text
@@ -18,9 +18,6 @@ from fraclink._law import Law
 from fraclink._law.block import Precision
 from fraclink._validate import checked_noun
 from fraclink.errors import FieldError, MissingExtraError
-
-if TYPE_CHECKING:
-    from fraclink._certify import Certificate
 
 __all__ = ["export_c"]
 
@@ -81,8 +78,6 @@ def export_c(
     title_text(title)
     checked_noun("law", law, Law, remedy="fl.discretize(design) makes one")
     if certificate is not None:
-        from fraclink._certify import Certificate
-
         checked_noun("certificate", certificate, Certificate, remedy="fraclink._certify makes one")
     place = checked_path("folder", folder)
     if place.is_file() or (place.is_dir() and any(place.iterdir()) and not force):

@@ -9,7 +9,7 @@ from fraclink._export.fmu_model import VARIABLES, FmuModel, Variable, xml_text
 
 __all__ = ["PLATFORMS", "SOURCES", "descriptions"]
 
-SOURCES = ("fmi2.c",)
+SOURCES: tuple[str, ...] = ("fmi2.c",)
 PLATFORMS: Mapping[str, str] = {
     "x86_64-linux": "linux64",
     "x86_64-windows": "win64",

@@ -9,7 +9,7 @@ from fraclink._export.fmu_model import VARIABLES, FmuModel, xml_text
 
 __all__ = ["PLATFORMS", "SOURCES", "descriptions"]
 
-SOURCES = ("fmi3.c", "fmi3_not_offered.h")
+SOURCES: tuple[str, ...] = ("fmi3.c", "fmi3_not_offered.h")
 PLATFORMS: Mapping[str, str] = {
     name: name
     for name in ("x86_64-linux", "x86_64-windows", "x86_64-darwin", "aarch64-linux", "aarch64-darwin")

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fraclink._arm.experiment import Experiment
+from fraclink._export.names import identifier
 from fraclink._files import checked_path
 from fraclink._law import Law
 from fraclink._validate import checked_noun, checked_series
@@ -104,8 +105,6 @@ def replay(
     >>> replay(folder, law, reference=rest, reference_acceleration=rest, motor_angle=rest, torque=rest).passed
     True
     """
-    from fraclink._export.names import identifier
-
     identifier("name", name)
     checked_noun("law", law, Law, remedy="Law.load reads the folder's law.json")
     place = checked_path("folder", folder).resolve()
