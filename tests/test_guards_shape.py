@@ -135,3 +135,47 @@ def test_the_machine_pattern_sees_machines() -> None:
     assert MACHINE.search("/" + "home/anna/x")
     assert MACHINE.search("https://py" + "pi.org/simple")
     assert not MACHINE.search("docs/how-to/home/in.md and a/Users/b")
+
+
+# numpydoc without types, which are in the signature; "Arguments:" and running lists are other styles.
+OTHER_STYLE = re.compile(
+    r"^(Arguments|Args|Returns|Raises|Parameters|Attributes|Yields|Fields|Options):"
+    r"|^(?:Parameters|Attributes)\n-+\n(?:.+\n|\n(?=    ))*?\*{0,2}\w[\w, *]* : \S"
+    r"|^Returns\n-+\n",
+    flags=re.MULTILINE,
+)
+
+
+def _docstrings(tree: ast.Module) -> Iterator[tuple[str, str]]:
+    kinds = ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
+    for node in ast.walk(tree):
+        if isinstance(node, kinds) and (text := ast.get_docstring(node)):
+            yield getattr(node, "name", "module"), text
+
+
+def test_docstrings_have_one_style() -> None:
+    other = [
+        f"{source.name}.{name}: {found.group().splitlines()[-1]}"
+        for source in sources()
+        for name, text in _docstrings(source.tree)
+        if (found := OTHER_STYLE.search(text))
+    ]
+    assert other == []
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "Sum.\n\nArguments:\n    a: one",
+        "Sum.\n\nParameters: `a`, one",
+        "Sum.\n\nParameters\n----------\na\n    one.\nb : int\n    two.",
+        "Sum.\n\nReturns\n-------\nfloat\n    the sum.",
+    ],
+)
+def test_other_styles_are_seen(text: str) -> None:
+    assert OTHER_STYLE.search(text)
+
+
+def test_the_style_itself_is_not_seen() -> None:
+    text = "Sum.\n\nParameters\n----------\na, b\n    two : numbers.\n\nRaises\n------\nFieldError\n    no."
+    assert not OTHER_STYLE.search(text)

@@ -149,8 +149,19 @@ def place_pid(motor: MotorConstants, pole: float = 80.0) -> ContinuousPid:
 
     a0 = p⁴/A, a1 = b0 = 2p³/A, a2 = p²/A, b1 = (5p² − 4pB + B²)/A, filter pole 4p − B.
 
-    Parameters: `motor` with gain A [rad/(s²·V)] > 0 and decay B [1/s] ≥ 0; `pole` > B/4, so that the
-    filter is stable. Raises FieldError outside. Source: Benftima et al. 2023, (19)–(21), corrected.
+    Parameters
+    ----------
+    motor
+        gain A [rad/(s²·V)] > 0 and decay B [1/s] ≥ 0.
+    pole
+        [rad/s], > B/4, so that the filter is stable.
+
+    Raises
+    ------
+    FieldError
+        a value out of its range.
+
+    Source: Benftima et al. (2023), equations (19) to (21), corrected.
 
     >>> from types import SimpleNamespace
     >>> loop = place_pid(SimpleNamespace(gain=0.21 / 6.87e-5, decay=1.041e-3 / 6.87e-5), 80.0)

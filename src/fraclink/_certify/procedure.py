@@ -43,6 +43,9 @@ def certify(
     The proof is in ball arithmetic and covers the law's exact coefficients, the zero-order hold, every delay
     of a range, the motor loop and all aliases; tools/check_certificate.py checks it with other arithmetic.
 
+    The certificate says ``passed``, ``verdict``, and where it fails the payload, the frequency and what was
+    found there.
+
     Parameters
     ----------
     subject
@@ -59,11 +62,6 @@ def certify(
         the law to prove, where the design's own is not meant (single precision, another order).
     inner
         "ideal" or "sampled" motor loop; the design's own when left out.
-
-    Returns
-    -------
-    Certificate
-        with ``passed``, ``verdict``, and where it fails the payload, the frequency and what was found there.
 
     Raises
     ------

@@ -105,6 +105,9 @@ def optimise(
     gauge's offset. A pure fractional integrator is not offered: it would take the *estimate* to the reference
     and leave the whole of the offset, Γ₀/c, in the tip. β < n, so that Ĉ stays strictly proper (32).
 
+    The ``design`` of the result is certified, saved and shipped like any other; its requirements are the
+    bounds.
+
     Parameters
     ----------
     design
@@ -121,11 +124,6 @@ def optimise(
         bound on the loop gain at the higher modes of the link, > 0; the design's own, if any, when left out.
     least
         part of the objective by which a structure must be better than the simpler one, 0 … 1.
-
-    Returns
-    -------
-    Optimised
-        its ``design`` is certified, saved and shipped like any other; its requirements are the bounds.
 
     Raises
     ------

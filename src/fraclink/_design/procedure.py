@@ -52,6 +52,8 @@ def design(
     smallest there (Theorem 1), and the design reports the worst value found over the whole range. The
     gauge's delay, its gain and the second mode, where the model knows them, stand inside the equations.
 
+    The result has the controller, the requirements with what is achieved, and findings.
+
     Parameters
     ----------
     model
@@ -88,11 +90,6 @@ def design(
         bound on the loop gain at the higher modes of the link, > 0; more filter where needed, paid for with
         a larger β. Below one no phase of the mode can destabilise it. Where the model knows a second mode
         the bound is 0.5 unless another is given.
-
-    Returns
-    -------
-    Design
-        controller, requirements with what is achieved, findings.
 
     Raises
     ------

@@ -42,29 +42,32 @@ def export_c(
 
     Parameters
     ----------
-    law : Law
-        From `Controller.discretize`;
-        with the motor loop of a rig (`fraclink._law.equip`) it closes the motor loop too.
-    folder : Path or str
+    law
+        From `discretize`; with the motor loop of a rig (`equip`) it closes the motor loop too.
+    folder
         Made where it is missing; an existing one that is not empty needs `force`.
-    precision : {"single", "double"}, optional
+    precision
         The law's own where it is left out.
-    name : str
+    name
         C identifier of the block, and of its header's guard.
-    title : str
+    title
         Plain text for the first comment, at most 80 characters.
-    prove : bool
+    prove
         Prove what can be proved about these very files with the provers that are installed (Debian's
         frama-c-base, z3 or cvc5, gappa; python-flint): README.md then claims what was proved and nothing
         else, proof.json lists it (`Proof.load`), proof/ holds the logs. Half a minute on a desktop. Needs
         the package fraclink-prove (folder prove/ of the repository).
-    certificate : Certificate, optional
-        Of the loop that the exported law closes, from `fraclink._certify`; with `prove` it becomes a claim.
-    force : bool
+    certificate
+        Of the loop that the exported law closes, from `certify`; with `prove` it becomes a claim.
+    force
         Overwrite the files in an existing folder.
 
-    Raises FieldError for an existing folder, an illegal name or title; MissingExtraError for `prove` without
-    fraclink-prove.
+    Raises
+    ------
+    FieldError
+        an existing folder, an illegal name or title.
+    MissingExtraError
+        `prove` without fraclink-prove.
 
     >>> import tempfile
     >>> import fraclink as fl

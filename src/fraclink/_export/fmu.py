@@ -51,26 +51,28 @@ def export_fmu(
     motor_reference [rad], voltage [V], tip_estimate [rad], mode, reason, flags. One communication step is one
     period [s]; another step size is an error. The outputs of a step answer the inputs at its beginning, so
     the co-simulation adds the one period of delay that the design counts on. In every period they are, to
-    the bit, those of `fraclink._simulate`.
+    the bit, those of `simulate`.
 
     Parameters
     ----------
-    law : Law
-        From `Controller.discretize`;
-        with the motor loop of a rig (`fraclink._law.equip`) it closes the motor loop too.
-    path : Path or str
+    law
+        From `discretize`; with the motor loop of a rig (`equip`) it closes the motor loop too.
+    path
         The file; its stem is the model's name and must be a C identifier. An existing one needs `force`.
-    fmi : {2, 3}
+    fmi
         Version of the standard. 2.0 is what every importer reads, so it is the default; 3.0 has unsigned
         whole numbers, and names for more platforms.
-    precision : {"single", "double"}, optional
+    precision
         Arithmetic of the law, its own where it is left out; the FMU's variables are in double precision.
-    compilers : sequence of str
+    compilers
         Each adds a library for the platform it compiles for: ``("cc", "x86_64-w64-mingw32-gcc")`` makes an
         FMU for Linux and Windows. Sources are always inside; without a compiler nothing else is.
 
-    Raises FieldError for a bad name or version, a compiler that is missing or fails, and a platform without a
-    name in the version.
+    Raises
+    ------
+    FieldError
+        a bad name or version, a compiler that is missing or fails, and a platform without a
+        name in the version.
 
     Source: FMI 2.0.4 and FMI 3.0, chapters 2 and 4.
 

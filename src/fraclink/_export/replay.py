@@ -91,9 +91,21 @@ def replay(
     """Compile the law exported to `folder`, run the log through it and compare it with `law`, period by
     period.
 
-    Parameters: signals of shape (N,) at the law's period: reference [rad], its acceleration [rad/s²], motor
-    angle [rad], torque [N·m]; `name` of the block; `compiler`, a C compiler on the PATH. Raises FieldError
-    where the folder holds no export, its block is not that of `law`, or the compiler fails.
+    Parameters
+    ----------
+    folder, law
+        the export, and the law that it is compared with.
+    reference, reference_acceleration, motor_angle, torque
+        signals at the law's period, shape (N,) [rad], [rad/s²], [rad], [N·m].
+    name
+        of the block.
+    compiler
+        a C compiler on the PATH.
+
+    Raises
+    ------
+    FieldError
+        the folder holds no export, its block is not that of `law`, or the compiler fails.
 
     >>> import fraclink as fl, tempfile
     >>> from fraclink._export import export_c, replay

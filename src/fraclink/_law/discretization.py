@@ -60,13 +60,26 @@ def discretize_controller(
     [rad/s], closest about the gain crossover (`fit_correction`), and the feed-forward s^λ θt*/ω₀² becomes a
     fit of s^(λ−2)/ω₀² that works on the reference's known acceleration.
 
-    Parameters: `order`, states of Ĉ (0 to 8; None: few that meet 0.1 dB and 0.5°, else the best of 8);
-    `precision` "double" or "single"; `link`, nominal model, the controller's own where it is left out;
-    `rig`, which adds the inner loop, the sensors' limits and the motor's compensations (see `equip`);
-    `moves`, the largest move, from which the guards' thresholds follow. Without a filter Ĉ is improper: no
-    sampled controller can follow it to the Nyquist frequency, and the default band ends at 300 rad/s (600
-    with a filter). The errors reached stand in `Law.correction_error`. Raises FieldError for a period,
-    order or band out of range and for a missing link.
+    Without a filter Ĉ is improper: no sampled controller can follow it to the Nyquist frequency, and the
+    default band ends at 300 rad/s (600 with a filter). The errors reached stand in `Law.correction_error`.
+
+    Parameters
+    ----------
+    order
+        states of Ĉ, 0 to 8; without it the fewest that meet 0.1 dB and 0.5°, else the best of 8.
+    precision
+        "double" or "single".
+    link
+        nominal model; the controller's own where it is left out.
+    rig
+        adds the inner loop, the sensors' limits and the motor's compensations (see `equip`).
+    moves
+        the largest move, from which the guards' thresholds follow.
+
+    Raises
+    ------
+    FieldError
+        a period, order or band out of range, and a missing link.
 
     >>> from fraclink._arm.controller import Controller
     >>> from fraclink._arm.link import LinkModel

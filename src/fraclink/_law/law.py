@@ -105,11 +105,26 @@ class Law:
     p)), so that Ĉ(1) = 0 exactly in any arithmetic (28). Made by `discretize_controller` or
     `Controller.discretize`.
 
-    Attributes: `period` [s]; `precision` "single" or "double"; `stiffness` c [N·m/rad]; `correction` and
-    `feedforward` as `Modes`; `correction_error`, the largest error of C = 1 + Ĉ in (decibels, degrees) on
-    `band` [rad/s]; `feedforward_error`, the same of F from a fifth of the resonance on;
-    `inner_pole` p of M(s) [rad/s]; `drive`, None for a robot that has its own position servo; `limits` of
-    the guards.
+    Parameters
+    ----------
+    period
+        [s].
+    precision
+        "single" or "double".
+    stiffness
+        c [N·m/rad].
+    correction, feedforward
+        Ĉ(z)/(1 − z⁻¹) and F(z).
+    correction_error, band
+        largest error of C = 1 + Ĉ in (decibels, degrees) on the band [rad/s].
+    feedforward_error
+        the same of F, from a fifth of the resonance on.
+    inner_pole
+        p of M(s) [rad/s].
+    drive
+        None for a robot that has its own position servo.
+    limits
+        of the guards.
 
     >>> from fraclink._arm.controller import Controller
     >>> from fraclink._arm.link import LinkModel

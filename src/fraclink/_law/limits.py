@@ -23,8 +23,12 @@ FADE_TIME = (
 class Moves:
     """The largest move the arm is meant to make; the guards take anything far beyond it for a fault.
 
-    Parameters: `angle` [rad], `velocity` [rad/s] and `acceleration` [rad/s²] of the reference, all > 0. The
-    default covers 1 rad in 0.4 s along the quintic of `smooth_step` (4.7 rad/s, 36 rad/s²).
+    The default covers 1 rad in 0.4 s along the quintic of `smooth_step` (4.7 rad/s, 36 rad/s²).
+
+    Parameters
+    ----------
+    angle, velocity, acceleration
+        of the reference [rad], [rad/s], [rad/s²], all > 0.
 
     >>> Moves().velocity
     6.0

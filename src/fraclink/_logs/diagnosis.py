@@ -36,11 +36,14 @@ def diagnose(experiment: Experiment, rig: Rig | None = None) -> tuple[Finding, .
     needs a vibration stands on the one mode Γ/θm = c s²/(s² + 2ζωs + ω²)·e^(−τs) that explains most of the
     output, found by a scan that needs no guess.
 
-    Arguments:
-        experiment: the log, motor angle [rad], output [N·m] or [rad].
-        rig: limits of its gauge and motor sharpen the checks.
+    The findings have codes W201 … W235; ``error`` means that the log cannot be used as it is.
 
-    Returns findings with codes W201 … W235; ``error`` means that the log cannot be used as it is.
+    Parameters
+    ----------
+    experiment
+        the log: motor angle [rad], output [N·m] or [rad].
+    rig
+        limits of its gauge and motor sharpen the checks.
 
     >>> from fraclink._logs.reading import bundled_log, read_log
     >>> findings = diagnose(read_log(bundled_log("prbs_30g")))

@@ -83,16 +83,29 @@ def read_log(
     rig's `[log]` table, or by names in the log that are a role and a unit (``time_s``, ``motor_angle_rad``,
     ``torque_Nm`` or ``deflection_rad``, ``voltage_V``).
 
-    Arguments:
-        path: the log.
-        rig: whose `[log]` table states the columns.
-        columns: states them instead.
-        payload: m [kg], > 0; default: the log's own ``# payload_kg:`` line, if it has one.
-        resample: interpolate onto a uniform grid where the stamps have gaps, repeats or strong jitter.
-        interpolate: fill missing cells linearly, at most 1 % of a column.
+    The experiment is in SI units: motor angle [rad], torque [N·m] or deflection [rad], voltage [V].
 
-    Returns the Experiment in SI units: motor angle [rad], torque [N·m] or deflection [rad], voltage [V].
-    Raises LogError, FileFormatError or SizeError (ValueError is their base), or MissingExtraError.
+    Parameters
+    ----------
+    path
+        the log.
+    rig
+        whose `[log]` table states the columns.
+    columns
+        states them instead.
+    payload
+        m [kg], > 0; by default the log's own ``# payload_kg:`` line, if it has one.
+    resample
+        interpolate onto a uniform grid where the stamps have gaps, repeats or strong jitter.
+    interpolate
+        fill missing cells linearly, at most 1 % of a column.
+
+    Raises
+    ------
+    LogError, FileFormatError, SizeError
+        the log cannot be used, is damaged, or too large; ValueError is their base.
+    MissingExtraError
+        the format needs a package that is not installed.
 
     >>> log = read_log(bundled_log("prbs_30g"))
     >>> log.period, log.payload, log.output_kind, log.simulated
@@ -205,12 +218,18 @@ _DISTINCT_LIMIT = 100_000  # samples looked at for the step of the converter
 class ChannelSummary:
     """One column of a file, in the file's own units.
 
-    Arguments:
-        name: its name; unit: the unit that the file states, or "".
-        samples: its length; missing: cells that hold no finite number.
-        minimum, maximum: range of the finite values.
-        quantum: smallest step between two of its values, 0 where it looks continuous or is constant.
-        period: median step where the values never decrease, as those of a clock; None otherwise.
+    Parameters
+    ----------
+    name, unit
+        its name, and the unit that the file states, or "".
+    samples, missing
+        its length, and how many cells hold no finite number.
+    minimum, maximum
+        range of the finite values.
+    quantum
+        smallest step between two of its values, 0 where it looks continuous or is constant.
+    period
+        median step where the values never decrease, as those of a clock; None otherwise.
     """
 
     name: str

@@ -29,12 +29,18 @@ _LATEST = 0.15  # of the mode's period: a later answer could as well be one of t
 class Mode:
     """The mode that explains the output best.
 
-    Arguments:
-        frequency: ω [rad/s]; damping_ratio: ζ.
-        gain: c, in units of the output for one radian; negative where the output follows with the wrong sign.
-        delay: τ of the output [s], >= 0.
-        share: of the output's energy that this mode explains, 0 to 1.
-        residual: standard deviation of what is left, in units of the output.
+    Parameters
+    ----------
+    frequency, damping_ratio
+        ω [rad/s] and ζ [1].
+    gain
+        c, in units of the output for one radian; negative where the output follows with the wrong sign.
+    delay
+        τ of the output [s], >= 0.
+    share
+        of the output's energy that this mode explains, 0 to 1.
+    residual
+        standard deviation of what is left, in units of the output.
     """
 
     frequency: float

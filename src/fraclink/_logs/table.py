@@ -68,13 +68,20 @@ class CellFaults:
 class LogTable:
     """Columns of raw numbers in the order of the file; cells that are missing or bad hold NaN.
 
-    Arguments:
-        names: column names, as the file has them; they may repeat.
-        values: one array for each name, shape (N,); binary files may hold columns of different lengths.
-        kind: file format in words.
-        notes: header entries (key, value).
-        faults: what is wrong with the cells of a column, by its place.
-        units: unit that the file states for a column, by its place; "" for none.
+    Parameters
+    ----------
+    names
+        column names, as the file has them; they may repeat.
+    values
+        one array for each name, shape (N,); binary files may hold columns of different lengths.
+    kind
+        file format in words.
+    notes
+        header entries (key, value).
+    faults
+        what is wrong with the cells of a column, by its place.
+    units
+        unit that the file states for a column, by its place; "" for none.
     """
 
     names: tuple[str, ...]

@@ -32,21 +32,18 @@ def bode(
 
     Parameters
     ----------
-    *systems : FractionalTransferFunction, callable of s = jω, or python-control system
-    ax : sequence of two Axes, optional
+    *systems
+        transfer functions, functions of s = jω, or python-control systems.
+    ax
         Magnitude and phase axes to draw into; new ones are made without.
-    labels : sequence of str, optional
+    labels
         One for each system, shown in a legend.
-    frequency : array_like, optional
+    frequency
         Grid [rad/s]; without it the grid is chosen and refined where the curve bends.
-    limit : float, optional
+    limit
         Highest frequency [rad/s], such as the Nyquist frequency.
     **style
         Passed to `Axes.plot`.
-
-    Returns
-    -------
-    ndarray of two Axes
 
     Examples
     --------
@@ -78,14 +75,10 @@ def margin_plot(
 
     Parameters
     ----------
-    loop : FractionalTransferFunction, callable of s = jω, or python-control system
+    loop
         The open loop.
     ax, limit, frequency, **style
         As in `bode`.
-
-    Returns
-    -------
-    ndarray of two Axes
 
     Examples
     --------

@@ -33,15 +33,12 @@ def nyquist(
     ----------
     *systems, labels, frequency, limit, **style
         As in `bode`.
-    ax : Axes, optional
-    reach : float, optional
+    ax
+        axes to draw into; new ones without.
+    reach
         Half the side of the square that is shown; without it all of the curve, or 5 if it goes beyond 8.
-    mirror : bool
+    mirror
         Draw negative frequencies too, dashed.
-
-    Returns
-    -------
-    Axes
 
     Examples
     --------
@@ -113,13 +110,10 @@ def nichols(
     ----------
     *systems, labels, frequency, limit, **style
         As in `bode`.
-    ax : Axes, optional
-    grid : bool
+    ax
+        axes to draw into; new ones without.
+    grid
         Draw |L/(1 + L)| = −12 … 12 dB around each critical point that is seen.
-
-    Returns
-    -------
-    Axes
 
     Examples
     --------

@@ -55,19 +55,16 @@ def step_plot(
 
     Parameters
     ----------
-    *systems : FractionalTransferFunction
+    *systems
         Proper.
-    duration : float, optional
+    duration
         Length of the time axis [s], > 0; without it eight time constants of the slowest pole.
-    ax : Axes, optional
-    labels : sequence of str, optional
+    ax
+        axes to draw into; new ones without.
+    labels
         One for each system, shown in a legend.
     **style
         Passed to `Axes.plot`.
-
-    Returns
-    -------
-    Axes
 
     Examples
     --------
@@ -124,17 +121,14 @@ def margins_against_payload(
 
     Parameters
     ----------
-    curves : sequence of MarginCurve
+    curves
         From `margin_curve`. A margin below zero is that of an unstable loop.
-    payloads : tuple of float, optional
+    payloads
         (lightest, heaviest) [kg] of the design, shaded.
-    wanted : float, optional
+    wanted
         The phase margin asked for [rad], a thin line.
-    ax : Axes, optional
-
-    Returns
-    -------
-    Axes
+    ax
+        axes to draw into; new ones without.
 
     Examples
     --------
@@ -172,13 +166,10 @@ def phase_shares(shares: Sequence[PhaseShare], *, ax: Any = None) -> Any:
 
     Parameters
     ----------
-    shares : sequence of PhaseShare
+    shares
         From `phase_budget`.
-    ax : Axes, optional
-
-    Returns
-    -------
-    Axes
+    ax
+        axes to draw into; new ones without.
 
     Examples
     --------
@@ -225,13 +216,10 @@ def latency(run: RealtimeRun, *, ax: Any = None) -> Any:
 
     Parameters
     ----------
-    run : RealtimeRun
-        From `fraclink._realtime.run_realtime`.
-    ax : Axes, optional
-
-    Returns
-    -------
-    Axes
+    run
+        From `run_realtime`.
+    ax
+        axes to draw into; new ones without.
 
     Examples
     --------

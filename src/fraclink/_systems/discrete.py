@@ -49,6 +49,8 @@ def fit_discrete(
     The largest of |Re ε|/tolerance and |Im ε|/tolerance over the band is minimised, with
     ε = weight · (H − F)/(offset + F), whose real part is an error in nepers and imaginary part in radians.
 
+    All poles are inside the unit circle. `error_db` and `error_deg` are measured on a finer grid.
+
     Parameters
     ----------
     response
@@ -72,11 +74,6 @@ def fit_discrete(
         Highest order that order=None tries, 0 … 12.
     pairs
         Largest number of complex pairs among the poles; 0 for real poles only.
-
-    Returns
-    -------
-    DiscreteRational
-        All poles are inside the unit circle. `error_db` and `error_deg` are measured on a finer grid.
 
     Raises
     ------

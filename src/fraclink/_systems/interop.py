@@ -22,16 +22,13 @@ def to_control(system: FractionalTransferFunction, *, name: str | None = None) -
     continuous-time systems give exact systems again. What needs states (`step_response`, `ss`, `root_locus`)
     cannot work: use `fraclink.step_response`, or `approximate(...)` and its `state_space()`.
 
+    The result is a subclass with the attribute `fractional`, the system itself.
+
     Parameters
     ----------
     system
     name
         Name shown in python-control's legends.
-
-    Returns
-    -------
-    control.FrequencyResponseData
-        A subclass with the attribute `fractional`, the system itself.
 
     Raises
     ------

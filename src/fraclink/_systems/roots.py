@@ -50,6 +50,10 @@ def log_zeros(coefficients: ArrayLike, orders: ArrayLike, *, angle: float) -> ND
 
     Σ_k a_k e^(α_k z) = 0, with z = ln|s| + j arg s.
 
+    Zeros are sorted by argument, then by modulus; an m-fold zero stands there m times with one value. Zeros
+    on the positive real axis have Im z = 0 exactly, zeros on the edge Im z = `angle` exactly. Conjugates
+    (−arg s) are not repeated. A common factor s^a (a zero at s = 0, z = −∞) is not listed.
+
     Parameters
     ----------
     coefficients
@@ -58,13 +62,6 @@ def log_zeros(coefficients: ArrayLike, orders: ArrayLike, *, angle: float) -> ND
         Real α_k; only their differences matter.
     angle
         Largest argument [rad], ≥ 0. π is the principal sheet with its cut, π/2 the closed right half plane.
-
-    Returns
-    -------
-    ndarray of complex128
-        Sorted by argument, then by modulus; an m-fold zero stands there m times with one value. Zeros on the
-        positive real axis have Im z = 0 exactly, zeros on the edge Im z = `angle` exactly. Conjugates
-        (−arg s) are not repeated. A common factor s^a (a zero at s = 0, z = −∞) is not listed.
 
     Raises
     ------

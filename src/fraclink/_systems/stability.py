@@ -65,15 +65,12 @@ def poles(system: FractionalTransferFunction) -> Complexes:
     n of a system of integer orders gives n poles 0; a factor s^a of a fractional system is a branch point
     and no pole: `is_stable` names it. Poles on other sheets shape the response but have no mode.
 
+    They are sorted by argument [rad/s], each pair together; 1/(s^0.5 + 1) has none.
+
     Parameters
     ----------
     system
         Orders of any kind; no delay in the denominator.
-
-    Returns
-    -------
-    ndarray of complex128 [rad/s]
-        Sorted by argument, each pair together; possibly empty (1/(s^0.5 + 1) has none).
 
     Raises
     ------
@@ -102,14 +99,11 @@ def is_stable(system: FractionalTransferFunction) -> StabilityVerdict:
     path is delayed) is stable only if that path's gain is below 1: otherwise every harmonic of the delay
     grows, or decays as slowly as one likes.
 
+    The verdict is usable as a bool.
+
     Parameters
     ----------
     system
-
-    Returns
-    -------
-    StabilityVerdict
-        Usable as a bool.
 
     Raises
     ------
@@ -246,18 +240,15 @@ def norm(system: FractionalTransferFunction, p: Annotated[float, Between(finite=
 
     ‖G‖₂² = (1/π) ∫₀^∞ |G(jω)|² dω,      ‖G‖∞ = sup |G(jω)|
 
+    For p = 2 by adaptive quadrature over ln ω to 1e-13, with the tails beyond it by their known powers; for
+    p = inf the highest peak polished to rounding, or a limit at ω → 0 or ∞.
+
     Parameters
     ----------
     system
         Stable; for p = 2 with a relative degree > 1/2, for p = inf proper. Delays are allowed.
     p
         2 or `math.inf` [1].
-
-    Returns
-    -------
-    float
-        p = 2: adaptive quadrature over ln ω to 1e-13 with the tails beyond it by their known powers;
-        p = inf: the highest peak polished to rounding, or a limit at ω → 0 or ∞.
 
     Raises
     ------
