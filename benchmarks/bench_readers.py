@@ -1,7 +1,7 @@
 """Readers and diagnosis: cost against numpy's parser, and what faults of the time base do to a fit.
 
 Timings are ratios against a peer in the same run, interleaved; the faults are what the limits of
-`fraclink._logs.timebase` stand on: jitter is harmless, lost samples taken as uniform are not.
+`fraclink._arm.timebase` stand on: jitter is harmless, lost samples taken as uniform are not.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ import numpy as np
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import LinkModel
 from fraclink._arm.reference import prbs
+from fraclink._arm.timebase import resampled, time_base
 from fraclink._identify import identify, simulated_torque
 from fraclink._logs import bundled_log, diagnose, read_columns, read_log
-from fraclink._logs.timebase import resampled, time_base
 
 PERIOD = 0.004
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fraclink._arm.experiment import Channel, LogColumns, parse_columns
+from fraclink._arm.log_columns import Channel, LogColumns, parse_columns
 from fraclink._arm.rig import Rig
 from fraclink._logs import read_columns, read_log
 from fraclink._logs import table as reader_limits

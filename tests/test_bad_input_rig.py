@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fraclink._arm.experiment import Channel, LogColumns
+from fraclink._arm.log_columns import Channel, LogColumns
 from fraclink._arm.motor_loop import MotorLoop
 from fraclink._arm.rig import Encoder, Link, Motor, Payloads, Rig
 from fraclink._files.toml import FileFaults

@@ -126,3 +126,50 @@ def test_notes_cannot_break_out_of_their_line(tmp_path: Path) -> None:
     )
     log.save(tmp_path / "log.csv")
     assert read_log(tmp_path / "log.csv").output.size == 300
+
+
+# --- at home in Python ------------------------------------------------------------------------------------
+
+TIME = 0.004 * np.arange(500)
+ANGLE, TORQUE = np.sin(TIME), 0.3 * np.cos(3 * TIME)
+
+
+def test_arrays_in_other_units_are_the_same_experiment() -> None:
+    log = Experiment.from_arrays(TIME, ANGLE, TORQUE, payload=0.03)
+    assert (log.period, log.payload, log.output_kind) == (0.004, 0.03, "torque")
+    units = {"time": "ms", "motor_angle": "deg", "torque": "mNm"}
+    other = Experiment.from_arrays(1e3 * TIME, np.degrees(ANGLE), 1e3 * TORQUE, units=units, voltage=ANGLE)
+    assert other.period == 0.004
+    assert np.allclose(other.motor_angle, log.motor_angle, rtol=1e-14, atol=1e-15)
+    assert np.allclose(other.output, log.output, rtol=1e-14, atol=1e-15)
+    assert np.array_equal(other.voltage, ANGLE)  # type: ignore[arg-type]
+    bent = Experiment.from_arrays(TIME, ANGLE, 0.1 * ANGLE, output_kind="deflection")
+    assert bent.output_unit == "rad"
+
+
+def test_a_frame_reads_like_the_file_with_the_same_columns() -> None:
+    pa = pytest.importorskip("pyarrow")
+    columns = {"t": TIME, "pot": np.degrees(ANGLE), "gauge": -TORQUE, "u": ANGLE}
+    stated = {"time": "t [s]", "motor_angle": "pot [deg]", "torque": "- gauge [Nm]", "voltage": "u [V]"}
+    for frame in (columns, pa.table(columns), np.rec.fromarrays(list(columns.values()), names=list(columns))):
+        log = Experiment.from_frame(frame, stated, payload=0.02)
+        assert np.allclose(log.motor_angle, ANGLE) and np.array_equal(log.output, TORQUE)
+        assert log.voltage is not None and log.payload == 0.02
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"time": "x [s]"}, "no column of numbers"),
+        ({"time": "word [s]"}, "no column of numbers"),
+        ({"time": "gap [s]"}, "gap"),
+        ({"motor_angle": "t [V]"}, "not a unit of motor_angle"),
+        ({"torque": "square [Nm]"}, "of shape"),
+    ],
+)
+def test_a_frame_that_is_no_log_is_named(change: dict[str, str], words: str) -> None:
+    stated = {"time": "t [s]", "motor_angle": "a [rad]", "torque": "g [Nm]"} | change
+    frame = {"t": TIME, "a": ANGLE, "g": TORQUE, "word": ["x"] * 500, "square": np.zeros((500, 2))}
+    frame["gap"] = np.where(np.arange(500) > 250, TIME + 1.0, TIME)
+    with pytest.raises(FieldError, match=words):
+        Experiment.from_frame(frame, stated)

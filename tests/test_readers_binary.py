@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fraclink._arm.experiment import Channel, LogColumns
+from fraclink._arm.log_columns import Channel, LogColumns
 from fraclink._logs import inspect_log, read_columns, read_log
 from fraclink._logs.formats import ReaderChild, read_table, sniffed_kind
 from fraclink.errors import FieldError, FileFormatError, LogError, MissingExtraError, SizeError

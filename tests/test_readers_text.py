@@ -11,7 +11,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from fraclink._arm.experiment import Channel, LogColumns
+from fraclink._arm.log_columns import Channel, LogColumns
 from fraclink._arm.rig import Rig
 from fraclink._logs import bundled_log, bundled_logs, inspect_log, read_columns, read_log
 from fraclink._logs.columns import suggested_mapping

@@ -12,8 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import fraclink as fl
-from fraclink._arm.experiment import Channel, LogColumns
 from fraclink._arm.link import LinkModel, SecondMode
+from fraclink._arm.log_columns import Channel, LogColumns
 from fraclink._arm.motor_loop import MotorLoop
 from fraclink._arm.rig import (
     DesignDefaults,

@@ -1,14 +1,14 @@
 from fraclink import errors as errors
 from fraclink._arm.beam import Beam as Beam
 from fraclink._arm.controller import Controller as Controller
-from fraclink._arm.experiment import Channel as Channel
 from fraclink._arm.experiment import Experiment as Experiment
-from fraclink._arm.experiment import LogColumns as LogColumns
 from fraclink._arm.link import STRUCTURES as STRUCTURES
 from fraclink._arm.link import LinkModel as LinkModel
 from fraclink._arm.link import SecondMode as SecondMode
 from fraclink._arm.link import Structure as Structure
 from fraclink._arm.link import structure as structure
+from fraclink._arm.log_columns import Channel as Channel
+from fraclink._arm.log_columns import LogColumns as LogColumns
 from fraclink._arm.loop import Loop as Loop
 from fraclink._arm.motor_loop import MotorLoop as MotorLoop
 from fraclink._arm.motor_loop import motor_loop_costs as motor_loop_costs

@@ -1,184 +1,25 @@
-"""An experiment: one recorded motion in SI units and radians, and how the columns of a log state it.
-
-Nothing about a log is ever guessed: one whose columns and units are not stated is refused.
-"""
+"""An experiment: one recorded motion in SI units and radians."""
 
 from __future__ import annotations
 
-import difflib
-import math
-import re
-from collections.abc import Iterable
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Literal
+from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from fraclink._arm.log_columns import SI, Channel, LogColumns, OutputKind, parse_columns
+from fraclink._arm.timebase import time_base
 from fraclink._display import displayed
 from fraclink._files import document, write_text
-from fraclink._validate import Array, Between, Length, Payload, Positive, Where, checked
-from fraclink.errors import FieldError, LogError
+from fraclink._validate import Array, Between, Payload, Positive, checked
+from fraclink.errors import LogError
 from fraclink.findings import Finding
 
-__all__ = ["QUANTITY_OF", "UNITS", "Channel", "Experiment", "LogColumns", "OutputKind", "parse_columns"]
-
-OutputKind = Literal["torque", "deflection"]
-
-# Unit -> factor to SI and radians, by the quantity it measures.
-UNITS = MappingProxyType(
-    {
-        "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
-        "angle": {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180, "rev": 2 * math.pi},
-        "torque": {"Nm": 1.0, "mNm": 1e-3, "N·m": 1.0, "N*m": 1.0},
-        "voltage": {"V": 1.0, "mV": 1e-3},
-    }
-)
-QUANTITY_OF = MappingProxyType(
-    {
-        "time": "time",
-        "motor_angle": "angle",
-        "torque": "torque",
-        "deflection": "angle",
-        "voltage": "voltage",
-    }
-)
-
-
-@checked
-@dataclass(frozen=True)
-class Channel:
-    """One column of a log: value = sign · scale · (raw − offset), in `unit`.
-
-    Parameters
-    ----------
-    column
-        its name in the log (``"#2"`` is the second column where the log names none).
-    unit
-        unit of the scaled value: s, ms, us, ns; rad, mrad, deg, rev; Nm, mNm; V, mV.
-    sign
-        +1 or −1.
-    scale
-        units for one raw unit, not 0.
-    offset
-        raw reading that means zero; ``"first"`` takes the first sample of the log.
-
-    Raises
-    ------
-    FieldError
-        a value out of its range.
-
-    Examples
-    --------
-    >>> Channel("pot_V", "deg", scale=36.79).column
-    'pot_V'
-    """
-
-    column: Annotated[str, Length(1, 200)]
-    unit: Annotated[str, Length(1, 10)]
-    sign: Literal[1, -1] = 1
-    scale: Annotated[
-        float, Between(-1e15, 1e15), Where(bool, "not 0, which erases the signal", remedy="give 1 or -1")
-    ] = 1.0
-    offset: Annotated[float, Between(-1e15, 1e15)] | Literal["first"] = 0.0
-
-    def in_si(self, raw: NDArray[np.float64], role: str) -> NDArray[np.float64]:
-        """The column in SI units and radians; `role` is time, motor_angle, torque, deflection or voltage."""
-        offset = raw[0] if self.offset == "first" else self.offset
-        factor = self.sign * self.scale * UNITS[QUANTITY_OF[role]][self.unit]
-        # Multiplying by 1.0 is exact, so that a log in SI units is read bit for bit.
-        return np.asarray((raw - offset) * factor if offset else raw * factor, dtype=np.float64)
-
-
-@checked(prefix="log.")
-@dataclass(frozen=True)
-class LogColumns:
-    """Which column is the time, the motor angle, the output and (optionally) the motor voltage.
-
-    Parameters
-    ----------
-    time
-        stamps of the samples.
-    motor_angle
-        θm, angle of the gear's output.
-    output
-        base torque Γ, positive where it drives the tip forward, or deflection θm − θt.
-    output_kind
-        which of the two it is.
-    voltage
-        voltage at the amplifier's input, or None.
-
-    Raises
-    ------
-    FieldError
-        where a unit does not measure its quantity.
-
-    Examples
-    --------
-    >>> columns = LogColumns(Channel("t", "s"), Channel("enc", "deg"), Channel("gauge", "Nm"), "torque")
-    >>> columns.output.unit
-    'Nm'
-    """
-
-    time: Channel
-    motor_angle: Channel
-    output: Channel
-    output_kind: OutputKind
-    voltage: Channel | None = None
-
-    def __post_init__(self) -> None:
-        for role, channel in self.channels().items():
-            known = UNITS[QUANTITY_OF[role]]
-            if channel.unit not in known:
-                near = difflib.get_close_matches(channel.unit, known, n=1, cutoff=0.3)
-                remedy = f"did you mean {near[0]!r}?" if near else f"give one of {', '.join(known)}"
-                problem, allowed = f"not a unit of {role}", ", ".join(known)
-                raise FieldError(f"log.{role}.unit", channel.unit, problem, allowed=allowed, remedy=remedy)
-
-    def channels(self) -> dict[str, Channel]:
-        """The stated channels by role: time, motor_angle, torque or deflection, voltage."""
-        stated = {"time": self.time, "motor_angle": self.motor_angle, str(self.output_kind): self.output}
-        return stated | ({"voltage": self.voltage} if self.voltage is not None else {})
-
-
-_STATED = re.compile(r"(\w+) *= *(-?) *(.+?) *\[([^\[\]]*)\]")
-
-
-def parse_columns(texts: Iterable[str]) -> LogColumns:
-    """Return the columns that texts such as ``motor_angle=theta [deg]`` state; a minus turns the sign.
-
-    Raises FieldError where a text has another form, a role is missing, unknown or stated twice, or where the
-    unit in brackets does not measure its role.
-
-    >>> parse_columns(["time=t [s]", "motor_angle=theta [deg]", "torque=-gamma [Nm]"]).output.sign
-    -1
-    """
-    channels: dict[str, Channel] = {}
-    for text in texts:
-        match = _STATED.fullmatch(text.strip())
-        if match is None or match[1] not in QUANTITY_OF or match[1] in channels:
-            raise FieldError(
-                "column",
-                text,
-                "stated twice" if match and match[1] in channels else "not understood",
-                allowed=f"role=name [unit], each of {', '.join(QUANTITY_OF)} once",
-                remedy='write "motor_angle=theta [deg]", or "torque=-gamma [Nm]" to turn the sign',
-            )
-        channels[match[1]] = Channel(match[3], match[4].strip(), sign=-1 if match[2] else 1)
-    kinds: tuple[OutputKind, ...] = ("torque", "deflection")
-    outputs = [kind for kind in kinds if kind in channels]
-    if len(outputs) != 1 or not {"time", "motor_angle"} <= channels.keys():
-        raise FieldError(
-            "column",
-            ", ".join(channels) or "(nothing)",
-            "not one time, one motor_angle and one output",
-            allowed="time, motor_angle, and torque or deflection; voltage as well",
-            remedy="state every column once, or write [log] in the rig file",
-        )
-    kind, voltage = outputs[0], channels.get("voltage")
-    return LogColumns(channels["time"], channels["motor_angle"], channels[kind], kind, voltage)
+__all__ = ["Experiment"]
 
 
 @displayed
@@ -265,6 +106,78 @@ class Experiment:
                     remedy="cut the channels to their common span of time",
                 )
 
+    @classmethod
+    def from_arrays(
+        cls,
+        time: ArrayLike,
+        motor_angle: ArrayLike,
+        output: ArrayLike,
+        *,
+        output_kind: OutputKind = "torque",
+        units: Mapping[str, str] = MappingProxyType({}),
+        voltage: ArrayLike | None = None,
+        payload: float | None = None,
+        source: str = "",
+    ) -> Experiment:
+        """Return the experiment that arrays of shape (N,) hold, in SI units and radians or in `units`.
+
+        `time` are the stamps of the samples [s], steps below 1 s; `units` states others by role, such as
+        ``{"time": "ms", "motor_angle": "deg", "torque": "mNm"}``. Raises LogError for stamps with gaps,
+        repeats or strong jitter, and for an unknown unit.
+
+        >>> log = Experiment.from_arrays([0, 4, 8], [0, 5.0, 9.0], [0, 10, 30], units={"time": "ms"})
+        >>> log.period, log.duration
+        (0.004, 0.008)
+        """
+        arrays = {"time": time, "motor_angle": motor_angle, output_kind: output}
+        arrays |= {} if voltage is None else {"voltage": voltage}
+        channels = {role: Channel(role, units.get(role, SI[role])) for role in arrays}
+        columns = LogColumns(
+            channels["time"],
+            channels["motor_angle"],
+            channels[output_kind],
+            output_kind,
+            channels.get("voltage"),
+        )
+        return cls.from_frame(arrays, columns, payload=payload, source=source)
+
+    @classmethod
+    def from_frame(
+        cls,
+        frame: Any,
+        columns: LogColumns | Mapping[str, str],
+        *,
+        payload: float | None = None,
+        source: str = "",
+    ) -> Experiment:
+        """Return the experiment in a data frame: pandas, polars, a table of pyarrow, a dict of arrays.
+
+        `columns` states which column is what, in which unit and with which sign, as a rig's ``[log]`` table
+        does, or in words. Raises LogError as `from_arrays`, and for a column that is not there.
+
+        >>> frame = {"t": [0.0, 0.01, 0.02], "pot": [0.0, 5.0, 9.0], "gauge": [0.0, 0.1, 0.3]}
+        >>> stated = {"time": "t [s]", "motor_angle": "pot [deg]", "torque": "- gauge [Nm]"}
+        >>> Experiment.from_frame(frame, stated).output.tolist()
+        [-0.0, -0.1, -0.3]
+        """
+        if not isinstance(columns, LogColumns):
+            columns = parse_columns(f"{role}={text}" for role, text in columns.items())
+        data = {
+            role: channel.in_si(_column(frame, channel), role) for role, channel in columns.channels().items()
+        }
+        base = time_base(data["time"])
+        return cls(
+            period=base.period,
+            motor_angle=data["motor_angle"],
+            output=data[columns.output_kind],
+            output_kind=columns.output_kind,
+            payload=payload,
+            source=source,
+            findings=base.findings,
+            start_time=base.start,
+            voltage=data.get("voltage"),
+        )
+
     @property
     def time(self) -> NDArray[np.float64]:
         """Time of the samples, shape (N,) [s]."""
@@ -334,6 +247,19 @@ class Experiment:
         inside = Between(edge, 1 - edge, low_open=True, high_open=True, remedy="give a fraction such as 0.6")
         border = round(inside.check("fraction", fraction) * count)
         return slice(0, border), slice(border, count)
+
+
+def _column(frame: Any, channel: Channel) -> NDArray[np.float64]:
+    try:
+        values = np.asarray(frame[channel.column], dtype=np.float64)
+    except (KeyError, IndexError, TypeError, ValueError) as error:
+        allowed, remedy = "the name of a column of numbers", "state a column of the frame"
+        problem = f"no column of numbers ({type(error).__name__})"
+        raise LogError("columns", channel.column, problem, allowed=allowed, remedy=remedy) from error
+    if values.ndim != 1 or values.size < 2:
+        remedy = "give one-dimensional arrays of one length"
+        raise LogError("columns", channel.column, f"of shape {values.shape}", allowed="(N,)", remedy=remedy)
+    return values
 
 
 def _same(one: object, other: object) -> bool:

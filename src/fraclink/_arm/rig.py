@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 from fraclink import __version__
-from fraclink._arm.experiment import Channel, LogColumns
 from fraclink._arm.link import LinkModel, SecondMode
+from fraclink._arm.log_columns import Channel, LogColumns
 from fraclink._arm.motor_loop import LONGEST_DELAY, MotorLoop
 from fraclink._arm.rig_parts import (
     DesignDefaults,

@@ -11,8 +11,9 @@ from typing import Annotated, Any, Literal, TypedDict
 import typer
 
 from fraclink import _validate as ranges
-from fraclink._arm.experiment import Experiment, parse_columns
+from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import LinkModel
+from fraclink._arm.log_columns import parse_columns
 from fraclink._arm.rig import Rig
 from fraclink._design import Design
 from fraclink._files import kind_of

@@ -10,7 +10,7 @@ import re
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._arm.experiment import QUANTITY_OF, UNITS, Channel, LogColumns
+from fraclink._arm.log_columns import QUANTITY_OF, UNITS, Channel, LogColumns
 from fraclink._files.toml import toml_value
 from fraclink._logs.table import LogTable
 from fraclink._logs.text import NUMBER, cell_remedy

@@ -8,8 +8,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._arm.experiment import Channel, Experiment, LogColumns
+from fraclink._arm.experiment import Experiment
+from fraclink._arm.log_columns import Channel, LogColumns
 from fraclink._arm.rig import Rig
+from fraclink._arm.timebase import resampled, time_base
 from fraclink._files import sha256_of
 from fraclink._logs.columns import (
     check_signals,
@@ -22,7 +24,6 @@ from fraclink._logs.columns import (
 )
 from fraclink._logs.formats import read_table
 from fraclink._logs.table import SAMPLE_LIMIT, LogTable
-from fraclink._logs.timebase import resampled, time_base
 from fraclink.errors import FieldError, LogError
 from fraclink.findings import Finding
 

@@ -1,0 +1,178 @@
+"""How the columns of a log state a motion: which is what, in which unit and with which sign.
+
+Nothing about a log is ever guessed: one whose columns and units are not stated is refused.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink._validate import Between, Length, Where, checked
+from fraclink.errors import FieldError
+
+__all__ = ["QUANTITY_OF", "SI", "UNITS", "Channel", "LogColumns", "OutputKind", "parse_columns"]
+
+OutputKind = Literal["torque", "deflection"]
+
+# Unit -> factor to SI and radians, by the quantity it measures.
+UNITS = MappingProxyType(
+    {
+        "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
+        "angle": {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180, "rev": 2 * math.pi},
+        "torque": {"Nm": 1.0, "mNm": 1e-3, "N·m": 1.0, "N*m": 1.0},
+        "voltage": {"V": 1.0, "mV": 1e-3},
+    }
+)
+QUANTITY_OF = MappingProxyType(
+    {
+        "time": "time",
+        "motor_angle": "angle",
+        "torque": "torque",
+        "deflection": "angle",
+        "voltage": "voltage",
+    }
+)
+SI = {"time": "s", "motor_angle": "rad", "torque": "Nm", "deflection": "rad", "voltage": "V"}
+
+
+@checked
+@dataclass(frozen=True)
+class Channel:
+    """One column of a log: value = sign · scale · (raw − offset), in `unit`.
+
+    Parameters
+    ----------
+    column
+        its name in the log (``"#2"`` is the second column where the log names none).
+    unit
+        unit of the scaled value: s, ms, us, ns; rad, mrad, deg, rev; Nm, mNm; V, mV.
+    sign
+        +1 or −1.
+    scale
+        units for one raw unit, not 0.
+    offset
+        raw reading that means zero; ``"first"`` takes the first sample of the log.
+
+    Raises
+    ------
+    FieldError
+        a value out of its range.
+
+    Examples
+    --------
+    >>> Channel("pot_V", "deg", scale=36.79).column
+    'pot_V'
+    """
+
+    column: Annotated[str, Length(1, 200)]
+    unit: Annotated[str, Length(1, 10)]
+    sign: Literal[1, -1] = 1
+    scale: Annotated[
+        float, Between(-1e15, 1e15), Where(bool, "not 0, which erases the signal", remedy="give 1 or -1")
+    ] = 1.0
+    offset: Annotated[float, Between(-1e15, 1e15)] | Literal["first"] = 0.0
+
+    def in_si(self, raw: NDArray[np.float64], role: str) -> NDArray[np.float64]:
+        """The column in SI units and radians; `role` is time, motor_angle, torque, deflection or voltage."""
+        offset = raw[0] if self.offset == "first" else self.offset
+        factor = self.sign * self.scale * UNITS[QUANTITY_OF[role]][self.unit]
+        # Multiplying by 1.0 is exact, so that a log in SI units is read bit for bit.
+        return np.asarray((raw - offset) * factor if offset else raw * factor, dtype=np.float64)
+
+
+@checked(prefix="log.")
+@dataclass(frozen=True)
+class LogColumns:
+    """Which column is the time, the motor angle, the output and (optionally) the motor voltage.
+
+    Parameters
+    ----------
+    time
+        stamps of the samples.
+    motor_angle
+        θm, angle of the gear's output.
+    output
+        base torque Γ, positive where it drives the tip forward, or deflection θm − θt.
+    output_kind
+        which of the two it is.
+    voltage
+        voltage at the amplifier's input, or None.
+
+    Raises
+    ------
+    FieldError
+        where a unit does not measure its quantity.
+
+    Examples
+    --------
+    >>> columns = LogColumns(Channel("t", "s"), Channel("enc", "deg"), Channel("gauge", "Nm"), "torque")
+    >>> columns.output.unit
+    'Nm'
+    """
+
+    time: Channel
+    motor_angle: Channel
+    output: Channel
+    output_kind: OutputKind
+    voltage: Channel | None = None
+
+    def __post_init__(self) -> None:
+        for role, channel in self.channels().items():
+            known = UNITS[QUANTITY_OF[role]]
+            if channel.unit not in known:
+                near = difflib.get_close_matches(channel.unit, known, n=1, cutoff=0.3)
+                remedy = f"did you mean {near[0]!r}?" if near else f"give one of {', '.join(known)}"
+                problem, allowed = f"not a unit of {role}", ", ".join(known)
+                raise FieldError(f"log.{role}.unit", channel.unit, problem, allowed=allowed, remedy=remedy)
+
+    def channels(self) -> dict[str, Channel]:
+        """The stated channels by role: time, motor_angle, torque or deflection, voltage."""
+        stated = {"time": self.time, "motor_angle": self.motor_angle, str(self.output_kind): self.output}
+        return stated | ({"voltage": self.voltage} if self.voltage is not None else {})
+
+
+_STATED = re.compile(r"(\w+) *= *(-?) *(.+?) *\[([^\[\]]*)\]")
+
+
+def parse_columns(texts: Iterable[str]) -> LogColumns:
+    """Return the columns that texts such as ``motor_angle=theta [deg]`` state; a minus turns the sign.
+
+    Raises FieldError where a text has another form, a role is missing, unknown or stated twice, or where the
+    unit in brackets does not measure its role.
+
+    >>> parse_columns(["time=t [s]", "motor_angle=theta [deg]", "torque=-gamma [Nm]"]).output.sign
+    -1
+    """
+    channels: dict[str, Channel] = {}
+    for text in texts:
+        match = _STATED.fullmatch(text.strip())
+        if match is None or match[1] not in QUANTITY_OF or match[1] in channels:
+            raise FieldError(
+                "column",
+                text,
+                "stated twice" if match and match[1] in channels else "not understood",
+                allowed=f"role=name [unit], each of {', '.join(QUANTITY_OF)} once",
+                remedy='write "motor_angle=theta [deg]", or "torque=-gamma [Nm]" to turn the sign',
+            )
+        channels[match[1]] = Channel(match[3], match[4].strip(), sign=-1 if match[2] else 1)
+    kinds: tuple[OutputKind, ...] = ("torque", "deflection")
+    outputs = [kind for kind in kinds if kind in channels]
+    if len(outputs) != 1 or not {"time", "motor_angle"} <= channels.keys():
+        raise FieldError(
+            "column",
+            ", ".join(channels) or "(nothing)",
+            "not one time, one motor_angle and one output",
+            allowed="time, motor_angle, and torque or deflection; voltage as well",
+            remedy="state every column once, or write [log] in the rig file",
+        )
+    kind, voltage = outputs[0], channels.get("voltage")
+    return LogColumns(channels["time"], channels["motor_angle"], channels[kind], kind, voltage)
