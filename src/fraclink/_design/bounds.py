@@ -165,11 +165,13 @@ def _raise_filter(task: Task, name: str, bound: float, share: float, worst: Call
     made = [found for found, _ in tried if found is not None]
     if not made:
         least = min([ruled, *(value for _, value in tried)])
+        if least == math.inf:
+            return task  # crossover and margin are infeasible with any filter: `refuse` names the nearest
         words = name.replace("_", " ")
         raise InfeasibleError(
             words,
             f"no filter keeps the {words} within {bound:g} at this crossover and margin",
-            {name: 1.0001 * least} if math.isfinite(least) else None,
+            {name: 1.0001 * least},
         )
     return min(made, key=_lag)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -50,17 +50,10 @@ def design_for(rig: Rig, model: LinkModel | None = None, **wanted: Any) -> tuple
         stated = None if rig.design is None else getattr(rig.design, name)
         if stated is not None and not {name, *instead} & set(asked):
             asked[name] = stated
-    assumed: tuple[str, ...] = ()
-    if not {"gain_crossover", "settling_time"} & set(asked):
-        heaviest = max(asked["payloads"]) if len(asked["payloads"]) == 2 else rig.payloads.high
-        asked["gain_crossover"], sentence = _usual_crossover(link, heaviest)
-        assumed = (sentence,)
-    if {"phase_margin", "max_sensitivity"} & set(asked):
-        made, sentences = _least_mode_gain(link, rig, asked)
-        assumed = (*assumed, *sentences)
+    if {"gain_crossover", "settling_time"} & set(asked):
+        made, assumed = _completed_margin(link, rig, asked)
     else:
-        made, sentence = _largest_margin(lambda margin: design(link, rig, **asked, phase_margin=margin))
-        assumed = (*assumed, sentence)
+        made, assumed = _usual_crossover(link, rig, asked)
     doubts = filter(None, map(rig.payloads.doubt, made.payloads))
     return replace(made, findings=(*made.findings, *doubts)), assumed
 
@@ -73,14 +66,51 @@ _COMPLETED = {
 }
 
 
-def _usual_crossover(link: LinkModel, heaviest: float) -> tuple[float, str]:
-    heavy = link.at_payload(heaviest)
+def _usual_crossover(link: LinkModel, rig: Rig, asked: Mapping[str, Any]) -> tuple[Design, tuple[str, ...]]:
+    """The design with the usual crossover, or with the feasible one nearest to it."""
+    heavy = link.at_payload(max(asked["payloads"]) if len(asked["payloads"]) == 2 else rig.payloads.high)
     resonance = heavy.torque_resonance or heavy.natural_frequency ** (2.0 / heavy.order)
-    crossover = _CROSSOVER_RATIO * resonance
-    return crossover, (
-        f"gain crossover {crossover:.3g} rad/s: {_CROSSOVER_RATIO:g} times the torque resonance of the "
-        f"heaviest payload ({resonance:.3g} rad/s), as neither the rig nor the request states one"
+    usual = _CROSSOVER_RATIO * resonance
+    rule = (
+        f"{_CROSSOVER_RATIO:g} times the torque resonance of the heaviest payload ({resonance:.3g} rad/s), "
+        "as neither the rig nor the request states one"
     )
+    try:
+        made, more = _completed_margin(link, rig, {**asked, "gain_crossover": usual})
+    except InfeasibleError as error:
+        if "gain_crossover" not in error.nearest:
+            raise
+        made, more = _completed_margin(link, rig, {**asked, **error.nearest})
+        rule = f"the nearest feasible to {usual:.3g} rad/s, {rule}"
+        if "phase_margin" not in asked:
+            more = (_margin_sentence(math.degrees(made.phase_margin)), *more)
+    return made, (f"gain crossover {made.gain_crossover:.3g} rad/s: {rule}", *more)
+
+
+def _completed_margin(link: LinkModel, rig: Rig, asked: Mapping[str, Any]) -> tuple[Design, tuple[str, ...]]:
+    """The design asked for; where no margin is, the one with the largest usual margin that is feasible."""
+    if {"phase_margin", "max_sensitivity"} & set(asked):
+        return _least_mode_gain(link, rig, asked)
+
+    def ask(degrees: float) -> Design:
+        return design(link, rig, **asked, phase_margin=math.radians(degrees))
+
+    largest, *between, least = _MARGINS_DEG
+    try:
+        return ask(largest), (_margin_sentence(largest),)
+    except InfeasibleError as error:
+        # A refusal searches the nearest feasible request, for seconds: where the least margin is refused,
+        # too, those between are not tried.
+        try:
+            made = ask(least)
+        except InfeasibleError:
+            raise error from None
+    for degrees in between:
+        try:
+            return ask(degrees), (_margin_sentence(degrees),)
+        except InfeasibleError:
+            continue
+    return made, (_margin_sentence(least),)
 
 
 def _least_mode_gain(link: LinkModel, rig: Rig, asked: Mapping[str, Any]) -> tuple[Design, tuple[str, ...]]:
@@ -95,17 +125,6 @@ def _least_mode_gain(link: LinkModel, rig: Rig, asked: Mapping[str, Any]) -> tup
     bound = math.ceil(100 * least) / 100
     sentence = f"gain of {bound:g} at the second mode, as 0.5 is not feasible with this crossover and margin"
     return design(link, rig, **asked, mode_gain=bound), (sentence,)
-
-
-def _largest_margin(ask: Callable[[float], Design]) -> tuple[Design, str]:
-    """The design with the largest of the usual phase margins that is feasible."""
-    *usual, last = _MARGINS_DEG
-    for degrees in usual:
-        try:
-            return ask(math.radians(degrees)), _margin_sentence(degrees)
-        except InfeasibleError:
-            continue
-    return ask(math.radians(last)), _margin_sentence(last)
 
 
 def _margin_sentence(degrees: float) -> str:

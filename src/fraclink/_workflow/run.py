@@ -71,9 +71,9 @@ def run(
     >>> from fraclink._logs import bundled_log, read_log
     >>> rig = Rig.named("paper-2023")
     >>> log = read_log(bundled_log("prbs_30g"), rig=rig)
-    >>> study = run(rig, log, payloads=(0.020, 0.045), arms=0)
+    >>> study = run(rig, log, payloads=(0.020, 0.040), arms=0)
     >>> [f"{1e3 * move.payload:g} g" for move in study.runs], study.verdict.model.state, study.verdict.state
-    (['20 g', '30 g', '45 g'], 'passed', 'not run')
+    (['20 g', '30 g', '40 g'], 'passed', 'not run')
     """
     if structure is not None and structure not in STRUCTURES:
         allowed = ", ".join(STRUCTURES)

@@ -190,6 +190,7 @@ def _failed_move(run: Run) -> str:
 def save_study(study: Study, folder: Path | str) -> None:
     """Write every part of `study` to its file in `folder`; `load_study` reads them back.
 
+    >>> import tempfile
     >>> folder = Path(tempfile.mkdtemp())
     >>> save_study(Study(rig=Rig.named("paper-2023")), folder)
     >>> sorted(path.name for path in folder.iterdir()), load_study(folder).rig.name
