@@ -236,7 +236,7 @@ def edit(folder: Path, **changes: object) -> None:
         ({"duration": 5.0}, "fingerprint"),
         ({"runs": "many"}, "runs"),
         ({"draws": {}}, "campaign"),
-        ({"model": {"stiffness": 1.0, "colour": "red"}}, "model.colour"),
+        ({"model": {"stiffness": 1.0, "colour": "red"}}, r"model\.colour"),
         ({"fraclink": "plan"}, "file"),
     ],
 )
@@ -278,7 +278,7 @@ def test_no_room_for_a_part_keeps_the_finished_ones(copy, whole):
     campaign = load_campaign(copy)
     with pytest.raises(FieldError, match="not writable") as caught, _files_up_to(20_000):
         run_campaign(campaign, copy, workers=1)
-    assert "finished parts are kept" in str(caught.value)
+    assert "Finished parts are kept" in str(caught.value)
     assert identities(copy) == kept and not list(copy.glob(".*.tmp"))
     assert run_campaign(campaign, copy).before == 1500
     assert parts_of(copy) == parts_of(whole)

@@ -136,7 +136,7 @@ def test_the_command_line_bounds_the_mode(tmp_path: Path, capsys: pytest.Capture
     place = tmp_path / "design.json"
     line = ["design", "--rig", "paper-2023", "--link-mass", "0.00735", "--out", str(place)]
     assert main(line) == 0
-    assert "W405 warning" in capsys.readouterr().err
+    assert "W405 warning" in capsys.readouterr().out
     assert main([*line, "--mode-gain", "0.5", "--json", "--force"]) == 0
     told = json.loads(capsys.readouterr().out)
     names = {item["name"]: item["achieved"] for item in told["requirements"]}

@@ -136,7 +136,7 @@ def test_the_verb_replays_a_log(precision: str, tmp_path: Path, capsys: pytest.C
     text = source.read_text(encoding="utf-8")
     source.write_text(text.replace("sum += modes", "sum -= modes"), encoding="utf-8")
     assert fraclink(["replay", firmware, "demo"]) == 1
-    assert "they part in period" in capsys.readouterr().out
+    assert "first difference in period" in capsys.readouterr().out
     assert fraclink(["replay", str(tmp_path), "demo"]) == 2
     assert "not an export" in capsys.readouterr().err
 

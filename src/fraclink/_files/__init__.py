@@ -327,7 +327,7 @@ def _read(place: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
         text, arrays = read_archive(place, what)
     else:
         text = read_text(place, what)
-    data = parse_json(text)
+    data = parse_json(text, source=place.name)
     if not isinstance(data, dict) or "fraclink" not in data:
         raise broken(what, place, "not written by fraclink", "give another file")
     return data, arrays

@@ -128,7 +128,9 @@ def atomic_write(path: Path | str, mode: str = "w") -> Iterator[IO[Any]]:
             stream.close()
             temporary.replace(place)
         except BaseException:
-            stream.close()  # Windows removes no open file
+            # Closed first, as Windows removes no open file; on a full disk the flush within fails once more.
+            with contextlib.suppress(OSError):
+                stream.close()
             temporary.unlink(missing_ok=True)
             raise
 
@@ -211,8 +213,10 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return result
 
 
-def parse_json(text: str) -> Any:
+def parse_json(text: str, *, source: str = "json") -> Any:
     """Parse JSON that may be hostile: keys given twice, NaN, infinity, endless digits are FileFormatErrors.
+
+    `source`, such as the file's name, is what an error about the text as a whole names.
 
     >>> parse_json('{"a": 1}')
     {'a': 1}
@@ -227,11 +231,11 @@ def parse_json(text: str) -> Any:
         )
     except RecursionError as error:
         allowed, remedy = "a few levels", "make the file again"
-        raise FileFormatError("json", text, "nested too deeply", allowed=allowed, remedy=remedy) from error
+        raise FileFormatError(source, text, "nested too deeply", allowed=allowed, remedy=remedy) from error
     except json.JSONDecodeError as error:
         allowed, remedy = "JSON text", "make the file again"
         raise FileFormatError(
-            "json", text, f"not valid JSON ({error})", allowed=allowed, remedy=remedy
+            source, text, f"not valid JSON ({error})", allowed=allowed, remedy=remedy
         ) from error
 
 

@@ -64,7 +64,7 @@ def write_json(path: Path | str, kind: str, version: int, payload: Mapping[str, 
 
 def read_json(path: Path | str, kind: str, versions: tuple[int, ...] = (1,)) -> dict[str, Any]:
     """Read back what `write_json` wrote, after checking its kind and its format's version."""
-    data = parse_json(read_text(path, f"a {kind} file"))
+    data = parse_json(read_text(path, f"a {kind} file"), source=Path(path).name)
     return checked_envelope(data, kind, versions, Path(path))
 
 
@@ -92,13 +92,13 @@ def read_npz(
 ) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     """Read back what `write_npz` wrote: the envelope, and the arrays (read-only; float64 or uint32)."""
     text, arrays = read_archive(path, f"a {kind} file of fraclink (NPZ)")
-    return checked_envelope(parse_json(text), kind, versions, Path(path)), arrays
+    return checked_envelope(parse_json(text, source=Path(path).name), kind, versions, Path(path)), arrays
 
 
 def kind_of(path: Path | str) -> str:
     """Return the kind in the envelope of an NPZ file; an empty text where it is damaged or foreign."""
     try:
-        about = parse_json(header_of(path))
+        about = parse_json(header_of(path), source=Path(path).name)
     except FieldError:
         return ""
     return str(about.get("fraclink", "")) if isinstance(about, dict) else ""

@@ -70,7 +70,7 @@ class Metrics:
 class MoveVerdict:
     """Whether a run passed, and why; true where it did.
 
-    >>> bool(Verdict(True, "settled")), str(Verdict(False, "unstable: grows"))
+    >>> bool(MoveVerdict(True, "settled")), str(MoveVerdict(False, "unstable: grows"))
     (True, 'failed: unstable: grows')
     """
 

@@ -130,7 +130,7 @@ def simulate(
     >>> import fraclink as fl
     >>> rig = fl.Rig.named("paper-2023")
     >>> design = fl.design(rig.model, rig, payloads=(0.020, 0.040), gain_crossover=12.0,
-    phase_margin=fl.deg(50))
+    ...                    phase_margin=fl.deg(50))
     >>> run = fl.simulate(design, fl.smooth_step(1.0, duration=0.5), payload=0.02, noise=0.0)
     >>> run.verdict.passed, run.metrics.settling_time < 1.0
     (True, True)

@@ -69,7 +69,7 @@ def run(
     Raises FieldError where an argument is out of its range.
 
     >>> from fraclink._logs import bundled_log, read_log
-    >>> rig = Rig.named("paper-2023")
+    >>> rig = Rig.named("paper-2023-geared")
     >>> log = read_log(bundled_log("prbs_30g"), rig=rig)
     >>> study = run(rig, log, payloads=(0.020, 0.040), arms=0)
     >>> [f"{1e3 * move.payload:g} g" for move in study.runs], study.verdict.model.state, study.verdict.state
