@@ -9,26 +9,28 @@ import numpy as np
 import pytest
 
 import fraclink as fl
+from fraclink._campaign.endurance import soak, upsets
 from fraclink._campaign.fault_checks import shared_checks
 from fraclink._campaign.fault_rules import RULES
-from fraclink._campaign.fault_trial import REALS, members
+from fraclink._campaign.fault_trial import REALS, WORDS, members
 from fraclink._campaign.faults import (
     CATALOGUE,
     Bench,
     Case,
+    Check,
     FaultTable,
+    Outcome,
     cases,
     fault_named,
     observe,
     run_case,
     run_faults,
-    soak,
 )
 from fraclink._simulate import geared
 from fraclink.errors import FieldError, FileFormatError
 
 # Open points of the shipped law on this arm; docs/how-to/run-a-fault-campaign.md gives their values.
-OPEN = {"F06", "F07", "F08", "F11", "F21", "F23", "F24", "F27", "F28", "F30", "F37", "F38"}
+OPEN = {"F06", "F07", "F08", "F11", "F21", "F23", "F24", "F27", "F30", "F37", "F38"}
 WIDE = 1e3
 
 
@@ -177,6 +179,74 @@ def test_the_page_names_every_fault_and_what_is_open(table: FaultTable) -> None:
     page = table.markdown()
     assert all(f"| {fault.number} |" in page for fault in CATALOGUE)
     assert all(row.worst in page for row in table.rows())
+
+
+def outcome(*failed: str, peak: float = 0.1, mode: str = "run") -> Outcome:
+    checks = tuple(Check(name, math.inf, 1.0, passed=False) for name in failed)
+    case = Case("F01", 1, 0.03, "mid", 1)
+    return Outcome(case, checks, peak, 0.04, 0.0, mode, "none", -1)
+
+
+@pytest.mark.parametrize(
+    ("made", "group"),
+    [
+        (outcome(), "met"),
+        (outcome(peak=2.0), "met"),
+        (outcome("peak tip error over clean"), "slower than promised"),
+        (outcome("periods until off", peak=2.0, mode="off"), "slower than promised"),
+        (outcome("settling time of the move back over clean", peak=0.5), "slower than promised"),
+        (outcome("periods in another mode than allowed", mode="off"), "trips without need"),
+        (outcome("periods in another mode than allowed, single precision"), "trips without need"),
+        (outcome("periods until off (never)", peak=0.31), "unsafe"),
+        (outcome("peak tip error over clean", peak=0.31, mode="degraded"), "unsafe"),
+        (outcome("G2: |voltage| [V]", "periods in another mode than allowed", mode="off"), "unsafe"),
+    ],
+)
+def test_what_a_failure_means(made: Outcome, group: str) -> None:
+    assert made.group == group
+
+
+def test_every_fault_that_is_missed_has_a_cause_and_none_is_unsafe(table: FaultTable) -> None:
+    missed = [row for row in table.rows() if not row.passed]
+    assert all(fault_named(row.number).cause.startswith(("arm: ", "law: ", "test: ")) for row in missed)
+    assert all(fault_named(row.number).cause in table.markdown() for row in missed)
+    assert {row.group for row in missed} <= {"slower than promised", "trips without need"}
+
+
+def test_a_limit_cycle_is_seen_without_the_noise_that_hid_it(bench: Bench) -> None:
+    """Friction that is compensated six times over keeps the motor moving."""
+    case = Case("F28", 1, 0.03, "whole", 1)
+    assert run_case(bench, case, single=False).passed
+    drive = bench.law.drive
+    assert drive is not None
+    wild = replace(bench.law, drive=replace(drive, coulomb_voltage=6.0 * drive.coulomb_voltage))
+    failed = run_case(bench.with_law(wild), case, single=False).failed
+    assert "limit cycle [rad]" in [check.name for check in failed]
+
+
+@pytest.mark.parametrize("precision", ["single", "double"])
+def test_a_flipped_bit_of_what_decides_leaves_the_arm_where_it_is_or_the_drive_off(
+    bench: Bench, precision
+) -> None:
+    found = upsets(bench.with_law(bench.law.in_precision(precision)), names=["stamp", "mode", "tick"])
+    assert len(found) == 3 * 32
+    assert [upset for upset in found if not upset.passed] == []
+
+
+@pytest.mark.slow
+def test_a_flipped_bit_of_any_counter_does_no_harm(bench: Bench) -> None:
+    single = bench.with_law(bench.law.in_precision("single"))
+    for phase in ("start", "mid", "rest"):
+        found = upsets(single, phase=phase, names=WORDS)
+        assert len(found) == 12 * 32
+        assert [upset for upset in found if not upset.passed] == []
+
+
+def test_upsets_name_the_bit_that_they_flip(bench: Bench) -> None:
+    """The lowest bit of the motor reference changes nothing; its sign moves the arm."""
+    found = {upset.bit: upset for upset in upsets(bench, names=["motor_reference"], phase="rest")}
+    assert sorted(found) == list(range(64))
+    assert found[63].peak > 0.3 and found[0].peak < 0.1
 
 
 @pytest.mark.parametrize(

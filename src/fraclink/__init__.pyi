@@ -30,6 +30,8 @@ from fraclink._campaign.campaign import Campaign as Campaign
 from fraclink._campaign.campaign import Distribution as Distribution
 from fraclink._campaign.campaign import Draws as Draws
 from fraclink._campaign.campaign import draws_for as draws_for
+from fraclink._campaign.endurance import Soak as Soak
+from fraclink._campaign.endurance import soak as soak
 from fraclink._campaign.fault_rules import CATALOGUE as CATALOGUE
 from fraclink._campaign.fault_rules import Fault as Fault
 from fraclink._campaign.fault_trial import PHASES as PHASES
@@ -37,11 +39,9 @@ from fraclink._campaign.fault_trial import Bench as Bench
 from fraclink._campaign.fault_trial import Case as Case
 from fraclink._campaign.faults import FaultTable as FaultTable
 from fraclink._campaign.faults import Outcome as Outcome
-from fraclink._campaign.faults import Soak as Soak
 from fraclink._campaign.faults import cases as cases
 from fraclink._campaign.faults import run_case as run_case
 from fraclink._campaign.faults import run_faults as run_faults
-from fraclink._campaign.faults import soak as soak
 from fraclink._campaign.run import Progress as Progress
 from fraclink._campaign.run import run_campaign as run_campaign
 from fraclink._campaign.summary import Summary as Summary

@@ -94,6 +94,7 @@ class Evidence:
         return values[self.case.severity - 1]
 
 
+OTHER_MODE = "periods in another mode than allowed"
 ANY = 10**6  # periods: the catalogue states no number
 
 Requirement = Callable[[Evidence], Check]
@@ -105,7 +106,7 @@ def only(*modes: int) -> Requirement:
     def check(e: Evidence) -> Check:
         begun = int(np.argmax((e.faulty.flags & STARTED) != 0))
         others = int(np.count_nonzero(~np.isin(e.faulty.mode[begun:], modes)))
-        return Check.at_most("periods in another mode than allowed", others, 0)
+        return Check.at_most(OTHER_MODE, others, 0)
 
     return check
 

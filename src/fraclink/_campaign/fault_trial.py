@@ -57,7 +57,11 @@ ENCODER_REPLACED, GAUGE_REPLACED, FROZEN_ENCODER, FROZEN_GAUGE, SWAPPED, TICK_MI
     1 << bit for bit in range(7)
 )
 # law_state: twelve words, then these reals, in the order of law.h.
-COUNTERS = 12
+WORDS = (
+    *("stamp", "mode", "reason", "tick", "bad_encoder", "bad_gauge"),
+    *("residual", "stuck", "overload", "frozen", "repeated", "repeated_at"),
+)
+COUNTERS = len(WORDS)
 REALS = (
     *(f"modes[{i}]" for i in range(20)),
     *("error", "reference", "motor_reference", "motor_angle", "torque", "model_near", "model_angle"),
