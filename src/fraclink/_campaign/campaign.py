@@ -280,7 +280,7 @@ def _about(campaign: Campaign) -> dict[str, object]:
 
 # Fields that release 0.1 did not have.
 LATER_MODEL = {"gauge_delay", "gauge_gain", "second_mode", "unseen_up_to", "intervals"}
-LATER_DRAWS = {"gauge_delay": 0.0, "gauge_gain": 1.0}
+LATER_DRAWS: dict[str, float] = {"gauge_delay": 0.0, "gauge_gain": 1.0}
 
 
 def _stated(value: LinkModel | Draws, later: Collection[str]) -> dict[str, object]:

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from fraclink._arm.reference import smooth_step
+from fraclink._arm.reference import Reference, smooth_step
 from fraclink._campaign.fault_checks import (
     ANY,
     Check,
@@ -41,7 +41,7 @@ from fraclink._simulate.kernel import ArmState
 
 HEADER, COUNTS = 16, 40  # bytes of law_params before its reals
 # The paper's gauge, with a noise of 0.01 N·m, asks for 0.24 rad in this time (`Law.wiring_angle`).
-SELF_TEST = smooth_step(0.35, duration=0.12, start=0.1)
+SELF_TEST: Reference = smooth_step(0.35, duration=0.12, start=0.1)
 
 
 # ---- memory, parameters, start -----------------------------------------------------------------------

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from fraclink._arm.reference import hold, smooth_step
+from fraclink._arm.reference import Reference, hold, smooth_step
 from fraclink._campaign.fault_checks import (
     Check,
     Evidence,
@@ -31,7 +31,7 @@ from fraclink._simulate.kernel import ArmState
 WATCHDOG = 5  # periods after which a board's watchdog switches the drive off
 # A second move after ten seconds of the first: what a wound-up loop would spoil.
 BACK_AT = 12.2
-THERE_AND_BACK = MOVE.then(hold(0.0, 10.0)).then(smooth_step(-0.75, duration=1.2))
+THERE_AND_BACK: Reference = MOVE.then(hold(0.0, 10.0)).then(smooth_step(-0.75, duration=1.2))
 
 
 # ---- sensors -----------------------------------------------------------------------------------------
