@@ -191,10 +191,13 @@ def matrices(beam: Beam) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     stiffness = np.zeros_like(mass)
     for i in range(ELEMENTS):
         block = slice(2 * i, 2 * i + 4)
+        # Neighbouring elements share a node, so their blocks overlap in two of four places.
         mass[block, block] += _MASS * (beam.link_mass / ELEMENTS)
         stiffness[block, block] += _STIFFNESS * (beam.flexural_rigidity / size**3)
     mass[-2, -2] += beam.payload
+    # The last coordinate is h·w′ and not w′: its inertia is that about the tip over h².
     mass[-1, -1] += beam.payload_inertia / size**2
+    # The clamp takes deflection and slope of the first node away.
     return mass[2:, 2:], stiffness[2:, 2:]
 
 
@@ -202,6 +205,7 @@ def rigid_rotation(beam: Beam) -> Vector:
     """Return the nodal values of w = x, the straight link that turns by one radian."""
     size = beam.length / ELEMENTS
     rigid = np.full(2 * ELEMENTS, size)
+    # The slope of w = x is one, which in the coordinate h·w′ is h.
     rigid[0::2] = size * np.arange(1, ELEMENTS + 1)
     return rigid
 
@@ -219,12 +223,15 @@ def _modes(beam: Beam, count: int) -> BeamModes:
     order = order[values[order] > 1e-13 * values[order[0]]]
     frequencies = 1.0 / np.sqrt(values[order])
     shapes = np.linalg.solve(factor.T, vectors[:, order]) * frequencies  # unit modal mass
+    # An eigenvector has no sign of its own. The tip moves forward, so that the modes of two payloads can be
+    # compared and the state of one projected on the other.
     shapes = shapes * np.where(shapes[-2] < 0.0, -1.0, 1.0)
     rigid = rigid_rotation(beam)
     # EI φ''(0) from the base moment under the inertia load: exact to the order of the eigenvalue, where
     # differentiating the cubic twice would lose two orders. It is the moment K φ leaves at the clamp.
     curvature = frequencies**2 * (rigid @ (mass @ shapes))
     result = BeamModes(frequencies, rigid @ (mass @ shapes), shapes[-2] / beam.length, curvature, shapes)
+    # Results are shared through caches: a change in place would reach everybody.
     for array in vars(result).values():
         array.flags.writeable = False
     return result

@@ -60,12 +60,15 @@ def worst_over_box(
     inside = ends[:, 0] + np.random.default_rng(seed).random((_INTERIOR, len(names))) * np.diff(ends).T
     worst, place = math.inf, dict.fromkeys(names, math.nan)
     w0 = np.geomspace(low, high, 5)
+    # The worst is at a corner as a rule, since the margins are monotone in most of these; the points inside
+    # are there for the parameters in which they are not, such as a gauge delay beside a second mode.
     for point in np.concatenate([corners, inside]) if names else corners:
         varied, values = loop, dict(zip(names, map(float, point), strict=True))
         for name, value in values.items():
             varied = _VARIED[name](varied, value)
         links = w0 * values.get("natural_frequency_ratio", 1.0)
         distance = 1.0 / varied.sensitivity_peak(links)
+        # |1 + L| is a distance and positive on the unstable side as well: its sign comes from the margins.
         signed = float(np.min(np.where(varied.margins(links)[1] > 0.0, distance, -distance)))
         if signed < worst:
             worst, place = signed, values

@@ -72,6 +72,7 @@ class GaugedLink:
                 return np.asarray(np.log(np.abs(self.parts(w, natural_frequency)[0])))
         spring = np.square(np.asarray(natural_frequency, dtype=float))
         inertia, turn = np.exp(self.link_order * ln_w), 0.5 * math.pi * self.link_order
+        # In reals: a design asks for this on every grid, and complex powers cost more.
         real, imaginary = spring + inertia * math.cos(turn), inertia * math.sin(turn)
         value = np.log(spring)
         if self.damping:
@@ -90,6 +91,8 @@ class GaugedLink:
     def _link_slope(self, w: Real, natural_frequency: ArrayLike) -> Complex:
         inertia, drag, spring = self._link_terms(np.log(w), natural_frequency)
         whole = inertia + drag + spring
+        # s d/ds of a power is its exponent times it: the slope of a sum is the mean exponent, terms as
+        # weights.
         moved = (self.link_order * inertia + self.damping_order * drag) / whole
         if self.exact_gauge:
             return np.asarray((self.damping_order * drag / (drag + spring) if self.damping else 0.0) - moved)
@@ -97,9 +100,11 @@ class GaugedLink:
         torque, change = inertia / whole, (self.link_order - moved) * inertia / whole
         if self.second_mode is not None:
             mode = self.second_mode
+            # s d/ds ln of s²/(s² + 2ζω₂s + ω₂²) is (2ζω₂s + 2ω₂²)/(s² + 2ζω₂s + ω₂²).
             resonant = s**2 + 2.0 * mode.damping_ratio * mode.frequency * s + mode.frequency**2
             rest = 2.0 * mode.damping_ratio * mode.frequency * s + 2.0 * mode.frequency**2
             torque, change = torque + mode.response(s), change + mode.response(s) * rest / resonant
+        # The delay turns X by −ωτ_g, so it adds −τ_g s X to the slope of X; B = 1 − X has that over B.
         read = self.gauge_gain * np.exp(-self.gauge_delay * s)
         return np.asarray(-read * (change - self.gauge_delay * s * torque) / (1.0 - read * torque))
 
@@ -114,6 +119,7 @@ class GaugedLink:
         whole = inertia + drag + spring
         # 1 − g e^{-τs} by expm1: at low frequencies B must not lose digits to a delay of microseconds.
         turned = np.expm1(-self.gauge_delay * s)
+        # One fraction: far above the resonance X is near one, and 1 − X would cancel.
         bracket = (drag + spring + inertia * ((1.0 - self.gauge_gain) - self.gauge_gain * turned)) / whole
         torque = inertia / whole
         if self.second_mode is not None:
@@ -134,6 +140,7 @@ class GaugedLink:
         bracket, _, angle = self.parts(w, frequency)
         phase, outside = np.angle(bracket), np.zeros(w.shape, dtype=bool)
         turns = np.zeros(w.shape)
+        # The usual call asks one link at many frequencies; only a mixed one is taken apart.
         single = frequency.flat[0] if frequency.size and np.all(frequency == frequency.flat[0]) else None
         for value in np.unique(frequency) if single is None else (single,):
             row = np.True_ if single is not None else frequency == value
@@ -144,6 +151,7 @@ class GaugedLink:
         with np.errstate(divide="ignore"):
             size = np.log(np.abs(bracket))
             x = 1.0 - bracket
+            # arg(1 − 1/X) from −B·X̄, which needs no division by an X that vanishes.
             round_origin = angle - math.pi + np.angle(-bracket * np.conj(x))
         value = size + 1j * (np.where(outside, round_origin, phase) + 2.0 * math.pi * turns)
         return np.asarray(value, dtype=np.complex128)
@@ -171,16 +179,20 @@ def _unit_gains(link: GaugedLink, natural_frequency: float) -> tuple[tuple[float
     The delay turns X and does not change its size, so a scan about the modes finds all. Their place is needed
     to the accuracy of a phase only.
     """
+    # Seven decades about the resonance, and points that close in on it from both sides by ratio: |X| of a
+    # lightly damped link is steepest there, and a crossing between two points of the grid would be lost.
     near = np.geomspace(1e-6, 0.3, 24)
     shape = np.concatenate([np.geomspace(1e-3, 1e4, 200), 1.0 + near, 1.0 / (1.0 + near)])
     grid = float(link.peak(natural_frequency)) * shape
     if link.second_mode is not None:
+        # Eight half-widths of the second mode to either side: beyond, it adds 1/16 of its peak at most.
         width = link.second_mode.damping_ratio * np.linspace(-8.0, 8.0, 97)
         grid = np.concatenate([grid, link.second_mode.frequency * np.exp(width)])
     grid = np.unique(grid)
     level = np.log(link.parts(grid, natural_frequency)[1])
     found = []
     for i in np.flatnonzero((level[:-1] > 0.0) != (level[1:] > 0.0)):
+        # One secant in ln ω: the place only says on which branch of the phase a point lies.
         share = level[i] / (level[i] - level[i + 1])
         place = float(grid[i] * (grid[i + 1] / grid[i]) ** share)
         angle = float(link.parts(np.asarray(place), natural_frequency)[2])

@@ -41,6 +41,7 @@ class MotorConstants(Protocol):
     def gain(self) -> float: ...
     @property
     def decay(self) -> float: ...
+    # Corrections of motor loops are cached by their motor.
     def __hash__(self) -> int: ...
 
 
@@ -121,6 +122,7 @@ class ContinuousPid:
             direct=self.a2,
             angle_direct=self.b1,
             integral_gain=self.a0 / c,
+            # Partial fractions of (a2 s² + a1 s + a0)/(s(s + c)) and of b1 + ρ2/(s + c).
             filter_gain=self.a1 - self.a2 * c - self.a0 / c,
             angle_filter_gain=self.b0 - self.b1 * c,
             integral_now=integral[0],
@@ -204,6 +206,7 @@ def _one_pole(pole: float, period: float, method: Method) -> tuple[float, float,
     if method == "backward":
         return period / (1 + pole * period), 0.0, 1 / (1 + pole * period)
     if method == "zero-order-hold":
+        # expm1, as 1 − e^(−aT) of a slow pole would have few digits left.
         weight = period if pole == 0 else -math.expm1(-pole * period) / pole
         return 0.0, weight, math.exp(-pole * period)
     raise FieldError(
@@ -225,6 +228,8 @@ def held_motor(motor: MotorConstants, period: float) -> tuple[float, float, floa
     """
     gain, decay = motor.gain, motor.decay
     e = math.exp(-decay * period)
+    # T − (1 − e^(−BT))/B is BT²/2: at BT = 1e-8 the subtraction has lost eight digits, and to leave B out
+    # altogether costs 1e-8. Motors without friction come here, too.
     if decay * period < 1e-8:
         return 0.5 * gain * period**2, 0.5 * gain * period**2, e
     weight = -math.expm1(-decay * period) / decay
@@ -244,6 +249,7 @@ def _closed_matrix(motor: MotorConstants, d: DiscretePid, delay_samples: int) ->
     """State matrix of the sampled motor loop with θm* = 0: θ, θ̇, two filters, delayed voltages."""
     a, b, period = motor.gain, motor.decay, d.period
     weight = period if b == 0 else -math.expm1(-b * period) / b
+    # Angle and speed after a period of a held unit voltage are A·second and A·weight.
     second = period**2 / 2 if b == 0 else (period - weight) / b
     n = 4 + delay_samples
     # voltage now, as a row over the state; both filters are kept as their delayed part s:
@@ -258,6 +264,7 @@ def _closed_matrix(motor: MotorConstants, d: DiscretePid, delay_samples: int) ->
     filter_out[3] += 1.0
     voltage = integral_out + filter_out
     voltage[0] -= d.direct + d.angle_direct
+    # With a delay the motor gets the oldest voltage of the queue (states 4 on), else that of this tick.
     applied = np.eye(n)[4] if delay_samples else voltage
     matrix = np.zeros((n, n))
     matrix[0, :2] = 1.0, weight
@@ -267,5 +274,6 @@ def _closed_matrix(motor: MotorConstants, d: DiscretePid, delay_samples: int) ->
     matrix[2] = integral_out + d.integral_before * integral_in
     matrix[3] = d.filter_decay * filter_out + d.filter_before * filter_in
     for k in range(4, n):
+        # The queue moves up, and the new voltage enters at its end.
         matrix[k] = np.eye(n)[k + 1] if k + 1 < n else voltage
     return matrix

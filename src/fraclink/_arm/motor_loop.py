@@ -148,6 +148,7 @@ class SampledMotorLoop:
         """
         w = np.asarray(frequency, dtype=float)
         s, period = 1j * w, self.pid.period
+        # By expm1: far below the sampling rate 1 − e^(−sT) loses its digits, and the ratio must tend to one.
         hold = -np.expm1(-s * period) / (s * period)
         motor = self.motor.gain / (s * (s + self.motor.decay))
         ideal = np.exp(-(self.delay_samples + 0.5) * period * s) / (1.0 + s / pole) ** 2
@@ -176,6 +177,8 @@ def direct_placement(motor: MotorConstants, pole: float, period: float, delay_sa
     FieldError
         no filter pole leaves the loop stable: the pole is too fast for this delay.
     """
+    # The largest modulus has a kink wherever two left-over poles meet, so derivatives lead nowhere. Two grids
+    # place r to 1e-3.
     grid = np.linspace(-_FASTEST_FILTER, _FASTEST_FILTER, 61)
     radii = [_left_over(motor, pole, period, delay_samples, float(r))[1] for r in grid]
     best = int(np.argmin(radii))
@@ -198,8 +201,11 @@ def _left_over(motor: MotorConstants, pole: float, period: float, delay: int, r:
     """(S, modulus of the slowest left-over pole) for one filter pole: a linear system in S and f(x)."""
     m1, m2, e = held_motor(motor, period)
     base, target = np.array([1.0]), np.array([1.0])
+    # Open loop: the motor's poles 1 and e, the integral's 1, the filter's r, all as factors of 1 − p x.
     for place in (1.0, 1.0, e, r):
         base = np.convolve(base, [1.0, -place])
+    # Diophantine equation base + x^(1+d) (m1 + m2 x) S(x) = (1 − z₀x)³ f(x) in S and f = 1 + f1 x + ...:
+    # as many unknowns as powers of x, so z₀ is met exactly and f is what is left over.
     for _ in range(3):
         target = np.convolve(target, [1.0, -math.exp(-pole * period)])
     size = 4 + delay
@@ -210,6 +216,7 @@ def _left_over(motor: MotorConstants, pole: float, period: float, delay: int, r:
         matrix[k : k + 4, 2 + k] = -target
     right[:4] += target
     right[:5] -= base
+    # The power 0 reads 1 = 1 and is left out.
     solution = np.linalg.solve(matrix[1:], right[1:])
     left_over = np.roots(np.concatenate([[1.0], solution[3:]]))
     return np.asarray(solution[:3], dtype=float), float(np.max(np.abs(left_over)))
@@ -220,6 +227,7 @@ def _parallel(s: Real, r: float, z0: float, period: float) -> DiscretePid:
     half = 0.5 * period
     rate = (1.0 - r) / (half * (1.0 + r))  # c of 1/(s + c) under Tustin
     scale = half / (1.0 + rate * half)
+    # Both zeros of Cm1 at z₀ cancel two of the three poles, so that the reference sees one only.
     first = float(np.sum(s)) * np.array([1.0, -2.0 * z0, z0**2]) / (1.0 - z0) ** 2
     rest = s - first  # divisible by (1 - x): both have the same value at x = 1
     t0, t1 = float(rest[0]), float(-rest[2])
@@ -293,4 +301,5 @@ def motor_loop_costs(rig: Rig, *, frequency: float) -> tuple[MotorLoopCost, ...]
 
 def _noise_gain(loop: SampledMotorLoop, frequency: Real) -> Complex:
     first, second = loop.controllers(np.exp(-1j * frequency * loop.pid.period))
+    # The encoder's noise enters as θm does, through Cm1 and Cm2 alike.
     return np.asarray((first + second) / (1.0 + loop.loop_gain(frequency)))

@@ -69,6 +69,7 @@ class SampledPlant:
         total = np.sum(self.response(s) / s * np.exp(-self.delay * s), axis=-1)
         if self.leading is not None and self._whole_samples:
             total = total + self.leading * self._far(w, rate) * np.exp(-1j * self.delay * w)
+        # The hold's 1 − z⁻¹ by expm1: at low frequencies the alias sum is large and this factor small.
         held = -np.expm1(-1j * self.period * w) / self.period * total
         return np.asarray(held if self.before is None else held * self.before(w), dtype=np.complex128)
 
@@ -107,6 +108,7 @@ def sampled_plant(
 
     def response(s: Complex) -> Complex:
         ideal: Complex = (1.0 + lag * s) ** 2
+        # With the sampled PID the bare motor stands behind the hold, and the PID ahead of it (`before`).
         drive: Complex = s * (s + motor.decay) / motor.gain if sampled else ideal
         ln_s: Complex = np.log(s)
         inertia: Complex = np.asarray(np.exp(model.order * ln_s), dtype=np.complex128)
@@ -120,6 +122,7 @@ def sampled_plant(
         read = model.gauge_gain * np.exp(-model.gauge_delay * s)
         return np.asarray((1.0 - read * torque) / drive, dtype=np.complex128)
 
+    # Far out B falls like s^(−λ), or like s^(α−λ) where μ s^α outlives ω₀².
     softest = model.order - (model.damping_order if model.damping else 0.0)
     strength = model.damping if model.damping else spring
     # The PID's voltage already carries the computation delay.
@@ -127,6 +130,7 @@ def sampled_plant(
         response=response,
         period=period,
         delay=0.0 if sampled else motor_loop.delay_samples * period,
+        # Two powers of the motor loop (or of the motor), one of the hold.
         decay=3.0 + softest,
         leading=strength * (motor.gain if sampled else lag**-2) if model.exact_gauge else None,
         before=sampled.voltage if sampled else None,

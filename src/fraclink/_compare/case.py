@@ -55,6 +55,7 @@ class NominalLoop:
     @cached_property
     def frequencies(self) -> Real:
         """The grid [rad/s] on which the sensitivity is looked at: 2 % steps from 0.1 rad/s to Nyquist."""
+        # Steps of 2 %: a grid that is even in ω would miss the resonance or waste its points beyond it.
         nyquist = math.pi / self.period
         return np.asarray(np.geomspace(0.1, 0.999 * nyquist, int(50 * math.log(nyquist / 0.1))))
 
@@ -72,6 +73,8 @@ class NominalLoop:
         """Return the spectral radius of the closed loop: stable below 1."""
         p, k = self.plant, correction
         n = p.order
+        # The states of plant and controller side by side, e = −y: its eigenvalues are the loop's poles,
+        # those of the delay included, and no root of a polynomial of high degree is asked for.
         closed = np.zeros((n + k.order, n + k.order))
         closed[:n, :n] = p.a - k.d * np.outer(p.b, p.c)
         closed[:n, n:] = np.outer(p.b, k.c)
@@ -118,6 +121,7 @@ def tune(
     peaks = []
     for value in values.tolist():
         peaks.append(loop.peak(make(value)))
+        # The first good range has ended: larger knobs would be behind a range that is worse.
         if peaks[-1] > target and any(p <= target for p in peaks):
             break
     good = [i for i, peak in enumerate(peaks) if peak <= target]
@@ -194,6 +198,7 @@ def prepare(
     mass = (rig.link.mass or DEFAULT_MASS) if link_mass is None else link_mass
     nominal = known.at_payload(rig.payloads.nominal) if known.payload else known
     notes = [f"link of {1e3 * mass:g} g, {damping_of(nominal).label}"]
+    # All rivals must fail or pass by their control and not by a compensation that no law could make stable.
     if Twin.from_rig(rig, link_mass=mass, damping=damping_of(nominal)).findings:
         rig = geared(rig)
         notes.append("the rig's hub is too light for a sampled compensation (W601): a gear of 50:1 added")

@@ -73,19 +73,25 @@ def lqg_correction(
     held, drive, row = np.zeros((n, n)), np.zeros(n), np.zeros(n)
     held[:4, :4], row[:4] = exact[:4, :4], c
     if delay:
+        # The delay is a queue of held inputs: the oldest drives the arm, the newest enters at the end.
         held[:4, 4] = exact[:4, 4]
         held[4 : n - 1, 5:] = np.eye(delay - 1)
         drive[-1] = 1.0
     else:
         drive[:4] = exact[:4, 4]
+    # One knob: `weight` prices the motor's reference against the tip, and the rule turns it up to the same
+    # Ms.
     cost = solve_discrete_are(held, drive[:, None], np.outer(row, row), np.array([[1.0 / weight]]))
     gain = (drive @ cost @ held) / (1.0 / weight + drive @ cost @ drive)
 
     wide = np.eye(n + 1)
     wide[:n, :n] = held
     seen = np.append(row, 1.0)
+    # A random walk of 3 mrad in ten seconds: the offset of a gauge is slower than any move, and a filter that
+    # let it go faster would take the bend of a move for offset.
     walk = 3e-3**2 * period / 10.0
     process = np.zeros((n + 1, n + 1))
+    # 1e-12 keeps the Riccati equation well posed for states that the input does not reach at once.
     process[:n, :n] = np.outer(drive, drive) * 0.01**2 + 1e-12 * np.eye(n)
     process[n, n] = walk
     spread = solve_discrete_are(wide.T, seen[:, None], process, np.array([[noise**2]]))
@@ -113,6 +119,7 @@ def hinf_correction(model: LinkModel, *, period: float, pole: float, delay: int,
     w, _ = integer_mode(model)
     arm, b_arm, c_arm = _arm(model, pole)
     rate = 2.0 / ((delay + 0.5) * period)  # Padé: (rate − s)/(rate + s)
+    # A decade below the mode, where the weight is one but for 6° of lead.
     corner = w / 10.0
     # States: arm (4), Padé (1), weight (1), in the order weight → Padé → arm.
     a, b, c = np.zeros((6, 6)), np.zeros(6), np.zeros(6)
@@ -128,9 +135,11 @@ def hinf_correction(model: LinkModel, *, period: float, pole: float, delay: int,
     a[:4] += np.outer(b_arm, pade_out)
     b[:4] = b_arm * pade_direct
     c[:4] = c_arm
+    # The coprime factors are normalised, so both Riccati equations have unit weights.
     one = np.eye(1)
     x = solve_continuous_are(a, b[:, None], np.outer(c, c), one)
     z = solve_continuous_are(a.T, c[:, None], np.outer(b, b), one)
+    # At γ_min the matrix to be inverted is singular; a tenth more is the textbook's choice.
     level = 1.1 * math.sqrt(1.0 + float(np.abs(np.linalg.eigvals(x @ z)).max()))
     inner = np.linalg.inv(((1.0 - level**2) * np.eye(6) + x @ z).T)
     feed = level**2 * inner @ z @ c
@@ -168,6 +177,7 @@ class Linear:
     def __call__(self, seen: Seen) -> float:
         """Return Ĉ e."""
         f, error = self._filter, seen.error
+        # Read before the update, as law.c does: the output may depend on this tick's error.
         output = float(f.c @ self._state) + f.d * error
         self._state = f.a @ self._state + f.b * error
         return output
@@ -176,6 +186,7 @@ class Linear:
 def pd_correction(gain: float, *, corner: float, filter_time: float, period: float) -> Filter:
     """Return gain·(1 + s/corner)/(1 + filter_time s) by Tustin."""
     a, b = np.array([[-1.0 / filter_time]]), np.ones(1)
+    # Partial fractions of gain·(1 + s/corner)/(1 + T s): a constant and one pole.
     direct = gain / (corner * filter_time)
     return tustin(a, b, np.array([(gain - direct) / filter_time]), direct, period)
 
@@ -214,6 +225,7 @@ class Sliding:
         f, error = self._derivative, seen.error
         speed = float(f.c @ self._state) + f.d * error
         self._state = f.a @ self._state + f.b * error
+        # Sliding surface κ(ė + Λe); inside the bound this is linear, and is what the tuning looks at.
         surface = self._rate * (speed + self._rate * error)
         switching = math.copysign(min(abs(surface), self._bound), surface)
         return -error + (self._rate * speed + switching) / self._square
@@ -229,6 +241,8 @@ def gpi_control(rate: float, frequency: float, *, filter_time: float, period: fl
     # (6r²s² + 4r³s + r⁴)/(s² + 4rs) = 6r² + (−20r³ s + r⁴)/(s² + 4rs)
     c = np.array([r**4, -20.0 * r**3]) / frequency**2
     control = tustin(a, np.array([0.0, 1.0]), c, 6.0 * r**2 / frequency**2, period)
+    # C is not strictly proper: without a low-pass the gauge's noise would reach the motor at full
+    # bandwidth.
     smooth = tustin(np.array([[-1.0 / filter_time]]), np.ones(1), np.array([1.0 / filter_time]), 0.0, period)
     return control.after(smooth)
 
@@ -277,6 +291,7 @@ class Algebraic:
         right = bend_twice.add(bend.add(t * t * deflection, h), h)
         left = t * t * tip - 4.0 * moment.add(t * tip, h) + 2.0 * angle_twice.add(angle.add(tip, h), h)
         above, below = product.add(right * left, h), square.add(right * right, h)
+        # A factor of four in ω² is a factor of four in the payload: beyond, the estimate is noise.
         if t >= self._until and below > 0.0:
             self.square = min(max(above / below, 0.25 * self._nominal), 4.0 * self._nominal)
             self._until = math.inf
@@ -289,6 +304,7 @@ class Algebraic:
         f = self._filter
         whole = float(f.c @ self._state) + f.d * seen.error
         self._state = f.a @ self._state + f.b * seen.error
+        # C and the feed-forward were made for the nominal ω²; both are inversely proportional to it.
         ratio = self._nominal / self.square
         return ratio * whole - seen.error + (ratio - 1.0) * seen.feed_forward
 
@@ -304,6 +320,7 @@ def shaper_impulses(frequency: float, ratio: float, *, derivative: bool) -> tupl
     ([0.0, 0.3142], [0.5, 0.5])
     """
     root = math.sqrt(1.0 - ratio**2)
+    # The second impulse comes half a damped period later, in opposite phase to the first one's vibration.
     half = math.pi / (frequency * root)
     k = math.exp(-ratio * math.pi / root)
     sizes = np.array([1.0, 2.0 * k, k * k] if derivative else [1.0, k])

@@ -43,6 +43,7 @@ class Filter:
         """Return the transfer function at z, shape kept."""
         if self.order == 0:
             return np.full(np.shape(z), self.d, dtype=np.complex128)
+        # Solved and not inverted: near a pole z − A is nearly singular.
         matrix = np.asarray(z)[..., None, None] * np.eye(self.order) - self.a
         column = np.broadcast_to(self.b[:, None], (*matrix.shape[:-1], 1))
         return np.asarray(np.linalg.solve(matrix, column)[..., 0] @ self.c + self.d, dtype=np.complex128)
@@ -67,6 +68,7 @@ class Filter:
 def tustin(a: Real, b: Real, c: Real, d: float, period: float) -> Filter:
     """Discretise ẋ = a x + b u, y = c x + d u by Tustin's rule at `period` [s]."""
     half = 0.5 * period
+    # Tustin's rule keeps the order, and a pole is stable after it exactly if it was before.
     left = np.linalg.inv(np.eye(len(b)) - half * a)
     # The state is scaled so that the discrete b is left·b·T: no square roots of the period are needed.
     return Filter(
@@ -104,6 +106,7 @@ def sampled(plant: Plant, row: Real, period: float, delay: int, *, gain: float =
     single, drive = exact.transition[:, :n].T, gain * exact.hub[:n]
     a, b = np.eye(n), np.zeros(n)
     for _ in range(round(period / step)):
+        # The period is a whole number of fine steps with one held input: exact, as the plant's own steps are.
         a, b = single @ a, single @ b + drive
     held = Filter(a, b, row, 0.0)
     if delay == 0:

@@ -91,6 +91,8 @@ def phase_budget(design: Design, payload: float) -> tuple[PhaseShare, ...]:
         raise FieldError("payload", payload, "without a gain crossover", allowed=allowed, remedy=remedy)
     w = float(np.max(crossings))
     hold = 0.5 * design.rig.period
+    # What the gauge adds is the difference to a perfect one: its delay alone would leave out what the second
+    # mode does to the phase.
     tip = float(replace(loop, gauge_delay=0.0, gauge_gain=1.0, second_mode=None).link_log(w, w0).imag)
     gauge = float(loop.link_log(w, w0).imag) - tip
     return (
@@ -139,6 +141,7 @@ def margin_curve(design: Design, payloads: ArrayLike, *, kind: str = "loop") -> 
     checked_choice("kind", kind, ("ideal", "motor", "loop", "sampled"), remedy="say 'loop'")
     if kind == "sampled":
         found = [design.sampled_at(float(m)) for m in masses]
+        # An unstable loop may show a large margin at a crossing: it is drawn below zero.
         sign = np.where([bool(f.stable) for f in found], 1.0, -1.0)
         return MarginCurve(
             kind,
@@ -205,6 +208,7 @@ def tolerances(design: Design) -> Tolerances:
         changed = replace(loop, gauge_gain=ratio * loop.gauge_gain)
         return margin(changed, grid[[0, 4, 8]] * math.sqrt(ratio))
 
+    # A factor of 7 in ω₀ is one of 49 in payload, further than any design is asked about.
     light = _edge(lambda w0: margin(loop, w0), high, 7.0 * high)
     heavy = _edge(lambda w0: margin(loop, w0), low, low / 7.0)
     slow = None
@@ -225,6 +229,7 @@ def _edge(margin: Callable[[float], float], start: float, end: float) -> float |
     """Where between `start` (stable) and `end` the signed margin first reaches zero; None where never."""
     from scipy.optimize import brentq
 
+    # The first edge counts, and a margin may come back behind it: so steps of a few percent, and then a root.
     steps = [float(x) for x in np.geomspace(start, end, 60)]
     for good, bad in itertools.pairwise(steps):
         if margin(bad) <= 0.0:
@@ -255,6 +260,7 @@ def spillover(
     for number, mode in enumerate(modes, start=2):
         w = checked_between("mode.frequency", mode.frequency, 0.0, 1e6, "rad/s", open_low=True)
         zeta = checked_between("mode.damping_ratio", mode.damping_ratio, 0.0, 1.0, "", open_low=True)
+        # Above the first mode the lumped link is gone (G → 0): what the mode is multiplied with is Ĉ·M alone.
         rest = math.exp(float((loop.outer_log(w) + loop.motor_log(w)).real))
         value = rest * abs(mode.share) / (2.0 * zeta)
         found.append(Requirement.at_most(f"loop gain at mode {number}", limit, value, "", design.payloads[0]))

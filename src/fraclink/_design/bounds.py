@@ -133,6 +133,8 @@ def _raise_margin(task: Task, asked: float, share: float, worst: Callable[[Task]
     if worst(task) <= asked:
         return task
     bound, bad, least = 1.0 + (asked - 1.0) * share, task.phase_margin, math.inf
+    # A margin may have no controller at all (Ms infinite), and Ms need not fall all the way: a scan first,
+    # and only then the edge between the last that failed and the first that does not.
     for margin in map(float, np.linspace(task.phase_margin, 0.9 * math.pi, 40)):
         found = worst(replace(task, phase_margin=margin))
         least = min(least, found)
@@ -143,6 +145,7 @@ def _raise_margin(task: Task, asked: float, share: float, worst: Callable[[Task]
         raise InfeasibleError(
             "sensitivity peak",
             f"no phase margin at {task.gain_crossover:.6g} rad/s brings Ms to {asked:g}",
+            # A part in 1e4 above the least: the printed digits of an offer must themselves be feasible.
             {"max_sensitivity": 1.0001 * least} if math.isfinite(least) else None,
         )
     if margin > bad:
@@ -184,6 +187,7 @@ def _lag(task: Task) -> float:
 def _shortest(task: Task, bound: float, worst: Callable[[Task], float]) -> tuple[Task | None, float]:
     """(the task with the shortest δ within `bound`, None where there is none; the least that was seen)."""
     bad, least = task.filter_time or 1e-5, math.inf
+    # From 0.1 ms, below every control period, to 1 s in steps of 27 %.
     for time in map(float, np.geomspace(max(1e-4, 1.001 * bad), 1.0, 40)):
         found = worst(replace(task, filter_time=time))
         least = min(least, found)
@@ -205,6 +209,8 @@ def refuse(task: Task, attempt: Attempt, found: tuple[ClosedForm, ...], fastest:
     """
     top = 0.999 * (fastest if task.inside else 1e4)
     start = min(task.low ** (2.0 / task.model.order), top) / 3.0
+    # Steps of 2.3° and, from a third of the heaviest payload's resonance on, of some percent: finer than what
+    # a person would try next, and the edge itself is then found by halving.
     margin = _nearest(task, "phase_margin", np.linspace(0.01, math.pi - 0.01, 80), attempt)
     crossover = _nearest(task, "gain_crossover", np.geomspace(start, top, 60), attempt)
     condition, reason = _reason(task, found)
@@ -269,6 +275,7 @@ def _reason(task: Task, found: tuple[ClosedForm, ...]) -> tuple[str, str]:
     if not found:
         where = "below the Nyquist frequency " if task.inside else ""
         return "phase margin unreachable", f"no ω̄_c {where}solves equation (55) for this phase margin"
+    # Of several inadmissible solutions the one in the middle of 0 < β < 2 is the closest to being one.
     best = min(found, key=lambda s: abs(s.order - 1.0))
     violated = best.violated(task.model.order)
     if violated is None:

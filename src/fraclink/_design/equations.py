@@ -102,6 +102,7 @@ def task_of(model: LinkModel, rig: Rig, spec: Specification) -> Task:
             remedy="state mass_kg in [link] (--link-mass on the command line)",
         )
     low, high, payloads = _range(link, rig, spec)
+    # ω₀ has the unit s^(−λ/2), and the theorem compares powers of it: below one the inequality turns over.
     if spec.margins == "ideal" and low <= 1.0:
         raise FieldError(
             "natural_frequencies",
@@ -230,6 +231,7 @@ def equation(
     time = np.full(np.shape(upper), bare.filter_time)
     if rule:
         time = np.asarray(math.tan(MARGIN_SHARE * margin / n) / upper)
+        # The rule's δ depends on the trial ω̄_c, so its filter is added here and not in `bare`.
         at_low = at_low - n * np.log(1.0 + 1j * time * crossover)
         at_high = at_high - n * np.log(1.0 + 1j * time * upper)
     beta = 2.0 / math.pi * (margin - math.pi - at_high.imag)
@@ -250,6 +252,8 @@ def solutions(task: Task, order: int) -> Iterator[ClosedForm]:
     def terms(upper: Real) -> tuple[Real, Real, Real, Real]:
         return equation(bare, task.high, upper, low, task.phase_margin, rule=rule)
 
+    # Far above the mode |L| ∝ ω₀² ω^(β−λ), so between the payloads the crossing moves by (ω̄₀/ω₀)^(2/(λ−β)):
+    # the square of the ratio for λ − β = 1. The factor 50 leaves room for flatter slopes.
     top = min(bare.highest, 50.0 * crossover * (task.high / task.low) ** 2)
     grid = np.geomspace(0.9 * crossover, max(top, 1.1 * crossover), _GRID)
     residual = terms(grid)[0]
@@ -283,15 +287,18 @@ def attempt(task: Task) -> tuple[ClosedForm, int] | None:
                 if not _admissible(task, solution, order):
                     continue
                 crossover, margin = _achieved(aim, solution, order)
+                # A solution meets its own equations to rounding only.
                 if crossover >= task.gain_crossover * (1.0 - 1e-9) and margin >= task.phase_margin * (
                     1.0 - 1e-9
                 ):
                     return solution, order
                 if crossover > 0.0 and margin > 0.0 and shortfall is None:
                     shortfall = task.gain_crossover / crossover, task.phase_margin - margin
+        # A round that leaves more than 70 % of what was missing will not arrive in _AIMS rounds (0.7⁸ = 6 %).
         if shortfall is None or max(shortfall[0] - 1.0, shortfall[1]) > 0.7 * last:
             return None  # nothing near, or what is missing does not shrink
         last = max(shortfall[0] - 1.0, shortfall[1])
+        # 2 % more than was missing: the worst payload moves with the aim, and to fall short costs a round.
         wider = aim.phase_margin + 1.02 * max(shortfall[1], 0.0)
         aim = replace(aim, gain_crossover=aim.gain_crossover * max(shortfall[0], 1.0), phase_margin=wider)
         if aim.phase_margin >= math.pi or aim.gain_crossover >= aim.bare(1).highest:
@@ -300,6 +307,7 @@ def attempt(task: Task) -> tuple[ClosedForm, int] | None:
 
 
 def _admissible(task: Task, solution: ClosedForm, order: int) -> bool:
+    # With n = 1 and β ≥ 1 the noise gain of Ĉ would grow without bound: the next n is taken instead.
     proper = task.filter_order is not None or order == 2 or solution.order < 1.0
     return proper and solution.violated(task.model.order) is None
 
@@ -336,6 +344,7 @@ def _filter_afterwards(task: Task, solution: ClosedForm, n: int) -> float:
         return np.asarray(loop.log(frequency, task.high).real + n * np.log(np.cos(turned)))
 
     # Below ω̄_c the unfiltered loop lags less and is louder: walk down until the filter can take enough of it.
+    # Steps of 1 %, down to 13 % of ω̄_c: no filter of a tenth of the margin moves the crossing that far.
     steps: Real = solution.upper * np.power(0.99, np.arange(1.0, 201.0))
     enough = (lag(steps) >= 0.45 * math.pi * n) | (level(steps) > 0.0)
     low = steps[int(np.argmax(enough))] if enough.any() else steps[-1]

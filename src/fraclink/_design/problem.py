@@ -61,10 +61,14 @@ class Problem:
     def box(self) -> list[tuple[float, float]]:
         """Lower and upper end of every parameter, the objective's last."""
         highest = min(self.loop.link_order, float(self.filter_order)) - 0.02  # Ĉ stays strictly proper
+        # Wide ends that no arm needs, in ln k_d and ln of the goal: they keep the steps of the solver
+        # finite. β stays off 0, where Ĉ is a constant that (28) forbids.
         return [(-27.0, 27.0), (0.05, highest), (_SHORTEST, _LONGEST), (-20.0, 20.0)]
 
     @cached_property
     def _links(self) -> Real:
+        # Ms and noise are smooth over ω₀: five links are enough to steer by, and what is found is measured
+        # over the whole range afterwards.
         return np.geomspace(*self.natural_frequencies, _PAYLOADS)
 
     @cached_property
@@ -87,7 +91,9 @@ class Problem:
         """(Ĉ, d ln Ĉ/dx) at ω; the derivatives have shape (parameters, N)."""
         s = 1j * w
         delta = math.exp(x[2])
+        # d ln(1 + δs)/d ln δ, the third parameter being ln δ.
         lagged = delta * s / (1.0 + delta * s)
+        # In ln k_d, β and ln δ, ln Ĉ is linear but for the filter: a step of the solver stays near the truth.
         log = x[0] + x[1] * np.log(s) - self.filter_order * np.log(1.0 + delta * s)
         rows = [np.ones_like(s), np.log(s), -self.filter_order * lagged, np.zeros_like(s)]
         return np.exp(log), np.array(rows)
@@ -98,6 +104,7 @@ class Problem:
         outer, slopes = self.outer(x, w)
         value = outer * rest
         rows = [np.log(np.abs(1.0 + value)) + math.log(self.bounds.max_sensitivity)]
+        # d ln|1 + L| = Re dL/(1 + L), and dL = L d ln Ĉ.
         gradients = [(value / (1.0 + value) * slopes).real]
         for bound, gradient in (self._crossover(x), *self._quiet(x), *self._still(x)):
             rows.append(np.atleast_1d(bound))
@@ -115,6 +122,8 @@ class Problem:
             trial = replace(
                 self.loop, order=float(x[1]), filter_time=math.exp(x[2]), filter_order=self.filter_order
             )
+            # Where the crossover is the goal, the point at which |L| is asked for moves with the last
+            # parameter.
             gradient[-1] = trial.slope(w, low).real
         return np.log(np.abs(outer)) + self.loop.level(w, low), gradient
 
@@ -127,6 +136,7 @@ class Problem:
             part = outer / (1.0 + outer * rest)
             power = np.abs(part) ** 2 * weights
             total = float(np.sum(power))
+            # Noise passes through Ĉ/(1 + L), so ln of it changes by d ln Ĉ/(1 + L).
             gradient = -np.sum(power * (slopes / (1.0 + outer * rest)).real, axis=1) / total
             if self.goal == "noise":
                 gradient[-1] = 1.0
@@ -143,6 +153,8 @@ class Problem:
 
     def start(self, controller: Controller) -> Real:
         """The parameters of a controller, its β brought into range for this n."""
+        # β is changed about twice the crossover, where |Ĉ| matters most, so that a start in range stays a
+        # loop.
         centre = 2.0 * self.bounds.gain_crossover
         low, high = self.box[1]
         order = min(max(controller.order, low), high)
@@ -169,6 +181,7 @@ class Problem:
         sign = -1.0 if self.goal == "crossover" else 1.0
         direction = np.zeros(start.size)
         direction[-1] = sign
+        # The goal is a parameter of its own, bounded by all payloads at once: a maximum that has derivatives.
         objective: Callable[[Real], tuple[float, Real]] = lambda x: (sign * float(x[-1]), direction)  # noqa: E731
         low, high = np.array(self.box).T
         with np.errstate(all="ignore"):  # trial steps may go far astray; what they find is judged afterwards

@@ -125,6 +125,7 @@ def pack(values: Mapping[str, float | Sequence[float]], precision: Precision) ->
                 allowed=f"at most {length}",
                 remedy="ask for a lower order",
             )
+        # A mode with gain 0 adds nothing, so shorter lists are padded and the counts spare the arithmetic.
         flat += items + [0.0] * (length - len(items))
     counts = [int(values[name]) for name in COUNTS]  # type: ignore[arg-type]
     try:

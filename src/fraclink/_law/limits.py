@@ -103,10 +103,14 @@ def derive_limits(
     |s^(λ-2)/(μ s^α + ω₀²)| at the resonance, doubled for payloads beyond the nominal one. Lag of the loop:
     2/p + 1.5 T. Reasons stand beside each number in the source.
     """
+    # 1/G − 1 is what the motor must lead the tip by, and s² of it belongs to the acceleration.
     resonance = abs(link.pole)
     flexible = abs(1 / link.tip()(1j * resonance) - 1) / resonance**2 * moves.acceleration
+    # Twice: payloads beyond the nominal one bend the link more, and no limit may trip on them.
     torque = 2 * link.stiffness * flexible
+    # The motor leads the tip by the flexion at both ends of a move.
     angle = moves.angle + 2 * flexible
+    # M(s) lags by 2/p at low frequency, hold and computation by a period and a half.
     lag = 2 / pole + 1.5 * period
     # Reference, feed-forward and correction may each ask for the full speed at once.
     motor_step = 3 * moves.velocity * period
