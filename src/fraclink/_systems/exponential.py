@@ -9,6 +9,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import brentq
 
 from fraclink._systems.terms import Complexes, Reals, Term
 from fraclink.errors import FieldError, NotConvergedError
@@ -222,6 +223,19 @@ def right_half_plane_zeros(terms: Sequence[Term]) -> int:
     return round((high - low - turned) / math.pi)
 
 
+def _balance(sizes: Reals, gaps: Reals, wanted: float) -> float:
+    """x where Σ sizes e^(gaps x) = `wanted`, with gaps > 0; 0 where there is nothing to sum."""
+    if not sizes.size:
+        return 0.0
+    places = (np.log(wanted / sizes.size) - np.log(sizes)) / gaps  # each term alone has its share here
+
+    def excess(x: float) -> float:
+        return float(np.exp(np.minimum(np.log(sizes) + gaps * x, 700.0)).sum()) - wanted
+
+    low, high = float(places.min()), float(places.max())
+    return low if excess(high) <= 0.0 or low == high else float(brentq(excess, low, high, xtol=1e-3)) - 1e-2
+
+
 @dataclass(frozen=True)
 class _Quasi:
     coefficients: Reals
@@ -247,22 +261,27 @@ class _Quasi:
         )
 
     def range(self) -> tuple[float, float]:
-        """ln ω below which the lowest order and above which the highest order exceeds all others."""
+        """ln ω below which the lowest order and above which the highest order exceeds all others.
+
+        The sum of the others over the dominant one is monotone in ln ω, so that the place is a root. Slow
+        roll-off makes it far away, and a delay turns D once more in every 2π/τ up to there: a bound that is
+        ten times too high in D costs a hundred times the pieces for orders half apart.
+        """
         a, b = np.abs(self.coefficients), self.orders
         lowest = b == self.bottom
-        base = abs(self.coefficients[lowest].sum())
-        others = math.log(4 * len(a))
-        low = []
-        for size, order, delay in zip(a, b, self.delays, strict=True):
-            if order > self.bottom:
-                low.append((math.log(base / size) - others) / (order - self.bottom))
-            elif delay:  # e^(−σ s) moves the lowest terms from their sum by at most σ|s| each
-                low.append(math.log(base / (size * delay)) - others)
-        below = b < b[0]
+        base = abs(float(self.coefficients[lowest].sum()))
+        # e^(−σ s) moves the lowest terms from their sum by at most σ|s| each.
+        moved = lowest & (self.delays > 0.0)
+        low = _balance(
+            np.concatenate([a[~lowest], (a * self.delays)[moved]]) / base,
+            np.concatenate([b[~lowest] - self.bottom, np.ones(np.count_nonzero(moved))]),
+            0.5,
+        )
         # In Re s >= 0 the delayed terms of the highest order take at most their sum from the first one.
-        left = 2.0 * a[0] - a[~below].sum()
-        high = np.max((np.log(a[below] / left) + others) / (b[0] - b[below]), initial=-math.inf)
-        return min(low, default=0.0), max(float(high), min(low, default=0.0) + 1.0)
+        highest = b == b[0]
+        taken = float(a[highest][1:].sum() / a[0])
+        high = -_balance(a[~highest] / a[0], b[0] - b[~highest], 0.5 * (1.0 - taken))
+        return low, max(high, low + 1.0)
 
     def value(self, x: Reals, shift: float | Reals) -> Complexes:
         """D(j e^x) e^(−shift x)."""
@@ -278,8 +297,13 @@ class _Quasi:
         return float(np.angle(sign * value))
 
     def phase_change(self, a: Reals, b: Reals) -> float:
-        """Certified change of arg D(j e^x) over the pieces [a, b]."""
-        total = 0.0
+        """Certified change of arg D(j e^x) over the pieces [a, b].
+
+        A path that is shorter than the sum of its ends' distances from 0 cannot pass round it. Where the
+        delayed terms together stay below the others, A, the phase is that of A and the principal one of D/A:
+        there a piece may be long though a delay turns it many times.
+        """
+        total, free = 0.0, self.delays == 0.0
         while a.size:
             if a.size > _PIECES or np.min(b - a) < 1e-13:
                 raise NearZeroError(a.size)
@@ -289,10 +313,23 @@ class _Quasi:
             )
             shift = (weights * self.orders[:, None]).sum(0) / weights.sum(0)
             at_a, at_b = self._centred(a, middle, shift), self._centred(b, middle, shift)
-            rate = np.abs(self.orders[:, None] - shift) + self.delays[:, None] * np.exp(b)
+            rate = np.abs(self.orders[:, None] - shift)
             largest = np.maximum(self._sizes(a, middle, shift), self._sizes(b, middle, shift))
-            sure = (b - a) * (rate * largest).sum(0) + 1e-14 * largest.sum(0) < np.abs(at_a) + np.abs(at_b)
-            total += float(np.angle(at_b * at_a.conj())[sure].sum())
+            noise = 1e-14 * largest.sum(0)
+            path = (b - a) * ((rate + self.delays[:, None] * np.exp(b)) * largest).sum(0) + noise
+            whole_a, whole_b = at_a.sum(0), at_b.sum(0)
+            sure = path < np.abs(whole_a) + np.abs(whole_b)
+            free_a, free_b = at_a[free].sum(0), at_b[free].sum(0)
+            path = (b - a) * (rate * largest)[free].sum(0) + noise + 2.0 * largest[~free].sum(0)
+            ruled = ~sure & (path < np.abs(free_a) + np.abs(free_b))
+            turned = np.angle(whole_b * whole_a.conj())
+            turned[ruled] = (
+                np.angle(free_b * free_a.conj())
+                + np.angle(whole_b * free_b.conj())
+                - np.angle(whole_a * free_a.conj())
+            )[ruled]
+            sure |= ruled
+            total += float(turned[sure].sum())
             a, b = np.concatenate([a[~sure], middle[~sure]]), np.concatenate([middle[~sure], b[~sure]])
         return total
 
@@ -307,4 +344,4 @@ class _Quasi:
     def _centred(self, x: Reals, middle: Reals, shift: Reals) -> Complexes:
         phase = 0.5 * math.pi * self.orders[:, None] - self.delays[:, None] * np.exp(x)
         signed = np.sign(self.coefficients)[:, None] * self._sizes(x, middle, shift)
-        return np.asarray((signed * np.exp(1j * phase)).sum(0))
+        return np.asarray(signed * np.exp(1j * phase))

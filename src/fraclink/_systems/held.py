@@ -6,14 +6,15 @@ import math
 import os
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fraclink import _kernels
 from fraclink._systems.contour import (
     careful_response,
     convolve,
-    held_response,
     jump_response,
     power_response,
     power_weights,
@@ -29,6 +30,8 @@ _CHECKS = 9  # times at which the modes are compared with the contour integral; 
 _SWING = 4.0  # that error swings in ln t, and nine times need not meet its largest value
 _ENOUGH = 3e-11  # of the peak: above this the modes cancel, and a contour per lag is used …
 _MOST_WEIGHTS = 200_000  # … for so many samples (about 2 s); the error estimate tells the rest
+_VAGUE = 1e3  # units of rounding: a pole less certain than that has a neighbour, and their errors cancel
+_POWER_UNITS = 20.0  # of rounding in t^a/Γ(1+a) and in its convolution by FFT
 _BYTES = 40  # per sample: input, output, time and what a hold needs
 _CHUNK = 4096  # times that are evaluated together: 60 modes are 2 MB
 
@@ -76,7 +79,7 @@ class HeldQuotient:
             return [self.direct * (t if power == 2 else 1.0) for t in times]
         start = self.direct if power == 1 else 0.0
         later = [t for t in times if t > 0.0]
-        values = iter(held_response(self.quotient, np.array(later), power).tolist())
+        values = iter(_judge(self.quotient, np.array(later), power).tolist())
         return [start if t == 0.0 else (0.0 if t < 0.0 else next(values)) for t in times]
 
     def modes(
@@ -139,8 +142,8 @@ class HeldQuotient:
             output[lag:] += convolve(weights, u[: len(u) - lag])
         if lag <= len(u) and hold == "first":
             self._add_edges(output, u, parts, period, lag, ahead)
-        estimate = _SWING * error * largest(u) + 4e-15 * largest(output)
-        return Part(output, estimate, modes.count, self._method)
+        error = _SWING * error + self._unseen(parts, span, 1, len(u))
+        return Part(output, error * largest(u) + 4e-15 * largest(output), modes.count, self._method)
 
     def _add_edges(
         self, output: Reals, u: Reals, parts: Expansion, period: float, lag: int, ahead: float
@@ -162,8 +165,8 @@ class HeldQuotient:
         """Response to a jump at 0 minus that to a straight rise from -T to 0, `ahead` after each sample."""
         step, (ramp, next_ramp) = self.exact([ahead], 1)[0], self.exact([ahead, ahead + period], 2)
         x, z = -parts.rates * period, parts.poles * period
-        gains = parts.weights * np.exp(x * ahead / period) * (1.0 - np.expm1(x) / x)
-        pole_gains = 2.0 * parts.pole_weights * np.exp(z * ahead / period) * (1.0 - np.expm1(z) / z)
+        gains = -parts.weights * np.exp(x * ahead / period) * _mean_growth(x)
+        pole_gains = -2.0 * parts.pole_weights * np.exp(z * ahead / period) * _mean_growth(z)
         start = np.concatenate((np.ones(len(x)), np.tile([1.0, 0.0], len(z))))
         output: Reals = _kernels.modes_response(np.zeros(count), 0.0, 0.0, x, gains, z, pole_gains, start)
         output[0] = step - (next_ramp - ramp) / period
@@ -182,7 +185,7 @@ class HeldQuotient:
         parts = self.expansion(shortest, longest, tolerance)
         first = None
         if degree:
-            error, peak, first = self.error(parts, shortest, longest, careful=True)
+            error, peak, first = self.error(parts, shortest, longest)
         else:
             error, peak = self.impulse_error(parts, shortest, longest)
         if self._needs_contour(error, peak, len(t)):
@@ -204,7 +207,30 @@ class HeldQuotient:
         value += self.low.integrator * (t if degree else 1.0) + power_response(self.low.powers, t, degree)
         output[later] = value
         count = len(parts.rates) + 2 * len(parts.poles)
-        return Part(output, _SWING * error + 4e-15 * largest(value), count, self._method)
+        error = _SWING * error + self._unseen(parts, longest, degree, 0)
+        return Part(output, error + 4e-15 * largest(value), count, self._method)
+
+    def _unseen(self, parts: Expansion, span: float, degree: int, steps: int) -> float:
+        """Error that the comparison of modes and contour cannot show: what both share, and the recursion's.
+
+        Both use the same poles, known to some units of rounding in ln s: after the time t such a mode is off
+        by |p| t of them. The recursion multiplies a mode once for sixteen steps, each time with the same
+        rounded factor. Singular powers are large where they cancel each other or the modes.
+        """
+        rates = np.concatenate((-parts.rates, parts.poles))
+        size = np.concatenate((np.abs(parts.weights), 2.0 * np.abs(parts.pole_weights)))
+        moving = (rates.imag != 0.0) | (rates.real > 0.0)  # the others are gone before their error matters
+        place = np.ones(len(rates))
+        place[moving] += np.minimum(self.whole.place_error(np.log(rates[moving])), _VAGUE)
+        life = span / np.maximum(1.0, -rates.real * span)
+        turned = np.abs(rates) * life
+        size *= np.exp(np.maximum(rates.real * span, 0.0)) * np.minimum(turned, 1.0)
+        if degree == 0:
+            size *= np.abs(rates) / np.minimum(turned, 1.0)
+        units = 2.0 + turned * place + steps * life / (16.0 * span)
+        powers = [(abs(c) * (_POWER_UNITS + a * abs(math.log(span))), a) for c, a in self.low.powers]
+        shared = float(power_response(powers, np.array([span]), degree)[0])
+        return float(np.finfo(float).eps) * (float(np.linalg.norm(size * units)) + shared)
 
     @property
     def _method(self) -> str:
@@ -249,9 +275,7 @@ class HeldQuotient:
         exact = _judge(self.falling, times, 0)
         return float(np.max(np.abs(value - exact))), float(np.max(np.abs(exact)))
 
-    def error(
-        self, parts: Expansion, shortest: float, longest: float, *, careful: bool = False
-    ) -> tuple[float, float, float | None]:
+    def error(self, parts: Expansion, shortest: float, longest: float) -> tuple[float, float, float | None]:
         """Error of the modes' step response against a contour integral, its peak, and its first exact value.
 
         The contour integrates the whole function, so that what the split at low frequency loses is seen. The
@@ -263,10 +287,10 @@ class HeldQuotient:
         # Increments from 0 (expm1): the huge weight of a pole beside 0 would hide all else in a constant.
         value = np.expm1(-np.outer(times, parts.rates)) @ parts.weights
         value += 2.0 * (np.expm1(np.outer(times, parts.poles)) @ parts.pole_weights).real
-        exact = _judge(self.whole, times, 1) if careful else held_response(self.whole, times, 1)
+        exact = _judge(self.whole, times, 1)
         split = bool(self.low.integrator or self.low.powers)
         first = float(exact[0])
-        if split and self.quotient is not None and careful:
+        if split and self.quotient is not None:
             first = float(_judge(self.quotient, times[:1], 1)[0])
         elif split:
             first = self.exact([shortest], 1)[0]
@@ -274,6 +298,18 @@ class HeldQuotient:
         if split:
             value += self.low.integrator * times + power_response(self.low.powers, times, 1)
         return float(np.max(np.abs(value - exact))), float(np.max(np.abs(exact))), first
+
+
+def _mean_growth(x: NDArray[Any]) -> NDArray[Any]:
+    """(e^x - 1)/x - 1: the mean of e^(xτ) - 1 over a period. Left in, the 1 would drown a slow mode."""
+    small = np.abs(x) < 0.5
+    near, series = x[small], np.zeros(np.count_nonzero(small), x.dtype)
+    for n in range(16, 0, -1):  # Σ x^n/(n+1)!, by Horner's rule: 0.5^16/17! is 1e-19
+        series = (series + 1.0) * near / (n + 1.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        mean = np.asarray(np.expm1(x) / x - 1.0)
+    mean[small] = series
+    return mean
 
 
 def split_delay(delay: float, period: float) -> tuple[int, float]:

@@ -6,13 +6,14 @@ import cmath
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._systems.fractional import FractionalTransferFunction
 from fraclink._systems.loops import FractionalLoop, SampledLoop, as_loop
+from fraclink._systems.stability import is_stable
 from fraclink._systems.sweep import (
     Tendency,
     gain_level,
@@ -25,6 +26,7 @@ from fraclink._systems.sweep import (
 )
 from fraclink._systems.terms import Complexes, Reals
 from fraclink._validate import Between, checked
+from fraclink.errors import FieldError
 
 Mask = NDArray[np.bool_]
 
@@ -190,12 +192,22 @@ def margins(
         stable = None
         if modulus < _ON_AXIS:
             stable = False
+        elif limit is not None and isinstance(known, FractionalLoop):
+            stable = _beyond_limit(cast(FractionalTransferFunction, getattr(loop, "fractional", loop)))
         elif unstable_poles is not None:
             left = unstable_closed_loop_poles(
                 known, x, values, open_loop=unstable_poles, ends_real=limit is not None
             )
             stable = None if left is None else left == 0
     return Margins(gain, phase, modulus, at, stable)
+
+
+def _beyond_limit(system: FractionalTransferFunction) -> bool | None:
+    """The verdict where `limit` hides a part of the Nyquist curve, which may encircle −1 there."""
+    try:
+        return is_stable(system.feedback()).stable
+    except FieldError:
+        return None
 
 
 # --- Brackets of every crossing and of the modulus margin, from a swept response ----------------------

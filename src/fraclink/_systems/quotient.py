@@ -76,6 +76,10 @@ class Quotient:
         """Relative error of `value` in units of rounding: that of each power, raised by what cancels."""
         return _condition(self.top, z) + _condition(self.bottom, z)
 
+    def place_error(self, z: Complexes) -> Reals:
+        """Error of zeros of D (in ln s) in units of rounding."""
+        return np.asarray(_moduli(self.bottom, z) / np.abs(_sum(_derivative(self.bottom), z)))
+
     def pole_error(self, z: complex) -> tuple[float, float]:
         """Errors of a simple zero of D (in ln s) and, relative, of its residue, both in units of rounding."""
         point, slope = np.array([z]), _derivative(self.bottom)
