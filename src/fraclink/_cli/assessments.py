@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypedDict, Unpack
 
 import numpy as np
 import typer
 
 from fraclink._cli.app import group
-from fraclink._cli.command import Answer, Writes, command
+from fraclink._cli.command import Answer, Default, Writes, command
 from fraclink._cli.console import steps
 from fraclink._cli.options import (
     DesignFile,
@@ -127,22 +127,28 @@ def _write_assessment(found: Assessment, made: Design, out: Path) -> None:
     write_json(out / _NUMBERS, "assessment", 1, to_json(found) | {"curves": shown})
 
 
+class Bounds(TypedDict):
+    """What an optimisation minimises, and what it must keep."""
+
+    goal: Annotated[
+        Literal["noise", "crossover"],
+        "noise: least at the motor reference; crossover: the fastest loop",
+        Default("noise"),
+    ]
+    max_sensitivity: Annotated[float | None, "Bound on Ms; default: the design's own"]
+    gain_crossover: Annotated[
+        float | None, "Least crossover [rad/s], for the goal noise; default: as designed"
+    ]
+    noise_gain: Annotated[float | None, "Bound on the noise, for the goal crossover; default: as designed"]
+    mode_gain: ModeGain
+
+
 @command(app)
 def optimise(
     design_file: DesignFile,
     out: Annotated[Path, "File to write the design to", Writes()] = Path("optimised.json"),
-    goal: Annotated[
-        Literal["noise", "crossover"], "noise: least at the motor reference; crossover: the fastest loop"
-    ] = "noise",
-    max_sensitivity: Annotated[float | None, "Bound on Ms; default: the design's own"] = None,
-    gain_crossover: Annotated[
-        float | None, "Least crossover [rad/s], for the goal noise; default: as designed"
-    ] = None,
-    noise_gain: Annotated[
-        float | None, "Bound on the noise, for the goal crossover; default: as designed"
-    ] = None,
-    mode_gain: ModeGain = None,
     least_percent: Annotated[float, "Improvement below which the simpler structure is kept"] = 2.0,
+    **bounds: Unpack[Bounds],
 ) -> Answer:
     """Optimise k_d, β, δ and n for the worst payload, from a closed-form design.
 
@@ -150,15 +156,7 @@ def optimise(
     """
     with steps(1) as begin:
         begin("optimising")
-        found = better(
-            Design.load(design_file),
-            goal=goal,
-            max_sensitivity=max_sensitivity,
-            gain_crossover=gain_crossover,
-            noise_gain=noise_gain,
-            mode_gain=mode_gain,
-            least=0.01 * least_percent,
-        )
+        found = better(Design.load(design_file), least=0.01 * least_percent, **bounds)
     found = replace(found, design=found.design.with_law())
     found.design.save(out)
     return Answer(found, found.design.passed, written=(out,), following=f"fraclink assess {out}")
@@ -203,13 +201,22 @@ def compare(
     return Answer(result, result.standings[0].passed, values={"out": str(out)}, written=(table,))
 
 
+class MapOptions(TypedDict):
+    """What is the same for every cell of a map."""
+
+    payloads: PayloadRange
+    filter_time: FilterTime
+    filter_order: Annotated[int, "n, 1 or 2, the same for the whole map", Default(1)]
+    inner: Annotated[MotorLoopKind, Default("ideal")]
+    placement: Annotated[Placement, Default("tustin")]
+
+
 @command(app)
 def design_map(
     rig: RigName,
     out: Annotated[Path, "Figure, .svg or .png; a .json with the numbers lies beside it", Writes()] = Path(
         "design-map.svg"
     ),
-    payloads: PayloadRange = None,
     points: Annotated[int, Between(5, 400), "Values on each axis"] = 80,
     crossovers: Annotated[
         tuple[float, float],
@@ -217,12 +224,9 @@ def design_map(
         typer.Option(metavar="LOW HIGH"),
         "Range of ω_c [rad/s]",
     ] = (8.0, 45.0),
-    filter_time: FilterTime = None,
-    filter_order: Annotated[int, "n, 1 or 2, the same for the whole map"] = 1,
-    inner: MotorLoopKind = "ideal",
-    placement: Placement = "tustin",
     model: ModelFile = None,
     force: bool = False,
+    **options: Unpack[MapOptions],
 ) -> Answer:
     """Map which crossovers and margins are feasible, with noise and settling contours.
 
@@ -236,13 +240,9 @@ def design_map(
     found = feasibility_map(
         required_model(known),
         known,
-        payloads=payloads,
         gain_crossovers=np.linspace(*crossovers, points),
         phase_margins=np.radians(np.linspace(10.0, 110.0, points)),
-        filter_time=filter_time,
-        filter_order=filter_order,
-        inner=inner,
-        placement=placement,
+        **options,
     )
     save_figure(out, lambda drawing: feasibility(found, ax=drawing.subplots()))
     write_json(numbers, "design-map", 1, plain(vars(found)))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Literal, Unpack
+from typing import Annotated, Literal, TypedDict, Unpack
 
 import typer
 
@@ -13,7 +13,7 @@ from fraclink import _realtime as realtime
 from fraclink._arm.reference import Reference, prbs, smooth_step
 from fraclink._certify import Certificate, certify
 from fraclink._cli.app import group
-from fraclink._cli.command import Answer, Writes, command
+from fraclink._cli.command import Answer, Default, Writes, command
 from fraclink._cli.console import steps, tell
 from fraclink._cli.options import (
     Amplitude,
@@ -178,6 +178,16 @@ def replay(
 # --- real time --------------------------------------------------------------------------------------------
 
 
+class LoopOptions(TypedDict):
+    """The time, the priority and the tolerance of the real-time loop."""
+
+    duration: Annotated[float | None, "Time to run [s]; default: 3 s after the move"]
+    patience: Annotated[float, "Time to wait for the arm [s]", Default(5.0)]
+    priority: Annotated[int, "Priority of SCHED_FIFO, 1 to 99; 0 asks for none", Default(80)]
+    lock_memory: Annotated[bool, "Keep the process in memory (mlockall)", Default(True)]
+    allowed_overruns: Annotated[int, "Commands after the next deadline that are tolerated", Default(0)]
+
+
 @command(app)
 def run_realtime(
     design_file: DesignFile,
@@ -185,7 +195,6 @@ def run_realtime(
     out: Annotated[Path, "File to write the record to (npz)", Writes()] = Path("realtime.npz"),
     amplitude: Amplitude = 1.0,
     move_time: MoveTime = 1.0,
-    duration: Annotated[float | None, "Time to run [s]; default: 3 s after the move"] = None,
     excitation: Annotated[
         Literal["move", "prbs"], "Reference of the tip: a move, or 20 s of a PRBS"
     ] = "move",
@@ -194,12 +203,9 @@ def run_realtime(
     gear: Gear = None,
     motor: Motor = True,
     single: Annotated[bool, "In single precision, as on a microcontroller"] = False,
-    patience: Annotated[float, "Time to wait for the arm [s]"] = 5.0,
     unsafe_remote: UnsafeRemote = False,
     key_file: KeyFile = None,
-    priority: Annotated[int, "Priority of SCHED_FIFO, 1 to 99; 0 asks for none"] = 80,
-    lock_memory: Annotated[bool, "Keep the process in memory (mlockall)"] = True,
-    allowed_overruns: Annotated[int, "Commands after the next deadline that are tolerated"] = 0,
+    **options: Unpack[LoopOptions],
 ) -> Answer:
     """Run the shipped law on an arm in real time (Linux), with times, overruns and a safe stop.
 
@@ -213,20 +219,18 @@ def run_realtime(
     """
     connection = _connection(io, unsafe_remote, key_file)
     law = _law(load_design(design_file, gear=gear), motor=motor)
-    awake = realtime.measure_wake_ups(law.period, priority=priority, lock_memory=lock_memory)
+    awake = realtime.measure_wake_ups(
+        law.period, priority=options["priority"], lock_memory=options["lock_memory"]
+    )
     tell(str(awake))
     awake.check()
     run = realtime.run_realtime(
         law.in_precision("single") if single else law,
         _reference(excitation, amplitude, move_time),
         connection,
-        duration=duration,
         relative=not absolute,
-        patience=patience,
-        priority=priority,
-        lock_memory=lock_memory,
-        allowed_overruns=allowed_overruns,
         out=out,
+        **options,
     )
     remarks = _refused("priority", run.scheduling) + _refused("memory", run.memory)
     remarks += () if run.saved == str(out) else (f"{out} could not be written",)

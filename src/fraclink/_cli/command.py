@@ -14,7 +14,7 @@ import copy
 import functools
 import inspect
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
@@ -29,7 +29,7 @@ from fraclink._show.views import view
 from fraclink._validate.rules import rule
 from fraclink.findings import Finding
 
-__all__ = ["Answer", "Writes", "command"]
+__all__ = ["Answer", "Default", "Writes", "command"]
 
 
 @dataclass(frozen=True)
@@ -61,6 +61,13 @@ class Writes:
         """Raise FieldError where a file is already there and must be kept."""
         for path in [place / name for name in self.names] or [place]:
             output_path(path, force=force)
+
+
+@dataclass(frozen=True)
+class Default:
+    """The default of an option in a group (a TypedDict has none); without it None, or False for a flag."""
+
+    value: Any
 
 
 @dataclass(frozen=True)
@@ -125,7 +132,9 @@ def _declared(function: Callable[..., Any]) -> Iterator[Declared]:
         (group,) = get_args(hints[name])
         plain = get_type_hints(group)
         for key, hint in get_type_hints(group, include_extras=True).items():
-            yield Declared(key, plain[key], hint, False if plain[key] is bool else None)
+            usual = Declared(key, plain[key], hint, False if plain[key] is bool else None)
+            default = usual.mark(Default)
+            yield usual if default is None else replace(usual, default=default.value)
 
 
 def command(app: typer.Typer) -> Callable[[Callable[..., Answer]], Callable[..., int]]:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Unpack
+from typing import Annotated, TypedDict, Unpack
 
 import typer
 
 from fraclink._arm.reference import smooth_step
 from fraclink._certify import certify as prove
 from fraclink._cli.app import group
-from fraclink._cli.command import Answer, Writes, command
+from fraclink._cli.command import Answer, Default, Writes, command
 from fraclink._cli.console import steps
 from fraclink._cli.options import (
     Amplitude,
@@ -85,22 +85,27 @@ def run(
     return Answer(study, not study.verdict.refuted, values=values, written=(place,), following=following)
 
 
+class DesignOptions(DesignRequest):
+    """Everything that a design can be asked for."""
+
+    margins: Annotated[
+        str, "loop: filter, motor loop, hold and delay included; ideal: those of the paper", Default("loop")
+    ]
+    filter_order: Annotated[int | None, "n, 1 or 2"]
+    inner: Annotated[MotorLoopKind, Default("ideal")]
+    placement: Annotated[Placement, Default("tustin")]
+    max_sensitivity: Annotated[float | None, "Bound on Ms; alone it replaces the phase margin"]
+    noise_gain: Annotated[float | None, "Bound on the motor reference's RMS per RMS of gauge noise"]
+    settling_time: Annotated[float | None, "Bound on 2π/ω_c [s]; alone it replaces the crossover"]
+
+
 @command(app)
 def design(
     rig: RigName,
     model: ModelFile = None,
-    margins: Annotated[
-        str, "loop: filter, motor loop, hold and delay included; ideal: those of the paper"
-    ] = "loop",
-    filter_order: Annotated[int | None, "n, 1 or 2"] = None,
-    inner: MotorLoopKind = "ideal",
-    placement: Placement = "tustin",
-    max_sensitivity: Annotated[float | None, "Bound on Ms; alone it replaces the phase margin"] = None,
-    noise_gain: Annotated[float | None, "Bound on the motor reference's RMS per RMS of gauge noise"] = None,
-    settling_time: Annotated[float | None, "Bound on 2π/ω_c [s]; alone it replaces the crossover"] = None,
     link_mass: LinkMass = None,
     out: Annotated[Path, "File to write the design to", Writes()] = Path("design.json"),
-    **request: Unpack[DesignRequest],
+    **request: Unpack[DesignOptions],
 ) -> Answer:
     """Design the outer controller for a payload range; every requirement is listed with what was achieved.
 
@@ -109,13 +114,6 @@ def design(
     made, assumptions = design_for(
         load_rig(rig, link_mass=link_mass),
         load_link_model(model),
-        margins=margins,
-        filter_order=filter_order,
-        inner=inner,
-        placement=placement,
-        max_sensitivity=max_sensitivity,
-        noise_gain=noise_gain,
-        settling_time=settling_time,
         **in_radians(request),
     )
     made = made.with_law()
@@ -125,35 +123,31 @@ def design(
     return Answer(made, made.passed, remarks=assumed, written=(out,), following=f"fraclink {step}")
 
 
+class MoveOptions(TypedDict):
+    """The move, the disturbances and the motor loop of a simulation."""
+
+    amplitude: Annotated[Amplitude, Default(1.0)]
+    move_time: Annotated[MoveTime, Default(0.5)]
+    duration: Annotated[float, "Time to simulate [s]", Default(4.0)]
+    gauge_offset: Annotated[float | None, "Offset of the gauge [N·m]; default: the rig's"]
+    noise: Annotated[float | None, "Gauge noise [N·m]; default: the rig's"]
+    inner: Annotated[MotorLoopKind, Default("sampled")]
+    seed: Annotated[SeedNumber, Default(0)]
+
+
 @command(app)
 def simulate(
     design_file: DesignFile,
     payload: Annotated[float, "Payload at the tip [kg]"],
     out: Annotated[Path, "File to write the run to (npz)", Writes()] = Path("run.npz"),
-    amplitude: Amplitude = 1.0,
-    move_time: MoveTime = 0.5,
-    duration: Annotated[float, "Time to simulate [s]"] = 4.0,
-    gauge_offset: Annotated[float | None, "Offset of the gauge [N·m]; default: the rig's"] = None,
-    noise: Annotated[float | None, "Gauge noise [N·m]; default: the rig's"] = None,
-    inner: MotorLoopKind = "sampled",
-    seed: SeedNumber = 0,
+    **options: Unpack[MoveOptions],
 ) -> Answer:
     """Simulate a move of the tip with the shipped law; the exit code says whether it settles.
 
     $ fraclink simulate design.json --payload 0.02
     """
     made = Design.load(design_file)
-    move = simulate_move(
-        made,
-        payload,
-        amplitude=amplitude,
-        move_time=move_time,
-        duration=duration,
-        inner=inner,
-        gauge_offset=gauge_offset,
-        noise=noise,
-        seed=seed,
-    )
+    move = simulate_move(made, payload, **options)
     move.save(out)
     remarks = tuple(str(doubt) for doubt in (made.rig.payloads.doubt(payload),) if doubt)
     following = f"fraclink twin {design_file} --payload {payload:g}"
