@@ -318,6 +318,17 @@ def test_no_line_is_wider_than_the_terminal_and_no_word_is_broken() -> None:
     assert set(" ".join(lines).split()) >= set(words.split())
 
 
+def test_a_table_that_is_too_wide_goes_on_below() -> None:
+    header = ("structure", *(f"parameter {k}" for k in range(8)), "verdict")
+    shown = Table(header, (("UD-FOM", *("1.23456 ± 0.00012",) * 8, "passed"),) * 2, judged=True)
+    lines = table_text(shown, 80).splitlines()
+    assert max(map(len, lines)) <= 80
+    assert sum(line.startswith("UD-FOM") for line in lines) == 2 * sum("structure" in line for line in lines)
+    assert "\n".join(lines).count("1.23456 ± 0.00012") == 16
+    assert lines[-1].endswith("✓ passed")
+    assert "\n\n" not in table_text(shown, 200)
+
+
 def test_the_module_is_the_command() -> None:
     answer = subprocess.run(
         [sys.executable, "-m", "fraclink", "--version"], capture_output=True, text=True, check=True

@@ -33,9 +33,20 @@ from fraclink._simulate import Run
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 __all__ = ["SHOWN", "bode_figure", "drivers_figure", "failures_figure", "log_figure", "margins_figure"]
 __all__ += ["models_figure", "moves_figure", "nyquist_figure", "payloads_of", "spread_figure"]
+
+
+def _stacked(drawing: Figure, heights: Sequence[float], labels: Sequence[str], *, xlabel: str = "") -> Any:
+    """Panels of these relative heights over one another, each with its label, on one horizontal axis."""
+    panels = drawing.subplots(len(heights), 1, sharex=True, height_ratios=heights)
+    for axes, label in zip(panels, labels, strict=True):
+        axes.set_ylabel(label)
+    panels[-1].set_xlabel(xlabel)
+    return panels
+
 
 OUTPUT_LABEL = {"torque": "base torque Γ [N·m]", "deflection": "deflection θm − θt [rad]"}
 
@@ -43,12 +54,10 @@ OUTPUT_LABEL = {"torque": "base torque Γ [N·m]", "deflection": "deflection θm
 def log_figure(log: Experiment) -> str:
     """Draw motor angle and output against time."""
     with figure(FULL_WIDTH, 3.4) as drawing:
-        above, below = drawing.subplots(2, 1, sharex=True)
+        labels = ("motor angle θm [rad]", OUTPUT_LABEL[log.output_kind])
+        above, below = _stacked(drawing, (1, 1), labels, xlabel="time [s]")
         above.plot(*envelope(log.time, log.motor_angle), color=INK, linewidth=0.9)
-        above.set_ylabel("motor angle θm [rad]")
         below.plot(*envelope(log.time, log.output), color=BLUE, linewidth=0.8)
-        below.set_ylabel(OUTPUT_LABEL[log.output_kind])
-        below.set_xlabel("time [s]")
         below.set_xlim(log.time[0], log.time[-1])
         drawing.align_ylabels()
         return svg(drawing, "log", "The recorded motor angle and output against time")
@@ -118,7 +127,8 @@ def _decade_lines(axes: Axes) -> None:
 def bode_figure(design: Design) -> str:
     """Draw gain and phase of the open loop at the lightest, nominal and heaviest payload."""
     with figure(FULL_WIDTH, 4.4) as drawing:
-        gain, phase = drawing.subplots(2, 1, sharex=True)
+        labels = ("gain |L| [dB]", "phase of L [°]")
+        gain, phase = _stacked(drawing, (1, 1), labels, xlabel="frequency ω [rad/s]")
         for line, payload in zip(LINES, payloads_of(design), strict=False):
             w = _frequencies(design, payload)
             value = design.loop.log(w, design.natural_frequency(payload))
@@ -136,9 +146,6 @@ def bode_figure(design: Design) -> str:
         phase.set_yticks(np.arange(-360, 91, 90))
         phase.set_ylim(-360, 90)
         gain.set_ylim(-45, 30)
-        gain.set_ylabel("gain |L| [dB]")
-        phase.set_ylabel("phase of L [°]")
-        phase.set_xlabel("frequency ω [rad/s]")
         for axes in (gain, phase):
             _decade_lines(axes)
         phase.set_xlim(1, math.pi / design.rig.period)
@@ -161,11 +168,7 @@ def nyquist_figure(design: Design) -> str:
                 axes.plot(point.real, point.imag, "o", color=line["color"], markersize=4)
         axes.plot(-1, 0, "+", color=INK, markersize=10, markeredgewidth=1.4)
         axes.annotate("−1", (-1, 0), xytext=(-9, 5), textcoords="offset points", ha="right")
-        axes.set_xlim(-2.3, 2.9)
-        axes.set_ylim(-3.2, 2.0)
-        axes.set_aspect("equal")
-        axes.set_xlabel("Re L")
-        axes.set_ylabel("Im L")
+        axes.set(xlim=(-2.3, 2.9), ylim=(-3.2, 2.0), aspect="equal", xlabel="Re L", ylabel="Im L")
         axes.legend(title="payload", loc="upper right")
         return svg(drawing, "nyquist", "Nyquist curve of the open loop around the critical point")
 
@@ -177,7 +180,8 @@ def margins_figure(design: Design) -> str:
     asked = [design.at(float(m)) for m in payloads]
     sampled = [design.sampled_at(float(m)) for m in payloads]
     with figure(FULL_WIDTH / 2, 4.1) as drawing:
-        margin, crossover = drawing.subplots(2, 1, sharex=True)
+        labels, below = ("phase margin [°]", "gain crossover [rad/s]"), "payload [g]; shaded: designed for"
+        margin, crossover = _stacked(drawing, (1, 1), labels, xlabel=below)
         mass = 1e3 * payloads
         for axes in (margin, crossover):
             axes.axvspan(1e3 * low, 1e3 * high, color="#eef3f8", linewidth=0)
@@ -193,9 +197,6 @@ def margins_figure(design: Design) -> str:
         margin.axhline(math.degrees(design.phase_margin), color=GREY, linewidth=0.8)
         crossover.axhline(design.gain_crossover, color=GREY, linewidth=0.8)
         margin.set_ylim(bottom=min(0.0, margin.get_ylim()[0]))
-        margin.set_ylabel("phase margin [°]")
-        crossover.set_ylabel("gain crossover [rad/s]")
-        crossover.set_xlabel("payload [g]; shaded: designed for")
         margin.legend(loc="lower right")
         drawing.align_ylabels()
         return svg(drawing, "margins", "Phase margin and gain crossover against payload")
@@ -208,9 +209,8 @@ def _or_nan(value: float | None) -> float:
 def moves_figure(runs: Sequence[Run]) -> str:
     """Draw the tip's tracking, its error, the measured torque and the motor's voltage for every payload."""
     with figure(FULL_WIDTH, 6.2) as drawing:
-        tip, error, torque, voltage = drawing.subplots(
-            4, 1, sharex=True, gridspec_kw={"height_ratios": [2.2, 1.2, 1, 1]}
-        )
+        labels = ("tip angle θt [rad]", "tip error [mrad]", "gauge Γ [N·m]", "motor [V]")
+        tip, error, torque, voltage = _stacked(drawing, (2.2, 1.2, 1, 1), labels, xlabel="time [s]")
         tip.plot(
             *envelope(runs[0].time, runs[0].reference), color=GREY, linestyle=(0, (4, 2)), label="reference"
         )
@@ -219,11 +219,6 @@ def moves_figure(runs: Sequence[Run]) -> str:
             error.plot(*envelope(run.time, 1e3 * (run.tip_angle - run.reference)), **line, linewidth=0.9)
             torque.plot(*envelope(run.time, run.torque_measured), color=line["color"], linewidth=0.7)
             voltage.plot(*envelope(run.time, run.voltage), color=line["color"], linewidth=0.7)
-        tip.set_ylabel("tip angle θt [rad]")
-        error.set_ylabel("tip error [mrad]")
-        torque.set_ylabel("gauge Γ [N·m]")
-        voltage.set_ylabel("motor [V]")
-        voltage.set_xlabel("time [s]")
         voltage.set_xlim(runs[0].time[0], runs[0].time[-1])
         tip.legend(loc="lower right", ncols=4)
         drawing.align_ylabels()
@@ -282,8 +277,7 @@ def failures_figure(
         top = max(1.0, float(np.nanmax(share)))
         mesh = _cells(axes, share.T, "OrRd", 0.0, top, edges=(edges_x, edges_y))
         _bar(drawing, mesh, axes, "runs that fail [%]")
-        axes.set_xlabel(names[0])
-        axes.set_ylabel(names[1])
+        axes.set(xlabel=names[0], ylabel=names[1])
         return svg(drawing, "failures", "Share of failing runs over two parameters")
 
 

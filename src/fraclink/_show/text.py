@@ -125,6 +125,11 @@ class Table:
     rows: tuple[Row, ...]
     judged: bool = False
 
+    @property
+    def shown(self) -> tuple[Row, ...]:
+        """The rows as people read them: the word of a verdict behind its sign."""
+        return tuple((*row[:-1], marked(row[-1])) for row in self.rows) if self.judged else self.rows
+
 
 @dataclass(frozen=True)
 class View:
@@ -149,7 +154,7 @@ class View:
         """What a notebook shows."""
         parts = [f"<p><b>{html.escape(marked(self.state))}</b> {html.escape(self.headline)}</p>"]
         for table in self.tables:
-            lines = [("th", table.header), *(("td", row) for row in table.rows)]
+            lines = [("th", table.header), *(("td", row) for row in table.shown)]
             cells = ("".join(f"<{t}>{html.escape(c)}</{t}>" for c in row) for t, row in lines)
             parts.append("<table>" + "".join(f"<tr>{row}</tr>" for row in cells) + "</table>")
         return "\n".join([*parts, *(f"<p>{html.escape(note)}</p>" for note in self.notes)])
@@ -191,7 +196,7 @@ def folded(text: str, width: int) -> str:
 
 
 def table_text(table: Table, width: int = 80) -> str:
-    """A table of text: first column flush left, others right; heads and the last column wrap at words.
+    """A table of text: first column flush left, others right; heads and sentences wrap at words.
 
     >>> print(table_text(Table(("payload", "phase margin [°]"), (("20 g", "48.8"), ("8 g", "23.9"))), 16))
               phase
@@ -201,8 +206,7 @@ def table_text(table: Table, width: int = 80) -> str:
     8 g        23.9
     """
     # What keeps a value and its error together on a page only shows as an escape in a terminal.
-    plain = [tuple(cell.replace("\N{NO-BREAK SPACE}", " ") for cell in row) for row in table.rows]
-    rows = [(*row[:-1], marked(row[-1])) if table.judged else row for row in plain]
+    rows = [tuple(cell.replace("\N{NO-BREAK SPACE}", " ") for cell in row) for row in table.shown]
     # A head folds into three lines at most, and never within a word.
     words = [max(-(-len(head) // 3), *map(len, head.split() or [""])) for head in table.header]
     widths = [max(word, *(len(row[k]) for row in rows)) for k, word in enumerate(words)]
@@ -211,6 +215,14 @@ def table_text(table: Table, width: int = 80) -> str:
         # Sentences give way: the widest column folds, as far as a line of it can still be read.
         widest = max(range(len(widths)), key=widths.__getitem__)
         widths[widest] = max(24, widths[widest] + spare)
+        fitting = [sum(widths[:k]) + 2 * (k - 1) <= width for k in range(1, len(widths) + 1)]
+        if not fitting[-1] and len(widths) > 2:
+            # Still too wide: the columns that do not fit stand below, behind the first one again.
+            k = max(2, sum(fitting))
+            above = Table(table.header[:k], tuple(row[:k] for row in table.rows))
+            rest = tuple((row[0], *row[k:]) for row in table.rows)
+            below = Table((table.header[0], *table.header[k:]), rest, table.judged)
+            return f"{table_text(above, width)}\n\n{table_text(below, width)}"
     # Heads need not fold where there is room: from left to right each takes what it needs.
     for k, head in enumerate(table.header):
         more = min(max(spare, 0), max(0, len(head) - widths[k])) if spare >= len(head) - widths[k] else 0
