@@ -120,7 +120,7 @@ class LumpedArms:
             **values,
         )
 
-    def rows(self, rows: slice) -> LumpedArms:
+    def rows(self, rows: slice | NDArray[np.intp]) -> LumpedArms:
         """Return some of the arms."""
         values = {name: getattr(self, name)[rows] for name in (*_NUMBERS, "seed")}
         return LumpedArms(links=self.links.rows(rows), **values)

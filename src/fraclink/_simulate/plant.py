@@ -309,7 +309,7 @@ class LinkWeights:
     first: Vector
     second: Vector
 
-    def rows(self, rows: slice) -> LinkWeights:
+    def rows(self, rows: slice | NDArray[np.intp]) -> LinkWeights:
         """Return the recursions of some of the links."""
         return LinkWeights(**{field.name: getattr(self, field.name)[rows] for field in fields(self)})
 

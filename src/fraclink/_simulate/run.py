@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -182,6 +182,7 @@ def judged_run(
     findings: tuple[Finding, ...] = (),
     extras: Mapping[str, NDArray[Any]] | None = None,
     finished: bool = True,
+    growth: float | None = None,
 ) -> Run:
     """Return the run of the named signals, all but `time`, measured and judged.
 
@@ -195,6 +196,8 @@ def judged_run(
         when the reference came to rest [s].
     vibration_period
         of the link [s].
+    growth
+        of the vibration [1/s], where a longer run than this one measured it.
     """
     rows = {
         name: signals[name][None, :] for name in ("motor_reference", "voltage", "flags", "mode", "reason")
@@ -207,7 +210,7 @@ def judged_run(
         ended=np.array([ended]),
         vibration_period=np.array([vibration_period]),
     )
-    metrics = measure(block)
+    metrics = measure(block) if growth is None else replace(measure(block), growth=growth)
     return Run(
         time=period * np.arange(len(signals["reference"]), dtype=np.float64),
         **signals,

@@ -269,6 +269,7 @@ def model_run(
     ended: float,
     about: Mapping[str, Any],
     findings: tuple[Finding, ...] = (),
+    growth: float | None = None,
 ) -> Run:
     """Return the run of what `run_lumped` gave for one arm: signals (7, N) and marks (3, N)."""
     names = (*SHORT_SIGNALS, *OTHER_SIGNALS)
@@ -283,6 +284,7 @@ def model_run(
         vibration_period=2 * math.pi / max(abs(link.pole.imag), 1e-3),
         about=about,
         findings=findings,
+        growth=growth,
     )
 
 
