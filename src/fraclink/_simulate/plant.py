@@ -311,7 +311,9 @@ class LinkWeights:
 
     def rows(self, rows: slice | NDArray[np.intp]) -> LinkWeights:
         """Return the recursions of some of the links."""
-        return LinkWeights(**{field.name: getattr(self, field.name)[rows] for field in fields(self)})
+        own = {field.name: getattr(self, field.name) for field in fields(self)}
+        # No link has a second mode: no rows to take.
+        return LinkWeights(**{name: value[rows] if len(value) else value for name, value in own.items()})
 
 
 def link_weights(model: LinkModel, period: float, span: float) -> LinkWeights:
