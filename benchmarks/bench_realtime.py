@@ -3,8 +3,9 @@
     python benchmarks/bench_realtime.py [--seconds 2] [--rounds 3]
 
 Loop and bare loop take turns in one run, with the same priority, timer slack and locked memory, on a machine
-that is left alone and beside two processes that compute; every figure is over all rounds. Every line: what was measured | value | wanted | error beside it. Times are wall-clock: on
-a busy or a virtual machine the tail is the machine's, which is why the bare loop stands beside it.
+that is left alone and beside two processes that compute; every figure is over all rounds. Every line: what
+was measured | value | wanted | error beside it. Times are wall-clock: on a busy or a virtual machine the tail
+is the machine's, which is why the bare loop stands beside it.
 """
 
 from __future__ import annotations
