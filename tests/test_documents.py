@@ -6,6 +6,7 @@ import dataclasses
 import json
 import math
 import os
+import shutil
 import stat
 import threading
 import zipfile
@@ -499,3 +500,39 @@ def test_d8_a_rig_in_a_design_that_is_no_rig(text: str, tmp_path: Path) -> None:
     path.write_bytes((GOLDEN / "study" / "design.json").read_bytes())
     with pytest.raises(FileFormatError):
         load(edited(path, damage))
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda d: d["claims"][0].pop("status"),
+        lambda d: d["claims"][0].update(status="believed"),
+        lambda d: d["claims"][0]["logs"].append(["one.txt"]),
+        lambda d: d.pop("sources"),
+        lambda d: d.update(claims=None),
+    ],
+)
+def test_d8_a_damaged_proof_is_refused(damage: Any, tmp_path: Path) -> None:
+    path = tmp_path / "proof.json"
+    path.write_bytes((GOLDEN / "proof.json").read_bytes())
+    assert fl.Proof.load(path).claims
+    with pytest.raises(FileFormatError):
+        fl.Proof.load(edited(path, damage))
+
+
+@pytest.mark.parametrize(
+    ("damage", "field"),
+    [
+        (lambda d: d["findings"][0].pop("message"), "findings.0.message"),
+        (lambda d: d["comparison"].pop("verdict"), "comparison.verdict"),
+        (lambda d: d["comparison"]["contest"].update(advantage="large"), "comparison.contest.advantage"),
+        (lambda d: d.update(assumptions=[1]), "assumptions.0"),
+    ],
+)
+def test_d8_a_damaged_study_is_refused(damage: Any, field: str, tmp_path: Path) -> None:
+    folder = shutil.copytree(GOLDEN / "study", tmp_path / "study")
+    assert fl.load_study(folder).comparison is not None
+    edited(folder / "study.json", damage)
+    with pytest.raises(FileFormatError) as caught:
+        fl.load_study(folder)
+    assert caught.value.field == field

@@ -15,6 +15,7 @@ import subprocess
 import sys
 import tempfile
 import textwrap
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -195,6 +196,17 @@ def test_a_law_that_gave_up_the_gauge_goes_on_and_does_not_hold(law: Law) -> Non
 
 
 ENDING = ("INT", "TERM", "HUP", "QUIT", "TSTP", "USR1", "USR2", "ALRM", "VTALRM", "XCPU", "TTIN", "RTMIN")
+
+
+@pytest.fixture(autouse=True)
+def ordinary_signals() -> Iterator[None]:
+    """Signals as a terminal gives them: a background job ignores some, and what is ignored ends no run."""
+    numbers = [signal.Signals[f"SIG{name}"] for name in ENDING]
+    before = [signal.signal(number, signal.SIG_DFL) for number in numbers]
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    for number, handler in zip(numbers, before, strict=True):
+        signal.signal(number, handler)
 
 
 @pytest.mark.parametrize("number", [signal.Signals[f"SIG{name}"] for name in ENDING])

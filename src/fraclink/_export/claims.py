@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Literal
 
-from fraclink._files import read_json, write_json
+from fraclink._files import from_plain, read_json, write_json
 from fraclink._law import Law
 
 __all__ = ["Claim", "Proof", "claims_text"]
@@ -88,18 +88,9 @@ class Proof:
     def load(path: Path | str) -> Proof:
         """Read a proof back; FileFormatError for another file."""
         data = read_json(path, KIND, (FORMAT,))
-        claims = tuple(
-            Claim(
-                name=str(claim["name"]),
-                statement=str(claim["statement"]),
-                status=claim["status"],
-                reason=str(claim["reason"]),
-                tools=tuple(map(str, claim["tools"])),
-                logs=tuple((str(file), str(digest)) for file, digest in claim["logs"]),
-            )
-            for claim in data["claims"]
+        return from_plain(
+            Proof, {field.name: data[field.name] for field in fields(Proof) if field.name in data}
         )
-        return Proof(str(data["law"]), dict(data["sources"]), claims)
 
 
 NOT_CLAIMED = """\

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any, Literal
 
@@ -20,7 +20,7 @@ from fraclink._campaign.faults import FaultTable
 from fraclink._certify import Certificate
 from fraclink._design import Design
 from fraclink._display import displayed
-from fraclink._files import checked_path, kind_of, load, read_json, save, write_json
+from fraclink._files import checked_path, from_plain, kind_of, load, read_json, save, write_json
 from fraclink._identify import Comparison, Contest, Fit
 from fraclink._law import Law
 from fraclink._simulate import Run
@@ -266,11 +266,41 @@ def _kind(path: Path) -> str:
     return kind_of(path) if path.suffix in (".json", ".npz") else ""
 
 
+@dataclass(frozen=True)
+class _Preference:
+    """What study.json says of a comparison; the fits are files of their own."""
+
+    preferred: str
+    contest: Contest
+    verdict: str
+    undecided: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class _Remarks:
+    """What study.json adds to the other files of its folder, in today's words."""
+
+    structure: str | None = None
+    stopped: str | None = None
+    uncertified: str | None = None
+    assumptions: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
+    comparison: _Preference | None = None
+
+
+def _remarks(path: Path) -> _Remarks:
+    data = read_json(path, "study")
+    data |= {"stopped": data.get("stopped", data.get("infeasible"))}  # infeasible: release 0.1
+    return from_plain(
+        _Remarks, {field.name: data[field.name] for field in fields(_Remarks) if field.name in data}
+    )
+
+
 def _gathered(place: Path, by_kind: Mapping[str, list[Path]]) -> Study:
     def first(kind: str, read: Callable[[Path], Any]) -> Any:
         return read(by_kind[kind][0]) if kind in by_kind else None
 
-    about = first("study", lambda path: read_json(path, "study")) or {}
+    about = first("study", _remarks) or _Remarks()
     fits = {fit.structure: fit for fit in map(Fit.load, by_kind.get("fit", []))}
     made, proof = first("design", Design.load), first("certificate", Certificate.load)
     refuted = proof is not None and not proof.passed
@@ -278,24 +308,23 @@ def _gathered(place: Path, by_kind: Mapping[str, list[Path]]) -> Study:
     return Study(
         rig=first("rig", Rig.load) or (made.rig if made else None),
         experiment=first("log", lambda path: load(path, Experiment)),
-        findings=tuple(Finding(**item) for item in about.get("findings", [])),
-        comparison=_comparison(fits, about.get("comparison")),
-        fit=fits.get(str(about.get("structure") or next(iter(fits), None))),
+        findings=about.findings,
+        comparison=_comparison(fits, about.comparison),
+        fit=fits.get(str(about.structure or next(iter(fits), None))),
         design=made,
         law=first("law", Law.load),
-        stopped=about.get("stopped", about.get("infeasible")),  # infeasible: release 0.1
+        stopped=about.stopped,
         certificate=None if refuted else proof,
-        uncertified=proof.verdict if refuted else about.get("uncertified"),
+        uncertified=proof.verdict if refuted else about.uncertified,
         runs=tuple(sorted(map(Run.load, by_kind.get("run", [])), key=lambda move: move.payload)),
         arms=None if campaign is None else summarise(campaign, place / "arms"),
         faults=first("fault-campaign", lambda path: load(path, FaultTable)),
-        assumptions=tuple(about.get("assumptions", ())),
+        assumptions=about.assumptions,
     )
 
 
-def _comparison(fits: dict[str, Fit], about: dict[str, Any] | None) -> Comparison | None:
+def _comparison(fits: dict[str, Fit], about: _Preference | None) -> Comparison | None:
     if about is None or set(fits) != set(STRUCTURES):
         return None
     ordered = {name: fits[name] for name in STRUCTURES}
-    contest, undecided = Contest(**about["contest"]), tuple(about.get("undecided", ()))
-    return Comparison(ordered, {}, about["preferred"], contest, about["verdict"], undecided)
+    return Comparison(ordered, {}, about.preferred, about.contest, about.verdict, about.undecided)
