@@ -121,3 +121,33 @@ def test_true_errors_stay_within_their_estimates(respond: Callable[..., TimeResp
     found = respond(G, times)
     true = worst(found, G, 0 if respond is impulse_response else 1, np.arange(len(times)))
     assert true <= found.error_estimate
+
+
+def test_the_first_samples_of_a_linear_hold_keep_their_digits() -> None:
+    """The output begins like t^1.1: 1e-6 after 28 samples, beside modes with weights of order one."""
+    G = 0.0158 / (s**1.1027 + 0.0158)
+    found = time_response(G, np.ones(28), 1e-5, hold="first")
+    true = worst(found, G, 1, np.array([1, 5, 27]))
+    assert true <= min(found.error_estimate, 2e-11 * found.output[-1])
+
+
+def test_hats_of_singular_powers_do_not_cancel() -> None:
+    """A jump less its straight rise is a difference of T/t: taken from the powers it loses as many digits."""
+    G = (64.3424 * s + 64.3424) / (s**4.0118 + 64.3424 * s**3.2572)
+    found = time_response(G, np.ones(2000), 1.67e-4, hold="first")
+    true = worst(found, G, 1, np.array([2, 700, 1999]))
+    assert true <= min(found.error_estimate, 1e-14 * found.output[-1])
+
+
+def test_the_estimate_grows_with_the_turns_of_an_undamped_mode() -> None:
+    found = time_response(1 / (s**2 + 1), np.ones(200_000), 0.01)
+    exact = np.array([float(1 - mpmath.cos(k * mpmath.mpf(0.01))) for k in (150_003, 199_999)])
+    true = np.max(np.abs(found.output[[150_003, 199_999]] - exact))
+    assert true <= found.error_estimate <= 1e-9
+
+
+def test_the_estimate_grows_with_an_unstable_mode() -> None:
+    G = 1 / (s**0.5276 - 0.0916)
+    found = time_response(G, np.ones(266_074), 0.00187)
+    true = worst(found, G, 1, np.array([266_073]))
+    assert true <= found.error_estimate <= 1e-9 * found.output[-1]

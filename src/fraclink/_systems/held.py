@@ -27,7 +27,7 @@ from fraclink._systems.terms import Reals, Term, collect, same, snap
 from fraclink.errors import SizeError
 
 _CHECKS = 9  # times at which the modes are compared with the contour integral; their error swings in ln t
-_SWING = 4.0  # that error swings in ln t, and nine times need not meet its largest value
+_SWING = 6.0  # that error swings in ln t, and nine times need not meet its largest value
 _ENOUGH = 3e-11  # of the peak: above this the modes cancel, and a contour per lag is used …
 _MOST_WEIGHTS = 200_000  # … for so many samples (about 2 s); the error estimate tells the rest
 _VAGUE = 1e3  # units of rounding: a pole less certain than that has a neighbour, and their errors cancel
@@ -230,7 +230,8 @@ class HeldQuotient:
         units = 2.0 + turned * place + steps * life / (16.0 * span)
         powers = [(abs(c) * (_POWER_UNITS + a * abs(math.log(span))), a) for c, a in self.low.powers]
         shared = float(power_response(powers, np.array([span]), degree)[0])
-        return float(np.finfo(float).eps) * (float(np.linalg.norm(size * units)) + shared)
+        # The modes' errors are independent: three times the root of the sum of their squares.
+        return float(np.finfo(float).eps) * (3.0 * float(np.linalg.norm(size * units)) + shared)
 
     @property
     def _method(self) -> str:
