@@ -1,0 +1,181 @@
+"""From a log to a loop: whether a design that passes is stable on the twin with what the log showed.
+
+    python benchmarks/bench_rigs.py [--rigs 200] [--only links]
+
+The twin's motor has no friction and its gauge no noise here: what moves after the reference is at rest is
+instability or vibration, and nothing else.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+
+import fraclink as fl
+from fraclink._arm.reference import prbs
+from fraclink._simulate import Beam, KelvinVoigt, PowerLaw, Sensors, Twin, simulate_log
+from fraclink.errors import InfeasibleError
+from identify_logs import line
+
+PAPER = fl.Rig.named("paper-2023-geared")
+DELAYS = (0.0, 0.002, 0.008, 0.020, 0.057, 0.090)
+RANGES = ((0.010, 0.020), (0.020, 0.040), (0.040, 0.080))
+STEP = fl.smooth_step(0.5, duration=0.5)
+
+
+def log_of(beam: Beam, damping: object, delay: float, seed: int, noise: float = 0.02) -> fl.Experiment:
+    """A log of the twin: 20 s of a PRBS behind the motor loop."""
+    time = PAPER.period * np.arange(5001)
+    bits = prbs(0.1, 0.24, bits=83, register=9, start=0.5).angle(time)
+    sensors = Sensors(gauge_noise=noise, gauge_delay=delay)
+    log = simulate_log(beam, damping, bits, period=PAPER.period, sensors=sensors, seed=seed)  # type: ignore[arg-type]
+    return fl.Experiment(
+        period=PAPER.period, motor_angle=log.motor_angle, output=log.torque, payload=beam.payload
+    )
+
+
+def quiet(rig: fl.Rig) -> fl.Rig:
+    """The same rig without friction, noise and offset."""
+    motor = replace(rig.motor, coulomb_torque=0.0)
+    gauge = replace(rig.gauge, noise=0.0, offset=0.0)
+    return replace(rig, motor=motor, gauge=gauge, encoder=replace(rig.encoder, counts_per_revolution=None))
+
+
+def moved(design: fl.Design, arm: Twin, payloads: tuple[float, ...]) -> Counter[str]:
+    """Why moves of the twin fail, by the words of the verdict; empty where all of them pass."""
+    law = design.law()
+    runs = (fl.simulate(law, STEP, arm=arm, payload=m) for m in payloads)
+    return Counter(run.verdict.reason for run in runs if not run.verdict.passed)
+
+
+def designed(model: fl.LinkModel | fl.Fit, rig: fl.Rig, crossover: float, margin: float) -> fl.Design | None:
+    """The design for a request or for the nearest one that is feasible; None where there is none."""
+    wanted = {"gain_crossover": crossover, "phase_margin": margin}
+    for _ in range(2):
+        try:
+            return fl.design(model, rig, **wanted)  # type: ignore[arg-type]
+        except InfeasibleError as error:
+            if not error.nearest:
+                return None
+            wanted = error.nearest
+    return None
+
+
+def delays() -> None:
+    """The delay of twin logs, by delay and payload."""
+    worst, wrong = 0.0, []
+    for seed, delay in enumerate(DELAYS):
+        for low, high in RANGES:
+            for payload in (low, high):
+                beam = Beam(PAPER.link.length, PAPER.link.stiffness * PAPER.link.length / 3, 0.0, payload)
+                fit = fl.identify(log_of(beam, PowerLaw(1.92), delay, seed), details=False)
+                error = abs(fit.delay - delay)
+                worst = max(worst, error)
+                if error > 0.5e-3:
+                    wrong.append(f"{1e3 * delay:g} ms at {1e3 * payload:g} g: {1e3 * fit.delay:.2f}")
+    line(
+        f"delay of {6 * len(DELAYS)} twin logs, worst error",
+        f"{1e3 * worst:.3f} ms {'; '.join(wrong)}".strip(),
+        "<= 0.5 ms",
+        not wrong,
+    )
+
+
+def random_rig(random: np.random.Generator) -> tuple[fl.Rig, fl.LinkModel]:
+    """A rig near the paper's, and the link that was identified on it, delay included."""
+    length, stiffness = random.uniform(0.4, 0.9), random.uniform(0.8, 3.0)
+    low = random.uniform(0.01, 0.05)
+    high = low * random.uniform(1.2, 2.5)
+    nominal = (low + high) / 2
+    link = replace(
+        PAPER.link, length=length, stiffness=stiffness, flexural_rigidity=stiffness * length / 3, mass=0.0
+    )
+    payloads = replace(PAPER.payloads, low=low, high=high, nominal=nominal)
+    rig = replace(quiet(PAPER), link=link, payloads=payloads, model=None)
+    order = random.uniform(1.86, 1.98)
+    frequency = (stiffness / (nominal * length**2)) ** 0.5
+    delay = DELAYS[random.integers(len(DELAYS))] * random.uniform(0.8, 1.0)
+    return rig, fl.LinkModel(stiffness, frequency, order, payload=nominal, gauge_delay=delay)
+
+
+def rigs(count: int) -> None:
+    """Designs of random rigs with a late gauge, moved on the twin with that delay."""
+    random = np.random.default_rng(14)
+    passing = refused = tried = 0
+    failed: list[str] = []
+    while passing < count and tried < 6 * count:
+        tried += 1
+        rig, model = random_rig(random)
+        crossover = random.uniform(0.7, 1.2) * model.at_payload(rig.payloads.high).natural_frequency
+        margin = fl.deg(random.uniform(35, 55))
+        design = designed(model, rig, crossover, margin)
+        if design is None or not design.passed:
+            refused += 1
+            continue
+        passing += 1
+        arm = Twin.from_rig(rig, model=model, link_mass=0.0, damping=PowerLaw(model.order))
+        found = moved(design, arm, (rig.payloads.low, rig.payloads.high))
+        if found:
+            failed.append(f"{1e3 * model.gauge_delay:.0f} ms: {', '.join(found)}")
+    line(
+        f"random rigs with a late gauge, {passing} designs that pass ({refused} refused): fail on the twin",
+        f"{len(failed)} {'; '.join(failed[:5])}".strip(),
+        "0 of >= 200",
+        not failed,
+    )
+
+
+def links(count: int) -> None:
+    """Links of 0 to 60 g with three dampings: log, fit, design, then moves of the twin with that mass."""
+    random = np.random.default_rng(15)
+    passing = refused = gated = tried = 0
+    failed: list[str] = []
+    while passing < count and tried < 4 * count:
+        tried += 1
+        mass, payload = random.uniform(0.0, 0.06), random.uniform(0.02, 0.05)
+        link = replace(PAPER.link, mass=mass, flexural_rigidity=PAPER.link.stiffness * PAPER.link.length / 3)
+        payloads = replace(PAPER.payloads, low=0.8 * payload, high=1.3 * payload, nominal=payload)
+        rig = replace(quiet(PAPER), link=link, payloads=payloads, model=None)
+        beam = Beam.from_rig(rig, payload=payload)
+        omega = float(beam.modes(1).frequencies[0])
+        damping = (PowerLaw(1.92), PowerLaw(1.98), KelvinVoigt.from_ratio(0.01, frequency=omega))[tried % 3]
+        fit = fl.identify(log_of(beam, damping, 0.002, tried))
+        if not fit.passed:
+            gated += 1
+            continue
+        design = designed(fit, rig, random.uniform(0.7, 1.1) * omega, fl.deg(45))
+        if design is None or not design.passed:
+            refused += 1
+            continue
+        passing += 1
+        arm = Twin.from_rig(rig, model=fit.model, damping=damping, gauge_delay=0.002, gauge_gain=1.0)
+        found = moved(design, arm, (rig.payloads.low, rig.payloads.high))
+        if found:
+            failed.append(f"{1e3 * mass:.0f} g, {damping.label}: {', '.join(found)}")
+    line(
+        f"links of 0 to 60 g, {passing} designs that pass ({refused} refused, {gated} gated): fail on the twin",
+        f"{len(failed)} {'; '.join(failed[:5])}".strip(),
+        "0 of >= 200",
+        not failed,
+    )
+
+
+FIGURES = {"delays": lambda count: delays(), "rigs": rigs, "links": links}
+
+
+def main() -> None:
+    """Print every figure."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--rigs", type=int, default=200)
+    parser.add_argument("--only", choices=FIGURES)
+    options = parser.parse_args()
+    for name, figure in FIGURES.items():
+        if options.only in (None, name):
+            figure(options.rigs)
+
+
+if __name__ == "__main__":
+    main()
