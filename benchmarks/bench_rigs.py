@@ -60,7 +60,7 @@ def designed(model: fl.LinkModel | fl.Fit, rig: fl.Rig, crossover: float, margin
         except InfeasibleError as error:
             if not error.nearest:
                 return None
-            wanted = error.nearest
+            wanted |= error.nearest
     return None
 
 
@@ -156,7 +156,7 @@ def links(count: int) -> None:
         if found:
             failed.append(f"{1e3 * mass:.0f} g, {damping.label}: {', '.join(found)}")
     line(
-        f"links of 0 to 60 g, {passing} designs that pass ({refused} refused, {gated} gated): fail on the twin",
+        f"links of 0 to 60 g, {passing} designs pass ({refused} refused, {gated} gated): fail on the twin",
         f"{len(failed)} {'; '.join(failed[:5])}".strip(),
         "0 of >= 200",
         not failed,

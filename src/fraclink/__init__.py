@@ -83,7 +83,7 @@ _HOME: dict[str, str] = {
     "identify_payloads": "fraclink._identify.payloads",
     "impulse_response": "fraclink._systems.response",
     "inspect_log": "fraclink._logs.reading",
-    "Interval": "fraclink._identify.profile",
+    "Interval": "fraclink._identify.uncertainty",
     "is_stable": "fraclink._systems.stability",
     "JointFit": "fraclink._identify.payloads",
     "KelvinVoigt": "fraclink._simulate.damping",

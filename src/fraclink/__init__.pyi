@@ -98,10 +98,10 @@ from fraclink._identify.motor import MotorFit as MotorFit
 from fraclink._identify.motor import identify_motor as identify_motor
 from fraclink._identify.payloads import JointFit as JointFit
 from fraclink._identify.payloads import identify_payloads as identify_payloads
-from fraclink._identify.profile import Interval as Interval
 from fraclink._identify.spectrum import FrequencyResponse as FrequencyResponse
 from fraclink._identify.spectrum import frequency_response as frequency_response
 from fraclink._identify.spectrum import identify_frequency_response as identify_frequency_response
+from fraclink._identify.uncertainty import Interval as Interval
 from fraclink._law.discretization import discretize as discretize
 from fraclink._law.discretization import equip as equip
 from fraclink._law.law import Law as Law

@@ -4,11 +4,12 @@
 """
 
 from fraclink._identify.compare import Comparison, Contest, identify, identify_all
-from fraclink._identify.covariance import ResidualTests, aic, bic
 from fraclink._identify.excitation import ExperimentDesign, design_experiment
 from fraclink._identify.fit import (
     SYMBOLS,
     Fit,
+    aic,
+    bic,
     coincidence_text,
     frequency_text,
     load_model,
@@ -18,12 +19,13 @@ from fraclink._identify.fitting import simulated_torque
 from fraclink._identify.modal import SpectrumFit
 from fraclink._identify.motor import MotorFit, identify_motor
 from fraclink._identify.payloads import JointFit, LikelihoodRatio, identify_payloads
-from fraclink._identify.profile import Interval
+from fraclink._identify.residual import ResidualTests
 from fraclink._identify.spectrum import (
     FrequencyResponse,
     frequency_response,
     identify_frequency_response,
 )
+from fraclink._identify.uncertainty import Interval
 
 __all__ = [
     "SYMBOLS",

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from fraclink._arm.link import FRACTIONAL, LinkModel, structure
 from fraclink._display import displayed
 from fraclink._files import document, load, save
-from fraclink._identify.covariance import ResidualTests
-from fraclink._identify.profile import Interval
+from fraclink._identify.residual import ResidualTests
+from fraclink._identify.uncertainty import Interval
 from fraclink.errors import SizeError
 from fraclink.findings import Finding
 
@@ -31,6 +31,37 @@ SYMBOLS = {
     "damping": ("μ", "s^(α-λ)"),
     "damping_order": ("α", ""),
 }
+
+
+def aic(mse: float, samples: int, parameters: int) -> float:
+    """Return Akaike's criterion 2k + n ln(MSE), equation (18); lower is better.
+
+    Parameters
+    ----------
+    mse
+        mean squared error > 0 [unit of the output, squared].
+    samples
+        n, number of fitted samples.
+    parameters
+        k of the structure (1, 2, 2, 3 in the order of the table).
+
+    Examples
+    --------
+    With n = 5001 it gives Table 2 of the paper:
+
+    >>> [round(aic(mse, 5001, k)) for mse, k in ((0.05845, 1), (0.00531, 2), (0.00524, 2), (0.00524, 3))]
+    [-14199, -26192, -26258, -26256]
+    """
+    return 2.0 * parameters + samples * math.log(mse) if mse > 0 else -math.inf
+
+
+def bic(mse: float, samples: int, parameters: int) -> float:
+    """Return Schwarz's criterion k ln(n) + n ln(MSE), arguments as for `aic`; lower is better.
+
+    >>> round(bic(0.00524, 5001, 2))
+    -26245
+    """
+    return parameters * math.log(samples) + samples * math.log(mse) if mse > 0 else -math.inf
 
 
 def _check_size(fit: Fit) -> None:

@@ -13,12 +13,10 @@ from numpy.typing import NDArray
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import LinkModel, SecondMode
 from fraclink._arm.link import structure as structure_row
-from fraclink._identify.covariance import ResidualTests, Uncertainty, aic, bic, residual_tests, uncertainty
 from fraclink._identify.findings import findings_of
-from fraclink._identify.fit import Fit
-from fraclink._identify.profile import Interval, profile_interval
+from fraclink._identify.fit import Fit, aic, bic
+from fraclink._identify.residual import ResidualTests, find_second_mode, residual_tests
 from fraclink._identify.search import Search, Solution
-from fraclink._identify.second_mode import find_second_mode
 from fraclink._identify.shape import (
     ALPHA_LIMITS,
     ORDER_LIMITS,
@@ -30,6 +28,7 @@ from fraclink._identify.shape import (
     model_of,
     shape_of,
 )
+from fraclink._identify.uncertainty import Interval, Uncertainty, profile_interval, uncertainty
 from fraclink._validate import Array, Between, checked, checked_between, checked_choice
 from fraclink.errors import LogError
 

@@ -16,8 +16,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._identify.covariance import uncertainty
-from fraclink._identify.profile import reduced
 from fraclink._identify.search import Search, Solution
 from fraclink._identify.shape import (
     ALPHA_LIMITS,
@@ -28,6 +26,7 @@ from fraclink._identify.shape import (
     largest_ratio,
     mask_of,
 )
+from fraclink._identify.uncertainty import reduced, uncertainty
 from fraclink.errors import NotConvergedError
 
 _ITERATIONS = 60

@@ -19,7 +19,7 @@ from numpy.polynomial import Polynomial
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import minimize_scalar
 
-from fraclink._identify.covariance import long_run_covariance
+from fraclink._identify.residual import long_run_covariance
 from fraclink._validate import Between, checked, checked_series
 from fraclink.errors import LogError
 from fraclink.findings import Finding

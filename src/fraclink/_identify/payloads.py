@@ -15,7 +15,7 @@ from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import STRUCTURES, LinkModel
 from fraclink._arm.link import structure as structure_row
 from fraclink._identify.compare import criteria_of, preferred_structure
-from fraclink._identify.covariance import aic
+from fraclink._identify.fit import aic
 from fraclink._identify.fitting import Stiffness, make_search
 from fraclink._identify.joint import Coordinates, JointProblem, start_of, weight_of
 from fraclink._identify.search import Search, Solution

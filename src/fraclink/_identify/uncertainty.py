@@ -1,4 +1,4 @@
-"""How sure a fit is: information criteria, covariance under coloured residuals, tests of the residual."""
+"""How sure a fit is: covariances under coloured residuals, profile-likelihood intervals, criteria."""
 
 from __future__ import annotations
 
@@ -8,195 +8,33 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import lstsq, toeplitz
+from scipy.linalg import lstsq
 from scipy.signal import lfilter
-from scipy.special import gammaincc
 
 from fraclink._arm.link import STRUCTURES, structure
+from fraclink._identify.residual import (
+    autoregression,
+    coloured_covariance,
+    correlation_lag,
+    long_run_covariance,
+)
 from fraclink._identify.search import Search, Solution
 from fraclink._identify.shape import (
     COORDINATE,
     NAMES,
+    Shape,
+    Vector,
     columns_of,
+    damping_and_square,
+    largest_ratio,
     mask_of,
     model_gradients,
 )
 
-Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
-_LAGS = 25  # of the portmanteau tests
-_AR_MOST = 30  # order of the residual's autoregression: a few resonances, mains hum and slow drift together
-
-
-def aic(mse: float, samples: int, parameters: int) -> float:
-    """Return Akaike's criterion 2k + n ln(MSE), equation (18); lower is better.
-
-    Parameters
-    ----------
-    mse
-        mean squared error > 0 [unit of the output, squared].
-    samples
-        n, number of fitted samples.
-    parameters
-        k of the structure (1, 2, 2, 3 in the order of the table).
-
-    Examples
-    --------
-    With n = 5001 it gives Table 2 of the paper:
-
-    >>> [round(aic(mse, 5001, k)) for mse, k in ((0.05845, 1), (0.00531, 2), (0.00524, 2), (0.00524, 3))]
-    [-14199, -26192, -26258, -26256]
-    """
-    return 2.0 * parameters + samples * math.log(mse) if mse > 0 else -math.inf
-
-
-def bic(mse: float, samples: int, parameters: int) -> float:
-    """Return Schwarz's criterion k ln(n) + n ln(MSE), arguments as for `aic`; lower is better.
-
-    >>> round(bic(0.00524, 5001, 2))
-    -26245
-    """
-    return parameters * math.log(samples) + samples * math.log(mse) if mse > 0 else -math.inf
-
-
-@dataclass(frozen=True)
-class ResidualTests:
-    """What the residual still holds, over the samples of the fit.
-
-    A real arm's residual is never white in a thousand samples (second mode, friction, quantisation): a
-    small `whiteness` says that standard errors must allow for colour, which they then do, not that the
-    model is useless. A small `input_independence` says that the motor's motion explains part of the
-    residual: the structure misses something.
-
-    Parameters
-    ----------
-    whiteness
-        p-value of Ljung and Box's test that the residual is white (25 lags).
-    input_independence
-        p-value of the test that it does not depend on the motor's motion (25 lags).
-    correlation_time
-        time after which its autocorrelation stays below 0.1 [s].
-    variance_inflation
-        by how much its colour widens the variance of the least well supported parameter.
-    """
-
-    whiteness: float
-    input_independence: float
-    correlation_time: float
-    variance_inflation: float
-
-
-def autocovariance(first: Vector, second: Vector | None = None) -> Vector:
-    """Sample covariances Σ_k x_{k+l} y_k / n of two series (or of one with itself) at lags 0..n−1."""
-    count = first.size
-    size = 1 << (2 * count - 1).bit_length()
-    spectrum = np.fft.rfft(first, size)
-    other = spectrum if second is None else np.fft.rfft(second, size)
-    return np.asarray(np.fft.irfft(spectrum * other.conj(), size)[:count] / count, dtype=np.float64)
-
-
-def long_run_covariance(scores: Matrix, lags: int) -> Matrix:
-    """Newey and West's estimate of n Σ_l Γ_l with Bartlett's weights up to `lags`; scores have shape (p, n).
-
-    Bartlett's weights are the Fejér kernel in frequency: one matrix product instead of a sum over lags.
-    """
-    count = scores.shape[1]
-    size = 1 << (count + lags).bit_length()
-    spectrum = np.fft.rfft(scores, size, axis=1)
-    half = np.pi * np.arange(1, spectrum.shape[1]) / size
-    kernel = np.concatenate([[lags + 1.0], (np.sin((lags + 1) * half) / np.sin(half)) ** 2 / (lags + 1)])
-    kernel[1 : (size + 1) // 2] *= 2  # the negative frequencies
-    return np.asarray(((spectrum * kernel) @ spectrum.conj().T).real / size, dtype=np.float64)
-
-
-def autoregression(series: Vector) -> tuple[Vector, float]:
-    """Coefficients (1, a₁ … a_p) and innovation variance of the autoregression that describes a series.
-
-    Levinson's recursion gives all orders up to `_AR_MOST` from the autocovariances; Akaike's criterion
-    picks one.
-    """
-    gamma = autocovariance(series)
-    most = min(_AR_MOST, series.size // 10)
-    best, coefficients, variance = (math.inf, np.ones(1), float(gamma[0])), np.ones(1), float(gamma[0])
-    for order in range(most + 1):
-        value = series.size * math.log(max(variance, 1e-300)) + 2 * order
-        best = min(best, (value, coefficients, variance), key=lambda item: item[0])
-        if order == most or variance <= 1e-12 * gamma[0]:  # the series is predicted exactly
-            break
-        reflection = -float(coefficients @ gamma[order + 1 : 0 : -1]) / variance
-        longer = np.append(coefficients, 0.0)
-        coefficients = longer + reflection * longer[::-1]
-        variance *= 1 - reflection**2
-    return best[1], best[2]
-
-
-def coloured_covariance(regressors: Matrix, residual: Vector) -> Matrix:
-    """Covariance of regressors · residual, regressors of shape (p, n), for a residual of any spectrum.
-
-        Σ_k Σ_l x_k γ(k − l) x_lᵀ = ∫ S(ω) X(ω) X(ω)ᴴ dω / 2π
-
-    S is that of an autoregression. The estimate of Newey and West from the products x_k e_k cuts off their
-    correlation after some lags and tapers it before: at five correlation times its standard errors were
-    15 to 20 % too small under slow noise (83 % of "95 %" intervals held the truth), a fault that the
-    autoregression does not have. It takes noise and motion for independent, which is what a residual of a
-    model that misses nothing is.
-    """
-    coefficients, variance = autoregression(residual)
-    count = regressors.shape[1]
-    size = 1 << (2 * count - 1).bit_length()
-    spectrum = np.fft.rfft(regressors, size, axis=1)
-    density = variance / np.abs(np.fft.rfft(coefficients, size)) ** 2
-    density[1 : (size + 1) // 2] *= 2  # the negative frequencies
-    return np.asarray(((spectrum * density) @ spectrum.conj().T).real / size, dtype=np.float64)
-
-
-def correlation_lag(residual: Vector) -> int:
-    """First lag after which the autocorrelation stays below 0.1 for as long again."""
-    covariance = autocovariance(residual)
-    if covariance[0] <= 0:
-        return 1
-    large = np.flatnonzero(np.abs(covariance[: residual.size // 4]) > 0.1 * covariance[0])
-    return int(large[-1]) + 1
-
-
-def residual_tests(
-    residual: Vector, motion: Vector, period: float, lag: int, inflation: float
-) -> ResidualTests:
-    """Test a residual against whiteness and against the motor's `motion` (its increments)."""
-    count = residual.size
-    centred = residual - residual.mean()
-    variance = float(centred @ centred) / count
-    if variance == 0:
-        return ResidualTests(1.0, 1.0, period, 1.0)
-    lags = min(_LAGS, count // 4)
-    rho = autocovariance(centred)[1 : lags + 1] / variance
-    ljung_box = count * (count + 2) * float(np.sum(rho**2 / (count - np.arange(1, lags + 1))))
-    return ResidualTests(
-        whiteness=float(gammaincc(lags / 2, ljung_box / 2)),
-        input_independence=float(gammaincc(lags / 2, _input_statistic(centred, motion, lags) / 2)),
-        correlation_time=lag * period,
-        variance_inflation=inflation,
-    )
-
-
-def _input_statistic(residual: Vector, motion: Vector, lags: int) -> float:
-    """n rᵀ R⁻¹ r of the cross-covariances r at lags 0..lags−1; R allows for colour on both sides."""
-    count = residual.size
-    moved = motion - motion.mean()
-    r = autocovariance(residual, moved)[:lags]
-    # Bartlett: cov(r_i, r_j) = Σ_l γ_e(l) γ_u(l + i − j) / n, with γ_e tapered against its own noise.
-    own, other = autocovariance(residual), autocovariance(moved)
-    reach = count // 4
-    taper = own[:reach] * (1 - np.arange(reach) / reach)
-    two_sided = np.concatenate([taper[:0:-1], taper])
-    shifted = np.concatenate([other[: reach + lags][:0:-1], other[: reach + lags]])
-    centre = reach + lags - 1
-    covariance = [
-        float(two_sided @ shifted[centre - reach + 1 + d : centre + reach + d]) for d in range(lags)
-    ]
-    solution = lstsq(toeplitz(covariance), r, cond=1e-8)[0]
-    return max(float(count * (r @ solution)), 0.0)
+_QUANTILE = 1.959963984540054  # of the normal distribution at 97.5 %
+_DIRECT = {name: COORDINATE[name] for name in ("order", "damping_order", "delay")}
 
 
 @dataclass(frozen=True, eq=False)
@@ -310,7 +148,177 @@ def _inverse(normal: Matrix) -> tuple[Matrix, bool]:
     return inverse, singular
 
 
-# --- which structure? -------------------------------------------------------------------------------------
+# --- intervals: how far a parameter can go while all others are fitted anew ------------------------------
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A 95 % interval; an open end is a limit of the parameter's range that the log does not exclude.
+
+    >>> Interval(1.91, 1.93, False, False).contains(1.92)
+    True
+    """
+
+    low: float
+    high: float
+    low_open: bool
+    high_open: bool
+
+    def contains(self, value: float) -> bool:
+        """Whether `value` lies in the interval."""
+        return self.low <= value <= self.high
+
+
+@dataclass(eq=False)
+class _Profile:
+    """Best cost at given values of one parameter; every point starts from the one before."""
+
+    search: Search
+    solution: Solution
+    name: str
+
+    def value(self, shape: Shape) -> float:
+        if self.name in _DIRECT:
+            return float(shape[_DIRECT[self.name]])
+        damping, square = damping_and_square(shape)
+        return damping if self.name == "damping" else math.sqrt(square)
+
+    def limits(self) -> tuple[float, float]:
+        if self.name in _DIRECT:
+            i = _DIRECT[self.name]
+            return float(self.solution.lower[i]), float(self.solution.upper[i])
+        if self._frequency_is_resonance:
+            return math.exp(self.solution.lower[1]), math.exp(self.solution.upper[1])
+        return 0.0, math.inf
+
+    def cost(self, value: float, near: Shape) -> tuple[float, Shape]:
+        direct = _DIRECT.get(self.name, 1 if self._frequency_is_resonance else None)
+        if direct is None:
+            return self._constrained(value, near)
+        start = near.copy()
+        start[direct] = math.log(value) if direct == 1 else value
+        others = [i for i in self.solution.free if i != direct]
+        s = self.search
+        result = s.kernel.solve(
+            start[None, :], mask_of(others), self.solution.lower, self.solution.upper, s.gain, s.offset, 60
+        )
+        return (math.inf, near) if result[0] == 3 else (float(result[4]), result[1])
+
+    @property
+    def _frequency_is_resonance(self) -> bool:
+        """Whether ω₀ is the coordinate Ω itself, which viscous damping does not move."""
+        classical = self.solution.shape[0] == 2 and self.solution.shape[3] == 1
+        return self.name == "natural_frequency" and classical and not {0, 3} & set(self.solution.free)
+
+    def _constrained(self, value: float, near: Shape) -> tuple[float, Shape]:
+        """Gauss–Newton steps on the surface where the parameter has this value."""
+        free = [i for i in self.solution.free if i not in self.solution.at_bound]
+        shape = near.copy()
+        best = (math.inf, near)
+        for _ in range(8):
+            gram = self.search.kernel.gram(shape, mask_of(free))
+            if gram is None:
+                return best
+            normal, slope, cost = reduced(gram, self.search)
+            miss = value - self.value(shape)
+            if abs(miss) < 1e-9 * max(abs(value), 1e-3) and cost >= best[0] * (1 - 1e-9):
+                return best
+            if abs(miss) < 1e-6 * max(abs(value), 1e-3):
+                best = (cost, shape.copy())
+            row = model_gradients(shape)[NAMES.index(self.name)]
+            along = np.array([row[i] if i < 4 else 0.0 for i in free])
+            shape[free] += _on_surface(normal, slope, along, miss)
+            shape = np.clip(shape, self.solution.lower, self.solution.upper)
+            if shape[3] < 1:  # beyond, ω₀² would be negative
+                shape[2] = min(shape[2], largest_ratio(float(shape[3])))
+        return best
+
+
+def reduced(gram: Matrix, search: Search) -> tuple[Matrix, Vector, float]:
+    """Normal matrix, slope and cost of the shape with gain and offset at their best."""
+    linear = [c for c, v in ((1, search.gain), (2, search.offset)) if math.isnan(v)]
+    fixed = np.array([1.0, -np.nan_to_num(search.gain), -np.nan_to_num(search.offset)])
+    rest = gram[:, :3] @ fixed  # products of every column with what is left of the measurement
+    best = np.linalg.solve(gram[np.ix_(linear, linear)], rest[linear]) if linear else np.zeros(0)
+    gain = float(best[linear.index(1)]) if 1 in linear else search.gain
+    residual = rest - gram[:, linear] @ best
+    offset = float(best[linear.index(2)]) if 2 in linear else search.offset
+    cost = float(
+        residual[0] - gain * residual[1] * (1 not in linear) - offset * residual[2] * (2 not in linear)
+    )
+    inner = gram[3:, 3:]
+    if linear:
+        across = gram[np.ix_(range(3, gram.shape[0]), linear)]
+        inner = inner - across @ np.linalg.solve(gram[np.ix_(linear, linear)], across.T)
+    return gain**2 * inner, gain * residual[3:], cost
+
+
+def _on_surface(normal: Matrix, slope: Vector, along: Vector, miss: float) -> Vector:
+    """The Gauss–Newton step that moves the parameter by `miss`: a Lagrange multiplier borders the matrix."""
+    size = normal.shape[0]
+    system = np.zeros((size + 1, size + 1))
+    system[:size, :size] = normal + 1e-10 * np.diag(np.diag(normal))
+    system[:size, size] = system[size, :size] = along
+    return np.asarray(np.linalg.lstsq(system, np.append(slope, miss), rcond=None)[0][:size])
+
+
+def profile_interval(
+    search: Search, solution: Solution, name: str, error: float, inflation: float
+) -> Interval:
+    """The 95 % interval of one parameter: n ln(cost/least cost) ≤ 1.96² × `inflation`.
+
+    `error` is its standard error (where the search for the ends begins) and `inflation` the factor by
+    which the residual's colour widens its variance.
+    """
+    profile = _Profile(search, solution, name)
+    centre = profile.value(solution.shape)
+    if solution.cost <= 1e-12 * solution.gram[0, 0]:  # a perfect fit: its likelihood is rounding noise
+        return Interval(centre - _QUANTILE * error, centre + _QUANTILE * error, False, False)
+    low, high = profile.limits()
+    below, low_open = _end(profile, centre, -_QUANTILE * error, low, inflation)
+    above, high_open = _end(profile, centre, _QUANTILE * error, high, inflation)
+    return Interval(below, above, low_open, high_open)
+
+
+def _end(profile: _Profile, centre: float, step: float, limit: float, inflation: float) -> tuple[float, bool]:
+    """One end of an interval and whether it is open.
+
+    The root of the log-likelihood is nearly straight (exactly so for a linear model), so that secants
+    through it meet the quantile in two or three fits where bisection would take twenty.
+    """
+    samples, least = profile.search.window.samples, profile.solution.cost
+    shape = profile.solution.shape
+    inside, inside_root, outside, outside_root = centre, 0.0, math.nan, math.inf
+    value = centre + step
+    for _ in range(25):
+        beyond = (limit - value) * step <= 0
+        value = limit if beyond else value
+        cost, near = profile.cost(value, shape)
+        height = math.inf
+        if math.isfinite(cost):
+            height = math.sqrt(max(samples * math.log(max(cost / least, 1.0)) / inflation, 0.0))
+        if abs(height - _QUANTILE) < 2e-3:  # a thousandth of the quantile: 0.01 % of the coverage
+            return value, False
+        if height < _QUANTILE:
+            if beyond:
+                return limit, True
+            inside, inside_root, shape = value, height, near
+        else:
+            outside, outside_root = value, height
+        if math.isnan(outside):
+            ratio = _QUANTILE / inside_root if inside_root > 0 else 4.0
+            value = centre + (inside - centre) * min(max(ratio, 1.05), 4.0)
+        elif math.isfinite(outside_root):
+            part = (_QUANTILE - inside_root) / (outside_root - inside_root)
+            value = inside + (outside - inside) * min(max(part, 0.05), 0.95)
+        else:  # no fit there at all: the secant has nothing to go by
+            value = (inside + outside) / 2
+        if abs(outside - inside) < 1e-9 * abs(centre):
+            return outside, False
+    return value, math.isnan(outside)
+
+
+# --- criteria: which structure? --------------------------------------------------------------------------
 
 _SCORE_LAGS = 5  # what an autoregression leaves of a misfit lasts a few samples; more lags only add noise
 
