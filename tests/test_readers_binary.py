@@ -272,8 +272,9 @@ def test_columns_are_called_as_their_program_calls_them(kind: str, tmp_path: Pat
 
 
 def test_b66_objects_of_matlab_yield_no_columns() -> None:
-    from fraclink._logs.worker import _flat
     from scipy.io.matlab import MatlabFunction, MatlabObject, MatlabOpaque
+
+    from fraclink._logs.worker import _flat
 
     fields = np.zeros((1, 1), dtype=[("s0", "O"), ("arr", "O")])
     fields["arr"][0, 0] = np.arange(6, dtype=np.uint32).reshape(6, 1)
