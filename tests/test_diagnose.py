@@ -99,6 +99,7 @@ def test_b09_degrees_called_radians() -> None:
     finding = found(changed(motor_angle=np.degrees(GOOD.motor_angle)), "W209")
     assert '"deg"' in finding.remedy
     assert finding.evidence["largest_angle"] > 2 * math.pi
+    assert finding.severity == "error"
 
 
 def test_b10_exchanged_columns() -> None:

@@ -58,6 +58,7 @@ BAD: dict[str, tuple[Callable[[], Experiment], str]] = {
     "deflection in volts": (lambda: log(output=4.0 * DEFLECTION, output_kind="deflection"), "W320"),
     "torque as deflection": (lambda: log(output=TORQUE, output_kind="deflection"), "W320"),
     "angle in degrees": (lambda: log(np.rad2deg(ANGLE), DEFLECTION, output_kind="deflection"), "W320"),
+    "angle in degrees, torque": (lambda: log(np.rad2deg(ANGLE)), "W323"),
     "torque with the other sign": (lambda: log(output=-TORQUE), "W307"),
     "deflection with the other sign": (lambda: log(output=-DEFLECTION, output_kind="deflection"), "W307"),
     "angle with the other sign": (lambda: log(-ANGLE), "W307"),

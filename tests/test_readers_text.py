@@ -291,3 +291,16 @@ def test_a_column_of_text_has_no_range_in_the_listing_for_machines(tmp_path: Pat
     text = json.dumps(values, allow_nan=False)
     assert json.loads(text)["channels"][3]["minimum"] is None
     assert json.loads(text)["channels"][3]["missing"] == 400
+
+
+@pytest.mark.parametrize(("unit", "told"), [("deg", True), ("rad", False)])
+def test_a_header_that_contradicts_the_stated_unit_is_a_gate(tmp_path: Path, unit: str, told: bool) -> None:
+    path = write_log(tmp_path / "log.csv", made_rows(600))
+    channels = [Channel("time_s", "s"), Channel("motor_angle_rad", unit), Channel("torque_Nm", "Nm")]
+    log = read_log(path, columns=LogColumns(*channels, "torque"))
+    found = [finding for finding in log.findings if finding.code == "W220"]
+    assert bool(found) is told
+    for finding in found:
+        assert finding.severity == "error"
+        assert finding.evidence["header_unit"] == 1.0
+        assert finding.evidence["stated_unit"] == pytest.approx(np.pi / 180)

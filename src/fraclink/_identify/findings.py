@@ -7,7 +7,7 @@ is kept with all its numbers, but nothing that is made from it can pass.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from fraclink._identify.fit import Fit
 from fraclink._identify.search import Solution
 from fraclink._identify.shape import ORDER_LIMITS
 from fraclink._identify.uncertainty import Uncertainty
-from fraclink.findings import Finding, Severity
+from fraclink.findings import Finding
 
 # A model that explains less than half of a motion it has not seen steers no arm; good logs leave 0.1 to 10 %.
 HELDOUT_MOST = 0.5
@@ -34,116 +34,6 @@ _AT_BOUND = {
     "delay": "the delay is larger than a third of a period, or the channels do not belong together",
 }
 
-# code: severity, what is wrong, what to do about it
-_TEXTS: dict[str, tuple[Severity, str, str]] = {
-    "W301": ("warning", "{name} ended at the bound of its range and has no standard error", "{remedy}"),
-    "W302": (
-        "warning",
-        "the optimiser did not converge; the values are the best that were met",
-        "identify a simpler structure or a longer log",
-    ),
-    "W303": (
-        "warning",
-        "the log does not determine all parameters: the normal matrix is singular",
-        "use a structure with fewer parameters, or excite the link more",
-    ),
-    "W304": (
-        "warning",
-        "a deflection log cannot show the stiffness; the model carries 1 N·m/rad",
-        "give stiffness=",
-    ),
-    "W305": (
-        "info",
-        "the residual is not white; standard errors and intervals allow for its colour",
-        "nothing, or look at the residual for a second mode or friction",
-    ),
-    "W306": (
-        "info",
-        "the output is behind the motor angle: a sensor delay was fitted along",
-        "check the filter of the strain amplifier; a design must count this delay",
-    ),
-    "W307": (
-        "error",
-        "the output has the opposite sign: it is negative where the tip lags a motor that turns forward",
-        "state the sign of the channel in the rig file",
-    ),
-    "W308": (
-        "warning",
-        "α is not identifiable: the log hardly tells its values apart",
-        "read α with its interval, or use a structure without it",
-    ),
-    "W309": (
-        "warning",
-        "the motor angle is behind the output",
-        "check the filter of the encoder or which channel is sampled first",
-    ),
-    "W310": (
-        "info",
-        "the residual still depends on the motor's motion: the structure misses part of the link",
-        "compare the other structures",
-    ),
-    "W311": (
-        "warning",
-        "the part of the log that was held out is predicted much worse than the part that was fitted",
-        "look for a change of the arm within the log, or fit a longer part",
-    ),
-    "W312": (
-        "warning",
-        "a few samples make most of the error: outliers pull the fit",
-        "examine the log with diagnose and cut or repair these rows",
-    ),
-    "W313": (
-        "error",
-        "no signal: the fit is hardly better than noise around a constant",
-        "move the motor further, or check that the output channel is connected",
-    ),
-    "W314": (
-        "error",
-        "no vibration found: the fit ended at a limit of the frequencies or orders that the log can show",
-        "check units and columns, and that the log holds two periods of the link's vibration",
-    ),
-    "W315": (
-        "error",
-        "the motor does not excite the band of the vibration: its frequency is not determined",
-        "move faster, with rise times below half a period of the vibration",
-    ),
-    "W316": (
-        "error",
-        "the delay ended at its limit, a third of the vibration's period",
-        "check that both channels are of one recording and on one clock",
-    ),
-    "W317": (
-        "error",
-        "the held-out part contains no motion, so that nothing shows whether the model predicts",
-        "leave heldout out, or hold out a part in which the motor moves",
-    ),
-    "W318": (
-        "error",
-        "the model does not predict the part of the log that was held out",
-        "compare the other structures, and look for a wrong channel, a slipped payload or saturation",
-    ),
-    "W319": (
-        "info",
-        "the end of the log is at rest: the held-out part was made longer, so that it contains motion",
-        "record motion until the end, or choose heldout",
-    ),
-    "W320": (
-        "error",
-        "the output is no deflection in rad: a deflection log has a gain of 1",
-        "check the unit and scale of the channel in the rig file",
-    ),
-    "W321": (
-        "info",
-        "the log shows a second mode: it is part of the model, and a design must bound its loop gain",
-        "nothing; the design takes it into account",
-    ),
-}
-
-
-def _found(code: str, evidence: Mapping[str, float], **words: str) -> Finding:
-    severity, message, remedy = _TEXTS[code]
-    return Finding(code, severity, message.format(**words), evidence, remedy.format(**words))
-
 
 def findings_of(
     fit: Fit,
@@ -151,13 +41,18 @@ def findings_of(
     errors: Uncertainty,
     stiffness: float | None,
     motion: tuple[float, float],
+    largest_angle: float,
 ) -> tuple[Finding, ...]:
-    """All findings of a fit, worst first; `motion` are the shares of motion and vibration held out."""
+    """All findings of a fit, worst first.
+
+    `motion` are the shares of motion and vibration held out, `largest_angle` how far the motor turned [rad].
+    """
     order = {"error": 0, "warning": 1, "info": 2}
     found = [
         *_of_the_vibration(fit, solution, errors),
         *_of_the_prediction(fit, motion),
         *_of_the_optimum(fit, errors.singular),
+        *_of_the_angle(largest_angle),
         *_of_the_sensor(fit, stiffness),
         *_of_the_residual(fit),
     ]
@@ -174,21 +69,42 @@ def signal_of(fit: Fit) -> float:
 def _of_the_vibration(fit: Fit, solution: Solution, errors: Uncertainty) -> Iterator[Finding]:
     signal = signal_of(fit)
     if signal < SIGNAL_LEAST:
-        yield _found("W313", {"signal": signal, "least": SIGNAL_LEAST})
+        yield Finding(
+            "W313",
+            "error",
+            "no signal: the fit is hardly better than noise around a constant",
+            {"signal": signal, "least": SIGNAL_LEAST},
+            "move the motor further, or check that the output channel is connected",
+        )
     order_low = 0 in solution.at_bound and fit.model.order < sum(ORDER_LIMITS) / 2
     if 1 in solution.at_bound or order_low:
-        yield _found("W314", {"resonance": math.exp(solution.shape[1]), "order": fit.model.order})
+        yield Finding(
+            "W314",
+            "error",
+            "no vibration found: the fit ended at a limit of the frequencies or orders that the log can show",
+            {"resonance": math.exp(solution.shape[1]), "order": fit.model.order},
+            "check units and columns, and that the log holds two periods of the link's vibration",
+        )
     elif errors.resonance > RESONANCE_MOST:
-        yield _found(
+        yield Finding(
             "W315",
+            "error",
+            "the motor does not excite the band of the vibration: its frequency is not determined",
             {
                 "resonance": math.exp(solution.shape[1]),
                 "relative_error": errors.resonance,
                 "most": RESONANCE_MOST,
             },
+            "move faster, with rise times below half a period of the vibration",
         )
     if "delay" in fit.at_bound and fit.delay != 0 and fit.hold != "zero":
-        yield _found("W316", {"delay": fit.delay})
+        yield Finding(
+            "W316",
+            "error",
+            "the delay ended at its limit, a third of the vibration's period",
+            {"delay": fit.delay},
+            "check that both channels are of one recording and on one clock",
+        )
 
 
 def _of_the_prediction(fit: Fit, motion: tuple[float, float]) -> Iterator[Finding]:
@@ -198,15 +114,36 @@ def _of_the_prediction(fit: Fit, motion: tuple[float, float]) -> Iterator[Findin
     # A ring-down that has sunk into the noise: the error is that of the fitted part, not of a wrong model.
     noise = fit.nmse < HELDOUT_MOST and held < 1.5 * fit.mse
     if max(motion) < 0.01:
-        yield _found("W317", {"motion": motion[0], "vibration": motion[1], "heldout_nmse": relative})
+        yield Finding(
+            "W317",
+            "error",
+            "the held-out part contains no motion, so that nothing shows whether the model predicts",
+            {"motion": motion[0], "vibration": motion[1], "heldout_nmse": relative},
+            "leave heldout out, or hold out a part in which the motor moves",
+        )
     elif relative > HELDOUT_MOST and not noise:
-        yield _found("W318", {"heldout_nmse": relative, "most": HELDOUT_MOST, "nmse": fit.nmse})
+        yield Finding(
+            "W318",
+            "error",
+            "the model does not predict the part of the log that was held out",
+            {"heldout_nmse": relative, "most": HELDOUT_MOST, "nmse": fit.nmse},
+            "compare the other structures, and look for a wrong channel, a slipped payload or saturation",
+        )
     elif relative > 4 * fit.nmse and held > 2 * fit.mse:
-        yield _found("W311", {"nmse": fit.nmse, "heldout_nmse": relative})
+        yield Finding(
+            "W311",
+            "warning",
+            "the part of the log that was held out is predicted much worse than the part that was fitted",
+            {"nmse": fit.nmse, "heldout_nmse": relative},
+            "look for a change of the arm within the log, or fit a longer part",
+        )
     if fit.fitted_samples < fit.samples // 2:
-        yield _found(
+        yield Finding(
             "W319",
+            "info",
+            "the end of the log is at rest: the held-out part was made longer, so that it contains motion",
             {"fitted_time": fit.fitted_samples * fit.period, "motion": motion[0], "vibration": motion[1]},
+            "record motion until the end, or choose heldout",
         )
 
 
@@ -216,33 +153,99 @@ def _of_the_optimum(fit: Fit, singular: bool) -> Iterator[Finding]:
         if name == "delay" and (fit.delay == 0 or fit.hold == "zero"):
             continue  # a rough angle cannot show a negative one, a held one none between its samples
         evidence = {name: values.get(name, getattr(fit.model, name, 0.0))}
-        yield _found("W301", evidence, name=name, remedy=_AT_BOUND.get(name, "look at the log"))
+        yield Finding(
+            "W301",
+            "warning",
+            f"{name} ended at the bound of its range and has no standard error",
+            evidence,
+            _AT_BOUND.get(name, "look at the log"),
+        )
     if not fit.converged:
-        yield _found("W302", {"passes": float(fit.evaluations)})
+        yield Finding(
+            "W302",
+            "warning",
+            "the optimiser did not converge; the values are the best that were met",
+            {"passes": float(fit.evaluations)},
+            "identify a simpler structure or a longer log",
+        )
     if singular:
-        yield _found("W303", {})
+        yield Finding(
+            "W303",
+            "warning",
+            "the log does not determine all parameters: the normal matrix is singular",
+            {},
+            "use a structure with fewer parameters, or excite the link more",
+        )
     interval = fit.intervals.get("damping_order")
     if interval is not None and (
         interval.low_open or interval.high_open or interval.high - interval.low > 0.5
     ):
-        yield _found("W308", {"alpha_low": interval.low, "alpha_high": interval.high})
+        yield Finding(
+            "W308",
+            "warning",
+            "α is not identifiable: the log hardly tells its values apart",
+            {"alpha_low": interval.low, "alpha_high": interval.high},
+            "read α with its interval, or use a structure without it",
+        )
+
+
+def _of_the_angle(largest: float) -> Iterator[Finding]:
+    # At the link's side of a gear no flexible arm turns more than once; 7 degrees called radians do.
+    if largest > 2 * math.pi:
+        yield Finding(
+            "W323",
+            "error",
+            "the motor turns more than once around: are these degrees called radians?",
+            {"largest_angle": largest, "if_degrees": math.radians(largest)},
+            'give the angle at the link\'s side of the gear in rad, or state unit = "deg"',
+        )
 
 
 def _of_the_sensor(fit: Fit, stiffness: float | None) -> Iterator[Finding]:
     if fit.output_kind == "deflection" and stiffness is None:
-        yield _found("W304", {})
+        yield Finding(
+            "W304",
+            "warning",
+            "a deflection log cannot show the stiffness; the model carries 1 N·m/rad",
+            {},
+            "give stiffness=",
+        )
     size = abs(fit.gain)
     if fit.output_kind == "deflection" and not GAIN_RANGE[0] < size < GAIN_RANGE[1]:
-        yield _found("W320", {"gain": fit.gain, "least": GAIN_RANGE[0], "most": GAIN_RANGE[1]})
+        yield Finding(
+            "W320",
+            "error",
+            "the output is no deflection in rad: a deflection log has a gain of 1",
+            {"gain": fit.gain, "least": GAIN_RANGE[0], "most": GAIN_RANGE[1]},
+            "check the unit and scale of the channel in the rig file",
+        )
     if fit.gain < 0:
-        yield _found("W307", {"gain": fit.gain})
+        yield Finding(
+            "W307",
+            "error",
+            "the output has the opposite sign: it is negative where the tip lags a motor that turns forward",
+            {"gain": fit.gain},
+            "state the sign of the channel in the rig file",
+        )
     error = fit.standard_errors.get("delay")
     if error is None or error == 0:
         return
     if fit.delay > max(4 * error, fit.period):
-        yield _found("W306", {"delay": fit.delay, "standard_error": error})
+        yield Finding(
+            "W306",
+            "info",
+            "the output is behind the motor angle: a sensor delay was fitted along",
+            {"delay": fit.delay, "standard_error": error},
+            "check the filter of the strain amplifier; a design must count this delay",
+        )
     if fit.delay < -max(4 * error, fit.period):
-        yield _found("W309", {"delay": fit.delay, "standard_error": error})
+        yield Finding(
+            "W309",
+            "warning",
+            "the motor angle is behind the output",
+            {"delay": fit.delay, "standard_error": error},
+            "check the filter of the encoder or which channel is sampled first",
+        )
 
 
 def _of_the_residual(fit: Fit) -> Iterator[Finding]:
@@ -250,13 +253,29 @@ def _of_the_residual(fit: Fit) -> Iterator[Finding]:
     if fit.tests is None or not math.isfinite(fit.tests.whiteness):
         return
     if fit.errors_allow_colour:
-        yield _found("W305", {"p_value": fit.tests.whiteness, "correlation_time": fit.tests.correlation_time})
+        yield Finding(
+            "W305",
+            "info",
+            "the residual is not white; standard errors and intervals allow for its colour",
+            {"p_value": fit.tests.whiteness, "correlation_time": fit.tests.correlation_time},
+            "nothing, or look at the residual for a second mode or friction",
+        )
     if fit.tests.input_independence < 1e-3:
-        yield _found("W310", {"p_value": fit.tests.input_independence})
+        yield Finding(
+            "W310",
+            "info",
+            "the residual still depends on the motor's motion: the structure misses part of the link",
+            {"p_value": fit.tests.input_independence},
+            "compare the other structures",
+        )
     mode = fit.model.second_mode
     if mode is not None:
-        yield _found(
-            "W321", {"frequency": mode.frequency, "gain": mode.gain, "damping_ratio": mode.damping_ratio}
+        yield Finding(
+            "W321",
+            "info",
+            "the log shows a second mode: it is part of the model, and a design must bound its loop gain",
+            {"frequency": mode.frequency, "gain": mode.gain, "damping_ratio": mode.damping_ratio},
+            "nothing; the design takes it into account",
         )
 
 
@@ -266,4 +285,10 @@ def _of_outliers(fit: Fit) -> Iterator[Finding]:
     share = float(squares[:few].sum() / squares.sum()) if squares[0] > 0 else 0.0
     # Of Gaussian noise the largest 0.2 % of the samples hold 2 % of the squares.
     if share > 0.3:
-        yield _found("W312", {"samples": float(few), "share_of_error": share})
+        yield Finding(
+            "W312",
+            "warning",
+            "a few samples make most of the error: outliers pull the fit",
+            {"samples": float(few), "share_of_error": share},
+            "examine the log with diagnose and cut or repair these rows",
+        )

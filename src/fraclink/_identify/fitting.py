@@ -212,8 +212,12 @@ def fit_from(
     )
     mode = find_second_mode(search, solution, log.motor_angle, residual) if details else (None, None)
     fit = dataclasses.replace(fit, model=_identified(fit, mode, stiffness))
-    findings = findings_of(fit, solution, errors, stiffness, motion_after(log, window.samples))
-    return dataclasses.replace(fit, findings=findings)
+    turned = float(np.max(np.abs(log.motor_angle - log.motor_angle[0])))
+    motion = motion_after(log, window.samples)
+    findings = findings_of(fit, solution, errors, stiffness, motion, turned)
+    # What makes the log unusable makes the model so.
+    wrong = tuple(finding for finding in log.findings if finding.severity == "error")
+    return dataclasses.replace(fit, findings=(*wrong, *findings))
 
 
 def _figures(log: Experiment, residual: Vector, count: int, solution: Solution) -> dict[str, Any]:

@@ -85,7 +85,7 @@ def range_of_angle(experiment: Experiment) -> Iterator[Finding]:
     if largest > 2 * math.pi:
         yield Finding(
             "W209",
-            "warning",
+            "error",
             f"the motor turns by {largest:.4g} rad, more than a full turn: are these degrees called radians?",
             {"largest_angle": largest, "if_degrees": math.radians(largest)},
             'state unit = "deg" for the motor angle if they are',

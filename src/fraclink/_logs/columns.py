@@ -65,7 +65,7 @@ def columns_of_names(names: tuple[str, ...]) -> LogColumns | None:
     return LogColumns(found["time"], found["motor_angle"], output, kind, found.get("voltage"))  # type: ignore[arg-type]
 
 
-def _unit_in(name: str, role: str) -> str:
+def unit_in(name: str, role: str) -> str:
     """The unit that a column's name ends with, if it is one of the role's; "?" otherwise."""
     ending = re.split(r"[_ \[\]()/.]+", name.strip(" ])"))[-1]
     return ending if ending in UNITS[QUANTITY_OF[role]] else "?"
@@ -112,7 +112,7 @@ def suggested_columns(table: LogTable) -> list[tuple[str, str, str]]:
 
 def _suggested_unit(table: LogTable, role: str, name: str) -> str:
     stated = table.units[table.names.index(name)] if table.units and name != "?" else ""
-    return stated if stated in UNITS[QUANTITY_OF[role]] else _unit_in(name, role)
+    return stated if stated in UNITS[QUANTITY_OF[role]] else unit_in(name, role)
 
 
 # --- what a stated column must be ------------------------------------------------------------------------

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._arm.experiment import Experiment
-from fraclink._arm.log_columns import Channel, LogColumns
+from fraclink._arm.log_columns import QUANTITY_OF, UNITS, Channel, LogColumns
 from fraclink._arm.rig import Rig
 from fraclink._arm.timebase import resampled, time_base
 from fraclink._files import sha256_of
@@ -21,6 +21,7 @@ from fraclink._logs.columns import (
     stated_payload,
     suggested_columns,
     suggested_mapping,
+    unit_in,
 )
 from fraclink._logs.formats import read_table
 from fraclink._logs.table import SAMPLE_LIMIT, LogTable
@@ -164,10 +165,28 @@ def _channels(
             continue
         place = table.place(channel.column, role)
         raw, filled = clean_column(table, place, interpolate=interpolate)
-        findings += filled
+        findings += [*filled, *_contradicted(table, place, role, channel)]
         data[role] = channel.in_si(raw, role)
     _check_lengths(data, stated)
     return data, findings
+
+
+def _contradicted(table: LogTable, place: int, role: str, channel: Channel) -> list[Finding]:
+    """The unit that the log's own header states for a column, where it is not the one that was stated."""
+    known = UNITS[QUANTITY_OF[role]]
+    units = (table.units[place] if table.units else "", unit_in(table.names[place], role))
+    own = next((unit for unit in units if unit in known), channel.unit)
+    if known[own] == known[channel.unit] or channel.scale != 1:  # a scale states the conversion by itself
+        return []
+    return [
+        Finding(
+            "W220",
+            "error",
+            f"column {table.names[place]!r} is in {own} by the log's own header, in {channel.unit} by [log]",
+            {"header_unit": known[own], "stated_unit": known[channel.unit]},
+            "correct the unit in [log] of the rig file, or the header",
+        )
+    ]
 
 
 def _no_voltage(channel: Channel) -> Finding:
