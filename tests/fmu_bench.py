@@ -187,7 +187,7 @@ class Imported:
         self.slave.doStep(now, size)
 
     def run(
-        self, rows: NDArray[np.float64], period: float, *, first: int = 0, each: Callable[[int], None] = id
+        self, rows: NDArray[np.float64], period: float, *, first: int = 0, each: Callable[[int], object] = id
     ) -> NDArray[np.float64]:
         """Step through `rows`, shape (4, N), from period `first` on; return the outputs, shape (N, 6)."""
         got = np.empty((rows.shape[1], 6))

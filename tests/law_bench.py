@@ -65,7 +65,7 @@ def closed_loop(
     state, command, tips, log = made.initial_state(), 0.0, [], []
     for k in range(rows.shape[1]):
         angle, torque = disturb(k, motor, made.stiffness * (motor - tip))
-        state, out = made.step(state, LawInputs(*rows[:2, k], angle, torque), tick=k + 1)
+        state, out = made.step(state, LawInputs(rows[0, k], rows[1, k], angle, torque), tick=k + 1)
         tips.append(tip)
         log.append(out)
         if out.mode < 4:

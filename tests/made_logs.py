@@ -14,11 +14,12 @@ Array = NDArray[np.float64]
 
 def made_motion(count: int = 2000, period: float = 0.004) -> tuple[Array, Array]:
     """Time and a motor angle: rest, then smooth moves between levels drawn from a fixed seed."""
-    time = period * np.arange(count)
+    time: NDArray[np.float64] = period * np.arange(count, dtype=np.float64)
     levels = np.random.default_rng(4).uniform(-0.5, 0.5, 1 + count // 125)
     levels[0] = 0.0
     angle = np.repeat(levels, 125)[:count]
-    motor, state = np.zeros(count), np.zeros(2)
+    motor: NDArray[np.float64] = np.zeros(count)
+    state = np.zeros(2)
     for k in range(count):  # two poles at 60 rad/s: a servo that follows the levels
         motor[k] = state[1]
         state = state + period * 60 * np.array([angle[k] - state[0], state[0] - state[1]])

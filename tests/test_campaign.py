@@ -17,8 +17,10 @@ from fraclink._simulate.metrics import Signals, judge_many, measure, measure_man
 from fraclink._simulate.plant import POWERS, link_weights
 from fraclink.errors import FieldError, SizeError
 
-METRICS = ("overshoot", "settling_time", "residual_vibration", "steady_state_error", "peak_tip_error")
-METRICS += ("peak_voltage", "motor_reference_noise", "saturated")
+METRICS = (
+    *("overshoot", "settling_time", "residual_vibration", "steady_state_error", "peak_tip_error"),
+    *("peak_voltage", "motor_reference_noise", "saturated"),
+)
 
 
 def test_draws_depend_on_seed_and_part_only():
@@ -95,9 +97,9 @@ def test_batch_links_are_the_links_of_simulate(order):
     for i, value in enumerate(stiff):
         exact = link_weights(LinkModel(1.56, value**0.5, order=order), 0.004, 20.0)
         names = ("decay", "weight", "pair", "pair_weight", "first")
-        wanted = link_answers(*(getattr(exact, name)[0] for name in names), 1500)
+        wanted = link_answers(*(getattr(exact, name)[0] for name in names), count=1500)
         row = [getattr(links, name)[i] for name in names]
-        assert np.abs(link_answers(*row, 1500) - wanted).max() < 3e-7
+        assert np.abs(link_answers(*row, count=1500) - wanted).max() < 3e-7
 
 
 def test_a_link_too_fast_for_the_period_is_refused():

@@ -75,7 +75,7 @@ def test_the_first_page_is_one_screen_and_imports_no_command(fraclink: Command) 
 
 def _commands() -> Iterator[tuple[tuple[str, ...], Any]]:
     """Every command with the words that call it."""
-    top = typer.main.get_command(application())
+    top: Any = typer.main.get_command(application())
     context = typer.Context(top)
     for name in top.list_commands(context):
         command = top.get_command(context, name)

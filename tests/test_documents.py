@@ -131,7 +131,7 @@ SIGNALS = Signals(
 
 
 def same_signals(a: Signals, b: Signals) -> bool:
-    pairs = [
+    pairs: list[tuple[Any, Any]] = [
         (a.time, b.time),
         (a.flags, b.flags),
         (a.response, b.response),
@@ -364,21 +364,23 @@ def test_what_cannot_be_saved_is_refused_before_a_file_is_made(tmp_path: Path) -
     for value in (5, Gear(1.0), Made):
         with pytest.raises(FieldError, match="without a file format"):
             save(value, path)
-    for wrong in (
+    wrong_values: tuple[Any, ...] = (
         Made(5, 1.0),
         Made("x", "y"),
         Made("x", 1.0, anything={1, 2}),
-        Made("x", 1.0, drive=Span(1.0)),
-    ):  # type: ignore[arg-type]
+        Made("x", 1.0, drive=Span(1.0)),  # type: ignore[arg-type]
+    )
+    for wrong in wrong_values:
         with pytest.raises(FieldError):
             save(wrong, path)
     with pytest.raises(SizeError):
         save(Made("x", 1.0, anything="y" * 17_000_000), path)
     with pytest.raises(FieldError, match="float64"):
         save(Signals(np.zeros(3, np.float32), np.zeros(3, np.uint32)), tmp_path / "x.npz")  # type: ignore[arg-type]
-    for value, name in ((FULL, "x.npz"), (SIGNALS, "x.json"), (SIGNALS, "x.csv")):
+    unlike: tuple[tuple[Any, str], ...] = ((FULL, "x.npz"), (SIGNALS, "x.json"), (SIGNALS, "x.csv"))
+    for noun, name in unlike:
         with pytest.raises(FieldError, match="another kind of file"):
-            save(value, tmp_path / name)
+            save(noun, tmp_path / name)
     assert list(tmp_path.iterdir()) == []
     assert load(save(FULL, tmp_path / "no-ending")) == FULL
     save(FULL, path)

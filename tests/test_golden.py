@@ -9,7 +9,7 @@ import difflib
 
 import pytest
 
-from golden.commands import COMMANDS, TEXTS, answers
+from golden.commands import COMMANDS, TEXTS, answers  # type: ignore[attr-defined]
 from golden.record import TOPICS, differences, probe, recorded
 
 SLOW = {"designs", "exports"}

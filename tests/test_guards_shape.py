@@ -68,7 +68,7 @@ def _dangerous_call(node: ast.Call) -> Iterator[str]:
     for keyword in node.keywords:
         value = keyword.value.value if isinstance(keyword.value, ast.Constant) else "computed"
         if keyword.arg in {"allow_pickle", "shell"} and value is not False:
-            yield f"{keyword.arg}={value}"
+            yield f"{keyword.arg}={value!r}"
 
 
 def test_nothing_runs_what_a_file_holds() -> None:

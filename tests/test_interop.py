@@ -6,6 +6,7 @@ import math
 import sys
 import warnings
 from collections.abc import Iterator
+from typing import Any
 
 import control
 import matplotlib as mpl
@@ -25,14 +26,14 @@ OMEGA = np.geomspace(0.1, 100.0, 60)
 
 
 @pytest.fixture
-def loop() -> Iterator[object]:
+def loop() -> Iterator[Any]:
     from matplotlib import pyplot as plt
 
     yield to_control(LOOP)
     plt.close("all")
 
 
-def test_values_are_exact_anywhere(loop: object) -> None:
+def test_values_are_exact_anywhere(loop: Any) -> None:
     exact = LOOP(1j * OMEGA)
     np.testing.assert_array_equal(loop(1j * OMEGA), exact)
     np.testing.assert_array_equal(loop.eval(OMEGA), exact)
@@ -46,7 +47,7 @@ def test_values_are_exact_anywhere(loop: object) -> None:
     assert LOOP.to_control().fractional == LOOP
 
 
-def test_margins_of_python_control(loop: object) -> None:
+def test_margins_of_python_control(loop: Any) -> None:
     own = margins(LOOP)
     gain, phase, at_phase, at_gain = control.margin(loop)
     assert phase == pytest.approx(math.degrees(own.phase_margin), abs=2e-3)
@@ -57,7 +58,7 @@ def test_margins_of_python_control(loop: object) -> None:
     assert modulus == pytest.approx(own.modulus_margin, rel=1e-3)
 
 
-def test_nyquist_counts_the_encirclements(loop: object) -> None:
+def test_nyquist_counts_the_encirclements(loop: Any) -> None:
     assert control.nyquist_response(loop).count == 2
     assert control.nyquist_response(to_control(LOOP * 0.1)).count == 0
 
@@ -79,13 +80,13 @@ def test_nyquist_counts_the_encirclements(loop: object) -> None:
         ),
     ],
 )
-def test_plots_draw_the_loop(loop: object, draw: object) -> None:
+def test_plots_draw_the_loop(loop: Any, draw: object) -> None:
     shown = draw(loop)  # type: ignore[operator]
     lines = [line for axis in np.ravel(shown.axes) for line in axis.get_lines()]
     assert max(len(line.get_xdata()) for line in lines) >= len(OMEGA)
 
 
-def test_bode_plot_shows_the_peak(loop: object) -> None:
+def test_bode_plot_shows_the_peak(loop: Any) -> None:
     axis = np.ravel(control.bode_plot(loop, dB=True).axes)[0]
     peak = max(np.max(line.get_ydata()) for line in axis.get_lines())
     exact = np.max(20 * np.log10(np.abs(LOOP(1j * np.geomspace(5, 20, 20_001)))))
@@ -103,7 +104,7 @@ OTHERS = {
 
 
 @pytest.mark.parametrize("name", OTHERS)
-def test_algebra_is_exact(loop: object, name: str) -> None:
+def test_algebra_is_exact(loop: Any, name: str) -> None:
     other = OTHERS[name]
     points = 1j * OMEGA
     value = other(points) if callable(other) else np.full(points.shape, other)
@@ -128,7 +129,7 @@ def test_algebra_is_exact(loop: object, name: str) -> None:
     np.testing.assert_allclose((loop**2)(points), here**2, rtol=1e-12)
 
 
-def test_measured_data_keeps_its_grid(loop: object) -> None:
+def test_measured_data_keeps_its_grid(loop: Any) -> None:
     data = control.frd(np.exp(-0.01j * OMEGA), OMEGA)
     here, delay = LOOP(1j * OMEGA), np.exp(-0.01j * OMEGA)
     for system, expected in (
@@ -169,7 +170,7 @@ IMPOSSIBLE = {
 
 
 @pytest.mark.parametrize("name", IMPOSSIBLE)
-def test_what_cannot_work_says_so(loop: object, name: str) -> None:
+def test_what_cannot_work_says_so(loop: Any, name: str) -> None:
     error, call = IMPOSSIBLE[name]
     with warnings.catch_warnings(), pytest.raises(error):
         warnings.simplefilter("error")

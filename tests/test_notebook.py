@@ -50,7 +50,7 @@ def test_a_cell_shows_the_table_and_the_drawing(name: str, results: dict[str, An
 
 def test_texts_are_escaped(results: dict[str, Any]) -> None:
     assert "&lt;unstable&gt;" in results["Certificate"]._repr_html_()
-    page = replace(RIG, name="<script>alert(1)</script>")._repr_html_()
+    page = replace(RIG, name="<script>alert(1)</script>")._repr_html_()  # type: ignore[attr-defined]
     assert "<script" not in page and "&lt;script&gt;" in page
 
 

@@ -35,7 +35,12 @@ def signals(
         mode,
         NO_REASON,
     )
-    return Signals(*(row[None, :] for row in rows), PERIOD, np.array([ENDED]), np.array([VIBRATION]))
+    return Signals(
+        *(row[None, :] for row in rows),
+        period=PERIOD,
+        ended=np.array([ENDED]),
+        vibration_period=np.array([VIBRATION]),
+    )
 
 
 def measured(tip: np.ndarray, **changes: np.ndarray) -> Metrics:

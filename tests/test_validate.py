@@ -386,7 +386,7 @@ def test_a_refusal_names_the_argument(
 
 def test_python_itself_refuses_wrong_calls() -> None:
     with pytest.raises(TypeError, match="amplitude"):
-        move()
+        move()  # type: ignore[call-arg]
 
 
 def test_the_function_keeps_its_name_and_signature() -> None:

@@ -185,3 +185,7 @@ from fraclink._show.figures import drivers_figure as drivers_figure
 from fraclink._show.plots import step_plot as step_plot
 from fraclink._systems.modes import DiscreteModes as DiscreteModes
 from fraclink._systems.response import discrete_modes as discrete_modes
+
+__all__: list[str]
+_HOME: dict[str, str]
+_RENAMED: dict[str, tuple[str, str]]

@@ -66,8 +66,8 @@ from reproduce.published import read_published
 from reproduce.values import computed
 
 HERE = Path(__file__).resolve().parent
-from golden.commands import record_commands
-from golden.formats import formats
+from golden.commands import record_commands  # type: ignore[attr-defined]
+from golden.formats import formats  # type: ignore[attr-defined]
 
 ROOT = HERE.parents[1]
 LINK_MASS = 0.00735  # [kg], of the twin: a quarter of the nominal payload
