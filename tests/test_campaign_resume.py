@@ -236,6 +236,8 @@ def edit(folder: Path, **changes: object) -> None:
         ({"duration": 5.0}, "fingerprint"),
         ({"runs": "many"}, "runs"),
         ({"draws": {}}, "campaign"),
+        ({"draws": 1.5}, "campaign"),
+        ({"draws": {"payload": "wide"}}, "campaign"),
         ({"model": {"stiffness": 1.0, "colour": "red"}}, r"model\.colour"),
         ({"fraclink": "plan"}, "file"),
     ],

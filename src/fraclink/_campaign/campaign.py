@@ -316,7 +316,7 @@ def load_campaign(folder: Path | str) -> Campaign:
             motor_loop=data["inner"],
             duration=data["duration"],
         )
-    except (KeyError, TypeError) as error:
+    except (AttributeError, KeyError, TypeError) as error:
         raise FileFormatError(
             "campaign", str(error), "missing or unknown", allowed="a campaign's folder", remedy="start anew"
         ) from error
