@@ -156,6 +156,7 @@ class ExponentialSum:
 
 
 def _whole(turns: float) -> int:
+    # Rounding of some hundred pieces adds up to 1e-12; anything near 1e-3 is a phase that drowned.
     if abs(turns - round(turns)) > 1e-3:
         raise NotConvergedError(
             "winding number",
@@ -204,6 +205,8 @@ def right_half_plane_zeros(terms: Sequence[Term]) -> int:
 
     Source: Hale and Verduyn Lunel, Introduction to Functional Differential Equations (1993), chapter 9.
     """
+    # Without delay a leading term rules in the whole of Re s ≥ 0; a delayed one of its order is as large
+    # as it on the axis, and where it is larger a chain of zeros without end lies in Re s > 0.
     leading = [t for t in terms if t.order == terms[0].order]
     if leading[0].delay or 2.0 * abs(leading[0].coefficient) <= sum(abs(t.coefficient) for t in leading):
         return -1
@@ -315,6 +318,7 @@ class _Quasi:
             at_a, at_b = self._centred(a, middle, shift), self._centred(b, middle, shift)
             rate = np.abs(self.orders[:, None] - shift)
             largest = np.maximum(self._sizes(a, middle, shift), self._sizes(b, middle, shift))
+            # Forty units in the last place of every term, as ROUNDING: a value below that has no phase.
             noise = 1e-14 * largest.sum(0)
             path = (b - a) * ((rate + self.delays[:, None] * np.exp(b)) * largest).sum(0) + noise
             whole_a, whole_b = at_a.sum(0), at_b.sum(0)

@@ -224,6 +224,7 @@ class HeldQuotient:
         place[moving] += np.minimum(self.whole.place_error(np.log(rates[moving])), _VAGUE)
         life = span / np.maximum(1.0, -rates.real * span)
         turned = np.abs(rates) * life
+        # A slow mode moves by its weight times |p| t only: the weight itself, huge beside 0, is never seen.
         size *= np.exp(np.maximum(rates.real * span, 0.0)) * np.minimum(turned, 1.0)
         if degree == 0:
             size *= np.abs(rates) / np.minimum(turned, 1.0)

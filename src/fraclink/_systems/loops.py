@@ -110,6 +110,7 @@ def _callable_loop(loop: Callable[..., object], limit: float | None) -> Callable
             return loop(np.exp(s * step))
 
     high = _HIGH if limit is None else limit
+    # Six decades below the highest frequency, so that a loop at 1e-3 rad/s has as much of a range below it.
     return CallableLoop(cast(Response, response), math.log(min(_LOW, high * 1e-6)), math.log(high))
 
 

@@ -141,12 +141,16 @@ def improve(start: PartialFractions, target: Target) -> PartialFractions:
 def best_residues(at: PartialFractions, target: Target) -> PartialFractions:
     columns = target.rows(target.factor[:, None] * at.columns(target.omega))
     size = np.linalg.norm(columns, axis=0)
+    # Poles that meet have columns that are equal to rounding: the cut-off gives both the same residue instead
+    # of two huge ones of opposite sign, which no single-precision law could run.
     solution = np.linalg.lstsq(columns / size, target.rows(target.wanted), rcond=1e-12)[0] / size
     return at.with_linear(solution)
 
 
 def newton(at: PartialFractions, target: Target, power: int) -> PartialFractions:
     """Newton's method with Marquardt's damping for the smallest Σ |error|^power near `at`."""
+    # Little damping at first: the start is the solution of the norm before, and Newton's step is nearly
+    # right.
     error, damping = at.error(target), 1e-3
     for _ in range(_STEPS):
         peak = float(np.max(np.abs(error)))
@@ -164,6 +168,7 @@ def newton(at: PartialFractions, target: Target, power: int) -> PartialFractions
         else:
             return at
         at, damping = there, damping * 0.1
+        # A relative change of the p-norm to the power p: 1e-4 of the worst error whatever p.
         if 1 - new / old < 1e-4 * power:
             return at
     return at
@@ -308,6 +313,8 @@ def _distinct(found: list[PartialFractions], target: Target) -> list[PartialFrac
     ranked = sorted(((_cost(c, target), i) for i, c in enumerate(found)))
     kept: list[tuple[float, PartialFractions]] = []
     for cost, i in ranked:
+        # Starts that met in one minimum have the same cost to 1e-4; keeping both would waste one of
+        # three places.
         if all(abs(cost - other) > 1e-3 * cost for other, _ in kept):
             kept.append((cost, found[i]))
         if len(kept) == _KEPT:
@@ -366,6 +373,8 @@ def _from_poles(x: Complexes, target: Target) -> PartialFractions:
     x = -np.abs(x.real) + 1j * x.imag
     real = np.sort(-x.real[np.abs(x.imag) <= _REAL * np.abs(x)])
     q = -x[x.imag < -_REAL * np.abs(x)]
+    # A pole three decades outside the band is a constant or an integrator to it; farther out Newton's method
+    # would find no slope to bring it back by.
     low, high = target.omega[0] * 1e-3, target.omega[-1] * 1e3
     angle = np.clip(np.angle(q) * 2 / math.pi, 0.01, 0.995)
     return PartialFractions(

@@ -135,6 +135,7 @@ def expand(quotient: Quotient, *, shortest: float, longest: float, tolerance: fl
     def whole(share: float) -> Callable[[Complexes], Complexes]:
         return lambda z: np.full(z.shape, share, np.complex128)
 
+    # A mode that has decayed to e^-3 of the tolerance at the shortest time is not seen at any later one.
     last = math.log((math.log(1.0 / tolerance) + 3.0) / shortest)
     modes = _Modes()
     if quotient.is_meromorphic:  # no cut: a pole counts once, or one half for each of ln s = x ± iπ
@@ -158,6 +159,7 @@ def _refuse_overflow(quotient: Quotient, longest: float) -> None:
     growth = float(
         np.max(np.where(quotient.zeros.imag < math.pi, np.exp(quotient.zeros).real, 0.0), initial=0.0)
     )
+    # e^709 is the largest double; the weights and the input need some of that.
     if growth * longest > 690.0:
         raise FieldError(
             "span",
@@ -237,6 +239,7 @@ def _folded(rates: Reals, weights: Reals, limit: float) -> Reals:
     Increments of e^(-rt) are r times a smooth function of r, so r·W is what is interpolated.
     """
     gap = (rates / limit)[:, None] - _FOLD_NODES
+    # On a node itself the barycentric formula is 1/0: so small a gap gives that node all of the weight.
     gap[gap == 0.0] = 1e-300
     basis = _FOLD_SHARES / gap
     basis /= basis.sum(axis=1, keepdims=True)

@@ -178,6 +178,7 @@ def _continuous(
     w = np.geomspace(*band, 160)
     near = known[(np.abs(known) > band[0]) & (np.abs(known) < band[1]) & (known.imag > 0)]
     for p in near:  # a resonance needs points of its own
+        # ±4 in sinh are 27 half widths: there the resonance is its own skirt, which the even points show.
         width = max(abs(p.real) / abs(p), 1e-6)
         w = np.append(w, abs(p) * np.exp(width * np.sinh(np.linspace(-4, 4, 25))))
     w = np.unique(w[(w >= band[0]) & (w <= band[1])])

@@ -112,6 +112,7 @@ def frequency_grid(
         if not isinstance(known, FractionalLoop):
             x, values = _bent(x, values, keep_top=limit is not None)
     even = np.linspace(x[0], x[-1], points)
+    # Where the response turns slowly the even points draw it; the others are where it moves.
     grid = np.union1d(even, x[np.isfinite(values)])
     frequencies: Reals = np.exp(grid[np.concatenate([[True], np.diff(grid) > 1e-10])])
     return frequencies
