@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path
 
-from fraclink import __version__
 from fraclink._campaign import Campaign, Summary, columns
 from fraclink._campaign.faults import fault_named
 from fraclink._files import write_text
@@ -113,6 +112,8 @@ def _rendered(template: str, **contents: object) -> str:
         import jinja2
     except ModuleNotFoundError as error:
         raise MissingExtraError("jinja2", "report") from error
+    from fraclink import __version__  # the root's stub names this module: a circle for the type checker
+
     load_matplotlib()  # a page without its figures is not written
     folder = files("fraclink._show") / "templates"
     environment = jinja2.Environment(
