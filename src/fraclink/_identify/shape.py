@@ -28,7 +28,13 @@ Vector = NDArray[np.float64]
 Hold = Literal["auto", "zero", "first"]
 
 # The coordinate that moves each parameter; a structure's row in fraclink._arm.link says which are free.
-COORDINATE: dict[str, int] = {"order": 0, "natural_frequency": 1, "damping": 2, "damping_order": 3, "delay": 4}
+COORDINATE: dict[str, int] = {
+    "order": 0,
+    "natural_frequency": 1,
+    "damping": 2,
+    "damping_order": 3,
+    "delay": 4,
+}
 NAMES = ("natural_frequency", "order", "damping", "damping_order")
 # At λ = 1 the vibration pole lies on the branch cut and there is no vibration left to identify.
 ORDER_LIMITS = (1.01, 2.0)
