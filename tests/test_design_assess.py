@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import fraclink as fl
+from fraclink._arm.box import ParameterBox
 from fraclink._arm.controller import Controller
 from fraclink._arm.motor import held_motor
 from fraclink._arm.motor_loop import MotorLoop, direct_placement, motor_loop_costs
@@ -272,7 +273,8 @@ def test_alias_sum_is_exact_where_the_answer_is_known():
 
 def test_phase_margin_is_enclosed_to_a_hundredth_of_a_degree(design: Design):
     proper = design.law()
-    claim = certify(design, law=proper, delay=(0.004, 0.004), modulus_margin=0.999).statement
+    point = ParameterBox.at(design.model)
+    claim = certify(design, law=proper, delay=(0.004, 0.004), modulus_margin=0.999, box=point).statement
     found = enclose_phase_margin(claim, proper)
     true = design.sampled_at(0.020).phase_margin
     assert found.low <= true <= found.high + 1e-6

@@ -12,6 +12,7 @@ import pytest
 from scipy.optimize import minimize
 
 import fraclink as fl
+from fraclink._arm.box import ParameterBox
 from fraclink._arm.rig import Rig
 from fraclink._certify import certify
 from fraclink._cli import main
@@ -130,7 +131,7 @@ def test_the_law_the_certificate_and_the_file_carry_the_design(quiet: Optimised,
     assert law.correction_error[0] < 0.1 and law.correction_error[1] < 0.5
     shipped = design.with_law()
     assert shipped.passed
-    assert certify(design, law=law, modulus_margin=0.5).passed
+    assert certify(design, law=law, modulus_margin=0.5, box=ParameterBox.at(design.model)).passed
     design.save(tmp_path / "design.json")
     assert Design.load(tmp_path / "design.json") == design
 

@@ -1,16 +1,155 @@
-"""A loop over a box of uncertain parameters: a search for its worst point."""
+"""What nobody knows exactly: intervals of an arm's parameters, and a search for the worst point of a loop."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fraclink._arm.loop import Loop
+from fraclink._arm.link import LinkModel
+from fraclink._arm.loop import Loop, with_payload
+from fraclink._arm.rig import Rig
+from fraclink.errors import FieldError
 
-__all__ = ["worst_over_box"]
+__all__ = ["Interval", "ParameterBox", "worst_over_box"]
+
+Interval = tuple[float, float]
+# Where neither the fit nor the rig says more, relative: a damping that two logs of one arm agree on to a
+# tenth is a good one, and a second mode moves with the material by a few per cent.
+_DAMPING, _MODE_FREQUENCY, _MODE_GAIN = 0.1, 0.05, 0.2
+
+
+@dataclass(frozen=True)
+class ParameterBox:
+    """An interval of every parameter of an arm that a proof or a design has to cope with.
+
+    Attributes
+    ----------
+    natural_frequency
+        ω₀ [s^(-λ/2)] at the payload of the model.
+    order, damping
+        λ and μ.
+    gauge_gain
+        measured over true torque, with what the link's stiffness may be off [1].
+    gauge_delay
+        [s].
+    motor_ratio
+        true over assumed pole of the motor loop, or gain of the motor where its loop is sampled [1].
+    mode_frequency, mode_gain
+        of the second mode [rad/s], [1]; (0, 0) where none is known.
+
+    Examples
+    --------
+    >>> rig = Rig.named("paper-2023")
+    >>> ParameterBox.of(rig.model, rig).gauge_gain
+    (0.95, 1.05)
+    """
+
+    natural_frequency: Interval
+    order: Interval
+    damping: Interval
+    gauge_gain: Interval
+    gauge_delay: Interval
+    motor_ratio: Interval = (1.0, 1.0)
+    mode_frequency: Interval = (0.0, 0.0)
+    mode_gain: Interval = (0.0, 0.0)
+
+    @staticmethod
+    def at(model: LinkModel) -> ParameterBox:
+        """Return the box that is one point: everything exactly as the model has it."""
+        mode = model.second_mode
+        values = (
+            model.natural_frequency,
+            model.order,
+            model.damping,
+            model.gauge_gain,
+            model.gauge_delay,
+            1.0,
+        )
+        second = (0.0, 0.0) if mode is None else (mode.frequency, mode.gain)
+        return ParameterBox(*((value, value) for value in (*values, *second)))
+
+    @staticmethod
+    def of(model: LinkModel, rig: Rig, *, others: Iterable[LinkModel] = ()) -> ParameterBox:
+        """Return what is known of `model`: its fit's intervals, at least as wide as the rig's tolerances.
+
+        `others` are models of the same arm from other logs; the box holds them, too.
+
+        Raises
+        ------
+        FieldError
+            the gauge leads the encoder by more than its tolerance.
+        """
+        found = _around(with_payload(model, rig), rig)
+        for other in others:
+            found = found.hull(ParameterBox.at(with_payload(other, rig).at_payload(_payload(model, rig))))
+        return found
+
+    def hull(self, other: ParameterBox) -> ParameterBox:
+        """Return the smallest box that holds both."""
+        pairs = zip(_pairs(self), _pairs(other), strict=True)
+        return ParameterBox(*((min(a[0], b[0]), max(a[1], b[1])) for a, b in pairs))
+
+    def holds(self, model: LinkModel) -> bool:
+        """Return whether the model, at the payload that the box is for, lies inside."""
+        return self.hull(ParameterBox.at(model)) == self
+
+
+def _pairs(box: ParameterBox) -> tuple[Interval, ...]:
+    return tuple(getattr(box, name) for name in ParameterBox.__dataclass_fields__)
+
+
+def _payload(model: LinkModel, rig: Rig) -> float:
+    known = with_payload(model, rig).payload
+    assert known is not None  # noqa: S101  # with_payload gave it one
+    return known
+
+
+def _around(model: LinkModel, rig: Rig) -> ParameterBox:
+    stated, mode = rig.tolerances, model.second_mode
+
+    def share(name: str, value: float, part: float) -> Interval:
+        return _hull((value * (1 - part), value * (1 + part)), model.interval(name))
+
+    order = _hull((model.order - stated.order, model.order + stated.order), model.interval("order"))
+    # Without damping the link of order two never comes to rest: the interval ends half way before it.
+    highest = 2.0 if model.damping else 0.5 * (model.order + 2.0)
+    gain = share("gauge_gain", model.gauge_gain, stated.gauge_gain)
+    # A torque log calibrates gauge and stiffness as one: what it leaves open of c is open in the gauge.
+    stiffness = model.interval("stiffness") or (model.stiffness, model.stiffness)
+    gain = _hull(gain, tuple(model.gauge_gain * c / model.stiffness for c in stiffness))  # type: ignore[arg-type]
+    return ParameterBox(
+        natural_frequency=share("natural_frequency", model.natural_frequency, stated.natural_frequency),
+        order=(max(order[0], 0.5 * (model.order + 1.0)), min(order[1], highest)),
+        damping=share("damping", model.damping, _DAMPING) if model.damping else (0.0, 0.0),
+        gauge_gain=gain,
+        gauge_delay=_gauge_delay(model, stated.gauge_delay),
+        motor_ratio=(1.0 - stated.motor_pole, 1.0 + stated.motor_pole),
+        mode_frequency=(0.0, 0.0)
+        if mode is None
+        else share("mode_frequency", mode.frequency, _MODE_FREQUENCY),
+        mode_gain=(0.0, 0.0) if mode is None else share("mode_gain", mode.gain, _MODE_GAIN),
+    )
+
+
+def _gauge_delay(model: LinkModel, tolerance: float) -> Interval:
+    low, high = _hull((model.gauge_delay, model.gauge_delay + tolerance), model.interval("gauge_delay"))
+    if model.gauge_delay < -max(tolerance, 1e-4):  # a lead within the tolerance is none
+        raise FieldError(
+            "model.gauge_delay",
+            model.gauge_delay,
+            "negative",
+            allowed=">= 0 s",
+            remedy="check which of encoder and gauge the logger delays",
+        )
+    return max(low, 0.0), max(high, 0.0)
+
+
+def _hull(first: Interval, second: Interval | None) -> Interval:
+    return first if second is None else (min(first[0], second[0]), max(first[1], second[1]))
+
 
 _INTERIOR = 200  # random points of a box beside its corners
 # The parameters that a box may vary, and how each changes a loop; ω₀ is scaled by the caller.

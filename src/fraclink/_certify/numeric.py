@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
+import math
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fraclink._certify.statement import Statement
+from fraclink._certify.statement import AXES, Statement
 
 if TYPE_CHECKING:
     from fraclink._law import Law
@@ -16,32 +19,36 @@ __all__ = ["loop_values", "windings", "worst_distance"]
 
 Complex = NDArray[np.complex128]
 Real = NDArray[np.float64]
+_CORNERS = 512  # of a box with more than nine uncertain parameters a random choice
+_STEPS = 40
 
 
 def loop_values(
-    statement: Statement, law: Law, frequency: ArrayLike, payload: ArrayLike, delay: ArrayLike
+    statement: Statement, law: Law, frequency: ArrayLike, place: Mapping[str, ArrayLike]
 ) -> Complex:
-    """Return L without its aliases; frequency [rad/s], payload [kg] and delay [s] broadcast."""
-    w, m, late = (np.asarray(v, dtype=float) for v in (frequency, payload, delay))
+    """Return L without its aliases at `frequency` [rad/s]; `place` has every other axis of the statement.
+
+    Its "softness" is q = 1/ω₀², its "motor" p or A. All of them broadcast.
+    """
+    w, at = np.asarray(frequency, dtype=float), {k: np.asarray(v, dtype=float) for k, v in place.items()}
     s, period = 1j * w, law.period
-    soft = statement.softness * m
-    drag = soft * statement.damping * s**statement.damping_order
-    tip = (1.0 + drag) / (1.0 + soft * s**statement.order + drag)
-    mode = np.zeros_like(s)
-    if statement.mode_frequency:
-        ratio = s / statement.mode_frequency
-        mode = statement.mode_gain * ratio**2 / (ratio**2 + 2 * statement.mode_damping * ratio + 1)
-    link = 1.0 - statement.gauge * np.exp(-s * statement.gauge_delay) * (1.0 - tip + mode)
+    drag = at["softness"] * at["damping"] * s**statement.damping_order
+    tip = (1.0 + drag) / (1.0 + at["softness"] * s ** at["order"] + drag)
+    mode = 0.0 * s
+    if np.any(at["mode_gain"]):
+        ratio = s / at["mode_frequency"]
+        mode = at["mode_gain"] * ratio**2 / (ratio**2 + 2 * statement.mode_damping * ratio + 1)
+    read = float(statement.coefficients["compliance"]) * statement.stiffness * at["gauge_gain"]
+    link = 1.0 - read * np.exp(-s * at["gauge_delay"]) * (1.0 - tip + mode)
     hold = -np.expm1(-s * period) / (s * period)
-    outer = law.frequency_response(w) * hold * link * np.exp(-s * late)
+    outer = law.frequency_response(w.ravel()).reshape(w.shape) * hold * link * np.exp(-s * at["delay"])
     if statement.motor_loop == "ideal":
-        return np.asarray(outer / (1.0 + s / statement.pole) ** 2)
-    return np.asarray(
-        outer * _voltage(statement, law, w, late) * statement.gain / (s * (s + statement.decay))
-    )
+        return np.asarray(outer / (1.0 + s / at["motor"]) ** 2)
+    voltage = _voltage(statement, law, w, at["delay"], at["motor"])
+    return np.asarray(outer * voltage * at["motor"] / (s * (s + statement.decay)))
 
 
-def _voltage(statement: Statement, law: Law, frequency: Real, delay: Real) -> Complex:
+def _voltage(statement: Statement, law: Law, frequency: Real, delay: Real, gain: Real) -> Complex:
     """Cm1/(1 + (Cm1 + Cm2) P_τ) with the held motor late by any part of a period."""
     c, x = law.coefficients, np.exp(-1j * frequency * law.period)
     slow = 1.0 / (1.0 - float(c["filter_decay"]) * x)  # type: ignore[arg-type]
@@ -55,51 +62,90 @@ def _voltage(statement: Statement, law: Law, frequency: Real, delay: Real) -> Co
     decay, left = statement.decay, law.period - delay
     held = (decay * left - 1.0) + decay * law.period * x / (1.0 - x)
     held = held + np.exp(-decay * left) * (1.0 - x) / (1.0 - np.exp(-decay * law.period) * x)
-    return np.asarray(first / (1.0 + both * x * statement.gain / decay**2 * held))
+    return np.asarray(first / (1.0 + both * x * gain / decay**2 * held))
 
 
 def _grid(statement: Statement, law: Law, points: int) -> Real:
     """Frequencies up to Nyquist, dense where the modes of the payloads lie."""
-    mode = (1.0 / (statement.softness * np.array([statement.payload_high, statement.payload_low]))) ** (
-        1.0 / statement.order
-    )
+    low, high = statement.box
+    modes = [end["softness"] ** (-1.0 / order["order"]) for end, order in ((high, high), (low, low))]
     nyquist = np.pi / law.period
-    near = np.geomspace(0.5 * mode[0], min(4.0 * mode[1], nyquist), points)
-    return np.unique(np.concatenate([near, np.geomspace(0.05, nyquist, points)]))
+    near = np.geomspace(0.5 * min(modes), min(4.0 * max(modes), nyquist), points)
+    parts = [near, np.geomspace(0.05, nyquist, points // 2)]
+    if high["mode_gain"]:  # the second mode is narrow, and anywhere in its interval
+        spread = np.linspace(-6, 6, 49) * statement.mode_damping
+        ends = (low["mode_frequency"], high["mode_frequency"])
+        parts += [np.minimum(f * np.exp(spread), nyquist) for f in ends]
+    return np.unique(np.concatenate(parts))
 
 
-def _corners(statement: Statement, payloads: int, delays: int) -> tuple[Real, Real]:
-    m = np.geomspace(statement.payload_low, statement.payload_high, payloads)
-    return m[:, None, None], np.linspace(statement.delay_low, statement.delay_high, delays)[:, None]
+def _corners(statement: Statement) -> dict[str, Real]:
+    """Corners of the box, each with its lightest, heaviest and middle payload; columns to broadcast."""
+    low, high = statement.box
+    names = [name for name in AXES[1:] if low[name] < high[name]]
+    ends = np.array(list(itertools.product((0.0, 1.0), repeat=len(names))))
+    if len(ends) > _CORNERS:
+        ends = ends[np.random.default_rng(0).choice(len(ends), _CORNERS, replace=False)]
+    if "softness" in names:
+        middle = np.unique(ends, axis=0)[:: max(1, len(ends) // 64)].copy()
+        middle[:, names.index("softness")] = 0.4
+        ends = np.concatenate([ends, middle])
+    ends = np.concatenate([ends, 0.5 * np.ones((1, len(names)))]) if names else np.zeros((1, 0))
+    place = {name: np.full((len(ends), 1), low[name]) for name in AXES[1:]}
+    for k, name in enumerate(names):
+        place[name] = (low[name] + (high[name] - low[name]) * ends[:, k])[:, None]
+    return place
 
 
-def worst_distance(statement: Statement, law: Law) -> tuple[float, float, float, float]:
-    """Return (|1 + L|, ω, payload, delay) where a grid finds the loop closest to -1."""
-    w = _grid(statement, law, 600)
-    m, late = _corners(statement, 9, 5)
-    distance = np.abs(1.0 + loop_values(statement, law, w, m, late))
-    a, b, c = np.unravel_index(int(np.argmin(distance)), distance.shape)
-    around = w[max(int(c) - 1, 0) : int(c) + 2]
-    fine = np.linspace(around[0], around[-1], 201)
-    closest = np.abs(1.0 + loop_values(statement, law, fine, m[a, 0, 0], late[b, 0]))
-    best = int(np.argmin(closest))
-    return float(closest[best]), float(fine[best]), float(m[a, 0, 0]), float(late[b, 0])
+def worst_distance(statement: Statement, law: Law) -> tuple[float, dict[str, float]]:
+    """Return (|1 + L|, place) where a search finds the loop closest to -1: corners, then downhill."""
+    w, place = _grid(statement, law, 240), _corners(statement)
+    distance = np.abs(1.0 + loop_values(statement, law, w, place))
+    closest = np.min(distance, axis=1)
+    best = (math.inf, {name: float(column[0, 0]) for name, column in place.items()})
+    for row in np.argsort(closest)[:3]:
+        at = {name: float(column[row, 0]) for name, column in place.items()}
+        at["frequency"] = float(w[int(np.argmin(distance[row]))])
+        best = min(best, _downhill(statement, law, at), key=lambda found: found[0])
+    return best
 
 
-def windings(statement: Statement, law: Law) -> tuple[float, float, float] | None:
-    """Return (payload, delay, ω of the crossing left of -1) of an unstable corner, None where there is none.
+def _downhill(statement: Statement, law: Law, start: dict[str, float]) -> tuple[float, dict[str, float]]:
+    """Follow |1 + L| down inside the box, one axis at a time with steps that shrink."""
+    low, high = statement.box
+    low["frequency"], high["frequency"] = 0.5 * start["frequency"], 2.0 * start["frequency"]
+    high["frequency"] = min(high["frequency"], math.pi / law.period)
+    names = [name for name in AXES if low[name] < high[name]]
+    at = dict(start)
+    step, least = 0.2, math.inf
+    for _ in range(_STEPS):
+        trial = {name: np.full(2 * len(names) + 1, at[name]) for name in AXES}
+        for k, name in enumerate(names):
+            reach = step * (high[name] - low[name]) * (0.1 if name == "frequency" else 1.0)
+            for row, sign in ((2 * k, -1.0), (2 * k + 1, 1.0)):
+                trial[name][row] = min(max(at[name] + sign * reach, low[name]), high[name])
+        found = np.abs(1.0 + loop_values(statement, law, trial["frequency"], trial))
+        row = int(np.argmin(found))
+        step = step if found[row] < least else 0.5 * step
+        least = min(least, float(found[row]))
+        at = {name: float(trial[name][row]) for name in AXES}
+    return least, at
+
+
+def windings(statement: Statement, law: Law) -> dict[str, float] | None:
+    """Return an unstable corner with the ω of the crossing left of -1, None where there is none.
 
     -1 is encircled as often as the phase of 1 + L ends away from zero; L itself is open-loop stable.
     """
-    w = _grid(statement, law, 2000)
-    m, late = _corners(statement, 5, 3)
-    value = 1.0 + loop_values(statement, law, w, m, late)
+    w, place = _grid(statement, law, 1200), _corners(statement)
+    value = 1.0 + loop_values(statement, law, w, place)
     turned = np.unwrap(np.angle(value), axis=-1)
-    circled = np.round((turned[..., -1] - turned[..., 0]) / np.pi) != 0
+    circled = np.round((turned[:, -1] - turned[:, 0]) / np.pi) != 0
     if not np.any(circled):
         return None
-    a, b = np.argwhere(circled)[-1]
-    crossing = np.nonzero((value[a, b, :-1].imag > 0) != (value[a, b, 1:].imag > 0))[0]
-    left = [i for i in crossing if value[a, b, i].real < 0.0]
-    at = left[0] if left else int(np.argmin(np.abs(value[a, b])))
-    return float(m[a, 0, 0]), float(late[b, 0]), float(w[at])
+    rows = np.flatnonzero(circled)
+    row = int(rows[np.argmax(place["softness"][rows, 0])])
+    crossing = np.nonzero((value[row, :-1].imag > 0) != (value[row, 1:].imag > 0))[0]
+    left = [i for i in crossing if value[row, i].real < 0.0]
+    at = left[0] if left else int(np.argmin(np.abs(value[row])))
+    return {name: float(column[row, 0]) for name, column in place.items()} | {"frequency": float(w[at])}

@@ -7,14 +7,15 @@ from dataclasses import replace
 
 from scipy.optimize import brentq
 
+from fraclink._arm.box import ParameterBox
 from fraclink._arm.controller import Controller
 from fraclink._arm.link import LinkModel
 from fraclink._arm.loop import with_payload
 from fraclink._arm.rig import Rig
-from fraclink._certify.balls import BallLoop, load_flint
-from fraclink._certify.numeric import windings, worst_distance
-from fraclink._certify.search import MarginFailure, prove
-from fraclink._certify.statement import Certificate, Statement, state
+from fraclink._certify.enclosure import BoxLoop
+from fraclink._certify.numeric import loop_values, windings, worst_distance
+from fraclink._certify.search import MarginFailure, MarginProof, prove
+from fraclink._certify.statement import AXES, Certificate, Statement, state
 from fraclink._design import Design
 from fraclink._design.assess import closed_loop_poles
 from fraclink._law import Law, discretize_controller
@@ -24,7 +25,8 @@ from fraclink.errors import FieldError
 
 __all__ = ["certify"]
 
-_SHARE = 0.9  # of the distance a grid finds, what is claimed when nothing is asked: room for a small proof
+_ROOM = 0.005  # between what a search finds and what is claimed: half of it would take twice the leaves
+_TRIES = 4  # a proof that meets a smaller distance than the search starts again from there
 
 
 def certify(
@@ -37,11 +39,13 @@ def certify(
     modulus_margin: float | None = None,
     law: Law | None = None,
     inner: str | None = None,
+    box: ParameterBox | None = None,
 ) -> Certificate:
-    """Prove that the sampled loop is stable with ``|1 + L| > m`` for every payload and delay.
+    """Prove that the sampled loop is stable with ``|1 + L| > m`` for every payload, delay and arm of a box.
 
-    The proof is in ball arithmetic and covers the law's exact coefficients, the zero-order hold, every delay
-    of a range, the motor loop and all aliases; tools/check_certificate.py checks it with other arithmetic.
+    The box holds the link's order, frequency and damping, the gauge's gain and delay, the second mode and the
+    motor loop. The proof covers the law's exact coefficients, the zero-order hold and all aliases;
+    tools/check_certificate.py checks it with other arithmetic.
 
     The certificate says ``passed``, ``verdict``, and where it fails the payload, the frequency and what was
     found there.
@@ -57,18 +61,19 @@ def certify(
     delay
         (shortest, longest) computation delay [s], at most Ts for a sampled motor loop; (0, Ts) when left out.
     modulus_margin
-        m, 0 < m < 1; nine tenths of what a grid finds when left out.
+        m, 0 < m < 1; a hundredth or two below what a search finds when left out.
     law
         the law to prove, where the design's own is not meant (single precision, another order).
     inner
         "ideal" or "sampled" motor loop; the design's own when left out.
+    box
+        what the arm may be; ``ParameterBox.of(model, rig)``, the fit's intervals and at least the rig's
+        tolerances, when left out. ``ParameterBox.at(model)`` is the model itself.
 
     Raises
     ------
     FieldError
         a value is out of its range, or λ = 2 without damping.
-    MissingExtraError
-        python-flint is not installed.
 
     Examples
     --------
@@ -81,33 +86,84 @@ def certify(
     >>> certificate.passed
     True
     """
-    load_flint()
-    claim, proper = _statement(subject, model, rig, payloads, delay, law, inner)
-    distance, frequency, payload, late = worst_distance(claim, proper)
-    if modulus_margin is None:
-        claim = replace(claim, modulus=max(math.floor(100.0 * _SHARE * distance) / 100.0, 0.01))
-    else:
+    claim, proper = _statement(subject, model, rig, payloads, delay, law, inner, box)
+    if modulus_margin is not None:
         wanted = checked_between("modulus_margin", modulus_margin, 0.0, 1.0, "", open_low=True)
         claim = replace(claim, modulus=wanted)
     unstable = windings(claim, proper)
     if unstable is not None:
-        return _unstable(claim, subject, model, *unstable)
+        return _unstable(claim, subject, model, unstable)
+    distance, place = worst_distance(claim, proper)
+    if modulus_margin is None:
+        return _largest_claim(claim, proper, distance, place)
     if distance <= claim.modulus:
-        return _too_close(claim, distance, frequency, payload, late)
-    outcome = prove(BallLoop(claim, proper.coefficients))
-    if isinstance(outcome, MarginFailure):
-        return Certificate(
-            claim,
-            False,
-            f"Not certified: {outcome.reason} at {outcome.payload * 1e3:.4g} g, "
-            f"{outcome.frequency:.6g} rad/s and {outcome.delay * 1e3:.4g} ms of delay; "
-            f"a grid finds |1 + L| = {distance:.4g}",
-            payload=outcome.payload,
-            frequency=outcome.frequency,
-            delay=outcome.delay,
-            distance=distance,
-        )
-    return Certificate(claim, True, claim.words(), outcome.tree, outcome.leaves)
+        return _too_close(claim, distance, place)
+    return _proved(claim, distance)
+
+
+def _largest_claim(claim: Statement, law: Law, distance: float, place: dict[str, float]) -> Certificate:
+    """Prove the largest claim of three digits that leaves `_ROOM`, or a smaller one where that is refuted."""
+    loop, kept = BoxLoop(claim), distance
+    for _ in range(_TRIES):
+        kept = min(kept, distance - loop.alias_at(place)) - _ROOM
+        claim = replace(claim, modulus=max(math.floor(1000.0 * kept) / 1000.0, 0.001))
+        if distance <= claim.modulus:
+            break
+        outcome = prove(BoxLoop(claim))
+        if isinstance(outcome, MarginProof) or "frequency" not in outcome.place:
+            return _certificate(claim, outcome, distance)
+        # Refuted, or too close for the bound of the aliases: the next claim is what is left there.
+        place = outcome.place
+        found = float(abs(1.0 + loop_values(claim, law, place["frequency"], place)))
+        distance, kept = min(distance, found), min(kept, found - loop.alias_at(place))
+    if distance > claim.modulus:
+        return _certificate(claim, outcome, distance)
+    return _too_close(claim, distance, place)
+
+
+def _proved(claim: Statement, distance: float) -> Certificate:
+    return _certificate(claim, prove(BoxLoop(claim)), distance)
+
+
+def _certificate(claim: Statement, outcome: MarginProof | MarginFailure, distance: float) -> Certificate:
+    if isinstance(outcome, MarginProof):
+        return Certificate(claim, True, claim.words(), outcome.tree, outcome.leaves)
+    if outcome.refuted:
+        return _too_close(claim, outcome.distance, outcome.place)
+    reason = f"Not certified: {outcome.reason} {_where(claim, outcome.place)}"
+    return _failed(claim, f"{reason}; a search finds |1 + L| = {distance:.4g}", outcome.place, distance)
+
+
+def _failed(
+    claim: Statement, verdict: str, place: dict[str, float], distance: float | None = None
+) -> Certificate:
+    return Certificate(
+        claim,
+        False,
+        verdict,
+        payload=_payload_at(claim, place),
+        frequency=place["frequency"],
+        delay=place["delay"],
+        distance=distance,
+        place=tuple(place.items()),
+    )
+
+
+def _payload_at(claim: Statement, place: dict[str, float]) -> float:
+    """The payload [kg] of the range that has this q with a softness as close to the middle as there is."""
+    return min(max(place["softness"] / claim.softness, claim.payload_low), claim.payload_high)
+
+
+def _where(claim: Statement, place: dict[str, float]) -> str:
+    """Where that is: payload, frequency and delay, and whatever else is not exact."""
+    words = (
+        f"at {_payload_at(claim, place) * 1e3:.4g} g, {place['frequency']:.6g} rad/s and "
+        f"{place['delay'] * 1e3:.4g} ms of delay"
+    )
+    low, high = claim.box
+    names = [name for name in AXES[3:] if low[name] < high[name]]
+    rest = ", ".join(f"{name.replace('_', ' ')} {place[name]:.4g}" for name in names)
+    return f"{words} ({rest})" if rest else words
 
 
 def _statement(
@@ -118,6 +174,7 @@ def _statement(
     delay: tuple[float, float] | None,
     law: Law | None,
     inner: str | None,
+    box: ParameterBox | None,
 ) -> tuple[Statement, Law]:
     _check_nouns(subject, model, rig, law)
     if isinstance(subject, Design):
@@ -145,19 +202,39 @@ def _statement(
     first, last = _ends("delay", (0.0, period) if delay is None else delay)
     first = checked_between("delay[0]", first, 0.0, 8.0 * period, "s")
     last = checked_between("delay[1]", last, first, period if kind == "sampled" else 8.0 * period, "s")
-    at_heavy = with_payload(model, rig).at_payload(heavy)
+    link = with_payload(model, rig)
+    box = ParameterBox.of(link, rig) if box is None else checked_noun("box", box, ParameterBox, remedy=_BOX)
     claim = state(
         chosen,
-        model,
+        link,
         rig,
+        box=box,
         payloads=(light, heavy),
-        softness=1.0 / (at_heavy.natural_frequency**2 * heavy),
-        nominal_payload=_nominal_payload(chosen, at_heavy),
+        nominal_payload=0.0,
         delay=(first, last),
         motor_loop=kind,
         modulus=0.5,
     )
-    return claim, chosen
+    return replace(claim, nominal_payload=_nominal_payload(chosen, _middle(claim, link))), chosen
+
+
+_BOX = "ParameterBox.of(model, rig), or ParameterBox.at(model)"
+
+
+def _middle(claim: Statement, link: LinkModel) -> LinkModel:
+    """The link in the middle of the claim's intervals, as the checker takes it."""
+    payload = _known(link.payload)
+    return replace(
+        link,
+        natural_frequency=(claim.softness * payload) ** -0.5,
+        order=0.5 * (claim.order_low + claim.order_high),
+        damping=0.5 * (claim.damping_low + claim.damping_high),
+    )
+
+
+def _known(payload: float | None) -> float:
+    assert payload is not None  # noqa: S101  # with_payload gave it one
+    return payload
 
 
 def _nominal_payload(law: Law, link: LinkModel) -> float:
@@ -208,42 +285,32 @@ def _unstable(
     claim: Statement,
     subject: Design | Controller | Law,
     model: LinkModel | None,
-    payload: float,
-    late: float,
-    frequency: float,
+    place: dict[str, float],
 ) -> Certificate:
     poles: tuple[complex, ...] = ()
     controller = subject.controller if isinstance(subject, Design) else subject
     link = subject.model if isinstance(subject, Design) else model
     text = ""
     if isinstance(controller, Controller) and link is not None:
-        at = replace(link, natural_frequency=(claim.softness * payload) ** -0.5)
-        pole = claim.pole or (controller.inner.pole if controller.inner else 80.0)
+        at = replace(
+            link,
+            natural_frequency=place["softness"] ** -0.5,
+            order=place["order"],
+            damping=place["damping"],
+        )
+        ideal = claim.motor_loop == "ideal"
+        pole = place["motor"] if ideal else (controller.inner.pole if controller.inner else 80.0)
         poles = tuple(complex(p) for p in closed_loop_poles(controller, at, inner_pole=pole))
         if poles and poles[0].real > 0.0:
             text = f"; poles {poles[0].real:+.3f} ± {abs(poles[0].imag):.2f}j rad/s without hold and delay"
-    return Certificate(
-        claim,
-        False,
-        f"Not certified: unstable at {payload * 1e3:.4g} g with {late * 1e3:.3g} ms of delay; "
-        f"L passes left of -1 near {frequency:.4g} rad/s{text}",
-        payload=payload,
-        frequency=frequency,
-        delay=late,
-        poles=poles,
+    payload = _payload_at(claim, place)
+    verdict = (
+        f"Not certified: unstable at {payload * 1e3:.4g} g with {place['delay'] * 1e3:.3g} ms of delay; "
+        f"L passes left of -1 near {place['frequency']:.4g} rad/s{text}"
     )
+    return replace(_failed(claim, verdict, place), poles=poles)
 
 
-def _too_close(
-    claim: Statement, distance: float, frequency: float, payload: float, late: float
-) -> Certificate:
-    return Certificate(
-        claim,
-        False,
-        f"Not certified: |1 + L| = {distance:.4g} is not above {claim.modulus:g} at {payload * 1e3:.4g} g, "
-        f"{frequency:.6g} rad/s and {late * 1e3:.3g} ms of delay",
-        payload=payload,
-        frequency=frequency,
-        delay=late,
-        distance=distance,
-    )
+def _too_close(claim: Statement, distance: float, place: dict[str, float]) -> Certificate:
+    verdict = f"Not certified: |1 + L| = {distance:.4g} is not above {claim.modulus:g} {_where(claim, place)}"
+    return _failed(claim, verdict, place, distance)

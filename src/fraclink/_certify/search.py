@@ -1,48 +1,41 @@
-"""Bisection until every box is proved: the distance from -1, or the phase margin.
+"""Branch and bound until every box is proved: the distance from -1, or the phase margin.
 
-``φ_m >= φ`` holds for every payload if no box has both ``|L| >= 1`` and ``|arg(-L)| < φ``: on each box
-|1/L| > 1, or the rectangle around 1/L misses the sector of half-angle φ about the negative real axis.
+A box is proved by one half plane that holds L, or 1/L, and misses every forbidden value. Along the plane's
+normal the loop is bounded by its slopes: a parameter whose slope keeps its sign is set to its worse end, the
+others cost half their width times the largest slope. Many boxes are judged at once.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._certify.balls import Ball, BallLoop, BallWindow, Disc, outside
+from fraclink._certify.discs import ROUNDING, Disc
+from fraclink._certify.enclosure import BoxLoop
 from fraclink._certify.numeric import loop_values
-from fraclink._certify.statement import Statement
+from fraclink._certify.statement import AXES, LEAVES, LETTERS, Statement
 from fraclink._law import Law
 from fraclink._systems.sweep import bracketed_roots
 from fraclink._validate import checked_between, checked_noun, checked_whole
 
-__all__ = [
-    "Box",
-    "Enclosure",
-    "MarginFailure",
-    "MarginProof",
-    "clear",
-    "enclose_phase_margin",
-    "halves",
-    "prove",
-]
+__all__ = ["Enclosure", "MarginFailure", "MarginProof", "enclose_phase_margin", "prove"]
 
 Real = NDArray[np.float64]
-Windows = dict[tuple[float, float], BallWindow]
-Box = tuple[float, float, float, float, float, float]  # ω, payload, delay: low and high of each
-_DEPTH = 60
-# Near the motor loop's resonance X is small and blurred; until it is sharp no other cut helps.
-_SHARP = 100.0
-_SLACK = 1.0 + 1e-3  # proved a little more than claimed, so that other arithmetic confirms the same leaves
+Complex = NDArray[np.complex128]
+Flags = NDArray[np.bool_]
+_DEPTH = 80
+_SLACK = 1.0 + 1e-6  # proved a little more than claimed, so that other arithmetic confirms the same leaves
+_TURNED = (AXES.index("delay"), AXES.index("gauge_delay"))
 
 
 @dataclass(frozen=True)
 class MarginProof:
-    """A tree that covers the box: one letter a node in preorder; w, m, t split, "." is a leaf."""
+    """A tree that covers the box: one letter a node in preorder, of an axis to cut along or of a leaf."""
 
     tree: str
     leaves: int
@@ -51,106 +44,205 @@ class MarginProof:
 
 @dataclass(frozen=True)
 class MarginFailure:
-    """The middle of the box at which the proof stopped."""
+    """Where the proof stopped: the parameters by name, and |1 + L| there; `refuted` where it is too small."""
 
     reason: str
-    frequency: float
-    payload: float
-    delay: float
+    place: dict[str, float]
+    distance: float = math.nan
+
+    @property
+    def refuted(self) -> bool:
+        """Whether the loop is too close there, and not just not proved to be far enough."""
+        return math.isfinite(self.distance)
 
 
-def clear(real: tuple[float, float], imaginary: tuple[float, float], modulus: float) -> bool:
-    """Whether a rectangle of 1/L stays clear of what |1 + L| <= modulus and L <= -1 make of it.
+@dataclass(frozen=True)
+class _Goal:
+    """Half planes that miss what is forbidden: their normals, and what Re(n* v) must exceed.
 
-    |1 + 1/L| > m |1/L| excludes the disc of centre -1/(1-m²) and radius m/(1-m²); L in (-∞, -1] is 1/L in
-    [-1, 0).
-
-    >>> clear((0.1, 2.0), (-1.0, 1.0), 0.5), clear((-2.0, -0.5), (0.1, 1.0), 0.5)
-    (True, False)
+    Both are functions of the middle of a disc and of the bound of the aliases.
     """
-    if modulus >= 1.0:
-        return False
-    on_axis = imaginary[0] <= 0.0 <= imaginary[1]
-    if on_axis and not (real[1] < -1.0 or real[0] > 0.0):
-        return False
-    centre, radius = -1.0 / (1.0 - modulus**2), modulus / (1.0 - modulus**2)
-    across = max(0.0, imaginary[0], -imaginary[1])
-    along = max(0.0, real[0] - centre, centre - real[1])
-    return across * across + along * along > radius * radius * (1.0 + 1e-12)
+
+    plain: Callable[[Complex, Real], tuple[Complex, Real]]  # of L
+    inverse: Callable[[Complex, Real], tuple[Complex, Real]]  # of 1/L
+    quiet: Callable[[Real, Real], Flags]  # of the largest |L|
 
 
-def _split(box: Box, value: tuple[float, float], closing: tuple[float, float]) -> int:
-    """The side whose width moves 1/L most: 0 frequency, 1 payload, 2 delay."""
-    w0, w1, m0, m1, t0, t1 = box
-    size, swing = value
-    ratio = (w1 - w0) / (w0 + w1)
-    along_w = ratio * (2.0 * swing + 3.0 * size) + _SHARP * closing[0] * size
-    along_m = (m1 - m0) / (m0 + m1) * swing
-    along_t = 0.5 * (t1 - t0) * w1 * size + _SHARP * closing[1] * size
-    return max(range(3), key=(along_w, along_m, along_t).__getitem__)
+def _unit(value: Complex) -> Complex:
+    return np.asarray(value / np.maximum(np.abs(value), 1e-300))
 
 
-def halves(box: Box, side: int) -> tuple[Box, Box]:
-    """A box cut in two: frequencies at their geometric mean, payloads and delays in the middle."""
-    low, high = box[2 * side], box[2 * side + 1]
-    middle = math.sqrt(low * high) if side == 0 else 0.5 * (low + high)
-    first, second = list(box), list(box)
-    first[2 * side + 1] = second[2 * side] = middle
-    return (*first,), (*second,)  # type: ignore[return-value]
+def _distance(modulus: float) -> _Goal:
+    """|1 + L| > m and L not in (-∞, -1]; with Y = 1/L that is a disc and the segment from it to 0."""
+
+    def plain(value: Complex, alias: Real) -> tuple[Complex, Real]:
+        ahead = 1.0 + value
+        normal = np.where(ahead.real >= 0.0, _unit(ahead), np.where(ahead.imag >= 0.0, 1j, -1j))
+        return normal, modulus + alias - normal.real
+
+    def inverse(value: Complex, alias: Real) -> tuple[Complex, Real]:
+        m = np.minimum(modulus + alias, 0.999)
+        centre = 1.0 / (1.0 - m**2)
+        straight, away = _unit(value), _unit(value + centre)
+        kink = m + 1j * np.where(value.imag >= 0.0, 1.0, -1.0) * np.sqrt(1.0 - m**2)
+        normal = np.where(straight.real >= m, straight, np.where(away.real <= m, away, kink))
+        return normal, np.maximum(m * centre - centre * normal.real, 0.0)
+
+    return _Goal(plain, inverse, lambda most, alias: most < 1.0 - modulus - alias)
 
 
-def prove(loop: BallLoop, *, most: int = 200_000) -> MarginProof | MarginFailure:
-    """Bisect the statement's box until every leaf is proved, or give up at `most` nodes and say where."""
+def _sector(margin: float) -> _Goal:
+    """|L| < 1, or -L turned by no less than the margin: the sector about (-∞, 0] is missed."""
+
+    def plane(value: Complex, alias: Real) -> tuple[Complex, Real]:
+        # Where |L| >= 1 - a an alias of modulus a turns L by no more than asin(a/(1 - a)) < 2a.
+        widest = np.maximum(0.5 * math.pi - margin - 2.0 * alias, 0.0)
+        return np.exp(1j * np.clip(np.angle(value), -widest, widest)), np.zeros_like(alias)
+
+    return _Goal(plane, plane, lambda most, alias: most < 1.0 - alias)
+
+
+@dataclass(frozen=True)
+class _Judged:
+    """Of each box: whether it is proved, by 1/L or L; the axis to cut; a point of it and the value there."""
+
+    proved: Flags
+    loud: Flags
+    axis: NDArray[np.int64]
+    point: Real
+    value: Complex
+    alias: Real
+
+
+def _judge(loop: BoxLoop, goal: _Goal, low: Real, high: Real) -> _Judged:
+    with np.errstate(all="ignore"):  # a box that is too wide gives infinities and NaN, which prove nothing
+        plain, inverse, alias = loop.forms(low, high)
+        soft = np.isfinite(plain.r) & (np.abs(plain.c) < 1.0)
+        loud = np.isfinite(inverse.r) & ~soft
+        normal, least = (
+            np.where(loud, b, a)
+            for a, b in zip(goal.plain(plain.c, alias), goal.inverse(inverse.c, alias), strict=True)
+        )
+        point, loss, weight = _downhill(loop.axes, plain, inverse, loud, normal, low, high)
+        at_plain, at_inverse, _ = loop.forms(point, point)
+        value = np.where(loud, at_inverse.c, at_plain.c)
+        radius = np.where(loud, at_inverse.r, at_plain.r)
+        reached = (np.conj(normal) * value).real - radius - 4 * ROUNDING * (1 + np.abs(value)) - loss
+        front = np.isfinite(plain.r) | np.isfinite(inverse.r)
+        quiet = goal.quiet(plain.most(), alias)
+        proved, loud = quiet | (front & (reached > least + (_SLACK - 1.0))), loud & ~quiet
+        return _Judged(proved, loud, _widest(low, high, weight), point, at_plain.c, alias)
+
+
+def _downhill(
+    axes: tuple[str, ...],
+    plain: Disc,
+    inverse: Disc,
+    loud: Flags,
+    normal: Complex,
+    first: Real,
+    second: Real,
+) -> tuple[Real, Real, Real]:
+    """(point to evaluate, what the other axes cost at most, weight of each axis for the next cut)."""
+    point, loss = 0.5 * (first + second), np.zeros(first.shape[0])
+    weight = np.full(first.shape, -1.0)
+    for name in axes:
+        k = AXES.index(name)
+        a, b = plain.d[name], inverse.d[name]
+        slope = Disc(np.where(loud, b.c, a.c), np.where(loud, b.r, a.r))
+        along = (np.conj(normal) * slope.c).real
+        spread = slope.r * (1 + ROUNDING) + 4 * ROUNDING * np.abs(slope.c)
+        width = second[:, k] - first[:, k]
+        fixed = np.abs(along) >= spread
+        point[:, k] = np.where(fixed, np.where(along >= 0.0, first[:, k], second[:, k]), point[:, k])
+        steep = np.abs(along) + spread
+        # half the width on either side of the middle, with the rounding of the middle itself
+        cost = (0.5 * width * (1 + 4 * ROUNDING) + 4 * ROUNDING * np.abs(second[:, k])) * steep
+        # a zero width still has a middle: nothing is lost there, whatever the slope
+        loss = loss + np.where(fixed | (width == 0.0), 0.0, cost)
+        weight[:, k] = np.where(width > 0.0, width * np.where(fixed, spread, steep), -1.0)
+    return point, loss, weight
+
+
+def _widest(low: Real, high: Real, weight: Real) -> NDArray[np.int64]:
+    """The axis to cut: where the slopes leave most undecided, or the widest where they are unknown."""
+    width = high - low
+    relative = width / np.maximum(np.abs(high), 1e-300)
+    relative[:, 0] *= 3.0
+    for axis in _TURNED:
+        relative[:, axis] = width[:, axis] * high[:, 0]
+    known = np.asarray(np.isfinite(weight)).all(axis=1)
+    best = np.where(known[:, None], weight, np.where(width > 0.0, relative, -1.0))
+    return np.asarray(np.argmax(best, axis=1))
+
+
+def cut(low: Real, high: Real, axis: NDArray[np.int64]) -> tuple[Real, Real]:
+    """Halve boxes: frequencies at their geometric mean, all else in the middle; first halves come first."""
+    rows = np.arange(low.shape[0])
+    a, b = low[rows, axis], high[rows, axis]
+    middle = np.where(axis == 0, np.sqrt(a * b), 0.5 * (a + b))
+    top, bottom = high.copy(), low.copy()
+    top[rows, axis] = bottom[rows, axis] = middle
+    return np.concatenate([low, bottom]), np.concatenate([top, high])
+
+
+def prove(loop: BoxLoop, *, most: int = 80_000) -> MarginProof | MarginFailure:
+    """Cut the statement's box until every leaf is proved, or give up at `most` nodes and say where."""
     s = loop.statement
+    corner = {name: loop.low[name] for name in AXES}
     if not loop.correction_is_stable():
-        return MarginFailure(
-            "a pole of the law's correction lies outside the unit circle", 0.0, s.payload_low, s.delay_low
-        )
+        return MarginFailure("a pole of the law's correction lies outside the unit circle", corner)
     if not loop.inner_is_stable():
-        return MarginFailure(
-            "the sampled motor loop is not stable for every delay", 0.0, s.payload_low, s.delay_high
-        )
+        return MarginFailure("the sampled motor loop is not stable for every delay", corner)
     if not loop.low_bound() < 1.0 - s.modulus:
-        return MarginFailure(
-            "the loop gain is not small at low frequency", s.lowest, s.payload_low, s.delay_low
-        )
-    nyquist = math.nextafter(math.pi / float(loop.period.mid()), math.inf)
-    root: Box = (s.lowest, nyquist, s.payload_low, s.payload_high, s.delay_low, s.delay_high)
-    windows: dict[tuple[float, float], BallWindow] = {}
-    stack, letters, leaves = [(root, 0)], [], 0
-    while stack:
-        box, depth = stack.pop()
-        window = windows.get(box[:2])
-        if window is None:
-            window = windows[box[:2]] = loop.window(*box[:2])
-        value, size, alias = loop.inverse(window, box[2:4], box[4:6])
-        if _proved(value, size, s.modulus * _SLACK + alias):
-            letters.append(".")
-            leaves += 1
-            continue
-        if depth == _DEPTH or len(letters) >= most:
-            return MarginFailure("the bound is not met", *(0.5 * (box[i] + box[i + 1]) for i in (0, 2, 4)))
-        side = widest_side(loop, box, window, value)
-        letters.append("wmt"[side])
-        first, second = halves(box, side)
-        stack += [(second, depth + 1), (first, depth + 1)]
-    return MarginProof("".join(letters), leaves, len(letters))
+        return MarginFailure("the loop gain is not small at low frequency", corner)
+
+    def refuted(found: _Judged) -> Flags:
+        return np.asarray(np.abs(1.0 + found.value) < s.modulus)
+
+    return _covered(loop, _distance(s.modulus), refuted, most)
 
 
-def _proved(value: Disc, size: Ball, modulus: float) -> bool:
-    """A leaf: |L| < 1 - m, or the rectangle of 1/L is clear."""
-    if size.is_finite() and outside(size)[0] * (1.0 - modulus) > 1.0:
-        return True
-    return value.is_finite() and clear(outside(value.real), outside(value.imag), modulus)
+def _covered(
+    loop: BoxLoop, goal: _Goal, refuted: Callable[[_Judged], Flags], most: int
+) -> MarginProof | MarginFailure:
+    """Cut generation by generation; the letters of the tree are put into preorder at the end."""
+    low, high = loop.root()
+    generations: list[NDArray[np.int64]] = []
+    nodes = 0
+    while low.size:
+        found = _judge(loop, goal, low, high)
+        nodes += low.shape[0]
+        wrong = refuted(found)
+        if wrong.any():
+            k = int(np.argmin(np.where(wrong, np.abs(1.0 + found.value), np.inf)))
+            place = dict(zip(AXES, map(float, found.point[k]), strict=True))
+            return MarginFailure("the loop is too close", place, float(abs(1.0 + found.value[k])))
+        left = ~found.proved
+        leaves = np.where(found.loud, len(AXES) + 1, len(AXES))
+        generations.append(np.where(left, found.axis, leaves))
+        if left.any() and (nodes > most or len(generations) > _DEPTH):
+            k = int(np.argmax(left))
+            middle = 0.5 * (low[k] + high[k])
+            return MarginFailure("the bound is not met", dict(zip(AXES, map(float, middle), strict=True)))
+        low, high = cut(low[left], high[left], found.axis[left])
+    letters = _preorder(generations)
+    return MarginProof(letters, sum(map(letters.count, LEAVES)), nodes)
 
 
-def widest_side(loop: BallLoop, box: Box, window: BallWindow, value: Disc) -> int:
-    if not value.is_finite():
-        return 0
-    from_w, from_t = loop.closing_spread(window, box[4:6]) if loop.sampled else (0.0, 0.0)
-    scale = float(abs(window.factor).mid())
-    swing = scale * float(abs(window.inertia).mid()) * 0.5 * (box[2] + box[3])
-    return _split(box, (float(abs(value).mid()), swing), (from_w, from_t))
+def _preorder(generations: list[NDArray[np.int64]]) -> str:
+    """Letters in preorder, from one row of axes a generation that holds all first, then all second halves."""
+    below: list[str] = []
+    for axes in reversed(generations):
+        cuts, count, text = 0, int(np.count_nonzero(axes < len(AXES))), []
+        for axis in axes:
+            if axis >= len(AXES):
+                text.append(LEAVES[axis - len(AXES)])
+            else:
+                text.append(LETTERS[axis] + below[cuts] + below[count + cuts])
+                cuts += 1
+        below = text
+    return below[0]
 
 
 @dataclass(frozen=True)
@@ -164,91 +256,57 @@ class Enclosure:
     nodes: int
 
 
-def _misses_sector(real: tuple[float, float], imaginary: tuple[float, float], tangent: float) -> bool:
-    """Whether a rectangle holds no point with ``|Im| < -Re·tan φ``, φ < 90°: the widest corner decides."""
-    across = max(0.0, imaginary[0], -imaginary[1])
-    return real[0] >= 0.0 or across > -real[0] * tangent
-
-
-def _keeps_margin(loop: BallLoop, windows: Windows, box: Box, margin: float) -> Disc | None:
-    """None where the box is proved, else the enclosure of 1/L that was too wide."""
-    window = windows.get(box[:2])
-    if window is None:
-        window = windows[box[:2]] = loop.window(*box[:2])
-    value, size, alias = loop.inverse(window, box[2:4], box[4:6])
-    if size.is_finite() and outside(size)[0] * (1.0 - alias) > 1.0:
-        return None
-    # Where |L| >= 1 - a an alias of modulus a turns L by no more than asin(a/(1 - a)) < 2a.
-    turned = margin + 2.0 * alias
-    if not (value.is_finite() and turned < 0.5 * math.pi):
-        return value
-    missed = _misses_sector(outside(value.real), outside(value.imag), math.tan(turned))
-    return None if missed else value
-
-
-def holds_everywhere(
-    loop: BallLoop, margin: float, windows: dict[tuple[float, float], BallWindow], most: int
-) -> int | None:
+def _keeps(loop: BoxLoop, margin: float, most: int) -> int | None:
     """Number of nodes of a proof that every crossing keeps `margin` [rad] < π/2; None where there is none."""
-    s = loop.statement
-    nyquist = math.nextafter(math.pi / float(loop.period.mid()), math.inf)
-    root: Box = (s.lowest, nyquist, s.payload_low, s.payload_high, s.delay_low, s.delay_high)
-    stack = [(root, 0)]
-    nodes = 0
-    while stack:
-        box, depth = stack.pop()
-        nodes += 1
-        value = _keeps_margin(loop, windows, box, margin)
-        if value is None:
-            continue
-        if depth > 50 or nodes > most:
-            return None
-        cut = widest_side(loop, box, windows[box[:2]], value)
-        stack += [(half, depth + 1) for half in halves(box, cut)]
-    return nodes
+    found = _covered(loop, _sector(margin), lambda judged: np.zeros(judged.proved.shape, dtype=bool), most)
+    return found.nodes if isinstance(found, MarginProof) else None
 
 
 def enclose_phase_margin(
     statement: Statement, law: Law, *, width: float = math.radians(0.01), most: int = 60_000
 ) -> Enclosure:
-    """Enclose the worst phase margin over the statement's payloads and delays to `width` [rad].
+    """Enclose the worst phase margin over the statement's box to `width` [rad].
 
-    The upper end is attained at a crossing, known to rounding; the lower end is proved by bisection. For
-    margins below 90°.
+    The upper end is attained at a crossing, known to rounding; the lower end is proved by branch and bound.
+    For margins below 90°.
     """
     checked_noun("statement", statement, Statement, remedy="certify(design).statement")
     checked_noun("law", law, Law, remedy="the law that was certified")
     checked_between("width", width, 0.0, 0.5 * math.pi, "rad", open_low=True)
     checked_whole("most", most, 1, 10**9)
     high, payload, frequency = _attained(statement, law)
-    loop = BallLoop(statement, law.coefficients)
-    windows: Windows = {}
-    nodes = holds_everywhere(loop, high - width, windows, most)
+    loop = BoxLoop(statement)
+    nodes = _keeps(loop, high - width, most)
     if nodes is not None:
         return Enclosure(high - width, high, payload, frequency, nodes)
     low, bad = 0.0, high - width
     for _ in range(12):
         middle = 0.5 * (low + bad)
-        found = holds_everywhere(loop, middle, windows, most // 4)
+        found = _keeps(loop, middle, most // 4)
         low, bad, nodes = (middle, bad, found) if found is not None else (low, middle, nodes)
     return Enclosure(low, high, payload, frequency, nodes or 0)
 
 
 def _attained(statement: Statement, law: Law) -> tuple[float, float, float]:
     """(margin, payload, frequency) of the worst falling crossing at the corners of the box."""
+    low, high = statement.box
     best = (math.pi, statement.payload_low, 0.0)
-    mode = (statement.softness * statement.payload_low) ** (-1.0 / statement.order)
-    w = np.geomspace(0.3 * mode, min(6.0 * mode, math.pi / law.period), 4000)
-    payloads = sorted({statement.payload_low, statement.payload_high})
-    delays = sorted({statement.delay_low, statement.delay_high})
-    for payload, late in itertools.product(payloads, delays):
+    mode = low["softness"] ** (-1.0 / low["order"])
+    w = np.geomspace(0.2 * mode, min(8.0 * mode, math.pi / law.period), 4000)
+    names = [name for name in AXES[1:] if low[name] < high[name]]
+    fixed = {name: low[name] for name in AXES[1:]}
+    for corner in itertools.product(*((low[name], high[name]) for name in names)):
+        place = fixed | dict(zip(names, corner, strict=True))
 
-        def level(at: Real, payload: float = payload, late: float = late) -> Real:
-            return np.asarray(np.log(np.abs(loop_values(statement, law, at, payload, late))))
+        def level(at: Real, place: dict[str, float] = place) -> Real:
+            return np.asarray(np.log(np.abs(loop_values(statement, law, at, place))))
 
-        loud = np.abs(loop_values(statement, law, w, payload, late)) > 1.0
+        loud = np.abs(loop_values(statement, law, w, place)) > 1.0
         for i in np.flatnonzero(loud[:-1] != loud[1:]):
             crossing = float(bracketed_roots(level, w[i], w[i + 1]))
-            margin = float(np.abs(np.angle(-loop_values(statement, law, crossing, payload, late))))
+            margin = float(np.abs(np.angle(-loop_values(statement, law, crossing, place))))
+            payload = min(
+                max(place["softness"] / statement.softness, statement.payload_low), statement.payload_high
+            )
             best = min(best, (margin, payload, crossing))
     return best

@@ -6,13 +6,14 @@ import hashlib
 import json
 import math
 import struct
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from fraclink._arm.box import ParameterBox
 from fraclink._arm.link import LinkModel
 from fraclink._arm.rig import Rig
 from fraclink._display import displayed
@@ -21,29 +22,47 @@ from fraclink._law import Law
 from fraclink._law import block as layout
 from fraclink.errors import FieldError, FileFormatError, NotCertifiedError
 
-__all__ = ["ASSUMPTIONS", "Certificate", "Statement", "linear_range", "state"]
+__all__ = ["ASSUMPTIONS", "AXES", "LEAVES", "LETTERS", "Certificate", "Statement", "linear_range", "state"]
 
-KIND, FORMAT = "certificate", 2
+KIND, FORMAT = "certificate", 3
+# What a leaf is a box of, and the letter of the tree that cuts it. "softness" is q = 1/ω₀², "motor" p or A.
+AXES = (
+    "frequency",
+    "softness",
+    "delay",
+    "gauge_gain",
+    "gauge_delay",
+    "order",
+    "damping",
+    "motor",
+    "mode_frequency",
+    "mode_gain",
+)
+LETTERS = "wmtgdoupfa"
+LEAVES = ".,"  # proved by L, proved by 1/L
 # The checker knows these sentences too: they lie inside the hash, and a file with others is rejected.
 ASSUMPTIONS = (
     "the link is G(s) = (1 + q μ s^α)/(1 + q s^λ + q μ s^α), q proportional to the payload",
-    "gauge and encoder are linear, and gauge, second mode and motor are exactly those of the claim",
+    "gauge and encoder are linear, and gauge, second mode and motor lie within the intervals of the claim",
     "no sample is rejected, nothing trips and nothing saturates; there is no friction",
     "the coupling torque is compensated exactly",
-    "the payload does not change during a move",
+    "neither the payload nor any other parameter changes during a move",
     "the period is exact and the compiled law computes in IEEE arithmetic",
 )
 # One sentence with every number to its last digit, so that no two claims read alike.
 CLAIM = (
     "For every payload from {payload_low} to {payload_high} kg and every computation delay from {delay_low} "
-    "to {delay_high} s, the loop of law {law} ({precision} precision, {real_modes} real modes and "
-    "{pair_modes} pairs, period {period} s, {hold} hold, gauge compliance {compliance} rad/(N m)) with a "
-    "link of stiffness {stiffness} N m/rad, order {order}, damping {damping} of order {damping_order} and "
-    "1/ω₀² = {softness} times the payload (the law was made for {nominal_payload} kg), a gauge of gain "
-    "{gauge_gain} and delay {gauge_delay} s, a second mode of gain {mode_gain} at {mode_frequency} rad/s "
-    "with damping ratio {mode_damping}, and the {motor_loop} motor loop (pole {pole} rad/s; motor gain "
-    "{gain}, rate {decay} 1/s) is stable and |1 + L| > {modulus} at every frequency; tip errors up to "
-    "{linear_range} rad meet no limit of the command."
+    "to {delay_high} s, every link with 1/ω₀² from {softness_low} to {softness_high} times the payload, "
+    "order from {order_low} to {order_high}, damping from {damping_low} to {damping_high} of order "
+    "{damping_order} and stiffness {stiffness} N m/rad (the law was made for {nominal_payload} kg), every "
+    "gauge of gain from {gauge_gain_low} to {gauge_gain_high} and delay from {gauge_delay_low} to "
+    "{gauge_delay_high} s, every "
+    "second mode of gain from {mode_gain_low} to {mode_gain_high} at {mode_frequency_low} to "
+    "{mode_frequency_high} rad/s with damping ratio {mode_damping}, and every {motor_loop} motor loop (pole "
+    "from {pole_low} to {pole_high} rad/s; motor gain from {gain_low} to {gain_high}, rate {decay} 1/s), the "
+    "loop of law {law} ({precision} precision, {real_modes} real modes and {pair_modes} pairs, period "
+    "{period} s, {hold} hold, gauge compliance {compliance} rad/(N m)) is stable and |1 + L| > {modulus} at "
+    "every frequency; tip errors up to {linear_range} rad meet no limit of the command."
 )
 COMPLIANCE_TOLERANCE = 1e-6  # of 1/c: what rounding to single precision takes, six times over
 LEAST_RANGE = 1e-5  # [rad]: a law whose limits act on smaller errors than 10 µrad never corrects anything
@@ -54,7 +73,7 @@ _LOWEST = (
 
 @dataclass(frozen=True)
 class Statement:
-    """The claim: for every payload and delay of the ranges the sampled loop is stable and |1 + L| > modulus.
+    """The claim: everywhere in a box of parameters the sampled loop is stable and |1 + L| > modulus.
 
     Period, gauge compliance, modes and limits are those of `block`, law.c's parameter block byte for byte.
     `softness` κ gives q = 1/ω₀² = κ m. Every number is written to the file in hexadecimal.
@@ -64,25 +83,34 @@ class Statement:
     digest: str  # SHA-256 of the block
     precision: layout.Precision
     hold: str  # "zero-order"
-    motor_loop: str  # "ideal": M(s) with `pole`; "sampled": the block's PID on A/(s(s + B))
+    motor_loop: str  # "ideal": M(s) with its pole; "sampled": the block's PID on A/(s(s + B))
     stiffness: float  # c [N·m/rad]
-    gauge_gain: float  # measured over true torque
-    gauge_delay: float  # [s]
-    mode_frequency: float  # of the second mode [rad/s]; 0 where none is known
-    mode_gain: float
-    mode_damping: float
-    order: float  # λ
-    damping: float  # μ
     damping_order: float  # α
-    softness: float  # κ [1/(kg·s^-λ)]
-    nominal_payload: float  # [kg], at which the link has the resonance that the block's limits were made for
+    mode_damping: float  # ζ of the second mode
+    nominal_payload: float  # [kg], at which the middle link has the resonance that the limits were made for
+    decay: float  # B [1/s]; 0 for the ideal loop
     payload_low: float  # [kg]
     payload_high: float
-    delay_low: float  # [s]
+    delay_low: float  # computation delay [s]
     delay_high: float
-    pole: float  # [rad/s], of M(s); 0 for the sampled loop
-    gain: float  # A [rad/(V s²)]; 0 for the ideal loop
-    decay: float  # B [1/s]
+    softness_low: float  # κ [1/(kg·s^-λ)]
+    softness_high: float
+    order_low: float  # λ
+    order_high: float
+    damping_low: float  # μ
+    damping_high: float
+    gauge_gain_low: float  # measured over true torque, with what the stiffness is off
+    gauge_gain_high: float
+    gauge_delay_low: float  # [s]
+    gauge_delay_high: float
+    mode_frequency_low: float  # of the second mode [rad/s]; 0 where none is known
+    mode_frequency_high: float
+    mode_gain_low: float
+    mode_gain_high: float
+    pole_low: float  # [rad/s], of M(s); 0 for the sampled loop
+    pole_high: float
+    gain_low: float  # A [rad/(V s²)]; 0 for the ideal loop
+    gain_high: float
     modulus: float
     lowest: float  # [rad/s]: below it |L| is bounded, above it the tree takes over
     linear_range: float  # [rad]: tip errors up to it meet none of the limits of the command
@@ -93,9 +121,23 @@ class Statement:
         return layout.unpack(bytes.fromhex(self.block), self.precision)
 
     @property
-    def gauge(self) -> float:
-        """Deflection that the law computes over the true one: compliance · c · gauge gain [1]."""
-        return float(self.coefficients["compliance"]) * self.stiffness * self.gauge_gain
+    def softness(self) -> float:
+        """κ in the middle of its interval."""
+        return 0.5 * (self.softness_low + self.softness_high)
+
+    @property
+    def box(self) -> tuple[dict[str, float], dict[str, float]]:
+        """Lower and upper ends of every axis but the frequency; q takes what its product rounds away."""
+        motor = "pole" if self.motor_loop == "ideal" else "gain"
+        low, high = (
+            {name: getattr(self, f"{motor if name == 'motor' else name}_{end}") for name in AXES[1:]}
+            for end in ("low", "high")
+        )
+        low["softness"] = math.nextafter(self.softness_low * self.payload_low, 0.0)
+        high["softness"] = math.nextafter(self.softness_high * self.payload_high, math.inf)
+        if not self.mode_gain_high:
+            low["mode_frequency"] = high["mode_frequency"] = 0.0
+        return low, high
 
     def to_json(self) -> dict[str, str]:
         """Every field as text: floats as hexadecimal, so that not one bit depends on a parser."""
@@ -142,6 +184,8 @@ class Certificate:
         where it fails [kg, rad/s, s], None where it passed.
     distance
         |1 + L| found there.
+    place
+        every parameter there by name: λ as "order", q as "softness", and so on.
     poles
         closed-loop poles of the fractional loop with M(s) at that payload [rad/s], where it is unstable.
     """
@@ -156,6 +200,7 @@ class Certificate:
     delay: float | None = None
     distance: float | None = None
     poles: tuple[complex, ...] = ()
+    place: tuple[tuple[str, float], ...] = ()
 
     def _hashed(self) -> dict[str, Any]:
         return {
@@ -176,7 +221,7 @@ class Certificate:
         """Write the certificate to one JSON file; NotCertifiedError where nothing was proved."""
         if not self.passed:
             raise NotCertifiedError(self.verdict, payload=self.payload, frequency=self.frequency)
-        made = {"python-flint": version("python-flint"), "method": "bisection in ball arithmetic, 64 bit"}
+        made = {"fraclink": version("fraclink"), "method": "branch and bound with slopes over discs"}
         proof = {"leaves": self.leaves, "sha256": self.sha256, "made_with": made}
         write_json(path, KIND, FORMAT, self._hashed() | proof)
 
@@ -184,12 +229,11 @@ class Certificate:
     def load(path: Path | str) -> Certificate:
         """Read a certificate back; FileFormatError where its hash does not fit. Reading is not checking.
 
-        A file of format 1 is read with `passed` False: it does not state the gauge, so that its proof also
-        holds for a law that computes another tip angle and diverges.
+        A file of format 1 or 2 is read with `passed` False: it covers one link, gauge and motor only.
         """
-        data = read_json(path, KIND, (1, FORMAT))
-        if data["format"] == 1:
-            return _first_format(data)
+        data = read_json(path, KIND, (1, 2, FORMAT))
+        if data["format"] != FORMAT:
+            return _earlier_format(data)
         statement = Statement.from_json(data.get("statement"))
         tree, leaves = data.get("tree"), data.get("leaves")
         if not isinstance(tree, str) or type(leaves) is not int:
@@ -200,24 +244,35 @@ class Certificate:
         return made
 
 
-def _first_format(data: Mapping[str, Any]) -> Certificate:
-    """What a file of format 1 stated; what it left out is as it had to be for its proof to mean anything."""
+def _earlier_format(data: Mapping[str, Any]) -> Certificate:
+    """What a file of format 1 or 2 stated, every interval a point; what it left out as it had to be."""
     old = data.get("statement")
     if not isinstance(old, Mapping) or not isinstance(old.get("block"), str):
         raise _damaged("statement", type(old).__name__, "every field of a statement, as text")
-    exact = {"gauge_gain": 1.0, "linear_range": LEAST_RANGE, "stiffness": 1.0}
-    zero = dict.fromkeys(
-        ("gauge_delay", "mode_frequency", "mode_gain", "mode_damping", "nominal_payload"), 0.0
-    )
-    renamed = {"motor_loop" if key == "inner" else key: value for key, value in old.items()}
-    added = {key: value.hex() for key, value in (exact | zero).items()} | {"hold": "zero-order"}
-    statement = Statement.from_json(added | renamed)
-    statement = replace(statement, stiffness=1.0 / float(statement.coefficients["compliance"]))
-    text = json.dumps({"statement": old, "tree": data.get("tree")}, sort_keys=True, separators=(",", ":"))
+    first = data["format"] == 1
+    kinds = Statement.__annotations__
+    known: dict[str, Any] = {"motor_loop" if key == "inner" else key: value for key, value in old.items()}
+    left_out = {"hold": "zero-order", "linear_range": LEAST_RANGE.hex(), "gauge_gain": (1.0).hex()}
+    known = dict.fromkeys(_POINTS, (0.0).hex()) | left_out | known
+    for name in [key for key in known if f"{key}_low" in kinds]:
+        known[f"{name}_low"] = known[f"{name}_high"] = known.pop(name)
+    statement = Statement.from_json(known)
+    if first:
+        statement = replace(statement, stiffness=1.0 / float(statement.coefficients["compliance"]))
+    hashed = ("statement", "tree") if first else ("claim", "form", "assumed", "statement", "tree")
+    signed = {key: data.get(key) for key in hashed}
+    text = json.dumps(signed, sort_keys=True, separators=(",", ":"), ensure_ascii=first)
     if data.get("sha256") != hashlib.sha256(text.encode()).hexdigest():
-        raise _damaged("sha256", data.get("sha256"), "the hash of statement and tree")
-    verdict = "Not certified: a certificate of format 1 does not state the gauge; certify again"
+        raise _damaged("sha256", data.get("sha256"), "the hash of the file's content")
+    verdict = (
+        f"Not certified: a certificate of format {data['format']} covers one link, gauge and motor only; "
+        "certify again"
+    )
     return Certificate(statement, False, verdict, str(data["tree"]), str(data["tree"]).count("."))
+
+
+# What format 1 did not have.
+_POINTS = ("gauge_delay", "mode_frequency", "mode_gain", "mode_damping", "nominal_payload", "stiffness")
 
 
 def _text(value: object) -> str:
@@ -285,18 +340,18 @@ def state(
     model: LinkModel,
     rig: Rig,
     *,
+    box: ParameterBox,
     payloads: tuple[float, float],
-    softness: float,
     nominal_payload: float,
     delay: tuple[float, float],
     motor_loop: str,
     modulus: float,
 ) -> Statement:
-    """Return the statement about `law` on `model`, with q = `softness` · payload."""
-    if model.order >= 2.0 and not model.damping:
+    """Return the statement about `law` over `box`, around `model` with a known payload."""
+    if box.order[1] >= 2.0 and not box.damping[0]:
         raise FieldError(
             "model.order",
-            model.order,
+            box.order[1],
             "two without damping: the link's pole lies on the stability boundary",
             allowed="λ < 2, or damping > 0",
             remedy="certify with the identified damping, which every real link has",
@@ -309,12 +364,26 @@ def state(
             allowed="a law with its motor loop, B > 0",
             remedy="make the law with Design.law()",
         )
-    if model.gauge_delay < 0 or model.gauge_gain <= 0:
+    if box.gauge_delay[0] < 0 or box.gauge_gain[0] <= 0:
         remedy = "certify with the gauge's true sign and delay"
         raise FieldError("model.gauge_delay", model.gauge_delay, "negative", allowed=">= 0 s", remedy=remedy)
     _check_law(law, model)
-    mode = model.second_mode
-    ideal = motor_loop == "ideal"
+    ideal, ratio = motor_loop == "ideal", box.motor_ratio
+    soft = [1.0 / (w0**2 * model.payload) for w0 in reversed(box.natural_frequency)]  # type: ignore[operator]
+    motor = _outward(*(law.inner_pole * x for x in ratio)) if ideal else (0.0, 0.0)
+    gain = (0.0, 0.0) if ideal else _outward(*(rig.motor.gain * x for x in ratio))
+    intervals = {
+        "payload": (float(payloads[0]), float(payloads[1])),
+        "delay": (float(delay[0]), float(delay[1])),
+        "softness": _outward(*soft),
+        "pole": motor,
+        "gain": gain,
+    }
+    fields = ("order", "damping", "gauge_gain", "gauge_delay", "mode_frequency", "mode_gain")
+    intervals |= {name: _outward(*getattr(box, name)) for name in fields}
+    ends = {
+        f"{name}_{end}": pair[k] for name, pair in intervals.items() for k, end in enumerate(("low", "high"))
+    }
     return Statement(
         block=law.block.hex(),
         digest=law.digest,
@@ -322,24 +391,32 @@ def state(
         hold="zero-order",
         motor_loop=motor_loop,
         stiffness=float(model.stiffness),
-        gauge_gain=float(model.gauge_gain),
-        gauge_delay=float(model.gauge_delay),
-        mode_frequency=0.0 if mode is None else float(mode.frequency),
-        mode_gain=0.0 if mode is None else float(mode.gain),
-        mode_damping=0.0 if mode is None else float(mode.damping_ratio),
-        order=float(model.order),
-        damping=float(model.damping),
         damping_order=float(model.damping_order),
-        softness=softness,
+        mode_damping=0.0 if model.second_mode is None else float(model.second_mode.damping_ratio),
         nominal_payload=nominal_payload,
-        payload_low=float(payloads[0]),
-        payload_high=float(payloads[1]),
-        delay_low=float(delay[0]),
-        delay_high=float(delay[1]),
-        pole=float(law.inner_pole) if ideal else 0.0,
-        gain=0.0 if ideal else float(rig.motor.gain),
         decay=0.0 if ideal else float(rig.motor.decay),
         modulus=float(modulus),
         lowest=_LOWEST * math.pi / law.period,
         linear_range=linear_range(law.coefficients),
+        **ends,
     )
+
+
+def _outward(low: float, high: float) -> tuple[float, float]:
+    """The interval with ends of six digits, the first rounded down and the second up; a point as it is.
+
+    A sentence of thirty numbers is read where they are short.
+    """
+    if low == high:
+        return float(low), float(high)
+    return _rounded(low, math.floor), _rounded(high, math.ceil)
+
+
+def _rounded(value: float, towards: Callable[[float], int]) -> float:
+    if not value:
+        return 0.0
+    digit = 10.0 ** (5 - math.floor(math.log10(abs(value))))
+    scaled = value * digit
+    # A value of six digits or fewer is itself: its product with a power of ten is whole but for rounding.
+    whole = round(scaled) if abs(scaled - round(scaled)) < 1e-6 else towards(scaled)
+    return float(f"{whole / digit:.6g}")

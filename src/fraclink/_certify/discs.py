@@ -1,0 +1,135 @@
+"""Arrays of intervals and of discs in the complex plane that hold every value, rounding included.
+
+One operation of IEEE arithmetic is off by at most 2^-50 of its result (a complex quotient, the worst of
+them), numpy's elementary functions by a few units in the last place: every result is widened by `ROUNDING` of
+itself, at least four times as much. The proof does not rest on this: the checker computes every leaf anew.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["ROUNDING", "Disc", "Span"]
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+ROUNDING = 2.0**-48
+
+
+class Span:
+    """Arrays of real intervals, given by their ends."""
+
+    __slots__ = ("high", "low")
+
+    def __init__(self, low: Real, high: Real) -> None:
+        self.low, self.high = low, high
+
+    @staticmethod
+    def around(first: Real, second: Real) -> Span:
+        """The intervals between computed ends, in either order, with what rounding may have moved them."""
+        low, high = np.minimum(first, second), np.maximum(first, second)
+        return Span(low - 4 * ROUNDING * np.abs(low), high + 4 * ROUNDING * np.abs(high))
+
+    @property
+    def middle(self) -> Real:
+        """Midpoints."""
+        return np.asarray(0.5 * (self.low + self.high))
+
+    def inverse(self) -> Span:
+        """1/x of positive intervals."""
+        return Span.around(1.0 / self.high, 1.0 / self.low)
+
+    def disc(self) -> Disc:
+        """The discs about the midpoints that hold the intervals."""
+        middle = self.middle
+        half = np.maximum(self.high - middle, middle - self.low)
+        return Disc(middle, half * (1 + ROUNDING) + ROUNDING * np.abs(middle))
+
+
+class Disc:
+    """Discs |z − c| <= r; an infinite radius stands for the whole plane. `d`: their slopes, by variable."""
+
+    __slots__ = ("c", "d", "r")
+
+    def __init__(
+        self, centre: Complex | Real | complex, radius: Real | float = 0.0, slopes: Slopes | None = None
+    ) -> None:
+        self.c, self.r, self.d = np.asarray(centre), np.asarray(radius), slopes or {}
+
+    @property
+    def plain(self) -> Disc:
+        """The discs without their slopes."""
+        return Disc(self.c, self.r)
+
+    def __add__(self, other: Disc | complex) -> Disc:
+        other = other if isinstance(other, Disc) else Disc(other)
+        centre = self.c + other.c
+        rounding = ROUNDING * (np.abs(self.c) + np.abs(other.c))
+        slopes = dict(self.d)
+        for name, slope in other.d.items():
+            slopes[name] = slopes[name] + slope if name in slopes else slope
+        return Disc(centre, (self.r + other.r) * (1 + ROUNDING) + rounding, slopes)
+
+    def __neg__(self) -> Disc:
+        return Disc(-self.c, self.r, {name: -slope for name, slope in self.d.items()})
+
+    def __sub__(self, other: Disc | complex) -> Disc:
+        return self + (-other)
+
+    def __rsub__(self, other: complex) -> Disc:
+        return -self + other
+
+    def __mul__(self, other: Disc | Real | complex) -> Disc:
+        other = other if isinstance(other, Disc) else Disc(other)
+        size, by = np.abs(self.c), np.abs(other.c)
+        radius = (size + self.r) * other.r + by * self.r + 2 * ROUNDING * size * by
+        slopes = {name: slope * other.plain for name, slope in self.d.items()}
+        for name, slope in other.d.items():
+            part = slope * self.plain
+            slopes[name] = slopes[name] + part if name in slopes else part
+        return Disc(self.c * other.c, radius * (1 + 2 * ROUNDING), slopes)
+
+    __radd__, __rmul__ = __add__, __mul__
+
+    def inverse(self) -> Disc:
+        """1/z; the whole plane where a disc holds zero.
+
+        The image of a disc is the disc of centre c*/(|c|² − r²) and radius r/(|c|² − r²). What the difference
+        loses to rounding is more, the closer the disc comes to zero.
+        """
+        square = np.abs(self.c) ** 2
+        room = square - self.r**2
+        lost = 8 * ROUNDING * (square + self.r**2)
+        clear = room > 2 * lost
+        room = np.where(clear, room, 1.0)
+        share = np.where(clear, 2 * lost / room + 8 * ROUNDING, 0.0)
+        centre = np.where(clear, np.conj(self.c) / room, 0.0)
+        found = Disc(centre, np.where(clear, self.r / room * (1 + share) + share * np.abs(centre), np.inf))
+        slopes = {name: -(slope * found * found) for name, slope in self.d.items()}
+        return Disc(found.c, found.r, slopes)
+
+    def exp(self) -> Disc:
+        """e^z: |e^(c + h) − e^c| <= |e^c| (e^|h| − 1)."""
+        centre = np.exp(self.c)
+        found = Disc(centre, np.abs(centre) * (np.expm1(self.r) + ROUNDING * (1 + np.abs(self.c))))
+        return Disc(found.c, found.r, {name: slope * found for name, slope in self.d.items()})
+
+    def closer(self, middle: Disc, steps: Mapping[str, Real]) -> Disc:
+        """The discs about the values at the middle of the variables, where their slopes make them smaller.
+
+        `steps`: how far each variable may be from its middle.
+        """
+        reach = sum((slope.most() * steps[name] for name, slope in self.d.items()), np.zeros(()))
+        radius = (middle.r + reach) * (1 + 8 * ROUNDING)
+        smaller = radius < self.r
+        return Disc(np.where(smaller, middle.c, self.c), np.where(smaller, radius, self.r), self.d)
+
+    def most(self) -> Real:
+        """Upper bound of |z|."""
+        return np.asarray((np.abs(self.c) + self.r) * (1 + ROUNDING))
+
+
+Slopes = dict[str, Disc]

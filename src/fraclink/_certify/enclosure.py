@@ -1,0 +1,364 @@
+"""Enclosures of the sampled loop and of its slopes over boxes of frequencies and parameters.
+
+L = F H. F is what stands in front of the link: with x = 1/z = e^{-jωTs}, ``K = d + Σ g/(z − p)`` (so that
+Ĉ = (1 − x) K) and h = ωTs/2, for the ideal and for the sampled motor loop,
+
+    F = 2j K (sin h)(sin h/h) e^{-jω(τ+Ts)} (1 + jω/p)^-2
+    F = 2j Ts K C (sin h)(sin h/h)² e^{-jω(τ+3Ts/2)} / ((jω + B)(y²/A + Z)),    y = 1 − x
+
+with C = y Cm1 and Z = y² (Cm1 + Cm2) P_τ/A, P_τ the held motor, late by τ: 1/F is affine in 1/A.
+H is the tip angle as the law computes it, θm − κΓ, over θm: ``H = 1 − E (S/(1 + S) + R)``, with the link's
+``S = q s^λ/(1 + q μ s^α)``, what is read of the torque, ``E = κ c g e^{-jωτ_g}``, and the second mode R.
+
+Where |L| is small L is enclosed, with V = 1/S, affine in 1/q; where it is large 1/L, nearly affine in q. One
+form alone needs a thousand times as many boxes.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink._certify.discs import ROUNDING, Disc, Span
+from fraclink._certify.statement import AXES, Statement
+
+__all__ = ["BoxLoop"]
+
+Real = NDArray[np.float64]
+ZETA_3 = 1.20206  # upper bound of Σ j^-3
+
+
+@dataclass(frozen=True)
+class Window:
+    """Over frequencies: F but for delay and motor, a bound of the aliases, x, and y (Cm1 + Cm2)."""
+
+    front: Disc
+    alias: Real
+    back: Disc
+    both: Disc
+
+
+class BoxLoop:
+    """The loop of a statement: a box is a row of lower and a row of upper ends, one a parameter of `AXES`."""
+
+    def __init__(self, statement: Statement) -> None:
+        self.statement = s = statement
+        c = statement.coefficients
+        self.motor_loop = s.motor_loop
+        self.period, self.direct = float(c["period"]), float(c["direct"])
+        self.modes = _modes(c)
+        self.read = float(c["compliance"]) * s.stiffness
+        self.pid = {name: float(c[name]) for name in _PID}
+        self.low, self.high = s.box
+        self.low["frequency"] = s.lowest
+        self.high["frequency"] = math.nextafter(math.pi / self.period, math.inf) * (1 + ROUNDING)
+        self.axes = tuple(name for name in AXES if self.low[name] < self.high[name])
+        self.tail = self._tail()
+
+    def root(self) -> tuple[Real, Real]:
+        """The whole box, two arrays of shape (1, axes)."""
+        ends = [[side[name] for name in AXES] for side in (self.low, self.high)]
+        return np.array(ends[:1]), np.array(ends[1:])
+
+    def box(self, low: Real, high: Real) -> dict[str, Span]:
+        """The columns of many boxes by name."""
+        return {name: Span(low[:, i], high[:, i]) for i, name in enumerate(AXES)}
+
+    def _variable(self, name: str, span: Span) -> Disc:
+        """A parameter over boxes, as a disc that knows its slope; a parameter that is exact has none."""
+        found = span.disc()
+        one = Disc(np.ones(found.c.shape), np.zeros(found.c.shape))
+        return Disc(found.c, found.r, {name: one} if name in self.axes else None)
+
+    # ---- what stands in front of the link -----------------------------------------------------------------
+
+    def front(self, box: dict[str, Span]) -> tuple[Disc, Real]:
+        """(F, bound of the aliases of L) over boxes."""
+        window = self._window(box["frequency"])
+        w, late = self._variable("frequency", box["frequency"]), self._variable("delay", box["delay"])
+        slow = self._variable("motor", box["motor"]).inverse()
+        rest = window.front * (w * late * -1j).exp()
+        if self.motor_loop == "ideal":
+            lag = (1 + w * slow * 1j).inverse()
+            return rest * lag * lag, window.alias
+        # Near the motor loop's resonance X is small: its own slopes enclose it more closely than its terms.
+        middle = box["frequency"].middle
+        at_motor = Disc(box["motor"].middle).inverse()
+        centre = self.closing(self._window(Span(middle, middle)), Disc(late.c), at_motor)
+        steps = {"frequency": w.r, "delay": late.r, "motor": box["motor"].disc().r}
+        lag = self.closing(window, late, slow).closer(centre, steps).inverse()
+        # the voltage beside Ĉ is C/X, X = A (y²/A + Z); the tail has A itself
+        return rest * lag, window.alias * lag.most() * slow.most()
+
+    def _window(self, frequency: Span) -> Window:
+        """What frequencies contribute, whatever the parameters."""
+        w = self._variable("frequency", frequency)
+        z, x, s = (w * (1j * self.period)).exp(), (w * (-1j * self.period)).exp(), w * 1j
+        y = 1 - x
+        kernel = self._kernel(z)
+        front = kernel * y * y * s.inverse() * (1 / self.period)
+        alias = kernel.most() * y.most() * self._alias_share(frequency) * self.tail
+        both = y
+        if self.motor_loop == "sampled":
+            first, both = self.controllers(x)
+            front = front * y * first * (s * (s + self.statement.decay)).inverse()
+            alias = alias * 2 * first.most()
+        if np.any(frequency.low < frequency.high):
+            middle = frequency.middle
+            front = front.closer(self._window(Span(middle, middle)).front, {"frequency": w.r})
+        return Window(front, alias, x, both)
+
+    def _kernel(self, z: Disc) -> Disc:
+        """K."""
+        zero = np.zeros(z.c.shape)
+        return sum(((z - pole).inverse() * gain for pole, gain in self.modes), Disc(self.direct + zero, zero))
+
+    def controllers(self, x: Disc) -> tuple[Disc, Disc]:
+        """(y Cm1, y (Cm1 + Cm2)) of the PID in the law's block, as polynomials in y over 1 − r x.
+
+        In x their large terms cancel, in y they do not.
+        """
+        p, y = self.pid, 1 - x
+        r, late = p["filter_decay"], p["integral_before"]
+        whole = p["integral_now"] + late
+        lag = (1 - x * r).inverse()
+
+        def over_lag(direct: float, now: float, before: float) -> Disc:
+            linear = (direct - late) * (1 - r) + whole * r + now + before
+            return ((y * ((direct - late) * r - before) + linear) * y + whole * (1 - r)) * lag
+
+        now, before = (p[f"filter_{when}"] + p[f"filter_angle_{when}"] for when in ("now", "before"))
+        return (
+            over_lag(p["inner_direct"], p["filter_now"], p["filter_before"]),
+            over_lag(p["inner_direct"] + p["inner_angle"], now, before),
+        )
+
+    def closing(self, window: Window, late: Disc, slow: Disc) -> Disc:
+        """X/A = y²/A + Z, Z = y² (Cm1 + Cm2) P_τ/A with ``P_τ = A x (n x + y (n0 − n2 x))/(y (1 − e x))``."""
+        x, y = window.back, 1 - window.back
+        n, n0, n2 = self.held_motor(late)
+        e = math.exp(-self.statement.decay * self.period)
+        return y * y * slow + window.both * x * (1 - x * e).inverse() * (x * n + y * (n0 - x * n2))
+
+    def held_motor(self, late: Disc) -> tuple[float, Disc, Disc]:
+        """(n, n0, n2) of the motor under a voltage that is held, and late."""
+        decay, period = self.statement.decay, self.period
+        scales = (decay**-2, math.exp(-decay * period) * decay**-2)
+
+        def of(delay: Disc) -> list[Disc]:
+            angles = (delay - period) * decay, delay * decay
+            return [(angle.exp() - 1 - angle) * scale for angle, scale in zip(angles, scales, strict=True)]
+
+        # Each is half a square, which the difference shows only through its slope.
+        steps = {"delay": late.r}
+        n0, n2 = (wide.closer(point, steps) for wide, point in zip(of(late), of(Disc(late.c)), strict=True))
+        return period * -math.expm1(-decay * period) / decay, n0, n2
+
+    # ---- the loop in two forms ----------------------------------------------------------------------------
+
+    def forms(self, low: Real, high: Real) -> tuple[Disc, Disc, Real]:
+        """(L, 1/L, bound of the aliases) over boxes, with their slopes.
+
+        Those along the motor are along p or A.
+        """
+        with np.errstate(
+            all="ignore"
+        ):  # a box that is too wide gives infinities and NaN, which prove nothing
+            return self._forms(self.box(low, high))
+
+    def _forms(self, box: dict[str, Span]) -> tuple[Disc, Disc, Real]:
+        front, alias = self.front(box)
+        read, mode = self._read(box), self._mode(box)
+        share = (self._compliant(box) + 1).inverse()
+        plain = front * (1 - read * (share + mode))
+        x = self._soft(box) + 1
+        inverse = front.inverse() * (x * (read + (1 - read * (1 + mode)) * x).inverse())
+        return plain, inverse, alias
+
+    def _log(self, frequency: Span) -> Disc:
+        """ln(jω)."""
+        found = Span.around(np.log(frequency.low), np.log(frequency.high)).disc() + 0.5j * math.pi
+        slopes = {"frequency": self._variable("frequency", frequency).plain.inverse()}
+        return Disc(found.c, found.r + ROUNDING, slopes)
+
+    def _compliant(self, box: dict[str, Span]) -> Disc:
+        """V = 1/S."""
+        log, order = self._log(box["frequency"]), self._variable("order", box["order"])
+        found = self._variable("softness", box["softness"]).inverse() * (-(log * order)).exp()
+        if not self.high["damping"]:
+            return found
+        drag = (log * (self.statement.damping_order - order)).exp()
+        return found + self._variable("damping", box["damping"]) * drag
+
+    def _soft(self, box: dict[str, Span]) -> Disc:
+        """S."""
+        log, order = self._log(box["frequency"]), self._variable("order", box["order"])
+        q = self._variable("softness", box["softness"])
+        found = q * (log * order).exp()
+        if not self.high["damping"]:
+            return found
+        drag = (log * self.statement.damping_order).exp()
+        return found * (1 + q * self._variable("damping", box["damping"]) * drag).inverse()
+
+    def _read(self, box: dict[str, Span]) -> Disc:
+        """E."""
+        w, late = (self._variable(name, box[name]) for name in ("frequency", "gauge_delay"))
+        return (w * late * -1j).exp() * self._variable("gauge_gain", box["gauge_gain"]) * self.read
+
+    def _mode(self, box: dict[str, Span]) -> Disc:
+        """R = a/(1 + 2ζ f/s + (f/s)²)."""
+        zero = np.zeros(box["frequency"].low.shape)
+        if not self.high["mode_gain"]:
+            return Disc(zero, zero)
+        s = self._variable("frequency", box["frequency"]) * 1j
+        ratio = self._variable("mode_frequency", box["mode_frequency"]) * s.inverse()
+        share = (1 + ratio * (ratio + 2 * self.statement.mode_damping)).inverse()
+        # Over wide boxes the denominator may seem to vanish; R itself never exceeds its peak.
+        most = self.mode_peak * (1 + 1e-9)
+        wide = ~(share.r < most)
+        share = Disc(np.where(wide, 0.0, share.c), np.where(wide, most, share.r), share.d)
+        return share * self._variable("mode_gain", box["mode_gain"])
+
+    def alias_at(self, place: dict[str, float]) -> float:
+        """Bound of the aliases at one point."""
+        point = np.array([[place[name] for name in AXES]])
+        return float(self.front(self.box(point, point))[1][0])
+
+    # ---- bounds outside the tree --------------------------------------------------------------------------
+
+    def _tail(self) -> float:
+        """Bound of ``Σ_{k≠0} |F(s_k)/s_k| · 2/Ts``, what the aliases have beside Ĉ and the voltage.
+
+        |ω + kω_s| >= j π/Ts for j = 1, 2, … and |F(s)/s| falls at least like ω^-3 from π/Ts on, so the sum is
+        at most ζ(3) times its first term. It falls with q and λ, and rises with every other parameter.
+        """
+        s, low, high, w = self.statement, self.low, self.high, math.pi / self.period
+        drag = low["softness"] * high["damping"] * w**s.damping_order
+        stiff = low["softness"] * w ** low["order"] - 1 - drag
+        if not stiff > 0 or w <= 1.0:
+            return math.inf
+        motor = high["motor"] / w**2 if self.motor_loop == "sampled" else (high["motor"] / w) ** 2
+        gain = self.read * high["gauge_gain"]
+        tip = gain * (1 + drag) / stiff + self._unread_bound(w)
+        return float(ZETA_3 * motor * tip / w * 2 / self.period * (1 + 1e-9))
+
+    def _alias_share(self, frequency: Span) -> Real:
+        """What of the tail is left at ω below the Nyquist frequency w, where the aliases lie farther up.
+
+        Those at kω_s − ω >= k (ω_s − ω) and at kω_s + ω >= kω_s are ζ(3) times their first terms at most, and
+        these fall like the cube from w = ω_s/2.
+        """
+        ratio = frequency.high * self.period / math.pi
+        return np.minimum(1.0, (2.0 - np.minimum(ratio, 1.0)) ** -3.0 + 0.125) * (1 + 1e-9)
+
+    def _unread_bound(self, w: float) -> float:
+        """Bound of |1 − E (1 + R)| from the frequency `w` on: |H| is at most κ c g |G| and this."""
+        low, high = self.low, self.high
+        gains = [self.read * side["gauge_gain"] for side in (low, high)]
+        turned = 1 + gains[1] if high["gauge_delay"] else max(abs(1 - gain) for gain in gains)
+        ratio = high["mode_frequency"] / w
+        if ratio < 0.7:
+            peak = 1 / (1 - ratio**2)
+        else:  # the mode lies near the aliases: nowhere is |R| above its gain times 1/(2ζ sqrt(1 − ζ²))
+            peak = self.mode_peak
+        return turned + gains[1] * high["mode_gain"] * peak
+
+    @property
+    def mode_peak(self) -> float:
+        """Largest |R| over its gain, at any frequency."""
+        zeta = self.statement.mode_damping
+        return 1 / (2 * zeta * math.sqrt(1 - zeta**2)) if zeta else 0.0
+
+    def low_bound(self) -> float:
+        """Bound of |L| for ω in [0, lowest], aliases included: |M| and the hold are at most one there."""
+        s, w = self.statement, self.statement.lowest
+        soft = self.high["softness"] * w ** self.low["order"]
+        drag = self.high["softness"] * self.high["damping"] * w**s.damping_order
+        ratio = w / self.low["mode_frequency"] if self.high["mode_gain"] else 0.0
+        if not (soft + drag < 0.5 and w < 1 and ratio < 0.5):
+            return math.inf
+        mode = self.high["mode_gain"] * ratio**2 / (1 - ratio**2)
+        tip = 1 + self.read * self.high["gauge_gain"] * (soft / (1 - soft - drag) + mode)
+        arc = Disc(np.ones(1), np.array([w * self.period]))
+        bound = float(self._kernel(arc).most()[0]) * w * self.period * (tip + self.tail)
+        voltage = self._low_voltage(arc) if self.motor_loop == "sampled" else 1.0
+        return float(bound * voltage * (1 + 1e-9))
+
+    def _low_voltage(self, arc: Disc) -> float:
+        """What the sampled motor loop multiplies it with."""
+        first, both = self.controllers(arc)
+        spans = [
+            Span(*(np.array([side[name]]) for side in (self.low, self.high))) for name in ("delay", "motor")
+        ]
+        closing = self.closing(
+            Window(both, np.zeros(1), arc, both), spans[0].disc(), spans[1].inverse().disc()
+        )
+        size = first.most() * closing.inverse().most() / self.low["motor"]
+        return float(size[0]) * (self.period * self.high["motor"] / self.statement.decay + 2)
+
+    def correction_is_stable(self) -> bool:
+        """Whether every pole of Ĉ lies inside the unit circle."""
+        return all(abs(p) < 1 for p, _ in self.modes)
+
+    def inner_is_stable(self) -> bool:
+        """Whether the sampled motor loop is stable at the least delay and motor gain: Jury's reflections.
+
+        For every other delay and gain it follows from the tree: each leaf shows X ≠ 0 on its part of the unit
+        circle, so no pole can cross it while they grow.
+        """
+        return self.motor_loop == "ideal" or _inside_circle(self._characteristic())
+
+    def _characteristic(self) -> list[float]:
+        """Coefficients of (1 − e x)(1 − r x) X/A, ascending in x: the highest power of z first."""
+        p, motor = self.pid, self.low["motor"]
+        e, r = math.exp(-self.statement.decay * self.period), p["filter_decay"]
+        n, n0, n2 = self.held_motor(Disc(np.array([self.low["delay"]])))
+        edge, slow, filt = np.array([1.0, -1.0]), np.array([1.0, -e]), np.array([1.0, -r])
+        both = np.convolve(np.convolve(edge, filt), [p["inner_direct"] + p["inner_angle"]])
+        both = both + np.convolve([p["integral_now"], p["integral_before"]], filt)
+        lags = [p["filter_now"] + p["filter_angle_now"], p["filter_before"] + p["filter_angle_before"]]
+        both = both + np.convolve(lags, edge)
+        held = np.array([0.0, 0.0, n, 0.0])
+        held += np.convolve(edge, [0.0, float(n0.c[0]), -float(n2.c[0])])
+        total = np.convolve(both, held)
+        total[:5] += np.convolve(np.convolve(edge, edge), np.convolve(filt, slow)) / motor
+        return [float(x) for x in total]
+
+
+def _inside_circle(coefficients: list[float]) -> bool:
+    """Schur–Cohn: every reflection coefficient of a real polynomial below one in modulus, with room."""
+    a = coefficients
+    while len(a) > 1:
+        if not abs(a[0]) * (1 - 1e-9) > abs(a[-1]):
+            return False
+        k = a[-1] / a[0]
+        a = [a[i] - k * a[-1 - i] for i in range(len(a) - 1)]
+    return True
+
+
+# What the motor loop reads of the block.
+_PID = (
+    "inner_direct",
+    "inner_angle",
+    "integral_now",
+    "integral_before",
+    "filter_now",
+    "filter_before",
+    "filter_angle_now",
+    "filter_angle_before",
+    "filter_decay",
+)
+
+
+def _modes(c: dict[str, object]) -> list[tuple[complex, complex]]:
+    """(pole, gain) of every mode, conjugates included."""
+    real, pair = c["real"], c["pair"]
+    found = [(complex(p), complex(g)) for p, g in zip(real[::2], real[1::2], strict=True) if g]  # type: ignore[index]
+    for re, im, g, x in zip(*(pair[k::4] for k in range(4)), strict=True):  # type: ignore[index]
+        if g or x:
+            pole, gain = complex(re, im), complex(g, x) / 2
+            found += [(pole, gain), (pole.conjugate(), gain.conjugate())]
+    return found
