@@ -356,7 +356,7 @@ def certificate_figures(found: Certificate) -> Plain:
             "ranges": ranges,
             "inner": s.motor_loop,
             "precision": s.precision,
-            "numbers": [s.order, s.damping, s.damping_order, s.softness, s.pole, s.gain, s.decay, s.lowest],
+            "numbers": [*s.box[0].values(), *s.box[1].values(), s.damping_order, s.decay, s.lowest],
             "leaves": found.leaves,
             "fails_at": place,
             "poles": found.poles,

@@ -66,6 +66,7 @@ class _Goal:
     plain: Callable[[Complex, Real], tuple[Complex, Real]]  # of L
     inverse: Callable[[Complex, Real], tuple[Complex, Real]]  # of 1/L
     quiet: Callable[[Real, Real], Flags]  # of the largest |L|
+    bounds_size: bool = False  # whether |L| itself must be known, and not only where it lies along a normal
 
 
 def _unit(value: Complex) -> Complex:
@@ -99,7 +100,7 @@ def _sector(margin: float) -> _Goal:
         widest = np.maximum(0.5 * math.pi - margin - 2.0 * alias, 0.0)
         return np.exp(1j * np.clip(np.angle(value), -widest, widest)), np.zeros_like(alias)
 
-    return _Goal(plane, plane, lambda most, alias: most < 1.0 - alias)
+    return _Goal(plane, plane, lambda most, alias: most < 1.0 - alias, bounds_size=True)
 
 
 @dataclass(frozen=True)
@@ -124,6 +125,10 @@ def _judge(loop: BoxLoop, goal: _Goal, low: Real, high: Real) -> _Judged:
             for a, b in zip(goal.plain(plain.c, alias), goal.inverse(inverse.c, alias), strict=True)
         )
         point, loss, weight = _downhill(loop.axes, plain, inverse, loud, normal, low, high)
+        if goal.bounds_size:
+            for name in loop.axes:
+                k = AXES.index(name)
+                weight[:, k] = (high[:, k] - low[:, k]) * plain.d[name].most()
         at_plain, at_inverse, _ = loop.forms(point, point)
         value = np.where(loud, at_inverse.c, at_plain.c)
         radius = np.where(loud, at_inverse.r, at_plain.r)

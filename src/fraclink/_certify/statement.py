@@ -264,10 +264,8 @@ def _earlier_format(data: Mapping[str, Any]) -> Certificate:
     text = json.dumps(signed, sort_keys=True, separators=(",", ":"), ensure_ascii=first)
     if data.get("sha256") != hashlib.sha256(text.encode()).hexdigest():
         raise _damaged("sha256", data.get("sha256"), "the hash of the file's content")
-    verdict = (
-        f"Not certified: a certificate of format {data['format']} covers one link, gauge and motor only; "
-        "certify again"
-    )
+    why = "does not state the gauge" if first else "covers one link, gauge and motor only"
+    verdict = f"Not certified: a certificate of format {data['format']} {why}; certify again"
     return Certificate(statement, False, verdict, str(data["tree"]), str(data["tree"]).count("."))
 
 
