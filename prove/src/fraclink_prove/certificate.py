@@ -33,6 +33,6 @@ def loop_claim(law: Law, folder: Path, certificate: Certificate | None) -> Claim
         claim,
         status="proved",
         statement=certificate.verdict.removesuffix("."),
-        tools=("fraclink._certify", "ball arithmetic of python-flint"),
+        tools=("fraclink._certify", "branch and bound over discs"),
         logs=(("proof/certificate.json", sha256_of(path)),),
     )
