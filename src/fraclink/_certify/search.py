@@ -176,7 +176,7 @@ def _widest(low: Real, high: Real, weight: Real) -> NDArray[np.int64]:
     relative[:, 0] *= 3.0
     for axis in _TURNED:
         relative[:, axis] = width[:, axis] * high[:, 0]
-    known = np.asarray(np.isfinite(weight)).all(axis=1)
+    known: Flags = np.asarray(np.all(np.isfinite(weight), axis=1))
     best = np.where(known[:, None], weight, np.where(width > 0.0, relative, -1.0))
     return np.asarray(np.argmax(best, axis=1))
 
