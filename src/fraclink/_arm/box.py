@@ -13,7 +13,7 @@ from fraclink._arm.loop import Loop, with_payload
 from fraclink._arm.rig import Rig
 from fraclink.errors import FieldError
 
-__all__ = ["Interval", "ParameterBox", "worst_over_box"]
+__all__ = ["Interval", "ParameterBox", "outward", "worst_over_box"]
 
 Interval = tuple[float, float]
 # Where neither the fit nor the rig says more, relative: a damping that two logs of one arm agree on to a
@@ -149,6 +149,26 @@ def _gauge_delay(model: LinkModel, tolerance: float) -> Interval:
 
 def _hull(first: Interval, second: Interval | None) -> Interval:
     return first if second is None else (min(first[0], second[0]), max(first[1], second[1]))
+
+
+def outward(low: float, high: float) -> tuple[float, float]:
+    """The interval with ends of six digits, the first rounded down and the second up; a point as it is.
+
+    A sentence of thirty numbers is read where they are short.
+    """
+    if low == high:
+        return float(low), float(high)
+    return _rounded(low, math.floor), _rounded(high, math.ceil)
+
+
+def _rounded(value: float, towards: Callable[[float], int]) -> float:
+    if not value:
+        return 0.0
+    digit = 10.0 ** (5 - math.floor(math.log10(abs(value))))
+    scaled = value * digit
+    # A value of six digits or fewer is itself: its product with a power of ten is whole but for rounding.
+    whole = round(scaled) if abs(scaled - round(scaled)) < 1e-6 else towards(scaled)
+    return float(f"{whole / digit:.6g}")
 
 
 _INTERIOR = 200  # random points of a box beside its corners

@@ -6,14 +6,14 @@ import hashlib
 import json
 import math
 import struct
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from fraclink._arm.box import ParameterBox
+from fraclink._arm.box import ParameterBox, outward
 from fraclink._arm.link import LinkModel
 from fraclink._arm.rig import Rig
 from fraclink._display import displayed
@@ -368,17 +368,17 @@ def state(
     _check_law(law, model)
     ideal, ratio = motor_loop == "ideal", box.motor_ratio
     soft = [1.0 / (w0**2 * model.payload) for w0 in reversed(box.natural_frequency)]  # type: ignore[operator]
-    motor = _outward(*(law.inner_pole * x for x in ratio)) if ideal else (0.0, 0.0)
-    gain = (0.0, 0.0) if ideal else _outward(*(rig.motor.gain * x for x in ratio))
+    motor = outward(*(law.inner_pole * x for x in ratio)) if ideal else (0.0, 0.0)
+    gain = (0.0, 0.0) if ideal else outward(*(rig.motor.gain * x for x in ratio))
     intervals = {
         "payload": (float(payloads[0]), float(payloads[1])),
         "delay": (float(delay[0]), float(delay[1])),
-        "softness": _outward(*soft),
+        "softness": outward(*soft),
         "pole": motor,
         "gain": gain,
     }
     fields = ("order", "damping", "gauge_gain", "gauge_delay", "mode_frequency", "mode_gain")
-    intervals |= {name: _outward(*getattr(box, name)) for name in fields}
+    intervals |= {name: outward(*getattr(box, name)) for name in fields}
     ends = {
         f"{name}_{end}": pair[k] for name, pair in intervals.items() for k, end in enumerate(("low", "high"))
     }
@@ -398,23 +398,3 @@ def state(
         linear_range=linear_range(law.coefficients),
         **ends,
     )
-
-
-def _outward(low: float, high: float) -> tuple[float, float]:
-    """The interval with ends of six digits, the first rounded down and the second up; a point as it is.
-
-    A sentence of thirty numbers is read where they are short.
-    """
-    if low == high:
-        return float(low), float(high)
-    return _rounded(low, math.floor), _rounded(high, math.ceil)
-
-
-def _rounded(value: float, towards: Callable[[float], int]) -> float:
-    if not value:
-        return 0.0
-    digit = 10.0 ** (5 - math.floor(math.log10(abs(value))))
-    scaled = value * digit
-    # A value of six digits or fewer is itself: its product with a power of ten is whole but for rounding.
-    whole = round(scaled) if abs(scaled - round(scaled)) < 1e-6 else towards(scaled)
-    return float(f"{whole / digit:.6g}")
