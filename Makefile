@@ -29,9 +29,8 @@ $(STAMP): $(VENV)/.locked $(MODULES) pyproject.toml prove/pyproject.toml CMakeLi
 
 build: setup
 
-# Exit code 1 is a verdict and no fault of the demo: two of the thousand arms that differ do not settle.
 demo: setup
-	@$(BIN)/fraclink run --rig paper-2023-geared --log demo --out results/demo --certify --force || test $$? -eq 1
+	@$(BIN)/fraclink run --rig paper-2023-geared --log demo --out results/demo --certify --force
 
 # Two workers share nothing but the processor; a file's tests stay together, because their fixtures are dear.
 test: setup
