@@ -296,8 +296,12 @@ def test_a_column_of_text_has_no_range_in_the_listing_for_machines(tmp_path: Pat
 @pytest.mark.parametrize(("unit", "told"), [("deg", True), ("rad", False)])
 def test_a_header_that_contradicts_the_stated_unit_is_a_gate(tmp_path: Path, unit: str, told: bool) -> None:
     path = write_log(tmp_path / "log.csv", made_rows(600))
-    channels = [Channel("time_s", "s"), Channel("motor_angle_rad", unit), Channel("torque_Nm", "Nm")]
-    log = read_log(path, columns=LogColumns(*channels, "torque"))
+    time, angle, torque = (
+        Channel("time_s", "s"),
+        Channel("motor_angle_rad", unit),
+        Channel("torque_Nm", "Nm"),
+    )
+    log = read_log(path, columns=LogColumns(time, angle, torque, "torque"))
     found = [finding for finding in log.findings if finding.code == "W220"]
     assert bool(found) is told
     for finding in found:
