@@ -428,6 +428,14 @@ def _envelope(field: str, value: object) -> Callable[[dict[str, Any]], None]:
     return lambda data: data.__setitem__(field, value)
 
 
+def _all_of(*changes: Callable[[dict[str, Any]], None]) -> Callable[[dict[str, Any]], None]:
+    def change(data: dict[str, Any]) -> None:
+        for each in changes:
+            each(data)
+
+    return change
+
+
 def _interval(
     field: str, factor: float = 1.0, value: float | None = None
 ) -> Callable[[dict[str, Any]], None]:
@@ -484,19 +492,19 @@ FORGERIES: dict[str, Callable[[dict[str, Any]], None]] = {
     "damping turned round": _number("damping_low", value=1.0),
     "negative damping": _number("damping_low", value=-0.1),
     "second mode without a frequency": _number("mode_gain_high", value=0.1),
-    "second mode without damping": lambda data: (
-        _interval("mode_frequency", value=90.0)(data),
-        _interval("mode_gain", value=0.1)(data),
+    "second mode without damping": _all_of(
+        _interval("mode_frequency", value=90.0),
+        _interval("mode_gain", value=0.1),
     ),
-    "link of another payload, all else mended": lambda data: (
-        _number("payload_low", factor=10.0)(data),
-        _number("payload_high", factor=10.0)(data),
-        _interval("softness", factor=0.1)(data),
+    "link of another payload, all else mended": _all_of(
+        _number("payload_low", factor=10.0),
+        _number("payload_high", factor=10.0),
+        _interval("softness", factor=0.1),
     ),
-    "law of the sampled loop": lambda data: (
-        _text("motor_loop", "sampled")(data),
-        _interval("gain", value=3000.0)(data),
-        _number("decay", value=13.0)(data),
+    "law of the sampled loop": _all_of(
+        _text("motor_loop", "sampled"),
+        _interval("gain", value=3000.0),
+        _number("decay", value=13.0),
     ),
     "damping of 50": _interval("damping", value=50.0),
     "softness times three": _interval("softness", factor=3.0),
@@ -510,10 +518,10 @@ FORGERIES: dict[str, Callable[[dict[str, Any]], None]] = {
     "negative gauge delay": _number("gauge_delay_low", value=-0.001),
     "gauge delay not a number": _number("gauge_delay_low", value=math.nan),
     "strong second mode": _text("mode_gain_high", (40.0).hex()),
-    "undamped second mode": lambda data: (
-        _number("mode_frequency_low", value=90.0)(data),
-        _interval("mode_frequency", value=90.0)(data),
-        _interval("mode_gain", value=0.1)(data),
+    "undamped second mode": _all_of(
+        _number("mode_frequency_low", value=90.0),
+        _interval("mode_frequency", value=90.0),
+        _interval("mode_gain", value=0.1),
     ),
     "payload that the law was made for": _number("nominal_payload", factor=3.0),
     "modulus not a number": _number("modulus", value=math.nan),
