@@ -123,6 +123,7 @@ _HOME: dict[str, str] = {
     "optimise": "fraclink._design.optimisation",
     "Optimised": "fraclink._design.optimisation",
     "Outcome": "fraclink._campaign.faults",
+    "ParameterBox": "fraclink._arm.box",
     "parse_connection": "fraclink._realtime.connections",
     "PayloadChange": "fraclink._simulate.sensors",
     "Payloads": "fraclink._arm.rig_parts",

@@ -1,5 +1,6 @@
 from fraclink import errors as errors
 from fraclink._arm.beam import Beam as Beam
+from fraclink._arm.box import ParameterBox as ParameterBox
 from fraclink._arm.controller import Controller as Controller
 from fraclink._arm.experiment import Experiment as Experiment
 from fraclink._arm.link import STRUCTURES as STRUCTURES

@@ -111,6 +111,17 @@ class BoxLoop:
             front = front.closer(self._window(Span(middle, middle)).front, {"frequency": w.r})
         return Window(front, alias, x, both)
 
+    def too_wide(self, low: Real, high: Real, alias: Real) -> NDArray[np.bool_]:
+        """Whether the frequencies alone leave F unbounded: their arc comes too close to a pole of Ĉ.
+
+        `alias`, the bound of the aliases over the boxes, is finite wherever they do not.
+        """
+        found = ~np.isfinite(alias)
+        if found.any():
+            window = self._window(Span(low[found, 0], high[found, 0]))
+            found[found] = ~np.isfinite(window.alias)
+        return found
+
     def _kernel(self, z: Disc) -> Disc:
         """K."""
         zero = np.zeros(z.c.shape)

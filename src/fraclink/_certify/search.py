@@ -136,7 +136,8 @@ def _judge(loop: BoxLoop, goal: _Goal, low: Real, high: Real) -> _Judged:
         front = np.isfinite(plain.r) | np.isfinite(inverse.r)
         quiet = goal.quiet(plain.most(), alias)
         proved, loud = quiet | (front & (reached > least + (_SLACK - 1.0))), loud & ~quiet
-        return _Judged(proved, loud, _widest(low, high, weight), point, at_plain.c, alias)
+        axis = np.where(loop.too_wide(low, high, alias), 0, _widest(low, high, weight))
+        return _Judged(proved, loud, axis, point, at_plain.c, alias)
 
 
 def _downhill(
@@ -176,8 +177,9 @@ def _widest(low: Real, high: Real, weight: Real) -> NDArray[np.int64]:
     relative[:, 0] *= 3.0
     for axis in _TURNED:
         relative[:, axis] = width[:, axis] * high[:, 0]
-    known: Flags = np.asarray(np.all(np.isfinite(weight), axis=1))
-    best = np.where(known[:, None], weight, np.where(width > 0.0, relative, -1.0))
+    unknown = ~np.isfinite(weight) & (width > 0.0)
+    some = np.any(unknown, axis=1, keepdims=True)
+    best = np.where(some, np.where(unknown, relative, -1.0), weight)
     return np.asarray(np.argmax(best, axis=1))
 
 
