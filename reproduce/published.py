@@ -110,7 +110,7 @@ def _read(path: Path) -> dict[str, Any]:
     except FileNotFoundError as error:
         remedy = "run in the repository, or give --published"
         raise FileFormatError(
-            "published", str(path), "not there", allowed="a TOML file", remedy=remedy
+            path.name, str(path.parent), "not there", allowed="a TOML file", remedy=remedy
         ) from error
     except tomllib.TOMLDecodeError as error:
         raise FileFormatError(

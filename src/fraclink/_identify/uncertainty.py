@@ -321,6 +321,9 @@ def _end(profile: _Profile, centre: float, step: float, limit: float, inflation:
 # --- criteria: which structure? --------------------------------------------------------------------------
 
 _SCORE_LAGS = 5  # what an autoregression leaves of a misfit lasts a few samples; more lags only add noise
+# Of the output's power: what 16 bits resolve. A log that is met closer is a simulation, whose residual is the
+# interpolation between its samples; it says nothing about the structure.
+_RESOLUTION = 1e-10
 
 
 def structure_criteria(search: Search, errors: Mapping[str, Uncertainty]) -> dict[str, tuple[float, float]]:
@@ -351,10 +354,11 @@ def structure_criteria(search: Search, errors: Mapping[str, Uncertainty]) -> dic
     meat = long_run_covariance(scores * left, _SCORE_LAGS)
     inflation = max(float(np.trace(_inverse(scores @ scores.T)[0] @ meat)) / variance / len(scores), 1.0)
     samples = search.window.samples
+    floor = _RESOLUTION * float(np.var(search.window.output))
     return {
         name: (
             # A parameter at its limit counts, as it was free to leave it.
-            samples * _log(solution.cost / samples)
+            samples * _log(max(solution.cost / samples, floor))
             + 2.0 * (errors[name].effective + len(solution.at_bound) + solution.on_edge),
             found[name][1].size * _log(float(np.mean(found[name][1] ** 2))) / inflation
             + 2.0 * len(structure(name).free),
