@@ -32,7 +32,7 @@ ZETA_3 = 1.20206  # upper bound of Σ j^-3
 
 
 @dataclass(frozen=True)
-class Window:
+class FrequencyWindow:
     """Over frequencies: F but for delay and motor, a bound of the aliases, x, and y (Cm1 + Cm2)."""
 
     front: Disc
@@ -93,7 +93,7 @@ class BoxLoop:
         # the voltage beside Ĉ is C/X, X = A (y²/A + Z); the tail has A itself
         return rest * lag, window.alias * lag.most() * slow.most()
 
-    def _window(self, frequency: Span) -> Window:
+    def _window(self, frequency: Span) -> FrequencyWindow:
         """What frequencies contribute, whatever the parameters."""
         w = self._variable("frequency", frequency)
         z, x, s = (w * (1j * self.period)).exp(), (w * (-1j * self.period)).exp(), w * 1j
@@ -109,7 +109,7 @@ class BoxLoop:
         if np.any(frequency.low < frequency.high):
             middle = frequency.middle
             front = front.closer(self._window(Span(middle, middle)).front, {"frequency": w.r})
-        return Window(front, alias, x, both)
+        return FrequencyWindow(front, alias, x, both)
 
     def too_wide(self, low: Real, high: Real, alias: Real) -> NDArray[np.bool_]:
         """Whether the frequencies alone leave F unbounded: their arc comes too close to a pole of Ĉ.
@@ -147,7 +147,7 @@ class BoxLoop:
             over_lag(p["inner_direct"] + p["inner_angle"], now, before),
         )
 
-    def closing(self, window: Window, late: Disc, slow: Disc) -> Disc:
+    def closing(self, window: FrequencyWindow, late: Disc, slow: Disc) -> Disc:
         """X/A = y²/A + Z, Z = y² (Cm1 + Cm2) P_τ/A with ``P_τ = A x (n x + y (n0 − n2 x))/(y (1 − e x))``."""
         x, y = window.back, 1 - window.back
         n, n0, n2 = self.held_motor(late)
@@ -305,7 +305,7 @@ class BoxLoop:
             Span(*(np.array([side[name]]) for side in (self.low, self.high))) for name in ("delay", "motor")
         ]
         closing = self.closing(
-            Window(both, np.zeros(1), arc, both), spans[0].disc(), spans[1].inverse().disc()
+            FrequencyWindow(both, np.zeros(1), arc, both), spans[0].disc(), spans[1].inverse().disc()
         )
         size = first.most() * closing.inverse().most() / self.low["motor"]
         return float(size[0]) * (self.period * self.high["motor"] / self.statement.decay + 2)

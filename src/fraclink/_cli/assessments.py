@@ -127,7 +127,7 @@ def _write_assessment(found: Assessment, made: Design, out: Path) -> None:
     write_json(out / _NUMBERS, "assessment", 1, to_json(found) | {"curves": shown})
 
 
-class Bounds(TypedDict):
+class BoundOptions(TypedDict):
     """What an optimisation minimises, and what it must keep."""
 
     goal: Annotated[
@@ -148,7 +148,7 @@ def optimise(
     design_file: DesignFile,
     out: Annotated[Path, "File to write the design to", Writes()] = Path("optimised.json"),
     least_percent: Annotated[float, "Improvement below which the simpler structure is kept"] = 2.0,
-    **bounds: Unpack[Bounds],
+    **bounds: Unpack[BoundOptions],
 ) -> Answer:
     """Optimise k_d, β, δ and n for the worst payload, from a closed-form design.
 
