@@ -31,10 +31,11 @@ def design_for(rig: Rig, model: LinkModel | None = None, **wanted: Any) -> tuple
     """Design what is wanted, completed from the rig; also return what had to be assumed, in sentences.
 
     `wanted` are the options of `design`; None leaves one to the rig's ``[design]`` table. Where that is
-    silent, too, the gain crossover is 1.15 times the torque resonance of the heaviest payload [rad/s] and
-    the phase margin 50°, or the largest of 45, 40, 35 and 30° that is feasible.
+    silent, too, the gain crossover is 1.15 times the torque resonance of the heaviest payload [rad/s], or the
+    feasible one nearest to it, and the phase margin 50°, or the largest of 45, 40, 35 and 30° that is
+    feasible. What request or rig states is never changed.
 
-    Raises InfeasibleError where this cannot be met, FieldError where a value is out of its range.
+    Raises InfeasibleError where what is stated cannot be met, FieldError where a value is out of its range.
 
     >>> made, assumed = design_for(Rig.named("paper-2023"), filter_time=0.0)
     >>> round(made.controller.gain, 4), assumed
@@ -78,13 +79,19 @@ def _usual_crossover(link: LinkModel, rig: Rig, asked: Mapping[str, Any]) -> tup
     try:
         made, more = _completed_margin(link, rig, {**asked, "gain_crossover": usual})
     except InfeasibleError as error:
-        if "gain_crossover" not in error.nearest:
+        if "gain_crossover" not in error.nearest or not _keeps(asked, error.nearest):
             raise
         made, more = _completed_margin(link, rig, {**asked, **error.nearest})
-        rule = f"the nearest feasible to {usual:.3g} rad/s, {rule}"
+        if not math.isclose(made.gain_crossover, usual):
+            rule = f"the nearest feasible to {usual:.3g} rad/s, {rule}"
         if "phase_margin" not in asked:
             more = (_margin_sentence(math.degrees(made.phase_margin)), *more)
     return made, (f"gain crossover {made.gain_crossover:.3g} rad/s: {rule}", *more)
+
+
+def _keeps(asked: Mapping[str, Any], nearest: Mapping[str, float]) -> bool:
+    """Whether the nearest feasible request keeps every value that was stated; the others may move."""
+    return all(math.isclose(asked[name], value) for name, value in nearest.items() if name in asked)
 
 
 def _completed_margin(link: LinkModel, rig: Rig, asked: Mapping[str, Any]) -> tuple[Design, tuple[str, ...]]:
@@ -128,5 +135,7 @@ def _least_mode_gain(link: LinkModel, rig: Rig, asked: Mapping[str, Any]) -> tup
 
 
 def _margin_sentence(degrees: float) -> str:
-    less = "" if degrees == _MARGINS_DEG[0] else f"; {_MARGINS_DEG[0]:g}° is not feasible at this crossover"
+    # Degrees that came from radians differ from 50 in the last digit.
+    usual = math.isclose(degrees, _MARGINS_DEG[0])
+    less = "" if usual else f"; {_MARGINS_DEG[0]:g}° is not feasible at this crossover"
     return f"phase margin {degrees:g}°, as neither the rig nor the request states one{less}"
