@@ -18,12 +18,13 @@ import numpy as np
 
 from fraclink._systems.discrete import _target as discrete_target
 from fraclink._systems.discrete import fit_discrete
+from fraclink._systems.exponential import ExponentialSum, count_strip
 from fraclink._systems.fractional import FractionalTransferFunction, s
 from fraclink._systems.interop import to_control
 from fraclink._systems.margins import margins
 from fraclink._systems.minimax import PartialFractions, improve, score
 from fraclink._systems.rational import approximate
-from fraclink._systems.roots import count_zeros, log_zeros
+from fraclink._systems.roots import log_zeros
 from fraclink._systems.stability import norm
 
 PERIOD = 0.004
@@ -132,7 +133,8 @@ def zeros() -> None:
         z = log_zeros(coefficients, orders, angle=math.pi)
         spent[n].append(time.perf_counter() - begin)
         inside = [v for v in z if v.imag < 3.0]
-        wrong += count_zeros(coefficients, orders, angle=3.0) != sum(2 - (v.imag == 0) for v in inside)
+        counted = count_strip(ExponentialSum.of(coefficients, orders), 3.0)
+        wrong += counted != sum(2 - (v.imag == 0) for v in inside)
         worst = max([worst, *(_against_conditioning(coefficients, orders, complex(v)) for v in z[:1])])
     for n, times in spent.items():
         median, high = np.percentile(times, [50, 99]) * 1e3

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from fraclink._certify.discs import ROUNDING, Disc, Span
 from fraclink._certify.statement import AXES, Statement
+from fraclink._law import block as layout
 
 __all__ = ["BoxLoop"]
 
@@ -51,7 +52,7 @@ class BoxLoop:
         self.period, self.direct = float(c["period"]), float(c["direct"])
         self.modes = _modes(c)
         self.read = float(c["compliance"]) * s.stiffness
-        self.pid = {name: float(c[name]) for name in _PID}
+        self.pid = {name: float(c[name]) for name in layout.PID}
         self.low, self.high = s.box
         self.low["frequency"] = s.lowest
         self.high["frequency"] = math.nextafter(math.pi / self.period, math.inf) * (1 + ROUNDING)
@@ -348,20 +349,6 @@ def _inside_circle(coefficients: list[float]) -> bool:
         k = a[-1] / a[0]
         a = [a[i] - k * a[-1 - i] for i in range(len(a) - 1)]
     return True
-
-
-# What the motor loop reads of the block.
-_PID = (
-    "inner_direct",
-    "inner_angle",
-    "integral_now",
-    "integral_before",
-    "filter_now",
-    "filter_before",
-    "filter_angle_now",
-    "filter_angle_before",
-    "filter_decay",
-)
 
 
 def _modes(c: dict[str, object]) -> list[tuple[complex, complex]]:

@@ -188,7 +188,7 @@ def _statement(
             None,
             "missing",
             allowed="a link model and a rig",
-            remedy="give both beside a controller or a law, or certify a plan",
+            remedy="give both beside a controller or a law, or certify a design",
         )
     if isinstance(subject, Controller):
         law = law or discretize_controller(subject, rig.period, link=model, rig=rig)
@@ -269,7 +269,7 @@ def _ends(field: str, value: object) -> tuple[object, object]:
 
 def _check_nouns(subject: object, model: object, rig: object, law: object) -> None:
     if not isinstance(subject, Design | Controller | Law):
-        allowed, remedy = "a Design, a Controller or a Law", "fl.design makes a plan"
+        allowed, remedy = "a Design, a Controller or a Law", "fl.design makes a design"
         raise FieldError("subject", repr(subject), "none of them", allowed=allowed, remedy=remedy)
     kinds: tuple[tuple[str, object, type, str], ...] = (
         ("model", model, LinkModel, "fit.model, or rig.model"),

@@ -17,6 +17,8 @@ from fraclink.errors import FieldError
 __all__ = [
     "COUNTS",
     "HEADER",
+    "INNER",
+    "PID",
     "REALS",
     "Drive",
     "Modes",
@@ -93,6 +95,9 @@ REALS: tuple[tuple[str, int], ...] = (
     ("coulomb_voltage", 1),
     ("coulomb_slope", 1),
 )
+# What the motor loop reads: from "inner_direct" on; the first nine make the PID.
+INNER = tuple(name for name, _ in REALS[[name for name, _ in REALS].index("inner_direct") :])
+PID = INNER[: INNER.index("filter_decay") + 1]
 
 
 def real_type(precision: Precision) -> Literal["f", "d"]:
@@ -247,24 +252,8 @@ def _feedforward(modes: Modes) -> dict[str, Any]:
 
 
 def _inner(drive: Drive | None, limits: Limits, pole: float) -> dict[str, Any]:
-    names = (
-        "inner_direct",
-        "inner_angle",
-        "integral_now",
-        "integral_before",
-        "filter_now",
-        "filter_before",
-        "filter_angle_now",
-        "filter_angle_before",
-        "filter_decay",
-        "wanted_limit",
-        "voltage_limit",
-        "torque_voltage",
-        "coulomb_voltage",
-        "coulomb_slope",
-    )
     if drive is None:
-        return dict.fromkeys(names, 0.0) | {"options": 0}
+        return dict.fromkeys(INNER, 0.0) | {"options": 0}
     loop = drive.loop
     # The motor follows at the reference's largest speed with the loop's lag, and a model's error behind it.
     friction = drive.coulomb_voltage
@@ -285,4 +274,4 @@ def _inner(drive: Drive | None, limits: Limits, pole: float) -> dict[str, Any]:
         friction,
         1 / (drive.coulomb_speed * loop.period) if drive.coulomb_voltage > 0 else 0.0,
     )
-    return dict(zip(names, values, strict=True)) | {"options": WITH_INNER}
+    return dict(zip(INNER, values, strict=True)) | {"options": WITH_INNER}

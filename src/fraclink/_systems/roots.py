@@ -32,19 +32,6 @@ _ON_EDGE = 1e-12  # a zero computed this far above `angle` (or off the real axis
 _BLURRED = 1e-7  # and at most this far where rounding blurs it; a multiple zero has D' = 0
 
 
-def count_zeros(coefficients: ArrayLike, orders: ArrayLike, *, angle: float) -> int:
-    """Return the certified number of zeros of Σ a_k s^α_k with |arg s| < `angle`.
-
-    Conjugates and multiplicities are counted, s = 0 is not. `angle` [rad] is > 0 and may exceed π (sheets
-    of the Riemann surface). Raises `NotConvergedError` when a zero lies on |arg s| = `angle`.
-
-    >>> count_zeros([1.0, 1.0], [0.0, 2.0], angle=3.0)
-    2
-    """
-    terms = ExponentialSum.of(coefficients, orders)
-    return 0 if len(terms.rates) < 2 else count_strip(terms, _checked(angle))
-
-
 def log_zeros(coefficients: ArrayLike, orders: ArrayLike, *, angle: float) -> NDArray[np.complex128]:
     """Return z = ln s of every zero of Σ a_k s^α_k with 0 ≤ arg s ≤ `angle`.
 
