@@ -1,6 +1,6 @@
 """What may be relied on of an identification: structure, gates, second mode, coverage under coloured noise.
 
-    python benchmarks/bench_gates.py [--logs 510] [--only structures]
+    python benchmarks/bench_gates.py [--logs 510] [--first 0] [--only structures]
 
 Every log is simulated with known truth, see identify_random.py.
 """
@@ -27,10 +27,10 @@ def name_of(colour: float) -> str:
     return f"AR(1) noise, ρ = {colour:g}" if colour else "white noise"
 
 
-def structures(count: int) -> None:
+def structures(seeds: range) -> None:
     """How often the structure that is used is a wrong one, and W322 does not say that the log cannot tell."""
     said: Counter[tuple[float, str]] = Counter()
-    for seed in range(count):
+    for seed in seeds:
         truth = STRUCTURES[seed // len(COLOURS) % 2]
         made = random_log(seed, truth)
         fit = identify(made.log, details=False)
@@ -53,7 +53,7 @@ def structures(count: int) -> None:
         )
 
 
-def fractional_damping(count: int) -> None:
+def fractional_damping(seeds: range) -> None:
     """How often a damping of its own order is found, by length of the log."""
     for seconds in (20, 40, 80):
         for colour in (0.0, 0.9):
@@ -63,40 +63,40 @@ def fractional_damping(count: int) -> None:
                     details=False,
                 ).structure
                 == "D-FOM"
-                for seed in range(count)
+                for seed in seeds
             )
-            share = 100 * found / count
+            share = 100 * found / len(seeds)
             line(
-                f"D-FOM found, {count} logs of {seconds} s, {name_of(colour)}",
+                f"D-FOM found, {len(seeds)} logs of {seconds} s, {name_of(colour)}",
                 f"{share:.0f} %",
                 ">= 60 %",
                 share >= 60,
             )
 
 
-def good_logs(count: int) -> None:
+def good_logs(seeds: range) -> None:
     """Good logs of all structures and colours, noise of 1 to 30 %: none may fail a gate."""
     failed = []
-    for seed in range(count):
+    for seed in seeds:
         truth = ("D-IOM", "UD-FOM", "D-FOM", "UD-FOM")[seed // len(COLOURS) % 4]
         fit = identify(random_log(seed, truth).log)
         if not fit.passed:
             failed.append(f"{seed}: {', '.join(f.code for f in fit.findings if f.severity == 'error')}")
     line(
-        f"good logs that fail a gate, of {count}",
+        f"good logs that fail a gate, of {len(seeds)}",
         f"{len(failed)} {'; '.join(failed)}".strip(),
         "0",
         not failed,
     )
 
 
-def coverage(count: int) -> None:
+def coverage(seeds: range) -> None:
     """Share of 95 % intervals that contain the truth under noise that wanders."""
     angle, torque = clean_log(delay=0.003)
     truth = {"order": TRUTH.order, "natural_frequency": TRUTH.natural_frequency, "delay": 0.003}
     for colour in COLOURS[1:]:
         inside: Counter[str] = Counter()
-        for seed in range(count):
+        for seed in seeds:
             noise = 0.05 * coloured(np.random.default_rng(1000 + seed), colour, torque.size)
             log = Experiment(period=PERIOD, motor_angle=angle, output=torque + noise)
             fit = identify(log, "UD-FOM", heldout=0)
@@ -104,9 +104,9 @@ def coverage(count: int) -> None:
                 inside[name] += fit.intervals[name].contains(value)
             inside["gain"] += abs(fit.gain - TRUTH.stiffness) <= 1.96 * fit.standard_errors["gain"]
         for name, hits in inside.items():
-            share = 100 * hits / count
+            share = 100 * hits / len(seeds)
             line(
-                f"coverage of the 95 % interval, {name}, {count} logs, {name_of(colour)}",
+                f"coverage of the 95 % interval, {name}, {len(seeds)} logs, {name_of(colour)}",
                 f"{share:.1f} %",
                 "92-97 %",
                 92 <= share <= 97,
@@ -155,11 +155,11 @@ def mode_frequency(beam: Beam, damping: object) -> float:
 
 
 FIGURES = {
-    "structures": lambda count: structures(count),
-    "good_logs": lambda count: good_logs(count),
-    "fractional_damping": lambda count: fractional_damping(max(count // 5, 1)),
-    "coverage": lambda count: coverage(max(count // 2, 1)),
-    "second_mode": lambda count: second_mode(),
+    "structures": lambda seeds: structures(seeds),
+    "good_logs": lambda seeds: good_logs(seeds),
+    "fractional_damping": lambda seeds: fractional_damping(seeds[: max(len(seeds) // 5, 1)]),
+    "coverage": lambda seeds: coverage(seeds[: max(len(seeds) // 2, 1)]),
+    "second_mode": lambda seeds: second_mode(),
 }
 
 
@@ -167,11 +167,13 @@ def main() -> None:
     """Print every figure."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--logs", type=int, default=510)
+    parser.add_argument("--first", type=int, default=0, help="first seed; others are other logs")
     parser.add_argument("--only", choices=FIGURES)
     options = parser.parse_args()
+    seeds = range(options.first, options.first + options.logs)
     for name, figure in FIGURES.items():
         if options.only in (None, name):
-            figure(options.logs)
+            figure(seeds)
 
 
 if __name__ == "__main__":

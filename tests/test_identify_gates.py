@@ -50,71 +50,154 @@ def saturated(share: float) -> Array:
 
 
 DEFLECTION = TORQUE / 1.56
-BAD: dict[str, tuple[Callable[[], Experiment], str]] = {
+# name -> the log, and the finding that it must give: its code and a part of what it says
+BAD: dict[str, tuple[Callable[[], Experiment], str, str]] = {
     # --- units, scale and sign
-    "deflection in degrees": (lambda: log(output=np.rad2deg(DEFLECTION), output_kind="deflection"), "W320"),
-    "deflection in mrad": (lambda: log(output=1e3 * DEFLECTION, output_kind="deflection"), "W320"),
-    "deflection in metres": (lambda: log(output=0.4 * DEFLECTION, output_kind="deflection"), "W320"),
-    "deflection in volts": (lambda: log(output=4.0 * DEFLECTION, output_kind="deflection"), "W320"),
-    "torque as deflection": (lambda: log(output=TORQUE, output_kind="deflection"), "W320"),
-    "angle in degrees": (lambda: log(np.rad2deg(ANGLE), DEFLECTION, output_kind="deflection"), "W320"),
-    "angle in degrees, torque": (lambda: log(np.rad2deg(ANGLE)), "W323"),
-    "torque with the other sign": (lambda: log(output=-TORQUE), "W307"),
-    "deflection with the other sign": (lambda: log(output=-DEFLECTION, output_kind="deflection"), "W307"),
-    "angle with the other sign": (lambda: log(-ANGLE), "W307"),
+    "deflection in degrees": (
+        lambda: log(output=np.rad2deg(DEFLECTION), output_kind="deflection"),
+        "W320",
+        "no deflection in rad",
+    ),
+    "deflection in mrad": (
+        lambda: log(output=1e3 * DEFLECTION, output_kind="deflection"),
+        "W320",
+        "no deflection in rad",
+    ),
+    "deflection in metres": (
+        lambda: log(output=0.4 * DEFLECTION, output_kind="deflection"),
+        "W320",
+        "no deflection in rad",
+    ),
+    "deflection in volts": (
+        lambda: log(output=4.0 * DEFLECTION, output_kind="deflection"),
+        "W320",
+        "no deflection in rad",
+    ),
+    "torque as deflection": (
+        lambda: log(output=TORQUE, output_kind="deflection"),
+        "W320",
+        "no deflection in rad",
+    ),
+    "angle in degrees": (
+        lambda: log(np.rad2deg(ANGLE), DEFLECTION, output_kind="deflection"),
+        "W320",
+        "no deflection in rad",
+    ),
+    "angle in degrees, torque": (lambda: log(np.rad2deg(ANGLE)), "W323", "degrees called radians"),
+    "torque with the other sign": (lambda: log(output=-TORQUE), "W307", "opposite sign"),
+    "deflection with the other sign": (
+        lambda: log(output=-DEFLECTION, output_kind="deflection"),
+        "W307",
+        "opposite sign",
+    ),
+    "angle with the other sign": (lambda: log(-ANGLE), "W307", "opposite sign"),
     # --- wrong columns
-    "the angle twice": (lambda: log(output=ANGLE), "any"),
-    "the speed as torque": (lambda: log(output=np.gradient(ANGLE, PERIOD)), "any"),
-    "the acceleration as torque": (lambda: log(output=np.gradient(np.gradient(ANGLE))), "any"),
-    "the time as torque": (lambda: log(output=TIME.copy()), "any"),
-    "the time as angle": (lambda: log(TIME.copy()), "any"),
-    "the reference as torque": (lambda: log(output=np.sign(ANGLE)), "any"),
-    "a counter as torque": (lambda: log(output=np.arange(COUNT) % 256.0), "any"),
-    "another log's torque": (lambda: log(output=TORQUE[::-1].copy()), "any"),
-    "channels two seconds apart": (lambda: log(output=rolled(2.0)), "any"),
-    "channels half a second apart": (lambda: log(output=rolled(0.5)), "any"),
-    "torque five samples per row": (lambda: log(output=np.repeat(TORQUE, 5)[:COUNT]), "any"),
+    "the angle twice": (lambda: log(output=ANGLE), "W324", "the motor's angle times a constant"),
+    "the speed as torque": (
+        lambda: log(output=np.gradient(ANGLE, PERIOD)),
+        "W324",
+        "the motor's speed times",
+    ),
+    "the acceleration as torque": (
+        lambda: log(output=np.gradient(np.gradient(ANGLE))),
+        "W324",
+        "the motor's acceleration times",
+    ),
+    "the time as torque": (lambda: log(output=TIME.copy()), "W324", "the output grows steadily with time"),
+    "the time as angle": (lambda: log(TIME.copy()), "W324", "the motor angle grows by one step"),
+    "the reference as torque": (lambda: log(output=np.sign(ANGLE)), "W325", "a command and no measurement"),
+    "a counter as torque": (lambda: log(output=np.arange(COUNT) % 256.0), "W324", "a clock, a counter"),
+    "another log's torque": (
+        lambda: log(output=TORQUE[::-1].copy()),
+        "W313",
+        "hardly better than a constant",
+    ),
+    "channels two seconds apart": (
+        lambda: log(output=rolled(2.0)),
+        "W313",
+        "both channels are of one recording",
+    ),
+    "channels half a second apart": (lambda: log(output=rolled(0.5)), "W316", "or about 52"),
+    "torque five samples per row": (
+        lambda: log(output=np.repeat(TORQUE, 5)[:COUNT]),
+        "W313",
+        "both channels are of one recording",
+    ),
     # --- no signal
-    "noise alone": (lambda: log(output=WHITE), "any"),
-    "slow noise alone": (lambda: log(output=SLOW), "any"),
-    "mains hum alone": (lambda: log(output=np.sin(2 * np.pi * 50 * TIME) + 0.1 * WHITE), "any"),
-    "an amplifier's drift": (lambda: log(output=0.1 * TIME + 0.02 * WHITE), "any"),
-    "vibration under the noise": (lambda: log(output=TORQUE + 30 * TORQUE.std() * WHITE), "any"),
-    "vibration under slow noise": (lambda: log(output=TORQUE + 10 * TORQUE.std() * SLOW), "any"),
+    "noise alone": (lambda: log(output=WHITE), "W313", "check that the gauge is connected"),
+    "slow noise alone": (lambda: log(output=SLOW), "W313", "check that the gauge is connected"),
+    "mains hum alone": (
+        lambda: log(output=np.sin(2 * np.pi * 50 * TIME) + 0.1 * WHITE),
+        "W313",
+        "the mains at 50 Hz",
+    ),
+    "an amplifier's drift": (
+        lambda: log(output=0.1 * TIME + 0.02 * WHITE),
+        "W324",
+        "the drift of an amplifier",
+    ),
+    "vibration under the noise": (
+        lambda: log(output=TORQUE + 30 * TORQUE.std() * WHITE),
+        "W313",
+        "or move further",
+    ),
+    "vibration under slow noise": (
+        lambda: log(output=TORQUE + 10 * TORQUE.std() * SLOW),
+        "W313",
+        "or move further",
+    ),
     # --- no excitation
-    "a motor that creeps": (lambda: log(0.02 * TIME, 0.02 * WHITE), "any"),
-    "a motor that only trembles": (lambda: log(1e-6 * WHITE, 0.02 * SLOW), "any"),
+    "a motor that creeps": (lambda: log(0.02 * TIME, 0.02 * WHITE), "W324", "a speed that excites nothing"),
+    "a motor that only trembles": (lambda: log(1e-6 * WHITE, 0.02 * SLOW), "W313", "the motor hardly moves"),
     "a link too stiff to vibrate": (
         lambda: log(output=1e-3 * np.gradient(np.gradient(ANGLE, PERIOD), PERIOD) + 0.02 * WHITE),
-        "any",
+        "W324",
+        "a stiff link needs faster moves",
     ),
     # --- an arm that changes
-    "a payload that slips": (lambda: log(output=slipped()), "W318"),
-    "a gauge that dies": (lambda: log(output=np.where(TIME < 9.0, TORQUE, 0.0) + 0.02 * WHITE), "any"),
+    "a payload that slips": (lambda: log(output=slipped()), "W318", "a payload that slipped"),
+    "a gauge that dies": (
+        lambda: log(output=np.where(TIME < 9.0, TORQUE, 0.0) + 0.02 * WHITE),
+        "W318",
+        "a cable that came off",
+    ),
     "a gauge that drifts away": (
         lambda: log(output=TORQUE + np.maximum(TIME - 8.0, 0.0) * 3 * TORQUE.std()),
         "W318",
+        "a gauge that drifts",
     ),
-    "a gauge hard at its stops": (lambda: log(output=saturated(0.05)), "any"),
+    "a gauge hard at its stops": (lambda: log(output=saturated(0.05)), "W325", "the amplifier saturates"),
     "a motor that stops, and noise": (
         lambda: log(np.where(TIME < 0.3, ANGLE, ANGLE[75]), 0.2 * WHITE),
-        "any",
+        "W313",
+        "hardly better than a constant",
     ),
 }
 
 
 @pytest.mark.parametrize("name", BAD)
-def test_a_bad_log_gives_no_model_that_passes(name: str) -> None:
-    make, code = BAD[name]
-    try:
-        fit = identify(make())
-    except FraclinkError:
-        assert code == "any"
-        return
-    errors = {finding.code for finding in fit.findings if finding.severity == "error"}
+def test_a_bad_log_gives_no_model_that_passes_and_says_why(name: str) -> None:
+    make, code, part = BAD[name]
+    fit = identify(make())
+    errors = [finding for finding in fit.findings if finding.severity == "error"]
     assert not fit.passed
-    assert errors if code == "any" else code in errors
-    assert all(finding.remedy for finding in fit.findings if finding.severity == "error")
+    assert all(finding.remedy and finding.evidence for finding in errors)
+    said = [str(finding) for finding in errors if finding.code == code]
+    assert any(part in sentence for sentence in said), "\n".join(map(str, errors))
+
+
+@pytest.mark.parametrize("name", ["noise alone", "slow noise alone", "channels two seconds apart"])
+def test_of_noise_neither_sign_nor_delay_is_said(name: str) -> None:
+    fit = identify(BAD[name][0]())
+    assert not {"W306", "W307", "W309", "W316"} & {finding.code for finding in fit.findings}
+
+
+def test_a_few_samples_at_the_stops_are_no_gate() -> None:
+    few, many = (identify(log(output=saturated(share))) for share in (2.0, 1.5))
+    assert abs(few.gain / 1.56 - 1) < 0.01
+    assert few.passed
+    assert abs(many.gain / 1.56 - 1) > 0.05
+    assert not many.passed
 
 
 def test_a_good_log_passes_every_gate() -> None:

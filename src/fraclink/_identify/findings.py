@@ -10,7 +10,10 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
+from numpy.typing import NDArray
 
+from fraclink._arm.experiment import Experiment
+from fraclink._identify.columns import column_findings
 from fraclink._identify.fit import Fit
 from fraclink._identify.search import Solution
 from fraclink._identify.shape import ORDER_LIMITS
@@ -25,6 +28,10 @@ GAIN_RANGE = (2 / 3, 3 / 2)
 SIGNAL_LEAST = 30.0
 # Relative standard error of the resonance. A link that vibrates visibly gives 0.01 % to 1 %.
 RESONANCE_MOST = 0.1
+# No encoder of a rig resolves less.
+_TREMBLE = 1e-3  # [rad]
+
+Vector = NDArray[np.float64]
 
 _AT_BOUND = {
     "order": "at λ = 2 the link is classical: use a structure of integer order",
@@ -41,19 +48,20 @@ def findings_of(
     errors: Uncertainty,
     stiffness: float | None,
     motion: tuple[float, float],
-    largest_angle: float,
+    log: Experiment,
 ) -> tuple[Finding, ...]:
-    """All findings of a fit, worst first.
-
-    `motion` are the shares of motion and vibration held out, `largest_angle` how far the motor turned [rad].
-    """
+    """All findings of a fit, worst first; `motion` are the shares of motion and vibration held out."""
     order = {"error": 0, "warning": 1, "info": 2}
+    # The sign and the delay of noise say nothing.
+    heard = signal_of(fit) >= SIGNAL_LEAST
     found = [
-        *_of_the_vibration(fit, solution, errors),
+        *column_findings(log),
+        *_of_the_angle(log.motor_angle),
+        *_of_the_vibration(fit, solution, errors, log),
         *_of_the_prediction(fit, motion),
         *_of_the_optimum(fit, errors.singular),
-        *_of_the_angle(largest_angle),
-        *_of_the_sensor(fit, stiffness),
+        *(_of_the_sensor(fit, stiffness) if heard else ()),
+        *(_of_the_delay(fit, solution) if heard else ()),
         *_of_the_residual(fit),
     ]
     return tuple(sorted(found, key=lambda finding: order[finding.severity]))
@@ -66,16 +74,38 @@ def signal_of(fit: Fit) -> float:
     return fit.fitted_samples * math.log(max(float(np.var(output)) / max(fit.mse, 1e-300), 1.0)) / inflation
 
 
-def _of_the_vibration(fit: Fit, solution: Solution, errors: Uncertainty) -> Iterator[Finding]:
+def _mains(log: Experiment) -> float | None:
+    """Frequency of the mains [Hz] where the output is mostly one line there, None elsewhere."""
+    output = log.output
+    power = np.abs(np.fft.rfft((output - output.mean()) * np.hanning(output.size))) ** 2
+    top, length = int(power.argmax()), output.size * log.period
+    line = float(power[max(top - 2, 0) : top + 3].sum())
+    nearest = 50.0 if top / length < 55.0 else 60.0
+    return nearest if abs(top / length - nearest) < 0.5 + 1 / length and line > 0.5 * power.sum() else None
+
+
+def _no_signal(signal: float, log: Experiment) -> Finding:
+    """W313, with the cause where the output or the motor shows one."""
+    turned, hum = float(np.ptp(log.motor_angle)), _mains(log)
+    evidence = {"signal": signal, "least": SIGNAL_LEAST, "motor_range": turned}
+    message = "no signal: this model explains the output from the motor hardly better than a constant does"
+    remedy = "check that the gauge is connected, and that both channels are of one recording; or move further"
+    if turned < _TREMBLE:
+        message = f"no signal: the motor hardly moves, it turns by {turned:.2g} rad"
+        remedy = "excite the arm: a pulse, a PRBS or a square wave, and check the unit of the motor angle"
+    elif hum is not None:
+        message = f"no signal: the output is the hum of the mains at {hum:.0f} Hz"
+        remedy = "check the gauge's wiring and shield"
+    return Finding("W313", "error", message, evidence, remedy)
+
+
+def _of_the_vibration(
+    fit: Fit, solution: Solution, errors: Uncertainty, log: Experiment
+) -> Iterator[Finding]:
     signal = signal_of(fit)
     if signal < SIGNAL_LEAST:
-        yield Finding(
-            "W313",
-            "error",
-            "no signal: the fit is hardly better than noise around a constant",
-            {"signal": signal, "least": SIGNAL_LEAST},
-            "move the motor further, or check that the output channel is connected",
-        )
+        yield _no_signal(signal, log)
+        return
     order_low = 0 in solution.at_bound and fit.model.order < sum(ORDER_LIMITS) / 2
     if 1 in solution.at_bound or order_low:
         yield Finding(
@@ -97,14 +127,6 @@ def _of_the_vibration(fit: Fit, solution: Solution, errors: Uncertainty) -> Iter
             },
             "move faster, with rise times below half a period of the vibration",
         )
-    if "delay" in fit.at_bound and fit.delay != 0 and fit.hold != "zero":
-        yield Finding(
-            "W316",
-            "error",
-            "the delay ended at its limit, a third of the vibration's period",
-            {"delay": fit.delay},
-            "check that both channels are of one recording and on one clock",
-        )
 
 
 def _of_the_prediction(fit: Fit, motion: tuple[float, float]) -> Iterator[Finding]:
@@ -122,13 +144,7 @@ def _of_the_prediction(fit: Fit, motion: tuple[float, float]) -> Iterator[Findin
             "leave heldout out, or hold out a part in which the motor moves",
         )
     elif relative > HELDOUT_MOST and not noise:
-        yield Finding(
-            "W318",
-            "error",
-            "the model does not predict the part of the log that was held out",
-            {"heldout_nmse": relative, "most": HELDOUT_MOST, "nmse": fit.nmse},
-            "compare the other structures, and look for a wrong channel, a slipped payload or saturation",
-        )
+        yield _not_predicted(fit, relative)
     elif relative > 4 * fit.nmse and held > 2 * fit.mse:
         yield Finding(
             "W311",
@@ -145,6 +161,26 @@ def _of_the_prediction(fit: Fit, motion: tuple[float, float]) -> Iterator[Findin
             {"fitted_time": fit.fitted_samples * fit.period, "motion": motion[0], "vibration": motion[1]},
             "record motion until the end, or choose heldout",
         )
+
+
+def _not_predicted(fit: Fit, relative: float) -> Finding:
+    """W318, with what the sizes of the output in both parts and of the prediction point to."""
+    output, late = fit.predicted + fit.residual, slice(fit.fitted_samples, None)
+    before, after = float(np.std(output[: fit.fitted_samples])), float(np.std(output[late]))
+    predicted = float(np.std(fit.predicted[late]))
+    remedy = "look for a payload that slipped, a wrong channel or saturation"
+    if after < 0.3 * min(before, predicted):
+        remedy = "the output is nearly at rest there: look for a gauge or a cable that came off"
+    elif after > 2 * max(before, predicted):
+        remedy = "the output moves much further there: look for a gauge that drifts, or for a blow"
+    return Finding(
+        "W318",
+        "error",
+        "the model does not predict the part of the log that was held out",
+        {"heldout_nmse": relative, "most": HELDOUT_MOST, "nmse": fit.nmse, "rms": after}
+        | {"fitted_rms": before, "predicted_rms": predicted},
+        remedy,
+    )
 
 
 def _of_the_optimum(fit: Fit, singular: bool) -> Iterator[Finding]:
@@ -189,7 +225,8 @@ def _of_the_optimum(fit: Fit, singular: bool) -> Iterator[Finding]:
         )
 
 
-def _of_the_angle(largest: float) -> Iterator[Finding]:
+def _of_the_angle(motor_angle: Vector) -> Iterator[Finding]:
+    largest = float(np.max(np.abs(motor_angle - motor_angle[0])))
     # At the link's side of a gear no flexible arm turns more than once; 7 degrees called radians do.
     if largest > 2 * math.pi:
         yield Finding(
@@ -219,13 +256,36 @@ def _of_the_sensor(fit: Fit, stiffness: float | None) -> Iterator[Finding]:
             {"gain": fit.gain, "least": GAIN_RANGE[0], "most": GAIN_RANGE[1]},
             "check the unit and scale of the channel in the rig file",
         )
-    if fit.gain < 0:
+
+
+def _of_the_delay(fit: Fit, solution: Solution) -> Iterator[Finding]:
+    """Sign and delay together: of a vibration, half a period more is the other sign."""
+    cycle = 2 * math.pi / math.exp(solution.shape[1])
+    late = abs(fit.delay) > cycle / 8
+    if fit.gain < 0 and not late:
         yield Finding(
             "W307",
             "error",
             "the output has the opposite sign: it is negative where the tip lags a motor that turns forward",
             {"gain": fit.gain},
             "state the sign of the channel in the rig file",
+        )
+    elif fit.gain < 0:
+        yield Finding(
+            "W316",
+            "error",
+            f"the output is {1e3 * fit.delay:.3g} ms late with the opposite sign, or about "
+            f"{1e3 * (fit.delay + cycle / 2):.3g} ms late with the right one, half a vibration more",
+            {"delay": fit.delay, "vibration_period": cycle, "gain": fit.gain},
+            "check that both channels are of one recording and on one clock, then the sign",
+        )
+    elif "delay" in fit.at_bound and fit.delay != 0 and fit.hold != "zero":
+        yield Finding(
+            "W316",
+            "error",
+            "the delay ended at its limit, a third of the vibration's period",
+            {"delay": fit.delay, "vibration_period": cycle},
+            "check that both channels are of one recording and on one clock",
         )
     error = fit.standard_errors.get("delay")
     if error is None or error == 0:

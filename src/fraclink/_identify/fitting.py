@@ -212,9 +212,8 @@ def fit_from(
     )
     mode = find_second_mode(search, solution, log.motor_angle, residual) if details else (None, None)
     fit = dataclasses.replace(fit, model=_identified(fit, mode, stiffness))
-    turned = float(np.max(np.abs(log.motor_angle - log.motor_angle[0])))
     motion = motion_after(log, window.samples)
-    findings = findings_of(fit, solution, errors, stiffness, motion, turned)
+    findings = findings_of(fit, solution, errors, stiffness, motion, log)
     # What makes the log unusable makes the model so.
     wrong = tuple(finding for finding in log.findings if finding.severity == "error")
     return dataclasses.replace(fit, findings=(*wrong, *findings))

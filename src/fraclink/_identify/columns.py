@@ -1,0 +1,87 @@
+"""Columns of a log that are not what they are called: what their values alone show, before any model."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink._arm.experiment import Experiment
+from fraclink.findings import Finding
+
+Vector = NDArray[np.float64]
+
+# Share of a channel's variance that another one explains by itself: of 300 random links that vibrate, the
+# angle, the speed and the acceleration of the motor explain 31 % of the torque at most, the time 0.5 %.
+COPIED_LEAST = 0.98
+# A share of the samples at the stops of the amplifier: 6 % change the identified gain by 0.6 %, 13 % by 8 %.
+STOPPED_MOST = 0.1
+
+
+def column_findings(log: Experiment) -> Iterator[Finding]:
+    """Findings W324 and W325: a copy of the motor's motion, a clock or counter, an amplifier at its stops."""
+    angle, output, period = log.motor_angle, log.output, log.period
+    time = np.arange(output.size, dtype=np.float64)
+    speed = np.gradient(angle, period)
+    sources = {"angle": angle, "speed": speed, "acceleration": np.gradient(speed, period)}
+    shares = {name: _explained(output, source) for name, source in sources.items()}
+    nearest = max(shares, key=lambda name: shares[name])
+    if shares[nearest] > COPIED_LEAST:
+        yield Finding(
+            "W324",
+            "error",
+            f"the output is the motor's {nearest} times a constant: no vibration is in it",
+            {"explained": shares[nearest], "most": COPIED_LEAST},
+            "check the column of the output; a stiff link needs faster moves to vibrate",
+        )
+    if _explained(output, time) > COPIED_LEAST or _is_ramp(output):
+        yield Finding(
+            "W324",
+            "error",
+            "the output grows steadily with time: a clock, a counter, or the drift of an amplifier",
+            {"first": float(output[0]), "last": float(output[-1])},
+            "check the column of the output, and let the amplifier warm up",
+        )
+    if _is_ramp(angle):
+        yield Finding(
+            "W324",
+            "error",
+            "the motor angle grows by one step at each sample: a clock, or a speed that excites nothing",
+            {"first": float(angle[0]), "last": float(angle[-1])},
+            "check the column of the motor angle, or excite the arm: a pulse, a PRBS or a square wave",
+        )
+    share = _at_stops(output)
+    if share > STOPPED_MOST:
+        yield Finding(
+            "W325",
+            "error",
+            f"{100 * share:.3g} % of the samples lie at the largest or smallest output: the amplifier "
+            "saturates, or this is a command and no measurement",
+            {"share": share, "most": STOPPED_MOST, "low": float(output.min()), "high": float(output.max())},
+            "move less or lower the amplifier's gain, and check the column of the output",
+        )
+
+
+def _explained(values: Vector, source: Vector) -> float:
+    """Share of the variance of `values` that a multiple of `source` and a constant explain: R²."""
+    centred, other = values - values.mean(), source - source.mean()
+    power = float(centred @ centred) * float(other @ other)
+    return float(centred @ other) ** 2 / power if power > 0 else 0.0
+
+
+def _is_ramp(values: Vector) -> bool:
+    """Whether nearly all steps are one step, as those of a clock or of a counter that starts anew."""
+    steps = np.diff(values)
+    usual = float(np.median(steps))
+    return usual != 0 and float(np.mean(np.abs(steps - usual) < 1e-6 * abs(usual))) > 0.9
+
+
+def _at_stops(output: Vector) -> float:
+    """Share of the samples at the extremes; 0 where the levels beside them are nearly as frequent.
+
+    The crest of a sine in a coarse converter has 2.4 times as many samples as the level below it.
+    """
+    _, (low, *between, high) = np.unique(output, return_counts=True)
+    beside = between[0] + between[-1] if between else 0
+    return float((low + high) / output.size) if low + high > 4 * beside else 0.0
