@@ -179,7 +179,7 @@ def test_b16_a_payload_outside_the_rigs_range() -> None:
     for inside in (0.02, 0.04):
         assert "W216" not in codes(dataclasses.replace(changed(payload=inside), findings=()))
         assert "W216" not in {finding.code for finding in diagnose(changed(payload=inside), rig)}
-    assert found(changed(payload=30.0), "W105", Rig.named("paper-2023")).severity == "warning"
+    assert found(changed(payload=30.0), "W105", Rig.named("paper-2023")).severity == "error"
 
 
 def test_b17_another_period_than_the_rigs() -> None:

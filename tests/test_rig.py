@@ -101,7 +101,7 @@ def test_a_heavy_link_is_pointed_out() -> None:
 def test_a_payload_in_another_unit_is_doubted(payload: float) -> None:
     finding = Rig.named("paper-2023").payloads.doubt(payload)
     assert finding is not None
-    assert (finding.code, finding.severity) == ("W105", "warning")
+    assert (finding.code, finding.severity) == ("W105", "error")
 
 
 @pytest.mark.parametrize("payload", [0.002, 0.030, 0.5])

@@ -6,12 +6,12 @@ and a program can act on their codes.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Literal
 
-__all__ = ["Finding", "Severity"]
+__all__ = ["Finding", "Severity", "errors_of"]
 
 Severity = Literal["info", "warning", "error"]
 
@@ -59,3 +59,12 @@ class Finding:
     def __reduce__(self) -> tuple[object, ...]:
         # A mapping proxy cannot cross a process border; its dict can.
         return type(self), (self.code, self.severity, self.message, dict(self.evidence), self.remedy)
+
+
+def errors_of(findings: Iterable[Finding]) -> tuple[Finding, ...]:
+    """Return the findings of severity "error": the gates that failed.
+
+    >>> errors_of([Finding("W305", "info", "the residual is not white")])
+    ()
+    """
+    return tuple(finding for finding in findings if finding.severity == "error")

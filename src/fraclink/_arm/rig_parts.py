@@ -168,7 +168,7 @@ class Payloads:
         nearest, word = (self.high, "heaviest") if payload > self.high else (self.low, "lightest")
         return Finding(
             "W105",
-            "warning",
+            "error",
             f"a payload of {payload:.4g} kg is {payload / nearest:.3g} times the {word} that the rig states",
             {"payload": payload, "low": self.low, "high": self.high},
             "payloads are stated in kg: 30 g is 0.030",

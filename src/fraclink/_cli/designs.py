@@ -27,6 +27,7 @@ from fraclink._cli.options import (
     SeedNumber,
     in_radians,
     load_arm,
+    load_doubts,
     load_link_model,
     load_log,
     load_rig,
@@ -37,6 +38,7 @@ from fraclink._show.report import write_report
 from fraclink._simulate import simulate as run_law
 from fraclink._workflow import design_for, load_study, simulate_move
 from fraclink._workflow import run as run_study
+from fraclink.findings import Finding
 
 app = group()
 
@@ -116,7 +118,7 @@ def design(
         load_link_model(model),
         **in_radians(request),
     )
-    made = made.with_law()
+    made = made.doubted(load_doubts(model)).with_law()
     made.save(out)
     assumed = tuple(f"assumed: {sentence}" for sentence in assumptions)
     step = f"simulate {out} --payload {made.payloads[0]:g}" if made.passed else f"assess {out}"
@@ -149,9 +151,15 @@ def simulate(
     made = Design.load(design_file)
     move = simulate_move(made, payload, **options)
     move.save(out)
-    remarks = tuple(str(doubt) for doubt in (made.rig.payloads.doubt(payload),) if doubt)
     following = f"fraclink twin {design_file} --payload {payload:g}"
-    return Answer(move, move.verdict.passed, remarks=remarks, written=(out,), following=following)
+    doubts = _doubts(made, payload)
+    return Answer(move, move.verdict.passed, doubts=doubts, written=(out,), following=following)
+
+
+def _doubts(made: Design, payload: float | None) -> tuple[Finding, ...]:
+    """What leaves nothing shown by a move: errors of the design, and a payload in another unit."""
+    doubt = None if payload is None else made.rig.payloads.doubt(payload)
+    return made.doubts if doubt is None else (doubt, *made.doubts)
 
 
 @command(app)
@@ -168,11 +176,9 @@ def twin(
     """
     made, arm = load_arm(design_file, options)
     move = run_law(made.law(), smooth_step(amplitude, duration=move_time), arm=arm, seed=seed)
-    payload = options["payload"]
-    doubt = None if payload is None else made.rig.payloads.doubt(payload)
-    remarks = tuple(str(finding) for finding in (*arm.findings, doubt) if finding)
+    remarks, doubts = tuple(map(str, arm.findings)), _doubts(made, options["payload"])
     following = f"fraclink certify {design_file}" if move.verdict.passed else f"fraclink assess {design_file}"
-    return Answer(move, move.verdict.passed, remarks=remarks, following=following)
+    return Answer(move, move.verdict.passed, doubts=doubts, remarks=remarks, following=following)
 
 
 @command(app)

@@ -11,6 +11,7 @@ import typer
 from numpy.typing import NDArray
 
 from fraclink import _identify as identification
+from fraclink._arm.doubts import doubts_of
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.reference import Reference, chirp, prbs, pulse
 from fraclink._arm.rig import Rig
@@ -35,7 +36,7 @@ from fraclink._logs import inspect_log, read_columns
 from fraclink._simulate import Twin, simulate_log
 from fraclink._validate import Between, Payload
 from fraclink.errors import FieldError, LogError
-from fraclink.findings import Finding
+from fraclink.findings import Finding, errors_of
 
 StructureName = Annotated[
     str | None, "UD-IOM, D-IOM, UD-FOM or D-FOM; the one that the log supports where it is left out"
@@ -46,7 +47,7 @@ app = group()
 
 def _errors(log: Experiment, rig: Rig) -> tuple[Finding, ...]:
     """Findings that make a log unusable: a model fits a reversed gauge as well as a right one."""
-    return tuple(finding for finding in examine(log, rig) if finding.severity == "error")
+    return errors_of(examine(log, rig))
 
 
 def _known_stiffness(log: Experiment, rig: Rig) -> float | None:
@@ -72,7 +73,7 @@ def diagnose(log: LogName, rig: RigName, **reading: Unpack[LogOptions]) -> Answe
     """
     known = load_rig(rig)
     findings = examine(load_log(log, known, **reading), known)
-    failed = any(finding.severity == "error" for finding in findings)
+    failed = bool(errors_of(findings))
     return Answer(findings, not failed, following="" if failed else f"fraclink identify {log} --rig {rig}")
 
 
@@ -97,9 +98,9 @@ def identify(
         begin(f"fitting {structure or 'every structure'}")
         fit = identification.identify(experiment, structure, stiffness=_known_stiffness(experiment, known))
     fit.save(out)
-    errors = [finding for finding in fit.findings if finding.severity == "error"]
+    doubts = tuple(dict.fromkeys((*doubts, *doubts_of(known, fit.model))))
     following = f"fraclink design --rig {rig} --model {out}"
-    return Answer(fit, not errors, doubts=doubts, written=(out,), following=following)
+    return Answer(fit, fit.passed, doubts=doubts, written=(out,), following=following)
 
 
 @command(app)

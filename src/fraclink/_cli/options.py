@@ -17,10 +17,11 @@ from fraclink._arm.log_columns import parse_columns
 from fraclink._arm.rig import Rig
 from fraclink._design import Design
 from fraclink._files import kind_of
-from fraclink._identify import load_model
+from fraclink._identify import Fit, load_model
 from fraclink._logs import bundled_log, read_log
 from fraclink._simulate import Twin, geared
 from fraclink.errors import FieldError
+from fraclink.findings import Finding, errors_of
 
 BUNDLED_LOG = "prbs_30g"  # simulated by the twin; its header says so
 
@@ -105,6 +106,14 @@ def load_link_model(path: Path | None) -> LinkModel | None:
     if path is None:
         return None
     return Design.load(path).model if kind_of(path) == "design" else load_model(path)
+
+
+def load_doubts(path: Path | None) -> tuple[Finding, ...]:
+    """The gates that the fit or the design of a model file failed."""
+    if path is None or (kind := kind_of(path)) not in ("fit", "design"):
+        return ()
+    found: Fit | Design = Design.load(path) if kind == "design" else Fit.load(path)
+    return errors_of(found.findings)
 
 
 def load_design(path: Path, *, gear: float | None = None, model: Path | None = None) -> Design:

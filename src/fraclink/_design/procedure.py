@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._arm.controller import Controller
+from fraclink._arm.doubts import doubts_of
 from fraclink._arm.link import LinkModel
 from fraclink._arm.loop import Loop, worst_margins
 from fraclink._arm.rig import Rig
@@ -18,6 +19,7 @@ from fraclink._design.equations import MARGIN_SHARE, Task, attempt, candidates, 
 from fraclink._design.modes import MODE_LIMIT, higher_modes, mode_requirements
 from fraclink._design.specification import Design, Requirement, Specification
 from fraclink._validate import checked_between, checked_noun
+from fraclink.errors import InfeasibleError
 from fraclink.findings import Finding
 
 if TYPE_CHECKING:
@@ -52,7 +54,8 @@ def design(
     smallest there (Theorem 1), and the design reports the worst value found over the whole range. The
     gauge's delay, its gain and the second mode, where the model knows them, stand inside the equations.
 
-    The result has the controller, the requirements with what is achieved, and findings.
+    The result has the controller, the requirements with what is achieved, and findings. It does not pass
+    where the fit failed a gate, or where model or payloads contradict the rig (W105 to W107).
 
     Parameters
     ----------
@@ -124,9 +127,23 @@ def design(
         settling_time=settling_time,
         mode_gain=mode_gain,
     )
+    try:
+        made = _designed(link, rig, spec)
+    except InfeasibleError as error:
+        # A payload in grams or the model of another arm is refused for reasons that hide the cause.
+        doubts = "; ".join(finding.message for finding in doubts_of(rig, link, payloads or ()))
+        if not doubts:
+            raise
+        explanation = f"{error.explanation}; but {doubts}"
+        raise InfeasibleError(error.condition, explanation, error.nearest) from error
+    return made.doubted(getattr(model, "findings", ()))
+
+
+def _designed(link: LinkModel, rig: Rig, spec: Specification) -> Design:
+    """The design of a specification; InfeasibleError where there is none."""
     asked = task_of(link, rig, spec)
     given = spec.mode_gain is not None
-    if not given and link.second_mode is not None and margins == "loop":
+    if not given and link.second_mode is not None and spec.margins == "loop":
         spec = replace(spec, mode_gain=MODE_LIMIT)
     task = reach(asked, spec, attempt) if spec.bounded else asked
     found = attempt(task)
@@ -179,12 +196,12 @@ def requirements_of(task: Task, controller: Controller, spec: Specification) -> 
 def findings_of(
     task: Task, controller: Controller, upper: float, *, mode_bounded: bool
 ) -> tuple[Finding, ...]:
-    """Findings W401 … of a design: what is less than it seems.
+    """Findings of a design: what contradicts the rig, and what is less than it seems (W401 …).
 
     `task` is what was asked for, before any bound changed it; `upper` the crossover of the lightest payload
     [rad/s]; `mode_bounded` tells that the loop gain at the higher modes was asked for.
     """
-    found = []
+    found = list(doubts_of(task.rig, task.model, task.payloads))
     cost = controller.filter_order * math.atan(controller.filter_time * upper)
     if task.filter_time is not None and cost > MARGIN_SHARE * task.phase_margin * (1.0 + 1e-2):
         margin = task.phase_margin

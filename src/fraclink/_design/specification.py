@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -34,7 +34,7 @@ from fraclink._validate import (
     checked_choice,
 )
 from fraclink.errors import FieldError
-from fraclink.findings import Finding
+from fraclink.findings import Finding, errors_of
 
 if TYPE_CHECKING:
     from fraclink._law import Law
@@ -260,8 +260,17 @@ class Design:
 
     @property
     def passed(self) -> bool:
-        """Whether every requirement is met over the whole payload range."""
-        return all(requirement.passed for requirement in self.requirements)
+        """Whether every requirement is met over the whole payload range, and no finding is an error."""
+        return all(requirement.passed for requirement in self.requirements) and not self.doubts
+
+    @property
+    def doubts(self) -> tuple[Finding, ...]:
+        """The findings that are errors: with a wrong model or rig, met requirements show nothing."""
+        return errors_of(self.findings)
+
+    def doubted(self, findings: Iterable[Finding]) -> Design:
+        """Return the design with the errors among `findings`, such as those of the fit that it rests on."""
+        return replace(self, findings=tuple(dict.fromkeys((*errors_of(findings), *self.findings))))
 
     @property
     def motor_loop(self) -> MotorLoop:
@@ -383,13 +392,8 @@ def _check_response(response: Callable[[Real], Complex]) -> None:
     except (TypeError, ValueError):
         shape = ()
     if shape != (2,):
-        raise FieldError(
-            "realisation",
-            repr(response),
-            "not a response",
-            allowed="Ĉ as a function of ω [rad/s], shape kept",
-            remedy="say 'law' for what is shipped",
-        )
+        allowed, remedy = "Ĉ as a function of ω [rad/s], shape kept", "say 'law' for what is shipped"
+        raise FieldError("realisation", repr(response), "not a response", allowed=allowed, remedy=remedy)
 
 
 def _checked_frequency(value: object) -> float:

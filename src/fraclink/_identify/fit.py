@@ -19,7 +19,7 @@ from fraclink._files import document, load, save
 from fraclink._identify.residual import ResidualTests
 from fraclink._identify.uncertainty import Interval
 from fraclink.errors import SizeError
-from fraclink.findings import Finding
+from fraclink.findings import Finding, errors_of
 
 if TYPE_CHECKING:
     from fraclink._arm.rig import Rig
@@ -221,7 +221,7 @@ class Fit:
     @property
     def passed(self) -> bool:
         """Whether the model predicts: no finding of severity "error"."""
-        return not any(finding.severity == "error" for finding in self.findings)
+        return not errors_of(self.findings)
 
     @property
     def samples(self) -> int:

@@ -31,6 +31,7 @@ from fraclink._identify.shape import (
 from fraclink._identify.uncertainty import Interval, Uncertainty, profile_interval, uncertainty
 from fraclink._validate import Array, Between, checked, checked_between, checked_choice
 from fraclink.errors import LogError
+from fraclink.findings import errors_of
 
 _FIXABLE: dict[str, tuple[float, float]] = {
     "gain": (-1e12, 1e12),
@@ -215,8 +216,7 @@ def fit_from(
     motion = motion_after(log, window.samples)
     findings = findings_of(fit, solution, errors, stiffness, motion, log)
     # What makes the log unusable makes the model so.
-    wrong = tuple(finding for finding in log.findings if finding.severity == "error")
-    return dataclasses.replace(fit, findings=(*wrong, *findings))
+    return dataclasses.replace(fit, findings=(*errors_of(log.findings), *findings))
 
 
 def _figures(log: Experiment, residual: Vector, count: int, solution: Solution) -> dict[str, Any]:

@@ -148,7 +148,9 @@ class View:
         if not findings:
             return self
         notes = (*map(str, findings), *self.notes)
-        return replace(self, headline=f"the log is unusable; {self.headline}", notes=notes, state="not shown")
+        return replace(
+            self, headline=f"the input is in doubt; {self.headline}", notes=notes, state="not shown"
+        )
 
     def _repr_html_(self) -> str:
         """What a notebook shows."""

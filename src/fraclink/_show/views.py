@@ -171,7 +171,9 @@ def _design_view(design: Design) -> View:
     )
     headline = f"controller k_d = {number(c.gain, 5)}, β = {number(c.order, 5)}{filtered}"
     tables = (requirements_table(design.requirements),)
-    return View(headline, tables, tuple(map(str, design.findings)), state_of(design))
+    missed = any(not item.passed for item in design.requirements)
+    state = "not shown" if design.doubts and not missed else state_of(design)
+    return View(headline, tables, tuple(map(str, design.findings)), state)
 
 
 def _law_view(law: Law) -> View:

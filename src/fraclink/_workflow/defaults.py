@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any
 
 from fraclink._arm.link import LinkModel
@@ -55,8 +54,7 @@ def design_for(rig: Rig, model: LinkModel | None = None, **wanted: Any) -> tuple
         made, assumed = _completed_margin(link, rig, asked)
     else:
         made, assumed = _usual_crossover(link, rig, asked)
-    doubts = filter(None, map(rig.payloads.doubt, made.payloads))
-    return replace(made, findings=(*made.findings, *doubts)), assumed
+    return made, assumed
 
 
 # What the rig's [design] table completes, and what else in the request takes its place.

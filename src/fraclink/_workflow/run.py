@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+from fraclink._arm.doubts import doubts_of
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import STRUCTURES, LinkModel
 from fraclink._arm.reference import smooth_step
@@ -86,13 +87,16 @@ def run(
         known = rig.link.stiffness if log.output_kind == "deflection" else None
         comparison = identify_all(log, stiffness=known)
         chosen = structure or comparison.preferred
-        return replace(study, comparison=comparison, fit=comparison.fits[chosen])
+        fit = comparison.fits[chosen]
+        contradictions = doubts_of(rig, fit.model)
+        findings = tuple(dict.fromkeys((*study.findings, *contradictions)))
+        return replace(study, comparison=comparison, fit=fit, findings=findings)
 
     def controller(study: Study) -> Study:
         assert study.fit is not None  # noqa: S101
         model, assumed = _with_payload(study.fit.model, rig)
         made, more = design_for(rig, model, **wanted)
-        made = made.with_law()
+        made = made.doubted(study.fit.findings).with_law()
         assumptions = (*study.assumptions, *assumed, *more)
         return replace(study, design=made, law=made.law(), assumptions=assumptions)
 

@@ -127,6 +127,8 @@ class Study:
         # A design may be good and the log behind it wrong: a reversed gauge fits as well as a right one.
         wrong = [("the log", finding) for finding in self.findings]
         wrong += [("the model", finding) for finding in (self.fit.findings if self.fit else ())]
+        said = {finding for _, finding in wrong}
+        wrong += [("the design", f) for f in (self.design.findings if self.design else ()) if f not in said]
         doubts = [f"{what}: {f.message}. {f.remedy}" for what, f in wrong if f.severity == "error"]
         return Verdict(
             _scope(self._broken_promises(), doubts, self.design is not None),
