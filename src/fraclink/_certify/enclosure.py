@@ -29,12 +29,12 @@ from fraclink._law import block as layout
 __all__ = ["BoxLoop"]
 
 Real = NDArray[np.float64]
-ZETA_3 = 1.20206  # upper bound of Σ j^-3
+ZETA_3 = 1.20206  # upper bound of Σ j^-3, j from 1
 
 
 @dataclass(frozen=True)
 class FrequencyWindow:
-    """Over frequencies: F but for delay and motor, a bound of the aliases, x, and y (Cm1 + Cm2)."""
+    """Over frequencies: F but for delay and motor, what aliases share with L, x, and y (Cm1 + Cm2)."""
 
     front: Disc
     alias: Real
@@ -57,7 +57,8 @@ class BoxLoop:
         self.low["frequency"] = s.lowest
         self.high["frequency"] = math.nextafter(math.pi / self.period, math.inf) * (1 + ROUNDING)
         self.axes = tuple(name for name in AXES if self.low[name] < self.high[name])
-        self.tail = self._tail()
+        # Bound of the aliases of L at low frequencies, over |K| |y|.
+        self.tail = float(self._alias_sum(self.box(*self.root()))[0]) * 2 / self.period
 
     def root(self) -> tuple[Real, Real]:
         """The whole box, two arrays of shape (1, axes)."""
@@ -82,17 +83,18 @@ class BoxLoop:
         w, late = self._variable("frequency", box["frequency"]), self._variable("delay", box["delay"])
         slow = self._variable("motor", box["motor"]).inverse()
         rest = window.front * (w * late * -1j).exp()
+        alias = window.alias * self._alias_sum(box)
         if self.motor_loop == "ideal":
             lag = (1 + w * slow * 1j).inverse()
-            return rest * lag * lag, window.alias
+            return rest * lag * lag, alias
         # Near the motor loop's resonance X is small: its own slopes enclose it more closely than its terms.
         middle = box["frequency"].middle
         at_motor = Disc(box["motor"].middle).inverse()
         centre = self.closing(self._window(Span(middle, middle)), Disc(late.c), at_motor)
         steps = {"frequency": w.r, "delay": late.r, "motor": box["motor"].disc().r}
         lag = self.closing(window, late, slow).closer(centre, steps).inverse()
-        # the voltage beside Ĉ is C/X, X = A (y²/A + Z); the tail has A itself
-        return rest * lag, window.alias * lag.most() * slow.most()
+        # the voltage beside Ĉ is C/X, X = A (y²/A + Z); the sum has A itself
+        return rest * lag, alias * lag.most() * slow.most()
 
     def _window(self, frequency: Span) -> FrequencyWindow:
         """What frequencies contribute, whatever the parameters."""
@@ -101,12 +103,13 @@ class BoxLoop:
         y = 1 - x
         kernel = self._kernel(z)
         front = kernel * y * y * s.inverse() * (1 / self.period)
-        alias = kernel.most() * y.most() * self._alias_share(frequency) * self.tail
+        turned = np.minimum(y.most(), 2.0)
+        alias = kernel.most() * turned**2 * (1 + 1e-9) / self.period
         both = y
         if self.motor_loop == "sampled":
             first, both = self.controllers(x)
             front = front * y * first * (s * (s + self.statement.decay)).inverse()
-            alias = alias * 2 * first.most()
+            alias = alias * turned * first.most()
         if np.any(frequency.low < frequency.high):
             middle = frequency.middle
             front = front.closer(self._window(Span(middle, middle)).front, {"frequency": w.r})
@@ -241,42 +244,43 @@ class BoxLoop:
 
     # ---- bounds outside the tree --------------------------------------------------------------------------
 
-    def _tail(self) -> float:
-        """Bound of ``Σ_{k≠0} |F(s_k)/s_k| · 2/Ts``, what the aliases have beside Ĉ and the voltage.
+    def _alias_sum(self, box: dict[str, Span]) -> Real:
+        """Bound of ``Σ_{k≠0} |F(s_k)/s_k|`` but for what every term shares, over boxes.
 
-        |ω + kω_s| >= j π/Ts for j = 1, 2, … and |F(s)/s| falls at least like ω^-3 from π/Ts on, so the sum is
-        at most ζ(3) times its first term. It falls with q and λ, and rises with every other parameter.
+        The nearest alias of ω <= w, the Nyquist frequency, lies at v = 2w − ω, and is bounded with the box's
+        own gauge and motor. Every other lies at 2jw or above, or at (2j + 1)w or above, for j = 1, 2, …; as
+        |F(s)/s| falls at least like ω^-3 they are Σ 1/(2j)³ + 1/(2j + 1)³ = ζ(3) − 1 of a term at w.
         """
-        s, low, high, w = self.statement, self.low, self.high, math.pi / self.period
-        drag = low["softness"] * high["damping"] * w**s.damping_order
-        stiff = low["softness"] * w ** low["order"] - 1 - drag
-        if not stiff > 0 or w <= 1.0:
-            return math.inf
-        motor = high["motor"] / w**2 if self.motor_loop == "sampled" else (high["motor"] / w) ** 2
-        gain = self.read * high["gauge_gain"]
-        tip = gain * (1 + drag) / stiff + self._unread_bound(w)
-        return float(ZETA_3 * motor * tip / w * 2 / self.period * (1 + 1e-9))
+        w = math.pi / self.period
+        ratio = np.minimum(Span.around(box["frequency"].low / w, box["frequency"].high / w).high, 1.0)
+        near = w * (2.0 - ratio) * (1 - 1e-9)
+        highest = (2.0 * w - box["frequency"].low) * (1 + 1e-9)
+        motor = box["motor"].high
+        first = self._tip_bound(box, near, highest) / near**3
+        if self.motor_loop == "ideal":
+            motor = motor**2
+            first = first * (near**2 / (near**2 + motor))
+        rest = self._tip_bound(box, np.full(near.shape, 2.0 * w), np.full(near.shape, math.inf))
+        return np.asarray(motor * (first + (ZETA_3 - 1.0) * rest / w**3) * (1 + 1e-9))
 
-    def _alias_share(self, frequency: Span) -> Real:
-        """What of the tail is left at ω below the Nyquist frequency w, where the aliases lie farther up.
+    def _tip_bound(self, box: dict[str, Span], low: Real, high: Real) -> Real:
+        """Bound of |H| at frequencies in [low, high]: κ c g |G|, |1 − E| and |E R|.
 
-        Those at kω_s − ω >= k (ω_s − ω) and at kω_s + ω >= kω_s are ζ(3) times their first terms at most, and
-        these fall like the cube from w = ω_s/2.
+        |G| falls with q, λ and ω, and rises with the damping. |1 − E|² = (1 − g)² + 4 g sin²(θ/2) with θ the
+        angle by which the gauge is late: at most 1 + g from half a turn on.
         """
-        ratio = frequency.high * self.period / math.pi
-        return np.minimum(1.0, (2.0 - np.minimum(ratio, 1.0)) ** -3.0 + 0.125) * (1 + 1e-9)
-
-    def _unread_bound(self, w: float) -> float:
-        """Bound of |1 − E (1 + R)| from the frequency `w` on: |H| is at most κ c g |G| and this."""
-        low, high = self.low, self.high
-        gains = [self.read * side["gauge_gain"] for side in (low, high)]
-        turned = 1 + gains[1] if high["gauge_delay"] else max(abs(1 - gain) for gain in gains)
-        ratio = high["mode_frequency"] / w
-        if ratio < 0.7:
-            peak = 1 / (1 - ratio**2)
-        else:  # the mode lies near the aliases: nowhere is |R| above its gain times 1/(2ζ sqrt(1 − ζ²))
-            peak = self.mode_peak
-        return turned + gains[1] * high["mode_gain"] * peak
+        gains = [self.read * end for end in (box["gauge_gain"].low, box["gauge_gain"].high)]
+        drag = box["softness"].low * box["damping"].high * low**self.statement.damping_order
+        stiff = box["softness"].low * low ** box["order"].low - 1 - drag
+        tip = np.where(stiff > 0, gains[1] * (1 + drag) / np.where(stiff > 0, stiff, 1.0), np.inf)
+        late = box["gauge_delay"].high
+        turn = np.where(late > 0.0, np.minimum(np.where(late > 0.0, late, 1.0) * high, math.pi), 0.0)
+        off = np.maximum(np.abs(1 - gains[0]), np.abs(1 - gains[1]))
+        unread = np.sqrt(off**2 + 4 * gains[1] * np.sin(0.5 * turn) ** 2)
+        ratio = box["mode_frequency"].high / low
+        # Near the mode |R| is nowhere above its gain times 1/(2ζ sqrt(1 − ζ²)).
+        peak = np.where(ratio < 0.7, 1 / np.maximum(1 - ratio**2, 0.5), self.mode_peak)
+        return np.asarray((tip + unread + gains[1] * box["mode_gain"].high * peak) * (1 + 1e-9))
 
     @property
     def mode_peak(self) -> float:
@@ -290,7 +294,7 @@ class BoxLoop:
         soft = self.high["softness"] * w ** self.low["order"]
         drag = self.high["softness"] * self.high["damping"] * w**s.damping_order
         ratio = w / self.low["mode_frequency"] if self.high["mode_gain"] else 0.0
-        if not (soft + drag < 0.5 and w < 1 and ratio < 0.5):
+        if not (soft + drag < 0.5 and w < 1 < math.pi / self.period and ratio < 0.5):
             return math.inf
         mode = self.high["mode_gain"] * ratio**2 / (1 - ratio**2)
         tip = 1 + self.read * self.high["gauge_gain"] * (soft / (1 - soft - drag) + mode)
