@@ -22,6 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fraclink._certify.correction import modes_of
 from fraclink._certify.discs import ROUNDING, Disc, Span
 from fraclink._certify.statement import AXES, Statement
 from fraclink._law import block as layout
@@ -50,7 +51,7 @@ class BoxLoop:
         c = statement.coefficients
         self.motor_loop = s.motor_loop
         self.period, self.direct = float(c["period"]), float(c["direct"])
-        self.modes = _modes(c)
+        self.modes = modes_of(c)
         self.read = float(c["compliance"]) * s.stiffness
         self.pid = {name: float(c[name]) for name in layout.PID}
         self.low, self.high = s.box
@@ -353,14 +354,3 @@ def _inside_circle(coefficients: list[float]) -> bool:
         k = a[-1] / a[0]
         a = [a[i] - k * a[-1 - i] for i in range(len(a) - 1)]
     return True
-
-
-def _modes(c: dict[str, object]) -> list[tuple[complex, complex]]:
-    """(pole, gain) of every mode, conjugates included."""
-    real, pair = c["real"], c["pair"]
-    found = [(complex(p), complex(g)) for p, g in zip(real[::2], real[1::2], strict=True) if g]  # type: ignore[index]
-    for re, im, g, x in zip(*(pair[k::4] for k in range(4)), strict=True):  # type: ignore[index]
-        if g or x:
-            pole, gain = complex(re, im), complex(g, x) / 2
-            found += [(pole, gain), (pole.conjugate(), gain.conjugate())]
-    return found

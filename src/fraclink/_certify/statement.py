@@ -16,13 +16,24 @@ from typing import Any
 from fraclink._arm.box import ParameterBox, outward
 from fraclink._arm.link import LinkModel
 from fraclink._arm.rig import Rig
+from fraclink._certify.correction import LEAST_RANGE, linear_range, modes_of
 from fraclink._display import displayed
 from fraclink._files import read_json, write_json
 from fraclink._law import Law
 from fraclink._law import block as layout
 from fraclink.errors import FieldError, FileFormatError, NotCertifiedError
 
-__all__ = ["ASSUMPTIONS", "AXES", "LEAVES", "LETTERS", "Certificate", "Statement", "linear_range", "state"]
+__all__ = [
+    "ASSUMPTIONS",
+    "AXES",
+    "LEAVES",
+    "LETTERS",
+    "Certificate",
+    "Statement",
+    "linear_range",
+    "modes_of",
+    "state",
+]
 
 KIND, FORMAT = "certificate", 3
 # What a leaf is a box of, and the letter of the tree that cuts it. "softness" is q = 1/ω₀², "motor" p or A.
@@ -65,10 +76,9 @@ CLAIM = (
     "every frequency; tip errors up to {linear_range} rad meet no limit of the command."
 )
 COMPLIANCE_TOLERANCE = 1e-6  # of 1/c: what rounding to single precision takes, six times over
-LEAST_RANGE = 1e-5  # [rad]: a law whose limits act on smaller errors than 10 µrad never corrects anything
-_LOWEST = (
-    2.0**-20
-)  # of the Nyquist frequency: 0.7 mrad/s at 4 ms, where |Ĉ| is below 1e-3 of its crossover value
+# [rad per sample]: |L| is bounded from 0 to 2^-20 of the Nyquist frequency, 0.7 mrad/s at 4 ms, where |Ĉ| is
+# below 1e-3 of its crossover value; or to a twentieth of the rate of a mode that is slower than that.
+_LOWEST, _SLOWEST = 2.0**-20 * math.pi, 0.05
 
 
 @dataclass(frozen=True)
@@ -284,36 +294,6 @@ def _damaged(field: str, value: object, allowed: str) -> FileFormatError:
     return FileFormatError(field, value, "not that of a certificate", allowed=allowed, remedy=remedy)
 
 
-def linear_range(coefficients: Mapping[str, Any]) -> float:
-    """Return the tip error [rad] up to which no limit of the command acts, rounded down to two digits.
-
-    For |e| ≤ X a state of mode p stays within X (1 + |1 − p|/(1 − |p|)) and the correction within X times
-    2|d| + Σ|g| (1 + |1 − p|/(1 − |p|)): l1 norms, term by term. FieldError where a limit leaves less than
-    `LEAST_RANGE`: such a law is not the filter that its modes describe.
-    """
-    c = coefficients
-    real, pair = c["real"], c["pair"]
-    modes = [(complex(p), abs(g)) for p, g in zip(real[::2], real[1::2], strict=True)]
-    modes += [
-        (complex(p, y), math.hypot(g, x)) for p, y, g, x in zip(*(pair[k::4] for k in range(4)), strict=True)
-    ]
-    norms = [(1 + abs(1 - p) / (1 - abs(p)) if abs(p) < 1 else math.inf, g) for p, g in modes if g]
-    gain = 2 * abs(c["direct"]) + sum(norm * g for norm, g in norms)
-    command = min(c["sum_limit"], c["motor_limit"], c["motor_step"] / 2) / max(gain, 1e-300)
-    reach = min(command, c["correction_limit"] / max([norm for norm, _ in norms] + [1.0])) * (1 - 1e-9)
-    if not (math.isfinite(reach) and reach >= LEAST_RANGE):
-        allowed = f"limits that errors of {LEAST_RANGE:g} rad do not meet"
-        raise FieldError(
-            "law.limits",
-            reach,
-            "too narrow for the correction",
-            allowed=allowed,
-            remedy="use the derived limits",
-        )
-    digit = 10.0 ** (math.floor(math.log10(reach)) - 1)
-    return float(f"{math.floor(reach / digit) * digit:.2g}")
-
-
 def _check_law(law: Law, model: LinkModel) -> None:
     """FieldError where the law's gauge or its limits are not those of the link that the claim is about."""
     c = law.coefficients
@@ -366,6 +346,8 @@ def state(
         remedy = "certify with the gauge's true sign and delay"
         raise FieldError("model.gauge_delay", model.gauge_delay, "negative", allowed=">= 0 s", remedy=remedy)
     _check_law(law, model)
+    # A pole outside the unit circle is refused where the proof begins.
+    gaps = [1 - abs(p) for p, _ in modes_of(law.coefficients) if abs(p) < 1]
     ideal, ratio = motor_loop == "ideal", box.motor_ratio
     soft = [1.0 / (w0**2 * model.payload) for w0 in reversed(box.natural_frequency)]  # type: ignore[operator]
     motor = outward(*(law.inner_pole * x for x in ratio)) if ideal else (0.0, 0.0)
@@ -394,7 +376,7 @@ def state(
         nominal_payload=nominal_payload,
         decay=0.0 if ideal else float(rig.motor.decay),
         modulus=float(modulus),
-        lowest=_LOWEST * math.pi / law.period,
+        lowest=min([_LOWEST, *(_SLOWEST * gap for gap in gaps)]) / law.period,
         linear_range=linear_range(law.coefficients),
         **ends,
     )
