@@ -116,7 +116,7 @@ def on_motor(case: Case, plant: SampledPlant, delay: float, gain: float) -> Samp
 # ---- the search -------------------------------------------------------------------------------------------
 
 
-def worst(case: Case, rng: np.random.Generator, *, points: int = 300, starts: int = 3) -> tuple[float, Real]:
+def worst(case: Case, rng: np.random.Generator, *, points: int = 150, starts: int = 2) -> tuple[float, Real]:
     """(smallest |1 + L| found, its point with ω at the end): corners, random points, then downhill."""
     low, high = case.ends
     nyquist = math.pi / case.law.period
@@ -264,8 +264,11 @@ def against_search(count: int, seed: int) -> None:
         begin = time.process_time()
         certificate = case.certified()
         spent = time.process_time() - begin
-        truth, _ = worst(case, rng)
         claim = certificate.statement.modulus
+        if "stable" in certificate.verdict and not certificate.passed:
+            print(f"  {number:2d} {case.name:<26} {certificate.verdict[:80]}", flush=True)
+            continue
+        truth, _ = worst(case, rng)
         if certificate.passed:
             gaps.append(truth - claim)
             note = "proved"

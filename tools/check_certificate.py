@@ -51,7 +51,6 @@ def board(law):  # SHA-256 of the block on the board: of law_data.h, packed once
     room = {"period": 1, "compliance": 1, "direct": 1, "real": 16, "pair": 8, "forward_direct": 1, "forward": 16}
     flat = (x for k in [*room, *(k for k in [*rows][14:] if k not in room)] for x in (rows.get(k, []) + [0.0] * room.get(k, 1))[: room.get(k, 1)])
     return sha(struct.pack(f"<14I79{'fd'[width == 8]}", version, length, width, crc, *counts, *flat))
-
 class Loop:
     def __init__(self, s):
         self.s, self.ideal, numbers = s, s["motor_loop"] == "ideal", [s[k] for k in s if k not in TEXT]
