@@ -18,10 +18,11 @@ from test_export import run as shell
 ROWS = signals(2000)
 
 
-def _replay(folder: Path, made: Law, compiler: str = "gcc") -> Replay:
+def _replay(folder: Path, made: Law, compiler: str = "gcc", *, allow_changed: bool = False) -> Replay:
     tool(compiler)
     names = ("reference", "reference_acceleration", "motor_angle", "torque")
-    return replay(folder, made, compiler=compiler, **dict(zip(names, ROWS, strict=True)))
+    signals = dict(zip(names, ROWS, strict=True))
+    return replay(folder, made, compiler=compiler, allow_changed=allow_changed, **signals)
 
 
 @pytest.mark.parametrize("precision", ["single", "double"])
@@ -45,7 +46,7 @@ def test_a_changed_law_is_found_in_its_period(tmp_path: Path) -> None:
     source.write_text(
         text.replace("sum += modes[i].gain * value;", "sum -= modes[i].gain * value;"), encoding="utf-8"
     )
-    result = _replay(tmp_path / "firmware", made)
+    result = _replay(tmp_path / "firmware", made, allow_changed=True)
     assert not result.passed
     assert result.first_difference in (1, 2)
     assert result.largest_difference > 1e-6
@@ -59,7 +60,7 @@ def test_what_is_no_export_of_this_law_is_refused(tmp_path: Path) -> None:
         _replay(tmp_path / "firmware", law("single"))
     (tmp_path / "firmware" / "law.c").write_text("not C", encoding="utf-8")
     with pytest.raises(FieldError, match="refused by the compiler"):
-        _replay(tmp_path / "firmware", law("double"))
+        _replay(tmp_path / "firmware", law("double"), allow_changed=True)
     rest = np.zeros(3)
     with pytest.raises(FieldError, match="not installed"):
         replay(
@@ -70,7 +71,42 @@ def test_what_is_no_export_of_this_law_is_refused(tmp_path: Path) -> None:
             motor_angle=rest,
             torque=rest,
             compiler="no-such-compiler",
+            allow_changed=True,
         )
+
+
+_RUN = '__attribute__((constructor)) static void ran(void) {{ fclose(fopen("{mark}", "w")); }}\n'
+
+
+@pytest.mark.parametrize("file", ["law.c", "law.h", "law_data.h"])
+@pytest.mark.parametrize("how", ["appended", "in front", "behind a comment", "in the first comment's line"])
+def test_code_that_is_not_ours_is_not_run_unless_it_is_allowed(file: str, how: str, tmp_path: Path) -> None:
+    """The changed file writes a mark as soon as it is run: the oracle is the file system."""
+    made, mark = law("double"), tmp_path / "ran"
+    export_c(made, tmp_path / "firmware", title="its title is free")
+    path = tmp_path / "firmware" / file
+    own, code = path.read_text(encoding="utf-8"), "#include <stdio.h>\n" + _RUN.format(mark=mark)
+    changed = {
+        "appended": own + code,
+        "in front": code + own,
+        "behind a comment": f"// /*\n{code}// */\n{own}",
+        "in the first comment's line": own.replace("*/", "*/\n" + code, 1),
+    }[how]
+    path.write_text(changed, encoding="utf-8")
+    with pytest.raises(FieldError, match="compiles and runs it on this computer") as refused:
+        _replay(tmp_path / "firmware", made)
+    assert refused.value.value == file
+    assert not mark.exists()
+    if file != "law.h":  # it is included twice, and the mark would be defined twice
+        _replay(tmp_path / "firmware", made, allow_changed=True)
+        assert mark.exists()
+
+
+def test_a_header_of_c_beside_the_law_is_not_taken_for_cs_own(tmp_path: Path) -> None:
+    export_c(law("double"), tmp_path / "firmware")
+    for header in ("math.h", "string.h", "stdint.h", "stdio.h"):
+        (tmp_path / "firmware" / header).write_text("#error not the header of C\n", encoding="utf-8")
+    assert _replay(tmp_path / "firmware", law("double")).passed
 
 
 def test_the_mat_file_is_the_discrete_law(tmp_path: Path) -> None:
@@ -135,8 +171,12 @@ def test_the_verb_replays_a_log(precision: str, tmp_path: Path, capsys: pytest.C
     source = tmp_path / "firmware" / "law.c"
     text = source.read_text(encoding="utf-8")
     source.write_text(text.replace("sum += modes", "sum -= modes"), encoding="utf-8")
-    assert fraclink(["replay", firmware, "demo"]) == 1
-    assert "first difference in period" in capsys.readouterr().out
+    assert fraclink(["replay", firmware, "demo"]) == 2
+    assert "add --allow-changed" in " ".join(capsys.readouterr().err.split())
+    assert fraclink(["replay", firmware, "demo", "--allow-changed"]) == 1
+    printed = capsys.readouterr()
+    assert "first difference in period" in printed.out
+    assert "law.c was compiled and run on this computer" in " ".join(printed.err.split())
     assert fraclink(["replay", str(tmp_path), "demo"]) == 2
     assert "not an export" in capsys.readouterr().err
 

@@ -166,13 +166,17 @@ def replay(
     log_file: Annotated[str, typer.Argument(metavar="LOG"), "Log file, or demo for the bundled one"],
     rig: RigName = "paper-2023",
     column: Columns = None,
+    allow_changed: Annotated[bool, "Compile and run C that differs from what fraclink exports"] = False,
 ) -> Answer:
     """Compile an exported law and run a log through it beside the package's: bit for bit, or exit code 1.
 
+    The folder's law.c, law.h and data are compiled by cc and run on this computer, with your rights. Files
+    that are not as `fraclink export c` writes them are refused.
+
     $ fraclink replay firmware log.csv --rig rig.toml
     """
-    result = replay_log(folder, load_log(log_file, load_rig(rig), column))
-    return Answer(result, result.passed)
+    result = replay_log(folder, load_log(log_file, load_rig(rig), column), allow_changed=allow_changed)
+    return Answer(result, result.passed, remarks=(f"{folder}/law.c was compiled and run on this computer",))
 
 
 # --- real time --------------------------------------------------------------------------------------------

@@ -1,4 +1,8 @@
-"""Replay: compile an exported law and run a log through it, period by period, beside the package's own."""
+"""Replay: compile an exported law and run a log through it, period by period, beside the package's own.
+
+The C of the folder runs on this computer with the rights of its user. Files that are not what `export_c`
+writes for the folder's law.json are therefore refused, unless the caller allows them.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +16,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fraclink._arm.experiment import Experiment
+from fraclink._export.data import data_header
 from fraclink._export.names import identifier
+from fraclink._export.sources import law_source
 from fraclink._files import checked_path
 from fraclink._law import Law
 from fraclink._validate import checked_noun, checked_series
@@ -87,9 +93,12 @@ def replay(
     torque: ArrayLike,
     name: str = "law_data",
     compiler: str = "cc",
+    allow_changed: bool = False,
 ) -> Replay:
     """Compile the law exported to `folder`, run the log through it and compare it with `law`, period by
     period.
+
+    The C of the folder is compiled and run on this computer.
 
     Parameters
     ----------
@@ -101,11 +110,14 @@ def replay(
         of the block.
     compiler
         a C compiler on the PATH.
+    allow_changed
+        whether law.c, law.h or the header of the block may differ from what `export_c` writes.
 
     Raises
     ------
     FieldError
-        the folder holds no export, its block is not that of `law`, or the compiler fails.
+        the folder holds no export, its block is not that of `law`, its files were changed, or the compiler
+        fails.
 
     >>> import fraclink as fl, tempfile
     >>> from fraclink._export import export_c, replay
@@ -131,6 +143,8 @@ def replay(
         )
     )
     _check_block(place, law, name)
+    if not allow_changed:
+        _check_unchanged(place, law, name)
     output = _compiled(place, law, name, compiler, rows.tobytes())
     got = np.frombuffer(output, dtype=np.float64).reshape(-1, 6)
     _, own = law.run(law.initial_state(), *rows.T)
@@ -163,11 +177,14 @@ def _signals(**given: ArrayLike) -> list[Real]:
     return columns
 
 
-def replay_log(folder: Path | str, log: Experiment, *, compiler: str = "cc") -> Replay:
+def replay_log(
+    folder: Path | str, log: Experiment, *, compiler: str = "cc", allow_changed: bool = False
+) -> Replay:
     """Run the sensors of a log through the law exported to `folder` and through the package's, and compare.
 
     The motor's own path is the reference, with acceleration 0, so that the guards see a motor that
-    follows. The law is the folder's law.json. Raises FieldError where its period [s] is not that of the log.
+    follows. The law is the folder's law.json. Raises FieldError where its period [s] is not that of the log,
+    or where the C of the folder was changed, unless `allow_changed`: it is compiled and run on this computer.
     """
     checked_noun("log", log, Experiment, remedy="read_log makes one")
     place = checked_path("folder", folder)
@@ -194,6 +211,7 @@ def replay_log(folder: Path | str, log: Experiment, *, compiler: str = "cc") -> 
         torque=torque,
         name=headers[0] if headers else "law_data",
         compiler=compiler,
+        allow_changed=allow_changed,
     )
 
 
@@ -217,6 +235,30 @@ def _check_block(place: Path, law: Law, name: str) -> None:
         )
 
 
+def _check_unchanged(place: Path, law: Law, name: str) -> None:
+    """Refuse C that this release does not export for `law`; only the title in the first comment is free."""
+
+    def code(text: bytes) -> bytes:
+        # What follows the first comment, in which a title stands; a file that begins otherwise is all code.
+        return text.partition(b"*/")[2] if text.startswith(b"/*") else text
+
+    ours = {file: law_source(file) for file in ("law.h", "law.c")}
+    ours[f"{name}.h"] = data_header(law, name=name, title="").encode()
+    changed = [
+        file
+        for file, text in ours.items()
+        if not (place / file).is_file() or code((place / file).read_bytes()) != code(text)
+    ]
+    if changed:
+        raise FieldError(
+            "firmware",
+            ", ".join(changed),
+            "not as this release exports it, and replay compiles and runs it on this computer",
+            allowed="the files of fraclink export c",
+            remedy="export the law again, or add --allow-changed (allow_changed=True) if you trust them",
+        )
+
+
 def _compiled(place: Path, law: Law, name: str, compiler: str, log: bytes) -> bytes:
     found = shutil.which(checked_noun("compiler", compiler, str, remedy="a name on the PATH, such as cc"))
     if found is None:
@@ -225,11 +267,17 @@ def _compiled(place: Path, law: Law, name: str, compiler: str, log: bytes) -> by
         )
     with tempfile.TemporaryDirectory() as scratch:
         source, program = Path(scratch) / "replay.c", Path(scratch) / "replay"
+        for file in ("law.h", "law.c", f"{name}.h"):  # alone: a math.h beside them would be taken for C's own
+            if (place / file).is_file():
+                shutil.copyfile(place / file, Path(scratch) / file)
         source.write_text(_HARNESS.replace("@DATA@", f"{name}.h").replace("@NAME@", name), encoding="utf-8")
         single = ["-DLAW_SINGLE"] if law.precision == "single" else []
-        command = [found, "-std=c99", "-O2", "-ffp-contract=off", *single, f"-I{place}", str(source)]
+        command = [found, "-std=c99", "-O2", "-ffp-contract=off", *single, str(source)]
         built = subprocess.run(  # noqa: S603 - the compiler the caller named, on files that were checked
-            [*command, str(place / "law.c"), "-o", str(program)], capture_output=True, text=True, check=False
+            [*command, str(source.with_name("law.c")), "-o", str(program)],
+            capture_output=True,
+            text=True,
+            check=False,
         )
         if built.returncode:
             raise FieldError(
