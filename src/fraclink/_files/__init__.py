@@ -37,6 +37,7 @@ from fraclink._files.containers import (
     atomic_write,
     broken,
     checked_path,
+    edited,
     guarded,
     header_of,
     json_text,
@@ -96,6 +97,7 @@ _HOMES = {
     "rig": "fraclink._arm.rig",
     "run": "fraclink._simulate",
     "served-arm": "fraclink._realtime",
+    "study": "fraclink._workflow.study",
     "sweep": "fraclink._campaign",
     "twin-run": "fraclink._simulate",
 }
@@ -294,7 +296,7 @@ def load(path: Path | str, kind: type[Any] | tuple[type, ...] | None = None) -> 
         return getattr(found.cls, "load")(place)  # noqa: B009 - what such a class offers
     data, arrays = _read(place)
     found = _registered(data.get("fraclink"), wanted, place)
-    content = _content(data, arrays, found)
+    content = _content(data, arrays, found, place)
     return codec_of(found.cls).decode(content, "", Storage(found.hex_floats, arrays))
 
 
@@ -349,12 +351,12 @@ def _registered(kind: object, wanted: tuple[type, ...], place: Path) -> _Documen
     return found
 
 
-def _content(data: dict[str, Any], arrays: Mapping[str, NDArray[Any]], found: _Document) -> Any:
+def _content(data: dict[str, Any], arrays: Mapping[str, NDArray[Any]], found: _Document, place: Path) -> Any:
     """Return the content in today's format, after the digest of what was written has been compared."""
     # The version first: a later format may count its digest otherwise.
     steps = _steps(str(data["fraclink"]), data.get("format"), found)
     if "content" in data:
-        _check_digest(data, arrays)
+        _check_digest(data, arrays, place)
         content = data["content"]
     elif steps:  # of the first formats, which had no digest: content and envelope were one object
         content = {key: item for key, item in data.items() if key not in _BEFORE_DIGESTS}
@@ -387,13 +389,12 @@ def _unread(found: _Document, version: object) -> FileFormatError:
     return FileFormatError("format", version, problem, allowed=allowed, remedy=remedy)
 
 
-def _check_digest(data: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> None:
-    unknown = sorted(set(data) - _ENVELOPE)
-    if unknown:
+def _check_digest(data: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]], place: Path) -> None:
+    if unknown := sorted(set(data) - _ENVELOPE):
         raise misfit(unknown[0], data[unknown[0]], "an unknown key", ", ".join(sorted(_ENVELOPE)))
     actual = {name: _array_digest(values) for name, values in arrays.items()}
     if data.get("arrays", {}) != actual:
         raise misfit("arrays", ", ".join(actual), "changed after they were written", "the arrays as written")
     digest = guarded(lambda: _digest(data), "sha256")
     if data.get("sha256") != digest:
-        raise misfit("sha256", data.get("sha256"), "content changed after it was written", digest)
+        raise edited(place, data.get("sha256"), digest)

@@ -169,6 +169,17 @@ def misfit(path: str, value: object, problem: str, allowed: str) -> FileFormatEr
     return FileFormatError(path or "content", value, problem, allowed=allowed, remedy="make the file again")
 
 
+def edited(place: Path, stated: object, digest: str) -> FileFormatError:
+    """Return the error about a document whose digest is not that of its content."""
+    return FileFormatError(
+        "sha256",
+        stated,
+        f"{place.name} was changed after it was written, and holds nothing that was computed any more",
+        allowed=f"{digest}, that of its content",
+        remedy="make the file again; to try another value, give it to the command or the function",
+    )
+
+
 def guarded(make: Callable[[], Any], path: str) -> Any:
     """Return what `make` returns; whatever it raises over the values of a file becomes FileFormatError."""
     try:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Literal
 
@@ -20,7 +20,7 @@ from fraclink._campaign.faults import FaultTable
 from fraclink._certify import Certificate
 from fraclink._design import Design
 from fraclink._display import displayed
-from fraclink._files import checked_path, from_plain, kind_of, load, read_json, save, write_json
+from fraclink._files import checked_path, document, kind_of, load, save
 from fraclink._identify import Comparison, Contest, Fit
 from fraclink._law import Law
 from fraclink._simulate import Run
@@ -216,31 +216,20 @@ def save_study(study: Study, folder: Path | str) -> None:
         save(study.experiment, place / "log.npz", force=True)
     if study.faults is not None:
         save(study.faults, place / "faults.json", force=True)
-    write_json(place / "study.json", "study", 1, _summary(study))
+    save(_remarks_of(study), place / "study.json", force=True)
 
 
-def _summary(study: Study) -> dict[str, Any]:
-    comparison = study.comparison
-    return {
-        "structure": study.fit.structure if study.fit else None,
-        "stopped": study.stopped,
-        "uncertified": study.uncertified,
-        "assumptions": list(study.assumptions),
-        "findings": [
-            {"code": f.code, "severity": f.severity, "message": f.message, "remedy": f.remedy}
-            | {"evidence": dict(f.evidence)}
-            for f in study.findings
-        ],
-        "comparison": None
-        if comparison is None
-        else {
-            "preferred": comparison.preferred,
-            "contest": asdict(comparison.contest),
-            "verdict": comparison.verdict,
-            "undecided": list(comparison.undecided),
-        },
-        "verdict": asdict(study.verdict),
-    }
+def _remarks_of(study: Study) -> _Remarks:
+    found = study.comparison
+    return _Remarks(
+        structure=study.fit.structure if study.fit else None,
+        stopped=study.stopped,
+        uncertified=study.uncertified,
+        assumptions=study.assumptions,
+        findings=study.findings,
+        comparison=found and _Preference(found.preferred, found.contest, found.verdict, found.undecided),
+        verdict=study.verdict,
+    )
 
 
 def load_study(folder: Path | str) -> Study:
@@ -278,9 +267,18 @@ class _Preference:
     undecided: tuple[str, ...] = ()
 
 
+def _from_first_format(data: dict[str, Any]) -> dict[str, Any]:
+    """The content of study.json of release 0.1, which had no digest; the verdict follows from the rest."""
+    data |= {"stopped": data.get("stopped", data.get("infeasible"))}
+    return {key: data[key] for key in (item.name for item in fields(_Remarks)) if key in data} | {
+        "verdict": None
+    }
+
+
+@document("study", version=2, upgrades={1: _from_first_format})
 @dataclass(frozen=True)
 class _Remarks:
-    """What study.json adds to the other files of its folder, in today's words."""
+    """What study.json adds to the other files of its folder; the verdict is for people and not read back."""
 
     structure: str | None = None
     stopped: str | None = None
@@ -288,21 +286,14 @@ class _Remarks:
     assumptions: tuple[str, ...] = ()
     findings: tuple[Finding, ...] = ()
     comparison: _Preference | None = None
-
-
-def _remarks(path: Path) -> _Remarks:
-    data = read_json(path, "study")
-    data |= {"stopped": data.get("stopped", data.get("infeasible"))}  # infeasible: release 0.1
-    return from_plain(
-        _Remarks, {field.name: data[field.name] for field in fields(_Remarks) if field.name in data}
-    )
+    verdict: Verdict | None = None
 
 
 def _gathered(place: Path, by_kind: Mapping[str, list[Path]]) -> Study:
     def first(kind: str, read: Callable[[Path], Any]) -> Any:
         return read(by_kind[kind][0]) if kind in by_kind else None
 
-    about = first("study", _remarks) or _Remarks()
+    about = first("study", lambda path: load(path, _Remarks)) or _Remarks()
     fits = {fit.structure: fit for fit in map(Fit.load, by_kind.get("fit", []))}
     made, proof = first("design", Design.load), first("certificate", Certificate.load)
     refuted = proof is not None and not proof.passed
