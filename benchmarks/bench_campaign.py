@@ -282,8 +282,8 @@ def rig_bytes(asked: Campaign, arm: LumpedArms) -> bytes:
     own = (arm.motor_gain, arm.motor_decay, arm.friction)
     gauge = (rig.gauge.limit, rig.gauge.quantum, float(arm.gauge_delay[0]), float(arm.gauge_gain[0]))
     reals = [law.period, law.inner_pole, *(float(value[0]) for value in own), 0.0, rig.encoder.resolution]
-    reals += [float(arm.gauge_offset[0]), float(arm.noise[0]), *gauge, 0.0]
-    return struct.pack("@3i4x14dQ", 1, SUBSTEPS, int(arm.delay_samples[0]), *reals, 0)
+    reals += [float(arm.gauge_offset[0]), float(arm.noise[0]), *gauge, float(arm.payload_given[0]), 0.0]
+    return struct.pack("@3i4x15dQ", 1, SUBSTEPS, int(arm.delay_samples[0]), *reals, 0)
 
 
 def compiled(folder: Path) -> str:

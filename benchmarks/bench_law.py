@@ -153,13 +153,14 @@ def _rig(**changed: object) -> dict[str, object]:
         "sampled": True, "substeps": 10, "delay": 1, "period": RIG.period, "pole": 80.0, "gain": motor.gain,
         "decay": motor.decay, "friction": motor.coulomb_torque / motor.inertia, "coupling": 0.0,
         "encoder": RIG.encoder.resolution, "offset": 0.01, "noise": 0.01, "limit": 4.0, "quantum": RIG.gauge.quantum,
-        "gauge_delay": 0.0, "gauge_gain": 1.0, "start": 0.0, "seed": 1,
+        "gauge_delay": 0.0, "gauge_gain": 1.0, "payload": 0.0, "start": 0.0, "seed": 1,
     } | changed  # fmt: skip
 
 
 def from_python(law: Law, weights: LinkWeights, reference: np.ndarray) -> tuple[float, float]:
     r = _rig()
     numbers = {name: np.array([float(r[name])]) for name in ("noise", "gauge_delay", "gauge_gain")}
+    numbers["payload_given"] = np.array([float(r["payload"])])
     arm = LumpedArms(
         links=weights, stiffness=np.array([1.56]), motor_gain=np.array([r["gain"]]),
         motor_decay=np.array([r["decay"]]), friction=np.array([r["friction"]]),
@@ -178,9 +179,9 @@ def _written(folder: Path, weights: object, reference: np.ndarray) -> Path:
 
     w, r = weights, _rig()
     rig = struct.pack(
-        "<iii4x14dQ", int(bool(r["sampled"])), r["substeps"], r["delay"],
+        "<iii4x15dQ", int(bool(r["sampled"])), r["substeps"], r["delay"],
         *(float(r[k]) for k in ("period", "pole", "gain", "decay", "friction", "coupling", "encoder", "offset",
-                                "noise", "limit", "quantum", "gauge_delay", "gauge_gain", "start")), r["seed"],
+                                "noise", "limit", "quantum", "gauge_delay", "gauge_gain", "payload", "start")), r["seed"],
     )  # fmt: skip
     parts = [
         w.first,

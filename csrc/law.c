@@ -32,6 +32,9 @@
 
 #define LAW_TINY ((law_real)1e-36F) /* square of 1e-18, far below any signal; the square of a float is still normal */
 #define LAW_LARGE ((law_real)1e6F)  /* bound of the wiring test's sums */
+#define LAW_NO_PAYLOAD ((law_real)-1e6F) /* none that is given: the next one is looked at */
+#define LAW_SCALES ((law_real)8)  /* no two scales of the feed-forward are farther apart */
+#define LAW_RESTS ((law_real)1e-5F) /* a reference model this near to the reference has come to rest [rad] */
 #define LAW_COUNT_MAX 0x7FFFFFFFU
 
 /* `value` within +-`limit`; NaN becomes 0. */
@@ -127,6 +130,8 @@ static void clear(law_state *s)
     s->frozen = 0U;
     s->repeated = 0U;
     s->repeated_at = 0U;
+    s->tracking = 0U;
+    s->given = 0U;
     /*@ loop unroll 8; */
     for (i = 0U; i < LAW_REAL_MODES; i++) {
         s->real[i] = zero;
@@ -152,6 +157,11 @@ static void clear(law_state *s)
     s->encoder = zero;
     s->encoder_model = zero;
     s->input_reference = zero;
+    s->payload = zero;
+    s->scale = (law_real)1;
+    s->track = zero;
+    s->track_push = zero;
+    s->late = zero;
     s->fade = (law_real)1;
     s->integral = zero;
     s->filter = zero;
@@ -176,7 +186,8 @@ static law_real alive(law_real mode)
     return ((mode * mode) < LAW_TINY) ? (law_real)0 : mode;
 }
 
-/* Set a mode to 0 if it has died away; the period's number chooses which, the same whatever room the arrays have. */
+/* Set a mode to 0 if it has died away, and look at the payload again; the period's number chooses what, the same whatever
+ * room the arrays have. */
 static void sweep(law_state *s)
 {
     const uint32_t i = s->tick & 31U;
@@ -190,6 +201,9 @@ static void sweep(law_state *s)
             s->pair[i - 16U] = alive(s->pair[i - 16U]);
         }
 #endif
+        if (i == 31U) {
+            s->payload = LAW_NO_PAYLOAD; /* a scale that a flipped bit has changed is found in the next look */
+        }
     }
 }
 
@@ -221,6 +235,8 @@ static uint32_t start(law_state *s, const law_params *p, const law_input *in)
         s->encoder = angle;
         s->encoder_model = s->model_angle;
         s->input_reference = angle;
+        s->scale = (law_real)2 * LAW_SCALES; /* the first payload counts at once */
+        s->payload = LAW_NO_PAYLOAD;
         if (credible(in->torque, p->torque_limit) != 0U) {
             s->torque = in->torque;
         }
@@ -542,33 +558,114 @@ static law_real faded(law_state *s, const law_params *p, law_real correction)
     return left;
 }
 
+/* Look at a payload that is not the one that was looked at before, and move the feed-forward's scale towards what it
+ * makes of 1/natural_frequency^2: no faster than `scale_step` in a period, because in the middle of a move a jump of
+ * the feed-forward rings the link. One that cannot be is as one that is not given: NaN fails all three comparisons. */
+static uint32_t weigh(law_state *s, const law_params *p, law_real payload)
+{
+    uint32_t flags = 0U;
+    law_real wanted = (law_real)1;
+    law_real change;
+    s->given = 0U;
+    if ((payload > (law_real)0) && (payload <= p->payload_limit)) {
+        wanted = p->link_scale + (p->payload_scale * payload);
+        s->given = 1U;
+    } else if (credible(payload, (law_real)0) == 0U) {
+        flags = LAW_FLAG_PAYLOAD;
+    } else {
+        /* none is given */
+    }
+    change = wanted - s->scale;
+    if ((credible(change, p->scale_step) != 0U) || (credible(change, LAW_SCALES) == 0U)) {
+        s->scale = wanted; /* there, just started, or damaged memory */
+        s->payload = (flags == 0U) ? payload : LAW_NO_PAYLOAD;
+    } else {
+        s->scale += clamped(change, p->scale_step);
+        s->payload = LAW_NO_PAYLOAD; /* on its way, and no payload stands for where it is */
+    }
+    return flags;
+}
+
+/* Let the reference model rest where the reference is. */
+static void rest_track(law_state *s)
+{
+    s->track = s->reference;
+    s->track_push = (law_real)0;
+    s->late = (law_real)0;
+}
+
+/* What the tip estimate shall be now. Without a payload it is the reference itself. With one, the feed-forward is
+ * right, and the tip follows the reference as the motor follows its own, late: the error is formed with just that
+ * lateness, and the correction does not fight it. A gauge that is late or has a gain of its own shows another flexion
+ * than the arm has: the difference goes through the same motor loop.
+ * The model outlasts its payload until it stands where the reference stands, so that no switch bumps the error. */
+static law_real expected(law_state *s, const law_params *p, law_real forward)
+{
+    law_real angle = s->reference;
+    if (s->given != 0U) {
+        if (s->tracking == 0U) {
+            rest_track(s);
+            s->tracking = 1U;
+        }
+    } else if ((s->tracking != 0U) && (credible(s->track - angle, LAW_RESTS) != 0U)) {
+        s->tracking = 0U;
+    } else {
+        /* goes on */
+    }
+    if (s->tracking != 0U) {
+        law_real track = s->track;
+        law_real push;
+        if (credible(track, p->angle_limit) == 0U) {
+            rest_track(s); /* damaged memory */
+            track = angle;
+        }
+        push = angle - track;
+        if ((p->options & LAW_LATE_GAUGE) != 0U) {
+            s->late = (p->gauge_now * forward) + (p->gauge_keep * s->late);
+            push += forward - s->late;
+        }
+        s->track = track + ((p->track_now * push) + s->track_push);
+        s->track_push = (p->track_next * push) + (p->track_keep * s->track_push);
+        angle = track;
+    }
+    return angle;
+}
+
 /* Everything between the clock and the outputs, for a law that is started. */
 static uint32_t run(law_state *s, const law_params *p, const law_input *in, law_output *out, uint32_t periods)
 {
     uint32_t flags = 0U;
     const law_real acceleration = follow(s, p, in, periods, &flags);
     law_real forward;
+    law_real tip;
+    law_real error;
     law_real correction;
     flags |= read_encoder(s, p, in, periods);
     if (credible(s->motor_reference, p->motor_limit) == 0U) {
         s->motor_reference = s->motor_angle; /* damaged memory: stay where the motor is */
     }
     sweep(s);
-    forward = feed_forward(s, p, acceleration);
+    if (credible(in->payload - s->payload, (law_real)0) == 0U) {
+        flags |= weigh(s, p, in->payload);
+    }
+    forward = s->scale * feed_forward(s, p, acceleration);
     if (credible(forward, p->sum_limit) == 0U) {
         heal(p->forward_limit, &s->forward[0], LAW_FORWARD_MODES);
         forward = clamped(forward, p->sum_limit);
+        s->payload = LAW_NO_PAYLOAD;
     }
     watch_gauge(s, p, in, p->stiffness * forward);
     flags |= read_gauge(s, p, in, periods);
     flags |= watch(s, p);
-    out->tip_estimate = s->motor_angle - (s->torque * p->compliance);
-    out->error = s->reference - out->tip_estimate;
-    correction = correct(s, p, out->error - s->error);
+    tip = s->motor_angle - (s->torque * p->compliance);
+    error = expected(s, p, forward) - tip;
+    correction = correct(s, p, error - s->error);
     if (credible(correction, p->sum_limit) == 0U) {
         correction = healed_correction(s, p, correction);
     }
-    s->error = out->error;
+    s->error = error;
+    out->tip_estimate = tip;
+    out->error = error;
     if (s->mode <= copied(LAW_DEGRADED)) {
         flags |= command(s, p, forward + faded(s, p, correction));
     } else {

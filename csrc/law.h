@@ -31,7 +31,7 @@ typedef float law_real;
 typedef double law_real;
 #endif
 
-#define LAW_VERSION 2U
+#define LAW_VERSION 3U
 /* The package compiles law.c with room for every design. A board may compile it for one design alone: the README of
  * an export gives the flags. Loops then have fixed lengths and the arrays no spare places; the
  * arithmetic, and so every bit of the outputs, stays the same. A block made for other lengths is refused by its size. */
@@ -52,6 +52,7 @@ typedef double law_real;
 
 /* Options of the parameter block. */
 #define LAW_WITH_INNER 1U /* the law closes the motor loop and gives a voltage */
+#define LAW_LATE_GAUGE 2U /* the gauge has a delay or a gain that the reference model counts on */
 
 /* Modes, in the order of severity. */
 #define LAW_IDLE 0U     /* not started: no valid encoder sample yet, or the parameters are refused */
@@ -87,6 +88,7 @@ typedef double law_real;
 #define LAW_FLAG_SATURATED 64U /* voltage limited */
 #define LAW_FLAG_STARTED 128U  /* started in this period, without a bump */
 #define LAW_FLAG_RESIDUAL 256U /* motor angle away from the motor model in this period */
+#define LAW_FLAG_PAYLOAD 512U  /* payload rejected: the law runs as if none were given */
 
 /* A real mode gain/(z - pole). The exporter's poles are numbers of single precision, so that both precisions
  * run the same filter. */
@@ -132,6 +134,15 @@ typedef struct {
     /* feed-forward: acceleration to motor angle, s^(order - 2)/natural_frequency^2 */
     law_real forward_direct;
     law_mode forward[LAW_FORWARD_MODES];
+    /* a payload that is given: the feed-forward times link_scale + payload_scale payload, and what the tip estimate
+     * shall be by now, H/(z - 1 + H) of the reference with H = track_now + track_next/(z - track_keep) */
+    law_real link_scale;
+    law_real payload_scale; /* [1/kg] */
+    law_real track_now;
+    law_real track_next;
+    law_real track_keep;
+    law_real gauge_now; /* the gauge's gain and delay, as a lag, on the flexion of the feed-forward; 1 and 0 for none */
+    law_real gauge_keep;
     /* limits; the exporter derives and prints them */
     law_real sum_limit;        /* largest credible correction and feed-forward [rad] */
     law_real correction_limit; /* largest state of the correction */
@@ -145,6 +156,8 @@ typedef struct {
     law_real reference_step;   /* largest change of the reference in one period [rad] */
     law_real reference_rate;   /* part of a jump of the reference that is followed in one period */
     law_real acceleration_limit;
+    law_real payload_limit;  /* largest credible payload [kg]; 0: the law knows no payload */
+    law_real scale_step;     /* largest change of the feed-forward's scale in one period */
     law_real motor_limit;    /* range of the motor reference [rad] */
     law_real motor_step;     /* largest change of the motor reference in one period [rad] */
     law_real fade_step;      /* fade of the correction in one period after the gauge is given up */
@@ -184,7 +197,9 @@ typedef struct {
     uint32_t overload;
     uint32_t frozen;
     uint32_t repeated;    /* calls in a row that were not a new period, counted at the tick below */
-    uint32_t repeated_at; /* twelfth word: an even number of them keeps the reals aligned */
+    uint32_t repeated_at;
+    uint32_t tracking;    /* a payload is given, or the reference model has not come to rest since */
+    uint32_t given;       /* whether a payload is; fourteenth word: an even number of them keeps the reals aligned */
     law_real real[LAW_REAL_MODES]; /* states of the modes */
     law_real forward[LAW_FORWARD_MODES];
 #if !defined(LAW_EXACT) || defined(LAW_PAIRS)
@@ -201,6 +216,11 @@ typedef struct {
     law_real encoder;      /* last reading, and motor model when it last changed */
     law_real encoder_model;
     law_real input_reference; /* last one that was a number in range */
+    law_real payload;    /* that was looked at last [kg] */
+    law_real scale;      /* of the feed-forward for it */
+    law_real track;      /* reference model: its angle, and what pushes it on in the next period */
+    law_real track_push;
+    law_real late;       /* flexion of the feed-forward as the gauge will show it */
     law_real fade;
     law_real integral;
     law_real filter;
@@ -213,6 +233,7 @@ typedef struct {
     law_real reference_acceleration;
     law_real motor_angle;
     law_real torque;
+    law_real payload; /* mass at the tip [kg]; 0: not given */
 } law_input;
 
 typedef struct {

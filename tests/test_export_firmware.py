@@ -57,7 +57,9 @@ def reference_hash(made: Law) -> int:
     torque = noises[:, 2] / 1048576
     torque[np.arange(PERIODS) % 1000 == 500] = np.nan
     angle[np.arange(PERIODS) % 1000 == 700] = np.nan
-    _, out = made.run(made.initial_state(), reference, noises[:, 0] / 4096, angle, torque)
+    k = np.arange(PERIODS)
+    payload = np.where(k % 5000 < 2500, 0.0, (1 + k // 1000) / 1024)
+    _, out = made.run(made.initial_state(), reference, noises[:, 0] / 4096, angle, torque, payload)
     reals = np.array(out[:5]).T.astype(kind)
     width = 1 if made.precision == "single" else 2
     words = np.concatenate([np.ascontiguousarray(reals).view(np.uint32), np.array(out[5:]).T], axis=1)
@@ -100,14 +102,17 @@ def test_a_period_on_a_cortex_m4f_is_short(tmp_path: Path) -> None:
     """Compiled for the design alone at -O2: 8 instructions a mode and 15 without guards."""
     made = law("single")
     export_c(made, tmp_path)
-    text = on_board(tmp_path, made, "cortex-m4f", FIRMWARE / "count.c", counted=True, exact=True)
-    found = re.search(r"outer (\d+) whole (\d+) mode 1", text)
-    assert found is not None, text
-    outer, whole = map(int, found.groups())
-    print(text)
-    modes = made.order + len(made.feedforward.poles)
-    assert 60 < outer <= 8 * modes + 16 <= 80
-    assert 300 < whole <= 400
+    wholes = []
+    for payload in ("0", "0.03F"):
+        (tmp_path / "payload.h").write_text(f"#define PAYLOAD {payload}\n", encoding="utf-8")
+        text = on_board(tmp_path, made, "cortex-m4f", FIRMWARE / "count.c", counted=True, exact=True)
+        found = re.search(r"outer (\d+) whole (\d+) mode 1", text)
+        assert found is not None, text
+        outer, whole = map(int, found.groups())
+        wholes.append(whole)
+        modes = made.order + len(made.feedforward.poles)
+        assert 60 < outer <= 8 * modes + 16 <= 80
+    assert 300 < wholes[0] < wholes[1] <= 440
 
 
 def test_flash_and_memory_are_small(tmp_path: Path) -> None:
@@ -123,5 +128,5 @@ def test_flash_and_memory_are_small(tmp_path: Path) -> None:
     text, data, bss = map(int, size[6:9])
     assert text <= 4096
     assert data == bss == 0  # no statics
-    assert struct.calcsize("<12I35f") <= 256
-    assert exact_sizes(made)[1] == struct.calcsize(f"<12I{15 + made.order + len(made.feedforward.poles)}f")
+    assert struct.calcsize("<14I40f") <= 256
+    assert exact_sizes(made)[1] == struct.calcsize(f"<14I{20 + made.order + len(made.feedforward.poles)}f")

@@ -59,12 +59,13 @@ def test_fmpy_finds_no_problem_and_simulates_to_the_bit(fmi: int, precision: str
     names = [variable.name for variable in VARIABLES if variable.causality == "input"]
     table = np.zeros(ROWS.shape[1], dtype=[("time", float), *((name, float) for name in names)])
     table["time"] = np.arange(ROWS.shape[1]) * PERIOD
-    for name, row in zip(names, ROWS, strict=True):
+    rows = np.vstack([ROWS, np.full(ROWS.shape[1], 0.05)])
+    for name, row in zip(names, rows, strict=True):
         table[name] = row
     result = fmpy.simulate_fmu(
         file, input=table, stop_time=table["time"][-1], output_interval=PERIOD, validate=True
     )
-    own = run(made, ROWS, first_tick=0)
+    own = run(made, rows, first_tick=0)
     got = np.column_stack([result[v.name] for v in VARIABLES if v.causality == "output"])
     np.testing.assert_array_equal(got[1:], outputs_of(own)[:-1])
 

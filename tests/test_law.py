@@ -173,7 +173,7 @@ def test_saved_laws_come_back_to_the_bit(tmp_path: Path) -> None:
 FIRST_FORMAT = Path(__file__).parent / "golden" / "laws" / "default.json"
 
 
-@pytest.mark.parametrize("version", [1, 2])
+@pytest.mark.parametrize("version", [1, 3])
 def test_a_changed_file_is_refused(version: int, tmp_path: Path) -> None:
     place = tmp_path / "law.json"
     if version == 1:

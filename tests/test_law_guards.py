@@ -20,7 +20,7 @@ COUNT = 400
 
 def quiet(count: int = COUNT) -> NDArray[np.float64]:
     """An arm at rest at 0.3 rad, with a gauge that reads a small constant."""
-    rows = np.zeros((4, count))
+    rows = np.zeros((5, count))
     rows[0] = rows[2] = 0.3
     rows[3] = 0.02
     return rows

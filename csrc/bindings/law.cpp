@@ -78,7 +78,7 @@ template <class L> nb::tuple init(const nb::bytes &params) {
     return nb::make_tuple(to_bytes(s), reason);
 }
 
-// Rows of `inputs`: reference, acceleration, motor angle, torque. Rows of `outputs`: motor reference,
+// Rows of `inputs`: reference, acceleration, motor angle, torque, payload. Rows of `outputs`: motor reference,
 // voltage, compensation, tip estimate, error. Rows of `marks`: mode, reason, flags.
 template <class L>
 nb::bytes run(const nb::bytes &params, const nb::bytes &state, Ticks ticks,
@@ -86,16 +86,16 @@ nb::bytes run(const nb::bytes &params, const nb::bytes &state, Ticks ticks,
     const auto p = from_bytes<typename L::params>(params, "params");
     auto s = from_bytes<typename L::state>(state, "state");
     const size_t n = ticks.shape(0);
-    if (inputs.shape(0) != 4 || inputs.shape(1) != n || outputs.shape(0) != 5 || outputs.shape(1) != n ||
+    if (inputs.shape(0) != 5 || inputs.shape(1) != n || outputs.shape(0) != 5 || outputs.shape(1) != n ||
         marks.shape(0) != 3 || marks.shape(1) != n)
-        throw std::invalid_argument("inputs, outputs and marks need 4, 5 and 3 rows of one length");
+        throw std::invalid_argument("inputs, outputs and marks need 5, 5 and 3 rows of one length");
     const double *in = inputs.data();
     double *out = outputs.data();
     uint32_t *mark = marks.data();
     nb::gil_scoped_release release;
     for (size_t k = 0; k < n; k++) {
         using R = typename L::real;
-        const typename L::input i = {ticks.data()[k], R(in[k]), R(in[n + k]), R(in[2 * n + k]), R(in[3 * n + k])};
+        const typename L::input i = {ticks.data()[k], R(in[k]), R(in[n + k]), R(in[2 * n + k]), R(in[3 * n + k]), R(in[4 * n + k])};
         typename L::output o;
         L::step(&s, &p, &i, &o);
         out[k] = double(o.motor_reference);

@@ -182,8 +182,8 @@ nb::dict told(const realtime_outcome &o) {
 }
 
 // Rows of `path`: reference, acceleration, one value a period.
-nb::dict run(Io &io, nb::bytes params, nb::bytes state, bool single, Matrix path, Record record, Marks marks,
-             std::int64_t period_ns, std::int64_t patience_ns, bool relative, int priority, bool lock_memory,
+nb::dict run(Io &io, nb::bytes params, nb::bytes state, bool single, Matrix path, double payload, Record record,
+             Marks marks, std::int64_t period_ns, std::int64_t patience_ns, bool relative, int priority, bool lock_memory,
              Clock &clock) {
     const std::size_t length = path.shape(1);
     require(path.shape(0) == 2 && length >= 1 && period_ns >= 1, "path: (2, periods), period above 0");
@@ -194,7 +194,7 @@ nb::dict run(Io &io, nb::bytes params, nb::bytes state, bool single, Matrix path
     require(params.size() == std::size_t(params_size) && state.size() == std::size_t(state_size), "law: other sizes");
     const auto block = aligned(params);
     auto memory = aligned(state);
-    const realtime_plan plan = {period_ns, std::int64_t(length), path.data(), path.data() + length,
+    const realtime_plan plan = {period_ns, std::int64_t(length), path.data(), path.data() + length, payload,
                                 patience_ns, relative, priority, lock_memory, clock.clock};
     const realtime_io way = io_of(io);
     realtime_outcome outcome;
@@ -208,8 +208,8 @@ nb::dict run(Io &io, nb::bytes params, nb::bytes state, bool single, Matrix path
 }
 
 nb::dict bare(Mutable latency, std::int64_t period_ns, int priority, bool lock_memory, Clock &clock) {
-    const realtime_plan plan = {period_ns, std::int64_t(latency.size()), nullptr, nullptr, 0, 0, priority, lock_memory,
-                                clock.clock};
+    const realtime_plan plan = {period_ns, std::int64_t(latency.size()), nullptr, nullptr, 0.0, 0, 0, priority,
+                                lock_memory, clock.clock};
     realtime_outcome outcome;
     {
         nb::gil_scoped_release release;

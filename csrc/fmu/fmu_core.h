@@ -14,7 +14,7 @@
 
 #include "law.h"
 
-/* Value references: inputs, then outputs in the order of modelDescription.xml, then the time. */
+/* Value references: inputs, then outputs in the order of modelDescription.xml, then the time, then the payload. */
 #define FMU_REFERENCE 0U
 #define FMU_REFERENCE_ACCELERATION 1U
 #define FMU_MOTOR_ANGLE 2U
@@ -26,6 +26,7 @@
 #define FMU_REALS 7U
 #define FMU_VALUES 10U /* mode, reason and flags are the marks in between */
 #define FMU_TIME 10U
+#define FMU_PAYLOAD 11U /* an input that came later: the references before it are those of every release */
 
 /* An error ends the simulation, as FMI 3 has it: only reset, a restored state or freeing leads on. */
 #define FMU_INSTANTIATED 0U
@@ -43,6 +44,7 @@ typedef struct {
     uint32_t marks[FMU_VALUES - FMU_REALS];
     double time; /* end of the last step [s] */
     double reals[FMU_REALS];
+    double payload;
     law_state law;
 } fmu_memory;
 
@@ -138,6 +140,8 @@ static fmu_status fmu_get_reals(fmu_instance *me, const uint32_t references[], s
             values[i] = me->memory.reals[references[i]];
         } else if (references[i] == FMU_TIME) {
             values[i] = me->memory.time;
+        } else if (references[i] == FMU_PAYLOAD) {
+            values[i] = me->memory.payload;
         } else {
             return fmu_refuse(me, "a value reference is read that is no real number; see modelDescription.xml");
         }
@@ -160,9 +164,13 @@ static fmu_status fmu_set_reals(fmu_instance *me, const uint32_t references[], s
     if (m->phase == FMU_TERMINATED)
         return fmu_refuse(me, "an input is set after the end; reset the FMU first");
     for (size_t i = 0; i < count; i++) {
-        if (references[i] >= FMU_INPUTS)
+        if (references[i] < FMU_INPUTS) {
+            m->reals[references[i]] = values[i];
+        } else if (references[i] == FMU_PAYLOAD) {
+            m->payload = values[i];
+        } else {
             return fmu_refuse(me, "a value reference is set that is no input; see modelDescription.xml");
-        m->reals[references[i]] = values[i];
+        }
     }
     if (m->phase != FMU_STEPPING)
         fmu_rest(m);
@@ -208,6 +216,7 @@ static fmu_status fmu_step(fmu_instance *me, double now, double step)
     in.reference_acceleration = (law_real)m->reals[FMU_REFERENCE_ACCELERATION];
     in.motor_angle = (law_real)m->reals[FMU_MOTOR_ANGLE];
     in.torque = (law_real)m->reals[FMU_TORQUE];
+    in.payload = (law_real)m->payload;
     law_step(&m->law, &law_data, &in, &out);
     m->reals[FMU_MOTOR_REFERENCE] = (double)out.motor_reference;
     m->reals[FMU_VOLTAGE] = (double)out.voltage;

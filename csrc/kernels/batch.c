@@ -35,6 +35,7 @@ static loop_rig rig_of(const loop_rig *shared, const double *row, uint64_t seed)
     rig.delay = (int)row[BATCH_DELAY];
     rig.gauge_delay = row[BATCH_GAUGE_DELAY];
     rig.gauge_gain = row[BATCH_GAUGE_GAIN];
+    rig.payload = row[BATCH_PAYLOAD];
     rig.seed = seed;
     return rig;
 }

@@ -21,6 +21,7 @@ enum {
     BATCH_AMPLITUDE,   /* of the reference [rad] */
     BATCH_GAUGE_DELAY, /* periods, whole or not */
     BATCH_GAUGE_GAIN,  /* [1] */
+    BATCH_PAYLOAD,     /* that the law is given [kg]; 0: none */
     BATCH_COLUMNS
 };
 

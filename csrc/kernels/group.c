@@ -72,6 +72,7 @@ static double decide(const group_loop *loop, const law_params *p, law_state *sta
     in.motor_angle = (law_real)rounded_to(rig->start + motor, rig->encoder);
     const double normal = rig->noise > 0.0 ? loop->noise[k] : 0.0;
     in.torque = (law_real)gauge_reading(rig, gauge, root_torque(link, &loop->link, motor), normal, k);
+    in.payload = (law_real)rig->payload;
     law_step(state, p, &in, &out);
     loop->trace.tip[k] = rig->start + link->tip;
     loop->trace.motor_reference[k] = (double)out.motor_reference;

@@ -40,6 +40,7 @@ int LOOP_RUN(const loop_link *link, const loop_rig *rig, const void *params, con
         in.reference_acceleration = (law_real)reference->acceleration[k];
         in.motor_angle = (law_real)rounded_to(rig->start + motor.angle, rig->encoder);
         in.torque = (law_real)measured;
+        in.payload = (law_real)rig->payload;
         law_step(&state, p, &in, &out);
         trace->tip[k] = rig->start + flexible.tip;
         trace->motor[k] = rig->start + motor.angle;

@@ -44,6 +44,7 @@ typedef struct {
     double quantum;        /* gauge resolution [N m], 0 = exact */
     double gauge_delay;    /* age of the torque that the gauge shows, in periods, below LOOP_DELAY; 0 = none */
     double gauge_gain;     /* what the gauge shows of a torque [1] */
+    double payload;        /* that the law is given [kg]; 0: none */
     double start;          /* angle at rest before the first period [rad] */
     uint64_t seed;
 } loop_rig;

@@ -64,6 +64,7 @@ enum {
     REALTIME_ACCELERATION,
     REALTIME_MOTOR_ANGLE, /* NaN where no sample came, as the law was told */
     REALTIME_TORQUE,
+    REALTIME_PAYLOAD, /* that the law was given [kg]; 0: none */
     REALTIME_MOTOR_REFERENCE,
     REALTIME_VOLTAGE,
     REALTIME_COMPENSATION,
@@ -83,6 +84,7 @@ typedef struct {
     int64_t length; /* periods */
     const double *reference;
     const double *acceleration;
+    double payload; /* that the law is given [kg]; 0: none */
     int64_t patience_ns; /* for the first sample */
     int relative;        /* the reference counts from the angle of the first sample */
     int priority;        /* of SCHED_FIFO; 0: none is asked for */

@@ -9,7 +9,8 @@
 void REALTIME_LAW(void *state, const void *params, uint32_t tick, const double *inputs, double *outputs,
                   uint32_t *marks)
 {
-    const law_input in = {tick, (law_real)inputs[0], (law_real)inputs[1], (law_real)inputs[2], (law_real)inputs[3]};
+    const law_input in = {tick, (law_real)inputs[0], (law_real)inputs[1], (law_real)inputs[2], (law_real)inputs[3],
+                          (law_real)inputs[4]};
     law_output out;
     law_step((law_state *)state, (const law_params *)params, &in, &out);
     outputs[0] = (double)out.motor_reference;

@@ -67,6 +67,7 @@ static int run_period(const realtime_plan *plan, const realtime_io *io, realtime
     row[REALTIME_ACCELERATION] = plan->acceleration[tick];
     row[REALTIME_MOTOR_ANGLE] = sample.value.motor_angle;
     row[REALTIME_TORQUE] = sample.value.torque;
+    row[REALTIME_PAYLOAD] = plan->payload;
     mark[REALTIME_TICK] = (uint32_t)tick + 1U;
     law(state, params, mark[REALTIME_TICK], row + REALTIME_REFERENCE, row + REALTIME_MOTOR_REFERENCE,
         mark + REALTIME_MODE);

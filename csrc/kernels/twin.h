@@ -70,6 +70,7 @@ enum {
     TWIN_ENCODER_VALUE,
     TWIN_GAUGE_GAIN,
     TWIN_GAUGE_VALUE,
+    TWIN_PAYLOAD, /* that the law is given [kg]; 0: none */
     TWIN_INPUTS
 };
 

@@ -31,6 +31,7 @@ static double control(const twin_rig *rig, const law_params *params, const doubl
     given.reference_acceleration = (law_real)input[TWIN_ACCELERATION];
     given.motor_angle = (law_real)angle;
     given.torque = (law_real)torque;
+    given.payload = (law_real)input[TWIN_PAYLOAD];
     memory->tick++;
 
     double *queue = memory->voltage;

@@ -9,11 +9,14 @@ int printf(const char *format, ...); /* no header: clang for a bare machine brin
 #define SYST_CSR (*(volatile uint32_t *)0xE000E010U)
 #define SYST_RVR (*(volatile uint32_t *)0xE000E014U)
 #define SYST_CVR (*(volatile uint32_t *)0xE000E018U)
+#include "payload.h" /* PAYLOAD: what the law is given [kg] */
+
 #define PERIODS 2000U
 
 static law_state state;
 static volatile law_real sink;
 static volatile law_real source = (law_real)0.25F;
+static law_real payload = (law_real)PAYLOAD;
 
 __attribute__((noinline)) static law_real outer(law_state *s, const law_params *p, law_real angle)
 {
@@ -67,6 +70,7 @@ int main(void)
     for (uint32_t k = 0U; k < PERIODS; k++) {
         in.tick++;
         in.reference_acceleration = source;
+        in.payload = payload;
         law_step(&state, &law_data, &in, &out);
         sink = out.voltage;
     }

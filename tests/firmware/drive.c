@@ -412,6 +412,69 @@ static void held(void)
     require((out.reason == LAW_GAUGE_STUCK) && (moved >= law_data.stuck_limit) && (moved < 100U));
 }
 
+/* The payload: taken where it can be, counted on at once at the start, slowly afterwards, and forgotten in time. */
+static void payloads(void)
+{
+    const law_real nominal = law_data.payload_limit / (law_real)4;
+    begin((law_real)0.25F);
+    in.payload = nominal;
+    step(1U);
+    require((out.flags == 0U) && (state.given == 1U) && (state.tracking == 1U));
+    in.payload = (law_real)3 * nominal;
+    step(1U);
+    require((out.flags == 0U) && (state.scale < ((law_real)1.5F)));
+    for (uint32_t k = 0U; k < 200U; k++) {
+        in.payload = (law_real)3 * nominal;
+        step(1U);
+    }
+    require((state.scale > (law_real)2.9F) && (state.payload == in.payload));
+    in.reference = (law_real)0.27F; /* the model is behind when the payload goes, and stays until it has caught up */
+    step(1U);
+    step(1U);
+    in.payload = (law_real)0;
+    step(1U);
+    require((state.given == 0U) && (state.tracking == 1U));
+    for (uint32_t k = 0U; k < 300U; k++) {
+        step(1U);
+    }
+    require((state.tracking == 0U) && (state.scale == (law_real)1));
+    in.payload = (law_real)2 * law_data.payload_limit;
+    step(1U);
+    require((out.flags == LAW_FLAG_PAYLOAD) && (state.given == 0U));
+    in.payload = (law_real)NAN;
+    step(1U);
+    require((out.flags == LAW_FLAG_PAYLOAD) && (state.given == 0U));
+    in.payload = nominal;
+    step(1U);
+    state.track = (law_real)NAN; /* damaged memory */
+    step(1U);
+    require((out.error == out.error) && (state.track == state.track));
+    state.scale = (law_real)1e9F;
+    in.reference_acceleration = (law_real)1;
+    step(1U);
+    step(1U);
+    require((out.flags & LAW_FLAG_PAYLOAD) == 0U);
+    require((state.scale < (law_real)1.1F) && (state.scale > (law_real)0.9F));
+    /* a gauge that is late: while the feed-forward bends the link, the error counts on a reading that lags */
+    law_params late = law_data;
+    late.options |= LAW_LATE_GAUGE;
+    late.gauge_now = (law_real)0.125F;
+    late.gauge_keep = (law_real)0.875F;
+    late.crc = block_crc(&late);
+    begin((law_real)0);
+    law_state other = state;
+    other.stamp = late.crc;
+    in.payload = nominal;
+    law_output seen;
+    for (uint32_t k = 0U; k < 10U; k++) {
+        in.reference_acceleration = (law_real)1;
+        in.tick++;
+        law_step(&state, &law_data, &in, &out);
+        law_step(&other, &late, &in, &seen);
+    }
+    require(seen.error > out.error);
+}
+
 int main(int count, char **words)
 {
     const long runs = (count > 1) ? strtol(words[1], NULL, 10) : 1000L;
@@ -427,6 +490,7 @@ int main(int count, char **words)
     frozen();
     blocked();
     held();
+    payloads();
     const uint32_t hash = quiet();
     for (long i = 0; i < runs; i++) {
         for (size_t j = 0; j < sizeof(bytes); j++) {

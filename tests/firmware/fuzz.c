@@ -67,6 +67,7 @@ int LLVMFuzzerTestOneInput(const unsigned char *bytes, size_t size)
         in.reference_acceleration = value(bytes[i + 4U], bytes[i + 5U], fine[1]) * (law_real)64;
         in.motor_angle = value(bytes[i + 6U], bytes[i + 3U], fine[2]);
         in.torque = value(bytes[i + 7U], bytes[i + 5U], fine[3]);
+        in.payload = value(bytes[i + 1U], bytes[i + 3U], fine[1]); /* often 0 … 0.5 kg, or below 0 */
         if ((state.stamp != law_data.crc) || (state.mode == LAW_IDLE)) {
             started = 0; /* not started yet, or memory that is not a state: the law starts anew, but for a trip */
             worst = (mode_of(&state) > LAW_RUN) ? mode_of(&state) : LAW_IDLE;

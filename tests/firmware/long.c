@@ -34,6 +34,7 @@ int main(void)
         in.reference_acceleration = (law_real)noise() / (law_real)4096;
         in.motor_angle = in.reference + ((law_real)noise() / (law_real)2097152);
         in.torque = (law_real)noise() / (law_real)1048576;
+        in.payload = ((k % 5000U) < 2500U) ? (law_real)0 : ((law_real)(1U + (k / 1000U)) / (law_real)1024);
         if ((k % 1000U) == 500U) { /* a lost sample of each sensor now and then */
             (void)memset(&in.torque, 0xFF, sizeof(in.torque));
         }

@@ -30,6 +30,7 @@ void eva_main(void)
         in.reference_acceleration = any_real;
         in.motor_angle = any_real;
         in.torque = any_real;
+        in.payload = any_real;
         law_step(&state, &law_data, &in, &out);
         /*@ assert \is_finite(out.motor_reference); */
         /*@ assert out.motor_reference <= law_data.motor_limit; */

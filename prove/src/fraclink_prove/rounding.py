@@ -25,9 +25,10 @@ _FORM = (
     "state[0] = ((pair->pole * re) - (pair->turn * im)) + change;",
     "state[1] = (pair->pole * im) + (pair->turn * re);",
     "run_modes(p->direct * change, &s->real[0], change, &p->real[0], count);",
-    "out->tip_estimate = s->motor_angle - (s->torque * p->compliance);",
-    "out->error = s->reference - out->tip_estimate;",
-    "correct(s, p, out->error - s->error);",
+    "tip = s->motor_angle - (s->torque * p->compliance);",
+    "law_real angle = s->reference;",
+    "error = expected(s, p, forward, given) - tip;",
+    "correct(s, p, error - s->error);",
     "s->reference + offset;",
     "command(s, p, forward + faded(s, p, correction));",
 )

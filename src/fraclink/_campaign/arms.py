@@ -138,6 +138,7 @@ def block_of(campaign: Campaign, own: dict[str, Real], first: int) -> tuple[Lump
         seeds,
         noise=rig.gauge.noise * own["noise"],
         gauge_delay=own["gauge_delay"] / period,
+        payload_given=own["payload_given"] * own["payload"],
         **values,
     )
     return arms, (own["shape"] % len(SHAPES)).astype(np.int32)
@@ -237,6 +238,7 @@ def replay_run(campaign: Campaign, run: int) -> Run:
             "delay_samples": int(own["delay_samples"]),
             "substeps": SUBSTEPS,
             "compensation": "ideal",
+            "payload_given": float(arms.payload_given[0]),
         },
     )
 

@@ -6,7 +6,7 @@ import hashlib
 import json
 import math
 from collections.abc import Collection
-from dataclasses import MISSING, asdict, dataclass, fields
+from dataclasses import MISSING, asdict, dataclass, fields, replace
 from dataclasses import field as with_default
 from pathlib import Path
 from typing import Annotated, Literal
@@ -109,6 +109,7 @@ _RANGES = {
     "coulomb_torque": (0.0, math.inf, True),
     "noise": (0.0, math.inf, True),
     "gauge_delay": (0.0, math.inf, True),
+    "payload_given": (0.0, math.inf, True),
 }
 
 
@@ -119,7 +120,7 @@ class Draws:
 
     payload [kg], stiffness [N·m/rad], order λ [1], motor_gain, viscous_friction, coulomb_torque and noise
     [factors], gauge_offset [N·m], delay_samples [periods], amplitude of the move [rad], gauge_delay [s],
-    gauge_gain [1].
+    gauge_gain [1], payload_given [1]: what the law is given over the arm's payload, 0 for nothing.
     """
 
     payload: Distribution
@@ -134,6 +135,7 @@ class Draws:
     amplitude: Distribution = with_default(default_factory=lambda: Distribution("uniform", 0.2, 1.2))
     gauge_delay: Distribution = with_default(default_factory=lambda: _always(0.0))
     gauge_gain: Distribution = with_default(default_factory=lambda: _always(1.0))
+    payload_given: Distribution = with_default(default_factory=lambda: _always(0.0))
 
     def __post_init__(self) -> None:
         for name, (low, high, closed) in _RANGES.items():
@@ -179,11 +181,11 @@ def draw(draws: Draws, seed: int, part: int, runs: int) -> dict[str, Real]:
     """
     generator = np.random.Generator(np.random.Philox(np.random.SeedSequence(seed, spawn_key=(part,))))
     names = [field.name for field in fields(draws)]
-    # The gauge's two came later: drawn behind the others, they leave what a seed gives as it was.
-    first = [name for name in names if name not in ("gauge_delay", "gauge_gain")]
+    # What came later is drawn behind the others, and leaves what a seed gives as it was.
+    first = [name for name in names if name not in LATER_DRAWS]
     uniform = dict(zip(first, generator.random((len(first), runs)), strict=True))
     shape = np.floor(generator.random(runs) * 2**31)
-    uniform |= dict(zip(("gauge_delay", "gauge_gain"), generator.random((2, runs)), strict=True))
+    uniform |= {name: generator.random(runs) for name in LATER_DRAWS}
     return {name: getattr(draws, name).at(uniform[name]) for name in names} | {"shape": shape}
 
 
@@ -251,8 +253,11 @@ class Campaign:
         seed: int = 0,
         draws: Draws | None = None,
         motor_loop: Literal["ideal", "sampled"] = "sampled",
+        told: bool = False,
     ) -> Campaign:
         """Return the campaign of a law with the default draws of its rig; the law gets the rig's motor loop.
+
+        With `told` the law is given the payload of each arm, whatever `draws` say of that.
 
         >>> import fraclink as fl
         >>> rig = fl.Rig.named("paper-2023")
@@ -263,6 +268,7 @@ class Campaign:
         """
         own = equip(law, rig, model) if motor_loop == "sampled" and law.drive is None else law
         chosen = draws_for(rig, model) if draws is None else draws
+        chosen = replace(chosen, payload_given=_always(1.0)) if told else chosen
         return Campaign(rig, model, own, chosen, runs, seed, motor_loop)
 
 
@@ -280,7 +286,7 @@ def _about(campaign: Campaign) -> dict[str, object]:
 
 # Fields that release 0.1 did not have.
 LATER_MODEL = {"gauge_delay", "gauge_gain", "second_mode", "unseen_up_to", "intervals"}
-LATER_DRAWS: dict[str, float] = {"gauge_delay": 0.0, "gauge_gain": 1.0}
+LATER_DRAWS: dict[str, float] = {"gauge_delay": 0.0, "gauge_gain": 1.0, "payload_given": 0.0}
 
 
 def _stated(value: LinkModel | Draws, later: Collection[str]) -> dict[str, object]:

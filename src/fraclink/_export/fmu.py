@@ -47,7 +47,8 @@ def export_fmu(
 ) -> Path:
     """Write the law as an FMU for co-simulation to `path`, ending in .fmu, and return it.
 
-    Inputs: reference [rad], reference_acceleration [rad/s²], motor_angle [rad], torque [N·m]. Outputs:
+    Inputs: reference [rad], reference_acceleration [rad/s²], motor_angle [rad], torque [N·m],
+    payload [kg] (0: not given). Outputs:
     motor_reference [rad], voltage [V], tip_estimate [rad], mode, reason, flags. One communication step is one
     period [s]; another step size is an error. The outputs of a step answer the inputs at its beginning, so
     the co-simulation adds the one period of delay that the design counts on. In every period they are, to

@@ -57,8 +57,9 @@ VARIABLES: tuple[Variable, ...] = (
     Variable(
         "reason", "output", "why a mode above run was entered, LAW_... in law.h", largest=len(REASONS) - 1
     ),
-    Variable("flags", "output", "bits of the last period, LAW_FLAG_... in law.h", largest=511),
+    Variable("flags", "output", "bits of the last period, LAW_FLAG_... in law.h", largest=1023),
     Variable("time", "independent", "simulation time", "s"),
+    Variable("payload", "input", "mass at the tip; 0 where it is not known", "kg"),
 )
 
 
@@ -70,6 +71,7 @@ class Unit(NamedTuple):
 
 
 UNITS: Mapping[str, Unit] = {
+    "kg": Unit({"kg": 1}),
     "N.m": Unit({"kg": 1, "m": 2, "s": -2}),
     "V": Unit({"kg": 1, "m": 2, "s": -3, "A": -1}),
     "rad": Unit({"rad": 1}, ("deg", 180.0 / math.pi)),

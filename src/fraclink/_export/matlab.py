@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -23,9 +24,9 @@ def export_matlab(law: Law, path: Path | str, *, force: bool = False) -> Path:
     Both hold: period [s], stiffness [N·m/rad], and for correction and feed-forward the direct part, poles and
     residues of d + Σ g/(z − p); the correction is that times (1 − 1/z). Where the Control System Toolbox or
     Octave's control package is there, the .m file also returns them as systems, `sys`, in state space: a
-    quotient of polynomials would lose digits. Guards and motor loop are in the C export only.
-    Raises FieldError for another ending, a file name that is no MATLAB function name, and an existing file
-    without `force`.
+    quotient of polynomials would lose digits. What a payload that is given changes is in `payload`. Guards
+    and motor loop are in the C export only. Raises FieldError for another ending, a
+    file name that is no MATLAB function name, and an existing file without `force`.
 
     >>> import fraclink as fl, tempfile
     >>> rig = fl.Rig.named("paper-2023")
@@ -68,6 +69,8 @@ def _numbers(law: Law) -> bytes:
     content: dict[str, object] = {"period": law.period, "stiffness": law.stiffness, "sha256": law.digest}
     for name, (direct, poles, residues) in _filters(law).items():
         content |= {f"{name}_direct": direct, f"{name}_poles": poles, f"{name}_residues": residues}
+    if law.tracking is not None:
+        content |= {f"payload_{name}": value for name, value in asdict(law.tracking).items()}
     stream = io.BytesIO()
     savemat(stream, content, format="5", do_compression=False, oned_as="column")
     return stream.getvalue()
@@ -93,6 +96,12 @@ def _function(law: Law, name: str) -> str:
             f"law.{part}.direct = {direct!r};",
             f"law.{part}.poles = {_vector(poles)};",
             f"law.{part}.residues = {_vector(residues)};",
+        ]
+    if law.tracking is not None:
+        lines += [
+            "% With a payload [kg] that is given the feed-forward is (payload + link)/nominal times as",
+            "% large, and error = H/(z - 1 + H) reference - ..., H = now + next/(z - keep).",
+            *(f"law.payload.{key} = {value!r};" for key, value in asdict(law.tracking).items()),
         ]
     lines += [
         "if exist('ss') > 0 % the Control System Toolbox, or Octave's control package",

@@ -21,7 +21,7 @@ from fraclink._export.names import identifier
 from fraclink._export.sources import law_source
 from fraclink._files import checked_path
 from fraclink._law import Law
-from fraclink._validate import checked_noun, checked_series
+from fraclink._validate import checked_between, checked_noun, checked_series
 from fraclink.errors import FieldError
 
 __all__ = ["Replay", "replay", "replay_log"]
@@ -36,7 +36,7 @@ _HARNESS = """\
 int main(void)
 {
     static law_state state;
-    double row[4];
+    double row[5];
     law_input in;
     law_output out;
     if (law_init(&state, &@NAME@) != LAW_OK) {
@@ -49,6 +49,7 @@ int main(void)
         in.reference_acceleration = (law_real)row[1];
         in.motor_angle = (law_real)row[2];
         in.torque = (law_real)row[3];
+        in.payload = (law_real)row[4];
         law_step(&state, &@NAME@, &in, &out);
         const double result[6] = {(double)out.motor_reference, (double)out.voltage, (double)out.tip_estimate,
                                   (double)out.error, (double)out.mode, (double)out.flags};
@@ -91,6 +92,7 @@ def replay(
     reference_acceleration: ArrayLike,
     motor_angle: ArrayLike,
     torque: ArrayLike,
+    payload: float = 0.0,
     name: str = "law_data",
     compiler: str = "cc",
     allow_changed: bool = False,
@@ -106,6 +108,8 @@ def replay(
         the export, and the law that it is compared with.
     reference, reference_acceleration, motor_angle, torque
         signals at the law's period, shape (N,) [rad], [rad/s²], [rad], [N·m].
+    payload
+        that the law is given [kg]; 0 for none.
     name
         of the block.
     compiler
@@ -132,16 +136,14 @@ def replay(
     identifier("name", name)
     checked_noun("law", law, Law, remedy="Law.load reads the folder's law.json")
     place = checked_path("folder", folder).resolve()
-    rows = np.ascontiguousarray(
-        np.column_stack(
-            _signals(
-                reference=reference,
-                reference_acceleration=reference_acceleration,
-                motor_angle=motor_angle,
-                torque=torque,
-            )
-        )
+    signals = _signals(
+        reference=reference,
+        reference_acceleration=reference_acceleration,
+        motor_angle=motor_angle,
+        torque=torque,
     )
+    given = np.full(signals[0].shape, checked_between("payload", payload, 0.0, 1e9, "kg"))
+    rows = np.ascontiguousarray(np.column_stack([*signals, given]))
     _check_block(place, law, name)
     if not allow_changed:
         _check_unchanged(place, law, name)

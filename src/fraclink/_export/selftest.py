@@ -49,7 +49,8 @@ class _Inputs:
         torque = self._noise() / 2**15
         angle = math.nan if 300 <= k < 303 or k >= 950 else angle
         torque = math.nan if k == 350 or k >= 850 else torque
-        return self.tick, LawInputs(reference, acceleration, angle, torque)
+        payload = 0.0 if k < 200 else math.nan if k == 420 else ramp / 8192
+        return self.tick, LawInputs(reference, acceleration, angle, torque, payload)
 
 
 def _rounded(inputs: LawInputs, single: bool) -> LawInputs:
@@ -163,6 +164,10 @@ static void next_input(uint32_t k, law_real motor_reference, law_input *in)
     }
     if ((k == 350U) || (k >= 850U)) {
         in->torque = not_a_number();
+    }
+    in->payload = (k < 200U) ? (law_real)0 : ((law_real)ramp / (law_real)8192);
+    if (k == 420U) {
+        in->payload = not_a_number();
     }
 }
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from fraclink._law.block import Drive, Modes
+from fraclink._law.block import Drive, Modes, Tracking
 from fraclink._law.discretization import discretize, discretize_controller, drive_for, equip
 from fraclink._law.law import MODES, REASONS, Law, LawInputs, LawOutputs
 from fraclink._law.limits import Limits, Moves, derive_limits
@@ -17,6 +17,7 @@ __all__ = [
     "Limits",
     "Modes",
     "Moves",
+    "Tracking",
     "derive_limits",
     "discretize",
     "discretize_controller",

@@ -23,6 +23,7 @@ __all__ = [
     "Drive",
     "Modes",
     "Precision",
+    "Tracking",
     "block_values",
     "exact_header",
     "pack",
@@ -32,9 +33,9 @@ __all__ = [
 
 Precision = Literal["single", "double"]
 
-VERSION = 2
+VERSION = 3
 REAL_MODES, PAIR_MODES, FORWARD_MODES = 8, 2, 8
-WITH_INNER = 1
+WITH_INNER, LATE_GAUGE = 1, 2
 
 HEADER = ("version", "size", "precision", "crc")
 COUNTS = (
@@ -59,6 +60,13 @@ REALS: tuple[tuple[str, int], ...] = (
     ("pair", 4 * PAIR_MODES),
     ("forward_direct", 1),
     ("forward", 2 * FORWARD_MODES),
+    ("link_scale", 1),
+    ("payload_scale", 1),
+    ("track_now", 1),
+    ("track_next", 1),
+    ("track_keep", 1),
+    ("gauge_now", 1),
+    ("gauge_keep", 1),
     ("sum_limit", 1),
     ("correction_limit", 1),
     ("forward_limit", 1),
@@ -71,6 +79,8 @@ REALS: tuple[tuple[str, int], ...] = (
     ("reference_step", 1),
     ("reference_rate", 1),
     ("acceleration_limit", 1),
+    ("payload_limit", 1),
+    ("scale_step", 1),
     ("motor_limit", 1),
     ("motor_step", 1),
     ("fade_step", 1),
@@ -100,6 +110,13 @@ INNER = tuple(name for name, _ in REALS[[name for name, _ in REALS].index("inner
 PID = INNER[: INNER.index("filter_decay") + 1]
 
 
+# What a law needs for a payload that it is given: fields of the block since its version 3.
+SINCE_3 = {
+    *("link_scale", "payload_scale", "track_now", "track_next", "track_keep", "gauge_now", "gauge_keep"),
+    *("payload_limit", "scale_step"),
+}
+
+
 def real_type(precision: Precision) -> Literal["f", "d"]:
     """The struct code of a real number, or FieldError for an unknown precision."""
     remedy = "use single for a microcontroller with a single-precision FPU"
@@ -107,19 +124,22 @@ def real_type(precision: Precision) -> Literal["f", "d"]:
     return "f" if precision == "single" else "d"
 
 
-def _format(precision: Precision) -> str:
-    reals = sum(length for _, length in REALS)
+def _format(precision: Precision, fields: tuple[tuple[str, int], ...] = REALS) -> str:
+    reals = sum(length for _, length in fields)
     body = len(COUNTS) * 4 + reals * struct.calcsize("<" + real_type(precision))
     # The struct ends on the alignment of its largest member.
     return f"<{len(COUNTS)}I{reals}{real_type(precision)}{-body % struct.calcsize(real_type(precision))}x"
 
 
-def pack(values: Mapping[str, float | Sequence[float]], precision: Precision) -> bytes:
+def pack(
+    values: Mapping[str, float | Sequence[float]], precision: Precision, *, version: int = VERSION
+) -> bytes:
     """Return the block as bytes, with size and CRC-32 filled in; lists shorter than their field end in
-    zeros.
+    zeros. `version` 2 is the block of release 0.2, which knew no payload.
     """
     flat: list[float] = []
-    for name, length in REALS:
+    fields = REALS if version == VERSION else tuple(row for row in REALS if row[0] not in SINCE_3)
+    for name, length in fields:
         given = values[name]
         items = list(given) if isinstance(given, Sequence) else [given]
         if len(items) > length:
@@ -134,7 +154,7 @@ def pack(values: Mapping[str, float | Sequence[float]], precision: Precision) ->
         flat += items + [0.0] * (length - len(items))
     counts = [int(values[name]) for name in COUNTS]  # type: ignore[arg-type]
     try:
-        body = struct.pack(_format(precision), *counts, *flat)
+        body = struct.pack(_format(precision, fields), *counts, *flat)
     except (OverflowError, struct.error) as error:
         raise FieldError(
             "law", str(error), "not representable", allowed=f"{precision} precision", remedy="use double"
@@ -144,7 +164,7 @@ def pack(values: Mapping[str, float | Sequence[float]], precision: Precision) ->
         raise FieldError(
             "law", 0, "a block with CRC 0", allowed="any other", remedy="change a limit slightly"
         )
-    return struct.pack("<IIII", VERSION, 16 + len(body), width, crc) + body
+    return struct.pack("<IIII", version, 16 + len(body), width, crc) + body
 
 
 def unpack(block: bytes, precision: Precision) -> dict[str, float | list[float]]:
@@ -201,6 +221,23 @@ class Drive:
     coulomb_speed: float  # reference speed below which it fades to zero [rad/s]
 
 
+@dataclass(frozen=True)
+class Tracking:
+    """What a law needs where it is given the payload: what that makes of its feed-forward, and its tip.
+
+    The feed-forward of a payload m is that of the nominal one times (m + link)/nominal. The tip then follows
+    the reference through H/(z − 1 + H), H = now + next/(z − keep): the motor loop with its delay.
+    """
+
+    nominal: float  # mass that the feed-forward was made for, with the link's own where its model has it [kg]
+    link: float  # what the link itself weighs, taken to the tip [kg]
+    now: float
+    next: float
+    keep: float
+    gauge_delay: float = 0.0  # [s]
+    gauge_gain: float = 1.0
+
+
 def block_values(
     period: float,
     stiffness: float,
@@ -209,14 +246,18 @@ def block_values(
     feedforward: Modes,
     limits: Limits,
     drive: Drive | None,
+    tracking: Tracking | None = None,
 ) -> dict[str, Any]:
     """Return every field of law_params but its header."""
+    late = tracking is not None and (tracking.gauge_delay > 0 or tracking.gauge_gain != 1)
     return (
         asdict(limits)
         | _correction(correction)
         | _feedforward(feedforward)
+        | _tracking(tracking, period)
         | _inner(drive, limits, inner_pole)
         | {
+            "options": (WITH_INNER if drive is not None else 0) | (LATE_GAUGE if late else 0),
             "period": period,
             "compliance": 1 / stiffness,
             "stiffness": stiffness,
@@ -251,9 +292,24 @@ def _feedforward(modes: Modes) -> dict[str, Any]:
     }
 
 
+def _tracking(tracking: Tracking | None, period: float) -> dict[str, float]:
+    """Without tracking the payload's limit is 0, and none of these is read."""
+    t = tracking or Tracking(nominal=1.0, link=0.0, now=1.0, next=0.0, keep=0.0)
+    keep = math.exp(-period / t.gauge_delay) if t.gauge_delay > 0 else 0.0
+    return {
+        "link_scale": t.link / t.nominal,
+        "payload_scale": 1 / t.nominal,
+        "track_now": t.now,
+        "track_next": t.next,
+        "track_keep": t.keep,
+        "gauge_now": t.gauge_gain * (1 - keep),
+        "gauge_keep": keep,
+    }
+
+
 def _inner(drive: Drive | None, limits: Limits, pole: float) -> dict[str, Any]:
     if drive is None:
-        return dict.fromkeys(INNER, 0.0) | {"options": 0}
+        return dict.fromkeys(INNER, 0.0)
     loop = drive.loop
     # The motor follows at the reference's largest speed with the loop's lag, and a model's error behind it.
     friction = drive.coulomb_voltage
@@ -274,4 +330,4 @@ def _inner(drive: Drive | None, limits: Limits, pole: float) -> dict[str, Any]:
         friction,
         1 / (drive.coulomb_speed * loop.period) if drive.coulomb_voltage > 0 else 0.0,
     )
-    return dict(zip(INNER, values, strict=True)) | {"options": WITH_INNER}
+    return dict(zip(INNER, values, strict=True))

@@ -16,9 +16,19 @@ from fraclink._arm.link import LinkModel
 from fraclink._arm.motor import DiscretePid, place_pid
 from fraclink._arm.motor_loop import MotorLoop
 from fraclink._arm.rig import Rig
-from fraclink._law.block import FORWARD_MODES, PAIR_MODES, REAL_MODES, Drive, Modes, Precision, real_type
+from fraclink._law.block import (
+    FORWARD_MODES,
+    PAIR_MODES,
+    REAL_MODES,
+    Drive,
+    Modes,
+    Precision,
+    Tracking,
+    real_type,
+)
 from fraclink._law.law import Law
 from fraclink._law.limits import Moves, derive_limits
+from fraclink._law.tracking import tracking_for
 from fraclink._systems.discrete import DiscreteRational, Order, checked_band, fit_discrete
 from fraclink._validate import checked_noun, checked_number
 from fraclink._validate.rules import rule
@@ -107,12 +117,14 @@ def discretize_controller(
     correction = fit_correction(controller, model, period, reach, order)
     forward = _forward_fit(model, period)
     inner_pole = controller.inner.pole if controller.inner is not None else 80.0
+    delay = controller.inner.delay_samples if controller.inner is not None else 1
+    modes = _modes("link.order", forward, FORWARD_MODES, 0)
     law = Law(
         period=period,
         precision=precision,
         stiffness=model.stiffness,
         correction=_modes("order", correction, REAL_MODES, PAIR_MODES),
-        feedforward=_modes("link.order", forward, FORWARD_MODES, 0),
+        feedforward=modes,
         inner_pole=inner_pole,
         limits=derive_limits(
             model, period, moves or Moves(), pole=inner_pole, kick=abs(correction.feedthrough)
@@ -120,6 +132,7 @@ def discretize_controller(
         correction_error=(correction.error_db, correction.error_deg),
         feedforward_error=(forward.error_db, forward.error_deg),
         band=reach,
+        tracking=tracking_for(model, modes, period, inner_pole, delay, rig=None, pid=None),
     )
     return law if rig is None else equip(law, rig, model, moves=moves)
 
@@ -190,7 +203,10 @@ def discretize(
     law, motor_loop = equip(law, design.rig, design.model), design.motor_loop
     if motor_loop.placement != "direct" or law.drive is None:
         return law
-    return replace(law, drive=replace(law.drive, loop=motor_loop.pid(design.rig.motor, design.rig.period)))
+    pid = motor_loop.pid(design.rig.motor, design.rig.period)
+    return replace(
+        law, drive=replace(law.drive, loop=pid), tracking=_tracking(law, design.rig, design.model, pid)
+    )
 
 
 def equip(law: Law, rig: Rig, link: LinkModel, *, moves: Moves | None = None) -> Law:
@@ -220,7 +236,13 @@ def equip(law: Law, rig: Rig, link: LinkModel, *, moves: Moves | None = None) ->
             sticking=STICTION * drive.coulomb_voltage / _stiffness(drive.loop),
             kick=abs(law.correction.direct),
         ),
+        tracking=_tracking(law, rig, link, drive.loop),
     )
+
+
+def _tracking(law: Law, rig: Rig, link: LinkModel, pid: DiscretePid) -> Tracking | None:
+    delay = rig.motor_loop.delay_samples
+    return tracking_for(link, law.feedforward, law.period, law.inner_pole, delay, rig=rig, pid=pid)
 
 
 def check_rigs_period(law: Law, rig: Rig) -> None:

@@ -20,7 +20,7 @@ from fraclink._files import load as load_document
 from fraclink._files import save as save_document
 from fraclink._files.codec import Storage, codec_of
 from fraclink._law import block as layout
-from fraclink._law.block import Drive, Modes, block_values
+from fraclink._law.block import Drive, Modes, Tracking, block_values
 from fraclink._law.limits import Limits
 from fraclink.errors import FieldError, FileFormatError
 
@@ -49,14 +49,15 @@ REASONS = (
 
 
 class LawInputs(NamedTuple):
-    """One period's inputs: reference [rad], its acceleration [rad/s²], θm [rad], Γ
-    [N·m].
+    """One period's inputs: reference [rad], its acceleration [rad/s²], θm [rad], Γ [N·m], and the payload
+    [kg], 0 where it is not given.
     """
 
     reference: float
     reference_acceleration: float
     motor_angle: float
     torque: float
+    payload: float = 0.0
 
 
 class LawOutputs(NamedTuple):
@@ -78,9 +79,9 @@ class LawOutputs(NamedTuple):
 
 
 def _first_format(content: dict[str, Any]) -> dict[str, Any]:
-    """Format 1 had the same fields; its digest was that of the block."""
+    """Format 1 had the fields of format 2; its digest was that of the block."""
     stated = content.pop("sha256", None)
-    law = codec_of(Law).decode(content, "", Storage(hex_floats=True))
+    law = codec_of(Law).decode(_second_format(content), "", Storage(hex_floats=True))
     if stated != law.digest:
         raise FileFormatError(
             "sha256", stated, "not that of the law", allowed=law.digest, remedy="make the file again"
@@ -88,11 +89,17 @@ def _first_format(content: dict[str, Any]) -> dict[str, Any]:
     return content
 
 
+def _second_format(content: dict[str, Any]) -> dict[str, Any]:
+    """Format 2 had no payload as an input: its laws run as they did, and reject one that is given."""
+    none = {"payload_limit": (0.0).hex(), "scale_step": (1.0).hex()}
+    return content | {"limits": {**content["limits"], **none}, "tracking": None}
+
+
 @displayed
 @document(
     "law",
-    version=2,
-    upgrades={1: _first_format},
+    version=3,
+    upgrades={1: _first_format, 2: _second_format},
     hex_floats=True,
     period=lambda law: float(law.period),
     summary=lambda law: {"block": law.digest},
@@ -125,6 +132,8 @@ class Law:
         None for a robot that has its own position servo.
     limits
         of the guards.
+    tracking
+        what the law needs to use a payload that is given; None where its link model knows none.
 
     >>> from fraclink._arm.controller import Controller
     >>> from fraclink._arm.link import LinkModel
@@ -132,7 +141,7 @@ class Law:
     >>> link = LinkModel(stiffness=1.56, natural_frequency=11.094, order=1.92)
     >>> law = discretize(Controller(gain=0.069876, order=0.612197, link=link), 0.004, order=4)
     >>> abs(law.frequency_response(0.0)).item(), len(law.block)
-    (0.0, 688)
+    (0.0, 768)
     """
 
     period: float
@@ -146,16 +155,17 @@ class Law:
     correction_error: tuple[float, float] = (math.nan, math.nan)
     feedforward_error: tuple[float, float] = (math.nan, math.nan)
     band: tuple[float, float] = (math.nan, math.nan)
+    tracking: Tracking | None = None
 
     @property
     def order(self) -> int:
         """Number of states of the correction Ĉ, without the one of its difference."""
         return len(self.correction.poles) + 2 * len(self.correction.pair_poles)
 
-    @cached_property
-    def block(self) -> bytes:
-        """The parameter block of law.c, byte for byte."""
-        values = block_values(
+    @property
+    def values(self) -> dict[str, Any]:
+        """Every field of law_params but its header, not yet rounded to the law's precision."""
+        return block_values(
             self.period,
             self.stiffness,
             self.inner_pole,
@@ -163,16 +173,26 @@ class Law:
             self.feedforward,
             self.limits,
             self.drive,
+            self.tracking,
         )
-        made = layout.pack(values, self.precision)
+
+    @cached_property
+    def block(self) -> bytes:
+        """The parameter block of law.c, byte for byte."""
+        made = layout.pack(self.values, self.precision)
         if len(made) != _kernels.law_sizes(self.precision == "single")[0]:
             raise AssertionError("fraclink._law.block does not match csrc/law.h")
         return made
 
     @property
     def digest(self) -> str:
-        """SHA-256 of the block, 64 hexadecimal digits: two laws with one digest run alike to the last bit."""
-        return hashlib.sha256(self.block).hexdigest()
+        """SHA-256 of the block, 64 hexadecimal digits: two laws with one digest run alike to the last bit.
+
+        A law that knows no payload has the digest that it had before there was one, so that what was made of
+        it (campaigns, records, exports) still belongs to it.
+        """
+        version = layout.VERSION if self.tracking else 2
+        return hashlib.sha256(layout.pack(self.values, self.precision, version=version)).hexdigest()
 
     @property
     def coefficients(self) -> dict[str, float | list[float]]:
@@ -222,26 +242,23 @@ class Law:
         reference_acceleration: ArrayLike,
         motor_angle: ArrayLike,
         torque: ArrayLike,
+        payload: ArrayLike = 0.0,
         *,
         first_tick: int = 1,
         ticks: Sequence[int] | NDArray[np.uint32] | None = None,
     ) -> tuple[bytes, LawOutputs]:
         """Run law.c over whole signals, shape (N,), and return (new state, outputs of shape (N,)).
 
-        Periods are numbered from `first_tick`, or by `ticks` where some were missed.
+        `payload` [kg] may be one number; 0 where it is not given. Periods are numbered from
+        `first_tick`, or by `ticks` where some were missed.
         """
-        signals = np.ascontiguousarray(
-            [np.asarray(x, dtype=float) for x in (reference, reference_acceleration, motor_angle, torque)]
-        )
-        if signals.ndim != 2:
-            raise FieldError(
-                "inputs",
-                signals.shape,
-                "not five signals",
-                allowed="five of shape (N,)",
-                remedy="give arrays",
-            )
-        count = signals.shape[1]
+        four = [np.asarray(x, dtype=float) for x in (reference, reference_acceleration, motor_angle, torque)]
+        if four[0].ndim != 1 or any(x.shape != four[0].shape for x in four):
+            shapes = [x.shape for x in four]
+            allowed = "four of one shape (N,)"
+            raise FieldError("inputs", shapes, "not four signals", allowed=allowed, remedy="give arrays")
+        count = four[0].size
+        signals = np.ascontiguousarray([*four, np.broadcast_to(np.asarray(payload, dtype=float), count)])
         numbers = np.arange(count) + first_tick if ticks is None else np.asarray(ticks)
         numbers = np.ascontiguousarray(numbers.astype(np.int64) % 2**32, dtype=np.uint32)
         if numbers.shape != (count,):

@@ -13,6 +13,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Limits", "Moves", "derive_limits"]
 
+LARGEST_SCALE = 4.0  # times the nominal payload: more is a wrong unit, and beyond what bounds the torque
+SCALE_TIME = 0.1  # [s] in which the scale of the feed-forward changes by 1: within a move, without a jump
 JUMP = 3.0  # of 1/ω_resonance: the time constant with which a jump of the reference is followed
 FADE_TIME = (
     0.2  # [s]: the correction leaves slowly enough not to ring the link, fast enough to be gone in a move
@@ -68,6 +70,8 @@ class Limits:
     reference_step: float
     reference_rate: float
     acceleration_limit: float
+    payload_limit: float
+    scale_step: float
     motor_limit: float
     motor_step: float
     fade_step: float
@@ -142,6 +146,8 @@ def derive_limits(
         reference_step=1.05 * moves.velocity * period,
         reference_rate=-math.expm1(-resonance * period / JUMP),
         acceleration_limit=1.2 * moves.acceleration,
+        payload_limit=LARGEST_SCALE * (link.payload or 0.0),  # 0: a law that knows no payload takes none
+        scale_step=min(1.0, period / SCALE_TIME),
         motor_limit=angle,
         motor_step=motor_step,
         fade_step=min(1.0, period / FADE_TIME),

@@ -34,6 +34,7 @@ def run_realtime(
     *,
     duration: Annotated[float, Between(0.0, 1e300, "s", low_open=True)] | None = None,
     out: Path | None = None,
+    payload: Annotated[float, Between(0.0, 1e9, "kg")] = 0.0,
     relative: bool = True,
     patience: Annotated[float, Between(0.0, 3600.0, "s")] = 5.0,
     priority: Priority = PRIORITY,
@@ -63,6 +64,8 @@ def run_realtime(
     out
         file for the record (NPZ). Its room on the disk is reserved before the arm moves; should it not take
         the record afterwards, a file in the folder of temporary files or at home does (`RealtimeRun.saved`).
+    payload
+        that the law is given [kg]; 0 for none.
     relative
         whether the reference counts from where the arm stands; else it is the absolute angle, and an arm
         that stands elsewhere goes there first, at the law's largest speed.
@@ -123,6 +126,7 @@ def run_realtime(
             law.initial_state(),
             law.precision == "single",
             np.ascontiguousarray(path[[0, 2]]),
+            payload,
             record,
             marks,
             nanoseconds,

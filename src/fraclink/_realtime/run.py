@@ -27,18 +27,23 @@ Count = NDArray[np.uint32]
 
 # How a run ends, in the order of the kernel's codes; "no sample" and "other period" are raised as errors.
 STOPS = ("finished", "signal", "law off", "no sample", "connection failed", "other period")
-INPUTS = ("reference", "reference_acceleration", "motor_angle", "torque")
+INPUTS = ("reference", "reference_acceleration", "motor_angle", "torque", "payload")
 OUTPUTS = ("motor_reference", "voltage", "compensation", "tip_estimate", "error")
 SIGNALS = ("time", "latency", "work", *INPUTS, *OUTPUTS)
 MARKS = ("tick", "mode", "reason", "flags")
 _LOST_SHARE = 0.01  # what a reader may fill in too
 
 
+def _without_payload(content: dict[str, Any]) -> dict[str, Any]:
+    """Format 2 had no payload among the law's inputs."""
+    return content | {"payload": np.zeros_like(content["torque"])}
+
+
 @document(
     "realtime-run",
-    version=2,
+    version=3,
     container="npz",
-    upgrades={1: dict},  # without a digest
+    upgrades={1: dict, 2: _without_payload},  # format 1 had no digest
     period=lambda run: run.period,
     sources=lambda run: {"law": run.law_sha256},
     summary=lambda run: {"passed": run.passed, "problem": run.problem},
@@ -55,8 +60,9 @@ class RealtimeRun:
         from the deadline that was slept for to being awake [s].
     work
         from there to the command being written [s].
-    reference, reference_acceleration, motor_angle, torque
-        the law's inputs: θt* [rad], its acceleration [rad/s²], θm [rad], Γ [N·m]; NaN where no sample came.
+    reference, reference_acceleration, motor_angle, torque, payload
+        the law's inputs: θt* [rad], its acceleration [rad/s²], θm [rad], Γ [N·m], payload [kg] (0: not
+        given); NaN where no sample came.
     motor_reference, voltage, compensation, tip_estimate, error
         its outputs: θm* [rad], voltage and compensation [V], θm − Γ/c [rad], error [rad].
     tick
@@ -92,6 +98,7 @@ class RealtimeRun:
     reference_acceleration: Real
     motor_angle: Real
     torque: Real
+    payload: Real
     motor_reference: Real
     voltage: Real
     compensation: Real

@@ -41,7 +41,7 @@ SUBSTEPS = 10  # friction steps in a period: a stop is placed to 0.4 ms at 4 ms
 
 # Columns of the twin's inputs and of its record (csrc/kernels/twin.h).
 REFERENCE, VELOCITY, ACCELERATION, GAUGE_ERROR, TIP_FORCE, FAULT_BITS = range(6)
-ENCODER_GAIN, ENCODER_ERROR, ENCODER_VALUE, GAUGE_GAIN, GAUGE_VALUE = range(6, 11)
+ENCODER_GAIN, ENCODER_ERROR, ENCODER_VALUE, GAUGE_GAIN, GAUGE_VALUE, PAYLOAD = range(6, 12)
 RECORD = (
     "reference",
     "motor_angle",
@@ -81,6 +81,7 @@ _NUMBERS = (
     "amplitude",
     "gauge_delay",
     "gauge_gain",
+    "payload_given",
 )
 
 
@@ -90,7 +91,7 @@ class LumpedArms:
 
     stiffness [N·m/rad], motor_gain A [rad/(s²·V)], motor_decay B [1/s], friction [rad/s²], gauge_offset and
     noise [N·m], delay_samples [periods], amplitude of the reference [rad], gauge_delay [periods], gauge_gain
-    [1], and the seed of the noise.
+    [1], the payload that the law is given [kg] (0: none), and the seed of the noise.
     """
 
     links: LinkWeights
@@ -104,6 +105,7 @@ class LumpedArms:
     amplitude: Real
     gauge_delay: Real
     gauge_gain: Real
+    payload_given: Real
     seed: NDArray[np.uint64]
 
     @staticmethod
@@ -301,7 +303,7 @@ def _transfer(old: Plant, new: Plant, state: Real, step: StepMatrices) -> Real:
 def healthy_inputs(
     twin: Twin, reference: Reference, period: float, count: int, generator: np.random.Generator
 ) -> Real:
-    """Return the kernel's inputs of a run without events or faults, shape (count, 11)."""
+    """Return the kernel's inputs of a run without events or faults, shape (count, 12)."""
     time = period * np.arange(count)
     inputs = np.zeros((count, _kernels.TWIN_INPUTS))
     inputs[:, REFERENCE] = reference.angle(time)

@@ -20,6 +20,7 @@ from fraclink._law.discretization import COULOMB_SPEED, check_rigs_period
 from fraclink._simulate.arm import Twin
 from fraclink._simulate.kernel import (
     OTHER_SIGNALS,
+    PAYLOAD,
     RECORD,
     REFERENCE,
     SHORT_SIGNALS,
@@ -58,6 +59,7 @@ def simulate(
     model: LinkModel | None = None,
     arm: Twin | None = None,
     payload: Annotated[float, Between(1e-9, 1e9, "kg")] | None = None,
+    told: bool | Annotated[float, Between(0.0, 1e9, "kg")] = False,
     duration: Annotated[float, Between(0.0, 1e300, "s", low_open=True)] | None = None,
     motor_loop: MotorLoop | None = None,
     events: Iterable[Event] = (),
@@ -91,6 +93,10 @@ def simulate(
     payload
         mass at the tip [kg]; the model's, or the twin's, where it is left out. ω₀ scales as sqrt(1/payload)
         (5).
+    told
+        payload that the law is given as its input: True for the arm's own, also where an event changes it, a
+        number [kg] for one that may be wrong, False or 0 for none. The law then scales its feed-forward and
+        compares the tip with where its motor loop can have brought it by now.
     duration
         time to simulate [s], at most 2 000 000 periods; 5 s after the reference's end where it is left out,
         long enough to see a vibration grow.
@@ -148,7 +154,7 @@ def simulate(
         twin = arm if payload is None else arm.with_payload(payload)
         twin = replace(twin, sensors=replace(twin.sensors, **gauge)) if gauge else twin
         twin = twin if delay_samples is None else replace(twin, voltage_delay=delay_samples)
-        return _on_twin(twin, law, reference, length, tuple(events), seed)
+        return _on_twin(twin, law, reference, length, tuple(events), seed, told)
     _refuse(events=bool(tuple(events)))
     if isinstance(design, Design):
         rig, model = rig or design.rig, model or design.model
@@ -169,6 +175,7 @@ def simulate(
         "delay_samples": own.motor_loop.delay_samples if delay_samples is None else delay_samples,
         "substeps": substeps,
         "compensation": compensation,
+        "payload_given": _given(told, link.payload),
     }
     return _on_model(law, link, own, reference, length, about | gauge, findings)
 
@@ -178,6 +185,16 @@ def _length(reference: Reference, duration: float | None, period: float) -> floa
     if length > MOST_SAMPLES * period:
         raise SizeError("duration", length, "too long", allowed=f"{MOST_SAMPLES} periods", remedy="split it")
     return Between(period, math.inf, "s").check("duration", length)
+
+
+def _given(told: bool | float, payload: float | None) -> float:
+    """What the law is given [kg], 0 for nothing."""
+    if told is not True:
+        return float(told)
+    if payload is None:
+        remedy = "give payload=, or a model that knows its own"
+        raise FieldError("told", True, "without a payload to tell", allowed="a payload in kg", remedy=remedy)
+    return payload
 
 
 _NOT_HERE = {  # option: what is allowed, and why
@@ -232,7 +249,8 @@ def _on_model(
         raise FieldError("reference", "NaN", "not finite", allowed="finite", remedy="check the reference")
     delay = Between(0.0, 100.0, "periods").check("gauge_delay", about["gauge_delay"] / law.period)
     values = {"stiffness": link.stiffness, "noise": about["gauge_noise"], "gauge_delay": delay}
-    values |= {name: float(about[name]) for name in ("gauge_offset", "gauge_gain", "delay_samples")}
+    same = ("gauge_offset", "gauge_gain", "delay_samples", "payload_given")
+    values |= {name: float(about[name]) for name in same}
     values |= dict.fromkeys(("motor_gain", "viscous_friction", "coulomb_torque", "amplitude"), 1.0)
     arm = LumpedArms.of(
         rig,
@@ -330,7 +348,13 @@ def _drive_of(twin: Twin, law: Law) -> Drive:
 
 
 def _on_twin(
-    twin: Twin, law: Law, reference: Reference, length: float, events: tuple[Event, ...], seed: int
+    twin: Twin,
+    law: Law,
+    reference: Reference,
+    length: float,
+    events: tuple[Event, ...],
+    seed: int,
+    told: bool | float,
 ) -> Run:
     law, findings = with_motor_loop(law, twin=twin)
     count = round(length / law.period) + 1
@@ -339,6 +363,7 @@ def _on_twin(
     records, payloads = [], []
     for first, last, changes in segments(events, law.period, inputs):
         apply(state, law, changes)
+        inputs[first:last, PAYLOAD] = _given(told, state.twin.beam.payload)
         part = state.run(law.block, inputs[first:last], single=law.precision == "single")
         records.append(part)
         payloads.append(np.full(len(part), state.twin.beam.payload))
@@ -358,6 +383,7 @@ def _on_twin(
             "damping": twin.damping.label,
             "link_mass": twin.beam.link_mass,
             "payload": twin.beam.payload,
+            "payload_given": "the arm's own" if told is True else float(told),
             "events": "; ".join(map(repr, events)),
         },
         findings=(*twin.findings, *findings),
