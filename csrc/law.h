@@ -134,15 +134,6 @@ typedef struct {
     /* feed-forward: acceleration to motor angle, s^(order - 2)/natural_frequency^2 */
     law_real forward_direct;
     law_mode forward[LAW_FORWARD_MODES];
-    /* a payload that is given: the feed-forward times link_scale + payload_scale payload, and what the tip estimate
-     * shall be by now, H/(z - 1 + H) of the reference with H = track_now + track_next/(z - track_keep) */
-    law_real link_scale;
-    law_real payload_scale; /* [1/kg] */
-    law_real track_now;
-    law_real track_next;
-    law_real track_keep;
-    law_real gauge_now; /* the gauge's gain and delay, as a lag, on the flexion of the feed-forward; 1 and 0 for none */
-    law_real gauge_keep;
     /* limits; the exporter derives and prints them */
     law_real sum_limit;        /* largest credible correction and feed-forward [rad] */
     law_real correction_limit; /* largest state of the correction */
@@ -156,8 +147,6 @@ typedef struct {
     law_real reference_step;   /* largest change of the reference in one period [rad] */
     law_real reference_rate;   /* part of a jump of the reference that is followed in one period */
     law_real acceleration_limit;
-    law_real payload_limit;  /* largest credible payload [kg]; 0: the law knows no payload */
-    law_real scale_step;     /* largest change of the feed-forward's scale in one period */
     law_real motor_limit;    /* range of the motor reference [rad] */
     law_real motor_step;     /* largest change of the motor reference in one period [rad] */
     law_real fade_step;      /* fade of the correction in one period after the gauge is given up */
@@ -182,6 +171,17 @@ typedef struct {
     law_real torque_voltage;  /* compensation of the coupling torque [V/(N m)] */
     law_real coulomb_voltage; /* compensation of Coulomb friction [V] */
     law_real coulomb_slope;   /* 1/(change of the motor reference in a period below which it fades) [1/rad] */
+    /* a payload that is given: the feed-forward times link_scale + payload_scale payload, and what the tip estimate
+     * shall be by now, H/(z - 1 + H) of the reference with H = track_now + track_next/(z - track_keep) */
+    law_real link_scale;
+    law_real payload_scale; /* [1/kg] */
+    law_real track_now;
+    law_real track_next;
+    law_real track_keep;
+    law_real gauge_now; /* the gauge's gain and delay, as a lag, on the flexion of the feed-forward; 1 and 0 for none */
+    law_real gauge_keep;
+    law_real payload_limit;  /* largest credible payload [kg]; 0: the law knows no payload */
+    law_real scale_step;     /* largest change of the feed-forward's scale in one period */
 } law_params;
 
 /* Everything the law remembers. */

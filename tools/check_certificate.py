@@ -49,8 +49,8 @@ def board(law):  # SHA-256 of the block on the board: of law_data.h, packed once
     version, length, crc, width, *counts = (int(v[:-1], 0) for v in found.values() if v[-1] == "U")  # of size and crc the last
     rows = {k: [float.fromhex(x) for x in re.findall(r"-?0x[\w.]+p[+-]?\d+", v)] for k, v in found.items()}
     room = {"period": 1, "compliance": 1, "direct": 1, "real": 16, "pair": 8, "forward_direct": 1, "forward": 16}
-    flat = (x for k in [*room, *(k for k in [*rows][14:] if k not in room)] for x in (rows.get(k, []) + [0.0] * room.get(k, 1))[: room.get(k, 1)])
-    return sha(struct.pack(f"<14I79{'fd'[width == 8]}", version, length, width, crc, *counts, *flat))
+    flat = [x for k in [*room, *(k for k in [*rows][14:] if k not in room)] for x in (rows.get(k, []) + [0.0] * room.get(k, 1))[: room.get(k, 1)]]
+    return sha(struct.pack(f"<14I{len(flat)}{'fd'[width == 8]}", version, length, width, crc, *counts, *flat))
 class Loop:
     def __init__(self, s):
         self.s, self.ideal, numbers = s, s["motor_loop"] == "ideal", [s[k] for k in s if k not in TEXT]
@@ -61,16 +61,16 @@ class Loop:
         need(not s["mode_gain_high"] or (0 < s["mode_damping"] < 1 and s["mode_frequency_low"] > 0), "the second mode")
         need(s["hold"] == "zero-order" and s["motor_loop"] in ("ideal", "sampled"), "another hold or motor loop")
         block, (width, kind) = bytes.fromhex(s["block"]), {"single": (4, "f"), "double": (8, "d")}[s["precision"]]
-        need(struct.unpack("<4I", block[:16]) == (2, len(block), width, zlib.crc32(block[16:])) and sha(block) == s["digest"], "version, size, CRC or hash")
+        need(struct.unpack("<4I", block[:16]) == (2 + (len(block) > 56 + 79 * width), len(block), width, zlib.crc32(block[16:])) and sha(block) == s["digest"], "version, size, CRC or hash")
         options, n, p, ahead, *guards = struct.unpack("<10I", block[16:56])
-        c = [x for x, in struct.iter_unpack("<" + kind, block[56 : 56 + 79 * width])]  # law.h
+        c = [x for x, in struct.iter_unpack("<" + kind, block[56:])]  # law.h; from 79 on what a payload changes, outside the loop
         need(all(map(math.isfinite, c)) and min(*guards, *c[44:65]) > 0, "a number is not finite, or a limit not > 0")
-        need(options in (1, 1 - self.ideal) and n <= 8 and p <= 2 and ahead <= 8 and not any(c[3 + 2 * n : 19] + c[19 + 4 * p : 27]), "counts of modes, or a law that closes no motor loop")
+        need((options & ~2) in (1, 1 - self.ideal) and n <= 8 and p <= 2 and ahead <= 8 and not any(c[3 + 2 * n : 19] + c[19 + 4 * p : 27]), "counts of modes, or a law that closes no motor loop")
         pairs = [(complex(x, t * y), complex(g, t * h) / 2) for x, y, g, h in zip(*(c[19 + k : 19 + 4 * p : 4] for k in range(4))) for t in (1, -1)]
         self.modes = [(complex(x), complex(g)) for x, g in zip(c[3 : 3 + 2 * n : 2], c[4 : 4 + 2 * n : 2])] + pairs
         need(all(abs(p) < 1 - U for p, _ in self.modes), "a pole of the correction is not stable")
         self.text = s | {"law": s["digest"][:12], "real_modes": n, "pair_modes": p, "period": c[0], "compliance": c[1]}
-        self.T, self.direct, self.pid, self.read, self.B = c[0], c[2], c[-14:-5], c[1] * s["stiffness"], s["decay"]
+        self.T, self.direct, self.pid, self.read, self.B = c[0], c[2], c[65:74], c[1] * s["stiffness"], s["decay"]
         self.guards(c, s)
         rest = [(s[k + "_low"], s[k + "_high"]) for k in (*AXES[:5], "pole" if self.ideal else "gain", *AXES[6:])]
         soft = math.nextafter(s["softness_low"] * s["payload_low"], 0), math.nextafter(s["softness_high"] * s["payload_high"], math.inf)

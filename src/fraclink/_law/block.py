@@ -50,6 +50,19 @@ COUNTS = (
     "frozen_limit",
     "block_limit",
 )
+# What a law needs for a payload that it is given. A block of version 2, which old files and certificates
+# hold, ends before these, so that everything in front lies where it did.
+_PAYLOAD: tuple[tuple[str, int], ...] = (
+    ("link_scale", 1),
+    ("payload_scale", 1),
+    ("track_now", 1),
+    ("track_next", 1),
+    ("track_keep", 1),
+    ("gauge_now", 1),
+    ("gauge_keep", 1),
+    ("payload_limit", 1),
+    ("scale_step", 1),
+)
 # Name and length of every real field, in the order of law.h; a test reads law.h and compares. Modes lie as
 # (pole, gain), pairs as (pole, turn, gain, cross).
 REALS: tuple[tuple[str, int], ...] = (
@@ -60,13 +73,6 @@ REALS: tuple[tuple[str, int], ...] = (
     ("pair", 4 * PAIR_MODES),
     ("forward_direct", 1),
     ("forward", 2 * FORWARD_MODES),
-    ("link_scale", 1),
-    ("payload_scale", 1),
-    ("track_now", 1),
-    ("track_next", 1),
-    ("track_keep", 1),
-    ("gauge_now", 1),
-    ("gauge_keep", 1),
     ("sum_limit", 1),
     ("correction_limit", 1),
     ("forward_limit", 1),
@@ -79,8 +85,6 @@ REALS: tuple[tuple[str, int], ...] = (
     ("reference_step", 1),
     ("reference_rate", 1),
     ("acceleration_limit", 1),
-    ("payload_limit", 1),
-    ("scale_step", 1),
     ("motor_limit", 1),
     ("motor_step", 1),
     ("fade_step", 1),
@@ -104,17 +108,11 @@ REALS: tuple[tuple[str, int], ...] = (
     ("torque_voltage", 1),
     ("coulomb_voltage", 1),
     ("coulomb_slope", 1),
+    *_PAYLOAD,
 )
 # What the motor loop reads: from "inner_direct" on; the first nine make the PID.
 INNER = tuple(name for name, _ in REALS[[name for name, _ in REALS].index("inner_direct") :])
 PID = INNER[: INNER.index("filter_decay") + 1]
-
-
-# What a law needs for a payload that it is given: fields of the block since its version 3.
-SINCE_3 = {
-    *("link_scale", "payload_scale", "track_now", "track_next", "track_keep", "gauge_now", "gauge_keep"),
-    *("payload_limit", "scale_step"),
-}
 
 
 def real_type(precision: Precision) -> Literal["f", "d"]:
@@ -122,6 +120,10 @@ def real_type(precision: Precision) -> Literal["f", "d"]:
     remedy = "use single for a microcontroller with a single-precision FPU"
     checked_choice("precision", precision, ("single", "double"), remedy=remedy)
     return "f" if precision == "single" else "d"
+
+
+def _fields(version: int) -> tuple[tuple[str, int], ...]:
+    return REALS if version == VERSION else REALS[: -len(_PAYLOAD)]
 
 
 def _format(precision: Precision, fields: tuple[tuple[str, int], ...] = REALS) -> str:
@@ -138,7 +140,7 @@ def pack(
     zeros. `version` 2 is the block of release 0.2, which knew no payload.
     """
     flat: list[float] = []
-    fields = REALS if version == VERSION else tuple(row for row in REALS if row[0] not in SINCE_3)
+    fields = _fields(version)
     for name, length in fields:
         given = values[name]
         items = list(given) if isinstance(given, Sequence) else [given]
@@ -171,13 +173,14 @@ def unpack(block: bytes, precision: Precision) -> dict[str, float | list[float]]
     """Return what `pack` was given, as the law really has it: reals rounded to its precision, lists in
     full.
     """
-    items = list(struct.unpack(_format(precision), block[16:]))
+    fields = _fields(struct.unpack("<I", block[:4])[0])
+    items = list(struct.unpack(_format(precision, fields), block[16:]))
     result: dict[str, float | list[float]] = dict(
         zip(HEADER, map(float, struct.unpack("<IIII", block[:16])), strict=True)
     )
     for name in COUNTS:
         result[name] = items.pop(0)
-    for name, length in REALS:
+    for name, length in fields:
         taken, items = items[:length], items[length:]
         result[name] = taken if length > 1 else taken[0]
     return result

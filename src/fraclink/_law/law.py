@@ -82,9 +82,9 @@ def _first_format(content: dict[str, Any]) -> dict[str, Any]:
     """Format 1 had the fields of format 2; its digest was that of the block."""
     stated = content.pop("sha256", None)
     law = codec_of(Law).decode(_second_format(content), "", Storage(hex_floats=True))
-    if stated != law.digest:
+    if stated != law.former_digest:
         raise FileFormatError(
-            "sha256", stated, "not that of the law", allowed=law.digest, remedy="make the file again"
+            "sha256", stated, "not that of the law", allowed=law.former_digest, remedy="make the file again"
         )
     return content
 
@@ -186,13 +186,18 @@ class Law:
 
     @property
     def digest(self) -> str:
-        """SHA-256 of the block, 64 hexadecimal digits: two laws with one digest run alike to the last bit.
+        """SHA-256 of the block, 64 hexadecimal digits: two laws with one digest run alike to the last bit."""
+        return hashlib.sha256(self.block).hexdigest()
 
-        A law that knows no payload has the digest that it had before there was one, so that what was made of
-        it (campaigns, records, exports) still belongs to it.
+    @property
+    def former_digest(self) -> str:
+        """The digest of a law that knows no payload as it was before there was one; else `digest`.
+
+        What was made of such a law by an earlier release (campaigns, records) still belongs to it.
         """
-        version = layout.VERSION if self.tracking else 2
-        return hashlib.sha256(layout.pack(self.values, self.precision, version=version)).hexdigest()
+        if self.tracking is not None:
+            return self.digest
+        return hashlib.sha256(layout.pack(self.values, self.precision, version=2)).hexdigest()
 
     @property
     def coefficients(self) -> dict[str, float | list[float]]:
