@@ -28,7 +28,7 @@ from fraclink._law.block import (
 )
 from fraclink._law.law import Law
 from fraclink._law.limits import Moves, derive_limits
-from fraclink._law.tracking import tracking_for
+from fraclink._law.tracking import forward_fit, tracking_for
 from fraclink._systems.discrete import DiscreteRational, Order, checked_band, fit_discrete
 from fraclink._validate import checked_noun, checked_number
 from fraclink._validate.rules import rule
@@ -41,7 +41,6 @@ Real = NDArray[np.float64]
 # A slow pole must not round to an integrator.
 BELOW_ONE = float(np.nextafter(np.float32(1.0), np.float32(0.0)))
 LOWEST = 0.05  # [rad/s]: below, Ĉ is under 1e-2 of its value at the crossover, and C is 1 to the tolerance
-FLEXIBLE = 0.2  # of the resonance: below, the flexion is under 5 % of the motor's motion, its error under 1 %
 STICTION = 3.0  # times the Coulomb friction, at most: a motor that is stuck beyond is a fault
 COULOMB_SPEED = 0.02  # [rad/s]: a wider band leaves stiction to stop small corrections, a sharp sign chatters
 # Around the crossover an error of C counts this many times over |1 + Ĉ|/|Ĉ|: 0.5° of C is 1.2° of the
@@ -115,7 +114,7 @@ def discretize_controller(
         order = rule(Order).check("order", order)  # what keys the cache of fits must be a number
     reach = _band(controller, period) if band is None else checked_band(band, period)
     correction = fit_correction(controller, model, period, reach, order)
-    forward = _forward_fit(model, period)
+    forward = forward_fit(model, period)
     inner_pole = controller.inner.pole if controller.inner is not None else 80.0
     delay = controller.inner.delay_samples if controller.inner is not None else 1
     modes = _modes("link.order", forward, FORWARD_MODES, 0)
@@ -305,29 +304,6 @@ def _band(controller: Controller, period: float) -> tuple[float, float]:
     nyquist = math.pi / period
     high = min(600.0, 0.764 * nyquist) if controller.is_strictly_proper else min(300.0, 0.382 * nyquist)
     return min(LOWEST, 1e-3 * nyquist), high
-
-
-@lru_cache(maxsize=8)
-def _forward_fit(link: LinkModel, period: float) -> DiscreteRational:
-    """s^(λ-2)/(μ s^α + ω₀²): what the reference's acceleration must add to the motor angle (1/G − 1 over
-    s²).
-    """
-
-    def response(frequency: NDArray[np.float64]) -> NDArray[np.complex128]:
-        s = 1j * frequency
-        return np.asarray((1 / link.tip()(s) - 1) / s**2, dtype=np.complex128)
-
-    high = min(200.0, 0.5 * math.pi / period)
-    # 0.3 dB of the feed-forward is 3 % of the flexion, well below what an unknown payload changes.
-    return fit_discrete(
-        response,
-        period=period,
-        band=(min(FLEXIBLE * abs(link.pole), 0.1 * high), high),
-        tolerance_db=0.3,
-        tolerance_deg=1.5,
-        highest=FORWARD_MODES,
-        pairs=0,
-    )
 
 
 def _modes(field: str, fit: DiscreteRational, reals: int, pairs: int) -> Modes:

@@ -9,6 +9,7 @@ margins, and so its certificate, are those of the law without.
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,13 +18,15 @@ from fraclink._arm.link import LinkModel
 from fraclink._arm.motor import DiscretePid
 from fraclink._arm.motor_loop import SampledMotorLoop
 from fraclink._arm.rig import Rig
-from fraclink._law.block import Modes, Tracking
+from fraclink._law.block import FORWARD_MODES, Modes, Tracking
+from fraclink._systems.discrete import DiscreteRational, fit_discrete
 
-__all__ = ["tracking_for"]
+__all__ = ["forward_fit", "tracking_for"]
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
+FLEXIBLE = 0.2  # of the resonance: below, the flexion is under 5 % of the motor's motion, its error under 1 %
 # What the link's own mass is worth at the tip, where it bends as under a force there (Rayleigh).
 LINK_SHARE = 33 / 140
 # A natural frequency this near to eq. (5) was computed by it, without the link's mass; an identified one
@@ -121,3 +124,26 @@ def _best(follows: Complex, back: Complex, weight: Real, one: Real, two: Real) -
     error = np.sum(np.abs(slope * near[:, None] + weight * rest) ** 2, axis=1)
     best = int(np.argmin(error))
     return float(one[best, 0]), float(two[best, 0]), float(near[best])
+
+
+@lru_cache(maxsize=8)
+def forward_fit(link: LinkModel, period: float) -> DiscreteRational:
+    """s^(λ-2)/(μ s^α + ω₀²): what the reference's acceleration must add to the motor angle (1/G − 1 over
+    s²).
+    """
+
+    def response(frequency: NDArray[np.float64]) -> NDArray[np.complex128]:
+        s = 1j * frequency
+        return np.asarray((1 / link.tip()(s) - 1) / s**2, dtype=np.complex128)
+
+    high = min(200.0, 0.5 * math.pi / period)
+    # 0.3 dB of the feed-forward is 3 % of the flexion, well below what an unknown payload changes.
+    return fit_discrete(
+        response,
+        period=period,
+        band=(min(FLEXIBLE * abs(link.pole), 0.1 * high), high),
+        tolerance_db=0.3,
+        tolerance_deg=1.5,
+        highest=FORWARD_MODES,
+        pairs=0,
+    )

@@ -15,9 +15,11 @@ from numpy.typing import NDArray
 
 from fraclink import _kernels
 from fraclink._arm.beam import matrices
+from fraclink._arm.motor import place_pid
 from fraclink._arm.reference import Reference
 from fraclink._arm.rig import Rig
-from fraclink._law import Law
+from fraclink._law import Drive, Law
+from fraclink._law.discretization import COULOMB_SPEED
 from fraclink._simulate.arm import Twin
 from fraclink._simulate.plant import LinkWeights, Plant, StepMatrices, substeps
 from fraclink._simulate.sensors import (
@@ -30,6 +32,7 @@ from fraclink._simulate.sensors import (
     TipPulse,
     delay_line,
 )
+from fraclink.errors import FieldError
 
 __all__ = ["ArmState", "LumpedArms", "apply", "healthy_inputs", "run_lumped", "segments", "shared_rig"]
 
@@ -376,3 +379,24 @@ def apply(state: ArmState, law: Law, changes: list[Event | None]) -> None:
             state.change_payload(event.payload)
         elif isinstance(event, Restart):
             state.law = np.frombuffer(bytearray(law.initial_state()), dtype=np.uint8)
+
+
+def given_payload(told: bool | float, payload: float | None) -> float:
+    """What the law is given [kg], 0 for nothing."""
+    if told is not True:
+        return float(told)
+    if payload is None:
+        remedy = "give payload=, or a model that knows its own"
+        raise FieldError("told", True, "without a payload to tell", allowed="a payload in kg", remedy=remedy)
+    return payload
+
+
+def drive_of(twin: Twin, law: Law) -> Drive:
+    motor = twin.motor
+    return Drive(
+        loop=place_pid(motor, law.inner_pole).discretize(law.period),
+        voltage_limit=min(motor.voltage_limit, 1e4),  # a block holds finite numbers
+        torque_voltage=1.0 / (motor.torque_constant * motor.gear_ratio),
+        coulomb_voltage=motor.coulomb_torque / motor.torque_constant,
+        coulomb_speed=COULOMB_SPEED,
+    )

@@ -11,12 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._arm.link import LinkModel
-from fraclink._arm.motor import place_pid
 from fraclink._arm.reference import Reference, sampled
 from fraclink._arm.rig import Rig
 from fraclink._design import Design
-from fraclink._law import Drive, Law, equip
-from fraclink._law.discretization import COULOMB_SPEED, check_rigs_period
+from fraclink._law import Law, equip
+from fraclink._law.discretization import check_rigs_period
 from fraclink._simulate.arm import Twin
 from fraclink._simulate.kernel import (
     OTHER_SIGNALS,
@@ -28,6 +27,8 @@ from fraclink._simulate.kernel import (
     ArmState,
     LumpedArms,
     apply,
+    drive_of,
+    given_payload,
     healthy_inputs,
     run_lumped,
     segments,
@@ -175,7 +176,7 @@ def simulate(
         "delay_samples": own.motor_loop.delay_samples if delay_samples is None else delay_samples,
         "substeps": substeps,
         "compensation": compensation,
-        "payload_given": _given(told, link.payload),
+        "payload_given": given_payload(told, link.payload),
     }
     return _on_model(law, link, own, reference, length, about | gauge, findings)
 
@@ -185,16 +186,6 @@ def _length(reference: Reference, duration: float | None, period: float) -> floa
     if length > MOST_SAMPLES * period:
         raise SizeError("duration", length, "too long", allowed=f"{MOST_SAMPLES} periods", remedy="split it")
     return Between(period, math.inf, "s").check("duration", length)
-
-
-def _given(told: bool | float, payload: float | None) -> float:
-    """What the law is given [kg], 0 for nothing."""
-    if told is not True:
-        return float(told)
-    if payload is None:
-        remedy = "give payload=, or a model that knows its own"
-        raise FieldError("told", True, "without a payload to tell", allowed="a payload in kg", remedy=remedy)
-    return payload
 
 
 _NOT_HERE = {  # option: what is allowed, and why
@@ -321,7 +312,7 @@ def with_motor_loop(
         if rig is not None and link is not None:
             return equip(law, rig, link), (finding,)
         if twin is not None:
-            return replace(law, drive=_drive_of(twin, law)), (finding,)
+            return replace(law, drive=drive_of(twin, law)), (finding,)
     elif not math.isclose(law.drive.loop.period, law.period, rel_tol=1e-9):
         raise FieldError(
             "period",
@@ -331,17 +322,6 @@ def with_motor_loop(
             remedy="discretise controller and motor loop at one period",
         )
     return law, ()
-
-
-def _drive_of(twin: Twin, law: Law) -> Drive:
-    motor = twin.motor
-    return Drive(
-        loop=place_pid(motor, law.inner_pole).discretize(law.period),
-        voltage_limit=min(motor.voltage_limit, 1e4),  # a block holds finite numbers
-        torque_voltage=1.0 / (motor.torque_constant * motor.gear_ratio),
-        coulomb_voltage=motor.coulomb_torque / motor.torque_constant,
-        coulomb_speed=COULOMB_SPEED,
-    )
 
 
 # ── the twin ────────────────────────────────────────────────────────────────────────────────────────────────
@@ -363,7 +343,7 @@ def _on_twin(
     records, payloads = [], []
     for first, last, changes in segments(events, law.period, inputs):
         apply(state, law, changes)
-        inputs[first:last, PAYLOAD] = _given(told, state.twin.beam.payload)
+        inputs[first:last, PAYLOAD] = given_payload(told, state.twin.beam.payload)
         part = state.run(law.block, inputs[first:last], single=law.precision == "single")
         records.append(part)
         payloads.append(np.full(len(part), state.twin.beam.payload))
