@@ -39,7 +39,6 @@ __all__ = ["ArmState", "LumpedArms", "apply", "healthy_inputs", "run_lumped", "s
 Real = NDArray[np.float64]
 Bits = NDArray[np.uint32]
 
-
 SUBSTEPS = 10  # friction steps in a period: a stop is placed to 0.4 ms at 4 ms
 
 # Columns of the twin's inputs and of its record (csrc/kernels/twin.h).
@@ -62,7 +61,6 @@ RECORD = (
     "contact_force",
     "tip_estimate",
 )
-
 
 # What `run_lumped` returns of each arm, and what more with `everything`.
 SHORT_SIGNALS = ("tip_angle", "motor_reference", "voltage")
