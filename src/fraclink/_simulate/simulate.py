@@ -60,7 +60,7 @@ def simulate(
     model: LinkModel | None = None,
     arm: Twin | None = None,
     payload: Annotated[float, Between(1e-9, 1e9, "kg")] | None = None,
-    told: bool | Annotated[float, Between(0.0, 1e9, "kg")] = False,
+    told: Annotated[float, Between(0.0, 1e9, "kg")] | bool = False,
     duration: Annotated[float, Between(0.0, 1e300, "s", low_open=True)] | None = None,
     motor_loop: MotorLoop | None = None,
     events: Iterable[Event] = (),
