@@ -161,6 +161,8 @@ class Formulas:
 
     def negative(self, value: Value) -> Value:
         """Return `-value`."""
+        if value.kind == "float":  # a constant that a cast makes a real
+            return Value("float", f"-{value.term}")
         if value.term in self.known:
             literal = real_literal(-self.known[value.term], self.precision)
             self.known[literal] = -self.known[value.term]

@@ -27,7 +27,7 @@ _FORM = (
     "run_modes(p->direct * change, &s->real[0], change, &p->real[0], count);",
     "tip = s->motor_angle - (s->torque * p->compliance);",
     "law_real angle = s->reference;",
-    "error = expected(s, p, forward, given) - tip;",
+    "error = expected(s, p, forward) - tip;",
     "correct(s, p, error - s->error);",
     "s->reference + offset;",
     "command(s, p, forward + faded(s, p, correction));",

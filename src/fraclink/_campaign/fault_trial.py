@@ -65,7 +65,8 @@ COUNTERS = len(WORDS)
 REALS = (
     *(f"modes[{i}]" for i in range(20)),
     *("error", "reference", "motor_reference", "motor_angle", "torque", "model_near", "model_angle"),
-    *("stuck_torque", "encoder", "encoder_model", "input_reference", "fade", "integral", "filter", "voltage"),
+    *("stuck_torque", "encoder", "encoder_model", "input_reference"),
+    *("payload", "scale", "track", "track_push", "late", "fade", "integral", "filter", "voltage"),
 )
 
 

@@ -141,7 +141,7 @@ class Law:
     >>> link = LinkModel(stiffness=1.56, natural_frequency=11.094, order=1.92)
     >>> law = discretize(Controller(gain=0.069876, order=0.612197, link=link), 0.004, order=4)
     >>> abs(law.frequency_response(0.0)).item(), len(law.block)
-    (0.0, 768)
+    (0.0, 760)
     """
 
     period: float
