@@ -56,10 +56,10 @@ ENCODER, GAUGE, REFERENCE, MISSED, REPEATED, STARTED = 1, 2, 4, 8, 16, 128
 ENCODER_REPLACED, GAUGE_REPLACED, FROZEN_ENCODER, FROZEN_GAUGE, SWAPPED, TICK_MISSED, TICK_REPEATED = (
     1 << bit for bit in range(7)
 )
-# law_state: twelve words, then these reals, in the order of law.h.
+# law_state: fourteen words, then these reals, in the order of law.h.
 WORDS = (
     *("stamp", "mode", "reason", "tick", "bad_encoder", "bad_gauge"),
-    *("residual", "stuck", "overload", "frozen", "repeated", "repeated_at"),
+    *("residual", "stuck", "overload", "frozen", "repeated", "repeated_at", "tracking", "given"),
 )
 COUNTERS = len(WORDS)
 REALS = (
