@@ -73,6 +73,9 @@ class Formulas:
         self.count = 0
         self._names: dict[tuple[str, str], Value] = {}
         self.choices: dict[str, tuple[Value, Value, Value]] = {}  # by name: condition, and both values
+        self.operations: dict[
+            str, tuple[str, Value, Value]
+        ] = {}  # of reals, by name: sign, and both operands
         self.bounded: dict[str, float] = {}  # by name: |value| is assumed to be at most this, and no NaN
 
     def sort(self, kind: str) -> str:
@@ -139,7 +142,10 @@ class Formulas:
             return decided
         operations, tests_of = (_REAL, _REAL_TESTS) if a.kind == "real" else (_WORD, _WORD_TESTS)
         if sign in operations:
-            return self.defined(a.kind, f"({operations[sign]} {a.term} {b.term})")
+            result = self.defined(a.kind, f"({operations[sign]} {a.term} {b.term})")
+            if a.kind == "real":
+                self.operations[result.term] = (sign, a, b)
+            return result
         if sign in tests_of:
             return self.defined("bool", f"({tests_of[sign]} {a.term} {b.term})")
         raise Unreadable(f"{a.kind} {sign} {b.kind}")
@@ -180,6 +186,28 @@ class Formulas:
         limit = real_literal(first_beyond(bound, self.precision), self.precision)
         return self.defined("bool", f"(fp.lt (fp.abs {root.term}) {limit})")
 
+    def at_most(self, value: Value, limit: float) -> Value:
+        """Return a condition under which |value| <= `limit`, and no NaN; it may ask for more than that.
+
+        A sum meets it, too, where both parts are at most a quarter of the limit (a half would do but for the
+        rounding), a multiple of a constant where the other factor is small enough: what is left for a solver
+        are comparisons, where an adder of 53 bits in every branch takes it minutes.
+        """
+        if value.term in self.choices:
+            test, yes, no = self.choices[value.term]
+            return self.choice(test, self.at_most(yes, limit), self.at_most(no, limit))
+        literal = real_literal(_single(repr(limit)), self.precision)
+        itself = self.defined("bool", f"(fp.leq (fp.abs {value.term}) {literal})")
+        sign, a, b = self.operations.get(value.term, ("", value, value))
+        if sign in ("+", "-"):
+            parts = self.joined("&&", [self.at_most(part, 0.25 * limit) for part in (a, b)])
+        elif sign == "*" and (a.term in self.known) != (b.term in self.known):
+            factor, other = (a, b) if a.term in self.known else (b, a)
+            parts = self.at_most(other, 0.25 * limit / max(abs(self.known[factor.term]), 1.0))
+        else:
+            return itself
+        return self.joined("||", [itself, parts])
+
     def number(self, text: str) -> Value:
         """Return a constant of C; "float" is the kind of one that a cast makes a real."""
         if text.lower().startswith("0x") or text.rstrip("uU").isdigit():
@@ -211,13 +239,16 @@ class Formulas:
             return self.defined("real", f"((_ to_fp_unsigned {exponent} {mantissa}) RNE {value.term})")
         raise Unreadable(f"{value.kind} as {kind}")
 
-    def relevant(self, goals: Sequence[str]) -> list[str]:
+    def relevant(self, goals: Sequence[str], *, arithmetic: bool = True) -> list[str]:
         """Return the definitions that `goals` stand on, in their order.
 
         A sum with a part that may be anything and is used nowhere else may be anything itself: it is set
-        free, which leaves less to decide and allows no less than before.
+        free, which leaves less to decide and allows no less than before. Without `arithmetic` all results of
+        it are set free: enough where nothing but comparisons bounds what is asked about.
         """
         defined = {line.split()[1]: line for line in self.lines}
+        if not arithmetic:
+            defined |= {name: f"(declare-const {name} {self.real_sort})" for name in self.operations}
         while True:
             uses = _uses(defined, goals)
             sums = [
