@@ -1,8 +1,8 @@
-"""Draw the README's picture from the README's own session: `python tools/make_pictures.py`.
+"""Draw the README's picture: `python tools/make_pictures.py`.
 
-Left: a move of 1 rad in 0.5 s at three payloads, simulated with the law that is shipped. Right: the phase
-margin that the published procedure promises, what is left of it in the loop that runs, and the same for a
-design that puts the loop into the equation.
+Left and middle: a move of 1 rad in 0.5 s of the twin with the law that is shipped, at four payloads, without
+and with the payload as its input. Right: the phase margin that the published procedure promises, what is left
+of it in the loop that runs, and the same for a design that puts the loop into the equation.
 """
 
 from __future__ import annotations
@@ -11,10 +11,12 @@ import math
 from pathlib import Path
 
 import numpy as np
+from matplotlib.axes import Axes
 
 import fraclink as fl
 from fraclink._files import write_text
-from fraclink._show.drawing import BLUE, GREEN, GREY, ORANGE, figure, svg
+from fraclink._show.drawing import BLUE, GREY, LINES, ORANGE, figure, svg
+from fraclink._simulate import Twin
 from fraclink._systems.margins import Margins
 
 PLACE = Path(__file__).resolve().parent.parent / "docs" / "_static" / "result.svg"
@@ -23,7 +25,8 @@ PLACE = Path(__file__).resolve().parent.parent / "docs" / "_static" / "result.sv
 def main() -> None:
     """Write the picture."""
     rig = fl.Rig.named("paper-2023")
-    model = fl.identify(fl.read_log(fl.bundled_log("prbs_30g"), rig=rig), "UD-FOM").model
+    model = rig.model
+    assert model is not None
     ours = fl.design(model, rig, payloads=(0.020, 0.040), gain_crossover=12.0, phase_margin=fl.deg(50))
     published = fl.design(
         model,
@@ -34,25 +37,12 @@ def main() -> None:
         margins="ideal",
         filter_order=2,
     )
-    law = fl.discretize(ours.controller, rig.period)
-    with figure(9.2, 3.3) as drawing:
-        tip, margin = drawing.subplots(1, 2, width_ratios=(1.25, 1))
-        for color, payload in zip((BLUE, ORANGE, GREEN), (0.020, 0.030, 0.040), strict=True):
-            run = fl.simulate(
-                law,
-                fl.smooth_step(1.0, duration=0.5),
-                rig=rig,
-                model=model,
-                payload=payload,
-                motor_loop="sampled",
-                duration=2.0,
-            )
-            tip.plot(run.time, run.tip_angle, color=color, label=f"{1e3 * payload:g} g")
-        tip.plot(run.time, run.reference, color=GREY, linestyle=(0, (4, 2)), label="reference")
-        tip.set(
-            xlabel="time [s]", ylabel="tip angle [rad]", xlim=(0, 2), title="One controller, three payloads"
-        )
-        tip.legend(loc="lower right")
+    with figure(10.5, 3.3) as drawing:
+        *moves, margin = drawing.subplots(1, 3, width_ratios=(1, 1, 1.2))
+        for tip, told in zip(moves, (False, True), strict=True):
+            _draw_moves(tip, told=told)
+        moves[1].sharey(moves[0])
+        moves[1].legend(loc="lower right")
         mass = np.linspace(0.008, 0.045, 40)
         for color, style, label, at in (
             (GREY, (0, (4, 2)), "published procedure: promised", published.at),
@@ -71,9 +61,24 @@ def main() -> None:
         )
         margin.set_title("What is promised, what is left")
         margin.legend(loc="upper left", fontsize=7.5)
-        write_text(
-            PLACE, svg(drawing, "result", "Tip angle of three payloads; phase margin against payload") + "\n"
-        )
+        title = "Tip angle of four payloads, not given and given; phase margin against payload"
+        write_text(PLACE, svg(drawing, "result", title) + "\n")
+
+
+def _draw_moves(tip: Axes, *, told: bool) -> None:
+    """Tip angle of four payloads: link 7.35 g, friction, gauge noise, 0.05 N·m gauge offset."""
+    rig = fl.Rig.named("paper-2023-geared")
+    assert rig.model is not None
+    request = {"gain_crossover": 12.0, "phase_margin": fl.deg(50), "filter_time": 0.02}
+    law = fl.design(rig.model, rig, payloads=(0.020, 0.040), **request).law()
+    move = fl.smooth_step(1.0, duration=0.5)
+    for line, payload in zip(LINES, (0.008, 0.020, 0.040, 0.080), strict=True):
+        arm = Twin.from_rig(rig, payload=payload)
+        run = fl.simulate(law, move, arm=arm, gauge_offset=0.05, duration=2.0, told=told)
+        tip.plot(run.time[::4], run.tip_angle[::4], **line, label=f"{1e3 * payload:g} g")
+    tip.axhspan(0.98, 1.02, color="#eef3f8", linewidth=0)
+    title = "Payload given" if told else "Payload not given"
+    tip.set(xlabel="time [s]", ylabel="tip angle [rad]", xlim=(0, 2), ylim=(0, 1.4), title=title)
 
 
 def _margin(found: Margins) -> float:

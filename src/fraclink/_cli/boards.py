@@ -21,6 +21,7 @@ from fraclink._cli.options import (
     Columns,
     DesignFile,
     Gear,
+    GivenPayload,
     MoveTime,
     RigName,
     load_arm,
@@ -183,8 +184,9 @@ def replay(
 
 
 class LoopOptions(TypedDict):
-    """The time, the priority and the tolerance of the real-time loop."""
+    """The payload that the law is given; the time, the priority and the tolerance of the real-time loop."""
 
+    payload: Annotated[GivenPayload, Default(0.0)]
     duration: Annotated[float | None, "Time to run [s]; default: 3 s after the move"]
     patience: Annotated[float, "Time to wait for the arm [s]", Default(5.0)]
     priority: Annotated[int, "Priority of SCHED_FIFO, 1 to 99; 0 asks for none", Default(80)]

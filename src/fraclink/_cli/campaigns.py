@@ -44,6 +44,7 @@ def montecarlo(
     model: ModelFile = None,
     runs: Annotated[int, "Number of runs"] = 10_000,
     seed: Annotated[int, "Seed of everything that is drawn"] = 0,
+    told: Annotated[bool, "The law is given the payload of each arm"] = False,
     workers: Annotated[int, "Processes on this machine"] = 1,
     scheduler: Annotated[str | None, "Address of a Dask scheduler, e.g. tcp://host:8786"] = None,
 ) -> Answer:
@@ -55,7 +56,7 @@ def montecarlo(
         made = Design.load(design)
     else:
         made, _ = design_for(load_rig(rig), load_link_model(model))
-    asked = Campaign.of(made.rig, made.model, made.law(), runs=runs, seed=seed)
+    asked = Campaign.of(made.rig, made.model, made.law(), runs=runs, seed=seed, told=told)
     with watching(runs) as watch:
         campaigns.run_campaign(asked, out, workers=workers, scheduler=scheduler, watch=watch)
     return _summarised(campaigns.summarise(asked, out), out)

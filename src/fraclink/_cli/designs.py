@@ -17,6 +17,7 @@ from fraclink._cli.options import (
     ArmOptions,
     DesignFile,
     DesignRequest,
+    GivenPayload,
     LinkMass,
     LogOptions,
     ModelFile,
@@ -134,6 +135,7 @@ class MoveOptions(TypedDict):
     gauge_offset: Annotated[float | None, "Offset of the gauge [N·m]; default: the rig's"]
     noise: Annotated[float | None, "Gauge noise [N·m]; default: the rig's"]
     inner: Annotated[MotorLoopKind, Default("sampled")]
+    told: Annotated[GivenPayload, Default(0.0)]
     seed: Annotated[SeedNumber, Default(0)]
 
 
@@ -146,7 +148,7 @@ def simulate(
 ) -> Answer:
     """Simulate a move of the tip with the shipped law; the exit code says whether it settles.
 
-    $ fraclink simulate design.json --payload 0.02
+    $ fraclink simulate design.json --payload 0.08 --told 0.08
     """
     made = Design.load(design_file)
     move = simulate_move(made, payload, **options)
@@ -167,6 +169,7 @@ def twin(
     design_file: DesignFile,
     amplitude: Amplitude = 1.0,
     move_time: MoveTime = 1.0,
+    told: GivenPayload = 0.0,
     seed: SeedNumber = 0,
     **options: Unpack[ArmOptions],
 ) -> Answer:
@@ -175,7 +178,7 @@ def twin(
     $ fraclink twin design.json --gear 50 --link-mass 0.00735
     """
     made, arm = load_arm(design_file, options)
-    move = run_law(made.law(), smooth_step(amplitude, duration=move_time), arm=arm, seed=seed)
+    move = run_law(made.law(), smooth_step(amplitude, duration=move_time), arm=arm, told=told, seed=seed)
     remarks, doubts = tuple(map(str, arm.findings)), _doubts(made, options["payload"])
     following = f"fraclink certify {design_file}" if move.verdict.passed else f"fraclink assess {design_file}"
     return Answer(move, move.verdict.passed, doubts=doubts, remarks=remarks, following=following)

@@ -41,6 +41,7 @@ MotorLoopKind = Annotated[Literal["ideal", "sampled"], "Motor loop"]
 SeedNumber = Annotated[ranges.Seed, "Seed of the noise"]
 Amplitude = Annotated[float, "Size of the move [rad]"]
 MoveTime = Annotated[float, "Time of the move [s]"]
+GivenPayload = Annotated[float, "Payload that the law is given [kg]; 0: none"]
 Columns = Annotated[
     list[str] | None,
     typer.Option(metavar="ROLE=NAME [UNIT]"),

@@ -110,8 +110,9 @@ REALS: tuple[tuple[str, int], ...] = (
     ("coulomb_slope", 1),
     *_PAYLOAD,
 )
-# What the motor loop reads: from "inner_direct" on; the first nine make the PID.
-INNER = tuple(name for name, _ in REALS[[name for name, _ in REALS].index("inner_direct") :])
+_NAMES = [name for name, _ in REALS]
+# What the motor loop reads; the first nine make the PID.
+INNER = tuple(_NAMES[_NAMES.index("inner_direct") : _NAMES.index("coulomb_slope") + 1])
 PID = INNER[: INNER.index("filter_decay") + 1]
 
 
