@@ -25,6 +25,7 @@ RIG = fl.Rig.named("paper-2023")
 
 @pytest.fixture(scope="module")
 def made() -> fl.Design:
+    assert RIG.model is not None
     return fl.design(RIG.model, RIG, gain_crossover=12.0, phase_margin=fl.deg(50), filter_time=0.0)
 
 

@@ -227,7 +227,9 @@ def _remarks_of(study: Study) -> _Remarks:
         uncertified=study.uncertified,
         assumptions=study.assumptions,
         findings=study.findings,
-        comparison=found and _Preference(found.preferred, found.contest, found.verdict, found.undecided),
+        comparison=None
+        if found is None
+        else _Preference(found.preferred, found.contest, found.verdict, found.undecided),
         verdict=study.verdict,
     )
 
