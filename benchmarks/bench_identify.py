@@ -21,8 +21,8 @@ from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import LinkModel
 from fraclink._identify import (
     Fit,
+    compare_structures,
     identify,
-    identify_all,
     identify_motor,
     identify_payloads,
 )
@@ -75,7 +75,7 @@ def kernel_and_fits() -> None:
     ):
         value, spread = ratio(spent, name)
         line(title, f"{value:.2f} ± {spread:.2f} R", f"<= {wanted:g} R", value <= wanted)
-    whole = interleaved({"R": lambda: identify_all(log, heldout=0.4)}, 7)["R"]
+    whole = interleaved({"R": lambda: compare_structures(log, heldout=0.4)}, 7)["R"]
     value = float(np.median(whole))
     line(
         "all four structures, intervals and report data",
@@ -154,7 +154,7 @@ def coverage(count: int) -> None:
 def delay_story() -> None:
     link = LinkModel(1.56, 10.0, damping=1.3)
     log = noisy_log(3, 0.05, model=link, delay=0.04)
-    comparison = identify_all(log)
+    comparison = compare_structures(log)
     still, moved = comparison.without_delay, comparison.fits
     wins = still["UD-FOM"].aic < still["D-IOM"].aic
     back = moved["D-IOM"].aic < moved["UD-FOM"].aic

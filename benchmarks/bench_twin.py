@@ -22,7 +22,7 @@ from fraclink._arm.rig import Rig
 from fraclink._compare.case import NominalLoop
 from fraclink._compare.filters import law_filter, sampled
 from fraclink._design import design
-from fraclink._identify import identify_all
+from fraclink._identify import compare_structures
 from fraclink._kernels import twin_march
 from fraclink._law import discretize
 from fraclink._simulate import (
@@ -166,7 +166,7 @@ def chosen(
     for seed in range(seeds):
         noise = 0.1 * clean.torque.std() * np.random.default_rng(seed).standard_normal(samples)
         log = Experiment(period=PERIOD, motor_angle=clean.motor_angle, output=clean.torque + noise)
-        fits = identify_all(log, details=False, heldout=0.0).fits
+        fits = compare_structures(log, details=False, heldout=0.0).fits
         for counts, score in ((by_bic, "bic"), (by_aic, "aic")):
             best = min(fits, key=lambda name: getattr(fits[name], score))
             counts[best] = counts.get(best, 0) + 1

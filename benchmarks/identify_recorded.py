@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fraclink._identify import frequency_response, identify_all, identify_frequency_response
+from fraclink._identify import compare_structures, frequency_response, identify_frequency_response
 from identify_logs import ist, line, merced, recorded
 
 
@@ -13,12 +13,12 @@ def real_logs() -> None:
     if log is None:
         print("the recorded logs are not there; set FRACLINK_SHARED")
         return
-    comparison = identify_all(log, stiffness=1.3)
+    comparison = compare_structures(log, stiffness=1.3)
     fractional, viscous = comparison.fits["UD-FOM"], comparison.fits["D-IOM"]
     named = {"Merced": (fractional, viscous, 0.0130, 0.0138, 1.987)}
     steep, gentle = ist("a15_f10"), ist("a10_f04")
     assert steep is not None and gentle is not None
-    both = identify_all(steep)
+    both = compare_structures(steep)
     named["IST a15_f10"] = (both.fits["UD-FOM"], both.fits["D-IOM"], 0.0315, 0.0325, 1.992)
     for name, (first, second, most, more, order) in named.items():
         for fit, wanted in ((first, most), (second, more)):
@@ -39,7 +39,7 @@ def real_logs() -> None:
             f"{order} ± 0.003",
             abs(found - order) <= 0.003,
         )
-    verdict = identify_all(gentle)
+    verdict = compare_structures(gentle)
     line("IST a10_f04: preferred structure", verdict.preferred, "D-IOM", verdict.preferred == "D-IOM")
     nested = [(log, comparison), (steep, both), (gentle, verdict)]
     worst = max(c.fits["D-FOM"].mse / min(c.fits["UD-FOM"].mse, c.fits["D-IOM"].mse) - 1 for _, c in nested)

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from functools import cache
 
-from fraclink._identify import Comparison, aic, identify_all
+from fraclink._identify import Comparison, aic, compare_structures
 from fraclink._logs import bundled_log, read_log
 from reproduce import designs
 from reproduce.published import Published
@@ -77,7 +77,7 @@ def _designs() -> dict[str, float]:
 def comparison(log: str) -> Comparison:
     """The four fits of a log (a key of `LOGS`); all samples are fitted, as in the paper."""
     experiment = read_log(bundled_log(LOGS[log]), rig=designs.rig())
-    return identify_all(experiment, heldout=0.0, details=False)
+    return compare_structures(experiment, heldout=0.0, details=False)
 
 
 def _fits() -> dict[str, float]:

@@ -104,7 +104,7 @@ torque = torque + 1e-6 * np.random.default_rng(1).standard_normal(4000)
 log = fl.Experiment(T, angle, torque)
 fit = fl.identify(log, "VD-FOM")
 print(fit.model.structure, fit.model.order, fit.model.damping)
-print(*fl.identify_all(log).fits)
+print(*fl.compare_structures(log).fits)
 """
     first, second = run(grown, code)
     name, order, damping = first.split()

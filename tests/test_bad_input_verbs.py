@@ -147,7 +147,7 @@ CALLS: dict[str, Call] = {
         simulated_torque,
         lambda: {"model": LINK, "motor_angle": ANGLE, "period": 0.004, "delay": 0.0, "hold": "auto"},
     ),
-    "identify_all": (functools.partial(fl.identify_all, details=False), lambda: {"log": log()}),
+    "compare_structures": (functools.partial(fl.compare_structures, details=False), lambda: {"log": log()}),
     "diagnose": (fl.diagnose, lambda: {"experiment": log(), "rig": RIG}),
     "simulate": (
         fl.simulate,

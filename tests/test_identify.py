@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import STRUCTURES, LinkModel, Structure
 from fraclink._files import write_json
-from fraclink._identify import Fit, aic, identify, identify_all, load_model, save_model
+from fraclink._identify import Fit, aic, compare_structures, identify, load_model, save_model
 from fraclink._systems.response import time_response
 from fraclink.errors import FieldError, FileFormatError, LogError, SizeError
 from identify_cases import PERIOD, TRUTH, made_log, smooth_pulse
@@ -289,7 +289,7 @@ def test_a_fifth_structure_is_one_row(monkeypatch: pytest.MonkeyPatch) -> None:
     angle = smooth_pulse(PERIOD * np.arange(4000))
     torque = time_response(link.torque(), angle, PERIOD, hold="first").output
     log = Experiment(period=PERIOD, motor_angle=angle, output=torque + 1e-3 * np.sin(np.arange(4000) ** 2))
-    comparison = identify_all(log)
+    comparison = compare_structures(log)
     assert list(comparison.fits)[-1] == "DF"
     assert comparison.preferred in ("DF", "D-FOM")
     fit = comparison.fits["DF"]

@@ -13,7 +13,7 @@ from scipy.signal import lfilter
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import STRUCTURES, LinkModel
 from fraclink._arm.rig import Rig
-from fraclink._identify import identify, identify_all
+from fraclink._identify import compare_structures, identify
 from fraclink._logs import read_log
 from identify_cases import TRUTH, made_log
 from shared_data import shared_data
@@ -22,7 +22,7 @@ RIGS = Path(__file__).parent / "rigs"
 
 
 def test_all_four_in_the_papers_order() -> None:
-    comparison = identify_all(made_log(noise=0.05), heldout=0.4)
+    comparison = compare_structures(made_log(noise=0.05), heldout=0.4)
     assert list(comparison.fits) == list(STRUCTURES)
     assert comparison.preferred == "UD-FOM"
     assert comparison.best is comparison.fits["UD-FOM"]
@@ -34,21 +34,21 @@ def test_all_four_in_the_papers_order() -> None:
 
 def test_40_ms_of_delay_fake_a_fractional_order_and_the_verdict_says_so() -> None:
     log = made_log(LinkModel(1.56, 10.0, damping=1.3), noise=0.05, delay=0.04, seed=1)
-    comparison = identify_all(log)
+    comparison = compare_structures(log)
     still = comparison.without_delay
     assert still["UD-FOM"].aic < still["D-IOM"].aic
     assert comparison.fits["D-IOM"].aic < comparison.fits["UD-FOM"].aic
     assert comparison.preferred == "D-IOM"
     assert "λ is explained by the delay" in comparison.verdict
     assert comparison.fits["D-IOM"].delay == pytest.approx(0.04, abs=5e-4)
-    told = identify_all(log, fixed={"delay": 0.0})
+    told = compare_structures(log, fixed={"delay": 0.0})
     assert told.preferred == "UD-FOM"
     assert not told.without_delay
 
 
 def test_a_noisy_log_cannot_tell_them_apart() -> None:
     log = made_log(LinkModel(1.56, 10.0, order=1.99), noise=0.4, seed=2)
-    comparison = identify_all(log)
+    comparison = compare_structures(log)
     assert comparison.contest.preferred is None
     assert set(comparison.undecided) | {comparison.preferred} >= {"UD-FOM", "D-IOM"}
     assert comparison.verdict.startswith("This log cannot tell ")
@@ -57,7 +57,7 @@ def test_a_noisy_log_cannot_tell_them_apart() -> None:
 
 
 def test_an_integer_link_is_called_one() -> None:
-    comparison = identify_all(made_log(LinkModel(1.56, 10.0), noise=0.05))
+    comparison = compare_structures(made_log(LinkModel(1.56, 10.0), noise=0.05))
     assert comparison.preferred == "UD-IOM"
     assert "λ is at its bound 2" in comparison.verdict
 
@@ -65,7 +65,7 @@ def test_an_integer_link_is_called_one() -> None:
 def test_nesting_holds_on_every_log() -> None:
     links = [TRUTH, LinkModel(1.56, 10.0, damping=1.0), LinkModel(1.56, 12.0, damping=2.0, damping_order=0.4)]
     for seed, link in enumerate(links):
-        fits = identify_all(made_log(link, noise=0.1, seed=seed), details=False).fits
+        fits = compare_structures(made_log(link, noise=0.1, seed=seed), details=False).fits
         best = min(fits["UD-FOM"].mse, fits["D-IOM"].mse)
         assert fits["D-FOM"].mse <= best * (1 + 1e-7)
         assert fits["UD-FOM"].mse <= fits["UD-IOM"].mse * (1 + 1e-7)
@@ -85,7 +85,7 @@ def ist_log(name: str) -> Experiment:
 def test_merced_through_its_rig_file() -> None:
     rig = Rig.load(RIGS / "merced.toml")
     log = read_log(shared_data("quanser_rfl_merced", "merced_rfl.csv"), rig=rig)
-    comparison = identify_all(log, stiffness=rig.link.stiffness)
+    comparison = compare_structures(log, stiffness=rig.link.stiffness)
     fractional, viscous = comparison.fits["UD-FOM"], comparison.fits["D-IOM"]
     assert fractional.fitted_samples == 1500
     assert fractional.model.order == pytest.approx(1.987, abs=0.003)
@@ -99,7 +99,7 @@ def test_merced_through_its_rig_file() -> None:
 
 
 def test_ist_fast_square_wave() -> None:
-    comparison = identify_all(ist_log("a15_f10"))
+    comparison = compare_structures(ist_log("a15_f10"))
     fractional, viscous = comparison.fits["UD-FOM"], comparison.fits["D-IOM"]
     assert fractional.model.order == pytest.approx(1.992, abs=0.003)
     assert fractional.heldout_nmse is not None
@@ -109,7 +109,7 @@ def test_ist_fast_square_wave() -> None:
 
 
 def test_ist_slow_square_wave_prefers_viscous_damping() -> None:
-    comparison = identify_all(ist_log("a10_f04"))
+    comparison = compare_structures(ist_log("a10_f04"))
     assert comparison.preferred == "D-IOM"
     assert comparison.fits["D-FOM"].mse <= comparison.fits["D-IOM"].mse
 
@@ -137,7 +137,7 @@ def test_identify_uses_the_structure_that_the_log_supports(link: LinkModel, stru
 
 def test_identify_says_where_the_log_cannot_tell() -> None:
     log = made_log(LinkModel(1.56, 10.0, order=1.99), noise=0.4, seed=2)
-    fit, comparison = identify(log), identify_all(log)
+    fit, comparison = identify(log), compare_structures(log)
     assert fit.structure == comparison.preferred
     finding = next(finding for finding in fit.findings if finding.code == "W322")
     assert all(name in finding.message for name in comparison.undecided)

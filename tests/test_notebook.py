@@ -19,7 +19,7 @@ RIG = fl.Rig.named("paper-2023")
 def results() -> dict[str, Any]:
     """One result of every class that a notebook shows."""
     log = fl.read_log(fl.bundled_log("pulse_30g"), rig=RIG)
-    comparison = fl.identify_all(log, details=False)
+    comparison = fl.compare_structures(log, details=False)
     design = fl.design(RIG.model, RIG, gain_crossover=12.0, phase_margin=fl.deg(50), filter_time=0.0)
     run = fl.simulate(design, fl.smooth_step(0.2, duration=0.5), payload=0.030)
     refused = Certificate(None, passed=False, verdict="Not certified: <unstable> at 8 g")  # type: ignore[arg-type]

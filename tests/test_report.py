@@ -17,7 +17,7 @@ import pytest
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.rig import Rig
 from fraclink._campaign.faults import Case, Check, FaultTable, Outcome
-from fraclink._identify import identify_all
+from fraclink._identify import compare_structures
 from fraclink._logs import bundled_log, read_log
 from fraclink._show.drawing import envelope
 from fraclink._show.report import render_report, write_report
@@ -234,7 +234,7 @@ def test_the_design_shows_every_requirement_with_its_payload() -> None:
 
 def test_a_model_without_a_natural_frequency_is_named_by_the_model_that_it_is() -> None:
     log = read_log(bundled_log("pulse_30g"))
-    comparison = identify_all(log, details=False)
+    comparison = compare_structures(log, details=False)
     page = render_report(Study(experiment=log, comparison=comparison, fit=comparison.fits["UD-FOM"]))
     row = page[page.index("<td>D-FOM</td>") :].partition("</tr>")[0]
     assert re.findall(r"<td[^>]*>(.*?)</td>", row)[1] == "–"

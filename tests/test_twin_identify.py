@@ -7,7 +7,7 @@ import pytest
 
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.reference import prbs
-from fraclink._identify import identify_all
+from fraclink._identify import compare_structures
 from fraclink._simulate import Beam, FractionalKelvinVoigt, KelvinVoigt, PowerLaw, simulate_log
 
 PERIOD, RATIO, SEEDS = 0.004, 0.0654, 8
@@ -31,7 +31,7 @@ def _chosen(beam: Beam, material: str, pole: float, samples: int, score: str = "
     for seed in range(SEEDS):
         noise = 0.1 * clean.torque.std() * np.random.default_rng(seed).standard_normal(samples)
         log = Experiment(period=PERIOD, motor_angle=clean.motor_angle, output=clean.torque + noise)
-        fits = identify_all(log, details=False, heldout=0.0).fits
+        fits = compare_structures(log, details=False, heldout=0.0).fits
         best = min(fits, key=lambda name: getattr(fits[name], score))
         counts[best] = counts.get(best, 0) + 1
     return counts

@@ -33,6 +33,7 @@ _HOME: dict[str, str] = {
     "Claim": "fraclink._export.claims",
     "compare": "fraclink._compare.tournament",
     "compare_at_equal_sensitivity": "fraclink._design.alternatives",
+    "compare_structures": "fraclink._identify.compare",
     "Comparison": "fraclink._identify.compare",
     "Contest": "fraclink._identify.compare",
     "Controller": "fraclink._arm.controller",
@@ -77,7 +78,6 @@ _HOME: dict[str, str] = {
     "grunwald_letnikov": "fraclink._systems.response",
     "hold": "fraclink._arm.reference",
     "identify": "fraclink._identify.compare",
-    "identify_all": "fraclink._identify.compare",
     "identify_frequency_response": "fraclink._identify.spectrum",
     "identify_motor": "fraclink._identify.motor",
     "identify_payloads": "fraclink._identify.payloads",
@@ -203,7 +203,7 @@ _HOME: dict[str, str] = {
 }
 
 # Old public name -> (new public name, release that removes the old one); docs/reference/stability.md.
-_RENAMED: dict[str, tuple[str, str]] = {}
+_RENAMED: dict[str, tuple[str, str]] = {"identify_all": ("compare_structures", "0.3")}
 
 __all__ = sorted(["__version__", *_HOME])
 

@@ -88,8 +88,8 @@ from fraclink._files import load as load
 from fraclink._files import save as save
 from fraclink._identify.compare import Comparison as Comparison
 from fraclink._identify.compare import Contest as Contest
+from fraclink._identify.compare import compare_structures as compare_structures
 from fraclink._identify.compare import identify as identify
-from fraclink._identify.compare import identify_all as identify_all
 from fraclink._identify.excitation import ExperimentDesign as ExperimentDesign
 from fraclink._identify.excitation import design_experiment as design_experiment
 from fraclink._identify.fit import Fit as Fit

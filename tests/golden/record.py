@@ -553,7 +553,7 @@ def identification() -> Plain:
     logs = {name: fl.read_log(fl.bundled_log(name), rig=RIG) for name in LOGS}
     made: Plain = {}
     for name, log in logs.items():
-        found = fl.identify_all(log)
+        found = fl.compare_structures(log)
         made[name] = {structure: fit_figures(fit) for structure, fit in found.fits.items()}
         made[name]["preferred"] = found.preferred
         made[name]["advantage"] = plain(found.contest.advantage)

@@ -115,7 +115,9 @@ def identify_all(log: LogName, rig: RigName, **reading: Unpack[LogOptions]) -> A
         begin("examining the log")
         doubts = _errors(experiment, known)
         begin("fitting four structures")
-        comparison = identification.identify_all(experiment, stiffness=_known_stiffness(experiment, known))
+        comparison = identification.compare_structures(
+            experiment, stiffness=_known_stiffness(experiment, known)
+        )
     return Answer(comparison, doubts=doubts)
 
 

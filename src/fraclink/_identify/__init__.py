@@ -1,9 +1,9 @@
 """Identification: from a log to a link model, with what it takes to judge it.
 
-`identify` fits the structure that the log supports, `identify_all` shows all of them with a verdict.
+`identify` fits the structure that the log supports; `compare_structures` shows every one of them.
 """
 
-from fraclink._identify.compare import Comparison, Contest, identify, identify_all
+from fraclink._identify.compare import Comparison, Contest, compare_structures, identify
 from fraclink._identify.excitation import ExperimentDesign, design_experiment
 from fraclink._identify.fit import (
     SYMBOLS,
@@ -43,11 +43,11 @@ __all__ = [
     "aic",
     "bic",
     "coincidence_text",
+    "compare_structures",
     "design_experiment",
     "frequency_response",
     "frequency_text",
     "identify",
-    "identify_all",
     "identify_frequency_response",
     "identify_motor",
     "identify_payloads",

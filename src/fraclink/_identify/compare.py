@@ -123,7 +123,7 @@ def identify(
         the recorded motion, at rest before its first sample.
     structure
         a key of the table of structures; without it, the one that the log supports: the simplest that no
-        other beats clearly (see `identify_all`), with finding W322 where the log cannot tell.
+        other beats clearly (see `compare_structures`), with finding W322 where the log cannot tell.
     heldout
         share of the samples at the end that the fit does not see [1]. Without it, the last 40 %, or more
         where these contain no motion: an arm at rest tests no model.
@@ -195,7 +195,7 @@ def identify(
 
 
 @checked
-def identify_all(
+def compare_structures(
     log: Experiment,
     *,
     heldout: HeldOut | None = None,
@@ -232,7 +232,7 @@ def identify_all(
     >>> torque = simulated_torque(LinkModel(1.56, 10.02, order=1.92), angle, 0.004)
     >>> noise = np.random.default_rng(0).normal(0, 0.02, torque.size)
     >>> log = Experiment(period=0.004, motor_angle=angle, output=torque + noise)
-    >>> identify_all(log, details=False).preferred
+    >>> compare_structures(log, details=False).preferred
     'UD-FOM'
     """
     search = make_search(log, heldout=heldout, stiffness=stiffness, fixed=fixed, guess=None, hold=hold)

@@ -16,7 +16,7 @@ from fraclink._arm.rig import Rig
 from fraclink._campaign import Campaign, run_campaign, summarise
 from fraclink._certify import certify
 from fraclink._design import Design
-from fraclink._identify import identify_all
+from fraclink._identify import compare_structures
 from fraclink._law import Law
 from fraclink._logs import diagnose
 from fraclink._simulate import Run, simulate
@@ -85,7 +85,7 @@ def run(
     def identify(study: Study) -> Study:
         # A deflection log cannot show the stiffness; a torque log measures it.
         known = rig.link.stiffness if log.output_kind == "deflection" else None
-        comparison = identify_all(log, stiffness=known)
+        comparison = compare_structures(log, stiffness=known)
         chosen = structure or comparison.preferred
         fit = comparison.fits[chosen]
         contradictions = doubts_of(rig, fit.model)
