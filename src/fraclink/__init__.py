@@ -177,6 +177,8 @@ _HOME: dict[str, str] = {
     "spillover": "fraclink._design.assess",
     "StabilityVerdict": "fraclink._systems.stability",
     "Standing": "fraclink._compare.tournament",
+    "Start": "fraclink._workflow",
+    "start": "fraclink._workflow",
     "Statement": "fraclink._certify.statement",
     "step_plot": "fraclink._show.plots",
     "step_response": "fraclink._systems.response",

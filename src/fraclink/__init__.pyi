@@ -170,10 +170,12 @@ from fraclink._systems.stability import is_stable as is_stable
 from fraclink._systems.stability import norm as norm
 from fraclink._systems.stability import poles as poles
 from fraclink._workflow import Scope as Scope
+from fraclink._workflow import Start as Start
 from fraclink._workflow import Study as Study
 from fraclink._workflow import Verdict as Verdict
 from fraclink._workflow import load_study as load_study
 from fraclink._workflow import run as run
+from fraclink._workflow import start as start
 from fraclink.findings import Finding as Finding
 
 __version__: str

@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from fraclink._validate import Between, Length, Where, checked
 from fraclink.errors import FieldError
 
-__all__ = ["QUANTITY_OF", "SI", "UNITS", "Channel", "LogColumns", "OutputKind", "parse_columns"]
+__all__ = ["QUANTITY_OF", "SI", "UNITS", "Channel", "ColumnStatement", "LogColumns", "OutputKind"]
+__all__ += ["ROW_NUMBER", "parse_columns"]
 
 OutputKind = Literal["torque", "deflection"]
 
@@ -41,6 +42,8 @@ QUANTITY_OF = MappingProxyType(
         "voltage": "voltage",
     }
 )
+# The column of a log without stamps: 0, 1, 2 …, to be scaled by the period.
+ROW_NUMBER = "#row"
 SI = {"time": "s", "motor_angle": "rad", "torque": "Nm", "deflection": "rad", "voltage": "V"}
 
 
@@ -52,7 +55,8 @@ class Channel:
     Parameters
     ----------
     column
-        its name in the log (``"#2"`` is the second column where the log names none).
+        its name in the log (``"#2"`` is the second column where the log names none; as the time ``"#row"`` is
+        the number of the sample, for a log without stamps: its scale is the period).
     unit
         unit of the scaled value: s, ms, us, ns; rad, mrad, deg, rev; Nm, mNm; V, mV.
     sign
@@ -140,11 +144,77 @@ class LogColumns:
         return stated | ({"voltage": self.voltage} if self.voltage is not None else {})
 
 
-_STATED = re.compile(r"(\w+) *= *(-?) *(.+?) *\[([^\[\]]*)\]")
+_NUMBER = r"[0-9.]+(?:[eE][-+]?[0-9]+)?"
+_STATED = re.compile(
+    r"(\w+) *= *([-+]?) *(.*?) *(?:(?<=[ =])\* *("
+    + _NUMBER
+    + "(?:/"
+    + _NUMBER
+    + r")?))? *(?:\[([^\[\]]*)\])?"
+)
+
+
+@dataclass(frozen=True)
+class ColumnStatement:
+    """What a text such as ``motor_angle=-pot * 36.79 [deg]`` states about one column; None where it does not.
+
+    Parameters
+    ----------
+    role
+        time, motor_angle, torque, deflection or voltage.
+    column
+        name in the log.
+    unit
+        unit of the scaled value.
+    sign
+        −1 or +1.
+    scale
+        units for one raw unit.
+
+    >>> ColumnStatement.of("motor_angle=pot * 360/4096 [deg]").scale
+    0.087890625
+    """
+
+    role: str
+    column: str | None = None
+    unit: str | None = None
+    sign: Literal[1, -1] | None = None
+    scale: float | None = None
+
+    @staticmethod
+    def of(text: str) -> ColumnStatement:
+        """Return what `text` states; FieldError where it has another form or names an unknown role."""
+        match = _STATED.fullmatch(text.strip())
+        if match is None or match[1] not in QUANTITY_OF:
+            raise _not_understood(text, "not understood")
+        sign: Literal[1, -1] | None = None if not match[2] else -1 if match[2] == "-" else 1
+        return ColumnStatement(match[1], match[3] or None, match[5] or None, sign, _factor(match[4], text))
+
+
+def _factor(text: str | None, whole: str) -> float | None:
+    if text is None:
+        return None
+    try:
+        above, _, below = text.partition("/")
+        return float(above) / float(below or 1)
+    except (ValueError, ZeroDivisionError):
+        raise _not_understood(whole, f"with a factor {text} that is no number") from None
+
+
+def _not_understood(text: str, problem: str) -> FieldError:
+    return FieldError(
+        "column",
+        text,
+        problem,
+        allowed=f"role=name [unit], each of {', '.join(QUANTITY_OF)} once",
+        remedy='write "motor_angle=theta [deg]", or "torque=-gamma [Nm]" to turn the sign',
+    )
 
 
 def parse_columns(texts: Iterable[str]) -> LogColumns:
     """Return the columns that texts such as ``motor_angle=theta [deg]`` state; a minus turns the sign.
+
+    A factor stands behind the name: ``motor_angle=counts * 360/4096 [deg]``.
 
     Raises FieldError where a text has another form, a role is missing, unknown or stated twice, or where the
     unit in brackets does not measure its role.
@@ -154,16 +224,13 @@ def parse_columns(texts: Iterable[str]) -> LogColumns:
     """
     channels: dict[str, Channel] = {}
     for text in texts:
-        match = _STATED.fullmatch(text.strip())
-        if match is None or match[1] not in QUANTITY_OF or match[1] in channels:
-            raise FieldError(
-                "column",
-                text,
-                "stated twice" if match and match[1] in channels else "not understood",
-                allowed=f"role=name [unit], each of {', '.join(QUANTITY_OF)} once",
-                remedy='write "motor_angle=theta [deg]", or "torque=-gamma [Nm]" to turn the sign',
-            )
-        channels[match[1]] = Channel(match[3], match[4].strip(), sign=-1 if match[2] else 1)
+        found = ColumnStatement.of(text)
+        if found.column is None or found.unit is None:
+            raise _not_understood(text, "not understood")
+        if found.role in channels:
+            raise _not_understood(text, "stated twice")
+        scale = 1.0 if found.scale is None else found.scale
+        channels[found.role] = Channel(found.column, found.unit, sign=found.sign or 1, scale=scale)
     kinds: tuple[OutputKind, ...] = ("torque", "deflection")
     outputs = [kind for kind in kinds if kind in channels]
     if len(outputs) != 1 or not {"time", "motor_angle"} <= channels.keys():

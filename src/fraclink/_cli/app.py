@@ -16,6 +16,7 @@ __all__ = ["application", "run"]
 
 # The commands of the first screen, with the few words that there is room for.
 _FIRST = {
+    "start": "your own log to a first model, columns and units guessed",
     "run": "log to model, controller, simulated moves and report, all in one",
     "inspect": "list a log's channels, rates and ranges",
     "diagnose": "examine a log before a model is fitted to it",
@@ -31,6 +32,7 @@ _FIRST = {
 # Section -> module -> commands; `fraclink help all` lists them in this order.
 _SECTIONS: dict[str, dict[str, str]] = {
     "From a log to a board": {
+        "start": "starting",
         **dict.fromkeys(("run",), "designs"),
         **dict.fromkeys(("inspect", "diagnose", "identify"), "models"),
         **dict.fromkeys(("design", "simulate", "twin", "certify"), "designs"),

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from fraclink import _identify as identification
 from fraclink._arm.doubts import doubts_of
+from fraclink._arm.draft import RigDraft
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.reference import Reference, chirp, prbs, pulse
 from fraclink._arm.rig import Rig
@@ -28,8 +29,10 @@ from fraclink._cli.options import (
     SeedNumber,
     load_log,
     load_rig,
+    load_rig_for_logs,
     log_path,
     required_model,
+    whole,
 )
 from fraclink._logs import diagnose as examine
 from fraclink._logs import inspect_log, read_columns
@@ -45,14 +48,15 @@ StructureName = Annotated[
 app = group()
 
 
-def _errors(log: Experiment, rig: Rig) -> tuple[Finding, ...]:
+def _errors(log: Experiment, rig: Rig | RigDraft) -> tuple[Finding, ...]:
     """Findings that make a log unusable: a model fits a reversed gauge as well as a right one."""
-    return errors_of(examine(log, rig))
+    return errors_of(examine(log, whole(rig)))
 
 
-def _known_stiffness(log: Experiment, rig: Rig) -> float | None:
+def _known_stiffness(log: Experiment, rig: Rig | RigDraft) -> float | None:
     """A deflection log cannot show the stiffness; a torque log measures it."""
-    return rig.link.stiffness if log.output_kind == "deflection" else None
+    known = whole(rig)
+    return known.link.stiffness if known is not None and log.output_kind == "deflection" else None
 
 
 @command(app)
@@ -71,8 +75,8 @@ def diagnose(log: LogName, rig: RigName, **reading: Unpack[LogOptions]) -> Answe
 
     $ fraclink diagnose log.csv --rig rig.toml
     """
-    known = load_rig(rig)
-    findings = examine(load_log(log, known, **reading), known)
+    known = load_rig_for_logs(rig)
+    findings = examine(load_log(log, known, **reading), whole(known))
     failed = bool(errors_of(findings))
     return Answer(findings, not failed, following="" if failed else f"fraclink identify {log} --rig {rig}")
 
@@ -91,14 +95,15 @@ def identify(
     """
     with steps(3) as begin:
         begin("reading the log")
-        known = load_rig(rig)
+        known = load_rig_for_logs(rig)
         experiment = load_log(log, known, **reading)
         begin("examining the log")
         doubts = _errors(experiment, known)
         begin(f"fitting {structure or 'every structure'}")
         fit = identification.identify(experiment, structure, stiffness=_known_stiffness(experiment, known))
     fit.save(out)
-    doubts = tuple(dict.fromkeys((*doubts, *doubts_of(known, fit.model))))
+    if (rig_in_full := whole(known)) is not None:
+        doubts = tuple(dict.fromkeys((*doubts, *doubts_of(rig_in_full, fit.model))))
     following = f"fraclink design --rig {rig} --model {out}"
     return Answer(fit, fit.passed, doubts=doubts, written=(out,), following=following)
 
@@ -109,7 +114,7 @@ def identify_all(log: LogName, rig: RigName, **reading: Unpack[LogOptions]) -> A
 
     $ fraclink identify-all log.csv --rig rig.toml
     """
-    known = load_rig(rig)
+    known = load_rig_for_logs(rig)
     experiment = load_log(log, known, **reading)
     with steps(2) as begin:
         begin("examining the log")

@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal, TypedDict
 import typer
 
 from fraclink import _validate as ranges
+from fraclink._arm.draft import RigDraft, load_rig_or_draft
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import LinkModel
 from fraclink._arm.log_columns import parse_columns
@@ -88,10 +89,23 @@ def in_radians(wanted: Mapping[str, Any]) -> dict[str, Any]:
 
 def load_rig(name: str, *, link_mass: float | None = None, model: Path | None = None) -> Rig:
     """Return the rig of a file, or the bundled one of that name, with the mass and the model given."""
-    looks_like_a_path = name.endswith(".toml") or "/" in name or "\\" in name
-    rig = Rig.load(Path(name)) if looks_like_a_path or Path(name).is_file() else Rig.named(name)
+    rig = Rig.load(Path(name)) if _is_path(name) else Rig.named(name)
     rig = rig if link_mass is None else replace(rig, link=replace(rig.link, mass=link_mass))
     return rig if model is None else replace(rig, model=load_link_model(model))
+
+
+def _is_path(name: str) -> bool:
+    return name.endswith(".toml") or "/" in name or "\\" in name or Path(name).is_file()
+
+
+def load_rig_for_logs(name: str) -> Rig | RigDraft:
+    """Return a rig for reading and fitting a log: the numbers that only a design needs may be blank."""
+    return load_rig_or_draft(Path(name)) if _is_path(name) else Rig.named(name)
+
+
+def whole(rig: Rig | RigDraft) -> Rig | None:
+    """Return the rig, or None where it has blanks and so no limits to check a log against."""
+    return rig if isinstance(rig, Rig) else None
 
 
 def required_model(rig: Rig) -> LinkModel:
@@ -131,11 +145,15 @@ def load_arm(path: Path, options: ArmOptions) -> tuple[Design, Twin]:
 
 
 def load_log(
-    name: str, rig: Rig, column: list[str] | None = None, payload: float | None = None, **options: bool
+    name: str,
+    rig: Rig | RigDraft,
+    column: list[str] | None = None,
+    payload: float | None = None,
+    **options: bool,
 ) -> Experiment:
     """Return the log of a file, or the bundled one."""
-    columns = parse_columns(column) if column else None
-    return read_log(log_path(name), rig=rig, columns=columns, payload=payload, **options)
+    columns = parse_columns(column) if column else rig.log
+    return read_log(log_path(name), rig=None, columns=columns, payload=payload, **options)
 
 
 def log_path(name: str) -> Path:

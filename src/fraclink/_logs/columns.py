@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from fraclink._arm.log_columns import QUANTITY_OF, UNITS, Channel, LogColumns
 from fraclink._files.toml import toml_value
+from fraclink._logs.names import COMMANDED, HINTS, unit_in
 from fraclink._logs.table import LogTable
 from fraclink._logs.text import NUMBER, cell_remedy
 from fraclink._validate import Payload
@@ -20,14 +21,6 @@ from fraclink.errors import LogError
 from fraclink.findings import Finding
 
 _NAME = re.compile(r"(time|motor_angle|torque|deflection|voltage)(?:_| *\[| *\()([A-Za-z·*]{1,5})[\])]?")
-# Words that loggers use; a hint for a person to check, never a reading.
-_HINTS = {  # the time is known by its values: they never decrease
-    "motor_angle": ("motor_angle", "theta", "pot", "enc", "position", "angle", "hub", "joint"),
-    "torque": ("torque", "gamma", "moment", "effort", "nm"),
-    "deflection": ("deflection", "alpha", "strain", "gauge", "bend"),
-    "voltage": ("volt", "u_v", "vm", "motor_v", "command"),
-}
-_COMMANDED = ("ref", "cmd", "set", "target", "desired")  # what was asked for is not what was measured
 
 
 def columns_of_names(names: tuple[str, ...]) -> LogColumns | None:
@@ -39,7 +32,7 @@ def columns_of_names(names: tuple[str, ...]) -> LogColumns | None:
     found: dict[str, Channel] = {}
     for name in names:
         match = _NAME.fullmatch(name)
-        if match is None or match[2] not in UNITS[QUANTITY_OF[match[1]]]:
+        if match is None or not is_stated(name):
             continue
         if match[1] in found:
             raise LogError(
@@ -65,10 +58,10 @@ def columns_of_names(names: tuple[str, ...]) -> LogColumns | None:
     return LogColumns(found["time"], found["motor_angle"], output, kind, found.get("voltage"))  # type: ignore[arg-type]
 
 
-def unit_in(name: str, role: str) -> str:
-    """The unit that a column's name ends with, if it is one of the role's; "?" otherwise."""
-    ending = re.split(r"[_ \[\]()/.]+", name.strip(" ])"))[-1]
-    return ending if ending in UNITS[QUANTITY_OF[role]] else "?"
+def is_stated(name: str) -> bool:
+    """Whether a name states a role and its unit, as ``motor_angle_rad`` does."""
+    match = _NAME.fullmatch(name)
+    return match is not None and match[2] in UNITS[QUANTITY_OF[match[1]]]
 
 
 def clock_step(values: NDArray[np.float64]) -> float | None:
@@ -99,11 +92,11 @@ def suggested_columns(table: LogTable) -> list[tuple[str, str, str]]:
     length = sizes[clocks[0]] if clocks else max(sizes.values(), default=0)
     free = [name for name in table.names if name not in clocks and sizes[name] == length]
     found: dict[str, str] = {"time": clocks[0] if clocks else "?"}
-    for role, words in _HINTS.items():
+    for role, words in HINTS.items():
         if role == "deflection" and "torque" in found:
             continue
         candidates = [name for word in words for name in free if word in name.lower()]
-        candidates.sort(key=lambda name: any(word in name.lower() for word in _COMMANDED))
+        candidates.sort(key=lambda name: any(word in name.lower() for word in COMMANDED))
         candidates = [name for name in candidates if name not in found.values()]
         if candidates or role in ("motor_angle", "deflection"):
             found[role] = candidates[0] if candidates else "?"

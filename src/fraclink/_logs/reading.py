@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._arm.experiment import Experiment
-from fraclink._arm.log_columns import QUANTITY_OF, UNITS, Channel, LogColumns
+from fraclink._arm.log_columns import QUANTITY_OF, ROW_NUMBER, UNITS, Channel, LogColumns
 from fraclink._arm.rig import Rig
 from fraclink._arm.timebase import resampled, time_base
 from fraclink._files import sha256_of
@@ -21,9 +21,9 @@ from fraclink._logs.columns import (
     stated_payload,
     suggested_columns,
     suggested_mapping,
-    unit_in,
 )
 from fraclink._logs.formats import read_table
+from fraclink._logs.names import unit_in
 from fraclink._logs.table import SAMPLE_LIMIT, LogTable
 from fraclink.errors import FieldError, LogError
 from fraclink.findings import Finding
@@ -162,6 +162,10 @@ def _channels(
     for role, channel in stated.channels().items():
         if role == "voltage" and channel.column not in table.names:
             findings.append(_no_voltage(channel))
+            continue
+        if role == "time" and channel.column == ROW_NUMBER and ROW_NUMBER not in table.names:
+            rows = table.values[table.place(stated.motor_angle.column, "motor_angle")].size
+            data[role] = channel.in_si(np.arange(rows, dtype=np.float64), role)
             continue
         place = table.place(channel.column, role)
         raw, filled = clean_column(table, place, interpolate=interpolate)

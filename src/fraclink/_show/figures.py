@@ -35,7 +35,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["SHOWN", "bode_figure", "drivers_figure", "failures_figure", "log_figure", "margins_figure"]
+__all__ = ["SHOWN", "bode_figure", "drivers_figure", "failures_figure", "fit_figure", "log_figure"]
+__all__ += ["margins_figure"]
 __all__ += ["models_figure", "moves_figure", "nyquist_figure", "payloads_of", "spread_figure"]
 
 
@@ -61,6 +62,23 @@ def log_figure(log: Experiment) -> str:
         below.set_xlim(log.time[0], log.time[-1])
         drawing.align_ylabels()
         return svg(drawing, "log", "The recorded motor angle and output against time")
+
+
+def fit_figure(log: Experiment, fit: Fit) -> str:
+    """Draw a whole log over its model: motor angle, measured and computed output, residual."""
+    with figure(FULL_WIDTH, 5.0) as drawing:
+        labels = ("motor angle θm [rad]", OUTPUT_LABEL[log.output_kind], "residual")
+        angle, output, rest = _stacked(drawing, (1, 2, 0.8), labels, xlabel="time [s]")
+        angle.plot(*envelope(log.time, log.motor_angle), color=INK, linewidth=0.9)
+        output.plot(*envelope(log.time, log.output), color=GREY, linewidth=2.6, alpha=0.5, label="measured")
+        model = f"{fit.structure}, {log.source}" if log.source else fit.structure
+        output.plot(*envelope(log.time, fit.predicted), color=BLUE, linewidth=0.9, label=model)
+        rest.plot(*envelope(log.time, fit.residual), color=BLUE, linewidth=0.5)
+        rest.axvline(log.time[fit.fitted_samples - 1], color=INK, linewidth=0.8, linestyle=(0, (2, 2)))
+        output.legend(ncols=2, loc="lower left")
+        rest.set_xlim(log.time[0], log.time[-1])
+        drawing.align_ylabels()
+        return svg(drawing, "fit", "The recorded output under its model, and what the model leaves")
 
 
 _LARGE = 4.0  # a residual so many times the smallest gets a scale of its own: else the others are flat lines

@@ -19,6 +19,7 @@ _LONGEST = 110  # characters of a repr: a list of results stays readable
 _DRAWINGS: dict[str, Callable[[Any], str]] = {
     "Experiment": figures.log_figure,
     "Fit": lambda fit: figures.models_figure({fit.structure: fit}),
+    "Start": lambda started: figures.fit_figure(started.experiment, started.fit),
     "Comparison": lambda comparison: figures.models_figure(comparison.fits),
     "Design": figures.bode_figure,
     "Run": lambda run: figures.moves_figure([run]),

@@ -141,6 +141,7 @@ _NAMES = {
     "Finding": "code severity message evidence remedy",
     "LinkModel": "stiffness natural_frequency order damping damping_order payload",
     "Fit": "structure model gain offset delay mse nmse aic bic heldout_nmse standard_errors findings",
+    "Start": "passed guesses columns findings fit decisions blanks",
     "Comparison": "preferred verdict fits",
     "JointFit": "structure common natural_frequencies:models.natural_frequency orders:models.order "
     "dampings:models.damping damping_orders:models.damping_order mse standard_errors stiffness "

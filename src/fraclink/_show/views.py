@@ -33,6 +33,7 @@ from fraclink._show.tables import (
     verdict_table,
 )
 from fraclink._show.text import Row, Table, View, degrees, grams, looked_up, number, uncertain
+from fraclink.findings import errors_of
 
 if TYPE_CHECKING:
     from fraclink._arm.rig import Rig
@@ -43,7 +44,7 @@ if TYPE_CHECKING:
     from fraclink._identify import Comparison, Fit
     from fraclink._law import Law
     from fraclink._simulate import Run
-    from fraclink._workflow import Study
+    from fraclink._workflow import Start, Study
     from fraclink.findings import Finding
 
 __all__ = ["faults_page", "repeated", "rival_sentences", "view"]
@@ -90,6 +91,16 @@ def _fit_view(fit: Fit) -> View:
     held = "nothing held out" if share is None else f"held-out error {100 * share:.2g} %"
     state = "passed" if fit.passed else "not shown"
     return View(f"{fit.structure}, {held}", (fit_table(fit),), _worth_reading(fit.findings), state)
+
+
+def _start_view(started: Start) -> View:
+    model = _fit_view(started.fit)
+    rows = tuple((guess.part, guess.value, guess.certainty, guess.evidence) for guess in started.guesses)
+    check = len(started.uncertain)
+    headline = f"{model.headline}; {check} of {len(rows)} guesses to check" if check else model.headline
+    notes = (*map(str, errors_of(started.findings)), *model.notes)
+    tables = (Table(("log", "taken as", "certainty", "evidence"), rows), *model.tables)
+    return View(headline, tables, notes, "passed" if started.passed else "not shown")
 
 
 def _comparison_view(comparison: Comparison) -> View:
@@ -365,6 +376,7 @@ _VIEWS: dict[str, Callable[[Any], View]] = {
     "Rig": _rig_view,
     "Experiment": _log_view,
     "Fit": _fit_view,
+    "Start": _start_view,
     "Comparison": _comparison_view,
     "JointFit": _payloads_view,
     "MotorFit": _motor_view,

@@ -2,6 +2,8 @@
 
 from fraclink._workflow.defaults import design_for
 from fraclink._workflow.run import run, simulate_move
+from fraclink._workflow.start import START_FILES, Start, start
 from fraclink._workflow.study import Scope, Study, Verdict, load_study, save_study
 
-__all__ = ["Scope", "Study", "Verdict", "design_for", "load_study", "run", "save_study", "simulate_move"]
+__all__ = ["START_FILES", "Scope", "Start", "Study", "Verdict", "design_for", "load_study", "run"]
+__all__ += ["save_study", "simulate_move", "start"]

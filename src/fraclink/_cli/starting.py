@@ -1,0 +1,120 @@
+"""The command `start`: from a log that nobody has described to rig.toml, a first model and a picture."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from fraclink._arm.log_columns import ColumnStatement
+from fraclink._cli.app import group
+from fraclink._cli.command import Answer, Writes, command
+from fraclink._cli.console import tell
+from fraclink._cli.options import LogName, log_path
+from fraclink._files import write_text
+from fraclink._logs.guess import Question
+from fraclink._logs.weighing import answered
+from fraclink._show.figures import fit_figure
+from fraclink._validate import Between, Payload
+from fraclink._workflow import START_FILES, Start
+from fraclink._workflow import start as start_from
+from fraclink.errors import FieldError, MissingExtraError
+
+__all__ = ["start"]
+
+app = group()
+
+_PICTURE = "fit.svg"
+
+
+@command(app)
+def start(
+    log: LogName,
+    out: Annotated[
+        Path, "Folder for rig.toml, model.json and fit.svg", Writes((*START_FILES, _PICTURE))
+    ] = Path(),
+    column: Annotated[
+        list[str] | None,
+        typer.Option(metavar="ROLE=NAME [UNIT]"),
+        'What you know of a column: "motor_angle=theta", "torque=-bridge [mNm]", "deflection=[deg]", '
+        '"motor_angle=pot * 36.8 [deg]"; a minus turns the sign, a plus keeps it',
+    ] = None,
+    period_ms: Annotated[
+        float | None, Between(0.0, 1000.0, "ms", low_open=True), "Sampling period of a log without stamps"
+    ] = None,
+    payload: Annotated[Payload | None, "Payload of the log, if it is known"] = None,
+    resample: Annotated[bool, "Interpolate over gaps, repeated stamps and strong jitter"] = False,
+    interpolate: Annotated[bool, "Fill missing cells, at most 1 % of a column"] = False,
+    force: bool = False,
+) -> Answer:
+    """Guess columns, units and sign of a log, say why, and fit a first model; asks what it cannot know.
+
+    $ fraclink start log.csv --out mine
+    """
+    found = start_from(
+        log_path(log),
+        column=column or (),
+        period=None if period_ms is None else period_ms / 1e3,
+        payload=payload,
+        resample=resample,
+        interpolate=interpolate,
+        ask=_ask if sys.stdin.isatty() and sys.stderr.isatty() else None,
+    )
+    written, remarks = list(found.save(out, force=force)), []
+    try:
+        write_text(out / _PICTURE, fit_figure(found.experiment, found.fit))
+        written.append(out / _PICTURE)
+    except MissingExtraError as error:
+        remarks.append(f"no picture: {error}")
+    return Answer(
+        found,
+        found.passed,
+        remarks=tuple(remarks),
+        written=tuple(written),
+        following=_following(found, log, out),
+    )
+
+
+def _following(found: Start, log: str, out: Path) -> str:
+    rig, model = (shlex.quote(str(out / name)) for name in START_FILES)
+    if not found.passed:
+        return f"fraclink diagnose {shlex.quote(log)} --rig {rig}"
+    return f"fill in the {found.blanks} blanks of {rig}, then fraclink design --rig {rig} --model {model}"
+
+
+def _ask(question: Question) -> str:
+    """Ask on the terminal until the answer is understood; a number stands for the choice in that place."""
+    tell(question.text)
+    for number, choice in enumerate(question.choices, 1):
+        tell(f"  {number}  {choice}")
+    while True:
+        sys.stderr.write(f"[{question.default}] > " if question.default else "> ")
+        sys.stderr.flush()
+        line = sys.stdin.readline()
+        if not line:
+            raise FieldError(
+                "answer",
+                "(end of input)",
+                "missing",
+                allowed="an answer",
+                remedy=f"or give {question.option}",
+            )
+        text = line.strip() or question.default
+        if text.isdigit() and 1 <= int(text) <= len(question.choices):
+            text = question.choices[int(text) - 1]
+        try:
+            return _understood(question, text)
+        except FieldError as error:
+            tell(str(error))
+
+
+def _understood(question: Question, text: str) -> str:
+    known = text in question.choices or question.part not in ("column", "sign")
+    if not text or not known:
+        allowed, remedy = ", ".join(question.choices), "type one of them, or its number"
+        raise FieldError("answer", text or "(nothing)", "not understood", allowed=allowed, remedy=remedy)
+    answered(ColumnStatement(question.role), question, text)
+    return text

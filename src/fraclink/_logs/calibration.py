@@ -1,0 +1,210 @@
+"""Unit, kind and sign of a log's columns, as far as names, ranges and the vibration in the log show them."""
+
+from __future__ import annotations
+
+import math
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink._arm.log_columns import UNITS, Channel, ColumnStatement, OutputKind
+from fraclink._logs.names import role_of_name, words_of
+from fraclink._logs.scan import Mode
+from fraclink._logs.weighing import Certainty, Question, Weighing
+from fraclink.errors import LogError
+
+__all__ = ["STRONG", "guess_angle", "guess_output", "guess_voltage"]
+
+Array = NDArray[np.float64]
+
+STRONG, _WEAK = 0.6, 0.3  # share of an output that one vibration explains: surely the output; not shown
+_ONE_UNIT = 3.0  # factor by which the gain of a deflection may differ from 1 where its unit is the angle's
+_LATE = 0.12  # of a vibration: a later answer could as well be one of the other sign
+# Stiffness of links in laboratories [N·m/rad]; in mN·m the number is a thousand times as large.
+_SOFTEST, _STIFFEST = 0.02, 20.0
+_SMALL_MOVE = 0.9  # an excitation that turns the motor by less than one degree is rare
+_LARGEST_TURN = 400.0  # degrees; beyond it they are counts, or millirad
+_LARGEST_VOLTAGE = 60.0  # V of a servo-amplifier: more is millivolts or a converter's counts
+
+
+def guess_angle(weighing: Weighing, place: int, raw: Array) -> Channel | None:
+    """The channel of the motor angle; None where its unit is a question."""
+    statement, own, name = weighing.statement("motor_angle"), weighing.unit(place), weighing.label(place)
+    sign, reach = statement.sign or 1, float(np.abs(raw - raw[0]).max())
+    unit = statement.unit or (own if own in UNITS["angle"] else "")
+    if unit:
+        source = "in the call" if statement.unit else "by its name"
+        weighing.conclude(
+            "unit of the motor angle", unit, "stated", f"{source}; it moves by {reach:.4g} {unit}"
+        )
+        return Channel(name, unit, sign=sign, scale=statement.scale or 1.0)
+    counts = reach >= 50 and bool((raw == np.round(raw)).all())
+    volts = own in UNITS["voltage"] or {"pot", "poti"} & set(words_of(name))
+    if not counts and not volts and (reach <= _SMALL_MOVE or 2 * math.pi < reach <= _LARGEST_TURN):
+        unit = "rad" if reach <= _SMALL_MOVE else "deg"
+        reason = "under one degree" if unit == "rad" else "more than a full turn"
+        other = "degrees" if unit == "rad" else "radians"
+        evidence = f"it moves by {reach:.4g}: as {other}, {reason}"
+        weighing.conclude("unit of the motor angle", unit, "likely", evidence)
+        return Channel(name, unit, sign=sign)
+    example, choices = "[deg]", ("rad", "deg")
+    text = f"{name} moves by {reach:.4g}: in which unit?"
+    if counts:
+        text, example = f"{name} counts: which angle is one count?", "* 1/4096 [rev]"
+        choices = ("1/4096 rev", "0.09 deg")
+    elif volts:
+        text, example = f"{name} is in volts: which angle is one volt?", "* 36.8 [deg]"
+        choices = ("36.8 deg", "0.64 rad")
+    option = f'--column "motor_angle={name} {example}"'
+    weighing.ask(Question("motor_angle", "unit", text, choices, "", option), "")
+    return None
+
+
+def guess_output(weighing: Weighing, place: int, mode: Mode | None) -> tuple[OutputKind, Channel] | None:
+    """Kind and channel of the output, and what the vibration says of its sign and delay."""
+    statement, name = weighing.statement("output"), weighing.label(place)
+    share = 0.0 if mode is None else mode.share
+    found = _kind_and_unit(weighing, place, mode)
+    if found is None:
+        return None
+    kind, unit, scale = found
+    sign = statement.sign or _sign(weighing, name, kind, mode)
+    if mode is not None and share >= _WEAK:
+        sure: Certainty = "certain" if share > STRONG else "likely"
+        text = f"explains {100 * share:.3g} % of the output"
+        weighing.conclude("vibration", f"{mode.frequency:.3g} rad/s", sure, text)
+    return kind, Channel(name, unit, sign=sign, scale=scale)
+
+
+def _kind_and_unit(weighing: Weighing, place: int, mode: Mode | None) -> tuple[OutputKind, str, float] | None:
+    """Torque or deflection, its unit and the factor to it; None where that is a question."""
+    statement, own = weighing.statement("output"), weighing.unit(place)
+    unit = statement.unit or own
+    if unit in UNITS["torque"] or (statement.role == "torque" and statement.unit):
+        weighing.conclude("output measures", f"torque [{unit}]", "stated", _by(statement))
+        return "torque", unit, statement.scale or 1.0
+    gain = abs(mode.gain) if mode is not None and mode.share >= _WEAK else 0.0
+    calibrated = gain * (statement.scale or 1.0) * (UNITS["angle"].get(unit, 1.0))
+    in_line = not gain or 1 / 20 < calibrated < 20
+    if unit in UNITS["angle"] and (in_line or statement.unit):
+        evidence = _by(statement) + (
+            f"; gain {calibrated:.3g} on the motor angle, 1 in theory" if gain else ""
+        )
+        weighing.conclude("output measures", f"deflection [{unit}]", "stated", evidence)
+        return "deflection", unit, statement.scale or 1.0
+    if statement.unit and statement.unit != "raw":
+        return "deflection", statement.unit, statement.scale or 1.0  # `LogColumns` refuses the unit
+    if own in UNITS["angle"] and not statement.unit:
+        return _contradicted(weighing, place, own, calibrated)
+    found = None if statement.unit else _by_gain(weighing, place, gain, own)
+    return found or _uncalibrated(weighing, place, gain)
+
+
+def _contradicted(weighing: Weighing, place: int, own: str, gain: float) -> None:
+    """Ask about a deflection whose gain on the motor angle its own unit and the angle's make impossible."""
+    name = weighing.label(place)
+    text = f"{name} is in {own} by its name, but {gain:.3g} times what the motor turns: in which unit?"
+    option = f'--column "deflection={name} [deg]", or the unit of the motor angle'
+    weighing.ask(Question("output", "unit", text, ("rad", "deg", "raw"), "", option), "")
+
+
+def _by(statement: ColumnStatement) -> str:
+    return "in the call" if statement.unit else "by its name"
+
+
+def _by_gain(weighing: Weighing, place: int, gain: float, own: str) -> tuple[OutputKind, str, float] | None:
+    """What a name without a unit and the gain on the motor angle make likely."""
+    statement, words = weighing.statement("output"), words_of(weighing.table.names[place])
+    role = (
+        statement.role
+        if statement.role in ("torque", "deflection")
+        else role_of_name(weighing.table.names[place])[0]
+    )
+    if not gain or own in UNITS["voltage"]:
+        return None
+    if role == "torque":
+        for unit, factor in (("Nm", 1.0), ("mNm", 1e-3)):
+            if _SOFTEST < gain * factor < _STIFFEST:
+                evidence = f"a stiffness of {gain * factor:.3g} N·m/rad, as links have"
+                weighing.conclude("output measures", f"torque [{unit}]", "likely", evidence)
+                return "torque", unit, 1.0
+    raw = {"strain", "gauge", "bridge", "dms", "dehnung", "bruecke", "brücke"}
+    if role == "deflection" and not raw & set(words):
+        for unit in ("rad", "deg"):
+            calibrated = gain * UNITS["angle"][unit]
+            if 1 / _ONE_UNIT < calibrated < _ONE_UNIT:
+                evidence = f"so its gain on the motor angle is {calibrated:.3g}, 1 in theory"
+                weighing.conclude("output measures", f"deflection [{unit}]", "likely", evidence)
+                return "deflection", unit, 1.0
+    return None
+
+
+def _uncalibrated(weighing: Weighing, place: int, gain: float) -> tuple[OutputKind, str, float] | None:
+    """A sensor without a unit: asked for; or scaled so that it answers the motor angle as a deflection."""
+    statement, name = weighing.statement("output"), weighing.label(place)
+    text = f"What does {name} measure, and in which unit? (raw: not calibrated, scaled by the fit)"
+    default = "raw" if gain else ""
+    option = f'--column "torque={name} [Nm]", --column "deflection={name} [deg]" or "deflection={name} [raw]"'
+    if statement.unit != "raw":
+        question = Question("output", "unit", text, ("Nm", "mNm", "deg", "rad", "raw"), default, option)
+        assumed = f"{name} has no unit; frequency, order and delay do not depend on it"
+        if not weighing.ask(question, assumed):
+            return None
+    if not gain:
+        problem = "not calibrated, and without a vibration that could scale it"
+        raise LogError(
+            "column of output", name, problem, allowed="Nm, mNm, rad or deg", remedy=f"state {option}"
+        )
+    scale = float(f"{1 / gain:.4g}")
+    weighing.conclude(
+        "output measures",
+        f"deflection, {scale:g} rad each",
+        "assumed",
+        "scaled so that a fast turn of the motor deflects the link by as much",
+    )
+    return "deflection", "rad", scale
+
+
+def _sign(weighing: Weighing, name: str, kind: str, mode: Mode | None) -> Literal[1, -1]:
+    """The sign with which the output is positive where the motor speeds up."""
+    part = "sign of the output"
+    if mode is None or mode.share < _WEAK or mode.delay * mode.frequency > 2 * math.pi * _LATE:
+        text = f"Is {name} positive where the motor speeds up forward?"
+        option = f'--column "{kind}=-{name} [unit]", or + for as it is'
+        weighing.ask(Question("output", "sign", text, ("+", "-"), "+", option), "the log does not show it")
+        return 1
+    sign: Literal[1, -1] = 1 if mode.gain > 0 else -1
+    way = "with" if sign > 0 else "against"
+    evidence = f"it goes {way} the motor's acceleration"
+    weighing.conclude(
+        part, "+" if sign > 0 else "− (turned)", "certain" if mode.share > 0.8 else "likely", evidence
+    )
+    return sign
+
+
+def guess_voltage(weighing: Weighing, angle: Array) -> Channel | None:
+    """The channel of the amplifier's voltage, where the log has one; a fit of the link does not need it."""
+    table, statement = weighing.table, weighing.statement("voltage")
+    place = weighing.place(statement)
+    found = [p for p, name in enumerate(table.names) if role_of_name(name)[0] == "voltage"]
+    if place is None and len(found) == 1:
+        place = found[0]
+    if place is None or table.values[place].size != angle.size:
+        return None
+    raw, own = table.values[place], weighing.unit(place)
+    if not np.isfinite(raw).all():
+        return None
+    unit = statement.unit or (own if own in UNITS["voltage"] else "")
+    if not unit and np.abs(raw).max() > _LARGEST_VOLTAGE:
+        return None
+    speed = np.gradient(angle)
+    spread = float(np.std(raw) * np.std(speed))
+    relation = float(np.mean((raw - raw.mean()) * (speed - speed.mean()))) / spread if spread else 0.0
+    sign: Literal[1, -1] = statement.sign or (-1 if relation < -0.2 else 1)
+    evidence = f"correlation {relation:.2g} with the motor's speed"
+    sure: Certainty = "stated" if unit else "likely"
+    weighing.conclude(
+        "voltage", f"{'-' if sign < 0 else ''}{weighing.label(place)} [{unit or 'V'}]", sure, evidence
+    )
+    return Channel(weighing.label(place), unit or "V", sign=sign, scale=statement.scale or 1.0)

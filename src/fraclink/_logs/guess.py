@@ -1,0 +1,217 @@
+"""What a log's columns probably are: each guess with its evidence and its certainty, and what must be asked.
+
+`read_log` guesses nothing. Here names, ranges and the one vibration that a scan finds in the log are weighed
+into the columns that `read_log` then takes. What they leave open is a `Question`: with a default where a
+usable assumption exists (it moves no frequency, order or delay of the fit), without one otherwise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink._arm.log_columns import ROW_NUMBER, Channel, ColumnStatement, LogColumns
+from fraclink._logs.calibration import STRONG, guess_angle, guess_output, guess_voltage
+from fraclink._logs.columns import clock_step, is_stated
+from fraclink._logs.names import role_of_name, words_of
+from fraclink._logs.scan import find_mode
+from fraclink._logs.table import LogTable
+from fraclink._logs.weighing import Certainty, Guess, Question, Weighing, guess_time, samples_of, stamps_of
+from fraclink.errors import LogError
+
+__all__ = ["Guess", "GuessedColumns", "Question", "guess_columns"]
+
+Array = NDArray[np.float64]
+
+_APART = 0.6  # of the best share: a second pair of columns that explains more makes the first one doubtful
+_PAIR_SAMPLES = 2_048  # looked at for each pair of columns without names: a scan takes 30 ms then
+_PAIR_COLUMNS = 6  # without names: thirty ordered pairs are a second
+
+
+@dataclass(frozen=True)
+class GuessedColumns:
+    """What was concluded: the columns, None as long as a question is open, and every guess behind them."""
+
+    columns: LogColumns | None
+    guesses: tuple[Guess, ...]
+    questions: tuple[Question, ...]
+
+
+def guess_columns(
+    table: LogTable,
+    stated: Mapping[str, ColumnStatement],
+    *,
+    assume: bool = False,
+    interpolate: bool = False,
+) -> GuessedColumns:
+    """Weigh names, ranges and the vibration in the log into columns.
+
+    Parameters
+    ----------
+    table
+        the log as its file holds it.
+    stated
+        what is known already, by role: time, motor_angle, output, voltage. A statement's own role says which
+        output it is, torque or deflection.
+    assume
+        take the defaults of the questions that have one.
+    interpolate
+        look past missing cells.
+
+    Raises
+    ------
+    LogError
+        a column that is stated is not there, a cell of one that is needed is no number, or the log has no
+        column that could be the motor angle or the output.
+    """
+    weighing = Weighing(table, stated, assume, interpolate)
+    columns = _columns(weighing)
+    return GuessedColumns(
+        None if weighing.questions else columns, tuple(weighing.guesses), tuple(weighing.questions)
+    )
+
+
+def _columns(weighing: Weighing) -> LogColumns | None:
+    time = guess_time(weighing)
+    angle, output = _signals(weighing, time)
+    if time is None or angle is None or output is None:
+        return None
+    raw_angle, raw_output = weighing.cells(angle), weighing.cells(output)
+    period = float(np.median(np.abs(np.diff(stamps_of(weighing, time)))))
+    angle_channel = guess_angle(weighing, angle, raw_angle)
+    if angle_channel is None or not period > 0 or raw_angle.size != raw_output.size:
+        return None
+    in_radians = angle_channel.in_si(raw_angle, "motor_angle")
+    mode = find_mode(in_radians, raw_output, period)
+    found = guess_output(weighing, output, mode)
+    if found is None:
+        return None
+    kind, channel = found
+    return LogColumns(time, angle_channel, channel, kind, guess_voltage(weighing, in_radians))
+
+
+# --- which column is the motor angle, which the output ----------------------------------------------------
+
+
+def _signals(weighing: Weighing, time: Channel | None) -> tuple[int | None, int | None]:
+    """The places of the motor angle and of the output; None where a question asks for it."""
+    table, length = weighing.table, samples_of(weighing, time)
+    named = {place: role_of_name(name) for place, name in enumerate(table.names)}
+    clock = None if time is None or time.column == ROW_NUMBER else table.place(time.column, "time")
+    free = [
+        place
+        for place, values in enumerate(table.values)
+        # A column that only rises is another clock, unless its name says what it measures.
+        if place != clock and values.size == length and _moves(values)
+        if named[place][0] or clock_step(values) is None
+    ]
+    places: dict[str, int | None] = {}
+    for role, part in (("motor_angle", "motor angle"), ("output", "output")):
+        places[role] = place = weighing.place(weighing.statement(role))
+        if place is not None:
+            weighing.conclude(part, weighing.label(place), "stated", "named in the call")
+    taken = set(places.values())
+    if places["motor_angle"] is None:
+        places["motor_angle"] = _by_name(weighing, "motor angle", ("motor_angle",), named, free, taken)
+    if places["output"] is None:
+        places["output"] = _by_name(
+            weighing, "output", ("torque", "deflection"), named, free, taken | {places["motor_angle"]}
+        )
+    if None in places.values():
+        _by_vibration(weighing, places, [place for place in free if not named[place][0]], time)
+    for role, words in (
+        ("motor_angle", "the motor angle"),
+        ("output", "the output of the link (torque or deflection)"),
+    ):
+        if places[role] is None:
+            _ask_column(weighing, role, words, [place for place in free if place not in places.values()])
+    return places["motor_angle"], places["output"]
+
+
+def _moves(values: Array) -> bool:
+    finite = values[np.isfinite(values)]
+    return finite.size > 0.9 * values.size and bool(np.ptp(finite) > 0)
+
+
+def _by_name(
+    weighing: Weighing,
+    part: str,
+    roles: tuple[str, ...],
+    named: Mapping[int, tuple[str, str]],
+    free: list[int],
+    taken: set[int | None],
+) -> int | None:
+    """The one column whose name says the role; where several do, the one that names the motor or a unit."""
+    found = [place for place in free if named[place][0] in roles and place not in taken]
+    if len(found) > 1:
+        exact = [
+            p
+            for p in found
+            if any(w in ("motor", "hub", "m", "joint") for w in words_of(weighing.table.names[p]))
+        ]
+        found = exact if part == "motor angle" and exact else found
+    if len(found) != 1:
+        return None
+    others = [
+        weighing.table.names[p]
+        for p, (role, _) in named.items()
+        if p in free and role.startswith(("a ", "the "))
+    ]
+    evidence = f"its name says {named[found[0]][1]!r}" + (
+        f"; not used: {', '.join(others[:4])}" if others else ""
+    )
+    sure: Certainty = "stated" if is_stated(weighing.table.names[found[0]]) else "likely"
+    weighing.conclude(part, weighing.label(found[0]), sure, evidence)
+    return found[0]
+
+
+def _by_vibration(
+    weighing: Weighing, places: dict[str, int | None], nameless: list[int], time: Channel | None
+) -> None:
+    """Fill in what one vibration tells: in which pair of columns the output rings with the motor angle."""
+    if time is None or len(nameless) > _PAIR_COLUMNS:
+        return
+    angles = nameless if places["motor_angle"] is None else [places["motor_angle"]]
+    outputs = nameless if places["output"] is None else [places["output"]]
+    stamps = stamps_of(weighing, time)
+    stride = max(1, stamps.size // _PAIR_SAMPLES)
+    period = stride * float(np.median(np.abs(np.diff(stamps))))
+    shares: dict[tuple[int, int], float] = {}
+    for angle in angles:
+        for output in outputs:
+            if angle is None or output is None or angle == output or not period > 0:
+                continue
+            raw = weighing.cells(angle), weighing.cells(output)
+            mode = find_mode(raw[0][::stride], raw[1][::stride], period)
+            shares[angle, output] = 0.0 if mode is None else mode.share
+    ranked = sorted(shares, key=lambda pair: -shares[pair])
+    if not ranked or shares[ranked[0]] < STRONG:
+        return
+    if len(ranked) > 1 and shares[ranked[1]] > _APART * shares[ranked[0]]:
+        return
+    share = f"one vibration explains {100 * shares[ranked[0]]:.3g} % of it"
+    for role, part, place in zip(places, ("motor angle", "output"), ranked[0], strict=True):
+        if places[role] is None:
+            weighing.conclude(part, weighing.label(place), "likely", f"{share}, of no other pair as much")
+            places[role] = place
+
+
+def _ask_column(weighing: Weighing, role: str, words: str, candidates: list[int]) -> None:
+    """Ask for a column by name; LogError where there is none left to choose from."""
+    table = weighing.table
+    if not candidates:
+        raise LogError(
+            "columns",
+            ", ".join(table.names[:12]),
+            f"without {words}",
+            allowed="a time, the motor angle, and the link's torque or deflection, each of which moves",
+            remedy="record both signals together: a link is identified from the motor's motion to its output",
+        )
+    names = tuple(weighing.label(place) for place in candidates)
+    spelled = "motor_angle" if role == "motor_angle" else "torque"
+    option = f'--column "{spelled}={names[0]}"' + (' or "deflection=…"' if role == "output" else "")
+    question = Question(role, "column", f"Which column is {words}?", names, "", option)
+    weighing.ask(question, "")

@@ -1,0 +1,499 @@
+"""`start` on logs of many shapes: what it takes each for, what it asks, and how it refuses."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import fraclink as fl
+from fraclink._arm.draft import RigDraft, load_rig_or_draft
+from fraclink._arm.log_columns import ROW_NUMBER, ColumnStatement
+from fraclink._cli import main, starting
+from fraclink._logs.formats import read_table
+from fraclink._logs.guess import GuessedColumns, Question, guess_columns
+from fraclink._logs.names import role_of_name
+from fraclink._logs.weighing import statements
+from fraclink.errors import FieldError, LogError
+from made_logs import made_motion, made_output
+from shared_data import shared_data
+
+Array = NDArray[np.float64]
+
+COUNT = 1500
+TIME, MOTOR = made_motion(COUNT)
+NOISE = np.random.default_rng(8).normal(0, 0.004, COUNT)
+TORQUE = made_output(MOTOR) + NOISE  # c = 1.5 N·m/rad, 10 rad/s
+DEFLECTION = made_output(MOTOR, stiffness=1.0) + NOISE
+VOLTAGE = 3 * np.gradient(MOTOR, 0.004) + 0.02 * np.sin(7 * TIME)
+REFERENCE = np.repeat(MOTOR[::125], 125)[:COUNT]
+DEG = 180 / math.pi
+
+
+@dataclasses.dataclass(frozen=True)
+class Shape:
+    """A log as a file: columns by header, how cells are separated, and what stands before them."""
+
+    columns: Mapping[str, Array]
+    separator: str = ","
+    before: str = ""
+    header: bool = True
+    comma: bool = False
+    digits: str = ".7g"
+
+    def write(self, path: Path) -> Path:
+        """Write it."""
+        rows = zip(*(values.tolist() for values in self.columns.values()), strict=True)
+        cells = [[format(value, self.digits) for value in row] for row in rows]
+        lines = [self.separator.join(row) for row in cells]
+        if self.comma:
+            lines = [line.replace(".", ",") for line in lines]
+        head = [self.separator.join(self.columns)] if self.header else []
+        path.write_text(self.before + "\n".join([*head, *lines]) + "\n", "utf-8")
+        return path
+
+
+# What each shape is taken for: time, unit; motor angle, unit; kind, column, unit, sign; certainty is below.
+Taken = tuple[str, str, str, str, str, str, str, int]
+RAW = "rad"
+THROUGH: dict[str, tuple[Shape, tuple[str, ...], Taken]] = {
+    "names that state all": (
+        Shape({"time_s": TIME, "motor_angle_rad": MOTOR, "torque_Nm": TORQUE}),
+        (),
+        ("time_s", "s", "motor_angle_rad", "rad", "torque", "torque_Nm", "Nm", 1),
+    ),
+    "milliseconds, degrees, a turned sign in mN·m": (
+        Shape({"t_ms": 1e3 * TIME, "theta_deg": DEG * MOTOR, "bridge_mNm": -1e3 * TORQUE}),
+        (),
+        ("t_ms", "ms", "theta_deg", "deg", "torque", "bridge_mNm", "mNm", -1),
+    ),
+    "units in brackets, semicolons": (
+        Shape({"Time [ms]": 1e3 * TIME, "Angle [deg]": DEG * MOTOR, "Torque [N*m]": TORQUE}, separator=";"),
+        (),
+        ("Time [ms]", "ms", "Angle [deg]", "deg", "torque", "Torque [N*m]", "N*m", 1),
+    ),
+    "German names": (
+        Shape(
+            {"Zeit (s)": TIME, "Motorwinkel (Grad)": DEG * MOTOR, "Drehmoment (Nm)": TORQUE}, separator=";"
+        ),
+        (),
+        ("Zeit (s)", "s", "Motorwinkel (Grad)", "deg", "torque", "Drehmoment (Nm)", "Nm", 1),
+    ),
+    "no unit anywhere, tabs": (
+        Shape({"time": TIME, "theta": MOTOR, "torque": TORQUE}, separator="\t"),
+        (),
+        ("time", "s", "theta", "rad", "torque", "torque", "Nm", 1),
+    ),
+    "no unit, milliseconds and degrees": (
+        Shape({"t": 1e3 * TIME, "enc": DEG * MOTOR, "torque": TORQUE}),
+        (),
+        ("t", "ms", "enc", "deg", "torque", "torque", "Nm", 1),
+    ),
+    "no unit, microseconds and mN·m": (
+        Shape({"t": 1e6 * TIME, "enc": MOTOR, "moment": 1e3 * TORQUE}, digits=".9g"),
+        (),
+        ("t", "us", "enc", "rad", "torque", "moment", "mNm", 1),
+    ),
+    "a deflection without a unit": (
+        Shape({"t": TIME, "theta": DEG * MOTOR, "alpha": DEG * DEFLECTION}),
+        (),
+        ("t", "s", "theta", "deg", "deflection", "alpha", "deg", 1),
+    ),
+    "a deflection in radians beside degrees": (
+        Shape({"t": TIME, "theta": DEG * MOTOR, "alpha": -DEFLECTION}),
+        (),
+        ("t", "s", "theta", "deg", "deflection", "alpha", "rad", -1),
+    ),
+    "strain in volts": (
+        Shape({"t": TIME, "theta_rad": MOTOR, "strain_V": -0.4 * DEFLECTION + 0.05}),
+        (),
+        ("t", "s", "theta_rad", "rad", "deflection", "strain_V", RAW, -1),
+    ),
+    "a bridge without a unit": (
+        Shape({"t": TIME, "enc": DEG * MOTOR, "bridge": 200 * DEFLECTION + 1000}),
+        (),
+        ("t", "s", "enc", "deg", "deflection", "bridge", RAW, 1),
+    ),
+    "a bridge that the call calibrates": (
+        Shape({"t": TIME, "enc": DEG * MOTOR, "bridge": -1e3 * TORQUE}),
+        ("torque=bridge [mNm]",),
+        ("t", "s", "enc", "deg", "torque", "bridge", "mNm", -1),
+    ),
+    "extra columns: reference, speed, tip, current, voltage": (
+        Shape(
+            {
+                "t": TIME,
+                "theta_ref": REFERENCE,
+                "theta_m": MOTOR,
+                "omega": np.gradient(MOTOR, 0.004),
+                "tip_angle": MOTOR - DEFLECTION,
+                "current_A": VOLTAGE / 3,
+                "u_V": -VOLTAGE,
+                "gamma_Nm": TORQUE,
+            }
+        ),
+        (),
+        ("t", "s", "theta_m", "rad", "torque", "gamma_Nm", "Nm", 1),
+    ),
+    "a sample number beside the time": (
+        Shape({"index": np.arange(COUNT), "time_s": TIME, "theta_deg": DEG * MOTOR, "torque_Nm": TORQUE}),
+        (),
+        ("time_s", "s", "theta_deg", "deg", "torque", "torque_Nm", "Nm", 1),
+    ),
+    "camel case": (
+        Shape({"timeStamp": TIME, "motorAngle": MOTOR, "hubTorque": TORQUE}),
+        (),
+        ("timeStamp", "s", "motorAngle", "rad", "torque", "hubTorque", "Nm", 1),
+    ),
+    "a LabVIEW header as comments": (
+        Shape(
+            {"# X_Value": TIME, "Theta_deg": DEG * MOTOR, "Torque_Nm": TORQUE},
+            separator="\t",
+            before="# LabVIEW Measurement\n# Separator: Tab\n# Multi_Headings: No\n",
+        ),
+        (),
+        ("X_Value", "s", "Theta_deg", "deg", "torque", "Torque_Nm", "Nm", 1),
+    ),
+    "blanks between the cells": (
+        Shape({"t_s": TIME, "enc_rad": MOTOR, "torque_Nm": TORQUE}, separator=" "),
+        (),
+        ("t_s", "s", "enc_rad", "rad", "torque", "torque_Nm", "Nm", 1),
+    ),
+    "no header: the vibration tells which is which": (
+        Shape({"a": TIME, "b": MOTOR, "c": TORQUE}, header=False),
+        ("torque=[Nm]",),
+        ("#1", "s", "#2", "rad", "torque", "#3", "Nm", 1),
+    ),
+    "names that say nothing, output first": (
+        Shape({"x1": TIME, "x2": -TORQUE, "x3": MOTOR}),
+        ("torque=[Nm]",),
+        ("x1", "s", "x3", "rad", "torque", "x2", "Nm", -1),
+    ),
+    "encoder counts with the counts of a turn": (
+        Shape({"t": TIME, "enc": np.round(MOTOR * 4096 / 2 / math.pi), "torque": TORQUE}),
+        ("motor_angle=enc * 1/4096 [rev]",),
+        ("t", "s", "enc", "rev", "torque", "torque", "Nm", 1),
+    ),
+    "a potentiometer in volts with its factor": (
+        Shape({"t": TIME, "pot_V": DEG * MOTOR / 36.8 + 2.5, "torque_Nm": TORQUE}),
+        ("motor_angle=pot_V * 36.8 [deg]",),
+        ("t", "s", "pot_V", "deg", "torque", "torque_Nm", "Nm", 1),
+    ),
+    "a period instead of stamps": (
+        Shape({"theta_deg": DEG * MOTOR, "torque_Nm": TORQUE}),
+        ("time=#row * 4 [ms]",),
+        ("#row", "ms", "theta_deg", "deg", "torque", "torque_Nm", "Nm", 1),
+    ),
+    "a sign that the call keeps": (
+        Shape({"t": TIME, "theta": MOTOR, "torque_Nm": -TORQUE}),
+        ("torque=+torque_Nm",),
+        ("t", "s", "theta", "rad", "torque", "torque_Nm", "Nm", 1),
+    ),
+}
+
+# What is not taken: the words of the error that mend it.
+REFUSED: dict[str, tuple[Shape, str]] = {
+    "decimal commas": (
+        Shape({"t_s": TIME, "theta_deg": DEG * MOTOR, "torque_Nm": TORQUE}, separator=";", comma=True),
+        "export with decimal points",
+    ),
+    "encoder counts": (
+        Shape({"t": TIME, "enc": np.round(MOTOR * 4096 / 2 / math.pi), "torque": TORQUE}),
+        '--column "motor_angle=enc * 1/4096 [rev]"',
+    ),
+    "a potentiometer in volts": (
+        Shape({"t": TIME, "pot_V": MOTOR, "torque_Nm": TORQUE}),
+        '--column "motor_angle=pot_V * 36.8 [deg]"',
+    ),
+    "no stamps": (Shape({"theta_deg": DEG * MOTOR, "torque_Nm": TORQUE}), "--period-ms 4"),
+    "a counter as the only clock": (
+        Shape({"n": np.arange(COUNT), "theta_deg": DEG * MOTOR, "torque_Nm": TORQUE}),
+        '--column "time=n * 0.004 [s]"',
+    ),
+    "an angle between radians and degrees": (
+        Shape({"t": TIME, "theta": 4 * MOTOR, "torque_Nm": TORQUE}),
+        '--column "motor_angle=theta [deg]"',
+    ),
+    "two encoders": (
+        Shape({"t": TIME, "enc1": MOTOR, "enc2": MOTOR - DEFLECTION, "torque_Nm": TORQUE}),
+        '--column "motor_angle=enc1"',
+    ),
+    "no output": (Shape({"t": TIME, "theta": MOTOR}), "Record both signals together"),
+    "a tip angle as the only output": (
+        Shape({"t": TIME, "theta": MOTOR, "tip_rad": MOTOR - DEFLECTION}),
+        '--column "torque=tip_rad" or "deflection=',
+    ),
+    "two gauges": (
+        Shape({"t": TIME, "theta": MOTOR, "strain1": DEFLECTION, "strain2": -DEFLECTION}),
+        '--column "torque=strain1"',
+    ),
+}
+
+
+def guessed(shape: Shape, path: Path, column: tuple[str, ...] = (), *, assume: bool = True) -> GuessedColumns:
+    """What is guessed of a shape."""
+    return guess_columns(read_table(shape.write(path)), statements(column, None), assume=assume)
+
+
+@pytest.mark.parametrize("name", THROUGH)
+def test_a_log_is_taken_for_what_it_is(name: str, tmp_path: Path) -> None:
+    shape, column, taken = THROUGH[name]
+    found = guessed(shape, tmp_path / "log.csv", column)
+    assert found.columns is not None, found.questions
+    columns = found.columns
+    assert taken == (
+        columns.time.column,
+        columns.time.unit,
+        columns.motor_angle.column,
+        columns.motor_angle.unit,
+        columns.output_kind,
+        columns.output.column,
+        columns.output.unit,
+        columns.output.sign,
+    )
+    assert all(guess.evidence and guess.value for guess in found.guesses)
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_a_log_that_is_not_clear_is_refused_with_what_mends_it(name: str, tmp_path: Path) -> None:
+    shape, words = REFUSED[name]
+    with pytest.raises(LogError) as caught:
+        fl.start(shape.write(tmp_path / "log.csv"))
+    assert words in str(caught.value)
+
+
+# --- certainty: what data cannot decide is said to be assumed, or asked -------------------------------------
+
+
+def certainty(found: GuessedColumns, part: str) -> str:
+    """How certain the guess of that part is."""
+    return next(guess.certainty for guess in found.guesses if guess.part == part)
+
+
+def test_an_assumption_is_called_one_and_asked_where_somebody_can_answer(tmp_path: Path) -> None:
+    shape = THROUGH["strain in volts"][0]
+    alone = guessed(shape, tmp_path / "log.csv")
+    assert certainty(alone, "output measures") == "assumed"
+    assert certainty(alone, "sign of the output") == "certain"
+    asked = guessed(shape, tmp_path / "log.csv", assume=False)
+    assert asked.columns is None
+    assert [(q.role, q.part, q.default) for q in asked.questions] == [("output", "unit", "raw")]
+    assert all(q.option.startswith("--column") for q in asked.questions)
+
+
+def test_a_gauge_without_a_unit_is_scaled_to_a_gain_of_one(tmp_path: Path) -> None:
+    found = guessed(THROUGH["strain in volts"][0], tmp_path / "log.csv")
+    assert found.columns is not None
+    # The gauge was made with 0.4 V for each radian of deflection; the scan is good for a few percent.
+    assert found.columns.output.scale == pytest.approx(1 / 0.4, rel=0.1)
+
+
+def test_an_output_that_shows_no_vibration_keeps_its_sign_as_an_assumption(tmp_path: Path) -> None:
+    noise = np.random.default_rng(2).normal(0, 1, COUNT)
+    shape = Shape({"t_s": TIME, "theta_rad": MOTOR, "torque_Nm": noise})
+    found = guessed(shape, tmp_path / "log.csv")
+    assert certainty(found, "sign of the output") == "assumed"
+    asked = guessed(shape, tmp_path / "log.csv", assume=False)
+    assert [question.part for question in asked.questions] == ["sign"]
+
+
+def test_a_deflection_whose_unit_contradicts_the_angle_is_a_question(tmp_path: Path) -> None:
+    # Both columns say rad, but one of them is in degrees: the gain is 57.
+    shape = Shape({"t_s": TIME, "theta_rad": MOTOR, "alpha_rad": DEG * DEFLECTION})
+    found = guessed(shape, tmp_path / "log.csv", assume=False)
+    assert [(question.role, question.part) for question in found.questions] == [("output", "unit")]
+
+
+def test_the_voltage_turns_its_sign_to_the_motor(tmp_path: Path) -> None:
+    name = "extra columns: reference, speed, tip, current, voltage"
+    found = guessed(THROUGH[name][0], tmp_path / "log.csv")
+    assert found.columns is not None and found.columns.voltage is not None
+    assert (found.columns.voltage.column, found.columns.voltage.sign) == ("u_V", -1)
+
+
+def test_a_clock_in_milliseconds_that_is_called_seconds_is_a_question(tmp_path: Path) -> None:
+    shape = Shape({"time_s": 1e3 * TIME, "theta_rad": MOTOR, "torque_Nm": TORQUE})
+    found = guessed(shape, tmp_path / "log.csv")
+    assert [(question.role, question.part) for question in found.questions] == [("time", "unit")]
+
+
+@pytest.mark.parametrize(
+    ("name", "role"),
+    [
+        ("motor_angle_deg", "motor_angle"),
+        ("Theta", "motor_angle"),
+        ("theta_cmd", "a commanded value"),
+        ("frequency", ""),
+        ("bending", "deflection"),
+        ("dTheta", "motor_angle"),
+        ("u", "voltage"),
+        ("Motorspannung [V]", "voltage"),
+        ("strain_V", "deflection"),
+        ("pot_V", "motor_angle"),
+        ("tip_deflection_m", "the tip"),
+        ("rpm", "a speed"),
+        ("offset", ""),
+    ],
+)
+def test_names_suggest_roles_by_whole_words(name: str, role: str) -> None:
+    assert role_of_name(name)[0] == role
+
+
+# --- from the file to the model -----------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def turned(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a log in ms, degrees and mN·m of the wrong sign, and what `start` made of it."""
+    folder = tmp_path_factory.mktemp("start")
+    THROUGH["milliseconds, degrees, a turned sign in mN·m"][0].write(folder / "log.csv")
+    assert main(["start", str(folder / "log.csv"), "--out", str(folder)]) == 0
+    return folder
+
+
+def test_the_command_writes_a_rig_file_a_model_and_a_picture(turned: Path) -> None:
+    fit = fl.Fit.load(turned / "model.json")
+    assert fit.passed
+    # One period of vibration in ten leaves gain and damping correlated; a wrong unit is a factor of 57.
+    assert fit.gain == pytest.approx(1.5, rel=0.03)
+    assert (turned / "fit.svg").read_text("utf-8").startswith("<svg")
+    # Without --force nothing is overwritten.
+    assert main(["start", str(turned / "log.csv"), "--out", str(turned)]) == 2
+
+
+def test_other_commands_read_the_rig_file_as_it_is(turned: Path) -> None:
+    rig, log = str(turned / "rig.toml"), str(turned / "log.csv")
+    assert main(["diagnose", log, "--rig", rig]) == 0
+    assert main(["identify", log, "--rig", rig, "--out", str(turned / "again.json")]) == 0
+    again, first = fl.Fit.load(turned / "again.json"), fl.Fit.load(turned / "model.json")
+    assert again.model == first.model
+
+
+def test_design_names_every_blank_and_takes_the_file_once_they_are_filled(
+    turned: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    draft = load_rig_or_draft(turned / "rig.toml")
+    assert isinstance(draft, RigDraft)
+    assert len(draft.blanks) == 8
+    model = str(turned / "model.json")
+    assert main(["design", "--rig", str(turned / "rig.toml"), "--model", model]) == 2
+    shown = capsys.readouterr().err
+    assert [blank for blank in draft.blanks if blank not in shown] == []
+    text = (turned / "rig.toml").read_text("utf-8")
+    values = (6.87e-5, 1.041e-3, 0.21, 0.65, 0.338, 0.02, 0.04, 0.03)
+    for blank, value in zip(draft.blanks, values, strict=True):
+        key = blank.partition(".")[2]
+        text = text.replace(f"# {key} = ", f"{key} = {value} ")
+    rig = fl.Rig.from_toml(text)
+    assert (rig.link.length, rig.payloads.high, rig.period) == (0.65, 0.04, 0.004)
+    assert rig.log == draft.log
+
+
+def test_a_rig_file_with_another_fault_is_no_draft(turned: Path, tmp_path: Path) -> None:
+    text = (turned / "rig.toml").read_text("utf-8")
+    for wrong in (
+        text.replace('unit = "deg"', 'unit = "furlong"'),
+        text.replace("[motor]", "[motor]\nmass = 1"),
+    ):
+        (tmp_path / "rig.toml").write_text(wrong, "utf-8")
+        with pytest.raises(FieldError):
+            load_rig_or_draft(tmp_path / "rig.toml")
+
+
+def test_names_from_a_log_cannot_break_the_rig_file(tmp_path: Path) -> None:
+    shape = Shape({"t_s": TIME, 'theta\x1b"]#_rad': MOTOR, "torque_Nm": TORQUE})
+    found = fl.start(shape.write(tmp_path / "log.csv"), column=['motor_angle=theta\x1b"]#_rad'])
+    assert tomllib.loads(found.rig_file)["log"]["motor_angle"]["column"] == 'theta\x1b"]#_rad'
+
+
+def test_questions_are_put_to_whoever_answers_them(tmp_path: Path) -> None:
+    shape = Shape(
+        {"t": TIME, "enc1": DEG * MOTOR, "enc2": DEG * (MOTOR - DEFLECTION), "bridge": -1e3 * TORQUE}
+    )
+    seen: list[Question] = []
+
+    def answer(question: Question) -> str:
+        seen.append(question)
+        return {"motor_angle": "enc1", "output": "mNm"}[question.role]
+
+    found = fl.start(shape.write(tmp_path / "log.csv"), ask=answer, payload=0.03)
+    assert [question.part for question in seen] == ["column", "unit"]
+    assert seen[0].choices[:2] == ("enc1", "enc2")
+    assert (found.columns.motor_angle.column, found.columns.motor_angle.unit) == ("enc1", "deg")
+    assert (found.columns.output.unit, found.columns.output.sign) == ("mNm", -1)
+    assert found.decisions == 3
+    assert found.fit.gain == pytest.approx(1.5, rel=0.02)
+    assert "assumed" not in {guess.certainty for guess in found.guesses}
+
+
+def test_the_terminal_asks_again_until_it_understands(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    import io
+
+    question = Question("output", "unit", "What does bridge measure?", ("Nm", "deg"), "", "--column …")
+    monkeypatch.setattr("sys.stdin", io.StringIO("\n4 furlong x [\n1\n"))
+    assert starting._ask(question) == "Nm"
+    column = Question("motor_angle", "column", "Which column?", ("a", "b"), "", "--column …")
+    monkeypatch.setattr("sys.stdin", io.StringIO("c\nb\n"))
+    assert starting._ask(column) == "b"
+    assert "not understood" in capsys.readouterr().err
+    monkeypatch.setattr("sys.stdin", io.StringIO(""))
+    with pytest.raises(FieldError, match="--column"):
+        starting._ask(column)
+
+
+def test_a_period_stands_for_stamps(tmp_path: Path) -> None:
+    path = Shape({"theta_deg": DEG * MOTOR, "torque_Nm": TORQUE}).write(tmp_path / "log.csv")
+    found = fl.start(path, period=0.004)
+    assert found.columns.time.column == ROW_NUMBER
+    assert found.experiment.period == 0.004
+    again = fl.read_log(path, columns=found.columns)
+    assert np.array_equal(again.output, found.experiment.output)
+    with pytest.raises(FieldError, match="period"):
+        fl.start(path, period=0.004, column=["time=theta_deg [s]"])
+
+
+@pytest.mark.parametrize(
+    "text", ["motor_angle", "angle=a [rad]", "motor_angle=a * 1/0 [rad]", "torque=a * 1.2.3 [Nm]"]
+)
+def test_statements_that_are_not_understood_are_refused(text: str) -> None:
+    with pytest.raises(FieldError, match="column"):
+        ColumnStatement.of(text)
+
+
+def test_what_a_statement_leaves_open() -> None:
+    assert ColumnStatement.of("deflection=[deg]") == ColumnStatement("deflection", unit="deg")
+    assert ColumnStatement.of("motor_angle=a b") == ColumnStatement("motor_angle", "a b")
+    assert ColumnStatement.of("torque=+g [Nm]").sign == 1
+    assert ColumnStatement.of("motor_angle=pot * 360/4096 [deg]").scale == pytest.approx(0.087890625)
+
+
+# --- recorded logs ------------------------------------------------------------------------------------------
+
+
+def test_a_recorded_log_with_a_turned_gauge_is_found_out() -> None:
+    place = shared_data("quanser_rfl_merced", "merced_rfl.csv")
+    found = guess_columns(read_table(place), {}, assume=True)
+    assert found.columns is not None and found.columns.voltage is not None
+    assert (found.columns.motor_angle.column, found.columns.motor_angle.unit) == ("theta_deg", "deg")
+    assert (found.columns.output.column, found.columns.output.sign) == ("alpha_deg", -1)
+    assert found.columns.voltage.column == "motor_V"
+
+
+@pytest.mark.parametrize("name", ["2_lab_a05_f04", "2_lab_a10_f04", "2_lab_a15_f10"])
+def test_a_recorded_log_in_volts_takes_one_decision(name: str) -> None:
+    place = shared_data("ist_flexbar", f"{name}.csv")
+    assert [q.role for q in guess_columns(read_table(place), {}, assume=True).questions] == ["motor_angle"]
+    stated = statements(["motor_angle=* 36.79 [deg]"], None)
+    found = guess_columns(read_table(place), stated, assume=True)
+    assert found.columns is not None and found.columns.voltage is not None
+    assert found.columns.motor_angle.column == "pot_V"
+    assert (found.columns.output_kind, found.columns.output.column) == ("deflection", "strain_V")
+    assert found.columns.voltage.column == "u_V"
