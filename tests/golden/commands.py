@@ -33,6 +33,7 @@ COMMANDS: dict[str, str] = {
     "help-export": "export --help",
     "help-campaign": "campaign --help",
     "help-design": "design --help",
+    "start": "start demo --out mine",
     "inspect": "inspect demo",
     "inspect-json": "inspect demo --json",
     "diagnose": f"diagnose demo {RIG}",

@@ -1,6 +1,7 @@
 """Recorded logs: read, inspected, diagnosed. Stated columns in, an `Experiment` out."""
 
 from fraclink._logs.diagnosis import diagnose
+from fraclink._logs.guess import Guess, Question
 from fraclink._logs.reading import (
     ChannelSummary,
     LogListing,
@@ -14,7 +15,9 @@ from fraclink._logs.reading import (
 
 __all__ = [
     "ChannelSummary",
+    "Guess",
     "LogListing",
+    "Question",
     "bundled_log",
     "bundled_logs",
     "converter_step",
