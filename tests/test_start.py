@@ -142,7 +142,14 @@ THROUGH: dict[str, tuple[Shape, tuple[str, ...], Taken]] = {
         ("t", "s", "theta_m", "rad", "torque", "gamma_Nm", "Nm", 1),
     ),
     "a sample number beside the time": (
-        Shape({"index": np.arange(COUNT), "time_s": TIME, "theta_deg": DEG * MOTOR, "torque_Nm": TORQUE}),
+        Shape(
+            {
+                "index": np.arange(COUNT, dtype=np.float64),
+                "time_s": TIME,
+                "theta_deg": DEG * MOTOR,
+                "torque_Nm": TORQUE,
+            }
+        ),
         (),
         ("time_s", "s", "theta_deg", "deg", "torque", "torque_Nm", "Nm", 1),
     ),
@@ -213,7 +220,7 @@ REFUSED: dict[str, tuple[Shape, str]] = {
     ),
     "no stamps": (Shape({"theta_deg": DEG * MOTOR, "torque_Nm": TORQUE}), "--period-ms 4"),
     "a counter as the only clock": (
-        Shape({"n": np.arange(COUNT), "theta_deg": DEG * MOTOR, "torque_Nm": TORQUE}),
+        Shape({"n": np.arange(COUNT, dtype=np.float64), "theta_deg": DEG * MOTOR, "torque_Nm": TORQUE}),
         '--column "time=n * 0.004 [s]"',
     ),
     "an angle between radians and degrees": (
