@@ -39,7 +39,7 @@ DesignOption = Annotated[Path | None, "Design whose law is run; default: the rig
 @command(campaign)
 def montecarlo(
     out: Annotated[Path, "Folder for the parts; a started one goes on"],
-    rig: RigName = "paper-2023",
+    rig: RigName = "paper-2023-geared",
     design: DesignOption = None,
     model: ModelFile = None,
     runs: Annotated[int, "Number of runs"] = 10_000,
