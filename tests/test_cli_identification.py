@@ -19,11 +19,11 @@ def told(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> dict[str, 
     return result
 
 
-def test_identify_all(capsys: pytest.CaptureFixture[str]) -> None:
-    result = told(["identify-all", "demo", "--rig", "paper-2023"], capsys)
+def test_compare_structures(capsys: pytest.CaptureFixture[str]) -> None:
+    result = told(["compare-structures", "demo", "--rig", "paper-2023"], capsys)
     assert result["preferred"] == "UD-FOM"
     assert set(result["fits"]) == {"UD-IOM", "D-IOM", "UD-FOM", "D-FOM"}  # type: ignore[call-overload]
-    assert run(["identify-all", "demo", "--rig", "paper-2023"]) == 0
+    assert run(["compare-structures", "demo", "--rig", "paper-2023"]) == 0
     text = capsys.readouterr().out
     assert "UD-FOM is preferred" in text
     assert "W301" in text
@@ -89,7 +89,7 @@ def test_plan_experiment(capsys: pytest.CaptureFixture[str]) -> None:
     assert "nearest feasible" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("verb", ["identify", "identify-all"])
+@pytest.mark.parametrize("verb", ["identify", "compare-structures"])
 def test_a_log_with_a_reversed_gauge_is_fitted_and_does_not_hold(
     verb: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -116,7 +116,7 @@ def test_a_log_with_a_reversed_gauge_is_fitted_and_does_not_hold(
 def test_a_natural_frequency_of_zero_is_a_dash_with_its_meaning(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    assert run(["identify-all", "demo", "--rig", "paper-2023"]) == 0
+    assert run(["compare-structures", "demo", "--rig", "paper-2023"]) == 0
     text = capsys.readouterr().out
     row = next(line for line in text.splitlines() if line.startswith("D-FOM"))
     assert row.split()[1] == "–"

@@ -205,7 +205,7 @@ _HOME: dict[str, str] = {
 }
 
 # Old public name -> (new public name, release that removes the old one); docs/reference/stability.md.
-_RENAMED: dict[str, tuple[str, str]] = {"identify_all": ("compare_structures", "0.3")}
+_RENAMED: dict[str, tuple[str, str]] = {}
 
 __all__ = sorted(["__version__", *_HOME])
 

@@ -42,7 +42,7 @@ COMMANDS: dict[str, str] = {
     "identify": f"identify demo {RIG} --out model.json",
     "identify-json": f"identify demo {RIG} --out model.json --force --json",
     "identify-damped": f"identify demo {RIG} --structure D-FOM --out damped.json",
-    "identify-all": f"identify-all demo {RIG}",
+    "compare-structures": f"compare-structures demo {RIG}",
     "identify-payloads": f"identify-payloads {THREE} {RIG}",
     "identify-payloads-tied": f"identify-payloads {THREE} {RIG} --tied",
     "identify-motor": f"identify-motor motor.csv {RIG}",

@@ -41,7 +41,7 @@ _SECTIONS: dict[str, dict[str, str]] = {
     },
     "More on logs and models": dict.fromkeys(
         (
-            *("identify-all", "identify-payloads", "identify-motor", "identify-spectrum"),
+            *("compare-structures", "identify-payloads", "identify-motor", "identify-spectrum"),
             *("plan-experiment", "record"),
         ),
         "models",

@@ -109,10 +109,10 @@ def identify(
 
 
 @command(app)
-def identify_all(log: LogName, rig: RigName, **reading: Unpack[LogOptions]) -> Answer:
+def compare_structures(log: LogName, rig: RigName, **reading: Unpack[LogOptions]) -> Answer:
     """Fit all four structures to a log and compare them.
 
-    $ fraclink identify-all log.csv --rig rig.toml
+    $ fraclink compare-structures log.csv --rig rig.toml
     """
     known = load_rig_for_logs(rig)
     experiment = load_log(log, known, **reading)
