@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 __all__ = [
     "bound_requirements",
     "boundary",
+    "missed_bounds",
+    "offered",
     "reach",
     "refuse",
 ]
@@ -32,6 +34,7 @@ Attempt = Callable[["Task"], "tuple[ClosedForm, int] | None"]
 Figure = Callable[["Task", Controller], float]
 
 _TURNS = 12
+_LINKS = 9  # of the range, at which Ms and noise are asked for: both are smooth over ω₀
 
 
 # ---- a bound as a boundary --------------------------------------------------------------------------------
@@ -51,12 +54,64 @@ def boundary(
     return good
 
 
+def edge(figure: Callable[[float], float], bound: float, good: float, bad: float) -> float:
+    """Return the value nearest to `bad` whose `figure` is within `bound`: it is at `good`, hardly at `bad`.
+
+    The figure is continuous where there is a controller, and infinite where there is none: the interval is
+    halved until both ends have one, and the root is then a tenth of the work.
+    """
+    from scipy.optimize import brentq
+
+    known: dict[float, float] = {}  # ln of a value: its figure
+
+    def excess(log: float) -> float:
+        if log not in known:
+            known[log] = figure(math.exp(log))
+        return math.log(known[log] / bound) if math.isfinite(known[log]) else 1.0
+
+    near, far = math.log(bad), math.log(good)
+    # The ends are the values that were judged, and not what rounding makes of their logarithms.
+    known |= {near: figure(bad), far: figure(good)}
+    if known[near] <= bound:
+        return bad
+    for _ in range(30):
+        if math.isfinite(known[near]):
+            break
+        middle = 0.5 * (near + far)
+        near, far = (near, middle) if excess(middle) <= 0.0 else (middle, far)
+    brentq(excess, near, far, xtol=1e-11, rtol=1e-11, maxiter=60, disp=False)
+    # The root lies on either side of the bound: what is returned was itself found within it.
+    within = [log for log, found in known.items() if found <= bound]
+    best = min(within, key=lambda log: abs(log - near))
+    return good if best == math.log(good) else math.exp(best)
+
+
+def first_within(
+    figure: Callable[[float], float], bound: float, start: float, values: Real
+) -> tuple[tuple[float, float] | None, float]:
+    """((a value whose figure is within `bound`, one before it whose is not), the least figure seen).
+
+    `start` lies before all `values` and is not within. Every fourth value first: as a rule the figure falls
+    all the way. Then the others, where that finds none.
+    """
+    least = math.inf
+    for part in (values[3::4], np.delete(values, np.s_[3::4])):
+        bad = start
+        for value in map(float, part):
+            found = figure(value)
+            least = min(least, found)
+            if found <= bound:
+                return (value, bad), least
+            bad = value
+    return None, least
+
+
 # ---- bounds -----------------------------------------------------------------------------------------------
 
 
 def _worst(task: Task, controller: Controller) -> tuple[tuple[float, float], tuple[float, float]]:
     """((Ms, its ω₀), (noise gain, its ω₀)) over the payload range."""
-    found = task.loop(controller).achieved(np.geomspace(task.low, task.high, 9), task.rig.period)
+    found = task.loop(controller).achieved(np.geomspace(task.low, task.high, _LINKS), task.rig.period)
     pairs = []
     for values in (found.sensitivity_peak, found.noise_gain):
         at = int(np.argmax(values))
@@ -64,11 +119,22 @@ def _worst(task: Task, controller: Controller) -> tuple[tuple[float, float], tup
     return pairs[0], pairs[1]
 
 
-def _mode_gain(task: Task, controller: Controller) -> float:
-    loop = task.full_loop(controller)
-    modes = higher_modes(task.model, task.rig, loop, task.payloads)
+def _peak(task: Task, controller: Controller) -> float:
+    loop, links = task.loop(controller), np.geomspace(task.low, task.high, _LINKS)
+    stable = bool(np.all(loop.margins(links)[1] > 0.0))
+    return float(np.max(loop.sensitivity_peak(links))) if stable else math.inf
+
+
+def _noise(task: Task, controller: Controller) -> float:
+    links = np.geomspace(task.low, task.high, _LINKS)
+    return float(np.max(task.loop(controller).noise_gain(links, task.rig.period)))
+
+
+def _mode_gain(task: Task) -> Figure:
+    """The largest loop gain at a higher mode, as a function of a controller; the modes are those of any."""
+    modes = higher_modes(task.model, task.rig, task.bare(1), task.payloads)
     assert modes is not None  # noqa: S101  # a link with one mode was refused with the bound
-    return float(np.max(modes.gains(loop)))
+    return lambda changed, controller: float(np.max(modes.gains(changed.full_loop(controller))))
 
 
 def bound_requirements(
@@ -108,11 +174,10 @@ def reach(task: Task, spec: Specification, attempt: Attempt) -> Task:
 
         return worst
 
-    peak = measured(lambda changed, controller: _worst(changed, controller)[0][0])
-    bounds = (
-        ("noise_gain", spec.noise_gain, measured(lambda changed, found: _worst(changed, found)[1][0])),
-        ("mode_gain", spec.mode_gain, measured(_mode_gain)),
-    )
+    peak = measured(_peak)
+    bounds = [("noise_gain", spec.noise_gain, measured(_noise))]
+    if spec.mode_gain is not None:
+        bounds.append(("mode_gain", spec.mode_gain, measured(_mode_gain(task))))
     for turn in range(_TURNS):
         before = task
         # More filter costs margin, more margin costs noise: after the first turn each asks for a little more
@@ -132,27 +197,21 @@ def _raise_margin(task: Task, asked: float, share: float, worst: Callable[[Task]
     """The smallest phase margin whose sensitivity peak is within `asked`."""
     if worst(task) <= asked:
         return task
-    bound, bad, least = 1.0 + (asked - 1.0) * share, task.phase_margin, math.inf
+    bound, margins = 1.0 + (asked - 1.0) * share, np.linspace(task.phase_margin, 0.9 * math.pi, 41)
+
+    def figure(margin: float) -> float:
+        return worst(replace(task, phase_margin=margin))
+
     # A margin may have no controller at all (Ms infinite), and Ms need not fall all the way: a scan first,
-    # and only then the edge between the last that failed and the first that does not.
-    for margin in map(float, np.linspace(task.phase_margin, 0.9 * math.pi, 40)):
-        found = worst(replace(task, phase_margin=margin))
-        least = min(least, found)
-        if found <= bound:
-            break
-        bad = margin
-    else:
+    # and only then the edge between one that failed and one that does not.
+    ends, least = first_within(figure, bound, task.phase_margin, margins[1:])
+    if ends is None:
         raise InfeasibleError(
             "sensitivity peak",
             f"no phase margin at {task.gain_crossover:.6g} rad/s brings Ms to {asked:g}",
-            # A part in 1e4 above the least: the printed digits of an offer must themselves be feasible.
-            {"max_sensitivity": 1.0001 * least} if math.isfinite(least) else None,
+            {"max_sensitivity": least} if math.isfinite(least) else None,
         )
-    if margin > bad:
-        margin = boundary(
-            lambda value: worst(replace(task, phase_margin=value)) <= bound, margin, bad, log=False
-        )
-    return replace(task, phase_margin=margin)
+    return replace(task, phase_margin=edge(figure, bound, *ends))
 
 
 def _raise_filter(task: Task, name: str, bound: float, share: float, worst: Callable[[Task], float]) -> Task:
@@ -174,7 +233,7 @@ def _raise_filter(task: Task, name: str, bound: float, share: float, worst: Call
         raise InfeasibleError(
             words,
             f"no filter keeps the {words} within {bound:g} at this crossover and margin",
-            {name: 1.0001 * least},
+            {name: least},
         )
     return min(made, key=_lag)
 
@@ -186,16 +245,14 @@ def _lag(task: Task) -> float:
 
 def _shortest(task: Task, bound: float, worst: Callable[[Task], float]) -> tuple[Task | None, float]:
     """(the task with the shortest δ within `bound`, None where there is none; the least that was seen)."""
-    bad, least = task.filter_time or 1e-5, math.inf
+
+    def figure(time: float) -> float:
+        return worst(replace(task, filter_time=time))
+
+    start = task.filter_time or 1e-5
     # From 0.1 ms, below every control period, to 1 s in steps of 27 %.
-    for time in map(float, np.geomspace(max(1e-4, 1.001 * bad), 1.0, 40)):
-        found = worst(replace(task, filter_time=time))
-        least = min(least, found)
-        if found <= bound:
-            best = boundary(lambda value: worst(replace(task, filter_time=value)) <= bound, time, bad)
-            return replace(task, filter_time=best), least
-        bad = time
-    return None, least
+    ends, least = first_within(figure, bound, start, np.geomspace(max(1e-4, 1.001 * start), 1.0, 40))
+    return None if ends is None else replace(task, filter_time=edge(figure, bound, *ends)), least
 
 
 # ---- the nearest feasible request -------------------------------------------------------------------------
@@ -263,11 +320,95 @@ def _nearest(task: Task, field: str, values: Real, attempt: Attempt) -> float | 
             return attempt(replace(task, phase_margin=value)) is not None
         return attempt(replace(task, gain_crossover=value)) is not None
 
-    for value in sorted(map(float, values), key=lambda v: abs(math.log(v / asked))):
-        if feasible(value):
-            # To about 1e-8 and not to the last bit: what is offered must pass when it is typed in again.
-            return boundary(feasible, value, asked, halvings=20)
+    ordered = sorted(map(float, values), key=lambda v: abs(math.log(v / asked)))
+    # Every third value first, the nearest first; the others only where none of these is feasible. Between
+    # one that is and the last on its side that is not, halving finds the edge.
+    for part in (ordered[::3], [v for i, v in enumerate(ordered) if i % 3]):
+        last = {True: asked, False: asked}
+        for value in part:
+            if feasible(value):
+                # To 1e-5: an offer is typed in again with five or six digits.
+                found = boundary(feasible, value, last[value > asked], halvings=14)
+                short = _shortened(found, away=found > asked)
+                return short if feasible(short) else found
+            last[value > asked] = value
     return None
+
+
+def _shortened(value: float, *, away: bool) -> float:
+    """The value with five digits, rounded up where `away`, and down elsewhere: off the edge it lies on."""
+    digit = 10.0 ** (4 - math.floor(math.log10(value)))
+    return (math.ceil if away else math.floor)(value * digit) / digit
+
+
+# The bound of a request behind a requirement that is not met.
+_BOUNDS = {
+    "noise gain": "noise_gain",
+    "sensitivity peak": "max_sensitivity",
+    "settling time": "settling_time",
+    "loop gain at mode 2": "mode_gain",
+    "loop gain at mode 3": "mode_gain",
+}
+_LOOSER = (0.0, 1e-4, 1e-3, 1e-2, 0.03, 0.1, 0.25)  # parts of a bound by which an offer may exceed the edge
+
+
+def missed_bounds(requirements: tuple[Requirement, ...]) -> dict[str, float]:
+    """Return the bounds that these requirements achieve, of those that are missed."""
+    missed: dict[str, float] = {}
+    for item in requirements:
+        if not item.passed and item.name in _BOUNDS:
+            name = _BOUNDS[item.name]
+            missed[name] = max(item.achieved, missed.get(name, 0.0))
+    return missed
+
+
+def offered(
+    nearest: dict[str, float], spec: Specification, misses: Callable[[Specification], dict[str, float] | None]
+) -> dict[str, float]:
+    """Return the nearest request in the words of `spec`, tried as a whole; empty where none near is feasible.
+
+    `nearest` meets the one condition that refused `spec`; the other bounds may ask for more. `misses` tells
+    which bounds a request misses and what it achieves instead: None where it meets all of them.
+    """
+    wanted: dict[str, Any] = dict(_worded(nearest, spec))
+    for _ in range(3):
+        missed = misses(replace(spec, **wanted)) if wanted else {}
+        if missed is None:
+            return wanted
+        if not missed:
+            break
+        wanted |= {name: value for name, value in missed.items() if math.isfinite(value)}
+    for share in _LOOSER:
+        trial: dict[str, Any] = {name: _loosened(name, value, share, spec) for name, value in wanted.items()}
+        if wanted and misses(replace(spec, **trial)) is None:
+            return trial
+    return {}
+
+
+def _worded(nearest: dict[str, float], spec: Specification) -> dict[str, float]:
+    """A crossover as settling time and a margin as Ms, where the request asked for these."""
+    wanted = dict(nearest)
+    if spec.settling_time is not None and "gain_crossover" in wanted:
+        longest = max(spec.settling_time, 2.0 * math.pi / wanted["gain_crossover"])
+        if longest > spec.settling_time * (1.0 + 1e-12):
+            wanted["settling_time"] = _shortened(longest, away=True)
+        if spec.gain_crossover is None:
+            del wanted["gain_crossover"]
+            wanted.setdefault("settling_time", spec.settling_time)
+    if spec.phase_margin is None and "phase_margin" in wanted:
+        # The margin that a bound on Ms asks for at least: the bound that this one belongs to.
+        largest = 0.5 / math.sin(0.5 * wanted.pop("phase_margin"))
+        wanted["max_sensitivity"] = max(largest, spec.max_sensitivity or 0.0)
+    return wanted
+
+
+def _loosened(name: str, value: float, share: float, spec: Specification) -> float:
+    """The value moved on, away from what was asked; one that is as it was asked stays."""
+    asked = getattr(spec, name)
+    if asked is not None and math.isclose(asked, value, rel_tol=1e-12):
+        return value
+    lower = name in ("phase_margin", "gain_crossover") and (asked is None or value < asked)
+    return _shortened(value * (1.0 - share if lower else 1.0 + share), away=not lower)
 
 
 def _reason(task: Task, found: tuple[ClosedForm, ...]) -> tuple[str, str]:

@@ -240,10 +240,11 @@ def equation(
     return np.asarray(residual), np.asarray(beta), np.asarray(chi), time
 
 
-def solutions(task: Task, order: int) -> Iterator[ClosedForm]:
+def solutions(task: Task, order: int, *, admissible: bool = False) -> Iterator[ClosedForm]:
     """Yield every solution of (54), (55) with ω̄_c above 0.9 ω_c, lowest ω̄_c first.
 
-    One by one: the first is the admissible one as a rule, and the others then cost nothing.
+    One by one: the first is the admissible one as a rule, and the others then cost nothing. With `admissible`
+    those are left out whose β is beyond one of its bounds on both sides of the solution.
     """
     bare, crossover = task.bare(order), task.gain_crossover
     rule = task.inside and task.filter_time is None
@@ -256,8 +257,13 @@ def solutions(task: Task, order: int) -> Iterator[ClosedForm]:
     # the square of the ratio for λ − β = 1. The factor 50 leaves room for flatter slopes.
     top = min(bare.highest, 50.0 * crossover * (task.high / task.low) ** 2)
     grid = np.geomspace(0.9 * crossover, max(top, 1.1 * crossover), _GRID)
-    residual = terms(grid)[0]
-    for i in np.nonzero((residual[:-1] > 0.0) != (residual[1:] > 0.0))[0]:
+    residual, orders = terms(grid)[:2]
+    crossed = (residual[:-1] > 0.0) != (residual[1:] > 0.0)
+    if admissible:
+        limit = min(task.model.order, 2.0)
+        crossed &= np.maximum(orders[:-1], orders[1:]) > 0.0
+        crossed &= np.minimum(orders[:-1], orders[1:]) < limit
+    for i in np.nonzero(crossed)[0]:
         upper = bracketed_roots(lambda x: terms(x)[0], grid[i], grid[i + 1])
         _, beta, log_chi, time = (float(x) for x in terms(upper))
         loop = replace(bare, order=beta, filter_time=time)
@@ -283,7 +289,7 @@ def attempt(task: Task) -> tuple[ClosedForm, int] | None:
     for _ in range(1 if task.model.exact_gauge or not task.inside else _AIMS):
         shortfall: tuple[float, float] | None = None
         for order in (task.filter_order,) if task.filter_order else (1, 2):
-            for solution in solutions(aim, order):
+            for solution in solutions(aim, order, admissible=True):
                 if not _admissible(task, solution, order):
                     continue
                 crossover, margin = _achieved(aim, solution, order)

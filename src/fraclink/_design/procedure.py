@@ -14,12 +14,12 @@ from fraclink._arm.doubts import doubts_of
 from fraclink._arm.link import LinkModel
 from fraclink._arm.loop import Loop, worst_margins
 from fraclink._arm.rig import Rig
-from fraclink._design.bounds import bound_requirements, reach, refuse
+from fraclink._design.bounds import bound_requirements, missed_bounds, offered, reach, refuse
 from fraclink._design.equations import MARGIN_SHARE, Task, attempt, candidates, task_of
 from fraclink._design.modes import MODE_LIMIT, higher_modes, mode_requirements
 from fraclink._design.specification import Design, Requirement, Specification
 from fraclink._validate import checked_between, checked_noun
-from fraclink.errors import InfeasibleError
+from fraclink.errors import FieldError, InfeasibleError
 from fraclink.findings import Finding
 
 if TYPE_CHECKING:
@@ -130,21 +130,42 @@ def design(
     try:
         made = _designed(link, rig, spec)
     except InfeasibleError as error:
+        nearest = offered(error.nearest, spec, lambda trial: _misses(link, rig, trial))
         # A payload in grams or the model of another arm is refused for reasons that hide the cause.
         doubts = "; ".join(finding.message for finding in doubts_of(rig, link, payloads or ()))
-        if not doubts:
-            raise
-        explanation = f"{error.explanation}; but {doubts}"
-        raise InfeasibleError(error.condition, explanation, error.nearest) from error
+        explanation = f"{error.explanation}; but {doubts}" if doubts else error.explanation
+        raise InfeasibleError(error.condition, explanation, nearest) from error
     return made.doubted(getattr(model, "findings", ()))
+
+
+def _bounded(spec: Specification, link: LinkModel) -> Specification:
+    """The specification with the usual bound on the gain at a second mode, where it states none."""
+    if spec.mode_gain is None and link.second_mode is not None and spec.margins == "loop":
+        return replace(spec, mode_gain=MODE_LIMIT)
+    return spec
+
+
+def _misses(link: LinkModel, rig: Rig, spec: Specification) -> dict[str, float] | None:
+    """The bounds that a specification misses, with what is achieved; None where it meets all of them."""
+    spec = _bounded(spec, link)
+    try:
+        task = task_of(link, rig, spec)
+        task = reach(task, spec, attempt) if spec.bounded else task
+    except FieldError:
+        return {}
+    except InfeasibleError as error:
+        return error.nearest
+    found = attempt(task)
+    if found is None:
+        return {}
+    requirements = requirements_of(task, task.controller(*found), spec)
+    return None if all(item.passed for item in requirements) else missed_bounds(requirements)
 
 
 def _designed(link: LinkModel, rig: Rig, spec: Specification) -> Design:
     """The design of a specification; InfeasibleError where there is none."""
-    asked = task_of(link, rig, spec)
-    given = spec.mode_gain is not None
-    if not given and link.second_mode is not None and spec.margins == "loop":
-        spec = replace(spec, mode_gain=MODE_LIMIT)
+    asked, given = task_of(link, rig, spec), spec.mode_gain is not None
+    spec = _bounded(spec, link)
     task = reach(asked, spec, attempt) if spec.bounded else asked
     found = attempt(task)
     if found is None:
