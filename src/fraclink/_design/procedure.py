@@ -14,9 +14,10 @@ from fraclink._arm.doubts import doubts_of
 from fraclink._arm.link import LinkModel
 from fraclink._arm.loop import Loop, worst_margins
 from fraclink._arm.rig import Rig
-from fraclink._design.bounds import bound_requirements, missed_bounds, offered, reach, refuse
+from fraclink._design.bounds import bound_requirements, reach
 from fraclink._design.equations import MARGIN_SHARE, Task, attempt, candidates, task_of
 from fraclink._design.modes import MODE_LIMIT, higher_modes, mode_requirements
+from fraclink._design.nearest import missed_bounds, offered, refuse
 from fraclink._design.specification import Design, Requirement, Specification
 from fraclink._validate import checked_between, checked_noun
 from fraclink.errors import FieldError, InfeasibleError
