@@ -241,7 +241,7 @@ def page() -> str:
         "A finding does not stop the work. It is in `rig.warnings`, `log.findings`, `diagnose(log)`,",
         "`fit.findings`, `design.findings`, `twin.findings`, report and JSON, with its evidence",
         "in numbers. Codes keep their meaning across releases; … stands for what is known at run time.",
-        "*info* is good to know, *warning* may mislead, *error* makes the log unusable.",
+        "*info* is good to know, *warning* may mislead, *error* is a gate: nothing made from it can pass.",
     ]
     found = all_codes()
     for family, what in FAMILIES.items():

@@ -50,11 +50,11 @@ def _of_stiffness(rig: Rig, model: LinkModel) -> Iterator[Finding]:
     if ratio <= _STIFFNESS_MOST:
         return
     unit = next((words for factor, words in _UNITS.items() if 0.6 < ratio / factor < 1.6), "")
+    hint = f": a factor of {ratio:.3g}, {unit}" if unit else ""
     yield Finding(
         "W106",
         "error",
-        f"the model's stiffness is {found:.4g} N·m/rad, the rig's {stated:.4g} N·m/rad"
-        + (f": a factor of {ratio:.3g}, {unit}" if unit else ""),
+        f"the model's stiffness is {found:.4g} N·m/rad, the rig's {stated:.4g} N·m/rad{hint}",
         {"model": found, "rig": stated, "ratio": ratio, "most": _STIFFNESS_MOST},
         "check the units in [log] of the rig file, and that model and rig are of one arm",
     )

@@ -88,15 +88,29 @@ def _no_signal(signal: float, log: Experiment) -> Finding:
     """W313, with the cause where the output or the motor shows one."""
     turned, hum = float(np.ptp(log.motor_angle)), _mains(log)
     evidence = {"signal": signal, "least": SIGNAL_LEAST, "motor_range": turned}
-    message = "no signal: this model explains the output from the motor hardly better than a constant does"
-    remedy = "check that the gauge is connected, and that both channels are of one recording; or move further"
     if turned < _TREMBLE:
-        message = f"no signal: the motor hardly moves, it turns by {turned:.2g} rad"
-        remedy = "excite the arm: a pulse, a PRBS or a square wave, and check the unit of the motor angle"
-    elif hum is not None:
-        message = f"no signal: the output is the hum of the mains at {hum:.0f} Hz"
-        remedy = "check the gauge's wiring and shield"
-    return Finding("W313", "error", message, evidence, remedy)
+        return Finding(
+            "W313",
+            "error",
+            f"no signal: the motor hardly moves, it turns by {turned:.2g} rad",
+            evidence,
+            "excite the arm: a pulse, a PRBS or a square wave, and check the unit of the motor angle",
+        )
+    if hum is not None:
+        return Finding(
+            "W313",
+            "error",
+            f"no signal: the output is the hum of the mains at {hum:.0f} Hz",
+            evidence,
+            "check the gauge's wiring and shield",
+        )
+    return Finding(
+        "W313",
+        "error",
+        "no signal: this model explains the output from the motor hardly better than a constant does",
+        evidence,
+        "check that the gauge is connected, and that both channels are of one recording; or move further",
+    )
 
 
 def _of_the_vibration(
@@ -168,18 +182,18 @@ def _not_predicted(fit: Fit, relative: float) -> Finding:
     output, late = fit.predicted + fit.residual, slice(fit.fitted_samples, None)
     before, after = float(np.std(output[: fit.fitted_samples])), float(np.std(output[late]))
     predicted = float(np.std(fit.predicted[late]))
-    remedy = "look for a payload that slipped, a wrong channel or saturation"
+    cause = "a payload that slipped, a wrong channel or saturation"
     if after < 0.3 * min(before, predicted):
-        remedy = "the output is nearly at rest there: look for a gauge or a cable that came off"
+        cause = "a gauge or a cable that came off: the output is nearly at rest there"
     elif after > 2 * max(before, predicted):
-        remedy = "the output moves much further there: look for a gauge that drifts, or for a blow"
+        cause = "a gauge that drifts, or a blow: the output moves much further there"
     return Finding(
         "W318",
         "error",
         "the model does not predict the part of the log that was held out",
         {"heldout_nmse": relative, "most": HELDOUT_MOST, "nmse": fit.nmse, "rms": after}
         | {"fitted_rms": before, "predicted_rms": predicted},
-        remedy,
+        f"look for {cause}",
     )
 
 
