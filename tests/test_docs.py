@@ -89,9 +89,11 @@ def test_every_saved_kind_stands_in_the_file_formats() -> None:
     text = (DOCS / "reference" / "file-formats.md").read_text("utf-8")
     constant = re.compile(r"^_?(?:[A-Z]+_)?KIND(?:, _?[A-Z]+)? = \"([\w-]+)\"", flags=re.MULTILINE)
     literal = re.compile(r"write_(?:json|npz)\(\s*[\w/ .\"]+, \"([\w-]+)\"")
+    declared = re.compile(r"^@document\(\s*\"([\w-]+)\"", flags=re.MULTILINE)
     sources = [path.read_text("utf-8") for path in (ROOT / "src" / "fraclink").rglob("*.py")]
-    kinds = {kind for source in sources for kind in (*constant.findall(source), *literal.findall(source))}
-    assert len(kinds) >= 8
+    found = (pattern.findall(source) for source in sources for pattern in (constant, literal, declared))
+    kinds = {kind for some in found for kind in some}
+    assert len(kinds) >= 12
     assert {kind for kind in kinds if f"`{kind}`" not in text} == set()
 
 
