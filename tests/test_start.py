@@ -236,6 +236,11 @@ REFUSED: dict[str, tuple[Shape, str]] = {
         Shape({"t": TIME, "theta": MOTOR, "tip_rad": MOTOR - DEFLECTION}),
         '--column "torque=tip_rad" or "deflection=',
     ),
+    "a tip angle that is called a deflection": (
+        Shape({"t_s": TIME, "theta_rad": MOTOR, "alpha_rad": MOTOR - DEFLECTION}),
+        "state it as the deflection",
+    ),
+    "a table that is too short": (Shape({"t_s": TIME[:2], "theta_rad": MOTOR[:2]}), "too short"),
     "two gauges": (
         Shape({"t": TIME, "theta": MOTOR, "strain1": DEFLECTION, "strain2": -DEFLECTION}),
         '--column "torque=strain1"',
@@ -308,6 +313,21 @@ def test_an_output_that_shows_no_vibration_keeps_its_sign_as_an_assumption(tmp_p
     assert certainty(found, "sign of the output") == "assumed"
     asked = guessed(shape, tmp_path / "log.csv", assume=False)
     assert [question.part for question in asked.questions] == ["sign"]
+
+
+def test_a_gauge_that_answers_late_does_not_settle_its_sign(tmp_path: Path) -> None:
+    late = np.concatenate((np.zeros(22), TORQUE[:-22]))  # 88 ms, a seventh of the vibration
+    shape = Shape({"t_s": TIME, "theta_rad": MOTOR, "torque_Nm": late})
+    assert [q.part for q in guessed(shape, tmp_path / "log.csv", assume=False).questions] == ["sign"]
+    assert certainty(guessed(shape, tmp_path / "log.csv"), "sign of the output") == "assumed"
+
+
+def test_values_near_the_limits_of_doubles_are_no_signals(tmp_path: Path) -> None:
+    huge = 1e308 * np.sign(NOISE)
+    for output in (huge, 1e-300 * TORQUE):
+        shape = Shape({"t_s": TIME, "theta_rad": MOTOR, "torque_Nm": output})
+        found = guessed(shape, tmp_path / "log.csv")
+        assert "vibration" not in {guess.part for guess in found.guesses}
 
 
 def test_a_deflection_whose_unit_contradicts_the_angle_is_a_question(tmp_path: Path) -> None:

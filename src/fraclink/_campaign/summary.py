@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import betaincinv
-from scipy.stats import binom, rankdata
 
 from fraclink._campaign.campaign import Campaign
 from fraclink._campaign.run import read_part
@@ -172,6 +171,9 @@ def _metric(name: str, values: Real, run: NDArray[np.generic], drawn: dict[str, 
 
 def _quantile(order: Real, probability: float) -> Quantile:
     """Order statistics l, u with P(B < l), P(B ≥ u) ≤ 2.5 %, B binomial(n, p) (David and Nagaraja 2003)."""
+    # Half a second to import: a log is read and fitted in less, and needs no statistics of campaigns.
+    from scipy.stats import binom
+
     n, tail = len(order), 0.5 * (1.0 - CONFIDENCE)
     low = int(binom.ppf(tail, n, probability))
     high = int(binom.ppf(1.0 - tail, n, probability)) + 1
@@ -198,6 +200,8 @@ def _trips(mode: NDArray[np.generic], reason: NDArray[np.generic]) -> tuple[tupl
 
 def _ranks(values: NDArray[np.generic]) -> Real:
     """Mean ranks, centred and of length one: a dot product of two of them is Spearman's correlation."""
+    from scipy.stats import rankdata
+
     ranks = rankdata(values) - 0.5 * (len(values) + 1)
     length = float(np.linalg.norm(ranks))
     return np.asarray(ranks / length if length else ranks)

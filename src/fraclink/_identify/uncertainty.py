@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import lstsq
-from scipy.signal import lfilter
 
 from fraclink._arm.link import STRUCTURES, structure
 from fraclink._identify.residual import (
@@ -374,7 +373,9 @@ def _log(value: float) -> float:
 def _innovations(search: Search, solution: Solution, coefficients: Vector) -> tuple[Matrix, Vector]:
     """Regressors and residual behind the filter that makes the noise white, after one Gauss–Newton step."""
     regressors, residual = _linearised(search, solution)
-    rows = lfilter(coefficients, [1.0], np.vstack([regressors, residual]), axis=1)[:, coefficients.size :]
+    # scipy.signal has a filter for this, and takes as long to import as the fit to compute.
+    whitened = [np.convolve(row, coefficients, "valid")[1:] for row in (*regressors, residual)]
+    rows = np.stack(whitened)
     size = np.linalg.norm(rows[:-1], axis=1)
     columns = rows[:-1] / np.where(size > 0, size, 1.0)[:, None]
     step = lstsq(columns.T, rows[-1], cond=1e-9)[0]

@@ -10,15 +10,18 @@ from numpy.typing import NDArray
 
 from fraclink._arm.log_columns import UNITS, Channel, ColumnStatement, OutputKind
 from fraclink._logs.names import role_of_name, words_of
-from fraclink._logs.scan import Mode
+from fraclink._logs.scan import Mode, find_mode
 from fraclink._logs.weighing import Certainty, Question, Weighing
 from fraclink.errors import LogError
 
-__all__ = ["STRONG", "guess_angle", "guess_output", "guess_voltage"]
+__all__ = ["STRONG", "check_no_tip_angle", "guess_angle", "guess_output", "guess_voltage"]
 
 Array = NDArray[np.float64]
 
 STRONG, _WEAK = 0.6, 0.3  # share of an output that one vibration explains: surely the output; not shown
+# Shares of the difference of both angles: on made logs 0.97 and more, of the tip angle itself 0.54 to 0.91.
+_TIP, _CLEARER = 0.9, 0.05
+_SURE = 0.8  # share from which no noise turns the sign
 _ONE_UNIT = 3.0  # factor by which the gain of a deflection may differ from 1 where its unit is the angle's
 _LATE = 0.12  # of a vibration: a later answer could as well be one of the other sign
 # Stiffness of links in laboratories [N·m/rad]; in mN·m the number is a thousand times as large.
@@ -35,10 +38,10 @@ def guess_angle(weighing: Weighing, place: int, raw: Array) -> Channel | None:
     unit = statement.unit or (own if own in UNITS["angle"] else "")
     if unit:
         source = "in the call" if statement.unit else "by its name"
-        weighing.conclude(
-            "unit of the motor angle", unit, "stated", f"{source}; it moves by {reach:.4g} {unit}"
-        )
-        return Channel(name, unit, sign=sign, scale=statement.scale or 1.0)
+        scale = statement.scale or 1.0
+        evidence = f"{source}; it moves by {scale * reach:.4g} {unit}"
+        weighing.conclude("unit of the motor angle", unit, "stated", evidence)
+        return Channel(name, unit, sign=sign, scale=scale)
     counts = reach >= 50 and bool((raw == np.round(raw)).all())
     volts = own in UNITS["voltage"] or {"pot", "poti"} & set(words_of(name))
     if not counts and not volts and (reach <= _SMALL_MOVE or 2 * math.pi < reach <= _LARGEST_TURN):
@@ -57,8 +60,29 @@ def guess_angle(weighing: Weighing, place: int, raw: Array) -> Channel | None:
         text, example = f"{name} is in volts: which angle is one volt?", "* 36.8 [deg]"
         choices = ("36.8 deg", "0.64 rad")
     option = f'--column "motor_angle={name} {example}"'
-    weighing.ask(Question("motor_angle", "unit", text, choices, "", option), "")
+    weighing.ask(Question("motor_angle", "unit", text, choices, "", option))
     return None
+
+
+def check_no_tip_angle(weighing: Weighing, place: int, angle: Array, output: Array, period: float) -> None:
+    """Refuse an output that is the tip's angle: motor and tip angle differ by what vibrates.
+
+    A tip angle θt = θm − (deflection) rings as a deflection of the other sign does, and would pass for one.
+    Both arguments are in radians, `output` as if its unit were that of the motor angle.
+    """
+    if weighing.unit(place) in (*UNITS["torque"], *UNITS["voltage"]):
+        return
+    itself, rest = find_mode(angle, output, period), find_mode(angle, angle - output, period)
+    if itself is None or rest is None or itself.gain > 0 or rest.gain < 0:
+        return
+    if rest.share > _TIP and rest.share > itself.share + _CLEARER:
+        raise LogError(
+            "column of output",
+            weighing.label(place),
+            "the angle of the tip: the motor angle less it is what vibrates",
+            allowed="the torque at the base, or the deflection: motor angle less tip angle",
+            remedy="write that difference into a column of its own, and state it as the deflection",
+        )
 
 
 def guess_output(weighing: Weighing, place: int, mode: Mode | None) -> tuple[OutputKind, Channel] | None:
@@ -96,17 +120,18 @@ def _kind_and_unit(weighing: Weighing, place: int, mode: Mode | None) -> tuple[O
     if statement.unit and statement.unit != "raw":
         return "deflection", statement.unit, statement.scale or 1.0  # `LogColumns` refuses the unit
     if own in UNITS["angle"] and not statement.unit:
-        return _contradicted(weighing, place, own, calibrated)
+        _ask_angle_unit(weighing, place, own, calibrated)
+        return None
     found = None if statement.unit else _by_gain(weighing, place, gain, own)
     return found or _uncalibrated(weighing, place, gain)
 
 
-def _contradicted(weighing: Weighing, place: int, own: str, gain: float) -> None:
+def _ask_angle_unit(weighing: Weighing, place: int, own: str, gain: float) -> None:
     """Ask about a deflection whose gain on the motor angle its own unit and the angle's make impossible."""
     name = weighing.label(place)
     text = f"{name} is in {own} by its name, but {gain:.3g} times what the motor turns: in which unit?"
     option = f'--column "deflection={name} [deg]", or the unit of the motor angle'
-    weighing.ask(Question("output", "unit", text, ("rad", "deg", "raw"), "", option), "")
+    weighing.ask(Question("output", "unit", text, ("rad", "deg", "raw"), "", option))
 
 
 def _by(statement: ColumnStatement) -> str:
@@ -148,8 +173,7 @@ def _uncalibrated(weighing: Weighing, place: int, gain: float) -> tuple[OutputKi
     option = f'--column "torque={name} [Nm]", --column "deflection={name} [deg]" or "deflection={name} [raw]"'
     if statement.unit != "raw":
         question = Question("output", "unit", text, ("Nm", "mNm", "deg", "rad", "raw"), default, option)
-        assumed = f"{name} has no unit; frequency, order and delay do not depend on it"
-        if not weighing.ask(question, assumed):
+        if not weighing.ask(question):
             return None
     if not gain:
         problem = "not calibrated, and without a vibration that could scale it"
@@ -161,25 +185,26 @@ def _uncalibrated(weighing: Weighing, place: int, gain: float) -> tuple[OutputKi
         "output measures",
         f"deflection, {scale:g} rad each",
         "assumed",
-        "scaled so that a fast turn of the motor deflects the link by as much",
+        f"{name} is not calibrated: scaled to a gain of 1 on the motor angle, as a deflection has; "
+        "frequency, order and delay do not depend on it",
     )
     return "deflection", "rad", scale
 
 
 def _sign(weighing: Weighing, name: str, kind: str, mode: Mode | None) -> Literal[1, -1]:
     """The sign with which the output is positive where the motor speeds up."""
-    part = "sign of the output"
-    if mode is None or mode.share < _WEAK or mode.delay * mode.frequency > 2 * math.pi * _LATE:
-        text = f"Is {name} positive where the motor speeds up forward?"
+    shown = mode is not None and mode.share >= _WEAK
+    sign: Literal[1, -1] = -1 if mode is not None and shown and mode.gain < 0 else 1
+    mark, part = "+" if sign > 0 else "-", "sign of the output"
+    if mode is None or not shown or mode.delay * mode.frequency > 2 * math.pi * _LATE:
+        text = f"Is {name} positive where the motor speeds up forward? The log does not show it."
         option = f'--column "{kind}=-{name} [unit]", or + for as it is'
-        weighing.ask(Question("output", "sign", text, ("+", "-"), "+", option), "the log does not show it")
-        return 1
-    sign: Literal[1, -1] = 1 if mode.gain > 0 else -1
+        if weighing.ask(Question("output", "sign", text, ("+", "-"), mark, option)):
+            weighing.conclude(part, mark, "assumed", "no vibration, or one that answers too late to tell")
+        return sign
     way = "with" if sign > 0 else "against"
-    evidence = f"it goes {way} the motor's acceleration"
-    weighing.conclude(
-        part, "+" if sign > 0 else "− (turned)", "certain" if mode.share > 0.8 else "likely", evidence
-    )
+    sure: Certainty = "certain" if mode.share > _SURE else "likely"
+    weighing.conclude(part, mark, sure, f"it goes {way} the motor's acceleration")
     return sign
 
 

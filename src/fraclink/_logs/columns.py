@@ -159,6 +159,21 @@ def clean_column(
     ]
 
 
+_FEWEST = 200  # samples: three parameters, an offset and a held-out part need more than that
+
+
+def check_count(count: int) -> None:
+    """Raise LogError where a log of `count` samples is too short for a fit."""
+    if count < _FEWEST:
+        raise LogError(
+            "log",
+            f"{count} samples",
+            "too short",
+            allowed=f">= {_FEWEST} samples and 3 periods of the vibration",
+            remedy="record for longer",
+        )
+
+
 def check_signals(angle: NDArray[np.float64], output: NDArray[np.float64], kind: str) -> None:
     """Raise LogError where the motor angle or the output is the same in all samples."""
     for role, values, remedy in (

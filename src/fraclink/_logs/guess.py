@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._arm.log_columns import ROW_NUMBER, Channel, ColumnStatement, LogColumns
-from fraclink._logs.calibration import STRONG, guess_angle, guess_output, guess_voltage
-from fraclink._logs.columns import clock_step, is_stated
+from fraclink._arm.log_columns import ROW_NUMBER, UNITS, Channel, ColumnStatement, LogColumns
+from fraclink._logs.calibration import STRONG, check_no_tip_angle, guess_angle, guess_output, guess_voltage
+from fraclink._logs.columns import check_count, clock_step, is_stated
 from fraclink._logs.names import role_of_name, words_of
 from fraclink._logs.scan import find_mode
 from fraclink._logs.table import LogTable
@@ -67,8 +67,11 @@ def guess_columns(
         a column that is stated is not there, a cell of one that is needed is no number, or the log has no
         column that could be the motor angle or the output.
     """
+    check_count(max((values.size for values in table.values), default=0))
     weighing = Weighing(table, stated, assume, interpolate)
-    columns = _columns(weighing)
+    # Values near the largest double overflow in a difference: such a column is no signal, and no error here.
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        columns = _columns(weighing)
     return GuessedColumns(
         None if weighing.questions else columns, tuple(weighing.guesses), tuple(weighing.questions)
     )
@@ -86,6 +89,7 @@ def _columns(weighing: Weighing) -> LogColumns | None:
         return None
     in_radians = angle_channel.in_si(raw_angle, "motor_angle")
     mode = find_mode(in_radians, raw_output, period)
+    check_no_tip_angle(weighing, output, in_radians, raw_output * UNITS["angle"][angle_channel.unit], period)
     found = guess_output(weighing, output, mode)
     if found is None:
         return None
@@ -214,4 +218,4 @@ def _ask_column(weighing: Weighing, role: str, words: str, candidates: list[int]
     spelled = "motor_angle" if role == "motor_angle" else "torque"
     option = f'--column "{spelled}={names[0]}"' + (' or "deflection=…"' if role == "output" else "")
     question = Question(role, "column", f"Which column is {words}?", names, "", option)
-    weighing.ask(question, "")
+    weighing.ask(question)

@@ -14,6 +14,7 @@ from fraclink._arm.rig import Rig
 from fraclink._arm.timebase import resampled, time_base
 from fraclink._files import sha256_of
 from fraclink._logs.columns import (
+    check_count,
     check_signals,
     clean_column,
     clock_step,
@@ -29,7 +30,6 @@ from fraclink.errors import FieldError, LogError
 from fraclink.findings import Finding
 
 _LOGS = Path(__file__).resolve().parents[1] / "logs"
-_FEWEST = 200  # samples: three parameters, an offset and a held-out part need more than that
 
 
 def bundled_logs() -> tuple[str, ...]:
@@ -210,14 +210,7 @@ def _check_lengths(data: dict[str, NDArray[np.float64]], stated: LogColumns) -> 
                 allowed="columns of one length",
                 remedy="state the time column that belongs to it, or export the channels at one rate",
             )
-    if count < _FEWEST:
-        raise LogError(
-            "log",
-            f"{count} samples",
-            "too short",
-            allowed=f">= {_FEWEST} samples and 3 periods of the vibration",
-            remedy="record for longer",
-        )
+    check_count(count)
 
 
 def _check_span(stamps: NDArray[np.float64], period: float) -> None:

@@ -21,6 +21,7 @@ _LONGEST = 8_192  # samples looked at: 8 s at 1 kHz, half a minute at 250 Hz
 _DAMPINGS = (0.01, 0.04, 0.15)
 _ROUNDS = 16  # of the search around the best point of the grid, which ends within 0.3 % of ω
 _MOST_DAMPED = 0.5
+_TINY = 1e-60
 _GRID = 72  # frequencies: 8 % apart over two and a half decades; the widest ζ covers the gaps
 _LATEST = 0.15  # of the mode's period: a later answer could as well be one of the other sign
 
@@ -58,6 +59,8 @@ def find_mode(angle: NDArray[np.float64], output: NDArray[np.float64], period: f
     lowest, highest = 2 * math.pi * 2 / (count * period), 0.6 * math.pi / period
     if lowest * 4 > highest or not np.ptp(angle) or not np.ptp(output):
         return None
+    if not all(_TINY < np.abs(values).max() < 1 / _TINY for values in (angle, output)):
+        return None  # their squares underflow or overflow: no angle and no torque
     spectra = _Spectra.of(angle, output, period)
     grid = [(w, z) for w in np.geomspace(lowest, highest, _GRID).tolist() for z in _DAMPINGS]
     grid.sort(key=lambda point: -spectra.rough_share(*point))

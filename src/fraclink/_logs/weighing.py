@@ -143,14 +143,12 @@ class Weighing:
     def conclude(self, part: str, value: str, certainty: Certainty, evidence: str) -> None:
         self.guesses.append(Guess(part, value, certainty, evidence))
 
-    def ask(self, question: Question, evidence: str) -> str:
-        """The default where it is assumed; "" where the question stays open."""
+    def ask(self, question: Question) -> bool:
+        """Whether the default of `question` is to be assumed; where not, the question stays open."""
         if self.assume and question.default:
-            name = {"motor_angle": "motor angle"}.get(question.role, question.role)
-            self.conclude(f"{question.part} of the {name}", question.default, "assumed", evidence)
-            return question.default
+            return True
         self.questions.append(question)
-        return ""
+        return False
 
     def statement(self, role: str) -> ColumnStatement:
         return self.stated.get(role, ColumnStatement(role))
@@ -199,7 +197,7 @@ def guess_time(weighing: Weighing) -> Channel | None:
     if place is None:
         question = "No column never decreases, so none is the time. How long is one sample?"
         option = '--period-ms 4, or --column "time=NAME [s]"'
-        weighing.ask(Question("time", "period", question, ("4 ms",), "", option), "")
+        weighing.ask(Question("time", "period", question, ("4 ms",), "", option))
         return None
     values = weighing.cells(place)
     step = clock_step(values) or float(np.median(np.abs(np.diff(values))))
@@ -253,7 +251,7 @@ def _time_unit(weighing: Weighing, place: int, step: float) -> str:
         text = f"{weighing.label(place)} counts samples: how long is one?"
     name = weighing.label(place)
     option = f'--column "time={name} * 0.004 [s]"' if counter else f'--column "time={name} [ms]"'
-    weighing.ask(Question("time", "unit", text, ("s", "ms", "us"), "", option), "")
+    weighing.ask(Question("time", "unit", text, ("s", "ms", "us"), "", option))
     return ""
 
 

@@ -202,7 +202,7 @@ def _of_the_fit(experiment: Experiment, fit: Fit, payload: float | None) -> tupl
 _LINES = {
     "time": ("time", "unit of time"),
     "motor_angle": ("motor angle", "unit of the motor angle"),
-    "torque": ("output", "output measures", "unit of the output", "sign of the output"),
+    "torque": ("output", "output measures", "sign of the output"),
     "voltage": ("voltage",),
 }
 
