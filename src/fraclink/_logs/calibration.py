@@ -37,7 +37,7 @@ def guess_angle(weighing: Weighing, place: int, raw: Array) -> Channel | None:
     sign, reach = statement.sign or 1, float(np.abs(raw - raw[0]).max())
     unit = statement.unit or (own if own in UNITS["angle"] else "")
     if unit:
-        source = "in the call" if statement.unit else "by its name"
+        source = "as stated" if statement.unit else "by its name"
         scale = statement.scale or 1.0
         evidence = f"{source}; it moves by {scale * reach:.4g} {unit}"
         weighing.conclude("unit of the motor angle", unit, "stated", evidence)
@@ -135,7 +135,7 @@ def _ask_angle_unit(weighing: Weighing, place: int, own: str, gain: float) -> No
 
 
 def _by(statement: ColumnStatement) -> str:
-    return "in the call" if statement.unit else "by its name"
+    return "as stated" if statement.unit else "by its name"
 
 
 def _by_gain(weighing: Weighing, place: int, gain: float, own: str) -> tuple[OutputKind, str, float] | None:

@@ -116,7 +116,7 @@ def _signals(weighing: Weighing, time: Channel | None) -> tuple[int | None, int 
     for role, part in (("motor_angle", "motor angle"), ("output", "output")):
         places[role] = place = weighing.place(weighing.statement(role))
         if place is not None:
-            weighing.conclude(part, weighing.label(place), "stated", "named in the call")
+            weighing.conclude(part, weighing.label(place), "stated", "as stated")
     taken = set(places.values())
     if places["motor_angle"] is None:
         places["motor_angle"] = _by_name(weighing, "motor angle", ("motor_angle",), named, free, taken)

@@ -121,7 +121,9 @@ def answered(statement: ColumnStatement, question: Question, text: str) -> Colum
         else "deflection"
     )
     found = ColumnStatement.of(f"{role}=x * {factor} [{unit}]" if factor else f"{role}=x [{unit}]")
-    units = [*UNITS[QUANTITY_OF[role]], *(["raw"] if statement.role == "output" else [])]
+    units = list(UNITS[QUANTITY_OF[role]])
+    if question.role == "output":
+        units = [*UNITS["torque"], *UNITS["angle"], "raw"]
     if found.unit not in units:
         remedy = f"such as {', '.join(question.choices)}"
         raise FieldError("answer", text, "not understood", allowed=", ".join(units), remedy=remedy)
@@ -202,7 +204,7 @@ def guess_time(weighing: Weighing) -> Channel | None:
     values = weighing.cells(place)
     step = clock_step(values) or float(np.median(np.abs(np.diff(values))))
     if named:
-        weighing.conclude("time", weighing.label(place), "stated", "named in the call")
+        weighing.conclude("time", weighing.label(place), "stated", "as stated")
     else:
         by_name = names_time(table.names[place])
         evidence = f"it rises by {step:.6g} a sample" + (", and is named so" if by_name else "")

@@ -190,7 +190,7 @@ def _of_the_fit(experiment: Experiment, fit: Fit, payload: float | None) -> tupl
     evidence = f"{experiment.motor_angle.size} samples, {experiment.duration:.4g} s"
     found = [Guess("period", f"{1e3 * experiment.period:.6g} ms", "certain", evidence)]
     if experiment.payload is not None:
-        source = "in the call" if payload is not None else "in the log's header"
+        source = "as stated" if payload is not None else "in the log's header"
         found.append(Guess("payload", f"{experiment.payload:g} kg", "stated", source))
     late, error = f"{1e3 * fit.delay:.3g} ms", fit.standard_errors.get("delay")
     fitted = "fitted with the model" + ("" if error is None else f", ± {1e3 * error:.2g} ms")
