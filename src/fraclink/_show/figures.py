@@ -67,7 +67,7 @@ def log_figure(log: Experiment) -> str:
 def fit_figure(log: Experiment, fit: Fit) -> str:
     """Draw a whole log over its model: motor angle, measured and computed output, residual."""
     with figure(FULL_WIDTH, 5.0) as drawing:
-        labels = ("motor angle θm [rad]", OUTPUT_LABEL[log.output_kind], "residual")
+        labels = ("angle θm [rad]", OUTPUT_LABEL[log.output_kind], "residual")
         angle, output, rest = _stacked(drawing, (1, 2, 0.8), labels, xlabel="time [s]")
         angle.plot(*envelope(log.time, log.motor_angle), color=INK, linewidth=0.9)
         output.plot(*envelope(log.time, log.output), color=GREY, linewidth=2.6, alpha=0.5, label="measured")
