@@ -333,7 +333,7 @@ def _single(value: float) -> float:
 
 
 # The design's margins, its moves, arms and certificate ask for the same law in turn, each fit takes seconds.
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=64)
 def fit_correction(
     controller: Controller, link: LinkModel, period: float, band: tuple[float, float], order: int | None
 ) -> DiscreteRational:

@@ -29,9 +29,8 @@ class Target:
     omega: Reals  # Ω, the frequency on the plane of x
     factor: Complexes  # P(jΩ)
     wanted: Complexes
-    turn: (
-        Complexes  # the error is multiplied by this: 1/(offset + wanted), so that Re is nepers and Im radians
-    )
+    # The error is multiplied by this: 1/(offset + wanted), so that Re is nepers and Im radians.
+    turn: Complexes
     weight_real: Reals
     weight_imag: Reals
 
@@ -60,17 +59,7 @@ class PartialFractions:
 
     def columns(self, omega: Reals) -> Complexes:
         """The basis: 1, σ/(x+σ), and for each pair the columns of Re c and Im c; shape (M, order + 1)."""
-        return self._linear_columns(*self.shapes(omega))
-
-    def all_columns(self, omega: Reals) -> Complexes:
-        """`columns`, and the derivatives of R/P by θ of the real poles, θ and η of the pairs."""
-        shapes = self.shapes(omega)
-        return np.concatenate([self._linear_columns(*shapes), self._pole_columns(*shapes)], axis=1)
-
-    def _linear_columns(self, real: Complexes, pair: Complexes, mirrored: Complexes) -> Complexes:
-        return np.concatenate(
-            [np.ones((len(real), 1)), real, 0.5 * (pair + mirrored), 0.5j * (pair - mirrored)], axis=1
-        )
+        return linear_columns(*self.shapes(omega))
 
     def shapes(self, omega: Reals) -> tuple[Complexes, Complexes, Complexes]:
         """σ/(x + σ), q/(x + q) and q̄/(x + q̄) at x = jΩ, one column for each pole."""
@@ -82,7 +71,8 @@ class PartialFractions:
         """q = e^(θ + jψ), so that the poles are −q and −q̄."""
         return np.exp(self.pair_logs + 0.5j * math.pi * np.tanh(self.pair_angles))
 
-    def _pole_columns(self, real: Complexes, pair: Complexes, mirrored: Complexes) -> Complexes:
+    def pole_columns(self, real: Complexes, pair: Complexes, mirrored: Complexes) -> Complexes:
+        """Derivatives of R/P by θ of the real poles, θ and η of the pairs, from `shapes`."""
         # d/dθ of q/(x+q) is q x/(x+q)² = shape · (1 − shape).
         by_real = self.real_gains * real * (1 - real)
         up, down = self.pair_gains * pair * (1 - pair), self.pair_gains.conj() * mirrored * (1 - mirrored)
@@ -103,7 +93,7 @@ class PartialFractions:
         )
 
     def moved(self, step: Reals) -> PartialFractions:
-        """All parameters moved by a step in the order of `all_columns`."""
+        """All parameters moved by a step in the order of `linear_columns` and `pole_columns`."""
         n, m = len(self.real_logs), len(self.pair_logs)
         linear, poles = step[: 1 + n + 2 * m], step[1 + n + 2 * m :]
         there = PartialFractions(
@@ -119,6 +109,13 @@ class PartialFractions:
     def error(self, target: Target) -> Reals:
         """Weighted error in rows."""
         return target.rows(target.factor * (self.columns(target.omega) @ self.linear()) - target.wanted)
+
+
+def linear_columns(real: Complexes, pair: Complexes, mirrored: Complexes) -> Complexes:
+    """The basis of `PartialFractions.columns` from its shapes."""
+    return np.concatenate(
+        [np.ones((len(real), 1)), real, 0.5 * (pair + mirrored), 0.5j * (pair - mirrored)], axis=1
+    )
 
 
 def log_spaced_start(low: float, high: float, real: int, pairs: int) -> PartialFractions:
@@ -149,61 +146,83 @@ def best_residues(at: PartialFractions, target: Target) -> PartialFractions:
 
 def newton(at: PartialFractions, target: Target, power: int) -> PartialFractions:
     """Newton's method with Marquardt's damping for the smallest Σ |error|^power near `at`."""
-    # Little damping at first: the start is the solution of the norm before, and Newton's step is nearly
-    # right.
-    error, damping = at.error(target), 1e-3
+    # Little damping at first: the start is the solution of the norm before, and Newton's step nearly right.
+    damping, wanted = 1e-3, target.rows(target.wanted)
+    here = _Trial.of(at, target, wanted)
     for _ in range(_STEPS):
-        peak = float(np.max(np.abs(error)))
+        peak = float(np.max(np.abs(here.error)))
         if peak == 0:
-            return at
-        directions = _Directions.of(at, target, error / peak, power)
-        old = _norm(error / peak, power)
+            break
+        directions = here.directions(target, peak, power)
+        old = _norm(here.error / peak, power)
         for _ in range(8):
-            there = at.moved(peak * directions.step(damping, len(at.linear()), peak))
-            error = there.error(target)
-            new = _norm(error / peak, power)
+            there = _Trial.of(here.at.moved(peak * directions.step(damping, peak)), target, wanted)
+            new = _norm(there.error / peak, power)
             if new < old:
                 break
             damping = max(damping, 1e-9) * 10
         else:
-            return at
-        at, damping = there, damping * 0.1
+            break
+        here, damping = there, damping * 0.1
         # A relative change of the p-norm to the power p: 1e-4 of the worst error whatever p.
         if 1 - new / old < 1e-4 * power:
-            return at
-    return at
+            break
+    return here.at
 
 
 def _norm(ratio: Reals, power: int) -> float:
     # 10^128 is far below the largest double; a step that makes the worst error ten times larger is refused.
-    return math.inf if np.max(np.abs(ratio)) > 10 else float(np.sum(np.abs(ratio) ** power))
+    size = np.abs(ratio)
+    return math.inf if size.max() > 10 else float(np.sum(size**power))
+
+
+@dataclass(frozen=True)
+class _Trial:
+    """Fractions with their basis and their weighted error: what a step is judged by, the next starts from."""
+
+    at: PartialFractions
+    shapes: tuple[Complexes, Complexes, Complexes]
+    basis: Complexes
+    error: Reals
+
+    @classmethod
+    def of(cls, at: PartialFractions, target: Target, wanted: Reals) -> _Trial:
+        shapes = at.shapes(target.omega)
+        basis = linear_columns(*shapes)
+        return cls(at, shapes, basis, target.rows(target.factor * (basis @ at.linear())) - wanted)
+
+    def directions(self, target: Target, peak: float, power: int) -> _Directions:
+        """Newton's equations (p−1) Jᵀ W² J δ = −Jᵀ W² e at this place, with their eigenvectors.
+
+        The square of the Jacobian loses half its digits, and none that matter: its columns are scaled, and
+        the damping stays above the square root of the rounding.
+        """
+        columns = np.concatenate([self.basis, self.at.pole_columns(*self.shapes)], axis=1)
+        ratio = self.error / peak
+        weight = np.abs(ratio) ** (0.5 * power - 1)
+        left = target.rows(target.factor[:, None] * columns) * weight[:, None]
+        square = left.T @ left
+        size = np.sqrt(np.diag(square)) + 1e-300
+        values, vectors = np.linalg.eigh(square / size / size[:, None])
+        right = vectors.T @ ((left.T @ (weight * ratio)) / size)
+        return _Directions(np.maximum(values, 0.0), vectors, -right / (power - 1), size, self.basis.shape[1])
 
 
 @dataclass(frozen=True)
 class _Directions:
-    """Newton's equations (p−1) Jᵀ W² J δ = −Jᵀ W² e, factored: every damping costs two small products."""
+    """Newton's equations in their eigenvectors: every damping costs two small products."""
 
     values: Reals
+    vectors: Reals
     right: Reals
-    back: Reals
     size: Reals
+    first_pole: int
 
-    @classmethod
-    def of(cls, at: PartialFractions, target: Target, ratio: Reals, power: int) -> _Directions:
-        columns = at.all_columns(target.omega)
-        weight = np.abs(ratio) ** (0.5 * power - 1)
-        left = target.rows(target.factor[:, None] * columns) * weight[:, None]
-        size = np.linalg.norm(left, axis=0) + 1e-300
-        both = np.column_stack([left / size, -weight * ratio / (power - 1)])
-        triangle = np.asarray(np.linalg.qr(both, mode="r"))
-        u, values, back = np.linalg.svd(triangle[:, :-1], full_matrices=False)
-        return cls(values, u.T @ triangle[:, -1], back, size)
-
-    def step(self, damping: float, first_pole: int, peak: float) -> Reals:
+    def step(self, damping: float, peak: float) -> Reals:
         """The damped step; no pole moves by more than e at once, so that none jumps over its neighbours."""
-        filtered = self.right * self.values / (self.values**2 + damping * self.values[0] ** 2)
-        step: Reals = (self.back.T @ filtered) / self.size
-        longest = peak * float(np.max(np.abs(step[first_pole:]), initial=0.0))
+        filtered = self.right / (self.values + max(damping, 1e-12) * self.values[-1])
+        step: Reals = (self.vectors @ filtered) / self.size
+        longest = peak * float(np.max(np.abs(step[self.first_pole :]), initial=0.0))
         return step * min(1.0, 1.0 / max(longest, 1e-300))
 
 
@@ -276,24 +295,19 @@ def _with_real(c: PartialFractions, log: float) -> PartialFractions:
     return replace(c, real_logs=np.append(c.real_logs, log), real_gains=np.append(c.real_gains, 0.0))
 
 
-def _with_pair(c: PartialFractions, log: float) -> PartialFractions:
+def _with_pair(c: PartialFractions, log: float, angle: float = 0.7) -> PartialFractions:
     # η = 0.7 is 54° off the negative real axis: between two real poles and a resonance.
     return replace(
         c,
         pair_logs=np.append(c.pair_logs, log),
-        pair_angles=np.append(c.pair_angles, 0.7),
+        pair_angles=np.append(c.pair_angles, angle),
         pair_gains=np.append(c.pair_gains, 0j),
     )
 
 
 def _with_known(c: PartialFractions, q: complex) -> PartialFractions:
     angle = min(abs(cmath.phase(q)) / (0.5 * math.pi), 1 - 1e-9)
-    return replace(
-        c,
-        pair_logs=np.append(c.pair_logs, math.log(abs(q))),
-        pair_angles=np.append(c.pair_angles, math.atanh(angle)),
-        pair_gains=np.append(c.pair_gains, 0j),
-    )
+    return _with_pair(c, math.log(abs(q)), math.atanh(angle))
 
 
 def _promising(starts: list[PartialFractions], target: Target, pairs: int) -> list[PartialFractions]:
@@ -313,8 +327,7 @@ def _distinct(found: list[PartialFractions], target: Target) -> list[PartialFrac
     ranked = sorted(((_cost(c, target), i) for i, c in enumerate(found)))
     kept: list[tuple[float, PartialFractions]] = []
     for cost, i in ranked:
-        # Starts that met in one minimum have the same cost to 1e-4; keeping both would waste one of
-        # three places.
+        # Starts that met in one minimum have the same cost to 1e-4: both would waste one of three places.
         if all(abs(cost - other) > 1e-3 * cost for other, _ in kept):
             kept.append((cost, found[i]))
         if len(kept) == _KEPT:
