@@ -4,19 +4,49 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import product
 
+from fraclink._arm.controller import Controller
 from fraclink._arm.link import LinkModel
-from fraclink._arm.loop import with_payload
+from fraclink._arm.loop import Loop, with_payload
+from fraclink._arm.motor_loop import MotorGain, MotorLoop, SampledMotorLoop
 from fraclink._arm.rig import Rig
+from fraclink._arm.sampled import SampledPlant, sampled_plant
 from fraclink.errors import FieldError
 
-__all__ = ["Interval", "ParameterBox", "outward"]
+__all__ = ["Arm", "Interval", "ParameterBox", "outward"]
 
 Interval = tuple[float, float]
 # Where neither the fit nor the rig says more, relative: a damping that two logs of one arm agree on to a
 # tenth is a good one, and a second mode moves with the material by a few per cent.
 _DAMPING, _MODE_FREQUENCY, _MODE_GAIN = 0.1, 0.05, 0.2
+
+
+@dataclass(frozen=True)
+class Arm:
+    """One arm of a box: its link and gauge, and its true over its assumed motor pole or gain."""
+
+    model: LinkModel
+    motor_ratio: float = 1.0
+
+    def loop(self, controller: Controller, rig: Rig) -> Loop:
+        """Return the loop that runs on this arm: the PID of a sampled motor loop is the one of the rig."""
+        loop = Loop.of(controller, self.model, rig)
+        settings = controller.inner
+        if settings is None or settings.kind == "ideal":
+            return replace(loop, lag=loop.lag / self.motor_ratio)
+        period = rig.period if controller.period is None else controller.period
+        return replace(loop, correction=settings.correction(rig.motor, period, ratio=self.motor_ratio))
+
+    def plant(self, settings: MotorLoop, rig: Rig, period: float) -> SampledPlant:
+        """Return what the law sees of this arm from its motor reference to the tip estimate, sampled."""
+        if settings.kind == "ideal":
+            slower = replace(settings, pole=settings.pole * self.motor_ratio)
+            return sampled_plant(self.model, slower, rig.motor, period)
+        true = MotorGain(rig.motor.gain * self.motor_ratio, rig.motor.decay)
+        pid = SampledMotorLoop(settings.pid(rig.motor, period), true, settings.delay_samples)
+        return replace(sampled_plant(self.model, settings, true, period), before=pid.voltage)
 
 
 @dataclass(frozen=True)
@@ -89,6 +119,31 @@ class ParameterBox:
         """Return the smallest box that holds both."""
         pairs = zip(_pairs(self), _pairs(other), strict=True)
         return ParameterBox(*((min(a[0], b[0]), max(a[1], b[1])) for a, b in pairs))
+
+    def arms(self, model: LinkModel) -> tuple[Arm, ...]:
+        """Return the arms at the corners of the box about `model`, each with the ω₀ of the model.
+
+        The interval of ω₀ widens a range of payloads and makes no corner; of a second mode's gain the larger
+        end is taken, which is the worse one at every frequency of the mode.
+        """
+        names = ("order", "damping", "gauge_gain", "gauge_delay", "mode_frequency", "motor_ratio")
+        ends = [dict.fromkeys(getattr(self, name)) for name in names]
+        found = []
+        for order, damping, gain, late, mode, ratio in product(*ends):
+            second = model.second_mode
+            if second is not None:
+                second = replace(second, frequency=mode, gain=self.mode_gain[1])
+            link = replace(
+                model,
+                order=order,
+                damping=damping,
+                gauge_gain=gain,
+                gauge_delay=late,
+                second_mode=second,
+                intervals=(),
+            )
+            found.append(Arm(link, ratio))
+        return tuple(found)
 
     def holds(self, model: LinkModel) -> bool:
         """Return whether the model, at the payload that the box is for, lies inside."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
@@ -24,7 +24,14 @@ from fraclink.errors import FieldError
 if TYPE_CHECKING:
     from fraclink._arm.rig import Rig
 
-__all__ = ["MotorLoop", "MotorLoopCost", "SampledMotorLoop", "direct_placement", "motor_loop_costs"]
+__all__ = [
+    "MotorGain",
+    "MotorLoop",
+    "MotorLoopCost",
+    "SampledMotorLoop",
+    "direct_placement",
+    "motor_loop_costs",
+]
 
 Complex = NDArray[np.complex128]
 Real = NDArray[np.float64]
@@ -85,18 +92,32 @@ class MotorLoop:
         """Return that PID around its motor, with the computation delay."""
         return SampledMotorLoop(self.pid(motor, period), motor, self.delay_samples)
 
-    def correction(self, motor: MotorConstants, period: float) -> Callable[[Real], Complex] | None:
+    def correction(
+        self, motor: MotorConstants, period: float, *, ratio: float = 1.0
+    ) -> Callable[[Real], Complex] | None:
         """Return ω ↦ ln(sampled motor loop and hold / their stand-in), None for the ideal motor loop.
 
-        The stand-in is ``M(s) e^{-(d+1/2)Ts s}``; see `SampledMotorLoop.ratio`.
+        The stand-in is ``M(s) e^{-(d+1/2)Ts s}``; see `SampledMotorLoop.ratio`. The PID is that of `motor`;
+        it runs on one with `ratio` times its gain.
         """
-        return _correction(self, motor, period) if self.kind == "sampled" else None
+        return _correction(self, motor, period, ratio) if self.kind == "sampled" else None
 
 
 @lru_cache(maxsize=16)  # the same few motor loops are asked for over and over
-def _correction(settings: MotorLoop, motor: MotorConstants, period: float) -> Callable[[Real], Complex]:
+def _correction(
+    settings: MotorLoop, motor: MotorConstants, period: float, ratio: float
+) -> Callable[[Real], Complex]:
     loop = settings.sampled(motor, period)
+    loop = replace(loop, motor=MotorGain(motor.gain * ratio, motor.decay))
     return lambda w: np.log(loop.ratio(settings.pole, w))
+
+
+@dataclass(frozen=True)
+class MotorGain:
+    """A and B of a motor that is not the one its PID was made for."""
+
+    gain: float
+    decay: float
 
 
 @dataclass(frozen=True)

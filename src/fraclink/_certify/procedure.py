@@ -26,7 +26,9 @@ from fraclink.errors import FieldError
 __all__ = ["certify"]
 
 _ROOM = 0.005  # between what a search finds and what is claimed: half of it would take twice the leaves
-_TRIES = 4  # a proof that meets a smaller distance than the search starts again from there
+# Nodes of the first proof, and of those with smaller claims that follow where it ends without one: a claim
+# that leaves more room takes fewer, so these give up early.
+_NODES = (80_000, *7 * (20_000,))
 
 
 def certify(
@@ -67,8 +69,9 @@ def certify(
     inner
         "ideal" or "sampled" motor loop; the design's own when left out.
     box
-        what the arm may be; ``ParameterBox.of(model, rig)``, the fit's intervals and at least the rig's
-        tolerances, when left out. ``ParameterBox.at(model)`` is the model itself.
+        what the arm may be; when left out the box that the design was made for, else
+        ``ParameterBox.of(model, rig)``: the fit's intervals and at least the rig's tolerances.
+        ``ParameterBox.at(model)`` is the model itself.
 
     Raises
     ------
@@ -103,19 +106,22 @@ def certify(
 
 def _largest_claim(claim: Statement, law: Law, distance: float, place: dict[str, float]) -> Certificate:
     """Prove the largest claim of three digits that leaves `_ROOM`, or a smaller one where that is refuted."""
-    loop, kept = BoxLoop(claim), distance
-    for _ in range(_TRIES):
-        kept = min(kept, distance - loop.alias_at(place)) - _ROOM
+    loop, step = BoxLoop(claim), _ROOM
+    kept = distance - loop.alias_at(place) - _ROOM
+    for most in _NODES:
         claim = replace(claim, modulus=max(math.floor(1000.0 * kept) / 1000.0, 0.001))
         if distance <= claim.modulus:
             break
-        outcome = prove(BoxLoop(claim))
+        outcome = prove(BoxLoop(claim), most=most)
         if isinstance(outcome, MarginProof) or "frequency" not in outcome.place:
             return _certificate(claim, outcome, distance)
-        # Refuted, or too close for the bound of the aliases: the next claim is what is left there.
         place = outcome.place
         found = float(abs(1.0 + loop_values(claim, law, place["frequency"], place)))
-        distance, kept = min(distance, found), min(kept, found - loop.alias_at(place))
+        # Refuted: the next claim is what is left there. Else the bounds are too wide somewhere, nobody knows
+        # by how much: each step is twice the last.
+        step = step if outcome.refuted else 2.0 * step
+        left = found - loop.alias_at(place) - _ROOM
+        distance, kept = min(distance, found), min(kept, left) if outcome.refuted else kept - step
     if distance > claim.modulus:
         return _certificate(claim, outcome, distance)
     return _too_close(claim, distance, place)
@@ -180,6 +186,7 @@ def _statement(
     if isinstance(subject, Design):
         model, rig = model or subject.model, rig or subject.rig
         payloads, law = subject.payloads if payloads is None else payloads, law or subject.law()
+        box = subject.box if box is None else box
         settings = subject.controller.inner
         inner = (settings.kind if settings else "ideal") if inner is None else inner
     if model is None or rig is None:

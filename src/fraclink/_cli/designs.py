@@ -15,6 +15,7 @@ from fraclink._cli.console import steps
 from fraclink._cli.options import (
     Amplitude,
     ArmOptions,
+    BoxFlag,
     DesignFile,
     DesignRequest,
     GivenPayload,
@@ -46,6 +47,8 @@ app = group()
 
 class RunOptions(LogOptions, DesignRequest):
     """How the log is read and what the design is asked for."""
+
+    box: BoxFlag
 
 
 @command(app)
@@ -100,6 +103,7 @@ class DesignOptions(DesignRequest):
     max_sensitivity: Annotated[float | None, "Bound on Ms; alone it replaces the phase margin"]
     noise_gain: Annotated[float | None, "Bound on the motor reference's RMS per RMS of gauge noise"]
     settling_time: Annotated[float | None, "Bound on 2π/ω_c [s]; alone it replaces the crossover"]
+    box: BoxFlag
 
 
 @command(app)

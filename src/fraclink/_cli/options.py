@@ -37,6 +37,9 @@ PayloadRange = Annotated[
 ]
 FilterTime = Annotated[float | None, "δ [s], 0 for none; default: the 10 % rule"]
 ModeGain = Annotated[float | None, "Bound on the loop gain at modes 2 and 3 of a link with mass, usually 0.5"]
+BoxFlag = Annotated[
+    bool, "Keep every requirement over all that fit and rig leave open of the arm, not at the model alone"
+]
 Placement = Annotated[Literal["tustin", "direct"], "Poles of the sampled motor loop"]
 MotorLoopKind = Annotated[Literal["ideal", "sampled"], "Motor loop"]
 SeedNumber = Annotated[ranges.Seed, "Seed of the noise"]

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from fraclink._arm.box import Arm
 from fraclink._arm.controller import Controller
 from fraclink._arm.link import LinkModel
 from fraclink._arm.loop import Loop, with_payload, worst_margins
@@ -51,6 +52,7 @@ class Task:
     margins: str
     filter_time: float | None  # None: the rule's
     filter_order: int | None
+    motor_ratio: float = 1.0  # true over assumed, for what is achieved; the equations know no other motor
 
     @property
     def inside(self) -> bool:
@@ -72,7 +74,7 @@ class Task:
 
     def full_loop(self, controller: Controller) -> Loop:
         """The loop that runs."""
-        return Loop.of(controller, self.model, self.rig)
+        return Arm(self.model, self.motor_ratio).loop(controller, self.rig)
 
     def controller(self, solution: ClosedForm, order: int) -> Controller:
         """The controller of a solution; the paper's reading gets its filter afterwards."""

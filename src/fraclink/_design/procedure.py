@@ -9,15 +9,17 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from fraclink._arm.box import ParameterBox
 from fraclink._arm.controller import Controller
 from fraclink._arm.doubts import doubts_of
 from fraclink._arm.link import LinkModel
-from fraclink._arm.loop import Loop, worst_margins
+from fraclink._arm.loop import Loop, with_payload, worst_margins
 from fraclink._arm.rig import Rig
 from fraclink._design.bounds import bound_requirements, reach
 from fraclink._design.equations import MARGIN_SHARE, Task, attempt, candidates, task_of
 from fraclink._design.modes import MODE_LIMIT, higher_modes, mode_requirements
 from fraclink._design.nearest import missed_bounds, offered, refuse
+from fraclink._design.over_box import OverBox, cost_of_box
 from fraclink._design.specification import Design, Requirement, Specification
 from fraclink._validate import checked_between, checked_noun
 from fraclink.errors import FieldError, InfeasibleError
@@ -48,6 +50,7 @@ def design(
     noise_gain: float | None = None,
     settling_time: float | None = None,
     mode_gain: float | None = None,
+    box: ParameterBox | bool | None = None,
 ) -> Design:
     """Design ``C(s) = 1 + k_d s^β/(1 + δs)^n`` for every payload of a range (section 6, eqs. (54)–(57)).
 
@@ -94,6 +97,10 @@ def design(
         bound on the loop gain at the higher modes of the link, > 0; more filter where needed, paid for with
         a larger β. Below one no phase of the mode can destabilise it. Where the model knows a second mode
         the bound is 0.5 unless another is given.
+    box
+        arms that must keep every requirement: a `ParameterBox`; True for ``ParameterBox.of(model, rig)``, the
+        fit's intervals and at least the rig's ``[tolerances]``; None or False for the model alone. Finding
+        W407 says what it costs, and of which parameter. The design remembers it, and `certify` proves it.
 
     Raises
     ------
@@ -129,9 +136,11 @@ def design(
         mode_gain=mode_gain,
     )
     try:
-        made = _designed(link, rig, spec)
+        made = _designed_over(link, rig, spec, box) if box else _designed(link, rig, spec)
     except InfeasibleError as error:
-        nearest = offered(error.nearest, spec, lambda trial: _misses(link, rig, trial))
+        nearest = error.nearest  # of a box it was found as a whole
+        if not box:
+            nearest = offered(nearest, spec, lambda trial: _misses(link, rig, trial))
         # A payload in grams or the model of another arm is refused for reasons that hide the cause.
         doubts = "; ".join(finding.message for finding in doubts_of(rig, link, payloads or ()))
         explanation = f"{error.explanation}; but {doubts}" if doubts else error.explanation
@@ -191,6 +200,40 @@ def _designed(link: LinkModel, rig: Rig, spec: Specification) -> Design:
         gain_crossover_upper=solution.upper,
         findings=findings,
     )
+
+
+def _designed_over(link: LinkModel, rig: Rig, spec: Specification, box: ParameterBox | bool) -> Design:
+    """The design that keeps a specification at every arm of a box."""
+    if spec.margins == "ideal":
+        problem, allowed = "given for the paper's loop, which has no gauge and no motor", 'margins="loop"'
+        raise FieldError("box", "given", problem, allowed=allowed, remedy="leave one of the two out")
+    known = with_payload(link, rig)
+    arms = ParameterBox.of(known, rig) if box is True else checked_noun("box", box, ParameterBox, remedy=_BOX)
+    spec = _bounded(spec, link)
+
+    def solve(aim: Specification) -> tuple[Task, Controller] | None:
+        try:
+            task = task_of(link, rig, aim)
+            task = reach(task, aim, attempt) if aim.bounded else task
+        except InfeasibleError:
+            return None
+        found = attempt(task)
+        return None if found is None else (task, task.controller(*found))
+
+    asked = task_of(link, rig, spec)
+    aim, requirements = OverBox(spec, arms, asked, solve, requirements_of).aimed()
+    made = _designed(link, rig, aim)
+    return replace(
+        made,
+        requirements=requirements,
+        gain_crossover=asked.gain_crossover,
+        phase_margin=asked.phase_margin,
+        findings=(*made.findings, cost_of_box(asked, made.controller, arms)),
+        box=arms,
+    )
+
+
+_BOX = "ParameterBox.of(model, rig), or True for it"
 
 
 def _link_of(model: LinkModel | Fit, rig: Rig) -> LinkModel:

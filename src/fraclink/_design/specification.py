@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -11,12 +11,14 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from fraclink._arm.box import ParameterBox
 from fraclink._arm.controller import Controller
 from fraclink._arm.link import LinkModel
 from fraclink._arm.loop import Loop, with_payload
 from fraclink._arm.motor_loop import MotorLoop
 from fraclink._arm.rig import Rig
 from fraclink._arm.sampled import SampledPlant, sampled_plant
+from fraclink._design.requirement import Requirement
 from fraclink._display import displayed
 from fraclink._files import document, load, save
 from fraclink._law import discretize, discretize_controller
@@ -45,7 +47,6 @@ __all__ = ["Design", "Requirement", "Specification", "deg"]
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
-_ROUNDING = 1e-9  # relative: the equations are solved to 1e-15, a requirement met with equality must pass
 _PAYLOADS = 9  # at which the shipped law is looked at
 LAW_MARGIN = "phase margin, shipped law"
 LAW_ALLOWANCE = math.radians(0.5)  # of the fit of C, which the law states as its own error
@@ -128,59 +129,6 @@ class Specification:
         return any(bound is not None for bound in bounds)
 
 
-@dataclass(frozen=True)
-class Requirement:
-    """One requirement, the value achieved over the whole payload range, and where it is worst.
-
-    ``bound`` says whether `wanted` is the least or the most that is admitted; ``at_payload`` [kg] is the
-    payload of the worst value; ``unit`` the unit of wanted, achieved and slack.
-
-    Examples
-    --------
-    >>> Requirement.at_least("phase margin", 0.8, 0.9, "rad", 0.02).passed
-    True
-    >>> Requirement.at_most("Ms", 1.5, 1.6, "", 0.02).passed
-    False
-    """
-
-    name: str
-    wanted: float
-    achieved: float
-    unit: str
-    at_payload: float
-    bound: Literal["at least", "at most"]
-
-    @staticmethod
-    def at_least(name: str, wanted: float, achieved: float, unit: str, at_payload: float) -> Requirement:
-        """A lower bound: passed where achieved >= wanted."""
-        return Requirement(name, wanted, achieved, unit, at_payload, "at least")
-
-    @staticmethod
-    def at_most(name: str, wanted: float, achieved: float, unit: str, at_payload: float) -> Requirement:
-        """An upper bound: passed where achieved <= wanted."""
-        return Requirement(name, wanted, achieved, unit, at_payload, "at most")
-
-    @property
-    def slack(self) -> float:
-        """Distance from the wanted value, positive with room to spare."""
-        gap = self.achieved - self.wanted
-        return gap if self.bound == "at least" else -gap
-
-    @property
-    def passed(self) -> bool:
-        """Whether the bound is kept, to rounding."""
-        return self.slack >= -_ROUNDING * max(1.0, abs(self.wanted))
-
-    def __str__(self) -> str:
-        shown = [math.degrees(x) if self.unit == "rad" else x for x in (self.wanted, self.achieved)]
-        unit = "°" if self.unit == "rad" else f" {self.unit}".rstrip()
-        verdict = "passed" if self.passed else "FAILED"
-        return (
-            f"{self.name}: wanted {shown[0]:.5g}{unit}, achieved {shown[1]:.5g}{unit} "
-            f"at {1e3 * self.at_payload:g} g, {verdict}"
-        )
-
-
 def _from_first_formats(data: dict[str, Any]) -> dict[str, Any]:
     """The content of a design of release 0.1; its requirements stated slack and verdict, no direction."""
     data.pop("period")  # the rig's
@@ -228,6 +176,8 @@ class Design:
         ω̄_c of eq. (55), the crossing at the lightest payload [rad/s].
     findings
         what a user should know (codes W4xx).
+    box
+        the arms that keep the requirements; None where that is the model alone.
 
     Examples
     --------
@@ -253,6 +203,7 @@ class Design:
     chi: float
     gain_crossover_upper: float
     findings: tuple[Finding, ...] = ()
+    box: ParameterBox | None = None
 
     def __str__(self) -> str:
         lines = [f'{self.controller.formula}; margins of the "{self.margins_kind}" loop']
@@ -334,11 +285,7 @@ class Design:
         else:
             _check_response(realisation)
         response, plant = realisation, self.sampled_plant(self.natural_frequency(payload))
-        return margins(
-            lambda s: response(np.imag(s)) * plant(np.imag(s)),
-            limit=math.pi / self.rig.period,
-            unstable_poles=0,
-        )
+        return _margins_of(response, plant)
 
     def law(self, *, order: int | None = None, precision: Precision = "double") -> Law:
         """Return the law that runs on the rig, `fraclink.discretize` of this design."""
@@ -351,7 +298,10 @@ class Design:
         margin asked for is kept. A design for the paper's reading (`margins` "ideal") gets the finding alone:
         the sampled loop was not what it was asked for.
         """
-        kept, payload = min(map(self._kept_by_law, np.geomspace(*self.natural_frequencies, _PAYLOADS)))
+        if self.box is None:
+            kept, payload = min(map(self._kept_by_law, np.geomspace(*self.natural_frequencies, _PAYLOADS)))
+        else:
+            kept, payload = min(self._kept_over_box(self.box))
         requirements = tuple(r for r in self.requirements if r.name != LAW_MARGIN)
         if self.margins_kind == "loop":
             wanted = self.phase_margin - LAW_ALLOWANCE
@@ -371,9 +321,18 @@ class Design:
     def _kept_by_law(self, natural_frequency: float) -> tuple[float, float]:
         """(signed phase margin of the law [rad], payload [kg]); negative where unstable."""
         payload = self.payload(float(natural_frequency))
-        found = self.sampled_at(payload)
-        margin = math.pi if found.phase_margin is None else abs(found.phase_margin)
-        return (margin if found.stable else -margin), payload
+        return _signed(self.sampled_at(payload)), payload
+
+    def _kept_over_box(self, box: ParameterBox) -> Iterator[tuple[float, float]]:
+        """What `_kept_by_law` returns, for the lightest and the heaviest payload of every arm of the box."""
+        law, period = discretize_controller(self.controller, self.rig.period), self.rig.period
+        known = with_payload(self.model, self.rig)
+        for arm in box.arms(known):
+            for end, payload in enumerate(reversed(self.payloads)):
+                w0 = self.natural_frequencies[end] * box.natural_frequency[end] / known.natural_frequency
+                link = replace(arm.model, natural_frequency=w0)
+                plant = replace(arm, model=link).plant(self.motor_loop, self.rig, period)
+                yield _signed(_margins_of(law.frequency_response, plant)), payload
 
     def save(self, path: Path | str) -> None:
         """Write the design to one JSON file that ``Design.load`` reads back equal."""
@@ -383,6 +342,19 @@ class Design:
     def load(path: Path | str) -> Design:
         """Read a design back; FileFormatError where the file is not one, or was edited."""
         return load(path, Design)
+
+
+def _margins_of(response: Callable[[Real], Complex], plant: SampledPlant) -> Margins:
+    """The margins of a sampled loop, up to the Nyquist frequency."""
+    return margins(
+        lambda s: response(np.imag(s)) * plant(np.imag(s)), limit=math.pi / plant.period, unstable_poles=0
+    )
+
+
+def _signed(found: Margins) -> float:
+    """The phase margin [rad], negative where the loop is unstable; π where |L| never crosses one."""
+    margin = math.pi if found.phase_margin is None else abs(found.phase_margin)
+    return margin if found.stable else -margin
 
 
 def _check_response(response: Callable[[Real], Complex]) -> None:
