@@ -4,11 +4,17 @@ from __future__ import annotations
 
 import importlib.util
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
 import numpy as np
 import pytest
+
+import fraclink as fl
+from fraclink._cli import main
+from fraclink._workflow import design_for
+from fraclink.errors import FieldError
 
 
 @pytest.fixture(scope="module")
@@ -34,3 +40,29 @@ def test_no_point_of_a_box_is_closer_to_minus_one_than_its_certificate_claims(
     assert certificate.passed, certificate.verdict
     truth, _ = bench.worst(case, rng, points=60, starts=2)
     assert certificate.statement.modulus < truth < certificate.statement.modulus + 0.02
+
+
+def test_the_models_of_other_logs_widen_the_box(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """What another log found outside the first one's intervals is inside the proof, at the same payload."""
+    rig = fl.Rig.named("paper-2023")
+    assert rig.model is not None
+    design, _ = design_for(rig, filter_time=0.0)
+    order, gain = rig.model.order - 0.05, 1.08
+    # The other log is of 20 g: its ω₀ at the first one's payload is the first one's but for a tenth.
+    light = rig.model.at_payload(0.020)
+    other = replace(light, order=order, gauge_gain=gain, natural_frequency=1.1 * light.natural_frequency)
+    alone, both = fl.certify(design), fl.certify(design, others=[other])
+    assert alone.passed and both.passed
+    assert alone.statement.order_low > order == pytest.approx(both.statement.order_low, abs=1e-5)
+    assert alone.statement.gauge_gain_high < gain == pytest.approx(both.statement.gauge_gain_high, rel=1e-5)
+    assert both.statement.softness_low < alone.statement.softness_low
+    assert both.statement.modulus < alone.statement.modulus
+    with pytest.raises(FieldError, match="others"):
+        fl.certify(design, others=[design])  # type: ignore[list-item]
+
+    design.save(tmp_path / "design.json")
+    replace(design, model=other).save(tmp_path / "other.json")
+    line = ["certify", "design.json", "--others", "other.json", "--out", "both.json"]
+    assert main([str(tmp_path / word) if word.endswith(".json") else word for word in line]) == 0
+    capsys.readouterr()
+    assert fl.Certificate.load(tmp_path / "both.json").statement.order_low == both.statement.order_low

@@ -110,7 +110,11 @@ class ParameterBox:
         FieldError
             the gauge leads the encoder by more than its tolerance.
         """
-        found = _around(with_payload(model, rig), rig)
+        return _around(with_payload(model, rig), rig).with_others(others, model, rig)
+
+    def with_others(self, others: Iterable[LinkModel], model: LinkModel, rig: Rig) -> ParameterBox:
+        """Return the smallest box that holds this one and other models, each at the payload of `model`."""
+        found = self
         for other in others:
             found = found.hull(ParameterBox.at(with_payload(other, rig).at_payload(_payload(model, rig))))
         return found

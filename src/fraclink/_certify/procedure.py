@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import replace
 
 from scipy.optimize import brentq
@@ -42,6 +43,7 @@ def certify(
     law: Law | None = None,
     inner: str | None = None,
     box: ParameterBox | None = None,
+    others: Iterable[LinkModel] = (),
 ) -> Certificate:
     """Prove that the sampled loop is stable with ``|1 + L| > m`` for every payload, delay and arm of a box.
 
@@ -72,6 +74,8 @@ def certify(
         what the arm may be; when left out the box that the design was made for, else
         ``ParameterBox.of(model, rig)``: the fit's intervals and at least the rig's tolerances.
         ``ParameterBox.at(model)`` is the model itself.
+    others
+        models of the same arm from other logs: the box is widened until it holds them, too.
 
     Raises
     ------
@@ -89,7 +93,7 @@ def certify(
     >>> certificate.passed
     True
     """
-    claim, proper = _statement(subject, model, rig, payloads, delay, law, inner, box)
+    claim, proper = _statement(subject, model, rig, payloads, delay, law, inner, box, others)
     if modulus_margin is not None:
         wanted = checked_between("modulus_margin", modulus_margin, 0.0, 1.0, "", open_low=True)
         claim = replace(claim, modulus=wanted)
@@ -181,6 +185,7 @@ def _statement(
     law: Law | None,
     inner: str | None,
     box: ParameterBox | None,
+    others: Iterable[LinkModel],
 ) -> tuple[Statement, Law]:
     _check_nouns(subject, model, rig, law)
     if isinstance(subject, Design):
@@ -215,7 +220,7 @@ def _statement(
         chosen,
         link,
         rig,
-        box=box,
+        box=box.with_others((_link_of(other) for other in others), link, rig),
         payloads=(light, heavy),
         nominal_payload=0.0,
         delay=(first, last),
@@ -223,6 +228,10 @@ def _statement(
         modulus=0.5,
     )
     return replace(claim, nominal_payload=_nominal_payload(chosen, _middle(claim, link))), chosen
+
+
+def _link_of(other: LinkModel) -> LinkModel:
+    return checked_noun("others", other, LinkModel, remedy="give fit.model of another log")
 
 
 _BOX = "ParameterBox.of(model, rig), or ParameterBox.at(model)"

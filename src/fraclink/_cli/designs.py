@@ -193,6 +193,11 @@ def certify(
     design_file: DesignFile,
     out: Annotated[Path, "File to write the certificate to", Writes()] = Path("certificate.json"),
     modulus_margin: Annotated[float | None, "|1 + L| to prove; default: what can be proved"] = None,
+    others: Annotated[
+        list[Path] | None,
+        typer.Option(metavar="MODEL"),
+        "Model from another log of the same arm, which the proof is to hold for, too; may be repeated",
+    ] = None,
 ) -> Answer:
     """Prove stability for every payload and delay in range; exit code 1 where the proof fails.
 
@@ -200,7 +205,8 @@ def certify(
     """
     with steps(1) as begin:
         begin("proving")
-        certificate = prove(Design.load(design_file), modulus_margin=modulus_margin)
+        models = filter(None, map(load_link_model, others or ()))
+        certificate = prove(Design.load(design_file), modulus_margin=modulus_margin, others=models)
     if not certificate.passed:
         following = f"fraclink assess {design_file}"
         return Answer(certificate, passed=False, values={"out": None}, following=following)
