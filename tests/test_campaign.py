@@ -202,9 +202,13 @@ def _first_look(campaign: Campaign, run: int) -> float:
     pole = (own["stiffness"] / (link.payload * campaign.rig.link.length**2)) ** (1 / own["order"])
     cycle = 2 * np.pi / (pole * np.sin(np.pi / own["order"]))
     names = ("reference", "tip_angle", "motor_reference", "voltage", "flags", "mode", "reason")
-    rows = [np.array(getattr(seen, name))[None] for name in names]
-    ended = np.array([SHAPES[int(own["shape"]) % len(SHAPES)]])
-    return measure(Signals(*rows, campaign.law.period, ended, np.array([cycle]))).growth
+    reference, tip, motor, voltage, flags, mode, reason = (
+        np.array(getattr(seen, name))[None] for name in names
+    )
+    ended, cycles = np.array([SHAPES[int(own["shape"]) % len(SHAPES)]]), np.array([cycle])
+    period = campaign.law.period
+    signals = Signals(reference, tip, motor, voltage, flags, mode, reason, period, ended, cycles)
+    return measure(signals).growth
 
 
 def test_a_run_that_noise_rings_is_forgiven_by_campaign_and_replay_alike():

@@ -57,8 +57,8 @@ def reference_hash(made: Law) -> int:
     torque = noises[:, 2] / 1048576
     torque[np.arange(PERIODS) % 1000 == 500] = np.nan
     angle[np.arange(PERIODS) % 1000 == 700] = np.nan
-    k = np.arange(PERIODS)
-    payload = np.where(k % 5000 < 2500, 0.0, (1 + k // 1000) / 1024)
+    count = np.arange(PERIODS)
+    payload = np.where(count % 5000 < 2500, 0.0, (1 + count // 1000) / 1024)
     _, out = made.run(made.initial_state(), reference, noises[:, 0] / 4096, angle, torque, payload)
     reals = np.array(out[:5]).T.astype(kind)
     width = 1 if made.precision == "single" else 2
