@@ -1,7 +1,7 @@
-"""Whatever is handed to a public noun or verb, in any argument: it works or raises an error of fraclink.
+"""Whatever is handed to a public class or function, in any argument: it works or raises an error of fraclink.
 
-The values are what scripts hand over by mistake: the file's name for the log, the plan for the law, a text, a
-gap, a whole number that no float holds. Each stands alone in a call whose other arguments are right.
+The values are what scripts hand over by mistake: the file's name for the log, the design for the law, a text,
+a gap, a whole number that no float holds. Each stands alone in a call whose other arguments are right.
 """
 
 from __future__ import annotations
@@ -57,6 +57,10 @@ from junk import (
 )
 from made_logs import example_motor_log
 
+# Made once: its exact solution takes half a second, and every value of every argument asks for it.
+motor_log = functools.cache(example_motor_log)
+
+
 # What is called, and arguments with which it works. Options that are plain switches are left out.
 CALLS: dict[str, Call] = {
     "LinkModel": (LinkModel, lambda: fields_of(LINK)),
@@ -105,8 +109,8 @@ CALLS: dict[str, Call] = {
     "identify_motor": (
         identify_motor,
         lambda: {
-            "voltage": example_motor_log()[0],
-            "motor_angle": example_motor_log()[1],
+            "voltage": motor_log()[0],
+            "motor_angle": motor_log()[1],
             "period": 0.004,
             "torque": None,
             "inertia": 6.87e-5,

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import fraclink as fl
-from fraclink._arm.box import ParameterBox
+from fraclink._arm.box import ParameterBox, arms_of
 from fraclink._arm.link import SecondMode
 from fraclink._arm.loop import Loop
 from fraclink._arm.motor_loop import MotorLoop
@@ -82,7 +82,7 @@ def test_finding_says_what_each_interval_costs() -> None:
     known = replace(made.box, gauge_delay=(0.0, 0.0))
     worst = min(
         float(arm.loop(made.controller, RIG).margins(w0 * ratio)[1][0])
-        for arm in known.arms(made.model)
+        for arm in arms_of(known, made.model)
         for w0 in made.natural_frequencies
         for ratio in (0.985, 1.015)
     )

@@ -15,7 +15,7 @@ from fraclink._arm.rig import Rig
 from fraclink._arm.sampled import SampledPlant, sampled_plant
 from fraclink.errors import FieldError
 
-__all__ = ["Arm", "Interval", "ParameterBox", "outward"]
+__all__ = ["Arm", "Interval", "ParameterBox", "arms_of", "outward"]
 
 Interval = tuple[float, float]
 # Where neither the fit nor the rig says more, relative: a damping that two logs of one arm agree on to a
@@ -124,34 +124,35 @@ class ParameterBox:
         pairs = zip(_pairs(self), _pairs(other), strict=True)
         return ParameterBox(*((min(a[0], b[0]), max(a[1], b[1])) for a, b in pairs))
 
-    def arms(self, model: LinkModel) -> tuple[Arm, ...]:
-        """Return the arms at the corners of the box about `model`, each with the ω₀ of the model.
-
-        The interval of ω₀ widens a range of payloads and makes no corner; of a second mode's gain the larger
-        end is taken, which is the worse one at every frequency of the mode.
-        """
-        names = ("order", "damping", "gauge_gain", "gauge_delay", "mode_frequency", "motor_ratio")
-        ends = [dict.fromkeys(getattr(self, name)) for name in names]
-        found = []
-        for order, damping, gain, late, mode, ratio in product(*ends):
-            second = model.second_mode
-            if second is not None:
-                second = replace(second, frequency=mode, gain=self.mode_gain[1])
-            link = replace(
-                model,
-                order=order,
-                damping=damping,
-                gauge_gain=gain,
-                gauge_delay=late,
-                second_mode=second,
-                intervals=(),
-            )
-            found.append(Arm(link, ratio))
-        return tuple(found)
-
     def holds(self, model: LinkModel) -> bool:
         """Return whether the model, at the payload that the box is for, lies inside."""
         return self.hull(ParameterBox.at(model)) == self
+
+
+def arms_of(box: ParameterBox, model: LinkModel) -> tuple[Arm, ...]:
+    """Return the arms at the corners of a box about `model`, each with the ω₀ of the model.
+
+    The interval of ω₀ widens a range of payloads and makes no corner; of a second mode's gain the larger
+    end is taken, which is the worse one at every frequency of the mode.
+    """
+    names = ("order", "damping", "gauge_gain", "gauge_delay", "mode_frequency", "motor_ratio")
+    ends = [dict.fromkeys(getattr(box, name)) for name in names]
+    found = []
+    for order, damping, gain, late, mode, ratio in product(*ends):
+        second = model.second_mode
+        if second is not None:
+            second = replace(second, frequency=mode, gain=box.mode_gain[1])
+        link = replace(
+            model,
+            order=order,
+            damping=damping,
+            gauge_gain=gain,
+            gauge_delay=late,
+            second_mode=second,
+            intervals=(),
+        )
+        found.append(Arm(link, ratio))
+    return tuple(found)
 
 
 def _pairs(box: ParameterBox) -> tuple[Interval, ...]:

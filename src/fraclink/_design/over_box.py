@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, NoReturn
 
-from fraclink._arm.box import Arm, ParameterBox
+from fraclink._arm.box import Arm, ParameterBox, arms_of
 from fraclink._arm.controller import Controller
 from fraclink._arm.loop import worst_margins
 from fraclink._design.equations import Task
@@ -63,7 +63,7 @@ class OverBox:
         return found
 
     def _aimed(self) -> tuple[Specification, tuple[Requirement, ...]] | None:
-        arms = self.box.arms(self.asked.model)
+        arms = arms_of(self.box, self.asked.model)
         near, aim, last = arms, self.spec, self.spec
         kept: tuple[Specification, tuple[Requirement, ...]] | None = None
         for _ in range(_ROUNDS):
@@ -213,7 +213,7 @@ def cost_of_box(task: Task, controller: Controller, box: ParameterBox) -> Findin
 
     exact = ParameterBox.at(task.model)
     nominal = margin(exact, Arm(task.model))
-    worst, arm = min(((margin(box, arm), arm) for arm in box.arms(task.model)), key=lambda pair: pair[0])
+    worst, arm = min(((margin(box, arm), arm) for arm in arms_of(box, task.model)), key=lambda pair: pair[0])
     gains: dict[str, tuple[float, float]] = {}
     for name in _WORDS:
         low, high = getattr(box, name)

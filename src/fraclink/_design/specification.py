@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._arm.box import ParameterBox
+from fraclink._arm.box import ParameterBox, arms_of
 from fraclink._arm.controller import Controller
 from fraclink._arm.link import LinkModel
 from fraclink._arm.loop import Loop, with_payload
@@ -327,7 +327,7 @@ class Design:
         """What `_kept_by_law` returns, for the lightest and the heaviest payload of every arm of the box."""
         law, period = discretize_controller(self.controller, self.rig.period), self.rig.period
         known = with_payload(self.model, self.rig)
-        for arm in box.arms(known):
+        for arm in arms_of(box, known):
             for end, payload in enumerate(reversed(self.payloads)):
                 w0 = self.natural_frequencies[end] * box.natural_frequency[end] / known.natural_frequency
                 link = replace(arm.model, natural_frequency=w0)
