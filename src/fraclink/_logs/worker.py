@@ -22,6 +22,9 @@ from numpy.typing import NDArray
 from fraclink._logs.table import COLUMN_LIMIT, MEMORY_LIMIT, VALUE_LIMIT
 from fraclink.errors import FieldError, MissingExtraError, SizeError
 
+if sys.platform != "win32":  # there are no such limits there: the parent's clock is what remains
+    import resource
+
 _WIDEST = 256  # columns of one array: what is wider is a picture or a matrix, not a log
 
 
@@ -322,23 +325,17 @@ PARSERS: dict[str, Callable[[Path], tuple[list[RawColumn], dict[str, str]]]] = {
 
 
 def _limit_memory() -> None:
-    try:
-        import resource
-    except ImportError:  # Windows has no such limits: the parent's clock is what remains there
-        return
-    resource.setrlimit(resource.RLIMIT_AS, (MEMORY_LIMIT, MEMORY_LIMIT))
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    if sys.platform != "win32":
+        resource.setrlimit(resource.RLIMIT_AS, (MEMORY_LIMIT, MEMORY_LIMIT))
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 
 
 def _limit_time(seconds: int) -> None:
     """Allow `seconds` of processor time from now on; the kernel ends the process beyond that."""
-    try:
-        import resource
-    except ImportError:
-        return
-    usage = resource.getrusage(resource.RUSAGE_SELF)
-    limit = int(usage.ru_utime + usage.ru_stime) + 1 + seconds
-    resource.setrlimit(resource.RLIMIT_CPU, (limit, resource.getrlimit(resource.RLIMIT_CPU)[1]))
+    if sys.platform != "win32":
+        usage = resource.getrusage(resource.RUSAGE_SELF)
+        limit = int(usage.ru_utime + usage.ru_stime) + 1 + seconds
+        resource.setrlimit(resource.RLIMIT_CPU, (limit, resource.getrlimit(resource.RLIMIT_CPU)[1]))
 
 
 def _answer(path: Path, kind: str) -> tuple[dict[str, object], list[bytes]]:
