@@ -224,7 +224,13 @@ def cost_of_box(task: Task, controller: Controller, box: ParameterBox) -> Findin
     evidence: dict[str, float] = {"nominal_rad": nominal, "worst_rad": worst}
     evidence |= {f"{name}_rad": known for name, (known, _) in gains.items()}
     if not gains:
-        return Finding("W407", "info", "the box is a single arm and costs nothing", evidence)
+        return Finding(
+            "W407",
+            "info",
+            "the box is a single arm and costs nothing",
+            evidence,
+            "give box=True for what fit and rig leave open",
+        )
     top = max(gains, key=lambda name: gains[name][0])
     known, half = (math.degrees(value) for value in gains[top])
     low, high = getattr(box, top)
