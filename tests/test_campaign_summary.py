@@ -5,15 +5,18 @@ from __future__ import annotations
 import json
 import math
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from campaigns import computed, small
-from fraclink._campaign import read_part, run_campaign, summarise
+from fraclink._campaign import Distribution, read_part, run_campaign, summarise
 from fraclink._campaign.summary import METRICS, PARAMETERS, _failure, _quantile, _trips
 from fraclink._cli import main
 from fraclink._law import MODES
+from fraclink._show.records import to_json
+from fraclink._show.views import view
 from fraclink.errors import FieldError
 
 
@@ -54,6 +57,25 @@ def test_quantile_intervals_cover_and_are_the_narrowest_that_do(n, p):
     assert below <= 0.025 and above <= 0.025
     assert binom.cdf(low, n, p) > 0.025 or low == n
     assert high == 1 or binom.sf(high - 2, n, p) > 0.025
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "sentence"),
+    [
+        (0.0, 0.0, ""),
+        (1.0, 1.0, "the law was given the payload of each arm"),
+        (0.95, 0.95, "the law was given 95 % of the payload of each arm"),
+        (0.95, 1.05, "the law was given 95 to 105 % of the payload of each arm"),
+    ],
+)
+def test_a_summary_says_what_the_law_was_given(tmp_path, low, high, sentence):
+    campaign = small(runs=20)
+    draws = replace(campaign.draws, payload_given=Distribution("uniform", low, high))
+    campaign = replace(campaign, draws=draws)
+    run_campaign(campaign, tmp_path)
+    found = summarise(campaign, tmp_path)
+    assert found.given == to_json(found)["given"] == sentence
+    assert (sentence in view(found).notes) == bool(sentence)
 
 
 def test_a_summary_is_that_of_all_runs(folder):

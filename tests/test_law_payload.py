@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +14,8 @@ from scipy.signal import lfilter
 import fraclink as fl
 from fraclink._arm.motor_loop import MotorLoop
 from fraclink._law import Law, LawOutputs
+from fraclink._show.tables import moves_table
+from fraclink._show.views import view
 from fraclink._simulate import Twin
 from law_bench import PERIOD, law, run
 
@@ -185,3 +188,32 @@ def test_a_late_gauge_and_its_gain_are_counted_on(delay: float, gain: float) -> 
     aware, unaware = (fl.simulate(one, move, arm=arm, told=True).metrics for one in (made, blind))
     assert aware.settling_time <= 0.48
     assert aware.residual_vibration < 0.6 * unaware.residual_vibration
+
+
+@pytest.mark.parametrize("arm", ["model", "twin"])
+@pytest.mark.parametrize(
+    ("told", "cell"), [(False, "30 g"), (True, "30 g, given"), (0.028, "30 g, given 28 g")]
+)
+def test_a_run_says_what_the_law_was_given(arm: str, told: float | bool, cell: str) -> None:
+    shown = fl.simulate(law(), fl.smooth_step(0.1, 0.5), told=told, duration=0.4, **on(arm))
+    assert not [finding for finding in shown.findings if finding.code == "W603"]
+    assert moves_table([shown]).rows[0][0] == cell
+
+
+@pytest.mark.parametrize("arm", ["model", "twin"])
+@pytest.mark.parametrize("tracks", [True, False])
+def test_a_run_says_that_the_law_rejected_the_payload(arm: str, tracks: bool) -> None:
+    made = law() if tracks else replace(law(), tracking=None, limits=replace(law().limits, payload_limit=0.0))
+    told = 50.0 if tracks else 0.03
+    shown = fl.simulate(made, fl.smooth_step(0.1, 0.5), told=told, duration=0.4, **on(arm))
+    assert "W603" in [finding.code for finding in shown.findings]
+    assert [note for note in view(shown).notes if note.startswith("W603 warning: the law rejected")]
+
+
+def on(arm: str) -> dict[str, Any]:
+    """Arguments of `simulate` for 30 g on the model or on the twin."""
+    return (
+        {"rig": GEARED, "model": GEARED.model}
+        if arm == "model"
+        else {"arm": Twin.from_rig(GEARED, payload=0.03)}
+    )

@@ -145,4 +145,5 @@ void bind_loop(nb::module_ &m) {
     m.attr("LAW_RUN") = unsigned(LAW_RUN);
     m.attr("LAW_FLAG_SATURATED") = unsigned(LAW_FLAG_SATURATED);
     m.attr("LAW_FLAG_STARTED") = unsigned(LAW_FLAG_STARTED);
+    m.attr("LAW_FLAG_PAYLOAD") = unsigned(LAW_FLAG_PAYLOAD);
 }

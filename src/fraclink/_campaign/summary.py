@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import betaincinv
 
-from fraclink._campaign.campaign import Campaign
+from fraclink._campaign.campaign import Campaign, Distribution
 from fraclink._campaign.run import read_part
 from fraclink.errors import FieldError
 
@@ -95,12 +95,14 @@ class Failure:
 
 @dataclass(frozen=True)
 class Summary:
-    """What `summarise` found: failures, tripped runs by (mode, reason), and every metric."""
+    """What `summarise` found: failures, tripped runs by (mode, reason), every metric, and what the law was
+    given of the payloads, in words; empty where it was given nothing."""
 
     failure: Failure
     trips: tuple[tuple[int, int, int], ...]
     metrics: tuple[MetricSummary, ...]
     failed: tuple[int, ...]
+    given: str = ""
 
 
 def summarise(campaign: Campaign, folder: Path | str) -> Summary:
@@ -123,7 +125,18 @@ def summarise(campaign: Campaign, folder: Path | str) -> Summary:
         trips=_trips(column("mode"), column("reason")),
         metrics=metrics,
         failed=tuple(int(n) for n in failed[:100]),
+        given=_given(campaign.draws.payload_given),
     )
+
+
+def _given(ratio: Distribution) -> str:
+    """What the law was given of each arm's payload; the bounds of the draw are ratios to it."""
+    if not ratio.high:
+        return ""
+    if ratio.low == ratio.high:
+        share = "" if ratio.low == 1.0 else f"{100 * ratio.low:.4g} % of "
+        return f"the law was given {share}the payload of each arm"
+    return f"the law was given {100 * ratio.low:.4g} to {100 * ratio.high:.4g} % of the payload of each arm"
 
 
 def columns(campaign: Campaign, folder: Path | str, *names: str) -> tuple[NDArray[np.generic], ...]:

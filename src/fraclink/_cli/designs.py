@@ -183,9 +183,9 @@ def twin(
     """
     made, arm = load_arm(design_file, options)
     move = run_law(made.law(), smooth_step(amplitude, duration=move_time), arm=arm, told=told, seed=seed)
-    remarks, doubts = tuple(map(str, arm.findings)), _doubts(made, options["payload"])
+    doubts = _doubts(made, options["payload"])
     following = f"fraclink certify {design_file}" if move.verdict.passed else f"fraclink assess {design_file}"
-    return Answer(move, move.verdict.passed, doubts=doubts, remarks=remarks, following=following)
+    return Answer(move, move.verdict.passed, doubts=doubts, following=following)
 
 
 @command(app)

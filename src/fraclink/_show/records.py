@@ -83,6 +83,7 @@ def _summary_json(summary: Summary) -> dict[str, Any]:
         "probability": [failure.estimate, failure.low, failure.high],
         "trips": [{"mode": m, "reason": r, "runs": c} for m, r, c in summary.trips],
         "failed": list(summary.failed),
+        "given": summary.given,
         "metrics": {m.name: metric(m) for m in summary.metrics},
     }
 

@@ -146,6 +146,7 @@ def write_campaign_report(campaign: Campaign, folder: Path | str, summary: Summa
         "campaign.html",
         title=f"Campaign on {campaign.rig.name}",
         campaign=campaign,
+        given=summary.given,
         failure=summary.failure,
         state="failed" if summary.failure.count else "passed",
         tables={

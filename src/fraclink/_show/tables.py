@@ -214,12 +214,21 @@ def _time(value: float, form: str) -> str:
     return format(value, form) if math.isfinite(value) else "never"
 
 
+def _carried(run: Run) -> str:
+    """The payload at the tip, and what the law was given of it."""
+    given = run.about.get("payload_given", 0.0)
+    if not given:
+        return grams(run.payload)
+    own = isinstance(given, str) or given == run.payload
+    return f"{grams(run.payload)}, given" if own else f"{grams(run.payload)}, given {grams(given)}"
+
+
 def moves_table(runs: Sequence[Run]) -> Table:
     """Payload and metrics of each move, and its verdict."""
     errors = ("residual vibration [mrad]", "final error [mrad]", "peak voltage [V]", "reference noise [mrad]")
     rows = tuple(
         (
-            grams(run.payload),
+            _carried(run),
             f"{100 * run.metrics.overshoot:.1f}",
             _time(run.metrics.settling_time, ".2f"),
             milli(run.metrics.residual_vibration),

@@ -276,7 +276,7 @@ def _map_view(found: Any) -> View:
 
 def _run_view(run: Run) -> View:
     headline = "move settled" if run.verdict.passed else run.verdict.reason
-    return View(headline, (moves_table([run]),), (), state_of(run.verdict))
+    return View(headline, (moves_table([run]),), tuple(map(str, run.findings)), state_of(run.verdict))
 
 
 def _certificate_view(certificate: Any) -> View:
@@ -289,7 +289,8 @@ def _certificate_view(certificate: Any) -> View:
 def _summary_view(summary: Summary) -> View:
     trips = tuple(f"{count} runs: {MODES[mode]} ({REASONS[reason]})" for mode, reason, count in summary.trips)
     state = "failed" if summary.failure.count else "passed"
-    return View(summary.failure.sentence, (spread_table(summary),), trips, state)
+    notes = (summary.given, *trips) if summary.given else trips
+    return View(summary.failure.sentence, (spread_table(summary),), notes, state)
 
 
 def repeated(table: FaultTable, outcome: Outcome) -> str:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fraclink import _kernels
 from fraclink._display import displayed
 from fraclink._files import document, load, save
 from fraclink._simulate.metrics import Metrics, MoveVerdict, Signals, judge, measure
@@ -218,7 +219,23 @@ def judged_run(
         metrics=metrics,
         verdict=judge(block, metrics),
         about=about,
-        findings=findings,
+        findings=(*findings, *_payload_rejected(signals["flags"])),
         extras=extras or {},
         finished=finished,
     )
+
+
+def _payload_rejected(flags: NDArray[Any]) -> tuple[Finding, ...]:
+    """A warning where the law was given a payload that it cannot use: it ran as if none were given."""
+    periods = int(np.count_nonzero(flags & _kernels.LAW_FLAG_PAYLOAD))
+    if not periods:
+        return ()
+    rejected = Finding(
+        "W603",
+        "warning",
+        f"the law rejected the payload that it was given in {periods} of {len(flags)} periods, "
+        "and ran there as if none were given",
+        {"periods": periods},
+        "give a payload within the law's limit, and design with a link model that knows its payload",
+    )
+    return (rejected,)
