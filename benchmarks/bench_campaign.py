@@ -199,6 +199,7 @@ DRIVER = r"""
 #include <stdlib.h>
 #include <time.h>
 #include "loop.h"
+#include "group.h"
 static double *floats(FILE *f, long n) { double *p = malloc(sizeof(double) * (size_t)n);
   if (fread(p, sizeof(double), (size_t)n, f) != (size_t)n) exit(1); return p; }
 int main(int argc, char **argv) {
@@ -214,14 +215,16 @@ int main(int argc, char **argv) {
   if (fread(params, 1, (size_t)bytes, f) != (size_t)bytes) return 1;
   loop_link link = {(int)reals, (int)pairs, decay, weight, pr, pi, wr, wi, {0}, stiffness};
   for (int j = 0; j < 6; j++) link.first[j] = first[j];
-  double *o = malloc(sizeof(double) * 7 * (size_t)n); uint32_t *m = malloc(4 * 3 * (size_t)n);
-  const loop_reference path = {n, angle, acceleration};
-  const loop_trace t = {o, o + n, o + 2*n, o + 3*n, o + 4*n, o + 5*n, o + 6*n, m, m + n, m + 2*n};
+  double *o = malloc(sizeof(double) * 9 * (size_t)n), *normal = o + 8*n;
+  uint32_t *m = malloc(4 * 3 * (size_t)n);
+  const loop_input path = {n, angle, acceleration, normal, NULL};
+  const loop_trace t = {o, o + n, o + 2*n, o + 3*n, o + 4*n, o + 5*n, o + 6*n, o + 7*n, m, m + n, m + 2*n};
   const int repeats = atoi(argv[2]);
   struct timespec a, b;
   clock_gettime(CLOCK_THREAD_CPUTIME_ID, &a);
   for (int r = 0; r < repeats; r++) {
-    rig.seed = (uint64_t)r;
+    rig.weights = loop_weights_of(&rig);
+    loop_normals((uint64_t)r, normal, n);
     if (loop_run_double(&link, &rig, params, &path, &t)) return 1;
   }
   clock_gettime(CLOCK_THREAD_CPUTIME_ID, &b);
@@ -277,13 +280,13 @@ def plain_c() -> None:
 
 
 def rig_bytes(asked: Campaign, arm: LumpedArms) -> bytes:
-    """The C struct loop_rig of an arm: three ints, padding, doubles, the seed."""
+    """The C struct loop_rig of an arm: three ints, padding, doubles, room for the weights."""
     rig, law = asked.rig, asked.law
     own = (arm.motor_gain, arm.motor_decay, arm.friction)
     gauge = (rig.gauge.limit, rig.gauge.quantum, float(arm.gauge_delay[0]), float(arm.gauge_gain[0]))
     reals = [law.period, law.inner_pole, *(float(value[0]) for value in own), 0.0, rig.encoder.resolution]
     reals += [float(arm.gauge_offset[0]), float(arm.noise[0]), *gauge, float(arm.payload_given[0]), 0.0]
-    return struct.pack("@3i4x15dQ", 1, SUBSTEPS, int(arm.delay_samples[0]), *reals, 0)
+    return struct.pack("@3i4x15d24x", 1, SUBSTEPS, int(arm.delay_samples[0]), *reals)
 
 
 def compiled(folder: Path) -> str:
@@ -301,6 +304,7 @@ def compiled(folder: Path) -> str:
         str(folder / "driver.c"),
         str(kernels / "loop.c"),
         str(kernels / "normal.c"),
+        str(kernels / "weights.c"),
         str(folder / "law.o"),
     ]
     subprocess.run(["cc", *fast, *common, *sources, "-lm", "-o", str(folder / "driver")], check=True)  # noqa: S603, S607

@@ -56,6 +56,7 @@ static void bare_step(law_state *s, const law_params *p, const law_input *in, la
 #endif
 #include "loop.c"
 #include "normal.c"
+#include "weights.c"
 #include <stdio.h>
 #include <stdlib.h>
 #include <time.h>
@@ -84,12 +85,15 @@ int main(int count, char **words)
     link.pair_im = next; next += m;
     link.weight_re = next; next += 6 * m;
     link.weight_im = next; next += 6 * m;
-    const loop_reference path = {total, next, next + total};
-    double *const o = malloc(sizeof(double) * 7 * (size_t)total);
+    double *const normal = malloc(sizeof(double) * (size_t)total);
+    const loop_input path = {total, next, next + total, normal, NULL};
+    double *const o = malloc(sizeof(double) * 8 * (size_t)total);
     uint32_t *const f = malloc(sizeof(uint32_t) * 3 * (size_t)total);
     const loop_trace trace = {o, o + total, o + 2 * total, o + 3 * total, o + 4 * total, o + 5 * total, o + 6 * total,
-                              f, f + total, f + 2 * total};
+                              o + 7 * total, f, f + total, f + 2 * total};
     const clock_t begin = clock();
+    rig.weights = loop_weights_of(&rig);
+    loop_normals(1, normal, total);
     (void)loop_run_double(&link, &rig, &law_data, &path, &trace);
     printf("%.9f %.17g\\n", (double)(clock() - begin) / CLOCKS_PER_SEC, o[total - 1]);
     return 0;
@@ -153,7 +157,7 @@ def _rig(**changed: object) -> dict[str, object]:
         "sampled": True, "substeps": 10, "delay": 1, "period": RIG.period, "pole": 80.0, "gain": motor.gain,
         "decay": motor.decay, "friction": motor.coulomb_torque / motor.inertia, "coupling": 0.0,
         "encoder": RIG.encoder.resolution, "offset": 0.01, "noise": 0.01, "limit": 4.0, "quantum": RIG.gauge.quantum,
-        "gauge_delay": 0.0, "gauge_gain": 1.0, "payload": 0.0, "start": 0.0, "seed": 1,
+        "gauge_delay": 0.0, "gauge_gain": 1.0, "payload": 0.0, "start": 0.0,
     } | changed  # fmt: skip
 
 
@@ -179,9 +183,9 @@ def _written(folder: Path, weights: object, reference: np.ndarray) -> Path:
 
     w, r = weights, _rig()
     rig = struct.pack(
-        "<iii4x15dQ", int(bool(r["sampled"])), r["substeps"], r["delay"],
+        "<iii4x15d24x", int(bool(r["sampled"])), r["substeps"], r["delay"],
         *(float(r[k]) for k in ("period", "pole", "gain", "decay", "friction", "coupling", "encoder", "offset",
-                                "noise", "limit", "quantum", "gauge_delay", "gauge_gain", "payload", "start")), r["seed"],
+                                "noise", "limit", "quantum", "gauge_delay", "gauge_gain", "payload", "start")),
     )  # fmt: skip
     parts = [
         w.first,

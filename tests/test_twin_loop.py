@@ -22,7 +22,8 @@ from fraclink._simulate import (
     Twin,
     geared,
 )
-from fraclink._simulate.kernel import ArmState, healthy_inputs
+from fraclink._simulate.inputs import healthy_inputs
+from fraclink._simulate.kernel import ArmState
 from fraclink._simulate.simulate import with_motor_loop
 from fraclink.errors import FieldError, FileFormatError
 

@@ -10,6 +10,7 @@
 extern "C" {
 #include "batch.h"
 #include "law.h"
+#include "twin.h"
 }
 
 namespace nb = nanobind;
@@ -62,15 +63,16 @@ struct Links {
     }
 };
 
-// `numbers` (R, BATCH_COLUMNS); `path` (K, 2, N): angle, acceleration; `signals` (3 or 7, R, N): tip, motor reference,
-// voltage, and motor, torque, measured torque, tip estimate; `marks` (3, R, N): flags, mode, reason.
+// `numbers` (R, BATCH_COLUMNS); `path` (K, 2, N): angle, acceleration; `faults` (N or 0, TWIN_INPUTS); `signals` (3 or 8, R, N): tip, motor reference,
+// voltage, and motor, torque, measured torque, tip estimate, measured angle; `marks` (3, R, N): flags, mode, reason.
 void run(nb::bytes params, bool single, const loop_rig &rig, const Links &links, Read<double, 2> numbers,
-         Read<uint64_t, 1> seeds, Read<int32_t, 1> chosen, Read<double, 3> path, Write<double, 3> signals,
-         Write<uint32_t, 3> marks) {
+         Read<uint64_t, 1> seeds, Read<int32_t, 1> chosen, Read<double, 3> path, Read<double, 2> faults,
+         Write<double, 3> signals, Write<uint32_t, 3> marks) {
     const size_t runs = numbers.shape(0), n = path.shape(2);
-    if (numbers.shape(1) != BATCH_COLUMNS || path.shape(1) != 2 || seeds.shape(0) != runs ||
+    if (numbers.shape(1) != BATCH_COLUMNS || path.shape(1) != 2 || faults.shape(1) != TWIN_INPUTS ||
+        (faults.shape(0) != n && faults.shape(0) != 0) || seeds.shape(0) != runs ||
         chosen.shape(0) != runs || links.decay.shape(0) != runs ||
-        (signals.shape(0) != 3 && signals.shape(0) != 7) || signals.shape(1) != runs || signals.shape(2) != n ||
+        (signals.shape(0) != 3 && signals.shape(0) != 8) || signals.shape(1) != runs || signals.shape(2) != n ||
         marks.shape(0) != 3 || marks.shape(1) != runs || marks.shape(2) != n)
         throw std::invalid_argument("array shapes of the closed loop disagree");
     for (size_t r = 0; r < runs; r++)
@@ -79,7 +81,7 @@ void run(nb::bytes params, bool single, const loop_rig &rig, const Links &links,
     const batch_links view = links.view();
     const size_t plane = runs * n;
     double *o = signals.data();
-    double *rest = signals.shape(0) == 7 ? o + 3 * plane : nullptr;
+    double *rest = signals.shape(0) == 8 ? o + 3 * plane : nullptr;
     uint32_t *f = marks.data();
     const batch_traces traces = {o,
                                  o + plane,
@@ -88,6 +90,7 @@ void run(nb::bytes params, bool single, const loop_rig &rig, const Links &links,
                                  rest ? rest + plane : nullptr,
                                  rest ? rest + 2 * plane : nullptr,
                                  rest ? rest + 3 * plane : nullptr,
+                                 rest ? rest + 4 * plane : nullptr,
                                  f,
                                  f + plane,
                                  f + 2 * plane};
@@ -98,7 +101,8 @@ void run(nb::bytes params, bool single, const loop_rig &rig, const Links &links,
     {
         nb::gil_scoped_release release;
         failed = batch_run(int64_t(runs), int64_t(n), &view, &rig, numbers.data(), seeds.data(), chosen.data(),
-                           path.data(), block.data(), single, scratch.data(), &traces);
+                           path.data(), faults.shape(0) ? faults.data() : nullptr, block.data(), single,
+                           scratch.data(), &traces);
     }
     if (failed) throw std::invalid_argument("too many modes or too long a delay for the closed loop");
 }
@@ -138,9 +142,19 @@ void bind_loop(nb::module_ &m) {
         rig.gain = gain;
         rig.decay = decay;
         rig.friction = friction;
+        rig.weights = loop_weights_of(&rig);
         loop_coast(&rig, speed, angle.data(), int64_t(angle.shape(0)));
     });
     m.def("loop_normal", &loop_normal);
+    m.def("loop_weights", [](double decay, double period, int substeps) {
+        loop_rig rig = {};
+        rig.sampled = 1;
+        rig.decay = decay;
+        rig.period = period;
+        rig.substeps = substeps;
+        const loop_weights w = loop_weights_of(&rig);
+        return nb::make_tuple(w.keep, w.first, w.second);
+    });
     // law.h's own numbers, so that no module writes them down again
     m.attr("LAW_RUN") = unsigned(LAW_RUN);
     m.attr("LAW_FLAG_SATURATED") = unsigned(LAW_FLAG_SATURATED);

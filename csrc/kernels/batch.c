@@ -24,7 +24,7 @@ static loop_link link_of(const batch_links *all, int64_t run, double stiffness)
     return link;
 }
 
-static loop_rig rig_of(const loop_rig *shared, const double *row, uint64_t seed)
+static loop_rig rig_of(const loop_rig *shared, const double *row)
 {
     loop_rig rig = *shared;
     rig.gain = row[BATCH_GAIN];
@@ -36,7 +36,7 @@ static loop_rig rig_of(const loop_rig *shared, const double *row, uint64_t seed)
     rig.gauge_delay = row[BATCH_GAUGE_DELAY];
     rig.gauge_gain = row[BATCH_GAUGE_GAIN];
     rig.payload = row[BATCH_PAYLOAD];
-    rig.seed = seed;
+    rig.weights = loop_weights_of(&rig);
     return rig;
 }
 
@@ -47,6 +47,7 @@ typedef struct {
     const uint64_t *seeds;
     const int32_t *chosen;
     const double *path;
+    const double *faults;
     int64_t length;
     const batch_traces *traces;
 } batch;
@@ -57,7 +58,7 @@ static group_loop loop_of(const batch *b, int64_t r, double *noise)
     const double *unit = b->path + (int64_t)b->chosen[r] * 2 * b->length;
     const int64_t at = r * b->length;
     const group_loop loop = {link_of(b->links, r, row[BATCH_STIFFNESS]),
-                             rig_of(b->rig, row, b->seeds[r]),
+                             rig_of(b->rig, row),
                              row[BATCH_AMPLITUDE],
                              unit,
                              unit + b->length,
@@ -76,12 +77,15 @@ static int run_alone(const batch *b, int64_t r, const void *params, int single, 
     double *const angle = scratch;
     double *const acceleration = scratch + n;
     double *const spare = scratch + 2 * n;
+    double *const normal = scratch + 7 * n;
+    if (loop.rig.noise > 0.0)
+        loop_normals(b->seeds[r], normal, n);
     for (int64_t k = 0; k < n; k++) {
         angle[k] = loop.amplitude * loop.angle[k];
         acceleration[k] = loop.amplitude * loop.acceleration[k];
     }
     const int kept = all->motor != 0;
-    const loop_reference reference = {n, angle, acceleration};
+    const loop_input input = {n, angle, acceleration, normal, b->faults};
     const loop_trace trace = {loop.trace.tip,
                               kept ? all->motor + r * n : spare,
                               loop.trace.motor_reference,
@@ -89,27 +93,28 @@ static int run_alone(const batch *b, int64_t r, const void *params, int single, 
                               kept ? all->measured + r * n : spare + 2 * n,
                               loop.trace.voltage,
                               kept ? all->tip_estimate + r * n : spare + 3 * n,
+                              kept ? all->encoder + r * n : spare + 4 * n,
                               loop.trace.flags,
                               loop.trace.mode,
                               loop.trace.reason};
-    return single ? loop_run_single(&loop.link, &loop.rig, params, &reference, &trace)
-                  : loop_run_double(&loop.link, &loop.rig, params, &reference, &trace);
+    return single ? loop_run_single(&loop.link, &loop.rig, params, &input, &trace)
+                  : loop_run_double(&loop.link, &loop.rig, params, &input, &trace);
 }
 
 int batch_run(int64_t runs, int64_t length, const batch_links *links, const loop_rig *rig, const double *numbers,
-              const uint64_t *seeds, const int32_t *chosen, const double *path, const void *params, int single,
-              double *scratch, const batch_traces *traces)
+              const uint64_t *seeds, const int32_t *chosen, const double *path, const double *faults,
+              const void *params, int single, double *scratch, const batch_traces *traces)
 {
-    const batch all = {links, rig, numbers, seeds, chosen, path, length, traces};
+    const batch all = {links, rig, numbers, seeds, chosen, path, faults, length, traces};
     int failed = 0;
     int64_t r = 0;
-    for (; !traces->motor && r + GROUP_LANES <= runs && !failed; r += GROUP_LANES) {
+    for (; !traces->motor && !faults && r + GROUP_LANES <= runs && !failed; r += GROUP_LANES) {
         group_loop group[GROUP_LANES];
         for (int l = 0; l < GROUP_LANES; l++) {
             double *noise = scratch + l * length;
             group[l] = loop_of(&all, r + l, noise);
             if (group[l].rig.noise > 0.0)
-                loop_normals(group[l].rig.seed, noise, length);
+                loop_normals(seeds[r + l], noise, length);
         }
         failed = single ? group_run_single(group, params, length) : group_run_double(group, params, length);
     }

@@ -7,7 +7,7 @@
 
 #include "loop.h"
 
-#define BATCH_SCRATCH 8 /* rows of noise of a group; a run alone needs 6 */
+#define BATCH_SCRATCH 8 /* rows of noise of a group; a run alone needs them all */
 
 /* Columns of a run's numbers. */
 enum {
@@ -39,7 +39,7 @@ typedef struct {
     const double *second; /* LOOP_SECOND numbers a run; null where no link has a second mode */
 } batch_links;
 
-/* One row of `length` a run. Where `motor` is null, the four signals that no metric needs are not kept, and eight runs
+/* One row of `length` a run. Where `motor` is null, the five signals that no metric needs are not kept, and eight runs
  * at a time go through group.c. */
 typedef struct {
     double *tip;
@@ -49,15 +49,16 @@ typedef struct {
     double *torque;
     double *measured;
     double *tip_estimate;
+    double *encoder;
     uint32_t *flags;
     uint32_t *mode;
     uint32_t *reason;
 } batch_traces;
 
 /* `path` holds unit references (angle, acceleration) of `length` each, `chosen` which one a run follows; `rig` what
- * all runs share. `scratch` has room for BATCH_SCRATCH rows. Return 0, or 1 where a bound of loop.h is exceeded. */
+ * all runs share, `faults` too (as in loop_input, null for none). `scratch` has room for BATCH_SCRATCH rows. Return 0, or 1 where a bound of loop.h is exceeded. */
 int batch_run(int64_t runs, int64_t length, const batch_links *links, const loop_rig *rig, const double *numbers,
-              const uint64_t *seeds, const int32_t *chosen, const double *path, const void *params, int single,
-              double *scratch, const batch_traces *traces);
+              const uint64_t *seeds, const int32_t *chosen, const double *path, const double *faults,
+              const void *params, int single, double *scratch, const batch_traces *traces);
 
 #endif

@@ -71,7 +71,7 @@ static double decide(const group_loop *loop, const law_params *p, law_state *sta
     in.reference_acceleration = (law_real)(loop->amplitude * loop->acceleration[k]);
     in.motor_angle = (law_real)rounded_to(rig->start + motor, rig->encoder);
     const double normal = rig->noise > 0.0 ? loop->noise[k] : 0.0;
-    in.torque = (law_real)gauge_reading(rig, gauge, root_torque(link, &loop->link, motor), normal, k);
+    in.torque = (law_real)gauge_reading(rig, gauge, root_torque(link, &loop->link, motor), normal, 1.0, 0.0, k);
     in.payload = (law_real)rig->payload;
     law_step(state, p, &in, &out);
     loop->trace.tip[k] = rig->start + link->tip;
@@ -86,18 +86,18 @@ static double decide(const group_loop *loop, const law_params *p, law_state *sta
 }
 
 /* Motors that are no lanes of one vector: behind the ideal motor loop, or pushed by their links. */
-static void follow_one_by_one(const group_loop *loops, motor_lanes *m, const motor_weights *w, const link_state *links,
-                              const double *applied, int64_t k)
+static void follow_one_by_one(const group_loop *loops, motor_lanes *m, const link_state *links, const double *applied,
+                              int64_t k)
 {
     EACH_LANE(l)
     {
         const loop_rig *rig = &loops[l].rig;
         motor_state one = motor_of(m, l);
         if (rig->sampled) {
-            follow_voltage(&one, rig, &w[l], rig->gain * applied[l], &links[l]);
+            follow_voltage(&one, rig, &rig->weights, rig->gain * applied[l], &links[l]);
         } else {
             loops[l].trace.voltage[k] = servo_voltage(&one, rig, applied[l]);
-            follow_reference(&one, rig, &w[l], applied[l]);
+            follow_reference(&one, rig, &rig->weights, applied[l]);
         }
         set_motor(m, l, &one);
     }
@@ -107,7 +107,6 @@ int GROUP_RUN(const group_loop loops[GROUP_LANES], const void *params, int64_t l
 {
     const law_params *const p = (const law_params *)params;
     motor_lanes motor = {{0.0}, {0.0}, {0.0}, {0.0}, {0.0}, {0.0}, {0.0}, {0.0}, {0.0}, {0.0}};
-    motor_weights w[GROUP_LANES];
     link_state links[GROUP_LANES];
     law_state states[GROUP_LANES];
     gauge_line gauges[GROUP_LANES];
@@ -119,12 +118,12 @@ int GROUP_RUN(const group_loop loops[GROUP_LANES], const void *params, int64_t l
             return 1;
         set_gauge(&gauges[l], loops[l].rig.gauge_delay);
         links[l] = STRAIGHT;
-        w[l] = weights_of(&loops[l].rig);
-        motor.keep[l] = w[l].keep;
-        motor.first[l] = w[l].first;
-        motor.second[l] = w[l].second;
+        const loop_weights *const w = &loops[l].rig.weights;
+        motor.keep[l] = w->keep;
+        motor.first[l] = w->first;
+        motor.second[l] = w->second;
         motor.decay[l] = loops[l].rig.decay;
-        motor.impulse[l] = loops[l].rig.friction * w[l].first;
+        motor.impulse[l] = loops[l].rig.friction * w->first;
         in_lanes = in_lanes && loops[l].rig.sampled && loops[l].rig.coupling == 0.0;
         for (int i = 0; i <= loops[l].rig.delay; i++)
             pending[l][i] = 0.0;
@@ -144,7 +143,7 @@ int GROUP_RUN(const group_loop loops[GROUP_LANES], const void *params, int64_t l
         if (in_lanes)
             follow_voltages(&motor, loops[0].rig.substeps);
         else
-            follow_one_by_one(loops, &motor, w, links, applied, k);
+            follow_one_by_one(loops, &motor, links, applied, k);
         EACH_LANE(l)
         {
             const motor_state from = motor_of(&before, l);

@@ -7,23 +7,27 @@
 
 #include "law.h"
 #include "loop_parts.h"
+#include "twin.h"
 
 #ifndef LOOP_RUN
 #define LOOP_RUN loop_run_double
 #endif
 
-int LOOP_RUN(const loop_link *link, const loop_rig *rig, const void *params, const loop_reference *reference,
+static const double HEALTHY[TWIN_INPUTS] = {[TWIN_ENCODER_GAIN] = 1.0, [TWIN_GAUGE_GAIN] = 1.0};
+
+int LOOP_RUN(const loop_link *link, const loop_rig *rig, const void *params, const loop_input *input,
              const loop_trace *trace)
 {
     const law_params *const p = (const law_params *)params;
-    const motor_weights w = weights_of(rig);
+    const loop_weights w = rig->weights;
     motor_state motor = {0.0, 0.0, 0.0, 0.0};
     link_state flexible = STRAIGHT;
     gauge_line gauge;
     double pending[LOOP_DELAY];
     law_state state;
     law_input in;
-    law_output out;
+    law_output out = {0};
+    double seen_angle = 0.0, seen_torque = 0.0; /* what the sensors gave last */
     if (out_of_bounds(link, rig))
         return 1;
     set_gauge(&gauge, rig->gauge_delay);
@@ -31,17 +35,31 @@ int LOOP_RUN(const loop_link *link, const loop_rig *rig, const void *params, con
     for (int i = 0; i < slots; i++)
         pending[i] = 0.0;
     (void)law_init(&state, p);
-    for (int64_t k = 0; k < reference->length; k++) {
+    for (int64_t k = 0; k < input->length; k++) {
+        const double *const fault = input->faults ? input->faults + k * TWIN_INPUTS : HEALTHY;
+        const int broken = (int)fault[TWIN_FAULTS];
         const double torque = root_torque(&flexible, link, motor.angle);
-        const double normal = rig->noise > 0.0 ? loop_normal(rig->seed, (uint64_t)k) : 0.0;
-        const double measured = gauge_reading(rig, &gauge, torque, normal, k);
+        const double normal = rig->noise > 0.0 ? input->normal[k] : 0.0;
+        double measured =
+            gauge_reading(rig, &gauge, torque, normal, fault[TWIN_GAUGE_GAIN], fault[TWIN_GAUGE_ERROR], k);
+        double angle = rounded_to(fault[TWIN_ENCODER_GAIN] * (rig->start + motor.angle) + fault[TWIN_ENCODER_ERROR],
+                                  rig->encoder);
+        twin_break(fault, seen_angle, seen_torque, &angle, &measured);
+        seen_angle = angle;
+        seen_torque = measured;
         in.tick = (uint32_t)k;
-        in.reference = (law_real)reference->reference[k];
-        in.reference_acceleration = (law_real)reference->acceleration[k];
-        in.motor_angle = (law_real)rounded_to(rig->start + motor.angle, rig->encoder);
+        in.reference = (law_real)input->reference[k];
+        in.reference_acceleration = (law_real)input->acceleration[k];
+        in.motor_angle = (law_real)angle;
         in.torque = (law_real)measured;
         in.payload = (law_real)rig->payload;
-        law_step(&state, p, &in, &out);
+        if (broken & TWIN_TICK_MISSED) {
+            out.flags = 0U; /* the timer's hardware goes on with the voltage it was given last */
+        } else {
+            law_step(&state, p, &in, &out);
+            if (broken & TWIN_TICK_REPEATED)
+                law_step(&state, p, &in, &out);
+        }
         trace->tip[k] = rig->start + flexible.tip;
         trace->motor[k] = rig->start + motor.angle;
         trace->motor_reference[k] = (double)out.motor_reference;
@@ -49,6 +67,7 @@ int LOOP_RUN(const loop_link *link, const loop_rig *rig, const void *params, con
         trace->measured[k] = measured;
         trace->voltage[k] = (double)out.voltage;
         trace->tip_estimate[k] = (double)out.tip_estimate;
+        trace->encoder[k] = angle;
         trace->flags[k] = out.flags;
         trace->mode[k] = out.mode;
         trace->reason[k] = out.reason;
@@ -75,12 +94,11 @@ int LOOP_RUN(const loop_link *link, const loop_rig *rig, const void *params, con
 /* The motor alone, from `speed`, without voltage: what a test compares with the equation's own solution. */
 void loop_coast(const loop_rig *rig, double speed, double *angle, int64_t length)
 {
-    const motor_weights w = weights_of(rig);
     motor_state motor = {0.0, speed, 0.0, 0.0};
     const link_state rigid = STRAIGHT;
     for (int64_t k = 0; k < length; k++) {
         angle[k] = motor.angle;
-        follow_voltage(&motor, rig, &w, 0.0, &rigid);
+        follow_voltage(&motor, rig, &rig->weights, 0.0, &rigid);
     }
 }
 #endif

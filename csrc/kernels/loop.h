@@ -27,6 +27,14 @@ typedef struct {
     const double *second; /* gain, decay (re, im), 6 weights re, 6 im; null where there is none */
 } loop_link;
 
+/* Weights of one step of the motor, the only numbers of the loop that need a library of mathematics. They are made
+ * outside of it (weights.c), so that the loop has the same bits wherever it is compiled, in a browser too. */
+typedef struct {
+    double keep;   /* e^(-p T) or e^(-B h) */
+    double first;  /* (1 - e^(-B h))/B */
+    double second; /* (h - first)/B */
+} loop_weights;
+
 typedef struct {
     int sampled;           /* 0: M(s) follows the motor reference; 1: motor under voltage, inner loop in the law */
     int substeps;          /* friction substeps in a period */
@@ -46,14 +54,17 @@ typedef struct {
     double gauge_gain;     /* what the gauge shows of a torque [1] */
     double payload;        /* that the law is given [kg]; 0: none */
     double start;          /* angle at rest before the first period [rad] */
-    uint64_t seed;
+    loop_weights weights;  /* loop_weights_of this rig */
 } loop_rig;
 
+/* What comes from outside, period by period. */
 typedef struct {
     int64_t length;
     const double *reference;
     const double *acceleration;
-} loop_reference;
+    const double *normal; /* standard normal numbers of the gauge's noise; not read where the rig has none */
+    const double *faults; /* rows of the twin's inputs (twin.h), of which those of a fault are read; null: healthy */
+} loop_input;
 
 /* One row per period; all arrays have `length` entries. */
 typedef struct {
@@ -64,16 +75,19 @@ typedef struct {
     double *measured;
     double *voltage;
     double *tip_estimate;
+    double *encoder;
     uint32_t *flags;
     uint32_t *mode;
     uint32_t *reason;
 } loop_trace;
 
 /* Return 0, or 1 where a bound above is exceeded. `params` is a law_params of the named precision. */
-int loop_run_double(const loop_link *link, const loop_rig *rig, const void *params, const loop_reference *reference,
+int loop_run_double(const loop_link *link, const loop_rig *rig, const void *params, const loop_input *input,
                     const loop_trace *trace);
-int loop_run_single(const loop_link *link, const loop_rig *rig, const void *params, const loop_reference *reference,
+int loop_run_single(const loop_link *link, const loop_rig *rig, const void *params, const loop_input *input,
                     const loop_trace *trace);
+
+loop_weights loop_weights_of(const loop_rig *rig);
 
 /* Angles at the samples of the motor alone, from `speed`, without voltage. */
 void loop_coast(const loop_rig *rig, double speed, double *angle, int64_t length);

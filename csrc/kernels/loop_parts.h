@@ -27,37 +27,13 @@ typedef struct {
 
 static const link_state STRAIGHT = {{0}, {0}, {0}, 0.0, 0.0, 0.0, 0.0};
 
-/* Weights of one motor (sub)step, computed once. */
-typedef struct {
-    double keep;   /* e^(-p T) or e^(-B h) */
-    double first;  /* (1 - e^(-B h))/B */
-    double second; /* (h - first)/B */
-} motor_weights;
-
 static double rounded_to(double value, double quantum)
 {
     return quantum > 0.0 ? nearbyint(value / quantum) * quantum : value;
 }
 
-static motor_weights weights_of(const loop_rig *rig)
-{
-    motor_weights w;
-    if (!rig->sampled) {
-        w.keep = exp(-rig->pole * rig->period);
-        w.first = w.second = 0.0;
-        return w;
-    }
-    const double h = rig->period / rig->substeps;
-    const double bh = rig->decay * h;
-    w.keep = exp(-bh);
-    w.first = bh > 0.0 ? -expm1(-bh) / rig->decay : h;
-    /* below 1e-4 the difference h - first has lost its digits; its series has not */
-    w.second = bh > 1e-4 ? (h - w.first) / rig->decay : h * h * (0.5 - bh / 6.0 + bh * bh / 24.0);
-    return w;
-}
-
 /* M(s) = 1/(1 + s/p)^2 under a held reference, exactly: a double pole at -p. */
-static void follow_reference(motor_state *m, const loop_rig *rig, const motor_weights *w, double reference)
+static void follow_reference(motor_state *m, const loop_rig *rig, const loop_weights *w, double reference)
 {
     const double pt = rig->pole * rig->period;
     const double p = rig->pole;
@@ -78,7 +54,7 @@ static double servo_voltage(const motor_state *m, const loop_rig *rig, double re
 
 /* Motor under a held voltage with Coulomb friction as a proximal step: the friction force of a substep is the one
  * that shortens the speed by at most its impulse and never turns it around, which includes stiction. */
-static void follow_voltage(motor_state *m, const loop_rig *rig, const motor_weights *w, double held,
+static void follow_voltage(motor_state *m, const loop_rig *rig, const loop_weights *w, double held,
                            const link_state *link)
 {
     const double impulse = rig->friction * w->first;
@@ -213,10 +189,11 @@ static int out_of_bounds(const loop_link *link, const loop_rig *rig)
            !(rig->gauge_delay >= 0.0 && rig->gauge_delay < LOOP_DELAY);
 }
 
-/* What the gauge says of a torque, from a standard normal number. */
-static double gauge_reading(const loop_rig *rig, gauge_line *gauge, double torque, double normal, int64_t k)
+/* What the gauge says of a torque, from a standard normal number; `gain` and `error` are a fault's, 1 and 0 for none. */
+static double gauge_reading(const loop_rig *rig, gauge_line *gauge, double torque, double normal, double gain,
+                            double error, int64_t k)
 {
-    double reading = rig->gauge_gain * shown_torque(gauge, torque, k) + (k > 0 ? rig->offset : 0.0);
+    double reading = gain * rig->gauge_gain * shown_torque(gauge, torque, k) + (k > 0 ? rig->offset : 0.0) + error;
     if (rig->noise > 0.0)
         reading += rig->noise * normal;
     reading = rounded_to(reading, rig->quantum);

@@ -90,21 +90,10 @@ static double delayed_torque(const twin_rig *rig, const double *gauge)
 
 void twin_sense(const twin_rig *rig, twin_memory *memory, const double *input, double *angle, double *torque)
 {
-    const int faults = (int)input[TWIN_FAULTS];
     double a = quantised(input[TWIN_ENCODER_GAIN] * memory->state[0] + input[TWIN_ENCODER_ERROR], rig->angle_quantum);
     double g = input[TWIN_GAUGE_GAIN] * rig->gauge_gain * delayed_torque(rig, memory->gauge) + input[TWIN_GAUGE_ERROR];
     g = quantised(clamped(g, rig->gauge_limit), rig->gauge_quantum);
-    if (faults != 0) {
-        a = (faults & TWIN_ENCODER_FROZEN) ? memory->angle : a;
-        g = (faults & TWIN_GAUGE_FROZEN) ? memory->torque : g;
-        a = (faults & TWIN_ENCODER_REPLACED) ? input[TWIN_ENCODER_VALUE] : a;
-        g = (faults & TWIN_GAUGE_REPLACED) ? input[TWIN_GAUGE_VALUE] : g;
-        if (faults & TWIN_SWAPPED) {
-            const double swap = a;
-            a = g;
-            g = swap;
-        }
-    }
+    twin_break(input, memory->angle, memory->torque, &a, &g);
     memory->angle = *angle = a;
     memory->torque = *torque = g;
 }

@@ -83,6 +83,19 @@ enum {
 #define TWIN_TICK_MISSED 32
 #define TWIN_TICK_REPEATED 64
 
+/* Readings of one period as its fault leaves them; `last_angle` and `last_torque` are those of the period before. One
+ * function for twin and loop: what "frozen" means is one thing. */
+static inline void twin_break(const double *input, double last_angle, double last_torque, double *angle, double *torque)
+{
+    const int faults = (int)input[TWIN_FAULTS];
+    double a = (faults & TWIN_ENCODER_FROZEN) ? last_angle : *angle;
+    double g = (faults & TWIN_GAUGE_FROZEN) ? last_torque : *torque;
+    a = (faults & TWIN_ENCODER_REPLACED) ? input[TWIN_ENCODER_VALUE] : a;
+    g = (faults & TWIN_GAUGE_REPLACED) ? input[TWIN_GAUGE_VALUE] : g;
+    *angle = (faults & TWIN_SWAPPED) ? g : a;
+    *torque = (faults & TWIN_SWAPPED) ? a : g;
+}
+
 /* Columns of the record of one control period, at its beginning. */
 enum {
     TWIN_OUT_REFERENCE,

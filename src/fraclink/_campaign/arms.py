@@ -221,7 +221,6 @@ def replay_run(campaign: Campaign, run: int) -> Run:
         own["amplitude"] * path[chosen[0], 0],
         signals[:, 0],
         marks[:, 0],
-        encoder=campaign.rig.encoder.resolution,
         ended=SHAPES[chosen[0]],
         growth=float(metrics["growth"][0]),
         about={

@@ -23,7 +23,8 @@ from fraclink._campaign.fault_trial import (
     Trial,
     execute,
 )
-from fraclink._simulate.kernel import GAUGE_ERROR, ArmState, healthy_inputs
+from fraclink._simulate.inputs import GAUGE_ERROR, healthy_inputs
+from fraclink._simulate.kernel import ArmState
 from fraclink._validate import Between, Payload, Seed, checked
 
 __all__ = ["Soak", "Upset", "soak", "upsets"]

@@ -36,7 +36,7 @@ from fraclink._campaign.fault_trial import (
 )
 from fraclink._law import Modes
 from fraclink._law.discretization import drive_for
-from fraclink._simulate import kernel
+from fraclink._simulate import inputs as columns
 from fraclink._simulate.kernel import ArmState
 
 HEADER, COUNTS = 16, 40  # bytes of law_params before its reals
@@ -131,8 +131,8 @@ def self_test(trial: Trial) -> None:
 
 
 def reversed(trial: Trial) -> None:
-    trial.inputs[:, kernel.GAUGE_GAIN] = trial.pick(-1.0, -1.0, -0.5)
-    trial.inputs[:, kernel.GAUGE_ERROR] += trial.pick(0.0, 0.1, 0.1)
+    trial.inputs[:, columns.GAUGE_GAIN] = trial.pick(-1.0, -1.0, -0.5)
+    trial.inputs[:, columns.GAUGE_ERROR] += trial.pick(0.0, 0.1, 0.1)
 
 
 def wiring_answer(e: Evidence) -> Check:
@@ -152,13 +152,13 @@ def from_the_move(trial: Trial) -> None:
 
 
 def degrees(trial: Trial) -> None:
-    trial.inputs[trial.row :, kernel.ENCODER_GAIN] = trial.pick(10.0, 180 / math.pi, 1800 / math.pi)
+    trial.inputs[trial.row :, columns.ENCODER_GAIN] = trial.pick(10.0, 180 / math.pi, 1800 / math.pi)
     from_the_move(trial)
 
 
 def wrapped(trial: Trial) -> None:
     turn = 2 * math.pi
-    trial.inputs[trial.row :, kernel.ENCODER_ERROR] += trial.pick(turn, -turn, 2**16 * turn / 1e5)
+    trial.inputs[trial.row :, columns.ENCODER_ERROR] += trial.pick(turn, -turn, 2**16 * turn / 1e5)
 
 
 def swapped(trial: Trial) -> None:
@@ -190,7 +190,7 @@ def payload_changes(trial: Trial) -> None:
 
 def hit(trial: Trial) -> None:
     if trial.case.severity < 3:
-        trial.inputs[trial.rows(0.02), kernel.TIP_FORCE] += trial.pick(0.1, 0.25, 0.0)
+        trial.inputs[trial.rows(0.02), columns.TIP_FORCE] += trial.pick(0.1, 0.25, 0.0)
         return
     angle = float(trial.wanted[trial.row]) + 0.05
 

@@ -25,7 +25,7 @@ from fraclink._campaign.fault_trial import (
     Real,
     Trial,
 )
-from fraclink._simulate import kernel
+from fraclink._simulate import inputs as columns
 from fraclink._simulate.kernel import ArmState
 
 WATCHDOG = 5  # periods after which a board's watchdog switches the drive off
@@ -90,21 +90,21 @@ def saturated(trial: Trial) -> None:
 
 
 def offset(trial: Trial) -> None:
-    trial.inputs[trial.row :, kernel.GAUGE_ERROR] += trial.pick(0.025, 0.05, 0.1)
+    trial.inputs[trial.row :, columns.GAUGE_ERROR] += trial.pick(0.025, 0.05, 0.1)
 
 
 def drift(trial: Trial) -> None:
     time = trial.period * np.arange(trial.count - trial.row)
-    trial.inputs[trial.row :, kernel.GAUGE_ERROR] += trial.pick(0.005, 0.01, 0.02) * time
+    trial.inputs[trial.row :, columns.GAUGE_ERROR] += trial.pick(0.005, 0.01, 0.02) * time
 
 
 def gain(trial: Trial) -> None:
-    trial.inputs[trial.row :, kernel.GAUGE_GAIN] = trial.pick(1.05, 1.1, 0.9)
+    trial.inputs[trial.row :, columns.GAUGE_GAIN] = trial.pick(1.05, 1.1, 0.9)
 
 
 def noise(trial: Trial) -> None:
     sigma = trial.pick(0.02, 0.05, 0.1)
-    trial.inputs[:, kernel.GAUGE_ERROR] = sigma * trial.chance.standard_normal(trial.count)
+    trial.inputs[:, columns.GAUGE_ERROR] = sigma * trial.chance.standard_normal(trial.count)
 
 
 def noise_bound(e: Evidence) -> Check:
@@ -120,7 +120,7 @@ def spikes(trial: Trial) -> None:
     rows = trial.sprinkled(trial.pick(0.0025, 0.005, 0.01))
     rows = rows[rows >= trial.row]
     rows = rows if rows.size else np.array([trial.row])
-    trial.inputs[rows, kernel.GAUGE_ERROR] += 3.0 * trial.chance.choice((-1.0, 1.0), rows.size)
+    trial.inputs[rows, columns.GAUGE_ERROR] += 3.0 * trial.chance.choice((-1.0, 1.0), rows.size)
     trial.marks[rows] = True
 
 
@@ -185,8 +185,8 @@ def delay(trial: Trial) -> None:
 
 
 def jump(trial: Trial) -> None:
-    trial.inputs[trial.row :, kernel.REFERENCE] += trial.pick(0.25, 0.5, 1.0)
-    trial.wanted = trial.inputs[:, kernel.REFERENCE].copy()
+    trial.inputs[trial.row :, columns.REFERENCE] += trial.pick(0.25, 0.5, 1.0)
+    trial.wanted = trial.inputs[:, columns.REFERENCE].copy()
     trial.marks[trial.row] = True
 
 
@@ -197,8 +197,8 @@ def overshoot(e: Evidence) -> Check:
 
 def bad_reference(trial: Trial) -> None:
     rows = trial.rows(trial.pick(trial.period, 0.1, 0.1))
-    trial.inputs[rows, kernel.REFERENCE] = trial.pick(math.nan, math.nan, 1e3)
-    trial.inputs[rows, kernel.ACCELERATION] = trial.pick(math.nan, math.nan, 1e6)
+    trial.inputs[rows, columns.REFERENCE] = trial.pick(math.nan, math.nan, 1e3)
+    trial.inputs[rows, columns.ACCELERATION] = trial.pick(math.nan, math.nan, 1e6)
     trial.marks[rows] = True
 
 
@@ -219,7 +219,7 @@ def calm_end(trial: Trial) -> None:
     In the last two, which are measured, noise alone moves the tip by up to 5e-3 rad.
     """
     quiet = trial.inputs[-round(3.0 / trial.period) :]
-    quiet[:, kernel.GAUGE_ERROR] = trial.twin.sensors.gauge_offset
+    quiet[:, columns.GAUGE_ERROR] = trial.twin.sensors.gauge_offset
 
 
 def slow(trial: Trial) -> None:

@@ -17,7 +17,9 @@ from fraclink._arm.rig import Rig
 from fraclink._design import Design
 from fraclink._law import Law
 from fraclink._simulate import Twin, kernel
-from fraclink._simulate.kernel import ArmState, healthy_inputs
+from fraclink._simulate import inputs as columns
+from fraclink._simulate.inputs import healthy_inputs
+from fraclink._simulate.kernel import ArmState
 from fraclink._simulate.simulate import with_motor_loop
 from fraclink._validate import Between, checked
 from fraclink.errors import FieldError
@@ -142,7 +144,7 @@ class Trial:
         self.chance = np.random.default_rng([case.seed, zlib.crc32(case.name.encode())])
         noise = np.random.default_rng([case.seed, 0])
         self.inputs = healthy_inputs(self.twin, reference, self.period, self.count, noise)
-        self.wanted = self.inputs[:, kernel.REFERENCE].copy()
+        self.wanted = self.inputs[:, columns.REFERENCE].copy()
         self.row = round(TIMES[case.phase] / self.period)
         self.marks = np.zeros(self.count, dtype=bool)  # periods in which a sample is bad
         self.actions: dict[int, list[Action]] = {}
@@ -173,7 +175,7 @@ class Trial:
 
     def set_bits(self, rows: Rows, bits: int, *, mark: bool = False) -> None:
         """Set bits of the kernel's fault word, and mark the periods in which the law must say something."""
-        column = self.inputs[:, kernel.FAULT_BITS]
+        column = self.inputs[:, columns.FAULT_BITS]
         column[rows] = column[rows].astype(int) | bits
         self.marks[rows] |= mark
 
@@ -181,7 +183,7 @@ class Trial:
         """Replace readings of "encoder" or "gauge" by `value` and mark them as bad."""
         encoder = sensor == "encoder"
         self.set_bits(rows, ENCODER_REPLACED if encoder else GAUGE_REPLACED, mark=True)
-        self.inputs[rows, kernel.ENCODER_VALUE if encoder else kernel.GAUGE_VALUE] = value
+        self.inputs[rows, columns.ENCODER_VALUE if encoder else columns.GAUGE_VALUE] = value
 
     def miss(self, count: int) -> None:
         """Do not run the task for `count` periods; the next one is marked, where the law can first tell."""

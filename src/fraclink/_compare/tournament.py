@@ -26,7 +26,8 @@ from fraclink._files import write_json
 from fraclink._law import Law
 from fraclink._simulate.arm import Twin
 from fraclink._simulate.damping import PowerLaw
-from fraclink._simulate.kernel import ACCELERATION, GAUGE_ERROR, REFERENCE, VELOCITY, ArmState, healthy_inputs
+from fraclink._simulate.inputs import ACCELERATION, GAUGE_ERROR, REFERENCE, VELOCITY, healthy_inputs
+from fraclink._simulate.kernel import ArmState
 from fraclink._simulate.plant import GAUGE_TORQUE, HUB_ANGLE, Plant, assemble
 from fraclink._simulate.run import Run
 from fraclink._simulate.simulate import twin_run

@@ -16,34 +16,21 @@ from numpy.typing import NDArray
 from fraclink import _kernels
 from fraclink._arm.beam import matrices
 from fraclink._arm.motor import place_pid
-from fraclink._arm.reference import Reference
 from fraclink._arm.rig import Rig
 from fraclink._law import Drive, Law
 from fraclink._law.discretization import COULOMB_SPEED
 from fraclink._simulate.arm import Twin
 from fraclink._simulate.plant import LinkWeights, Plant, StepMatrices, substeps
-from fraclink._simulate.sensors import (
-    FAULTS,
-    Event,
-    Obstacle,
-    PayloadChange,
-    Restart,
-    SensorFault,
-    TipPulse,
-    delay_line,
-)
-from fraclink.errors import FieldError
+from fraclink._simulate.sensors import Event, Obstacle, PayloadChange, Restart, delay_line
 
-__all__ = ["ArmState", "LumpedArms", "apply", "healthy_inputs", "run_lumped", "segments", "shared_rig"]
+__all__ = ["ArmState", "LumpedArms", "apply", "run_lumped", "shared_rig"]
 
 Real = NDArray[np.float64]
 Bits = NDArray[np.uint32]
 
 SUBSTEPS = 10  # friction steps in a period: a stop is placed to 0.4 ms at 4 ms
 
-# Columns of the twin's inputs and of its record (csrc/kernels/twin.h).
-REFERENCE, VELOCITY, ACCELERATION, GAUGE_ERROR, TIP_FORCE, FAULT_BITS = range(6)
-ENCODER_GAIN, ENCODER_ERROR, ENCODER_VALUE, GAUGE_GAIN, GAUGE_VALUE, PAYLOAD = range(6, 12)
+# Columns of the twin's record (csrc/kernels/twin.h).
 RECORD = (
     "reference",
     "motor_angle",
@@ -64,7 +51,7 @@ RECORD = (
 
 # What `run_lumped` returns of each arm, and what more with `everything`.
 SHORT_SIGNALS = ("tip_angle", "motor_reference", "voltage")
-OTHER_SIGNALS = ("motor_angle", "torque", "torque_measured", "tip_estimate")
+OTHER_SIGNALS = ("motor_angle", "torque", "torque_measured", "tip_estimate", "motor_angle_measured")
 
 
 # ── the model ───────────────────────────────────────────────────────────────────────────────────────────────
@@ -160,6 +147,7 @@ def run_lumped(
     chosen: NDArray[np.int32],
     *,
     everything: bool = False,
+    faults: Real | None = None,
 ) -> tuple[Real, Bits]:
     """Run R arms under one law and return their signals and marks.
 
@@ -172,11 +160,13 @@ def run_lumped(
     chosen
         which reference each arm follows, shape (R,).
     everything
-        False: tip, motor reference, voltage, shape (3, R, N). True: motor, torque, measured torque and tip
-        estimate too, shape (7, R, N). The marks (3, R, N) are flags, mode, reason.
+        False: tip, motor reference, voltage, shape (3, R, N). True: motor, torque, measured torque, tip
+        estimate and measured angle too, shape (8, R, N). The marks (3, R, N) are flags, mode, reason.
+    faults
+        of all arms, rows of the twin's inputs, shape (N, 12); None: healthy.
     """
     runs, length = len(arms.seed), path.shape[2]
-    signals = np.empty((7 if everything else 3, runs, length))
+    signals = np.empty((8 if everything else 3, runs, length))
     marks = np.empty((3, runs, length), dtype=np.uint32)
     links = {
         field.name: np.ascontiguousarray(getattr(arms.links, field.name)) for field in fields(LinkWeights)
@@ -184,7 +174,17 @@ def run_lumped(
     numbers = np.stack([getattr(arms, name) for name in _NUMBERS], axis=1)
     single = law.precision == "single"
     _kernels.loop_run(
-        law.block, single, shared, _kernels.Links(**links), numbers, arms.seed, chosen, path, signals, marks
+        law.block,
+        single,
+        shared,
+        _kernels.Links(**links),
+        numbers,
+        arms.seed,
+        chosen,
+        path,
+        np.zeros((0, _kernels.TWIN_INPUTS)) if faults is None else faults,
+        signals,
+        marks,
     )
     return signals, marks
 
@@ -301,71 +301,6 @@ def _transfer(old: Plant, new: Plant, state: Real, step: StepMatrices) -> Real:
     return result
 
 
-def healthy_inputs(
-    twin: Twin, reference: Reference, period: float, count: int, generator: np.random.Generator
-) -> Real:
-    """Return the kernel's inputs of a run without events or faults, shape (count, 12)."""
-    time = period * np.arange(count)
-    inputs = np.zeros((count, _kernels.TWIN_INPUTS))
-    inputs[:, REFERENCE] = reference.angle(time)
-    inputs[:, VELOCITY] = reference.velocity(time)
-    inputs[:, ACCELERATION] = reference.acceleration(time)
-    sensors = twin.sensors
-    inputs[:, GAUGE_ERROR] = sensors.gauge_offset + sensors.gauge_drift * time
-    # Drawn even where the noise is 0, so that a seed gives the same noise whatever its size.
-    inputs[:, GAUGE_ERROR] += sensors.gauge_noise * generator.standard_normal(count)
-    inputs[:, ENCODER_GAIN] = inputs[:, GAUGE_GAIN] = 1.0
-    return inputs
-
-
-def segments(
-    events: tuple[Event, ...], period: float, inputs: Real
-) -> list[tuple[int, int, list[Event | None]]]:
-    """Cut the run where something changes; pulses go straight into the inputs."""
-    count = len(inputs)
-    changes: dict[int, list[Event | None]] = {0: []}
-    for event in sorted(events, key=lambda e: e.time):
-        at = round(event.time / period)
-        if isinstance(event, TipPulse):
-            inputs[at : at + max(1, round(event.duration / period)), TIP_FORCE] += event.force
-            continue
-        if isinstance(event, SensorFault):
-            _inject(event, inputs[at : max(at + 1, round(event.until / period))])
-            continue
-        changes.setdefault(min(at, count), []).append(event)
-        if isinstance(event, Obstacle):
-            changes.setdefault(min(round(event.until / period), count), []).append(None)
-    edges = sorted(changes)
-    return [
-        (first, last, changes[first])
-        for first, last in zip(edges, [*edges[1:], count], strict=True)
-        if first < last
-    ]
-
-
-_FAULT_COLUMNS = {
-    "ENCODER_GAIN": ENCODER_GAIN,
-    "ENCODER_ERROR": ENCODER_ERROR,
-    "ENCODER_VALUE": ENCODER_VALUE,
-    "GAUGE_GAIN": GAUGE_GAIN,
-    "GAUGE_ERROR": GAUGE_ERROR,
-    "GAUGE_VALUE": GAUGE_VALUE,
-}
-
-
-def _inject(fault: SensorFault, rows: Real) -> None:
-    """Write a sensor's fault into the kernel's inputs."""
-    bit, name = FAULTS[fault.kind]
-    rows[:, FAULT_BITS] = rows[:, FAULT_BITS].astype(int) | bit
-    if name is None or fault.value is None:
-        return
-    column = _FAULT_COLUMNS[name]
-    if name in ("ENCODER_ERROR", "GAUGE_ERROR"):
-        rows[:, column] += fault.value
-    else:
-        rows[:, column] = fault.value
-
-
 def apply(state: ArmState, law: Law, changes: list[Event | None]) -> None:
     for event in changes:
         if event is None:
@@ -377,16 +312,6 @@ def apply(state: ArmState, law: Law, changes: list[Event | None]) -> None:
             state.change_payload(event.payload)
         elif isinstance(event, Restart):
             state.law = np.frombuffer(bytearray(law.initial_state()), dtype=np.uint8)
-
-
-def given_payload(told: bool | float, payload: float | None) -> float:
-    """What the law is given [kg], 0 for nothing."""
-    if told is not True:
-        return float(told)
-    if payload is None:
-        remedy = "give payload=, or a model that knows its own"
-        raise FieldError("told", True, "without a payload to tell", allowed="a payload in kg", remedy=remedy)
-    return payload
 
 
 def drive_of(twin: Twin, law: Law) -> Drive:

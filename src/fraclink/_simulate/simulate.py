@@ -17,26 +17,29 @@ from fraclink._design import Design
 from fraclink._law import Law, equip
 from fraclink._law.discretization import check_rigs_period
 from fraclink._simulate.arm import Twin
+from fraclink._simulate.inputs import (
+    PAYLOAD,
+    REFERENCE,
+    fault_rows,
+    given_payload,
+    healthy_inputs,
+    segments,
+)
 from fraclink._simulate.kernel import (
     OTHER_SIGNALS,
-    PAYLOAD,
     RECORD,
-    REFERENCE,
     SHORT_SIGNALS,
     SUBSTEPS,
     ArmState,
     LumpedArms,
     apply,
     drive_of,
-    given_payload,
-    healthy_inputs,
     run_lumped,
-    segments,
     shared_rig,
 )
 from fraclink._simulate.plant import link_weights
 from fraclink._simulate.run import Run, judged_run
-from fraclink._simulate.sensors import Event
+from fraclink._simulate.sensors import Event, SensorFault
 from fraclink._validate import Between, Seed, checked
 from fraclink.errors import FieldError, SizeError
 from fraclink.findings import Finding
@@ -106,7 +109,7 @@ def simulate(
         the coupling torque is taken as compensated without error, as the paper assumes. "ideal": the motor
         follows M(s) = 1/(1 + s/p)² (21). Default "sampled" where the law has a motor loop, or `arm` is given.
     events
-        what happens to the twin: `PayloadChange`, `TipPulse`, `Obstacle`, `Restart`, `SensorFault`.
+        what happens: `SensorFault`, and to the twin also `PayloadChange`, `TipPulse`, `Obstacle`, `Restart`.
     gauge_delay, gauge_gain
         of the strain amplifier, 0 to 100 periods [s] and [1]; what was identified where they are left out.
     gauge_offset, noise
@@ -142,7 +145,7 @@ def simulate(
     >>> run.verdict.passed, run.metrics.settling_time < 1.0
     (True, True)
     """
-    law = design.law() if isinstance(design, Design) else design
+    law, events = design.law() if isinstance(design, Design) else design, tuple(events)
     length = _length(reference, duration, law.period)
     options = zip(
         ("gauge_delay", "gauge_gain", "gauge_offset", "gauge_noise"),
@@ -155,8 +158,9 @@ def simulate(
         twin = arm if payload is None else arm.with_payload(payload)
         twin = replace(twin, sensors=replace(twin.sensors, **gauge)) if gauge else twin
         twin = twin if delay_samples is None else replace(twin, voltage_delay=delay_samples)
-        return _on_twin(twin, law, reference, length, tuple(events), seed, told)
-    _refuse(events=bool(tuple(events)))
+        return _on_twin(twin, law, reference, length, events, seed, told)
+    faults = tuple(event for event in events if isinstance(event, SensorFault))
+    _refuse(events=len(faults) < len(events))
     if isinstance(design, Design):
         rig, model = rig or design.rig, model or design.model
     own, link = _rig_and_link(law, rig, model, payload)
@@ -178,7 +182,8 @@ def simulate(
         "compensation": compensation,
         "payload_given": given_payload(told, link.payload),
     }
-    return _on_model(law, link, own, reference, length, about | gauge, findings)
+    about |= gauge | ({"events": "; ".join(map(repr, faults))} if faults else {})
+    return _on_model(law, link, own, reference, length, about, findings, faults)
 
 
 def _length(reference: Reference, duration: float | None, period: float) -> float:
@@ -192,7 +197,7 @@ _NOT_HERE = {  # option: what is allowed, and why
     "motor_loop": ("sampled", "the twin has a motor; its motor loop is the law's"),
     "compensation": ("ideal", "the twin's coupling torque always acts on its motor"),
     "measured": ("ideal", "an ideal motor loop has no coupling torque to compensate"),
-    "events": ("none", "give arm=Twin.from_rig(rig): only the twin has events"),
+    "events": ("SensorFault", "give arm=Twin.from_rig(rig): only the twin has other events"),
 }
 
 
@@ -233,6 +238,7 @@ def _on_model(
     length: float,
     about: Mapping[str, Any],
     findings: tuple[Finding, ...],
+    faults: tuple[SensorFault, ...],
 ) -> Run:
     count = math.floor(length / law.period * (1 + 1e-12)) + 1
     path = sampled(reference, law.period, count)
@@ -241,8 +247,8 @@ def _on_model(
     delay = Between(0.0, 100.0, "periods").check("gauge_delay", about["gauge_delay"] / law.period)
     values = {"stiffness": link.stiffness, "noise": about["gauge_noise"], "gauge_delay": delay}
     same = ("gauge_offset", "gauge_gain", "delay_samples", "payload_given")
-    values |= {name: float(about[name]) for name in same}
-    values |= dict.fromkeys(("motor_gain", "viscous_friction", "coulomb_torque", "amplitude"), 1.0)
+    as_is = ("motor_gain", "viscous_friction", "coulomb_torque", "amplitude")
+    values |= {name: float(about[name]) for name in same} | dict.fromkeys(as_is, 1.0)
     arm = LumpedArms.of(
         rig,
         link_weights(link, law.period, max(length, 2 * law.period)),
@@ -250,21 +256,16 @@ def _on_model(
         **{name: np.array([value]) for name, value in values.items()},
     )
     # it acts on the motor only where it is compensated from the gauge's reading
-    coupled = link.stiffness / (rig.motor.gear_ratio**2 * rig.motor.inertia)
-    shared = shared_rig(
-        rig,
-        law,
-        about["motor_loop"],
-        substeps=about["substeps"],
-        coupling=coupled if about["compensation"] == "measured" else 0.0,
-        start=float(path[0, 0]),
-    )
-    first = np.zeros(1, dtype=np.int32)
-    signals, marks = run_lumped(law, shared, arm, path[None, [0, 2]], first, everything=True)
+    measured = about["compensation"] == "measured"
+    coupling = link.stiffness / (rig.motor.gear_ratio**2 * rig.motor.inertia) if measured else 0.0
+    own = {"substeps": about["substeps"], "coupling": coupling, "start": float(path[0, 0])}
+    shared = shared_rig(rig, law, about["motor_loop"], **own)
+    path_of_arm = path[None, [0, 2]], np.zeros(1, dtype=np.int32)
+    broken = fault_rows(faults, law.period, count) if faults else None
+    signals, marks = run_lumped(law, shared, arm, *path_of_arm, everything=True, faults=broken)
     ended = min(reference.duration, (count - 1) * law.period)
-    signals, marks, encoder = signals[:, 0], marks[:, 0], rig.encoder.resolution
-    judged: dict[str, Any] = {"encoder": encoder, "ended": ended, "about": about, "findings": findings}
-    return model_run(law, link, path[0], signals, marks, **judged)
+    seen = signals[:, 0], marks[:, 0]
+    return model_run(law, link, path[0], *seen, ended=ended, about=about, findings=findings)
 
 
 def model_run(
@@ -274,17 +275,14 @@ def model_run(
     signals: Real,
     marks: NDArray[np.uint32],
     *,
-    encoder: float,
     ended: float,
     about: Mapping[str, Any],
     findings: tuple[Finding, ...] = (),
     growth: float | None = None,
 ) -> Run:
-    """Return the run of what `run_lumped` gave for one arm: signals (7, N) and marks (3, N)."""
+    """Return the run of what `run_lumped` gave for one arm: signals (8, N) and marks (3, N)."""
     names = (*SHORT_SIGNALS, *OTHER_SIGNALS)
     rows = dict(zip(names, signals, strict=True)) | dict(zip(("flags", "mode", "reason"), marks, strict=True))
-    motor = rows["motor_angle"]
-    rows["motor_angle_measured"] = np.rint(motor / encoder) * encoder if encoder > 0.0 else motor.copy()
     return judged_run(
         rows | {"reference": reference},
         payload=math.nan if link.payload is None else link.payload,

@@ -1,0 +1,90 @@
+"""The committed engine under wasmtime: the calls that the page's script makes, from Python."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink import _kernels
+from fraclink._arm.reference import Reference, sampled
+from fraclink._design import Design
+from fraclink._law import Law
+from fraclink._simulate.engine import RIG_NUMBERS, engine_bytes, engine_link, engine_noise, engine_rig
+from needed_tools import missing
+
+try:
+    import wasmtime
+except ModuleNotFoundError:
+    wasmtime = None
+
+SIGNALS = (
+    "tip_angle",
+    "motor_angle",
+    "motor_reference",
+    "torque",
+    "torque_measured",
+    "voltage",
+    "tip_estimate",
+    "motor_angle_measured",
+)
+MARKS = ("flags", "mode", "reason")
+
+
+class Engine:
+    """One instance of the engine."""
+
+    def __init__(self, code: bytes | None = None) -> None:
+        if wasmtime is None:
+            missing("wasmtime is not installed (pip install wasmtime)")
+        store = wasmtime.Store()
+        module = wasmtime.Module(store.engine, engine_bytes() if code is None else code)
+        self.imports = list(module.imports)
+        self._store = store
+        self._exports = wasmtime.Instance(store, module, []).exports(store)
+
+    def call(self, name: str, *given: int) -> int:
+        return int(self._exports[name](self._store, *given))
+
+    def write(self, place: int, data: bytes) -> None:
+        self._exports["memory"].write(self._store, data, place)
+
+    def read(self, place: int, kind: str, count: int) -> NDArray[Any]:
+        size = count * np.dtype(kind).itemsize
+        return np.frombuffer(bytes(self._exports["memory"].read(self._store, place, place + size)), kind)
+
+    def run(
+        self,
+        design: Design,
+        law: Law,
+        reference: Reference,
+        *,
+        payload: float,
+        duration: float,
+        seed: int = 0,
+        told: float = 0.0,
+        faults: NDArray[np.float64] | None = None,
+        **changed: float,
+    ) -> dict[str, NDArray[Any]]:
+        """Return the signals and marks of one run; `changed`: numbers of the rig by their names."""
+        count = round(duration / law.period) + 1
+        model = design.model.at_payload(payload)
+        link = engine_link(model, law.period, duration)
+        numbers = engine_rig(design.rig, law, model)
+        for name, value in {**changed, "payload": told}.items():
+            numbers[RIG_NUMBERS.index(name)] = value
+        angle, _, acceleration = sampled(reference, law.period, count)
+        self.write(self.call("block"), law.block)
+        self.write(self.call("rig"), numbers.tobytes())
+        self.write(self.call("link"), link.numbers.tobytes())
+        for row, values in enumerate((angle, acceleration, engine_noise(seed, count))):
+            self.write(self.call("path", row), values.tobytes())
+        if faults is not None:
+            assert faults.shape == (count, _kernels.TWIN_INPUTS)
+            self.write(self.call("faults"), faults.tobytes())
+        single = int(law.precision == "single")
+        given = (single, link.reals, link.pairs, int(link.second), int(faults is not None), count)
+        assert self.call("run", *given) == 0
+        found = {name: self.read(self.call("signal", i), "<f8", count) for i, name in enumerate(SIGNALS)}
+        return found | {name: self.read(self.call("mark", i), "<u4", count) for i, name in enumerate(MARKS)}

@@ -1,0 +1,138 @@
+"""The engine of the arm in a page: built from csrc, without a library, and bit for bit the package."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+import fraclink as fl
+from engine_bench import MARKS, SIGNALS, Engine
+from fraclink._arm.link import SecondMode
+from fraclink._design import Design
+from fraclink._simulate import SensorFault
+from fraclink._simulate.engine import LONGEST, RIG_NUMBERS, engine_bytes
+from fraclink._simulate.inputs import fault_rows
+from needed_tools import missing, tool
+
+ROOT = Path(__file__).parents[1]
+MOVE = fl.smooth_step(1.0, duration=0.5)
+END = 3.0
+# The faults that the page has as buttons, from 0.3 s on.
+FAULTS = {
+    "gauge NaN": [SensorFault(0.3, 9.0, "gauge value", float("nan"))],
+    "gauge stuck": [SensorFault(0.3, 9.0, "gauge frozen")],
+    "encoder stuck": [SensorFault(0.3, 9.0, "encoder frozen")],
+    "gauge reversed": [SensorFault(0.3, 9.0, "gauge gain", -1.0)],
+    "missed periods": [
+        SensorFault(0.004 * k - 1e-6, 0.004 * k + 0.002, "tick missed") for k in range(75, 750) if k % 3
+    ],
+}
+
+
+@pytest.fixture(scope="module")
+def design() -> Design:
+    rig = fl.Rig.named("paper-2023")
+    assert rig.model is not None
+    return fl.design(rig.model, rig, payloads=(0.020, 0.040), gain_crossover=12.0, phase_margin=fl.deg(50))
+
+
+@pytest.fixture(scope="module")
+def engine() -> Engine:
+    return Engine()
+
+
+def builder() -> ModuleType:
+    """tools/build_engine.py as a module."""
+    spec = importlib.util.spec_from_file_location("build_engine", ROOT / "tools" / "build_engine.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def same(page: dict[str, np.ndarray], run: fl.Run) -> None:
+    """Every signal and mark in every bit; a NaN is a NaN."""
+    for name in SIGNALS:
+        assert np.array_equal(page[name], getattr(run, name), equal_nan=True), name
+    for name in MARKS:
+        assert np.array_equal(page[name], getattr(run, name)), name
+
+
+def test_the_engine_asks_for_nothing_and_is_small(engine):
+    assert engine.imports == []
+    assert len(engine_bytes()) <= builder().LARGEST == 24_000
+    assert engine.call("longest") == LONGEST
+
+
+def test_the_digest_beside_the_engine_is_its_own():
+    digest = builder().DIGEST.read_text().split()[0]
+    assert hashlib.sha256(engine_bytes()).hexdigest() == digest
+
+
+def test_the_engine_is_what_csrc_compiles_to():
+    clang, _ = tool("clang"), tool("wasm-ld", "lld")
+    build = builder()
+    committed = " ".join(build.DIGEST.read_text().split()[2:])
+    if build.compiler_version(clang) != committed:
+        missing(f"{committed} built the engine, {build.compiler_version(clang)} is here")
+    assert build.built(clang) == engine_bytes()
+
+
+@pytest.mark.parametrize("precision", ["double", "single"])
+@pytest.mark.parametrize("payload", [0.008, 0.016, 0.030, 0.054])
+@pytest.mark.parametrize(("noise", "offset", "delay"), [(0.0, 0.0, 1), (0.02, 0.05, 2), (0.2, -0.1, 0)])
+def test_a_run_has_the_packages_bits(engine, design, precision, payload, noise, offset, delay):
+    law = design.law().in_precision(precision)
+    gauge = {"noise": noise, "gauge_offset": offset, "delay_samples": delay}
+    run = fl.simulate(
+        law, MOVE, rig=design.rig, model=design.model, payload=payload, duration=END, seed=7, **gauge
+    )
+    changed = {"noise": noise, "offset": offset, "delay": delay}
+    same(engine.run(design, law, MOVE, payload=payload, duration=END, seed=7, **changed), run)
+
+
+@pytest.mark.parametrize("precision", ["double", "single"])
+@pytest.mark.parametrize("fault", list(FAULTS))
+def test_a_fault_has_the_packages_bits_and_a_reaction(engine, design, precision, fault):
+    law = design.law().in_precision(precision)
+    run = fl.simulate(
+        law,
+        MOVE,
+        rig=design.rig,
+        model=design.model,
+        payload=0.03,
+        duration=END,
+        noise=0.01,
+        events=FAULTS[fault],
+    )
+    rows = fault_rows(tuple(FAULTS[fault]), law.period, run.tip_angle.size)
+    same(engine.run(design, law, MOVE, payload=0.03, duration=END, faults=rows, noise=0.01), run)
+    assert run.mode.max() >= 2, "the law noticed nothing"
+
+
+def test_a_payload_that_is_told_a_late_gauge_and_a_second_mode_have_the_packages_bits(engine, design):
+    bent = replace(
+        design.model, gauge_delay=0.0061, gauge_gain=0.93, second_mode=SecondMode(190.0, 0.02, 0.08)
+    )
+    odd = replace(design, model=bent)
+    law = design.law()
+    run = fl.simulate(law, MOVE, rig=odd.rig, model=bent, payload=0.04, duration=END, told=True, noise=0.0)
+    same(engine.run(odd, law, MOVE, payload=0.04, told=0.04, duration=END, noise=0.0), run)
+
+
+def test_the_engine_refuses_what_it_has_no_room_for(engine):
+    assert engine.call("run", 0, 0, 0, 0, 0, LONGEST + 1) == 1
+    assert engine.call("run", 0, 65, 0, 0, 0, 10) == 1
+
+
+def test_the_rigs_numbers_stand_in_the_engines_order():
+    text = (ROOT / "csrc" / "web" / "engine.c").read_text()
+    listed = text[text.index("RIG_SAMPLED") : text.index("RIG_NUMBERS")]
+    names = [line.strip(" ,").removeprefix("RIG_").lower() for line in listed.split("\n") if line.strip()]
+    assert tuple(names) == RIG_NUMBERS
