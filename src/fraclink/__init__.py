@@ -200,6 +200,7 @@ _HOME: dict[str, str] = {
     "Verdict": "fraclink._workflow",
     "VibrationMode": "fraclink._design.assess",
     "WakeUps": "fraclink._realtime.machine",
+    "write_arm_page": "fraclink._show.arm_page",
     "write_campaign_report": "fraclink._show.report",
     "write_report": "fraclink._show.report",
 }

@@ -129,6 +129,7 @@ from fraclink._realtime.loop import run_realtime as run_realtime
 from fraclink._realtime.machine import WakeUps as WakeUps
 from fraclink._realtime.machine import measure_wake_ups as measure_wake_ups
 from fraclink._realtime.run import RealtimeRun as RealtimeRun
+from fraclink._show.arm_page import write_arm_page as write_arm_page
 from fraclink._show.planes import nichols as nichols
 from fraclink._show.planes import nyquist as nyquist
 from fraclink._show.plots import bode as bode

@@ -26,6 +26,7 @@ _FIRST = {
     "certify": "prove stability for every payload and delay",
     "export": "write the controller as C99, FMU or MATLAB",
     "report": "gather a folder of results into one HTML file",
+    "share": "the arm in a page that moves, as one HTML file",
     "doctor": "check this installation",
 }
 
@@ -37,7 +38,7 @@ _SECTIONS: dict[str, dict[str, str]] = {
         **dict.fromkeys(("inspect", "diagnose", "identify"), "models"),
         **dict.fromkeys(("design", "simulate", "twin", "certify"), "designs"),
         **dict.fromkeys(("export", "run-realtime", "serve-arm"), "boards"),
-        "report": "designs",
+        **dict.fromkeys(("report", "share"), "designs"),
     },
     "More on logs and models": dict.fromkeys(
         (

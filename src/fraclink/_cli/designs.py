@@ -36,6 +36,7 @@ from fraclink._cli.options import (
 )
 from fraclink._design import Design
 from fraclink._files import output_path
+from fraclink._show.arm_page import write_arm_page
 from fraclink._show.report import write_report
 from fraclink._simulate import simulate as run_law
 from fraclink._workflow import design_for, load_study, simulate_move
@@ -229,3 +230,21 @@ def report(
     study = load_study(folder)
     write_report(study, place, title=title)
     return Answer(text=str(place), values={"out": str(place), "passed": study.verdict.passed})
+
+
+@command(app)
+def share(
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER"), "Folder of results with a design"],
+    out: Annotated[Path, "File to write"] = Path("arm.html"),
+    title: Annotated[str | None, "Title of the page; default: the rig's name"] = None,
+    force: bool = False,
+) -> Answer:
+    """Write the arm as a page that moves: the same law in one HTML file, for any browser, without a server.
+
+    $ fraclink share results --out arm.html
+    """
+    place = output_path(out, force=force)
+    study = load_study(folder)
+    write_arm_page(study, place, title=title)
+    values = {"out": str(place), "passed": study.verdict.passed}
+    return Answer(text=str(place), values=values)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from importlib.resources import files
 from pathlib import Path
 
 from fraclink._campaign import Campaign, Summary, columns
@@ -11,9 +10,9 @@ from fraclink._campaign.faults import fault_named
 from fraclink._files import write_text
 from fraclink._show import figures, tables
 from fraclink._show.drawing import load_matplotlib
-from fraclink._show.text import Table, marked, sentence
+from fraclink._show.pages import rendered
+from fraclink._show.text import Table
 from fraclink._workflow import Study
-from fraclink.errors import MissingExtraError
 
 __all__ = ["render_report", "write_campaign_report", "write_report"]
 
@@ -42,7 +41,6 @@ def render_report(study: Study, *, title: str | None = None) -> str:
     name = study.rig.name if study.rig else "unnamed rig"
     source = tables.source_name(study.experiment)
     verdict = study.verdict
-    rows = tables.verdict_table(verdict).rows
     return _rendered(
         "report.html",
         title=title or f"{name}: {source}",
@@ -50,7 +48,7 @@ def render_report(study: Study, *, title: str | None = None) -> str:
         source=source,
         verdict=verdict,
         headline=tables.verdict_sentence(verdict),
-        scopes=[(row[0], row[1], verdict.scopes[row[0]]) for row in rows],
+        scopes=tables.scopes(verdict),
         in_short=tables.summary_rows(study),
         tables=_tables(study),
         rig_findings=[finding for finding in study.findings if finding.code.startswith("W1")],
@@ -107,24 +105,8 @@ def _figures(study: Study) -> dict[str, str]:
 
 
 def _rendered(template: str, **contents: object) -> str:
-    """Return the page that `template` makes of `contents`; a name that is missing is an error."""
-    try:
-        import jinja2
-    except ModuleNotFoundError as error:
-        raise MissingExtraError("jinja2", "report") from error
-    from fraclink import __version__  # the root's stub names this module: a circle for the type checker
-
     load_matplotlib()  # a page without its figures is not written
-    folder = files("fraclink._show") / "templates"
-    environment = jinja2.Environment(
-        loader=jinja2.FunctionLoader(lambda name: (folder / name).read_text("utf-8")),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters |= {"sentence": sentence, "marked": marked}
-    return environment.get_template(template).render(version=__version__, **contents)
+    return rendered(template, **contents)
 
 
 def write_campaign_report(campaign: Campaign, folder: Path | str, summary: Summary, path: Path | str) -> Path:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from fraclink._identify import Fit
     from fraclink._law import Law
     from fraclink._simulate import Run
-    from fraclink._workflow import Study, Verdict
+    from fraclink._workflow import Scope, Study, Verdict
 
 
 def state_of(result: Any) -> str:
@@ -324,6 +324,11 @@ def verdict_table(verdict: Verdict) -> Table:
         for name, scope in verdict.scopes.items()
     )
     return Table(("scope", "what", "why", "verdict"), rows, judged=True)
+
+
+def scopes(verdict: Verdict) -> list[tuple[str, str, Scope]]:
+    """Name, what it is about, and scope: what a page lays side by side."""
+    return [(name, _SCOPES[name], scope) for name, scope in verdict.scopes.items()]
 
 
 def summary_rows(study: Study) -> list[Row]:

@@ -1,0 +1,252 @@
+// --- drawing: the arm from above, and curves over time, in real pixels at every width ----------------------
+
+const $ = (id) => document.getElementById(id);
+const el = (name, attributes = {}, parent = null, text = '') => {
+  const made = document.createElementNS('http://www.w3.org/2000/svg', name);
+  for (const key in attributes) made.setAttribute(key, attributes[key]);
+  if (text) made.textContent = text;
+  if (parent) parent.append(made);
+  return made;
+};
+const set = (node, attributes) => { for (const key in attributes) node.setAttribute(key, attributes[key]); };
+const degrees = (radians) => (radians * 180) / Math.PI;
+const fixed = (value, places) => {
+  if (!Number.isFinite(value)) return '–';
+  const text = value.toFixed(places);
+  return (Number(text) === 0 ? text.replace('-', '') : text).replace('-', '−');
+};
+const px = (value) => value.toFixed(1);
+const limited = (value, low, high) => Math.min(high, Math.max(low, value));
+const nice = (value) => {
+  const power = 10 ** Math.floor(Math.log10(value));
+  return [1, 2, 5, 10].find((step) => step * power >= value) * power;
+};
+
+const arm = {svg: $('arm')};
+
+function layArm() {
+  const W = Math.max(280, arm.svg.clientWidth), narrow = W < 560;
+  const middle = amplitude() / 2, reach = Math.min(Math.abs(middle) + 0.35, 1.45);
+  const margin = narrow ? 34 : 46;
+  const L = Math.min((W / 2 - margin) / Math.max(Math.sin(reach), 0.62), narrow ? 250 : 360);
+  const H = Math.round(L + margin + (narrow ? 62 : 74));
+  Object.assign(arm, {W, H, L, cx: W / 2, cy: H - (narrow ? 48 : 58), middle, thick: narrow ? 8 : 11});
+  set(arm.svg, {viewBox: `0 0 ${W} ${H}`, height: H});
+  arm.svg.replaceChildren();
+  drawFloor();
+  const g = el('g', {}, arm.svg);
+  arm.trail = [0, 1, 2, 3, 4, 5].map((i) => el('path', {class: 'trail', 'stroke-opacity': (0.07 + 0.09 * i).toFixed(2)}, g));
+  arm.rigid = el('line', {class: 'rigid'}, g);
+  arm.ghost = el('g', {class: 'ghost'}, g);
+  el('line', {x1: 0, y1: 0, x2: 0, y2: -L}, arm.ghost);
+  el('circle', {cx: 0, cy: -L, r: payloadRadius() + 3}, arm.ghost);
+  arm.shadow = el('path', {class: 'shadow', 'stroke-width': arm.thick + 4}, g);
+  arm.link = el('path', {class: 'link'}, g);
+  arm.shine = el('path', {class: 'shine', 'stroke-width': 1.5}, g);
+  arm.gauge = el('path', {class: 'gauge', 'stroke-width': arm.thick + 4}, g);
+  drawHub(g);
+  arm.load ||= el('g', {id: 'load', role: 'button', tabindex: 0}, g);
+  g.append(arm.load);
+  drawPayload();
+  arm.flying = el('circle', {class: 'load flying', r: 0}, g);
+}
+
+const spot = (angle, radius) => {
+  const turn = angle - arm.middle;
+  return [arm.cx - radius * Math.sin(turn), arm.cy - radius * Math.cos(turn)];
+};
+const payloadRadius = () => (arm.W < 560 ? 5 : 7) + 2.1 * Math.cbrt(1e3 * DATA.payloads[state.payload]);
+
+// A protractor of the tip's angle, where the move starts and ends, and how long 0.1 m is.
+function drawFloor() {
+  const g = el('g', {class: 'floor'}, arm.svg), R = arm.L + (arm.W < 560 ? 16 : 22);
+  const seen = Math.min(Math.PI / 2, Math.abs(arm.middle) + 0.5);
+  const [x1, y1] = spot(arm.middle + seen, R), [x2, y2] = spot(arm.middle - seen, R);
+  el('path', {class: 'arc', d: `M${px(x1)} ${px(y1)}A${px(R)} ${px(R)} 0 0 1 ${px(x2)} ${px(y2)}`}, g);
+  const first = Math.ceil(degrees(arm.middle - seen) / 5), last = Math.floor(degrees(arm.middle + seen) / 5);
+  for (let i = first; i <= last; i++) {
+    const angle = (5 * i * Math.PI) / 180, long = i % 6 === 0, size = long ? 9 : i % 2 === 0 ? 6 : 3;
+    const [ax, ay] = spot(angle, R), [bx, by] = spot(angle, R + size), [tx, ty] = spot(angle, R + (long ? 20 : 0));
+    el('line', {class: 'tick', x1: px(ax), y1: px(ay), x2: px(bx), y2: px(by)}, g);
+    if (long) el('text', {x: px(tx), y: px(ty + 4), 'text-anchor': 'middle'}, g, `${5 * i}°`.replace('-', '−'));
+  }
+  for (const angle of [0, amplitude()]) {
+    const [ax, ay] = spot(angle, R - 9), [bx, by] = spot(angle, R + 1);
+    el('line', {class: 'goal', x1: px(ax), y1: px(ay), x2: px(bx), y2: px(by)}, g);
+  }
+  const unit = [0.02, 0.05, 0.1, 0.2, 0.5, 1].find((m) => (m / DATA.length) * arm.L > 44) || 2;
+  const wide = (unit / DATA.length) * arm.L, y = arm.H - 14;
+  el('path', {class: 'scale', d: `M14 ${y - 4}V${y}H${px(14 + wide)}V${y - 4}`}, g);
+  el('text', {x: px(14 + wide / 2), y: y - 6, 'text-anchor': 'middle'}, g, `${unit} m`);
+}
+
+function drawHub(g) {
+  const r = arm.W < 560 ? 15 : 19;
+  const hub = el('g', {class: 'hub', transform: `translate(${arm.cx} ${arm.cy})`}, g);
+  el('path', {class: 'plate', d: `M${-2.1 * r} ${1.05 * r}Q${-2.1 * r} ${-1.05 * r} 0 ${-1.45 * r}Q${2.1 * r} ${-1.05 * r} ${2.1 * r} ${1.05 * r}Q0 ${2.1 * r} ${-2.1 * r} ${1.05 * r}Z`}, hub);
+  for (const [x, y] of [[-1.45, 0.75], [1.45, 0.75]]) el('circle', {class: 'bolt', cx: x * r, cy: y * r, r: 2.4}, hub);
+  arm.housing = el('circle', {class: 'housing', r}, hub);
+  arm.rotor = el('g', {}, hub);
+  el('circle', {class: 'rotor', r: 0.62 * r}, arm.rotor);
+  el('path', {class: 'clamp', d: `M${-0.42 * r} ${0.1 * r}V${-1.35 * r}H${0.42 * r}V${0.1 * r}Z`}, arm.rotor);
+  el('circle', {class: 'axis', r: 2.6}, hub);
+}
+
+function drawPayload() {
+  const thrown = state.thrown >= 0, r = payloadRadius();
+  arm.load.replaceChildren();
+  arm.load.setAttribute('aria-label', `${gramsOf(state.payload)}: ${thrown ? 'put the payload back' : 'throw the payload off'}`);
+  el('circle', {class: 'grip', r: Math.max(20, r + 7)}, arm.load);
+  el('circle', {class: 'load', r}, arm.load);
+  el('circle', {class: 'spark', cx: -r / 3, cy: -r / 3, r: r / 4.5}, arm.load);
+  arm.weight = el('text', {class: 'weight', 'text-anchor': 'middle'}, arm.load, gramsOf(state.payload));
+}
+const gramsOf = (index) => `${Number((1e3 * DATA.payloads[index]).toPrecision(4))} g`;
+
+// The link's centre line: clamped at the hub, loaded at its tip, so that it bends as 3x²/2 − x³/2. To scale.
+const bent = (from, to, base, bend) => Array.from({length: 25}, (_, i) => {
+  const x = from + ((to - from) * i) / 24;
+  return spot(base + bend * (1.5 * x - 0.5 * x * x), arm.L * x);
+});
+const line = (points) => points.map(([x, y], i) => `${i ? 'L' : 'M'}${px(x)} ${px(y)}`).join('');
+
+function blade(points) {
+  const sides = [[], []];
+  points.forEach(([x, y], i) => {
+    const [ax, ay] = points[Math.max(0, i - 1)], [bx, by] = points[Math.min(points.length - 1, i + 1)];
+    const size = Math.hypot(bx - ax, by - ay) || 1, half = (arm.thick * (1 - 0.45 * (i / (points.length - 1)))) / 2;
+    sides[0].push([x - ((by - ay) / size) * half, y + ((bx - ax) / size) * half]);
+    sides[1].unshift([x + ((by - ay) / size) * half, y - ((bx - ax) / size) * half]);
+  });
+  return `${line(sides[0])}${line(sides[1]).replace('M', 'L')}Z`;
+}
+
+function drawArm(k) {
+  const base = motor[k], bend = tip[k] - motor[k];
+  const points = bent(0, 1, base, bend), d = line(points), [gx, gy] = spot(base, arm.L);
+  arm.link.setAttribute('d', blade(points));
+  arm.shine.setAttribute('d', line(bent(0.08, 0.97, base, bend)));
+  arm.shadow.setAttribute('d', d);
+  arm.gauge.setAttribute('d', line(bent(0.1, 0.17, base, bend)));
+  set(arm.rigid, {x1: px(arm.cx), y1: px(arm.cy), x2: px(gx), y2: px(gy)});
+  const turn = (angle) => fixed(-degrees(angle - arm.middle), 2).replace('−', '-');
+  arm.ghost.setAttribute('transform', `translate(${arm.cx} ${arm.cy}) rotate(${turn(reference[k])})`);
+  arm.rotor.setAttribute('transform', `rotate(${turn(base)})`);
+  const [x, y] = points[24], out = [(x - arm.cx) / arm.L, (y - arm.cy) / arm.L], r = payloadRadius();
+  arm.load.setAttribute('transform', `translate(${px(x)} ${px(y)})`);
+  const aside = r + 20;
+  set(arm.weight, {x: px(-out[1] * aside), y: px(out[0] * aside + 4)});
+  const span = Math.round(0.5 / TS / arm.trail.length);
+  arm.trail.forEach((piece, i) => {
+    const b = k - span * (arm.trail.length - 1 - i), a = Math.max(0, b - span);
+    const step = Math.max(1, Math.floor(span / 6)), trace = [];
+    for (let j = a; j <= b; j += step) trace.push(spot(tip[j], arm.L));
+    piece.setAttribute('d', b > 0 && trace.length > 1 ? line(trace) : '');
+  });
+  const broken = (part) => FAULTS.some((f) => f.part === part && f.id in state.faults && k >= state.faults[f.id]);
+  arm.gauge.classList.toggle('broken', broken('gauge'));
+  arm.housing.classList.toggle('broken', broken('encoder'));
+  arm.svg.dataset.mode = DATA.modes[mode[k]];
+}
+
+// --- curves ------------------------------------------------------------------------------------------------
+
+const LEFT = 46;
+const END = () => (plots.W < 560 ? 14 : 78); // room for the labels at the ends of the curves
+const plots = {W: 0};
+const across = (k) => LEFT + ((plots.W - LEFT - END()) * k) / (N - 1);
+
+function curve(values, y) {
+  const step = Math.max(1, Math.floor(N / (1.5 * plots.W)));
+  let d = '', pen = 'M';
+  for (let k = 0; k < N; k += step) {
+    if (!Number.isFinite(values[k])) { pen = 'M'; continue; }
+    d += `${pen}${px(across(k))} ${px(y(values[k]))}`;
+    pen = 'L';
+  }
+  return d;
+}
+
+// One plot: axes, curves with their names at their ends, and the cursor. Ranges follow the settings, not the run.
+function drawPlot(id, height, low, high, ticks, curves, places, withTime) {
+  const svg = $(id), foot = withTime ? 22 : 6, top = 8;
+  set(svg, {viewBox: `0 0 ${plots.W} ${height}`, height});
+  svg.replaceChildren();
+  const y = (value) => top + ((height - foot - top) * (high - limited(value, low, high))) / (high - low);
+  for (const tick of ticks) {
+    el('line', {class: tick ? 'grid' : 'grid zero', x1: LEFT, x2: plots.W - END(), y1: px(y(tick)), y2: px(y(tick))}, svg);
+    el('text', {x: LEFT - 7, y: px(y(tick) + 4), 'text-anchor': 'end'}, svg, fixed(tick, places));
+  }
+  const seconds = TS * (N - 1), every = seconds > 9 ? 2 : seconds > 5 && plots.W < 560 ? 1 : 0.5;
+  for (let t = 0; t <= seconds + 1e-9; t += every) {
+    const x = px(across(t / TS));
+    el('line', {class: 'grid', x1: x, x2: x, y1: height - foot, y2: height - foot + 4}, svg);
+    if (withTime) el('text', {x, y: height - 5, 'text-anchor': 'middle'}, svg, `${fixed(t, every < 1 ? 1 : 0)} s`);
+  }
+  const names = [];
+  for (const [kind, name, values] of curves) {
+    el('path', {class: `curve ${kind}`, d: curve(values, y)}, svg);
+    if (name) names.push([y(Number.isFinite(values[N - 1]) ? values[N - 1] : 0) + 4, kind, name]);
+  }
+  names.sort((a, b) => a[0] - b[0]);
+  if (END() > 40) {
+    names.forEach((item, i) => {
+      if (i) item[0] = Math.max(item[0], names[i - 1][0] + 15);
+      el('text', {class: `name ${item[1]}`, x: plots.W - END() + 7, y: px(item[0])}, svg, item[2]);
+    });
+  }
+  for (const fault of FAULTS) {
+    if (!(fault.id in state.faults)) continue;
+    const x = px(across(state.faults[fault.id]));
+    el('line', {class: 'since', x1: x, x2: x, y1: top - 4, y2: height - foot}, svg);
+    if (id !== 'plot-tip') continue;
+    const right = state.faults[fault.id] < 0.6 * N, row = faultsBefore(fault);
+    el('text', {class: 'since-what', x: px(Number(x) + (right ? 6 : -6)), y: height - 12 - 16 * row, 'text-anchor': right ? 'start' : 'end'}, svg, fault.name);
+  }
+  return {cursor: el('line', {class: 'cursor', y1: 2, y2: height - foot}, svg), y, svg};
+}
+
+const faultsBefore = (fault) => FAULTS.filter((other) => other.id in state.faults).indexOf(fault);
+
+function drawRibbon() {
+  const svg = $('ribbon'), height = 24;
+  set(svg, {viewBox: `0 0 ${plots.W} ${height}`, height});
+  svg.replaceChildren();
+  const hatch = el('pattern', {id: 'hatch', width: 7, height: 7, patternUnits: 'userSpaceOnUse', patternTransform: 'rotate(45)'}, el('defs', {}, svg));
+  el('rect', {class: 'stripe', width: 2.5, height: 7}, hatch);
+  for (let from = 0, k = 1; k <= N; k++) {
+    if (k < N && mode[k] === mode[from]) continue;
+    const x = across(from), wide = across(Math.min(k, N - 1)) - x, name = DATA.modes[mode[from]];
+    el('rect', {class: `mode ${name}`, x: px(x), y: 2, width: px(Math.max(1, wide)), height: height - 4}, svg);
+    if (name === 'degraded') el('rect', {class: 'hatched', x: px(x), y: 2, width: px(wide), height: height - 4}, svg);
+    if (wide > 10 * name.length) el('text', {class: `on ${name}`, x: px(x + wide / 2), y: 16.5, 'text-anchor': 'middle'}, svg, name);
+    from = k;
+  }
+  return {cursor: el('line', {class: 'cursor', y1: 0, y2: height}, svg), svg};
+}
+
+function drawPlots() {
+  plots.W = Math.max(280, $('plots').clientWidth);
+  const a = degrees(amplitude()), room = Math.max(8, 0.3 * Math.abs(a)), inDegrees = (values) => Array.from(values, degrees);
+  const step = nice((Math.abs(a) + 2 * room) / 5), low = Math.min(0, a) - room, high = Math.max(0, a) + room;
+  const marks = (from, to, by) => Array.from({length: Math.floor(to / by) - Math.ceil(from / by) + 1}, (_, i) => by * (Math.ceil(from / by) + i));
+  const T = DATA.torque, U = DATA.voltage || 10;
+  const wide = plots.W >= 560;
+  const u = limited(nice(1.05 * voltage.reduce((x, y) => Math.max(x, Math.abs(y)), 1)), 1, nice(U));
+  const most = limited(nice(1.05 * torque.reduce((x, y) => Math.max(x, Math.abs(y)), 0.3 * T)), 0.1 * T, 4 * T);
+  plots.drawn = [
+    drawPlot('plot-tip', wide ? 200 : 180, low, high, marks(low, high, step),
+      [['wanted', 'reference', inDegrees(reference)], ['hub', 'motor', inDegrees(motor)], ['tip', 'tip', inDegrees(tip)]], step < 1 ? 1 : 0, false),
+    drawRibbon(),
+    drawPlot('plot-gauge', 104, -most, most, [-most, 0, most], [['measured', 'gauge', gauge], ['true', 'true', torque]], most < 1 ? (most < 0.1 ? 2 : 1) : 0, false),
+    drawPlot('plot-voltage', 112, -u, u, [-u, 0, u], [['volts', 'voltage', voltage]], u < 1 ? 1 : 0, true),
+  ];
+  const band = 0.02 * Math.abs(a), {y, svg} = plots.drawn[0];
+  const strip = el('rect', {class: 'band', x: LEFT, width: px(across(Math.floor(N / 2)) - LEFT), y: px(y(a + band)), height: px(Math.max(1, y(a - band) - y(a + band)))});
+  svg.prepend(strip);
+}
+
+function drawCursor(k) {
+  const x = px(across(k));
+  for (const {cursor} of plots.drawn) set(cursor, {x1: x, x2: x});
+}
