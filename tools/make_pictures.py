@@ -1,13 +1,17 @@
-"""Draw the README's picture: `python tools/make_pictures.py`.
+"""Draw the pictures of README and docs: `python tools/make_pictures.py`; the arm's page needs Chromium.
 
-Left and middle: a move of 1 rad in 0.5 s of the twin with the law that is shipped, at four payloads, without
-and with the payload as its input. Right: the phase margin that the published procedure promises, what is left
-of it in the loop that runs, and the same for a design that puts the loop into the equation.
+result.svg, left and middle: a move of 1 rad in 0.5 s of the twin with the law that is shipped, at four
+payloads, without and with the payload as its input. Right: the phase margin that the published procedure
+promises, what is left of it in the loop that runs, and the same for a design that puts the loop into the
+equation. arm.png: the page that `fraclink share` writes.
 """
 
 from __future__ import annotations
 
 import math
+import shutil
+import subprocess
+import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -19,11 +23,38 @@ from fraclink._show.drawing import BLUE, GREY, LINES, ORANGE, figure, svg
 from fraclink._simulate import Twin
 from fraclink._systems.margins import Margins
 
-PLACE = Path(__file__).resolve().parent.parent / "docs" / "_static" / "result.svg"
+STATIC = Path(__file__).resolve().parent.parent / "docs" / "_static"
+PLACE = STATIC / "result.svg"
+# In the middle of the move; the gauge is lost half a second later, so that the ribbon shows two modes.
+SETTINGS = "at=0.15&nan=140"
 
 
 def main() -> None:
-    """Write the picture."""
+    """Write the pictures."""
+    draw_result()
+    browser = shutil.which("chromium")
+    if browser is None:
+        print("arm.png is left as it is: Chromium is not installed")
+    else:
+        photograph_arm(browser)
+
+
+def photograph_arm(browser: str) -> None:
+    """The page of the arm as a browser shows it, 1180 pixels wide."""
+    rig = fl.Rig.named("paper-2023")
+    assert rig.model is not None
+    made = fl.design(rig.model, rig, payloads=(0.020, 0.040), gain_crossover=12.0, phase_margin=fl.deg(50))
+    with tempfile.TemporaryDirectory() as folder:
+        page = fl.write_arm_page(
+            fl.Study(rig=rig, design=made), Path(folder) / "arm.html", title="Move the arm"
+        )
+        command = [browser, "--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars"]
+        command += ["--window-size=1180,1390", f"--screenshot={STATIC / 'arm.png'}"]
+        subprocess.run([*command, f"{page.as_uri()}#{SETTINGS}"], check=True, capture_output=True)  # noqa: S603
+
+
+def draw_result() -> None:
+    """Moves of four payloads, and what is left of a margin."""
     rig = fl.Rig.named("paper-2023")
     model = rig.model
     assert model is not None

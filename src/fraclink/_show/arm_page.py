@@ -262,7 +262,7 @@ def _simulated(design: Design) -> list[str]:
 def _not_simulated(design: Design) -> list[str]:
     """Sentences on what it leaves out."""
     missing = [
-        "the torque of the link on the motor, which is taken as compensated without error",
+        "the torque of the link on the motor: it is taken as compensated without error, a lost gauge or not",
         "contact, gravity, play and elasticity of the gear, heat, wear",
         "whatever the log did not show of the arm",
     ]

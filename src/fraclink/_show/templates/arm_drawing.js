@@ -11,7 +11,7 @@ const el = (name, attributes = {}, parent = null, text = '') => {
 const set = (node, attributes) => { for (const key in attributes) node.setAttribute(key, attributes[key]); };
 const degrees = (radians) => (radians * 180) / Math.PI;
 const fixed = (value, places) => {
-  if (!Number.isFinite(value)) return '–';
+  if (!Number.isFinite(value)) return 'NaN';
   const text = value.toFixed(places);
   return (Number(text) === 0 ? text.replace('-', '') : text).replace('-', '−');
 };
@@ -177,7 +177,7 @@ function drawPlot(id, height, low, high, ticks, curves, places, withTime) {
     el('line', {class: tick ? 'grid' : 'grid zero', x1: LEFT, x2: plots.W - END(), y1: px(y(tick)), y2: px(y(tick))}, svg);
     el('text', {x: LEFT - 7, y: px(y(tick) + 4), 'text-anchor': 'end'}, svg, fixed(tick, places));
   }
-  const seconds = TS * (N - 1), every = seconds > 9 ? 2 : seconds > 5 && plots.W < 560 ? 1 : 0.5;
+  const seconds = TS * (N - 1), every = seconds > 9 ? 2 : seconds > 5 || plots.W < 560 ? 1 : 0.5;
   for (let t = 0; t <= seconds + 1e-9; t += every) {
     const x = px(across(t / TS));
     el('line', {class: 'grid', x1: x, x2: x, y1: height - foot, y2: height - foot + 4}, svg);
