@@ -94,7 +94,7 @@ def test_the_page_says_what_is_promised_and_what_it_simulates(study, page):
 
 
 def test_slider_and_links_cover_the_designs_payloads(study, page):
-    data = json.loads(re.search(r'id="data">(.*?)</script>', page, re.DOTALL)[1])
+    data = json.loads(re.search(r'id="arm-data">(.*?)</script>', page, re.DOTALL)[1])
     payloads = data["payloads"]
     assert payloads == sorted(payloads) and len(payloads) == len(data["links"]) >= 15
     assert {0.020, 0.030, 0.040} <= set(payloads)
@@ -108,7 +108,7 @@ def test_a_faster_clock_leaves_room_by_fewer_payloads(study):
     design = fl.design(fast.model, fast, payloads=(0.02, 0.04), gain_crossover=12.0, phase_margin=fl.deg(50))
     text = render_arm_page(fl.Study(rig=fast, design=design))
     assert len(text.encode()) <= 150_000
-    assert len(json.loads(re.search(r'id="data">(.*?)</script>', text, re.DOTALL)[1])["payloads"]) >= 7
+    assert len(json.loads(re.search(r'id="arm-data">(.*?)</script>', text, re.DOTALL)[1])["payloads"]) >= 7
 
 
 def test_a_folder_without_a_design_names_the_command(study, tmp_path, capsys):

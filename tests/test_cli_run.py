@@ -201,9 +201,8 @@ def test_the_stages_chain_through_files(
     for command in commands:
         assert main(command.split()) == 0, capsys.readouterr().err
     text = Path("report.html").read_text("utf-8")
-    assert (
-        text.count("<svg") == 5
-    )  # models, Bode, Nyquist, margins, moves: the log itself is not in the folder
+    # models, Bode, Nyquist, margins, moves: the log itself is not in the folder
+    assert text.count("<figure><svg") == 5 and text.count('class="armbox"') == 1
     assert Run.load("results/run.npz").payload == 0.020
 
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import base64
+import hashlib
+import html
 import math
 import re
 import subprocess
@@ -147,7 +150,18 @@ def test_the_page_asks_nobody_for_anything() -> None:
     assert "url(" not in re.sub(r"url\(#[\w-]+\)", "", text)
     assert "@import" not in text
     assert "default-src 'none'" in text
-    assert "<script" not in text
+    allowed = re.findall(r"script-src ([^;]*);", text)
+    script = re.findall(r"<script>(.*?)</script>", text, re.DOTALL)
+    digest = base64.b64encode(hashlib.sha256(script[0].encode()).digest()).decode()
+    assert [html.unescape(sources) for sources in allowed] == [f"'sha256-{digest}' 'wasm-unsafe-eval'"]
+    assert text.count("<script") == 2  # it, and the numbers that it reads
+    assert len(text.encode()) < 700_000
+
+
+def test_a_report_without_script_holds_none() -> None:
+    text = render_report(study("plain", design=True), script=False)
+    assert "<script" not in text and "script-src" not in text and "armbox" not in text
+    assert "<script" not in render_report(study("plain"))
 
 
 def test_ids_are_unique_and_every_reference_has_its_target() -> None:
@@ -293,4 +307,5 @@ def test_a_browser_shows_the_page_without_a_complaint(tmp_path: Path) -> None:
     )
     assert "alert" in answer.stdout  # the hostile name is on the page, as text
     assert "CONSOLE" not in answer.stderr  # neither a refused style nor a script that ran
-    assert answer.stdout.count("<svg") == 4
+    assert answer.stdout.count("<svg") == 4 + 6  # figures, and those of the arm that moves
+    assert 'data-ready="true"' in answer.stdout

@@ -45,6 +45,8 @@ from fraclink.findings import Finding
 
 app = group()
 
+Script = Annotated[bool, "With the arm that moves; without it the report holds no script at all"]
+
 
 class RunOptions(LogOptions, DesignRequest):
     """How the log is read and what the design is asked for."""
@@ -63,6 +65,7 @@ def run(
     certify: Annotated[bool, "Prove the design, too; takes a few seconds"] = False,
     arms: Annotated[int, "Arms that differ from the model to try; 0 leaves them out"] = 1000,
     title: Annotated[str | None, "Title of the report"] = None,
+    script: Script = True,
     **options: Unpack[RunOptions],
 ) -> Answer:
     """Take a log to a model, a controller, simulated moves and a report; the exit code is the verdict.
@@ -84,7 +87,7 @@ def run(
             **in_radians(options),
         )
         begin("writing the report")
-        place = write_report(study, out / "report.html", title=title)
+        place = write_report(study, out / "report.html", title=title, script=script)
     following = f"fraclink export c {out / 'design.json'} --out firmware" if study.law else ""
     if study.arms and study.arms.failure.count:
         following = f"fraclink campaign replay {out / 'arms'} --run {study.arms.failed[0]}"
@@ -220,6 +223,7 @@ def report(
     folder: Annotated[Path, typer.Argument(metavar="FOLDER"), "Folder of results"],
     out: Annotated[Path | None, "File to write; default: report.html there"] = None,
     title: Annotated[str | None, "Title of the report"] = None,
+    script: Script = True,
     force: bool = False,
 ) -> Answer:
     """Gather a folder of results into one self-contained HTML file.
@@ -228,7 +232,7 @@ def report(
     """
     place = output_path(out or folder / "report.html", force=force)
     study = load_study(folder)
-    write_report(study, place, title=title)
+    write_report(study, place, title=title, script=script)
     return Answer(text=str(place), values={"out": str(place), "passed": study.verdict.passed})
 
 

@@ -1,4 +1,4 @@
-"""Reports as one HTML file each: no script, no request, everything from files escaped where it is set."""
+"""Reports as one HTML file each: no request, no script but the arm's, whatever files hold is escaped."""
 
 from __future__ import annotations
 
@@ -7,20 +7,26 @@ from pathlib import Path
 
 from fraclink._campaign import Campaign, Summary, columns
 from fraclink._campaign.faults import fault_named
+from fraclink._design import Design
 from fraclink._files import write_text
 from fraclink._show import figures, tables
+from fraclink._show.arm_box import arm_box
 from fraclink._show.drawing import load_matplotlib
 from fraclink._show.pages import rendered
-from fraclink._show.text import Table
+from fraclink._show.text import Table, number
 from fraclink._workflow import Study
 
 __all__ = ["render_report", "write_campaign_report", "write_report"]
 
+_PAYLOADS = 15  # of the arm that moves: 40 kB of a report of 700
 _BEYOND = 0.4  # margins are tabulated at this share of the lightest payload too: 8 g for 20 g
 
 
-def write_report(study: Study, path: Path | str, *, title: str | None = None) -> Path:
+def write_report(study: Study, path: Path | str, *, title: str | None = None, script: bool = True) -> Path:
     """Write the report of `study` to `path`, in one step, and return the path.
+
+    With `script`, and where the study has a design, its first figure is the arm that moves, as in
+    `write_arm_page`; without, the report holds no script at all.
 
     Raises MissingExtraError where matplotlib or jinja2 are not installed.
 
@@ -28,11 +34,11 @@ def write_report(study: Study, path: Path | str, *, title: str | None = None) ->
     >>> write_report(Study(), Path(tempfile.mkdtemp()) / "report.html").name
     'report.html'
     """
-    write_text(path, render_report(study, title=title))
+    write_text(path, render_report(study, title=title, script=script))
     return Path(path)
 
 
-def render_report(study: Study, *, title: str | None = None) -> str:
+def render_report(study: Study, *, title: str | None = None, script: bool = True) -> str:
     """Return the report of `study` as HTML; the same study gives the same bytes.
 
     >>> "Content-Security-Policy" in render_report(Study(), title="<script>")
@@ -40,11 +46,13 @@ def render_report(study: Study, *, title: str | None = None) -> str:
     """
     name = study.rig.name if study.rig else "unnamed rig"
     source = tables.source_name(study.experiment)
-    verdict = study.verdict
+    verdict, design = study.verdict, study.design
     return _rendered(
         "report.html",
         title=title or f"{name}: {source}",
         study=study,
+        arm=arm_box(study, design, payloads=_PAYLOADS) if script and design else None,
+        zone=_zone(design),
         source=source,
         verdict=verdict,
         headline=tables.verdict_sentence(verdict),
@@ -57,6 +65,11 @@ def render_report(study: Study, *, title: str | None = None) -> str:
         fault_notes=_fault_notes(study),
         figures=_figures(study),
     )
+
+
+def _zone(design: Design | None) -> str:
+    low, high = design.payloads if design else (0.0, 0.0)
+    return f"{number(1e3 * low)} to {number(1e3 * high)} g"
 
 
 def _tables(study: Study) -> Mapping[str, Table]:

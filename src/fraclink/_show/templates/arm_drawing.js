@@ -156,11 +156,14 @@ const END = () => (plots.W < 560 ? 14 : 78); // room for the labels at the ends 
 const plots = {W: 0};
 const across = (k) => LEFT + ((plots.W - LEFT - END()) * k) / (N - 1);
 
-function curve(values, y) {
+// A curve that leaves the plot ends at its edge.
+function curve(values, y, low, high) {
   const step = Math.max(1, Math.floor(N / (1.5 * plots.W)));
-  let d = '', pen = 'M';
+  let d = '', pen = 'M', outside = 0;
   for (let k = 0; k < N; k += step) {
-    if (!Number.isFinite(values[k])) { pen = 'M'; continue; }
+    const v = values[k], was = outside;
+    outside = v > high ? 1 : v < low ? -1 : 0;
+    if (!Number.isFinite(v) || (outside && was === outside)) { pen = 'M'; continue; }
     d += `${pen}${px(across(k))} ${px(y(values[k]))}`;
     pen = 'L';
   }
@@ -185,7 +188,7 @@ function drawPlot(id, height, low, high, ticks, curves, places, withTime) {
   }
   const names = [];
   for (const [kind, name, values] of curves) {
-    el('path', {class: `curve ${kind}`, d: curve(values, y)}, svg);
+    el('path', {class: `curve ${kind}`, d: curve(values, y, low, high)}, svg);
     if (name) names.push([y(Number.isFinite(values[N - 1]) ? values[N - 1] : 0) + 4, kind, name]);
   }
   names.sort((a, b) => a[0] - b[0]);
@@ -212,8 +215,6 @@ function drawRibbon() {
   const svg = $('ribbon'), height = 24;
   set(svg, {viewBox: `0 0 ${plots.W} ${height}`, height});
   svg.replaceChildren();
-  const hatch = el('pattern', {id: 'hatch', width: 7, height: 7, patternUnits: 'userSpaceOnUse', patternTransform: 'rotate(45)'}, el('defs', {}, svg));
-  el('rect', {class: 'stripe', width: 2.5, height: 7}, hatch);
   for (let from = 0, k = 1; k <= N; k++) {
     if (k < N && mode[k] === mode[from]) continue;
     const x = across(from), wide = across(Math.min(k, N - 1)) - x, name = DATA.modes[mode[from]];
@@ -227,6 +228,7 @@ function drawRibbon() {
 
 function drawPlots() {
   plots.W = Math.max(280, $('plots').clientWidth);
+  $('plots').classList.toggle('narrow', plots.W < 560);
   const a = degrees(amplitude()), room = Math.max(8, 0.3 * Math.abs(a)), inDegrees = (values) => Array.from(values, degrees);
   const step = nice((Math.abs(a) + 2 * room) / 5), low = Math.min(0, a) - room, high = Math.max(0, a) + room;
   const marks = (from, to, by) => Array.from({length: Math.floor(to / by) - Math.ceil(from / by) + 1}, (_, i) => by * (Math.ceil(from / by) + i));

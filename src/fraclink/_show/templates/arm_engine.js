@@ -1,7 +1,7 @@
 // --- the engine: law.c and its loop as WebAssembly, and everything that a run is made of ------------------
 // Numbers that take a library of mathematics come with the page, so that a run has the bits of fraclink.simulate.
 
-const DATA = JSON.parse(document.getElementById('data').textContent);
+const DATA = JSON.parse(document.getElementById('arm-data').textContent);
 const bytesOf = (text) => Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
 const ENGINE = new WebAssembly.Instance(new WebAssembly.Module(bytesOf(DATA.engine))).exports;
 const N = DATA.periods + 1;

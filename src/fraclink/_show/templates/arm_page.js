@@ -1,7 +1,7 @@
 // --- the page: settings, faults, time ----------------------------------------------------------------------
 
 const still = matchMedia('(prefers-reduced-motion: reduce)');
-const clock = {k: 0, t: 0, playing: !still.matches, slow: 1, before: 0, flight: null, frames: 0};
+const clock = {k: 0, t: 0, playing: !still.matches, slow: 1, before: 0, flight: null, seen: true};
 
 // id: [what the slider's number is, how it reads]
 const SLIDERS = {
@@ -98,12 +98,11 @@ function go(k) {
 function frame(now) {
   const passed = Math.min(0.1, (now - clock.before) / 1e3);
   clock.before = now;
-  clock.frames += 1;
   if (clock.playing) {
     clock.t += passed * clock.slow;
     if (clock.t > TS * (N - 1)) clock.t %= TS * (N - 1);
     clock.k = Math.floor(clock.t / TS);
-    if (arm.link) draw();
+    if (clock.seen) draw();
   }
   if (clock.flight) fly(now);
   requestAnimationFrame(frame);
@@ -216,11 +215,14 @@ function listen() {
   $('now').addEventListener('input', () => { play(false); go(Number($('now').value)); draw(); });
   for (const type of ['pointerdown', 'pointermove']) $('plots').addEventListener(type, (event) => { if (event.target.closest('svg')) scrub(event); });
   document.addEventListener('keydown', (event) => {
+    // in a report the space bar turns the page
+    if (!document.documentElement.matches('.armpage') && !event.target.closest('.armbox')) return;
     if (event.target.closest('button, input, summary, a, pre, [role=button]') || event.ctrlKey || event.metaKey || event.altKey) return;
     if (event.key === ' ') play(!clock.playing);
     else if (event.key === '.' || event.key === ',') { play(false); go(clock.k + (event.key === '.' ? 1 : -1)); draw(); } else return;
     event.preventDefault();
   });
+  new IntersectionObserver((entries) => { clock.seen = entries.some((entry) => entry.isIntersecting); }).observe($('arm').closest('.armbox'));
   let width = innerWidth;
   addEventListener('resize', () => { if (innerWidth !== width) { width = innerWidth; renew({layout: true}); } });
 }
