@@ -19,14 +19,12 @@ from fraclink._compare.controllers import (
     Algebraic,
     Linear,
     Seen,
-    Shaped,
     Sliding,
     gpi_correction,
     hinf_correction,
     integer_mode,
     lqg_correction,
     pd_correction,
-    shaper_impulses,
     sliding_correction,
 )
 from fraclink._compare.filters import Filter, law_filter, sampled, tustin
@@ -205,22 +203,6 @@ def test_gpi_places_four_poles():
         value = c.response(z)[0] + 1.0
         # 1 + C ω²/s² = (s + r)⁴/(s³(s + 4r))
         assert 1 + value * w**2 / s**2 == pytest.approx((s + rate) ** 4 / (s**3 * (s + 4 * rate)), rel=1e-3)
-
-
-def test_shapers_cancel_the_mode():
-    w, ratio = 12.0, 0.0654
-    for derivative in (False, True):
-        times, sizes = shaper_impulses(w, ratio, derivative=derivative)
-        assert sizes.sum() == pytest.approx(1.0)
-        pole = w * complex(-ratio, math.sqrt(1 - ratio**2))
-        assert abs(np.sum(sizes * np.exp(-pole * times))) < 1e-12
-        if derivative:
-            assert abs(np.sum(times * sizes * np.exp(-pole * times))) < 1e-12
-    shaped = Shaped(MOVE, tuple(times.tolist()), tuple(sizes.tolist()))
-    t = np.linspace(0, 3, 3001)
-    assert shaped.angle(t)[-1] == pytest.approx(1.0)
-    assert np.gradient(shaped.angle(t), t)[1:-1] == pytest.approx(shaped.velocity(t)[1:-1], abs=1e-4)
-    assert shaped.duration == pytest.approx(1.0 + times[-1])
 
 
 def test_a_longer_filter_keeps_the_request_and_quietens(setting):

@@ -16,7 +16,7 @@ ROWS: tuple[tuple[str, ...], ...] = (
     ("_law", "_logs", "_identify"),
     ("_design",),
     ("_certify", "_simulate"),
-    ("_compare", "_campaign", "_export", "_realtime"),
+    ("_compare", "_campaign", "_export", "_realtime", "_shape"),
     ("_workflow",),
     ("_show",),
     ("_cli", "__main__"),

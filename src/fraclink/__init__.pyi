@@ -14,11 +14,13 @@ from fraclink._arm.loop import Loop as Loop
 from fraclink._arm.motor_loop import MotorLoop as MotorLoop
 from fraclink._arm.motor_loop import motor_loop_costs as motor_loop_costs
 from fraclink._arm.reference import Reference as Reference
+from fraclink._arm.reference import SampledReference as SampledReference
 from fraclink._arm.reference import chirp as chirp
 from fraclink._arm.reference import hold as hold
 from fraclink._arm.reference import prbs as prbs
 from fraclink._arm.reference import pulse as pulse
 from fraclink._arm.reference import smooth_step as smooth_step
+from fraclink._arm.reference import spline as spline
 from fraclink._arm.rig import Rig as Rig
 from fraclink._arm.rig_parts import DesignDefaults as DesignDefaults
 from fraclink._arm.rig_parts import Encoder as Encoder
@@ -81,6 +83,7 @@ from fraclink._export.claims import Claim as Claim
 from fraclink._export.claims import Proof as Proof
 from fraclink._export.fmu import export_fmu as export_fmu
 from fraclink._export.matlab import export_matlab as export_matlab
+from fraclink._export.reference import export_reference as export_reference
 from fraclink._export.replay import Replay as Replay
 from fraclink._export.replay import replay_log as replay_log
 from fraclink._files import kind_of as kind_of
@@ -118,6 +121,7 @@ from fraclink._logs.reading import bundled_logs as bundled_logs
 from fraclink._logs.reading import inspect_log as inspect_log
 from fraclink._logs.reading import read_columns as read_columns
 from fraclink._logs.reading import read_log as read_log
+from fraclink._logs.reference import read_reference as read_reference
 from fraclink._realtime.arm import ServedArm as ServedArm
 from fraclink._realtime.arm import serve_arm as serve_arm
 from fraclink._realtime.connections import Callback as Callback
@@ -129,6 +133,8 @@ from fraclink._realtime.loop import run_realtime as run_realtime
 from fraclink._realtime.machine import WakeUps as WakeUps
 from fraclink._realtime.machine import measure_wake_ups as measure_wake_ups
 from fraclink._realtime.run import RealtimeRun as RealtimeRun
+from fraclink._shape.move import ShapedMove as ShapedMove
+from fraclink._shape.procedure import shape as shape
 from fraclink._show.arm_page import write_arm_page as write_arm_page
 from fraclink._show.planes import nichols as nichols
 from fraclink._show.planes import nyquist as nyquist

@@ -1,23 +1,35 @@
 """References: where the tip or the motor shall be, with velocity and acceleration known exactly.
 
 A reference is a piecewise polynomial of time (or a chirp), so that the law's feed-forward gets the true
-acceleration and never a difference of samples.
+acceleration and never a difference of samples; or a table of samples that brings its own.
 """
 
 from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fraclink._validate import Array, Between, checked
+from fraclink._validate import Array, Between, Period, checked
 from fraclink.errors import FieldError, SizeError
 
-__all__ = ["Chirp", "Path", "Reference", "chirp", "hold", "prbs", "pulse", "sampled", "smooth_step"]
+__all__ = [
+    "Chirp",
+    "Path",
+    "Reference",
+    "SampledReference",
+    "chirp",
+    "hold",
+    "prbs",
+    "pulse",
+    "sampled",
+    "smooth_step",
+    "spline",
+]
 
 Real = NDArray[np.float64]
 
@@ -28,6 +40,7 @@ _SHORTEST, _LARGEST = 1e-9, 1e9
 Angle = Annotated[float, Between(-_LARGEST, _LARGEST, "rad")]
 Length = Annotated[float, Between(_SHORTEST, _LARGEST, "s")]
 Start = Annotated[float, Between(0.0, _LARGEST, "s")]
+_SAME_ROW = 1e-6  # of a period
 _QUINTIC = (0.0, 0.0, 0.0, 10.0, -15.0, 6.0)  # rest to rest, velocity and acceleration continuous
 # A shift register with feedback from the last stage and this one runs through all its states but zero:
 # x^n + x^k + 1 is primitive. No trinomial of degree 8 is, which is why 8 is not offered.
@@ -37,7 +50,7 @@ _TAPS = {3: 2, 4: 3, 5: 3, 6: 5, 7: 6, 9: 5, 10: 7, 11: 9}
 class Reference(ABC):
     """An angle over time with two known derivatives; `duration` [s] is when its last change ends."""
 
-    __made_by__ = "smooth_step, pulse, prbs, chirp or hold"
+    __made_by__ = "smooth_step, pulse, prbs, chirp, hold, spline or SampledReference"
 
     duration: float
 
@@ -132,6 +145,97 @@ class Chirp(Reference):
         if order == 1:
             return np.asarray(inside * speed * np.cos(phase))
         return np.asarray(inside * (rate * np.cos(phase) - speed**2 * np.sin(phase)))
+
+
+@checked
+@dataclass(frozen=True, eq=False)
+class SampledReference(Reference):
+    """A table: angle, velocity and acceleration at 0, period, 2 period …, straight lines between the rows.
+
+    At the period of a law, nothing is interpolated and the law gets the table's own numbers. Before and after
+    the table its first and last angle hold.
+
+    Parameters
+    ----------
+    period
+        between two rows [s], > 0.
+    values
+        shape (3, N): angle [rad], velocity [rad/s], acceleration [rad/s²]; N >= 2.
+    duration
+        of the table, (N − 1) period [s].
+
+    Raises
+    ------
+    FieldError
+        a value out of its range, or not three rows.
+
+    Examples
+    --------
+    >>> import fraclink as fl
+    >>> table = fl.SampledReference(0.004, [[0.0, 0.1, 0.2], [25.0, 25.0, 25.0], [0.0, 0.0, 0.0]])
+    >>> float(table.angle(0.006)), float(table.angle(1.0)), float(table.velocity(1.0)), table.duration
+    (0.15000000000000002, 0.2, 0.0, 0.008)
+    """
+
+    period: Period
+    values: Annotated[Real, Array(2)]
+    duration: float = field(init=False)
+
+    def __post_init__(self) -> None:
+        shape = self.values.shape
+        if shape[0] != 3 or not 2 <= shape[1] <= LONGEST:
+            allowed, remedy = f"(3, 2 … {LONGEST})", "give rows of angle, velocity, acceleration"
+            raise FieldError("values", shape, "not a table", allowed=allowed, remedy=remedy)
+        object.__setattr__(self, "duration", self.period * (shape[1] - 1))
+
+    def derivative(self, time: ArrayLike, order: int) -> Real:
+        """Return the derivative of `order` [rad/s^order] at `time` [s]."""
+        place, last = np.asarray(time, dtype=float) / self.period, self.values.shape[1] - 1
+        # k periods divided by the period is not always k; an acceleration that jumps there must not be mixed
+        nearest = np.rint(place)
+        place = np.where(np.abs(place - nearest) < _SAME_ROW, nearest, place)
+        found = np.interp(place, np.arange(last + 1), self.values[order])
+        return np.asarray(found if order == 0 else np.where((place < 0) | (place > last), 0.0, found))
+
+
+@checked
+def spline(time: Annotated[Real, Array(1, min_size=2)], angle: Annotated[Real, Array(1, min_size=2)]) -> Path:
+    """Return the cubic spline through via points or samples, from rest at the first to rest at the last.
+
+    Velocity and acceleration are continuous between the ends; the path has the least ∫θ̈² of all through
+    these points.
+
+    Parameters
+    ----------
+    time
+        shape (N,) [s], rising, from 0 on or later.
+    angle
+        shape (N,) [rad].
+
+    Raises
+    ------
+    FieldError
+        two shapes, or times that do not rise.
+
+    Examples
+    --------
+    >>> path = spline([0.0, 0.4, 1.0], [0.0, 0.7, 0.5])
+    >>> float(path.angle(0.4)), float(path.velocity(1.0)), path.duration
+    (0.7, 0.0, 1.0)
+    """
+    from scipy.interpolate import CubicSpline  # 0.2 s that no other reference needs
+
+    if time.shape != angle.shape:
+        raise FieldError("angle", angle.shape, "not one a time", allowed=f"{time.shape}", remedy="pair them")
+    if not (time[0] >= 0.0 and np.all(np.diff(time) >= _SHORTEST)):
+        allowed, remedy = "rising from 0 s on", "sort them, and leave repeated ones out"
+        raise FieldError("time", time[:3].tolist(), "not rising", allowed=allowed, remedy=remedy)
+    pieces = CubicSpline(time, angle, bc_type="clamped").c[::-1].T
+    start, end = ([[value, 0.0, 0.0, 0.0]] for value in (angle[0], angle[-1]))
+    before = ([0.0], start) if time[0] > 0.0 else ([], np.empty((0, 4)))
+    return Path(
+        "spline", np.concatenate([before[0], time]), np.vstack([before[1], pieces, end]), float(time[-1])
+    )
 
 
 @checked

@@ -1,4 +1,4 @@
-"""The rivals' controllers: PD, LQG, H∞ loop shaping, sliding mode, GPI, input shaping, collocated PD."""
+"""The rivals' controllers: PD, LQG, H∞ loop shaping, sliding mode, GPI, collocated PD."""
 
 from __future__ import annotations
 
@@ -6,10 +6,9 @@ import math
 from typing import NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from fraclink._arm.link import LinkModel
-from fraclink._arm.reference import Reference
 from fraclink._compare.filters import Filter, tustin
 
 __all__ = [
@@ -17,7 +16,6 @@ __all__ = [
     "Linear",
     "Outer",
     "Seen",
-    "Shaped",
     "Sliding",
     "gpi_control",
     "gpi_correction",
@@ -25,7 +23,6 @@ __all__ = [
     "integer_mode",
     "lqg_correction",
     "pd_correction",
-    "shaper_impulses",
     "sliding_correction",
 ]
 
@@ -307,35 +304,3 @@ class Algebraic:
         # C and the feed-forward were made for the nominal ω²; both are inversely proportional to it.
         ratio = self._nominal / self.square
         return ratio * whole - seen.error + (ratio - 1.0) * seen.feed_forward
-
-
-def shaper_impulses(frequency: float, ratio: float, *, derivative: bool) -> tuple[Real, Real]:
-    """Return times [s] and sizes of the ZV shaper's impulses (two), or the ZVD's (three).
-
-    K = exp(−ζπ/√(1 − ζ²)); ZV: (1, K)/(1 + K) at 0 and half a damped period; ZVD: (1, 2K, K²)/(1 + K)².
-    Source: Singer and Seering, ASME J. Dyn. Sys. 112 (1990) 76.
-
-    >>> times, sizes = shaper_impulses(10.0, 0.0, derivative=False)
-    >>> times.round(4).tolist(), sizes.tolist()
-    ([0.0, 0.3142], [0.5, 0.5])
-    """
-    root = math.sqrt(1.0 - ratio**2)
-    # The second impulse comes half a damped period later, in opposite phase to the first one's vibration.
-    half = math.pi / (frequency * root)
-    k = math.exp(-ratio * math.pi / root)
-    sizes = np.array([1.0, 2.0 * k, k * k] if derivative else [1.0, k])
-    times: Real = half * np.arange(len(sizes), dtype=np.float64)
-    return times, np.asarray(sizes / sizes.sum())
-
-
-class Shaped(Reference):
-    """A reference convolved with impulses: exact, angle, velocity and acceleration."""
-
-    def __init__(self, reference: Reference, times: tuple[float, ...], sizes: tuple[float, ...]) -> None:
-        self._reference, self._impulses = reference, tuple(zip(times, sizes, strict=True))
-        self.duration = float(reference.duration + times[-1])
-
-    def derivative(self, time: ArrayLike, order: int) -> Real:
-        """Return the derivative of `order` [rad/s^order] at `time` [s]."""
-        parts = (a * self._reference.derivative(np.asarray(time) - t, order) for t, a in self._impulses)
-        return np.asarray(sum(parts))

@@ -12,6 +12,7 @@ import numpy as np
 from fraclink._arm.beam import Beam
 from fraclink._arm.controller import Controller
 from fraclink._arm.motor import DiscretePid
+from fraclink._arm.shapers import Shaper, shaper_impulses
 from fraclink._compare.case import NominalLoop, Setting, tune
 from fraclink._compare.controllers import (
     Algebraic,
@@ -23,7 +24,6 @@ from fraclink._compare.controllers import (
     integer_mode,
     lqg_correction,
     pd_correction,
-    shaper_impulses,
     sliding_correction,
 )
 from fraclink._compare.filters import Filter, fine_step, law_filter, sampled, tustin
@@ -250,9 +250,9 @@ def _noisy_rivals(setting: Setting) -> dict[str, Builder]:
     }
 
 
-def _shaping(setting: Setting, name: str, derivative: bool) -> Rival:
+def _shaping(setting: Setting, name: str, kind: Shaper) -> Rival:
     frequency, ratio = integer_mode(setting.model)
-    times, sizes = shaper_impulses(frequency, ratio, derivative=derivative)
+    times, sizes = shaper_impulses(kind, frequency, ratio)
     return Rival(
         name,
         "impulses from the nominal mode and its damping; motor servo, no feedback of the tip",
@@ -273,8 +273,8 @@ def builders(setting: Setting) -> dict[str, Builder]:
         FRACLINK: lambda: _by_law(FRACLINK, request, setting.controller, setting),
         QUIETER: lambda: _by_law(QUIETER, *quieter(setting), setting),
         "collocated PD": lambda: collocated(setting, _bare(setting.law)),
-        "ZV shaping": lambda: _shaping(setting, "ZV shaping", False),
-        "ZVD shaping": lambda: _shaping(setting, "ZVD shaping", True),
+        "ZV shaping": lambda: _shaping(setting, "ZV shaping", "ZV"),
+        "ZVD shaping": lambda: _shaping(setting, "ZVD shaping", "ZVD"),
         **_feedback_rivals(setting),
         **_noisy_rivals(setting),
         INTEGER: lambda: _by_law(INTEGER, *integer_twin(setting), setting),

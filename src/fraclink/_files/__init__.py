@@ -78,7 +78,6 @@ __all__ = [
 T = TypeVar("T")
 Upgrade = Callable[[dict[str, Any]], dict[str, Any]]
 Container = Literal["json", "npz", "toml"]
-
 UNITS = "SI, radians"
 _ENDINGS = {".json", ".npz", ".toml", ".csv"}
 _ZIP = b"PK"  # how every zip archive begins
@@ -96,6 +95,7 @@ _HOMES = {
     "realtime-run": "fraclink._realtime",
     "rig": "fraclink._arm.rig",
     "run": "fraclink._simulate",
+    "shaped-move": "fraclink._shape",
     "served-arm": "fraclink._realtime",
     "study": "fraclink._workflow.study",
     "sweep": "fraclink._campaign",

@@ -1,0 +1,270 @@
+"""Shape a move: the fastest reference for the loop that runs, under limits, for every payload of a range."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import replace
+from typing import Annotated
+
+import numpy as np
+
+from fraclink._arm.reference import Path
+from fraclink._design import Design
+from fraclink._shape.candidates import Candidate, candidates, settling
+from fraclink._shape.move import ShapedMove
+from fraclink._shape.programme import Programme, Solution
+from fraclink._shape.responses import Responses
+from fraclink._shape.setting import Setting
+from fraclink._simulate import Twin
+from fraclink._simulate.metrics import BAND
+from fraclink._validate import Between, checked
+from fraclink.errors import FieldError
+from fraclink.findings import Finding
+
+__all__ = ["shape"]
+
+_TAIL = 2.5  # vibration periods after settling that the programme looks at
+_LONGEST = 16  # times that: no move of an arm takes longer
+_MOST = 60  # coefficients; a longer reference gets fewer knots in a second
+
+
+@checked
+def shape(
+    design: Design,
+    move: Annotated[float, Between(-1e3, 1e3, "rad")] | Path,
+    *,
+    payloads: tuple[float, float] | None = None,
+    told: bool = False,
+    voltage: Annotated[float, Between(0.0, 1e6, "V", low_open=True)] | None = None,
+    speed: Annotated[float, Between(0.0, 1e6, "rad/s", low_open=True)] | None = None,
+    torque: Annotated[float, Between(0.0, 1e6, "N·m", low_open=True)] | None = None,
+    reserve: Annotated[float, Between(0.0, 0.9)] = 0.25,
+    arm: Twin | None = None,
+    gauge_offset: Annotated[float, Between(-1e6, 1e6, "N·m")] | None = None,
+    seeds: Annotated[int, Between(1, 1000)] = 5,
+    rivals: bool = True,
+) -> ShapedMove:
+    """Return the fastest reference from rest to rest, or the one that makes the tip follow a path best.
+
+    The closed loop of the shipped law and the arm is linear as long as no limit acts, so the coefficients of
+    a spline follow from a linear programme: the tips of all payloads within 2 % of the move, less a reserve,
+    from the settling time on, and every voltage within its limit. The shortest settling time is found by
+    bisection. Along a path the largest distance of any payload's tip is made least.
+
+    What is returned was then run on the arm with friction, noise and all its modes, beside the quintic and
+    the ZV, ZVD and EI shapers at their best; where the arm does not do what was promised, a finding says so.
+
+    Parameters
+    ----------
+    design
+        whose law runs.
+    move
+        size of the move [rad], not 0, or the path of the tip that is followed, e.g. a `spline`.
+    payloads
+        lightest and heaviest payload [kg], one reference for all; the design's where it is left out. Twice
+        the same where it is known.
+    told
+        whether the law is given the payload (`simulate`).
+    voltage
+        limit of |V| [V], noise and friction included; the rig's where it is left out.
+    speed, torque
+        limits of the motor's speed at the gear's output [rad/s] and of the torque at the link's root [N·m].
+    reserve
+        part of the 2 % band that the linear loop leaves to friction and noise, 0 … 0.9 [1].
+    arm
+        the twin that the loop is taken from and that is measured; default `Twin.from_rig` of the design.
+    gauge_offset
+        of the gauge while it is measured [N·m]; the rig's where it is left out.
+    seeds
+        noises to measure each payload with.
+    rivals
+        whether the quintic and the shapers are measured, too.
+
+    Raises
+    ------
+    FieldError
+        a value out of its range, a law or a limit with which the arm cannot be moved, a path that its limits
+        do not let the tip follow.
+
+    References
+    ----------
+    Singer and Seering (1990); Singhose, Seering and Singer (1994) for the shapers.
+
+    Examples
+    --------
+    >>> import fraclink as fl
+    >>> rig = fl.Rig.named("paper-2023-geared")
+    >>> design = fl.design(rig.model, rig, payloads=(0.020, 0.040), gain_crossover=12.0,
+    ...                    phase_margin=fl.deg(50), filter_time=0.02)
+    >>> move = fl.shape(design, 0.5, voltage=8.0, seeds=1)
+    >>> [m.name.split()[0] for m in move.measured], move.passed
+    (['shaped', 'quintic', 'ZV', 'ZVD', 'EI'], True)
+    """
+    if move == 0.0:
+        raise FieldError("move", 0.0, "no move", allowed="not 0 rad", remedy="give its size")
+    setting = Setting.of(design, payloads, told, arm, gauge_offset)
+    most = (
+        setting.arm.motor.voltage_limit if voltage is None else min(voltage, setting.arm.motor.voltage_limit)
+    )
+    tried, kept_back = _references(setting, move, (most, speed, torque), reserve, rivals=rivals)
+    target = move if isinstance(move, Path) else None
+    shaped = tried[0].reference
+    made = ShapedMove(
+        reference=shaped,
+        period=setting.law.period,
+        target=target,
+        payloads=setting.payloads,
+        told=told,
+        voltage=most,
+        kept_back=kept_back,
+        reserve=reserve,
+        measured=tuple(setting.measured(each, target, seeds) for each in tried),
+        seeds=seeds,
+        law_sha256=setting.law.digest,
+    )
+    return replace(made, findings=_findings(made))
+
+
+def _references(
+    setting: Setting,
+    move: float | Path,
+    limits: tuple[float, float | None, float | None],
+    reserve: float,
+    *,
+    rivals: bool,
+) -> tuple[tuple[Candidate, ...], float]:
+    """Return the shaped reference and its rivals, and the voltage that was left to noise and friction [V]."""
+    began = time.perf_counter()
+    programme, kept_back = setting.programme(*limits)
+    if isinstance(move, Path):
+        programme = _coarse(programme, move.duration)
+        found = _following(programme, move)
+        others = (Candidate("as given", move, _distance(programme.loops, move, move)),)
+    else:
+        found, programme = _fastest(setting, programme, move, reserve)
+    path = programme.path(found)
+    spent = time.perf_counter() - began
+    if isinstance(move, Path):
+        promised = _distance(programme.loops, path, move)
+    else:
+        band = BAND * abs(move)
+        promised = settling(programme.loops.to(path, ("tip",))[:, 0], move, band, programme.period)
+        others = candidates(programme.loops, move, band, programme.bounds, setting.link) if rivals else ()
+    return (Candidate("shaped", path, promised, spent), *(others if rivals else ())), kept_back
+
+
+# ── the programme ───────────────────────────────────────────────────────────────────────────────────────────
+
+
+def _fastest(
+    setting: Setting, programme: Programme, move: float, reserve: float
+) -> tuple[Solution, Programme]:
+    """Bisect the settling time [periods] and return the gentlest reference that keeps the shortest."""
+    allowed = (1.0 - reserve) * BAND * abs(move)
+    tail = math.ceil(_TAIL * setting.vibration / programme.period)
+    low, high, factor = 0, math.ceil(setting.vibration / programme.period), 1
+
+    def within(settled: int) -> bool:
+        found = _settling_at(programme, move, settled, tail)
+        return found is not None and found.distance <= allowed
+
+    while not within(high):
+        low, high = high, math.ceil(1.5 * high)
+        if high + tail > programme.length:
+            factor *= 2
+            if factor > _LONGEST:
+                raise _unreachable(move, programme)
+            programme = setting.longer(programme, factor)
+        programme = _coarse(programme, high * programme.period)
+    while high - low > max(1, high // 100):
+        middle = (low + high) // 2
+        low, high = (low, middle) if within(middle) else (middle, high)
+    found = _settling_at(programme, move, high, tail, within=allowed)
+    return found or _required(_settling_at(programme, move, high, tail)), programme
+
+
+def _coarse(programme: Programme, duration: float) -> Programme:
+    """Return the programme with its knots so far apart that a reference of `duration` [s] needs few."""
+    times = math.ceil(programme.count_for(duration) / _MOST)
+    return programme if times == 1 else replace(programme, knot=times * programme.knot)
+
+
+def _settling_at(
+    programme: Programme, move: float, settled: int, tail: int, *, within: float | None = None
+) -> Solution | None:
+    target = np.full(programme.length, move)
+    count = programme.count_for(settled * programme.period)
+    return programme.solve(count, target, settled, settled + tail, within=within)
+
+
+def _required(solution: Solution | None) -> Solution:
+    if solution is None:
+        raise AssertionError("a programme that was solved before is not any more")
+    return solution
+
+
+def _unreachable(move: float, programme: Programme) -> FieldError:
+    time = programme.length * programme.period
+    allowed, remedy = f"one that settles within {time:.3g} s", "allow more voltage, or move less"
+    return FieldError("move", move, "not reached within its limits", allowed=allowed, remedy=remedy)
+
+
+def _following(programme: Programme, path: Path) -> Solution:
+    last = math.ceil(path.duration / programme.period) + 1
+    if last + programme.knot > programme.length:
+        allowed = f"<= {(programme.length - programme.knot) * programme.period:.3g} s"
+        raise FieldError(
+            "move", path.duration, "too long a path", allowed=allowed, remedy="cut it into parts"
+        )
+    if float(path.angle(0.0)) != 0.0:
+        allowed, remedy = "a path from 0 rad", "count the path from where the arm stands"
+        raise FieldError("move", float(path.angle(0.0)), "not at 0 at first", allowed=allowed, remedy=remedy)
+    target = path.angle(programme.period * np.arange(programme.length))
+    found = programme.solve(programme.count_for(path.duration), target, 0, programme.length)
+    if found is None:
+        allowed, remedy = "a path within the limits", "make it slower, or allow more voltage"
+        raise FieldError("move", path.kind, "not to be followed", allowed=allowed, remedy=remedy)
+    return found
+
+
+def _distance(loops: Responses, reference: Path, target: Path) -> float:
+    """Largest distance of any payload's tip to where it shall be [rad]."""
+    tip = loops.to(reference, ("tip",))[:, 0]
+    return float(np.abs(tip - target.angle(loops.period * np.arange(loops.length))).max())
+
+
+def _findings(made: ShapedMove) -> tuple[Finding, ...]:
+    """W701: later, or farther away, than promised; W702: more voltage; W703: a guard acted."""
+    ours, found = made.shaped, []
+    if made.target is None and ours.settling_time > ours.predicted + made.period:
+        found.append(
+            Finding(
+                "W701",
+                "warning",
+                "the arm settles later than the linear loop promises",
+                {"measured": ours.settling_time, "promised": ours.predicted},
+                "keep a larger reserve: friction or noise takes more of the band",
+            )
+        )
+    if ours.peak_voltage > made.voltage:
+        found.append(
+            Finding(
+                "W702",
+                "warning",
+                "noise and friction take the voltage beyond its limit",
+                {"measured": ours.peak_voltage, "limit": made.voltage, "left_to_them": made.kept_back},
+                "allow less voltage, or filter more",
+            )
+        )
+    if ours.limited:
+        found.append(
+            Finding(
+                "W703",
+                "warning",
+                "a guard of the law acts during the move, so that the loop is not the linear one",
+                {"part_of_the_runs": ours.limited},
+                "allow less voltage or speed, or derive the law's limits for faster moves",
+            )
+        )
+    return tuple(found)

@@ -1,0 +1,124 @@
+"""The closed loop that runs, as a linear system: what tip, voltage and motor make of any reference.
+
+As long as no limit acts, the law, its motor loop and the arm are linear and the same in every period. Two
+runs of law.c on the arm without friction and noise, one for an impulse of the reference's angle and one for
+an impulse of its acceleration, therefore say what every reference does, exact at the samples.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink._arm.reference import Reference, SampledReference, hold, sampled
+from fraclink._law import Law
+from fraclink._simulate import Run, Twin, simulate
+from fraclink.errors import FieldError
+
+__all__ = ["SIGNALS", "Noise", "Responses", "noise_of", "responses_of", "without_friction"]
+
+Real = NDArray[np.float64]
+
+# Tip angle [rad], voltage [V], step of the motor reference [rad], motor speed [rad/s], torque [N·m].
+SIGNALS = ("tip", "voltage", "motor_step", "motor_speed", "torque")
+# Far below every guard of the law, and so far above the rounding of its doubles that nothing is lost.
+_ANGLE, _ACCELERATION = 1e-4, 1e-2
+_UNLIMITED = 1e4  # [V]: a law's block holds finite numbers
+_NOISE_TIME = 8.0  # [s]: a standard deviation from 2000 samples is known to 2 %
+_DIVERGED = 1e3  # of a response that a stable loop lets die away
+
+
+@dataclass(frozen=True, eq=False)
+class Responses:
+    """The loops around arms with P payloads [kg]: impulse responses in the rows of SIGNALS, (P, 2, 5, N).
+
+    The first of the two is the response to an angle of 1 rad in one period, the second to an acceleration of
+    1 rad/s² in one period; `period` [s].
+    """
+
+    payloads: tuple[float, ...]
+    period: float
+    impulses: Real
+
+    @property
+    def length(self) -> int:
+        """N, the samples that are known."""
+        return int(self.impulses.shape[3])
+
+    @cached_property
+    def _spectra(self) -> NDArray[np.complex128]:
+        return np.asarray(np.fft.rfft(self.impulses, 2 * self.length))
+
+    def to(self, reference: Reference, names: Sequence[str] = SIGNALS) -> Real:
+        """Return the signals of these names along a reference, shape (P, names, N)."""
+        inputs = sampled(reference, self.period, self.length)[[0, 2]]
+        found = self._spectra[:, :, [SIGNALS.index(name) for name in names]]
+        spectrum = np.einsum("if,pisf->psf", np.fft.rfft(inputs, 2 * self.length), found)
+        return np.asarray(np.fft.irfft(spectrum, 2 * self.length)[..., : self.length])
+
+
+@dataclass(frozen=True)
+class Noise:
+    """What the sensors' noise makes of an arm at rest: standard deviations of the voltage [V] and of the step
+    of the motor reference in a period [rad]."""
+
+    voltage: float
+    motor_step: float
+
+
+def without_friction(law: Law, arm: Twin) -> tuple[Law, Twin]:
+    """Return the law without its compensation of friction, the arm without friction, neither with a limit."""
+    drive = law.drive
+    if drive is None:
+        allowed, remedy = "a law with a motor loop", "shape moves for design.law()"
+        raise FieldError("law", "no motor loop", "without a voltage", allowed=allowed, remedy=remedy)
+    free = replace(law, drive=replace(drive, coulomb_voltage=0.0, voltage_limit=_UNLIMITED))
+    motor = replace(arm.motor, coulomb_torque=0.0, voltage_limit=_UNLIMITED)
+    return free.in_precision("double"), replace(arm, motor=motor, stiction=0.0)
+
+
+def _exact(arm: Twin) -> Twin:
+    sensors = replace(arm.sensors, counts_per_revolution=None, gauge_noise=0.0, gauge_offset=0.0)
+    return replace(arm, sensors=replace(sensors, gauge_quantum=0.0, gauge_limit=None, gauge_drift=0.0))
+
+
+def responses_of(law: Law, arm: Twin, payloads: Sequence[float], duration: float, *, told: bool) -> Responses:
+    """Return the responses of the loop for each payload [kg], over `duration` [s].
+
+    FieldError where one does not die away: the loop is not stable on this arm.
+    """
+    free, plain = without_friction(law, _exact(arm))
+    found = []
+    for payload in payloads:
+        own = plain.with_payload(payload)
+        found.append(np.stack([_impulse(free, own, row, duration, told) for row in (0, 2)]))
+        if found[-1].shape != found[0].shape or not np.all(np.abs(found[-1][0, 0]) < _DIVERGED):
+            problem, allowed = "one with which the loop is not stable", "a payload that the law holds"
+            remedy = "narrow the range, or design for it"
+            raise FieldError("payloads", payload, problem, allowed=allowed, remedy=remedy)
+    return Responses(tuple(payloads), law.period, np.stack(found))
+
+
+def _impulse(law: Law, arm: Twin, row: int, duration: float, told: bool) -> Real:
+    size = _ACCELERATION if row else _ANGLE
+    values = np.zeros((3, 4))
+    values[row, 1] = size  # in the second period: the first one starts the law
+    reference = SampledReference(law.period, values)
+    run = simulate(law, reference, arm=arm, duration=duration + law.period, told=told)
+    return np.asarray(_signals(run)[:, 1:] / size)
+
+
+def _signals(run: Run) -> Real:
+    steps = np.diff(run.motor_reference, prepend=0.0)
+    return np.array([run.tip_angle, run.voltage, steps, run.extras["motor_velocity"], run.torque])
+
+
+def noise_of(law: Law, arm: Twin, *, told: bool) -> Noise:
+    """Return what the noise of gauge and encoder makes of voltage and tip where nothing moves."""
+    free, quiet = without_friction(law, arm)
+    run = simulate(free, hold(0.0), arm=quiet, duration=_NOISE_TIME, gauge_offset=0.0, told=told)
+    return Noise(float(np.std(run.voltage)), float(np.std(np.diff(run.motor_reference))))

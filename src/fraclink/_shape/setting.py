@@ -1,0 +1,139 @@
+"""What a move is shaped for: the law, the arm and its payloads; their linear loop, and the arm itself."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fraclink import _kernels
+from fraclink._arm.link import LinkModel
+from fraclink._arm.reference import Path
+from fraclink._design import Design
+from fraclink._law import Law
+from fraclink._shape.candidates import Candidate
+from fraclink._shape.move import Measured
+from fraclink._shape.programme import Bounds, Programme
+from fraclink._shape.responses import noise_of, responses_of
+from fraclink._simulate import Run, Twin, simulate
+from fraclink._simulate.simulate import with_motor_loop
+from fraclink.errors import FieldError
+
+__all__ = ["Setting"]
+
+_PAYLOADS = 5  # of a range that the programme keeps; the arm is measured between them, too
+_KNOTS = 30  # in a vibration period: more do not settle sooner, and cost the square
+_GUARDED = 0.95  # of the law's guards: where they begin to act, the loop is not linear
+_NOISES = 3.0  # standard deviations of the voltage that are left to noise: one sample in 400 beyond
+_KNOWN = 8.0  # vibration periods of every response that are known at first
+_REST = 4.0  # vibration periods that the arm is measured for after the reference's end
+
+
+@dataclass(frozen=True)
+class Setting:
+    """The law, the arm, and the payloads: what a move is shaped for."""
+
+    law: Law
+    arm: Twin
+    link: LinkModel
+    payloads: tuple[float, float]
+    told: bool
+    gauge_offset: float | None
+
+    @staticmethod
+    def of(
+        design: Design,
+        payloads: tuple[float, float] | None,
+        told: bool,
+        arm: Twin | None,
+        gauge_offset: float | None,
+    ) -> Setting:
+        low, high = payloads or design.payloads
+        if not 0.0 < low <= high < math.inf:
+            allowed, remedy = "0 < low <= high [kg]", "put the lighter one first"
+            raise FieldError("payloads", (low, high), "not a range", allowed=allowed, remedy=remedy)
+        twin = Twin.from_rig(design.rig, model=design.model) if arm is None else arm
+        law, _ = with_motor_loop(design.law(), twin=twin)
+        middle = math.sqrt(low * high)
+        link = design.model.at_payload(middle) if design.model.payload is not None else design.model
+        return Setting(law, twin, link, (low, high), told, gauge_offset)
+
+    @property
+    def vibration(self) -> float:
+        """Vibration period of the link with the middle payload [s]."""
+        return 2 * math.pi / abs(self.link.pole.imag)
+
+    def between(self, count: int) -> tuple[float, ...]:
+        """Payloads of the range [kg]."""
+        low, high = self.payloads
+        return (low,) if low == high else tuple(np.geomspace(low, high, count).tolist())
+
+    def programme(self, voltage: float, speed: float | None, torque: float | None) -> tuple[Programme, float]:
+        """Return the programme within the limits, and the voltage that is left to noise and friction [V]."""
+        law, drive = self.law, self.law.drive
+        loops = responses_of(law, self.arm, self.between(_PAYLOADS), _KNOWN * self.vibration, told=self.told)
+        noise = noise_of(law, self.arm.with_payload(self.payloads[1]), told=self.told)
+        kept_back = _NOISES * noise.voltage + (drive.coulomb_voltage if drive else 0.0)
+        if kept_back >= voltage:
+            allowed, remedy = f"> {kept_back:.3g} V", "allow more, or design with a longer filter"
+            raise FieldError(
+                "voltage", voltage, "less than noise and friction take", allowed=allowed, remedy=remedy
+            )
+        limits, gauge = law.limits, self.arm.sensors.gauge_limit
+        signals = {
+            "voltage": voltage - kept_back,
+            "motor_step": _GUARDED * limits.motor_step - _NOISES * noise.motor_step,
+        }
+        torques = [t for t in (torque, gauge, _GUARDED * limits.torque_limit) if t is not None]
+        signals |= {"torque": min(torques)} | ({} if speed is None else {"motor_speed": speed})
+        bounds = Bounds(
+            signals,
+            velocity=_GUARDED * limits.reference_step / law.period,
+            acceleration=_GUARDED * limits.acceleration_limit,
+        )
+        knot = max(1, round(self.vibration / (_KNOTS * law.period)))
+        return Programme(loops, knot, bounds), kept_back
+
+    def longer(self, programme: Programme, factor: int) -> Programme:
+        """Return the same programme with responses that are known for longer."""
+        duration = factor * _KNOWN * self.vibration
+        loops = responses_of(self.law, self.arm, self.between(_PAYLOADS), duration, told=self.told)
+        return replace(programme, loops=loops)
+
+    def measured(self, tried: Candidate, target: Path | None, seeds: int) -> Measured:
+        """Run a reference on the arm with every payload and noise, and return the worst."""
+        reference = tried.reference
+        length = reference.duration + _REST * self.vibration
+        runs = [
+            simulate(
+                self.law,
+                reference,
+                arm=self.arm.with_payload(payload),
+                duration=length,
+                told=self.told,
+                gauge_offset=self.gauge_offset,
+                seed=seed,
+            )
+            for payload in self.between(2 * _PAYLOADS - 1)
+            for seed in range(seeds)
+        ]
+        return Measured(
+            name=tried.name,
+            duration=reference.duration,
+            predicted=tried.predicted,
+            settling_time=max(run.metrics.settling_time for run in runs),
+            largest_error=math.nan if target is None else max(_error(run, target) for run in runs),
+            residual_vibration=max(run.metrics.residual_vibration for run in runs),
+            peak_voltage=max(run.metrics.peak_voltage for run in runs),
+            limited=sum(map(_limited, runs)) / len(runs),
+            computing_time=tried.computing_time,
+        )
+
+
+def _limited(run: Run) -> bool:
+    return bool(np.any(run.flags & ~np.uint32(_kernels.LAW_FLAG_STARTED))) or not run.finished
+
+
+def _error(run: Run, target: Path) -> float:
+    return float(np.abs(run.tip_angle - target.angle(run.time)).max())
