@@ -197,6 +197,10 @@ class SampledReference(Reference):
         found = np.interp(place, np.arange(last + 1), self.values[order])
         return np.asarray(found if order == 0 else np.where((place < 0) | (place > last), 0.0, found))
 
+    def through(self) -> Path:
+        """Return the cubic spline through the table's angles, with its own velocity and acceleration."""
+        return spline(self.period * np.arange(float(self.values.shape[1])), self.values[0])
+
 
 @checked
 def spline(time: Annotated[Real, Array(1, min_size=2)], angle: Annotated[Real, Array(1, min_size=2)]) -> Path:

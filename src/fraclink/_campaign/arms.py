@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from scipy.special import gammaln
 
 from fraclink._arm.link import LinkModel
-from fraclink._arm.reference import sampled, smooth_step
+from fraclink._arm.reference import sampled
 from fraclink._arm.rig import Rig
-from fraclink._campaign.campaign import PART_RUNS, SHAPES, Campaign, draw
+from fraclink._campaign.campaign import PART_RUNS, Campaign, draw
 from fraclink._simulate.kernel import SUBSTEPS, LumpedArms, run_lumped, shared_rig
 from fraclink._simulate.metrics import Signals, judge_many, measure_many
 from fraclink._simulate.plant import LONGEST, POWERS, LinkWeights, second_mode_weights
@@ -55,14 +55,14 @@ def simulate_part(campaign: Campaign, part: Annotated[int, Between(0)]) -> dict[
     blocks = [_measured_block(campaign, values, path, part, at) for at in range(0, runs, BLOCK)]
     measured = {name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]}
     number = np.arange(part * PART_RUNS, part * PART_RUNS + runs, dtype=np.int64)
-    values["shape"] = values["shape"] % len(SHAPES)
+    values["shape"] = values["shape"] % len(campaign.references)
     return {"run": number} | {name: np.asarray(column) for name, column in values.items()} | measured
 
 
 def unit_paths(campaign: Campaign, times: int = 1) -> Real:
-    """Return angle and acceleration of a move of 1 rad in each duration, (shapes, 2, N)."""
+    """Return angle and acceleration of each of the campaign's references, (shapes, 2, N)."""
     count = round(times * campaign.duration / campaign.law.period) + 1
-    rows = [sampled(smooth_step(1.0, d), campaign.law.period, count)[[0, 2]] for d in SHAPES]
+    rows = [sampled(each, campaign.law.period, count)[[0, 2]] for each in campaign.references]
     return np.ascontiguousarray(np.stack(rows))
 
 
@@ -115,7 +115,7 @@ def _signals(
         mode=mode,
         reason=reason,
         period=campaign.law.period,
-        ended=np.asarray(SHAPES)[chosen],
+        ended=np.array([each.duration for each in campaign.references])[chosen],
         vibration_period=vibration,
     )
 
@@ -141,7 +141,7 @@ def block_of(campaign: Campaign, own: dict[str, Real], first: int) -> tuple[Lump
         payload_given=own["payload_given"] * own["payload"],
         **values,
     )
-    return arms, (own["shape"] % len(SHAPES)).astype(np.int32)
+    return arms, (own["shape"] % len(campaign.references)).astype(np.int32)
 
 
 # ── one run again ───────────────────────────────────────────────────────────────────────────────────────────
@@ -221,7 +221,7 @@ def replay_run(campaign: Campaign, run: int) -> Run:
         own["amplitude"] * path[chosen[0], 0],
         signals[:, 0],
         marks[:, 0],
-        ended=SHAPES[chosen[0]],
+        ended=campaign.references[chosen[0]].duration,
         growth=float(metrics["growth"][0]),
         about={
             "arm": "model",

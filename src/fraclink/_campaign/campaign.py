@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
 from fraclink._arm.link import LinkModel
+from fraclink._arm.reference import Reference, SampledReference, sampled, smooth_step
 from fraclink._arm.rig import Rig
 from fraclink._files import from_plain, read_json, write_json
 from fraclink._law import Law, equip
@@ -39,7 +40,8 @@ Real = NDArray[np.float64]
 KIND, FORMAT = "campaign", 1
 PART_RUNS = 1000  # runs of a part: a second of work is what a kill can cost, and a file of 100 kB
 LARGEST = 10**9  # runs; a year of one core is a slip of the pen
-DURATION = 4.0  # [s]: three seconds of rest after the longest move, twenty vibration periods
+REST = 3.0  # [s] after the longest move: twenty vibration periods
+DURATION = 4.0  # [s]
 SHAPES = (0.5, 0.75, 1.0)  # durations of the drawn moves [s]
 TAILS = 4.0  # a normal draw is cut at ±4σ: 6e-5 of the draws, and no motor of negative inertia
 
@@ -199,7 +201,8 @@ class Campaign:
 
     rig, model and law: the nominal arm and the law under test, with its motor loop for
     ``motor_loop="sampled"``. draws: the distributions. runs: how many, 1 … 10⁹. seed: 0 … 2⁶³ − 1; the same
-    seed gives the same runs whatever the number of workers. duration [s] of each run.
+    seed gives the same runs whatever the number of workers. duration [s] of each run. reference: what the tip
+    follows, times the drawn amplitude; a quintic of one of three durations where it is left out.
     """
 
     rig: Rig
@@ -212,8 +215,12 @@ class Campaign:
     duration: Annotated[float, Between(max(SHAPES) + 1.0, 600.0, "s", remedy="leave time to settle")] = (
         DURATION
     )
+    reference: Reference | None = None
 
     def __post_init__(self) -> None:
+        if self.reference is not None and self.reference.duration + 1.0 > self.duration:
+            allowed, remedy = f"<= {self.duration - 1.0:g} s", "run for longer"
+            raise FieldError("reference", self.reference.duration, "too long", allowed=allowed, remedy=remedy)
         if self.runs > LARGEST:
             raise SizeError("runs", self.runs, "too many", allowed=f"<= {LARGEST}", remedy="ask for less")
         if self.model.structure not in ("UD-FOM", "UD-IOM"):
@@ -224,6 +231,12 @@ class Campaign:
                 allowed="UD-FOM or UD-IOM",
                 remedy="fit UD-FOM to the log",
             )
+
+    @property
+    def references(self) -> tuple[Reference, ...]:
+        """What the tip of a run follows: one of these times its amplitude."""
+        moves = tuple(smooth_step(1.0, duration) for duration in SHAPES)
+        return moves if self.reference is None else (self.reference,)
 
     @property
     def parts(self) -> int:
@@ -254,10 +267,12 @@ class Campaign:
         draws: Draws | None = None,
         motor_loop: Literal["ideal", "sampled"] = "sampled",
         told: bool = False,
+        reference: Reference | None = None,
     ) -> Campaign:
         """Return the campaign of a law with the default draws of its rig; the law gets the rig's motor loop.
 
-        With `told` the law is given the payload of each arm, whatever `draws` say of that.
+        With `told` the law is given the payload of each arm, whatever `draws` say of that. With a `reference`
+        every tip follows it as it is, whatever they say of the amplitude.
 
         >>> import fraclink as fl
         >>> rig = fl.Rig.named("paper-2023")
@@ -269,11 +284,15 @@ class Campaign:
         own = equip(law, rig, model) if motor_loop == "sampled" and law.drive is None else law
         chosen = draws_for(rig, model) if draws is None else draws
         chosen = replace(chosen, payload_given=_always(1.0)) if told else chosen
-        return Campaign(rig, model, own, chosen, runs, seed, motor_loop)
+        if reference is None:
+            return Campaign(rig, model, own, chosen, runs, seed, motor_loop)
+        length = max(DURATION, reference.duration + REST)
+        chosen = replace(chosen, amplitude=_always(1.0))
+        return Campaign(rig, model, own, chosen, runs, seed, motor_loop, length, reference)
 
 
 def _about(campaign: Campaign) -> dict[str, object]:
-    return {
+    return _followed(campaign) | {
         "model": _stated(campaign.model, LATER_MODEL),
         "draws": _stated(campaign.draws, LATER_DRAWS),
         "seed": campaign.seed,
@@ -282,6 +301,14 @@ def _about(campaign: Campaign) -> dict[str, object]:
         "part_runs": PART_RUNS,
         "shapes": list(SHAPES),
     }
+
+
+def _followed(campaign: Campaign) -> dict[str, object]:
+    """The reference's samples, nothing where there is none: such a campaign keeps its fingerprint."""
+    reference, period = campaign.reference, campaign.law.period
+    if reference is None:
+        return {}
+    return {"reference": sampled(reference, period, math.ceil(reference.duration / period) + 1).tolist()}
 
 
 # Fields that release 0.1 did not have.
@@ -312,15 +339,17 @@ def load_campaign(folder: Path | str) -> Campaign:
     place = Path(folder)
     data = read_json(place / "campaign.json", KIND, (FORMAT,))
     try:
+        law, rows = Law.load(place / "law.json"), data.get("reference")
         campaign = Campaign(
             rig=Rig.load(place / "rig.toml"),
             model=from_plain(LinkModel, data["model"], "model"),
-            law=Law.load(place / "law.json"),
+            law=law,
             draws=Draws(**{name: Distribution(**d) for name, d in data["draws"].items()}),
             runs=data["runs"],
             seed=data["seed"],
             motor_loop=data["inner"],
             duration=data["duration"],
+            reference=None if rows is None else SampledReference(law.period, rows),
         )
     except (AttributeError, KeyError, TypeError) as error:
         raise FileFormatError(

@@ -49,6 +49,7 @@ _SECTIONS: dict[str, dict[str, str]] = {
     ),
     "More on designs and laws": {
         **dict.fromkeys(("assess", "optimise", "compare", "design-map"), "assessments"),
+        "shape": "moves",
         "campaign": "campaigns",
         "replay": "boards",
     },

@@ -10,7 +10,7 @@ from typing import Annotated, Literal, TypedDict, Unpack
 import typer
 
 from fraclink import _realtime as realtime
-from fraclink._arm.reference import Reference, prbs, smooth_step
+from fraclink._arm.reference import Reference, prbs
 from fraclink._certify import Certificate, certify
 from fraclink._cli.app import group
 from fraclink._cli.command import Answer, Default, Writes, command
@@ -23,11 +23,13 @@ from fraclink._cli.options import (
     Gear,
     GivenPayload,
     MoveTime,
+    ReferenceFile,
     RigName,
     load_arm,
     load_design,
     load_log,
     load_rig,
+    reference_of,
 )
 from fraclink._design import Design
 from fraclink._export import Proof, export_c, export_fmu, export_io, export_matlab, replay_log
@@ -201,6 +203,7 @@ def run_realtime(
     out: Annotated[Path, "File to write the record to (npz)", Writes()] = Path("realtime.npz"),
     amplitude: Amplitude = 1.0,
     move_time: MoveTime = 1.0,
+    reference: ReferenceFile = None,
     excitation: Annotated[
         Literal["move", "prbs"], "Reference of the tip: a move, or 20 s of a PRBS"
     ] = "move",
@@ -232,7 +235,7 @@ def run_realtime(
     awake.check()
     run = realtime.run_realtime(
         law.in_precision("single") if single else law,
-        _reference(excitation, amplitude, move_time),
+        _excitation(amplitude) if excitation == "prbs" else reference_of(reference, amplitude, move_time),
         connection,
         relative=not absolute,
         out=out,
@@ -251,9 +254,7 @@ def run_realtime(
     return Answer(run, run.passed and logged, values={"out": run.saved}, remarks=remarks, written=written)
 
 
-def _reference(kind: str, amplitude: float, move_time: float) -> Reference:
-    if kind == "move":
-        return smooth_step(amplitude, duration=move_time)
+def _excitation(amplitude: float) -> Reference:
     # As `fraclink record` excites the twin: bits of 0.24 s have their power where an arm's first mode is.
     return prbs(amplitude, 0.24, bits=81, register=9, start=0.5)
 

@@ -21,6 +21,7 @@ from fraclink._cli.options import Gear, LinkMass, ModelFile, RigName, load_desig
 from fraclink._design import Design
 from fraclink._files import save, write_text
 from fraclink._files.envelope import write_npz
+from fraclink._logs.reference import read_reference
 from fraclink._show.faults import draw_outcome
 from fraclink._show.report import write_campaign_report
 from fraclink._show.views import faults_page
@@ -45,6 +46,9 @@ def montecarlo(
     runs: Annotated[int, "Number of runs"] = 10_000,
     seed: Annotated[int, "Seed of everything that is drawn"] = 0,
     told: Annotated[bool, "The law is given the payload of each arm"] = False,
+    reference: Annotated[
+        Path | None, "Move of `fraclink shape`, or a table, that every arm follows; default: quintics"
+    ] = None,
     workers: Annotated[int, "Processes on this machine"] = 1,
     scheduler: Annotated[str | None, "Address of a Dask scheduler, e.g. tcp://host:8786"] = None,
 ) -> Answer:
@@ -56,7 +60,15 @@ def montecarlo(
         made = Design.load(design)
     else:
         made, _ = design_for(load_rig(rig), load_link_model(model))
-    asked = Campaign.of(made.rig, made.model, made.law(), runs=runs, seed=seed, told=told)
+    asked = Campaign.of(
+        made.rig,
+        made.model,
+        made.law(),
+        runs=runs,
+        seed=seed,
+        told=told,
+        reference=None if reference is None else read_reference(reference),
+    )
     with watching(runs) as watch:
         campaigns.run_campaign(asked, out, workers=workers, scheduler=scheduler, watch=watch)
     return _summarised(campaigns.summarise(asked, out), out)

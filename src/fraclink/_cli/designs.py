@@ -7,7 +7,6 @@ from typing import Annotated, TypedDict, Unpack
 
 import typer
 
-from fraclink._arm.reference import smooth_step
 from fraclink._certify import certify as prove
 from fraclink._cli.app import group
 from fraclink._cli.command import Answer, Default, Writes, command
@@ -25,6 +24,7 @@ from fraclink._cli.options import (
     MotorLoopKind,
     MoveTime,
     Placement,
+    ReferenceFile,
     RigName,
     SeedNumber,
     in_radians,
@@ -33,9 +33,11 @@ from fraclink._cli.options import (
     load_link_model,
     load_log,
     load_rig,
+    reference_of,
 )
 from fraclink._design import Design
 from fraclink._files import output_path
+from fraclink._logs.reference import read_reference
 from fraclink._show.arm_page import write_arm_page
 from fraclink._show.report import write_report
 from fraclink._simulate import simulate as run_law
@@ -151,6 +153,7 @@ class MoveOptions(TypedDict):
 def simulate(
     design_file: DesignFile,
     payload: Annotated[float, "Payload at the tip [kg]"],
+    reference: ReferenceFile = None,
     out: Annotated[Path, "File to write the run to (npz)", Writes()] = Path("run.npz"),
     **options: Unpack[MoveOptions],
 ) -> Answer:
@@ -159,7 +162,8 @@ def simulate(
     $ fraclink simulate design.json --payload 0.08 --told 0.08
     """
     made = Design.load(design_file)
-    move = simulate_move(made, payload, **options)
+    given = None if reference is None else read_reference(reference)
+    move = simulate_move(made, payload, reference=given, **options)
     move.save(out)
     following = f"fraclink twin {design_file} --payload {payload:g}"
     doubts = _doubts(made, payload)
@@ -177,6 +181,7 @@ def twin(
     design_file: DesignFile,
     amplitude: Amplitude = 1.0,
     move_time: MoveTime = 1.0,
+    reference: ReferenceFile = None,
     told: GivenPayload = 0.0,
     seed: SeedNumber = 0,
     **options: Unpack[ArmOptions],
@@ -186,7 +191,8 @@ def twin(
     $ fraclink twin design.json --gear 50 --link-mass 0.00735
     """
     made, arm = load_arm(design_file, options)
-    move = run_law(made.law(), smooth_step(amplitude, duration=move_time), arm=arm, told=told, seed=seed)
+    wanted = reference_of(reference, amplitude, move_time)
+    move = run_law(made.law(), wanted, arm=arm, told=told, seed=seed)
     doubts = _doubts(made, options["payload"])
     following = f"fraclink certify {design_file}" if move.verdict.passed else f"fraclink assess {design_file}"
     return Answer(move, move.verdict.passed, doubts=doubts, following=following)

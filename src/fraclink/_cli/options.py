@@ -15,11 +15,13 @@ from fraclink._arm.draft import RigDraft, load_rig_or_draft
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import LinkModel
 from fraclink._arm.log_columns import parse_columns
+from fraclink._arm.reference import Reference, smooth_step
 from fraclink._arm.rig import Rig
 from fraclink._design import Design
 from fraclink._files import kind_of
 from fraclink._identify import Fit, load_model
 from fraclink._logs import bundled_log, read_log
+from fraclink._logs.reference import read_reference
 from fraclink._simulate import Twin, geared
 from fraclink.errors import FieldError
 from fraclink.findings import Finding, errors_of
@@ -45,6 +47,9 @@ MotorLoopKind = Annotated[Literal["ideal", "sampled"], "Motor loop"]
 SeedNumber = Annotated[ranges.Seed, "Seed of the noise"]
 Amplitude = Annotated[float, "Size of the move [rad]"]
 MoveTime = Annotated[float, "Time of the move [s]"]
+ReferenceFile = Annotated[
+    Path | None, "Move of `fraclink shape`, or a table, to follow instead of --amplitude and --move-time"
+]
 GivenPayload = Annotated[float, "Payload that the law is given [kg]; 0: none"]
 Columns = Annotated[
     list[str] | None,
@@ -145,6 +150,11 @@ def load_arm(path: Path, options: ArmOptions) -> tuple[Design, Twin]:
     """Return a design and the twin that it is run on."""
     made = load_design(path, gear=options["gear"], model=options["model"])
     return made, Twin.from_rig(made.rig, payload=options["payload"], link_mass=options["link_mass"])
+
+
+def reference_of(path: Path | None, amplitude: float, move_time: float) -> Reference:
+    """Return the reference of a file, or the quintic of that size [rad] and duration [s]."""
+    return smooth_step(amplitude, duration=move_time) if path is None else read_reference(path)
 
 
 def load_log(

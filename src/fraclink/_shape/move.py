@@ -91,6 +91,10 @@ class ShapedMove:
         the shaped reference first, then its rivals.
     seeds
         noises of each payload that were run.
+    shown
+        payloads [kg] of the runs that are kept to be drawn, shape (P,): lightest, middle, heaviest.
+    tip_angle, motor_voltage
+        of these runs with the shaped reference, one value a period, shape (P, N) [rad], [V].
     law_sha256
         digest of the law that it was made for.
     findings
@@ -117,8 +121,15 @@ class ShapedMove:
     reserve: float
     measured: tuple[Measured, ...]
     seeds: int
+    shown: Real
+    tip_angle: Real
+    motor_voltage: Real
     law_sha256: str
     findings: tuple[Finding, ...] = ()
+
+    def __post_init__(self) -> None:
+        for values in (self.shown, self.tip_angle, self.motor_voltage):
+            values.flags.writeable = False
 
     @property
     def amplitude(self) -> float:

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import numpy as np
 
-from fraclink._arm.reference import Path
+from fraclink._arm.reference import Path, SampledReference
 from fraclink._design import Design
 from fraclink._shape.candidates import Candidate, candidates, settling
 from fraclink._shape.move import ShapedMove
@@ -32,7 +32,7 @@ _MOST = 60  # coefficients; a longer reference gets fewer knots in a second
 @checked
 def shape(
     design: Design,
-    move: Annotated[float, Between(-1e3, 1e3, "rad")] | Path,
+    move: Annotated[float, Between(-1e3, 1e3, "rad")] | Path | SampledReference,
     *,
     payloads: tuple[float, float] | None = None,
     told: bool = False,
@@ -60,7 +60,7 @@ def shape(
     design
         whose law runs.
     move
-        size of the move [rad], not 0, or the path of the tip that is followed, e.g. a `spline`.
+        size of the move [rad], not 0, or the path of the tip that is followed: a `spline`, or samples.
     payloads
         lightest and heaviest payload [kg], one reference for all; the design's where it is left out. Twice
         the same where it is known.
@@ -101,15 +101,16 @@ def shape(
     >>> [m.name.split()[0] for m in move.measured], move.passed
     (['shaped', 'quintic', 'ZV', 'ZVD', 'EI'], True)
     """
+    move = move.through() if isinstance(move, SampledReference) else move
     if move == 0.0:
         raise FieldError("move", 0.0, "no move", allowed="not 0 rad", remedy="give its size")
     setting = Setting.of(design, payloads, told, arm, gauge_offset)
-    most = (
-        setting.arm.motor.voltage_limit if voltage is None else min(voltage, setting.arm.motor.voltage_limit)
-    )
-    tried, kept_back = _references(setting, move, (most, speed, torque), reserve, rivals=rivals)
+    limit = setting.arm.motor.voltage_limit
+    most = limit if voltage is None else min(voltage, limit)
+    shaped, tried, kept_back = _references(setting, move, (most, speed, torque), reserve, rivals=rivals)
     target = move if isinstance(move, Path) else None
-    shaped = tried[0].reference
+    shown = setting.between(3)
+    drawn = [setting.run(shaped, payload, 0) for payload in shown]
     made = ShapedMove(
         reference=shaped,
         period=setting.law.period,
@@ -121,6 +122,9 @@ def shape(
         reserve=reserve,
         measured=tuple(setting.measured(each, target, seeds) for each in tried),
         seeds=seeds,
+        shown=np.array(shown),
+        tip_angle=np.stack([run.tip_angle for run in drawn]),
+        motor_voltage=np.stack([run.voltage for run in drawn]),
         law_sha256=setting.law.digest,
     )
     return replace(made, findings=_findings(made))
@@ -133,14 +137,14 @@ def _references(
     reserve: float,
     *,
     rivals: bool,
-) -> tuple[tuple[Candidate, ...], float]:
-    """Return the shaped reference and its rivals, and the voltage that was left to noise and friction [V]."""
+) -> tuple[Path, tuple[Candidate, ...], float]:
+    """Return the shaped path, all that are measured (it first), and the voltage left to noise [V]."""
     began = time.perf_counter()
     programme, kept_back = setting.programme(*limits)
     if isinstance(move, Path):
         programme = _coarse(programme, move.duration)
         found = _following(programme, move)
-        others = (Candidate("as given", move, _distance(programme.loops, move, move)),)
+        others: tuple[Candidate, ...] = (Candidate("as given", move, _distance(programme.loops, move, move)),)
     else:
         found, programme = _fastest(setting, programme, move, reserve)
     path = programme.path(found)
@@ -151,7 +155,8 @@ def _references(
         band = BAND * abs(move)
         promised = settling(programme.loops.to(path, ("tip",))[:, 0], move, band, programme.period)
         others = candidates(programme.loops, move, band, programme.bounds, setting.link) if rivals else ()
-    return (Candidate("shaped", path, promised, spent), *(others if rivals else ())), kept_back
+    ours = Candidate("shaped", path, promised, spent)
+    return path, (ours, *(others if rivals else ())), kept_back
 
 
 # ── the programme ───────────────────────────────────────────────────────────────────────────────────────────

@@ -93,7 +93,8 @@ class Programme:
         rows, sides = self._kept(count, target, first, last)
         ends = np.append(np.ones(count), 0.0)
         free: list[tuple[float | None, float | None]] = [(None, None)] * count
-        most, end = [(0.0, within)], [float(target[-1])]
+        most: list[tuple[float | None, float | None]] = [(0.0, within)]
+        end = [float(target[-1])]
         cost = np.append(np.zeros(count), 1.0)
         if within is not None:
             jerk = self._jerk(count)

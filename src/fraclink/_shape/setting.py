@@ -9,7 +9,7 @@ import numpy as np
 
 from fraclink import _kernels
 from fraclink._arm.link import LinkModel
-from fraclink._arm.reference import Path
+from fraclink._arm.reference import Path, Reference
 from fraclink._design import Design
 from fraclink._law import Law
 from fraclink._shape.candidates import Candidate
@@ -101,26 +101,28 @@ class Setting:
         loops = responses_of(self.law, self.arm, self.between(_PAYLOADS), duration, told=self.told)
         return replace(programme, loops=loops)
 
+    def run(self, reference: Reference, payload: float, seed: int) -> Run:
+        """Run a reference on the arm as it is."""
+        return simulate(
+            self.law,
+            reference,
+            arm=self.arm.with_payload(payload),
+            duration=reference.duration + _REST * self.vibration,
+            told=self.told,
+            gauge_offset=self.gauge_offset,
+            seed=seed,
+        )
+
     def measured(self, tried: Candidate, target: Path | None, seeds: int) -> Measured:
         """Run a reference on the arm with every payload and noise, and return the worst."""
-        reference = tried.reference
-        length = reference.duration + _REST * self.vibration
         runs = [
-            simulate(
-                self.law,
-                reference,
-                arm=self.arm.with_payload(payload),
-                duration=length,
-                told=self.told,
-                gauge_offset=self.gauge_offset,
-                seed=seed,
-            )
+            self.run(tried.reference, payload, seed)
             for payload in self.between(2 * _PAYLOADS - 1)
             for seed in range(seeds)
         ]
         return Measured(
             name=tried.name,
-            duration=reference.duration,
+            duration=tried.reference.duration,
             predicted=tried.predicted,
             settling_time=max(run.metrics.settling_time for run in runs),
             largest_error=math.nan if target is None else max(_error(run, target) for run in runs),

@@ -37,10 +37,10 @@ if TYPE_CHECKING:
 
 __all__ = ["SHOWN", "bode_figure", "drivers_figure", "failures_figure", "fit_figure", "log_figure"]
 __all__ += ["margins_figure"]
-__all__ += ["models_figure", "moves_figure", "nyquist_figure", "payloads_of", "spread_figure"]
+__all__ += ["models_figure", "moves_figure", "nyquist_figure", "payloads_of", "spread_figure", "stacked"]
 
 
-def _stacked(drawing: Figure, heights: Sequence[float], labels: Sequence[str], *, xlabel: str = "") -> Any:
+def stacked(drawing: Figure, heights: Sequence[float], labels: Sequence[str], *, xlabel: str = "") -> Any:
     """Panels of these relative heights over one another, each with its label, on one horizontal axis."""
     panels = drawing.subplots(len(heights), 1, sharex=True, height_ratios=heights)
     for axes, label in zip(panels, labels, strict=True):
@@ -56,7 +56,7 @@ def log_figure(log: Experiment) -> str:
     """Draw motor angle and output against time."""
     with figure(FULL_WIDTH, 3.4) as drawing:
         labels = ("motor angle θm [rad]", OUTPUT_LABEL[log.output_kind])
-        above, below = _stacked(drawing, (1, 1), labels, xlabel="time [s]")
+        above, below = stacked(drawing, (1, 1), labels, xlabel="time [s]")
         above.plot(*envelope(log.time, log.motor_angle), color=INK, linewidth=0.9)
         below.plot(*envelope(log.time, log.output), color=BLUE, linewidth=0.8)
         below.set_xlim(log.time[0], log.time[-1])
@@ -68,7 +68,7 @@ def fit_figure(log: Experiment, fit: Fit) -> str:
     """Draw a whole log over its model: motor angle, measured and computed output, residual."""
     with figure(FULL_WIDTH, 5.0) as drawing:
         labels = ("angle θm [rad]", OUTPUT_LABEL[log.output_kind], "residual")
-        angle, output, rest = _stacked(drawing, (1, 2, 0.8), labels, xlabel="time [s]")
+        angle, output, rest = stacked(drawing, (1, 2, 0.8), labels, xlabel="time [s]")
         angle.plot(*envelope(log.time, log.motor_angle), color=INK, linewidth=0.9)
         output.plot(*envelope(log.time, log.output), color=GREY, linewidth=2.6, alpha=0.5, label="measured")
         model = f"{fit.structure}, {log.source}" if log.source else fit.structure
@@ -146,7 +146,7 @@ def bode_figure(design: Design) -> str:
     """Draw gain and phase of the open loop at the lightest, nominal and heaviest payload."""
     with figure(FULL_WIDTH, 4.4) as drawing:
         labels = ("gain |L| [dB]", "phase of L [°]")
-        gain, phase = _stacked(drawing, (1, 1), labels, xlabel="frequency ω [rad/s]")
+        gain, phase = stacked(drawing, (1, 1), labels, xlabel="frequency ω [rad/s]")
         for line, payload in zip(LINES, payloads_of(design), strict=False):
             w = _frequencies(design, payload)
             value = design.loop.log(w, design.natural_frequency(payload))
@@ -199,7 +199,7 @@ def margins_figure(design: Design) -> str:
     sampled = [design.sampled_at(float(m)) for m in payloads]
     with figure(FULL_WIDTH / 2, 4.1) as drawing:
         labels, below = ("phase margin [°]", "gain crossover [rad/s]"), "payload [g]; shaded: designed for"
-        margin, crossover = _stacked(drawing, (1, 1), labels, xlabel=below)
+        margin, crossover = stacked(drawing, (1, 1), labels, xlabel=below)
         mass = 1e3 * payloads
         for axes in (margin, crossover):
             axes.axvspan(1e3 * low, 1e3 * high, color="#eef3f8", linewidth=0)
@@ -228,7 +228,7 @@ def moves_figure(runs: Sequence[Run]) -> str:
     """Draw the tip's tracking, its error, the measured torque and the motor's voltage for every payload."""
     with figure(FULL_WIDTH, 6.2) as drawing:
         labels = ("tip angle θt [rad]", "tip error [mrad]", "gauge Γ [N·m]", "motor [V]")
-        tip, error, torque, voltage = _stacked(drawing, (2.2, 1.2, 1, 1), labels, xlabel="time [s]")
+        tip, error, torque, voltage = stacked(drawing, (2.2, 1.2, 1, 1), labels, xlabel="time [s]")
         tip.plot(
             *envelope(runs[0].time, runs[0].reference), color=GREY, linestyle=(0, (4, 2)), label="reference"
         )

@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable
 from typing import Any
 
-from fraclink._show import figures
+from fraclink._show import figures, moves
 from fraclink._show.text import looked_up, marked
 from fraclink._show.views import view
 from fraclink.errors import MissingExtraError
@@ -23,6 +23,7 @@ _DRAWINGS: dict[str, Callable[[Any], str]] = {
     "Comparison": lambda comparison: figures.models_figure(comparison.fits),
     "Design": figures.bode_figure,
     "Run": lambda run: figures.moves_figure([run]),
+    "ShapedMove": moves.shaped_figure,
 }
 
 

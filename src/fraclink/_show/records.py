@@ -156,6 +156,9 @@ _NAMES = {
     "Step": "structure value taken",
     "Metrics": "overshoot settling_time residual_vibration steady_state_error peak_voltage "
     "motor_reference_noise",
+    "Measured": "name duration predicted settling_time largest_error residual_vibration peak_voltage limited",
+    "ShapedMove": "passed amplitude payloads told voltage kept_back reserve duration:reference.duration "
+    "settling_time measured findings",
     "Run": "payload passed:verdict.passed reason:verdict.reason metrics",
 }
 

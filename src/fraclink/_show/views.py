@@ -15,6 +15,7 @@ import numpy as np
 
 from fraclink._arm.link import structure
 from fraclink._law import MODES, REASONS
+from fraclink._show.moves import shaped_view
 from fraclink._show.tables import (
     PARAMETERS,
     coincidence,
@@ -368,10 +369,6 @@ def _replay_view(result: Any) -> View:
     return View(where, state="failed")
 
 
-def _tournament_view(result: Any) -> View:
-    return View("\n".join(result.verdicts()), state=state_of(result.standings[0]))
-
-
 _VIEWS: dict[str, Callable[[Any], View]] = {
     "tuple": _findings_view,
     "Rig": _rig_view,
@@ -396,5 +393,6 @@ _VIEWS: dict[str, Callable[[Any], View]] = {
     "RealtimeRun": _realtime_view,
     "ServedArm": _served_view,
     "Replay": _replay_view,
-    "Tournament": _tournament_view,
+    "ShapedMove": shaped_view,
+    "Tournament": lambda result: View("\n".join(result.verdicts()), state=state_of(result.standings[0])),
 }

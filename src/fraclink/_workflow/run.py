@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 from fraclink._arm.doubts import doubts_of
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import STRUCTURES, LinkModel
-from fraclink._arm.reference import smooth_step
+from fraclink._arm.reference import Reference, smooth_step
 from fraclink._arm.rig import Rig
 from fraclink._campaign import Campaign, run_campaign, summarise
 from fraclink._certify import certify
@@ -164,13 +164,14 @@ def simulate_move(
     payload: float,
     *,
     law: Law | None = None,
+    reference: Reference | None = None,
     amplitude: float = 1.0,
     move_time: float = 0.5,
     duration: float = 4.0,
     inner: Literal["ideal", "sampled"] = "sampled",
     **options: Any,
 ) -> Run:
-    """Simulate one move of the tip of `amplitude` [rad] in `move_time` [s] at `payload` [kg].
+    """Simulate a move of the tip at `payload` [kg]: `amplitude` [rad] in `move_time` [s], or `reference`.
 
     `law` is the design's own where it is left out; making it takes a second. `options` are those of
     `simulate`, such as ``gauge_offset`` [N·m], ``noise`` [N·m] and ``seed``.
@@ -179,10 +180,9 @@ def simulate_move(
     >>> simulate_move(made, 0.020, amplitude=0.2).payload
     0.02
     """
-    reference = smooth_step(amplitude, duration=move_time)
     return simulate(
         law if law is not None else made.law(),
-        reference,
+        smooth_step(amplitude, duration=move_time) if reference is None else reference,
         rig=made.rig,
         model=made.model,
         payload=payload,

@@ -1,0 +1,86 @@
+"""Commands on references: shape."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, TypedDict, Unpack
+
+from fraclink import _validate as ranges
+from fraclink._arm import reference as references
+from fraclink._cli.app import group
+from fraclink._cli.command import Answer, Default, Writes, command
+from fraclink._cli.console import steps
+from fraclink._cli.options import (
+    Amplitude,
+    ArmOptions,
+    DesignFile,
+    Gear,
+    LinkMass,
+    ModelFile,
+    PayloadRange,
+    load_arm,
+)
+from fraclink._export.reference import export_reference
+from fraclink._logs.reference import read_reference
+from fraclink._shape import shape as shape_move
+from fraclink.errors import FieldError
+
+app = group()
+
+
+class MoveRequest(TypedDict):
+    """What a move is shaped for, and within which limits."""
+
+    payloads: PayloadRange
+    told: Annotated[bool, "The law is given the payload"]
+    voltage: Annotated[float | None, "Limit of |V| [V], noise and friction included; default: the rig's"]
+    speed: Annotated[float | None, "Limit of the motor's speed at the gear's output [rad/s]"]
+    torque: Annotated[float | None, "Limit of the torque at the link's root [N·m]"]
+    reserve: Annotated[float, "Part of the 2 % band that is left to friction and noise", Default(0.25)]
+    gauge_offset: Annotated[float | None, "Offset of the gauge [N·m]; default: the rig's"]
+    seeds: Annotated[int, "Noises to measure each payload with", Default(5)]
+
+
+@command(app)
+def shape(
+    design_file: DesignFile,
+    amplitude: Amplitude = 1.0,
+    payload: Annotated[ranges.Payload | None, "Payload, where it is known; instead of --payloads"] = None,
+    follow: Annotated[
+        Path | None, "Table of times and angles that the tip shall follow, instead of --amplitude"
+    ] = None,
+    out: Annotated[Path, "File to write the move to", Writes()] = Path("move.json"),
+    table: Annotated[Path | None, "Write its samples, too: .csv, or .h for C", Writes()] = None,
+    link_mass: LinkMass = None,
+    gear: Gear = None,
+    model: ModelFile = None,
+    **request: Unpack[MoveRequest],
+) -> Answer:
+    """Shape the fastest move within the limits, for every payload of a range, and measure it beside others.
+
+    $ fraclink shape design.json --amplitude 1 --payloads 0.02 0.04 --voltage 8 --table move.csv
+    """
+    if payload is not None:
+        if request["payloads"] is not None:
+            allowed, remedy = "one of --payload and --payloads", "leave one out"
+            raise FieldError("payload", payload, "given beside payloads", allowed=allowed, remedy=remedy)
+        request["payloads"] = (payload, payload)
+    options = ArmOptions(payload=None, link_mass=link_mass, gear=gear, model=model)
+    made, arm = load_arm(design_file, options)
+    with steps(1) as begin:
+        begin("shaping the move")
+        move = shape_move(made, amplitude if follow is None else _followed(follow), arm=arm, **request)
+    move.save(out)
+    written: tuple[Path, ...] = (out,)
+    if table is not None:
+        written += (export_reference(move.reference, table, period=move.period, force=True),)
+    told = " --told" if request["told"] else ""
+    following = f"fraclink campaign montecarlo --design {design_file} --reference {out}{told} --out moves"
+    return Answer(move, move.passed, written=written, following=following)
+
+
+def _followed(place: Path) -> references.Path | references.SampledReference:
+    found = read_reference(place)
+    if not isinstance(found, references.Path | references.SampledReference):
+        raise AssertionError("a file holds a path or a table")
+    return found
