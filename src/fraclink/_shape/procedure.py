@@ -26,6 +26,7 @@ __all__ = ["shape"]
 
 _TAIL = 2.5  # vibration periods after settling that the programme looks at
 _LONGEST = 16  # times that: no move of an arm takes longer
+_FAR = 0.1  # of a path's span: a tip that is farther away does not follow it
 _MOST = 60  # coefficients; a longer reference gets fewer knots in a second
 
 
@@ -69,7 +70,8 @@ def shape(
     voltage
         limit of |V| [V], noise and friction included; the rig's where it is left out.
     speed, torque
-        limits of the motor's speed at the gear's output [rad/s] and of the torque at the link's root [N·m].
+        limits of the motor's speed at the gear's output [rad/s] and of the torque at the link's root [N·m],
+        noise included.
     reserve
         part of the 2 % band that the linear loop leaves to friction and noise, 0 … 0.9 [1].
     arm
@@ -105,11 +107,14 @@ def shape(
     if move == 0.0:
         raise FieldError("move", 0.0, "no move", allowed="not 0 rad", remedy="give its size")
     setting = Setting.of(design, payloads, told, arm, gauge_offset)
-    limit = setting.arm.motor.voltage_limit
+    farthest, limit = setting.law.limits.angle_limit, setting.arm.motor.voltage_limit
+    if not isinstance(move, Path) and abs(move) >= farthest:
+        allowed, remedy = f"< {farthest:.4g} rad, the law's own limit", "derive the law's limits for it"
+        raise FieldError("move", move, "too far", allowed=allowed, remedy=remedy)
     most = limit if voltage is None else min(voltage, limit)
     shaped, tried, kept_back = _references(setting, move, (most, speed, torque), reserve, rivals=rivals)
     target = move if isinstance(move, Path) else None
-    shown = setting.between(3)
+    shown = setting.between(2)
     drawn = [setting.run(shaped, payload, 0) for payload in shown]
     made = ShapedMove(
         reference=shaped,
@@ -139,7 +144,7 @@ def _references(
     rivals: bool,
 ) -> tuple[Path, tuple[Candidate, ...], float]:
     """Return the shaped path, all that are measured (it first), and the voltage left to noise [V]."""
-    began = time.perf_counter()
+    began = time.process_time()
     programme, kept_back = setting.programme(*limits)
     if isinstance(move, Path):
         programme = _coarse(programme, move.duration)
@@ -148,7 +153,7 @@ def _references(
     else:
         found, programme = _fastest(setting, programme, move, reserve)
     path = programme.path(found)
-    spent = time.perf_counter() - began
+    spent = time.process_time() - began
     if isinstance(move, Path):
         promised = _distance(programme.loops, path, move)
     else:
@@ -239,9 +244,39 @@ def _distance(loops: Responses, reference: Path, target: Path) -> float:
     return float(np.abs(tip - target.angle(loops.period * np.arange(loops.length))).max())
 
 
-def _findings(made: ShapedMove) -> tuple[Finding, ...]:
-    """W701: later, or farther away, than promised; W702: more voltage; W703: a guard acted."""
+def _along(made: ShapedMove, span: float) -> list[Finding]:
+    """What is to be said of the distance between tip and path, whose angles span that much [rad]."""
     ours, found = made.shaped, []
+    if ours.largest_error > ours.predicted + made.reserve * BAND * span:
+        found.append(
+            Finding(
+                "W701",
+                "warning",
+                "the tip is farther from the path than the linear loop promises",
+                {"measured": ours.largest_error, "promised": ours.predicted},
+                "noise or friction moves the arm: make the path larger, or allow a larger reserve",
+            )
+        )
+    if ours.predicted > _FAR * span:
+        found.append(
+            Finding(
+                "W704",
+                "warning",
+                "the path is faster than the limits let the tip be",
+                {"farthest": ours.predicted, "span": span},
+                "make it slower, begin it at rest, allow more voltage, or tell the law the payload",
+            )
+        )
+    return found
+
+
+def _findings(made: ShapedMove) -> tuple[Finding, ...]:
+    """W701: later or farther away than promised; W702: voltage; W703: a guard acted; W704: too fast."""
+    ours, found = made.shaped, []
+    if made.target is not None:
+        found += _along(
+            made, float(np.ptp(made.target.angle(made.period * np.arange(made.tip_angle.shape[1]))))
+        )
     if made.target is None and ours.settling_time > ours.predicted + made.period:
         found.append(
             Finding(

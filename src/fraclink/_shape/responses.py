@@ -19,12 +19,13 @@ from fraclink._law import Law
 from fraclink._simulate import Run, Twin, simulate
 from fraclink.errors import FieldError
 
-__all__ = ["SIGNALS", "Noise", "Responses", "noise_of", "responses_of", "without_friction"]
+__all__ = ["SIGNALS", "UNITS", "Responses", "noise_of", "responses_of", "without_friction"]
 
 Real = NDArray[np.float64]
 
-# Tip angle [rad], voltage [V], step of the motor reference [rad], motor speed [rad/s], torque [N·m].
+# Tip angle, voltage, step of the motor reference in a period, motor speed, torque.
 SIGNALS = ("tip", "voltage", "motor_step", "motor_speed", "torque")
+UNITS = ("rad", "V", "rad", "rad/s", "N·m")
 # Far below every guard of the law, and so far above the rounding of its doubles that nothing is lost.
 _ANGLE, _ACCELERATION = 1e-4, 1e-2
 _UNLIMITED = 1e4  # [V]: a law's block holds finite numbers
@@ -59,15 +60,6 @@ class Responses:
         found = self._spectra[:, :, [SIGNALS.index(name) for name in names]]
         spectrum = np.einsum("if,pisf->psf", np.fft.rfft(inputs, 2 * self.length), found)
         return np.asarray(np.fft.irfft(spectrum, 2 * self.length)[..., : self.length])
-
-
-@dataclass(frozen=True)
-class Noise:
-    """What the sensors' noise makes of an arm at rest: standard deviations of the voltage [V] and of the step
-    of the motor reference in a period [rad]."""
-
-    voltage: float
-    motor_step: float
 
 
 def without_friction(law: Law, arm: Twin) -> tuple[Law, Twin]:
@@ -117,8 +109,8 @@ def _signals(run: Run) -> Real:
     return np.array([run.tip_angle, run.voltage, steps, run.extras["motor_velocity"], run.torque])
 
 
-def noise_of(law: Law, arm: Twin, *, told: bool) -> Noise:
-    """Return what the noise of gauge and encoder makes of voltage and tip where nothing moves."""
+def noise_of(law: Law, arm: Twin, *, told: bool) -> dict[str, float]:
+    """Return what the sensors' noise makes of each signal where nothing moves, as a standard deviation."""
     free, quiet = without_friction(law, arm)
     run = simulate(free, hold(0.0), arm=quiet, duration=_NOISE_TIME, gauge_offset=0.0, told=told)
-    return Noise(float(np.std(run.voltage)), float(np.std(np.diff(run.motor_reference))))
+    return dict(zip(SIGNALS, np.std(_signals(run), axis=1).tolist(), strict=True))
