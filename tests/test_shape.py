@@ -146,17 +146,17 @@ def test_limits_of_speed_and_torque_cost_time(design: fl.Design, known: ShapedMo
 
 def test_a_promise_that_noise_breaks_is_a_finding(design: fl.Design, monkeypatch: pytest.MonkeyPatch) -> None:
     small = fl.shape(design, 0.01, payloads=KNOWN, told=True, seeds=1, rivals=False)
-    assert [finding.code for finding in small.findings] == ["W701"] and not small.passed
+    assert [finding.code for finding in small.findings] == ["W501"] and not small.passed
     monkeypatch.setattr(setting, "_NOISES", 0.0)  # nothing is left to noise
     tight = fl.shape(design, 1.0, payloads=KNOWN, told=True, voltage=6.0, seeds=2, rivals=False)
-    assert [finding.code for finding in tight.findings] == ["W702"]
+    assert [finding.code for finding in tight.findings] == ["W502"]
 
 
 def test_a_motor_that_sticks_where_the_rig_says_it_does_not(design: fl.Design) -> None:
     arm = Twin.from_rig(RIG)
     sticks = replace(arm, motor=replace(arm.motor, coulomb_torque=0.4))
     found = fl.shape(design, 1.0, payloads=KNOWN, told=True, arm=sticks, seeds=1, rivals=False)
-    assert {"W701", "W703"} & {finding.code for finding in found.findings} and not found.passed
+    assert {"W501", "W503"} & {finding.code for finding in found.findings} and not found.passed
 
 
 def test_what_cannot_be_shaped_is_refused(design: fl.Design) -> None:
@@ -197,7 +197,7 @@ def test_a_path_that_no_limit_allows_fails(design: fl.Design) -> None:
     found = fl.shape(
         design, fl.spline([0.0, 0.1, 0.3], [0.0, 1.0, 0.0]), payloads=KNOWN, seeds=1, rivals=False
     )
-    assert "W704" in [finding.code for finding in found.findings] and not found.passed
+    assert "W504" in [finding.code for finding in found.findings] and not found.passed
 
 
 # ── shapers and references ──────────────────────────────────────────────────────────────────────────────────

@@ -58,7 +58,7 @@ def shape(
 ) -> Answer:
     """Shape the fastest move within the limits, for every payload of a range, and measure it beside others.
 
-    $ fraclink shape design.json --amplitude 1 --payloads 0.02 0.04 --voltage 8 --table move.csv
+    $ fraclink shape design.json --amplitude 1 --voltage 8 --table move.csv
     """
     if payload is not None:
         if request["payloads"] is not None:

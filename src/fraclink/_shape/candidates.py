@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from time import process_time
+from time import perf_counter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,10 +82,10 @@ def candidates(
     found = []
     for kind in (None, *SHAPERS):
         best: Candidate | None = None
-        began = process_time()
+        began = perf_counter()
         for name, reference in _tried(kind, move, link):
             time = settling(loops.to(reference, ("tip",))[:, 0], move, band, loops.period)
             if (best is None or time < best.predicted) and _kept(loops, bounds, reference):
                 best = Candidate(name, reference, time)
-        found += [] if best is None else [replace(best, computing_time=process_time() - began)]
+        found += [] if best is None else [replace(best, computing_time=perf_counter() - began)]
     return tuple(found)

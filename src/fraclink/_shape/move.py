@@ -43,7 +43,7 @@ class Measured:
     limited
         part of the runs in which a guard of the law acted on the reference, the motor or the voltage [1].
     computing_time
-        processor time in which the reference was found [s]; not saved.
+        in which the reference was found [s]; not saved.
     """
 
     name: str

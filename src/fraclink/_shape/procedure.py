@@ -144,7 +144,7 @@ def _references(
     rivals: bool,
 ) -> tuple[Path, tuple[Candidate, ...], float]:
     """Return the shaped path, all that are measured (it first), and the voltage left to noise [V]."""
-    began = time.process_time()
+    began = time.perf_counter()
     programme, kept_back = setting.programme(*limits)
     if isinstance(move, Path):
         programme = _coarse(programme, move.duration)
@@ -153,7 +153,7 @@ def _references(
     else:
         found, programme = _fastest(setting, programme, move, reserve)
     path = programme.path(found)
-    spent = time.process_time() - began
+    spent = time.perf_counter() - began
     if isinstance(move, Path):
         promised = _distance(programme.loops, path, move)
     else:
@@ -250,7 +250,7 @@ def _along(made: ShapedMove, span: float) -> list[Finding]:
     if ours.largest_error > ours.predicted + made.reserve * BAND * span:
         found.append(
             Finding(
-                "W701",
+                "W501",
                 "warning",
                 "the tip is farther from the path than the linear loop promises",
                 {"measured": ours.largest_error, "promised": ours.predicted},
@@ -260,7 +260,7 @@ def _along(made: ShapedMove, span: float) -> list[Finding]:
     if ours.predicted > _FAR * span:
         found.append(
             Finding(
-                "W704",
+                "W504",
                 "warning",
                 "the path is faster than the limits let the tip be",
                 {"farthest": ours.predicted, "span": span},
@@ -271,16 +271,16 @@ def _along(made: ShapedMove, span: float) -> list[Finding]:
 
 
 def _findings(made: ShapedMove) -> tuple[Finding, ...]:
-    """W701: later or farther away than promised; W702: voltage; W703: a guard acted; W704: too fast."""
+    """W501: later or farther away than promised; W502: voltage; W503: a guard acted; W504: too fast."""
     ours, found = made.shaped, []
     if made.target is not None:
         found += _along(
             made, float(np.ptp(made.target.angle(made.period * np.arange(made.tip_angle.shape[1]))))
         )
-    if made.target is None and ours.settling_time > ours.predicted + made.period:
+    if made.target is None and ours.settling_time > ours.predicted + 1.5 * made.period:
         found.append(
             Finding(
-                "W701",
+                "W501",
                 "warning",
                 "the arm settles later than the linear loop promises",
                 {"measured": ours.settling_time, "promised": ours.predicted},
@@ -290,7 +290,7 @@ def _findings(made: ShapedMove) -> tuple[Finding, ...]:
     if ours.peak_voltage > made.voltage:
         found.append(
             Finding(
-                "W702",
+                "W502",
                 "warning",
                 "noise and friction take the voltage beyond its limit",
                 {"measured": ours.peak_voltage, "limit": made.voltage, "left_to_them": made.kept_back},
@@ -300,7 +300,7 @@ def _findings(made: ShapedMove) -> tuple[Finding, ...]:
     if ours.limited:
         found.append(
             Finding(
-                "W703",
+                "W503",
                 "warning",
                 "a guard of the law acts during the move, so that the loop is not the linear one",
                 {"part_of_the_runs": ours.limited},

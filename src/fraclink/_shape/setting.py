@@ -27,7 +27,9 @@ __all__ = ["Setting"]
 _PAYLOAD_STEP = 0.2
 _KNOTS = 30  # in a vibration period: more do not settle sooner, and cost the square
 _GUARDED = 0.95  # of the law's guards: where they begin to act, the loop is not linear
-_NOISES = 3.0  # standard deviations of the voltage that are left to noise: one sample in 400 beyond
+_NOISES = (
+    4.5  # standard deviations that are left to noise: of 180 runs with another noise each none goes beyond
+)
 _KNOWN = 8.0  # vibration periods of every response that are known at first
 _REST = 4.0  # vibration periods that the arm is measured for after the reference's end
 
