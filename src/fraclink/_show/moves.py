@@ -9,7 +9,7 @@ import numpy as np
 
 from fraclink._show.drawing import FAINT, FULL_WIDTH, GREY, INK, LINES, envelope, figure, svg
 from fraclink._show.figures import stacked
-from fraclink._show.text import Row, Table, View, grams, milli, number
+from fraclink._show.text import Row, Table, View, milli, number
 
 if TYPE_CHECKING:
     from fraclink._shape import Measured, ShapedMove
@@ -21,16 +21,21 @@ def _seconds(value: float) -> str:
     return f"{value:.3f}" if math.isfinite(value) else "never"
 
 
+def _grams(payload: float) -> str:
+    return f"{number(1e3 * payload, 3)} g"
+
+
 def shaped_view(made: ShapedMove) -> View:
     """The settling time, or along a path the largest distance, as promised and as measured."""
     ours, along = made.shaped, made.target is not None
-    low, high = map(grams, made.payloads)
+    low, high = map(_grams, made.payloads)
     carried = low if low == high else f"{low} to {high}"
     what = f"{number(made.amplitude)} rad with {carried}, payload {'given' if made.told else 'not given'}"
     if along:
         result = f"the tip stays within {milli(ours.largest_error)} mrad of the path"
     else:
-        result = f"settles in {_seconds(ours.settling_time)} s"
+        time = ours.settling_time
+        result = f"settles in {_seconds(time)} s" if math.isfinite(time) else "does not settle"
     voltage = f"{number(ours.peak_voltage, 3)} V of {number(made.voltage)} V"
     last = "farthest [mrad]" if along else "residual vibration [mrad]"
     promised = ("promised [mrad]", "lasts [s]") if along else ("promised [s]", "settles to 2 % [s]")
@@ -66,11 +71,12 @@ def shaped_figure(made: ShapedMove) -> str:
         for line, payload, angle, volts in zip(
             LINES, made.shown, made.tip_angle, made.motor_voltage, strict=False
         ):
-            tip.plot(*envelope(time, angle), **line, label=grams(payload))
+            tip.plot(*envelope(time, angle), **line, label=_grams(payload))
             voltage.plot(*envelope(time, volts), color=line["color"], linewidth=0.7)
         for side in (-made.voltage, made.voltage):
             voltage.axhline(side, color=GREY, linewidth=0.8, linestyle=":")
         tip.legend(loc="lower right", ncols=2)
-        voltage.set_xlim(time[0], time[-1])
+        # what comes after twice the move is rest and noise
+        voltage.set_xlim(0.0, min(float(time[-1]), 2.0 * reference.duration))
         drawing.align_ylabels()
         return svg(drawing, "shaped", "Tip angle, acceleration of the reference and voltage of a shaped move")
