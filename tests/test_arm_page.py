@@ -172,3 +172,29 @@ def test_a_browser_runs_the_packages_bits_without_a_complaint(study, page, tmp_p
     with contextlib.redirect_stdout(said):
         runpy.run_path(str(script))
     assert re.search(r"# (\d+) in this page", code)[1] == said.getvalue().strip()
+
+
+def contrast(first: str, second: str) -> float:
+    """Ratio of luminances of two colours, as WCAG 2 defines it."""
+
+    def luminance(colour: str) -> float:
+        digits = colour[1:] if len(colour) == 7 else "".join(2 * digit for digit in colour[1:])
+        parts = [int(digits[i : i + 2], 16) / 255 for i in (0, 2, 4)]
+        linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in parts]
+        return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+
+    bright, dark = sorted((luminance(first), luminance(second)), reverse=True)
+    return (bright + 0.05) / (dark + 0.05)
+
+
+@pytest.mark.parametrize("theme", [0, 1], ids=["light", "dark"])
+def test_text_and_lines_stand_out_in_both_themes(page, theme):
+    colours = dict(re.findall(r"--([\w-]+): (#\w+);", re.findall(r"\.armpage[^{]*\{([^}]*)\}", page)[theme]))
+    for name in ("ink", "quiet", "good", "fair", "bad", "accent", "tip", "hub", "ghost", "measured"):
+        assert contrast(colours[name], colours["card"]) >= 4.5, name
+    for name in ("good", "fair", "bad"):
+        assert contrast(colours[name], colours[f"{name}-wash"]) >= 4.5, name
+    assert contrast(colours["on-accent"], colours["accent"]) >= 4.5
+    assert contrast(colours["quiet"], colours["page"]) >= 4.5
+    for name in ("link", "load", "metal"):
+        assert contrast(colours[name], colours["card"]) >= 3.0, name

@@ -24,13 +24,18 @@ const nice = (value) => {
 
 const arm = {svg: $('arm')};
 
+// A drive that is off lets the arm swing anywhere: then the whole circle is drawn.
+const wild = () => tip.some((angle) => Math.abs(angle - amplitude() / 2) > 1.45);
+
 function layArm() {
   const W = Math.max(280, arm.svg.clientWidth), narrow = W < 560;
   const middle = amplitude() / 2, reach = Math.min(Math.abs(middle) + 0.35, 1.45);
   const margin = narrow ? 34 : 46;
-  const L = Math.min((W / 2 - margin) / Math.max(Math.sin(reach), 0.62), narrow ? 250 : 360);
-  const H = Math.round(L + margin + (narrow ? 62 : 74));
-  Object.assign(arm, {W, H, L, cx: W / 2, cy: H - (narrow ? 48 : 58), middle, thick: narrow ? 8 : 11});
+  const round = wild(), room = W / 2 - margin;
+  const L = round ? Math.min(room, narrow ? 135 : 210) : Math.min(room / Math.max(Math.sin(reach), 0.62), narrow ? 250 : 360);
+  const H = Math.round(round ? 2 * (L + margin) + 24 : L + margin + (narrow ? 62 : 74));
+  const cy = round ? H / 2 : H - (narrow ? 48 : 58);
+  Object.assign(arm, {W, H, L, cx: W / 2, cy, middle, round, thick: narrow ? 8 : 11});
   set(arm.svg, {viewBox: `0 0 ${W} ${H}`, height: H});
   arm.svg.replaceChildren();
   drawFloor();
@@ -60,13 +65,13 @@ const payloadRadius = () => (arm.W < 560 ? 5 : 7) + 2.1 * Math.cbrt(1e3 * DATA.p
 // A protractor of the tip's angle, where the move starts and ends, and how long 0.1 m is.
 function drawFloor() {
   const g = el('g', {class: 'floor'}, arm.svg), R = arm.L + (arm.W < 560 ? 16 : 22);
-  const seen = Math.min(Math.PI / 2, Math.abs(arm.middle) + 0.5);
+  const seen = arm.round ? 3.1 : Math.min(Math.PI / 2, Math.abs(arm.middle) + 0.5);
   const [x1, y1] = spot(arm.middle + seen, R), [x2, y2] = spot(arm.middle - seen, R);
-  el('path', {class: 'arc', d: `M${px(x1)} ${px(y1)}A${px(R)} ${px(R)} 0 0 1 ${px(x2)} ${px(y2)}`}, g);
+  el('path', {class: 'arc', d: `M${px(x1)} ${px(y1)}A${px(R)} ${px(R)} 0 ${seen > 1.6 ? 1 : 0} 1 ${px(x2)} ${px(y2)}`}, g);
   const first = Math.ceil(degrees(arm.middle - seen) / 5), last = Math.floor(degrees(arm.middle + seen) / 5);
   for (let i = first; i <= last; i++) {
     const angle = (5 * i * Math.PI) / 180, long = i % 6 === 0, size = long ? 9 : i % 2 === 0 ? 6 : 3;
-    const [ax, ay] = spot(angle, R), [bx, by] = spot(angle, R + size), [tx, ty] = spot(angle, R + (long ? 20 : 0));
+    const [ax, ay] = spot(angle, R), [bx, by] = spot(angle, R + size), [tx, ty] = spot(angle, R + 20 + 8 * Math.abs(Math.sin(angle - arm.middle)));
     el('line', {class: 'tick', x1: px(ax), y1: px(ay), x2: px(bx), y2: px(by)}, g);
     if (long) el('text', {x: px(tx), y: px(ty + 4), 'text-anchor': 'middle'}, g, `${5 * i}°`.replace('-', '−'));
   }
@@ -139,7 +144,7 @@ function drawArm(k) {
   const span = Math.round(0.5 / TS / arm.trail.length);
   arm.trail.forEach((piece, i) => {
     const b = k - span * (arm.trail.length - 1 - i), a = Math.max(0, b - span);
-    const step = Math.max(1, Math.floor(span / 6)), trace = [];
+    const step = Math.max(1, Math.floor(span / 24)), trace = [];
     for (let j = a; j <= b; j += step) trace.push(spot(tip[j], arm.L));
     piece.setAttribute('d', b > 0 && trace.length > 1 ? line(trace) : '');
   });

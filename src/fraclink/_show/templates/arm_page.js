@@ -64,7 +64,7 @@ function renew({layout = false} = {}) {
   pending = requestAnimationFrame(() => {
     pending = 0;
     run();
-    if (renew.layout) layArm(); else drawPayload();
+    if (renew.layout || wild() !== arm.round) layArm(); else drawPayload();
     renew.layout = false;
     drawPlots();
     showSettings();
