@@ -127,6 +127,11 @@ class Disc:
         smaller = radius < self.r
         return Disc(np.where(smaller, middle.c, self.c), np.where(smaller, radius, self.r), self.d)
 
+    def kept(self, where: NDArray[np.bool_]) -> Disc:
+        """The discs where that is so, and zero elsewhere."""
+        slopes = {name: slope.kept(where) for name, slope in self.d.items()}
+        return Disc(np.where(where, self.c, 0.0), np.where(where, self.r, 0.0), slopes)
+
     def most(self) -> Real:
         """Upper bound of |z|."""
         return np.asarray((np.abs(self.c) + self.r) * (1 + ROUNDING))

@@ -12,6 +12,9 @@ H is the tip angle as the law computes it, θm − κΓ, over θm: ``H = 1 − E
 
 Where |L| is small L is enclosed, with V = 1/S, affine in 1/q; where it is large 1/L, nearly affine in q. One
 form alone needs a thousand times as many boxes.
+
+The nearest alias, L's terms at jω − 2πj/Ts in place of jω but for what is periodic, is enclosed with L near the
+Nyquist frequency; of all others, and of this one below, only the sum of the moduli is bounded.
 """
 
 from __future__ import annotations
@@ -24,7 +27,7 @@ from numpy.typing import NDArray
 
 from fraclink._certify.correction import modes_of
 from fraclink._certify.discs import ROUNDING, Disc, Span
-from fraclink._certify.statement import AXES, Statement
+from fraclink._certify.statement import AXES, NEAREST_FROM, Statement
 from fraclink._law import block as layout
 
 __all__ = ["BoxLoop"]
@@ -35,9 +38,10 @@ ZETA_3 = 1.20206  # upper bound of Σ j^-3, j from 1
 
 @dataclass(frozen=True)
 class FrequencyWindow:
-    """Over frequencies: F but for delay and motor, what aliases share with L, x, and y (Cm1 + Cm2)."""
+    """Over frequencies: F but for delay and motor and its nearest alias, what aliases share, x, y (Cm1 + Cm2)."""
 
     front: Disc
+    nearest: Disc
     alias: Real
     back: Disc
     both: Disc
@@ -51,6 +55,7 @@ class BoxLoop:
         c = statement.coefficients
         self.motor_loop = s.motor_loop
         self.period, self.direct = float(c["period"]), float(c["direct"])
+        self.turn = 2 * math.pi / self.period
         self.modes = modes_of(c)
         self.read = float(c["compliance"]) * s.stiffness
         self.pid = {name: float(c[name]) for name in layout.PID}
@@ -78,16 +83,20 @@ class BoxLoop:
 
     # ---- what stands in front of the link -----------------------------------------------------------------
 
-    def front(self, box: dict[str, Span]) -> tuple[Disc, Real]:
-        """(F, bound of the aliases of L) over boxes."""
+    def front(self, box: dict[str, Span]) -> tuple[Disc, Disc, Real]:
+        """(F, F at the nearest alias, bound of the other aliases of L) over boxes."""
         window = self._window(box["frequency"])
         w, late = self._variable("frequency", box["frequency"]), self._variable("delay", box["delay"])
         slow = self._variable("motor", box["motor"]).inverse()
-        rest = window.front * (w * late * -1j).exp()
+        rests = [
+            front * (at * late * -1j).exp()
+            for front, at in ((window.front, w), (window.nearest, w - self.turn))
+        ]
         alias = window.alias * self._alias_sum(box)
         if self.motor_loop == "ideal":
-            lag = (1 + w * slow * 1j).inverse()
-            return rest * lag * lag, alias
+            lags = [(1 + at * slow * 1j).inverse() for at in (w, w - self.turn)]
+            front, nearest = (rest * lag * lag for rest, lag in zip(rests, lags, strict=True))
+            return front, nearest, alias
         # Near the motor loop's resonance X is small: its own slopes enclose it more closely than its terms.
         middle = box["frequency"].middle
         at_motor = Disc(box["motor"].middle).inverse()
@@ -95,26 +104,35 @@ class BoxLoop:
         steps = {"frequency": w.r, "delay": late.r, "motor": box["motor"].disc().r}
         lag = self.closing(window, late, slow).closer(centre, steps).inverse()
         # the voltage beside Ĉ is C/X, X = A (y²/A + Z); the sum has A itself
-        return rest * lag, alias * lag.most() * slow.most()
+        return rests[0] * lag, rests[1] * lag, alias * lag.most() * slow.most()
 
     def _window(self, frequency: Span) -> FrequencyWindow:
         """What frequencies contribute, whatever the parameters."""
         w = self._variable("frequency", frequency)
-        z, x, s = (w * (1j * self.period)).exp(), (w * (-1j * self.period)).exp(), w * 1j
+        z, x = (w * (1j * self.period)).exp(), (w * (-1j * self.period)).exp()
         y = 1 - x
         kernel = self._kernel(z)
-        front = kernel * y * y * s.inverse() * (1 / self.period)
+        shared = kernel * y * y * (1 / self.period)
         turned = np.minimum(y.most(), 2.0)
         alias = kernel.most() * turned**2 * (1 + 1e-9) / self.period
         both = y
         if self.motor_loop == "sampled":
             first, both = self.controllers(x)
-            front = front * y * first * (s * (s + self.statement.decay)).inverse()
+            shared = shared * y * first
             alias = alias * turned * first.most()
+        front, nearest = (shared * self._open(at * 1j) for at in (w, w - self.turn))
         if np.any(frequency.low < frequency.high):
-            middle = frequency.middle
-            front = front.closer(self._window(Span(middle, middle)).front, {"frequency": w.r})
-        return FrequencyWindow(front, alias, x, both)
+            point, steps = self._window(Span(frequency.middle, frequency.middle)), {"frequency": w.r}
+            front, nearest = front.closer(point.front, steps), nearest.closer(point.nearest, steps)
+        return FrequencyWindow(front, nearest, alias, x, both)
+
+    def _open(self, s: Disc) -> Disc:
+        """Of F what is not periodic, but for delay and ideal motor: 1/s, with the voltage's motor 1/(s² (s + B))."""
+        return (s if self.motor_loop == "ideal" else s * s * (s + self.statement.decay)).inverse()
+
+    def _counts(self, box: dict[str, Span]) -> NDArray[np.bool_]:
+        """Of which boxes the nearest alias is enclosed with its phase."""
+        return np.asarray(box["frequency"].low >= NEAREST_FROM * math.pi / self.period)
 
     def too_wide(self, low: Real, high: Real, alias: Real) -> NDArray[np.bool_]:
         """Whether the frequencies alone leave F unbounded: their arc comes too close to a pole of Ĉ.
@@ -176,7 +194,7 @@ class BoxLoop:
     # ---- the loop in two forms ----------------------------------------------------------------------------
 
     def forms(self, low: Real, high: Real) -> tuple[Disc, Disc, Real]:
-        """(L, 1/L, bound of the aliases) over boxes, with their slopes.
+        """(L, 1/L, bound of the aliases that L does not hold) over boxes, with their slopes.
 
         Those along the motor are along p or A.
         """
@@ -186,32 +204,43 @@ class BoxLoop:
             return self._forms(self.box(low, high))
 
     def _forms(self, box: dict[str, Span]) -> tuple[Disc, Disc, Real]:
-        front, alias = self.front(box)
-        read, mode = self._read(box), self._mode(box)
-        share = (self._compliant(box) + 1).inverse()
-        plain = front * (1 - read * (share + mode))
-        x = self._soft(box) + 1
+        front, nearest, alias = self.front(box)
+        w, log = self._variable("frequency", box["frequency"]), self._log(box["frequency"], 1.0)
+        read, mode = self._read(box, w), self._mode(box, w)
+        plain = front * (1 - read * ((self._compliant(box, log) + 1).inverse() + mode))
+        x = self._soft(box, log) + 1
         inverse = front.inverse() * (x * (read + (1 - read * (1 + mode)) * x).inverse())
-        return plain, inverse, alias
+        counts = self._counts(box)
+        if not counts.any():
+            return plain, inverse, alias
+        near = (nearest * self._tip_at_alias(box, w - self.turn)).kept(counts)
+        return plain + near, inverse * (1 + near * inverse).inverse(), alias
 
-    def _log(self, frequency: Span) -> Disc:
-        """ln(jω)."""
-        found = Span.around(np.log(frequency.low), np.log(frequency.high)).disc() + 0.5j * math.pi
-        slopes = {"frequency": self._variable("frequency", frequency).plain.inverse()}
+    def _tip_at_alias(self, box: dict[str, Span], w: Disc) -> Disc:
+        """H at jω − 2πj/Ts."""
+        frequency = box["frequency"]
+        far = Span((self.turn - frequency.high) * (1 - ROUNDING), (self.turn - frequency.low) * (1 + ROUNDING))
+        share = (self._compliant(box, self._log(far, -1.0)) + 1).inverse()
+        return 1 - self._read(box, w) * (share + self._mode(box, w))
+
+    def _log(self, frequency: Span, sign: float) -> Disc:
+        """ln(±jω), with its slope along ω, which falls where the alias's frequency rises."""
+        found = Span.around(np.log(frequency.low), np.log(frequency.high)).disc() + sign * 0.5j * math.pi
+        slopes = {"frequency": self._variable("frequency", frequency).plain.inverse() * sign}
         return Disc(found.c, found.r + ROUNDING, slopes)
 
-    def _compliant(self, box: dict[str, Span]) -> Disc:
+    def _compliant(self, box: dict[str, Span], log: Disc) -> Disc:
         """V = 1/S."""
-        log, order = self._log(box["frequency"]), self._variable("order", box["order"])
+        order = self._variable("order", box["order"])
         found = self._variable("softness", box["softness"]).inverse() * (-(log * order)).exp()
         if not self.high["damping"]:
             return found
         drag = (log * (self.statement.damping_order - order)).exp()
         return found + self._variable("damping", box["damping"]) * drag
 
-    def _soft(self, box: dict[str, Span]) -> Disc:
+    def _soft(self, box: dict[str, Span], log: Disc) -> Disc:
         """S."""
-        log, order = self._log(box["frequency"]), self._variable("order", box["order"])
+        order = self._variable("order", box["order"])
         q = self._variable("softness", box["softness"])
         found = q * (log * order).exp()
         if not self.high["damping"]:
@@ -219,17 +248,16 @@ class BoxLoop:
         drag = (log * self.statement.damping_order).exp()
         return found * (1 + q * self._variable("damping", box["damping"]) * drag).inverse()
 
-    def _read(self, box: dict[str, Span]) -> Disc:
+    def _read(self, box: dict[str, Span], w: Disc) -> Disc:
         """E."""
-        w, late = (self._variable(name, box[name]) for name in ("frequency", "gauge_delay"))
-        return (w * late * -1j).exp() * self._variable("gauge_gain", box["gauge_gain"]) * self.read
+        return (w * self._variable("gauge_delay", box["gauge_delay"]) * -1j).exp() * self._variable("gauge_gain", box["gauge_gain"]) * self.read
 
-    def _mode(self, box: dict[str, Span]) -> Disc:
+    def _mode(self, box: dict[str, Span], w: Disc) -> Disc:
         """R = a/(1 + 2ζ f/s + (f/s)²)."""
         zero = np.zeros(box["frequency"].low.shape)
         if not self.high["mode_gain"]:
             return Disc(zero, zero)
-        s = self._variable("frequency", box["frequency"]) * 1j
+        s = w * 1j
         ratio = self._variable("mode_frequency", box["mode_frequency"]) * s.inverse()
         share = (1 + ratio * (ratio + 2 * self.statement.mode_damping)).inverse()
         # Over wide boxes the denominator may seem to vanish; R itself never exceeds its peak.
@@ -239,14 +267,16 @@ class BoxLoop:
         return share * self._variable("mode_gain", box["mode_gain"])
 
     def alias_at(self, place: dict[str, float]) -> float:
-        """Bound of the aliases at one point."""
+        """Bound at one point of the aliases that L does not hold."""
         point = np.array([[place[name] for name in AXES]])
-        return float(self.front(self.box(point, point))[1][0])
+        return float(self.front(self.box(point, point))[2][0])
 
     # ---- bounds outside the tree --------------------------------------------------------------------------
 
     def _alias_sum(self, box: dict[str, Span]) -> Real:
         """Bound of ``Σ_{k≠0} |F(s_k)/s_k|`` but for what every term shares, over boxes.
+
+        Without the nearest term where L holds that.
 
         The nearest alias of ω <= w, the Nyquist frequency, lies at v = 2w − ω, and is bounded with the box's
         own gauge and motor. Every other lies at 2jw or above, or at (2j + 1)w or above, for j = 1, 2, …; as
@@ -261,6 +291,7 @@ class BoxLoop:
         if self.motor_loop == "ideal":
             motor = motor**2
             first = first * (near**2 / (near**2 + motor))
+        first = np.where(self._counts(box), 0.0, first)
         rest = self._tip_bound(box, np.full(near.shape, 2.0 * w), np.full(near.shape, math.inf))
         return np.asarray(motor * (first + (ZETA_3 - 1.0) * rest / w**3) * (1 + 1e-9))
 
@@ -311,7 +342,7 @@ class BoxLoop:
             Span(*(np.array([side[name]]) for side in (self.low, self.high))) for name in ("delay", "motor")
         ]
         closing = self.closing(
-            FrequencyWindow(both, np.zeros(1), arc, both), spans[0].disc(), spans[1].inverse().disc()
+            FrequencyWindow(both, both, np.zeros(1), arc, both), spans[0].disc(), spans[1].inverse().disc()
         )
         size = first.most() * closing.inverse().most() / self.low["motor"]
         return float(size[0]) * (self.period * self.high["motor"] / self.statement.decay + 2)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fraclink._certify.statement import AXES, Statement
+from fraclink._certify.statement import AXES, NEAREST_FROM, Statement
 
 if TYPE_CHECKING:
     from fraclink._law import Law
@@ -26,12 +26,24 @@ _STEPS = 40
 def loop_values(
     statement: Statement, law: Law, frequency: ArrayLike, place: Mapping[str, ArrayLike]
 ) -> Complex:
-    """Return L without its aliases at `frequency` [rad/s]; `place` has every other axis of the statement.
+    """Return L at `frequency` [rad/s], up to Nyquist; `place` has every other axis of the statement.
 
-    Its "softness" is q = 1/ω₀², its "motor" p or A. All of them broadcast.
+    Of the aliases it has what the proof encloses: the nearest, where that counts (`NEAREST_FROM`). "softness"
+    is q = 1/ω₀², "motor" p or A. All of them broadcast.
     """
     w, at = np.asarray(frequency, dtype=float), {k: np.asarray(v, dtype=float) for k, v in place.items()}
-    s, period = 1j * w, law.period
+    nyquist = math.pi / law.period
+    outer = law.frequency_response(w.ravel()).reshape(w.shape) * -np.expm1(-1j * w * law.period) / law.period
+    if statement.motor_loop == "sampled":
+        outer = outer * _voltage(statement, law, w, at["delay"], at["motor"])
+    nearest = np.where(
+        w >= NEAREST_FROM * nyquist, _continuous(statement, 1j * (w - 2.0 * nyquist), at), 0.0
+    )
+    return np.asarray(outer * (_continuous(statement, 1j * w, at) + nearest))
+
+
+def _continuous(statement: Statement, s: Complex, at: Mapping[str, Real]) -> Complex:
+    """Motor, delay and tip angle as the law computes it, over s: what a held command goes through."""
     drag = at["softness"] * at["damping"] * s**statement.damping_order
     tip = (1.0 + drag) / (1.0 + at["softness"] * s ** at["order"] + drag)
     mode = 0.0 * s
@@ -39,13 +51,10 @@ def loop_values(
         ratio = s / at["mode_frequency"]
         mode = at["mode_gain"] * ratio**2 / (ratio**2 + 2 * statement.mode_damping * ratio + 1)
     read = float(statement.coefficients["compliance"]) * statement.stiffness * at["gauge_gain"]
-    link = 1.0 - read * np.exp(-s * at["gauge_delay"]) * (1.0 - tip + mode)
-    hold = -np.expm1(-s * period) / (s * period)
-    outer = law.frequency_response(w.ravel()).reshape(w.shape) * hold * link * np.exp(-s * at["delay"])
+    link = (1.0 - read * np.exp(-s * at["gauge_delay"]) * (1.0 - tip + mode)) * np.exp(-s * at["delay"]) / s
     if statement.motor_loop == "ideal":
-        return np.asarray(outer / (1.0 + s / at["motor"]) ** 2)
-    voltage = _voltage(statement, law, w, at["delay"], at["motor"])
-    return np.asarray(outer * voltage * at["motor"] / (s * (s + statement.decay)))
+        return np.asarray(link / (1.0 + s / at["motor"]) ** 2)
+    return np.asarray(link * at["motor"] / (s * (s + statement.decay)))
 
 
 def _voltage(statement: Statement, law: Law, frequency: Real, delay: Real, gain: Real) -> Complex:

@@ -50,6 +50,9 @@ AXES = (
     "mode_gain",
 )
 LETTERS = "wmtgdoupfa"
+# From this part of the Nyquist frequency on the nearest alias is enclosed with its phase. Below it is less than
+# (1/7)³ of L, and its modulus alone is bounded: half the work on the boxes about crossover and resonance.
+NEAREST_FROM = 0.25
 LEAVES = ".,"  # proved by L, proved by 1/L
 # The checker knows these sentences too: they lie inside the hash, and a file with others is rejected.
 ASSUMPTIONS = (
