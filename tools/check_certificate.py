@@ -14,9 +14,10 @@ from mpmath import mp
 mp.prec, U, TEXT = 64, 2.0**-48, ("block", "digest", "precision", "hold", "motor_loop")
 SENTENCES = "392b757ba1143c99dd5d7f965f0f2e81e03e19e06e75b86198866cee94507853"  # SHA-256 of the claim's form and of what it assumes
 AXES = ["delay", "gauge_gain", "gauge_delay", "order", "damping", "motor", "mode_frequency", "mode_gain"]
-W, Q, LATE, GAIN, GLATE, ORDER, DAMP, MOTOR, MODE, SHARE = range(10)  # ω, q = 1/ω0², and AXES; the motor's is p or A
+ALIASES, (W, Q, LATE, GAIN, GLATE, ORDER, DAMP, MOTOR, MODE, SHARE) = (-1, 1, -2, 2, -3), range(10)  # at ω + 2πn/T; ω, q = 1/ω0², and AXES; the motor's is p or A
 sha = lambda content: hashlib.sha256(content).hexdigest()
 canonical = lambda value: json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=False).encode()
+disc = lambda value: value if isinstance(value, Disc) else Disc(value)
 middle = lambda pair: ((pair[0] + pair[1]) / 2,) * 2
 both = lambda a, b: {k: a[k] + b[k] if k in a and k in b else a.get(k) or b[k] for k in a | b}
 real = lambda ends, axis: Disc(sum(ends) / 2, (ends[1] - ends[0]) / 2 + U * ends[1], {axis: Disc(1)} if ends[0] < ends[1] else {})
@@ -25,12 +26,10 @@ def need(condition, reason):
 class Disc:  # The values within r of c, widened for rounding; `d` has their slopes by axis
     def __init__(self, c, r=0.0, d=()):
         self.c, self.r, self.d, self.most = complex(c), r * (1 + U) + U * abs(c), dict(d), (abs(c) + r) * (1 + 3 * U)
-    def __add__(self, b):
-        b = b if isinstance(b, Disc) else Disc(b)
-        return Disc(self.c + b.c, self.r + b.r, both(self.d, b.d))
+    def __add__(self, b): return Disc(self.c + (b := disc(b)).c, self.r + b.r, both(self.d, b.d))
     def __mul__(self, b):
-        b = b if isinstance(b, Disc) else Disc(b)
-        slopes = both({k: x * b.plain() for k, x in self.d.items()}, {k: x * self.plain() for k, x in b.d.items()})
+        if not isinstance(b, Disc): return Disc(self.c * b, self.r * abs(b), {k: x * b for k, x in self.d.items()})
+        slopes = both({k: x * p for p in [b.plain()] for k, x in self.d.items()}, {k: x * p for p in [self.plain()] for k, x in b.d.items()})
         return Disc(self.c * b.c, self.most * b.r + abs(b.c) * self.r, slopes)
     def over(self):  # 1/z: the image of a disc is a disc; a disc that holds zero gives the whole plane
         size, gap = abs(self.c), abs(self.c) * (1 - U) - self.r
@@ -70,7 +69,7 @@ class Loop:
         self.modes = [(complex(x), complex(g)) for x, g in zip(c[3 : 3 + 2 * n : 2], c[4 : 4 + 2 * n : 2])] + pairs
         need(all(abs(p) < 1 - U for p, _ in self.modes), "a pole of the correction is not stable")
         self.text = s | {"law": s["digest"][:12], "real_modes": n, "pair_modes": p, "period": c[0], "compliance": c[1]}
-        self.T, self.direct, self.pid, self.read, self.B = c[0], c[2], c[65:74], c[1] * s["stiffness"], s["decay"]
+        self.T, self.turn, self.direct, self.pid, self.read, self.B = c[0], 2 * math.pi / c[0], c[2], c[65:74], c[1] * s["stiffness"], s["decay"]
         self.guards(c, s)
         rest = [(s[k + "_low"], s[k + "_high"]) for k in (*AXES[:5], "pole" if self.ideal else "gain", *AXES[6:])]
         soft = math.nextafter(s["softness_low"] * s["payload_low"], 0), math.nextafter(s["softness_high"] * s["payload_high"], math.inf)
@@ -98,49 +97,52 @@ class Loop:
         n0, n2 = (f(late).closer(f(Disc(late.c)), w2=late.r) for f in held)
         return (1 - x) * (1 - x) * slow + gain * x * (1 - x * e).over() * (x * (B * T * (1 - e)) + (1 - x) * (n0 - x * n2)) * B**-2
     @functools.cache
-    def window(self, *ends):  # What frequencies contribute: F but for delay and motor, what aliases share with L, x, y (Cm1 + Cm2)
-        s, turns, x = real(ends, W) * 1j, (real(ends, W) * (1j * self.T)).exp(), (real(ends, W) * (-1j * self.T)).exp()
+    def window(self, *ends):  # What frequencies contribute: F at ω and its ALIASES but for delay and motor, what aliases share, x, y (Cm1 + Cm2)
+        w, turns, x = real(ends, W), (real(ends, W) * (1j * self.T)).exp(), (real(ends, W) * (-1j * self.T)).exp()
         kernel, (first, gain), most = sum(((turns - p).over() * g for p, g in self.modes), Disc(self.direct)), self.controllers(x), min((1 - x).most, 2)
-        front, alias = kernel * (1 - x) * (1 - x) * s.over() * (1 / self.T), kernel.most * most**2 / self.T * (1 + 1e-9)
-        if not self.ideal: front, alias = front * (1 - x) * first * (s * (s + self.B)).over(), alias * most * first.most
-        return front.closer(self.window(*middle(ends))[0], w0=s.r) if ends[0] < ends[1] else front, alias, x, gain
-    def front(self, box):  # F with its slopes, and the bound of the aliases of L
-        rest, alias, *motor = self.window(*box[W])
+        shared, alias = kernel * (1 - x) * (1 - x) * (1 / self.T), kernel.most * most**2 / self.T * (1 + 1e-9)
+        if not self.ideal: shared, alias = shared * (1 - x) * first, alias * most * first.most
+        fronts = [shared * (s if self.ideal else s * s * (s + self.B)).over() for s in ((w + n * self.turn) * 1j for n in ((0, *ALIASES) if ends[0] >= 0.4 * math.pi / self.T else (0,)))]
+        return [f.closer(at, w0=w.r) for f, at in zip(fronts, self.window(*middle(ends))[0])] if ends[0] < ends[1] else fronts, alias, x, gain
+    def front(self, box):  # F with its slopes, from 0.4 of Nyquist on at ALIASES too, and the bound of the other aliases of L
+        fronts, alias, *motor = self.window(*box[W])
         w, late, slow, alias = real(box[W], W), real(box[LATE], LATE), real(box[MOTOR], MOTOR).over(), alias * self.aliases(box)
-        if self.ideal: return rest * (w * late * -1j).exp() * (1 + w * slow * 1j).over() * (1 + w * slow * 1j).over(), alias
+        rests = [(f * (v * late * -1j).exp(), v) for f, n in zip(fronts, (0, *ALIASES)) for v in [w + n * self.turn]]
+        if self.ideal: return [f * lag * lag for f, v in rests for lag in [(1 + v * slow * 1j).over()]], alias
         point = self.closing(*self.window(*middle(box[W]))[2:], Disc(late.c), Disc(middle(box[MOTOR])[0]).over())
         lag = self.closing(*motor, late, slow).closer(point, w0=w.r, w2=late.r, w7=real(box[MOTOR], MOTOR).r).over()
-        return rest * (w * late * -1j).exp() * lag, alias * lag.most * slow.most
-    def aliases(self, box):  # Bound of Σ |F(s_k)/s_k| but for what all share: the nearest at 2π/T - ω, the others from 2π/T on
+        return [f * lag for f, _ in rests], alias * lag.most * slow.most
+    def aliases(self, box):  # Bound of Σ |F(s_k)/s_k| but for what all share: the nearest at 2π/T - ω where L lacks it, the others
         w, m, late, ends = math.pi / self.T, box[MOTOR][1], box[GLATE][1], box[W]
-        near, turn = (2 * w - min(ends[1], w)) * (1 - 1e-9), min(late * (2 * w - ends[0]) * (1 + 1e-9), math.pi)
-        first, rest = self.tip(box, near, turn) / near**3, self.tip(box, 2 * w, late and math.pi) * 0.20206 / w**3
+        near, turn, begin = (2 * w - min(ends[1], w)) * (1 - 1e-9), min(late * (2 * w - ends[0]) * (1 + 1e-9), math.pi), 2 + 4 * (ends[0] >= 0.4 * w)
+        terms = sum(t**-3 + 0.25 / (t + 1) ** 2 for t in (begin + ends[0] / w, begin + 2 - min(ends[1] / w, 1)))  # of a convex function: half its integral
+        first, rest = self.tip(box, near, turn) / near**3 * (begin == 2), self.tip(box, 2 * w, late and math.pi) * terms / w**3
         return (m * m * (first / (1 + (m / near) ** 2) + rest) if self.ideal else m * (first + rest)) * (1 + 1e-9)
     def tip(self, box, w, turn):  # Bound of |H| from w on, where the gauge's delay turns by `turn` at most: |G|, |1 - E| and |E R|
         gains, drag, ratio = [self.read * x for x in box[GAIN]], box[Q][0] * box[DAMP][1] * w ** self.s["damping_order"], box[MODE][1] / w
         mode = box[SHARE][1] * (1 / (1 - ratio**2) if ratio < 0.7 else self.peak) + (1 + drag) / (box[Q][0] * w ** box[ORDER][0] - 1 - drag)
         return (math.sqrt(max((1 - g) ** 2 for g in gains) + 4 * gains[1] * math.sin(turn / 2) ** 2) + gains[1] * mode) * (1 + 1e-9)
     def form(self, box, plain):  # L or 1/L with its slopes, and the bound of the aliases
-        (front, alias), (a, b), alpha = self.front(box), map(math.log, box[W]), self.s["damping_order"]
-        w, q, _, gain, late, order, damping, _, mode, share = map(real, box, range(10))
-        log = Disc((a + b) / 2 + 0.5j * math.pi, (b - a) / 2 + U * abs(a), {k: w.plain().over() for k in w.d})
-        read, second = (w * late * -1j).exp() * gain * self.read, Disc(0)
-        if self.peak:  # the second mode; over wide boxes it may seem to be infinite
-            second = (1 + mode * (w * 1j).over() * (mode * (w * 1j).over() + 2 * self.s["mode_damping"])).over()
-            second = (second if second.r < self.peak else Disc(0, self.peak, second.d)) * share
-        if plain:
-            link = q.over() * (log * order * -1).exp()
-            if self.root[DAMP][1]: link = link + damping * (log * (alpha - order)).exp()
-            return front * (1 - read * ((link + 1).over() + second)), alias
-        link = q * (log * order).exp()
-        if self.root[DAMP][1]: link = link * (1 + q * damping * (log * alpha).exp()).over()
-        return front.over() * ((link + 1) * (read + (1 - read * (1 + second)) * (link + 1)).over()), alias
+        (fronts, alias), alpha, (w, q, _, gain, late, order, damping, _, mode, share) = self.front(box), self.s["damping_order"], map(real, box, range(10))
+        def seen(n):  # log(jv), E and R at v = ω + 2πn/T
+            v, sign, ends = w + n * self.turn, -1 if n < 0 else 1, sorted(abs(end + n * self.turn) for end in box[W])
+            span, (a, b), read, second = real(ends, W), map(math.log, ends), (v * late * -1j).exp() * gain * self.read, Disc(0)
+            if self.peak:  # the second mode; over wide boxes it may seem to be infinite
+                second = (1 + mode * (v * 1j).over() * (mode * (v * 1j).over() + 2 * self.s["mode_damping"])).over()
+                second = (second if second.r < self.peak else Disc(0, self.peak, second.d)) * share
+            return Disc((a + b) / 2 + sign * 0.5j * math.pi, (b - a) / 2 + U * (1 + abs(a)), {k: span.plain().over() * sign for k in v.d}), read, second
+        drag = lambda log: damping * (log * (alpha - order)).exp() if self.root[DAMP][1] else 0
+        tip = lambda log, read, second: 1 - read * ((q.over() * (log * order * -1).exp() + drag(log) + 1).over() + second)
+        (log, read, second), near = seen(0), sum((f * tip(*seen(n)) for f, n in zip(fronts[1:], ALIASES)), Disc(0))
+        if plain: return fronts[0] * tip(log, read, second) + near, alias
+        link = q * (log * order).exp() * ((1 + q * damping * (log * alpha).exp()).over() if self.root[DAMP][1] else 1)
+        inverse = fronts[0].over() * ((link + 1) * (read + (1 - read * (1 + second)) * (link + 1)).over())
+        return inverse * (1 + near * inverse).over() if len(fronts) > 1 else inverse, alias
     def leaf(self, box, plain):  # Whether |L| is small, or L (or 1/L) lies in a half plane that misses everything forbidden
         (value, alias), at, loss, unit = self.form(box, plain), [middle(pair) for pair in box], 0.0, lambda v: v / max(abs(v), 1e-300)
         if not ((m := self.s["modulus"] + alias) < 0.99 and math.isfinite(value.r)): return False
         if plain and value.most < 1 - m: return True
-        centre, side = 1 / (1 - m * m), math.copysign(1, value.c.imag)
-        # for 1/L what |1 + L| > m forbids is a disc about -centre, and the ray left of -1 goes from it to 0
+        centre, side = 1 / (1 - m * m), math.copysign(1, value.c.imag)  # 1/L must miss a disc about -centre, and what is left of -1 from it to 0
         straight, away, kink = unit(value.c), unit(value.c + (1 if plain else centre)), complex(m, side * math.sqrt(1 - m * m))
         normal = (away if away.real >= 0 else side * 1j) if plain else straight if straight.real >= m else away if away.real <= m else kink
         for axis, slope in value.d.items():
@@ -167,7 +169,6 @@ class Loop:
                 need(abs(c[0]) * (1 - 1e-9) > abs(c[-1]), "the motor loop is not stable at the shortest delay")
                 c = [c[i] - c[-1] / c[0] * c[-1 - i] for i in range(len(c) - 1)]
         need(bound * (1 + 1e-9) < 1 - s["modulus"], "|L| is not small at low frequency")
-
 def check(path, law=None):
     need(law is not None, "nothing is proved without the law on the board: give law_data.h or its SHA-256")
     data = json.loads(pathlib.Path(path).read_text("utf-8"), object_pairs_hook=lambda pairs: dict(pairs) if len(dict(pairs)) == len(pairs) else {})
@@ -192,7 +193,6 @@ def check(path, law=None):
         stack += [((*box[:axis], half, *box[axis + 1 :]), extra, plain) for half in ((cut, b), (a, cut))]
     need(next(letters, None) is None, "the tree goes on after its last leaf")
     return data["claim"]
-
 if __name__ == "__main__":
     try:
         print("PROVED:", check(*sys.argv[1:]))

@@ -127,10 +127,11 @@ class Disc:
         smaller = radius < self.r
         return Disc(np.where(smaller, middle.c, self.c), np.where(smaller, radius, self.r), self.d)
 
-    def kept(self, where: NDArray[np.bool_]) -> Disc:
-        """The discs where that is so, and zero elsewhere."""
-        slopes = {name: slope.kept(where) for name, slope in self.d.items()}
-        return Disc(np.where(where, self.c, 0.0), np.where(where, self.r, 0.0), slopes)
+    def placed(self, where: NDArray[np.bool_]) -> Disc:
+        """One disc after the other at the places where that is so, zero at all others."""
+        centre, radius = np.zeros(where.shape, dtype=complex), np.zeros(where.shape)
+        centre[where], radius[where] = self.c, self.r
+        return Disc(centre, radius, {name: slope.placed(where) for name, slope in self.d.items()})
 
     def most(self) -> Real:
         """Upper bound of |z|."""

@@ -13,8 +13,8 @@ H is the tip angle as the law computes it, θm − κΓ, over θm: ``H = 1 − E
 Where |L| is small L is enclosed, with V = 1/S, affine in 1/q; where it is large 1/L, nearly affine in q. One
 form alone needs a thousand times as many boxes.
 
-The nearest alias, L's terms at jω − 2πj/Ts in place of jω but for what is periodic, is enclosed with L near the
-Nyquist frequency; of all others, and of this one below, only the sum of the moduli is bounded.
+An alias is L at ω + 2πn/Ts in place of ω but for what is periodic. Towards the Nyquist frequency the nearest few
+are enclosed as L is, `ALIASES`; of the others, and of all further down, the sum of the moduli is bounded.
 """
 
 from __future__ import annotations
@@ -27,21 +27,23 @@ from numpy.typing import NDArray
 
 from fraclink._certify.correction import modes_of
 from fraclink._certify.discs import ROUNDING, Disc, Span
-from fraclink._certify.statement import AXES, NEAREST_FROM, Statement
+from fraclink._certify.statement import ALIASES, ALIASES_FROM, AXES, Statement
 from fraclink._law import block as layout
 
 __all__ = ["BoxLoop"]
 
 Real = NDArray[np.float64]
-ZETA_3 = 1.20206  # upper bound of Σ j^-3, j from 1
+Shifts = tuple[int, ...]
+_MAIN: Shifts = (0,)
+_HELD = len(ALIASES) // 2  # pairs of aliases beyond the nearest that L holds
+_CLOSING = ("frequency", "delay", "motor")  # what the denominator of the sampled motor loop depends on
 
 
 @dataclass(frozen=True)
 class FrequencyWindow:
-    """Over frequencies: F but for delay and motor and its nearest alias, what aliases share, x, y (Cm1 + Cm2)."""
+    """Over frequencies: F of each shift but for delay and motor, what aliases share, x, and y (Cm1 + Cm2)."""
 
-    front: Disc
-    nearest: Disc
+    fronts: tuple[Disc, ...]
     alias: Real
     back: Disc
     both: Disc
@@ -83,20 +85,17 @@ class BoxLoop:
 
     # ---- what stands in front of the link -----------------------------------------------------------------
 
-    def front(self, box: dict[str, Span]) -> tuple[Disc, Disc, Real]:
-        """(F, F at the nearest alias, bound of the other aliases of L) over boxes."""
-        window = self._window(box["frequency"])
+    def fronts(self, box: dict[str, Span], shifts: Shifts = _MAIN) -> tuple[list[Disc], Real]:
+        """(F at ω + 2πn/Ts for the shifts n, bound of the aliases that L does not hold) over boxes."""
+        window = self._window(box["frequency"], shifts)
         w, late = self._variable("frequency", box["frequency"]), self._variable("delay", box["delay"])
         slow = self._variable("motor", box["motor"]).inverse()
-        rests = [
-            front * (at * late * -1j).exp()
-            for front, at in ((window.front, w), (window.nearest, w - self.turn))
-        ]
+        places = [w + n * self.turn for n in shifts]
+        rests = [f * (at * late * -1j).exp() for f, at in zip(window.fronts, places, strict=True)]
         alias = window.alias * self._alias_sum(box)
         if self.motor_loop == "ideal":
-            lags = [(1 + at * slow * 1j).inverse() for at in (w, w - self.turn)]
-            front, nearest = (rest * lag * lag for rest, lag in zip(rests, lags, strict=True))
-            return front, nearest, alias
+            lags = [(1 + at * slow * 1j).inverse() for at in places]
+            return [rest * lag * lag for rest, lag in zip(rests, lags, strict=True)], alias
         # Near the motor loop's resonance X is small: its own slopes enclose it more closely than its terms.
         middle = box["frequency"].middle
         at_motor = Disc(box["motor"].middle).inverse()
@@ -104,9 +103,9 @@ class BoxLoop:
         steps = {"frequency": w.r, "delay": late.r, "motor": box["motor"].disc().r}
         lag = self.closing(window, late, slow).closer(centre, steps).inverse()
         # the voltage beside Ĉ is C/X, X = A (y²/A + Z); the sum has A itself
-        return rests[0] * lag, rests[1] * lag, alias * lag.most() * slow.most()
+        return [rest * lag for rest in rests], alias * lag.most() * slow.most()
 
-    def _window(self, frequency: Span) -> FrequencyWindow:
+    def _window(self, frequency: Span, shifts: Shifts = _MAIN) -> FrequencyWindow:
         """What frequencies contribute, whatever the parameters."""
         w = self._variable("frequency", frequency)
         z, x = (w * (1j * self.period)).exp(), (w * (-1j * self.period)).exp()
@@ -120,30 +119,44 @@ class BoxLoop:
             first, both = self.controllers(x)
             shared = shared * y * first
             alias = alias * turned * first.most()
-        front, nearest = (shared * self._open(at * 1j) for at in (w, w - self.turn))
+        fronts = [shared * self._open((w + n * self.turn) * 1j) for n in shifts]
         if np.any(frequency.low < frequency.high):
-            point, steps = self._window(Span(frequency.middle, frequency.middle)), {"frequency": w.r}
-            front, nearest = front.closer(point.front, steps), nearest.closer(point.nearest, steps)
-        return FrequencyWindow(front, nearest, alias, x, both)
+            middle = self._window(Span(frequency.middle, frequency.middle), shifts)
+            steps = {"frequency": w.r}
+            fronts = [f.closer(at, steps) for f, at in zip(fronts, middle.fronts, strict=True)]
+        return FrequencyWindow(tuple(fronts), alias, x, both)
 
     def _open(self, s: Disc) -> Disc:
         """Of F what is not periodic, but for delay and ideal motor: 1/s, with the voltage's motor 1/(s² (s + B))."""
         return (s if self.motor_loop == "ideal" else s * s * (s + self.statement.decay)).inverse()
 
     def _counts(self, box: dict[str, Span]) -> NDArray[np.bool_]:
-        """Of which boxes the nearest alias is enclosed with its phase."""
-        return np.asarray(box["frequency"].low >= NEAREST_FROM * math.pi / self.period)
+        """Of which boxes L holds the nearest aliases."""
+        return np.asarray(box["frequency"].low >= 0.5 * ALIASES_FROM * self.turn)
 
-    def too_wide(self, low: Real, high: Real, alias: Real) -> NDArray[np.bool_]:
-        """Whether the frequencies alone leave F unbounded: their arc comes too close to a pole of Ĉ.
+    def unbounded_along(self, low: Real, high: Real, alias: Real) -> NDArray[np.int64]:
+        """The axis to cut of boxes over which F is unbounded, -1 of all others; cutting any other is in vain.
 
-        `alias`, the bound of the aliases over the boxes, is finite wherever they do not.
+        It is the frequency where its arc alone comes too close to a pole of Ĉ, else what moves the denominator
+        of the sampled motor loop most. `alias`, the bound of the aliases over the boxes, is infinite there.
         """
-        found = ~np.isfinite(alias)
-        if found.any():
-            window = self._window(Span(low[found, 0], high[found, 0]))
-            found[found] = ~np.isfinite(window.alias)
-        return found
+        wide, axis = ~np.isfinite(alias), np.full(alias.shape, -1)
+        if not wide.any():
+            return axis
+        box = self.box(low[wide], high[wide])
+        window, moved = self._window(box["frequency"]), np.zeros((3, np.count_nonzero(wide)))
+        if self.motor_loop == "sampled":
+            late, slow = (
+                self._variable("delay", box["delay"]),
+                self._variable("motor", box["motor"]).inverse(),
+            )
+            slopes = self.closing(window, late, slow).d
+            for row, name in enumerate(_CLOSING):
+                if name in slopes:
+                    moved[row] = slopes[name].most() * box[name].disc().r
+        most = np.argmax(np.where(np.isfinite(window.alias), moved, 0.0), axis=0)
+        axis[wide] = np.array([AXES.index(name) for name in _CLOSING])[most]
+        return axis
 
     def _kernel(self, z: Disc) -> Disc:
         """K."""
@@ -204,7 +217,7 @@ class BoxLoop:
             return self._forms(self.box(low, high))
 
     def _forms(self, box: dict[str, Span]) -> tuple[Disc, Disc, Real]:
-        front, nearest, alias = self.front(box)
+        (front,), alias = self.fronts(box)
         w, log = self._variable("frequency", box["frequency"]), self._log(box["frequency"], 1.0)
         read, mode = self._read(box, w), self._mode(box, w)
         plain = front * (1 - read * ((self._compliant(box, log) + 1).inverse() + mode))
@@ -213,14 +226,18 @@ class BoxLoop:
         counts = self._counts(box)
         if not counts.any():
             return plain, inverse, alias
-        near = (nearest * self._tip_at_alias(box, w - self.turn)).kept(counts)
-        return plain + near, inverse * (1 + near * inverse).inverse(), alias
+        part = {name: Span(span.low[counts], span.high[counts]) for name, span in box.items()}
+        fronts, _ = self.fronts(part, ALIASES)
+        terms = [f * self._tip_at_alias(part, n) for f, n in zip(fronts, ALIASES, strict=True)]
+        aliases = sum(terms[1:], terms[0]).placed(counts)
+        return plain + aliases, inverse * (1 + aliases * inverse).inverse(), alias
 
-    def _tip_at_alias(self, box: dict[str, Span], w: Disc) -> Disc:
-        """H at jω − 2πj/Ts."""
-        frequency = box["frequency"]
-        far = Span((self.turn - frequency.high) * (1 - ROUNDING), (self.turn - frequency.low) * (1 + ROUNDING))
-        share = (self._compliant(box, self._log(far, -1.0)) + 1).inverse()
+    def _tip_at_alias(self, box: dict[str, Span], shift: int) -> Disc:
+        """H at j(ω + 2πn/Ts)."""
+        frequency, sign = box["frequency"], math.copysign(1.0, shift)
+        ends = (sign * (end + shift * self.turn) for end in (frequency.low, frequency.high))
+        share = (self._compliant(box, self._log(Span.around(*ends), sign)) + 1).inverse()
+        w = self._variable("frequency", frequency) + shift * self.turn
         return 1 - self._read(box, w) * (share + self._mode(box, w))
 
     def _log(self, frequency: Span, sign: float) -> Disc:
@@ -250,7 +267,11 @@ class BoxLoop:
 
     def _read(self, box: dict[str, Span], w: Disc) -> Disc:
         """E."""
-        return (w * self._variable("gauge_delay", box["gauge_delay"]) * -1j).exp() * self._variable("gauge_gain", box["gauge_gain"]) * self.read
+        return (
+            (w * self._variable("gauge_delay", box["gauge_delay"]) * -1j).exp()
+            * self._variable("gauge_gain", box["gauge_gain"])
+            * self.read
+        )
 
     def _mode(self, box: dict[str, Span], w: Disc) -> Disc:
         """R = a/(1 + 2ζ f/s + (f/s)²)."""
@@ -269,18 +290,17 @@ class BoxLoop:
     def alias_at(self, place: dict[str, float]) -> float:
         """Bound at one point of the aliases that L does not hold."""
         point = np.array([[place[name] for name in AXES]])
-        return float(self.front(self.box(point, point))[2][0])
+        return float(self.fronts(self.box(point, point))[1][0])
 
     # ---- bounds outside the tree --------------------------------------------------------------------------
 
     def _alias_sum(self, box: dict[str, Span]) -> Real:
         """Bound of ``Σ_{k≠0} |F(s_k)/s_k|`` but for what every term shares, over boxes.
 
-        Without the nearest term where L holds that.
-
         The nearest alias of ω <= w, the Nyquist frequency, lies at v = 2w − ω, and is bounded with the box's
-        own gauge and motor. Every other lies at 2jw or above, or at (2j + 1)w or above, for j = 1, 2, …; as
-        |F(s)/s| falls at least like ω^-3 they are Σ 1/(2j)³ + 1/(2j + 1)³ = ζ(3) − 1 of a term at w.
+        own gauge and motor. The others lie at 2jw + ω and (2j + 2)w − ω for j = 1, 2, …, where |F(s)/s| falls
+        at least like ω^-3: of t^-3, which is convex, the sum over all j but the first is at most half the
+        integral from one step before the second. Where L holds `ALIASES` these begin with j = 3.
         """
         w = math.pi / self.period
         ratio = np.minimum(Span.around(box["frequency"].low / w, box["frequency"].high / w).high, 1.0)
@@ -291,9 +311,12 @@ class BoxLoop:
         if self.motor_loop == "ideal":
             motor = motor**2
             first = first * (near**2 / (near**2 + motor))
-        first = np.where(self._counts(box), 0.0, first)
+        counts = self._counts(box)
+        first, begin = np.where(counts, 0.0, first), np.where(counts, 2.0 * _HELD, 0.0)
+        above, below = begin + 2.0 + box["frequency"].low / w, begin + 4.0 - ratio
+        terms = sum(t**-3 + 0.25 / (t + 1.0) ** 2 for t in (above, below))
         rest = self._tip_bound(box, np.full(near.shape, 2.0 * w), np.full(near.shape, math.inf))
-        return np.asarray(motor * (first + (ZETA_3 - 1.0) * rest / w**3) * (1 + 1e-9))
+        return np.asarray(motor * (first + terms * rest / w**3) * (1 + 1e-9))
 
     def _tip_bound(self, box: dict[str, Span], low: Real, high: Real) -> Real:
         """Bound of |H| at frequencies in [low, high]: κ c g |G|, |1 − E| and |E R|.
@@ -342,7 +365,7 @@ class BoxLoop:
             Span(*(np.array([side[name]]) for side in (self.low, self.high))) for name in ("delay", "motor")
         ]
         closing = self.closing(
-            FrequencyWindow(both, both, np.zeros(1), arc, both), spans[0].disc(), spans[1].inverse().disc()
+            FrequencyWindow((both,), np.zeros(1), arc, both), spans[0].disc(), spans[1].inverse().disc()
         )
         size = first.most() * closing.inverse().most() / self.low["motor"]
         return float(size[0]) * (self.period * self.high["motor"] / self.statement.decay + 2)

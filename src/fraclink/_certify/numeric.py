@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fraclink._certify.statement import AXES, NEAREST_FROM, Statement
+from fraclink._certify.statement import ALIASES, ALIASES_FROM, AXES, Statement
 
 if TYPE_CHECKING:
     from fraclink._law import Law
@@ -28,18 +28,17 @@ def loop_values(
 ) -> Complex:
     """Return L at `frequency` [rad/s], up to Nyquist; `place` has every other axis of the statement.
 
-    Of the aliases it has what the proof encloses: the nearest, where that counts (`NEAREST_FROM`). "softness"
-    is q = 1/ω₀², "motor" p or A. All of them broadcast.
+    Of the aliases it has what the proof encloses: `ALIASES`, where they count. "softness" is q = 1/ω₀², "motor"
+    p or A. All of them broadcast.
     """
     w, at = np.asarray(frequency, dtype=float), {k: np.asarray(v, dtype=float) for k, v in place.items()}
-    nyquist = math.pi / law.period
+    turn = 2.0 * math.pi / law.period
     outer = law.frequency_response(w.ravel()).reshape(w.shape) * -np.expm1(-1j * w * law.period) / law.period
     if statement.motor_loop == "sampled":
         outer = outer * _voltage(statement, law, w, at["delay"], at["motor"])
-    nearest = np.where(
-        w >= NEAREST_FROM * nyquist, _continuous(statement, 1j * (w - 2.0 * nyquist), at), 0.0
-    )
-    return np.asarray(outer * (_continuous(statement, 1j * w, at) + nearest))
+    aliases = sum(_continuous(statement, 1j * (w + n * turn), at) for n in ALIASES)
+    counted = np.where(w >= 0.5 * ALIASES_FROM * turn, aliases, 0.0)
+    return np.asarray(outer * (_continuous(statement, 1j * w, at) + counted))
 
 
 def _continuous(statement: Statement, s: Complex, at: Mapping[str, Real]) -> Complex:

@@ -136,7 +136,8 @@ def _judge(loop: BoxLoop, goal: _Goal, low: Real, high: Real) -> _Judged:
         front = np.isfinite(plain.r) | np.isfinite(inverse.r)
         quiet = goal.quiet(plain.most(), alias)
         proved, loud = quiet | (front & (reached > least + (_SLACK - 1.0))), loud & ~quiet
-        axis = np.where(loop.too_wide(low, high, alias), 0, _widest(low, high, weight))
+        front_axis = loop.unbounded_along(low, high, alias)
+        axis = np.where(front_axis >= 0, front_axis, _widest(low, high, weight))
         return _Judged(proved, loud, axis, point, at_plain.c, alias)
 
 
