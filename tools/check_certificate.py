@@ -7,7 +7,6 @@ L (or 1/L) and misses the disc about -1 and the ray to its left: an axis whose s
 set to its worse end. Exponentials are mpmath's; discs are widened by U of each result, of which floats lose 2^-50.
 """
 
-# ruff: noqa: B019, B905, E401, E501, E701, E731, I001
 # fmt: off
 import cmath, functools, hashlib, json, math, pathlib, re, struct, sys, zlib
 from mpmath import mp
@@ -15,12 +14,11 @@ mp.prec, U, TEXT = 64, 2.0**-48, ("block", "digest", "precision", "hold", "motor
 SENTENCES = "392b757ba1143c99dd5d7f965f0f2e81e03e19e06e75b86198866cee94507853"  # SHA-256 of the claim's form and of what it assumes
 AXES = ["delay", "gauge_gain", "gauge_delay", "order", "damping", "motor", "mode_frequency", "mode_gain"]
 ALIASES, (W, Q, LATE, GAIN, GLATE, ORDER, DAMP, MOTOR, MODE, SHARE) = (-1, 1, -2, 2, -3), range(10)  # at ω + 2πn/T; ω, q = 1/ω0², and AXES; the motor's is p or A
-sha = lambda content: hashlib.sha256(content).hexdigest()
+sha, disc = lambda content: hashlib.sha256(content).hexdigest(), lambda value: value if isinstance(value, Disc) else Disc(value)
 canonical = lambda value: json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=False).encode()
-disc = lambda value: value if isinstance(value, Disc) else Disc(value)
-middle = lambda pair: ((pair[0] + pair[1]) / 2,) * 2
-both = lambda a, b: {k: a[k] + b[k] if k in a and k in b else a.get(k) or b[k] for k in a | b}
+middle, both = lambda pair: ((pair[0] + pair[1]) / 2,) * 2, lambda a, b: {k: a[k] + b[k] if k in a and k in b else a.get(k) or b[k] for k in a | b}
 real = lambda ends, axis: Disc(sum(ends) / 2, (ends[1] - ends[0]) / 2 + U * ends[1], {axis: Disc(1)} if ends[0] < ends[1] else {})
+exact = lambda n, *discs: discs if n in (0, -1) else [value.plain() for value in discs]  # small aliases need no slopes
 def need(condition, reason):
     if condition is not True: raise ValueError(reason)
 class Disc:  # The values within r of c, widened for rounding; `d` has their slopes by axis
@@ -29,7 +27,7 @@ class Disc:  # The values within r of c, widened for rounding; `d` has their slo
     def __add__(self, b): return Disc(self.c + (b := disc(b)).c, self.r + b.r, both(self.d, b.d))
     def __mul__(self, b):
         if not isinstance(b, Disc): return Disc(self.c * b, self.r * abs(b), {k: x * b for k, x in self.d.items()})
-        slopes = both({k: x * p for p in [b.plain()] for k, x in self.d.items()}, {k: x * p for p in [self.plain()] for k, x in b.d.items()})
+        slopes = both({k: x * b.plain() for k, x in self.d.items()}, {k: x * self.plain() for k, x in b.d.items()}) if self.d or b.d else ()
         return Disc(self.c * b.c, self.most * b.r + abs(b.c) * self.r, slopes)
     def over(self):  # 1/z: the image of a disc is a disc; a disc that holds zero gives the whole plane
         size, gap = abs(self.c), abs(self.c) * (1 - U) - self.r
@@ -37,12 +35,10 @@ class Disc:  # The values within r of c, widened for rounding; `d` has their slo
         found = Disc(c := self.c.conjugate() / gap / (size + self.r), self.r / gap / (size + self.r) + 8 * U * size / gap * abs(c))
         return Disc(found.c, found.r, {k: x * found * found * -1 for k, x in self.d.items()})
     def exp(self):
-        found = Disc(c := complex(mp.exp(self.c)), abs(c) * math.expm1(self.r) if self.r < 50 else math.inf)
-        return Disc(found.c, found.r, {k: x * found for k, x in self.d.items()})
+        return Disc((found := Disc(c := complex(mp.exp(self.c)), abs(c) * math.expm1(self.r) if self.r < 50 else math.inf)).c, found.r, {k: x * found for k, x in self.d.items()})
     def closer(self, point, **widths):  # The disc about the value at the middle, where the slopes make it smaller
-        r = point.r + sum(x.most * widths[f"w{k}"] for k, x in self.d.items()) * (1 + 8 * U)
-        return Disc(point.c, r, self.d) if r < self.r else self
-    __radd__, __rmul__, __sub__, __rsub__, plain = __add__, __mul__, lambda self, b: self + b * -1, lambda self, b: self * -1 + b, lambda self: Disc(self.c, self.r)
+        return Disc(point.c, r, self.d) if (r := point.r + sum(x.most * widths[f"w{k}"] for k, x in self.d.items()) * (1 + 8 * U)) < self.r else self
+    __radd__, __rmul__, __sub__, __rsub__, plain = __add__, __mul__, lambda self, b: self + b * -1, lambda self, b: self * -1 + b, lambda self: Disc(self.c, self.r) if self.d else self
 def board(law):  # SHA-256 of the block on the board: of law_data.h, packed once more as law.h lays it out
     found = dict(re.findall(r"^ +\.(\w+) = (.+),$", pathlib.Path(law).read_text("utf-8"), re.MULTILINE))
     version, length, crc, width, *counts = (int(v[:-1], 0) for v in found.values() if v[-1] == "U")  # of size and crc the last
@@ -97,21 +93,21 @@ class Loop:
         n0, n2 = (f(late).closer(f(Disc(late.c)), w2=late.r) for f in held)
         return (1 - x) * (1 - x) * slow + gain * x * (1 - x * e).over() * (x * (B * T * (1 - e)) + (1 - x) * (n0 - x * n2)) * B**-2
     @functools.cache
-    def window(self, *ends):  # What frequencies contribute: F at ω and its ALIASES but for delay and motor, what aliases share, x, y (Cm1 + Cm2)
+    def window(self, count, *ends):  # What frequencies contribute: F at ω and `count` - 1 ALIASES but for delay and motor, what aliases share, x, y (Cm1 + Cm2)
         w, turns, x = real(ends, W), (real(ends, W) * (1j * self.T)).exp(), (real(ends, W) * (-1j * self.T)).exp()
         kernel, (first, gain), most = sum(((turns - p).over() * g for p, g in self.modes), Disc(self.direct)), self.controllers(x), min((1 - x).most, 2)
         shared, alias = kernel * (1 - x) * (1 - x) * (1 / self.T), kernel.most * most**2 / self.T * (1 + 1e-9)
         if not self.ideal: shared, alias = shared * (1 - x) * first, alias * most * first.most
-        fronts = [shared * (s if self.ideal else s * s * (s + self.B)).over() for s in ((w + n * self.turn) * 1j for n in ((0, *ALIASES) if ends[0] >= 0.4 * math.pi / self.T else (0,)))]
-        return [f.closer(at, w0=w.r) for f, at in zip(fronts, self.window(*middle(ends))[0])] if ends[0] < ends[1] else fronts, alias, x, gain
-    def front(self, box):  # F with its slopes, from 0.4 of Nyquist on at ALIASES too, and the bound of the other aliases of L
-        fronts, alias, *motor = self.window(*box[W])
+        fronts = [shared * (s if self.ideal else s * s * (s + self.B)).over() for s in ((w + n * self.turn) * 1j for n in (0, *ALIASES)[:count])]
+        return [f.closer(at, w0=w.r) for f, at in zip(fronts, self.window(count, *middle(ends))[0])] if ends[0] < ends[1] else fronts, alias, x, gain
+    def front(self, box, count):  # F with its slopes, and at ALIASES, and the bound of the other aliases of L
+        fronts, alias, *motor = self.window(count, *box[W])
         w, late, slow, alias = real(box[W], W), real(box[LATE], LATE), real(box[MOTOR], MOTOR).over(), alias * self.aliases(box)
-        rests = [(f * (v * late * -1j).exp(), v) for f, n in zip(fronts, (0, *ALIASES)) for v in [w + n * self.turn]]
-        if self.ideal: return [f * lag * lag for f, v in rests for lag in [(1 + v * slow * 1j).over()]], alias
-        point = self.closing(*self.window(*middle(box[W]))[2:], Disc(late.c), Disc(middle(box[MOTOR])[0]).over())
+        rests = [(f * (v * t * -1j).exp(), (1 + v * p * 1j).over(), n) for n, front in zip((0, *ALIASES), fronts) for f, v, t, p in [exact(n, front, w + n * self.turn, late, slow)]]
+        if self.ideal: return [f * lag * lag for f, lag, _ in rests], alias
+        point = self.closing(*self.window(1, *middle(box[W]))[2:], Disc(late.c), Disc(middle(box[MOTOR])[0]).over())
         lag = self.closing(*motor, late, slow).closer(point, w0=w.r, w2=late.r, w7=real(box[MOTOR], MOTOR).r).over()
-        return [f * lag for f, _ in rests], alias * lag.most * slow.most
+        return [f * exact(n, lag)[0] for f, _, n in rests], alias * lag.most * slow.most
     def aliases(self, box):  # Bound of Σ |F(s_k)/s_k| but for what all share: the nearest at 2π/T - ω where L lacks it, the others
         w, m, late, ends = math.pi / self.T, box[MOTOR][1], box[GLATE][1], box[W]
         near, turn, begin = (2 * w - min(ends[1], w)) * (1 - 1e-9), min(late * (2 * w - ends[0]) * (1 + 1e-9), math.pi), 2 + 4 * (ends[0] >= 0.4 * w)
@@ -122,24 +118,28 @@ class Loop:
         gains, drag, ratio = [self.read * x for x in box[GAIN]], box[Q][0] * box[DAMP][1] * w ** self.s["damping_order"], box[MODE][1] / w
         mode = box[SHARE][1] * (1 / (1 - ratio**2) if ratio < 0.7 else self.peak) + (1 + drag) / (box[Q][0] * w ** box[ORDER][0] - 1 - drag)
         return (math.sqrt(max((1 - g) ** 2 for g in gains) + 4 * gains[1] * math.sin(turn / 2) ** 2) + gains[1] * mode) * (1 + 1e-9)
-    def form(self, box, plain):  # L or 1/L with its slopes, and the bound of the aliases
-        (fronts, alias), alpha, (w, q, _, gain, late, order, damping, _, mode, share) = self.front(box), self.s["damping_order"], map(real, box, range(10))
-        def seen(n):  # log(jv), E and R at v = ω + 2πn/T
+    def form(self, box, plain, rest=()):  # L or 1/L with its slopes, the bound of the aliases, and from 0.4 of Nyquist on the middle of the small ones, of a point its box's
+        count = 1 + 5 * (box[W][0] >= 0.4 * math.pi / self.T) if rest == () else 1 + (rest is not None)
+        (fronts, alias), alpha, axes = self.front(box, count), self.s["damping_order"], list(map(real, box, range(10)))
+        def seen(n):  # log(jv), E, R and what they are made of at v = ω + 2πn/T
+            w, q, _, gain, late, order, damping, _, mode, share = exact(n, *axes)
             v, sign, ends = w + n * self.turn, -1 if n < 0 else 1, sorted(abs(end + n * self.turn) for end in box[W])
             span, (a, b), read, second = real(ends, W), map(math.log, ends), (v * late * -1j).exp() * gain * self.read, Disc(0)
             if self.peak:  # the second mode; over wide boxes it may seem to be infinite
                 second = (1 + mode * (v * 1j).over() * (mode * (v * 1j).over() + 2 * self.s["mode_damping"])).over()
                 second = (second if second.r < self.peak else Disc(0, self.peak, second.d)) * share
-            return Disc((a + b) / 2 + sign * 0.5j * math.pi, (b - a) / 2 + U * (1 + abs(a)), {k: span.plain().over() * sign for k in v.d}), read, second
-        drag = lambda log: damping * (log * (alpha - order)).exp() if self.root[DAMP][1] else 0
-        tip = lambda log, read, second: 1 - read * ((q.over() * (log * order * -1).exp() + drag(log) + 1).over() + second)
-        (log, read, second), near = seen(0), sum((f * tip(*seen(n)) for f, n in zip(fronts[1:], ALIASES)), Disc(0))
-        if plain: return fronts[0] * tip(log, read, second) + near, alias
+            return Disc((a + b) / 2 + sign * 0.5j * math.pi, (b - a) / 2 + U * (1 + abs(a)), {k: span.plain().over() * sign for k in v.d}), read, second, q, order, damping
+        tip = lambda log, read, second, q, order, damping: 1 - read * ((q.over() * (log * order * -1).exp() + (damping * (log * (alpha - order)).exp() if self.root[DAMP][1] else 0) + 1).over() + second)
+        log, read, second, q, order, damping = here = seen(0)
+        near = [f * tip(*seen(n)) for f, n in zip(fronts[1:], ALIASES)]
+        if rest == (): rest, alias = ((small := sum(near[1:], Disc(0))).c, alias + small.r) if near else (None, alias)
+        near = near[0] + rest if near else Disc(0)
+        if plain: return fronts[0] * tip(*here) + near, alias, rest
         link = q * (log * order).exp() * ((1 + q * damping * (log * alpha).exp()).over() if self.root[DAMP][1] else 1)
         inverse = fronts[0].over() * ((link + 1) * (read + (1 - read * (1 + second)) * (link + 1)).over())
-        return inverse * (1 + near * inverse).over() if len(fronts) > 1 else inverse, alias
+        return inverse * (1 + near * inverse).over() if len(fronts) > 1 else inverse, alias, rest
     def leaf(self, box, plain):  # Whether |L| is small, or L (or 1/L) lies in a half plane that misses everything forbidden
-        (value, alias), at, loss, unit = self.form(box, plain), [middle(pair) for pair in box], 0.0, lambda v: v / max(abs(v), 1e-300)
+        (value, alias, rest), at, loss, unit = self.form(box, plain), [middle(pair) for pair in box], 0.0, lambda v: v / max(abs(v), 1e-300)
         if not ((m := self.s["modulus"] + alias) < 0.99 and math.isfinite(value.r)): return False
         if plain and value.most < 1 - m: return True
         centre, side = 1 / (1 - m * m), math.copysign(1, value.c.imag)  # 1/L must miss a disc about -centre, and what is left of -1 from it to 0
@@ -149,7 +149,7 @@ class Loop:
             along, spread, (first, second) = (normal.conjugate() * slope.c).real, slope.r * (1 + U) + 4 * U * abs(slope.c), box[axis]
             if abs(along) >= spread: at[axis] = (first, first) if along > 0 else (second, second)
             else: loss += ((second - first) / 2 + 4 * U * second) * (1 + 4 * U) * (abs(along) + spread)
-        point, least = self.form(tuple(at), plain)[0], m - normal.real if plain else max(centre * (m - normal.real), 0.0)
+        point, least = self.form(tuple(at), plain, rest)[0], m - normal.real if plain else max(centre * (m - normal.real), 0.0)
         return (normal.conjugate() * point.c).real - point.r - 4 * U * (1 + abs(point.c)) - loss > least + 1e-9
     def start(self, w, low, high):  # Bound |L| up to the lowest frequency, with its aliases; check the motor loop
         s, T, most, r, e = self.s, self.T, self.read * high[GAIN], self.pid[8], math.exp(-self.B * self.T)

@@ -8,7 +8,7 @@ from typing import Any
 
 from fraclink.errors import FieldError
 
-__all__ = ["LEAST_RANGE", "linear_range", "modes_of"]
+__all__ = ["LEAST_RANGE", "inside_circle", "linear_range", "modes_of"]
 
 LEAST_RANGE = 1e-5  # [rad]: a law whose limits act on smaller errors than 10 µrad never corrects anything
 
@@ -47,3 +47,14 @@ def linear_range(coefficients: Mapping[str, Any]) -> float:
         )
     digit = 10.0 ** (math.floor(math.log10(reach)) - 1)
     return float(f"{math.floor(reach / digit) * digit:.2g}")
+
+
+def inside_circle(coefficients: list[float]) -> bool:
+    """Schur–Cohn: every reflection coefficient of a real polynomial below one in modulus, with room."""
+    a = coefficients
+    while len(a) > 1:
+        if not abs(a[0]) * (1 - 1e-9) > abs(a[-1]):
+            return False
+        k = a[-1] / a[0]
+        a = [a[i] - k * a[-1 - i] for i in range(len(a) - 1)]
+    return True

@@ -13,8 +13,8 @@ H is the tip angle as the law computes it, θm − κΓ, over θm: ``H = 1 − E
 Where |L| is small L is enclosed, with V = 1/S, affine in 1/q; where it is large 1/L, nearly affine in q. One
 form alone needs a thousand times as many boxes.
 
-An alias is L at ω + 2πn/Ts in place of ω but for what is periodic. Towards the Nyquist frequency the nearest few
-are enclosed as L is, `ALIASES`; of the others, and of all further down, the sum of the moduli is bounded.
+An alias is L at ω + 2πn/Ts in place of ω but for what is periodic. Towards the Nyquist frequency the nearest
+few are enclosed as L is, `ALIASES`; of the others, and of all further down, the moduli are bounded.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._certify.correction import modes_of
+from fraclink._certify.correction import inside_circle, modes_of
 from fraclink._certify.discs import ROUNDING, Disc, Span
 from fraclink._certify.statement import ALIASES, ALIASES_FROM, AXES, Statement
 from fraclink._law import block as layout
@@ -33,6 +33,7 @@ from fraclink._law import block as layout
 __all__ = ["BoxLoop"]
 
 Real = NDArray[np.float64]
+Flags = NDArray[np.bool_]
 Shifts = tuple[int, ...]
 _MAIN: Shifts = (0,)
 _HELD = len(ALIASES) // 2  # pairs of aliases beyond the nearest that L holds
@@ -127,18 +128,18 @@ class BoxLoop:
         return FrequencyWindow(tuple(fronts), alias, x, both)
 
     def _open(self, s: Disc) -> Disc:
-        """Of F what is not periodic, but for delay and ideal motor: 1/s, with the voltage's motor 1/(s² (s + B))."""
+        """Of F what is not periodic, but for delay and ideal motor; beside the PID it has the motor."""
         return (s if self.motor_loop == "ideal" else s * s * (s + self.statement.decay)).inverse()
 
-    def _counts(self, box: dict[str, Span]) -> NDArray[np.bool_]:
-        """Of which boxes L holds the nearest aliases."""
-        return np.asarray(box["frequency"].low >= 0.5 * ALIASES_FROM * self.turn)
+    def held(self, frequency: Real) -> Flags:
+        """Whether L holds the nearest aliases of boxes from these frequencies on."""
+        return np.asarray(frequency >= 0.5 * ALIASES_FROM * self.turn)
 
     def unbounded_along(self, low: Real, high: Real, alias: Real) -> NDArray[np.int64]:
-        """The axis to cut of boxes over which F is unbounded, -1 of all others; cutting any other is in vain.
+        """The axis to cut of boxes over which F is unbounded, where all others would be in vain; else -1.
 
-        It is the frequency where its arc alone comes too close to a pole of Ĉ, else what moves the denominator
-        of the sampled motor loop most. `alias`, the bound of the aliases over the boxes, is infinite there.
+        It is the frequency where its arc alone comes too close to a pole of Ĉ, else what moves the
+        denominator of the sampled motor loop most. `alias`, the bound of the aliases, is infinite there.
         """
         wide, axis = ~np.isfinite(alias), np.full(alias.shape, -1)
         if not wide.any():
@@ -206,30 +207,29 @@ class BoxLoop:
 
     # ---- the loop in two forms ----------------------------------------------------------------------------
 
-    def forms(self, low: Real, high: Real) -> tuple[Disc, Disc, Real]:
+    def forms(self, low: Real, high: Real, held: Flags | None = None) -> tuple[Disc, Disc, Real]:
         """(L, 1/L, bound of the aliases that L does not hold) over boxes, with their slopes.
 
-        Those along the motor are along p or A.
+        Those along the motor are along p or A. A point of a box must hold the aliases that its box does: then
+        `held` is the box's.
         """
-        with np.errstate(
-            all="ignore"
-        ):  # a box that is too wide gives infinities and NaN, which prove nothing
-            return self._forms(self.box(low, high))
+        # A box that is too wide gives infinities and NaN, which prove nothing.
+        with np.errstate(all="ignore"):
+            return self._forms(self.box(low, high), self.held(low[:, 0]) if held is None else held)
 
-    def _forms(self, box: dict[str, Span]) -> tuple[Disc, Disc, Real]:
+    def _forms(self, box: dict[str, Span], held: Flags) -> tuple[Disc, Disc, Real]:
         (front,), alias = self.fronts(box)
         w, log = self._variable("frequency", box["frequency"]), self._log(box["frequency"], 1.0)
         read, mode = self._read(box, w), self._mode(box, w)
         plain = front * (1 - read * ((self._compliant(box, log) + 1).inverse() + mode))
         x = self._soft(box, log) + 1
         inverse = front.inverse() * (x * (read + (1 - read * (1 + mode)) * x).inverse())
-        counts = self._counts(box)
-        if not counts.any():
+        if not held.any():
             return plain, inverse, alias
-        part = {name: Span(span.low[counts], span.high[counts]) for name, span in box.items()}
+        part = {name: Span(span.low[held], span.high[held]) for name, span in box.items()}
         fronts, _ = self.fronts(part, ALIASES)
         terms = [f * self._tip_at_alias(part, n) for f, n in zip(fronts, ALIASES, strict=True)]
-        aliases = sum(terms[1:], terms[0]).placed(counts)
+        aliases = sum(terms[1:], terms[0]).placed(held)
         return plain + aliases, inverse * (1 + aliases * inverse).inverse(), alias
 
     def _tip_at_alias(self, box: dict[str, Span], shift: int) -> Disc:
@@ -311,8 +311,8 @@ class BoxLoop:
         if self.motor_loop == "ideal":
             motor = motor**2
             first = first * (near**2 / (near**2 + motor))
-        counts = self._counts(box)
-        first, begin = np.where(counts, 0.0, first), np.where(counts, 2.0 * _HELD, 0.0)
+        held = self.held(box["frequency"].low)
+        first, begin = np.where(held, 0.0, first), np.where(held, 2.0 * _HELD, 0.0)
         above, below = begin + 2.0 + box["frequency"].low / w, begin + 4.0 - ratio
         terms = sum(t**-3 + 0.25 / (t + 1.0) ** 2 for t in (above, below))
         rest = self._tip_bound(box, np.full(near.shape, 2.0 * w), np.full(near.shape, math.inf))
@@ -380,7 +380,7 @@ class BoxLoop:
         For every other delay and gain it follows from the tree: each leaf shows X ≠ 0 on its part of the unit
         circle, so no pole can cross it while they grow.
         """
-        return self.motor_loop == "ideal" or _inside_circle(self._characteristic())
+        return self.motor_loop == "ideal" or inside_circle(self._characteristic())
 
     def _characteristic(self) -> list[float]:
         """Coefficients of (1 − e x)(1 − r x) X/A, ascending in x: the highest power of z first."""
@@ -397,14 +397,3 @@ class BoxLoop:
         total = np.convolve(both, held)
         total[:5] += np.convolve(np.convolve(edge, edge), np.convolve(filt, slow)) / motor
         return [float(x) for x in total]
-
-
-def _inside_circle(coefficients: list[float]) -> bool:
-    """Schur–Cohn: every reflection coefficient of a real polynomial below one in modulus, with room."""
-    a = coefficients
-    while len(a) > 1:
-        if not abs(a[0]) * (1 - 1e-9) > abs(a[-1]):
-            return False
-        k = a[-1] / a[0]
-        a = [a[i] - k * a[-1 - i] for i in range(len(a) - 1)]
-    return True

@@ -24,12 +24,17 @@ _STEPS = 40
 
 
 def loop_values(
-    statement: Statement, law: Law, frequency: ArrayLike, place: Mapping[str, ArrayLike]
+    statement: Statement,
+    law: Law,
+    frequency: ArrayLike,
+    place: Mapping[str, ArrayLike],
+    *,
+    held: NDArray[np.bool_] | None = None,
 ) -> Complex:
     """Return L at `frequency` [rad/s], up to Nyquist; `place` has every other axis of the statement.
 
-    Of the aliases it has what the proof encloses: `ALIASES`, where they count. "softness" is q = 1/ω₀², "motor"
-    p or A. All of them broadcast.
+    It holds the aliases that the proof does: `ALIASES` from `ALIASES_FROM` on, or where `held`. "softness" is
+    q = 1/ω₀², "motor" p or A. All of them broadcast.
     """
     w, at = np.asarray(frequency, dtype=float), {k: np.asarray(v, dtype=float) for k, v in place.items()}
     turn = 2.0 * math.pi / law.period
@@ -37,8 +42,8 @@ def loop_values(
     if statement.motor_loop == "sampled":
         outer = outer * _voltage(statement, law, w, at["delay"], at["motor"])
     aliases = sum(_continuous(statement, 1j * (w + n * turn), at) for n in ALIASES)
-    counted = np.where(w >= 0.5 * ALIASES_FROM * turn, aliases, 0.0)
-    return np.asarray(outer * (_continuous(statement, 1j * w, at) + counted))
+    with_aliases = w >= 0.5 * ALIASES_FROM * turn if held is None else held
+    return np.asarray(outer * (_continuous(statement, 1j * w, at) + np.where(with_aliases, aliases, 0.0)))
 
 
 def _continuous(statement: Statement, s: Complex, at: Mapping[str, Real]) -> Complex:

@@ -129,7 +129,7 @@ def _judge(loop: BoxLoop, goal: _Goal, low: Real, high: Real) -> _Judged:
             for name in loop.axes:
                 k = AXES.index(name)
                 weight[:, k] = (high[:, k] - low[:, k]) * plain.d[name].most()
-        at_plain, at_inverse, _ = loop.forms(point, point)
+        at_plain, at_inverse, _ = loop.forms(point, point, loop.held(low[:, 0]))
         value = np.where(loud, at_inverse.c, at_plain.c)
         radius = np.where(loud, at_inverse.r, at_plain.r)
         reached = (np.conj(normal) * value).real - radius - 4 * ROUNDING * (1 + np.abs(value)) - loss

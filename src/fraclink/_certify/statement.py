@@ -50,9 +50,9 @@ AXES = (
     "mode_gain",
 )
 LETTERS = "wmtgdoupfa"
-# Aliases that are enclosed with their phase, at ω + 2πn/Ts, on boxes from this part of the Nyquist frequency on.
-# Without a filter |L| near Nyquist is as large as it likes: there the moduli of all aliases come to 0.4 of it, those
-# of the others than these to 0.02. Further down the nearest alone is (1/19)³ of L, and moduli do.
+# Aliases that L holds with their phase, at ω + 2πn/Ts, from this part of the Nyquist frequency on. Without a
+# filter |L| near Nyquist is as large as it likes: there the moduli of all aliases come to 0.4 of it, and of
+# those that are left to 0.02. Further down the nearest alone is less than (1/4)³ of L, and moduli do.
 ALIASES = (-1, 1, -2, 2, -3)
 ALIASES_FROM = 0.4
 LEAVES = ".,"  # proved by L, proved by 1/L
