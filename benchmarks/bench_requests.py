@@ -207,7 +207,7 @@ def _refused(request: Request, error: InfeasibleError) -> tuple[str, str]:
     if not error.nearest:
         return "refused, nothing near", error.condition
     try:
-        offered = fl.design(request.model, request.rig, **{**request.options, **error.nearest})
+        offered = fl.design(request.model, request.rig, **{**request.options, **error.nearest}, law=False)
     except (FieldError, InfeasibleError) as again:
         return "NOT FEASIBLE", f"{error.condition}: {error.nearest} ends in {again}"
     if not offered.passed:

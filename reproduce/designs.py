@@ -61,6 +61,7 @@ def _designed(low: float, high: float, nominal: float, **options: object) -> Des
         gain_crossover=16.0,
         phase_margin=math.radians(70.0),
         margins="ideal",
+        law=False,
         **options,  # type: ignore[arg-type]
     )
 

@@ -85,6 +85,7 @@ def sampled_margins() -> tuple[tuple[float, ...], ...]:
         gain_crossover=12.0,
         phase_margin=math.radians(50.0),
         filter_time=0.0,
+        law=False,
     )
     return tuple(
         (

@@ -27,11 +27,11 @@ PAPER = {
 
 
 def paper_plan(**changes: object) -> Design:
-    return fl.design(RIG.model, RIG, **(PAPER | changes))
+    return fl.design(RIG.model, RIG, **(PAPER | changes), law=False)
 
 
 def default_plan(**changes: object) -> Design:
-    return fl.design(RIG.model, RIG, **(DEFAULT | changes))
+    return fl.design(RIG.model, RIG, **(DEFAULT | changes), law=False)
 
 
 def plain_loop(design: Design, w: float, pi: float, *, inside: bool) -> complex:

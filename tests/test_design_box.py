@@ -52,7 +52,7 @@ def drawn(made: Design, count: int) -> list[tuple[float, float]]:
 
 @pytest.mark.parametrize("mode", [None, MODE], ids=["one mode", "second mode"])
 def test_every_arm_of_the_box_keeps_crossover_and_margin(mode: SecondMode | None) -> None:
-    made = design(replace(RIG.model, second_mode=mode), RIG, **WANTED, box=True)
+    made = design(replace(RIG.model, second_mode=mode), RIG, **WANTED, box=True, law=False)
     assert made.passed
     arms = drawn(made, 80)
     assert min(crossover for crossover, _ in arms) >= 12.0 * (1 - 1e-9)
@@ -75,7 +75,7 @@ def test_modulus_of_the_moderate_box_is_proved() -> None:
 
 
 def test_finding_says_what_each_interval_costs() -> None:
-    made = design(RIG.model, RIG, **WANTED, box=True)
+    made = design(RIG.model, RIG, **WANTED, box=True, law=False)
     (cost,) = (finding for finding in made.findings if finding.code == "W407")
     assert cost.evidence["nominal_rad"] - cost.evidence["worst_rad"] == pytest.approx(fl.deg(13.3), abs=0.01)
     # Without the delay's interval the design has as much more margin as the finding promised.
@@ -97,17 +97,34 @@ def test_a_law_that_falls_short_somewhere_in_the_box_is_named() -> None:
     assert not fl.certify(made).passed
 
 
+def test_a_law_that_is_not_stable_does_not_pass_without_a_further_look() -> None:
+    made = design(RIG.model, RIG, **WANTED, filter_time=0.0, box=True)
+    assert not made.passed
+    assert [finding.severity for finding in made.findings if finding.code == "W404"] == ["error"]
+
+
+def test_a_law_that_comes_close_to_minus_one_near_nyquist_is_named() -> None:
+    """Its margin is kept: |L| crosses one nowhere near."""
+    wanted = WANTED | {"phase_margin": fl.deg(45)}
+    bare = design(RIG.model, RIG, **wanted, filter_time=0.0, box=True)
+    near = [finding for finding in bare.findings if finding.code == "W408"]
+    assert bare.passed and near[0].severity == "warning"
+    assert near[0].evidence["modulus_margin"] < 0.25 < 0.5 < near[0].evidence["designed"]
+    filtered = design(RIG.model, RIG, **wanted, box=True)
+    assert "W408" not in {finding.code for finding in filtered.findings}
+
+
 def test_refusal_offers_what_the_box_admits() -> None:
     with pytest.raises(InfeasibleError) as caught:
-        design(RIG.model, RIG, **WANTED | {"phase_margin": fl.deg(110)}, box=True)
+        design(RIG.model, RIG, **WANTED | {"phase_margin": fl.deg(110)}, box=True, law=False)
     offered = caught.value.nearest
     assert offered["phase_margin"] < fl.deg(110)
-    assert design(RIG.model, RIG, **WANTED | offered, box=True).passed
+    assert design(RIG.model, RIG, **WANTED | offered, box=True, law=False).passed
 
 
 def test_box_of_one_arm_is_the_plain_design_and_files_keep_the_box(tmp_path: Path) -> None:
-    plain = design(RIG.model, RIG, **WANTED)
-    point = design(RIG.model, RIG, **WANTED, box=ParameterBox.at(RIG.model))
+    plain = design(RIG.model, RIG, **WANTED, law=False)
+    point = design(RIG.model, RIG, **WANTED, box=ParameterBox.at(RIG.model), law=False)
     assert point.controller == plain.controller and plain.box is None
     point.save(tmp_path / "design.json")
     assert Design.load(tmp_path / "design.json") == point
@@ -116,5 +133,5 @@ def test_box_of_one_arm_is_the_plain_design_and_files_keep_the_box(tmp_path: Pat
 @pytest.mark.parametrize(("box", "margins"), [("all", "loop"), (True, "ideal")])
 def test_bad_boxes_are_refused(box: object, margins: str) -> None:
     with pytest.raises(FieldError) as caught:
-        design(RIG.model, RIG, **WANTED, box=box, margins=margins)
+        design(RIG.model, RIG, **WANTED, box=box, margins=margins, law=False)
     assert caught.value.field == "box"

@@ -110,7 +110,7 @@ class Loop:
         return [f * exact(n, lag)[0] for f, _, n in rests], alias * lag.most * slow.most
     def aliases(self, box):  # Bound of Σ |F(s_k)/s_k| but for what all share: the nearest at 2π/T - ω where L lacks it, the others
         w, m, late, ends = math.pi / self.T, box[MOTOR][1], box[GLATE][1], box[W]
-        near, turn, begin = (2 * w - min(ends[1], w)) * (1 - 1e-9), min(late * (2 * w - ends[0]) * (1 + 1e-9), math.pi), 2 + 4 * (ends[0] >= 0.4 * w)
+        near, turn, begin = (2 * w - min(ends[1], w)) * (1 - 1e-9), min(late * (2 * w - ends[0]) * (1 + 1e-9), math.pi), 2 + 4 * (ends[0] >= 0.2 * w)
         terms = sum(t**-3 + 0.25 / (t + 1) ** 2 for t in (begin + ends[0] / w, begin + 2 - min(ends[1] / w, 1)))  # of a convex function: half its integral
         first, rest = self.tip(box, near, turn) / near**3 * (begin == 2), self.tip(box, 2 * w, late and math.pi) * terms / w**3
         return (m * m * (first / (1 + (m / near) ** 2) + rest) if self.ideal else m * (first + rest)) * (1 + 1e-9)
@@ -118,8 +118,8 @@ class Loop:
         gains, drag, ratio = [self.read * x for x in box[GAIN]], box[Q][0] * box[DAMP][1] * w ** self.s["damping_order"], box[MODE][1] / w
         mode = box[SHARE][1] * (1 / (1 - ratio**2) if ratio < 0.7 else self.peak) + (1 + drag) / (box[Q][0] * w ** box[ORDER][0] - 1 - drag)
         return (math.sqrt(max((1 - g) ** 2 for g in gains) + 4 * gains[1] * math.sin(turn / 2) ** 2) + gains[1] * mode) * (1 + 1e-9)
-    def form(self, box, plain, rest=()):  # L or 1/L with its slopes, the bound of the aliases, and from 0.4 of Nyquist on the middle of the small ones, of a point its box's
-        count = 1 + 5 * (box[W][0] >= 0.4 * math.pi / self.T) if rest == () else 1 + (rest is not None)
+    def form(self, box, plain, rest=()):  # L or 1/L with its slopes, the bound of the aliases, and from 0.2 of Nyquist on the middle of the small ones, of a point its box's
+        count = 1 + 5 * (box[W][0] >= 0.2 * math.pi / self.T) if rest == () else 1 + (rest is not None)
         (fronts, alias), alpha, axes = self.front(box, count), self.s["damping_order"], list(map(real, box, range(10)))
         def seen(n):  # log(jv), E, R and what they are made of at v = ω + 2πn/T
             w, q, _, gain, late, order, damping, _, mode, share = exact(n, *axes)

@@ -41,13 +41,14 @@ def loop_values(
     outer = law.frequency_response(w.ravel()).reshape(w.shape) * -np.expm1(-1j * w * law.period) / law.period
     if statement.motor_loop == "sampled":
         outer = outer * _voltage(statement, law, w, at["delay"], at["motor"])
-    aliases = sum(_continuous(statement, 1j * (w + n * turn), at) for n in ALIASES)
+    aliases = np.sum([_continuous(statement, w + n * turn, at) for n in ALIASES], axis=0)
     with_aliases = w >= 0.5 * ALIASES_FROM * turn if held is None else held
-    return np.asarray(outer * (_continuous(statement, 1j * w, at) + np.where(with_aliases, aliases, 0.0)))
+    return np.asarray(outer * (_continuous(statement, w, at) + np.where(with_aliases, aliases, 0.0)))
 
 
-def _continuous(statement: Statement, s: Complex, at: Mapping[str, Real]) -> Complex:
+def _continuous(statement: Statement, frequency: Real, at: Mapping[str, Real]) -> Complex:
     """Motor, delay and tip angle as the law computes it, over s: what a held command goes through."""
+    s = 1j * frequency
     drag = at["softness"] * at["damping"] * s**statement.damping_order
     tip = (1.0 + drag) / (1.0 + at["softness"] * s ** at["order"] + drag)
     mode = 0.0 * s

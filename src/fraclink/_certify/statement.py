@@ -52,9 +52,9 @@ AXES = (
 LETTERS = "wmtgdoupfa"
 # Aliases that L holds with their phase, at ω + 2πn/Ts, from this part of the Nyquist frequency on. Without a
 # filter |L| near Nyquist is as large as it likes: there the moduli of all aliases come to 0.4 of it, and of
-# those that are left to 0.02. Further down the nearest alone is less than (1/4)³ of L, and moduli do.
+# those that are left to 0.02. Further down the nearest alone is less than (1/9)³ of L, and moduli do.
 ALIASES = (-1, 1, -2, 2, -3)
-ALIASES_FROM = 0.4
+ALIASES_FROM = 0.2
 LEAVES = ".,"  # proved by L, proved by 1/L
 # The checker knows these sentences too: they lie inside the hash, and a file with others is rejected.
 ASSUMPTIONS = (

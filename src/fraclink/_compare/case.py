@@ -210,6 +210,7 @@ def prepare(
         gain_crossover=gain_crossover,
         phase_margin=phase_margin,
         filter_time=filter_time,
+        law=False,
     )
     law, _ = with_motor_loop(discretize(result.controller, rig.period), twin=twin)
     loop = NominalLoop.of(

@@ -42,6 +42,7 @@ def corrected(setting: Setting) -> Ruled:
         phase_margin=deg(70.0),
         margins="ideal",
         filter_order=2,
+        law=False,
     )
     rule = "the paper's procedure (54)-(57) recomputed: ω_c 16 rad/s, 70° for M = 1 without sampling"
     return rule, result.controller
@@ -100,6 +101,7 @@ def quieter(setting: Setting) -> tuple[str, Controller]:
                 gain_crossover=setting.gain_crossover,
                 phase_margin=setting.phase_margin,
                 filter_time=factor * base,
+                law=False,
             )
         except InfeasibleError as error:
             refused = error

@@ -51,6 +51,7 @@ def design(
     settling_time: float | None = None,
     mode_gain: float | None = None,
     box: ParameterBox | bool | None = None,
+    law: bool = True,
 ) -> Design:
     """Design ``C(s) = 1 + k_d s^β/(1 + δs)^n`` for every payload of a range (section 6, eqs. (54)–(57)).
 
@@ -101,6 +102,9 @@ def design(
         arms that must keep every requirement: a `ParameterBox`; True for ``ParameterBox.of(model, rig)``, the
         fit's intervals and at least the rig's ``[tolerances]``; None or False for the model alone. Finding
         W407 says what it costs, and of which parameter. The design remembers it, and `certify` proves it.
+    law
+        whether to fit the law that ships, too, and say where it keeps less than the design in the sampled
+        loop (W404, W408). The fit takes most of the time; without it nothing is said of the law.
 
     Raises
     ------
@@ -145,7 +149,8 @@ def design(
         doubts = "; ".join(finding.message for finding in doubts_of(rig, link, payloads or ()))
         explanation = f"{error.explanation}; but {doubts}" if doubts else error.explanation
         raise InfeasibleError(error.condition, explanation, nearest) from error
-    return made.doubted(getattr(model, "findings", ()))
+    made = made.doubted(getattr(model, "findings", ()))
+    return made.warned_of_law() if law else made
 
 
 def _bounded(spec: Specification, link: LinkModel) -> Specification:

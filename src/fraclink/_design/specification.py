@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._arm.box import ParameterBox, arms_of
+from fraclink._arm.box import ParameterBox
 from fraclink._arm.controller import Controller
 from fraclink._arm.link import LinkModel
 from fraclink._arm.loop import Loop, with_payload
@@ -19,10 +19,10 @@ from fraclink._arm.motor_loop import MotorLoop
 from fraclink._arm.rig import Rig
 from fraclink._arm.sampled import SampledPlant, sampled_plant
 from fraclink._design.requirement import Requirement
+from fraclink._design.shipped import LAW_MARGIN, kept_by_law, law_findings, law_margins, margins_of
 from fraclink._display import displayed
 from fraclink._files import document, load, save
 from fraclink._law import discretize, discretize_controller
-from fraclink._systems.margins import margins
 from fraclink._validate import (
     Between,
     Duration,
@@ -47,9 +47,6 @@ __all__ = ["Design", "Requirement", "Specification", "deg"]
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
-_PAYLOADS = 9  # at which the shipped law is looked at
-LAW_MARGIN = "phase margin, shipped law"
-LAW_ALLOWANCE = math.radians(0.5)  # of the fit of C, which the law states as its own error
 
 
 def deg(angle: float) -> float:
@@ -285,7 +282,7 @@ class Design:
         else:
             _check_response(realisation)
         response, plant = realisation, self.sampled_plant(self.natural_frequency(payload))
-        return _margins_of(response, plant)
+        return margins_of(response, plant)
 
     def law(self, *, order: int | None = None, precision: Precision = "double") -> Law:
         """Return the law that runs on the rig, `fraclink.discretize` of this design."""
@@ -294,45 +291,24 @@ class Design:
     def with_law(self) -> Design:
         """Return the design with the worst sampled phase margin of its law as a further requirement.
 
-        It is the margin asked for less the law's own tolerance of 0.5°; finding W404 says where less than the
-        margin asked for is kept. A design for the paper's reading (`margins` "ideal") gets the finding alone:
-        the sampled loop was not what it was asked for.
+        It is the margin asked for less the law's own tolerance of 0.5°, over the payloads and over the box;
+        the findings are those of `warned_of_law`. A design for the paper's reading (`margins` "ideal") gets
+        the findings alone: the sampled loop was not what it was asked for.
         """
-        if self.box is None:
-            kept, payload = min(map(self._kept_by_law, np.geomspace(*self.natural_frequencies, _PAYLOADS)))
-        else:
-            kept, payload = min(self._kept_over_box(self.box))
+        found = law_margins(self)
         requirements = tuple(r for r in self.requirements if r.name != LAW_MARGIN)
         if self.margins_kind == "loop":
-            wanted = self.phase_margin - LAW_ALLOWANCE
-            requirements += (Requirement.at_least(LAW_MARGIN, wanted, kept, "rad", payload),)
-        findings = tuple(f for f in self.findings if f.code != "W404")
-        if kept < self.phase_margin:
-            finding = Finding(
-                "W404",
-                "info" if kept >= self.phase_margin - LAW_ALLOWANCE else "warning",
-                "the shipped law in the sampled loop keeps less phase margin than was asked for",
-                {"phase_margin_rad": kept, "wanted_rad": self.phase_margin, "payload_kg": payload},
-                "ask for as much more as is missing, with margins='loop'",
-            )
-            findings += (finding,)
-        return replace(self, requirements=requirements, findings=findings)
+            requirements += (kept_by_law(self, found),)
+        return replace(self, requirements=requirements, findings=law_findings(self, found))
 
-    def _kept_by_law(self, natural_frequency: float) -> tuple[float, float]:
-        """(signed phase margin of the law [rad], payload [kg]); negative where unstable."""
-        payload = self.payload(float(natural_frequency))
-        return _signed(self.sampled_at(payload)), payload
+    def warned_of_law(self) -> Design:
+        """Return the design with what its law keeps less in the sampled loop, as `design` looks at it.
 
-    def _kept_over_box(self, box: ParameterBox) -> Iterator[tuple[float, float]]:
-        """What `_kept_by_law` returns, for the lightest and the heaviest payload of every arm of the box."""
-        law, period = discretize_controller(self.controller, self.rig.period), self.rig.period
-        known = with_payload(self.model, self.rig)
-        for arm in arms_of(box, known):
-            for end, payload in enumerate(reversed(self.payloads)):
-                w0 = self.natural_frequencies[end] * box.natural_frequency[end] / known.natural_frequency
-                link = replace(arm.model, natural_frequency=w0)
-                plant = replace(arm, model=link).plant(self.motor_loop, self.rig, period)
-                yield _signed(_margins_of(law.frequency_response, plant)), payload
+        Finding W404 says that the phase margin is less than was asked for, an error where the loop is not
+        stable; W408 that the law comes closer to -1 than half of what the design does. Near the Nyquist
+        frequency a loop without a filter may, and crosses |L| = 1 nowhere near.
+        """
+        return replace(self, findings=law_findings(self, law_margins(self)))
 
     def save(self, path: Path | str) -> None:
         """Write the design to one JSON file that ``Design.load`` reads back equal."""
@@ -342,19 +318,6 @@ class Design:
     def load(path: Path | str) -> Design:
         """Read a design back; FileFormatError where the file is not one, or was edited."""
         return load(path, Design)
-
-
-def _margins_of(response: Callable[[Real], Complex], plant: SampledPlant) -> Margins:
-    """The margins of a sampled loop, up to the Nyquist frequency."""
-    return margins(
-        lambda s: response(np.imag(s)) * plant(np.imag(s)), limit=math.pi / plant.period, unstable_poles=0
-    )
-
-
-def _signed(found: Margins) -> float:
-    """The phase margin [rad], negative where the loop is unstable; π where |L| never crosses one."""
-    margin = math.pi if found.phase_margin is None else abs(found.phase_margin)
-    return margin if found.stable else -margin
 
 
 def _check_response(response: Callable[[Real], Complex]) -> None:

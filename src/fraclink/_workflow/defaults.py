@@ -98,7 +98,7 @@ def _completed_margin(link: LinkModel, rig: Rig, asked: Mapping[str, Any]) -> tu
         return _least_mode_gain(link, rig, asked)
 
     def ask(degrees: float) -> Design:
-        return design(link, rig, **asked, phase_margin=math.radians(degrees))
+        return design(link, rig, **asked, phase_margin=math.radians(degrees), law=False)
 
     largest, *between, least = _MARGINS_DEG
     try:
@@ -121,7 +121,7 @@ def _completed_margin(link: LinkModel, rig: Rig, asked: Mapping[str, Any]) -> tu
 def _least_mode_gain(link: LinkModel, rig: Rig, asked: Mapping[str, Any]) -> tuple[Design, tuple[str, ...]]:
     """The design with the usual bound on the gain at the second mode, or the least that is feasible."""
     try:
-        return design(link, rig, **asked), ()
+        return design(link, rig, **asked, law=False), ()
     except InfeasibleError as error:
         least = error.nearest.get("mode_gain", math.inf)
         if "mode_gain" in asked or set(error.nearest) != {"mode_gain"} or least > _MODE_GAIN:
@@ -129,7 +129,7 @@ def _least_mode_gain(link: LinkModel, rig: Rig, asked: Mapping[str, Any]) -> tup
     # The nearest feasible bound is met exactly: a hundredth more leaves room for rounding.
     bound = math.ceil(100 * least) / 100
     sentence = f"gain of {bound:g} at the second mode, as 0.5 is not feasible with this crossover and margin"
-    return design(link, rig, **asked, mode_gain=bound), (sentence,)
+    return design(link, rig, **asked, mode_gain=bound, law=False), (sentence,)
 
 
 def _margin_sentence(degrees: float) -> str:
