@@ -22,6 +22,7 @@ from fraclink._cli import main
 from fraclink._law import LawInputs
 from fraclink._realtime import Callback, VirtualClock
 from fraclink._shape import ShapedMove, setting
+from fraclink._shape.arm import Arm
 from fraclink._shape.programme import Bounds, Programme, spline_path
 from fraclink._shape.responses import SIGNALS, responses_of, without_friction
 from fraclink._show.moves import shaped_figure, shaped_view
@@ -59,24 +60,26 @@ def known(design: fl.Design) -> ShapedMove:
 
 
 @pytest.mark.parametrize("told", [False, True])
-def test_the_responses_predict_every_signal_of_a_run(design: fl.Design, told: bool) -> None:
-    arm = Twin.from_rig(RIG)
-    free, plain = without_friction(design.law(), arm)
-    plain = replace(plain, sensors=fl.Sensors()).with_payload(0.033)
+@pytest.mark.parametrize("on", ["twin", "model"])
+def test_the_responses_predict_every_signal_of_a_run(design: fl.Design, told: bool, on: str) -> None:
+    arm = Arm(RIG, design.model, Twin.from_rig(RIG) if on == "twin" else None)
+    free, plain = without_friction(design.law(), arm.with_exact_sensors())
     move = fl.smooth_step(0.4, 0.3, 0.05)
-    run = fl.simulate(free, move, arm=plain, duration=1.0, told=told)
+    run = plain.run(free, move, 0.033, 1.0, told=told)
     loops = responses_of(design.law(), arm, (0.033,), 1.2, told=told)
     (found,) = loops.to(move)
     rows = dict(zip(SIGNALS, found[:, : len(run.time)], strict=True))
     np.testing.assert_allclose(rows["tip"], run.tip_angle, atol=1e-8)
     np.testing.assert_allclose(rows["voltage"], run.voltage, atol=1e-5)
     np.testing.assert_allclose(rows["torque"], run.torque, atol=1e-7)
-    np.testing.assert_allclose(rows["motor_speed"], run.extras["motor_velocity"], atol=1e-6)
+    speed = run.extras.get("motor_velocity", np.diff(run.motor_angle, prepend=0.0) / run.period)
+    np.testing.assert_allclose(rows["motor_speed"], speed, atol=1e-5)
     np.testing.assert_allclose(np.cumsum(rows["motor_step"]), run.motor_reference, atol=1e-8)
 
 
 def test_the_programme_of_some_rows_has_the_optimum_of_all(design: fl.Design) -> None:
-    loops = responses_of(design.law(), Twin.from_rig(RIG), (0.020, 0.040), 2.5, told=False)
+    arm = Arm(RIG, design.model, Twin.from_rig(RIG))
+    loops = responses_of(design.law(), arm, (0.020, 0.040), 2.5, told=False)
     bounds = Bounds({"voltage": 5.0, "torque": 1.0}, velocity=6.0, acceleration=60.0)
     programme = Programme(loops, 6, bounds)
     target, count = np.ones(programme.length), programme.count_for(0.5)
@@ -125,6 +128,23 @@ def test_one_reference_moves_every_payload_as_promised(unknown: ShapedMove) -> N
 def test_a_known_payload_moves_twice_as_fast(known: ShapedMove) -> None:
     assert known.passed and known.settling_time <= 0.35
     assert [each.name for each in known.measured] == ["shaped"]
+
+
+def test_a_move_for_the_identified_model_suits_that_model(design: fl.Design) -> None:
+    """An arm that is 15 % slower than stiffness and length say, as identified, with a second mode."""
+    slow = replace(
+        design.model,
+        natural_frequency=0.85 * design.model.natural_frequency,
+        second_mode=fl.SecondMode(frequency=180.0, damping_ratio=0.02, gain=0.1),
+    )
+    made = fl.design(
+        slow, RIG, payloads=(0.020, 0.040), gain_crossover=10.0, phase_margin=fl.deg(45), filter_time=0.02
+    )
+    fitting = fl.shape(made, 1.0, payloads=KNOWN, told=True, arm="model", seeds=2, rivals=False)
+    assert fitting.passed and fitting.settling_time < 0.45
+    of_twin = fl.shape(made, 1.0, payloads=KNOWN, told=True, seeds=1, rivals=False)
+    run = fl.simulate(made, of_twin.reference, payload=0.030, told=True)
+    assert run.metrics.settling_time > fitting.settling_time + 0.1
 
 
 def test_moves_to_the_other_side_are_the_same(design: fl.Design, known: ShapedMove) -> None:
@@ -397,5 +417,6 @@ def test_the_command_line_shapes_and_moves(
         ["shape", "design.json", "--follow", "path.csv", *known, "--out", "along.json", "--json"]
     ) in (0, 1)
     assert json.loads(capsys.readouterr().out)["measured"][1]["name"] == "as given"
+    assert main(["shape", "design.json", "--on", "model", "--model", "design.json", "--force"]) == 2
     assert main(["shape", "design.json", "--payload", "0.03", "--payloads", "0.02", "0.04", "--force"]) == 2
     assert "payload" in capsys.readouterr().err

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, TypedDict, Unpack
+from typing import Annotated, Literal, TypedDict, Unpack
 
 from fraclink import _validate as ranges
 from fraclink._arm import reference as references
@@ -51,6 +51,9 @@ def shape(
     ] = None,
     out: Annotated[Path, "File to write the move to", Writes()] = Path("move.json"),
     table: Annotated[Path | None, "Write its samples, too: .csv, or .h for C", Writes()] = None,
+    on: Annotated[
+        Literal["twin", "model"], "Arm that it is made for: the twin, or the model as identified"
+    ] = "twin",
     link_mass: LinkMass = None,
     gear: Gear = None,
     model: ModelFile = None,
@@ -65,18 +68,23 @@ def shape(
             allowed, remedy = "one of --payload and --payloads", "leave one out"
             raise FieldError("payload", payload, "given beside payloads", allowed=allowed, remedy=remedy)
         request["payloads"] = (payload, payload)
+    if on == "model" and model is not None:
+        allowed, remedy = "the design's own model", "design with that model, and shape for that design"
+        raise FieldError("model", str(model), "given beside --on model", allowed=allowed, remedy=remedy)
     options = ArmOptions(payload=None, link_mass=link_mass, gear=gear, model=model)
     made, arm = load_arm(design_file, options)
     with steps(1) as begin:
         begin("shaping the move")
-        move = shape_move(made, amplitude if follow is None else _followed(follow), arm=arm, **request)
+        wanted = amplitude if follow is None else _followed(follow)
+        move = shape_move(made, wanted, arm=arm if on == "twin" else on, **request)
     move.save(out)
     written: tuple[Path, ...] = (out,)
     if table is not None:
         written += (export_reference(move.reference, table, period=move.period, force=True),)
     told = " --told" if request["told"] else ""
     following = f"fraclink campaign montecarlo --design {design_file} --reference {out}{told} --out moves"
-    return Answer(move, move.passed, written=written, following=following)
+    doubts = tuple(filter(None, map(made.rig.payloads.doubt, sorted(set(move.payloads))))) + made.doubts
+    return Answer(move, move.passed, doubts=doubts, written=written, following=following)
 
 
 def _followed(place: Path) -> references.Path | references.SampledReference:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import replace
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 
@@ -41,7 +41,7 @@ def shape(
     speed: Annotated[float, Between(0.0, 1e6, "rad/s", low_open=True)] | None = None,
     torque: Annotated[float, Between(0.0, 1e6, "N·m", low_open=True)] | None = None,
     reserve: Annotated[float, Between(0.0, 0.9)] = 0.25,
-    arm: Twin | None = None,
+    arm: Twin | Literal["twin", "model"] = "twin",
     gauge_offset: Annotated[float, Between(-1e6, 1e6, "N·m")] | None = None,
     seeds: Annotated[int, Between(1, 1000)] = 5,
     rivals: bool = True,
@@ -75,7 +75,8 @@ def shape(
     reserve
         part of the 2 % band that the linear loop leaves to friction and noise, 0 … 0.9 [1].
     arm
-        the twin that the loop is taken from and that is measured; default `Twin.from_rig` of the design.
+        what the loop is taken from and measured on: "twin", `Twin.from_rig` of the design; "model", the link
+        as it was identified, which a twin made from stiffness, length and masses is not; or a twin.
     gauge_offset
         of the gauge while it is measured [N·m]; the rig's where it is left out.
     seeds
@@ -107,7 +108,7 @@ def shape(
     if move == 0.0:
         raise FieldError("move", 0.0, "no move", allowed="not 0 rad", remedy="give its size")
     setting = Setting.of(design, payloads, told, arm, gauge_offset)
-    farthest, limit = setting.law.limits.angle_limit, setting.arm.motor.voltage_limit
+    farthest, limit = setting.law.limits.angle_limit, setting.arm.voltage_limit
     if not isinstance(move, Path) and abs(move) >= farthest:
         allowed, remedy = f"< {farthest:.4g} rad, the law's own limit", "derive the law's limits for it"
         raise FieldError("move", move, "too far", allowed=allowed, remedy=remedy)

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from fraclink._arm.reference import Reference, SampledReference, hold, sampled
 from fraclink._law import Law
-from fraclink._simulate import Run, Twin, simulate
+from fraclink._shape.arm import UNLIMITED, Arm
+from fraclink._simulate import Run
 from fraclink.errors import FieldError
 
 __all__ = ["SIGNALS", "UNITS", "Responses", "noise_of", "responses_of", "without_friction"]
@@ -28,7 +29,6 @@ SIGNALS = ("tip", "voltage", "motor_step", "motor_speed", "torque")
 UNITS = ("rad", "V", "rad", "rad/s", "N·m")
 # Far below every guard of the law, and so far above the rounding of its doubles that nothing is lost.
 _ANGLE, _ACCELERATION = 1e-4, 1e-2
-_UNLIMITED = 1e4  # [V]: a law's block holds finite numbers
 _NOISE_TIME = 8.0  # [s]: a standard deviation from 2000 samples is known to 2 %
 _DIVERGED = 1e3  # of a response that a stable loop lets die away
 
@@ -62,32 +62,25 @@ class Responses:
         return np.asarray(np.fft.irfft(spectrum, 2 * self.length)[..., : self.length])
 
 
-def without_friction(law: Law, arm: Twin) -> tuple[Law, Twin]:
+def without_friction(law: Law, arm: Arm) -> tuple[Law, Arm]:
     """Return the law without its compensation of friction, the arm without friction, neither with a limit."""
     drive = law.drive
     if drive is None:
         allowed, remedy = "a law with a motor loop", "shape moves for design.law()"
         raise FieldError("law", "no motor loop", "without a voltage", allowed=allowed, remedy=remedy)
-    free = replace(law, drive=replace(drive, coulomb_voltage=0.0, voltage_limit=_UNLIMITED))
-    motor = replace(arm.motor, coulomb_torque=0.0, voltage_limit=_UNLIMITED)
-    return free.in_precision("double"), replace(arm, motor=motor, stiction=0.0)
+    free = replace(law, drive=replace(drive, coulomb_voltage=0.0, voltage_limit=UNLIMITED))
+    return free.in_precision("double"), arm.without_friction()
 
 
-def _exact(arm: Twin) -> Twin:
-    sensors = replace(arm.sensors, counts_per_revolution=None, gauge_noise=0.0, gauge_offset=0.0)
-    return replace(arm, sensors=replace(sensors, gauge_quantum=0.0, gauge_limit=None, gauge_drift=0.0))
-
-
-def responses_of(law: Law, arm: Twin, payloads: Sequence[float], duration: float, *, told: bool) -> Responses:
+def responses_of(law: Law, arm: Arm, payloads: Sequence[float], duration: float, *, told: bool) -> Responses:
     """Return the responses of the loop for each payload [kg], over `duration` [s].
 
     FieldError where one does not die away: the loop is not stable on this arm.
     """
-    free, plain = without_friction(law, _exact(arm))
+    free, plain = without_friction(law, arm.with_exact_sensors())
     found = []
     for payload in payloads:
-        own = plain.with_payload(payload)
-        found.append(np.stack([_impulse(free, own, row, duration, told) for row in (0, 2)]))
+        found.append(np.stack([_impulse(free, plain, row, payload, duration, told) for row in (0, 2)]))
         if found[-1].shape != found[0].shape or not np.all(np.abs(found[-1][0, 0]) < _DIVERGED):
             problem, allowed = "one with which the loop is not stable", "a payload that the law holds"
             remedy = "narrow the range, or design for it"
@@ -95,22 +88,25 @@ def responses_of(law: Law, arm: Twin, payloads: Sequence[float], duration: float
     return Responses(tuple(payloads), law.period, np.stack(found))
 
 
-def _impulse(law: Law, arm: Twin, row: int, duration: float, told: bool) -> Real:
+def _impulse(law: Law, arm: Arm, row: int, payload: float, duration: float, told: bool) -> Real:
     size = _ACCELERATION if row else _ANGLE
     values = np.zeros((3, 4))
     values[row, 1] = size  # in the second period: the first one starts the law
     reference = SampledReference(law.period, values)
-    run = simulate(law, reference, arm=arm, duration=duration + law.period, told=told)
+    run = arm.run(law, reference, payload, duration + law.period, told=told)
     return np.asarray(_signals(run)[:, 1:] / size)
 
 
 def _signals(run: Run) -> Real:
     steps = np.diff(run.motor_reference, prepend=0.0)
-    return np.array([run.tip_angle, run.voltage, steps, run.extras["motor_velocity"], run.torque])
+    speed = run.extras.get("motor_velocity")
+    if speed is None:  # the model's is not recorded
+        speed = np.diff(run.motor_angle, prepend=0.0) / run.period
+    return np.array([run.tip_angle, run.voltage, steps, speed, run.torque])
 
 
-def noise_of(law: Law, arm: Twin, *, told: bool) -> dict[str, float]:
+def noise_of(law: Law, arm: Arm, payload: float, *, told: bool) -> dict[str, float]:
     """Return what the sensors' noise makes of each signal where nothing moves, as a standard deviation."""
     free, quiet = without_friction(law, arm)
-    run = simulate(free, hold(0.0), arm=quiet, duration=_NOISE_TIME, gauge_offset=0.0, told=told)
+    run = quiet.run(free, hold(0.0), payload, _NOISE_TIME, told=told, gauge_offset=0.0)
     return dict(zip(SIGNALS, np.std(_signals(run), axis=1).tolist(), strict=True))

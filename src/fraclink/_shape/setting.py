@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any, Literal
 
 import numpy as np
 
@@ -12,12 +13,12 @@ from fraclink._arm.link import LinkModel
 from fraclink._arm.reference import Path, Reference
 from fraclink._design import Design
 from fraclink._law import Law
+from fraclink._shape.arm import Arm
 from fraclink._shape.candidates import Candidate
 from fraclink._shape.move import Measured
 from fraclink._shape.programme import Bounds, Programme
 from fraclink._shape.responses import SIGNALS, UNITS, noise_of, responses_of
-from fraclink._simulate import Run, Twin, simulate
-from fraclink._simulate.simulate import with_motor_loop
+from fraclink._simulate import Run, Twin
 from fraclink.errors import FieldError
 
 __all__ = ["Setting"]
@@ -39,7 +40,7 @@ class Setting:
     """The law, the arm, and the payloads: what a move is shaped for."""
 
     law: Law
-    arm: Twin
+    arm: Arm
     link: LinkModel
     payloads: tuple[float, float]
     told: bool
@@ -50,18 +51,18 @@ class Setting:
         design: Design,
         payloads: tuple[float, float] | None,
         told: bool,
-        arm: Twin | None,
+        arm: Twin | Literal["twin", "model"],
         gauge_offset: float | None,
     ) -> Setting:
         low, high = payloads or design.payloads
         if not 0.0 < low <= high < math.inf:
             allowed, remedy = "0 < low <= high [kg]", "put the lighter one first"
             raise FieldError("payloads", (low, high), "not a range", allowed=allowed, remedy=remedy)
-        twin = Twin.from_rig(design.rig, model=design.model) if arm is None else arm
-        law, _ = with_motor_loop(design.law(), twin=twin)
+        twin = Twin.from_rig(design.rig, model=design.model) if arm == "twin" else arm
+        own = Arm(design.rig, design.model, twin if isinstance(twin, Twin) else None)
         middle = math.sqrt(low * high)
         link = design.model.at_payload(middle) if design.model.payload is not None else design.model
-        return Setting(law, twin, link, (low, high), told, gauge_offset)
+        return Setting(own.equipped(design.law()), own, link, (low, high), told, gauge_offset)
 
     @property
     def vibration(self) -> float:
@@ -83,10 +84,10 @@ class Setting:
         """Return the programme within the limits, and the voltage that is left to noise and friction [V]."""
         law, limits, drive = self.law, self.law.limits, self.law.drive
         loops = responses_of(law, self.arm, self.between(self.steps), _KNOWN * self.vibration, told=self.told)
-        noise = noise_of(law, self.arm.with_payload(self.payloads[1]), told=self.told)
+        noise = noise_of(law, self.arm, self.payloads[1], told=self.told)
         left = {name: _NOISES * noise[name] for name in noise}
         left["voltage"] += drive.coulomb_voltage if drive else 0.0
-        torques = (torque, self.arm.sensors.gauge_limit, _GUARDED * limits.torque_limit)
+        torques = (torque, self.arm.gauge_limit, _GUARDED * limits.torque_limit)
         most = {
             "voltage": voltage,
             "motor_speed": math.inf if speed is None else speed,
@@ -115,15 +116,9 @@ class Setting:
 
     def run(self, reference: Reference, payload: float, seed: int) -> Run:
         """Run a reference on the arm as it is."""
-        return simulate(
-            self.law,
-            reference,
-            arm=self.arm.with_payload(payload),
-            duration=reference.duration + _REST * self.vibration,
-            told=self.told,
-            gauge_offset=self.gauge_offset,
-            seed=seed,
-        )
+        length = reference.duration + _REST * self.vibration
+        noisy: dict[str, Any] = {"gauge_offset": self.gauge_offset, "seed": seed}
+        return self.arm.run(self.law, reference, payload, length, told=self.told, **noisy)
 
     def measured(self, tried: Candidate, target: Path | None, seeds: int) -> Measured:
         """Run a reference on the arm with every payload and noise, and return the worst."""

@@ -22,7 +22,7 @@ def _seconds(value: float) -> str:
 
 
 def _grams(payload: float) -> str:
-    return f"{number(1e3 * payload, 3)} g"
+    return f"{number(round(1e3 * payload, 1))} g"
 
 
 def shaped_view(made: ShapedMove) -> View:
