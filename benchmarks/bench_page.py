@@ -1,0 +1,155 @@
+"""The arm in a page: sizes, bits against `simulate` under wasmtime and in Chromium, and the time of a run.
+
+    python benchmarks/bench_page.py
+
+Every line: what was measured | value | wanted | error beside it. A run counts as equal where every sample of all
+its signals and marks is. Chromium's times are of 200 runs of 4 s in the page itself,
+whose policy is taken out of the copy that is measured.
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+import zlib
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+
+import fraclink as fl
+from fraclink._law import Law
+from fraclink._show.arm_page import render_arm_page
+from fraclink._show.report import render_report
+from fraclink._simulate import SensorFault
+from fraclink._simulate.engine import engine_bytes
+from fraclink._simulate.inputs import fault_rows
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+
+from engine_bench import MARKS, SIGNALS, Engine
+
+MOVE = fl.smooth_step(1.0, duration=0.5)
+PAYLOADS = (0.008, 0.016, 0.030, 0.054)
+END = 4.0
+FAULTS: tuple[tuple[SensorFault, ...], ...] = (
+    (),
+    (SensorFault(0.3, 9.0, "gauge value", float("nan")),),
+    (SensorFault(0.3, 9.0, "gauge frozen"),),
+    (SensorFault(0.3, 9.0, "encoder frozen"),),
+    (SensorFault(0.3, 9.0, "gauge gain", -1.0),),
+    tuple(SensorFault(0.004 * k, 0.004 * (k + 1), "tick missed") for k in range(75, 1000) if k % 3),
+)
+# Measured inside the page, behind its own first run.
+TIMING = """
+const took = Array.from({length: 200}, () => { run(); return milliseconds; }).sort((a, b) => a - b);
+document.title = `took ${took[100]} ${took[199]} digest ${digest()}`;
+})();
+"""
+
+
+def line(what: str, value: str, wanted: str, error: str = "") -> None:
+    """Print one figure."""
+    print(f"{what} | {value} | {wanted} | {error}", flush=True)
+
+
+def study() -> fl.Study:
+    rig = fl.Rig.named("paper-2023")
+    assert rig.model is not None
+    made = fl.design(rig.model, rig, payloads=(0.020, 0.040), gain_crossover=12.0, phase_margin=fl.deg(50))
+    return fl.Study(rig=rig, design=made, law=made.law())
+
+
+def sizes(known: fl.Study) -> None:
+    """Bytes of engine, page and the demo's report."""
+    line("engine", f"{len(engine_bytes())} B", "<= 24 kB")
+    line("page of the arm", f"{len(render_arm_page(known).encode())} B", "<= 150 kB")
+    with tempfile.TemporaryDirectory() as folder:
+        demo = fl.run(fl.Rig.named("paper-2023"), fl.read_log(fl.bundled_log("prbs_30g")), out=folder)
+        texts = [render_report(demo, script=script) for script in (True, False)]
+    line(
+        "report of the demo",
+        f"{len(texts[0].encode())} B",
+        "<= 700 kB",
+        f"{len(texts[1].encode())} B without script",
+    )
+
+
+def bits(known: fl.Study) -> None:
+    """Runs of which every bit is the package's, under wasmtime."""
+    design, engine = known.design, Engine()
+    assert design is not None
+    equal = total = 0
+    for precision, payload, noise, offset, delay, faults in product(
+        ("double", "single"), PAYLOADS, (0.0, 0.02), (0.0, 0.05), (1, 2), FAULTS
+    ):
+        law: Law = design.law().in_precision(precision)  # type: ignore[arg-type]
+        gauge = {"noise": noise, "gauge_offset": offset, "delay_samples": delay}
+        run = fl.simulate(
+            law,
+            MOVE,
+            rig=design.rig,
+            model=design.model,
+            payload=payload,
+            duration=END,
+            events=faults,
+            **gauge,
+        )
+        rows = fault_rows(faults, law.period, run.tip_angle.size) if faults else None
+        changed = {"noise": noise, "offset": offset, "delay": float(delay)}
+        page = engine.run(design, law, MOVE, payload=payload, duration=END, faults=rows, **changed)
+        total += 1
+        equal += all(np.array_equal(page[n], getattr(run, n), equal_nan=True) for n in (*SIGNALS, *MARKS))
+    line(
+        "runs equal in every bit, wasmtime",
+        f"{equal} of {total}",
+        "all",
+        "2 precisions x 4 payloads x faults",
+    )
+
+
+def browser(known: fl.Study) -> None:
+    """A run in Chromium: its time, and its digest against Python's."""
+    chromium, design = shutil.which("chromium"), known.design
+    assert design is not None
+    if chromium is None:
+        line("4 s run in Chromium", "Chromium is not installed", "<= 2 ms")
+        return
+    text = re.sub(r'<meta http-equiv="Content-Security-Policy"[^>]*>', "", render_arm_page(known))
+    head, script = text.rsplit("})();\n", 1)
+    with tempfile.TemporaryDirectory() as folder:
+        place = Path(folder) / "arm.html"
+        place.write_text(head + TIMING + script, encoding="utf-8")
+        command = [chromium, "--headless", "--no-sandbox", "--disable-gpu", "--dump-dom"]
+        answer = subprocess.run(  # noqa: S603
+            [*command, f"--user-data-dir={folder}/profile", place.as_uri()],
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+    middle, worst, digest = re.search(r"<title>took (\S+) (\S+) digest (\d+)", answer.stdout).groups()  # type: ignore[union-attr]
+    line(
+        "4 s run in Chromium, median",
+        f"{float(middle):.2f} ms",
+        "<= 2 ms",
+        f"worst of 200: {float(worst):.2f} ms",
+    )
+    there, back = fl.smooth_step(1.0471975511965976, 0.5), fl.smooth_step(-1.0471975511965976, 0.5, 1.5)
+    run = fl.simulate(design, there.then(back), payload=0.03, told=True, duration=4.0)
+    same = zlib.crc32(run.tip_angle.tobytes()) == int(digest)
+    line("the same digest in Chromium and Python", "yes" if same else "no", "yes")
+
+
+def main() -> None:
+    """Print all figures."""
+    known = study()
+    sizes(known)
+    bits(known)
+    browser(known)
+
+
+if __name__ == "__main__":
+    main()
