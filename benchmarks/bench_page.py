@@ -2,7 +2,7 @@
 
     python benchmarks/bench_page.py
 
-Every line: what was measured | value | wanted | error beside it. A run counts as equal where every sample of all
+Every line: what was measured | value | wanted | error beside it. A run counts as equal where every sample of
 its signals and marks is. Chromium's times are of 200 runs of 4 s in the page itself,
 whose policy is taken out of the copy that is measured.
 """

@@ -19,6 +19,7 @@ extensions = [
     "sphinx.ext.viewcode",
     "docstrings",
     "linked_names",
+    "moving_arm",
     "quiet_kernels",
 ]
 myst_enable_extensions = ["deflist", "colon_fence", "attrs_inline"]
