@@ -46,6 +46,12 @@ def test_what_a_refusal_offers_is_feasible(survey: ModuleType, seed: int) -> Non
     assert made.margins_kind == "ideal" or made.at(made.payloads[0]).stable
 
 
+def test_a_motor_loop_that_cannot_be_placed_is_refused_before_anything_is_offered(survey: ModuleType) -> None:
+    request = survey.random_request(246)  # in the paper's reading, which itself has no motor loop
+    with pytest.raises(FieldError, match=r"inner\.pole: not to be placed with this delay"):
+        fl.design(request.model, request.rig, **request.options)
+
+
 @pytest.mark.parametrize("seed", [57, 222])
 def test_a_design_alone_says_that_its_law_keeps_less(survey: ModuleType, seed: int) -> None:
     """What the law keeps is measured on the sampled loop with every alias summed one by one."""

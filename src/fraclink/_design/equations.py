@@ -116,12 +116,14 @@ def task_of(model: LinkModel, rig: Rig, spec: Specification) -> Task:
     crossover, margin = _crossover(spec), _margin(spec)
     if spec.margins == "loop":
         _check_bandwidth(crossover, rig)
+    settings = rig.motor_loop
+    motor_loop = MotorLoop(settings.pole, int(settings.delay_samples), spec.inner, spec.placement)
+    if spec.inner == "sampled":
+        motor_loop.sampled(rig.motor, rig.period)  # refused at once where its poles cannot be placed
     return Task(
         model=link,
         rig=rig,
-        motor_loop=MotorLoop(
-            rig.motor_loop.pole, int(rig.motor_loop.delay_samples), spec.inner, spec.placement
-        ),
+        motor_loop=motor_loop,
         low=low,
         high=high,
         payloads=payloads,
