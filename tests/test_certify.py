@@ -90,7 +90,7 @@ def test_default_design_is_certified_and_checked_by_other_arithmetic(
 
 @pytest.mark.parametrize("placement", ["tustin", "direct"])
 def test_sampled_motor_loop_is_certified_and_checked(placement: str, checker: ModuleType, tmp_path: Path):
-    # The bound of the aliases of a late gauge is too coarse for the direct placement, which rings at Nyquist.
+    # The direct placement rings near Nyquist: over its box of a late gauge it comes to 0.04 of -1.
     box = ParameterBox.at(RIG.model) if placement == "direct" else None
     found = certify(plan_for("sampled", placement), modulus_margin=0.35, box=box)
     assert found.passed, found.verdict
