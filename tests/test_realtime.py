@@ -28,6 +28,7 @@ from fraclink._arm.reference import Reference
 from fraclink._files.envelope import write_npz
 from fraclink._law import MODES, REASONS, Law
 from fraclink._realtime import Callback, Command, RealtimeRun, Spread, VirtualClock, run_realtime
+from fraclink._show.views import view
 from fraclink.errors import FieldError, FileFormatError, LogError, SizeError
 
 if not _kernels.REALTIME:
@@ -97,6 +98,13 @@ def test_the_record_replays_to_the_last_bit(law: Law, precision: str) -> None:
     assert stopped(board)
     assert board.commands[-1].motor_reference == run.motor_reference[-1]
     assert all(command.mode != OFF for command in board.commands[:-1])
+
+
+@pytest.mark.parametrize(("payload", "periods"), [(0.0, 0), (0.03, 0), (50.0, 16)])
+def test_a_payload_that_the_law_rejects_is_said(law: Law, payload: float, periods: int) -> None:
+    run = Board().run(law, payload=payload)
+    assert [finding.evidence for finding in run.findings] == [{"periods": periods}] * bool(periods)
+    assert [note[:4] for note in view(run).notes if note.startswith("W")] == ["W603"] * bool(periods)
 
 
 def test_a_record_that_was_touched_does_not(law: Law) -> None:

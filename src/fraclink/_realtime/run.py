@@ -18,7 +18,9 @@ from fraclink._arm.experiment import Experiment
 from fraclink._files import document, save
 from fraclink._law import MODES, REASONS, Law
 from fraclink._realtime.machine import Spread
+from fraclink._simulate.run import payload_rejected
 from fraclink.errors import FieldError, LogError
+from fraclink.findings import Finding
 
 __all__ = ["STOPS", "RealtimeRun", "first_difference", "reserved", "saved"]
 
@@ -123,6 +125,11 @@ class RealtimeRun:
     def __post_init__(self) -> None:
         for name in (*SIGNALS, *MARKS):
             getattr(self, name).flags.writeable = False
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """What a reader should know about the run: W603 where the law rejected the payload."""
+        return payload_rejected(self.flags)
 
     @property
     def missed(self) -> int:

@@ -347,7 +347,7 @@ def _realtime_view(run: Any) -> View:
         f"{len(run.tick)} periods of {1e3 * run.period:g} ms, {run.missed} missed, "
         f"{run.overruns} overruns, {run.lost_samples} lost samples"
     )
-    notes = [f"scheduling {run.scheduling}, memory {run.memory}"]
+    notes = [*map(str, run.findings), f"scheduling {run.scheduling}, memory {run.memory}"]
     notes += ["the record replays through the law to the last bit"] if run.first_difference is None else []
     notes += [] if run.passed else [f"stopped: {run.problem}"]
     table = Table(("time [µs]", "least", "mean", "99.9 %", "most"), rows)

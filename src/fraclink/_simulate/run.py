@@ -17,7 +17,7 @@ from fraclink._files import document, load, save
 from fraclink._simulate.metrics import Metrics, MoveVerdict, Signals, judge, measure
 from fraclink.findings import Finding
 
-__all__ = ["Run", "judged_run"]
+__all__ = ["Run", "judged_run", "payload_rejected"]
 
 Real = NDArray[np.float64]
 Bits = NDArray[np.uint32]
@@ -219,14 +219,14 @@ def judged_run(
         metrics=metrics,
         verdict=judge(block, metrics),
         about=about,
-        findings=(*findings, *_payload_rejected(signals["flags"])),
+        findings=(*findings, *payload_rejected(signals["flags"])),
         extras=extras or {},
         finished=finished,
     )
 
 
-def _payload_rejected(flags: NDArray[Any]) -> tuple[Finding, ...]:
-    """A warning where the law was given a payload that it cannot use: it ran as if none were given."""
+def payload_rejected(flags: NDArray[Any]) -> tuple[Finding, ...]:
+    """Return W603 where the law was given a payload that it cannot use: it ran as if none were given."""
     periods = int(np.count_nonzero(flags & _kernels.LAW_FLAG_PAYLOAD))
     if not periods:
         return ()
