@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from fraclink._cli.app import run
+from fraclink._files import kind_of
 from fraclink._logs import bundled_log
 
 
@@ -121,3 +122,17 @@ def test_a_natural_frequency_of_zero_is_a_dash_with_its_meaning(
     row = next(line for line in text.splitlines() if line.startswith("D-FOM"))
     assert row.split()[1] == "–"
     assert "UD-FOM with λ = 2 − α = 1.9197, ω₀ = √μ = 10.78" in " ".join(text.split())
+
+
+def test_identify_structure(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log, out = str(bundled_log("prbs_30g")), str(tmp_path / "fit.json")
+    channels = ["--input", "motor_angle_rad", "--output", "torque_Nm", "--out", out]
+    told_of = told(["identify-structure", log, "k*s**a/(s**a + w)", *channels, "--fix", "a=1.92"], capsys)
+    assert told_of["parameters"]["a"] == 1.92  # type: ignore[index]
+    assert told_of["passed"]
+    assert kind_of(Path(out)) == "structure-fit"
+    bad = ["identify-structure", log, "k*s**a/(s**a + w)", *channels, "--force"]
+    for wrong in (["--fix", "a"], ["--fix", "a=x"], ["--bound", "a=1"], ["--fix", "q=1"], ["--time", "none"]):
+        assert run([*bad, *wrong]) == 2
+    assert run(["identify-structure", log, "k/s", "--input", "motor_angle_rad"]) == 2
+    assert run(["identify-structure", log, "k/s"]) == 2  # no table of a frequency response

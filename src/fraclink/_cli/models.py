@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Literal, Unpack
+from typing import Annotated, Any, Literal, Unpack
 
 import numpy as np
 import typer
-from numpy.typing import NDArray
 
 from fraclink import _identify as identification
 from fraclink._arm.doubts import doubts_of
 from fraclink._arm.draft import RigDraft
 from fraclink._arm.experiment import Experiment
+from fraclink._arm.frequency_response import FrequencyResponse
+from fraclink._arm.recording import Recording
 from fraclink._arm.reference import Reference, chirp, prbs, pulse
 from fraclink._arm.rig import Rig
 from fraclink._cli.app import group
@@ -35,7 +35,7 @@ from fraclink._cli.options import (
     whole,
 )
 from fraclink._logs import diagnose as examine
-from fraclink._logs import inspect_log, read_columns
+from fraclink._logs import inspect_log, read_frequency_response, read_recording
 from fraclink._simulate import Twin, simulate_log
 from fraclink._validate import Between, Payload
 from fraclink.errors import FieldError, LogError
@@ -193,28 +193,88 @@ def identify_spectrum(
 
     $ fraclink identify-spectrum response.csv --resonances 2
     """
-    columns = read_columns(response)
-    frequency = _one_of(columns, {"frequency_rad_s": 1.0, "frequency_Hz": 2 * np.pi})
-    decibel = "gain_dB" in columns and "gain" not in columns
-    level = _one_of(columns, {"gain": 1.0, "gain_dB": 1.0})
-    phase = _one_of(columns, {"phase_rad": 1.0, "phase_deg": np.pi / 180})
+    measured = read_frequency_response(response)
     fit = identification.identify_frequency_response(
-        frequency,
-        (10 ** (level / 20) if decibel else level) * np.exp(1j * phase),
-        coherence=columns.get("coherence"),
+        measured.frequency,
+        measured.response,
+        coherence=measured.coherence,
         resonances=resonances,
         anti_resonances=anti_resonances,
     )
-    return Answer(fit, fit.passed, values={"outliers": [float(frequency[k]) for k in fit.outliers]})
+    return Answer(fit, fit.passed, values={"outliers": [float(measured.frequency[k]) for k in fit.outliers]})
 
 
-def _one_of(columns: Mapping[str, NDArray[np.float64]], scales: Mapping[str, float]) -> NDArray[np.float64]:
-    """The first column that is there, in SI units."""
-    for name, scale in scales.items():
-        if name in columns:
-            return np.asarray(columns[name] * scale, dtype=np.float64)
-    allowed, remedy = " or ".join(scales), "rename it in the table's header"
-    raise LogError("column", ", ".join(columns), "without one that is needed", allowed=allowed, remedy=remedy)
+@command(app)
+def identify_structure(
+    data: Annotated[
+        Path,
+        typer.Argument(metavar="FILE"),
+        "A recording; without --input and --output a table of a frequency response",
+    ],
+    structure: Annotated[
+        str, typer.Argument(metavar="STRUCTURE"), 'Transfer function, such as "k/(T*s**a + 1)*exp(-L*s)"'
+    ],
+    input: Annotated[str | None, "Column of the input"] = None,
+    output: Annotated[str | None, "Column of the output"] = None,
+    time: Annotated[str | None, "Column of the stamps [s]; default: the one that is named so"] = None,
+    period_ms: Annotated[
+        float | None, Between(0.0, 1e6, "ms", low_open=True), "Sampling period of a file without stamps"
+    ] = None,
+    fix: Annotated[
+        list[str] | None, typer.Option(metavar="NAME=VALUE"), "A parameter that is known, or offset=0"
+    ] = None,
+    bound: Annotated[
+        list[str] | None, typer.Option(metavar="NAME=LOW,HIGH"), "Range of a parameter, as in k=-10,10"
+    ] = None,
+    out: Annotated[Path, "File to write the fit to", Writes()] = Path("structure.json"),
+) -> Answer:
+    """Fit a transfer function of your own, with fractional orders and a delay; no start value is needed.
+
+    $ fraclink identify-structure log.csv "k/(T*s**a + 1)" --input u --output y
+    """
+    measured: Recording | FrequencyResponse
+    if input is None and output is None:
+        measured = read_frequency_response(data)
+    else:
+        given = {"input": input, "output": output}
+        for name, column in given.items():
+            if column is None:
+                remedy = "a recording needs both, a frequency response none of them"
+                raise FieldError(name, None, "missing", allowed="the name of a column", remedy=remedy)
+        period = None if period_ms is None else period_ms / 1e3
+        measured = read_recording(data, str(input), str(output), time=time, period=period)
+    with steps(1) as begin:
+        begin("fitting the structure")
+        fit = identification.identify_structure(
+            measured,
+            structure,
+            fixed={name: _numbers("fix", text, 1)[0] for name, text in _named("fix", fix)},
+            bounds={name: _numbers("bound", text, 2) for name, text in _named("bound", bound)},
+        )
+    fit.save(out)
+    return Answer(fit, fit.passed, written=(out,))
+
+
+def _named(option: str, texts: list[str] | None) -> list[tuple[str, str]]:
+    """Name and value of every NAME=VALUE."""
+    pairs = [text.partition("=") for text in texts or ()]
+    for name, mark, _ in pairs:
+        if not mark:
+            allowed, remedy = "NAME=VALUE", f'write it as --{option} "k=1"'
+            raise FieldError(option, name, "without a value", allowed=allowed, remedy=remedy)
+    return [(name.strip(), value) for name, _, value in pairs]
+
+
+def _numbers(option: str, text: str, count: int) -> Any:
+    """The numbers of "1" or "1,2"."""
+    try:
+        found = tuple(float(cell) for cell in text.split(","))
+    except ValueError:
+        found = ()
+    if len(found) != count:
+        allowed = "a number" if count == 1 else "two numbers with a comma between them"
+        raise FieldError(option, text, "not understood", allowed=allowed, remedy="write 0.5, or 0,10")
+    return found
 
 
 @command(app)

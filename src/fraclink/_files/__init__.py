@@ -88,18 +88,18 @@ _HOMES = {
     "comparison": "fraclink._compare",
     "design": "fraclink._design",
     "fault-campaign": "fraclink._campaign.faults",
-    "fit": "fraclink._identify",
+    **dict.fromkeys(("fit", "structure-fit"), "fraclink._identify"),
+    **dict.fromkeys(("realtime-run", "served-arm"), "fraclink._realtime"),
+    **dict.fromkeys(("run", "twin-run"), "fraclink._simulate"),
+    "frequency-response": "fraclink._arm.frequency_response",
     "log": "fraclink._arm.experiment",
     "model": "fraclink._arm.link",
     "law": "fraclink._law",
-    "realtime-run": "fraclink._realtime",
+    "recording": "fraclink._arm.recording",
     "rig": "fraclink._arm.rig",
-    "run": "fraclink._simulate",
     "shaped-move": "fraclink._shape",
-    "served-arm": "fraclink._realtime",
     "study": "fraclink._workflow.study",
     "sweep": "fraclink._campaign",
-    "twin-run": "fraclink._simulate",
 }
 
 

@@ -3,6 +3,8 @@
 `identify` fits the structure that the log supports; `compare_structures` shows every one of them.
 """
 
+from fraclink._arm.frequency_response import FrequencyResponse
+from fraclink._arm.recording import Recording
 from fraclink._identify.compare import Comparison, Contest, compare_structures, identify
 from fraclink._identify.excitation import ExperimentDesign, design_experiment
 from fraclink._identify.fit import (
@@ -16,16 +18,14 @@ from fraclink._identify.fit import (
     save_model,
 )
 from fraclink._identify.fitting import simulated_torque
+from fraclink._identify.intervals import Interval
 from fraclink._identify.modal import SpectrumFit
 from fraclink._identify.motor import MotorFit, identify_motor
 from fraclink._identify.payloads import JointFit, LikelihoodRatio, identify_payloads
 from fraclink._identify.residual import ResidualTests
-from fraclink._identify.spectrum import (
-    FrequencyResponse,
-    frequency_response,
-    identify_frequency_response,
-)
-from fraclink._identify.uncertainty import Interval
+from fraclink._identify.spectrum import frequency_response, identify_frequency_response
+from fraclink._identify.structure_fit import StructureFit
+from fraclink._identify.structures import identify_structure
 
 __all__ = [
     "SYMBOLS",
@@ -38,8 +38,10 @@ __all__ = [
     "JointFit",
     "LikelihoodRatio",
     "MotorFit",
+    "Recording",
     "ResidualTests",
     "SpectrumFit",
+    "StructureFit",
     "aic",
     "bic",
     "coincidence_text",
@@ -51,6 +53,7 @@ __all__ = [
     "identify_frequency_response",
     "identify_motor",
     "identify_payloads",
+    "identify_structure",
     "load_model",
     "save_model",
     "simulated_torque",

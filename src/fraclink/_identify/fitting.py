@@ -15,6 +15,7 @@ from fraclink._arm.link import LinkModel, SecondMode
 from fraclink._arm.link import structure as structure_row
 from fraclink._identify.findings import findings_of
 from fraclink._identify.fit import Fit, aic, bic
+from fraclink._identify.intervals import Interval
 from fraclink._identify.residual import ResidualTests, find_second_mode, residual_tests
 from fraclink._identify.search import Search, Solution
 from fraclink._identify.shape import (
@@ -28,7 +29,7 @@ from fraclink._identify.shape import (
     model_of,
     shape_of,
 )
-from fraclink._identify.uncertainty import Interval, Uncertainty, profile_interval, uncertainty
+from fraclink._identify.uncertainty import Uncertainty, profile_interval, uncertainty
 from fraclink._validate import Array, Between, checked, checked_between, checked_choice
 from fraclink.errors import LogError
 from fraclink.findings import errors_of

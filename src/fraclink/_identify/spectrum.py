@@ -9,12 +9,13 @@ are); p_i = ω₀_i^(2/λ). d = 1 without anti-resonances is the torque of a lin
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fraclink._arm.frequency_response import Coherence, FrequencyResponse, Lines, coherence_weights
 from fraclink._identify.modal import LONGEST, Bits, Complexes, ModalProblem, Reals, SpectrumFit
 from fraclink._validate import Array, Between, Fraction, LinkOrder, checked
 from fraclink.errors import FieldError, LogError
@@ -30,25 +31,7 @@ _ERROR_MOST = 0.1  # relative standard error of a resonance, as in a fit to a lo
 
 Signal = Annotated[NDArray[np.float64], Array(1)]
 Modes = Annotated[int, Between(0, _MOST_MODES)]
-_OUT = "leave the line at zero frequency out"
-Lines = Annotated[NDArray[np.float64], Array(1), Between(0.0, low_open=True, unit="rad/s", remedy=_OUT)]
-Coherence = Annotated[
-    NDArray[np.float64], Array(1), Between(0.0, 1.0, low_open=True, remedy="leave lines without it out")
-]
 Weights = Annotated[NDArray[np.float64], Array(1), Between(0.0)]
-
-
-@dataclass(frozen=True, eq=False)
-class FrequencyResponse:
-    """Ratio of output to input lines at the excited frequencies.
-
-    `frequency` [rad/s], `response` complex, `magnitude` of the input's lines: the weight with which each
-    line's error appears in the output.
-    """
-
-    frequency: Reals
-    response: Complexes
-    magnitude: Reals
 
 
 @checked
@@ -183,10 +166,7 @@ def _lines(
             raise FieldError(name, str(column.shape), problem, allowed="equal lengths", remedy=remedy)
     if coherence is None:
         return w, h, np.ones(w.size) if weights is None else weights
-    if not np.all(np.abs(h) > 0):
-        raise FieldError("response", 0, "zero at a line", allowed="|H| > 0", remedy="leave that line out")
-    share = np.minimum(coherence, 1 - 1e-6)
-    return w, h, np.sqrt(share / (1 - share)) / np.abs(h)
+    return w, h, coherence_weights(h, coherence)
 
 
 def _findings(fit: SpectrumFit, frequency: Reals) -> Iterator[Finding]:

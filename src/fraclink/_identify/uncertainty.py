@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.linalg import lstsq
 
 from fraclink._arm.link import STRUCTURES, structure
+from fraclink._identify.intervals import QUANTILE, Interval, interval_end
 from fraclink._identify.residual import (
     autoregression,
     coloured_covariance,
@@ -32,7 +33,6 @@ from fraclink._identify.shape import (
 
 Matrix = NDArray[np.float64]
 
-_QUANTILE = 1.959963984540054  # of the normal distribution at 97.5 %
 _DIRECT = {name: COORDINATE[name] for name in ("order", "damping_order", "delay")}
 
 
@@ -65,7 +65,7 @@ def uncertainty(search: Search, solution: Solution, *, coloured: bool) -> Uncert
     names = _names(solution, inside, linear)
     through = _gradients(solution, names, inside, linear) @ basis
     normal = basis.T @ (solution.gram[np.ix_(columns, columns)] * np.outer(scale, scale)) @ basis
-    inverse, singular = _inverse(normal)
+    inverse, singular = inverted(normal)
     samples = search.window.samples
     variance = solution.cost / max(samples - basis.shape[1], 1)
     white = variance * through @ inverse @ through.T
@@ -74,15 +74,26 @@ def uncertainty(search: Search, solution: Solution, *, coloured: bool) -> Uncert
         error = float(np.sqrt(variance * resonance @ inverse @ resonance))
         return Uncertainty(names, white, None, 1, float(basis.shape[1]), singular, error)
     regressors, residual = _linearised(search, solution)
+    spread, lag, effective = sandwich(inverse, regressors, residual, variance)
+    error = float(np.sqrt(np.maximum(resonance @ spread @ resonance, 0.0)))
+    return Uncertainty(names, white, through @ spread @ through.T, lag, effective, singular, error)
+
+
+def sandwich(
+    inverse: Matrix, regressors: Matrix, residual: Vector, variance: float
+) -> tuple[Matrix, int, float]:
+    """Covariance under a coloured residual, its correlation in samples, and Takeuchi's count of parameters.
+
+    `inverse` is that of the normal matrix of the regressors, shape (p, n), and `variance` the residual's.
+    """
     lag = correlation_lag(residual)
     meat = coloured_covariance(regressors, residual)
     # Misfit that depends on the motion is no independent noise; there the products of both tell more.
-    products = long_run_covariance(regressors * residual, min(max(5 * lag, 10), samples // 5))
+    products = long_run_covariance(regressors * residual, min(max(5 * lag, 10), residual.size // 5))
     wider = np.sqrt(np.maximum(_diagonal(inverse, products) / _diagonal(inverse, meat), 1.0))
-    sandwich = inverse @ meat @ inverse * np.outer(wider, wider)
-    effective = float(np.trace(inverse @ meat)) / variance if variance > 0 else float(basis.shape[1])
-    error = float(np.sqrt(np.maximum(resonance @ sandwich @ resonance, 0.0)))
-    return Uncertainty(names, white, through @ sandwich @ through.T, lag, effective, singular, error)
+    spread = inverse @ meat @ inverse * np.outer(wider, wider)
+    effective = float(np.trace(inverse @ meat)) / variance if variance > 0 else float(inverse.shape[0])
+    return spread, lag, effective
 
 
 def _moving(search: Search, solution: Solution) -> tuple[list[int], list[int]]:
@@ -137,7 +148,8 @@ def _diagonal(inverse: Matrix, meat: Matrix) -> Vector:
     return np.asarray(np.maximum(np.diag(inverse @ meat @ inverse), 1e-300))
 
 
-def _inverse(normal: Matrix) -> tuple[Matrix, bool]:
+def inverted(normal: Matrix) -> tuple[Matrix, bool]:
+    """Inverse of a normal matrix, and whether it is singular: the data do not determine all parameters."""
     size = np.sqrt(np.diag(normal))
     size[size == 0] = 1.0
     values, vectors = np.linalg.eigh(normal / np.outer(size, size))
@@ -150,24 +162,6 @@ def _inverse(normal: Matrix) -> tuple[Matrix, bool]:
 # --- intervals: how far a parameter can go while all others are fitted anew ------------------------------
 
 
-@dataclass(frozen=True)
-class Interval:
-    """A 95 % interval; an open end is a limit of the parameter's range that the log does not exclude.
-
-    >>> Interval(1.91, 1.93, False, False).contains(1.92)
-    True
-    """
-
-    low: float
-    high: float
-    low_open: bool
-    high_open: bool
-
-    def contains(self, value: float) -> bool:
-        """Whether `value` lies in the interval."""
-        return self.low <= value <= self.high
-
-
 @dataclass(eq=False)
 class _Profile:
     """Best cost at given values of one parameter; every point starts from the one before."""
@@ -175,6 +169,18 @@ class _Profile:
     search: Search
     solution: Solution
     name: str
+
+    @property
+    def samples(self) -> int:
+        return self.search.window.samples
+
+    @property
+    def least(self) -> float:
+        return self.solution.cost
+
+    @property
+    def begin(self) -> Shape:
+        return self.solution.shape
 
     def value(self, shape: Shape) -> float:
         if self.name in _DIRECT:
@@ -272,49 +278,11 @@ def profile_interval(
     profile = _Profile(search, solution, name)
     centre = profile.value(solution.shape)
     if solution.cost <= 1e-12 * solution.gram[0, 0]:  # a perfect fit: its likelihood is rounding noise
-        return Interval(centre - _QUANTILE * error, centre + _QUANTILE * error, False, False)
+        return Interval(centre - QUANTILE * error, centre + QUANTILE * error, False, False)
     low, high = profile.limits()
-    below, low_open = _end(profile, centre, -_QUANTILE * error, low, inflation)
-    above, high_open = _end(profile, centre, _QUANTILE * error, high, inflation)
+    below, low_open = interval_end(profile, centre, -QUANTILE * error, low, inflation)
+    above, high_open = interval_end(profile, centre, QUANTILE * error, high, inflation)
     return Interval(below, above, low_open, high_open)
-
-
-def _end(profile: _Profile, centre: float, step: float, limit: float, inflation: float) -> tuple[float, bool]:
-    """One end of an interval and whether it is open.
-
-    The root of the log-likelihood is nearly straight (exactly so for a linear model), so that secants
-    through it meet the quantile in two or three fits where bisection would take twenty.
-    """
-    samples, least = profile.search.window.samples, profile.solution.cost
-    shape = profile.solution.shape
-    inside, inside_root, outside, outside_root = centre, 0.0, math.nan, math.inf
-    value = centre + step
-    for _ in range(25):
-        beyond = (limit - value) * step <= 0
-        value = limit if beyond else value
-        cost, near = profile.cost(value, shape)
-        height = math.inf
-        if math.isfinite(cost):
-            height = math.sqrt(max(samples * math.log(max(cost / least, 1.0)) / inflation, 0.0))
-        if abs(height - _QUANTILE) < 2e-3:  # a thousandth of the quantile: 0.01 % of the coverage
-            return value, False
-        if height < _QUANTILE:
-            if beyond:
-                return limit, True
-            inside, inside_root, shape = value, height, near
-        else:
-            outside, outside_root = value, height
-        if math.isnan(outside):
-            ratio = _QUANTILE / inside_root if inside_root > 0 else 4.0
-            value = centre + (inside - centre) * min(max(ratio, 1.05), 4.0)
-        elif math.isfinite(outside_root):
-            part = (_QUANTILE - inside_root) / (outside_root - inside_root)
-            value = inside + (outside - inside) * min(max(part, 0.05), 0.95)
-        else:  # no fit there at all: the secant has nothing to go by
-            value = (inside + outside) / 2
-        if abs(outside - inside) < 1e-9 * abs(centre):
-            return outside, False
-    return value, math.isnan(outside)
 
 
 # --- criteria: which structure? --------------------------------------------------------------------------
@@ -351,7 +319,7 @@ def structure_criteria(search: Search, errors: Mapping[str, Uncertainty]) -> dic
     scores, left = found[richest]
     variance = max(float(left @ left) / left.size, 1e-300)
     meat = long_run_covariance(scores * left, _SCORE_LAGS)
-    inflation = max(float(np.trace(_inverse(scores @ scores.T)[0] @ meat)) / variance / len(scores), 1.0)
+    inflation = max(float(np.trace(inverted(scores @ scores.T)[0] @ meat)) / variance / len(scores), 1.0)
     samples = search.window.samples
     floor = _RESOLUTION * float(np.var(search.window.output))
     return {

@@ -12,6 +12,7 @@ from fraclink._logs.reading import (
     read_columns,
     read_log,
 )
+from fraclink._logs.responses import read_frequency_response, read_recording
 
 __all__ = [
     "ChannelSummary",
@@ -24,5 +25,7 @@ __all__ = [
     "diagnose",
     "inspect_log",
     "read_columns",
+    "read_frequency_response",
     "read_log",
+    "read_recording",
 ]

@@ -54,7 +54,7 @@ def read_text_table(path: Path) -> LogTable:
     SizeError (over the limits of `fraclink._logs.table`).
     """
     check_file(path)
-    layout = _layout(_normal_bytes(path.read_bytes(), path), path)
+    layout = _layout(normal_bytes(path.read_bytes(), path), path)
     _check_rows(layout)
     values = _parse_fast(layout)
     faults: dict[int, CellFaults] = {}
@@ -64,7 +64,7 @@ def read_text_table(path: Path) -> LogTable:
     return LogTable(layout.names, columns, "text", layout.notes, faults)
 
 
-def _normal_bytes(raw: bytes, path: Path) -> bytes:
+def normal_bytes(raw: bytes, path: Path) -> bytes:
     """The text as UTF-8 bytes with line feeds only, whatever editor wrote it; other encodings are refused."""
     wide = ((b"\xff\xfe", "UTF-16 or UTF-32"), (b"\xfe\xff", "UTF-16"), (b"\x00\x00\xfe\xff", "UTF-32"))
     for mark, name in wide:
@@ -108,7 +108,7 @@ def _with_header(text: bytes, span: tuple[int, int], number: int, comments: list
     notes = tuple((m[1], m[2]) for c in comments[:_NOTE_LIMIT] if (m := _NOTE.fullmatch(c)))
     line = text[slice(*span)].decode()
     separator = next((mark for mark in _SEPARATORS if mark in line), "")
-    cells = _split_header(line, separator)
+    cells = split_cells(line, separator)
     if all(NUMBER.fullmatch(cell) for cell in cells):
         # The first row is numbers already: the names may stand in the last comment, as numpy writes them.
         names = _names_of_comment(comments, len(cells)) or tuple(f"#{i + 1}" for i in range(len(cells)))
@@ -125,7 +125,7 @@ def _with_header(text: bytes, span: tuple[int, int], number: int, comments: list
     return Layout(names, separator, first, body + b"\n", notes)
 
 
-def _split_header(line: str, separator: str) -> list[str]:
+def split_cells(line: str, separator: str) -> list[str]:
     cells = next(csv.reader([line], delimiter=separator)) if separator else line.split()
     return [cell.strip() for cell in cells]
 
@@ -135,7 +135,7 @@ def _names_of_comment(comments: list[str], count: int) -> tuple[str, ...]:
         return ()
     line = comments[-1].lstrip("#% ")
     separator = next((mark for mark in _SEPARATORS if mark in line), "")
-    cells = _split_header(line, separator)
+    cells = split_cells(line, separator)
     return tuple(cells) if len(cells) == count and all(cells) else ()
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from fraclink._arm.experiment import Experiment
 from fraclink._campaign import Summary
 from fraclink._design import Design
-from fraclink._identify import Fit
+from fraclink._identify import Fit, StructureFit
 from fraclink._show.drawing import (
     BLUE,
     FAILED,
@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 __all__ = ["SHOWN", "bode_figure", "drivers_figure", "failures_figure", "fit_figure", "log_figure"]
 __all__ += ["margins_figure"]
 __all__ += ["models_figure", "moves_figure", "nyquist_figure", "payloads_of", "spread_figure", "stacked"]
+__all__ += ["structure_figure"]
 
 
 def stacked(drawing: Figure, heights: Sequence[float], labels: Sequence[str], *, xlabel: str = "") -> Any:
@@ -79,6 +80,48 @@ def fit_figure(log: Experiment, fit: Fit) -> str:
         rest.set_xlim(log.time[0], log.time[-1])
         drawing.align_ylabels()
         return svg(drawing, "fit", "The recorded output under its model, and what the model leaves")
+
+
+def structure_figure(fit: StructureFit) -> str:
+    """Draw what was measured over what the structure says, and what it leaves: in time or over frequency."""
+    return _over_time(fit) if fit.domain == "time" else _over_frequency(fit)
+
+
+def _over_time(fit: StructureFit) -> str:
+    with figure(FULL_WIDTH, 3.6) as drawing:
+        output, rest = stacked(drawing, (2, 0.8), ("output", "residual"), xlabel="time [s]")
+        output.plot(
+            *envelope(fit.place, fit.measured), color=GREY, linewidth=2.6, alpha=0.5, label="measured"
+        )
+        output.plot(*envelope(fit.place, fit.predicted), color=BLUE, linewidth=0.9, label=fit.expression)
+        rest.plot(*envelope(fit.place, fit.measured - fit.predicted), color=BLUE, linewidth=0.5)
+        rest.axvline(fit.place[fit.fitted - 1], color=INK, linewidth=0.8, linestyle=(0, (2, 2)))
+        output.legend(ncols=2, loc="lower left")
+        rest.set_xlim(fit.place[0], fit.place[-1])
+        drawing.align_ylabels()
+        return svg(drawing, "structure", "The recorded output under the structure, and what it leaves")
+
+
+def _over_frequency(fit: StructureFit) -> str:
+    with figure(FULL_WIDTH, 4.2) as drawing:
+        labels = ("gain [dB]", "phase [°]", "error [%]")
+        gain, phase, rest = stacked(drawing, (1.4, 1, 0.7), labels, xlabel="frequency ω [rad/s]")
+        measured, predicted = (np.array_split(rows, 2) for rows in (fit.measured, fit.predicted))
+        h, model = measured[0] + 1j * measured[1], predicted[0] + 1j * predicted[1]
+        for row, draw in ((gain, lambda z: 20 * np.log10(np.abs(z))), (phase, _unwrapped)):
+            row.plot(fit.place, draw(h), "o", color=GREY, markersize=3, label="measured")
+            row.plot(fit.place, draw(model), color=BLUE, linewidth=1.0, label=fit.expression)
+        rest.plot(fit.place, 100 * np.abs(h / model - 1), color=BLUE, linewidth=0.7)
+        rest.set_ylim(bottom=0)
+        for row in (gain, phase, rest):
+            _decade_lines(row)
+        gain.legend(ncols=2, loc="lower left")
+        drawing.align_ylabels()
+        return svg(drawing, "structure", "The measured response under the structure, and what it leaves")
+
+
+def _unwrapped(response: NDArray[np.complex128]) -> NDArray[np.float64]:
+    return np.degrees(np.unwrap(np.angle(response)))
 
 
 _LARGE = 4.0  # a residual so many times the smallest gets a scale of its own: else the others are flat lines

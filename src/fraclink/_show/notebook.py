@@ -22,6 +22,7 @@ _DRAWINGS: dict[str, Callable[[Any], str]] = {
     "Start": lambda started: figures.fit_figure(started.experiment, started.fit),
     "Comparison": lambda comparison: figures.models_figure(comparison.fits),
     "Design": figures.bode_figure,
+    "StructureFit": figures.structure_figure,
     "Run": lambda run: figures.moves_figure([run]),
     "ShapedMove": moves.shaped_figure,
 }

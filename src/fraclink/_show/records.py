@@ -149,6 +149,8 @@ _NAMES = {
     "p_value:test.p_value verdict",
     "SpectrumFit": "order resonances anti_resonances gain delay fit_percent:fit outliers standard_errors "
     "findings",
+    "StructureFit": "passed expression parameters intervals standard_errors at_bound undetermined offset "
+    "nmse heldout_nmse findings",
     "ExperimentDesign": "kind amplitude bit duration standard_error peak_deflection peak_voltage band",
     "Controller": "gain order filter_time filter_order",
     "Requirement": "name unit passed wanted achieved at_payload slack",

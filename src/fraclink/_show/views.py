@@ -13,11 +13,19 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fraclink._arm.link import structure
 from fraclink._law import MODES, REASONS
+from fraclink._show.fits import (
+    experiment_view,
+    motor_view,
+    payloads_view,
+    recording_view,
+    response_view,
+    spectrum_view,
+    structure_view,
+    worth_reading,
+)
 from fraclink._show.moves import shaped_view
 from fraclink._show.tables import (
-    PARAMETERS,
     coincidence,
     faults_sentence,
     faults_table,
@@ -33,7 +41,7 @@ from fraclink._show.tables import (
     verdict_sentence,
     verdict_table,
 )
-from fraclink._show.text import Row, Table, View, degrees, grams, looked_up, number, uncertain
+from fraclink._show.text import Table, View, degrees, grams, looked_up, number
 from fraclink.findings import errors_of
 
 if TYPE_CHECKING:
@@ -64,10 +72,6 @@ def view(result: Any) -> View:
     return shown
 
 
-def _worth_reading(findings: Sequence[Finding]) -> tuple[str, ...]:
-    return tuple(str(finding) for finding in findings if finding.severity != "info")
-
-
 def _findings_view(findings: tuple[Finding, ...]) -> View:
     found = [f.severity for f in findings]
     state = "failed" if "error" in found else "not shown" if "warning" in found else "passed"
@@ -91,7 +95,7 @@ def _fit_view(fit: Fit) -> View:
     share = fit.heldout_nmse
     held = "nothing held out" if share is None else f"held-out error {100 * share:.2g} %"
     state = "passed" if fit.passed else "not shown"
-    return View(f"{fit.structure}, {held}", (fit_table(fit),), _worth_reading(fit.findings), state)
+    return View(f"{fit.structure}, {held}", (fit_table(fit),), worth_reading(fit.findings), state)
 
 
 def _start_view(started: Start) -> View:
@@ -106,71 +110,8 @@ def _start_view(started: Start) -> View:
 
 def _comparison_view(comparison: Comparison) -> View:
     fits = comparison.fits
-    warned = (f"{name}: {text}" for name, fit in fits.items() for text in _worth_reading(fit.findings))
+    warned = (f"{name}: {text}" for name, fit in fits.items() for text in worth_reading(fit.findings))
     return View(comparison.verdict, (fits_table(fits),), (*coincidence(fits), *warned))
-
-
-def _payloads_view(fit: Any) -> View:
-    free = structure(fit.structure).free
-    rows = tuple(
-        (
-            grams(m.payload),
-            number(m.natural_frequency, 6),
-            number(m.order, 5),
-            number(m.damping) if "damping" in free else "–",
-            number(m.damping_order) if "damping_order" in free else "–",
-            number(mse),
-            number(alone),
-        )
-        for m, mse, alone in zip(fit.models, fit.mse, fit.alone_mse, strict=True)
-    )
-    names = (name.partition(" ")[0] if name.startswith("μ") else name for name in PARAMETERS.values())
-    return View(fit.verdict, (Table(("payload", *names, "MSE together", "MSE alone"), rows),))
-
-
-def _motor_view(fit: Any) -> View:
-    errors = fit.standard_errors
-    rows: tuple[Row, ...] = (
-        ("K/J [rad/(V·s²)]", uncertain(fit.gain, errors["gain"])),
-        ("ν/J [1/s]", uncertain(fit.decay, errors["decay"])),
-        ("Coulomb friction [V]", uncertain(fit.coulomb_voltage, errors["coulomb_voltage"])),
-        ("Coulomb torque [N·m]", number(fit.coulomb_torque)),
-        ("dead zone [V]", number(fit.dead_zone)),
-        ("delay [ms]", number(1e3 * fit.delay, 3)),
-    )
-    state = "" if fit.passed else "not shown"
-    return View(tables=(Table(("motor", "value"), rows),), notes=_worth_reading(fit.findings), state=state)
-
-
-def _spectrum_view(fit: Any) -> View:
-    errors = fit.standard_errors
-    named = {"resonance": fit.resonances, "anti-resonance": fit.anti_resonances}
-    modes = {f"{kind} {i}": w for kind, values in named.items() for i, w in enumerate(values, 1)}
-    delay = uncertain(1e3 * fit.delay, 1e3 * errors["delay"] if "delay" in errors else None)
-    rows = (
-        ("λ", uncertain(fit.order, errors.get("order"))),
-        *((f"{name} [rad/s]", uncertain(w, errors.get(name))) for name, w in modes.items()),
-        *(("delay [ms]", delay), ("gain", number(fit.gain)), ("fit [%]", f"{fit.fit:.2f}")),
-    )
-    aside = (f"{len(fit.outliers)} frequencies set aside as outliers",) if len(fit.outliers) else ()
-    notes = (*aside, *_worth_reading(fit.findings))
-    state = "" if fit.passed else "not shown"
-    return View(tables=(Table(("frequency response", "value"), rows),), notes=notes, state=state)
-
-
-def _experiment_view(plan: Any) -> View:
-    rows = {
-        "kind": plan.kind,
-        "amplitude [rad]": number(plan.amplitude, 5),
-        "bit [s]": number(plan.bit, 5),
-        "band [rad/s]": f"{number(plan.band[0], 3)} to {number(plan.band[1], 3)}",
-        "duration [s]": number(plan.duration, 5),
-        "standard error of λ": number(plan.standard_error, 5),
-        "peak deflection [rad]": number(plan.peak_deflection, 5),
-        "peak voltage [V]": number(plan.peak_voltage, 5),
-    }
-    known = tuple((name, value) for name, value in rows.items() if value != "–")
-    return View(tables=(Table(("experiment", "value"), known),))
 
 
 # --- the design and what it is worth ----------------------------------------------------------------------
@@ -376,10 +317,13 @@ _VIEWS: dict[str, Callable[[Any], View]] = {
     "Fit": _fit_view,
     "Start": _start_view,
     "Comparison": _comparison_view,
-    "JointFit": _payloads_view,
-    "MotorFit": _motor_view,
-    "SpectrumFit": _spectrum_view,
-    "ExperimentDesign": _experiment_view,
+    "JointFit": payloads_view,
+    "MotorFit": motor_view,
+    "SpectrumFit": spectrum_view,
+    "StructureFit": structure_view,
+    "Recording": recording_view,
+    "FrequencyResponse": response_view,
+    "ExperimentDesign": experiment_view,
     "Design": _design_view,
     "Law": _law_view,
     "Optimised": _optimised_view,

@@ -1,0 +1,165 @@
+"""Nonlinear least squares from many starts at once, with the linear parameters projected out.
+
+Levenberg and Marquardt's method in a box, on residuals of any shape (M, R) for M parameter vectors: what the
+arrays of one call can do for one start they do for all of them. Variable projection: gain and offset are
+solved for inside the residual, so that a start needs no value of theirs and a step cannot trade one for the
+other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Descent", "descend", "differences", "project"]
+
+Reals = NDArray[np.float64]
+Residuals = Callable[[Reals], Reals]  # (M, p) -> (M, R); rows that have no value are not finite
+
+_STEP = 1e-6  # of the differences: responses are known to 1e-12 of their peak, so that slopes are to 1e-6
+_DAMPING = (1e-12, 1e12)
+_STUCK = 1e9  # damping at which a step is none
+
+
+@dataclass(frozen=True, eq=False)
+class Descent:
+    """Where M descents ended: places (M, p), costs (M,), and the calls that it took."""
+
+    places: Reals
+    costs: Reals
+    converged: NDArray[np.bool_]
+    evaluations: int
+
+
+def differences(residuals: Residuals, places: Reals, at: Reals, low: Reals, high: Reals) -> Reals:
+    """Jacobians (M, p, R) by one-sided differences that stay inside the box."""
+    count, size = places.shape
+    step = _STEP * np.where(places + _STEP > high, -1.0, 1.0)
+    # A limit of the domain that is no limit of the box (an improper function) is left backwards.
+    for side in (1.0, -1.0):
+        moved = np.repeat(places[:, None, :], size, axis=1)
+        moved[:, range(size), range(size)] += side * step
+        moved = np.clip(moved, low, high)
+        taken = moved[:, range(size), range(size)] - places
+        taken = np.where(taken == 0.0, np.inf, taken)
+        there = residuals(moved.reshape(count * size, size)).reshape(count, size, -1)
+        slopes = (there - at[:, None, :]) / taken[:, :, None]
+        if np.isfinite(slopes).all():
+            return np.asarray(slopes)
+    return np.where(np.isfinite(slopes), slopes, 0.0)
+
+
+def descend(
+    residuals: Residuals,
+    places: Reals,
+    low: Reals,
+    high: Reals,
+    *,
+    iterations: int,
+    tolerance: float = 1e-10,
+    shear: Reals | None = None,
+) -> Descent:
+    """The descent from every row of `places`; one ends where the next step would gain `tolerance` of its
+    cost.
+
+    `shear` (p, p) gives coordinates in which the valleys of the cost lie along the axes: damping counts
+    there. What a step would gain is the Newton decrement: a short step says only that the damping is large.
+    """
+    places = np.clip(np.array(places, dtype=np.float64), low, high)
+    count, size = places.shape
+    at = np.array(residuals(places))  # rows are written below
+    costs, evaluations = _costs(at), count
+    damping, done = np.full(count, 1e-3), ~np.isfinite(costs)
+    if size == 0:
+        return Descent(places, costs, ~done, evaluations)
+    shear = np.eye(size) if shear is None else shear
+    normal, slope = np.zeros((count, size, size)), np.zeros((count, size))
+    settled = np.zeros(count, dtype=bool)
+    fresh = np.zeros(count, dtype=bool)
+    for _ in range(iterations):
+        moving = np.flatnonzero(~done)
+        if not moving.size:
+            break
+        stale = moving[~fresh[moving]]
+        if stale.size:
+            jacobian = differences(residuals, places[stale], at[stale], low, high)
+            evaluations += stale.size * size
+            normal[stale] = jacobian @ jacobian.transpose(0, 2, 1)
+            slope[stale] = np.einsum("mpr,mr->mp", jacobian, at[stale])
+            fresh[stale] = True
+        steps, gains = _steps(
+            normal[moving], slope[moving], damping[moving], places[moving], (low, high), shear
+        )
+        settled[moving] = gains <= tolerance * costs[moving]
+        tried = np.clip(places[moving] - steps, low, high)
+        there = residuals(tried)
+        evaluations += moving.size
+        cost = _costs(there)
+        better = cost < costs[moving]
+        done[moving] = settled[moving] | (~better & (damping[moving] > _STUCK))
+        won, lost = moving[better], moving[~better]
+        places[won], at[won], costs[won], fresh[won] = tried[better], there[better], cost[better], False
+        damping[won] = np.maximum(damping[won] * 0.1, _DAMPING[0])
+        damping[lost] = np.minimum(damping[lost] * 8.0, _DAMPING[1])
+    return Descent(places, costs, settled & np.isfinite(costs), evaluations)
+
+
+def _steps(
+    normal: Reals, slope: Reals, damping: Reals, places: Reals, box: tuple[Reals, Reals], shear: Reals
+) -> tuple[Reals, Reals]:
+    """Damped Gauss–Newton steps (M, p), and what undamped ones would gain if the cost were a parabola (M,).
+
+    A coordinate that a limit stops is held, or it would bend the others' step.
+    """
+    matrix, right = normal.copy(), slope.copy()
+    held = ((places <= box[0]) & (right > 0)) | ((places >= box[1]) & (right < 0))
+    matrix[held] = 0.0
+    matrix.transpose(0, 2, 1)[held] = 0.0
+    right[held] = 0.0
+    back = np.linalg.inv(shear)
+    along = np.einsum("ip,mij,jp->mp", back, matrix, back)  # diagonal in the sheared coordinates
+    along = np.maximum(along, 1e-12 * along.max(axis=1, keepdims=True) + 1e-300)
+    damper = np.einsum("pi,mp,pj->mij", shear, along, shear)
+    matrix[:, range(matrix.shape[1]), range(matrix.shape[1])] += np.where(held, 1.0, 0.0)
+    whole = np.linalg.solve(matrix + 1e-12 * damper, right[:, :, None])[:, :, 0]
+    steps = np.linalg.solve(matrix + damping[:, None, None] * damper, right[:, :, None])[:, :, 0]
+    return np.asarray(steps), np.asarray(np.einsum("mp,mp->m", whole, right))
+
+
+def _costs(residual: Reals) -> Reals:
+    with np.errstate(over="ignore", invalid="ignore"):
+        costs = np.einsum("mr,mr->m", residual, residual)
+    return np.where(np.isfinite(costs), costs, np.inf)
+
+
+def project(measured: Reals, columns: Reals, low: Reals, high: Reals) -> tuple[Reals, Reals]:
+    """Residuals (M, R) and coefficients (M, c) of c <= 2 columns (M, c, R) fitted to (R,) in limits."""
+    count, size, _ = columns.shape
+    if size == 0:
+        return np.repeat(measured[None, :], count, axis=0), np.zeros((count, 0))
+    with np.errstate(all="ignore"):
+        normal = np.einsum("mir,mjr->mij", columns, columns)
+        right = columns @ measured
+        best = np.stack([_solved(normal, right, low, high, order) for order in range(size)])
+        # The first column is fitted inside its limits, then the others to what it leaves, and the other way
+        # round; where no limit is met both are the least-squares solution.
+        left = measured - np.einsum("omi,mir->omr", best, columns)
+        choice = np.argmin(np.nan_to_num(np.einsum("omr,omr->om", left, left), nan=np.inf), axis=0)
+    picked = (choice, np.arange(count))
+    return left[picked], best[picked]
+
+
+def _solved(normal: Reals, right: Reals, low: Reals, high: Reals, first: int) -> Reals:
+    if normal.shape[1] == 1:
+        return np.clip(right / normal[:, :, 0], low, high)
+    other = 1 - first
+    determinant = normal[:, 0, 0] * normal[:, 1, 1] - normal[:, 0, 1] ** 2
+    own = (right[:, first] * normal[:, other, other] - right[:, other] * normal[:, 0, 1]) / determinant
+    result = np.empty_like(right)
+    result[:, first] = np.clip(own, low[first], high[first])
+    rest = (right[:, other] - normal[:, 0, 1] * result[:, first]) / normal[:, other, other]
+    result[:, other] = np.clip(rest, low[other], high[other])
+    return result

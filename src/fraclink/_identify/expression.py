@@ -1,0 +1,339 @@
+"""A structure as text: "k*s**a/(s**b + w)*exp(-T*s)", read without evaluating anything that Python would run.
+
+The text is parsed, every piece is compared with the few that a fractional transfer function is made of, and
+what is left is walked by three algebras: arrays of complex numbers (many parameter vectors at once),
+quotients of such arrays (to find coefficients by linear least squares), and exact transfer functions.
+"""
+
+from __future__ import annotations
+
+import ast
+import operator
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink._systems.fractional import FractionalTransferFunction, s
+from fraclink.errors import FieldError
+
+__all__ = ["Expression", "Role", "parse_expression"]
+
+Role = Literal["order", "delay", "coefficient"]
+Reals = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+
+_LONGEST = 1000  # characters; a structure that is written by hand has some fifty
+_DEEPEST = 60  # pieces inside each other: the walk below is recursive
+_MOST = 12  # parameters: beyond, no log tells them apart
+_LARGEST_POWER = 8  # of a sum: each multiplies the number of terms
+_RESERVED = ("s", "exp", "offset")
+_FORMS = "numbers, names, s, + - * / **, and exp(-T*s)"
+_OPERATORS: dict[type, Callable[[Any, Any], Any]] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.truediv,
+}
+
+
+@dataclass(frozen=True)
+class Expression:
+    """A transfer function of s and named parameters, as a tree.
+
+    `roles` says what each parameter is, in the order of the text: an "order" stands in an exponent of s, a
+    "delay" in exp(-T*s), a "coefficient" elsewhere. A parameter with several roles has the narrowest of them.
+    """
+
+    text: str
+    roles: Mapping[str, Role]
+    tree: ast.expr
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Parameters in the order of the text."""
+        return tuple(self.roles)
+
+    def of_role(self, role: Role) -> tuple[str, ...]:
+        """Parameters of one role."""
+        return tuple(name for name, own in self.roles.items() if own == role)
+
+    def response(self, values: Mapping[str, Any], points: Complexes) -> Complexes:
+        """G at `points` [rad/s], shape (K,), for parameters of shape () or (M, 1)."""
+        logarithm = np.log(points)
+        leaves = _Leaves(points, lambda order: np.exp(order * logarithm), np.exp, values)
+        with np.errstate(all="ignore"):  # a candidate may overflow: its cost is infinite, and it is dropped
+            return np.asarray(_walk(self.tree, leaves), dtype=np.complex128)
+
+    def quotient(self, values: Mapping[str, Any], points: Complexes) -> tuple[Complexes, Complexes]:
+        """Numerator and denominator of G at `points`, as the text divides them."""
+        logarithm = np.log(points)
+        leaves = _Leaves(
+            _Ratio(points),
+            lambda order: _Ratio(np.exp(_plain(order) * logarithm)),
+            lambda ratio: _Ratio(np.exp(ratio.top / ratio.bottom)),
+            values,
+        )
+        with np.errstate(all="ignore"):
+            found = _Ratio.of(_walk(self.tree, leaves))
+        shape = np.broadcast_shapes(np.shape(found.top), np.shape(found.bottom), points.shape)
+        return np.broadcast_to(found.top, shape), np.broadcast_to(found.bottom, shape)
+
+    def function(self, values: Mapping[str, float]) -> FractionalTransferFunction:
+        """The exact transfer function; FieldError where there is none for these values (a delay below 0)."""
+        leaves = _Leaves(s, s.power, _delayed, {name: float(value) for name, value in values.items()})
+        made = _walk(self.tree, leaves)
+        return made if isinstance(made, FractionalTransferFunction) else float(made) * s**0
+
+
+@dataclass(frozen=True)
+class _Leaves:
+    """What s, s**a, exp and the parameters are in one algebra."""
+
+    variable: Any
+    power: Callable[[Any], Any]
+    exponential: Callable[[Any], Any]
+    values: Mapping[str, Any]
+
+
+def _walk(node: ast.expr, leaves: _Leaves) -> Any:
+    if isinstance(node, ast.Constant):
+        return float(node.value)  # type: ignore[arg-type]  # the parser admits int and float alone
+    if isinstance(node, ast.Name):
+        return leaves.variable if node.id == "s" else leaves.values[node.id]
+    if isinstance(node, ast.UnaryOp):
+        inner = _walk(node.operand, leaves)
+        return -inner if isinstance(node.op, ast.USub) else inner
+    if isinstance(node, ast.Call):
+        return leaves.exponential(_walk(node.args[0], leaves))
+    if not isinstance(node, ast.BinOp):
+        raise TypeError(type(node).__name__)
+    right = _walk(node.right, leaves)
+    if isinstance(node.op, ast.Pow):
+        if isinstance(node.left, ast.Name) and node.left.id == "s":
+            return leaves.power(right)
+        return _walk(node.left, leaves) ** right
+    return _OPERATORS[type(node.op)](_walk(node.left, leaves), right)
+
+
+def _delayed(exponent: FractionalTransferFunction) -> FractionalTransferFunction:
+    """e^(−τs) for the exponent −τs."""
+    slope = exponent / s
+    return (s**0).delayed(-slope.numerator[0].coefficient if slope.numerator else 0.0)
+
+
+def _plain(value: Any) -> Any:
+    return value.top / value.bottom if isinstance(value, _Ratio) else value
+
+
+@dataclass(frozen=True)
+class _Ratio:
+    """A quotient of arrays that is not divided out."""
+
+    top: Any
+    bottom: Any = 1.0
+
+    __array_ufunc__ = None  # numpy hands `array * ratio` to the methods below
+
+    @staticmethod
+    def of(value: Any) -> _Ratio:
+        return value if isinstance(value, _Ratio) else _Ratio(value)
+
+    def __add__(self, other: Any) -> _Ratio:
+        right = _Ratio.of(other)
+        if self.bottom is right.bottom or (np.isscalar(self.bottom) and self.bottom == right.bottom):
+            return _Ratio(self.top + right.top, self.bottom)
+        return _Ratio(self.top * right.bottom + right.top * self.bottom, self.bottom * right.bottom)
+
+    def __radd__(self, other: Any) -> _Ratio:
+        return _Ratio.of(other) + self
+
+    def __neg__(self) -> _Ratio:
+        return _Ratio(-self.top, self.bottom)
+
+    def __sub__(self, other: Any) -> _Ratio:
+        return self + (-_Ratio.of(other))
+
+    def __rsub__(self, other: Any) -> _Ratio:
+        return _Ratio.of(other) + (-self)
+
+    def __mul__(self, other: Any) -> _Ratio:
+        right = _Ratio.of(other)
+        return _Ratio(self.top * right.top, self.bottom * right.bottom)
+
+    def __rmul__(self, other: Any) -> _Ratio:
+        return _Ratio.of(other) * self
+
+    def __truediv__(self, other: Any) -> _Ratio:
+        right = _Ratio.of(other)
+        return _Ratio(self.top * right.bottom, self.bottom * right.top)
+
+    def __rtruediv__(self, other: Any) -> _Ratio:
+        return _Ratio.of(other) / self
+
+    def __pow__(self, exponent: Any) -> _Ratio:
+        power = _plain(exponent)
+        if isinstance(power, int | float) and power < 0:
+            return _Ratio(self.bottom**-power, self.top**-power)
+        return _Ratio(self.top**power, self.bottom**power)
+
+
+# --- parsing ------------------------------------------------------------------------------------------------
+
+
+def parse_expression(text: str) -> Expression:
+    """Return the structure that `text` describes; FieldError names the first piece that has no meaning here.
+
+    >>> parse_expression("k*s**a/(s**a + w)*exp(-T*s)").roles["a"]
+    'order'
+    >>> try:
+    ...     parse_expression("1/sin(s)")
+    ... except FieldError as error:
+    ...     error.value, error.problem
+    ('sin(s)', 'a function that is not known')
+    """
+    if not isinstance(text, str) or not text.strip() or len(text) > _LONGEST:
+        allowed, remedy = f"a text of 1 to {_LONGEST} characters", 'write it as in "k/(T*s**a + 1)"'
+        problem = "no text" if not isinstance(text, str) else "empty" if not text.strip() else "too long"
+        raise FieldError("expression", text, problem, allowed=allowed, remedy=remedy)
+    try:
+        tree = ast.parse(text.strip(), mode="eval").body
+    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+        where = f" at character {error.offset}" if isinstance(error, SyntaxError) and error.offset else ""
+        problem, remedy = f"not a formula{where}", "check brackets and operators; a product needs its *"
+        raise FieldError("expression", text, problem, allowed=_FORMS, remedy=remedy) from error
+    if "s" not in _names(tree):
+        raise _refused(tree, "without s", "write the transfer function, such as k/(T*s**a + 1)")
+    _check(tree, 0)
+    roles = _roles(tree)
+    if len(roles) > _MOST:
+        allowed, remedy = f"<= {_MOST} parameters", "write known values as numbers"
+        raise FieldError("expression", len(roles), "too many parameters", allowed=allowed, remedy=remedy)
+    made = Expression(" ".join(text.split()), roles, tree)
+    _check_exponentials(made)
+    return made
+
+
+def _names(tree: ast.AST) -> list[str]:
+    """Names in the order of the text, those of functions left out."""
+    called = {id(node.func) for node in ast.walk(tree) if isinstance(node, ast.Call)}
+    found = [node for node in ast.walk(tree) if isinstance(node, ast.Name) and id(node) not in called]
+    return list(dict.fromkeys(node.id for node in sorted(found, key=lambda n: (n.lineno, n.col_offset))))
+
+
+def _has_s(node: ast.AST) -> bool:
+    return "s" in _names(node)
+
+
+def _refused(node: ast.AST, problem: str, remedy: str) -> FieldError:
+    return FieldError("expression", ast.unparse(node), problem, allowed=_FORMS, remedy=remedy)
+
+
+def _check(node: ast.expr, depth: int) -> None:
+    """Raise FieldError for the first piece of the tree that is none of a fractional transfer function."""
+    if depth > _DEEPEST:
+        raise _refused(node, "nested too deeply", "write it with fewer brackets")
+    if isinstance(node, ast.Constant):
+        if (
+            isinstance(node.value, bool)
+            or not isinstance(node.value, int | float)
+            or not abs(node.value) < 1e300
+        ):
+            raise _refused(node, "not a number", "write numbers as 0.5 or 1e-3")
+    elif isinstance(node, ast.Name):
+        if node.id in _RESERVED[1:]:
+            raise _refused(node, "a name with a meaning of its own", "give the parameter another name")
+    elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub | ast.UAdd):
+        _check(node.operand, depth + 1)
+    elif isinstance(node, ast.Call):
+        _check_call(node, depth)
+    elif isinstance(node, ast.BinOp) and isinstance(node.op, ast.Pow):
+        _check_power(node, depth)
+    elif isinstance(node, ast.BinOp) and type(node.op) in _OPERATORS:
+        _check(node.left, depth + 1)
+        _check(node.right, depth + 1)
+    elif isinstance(node, ast.BinOp):
+        remedy = "write a power as s**0.5" if isinstance(node.op, ast.BitXor) else "write it with + - * / **"
+        raise _refused(node, "an operator that is not known", remedy)
+    else:
+        raise _refused(node, "a piece that is not known", "write it with + - * / ** and exp(-T*s)")
+
+
+def _check_call(node: ast.Call, depth: int) -> None:
+    if not isinstance(node.func, ast.Name) or node.func.id != "exp":
+        raise _refused(node, "a function that is not known", "the only function is exp, of a delay")
+    if len(node.args) != 1 or node.keywords or not _has_s(node.args[0]):
+        raise _refused(node, "not a delay", "write it as exp(-T*s)")
+    _check(node.args[0], depth + 1)
+
+
+def _check_power(node: ast.BinOp, depth: int) -> None:
+    if _has_s(node.right):
+        raise _refused(node, "s in an exponent", "a delay is exp(-T*s)")
+    _check(node.left, depth + 1)
+    _check(node.right, depth + 1)
+    if not _has_s(node.left) or _is_single_term(node.left):
+        return
+    whole = isinstance(node.right, ast.Constant) and float(node.right.value).is_integer()  # type: ignore[arg-type]
+    if not whole or abs(float(node.right.value)) > _LARGEST_POWER:  # type: ignore[attr-defined]
+        remedy = "no quotient of powers of s is equal to it; multiply out, or use powers of s alone"
+        raise _refused(node, "a power of a sum that is not a whole number up to 8", remedy)
+
+
+def _is_single_term(node: ast.expr) -> bool:
+    """Whether a piece is c·s^a, of which every real power is one, too."""
+    if not _has_s(node) or isinstance(node, ast.Name):
+        return True
+    if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Mult | ast.Div):
+        return _is_single_term(node.left) and _is_single_term(node.right)
+    return isinstance(node, ast.BinOp) and isinstance(node.op, ast.Pow) and _is_single_term(node.left)
+
+
+def _uses(node: ast.AST, inside: Role) -> Iterator[tuple[str, Role]]:
+    """Every parameter with what it is where it stands."""
+    if isinstance(node, ast.Name) and node.id != "s":
+        yield node.id, inside
+    elif isinstance(node, ast.Call):
+        yield from _uses(node.args[0], "delay")
+    elif isinstance(node, ast.BinOp) and isinstance(node.op, ast.Pow) and _has_s(node.left):
+        yield from _uses(node.left, inside)
+        yield from _uses(node.right, "order")
+    else:
+        for child in ast.iter_child_nodes(node):
+            yield from _uses(child, inside)
+
+
+def _roles(tree: ast.expr) -> dict[str, Role]:
+    rank: tuple[Role, ...] = ("order", "delay", "coefficient")
+    uses = list(_uses(tree, "coefficient"))
+    return {
+        name: min((role for used, role in uses if used == name), key=rank.index)
+        for name in _names(tree)
+        if name != "s"
+    }
+
+
+def _check_exponentials(made: Expression) -> None:
+    """Raise FieldError where an exponent is no delay: not proportional to −s for positive parameters."""
+    values = {name: 0.7 + 0.1 * place for place, name in enumerate(made.names)}
+    for node in ast.walk(made.tree):
+        if not isinstance(node, ast.Call):
+            continue
+        leaves = _Leaves(s, s.power, _delayed, values)
+        try:
+            exponent = _walk(node.args[0], leaves)
+        except FieldError as error:
+            raise _refused(node, "not a delay", "write it as exp(-T*s)") from error
+        slope = exponent / s
+        constant = all(
+            len(terms) <= 1 and not any(t.order for t in terms)
+            for terms in (slope.numerator, slope.denominator)
+        )
+        if not constant or slope.delay:
+            raise _refused(
+                node, "not a delay: its exponent is not proportional to s", "write it as exp(-T*s)"
+            )
+        if slope.numerator and slope.numerator[0].coefficient > 0:
+            raise _refused(node, "a prediction: it answers before its input", "write it as exp(-T*s)")

@@ -1,0 +1,213 @@
+"""How sure the parameters of a structure are: covariance, intervals, and what the data do not tell."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink._identify.intervals import QUANTILE, Interval, interval_end
+from fraclink._identify.structure_coordinates import Coordinates
+from fraclink._identify.structure_data import Samples
+from fraclink._identify.structure_search import Place, StructureSearch
+from fraclink._identify.uncertainty import inverted, sandwich
+
+__all__ = ["Certainty", "certainty_of", "in_order"]
+
+Reals = NDArray[np.float64]
+
+_AT_BOUND = 1e-7  # of the range, in the coordinate
+_SHARE = 0.1  # of a direction that the data do not see: parameters that take part in it
+# Relative half-width of an interval of a coefficient, and half-width of an order's, beyond which the data are
+# not said to determine it: a factor of two, and the difference between two structures people would tell
+# apart.
+_COEFFICIENT_MOST = 0.5
+_ORDER_MOST = 0.25
+_PERFECT = 1e-16  # cost over power: what is left is rounding
+
+
+@dataclass(frozen=True, eq=False)
+class Certainty:
+    """What is known of each parameter; `pairs` are the correlations of all pairs, `blind` what is not seen.
+
+    `blind` are the parameters of directions in which nothing that was measured changes.
+    """
+
+    intervals: Mapping[str, Interval]
+    standard_errors: Mapping[str, float]
+    at_bound: tuple[str, ...]
+    undetermined: tuple[str, ...]
+    blind: tuple[str, ...]
+    pairs: Mapping[tuple[str, str], float]
+
+
+def certainty_of(search: StructureSearch, data: Samples, best: Place, *, details: bool) -> Certainty:
+    """Standard errors that allow for the residual's colour; profile intervals where `details` are wanted."""
+    own = search.coordinates
+    stuck = tuple(name for name in own.names if _is_at_bound(own, name, best.values[name]))
+    rows = search.jacobian(data, best)
+    kept = [k for k, name in enumerate(own.names) if name not in stuck] + list(
+        range(len(own.names), len(rows))
+    )
+    free = tuple(name for name in own.names if name not in stuck)
+    jacobian = rows[kept]
+    residual = data.measured - _predicted(search, data, best)
+    inverse, _ = inverted(jacobian @ jacobian.T)
+    blind = _blind(jacobian, free)
+    variance = best.cost / max(data.measured.size - len(kept), 1)
+    white = variance * np.diag(inverse)
+    wide = white
+    perfect = best.cost <= _PERFECT * float(data.measured @ data.measured)
+    if not perfect:
+        # Colour may also narrow an estimate, but the sandwich is too noisy to be believed there.
+        wide = np.maximum(np.diag(sandwich(inverse, jacobian, residual, variance)[0]), white)
+    size = np.sqrt(np.diag(inverse))
+    related = inverse / np.outer(size, size)
+    errors, intervals = {}, {}
+    for k, name in enumerate(free):
+        if name in blind:
+            continue
+        error = math.sqrt(max(float(wide[k]), 0.0))
+        inflation = float(wide[k] / white[k]) if white[k] > 0 else 1.0
+        value = best.values[name]
+        errors[name] = error * (abs(value) if own.is_logarithmic(name) else 1.0)
+        intervals[name] = _straight_interval(own, name, value, QUANTILE * error)
+        # What the standard error says is unknown no profile makes known, and its valley is long to follow.
+        if details and best.converged and not perfect and _is_known(own, name, value, intervals[name]):
+            along = dict(zip(free, (inverse[: len(free), k] / inverse[k, k]).tolist(), strict=True))
+            profile = _StructureProfile(search, data, name, best, along)
+            intervals[name] = _profile_interval(profile, error, inflation)
+    undetermined = tuple(
+        name
+        for name in own.names
+        if name in blind
+        or (name in intervals and not _is_known(own, name, best.values[name], intervals[name]))
+    )
+    pairs = {(free[i], free[j]): float(related[i, j]) for i, j in combinations(range(len(free)), 2)}
+    return Certainty(intervals, errors, stuck, undetermined, blind, pairs)
+
+
+def _predicted(search: StructureSearch, data: Samples, place: Place) -> Reals:
+    values = {name: np.array([[value]]) for name, value in place.values.items()}
+    simulated = data.simulated(search.coordinates.structure, values, 1)[0]
+    return np.asarray(simulated if data.offset is None else simulated + place.offset * data.offset)
+
+
+def _is_at_bound(own: Coordinates, name: str, value: float) -> bool:
+    low, high = own.box((name,))
+    near = _AT_BOUND * float(high[0] - low[0])
+    place = float(own.place(name, value)) if value > 0 or not own.is_logarithmic(name) else -math.inf
+    return bool(place <= low[0] + near or place >= high[0] - near)
+
+
+def _blind(jacobian: Reals, names: tuple[str, ...]) -> tuple[str, ...]:
+    """Parameters of the directions in which nothing that was measured changes."""
+    size = np.sqrt(np.einsum("qr,qr->q", jacobian, jacobian))
+    none = {name for name, own in zip(names, size, strict=False) if own == 0.0}
+    scaled = jacobian / np.where(size > 0, size, 1.0)[:, None]
+    values, vectors = np.linalg.eigh(scaled @ scaled.T)
+    # Differences are right to 1e-6, and squared in the normal matrix.
+    unseen = vectors[:, values < 1e-11 * len(values)]
+    shared = np.abs(unseen).max(axis=1, initial=0.0) > _SHARE
+    return tuple(name for k, name in enumerate(names) if name in none or shared[k])
+
+
+def _is_known(own: Coordinates, name: str, value: float, interval: Interval) -> bool:
+    """Whether an interval says something: closed, and narrower than what people would call an order apart."""
+    role = own.structure.roles[name]
+    if interval.high_open or (interval.low_open and role != "delay"):
+        return False
+    half = (interval.high - interval.low) / 2
+    if role == "order":
+        return half <= _ORDER_MOST
+    return role == "delay" or half <= _COEFFICIENT_MOST * abs(value)
+
+
+# --- intervals ----------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class _StructureProfile:
+    """The best cost at given values of one parameter, in its coordinate; all others are fitted anew."""
+
+    search: StructureSearch
+    data: Samples
+    name: str
+    best: Place
+    slopes: Mapping[str, float]  # of the other coordinates, along the valley of the cost
+
+    @property
+    def samples(self) -> int:
+        return self.data.measured.size
+
+    @property
+    def least(self) -> float:
+        return self.best.cost
+
+    @property
+    def begin(self) -> Place:
+        return self.best
+
+    def cost(self, value: float, near: Place) -> tuple[float, Place]:
+        own = self.search.coordinates
+        held = replace(own, fixed={**own.fixed, self.name: float(own.value(self.name, value))})
+        inner = StructureSearch(held, self.search.offset)
+        step = value - float(own.place(self.name, near.values[self.name]))
+        start = [float(held.place(n, near.values[n])) + self.slopes.get(n, 0.0) * step for n in held.moving]
+        found = inner.descended(self.data, np.array([start]))
+        return found.cost, found
+
+
+def _straight_interval(own: Coordinates, name: str, value: float, reach: float) -> Interval:
+    """The interval of a cost that is a parabola in the coordinate."""
+    low, high = (float(end[0]) for end in own.box((name,)))
+    centre = float(own.place(name, value))
+    below, above = max(centre - reach, low), min(centre + reach, high)
+    ends = float(own.value(name, below)), float(own.value(name, above))
+    return Interval(*ends, low_open=below <= low, high_open=above >= high)
+
+
+def _profile_interval(profile: _StructureProfile, error: float, inflation: float) -> Interval:
+    own, name = profile.search.coordinates, profile.name
+    low, high = (float(end[0]) for end in own.box((name,)))
+    centre, reach = float(own.place(name, profile.best.values[name])), QUANTILE * error
+    below, low_open = interval_end(profile, centre, -reach, low, inflation)
+    above, high_open = interval_end(profile, centre, reach, high, inflation)
+    return Interval(float(own.value(name, below)), float(own.value(name, above)), low_open, high_open)
+
+
+# --- exchangeable terms -------------------------------------------------------------------------------------
+
+
+def in_order(own: Coordinates, place: Place) -> Place:
+    """The place with the orders of exchangeable terms falling in the order of the text.
+
+    In a2*s**n2 + a1*s**n1 the two terms may change names: which is called n2 is a convention.
+    """
+    values = dict(place.values)
+    orders = [n for n in own.names if own.structure.roles[n] == "order"]
+    others = [n for n in own.names if own.structure.roles[n] == "coefficient"]
+    partners = [(), *combinations(others, 2)]
+    for first, second in combinations(orders, 2):
+        for partner in partners:
+            if values[first] < values[second] and _exchangeable(own, (first, second), partner):
+                for one, other in ((first, second), partner or (first, first)):
+                    values[one], values[other] = values[other], values[one]
+    return replace(place, values=values)
+
+
+def _exchangeable(own: Coordinates, orders: tuple[str, str], others: tuple[str, ...]) -> bool:
+    pairs = [orders, others] if others else [orders]
+    if any(own.limits[one] != own.limits[other] for one, other in pairs):
+        return False
+    points = np.exp(1j * np.array([0.3, 0.9, 1.4])) * np.array([0.5, 1.1, 2.3])
+    values = own.values(own.middle()[None, :], projected=False)
+    swapped = dict(values)
+    for one, other in pairs:
+        swapped[one], swapped[other] = values[other], values[one]
+    response = own.structure.response
+    return bool(np.allclose(response(values, points), response(swapped, points), rtol=1e-12, atol=0.0))

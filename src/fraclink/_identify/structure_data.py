@@ -1,0 +1,194 @@
+"""What a structure is fitted to: the samples of a recording, or the lines of a frequency response.
+
+Both are a vector of measured numbers and, for a candidate, what it would have been. A recording has besides a
+Laplace transform at some points of a vertical line, on which a candidate costs microseconds: there the search
+begins.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink._arm.recording import Recording
+from fraclink._identify.expression import Expression
+from fraclink._identify.shape import Hold, chosen_hold
+from fraclink._systems.response import time_response
+from fraclink.errors import FieldError, NotConvergedError
+
+__all__ = ["Lines", "Samples", "Spectrum", "Window"]
+
+Reals = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+
+_POINTS = 160  # of the transform: a resonance of ζ = 0.05 is met by three of them in a band of three decades
+_DECAYS = 5.0  # e^-5 of what a record does not show is left in its transform
+_HIGHEST = 1.0  # |s| Ts: up to there the line between two samples is the signal to 8 %
+_EXCITED = 1e-3  # of the largest line: below, the input does not excite
+
+
+class Samples(Protocol):
+    """What a search asks of the data."""
+
+    @property
+    def measured(self) -> Reals:
+        """All that was measured, weighted, shape (R,)."""
+        ...
+
+    @property
+    def offset(self) -> Reals | None:
+        """What a constant output adds to `measured`, shape (R,); None where there is no such thing."""
+        ...
+
+    @property
+    def band(self) -> tuple[float, float]:
+        """Lowest and highest frequency [rad/s] that the data tell of."""
+        ...
+
+    def simulated(self, structure: Expression, values: Mapping[str, Reals], count: int) -> Reals:
+        """What `count` candidates would have measured, shape (M, R); not finite where nothing responds."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Spectrum:
+    """Points s with the transform of input and output there, and the weight of each point's error."""
+
+    points: Complexes
+    input: Complexes
+    output: Complexes
+    weight: Reals
+    of_constant: Complexes | None = None
+
+    @cached_property
+    def measured(self) -> Reals:
+        """As of `Samples`."""
+        return _stacked(self.weight * self.output)
+
+    @cached_property
+    def offset(self) -> Reals | None:
+        """As of `Samples`."""
+        return None if self.of_constant is None else _stacked(self.weight * self.of_constant)
+
+    @property
+    def band(self) -> tuple[float, float]:
+        """As of `Samples`."""
+        size = np.abs(self.points)
+        return float(size.min()), float(size.max())
+
+    def simulated(self, structure: Expression, values: Mapping[str, Reals], count: int) -> Reals:
+        """As of `Samples`."""
+        found = self.weight * self.input * structure.response(values, self.points)
+        return _stacked(np.broadcast_to(found, (count, self.points.size)))
+
+
+def _stacked(values: Complexes) -> Reals:
+    return np.concatenate([values.real, values.imag], axis=-1)
+
+
+@dataclass(frozen=True, eq=False)
+class Lines(Spectrum):
+    """A frequency response: the input is 1 at every line."""
+
+    @classmethod
+    def of(cls, frequency: Reals, response: Complexes, weight: Reals) -> Lines:
+        """Lines in ascending order of ω [rad/s]."""
+        return cls(
+            np.asarray(1j * frequency, dtype=np.complex128),
+            np.ones(frequency.size, dtype=np.complex128),
+            response,
+            weight,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Window:
+    """The first samples of a recording, with the response that a candidate would have there."""
+
+    input: Reals
+    output: Reals
+    period: float
+    hold: Literal["zero", "first"]
+
+    @classmethod
+    def of(cls, record: Recording, hold: Hold, count: int) -> Window:
+        """The first `count` samples; the input counts from rest."""
+        moved = np.asarray(record.input, dtype=np.float64) - record.input_at_rest
+        chosen = _hold(moved, hold)
+        return cls(moved[:count], np.asarray(record.output)[:count], record.period, chosen)
+
+    @property
+    def measured(self) -> Reals:
+        """As of `Samples`."""
+        return self.output
+
+    @cached_property
+    def offset(self) -> Reals | None:
+        """As of `Samples`."""
+        return np.ones(self.output.size)
+
+    def simulated(self, structure: Expression, values: Mapping[str, Any], count: int) -> Reals:
+        """As of `Samples`; every candidate by its exact response to the held input."""
+        result = np.full((count, self.output.size), np.nan)
+        rows = {name: np.broadcast_to(np.ravel(value), (count,)) for name, value in values.items()}
+        for k in range(count):
+            try:
+                G = structure.function({name: float(row[k]) for name, row in rows.items()})
+                result[k] = time_response(G, self.input, self.period, hold=self.hold).output
+            except (FieldError, NotConvergedError):  # improper, a delay below zero, a response beyond doubles
+                continue
+        return result
+
+    @cached_property
+    def spectrum(self) -> Spectrum:
+        """The transform on the line Re s = σ, at the real point and at points spread evenly in ln ω.
+
+        A damped record has a transform though it ends, and of the damping the response knows: G is evaluated
+        at σ + jω. The samples between which a line is drawn have the transform of that line.
+        """
+        count, period = self.output.size, self.period
+        damping = _DECAYS / (count * period)
+        damped = np.exp(-damping * period * np.arange(count))
+        highest = min(int(_HIGHEST * count / (2 * math.pi)), count // 2)
+        spread = np.geomspace(1.0, max(highest, 2), _POINTS).round().astype(int)
+        lines = np.unique(np.concatenate([[0], spread]))
+        points = damping + 2j * math.pi * lines / (count * period)
+        transforms = [np.fft.rfft(damped * values)[lines] for values in (self.input, self.output)]
+        width = np.gradient(lines.astype(np.float64)) if lines.size > 1 else np.ones(1)
+        width[0] = max(width[0] / 2, 0.5)
+        into = _held(transforms[0], points, period, self.hold, float(self.input[0]))
+        out = _held(transforms[1], points, period, "first", float(self.output[0]))
+        weight = np.sqrt(width) / math.sqrt(float(np.sum(width * np.abs(out) ** 2)) or 1.0)
+        return Spectrum(points, into, out, weight, 1.0 / points)
+
+    @property
+    def band(self) -> tuple[float, float]:
+        """Lowest and highest frequency [rad/s] at which the input has power."""
+        power = np.abs(np.fft.rfft(np.diff(self.input, prepend=0.0)))[1:]
+        frequency = 2 * math.pi * np.arange(1, power.size + 1) / (self.input.size * self.period)
+        excited = frequency[power > _EXCITED * power.max()]
+        return float(excited[0]), float(excited[-1])
+
+
+def _held(samples: Complexes, s: Complexes, period: float, hold: str, first: float) -> Complexes:
+    """Transform of the held signal of a transform Σ x_k e^(−skT): steps, or straight lines."""
+    x = s * period
+    if hold == "zero":
+        return np.asarray(samples * -np.expm1(-x) / s)
+    # The triangle around the first sample is cut in two: nothing comes before it.
+    before = first * (np.expm1(x) - x) / (s * x)
+    return np.asarray(samples * period * (np.sinh(x / 2) / (x / 2)) ** 2 - before)
+
+
+def _hold(values: Reals, hold: Hold) -> Literal["zero", "first"]:
+    """What the input does between samples; one that only steps is held.
+
+    A constant input is a step at the first sample, which no neighbour tells from a straight line.
+    """
+    return "zero" if hold == "auto" and np.ptp(values) == 0 else chosen_hold(values, hold)

@@ -1,0 +1,336 @@
+"""The best parameters of a structure, without a start value.
+
+1. Orders and delays are drawn over their ranges. Where numerator and denominator are straight in the
+   coefficients (nearly every structure that people write), these follow by linear least squares
+   (Sanathanan and Koerner, IEEE Trans. Autom. Control 8 (1963) 56); elsewhere they are drawn, too.
+2. The best draws descend together on the transform, some microseconds each.
+3. The best of these descend on the samples themselves, each candidate by its exact response.
+
+The gain (a coefficient that multiplies the whole) and the output's offset are projected out all along.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import lstsq
+from scipy.optimize import OptimizeResult, least_squares
+
+from fraclink._identify.descent import Descent, descend, differences, project
+from fraclink._identify.structure_coordinates import Coordinates
+from fraclink._identify.structure_data import Samples, Spectrum, Window
+from fraclink._identify.structure_starts import Starts
+from fraclink.errors import NotConvergedError
+
+__all__ = ["Place", "StructureSearch"]
+
+Reals = NDArray[np.float64]
+
+_DESCENTS = 10
+_TRIED = 3  # places of the transform that are compared on the samples
+_FIRST_STEPS = 10
+_SAME = 1e-6  # costs closer than that are those of one function, found twice or with its parameters exchanged
+_ENOUGH = 1e-9  # of the cost on samples: what a step gains at the end of a descent
+_CALLS = 150
+_NEAR_ENOUGH = (
+    1e-5  # of the cost: what a last step would still gain; in 10 000 samples a tenth of a parameter's
+)
+_VANISHED = 14.0  # in the logarithm: within a factor of a million of the range's end
+_RETURNS = 29
+_RETURNED = 3.0  # times the least cost of these: values that hardly disturb what was found, or improve it
+_NEARLY = 1.05  # costs on the samples within 5 % are both followed to their end
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """Parameters of a structure with the output's offset, and the cost there."""
+
+    values: Mapping[str, float]
+    offset: float
+    cost: float
+    converged: bool
+
+
+@dataclass(eq=False)
+class StructureSearch:
+    """The search for one structure in one set of data; `offset` is None where it is free."""
+
+    coordinates: Coordinates
+    offset: float | None
+    evaluations: int = 0
+
+    def residuals(self, data: Samples, places: Reals) -> Reals:
+        """Residuals (M, R) with gain and offset at their best."""
+        return self._projected(data, places)[0]
+
+    def _projected(self, data: Samples, places: Reals) -> tuple[Reals, Reals]:
+        own = self.coordinates
+        simulated = data.simulated(own.structure, own.values(places), len(places))
+        measured = data.measured
+        columns, limits = [], []
+        if own.gain is None:
+            measured = measured - simulated
+        else:
+            columns.append(simulated)
+            limits.append(own.limits[own.gain])
+        if data.offset is not None and self.offset is None:
+            columns.append(np.broadcast_to(data.offset, simulated.shape))
+            limits.append((-math.inf, math.inf))
+        elif data.offset is not None and self.offset is not None:
+            measured = measured - self.offset * data.offset
+        if not columns:
+            return np.broadcast_to(measured, simulated.shape), np.zeros((len(places), 0))
+        low, high = np.array(limits).T
+        if measured.ndim == 1:
+            return project(measured, np.stack(columns, axis=1), low, high)
+        # No gain: only the offset is linear, and what is left differs from candidate to candidate.
+        column = columns[0]
+        with np.errstate(all="ignore"):
+            best = np.einsum("mr,mr->m", measured, column) / np.einsum("mr,mr->m", column, column)
+            return measured - best[:, None] * column, best[:, None]
+
+    def place(self, data: Samples, coordinates: Reals, cost: float, *, converged: bool) -> Place:
+        """Parameters and offset at coordinates."""
+        own = self.coordinates
+        linear = self._projected(data, coordinates[None, :])[1][0].tolist()
+        values = {name: float(v[0, 0]) for name, v in own.values(coordinates[None, :]).items()}
+        if own.gain is not None:
+            values[own.gain] = linear.pop(0)
+        ordered = {name: values[name] for name in own.structure.names}
+        return Place(ordered, linear[0] if linear else (self.offset or 0.0), cost, converged)
+
+    def run(self, data: Window | Spectrum, start: Mapping[str, float] | None) -> list[tuple[Reals, Place]]:
+        """Places that no step improves, best first, in coordinates and as parameters."""
+        spectrum = data.spectrum if isinstance(data, Window) else data
+        low, high = self.coordinates.box(self.coordinates.moving)
+        begin = Starts(self.coordinates, spectrum, self.offset is None).places()
+        draws = self._ranked(spectrum, np.clip(begin, low, high))
+        if start is not None:
+            given = [float(self.coordinates.place(name, start[name])) for name in self.coordinates.moving]
+            draws = np.concatenate([np.array([given]), draws])
+        # Few steps tell a promising descent from a lost one; only the former are worth an end.
+        names = self.coordinates.moving
+        orders = [k for k, n in enumerate(names) if self.coordinates.structure.roles[n] == "order"]
+        first = _distinct(self._descend(spectrum, draws, low, high, iterations=_FIRST_STEPS), orders)
+        if not first:
+            raise self._lost()
+        again = self._descend(spectrum, np.array(first[:_TRIED]), low, high, iterations=60)
+        ranked = _distinct(again, orders)
+        if isinstance(data, Window):
+            if start is not None:
+                ranked = [draws[0], *ranked]
+            # The transform does not know an unstable function from a stable one; its samples do.
+            ranked = self._on_samples(data, [*ranked, *first[_TRIED:]])[:_TRIED]
+        else:
+            ranked = ranked[:_TRIED]
+        if not ranked:
+            raise self._lost()
+        last = self._settled(data, np.array(ranked), low, high)
+        if isinstance(data, Window) and data.hold == "zero":
+            last = self._over_the_jumps(data, last, low, high)
+        last = self._back_from_zero(data, spectrum, last, low, high)
+        order = [k for k in np.argsort(last.costs) if np.isfinite(last.costs[k])]
+        return [
+            (
+                last.places[k],
+                self.place(data, last.places[k], float(last.costs[k]), converged=bool(last.converged[k])),
+            )
+            for k in order
+        ]
+
+    def _over_the_jumps(self, data: Window, found: Descent, low: Reals, high: Reals) -> Descent:
+        """The best place again with each delay within the sampling interval before and behind it.
+
+        A held input jumps, and the response to a jump may begin with a vertical tangent: as a function of the
+        delay the cost has a cusp wherever a sample passes a jump, and is smooth only between two of them.
+        """
+        best = int(np.argmin(found.costs))
+        for k, name in enumerate(self.coordinates.moving):
+            if self.coordinates.structure.roles[name] != "delay":
+                continue
+            periods = float(found.places[best, k]) / data.period
+            for whole in sorted({math.floor(periods + 1e-9), math.ceil(periods - 1e-9)}):
+                inner = low.copy(), high.copy()
+                inner[0][k] = max((whole - 1 + 1e-6) * data.period, low[k])
+                inner[1][k] = min(whole * data.period, high[k])
+                if inner[0][k] >= inner[1][k]:
+                    continue
+                begin = found.places[best : best + 1].copy()
+                begin[0, k] = inner[1][k]
+                again = self._settled(data, begin, *inner)
+                if again.costs[0] < found.costs[best]:
+                    found.places[best], found.costs[best] = again.places[0], again.costs[0]
+                    found.converged[best] = again.converged[0]
+        return found
+
+    def _back_from_zero(
+        self, data: Samples, spectrum: Spectrum, found: Descent, low: Reals, high: Reals
+    ) -> Descent:
+        """The best place again from larger values of coefficients that vanished.
+
+        In the logarithm the cost of a vanishing coefficient is flat, and a descent that has come there for a
+        passing reason has no slope to return by.
+        """
+        best = int(np.argmin(found.costs))
+        for k, name in enumerate(self.coordinates.moving):
+            if not self.coordinates.is_logarithmic(name) or found.places[best, k] > low[k] + _VANISHED:
+                continue
+            tried = np.repeat(found.places[best : best + 1], _RETURNS, axis=0)
+            tried[:, k] = np.linspace(max(low[k], -_VANISHED), min(high[k], _VANISHED), _RETURNS)
+            costs = np.einsum("mr,mr->m", rest := self.residuals(spectrum, tried), rest)
+            near = np.flatnonzero(costs <= _RETURNED * np.nanmin(costs))
+            begin = tried[near[-_TRIED:]]
+            again = self._settled(data, begin, low, high)
+            least = int(np.argmin(again.costs))
+            if again.costs[least] < found.costs[best]:
+                found.places[best], found.costs[best] = again.places[least], again.costs[least]
+                found.converged[best] = again.converged[least]
+        return found
+
+    def descended(self, data: Samples, begin: Reals) -> Place:
+        """The place that the descent from one set of coordinates, shape (1, p), ends at."""
+        low, high = self.coordinates.box(self.coordinates.moving)
+        found = self._settled(data, begin, low, high)
+        converged = bool(found.converged[0])
+        return self.place(data, found.places[0], float(found.costs[0]), converged=converged)
+
+    def _lost(self) -> NotConvergedError:
+        remedy = "check that the structure is proper (use a frequency response if it is not), or give start"
+        return NotConvergedError(self.coordinates.structure.text, reached=math.inf, wanted=0.0, remedy=remedy)
+
+    def _descend(
+        self,
+        data: Samples,
+        places: Reals,
+        low: Reals,
+        high: Reals,
+        *,
+        iterations: int,
+        tolerance: float = 1e-10,
+    ) -> Descent:
+        found = descend(
+            lambda x: self.residuals(data, x),
+            places,
+            low,
+            high,
+            iterations=iterations,
+            tolerance=tolerance,
+            shear=self.coordinates.shear(math.sqrt(math.prod(data.band))),
+        )
+        self.evaluations += found.evaluations
+        return found
+
+    def _settled(self, data: Samples, places: Reals, low: Reals, high: Reals) -> Descent:
+        """The ends of descents by a trust region, one after another.
+
+        Its radius keeps to a curved valley that a swinging damping crosses again and again: 30 calls instead of
+        hundreds where two terms of a sum have nearly one order.
+        """
+
+        def residuals(x: Reals) -> Reals:
+            self.evaluations += 1
+            return np.asarray(self.residuals(data, x[None, :])[0])
+
+        def jacobian(x: Reals) -> Reals:
+            self.evaluations += x.size
+            many = partial(self.residuals, data)
+            return np.asarray(differences(many, x[None, :], residuals(x)[None, :], low, high)[0].T)
+
+        ends, costs, converged = [], [], []
+        for place in places:
+            begin = np.clip(place, low + 1e-9, high - 1e-9)  # strictly inside, as the method demands
+            first = residuals(begin)
+            if not begin.size or not np.isfinite(first).all():
+                ends.append(begin)
+                costs.append(float(first @ first) if np.isfinite(first).all() else math.inf)
+                converged.append(not begin.size)
+                continue
+            with np.errstate(all="ignore"):  # a parameter that nothing depends on divides by zero
+                found = least_squares(
+                    residuals,
+                    begin,
+                    jacobian,
+                    bounds=(low, high),
+                    x_scale="jac",
+                    ftol=_ENOUGH,
+                    xtol=1e-10,
+                    gtol=None,
+                    max_nfev=_CALLS,
+                )
+            ends.append(found.x)
+            costs.append(2.0 * float(found.cost))
+            converged.append(found.status > 0 and _decrement(found) <= _NEAR_ENOUGH * 2.0 * found.cost)
+        return Descent(np.array(ends), np.array(costs), np.array(converged), 0)
+
+    def _ranked(self, spectrum: Spectrum, draws: Reals) -> Reals:
+        """The best draws."""
+        costs = np.einsum("mr,mr->m", rest := self.residuals(spectrum, draws), rest)
+        self.evaluations += len(draws)
+        return draws[np.argsort(np.where(np.isfinite(costs), costs, np.inf), kind="stable")][:_DESCENTS]
+
+    def _on_samples(self, data: Window, places: list[Reals]) -> list[Reals]:
+        """The places whose exact response is nearly as near to the samples as the best one's."""
+        if not places:
+            return []
+        rest = self.residuals(data, np.array(places))
+        costs = np.einsum("mr,mr->m", rest, rest)
+        self.evaluations += len(places)
+        costs = np.where(np.isfinite(costs), costs, np.inf)
+        order = np.argsort(costs, kind="stable")
+        return [places[k] for k in order if np.isfinite(costs[k]) and costs[k] <= _NEARLY * costs[order[0]]]
+
+    # --- derivatives of the whole ---------------------------------------------------------------------------
+
+    def jacobian(self, data: Samples, place: Place) -> Reals:
+        """∂(measured)/∂(free parameters' coordinates, then the offset where it is free), shape (q, R)."""
+        own = self.coordinates
+        names = own.names
+        at = np.array([[float(own.place(name, place.values[name])) for name in names]])
+        low, high = own.box(names)
+
+        def simulated(places: Reals) -> Reals:
+            return data.simulated(own.structure, own.values(places, projected=False), len(places))
+
+        rows = differences(simulated, at, simulated(at), low, high)[0]
+        self.evaluations += len(names) + 1
+        if data.offset is not None and self.offset is None:
+            rows = np.concatenate([rows, data.offset[None, :]])
+        return np.asarray(rows)
+
+
+def _decrement(found: OptimizeResult) -> float:
+    """What a Gauss–Newton step in the coordinates that no limit holds would gain."""
+    jacobian = found.jac[:, found.active_mask == 0]
+    size = np.linalg.norm(jacobian, axis=0)
+    gained = lstsq(jacobian / np.where(size > 0, size, 1.0), found.fun, cond=1e-9)[0]
+    along = jacobian / np.where(size > 0, size, 1.0) @ gained
+    return float(along @ along)
+
+
+def _rises(place: Reals, orders: Sequence[int]) -> int:
+    return int(np.count_nonzero(np.diff(place[list(orders)]) > 0))
+
+
+def _distinct(found: Descent, orders: Sequence[int]) -> list[Reals]:
+    """The places of a descent without repetitions, best first.
+
+    Where one function has several sets of parameters, as (s^a + c s^b + w)/k has after a division by c, the
+    one is taken whose orders (the columns `orders`) fall in the order of the text.
+    """
+    kept: list[Reals] = []
+    last = -math.inf
+    for k in np.argsort(found.costs, kind="stable"):
+        cost = float(found.costs[k])
+        if not math.isfinite(cost):
+            break
+        if not kept or cost > last * (1 + _SAME):
+            kept.append(found.places[k])
+            last = cost
+        elif _rises(found.places[k], orders) < _rises(kept[-1], orders):
+            kept[-1] = found.places[k]
+    return kept

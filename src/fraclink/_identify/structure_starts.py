@@ -1,0 +1,149 @@
+"""Where the search for a structure begins: draws of orders and delays, coefficients by linear least squares.
+
+Sanathanan and Koerner, IEEE Trans. Autom. Control 8 (1963) 56: the equation N U = D Y is straight in the
+coefficients, and divided by the last D its error is that of the output.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink._identify.structure_coordinates import Coordinates
+from fraclink._identify.structure_data import Spectrum
+
+__all__ = ["Starts"]
+
+Reals = NDArray[np.float64]
+
+_DRAWS = 60  # for each order or delay that is free, up to three
+_DRAWS_AT_RANDOM = 600
+_USUAL_ORDERS = (0.1, 2.5)  # of draws: a descent finds the rest of the range by itself
+_ROUNDS = 5  # of Sanathanan and Koerner
+
+
+@dataclass(frozen=True, eq=False)
+class Starts:
+    """Places to begin at for one structure and one transform."""
+
+    coordinates: Coordinates
+    spectrum: Spectrum
+    offset_is_free: bool
+
+    def places(self) -> Reals:
+        """Places to begin at, shape (M, p)."""
+        own = self.coordinates
+        shaped = [n for n in own.moving if own.structure.roles[n] != "coefficient"]
+        straight = self._straight()
+        count = _DRAWS * min(max(len(shaped), 1), 3) if straight else _DRAWS_AT_RANDOM
+        uniform = _halton(count, len(own.moving))
+        values = {name: self._drawn(name, uniform[:, k]) for k, name in enumerate(own.moving)}
+        if own.gain is not None:
+            values[own.gain] = np.ones(count)
+        if straight:
+            values |= self._solved(values, straight)
+            if (
+                own.gain is not None
+            ):  # the rest of the coefficients is found with it, and it is projected again
+                values.pop(own.gain)
+        columns = []
+        for name in own.moving:
+            column = values[name]
+            if own.is_logarithmic(name):
+                column = np.maximum(np.abs(column), own.limits[name][0])
+            columns.append(own.place(name, column))
+        return np.column_stack(columns) if columns else np.zeros((1, 0))
+
+    def _drawn(self, name: str, uniform: Reals) -> Reals:
+        own = self.coordinates
+        low, high = own.limits[name]
+        role = own.structure.roles[name]
+        if role == "order":
+            low, high = max(low, min(_USUAL_ORDERS[0], high)), min(high, max(_USUAL_ORDERS[1], low))
+            return np.asarray(low + (high - low) * uniform)
+        size = np.abs(self.spectrum.points)
+        slowest, fastest = float(size.min()), float(size.max())
+        if role == "delay":
+            # Small ones matter most, and none at all is the most usual.
+            longest = min(high, 1.0 / slowest)
+            scaled = np.maximum(
+                longest * (fastest / slowest) ** (uniform - 1.0) - longest * slowest / fastest, low
+            )
+            return np.where(uniform < 0.25, low, scaled)
+        # ω^(−2 … 2) for a frequency of the band: coefficients are powers of one, whatever the structure.
+        frequency = slowest * (fastest / slowest) ** ((uniform * 7.0) % 1.0)
+        sign = np.where((uniform * 31.0) % 1.0 < 0.5, -1.0, 1.0) if low < 0.0 else 1.0
+        return np.clip(sign * frequency ** np.round(4.0 * uniform - 2.0), low, high)
+
+    def _straight(self) -> tuple[str, ...]:
+        """Free coefficients in which N and D are straight together; none where they are not in all."""
+        own = self.coordinates
+        names = tuple(n for n in own.names if own.structure.roles[n] == "coefficient")
+        if not names:
+            return ()
+        points = self.spectrum.points[:: max(1, self.spectrum.points.size // 5)]
+        points = points / np.median(np.abs(points))
+        base = own.values(own.middle()[None, :], projected=False)
+        probes = [{**base, **dict.fromkeys(names, np.zeros((1, 1)))}]
+        probes += [{**probes[0], name: np.ones((1, 1))} for name in names]
+        zero, *units = (np.stack(own.structure.quotient(probe, points)) for probe in probes)
+        whole = np.stack(own.structure.quotient(base, points))
+        built = zero + sum(base[n][0, 0] * (unit - zero) for n, unit in zip(names, units, strict=True))
+        return names if np.allclose(whole, built, rtol=1e-9, atol=1e-12) else ()
+
+    def _solved(self, values: Mapping[str, Reals], names: tuple[str, ...]) -> dict[str, Reals]:
+        """Coefficients of every draw by iterated linear least squares, shape (M,) each."""
+        own = self.coordinates
+        fixed = {name: np.array([[value]]) for name, value in own.fixed.items()}
+        drawn = {name: column[:, None] for name, column in values.items() if name not in names}
+        count = len(next(iter(values.values())))
+        base = fixed | drawn | dict.fromkeys(names, np.zeros((1, 1)))
+        probes = [base, *({**base, name: np.ones((1, 1))} for name in names)]
+        shape = (count, self.spectrum.points.size)
+        pairs = [own.structure.quotient(probe, self.spectrum.points) for probe in probes]
+        tops, bottoms = (np.stack([np.broadcast_to(p[i], shape) for p in pairs]) for i in (0, 1))
+        tops[1:] -= tops[0]
+        bottoms[1:] -= bottoms[0]
+        equations = tops * self.spectrum.input - bottoms * self.spectrum.output  # N U − D Y, to be zero
+        divisor = np.ones(shape, dtype=np.complex128)
+        found = np.ones((count, len(names)))
+        for _ in range(_ROUNDS):
+            row = self.spectrum.weight / np.maximum(np.abs(divisor), 1e-300)
+            columns = [row * e for e in equations[1:]]
+            if self.spectrum.of_constant is not None and self.offset_is_free:
+                columns.append(row * self.spectrum.of_constant * divisor)
+            found = _least_squares(np.stack(columns, axis=1), -row * equations[0])[:, : len(names)]
+            divisor = bottoms[0] + np.einsum("nmk,mn->mk", bottoms[1:], found)
+        return {name: found[:, k] for k, name in enumerate(names)}
+
+
+def _least_squares(matrix: NDArray[np.complex128], right: NDArray[np.complex128]) -> Reals:
+    """Real solutions (M, n) of M complex systems, matrix (M, n, K), right (M, K); columns are scaled."""
+    real = np.concatenate([matrix.real, matrix.imag], axis=2)
+    wanted = np.concatenate([right.real, right.imag], axis=1)
+    size = np.sqrt(np.einsum("mnk,mnk->mn", real, real))
+    size = np.where((size > 0) & np.isfinite(size), size, 1.0)
+    real = np.nan_to_num(real / size[:, :, None])
+    wanted = np.nan_to_num(wanted)
+    q, r = np.linalg.qr(real.transpose(0, 2, 1))
+    diagonal = np.einsum("mnn->mn", r)
+    small = np.abs(diagonal) < 1e-10
+    r[:, range(r.shape[1]), range(r.shape[1])] = np.where(small, 1e-10, diagonal)
+    solution = np.linalg.solve(r, np.einsum("mkn,mk->mn", q, wanted)[:, :, None])[:, :, 0]
+    return np.asarray(solution / size)
+
+
+def _halton(count: int, size: int) -> Reals:
+    """Points that fill the unit cube evenly, the same in every run, shape (count, size)."""
+    primes = (2, 3, 5, 7, 11, 13, 17, 19, 23, 29, 31, 37)
+    result = np.zeros((count, size))
+    for k in range(size):
+        number, weight = np.arange(1, count + 1), 1.0
+        while number.any():
+            weight /= primes[k]
+            number, digit = np.divmod(number, primes[k])
+            result[:, k] += weight * digit
+    return result

@@ -1,0 +1,291 @@
+"""Any fractional structure, fitted to a recording or to a frequency response."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink._arm.experiment import Experiment
+from fraclink._arm.frequency_response import FrequencyResponse, coherence_weights
+from fraclink._arm.recording import Recording
+from fraclink._identify.expression import Expression, parse_expression
+from fraclink._identify.fitting import HeldOut, fitted_samples
+from fraclink._identify.shape import Hold
+from fraclink._identify.structure_certainty import Certainty, certainty_of, in_order
+from fraclink._identify.structure_coordinates import COEFFICIENT_LIMITS, ORDER_LIMITS, Coordinates
+from fraclink._identify.structure_data import Lines, Window
+from fraclink._identify.structure_findings import structure_findings
+from fraclink._identify.structure_fit import StructureFit
+from fraclink._identify.structure_search import Place, StructureSearch
+from fraclink._validate import Between, checked
+from fraclink.errors import FieldError, LogError
+
+__all__ = ["Weighting", "identify_structure"]
+
+Reals = NDArray[np.float64]
+Weighting = Literal["relative", "coherence", "absolute"]
+Values = Mapping[str, float]
+Bounds = Mapping[str, tuple[float, float]]
+
+_LEAST_EACH = 5  # measured numbers for each free parameter
+_EVERY = 4  # of a frequency response every fourth line is predicted from the others
+_LONGEST_DELAY = 0.5  # of a record: a later output is hardly seen
+_TURNS = 20.0  # delay in radians at the highest line: beyond, lines are too far apart to unwrap it
+
+
+@checked
+def identify_structure(
+    data: Experiment | Recording | FrequencyResponse,
+    expression: str,
+    *,
+    start: Mapping[str, float] | None = None,
+    fixed: Mapping[str, float] | None = None,
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    hold: Hold = "auto",
+    heldout: HeldOut | None = None,
+    weighting: Weighting | None = None,
+    details: bool = True,
+) -> StructureFit:
+    """Fit a transfer function that is written as text; no start value is needed.
+
+        y = G(s) u + offset,    G = expression of s and named parameters
+
+    Parameters
+    ----------
+    data
+        a log (motor angle to output), any two channels as a `Recording`, or a `FrequencyResponse`.
+    expression
+        numbers, names, ``s``, ``+ - * / **`` and ``exp(-T*s)``. A name may occur several times; what stands
+        in an exponent of s is an order, in ``exp`` a delay, elsewhere a coefficient.
+    start
+        values to begin at besides those that are tried anyway.
+    fixed
+        values of parameters that are known; ``"offset"`` is the output's constant part.
+    bounds
+        ranges of parameters. By default orders lie in 0.02 to 4, coefficients in 1e-12 to 1e12 (above 0!) and
+        delays in 0 s to half of the record, or to 20 rad at the highest line. A range such as (-10, 10)
+        admits a negative coefficient.
+    hold
+        what the input does between samples: "zero", "first", or "auto" for "zero" where it jumps and rests.
+    heldout
+        share of the samples at the end that are predicted and not fitted. By default 0.4, cut where both
+        parts have motion; none where the input never changes.
+    weighting
+        of a frequency response's errors: "relative" to |H|, by "coherence" (the default where there is one),
+        or "absolute".
+    details
+        False: intervals from the standard errors alone, in a fraction of the time.
+
+    Raises
+    ------
+    FieldError
+        an expression with a piece that is not known, a name that is none of it, too few data.
+    NotConvergedError
+        no candidate has a response.
+
+    References
+    ----------
+    Sanathanan and Koerner (1963); Golub and Pereyra, SIAM J. Numer. Anal. 10 (1973) 413.
+
+    Examples
+    --------
+    >>> import fraclink as fl
+    >>> log = fl.read_log(fl.bundled_log("prbs_30g"))
+    >>> fit = identify_structure(log, "k*s**a/(s**a + w)*exp(-T*s)", details=False)
+    >>> round(fit.parameters["a"], 2), round(fit.parameters["w"] ** 0.5, 1)
+    (1.92, 10.8)
+    """
+    structure = parse_expression(expression)
+    known = dict(fixed or {})
+    offset = known.pop("offset", None)
+    if isinstance(data, FrequencyResponse):
+        samples: Window | Lines = _lines_of(data, weighting)
+        longest, offset = _TURNS / data.band[1], 0.0
+        whole, fitted = samples, data.frequency.size
+    else:
+        record = data if isinstance(data, Recording) else Recording.of(data)
+        fitted = _fitted(record, heldout)
+        samples, whole = Window.of(record, hold, fitted), Window.of(record, hold, record.input.size)
+        longest = _LONGEST_DELAY * record.period * fitted
+        _check_motion(samples)
+    coordinates = _coordinates(structure, known, bounds or {}, longest)
+    _check_start(coordinates, start, samples.measured.size)
+    search = StructureSearch(coordinates, offset)
+    found = [(in_order(coordinates, place), x) for x, place in search.run(samples, start)]
+    best = found[0][0]
+    certain = certainty_of(search, samples, best, details=details)
+    predicted = best.offset * (whole.offset if whole.offset is not None else 0.0) + _simulated(
+        whole, structure, best
+    )
+    held = _heldout(search, samples, whole, best, fitted, predicted)
+    fit = _fit_of(
+        structure, coordinates, best, certain, samples, whole, predicted, held, search, data, fitted
+    )
+    rivals = [place for place, _ in found[1:]]
+    return dataclasses.replace(fit, findings=structure_findings(fit, certain, rivals, samples))
+
+
+def _simulated(data: Window | Lines, structure: Expression, place: Place) -> Reals:
+    values = {name: np.array([[v]]) for name, v in place.values.items()}
+    return np.asarray(data.simulated(structure, values, 1)[0])
+
+
+def _fitted(record: Recording, heldout: float | None) -> int:
+    total = record.input.size
+    if heldout is not None:
+        return total - round(heldout * total)
+    if np.ptp(record.input) == 0:
+        return total  # one step: its end says what its beginning cannot
+    return fitted_samples(Experiment(record.period, record.input, record.output))
+
+
+def _check_motion(samples: Window) -> None:
+    for name, still in (("input", not np.any(samples.input)), ("output", np.ptp(samples.output) == 0)):
+        if still:
+            remedy = "check the column, or fit a part in which it moves"
+            raise LogError(name, 0.0, "constant over the fitted part", allowed="a motion", remedy=remedy)
+
+
+def _lines_of(measured: FrequencyResponse, weighting: Weighting | None) -> Lines:
+    """Lines in ascending order, with their weights."""
+    order = np.argsort(measured.frequency, kind="stable")
+    h = measured.response[order]
+    chosen = weighting or ("relative" if measured.coherence is None else "coherence")
+    if chosen == "coherence":
+        if measured.coherence is None:
+            allowed, remedy = "a response with coherence", "weigh errors as relative"
+            raise FieldError("weighting", chosen, "without a coherence", allowed=allowed, remedy=remedy)
+        weight = coherence_weights(h, measured.coherence[order])
+    else:
+        if not np.all(np.abs(h) > 0):
+            problem, remedy = "zero at a line", "leave that line out"
+            raise FieldError("response", 0, problem, allowed="|H| > 0", remedy=remedy)
+        weight = 1.0 / np.abs(h) if chosen == "relative" else np.ones(h.size)
+    return Lines.of(measured.frequency[order], h, weight / np.linalg.norm(weight * h))
+
+
+def _coordinates(structure: Expression, known: Values, bounds: Bounds, longest: float) -> Coordinates:
+    for field, given in (("fixed", known), ("bounds", bounds)):
+        for name in given:
+            if name not in structure.names:
+                listed = ", ".join(structure.names) or "(none)"
+                problem, remedy = "no parameter of the expression", "correct the name"
+                raise FieldError(field, name, problem, allowed=listed, remedy=remedy)
+    usual = {"order": ORDER_LIMITS, "delay": (0.0, longest), "coefficient": COEFFICIENT_LIMITS}
+    limits = {name: usual[role] for name, role in structure.roles.items()}
+    widest = {"order": 20.0, "delay": 1e6, "coefficient": 1e15}
+    for name, pair in bounds.items():
+        role = structure.roles[name]
+        least = 0.0 if role == "delay" else -widest[role]
+        inside = Between(least, widest[role], remedy="give (low, high), finite, the lower one first")
+        low, high = (inside.check(f"bounds[{name!r}]", value) for value in pair)
+        if not low < high:
+            remedy = "give the lower one first; a known value belongs into fixed"
+            raise FieldError(f"bounds[{name!r}]", pair, "empty", allowed="low < high", remedy=remedy)
+        limits[name] = (low, high)
+    for name, value in known.items():
+        remedy = "give a number" if structure.roles[name] != "delay" else "a delay is never negative"
+        least = 0.0 if structure.roles[name] == "delay" else -1e15
+        Between(least, 1e15, remedy=remedy).check(f"fixed[{name!r}]", value)
+    coordinates = Coordinates(structure, limits, {name: float(value) for name, value in known.items()})
+    if not coordinates.names:
+        problem, remedy = "without a free parameter", "leave one out of fixed"
+        raise FieldError("expression", structure.text, problem, allowed=">= 1 free parameter", remedy=remedy)
+    return coordinates
+
+
+def _check_start(coordinates: Coordinates, start: Values | None, measured: int) -> None:
+    least = _LEAST_EACH * len(coordinates.names)
+    if measured < least:
+        remedy = "measure more, or fix parameters that are known"
+        allowed = f">= {least} numbers for {len(coordinates.names)} parameters"
+        raise FieldError("data", measured, "too few to fit", allowed=allowed, remedy=remedy)
+    for name in coordinates.moving if start is not None else ():
+        if start is None or name not in start:
+            problem, remedy = "without a parameter that is free", "give all of them, or leave start out"
+            raise FieldError("start", name, problem, allowed=", ".join(coordinates.moving), remedy=remedy)
+        low, high = coordinates.limits[name]
+        Between(low, high, remedy="begin inside the bounds").check(f"start[{name!r}]", start[name])
+
+
+def _heldout(
+    search: StructureSearch,
+    samples: Window | Lines,
+    whole: Window | Lines,
+    best: Place,
+    count: int,
+    predicted: Reals,
+) -> float | None:
+    """Error over what the parameters have not seen."""
+    if isinstance(whole, Window):
+        if count == whole.output.size:
+            return None
+        error, power = whole.output[count:] - predicted[count:], whole.output[count:] - best.offset
+        return float(error @ error / (power @ power)) if np.any(power) and np.isfinite(error).all() else None
+    return _lines_held(search, samples, best) if isinstance(samples, Lines) else None
+
+
+def _lines_held(search: StructureSearch, lines: Lines, best: Place) -> float | None:
+    """Error over every fourth line, predicted by a fit to the others that begins at the best parameters."""
+    held = np.arange(lines.points.size) % _EVERY == _EVERY // 2
+    if 2 * np.count_nonzero(~held) < _LEAST_EACH * len(search.coordinates.names):
+        return None
+    own = search.coordinates
+    rest, seen = (
+        Lines(lines.points[k], lines.input[k], lines.output[k], lines.weight[k]) for k in (held, ~held)
+    )
+    begin = np.array([[float(own.place(name, best.values[name])) for name in own.moving]])
+    place = search.descended(seen, begin)
+    error = (
+        rest.measured
+        - rest.simulated(own.structure, {n: np.array([[v]]) for n, v in place.values.items()}, 1)[0]
+    )
+    return float(error @ error / (rest.measured @ rest.measured))
+
+
+def _fit_of(
+    structure: Expression,
+    coordinates: Coordinates,
+    best: Place,
+    certain: Certainty,
+    samples: Window | Lines,
+    whole: Window | Lines,
+    predicted: Reals,
+    held: float | None,
+    search: StructureSearch,
+    data: Any,
+    fitted: int,
+) -> StructureFit:
+    timed = isinstance(whole, Window)
+    power = samples.measured - (best.offset if timed else 0.0)
+    unweighted = 1.0 if isinstance(whole, Window) else np.tile(whole.weight, 2)
+    return StructureFit(
+        expression=structure.text,
+        parameters=best.values,
+        fixed=tuple(coordinates.fixed),
+        limits={name: coordinates.limits[name] for name in coordinates.names},
+        intervals=certain.intervals,
+        standard_errors=certain.standard_errors,
+        at_bound=certain.at_bound,
+        undetermined=certain.undetermined,
+        offset=best.offset,
+        domain="time" if timed else "frequency",
+        period=whole.period if isinstance(whole, Window) else None,
+        hold=whole.hold if isinstance(whole, Window) else None,
+        fitted=fitted,
+        nmse=best.cost / float(power @ power),
+        heldout_nmse=held,
+        place=np.arange(whole.output.size, dtype=np.float64) * whole.period
+        if isinstance(whole, Window)
+        else whole.points.imag,
+        measured=whole.measured / unweighted,
+        predicted=predicted / unweighted,
+        converged=best.converged,
+        evaluations=search.evaluations,
+        source=data.source,
+        sha256=data.sha256,
+    )

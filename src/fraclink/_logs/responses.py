@@ -1,0 +1,306 @@
+"""Readers of what is no log of an arm: tables of a frequency response, and any two channels of a file."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink._arm.frequency_response import FrequencyResponse
+from fraclink._arm.recording import Recording
+from fraclink._files import sha256_of
+from fraclink._logs.columns import clean_column, clock_step
+from fraclink._logs.formats import read_table
+from fraclink._logs.names import names_time, words_of
+from fraclink._logs.table import LogTable, check_file
+from fraclink._logs.text import NUMBER, normal_bytes, split_cells
+from fraclink.errors import LogError
+
+__all__ = ["read_frequency_response", "read_recording"]
+
+Reals = NDArray[np.float64]
+
+# What the words of a column's name say it is; the first that fits.
+_ROLES = {
+    "coherence": ("coherence", "coh", "gamma"),
+    "phase": ("phase", "phi", "arg", "angle", "ph"),
+    "real": ("real", "re"),
+    "imaginary": ("imaginary", "imag", "im"),
+    "gain": ("gain", "magnitude", "mag", "amplitude", "abs", "db", "ratio"),
+    "frequency": ("frequency", "freq", "omega", "w", "f", "hz", "khz", "ω"),
+}
+_UNITS = {
+    "frequency": {"rad/s": 1.0, "Hz": 2 * math.pi, "kHz": 2000 * math.pi},
+    "phase": {"rad": 1.0, "deg": math.pi / 180},
+    "gain": {"1": 1.0, "dB": 1.0},
+    "real": {"1": 1.0},
+    "imaginary": {"1": 1.0},
+    "coherence": {"1": 1.0},
+}
+_SPELLED = {
+    "hz": "Hz",
+    "khz": "kHz",
+    "rad/s": "rad/s",
+    "rads": "rad/s",
+    "rad/sec": "rad/s",
+    "db": "dB",
+    "deg": "deg",
+    "degrees": "deg",
+    "°": "deg",
+    "rad": "rad",
+    "1": "1",
+}
+_SPELLED_OUT = {
+    "frequency": "a column such as frequency_rad_s or frequency_Hz",
+    "gain and phase, or real and imag": "columns such as gain_dB and phase_deg, or real and imag",
+}
+_OMEGA = ("omega", "w", "ω")  # these letters are angular frequencies in every book
+_JITTER = 0.05  # of a step: a sample that much late is noise of 5 % of the slope
+_FEWEST = 3  # rows of a table that lies on its side: frequency, gain, phase
+
+
+def read_frequency_response(
+    path: Path | str, columns: Mapping[str, str] | Sequence[str] | None = None
+) -> FrequencyResponse:
+    """Read a table of a frequency response: one line a row, or one line a column.
+
+    Parameters
+    ----------
+    path
+        a table in any format of `read_log`. Names of its columns (or rows) say what they are, such as
+        ``frequency_Hz``, ``omega``, ``gain``, ``mag [dB]``, ``phase_deg``, ``real``, ``imag``, ``coherence``.
+    columns
+        says it instead: ``{"frequency": "f [Hz]", "gain": "m [dB]", "phase": "p [deg]"}``, or the names of a
+        table without a header in their order, such as ``("frequency [Hz]", "real", "imag")``.
+
+    Raises
+    ------
+    LogError
+        a column that is needed is not there, or its unit is not stated; a unit is never guessed.
+    FileFormatError, SizeError
+        the file is damaged, or too large.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> table = Path(tempfile.mkdtemp(), "frf.csv")
+    >>> _ = table.write_text("f [Hz],1,2\\nmag [dB],0,-20\\nphase [deg],0,-90\\n")
+    >>> read_frequency_response(table).response.round(3)
+    array([1.+0.j , 0.-0.1j])
+    """
+    place = Path(path)
+    found = _columns_of(place, columns)
+    frequency = _values(found, "frequency")
+    if "real" in found and "imaginary" in found:
+        response = _values(found, "real") + 1j * _values(found, "imaginary")
+    elif "gain" in found and "phase" in found:
+        level = _values(found, "gain")
+        size = 10 ** (level / 20) if found["gain"][1] == "dB" else level
+        response = size * np.exp(1j * _values(found, "phase"))
+    else:
+        raise _absent(found, "gain and phase, or real and imag")
+    coherence = _values(found, "coherence") if "coherence" in found else None
+    return FrequencyResponse(
+        frequency,
+        np.asarray(response, dtype=np.complex128),
+        coherence=coherence,
+        source=place.name,
+        sha256=sha256_of(place),
+    )
+
+
+Found = dict[str, tuple[Reals, str, str]]  # role: values, unit ("" where it is not stated), name
+
+
+def _values(found: Found, role: str) -> Reals:
+    """A column in SI units."""
+    if role not in found:
+        raise _absent(found, role)
+    values, unit, name = found[role]
+    if not unit:
+        units = " or ".join(_UNITS[role])
+        remedy = f'write it behind the name, as in "{name} [{next(iter(_UNITS[role]))}]", or state columns'
+        raise LogError(f"column of {role}", name, "without its unit", allowed=units, remedy=remedy)
+    return np.asarray(values * _UNITS[role][unit], dtype=np.float64)
+
+
+def _absent(found: Found, wanted: str) -> LogError:
+    names = ", ".join(f"{role}: {name}" for role, (_, _, name) in found.items()) or "(none)"
+    remedy = "rename a column in the table's header, or state columns"
+    allowed = _SPELLED_OUT.get(wanted, f"a column of {wanted}")
+    return LogError("columns", names, f"without {wanted}", allowed=allowed, remedy=remedy)
+
+
+def _columns_of(path: Path, stated: Mapping[str, str] | Sequence[str] | None) -> Found:
+    table = _on_its_side(path) or read_table(path)
+    if isinstance(stated, Mapping):
+        return {_known_role(role): (*_stated(table, role, text), text) for role, text in stated.items()}
+    names, values = list(table.names), [*range(len(table.names))]
+    rows: list[Reals] = []
+    if stated is not None:
+        names = list(stated)
+        if len(names) == len(table.names):
+            rows = [clean_column(table, k, interpolate=False)[0] for k in values]
+        elif len(names) == table.values[0].size:
+            rows = list(np.array([clean_column(table, k, interpolate=False)[0] for k in values]).T)
+        else:
+            shape = f"{table.values[0].size} rows of {len(table.names)} columns"
+            remedy = "name every column (or every row) in its order"
+            raise LogError("columns", shape, f"none of which are {len(names)}", allowed=shape, remedy=remedy)
+    else:
+        rows = [
+            clean_column(table, k, interpolate=False)[0] if _role(names[k]) else np.empty(0) for k in values
+        ]
+    found: Found = {}
+    for name, column in zip(names, rows, strict=True):
+        role = _role(name)
+        if role in found:
+            remedy = "rename one, or state columns"
+            raise LogError(f"column of {role}", name, "given twice", allowed="one column", remedy=remedy)
+        if role:
+            found[role] = (column, _unit(name, role), name)
+    return found
+
+
+def _known_role(role: str) -> str:
+    if role not in _ROLES:
+        allowed, remedy = ", ".join(_ROLES), "correct the word"
+        raise LogError("columns", role, "unknown", allowed=allowed, remedy=remedy)
+    return role
+
+
+def _stated(table: LogTable, role: str, text: str) -> tuple[Reals, str]:
+    """The column and the unit of ``"name [unit]"``."""
+    match = re.fullmatch(r"(.*?)\s*\[([^\]]*)\]\s*", text)
+    name = match[1] if match else text
+    exact = text if text in table.names else name
+    unit = _SPELLED.get(match[2].lower(), "") if match else _unit(text, role)
+    return clean_column(table, table.place(exact, role), interpolate=False)[0], unit
+
+
+def _role(name: str) -> str:
+    """What a name says of a column, or ""."""
+    words = [*words_of(name), *(("ω",) if "ω" in name else ())]
+    return next((role for role, known in _ROLES.items() if any(word in known for word in words)), "")
+
+
+def _unit(name: str, role: str) -> str:
+    """The unit that a name states, or ""."""
+    units = _UNITS[role]
+    if set(units) == {"1"}:
+        return "1"
+    ending = re.search(
+        r"(rad[_/ ]?s(?:ec)?|k?hz|db|deg(?:rees)?|°|rad)[\])]?\s*$", name.strip(), re.IGNORECASE
+    )
+    spelled = _SPELLED.get(re.sub(r"[_ ]", "/", ending[1].lower()), "") if ending else ""
+    if spelled in units:
+        return spelled
+    if role == "frequency" and any(word in _OMEGA for word in [*words_of(name), name.strip()]):
+        return "rad/s"
+    return "1" if role == "gain" else ""
+
+
+def _on_its_side(path: Path) -> LogTable | None:
+    """A text table whose first cell of every row is the name of that row; None for all others."""
+    if path.suffix.lower() not in (".csv", ".txt", ".dat", ".tsv"):
+        return None
+    check_file(path)
+    lines = [line for line in normal_bytes(path.read_bytes(), path).decode().split("\n") if line.strip()]
+    lines = [line for line in lines if line.lstrip()[0] not in "#%"]
+    if not _FEWEST <= len(lines) <= len(_ROLES):
+        return None
+    separator = next((mark for mark in ("\t", ";", ",") if mark in lines[0]), "")
+    rows = [split_cells(line, separator) for line in lines]
+    named = all(
+        len(row) > 1 and not NUMBER.fullmatch(row[0]) and all(NUMBER.fullmatch(cell) for cell in row[1:])
+        for row in rows
+    )
+    if not named or len({len(row) for row in rows}) != 1:
+        return None
+    values = tuple(np.array(row[1:], dtype=np.float64) for row in rows)
+    return LogTable(tuple(row[0] for row in rows), values, "text")
+
+
+# --- two channels of any file -------------------------------------------------------------------------------
+
+
+def read_recording(
+    path: Path | str,
+    input: str,
+    output: str,
+    *,
+    time: str | None = None,
+    period: float | None = None,
+    input_at_rest: float = 0.0,
+) -> Recording:
+    """Read two channels of a file as an input and an output, in the file's own units.
+
+    Parameters
+    ----------
+    path
+        a table in any format of `read_log`.
+    input, output
+        names of columns; ``"#2"`` is the second one.
+    time
+        the column of stamps [s]; by default the one that never decreases and is named so.
+    period
+        sampling period [s] instead of stamps.
+    input_at_rest
+        value of the input before the first sample.
+
+    Raises
+    ------
+    LogError, FileFormatError, SizeError
+        a column is not there, stamps are missing or not uniform, or the file is damaged or too large.
+
+    Examples
+    --------
+    >>> from fraclink._logs import bundled_log
+    >>> record = read_recording(bundled_log("prbs_30g"), "motor_angle_rad", "torque_Nm")
+    >>> record.period, record.input.size
+    (0.004, 5001)
+    """
+    place = Path(path)
+    table = read_table(place)
+
+    def column(name: str, role: str) -> Reals:
+        return clean_column(table, table.place(name, role), interpolate=False)[0]
+
+    if period is None:
+        period = _period(column(time or _stamps(table), "time"))
+    return Recording(
+        period=period,
+        input=column(input, "input"),
+        output=column(output, "output"),
+        input_at_rest=input_at_rest,
+        source=place.name,
+        sha256=sha256_of(place),
+    )
+
+
+def _period(stamps: Reals) -> float:
+    """Step of the stamps, of any size: unlike an arm, a furnace may be sampled once in a minute."""
+    step = (stamps[-1] - stamps[0]) / max(stamps.size - 1, 1)
+    worst = float(np.max(np.abs(np.diff(stamps) - step), initial=0.0))
+    if not step > 0 or worst > _JITTER * step:
+        remedy = "resample both channels onto uniform stamps, or give period"
+        evidence = f"steps of {step:.6g} s, off by up to {worst:.3g} s"
+        raise LogError("time", evidence, "not uniform", allowed="one step throughout", remedy=remedy)
+    return float(step)
+
+
+def _stamps(table: LogTable) -> str:
+    clocks = [
+        name
+        for name, values in zip(table.names, table.values, strict=True)
+        if names_time(name) and clock_step(values) is not None
+    ]
+    if len(clocks) == 1:
+        return clocks[0]
+    allowed = "one column of stamps [s]"
+    remedy = "name it by time, or give period"
+    raise LogError("time", ", ".join(table.names[:12]), "not clear", allowed=allowed, remedy=remedy)

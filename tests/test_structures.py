@@ -1,0 +1,331 @@
+"""Any fractional structure: expressions, recovery without a start, intervals, and what must be refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import fraclink as fl
+from fraclink._identify.expression import parse_expression
+from fraclink.errors import FieldError, LogError, NotConvergedError
+
+LAG = "k/(s**a + w)"
+TWO_TERMS = "1/(a2*s**n2 + a1*s**n1 + a0)"
+TRUTH = {"a2": 0.8, "n2": 2.2, "a1": 0.5, "n1": 0.9, "a0": 1.0}
+
+
+def recording(
+    expression: str,
+    truth: dict[str, float],
+    *,
+    samples: int = 2500,
+    period: float = 0.02,
+    noise: float = 0.02,
+    seed: int = 0,
+) -> fl.Recording:
+    rng = np.random.default_rng(seed)
+    u = np.repeat(rng.choice([-1.0, 1.0], samples // 40 + 1), 40)[:samples]
+    y = fl.time_response(parse_expression(expression).function(truth), u, period).output
+    return fl.Recording(period, u, y + 0.3 + noise * y.std() * rng.standard_normal(samples))
+
+
+def lines(
+    expression: str, truth: dict[str, float], *, noise: float = 0.02, seed: int = 0
+) -> fl.FrequencyResponse:
+    rng = np.random.default_rng(seed)
+    w = np.geomspace(0.05, 50.0, 80)
+    h = parse_expression(expression).function(truth)(1j * w)
+    error = rng.standard_normal((2, w.size)) / np.sqrt(2)
+    return fl.FrequencyResponse(w, h * (1 + noise * (error[0] + 1j * error[1])))
+
+
+# --- expressions --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "k*s**a/(s**b + w)*exp(-T*s)",
+        "1/(a2*s**n2 + a1*s**n1 + a0)",
+        "(T*s)**a/(1 + (T*s)**a)**2",
+        "kp + ki*s**-l + kd*s**m",
+        "exp(-(T1 + 2*T2)*s)/s**-a",
+        "k*w**2/(s**2 + 2*z*w*s + w**2)",
+        "1/(s + k*exp(-T*s))",
+        "+s/(2 - -s)",
+    ],
+)
+def test_three_algebras_agree(text: str) -> None:
+    """Arrays, quotients and exact functions are three readings of one tree."""
+    structure = parse_expression(text)
+    values = {name: 0.5 + 0.1 * k for k, name in enumerate(structure.names)}
+    points = 0.2 + 1j * np.array([0.3, 2.0, 40.0])
+    top, bottom = structure.quotient(values, points)
+    exact = structure.function(values)(points)
+    assert structure.response(values, points) == pytest.approx(exact, rel=1e-12)
+    assert top / bottom == pytest.approx(exact, rel=1e-12)
+    many = {name: np.array([[value], [1.1 * value]]) for name, value in values.items()}
+    rows = np.broadcast_to(structure.response(many, points), (2, 3))
+    assert rows[0] == pytest.approx(exact, rel=1e-12)
+
+
+def test_roles() -> None:
+    roles = parse_expression("k*s**(a - b)/(w**c + s**b)*exp(-2*T*s)").roles
+    assert dict(roles) == {
+        "k": "coefficient",
+        "a": "order",
+        "b": "order",
+        "w": "coefficient",
+        "c": "coefficient",
+        "T": "delay",
+    }
+
+
+@pytest.mark.parametrize(
+    ("text", "piece"),
+    [
+        ("1/(s**0.5 + sin(s))", "sin(s)"),
+        ("k/(s + 1)**a", "(s + 1) ** a"),
+        ("k/(s + 1)**0.5", "(s + 1) ** 0.5"),
+        ("exp(T*s)", "exp(T * s)"),
+        ("exp(-T*s**2)", "exp(-T * s ** 2)"),
+        ("s*exp(-T)", "exp(-T)"),
+        ("2**s", "2 ** s"),
+        ("k/(T*s^0.5)", "T * s ^ 0.5"),
+        ("s[0]", "s[0]"),
+        ("s.__class__", "s.__class__"),
+        ("(lambda: s)()", "(lambda: s)()"),
+        ("s if s else k", "s if s else k"),
+        ("'a'*s", "'a'"),
+        ("True*s", "True"),
+        ("1j*s", "1j"),
+        ("exp*s", "exp"),
+        ("offset*s", "offset"),
+        ("k", "k"),
+        ("k s", "k s"),
+        ("", ""),
+        ("s" + "+s" * 1000, "s+s"),
+        ("-" * 100 + "s", "----"),
+        ("+".join(f"p{i}*s" for i in range(13)), "13"),
+    ],
+)
+def test_a_piece_without_meaning_is_named(text: str, piece: str) -> None:
+    with pytest.raises(FieldError) as caught:
+        parse_expression(text)
+    assert caught.value.field == "expression"
+    assert piece in str(caught.value.value)
+
+
+# --- recovery -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("expression", "truth"),
+    [
+        (TWO_TERMS, TRUTH),
+        ("k*s**a/(s**a + w)*exp(-T*s)", {"k": 1.6, "a": 1.7, "w": 4.0, "T": 0.13}),
+        ("k/((T*s)**a + 1)**2", {"k": 2.0, "T": 1.5, "a": 0.8}),
+        ("k*w/(s**2 + 2*z*w**0.5*s + w)", {"k": 1.0, "w": 4.0, "z": 0.2}),
+    ],
+)
+def test_recording_without_a_start(expression: str, truth: dict[str, float]) -> None:
+    data = recording(expression, truth)
+    fit = fl.identify_structure(data, expression, details=False)
+    assert fit.passed, fit.findings
+    for name, value in truth.items():
+        assert abs(fit.parameters[name] - value) < 4 * fit.standard_errors[name], name
+    assert fit.offset == pytest.approx(0.3, abs=0.01)
+    assert fit.heldout_nmse is not None
+    assert fit.heldout_nmse < 1e-3
+    assert fit.transfer_function == parse_expression(expression).function(fit.parameters)
+
+
+def test_the_link_structure_is_that_of_identify() -> None:
+    """Two engines, one answer: the compiled link kernel and exact responses of an expression."""
+    log = fl.read_log(fl.bundled_log("prbs_30g"))
+    link = fl.identify(log, "UD-FOM")
+    fit = fl.identify_structure(log, "k*s**a/(s**a + w)*exp(-T*s)", details=False)
+    assert fit.parameters["a"] == pytest.approx(link.model.order, abs=1e-5)
+    assert fit.parameters["w"] ** 0.5 == pytest.approx(link.model.natural_frequency, rel=1e-5)
+    assert fit.parameters["k"] == pytest.approx(link.gain, rel=1e-5)
+    assert fit.parameters["T"] == pytest.approx(link.delay, abs=1e-6)
+    assert fit.nmse == pytest.approx(link.nmse, rel=1e-6)
+    assert fit.standard_errors["a"] == pytest.approx(link.standard_errors["order"], rel=0.05)
+
+
+def test_frequency_response_without_a_start() -> None:
+    truth = {"K": 20.5, "D": 3.7343, "m": 1.15}  # improper: a recording could not show it
+    fit = fl.identify_structure(lines("K + D*s**m", truth), "K + D*s**m")
+    assert fit.domain == "frequency"
+    for name, value in truth.items():
+        assert abs(fit.parameters[name] - value) < 4 * fit.standard_errors[name]
+        assert fit.intervals[name].low < fit.parameters[name] < fit.intervals[name].high
+    assert fit.heldout_nmse == pytest.approx(4e-4, rel=0.5)
+
+
+def test_weighting_by_coherence() -> None:
+    truth = {"k": 2.0, "a": 0.8, "b": 3.0}
+    clean = lines("k/(s**a + b)", truth, noise=0.001)
+    bad = clean.frequency > 5.0
+    spoilt = clean.response * np.where(bad, 1 + np.random.default_rng(0).normal(size=bad.size), 1.0)
+    coherence = np.where(bad, 0.05, 0.99999)
+    data = fl.FrequencyResponse(clean.frequency, spoilt, coherence=coherence)
+    weighed = fl.identify_structure(data, "k/(s**a + b)", details=False)
+    equal = fl.identify_structure(data, "k/(s**a + b)", weighting="relative", details=False)
+    assert abs(weighed.parameters["a"] - 0.8) < 0.01 < abs(equal.parameters["a"] - 0.8)
+
+
+@pytest.mark.slow
+def test_intervals_cover() -> None:
+    """95 % intervals of three parameters in 40 noises: 114 of 120 expected, hardly ever fewer than 104."""
+    truth = {"k": 2.0, "T": 3.0, "a": 0.7}
+    inside = 0
+    for seed in range(40):
+        data = recording("k/((T*s)**a + 1)", truth, samples=1500, noise=0.1, seed=seed)
+        fit = fl.identify_structure(data, "k/((T*s)**a + 1)", heldout=0.0)
+        inside += sum(fit.intervals[name].contains(value) for name, value in truth.items())
+    assert inside >= 104
+
+
+# --- what the user knows ------------------------------------------------------------------------------------
+
+
+def test_fixed_values_bounds_and_start() -> None:
+    data = recording(LAG, {"k": -2.0, "a": 1.5, "w": 1.0})
+    usual = fl.identify_structure(data, LAG, details=False)
+    assert not usual.passed  # a coefficient is positive where nothing else is said
+    free = fl.identify_structure(data, LAG, bounds={"k": (-10, 10)}, details=False)
+    assert free.parameters["k"] == pytest.approx(-2.0, rel=0.01)
+    known = fl.identify_structure(
+        data, LAG, bounds={"k": (-10, 10)}, fixed={"a": 1.5, "offset": 0.3}, details=False
+    )
+    assert (known.parameters["a"], known.offset, known.fixed) == (1.5, 0.3, ("a",))
+    assert known.standard_errors["w"] < free.standard_errors["w"]
+    again = fl.identify_structure(data, LAG, bounds={"k": (-10, 10)}, start=free.parameters, details=False)
+    assert again.parameters["a"] == pytest.approx(free.parameters["a"], abs=1e-4)
+
+
+def test_orders_of_exchangeable_terms_fall() -> None:
+    """In a2*s**n2 + a1*s**n1 the terms may change names; the text's order says which is which."""
+    data = lines(TWO_TERMS, TRUTH)
+    for text in (TWO_TERMS, "1/(a1*s**n1 + a2*s**n2 + a0)"):
+        fit = fl.identify_structure(data, text, details=False)
+        first, second = [name for name in fit.parameters if name.startswith("n")]
+        assert fit.parameters[first] > fit.parameters[second]
+
+
+@pytest.mark.parametrize(
+    ("options", "field"),
+    [
+        ({"fixed": {"q": 1.0}}, "fixed"),
+        ({"bounds": {"q": (0.0, 1.0)}}, "bounds"),
+        ({"bounds": {"a": (1.0, 0.5)}}, "bounds['a']"),
+        ({"start": {"a": 1.0}}, "start"),
+        ({"start": {"a": 9.0, "w": 1.0}}, "start['a']"),
+        ({"fixed": {"k": 1.0, "a": 1.0, "w": 1.0}}, "expression"),
+        ({"weighting": "coherence"}, "weighting"),
+        ({"hold": "second"}, "hold"),
+        ({"heldout": 2.0}, "heldout"),
+    ],
+)
+def test_arguments_out_of_range(options: dict[str, object], field: str) -> None:
+    with pytest.raises(FieldError) as caught:
+        fl.identify_structure(lines(LAG, {"k": 1, "a": 1, "w": 1}), LAG, **options)  # type: ignore[arg-type]
+    assert caught.value.field == field
+
+
+def test_data_without_information() -> None:
+    still = fl.Recording(0.1, np.zeros(300), np.random.default_rng(0).normal(size=300))
+    with pytest.raises(LogError, match="input"):
+        fl.identify_structure(still, LAG)
+    few = fl.FrequencyResponse([1.0, 2.0, 3.0], [1.0, 0.5, 0.3])
+    with pytest.raises(FieldError, match="too few"):
+        fl.identify_structure(few, LAG)
+    improper = recording(LAG, {"k": 1, "a": 1, "w": 1}, samples=400)
+    with pytest.raises(NotConvergedError, match="proper"):
+        fl.identify_structure(improper, "k*s**2/(s + w)")
+
+
+# --- nothing is known that the data do not say --------------------------------------------------------------
+
+
+def codes(fit: fl.StructureFit) -> set[str]:
+    return {finding.code for finding in fit.findings}
+
+
+def test_a_product_of_two_parameters_is_not_two_parameters() -> None:
+    fit = fl.identify_structure(lines(LAG, {"k": 2, "a": 1.5, "w": 1}), "k*c/(s**a + w)")
+    assert "W352" in codes(fit)
+    assert {"k", "c"} <= set(fit.undetermined)
+    assert not {"k", "c"} & set(fit.intervals)
+    assert "a" in fit.intervals
+    assert not fit.passed
+
+
+def test_a_superfluous_scale_is_seen() -> None:
+    fit = fl.identify_structure(lines(LAG, {"k": 2, "a": 1.5, "w": 1}), "k/(c*s**a + w)")
+    assert {"k", "c", "w"} <= set(fit.undetermined) | set(fit.at_bound)
+    assert not fit.passed
+
+
+def test_a_band_that_misses_a_corner() -> None:
+    data = lines(LAG, {"k": 2.0, "a": 0.9, "w": 1.0}).between(20.0, 50.0)
+    fit = fl.identify_structure(data, LAG)
+    assert "w" in {*fit.undetermined, *fit.at_bound}
+    assert not fit.passed
+
+
+def test_noise_is_no_system() -> None:
+    rng = np.random.default_rng(1)
+    noise = fl.Recording(0.02, rng.choice([-1.0, 1.0], 2000), rng.standard_normal(2000))
+    fit = fl.identify_structure(noise, LAG, details=False)
+    assert "W355" in codes(fit)
+    assert not fit.passed
+
+
+def test_a_term_that_is_not_there_is_at_its_bound_or_unknown() -> None:
+    data = recording(LAG, {"k": 2.0, "a": 1.2, "w": 1.0})
+    fit = fl.identify_structure(data, "k/(s**a + c*s**b + w)", details=False)
+    assert not fit.passed
+    assert {*fit.undetermined, *fit.at_bound} & {"b", "c"}
+
+
+# --- the result ---------------------------------------------------------------------------------------------
+
+
+def test_a_fit_is_saved_shown_and_drawn(tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    timed = fl.identify_structure(recording(LAG, {"k": 2, "a": 1.5, "w": 1}), LAG, details=False)
+    swept = fl.identify_structure(lines(LAG, {"k": 2, "a": 1.5, "w": 1}), LAG, details=False)
+    for fit in (timed, swept):
+        fit.save(tmp_path / "fit.json")
+        assert fl.load(tmp_path / "fit.json") == fit == fl.StructureFit.load(tmp_path / "fit.json")
+        assert hash(fit) == hash(fl.load(tmp_path / "fit.json"))
+        assert repr(fit).startswith("StructureFit(k/(s**a + w): k = ")
+        page = fit._repr_html_()  # type: ignore[attr-defined]
+        assert "95 % interval" in page
+        assert "<svg" in page
+        assert fl.step_response(fit.transfer_function, [20.0]).output[0] > 1.0
+
+
+def test_data_are_saved(tmp_path: Path) -> None:
+    for data in (
+        recording(LAG, {"k": 2, "a": 1.5, "w": 1}, samples=60),
+        lines("k/(s + w)", {"k": 1, "w": 1}),
+    ):
+        fl.save(data, tmp_path / "data.npz", force=True)
+        assert fl.load(tmp_path / "data.npz") == data
+        assert repr(data).startswith(type(data).__name__)
+
+
+def test_two_channels_of_a_log() -> None:
+    log = fl.Experiment(0.01, [0.5, 0.6], [0.0, 0.1], voltage=[1.0, 2.0])
+    assert fl.Recording.of(log).input_at_rest == 0.5
+    voltage = fl.Recording.of(log, "voltage", "motor_angle")
+    assert (voltage.input.tolist(), voltage.output.tolist()) == ([1.0, 2.0], [0.0, 0.09999999999999998])
+    with pytest.raises(LogError, match="voltage"):
+        fl.Recording.of(fl.Experiment(0.01, [0.5, 0.6], [0.0, 0.1]), "voltage")
+    with pytest.raises(LogError, match="output"):
+        fl.Recording(0.1, [1.0, 2.0], [1.0])
