@@ -47,7 +47,7 @@ COMMANDS: dict[str, str] = {
     "identify-payloads-tied": f"identify-payloads {THREE} {RIG} --tied",
     "identify-motor": f"identify-motor motor.csv {RIG}",
     "identify-spectrum": "identify-spectrum response.csv",
-    "identify-structure": 'identify-structure response.csv "k*s**a/(s**a + w)" --out structure.json',
+    "identify-structure": "identify-structure response.csv k*s**a/(s**a+w) --out structure.json",
     "plan-experiment": f"plan-experiment {RIG} --standard-error 0.001 --noise 0.04",
     "plan-experiment-infeasible": f"plan-experiment {RIG} --standard-error 0.001 --noise 0.04 "
     "--deflection-limit 0.001",

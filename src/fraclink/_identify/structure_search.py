@@ -228,8 +228,8 @@ class StructureSearch:
     def _settled(self, data: Samples, places: Reals, low: Reals, high: Reals) -> Descent:
         """The ends of descents by a trust region, one after another.
 
-        Its radius keeps to a curved valley that a swinging damping crosses again and again: 30 calls instead of
-        hundreds where two terms of a sum have nearly one order.
+        Its radius keeps to a curved valley that a swinging damping crosses again and again: 30 calls
+        instead of hundreds where two terms of a sum have nearly one order.
         """
 
         def residuals(x: Reals) -> Reals:
