@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from fraclink._identify.intervals import QUANTILE, Interval, interval_end
 from fraclink._identify.structure_coordinates import Coordinates
 from fraclink._identify.structure_data import Samples
-from fraclink._identify.structure_search import Place, StructureSearch
+from fraclink._identify.structure_search import PERFECT, Place, StructureSearch
 from fraclink._identify.uncertainty import inverted, sandwich
 
 __all__ = ["Certainty", "certainty_of", "in_order"]
@@ -27,7 +27,6 @@ _SHARE = 0.1  # of a direction that the data do not see: parameters that take pa
 # apart.
 _COEFFICIENT_MOST = 0.5
 _ORDER_MOST = 0.25
-_PERFECT = 1e-16  # cost over power: what is left is rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +60,7 @@ def certainty_of(search: StructureSearch, data: Samples, best: Place, *, details
     variance = best.cost / max(data.measured.size - len(kept), 1)
     white = variance * np.diag(inverse)
     wide = white
-    perfect = best.cost <= _PERFECT * float(data.measured @ data.measured)
+    perfect = best.cost <= PERFECT * float(data.measured @ data.measured)
     if not perfect:
         # Colour may also narrow an estimate, but the sandwich is too noisy to be believed there.
         wide = np.maximum(np.diag(sandwich(inverse, jacobian, residual, variance)[0]), white)

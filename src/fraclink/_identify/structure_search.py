@@ -27,7 +27,7 @@ from fraclink._identify.structure_data import Samples, Spectrum, Window
 from fraclink._identify.structure_starts import Starts
 from fraclink.errors import NotConvergedError
 
-__all__ = ["Place", "StructureSearch"]
+__all__ = ["PERFECT", "Place", "StructureSearch"]
 
 Reals = NDArray[np.float64]
 
@@ -37,6 +37,7 @@ _FIRST_STEPS = 10
 _SAME = 1e-6  # costs closer than that are those of one function, found twice or with its parameters exchanged
 _ENOUGH = 1e-9  # of the cost on samples: what a step gains at the end of a descent
 _CALLS = 150
+PERFECT = 1e-16  # of the power: a cost below is rounding
 _NEAR_ENOUGH = (
     1e-5  # of the cost: what a last step would still gain; in 10 000 samples a tenth of a parameter's
 )
@@ -242,6 +243,7 @@ class StructureSearch:
             return np.asarray(differences(many, x[None, :], residuals(x)[None, :], low, high)[0].T)
 
         ends, costs, converged = [], [], []
+        power = float(data.measured @ data.measured)
         for place in places:
             begin = np.clip(place, low + 1e-9, high - 1e-9)  # strictly inside, as the method demands
             first = residuals(begin)
@@ -264,7 +266,8 @@ class StructureSearch:
                 )
             ends.append(found.x)
             costs.append(2.0 * float(found.cost))
-            converged.append(found.status > 0 and _decrement(found) <= _NEAR_ENOUGH * 2.0 * found.cost)
+            least = max(_NEAR_ENOUGH * costs[-1], PERFECT * power)
+            converged.append(found.status > 0 and _decrement(found) <= least)
         return Descent(np.array(ends), np.array(costs), np.array(converged), 0)
 
     def _ranked(self, spectrum: Spectrum, draws: Reals) -> Reals:
