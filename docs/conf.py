@@ -56,7 +56,7 @@ nitpicky = True
 nitpick_ignore_regex = [
     (r"py:.*", r"(numpy|np|control|matplotlib|pathlib|collections\.abc)\..+"),
     (r"py:.*", r"ArrayLike|NDArray|TypeAliasForwardRef|Axes|Path"),
-    (r"py:.*", r"typing\.(Annotated|Literal)\[.*"),  # a range or a choice in a signature, cut at its comma
+    (r"py:.*", r".*typing\.(Annotated|Literal)\[.*"),  # a range or a choice in a signature, cut at its comma
     (r"py:class", r"tuple\[float|fraclink\._validate\.ranges\.Array"),  # likewise
     # Private types in the signatures of public functions: what they mean stands in the text.
     (r"py:class", r"fraclink\._law\.discretization\._Designed|fraclink\._campaign\.fault_rules\.FaultRule"),
