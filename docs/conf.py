@@ -60,7 +60,7 @@ nitpick_ignore_regex = [
     (r"py:class", r"tuple\[float|fraclink\._validate\.ranges\.Array"),  # likewise
     # Private types in the signatures of public functions: what they mean stands in the text.
     (r"py:class", r"fraclink\._law\.discretization\._Designed|fraclink\._campaign\.fault_rules\.FaultRule"),
-    (r"py:class", r"fraclink\._files\.T"),
+    (r"py:class", r"fraclink\._files\.T|fraclink\._validate\.ranges\.Array"),
     (r"py:class", r"fraclink\._show\.text\.View"),
 ]
 suppress_warnings = ["myst.strikethrough"]

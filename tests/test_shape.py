@@ -140,7 +140,7 @@ def test_a_move_for_the_identified_model_suits_that_model(design: fl.Design) -> 
     made = fl.design(
         slow, RIG, payloads=(0.020, 0.040), gain_crossover=10.0, phase_margin=fl.deg(45), filter_time=0.02
     )
-    fitting = fl.shape(made, 1.0, payloads=KNOWN, told=True, arm="model", seeds=2, rivals=False)
+    fitting = fl.shape(made, 1.0, payloads=KNOWN, told=True, on="model", seeds=2, rivals=False)
     assert fitting.passed and fitting.settling_time < 0.45
     of_twin = fl.shape(made, 1.0, payloads=KNOWN, told=True, seeds=1, rivals=False)
     run = fl.simulate(made, of_twin.reference, payload=0.030, told=True)
@@ -190,6 +190,8 @@ def test_what_cannot_be_shaped_is_refused(design: fl.Design) -> None:
     refused("move", 20.0)
     refused("move", math.nan)
     refused("payloads", 1.0, payloads=(0.04, 0.02))
+    refused("payloads", 1.0, payloads=(0.0, 0.02))
+    refused("arm", 1.0, on="model", arm=Twin.from_rig(RIG))
     assert "V" in str(refused("voltage", 1.0, voltage=1.0, payloads=KNOWN))
     refused("move", fl.spline([0.0, 1.0], [0.1, 1.0]), payloads=KNOWN)
     refused("move", fl.smooth_step(1.0, 30.0), payloads=KNOWN)

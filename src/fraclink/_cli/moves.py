@@ -76,7 +76,7 @@ def shape(
     with steps(1) as begin:
         begin("shaping the move")
         wanted = amplitude if follow is None else _followed(follow)
-        move = shape_move(made, wanted, arm=arm if on == "twin" else on, **request)
+        move = shape_move(made, wanted, on=on, arm=arm if on == "twin" else None, **request)
     move.save(out)
     written: tuple[Path, ...] = (out,)
     if table is not None:

@@ -18,7 +18,7 @@ from fraclink._shape.responses import Responses
 from fraclink._shape.setting import Setting
 from fraclink._simulate import Twin
 from fraclink._simulate.metrics import BAND
-from fraclink._validate import Between, checked
+from fraclink._validate import Between, Ordered, checked
 from fraclink.errors import FieldError
 from fraclink.findings import Finding
 
@@ -35,13 +35,14 @@ def shape(
     design: Design,
     move: Annotated[float, Between(-1e3, 1e3, "rad")] | Path | SampledReference,
     *,
-    payloads: tuple[float, float] | None = None,
+    payloads: Annotated[tuple[float, float], Ordered()] | None = None,
     told: bool = False,
     voltage: Annotated[float, Between(0.0, 1e6, "V", low_open=True)] | None = None,
     speed: Annotated[float, Between(0.0, 1e6, "rad/s", low_open=True)] | None = None,
     torque: Annotated[float, Between(0.0, 1e6, "N·m", low_open=True)] | None = None,
     reserve: Annotated[float, Between(0.0, 0.9)] = 0.25,
-    arm: Twin | Literal["twin", "model"] = "twin",
+    on: Literal["twin", "model"] = "twin",
+    arm: Twin | None = None,
     gauge_offset: Annotated[float, Between(-1e6, 1e6, "N·m")] | None = None,
     seeds: Annotated[int, Between(1, 1000)] = 5,
     rivals: bool = True,
@@ -74,9 +75,11 @@ def shape(
         noise included.
     reserve
         part of the 2 % band that the linear loop leaves to friction and noise, 0 … 0.9 [1].
+    on
+        what the loop is taken from and measured on: "twin", an arm made from the rig's stiffness, length and
+        masses, or "model", the link as it was identified.
     arm
-        what the loop is taken from and measured on: "twin", `Twin.from_rig` of the design; "model", the link
-        as it was identified, which a twin made from stiffness, length and masses is not; or a twin.
+        the twin to take; default `Twin.from_rig` of the design.
     gauge_offset
         of the gauge while it is measured [N·m]; the rig's where it is left out.
     seeds
@@ -107,7 +110,11 @@ def shape(
     move = move.through() if isinstance(move, SampledReference) else move
     if move == 0.0:
         raise FieldError("move", 0.0, "no move", allowed="not 0 rad", remedy="give its size")
-    setting = Setting.of(design, payloads, told, arm, gauge_offset)
+    if on == "model" and arm is not None:
+        allowed, remedy = "on='twin'", "leave one of the two out"
+        raise FieldError("arm", "given", "a twin, beside on='model'", allowed=allowed, remedy=remedy)
+    twin = None if on == "model" else arm or Twin.from_rig(design.rig, model=design.model)
+    setting = Setting.of(design, payloads, told, twin, gauge_offset)
     farthest, limit = setting.law.limits.angle_limit, setting.arm.voltage_limit
     if not isinstance(move, Path) and abs(move) >= farthest:
         allowed, remedy = f"< {farthest:.4g} rad, the law's own limit", "derive the law's limits for it"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -51,15 +51,13 @@ class Setting:
         design: Design,
         payloads: tuple[float, float] | None,
         told: bool,
-        arm: Twin | Literal["twin", "model"],
+        twin: Twin | None,
         gauge_offset: float | None,
     ) -> Setting:
         low, high = payloads or design.payloads
-        if not 0.0 < low <= high < math.inf:
-            allowed, remedy = "0 < low <= high [kg]", "put the lighter one first"
-            raise FieldError("payloads", (low, high), "not a range", allowed=allowed, remedy=remedy)
-        twin = Twin.from_rig(design.rig, model=design.model) if arm == "twin" else arm
-        own = Arm(design.rig, design.model, twin if isinstance(twin, Twin) else None)
+        if low <= 0.0:
+            raise FieldError("payloads", low, "no payload", allowed="> 0 kg", remedy="give kg: 0.030 is 30 g")
+        own = Arm(design.rig, design.model, twin)
         middle = math.sqrt(low * high)
         link = design.model.at_payload(middle) if design.model.payload is not None else design.model
         return Setting(own.equipped(design.law()), own, link, (low, high), told, gauge_offset)
