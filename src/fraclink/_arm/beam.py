@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Annotated, Literal
 
 import numpy as np
@@ -210,6 +211,7 @@ def rigid_rotation(beam: Beam) -> Vector:
     return rigid
 
 
+@lru_cache(maxsize=256)  # every run of a twin asks for its vibration period, half of what the run costs
 def _modes(beam: Beam, count: int) -> BeamModes:
     mass, stiffness = matrices(beam)
     factor = np.linalg.cholesky(stiffness)
