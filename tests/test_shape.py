@@ -22,8 +22,8 @@ from fraclink._cli import main
 from fraclink._law import LawInputs
 from fraclink._realtime import Callback, VirtualClock
 from fraclink._shape import ShapedMove, setting
-from fraclink._shape.arm import Arm
-from fraclink._shape.programme import Bounds, Programme, spline_path
+from fraclink._shape.arm import ShapedArm
+from fraclink._shape.programme import MoveBounds, Programme, spline_path
 from fraclink._shape.responses import SIGNALS, responses_of, without_friction
 from fraclink._show.moves import shaped_figure, shaped_view
 from fraclink._simulate import Twin
@@ -62,7 +62,7 @@ def known(design: fl.Design) -> ShapedMove:
 @pytest.mark.parametrize("told", [False, True])
 @pytest.mark.parametrize("on", ["twin", "model"])
 def test_the_responses_predict_every_signal_of_a_run(design: fl.Design, told: bool, on: str) -> None:
-    arm = Arm(RIG, design.model, Twin.from_rig(RIG) if on == "twin" else None)
+    arm = ShapedArm(RIG, design.model, Twin.from_rig(RIG) if on == "twin" else None)
     free, plain = without_friction(design.law(), arm.with_exact_sensors())
     move = fl.smooth_step(0.4, 0.3, 0.05)
     run = plain.run(free, move, 0.033, 1.0, told=told)
@@ -78,9 +78,9 @@ def test_the_responses_predict_every_signal_of_a_run(design: fl.Design, told: bo
 
 
 def test_the_programme_of_some_rows_has_the_optimum_of_all(design: fl.Design) -> None:
-    arm = Arm(RIG, design.model, Twin.from_rig(RIG))
+    arm = ShapedArm(RIG, design.model, Twin.from_rig(RIG))
     loops = responses_of(design.law(), arm, (0.020, 0.040), 2.5, told=False)
-    bounds = Bounds({"voltage": 5.0, "torque": 1.0}, velocity=6.0, acceleration=60.0)
+    bounds = MoveBounds({"voltage": 5.0, "torque": 1.0}, velocity=6.0, acceleration=60.0)
     programme = Programme(loops, 6, bounds)
     target, count = np.ones(programme.length), programme.count_for(0.5)
     found = programme.solve(count, target, 125, 400)

@@ -13,13 +13,13 @@ from fraclink._law import Law
 from fraclink._simulate import Run, Twin, simulate
 from fraclink._simulate.simulate import with_motor_loop
 
-__all__ = ["UNLIMITED", "Arm"]
+__all__ = ["UNLIMITED", "ShapedArm"]
 
 UNLIMITED = 1e4  # [V]: a law's block holds finite numbers
 
 
 @dataclass(frozen=True)
-class Arm:
+class ShapedArm:
     """A twin; or, without one, the model of the link behind the rig's motor, gauge and encoder."""
 
     rig: Rig
@@ -65,21 +65,21 @@ class Arm:
         limit = self.twin.sensors.gauge_limit
         return math.inf if limit is None else limit
 
-    def without_friction(self) -> Arm:
+    def without_friction(self) -> ShapedArm:
         """Return the arm without friction and with an amplifier that has no limit."""
         rig = replace(self.rig, motor=replace(self.rig.motor, coulomb_torque=0.0, voltage_limit=UNLIMITED))
         if self.twin is None:
-            return Arm(rig, self.model, None)
+            return ShapedArm(rig, self.model, None)
         motor = replace(self.twin.motor, coulomb_torque=0.0, voltage_limit=UNLIMITED)
-        return Arm(rig, self.model, replace(self.twin, motor=motor, stiction=0.0))
+        return ShapedArm(rig, self.model, replace(self.twin, motor=motor, stiction=0.0))
 
-    def with_exact_sensors(self) -> Arm:
+    def with_exact_sensors(self) -> ShapedArm:
         """Return the arm with sensors that neither round, limit nor add anything; a late gauge stays late."""
         gauge = replace(self.rig.gauge, noise=0.0, offset=0.0, quantum=0.0, limit=math.inf)
         encoder = replace(self.rig.encoder, counts_per_revolution=None)
         rig = replace(self.rig, gauge=gauge, encoder=encoder)
         if self.twin is None:
-            return Arm(rig, self.model, None)
+            return ShapedArm(rig, self.model, None)
         exact = replace(self.twin.sensors, counts_per_revolution=None, gauge_noise=0.0, gauge_offset=0.0)
         exact = replace(exact, gauge_quantum=0.0, gauge_limit=None, gauge_drift=0.0)
-        return Arm(rig, self.model, replace(self.twin, sensors=exact))
+        return ShapedArm(rig, self.model, replace(self.twin, sensors=exact))

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from fraclink._arm.link import LinkModel
 from fraclink._arm.reference import Reference, smooth_step
 from fraclink._arm.shapers import SHAPERS, Shaped, Shaper, shaper_impulses
-from fraclink._shape.programme import Bounds
+from fraclink._shape.programme import MoveBounds
 from fraclink._shape.responses import Responses
 
 __all__ = ["Candidate", "candidates", "settling"]
@@ -50,7 +50,7 @@ def settling(tip: Real, move: float, band: float, period: float) -> float:
     return period * (len(outside) - int(np.argmax(outside[::-1]))) if outside.any() else 0.0
 
 
-def _kept(loops: Responses, bounds: Bounds, reference: Reference) -> bool:
+def _kept(loops: Responses, bounds: MoveBounds, reference: Reference) -> bool:
     time = loops.period * np.arange(loops.length)
     if np.abs(reference.velocity(time)).max() > bounds.velocity:
         return False
@@ -76,7 +76,7 @@ def _tried(kind: Shaper | None, move: float, link: LinkModel) -> Iterator[tuple[
 
 
 def candidates(
-    loops: Responses, move: float, band: float, bounds: Bounds, link: LinkModel
+    loops: Responses, move: float, band: float, bounds: MoveBounds, link: LinkModel
 ) -> tuple[Candidate, ...]:
     """Return the best quintic, ZV, ZVD and EI for a move [rad]; none of a kind that keeps no bound."""
     found = []

@@ -13,9 +13,9 @@ from fraclink._arm.reference import Path, SampledReference
 from fraclink._design import Design
 from fraclink._shape.candidates import Candidate, candidates, settling
 from fraclink._shape.move import ShapedMove
-from fraclink._shape.programme import Programme, Solution
+from fraclink._shape.programme import MoveSolution, Programme
 from fraclink._shape.responses import Responses
-from fraclink._shape.setting import Setting
+from fraclink._shape.setting import MoveSetting
 from fraclink._simulate import Twin
 from fraclink._simulate.metrics import BAND
 from fraclink._validate import Between, Ordered, checked
@@ -114,7 +114,7 @@ def shape(
         allowed, remedy = "on='twin'", "leave one of the two out"
         raise FieldError("arm", "given", "a twin, beside on='model'", allowed=allowed, remedy=remedy)
     twin = None if on == "model" else arm or Twin.from_rig(design.rig, model=design.model)
-    setting = Setting.of(design, payloads, told, twin, gauge_offset)
+    setting = MoveSetting.of(design, payloads, told, twin, gauge_offset)
     farthest, limit = setting.law.limits.angle_limit, setting.arm.voltage_limit
     if not isinstance(move, Path) and abs(move) >= farthest:
         allowed, remedy = f"< {farthest:.4g} rad, the law's own limit", "derive the law's limits for it"
@@ -144,7 +144,7 @@ def shape(
 
 
 def _references(
-    setting: Setting,
+    setting: MoveSetting,
     move: float | Path,
     limits: tuple[float, float | None, float | None],
     reserve: float,
@@ -176,8 +176,8 @@ def _references(
 
 
 def _fastest(
-    setting: Setting, programme: Programme, move: float, reserve: float
-) -> tuple[Solution, Programme]:
+    setting: MoveSetting, programme: Programme, move: float, reserve: float
+) -> tuple[MoveSolution, Programme]:
     """Bisect the settling time [periods] and return the gentlest reference that keeps the shortest."""
     allowed = (1.0 - reserve) * BAND * abs(move)
     tail = math.ceil(_TAIL * setting.vibration / programme.period)
@@ -210,13 +210,13 @@ def _coarse(programme: Programme, duration: float) -> Programme:
 
 def _settling_at(
     programme: Programme, move: float, settled: int, tail: int, *, within: float | None = None
-) -> Solution | None:
+) -> MoveSolution | None:
     target = np.full(programme.length, move)
     count = programme.count_for(settled * programme.period)
     return programme.solve(count, target, settled, settled + tail, within=within)
 
 
-def _required(solution: Solution | None) -> Solution:
+def _required(solution: MoveSolution | None) -> MoveSolution:
     if solution is None:
         raise AssertionError("a programme that was solved before is not any more")
     return solution
@@ -228,7 +228,7 @@ def _unreachable(move: float, programme: Programme) -> FieldError:
     return FieldError("move", move, "not reached within its limits", allowed=allowed, remedy=remedy)
 
 
-def _following(programme: Programme, path: Path) -> Solution:
+def _following(programme: Programme, path: Path) -> MoveSolution:
     last = math.ceil(path.duration / programme.period) + 1
     if last + programme.knot > programme.length:
         allowed = f"<= {(programme.length - programme.knot) * programme.period:.3g} s"

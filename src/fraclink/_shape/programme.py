@@ -21,7 +21,7 @@ from scipy.optimize import linprog
 from fraclink._arm.reference import Path
 from fraclink._shape.responses import SIGNALS, Responses
 
-__all__ = ["Bounds", "Programme", "Solution", "spline_path"]
+__all__ = ["MoveBounds", "MoveSolution", "Programme", "spline_path"]
 
 Real = NDArray[np.float64]
 
@@ -42,7 +42,7 @@ _BROKEN, _PART = 1e-4, 1e-3
 
 
 @dataclass(frozen=True)
-class Bounds:
+class MoveBounds:
     """Largest magnitude of each signal but the tip, and of the reference's velocity and acceleration."""
 
     signals: dict[str, float]
@@ -51,7 +51,7 @@ class Bounds:
 
 
 @dataclass(frozen=True)
-class Solution:
+class MoveSolution:
     """Coefficients [rad] and the largest distance of the tip to its target [rad]."""
 
     coefficients: Real
@@ -64,7 +64,7 @@ class Programme:
 
     loops: Responses
     knot: int
-    bounds: Bounds
+    bounds: MoveBounds
 
     @property
     def period(self) -> float:
@@ -83,7 +83,7 @@ class Programme:
 
     def solve(
         self, count: int, target: Real, first: int, last: int, *, within: float | None = None
-    ) -> Solution | None:
+    ) -> MoveSolution | None:
         """Return the spline of `count` coefficients whose tip is nearest to `target` from row first to last.
 
         The reference ends where the target ends. With `within` [rad] the tip keeps that distance and the
@@ -106,7 +106,7 @@ class Programme:
             cost, ends = np.append(np.zeros(count + 1), np.ones(extra)), np.append(ends, np.zeros(extra))
             most += [(0.0, None)] * extra
         found = _least(cost, rows, sides, ends[None, :], end, free + most)
-        return None if found is None else Solution(found[:count], float(found[count]))
+        return None if found is None else MoveSolution(found[:count], float(found[count]))
 
     def _kept(self, count: int, target: Real, first: int, last: int) -> tuple[Real, Real]:
         """Every inequality as rows @ (c, e) <= sides."""
@@ -150,7 +150,7 @@ class Programme:
         scale = (self.knot * self.period) ** 2 * self.bounds.acceleration
         return np.pad(np.diff(second, axis=0) / scale, ((0, 0), (0, 1)))
 
-    def path(self, solution: Solution) -> Path:
+    def path(self, solution: MoveSolution) -> Path:
         """Return the reference."""
         return spline_path(solution.coefficients, self.knot * self.period)
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from fraclink._arm.reference import Reference, SampledReference, hold, sampled
 from fraclink._law import Law
-from fraclink._shape.arm import UNLIMITED, Arm
+from fraclink._shape.arm import UNLIMITED, ShapedArm
 from fraclink._simulate import Run
 from fraclink.errors import FieldError
 
@@ -62,7 +62,7 @@ class Responses:
         return np.asarray(np.fft.irfft(spectrum, 2 * self.length)[..., : self.length])
 
 
-def without_friction(law: Law, arm: Arm) -> tuple[Law, Arm]:
+def without_friction(law: Law, arm: ShapedArm) -> tuple[Law, ShapedArm]:
     """Return the law without its compensation of friction, the arm without friction, neither with a limit."""
     drive = law.drive
     if drive is None:
@@ -72,7 +72,9 @@ def without_friction(law: Law, arm: Arm) -> tuple[Law, Arm]:
     return free.in_precision("double"), arm.without_friction()
 
 
-def responses_of(law: Law, arm: Arm, payloads: Sequence[float], duration: float, *, told: bool) -> Responses:
+def responses_of(
+    law: Law, arm: ShapedArm, payloads: Sequence[float], duration: float, *, told: bool
+) -> Responses:
     """Return the responses of the loop for each payload [kg], over `duration` [s].
 
     FieldError where one does not die away: the loop is not stable on this arm.
@@ -88,7 +90,7 @@ def responses_of(law: Law, arm: Arm, payloads: Sequence[float], duration: float,
     return Responses(tuple(payloads), law.period, np.stack(found))
 
 
-def _impulse(law: Law, arm: Arm, row: int, payload: float, duration: float, told: bool) -> Real:
+def _impulse(law: Law, arm: ShapedArm, row: int, payload: float, duration: float, told: bool) -> Real:
     size = _ACCELERATION if row else _ANGLE
     values = np.zeros((3, 4))
     values[row, 1] = size  # in the second period: the first one starts the law
@@ -105,7 +107,7 @@ def _signals(run: Run) -> Real:
     return np.array([run.tip_angle, run.voltage, steps, speed, run.torque])
 
 
-def noise_of(law: Law, arm: Arm, payload: float, *, told: bool) -> dict[str, float]:
+def noise_of(law: Law, arm: ShapedArm, payload: float, *, told: bool) -> dict[str, float]:
     """Return what the sensors' noise makes of each signal where nothing moves, as a standard deviation."""
     free, quiet = without_friction(law, arm)
     run = quiet.run(free, hold(0.0), payload, _NOISE_TIME, told=told, gauge_offset=0.0)

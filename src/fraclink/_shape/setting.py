@@ -13,15 +13,15 @@ from fraclink._arm.link import LinkModel
 from fraclink._arm.reference import Path, Reference
 from fraclink._design import Design
 from fraclink._law import Law
-from fraclink._shape.arm import Arm
+from fraclink._shape.arm import ShapedArm
 from fraclink._shape.candidates import Candidate
 from fraclink._shape.move import Measured
-from fraclink._shape.programme import Bounds, Programme
+from fraclink._shape.programme import MoveBounds, Programme
 from fraclink._shape.responses import SIGNALS, UNITS, noise_of, responses_of
 from fraclink._simulate import Run, Twin
 from fraclink.errors import FieldError
 
-__all__ = ["Setting"]
+__all__ = ["MoveSetting"]
 
 # Between two payloads of the programme: ω₀ changes by a tenth. The arm is measured in between, too;
 # with five payloads from 8 to 80 g it settles there after 1.05 s where 0.88 s were promised.
@@ -36,11 +36,11 @@ _REST = 4.0  # vibration periods that the arm is measured for after the referenc
 
 
 @dataclass(frozen=True)
-class Setting:
+class MoveSetting:
     """The law, the arm, and the payloads: what a move is shaped for."""
 
     law: Law
-    arm: Arm
+    arm: ShapedArm
     link: LinkModel
     payloads: tuple[float, float]
     told: bool
@@ -53,14 +53,14 @@ class Setting:
         told: bool,
         twin: Twin | None,
         gauge_offset: float | None,
-    ) -> Setting:
+    ) -> MoveSetting:
         low, high = payloads or design.payloads
         if low <= 0.0:
             raise FieldError("payloads", low, "no payload", allowed="> 0 kg", remedy="give kg: 0.030 is 30 g")
-        own = Arm(design.rig, design.model, twin)
+        own = ShapedArm(design.rig, design.model, twin)
         middle = math.sqrt(low * high)
         link = design.model.at_payload(middle) if design.model.payload is not None else design.model
-        return Setting(own.equipped(design.law()), own, link, (low, high), told, gauge_offset)
+        return MoveSetting(own.equipped(design.law()), own, link, (low, high), told, gauge_offset)
 
     @property
     def vibration(self) -> float:
@@ -98,7 +98,7 @@ class Setting:
                 problem, allowed = "less than noise and friction take", f"> {left[name]:.3g} {unit}"
                 remedy = "allow more, or design with a longer filter"
                 raise FieldError(field, value, problem, allowed=allowed, remedy=remedy)
-        bounds = Bounds(
+        bounds = MoveBounds(
             {name: value - left[name] for name, value in most.items() if math.isfinite(value)},
             velocity=_GUARDED * limits.reference_step / law.period,
             acceleration=_GUARDED * limits.acceleration_limit,
