@@ -95,6 +95,8 @@ from fraclink._identify.compare import Comparison as Comparison
 from fraclink._identify.compare import Contest as Contest
 from fraclink._identify.compare import compare_structures as compare_structures
 from fraclink._identify.compare import identify as identify
+from fraclink._identify.driven import DrivenLinkFit as DrivenLinkFit
+from fraclink._identify.driven import identify_driven_link as identify_driven_link
 from fraclink._identify.excitation import ExperimentDesign as ExperimentDesign
 from fraclink._identify.excitation import design_experiment as design_experiment
 from fraclink._identify.fit import Fit as Fit

@@ -43,7 +43,7 @@ _SECTIONS: dict[str, dict[str, str]] = {
     "More on logs and models": dict.fromkeys(
         (
             *("compare-structures", "identify-payloads", "identify-motor", "identify-spectrum"),
-            *("identify-structure", "plan-experiment", "record"),
+            *("identify-driven-link", "identify-structure", "plan-experiment", "record"),
         ),
         "models",
     ),

@@ -205,6 +205,27 @@ def identify_spectrum(
 
 
 @command(app)
+def identify_driven_link(
+    response: Annotated[
+        Path, typer.Argument(metavar="TABLE"), "Table of the response, as of identify-spectrum"
+    ],
+    rig: RigName,
+    output: Annotated[Literal["motor_angle", "torque"], "What was measured"] = "motor_angle",
+    out: Annotated[Path, "File to write the model to", Writes()] = Path("model.json"),
+) -> Answer:
+    """Fit link and motor to a frequency response from the amplifier's voltage.
+
+    $ fraclink identify-driven-link response.csv --rig rig.toml
+    """
+    motor = load_rig(rig).motor
+    found = identification.identify_driven_link(read_frequency_response(response), output=output)
+    if not found.passed:
+        return Answer(found, passed=False)
+    identification.save_model(found.model(motor.inertia * motor.gear_ratio**2), out)
+    return Answer(found, written=(out,), following=f"fraclink design --rig {rig} --model {out}")
+
+
+@command(app)
 def identify_structure(
     data: Annotated[
         Path,

@@ -88,7 +88,7 @@ _HOMES = {
     "comparison": "fraclink._compare",
     "design": "fraclink._design",
     "fault-campaign": "fraclink._campaign.faults",
-    **dict.fromkeys(("fit", "structure-fit"), "fraclink._identify"),
+    **dict.fromkeys(("driven-link", "fit", "structure-fit"), "fraclink._identify"),
     **dict.fromkeys(("realtime-run", "served-arm"), "fraclink._realtime"),
     **dict.fromkeys(("run", "twin-run"), "fraclink._simulate"),
     "frequency-response": "fraclink._arm.frequency_response",

@@ -6,6 +6,7 @@
 from fraclink._arm.frequency_response import FrequencyResponse
 from fraclink._arm.recording import Recording
 from fraclink._identify.compare import Comparison, Contest, compare_structures, identify
+from fraclink._identify.driven import DrivenLinkFit, identify_driven_link
 from fraclink._identify.excitation import ExperimentDesign, design_experiment
 from fraclink._identify.fit import (
     SYMBOLS,
@@ -31,6 +32,7 @@ __all__ = [
     "SYMBOLS",
     "Comparison",
     "Contest",
+    "DrivenLinkFit",
     "ExperimentDesign",
     "Fit",
     "FrequencyResponse",
@@ -50,6 +52,7 @@ __all__ = [
     "frequency_response",
     "frequency_text",
     "identify",
+    "identify_driven_link",
     "identify_frequency_response",
     "identify_motor",
     "identify_payloads",

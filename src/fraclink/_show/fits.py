@@ -12,7 +12,8 @@ from fraclink._show.text import Row, Table, View, grams, number, uncertain
 if TYPE_CHECKING:
     from fraclink.findings import Finding
 
-__all__ = [
+__all__ = ["driven_view"]
+__all__ += [
     "experiment_view",
     "motor_view",
     "payloads_view",
@@ -91,7 +92,7 @@ def structure_view(fit: Any) -> View:
         elif interval is None or name in fit.undetermined:
             known = "not determined"
         else:
-            known = f"{number(interval.low, 5)} to {number(interval.high, 5)}"
+            known = _span(interval)
         rows.append((name, number(value, 6), known))
     share = fit.heldout_nmse
     held = "nothing held out" if share is None else f"held-out error {100 * share:.2g} %"
@@ -99,6 +100,32 @@ def structure_view(fit: Any) -> View:
     table = Table((fit.expression, "value", "95 % interval"), tuple(rows))
     notes = (f"G(s) = {fit.transfer_function!r}", *worth_reading(fit.findings))
     return View(f"error {100 * fit.nmse:.2g} %, {held}", (table,), notes, state)
+
+
+def driven_view(found: Any) -> View:
+    """A link with its motor."""
+    fit = found.fit
+    named = (
+        ("λ", "l"),
+        ("anti-resonance [rad/s]" if found.output == "motor_angle" else "link, motor held [rad/s]", "z"),
+        ("c/J [1/s²]", "m"),
+        ("ν/J [1/s]", "B"),
+        ("K/J [rad/(V·s²)]", "A") if found.output == "motor_angle" else ("K c/J", "k"),
+        ("delay [s]", "T"),
+    )
+    shown = {name: interval for name, interval in fit.intervals.items() if name not in fit.undetermined}
+    rows = [
+        (text, number(fit.parameters[name], 5), _span(shown[name]) if name in shown else "not determined")
+        for text, name in named
+    ]
+    rows.insert(2, ("peak [rad/s]", "–" if found.peak is None else number(found.peak, 5), ""))
+    state = "passed" if found.passed else "not shown"
+    table = Table(("link and motor", "value", "95 % interval"), tuple(rows))
+    return View(f"error {100 * fit.nmse:.2g} %", (table,), worth_reading(found.findings), state)
+
+
+def _span(interval: Any) -> str:
+    return f"{number(interval.low, 5)} to {number(interval.high, 5)}"
 
 
 def recording_view(record: Any) -> View:

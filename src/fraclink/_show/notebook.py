@@ -23,6 +23,7 @@ _DRAWINGS: dict[str, Callable[[Any], str]] = {
     "Comparison": lambda comparison: figures.models_figure(comparison.fits),
     "Design": figures.bode_figure,
     "StructureFit": figures.structure_figure,
+    "DrivenLinkFit": lambda found: figures.structure_figure(found.fit),
     "Run": lambda run: figures.moves_figure([run]),
     "ShapedMove": moves.shaped_figure,
 }

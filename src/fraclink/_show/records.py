@@ -149,6 +149,7 @@ _NAMES = {
     "p_value:test.p_value verdict",
     "SpectrumFit": "order resonances anti_resonances gain delay fit_percent:fit outliers standard_errors "
     "findings",
+    "DrivenLinkFit": "passed output order anti_resonance peak parameters intervals:fit.intervals findings",
     "StructureFit": "passed expression parameters intervals standard_errors at_bound undetermined offset "
     "nmse heldout_nmse findings",
     "ExperimentDesign": "kind amplitude bit duration standard_error peak_deflection peak_voltage band",

@@ -15,6 +15,7 @@ import numpy as np
 
 from fraclink._law import MODES, REASONS
 from fraclink._show.fits import (
+    driven_view,
     experiment_view,
     motor_view,
     payloads_view,
@@ -321,6 +322,7 @@ _VIEWS: dict[str, Callable[[Any], View]] = {
     "MotorFit": motor_view,
     "SpectrumFit": spectrum_view,
     "StructureFit": structure_view,
+    "DrivenLinkFit": driven_view,
     "Recording": recording_view,
     "FrequencyResponse": response_view,
     "ExperimentDesign": experiment_view,

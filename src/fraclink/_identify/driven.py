@@ -1,0 +1,228 @@
+"""A link with its motor, from a frequency response whose input is the amplifier's voltage.
+
+    J θ̈m + ν θ̇m = K V − Γ,    Γ = c (s/z)^λ/((s/z)^λ + 1) θm,    z = ω₀^(2/λ)
+
+so that θm/V = A ((s/z)^λ + 1)/((s² + B s)((s/z)^λ + 1) + m (s/z)^λ) with A = K/J, B = ν/J and m = c/J: an
+anti-resonance at z, where the link swings and holds the motor still, and a peak above it, where both swing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import numpy as np
+
+from fraclink._arm.frequency_response import FrequencyResponse
+from fraclink._arm.link import LinkModel
+from fraclink._display import displayed
+from fraclink._files import document
+from fraclink._identify.structure_fit import StructureFit
+from fraclink._identify.structures import Weighting, identify_structure
+from fraclink._validate import Between, Positive, checked
+from fraclink.findings import Finding, errors_of
+
+__all__ = ["DrivenLinkFit", "Output", "identify_driven_link"]
+
+Output = Literal["motor_angle", "torque"]
+
+# λ up to 2.2: that of a classical link is then inside of its range, and its interval says that it is 2.
+_LIMITS = {"l": (1.0, 2.2)}
+_TOP = {"motor_angle": "A*({link} + 1)", "torque": "k*{link}"}
+_BOTTOM = "((s**2 + B*s)*({link} + 1) + m*{link})*exp(-T*s)"
+_BEYOND = 3.0  # times the band: a peak that it misses is sought there, so that it can be said
+_GRID = 3000
+_AROUND = 3  # lines on either side of a place that the response is said to show
+
+
+@displayed
+@document(
+    "driven-link",
+    sources=lambda found: {found.fit.source: found.fit.sha256} if found.fit.sha256 else {},
+    summary=lambda found: {"passed": found.passed},
+)
+@dataclass(frozen=True)
+class DrivenLinkFit:
+    """A link and its motor, fitted to a frequency response from voltage to motor angle or to torque.
+
+    Parameters
+    ----------
+    fit
+        the structure with its parameters: ``l`` λ, ``z`` anti-resonance [rad/s], ``B`` ν/J [1/s], ``m`` c/J
+        [1/s²], ``T`` delay [s], and ``A`` K/J [rad/(s²·V)], or ``k`` A·c for a torque.
+    output
+        "motor_angle" or "torque".
+    peak
+        where the magnitude of the fitted response is largest behind the anti-resonance [rad/s]; None where it
+        only falls.
+    findings
+        those of the fit, and W347, W348 where the band misses the anti-resonance or the peak.
+
+    Examples
+    --------
+    See `identify_driven_link`.
+    """
+
+    fit: StructureFit
+    output: Output
+    peak: float | None
+    findings: tuple[Finding, ...] = ()
+
+    __made_by__ = "fraclink.identify_driven_link(response)"
+
+    @property
+    def passed(self) -> bool:
+        """Whether the response determines link and motor: no finding of severity "error"."""
+        return not errors_of(self.findings)
+
+    @property
+    def parameters(self) -> Mapping[str, float]:
+        """Those of the fit."""
+        return self.fit.parameters
+
+    @property
+    def order(self) -> float:
+        """λ of the link, at most 2."""
+        return min(self.parameters["l"], 2.0)
+
+    @property
+    def anti_resonance(self) -> float:
+        """z = ω₀^(2/λ), the link's frequency with the motor held [rad/s]."""
+        return self.parameters["z"]
+
+    def model(
+        self,
+        inertia: Positive,
+        *,
+        payload: Annotated[float, Between(0.0, low_open=True, unit="kg")] | None = None,
+    ) -> LinkModel:
+        """Return the link, c = m J for the motor's inertia J at the gear's output, gear² times that of the
+        rotor.
+
+        The gauge's delay is not in a response from voltage to motor angle, and in one to torque it cannot be
+        told from the amplifier's: it is left at 0.
+        """
+        values, intervals = self.parameters, self.fit.intervals
+        rows = []
+        if "l" in intervals:
+            order = (min(intervals["l"].low, 2.0), min(intervals["l"].high, 2.0))
+            rows.append(("order", *order))
+            if "z" in intervals:  # ω₀ = z^(λ/2) is as unsure as both
+                low, high = intervals["z"].low, intervals["z"].high
+                ends = [end ** (half / 2) for end in (low, high) for half in order]
+                rows.append(("natural_frequency", min(ends), max(ends)))
+        if "m" in intervals:
+            rows.append(("stiffness", intervals["m"].low * inertia, intervals["m"].high * inertia))
+        frequency = values["z"] ** (self.order / 2)
+        return LinkModel(values["m"] * inertia, frequency, self.order, payload=payload, intervals=tuple(rows))
+
+
+@checked
+def identify_driven_link(
+    measured: FrequencyResponse,
+    *,
+    output: Output = "motor_angle",
+    weighting: Weighting | None = None,
+    details: bool = True,
+) -> DrivenLinkFit:
+    """Fit a link with its motor to a frequency response from the amplifier's voltage; no guess is needed.
+
+        θm/V = A ((s/z)^λ + 1) e^(−Ts)/((s² + B s)((s/z)^λ + 1) + m (s/z)^λ),    Γ/V = c (s/z)^λ/((s/z)^λ +
+        1) θm/V
+
+    Parameters
+    ----------
+    measured
+        lines from below the anti-resonance to above the peak. [rad/V], or [N·m/V] for a torque.
+    output
+        what was measured, "motor_angle" or "torque".
+    weighting
+        of the errors: "relative" to each line, by "coherence" (the default where there is one), or
+        "absolute".
+    details
+        False: intervals from the standard errors alone.
+
+    Raises
+    ------
+    FieldError
+        too few lines, a line that is zero.
+    NotConvergedError
+        nothing fits.
+
+    References
+    ----------
+    Benftima et al. (2023), (1), (10) and (11).
+
+    Examples
+    --------
+    >>> import fraclink as fl
+    >>> s, w = fl.s, np.geomspace(2, 60, 80)
+    >>> link = s**1.92 / (s**1.92 + 100)
+    >>> arm = 60 / (s**2 + 15 * s + 9 * link)
+    >>> found = identify_driven_link(fl.FrequencyResponse(w, arm(1j * w)))
+    >>> round(found.order, 4), round(found.anti_resonance, 3), round(found.peak, 3)
+    (1.92, 11.007, 12.004)
+    """
+    straight = _structure(output, "s**l/w")
+    # Straight in 1/w, so that its start is found by linear least squares; z then has an interval of its own.
+    first = identify_structure(measured, straight, bounds=_LIMITS, weighting=weighting, details=False)
+    start = {name: value for name, value in first.parameters.items() if name != "w"}
+    start["z"] = first.parameters["w"] ** (1.0 / first.parameters["l"])
+    start["l"] = min(max(start["l"], _LIMITS["l"][0]), _LIMITS["l"][1])
+    low, high = measured.band
+    bounds = {**_LIMITS, "z": (low / 30, high * 30)}
+    start["z"] = min(max(start["z"], bounds["z"][0]), bounds["z"][1])
+    structure = _structure(output, "(s/z)**l")
+    fit = identify_structure(
+        measured, structure, start=start, bounds=bounds, weighting=weighting, details=details
+    )
+    peak = _peak(fit, output, measured.band)
+    return DrivenLinkFit(fit, output, peak, (*_of_the_band(fit, measured, output, peak), *fit.findings))
+
+
+def _structure(output: Output, link: str) -> str:
+    return f"{_TOP[output]}/{_BOTTOM.partition('*exp')[0]}*exp(-T*s)".format(link=link)
+
+
+def _peak(fit: StructureFit, output: Output, band: tuple[float, float]) -> float | None:
+    """The highest local maximum of |H|, for a motor angle above the anti-resonance [rad/s]."""
+    low = fit.parameters["z"] if output == "motor_angle" else band[0] / _BEYOND
+    w = np.geomspace(low, _BEYOND * max(band[1], low), _GRID)
+    level = np.log(np.abs(fit.transfer_function(1j * w)))
+    tops = np.flatnonzero((level[1:-1] > level[:-2]) & (level[1:-1] >= level[2:])) + 1
+    if not tops.size:
+        return None
+    k = int(tops[np.argmax(level[tops])])
+    before, at, after = level[k - 1 : k + 2]
+    shift = 0.5 * (before - after) / (before - 2 * at + after)  # the top of the parabola through three points
+    return float(w[k] * (w[1] / w[0]) ** shift)
+
+
+def _of_the_band(
+    fit: StructureFit, measured: FrequencyResponse, output: Output, peak: float | None
+) -> Iterator[Finding]:
+    """W347, W348: a place that the lines do not surround is an extrapolation, however narrow its interval."""
+    z = fit.parameters["z"]
+    if not _surrounded(measured, z) or {"z", "l"} & {*fit.undetermined, *fit.at_bound}:
+        name = "anti-resonance" if output == "motor_angle" else "frequency of the link with the motor held"
+        yield _missed("W347", name, z, measured)
+    if peak is None or not _surrounded(measured, peak):
+        yield _missed("W348", "peak", math.nan if peak is None else peak, measured)
+
+
+def _surrounded(measured: FrequencyResponse, place: float) -> bool:
+    below = int(np.count_nonzero(measured.frequency < place))
+    return _AROUND <= below <= measured.frequency.size - _AROUND
+
+
+def _missed(code: str, name: str, place: float, measured: FrequencyResponse) -> Finding:
+    low, high = measured.band
+    return Finding(
+        code,
+        "error",
+        f"the band does not show the {name}",
+        {"place": place, "low": low, "high": high},
+        "measure lines on both sides of it",
+    )

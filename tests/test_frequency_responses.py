@@ -1,0 +1,152 @@
+"""Frequency responses as data: tables in any orientation, link and motor, bands that miss something."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import fraclink as fl
+from fraclink._cli.app import run
+from fraclink.errors import FieldError, LogError
+
+LINES = np.geomspace(2.0, 60.0, 120)
+
+
+def arm(output: str = "motor_angle") -> fl.FractionalTransferFunction:
+    s = fl.s
+    link = s**1.92 / (s**1.92 + 100)
+    driven = (60 / (s**2 + 15 * s + 9 * link)).delayed(0.002)
+    return driven if output == "motor_angle" else 1.5 * link * driven
+
+
+def noisy(output: str = "motor_angle", seed: int = 0) -> fl.FrequencyResponse:
+    rng = np.random.default_rng(seed)
+    noise = 0.02 * (rng.standard_normal(LINES.size) + 1j * rng.standard_normal(LINES.size))
+    return fl.FrequencyResponse(LINES, arm(output)(1j * LINES) * (1 + noise))
+
+
+# --- tables -------------------------------------------------------------------------------------------------
+
+WANTED = np.array([1.0, 0.1j])
+
+
+@pytest.mark.parametrize(
+    ("text", "columns"),
+    [
+        ("frequency_Hz,gain_dB,phase_deg\n1,0,0\n2,-20,90\n", None),
+        ("omega;re;im\n6.283185307179586;1;0\n12.566370614359172;0;0.1\n", None),
+        ("Frequency (Hz)\tMagnitude\tPhase (rad)\n1\t1\t0\n2\t0.1\t1.5707963267948966\n", None),
+        ("f [Hz],1,2\nmag [dB],0,-20\nphase [deg],0,90\n", None),
+        ("1,2\n0,-20\n0,90\n", ("f [Hz]", "gain [dB]", "phase [deg]")),
+        ("a,b,c\n1,1,0\n2,0.1,90\n", {"frequency": "a [Hz]", "gain": "b", "phase": "c [deg]"}),
+    ],
+)
+def test_tables(tmp_path: Path, text: str, columns: object) -> None:
+    path = tmp_path / "table.csv"
+    path.write_text(text)
+    found = fl.read_frequency_response(path, columns)  # type: ignore[arg-type]
+    assert found.frequency == pytest.approx(2 * np.pi * np.array([1.0, 2.0]))
+    assert found.response == pytest.approx(WANTED, abs=1e-12)
+    assert (found.source, len(found.sha256)) == ("table.csv", 64)
+
+
+def test_coherence_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "table.csv"
+    path.write_text("w,real,imag,coh\n1,1,0,0.9\n2,0,1,0.5\n")
+    coherence = fl.read_frequency_response(path).coherence
+    assert coherence is not None
+    assert coherence.tolist() == [0.9, 0.5]
+
+
+@pytest.mark.parametrize(
+    ("text", "columns", "message"),
+    [
+        ("f,re,im\n1,1,0\n2,0,1\n", None, "without its unit"),
+        ("f [Hz],gain,phase\n1,1,0\n2,0,1\n", None, "without its unit"),
+        ("f [Hz],gain\n1,1\n2,0\n", None, "without gain and phase"),
+        ("a,b,c\n1,1,0\n2,0,1\n", None, "without frequency"),
+        ("f [Hz],freq [Hz],re,im\n1,1,1,0\n2,2,0,1\n", None, "given twice"),
+        ("a,b,c\n1,1,0\n2,0,1\n", {"frequencies": "a"}, "unknown"),
+        ("a,b,c\n1,1,0\n2,0,1\n", ("f [Hz]", "re", "im", "x"), "none of which"),
+    ],
+)
+def test_tables_that_say_too_little(tmp_path: Path, text: str, columns: object, message: str) -> None:
+    path = tmp_path / "table.csv"
+    path.write_text(text)
+    with pytest.raises(LogError, match=message):
+        fl.read_frequency_response(path, columns)  # type: ignore[arg-type]
+
+
+def test_lines_out_of_range() -> None:
+    with pytest.raises(FieldError, match="zero frequency"):
+        fl.FrequencyResponse([0.0, 1.0], [1.0, 1.0])
+    with pytest.raises(FieldError, match="coherence"):
+        fl.FrequencyResponse([1.0, 2.0], [1.0, 1.0], coherence=[0.5, 1.5])
+    with pytest.raises(FieldError, match="response"):
+        fl.FrequencyResponse([1.0, 2.0], [1.0])
+    with pytest.raises(FieldError, match="band"):
+        noisy().between(100.0, 200.0)
+
+
+def test_recordings(tmp_path: Path) -> None:
+    path = tmp_path / "furnace.csv"
+    path.write_text("t_s,power,temp\n0,1,0\n60,1,2\n120,0,3\n")
+    found = fl.read_recording(path, "power", "temp")
+    assert (found.period, found.output.tolist()) == (60.0, [0.0, 2.0, 3.0])
+    assert fl.read_recording(path, "power", "#3", period=2.0).period == 2.0
+    path.write_text("a,power,temp\n0,1,0\n1,1,2\n2,0,3\n")
+    with pytest.raises(LogError, match="not clear"):
+        fl.read_recording(path, "power", "temp")
+    path.write_text("time,power,temp\n0,1,0\n1,1,2\n3,0,3\n")
+    with pytest.raises(LogError, match="not uniform"):
+        fl.read_recording(path, "power", "temp")
+
+
+# --- link and motor -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("output", ["motor_angle", "torque"])
+def test_link_and_motor(output: str, tmp_path: Path) -> None:
+    found = fl.identify_driven_link(noisy(output), output=output, details=False)  # type: ignore[arg-type]
+    assert found.passed, found.findings
+    assert found.order == pytest.approx(1.92, abs=0.02)
+    assert found.anti_resonance == pytest.approx(100 ** (1 / 1.92), rel=0.02)
+    w = np.geomspace(11.1 if output == "motor_angle" else 2.0, 60.0, 100_000)
+    assert found.peak == pytest.approx(w[np.argmax(np.abs(arm(output)(1j * w)))], rel=0.02)
+    assert found.parameters["B"] == pytest.approx(15.0, rel=0.1)
+    assert found.parameters["m"] == pytest.approx(9.0, rel=0.2)
+    link = found.model(1.5 / 9.0)
+    assert link.natural_frequency**2 == pytest.approx(100.0, rel=0.1)
+    assert link.stiffness == pytest.approx(1.5, rel=0.2)
+    for name, truth in (("order", 1.92), ("natural_frequency", 10.0), ("stiffness", 1.5)):
+        low, high = link.interval(name)
+        assert low < truth < high
+    fl.save(found, tmp_path / "link.json")
+    assert fl.load(tmp_path / "link.json") == found
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "code"),
+    [(2.0, 10.5, "W347"), (11.6, 60.0, "W347"), (2.0, 11.5, "W348"), (12.6, 60.0, "W348")],
+)
+def test_a_band_that_misses_one(low: float, high: float, code: str) -> None:
+    for seed in range(3):
+        found = fl.identify_driven_link(noisy(seed=seed).between(low, high), details=False)
+        assert code in {finding.code for finding in found.findings}
+        assert not found.passed
+
+
+def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    measured, table = noisy(), tmp_path / "response.csv"
+    rows = [f"{w},{h.real},{h.imag}" for w, h in zip(LINES, measured.response, strict=True)]
+    table.write_text("\n".join(["omega,real,imag", *rows]))
+    out = tmp_path / "model.json"
+    command = ["identify-driven-link", str(table), "--rig", "paper-2023-geared", "--out", str(out)]
+    assert run(command) == 0
+    shown = capsys.readouterr().out
+    assert "anti-resonance [rad/s]" in shown
+    assert fl.load(out).order == pytest.approx(1.92, abs=0.02)
+    table.write_text("\n".join(["omega,real,imag", *rows[:40]]))
+    assert run([*command, "--force"]) == 1
