@@ -43,7 +43,7 @@ def _of_the_parameters(fit: StructureFit, certain: Certainty) -> Iterator[Findin
         yield Finding(
             "W351",
             "warning" if nothing else "error",
-            f"{name} ended at a bound of its range, which is no estimate",
+            f"{name} ended at a bound, which is no estimate; other intervals hold with it there only",
             {"value": fit.parameters[name], "low": low, "high": high},
             "leave the term out if it vanished; else widen bounds, or check the sign of a channel",
         )

@@ -186,6 +186,7 @@ class StructureSearch:
             costs = np.einsum("mr,mr->m", rest := self.residuals(spectrum, tried), rest)
             near = np.flatnonzero(costs <= _RETURNED * np.nanmin(costs))
             begin = tried[near[-_TRIED:]]
+            # The transform does not tell them apart as the samples do: each is settled there.
             again = self._settled(data, begin, low, high)
             least = int(np.argmin(again.costs))
             if again.costs[least] < found.costs[best]:
