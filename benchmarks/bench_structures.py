@@ -1,6 +1,7 @@
 """Any fractional structure: ten documented examples with noise and no start value, beside difference schemes.
 
 A parameter is recovered where it is within 1 % of the truth or the truth lies in its 95 % interval.
+A source stands for the function; where it leaves parameters free, their values are chosen here.
 
 The peer is what FOMCON does: least squares on the Grünwald–Letnikov scheme with full memory, here the
 compiled one of this package, begun 20 % off the truth (it has no start of its own), with the same

@@ -17,7 +17,7 @@ from needed_tools import missing
 try:
     import wasmtime
 except ModuleNotFoundError:
-    wasmtime = None
+    wasmtime = None  # type: ignore[assignment]
 
 SIGNALS = (
     "tip_angle",

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._identify.intervals import QUANTILE, Interval, interval_end
-from fraclink._identify.structure_coordinates import Coordinates
+from fraclink._identify.structure_coordinates import StructureCoordinates
 from fraclink._identify.structure_data import Samples
 from fraclink._identify.structure_search import PERFECT, Place, StructureSearch
 from fraclink._identify.uncertainty import inverted, sandwich
@@ -96,7 +96,7 @@ def _predicted(search: StructureSearch, data: Samples, place: Place) -> Reals:
     return np.asarray(simulated if data.offset is None else simulated + place.offset * data.offset)
 
 
-def _is_at_bound(own: Coordinates, name: str, value: float) -> bool:
+def _is_at_bound(own: StructureCoordinates, name: str, value: float) -> bool:
     low, high = own.box((name,))
     near = _AT_BOUND * float(high[0] - low[0])
     place = float(own.place(name, value)) if value > 0 or not own.is_logarithmic(name) else -math.inf
@@ -115,7 +115,7 @@ def _blind(jacobian: Reals, names: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(name for k, name in enumerate(names) if name in none or shared[k])
 
 
-def _is_known(own: Coordinates, name: str, value: float, interval: Interval) -> bool:
+def _is_known(own: StructureCoordinates, name: str, value: float, interval: Interval) -> bool:
     """Whether an interval says something: closed, and narrower than what people would call an order apart."""
     role = own.structure.roles[name]
     if interval.high_open or (interval.low_open and role != "delay"):
@@ -161,7 +161,7 @@ class _StructureProfile:
         return found.cost, found
 
 
-def _straight_interval(own: Coordinates, name: str, value: float, reach: float) -> Interval:
+def _straight_interval(own: StructureCoordinates, name: str, value: float, reach: float) -> Interval:
     """The interval of a cost that is a parabola in the coordinate."""
     low, high = (float(end[0]) for end in own.box((name,)))
     centre = float(own.place(name, value))
@@ -182,7 +182,7 @@ def _profile_interval(profile: _StructureProfile, error: float, inflation: float
 # --- exchangeable terms -------------------------------------------------------------------------------------
 
 
-def in_order(own: Coordinates, place: Place) -> Place:
+def in_order(own: StructureCoordinates, place: Place) -> Place:
     """The place with the orders of exchangeable terms falling in the order of the text.
 
     In a2*s**n2 + a1*s**n1 the two terms may change names: which is called n2 is a convention.
@@ -199,7 +199,7 @@ def in_order(own: Coordinates, place: Place) -> Place:
     return replace(place, values=values)
 
 
-def _exchangeable(own: Coordinates, orders: tuple[str, str], others: tuple[str, ...]) -> bool:
+def _exchangeable(own: StructureCoordinates, orders: tuple[str, str], others: tuple[str, ...]) -> bool:
     pairs = [orders, others] if others else [orders]
     if any(own.limits[one] != own.limits[other] for one, other in pairs):
         return False

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from fraclink._identify.expression import Expression
 
-__all__ = ["COEFFICIENT_LIMITS", "ORDER_LIMITS", "Coordinates"]
+__all__ = ["COEFFICIENT_LIMITS", "ORDER_LIMITS", "StructureCoordinates"]
 
 Reals = NDArray[np.float64]
 Limits = tuple[float, float]
@@ -23,7 +23,7 @@ COEFFICIENT_LIMITS = (1e-12, 1e12)
 
 
 @dataclass(frozen=True, eq=False)
-class Coordinates:
+class StructureCoordinates:
     """The free parameters as coordinates: logarithms where the range is positive, else the value itself."""
 
     structure: Expression

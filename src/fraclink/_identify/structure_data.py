@@ -22,7 +22,7 @@ from fraclink._identify.shape import Hold, chosen_hold
 from fraclink._systems.response import time_response
 from fraclink.errors import FieldError, NotConvergedError
 
-__all__ = ["Lines", "Samples", "Spectrum", "Window"]
+__all__ = ["Lines", "RecordStart", "Samples", "Spectrum"]
 
 Reals = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -108,7 +108,7 @@ class Lines(Spectrum):
 
 
 @dataclass(frozen=True, eq=False)
-class Window:
+class RecordStart:
     """The first samples of a recording, with the response that a candidate would have there."""
 
     input: Reals
@@ -117,7 +117,7 @@ class Window:
     hold: Literal["zero", "first"]
 
     @classmethod
-    def of(cls, record: Recording, hold: Hold, count: int) -> Window:
+    def of(cls, record: Recording, hold: Hold, count: int) -> RecordStart:
         """The first `count` samples; the input counts from rest."""
         moved = np.asarray(record.input, dtype=np.float64) - record.input_at_rest
         chosen = _hold(moved, hold)

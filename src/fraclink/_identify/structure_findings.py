@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from fraclink._identify.intervals import QUANTILE
 from fraclink._identify.structure_certainty import Certainty
-from fraclink._identify.structure_data import Lines, Window
+from fraclink._identify.structure_data import Lines, RecordStart
 from fraclink._identify.structure_search import Place
 from fraclink._systems.terms import Term
 from fraclink.findings import Finding
@@ -27,7 +27,7 @@ _BEYOND = 3.0  # a corner may lie outside of the excited band by that factor: it
 
 
 def structure_findings(
-    fit: StructureFit, certain: Certainty, rivals: Sequence[Place], data: Window | Lines
+    fit: StructureFit, certain: Certainty, rivals: Sequence[Place], data: RecordStart | Lines
 ) -> tuple[Finding, ...]:
     """All findings, worst first."""
     rank = {"error": 0, "warning": 1, "info": 2}
@@ -105,7 +105,7 @@ def _of_the_error(fit: StructureFit) -> Iterator[Finding]:
         )
 
 
-def _of_rivals(fit: StructureFit, rivals: Sequence[Place], data: Window | Lines) -> Iterator[Finding]:
+def _of_rivals(fit: StructureFit, rivals: Sequence[Place], data: RecordStart | Lines) -> Iterator[Finding]:
     """Other parameters that fit as well as the data can tell, and are not the same."""
     least = fit.nmse
     for rival in rivals:
@@ -129,12 +129,12 @@ def _of_rivals(fit: StructureFit, rivals: Sequence[Place], data: Window | Lines)
             return
 
 
-def _cost(fit: StructureFit, data: Window | Lines) -> float:
-    power = data.measured - (fit.offset if isinstance(data, Window) else 0.0)
+def _cost(fit: StructureFit, data: RecordStart | Lines) -> float:
+    power = data.measured - (fit.offset if isinstance(data, RecordStart) else 0.0)
     return fit.nmse * float(power @ power)
 
 
-def _of_the_band(fit: StructureFit, data: Window | Lines) -> Iterator[Finding]:
+def _of_the_band(fit: StructureFit, data: RecordStart | Lines) -> Iterator[Finding]:
     low, high = data.band
     G = fit.transfer_function
     corners = sorted({float(f"{w:.6g}") for terms in (G.numerator, G.denominator) for w in _corners(terms)})

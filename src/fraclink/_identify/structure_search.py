@@ -22,8 +22,8 @@ from scipy.linalg import lstsq
 from scipy.optimize import OptimizeResult, least_squares
 
 from fraclink._identify.descent import Descent, descend, differences, project
-from fraclink._identify.structure_coordinates import Coordinates
-from fraclink._identify.structure_data import Samples, Spectrum, Window
+from fraclink._identify.structure_coordinates import StructureCoordinates
+from fraclink._identify.structure_data import RecordStart, Samples, Spectrum
 from fraclink._identify.structure_starts import Starts
 from fraclink.errors import NotConvergedError
 
@@ -61,7 +61,7 @@ class Place:
 class StructureSearch:
     """The search for one structure in one set of data; `offset` is None where it is free."""
 
-    coordinates: Coordinates
+    coordinates: StructureCoordinates
     offset: float | None
     evaluations: int = 0
 
@@ -105,9 +105,11 @@ class StructureSearch:
         ordered = {name: values[name] for name in own.structure.names}
         return Place(ordered, linear[0] if linear else (self.offset or 0.0), cost, converged)
 
-    def run(self, data: Window | Spectrum, start: Mapping[str, float] | None) -> list[tuple[Reals, Place]]:
+    def run(
+        self, data: RecordStart | Spectrum, start: Mapping[str, float] | None
+    ) -> list[tuple[Reals, Place]]:
         """Places that no step improves, best first, in coordinates and as parameters."""
-        spectrum = data.spectrum if isinstance(data, Window) else data
+        spectrum = data.spectrum if isinstance(data, RecordStart) else data
         low, high = self.coordinates.box(self.coordinates.moving)
         begin = Starts(self.coordinates, spectrum, self.offset is None).places()
         draws = self._ranked(spectrum, np.clip(begin, low, high))
@@ -122,7 +124,7 @@ class StructureSearch:
             raise self._lost()
         again = self._descend(spectrum, np.array(first[:_TRIED]), low, high, iterations=60)
         ranked = _distinct(again, orders)
-        if isinstance(data, Window):
+        if isinstance(data, RecordStart):
             if start is not None:
                 ranked = [draws[0], *ranked]
             # The transform does not know an unstable function from a stable one; its samples do.
@@ -132,7 +134,7 @@ class StructureSearch:
         if not ranked:
             raise self._lost()
         last = self._settled(data, np.array(ranked), low, high)
-        if isinstance(data, Window) and data.hold == "zero":
+        if isinstance(data, RecordStart) and data.hold == "zero":
             last = self._over_the_jumps(data, last, low, high)
         last = self._back_from_zero(data, spectrum, last, low, high)
         order = [k for k in np.argsort(last.costs) if np.isfinite(last.costs[k])]
@@ -144,7 +146,7 @@ class StructureSearch:
             for k in order
         ]
 
-    def _over_the_jumps(self, data: Window, found: Descent, low: Reals, high: Reals) -> Descent:
+    def _over_the_jumps(self, data: RecordStart, found: Descent, low: Reals, high: Reals) -> Descent:
         """The best place again with each delay within the sampling interval before and behind it.
 
         A held input jumps, and the response to a jump may begin with a vertical tangent: as a function of the
@@ -277,7 +279,7 @@ class StructureSearch:
         self.evaluations += len(draws)
         return draws[np.argsort(np.where(np.isfinite(costs), costs, np.inf), kind="stable")][:_DESCENTS]
 
-    def _on_samples(self, data: Window, places: list[Reals]) -> list[Reals]:
+    def _on_samples(self, data: RecordStart, places: list[Reals]) -> list[Reals]:
         """The places whose exact response is nearly as near to the samples as the best one's."""
         if not places:
             return []

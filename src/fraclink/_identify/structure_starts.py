@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._identify.structure_coordinates import Coordinates
+from fraclink._identify.structure_coordinates import StructureCoordinates
 from fraclink._identify.structure_data import Spectrum
 
 __all__ = ["Starts"]
@@ -29,7 +29,7 @@ _ROUNDS = 5  # of Sanathanan and Koerner
 class Starts:
     """Places to begin at for one structure and one transform."""
 
-    coordinates: Coordinates
+    coordinates: StructureCoordinates
     spectrum: Spectrum
     offset_is_free: bool
 

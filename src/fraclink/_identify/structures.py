@@ -16,8 +16,8 @@ from fraclink._identify.expression import Expression, parse_expression
 from fraclink._identify.fitting import HeldOut, fitted_samples
 from fraclink._identify.shape import Hold
 from fraclink._identify.structure_certainty import Certainty, certainty_of, in_order
-from fraclink._identify.structure_coordinates import COEFFICIENT_LIMITS, ORDER_LIMITS, Coordinates
-from fraclink._identify.structure_data import Lines, Window
+from fraclink._identify.structure_coordinates import COEFFICIENT_LIMITS, ORDER_LIMITS, StructureCoordinates
+from fraclink._identify.structure_data import Lines, RecordStart
 from fraclink._identify.structure_findings import structure_findings
 from fraclink._identify.structure_fit import StructureFit
 from fraclink._identify.structure_search import Place, StructureSearch
@@ -103,13 +103,13 @@ def identify_structure(
     known = dict(fixed or {})
     offset = known.pop("offset", None)
     if isinstance(data, FrequencyResponse):
-        samples: Window | Lines = _lines_of(data, weighting)
+        samples: RecordStart | Lines = _lines_of(data, weighting)
         longest, offset = _TURNS / data.band[1], 0.0
         whole, fitted = samples, data.frequency.size
     else:
         record = data if isinstance(data, Recording) else Recording.of(data)
         fitted = _fitted(record, heldout)
-        samples, whole = Window.of(record, hold, fitted), Window.of(record, hold, record.input.size)
+        samples, whole = RecordStart.of(record, hold, fitted), RecordStart.of(record, hold, record.input.size)
         longest = _LONGEST_DELAY * record.period * fitted
         _check_motion(samples)
     coordinates = _coordinates(structure, known, bounds or {}, longest)
@@ -129,7 +129,7 @@ def identify_structure(
     return dataclasses.replace(fit, findings=structure_findings(fit, certain, rivals, samples))
 
 
-def _simulated(data: Window | Lines, structure: Expression, place: Place) -> Reals:
+def _simulated(data: RecordStart | Lines, structure: Expression, place: Place) -> Reals:
     values = {name: np.array([[v]]) for name, v in place.values.items()}
     return np.asarray(data.simulated(structure, values, 1)[0])
 
@@ -143,7 +143,7 @@ def _fitted(record: Recording, heldout: float | None) -> int:
     return fitted_samples(Experiment(record.period, record.input, record.output))
 
 
-def _check_motion(samples: Window) -> None:
+def _check_motion(samples: RecordStart) -> None:
     for name, still in (("input", not np.any(samples.input)), ("output", np.ptp(samples.output) == 0)):
         if still:
             remedy = "check the column, or fit a part in which it moves"
@@ -168,7 +168,9 @@ def _lines_of(measured: FrequencyResponse, weighting: Weighting | None) -> Lines
     return Lines.of(measured.frequency[order], h, weight / np.linalg.norm(weight * h))
 
 
-def _coordinates(structure: Expression, known: Values, bounds: Bounds, longest: float) -> Coordinates:
+def _coordinates(
+    structure: Expression, known: Values, bounds: Bounds, longest: float
+) -> StructureCoordinates:
     for field, given in (("fixed", known), ("bounds", bounds)):
         for name in given:
             if name not in structure.names:
@@ -191,14 +193,16 @@ def _coordinates(structure: Expression, known: Values, bounds: Bounds, longest: 
         remedy = "give a number" if structure.roles[name] != "delay" else "a delay is never negative"
         least = 0.0 if structure.roles[name] == "delay" else -1e15
         Between(least, 1e15, remedy=remedy).check(f"fixed[{name!r}]", value)
-    coordinates = Coordinates(structure, limits, {name: float(value) for name, value in known.items()})
+    coordinates = StructureCoordinates(
+        structure, limits, {name: float(value) for name, value in known.items()}
+    )
     if not coordinates.names:
         problem, remedy = "without a free parameter", "leave one out of fixed"
         raise FieldError("expression", structure.text, problem, allowed=">= 1 free parameter", remedy=remedy)
     return coordinates
 
 
-def _check_start(coordinates: Coordinates, start: Values | None, measured: int) -> None:
+def _check_start(coordinates: StructureCoordinates, start: Values | None, measured: int) -> None:
     least = _LEAST_EACH * len(coordinates.names)
     if measured < least:
         remedy = "measure more, or fix parameters that are known"
@@ -214,14 +218,14 @@ def _check_start(coordinates: Coordinates, start: Values | None, measured: int) 
 
 def _heldout(
     search: StructureSearch,
-    samples: Window | Lines,
-    whole: Window | Lines,
+    samples: RecordStart | Lines,
+    whole: RecordStart | Lines,
     best: Place,
     count: int,
     predicted: Reals,
 ) -> float | None:
     """Error over what the parameters have not seen."""
-    if isinstance(whole, Window):
+    if isinstance(whole, RecordStart):
         if count == whole.output.size:
             return None
         error, power = whole.output[count:] - predicted[count:], whole.output[count:] - best.offset
@@ -249,20 +253,20 @@ def _lines_held(search: StructureSearch, lines: Lines, best: Place) -> float | N
 
 def _fit_of(
     structure: Expression,
-    coordinates: Coordinates,
+    coordinates: StructureCoordinates,
     best: Place,
     certain: Certainty,
-    samples: Window | Lines,
-    whole: Window | Lines,
+    samples: RecordStart | Lines,
+    whole: RecordStart | Lines,
     predicted: Reals,
     held: float | None,
     search: StructureSearch,
     data: Any,
     fitted: int,
 ) -> StructureFit:
-    timed = isinstance(whole, Window)
+    timed = isinstance(whole, RecordStart)
     power = samples.measured - (best.offset if timed else 0.0)
-    unweighted = 1.0 if isinstance(whole, Window) else np.tile(whole.weight, 2)
+    unweighted = 1.0 if isinstance(whole, RecordStart) else np.tile(whole.weight, 2)
     return StructureFit(
         expression=structure.text,
         parameters=best.values,
@@ -274,13 +278,13 @@ def _fit_of(
         undetermined=certain.undetermined,
         offset=best.offset,
         domain="time" if timed else "frequency",
-        period=whole.period if isinstance(whole, Window) else None,
-        hold=whole.hold if isinstance(whole, Window) else None,
+        period=whole.period if isinstance(whole, RecordStart) else None,
+        hold=whole.hold if isinstance(whole, RecordStart) else None,
         fitted=fitted,
         nmse=best.cost / float(power @ power),
         heldout_nmse=held,
         place=np.arange(whole.output.size, dtype=np.float64) * whole.period
-        if isinstance(whole, Window)
+        if isinstance(whole, RecordStart)
         else whole.points.imag,
         measured=whole.measured / unweighted,
         predicted=predicted / unweighted,
