@@ -93,6 +93,7 @@ def test_every_package_that_the_page_names_is_there() -> None:
     assert [name for name in named if not (ROOT / name).exists()] == []
 
 
+@pytest.mark.slow
 def test_a_structure_is_one_row(grown: Path) -> None:
     code = """
 import numpy as np, fraclink as fl
@@ -114,6 +115,7 @@ print(*fl.compare_structures(log).fits)
     assert second.split() == ["UD-IOM", "D-IOM", "UD-FOM", "D-FOM", "VD-FOM"]
 
 
+@pytest.mark.slow
 def test_a_rival_is_one_row(grown: Path) -> None:
     code = """
 import fraclink as fl
@@ -123,6 +125,7 @@ print(*(standing.name for standing in found.standings), sep="|")
     assert run(grown, code) == ["fraclink|half the gain"]
 
 
+@pytest.mark.slow
 def test_a_fault_is_a_table_and_a_row(grown: Path) -> None:
     code = """
 import fraclink as fl
@@ -136,6 +139,7 @@ print(outcome.case.fault, any("over clean" in str(check) for check in outcome.ch
     assert run(grown, code) == ["F45 gauge reads zero for a while", "F45 True"]
 
 
+@pytest.mark.slow
 def test_a_reader_is_a_magic_word_and_a_parser(grown: Path) -> None:
     time = 0.004 * np.arange(500)
     table = np.column_stack([time, np.sin(3 * time), 0.1 * np.cos(3 * time)])
@@ -150,6 +154,7 @@ print(log.period, log.motor_angle[100], log.output[100])
     assert [float(x) for x in line.split()] == pytest.approx([0.004, table[100, 1], table[100, 2]], rel=1e-12)
 
 
+@pytest.mark.slow
 def test_an_export_is_a_function(grown: Path) -> None:
     code = """
 import fraclink as fl

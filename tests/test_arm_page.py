@@ -48,6 +48,7 @@ def plain(study) -> Elements:
     return parsed(render_arm_page(named(study, "plain"), title="plain"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("text", HOSTILE)
 def test_no_text_from_outside_becomes_an_element(study, plain, text):
     page = parsed(render_arm_page(named(study, text), title=text))
@@ -55,6 +56,7 @@ def test_no_text_from_outside_becomes_an_element(study, plain, text):
     assert page.references == plain.references == []
 
 
+@pytest.mark.slow
 def test_the_page_asks_nobody_and_allows_its_own_script_only(page):
     policy = html.unescape(re.search(r'Content-Security-Policy" content="([^"]*)"', page)[1])
     script = re.search(r"<script>(.*?)</script>", page, re.DOTALL)[1]
@@ -78,10 +80,12 @@ def test_the_page_asks_nobody_and_allows_its_own_script_only(page):
     assert len(page.encode()) <= 150_000
 
 
+@pytest.mark.slow
 def test_the_same_study_gives_the_same_page(study, page):
     assert render_arm_page(study) == page
 
 
+@pytest.mark.slow
 def test_the_page_says_what_is_promised_and_what_it_simulates(study, page):
     texts = " ".join(" ".join(parsed(page).texts).split())
     assert "designed for payloads from 20 to 40 g" in texts.replace("  ", " ")
@@ -103,6 +107,7 @@ def test_slider_and_links_cover_the_designs_payloads(study, page):
     assert data["periods"] * data["period"] == pytest.approx(4.0, abs=0.5)
 
 
+@pytest.mark.slow
 def test_a_faster_clock_leaves_room_by_fewer_payloads(study):
     fast = replace(study.design.rig, period=0.001)
     design = fl.design(fast.model, fast, payloads=(0.02, 0.04), gain_crossover=12.0, phase_margin=fl.deg(50))
@@ -119,6 +124,7 @@ def test_a_folder_without_a_design_names_the_command(study, tmp_path, capsys):
     assert not (tmp_path / "arm.html").exists()
 
 
+@pytest.mark.slow
 def test_the_command_writes_the_page_and_leaves_a_file_alone(study, page, tmp_path, capsys):
     save_study(study, tmp_path / "results")
     command = ["share", str(tmp_path / "results"), "--out", str(tmp_path / "arm.html")]

@@ -229,12 +229,14 @@ def _scratch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)  # where "12" and log.csv are made, which are names of files like any other
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CALLS)
 def test_the_usual_call_works(name: str) -> None:
     call, usual = CALLS[name]
     call(**usual())
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")  # of numpy, on the way to an error
 @pytest.mark.parametrize(("name", "field"), ARGUMENTS, ids=[".".join(pair) for pair in ARGUMENTS])
 def test_junk_in_one_argument_is_taken_or_refused_by_name(name: str, field: str) -> None:

@@ -279,6 +279,7 @@ FULL = paper() | {"log": tomllib.loads(LOG)["log"]}
 PLACES = _places(FULL)
 
 
+@pytest.mark.slow
 @settings(max_examples=500, deadline=None)
 @given(st.lists(st.tuples(st.sampled_from(PLACES), junk, st.booleans()), min_size=1, max_size=4))
 def test_any_junk_in_any_field_is_a_rig_or_a_field_error(

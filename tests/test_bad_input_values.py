@@ -64,6 +64,7 @@ def test_b31_an_order_outside_one_to_two(order: float) -> None:
     assert "1 to 2" in refused(lambda: LinkModel(1.56, 11.0, order=order), "order").allowed
 
 
+@pytest.mark.slow
 def test_b31_the_integer_orders_themselves() -> None:
     # λ = 1: c (1 − e^{−ω₀² t} …), λ = 2: c cos ω₀t: exact cases, nothing special-cased by the caller.
     time = np.array([0.1, 0.2, 0.7])
@@ -90,6 +91,7 @@ def test_b34_an_order_of_the_controller_out_of_range(order: float) -> None:
     assert "2" in refused(lambda: fl.Controller(gain=0.1, order=order), "order").allowed
 
 
+@pytest.mark.slow
 def test_b34_a_design_that_needs_a_controller_above_the_links_order() -> None:
     link = dataclasses.replace(LINK, natural_frequency=8.0, order=1.3)
     with pytest.raises(InfeasibleError, match="β < λ") as caught:
@@ -106,6 +108,7 @@ def test_b35_theorem_2_asks_for_frequencies_above_one() -> None:
     assert 'margins="loop"' in error.remedy
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("margins", ["loop", "ideal"])
 def test_b36_left_of_the_peak_names_the_crossover_needed(margins: str) -> None:
     with pytest.raises(InfeasibleError) as caught:
@@ -116,6 +119,7 @@ def test_b36_left_of_the_peak_names_the_crossover_needed(margins: str) -> None:
     assert planned(**dict(caught.value.nearest), margins=margins).passed
 
 
+@pytest.mark.slow
 def test_b37_the_largest_phase_margin_is_told_and_reached() -> None:
     with pytest.raises(InfeasibleError, match="largest phase margin") as caught:
         planned(phase_margin=fl.deg(120))
@@ -131,6 +135,7 @@ def test_b38_a_crossover_beyond_nyquist_or_the_motor_loop(crossover: float, boun
     assert bound in refused(lambda: planned(gain_crossover=crossover), "gain_crossover").allowed
 
 
+@pytest.mark.slow
 def test_b39_the_papers_filter_costs_more_than_a_tenth_of_the_margin() -> None:
     design = planned(filter_time=0.16, margins="ideal")
     finding = next(finding for finding in design.findings if finding.code == "W401")
@@ -138,6 +143,7 @@ def test_b39_the_papers_filter_costs_more_than_a_tenth_of_the_margin() -> None:
     assert "W401" not in {finding.code for finding in planned().findings}
 
 
+@pytest.mark.slow
 def test_b40_a_certificate_that_is_not_obtained_names_payload_frequency_and_margin() -> None:
     printed = fl.certify(PRINTED["(58)"], model=LINK, rig=RIG, payloads=(0.020, 0.040))
     assert not printed.passed
@@ -154,6 +160,7 @@ def test_b41_a_period_that_is_none(period: float) -> None:
     refused(lambda: fl.discretize(planned().controller, period), "period")
 
 
+@pytest.mark.slow
 def test_b41_a_period_too_long_for_the_request() -> None:
     with pytest.raises(InfeasibleError):
         planned(rig=dataclasses.replace(RIG, period=0.2))
@@ -165,6 +172,7 @@ def test_b42_states_of_a_law_out_of_range(order: int) -> None:
     assert "12" in refused(lambda: fl.discretize(planned().controller, 0.004, order=order), "order").allowed
 
 
+@pytest.mark.slow
 def test_b43_a_move_beyond_the_motor_does_not_hold() -> None:
     law = fl.discretize(planned(RIG.model).controller, 0.004)
     run = fl.simulate(
@@ -214,6 +222,7 @@ def test_b52_more_samples_than_a_simulation_holds() -> None:
         assert caught.value.field == "duration"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("runs", [10**9 + 1, 10**30])
 def test_b54_more_runs_than_a_campaign_can_end(runs: int) -> None:
     with pytest.raises(SizeError, match="too many") as caught:

@@ -268,6 +268,7 @@ def test_junk_in_one_argument_is_taken_or_refused_by_name(name: str, field: str)
 NUMBERS = [(name, field) for name, field in ARGUMENTS if isinstance(CALLS[name][1]()[field], float)]
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
 @settings(max_examples=150, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
 @given(st.sampled_from(NUMBERS), st.floats() | st.integers() | st.floats(-3.0, 3.0))

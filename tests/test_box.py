@@ -30,6 +30,7 @@ def bench() -> ModuleType:
 
 
 # An ideal motor loop; a sampled one with a second mode; direct placement.
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [10, 15, 23])
 def test_no_point_of_a_box_is_closer_to_minus_one_than_its_certificate_claims(
     number: int, bench: ModuleType
@@ -42,6 +43,7 @@ def test_no_point_of_a_box_is_closer_to_minus_one_than_its_certificate_claims(
     assert certificate.statement.modulus < truth < certificate.statement.modulus + 0.02
 
 
+@pytest.mark.slow
 def test_the_models_of_other_logs_widen_the_box(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """What another log found outside the first one's intervals is inside the proof, at the same payload."""
     rig = fl.Rig.named("paper-2023")

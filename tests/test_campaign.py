@@ -23,6 +23,7 @@ METRICS = (
 )
 
 
+@pytest.mark.slow
 def test_draws_depend_on_seed_and_part_only():
     draws = small().draws
     first, again = draw(draws, 7, 3, 1000), draw(draws, 7, 3, 1000)
@@ -90,6 +91,7 @@ def link_answers(decay, weight, pair, pair_weight, first, count):
     return answers
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", [1.5, 1.9, 1.92, 1.94, 2.0])
 def test_batch_links_are_the_links_of_simulate(order):
     stiff = np.array([60.0, 123.1, 400.0])
@@ -122,6 +124,7 @@ def test_a_run_of_a_part_is_the_run_that_replay_repeats():
         assert bool(part["passed"][at]) == bool(run.verdict), at
 
 
+@pytest.mark.slow
 def test_a_vibration_that_passes_through_the_band_has_not_settled():
     """Part and replay judge by one rule; the settling time alone would let these runs hold."""
     rig = fl.Rig.named("paper-2023")
@@ -188,6 +191,7 @@ def test_many_runs_are_measured_as_one_is():
     assert 0 < np.isfinite(many["settling_time"]).sum() < 24  # both kinds were met
 
 
+@pytest.mark.slow
 def test_the_law_that_does_not_hold_is_counted():
     rig = fl.Rig.named("paper-2023")
     wild = fl.discretize(fl.Controller(gain=3.0, order=0.9, link=rig.model), rig.period, order=4)

@@ -48,6 +48,7 @@ def cluster(folder: Path, workers: int) -> Iterator[tuple[str, list[subprocess.P
             process.wait()
 
 
+@pytest.mark.slow
 def test_a_cluster_gives_the_same_bytes_though_a_worker_dies(tmp_path):
     try:
         import distributed  # noqa: F401
@@ -66,6 +67,7 @@ def test_a_cluster_gives_the_same_bytes_though_a_worker_dies(tmp_path):
     assert parts_of(tmp_path / "cluster") == parts_of(computed(small(3500), tmp_path / "here"))
 
 
+@pytest.mark.slow
 def test_a_scheduler_that_is_not_there_is_told(tmp_path, capsys, monkeypatch):
     try:
         import distributed  # noqa: F401

@@ -85,6 +85,7 @@ def killed(folder: Path, begin: Begin, kills: int) -> str:
     return out
 
 
+@pytest.mark.slow
 def test_killed_campaigns_resume_to_the_same_bytes(tmp_path):
     folder, campaign = tmp_path / "killed", small(4000)
     save_campaign(campaign, folder)
@@ -100,6 +101,7 @@ def test_the_command_killed_five_times_resumes_to_the_same_bytes(tmp_path):
     assert parts_of(folder) == parts_of(computed(load_campaign(folder), tmp_path / "alone"))
 
 
+@pytest.mark.slow
 def test_the_half_of_a_part_that_a_kill_left_is_cleaned_up(copy, whole):
     (copy / "part-0000001.parquet").unlink()
     half = copy / ".part-0000001.parquet.k9x_2a.tmp"  # as `atomic_write` names it
@@ -110,6 +112,7 @@ def test_the_half_of_a_part_that_a_kill_left_is_cleaned_up(copy, whole):
     assert not half.exists() and anothers.exists() and parts_of(copy) == parts_of(whole)
 
 
+@pytest.mark.slow
 def test_a_script_that_its_workers_run_again_is_told_where_to_put_the_call(tmp_path):
     script = tmp_path / "many_arms.py"
     lines = ["from fraclink._campaign.run import process_pool", "with process_pool(2) as pool:"]
@@ -124,6 +127,7 @@ def test_a_script_that_its_workers_run_again_is_told_where_to_put_the_call(tmp_p
     assert (answer.returncode, answer.stdout) == (0, "1\n"), answer.stderr
 
 
+@pytest.mark.slow
 def test_two_workers_write_the_bytes_of_one(whole, tmp_path):
     seen = []
     done = run_campaign(small(), tmp_path / "two", workers=2, watch=seen.append)
@@ -131,6 +135,7 @@ def test_two_workers_write_the_bytes_of_one(whole, tmp_path):
     assert (done.before, done.done, done.runs) == (0, 2500, 2500) and len(seen) == 3
 
 
+@pytest.mark.slow
 def test_a_longer_campaign_goes_on(copy, whole, tmp_path):
     kept = identities(copy)
     longer = replace(small(), runs=3000)
@@ -142,6 +147,7 @@ def test_a_longer_campaign_goes_on(copy, whole, tmp_path):
     assert parts_of(copy) == parts_of(computed(longer, tmp_path / "new"))
 
 
+@pytest.mark.slow
 def test_a_worker_that_is_killed_is_replaced(tmp_path, whole):
     folder, children = tmp_path / "parts", Path(f"/proc/self/task/{os.getpid()}/children")
     if not children.exists():
@@ -192,6 +198,7 @@ def take_anothers(path: Path) -> None:
     part_module.write_part(other, path.parent, int(path.stem[5:]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("damage", [truncate, flip, empty, take_anothers])
 def test_a_damaged_part_is_done_again(copy, whole, damage):
     kept = identities(copy)
@@ -205,6 +212,7 @@ def test_a_damaged_part_is_done_again(copy, whole, damage):
     assert others.items() <= identities(copy).items()
 
 
+@pytest.mark.slow
 def test_every_flipped_byte_is_noticed(copy, whole):
     path = copy / "part-0000002.parquet"
     good, wanted = path.read_bytes(), read_part(small(), whole, 2)
@@ -273,6 +281,7 @@ def test_impossible_workers_are_refused(tmp_path, workers):
         run_campaign(small(), tmp_path, workers=workers)
 
 
+@pytest.mark.slow
 def test_no_room_for_a_part_keeps_the_finished_ones(copy, whole):
     """A file that may not grow fails as on a full disk: the write comes back short and then with an error."""
     (copy / "part-0000001.parquet").unlink()
@@ -299,6 +308,7 @@ def _files_up_to(size: int):
         signal.signal(signal.SIGXFSZ, handler)
 
 
+@pytest.mark.slow
 def test_a_full_disk_is_told(tmp_path, copy):
     if os.geteuid() != 0 or not shutil.which("mount"):
         pytest.skip("mounting a small disk needs root")
@@ -317,6 +327,7 @@ def test_a_full_disk_is_told(tmp_path, copy):
         subprocess.run(["umount", str(disk)], check=True)  # noqa: S603, S607
 
 
+@pytest.mark.slow
 def test_an_unwritable_folder_is_told(tmp_path, capsys):
     (tmp_path / "file").write_text("not a folder")
     with pytest.raises(FieldError, match="not writable"):

@@ -78,6 +78,7 @@ def test_a_summary_says_what_the_law_was_given(tmp_path, low, high, sentence):
     assert (sentence in view(found).notes) == bool(sentence)
 
 
+@pytest.mark.slow
 def test_a_summary_is_that_of_all_runs(folder):
     from scipy.stats import spearmanr
 
@@ -107,6 +108,7 @@ def test_trips_are_counted_by_mode_and_reason():
     assert _trips(mode, reason) == ((3, 5, 1), (3, 7, 2), (4, 2, 1))
 
 
+@pytest.mark.slow
 def test_an_unfinished_campaign_is_summarised_as_far_as_it_is(folder, tmp_path):
     import shutil
 
@@ -138,6 +140,7 @@ def test_the_command_reports_and_replays(folder, tmp_path, capsys):
     assert main(["campaign", "replay", str(folder), "--run", str(holding), "--out", str(out), "--force"]) == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("option", "value", "field"),
     [
@@ -165,6 +168,7 @@ def is_one_closed_page(text: str) -> None:
     assert not re.search(r'(src|href)="(?!#)', text)
 
 
+@pytest.mark.slow
 def test_a_campaigns_page_names_its_worst_runs(tmp_path, capsys):
     campaign = small(runs=300)
     folder, page = computed(campaign, tmp_path / "parts"), tmp_path / "page.html"

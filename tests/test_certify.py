@@ -72,6 +72,7 @@ def document(certificate: Certificate, tmp_path_factory: pytest.TempPathFactory)
     return dict(json.loads(place.read_text(encoding="utf-8")))
 
 
+@pytest.mark.slow
 def test_default_design_is_certified_and_checked_by_other_arithmetic(
     certificate: Certificate, tmp_path: Path
 ):
@@ -88,6 +89,7 @@ def test_default_design_is_certified_and_checked_by_other_arithmetic(
     assert (run.returncode, run.stdout) == (0, f"PROVED: {certificate.verdict}\n"), run.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("placement", ["tustin", "direct"])
 def test_sampled_motor_loop_is_certified_and_checked(placement: str, checker: ModuleType, tmp_path: Path):
     # The direct placement rings near Nyquist: over its box of a late gauge it comes to 0.04 of -1.
@@ -98,6 +100,7 @@ def test_sampled_motor_loop_is_certified_and_checked(placement: str, checker: Mo
     assert "|1 + L| > 0.35 " in checker.check(str(tmp_path / "c.json"), found.statement.digest)
 
 
+@pytest.mark.slow
 def test_single_precision_law_and_default_claim(law: Law):
     """What is claimed of the model itself is more than what is claimed of every arm of its box."""
     single = law.in_precision("single")
@@ -132,6 +135,7 @@ RICH = replace(
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("placement", ["ideal", "tustin", "direct"])
 @pytest.mark.parametrize("model", [RIG.model, RICH], ids=["plain", "rich"])
 def test_discs_hold_the_loop_and_its_slopes_at_random_points_of_random_boxes(
@@ -171,6 +175,7 @@ def test_discs_hold_the_loop_and_its_slopes_at_random_points_of_random_boxes(
                 assert not np.any(moved > most + a.r + b.r)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("placement", ["ideal", "tustin", "direct"])
 def test_loop_of_the_certificate_is_the_sampled_loop_of_the_plan(placement: str):
     inner = "ideal" if placement == "ideal" else "sampled"
@@ -188,6 +193,7 @@ def test_loop_of_the_certificate_is_the_sampled_loop_of_the_plan(placement: str)
         assert abs(exact - found) <= loop.alias_at(place | {"frequency": float(frequency)})
 
 
+@pytest.mark.slow
 def test_claim_above_the_truth_is_refused_with_the_place(law: Law):
     found = certify(plan_for("ideal"), law=law, modulus_margin=0.9)
     assert not found.passed
@@ -198,6 +204,7 @@ def test_claim_above_the_truth_is_refused_with_the_place(law: Law):
         found.save("nowhere.json")
 
 
+@pytest.mark.slow
 def test_claim_just_above_the_truth_is_not_proved(law: Law):
     found = certify(plan_for("ideal"), law=law, modulus_margin=0.3, box=ParameterBox.at(RIG.model))
     close = replace(found.statement, modulus=0.6572)
@@ -253,6 +260,7 @@ def test_half_planes_hold_no_forbidden_point(modulus: float):
         assert np.all(along <= least[:, None] + 1e-9 * np.maximum(1, np.abs(values)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("gauge", "distance"),
     [
@@ -331,6 +339,7 @@ def test_a_law_whose_limits_leave_no_room_is_not_certified(law: Law, limits: dic
     assert caught.value.field.startswith("law.limits")
 
 
+@pytest.mark.slow
 def test_no_limit_acts_on_errors_within_the_linear_range(certificate: Certificate, law: Law):
     """Random errors of that size through law.c itself: the correction is the linear filter's."""
     rng = np.random.default_rng(2)
@@ -592,6 +601,7 @@ def _signed(data: dict[str, Any], *, claim: bool = True) -> None:
     data["sha256"] = hashlib.sha256(text.encode()).hexdigest()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FORGERIES)
 def test_forgeries_are_rejected(name: str, document: dict[str, Any], checker: ModuleType, tmp_path: Path):
     """The board's own law is forged along with the certificate: the hash of the board is no help here."""
@@ -603,6 +613,7 @@ def test_forgeries_are_rejected(name: str, document: dict[str, Any], checker: Mo
     assert _rejected(checker, place, forged["statement"].get("digest", ""))
 
 
+@pytest.mark.slow
 def test_a_file_that_is_signed_again_unchanged_is_proved(
     document: dict[str, Any], checker: ModuleType, tmp_path: Path
 ):
@@ -651,6 +662,7 @@ def test_the_sentences_of_the_checker_are_those_of_the_package(checker: ModuleTy
     assert checker.sha(checker.canonical([CLAIM, list(ASSUMPTIONS)])) == checker.SENTENCES
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("precision", ["single", "double"])
 def test_the_law_on_the_board_is_read_from_its_header(
     precision: str, law: Law, certificate: Certificate, checker: ModuleType, tmp_path: Path
@@ -666,6 +678,7 @@ def test_the_law_on_the_board_is_read_from_its_header(
     assert checker.board(str(header)) != shipped.digest
 
 
+@pytest.mark.slow
 def test_nothing_is_proved_without_the_law_on_the_board(
     document: dict[str, Any], certificate: Certificate, law: Law, checker: ModuleType, tmp_path: Path
 ):
@@ -677,6 +690,7 @@ def test_nothing_is_proved_without_the_law_on_the_board(
     assert checker.check(str(place), str(tmp_path / "firmware" / "law_data.h")) == certificate.verdict
 
 
+@pytest.mark.slow
 def test_key_given_twice_and_other_law_are_rejected(
     document: dict[str, Any], checker: ModuleType, tmp_path: Path
 ):
@@ -693,6 +707,7 @@ def test_statement_survives_json_bit_for_bit(certificate: Certificate):
     assert Statement.from_json(certificate.statement.to_json()) == certificate.statement
 
 
+@pytest.mark.slow
 def test_the_checker_reads_the_block_where_the_law_wrote_it(checker: ModuleType) -> None:
     """It knows the block by offsets alone; a field that moves must not be taken for another."""
     law = plan_for("sampled").law()

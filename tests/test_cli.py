@@ -105,6 +105,7 @@ def test_doctor_says_what_is_there(fraclink: Command) -> None:
     assert found["extras"]["matplotlib"] and found["version"] == "0.1.0"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("shell", "marker"), [("bash", "design"), ("zsh", "design"), ("fish", "design")])
 def test_the_shell_completes_commands(shell: str, marker: str) -> None:
     given = {"COMP_WORDS": "fraclink des", "COMP_CWORD": "1"}
@@ -146,6 +147,7 @@ def test_the_design_prints_what_it_asked_and_got(fraclink: Command, tmp_path: Pa
     assert [entry.name for entry in tmp_path.iterdir()] == ["design.json"]
 
 
+@pytest.mark.slow
 def test_bounds_may_take_the_place_of_crossover_and_margin(fraclink: Command) -> None:
     line = "design --rig paper-2023 --max-sensitivity 1.6 --settling-time 0.55 --noise-gain 2 --json"
     answer = fraclink(*line.split())
@@ -184,6 +186,7 @@ def test_an_existing_file_is_kept_without_force(fraclink: Command, tmp_path: Pat
     assert place.read_text() != "mine"
 
 
+@pytest.mark.slow
 def test_an_infeasible_request_is_exit_code_1_and_writes_nothing(fraclink: Command, tmp_path: Path) -> None:
     arguments = ("design", "--rig", "paper-2023", "--gain-crossover", "30", "--phase-margin-deg", "80")
     answer = fraclink(*arguments)

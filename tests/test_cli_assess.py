@@ -21,6 +21,7 @@ def _design(place: Path) -> fl.Design:
     return design
 
 
+@pytest.mark.slow
 def test_assess_tells_budget_margins_rivals_and_spillover(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -45,6 +46,7 @@ def test_the_shares_of_all_modes_add_up_to_the_rigid_link() -> None:
     )
 
 
+@pytest.mark.slow
 def test_assess_writes_its_figures_and_their_numbers(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -66,6 +68,7 @@ def test_assess_writes_its_figures_and_their_numbers(
     assert (tmp_path / "worth" / "margins.svg").read_bytes() == first
 
 
+@pytest.mark.slow
 def test_a_massless_link_has_no_spillover(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     design = _design(tmp_path / "design.json")
     assert main(["assess", str(tmp_path / "design.json")]) == 0
@@ -73,6 +76,7 @@ def test_a_massless_link_has_no_spillover(tmp_path: Path, capsys: pytest.Capture
     assert mode_gains(design, damping_ratio=0.02) == ()
 
 
+@pytest.mark.slow
 def test_the_map_is_a_figure_and_its_numbers(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     place = tmp_path / "map.svg"
     line = [

@@ -20,6 +20,7 @@ def told(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> dict[str, 
     return result
 
 
+@pytest.mark.slow
 def test_compare_structures(capsys: pytest.CaptureFixture[str]) -> None:
     result = told(["compare-structures", "demo", "--rig", "paper-2023"], capsys)
     assert result["preferred"] == "UD-FOM"
@@ -30,6 +31,7 @@ def test_compare_structures(capsys: pytest.CaptureFixture[str]) -> None:
     assert "W301" in text
 
 
+@pytest.mark.slow
 def test_identify_payloads(capsys: pytest.CaptureFixture[str]) -> None:
     logs = [str(bundled_log(f"prbs_{grams}g")) for grams in (20, 30, 40)]
     result = told(["identify-payloads", *logs, "--rig", "paper-2023"], capsys)
@@ -90,6 +92,7 @@ def test_plan_experiment(capsys: pytest.CaptureFixture[str]) -> None:
     assert "nearest feasible" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("verb", ["identify", "compare-structures"])
 def test_a_log_with_a_reversed_gauge_is_fitted_and_does_not_hold(
     verb: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -114,6 +117,7 @@ def test_a_log_with_a_reversed_gauge_is_fitted_and_does_not_hold(
     assert findings[0]["severity"] == "error"
 
 
+@pytest.mark.slow
 def test_a_natural_frequency_of_zero_is_a_dash_with_its_meaning(
     capsys: pytest.CaptureFixture[str],
 ) -> None:

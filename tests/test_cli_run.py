@@ -57,6 +57,7 @@ def results(told_run: Told) -> Path:
     return told_run.folder
 
 
+@pytest.mark.slow
 def test_run_writes_every_noun_and_nothing_else(results: Path) -> None:
     names = sorted(path.name for path in results.iterdir())
     assert names == [
@@ -76,6 +77,7 @@ def test_run_writes_every_noun_and_nothing_else(results: Path) -> None:
     ]
 
 
+@pytest.mark.slow
 def test_the_model_is_the_one_that_made_the_bundled_log(results: Path) -> None:
     # The twin's link follows the power law of λ = 1.92 (the log's own header says so).
     fit = Fit.load(results / "model.json")
@@ -83,6 +85,7 @@ def test_the_model_is_the_one_that_made_the_bundled_log(results: Path) -> None:
     assert abs(fit.model.order - 1.92) < 3 * fit.standard_errors["order"]
 
 
+@pytest.mark.slow
 def test_a_folder_reads_back_as_the_study_that_wrote_it(results: Path) -> None:
     study = load_study(results)
     assert study.verdict.state == "not run"  # the arms were left out
@@ -111,6 +114,7 @@ def test_every_scope_of_the_demo_passes() -> None:
     assert study.arms.failure.count == 0
 
 
+@pytest.mark.slow
 def test_arms_that_fail_are_in_the_headline_and_in_the_exit_code(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
@@ -144,6 +148,7 @@ def test_arms_that_fail_are_in_the_headline_and_in_the_exit_code(
     assert main([*replay, "--out", str(tmp_path / "run.npz")]) == 1
 
 
+@pytest.mark.slow
 def test_a_step_that_fails_keeps_what_was_computed_before(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
@@ -163,6 +168,7 @@ def test_a_folder_that_is_there_is_kept(told_run: Told, capsys: pytest.CaptureFi
     assert {path.name: path.read_bytes() for path in told_run.folder.iterdir()} == before
 
 
+@pytest.mark.slow
 def test_a_proof_may_be_asked_for_and_machines_are_told_the_same(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
@@ -185,6 +191,7 @@ def test_a_proof_may_be_asked_for_and_machines_are_told_the_same(
     assert "because of the moon" in render_report(refused)
 
 
+@pytest.mark.slow
 def test_the_stages_chain_through_files(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -230,6 +237,7 @@ def test_an_offset_of_the_gauge_does_not_move_the_tip() -> None:
     assert error[run.time > 7.0].max() < error[(run.time > 4.0) & (run.time < 5.0)].max()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("rig", "log", "limit", "doubt"),
     [
@@ -260,6 +268,7 @@ def test_real_logs_run_end_to_end(
     assert any("phase margin" in sentence for sentence in study.assumptions)
 
 
+@pytest.mark.slow
 def test_a_hostile_file_name_is_harmless(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -317,6 +326,7 @@ def _until_closed(handle: int) -> bytes:
     return shown
 
 
+@pytest.mark.slow
 def test_progress_is_shown_on_a_terminal_only_and_on_standard_error(tmp_path: Path) -> None:
     pty = pytest.importorskip("pty")
     upper, lower = pty.openpty()

@@ -34,6 +34,7 @@ def fraclink(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: py
     return run
 
 
+@pytest.mark.slow
 def test_the_default_design_is_certified(fraclink: Command) -> None:
     code, out, err = fraclink("certify design.json --out certificate.json")
     assert code == 0
@@ -42,6 +43,7 @@ def test_the_default_design_is_certified(fraclink: Command) -> None:
     assert Certificate.load("certificate.json").passed
 
 
+@pytest.mark.slow
 def test_the_printed_controller_is_refused_with_its_poles(fraclink: Command, tmp_path: Path) -> None:
     design = Design.load("design.json")
     from dataclasses import replace
@@ -88,6 +90,7 @@ def test_the_twin_runs_the_design(fraclink: Command) -> None:
     assert "-1" in err
 
 
+@pytest.mark.slow
 def test_rivals_run_on_equal_terms(fraclink: Command, tmp_path: Path) -> None:
     code, _, err = fraclink("compare --rig paper-2023 --only ZVD --out comparison")
     assert code == 0

@@ -98,6 +98,7 @@ KNOBS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", KNOBS)
 def test_tuned_to_the_same_ms(setting, name):
     make, limits = KNOBS[name](setting)
@@ -108,6 +109,7 @@ def test_tuned_to_the_same_ms(setting, name):
     assert setting.loop.radius(correction) <= 1.0 + 1e-9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["sliding mode", "algebraic estimator + GPI"])
 def test_structures_that_cannot_reach_the_ms_get_our_noise(setting, name):
     rival = builders(setting)[name]()
@@ -205,6 +207,7 @@ def test_gpi_places_four_poles():
         assert 1 + value * w**2 / s**2 == pytest.approx((s + rate) ** 4 / (s**3 * (s + 4 * rate)), rel=1e-3)
 
 
+@pytest.mark.slow
 def test_a_longer_filter_keeps_the_request_and_quietens(setting):
     """δ inside (55) costs β, not margin: what the 10 % rule leaves on the table."""
     from fraclink._compare.published import quieter
@@ -237,6 +240,7 @@ def test_integer_twin_goes_through_our_crossing(setting):
     assert np.angle(-loop) == pytest.approx(margin, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_rivals_and_the_law_run_on_the_same_arm(setting):
     """Our filter run tick by tick in Python, and law.c: the same motor reference to rounding."""
 
@@ -270,6 +274,7 @@ def test_feed_forward_is_the_laws(setting):
     assert feed_forward(setting.law, acceleration) == pytest.approx(commands, abs=1e-12)
 
 
+@pytest.mark.slow
 def test_mode_gain_sees_only_feedback_of_the_tip(setting):
     twin = Twin.from_rig(RIG, link_mass=0.00735)
     made = builders(setting)

@@ -70,6 +70,7 @@ def _release(text: str) -> tuple[int, ...]:
     return tuple(int(part) for part in text.split("."))
 
 
+@pytest.mark.slow
 def test_nothing_outlives_the_release_that_removes_it() -> None:
     now = _release(fraclink.__version__)
     promised = [release for _, release in fraclink._RENAMED.values()]

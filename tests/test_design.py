@@ -195,6 +195,7 @@ def test_bad_requests_name_the_field(changes: dict[str, object], field: str, sho
     assert shown in str(caught.value)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changes", "condition"),
     [
@@ -251,6 +252,7 @@ def test_integer_controller_matched_at_the_nominal_point():
     assert matched.gain == pytest.approx(0.208339, abs=5e-7)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("changes", "says"), [({}, False), ({"margins": "ideal"}, True)])
 def test_a_plan_says_what_its_law_keeps(changes: dict[str, object], says: bool):
     design = default_plan(**changes)

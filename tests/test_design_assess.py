@@ -43,6 +43,7 @@ def test_sensitivity_bound_chooses_the_margin_and_holds_on_a_fine_grid():
     assert max(peaks) == pytest.approx(1.5, abs=1e-4)
 
 
+@pytest.mark.slow
 def test_noise_bound_chooses_the_filter():
     free = fl.design(RIG.model, RIG, **(WANTED | {"phase_margin": fl.deg(40)}), law=False)
     loose = float(free.loop.noise_gain(np.array([free.natural_frequencies[1]]), RIG.period)[0])
@@ -71,6 +72,7 @@ def test_settling_time_sets_the_crossover():
     assert {r.name for r in found.requirements} == {"gain crossover", "phase margin", "settling time"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changes", "condition"), [({"max_sensitivity": 1.05}, "sensitivity"), ({"noise_gain": 0.01}, "noise")]
 )
@@ -99,6 +101,7 @@ def test_noise_gain_and_peak_against_a_fine_grid(design: Design):
         assert design.loop.sensitivity_peak(pi)[k] == pytest.approx(1 / np.min(distance), rel=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("filter_time", [0.0, None, 0.03])
 def test_map_agrees_with_single_designs(filter_time: float | None):
     axes = {"gain_crossovers": np.linspace(9.0, 45.0, 9), "phase_margins": np.radians([15, 30, 45, 60])}
@@ -181,6 +184,7 @@ def test_spillover_is_the_peak_of_a_mode_times_the_controller(design: Design):
         spillover(design, [replace(mode, damping_ratio=0.0)])
 
 
+@pytest.mark.slow
 def test_rivals_meet_at_one_sensitivity_and_noise_tells_them_apart(design: Design):
     rivals = {r.name: r for r in compare_at_equal_sensitivity(design, max_sensitivity=1.55)}
     equal = [r for name, r in rivals.items() if not name.startswith("printed")]
@@ -243,6 +247,7 @@ def test_placement_too_fast_for_its_delay_is_refused():
     assert caught.value.field == "inner.pole"
 
 
+@pytest.mark.slow
 def test_design_on_the_sampled_motor_loop_keeps_its_margin_exactly():
     for placement in ("tustin", "direct"):
         made = fl.design(RIG.model, RIG, **WANTED, inner="sampled", placement=placement, law=False)
@@ -275,6 +280,7 @@ def test_alias_sum_is_exact_where_the_answer_is_known():
     assert np.allclose(plant(w), exact, rtol=2e-5)
 
 
+@pytest.mark.slow
 def test_phase_margin_is_enclosed_to_a_hundredth_of_a_degree(design: Design):
     proper = design.law()
     point = ParameterBox.at(design.model)

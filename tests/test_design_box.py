@@ -50,6 +50,7 @@ def drawn(made: Design, count: int) -> list[tuple[float, float]]:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", [None, MODE], ids=["one mode", "second mode"])
 def test_every_arm_of_the_box_keeps_crossover_and_margin(mode: SecondMode | None) -> None:
     made = design(replace(RIG.model, second_mode=mode), RIG, **WANTED, box=True, law=False)
@@ -64,6 +65,7 @@ def test_every_arm_of_the_box_keeps_crossover_and_margin(mode: SecondMode | None
     assert made.at(0.020).phase_margin > fl.deg(55)
 
 
+@pytest.mark.slow
 def test_modulus_of_the_moderate_box_is_proved() -> None:
     made = design(
         RIG.model, RIG, payloads=(0.02, 0.04), gain_crossover=12.0, max_sensitivity=1 / 0.58, box=True
@@ -89,6 +91,7 @@ def test_finding_says_what_each_interval_costs() -> None:
     assert worst - cost.evidence["worst_rad"] == pytest.approx(cost.evidence["gauge_delay_rad"], abs=2e-3)
 
 
+@pytest.mark.slow
 def test_a_law_that_falls_short_somewhere_in_the_box_is_named() -> None:
     """Without a filter the fitted law rises towards the Nyquist frequency: an arm of the box is unstable."""
     made = design(RIG.model, RIG, **WANTED, filter_time=0.0, box=True).with_law()
@@ -97,12 +100,14 @@ def test_a_law_that_falls_short_somewhere_in_the_box_is_named() -> None:
     assert not fl.certify(made).passed
 
 
+@pytest.mark.slow
 def test_a_law_that_is_not_stable_does_not_pass_without_a_further_look() -> None:
     made = design(RIG.model, RIG, **WANTED, filter_time=0.0, box=True)
     assert not made.passed
     assert [finding.severity for finding in made.findings if finding.code == "W404"] == ["error"]
 
 
+@pytest.mark.slow
 def test_a_law_that_comes_close_to_minus_one_near_nyquist_is_named() -> None:
     """Its margin is kept: |L| crosses one nowhere near."""
     wanted = WANTED | {"phase_margin": fl.deg(45)}
@@ -114,6 +119,7 @@ def test_a_law_that_comes_close_to_minus_one_near_nyquist_is_named() -> None:
     assert "W408" not in {finding.code for finding in filtered.findings}
 
 
+@pytest.mark.slow
 def test_refusal_offers_what_the_box_admits() -> None:
     with pytest.raises(InfeasibleError) as caught:
         design(RIG.model, RIG, **WANTED | {"phase_margin": fl.deg(110)}, box=True, law=False)

@@ -59,6 +59,7 @@ def designed(delay: float, gain: float = 1.0, margin: float = 50.0) -> Design | 
         return error.nearest
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("delay", [0.0, 0.001, 0.002, 0.004, 0.008, 0.012])
 @pytest.mark.parametrize("gain", [0.9, 1.0, 1.1])
 def test_a_design_for_a_late_gauge_is_stable_with_it(delay: float, gain: float) -> None:
@@ -70,6 +71,7 @@ def test_a_design_for_a_late_gauge_is_stable_with_it(delay: float, gain: float) 
         assert abs(margin) >= fl.deg(40) - 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("delay", [0.020, 0.057, 0.090])
 def test_a_very_late_gauge_is_refused_with_a_request_that_works(delay: float) -> None:
     nearest = designed(delay)
@@ -99,6 +101,7 @@ def test_a_delay_of_the_logger_alone_is_not_in_the_loop() -> None:
     )
 
 
+@pytest.mark.slow
 def test_random_loops_count_their_encirclements_as_the_winding_does() -> None:
     rng = np.random.default_rng(3)
     base = fl.design(MODEL, RIG, **WANTED, law=False)

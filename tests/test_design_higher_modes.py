@@ -42,6 +42,7 @@ def on_the_twin(design: Design, payload: float, number: int, damping: Damping) -
     return gain, NominalLoop(seen, rig.period, stiffness).radius(shipped)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mass", [0.00735, 0.0141])
 @pytest.mark.parametrize("filter_time", [None, 0.04])
 def test_the_gain_at_mode_two_is_that_of_the_sampled_loop_on_the_twin(
@@ -54,6 +55,7 @@ def test_the_gain_at_mode_two_is_that_of_the_sampled_loop_on_the_twin(
     assert second.achieved == pytest.approx(gain, rel=0.01)
 
 
+@pytest.mark.slow
 def test_a_viscous_link_has_its_own_damping_at_mode_two() -> None:
     rig = with_mass(0.00735)
     ratio, pole = 0.06, rig.natural_frequency(0.030)
@@ -86,6 +88,7 @@ def test_a_link_with_mass_brings_a_finding_and_a_massless_one_does_not() -> None
     assert "mode_gain=0.5" in finding.remedy
 
 
+@pytest.mark.slow
 def test_the_bound_is_kept_with_the_margin_that_was_asked_for() -> None:
     rig = with_mass(0.00735)
     design = fl.design(rig.model, rig, mode_gain=0.5, **WANTED, law=False)
@@ -100,6 +103,7 @@ def test_the_bound_is_kept_with_the_margin_that_was_asked_for() -> None:
     assert not {"W401", "W405"} & {finding.code for finding in design.findings}
 
 
+@pytest.mark.slow
 def test_the_heavier_link_is_unstable_by_the_rule_and_stable_by_the_bound() -> None:
     rig = with_mass(0.0141)
     ruled = fl.design(rig.model, rig, **WANTED, law=False)
@@ -109,6 +113,7 @@ def test_the_heavier_link_is_unstable_by_the_rule_and_stable_by_the_bound() -> N
     assert on_the_twin(bounded, 0.040, 2, law)[1] < 1.0 + 1e-9
 
 
+@pytest.mark.slow
 def test_what_no_filter_reaches_is_refused_with_the_nearest_bound() -> None:
     rig = with_mass(0.0141)
     with pytest.raises(InfeasibleError, match="mode gain") as caught:

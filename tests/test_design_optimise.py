@@ -47,6 +47,7 @@ def test_gradients_are_those_of_differences(design: Design, goal: str) -> None:
         np.testing.assert_allclose(gradient[:, i], (up - down) / 2e-6, atol=1e-7)
 
 
+@pytest.mark.slow
 def test_the_bounds_are_kept_on_a_finer_grid_than_they_were_found_on(
     design: Design, quiet: Optimised
 ) -> None:
@@ -64,6 +65,7 @@ def test_the_bounds_are_kept_on_a_finer_grid_than_they_were_found_on(
     assert quiet.gain > 0.65
 
 
+@pytest.mark.slow
 def test_another_optimiser_without_gradients_finds_no_better(design: Design, quiet: Optimised) -> None:
     """Nelder and Mead on the same figures with penalties, from the closed form."""
     pi = np.geomspace(*design.natural_frequencies, 5)
@@ -90,6 +92,7 @@ def test_another_optimiser_without_gradients_finds_no_better(design: Design, qui
     assert ours <= math.exp(other.fun) * 1.02
 
 
+@pytest.mark.slow
 def test_the_fastest_loop_keeps_its_noise(design: Design) -> None:
     found = optimise(design, goal="crossover")
     assert found.pays and found.design.passed
@@ -98,6 +101,7 @@ def test_the_fastest_loop_keeps_its_noise(design: Design) -> None:
     assert found.design.requirements[0].achieved == pytest.approx(12.977, abs=0.01)
 
 
+@pytest.mark.slow
 def test_a_long_filter_is_found_from_a_short_one() -> None:
     """The steps from the closed form alone go astray on the link that the bundled log gives."""
     link = replace(RIG.model, order=1.91974, natural_frequency=10.7828, stiffness=1.59576)
@@ -107,12 +111,14 @@ def test_a_long_filter_is_found_from_a_short_one() -> None:
     assert found.steps[2].value < 0.6 * found.steps[1].value
 
 
+@pytest.mark.slow
 def test_what_does_not_pay_leaves_the_closed_form(design: Design) -> None:
     found = optimise(design, goal="crossover", least=0.5)
     assert not found.pays and found.design is design and found.gain == 0.0
     assert "closed-form design is returned" in str(found)
 
 
+@pytest.mark.slow
 def test_a_bound_on_the_mode_is_kept() -> None:
     rig = replace(RIG, link=replace(RIG.link, mass=0.0141))
     start = fl.design(rig.model, rig, **WANTED, law=False)
@@ -122,6 +128,7 @@ def test_a_bound_on_the_mode_is_kept() -> None:
     assert math.isnan(found.steps[0].value) and math.isnan(found.gain)  # the closed form reaches the mode
 
 
+@pytest.mark.slow
 def test_the_law_the_certificate_and_the_file_carry_the_design(quiet: Optimised, tmp_path: Path) -> None:
     design = quiet.design
     assert math.pi + sum(share.phase for share in phase_budget(design, 0.020)) == pytest.approx(
@@ -165,11 +172,13 @@ def test_the_papers_reading_is_refused() -> None:
         optimise(ideal)
 
 
+@pytest.mark.slow
 def test_bounds_that_nothing_keeps_are_infeasible(design: Design) -> None:
     with pytest.raises(InfeasibleError, match="no structure"):
         optimise(design, max_sensitivity=1.02)
 
 
+@pytest.mark.slow
 def test_the_verb_writes_a_design_that_other_verbs_read(
     design: Design, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

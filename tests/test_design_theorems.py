@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
@@ -70,6 +71,7 @@ def test_lemma_1_homothety(case: Case, factor: float):
     assert np.allclose(second, ratio * first, rtol=1e-9)
 
 
+@pytest.mark.slow
 @settings(max_examples=200, deadline=None)
 @given(cases(right_of_39=True))
 def test_theorem_1_and_remark_1(case: Case):
@@ -82,6 +84,7 @@ def test_theorem_1_and_remark_1(case: Case):
     assert np.all(np.diff(margins) <= 1e-9)
 
 
+@pytest.mark.slow
 @settings(max_examples=200, deadline=None)
 @given(cases(right_of_39=True), st.floats(1.0, 20.0))
 def test_theorem_2_condition_39_is_inherited(case: Case, factor: float):

@@ -274,6 +274,7 @@ def test_findings_travel_between_processes() -> None:
         assert ForkingPickler.loads(ForkingPickler.dumps(finding)) == finding
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("kind", ["prbs", "pulse", "chirp"])
 def test_signs_are_judged_right_on_links_of_any_order(kind: str, seed: int) -> None:

@@ -24,6 +24,7 @@ PAGES = sorted(path for path in DOCS.rglob("*.md") if "_build" not in path.parts
 CODE = re.compile(r"\bW[1-6]\d\d\b")
 
 
+@pytest.mark.slow
 def test_the_page_of_errors_is_what_the_source_says(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(str(ROOT / "tools"))
     try:
@@ -155,6 +156,7 @@ def build(folder: Path, text: str) -> subprocess.CompletedProcess[str]:
 ENTRY = "## Entries\n\n```{eval-rst}\n.. py:class:: fraclink.Design\n```\n"
 
 
+@pytest.mark.slow
 def test_a_page_without_faults_builds_and_its_names_are_links(tmp_path: Path) -> None:
     done = build(
         tmp_path,
@@ -164,12 +166,14 @@ def test_a_page_without_faults_builds_and_its_names_are_links(tmp_path: Path) ->
     assert 'href="#fraclink.Design"' in (tmp_path / "html" / "index.html").read_text("utf-8")
 
 
+@pytest.mark.slow
 def test_dead_links_and_undefined_symbols_fail_the_build(tmp_path: Path) -> None:
     done = build(tmp_path, "\n\n".join(text for text, _ in BROKEN.values()))
     assert done.returncode != 0
     assert [what for what, (_, named) in BROKEN.items() if named not in done.stderr] == []
 
 
+@pytest.mark.slow
 def test_the_table_of_peers_is_what_the_benchmark_measures(monkeypatch: pytest.MonkeyPatch) -> None:
     """Rows of tools that are not installed here stand in the table as they were measured elsewhere."""
     monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
@@ -195,6 +199,7 @@ def test_no_page_shows_the_source_of_a_formula(page: Path) -> None:
 SESSION = re.compile(r"```python\n(>>> .*?)```", flags=re.DOTALL)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "page",
     [page for page in PAGES if SESSION.search(page.read_text("utf-8"))],

@@ -326,6 +326,7 @@ def test_the_kind_is_known_without_reading_the_rest(tmp_path: Path) -> None:
     assert (kind_of(tmp_path / "rig.toml"), kind_of(tmp_path / "none.json")) == ("rig", "")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("value", "name"), [(FULL, "x.json"), (SIGNALS, "x.npz"), (Exact(0.1, 1j), "y.json")]
 )
@@ -344,6 +345,7 @@ def test_two_thousand_mutants_are_equal_or_refused(value: Any, name: str, tmp_pa
     assert refused > 0.8 * count
 
 
+@pytest.mark.slow
 def test_two_thousand_mutants_without_a_digest_are_read_or_refused(tmp_path: Path) -> None:
     rng, refused = np.random.default_rng(6), 0
     data = json.loads(save(FULL, tmp_path / "x.json").read_text())
@@ -478,6 +480,7 @@ def test_d9_an_edited_gain_of_a_design_is_refused(tmp_path: Path) -> None:
         load(edited(path, louder))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["design-format-1.json", "study/design.json", "study/log.npz"])
 def test_d8_mutants_of_a_file_of_release_0_1_are_read_or_refused(name: str, tmp_path: Path) -> None:
     raw, rng = (GOLDEN / name).read_bytes(), np.random.default_rng(7)

@@ -75,6 +75,7 @@ def test_the_digest_beside_the_engine_is_its_own():
     assert hashlib.sha256(engine_bytes()).hexdigest() == digest
 
 
+@pytest.mark.slow
 def test_the_engine_is_what_csrc_compiles_to():
     clang, _ = tool("clang"), tool("wasm-ld", "lld")
     build = builder()
@@ -84,6 +85,7 @@ def test_the_engine_is_what_csrc_compiles_to():
     assert build.built(clang) == engine_bytes()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("precision", ["double", "single"])
 @pytest.mark.parametrize("payload", [0.008, 0.016, 0.030, 0.054])
 @pytest.mark.parametrize(("noise", "offset", "delay"), [(0.0, 0.0, 1), (0.02, 0.05, 2), (0.2, -0.1, 0)])

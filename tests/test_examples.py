@@ -60,6 +60,7 @@ def test_scripts_use_public_names_only(name: str) -> None:
     assert used <= set(fl.__all__)
 
 
+@pytest.mark.slow
 def test_arrays_give_back_the_arm_they_were_made_from(tmp_path: Path) -> None:
     text = printed("arrays_of_your_own", tmp_path)
     for name, true in (("order", 1.90), ("natural_frequency", 11.0)):
@@ -68,6 +69,7 @@ def test_arrays_give_back_the_arm_they_were_made_from(tmp_path: Path) -> None:
         assert abs(number(f"{name} =", text) - true) < 4.0 * error
 
 
+@pytest.mark.slow
 def test_the_fractional_link_has_its_poles_and_the_margins_of_the_formula(tmp_path: Path) -> None:
     text = printed("fractional_systems", tmp_path)
     # s^λ = -100 on the principal sheet: 100^(1/λ) at the angle π/λ.
@@ -98,6 +100,7 @@ def _margin_of_the_loop() -> float:
     return 180.0 + cmath.phase(loop(low)) * 180.0 / cmath.pi
 
 
+@pytest.mark.slow
 def test_a_log_becomes_code_for_a_board(tmp_path: Path) -> None:
     text = printed("log_to_board", tmp_path)
     assert abs(number("order", text) - 1.92) < 0.002  # what the bundled log was simulated with
@@ -110,6 +113,7 @@ def test_a_log_becomes_code_for_a_board(tmp_path: Path) -> None:
     assert design.payloads == (0.020, 0.040)
 
 
+@pytest.mark.slow
 def test_margins_fall_below_the_range_and_are_kept_inside(tmp_path: Path) -> None:
     text = printed("margins_against_payload", tmp_path)
     left = [number(rf"\b{grams} g:", text) for grams in (8, 20, 30, 40, 60)]
@@ -118,6 +122,7 @@ def test_margins_fall_below_the_range_and_are_kept_inside(tmp_path: Path) -> Non
     assert (tmp_path / "margins.svg").read_text("utf-8").startswith("<?xml")
 
 
+@pytest.mark.slow
 def test_an_arm_that_loses_payload_arrives(tmp_path: Path) -> None:
     text = printed("payload_that_drops", tmp_path)
     assert text.count("passed") == 2
@@ -125,6 +130,7 @@ def test_an_arm_that_loses_payload_arrives(tmp_path: Path) -> None:
     assert abs(float(run.tip_angle[-1]) - 1.0) < 0.02
 
 
+@pytest.mark.slow
 def test_most_arms_that_differ_pass(tmp_path: Path) -> None:
     text = printed("arms_that_differ", tmp_path)
     assert 0 <= int(text.split()[0]) < 20

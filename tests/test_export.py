@@ -69,6 +69,7 @@ def test_the_data_are_the_block(exported: tuple[Law, Path]) -> None:
     assert answer.stdout == made.block
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("compiler", ["gcc", "clang"])
 @pytest.mark.parametrize("level", ["-O0", "-O2", "-O3"])
 def test_the_self_test_passes(exported: tuple[Law, Path], compiler: str, level: str) -> None:
@@ -82,6 +83,7 @@ def test_the_self_test_passes(exported: tuple[Law, Path], compiler: str, level: 
     assert f"hash {hashed.group(1)}" in (folder / "README.md").read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_the_self_test_finds_a_compiler_that_contracts(exported: tuple[Law, Path]) -> None:
     made, folder = exported
     if "fma" not in Path("/proc/cpuinfo").read_text(encoding="utf-8"):
@@ -190,6 +192,7 @@ def test_titles_cannot_leave_their_comment(tmp_path: Path, title: str) -> None:
         export_c(law(), tmp_path / "out", title=title)
 
 
+@pytest.mark.slow
 def test_a_name_and_a_title_arrive(tmp_path: Path) -> None:
     export_c(law(), tmp_path / "out", name="arm_2", title="Arm 2, 20-40 g")
     text = (tmp_path / "out" / "arm_2.h").read_text(encoding="utf-8")

@@ -76,6 +76,7 @@ def _hash(text: str) -> int:
     return int(found.group(1), 16)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("precision", ["single", "double"])
 def test_fifty_thousand_periods_agree_to_the_bit(precision: str, tmp_path: Path) -> None:
     made = law(precision)
@@ -90,6 +91,7 @@ def test_fifty_thousand_periods_agree_to_the_bit(precision: str, tmp_path: Path)
         assert _hash(on_board(tmp_path, made, board, *sources, exact=True)) == wanted, board
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("board", BOARDS)
 def test_the_self_test_passes_on_the_board(board: str, tmp_path: Path) -> None:
     made = law("single")
@@ -98,6 +100,7 @@ def test_the_self_test_passes_on_the_board(board: str, tmp_path: Path) -> None:
     assert "passed" in text
 
 
+@pytest.mark.slow
 def test_a_period_on_a_cortex_m4f_is_short(tmp_path: Path) -> None:
     """Compiled for the design alone at -O2: 8 instructions a mode and 15 without guards."""
     made = law("single")

@@ -22,6 +22,7 @@ FMIS = [2, 3]
 ROWS = signals(1000)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("precision", "ending", "modes"), [("double", "degraded", {1, 2, 4}), ("single", "held", {1, 3, 4})]
 )
@@ -46,6 +47,7 @@ def test_50_000_periods_are_those_of_the_simulation(
     assert seen == 0x1FF - 8 - 16 - (256 if ending == "held" else 0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fmi", FMIS)
 @pytest.mark.parametrize("precision", ["single", "double"])
 def test_fmpy_finds_no_problem_and_simulates_to_the_bit(fmi: int, precision: str, tmp_path: Path) -> None:
@@ -70,6 +72,7 @@ def test_fmpy_finds_no_problem_and_simulates_to_the_bit(fmi: int, precision: str
     np.testing.assert_array_equal(got[1:], outputs_of(own)[:-1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fmi", FMIS)
 def test_the_description_and_the_library_know_the_same_variables(fmi: int, tmp_path: Path) -> None:
     tool("cc", "gcc")

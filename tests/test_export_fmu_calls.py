@@ -45,6 +45,7 @@ def _refused(arm: Imported, why: str, name: str, *arguments: object) -> None:
     assert len(arm.messages) == 1 and why in arm.messages[0], arm.messages
 
 
+@pytest.mark.slow
 def test_another_step_than_the_period_is_an_error_until_a_reset(arm: Imported) -> None:
     arm.initialize()
     fresh = arm.run(ROWS, PERIOD)
@@ -58,6 +59,7 @@ def test_another_step_than_the_period_is_an_error_until_a_reset(arm: Imported) -
     np.testing.assert_array_equal(arm.run(ROWS, PERIOD), fresh)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("step", [0.0, -PERIOD, float("nan"), float("inf"), PERIOD * (1 + 1e-5)])
 def test_steps_that_are_none(arm: Imported, step: float) -> None:
     arm.initialize()

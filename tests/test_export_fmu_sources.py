@@ -30,6 +30,7 @@ def test_the_largest_flags_are_all_flags_of_the_law() -> None:
     assert next(v.largest for v in VARIABLES if v.name == "flags") == sum(map(int, bits))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fmi", FMIS)
 def test_an_importer_builds_the_same_from_the_sources(
     fmi: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -52,6 +53,7 @@ def test_an_importer_builds_the_same_from_the_sources(
     np.testing.assert_array_equal(imported.run(ROWS, made.period), outputs_of(run(made, ROWS, first_tick=0)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fmi", FMIS)
 def test_the_declarations_are_those_of_the_standard(fmi: int, tmp_path: Path) -> None:
     """The standard's own header in front: compilers then compare; strict warnings, with and without it."""
@@ -66,6 +68,7 @@ def test_the_declarations_are_those_of_the_standard(fmi: int, tmp_path: Path) ->
     shell(tool("clang"), *CLANG, "-Wno-disabled-macro-expansion", *with_header, cwd=sources)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fmi", FMIS)
 def test_checkers_have_nothing_to_say(fmi: int, tmp_path: Path) -> None:
     sources = sources_of(
@@ -85,6 +88,7 @@ def test_checkers_have_nothing_to_say(fmi: int, tmp_path: Path) -> None:
     assert "warning:" not in answer.stdout and "error:" not in answer.stdout, answer.stdout[:2000]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fmi", FMIS)
 def test_a_life_under_sanitizers(fmi: int, tmp_path: Path) -> None:
     """Right and wrong calls in C: no leak, no access outside, nothing undefined."""
@@ -118,6 +122,7 @@ def test_two_fmus_link_into_one_program(tmp_path: Path) -> None:
     shell(tmp_path / "both")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fmi", FMIS)
 def test_a_cross_compiler_adds_windows(fmi: int, tmp_path: Path) -> None:
     cross = tool("x86_64-w64-mingw32-gcc", "gcc-mingw-w64-x86-64-win32")

@@ -38,6 +38,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return place
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("precision", ["single", "double"])
 def test_the_compilers_have_nothing_to_say(precision: str, tmp_path: Path) -> None:
     made = law(precision)
@@ -48,6 +49,7 @@ def test_the_compilers_have_nothing_to_say(precision: str, tmp_path: Path) -> No
     run(tool("gcc"), *GCC, *single(made), "-c", tmp_path / "law_selftest.c", "-o", tmp_path / "test.o")
 
 
+@pytest.mark.slow
 def test_cppcheck_and_misra_have_nothing_to_say(folder: Path) -> None:
     # unusedFunction: a library's functions are used by others; missingIncludeSystem: stdint.h is not parsed
     general = tuple(f"-ULAW_{kind}" for kind in ("REALS", "PAIRS", "FORWARDS"))
@@ -59,6 +61,7 @@ def test_cppcheck_and_misra_have_nothing_to_say(folder: Path) -> None:
         assert answer.stdout + answer.stderr == ""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("define", [(), ("-DLAW_SINGLE",)])
 def test_clang_tidy_has_nothing_to_say(folder: Path, define: tuple[str, ...]) -> None:
     checks = "--checks=-*,bugprone-*,cert-*,clang-analyzer-*"
@@ -67,6 +70,7 @@ def test_clang_tidy_has_nothing_to_say(folder: Path, define: tuple[str, ...]) ->
     assert "error:" not in answer.stdout
 
 
+@pytest.mark.slow
 def test_the_fuzzer_breaks_no_invariant() -> None:
     """A few seconds of what `make fuzz` does for a minute."""
     program = Path(__file__).parents[1] / "tools" / "fuzz_law.py"
@@ -79,6 +83,7 @@ def test_the_fuzzer_breaks_no_invariant() -> None:
     assert int(runs.group(1)) > 1000
 
 
+@pytest.mark.slow
 def test_every_line_and_branch_of_the_law_is_run(folder: Path) -> None:
     (folder / "one.c").write_text('#include "law.c"\n#include "drive.c"\n', encoding="utf-8")
     run(

@@ -25,6 +25,7 @@ def _replay(folder: Path, made: Law, compiler: str = "gcc", *, allow_changed: bo
     return replay(folder, made, compiler=compiler, allow_changed=allow_changed, **signals)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("precision", ["single", "double"])
 @pytest.mark.parametrize("compiler", ["gcc", "clang"])
 def test_the_export_repeats_the_package_to_the_bit(precision: str, compiler: str, tmp_path: Path) -> None:
@@ -38,6 +39,7 @@ def test_the_export_repeats_the_package_to_the_bit(precision: str, compiler: str
     assert np.ptp(result.motor_reference) > 0.2
 
 
+@pytest.mark.slow
 def test_a_changed_law_is_found_in_its_period(tmp_path: Path) -> None:
     made = law("double")
     export_c(made, tmp_path / "firmware")
@@ -78,6 +80,7 @@ def test_what_is_no_export_of_this_law_is_refused(tmp_path: Path) -> None:
 _RUN = '__attribute__((constructor)) static void ran(void) {{ fclose(fopen("{mark}", "w")); }}\n'
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("file", ["law.c", "law.h", "law_data.h"])
 @pytest.mark.parametrize("how", ["appended", "in front", "behind a comment", "in the first comment's line"])
 def test_code_that_is_not_ours_is_not_run_unless_it_is_allowed(file: str, how: str, tmp_path: Path) -> None:
@@ -102,6 +105,7 @@ def test_code_that_is_not_ours_is_not_run_unless_it_is_allowed(file: str, how: s
         assert mark.exists()
 
 
+@pytest.mark.slow
 def test_a_header_of_c_beside_the_law_is_not_taken_for_cs_own(tmp_path: Path) -> None:
     export_c(law("double"), tmp_path / "firmware")
     for header in ("math.h", "string.h", "stdint.h", "stdio.h"):
@@ -131,6 +135,7 @@ def test_the_m_file_holds_every_number_to_the_bit(tmp_path: Path) -> None:
         assert repr(value) in text
 
 
+@pytest.mark.slow
 def test_octave_runs_the_m_file_and_gets_the_laws_response(tmp_path: Path) -> None:
     made = with_pair()
     export_matlab(made, tmp_path / "arm_law.m")
@@ -158,6 +163,7 @@ def test_matlab_names_and_existing_files(tmp_path: Path) -> None:
     export_matlab(law(), tmp_path / "arm.m", force=True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("precision", ["single", "double"])
 def test_the_verb_replays_a_log(precision: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     from fraclink._cli.app import run as fraclink
@@ -181,6 +187,7 @@ def test_the_verb_replays_a_log(precision: str, tmp_path: Path, capsys: pytest.C
     assert "not an export" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_log_of_another_period_is_refused(tmp_path: Path) -> None:
     export_c(law(), tmp_path / "firmware")
     log = fl.Experiment(period=0.005, motor_angle=np.zeros(300), output=np.zeros(300), output_kind="torque")

@@ -58,12 +58,14 @@ def test_the_catalogue_is_complete() -> None:
     assert {fault.reaction for fault in CATALOGUE} == {"A", "B", "C", "D", "-"}
 
 
+@pytest.mark.slow
 def test_every_fault_has_a_verdict_and_no_new_one_is_open(table: FaultTable) -> None:
     assert [row.number for row in table.rows()] == [fault.number for fault in CATALOGUE]
     assert all(len(outcome.checks) >= 5 for outcome in table.outcomes)
     assert {outcome.case.fault for outcome in table.failures} <= OPEN
 
 
+@pytest.mark.slow
 def test_outputs_are_finite_and_in_limits_in_every_run(table: FaultTable) -> None:
     for outcome in table.outcomes:
         broken = [check.name for check in outcome.failed if check.name.startswith(("G1", "G2"))]
@@ -158,6 +160,7 @@ def test_the_members_of_the_state_are_where_they_are_said_to_be(bench: Bench, pr
     assert np.all(np.array(used) != 0.0)
 
 
+@pytest.mark.slow
 def test_a_run_repeats_to_the_last_bit(bench: Bench) -> None:
     planned = cases(bench, only=["F06", "F18", "F29"], severities=(3,), payloads=(0.02,), seeds=(3,))
     table = run_faults(bench, planned)
@@ -224,6 +227,7 @@ def test_a_limit_cycle_is_seen_without_the_noise_that_hid_it(bench: Bench) -> No
     assert "limit cycle [rad]" in [check.name for check in failed]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("precision", ["single", "double"])
 def test_a_flipped_bit_of_what_decides_leaves_the_arm_where_it_is_or_the_drive_off(
     bench: Bench, precision
@@ -242,6 +246,7 @@ def test_a_flipped_bit_of_any_counter_does_no_harm(bench: Bench) -> None:
         assert [upset for upset in found if not upset.passed] == []
 
 
+@pytest.mark.slow
 def test_upsets_name_the_bit_that_they_flip(bench: Bench) -> None:
     """The lowest bit of the motor reference changes nothing; its sign moves the arm."""
     found = {upset.bit: upset for upset in upsets(bench, names=["motor_reference"], phase="rest")}
@@ -266,6 +271,7 @@ def test_bad_requests_name_the_field(bench: Bench, options: dict[str, object], f
     assert caught.value.field == field
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("precision", ["double", "single"])
 def test_a_clean_arm_is_left_alone(bench: Bench, precision) -> None:
     made = bench.with_law(bench.law.in_precision(precision))

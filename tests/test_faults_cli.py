@@ -30,6 +30,7 @@ def test_a_fault_that_is_met_exits_with_0(tmp_path: Path, capsys: pytest.Capture
     assert "--force" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_an_open_fault_exits_with_1_and_its_command_repeats_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -127,6 +127,7 @@ def test_link_and_motor(output: str, tmp_path: Path) -> None:
     assert fl.load(tmp_path / "link.json") == found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("low", "high", "code"),
     [(2.0, 10.5, "W347"), (11.6, 60.0, "W347"), (2.0, 11.5, "W348"), (12.6, 60.0, "W348")],
@@ -138,6 +139,7 @@ def test_a_band_that_misses_one(low: float, high: float, code: str) -> None:
         assert not found.passed
 
 
+@pytest.mark.slow
 def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     measured, table = noisy(), tmp_path / "response.csv"
     rows = [f"{w},{h.real},{h.imag}" for w, h in zip(LINES, measured.response, strict=True)]

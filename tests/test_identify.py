@@ -152,6 +152,7 @@ def test_intervals_cover_and_agree_with_standard_errors() -> None:
         assert interval.high - interval.low == pytest.approx(2 * 1.96 * error, rel=0.05)
 
 
+@pytest.mark.slow
 def test_coverage_of_the_intervals() -> None:
     """60 logs: fewer than 52 inside (two sided 0.2 %) would mean errors that are wrong by a third."""
     clean = made_log(delay=0.003)
@@ -178,6 +179,7 @@ def test_coloured_noise_widens_the_errors() -> None:
     assert fit.standard_errors["order"] > 1.5 * fit.white_standard_errors["order"]
 
 
+@pytest.mark.slow
 def test_tests_of_a_white_residual_are_calm() -> None:
     p_values = []
     for seed in range(12):

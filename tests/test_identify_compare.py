@@ -32,6 +32,7 @@ def test_all_four_in_the_papers_order() -> None:
     assert comparison.fits["UD-IOM"].mse > 5 * comparison.best.mse
 
 
+@pytest.mark.slow
 def test_40_ms_of_delay_fake_a_fractional_order_and_the_verdict_says_so() -> None:
     log = made_log(LinkModel(1.56, 10.0, damping=1.3), noise=0.05, delay=0.04, seed=1)
     comparison = compare_structures(log)
@@ -98,6 +99,7 @@ def test_merced_through_its_rig_file() -> None:
     assert fractional.errors_allow_colour
 
 
+@pytest.mark.slow
 def test_ist_fast_square_wave() -> None:
     comparison = compare_structures(ist_log("a15_f10"))
     fractional, viscous = comparison.fits["UD-FOM"], comparison.fits["D-IOM"]
@@ -108,6 +110,7 @@ def test_ist_fast_square_wave() -> None:
     assert viscous.heldout_nmse <= 0.0325
 
 
+@pytest.mark.slow
 def test_ist_slow_square_wave_prefers_viscous_damping() -> None:
     comparison = compare_structures(ist_log("a10_f04"))
     assert comparison.preferred == "D-IOM"
@@ -143,6 +146,7 @@ def test_identify_says_where_the_log_cannot_tell() -> None:
     assert all(name in finding.message for name in comparison.undecided)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("correlation", [0.9, 0.98])
 @pytest.mark.parametrize(
     ("link", "structure"), [(TRUTH, "UD-FOM"), (LinkModel(1.56, 10.0, damping=1.3), "D-IOM")]

@@ -175,6 +175,7 @@ BAD: dict[str, tuple[Callable[[], Experiment], str, str]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", BAD)
 def test_a_bad_log_gives_no_model_that_passes_and_says_why(name: str) -> None:
     make, code, part = BAD[name]
@@ -200,6 +201,7 @@ def test_a_few_samples_at_the_stops_are_no_gate() -> None:
     assert not many.passed
 
 
+@pytest.mark.slow
 def test_a_good_log_passes_every_gate() -> None:
     for noise in (0.0, 0.02 * WHITE, 0.02 * SLOW):
         assert identify(log(output=TORQUE + noise)).passed

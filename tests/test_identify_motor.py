@@ -17,6 +17,7 @@ GAIN, DECAY, INERTIA = 3056.77, 15.153, 6.87e-5
 LINK = LinkModel(1.56, 10.0, order=1.92)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "truth",
     [

@@ -38,18 +38,21 @@ def test_common_order_and_own_frequencies() -> None:
     assert "λ may be common" in fit.verdict
 
 
+@pytest.mark.slow
 def test_joint_errors_are_smaller_than_those_alone() -> None:
     logs = payload_logs(LINK)
     alone = min(identify(log, "UD-FOM", heldout=0).standard_errors["order"] for log in logs)
     assert identify_payloads(logs).standard_errors["order"] < alone
 
 
+@pytest.mark.slow
 def test_a_common_order_is_refused_where_it_is_not() -> None:
     fit = identify_payloads(payload_logs(LINK, tweak=0.01))
     assert not fit.test.common
     assert "cannot be common" in fit.verdict
 
 
+@pytest.mark.slow
 def test_one_stiffness_by_equation_5() -> None:
     fit = identify_payloads(payload_logs(LINK), tied=True, length=0.65)
     assert fit.stiffness_over_square == pytest.approx(11.0**2 * 0.03, rel=3e-3)

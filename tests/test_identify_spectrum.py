@@ -16,6 +16,7 @@ FREQUENCY = np.linspace(1, 40, 200)
 LINK = LinkModel(1.56, 10.02, order=1.92)
 
 
+@pytest.mark.slow
 @settings(max_examples=15, deadline=None)
 @given(order=st.floats(1.5, 1.995), frequency=st.floats(3, 25), delay=st.floats(0, 0.03))
 def test_clean_response_is_found_exactly(order: float, frequency: float, delay: float) -> None:
@@ -34,6 +35,7 @@ def noisy(seed: int) -> np.ndarray:
     return np.asarray(response * (1 + 0.02 * (generator.normal(size=200) + 1j * generator.normal(size=200))))
 
 
+@pytest.mark.slow
 def test_outliers_are_set_aside_and_named() -> None:
     response = noisy(0)
     response[[20, 77, 150]] *= [5, -3, 0.1]
@@ -45,6 +47,7 @@ def test_outliers_are_set_aside_and_named() -> None:
     assert spoilt.standard_errors["order"] > 3 * fit.standard_errors["order"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("weighed", [False, True])
 def test_the_order_of_the_lines_does_not_matter(weighed: bool) -> None:
     response = noisy(0)
@@ -83,6 +86,7 @@ def test_coherence_weighs_lines() -> None:
     assert weighed.standard_errors["delay"] < plain.standard_errors["delay"]
 
 
+@pytest.mark.slow
 def test_two_modes_with_one_order() -> None:
     s = 1j * np.linspace(0.02, 1.3, 150)
     x = s**1.95
@@ -100,6 +104,7 @@ def test_two_modes_with_one_order() -> None:
         fit.model()
 
 
+@pytest.mark.slow
 def test_daisy_arm_has_one_common_order() -> None:
     data = np.genfromtxt(shared_data("daisy_robot_arm", "robot-arm.csv"), delimiter=",", names=True)
     found = frequency_response(data["u"], data["y"])
@@ -146,6 +151,7 @@ def test_an_angle_of_the_motor_is_no_tip_response() -> None:
     assert "W342" in {finding.code for finding in fit.findings if finding.severity == "error"}
 
 
+@pytest.mark.slow
 def test_good_responses_pass() -> None:
     assert identify_frequency_response(FREQUENCY, CLEAN).passed
     assert all(identify_frequency_response(FREQUENCY, noisy(seed)).passed for seed in range(6))

@@ -63,6 +63,7 @@ def test_nyquist_counts_the_encirclements(loop: Any) -> None:
     assert control.nyquist_response(to_control(LOOP * 0.1)).count == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "draw",
     [
@@ -86,6 +87,7 @@ def test_plots_draw_the_loop(loop: Any, draw: object) -> None:
     assert max(len(line.get_xdata()) for line in lines) >= len(OMEGA)
 
 
+@pytest.mark.slow
 def test_bode_plot_shows_the_peak(loop: Any) -> None:
     axis = np.ravel(control.bode_plot(loop, dB=True).axes)[0]
     peak = max(np.max(line.get_ydata()) for line in axis.get_lines())

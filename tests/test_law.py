@@ -54,6 +54,7 @@ def test_the_state_fits_the_promise() -> None:
     assert _kernels.law_sizes(True)[1] <= 256
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("delta", "band", "order"), [(0.16, (0.05, 600.0), 4), (0.016, (0.05, 600.0), 6)])
 def test_few_states_reach_a_tenth_of_a_decibel(delta: float, band: tuple[float, float], order: int) -> None:
     controller = fl.Controller(
@@ -110,6 +111,7 @@ def test_the_law_in_c_is_its_frequency_response(precision: str) -> None:
         assert gain == pytest.approx(complex(made.frequency_response(w)), rel=2e-5)
 
 
+@pytest.mark.slow
 def test_single_precision_stays_with_double_for_a_million_periods() -> None:
     count = 1_000_000
     rng = np.random.default_rng(3)
@@ -243,6 +245,7 @@ def test_limits_follow_the_move() -> None:
     assert railed.torque_limit < 4.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("changes", [{"filter_time": 0.0}, {}, {"inner": "sampled", "placement": "direct"}])
 def test_the_law_keeps_the_margins_of_the_exact_controller(changes: dict[str, float | str]) -> None:
     rig = fl.Rig.named("paper-2023")

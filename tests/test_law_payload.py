@@ -138,6 +138,7 @@ def test_damaged_memory_of_the_payload_is_healed(precision: str) -> None:
             np.testing.assert_allclose(out.error[150:], whole.error[150:], atol=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("placement", "delay"), [("tustin", 1), ("direct", 1), ("tustin", 0)])
 def test_the_reference_model_is_the_sampled_motor_loop(placement: str, delay: int) -> None:
     rig = replace(GEARED, motor_loop=replace(GEARED.motor_loop, placement=placement, delay_samples=delay))
@@ -154,6 +155,7 @@ def test_the_reference_model_is_the_sampled_motor_loop(placement: str, delay: in
         assert np.max(np.abs(found - wanted)) < 5e-3
 
 
+@pytest.mark.slow
 def test_every_payload_settles_in_half_a_second() -> None:
     """The figure of issue 16 on the twin of the geared rig, one seed: 2 % within 0.48 s, residual 15 mrad."""
     assert GEARED.model is not None
@@ -175,6 +177,7 @@ def test_every_payload_settles_in_half_a_second() -> None:
         assert told.metrics.residual_vibration < not_told.metrics.residual_vibration
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("delay", "gain"), [(0.006, 1.2), (0.0, 1.4)])
 def test_a_late_gauge_and_its_gain_are_counted_on(delay: float, gain: float) -> None:
     """A gauge that is known to be late, or to have a gain, costs a given payload nothing."""

@@ -38,6 +38,7 @@ def test_a_repr_is_one_short_line(name: str, results: dict[str, Any]) -> None:
     assert "\n" not in text and len(text) < 240 and "array(" not in text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_a_cell_shows_the_table_and_the_drawing(name: str, results: dict[str, Any]) -> None:
     page, drawing = results[name]._repr_html_(), results[name]._repr_svg_()

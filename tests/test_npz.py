@@ -128,6 +128,7 @@ def test_b65_a_zip_bomb_is_refused_before_it_unpacks(tmp_path: Path, monkeypatch
     assert "too large" in error.problem and "ratio 200" in error.problem
 
 
+@pytest.mark.slow
 def test_b65_a_directory_that_lies_about_sizes(tmp_path: Path) -> None:
     blob = npy(np.zeros(12_500_000))
     path = archive(tmp_path / "a.npz", [("about.npy", header_npy()), ("x.npy", blob)])
@@ -166,6 +167,7 @@ def test_b68_no_archive_at_all(tmp_path: Path) -> None:
     assert "without a header" in refused(archive(tmp_path / "a.npz", [("x.npy", npy(np.zeros(3)))])).problem
 
 
+@pytest.mark.slow
 def test_mutated_archives_are_read_or_refused(tmp_path: Path) -> None:
     path, rng = tmp_path / "a.npz", np.random.default_rng(3)
     write_npz(path, "thing", 1, ABOUT, ARRAYS, compressed=True)
@@ -206,6 +208,7 @@ def test_b62_a_file_that_is_too_large(tmp_path: Path) -> None:
         read_json(tmp_path / "a.json", "thing")
 
 
+@pytest.mark.slow
 def test_mutated_json_is_read_or_refused(tmp_path: Path) -> None:
     path, rng = tmp_path / "a.json", np.random.default_rng(4)
     write_json(path, "thing", 1, {"x": [1.5, 2.5], "name": "é", "table": {"a": 1}})

@@ -200,6 +200,7 @@ def test_without_matplotlib(monkeypatch: pytest.MonkeyPatch) -> None:
         plots.bode(LINK)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not _kernels.REALTIME, reason="the real-time loop is Linux's")
 def test_the_times_of_a_run_are_all_in_the_histograms() -> None:
     rig = fl.Rig.named("paper-2023")

@@ -68,6 +68,7 @@ def test_known_error_of_the_best_oustaloup_filter() -> None:
     assert made.order == 16
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "system",
     [
@@ -121,6 +122,7 @@ def test_bilinear_map_of_oustaloup() -> None:
     assert np.all(np.abs(sampled.poles) < 1)
 
 
+@pytest.mark.slow
 def test_reported_error_is_the_error() -> None:
     system = 1 / (s**0.5 + 1)
     made = approximate(system, BAND, 4, method="minimax")

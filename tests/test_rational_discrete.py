@@ -198,6 +198,7 @@ def test_weight_moves_the_error() -> None:
     assert inside[0] < 0.5 * inside[1]
 
 
+@pytest.mark.slow
 @given(
     st.floats(0.2, 0.9),
     st.floats(0.02, 0.5),

@@ -36,6 +36,7 @@ def refused(path: Path) -> FieldError:
     return caught.value
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_format_holds_the_same_numbers(kind: str, tmp_path: Path) -> None:
     log = read_log(made_file(kind, tmp_path), columns=stated(kind), payload=0.03)
@@ -45,6 +46,7 @@ def test_every_format_holds_the_same_numbers(kind: str, tmp_path: Path) -> None:
     assert (log.period, log.start_time) == (0.004, 0.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["mcap", "db3"])
 def test_a_rosbag_folder_is_a_log_too(kind: str, tmp_path: Path) -> None:
     folder = made_file(kind, tmp_path).parent
@@ -54,12 +56,14 @@ def test_a_rosbag_folder_is_a_log_too(kind: str, tmp_path: Path) -> None:
     assert np.array_equal(log.motor_angle, made_columns()["motor_angle_rad"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["hdf5", "tdms", "mcap"])
 def test_units_that_a_file_states_are_listed(kind: str, tmp_path: Path) -> None:
     units = {channel.unit for channel in inspect_log(made_file(kind, tmp_path)).channels}
     assert units == {"s", "rad", "Nm"}
 
 
+@pytest.mark.slow
 def test_parquet_stamps_become_seconds(tmp_path: Path) -> None:
     pa = pytest.importorskip("pyarrow")
     from pyarrow import parquet
@@ -76,6 +80,7 @@ def test_parquet_stamps_become_seconds(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.values[0], 0.004 * np.arange(300), atol=1e-12)
 
 
+@pytest.mark.slow
 def test_tdms_waveform_steps_become_stamps(tmp_path: Path) -> None:
     nptdms = pytest.importorskip("nptdms")
     with nptdms.TdmsWriter(str(tmp_path / "a.tdms")) as writer:
@@ -84,6 +89,7 @@ def test_tdms_waveform_steps_become_stamps(tmp_path: Path) -> None:
     assert read_columns(tmp_path / "a.tdms")["g/u.time"].tolist() == [0.5, 0.502, 0.504, 0.506, 0.508]
 
 
+@pytest.mark.slow
 def test_a_simulink_structure_with_time() -> None:
     table = read_table(shared_data("ist_flexbar", "1_test_deflection_model_2_final.mat"))
     columns = dict(zip(table.names, table.values, strict=True))
@@ -104,12 +110,14 @@ def test_a_simulink_structure_with_time() -> None:
     assert (log.period, log.motor_angle.size) == (0.001, 30001)
 
 
+@pytest.mark.slow
 def test_matlab_arrays_of_merced_hold_what_the_table_holds() -> None:
     table = read_columns(shared_data("quanser_rfl_merced", "merced_rfl.csv"))
     arrays = read_columns(shared_data("quanser_rfl_merced", "data_alpha.mat"))
     np.testing.assert_allclose(arrays["data_alpha(:,2)"], table["alpha_deg"], rtol=2e-5, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_b18_columns_of_different_clocks() -> None:
     path = shared_data("ist_flexbar", "1_test_deflection_model_2_final.mat")
     mixed = LogColumns(
@@ -123,6 +131,7 @@ def test_b18_columns_of_different_clocks() -> None:
     assert caught.value.field == "column of motor_angle"
 
 
+@pytest.mark.slow
 def test_b66_a_mat_file_without_a_numeric_array(tmp_path: Path) -> None:
     from scipy.io import savemat
     from scipy.sparse import eye_array
@@ -138,6 +147,7 @@ def test_b66_a_mat_file_without_a_numeric_array(tmp_path: Path) -> None:
     assert "without a numeric array" in error.problem and "-v7" in error.remedy
 
 
+@pytest.mark.slow
 def test_b66_a_zlib_bomb_stays_within_its_limits(tmp_path: Path) -> None:
     import struct
     import zlib
@@ -162,6 +172,7 @@ def test_b66_a_zlib_bomb_stays_within_its_limits(tmp_path: Path) -> None:
     assert "more memory than a log needs" in error.problem
 
 
+@pytest.mark.slow
 def test_b64_a_header_that_claims_a_thousand_billion_samples(tmp_path: Path) -> None:
     h5py = pytest.importorskip("h5py")
     with h5py.File(tmp_path / "a.h5", "w") as file:
@@ -171,6 +182,7 @@ def test_b64_a_header_that_claims_a_thousand_billion_samples(tmp_path: Path) -> 
     assert "1000000000000" in str(error.value)
 
 
+@pytest.mark.slow
 def test_hdf5_does_not_read_other_files(tmp_path: Path) -> None:
     h5py = pytest.importorskip("h5py")
     (tmp_path / "secret").write_bytes(np.arange(100.0).tobytes())
@@ -183,6 +195,7 @@ def test_hdf5_does_not_read_other_files(tmp_path: Path) -> None:
     assert list(read_columns(tmp_path / "a.h5")) == ["own"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_b66_a_cut_file_is_damaged(kind: str, tmp_path: Path) -> None:
     path = made_file(kind, tmp_path)
@@ -197,6 +210,7 @@ def test_b66_a_cut_file_is_damaged(kind: str, tmp_path: Path) -> None:
         assert table.values[0].size <= 400
 
 
+@pytest.mark.slow
 def test_b66_a_child_that_dies_is_named_and_replaced(tmp_path: Path) -> None:
     good, bad = write_mat5(tmp_path / "good.mat", made_columns()), tmp_path / "bad.mat"
     bad.write_bytes(good.read_bytes())
@@ -225,6 +239,7 @@ def test_b66_the_signal_that_ended_a_parser_is_told(tmp_path: Path, monkeypatch:
     assert "damaged or hostile: its parser crashed (SIGSEGV)" in error.problem
 
 
+@pytest.mark.slow
 def test_a_missing_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = made_file("parquet", tmp_path)
     (tmp_path / "empty" / "pyarrow").mkdir(parents=True)
@@ -248,6 +263,7 @@ def test_content_decides_about_the_format(tmp_path: Path) -> None:
         assert sniffed_kind(path) == name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["v5", "v7.3", "hdf5"])
 def test_columns_are_called_as_their_program_calls_them(kind: str, tmp_path: Path) -> None:
     tall = np.arange(20.0).reshape(10, 2)
@@ -283,6 +299,7 @@ def test_b66_objects_of_matlab_yield_no_columns() -> None:
         assert list(_flat("x", fields.view(kind), 6)) == []
 
 
+@pytest.mark.slow
 def test_900_columns_with_long_names_are_read(tmp_path: Path) -> None:
     """As ASCII escapes the list of columns was 2 MB, over the parent's limit: it waited 60 s for nothing."""
     pa = pytest.importorskip("pyarrow")
@@ -294,6 +311,7 @@ def test_900_columns_with_long_names_are_read(tmp_path: Path) -> None:
     assert len(read_table(tmp_path / "n.parquet").names) == 900
 
 
+@pytest.mark.slow
 def test_an_answer_that_never_ends_is_not_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import subprocess
 

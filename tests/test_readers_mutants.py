@@ -12,6 +12,7 @@ import pytest
 from mutants import KINDS, run
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_mutants_are_read_or_refused(kind: str, tmp_path: Path) -> None:
     count = {"text": 400, "rig": 400}.get(kind, 120)

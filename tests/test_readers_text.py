@@ -190,6 +190,7 @@ def test_inspect_shows_hostile_names_without_their_control_characters(tmp_path: 
     assert "\x1b" not in str(listing)
 
 
+@pytest.mark.slow
 @given(
     texts=st.lists(
         st.text(st.characters(exclude_categories=["Cs"]), min_size=1, max_size=12), min_size=1, max_size=4
@@ -203,6 +204,7 @@ def test_b72_any_column_name_gives_a_mapping_that_parses(texts: list[str]) -> No
     assert mapping["log"]["motor_angle"]["column"] in names
 
 
+@pytest.mark.slow
 @given(st.one_of(st.floats(allow_nan=False, allow_infinity=False).map(repr), st.text(max_size=8)))
 @settings(max_examples=300, deadline=None)
 def test_a_cell_is_a_number_exactly_where_both_ways_of_reading_say_so(cell: str) -> None:

@@ -20,6 +20,7 @@ def blocks(language: str) -> list[str]:
     return re.findall(rf"```{language}\n(.*?)```", README, flags=re.DOTALL)
 
 
+@pytest.mark.slow
 def test_the_session_prints_what_it_says(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)  # it writes a folder
     sessions = blocks("python")
@@ -32,6 +33,7 @@ def test_the_session_prints_what_it_says(tmp_path: Path, monkeypatch: pytest.Mon
     assert outcome.failed == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("line", [line for block in blocks("console") for line in block.splitlines()])
 def test_every_command_exists_with_its_options(line: str) -> None:
     words = line.removeprefix("$ ").split()

@@ -79,6 +79,7 @@ def stopped(board: Board) -> bool:
     return board.commands[-1].mode == OFF and board.commands[-1].voltage == 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("precision", ["double", "single"])
 def test_the_record_replays_to_the_last_bit(law: Law, precision: str) -> None:
     used = law.in_precision(precision)  # type: ignore[arg-type]
@@ -100,6 +101,7 @@ def test_the_record_replays_to_the_last_bit(law: Law, precision: str) -> None:
     assert all(command.mode != OFF for command in board.commands[:-1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("payload", "periods"), [(0.0, 0), (0.03, 0), (50.0, 16)])
 def test_a_payload_that_the_law_rejects_is_said(law: Law, payload: float, periods: int) -> None:
     run = Board().run(law, payload=payload)
@@ -452,6 +454,7 @@ REFUSED = """
 """
 
 
+@pytest.mark.slow
 def test_what_the_machine_refuses_stands_in_the_result() -> None:
     answer = subprocess.run(  # noqa: S603
         [sys.executable, "-c", textwrap.dedent(REFUSED)], capture_output=True, text=True, check=True

@@ -132,6 +132,7 @@ def compiled(folder: Path, name: str, text: str, **defines: object) -> Path:
     return library
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("virtual")
 def test_the_template_compiles_and_stands_still(fraclink: Command, tmp_path: Path) -> None:
     code, out, _ = fraclink("export io --out board")
@@ -180,6 +181,7 @@ def test_a_period_that_the_machine_does_not_keep_is_refused_before_anything_move
     assert not (tmp_path / "last").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("virtual")
 def test_a_key_comes_from_a_file_and_only_for_datagrams(fraclink: Command, tmp_path: Path) -> None:
     (tmp_path / "short").write_bytes(b"secret")
@@ -193,6 +195,7 @@ def test_a_key_comes_from_a_file_and_only_for_datagrams(fraclink: Command, tmp_p
             assert (code, said in err, "secret" in err) == (2, True, False), err
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("virtual")
 def test_a_library_is_run_and_left_in_order(fraclink: Command, tmp_path: Path) -> None:
     export_io(tmp_path, force=True)
@@ -270,6 +273,7 @@ def test_ways_that_lead_nowhere(fraclink: Command, tmp_path: Path, io: str, said
     assert len(err.strip().splitlines()) == 1
 
 
+@pytest.mark.slow
 def test_ways_that_fail_when_they_are_opened(
     law: fl.Law, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -304,6 +308,7 @@ CRASHING = """
 """
 
 
+@pytest.mark.slow
 def test_a_process_that_crashes_leaves_a_stop_behind(fraclink: Command, tmp_path: Path) -> None:
     export_io(tmp_path, force=True)
     board = compiled(tmp_path, "arm", BOARD, CRASH=9)
@@ -324,6 +329,7 @@ def test_the_record_has_a_place_before_the_arm_moves_or_nothing_happens(
     assert not (tmp_path / "last").exists()
 
 
+@pytest.mark.slow
 def test_another_machine_needs_a_word(fraclink: Command) -> None:
     for command in ("run-realtime", "serve-arm"):
         code, _, err = fraclink(f"{command} design.json --io udp:203.0.113.7:5005")
@@ -366,6 +372,7 @@ def arm_process(threads: int, *more: str) -> Iterator[tuple[subprocess.Popen[str
     assert not clock.stalled
 
 
+@pytest.mark.slow
 def test_an_arm_in_another_process(fraclink: Command, monkeypatch: pytest.MonkeyPatch) -> None:
     io = f"shm:cli-{os.getpid()}"
     with arm_process(2, "--io", io, "--once", "--out", "arm.npz", "--json") as (arm, clock):
@@ -383,6 +390,7 @@ def test_an_arm_in_another_process(fraclink: Command, monkeypatch: pytest.Monkey
     assert told["last_tip_angle"] == pytest.approx(0.2, abs=0.02)
 
 
+@pytest.mark.slow
 def test_an_arm_that_freezes_is_given_up_and_can_be_ended(
     fraclink: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -415,6 +423,7 @@ def test_an_arm_that_freezes_is_given_up_and_can_be_ended(
     assert not place.exists()
 
 
+@pytest.mark.slow
 def test_ctrl_z_ends_an_arm_and_does_not_only_stop_it(fraclink: Command) -> None:
     with arm_process(2, "--io", f"shm:end-{os.getpid()}", "--json") as (arm, clock):
         clock.sleep(0.1)  # it runs

@@ -158,6 +158,7 @@ def message(kind: int, sequence: int, first: float, second: float, mode: int = 1
     return body + struct.pack("<I", zlib.crc32(body))
 
 
+@pytest.mark.slow
 def test_the_arm_in_real_time_is_the_twin_to_the_last_bit(law: Law, twin: Twin, way: Way) -> None:
     move = fl.smooth_step(0.3, 1.0)
     simulated = fl.simulate(law, move, arm=twin, duration=1.0)
@@ -187,6 +188,7 @@ def test_a_longer_delay_is_waited_out_by_the_arm(twin: Twin) -> None:
         serve_arm(replace(twin, voltage_delay=0), way, PERIOD)
 
 
+@pytest.mark.slow
 def test_an_arm_that_dies_is_given_up_by_the_law(law: Law, twin: Twin, way: Way) -> None:
     with Serving(twin, way, duration=0.4, once=False) as serving:
         run = serving.control(law, fl.smooth_step(0.3, 1.0), duration=5.0)

@@ -130,6 +130,7 @@ def plain() -> Elements:
     return parsed(render_report(study("plain"), title="plain"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("text", HOSTILE)
 def test_no_text_from_outside_becomes_an_element(text: str, plain: Elements) -> None:
     page = parsed(render_report(study(text), title=text))
@@ -144,6 +145,7 @@ def test_the_counter_sees_a_new_element(plain: Elements) -> None:
     ]
 
 
+@pytest.mark.slow
 def test_the_page_asks_nobody_for_anything() -> None:
     text = render_report(study("plain", design=True))
     assert all(reference.startswith("#") for reference in parsed(text).references)
@@ -158,12 +160,14 @@ def test_the_page_asks_nobody_for_anything() -> None:
     assert len(text.encode()) < 700_000
 
 
+@pytest.mark.slow
 def test_a_report_without_script_holds_none() -> None:
     text = render_report(study("plain", design=True), script=False)
     assert "<script" not in text and "script-src" not in text and "armbox" not in text
     assert "<script" not in render_report(study("plain"))
 
 
+@pytest.mark.slow
 def test_ids_are_unique_and_every_reference_has_its_target() -> None:
     text = render_report(study("plain", design=True))
     ids = re.findall(r'\bid="([^"]+)"', text)
@@ -172,6 +176,7 @@ def test_ids_are_unique_and_every_reference_has_its_target() -> None:
     assert {first or second for first, second in used} <= set(ids)
 
 
+@pytest.mark.slow
 def test_the_same_study_gives_the_same_bytes_in_another_process(tmp_path: Path) -> None:
     code = (
         "from fraclink._arm.rig import Rig; from fraclink._workflow import Study, design_for\n"
@@ -196,6 +201,7 @@ def test_an_infeasible_design_is_told() -> None:
     assert "because of the moon" in render_report(Study(rig=RIG, stopped="because of the moon"))
 
 
+@pytest.mark.slow
 def test_faults_have_a_section_and_a_verdict_of_their_own(tmp_path: Path) -> None:
     made, _ = design_for(RIG)
     saved = Study(rig=RIG, design=made, faults=faults("peak over clean"))
@@ -228,6 +234,7 @@ def test_the_headline_is_never_better_than_its_worst_part(states: tuple[str, ...
     assert verdict.refuted == (whole in ("failed", "not shown"))
 
 
+@pytest.mark.slow
 def test_an_error_of_log_or_model_leaves_nothing_shown() -> None:
     wrong = Finding("W399", "error", "the model predicts nothing", {}, "record again")
     made, _ = design_for(RIG)
@@ -237,6 +244,7 @@ def test_an_error_of_log_or_model_leaves_nothing_shown() -> None:
     assert '<div class="verdict not-shown">' in page
 
 
+@pytest.mark.slow
 def test_the_design_shows_every_requirement_with_its_payload() -> None:
     made, _ = design_for(RIG)
     texts = " ".join(parsed(render_report(Study(rig=RIG, design=made))).texts)
@@ -246,6 +254,7 @@ def test_the_design_shows_every_requirement_with_its_payload() -> None:
     assert "48.8°" in texts or "50.0°" in texts  # the sampled margin at 20 g stands beside the one asked for
 
 
+@pytest.mark.slow
 def test_a_model_without_a_natural_frequency_is_named_by_the_model_that_it_is() -> None:
     log = read_log(bundled_log("pulse_30g"))
     comparison = compare_structures(log, details=False)
@@ -287,6 +296,7 @@ def test_an_uncertain_number_shows_the_digits_it_has() -> None:
     assert uncertain(5.0, math.inf) == "5"
 
 
+@pytest.mark.slow
 def test_a_browser_shows_the_page_without_a_complaint(tmp_path: Path) -> None:
     browser = tool("chromium")
     place = write_report(study(HOSTILE[0], design=True), tmp_path / "report.html")

@@ -57,6 +57,7 @@ def test_our_values_are_the_checked_ones(name: str, value: float, places: int) -
     assert abs(VALUES[name] - value) <= 0.5000001 * 10**-places
 
 
+@pytest.mark.slow
 def test_what_the_procedure_leaves_out_costs_what_was_checked() -> None:
     """By hand-written scripts, from the printed inputs: 70° becomes 63° and 27.6°; the redesign keeps 48.8°.
 
@@ -108,6 +109,7 @@ def test_the_twins_link_is_found_again() -> None:
     assert abs(VALUES["twin.prbs.joint.order"] - 1.92) < 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("item", PUBLISHED.claims, ids=lambda item: item.id)
 def test_every_statement_is_judged_by_its_measurement(item: Claim) -> None:
     found = EVIDENCE[item.evidence](PUBLISHED)

@@ -31,6 +31,7 @@ def survey() -> ModuleType:
     return module
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", SEEDS)
 def test_what_a_refusal_offers_is_feasible(survey: ModuleType, seed: int) -> None:
     request = survey.random_request(seed)
@@ -52,6 +53,7 @@ def test_a_motor_loop_that_cannot_be_placed_is_refused_before_anything_is_offere
         fl.design(request.model, request.rig, **request.options)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [57, 222])
 def test_a_design_alone_says_that_its_law_keeps_less(survey: ModuleType, seed: int) -> None:
     """What the law keeps is measured on the sampled loop with every alias summed one by one."""
@@ -75,6 +77,7 @@ def test_a_settling_time_is_answered_in_seconds() -> None:
     assert fl.design(RIG.model, RIG, **{**asked, **nearest}, law=False).passed
 
 
+@pytest.mark.slow
 def test_a_bound_on_the_sensitivity_is_answered_as_one() -> None:
     asked = {**BOUNDED, "max_sensitivity": 1.02}
     with pytest.raises(InfeasibleError) as refused:
@@ -83,6 +86,7 @@ def test_a_bound_on_the_sensitivity_is_answered_as_one() -> None:
     assert fl.design(RIG.model, RIG, **{**asked, **refused.value.nearest}, law=False).passed
 
 
+@pytest.mark.slow
 def test_the_loop_of_the_survey_is_that_of_the_margin_engine(survey: ModuleType) -> None:
     made = fl.design(RIG.model, RIG, **BOUNDED, phase_margin=fl.deg(50), law=False)
     law = made.law(order=1)

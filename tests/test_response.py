@@ -73,6 +73,7 @@ def test_double_real_pole_without_a_cut() -> None:
     assert peak_error(result.output, 1 - (1 + 80 * t) * np.exp(-80 * t)) < 1e-12
 
 
+@pytest.mark.slow
 def test_triple_complex_pole() -> None:
     t = np.arange(800) * 0.02
     system = 1 / (s**2 + 2 * s + 5) ** 3
@@ -107,6 +108,7 @@ def test_undamped_double_resonance() -> None:
     assert peak_error(result.output, 1 - np.cos(10 * t) - 5 * t * np.sin(10 * t)) < 1e-11
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("detuning", [0.0, 1e-9, 1e-6, 1e-4, 1e-2])
 def test_merging_resonances_are_continuous(detuning: float) -> None:
     """Two links in series, equal and nearly equal: Talbot's inversion knows no poles."""

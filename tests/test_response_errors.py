@@ -77,6 +77,7 @@ def test_contours_keep_their_digits_where_residues_cancel(G: FractionalTransferF
     assert true <= found.error_estimate <= 1e-10 * found.output[-1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("hold", ["zero", "first"])
 def test_the_estimate_of_a_contour_holds_for_any_input(hold: str) -> None:
     u, period = np.random.default_rng(4).uniform(-1.0, 1.0, 24), 0.02
@@ -94,6 +95,7 @@ def test_the_estimate_of_a_contour_holds_for_any_input(hold: str) -> None:
     assert true <= found.error_estimate <= 1e-8 * float(np.max(np.abs(exact)))
 
 
+@pytest.mark.slow
 def test_the_estimate_of_an_impulse_is_its_own() -> None:
     G = s**-1.496091 / (s**0.174899 + 0.1)
     for times in ([1.0], [1e-3, 1.0], list(np.geomspace(1e-2, 10.0, 7))):
@@ -112,6 +114,7 @@ def random_system(generator: np.random.Generator) -> FractionalTransferFunction:
     return G / s ** float(generator.uniform(0.0, 1.5)) if generator.random() < 0.3 else G
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("respond", [impulse_response, step_response])
 @pytest.mark.parametrize("seed", range(24))
 def test_true_errors_stay_within_their_estimates(respond: Callable[..., TimeResponse], seed: int) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -27,6 +28,7 @@ def stable_systems(draw: st.DrawFn) -> FractionalTransferFunction:
     return G
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=80)
 @given(G=stable_systems(), period=st.floats(-6, -2).map(math.exp), count=st.integers(2, 2000))
 def test_modes_agree_with_contours(G: FractionalTransferFunction, period: float, count: int) -> None:

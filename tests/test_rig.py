@@ -184,6 +184,7 @@ rigs = st.builds(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None)
 @given(rigs)
 def test_any_rig_comes_back_equal_whatever_its_texts_hold(rig: Rig) -> None:

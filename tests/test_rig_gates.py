@@ -60,6 +60,7 @@ def test_arms_that_are_merely_imprecise_are_in_no_doubt() -> None:
     assert [finding.code for finding in doubts_of(RIG, slow)] == ["W107"]
 
 
+@pytest.mark.slow
 def test_a_design_behind_a_contradiction_meets_its_requirements_and_does_not_pass() -> None:
     good, bad = (fl.design(model, RIG, **ASK) for model in (LINK, DEGREES))
     assert good.passed
@@ -68,6 +69,7 @@ def test_a_design_behind_a_contradiction_meets_its_requirements_and_does_not_pas
     assert [finding.code for finding in bad.doubts] == ["W106"]
 
 
+@pytest.mark.slow
 def test_a_refusal_names_the_contradiction_behind_it() -> None:
     with pytest.raises(InfeasibleError, match=r"payload of 50 kg is 1\.25e\+03 times"):
         fl.design(replace(LINK, payload=50.0), RIG, **ASK)
@@ -75,6 +77,7 @@ def test_a_refusal_names_the_contradiction_behind_it() -> None:
         fl.design(replace(LINK, natural_frequency=41.0), RIG, **ASK)
 
 
+@pytest.mark.slow
 def test_a_design_of_a_fit_that_failed_a_gate_does_not_pass() -> None:
     angle = 0.3 * np.clip((PERIOD * np.arange(3000) - 0.5) / 0.2, 0, 1)
     torque = -simulated_torque(TRUTH, angle, PERIOD)
@@ -92,6 +95,7 @@ def _written(path: Path, model: LinkModel) -> str:
     return str(path)
 
 
+@pytest.mark.slow
 def test_a_model_of_another_arm_fails_the_command(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     model, out = _written(tmp_path / "model.json", DEGREES), tmp_path / "design.json"
     assert main(["design", "--rig", "paper-2023", "--model", model, "--out", str(out)]) == 1
@@ -102,6 +106,7 @@ def test_a_model_of_another_arm_fails_the_command(capsys: pytest.CaptureFixture[
     assert main(["simulate", str(out), "--payload", "0.03", "--out", str(tmp_path / "run.npz")]) == 1
 
 
+@pytest.mark.slow
 def test_a_payload_in_grams_fails_the_command(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     design = tmp_path / "design.json"
     assert main(["design", "--rig", "paper-2023", "--out", str(design)]) == 0
@@ -114,6 +119,7 @@ def test_a_payload_in_grams_fails_the_command(capsys: pytest.CaptureFixture[str]
     assert "50 kg is 1.25e+03 times" in " ".join(capsys.readouterr().out.split())
 
 
+@pytest.mark.slow
 def test_a_log_against_its_header_is_shown_nothing(tmp_path: Path) -> None:
     text = bundled_log("prbs_30g").read_text("utf-8")
     path = tmp_path / "log.csv"
@@ -133,6 +139,7 @@ def test_a_log_against_its_header_is_shown_nothing(tmp_path: Path) -> None:
     assert "as with an angle in degrees that is called radians" in reasons
 
 
+@pytest.mark.slow
 def test_a_study_of_a_design_behind_a_contradiction_is_not_shown() -> None:
     verdict = Study(rig=RIG, design=fl.design(DEGREES, RIG, **ASK)).verdict
     assert verdict.promise.state == "not shown"

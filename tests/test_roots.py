@@ -28,6 +28,7 @@ def polished(coefficients: list[float], orders: list[float], z: complex) -> comp
         return complex(mpmath.findroot(f, mpmath.mpc(z)))
 
 
+@pytest.mark.slow
 @given(st.lists(st.floats(0.05, 20) | st.floats(-20, -0.05), min_size=2, max_size=9))
 @settings(max_examples=150, deadline=None)
 def test_integer_orders_agree_with_polynomial_roots(coefficients: list[float]) -> None:

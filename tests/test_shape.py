@@ -59,6 +59,7 @@ def known(design: fl.Design) -> ShapedMove:
 # ── the linear loop ─────────────────────────────────────────────────────────────────────────────────────────
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("told", [False, True])
 @pytest.mark.parametrize("on", ["twin", "model"])
 def test_the_responses_predict_every_signal_of_a_run(design: fl.Design, told: bool, on: str) -> None:
@@ -77,6 +78,7 @@ def test_the_responses_predict_every_signal_of_a_run(design: fl.Design, told: bo
     np.testing.assert_allclose(np.cumsum(rows["motor_step"]), run.motor_reference, atol=1e-8)
 
 
+@pytest.mark.slow
 def test_the_programme_of_some_rows_has_the_optimum_of_all(design: fl.Design) -> None:
     arm = ShapedArm(RIG, design.model, Twin.from_rig(RIG))
     loops = responses_of(design.law(), arm, (0.020, 0.040), 2.5, told=False)
@@ -114,6 +116,7 @@ def test_a_path_of_smooth_steps_is_smooth() -> None:
 # ── a move from rest to rest ────────────────────────────────────────────────────────────────────────────────
 
 
+@pytest.mark.slow
 def test_one_reference_moves_every_payload_as_promised(unknown: ShapedMove) -> None:
     ours, *rivals = unknown.measured
     assert unknown.passed and unknown.findings == ()
@@ -125,11 +128,13 @@ def test_one_reference_moves_every_payload_as_promised(unknown: ShapedMove) -> N
     assert unknown.shown.tolist() == pytest.approx([0.020, math.sqrt(0.0008), 0.040])
 
 
+@pytest.mark.slow
 def test_a_known_payload_moves_twice_as_fast(known: ShapedMove) -> None:
     assert known.passed and known.settling_time <= 0.35
     assert [each.name for each in known.measured] == ["shaped"]
 
 
+@pytest.mark.slow
 def test_a_move_for_the_identified_model_suits_that_model(design: fl.Design) -> None:
     """An arm that is 15 % slower than stiffness and length say, as identified, with a second mode."""
     slow = replace(
@@ -147,12 +152,14 @@ def test_a_move_for_the_identified_model_suits_that_model(design: fl.Design) -> 
     assert run.metrics.settling_time > fitting.settling_time + 0.1
 
 
+@pytest.mark.slow
 def test_moves_to_the_other_side_are_the_same(design: fl.Design, known: ShapedMove) -> None:
     back = fl.shape(design, -1.0, payloads=KNOWN, told=True, seeds=1, rivals=False)
     assert back.amplitude == pytest.approx(-1.0) and back.passed
     assert back.settling_time == pytest.approx(known.settling_time, abs=0.009)
 
 
+@pytest.mark.slow
 def test_limits_of_speed_and_torque_cost_time(design: fl.Design, known: ShapedMove) -> None:
     slow = fl.shape(design, 1.0, payloads=KNOWN, told=True, speed=3.0, seeds=1, rivals=False)
     run = fl.simulate(design, slow.reference, arm=Twin.from_rig(RIG, payload=0.030), told=True)
@@ -292,6 +299,7 @@ def test_a_table_that_is_none_is_refused(tmp_path: Path, text: str) -> None:
 # ── everything that moves an arm takes it ───────────────────────────────────────────────────────────────────
 
 
+@pytest.mark.slow
 def test_a_saved_move_comes_back_and_moves_the_same(
     design: fl.Design, unknown: ShapedMove, tmp_path: Path
 ) -> None:
@@ -326,6 +334,7 @@ def test_the_loop_in_real_time_takes_a_table(design: fl.Design, known: ShapedMov
     assert np.array_equal(run.reference_acceleration, expected[2])
 
 
+@pytest.mark.slow
 def test_a_campaign_follows_it_and_comes_back(design: fl.Design, unknown: ShapedMove, tmp_path: Path) -> None:
     law = design.law()
     asked = Campaign.of(RIG, design.model, law, runs=60, reference=unknown.reference)
@@ -398,6 +407,7 @@ def test_a_table_needs_a_name_that_c_or_csv_takes(tmp_path: Path, name: str) -> 
         fl.export_reference(fl.hold(0.0, 1.0), tmp_path / name, period=0.004)
 
 
+@pytest.mark.slow
 def test_the_command_line_shapes_and_moves(
     design: fl.Design, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

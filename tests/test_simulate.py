@@ -46,6 +46,7 @@ def _tip_transfer(model: LinkModel) -> object:
     return lambda s: (mu * s**alpha + square) / (s**order + mu * s**alpha + square)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "model",
     [
@@ -65,6 +66,7 @@ def test_the_tip_follows_an_independent_solution_behind_m_of_s(model: LinkModel)
     assert np.abs(run.motor_angle - _held(lambda s: 1 / (1 + s / 80) ** 2, delayed)).max() < 1e-10
 
 
+@pytest.mark.slow
 def test_the_tip_follows_an_independent_solution_behind_the_motor() -> None:
     run = simulate(law(), STEP, rig=EXACT, model=MODEL, duration=0.6, motor_loop="sampled")
     # the law's voltage contains its compensation of the coupling torque, which is taken as exact
@@ -108,6 +110,7 @@ def test_the_default_design_holds_for_every_payload(payload: float) -> None:
     assert sampled.verdict.passed, sampled.verdict.reason
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("payload", [0.030, 0.040])
 def test_the_printed_controller_visibly_diverges(payload: float) -> None:
     printed = fl.Controller(gain=0.148, order=0.65, filter_time=0.16, filter_order=2, link=MODEL)

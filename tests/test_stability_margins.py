@@ -150,6 +150,7 @@ def test_a_peak_just_above_one_is_not_missed() -> None:
         assert seen == count
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(25))
 def test_modulus_margin_against_a_dense_grid(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -171,6 +172,7 @@ def test_modulus_margin_against_a_dense_grid(seed: int) -> None:
     assert len(found.gain_crossings) == np.count_nonzero(np.diff(level > 0))
 
 
+@pytest.mark.slow
 @given(
     st.lists(st.floats(0.1, 5), min_size=1, max_size=3),
     st.lists(st.floats(0.1, 5) | st.floats(-3, -0.1), min_size=2, max_size=4),

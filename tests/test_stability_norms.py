@@ -49,6 +49,7 @@ def test_h2_of_a_damping_of_1e_8() -> None:
     assert norm(100 / (s**2 + 2e-7 * s + 100), 2) == pytest.approx(math.sqrt(2.5e8), rel=1e-8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "system",
     [

@@ -80,6 +80,7 @@ def test_verdicts(
     assert all(p.real >= 0 for p in verdict.unstable_poles)
 
 
+@pytest.mark.slow
 @given(
     st.lists(st.floats(0.1, 6) | st.floats(-3, -0.1), min_size=1, max_size=3),
     st.floats(0.4, 1.6).filter(lambda a: abs(a - 1) > 0.02),
@@ -143,6 +144,7 @@ def rightmost_root(gain: float) -> float:
     return float(np.max(z.real[np.isfinite(left) & (left < 1e-9) & (np.abs(z) < 200.0)]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gain", [-1.5, -1.0, -0.9, -0.6, -0.4, 0.1, 0.3, 0.5, 0.7, 0.95, 1.0, 2.0])
 def test_neutral_loops_have_one_verdict(gain: float) -> None:
     """The closed loop of L = k (s + 2)/(s + 1) e^(-s): with |k| < 1 its far poles decay like ln |k|."""

@@ -384,6 +384,7 @@ def turned(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_the_command_writes_a_rig_file_a_model_and_a_picture(turned: Path) -> None:
     fit = fl.Fit.load(turned / "model.json")
     assert fit.passed

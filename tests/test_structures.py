@@ -192,6 +192,7 @@ def test_intervals_cover() -> None:
 # --- what the user knows ------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_fixed_values_bounds_and_start() -> None:
     data = recording(LAG, {"k": -2.0, "a": 1.5, "w": 1.0})
     usual = fl.identify_structure(data, LAG, details=False)
@@ -285,6 +286,7 @@ def test_noise_is_no_system() -> None:
     assert not fit.passed
 
 
+@pytest.mark.slow
 def test_a_term_that_is_not_there_is_at_its_bound_or_unknown() -> None:
     data = recording(LAG, {"k": 2.0, "a": 1.2, "w": 1.0})
     fit = fl.identify_structure(data, "k/(s**a + c*s**b + w)", details=False)
@@ -295,6 +297,7 @@ def test_a_term_that_is_not_there_is_at_its_bound_or_unknown() -> None:
 # --- the result ---------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_fit_is_saved_shown_and_drawn(tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     timed = fl.identify_structure(recording(LAG, {"k": 2, "a": 1.5, "w": 1}), LAG, details=False)

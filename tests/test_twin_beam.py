@@ -113,6 +113,7 @@ def test_curvature_is_the_second_derivative_at_the_clamp():
         assert modes.curvature[i] / (modes.tip[i] * ROD.length) == pytest.approx(per_tip, rel=1e-4)
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=40)
 @given(
     length=st.floats(0.05, 5.0),

@@ -9,6 +9,7 @@ import pytest
 from fraclink._cli import main
 
 
+@pytest.mark.slow
 def test_record_then_identify(tmp_path, capsys):
     log = tmp_path / "log.csv"
     arguments = ["--rig", "paper-2023", "--link-mass", "0.00735", "--payload", "0.020", "--out", str(log)]

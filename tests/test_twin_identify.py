@@ -37,16 +37,19 @@ def _chosen(beam: Beam, material: str, pole: float, samples: int, score: str = "
     return counts
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("material", ["UD-FOM", "D-IOM", "D-FOM"])
 def test_massless_link(material):
     assert _chosen(MASSLESS, material, 80.0, 5001) == {material: SEEDS}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("material", "samples"), [("UD-FOM", 5001), ("D-IOM", 5001), ("D-FOM", 10001)])
 def test_link_with_mass_and_a_hub_slower_than_mode_two(material, samples):
     assert _chosen(ROD, material, 10.0, samples).get(material, 0) >= SEEDS - 1
 
 
+@pytest.mark.slow
 def test_a_fast_hub_lets_mode_two_fake_a_fractional_order():
     """The finding of docs/explanation/twin.md: a viscous link is taken for a fractional one."""
     assert _chosen(ROD, "D-IOM", 80.0, 5001).get("D-FOM", 0) > SEEDS / 2

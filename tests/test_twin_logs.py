@@ -17,6 +17,7 @@ ROD = Beam(0.65, 0.338, 0.00735, 0.030)
 STEP = np.concatenate([np.zeros(50), np.full(700, 0.1)])
 
 
+@pytest.mark.slow
 def test_bundled_logs_are_what_the_script_makes():
     path = ROOT / "tools" / "make_logs.py"
     spec = importlib.util.spec_from_file_location("make_logs", path)

@@ -54,6 +54,7 @@ def smooth(law):
 MOVE = smooth_step(1.0, duration=1.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("payload", [0.008, 0.016, 0.020, 0.030, 0.040])
 def test_the_design_holds_on_the_twin(law, payload):
     run = fl.simulate(law, MOVE, arm=Twin.from_rig(RIG, payload=payload, link_mass=LINK_MASS), duration=6.0)
@@ -71,6 +72,7 @@ def test_noise_free_error_vanishes(law):
     assert np.abs(estimate - run.tip_angle).max() < 0.03 * np.abs(run.torque).max()
 
 
+@pytest.mark.slow
 def test_gauge_offset_does_not_stay_in_the_tip(law):
     twin = replace(quiet(), sensors=Sensors(gauge_offset=0.05))
     run = fl.simulate(smooth(law), MOVE, arm=twin, duration=12.0)

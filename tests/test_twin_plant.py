@@ -105,6 +105,7 @@ def test_energy_falls_along_a_free_decay(damping):
         assert energies[-1] < 0.7 * energies[0]
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=30)
 @given(
     link_mass=st.floats(1e-4, 0.1),
@@ -123,6 +124,7 @@ def test_energy_rate_is_never_positive(link_mass, payload, order, seed):
     )
 
 
+@pytest.mark.slow
 def test_steps_compose():
     """Four steps of 1 ms are one of 4 ms for a held input: the steps are exact, not a scheme."""
     plant = assemble(ROD, PowerLaw(1.92), drive="servo")

@@ -66,6 +66,7 @@ def test_all_verdicts_about_a_random_loop_agree(seed: int) -> None:
     assert len(set(said.values())) <= 1, said
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gain", [0.5, 0.99, 1.01, 3.0])
 def test_all_verdicts_about_a_neutral_loop_agree(gain: float) -> None:
     """Its chain of poles lies left of the axis where the delayed direct path has a gain below 1."""

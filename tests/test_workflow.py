@@ -38,6 +38,7 @@ def test_a_crossover_that_nobody_stated_moves_to_keep_the_margin() -> None:
     assert "the nearest feasible to 12.2 rad/s" in assumed[0]
 
 
+@pytest.mark.slow
 def test_the_usual_margin_is_named_without_a_doubt() -> None:
     made, assumed = design_for(SILENT, gauged(gauge_delay=0.02))
     assert math.degrees(made.phase_margin) == pytest.approx(50.0)
