@@ -613,6 +613,49 @@ def test_forgeries_are_rejected(name: str, document: dict[str, Any], checker: Mo
     assert _rejected(checker, place, forged["statement"].get("digest", ""))
 
 
+def slow_law(document: dict[str, Any], lowest: float) -> dict[str, Any]:
+    """1 s, with a second mode at 5.58 rad/s whose alias lies at 0.70 rad/s: |1 + L| is 0.09 there."""
+    said = {k: v if k in TEXTS else float.fromhex(v) for k, v in document["statement"].items()}
+    pole, softness, order, mode = 2.0, 0.75, 1.9, 2 * math.pi - 0.7
+    block = bytes.fromhex(said["block"])
+    head = list(struct.unpack("<14I", block[:56]))
+    numbers = list(struct.unpack(f"<{(len(block) - 56) // 8}d", block[56:]))
+    head[5:7] = [0, 0]  # no modes: a correction of 0.11 (1 - z^-1)
+    numbers[0], numbers[2], numbers[3:27] = 1.0, 0.11, [0.0] * 24
+    numbers[60], numbers[54] = -math.expm1(-pole), -math.expm1(-(softness ** (-1 / order)) / 3)
+    body = struct.pack(f"<10I{len(numbers)}d", *head[4:], *numbers)
+    block = struct.pack("<4I", head[0], head[1], head[2], zlib.crc32(body)) + body
+    exact = {
+        "payload": 1.0,
+        "delay": 0.28,
+        "softness": softness,
+        "order": order,
+        "damping": 0.0,
+        "pole": pole,
+    }
+    exact |= {"gauge_gain": 1.0, "gauge_delay": 0.0, "mode_frequency": mode, "mode_gain": 1.0}
+    said |= {f"{name}_{end}": value for name, value in exact.items() for end in ("low", "high")}
+    said |= {"block": block.hex(), "digest": hashlib.sha256(block).hexdigest(), "stiffness": 1 / numbers[1]}
+    return said | {
+        "mode_damping": 5e-4,
+        "nominal_payload": 1.0,
+        "modulus": 0.2,
+        "lowest": lowest,
+        "linear_range": 1e-5,
+    }
+
+
+@pytest.mark.parametrize("lowest", [0.5, 0.63, 0.8])
+def test_what_lies_below_the_lowest_frequency_is_bounded_with_every_alias(
+    lowest: float, document: dict[str, Any], checker: ModuleType
+):
+    """From 0.2 of Nyquist on, 0.63 rad/s, leaves hold aliases in L; none does below the lowest frequency."""
+    statement = slow_law(document, lowest)
+    with pytest.raises(ValueError, match=r"\|L\| is not small at low frequency"):
+        checker.Loop(statement)
+    assert BoxLoop(Statement(**statement)).low_bound() > 0.8
+
+
 @pytest.mark.slow
 def test_a_file_that_is_signed_again_unchanged_is_proved(
     document: dict[str, Any], checker: ModuleType, tmp_path: Path

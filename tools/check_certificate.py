@@ -151,13 +151,13 @@ class Loop:
             else: loss += ((second - first) / 2 + 4 * U * second) * (1 + 4 * U) * (abs(along) + spread)
         point, least = self.form(tuple(at), plain, rest)[0], m - normal.real if plain else max(centre * (m - normal.real), 0.0)
         return (normal.conjugate() * point.c).real - point.r - 4 * U * (1 + abs(point.c)) - loss > least + 1e-9
-    def start(self, w, low, high):  # Bound |L| up to the lowest frequency, with its aliases; check the motor loop
+    def start(self, w, low, high):  # Bound |L| from 0 to the lowest frequency, with all aliases; check the motor loop
         s, T, most, r, e = self.s, self.T, self.read * high[GAIN], self.pid[8], math.exp(-self.B * self.T)
         self.peak = (1 + 1e-9) / (2 * s["mode_damping"] * math.sqrt(1 - s["mode_damping"] ** 2)) if s["mode_gain_high"] else 0.0
         stiff, w, x = low[Q] * (w ** low[ORDER] - high[DAMP] * w ** s["damping_order"]) - 1, s["lowest"], Disc(1, s["lowest"] * T)
         ratio, soft, kernel = w / low[MODE] if self.peak else 0.0, high[Q] * (w ** low[ORDER] + high[DAMP] * w ** s["damping_order"]), sum((g * (x - p).over() for p, g in self.modes), Disc(self.direct))
         need(stiff > 0 and max(soft, ratio) < 0.5 and w < 1 < math.pi / T, "the resonance is not between the lowest and the Nyquist frequency")
-        bound = kernel.most * w * T * (1 + most * (soft / (1 - soft) + high[SHARE] * ratio**2 / (1 - ratio**2)) + self.aliases(self.root) * 2 / T)
+        bound = kernel.most * w * T * (1 + most * (soft / (1 - soft) + high[SHARE] * ratio**2 / (1 - ratio**2)) + self.aliases(((0.0, self.root[W][1]), *self.root[1:])) * 2 / T)
         if not self.ideal:
             first, gain = self.controllers(x)
             inverse = self.closing(x, gain, real(self.root[LATE], LATE), real(self.root[MOTOR], MOTOR).over()).over()

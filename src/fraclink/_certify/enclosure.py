@@ -55,8 +55,7 @@ class BoxLoop:
 
     def __init__(self, statement: Statement) -> None:
         self.statement = s = statement
-        c = statement.coefficients
-        self.motor_loop = s.motor_loop
+        c, self.motor_loop = s.coefficients, s.motor_loop
         self.period, self.direct = float(c["period"]), float(c["direct"])
         self.turn = 2 * math.pi / self.period
         self.modes = modes_of(c)
@@ -66,8 +65,10 @@ class BoxLoop:
         self.low["frequency"] = s.lowest
         self.high["frequency"] = math.nextafter(math.pi / self.period, math.inf) * (1 + ROUNDING)
         self.axes = tuple(name for name in AXES if self.low[name] < self.high[name])
-        # Bound of the aliases of L at low frequencies, over |K| |y|.
-        self.tail = float(self._alias_sum(self.box(*self.root()))[0]) * 2 / self.period
+        # Bound of all aliases of L below the lowest frequency, over |K| |y|: leaves alone hold some in L.
+        low, high = self.root()
+        low[:, 0] = 0.0
+        self.tail = float(self._alias_sum(self.box(low, high))[0]) * 2 / self.period
 
     def root(self) -> tuple[Real, Real]:
         """The whole box, two arrays of shape (1, axes)."""
