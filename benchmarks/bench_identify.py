@@ -29,7 +29,7 @@ from fraclink._identify import (
 from fraclink._identify.shape import Window
 from fraclink._systems.response import grunwald_letnikov
 from identify_logs import NOISE, PERIOD, SAMPLES, TRUTH, clean_log, line, noisy_log
-from identify_recorded import daisy, real_logs
+from identify_recorded import boxes, daisy, real_logs
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 from made_logs import example_motor_log
@@ -255,6 +255,7 @@ def main() -> None:
     together()
     delay_story()
     real_logs()
+    boxes()
     daisy()
     motor()
     coverage(chosen.logs)

@@ -4,7 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from fraclink._identify import compare_structures, frequency_response, identify_frequency_response
+from fraclink._arm.box import ParameterBox
+from fraclink._arm.link import LinkModel
+from fraclink._arm.rig import Rig
+from fraclink._identify import (
+    compare_structures,
+    frequency_response,
+    identify,
+    identify_frequency_response,
+)
 from identify_logs import ist, line, merced, recorded
 
 
@@ -49,6 +57,38 @@ def real_logs() -> None:
         "<= 1e-6",
         worst <= 1e-6,
     )
+
+
+def boxes() -> None:
+    """Whether the box of one recorded log holds what the other logs of its arm say, and the box of all."""
+    rig = Rig.named("paper-2023")  # for its tolerances: λ ±0.03, ω₀ ±1.5 %, gauge ±5 % and 2 ms
+    logs = {name: log for name in ("a05_f04", "a10_f04", "a15_f10") if (log := ist(name)) is not None}
+    models = {name: identify(log, structure="UD-FOM").model for name, log in logs.items()}
+    for name, model in models.items():
+        box = ParameterBox.of(model, rig)
+        for other, its in models.items():
+            outside = [] if other == name else [key for key in _LINK if not _inside(box, its, key)]
+            orders = f"yes; λ {model.order:.3f} and {its.order:.3f}"
+            if other != name:
+                line(
+                    f"box of IST {name} holds {other}; outside:",
+                    ", ".join(outside) or "nothing",
+                    orders,
+                    not outside,
+                )
+    seen = [model for model in models.values() if model.second_mode is not None]
+    if seen:  # one of the logs shows the second mode
+        wide = ParameterBox.of(seen[0], rig, others=models.values())
+        kept = all(_inside(wide, its, key) for its in models.values() for key in _LINK)
+        line("box of one IST log with others=, holds all", "yes" if kept else "no", "yes", kept)
+
+
+_LINK = ("natural_frequency", "order", "damping", "gauge_gain", "gauge_delay")
+
+
+def _inside(box: ParameterBox, model: LinkModel, name: str) -> bool:
+    low, high = getattr(box, name)
+    return bool(low <= getattr(ParameterBox.at(model), name)[0] <= high)
 
 
 def daisy() -> None:

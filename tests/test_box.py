@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import fraclink as fl
+from fraclink._arm.box import ParameterBox, arms_of
 from fraclink._cli import main
 from fraclink._workflow import design_for
 from fraclink.errors import FieldError
@@ -68,3 +69,15 @@ def test_the_models_of_other_logs_widen_the_box(tmp_path: Path, capsys: pytest.C
     assert main([str(tmp_path / word) if word.endswith(".json") else word for word in line]) == 0
     capsys.readouterr()
     assert fl.Certificate.load(tmp_path / "both.json").statement.order_low == both.statement.order_low
+
+
+def test_a_second_mode_that_another_log_does_not_show_may_have_no_gain() -> None:
+    rig = fl.Rig.named("paper-2023")
+    assert rig.model is not None
+    plain, shown = rig.model, replace(rig.model, second_mode=fl.SecondMode(150.0, 0.02, 0.02))
+    alone, both = ParameterBox.of(shown, rig), ParameterBox.of(shown, rig, others=[plain])
+    assert both == replace(alone, mode_gain=(0.0, alone.mode_gain[1]))
+    assert both.holds(plain) and both.holds(shown) and not alone.holds(plain)
+    assert all(arm.model.second_mode is not None for arm in arms_of(both, shown))
+    with pytest.raises(FieldError, match="with a second mode that the model does not know"):
+        ParameterBox.of(plain, rig, others=[shown])

@@ -116,12 +116,22 @@ class ParameterBox:
         """Return the smallest box that holds this one and other models, each at the payload of `model`."""
         found = self
         for other in others:
+            if other.second_mode is not None and model.second_mode is None:
+                raise FieldError(
+                    "others",
+                    f"{other.second_mode.frequency:.4g} rad/s",
+                    "with a second mode that the model does not know",
+                    allowed="models without one, or a model that knows it, too",
+                    remedy="begin from the model that knows it, and give the other one beside it",
+                )
             found = found.hull(ParameterBox.at(with_payload(other, rig).at_payload(_payload(model, rig))))
         return found
 
     def hull(self, other: ParameterBox) -> ParameterBox:
-        """Return the smallest box that holds both."""
-        pairs = zip(_pairs(self), _pairs(other), strict=True)
+        """Return the smallest box that holds both; a second mode that one does not show may have no gain."""
+        known = [box.mode_frequency for box in (self, other) if box.mode_gain[1] > 0.0] or [(0.0, 0.0)]
+        first, second = (replace(box, mode_frequency=known[k]) for box, k in ((self, 0), (other, -1)))
+        pairs = zip(_pairs(first), _pairs(second), strict=True)
         return ParameterBox(*((min(a[0], b[0]), max(a[1], b[1])) for a, b in pairs))
 
     def holds(self, model: LinkModel) -> bool:
