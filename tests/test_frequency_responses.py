@@ -52,6 +52,99 @@ def test_tables(tmp_path: Path, text: str, columns: object) -> None:
     assert (found.source, len(found.sha256)) == ("table.csv", 64)
 
 
+@pytest.mark.parametrize(
+    ("header", "refused"),
+    [
+        ("freq [mHz],gain,phase_rad", ("frequency", "mHz", "rad/s or Hz or kHz")),
+        ("freq [MHz],gain,phase_rad", ("frequency", "MHz", "rad/s or Hz or kHz")),
+        ("f_GHz,gain,phase_rad", ("frequency", "GHz", "rad/s or Hz or kHz")),
+        ("freq [krad/s],gain,phase_rad", ("frequency", "krad/s", "rad/s or Hz or kHz")),
+        ("omega_krad_per_s,gain,phase_rad", ("frequency", "krad/s", "rad/s or Hz or kHz")),
+        ("w [rpm],gain,phase_rad", ("frequency", "rpm", "rad/s or Hz or kHz")),
+        ("f_Hz,gain,phase_mdeg", ("phase", "mdeg", "rad or deg or mrad")),
+        ("f_Hz,gain,phase [Hz]", ("phase", "Hz", "rad or deg or mrad")),
+        ("f_Hz,amplitude [mm],phase_rad", ("gain", "mm", "1 or dB")),
+        ("f_Hz,amplitude_mm,phase_rad", ("gain", "mm", "1 or dB")),
+        ("f_Hz,gain (Nm/rad),phase_rad", ("gain", "Nm/rad", "1 or dB")),
+        ("f_Hz,real [dB],imag", ("real", "dB", "no unit")),
+        ("f_Hz,real,imag_mV", ("imaginary", "mV", "no unit")),
+        ("f_Hz,real,imag,coherence [%]", ("coherence", "%", "no unit")),
+    ],
+)
+def test_a_unit_that_is_not_converted_is_refused(
+    tmp_path: Path, header: str, refused: tuple[str, str, str]
+) -> None:
+    path = tmp_path / "table.csv"
+    width = 2 * header.count(",") + 1
+    path.write_text(f"{header}\n{'1,1,0,1'[:width]}\n{'2,3,1,1'[:width]}\n")
+    with pytest.raises(LogError) as caught:
+        fl.read_frequency_response(path)
+    role, unit, allowed = refused
+    assert caught.value.field == f"column of {role}"
+    assert caught.value.problem == f"in {unit}, a unit that is not converted"
+    assert caught.value.allowed == allowed
+
+
+@pytest.mark.parametrize(
+    ("header", "frequency", "first"),
+    [
+        ("freqHz,Re(H),Im(H)", 2 * np.pi, 1),
+        ("fkHz,gain_link,phaseDeg", 2000 * np.pi, np.exp(1j * np.pi / 180)),
+        ("KHZ,mag (abs),phase [mrad]", 2000 * np.pi, np.exp(1e-3j)),
+        ("omega_rad_per_s,H_mag [-],phase_yu_degrees", 1, np.exp(1j * np.pi / 180)),
+        ("w,MAG_DB,PHASE (RAD)", 1, 10**0.05 * np.exp(1j)),
+    ],
+)
+def test_units_in_their_spellings(tmp_path: Path, header: str, frequency: float, first: complex) -> None:
+    path = tmp_path / "table.csv"
+    path.write_text(f"{header}\n1,1,{0 if 'Im' in header else 1}\n2,1,1\n")
+    found = fl.read_frequency_response(path)
+    assert found.frequency[0] == pytest.approx(frequency)
+    assert found.response[0] == pytest.approx(first)
+
+
+@pytest.mark.parametrize(("role", "unit"), [("phase", "Hz"), ("imaginary", "deg")])
+def test_a_stated_column_has_a_unit_of_its_role(tmp_path: Path, role: str, unit: str) -> None:
+    path = tmp_path / "table.csv"
+    path.write_text("a,b,c\n1,1,0\n2,0.1,90\n")
+    first = "gain" if role == "phase" else "real"
+    with pytest.raises(LogError, match=f"column of {role}: in {unit}"):
+        fl.read_frequency_response(path, {"frequency": "a [Hz]", first: "b", role: f"c [{unit}]"})
+
+
+@pytest.mark.parametrize(
+    ("name", "period"),
+    [
+        *(("time_ms", 0.01), ("t [ms]", 0.01), ("Time (us)", 1e-5), ("time-ns", 1e-8), ("timeMs", 0.01)),
+        ("millis", 0.01),
+        *(
+            ("ms_since_start", 0.01),
+            ("t", 10.0),
+            ("time_stamp", 10.0),
+            ("t_s", 10.0),
+            ("Time (Sekunden)", 10.0),
+        ),
+    ],
+)
+def test_stamps_are_in_the_unit_of_their_name(tmp_path: Path, name: str, period: float) -> None:
+    path = tmp_path / "record.csv"
+    path.write_text(f"{name},u,y\n0,0,0\n10,1,1\n20,0,2\n")
+    assert fl.read_recording(path, "u", "y").period == pytest.approx(period, rel=1e-12)
+    assert fl.read_recording(path, "u", "y", time="#1").period == pytest.approx(period, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [("time_min", "min"), ("time [h]", "h"), ("t [kg]", "kg"), ("t_V", "V")],
+)
+def test_stamps_in_another_unit_are_refused(tmp_path: Path, name: str, unit: str) -> None:
+    path = tmp_path / "record.csv"
+    path.write_text(f"{name},u,y\n0,0,0\n10,1,1\n20,0,2\n")
+    with pytest.raises(LogError, match=rf"column of time: in {unit}, .* expected s or ms or us or ns"):
+        fl.read_recording(path, "u", "y", time="#1")
+    assert fl.read_recording(path, "u", "y", period=60.0).period == 60.0
+
+
 def test_coherence_is_read(tmp_path: Path) -> None:
     path = tmp_path / "table.csv"
     path.write_text("w,real,imag,coh\n1,1,0,0.9\n2,0,1,0.5\n")

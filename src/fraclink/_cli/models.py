@@ -237,7 +237,9 @@ def identify_structure(
     ],
     input: Annotated[str | None, "Column of the input"] = None,
     output: Annotated[str | None, "Column of the output"] = None,
-    time: Annotated[str | None, "Column of the stamps [s]; default: the one that is named so"] = None,
+    time: Annotated[
+        str | None, "Column of the stamps (s; ms as in time_ms); default: the one that is named so"
+    ] = None,
     period_ms: Annotated[
         float | None, Between(0.0, 1e6, "ms", low_open=True), "Sampling period of a file without stamps"
     ] = None,

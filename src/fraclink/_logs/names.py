@@ -7,11 +7,12 @@ such as ``motor_angle_rad`` count as stated.
 from __future__ import annotations
 
 import re
+from collections.abc import Collection
 
 from fraclink._arm.log_columns import QUANTITY_OF, UNITS
 
 __all__ = ["COMMANDED", "HINTS", "role_of_name", "unit_in", "unit_of_name", "words_of"]
-__all__ += ["names_time"]
+__all__ += ["names_time", "stated_unit"]
 
 # Words that loggers use, English and German; the time is known by its values: they never decrease.
 HINTS = {
@@ -57,20 +58,34 @@ _SHORT = {
     "deflection": ("defl", "eps", "epsilon"),
     "voltage": ("u", "v", "vin", "um", "umot"),
 }
-# Spellings of the units of `UNITS`, in lower case and without blanks, dots and stars.
+# Spellings of the units of `UNITS` and of a frequency response, in lower case and without blanks, dots and
+# stars. What has a prefix stands here only where lower case leaves one reading: mhz may be milli or mega.
 _SPELLINGS = {
     **dict.fromkeys(("sec", "secs", "second", "seconds", "sek", "sekunden"), "s"),
     **dict.fromkeys(("msec", "millis", "milliseconds"), "ms"),
     **dict.fromkeys(("usec", "µs", "μs", "micros", "microseconds"), "us"),
-    **dict.fromkeys(("degree", "degrees", "grad", "°"), "deg"),
-    **dict.fromkeys(("radian", "radians"), "rad"),
+    **dict.fromkeys(("deg", "degree", "degrees", "grad", "°"), "deg"),
+    **dict.fromkeys(("rad", "radian", "radians"), "rad"),
     **dict.fromkeys(("turns", "revolutions", "umdrehungen"), "rev"),
     **dict.fromkeys(("nm",), "Nm"),
     **dict.fromkeys(("mnm",), "mNm"),
     **dict.fromkeys(("volt", "volts"), "V"),
     **dict.fromkeys(("millivolt", "millivolts"), "mV"),
+    **dict.fromkeys(("hz", "hertz"), "Hz"),
+    **dict.fromkeys(("khz", "kilohertz"), "kHz"),
+    **dict.fromkeys(("rad/s", "rads", "rad/sec", "radian/s"), "rad/s"),
+    **dict.fromkeys(("db", "decibel"), "dB"),
+    **dict.fromkeys(("-", "abs", "lin", "linear", "v/v"), "1"),
 }
 _KNOWN = frozenset(unit for units in UNITS.values() for unit in units)
+# What is a unit at the end of a name although no reader converts it: taken for no unit, a time in minutes
+# would be one in seconds.
+_UNITS_ELSEWHERE = _KNOWN | {
+    *("Hz", "rad/s", "dB", "rpm", "%", "mm", "cm", "um", "µm", "N", "kg"),
+    *("min", "mins", "minute", "minutes", "h", "hr", "hrs", "hour", "hours", "day", "days"),
+    *("tick", "ticks", "count", "counts", "samples"),
+}
+_PREFIXES = "kmgtuµnp"  # in any case: GHZ and ghz are units, too, though none that can be converted
 
 
 def words_of(name: str) -> tuple[str, ...]:
@@ -89,20 +104,56 @@ def unit_in(name: str, role: str) -> str:
     return ending if ending in UNITS[QUANTITY_OF[role]] else "?"
 
 
-def unit_of_name(name: str) -> str:
-    """The unit that a name states in brackets or behind its last ``_`` or blank, as `UNITS` spells it, or "".
+def unit_of_name(name: str, known: Collection[str] = _KNOWN) -> str:
+    """The unit that a name states in brackets or at its end, as `known` (or `UNITS`) spells it, or "".
 
     >>> [unit_of_name(name) for name in ("Zeit (Sekunden)", "moment [N m]", "alpha_deg", "s")]
     ['s', 'Nm', 'deg', '']
     """
-    bracketed = re.search(r"[\[(]([^\])]*)[\])]\s*$", name)
-    parts = re.split(r"[_ /.]+", name.strip())
-    ending = bracketed[1] if bracketed else parts[-1] if len(parts) > 1 else ""
-    ending = ending.strip()
-    if ending in _KNOWN:
-        return ending
-    plain = re.sub(r"[ .·*⋅]", "", ending)
-    return plain if plain in _KNOWN else _SPELLINGS.get(plain.lower(), "")
+    return next(filter(None, (_spelled(ending, known) for ending in _endings(name)[0])), "")
+
+
+def stated_unit(name: str, known: Collection[str]) -> str:
+    """The unit that a name states, as `known` spells it; a unit that is none of `known`, as the name has it.
+
+    >>> [stated_unit(name, ("s", "ms")) for name in ("t [ms]", "time_min", "t [kg]", "time_stamp", "time")]
+    ['ms', 'min', 'kg', '', '']
+    """
+    if own := unit_of_name(name, known):
+        return own
+    endings, square = _endings(name)
+    return next((ending for ending in endings if square or _is_unit(ending)), "")
+
+
+def _endings(name: str) -> tuple[list[str], bool]:
+    """What may be the unit of a name, the longest first, and whether it stands in square brackets.
+
+    The ends of "omega_rad_per_s" are "rad/s" and "s". What stands in round brackets may be an argument, as
+    in "Re(H)"; in square brackets there are units alone.
+    """
+    if bracketed := re.search(r"([\[(])([^\])]*)[\])]\s*$", name):
+        inside = bracketed[2].strip()
+        return [inside] if inside else [], bracketed[1] == "["
+    parts = [part for part in re.split(r"[_ /.\-]+", name.strip()) if part.lower() != "per"]
+    return ["/".join(parts[k:]) for k in range(1, len(parts)) if parts[k]], False
+
+
+def _spelled(text: str, known: Collection[str]) -> str:
+    """A unit as `known` spells it, or ""."""
+    plain = re.sub(r"[ .·*⋅]", "", text)
+    own = _SPELLINGS.get(plain.lower(), "")
+    return next((unit for unit in (text, plain, own) if unit in known), "")
+
+
+def _is_unit(text: str) -> bool:
+    """Whether a text is a unit, or a quotient of units, with or without a prefix."""
+    if _spelled(text, _UNITS_ELSEWHERE):
+        return True
+    if "/" in text:
+        top, bottom = text.split("/", 1)
+        return _is_unit(top) and _is_unit(bottom)
+    base = _spelled(text[1:], _UNITS_ELSEWHERE) if text[:1].lower() in _PREFIXES else ""
+    return bool(base)
 
 
 def names_time(name: str) -> bool:

@@ -11,11 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._arm.frequency_response import FrequencyResponse
+from fraclink._arm.log_columns import UNITS
 from fraclink._arm.recording import Recording
 from fraclink._files import sha256_of
 from fraclink._logs.columns import clean_column, clock_step
 from fraclink._logs.formats import read_table
-from fraclink._logs.names import names_time, words_of
+from fraclink._logs.names import names_time, stated_unit, unit_of_name, words_of
 from fraclink._logs.table import LogTable, check_file
 from fraclink._logs.text import NUMBER, normal_bytes, split_cells
 from fraclink.errors import LogError
@@ -35,24 +36,11 @@ _ROLES = {
 }
 _UNITS = {
     "frequency": {"rad/s": 1.0, "Hz": 2 * math.pi, "kHz": 2000 * math.pi},
-    "phase": {"rad": 1.0, "deg": math.pi / 180},
+    "phase": {unit: UNITS["angle"][unit] for unit in ("rad", "deg", "mrad")},
     "gain": {"1": 1.0, "dB": 1.0},
     "real": {"1": 1.0},
     "imaginary": {"1": 1.0},
     "coherence": {"1": 1.0},
-}
-_SPELLED = {
-    "hz": "Hz",
-    "khz": "kHz",
-    "rad/s": "rad/s",
-    "rads": "rad/s",
-    "rad/sec": "rad/s",
-    "db": "dB",
-    "deg": "deg",
-    "degrees": "deg",
-    "°": "deg",
-    "rad": "rad",
-    "1": "1",
 }
 _SPELLED_OUT = {
     "frequency": "a column such as frequency_rad_s or frequency_Hz",
@@ -80,7 +68,8 @@ def read_frequency_response(
     Raises
     ------
     LogError
-        a column that is needed is not there, or its unit is not stated; a unit is never guessed.
+        a column that is needed is not there, its unit is not stated or is none of its quantity: rad/s, Hz or
+        kHz; rad, deg or mrad; 1 or dB. A unit is never guessed.
     FileFormatError, SizeError
         the file is damaged, or too large.
 
@@ -125,7 +114,16 @@ def _values(found: Found, role: str) -> Reals:
         units = " or ".join(_UNITS[role])
         remedy = f'write it behind the name, as in "{name} [{next(iter(_UNITS[role]))}]", or state columns'
         raise LogError(f"column of {role}", name, "without its unit", allowed=units, remedy=remedy)
+    if unit not in _UNITS[role]:
+        raise _other_unit(role, name, unit, _UNITS[role])
     return np.asarray(values * _UNITS[role][unit], dtype=np.float64)
+
+
+def _other_unit(role: str, name: str, unit: str, known: Mapping[str, float]) -> LogError:
+    allowed = " or ".join(known) if set(known) != {"1"} else "no unit"
+    problem = f"in {unit}, a unit that is not converted"
+    remedy = f"convert the column and state its unit, as in [{next(iter(known))}]"
+    return LogError(f"column of {role}", name, problem, allowed=allowed, remedy=remedy)
 
 
 def _absent(found: Found, wanted: str) -> LogError:
@@ -162,7 +160,8 @@ def _columns_of(path: Path, stated: Mapping[str, str] | Sequence[str] | None) ->
             remedy = "rename one, or state columns"
             raise LogError(f"column of {role}", name, "given twice", allowed="one column", remedy=remedy)
         if role:
-            found[role] = (column, _unit(name, role), name)
+            in_file = table.units[names.index(name)] if stated is None and table.units else ""
+            found[role] = (column, _unit(name, role, in_file), name)
     return found
 
 
@@ -178,8 +177,9 @@ def _stated(table: LogTable, role: str, text: str) -> tuple[Reals, str]:
     match = re.fullmatch(r"(.*?)\s*\[([^\]]*)\]\s*", text)
     name = match[1] if match else text
     exact = text if text in table.names else name
-    unit = _SPELLED.get(match[2].lower(), "") if match else _unit(text, role)
-    return clean_column(table, table.place(exact, role), interpolate=False)[0], unit
+    place = table.place(exact, role)
+    in_file = table.units[place] if table.units else ""
+    return clean_column(table, place, interpolate=False)[0], _unit(text, role, in_file)
 
 
 def _role(name: str) -> str:
@@ -188,20 +188,16 @@ def _role(name: str) -> str:
     return next((role for role, known in _ROLES.items() if any(word in known for word in words)), "")
 
 
-def _unit(name: str, role: str) -> str:
-    """The unit that a name states, or ""."""
-    units = _UNITS[role]
-    if set(units) == {"1"}:
-        return "1"
-    ending = re.search(
-        r"(rad[_/ ]?s(?:ec)?|k?hz|db|deg(?:rees)?|°|rad)[\])]?\s*$", name.strip(), re.IGNORECASE
-    )
-    spelled = _SPELLED.get(re.sub(r"[_ ]", "/", ending[1].lower()), "") if ending else ""
-    if spelled in units:
-        return spelled
-    if role == "frequency" and any(word in _OMEGA for word in [*words_of(name), name.strip()]):
+def _unit(name: str, role: str, in_file: str) -> str:
+    """The unit that a name or the file states, that of a name which needs none, or ""."""
+    # "freqHz" is split behind the word of the role, and not in front of the capital: "fkHz" is no "fk" in Hz.
+    known = "|".join(sorted(_ROLES[role], key=len, reverse=True))
+    parted = re.sub(rf"^((?i:{known}))(?=[kmuµn]?[A-Z])", r"\1 ", name.strip())
+    unit = stated_unit(parted, _UNITS[role]) or unit_of_name(f"[{name}]", _UNITS[role])  # "kHz" alone
+    unit = unit or stated_unit(f"[{in_file}]", _UNITS[role])
+    if not unit and role == "frequency" and any(word in _OMEGA for word in [*words_of(name), name.strip()]):
         return "rad/s"
-    return "1" if role == "gain" else ""
+    return unit or ("1" if "1" in _UNITS[role] else "")
 
 
 def _on_its_side(path: Path) -> LogTable | None:
@@ -246,7 +242,8 @@ def read_recording(
     input, output
         names of columns; ``"#2"`` is the second one.
     time
-        the column of stamps [s]; by default the one that never decreases and is named so.
+        the column of stamps; by default the one that never decreases and is named so. Its unit is the one
+        that its name or the file states: s, ms, us or ns, as in ``time_ms`` or ``t [us]``; s without one.
     period
         sampling period [s] instead of stamps.
     input_at_rest
@@ -255,7 +252,8 @@ def read_recording(
     Raises
     ------
     LogError, FileFormatError, SizeError
-        a column is not there, stamps are missing or not uniform, or the file is damaged or too large.
+        a column is not there, stamps are missing, not uniform or in another unit, or the file is damaged or
+        too large.
 
     Examples
     --------
@@ -271,7 +269,7 @@ def read_recording(
         return clean_column(table, table.place(name, role), interpolate=False)[0]
 
     if period is None:
-        period = _period(column(time or _stamps(table), "time"))
+        period = _period(table, time or _stamps(table))
     return Recording(
         period=period,
         input=column(input, "input"),
@@ -282,8 +280,23 @@ def read_recording(
     )
 
 
-def _period(stamps: Reals) -> float:
+def _second(table: LogTable, place: int) -> float:
+    """Unit of a column of stamps [s]: in 10 ms that are taken for 10 s every frequency is a thousandth."""
+    name = table.names[place]
+    known = UNITS["time"]
+    words = (unit_of_name(f"[{word}]", known) for word in words_of(name))  # "millis", "ms_since_start"
+    stated = stated_unit(name, known) or next(filter(None, words), "")
+    in_file = table.units[place] if table.units else ""
+    unit = stated_unit(f"[{in_file}]", known) or stated
+    if unit and unit not in known:
+        raise _other_unit("time", name, unit, known)
+    return known[unit or "s"]
+
+
+def _period(table: LogTable, name: str) -> float:
     """Step of the stamps, of any size: unlike an arm, a furnace may be sampled once in a minute."""
+    place = table.place(name, "time")
+    stamps = clean_column(table, place, interpolate=False)[0] * _second(table, place)
     step = (stamps[-1] - stamps[0]) / max(stamps.size - 1, 1)
     worst = float(np.max(np.abs(np.diff(stamps) - step), initial=0.0))
     if not step > 0 or worst > _JITTER * step:
