@@ -12,13 +12,19 @@ import re
 import runpy
 import subprocess
 from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 import fraclink as fl
 from fraclink._cli import main
 from fraclink._show.arm_page import render_arm_page
+from fraclink._show.text import number
+from fraclink._simulate.engine import engine_link
 from fraclink._workflow import save_study
+from fraclink.errors import FieldError
 from needed_tools import tool
 from test_report import HOSTILE, Elements, parsed
 
@@ -144,23 +150,21 @@ RUNS = (
 )
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("settings", RUNS, ids=["start", "lost gauge", "reversed, missed", "stuck, late"])
-def test_a_browser_runs_the_packages_bits_without_a_complaint(study, page, tmp_path, monkeypatch, settings):
+def browsed(page: str, place: Path, settings: str) -> str:
+    """The page as a browser has it at this address, after its script has run without a complaint."""
     browser = tool("chromium")
-    place = tmp_path / "arm.html"
-    place.write_text(page)
-    study.design.save(tmp_path / "design.json")
-    command = [
-        browser,
-        "--headless",
-        "--no-sandbox",
-        "--disable-gpu",
-        "--enable-logging=stderr",
-        "--dump-dom",
-    ]
+    (place / "arm.html").write_text(page)
     answer = subprocess.run(  # noqa: S603
-        [*command, "--dump-dom", f"--user-data-dir={tmp_path / 'profile'}", f"{place.as_uri()}#{settings}"],
+        [
+            browser,
+            "--headless",
+            "--no-sandbox",
+            "--disable-gpu",
+            "--enable-logging=stderr",
+            "--dump-dom",
+            f"--user-data-dir={place / 'profile'}",
+            f"{(place / 'arm.html').as_uri()}#{settings}",
+        ],
         capture_output=True,
         text=True,
         timeout=120,
@@ -168,9 +172,27 @@ def test_a_browser_runs_the_packages_bits_without_a_complaint(study, page, tmp_p
     )
     assert "CONSOLE" not in answer.stderr  # neither an error nor a request that the policy refused
     assert 'data-ready="true"' in answer.stdout
-    code = html.unescape(re.search(r'<pre id="python"[^>]*>(.*?)</pre>', answer.stdout, re.DOTALL)[1])
+    return answer.stdout
+
+
+def outcome_of(shown: str) -> tuple[str, str]:
+    """The sentence on the run, and how it is coloured."""
+    element = re.search(r'<p id="outcome"[^>]*class="(\w+)"[^>]*>(.*?)</p>', shown)
+    return html.unescape(element[2]), element[1]
+
+
+def python_of(shown: str) -> str:
+    return html.unescape(re.search(r'<pre id="python"[^>]*>(.*?)</pre>', shown, re.DOTALL)[1])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("settings", RUNS, ids=["start", "lost gauge", "reversed, missed", "stuck, late"])
+def test_a_browser_runs_the_packages_bits_without_a_complaint(study, page, tmp_path, monkeypatch, settings):
+    study.design.save(tmp_path / "design.json")
+    shown = browsed(page, tmp_path, settings)
+    code = python_of(shown)
     for name in ("nan", "stuck", "reversed", "encoder", "missed"):
-        assert (f"{name}=" in settings) == (f'id="fault-{name}" aria-pressed="true"' in answer.stdout)
+        assert (f"{name}=" in settings) == (f'id="fault-{name}" aria-pressed="true"' in shown)
     script = tmp_path / "same_run.py"
     script.write_text(code)
     monkeypatch.chdir(tmp_path)
@@ -204,3 +226,79 @@ def test_text_and_lines_stand_out_in_both_themes(page, theme):
     assert contrast(colours["quiet"], colours["page"]) >= 4.5
     for name in ("link", "load", "metal"):
         assert contrast(colours[name], colours["card"]) >= 3.0, name
+
+
+def numbers_of(page: str) -> dict:
+    return json.loads(re.search(r'id="arm-data">(.*?)</script>', page, re.DOTALL)[1])
+
+
+@pytest.mark.slow
+def test_a_run_too_short_for_the_usual_moves_has_shorter_ones(study):
+    fast = replace(study.design.rig, period=1e-4)
+    design = fl.design(fast.model, fast, payloads=(0.02, 0.04), gain_crossover=12.0, phase_margin=fl.deg(50))
+    page = render_arm_page(fl.Study(rig=fast, design=design))
+    data = numbers_of(page)
+    assert data["half"] == pytest.approx(0.2)
+    assert len(data["times"]) > 5 and len(set(data["times"])) == len(data["times"])
+    assert data["times"][0] > 0.0 and data["times"][-1] <= 0.75 * data["half"]
+    assert len(page.encode()) <= 150_000
+
+
+@pytest.mark.slow
+def test_a_model_without_a_payload_moves_with_the_links_that_simulate_has(study):
+    rig = study.design.rig
+    bare = replace(rig.model, payload=None)
+    design = fl.design(bare, rig, payloads=(0.02, 0.04), gain_crossover=12.0, phase_margin=fl.deg(50))
+    page = render_arm_page(fl.Study(rig=rig, design=design))
+    data = numbers_of(page)
+    assert {0.020, 0.030, 0.040} <= set(data["payloads"])
+    numbers = np.frombuffer(base64.b64decode(data["numbers"]))
+    last = engine_link(
+        replace(bare, natural_frequency=rig.natural_frequency(0.08), payload=0.08),
+        data["period"],
+        data["periods"] * data["period"],
+    )
+    assert data["payloads"][-1] == 0.08
+    assert np.array_equal(numbers[-last.numbers.size :], last.numbers)
+    assert f"ω₀ = {number(rig.natural_frequency(0.03), 4)} at 30 g" in page
+
+
+def test_a_model_too_fast_for_its_period_is_refused_by_name(study, tmp_path):
+    model = replace(study.design.model, natural_frequency=1e3)
+    with pytest.raises(FieldError, match=r"rig\.period: too long.*0\.004.*[Ss]horten"):
+        fl.write_arm_page(replace(study, design=replace(study.design, model=model)), tmp_path / "arm.html")
+    assert not (tmp_path / "arm.html").exists()
+
+
+@pytest.mark.slow
+def test_the_python_of_the_page_names_the_law_that_it_runs(study):
+    other = fl.equip(study.law, study.design.rig, study.design.model, moves=fl.Moves(velocity=2.0))
+    loaded = 'fl.load("law.json")'
+    bare = replace(study.law, drive=None)
+    for law, python in (
+        (None, "design.law()"),
+        (study.law, "design.law()"),
+        (other, loaded),
+        (study.law.in_precision("single"), f'{loaded}.in_precision("double")'),
+        (bare, f"fl.equip({loaded}, design.rig, design.model)"),
+    ):
+        data = numbers_of(render_arm_page(replace(study, law=law)))
+        assert data["law"] == python
+        makes = {"design": study.design, "fl": SimpleNamespace(equip=fl.equip, load=lambda _, law=law: law)}
+        assert eval(python, makes).block == base64.b64decode(data["blocks"][0])  # noqa: S307
+
+
+@pytest.mark.slow
+def test_without_a_move_the_page_says_how_far_the_tip_goes(page, tmp_path):
+    text, colour = outcome_of(browsed(page, tmp_path, "move=0&noise=0.02"))
+    assert re.fullmatch(r"No move: the tip stays within 0\.\d\d° of its place\.", text)
+    assert colour == "good"
+    # a gauge wired backwards makes the loop swing up by itself: that is not resting
+    text, colour = outcome_of(browsed(page, tmp_path, "move=0&noise=0.02&reversed=1"))
+    assert "stays" not in text and colour == "bad"
+
+
+@pytest.mark.slow
+def test_an_address_cannot_tell_a_law_that_takes_no_payload(study, tmp_path):
+    deaf = replace(study, law=replace(study.law, tracking=None))
+    assert "told=False" in python_of(browsed(render_arm_page(deaf), tmp_path, "told=1"))

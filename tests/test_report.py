@@ -20,6 +20,7 @@ import pytest
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.rig import Rig
 from fraclink._campaign.faults import Case, Check, FaultTable, Outcome
+from fraclink._design import design
 from fraclink._identify import compare_structures
 from fraclink._logs import bundled_log, read_log
 from fraclink._show.drawing import envelope
@@ -156,6 +157,7 @@ def test_the_page_asks_nobody_for_anything() -> None:
     script = re.findall(r"<script>(.*?)</script>", text, re.DOTALL)
     digest = base64.b64encode(hashlib.sha256(script[0].encode()).digest()).decode()
     assert [html.unescape(sources) for sources in allowed] == [f"'sha256-{digest}' 'wasm-unsafe-eval'"]
+    assert "self-contained: no request to any host." in text
     assert text.count("<script") == 2  # it, and the numbers that it reads
     assert len(text.encode()) < 700_000
 
@@ -163,8 +165,29 @@ def test_the_page_asks_nobody_for_anything() -> None:
 @pytest.mark.slow
 def test_a_report_without_script_holds_none() -> None:
     text = render_report(study("plain", design=True), script=False)
+    assert "self-contained: no script, no request to any host." in text
     assert "<script" not in text and "script-src" not in text and "armbox" not in text
     assert "<script" not in render_report(study("plain"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("period, payload", [(1e-4, 0.03), (0.004, None)], ids=["short run", "no payload"])
+def test_a_design_with_a_fast_clock_or_without_a_payload_is_reported(
+    period: float, payload: float | None
+) -> None:
+    rig = replace(RIG, period=period)
+    made = design(
+        replace(rig.model, payload=payload), rig, gain_crossover=12.0, phase_margin=math.radians(50)
+    )
+    assert 'id="moving"' in render_report(Study(rig=rig, design=made))
+
+
+@pytest.mark.slow
+def test_a_report_leaves_the_arm_out_that_no_payload_lets_move() -> None:
+    made = design(RIG.model, RIG, gain_crossover=12.0, phase_margin=math.radians(50))
+    fast = replace(made, model=replace(made.model, natural_frequency=1e3))
+    text = render_report(Study(rig=RIG, design=fast, law=made.law()))
+    assert 'id="moving"' not in text and "<script" not in text and 'id="design"' in text
 
 
 @pytest.mark.slow

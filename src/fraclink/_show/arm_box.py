@@ -13,10 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._arm.link import LinkModel
 from fraclink._arm.reference import smooth_step
 from fraclink._design import Design
-from fraclink._law import MODES, REASONS, Law
+from fraclink._law import MODES, REASONS, Law, equip
 from fraclink._show.pages import template_text
 from fraclink._simulate.engine import (
     LONGEST,
@@ -26,7 +25,7 @@ from fraclink._simulate.engine import (
     engine_noise,
     engine_rig,
 )
-from fraclink._simulate.simulate import with_motor_loop
+from fraclink._simulate.simulate import link_at
 from fraclink._workflow import Study
 from fraclink.errors import FieldError
 
@@ -40,6 +39,7 @@ _SCRIPTS = ("arm_engine.js", "arm_drawing.js", "arm_page.js")
 _SEED = 0
 # The move goes there in the first half of the run and back in the second, so that the picture has no jump.
 _TIMES = np.round(np.arange(0.2, 1.51, 0.05), 2)
+_LONGEST_SHARE = 0.75  # of half a run: the tip has the rest of it to settle in
 
 
 @dataclass(frozen=True)
@@ -52,12 +52,17 @@ class ArmBox:
     style: str
 
 
-def arm_box(study: Study, design: Design, *, payloads: int = MOST_PAYLOADS) -> ArmBox:
-    """Return the arm of a design; `payloads`: how many its slider has, 2 to 4 kB each."""
+def arm_box(study: Study, design: Design, *, payloads: int = MOST_PAYLOADS) -> ArmBox | None:
+    """Return the arm of a design; `payloads`: how many its slider has, 2 to 4 kB each.
+
+    None where the model vibrates too fast for the law's period with every payload.
+    """
     # They share their names with no script of the page around them.
     script = "(() => {\n'use strict';\n" + "".join(map(squeezed, _SCRIPTS)) + "})();\n"
-    data = _json(_data(design, _law(study, design), payloads))
-    return ArmBox(data, script, page_hash(script), squeezed("arm_box.css"))
+    data = _data(design, *_law(study, design), payloads)
+    if not data["links"]:
+        return None
+    return ArmBox(_json(data), script, page_hash(script), squeezed("arm_box.css"))
 
 
 def squeezed(name: str) -> str:
@@ -77,10 +82,24 @@ def _json(data: Mapping[str, Any]) -> str:
     return text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
 
 
-def _law(study: Study, design: Design) -> Law:
-    """The law of the study where it has one: to make it again takes seconds."""
-    law = study.law or design.law()
-    return with_motor_loop(law, rig=design.rig, link=design.model)[0]
+def _law(study: Study, design: Design) -> tuple[Law, str]:
+    """The law that the page runs, in double precision, and the Python that makes it: the same bits."""
+    if study.law is None or _is_own(study.law, design):
+        law, python = study.law or design.law(), "design.law()"
+    else:
+        law, python = study.law, 'fl.load("law.json")'
+    if law.precision != "double":
+        law, python = law.in_precision("double"), f'{python}.in_precision("double")'
+    if law.drive is None:  # without it `simulate` would run an ideal motor
+        law, python = equip(law, design.rig, design.model), f"fl.equip({python}, design.rig, design.model)"
+    return law, python
+
+
+def _is_own(law: Law, design: Design) -> bool:
+    try:
+        return design.law().digest == law.digest
+    except FieldError:  # a design whose law can no longer be made is shown with the one that was
+        return False
 
 
 def _base64(parts: Iterable[Real]) -> str:
@@ -89,14 +108,14 @@ def _base64(parts: Iterable[Real]) -> str:
     ).decode()
 
 
-def _data(design: Design, law: Law, count: int) -> dict[str, Any]:
-    """Everything that the script reads; `count`: how many payloads the slider has."""
+def _data(design: Design, law: Law, python: str, count: int) -> dict[str, Any]:
+    """Everything that the script reads; `python`: what makes the law; `count`: how many payloads."""
     rig, model, period = design.rig, design.model, law.period
     swing = 2 * math.pi / max(abs(model.pole.imag), 1e-3)
     periods = min(LONGEST - 1, 2 * round(max(2.0, 3.5 * swing) / period))
     half = 0.5 * periods * period
     payloads, links = _links(design, period, periods * period, count)
-    times = [float(time) for time in _TIMES if time <= 0.75 * half]
+    times = _times(half)
     noise = max(0.05, 5 * rig.gauge.noise)
     return {
         "engine": base64.b64encode(engine_bytes()).decode(),
@@ -128,11 +147,19 @@ def _data(design: Design, law: Law, count: int) -> dict[str, Any]:
         "length": rig.link.length,
         "torque": _torque(design),
         "voltage": rig.motor.voltage_limit if math.isfinite(rig.motor.voltage_limit) else 0.0,
+        "law": python,
         "told": law.tracking is not None,
         "modes": list(MODES),
         "reasons": list(REASONS),
         "seed": _SEED,
     }
+
+
+def _times(half: float) -> list[float]:
+    """Times of a move [s] that half a run has room for; a run too short for any of them has scaled ones."""
+    longest = _LONGEST_SHARE * half
+    scale = 1.0 if _TIMES[0] <= longest else longest / _TIMES[-1]
+    return [float(f"{scale * time:.3g}") for time in _TIMES if scale * time <= longest * (1 + 1e-12)]
 
 
 def _torque(design: Design) -> float:
@@ -141,7 +168,7 @@ def _torque(design: Design) -> float:
 
 
 def _nearest(values: list[float], wanted: float) -> int:
-    return int(np.argmin(np.abs(np.array(values) - wanted)))
+    return min(range(len(values)), key=lambda index: abs(values[index] - wanted), default=0)
 
 
 def _move(time: float, half: float) -> Real:
@@ -157,19 +184,15 @@ def _move(time: float, half: float) -> Real:
 def _links(design: Design, period: float, span: float, count: int) -> tuple[list[float], list[EngineLink]]:
     """Payloads from light to heavy [kg], round in grams, those designed for among them; and their links."""
     low, high = design.payloads
-    model = design.model
-    own = {low, high, model.payload or design.rig.payloads.nominal}
+    model, rig = design.model, design.rig
+    own = {low, high, model.payload or rig.payloads.nominal}
     spread = np.geomspace(_LIGHTEST * low, _HEAVIEST * high, max(count - len(own), 2))
     wanted = sorted(own | {float(f"{value:.2g}") for value in spread})
     payloads, links = [], []
     for payload in wanted:
         try:
-            links.append(engine_link(_at(model, design, payload), period, span))
+            links.append(engine_link(link_at(model, rig, payload), period, span))
         except FieldError:
             continue  # too light a payload vibrates too fast for the period; the slider starts above it
         payloads.append(payload)
     return payloads, links
-
-
-def _at(model: LinkModel, design: Design, payload: float) -> LinkModel:
-    return model if payload == model.payload else model.at_payload(payload)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from fraclink._arm.loop import with_payload
 from fraclink._design import Design
 from fraclink._files import write_text
 from fraclink._show import tables
@@ -38,7 +39,8 @@ def write_arm_page(study: Study, path: Path | str, *, title: str | None = None) 
     Raises
     ------
     FieldError
-        the study has no design. MissingExtraError where jinja2 is not installed.
+        the study has no design, or a period too long for its model. MissingExtraError where jinja2 is
+        not installed.
 
     Examples
     --------
@@ -81,6 +83,8 @@ def render_arm_page(study: Study, *, title: str | None = None) -> str:
     }
     while True:
         arm = arm_box(study, design, payloads=payloads)
+        if arm is None:
+            raise _too_fast(design)
         style = arm.style + squeezed("arm.css")
         page = rendered("arm.html", arm=arm, style=style, style_hash=page_hash(style), **said)
         excess = len(page.encode()) - _LARGEST
@@ -89,9 +93,20 @@ def render_arm_page(study: Study, *, title: str | None = None) -> str:
         payloads -= 1 + excess // 4000  # a link takes 2 to 4 kB
 
 
+def _too_fast(design: Design) -> FieldError:
+    return FieldError(
+        "rig.period",
+        design.rig.period,
+        "too long: the model vibrates too fast for it with every payload of the page",
+        allowed="a few samples in a period of the vibration",
+        remedy="shorten period in the rig file and design again, or identify the model again: see its ω₀",
+    )
+
+
 def _simulated(design: Design) -> list[str]:
     """Sentences on what a run in the page contains."""
-    rig, model = design.rig, design.model
+    rig = design.rig
+    model = with_payload(design.model, rig)
     link = f"the model of the link: λ = {number(model.order, 4)}, ω₀ = {number(model.natural_frequency, 4)}"
     if model.payload is not None:
         link += f" at {grams(model.payload)}"

@@ -223,11 +223,14 @@ def _rig_and_link(
         remedy = "give model=fit.model, or a rig with a model"
         raise FieldError("model", None, "missing", allowed="the model of the link", remedy=remedy)
     check_rigs_period(law, rig)
-    if payload is None or payload == link.payload:
-        return rig, link
+    return rig, link if payload is None else link_at(link, rig, payload)
+
+
+def link_at(link: LinkModel, rig: Rig, payload: float) -> LinkModel:
+    """Return the link at a payload [kg]; where its own is not known, with ω₀ of the rig, eq. (5)."""
     if link.payload is not None:
-        return rig, link.at_payload(payload)
-    return rig, replace(link, natural_frequency=rig.natural_frequency(payload), payload=payload)
+        return link if payload == link.payload else link.at_payload(payload)
+    return replace(link, natural_frequency=rig.natural_frequency(payload), payload=payload)
 
 
 def _on_model(

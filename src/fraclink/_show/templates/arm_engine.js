@@ -136,7 +136,7 @@ function inPython() {
     'import fraclink as fl',
     '',
     'design = fl.load("design.json")',
-    `law = design.law()${state.single ? '.in_precision("single")' : ''}`,
+    `law = ${DATA.law}${state.single ? '.in_precision("single")' : ''}`,
     `there, back = fl.smooth_step(${a}, ${time}), fl.smooth_step(${-a}, ${time}, ${DATA.half - time})`,
     'run = fl.simulate(',
     '    law, there.then(back), rig=design.rig, model=design.model,',
@@ -150,17 +150,18 @@ function inPython() {
 
 // What the run came to. The page judges this move only; what is promised stands in its own text.
 function outcome() {
-  const a = amplitude(), half = Math.floor(N / 2), band = 0.02 * Math.abs(a);
-  let changed = -1, settled = 0, back = half, peak = 0;
+  const a = amplitude(), half = Math.floor(N / 2), band = 0.02 * (Math.abs(a) || 1); // without a move: of 1 rad
+  let changed = -1, settled = 0, back = half, peak = 0, away = 0;
   for (let k = 0; k < N; k++) {
     if (changed < 0 && mode[k] > 1) changed = k;
+    away = Math.max(away, Math.abs(tip[k]));
     if (k < half) {
       if (!(Math.abs(tip[k] - a) <= band)) settled = k + 1;
       peak = Math.max(peak, (tip[k] - a) * Math.sign(a));
     } else if (!(Math.abs(tip[k]) <= band)) back = k + 1;
   }
   return {
-    changed, worst: mode.reduce((x, y) => Math.max(x, y), 0),
+    changed, band, away, worst: mode.reduce((x, y) => Math.max(x, y), 0),
     why: changed < 0 ? '' : DATA.reasons[reason[changed]],
     settles: settled < half ? TS * settled : NaN,
     returns: back < N ? TS * back - DATA.half : NaN,

@@ -7,7 +7,7 @@ const clock = {k: 0, t: 0, playing: !still.matches, slow: 1, before: 0, flight: 
 const SLIDERS = {
   payload: [0, DATA.payloads.length - 1, 1, (i) => gramsOf(i)],
   move: [-120, 120, 1, (v) => `${fixed(v, 0)}°`],
-  time: [0, DATA.times.length - 1, 1, (i) => `${DATA.times[i].toFixed(2)} s`],
+  time: [0, DATA.times.length - 1, 1, (i) => `${fixed(DATA.times[i], DATA.times[0] < 0.2 ? 4 : 2)} s`],
   noise: [0, DATA.largest.noise, DATA.largest.noise / 50, (v) => `${fixed(1e3 * v, 1)} mN·m`],
   offset: [-DATA.largest.offset, DATA.largest.offset, DATA.largest.offset / 50, (v) => `${fixed(1e3 * v, 0)} mN·m`],
   delay: [0, DATA.largest.delay, 1, (v) => `${v} ${v === 1 ? 'period' : 'periods'}, ${fixed(1e3 * TS * v, 1)} ms`],
@@ -43,7 +43,12 @@ function say() {
     }[name] || '';
     text = `${name[0].toUpperCase()}${name.slice(1)} at ${(TS * o.changed).toFixed(2)} s (${o.why}): ${after} `;
   }
-  if (o.worst < 3) {
+  const placed = state.move || o.away <= o.band;
+  if (o.worst < 3 && !state.move) {
+    text += placed
+      ? `No move: the tip stays within ${fixed(degrees(o.away), 2)}° of its place.`
+      : `No move, and yet the tip goes ${fixed(degrees(o.away), 1)}° away from its place.`;
+  } else if (o.worst < 3) {
     if (Number.isNaN(o.settles)) text += `The tip does not come to rest within 2 % in ${fixed(DATA.half, 1)} s.`;
     else {
       text += `There in ${o.settles.toFixed(2)} s (within 2 %), overshoot ${fixed(100 * o.overshoot, 1)} %`;
@@ -51,8 +56,9 @@ function say() {
     }
   }
   said.textContent = text;
-  const good = o.worst <= 1 && !Number.isNaN(o.settles) && !Number.isNaN(o.returns);
-  said.className = good ? 'good' : o.worst > 2 || Number.isNaN(o.settles) ? 'bad' : 'fair';
+  const rests = placed && !Number.isNaN(o.settles);
+  const good = rests && o.worst <= 1 && !Number.isNaN(o.returns);
+  said.className = good ? 'good' : o.worst > 2 || !rests ? 'bad' : 'fair';
   $('python').textContent = inPython();
   $('speed-of-run').textContent = `${fixed(TS * DATA.periods, 1)} s of motion took ${milliseconds.toFixed(2)} ms to compute.`;
 }
@@ -151,7 +157,8 @@ function recall() {
     if (key in SLIDERS) {
       const [low, high, step] = SLIDERS[key];
       state[key] = limited(step === 1 ? Math.round(value) : value, low, high);
-    } else if (['told', 'single', 'late'].includes(key)) state[key] = value === 1;
+    } else if (key === 'told') state.told = DATA.told && value === 1;
+    else if (['single', 'late'].includes(key)) state[key] = value === 1;
     else if (FAULTS.some((fault) => fault.id === key)) state.faults[key] = limited(Math.round(value), 0, N - 1);
     else if (key === 'at') { play(false); go(value / TS); }
   }
