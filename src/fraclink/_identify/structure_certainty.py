@@ -49,6 +49,10 @@ def certainty_of(search: StructureSearch, data: Samples, best: Place, *, details
     own = search.coordinates
     stuck = tuple(name for name in own.names if _is_at_bound(own, name, best.values[name]))
     rows = search.jacobian(data, best)
+    if len(stuck) == len(rows):
+        return Certainty(
+            {}, {}, stuck, (), (), {}
+        )  # nothing is inside its range, where an error has a meaning
     kept = [k for k, name in enumerate(own.names) if name not in stuck] + list(
         range(len(own.names), len(rows))
     )
