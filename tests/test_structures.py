@@ -55,6 +55,11 @@ def lines(
         "k*w**2/(s**2 + 2*z*w*s + w**2)",
         "1/(s + k*exp(-T*s))",
         "+s/(2 - -s)",
+        "k*(s + 1)**-1",
+        "k*(s + 1)**(1 + 1)/(s + w)**-2",
+        "(-s)**2*k",
+        "1 + T/s",
+        "kp + ki/s + kd*s",
     ],
 )
 def test_three_algebras_agree(text: str) -> None:
@@ -69,6 +74,37 @@ def test_three_algebras_agree(text: str) -> None:
     many = {name: np.array([[value], [1.1 * value]]) for name, value in values.items()}
     rows = np.broadcast_to(structure.response(many, points), (2, 3))
     assert rows[0] == pytest.approx(exact, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("text", "value", "problem"),
+    [
+        ("k*0**-1*s", "0 ** (-1)", "a division by zero"),
+        ("k*s/(1 - 1)", "k * s / (1 - 1)", "a division by zero"),
+        ("k*10**(10**9)*s", "10 ** 10 ** 9", "no finite real number"),
+        ("k*1e200**(1 + 1)*s", "1e+200 ** (1 + 1)", "no finite real number"),
+        ("(-1)**0.5*s*k", "(-1) ** 0.5", "no finite real number"),
+        ("k*(s + 1)**-9", "(s + 1) ** (-9)", "a power of a sum that is not a whole number up to 8"),
+        ("k*(s + 1)**(1/3)", "(s + 1) ** (1 / 3)", "a power of a sum that is not a whole number up to 8"),
+        ("k*s+" + "1+" * 400 + "1", "characters 1 to 683", "nested too deeply"),
+        ("1+" * 400 + "1", "characters 1 to 801", "without s"),
+        ("k*exp(-T*s/(2 - 2))", "-T * s / (2 - 2)", "a division by zero"),
+        ("k*exp(-(0 - T)**0.5*s)", "exp(-(0 - T) ** 0.5 * s)", "not a delay"),
+    ],
+)
+def test_arithmetic_that_has_no_value_is_named(text: str, value: str, problem: str) -> None:
+    with pytest.raises(FieldError) as caught:
+        parse_expression(text)
+    assert (caught.value.field, caught.value.value, caught.value.problem) == ("expression", value, problem)
+    assert caught.value.remedy
+
+
+@pytest.mark.parametrize("text", ["s/(k - 2)", "(1 - k)**0.5*s", "(k + 8)**(1000*k)*s"])
+def test_values_without_a_function_are_named(text: str) -> None:
+    structure = parse_expression(text)
+    with pytest.raises(FieldError):
+        structure.function({"k": 2.0})
+    assert not np.isfinite(structure.response({"k": 2.0}, np.array([1j]))).all()
 
 
 def test_roles() -> None:
@@ -276,6 +312,25 @@ def test_a_band_that_misses_a_corner() -> None:
     fit = fl.identify_structure(data, LAG)
     assert "w" in {*fit.undetermined, *fit.at_bound}
     assert not fit.passed
+
+
+@pytest.mark.parametrize(
+    ("text", "truth", "bounds"),
+    [
+        ("2*exp(-T*s)/(s**0.8 + 3)", "2*s**0.2/(s**0.8 + 3)", None),
+        ("k/(s**0.8 + 3)", "-2/(s**0.8 + 3)", None),
+        ("k/(s**0.8 + 3)", "2/(s**0.8 + 3)", {"k": (3.0, 4.0)}),
+    ],
+)
+def test_every_parameter_at_a_bound(
+    text: str, truth: str, bounds: dict[str, tuple[float, float]] | None
+) -> None:
+    """Nothing is inside its range: no interval, no error, and W351 instead of an end in the algebra."""
+    fit = fl.identify_structure(lines(truth, {}), text, bounds=bounds)
+    assert fit.at_bound == tuple(fit.limits)
+    assert (dict(fit.intervals), dict(fit.standard_errors), fit.undetermined) == ({}, {}, ())
+    assert "W351" in [finding.code for finding in fit.findings]
+    repr(fit)
 
 
 def test_noise_is_no_system() -> None:

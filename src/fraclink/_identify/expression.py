@@ -8,6 +8,7 @@ quotients of such arrays (to find coefficients by linear least squares), and exa
 from __future__ import annotations
 
 import ast
+import math
 import operator
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -63,7 +64,8 @@ class Expression:
     def response(self, values: Mapping[str, Any], points: Complexes) -> Complexes:
         """G at `points` [rad/s], shape (K,), for parameters of shape () or (M, 1)."""
         logarithm = np.log(points)
-        leaves = _Leaves(points, lambda order: np.exp(order * logarithm), np.exp, values)
+        arrays = {name: np.asarray(value, dtype=np.float64) for name, value in values.items()}
+        leaves = _Leaves(points, lambda order: np.exp(order * logarithm), np.exp, arrays)
         with np.errstate(all="ignore"):  # a candidate may overflow: its cost is infinite, and it is dropped
             return np.asarray(_walk(self.tree, leaves), dtype=np.complex128)
 
@@ -74,7 +76,7 @@ class Expression:
             _Ratio(points),
             lambda order: _Ratio(np.exp(_plain(order) * logarithm)),
             lambda ratio: _Ratio(np.exp(ratio.top / ratio.bottom)),
-            values,
+            {name: np.asarray(value, dtype=np.float64) for name, value in values.items()},
         )
         with np.errstate(all="ignore"):
             found = _Ratio.of(_walk(self.tree, leaves))
@@ -84,7 +86,10 @@ class Expression:
     def function(self, values: Mapping[str, float]) -> FractionalTransferFunction:
         """The exact transfer function; FieldError where there is none for these values (a delay below 0)."""
         leaves = _Leaves(s, s.power, _delayed, {name: float(value) for name, value in values.items()})
-        made = _walk(self.tree, leaves)
+        try:
+            made = _walk(self.tree, leaves)
+        except ArithmeticError as error:
+            raise _not_a_number(self.text, error) from error
         return made if isinstance(made, FractionalTransferFunction) else float(made) * s**0
 
 
@@ -114,8 +119,15 @@ def _walk(node: ast.expr, leaves: _Leaves) -> Any:
     if isinstance(node.op, ast.Pow):
         if isinstance(node.left, ast.Name) and node.left.id == "s":
             return leaves.power(right)
-        return _walk(node.left, leaves) ** right
+        return _real_power(_walk(node.left, leaves), right)
     return _OPERATORS[type(node.op)](_walk(node.left, leaves), right)
+
+
+def _real_power(base: Any, exponent: Any) -> Any:
+    """A power; ArithmeticError where Python, unlike numpy, makes a complex number of a negative one."""
+    if type(base) is float and type(exponent) is float and base < 0 and not exponent.is_integer():
+        raise ArithmeticError
+    return base**exponent
 
 
 def _delayed(exponent: FractionalTransferFunction) -> FractionalTransferFunction:
@@ -126,6 +138,10 @@ def _delayed(exponent: FractionalTransferFunction) -> FractionalTransferFunction
 
 def _plain(value: Any) -> Any:
     return value.top / value.bottom if isinstance(value, _Ratio) else value
+
+
+def _is_one(bottom: Any) -> bool:
+    return np.isscalar(bottom) and bottom == 1.0
 
 
 @dataclass(frozen=True)
@@ -143,7 +159,7 @@ class _Ratio:
 
     def __add__(self, other: Any) -> _Ratio:
         right = _Ratio.of(other)
-        if self.bottom is right.bottom or (np.isscalar(self.bottom) and self.bottom == right.bottom):
+        if self.bottom is right.bottom or (_is_one(self.bottom) and _is_one(right.bottom)):
             return _Ratio(self.top + right.top, self.bottom)
         return _Ratio(self.top * right.bottom + right.top * self.bottom, self.bottom * right.bottom)
 
@@ -227,8 +243,29 @@ def _has_s(node: ast.AST) -> bool:
     return "s" in _names(node)
 
 
-def _refused(node: ast.AST, problem: str, remedy: str) -> FieldError:
-    return FieldError("expression", ast.unparse(node), problem, allowed=_FORMS, remedy=remedy)
+def _refused(node: ast.expr, problem: str, remedy: str) -> FieldError:
+    try:
+        text = ast.unparse(node)
+    except RecursionError:  # a sum of hundreds of terms is a tree as deep
+        text = f"characters {node.col_offset + 1} to {node.end_col_offset}"
+    return FieldError("expression", text, problem, allowed=_FORMS, remedy=remedy)
+
+
+def _not_a_number(text: str, error: ArithmeticError | None = None) -> FieldError:
+    problem = "a division by zero" if isinstance(error, ZeroDivisionError) else "no finite real number"
+    remedy = "write numbers and powers whose value is real and finite"
+    return FieldError("expression", text, problem, allowed=_FORMS, remedy=remedy)
+
+
+def _constant(node: ast.expr) -> float:
+    """The value of a piece without names; FieldError where it is no finite real number."""
+    try:
+        value = _walk(node, _Leaves(s, s.power, _delayed, {}))  # in floating point: no power takes long
+    except ArithmeticError as error:
+        raise _not_a_number(ast.unparse(node), error) from error
+    if not math.isfinite(value):
+        raise _not_a_number(ast.unparse(node))
+    return float(value)
 
 
 def _check(node: ast.expr, depth: int) -> None:
@@ -254,11 +291,15 @@ def _check(node: ast.expr, depth: int) -> None:
     elif isinstance(node, ast.BinOp) and type(node.op) in _OPERATORS:
         _check(node.left, depth + 1)
         _check(node.right, depth + 1)
+        if isinstance(node.op, ast.Div) and not _names(node.right) and _constant(node.right) == 0.0:
+            raise _refused(node, "a division by zero", "divide by another number")
     elif isinstance(node, ast.BinOp):
         remedy = "write a power as s**0.5" if isinstance(node.op, ast.BitXor) else "write it with + - * / **"
         raise _refused(node, "an operator that is not known", remedy)
     else:
         raise _refused(node, "a piece that is not known", "write it with + - * / ** and exp(-T*s)")
+    if isinstance(node, ast.BinOp) and not _names(node):
+        _constant(node)
 
 
 def _check_call(node: ast.Call, depth: int) -> None:
@@ -276,8 +317,8 @@ def _check_power(node: ast.BinOp, depth: int) -> None:
     _check(node.right, depth + 1)
     if not _has_s(node.left) or _is_single_term(node.left):
         return
-    whole = isinstance(node.right, ast.Constant) and float(node.right.value).is_integer()  # type: ignore[arg-type]
-    if not whole or abs(float(node.right.value)) > _LARGEST_POWER:  # type: ignore[attr-defined]
+    power = None if _names(node.right) else _constant(node.right)
+    if power is None or not power.is_integer() or abs(power) > _LARGEST_POWER:
         remedy = "no quotient of powers of s is equal to it; multiply out, or use powers of s alone"
         raise _refused(node, "a power of a sum that is not a whole number up to 8", remedy)
 
@@ -317,14 +358,15 @@ def _roles(tree: ast.expr) -> dict[str, Role]:
 
 def _check_exponentials(made: Expression) -> None:
     """Raise FieldError where an exponent is no delay: not proportional to −s for positive parameters."""
-    values = {name: 0.7 + 0.1 * place for place, name in enumerate(made.names)}
+    # No difference of two of these, or of one and a number that people write, is zero.
+    values = {name: 0.7 + 0.1037 * (place + 0.71) for place, name in enumerate(made.names)}
     for node in ast.walk(made.tree):
         if not isinstance(node, ast.Call):
             continue
         leaves = _Leaves(s, s.power, _delayed, values)
         try:
             exponent = _walk(node.args[0], leaves)
-        except FieldError as error:
+        except (FieldError, ArithmeticError) as error:
             raise _refused(node, "not a delay", "write it as exp(-T*s)") from error
         slope = exponent / s
         constant = all(
