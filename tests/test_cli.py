@@ -348,3 +348,41 @@ def test_a_rig_without_a_model_says_what_to_do(fraclink: Command, tmp_path: Path
     answer = fraclink("design", "--rig", "rig.toml")
     assert answer.code == 2
     assert "Identify a log first" in answer.err
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("shape design.json --on model --link-mass 0.05", "link_mass: given beside --on model (got 0.05)"),
+        ("shape design.json --amplitude 2 --follow p.csv", "amplitude: given beside --follow (got 2.0)"),
+        (
+            "simulate design.json --payload 0.03 --reference p.csv --amplitude 0",
+            "amplitude: given beside --reference (got 0.0)",
+        ),
+        ("twin design.json --reference p.csv --move-time 1", "move_time: given beside --reference (got 1.0)"),
+        (
+            "run-realtime design.json --io shm:none --reference p.csv --amplitude 1",
+            "amplitude: given beside --reference (got 1.0)",
+        ),
+        (
+            "run-realtime design.json --io shm:none --excitation prbs --reference p.csv",
+            "reference: given beside --excitation prbs (got p.csv)",
+        ),
+    ],
+)
+def test_an_option_without_effect_is_refused(fraclink: Command, tmp_path: Path, line: str, said: str) -> None:
+    assert fraclink(*DESIGN, "--out", "design.json").code == 0
+    (tmp_path / "p.csv").write_text("time_s,angle_rad\n0,0\n0.7,1\n")
+    answer = fraclink(*line.split())
+    assert answer.code == 2
+    assert said in " ".join(answer.err.split()) and "Leave out --" in answer.err
+    assert [place.name for place in tmp_path.iterdir() if place.name not in ("design.json", "p.csv")] == []
+
+
+def test_the_usual_move_stands_in_the_help(fraclink: Command) -> None:
+    for name, time in (("simulate", "0.5"), ("twin", "1"), ("run-realtime", "1")):
+        words = " ".join(fraclink(name, "--help").out.split())
+        assert (
+            "Size of the move [rad]; default: 1." in words
+            and f"Time of the move [s]; default: {time}." in words
+        )

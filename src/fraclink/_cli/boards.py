@@ -30,6 +30,7 @@ from fraclink._cli.options import (
     load_log,
     load_rig,
     reference_of,
+    refuse_beside,
 )
 from fraclink._design import Design
 from fraclink._export import Proof, export_c, export_fmu, export_io, export_matlab, replay_log
@@ -201,8 +202,8 @@ def run_realtime(
     design_file: DesignFile,
     io: Annotated[str, Address, "udp:HOST:PORT, shm:NAME or library:FILE.so"],
     out: Annotated[Path, "File to write the record to (npz)", Writes()] = Path("realtime.npz"),
-    amplitude: Amplitude = 1.0,
-    move_time: MoveTime = 1.0,
+    amplitude: Amplitude = None,
+    move_time: MoveTime = None,
     reference: ReferenceFile = None,
     excitation: Annotated[
         Literal["move", "prbs"], "Reference of the tip: a move, or 20 s of a PRBS"
@@ -226,6 +227,11 @@ def run_realtime(
 
     $ fraclink run-realtime design.json --io udp:127.0.0.1:5005
     """
+    if excitation == "prbs":
+        refuse_beside("--excitation prbs", "20 s of a PRBS", reference=reference, move_time=move_time)
+        wanted = _excitation(1.0 if amplitude is None else amplitude)
+    else:
+        wanted = reference_of(reference, amplitude, move_time)
     connection = _connection(io, unsafe_remote, key_file)
     law = _law(load_design(design_file, gear=gear), motor=motor)
     awake = realtime.measure_wake_ups(
@@ -235,7 +241,7 @@ def run_realtime(
     awake.check()
     run = realtime.run_realtime(
         law.in_precision("single") if single else law,
-        _excitation(amplitude) if excitation == "prbs" else reference_of(reference, amplitude, move_time),
+        wanted,
         connection,
         relative=not absolute,
         out=out,

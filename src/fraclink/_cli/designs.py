@@ -37,7 +37,6 @@ from fraclink._cli.options import (
 )
 from fraclink._design import Design
 from fraclink._files import output_path
-from fraclink._logs.reference import read_reference
 from fraclink._show.arm_page import write_arm_page
 from fraclink._show.report import write_report
 from fraclink._simulate import simulate as run_law
@@ -137,10 +136,8 @@ def design(
 
 
 class MoveOptions(TypedDict):
-    """The move, the disturbances and the motor loop of a simulation."""
+    """The time, the disturbances and the motor loop of a simulation."""
 
-    amplitude: Annotated[Amplitude, Default(1.0)]
-    move_time: Annotated[MoveTime, Default(0.5)]
     duration: Annotated[float, "Time to simulate [s]", Default(4.0)]
     gauge_offset: Annotated[float | None, "Offset of the gauge [N·m]; default: the rig's"]
     noise: Annotated[float | None, "Gauge noise [N·m]; default: the rig's"]
@@ -153,6 +150,8 @@ class MoveOptions(TypedDict):
 def simulate(
     design_file: DesignFile,
     payload: Annotated[float, "Payload at the tip [kg]"],
+    amplitude: Amplitude = None,
+    move_time: Annotated[float | None, "Time of the move [s]; default: 0.5"] = None,
     reference: ReferenceFile = None,
     out: Annotated[Path, "File to write the run to (npz)", Writes()] = Path("run.npz"),
     **options: Unpack[MoveOptions],
@@ -162,8 +161,8 @@ def simulate(
     $ fraclink simulate design.json --payload 0.08 --told 0.08
     """
     made = Design.load(design_file)
-    given = None if reference is None else read_reference(reference)
-    move = simulate_move(made, payload, reference=given, **options)
+    wanted = reference_of(reference, amplitude, move_time, usual_time=0.5)
+    move = simulate_move(made, payload, reference=wanted, **options)
     move.save(out)
     following = f"fraclink twin {design_file} --payload {payload:g}"
     doubts = _doubts(made, payload)
@@ -179,8 +178,8 @@ def _doubts(made: Design, payload: float | None) -> tuple[Finding, ...]:
 @command(app)
 def twin(
     design_file: DesignFile,
-    amplitude: Amplitude = 1.0,
-    move_time: MoveTime = 1.0,
+    amplitude: Amplitude = None,
+    move_time: MoveTime = None,
     reference: ReferenceFile = None,
     told: GivenPayload = 0.0,
     seed: SeedNumber = 0,

@@ -19,6 +19,7 @@ from fraclink._cli.options import (
     ModelFile,
     PayloadRange,
     load_arm,
+    refuse_beside,
 )
 from fraclink._export.reference import export_reference
 from fraclink._logs.reference import read_reference
@@ -44,7 +45,7 @@ class MoveRequest(TypedDict):
 @command(app)
 def shape(
     design_file: DesignFile,
-    amplitude: Amplitude = 1.0,
+    amplitude: Amplitude = None,
     payload: Annotated[ranges.Payload | None, "Payload, where it is known; instead of --payloads"] = None,
     follow: Annotated[
         Path | None, "Table of times and angles that the tip shall follow, instead of --amplitude"
@@ -68,14 +69,18 @@ def shape(
             allowed, remedy = "one of --payload and --payloads", "leave one out"
             raise FieldError("payload", payload, "given beside payloads", allowed=allowed, remedy=remedy)
         request["payloads"] = (payload, payload)
-    if on == "model" and model is not None:
-        allowed, remedy = "the design's own model", "design with that model, and shape for that design"
-        raise FieldError("model", str(model), "given beside --on model", allowed=allowed, remedy=remedy)
+    if on == "model":
+        if model is not None:
+            allowed, remedy = "the design's own model", "design with that model, and shape for that design"
+            raise FieldError("model", str(model), "given beside --on model", allowed=allowed, remedy=remedy)
+        refuse_beside("--on model", "the model's link, which has no mass", link_mass=link_mass)
+    if follow is not None:
+        refuse_beside("--follow", "the angles of the file", amplitude=amplitude)
     options = ArmOptions(payload=None, link_mass=link_mass, gear=gear, model=model)
     made, arm = load_arm(design_file, options)
     with steps(1) as begin:
         begin("shaping the move")
-        wanted = amplitude if follow is None else _followed(follow)
+        wanted = _followed(follow) if follow is not None else 1.0 if amplitude is None else amplitude
         move = shape_move(made, wanted, on=on, arm=arm if on == "twin" else None, **request)
     move.save(out)
     written: tuple[Path, ...] = (out,)

@@ -45,8 +45,9 @@ BoxFlag = Annotated[
 Placement = Annotated[Literal["tustin", "direct"], "Poles of the sampled motor loop"]
 MotorLoopKind = Annotated[Literal["ideal", "sampled"], "Motor loop"]
 SeedNumber = Annotated[ranges.Seed, "Seed of the noise"]
-Amplitude = Annotated[float, "Size of the move [rad]"]
-MoveTime = Annotated[float, "Time of the move [s]"]
+# None where it is not given, so that it can be refused beside what takes its place
+Amplitude = Annotated[float | None, "Size of the move [rad]; default: 1"]
+MoveTime = Annotated[float | None, "Time of the move [s]; default: 1"]
 ReferenceFile = Annotated[
     Path | None, "Move of `fraclink shape`, or a table, to follow instead of --amplitude and --move-time"
 ]
@@ -152,9 +153,24 @@ def load_arm(path: Path, options: ArmOptions) -> tuple[Design, Twin]:
     return made, Twin.from_rig(made.rig, payload=options["payload"], link_mass=options["link_mass"])
 
 
-def reference_of(path: Path | None, amplitude: float, move_time: float) -> Reference:
+def reference_of(
+    path: Path | None, amplitude: float | None, move_time: float | None, *, usual_time: float = 1.0
+) -> Reference:
     """Return the reference of a file, or the quintic of that size [rad] and duration [s]."""
-    return smooth_step(amplitude, duration=move_time) if path is None else read_reference(path)
+    if path is not None:
+        refuse_beside("--reference", "the move of the file", amplitude=amplitude, move_time=move_time)
+        return read_reference(path)
+    time = usual_time if move_time is None else move_time
+    return smooth_step(1.0 if amplitude is None else amplitude, duration=time)
+
+
+def refuse_beside(option: str, instead: str, **given: object) -> None:
+    """Raise FieldError for the first value that was given though `option` leaves it without effect."""
+    for name, value in given.items():
+        if value is not None:
+            shown = str(value) if isinstance(value, Path) else value
+            remedy = f"leave out --{name.replace('_', '-')} or {option}"
+            raise FieldError(name, shown, f"given beside {option}", allowed=instead, remedy=remedy)
 
 
 def load_log(
