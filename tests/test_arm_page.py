@@ -20,6 +20,7 @@ import pytest
 
 import fraclink as fl
 from fraclink._cli import main
+from fraclink._law import MODES
 from fraclink._show.arm_page import render_arm_page
 from fraclink._show.text import number
 from fraclink._simulate.engine import engine_link
@@ -302,3 +303,20 @@ def test_without_a_move_the_page_says_how_far_the_tip_goes(page, tmp_path):
 def test_an_address_cannot_tell_a_law_that_takes_no_payload(study, tmp_path):
     deaf = replace(study, law=replace(study.law, tracking=None))
     assert "told=False" in python_of(browsed(render_arm_page(deaf), tmp_path, "told=1"))
+
+
+@pytest.mark.slow
+def test_the_page_says_that_the_law_does_not_see_a_gauge_wired_backwards(study, page, tmp_path):
+    move = fl.smooth_step(np.pi / 3, 0.5).then(fl.smooth_step(-np.pi / 3, 0.5, 1.5))
+    broken = [fl.SensorFault(0.3, 5.0, "gauge gain", -1.0)]
+    run = fl.simulate(
+        study.design, move, duration=4.0, payload=0.03, told=True, delay_samples=0, events=broken
+    )
+    assert set(run.mode.tolist()) == {MODES.index("run")}
+    assert np.ptp(run.tip_angle[-125:]) > 0.25  # it swings to the end, 3.2 s after the fault
+    text, colour = outcome_of(browsed(page, tmp_path, "delay=0&reversed=75"))
+    assert "does not come to rest" in text and "no guard against a gauge wired backwards" in text
+    assert colour == "bad"
+    (tmp_path / "late").mkdir()
+    text, _ = outcome_of(browsed(page, tmp_path / "late", "delay=1&reversed=75"))
+    assert text.startswith("Off at") and "no guard" not in text

@@ -55,6 +55,9 @@ function say() {
       text += Number.isNaN(o.returns) ? '; it does not settle on the way back.' : `, back in ${o.returns.toFixed(2)} s.`;
     }
   }
+  if ('reversed' in state.faults && o.worst <= 1) {
+    text += ' The law has no guard against a gauge wired backwards: it goes on running. The wiring test before the first move finds it.';
+  }
   said.textContent = text;
   const rests = placed && !Number.isNaN(o.settles);
   const good = rests && o.worst <= 1 && !Number.isNaN(o.returns);
