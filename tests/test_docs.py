@@ -47,6 +47,20 @@ def test_every_code_and_error_of_the_source_stands_on_the_page() -> None:
     assert "|  |" not in re.sub(r"\*\*W403\*\*.*", "", text)  # a remedy for each but the one that needs none
 
 
+@pytest.mark.parametrize(
+    ("code", "message"),
+    [
+        ("W102", "model.stiffness = … contradicts link.stiffness = …"),
+        ("W347", "the band does not show the frequency of the link with the motor held / anti-resonance"),
+        ("W348", "the band does not show the peak"),
+    ],
+)
+def test_a_code_that_is_handed_over_has_the_words_of_its_own_function(code: str, message: str) -> None:
+    rows = (DOCS / "reference" / "errors.md").read_text("utf-8").splitlines()
+    row = next(line for line in rows if line.startswith(f"| **{code}**"))
+    assert row.split("|")[3].strip() == message
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(DOCS).as_posix())
 def test_codes_in_pages_exist(page: object) -> None:
     known = set(CODE.findall((DOCS / "reference" / "errors.md").read_text("utf-8")))

@@ -10,6 +10,7 @@ import ast
 import contextlib
 import io
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -94,6 +95,7 @@ NAMED = {
         "remedy": "check the gauge and its amplifier",
     },
 }
+NONE: Mapping[str, ast.expr] = {}
 SEVERITIES = ("info", "warning", "error")
 
 
@@ -107,13 +109,17 @@ class Code:
     remedy: str
 
 
-def words(node: ast.expr | None) -> str:
-    """The text of an expression with … for what is known at run time only."""
+def words(node: ast.expr | None, handed: Mapping[str, ast.expr] = NONE) -> str:
+    """The text of an expression with … for what is known at run time only.
+
+    `handed` are the arguments of the function that makes the text, by the names of its parameters.
+    """
     if isinstance(node, ast.Constant):
         return node.value if isinstance(node.value, str) else ""
     if isinstance(node, ast.JoinedStr):
-        parts = (words(part) if isinstance(part, ast.Constant) else "…" for part in node.values)
-        return "".join(parts)
+        return "".join(words(part, handed) or "…" for part in node.values)
+    if isinstance(node, ast.FormattedValue) and isinstance(node.value, ast.Name):
+        return words(handed.get(node.value.id))
     if isinstance(node, ast.IfExp):
         return " / ".join(filter(None, (words(node.body), words(node.orelse))))
     if isinstance(node, ast.Call):  # a table of remedies with a fall-back
@@ -127,13 +133,29 @@ def severity(node: ast.expr | None) -> str:
     return " or ".join(level for level in SEVERITIES if level in found) or "warning"
 
 
-def templates(tree: ast.Module) -> dict[str, ast.Call]:
-    """Functions that make a finding of a code that is handed to them: name to the call inside."""
+def templates(tree: ast.Module) -> dict[str, tuple[ast.Call, list[str]]]:
+    """Functions that make a finding of a code that is handed to them: name to the call and the parameters."""
     found = {}
     for function in (node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)):
         for call in (node for node in ast.walk(function) if isinstance(node, ast.Call)):
             if getattr(call.func, "id", "") == "Finding" and isinstance(argument(call, 0, "code"), ast.Name):
-                found[function.name] = call
+                found[function.name] = call, [own.arg for own in function.args.args]
+    return found
+
+
+def unpacked(call: ast.Call, tree: ast.Module) -> list[ast.expr]:
+    """Arguments by place, with the pieces of a tuple that stands as `*name`."""
+    tuples = {
+        target.id: node.value.elts
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Assign) and isinstance(node.value, ast.Tuple)
+        for target in node.targets
+        if isinstance(target, ast.Name)
+    }
+    found: list[ast.expr] = []
+    for own in call.args:
+        starred = isinstance(own, ast.Starred) and isinstance(own.value, ast.Name)
+        found += tuples[own.value.id] if starred else [own]
     return found
 
 
@@ -144,13 +166,13 @@ def argument(call: ast.Call, place: int, name: str) -> ast.expr | None:
     return next((word.value for word in call.keywords if word.arg == name), None)
 
 
-def of_finding(code: str, call: ast.Call) -> Code:
-    """What a call of Finding says."""
+def of_finding(code: str, call: ast.Call, handed: Mapping[str, ast.expr] = NONE) -> Code:
+    """What a call of Finding says; `handed` as in `words`."""
     return Code(
         code,
         severity(argument(call, 1, "severity")),
-        words(argument(call, 2, "message")),
-        words(argument(call, 4, "remedy")),
+        words(argument(call, 2, "message"), handed),
+        words(argument(call, 4, "remedy"), handed),
     )
 
 
@@ -168,21 +190,15 @@ def codes_of(path: Path) -> list[Code]:
         elif code and name == "FraclinkWarning":
             found.append(Code(code, "warning", words(call.args[1]), ""))
         elif code and name in made:
-            first, second = words(argument(call, 1, "")), words(argument(call, 3, ""))
-            found.append(
-                Code(
-                    code,
-                    severity(made[name].args[1]),
-                    f"{first} contradicts {second or 'eq. (5)'}",
-                    words(made[name].args[4]),
-                )
-            )
+            inside, parameters = made[name]
+            given = dict(zip(parameters, unpacked(call, tree), strict=True))
+            found.append(of_finding(code, inside, given))
     for function in (node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)):
         if function.name in made:  # codes in a tuple, walked through by the same function
             inside = [n.value for n in ast.walk(function) if isinstance(n, ast.Constant)]
             listed = [value for value in inside if isinstance(value, str) and CODE.fullmatch(value)]
             found += [
-                replace(of_finding(code, made[function.name]), **NAMED.get(code, {})) for code in listed
+                replace(of_finding(code, made[function.name][0]), **NAMED.get(code, {})) for code in listed
             ]
     return found
 

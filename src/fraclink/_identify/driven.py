@@ -206,8 +206,10 @@ def _of_the_band(
     """W347, W348: a place that the lines do not surround is an extrapolation, however narrow its interval."""
     z = fit.parameters["z"]
     if not _surrounded(measured, z) or {"z", "l"} & {*fit.undetermined, *fit.at_bound}:
-        name = "anti-resonance" if output == "motor_angle" else "frequency of the link with the motor held"
-        yield _missed("W347", name, z, measured)
+        held = output == "torque"
+        yield _missed(
+            "W347", "frequency of the link with the motor held" if held else "anti-resonance", z, measured
+        )
     if peak is None or not _surrounded(measured, peak):
         yield _missed("W348", "peak", math.nan if peak is None else peak, measured)
 
