@@ -145,6 +145,35 @@ def test_stamps_in_another_unit_are_refused(tmp_path: Path, name: str, unit: str
     assert fl.read_recording(path, "u", "y", period=60.0).period == 60.0
 
 
+@pytest.mark.parametrize(
+    ("given", "field", "words"),
+    [
+        ({"period": 0.1, "time": "nonsense"}, "period", "given beside a time column"),
+        (
+            {"input": "#0"},
+            "column of input",
+            'name it as the header does, or by its number: "#1" is the first',
+        ),
+        ({"time": "#9"}, "column of time", 'name it as the header does, or by its number: "#1" is the first'),
+        ({"time": "t"}, "time", "too few rows for a step"),
+    ],
+)
+def test_columns_of_a_recording(tmp_path: Path, given: dict[str, str], field: str, words: str) -> None:
+    path = tmp_path / "record.csv"
+    path.write_text("t,u,y\n0,1,2\n" if given == {"time": "t"} else "t,u,y\n0,1,2\n1,1,2\n2,1,2\n")
+    with pytest.raises(FieldError) as caught:
+        fl.read_recording(path, **{"input": "u", "output": "y", **given})  # type: ignore[arg-type]
+    assert caught.value.field == field
+    assert words in (caught.value.problem, caught.value.remedy)
+
+
+def test_a_stated_column_that_is_not_there(tmp_path: Path) -> None:
+    path = tmp_path / "table.csv"
+    path.write_text("a,b,c\n1,1,0\n2,0.1,90\n")
+    with pytest.raises(LogError, match="by its number"):
+        fl.read_frequency_response(path, {"frequency": "#0 [Hz]", "gain": "b", "phase": "c [deg]"})
+
+
 def test_coherence_is_read(tmp_path: Path) -> None:
     path = tmp_path / "table.csv"
     path.write_text("w,real,imag,coh\n1,1,0,0.9\n2,0,1,0.5\n")

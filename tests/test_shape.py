@@ -288,6 +288,7 @@ def test_points_become_a_spline(tmp_path: Path) -> None:
         "time_s,angle\n0,0\n1,1\n",
         "time_s,angle_rad,velocity_rad_per_s\n0,0,0\n1,1,0\n",
         "time_s,angle_rad,velocity_rad_per_s,acceleration_rad_per_s2\n0,0,0,0\n1,1,0,0\n3,1,0,0\n",
+        "time_s,angle_rad,velocity_rad_per_s,acceleration_rad_per_s2\n0,0,0,0\n",
     ],
 )
 def test_a_table_that_is_none_is_refused(tmp_path: Path, text: str) -> None:

@@ -54,6 +54,9 @@ def read_reference(path: Path) -> Reference:
     if len(values) == 1:
         return spline(time, values[0])
     steps = np.diff(time)
+    if not steps.size:
+        allowed, remedy = ">= 2 rows", "add the rows of the motion"
+        raise FileFormatError("reference", path.name, "one row, no path", allowed=allowed, remedy=remedy)
     if len(values) != 3 or time[0] != 0.0 or np.ptp(steps) > _UNEVEN * steps.mean():
         allowed = "velocity and acceleration both, at 0 s and in equal steps from there"
         remedy = "leave both out: a spline goes through angles at any times"

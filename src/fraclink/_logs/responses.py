@@ -19,7 +19,7 @@ from fraclink._logs.formats import read_table
 from fraclink._logs.names import names_time, stated_unit, unit_of_name, words_of
 from fraclink._logs.table import LogTable, check_file
 from fraclink._logs.text import NUMBER, normal_bytes, split_cells
-from fraclink.errors import LogError
+from fraclink.errors import FieldError, LogError
 
 __all__ = ["read_frequency_response", "read_recording"]
 
@@ -47,6 +47,7 @@ _SPELLED_OUT = {
     "gain and phase, or real and imag": "columns such as gain_dB and phase_deg, or real and imag",
 }
 _OMEGA = ("omega", "w", "ω")  # these letters are angular frequencies in every book
+_CALLED = 'name it as the header does, or by its number: "#1" is the first'
 _JITTER = 0.05  # of a step: a sample that much late is noise of 5 % of the slope
 _FEWEST = 3  # rows of a table that lies on its side: frequency, gain, phase
 
@@ -177,7 +178,7 @@ def _stated(table: LogTable, role: str, text: str) -> tuple[Reals, str]:
     match = re.fullmatch(r"(.*?)\s*\[([^\]]*)\]\s*", text)
     name = match[1] if match else text
     exact = text if text in table.names else name
-    place = table.place(exact, role)
+    place = table.place(exact, role, _CALLED)
     in_file = table.units[place] if table.units else ""
     return clean_column(table, place, interpolate=False)[0], _unit(text, role, in_file)
 
@@ -251,6 +252,8 @@ def read_recording(
 
     Raises
     ------
+    FieldError
+        both time and period.
     LogError, FileFormatError, SizeError
         a column is not there, stamps are missing, not uniform or in another unit, or the file is damaged or
         too large.
@@ -262,11 +265,14 @@ def read_recording(
     >>> record.period, record.input.size
     (0.004, 5001)
     """
+    if period is not None and time is not None:
+        remedy = "leave one of them out"
+        raise FieldError("period", period, "given beside a time column", allowed="one of both", remedy=remedy)
     place = Path(path)
     table = read_table(place)
 
     def column(name: str, role: str) -> Reals:
-        return clean_column(table, table.place(name, role), interpolate=False)[0]
+        return clean_column(table, table.place(name, role, _CALLED), interpolate=False)[0]
 
     if period is None:
         period = _period(table, time or _stamps(table))
@@ -295,9 +301,12 @@ def _second(table: LogTable, place: int) -> float:
 
 def _period(table: LogTable, name: str) -> float:
     """Step of the stamps, of any size: unlike an arm, a furnace may be sampled once in a minute."""
-    place = table.place(name, "time")
+    place = table.place(name, "time", _CALLED)
     stamps = clean_column(table, place, interpolate=False)[0] * _second(table, place)
-    step = (stamps[-1] - stamps[0]) / max(stamps.size - 1, 1)
+    if stamps.size < 2:
+        allowed, remedy = ">= 2 rows", "record a motion, or give period"
+        raise LogError("time", stamps.size, "too few rows for a step", allowed=allowed, remedy=remedy)
+    step = (stamps[-1] - stamps[0]) / (stamps.size - 1)
     worst = float(np.max(np.abs(np.diff(stamps) - step), initial=0.0))
     if not step > 0 or worst > _JITTER * step:
         remedy = "resample both channels onto uniform stamps, or give period"

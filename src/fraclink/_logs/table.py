@@ -91,15 +91,18 @@ class LogTable:
     faults: Mapping[int, CellFaults] = field(default_factory=lambda: MappingProxyType({}))
     units: tuple[str, ...] = ()
 
-    def place(self, name: str, role: str) -> int:
-        """The place of the column that is stated for `role`; ``"#2"`` names the second by its number."""
+    def place(self, name: str, role: str, remedy: str = "correct [log] of the rig file") -> int:
+        """The place of the column that is stated for `role`; ``"#2"`` names the second by its number.
+
+        `remedy` says where the name was stated and how to mend it.
+        """
         if name.startswith("#") and name[1:].isascii() and name[1:].isdigit() and name not in self.names:
             number = int(name[1:4])
             if 1 <= number <= len(self.names):
                 return number - 1
         places = [place for place, known in enumerate(self.names) if known == name]
         if not places:
-            raise self._missing(name, role)
+            raise self._missing(name, role, remedy)
         if len(places) > 1:
             raise LogError(
                 f"column of {role}",
@@ -111,9 +114,9 @@ class LogTable:
             )
         return places[0]
 
-    def _missing(self, name: str, role: str) -> LogError:
+    def _missing(self, name: str, role: str, remedy: str) -> LogError:
         known = {known.lower(): known for known in self.names}
         near = difflib.get_close_matches(name.lower(), known, n=1, cutoff=0.5)
         listed = ", ".join(self.names[:12]) + (", …" if len(self.names) > 12 else "")
-        hint = f"did you mean {known[near[0]]!r}?" if near else "correct [log] of the rig file"
+        hint = f"did you mean {known[near[0]]!r}?" if near else remedy
         return LogError(f"column of {role}", name, "not in the log", allowed=listed, remedy=hint)
