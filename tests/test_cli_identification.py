@@ -140,3 +140,9 @@ def test_identify_structure(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
         assert run([*bad, *wrong]) == 2
     assert run(["identify-structure", log, "k/s", "--input", "motor_angle_rad"]) == 2
     assert run(["identify-structure", log, "k/s"]) == 2  # no table of a frequency response
+    capsys.readouterr()
+    assert run([*bad, "--fix", "a=1.9", "--fix", "a = 2"]) == 2
+    assert "fix: given beside a=1.9 (got a= 2)" in capsys.readouterr().err
+    for ignored in (["--period-ms", "2"], ["--time", "t"]):
+        assert run(["identify-structure", log, "k/s", *ignored]) == 2
+        assert "given beside a frequency response" in capsys.readouterr().err

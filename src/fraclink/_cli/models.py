@@ -257,6 +257,13 @@ def identify_structure(
     """
     measured: Recording | FrequencyResponse
     if input is None and output is None:
+        for name, value in {"time": time, "period_ms": period_ms}.items():
+            if value is not None:
+                problem, remedy = (
+                    "given beside a frequency response",
+                    "leave it out, or give input and output",
+                )
+                raise FieldError(name, value, problem, allowed="a recording with it", remedy=remedy)
         measured = read_frequency_response(data)
     else:
         given = {"input": input, "output": output}
@@ -285,7 +292,13 @@ def _named(option: str, texts: list[str] | None) -> list[tuple[str, str]]:
         if not mark:
             allowed, remedy = "NAME=VALUE", f'write it as --{option} "k=1"'
             raise FieldError(option, name, "without a value", allowed=allowed, remedy=remedy)
-    return [(name.strip(), value) for name, _, value in pairs]
+    found: dict[str, str] = {}
+    for name, _, value in pairs:
+        if (own := name.strip()) in found:
+            problem, remedy = f"given beside {own}={found[own]}", "leave one of them out"
+            raise FieldError(option, f"{own}={value}", problem, allowed="one for each name", remedy=remedy)
+        found[own] = value
+    return list(found.items())
 
 
 def _numbers(option: str, text: str, count: int) -> Any:

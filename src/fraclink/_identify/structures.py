@@ -83,7 +83,8 @@ def identify_structure(
     Raises
     ------
     FieldError
-        an expression with a piece that is not known, a name that is none of it, too few data.
+        an expression with a piece that is not known, a name that is none of it, too few data, an option
+        that says nothing of these data (`heldout` beside a frequency response).
     NotConvergedError
         no candidate has a response.
 
@@ -101,6 +102,8 @@ def identify_structure(
     """
     structure = parse_expression(expression)
     known = dict(fixed or {})
+    _check_used(data, known, hold, heldout, weighting)
+    _check_names(structure, known, bounds or {}, start or {})
     offset = known.pop("offset", None)
     if isinstance(data, FrequencyResponse):
         samples: RecordStart | Lines = _lines_of(data, weighting)
@@ -168,15 +171,38 @@ def _lines_of(measured: FrequencyResponse, weighting: Weighting | None) -> Lines
     return Lines.of(measured.frequency[order], h, weight / np.linalg.norm(weight * h))
 
 
-def _coordinates(
-    structure: Expression, known: Values, bounds: Bounds, longest: float
-) -> StructureCoordinates:
-    for field, given in (("fixed", known), ("bounds", bounds)):
+def _check_used(data: Any, known: Values, hold: Hold, heldout: float | None, weighting: str | None) -> None:
+    """Raise FieldError for an option that says nothing of these data: it would be ignored."""
+    swept = isinstance(data, FrequencyResponse)
+    of_a_recording = {"heldout": heldout, "hold": None if hold == "auto" else hold}
+    if "offset" in known:
+        of_a_recording["fixed['offset']"] = known["offset"]
+    given = of_a_recording if swept else {"weighting": weighting}
+    beside, other = (
+        ("a frequency response", "a recording") if swept else ("a recording", "a frequency response")
+    )
+    for field, value in given.items():
+        if value is not None:
+            problem, remedy = f"given beside {beside}", "leave it out"
+            raise FieldError(field, value, problem, allowed=f"{other} with it", remedy=remedy)
+
+
+def _check_names(structure: Expression, fixed: Values, bounds: Bounds, start: Values) -> None:
+    for field, given in (("fixed", {**fixed}), ("bounds", {**bounds}), ("start", {**start})):
         for name in given:
-            if name not in structure.names:
+            if name not in structure.names and (field, name) != ("fixed", "offset"):
                 listed = ", ".join(structure.names) or "(none)"
                 problem, remedy = "no parameter of the expression", "correct the name"
                 raise FieldError(field, name, problem, allowed=listed, remedy=remedy)
+    for name in bounds:
+        if name in fixed:
+            problem, remedy = f"given beside fixed[{name!r}]", "leave one of them out"
+            raise FieldError(f"bounds[{name!r}]", bounds[name], problem, allowed="one of both", remedy=remedy)
+
+
+def _coordinates(
+    structure: Expression, known: Values, bounds: Bounds, longest: float
+) -> StructureCoordinates:
     usual = {"order": ORDER_LIMITS, "delay": (0.0, longest), "coefficient": COEFFICIENT_LIMITS}
     limits = {name: usual[role] for name, role in structure.roles.items()}
     widest = {"order": 20.0, "delay": 1e6, "coefficient": 1e15}
