@@ -25,6 +25,8 @@ from fraclink.errors import FieldError
         "(-s)**2*k",
         "1 + T/s",
         "kp + ki/s + kd*s",
+        "k*(s**3)**0.5/(s**1.5 + w)",
+        "((T*s/w)**a)**b + (2/s**3)**0.5",
     ],
 )
 def test_three_algebras_agree(text: str) -> None:
@@ -48,6 +50,7 @@ def test_three_algebras_agree(text: str) -> None:
         ("k*s/(1 - 1)", "k * s / (1 - 1)", "a division by zero"),
         ("k*10**(10**9)*s", "10 ** 10 ** 9", "no finite real number"),
         ("k*1e200**(1 + 1)*s", "1e+200 ** (1 + 1)", "no finite real number"),
+        ("(-2*s)**0.5*k", "(-2) ** 0.5", "no finite real number"),
         ("(-1)**0.5*s*k", "(-1) ** 0.5", "no finite real number"),
         ("k*(s + 1)**-9", "(s + 1) ** (-9)", "a power of a sum that is not a whole number up to 8"),
         ("k*(s + 1)**(1/3)", "(s + 1) ** (1 / 3)", "a power of a sum that is not a whole number up to 8"),

@@ -30,8 +30,7 @@ _LONGEST = 1000  # characters; a structure that is written by hand has some fift
 _DEEPEST = 60  # pieces inside each other: the walk below is recursive
 _MOST = 12  # parameters: beyond, no log tells them apart
 _LARGEST_POWER = 8  # of a sum: each multiplies the number of terms
-_RESERVED = ("s", "exp", "offset")
-_FORMS = "numbers, names, s, + - * / **, and exp(-T*s)"
+_RESERVED, _FORMS = ("s", "exp", "offset"), "numbers, names, s, + - * / **, and exp(-T*s)"
 _OPERATORS: dict[type, Callable[[Any, Any], Any]] = {
     ast.Add: operator.add,
     ast.Sub: operator.sub,
@@ -227,6 +226,8 @@ def parse_expression(text: str) -> Expression:
     if len(roles) > _MOST:
         allowed, remedy = f"<= {_MOST} parameters", "write known values as numbers"
         raise FieldError("expression", len(roles), "too many parameters", allowed=allowed, remedy=remedy)
+    tree = _Distributed().visit(tree)
+    _check(tree, 0)  # once more: a factor of a term may be a root of a negative number now
     made = Expression(" ".join(text.split()), roles, tree)
     _check_exponentials(made)
     return made
@@ -330,6 +331,24 @@ def _is_single_term(node: ast.expr) -> bool:
     if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Mult | ast.Div):
         return _is_single_term(node.left) and _is_single_term(node.right)
     return isinstance(node, ast.BinOp) and isinstance(node.op, ast.Pow) and _is_single_term(node.left)
+
+
+class _Distributed(ast.NodeTransformer):
+    """(c s^a)^p becomes c^p s^(a p): the power 0.5 of an array s^3 would be -s^1.5, its principal value."""
+
+    def visit_BinOp(self, node: ast.BinOp) -> ast.expr:
+        self.generic_visit(node)
+        if isinstance(node.op, ast.Pow) and isinstance(node.left, ast.BinOp) and _is_single_term(node.left):
+            return _raised(node.left, node.right)
+        return node
+
+
+def _raised(term: ast.expr, power: ast.expr) -> ast.expr:
+    if not isinstance(term, ast.BinOp) or not _has_s(term):
+        return ast.BinOp(term, ast.Pow(), power)
+    if isinstance(term.op, ast.Pow):
+        return ast.BinOp(term.left, term.op, ast.BinOp(term.right, ast.Mult(), power))
+    return ast.BinOp(_raised(term.left, power), term.op, _raised(term.right, power))
 
 
 def _uses(node: ast.AST, inside: Role) -> Iterator[tuple[str, Role]]:
