@@ -29,6 +29,7 @@ _ITERATIONS = 200  # an undamped link on a damped log converges by a third a ste
 # Delays that are tried as starts, as parts of the vibration's period: a fit creeps over ± 0.15 by itself.
 _DELAY_STARTS = (0.12, 0.24)
 _DELAY_LIMITS = (-0.12, 0.35)
+_PLACES = 9  # over the range of frequencies, where a first fit has failed
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,6 +176,8 @@ class Search:
         """The best fit of a structure; found once."""
         if name not in self.solutions:
             found = self._best(name, list(self._starts(name)))
+            if 1 in found.at_bound or (4 in found.at_bound and found.shape[4] > 0.0):
+                found = self._from_other_valleys(found)
             if "delay" not in self.fixed:
                 if self.window.hold == "zero":
                     found = self._over_the_jumps(found)
@@ -182,6 +185,25 @@ class Search:
                     found = self._over_the_kinks(found)
             self.solutions[name] = found
         return self.solutions[name]
+
+    def _from_other_valleys(self, found: Solution) -> Solution:
+        """The best of a fit that ended at a limit of ω₀ or the delay, and of fits from elsewhere.
+
+        On a noisy log of little motion the scan may take a rate far above the resonance for it. The limits of
+        the delay and the kernel's rates are made for the seed: each place is a seed of its own.
+        """
+        low, high = (math.log(x) for x in self.window.frequency_limits)
+        places = np.linspace(low, high, _PLACES)
+        order = self.fixed.get("order", _SCAN_ORDER)
+        kept = self.seed, self._kernel
+        for row in (found.shape, *(np.array([order, x, 0.0, 1.0, 0.0]) for x in places)):
+            self._seed, self._kernel = row, None
+            other = self._best(found.structure, [row])
+            if other.cost < found.cost * (1 - 1e-9):
+                found, kept = other, (self._seed, self._kernel)
+                self.solutions.clear()
+        self._seed, self._kernel = kept
+        return found
 
     def reconcile(self) -> None:
         """Fit a structure again from a special case of it that did better.
