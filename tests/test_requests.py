@@ -11,6 +11,8 @@ import pytest
 
 import fraclink as fl
 from fraclink._arm.rig import Rig
+from fraclink._design.nearest import offered
+from fraclink._design.specification import Specification
 from fraclink.errors import FieldError, InfeasibleError
 
 RIG = Rig.named("paper-2023")
@@ -95,3 +97,10 @@ def test_the_loop_of_the_survey_is_that_of_the_margin_engine(survey: ModuleType)
     assert engine is not None
     assert survey.kept(made, law, 0.020) == pytest.approx(abs(engine), abs=2e-4)
     assert abs(engine) > made.phase_margin + 0.1
+
+
+def test_what_is_out_of_its_range_is_not_offered() -> None:
+    """A bound on the mode of 1981 would be needed, and 1000 is the largest."""
+    spec = Specification(gain_crossover=12.0, phase_margin=0.8, mode_gain=0.5)
+    assert offered({"mode_gain": 1981.0}, spec, lambda trial: None) == {}
+    assert offered({"mode_gain": 0.7}, spec, lambda trial: None) == {"mode_gain": 0.7}

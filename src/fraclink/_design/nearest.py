@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from fraclink._arm.loop import Loop
 from fraclink._design.bounds import Attempt
 from fraclink._design.specification import Requirement, Specification
-from fraclink.errors import InfeasibleError
+from fraclink.errors import FieldError, InfeasibleError
 
 if TYPE_CHECKING:
     from fraclink._design.equations import ClosedForm, Task
@@ -150,8 +150,15 @@ def offered(
     which bounds a request misses and what it achieves instead: None where it meets all of them.
     """
     wanted: dict[str, Any] = dict(_worded(nearest, spec))
+
+    def missing(values: dict[str, Any]) -> dict[str, float] | None:
+        try:
+            return misses(replace(spec, **values)) if values else {}
+        except FieldError:
+            return {}  # what would be needed is out of its range: nothing near is feasible
+
     for _ in range(3):
-        missed = misses(replace(spec, **wanted)) if wanted else {}
+        missed = missing(wanted)
         if missed is None:
             return wanted
         if not missed:
@@ -159,7 +166,7 @@ def offered(
         wanted |= {name: value for name, value in missed.items() if math.isfinite(value)}
     for share in _LOOSER:
         trial: dict[str, Any] = {name: _loosened(name, value, share, spec) for name, value in wanted.items()}
-        if wanted and misses(replace(spec, **trial)) is None:
+        if missing(trial) is None:
             return trial
     return {}
 
