@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from fraclink._systems.contour import careful_response
@@ -78,9 +78,10 @@ def test_delayed_step_is_the_step_delayed(G: FractionalTransferFunction, delay: 
 
 
 @settings(deadline=None, max_examples=20)
+@example(G=1 / (s**1.25 + 2 * s**0.625 + 1), tolerance=1e-4)  # a double pole
 @given(G=stable_systems(), tolerance=st.floats(-12, -4).map(lambda x: 10.0**x))
 def test_tolerance_is_kept(G: FractionalTransferFunction, tolerance: float) -> None:
     modes = discrete_modes(G, 0.01, span=10.0, tolerance=tolerance)
     exact = time_response(G, np.ones(1000), 0.01).output
     error = np.max(np.abs(modes.respond(np.ones(1000)) - exact))
-    assert error <= (10 * tolerance + 2e-10) * np.max(np.abs(exact))
+    assert error <= (6 * tolerance + 2e-10) * np.max(np.abs(exact))

@@ -174,7 +174,8 @@ def discrete_modes(
     span
         Longest time [s] over which the response is remembered, T … 1e15 s.
     tolerance
-        Error of the step response relative to its peak, 1e-14 … 1e-2. Fewer modes for a larger one.
+        Error of the step response relative to its peak, 1e-14 … 1e-2, kept at nine times of the span; between
+        them it may be up to six times as large. Fewer modes for a larger one.
 
     Raises
     ------
