@@ -259,6 +259,8 @@ def test_a_band_that_misses_one(low: float, high: float, code: str) -> None:
         found = fl.identify_driven_link(noisy(seed=seed).between(low, high), details=False)
         assert code in {finding.code for finding in found.findings}
         assert not found.passed
+        with pytest.raises(FieldError, match=f"fit: not passed .*{code}"):  # a design of it would pass
+            found.model(1.5 / 9.0)
 
 
 @pytest.mark.slow

@@ -22,6 +22,7 @@ from fraclink._files import document
 from fraclink._identify.structure_fit import StructureFit
 from fraclink._identify.structures import Weighting, identify_structure
 from fraclink._validate import Between, Positive, checked
+from fraclink.errors import FieldError
 from fraclink.findings import Finding, errors_of
 
 __all__ = ["DrivenLinkFit", "Output", "identify_driven_link"]
@@ -103,7 +104,14 @@ class DrivenLinkFit:
 
         The gauge's delay is not in a response from voltage to motor angle, and in one to torque it cannot be
         told from the amplifier's: it is left at 0.
+
+        Raises FieldError where a gate of the fit failed: a link model has no findings, and a design of it
+        would pass.
         """
+        if not self.passed:
+            gates = "; ".join(f"{finding.code}: {finding.message}" for finding in errors_of(self.findings))
+            remedy = "measure a band that shows anti-resonance and peak, and fit again"
+            raise FieldError("fit", gates, "not passed", allowed="a fit without errors", remedy=remedy)
         values, intervals = self.parameters, self.fit.intervals
         rows = []
         if "l" in intervals:
