@@ -27,6 +27,7 @@ from fraclink._cli.options import (
     ReferenceFile,
     RigName,
     SeedNumber,
+    doubts_of_move,
     in_radians,
     load_arm,
     load_doubts,
@@ -42,7 +43,6 @@ from fraclink._show.report import write_report
 from fraclink._simulate import simulate as run_law
 from fraclink._workflow import design_for, load_study, simulate_move
 from fraclink._workflow import run as run_study
-from fraclink.findings import Finding
 
 app = group()
 
@@ -165,14 +165,8 @@ def simulate(
     move = simulate_move(made, payload, reference=wanted, **options)
     move.save(out)
     following = f"fraclink twin {design_file} --payload {payload:g}"
-    doubts = _doubts(made, payload)
+    doubts = doubts_of_move(made, payload)
     return Answer(move, move.verdict.passed, doubts=doubts, written=(out,), following=following)
-
-
-def _doubts(made: Design, payload: float | None) -> tuple[Finding, ...]:
-    """What leaves nothing shown by a move: errors of the design, and a payload in another unit."""
-    doubt = None if payload is None else made.rig.payloads.doubt(payload)
-    return made.doubts if doubt is None else (doubt, *made.doubts)
 
 
 @command(app)
@@ -192,7 +186,7 @@ def twin(
     made, arm = load_arm(design_file, options)
     wanted = reference_of(reference, amplitude, move_time)
     move = run_law(made.law(), wanted, arm=arm, told=told, seed=seed)
-    doubts = _doubts(made, options["payload"])
+    doubts = doubts_of_move(made, options["payload"])
     following = f"fraclink certify {design_file}" if move.verdict.passed else f"fraclink assess {design_file}"
     return Answer(move, move.verdict.passed, doubts=doubts, following=following)
 

@@ -18,6 +18,7 @@ from fraclink._cli.options import (
     LinkMass,
     ModelFile,
     PayloadRange,
+    doubts_of_move,
     load_arm,
     refuse_beside,
 )
@@ -88,7 +89,7 @@ def shape(
         written += (export_reference(move.reference, table, period=move.period, force=True),)
     told = " --told" if request["told"] else ""
     following = f"fraclink campaign montecarlo --design {design_file} --reference {out}{told} --out moves"
-    doubts = tuple(filter(None, map(made.rig.payloads.doubt, sorted(set(move.payloads))))) + made.doubts
+    doubts = doubts_of_move(made, *move.payloads)
     return Answer(move, move.passed, doubts=doubts, written=written, following=following)
 
 

@@ -140,6 +140,12 @@ def load_doubts(path: Path | None) -> tuple[Finding, ...]:
     return errors_of(found.findings)
 
 
+def doubts_of_move(made: Design, *payloads: float | None) -> tuple[Finding, ...]:
+    """What leaves nothing shown by a move: errors of the design, and payloads in another unit."""
+    masses = (mass for mass in dict.fromkeys(payloads) if mass is not None)
+    return (*filter(None, map(made.rig.payloads.doubt, masses)), *made.doubts)
+
+
 def load_design(path: Path, *, gear: float | None = None, model: Path | None = None) -> Design:
     """Return a design whose rig carries the model that it was made for, with a gear before the motor."""
     made = Design.load(path)
