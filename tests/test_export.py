@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from fraclink._export import export_c, export_matlab
-from fraclink._export.bounds import _plain_norm, worst_case
+from fraclink._export.claims import _plain_norm, worst_case
 from fraclink._export.data import hex_float
 from fraclink._law import Law
 from fraclink.errors import FieldError, MissingExtraError

@@ -13,7 +13,7 @@ import pytest
 
 from fmu_bench import Imported, eventful, fmpy_or_skip, outputs_of
 from fraclink._export import export_fmu
-from fraclink._export.fmu_model import VARIABLES
+from fraclink._export.fmi import VARIABLES
 from fraclink.errors import FieldError
 from law_bench import PERIOD, law, run, signals
 from needed_tools import tool

@@ -13,8 +13,8 @@ import pytest
 
 from fmu_bench import Imported, fmpy_or_skip, outputs_of, sources_of
 from fraclink._export import export_fmu
-from fraclink._export.fmu_model import VARIABLES
-from fraclink._export.sources import law_source
+from fraclink._export.data import law_source
+from fraclink._export.fmi import VARIABLES
 from fraclink.errors import FieldError
 from law_bench import law, run, signals
 from needed_tools import tool

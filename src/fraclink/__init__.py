@@ -63,7 +63,7 @@ _HOME: dict[str, str] = {
     "export_fmu": "fraclink._export.fmu",
     "export_io": "fraclink._export.board",
     "export_matlab": "fraclink._export.matlab",
-    "export_reference": "fraclink._export.reference",
+    "export_reference": "fraclink._export.board",
     "Fault": "fraclink._campaign.fault_rules",
     "FaultTable": "fraclink._campaign.faults",
     "feasibility_map": "fraclink._design.alternatives",

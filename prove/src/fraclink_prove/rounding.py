@@ -9,8 +9,7 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
 
-from fraclink._export.bounds import CommandBounds, worst_case
-from fraclink._export.claims import Claim
+from fraclink._export.claims import Claim, CommandBounds, worst_case
 from fraclink._export.data import hex_float
 from fraclink._law import Law
 from fraclink_prove.tools import GAPPA, at_most, sha256_of_text

@@ -1,39 +1,27 @@
-"""Export the law as an FMU for co-simulation, FMI 2.0 or 3.0: its C sources, and libraries made of them."""
+"""Export the law as an FMU for co-simulation, FMI 2.0 or 3.0: sources, libraries made of them, a page."""
 
 from __future__ import annotations
 
 import io
+import re
+import shutil
+import subprocess
+import tempfile
 import zipfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from html import escape
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Literal
 
-from fraclink._export import fmi2, fmi3
-from fraclink._export.data import data_header
-from fraclink._export.fmu_library import SUFFIXES, compiled, platform_of
-from fraclink._export.fmu_model import FmuModel, token_of
-from fraclink._export.fmu_page import documentation
-from fraclink._export.names import identifier
-from fraclink._export.sources import law_source
+from fraclink._export.data import data_header, identifier, law_source
+from fraclink._export.fmi import STANDARDS, VARIABLES, FmuModel, token_of
 from fraclink._files import atomic_write, output_path
-from fraclink._law import Law
+from fraclink._law import MODES, REASONS, Law
 from fraclink._law.block import Precision
 from fraclink._validate import checked_noun, is_whole
 from fraclink.errors import FieldError
 
-__all__ = ["export_fmu"]
-
-
-class _Standard(NamedTuple):
-    sources: tuple[str, ...]  # of csrc/fmu, the first one is compiled
-    platforms: Mapping[str, str]  # platform as FMI 3 names it: folder under binaries/
-    descriptions: Callable[[FmuModel], dict[str, str]]
-
-
-_STANDARDS: Mapping[int, _Standard] = {
-    2: _Standard(fmi2.SOURCES, fmi2.PLATFORMS, fmi2.descriptions),
-    3: _Standard(fmi3.SOURCES, fmi3.PLATFORMS, fmi3.descriptions),
-}
+__all__ = ["SUFFIXES", "compiled", "documentation", "export_fmu", "found", "platform_of"]
 
 
 def export_fmu(
@@ -93,7 +81,7 @@ def export_fmu(
     name = identifier("out", place.stem)
     if not is_whole(fmi, 2, 3):
         raise FieldError("fmi", fmi, "not offered", allowed="2 or 3", remedy="2 is read by every importer")
-    standard = _STANDARDS[fmi]
+    standard = STANDARDS[fmi]
     shipped = law if precision is None else law.in_precision(precision)
     sources, token = _sources(shipped, name, standard.sources)
     model = FmuModel(name=name, token=token, period=shipped.period, digest=shipped.digest)
@@ -163,3 +151,105 @@ def _zipped(parts: Mapping[str, bytes]) -> bytes:
             about.external_attr = 0o644 << 16
             archive.writestr(about, parts[file], zipfile.ZIP_DEFLATED)
     return stream.getvalue()
+
+
+SUFFIXES: Mapping[str, str] = {"linux": ".so", "windows": ".dll", "darwin": ".dylib"}
+
+# -ffp-contract=off: a fused multiply-add rounds once where the simulation rounds twice
+_FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-shared", "-fvisibility=hidden")
+
+
+def found(compiler: str) -> str:
+    """Return the path of a compiler, or raise FieldError where it is not installed."""
+    path = shutil.which(checked_noun("compiler", compiler, str, remedy="a name on the PATH, such as cc"))
+    if path is None:
+        raise FieldError(
+            "compiler",
+            compiler,
+            "not installed",
+            allowed="gcc, clang or a cross compiler of theirs",
+            remedy="install it, or export sources only",
+        )
+    return path
+
+
+def platform_of(compiler: str) -> str:
+    """Return what a compiler compiles for, as FMI 3 names it: "x86_64-linux", "aarch64-darwin" ..."""
+    answer = subprocess.run(  # noqa: S603
+        [found(compiler), "-dumpmachine"], capture_output=True, text=True, check=False
+    )
+    triple = answer.stdout.strip().lower()
+    architecture = triple.partition("-")[0].replace("arm64", "aarch64")
+    systems = {"mingw": "windows", "linux": "linux", "darwin": "darwin"}
+    system = next((name for word, name in systems.items() if word in triple), "unknown")
+    return f"{architecture}-{system}"
+
+
+def compiled(sources: Mapping[str, str], compiler: str) -> bytes:
+    """Return the shared library of all.c; FieldError with the compiler's first complaint where it fails."""
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch)
+        for name, text in sources.items():
+            (folder / name).write_text(text, encoding="utf-8")
+        library = folder / "law.library"  # with a suffix of its own: compilers for Windows add one else
+        command = [found(compiler), *_FLAGS, "all.c", "-o", library.name]
+        answer = subprocess.run(  # noqa: S603
+            command, cwd=folder, capture_output=True, text=True, errors="replace", check=False
+        )
+        if answer.returncode:
+            complaints = [line for line in answer.stderr.splitlines() if "error" in line] or ["no message"]
+            raise FieldError(
+                "compiler",
+                compiler,
+                f"unable to compile the FMU ({complaints[0]})",
+                allowed="a C99 compiler with its standard library",
+                remedy="install another one, or export sources only",
+            )
+        return library.read_bytes()
+
+
+_STYLE = (
+    "body { font: 16px/1.5 system-ui, sans-serif; max-width: 50rem; margin: 2rem auto; padding: 0 1rem; } "
+    "th { text-align: left; } th, td { padding: .1rem .9rem .1rem 0; vertical-align: baseline; }"
+)
+_FLAG = re.compile(r"#define LAW_FLAG_(\w+) (\d+)U +/\* (.+?) \*/")
+
+
+def documentation(model: FmuModel, law: Law) -> str:
+    """Return the page as HTML, complete in itself."""
+    flags = _FLAG.findall(law_source("law.h").decode())
+    servo = (
+        f"The law closes the motor loop: connect <code>voltage</code>, within ±{law.drive.voltage_limit:g} V."
+        if law.drive is not None
+        else "The robot has a motor loop: connect <code>motor_reference</code>, not <code>voltage</code>."
+    )
+    variables = [(v.name, v.causality, v.unit or "–", v.description) for v in VARIABLES]
+    return f"""<!doctype html>
+<html lang="en"><head><meta charset="utf-8"><title>{escape(model.name)}</title>
+<style>{_STYLE}</style></head><body>
+<h1>{escape(model.name)}</h1>
+<p>{escape(model.description)}; {law.precision} precision.</p>
+<h2>Connect it</h2>
+<ul>
+<li>The communication step is {model.period!r} s, constant. Another step is an error.</li>
+<li>Outputs answer the inputs at the beginning of a step: the importer sees them one period later, which is
+the delay that the design counts on. No output depends on an input at the same instant.</li>
+<li>Before the first step the arm is taken to rest at <code>motor_angle</code>.</li>
+<li>{servo}</li>
+</ul>
+{_table(("variable", "", "unit", ""), variables)}
+<h2>mode</h2>
+{_table(("value", "name"), enumerate(MODES))}
+<h2>reason</h2>
+{_table(("value", "what"), enumerate(REASONS))}
+<h2>flags</h2>
+<p>Bits of the last period; they add up.</p>
+{_table(("bit", "name", "what"), ((bit, name, what) for name, bit, what in flags))}
+</body></html>
+"""
+
+
+def _table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    lines = ["<table>", "<tr>" + "".join(f"<th>{escape(cell)}</th>" for cell in head) + "</tr>"]
+    lines += ["<tr>" + "".join(f"<td>{escape(str(cell))}</td>" for cell in row) + "</tr>" for row in rows]
+    return "\n".join([*lines, "</table>"])

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fraclink._export.names import identifier
+from fraclink._export.data import identifier
 from fraclink._files import atomic_write, output_path
 from fraclink._law import Law
 from fraclink._validate import checked_noun

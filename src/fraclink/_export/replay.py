@@ -16,9 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fraclink._arm.experiment import Experiment
-from fraclink._export.data import data_header
-from fraclink._export.names import identifier
-from fraclink._export.sources import law_source
+from fraclink._export.data import data_header, identifier, law_source
 from fraclink._files import checked_path
 from fraclink._law import Law
 from fraclink._validate import checked_between, checked_noun, checked_series

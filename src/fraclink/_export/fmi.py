@@ -1,0 +1,237 @@
+"""What an FMU of the law describes: variables, units and identity, written as FMI 2.0 and as FMI 3.0 want it.
+
+Source: FMI 2.0.4, sections 2.2, 2.3 and 4.3; FMI 3.0, sections 2.4 and 2.5.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import xml.etree.ElementTree as ET
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+from fraclink._law import MODES, REASONS
+
+__all__ = ["STANDARDS", "UNITS", "VARIABLES", "FmuModel", "Standard", "Unit", "Variable", "token_of"]
+
+
+class Variable(NamedTuple):
+    """One variable; its position in `VARIABLES` is its value reference, which csrc/fmu/fmu_core.h knows.
+
+    `start_from` names what its value before the first step follows from; in a step no output depends on the
+    inputs at the step's end, so that an importer need not look for algebraic loops.
+    """
+
+    name: str
+    causality: Literal["input", "output", "independent"]
+    description: str
+    unit: str = ""  # a whole number has none
+    largest: int = 0  # of a whole number
+    start_from: tuple[str, ...] = ()
+
+    @property
+    def real(self) -> bool:
+        """Whether it is a real number, not a whole one."""
+        return bool(self.unit)
+
+
+VARIABLES: tuple[Variable, ...] = (
+    Variable("reference", "input", "tip reference", "rad"),
+    Variable("reference_acceleration", "input", "acceleration of the tip reference", "rad/s2"),
+    Variable("motor_angle", "input", "encoder, at the gear's output", "rad"),
+    Variable("torque", "input", "gauge: coupling torque", "N.m"),
+    Variable("motor_reference", "output", "reference of the motor angle", "rad", start_from=("motor_angle",)),
+    Variable("voltage", "output", "voltage of the motor; 0 where the robot has its own servo", "V"),
+    Variable(
+        "tip_estimate",
+        "output",
+        "motor angle - torque / stiffness",
+        "rad",
+        start_from=("motor_angle", "torque"),
+    ),
+    Variable(
+        "mode",
+        "output",
+        ", ".join(f"{number} {name}" for number, name in enumerate(MODES)),
+        largest=len(MODES) - 1,
+    ),
+    Variable(
+        "reason", "output", "why a mode above run was entered, LAW_... in law.h", largest=len(REASONS) - 1
+    ),
+    Variable("flags", "output", "bits of the last period, LAW_FLAG_... in law.h", largest=1023),
+    Variable("time", "independent", "simulation time", "s"),
+    Variable("payload", "input", "mass at the tip; 0 where it is not known", "kg"),
+)
+
+
+class Unit(NamedTuple):
+    """Exponents of the SI base units, and a unit to display it in with its factor."""
+
+    base: Mapping[str, int]
+    display: tuple[str, float] | None = None
+
+
+UNITS: Mapping[str, Unit] = {
+    "kg": Unit({"kg": 1}),
+    "N.m": Unit({"kg": 1, "m": 2, "s": -2}),
+    "V": Unit({"kg": 1, "m": 2, "s": -3, "A": -1}),
+    "rad": Unit({"rad": 1}, ("deg", 180.0 / math.pi)),
+    "rad/s2": Unit({"rad": 1, "s": -2}, ("deg/s2", 180.0 / math.pi)),
+    "s": Unit({"s": 1}),
+}
+
+
+@dataclass(frozen=True)
+class FmuModel:
+    """The model that modelDescription.xml describes.
+
+    `name` is the model's C identifier, `token` (FMI 2: guid) ties the description to the library, `period`
+    [s] is the only communication step, `digest` identifies the law.
+    """
+
+    name: str
+    token: str
+    period: float
+    digest: str
+
+    @property
+    def description(self) -> str:
+        """One line for the importer's user."""
+        return f"Control law of a flexible link, one step each period of {self.period:g} s; law {self.digest}"
+
+    def interface(self, state_word: str) -> dict[str, str]:
+        """Attributes of the element CoSimulation; FMI 2 and 3 write "state" of `state_word` differently."""
+        return {
+            "modelIdentifier": self.name,
+            "needsExecutionTool": "false",
+            "canHandleVariableCommunicationStepSize": "false",
+            "canBeInstantiatedOnlyOncePerProcess": "false",
+            f"canGetAndSetFMU{state_word}": "true",
+            f"canSerializeFMU{state_word}": "true",
+        }
+
+
+def token_of(sources: Mapping[str, str]) -> str:
+    """Return the token of an FMU made of these sources: another law or another wrapper, another token."""
+    digits = hashlib.sha256("\0".join(sources[name] for name in sorted(sources)).encode()).hexdigest()[:32]
+    return "{" + "-".join((digits[:8], digits[8:12], digits[12:16], digits[16:20], digits[20:])) + "}"
+
+
+def _text(root: ET.Element) -> str:
+    """Return the document of `root`, indented."""
+    ET.indent(root)
+    return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
+
+
+def _add_general(root: ET.Element, period: float) -> None:
+    """Add what both versions write alike: units, the only category of messages, 500 periods to start with."""
+    units = ET.SubElement(root, "UnitDefinitions")
+    for name, unit in UNITS.items():
+        element = ET.SubElement(units, "Unit", name=name)
+        ET.SubElement(element, "BaseUnit", {key: str(power) for key, power in unit.base.items()})
+        if unit.display is not None:
+            display, factor = unit.display
+            ET.SubElement(element, "DisplayUnit", name=display, factor=repr(factor))
+    categories = ET.SubElement(root, "LogCategories")
+    ET.SubElement(categories, "Category", name="logStatusError", description="why a call failed")
+    times = {"startTime": "0", "stopTime": repr(500 * period), "stepSize": repr(period)}
+    ET.SubElement(root, "DefaultExperiment", times)
+
+
+def _about(variable: Variable, reference: int) -> dict[str, str]:
+    return {
+        "name": variable.name,
+        "valueReference": str(reference),
+        "causality": variable.causality,
+        "variability": "discrete" if variable.causality == "output" else "continuous",
+        "description": variable.description,
+    }
+
+
+def _value(variable: Variable) -> dict[str, str]:
+    """Attributes of a variable's value: unit and start of a real one, range of a whole one."""
+    if not variable.real:
+        return {"min": "0", "max": str(variable.largest)}
+    return {"unit": variable.unit} | ({"start": "0"} if variable.causality == "input" else {})
+
+
+def _unknowns(first: int) -> list[tuple[str, str]]:
+    """Of each output its place, counted from `first`, and those of what its start value follows from."""
+    place = {variable.name: str(index) for index, variable in enumerate(VARIABLES, start=first)}
+    outputs = [variable for variable in VARIABLES if variable.causality == "output"]
+    return [(place[v.name], " ".join(place[name] for name in v.start_from)) for v in outputs]
+
+
+def _descriptions_2(model: FmuModel) -> dict[str, str]:
+    root = ET.Element(
+        "fmiModelDescription",
+        fmiVersion="2.0",
+        modelName=model.name,
+        guid=model.token,
+        description=model.description,
+        generationTool="fraclink",
+    )
+    # the wrapper takes its few bytes from malloc: FMI 2 wants that stated
+    interface = model.interface("state") | {"canNotUseMemoryManagementFunctions": "true"}
+    simulation = ET.SubElement(root, "CoSimulation", interface)
+    ET.SubElement(ET.SubElement(simulation, "SourceFiles"), "File", name="all.c")
+    _add_general(root, model.period)
+    variables = ET.SubElement(root, "ModelVariables")
+    for reference, variable in enumerate(VARIABLES):
+        element = ET.SubElement(variables, "ScalarVariable", _about(variable, reference))
+        ET.SubElement(element, "Real" if variable.real else "Integer", _value(variable))
+    structure = ET.SubElement(root, "ModelStructure")
+    outputs, initial = ET.SubElement(structure, "Outputs"), ET.SubElement(structure, "InitialUnknowns")
+    for index, known in _unknowns(first=1):  # FMI 2 counts variables from 1, FMI 3 names value references
+        ET.SubElement(outputs, "Unknown", index=index, dependencies="")
+        ET.SubElement(initial, "Unknown", index=index, dependencies=known)
+    return {"modelDescription.xml": _text(root)}
+
+
+def _descriptions_3(model: FmuModel) -> dict[str, str]:
+    root = ET.Element(
+        "fmiModelDescription",
+        fmiVersion="3.0",
+        modelName=model.name,
+        instantiationToken=model.token,
+        description=model.description,
+        generationTool="fraclink",
+    )
+    # No fixedInternalStepSize: it would allow communication steps of several periods, in which the law would
+    # run on sensors that stand still.
+    ET.SubElement(root, "CoSimulation", model.interface("State"))
+    _add_general(root, model.period)
+    variables = ET.SubElement(root, "ModelVariables")
+    for reference, variable in enumerate(VARIABLES):
+        kind = "Float64" if variable.real else "UInt32"
+        ET.SubElement(variables, kind, _about(variable, reference) | _value(variable))
+    structure = ET.SubElement(root, "ModelStructure")
+    for place, _ in _unknowns(first=0):
+        ET.SubElement(structure, "Output", valueReference=place, dependencies="")
+    for place, known in _unknowns(first=0):
+        ET.SubElement(structure, "InitialUnknown", valueReference=place, dependencies=known)
+    build = ET.Element("fmiBuildDescription", fmiVersion="3.0")
+    configuration = ET.SubElement(build, "BuildConfiguration", modelIdentifier=model.name)
+    sources = ET.SubElement(configuration, "SourceFileSet", language="C99")
+    ET.SubElement(sources, "SourceFile", name="all.c")
+    return {"modelDescription.xml": _text(root), "sources/buildDescription.xml": _text(build)}
+
+
+class Standard(NamedTuple):
+    """A version of the standard: sources in csrc/fmu (the first is compiled), folders below binaries/ by
+    the platform as FMI 3 names it, and the descriptions of a model by their file names."""
+
+    sources: tuple[str, ...]
+    platforms: Mapping[str, str]
+    descriptions: Callable[[FmuModel], dict[str, str]]
+
+
+_PLATFORMS_2 = {"x86_64-linux": "linux64", "x86_64-windows": "win64", "x86_64-darwin": "darwin64"}
+_PLATFORMS_3 = (*_PLATFORMS_2, "aarch64-linux", "aarch64-darwin")
+
+STANDARDS: Mapping[int, Standard] = {
+    2: Standard(("fmi2.c",), _PLATFORMS_2, _descriptions_2),
+    3: Standard(("fmi3.c", "fmi3_not_offered.h"), {name: name for name in _PLATFORMS_3}, _descriptions_3),
+}
