@@ -14,7 +14,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
-from fraclink._logs.table import WALL_SECONDS
+from fraclink._logs.text import WALL_SECONDS
 from mutants import KINDS, run
 
 

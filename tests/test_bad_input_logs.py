@@ -11,7 +11,7 @@ import pytest
 from fraclink._arm.log_columns import Channel, LogColumns, parse_columns
 from fraclink._arm.rig import Rig
 from fraclink._logs import read_columns, read_log
-from fraclink._logs import table as reader_limits
+from fraclink._logs.text import SAMPLE_LIMIT
 from fraclink.errors import FieldError, FileFormatError, LogError, SizeError
 from made_logs import HEADER, made_rows, write_log
 
@@ -248,7 +248,7 @@ def test_b55_too_many_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     error = refused(write_log(tmp_path / "log.csv", made_rows()))
     assert isinstance(error, SizeError)
     assert "400 rows" in str(error.value) and "300 rows" in error.allowed
-    assert reader_limits.SAMPLE_LIMIT == 4_000_000
+    assert SAMPLE_LIMIT == 4_000_000
 
 
 @pytest.mark.parametrize("where", ["header", "body"])

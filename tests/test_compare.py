@@ -14,7 +14,7 @@ from fraclink._arm.motor_loop import MotorLoop
 from fraclink._arm.reference import smooth_step
 from fraclink._arm.sampled import sampled_plant
 from fraclink._compare import Tournament, compare
-from fraclink._compare.case import NominalLoop, Setting, tune
+from fraclink._compare.case import Filter, NominalLoop, Setting, law_filter, sampled, tune, tustin
 from fraclink._compare.controllers import (
     Algebraic,
     Linear,
@@ -27,7 +27,6 @@ from fraclink._compare.controllers import (
     pd_correction,
     sliding_correction,
 )
-from fraclink._compare.filters import Filter, law_filter, sampled, tustin
 from fraclink._compare.published import CORRECTED, INTEGER, PRINTED, integer_twin
 from fraclink._compare.rivals import builders, servo_law
 from fraclink._compare.tournament import feed_forward, linear_growth, mode_gain, run_rival

@@ -22,9 +22,8 @@ from fraclink._cli import main
 from fraclink._law import LawInputs
 from fraclink._realtime import Callback, VirtualClock
 from fraclink._shape import ShapedMove, setting
-from fraclink._shape.arm import ShapedArm
 from fraclink._shape.programme import MoveBounds, Programme, spline_path
-from fraclink._shape.responses import SIGNALS, responses_of, without_friction
+from fraclink._shape.responses import SIGNALS, ShapedArm, responses_of, without_friction
 from fraclink._show.moves import shaped_figure, shaped_view
 from fraclink._simulate import Twin
 from fraclink.errors import FieldError, FileFormatError

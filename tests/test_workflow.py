@@ -11,7 +11,7 @@ import fraclink as fl
 from fraclink._arm.link import LinkModel
 from fraclink._arm.rig import Rig
 from fraclink._workflow import design_for
-from fraclink._workflow.defaults import _margin_sentence
+from fraclink._workflow.run import _margin_sentence
 from fraclink.errors import InfeasibleError
 
 SILENT = replace(Rig.named("paper-2023"), design=None)

@@ -3,7 +3,6 @@ from fraclink._arm.beam import Beam as Beam
 from fraclink._arm.box import ParameterBox as ParameterBox
 from fraclink._arm.controller import Controller as Controller
 from fraclink._arm.experiment import Experiment as Experiment
-from fraclink._arm.frequency_response import FrequencyResponse as FrequencyResponse
 from fraclink._arm.link import STRUCTURES as STRUCTURES
 from fraclink._arm.link import LinkModel as LinkModel
 from fraclink._arm.link import SecondMode as SecondMode
@@ -14,6 +13,7 @@ from fraclink._arm.log_columns import LogColumns as LogColumns
 from fraclink._arm.loop import Loop as Loop
 from fraclink._arm.motor_loop import MotorLoop as MotorLoop
 from fraclink._arm.motor_loop import motor_loop_costs as motor_loop_costs
+from fraclink._arm.recording import FrequencyResponse as FrequencyResponse
 from fraclink._arm.recording import Recording as Recording
 from fraclink._arm.reference import Reference as Reference
 from fraclink._arm.reference import SampledReference as SampledReference
@@ -101,7 +101,7 @@ from fraclink._identify.excitation import ExperimentDesign as ExperimentDesign
 from fraclink._identify.excitation import design_experiment as design_experiment
 from fraclink._identify.fit import Fit as Fit
 from fraclink._identify.fitting import simulated_torque as simulated_torque
-from fraclink._identify.intervals import Interval as Interval
+from fraclink._identify.least_squares import Interval as Interval
 from fraclink._identify.modal import SpectrumFit as SpectrumFit
 from fraclink._identify.motor import MotorFit as MotorFit
 from fraclink._identify.motor import identify_motor as identify_motor
@@ -126,9 +126,9 @@ from fraclink._logs.reading import bundled_logs as bundled_logs
 from fraclink._logs.reading import inspect_log as inspect_log
 from fraclink._logs.reading import read_columns as read_columns
 from fraclink._logs.reading import read_log as read_log
-from fraclink._logs.reference import read_reference as read_reference
 from fraclink._logs.responses import read_frequency_response as read_frequency_response
 from fraclink._logs.responses import read_recording as read_recording
+from fraclink._logs.responses import read_reference as read_reference
 from fraclink._realtime.arm import ServedArm as ServedArm
 from fraclink._realtime.arm import serve_arm as serve_arm
 from fraclink._realtime.connections import Callback as Callback

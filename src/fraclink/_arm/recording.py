@@ -1,4 +1,4 @@
-"""A recording: an input and an output of any system, sampled together."""
+"""Any system, measured: an input and an output sampled together, or lines of a frequency response."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from fraclink._arm.experiment import Experiment
 from fraclink._display import displayed
 from fraclink._files import document
-from fraclink._validate import Array, Positive, checked
-from fraclink.errors import LogError
+from fraclink._validate import Array, Between, Positive, checked
+from fraclink.errors import FieldError, LogError
 
-__all__ = ["Recording"]
+__all__ = ["Coherence", "FrequencyResponse", "Lines", "Recording", "coherence_weights"]
 
 Signal = Annotated[NDArray[np.float64], Array(1, min_size=2)]
 
@@ -97,3 +97,109 @@ class Recording:
         measured = log.motor_angle - start if output == "motor_angle" else log.output
         rest = start if input == "motor_angle" else 0.0
         return cls(log.period, signal, measured, rest, log.source, log.sha256)
+
+
+Reals = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+
+_OUT = "leave the line at zero frequency out"
+Lines = Annotated[NDArray[np.float64], Array(1), Between(0.0, low_open=True, unit="rad/s", remedy=_OUT)]
+Coherence = Annotated[
+    NDArray[np.float64], Array(1), Between(0.0, 1.0, low_open=True, remedy="leave lines without it out")
+]
+
+
+@displayed
+@document(
+    "frequency-response",
+    container="npz",
+    sources=lambda found: {found.source: found.sha256} if found.sha256 else {},
+)
+@checked
+@dataclass(frozen=True, eq=False)
+class FrequencyResponse:
+    """What was measured of a system at some frequencies, H(jω) = output/input.
+
+    Parameters
+    ----------
+    frequency
+        ω, shape (N,), > 0 [rad/s] (or radians per sample).
+    response
+        H(jω), complex, shape (N,).
+    magnitude
+        of the input's lines: the weight with which each line's error appears in the output. None where it is
+        not known.
+    coherence
+        γ² in (0, 1] of each line, None where it was not measured.
+    source, sha256
+        file that it comes from.
+
+    Raises
+    ------
+    FieldError
+        columns of different lengths, or values out of range.
+
+    Examples
+    --------
+    >>> FrequencyResponse([1.0, 2.0], [1 - 1j, 0.4 - 0.8j]).band
+    (1.0, 2.0)
+    """
+
+    frequency: Lines
+    response: Annotated[NDArray[np.complex128], Array(1, min_size=1)]
+    magnitude: Annotated[NDArray[np.float64], Array(1), Between(0.0)] | None = None
+    coherence: Coherence | None = None
+    source: str = ""
+    sha256: str = ""
+
+    __made_by__ = "read_frequency_response(path) or FrequencyResponse(frequency, response)"
+
+    def __post_init__(self) -> None:
+        for name in ("response", "magnitude", "coherence"):
+            column = getattr(self, name)
+            if column is not None and column.shape != self.frequency.shape:
+                problem = f"not as long as frequency {self.frequency.shape}"
+                remedy = "give one for each frequency"
+                raise FieldError(name, str(column.shape), problem, allowed="equal lengths", remedy=remedy)
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, FrequencyResponse):
+            return NotImplemented
+        pairs = [(getattr(self, item.name), getattr(other, item.name)) for item in fields(self)]
+        return all(
+            np.array_equal(a, b)
+            if isinstance(a, np.ndarray) and isinstance(b, np.ndarray)
+            else a is b or a == b
+            for a, b in pairs
+        )
+
+    def __hash__(self) -> int:
+        return hash((self.source, self.sha256, self.frequency.tobytes(), self.response.tobytes()))
+
+    @property
+    def band(self) -> tuple[float, float]:
+        """Lowest and highest frequency [rad/s]."""
+        return float(self.frequency.min()), float(self.frequency.max())
+
+    def between(self, low: float, high: float) -> FrequencyResponse:
+        """Return the lines from `low` to `high` [rad/s].
+
+        >>> FrequencyResponse([1.0, 2.0, 3.0], [1, 2j, 3]).between(1.5, 3.0).frequency.tolist()
+        [2.0, 3.0]
+        """
+        kept = (self.frequency >= low) & (self.frequency <= high)
+        if not kept.any():
+            low_end, high_end = self.band
+            allowed = f"a band that overlaps {low_end:.6g} to {high_end:.6g} rad/s"
+            raise FieldError("band", (low, high), "without a line", allowed=allowed, remedy="widen the band")
+        columns = {name: getattr(self, name) for name in ("frequency", "response", "magnitude", "coherence")}
+        cut = {name: None if column is None else column[kept] for name, column in columns.items()}
+        return FrequencyResponse(**cut, source=self.source, sha256=self.sha256)  # type: ignore[arg-type]
+
+
+def coherence_weights(response: Complexes, coherence: Reals) -> Reals:
+    """Weight √(γ²/(1 − γ²))/|H| of each line's error: one over its spread, but for a factor."""
+    if not np.all(np.abs(response) > 0):
+        raise FieldError("response", 0, "zero at a line", allowed="|H| > 0", remedy="leave that line out")
+    share = np.minimum(coherence, 1 - 1e-6)
+    return np.asarray(np.sqrt(share / (1 - share)) / np.abs(response))

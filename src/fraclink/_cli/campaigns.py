@@ -21,7 +21,7 @@ from fraclink._cli.options import Gear, LinkMass, ModelFile, RigName, load_desig
 from fraclink._design import Design
 from fraclink._files import save, write_text
 from fraclink._files.envelope import write_npz
-from fraclink._logs.reference import read_reference
+from fraclink._logs.responses import read_reference
 from fraclink._show.faults import draw_outcome
 from fraclink._show.report import write_campaign_report
 from fraclink._show.views import faults_page

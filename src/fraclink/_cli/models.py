@@ -12,8 +12,7 @@ from fraclink import _identify as identification
 from fraclink._arm.doubts import doubts_of
 from fraclink._arm.draft import RigDraft
 from fraclink._arm.experiment import Experiment
-from fraclink._arm.frequency_response import FrequencyResponse
-from fraclink._arm.recording import Recording
+from fraclink._arm.recording import FrequencyResponse, Recording
 from fraclink._arm.reference import Reference, chirp, prbs, pulse
 from fraclink._arm.rig import Rig
 from fraclink._cli.app import group

@@ -23,7 +23,7 @@ from fraclink._cli.options import (
     refuse_beside,
 )
 from fraclink._export.board import export_reference
-from fraclink._logs.reference import read_reference
+from fraclink._logs.responses import read_reference
 from fraclink._shape import shape as shape_move
 from fraclink.errors import FieldError
 

@@ -21,7 +21,7 @@ from fraclink._design import Design
 from fraclink._files import kind_of
 from fraclink._identify import Fit, load_model
 from fraclink._logs import bundled_log, read_log
-from fraclink._logs.reference import read_reference
+from fraclink._logs.responses import read_reference
 from fraclink._simulate import Twin, geared
 from fraclink.errors import FieldError
 from fraclink.findings import Finding, errors_of

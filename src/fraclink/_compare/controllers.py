@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._arm.link import LinkModel
-from fraclink._compare.filters import Filter, tustin
+from fraclink._compare.case import Filter, tustin
 
 __all__ = [
     "Algebraic",

@@ -13,7 +13,7 @@ from fraclink._arm.beam import Beam
 from fraclink._arm.controller import Controller
 from fraclink._arm.motor import DiscretePid
 from fraclink._arm.shapers import Shaper, shaper_impulses
-from fraclink._compare.case import NominalLoop, Setting, tune
+from fraclink._compare.case import Filter, NominalLoop, Setting, fine_step, law_filter, sampled, tune, tustin
 from fraclink._compare.controllers import (
     Algebraic,
     Linear,
@@ -26,7 +26,6 @@ from fraclink._compare.controllers import (
     pd_correction,
     sliding_correction,
 )
-from fraclink._compare.filters import Filter, fine_step, law_filter, sampled, tustin
 from fraclink._compare.published import (
     CORRECTED,
     INTEGER,

@@ -17,12 +17,10 @@ from fraclink._arm.link import LinkModel
 from fraclink._arm.reference import Reference, checked_reference, smooth_step
 from fraclink._arm.rig import Rig
 from fraclink._arm.shapers import Shaped
-from fraclink._compare.case import NominalLoop, Setting, prepare
+from fraclink._compare.case import Filter, NominalLoop, Setting, fine_step, law_filter, prepare, sampled
 from fraclink._compare.controllers import Seen
-from fraclink._compare.figure import draw
-from fraclink._compare.filters import Filter, fine_step, law_filter, sampled
+from fraclink._compare.presentation import draw, markdown, sentences
 from fraclink._compare.rivals import FRACLINK, OFFSET, Rival, builders
-from fraclink._compare.text import markdown, sentences
 from fraclink._files import write_json
 from fraclink._law import Law
 from fraclink._simulate.arm import Twin

@@ -18,8 +18,14 @@ from fraclink._arm.loop import Loop, with_payload
 from fraclink._arm.motor_loop import MotorLoop
 from fraclink._arm.rig import Rig
 from fraclink._arm.sampled import SampledPlant, sampled_plant
-from fraclink._design.requirement import Requirement
-from fraclink._design.shipped import LAW_MARGIN, kept_by_law, law_findings, law_margins, margins_of
+from fraclink._design.requirement import (
+    LAW_MARGIN,
+    Requirement,
+    kept_by_law,
+    law_findings,
+    law_margins,
+    margins_of,
+)
 from fraclink._display import displayed
 from fraclink._files import document, load, save
 from fraclink._law import discretize, discretize_controller

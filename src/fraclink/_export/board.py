@@ -12,7 +12,7 @@ from fraclink import __version__
 from fraclink._arm.reference import Reference, sampled
 from fraclink._export.data import hex_float, identifier, law_source
 from fraclink._files import atomic_write, checked_path, output_path, write_text
-from fraclink._logs.reference import COLUMNS
+from fraclink._logs.responses import COLUMNS
 from fraclink._validate import Period, checked
 from fraclink.errors import FieldError
 

@@ -91,7 +91,7 @@ _HOMES = {
     **dict.fromkeys(("driven-link", "fit", "structure-fit"), "fraclink._identify"),
     **dict.fromkeys(("realtime-run", "served-arm"), "fraclink._realtime"),
     **dict.fromkeys(("run", "twin-run"), "fraclink._simulate"),
-    "frequency-response": "fraclink._arm.frequency_response",
+    "frequency-response": "fraclink._arm.recording",
     "log": "fraclink._arm.experiment",
     "model": "fraclink._arm.link",
     "law": "fraclink._law",

@@ -3,8 +3,7 @@
 `identify` fits the structure that the log supports; `compare_structures` shows every one of them.
 """
 
-from fraclink._arm.frequency_response import FrequencyResponse
-from fraclink._arm.recording import Recording
+from fraclink._arm.recording import FrequencyResponse, Recording
 from fraclink._identify.compare import Comparison, Contest, compare_structures, identify
 from fraclink._identify.driven import DrivenLinkFit, identify_driven_link
 from fraclink._identify.excitation import ExperimentDesign, design_experiment
@@ -19,7 +18,7 @@ from fraclink._identify.fit import (
     save_model,
 )
 from fraclink._identify.fitting import simulated_torque
-from fraclink._identify.intervals import Interval
+from fraclink._identify.least_squares import Interval
 from fraclink._identify.modal import SpectrumFit
 from fraclink._identify.motor import MotorFit, identify_motor
 from fraclink._identify.payloads import JointFit, LikelihoodRatio, identify_payloads

@@ -15,8 +15,8 @@ from typing import Annotated, Literal
 
 import numpy as np
 
-from fraclink._arm.frequency_response import FrequencyResponse
 from fraclink._arm.link import LinkModel
+from fraclink._arm.recording import FrequencyResponse
 from fraclink._display import displayed
 from fraclink._files import document
 from fraclink._identify.structure_fit import StructureFit

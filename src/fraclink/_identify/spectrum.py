@@ -15,7 +15,7 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._arm.frequency_response import Coherence, FrequencyResponse, Lines, coherence_weights
+from fraclink._arm.recording import Coherence, FrequencyResponse, Lines, coherence_weights
 from fraclink._identify.modal import LONGEST, Bits, Complexes, ModalProblem, Reals, SpectrumFit
 from fraclink._validate import Array, Between, Fraction, LinkOrder, checked
 from fraclink.errors import FieldError, LogError

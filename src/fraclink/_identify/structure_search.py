@@ -21,9 +21,8 @@ from numpy.typing import NDArray
 from scipy.linalg import lstsq
 from scipy.optimize import OptimizeResult, least_squares
 
-from fraclink._identify.descent import Descent, descend, differences, project
-from fraclink._identify.structure_coordinates import StructureCoordinates
-from fraclink._identify.structure_data import RecordStart, Samples, Spectrum
+from fraclink._identify.least_squares import Descent, descend, differences, project
+from fraclink._identify.structure_problem import RecordStart, Samples, Spectrum, StructureCoordinates
 from fraclink._identify.structure_starts import Starts
 from fraclink.errors import NotConvergedError
 

@@ -12,8 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._identify.structure_coordinates import StructureCoordinates
-from fraclink._identify.structure_data import Spectrum
+from fraclink._identify.structure_problem import Spectrum, StructureCoordinates
 
 __all__ = ["Starts"]
 

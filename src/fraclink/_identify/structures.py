@@ -10,16 +10,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._arm.experiment import Experiment
-from fraclink._arm.frequency_response import FrequencyResponse, coherence_weights
-from fraclink._arm.recording import Recording
+from fraclink._arm.recording import FrequencyResponse, Recording, coherence_weights
 from fraclink._identify.expression import Expression, parse_expression
 from fraclink._identify.fitting import HeldOut, fitted_samples
 from fraclink._identify.shape import Hold
-from fraclink._identify.structure_certainty import Certainty, certainty_of, in_order
-from fraclink._identify.structure_coordinates import COEFFICIENT_LIMITS, ORDER_LIMITS, StructureCoordinates
-from fraclink._identify.structure_data import Lines, RecordStart
-from fraclink._identify.structure_findings import structure_findings
+from fraclink._identify.structure_certainty import Certainty, certainty_of, in_order, structure_findings
 from fraclink._identify.structure_fit import StructureFit
+from fraclink._identify.structure_problem import (
+    COEFFICIENT_LIMITS,
+    ORDER_LIMITS,
+    Lines,
+    RecordStart,
+    StructureCoordinates,
+)
 from fraclink._identify.structure_search import Place, StructureSearch
 from fraclink._validate import Between, checked
 from fraclink.errors import FieldError, LogError

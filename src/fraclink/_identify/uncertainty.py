@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.linalg import lstsq
 
 from fraclink._arm.link import STRUCTURES, structure
-from fraclink._identify.intervals import QUANTILE, Interval, interval_end
+from fraclink._identify.least_squares import QUANTILE, Interval, interval_end
 from fraclink._identify.residual import (
     autoregression,
     coloured_covariance,

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from fraclink._arm.log_columns import QUANTITY_OF, UNITS, Channel, LogColumns
 from fraclink._files.toml import toml_value
 from fraclink._logs.names import COMMANDED, HINTS, unit_in
-from fraclink._logs.table import LogTable
-from fraclink._logs.text import NUMBER, cell_remedy
+from fraclink._logs.text import NUMBER, LogTable, cell_remedy
 from fraclink._validate import Payload
 from fraclink._validate.rules import rule
 from fraclink.errors import LogError

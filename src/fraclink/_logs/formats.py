@@ -18,8 +18,15 @@ from typing import IO, Any
 
 import numpy as np
 
-from fraclink._logs.table import CPU_SECONDS, FILE_LIMIT, MEMORY_LIMIT, WALL_SECONDS, LogTable, check_file
-from fraclink._logs.text import read_text_table
+from fraclink._logs.text import (
+    CPU_SECONDS,
+    FILE_LIMIT,
+    MEMORY_LIMIT,
+    WALL_SECONDS,
+    LogTable,
+    check_file,
+    read_text_table,
+)
 from fraclink.errors import FieldError, FileFormatError, LogError, MissingExtraError, SizeError
 
 _MAGIC = (

@@ -25,7 +25,7 @@ from fraclink._logs.columns import (
 )
 from fraclink._logs.formats import read_table
 from fraclink._logs.names import unit_in
-from fraclink._logs.table import SAMPLE_LIMIT, LogTable
+from fraclink._logs.text import SAMPLE_LIMIT, LogTable
 from fraclink.errors import FieldError, LogError
 from fraclink.findings import Finding
 

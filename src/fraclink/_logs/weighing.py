@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from fraclink._arm.log_columns import QUANTITY_OF, ROW_NUMBER, UNITS, Channel, ColumnStatement
 from fraclink._logs.columns import clean_column, clock_step
 from fraclink._logs.names import names_time, unit_of_name
-from fraclink._logs.table import LogTable
+from fraclink._logs.text import LogTable
 from fraclink.errors import FieldError
 
 __all__ = ["Guess", "Question", "Weighing", "answered", "guess_time", "samples_of", "stamps_of"]

@@ -19,7 +19,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._logs.table import COLUMN_LIMIT, MEMORY_LIMIT, VALUE_LIMIT
+from fraclink._logs.text import COLUMN_LIMIT, MEMORY_LIMIT, VALUE_LIMIT
 from fraclink.errors import FieldError, MissingExtraError, SizeError
 
 if sys.platform != "win32":  # there are no such limits there: the parent's clock is what remains

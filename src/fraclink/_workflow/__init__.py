@@ -1,7 +1,6 @@
 """The whole way from a log to a verdict, and the folder that keeps it."""
 
-from fraclink._workflow.defaults import design_for
-from fraclink._workflow.run import run, simulate_move
+from fraclink._workflow.run import design_for, run, simulate_move
 from fraclink._workflow.start import START_FILES, Start, start
 from fraclink._workflow.study import Scope, Study, Verdict, load_study, save_study
 

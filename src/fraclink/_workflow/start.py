@@ -16,7 +16,7 @@ from fraclink._identify import Fit, identify
 from fraclink._logs import diagnose, read_log
 from fraclink._logs.formats import read_table
 from fraclink._logs.guess import Guess, GuessedColumns, Question, guess_columns
-from fraclink._logs.table import LogTable
+from fraclink._logs.text import LogTable
 from fraclink._logs.weighing import answered, statements
 from fraclink._validate import Payload, Period, checked
 from fraclink.errors import LogError
