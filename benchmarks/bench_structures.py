@@ -160,8 +160,11 @@ def difference_fit(example: Example, record: fl.Recording, split: int = 1) -> tu
 def seconds_of(
     example: Example, data: fl.Recording | fl.FrequencyResponse, *, details: bool
 ) -> tuple[float, fl.StructureFit]:
+    heldout = 0.0 if isinstance(data, fl.Recording) else None  # a response has nothing to hold out
     start = time.process_time()
-    fit = fl.identify_structure(data, example.expression, bounds=example.bounds, heldout=0.0, details=details)
+    fit = fl.identify_structure(
+        data, example.expression, bounds=example.bounds, heldout=heldout, details=details
+    )
     return time.process_time() - start, fit
 
 

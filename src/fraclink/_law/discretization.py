@@ -102,13 +102,8 @@ def discretize_controller(
     _check_options(link, rig, moves)
     model = link or controller.link
     if model is None:
-        raise FieldError(
-            "link",
-            None,
-            "missing",
-            allowed="a LinkModel",
-            remedy="give the nominal link model: tip estimate and feed-forward need it",
-        )
+        remedy = "give the nominal link model: tip estimate and feed-forward need it"
+        raise FieldError("link", None, "missing", allowed="a LinkModel", remedy=remedy)
     _check_period(controller, period)
     if order is not None:
         order = rule(Order).check("order", order)  # what keys the cache of fits must be a number
@@ -247,13 +242,8 @@ def _tracking(law: Law, rig: Rig, link: LinkModel, pid: DiscretePid) -> Tracking
 def check_rigs_period(law: Law, rig: Rig) -> None:
     """FieldError where the law was made for another period than the rig's."""
     if not math.isclose(law.period, rig.period, rel_tol=1e-9):
-        raise FieldError(
-            "period",
-            law.period,
-            "not the rig's",
-            allowed=f"{rig.period} s",
-            remedy="discretise the controller at the rig's period",
-        )
+        allowed, remedy = f"{rig.period} s", "discretise the controller at the rig's period"
+        raise FieldError("period", law.period, "not the rig's", allowed=allowed, remedy=remedy)
 
 
 def drive_for(rig: Rig, pole: float) -> Drive:
@@ -358,18 +348,30 @@ def fit_correction(
             highest=highest,
         )
 
+    def emphasised(emphasis: float, highest: int) -> DiscreteRational:
+        return fit(_weight(controller, centre, emphasis), highest)
+
     centre = _crossover(controller, link)
-    if band[0] < centre < band[1]:
-        for emphasis in EMPHASES:
-            found = fit(_weight(controller, centre, emphasis), STATES)
-            if found.error_db <= TOLERANCE_DB and found.error_deg <= TOLERANCE_DEG:
-                return found
+    inside = band[0] < centre < band[1]
+    first = emphasised(EMPHASES[0], STATES) if inside else None
+    if first is not None and _is_met(first):
+        return first
     plain = fit(None, MOST_STATES)
-    if plain.error_db <= TOLERANCE_DB and plain.error_deg <= TOLERANCE_DEG:
+    # An emphasis is a weight of one or more: it cannot meet what C alone misses by far. "By far", because the
+    # search is not global: the default design at 16 rad/s has 6 states with an emphasis of 1, and 7 without.
+    if inside and _is_met(plain, slack=1.2):
+        for emphasis in EMPHASES[1:]:
+            if _is_met(found := emphasised(emphasis, STATES)):
+                return found
+    if _is_met(plain):
         return plain
     # Nothing meets C everywhere: then where the loop crosses counts more than the end of the band.
-    near = fit(_weight(controller, centre, EMPHASES[0]), MOST_STATES)
+    near = first if first is not None and order is not None else emphasised(EMPHASES[0], MOST_STATES)
     return near if near.error_db <= 2.0 * plain.error_db else plain
+
+
+def _is_met(fit: DiscreteRational, slack: float = 1.0) -> bool:
+    return fit.error_db <= slack * TOLERANCE_DB and fit.error_deg <= slack * TOLERANCE_DEG
 
 
 def _weight(controller: Controller, centre: float, emphasis: float) -> Callable[[Real], Real]:
