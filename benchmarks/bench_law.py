@@ -35,14 +35,16 @@ BARE = """
 /* The same law without guards: no credibility, no counters, no limits, no clock. */
 static void bare_step(law_state *s, const law_params *p, const law_input *in, law_output *out)
 {
-    const law_real forward = feed_forward(s, p, in->reference_acceleration);
+    law_real found = (law_real)0;
+    law_real left = (law_real)0;
+    const law_real forward = feed_forward(s, p, &found, in->reference_acceleration, &left);
     s->motor_angle = in->motor_angle;
     s->torque = in->torque;
     s->model_angle += p->residual_rate * (s->model_near - s->model_angle);
     s->model_near += p->residual_rate * (s->motor_reference - s->model_near);
     out->tip_estimate = s->motor_angle - (s->torque * p->compliance);
     out->error = in->reference - out->tip_estimate;
-    s->motor_reference = in->reference + (forward + correct(s, p, out->error - s->error));
+    s->motor_reference = in->reference + (forward + correct(s, p, &found, out->error - s->error, &left));
     s->error = out->error;
     (void)close_motor(s, p, out);
     out->motor_reference = s->motor_reference;

@@ -5,10 +5,12 @@
  *    `clamped`, which every output passes, asks v == v, because a prover (Frama-C 25) takes NaN out of v there and
  *    not in v >= -m && v <= m.
  *  - Whatever the state memory holds, the outputs are finite and in their limits within the same period, and a
- *    flipped bit or a wiped memory is healed in it: each sum that is formed from states is checked, and the states
- *    behind it are clamped where the check fails. Clamping each state at every entry costs 280 instructions a period.
- *  - What decides whether the drive runs is kept so that one flipped bit cannot decide otherwise: the mode in four
- *    copies, and a stamp that does not fit starts nothing where the copies agree on a trip.
+ *    flipped bit or a wiped memory is healed in it: the sum of what a move is remembered by is kept, and a period that
+ *    finds another one begins anew where the motor is. Bounds alone do not do: a reference that is half a radian off is
+ *    in all of them. What is in the memory all the same is bounded where it is used, each sum that is formed from
+ *    states is checked; clamping each state at every entry costs 280 instructions a period.
+ *  - What decides whether the drive runs is kept so that no one or two flipped bits can decide otherwise: the mode in
+ *    four copies, and a stamp that does not fit starts nothing where the mode is a trip.
  *  - A clock that stands or runs backwards trips like one that jumps: a law that waits for a new period keeps its
  *    last voltage on, whatever the arm does.
  *  - The correction works on the *change* of the error, so that a constant error, such as a gauge's offset, gives
@@ -30,7 +32,15 @@
 #error "compile law.c with -std=c99, or with -ffp-contract=off -DLAW_CONTRACT_OFF"
 #endif
 
-#define LAW_TINY ((law_real)1e-36F) /* square of 1e-18, far below any signal; the square of a float is still normal */
+/* What gcc and clang know beyond C99, and what any other compiler computes alike: the absolute value, and which way a
+ * test usually goes. Twenty-five instructions of a period on a Cortex-M4F. */
+#if defined(__GNUC__) && !defined(__FRAMAC__)
+#define LAW_USUALLY(test) (__builtin_expect((test), 1) != 0)
+#else
+#define LAW_USUALLY(test) (test)
+#endif
+
+#define LAW_TINY ((law_real)1e-18F) /* far below any signal, and far above a denormal number */
 #define LAW_LARGE ((law_real)1e6F)  /* bound of the wiring test's sums */
 #define LAW_NO_PAYLOAD ((law_real)-1e6F) /* none that is given: the next one is looked at */
 #define LAW_SCALES ((law_real)8)  /* no two scales of the feed-forward are farther apart */
@@ -53,10 +63,22 @@ static law_real clamped(law_real value, law_real limit)
     return result;
 }
 
-/* Whether a value is a number within +-`limit`: NaN fails the comparison, infinity squared too. */
+/* |value|, in one instruction instead of four. */
+static law_real magnitude(law_real value)
+{
+#if defined(__GNUC__) && !defined(__FRAMAC__) && defined(LAW_SINGLE)
+    return __builtin_fabsf(value);
+#elif defined(__GNUC__) && !defined(__FRAMAC__)
+    return __builtin_fabs(value);
+#else
+    return (value < (law_real)0) ? -value : value;
+#endif
+}
+
+/* Whether a value is a number within +-`limit`: NaN fails the comparison. */
 static uint32_t credible(law_real value, law_real limit)
 {
-    return ((value * value) <= (limit * limit)) ? 1U : 0U;
+    return LAW_USUALLY(magnitude(value) <= limit) ? 1U : 0U;
 }
 
 /* `value` within +-`limit` where it usually is: one comparison then, against three of `clamped`. */
@@ -75,13 +97,15 @@ static uint32_t copied(uint32_t mode)
     return mode * 0x01010101U;
 }
 
-/* What three of the copies say by majority, which one flipped bit in any of them does not change. */
-static uint32_t voted(uint32_t word)
+/* The mode that a word differs from by one flipped bit at most; a word that no single bit explains is no mode, and
+ * the drive is off for it. Two modes differ in four bits and more: no two flips make one of another. */
+static uint32_t corrected(uint32_t word)
 {
     const uint32_t second = word >> 8U;
     const uint32_t third = word >> 16U;
-    const uint32_t most = ((word & second) | (word & third) | (second & third)) & 0xFFU;
-    return copied((most <= LAW_OFF) ? most : LAW_OFF);
+    const uint32_t most = copied(((word & second) | (word & third) | (second & third)) & 0xFFU);
+    const uint32_t differ = word ^ most;
+    return ((most <= copied(LAW_OFF)) && ((differ & (differ - 1U)) == 0U)) ? most : copied(LAW_OFF);
 }
 
 /* Enter the mode that a reason asks for, unless a more severe one is latched; the first reason stays with its mode.
@@ -114,24 +138,10 @@ static uint32_t counted(uint32_t count)
     return next;
 }
 
-static void clear(law_state *s)
+static void empty_modes(law_state *s)
 {
     const law_real zero = (law_real)0;
     uint32_t i;
-    s->stamp = 0U;
-    s->mode = LAW_IDLE;
-    s->reason = LAW_OK;
-    s->tick = 0U;
-    s->bad_encoder = 0U;
-    s->bad_gauge = 0U;
-    s->residual = 0U;
-    s->stuck = 0U;
-    s->overload = 0U;
-    s->frozen = 0U;
-    s->repeated = 0U;
-    s->repeated_at = 0U;
-    s->tracking = 0U;
-    s->given = 0U;
     /*@ loop unroll 8; */
     for (i = 0U; i < LAW_REAL_MODES; i++) {
         s->real[i] = zero;
@@ -146,6 +156,26 @@ static void clear(law_state *s)
         s->pair[i] = zero;
     }
 #endif
+}
+
+static void clear(law_state *s)
+{
+    const law_real zero = (law_real)0;
+    s->stamp = 0U;
+    s->mode = LAW_IDLE;
+    s->reason = LAW_OK;
+    s->tick = 0U;
+    s->bad_encoder = 0U;
+    s->bad_gauge = 0U;
+    s->residual = 0U;
+    s->stuck = 0U;
+    s->overload = 0U;
+    s->frozen = 0U;
+    s->repeated = 0U;
+    s->repeated_at = 0U;
+    s->tracking = 0U;
+    s->given = 0U;
+    empty_modes(s);
     s->error = zero;
     s->reference = zero;
     s->motor_reference = zero;
@@ -166,10 +196,11 @@ static void clear(law_state *s)
     s->integral = zero;
     s->filter = zero;
     s->voltage = zero;
+    s->sum = zero;
 }
 
-/* Begin modes anew that no input explains: called where their sum is not credible. */
-static void heal(law_real limit, law_real *states, uint32_t count)
+/* Begin modes anew that no input explains, and add what is left of them: called where their sum is not credible. */
+static void heal(law_real limit, law_real *states, uint32_t count, law_real *left)
 {
     uint32_t i;
     /*@ loop unroll 8; */
@@ -177,13 +208,14 @@ static void heal(law_real limit, law_real *states, uint32_t count)
         if (credible(states[i], limit) == 0U) {
             states[i] = (law_real)0;
         }
+        *left += states[i];
     }
 }
 
 /* 0 for a mode that has died away. */
 static law_real alive(law_real mode)
 {
-    return ((mode * mode) < LAW_TINY) ? (law_real)0 : mode;
+    return (magnitude(mode) < LAW_TINY) ? (law_real)0 : mode;
 }
 
 /* Set a mode to 0 if it has died away, and look at the payload again; the period's number chooses what, the same whatever
@@ -215,33 +247,46 @@ static void rest_motor(law_state *s, const law_params *p, law_real angle)
     s->filter = filter + (p->filter_angle_now * angle);
 }
 
+/* What a period leaves to the next beside the modes: where a flipped bit would move the arm and nothing contradict it. */
+static law_real kept(const law_state *s)
+{
+    return s->motor_reference + (s->integral + s->filter);
+}
+
+/* Go on from the last good angle as an arm that stands there: nothing of a move is known any more. */
+static void rest_arm(law_state *s, const law_params *p)
+{
+    empty_modes(s);
+    s->reference = s->motor_angle;
+    s->motor_reference = clamped(s->motor_angle, p->motor_limit);
+    s->model_near = s->motor_reference;
+    s->model_angle = s->motor_reference;
+    s->encoder_model = s->motor_reference;
+    s->error = s->torque * p->compliance;
+    s->scale = (law_real)2 * LAW_SCALES; /* the first payload counts at once */
+    s->payload = LAW_NO_PAYLOAD;
+    s->given = 0U;
+    s->tracking = 0U;
+    rest_motor(s, p, s->motor_angle);
+    s->sum = s->reference + kept(s);
+}
+
 /* Begin at the measured angle: the first motor reference is where the motor is, the motor loop is at rest. */
 static uint32_t start(law_state *s, const law_params *p, const law_input *in)
 {
     uint32_t flags = LAW_FLAG_ENCODER;
-    clear(s);
-    s->reason = law_check(p);
-    if ((s->reason == LAW_OK) && (credible(in->motor_angle, p->angle_limit) != 0U)) {
-        const law_real angle = in->motor_angle;
+    if ((law_init(s, p) == LAW_OK) && (credible(in->motor_angle, p->angle_limit) != 0U)) {
         flags = LAW_FLAG_STARTED;
         s->stamp = p->crc;
         s->mode = copied(LAW_RUN);
         s->tick = in->tick - 1U;
-        s->motor_angle = angle;
-        s->reference = angle;
-        s->motor_reference = clamped(angle, p->motor_limit);
-        s->model_near = s->motor_reference;
-        s->model_angle = s->motor_reference;
-        s->encoder = angle;
-        s->encoder_model = s->model_angle;
-        s->input_reference = angle;
-        s->scale = (law_real)2 * LAW_SCALES; /* the first payload counts at once */
-        s->payload = LAW_NO_PAYLOAD;
+        s->motor_angle = in->motor_angle;
+        s->encoder = in->motor_angle;
+        s->input_reference = in->motor_angle;
         if (credible(in->torque, p->torque_limit) != 0U) {
             s->torque = in->torque;
         }
-        s->error = s->torque * p->compliance;
-        rest_motor(s, p, angle);
+        rest_arm(s, p);
     }
     return flags;
 }
@@ -376,10 +421,14 @@ static uint32_t watch(law_state *s, const law_params *p)
     return flags;
 }
 
-/* Real modes, one period on, driven by `input`; returns `direct` plus their sum. */
-static law_real run_modes(law_real direct, law_real *states, law_real input, const law_mode *modes, uint32_t count)
+/* Real modes, one period on, driven by `input`; returns `direct` plus their sum. The states are added to `found` as
+ * the period finds them, and to `left` as it leaves them. */
+static law_real run_modes(law_real direct, law_real *states, law_real input, const law_mode *modes, law_real *found,
+                          uint32_t count, law_real *left)
 {
     law_real sum = direct;
+    law_real before = *found;
+    law_real after = *left;
     uint32_t i;
 #if defined(LAW_EXACT) && defined(__GNUC__) && !defined(__clang__)
 #pragma GCC unroll 8
@@ -388,14 +437,19 @@ static law_real run_modes(law_real direct, law_real *states, law_real input, con
 #endif
     for (i = 0U; i < count; i++) {
         const law_real value = states[i];
+        const law_real next = (modes[i].pole * value) + input;
         sum += modes[i].gain * value;
-        states[i] = (modes[i].pole * value) + input;
+        states[i] = next;
+        before += value;
+        after += next;
     }
+    *found = before;
+    *left = after;
     return sum;
 }
 
 /* The correction of the error's change. */
-static law_real correct(law_state *s, const law_params *p, law_real change)
+static law_real correct(law_state *s, const law_params *p, law_real *found, law_real change, law_real *left)
 {
     law_real sum;
     uint32_t count = LAW_REAL_MODES;
@@ -404,7 +458,7 @@ static law_real correct(law_state *s, const law_params *p, law_real change)
         count = p->real_modes;
     }
 #endif
-    sum = run_modes(p->direct * change, &s->real[0], change, &p->real[0], count);
+    sum = run_modes(p->direct * change, &s->real[0], change, &p->real[0], found, count, left);
 #if !defined(LAW_EXACT) || defined(LAW_PAIRS)
     count = LAW_PAIR_MODES;
 #ifndef LAW_EXACT
@@ -422,13 +476,18 @@ static law_real correct(law_state *s, const law_params *p, law_real change)
         sum += (pair->gain * re) - (pair->cross * im);
         state[0] = ((pair->pole * re) - (pair->turn * im)) + change;
         state[1] = (pair->pole * im) + (pair->turn * re);
+        *found += re;
+        *found += im;
+        *left += state[0];
+        *left += state[1];
     }
 #endif
     return sum;
 }
 
 /* The feed-forward s^(order - 2)/natural_frequency^2 of the reference's acceleration. */
-static law_real feed_forward(law_state *s, const law_params *p, law_real acceleration)
+static law_real feed_forward(law_state *s, const law_params *p, law_real *found, law_real acceleration,
+                             law_real *left)
 {
     uint32_t count = LAW_FORWARD_MODES;
 #ifndef LAW_EXACT
@@ -436,15 +495,17 @@ static law_real feed_forward(law_state *s, const law_params *p, law_real acceler
         count = p->forward_modes;
     }
 #endif
-    return run_modes(p->forward_direct * acceleration, &s->forward[0], acceleration, &p->forward[0], count);
+    return run_modes(p->forward_direct * acceleration, &s->forward[0], acceleration, &p->forward[0], found, count, left);
 }
 
-/* Heal the correction's states; returns what is left of their sum. */
-static law_real healed_correction(law_state *s, const law_params *p, law_real sum)
+/* Heal the correction's states; returns what is left of the correction. */
+static law_real healed_correction(law_state *s, const law_params *p, law_real sum, law_real *left)
 {
-    heal(p->correction_limit, &s->real[0], LAW_REAL_MODES);
+    *left = s->reference;
+    heal(p->forward_limit, &s->forward[0], LAW_FORWARD_MODES, left);
+    heal(p->correction_limit, &s->real[0], LAW_REAL_MODES, left);
 #if !defined(LAW_EXACT) || defined(LAW_PAIRS)
-    heal(p->correction_limit, &s->pair[0], 2U * LAW_PAIR_MODES);
+    heal(p->correction_limit, &s->pair[0], 2U * LAW_PAIR_MODES, left);
 #endif
     return clamped(sum, p->sum_limit);
 }
@@ -631,26 +692,34 @@ static law_real expected(law_state *s, const law_params *p, law_real forward)
     return angle;
 }
 
+/* Whether the memory is another than the last period left: its sum is. NaN is another one, too, and what is smaller
+ * than `LAW_TINY` is a mode that has died away. */
+static uint32_t damaged(const law_state *s, law_real sum)
+{
+    return (credible(sum - s->sum, LAW_TINY) != 0U) ? 0U : 1U;
+}
+
 /* Everything between the clock and the outputs, for a law that is started. */
 static uint32_t run(law_state *s, const law_params *p, const law_input *in, law_output *out, uint32_t periods)
 {
     uint32_t flags = 0U;
+    const law_real before = kept(s);
+    law_real found = s->reference;
     const law_real acceleration = follow(s, p, in, periods, &flags);
+    law_real left = s->reference;
     law_real forward;
     law_real tip;
     law_real error;
     law_real correction;
     flags |= read_encoder(s, p, in, periods);
-    if (credible(s->motor_reference, p->motor_limit) == 0U) {
-        s->motor_reference = s->motor_angle; /* damaged memory: stay where the motor is */
-    }
     sweep(s);
     if (credible(in->payload - s->payload, (law_real)0) == 0U) {
         flags |= weigh(s, p, in->payload);
     }
-    forward = s->scale * feed_forward(s, p, acceleration);
+    forward = s->scale * feed_forward(s, p, &found, acceleration, &left);
     if (credible(forward, p->sum_limit) == 0U) {
-        heal(p->forward_limit, &s->forward[0], LAW_FORWARD_MODES);
+        left = s->reference;
+        heal(p->forward_limit, &s->forward[0], LAW_FORWARD_MODES, &left);
         forward = clamped(forward, p->sum_limit);
         s->payload = LAW_NO_PAYLOAD;
     }
@@ -659,9 +728,18 @@ static uint32_t run(law_state *s, const law_params *p, const law_input *in, law_
     flags |= watch(s, p);
     tip = s->motor_angle - (s->torque * p->compliance);
     error = expected(s, p, forward) - tip;
-    correction = correct(s, p, error - s->error);
-    if (credible(correction, p->sum_limit) == 0U) {
-        correction = healed_correction(s, p, correction);
+    correction = correct(s, p, &found, error - s->error, &left);
+    if (damaged(s, found + before) != 0U) {
+        flags |= LAW_FLAG_STARTED;
+        rest_arm(s, p);
+        left = s->reference;
+        forward = (law_real)0;
+        correction = (law_real)0;
+        error = s->error;
+    } else if (credible(correction, p->sum_limit) == 0U) {
+        correction = healed_correction(s, p, correction, &left);
+    } else {
+        /* as it should be */
     }
     s->error = error;
     out->tip_estimate = tip;
@@ -676,8 +754,10 @@ static uint32_t run(law_state *s, const law_params *p, const law_input *in, law_
         flags |= close_motor(s, p, out);
     } else {
         s->voltage = (law_real)0;
+        out->compensation = (law_real)0;
     }
     out->voltage = s->voltage;
+    s->sum = left + kept(s);
     return flags;
 }
 
@@ -722,6 +802,14 @@ uint32_t law_init(law_state *state, const law_params *params)
     return state->reason;
 }
 
+/* What a call puts out that has computed nothing. */
+static void say_nothing(law_output *out)
+{
+    out->compensation = (law_real)0;
+    out->tip_estimate = (law_real)0;
+    out->error = (law_real)0;
+}
+
 /* A call that is not a new period: hold the outputs, and trip once that lasts as long as periods may be missed. */
 static void repeat(law_state *s, const law_params *p, law_output *out)
 {
@@ -738,14 +826,18 @@ static void repeat(law_state *s, const law_params *p, law_output *out)
     }
     out->motor_reference = clamped(s->motor_reference, p->motor_limit);
     out->voltage = clamped(s->voltage, p->voltage_limit);
+    say_nothing(out);
 }
 
 /* Make the state fit the parameters: begin anew, or stay tripped where the stamp alone is damaged. */
 static uint32_t restart(law_state *s, const law_params *p, const law_input *in)
 {
     uint32_t flags = 0U;
-    if ((s->mode > copied(LAW_RUN)) && (s->mode == voted(s->mode)) && (law_check(p) == LAW_OK)) {
+    const uint32_t mode = corrected(s->mode);
+    const uint32_t differ = s->mode ^ mode;
+    if ((mode > copied(LAW_RUN)) && ((differ & (differ - 1U)) == 0U) && (law_check(p) == LAW_OK)) {
         s->stamp = p->crc;
+        s->mode = mode;
     } else {
         flags = start(s, p, in);
     }
@@ -756,20 +848,18 @@ void law_step(law_state *state, const law_params *params, const law_input *input
 {
     uint32_t flags = 0U;
     uint32_t periods;
-    output->compensation = (law_real)0;
-    output->tip_estimate = (law_real)0;
-    output->error = (law_real)0;
     if (state->stamp != params->crc) { /* the exporter gives out no block with crc 0, the stamp of a cleared state */
         flags |= restart(state, params, input);
     }
     if (state->mode != copied(LAW_RUN)) {
-        state->mode = voted(state->mode); /* every undamaged mode is its own majority */
+        state->mode = corrected(state->mode);
     }
     periods = input->tick - state->tick;
     if (state->mode == LAW_IDLE) {
         state->stamp = 0U;
         output->motor_reference = (law_real)0;
         output->voltage = (law_real)0;
+        say_nothing(output);
     } else if ((periods == 0U) || (periods > LAW_COUNT_MAX)) {
         flags |= LAW_FLAG_REPEATED;
         repeat(state, params, output);

@@ -131,5 +131,5 @@ def test_flash_and_memory_are_small(tmp_path: Path) -> None:
     text, data, bss = map(int, size[6:9])
     assert text <= 4096
     assert data == bss == 0  # no statics
-    assert struct.calcsize("<14I40f") <= 256
-    assert exact_sizes(made)[1] == struct.calcsize(f"<14I{20 + made.order + len(made.feedforward.poles)}f")
+    assert struct.calcsize("<14I41f") <= 256
+    assert exact_sizes(made)[1] == struct.calcsize(f"<14I{21 + made.order + len(made.feedforward.poles)}f")

@@ -4,10 +4,13 @@ catalogue).
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from fraclink._campaign.fault_trial import REALS, WORDS
 from fraclink._law import MODES, REASONS, LawOutputs
 from law_bench import closed_loop, law, run, signals
 
@@ -271,17 +274,36 @@ def test_no_flipped_bit_of_a_word_freezes_the_law(precision: str) -> None:
 
 @pytest.mark.parametrize("precision", PRECISIONS)
 @pytest.mark.parametrize("mode", [2, 3, 4])
-def test_no_flipped_bit_of_a_word_starts_a_tripped_drive(precision: str, mode: int) -> None:
-    """No upset of the counters, the stamp or the mode leads back to a less severe mode."""
-    made, rows = law(precision), quiet(120)
+def test_no_flipped_bit_starts_a_tripped_drive(precision: str, mode: int) -> None:
+    """No upset of any bit of the memory leads back to a less severe mode, nor do two of stamp and mode."""
+    made, rows = law(precision), quiet(104)
     state, _ = made.run(made.initial_state(), *rows[:, :100])
     tripped = state[:4] + bytes([mode]) * 4 + state[8:]
     _, outputs = made.run(tripped, *rows[:, 100:], first_tick=101)
     assert np.all(outputs.mode == mode)
-    for word in range(12):
-        for bit in range(32):
-            _, outputs = made.run(flipped(tripped, word, bit), *rows[:, 100:], first_tick=101)
-            assert np.all(outputs.mode >= mode), (word, bit)
+    once = [(bit,) for bit in range(8 * len(state))]
+    for bits in (*once, *itertools.combinations(range(64), 2)):
+        damaged = tripped
+        for bit in bits:
+            damaged = flipped(damaged, bit // 32, bit % 32)
+        _, outputs = made.run(damaged, *rows[:, 100:], first_tick=101)
+        assert np.all(outputs.mode >= mode), bits
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+@pytest.mark.parametrize("mode", [1, 2, 3])
+def test_memory_that_the_last_period_did_not_leave_begins_anew_in_its_mode(precision: str, mode: int) -> None:
+    """The motor reference begins where the motor is, whatever the memory says of it, and no mode is left."""
+    made, rows = law(precision), quiet(140)
+    state, _ = made.run(made.initial_state(), *rows[:, :130])
+    damaged = bytearray(state[:4] + bytes([mode]) * 4 + state[8:])
+    width = 4 if precision == "single" else 8
+    place = 4 * len(WORDS) + width * REALS.index("motor_reference")
+    damaged[place + width - 2] ^= 1 << 6
+    _, outputs = made.run(bytes(damaged), *rows[:, 130:], first_tick=131)
+    assert outputs.flags[0] & STARTED and not np.any(outputs.flags[1:] & STARTED)
+    np.testing.assert_allclose(outputs.motor_reference, 0.3, atol=1e-6)
+    assert set(outputs.mode) == {mode}
 
 
 def test_a_flipped_bit_of_the_mode_does_not_stop_a_drive_that_runs() -> None:

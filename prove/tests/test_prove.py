@@ -126,17 +126,6 @@ def test_the_slew_bound_is_that_of_an_exact_difference() -> None:
     assert float(step_size) * (1 + 2.0**-22) < moved <= step.slew_bound(made)
 
 
-def test_a_square_is_compared_as_its_root() -> None:
-    """x·x ≤ c·c rewritten as |x| < d, on the neighbours of c and of d, in both precisions."""
-    rng = np.random.default_rng(3)
-    for kind, name in ((np.float32, "single"), (np.float64, "double")):
-        for bound in 10.0 ** rng.uniform(-6, 6, 200):
-            limit = kind(bound)
-            beyond = kind(formulas.first_beyond(float(limit), name))  # type: ignore[arg-type]
-            near = limit + np.arange(-6, 7, dtype=kind) * np.spacing(limit)
-            assert ((near * near <= limit * limit) == (np.abs(near) < beyond)).all()
-
-
 def exact_correction(errors: NDArray[np.float64]) -> list[Fraction]:
     """Ĉe with the coefficients of single precision, in rational numbers."""
     values = law("single").coefficients

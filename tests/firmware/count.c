@@ -21,7 +21,10 @@ static law_real payload = (law_real)PAYLOAD;
 __attribute__((noinline)) static law_real outer(law_state *s, const law_params *p, law_real angle)
 {
     const law_real estimate = angle - (s->torque * p->compliance);
-    return s->reference + (feed_forward(s, p, angle) + correct(s, p, s->reference - estimate));
+    law_real found = (law_real)0; /* the sums of a guard that is left out here */
+    law_real left = (law_real)0;
+    const law_real forward = feed_forward(s, p, &found, angle, &left);
+    return s->reference + (forward + correct(s, p, &found, s->reference - estimate, &left));
 }
 
 __attribute__((noipa)) static law_real call(law_real angle)

@@ -226,6 +226,16 @@ static void upsets(void)
             state.mode ^= 1U << bit;
             step(1U);
             require((out.mode == mode) && (state.stamp == law_data.crc));
+            state.mode ^= 1U << bit; /* both at once */
+            state.stamp ^= 1U << (31U - bit);
+            step(1U);
+            require((out.mode == mode) || (mode == LAW_RUN));
+            for (uint32_t second = 0U; second < bit; second++) { /* two bits of the mode: off, never back on */
+                begin((law_real)0.25F);
+                state.mode = copied(mode) ^ (1U << bit) ^ (1U << second);
+                step(1U);
+                require(out.mode == LAW_OFF);
+            }
         }
         begin((law_real)0.25F);
         state.tick ^= 1U << bit;
@@ -279,13 +289,32 @@ static void memory(void)
     state.real[0] = (law_real)1e20F;
     state.forward[0] = (law_real)1e6F;
     state.forward[1] = (law_real)1000;
+    seal(&state, &law_data); /* modes that no input explains, but that the last period left */
     step(1U);
     require((state.real[0] == (law_real)0) && (state.forward[0] == (law_real)0) && (state.forward[1] > (law_real)500));
+    require((out.flags & LAW_FLAG_STARTED) == 0U);
     begin((law_real)0.25F);
     const law_real holding = state.integral;
     state.integral = (law_real)1e6F;
+    seal(&state, &law_data);
     step(1U);
     require(fabs((double)(state.integral - holding)) < 1.0); /* begun anew, as for an arm at rest */
+    require((out.flags & LAW_FLAG_STARTED) == 0U);
+    /* what the last period did not leave: the arm begins anew where it stands, and in the mode that it was in */
+    for (uint32_t mode = LAW_RUN; mode <= LAW_OFF; mode++) {
+        for (uint32_t i = 0U; i < 7U; i++) {
+            begin((law_real)0.25F);
+            law_real *const damage[7] = {&state.real[0], &state.forward[1], &state.reference, &state.motor_reference,
+                                         &state.integral, &state.filter, &state.sum};
+            state.mode = copied(mode);
+            *damage[i] += (law_real)0.0078125F;
+            step(1U);
+            require((out.mode == mode) && ((out.flags & LAW_FLAG_STARTED) != 0U));
+            require(out.motor_reference == (law_real)0.25F);
+            step(1U);
+            require((out.mode == mode) && (out.flags == 0U) && (out.motor_reference == (law_real)0.25F));
+        }
+    }
     begin((law_real)0.25F);
     state.real[0] = (law_real)NAN;
     state.error = (law_real)NAN;
@@ -312,7 +341,7 @@ static void memory(void)
     begin((law_real)0.25F);
     state.motor_reference = (law_real)NAN;
     step(1U);
-    require(fabs((double)out.motor_reference - 0.25) < 0.1);
+    require(out.motor_reference == (law_real)0.25F);
 }
 
 /* A jump of the reference is followed slowly, its own motion beneath it at once, a little that is left at once. */

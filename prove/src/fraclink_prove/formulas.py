@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import math
 import re
 import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from fraclink._law.block import Precision
 from fraclink_prove.source import Unreadable
 
-__all__ = ["FALSE", "TRUE", "Formulas", "Value", "first_beyond", "kind_of", "real_literal"]
+__all__ = ["FALSE", "TRUE", "ZERO", "Formulas", "Value", "kind_of", "real_literal"]
 
 _WIDTHS = {"single": (8, 24), "double": (11, 53)}
 _REAL = {"+": "fp.add RNE", "-": "fp.sub RNE", "*": "fp.mul RNE", "/": "fp.div RNE"}
@@ -46,6 +43,7 @@ class Value:
 
 
 TRUE, FALSE = Value("bool", "true"), Value("bool", "false")
+ZERO = Value("word", "(_ bv0 32)")
 
 
 def real_literal(value: float, precision: Precision) -> str:
@@ -161,6 +159,8 @@ class Formulas:
         limit = self.known.get(b.term)
         if limit is None or a.term not in self.bounded or self.bounded[a.term] > abs(limit):
             return None
+        if sign == "<=" and limit >= self.bounded[a.term]:
+            return TRUE
         if (sign == ">" and limit > 0) or (sign == "<" and limit < 0):
             return FALSE
         return None
@@ -175,16 +175,12 @@ class Formulas:
             return Value("real", literal)
         return self.defined(value.kind, f"({'fp.neg' if value.kind == 'real' else 'bvneg'} {value.term})")
 
-    def within(self, root: Value, bound: float) -> Value:
-        """x·x ≤ c·c for a constant c, without a multiplication that a solver would have to take apart.
-
-        Rounding is monotone, so that the rounded square grows with |x|: the comparison is the same as
-        |x| < d, with d the first number whose rounded square is above that of c. NaN and infinity fail both.
-        """
-        if self.bounded.get(root.term, math.inf) <= bound:
-            return TRUE
-        limit = real_literal(first_beyond(bound, self.precision), self.precision)
-        return self.defined("bool", f"(fp.lt (fp.abs {root.term}) {limit})")
+    def magnitude(self, value: Value) -> Value:
+        """Return |value|."""
+        result = self.defined("real", f"(fp.abs {value.term})")
+        if value.term in self.bounded:
+            self.bounded[result.term] = self.bounded[value.term]
+        return result
 
     def at_most(self, value: Value, limit: float) -> Value:
         """Return a condition under which |value| <= `limit`, and no NaN; it may ask for more than that.
@@ -223,7 +219,7 @@ class Formulas:
             return value
         if value.kind != "word":
             raise Unreadable(f"{value.kind} as a condition")
-        return self.operated("!=", value, Value("word", "(_ bv0 32)"))
+        return self.operated("!=", value, ZERO)
 
     def converted(self, kind: str, value: Value) -> Value:
         """Return `value` as the type `kind` of C."""
@@ -232,7 +228,7 @@ class Formulas:
             return value
         if wanted == "real" and value.kind == "float":
             return Value("real", real_literal(_single(value.term), self.precision))
-        if wanted == "real" and value.term == "(_ bv0 32)":
+        if wanted == "real" and value == ZERO:
             return Value("real", real_literal(0.0, self.precision))
         if wanted == "real" and value.kind == "word":
             exponent, mantissa = _WIDTHS[self.precision]
@@ -274,22 +270,6 @@ def _uses(defined: Mapping[str, str], goals: Sequence[str]) -> dict[str, int]:
         if uses[name] == 1 and defined[name].startswith("(define-fun"):
             waiting += _NAMES.findall(defined[name])[1:]
     return uses
-
-
-def first_beyond(bound: float, precision: Precision) -> float:
-    """Return the smallest number whose rounded square is above the rounded square of `bound` > 0.
-
-    >>> first_beyond(1.0, "double") - 1.0 == 2.0**-52
-    True
-    """
-    kind = np.float32 if precision == "single" else np.float64
-    start = kind(bound)
-    square, beyond = start * start, start
-    if not (kind(0) < square < kind(np.inf)):
-        raise Unreadable(f"{bound}, whose square is not a number of this precision")
-    while beyond * beyond <= square:
-        beyond = np.nextafter(beyond, kind(np.inf))
-    return float(beyond)
 
 
 def _single(digits: str) -> float:

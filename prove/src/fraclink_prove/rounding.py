@@ -19,15 +19,16 @@ __all__ = ["Rounding", "rounding_bound", "rounding_claim"]
 # The statements of law.c that the Gappa script below is a copy of; another text is another proof.
 _FORM = (
     "sum += modes[i].gain * value;",
-    "states[i] = (modes[i].pole * value) + input;",
+    "const law_real next = (modes[i].pole * value) + input;",
+    "states[i] = next;",
     "sum += (pair->gain * re) - (pair->cross * im);",
     "state[0] = ((pair->pole * re) - (pair->turn * im)) + change;",
     "state[1] = (pair->pole * im) + (pair->turn * re);",
-    "run_modes(p->direct * change, &s->real[0], change, &p->real[0], count);",
+    "run_modes(p->direct * change, &s->real[0], change, &p->real[0], found, count, left);",
     "tip = s->motor_angle - (s->torque * p->compliance);",
     "law_real angle = s->reference;",
     "error = expected(s, p, forward) - tip;",
-    "correct(s, p, error - s->error);",
+    "correct(s, p, &found, error - s->error, &left);",
     "s->reference + offset;",
     "command(s, p, forward + faded(s, p, correction));",
 )

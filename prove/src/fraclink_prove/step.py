@@ -12,7 +12,7 @@ import numpy as np
 from fraclink._export.claims import Claim
 from fraclink._law import Law
 from fraclink._law.block import REALS
-from fraclink_prove.formulas import Value, real_literal
+from fraclink_prove.formulas import ZERO, Value, real_literal
 from fraclink_prove.source import Unreadable, read_source
 from fraclink_prove.symbolic import Symbolic
 from fraclink_prove.tools import COMPILER, SOLVERS, Tool, at_most, sha256_of_text
@@ -42,12 +42,14 @@ def slew_claim(law: Law, folder: Path) -> Claim:
     """Prove that the command of two periods in a row differs by at most `slew_bound`.
 
     law_step is followed from the text of law.c with every coefficient and every other state free; what is
-    asked of the state is that it was started and that the last command is still in it and in its range.
+    asked of the state is that it was started, that it is undamaged (its sum is that of the last period), and
+    that the last command is still in it and in its range. A damaged one starts anew where the motor is.
     """
     bound, step = slew_bound(law), law.limits.motor_step
     claim = Claim(
         "slew",
-        "for every sequence of inputs, once started: |motor_reference[k] - motor_reference[k-1]| ≤ "
+        "for every sequence of inputs, once started and as long as the state's memory is undamaged: "
+        "|motor_reference[k] - motor_reference[k-1]| ≤ "
         f"motor_step + {at_most(bound - step, 3)} rad, with motor_step = {step:.6g} rad; the rest is the "
         f"rounding of a sum in {law.precision} precision",
         "not proved",
@@ -80,7 +82,7 @@ def finite_claim(law: Law, folder: Path) -> Claim:
     )
     outputs = ("tip_estimate", "error", "compensation")
     # What the three are computed from: a function that writes none of these is taken to return anything.
-    sources = ("motor_angle", "torque", "reference", "track")
+    sources = ("motor_angle", "torque", "reference", "track", "error")
 
     def query(executed: Symbolic) -> list[Value]:
         return [executed.at_most(executed.memory["law_output", name], _FINITE) for name in outputs]
@@ -150,7 +152,10 @@ def _problems(
     text = COMPILER.run(("-E", "-P", "-std=c99", *single, "law.c"), folder).text
     names = [name for name, length in REALS if length == 1]
     values = {name: float(law.coefficients[name]) for name in names}  # type: ignore[arg-type]
-    executed = Symbolic(read_source(text), law.precision, constants=values, tracked=tracked)
+    undamaged = {"damaged": ZERO} if started else {}
+    executed = Symbolic(
+        read_source(text), law.precision, constants=values, tracked=tracked, assumed=undamaged
+    )
     assumed = _started(executed, values["motor_limit"]) if started else []
     executed.call("law_step", tuple(Value("pointer", struct) for struct in _STRUCTS))
     problems = []

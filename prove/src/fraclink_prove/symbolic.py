@@ -7,9 +7,10 @@ write. The formulas therefore allow more than the law can do, and what holds for
 from __future__ import annotations
 
 from collections.abc import Mapping
+from types import MappingProxyType
 
 from fraclink._law.block import Precision
-from fraclink_prove.formulas import FALSE, TRUE, Formulas, Value, kind_of, real_literal
+from fraclink_prove.formulas import FALSE, TRUE, ZERO, Formulas, Value, kind_of, real_literal
 from fraclink_prove.source import Function, Node, Source, Unreadable
 
 __all__ = ["Symbolic"]
@@ -23,6 +24,7 @@ class Symbolic(Formulas):
 
     constants: members of law_params with a known value; every other one may have any.
     tracked: pairs (owner, member): calls that may change one are followed into.
+    assumed: what functions return by assumption, by their names.
     """
 
     def __init__(
@@ -32,9 +34,10 @@ class Symbolic(Formulas):
         *,
         constants: Mapping[str, float],
         tracked: frozenset[tuple[str, str]],
+        assumed: Mapping[str, Value] = MappingProxyType({}),
     ) -> None:
         super().__init__(precision, tuple(constants.values()))
-        self.source, self.tracked = source, tracked
+        self.source, self.tracked, self.assumed = source, tracked, assumed
         self.memory: Memory = {
             ("law_params", name): Value("real", real_literal(value, precision))
             for name, value in constants.items()
@@ -146,6 +149,12 @@ class Symbolic(Formulas):
 
     def _call_node(self, node: Node, frame: str) -> Value | None:
         name = str(node[1])
+        if name in ("__builtin_fabs", "__builtin_fabsf"):
+            return self.magnitude(self._value(_nodes(node[2])[0], frame))
+        if name == "__builtin_expect":  # a word to the compiler about the first of the two
+            return self._value(_nodes(node[2])[0], frame)
+        if name in self.assumed:
+            return self.assumed[name]
         if name not in self.source.functions:
             raise Unreadable(f"a call of {name}, whose text is not here")
         return self.call(name, tuple(self._value(part, frame) for part in _nodes(node[2])))
@@ -184,16 +193,10 @@ class Symbolic(Formulas):
             if any(self.memory.get(place) != value for place, value in before.items()):
                 raise Unreadable("an effect inside a condition")
             return self.joined(sign, tests)
-        if sign == "<=" and _square(left) and _square(right):
-            root, bound = self._value(_node(left[2]), frame), self._value(_node(right[2]), frame)
-            if self.known.get(bound.term, 0.0) > 0.0:
-                return self.within(root, self.known[bound.term])
         a, b = self._value(left, frame), self._value(right, frame)
+        if sign == "!=" and a.kind == "bool" and b == ZERO:
+            return a
         return self.operated(sign, a, b)
-
-
-def _square(node: Node) -> bool:
-    return node[0] == "binary" and node[1] == "*" and node[2] == node[3]
 
 
 def _node(part: object) -> Node:

@@ -68,7 +68,7 @@ REALS = (
     *(f"modes[{i}]" for i in range(20)),
     *("error", "reference", "motor_reference", "motor_angle", "torque", "model_near", "model_angle"),
     *("stuck_torque", "encoder", "encoder_model", "input_reference"),
-    *("payload", "scale", "track", "track_push", "late", "fade", "integral", "filter", "voltage"),
+    *("payload", "scale", "track", "track_push", "late", "fade", "integral", "filter", "voltage", "sum"),
 )
 
 

@@ -165,7 +165,7 @@ _UNITS = {
 }
 _MEANING = {
     "sum_limit": "largest credible correction and feed-forward; beyond, the states are healed",
-    "correction_limit": "largest state of the correction; bounds what a flipped bit can do",
+    "correction_limit": "largest state of the correction",
     "forward_limit": "largest state of the feed-forward",
     "angle_limit": "encoder and reference beyond it are not credible",
     "angle_step": "largest credible change of the encoder in a period",

@@ -136,7 +136,7 @@ def exact_sizes(law: Law) -> tuple[int, int]:
     """Return the bytes of (parameters, state) of a build with `exact_flags`."""
     modes = _modes(law)
     width = 4 if law.precision == "single" else 8
-    states = modes["real"] + modes["forward"] + 2 * modes["pair"] + 20
+    states = modes["real"] + modes["forward"] + 2 * modes["pair"] + 21
     return layout.exact_header(law.block, law.precision, modes)[0], 56 + width * states
 
 
