@@ -11,6 +11,7 @@ from fraclink._arm.link import structure as structure
 from fraclink._arm.log_columns import Channel as Channel
 from fraclink._arm.log_columns import LogColumns as LogColumns
 from fraclink._arm.loop import Loop as Loop
+from fraclink._arm.motor import place_pid as place_pid
 from fraclink._arm.motor_loop import MotorLoop as MotorLoop
 from fraclink._arm.motor_loop import motor_loop_costs as motor_loop_costs
 from fraclink._arm.recording import FrequencyResponse as FrequencyResponse
@@ -30,6 +31,7 @@ from fraclink._arm.rig_parts import Gauge as Gauge
 from fraclink._arm.rig_parts import Link as Link
 from fraclink._arm.rig_parts import Motor as Motor
 from fraclink._arm.rig_parts import Payloads as Payloads
+from fraclink._campaign.arms import replay_run as replay_run
 from fraclink._campaign.arms import simulate_part as simulate_part
 from fraclink._campaign.campaign import Campaign as Campaign
 from fraclink._campaign.campaign import Distribution as Distribution
@@ -56,6 +58,7 @@ from fraclink._certify.search import Enclosure as Enclosure
 from fraclink._certify.search import enclose_phase_margin as enclose_phase_margin
 from fraclink._certify.statement import Certificate as Certificate
 from fraclink._certify.statement import Statement as Statement
+from fraclink._cli import main as main
 from fraclink._compare.rivals import Rival as Rival
 from fraclink._compare.tournament import Standing as Standing
 from fraclink._compare.tournament import Tournament as Tournament
@@ -143,12 +146,16 @@ from fraclink._realtime.run import RealtimeRun as RealtimeRun
 from fraclink._shape.move import ShapedMove as ShapedMove
 from fraclink._shape.procedure import shape as shape
 from fraclink._show.arm_page import write_arm_page as write_arm_page
+from fraclink._show.bode import margin_plot as margin_plot
+from fraclink._show.faults import draw_outcome as draw_outcome
+from fraclink._show.figures import drivers_figure as drivers_figure
 from fraclink._show.planes import nichols as nichols
 from fraclink._show.planes import nyquist as nyquist
 from fraclink._show.plots import bode as bode
 from fraclink._show.plots import latency as latency
 from fraclink._show.plots import margins_against_payload as margins_against_payload
 from fraclink._show.plots import phase_shares as phase_shares
+from fraclink._show.plots import step_plot as step_plot
 from fraclink._show.report import write_campaign_report as write_campaign_report
 from fraclink._show.report import write_report as write_report
 from fraclink._simulate.arm import Twin as Twin
@@ -172,9 +179,11 @@ from fraclink._systems.interop import from_control as from_control
 from fraclink._systems.interop import to_control as to_control
 from fraclink._systems.margins import Margins as Margins
 from fraclink._systems.margins import margins as margins
+from fraclink._systems.modes import DiscreteModes as DiscreteModes
 from fraclink._systems.rational import RationalApproximation as RationalApproximation
 from fraclink._systems.rational import approximate as approximate
 from fraclink._systems.response import TimeResponse as TimeResponse
+from fraclink._systems.response import discrete_modes as discrete_modes
 from fraclink._systems.response import grunwald_letnikov as grunwald_letnikov
 from fraclink._systems.response import impulse_response as impulse_response
 from fraclink._systems.response import step_response as step_response
@@ -193,16 +202,6 @@ from fraclink._workflow import start as start
 from fraclink.findings import Finding as Finding
 
 __version__: str
-from fraclink._arm.motor import place_pid as place_pid
-from fraclink._campaign.arms import replay_run as replay_run
-from fraclink._cli import main as main
-from fraclink._show.bode import margin_plot as margin_plot
-from fraclink._show.faults import draw_outcome as draw_outcome
-from fraclink._show.figures import drivers_figure as drivers_figure
-from fraclink._show.plots import step_plot as step_plot
-from fraclink._systems.modes import DiscreteModes as DiscreteModes
-from fraclink._systems.response import discrete_modes as discrete_modes
-
 __all__: list[str]
 _HOME: dict[str, str]
 _RENAMED: dict[str, tuple[str, str]]

@@ -2,6 +2,6 @@
 
 import sys
 
-from fraclink._cli import main
+from fraclink import main
 
 sys.exit(main())

@@ -25,12 +25,12 @@ from fraclink._arm.gauged_link import GaugedLink
 from fraclink._arm.link import LinkModel
 from fraclink._arm.motor import MotorConstants
 from fraclink._arm.motor_loop import MotorLoop
+from fraclink._systems.margins import Margins, margins
 from fraclink._systems.sweep import bracketed_roots
 
 if TYPE_CHECKING:
     from fraclink._arm.controller import Controller
     from fraclink._arm.rig import Rig
-    from fraclink._systems.margins import Margins
 
 __all__ = ["Achieved", "Crossings", "Loop", "noise_points", "with_payload", "worst_margins"]
 
@@ -318,8 +318,6 @@ class Loop(GaugedLink):
 
     def margins_at(self, natural_frequency: float) -> Margins:
         """Return every crossing and margin at one ω₀, from the general engine `fraclink.margins`."""
-        from fraclink._systems.margins import margins
-
         limit = self.highest if math.isfinite(self.highest) else None
         return margins(lambda s: self(np.imag(s), natural_frequency), limit=limit, unstable_poles=0)
 

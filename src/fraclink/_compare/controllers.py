@@ -7,6 +7,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import expm, solve_continuous_are, solve_discrete_are
 
 from fraclink._arm.link import LinkModel
 from fraclink._compare.case import Filter, tustin
@@ -60,7 +61,6 @@ def lqg_correction(
     reference noise of 10 mrad, the gauge's noise `noise` [rad] of the tip estimate, and an offset that walks
     3 mrad in ten seconds; the controller works on the tip error, so the offset it has found is left alone.
     """
-    from scipy.linalg import expm, solve_discrete_are
 
     a, b, c = _arm(model, pole)
     block = np.zeros((5, 5))
@@ -111,7 +111,6 @@ def hinf_correction(model: LinkModel, *, period: float, pole: float, delay: int,
     d + ½ periods; the weight's zero at s = 0 keeps the gauge's offset out of the tip, like Ĉ(0) = 0.
     Source: McFarlane and Glover (1992); Skogestad and Postlethwaite (2005), section 9.4.1.
     """
-    from scipy.linalg import solve_continuous_are
 
     w, _ = integer_mode(model)
     arm, b_arm, c_arm = _arm(model, pole)

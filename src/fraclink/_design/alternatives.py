@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import brentq
 
 from fraclink._arm.controller import Controller
 from fraclink._arm.link import LinkModel
@@ -103,7 +104,6 @@ def scale_to_sensitivity(design: Design, controller: Controller, max_sensitivity
 
     Raises InfeasibleError where no gain reaches it.
     """
-    from scipy.optimize import brentq
 
     bound = checked_between("max_sensitivity", max_sensitivity, 1.0, 100.0, "", open_low=True)
     loop, w0 = _loop_of(design, controller), np.geomspace(*design.natural_frequencies, _PAYLOADS)

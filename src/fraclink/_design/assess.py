@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import brentq
 
 from fraclink._arm.controller import Controller
 from fraclink._arm.link import LinkModel
@@ -227,7 +228,6 @@ def tolerances(design: Design) -> Tolerances:
 
 def _edge(margin: Callable[[float], float], start: float, end: float) -> float | None:
     """Where between `start` (stable) and `end` the signed margin first reaches zero; None where never."""
-    from scipy.optimize import brentq
 
     # The first edge counts, and a margin may come back behind it: so steps of a few percent, and then a root.
     steps = [float(x) for x in np.geomspace(start, end, 60)]

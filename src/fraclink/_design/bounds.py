@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import brentq
 
 from fraclink._arm.controller import Controller
 from fraclink._design.modes import higher_modes, mode_requirements
@@ -38,7 +39,6 @@ def edge(figure: Callable[[float], float], bound: float, good: float, bad: float
     The figure is continuous where there is a controller, and infinite where there is none: the interval is
     halved until both ends have one, and the root is then a tenth of the work.
     """
-    from scipy.optimize import brentq
 
     known: dict[float, float] = {}  # ln of a value: its figure
 

@@ -15,6 +15,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import minimize
 
 from fraclink._arm.controller import Controller
 from fraclink._arm.loop import Loop, noise_points
@@ -176,7 +177,6 @@ class Problem:
 
     def solve(self, start: Real) -> Real:
         """Return the parameters where sequential quadratic programming stops, feasible or not."""
-        from scipy.optimize import minimize
 
         sign = -1.0 if self.goal == "crossover" else 1.0
         direction = np.zeros(start.size)
