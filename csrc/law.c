@@ -275,7 +275,8 @@ static void rest_arm(law_state *s, const law_params *p)
 static uint32_t start(law_state *s, const law_params *p, const law_input *in)
 {
     uint32_t flags = LAW_FLAG_ENCODER;
-    if ((law_init(s, p) == LAW_OK) && (credible(in->motor_angle, p->angle_limit) != 0U)) {
+    const uint32_t reason = law_init(s, p);
+    if ((reason == LAW_OK) && (credible(in->motor_angle, p->angle_limit) != 0U)) {
         flags = LAW_FLAG_STARTED;
         s->stamp = p->crc;
         s->mode = copied(LAW_RUN);
