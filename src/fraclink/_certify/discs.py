@@ -85,6 +85,7 @@ class Disc:
     def __mul__(self, other: Disc | Real | complex) -> Disc:
         other = other if isinstance(other, Disc) else Disc(other)
         size, by = np.abs(self.c), np.abs(other.c)
+        # (|a| + r)(|b| + s) − |a||b|: how far the product of two points can be from that of the centres.
         radius = (size + self.r) * other.r + by * self.r + 2 * ROUNDING * size * by
         slopes = {name: slope * other.plain for name, slope in self.d.items()}
         for name, slope in other.d.items():
@@ -100,6 +101,8 @@ class Disc:
         The image of a disc is the disc of centre c*/(|c|² − r²) and radius r/(|c|² − r²). What the difference
         loses to rounding is more, the closer the disc comes to zero.
         """
+        # The divisor |c|² − r² cancels where the disc nearly holds zero: one with less room than twice what
+        # the difference loses counts as holding it, so that `share` stays of the order of one.
         square = np.abs(self.c) ** 2
         room = square - self.r**2
         lost = 8 * ROUNDING * (square + self.r**2)
@@ -122,6 +125,8 @@ class Disc:
 
         `steps`: how far each variable may be from its middle.
         """
+        # The mean value theorem along each variable: the slopes hold over the whole box, which is convex. It
+        # wins where a variable enters several times: term by term each of these adds its own width.
         reach = sum((slope.most() * steps[name] for name, slope in self.d.items()), np.zeros(()))
         radius = (middle.r + reach) * (1 + 8 * ROUNDING)
         smaller = radius < self.r

@@ -30,8 +30,6 @@ from fraclink._certify.discs import ROUNDING, Disc, Span
 from fraclink._certify.statement import ALIASES, ALIASES_FROM, AXES, Statement
 from fraclink._law import block as layout
 
-__all__ = ["BoxLoop"]
-
 Real = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 Shifts = tuple[int, ...]
@@ -148,10 +146,8 @@ class BoxLoop:
         box = self.box(low[wide], high[wide])
         window, moved = self._window(box["frequency"]), np.zeros((3, np.count_nonzero(wide)))
         if self.motor_loop == "sampled":
-            late, slow = (
-                self._variable("delay", box["delay"]),
-                self._variable("motor", box["motor"]).inverse(),
-            )
+            late = self._variable("delay", box["delay"])
+            slow = self._variable("motor", box["motor"]).inverse()
             slopes = self.closing(window, late, slow).d
             for row, name in enumerate(_CLOSING):
                 if name in slopes:
@@ -327,6 +323,8 @@ class BoxLoop:
         """
         gains = [self.read * end for end in (box["gauge_gain"].low, box["gauge_gain"].high)]
         drag = box["softness"].low * box["damping"].high * low**self.statement.damping_order
+        # |G| = |1 + q μ s^α|/|1 + q s^λ + q μ s^α| is at most (1 + drag)/(|q s^λ| - 1 - drag) where that is
+        # positive.
         stiff = box["softness"].low * low ** box["order"].low - 1 - drag
         tip = np.where(stiff > 0, gains[1] * (1 + drag) / np.where(stiff > 0, stiff, 1.0), np.inf)
         late = box["gauge_delay"].high
@@ -347,6 +345,8 @@ class BoxLoop:
     def low_bound(self) -> float:
         """Bound of |L| for ω in [0, lowest], aliases included: |M| and the hold are at most one there."""
         s, w = self.statement, self.statement.lowest
+        # Below 1 rad/s the smallest order gives the largest power. Far below the resonance the tip follows
+        # the motor but for small parts, and 1/(1 - x) bounds what they divide by.
         soft = self.high["softness"] * w ** self.low["order"]
         drag = self.high["softness"] * self.high["damping"] * w**s.damping_order
         ratio = w / self.low["mode_frequency"] if self.high["mode_gain"] else 0.0

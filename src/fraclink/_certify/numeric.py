@@ -41,6 +41,8 @@ def loop_values(
     outer = law.frequency_response(w.ravel()).reshape(w.shape) * -np.expm1(-1j * w * law.period) / law.period
     if statement.motor_loop == "sampled":
         outer = outer * _voltage(statement, law, w, at["delay"], at["motor"])
+    # Sampling folds the spectrum: L at e^jωTs is a sum over all ω + 2πn/Ts, with the periodic factors
+    # outside.
     aliases = np.sum([_continuous(statement, w + n * turn, at) for n in ALIASES], axis=0)
     with_aliases = w >= 0.5 * ALIASES_FROM * turn if held is None else held
     return np.asarray(outer * (_continuous(statement, w, at) + np.where(with_aliases, aliases, 0.0)))
@@ -140,6 +142,7 @@ def _downhill(statement: Statement, law: Law, start: dict[str, float]) -> tuple[
                 trial[name][row] = min(max(at[name] + sign * reach, low[name]), high[name])
         found = np.abs(1.0 + loop_values(statement, law, trial["frequency"], trial))
         row = int(np.argmin(found))
+        # The last row is the place itself: where no step finds less, the place stays and the step is halved.
         step = step if found[row] < least else 0.5 * step
         least = min(least, float(found[row]))
         at = {name: float(trial[name][row]) for name in AXES}
@@ -153,6 +156,7 @@ def windings(statement: Statement, law: Law) -> dict[str, float] | None:
     """
     w, place = _grid(statement, law, 1200), _corners(statement)
     value = 1.0 + loop_values(statement, law, w, place)
+    # From 0 to Nyquist 1 + L goes from 1 to a real number: half the encirclements of the whole unit circle.
     turned = np.unwrap(np.angle(value), axis=-1)
     circled = np.round((turned[:, -1] - turned[:, 0]) / np.pi) != 0
     if not np.any(circled):

@@ -82,9 +82,13 @@ def _distance(modulus: float) -> _Goal:
         return normal, modulus + alias - normal.real
 
     def inverse(value: Complex, alias: Real) -> tuple[Complex, Real]:
+        # |1 + 1/Y| <= m is |Y + 1| <= m |Y|, the disc (of Apollonius) about -1/(1 - m²) of radius m/(1 - m²).
+        # A half plane Re(n* Y) > b misses it and 0 where b is the larger of their two supports along n.
         m = np.minimum(modulus + alias, 0.999)
         centre = 1.0 / (1.0 - m**2)
         straight, away = _unit(value), _unit(value + centre)
+        # The hull of disc and 0 has two straight sides, tangents from 0: on their normal, of cosine m, both
+        # supports are zero.
         kink = m + 1j * np.where(value.imag >= 0.0, 1.0, -1.0) * np.sqrt(1.0 - m**2)
         normal = np.where(straight.real >= m, straight, np.where(away.real <= m, away, kink))
         return normal, np.maximum(m * centre - centre * normal.real, 0.0)
@@ -175,6 +179,7 @@ def _widest(low: Real, high: Real, weight: Real) -> NDArray[np.int64]:
     """The axis to cut: where the slopes leave most undecided, or the widest where they are unknown."""
     width = high - low
     relative = width / np.maximum(np.abs(high), 1e-300)
+    # Where nothing is bounded yet widths decide: of a delay it is the angle ω τ that changes.
     relative[:, 0] *= 3.0
     for axis in _TURNED:
         relative[:, axis] = width[:, axis] * high[:, 0]
@@ -188,6 +193,8 @@ def cut(low: Real, high: Real, axis: NDArray[np.int64]) -> tuple[Real, Real]:
     """Halve boxes: frequencies at their geometric mean, all else in the middle; first halves come first."""
     rows = np.arange(low.shape[0])
     a, b = low[rows, axis], high[rows, axis]
+    # The loop changes per octave of frequency: an arithmetic middle of three decades leaves the lower half as
+    # wide as it was.
     middle = np.where(axis == 0, np.sqrt(a * b), 0.5 * (a + b))
     top, bottom = high.copy(), low.copy()
     top[rows, axis] = bottom[rows, axis] = middle
@@ -287,6 +294,7 @@ def enclose_phase_margin(
     nodes = _keeps(loop, high - width, most)
     if nodes is not None:
         return Enclosure(high - width, high, payload, frequency, nodes)
+    # A claim that ran out of nodes is not refuted: what is returned is what was proved, not what holds.
     low, bad = 0.0, high - width
     for _ in range(12):
         middle = 0.5 * (low + bad)
