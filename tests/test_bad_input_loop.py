@@ -259,6 +259,6 @@ def test_a_bound_of_the_optimisation_is_refused_before_the_search(field: str, va
 
 @pytest.mark.parametrize("out", ["", "\x00", None, b"law"])
 def test_what_names_no_folder_is_refused_and_nothing_is_written(out: object) -> None:
-    with pytest.raises(FieldError, match=r"^folder: no path"):
+    with pytest.raises(FieldError, match=r"^folder: not the name of a file"):
         fl.export_c(law(), out)  # type: ignore[arg-type]
     assert not list(Path().iterdir())

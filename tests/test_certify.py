@@ -229,7 +229,7 @@ def test_printed_controller_is_refused_with_payload_and_poles():
         ({"modulus_margin": 1.5}, "modulus_margin"),
         ({"modulus_margin": 0.0}, "modulus_margin"),
         ({"payloads": (0.0, 0.04)}, "payloads[0]"),
-        ({"payloads": (0.04, 0.02)}, "payloads[1]"),
+        ({"payloads": (0.04, 0.02)}, "payloads"),
         ({"delay": (0.004, 0.001)}, "delay[1]"),
         ({"delay": (-0.001, 0.001)}, "delay[0]"),
     ],

@@ -75,6 +75,8 @@ class ParameterBox:
     (0.95, 1.05)
     """
 
+    __made_by__ = "ParameterBox.of(model, rig), or ParameterBox.at(model)"
+
     natural_frequency: Interval
     order: Interval
     damping: Interval

@@ -187,6 +187,8 @@ class LinkModel:
     ('UD-FOM', 10.984, 0.0654)
     """
 
+    __made_by__ = "fit.model, or rig.model"
+
     stiffness: float
     natural_frequency: float
     order: float = 2.0

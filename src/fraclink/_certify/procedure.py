@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import replace
+from typing import Annotated, Literal
 
 from scipy.optimize import brentq
 
@@ -21,27 +22,31 @@ from fraclink._design import Design
 from fraclink._design.assess import closed_loop_poles
 from fraclink._law import Law, discretize_controller
 from fraclink._law.limits import JUMP
-from fraclink._validate import checked_between, checked_choice, checked_noun
+from fraclink._validate import Between, Ordered, Payload, checked, checked_between
 from fraclink.errors import FieldError
 
 __all__ = ["certify"]
 
+PayloadRange = Annotated[tuple[Payload, Payload], Ordered()]
+ModulusMargin = Annotated[float, Between(0.0, 1.0, low_open=True)]
+InnerKind = Literal["ideal", "sampled"]
 _ROOM = 0.005  # between what a search finds and what is claimed: half of it would take twice the leaves
 # Nodes of the first proof, and of those with smaller claims that follow where it ends without one: a claim
 # that leaves more room takes fewer, so these give up early.
 _NODES = (80_000, *7 * (20_000,))
 
 
+@checked
 def certify(
     subject: Design | Controller | Law,
     *,
     model: LinkModel | None = None,
     rig: Rig | None = None,
-    payloads: tuple[float, float] | None = None,
+    payloads: PayloadRange | None = None,
     delay: tuple[float, float] | None = None,
-    modulus_margin: float | None = None,
+    modulus_margin: ModulusMargin | None = None,
     law: Law | None = None,
-    inner: str | None = None,
+    inner: InnerKind | None = None,
     box: ParameterBox | None = None,
     others: Iterable[LinkModel] = (),
 ) -> Certificate:
@@ -95,8 +100,7 @@ def certify(
     """
     claim, proper = _statement(subject, model, rig, payloads, delay, law, inner, box, others)
     if modulus_margin is not None:
-        wanted = checked_between("modulus_margin", modulus_margin, 0.0, 1.0, "", open_low=True)
-        claim = replace(claim, modulus=wanted)
+        claim = replace(claim, modulus=modulus_margin)
     unstable = windings(claim, proper)
     if unstable is not None:
         return _unstable(claim, subject, model, unstable)
@@ -187,7 +191,6 @@ def _statement(
     box: ParameterBox | None,
     others: Iterable[LinkModel],
 ) -> tuple[Statement, Law]:
-    _check_nouns(subject, model, rig, law)
     if isinstance(subject, Design):
         model, rig = model or subject.model, rig or subject.rig
         payloads, law = subject.payloads if payloads is None else payloads, law or subject.law()
@@ -206,35 +209,24 @@ def _statement(
         law = law or discretize_controller(subject, rig.period, link=model, rig=rig)
     chosen = law if law is not None else subject
     assert not isinstance(chosen, (Design, Controller))  # noqa: S101  # both branches above gave a law
-    light, heavy = _ends("payloads", (rig.payloads.low, rig.payloads.high) if payloads is None else payloads)
-    light = checked_between("payloads[0]", light, 0.0, 1e4, "kg", open_low=True)
-    heavy = checked_between("payloads[1]", heavy, light, 1e4, "kg")
-    kind = checked_choice("inner", "ideal" if inner is None else inner, ("ideal", "sampled"))
-    period = chosen.period
-    first, last = _ends("delay", (0.0, period) if delay is None else delay)
+    kind, period = inner or "ideal", chosen.period
+    first, last = (0.0, period) if delay is None else delay
     first = checked_between("delay[0]", first, 0.0, 8.0 * period, "s")
     last = checked_between("delay[1]", last, first, period if kind == "sampled" else 8.0 * period, "s")
     link = with_payload(model, rig)
-    box = ParameterBox.of(link, rig) if box is None else checked_noun("box", box, ParameterBox, remedy=_BOX)
+    box = ParameterBox.of(link, rig) if box is None else box
     claim = state(
         chosen,
         link,
         rig,
-        box=box.with_others((_link_of(other) for other in others), link, rig),
-        payloads=(light, heavy),
+        box=box.with_others(others, link, rig),
+        payloads=payloads or (rig.payloads.low, rig.payloads.high),
         nominal_payload=0.0,
         delay=(first, last),
         motor_loop=kind,
         modulus=0.5,
     )
     return replace(claim, nominal_payload=_nominal_payload(chosen, _middle(claim, link))), chosen
-
-
-def _link_of(other: LinkModel) -> LinkModel:
-    return checked_noun("others", other, LinkModel, remedy="give fit.model of another log")
-
-
-_BOX = "ParameterBox.of(model, rig), or ParameterBox.at(model)"
 
 
 def _middle(claim: Statement, link: LinkModel) -> LinkModel:
@@ -274,27 +266,6 @@ def _nominal_payload(law: Law, link: LinkModel) -> float:
             allowed="a law that was made for this link",
             remedy="discretise the controller with this link",
         ) from error
-
-
-def _ends(field: str, value: object) -> tuple[object, object]:
-    if not isinstance(value, tuple | list) or len(value) != 2:
-        allowed, remedy = "(low, high)", "give two numbers, the same twice for one value"
-        raise FieldError(field, repr(value), "not a pair", allowed=allowed, remedy=remedy)
-    return value[0], value[1]
-
-
-def _check_nouns(subject: object, model: object, rig: object, law: object) -> None:
-    if not isinstance(subject, Design | Controller | Law):
-        allowed, remedy = "a Design, a Controller or a Law", "fl.design makes a design"
-        raise FieldError("subject", repr(subject), "none of them", allowed=allowed, remedy=remedy)
-    kinds: tuple[tuple[str, object, type, str], ...] = (
-        ("model", model, LinkModel, "fit.model, or rig.model"),
-        ("rig", rig, Rig, "Rig.named or Rig.load make one"),
-        ("law", law, Law, "fl.discretize(design) makes one"),
-    )
-    for field, value, kind, remedy in kinds:
-        if value is not None:
-            checked_noun(field, value, kind, remedy=remedy)
 
 
 def _unstable(

@@ -11,6 +11,7 @@ import itertools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +22,7 @@ from fraclink._certify.numeric import loop_values
 from fraclink._certify.statement import AXES, LEAVES, LETTERS, Statement
 from fraclink._law import Law
 from fraclink._systems.sweep import bracketed_roots
-from fraclink._validate import checked_between, checked_noun, checked_whole
+from fraclink._validate import Between, Count, checked
 
 __all__ = ["Enclosure", "MarginFailure", "MarginProof", "enclose_phase_margin", "prove"]
 
@@ -277,18 +278,19 @@ def _keeps(loop: BoxLoop, margin: float, most: int) -> int | None:
     return found.nodes if isinstance(found, MarginProof) else None
 
 
+@checked
 def enclose_phase_margin(
-    statement: Statement, law: Law, *, width: float = math.radians(0.01), most: int = 60_000
+    statement: Statement,
+    law: Law,
+    *,
+    width: Annotated[float, Between(0.0, 0.5 * math.pi, "rad", low_open=True)] = math.radians(0.01),
+    most: Count = 60_000,
 ) -> Enclosure:
     """Enclose the worst phase margin over the statement's box to `width` [rad].
 
     The upper end is attained at a crossing, known to rounding; the lower end is proved by branch and bound.
     For margins below 90°.
     """
-    checked_noun("statement", statement, Statement, remedy="certify(design).statement")
-    checked_noun("law", law, Law, remedy="the law that was certified")
-    checked_between("width", width, 0.0, 0.5 * math.pi, "rad", open_low=True)
-    checked_whole("most", most, 1, 10**9)
     high, payload, frequency = _attained(statement, law)
     loop = BoxLoop(statement)
     nodes = _keeps(loop, high - width, most)

@@ -94,6 +94,8 @@ class Statement:
     `softness` κ gives q = 1/ω₀² = κ m. Every number is written to the file in hexadecimal.
     """
 
+    __made_by__ = "certify(design).statement"
+
     block: str  # hexadecimal
     digest: str  # SHA-256 of the block
     precision: layout.Precision
@@ -204,6 +206,8 @@ class Certificate:
     poles
         closed-loop poles of the fractional loop with M(s) at that payload [rad/s], where it is unstable.
     """
+
+    __made_by__ = "fraclink.certify(design)"
 
     statement: Statement
     passed: bool

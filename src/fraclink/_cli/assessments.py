@@ -33,6 +33,7 @@ from fraclink._design import Design, Requirement
 from fraclink._design import optimise as better
 from fraclink._design.alternatives import Alternative, compare_at_equal_sensitivity, feasibility_map
 from fraclink._design.assess import (
+    CurveKind,
     MarginCurve,
     PhaseShare,
     Tolerances,
@@ -50,7 +51,7 @@ from fraclink.errors import FieldError
 
 app = group()
 
-_KINDS = ("ideal", "motor", "loop", "sampled")
+_KINDS: tuple[CurveKind, ...] = ("ideal", "motor", "loop", "sampled")
 _FIGURES, _NUMBERS = ("margins.svg", "phase-budget.svg"), "assessment.json"
 _POINTS = 41  # payloads of a curve: the sampled margins take most of the second it costs
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,7 +18,7 @@ from fraclink._design.assess import PRINTED, axis_of, match_at
 from fraclink._design.equations import equation, task_of
 from fraclink._design.specification import Design, Specification
 from fraclink._systems.sweep import bracketed_roots
-from fraclink._validate import Payload, checked_between, checked_noun, checked_whole
+from fraclink._validate import Between, Payload, checked
 from fraclink.errors import InfeasibleError, SizeError
 
 __all__ = [
@@ -30,6 +31,7 @@ __all__ = [
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
+PeakBound = Annotated[float, Between(1.0, 100.0, low_open=True)]
 _PAYLOADS = 9
 _POINTS = 320  # trial values of ω̄_c of a map; a root is then closed in on by secant steps
 _CELLS = 1_000_000
@@ -99,13 +101,13 @@ def _rate(design: Design, name: str, controller: Controller) -> Alternative:
     )
 
 
-def scale_to_sensitivity(design: Design, controller: Controller, max_sensitivity: float) -> Controller:
+@checked
+def scale_to_sensitivity(design: Design, controller: Controller, max_sensitivity: PeakBound) -> Controller:
     """Return the controller with the largest gain whose worst Ms over the payloads is `max_sensitivity` > 1.
 
     Raises InfeasibleError where no gain reaches it.
     """
-
-    bound = checked_between("max_sensitivity", max_sensitivity, 1.0, 100.0, "", open_low=True)
+    bound = max_sensitivity
     loop, w0 = _loop_of(design, controller), np.geomspace(*design.natural_frequencies, _PAYLOADS)
     ratios = np.geomspace(1e-2, 1e2, 240)
     kept = _rough_peaks(loop, w0, ratios) <= bound
@@ -191,19 +193,20 @@ class FeasibilityMap:
         return np.isfinite(self.order)
 
 
+@checked
 def feasibility_map(
     model: LinkModel,
     rig: Rig,
     *,
     gain_crossovers: ArrayLike,
     phase_margins: ArrayLike,
-    filter_order: int = 1,
+    filter_order: Annotated[int, Between(1, 2)] = 1,
     payloads: tuple[float, float] | None = None,
     natural_frequencies: tuple[float, float] | None = None,
-    margins: str = "loop",
+    margins: Literal["loop", "ideal"] = "loop",
     filter_time: float | None = None,
-    inner: str = "ideal",
-    placement: str = "tustin",
+    inner: Literal["ideal", "sampled"] = "ideal",
+    placement: Literal["tustin", "direct"] = "tustin",
 ) -> FeasibilityMap:
     """Solve the closed procedure for every pair of crossover [rad/s] and phase margin [rad] at once.
 
@@ -220,9 +223,6 @@ def feasibility_map(
     >>> found.feasible.tolist(), round(float(found.order[0, 1]), 4)
     ([[False, True]], 0.6122)
     """
-    checked_noun("model", model, LinkModel, remedy="fit.model, or rig.model")
-    checked_noun("rig", rig, Rig, remedy="Rig.named or Rig.load make one")
-    checked_whole("filter_order", filter_order, 1, 2)
     crossovers = axis_of("gain_crossovers", gain_crossovers, Payload)
     angles = axis_of("phase_margins", phase_margins, Payload)
     if crossovers.size * angles.size > _CELLS:
@@ -235,10 +235,10 @@ def feasibility_map(
         filter_order=filter_order,
         payloads=payloads,
         natural_frequencies=natural_frequencies,
-        margins=margins,  # type: ignore[arg-type]  # checked by Specification
+        margins=margins,
         filter_time=filter_time,
-        inner=inner,  # type: ignore[arg-type]
-        placement=placement,  # type: ignore[arg-type]
+        inner=inner,
+        placement=placement,
     )
     task = task_of(model, rig, spec)
     cells = _Cells(task.bare(filter_order), (task.low, task.high), task.inside and filter_time is None)

@@ -9,6 +9,7 @@ import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,10 +24,9 @@ from fraclink._systems.fractional import FractionalTransferFunction, s
 from fraclink._systems.stability import poles
 from fraclink._validate import (
     Between,
+    Frequency,
     Payload,
-    checked_between,
-    checked_choice,
-    checked_noun,
+    checked,
     checked_series,
 )
 from fraclink.errors import FieldError
@@ -58,6 +58,8 @@ PRINTED: dict[str, Controller] = {
     "(59)": Controller(gain=0.241, order=0.65, filter_time=0.16, filter_order=2),
 }
 _PAYLOADS = 9
+GainLimit = Annotated[float, Between(0.0, 1e3, low_open=True)]
+CurveKind = Literal["ideal", "motor", "loop", "sampled"]
 
 
 # ---- one design -------------------------------------------------------------------------------------------
@@ -71,6 +73,7 @@ class PhaseShare:
     phase: float
 
 
+@checked
 def phase_budget(design: Design, payload: float) -> tuple[PhaseShare, ...]:
     """Return what each element of the loop gives at the upper gain crossover, at `payload` [kg] > 0.
 
@@ -84,7 +87,7 @@ def phase_budget(design: Design, payload: float) -> tuple[PhaseShare, ...]:
     >>> print(f"{sum(share.phase for share in shares) + 3.141592653589793:.4f}")
     0.8727
     """
-    loop = _checked(design).full_loop
+    loop = design.full_loop
     w0 = design.natural_frequency(payload)
     crossings = loop.crossings(w0).frequency
     if crossings.size == 0:
@@ -107,10 +110,6 @@ def phase_budget(design: Design, payload: float) -> tuple[PhaseShare, ...]:
     )
 
 
-def _checked(design: Design) -> Design:
-    return checked_noun("design", design, Design, remedy="fl.design makes one")
-
-
 @dataclass(frozen=True)
 class MarginCurve:
     """Margins against payload (Fig. 10): arrays of shape (N,) in kg, rad/s, rad and 1.
@@ -125,7 +124,8 @@ class MarginCurve:
     modulus_margin: Real
 
 
-def margin_curve(design: Design, payloads: ArrayLike, *, kind: str = "loop") -> MarginCurve:
+@checked
+def margin_curve(design: Design, payloads: ArrayLike, *, kind: CurveKind = "loop") -> MarginCurve:
     """Return the margins of a design against payload (Fig. 10).
 
     Parameters
@@ -138,8 +138,7 @@ def margin_curve(design: Design, payloads: ArrayLike, *, kind: str = "loop") -> 
         "ideal" (the paper's L), "motor" (its LM, with M(s) and the filter), "loop" (hold and delay too) or
         "sampled" (the law that is shipped, in the exactly sampled loop).
     """
-    whole, masses = _checked(design).full_loop, axis_of("payloads", payloads, Payload)
-    checked_choice("kind", kind, ("ideal", "motor", "loop", "sampled"), remedy="say 'loop'")
+    whole, masses = design.full_loop, axis_of("payloads", payloads, Payload)
     if kind == "sampled":
         found = [design.sampled_at(float(m)) for m in masses]
         # An unstable loop may show a large margin at a crossing: it is drawn below zero.
@@ -192,9 +191,10 @@ class Tolerances:
     motor_pole: float
 
 
+@checked
 def tolerances(design: Design) -> Tolerances:
     """Return how much delay, payload, stiffness and motor-pole error the loop that runs tolerates."""
-    loop = _checked(design).full_loop
+    loop = design.full_loop
     low, high = design.natural_frequencies
     grid = np.geomspace(low, high, _PAYLOADS)
     found = loop.crossings(grid)
@@ -237,29 +237,29 @@ def _edge(margin: Callable[[float], float], start: float, end: float) -> float |
     return None
 
 
+@checked(prefix="mode.")
 @dataclass(frozen=True)
 class VibrationMode:
     """A higher mode of a distributed link: ω_i [rad/s], damping ratio, static share in the tip estimate."""
 
-    frequency: float
-    damping_ratio: float
+    frequency: Frequency
+    damping_ratio: Annotated[float, Between(0.0, 1.0, low_open=True)]
     share: float = 1.0
 
 
+@checked
 def spillover(
-    design: Design, modes: Sequence[VibrationMode], *, limit: float = MODE_LIMIT
+    design: Design, modes: Sequence[VibrationMode], *, limit: GainLimit = MODE_LIMIT
 ) -> tuple[Requirement, ...]:
     """Return the loop gain at each higher mode against `limit`: below one it cannot be destabilised by phase.
 
     A mode adds ``share/(1 - (ω/ω_i)² + 2jζω/ω_i)`` to the tip estimate, ``share/(2ζ)`` at its peak; the loop
     gain there is ``|Ĉ M| share/(2ζ)``.
     """
-    loop = _checked(design).full_loop
-    checked_between("limit", limit, 0.0, 1e3, "", open_low=True)
+    loop = design.full_loop
     found = []
     for number, mode in enumerate(modes, start=2):
-        w = checked_between("mode.frequency", mode.frequency, 0.0, 1e6, "rad/s", open_low=True)
-        zeta = checked_between("mode.damping_ratio", mode.damping_ratio, 0.0, 1.0, "", open_low=True)
+        w, zeta = mode.frequency, mode.damping_ratio
         # Above the first mode the lumped link is gone (G → 0): what the mode is multiplied with is Ĉ·M alone.
         rest = math.exp(float((loop.outer_log(w) + loop.motor_log(w)).real))
         value = rest * abs(mode.share) / (2.0 * zeta)
@@ -267,8 +267,9 @@ def spillover(
     return tuple(found)
 
 
+@checked
 def mode_gains(
-    design: Design, *, limit: float = MODE_LIMIT, damping_ratio: float | None = None
+    design: Design, *, limit: GainLimit = MODE_LIMIT, damping_ratio: float | None = None
 ) -> tuple[Requirement, ...]:
     """Return the loop gain at the link's higher modes against `limit`; empty where none is known.
 
@@ -287,10 +288,9 @@ def mode_gains(
     >>> second.passed, 1.3 < second.achieved < 1.6
     (False, True)
     """
-    checked_limit = checked_between("limit", limit, 0.0, 1e3, open_low=True)
-    loop = _checked(design).full_loop
+    loop = design.full_loop
     modes = higher_modes(design.model, design.rig, loop, design.payloads, damping_ratio=damping_ratio)
-    return () if modes is None else tuple(item for _, item in mode_requirements(modes, loop, checked_limit))
+    return () if modes is None else tuple(item for _, item in mode_requirements(modes, loop, limit))
 
 
 # ---- poles ------------------------------------------------------------------------------------------------

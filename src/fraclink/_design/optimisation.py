@@ -23,7 +23,7 @@ from fraclink._design.modes import HigherModes, higher_modes
 from fraclink._design.problem import Bounds, Goal, Problem
 from fraclink._design.procedure import findings_of, requirements_of
 from fraclink._design.specification import Design, Specification
-from fraclink._validate import checked_between, checked_choice, checked_noun
+from fraclink._validate import Fraction, checked
 from fraclink.errors import FieldError, InfeasibleError
 
 __all__ = ["Optimised", "Step", "optimise"]
@@ -89,6 +89,7 @@ class Optimised:
         return "\n".join([*lines, str(self.design)])
 
 
+@checked
 def optimise(
     design: Design,
     *,
@@ -97,7 +98,7 @@ def optimise(
     gain_crossover: float | None = None,
     noise_gain: float | None = None,
     mode_gain: float | None = None,
-    least: float = PAYS,
+    least: Fraction = PAYS,
 ) -> Optimised:
     """Return the best ``C = 1 + k_d s^β/(1 + δs)^n`` for the worst payload.
 
@@ -142,19 +143,17 @@ def optimise(
     >>> better.pays, better.design.passed, better.gain > 0.5
     (True, True, True)
     """
-    checked_noun("design", design, Design, remedy="fl.design makes one")
     search = OptimumSearch.of(design, goal, (max_sensitivity, gain_crossover, noise_gain, mode_gain))
-    needed = checked_between("least", least, 0.0, 1.0)
     found = [(CLOSED, design.controller, search.objective(design.controller)), *search.structures()]
     best = 0
     for i, (_, _, value) in enumerate(found):
         before = found[best][2]
-        if not math.isnan(value) and (math.isnan(before) or _gain(goal, before, value) >= max(needed, 1e-9)):
+        if not math.isnan(value) and (math.isnan(before) or _gain(goal, before, value) >= max(least, 1e-9)):
             best = i
     if math.isnan(found[best][2]):
         raise InfeasibleError("bounds of the optimisation", "no structure keeps all of them; loosen one")
     steps = tuple(Step(name, value, i == best) for i, (name, _, value) in enumerate(found))
-    return Optimised(design if best == 0 else search.design(found[best][1]), goal, steps, needed)
+    return Optimised(design if best == 0 else search.design(found[best][1]), goal, steps, least)
 
 
 def _gain(goal: Goal, before: float, after: float) -> float:
@@ -184,7 +183,6 @@ class OptimumSearch:
                 allowed="loop",
                 remedy='design with margins="loop" first',
             )
-        checked_choice("goal", goal, ("noise", "crossover"))
         kept = [r.wanted for r in design.requirements if r.name.startswith("loop gain at mode")]
         spec = Specification(
             natural_frequencies=design.natural_frequencies,

@@ -194,6 +194,8 @@ class Design:
     ...
     """
 
+    __made_by__ = "fraclink.design(model, rig)"
+
     model: LinkModel
     rig: Rig
     controller: Controller

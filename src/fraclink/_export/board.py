@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from fraclink import __version__
 from fraclink._arm.reference import Reference, sampled
 from fraclink._export.data import hex_float, identifier, law_source
-from fraclink._files import atomic_write, checked_path, output_path, write_text
+from fraclink._files import atomic_write, output_path, write_text
 from fraclink._logs.responses import COLUMNS
 from fraclink._validate import Period, checked
 from fraclink.errors import FieldError
@@ -61,6 +61,7 @@ void arm_close(void)
 """
 
 
+@checked
 def export_io(folder: Path | str, *, force: bool = False) -> tuple[Path, ...]:
     """Write arm_io.h and my_board.c to `folder` and return their paths.
 
@@ -71,7 +72,7 @@ def export_io(folder: Path | str, *, force: bool = False) -> tuple[Path, ...]:
     >>> [path.name for path in export_io(tempfile.mkdtemp())]
     ['arm_io.h', 'my_board.c']
     """
-    chosen = checked_path("folder", folder)
+    chosen = Path(folder)
     contents = {"arm_io.h": law_source("arm_io.h"), "my_board.c": _BOARD}
     places = {name: output_path(chosen / name, force=force) for name in contents}
     for name, place in places.items():

@@ -12,15 +12,16 @@ from fraclink._certify import Certificate
 from fraclink._export.claims import CommandBounds, Proof, claims_text, worst_case
 from fraclink._export.data import data_header, exact_flags, exact_sizes, identifier, law_source, title_text
 from fraclink._export.selftest import expected, selftest_source
-from fraclink._files import atomic_write, checked_path
+from fraclink._files import atomic_write
 from fraclink._law import Law
 from fraclink._law.block import Precision
-from fraclink._validate import checked_noun
+from fraclink._validate import checked
 from fraclink.errors import FieldError, MissingExtraError
 
 __all__ = ["export_c", "readme"]
 
 
+@checked
 def export_c(
     law: Law,
     folder: Path | str,
@@ -78,10 +79,7 @@ def export_c(
     """
     identifier("name", name)
     title_text(title)
-    checked_noun("law", law, Law, remedy="fl.discretize(design) makes one")
-    if certificate is not None:
-        checked_noun("certificate", certificate, Certificate, remedy="fraclink._certify makes one")
-    place = checked_path("folder", folder)
+    place = Path(folder)
     if place.is_file() or (place.is_dir() and any(place.iterdir()) and not force):
         raise FieldError(
             "out",

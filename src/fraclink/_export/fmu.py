@@ -18,12 +18,13 @@ from fraclink._export.fmi import STANDARDS, VARIABLES, FmuModel, token_of
 from fraclink._files import atomic_write, output_path
 from fraclink._law import MODES, REASONS, Law
 from fraclink._law.block import Precision
-from fraclink._validate import checked_noun, is_whole
+from fraclink._validate import checked, checked_noun, is_whole
 from fraclink.errors import FieldError
 
 __all__ = ["SUFFIXES", "compiled", "documentation", "export_fmu", "found", "platform_of"]
 
 
+@checked
 def export_fmu(
     law: Law,
     path: Path | str,
@@ -71,7 +72,6 @@ def export_fmu(
     >>> export_fmu(law, Path(tempfile.mkdtemp()) / "arm_law.fmu", fmi=3, compilers=()).name
     'arm_law.fmu'
     """
-    checked_noun("law", law, Law, remedy="fl.discretize(design) makes one")
     if not isinstance(compilers, list | tuple):
         allowed = "a list of names"
         raise FieldError("compilers", repr(compilers), "no list", allowed=allowed, remedy='say ("cc",)')

@@ -11,12 +11,13 @@ import numpy as np
 from fraclink._export.data import identifier
 from fraclink._files import atomic_write, output_path
 from fraclink._law import Law
-from fraclink._validate import checked_noun
+from fraclink._validate import checked
 from fraclink.errors import FieldError
 
 __all__ = ["export_matlab"]
 
 
+@checked
 def export_matlab(law: Law, path: Path | str, *, force: bool = False) -> Path:
     """Write the law's filters for MATLAB to `path`, ending in .m (a function) or .mat (version 5), and
     return it.
@@ -34,7 +35,6 @@ def export_matlab(law: Law, path: Path | str, *, force: bool = False) -> Path:
     >>> export_matlab(law, Path(tempfile.mkdtemp()) / "arm_law.m").name
     'arm_law.m'
     """
-    checked_noun("law", law, Law, remedy="fl.discretize(design) makes one")
     place = output_path(path, force=force)
     if place.suffix not in (".m", ".mat"):
         raise FieldError(

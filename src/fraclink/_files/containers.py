@@ -20,11 +20,12 @@ import zipfile
 import zlib
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fraclink._validate.rules import rule
 from fraclink.errors import FieldError, FileFormatError, SizeError
 
 __all__ = [
@@ -92,11 +93,7 @@ def checked_path(field: str, value: object) -> Path:
     >>> checked_path("out", "law.fmu").name
     'law.fmu'
     """
-    text = os.fspath(value) if isinstance(value, str | os.PathLike) else None
-    if not isinstance(text, str) or not text or "\0" in text:
-        allowed = "a name of a file or a folder"
-        raise FieldError(field, repr(value), "no path", allowed=allowed, remedy="give its path")
-    return Path(text)
+    return cast(Path, rule(Path).check(field, value))
 
 
 def output_path(path: Path | str, *, force: bool = False) -> Path:

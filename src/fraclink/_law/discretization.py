@@ -24,14 +24,12 @@ from fraclink._law.block import (
     Modes,
     Precision,
     Tracking,
-    real_type,
 )
 from fraclink._law.law import Law
 from fraclink._law.limits import Moves, derive_limits
 from fraclink._law.tracking import forward_fit, tracking_for
 from fraclink._systems.discrete import DiscreteRational, Order, checked_band, fit_discrete
-from fraclink._validate import checked_noun, checked_number
-from fraclink._validate.rules import rule
+from fraclink._validate import checked, checked_number
 from fraclink.errors import FieldError
 
 __all__ = ["check_rigs_period", "discretize", "discretize_controller", "drive_for", "equip"]
@@ -52,11 +50,12 @@ MOST_STATES = 8  # what law.c holds
 TOLERANCE_DB, TOLERANCE_DEG = 0.1, 0.5
 
 
+@checked
 def discretize_controller(
     controller: Controller,
     period: float,
     *,
-    order: int | None = None,
+    order: Order | None = None,
     precision: Precision = "double",
     link: LinkModel | None = None,
     rig: Rig | None = None,
@@ -98,15 +97,11 @@ def discretize_controller(
     >>> law.order, law.correction_error[0] < 0.1, law.correction_error[1] < 0.5
     (4, True, True)
     """
-    real_type(precision)
-    _check_options(link, rig, moves)
     model = link or controller.link
     if model is None:
         remedy = "give the nominal link model: tip estimate and feed-forward need it"
         raise FieldError("link", None, "missing", allowed="a LinkModel", remedy=remedy)
     _check_period(controller, period)
-    if order is not None:
-        order = rule(Order).check("order", order)  # what keys the cache of fits must be a number
     reach = _band(controller, period) if band is None else checked_band(band, period)
     correction = fit_correction(controller, model, period, reach, order)
     forward = forward_fit(model, period)
@@ -203,16 +198,13 @@ def discretize(
     )
 
 
+@checked
 def equip(law: Law, rig: Rig, link: LinkModel, *, moves: Moves | None = None) -> Law:
     """Return the law with the rig's inner loop, compensations and sensor limits.
 
     The inner loop has the pole the law was made for; its guards are derived again from the gauge's range,
     noise and quantum and the encoder's resolution. Raises FieldError where the periods differ.
     """
-    checked_noun("law", law, Law, remedy="fl.discretize(design) makes one")
-    checked_noun("rig", rig, Rig, remedy="Rig.named or Rig.load make one")
-    checked_noun("link", link, LinkModel, remedy="fit.model, or rig.model")
-    _check_options(None, None, moves)
     check_rigs_period(law, rig)
     drive = drive_for(rig, law.inner_pole)
     return replace(
@@ -261,18 +253,6 @@ def drive_for(rig: Rig, pole: float) -> Drive:
 def _stiffness(loop: DiscretePid) -> float:
     """Voltage over a lasting error of the angle, before the integral acts [V/rad]."""
     return loop.direct + loop.filter_gain * (loop.filter_now + loop.filter_before) / (1 - loop.filter_decay)
-
-
-def _check_options(link: object, rig: object, moves: object) -> None:
-    """FieldError where an option that was given is of another kind, before the fit takes its second."""
-    kinds: tuple[tuple[str, object, type, str], ...] = (
-        ("link", link, LinkModel, "fit.model, or rig.model"),
-        ("rig", rig, Rig, "Rig.named or Rig.load make one"),
-        ("moves", moves, Moves, "Moves(angle, velocity, acceleration)"),
-    )
-    for field, value, kind, remedy in kinds:
-        if value is not None:
-            checked_noun(field, value, kind, remedy=remedy)
 
 
 def _check_period(controller: Controller, period: float) -> None:

@@ -144,6 +144,8 @@ class Law:
     (0.0, 760)
     """
 
+    __made_by__ = "fraclink.discretize(design)"
+
     period: float
     precision: layout.Precision
     stiffness: float

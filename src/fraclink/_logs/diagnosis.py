@@ -22,12 +22,13 @@ from fraclink._logs.channels import (
 )
 from fraclink._logs.reading import converter_step
 from fraclink._logs.scan import Mode, find_mode
-from fraclink._validate import checked_noun
+from fraclink._validate import checked
 from fraclink.findings import Finding
 
 _ORDER = {"error": 0, "warning": 1, "info": 2}
 
 
+@checked
 def diagnose(experiment: Experiment, rig: Rig | None = None) -> tuple[Finding, ...]:
     """Examine a log before a model is fitted to it; the gravest findings come first.
 
@@ -50,9 +51,6 @@ def diagnose(experiment: Experiment, rig: Rig | None = None) -> tuple[Finding, .
     >>> any(finding.severity == "error" for finding in findings)
     False
     """
-    checked_noun("experiment", experiment, Experiment, remedy="read the file with read_log first")
-    if rig is not None:
-        checked_noun("rig", rig, Rig, remedy="Rig.named or Rig.load make one")
     return tuple(sorted(_all(experiment, rig), key=lambda finding: _ORDER[finding.severity]))
 
 

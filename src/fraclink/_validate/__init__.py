@@ -274,12 +274,12 @@ def checked_choice(
     return value
 
 
-def checked_noun(field: str, value: object, kind: type[Instance], *, remedy: str) -> Instance:
-    """Return `value` where it is a `kind`; `remedy` says where to get one."""
+def checked_noun(field: str, value: object, kind: type[Instance], *, remedy: str | None = None) -> Instance:
+    """Return `value` where it is a `kind`; `remedy` says where to get one, else the class itself does."""
     try:
         return cast(Instance, instance_rule(kind).convert(value))
     except Refused as refused:
-        refused.remedy = remedy
+        refused.remedy = remedy or refused.remedy
         raise refused.error(field, FieldError) from None
 
 
