@@ -12,7 +12,7 @@ import numpy as np
 from fraclink._arm.controller import Controller
 from fraclink._arm.reference import smooth_step
 from fraclink._law import Law, discretize
-from fraclink._show.drawing import BLUE, FAINT, GREY, INK, LEVELS, ORANGE, figure, svg
+from fraclink._show.axes import BLUE, FAINT, GREY, INK, LEVELS, ORANGE, figure, svg
 from fraclink._simulate import Run, simulate
 from reproduce import designs
 from reproduce.evidence import last_crossing

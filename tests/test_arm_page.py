@@ -22,6 +22,7 @@ import fraclink as fl
 from fraclink._cli import main
 from fraclink._law import MODES
 from fraclink._show.arm_page import render_arm_page
+from fraclink._show.palette import colours as colours_of
 from fraclink._show.text import number
 from fraclink._simulate.engine import engine_link
 from fraclink._workflow import save_study
@@ -218,7 +219,8 @@ def contrast(first: str, second: str) -> float:
 
 @pytest.mark.parametrize("theme", [0, 1], ids=["light", "dark"])
 def test_text_and_lines_stand_out_in_both_themes(page, theme):
-    colours = dict(re.findall(r"--([\w-]+): (#\w+);", re.findall(r"\.armpage[^{]*\{([^}]*)\}", page)[theme]))
+    colours = colours_of(theme)
+    assert colours["link"] in page
     for name in ("ink", "quiet", "good", "fair", "bad", "accent", "tip", "hub", "ghost", "measured"):
         assert contrast(colours[name], colours["card"]) >= 4.5, name
     for name in ("good", "fair", "bad"):

@@ -10,6 +10,7 @@ import pytest
 
 import fraclink as fl
 from fraclink._certify import Certificate
+from fraclink._show.palette import DARK, LIGHT, colours
 from fraclink._show.views import view
 
 RIG = fl.Rig.named("paper-2023")
@@ -58,14 +59,18 @@ def test_texts_are_escaped(results: dict[str, Any]) -> None:
 def test_two_drawings_on_one_page_share_no_name(results: dict[str, Any]) -> None:
     log = results["Experiment"]
     other = replace(log, output=0.5 * log.output)
-    first, second = (set(part.split('id="')[1:]) for part in (log._repr_svg_(), other._repr_svg_()))
-    names = [{piece.partition('"')[0] for piece in pieces} for pieces in (first, second)]
-    assert names[0] and not names[0] & names[1]
+    assert log._repr_svg_() != other._repr_svg_()
+    assert ' id="' not in log._repr_svg_() + other._repr_svg_()
 
 
-def test_without_matplotlib_the_table_is_left(
-    results: dict[str, Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_drawing_needs_no_matplotlib(results: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    assert results["Design"]._repr_svg_() is None
     assert "phase margin" in results["Design"]._repr_html_()
+    assert "phase of L" in results["Design"]._repr_svg_()
+
+
+def test_a_drawing_brings_the_colours_of_both_themes(results: dict[str, Any]) -> None:
+    style = results["Design"]._repr_svg_().partition("</style>")[0]
+    light, dark = style.split("@media (prefers-color-scheme: dark)")
+    assert colours(LIGHT)["line-1"] in light and colours(LIGHT)["line-1"] not in dark
+    assert colours(DARK)["line-1"] in dark and "var(" not in style

@@ -47,6 +47,7 @@ _XYZ = np.array(
 )
 _WHITE = np.array([0.95047, 1.0, 1.08883])
 CURVES = ("ink", *(f"line-{line}" for line in LINES))
+ARM = (("ink", "tip", "hub"), ("ink", "measured"))  # what the curves of the arm's page show together
 LEVELS = tuple(f"level-{level}" for level in range(4))
 
 
@@ -111,7 +112,7 @@ def test_the_distance_is_the_published_one(
 
 
 @pytest.mark.parametrize("theme", [LIGHT, DARK])
-@pytest.mark.parametrize("names", [CURVES, LEVELS])
+@pytest.mark.parametrize("names", [CURVES, LEVELS, *ARM])
 @pytest.mark.parametrize("vision", VISION)
 def test_any_two_colours_of_a_figure_differ_for_every_eye(
     theme: int, names: tuple[str, ...], vision: str
@@ -137,7 +138,10 @@ def test_lines_and_texts_stand_out_from_the_page(theme: int) -> None:
             assert contrast(known[name], known[ground]) >= 4.5, (name, ground)
     for name in ("good", "fair", "bad"):
         assert contrast(known[name], known[f"{name}-wash"]) >= 4.5, name
-    assert contrast(known["on-accent"], known["accent"]) >= 4.5
+    for name in ("tip", "hub", "measured"):
+        assert contrast(known[name], known["card"]) >= 4.5, name
+    for name in ("accent", *LEVELS):
+        assert contrast(known[f"on-{name}"], known[name]) >= 4.5, name
 
 
 def test_every_line_has_dashes_of_its_own() -> None:

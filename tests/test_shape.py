@@ -24,7 +24,8 @@ from fraclink._realtime import Callback, VirtualClock
 from fraclink._shape import ShapedMove, setting
 from fraclink._shape.programme import MoveBounds, Programme, spline_path
 from fraclink._shape.responses import SIGNALS, ShapedArm, responses_of, without_friction
-from fraclink._show.moves import shaped_figure, shaped_view
+from fraclink._show.moves import shaped_view
+from fraclink._show.runs import shaped_figure
 from fraclink._simulate import Twin
 from fraclink.errors import FieldError, FileFormatError
 from needed_tools import tool
@@ -218,7 +219,7 @@ def test_the_tip_follows_a_path_much_nearer(design: fl.Design) -> None:
     assert given.largest_error > 0.04 and given.name == "as given"
     assert found.target is not None and float(found.target.angle(0.45)) == pytest.approx(0.25, abs=1e-4)
     assert "mrad of the path" in shaped_view(found).headline
-    assert shaped_figure(found).startswith("<svg")
+    assert shaped_figure(found).alone().startswith("<svg")
 
 
 def test_a_path_that_no_limit_allows_fails(design: fl.Design) -> None:
@@ -318,7 +319,7 @@ def test_a_saved_move_comes_back_and_moves_the_same(
         fl.simulate(design, each, arm=Twin.from_rig(RIG), duration=1.0) for each in (unknown.reference, table)
     ]
     assert np.array_equal(runs[0].tip_angle, runs[1].tip_angle)
-    assert "settles in" in str(shaped_view(again)) and shaped_figure(again).startswith("<svg")
+    assert "settles in" in str(shaped_view(again)) and shaped_figure(again).alone().startswith("<svg")
     assert repr(again).startswith("ShapedMove(") and "<svg" in again._repr_html_()  # type: ignore[attr-defined]
 
 

@@ -19,7 +19,7 @@ from matplotlib.axes import Axes
 
 import fraclink as fl
 from fraclink._files import write_text
-from fraclink._show.drawing import BLUE, GREY, LINES, ORANGE, figure, svg
+from fraclink._show.axes import BLUE, GREY, LINES, ORANGE, figure, svg
 from fraclink._simulate import Twin
 from fraclink._systems.margins import Margins
 

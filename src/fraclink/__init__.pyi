@@ -147,8 +147,7 @@ from fraclink._shape.move import ShapedMove as ShapedMove
 from fraclink._shape.procedure import shape as shape
 from fraclink._show.arm_page import write_arm_page as write_arm_page
 from fraclink._show.bode import margin_plot as margin_plot
-from fraclink._show.faults import draw_outcome as draw_outcome
-from fraclink._show.figures import drivers_figure as drivers_figure
+from fraclink._show.fleets import drivers_figure as drivers_figure
 from fraclink._show.planes import nichols as nichols
 from fraclink._show.planes import nyquist as nyquist
 from fraclink._show.plots import bode as bode
@@ -158,6 +157,7 @@ from fraclink._show.plots import phase_shares as phase_shares
 from fraclink._show.plots import step_plot as step_plot
 from fraclink._show.report import write_campaign_report as write_campaign_report
 from fraclink._show.report import write_report as write_report
+from fraclink._show.runs import draw_outcome as draw_outcome
 from fraclink._simulate.arm import Twin as Twin
 from fraclink._simulate.arm import geared as geared
 from fraclink._simulate.arm import simulate_log as simulate_log

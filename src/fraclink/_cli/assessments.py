@@ -43,8 +43,9 @@ from fraclink._design.assess import (
     tolerances,
 )
 from fraclink._files import output_path, write_json, write_text
-from fraclink._show.drawing import save_figure
-from fraclink._show.plots import feasibility, margins_against_payload, phase_shares
+from fraclink._show.axes import save_figure
+from fraclink._show.loops import budget_figure, map_figure, margin_curves_figure
+from fraclink._show.plots import feasibility
 from fraclink._show.records import plain, to_json
 from fraclink._validate import Between, Ordered
 from fraclink.errors import FieldError
@@ -118,12 +119,8 @@ def _write_assessment(found: Assessment, made: Design, out: Path) -> None:
     low, high = made.payloads
     masses = np.geomspace(low / 2.5, 1.25 * high, _POINTS)
     curves = [margin_curve(made, masses, kind=kind) for kind in _KINDS]
-    span, margin = (low, high), made.phase_margin
-    save_figure(
-        out / _FIGURES[0],
-        lambda drawing: margins_against_payload(curves, payloads=span, wanted=margin, ax=drawing.subplots()),
-    )
-    save_figure(out / _FIGURES[1], lambda drawing: phase_shares(found.budget, ax=drawing.subplots()))
+    margin_curves_figure(curves, (low, high), made.phase_margin).save(out / _FIGURES[0])
+    budget_figure(found.budget, low).save(out / _FIGURES[1])
     shown = {"payload": masses.tolist()} | {c.kind: c.phase_margin.tolist() for c in curves}
     write_json(out / _NUMBERS, "assessment", 1, to_json(found) | {"curves": shown})
 
@@ -245,6 +242,9 @@ def design_map(
         phase_margins=np.radians(np.linspace(10.0, 110.0, points)),
         **options,
     )
-    save_figure(out, lambda drawing: feasibility(found, ax=drawing.subplots()))
+    if out.suffix.lower() == ".svg":
+        map_figure(found).save(out)
+    else:
+        save_figure(out, lambda drawing: feasibility(found, ax=drawing.subplots()))
     write_json(numbers, "design-map", 1, plain(vars(found)))
     return Answer(found, bool(found.feasible.any()), written=(out, numbers))

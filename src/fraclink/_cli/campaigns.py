@@ -22,8 +22,8 @@ from fraclink._design import Design
 from fraclink._files import save, write_text
 from fraclink._files.envelope import write_npz
 from fraclink._logs.responses import read_reference
-from fraclink._show.faults import draw_outcome
 from fraclink._show.report import write_campaign_report
+from fraclink._show.runs import draw_outcome
 from fraclink._show.views import faults_page
 from fraclink._simulate import geared
 from fraclink._workflow import design_for

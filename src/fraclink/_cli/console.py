@@ -8,7 +8,6 @@ called ``\\x1b]0;...`` must not retitle, recolour or rewrite a terminal.
 from __future__ import annotations
 
 import json
-import math
 import os
 import re
 import shutil
@@ -23,7 +22,7 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from fraclink._show.text import folded
+from fraclink._show.text import folded, option
 from fraclink.errors import FieldError, FraclinkError, FraclinkWarning, InfeasibleError, MissingExtraError
 
 __all__ = ["clean", "emit", "emit_json", "guarded", "steps", "tell", "watching", "width"]
@@ -148,24 +147,12 @@ def _usage(error: Exception) -> str:
     return f"{text.rstrip('.')} (see `{command} --help`)"
 
 
-def _option(name: str, value: float) -> str:
-    """A keyword argument as the option that stands for it, rounded into the feasible side.
-
-    >>> _option("phase_margin", math.radians(50.58)), _option("gain_crossover", 12.3456)
-    ('--phase-margin-deg 50.57', '--gain-crossover 12.34')
-    """
-    # The nearest request lies on a bound: half a digit up would be infeasible again.
-    word = f"--{name.replace('_', '-')}"
-    shown, word = (math.degrees(value), f"{word}-deg") if name == "phase_margin" else (value, word)
-    return f"{word} {math.floor(100 * shown * (1 - 1e-6)) / 100:g}"
-
-
 def _answer(error: BaseException) -> tuple[int, str]:
     """Exit code and the line that explains it."""
     if isinstance(error, FieldError | MissingExtraError):
         return BAD_INPUT, f"error: {error}"
     if isinstance(error, InfeasibleError) and error.nearest:
-        options = " ".join(_option(name, value) for name, value in error.nearest.items())
+        options = " ".join(option(name, value) for name, value in error.nearest.items())
         return FAILED, f"✗ failed: {error.condition}: {error.explanation}; nearest feasible: {options}"
     if isinstance(error, FraclinkError):
         return FAILED, f"✗ failed: {error}"

@@ -14,14 +14,13 @@ from fraclink._cli.app import group
 from fraclink._cli.command import Answer, Writes, command
 from fraclink._cli.console import tell
 from fraclink._cli.options import LogName, log_path
-from fraclink._files import write_text
 from fraclink._logs.guess import Question
 from fraclink._logs.weighing import answered
 from fraclink._show.figures import fit_figure
 from fraclink._validate import Between, Payload
 from fraclink._workflow import START_FILES, Start
 from fraclink._workflow import start as start_from
-from fraclink.errors import FieldError, MissingExtraError
+from fraclink.errors import FieldError
 
 __all__ = ["start"]
 
@@ -63,17 +62,12 @@ def start(
         interpolate=interpolate,
         ask=_ask if sys.stdin.isatty() and sys.stderr.isatty() else None,
     )
-    written, remarks = list(found.save(out, force=force)), []
-    try:
-        write_text(out / _PICTURE, fit_figure(found.experiment, found.fit))
-        written.append(out / _PICTURE)
-    except MissingExtraError as error:
-        remarks.append(f"no picture: {error}")
+    written = found.save(out, force=force)
+    fit_figure(found.experiment, found.fit).save(out / _PICTURE)
     return Answer(
         found,
         found.passed,
-        remarks=tuple(remarks),
-        written=tuple(written),
+        written=(*written, out / _PICTURE),
         following=_following(found, log, out),
     )
 

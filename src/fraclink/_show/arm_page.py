@@ -85,7 +85,7 @@ def render_arm_page(study: Study, *, title: str | None = None) -> str:
         arm = arm_box(study, design, payloads=payloads)
         if arm is None:
             raise _too_fast(design)
-        style = arm.style + squeezed("arm.css")
+        style = squeezed("palette.css") + arm.style + squeezed("arm.css")
         page = rendered("arm.html", arm=arm, style=style, style_hash=page_hash(style), **said)
         excess = len(page.encode()) - _LARGEST
         if excess <= 0 or payloads <= 5:

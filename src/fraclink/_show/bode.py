@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fraclink._show.axes import BLUE, GREEN, GREY, ORANGE
 from fraclink._show.curves import Curve, labelled, new_axes, sample
-from fraclink._show.drawing import BLUE, GREEN, GREY, ORANGE
 from fraclink._systems.margins import Margins
 from fraclink._systems.margins import margins as find_margins
 from fraclink.errors import FieldError

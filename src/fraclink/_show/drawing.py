@@ -1,164 +1,197 @@
-"""How fraclink draws: one palette, one style of axes, SVG that comes out the same byte for byte."""
+"""How fraclink draws: SVG that fits any width, in the colours of the page around it or in its own.
+
+Places across a drawing are shares of its width and places down it are dots, so that text and strokes keep
+their size on a telephone, on a screen and on paper. Curves lie in a box of 4000 by 2000 steps that stretches
+with the panel. The same values give the same bytes.
+"""
 
 from __future__ import annotations
 
-import html
-import io
 import re
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
+from fraclink._files import write_text
+from fraclink._show.marks import ACROSS, DOWN, Frame, Layers, Mark, escaped, percent
+from fraclink._show.pages import template_text
+from fraclink._show.palette import DARK, LIGHT, literal
+from fraclink._show.scales import Scale
 
-from fraclink._files import atomic_write
-from fraclink.errors import MissingExtraError
+__all__ = ["Figure", "Panel", "stand_alone"]
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-__all__ = ["BLUE", "FAINT", "FULL_WIDTH", "GREEN", "GREY", "INK", "LEVELS", "LINES", "ORANGE", "VIOLET"]
-__all__ += ["envelope", "figure", "load_matplotlib", "save_figure", "svg"]
-
-INK, GREY, FAINT = "#1f2430", "#7b8494", "#d9dde4"
-# Okabe and Ito (2008): distinct with every common colour blindness. In grey print, and where curves lie on
-# one another, the dashes tell them apart.
-BLUE, ORANGE, GREEN, VIOLET = "#0072b2", "#d55e00", "#009e73", "#cc79a7"
-LEVELS = (BLUE, ORANGE, GREEN, VIOLET)
-LINES: tuple[dict[str, Any], ...] = tuple(
-    {"color": color, "linestyle": style}
-    for color, style in zip(LEVELS, ("-", (0, (6, 2)), (0, (2, 1.5)), (0, (6, 2, 1, 2))), strict=True)
-)
-FAILED = "#a8321f"
+WIDTH = 860.0  # dots of a drawing that stands alone: the text's width on the report's page
+_LETTER = 6.7  # dots a letter of 12 dots is wide, on the average of a system's typeface
+_ROW = 15.0  # dots between two lines of text
 
 
-def load_matplotlib() -> Any:
-    """Return matplotlib with the parts that draw without a display; it takes a third of a second to import.
+# --- panels and figures -----------------------------------------------------------------------------------
 
-    Raises MissingExtraError where it is not installed.
+
+@dataclass(frozen=True)
+class Panel:
+    """What is drawn over one vertical scale; its label stands above it, where it can be read."""
+
+    label: str
+    y: Scale
+    marks: Sequence[Mark]
+    height: float = 150.0
+    raw: Callable[[Frame], str] | None = None  # further elements, of drawings that are no curves
+
+
+@dataclass(frozen=True)
+class Figure:
+    """Panels over one another on one horizontal scale.
+
+    name: unique on its page. description: what a reader who does not see it is told. link: figures of one
+    link share their cursor. left: dots for the vertical scale's texts.
     """
-    try:
-        import matplotlib.backends.backend_agg
-        import matplotlib.backends.backend_svg
-        import matplotlib.figure
-        import matplotlib.ticker
-    except ModuleNotFoundError as error:
-        raise MissingExtraError("matplotlib", "report") from error
-    return matplotlib
+
+    name: str
+    description: str
+    x: Scale
+    panels: Sequence[Panel]
+    xlabel: str = ""
+    link: str = ""
+    left: float = 46.0
+    width: float = WIDTH
+    rigid: bool = False  # the same in both directions: a plane
+    key: tuple[str, ...] = ()  # a title, then what the levels' colours mean
+
+    def inline(self) -> str:
+        """The drawing as an element of a page that has `figure.css`."""
+        if self.rigid:
+            text = re.sub(r"<style>.*?</style><rect[^>]*/>", "", self.alone(), flags=re.DOTALL)
+            return text.replace(' role="img"', f' id="fig-{self.name}" role="img"', 1)
+        body, height, right = self._body()
+        scale = f"{self.x.low:.9g} {self.x.high:.9g}{' log' if self.x.log else ''}"
+        data = f'data-x="{scale}" data-link="{escaped(self.link or self.name)}"'
+        style = f"height:{height:g}px;padding:0 {right:g}px 0 {self.left:g}px"
+        label = f'aria-label="{escaped(self.description)}"'
+        return f'<svg class="fl" id="fig-{self.name}" role="img" {label} {data} style="{style}">{body}</svg>'
+
+    def alone(self) -> str:
+        """The drawing as a file, or as a cell's: with its own style, in both themes."""
+        body, height, right = self._body()
+        across = self.panels[0].height if self.rigid else self.width - self.left - right
+        inner = f'x="{self.left:g}" y="10" width="{across:g}" height="{height:g}"'
+        nested = f'<svg {inner} overflow="visible">{body}</svg>'
+        return stand_alone(nested, self.left + across + right, height + 20, self.description)
+
+    def save(self, path: Path | str) -> None:
+        """Write the drawing to an SVG file, whole or not at all."""
+        write_text(path, self.alone() + "\n")
+
+    def _body(self) -> tuple[str, float, float]:
+        """Elements, height and the room at the right in dots."""
+        parts, top, names = [], 24.0, [0]
+        for panel in self.panels:
+            frame = Frame(self.x, panel.y, top, panel.height)
+            layers = [mark.drawn(frame) for mark in panel.marks]
+            parts.append(_panel(panel, frame, layers, last=panel is self.panels[-1]))
+            names += [len(name) for layer in layers for _, name, _ in layer.ends]
+            top += panel.height + 34.0
+        bottom = top - 34.0
+        if self.xlabel:
+            parts.append(
+                f'<text class="axis" x="50%" y="{bottom + 36:g}" text-anchor="middle">'
+                f"{escaped(self.xlabel)}</text>"
+            )
+        bottom += 44.0 if self.xlabel else 24.0
+        if self.key:
+            parts.append(_key(self.key, bottom + 14.0))
+            bottom += 40.0
+        right = 14.0 if max(names) == 0 else 38.0 + _LETTER * max(names)
+        return "".join(parts), bottom, right
 
 
-_STYLE: dict[Any, Any] = {
-    "font.family": "DejaVu Sans",  # comes with matplotlib: the same glyphs on every machine
-    "font.size": 8.5,
-    "axes.titlesize": 9,
-    "axes.titleweight": "bold",
-    "axes.titlelocation": "left",
-    "axes.labelsize": 8.5,
-    "axes.labelcolor": INK,
-    "axes.edgecolor": GREY,
-    "axes.linewidth": 0.7,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "grid.color": FAINT,
-    "grid.linewidth": 0.5,
-    "xtick.color": INK,
-    "ytick.color": INK,
-    "xtick.labelsize": 8,
-    "ytick.labelsize": 8,
-    "text.color": INK,
-    "legend.frameon": False,
-    "legend.fontsize": 8,
-    "lines.linewidth": 1.3,
-    "text.parse_math": False,  # a `$` in a file's name is a dollar, not a formula
-    "svg.fonttype": "path",
-    "svg.hashsalt": "fraclink",
-    "path.simplify_threshold": 0.2,
-}
+def _key(key: tuple[str, ...], top: float) -> str:
+    """What the colours of the levels mean, beside one another at any width."""
+    parts = [f'<text class="name" y="{top:g}">{escaped(key[0])}</text>']
+    for level, text in enumerate(key[1:]):
+        x = percent(level / 4)
+        parts.append(f'<rect class="l{level}" x="{x}" y="{top + 8:g}" width="14" height="14"/>')
+        parts.append(f'<text class="name" x="{x}" dx="19" y="{top + 19:g}">{escaped(text)}</text>')
+    return "".join(parts)
 
 
-@contextmanager
-def figure(width: float, height: float) -> Iterator[Figure]:
-    """Yield an empty figure of `width` × `height` inches in the report's style."""
-    mpl = load_matplotlib()
-    with mpl.rc_context(_STYLE):
-        yield mpl.figure.Figure(figsize=(width, height), layout="constrained")
+def _panel(panel: Panel, frame: Frame, layers: Sequence[Layers], *, last: bool) -> str:
+    bottom = round(frame.top + frame.height, 1)
+    lines, texts = [], []
+    for value, text in frame.y.marks(max(4, int(frame.height / 34))):
+        y = frame.down(value)
+        lines.append(f'<line class="grid" x2="100%" y1="{y}" y2="{y}"/>')
+        texts.append(f'<text x="-6" y="{round(y + 4, 1)}" text-anchor="end">{escaped(text)}</text>')
+    for k, (value, text) in enumerate(frame.x.marks(9)):
+        x = frame.across(value)
+        lines.append(f'<line class="grid" x1="{x}" x2="{x}" y1="{frame.top}" y2="{bottom}"/>')
+        if last:
+            hidden = ' class="alt"' if k % 2 else ""
+            texts.append(
+                f'<text{hidden} x="{x}" y="{bottom + 17}" text-anchor="middle">{escaped(text)}</text>'
+            )
+    scale = f"{frame.y.low:.9g} {frame.y.high:.9g}{' log' if frame.y.log else ''}"
+    place = f'y="{frame.top}" width="100%" height="{frame.height}"'
+    view = f'viewBox="0 0 {ACROSS} {DOWN}" preserveAspectRatio="none"'
+    box = f'<svg class="box" {place} {view} data-y="{scale}">'
+    shaded = "".join(layer.below for layer in layers if layer.below.startswith("<rect"))
+    curves = "".join(layer.below for layer in layers if not layer.below.startswith("<rect"))
+    curves += "".join(layer.curves for layer in layers)
+    above = (panel.raw(frame) if panel.raw else "") + "".join(layer.above for layer in layers)
+    frame_line = f'<line class="base" x2="100%" y1="{bottom}" y2="{bottom}"/>'
+    label = (
+        f'<text class="label" x="-42" y="{frame.top - 8}">{escaped(panel.label)}</text>'
+        if panel.label
+        else ""
+    )
+    ends = _ends([end for layer in layers for end in layer.ends], frame)
+    return "".join([shaded, *lines, *texts, box, curves, "</svg>", frame_line, above, ends, label])
 
 
-_PLACES = re.compile(r'\b(?:d|x|y|x1|x2|y1|y2|width|height|viewBox|points)="[^"]*"|\btranslate\([^)]*\)')
+def _ends(ends: Sequence[tuple[float, str, str]], frame: Frame) -> str:
+    """Names at the right ends of their lines, pushed apart until each can be read."""
+    placed = sorted(ends)
+    places = [end[0] for end in placed]
+    for _ in range(40):
+        for k in range(1, len(places)):
+            near = _ROW - (places[k] - places[k - 1])
+            if near > 0.01:
+                places[k - 1], places[k] = places[k - 1] - near / 2, places[k] + near / 2
+        low, high = frame.top + 5, frame.top + frame.height - 2
+        if places and places[0] < low:
+            places = (
+                [p + low - places[0] for p in places]
+                if len(places) == 1
+                else [max(p, low + _ROW * k) for k, p in enumerate(places)]
+            )
+        if places and places[-1] > high:
+            places = [min(p, high - _ROW * (len(places) - 1 - k)) for k, p in enumerate(places)]
+    parts = []
+    for y, (_, name, style) in zip(places, placed, strict=True):
+        sides = 'x1="14.4" x2="14.5"' if "dots" in style else 'x1="5" x2="24"'
+        key = f'<line class="{style}" {sides} y1="{y:.1f}" y2="{y:.1f}"/>'
+        parts.append(f'{key}<text class="name" x="29" y="{y + 4:.1f}">{escaped(name)}</text>')
+    return f'<svg x="100%" overflow="visible">{"".join(parts)}</svg>' if parts else ""
 
 
-def _rounded(number: re.Match[str]) -> str:
-    return f"{float(number.group()):.2f}".rstrip("0").rstrip(".")
+# --- a drawing without a page -----------------------------------------------------------------------------
 
 
-def svg(drawing: Figure, name: str, description: str) -> str:
-    """Return `drawing` as an inline SVG element whose ids begin with `name`.
-
-    Several SVGs share one page, and matplotlib names its clip paths and glyphs alike in each of them.
-    """
-    stream, mpl = io.StringIO(), load_matplotlib()
-    with mpl.rc_context(_STYLE):
-        canvas = mpl.backends.backend_svg.FigureCanvasSVG(drawing)
-        canvas.print_svg(stream, metadata={"Date": None, "Creator": None})
-    text = stream.getvalue()
-    text = text[text.index("<svg") :]
-    text = re.sub(r"<metadata>.*?</metadata>\s*", "", text, flags=re.DOTALL)
-    # matplotlib's ids are hashes of coordinates in all their digits, and the layout's solver does not find
-    # the last one twice alike; numbers in the order of the page are the same every time.
-    order = {old: f"{name}-{number}" for number, old in enumerate(re.findall(r'\bid="([^"]*)"', text))}
-    text = re.sub(r'(\bid="|url\(#|href="#)([^")]*)', lambda at: at[1] + order[at[2]], text)
-    # A hundredth of a point is a thirtieth of a screen's dot; more digits are half of the text, and they
-    # differ in the last place between processors.
-    text = _PLACES.sub(lambda place: re.sub(r"-?\d+\.\d{3,}", _rounded, place.group()), text)
-    text = re.sub(r"\s*\n\s*", "\n", text)
-    opening = f'<svg role="img" aria-label="{html.escape(description)}" '
-    return opening + text[len("<svg") :].strip()
+@cache
+def _own_style() -> str:
+    """The style of a file: colours by value, first the light ones, then the dark ones."""
+    rules = re.sub(r"/\*.*?\*/", "", template_text("figure.css"), flags=re.DOTALL)
+    rules = re.sub(r"@media[^{]*\{(?:[^{}]*\{[^{}]*\})*\s*\}", "", rules)
+    rules = "\n".join(line for line in rules.splitlines() if line.strip())
+    dark = "\n".join(rule for rule in re.findall(r"[^{}]+\{[^}]*\}", rules) if "var(--" in rule)
+    return f"{literal(rules, LIGHT)}\n@media (prefers-color-scheme: dark) {{ {literal(dark, DARK).strip()} }}"
 
 
-FULL_WIDTH = 8.6  # inches: the text's width on the page at 96 dots an inch
-_POINTS = 900  # twice this many points for a line; the page shows about 800 dots
-
-Real = NDArray[np.float64]
-
-
-def envelope(time: NDArray[Any], values: NDArray[Any], points: int = _POINTS) -> tuple[Real, Real]:
-    """Return a record thinned to its smallest and largest value in each of `points` stretches.
-
-    No peak is lost, and 100 000 samples draw as fast as 2 000.
-
-    >>> t, y = envelope(np.arange(10_000.0), np.sin(np.arange(10_000.0)), 50)
-    >>> len(t), bool(y.max() > 0.999)
-    (100, True)
-    """
-    count = len(values)
-    if count <= 2 * points:
-        return time, values
-    edges = np.linspace(0, count, points + 1).astype(int)[:-1]
-    low, high = np.minimum.reduceat(values, edges), np.maximum.reduceat(values, edges)
-    rising = values[edges] <= (low + high) / 2
-    first, second = np.where(rising, low, high), np.where(rising, high, low)
-    middle = np.append(edges[1:], count)
-    half = (edges + middle) // 2
-    return np.column_stack([time[edges], time[half]]).ravel(), np.column_stack([first, second]).ravel()
-
-
-def save_figure(
-    path: Path | str, draw: Callable[[Figure], object], *, size: tuple[float, float] = (7.5, 5.0)
-) -> None:
-    """Let `draw` fill a figure of `size` [inches] and write it as the suffix says (SVG without one).
-
-    Raises MissingExtraError where matplotlib is not installed.
-    """
-    mpl = load_matplotlib()
-    kind = Path(path).suffix.lstrip(".").lower() or "svg"
-    # Without a date and with ids that do not change a second run writes the same file.
-    extra = {"metadata": {"Date": None}} if kind == "svg" else {"dpi": 110}
-    with mpl.rc_context({"svg.hashsalt": "fraclink"}):
-        drawing = mpl.figure.Figure(figsize=size, layout="constrained")
-        mpl.backends.backend_agg.FigureCanvasAgg(drawing)
-        draw(drawing)
-        with atomic_write(path, "wb") as stream:
-            drawing.savefig(stream, format=kind, **extra)
+def stand_alone(body: str, width: float, height: float, description: str) -> str:
+    """Elements as a whole SVG of `width` by `height` dots on a ground of its own."""
+    head = (
+        f'<svg xmlns="http://www.w3.org/2000/svg" class="fl alone" role="img" width="{width:g}" '
+        f'height="{height:g}" viewBox="0 0 {width:g} {height:g}" aria-label="{escaped(description)}">'
+    )
+    return f'{head}<style>{_own_style()}</style><rect class="ground" width="100%" height="100%"/>{body}</svg>'

@@ -2,30 +2,29 @@
 
 from __future__ import annotations
 
-import hashlib
-import re
 from collections.abc import Callable
 from typing import Any
 
-from fraclink._show import figures, moves
+from fraclink._show import figures, loops, runs
+from fraclink._show.drawing import Figure
 from fraclink._show.text import looked_up, marked
 from fraclink._show.views import view
-from fraclink.errors import MissingExtraError
 
 __all__ = ["drawing", "page_part", "short"]
 
 _LONGEST = 110  # characters of a repr: a list of results stays readable
 
-_DRAWINGS: dict[str, Callable[[Any], str]] = {
+_DRAWINGS: dict[str, Callable[[Any], Figure]] = {
     "Experiment": figures.log_figure,
-    "Fit": lambda fit: figures.models_figure({fit.structure: fit}),
+    "Fit": figures.detail_figure,
     "Start": lambda started: figures.fit_figure(started.experiment, started.fit),
-    "Comparison": lambda comparison: figures.models_figure(comparison.fits),
-    "Design": figures.bode_figure,
+    "Comparison": lambda found: figures.models_figure(found.fits, found.preferred),
+    "Design": loops.bode_figure,
     "StructureFit": figures.structure_figure,
     "DrivenLinkFit": lambda found: figures.structure_figure(found.fit),
-    "Run": lambda run: figures.moves_figure([run]),
-    "ShapedMove": moves.shaped_figure,
+    "FeasibilityMap": loops.map_figure,
+    "Run": lambda run: runs.moves_figure([run]),
+    "ShapedMove": runs.shaped_figure,
 }
 
 
@@ -43,16 +42,11 @@ def short(result: Any) -> str:
 
 
 def drawing(result: Any) -> str | None:
-    """Return the drawing of a result as SVG; None where it has none, or matplotlib is not installed."""
+    """Return the drawing of a result as SVG, in the colours of both themes; None where it has none."""
     if type(result).__name__ not in _DRAWINGS:
         return None
-    try:
-        text = looked_up(_DRAWINGS, result)(result)
-    except MissingExtraError:
-        return None
-    # Cells share one page: the clip paths of one drawing must not be those of another.
-    mark = hashlib.sha256(text.encode()).hexdigest()[:8]
-    return re.sub(r'(\bid="|url\(#|href="#)', rf"\g<1>{mark}-", text)
+    drawn: Figure = looked_up(_DRAWINGS, result)(result)
+    return drawn.alone()
 
 
 def page_part(result: Any) -> str:

@@ -11,7 +11,7 @@ __all__ = ["DARK", "DASHES", "LIGHT", "LINES", "colours", "literal"]
 
 # Dashes [dots] of the lines 0 to 4: where colours are of no use, in grey print, and where curves lie on one
 # another. Line 0 is the ink: a reference, a measured signal.
-DASHES = ("", "", "7 3", "2 2.5", "9 3 2 3")
+DASHES = ("", "", "7 3", "3 2.5", "9 3 2 3")
 LINES = tuple(range(1, len(DASHES)))
 LIGHT, DARK = 0, 1
 

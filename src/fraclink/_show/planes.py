@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fraclink._show.axes import ORANGE
 from fraclink._show.curves import Curve, finish, labelled, new_axes, sample
-from fraclink._show.drawing import ORANGE
 
 __all__ = ["nichols", "nyquist"]
 

@@ -1,34 +1,43 @@
-"""Reports as one HTML file each: no request, no script but the arm's, whatever files hold is escaped."""
+"""Reports as one HTML file each: no request, complete without a script, whatever files hold is escaped."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from fraclink._campaign import Campaign, Summary, columns
-from fraclink._campaign.faults import fault_named
 from fraclink._design import Design
+from fraclink._design.alternatives import feasibility_map
+from fraclink._design.assess import phase_budget, tolerances
 from fraclink._files import write_text
-from fraclink._show import figures, tables
-from fraclink._show.arm_box import arm_box
-from fraclink._show.drawing import load_matplotlib
+from fraclink._show import figures, fleets, loops, matrix, runs, tables, words
+from fraclink._show.arm_box import arm_box, page_hash, squeezed
+from fraclink._show.drawing import Figure
 from fraclink._show.pages import rendered
+from fraclink._show.sketches import arm_sketch
 from fraclink._show.text import Table, number
 from fraclink._workflow import Study
+from fraclink.errors import FieldError
 
 __all__ = ["render_report", "write_campaign_report", "write_report"]
 
 _PAYLOADS = 15  # of the arm that moves: 40 kB of a report of 700
 _BEYOND = 0.4  # margins are tabulated at this share of the lightest payload too: 8 g for 20 g
+_MAP = 48  # cells of the map of an infeasible request, each way
 
 
 def write_report(study: Study, path: Path | str, *, title: str | None = None, script: bool = True) -> Path:
     """Write the report of `study` to `path`, in one step, and return the path.
 
     With `script`, and where the study has a design, its first figure is the arm that moves, as in
-    `write_arm_page`; without, the report holds no script at all.
+    `write_arm_page`, and figures show their values under the pointer; without, the report holds no script
+    at all.
 
-    Raises MissingExtraError where matplotlib or jinja2 are not installed.
+    Raises MissingExtraError where jinja2 is not installed.
 
     >>> import tempfile
     >>> write_report(Study(), Path(tempfile.mkdtemp()) / "report.html").name
@@ -47,11 +56,15 @@ def render_report(study: Study, *, title: str | None = None, script: bool = True
     name = study.rig.name if study.rig else "unnamed rig"
     source = tables.source_name(study.experiment)
     verdict, design = study.verdict, study.design
-    return _rendered(
+    model = (
+        design.model if design else study.fit.model if study.fit else study.rig.model if study.rig else None
+    )
+    return rendered(
         "report.html",
         title=title or f"{name}: {source}",
         study=study,
         arm=arm_box(study, design, payloads=_PAYLOADS) if script and design else None,
+        pointer=_pointer(script=script),
         zone=_zone(design),
         source=source,
         verdict=verdict,
@@ -59,17 +72,66 @@ def render_report(study: Study, *, title: str | None = None, script: bool = True
         scopes=tables.scopes(verdict),
         in_short=tables.summary_rows(study),
         tables=_tables(study),
+        sketch=_inline(arm_sketch(words.sketch_notes(study.rig, model))) if study.rig else "",
+        said=words.arm_sentences(study.rig, model) if study.rig else [],
+        tolerated=_tolerated(design),
         rig_findings=[finding for finding in study.findings if finding.code.startswith("W1")],
         log_findings=[finding for finding in study.findings if not finding.code.startswith("W1")],
         coincidence=tables.coincidence(study.fits),
-        fault_notes=_fault_notes(study),
-        figures=_figures(study),
+        faults=_faults(study),
+        figures={name: drawn.inline() for name, drawn in _figures(study).items()},
+        refusal=words.refusal_sentence(study),
+        steps=words.steps(study),
+        power_on=words.power_on(design) if design else [],
+        files=_files(study),
     )
+
+
+def _pointer(*, script: bool) -> Mapping[str, str] | None:
+    """The script that shows values under the pointer, and its hash for the policy."""
+    if not script:
+        return None
+    text = squeezed("figures.js")
+    return {"script": text, "hash": page_hash(text)}
+
+
+def _inline(text: str) -> str:
+    """A drawing that stands alone, without the style and the ground that the page has."""
+    return text[: text.index("<style>")] + text[text.index("/>", text.index("</style>")) + 2 :]
 
 
 def _zone(design: Design | None) -> str:
     low, high = design.payloads if design else (0.0, 0.0)
     return f"{number(1e3 * low)} to {number(1e3 * high)} g"
+
+
+def _tolerated(design: Design | None) -> list[str]:
+    return words.tolerance_sentences(tolerances(design), design) if design else []
+
+
+def _faults(study: Study) -> Mapping[str, Any] | None:
+    if study.faults is None:
+        return None
+    return {
+        "columns": matrix.fault_columns(study.faults),
+        "counts": matrix.fault_counts(study.faults),
+        "rows": matrix.fault_rows(study.faults),
+        "sentence": tables.faults_sentence(study.faults),
+        "command": study.faults.about.get("command", ""),
+    }
+
+
+def _files(study: Study) -> list[tuple[str, str]]:
+    """The files of the folder that hold something of this study."""
+    known = (
+        ("rig.toml", "the rig", study.rig),
+        ("model.json", "the model that the design uses", study.fit),
+        ("design.json", "request, controller, requirements", study.design),
+        ("law.json", "coefficients of the law that is shipped", study.law),
+        ("certificate.json", "the proof", study.certificate),
+        ("faults.json", "the fault campaign", study.faults),
+    )
+    return [(name, what) for name, what, part in known if part is not None]
 
 
 def _tables(study: Study) -> Mapping[str, Table]:
@@ -82,7 +144,7 @@ def _tables(study: Study) -> Mapping[str, Table]:
     if study.fits:
         found["models"] = tables.fits_table(study.fits)
     if study.design is not None:
-        payloads = [_BEYOND * study.design.payloads[0], *figures.payloads_of(study.design)]
+        payloads = [_BEYOND * study.design.payloads[0], *loops.payloads_of(study.design)]
         found["controller"] = tables.controller_table(study.design, study.law)
         found["requirements"] = tables.requirements_table(study.design.requirements)
         found["margins"] = tables.margins_table(study.design, payloads)
@@ -90,71 +152,102 @@ def _tables(study: Study) -> Mapping[str, Table]:
         found["moves"] = tables.moves_table(study.runs)
     if study.arms is not None:
         found["arms"] = tables.spread_table(study.arms)
-    if study.faults is not None:
-        found["faults"] = tables.faults_table(study.faults)
     return found
 
 
-def _fault_notes(study: Study) -> list[tuple[str, str]]:
-    """What a fault campaign cannot show of a fault: its number and a sentence."""
-    rows = study.faults.rows() if study.faults is not None else ()
-    notes = ((row.number, fault_named(row.number).note) for row in rows)
-    return [(number, note) for number, note in notes if note]
-
-
-def _figures(study: Study) -> dict[str, str]:
-    drawn: dict[str, str] = {}
-    if study.experiment is not None:
-        drawn["log"] = figures.log_figure(study.experiment)
+def _figures(study: Study) -> dict[str, Figure]:
+    log, fit, design = study.experiment, study.fit, study.design
+    drawn: dict[str, Figure | None] = {}
+    if log is not None:
+        drawn["log"] = figures.log_figure(log)
+    if fit is not None:
+        drawn["detail"] = figures.detail_figure(fit)
+        drawn["residual"] = figures.residual_figure(fit)
+        drawn["response"] = None if log is None else figures.response_figure(log, fit)
     if study.fits:
-        drawn["models"] = figures.models_figure(study.fits)
-    if study.design is not None:
-        drawn["bode"] = figures.bode_figure(study.design)
-        drawn["nyquist"] = figures.nyquist_figure(study.design)
-        drawn["margins"] = figures.margins_figure(study.design)
+        drawn["models"] = figures.models_figure(study.fits, fit.structure if fit else None)
+    if design is not None:
+        proved = study.certificate.statement.modulus if study.certificate else None
+        drawn["bode"] = loops.bode_figure(design)
+        drawn["nyquist"] = loops.nyquist_figure(design, proved)
+        drawn["margins"] = loops.margins_figure(design)
+        drawn["budget"] = _budget(design)
+    elif study.refused is not None:
+        drawn["map"] = _map(study)
     if study.runs:
-        drawn["moves"] = figures.moves_figure(study.runs)
-    return drawn
+        drawn["moves"] = runs.moves_figure(study.runs)
+    return {name: figure for name, figure in drawn.items() if figure is not None}
 
 
-def _rendered(template: str, **contents: object) -> str:
-    load_matplotlib()  # a page without its figures is not written
-    return rendered(template, **contents)
+def _budget(design: Design) -> Figure | None:
+    try:
+        return loops.budget_figure(phase_budget(design, design.payloads[0]), design.payloads[0])
+    except FieldError:  # a loop that crosses nowhere has no budget
+        return None
+
+
+def _map(study: Study) -> Figure | None:
+    """The feasible requests around the one that was refused."""
+    model = study.fit.model if study.fit else study.rig.model if study.rig else None
+    if study.rig is None or model is None or study.refused is None:
+        return None
+    places = [
+        (p["gain_crossover"], p["phase_margin"])
+        for p in (study.refused.asked, study.refused.nearest)
+        if {"gain_crossover", "phase_margin"} <= p.keys()
+    ]
+    if len(places) < 2:
+        return None
+    rates, angles = zip(*places, strict=True)
+    # Wide enough for both places, and for what lies beside them.
+    crossovers = np.linspace(0.5 * min(rates), 1.25 * max(rates), _MAP)
+    margins = np.linspace(math.radians(10.0), max(math.radians(100.0), 1.1 * max(angles)), _MAP)
+    found = feasibility_map(model, study.rig, gain_crossovers=crossovers, phase_margins=margins)
+    return loops.map_figure(found, places[0], places[1])
 
 
 def write_campaign_report(campaign: Campaign, folder: Path | str, summary: Summary, path: Path | str) -> Path:
     """Write histograms, failure map, drivers and worst cases of a campaign to `path`; return it.
 
-    Raises MissingExtraError where matplotlib or jinja2 are not installed.
+    Raises MissingExtraError where jinja2 is not installed.
     """
-    names = list(figures.SHOWN)
-    payload, offset, passed, *values = columns(campaign, folder, "payload", "gauge_offset", "passed", *names)
-    failed = ~passed.astype(bool)
-    axes = ("payload [g]", "gauge offset [N·m]")
+    names = list(fleets.SHOWN)
+    drivers = fleets.strongest(summary)
+    first, second, passed, *values = columns(campaign, folder, *drivers, "passed", *names)
+    titles = tuple(name.replace("_", " ") for name in drivers)
     worst = tuple(
-        (m.name.replace("_", " "), f"{value:.4g}", f"fraclink campaign replay {folder} --run {run}")
+        (
+            tables.metric_name(m.name),
+            tables.metric_text(m.name, value),
+            f"fraclink campaign replay {folder} --run {run}",
+        )
         for m in summary.metrics
         for run, value in m.worst[:2]
         if m.name != "saturated"
     )
-    text = _rendered(
+    parameters, rows = fleets.driver_rows(summary)
+    failures = fleets.failures_figure(
+        first.astype(float), second.astype(float), ~passed.astype(bool), (titles[0], titles[1])
+    )
+    text = rendered(
         "campaign.html",
         title=f"Campaign on {campaign.rig.name}",
         campaign=campaign,
         given=summary.given,
         failure=summary.failure,
         state="failed" if summary.failure.count else "passed",
+        pointer=_pointer(script=True),
         tables={
             "spread": tables.spread_table(summary),
-            "worst": Table(("metric [SI]", "value", "command"), worst),
+            "worst": Table(("metric", "value", "command"), worst),
         },
-        figures={
-            "spread": figures.spread_figure(dict(zip(names, values, strict=True))),
-            "failures": figures.failures_figure(
-                1e3 * payload.astype(float), offset.astype(float), failed, axes
-            ),
-            "drivers": figures.drivers_figure(summary),
-        },
+        parameters=parameters,
+        drivers=rows,
+        spread=[
+            drawn.inline()
+            for drawn in fleets.spread_figures(dict(zip(names, map(np.asarray, values), strict=True)))
+        ],
+        figures={"failures": failures.inline()},
     )
     write_text(path, text)
     return Path(path)

@@ -258,17 +258,28 @@ UNITS = {
 }
 
 
+def metric_name(name: str) -> str:
+    """A metric with its unit.
+
+    >>> metric_name("settling_time")
+    'settling time [s]'
+    """
+    return f"{name.replace('_', ' ')} [{UNITS[name][0]}]"
+
+
+def metric_text(name: str, value: float) -> str:
+    """A metric's value in its unit."""
+    return number(UNITS[name][1] * value, 3) if math.isfinite(value) else "never"
+
+
 def spread_table(summary: Summary) -> Table:
     """Quantiles of every metric over the arms of a campaign, and what drives it most."""
     shares = [f"{100 * q.probability:g} %" for q in summary.metrics[0].quantiles]
     rows = []
     for metric in summary.metrics:
-        unit, factor = UNITS[metric.name]
-        values = (
-            number(factor * q.value, 3) if math.isfinite(q.value) else "never" for q in metric.quantiles
-        )
+        values = (metric_text(metric.name, q.value) for q in metric.quantiles)
         driver = ", ".join(f"{name.replace('_', ' ')} {r:+.2f}" for name, r in metric.drivers[:1])
-        rows.append((f"{metric.name.replace('_', ' ')} [{unit}]", *values, driver.replace("-", "−")))
+        rows.append((metric_name(metric.name), *values, driver.replace("-", "−")))
     return Table(("metric", *shares, "driven by"), tuple(rows))
 
 

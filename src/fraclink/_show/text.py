@@ -101,6 +101,23 @@ def quantity(value: float | None, unit: str) -> str:
     return degrees(value) if unit == "rad" else f"{number(value)} {unit}".strip()
 
 
+def option(name: str, value: float) -> str:
+    """A keyword argument as the option that stands for it, rounded into the feasible side.
+
+    >>> option("phase_margin", math.radians(50.58)), option("gain_crossover", 12.3456)
+    ('--phase-margin-deg 50.57', '--gain-crossover 12.34')
+    >>> option("mode_gain", 0.505987)
+    '--mode-gain 0.506'
+    """
+    # The nearest request lies on a bound: half a digit further would be infeasible again. What is asked
+    # for at least is rounded down, what is allowed at most is rounded up.
+    word = f"--{name.replace('_', '-')}"
+    shown, word = (math.degrees(value), f"{word}-deg") if name == "phase_margin" else (value, word)
+    if name in ("phase_margin", "gain_crossover"):
+        return f"{word} {math.floor(100 * shown * (1 - 1e-6)) / 100:g}"
+    return f"{word} {math.ceil(1000 * shown * (1 + 1e-6)) / 1000:g}"
+
+
 def sentence(text: str) -> str:
     """`text` with a capital and a full stop; the name of a field keeps its spelling.
 

@@ -22,7 +22,7 @@ from fraclink._law import Law
 from fraclink._logs import diagnose
 from fraclink._simulate import Run, simulate
 from fraclink._validate import Between, Seed, checked
-from fraclink._workflow.study import Study, save_study
+from fraclink._workflow.study import Refusal, Study, save_study
 from fraclink.errors import FieldError, FraclinkError, InfeasibleError
 
 __all__ = ["design_for", "run", "simulate_move"]
@@ -259,6 +259,8 @@ def run(
                 raise
             why = str(error) if isinstance(error, InfeasibleError) else f"{name} failed: {error}"
             study = replace(study, uncertified=why) if name == "proving" else replace(study, stopped=why)
+            if isinstance(error, InfeasibleError) and error.nearest:
+                study = replace(study, refused=Refusal.of(wanted, error.nearest))
             if study.design is None:
                 break
     if out is not None:

@@ -85,13 +85,31 @@ class Verdict:
         return tuple(dict.fromkeys(reason for scope in self.scopes.values() for reason in scope.reasons))
 
 
+@dataclass(frozen=True)
+class Refusal:
+    """A request that no controller meets, and the nearest one that can be met, as arguments of `design`.
+
+    Both are empty where the condition names none.
+    """
+
+    asked: Mapping[str, float]
+    nearest: Mapping[str, float]
+
+    @classmethod
+    def of(cls, wanted: Mapping[str, Any], nearest: Mapping[str, float]) -> Refusal:
+        """What was asked for of the values that the nearest request names."""
+        asked = {name: float(wanted[name]) for name in nearest if isinstance(wanted.get(name), int | float)}
+        return cls(dict(nearest) | asked, dict(nearest))
+
+
 @displayed
 @dataclass(frozen=True)
 class Study:
     """What one log led to. Every part may be missing: a folder may hold some of the files only.
 
     rig, experiment, findings (of their examination); comparison of the structures; the fit that the design
-    used; design, law and certificate; stopped and uncertified: why there is none of them; runs: simulated
+    used; design, law and certificate; stopped and uncertified: why there is none of them; refused: the
+    request and the nearest that can be met, where it was the request that stopped it; runs: simulated
     moves, one for each payload; arms: the summary of many arms that differ; faults: a fault campaign;
     assumptions: sentences on everything that was not stated.
 
@@ -107,6 +125,7 @@ class Study:
     design: Design | None = None
     law: Law | None = None
     stopped: str | None = None
+    refused: Refusal | None = None
     certificate: Certificate | None = None
     uncertified: str | None = None
     runs: tuple[Run, ...] = ()
@@ -224,6 +243,7 @@ def _remarks_of(study: Study) -> _Remarks:
     return _Remarks(
         structure=study.fit.structure if study.fit else None,
         stopped=study.stopped,
+        refused=study.refused,
         uncertified=study.uncertified,
         assumptions=study.assumptions,
         findings=study.findings,
@@ -284,6 +304,7 @@ class _Remarks:
 
     structure: str | None = None
     stopped: str | None = None
+    refused: Refusal | None = None
     uncertified: str | None = None
     assumptions: tuple[str, ...] = ()
     findings: tuple[Finding, ...] = ()
@@ -309,6 +330,7 @@ def _gathered(place: Path, by_kind: Mapping[str, list[Path]]) -> Study:
         design=made,
         law=first("law", Law.load),
         stopped=about.stopped,
+        refused=about.refused,
         certificate=None if refuted else proof,
         uncertified=proof.verdict if refuted else about.uncertified,
         runs=tuple(sorted(map(Run.load, by_kind.get("run", [])), key=lambda move: move.payload)),

@@ -1,0 +1,142 @@
+"""Drawings of many runs: how metrics are spread, where runs fail, and what drives them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink._campaign import Summary
+from fraclink._show.drawing import Figure, Panel
+from fraclink._show.marks import Bars, Cells, Frame, Mark, Upright, escaped, percent
+from fraclink._show.scales import Scale
+from fraclink._show.tables import UNITS
+from fraclink._show.text import number
+
+__all__ = ["SHOWN", "driver_rows", "drivers_figure", "failures_figure", "spread_figures", "strongest"]
+
+Real = NDArray[np.float64]
+
+# Metric of a campaign: what its histogram is called.
+SHOWN = {
+    "settling_time": "settling time",
+    "overshoot": "overshoot",
+    "residual_vibration": "residual vibration",
+    "peak_tip_error": "largest tip error",
+    "peak_voltage": "largest voltage",
+    "motor_reference_noise": "motor reference noise",
+}
+_BINS = 40
+_CELLS = 10
+_FEWEST = 30  # runs of a cell: of fewer a share says little, and the cell stays empty
+_SHARES = (1.0, 10.0, 30.0)  # [%] limits of the colours
+
+
+def spread_figures(values: Mapping[str, Real]) -> list[Figure]:
+    """A histogram of each metric in SHOWN, with its median and 95 % quantile and a bar for "never"."""
+    return [_histogram(name, np.asarray(values[name], dtype=float)) for name in SHOWN]
+
+
+def _histogram(name: str, column: Real) -> Figure:
+    unit, factor = UNITS[name]
+    column = factor * column
+    finite = column[np.isfinite(column)]
+    never = len(column) - len(finite)
+    low = float(finite.min()) if finite.size else 0.0
+    top = float(np.quantile(finite, 0.999)) if finite.size else 1.0
+    top = top if top > low else low + 1.0
+    heights, edges = np.histogram(np.clip(finite, low, top), bins=_BINS, range=(low, top))
+    marks: list[Mark] = [Bars(edges, heights)]
+    end = top
+    if never:  # a bar of its own behind a gap: infinity is no large value
+        width = (top - low) / 12
+        end = top + 2 * width
+        marks.append(Bars([top + width, end], [never], 2))
+        marks.append(Upright(end, f"never: {100 * never / len(column):.3g} %", left=True))
+    for share, text in ((0.5, "median"), (0.95, "95 %")) if finite.size else ():
+        at = float(np.quantile(finite, share))
+        marks.append(Upright(at, text if not (share > 0.9 and never) else ""))
+    panel = Panel(
+        f"{SHOWN[name]} [{unit}]", Scale(0.0, 1.15 * max(*heights, never, 1), ticks=()), marks, 90.0
+    )
+    said = f"Histogram of the {SHOWN[name]} of {len(column)} runs; {never} never settle or have none"
+    return Figure(f"spread-{name}", said, Scale(low, end), (panel,), left=12.0, width=280.0)
+
+
+def strongest(summary: Summary) -> tuple[str, str]:
+    """The two parameters that the settling time depends on most."""
+    drivers = next(metric for metric in summary.metrics if metric.name == "settling_time").drivers
+    first, second = (name for name, _ in drivers[:2])
+    return first, second
+
+
+def failures_figure(across: Real, up: Real, failed: NDArray[np.bool_], names: tuple[str, str]) -> Figure:
+    """Share of runs that fail over two drawn parameters, whose axes `names` title."""
+    runs, x, y = np.histogram2d(across, up, bins=_CELLS)
+    bad, _, _ = np.histogram2d(across[failed], up[failed], bins=(x, y))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        share = np.where(runs >= _FEWEST, 100.0 * bad / runs, np.nan)
+    levels = np.where(np.isfinite(share), np.digitize(np.nan_to_num(share), _SHARES), -1).T
+    first, second, third = (number(limit) for limit in _SHARES)
+    key = (
+        "runs that fail [%]",
+        f"below {first}",
+        f"{first} to {second}",
+        f"{second} to {third}",
+        f"above {third}",
+    )
+    panel = Panel(names[1], Scale(float(y[0]), float(y[-1])), [Cells(x, y, levels)], 260.0)
+    said = f"Share of failing runs over two parameters; cells of fewer than {_FEWEST} runs are empty"
+    xlabel = f"{names[0]}; cells of fewer than {_FEWEST} runs are empty"
+    return Figure("failures", said, Scale(float(x[0]), float(x[-1])), (panel,), xlabel, key=key)
+
+
+def driver_rows(
+    summary: Summary,
+) -> tuple[tuple[str, ...], Sequence[tuple[str, tuple[tuple[str, int], ...]]]]:
+    """Parameters, and for each metric its rank correlations as text with a level of colour."""
+    metrics = [m for m in summary.metrics if m.name != "saturated"]
+    names = sorted({p for p, _ in metrics[0].drivers})
+    rows = []
+    for metric in metrics:
+        known = dict(metric.drivers)
+        cells = tuple(
+            (_correlation(known[name]), int(np.digitize(abs(known[name]), (0.15, 0.4, 0.7))))
+            for name in names
+        )
+        rows.append((metric.name.replace("_", " "), cells))
+    return tuple(name.replace("_", " ") for name in names), rows
+
+
+_HEAD, _LINE = 92.0, 24.0  # dots of the parameters' names over the table, and of a row
+
+
+def drivers_figure(summary: Summary) -> str:
+    """Draw Spearman's rank correlation of every metric with every parameter as a table in colours."""
+    names, rows = driver_rows(summary)
+
+    def table(frame: Frame) -> str:
+        parts, width = [], 1.0 / len(names)
+        for column, name in enumerate(names):
+            place = f'x="{percent((column + 0.5) * width)}" y="{frame.top + _HEAD - 8}"'
+            text = f'<text transform="rotate(-45)">{escaped(name)}</text>'
+            parts.append(f'<svg {place} overflow="visible">{text}</svg>')
+        for row, (metric, cells) in enumerate(rows):
+            y = frame.top + _HEAD + _LINE * row
+            parts.append(f'<text class="name" x="-8" y="{y + 16}" text-anchor="end">{escaped(metric)}</text>')
+            for column, (text, level) in enumerate(cells):
+                size = f'width="{percent(0.96 * width)}" height="{_LINE - 2}"'
+                parts.append(f'<rect class="l{level}" x="{percent(column * width)}" y="{y}" {size}/>')
+                place = f'x="{percent((column + 0.5) * width)}" y="{y + 15}" text-anchor="middle"'
+                parts.append(f'<text class="on-l{level}" {place}>{text}</text>')
+        return "".join(parts)
+
+    panel = Panel("", Scale(0.0, 1.0, ticks=()), (), _HEAD + _LINE * len(rows), table)
+    said = "Rank correlation of metrics with parameters"
+    key = ("size of the correlation", "below 0.15", "to 0.4", "to 0.7", "above 0.7")
+    return Figure("drivers", said, Scale(0.0, 1.0, ticks=()), (panel,), left=170.0, key=key).alone()
+
+
+def _correlation(value: float) -> str:
+    return f"{value:+.2f}".replace("-", "−") if abs(value) >= 0.05 else ""

@@ -1,0 +1,103 @@
+"""Scales of drawings: where a value lies along a side, ticks that people count in, records thinned."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+__all__ = ["Scale", "envelope", "nice_ticks"]
+
+Real = NDArray[np.float64]
+
+_POINTS = 900  # twice this many points for a line; the page shows about 800 dots
+
+
+def envelope(time: NDArray[Any], values: NDArray[Any], points: int = _POINTS) -> tuple[Real, Real]:
+    """Return a record thinned to its smallest and largest value in each of `points` stretches.
+
+    No peak is lost, and 100 000 samples draw as fast as 2 000.
+
+    >>> t, y = envelope(np.arange(10_000.0), np.sin(np.arange(10_000.0)), 50)
+    >>> len(t), bool(y.max() > 0.999)
+    (100, True)
+    """
+    count = len(values)
+    if count <= 2 * points:
+        return time, values
+    edges = np.linspace(0, count, points + 1).astype(int)[:-1]
+    low, high = np.minimum.reduceat(values, edges), np.maximum.reduceat(values, edges)
+    rising = values[edges] <= (low + high) / 2
+    first, second = np.where(rising, low, high), np.where(rising, high, low)
+    middle = np.append(edges[1:], count)
+    half = (edges + middle) // 2
+    return np.column_stack([time[edges], time[half]]).ravel(), np.column_stack([first, second]).ravel()
+
+
+@dataclass(frozen=True)
+class Scale:
+    """Values from `low` to `high` along a side of a panel, on a logarithmic scale where `log`.
+
+    ticks: places with their texts; chosen where it is left out.
+    """
+
+    low: float
+    high: float
+    log: bool = False
+    ticks: tuple[tuple[float, str], ...] | None = None
+
+    def share(self, values: ArrayLike) -> Real:
+        """Where values lie between the ends: 0 to 1."""
+        at, ends = np.asarray(values, dtype=float), np.array([self.low, self.high])
+        if self.log:
+            with np.errstate(divide="ignore", invalid="ignore"):
+                at, ends = np.log(at), np.log(ends)
+        return np.asarray((at - ends[0]) / (ends[1] - ends[0]))
+
+    def marks(self, most: int) -> tuple[tuple[float, str], ...]:
+        """Places and texts of at most about `most` ticks."""
+        if self.ticks is not None:
+            return self.ticks
+        return _decades(self.low, self.high) if self.log else nice_ticks(self.low, self.high, most)
+
+    @classmethod
+    def around(cls, *values: ArrayLike, least: float = 0.0, room: float = 0.06) -> Scale:
+        """A scale that shows all finite values, at least `least` of them, with some room beside them."""
+        every = np.concatenate([np.asarray(value, dtype=float).ravel() for value in values])
+        every = every[np.isfinite(every)]
+        low, high = (float(every.min()), float(every.max())) if every.size else (0.0, 1.0)
+        spare = max(0.5 * (least - (high - low)), room * (high - low), 1e-9 * abs(high), 1e-300)
+        return cls(low - spare, high + spare)
+
+
+def nice_ticks(low: float, high: float, most: int) -> tuple[tuple[float, str], ...]:
+    """Places at multiples of 1, 2, 2.5 or 5 times a power of ten.
+
+    >>> nice_ticks(0.0, 1.0, 5)
+    ((0.0, '0'), (0.2, '0.2'), (0.4, '0.4'), (0.6, '0.6'), (0.8, '0.8'), (1.0, '1'))
+    """
+    rough = (high - low) / max(most, 1)
+    power = 10.0 ** math.floor(math.log10(rough))
+    step = next(power * factor for factor in (1, 2, 2.5, 5, 10, 20) if power * factor >= 0.999 * rough)
+    first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
+    values = [round(k * step, 12) for k in range(first, last + 1)]
+    return tuple((value, _text(value, step)) for value in values)
+
+
+def _text(value: float, step: float) -> str:
+    if 1e-4 <= abs(step) < 1e5:
+        text = f"{value:.6f}".rstrip("0").rstrip(".")
+        return text.replace("-", "−") if float(text) else "0"
+    return f"{value:.3g}".replace("-", "−")
+
+
+def _decades(low: float, high: float) -> tuple[tuple[float, str], ...]:
+    """Powers of ten, with 2 and 5 times them where there are few."""
+    span = math.log10(high / low)
+    factors = (1, 2, 5) if span < 3.3 else (1,)
+    powers = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
+    values = [factor * 10.0**power for power in powers for factor in factors]
+    return tuple((v, f"{v:.12g}") for v in values if low * (1 - 1e-9) <= v <= high * (1 + 1e-9))

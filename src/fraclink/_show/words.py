@@ -1,0 +1,149 @@
+"""What a report says in sentences: the arm, how far one may rely on the design, what to do next."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+from fraclink._arm.link import LinkModel
+from fraclink._arm.rig import Rig
+from fraclink._design import Design
+from fraclink._design.assess import Tolerances
+from fraclink._show.text import degrees, grams, number, option
+from fraclink._workflow import Study
+
+__all__ = ["arm_sentences", "nearest_command", "power_on", "sketch_notes", "steps", "tolerance_sentences"]
+
+_LEFT = 0.05  # of a swing: what nobody sees any more
+
+
+def arm_sentences(rig: Rig, model: LinkModel | None) -> list[str]:
+    """The arm's numbers as a person would say them."""
+    low, high = rig.payloads.low, rig.payloads.high
+    said = [f"It carries {number(1e3 * low)} to {grams(high)} on a link of {number(rig.link.length)} m."]
+    if model is not None:
+        said += _swing(model)
+        if model.second_mode is not None:
+            hertz = number(model.second_mode.frequency / (2 * math.pi), 3)
+            said.append(f"A second mode rings at {hertz} Hz; the design bounds its loop gain.")
+        if abs(model.gauge_delay) > 1e-6:
+            late = number(1e3 * abs(model.gauge_delay), 2)
+            said.append(f"The gauge is {late} ms {'late' if model.gauge_delay > 0 else 'early'}.")
+    settled = number(4.0e3 / rig.motor_loop.pole, 2)
+    said.append(f"The motor follows within {settled} ms; the law runs every {number(1e3 * rig.period)} ms.")
+    return said
+
+
+def _swing(model: LinkModel) -> Iterator[str]:
+    pole = model.pole
+    if not pole.imag:
+        yield "The link does not swing: it creeps back."
+        return
+    with_payload = f"with {grams(model.payload)} " if model.payload is not None else ""
+    swing = f"With the motor held, it swings {with_payload}at {number(abs(pole.imag) / (2 * math.pi), 2)} Hz"
+    ratio = -pole.real / abs(pole)
+    if ratio <= 0:
+        yield f"{swing} without end in this model."
+        return
+    swings = -math.log(_LEFT) * abs(pole.imag) / (2 * math.pi * -pole.real)
+    yield f"{swing}, and 5 % of a swing is left after {number(swings, 2)} swings."
+
+
+def sketch_notes(rig: Rig, model: LinkModel | None) -> tuple[str, str, str]:
+    """What stands beside motor, gauge and payload in the drawing of the arm."""
+    late = model.gauge_delay if model is not None else 0.0
+    payload = f"{number(1e3 * rig.payloads.low)} to {grams(rig.payloads.high)}"
+    gauge = f"{number(1e3 * late, 2)} ms late" if late > 1e-6 else ""
+    return f"follows within {number(4.0e3 / rig.motor_loop.pole, 2)} ms", gauge, payload
+
+
+def tolerance_sentences(found: Tolerances, design: Design) -> list[str]:
+    """How far one thing may be off before the loop is unstable, each alone."""
+    low, high = design.payloads
+    said = []
+    if 0.0 < found.delay < math.inf:
+        said.append(f"{number(1e3 * found.delay, 2)} ms more delay")
+    light = f"down to {number(1e3 * found.payload_low, 2)} g" if found.payload_low > 0 else ""
+    heavy = f"up to {grams(found.payload_high)}" if math.isfinite(found.payload_high) else ""
+    ends = " and ".join(part for part in (light, heavy) if part)
+    said.append(f"payloads {ends} instead of {number(1e3 * low)} to {grams(high)}" if ends else "any payload")
+    soft = f"{number(found.stiffness_low, 2)}" if found.stiffness_low > 0 else ""
+    hard = f"{number(found.stiffness_high, 3)}" if math.isfinite(found.stiffness_high) else ""
+    if soft or hard:
+        span = " to ".join(part for part in (soft, hard) if part)
+        said.append(f"a link {'up to ' if not soft else ''}{span} times as stiff as the model")
+    if found.motor_pole > 0:
+        rate = number(found.motor_pole, 2)
+        said.append(
+            f"a motor loop as slow as {rate} rad/s instead of {number(design.rig.motor_loop.pole)} rad/s"
+        )
+    return said
+
+
+def nearest_command(study: Study) -> str:
+    """The command line that asks for the nearest request; empty where none is known."""
+    if study.refused is None or study.rig is None:
+        return ""
+    options = " ".join(option(name, value) for name, value in study.refused.nearest.items())
+    log = study.experiment.source if study.experiment is not None and study.experiment.source else "LOG"
+    return f"fraclink run --rig {study.rig.name} --log {log.rpartition('/')[2]} {options}"
+
+
+def refusal_sentence(study: Study) -> str:
+    """The request and the nearest one, in degrees and with two decimals."""
+    if study.refused is None:
+        return ""
+    texts = [_request(values) for values in (study.refused.asked, study.refused.nearest)]
+    return f"Asked for: {texts[0]}. Nearest that can be met: {texts[1]}."
+
+
+def _request(values: object) -> str:
+    known = dict(values)  # type: ignore[call-overload]
+    words = {"gain_crossover": "a crossover of {} rad/s", "phase_margin": "a phase margin of {}"}
+    parts = []
+    for name, value in known.items():
+        text = degrees(value, 2) if name == "phase_margin" else number(value, 4)
+        parts.append(words.get(name, name.replace("_", " ") + " {}").format(text))
+    return " and ".join(parts)
+
+
+def steps(study: Study) -> list[tuple[str, str]]:
+    """What to do next, each with the command that does it in the folder of the report."""
+    if study.design is None:
+        return [("Ask for what can be met", nearest_command(study))] if study.refused else []
+    todo = []
+    if study.arms is not None and study.arms.failed:
+        todo.append(
+            (
+                "See why an arm fails, with all signals",
+                f"fraclink campaign replay arms --run {study.arms.failed[0]}",
+            )
+        )
+    if not study.certificate:
+        todo.append(("Prove the promise", "fraclink certify design.json"))
+    if not study.faults:
+        todo.append(
+            (
+                "Break sensors, clock and memory on the twin",
+                "fraclink campaign faults --design design.json --out .",
+            )
+        )
+    todo.append(("Write the law as C99 with a self-test", "fraclink export c design.json --out firmware"))
+    todo.append(("Send the arm that moves to someone", "fraclink share . --out arm.html"))
+    return todo
+
+
+def power_on(design: Design) -> list[str]:
+    """The first power-on in the order in which a mistake costs least."""
+    volts = design.rig.motor.voltage_limit
+    limit = f" ({number(0.2 * volts, 2)} V of {number(volts, 3)} V)" if math.isfinite(volts) else ""
+    return [
+        "Motor off: turn the hub by hand towards the positive side; the encoder must count up.",
+        "Motor off: bend the tip by hand; the gauge's torque must have the sign that it has in the log.",
+        f"Voltage limited to a fifth{limit}, link off: run the motor loop alone on a small move.",
+        f"Link on, {grams(design.payloads[1])}, the heaviest payload, at the tip: a move of 0.1 rad; "
+        "the mode of the law must stay “run”.",
+        f"The same with {grams(design.payloads[0])}, the lightest, where the margin is smallest; "
+        "then the full move and the full voltage.",
+        "Unplug the gauge during a move: the law must say “degraded” and finish the move.",
+    ]
