@@ -22,11 +22,10 @@ OUTPUT_LABEL = {"torque": "base torque Γ [N·m]", "deflection": "deflection θm
 _SHORT = {"torque": "Γ [N·m]", "deflection": "θm − θt [rad]"}
 
 Real = NDArray[np.float64]
+Floats = NDArray[np.floating[Any]]
 
 
-def _record(
-    time: Real, values: NDArray[np.floating[Any]], line: int, name: str = "", *, wide: bool = False
-) -> Curve:
+def _record(time: Real, values: Floats, line: int, name: str = "", *, wide: bool = False) -> Curve:
     """A record as a line that keeps every peak."""
     thin = not wide and len(values) > 2000
     return Curve(*envelope(time, values), line, name, "wide" if wide else "thin" if thin else "")
@@ -63,9 +62,7 @@ def fit_figure(log: Experiment, fit: Fit) -> Figure:
     return Figure("fit", said, ends, panels, "time [s]", "log")
 
 
-def _rest(
-    time: NDArray[np.floating[Any]], residual: NDArray[np.floating[Any]], edge: float, line: int = 1
-) -> list[Mark]:
+def _rest(time: Floats, residual: Floats, edge: float, line: int = 1) -> list[Mark]:
     """A residual, with the place behind which nothing was fitted."""
     held = Upright(edge, "held out from here") if edge < time[-1] else None
     return [_record(time, residual, line), *([held] if held else [])]
@@ -136,7 +133,7 @@ _DETAIL = 0.18  # share of the log that the upper panel shows: the whole would b
 def models_figure(fits: Mapping[str, Fit], chosen: str | None = None) -> Figure:
     """Draw every model's residual of the whole log, on one scale."""
     some = next(iter(fits.values()))
-    time: Real = some.period * np.arange(some.samples)
+    time = some.period * np.arange(some.samples)
     edge = float(time[some.fitted_samples - 1])
     sizes = {name: float(np.abs(fit.residual).max()) or 1.0 for name, fit in fits.items()}
     common = 1.1 * max(size for size in sizes.values() if size <= _LARGE * min(sizes.values()))
