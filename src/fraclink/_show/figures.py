@@ -25,7 +25,7 @@ Real = NDArray[np.float64]
 Floats = NDArray[np.floating[Any]]
 
 
-def _record(time: Real, values: Floats, line: int, name: str = "", *, wide: bool = False) -> Curve:
+def _record(time: Floats, values: Floats, line: int, name: str = "", *, wide: bool = False) -> Curve:
     """A record as a line that keeps every peak."""
     thin = not wide and len(values) > 2000
     return Curve(*envelope(time, values), line, name, "wide" if wide else "thin" if thin else "")

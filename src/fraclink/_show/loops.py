@@ -184,14 +184,6 @@ def margin_curves_figure(
     return Figure("margins", said, x, (panel,), "payload [g]; shaded: designed for", "payload")
 
 
-def margins_of_kinds(design: Design, kinds: Sequence[str] = tuple(_KINDS)) -> Figure:
-    """Draw `margin_curves_figure` of a design."""
-    low, high = design.payloads
-    masses = np.geomspace(_BEYOND * low, 1.25 * high, 41)
-    curves = [margin_curve(design, masses, kind=kind) for kind in kinds]
-    return margin_curves_figure(curves, design.payloads, design.phase_margin)
-
-
 def budget_figure(shares: Sequence[PhaseShare], payload: float | None = None) -> Figure:
     """Draw the phase budget as a waterfall: from 180° down to the phase margin."""
     steps = [("feedback", 0.0, 180.0, "180°", 0)]
