@@ -19,6 +19,7 @@ ROWS: tuple[tuple[str, ...], ...] = (
     ("_compare", "_campaign", "_export", "_realtime", "_shape"),
     ("_workflow",),
     ("_show",),
+    ("_studio",),
     ("_cli", "__main__"),
 )
 FLOORS = {name: floor for floor, row in enumerate(ROWS) for name in row}

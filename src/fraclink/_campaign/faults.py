@@ -334,6 +334,7 @@ def run_faults(
     *,
     single: bool = True,
     progress: Callable[[str], None] = lambda name: None,
+    watch: Callable[[Outcome], None] = lambda outcome: None,
     about: dict[str, str] | None = None,
 ) -> FaultTable:
     """Run `planned` cases on the bench and return the table of their verdicts.
@@ -346,11 +347,16 @@ def run_faults(
         whether each case must pass in single precision, too.
     progress
         called with the number of each fault when it begins.
+    watch
+        called with the outcome of each run.
     about
         what the table is to remember.
     """
-    outcomes = tuple(_outcomes(bench, planned, single, progress))
-    return FaultTable(outcomes, {"law_sha256": bench.law.digest, **(about or {})})
+    outcomes = []
+    for outcome in _outcomes(bench, planned, single, progress):
+        watch(outcome)
+        outcomes.append(outcome)
+    return FaultTable(tuple(outcomes), {"law_sha256": bench.law.digest, **(about or {})})
 
 
 def _outcomes(

@@ -27,6 +27,7 @@ _FIRST = {
     "export": "write the controller as C99, FMU or MATLAB",
     "report": "gather a folder of results into one HTML file",
     "share": "the arm in a page that moves, as one HTML file",
+    "studio": "a page on this machine: drag the loop, see the arm",
     "doctor": "check this installation",
 }
 
@@ -39,6 +40,7 @@ _SECTIONS: dict[str, dict[str, str]] = {
         **dict.fromkeys(("design", "simulate", "twin", "certify"), "designs"),
         **dict.fromkeys(("export", "run-realtime", "serve-arm"), "boards"),
         **dict.fromkeys(("report", "share"), "designs"),
+        "studio": "studio",
     },
     "More on logs and models": dict.fromkeys(
         (

@@ -25,6 +25,7 @@ _EXTRAS = (
     ("rosbags", "io", "logs of ROS"),
     ("pyarrow", "io", "logs in Parquet, campaigns"),
     ("distributed", "cluster", "campaigns on a cluster"),
+    ("starlette", "studio", "the studio"),
 )
 
 

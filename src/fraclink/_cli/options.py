@@ -58,7 +58,6 @@ Columns = Annotated[
     'A column of the log, such as "motor_angle=theta [deg]"; a minus turns the sign. '
     "Instead of [log] in the rig file; roles: time, motor_angle, torque or deflection, voltage",
 ]
-_MarginDeg = Annotated[float, ranges.Between(0.0, 179.0, "°", low_open=True, remedy="50° is a usual margin")]
 
 
 class LogOptions(TypedDict):
@@ -75,7 +74,7 @@ class DesignRequest(TypedDict):
 
     payloads: PayloadRange
     gain_crossover: Annotated[ranges.Frequency | None, "Least gain crossover; default: the rig's"]
-    phase_margin_deg: Annotated[_MarginDeg | None, "Least phase margin; default: the rig's"]
+    phase_margin_deg: Annotated[ranges.PhaseMarginDeg | None, "Least phase margin; default: the rig's"]
     filter_time: FilterTime
     mode_gain: ModeGain
 

@@ -62,6 +62,7 @@ _HALF_TURN = Between(
     0.0, math.pi, "rad", low_open=True, high_open=True, remedy="give radians; deg(50) converts degrees"
 )
 PhaseMargin = Annotated[float, _HALF_TURN]
+PhaseMarginDeg = Annotated[float, Between(0.0, 179.0, "°", low_open=True, remedy="50° is a usual margin")]
 LinkOrder = Annotated[float, Between(1.0, 2.0, "(λ)", remedy="λ is 2 for a classical link")]
 Count = Annotated[int, Between(1, 10**9)]
 Seed = Annotated[int, Between(0, 2**64 - 1)]

@@ -25,7 +25,8 @@ from fraclink._validate import Between, Seed, checked
 from fraclink._workflow.study import Refusal, Study, save_study
 from fraclink.errors import FieldError, FraclinkError, InfeasibleError
 
-__all__ = ["design_for", "run", "simulate_move"]
+__all__ = ["design_for", "designed", "examined", "identified", "moved", "proved", "run", "simulate_move"]
+__all__ += ["subject", "tried"]
 
 # The source paper's own proportions on its rig: a crossover of 12 rad/s where the heaviest payload's
 # torque resonates at 10.4 rad/s. Below 1 there is no crossing right of the peak; each further step costs
@@ -205,50 +206,15 @@ def run(
         allowed = ", ".join(STRUCTURES)
         raise FieldError("structure", structure, "unknown", allowed=allowed, remedy="choose one of these")
     begin("examining the log")
-    study = Study(rig, log, (*rig.warnings, *diagnose(log, rig)), assumptions=rig.assumptions)
-
-    def identify(study: Study) -> Study:
-        # A deflection log cannot show the stiffness; a torque log measures it.
-        known = rig.link.stiffness if log.output_kind == "deflection" else None
-        comparison = compare_structures(log, stiffness=known)
-        chosen = structure or comparison.preferred
-        fit = comparison.fits[chosen]
-        contradictions = doubts_of(rig, fit.model)
-        findings = tuple(dict.fromkeys((*study.findings, *contradictions)))
-        return replace(study, comparison=comparison, fit=fit, findings=findings)
-
-    def controller(study: Study) -> Study:
-        assert study.fit is not None  # noqa: S101
-        model, assumed = _with_payload(study.fit.model, rig)
-        made, more = design_for(rig, model, **wanted)
-        made = made.doubted(study.fit.findings).with_law()
-        assumptions = (*study.assumptions, *assumed, *more)
-        return replace(study, design=made, law=made.law(), assumptions=assumptions)
-
-    def moves(study: Study) -> Study:
-        assert study.design is not None  # noqa: S101
-        payloads = _moved(study.design)
-        return replace(study, runs=tuple(simulate_move(study.design, m, law=study.law) for m in payloads))
-
-    def proof(study: Study) -> Study:
-        assert study.design is not None  # noqa: S101
-        found = certify(study.design, law=study.law)
-        if found.passed:
-            return replace(study, certificate=found)
-        return replace(study, uncertified=found.verdict.removeprefix("Not certified: "))
-
-    def fleet(study: Study) -> Study:
-        assert study.design is not None  # noqa: S101
-        assert study.law is not None  # noqa: S101
-        campaign = Campaign.of(rig, study.design.model, study.law, runs=arms, seed=seed)
-        with tempfile.TemporaryDirectory() as scratch:
-            folder = Path(scratch) if out is None else Path(out) / "arms"
-            run_campaign(campaign, folder)
-            return replace(study, arms=summarise(campaign, folder))
-
-    steps = {"identifying": identify, "designing": controller, "simulating": moves}
-    steps |= {"proving": proof} if certified else {}
-    steps |= {f"trying {arms} arms": fleet} if arms else {}
+    study = examined(rig, log)
+    folder = None if out is None else Path(out) / "arms"
+    steps: dict[str, Callable[[Study], Study]] = {
+        "identifying": lambda study: identified(study, structure),
+        "designing": lambda study: designed(study, **wanted),
+        "simulating": moved,
+    }
+    steps |= {"proving": proved} if certified else {}
+    steps |= {f"trying {arms} arms": lambda study: tried(study, arms, seed, folder)} if arms else {}
     for name, step in steps.items():
         begin(name)
         try:
@@ -268,11 +234,82 @@ def run(
     return study
 
 
-def _moved(made: Design) -> tuple[float, ...]:
-    """The payloads to move [kg]: both ends of the range designed for, and the nominal one within it."""
-    low, high = made.payloads
-    nominal = made.rig.payloads.nominal
-    return tuple(sorted({low, high} | ({nominal} if low < nominal < high else set())))
+# --- the steps, each from one study to the next -----------------------------------------------------------
+
+
+def examined(rig: Rig, log: Experiment) -> Study:
+    """Return the study of a log with what its examination found."""
+    return Study(rig, log, (*rig.warnings, *diagnose(log, rig)), assumptions=rig.assumptions)
+
+
+def identified(study: Study, structure: str | None = None, heldout: float | None = None) -> Study:
+    """Return the study with all four structures fitted.
+
+    `structure` is used, or the one that the log supports; `heldout` is the share of samples at the end that
+    the fits do not see, as in `identify`.
+    """
+    assert study.rig is not None and study.experiment is not None  # noqa: S101
+    rig, log = study.rig, study.experiment
+    # A deflection log cannot show the stiffness; a torque log measures it.
+    known = rig.link.stiffness if log.output_kind == "deflection" else None
+    comparison = compare_structures(log, stiffness=known, heldout=heldout)
+    fit = comparison.fits[structure or comparison.preferred]
+    contradictions = doubts_of(rig, fit.model)
+    findings = tuple(dict.fromkeys((*study.findings, *contradictions)))
+    return replace(study, comparison=comparison, fit=fit, findings=findings)
+
+
+def subject(study: Study) -> tuple[Rig, LinkModel, tuple[str, ...]]:
+    """Return what a design of the study is made for: rig, link, and what had to be assumed of it.
+
+    Raises FieldError where the study has neither a fit nor a rig with a model.
+    """
+    rig = study.rig
+    if study.fit is not None:
+        link: LinkModel | None = study.fit.model
+    else:
+        link = study.design.model if study.design else rig.model if rig else None
+    if rig is None or link is None:
+        allowed, remedy = "a rig with its model", "identify a log first, or open a rig that states a model"
+        raise FieldError("model", None, "missing", allowed=allowed, remedy=remedy)
+    return (rig, *_with_payload(link, rig)) if study.fit else (rig, link, ())
+
+
+def designed(study: Study, **wanted: Any) -> Study:
+    """Return the study with a design and its law; `wanted` as in `design_for`."""
+    rig, model, assumed = subject(study)
+    made, more = design_for(rig, model, **wanted)
+    made = made.doubted(study.fit.findings if study.fit else ()).with_law()
+    assumptions = (*study.assumptions, *assumed, *more)
+    return replace(study, design=made, law=made.law(), assumptions=assumptions)
+
+
+def moved(study: Study) -> Study:
+    """Return the study with moves of the model: both ends of the payload range, the nominal one within."""
+    assert study.design is not None  # noqa: S101
+    low, high = study.design.payloads
+    nominal = study.design.rig.payloads.nominal
+    payloads = sorted({low, high} | ({nominal} if low < nominal < high else set()))
+    return replace(study, runs=tuple(simulate_move(study.design, m, law=study.law) for m in payloads))
+
+
+def proved(study: Study) -> Study:
+    """Return the study with its certificate, or with the reason why there is none."""
+    assert study.design is not None  # noqa: S101
+    found = certify(study.design, law=study.law)
+    if found.passed:
+        return replace(study, certificate=found)
+    return replace(study, uncertified=found.verdict.removeprefix("Not certified: "))
+
+
+def tried(study: Study, arms: int, seed: int = 0, folder: Path | None = None) -> Study:
+    """Return the study with `arms` runs of arms that differ from the model, kept in `folder` if given."""
+    assert study.rig is not None and study.design is not None and study.law is not None  # noqa: S101
+    campaign = Campaign.of(study.rig, study.design.model, study.law, runs=arms, seed=seed)
+    with tempfile.TemporaryDirectory() as scratch:
+        place = Path(scratch) if folder is None else folder
+        run_campaign(campaign, place)
+        return replace(study, arms=summarise(campaign, place))
 
 
 def _with_payload(model: LinkModel, rig: Rig) -> tuple[LinkModel, tuple[str, ...]]:

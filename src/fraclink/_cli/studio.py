@@ -1,0 +1,51 @@
+"""The command `studio`: the page on this machine in which a study is made by hand."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from fraclink._cli.app import group
+from fraclink._cli.command import Answer, command
+from fraclink._cli.console import emit
+from fraclink._cli.options import load_rig
+from fraclink._studio.session import opened
+from fraclink._validate import Between
+from fraclink.errors import MissingExtraError
+
+app = group()
+
+
+@command(app)
+def studio(
+    place: Annotated[
+        Path | None,
+        typer.Argument(metavar="[RESULTS | LOG | DESIGN]"),
+        "A folder of results, a log, or a design; without it the rig's own model",
+    ] = None,
+    rig: Annotated[
+        str | None, typer.Option(metavar="RIG"), "A rig file or a bundled rig; default: the study's own"
+    ] = None,
+    out: Annotated[Path, "Folder that Keep writes to where no folder is opened"] = Path("results"),
+    port: Annotated[int, Between(0, 65535), "Port to listen on; 0 takes a free one"] = 0,
+    open: Annotated[bool, "Open the page in a browser"] = True,
+    host: Annotated[str, "Address to listen on"] = "127.0.0.1",
+    unsafe_remote: Annotated[
+        bool, "Allow an address that others can reach: the token then crosses the network unencrypted"
+    ] = False,
+) -> Answer:
+    """Open a study in a page on this machine: drag the loop, see the arm; Keep writes the commands' files.
+
+    $ fraclink studio results
+    """
+    try:
+        from fraclink._studio.serving import serve
+    except ModuleNotFoundError as error:
+        if error.name not in ("starlette", "uvicorn", "websockets", "anyio", "h11"):
+            raise
+        raise MissingExtraError(error.name, "studio") from error
+    session = opened(place, rig=None if rig is None else load_rig(rig), out=out)
+    serve(session, host=host, port=port, unsafe_remote=unsafe_remote, open_page=open, say=emit)
+    return Answer(text=f"kept in {session.folder}" if session.folder.is_dir() else "nothing was kept")

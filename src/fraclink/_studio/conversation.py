@@ -1,0 +1,195 @@
+"""One page's socket: requests in, answers out; of what is dragged only the newest is answered."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import sys
+import traceback
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from fraclink._studio.logs import LOG_VERBS
+from fraclink._studio.messages import Answer, Message, parsed, refusal
+from fraclink._studio.outputs import OUTPUT_VERBS
+from fraclink._studio.preview import Subject, nearest, preview
+from fraclink._studio.request import checked_request
+from fraclink._studio.session import Session, SupersededError
+from fraclink._studio.work import JOBS, Job
+from fraclink.errors import FieldError, FraclinkError
+
+__all__ = ["Conversation"]
+
+# Answered in order, in a thread: session and what the page gave -> answer.
+Verb = Callable[[Session, Mapping[str, Any]], Answer]
+_WAITING = 64  # requests of a page that are not done; a page that sends more is no page of ours
+
+
+def _note(session: Session, given: Mapping[str, Any]) -> Answer:
+    from_page = given.get("state")
+    if not isinstance(from_page, dict):
+        raise FieldError("state", from_page, "not an object", allowed="a state", remedy="send the state")
+    checked_request(from_page)
+    session.history.add(from_page)
+    return Answer({"ok": True, "at": session.history.at, "states": len(session.history.states)})
+
+
+def _go(session: Session, given: Mapping[str, Any]) -> Answer:
+    at = given.get("at")
+    if type(at) is not int:
+        raise FieldError("at", at, "not a number", allowed="a whole number", remedy="send the place")
+    return Answer({"ok": True, "state": session.history.go(at), "at": at})
+
+
+def _hello(session: Session, given: Mapping[str, Any]) -> Answer:
+    history = session.history
+    head = {
+        "ok": True,
+        "state": session.state,
+        "states": history.states,
+        "at": history.at,
+        **(session.subject.axes() if session.subject else {}),
+        **session.overview(),
+        **session.arm(given.get("arm", "")),
+    }
+    return Answer(head)
+
+
+def _subject(session: Session) -> Subject:
+    if session.subject is None:
+        allowed, remedy = "a link model", "identify a log first (step 3)"
+        raise FieldError("model", None, "missing", allowed=allowed, remedy=remedy)
+    return session.subject
+
+
+_VERBS: dict[str, Verb] = {
+    "hello": _hello,
+    "note": _note,
+    "go": _go,
+    "nearest": lambda session, given: nearest(_subject(session), given.get("state")),
+    "keep": lambda session, given: session.keep(force=given.get("force") is True),
+    **LOG_VERBS,
+    **OUTPUT_VERBS,
+}
+
+
+class Conversation:
+    """The requests of one page, until it goes."""
+
+    def __init__(self, session: Session, socket: WebSocket) -> None:
+        self.session, self.socket = session, socket
+        self._newest: dict[str, Message] = {}
+        self._awake = {verb: asyncio.Event() for verb in ("preview", "exact")}
+        self._orderly: asyncio.Queue[Message] = asyncio.Queue(_WAITING)
+        self._sending = asyncio.Lock()
+        self._job: Job | None = None
+
+    async def run(self) -> None:
+        """Answer until the page goes; what it left under way is stopped."""
+        tasks = [asyncio.create_task(self._dragged(verb)) for verb in self._awake]
+        tasks.append(asyncio.create_task(self._in_order()))
+        try:
+            while True:
+                await self._received(await self.socket.receive())
+        except WebSocketDisconnect:
+            return
+        finally:
+            if self._job is not None:
+                self._job.cancel()
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
+
+    async def _received(self, event: Mapping[str, Any]) -> None:
+        if event["type"] == "websocket.disconnect":
+            raise WebSocketDisconnect(event.get("code", 1000))
+        try:
+            message = parsed(event.get("text"))
+        except FieldError as error:
+            await self._sent(refusal(error).packed(0, "message"))
+            return
+        if message.verb in self._awake:
+            self._newest[message.verb] = message
+            self._awake[message.verb].set()
+        elif message.verb == "cancel":
+            if self._job is not None:
+                self._job.cancel()
+            await self._answered(message, Answer({"ok": True}))
+        elif message.verb in _VERBS or message.verb in JOBS:
+            if self._orderly.full():
+                await self.socket.close(1008)
+            else:
+                self._orderly.put_nowait(message)
+        else:
+            known = ", ".join([*self._awake, "cancel", *_VERBS, *JOBS])
+            unknown = FieldError("verb", message.verb, "unknown", allowed=known, remedy="reload the page")
+            await self._answered(message, refusal(unknown))
+
+    async def _dragged(self, verb: str) -> None:
+        """Answer the newest request of this kind; those that it overtook are never computed."""
+        while True:
+            await self._awake[verb].wait()
+            self._awake[verb].clear()
+            message = self._newest[verb]
+            work = self._preview if verb == "preview" else self._exact
+            await self._answered(message, await asyncio.to_thread(_guarded, work, message))
+
+    def _preview(self, message: Message) -> Answer:
+        return preview(_subject(self.session), message.given.get("state"))
+
+    def _exact(self, message: Message) -> Answer:
+        def newer() -> bool:
+            return self._newest["exact"] is not message
+
+        return self.session.exact(message.given.get("state"), message.given.get("arm", ""), newer)
+
+    async def _in_order(self) -> None:
+        while True:
+            message = await self._orderly.get()
+            if message.verb in JOBS:
+                await self._worked(message)
+                continue
+            await self._answered(message, await asyncio.to_thread(_guarded, self._orderly_done, message))
+
+    def _orderly_done(self, message: Message) -> Answer:
+        return _VERBS[message.verb](self.session, message.given)
+
+    async def _worked(self, message: Message) -> None:
+        """Run a job in a process of its own and pass its progress on."""
+        self._job = Job(self.session, message.verb, message.given)
+
+        def tell(progress: Mapping[str, Any]) -> None:
+            head = {**progress, "ok": True, "of": message.verb}
+            future = self._sent(Answer(head).packed(message.seq, "progress"))
+            asyncio.run_coroutine_threadsafe(future, loop)
+
+        loop = asyncio.get_running_loop()
+        job = self._job
+        answer = await asyncio.to_thread(_guarded, lambda _: job.done(tell), message)
+        self._job = None
+        await self._answered(message, answer)
+
+    async def _answered(self, message: Message, answer: Answer) -> None:
+        await self._sent(answer.packed(message.seq, message.verb))
+
+    async def _sent(self, data: bytes) -> None:
+        async with self._sending:
+            with contextlib.suppress(RuntimeError, WebSocketDisconnect):  # the page has gone
+                await self.socket.send_bytes(data)
+
+
+def _guarded(work: Callable[[Message], Answer], message: Message) -> Answer:
+    """The answer of `work`; a refusal is an answer, and a defect of ours does not end the page."""
+    try:
+        return work(message)
+    except SupersededError:
+        return Answer({"ok": False, "superseded": True, "error": "a newer request took its place"})
+    except FraclinkError as error:
+        return refusal(error)
+    except Exception:  # noqa: BLE001  # whatever it is, the study in memory must survive it
+        sys.stderr.write(traceback.format_exc())
+        return Answer(
+            {"ok": False, "defect": True, "error": "a defect of fraclink; the terminal shows where"}
+        )

@@ -1,0 +1,259 @@
+"""Steps 1 to 3: a log's channels, which column is what, and the fits, as answers for the page."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink._arm.draft import draft_text
+from fraclink._arm.link import STRUCTURES
+from fraclink._arm.log_columns import UNITS
+from fraclink._arm.rig import Rig
+from fraclink._files import sha256_of
+from fraclink._identify import Fit
+from fraclink._logs import bundled_log, inspect_log, read_log
+from fraclink._logs.formats import read_table
+from fraclink._logs.guess import guess_columns
+from fraclink._logs.reading import bundled_logs
+from fraclink._logs.weighing import statements
+from fraclink._show import tables
+from fraclink._show.fits import worth_reading
+from fraclink._studio.messages import Answer
+from fraclink._studio.session import Session
+from fraclink._workflow import Study, examined
+from fraclink.errors import FieldError
+
+__all__ = ["LOG_VERBS", "fit_answer"]
+
+Real = NDArray[np.float64]
+_POINTS = 2400  # of a curve over time: two for each pixel of a wide screen
+_SPARKS = 240
+_TEXTS = 16  # statements of columns
+
+
+def thinned(values: Real, points: int = _POINTS) -> Real:
+    """Return at most `points` of a signal, the extremes of each stretch, so that no spike is lost.
+
+    >>> thinned(np.array([0.0, 0.0, 9.0, 0.0, 0.0, 0.0, -9.0, 0.0]), 4).tolist()
+    [0.0, 9.0, 0.0, -9.0]
+    """
+    if values.size <= points:
+        return values
+    size = -(-values.size // (points // 2))
+    padded = np.concatenate([values, np.full(-values.size % size, values[-1])]).reshape(-1, size)
+    low, high = np.argmin(padded, axis=1), np.argmax(padded, axis=1)
+    rows = np.arange(padded.shape[0])
+    first, second = np.minimum(low, high), np.maximum(low, high)
+    return np.stack([padded[rows, first], padded[rows, second]], axis=1).ravel()
+
+
+def _finite(values: Real) -> Real:
+    """The signal with its gaps closed by the value before: a picture has no room for a NaN."""
+    good = np.isfinite(values) & (np.abs(values) < 1e30)
+    if not good.any():
+        return np.zeros_like(values)
+    last = np.maximum.accumulate(np.where(good, np.arange(values.size), 0))
+    filled = np.where(good, values, 0.0)[last]
+    return np.asarray(filled)
+
+
+def _choose_log(session: Session, given: Mapping[str, Any]) -> Answer:
+    """List the channels of a log: an upload, a bundled one, or the one that the studio was opened with."""
+    name = given.get("name")
+    if name == "upload" and session.upload is not None:
+        session.source = session.upload
+    elif name in bundled_logs():
+        session.source = bundled_log(str(name))
+    elif name is not None:
+        allowed, remedy = ", ".join(bundled_logs()), "drop a file, or take one of these"
+        raise FieldError("log", str(name)[:80], "unknown", allowed=allowed, remedy=remedy)
+    return _listing(session)
+
+
+def _listing(session: Session) -> Answer:
+    head: dict[str, Any] = {"ok": True, "bundled": bundled_logs(), "rigs": Rig.names(), "log": None}
+    head["rig"] = session.study.rig.name if session.study.rig else ""
+    if session.source is None:
+        return Answer(head | _experiment(session)[0], _experiment(session)[1])
+    listing = inspect_log(session.source)
+    table = read_table(session.source)
+    curves = {
+        f"spark{k}": thinned(_scaled(_finite(values)), _SPARKS) for k, values in enumerate(table.values)
+    }
+    guessed = guess_columns(table, {}, assume=True)
+    head["log"] = {
+        "name": listing.path,
+        "kind": listing.kind,
+        "channels": listing.values()["channels"],
+        "notes": listing.notes,
+        "sha256": sha256_of(session.source),
+    }
+    head["guesses"] = guessed.guesses
+    head["roles"] = {} if guessed.columns is None else {
+        role: {"column": channel.column, "unit": channel.unit, "sign": channel.sign, "scale": channel.scale}
+        for role, channel in guessed.columns.channels().items()
+    }  # fmt: skip
+    head["units"] = {role: sorted(units) for role, units in UNITS.items()}
+    more, signals = _experiment(session)
+    return Answer(head | more, curves | signals)
+
+
+def _scaled(values: Real) -> Real:
+    """A signal between 0 and 1, as a sparkline has no axis."""
+    low, high = float(values.min(initial=math.inf)), float(values.max(initial=-math.inf))
+    return (values - low) / (high - low) if high > low else np.full(values.size, 0.5)
+
+
+def _set_columns(session: Session, given: Mapping[str, Any]) -> Answer:
+    """Read the log with the columns that the page states, and examine it."""
+    texts, payload = given.get("columns", []), given.get("payload")
+    if not isinstance(texts, list) or len(texts) > _TEXTS or not all(isinstance(t, str) for t in texts):
+        allowed, remedy = f"at most {_TEXTS} texts", "state a column as motor_angle=theta [deg]"
+        raise FieldError("columns", str(texts)[:80], "not statements", allowed=allowed, remedy=remedy)
+    if session.source is None or session.study.rig is None:
+        raise FieldError("log", None, "missing", allowed="a log", remedy="choose one in step 1")
+    columns = None
+    if texts:
+        guessed = guess_columns(read_table(session.source), statements(texts, None), assume=True)
+        columns = guessed.columns
+        if columns is None:
+            asked = " ".join(question.text for question in guessed.questions)
+            allowed, remedy = "an answer to each question", "drag the channel to its place"
+            raise FieldError("columns", ", ".join(texts)[:200], asked, allowed=allowed, remedy=remedy)
+    rig = session.study.rig
+    log = read_log(session.source, columns=columns or rig.log, payload=payload)
+    session.become(examined(rig, log))
+    head: dict[str, Any] = {"ok": True, **session.overview()}
+    if columns is not None:
+        head["toml"] = draft_text(rig.name, log.period, columns, {})
+    more, signals = _experiment(session)
+    return Answer(head | more, signals)
+
+
+def _experiment(session: Session) -> tuple[dict[str, Any], dict[str, Real]]:
+    """The log in SI units: what is known of it, its findings, and two curves."""
+    log = session.study.experiment
+    if log is None:
+        return {"experiment": None}, {}
+    rows = tables.log_table(log)
+    findings = tuple(dict.fromkeys((*log.findings, *session.study.findings)))
+    head = {
+        "experiment": {"rows": rows.rows, "findings": findings, "duration": log.duration,
+                       "kind": log.output_kind, "payload": log.payload}
+    }  # fmt: skip
+    return head, {"motor_angle": thinned(np.degrees(log.motor_angle)), "output": thinned(log.output)}
+
+
+def _set_rig(session: Session, given: Mapping[str, Any]) -> Answer:
+    """Take another rig, bundled or the file that was sent; what was computed for the old one is gone."""
+    name = given.get("name")
+    if name == "upload" and session.upload is not None:
+        rig = Rig.load(session.upload)
+    else:
+        rig = Rig.named(str(name)[:80])
+    log = session.study.experiment
+    session.become(Study(rig=rig, assumptions=rig.assumptions) if log is None else examined(rig, log))
+    session.renew()
+    axes = session.subject.axes() if session.subject else {}
+    return Answer({"ok": True, "rig": rig.name, "state": session.state, **axes, **session.overview()})
+
+
+# --- the fits -------------------------------------------------------------------------------------------
+
+
+def _models(session: Session, given: Mapping[str, Any]) -> Answer:
+    """Show the fits; with `structure`, design from that one."""
+    wanted = given.get("structure")
+    if wanted is not None:
+        fit = session.study.fits.get(str(wanted))
+        if fit is None:
+            allowed, remedy = ", ".join(session.study.fits) or "a fit", "fit the log first"
+            raise FieldError("structure", str(wanted)[:40], "not fitted", allowed=allowed, remedy=remedy)
+        bare = replace(session.study, fit=fit, design=None, law=None, runs=(), certificate=None, arms=None)
+        session.become(replace(bare, faults=None, uncertified=None, stopped=None))
+    return fit_answer(session)
+
+
+def fit_answer(session: Session) -> Answer:
+    """Return every fit with its figures in words, and the curves of log, model and residual."""
+    study = session.study
+    log, fits = study.experiment, study.fits
+    head: dict[str, Any] = {"ok": True, **session.overview(), "fits": [], "words": {}}
+    head |= session.subject.axes() if session.subject else {}
+    curves: dict[str, Real] = {}
+    if not fits:
+        return Answer(head, curves)
+    used = study.fit.structure if study.fit else ""
+    head["table"] = {"header": tables.fits_table(fits).header, "rows": tables.fits_table(fits).rows}
+    head["conclusion"] = study.comparison.verdict if study.comparison else ""
+    head["fits"] = [_card(name, fit, name == used) for name, fit in fits.items()]
+    if log is not None and study.fit is not None:
+        fit = study.fit
+        head["heldout"] = 1.0 - fit.fitted_samples / log.output.size
+        head["duration"] = log.duration
+        curves = {
+            "measured": thinned(log.output),
+            "predicted": thinned(np.asarray(fit.predicted)),
+            "residual": thinned(np.asarray(fit.residual)),
+        }
+        curves |= _spectrum(log.output, np.asarray(fit.residual), log.period)
+    return Answer(head, curves)
+
+
+def _card(name: str, fit: Fit, used: bool) -> dict[str, Any]:
+    return {
+        "name": name,
+        "what": STRUCTURES[name].sentence,
+        "used": used,
+        "passed": fit.passed,
+        "words": words_of(fit),
+        "rows": tables.fit_table(fit).rows,
+        "findings": worth_reading(fit.findings),
+        "heldout_nmse": fit.heldout_nmse,
+    }
+
+
+def words_of(fit: Fit) -> str:
+    """Return what a fit means for the arm, in the words of a workshop.
+
+    >>> from fraclink._identify import identify
+    >>> words_of(identify(read_log(bundled_log("prbs_30g")), "UD-FOM", details=False))
+    'swings at 1.94 Hz with 6.5 % damping, gauge 2.0 ms late'
+    """
+    pole, delay = fit.model.pole, fit.delay
+    late = f"gauge {abs(1e3 * delay):.1f} ms {'late' if delay >= 0 else 'early'}"
+    if not abs(pole) > 0.0:
+        return late
+    swing = f"swings at {abs(pole.imag) / (2 * math.pi):.3g} Hz"
+    return f"{swing} with {100 * -pole.real / abs(pole):.2g} % damping, {late}"
+
+
+def _spectrum(output: Real, residual: Real, period: float) -> dict[str, Real]:
+    """Amplitude spectra [dB of the output's largest] of what was measured and of what the model left."""
+    window = np.hanning(output.size)
+    both = [np.abs(np.fft.rfft((x - x.mean()) * window))[1:] for x in (output, residual)]
+    frequency = np.arange(1, both[0].size + 1) / (output.size * period)
+    edges = np.geomspace(frequency[0], frequency[-1], 161)
+    place = np.clip(np.searchsorted(edges, frequency) - 1, 0, edges.size - 2)
+    most = max(float(both[0].max()), 1e-300)
+    found = {"spectrum_hz": np.sqrt(edges[1:] * edges[:-1])}
+    for name, values in zip(("spectrum_log", "spectrum_rest"), both, strict=True):
+        peaks = np.zeros(edges.size - 1)
+        np.maximum.at(peaks, place, values)
+        known = peaks > 0.0
+        level = 20 * np.log10(np.maximum(peaks / most, 1e-6))
+        found[name] = np.interp(np.arange(level.size), np.flatnonzero(known), level[known])
+    return found
+
+
+LOG_VERBS: dict[str, Callable[[Session, Mapping[str, Any]], Answer]] = {
+    "log": _choose_log,
+    "columns": _set_columns,
+    "rig": _set_rig,
+    "model": _models,
+}

@@ -1,0 +1,89 @@
+"""What goes over the socket: requests as small JSON objects, answers as a JSON head with curves behind it."""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fraclink._show.records import plain
+from fraclink.errors import FieldError, FraclinkError, InfeasibleError
+
+__all__ = ["LONGEST", "Answer", "Message", "parsed", "refusal"]
+
+LONGEST = 16_384  # bytes of a request: a state takes 400, the statements of twelve columns 2000
+_NAME = 40
+
+
+@dataclass(frozen=True)
+class Message:
+    """One request: its number, what is to be done, and the rest of its object."""
+
+    seq: int
+    verb: str
+    given: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Answer:
+    """An object, and curves: name to array of shape (N,) or (rows, N), sent as float32."""
+
+    head: Mapping[str, Any] = field(default_factory=dict)
+    curves: Mapping[str, ArrayLike] = field(default_factory=dict)
+
+    def packed(self, seq: int, verb: str) -> bytes:
+        """The length of the head in four bytes, little-endian; the head, padded to 4; the curves.
+
+        Numbers that are not finite become null in the head; a curve that holds one is a defect.
+        """
+        arrays = {name: np.atleast_2d(np.asarray(curve, dtype="<f4")) for name, curve in self.curves.items()}
+        for name, array in arrays.items():
+            if not np.isfinite(array).all():
+                raise AssertionError(f"curve {name} is not finite")
+        shapes = {name: list(array.shape) for name, array in arrays.items()}
+        head = plain({**self.head, "seq": seq, "verb": verb, "curves": shapes})
+        text = json.dumps(head, allow_nan=False, separators=(",", ":")).encode()
+        text += b" " * (-len(text) % 4)
+        return struct.pack("<I", len(text)) + text + b"".join(array.tobytes() for array in arrays.values())
+
+
+def _no_constant(name: str) -> float:
+    raise ValueError(f"{name} is no JSON")
+
+
+def parsed(text: object) -> Message:
+    """Return the request in `text`; FieldError for anything that is not one."""
+    if not isinstance(text, str) or len(text) > LONGEST:
+        raise _refused("bytes" if not isinstance(text, str) else f"{len(text)} characters")
+    try:
+        found = json.loads(text, parse_constant=_no_constant)
+    except (ValueError, RecursionError) as error:
+        raise _refused(text[:_NAME]) from error
+    if not isinstance(found, dict):
+        raise _refused(type(found).__name__)
+    seq, verb = found.pop("seq", None), found.pop("verb", None)
+    counted = type(seq) is int and 0 <= seq < 2**53
+    if not counted or not isinstance(verb, str) or len(verb) > _NAME:
+        raise _refused(f"seq {str(seq)[:_NAME]}, verb {str(verb)[:_NAME]}")
+    return Message(seq, verb, found)
+
+
+def _refused(value: object) -> FieldError:
+    allowed = f'{{"seq": 0, "verb": "preview", …}}, at most {LONGEST} characters'
+    return FieldError("message", value, "not a request", allowed=allowed, remedy="send one JSON object")
+
+
+def refusal(error: FraclinkError) -> Answer:
+    """Return an error as an answer: its sentence, and the parts that a page can put beside a field."""
+    head: dict[str, Any] = {"ok": False, "error": str(error)}
+    if isinstance(error, FieldError):
+        parts = {"field": error.field, "problem": error.problem, "allowed": error.allowed}
+        head |= parts | {"remedy": error.remedy}
+    if isinstance(error, InfeasibleError):
+        head |= {"condition": error.condition, "explanation": error.explanation, "nearest": error.nearest}
+    return Answer(head)

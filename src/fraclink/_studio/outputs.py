@@ -1,0 +1,94 @@
+"""Step 7: the files for a board, and the pages to hand on, written where the command line writes them."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from fraclink._design import Design
+from fraclink._export import export_c, export_fmu, export_matlab
+from fraclink._files import output_path
+from fraclink._law import Law, discretize
+from fraclink._show.arm_page import write_arm_page
+from fraclink._show.report import write_report
+from fraclink._studio.messages import Answer
+from fraclink._studio.session import Session
+from fraclink.errors import FieldError
+
+__all__ = ["OUTPUT_VERBS"]
+
+_PRECISIONS = ("single", "double")
+
+
+def _c(session: Session, made: Design, law: Law, precision: Any, force: bool) -> tuple[list[Path], str]:
+    folder = session.folder / "firmware"
+    paths = list(export_c(law.in_precision(precision), folder, force=force))
+    return paths, f"fraclink export c design.json --precision {precision} --out {folder}"
+
+
+def _matlab(session: Session, made: Design, law: Law, precision: Any, force: bool) -> tuple[list[Path], str]:
+    path = session.folder / "arm_law.m"
+    # Without the motor loop, as the command writes it: MATLAB simulates the robot's own servo.
+    own = discretize(made.controller, made.rig.period)
+    return [export_matlab(own, path, force=force)], f"fraclink export matlab design.json --out {path}"
+
+
+def _fmu(session: Session, made: Design, law: Law, precision: Any, force: bool) -> tuple[list[Path], str]:
+    path = session.folder / "arm_law.fmu"
+    made_path = export_fmu(law, path, precision=precision, compilers=(), force=force)
+    return [made_path], f"fraclink export fmu design.json --source --precision {precision} --out {path}"
+
+
+def _share(session: Session, made: Design, law: Law, precision: Any, force: bool) -> tuple[list[Path], str]:
+    path = output_path(session.folder / "arm.html", force=force)
+    return [write_arm_page(session.study, path)], f"fraclink share {session.folder} --out {path}"
+
+
+def _report(session: Session, made: Design, law: Law, precision: Any, force: bool) -> tuple[list[Path], str]:
+    path = output_path(session.folder / "report.html", force=force)
+    write_report(session.study, path)
+    return [path], f"fraclink report {session.folder} --out {path}"
+
+
+_TARGETS: dict[str, Callable[[Session, Design, Law, Any, bool], tuple[list[Path], str]]] = {
+    "c": _c,
+    "matlab": _matlab,
+    "fmu": _fmu,
+    "share": _share,
+    "report": _report,
+}
+
+
+def _export(session: Session, given: Mapping[str, Any]) -> Answer:
+    """Write one kind of output into the study's folder, never over a file unasked."""
+    target, precision = given.get("target"), given.get("precision", "single")
+    if target not in _TARGETS or precision not in _PRECISIONS:
+        allowed = f"{', '.join(_TARGETS)}; {' or '.join(_PRECISIONS)}"
+        shown = f"{str(target)[:40]}, {str(precision)[:40]}"
+        raise FieldError("target", shown, "unknown", allowed=allowed, remedy="choose one of these")
+    made, law = session.study.design, session.study.law
+    if made is None or law is None:
+        allowed, remedy = "a study with a design", "make one in step 4"
+        raise FieldError("design", None, "missing", allowed=allowed, remedy=remedy)
+    session.folder.mkdir(parents=True, exist_ok=True)
+    paths, command = _TARGETS[str(target)](session, made, law, precision, given.get("force") is True)
+    names = {path.relative_to(session.folder).as_posix(): path.stat().st_size for path in paths}
+    session.written |= names
+    head = {"ok": True, "target": target, "written": names, "export_command": command}
+    return Answer(head | session.overview())
+
+
+def _zip(session: Session, given: Mapping[str, Any]) -> Answer:
+    """Pack what was written into one archive in the draft folder, for the page to fetch."""
+    if not session.written:
+        raise FieldError("files", None, "missing", allowed="exported files", remedy="export something first")
+    place = session.draft / "studio.zip"
+    with zipfile.ZipFile(place, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name in session.written:
+            archive.write(session.folder / name, name)
+    return Answer({"ok": True, "size": place.stat().st_size})
+
+
+OUTPUT_VERBS: dict[str, Callable[[Session, Mapping[str, Any]], Answer]] = {"export": _export, "zip": _zip}

@@ -1,0 +1,290 @@
+// @ts-check
+// Step 4: the loop, its handles, and what they ask for.
+import {Plot, el, limited, plain} from './plot.js';
+import {$, make, button, table, findings} from './studio.js';
+
+const grams = (kg) => 1e3 * kg;
+const digits = (v, n) => Number(v.toPrecision(n));
+const KINDS = ['light', 'nominal', 'heavy'];
+
+/** Fields of the left column: name of the option, words, unit, factor of the unit, bounds, step. */
+const FIELDS = [
+  ['gain_crossover', 'Crossover', 'rad/s', 1, 1, 200, 0.1, 'least, at the heaviest payload'],
+  ['phase_margin_deg', 'Phase margin', '°', 1, 1, 120, 0.5, 'least, at the lightest payload'],
+  ['payloads.0', 'Lightest', 'g', 1e3, 0.1, 1e6, 0.5, ''],
+  ['payloads.1', 'Heaviest', 'g', 1e3, 0.1, 1e6, 0.5, 'payload range designed for'],
+  ['filter_time', 'Filter δ', 'ms', 1e3, 0, 1e4, 0.1, 'empty: by the 10 % rule'],
+];
+const MORE = [
+  ['max_sensitivity', 'Sensitivity peak Ms', '', 1, 1.01, 100, 0.05, 'at most'],
+  ['noise_gain', 'Noise gain', '', 1, 0.01, 1e6, 0.1, 'at most'],
+  ['mode_gain', 'Gain at modes 2 and 3', '', 1, 0.01, 1e3, 0.05, 'at most'],
+];
+
+export class Design {
+  constructor(app, arm) {
+    this.app = app;
+    this.arm = arm;
+    this.last = null;
+    this.inputs = {};
+    for (const [rows, place] of [[FIELDS, $('fields')], [MORE, $('fields-more')]]) for (const row of rows) this.field(row, place);
+    const box = make('label', 'check', '', $('fields-more'));
+    this.box = make('input', '', '', box);
+    this.box.type = 'checkbox';
+    box.append(' over all that fit and rig leave open');
+    this.box.addEventListener('change', () => this.put('box', this.box.checked));
+    this.plots();
+    arm.moved = () => this.moves();
+    document.querySelector('.tables').addEventListener('toggle', () => this.tables());
+  }
+
+  // ---- fields ----
+  field([name, words, unit, factor, low, high, step, note], place) {
+    const label = make('label', 'field', '', place), said = make('span', '', words, label);
+    if (unit) make('small', '', unit, said);
+    const input = make('input', '', '', label);
+    Object.assign(input, {type: 'number', min: low, max: high, step: 'any', inputMode: 'decimal', id: `f-${name}`});
+    if (note) { make('small', 'note', note, label).id = `n-${name}`; input.setAttribute('aria-describedby', `n-${name}`); }
+    input.addEventListener('keydown', (event) => {
+      const by = {ArrowUp: 1, ArrowDown: -1, PageUp: 10, PageDown: -10}[event.key];
+      if (!by) return;
+      event.preventDefault();
+      this.put(name, digits((Number(input.value || input.placeholder) + by * step) / factor, 6));
+    });
+    input.addEventListener('change', () => this.put(name, input.value === '' ? null : Number(input.value) / factor));
+    this.inputs[name] = [input, factor];
+  }
+  get(name) {
+    const [key, i] = name.split('.'), value = this.app.state[key];
+    if (value !== null && value !== undefined) return i === undefined ? value : value[Number(i)];
+    const asked = this.last?.asked || {};
+    return key === 'payloads' ? (this.app.axes.rated || [0.02, 0, 0.04])[i === '1' ? 2 : 0] : asked[key] ?? null;
+  }
+  /** Without a gesture around it: from a field, from a key. */
+  put(name, value) {
+    this.app.begin();
+    this.set(name, value);
+    this.app.change();
+    this.app.end();
+  }
+  set(name, value) {
+    const [key, i] = name.split('.');
+    if (i === undefined) this.app.state = {...this.app.state, [key]: value};
+    else {
+      const both = [this.get('payloads.0'), this.get('payloads.1')];
+      both[Number(i)] = value ?? both[Number(i)];
+      // an end that is pushed past the other takes it along
+      if (both[0] > both[1]) both[1 - Number(i)] = both[Number(i)];
+      this.app.state = {...this.app.state, payloads: both};
+    }
+  }
+  fields() {
+    for (const [name, [input, factor]] of Object.entries(this.inputs)) {
+      if (document.activeElement === input && !this.app.began) continue;
+      const own = name.startsWith('payloads') ? this.get(name) : this.app.state[name];
+      input.value = own === null || own === undefined ? '' : String(digits(own * factor, 6));
+      const shown = name === 'filter_time' ? this.last?.controller?.delta : this.get(name);
+      input.placeholder = shown ? `${digits(shown * factor, 4)}` : 'none';
+    }
+    this.box.checked = Boolean(this.app.state.box);
+  }
+
+  // ---- plots and their handles ----
+  plots() {
+    const degrees = (v) => `${plain(v, 3)}°`;
+    this.gain = new Plot($('p-gain'), {label: 'Gain of the loop over frequency, three payloads', x: {low: 1, high: 785, log: true}, y: {low: -40, high: 40, ticks: [-40, -20, 0, 20, 40]}});
+    this.phase = new Plot($('p-phase'), {label: 'Phase of the loop over frequency, three payloads', x: {low: 1, high: 785, log: true}, y: {low: -315, high: 0, ticks: [-270, -180, -90, 0], text: degrees}});
+    this.nichols = new Plot($('p-nichols'), {label: 'Gain of the loop over its phase, three payloads, with the circles of the closed loop', x: {low: -300, high: -60, ticks: [-300, -240, -180, -120, -60], text: degrees}, y: {low: -40, high: 40, ticks: [-40, -20, 0, 20, 40]}});
+    this.margin = new Plot($('p-margin'), {label: 'Phase margin over the payload', x: {low: 8, high: 80, log: true}, y: {low: 0, high: 120, ticks: [0, 30, 60, 90, 120], text: degrees}});
+    this.tip = new Plot($('p-moves'), {label: 'Angle of the tip over time, three payloads', height: 170, x: {low: 0, high: 2}, y: {low: -10, high: 80}});
+    this.budget = $('p-budget');
+    this.budget.setAttribute('role', 'img');
+    this.contours();
+    const {app} = this, at = () => app.hand;
+    app.hand = {begin: app.begin, change: (time) => app.change(time), end: app.end, cancel: app.cancel};
+    const crossover = {label: 'Gain crossover, at the heaviest payload', unit: 'rad/s', low: 1, high: 300, step: 0.1, get: () => this.get('gain_crossover') || 10, set: (v) => this.set('gain_crossover', digits(v, 4))};
+    const margin = {label: 'Phase margin, at the lightest payload', unit: '°', low: 1, high: 120, step: 0.5, get: () => this.get('phase_margin_deg') || 50, set: (v) => this.set('phase_margin_deg', Math.round(10 * v) / 10), text: (v) => `${plain(v)}°`};
+    const upper = () => this.last?.controller?.upper || 15;
+    this.gain.handle({...crossover, id: 'h-crossover', drag: 'x', at: () => [crossover.get(), 0]}, at());
+    this.gain.handle({
+      id: 'h-filter', label: 'Corner of the filter, 1/δ', unit: 'rad/s', low: 5, high: 2000, step: 5, drag: 'x', shape: 'diamond',
+      get: () => 1 / Math.max(this.app.state.filter_time ?? this.last?.controller?.delta ?? 0.005, 5e-4),
+      set: (v) => this.set('filter_time', digits(1 / v, 3)), at: () => [1 / Math.max(this.app.state.filter_time ?? this.last?.controller?.delta ?? 0.005, 5e-4), -32],
+      text: (v) => `${plain(v, 3)} rad/s, δ = ${plain(1e3 / v, 3)} ms`,
+    }, at());
+    this.phase.handle({...margin, id: 'h-margin-phase', drag: 'y', shape: 'square', toAxis: (v) => v - 180, fromAxis: (v) => v + 180, at: () => [upper(), margin.get() - 180]}, at());
+    this.nichols.handle({...margin, id: 'h-margin-nichols', drag: 'x', shape: 'square', toAxis: (v) => v - 180, fromAxis: (v) => v + 180, at: () => [margin.get() - 180, 0]}, at());
+    // Up is faster: a decibel of the heavy curve is 4 % of its crossover, near the slope that these loops have.
+    this.nichols.handle({...crossover, id: 'h-crossover-nichols', drag: 'y', toAxis: (v) => 25 * Math.log(v / (this.grabbed || v)), fromAxis: (db) => (this.grabbed || 12) * Math.exp(db / 25), at: () => [this.heavyPhase(), 0]}, {...at(), begin: () => { this.grabbed = crossover.get(); app.begin(); }});
+    this.margin.handle({...margin, id: 'h-margin-payload', drag: 'y', shape: 'square', line: true, at: () => [Math.sqrt(grams(this.get('payloads.0')) * grams(this.get('payloads.1'))), margin.get()]}, at());
+    for (const [i, end] of [[0, 'Lightest'], [1, 'Heaviest']]) {
+      this.margin.handle({
+        id: `h-payload-${i}`, label: `${end} payload designed for`, unit: 'g', low: 1, high: 1e5, step: 0.5, drag: 'x', line: true,
+        get: () => grams(this.get(`payloads.${i}`)), set: (v) => this.set(`payloads.${i}`, digits(v / 1e3, 3)), at: () => [grams(this.get(`payloads.${i}`)), 6],
+      }, at());
+    }
+  }
+  heavyPhase() {
+    const phases = this.last?.curves?.phase, w = this.app.axes.frequencies;
+    if (!phases || !w) return -130;
+    const at = w.findIndex((v) => v >= (this.get('gain_crossover') || 10));
+    return phases[phases.length - 1][Math.max(0, at)];
+  }
+  place() { for (const plot of [this.gain, this.phase, this.nichols, this.margin]) plot.place(); }
+
+  /** Circles of constant |T| about −180° and the disk about −1 that Ms = 2 is. */
+  contours() {
+    for (const [i, peak] of [1.2, 1.5, 2, 4].entries()) {
+      const points = Array.from({length: 181}, (_, k) => {
+        const a = (2 * Math.PI * k) / 180, m2 = peak * peak, centre = -m2 / (m2 - 1), r = peak / (m2 - 1);
+        const x = centre + r * Math.cos(a), y = r * Math.sin(a);
+        let phase = (Math.atan2(y, x) * 180) / Math.PI;
+        if (phase > 0) phase -= 360;
+        return [phase, 20 * Math.log10(Math.hypot(x, y))];
+      });
+      this.nichols.curve(`m${i}`, 'contour', points.map((p) => p[0]), points.map((p) => p[1]));
+    }
+    this.nichols.mark('critical', 'critical', () => { const x = this.nichols.X(-180), y = this.nichols.Y(0); return `M${x - 5} ${y}H${x + 5}M${x} ${y - 5}V${y + 5}`; });
+  }
+
+  axes(axes) {
+    if (!axes.frequencies) return;
+    const w = axes.frequencies, [low, high] = [w[0], w[w.length - 1]];
+    this.gain.axes({...this.gain.x, low: Math.max(low, high / 500), high}, null);
+    this.phase.axes({...this.phase.x, low: Math.max(low, high / 500), high}, null);
+    const m = axes.payloads.map(grams);
+    this.margin.axes({low: m[0], high: m[m.length - 1], log: true}, null);
+  }
+
+  /** The curves of where a drag began, thin behind those of now. */
+  ghost(on) {
+    if (!on) { for (const plot of [this.gain, this.phase, this.nichols, this.margin]) plot.remove('ghost'); return; }
+    const c = this.last?.curves, {frequencies: w, payloads} = this.app.axes;
+    if (!c || !w) return;
+    const i = c.gain.length - 1;
+    this.gain.curve('ghost', 'ghost', w, c.gain[i]);
+    this.phase.curve('ghost', 'ghost', w, c.phase[0]);
+    this.nichols.curve('ghost', 'ghost', c.phase[0], c.gain[0]);
+    this.margin.curve('ghost', 'ghost', payloads.map(grams), c.margin[0]);
+  }
+
+  preview(answer) {
+    $('step-design').classList.toggle('stale', !answer.ok);
+    if (!answer.ok) { this.refuse(answer); return; }
+    $('refused').hidden = true;
+    this.last = answer;
+    const {curves: c} = answer, {frequencies: w, payloads} = this.app.axes;
+    const names = answer.three.map((m) => `${plain(grams(m), 3)} g`);
+    this.phase.band('band', 'area', w, c.phase[0], c.phase[2]);
+    this.gain.band('band', 'area', w, c.gain[0], c.gain[2]);
+    this.nichols.curve('band', 'area', [...c.phase[0], ...Array.from(c.phase[2]).reverse()], [...c.gain[0], ...Array.from(c.gain[2]).reverse()]);
+    KINDS.forEach((kind, i) => {
+      this.gain.curve(kind, kind, w, c.gain[i]);
+      this.phase.curve(kind, kind, w, c.phase[i]);
+      this.nichols.curve(kind, kind, c.phase[i], c.gain[i], i === 1 ? '' : names[i]);
+    });
+    const g = payloads.map(grams), [low, , high] = answer.three.map(grams);
+    this.margin.curve('margin', 'nominal', g, c.margin[0]);
+    this.margin.mark('zone', 'zone', () => `M${this.margin.X(low)} 0H${this.margin.X(high)}V999H${this.margin.X(low)}Z`);
+    this.place();
+    this.fields();
+    this.facts(answer, true);
+    this.drawBudget(answer.budget);
+    $('said').textContent = answer.said;
+    $('budget-at').textContent = `[°] at the crossover of ${names[0]}`;
+    $('assumed').textContent = answer.assumed.length ? `Assumed: ${answer.assumed.join('; ')}.` : '';
+    findings($('design-findings'), answer.findings);
+    $('requirements').classList.add('preview');
+    this.tables();
+  }
+
+  /** What is a preview is grey and has its ≈; the exact answer replaces it. */
+  facts(answer, preview) {
+    const place = $('controller'), c = answer.controller, sign = preview ? '≈ ' : '';
+    place.classList.toggle('preview', preview);
+    place.replaceChildren();
+    for (const [name, value] of [['k_d', plain(c.k_d)], ['β', plain(c.beta)], ['δ', c.delta ? `${plain(1e3 * c.delta, 3)} ms` : 'none'], ['n', String(c.n)], ['ω̄_c', `${plain(c.upper)} rad/s`]]) {
+      const box = make('div', '', '', place);
+      make('dt', '', name, box);
+      make('dd', '', `${sign}${value}`, box);
+    }
+  }
+  exact(answer) {
+    if (this.last) this.facts(this.last, false);
+    findings($('design-findings'), answer.design.findings);
+    $('requirements').classList.remove('preview');
+    $('step-design').classList.remove('stale');
+  }
+  took(answer) {
+    const found = answer.design;
+    if (found) {
+      const keep = [0, 1, 2, 5], cut = (row) => keep.map((k) => row[k]);
+      table($('requirements'), cut(found.requirements.header), found.requirements.rows.map(cut), 'Requirements');
+      table($('moves-table'), found.moves.header, found.moves.rows, 'Moves of the model with the exact law');
+    }
+  }
+  refuse(answer) {
+    const place = $('refused');
+    place.hidden = false;
+    place.replaceChildren();
+    make('b', '', answer.condition ? `${answer.condition}. ` : 'Not possible. ', place);
+    place.append(answer.explanation || answer.error);
+    if (Object.keys(answer.nearest || {}).length) {
+      button('Take the nearest that is', '', place, async () => {
+        const found = await this.app.link.ask('nearest', {state: this.app.state});
+        if (!found.ok) { this.app.toast(found.error); return; }
+        this.app.begin();
+        this.app.state = found.state;
+        this.app.change();
+        this.app.end();
+      });
+    }
+    $('step-design').classList.add('stale');
+    this.app.say(answer.error);
+  }
+
+  drawBudget(shares) {
+    const svg = this.budget, W = svg.clientWidth, H = 26 + 19 * (shares.length + 1);
+    if (!W) return;
+    svg.setAttribute('viewBox', `0 0 ${W} ${H}`);
+    svg.setAttribute('height', String(H));
+    svg.replaceChildren();
+    const left = 130, room = W - left - 60, most = 200, X = (v) => left + (room * (v + most)) / most;
+    let sum = 180;
+    const rows = [...shares.map(([name, value]) => { const row = [name, sum, sum + value, value]; sum += value; return row; }), ['left: the phase margin', 0, sum, sum]];
+    svg.setAttribute('aria-label', `Of 180°: ${shares.map(([n, v]) => `${n} ${plain(v, 3)}°`).join(', ')}; ${plain(sum, 3)}° are left`);
+    const scale = (v) => X(limited(v, 0, 200) - most);
+    rows.forEach(([name, from, to, value], i) => {
+      const y = 8 + 19 * i;
+      el('text', {x: left - 6, y: y + 11, 'text-anchor': 'end'}, svg, name);
+      el('rect', {class: i === rows.length - 1 ? 'bar rest' : value < 0 ? 'bar lag' : 'bar lead', x: Math.min(scale(from), scale(to)), y, width: Math.max(1, Math.abs(scale(to) - scale(from))), height: 14}, svg);
+      el('text', {class: 'value', x: Math.max(scale(from), scale(to)) + 5, y: y + 11}, svg, `${plain(Number(value.toFixed(1)))}°`);
+    });
+  }
+
+  /** The same numbers as the plots, for those who read them. */
+  tables() {
+    const place = $('plot-tables'), c = this.last?.curves, {frequencies: w, payloads} = this.app.axes;
+    place.replaceChildren();
+    if (!c || !document.querySelector('.tables').open) return;
+    const every = (list, n) => Array.from(list, (v, i) => [v, i]).filter(([, i]) => i % n === 0);
+    const names = this.last.three.map((m) => `${plain(grams(m), 3)} g`);
+    table(make('div', 'tablebox', '', place), ['ω [rad/s]', ...names.map((n) => `gain ${n} [dB]`), ...names.map((n) => `phase ${n} [°]`)],
+      every(w, 14).map(([v, i]) => [plain(v, 3), ...c.gain.map((g) => g[i].toFixed(1)), ...c.phase.map((p) => p[i].toFixed(0))]), 'Loop');
+    table(make('div', 'tablebox', '', place), ['payload [g]', 'crossover [rad/s]', 'phase margin [°]'],
+      every(payloads, 4).map(([m, i]) => [plain(grams(m), 3), plain(c.crossover[0][i]), c.margin[0][i].toFixed(1)]), 'Margins over the payload');
+  }
+
+  /** The law in the page moves three payloads: 1 ms each. */
+  moves() {
+    const masses = this.last?.three, found = masses && this.arm.runs(masses);
+    if (!found) return;
+    const t = found.reference.map((_, k) => k * found.period), room = Math.max(8, 0.3 * Math.abs(found.goal));
+    const low = Math.min(0, found.goal) - room / 2, high = Math.max(0, found.goal) + room;
+    const until = Math.min(found.until * found.period, 2.5);
+    if (this.tip.y.low !== low || this.tip.y.high !== high || this.tip.x.high !== until) this.tip.axes({low: 0, high: until}, {low, high});
+    const last = Math.min(t.length, Math.ceil(until / found.period) + 1), cut = t.slice(0, last);
+    this.tip.curve('reference', 'reference', cut, found.reference);
+    KINDS.forEach((kind, i) => this.tip.curve(kind, kind, cut, found.tips[i]));
+  }
+}

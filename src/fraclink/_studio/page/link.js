@@ -1,0 +1,84 @@
+// @ts-check
+// The socket: requests by number, drags by newest, and a new try where it breaks.
+
+export class Link {
+  /** @param {(answer: any) => void} heard @param {(state: 'open' | 'lost' | 'refused') => void} changed */
+  constructor(heard, changed) {
+    this.heard = heard;
+    this.changed = changed;
+    this.seq = 0;
+    this.waiting = new Map();
+    this.next = null; // the newest drag, behind the one under way
+    this.dragging = false;
+    this.tries = 0;
+    this.token = location.hash.slice(1) || sessionStorage.getItem('studio') || '';
+    sessionStorage.setItem('studio', this.token);
+    // Out of the address bar: it would be in a screenshot, and in the history.
+    history.replaceState(null, '', location.pathname);
+    this.open();
+  }
+
+  open() {
+    const socket = this.socket = new WebSocket(`ws://${location.host}/talk`);
+    socket.binaryType = 'arraybuffer';
+    socket.onopen = () => { socket.send(this.token); this.tries = 0; this.changed('open'); };
+    socket.onmessage = (event) => this.receive(event.data);
+    socket.onclose = (event) => {
+      if (socket !== this.socket) return;
+      for (const done of this.waiting.values()) done({ok: false, lost: true, error: 'the studio is not there'});
+      this.waiting.clear();
+      this.dragging = false;
+      this.changed(event.code === 1008 ? 'refused' : 'lost');
+      if (event.code !== 1008) setTimeout(() => this.open(), Math.min(5000, 300 * 2 ** this.tries++));
+    };
+  }
+
+  receive(data) {
+    const size = new DataView(data).getUint32(0, true);
+    const head = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 4, size)));
+    let at = 4 + size;
+    const curves = {};
+    for (const [name, [rows, count]] of Object.entries(head.curves)) {
+      curves[name] = Array.from({length: rows}, () => { const row = new Float32Array(data, at, count); at += 4 * count; return row; });
+    }
+    head.curves = curves;
+    const done = this.waiting.get(head.seq);
+    if (done && head.verb !== 'progress') { this.waiting.delete(head.seq); done(head); } else this.heard(head);
+  }
+
+  /** @returns {Promise<any>} the answer; a refusal is one, too */
+  ask(verb, given = {}) {
+    if (this.socket.readyState !== WebSocket.OPEN) return Promise.resolve({ok: false, lost: true, error: 'the studio is not there'});
+    const seq = ++this.seq;
+    this.socket.send(JSON.stringify({seq, verb, ...given}));
+    return new Promise((done) => this.waiting.set(seq, done));
+  }
+
+  /** One request under way, the newest waits, those between are forgotten. */
+  async drag(given, shown) {
+    this.next = [given, shown];
+    if (this.dragging) return;
+    this.dragging = true;
+    while (this.next) {
+      const [newest, show] = this.next;
+      this.next = null;
+      show(await this.ask('preview', newest));
+    }
+    this.dragging = false;
+  }
+}
+
+/** @param {Blob | File} file */
+export async function upload(file, name, token) {
+  const answer = await fetch(`/upload?name=${encodeURIComponent(name)}`, {method: 'POST', body: file, headers: {'X-Studio-Token': token}});
+  return answer.ok ? '' : await answer.text();
+}
+
+export async function download(token, name) {
+  const answer = await fetch('/studio.zip', {headers: {'X-Studio-Token': token}});
+  if (!answer.ok) return await answer.text();
+  const link = Object.assign(document.createElement('a'), {href: URL.createObjectURL(await answer.blob()), download: name});
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 1000);
+  return '';
+}

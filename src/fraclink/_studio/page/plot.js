@@ -1,0 +1,216 @@
+// @ts-check
+// Plots in real pixels with fixed axes, curves from arrays, and handles that are sliders for everybody.
+
+/** @typedef {{low: number, high: number, log?: boolean, ticks?: number[], text?: (v: number) => string}} Axis */
+/** @typedef {{id: string, label: string, unit: string, low: number, high: number, step: number, drag: 'x' | 'y',
+ *   get: () => number, set: (v: number) => void, at: () => [number, number], line?: boolean,
+ *   toAxis?: (v: number) => number, fromAxis?: (v: number) => number, text?: (v: number) => string, shape?: string}} Handle */
+
+const SVG = 'http://www.w3.org/2000/svg';
+export const el = (name, attributes = {}, parent = null, text = '') => {
+  const made = document.createElementNS(SVG, name);
+  for (const key in attributes) made.setAttribute(key, attributes[key]);
+  if (text) made.textContent = text;
+  if (parent) parent.append(made);
+  return made;
+};
+export const limited = (v, low, high) => Math.min(high, Math.max(low, v));
+export const plain = (v, digits = 4) => {
+  if (v === null || !Number.isFinite(v)) return '–';
+  const text = Math.abs(v) >= 1e5 || (v && Math.abs(v) < 1e-4) ? v.toExponential(digits - 1) : String(Number(v.toPrecision(digits)));
+  return text.replace('-', '−');
+};
+
+const LEFT = 42, RIGHT = 10, TOP = 8, FOOT = 20;
+const steps = (low, high, count) => {
+  const rough = (high - low) / count, power = 10 ** Math.floor(Math.log10(rough));
+  const step = [1, 2, 5, 10].find((s) => s * power >= rough) * power;
+  return Array.from({length: Math.floor(high / step + 1e-9) - Math.ceil(low / step - 1e-9) + 1}, (_, i) => step * (Math.ceil(low / step - 1e-9) + i));
+};
+const decades = (low, high) => {
+  const found = [];
+  for (let p = Math.floor(Math.log10(low)); p <= Math.ceil(Math.log10(high)); p++) {
+    for (const m of [1, 2, 5]) if (m * 10 ** p >= low * 0.999 && m * 10 ** p <= high * 1.001) found.push(m * 10 ** p);
+  }
+  return found;
+};
+
+let clips = 0;
+
+export class Plot {
+  /** @param {SVGSVGElement} svg @param {{x: Axis, y: Axis, height?: number, label: string}} options */
+  constructor(svg, options) {
+    this.svg = svg;
+    this.height = options.height || 210;
+    this.x = options.x;
+    this.y = options.y;
+    svg.setAttribute('role', 'group');
+    svg.setAttribute('aria-label', options.label);
+    this.clip = `clip-${++clips}`;
+    this.frame = el('g', {class: 'frame', 'aria-hidden': 'true'}, svg);
+    this.rect = el('rect', {}, el('clipPath', {id: this.clip}, el('defs', {}, svg)));
+    this.inside = el('g', {'clip-path': `url(#${this.clip})`, 'aria-hidden': 'true'}, svg);
+    this.over = el('g', {'aria-hidden': 'true'}, svg);
+    this.grips = el('g', {}, svg);
+    this.curves = new Map();
+    this.handles = [];
+    this.W = 0;
+    this.drawn = () => {};
+    new ResizeObserver(() => { if (svg.clientWidth && Math.abs(svg.clientWidth - this.W) > 1) this.lay(); }).observe(svg);
+  }
+
+  part(axis, v) {
+    const {low, high, log} = axis;
+    return log ? Math.log(Math.max(v, 1e-300) / low) / Math.log(high / low) : (v - low) / (high - low);
+  }
+  value(axis, part) {
+    const {low, high, log} = axis;
+    return log ? low * (high / low) ** part : low + (high - low) * part;
+  }
+  X(v) { return LEFT + (this.W - LEFT - RIGHT) * this.part(this.x, v); }
+  Y(v) { return TOP + (this.height - TOP - FOOT) * (1 - this.part(this.y, v)); }
+
+  /** Other axes: only where another log or model was opened, never while a hand drags. */
+  axes(x, y) {
+    this.x = x || this.x;
+    this.y = y || this.y;
+    this.lay();
+  }
+
+  lay() {
+    if (!this.svg.clientWidth) return;
+    this.W = this.svg.clientWidth;
+    const {W, height} = this;
+    this.svg.setAttribute('viewBox', `0 0 ${W} ${height}`);
+    this.svg.setAttribute('height', String(height));
+    for (const [k, v] of Object.entries({x: LEFT, y: TOP, width: Math.max(1, W - LEFT - RIGHT), height: height - TOP - FOOT})) this.rect.setAttribute(k, v);
+    this.frame.replaceChildren();
+    el('rect', {class: 'ground', x: LEFT, y: TOP, width: Math.max(1, W - LEFT - RIGHT), height: height - TOP - FOOT}, this.frame);
+    const across = this.x.ticks || (this.x.log ? decades(this.x.low, this.x.high) : steps(this.x.low, this.x.high, W / 75));
+    let last = -1e9;
+    for (const t of across) {
+      const x = this.X(t);
+      el('line', {class: 'grid', x1: x, x2: x, y1: TOP, y2: height - FOOT}, this.frame);
+      if (x - last < 34) continue;
+      last = x;
+      el('text', {x, y: height - 5, 'text-anchor': 'middle'}, this.frame, this.x.text ? this.x.text(t) : plain(t));
+    }
+    for (const t of this.y.ticks || steps(this.y.low, this.y.high, height / 40)) {
+      const y = this.Y(t);
+      el('line', {class: t ? 'grid' : 'grid zero', x1: LEFT, x2: W - RIGHT, y1: y, y2: y}, this.frame);
+      el('text', {x: LEFT - 5, y: y + 4, 'text-anchor': 'end'}, this.frame, this.y.text ? this.y.text(t) : plain(t));
+    }
+    for (const c of this.curves.values()) c.draw();
+    this.drawn();
+    this.place();
+  }
+
+  /** A curve with a name; drawn again only when its numbers change. */
+  curve(name, kind, xs, ys, label = '') {
+    let c = this.curves.get(name);
+    if (!c) {
+      c = {path: el('path', {}, this.inside), tag: label ? el('text', {class: `end ${kind}`}, this.over) : null};
+      this.curves.set(name, c);
+    }
+    c.path.setAttribute('class', `curve ${kind}`);
+    c.draw = () => {
+      if (!this.W) return;
+      let d = '', pen = 'M', tagged = null;
+      for (let i = 0; i < xs.length; i++) {
+        const x = this.X(xs[i]), y = limited(this.Y(ys[i]), -3e3, 3e3);
+        if (!Number.isFinite(x) || !Number.isFinite(y)) { pen = 'M'; continue; }
+        d += `${pen}${x.toFixed(1)} ${y.toFixed(1)}`;
+        pen = 'L';
+        if (y > TOP + 10 && y < this.height - FOOT && x > LEFT && x < this.W - RIGHT - 30) tagged = [x, y];
+      }
+      c.path.setAttribute('d', d);
+      if (c.tag && tagged) {
+        c.tag.textContent = label;
+        c.tag.setAttribute('x', tagged[0].toFixed(1));
+        c.tag.setAttribute('y', (tagged[1] - 5).toFixed(1));
+      }
+    };
+    c.draw();
+  }
+  /** The area between two curves over the same x. */
+  band(name, kind, xs, low, high) {
+    this.curve(name, kind, [...xs, ...Array.from(xs).reverse()], [...low, ...Array.from(high).reverse()]);
+  }
+  mark(name, kind, d) {
+    let c = this.curves.get(name);
+    if (!c) this.curves.set(name, c = {path: el('path', {}, this.inside), draw: () => {}});
+    c.path.setAttribute('class', kind);
+    c.draw = () => c.path.setAttribute('d', d());
+    c.draw();
+  }
+  remove(name) {
+    const c = this.curves.get(name);
+    if (!c) return;
+    c.path.remove();
+    c.tag?.remove();
+    this.curves.delete(name);
+  }
+
+  /** @param {Handle} h @param {{begin: () => void, change: (at?: number) => void, end: () => void, cancel: () => void}} hand */
+  handle(h, hand) {
+    const g = el('g', {
+      class: `handle ${h.shape || ''}`, id: h.id, role: 'slider', tabindex: 0, 'aria-label': h.label,
+      'aria-orientation': h.drag === 'x' ? 'horizontal' : 'vertical',
+    }, this.grips);
+    if (h.line) el('line', {class: 'edge'}, g), el('line', {class: 'reach'}, g);
+    el('circle', {class: 'touch', r: 14}, g);
+    if (h.shape === 'square') el('rect', {class: 'knob', x: -6, y: -6, width: 12, height: 12, rx: 2}, g);
+    else if (h.shape === 'diamond') el('path', {class: 'knob', d: 'M0-8L8 0L0 8L-8 0Z'}, g);
+    else el('circle', {class: 'knob', r: 7}, g);
+    const entry = {h, g};
+    this.handles.push(entry);
+    const to = h.toAxis || ((v) => v), from = h.fromAxis || ((v) => v);
+    const put = (v) => h.set(limited(v, h.low, h.high));
+    let grabbed = null;
+    g.addEventListener('pointerdown', (event) => {
+      event.preventDefault();
+      g.focus({preventScroll: true});
+      g.setPointerCapture(event.pointerId);
+      hand.begin();
+      grabbed = {pointer: h.drag === 'x' ? event.clientX : event.clientY, own: this.part(h.drag === 'x' ? this.x : this.y, to(h.get()))};
+    });
+    g.addEventListener('pointermove', (event) => {
+      if (!grabbed) return;
+      const moved = (h.drag === 'x' ? event.clientX - grabbed.pointer : grabbed.pointer - event.clientY);
+      const room = h.drag === 'x' ? this.W - LEFT - RIGHT : this.height - TOP - FOOT;
+      put(from(this.value(h.drag === 'x' ? this.x : this.y, grabbed.own + moved / room)));
+      hand.change(event.timeStamp);
+    });
+    const release = () => { if (grabbed) { grabbed = null; hand.end(); } };
+    g.addEventListener('pointerup', release);
+    g.addEventListener('pointercancel', () => { if (grabbed) { grabbed = null; hand.cancel(); } });
+    g.addEventListener('keydown', (event) => {
+      if (event.key === 'Escape' && grabbed) { grabbed = null; hand.cancel(); return; }
+      if (event.ctrlKey || event.metaKey || event.altKey) return;
+      const many = {ArrowRight: 1, ArrowUp: 1, ArrowLeft: -1, ArrowDown: -1, PageUp: 10, PageDown: -10}[event.key];
+      const v = many ? h.get() + many * h.step : event.key === 'Home' ? h.low : event.key === 'End' ? h.high : null;
+      if (v === null) return;
+      event.preventDefault();
+      event.stopPropagation();
+      hand.begin();
+      put(v);
+      hand.change();
+      hand.end();
+    });
+    this.place();
+    return entry;
+  }
+
+  place() {
+    if (!this.W) return;
+    for (const {h, g} of this.handles) {
+      const [dx, dy] = h.at(), v = h.get();
+      const x = limited(this.X(dx), LEFT, this.W - RIGHT), y = limited(this.Y(dy), TOP, this.height - FOOT);
+      g.setAttribute('transform', `translate(${x.toFixed(1)} ${y.toFixed(1)})`);
+      const along = h.drag === 'x' ? {x1: 0, x2: 0, y1: TOP - y, y2: this.height - FOOT - y} : {x1: LEFT - x, x2: this.W - RIGHT - x, y1: 0, y2: 0};
+      for (const line of g.querySelectorAll('line')) for (const k in along) line.setAttribute(k, along[k].toFixed(1));
+      const text = (h.text || ((u) => `${plain(u)} ${h.unit}`))(v);
+      for (const [k, value] of Object.entries({'aria-valuemin': h.low, 'aria-valuemax': h.high, 'aria-valuenow': v, 'aria-valuetext': text})) g.setAttribute(k, String(value));
+    }
+  }
+}

@@ -1,0 +1,117 @@
+// @ts-check
+// Steps 6 and 7: what was proved and tried, and the files that leave the house.
+import {Plot, plain} from './plot.js';
+import {$, make, button, table} from './studio.js';
+import {download} from './link.js';
+
+const TARGETS = [
+  ['c', 'C99 for a board', 'law.c as it was simulated, coefficients, self-test, a page to read'],
+  ['fmu', 'FMU 2.0', 'with sources, for Simulink, Dymola, OpenModelica'],
+  ['matlab', 'MATLAB', 'a function that runs the law'],
+  ['share', 'The arm in a page', 'one HTML file that moves, for anybody'],
+  ['report', 'Report', 'everything of the study, in one HTML file'],
+];
+
+export class Proof {
+  constructor(app) {
+    this.app = app;
+    this.cells = {};
+    for (const verb of ['prove', 'arms', 'faults']) $(verb).addEventListener('click', () => this.work(verb));
+    $('cancel').addEventListener('click', () => this.app.link.ask('cancel'));
+    const height = 330;
+    this.plane = new Plot($('p-nyquist'), {label: 'The loop in the complex plane, three payloads, and the disk about −1 that it stays out of', height, x: {low: -2.6, high: 1.2}, y: {low: -1.8, high: 1.2}});
+    for (const [target, words, what] of TARGETS) {
+      const card = make('div', 'card', '', $('targets'));
+      make('b', '', words, card);
+      make('span', 'hint', what, card);
+      button('Write', '', card, () => this.export(target)).setAttribute('aria-label', `Write: ${words}`);
+    }
+    $('zip').addEventListener('click', async () => {
+      const answer = await app.link.ask('zip');
+      const why = answer.ok ? await download(app.link.token, 'fraclink.zip') : answer.error;
+      if (why) app.toast(why);
+    });
+  }
+
+  async work(verb) {
+    const busy = (on) => { for (const id of ['prove', 'arms', 'faults']) $(id).disabled = on; $('progress').hidden = !on; };
+    busy(true);
+    $('bar').removeAttribute('value');
+    $('progress-said').textContent = 'Starting …';
+    if (verb === 'faults') { this.cells = {}; $('matrix').replaceChildren(); }
+    const answer = await this.app.link.ask(verb);
+    busy(false);
+    if (!answer.ok) { $('proof-said').textContent = answer.error; return; }
+    this.app.took(answer);
+    this.result(answer);
+  }
+  progress(answer) {
+    $('progress-said').textContent = answer.said || `${answer.done} of ${answer.all} runs${answer.fault ? `, ${answer.fault}` : ''}`;
+    if (answer.all) { $('bar').max = answer.all; $('bar').value = answer.done; }
+    if (answer.fault) this.cell(answer);
+  }
+  /** One row a fault, one column for each severity and payload; a cell is as good as its worst run. */
+  cell({fault, severity, payload, passed}) {
+    const id = `${fault}|${severity}|${payload}`;
+    let square = this.cells[id];
+    if (!square) {
+      let row = this.cells[fault];
+      if (!row) {
+        row = this.cells[fault] = make('div', 'faultrow', '', $('matrix'));
+        make('span', 'faultname', fault, row);
+      }
+      square = this.cells[id] = make('span', 'cell good', '✓', row);
+      square.title = `${fault}, severity ${severity}, ${plain(1e3 * payload)} g`;
+    }
+    if (!passed) { square.className = 'cell bad'; square.textContent = '✗'; }
+  }
+  result(answer) {
+    if (answer.proved) $('proof-said').textContent = answer.proved.text;
+    if (answer.spread) table($('spread'), answer.spread.header, answer.spread.rows, `${answer.failures.count} of ${answer.failures.runs} arms fail`);
+    if (answer.faults) table($('faults-table'), answer.faults.header, answer.faults.rows, answer.faults_said);
+    this.modulus = answer.proved?.modulus ?? this.modulus;
+    this.draw();
+  }
+  took(answer) {
+    if (!answer.certificate) { this.modulus = undefined; $('proof-said').textContent = answer.uncertified ? `Not proved: ${answer.uncertified}` : ''; } else $('proof-said').textContent = answer.certificate;
+    const files = Object.entries(answer.files || {});
+    $('board-said').textContent = files.length ? `Written into ${answer.folder}.` : answer.design ? 'Nothing written yet.' : 'Make a design first (step 4).';
+    $('zip').hidden = !files.length;
+    table($('files'), ['file', 'bytes'], files.map(([name, size]) => [name, String(size)]));
+    if (this.app.step === 'proof') this.draw();
+  }
+
+  draw() {
+    const c = this.app.preview?.curves;
+    if (!c || !c.gain) return;
+    ['light', 'nominal', 'heavy'].forEach((kind, i) => {
+      const x = [], y = [];
+      c.gain[i].forEach((db, k) => {
+        const r = 10 ** (db / 20), a = (c.phase[i][k] * Math.PI) / 180;
+        x.push(r * Math.cos(a));
+        y.push(r * Math.sin(a));
+      });
+      this.plane.curve(kind, kind, x, y);
+    });
+    const disk = (name, kind, r) => {
+      const turn = Array.from({length: 91}, (_, k) => (2 * Math.PI * k) / 90);
+      this.plane.curve(name, kind, turn.map((a) => -1 + r * Math.cos(a)), turn.map((a) => r * Math.sin(a)));
+    };
+    if (this.modulus) disk('disk', 'disk', this.modulus); else this.plane.remove('disk');
+    this.plane.mark('critical', 'critical', () => { const x = this.plane.X(-1), y = this.plane.Y(0); return `M${x - 6} ${y}H${x + 6}M${x} ${y - 6}V${y + 6}`; });
+  }
+
+  async export(target, force = false) {
+    const precision = /** @type {HTMLInputElement} */ (document.querySelector('input[name=precision]:checked')).value;
+    const answer = await this.app.link.ask('export', {target, precision, force});
+    if (answer.ok) {
+      this.app.took(answer);
+      $('board-said').textContent = answer.export_command;
+      this.app.toast(`Wrote ${Object.keys(answer.written).length} files`);
+    } else if (/already|exists|overwrit/i.test(answer.error) && !force) {
+      $('replace-said').textContent = answer.error;
+      $('replace').showModal();
+      $('replace').addEventListener('close', () => { if ($('replace').returnValue === 'yes') this.export(target, true); }, {once: true});
+    } else { $('board-said').textContent = answer.error; }
+  }
+}

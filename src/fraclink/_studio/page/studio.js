@@ -1,0 +1,284 @@
+// @ts-check
+// The page: steps, state and its history, verdict, what is kept. It shows what Python answers and decides nothing.
+import {Link, upload} from './link.js';
+import {Arm} from './arm.js';
+import {Design} from './design.js';
+import {Logs} from './logs.js';
+import {Proof} from './proof.js';
+
+export const $ = (id) => /** @type {any} */ (document.getElementById(id));
+/** An element with text; what comes from a file never becomes markup. */
+export const make = (name, kind = '', text = '', parent = null) => {
+  const made = document.createElement(name);
+  if (kind) made.className = kind;
+  if (text) made.textContent = text;
+  if (parent) parent.append(made);
+  return made;
+};
+export const button = (text, kind, parent, click) => {
+  const made = make('button', kind, text, parent);
+  made.type = 'button';
+  made.addEventListener('click', click);
+  return made;
+};
+/** A table of Python's cells. */
+export function table(place, header, rows, caption = '') {
+  place.replaceChildren();
+  if (!rows || !rows.length) return;
+  const made = make('table', '', '', place);
+  if (caption) make('caption', '', caption, made);
+  const top = make('tr', '', '', make('thead', '', '', made));
+  for (const cell of header) make('th', '', cell, top).scope = 'col';
+  const body = make('tbody', '', '', made);
+  for (const row of rows) {
+    const line = make('tr', '', '', body);
+    row.forEach((cell, i) => {
+      const word = i === row.length - 1 ? {'✓': 'good', '✗': 'bad', '!': 'fair'}[cell[0]] || '' : '';
+      const made = make(i ? 'td' : 'th', word, cell, line);
+      if (!i) made.scope = 'row';
+    });
+  }
+}
+export function findings(place, list) {
+  place.replaceChildren();
+  for (const f of list || []) {
+    const item = make('li', typeof f === 'string' ? 'info' : f.severity, '', place);
+    if (typeof f === 'string') { item.textContent = f; continue; }
+    make('b', '', `${f.code} `, item);
+    item.append(f.message);
+    if (f.remedy) make('span', 'remedy', ` ${f.remedy[0].toUpperCase()}${f.remedy.slice(1)}.`, item);
+  }
+}
+export const SIGNS = {'passed': '✓', 'failed': '✗', 'not shown': '!', 'not run': '○'};
+const STEPS = ['log', 'channels', 'model', 'design', 'move', 'proof', 'board'];
+const WORDS = {log: 'Log', channels: 'Channels', model: 'Model', design: 'Design', move: 'Move', proof: 'Proof', board: 'Board'};
+
+export const app = {
+  /** what is asked for, under the names of the command line */
+  state: {}, states: [], at: -1, axes: {}, study: {}, preview: null, step: '', began: null, timer: 0,
+  link: /** @type {Link} */ (/** @type {any} */ (null)),
+
+  // ---- one gesture: begin, change …, end or cancel ----
+  begin() {
+    if (app.began) return;
+    app.began = structuredClone(app.state);
+    design.ghost(true);
+  },
+  change(at = performance.now()) {
+    design.fields();
+    design.place();
+    const state = {...app.state};
+    app.link.drag({state}, (answer) => {
+      app.shown(answer);
+      requestAnimationFrame(() => {
+        performance.measure('drag', {start: at, end: performance.now()});
+        if (performance.getEntriesByName('drag').length > 2000) performance.clearMeasures('drag');
+      });
+    });
+  },
+  end() {
+    design.ghost(false);
+    const before = app.began;
+    app.began = null;
+    if (!before || JSON.stringify(before) === JSON.stringify(app.state)) return;
+    clearTimeout(app.timer);
+    app.timer = setTimeout(app.settle, 150);
+  },
+  cancel() {
+    design.ghost(false);
+    if (app.began) app.state = app.began;
+    app.began = null;
+    app.change();
+  },
+  /** A state that a hand let go of: into the history, and exactly. */
+  settle() {
+    app.states = [...app.states.slice(0, app.at + 1), structuredClone(app.state)];
+    app.at = app.states.length - 1;
+    app.link.ask('note', {state: app.state});
+    app.buttons();
+    app.exact();
+  },
+  async exact() {
+    const answer = await app.link.ask('exact', {state: app.state, arm: arm.key});
+    if (answer.superseded || answer.lost) return;
+    if (!answer.ok) { design.refuse(answer); return; }
+    app.took(answer);
+    design.exact(answer);
+    arm.take(answer);
+    app.say(verdictSaid());
+  },
+  shown(answer) {
+    if (answer.lost) return;
+    app.preview = answer;
+    design.preview(answer);
+    if (answer.ok && answer.blocks) arm.law(answer.blocks, answer.three);
+  },
+
+  // ---- history ----
+  async go(at) {
+    if (at < 0 || at >= app.states.length) return;
+    clearTimeout(app.timer);
+    app.at = at;
+    app.state = structuredClone(app.states[at]);
+    app.buttons();
+    app.link.ask('go', {at});
+    app.change();
+    app.exact();
+  },
+  buttons() {
+    $('undo').disabled = app.at <= 0;
+    $('redo').disabled = app.at >= app.states.length - 1;
+    $('undo').title = `Undo (Ctrl Z): ${Math.max(0, app.at)} back`;
+  },
+
+  // ---- what Python says of the study ----
+  took(answer) {
+    Object.assign(app.study, answer);
+    $('study').textContent = [answer.name, answer.folder].filter(Boolean).join(' · ');
+    $('command').textContent = answer.command || '';
+    for (const step of STEPS) {
+      const mark = (answer.marks || {})[step] || 'not run', item = $(`go-${step}`);
+      item.querySelector('.mark').textContent = SIGNS[mark];
+      item.dataset.mark = mark;
+      item.setAttribute('aria-label', `${STEPS.indexOf(step) + 1} ${WORDS[step]}: ${mark}`);
+    }
+    const strip = $('verdict');
+    strip.replaceChildren();
+    for (const scope of answer.verdict || []) {
+      const box = make('details', `scope ${scope.state.replace(' ', '-')}`, '', strip), top = make('summary', '', '', box);
+      make('b', '', scope.name, top);
+      make('span', 'state', ` ${scope.shown}`, top);
+      make('small', '', scope.what, top);
+      const why = make('ul', '', '', box);
+      for (const reason of scope.reasons.length ? scope.reasons : ['nothing against it']) make('li', '', reason, why);
+    }
+    proof.took(answer);
+    design.took(answer);
+  },
+  say(text) { $('live').textContent = text; },
+  toast(text) {
+    const place = $('toast');
+    place.textContent = text;
+    place.classList.add('seen');
+    clearTimeout(app.toast.timer);
+    app.toast.timer = setTimeout(() => place.classList.remove('seen'), 4000);
+  },
+
+  // ---- steps ----
+  show(step) {
+    app.step = step;
+    for (const name of STEPS) {
+      $(`step-${name}`).hidden = name !== step;
+      $(`go-${name}`).setAttribute('aria-current', name === step ? 'step' : 'false');
+    }
+    sessionStorage.setItem('step', step);
+    arm.move(step);
+    if (step === 'log' || step === 'channels') logs.open();
+    if (step === 'model') logs.models();
+    if (step === 'proof') proof.draw();
+  },
+  /** After a log, a rig or a fit: other axes, another start. */
+  async renew(answer) {
+    app.axes = answer.frequencies ? {frequencies: answer.frequencies, payloads: answer.payloads, rated: answer.rated} : {};
+    if (answer.state) app.state = answer.state;
+    design.axes(app.axes);
+    if (answer.frequencies) { app.change(); await app.exact(); }
+  },
+  async keep(force = false) {
+    const answer = await app.link.ask('keep', {force});
+    if (answer.ok) {
+      app.took(answer);
+      app.toast(`Kept ${answer.kept.length} files in ${answer.folder}`);
+    } else if (answer.field === 'folder') {
+      $('replace-said').textContent = answer.error;
+      $('replace').showModal();
+    } else app.toast(answer.error);
+  },
+};
+app.toast.timer = 0;
+const verdictSaid = () => (app.study.verdict || []).map((s) => `${s.name} ${s.state}`).join(', ');
+
+export const arm = new Arm(app);
+export const design = new Design(app, arm);
+export const logs = new Logs(app);
+export const proof = new Proof(app);
+
+async function hello() {
+  const answer = await app.link.ask('hello', {arm: arm.key});
+  if (!answer.ok) return;
+  const first = !app.states.length && app.at < 0;
+  if (first || !app.state.margins) {
+    app.states = answer.states;
+    app.at = answer.at;
+    app.state = answer.state;
+    if (!app.states.length) { app.states = [structuredClone(app.state)]; app.at = 0; app.link.ask('note', {state: app.state}); }
+  }
+  app.axes = answer.frequencies ? {frequencies: answer.frequencies, payloads: answer.payloads, rated: answer.rated} : {};
+  app.took(answer);
+  app.buttons();
+  design.axes(app.axes);
+  arm.take(answer);
+  if (!app.step) app.show(sessionStorage.getItem('step') || (answer.frequencies ? 'design' : 'log'));
+  if (answer.frequencies) {
+    app.change();
+    app.exact();
+  }
+  document.documentElement.dataset.ready = 'true';
+}
+
+function listen() {
+  const list = $('steps');
+  STEPS.forEach((step, i) => {
+    const go = button('', 'step-button', make('li', '', '', list), () => app.show(step));
+    go.id = `go-${step}`;
+    make('span', 'number', String(i + 1), go);
+    make('span', 'word', WORDS[step], go);
+    make('span', 'mark', '○', go);
+  });
+  $('undo').addEventListener('click', () => app.go(app.at - 1));
+  $('redo').addEventListener('click', () => app.go(app.at + 1));
+  $('keep').addEventListener('click', () => app.keep());
+  $('replace').addEventListener('close', () => { if ($('replace').returnValue === 'yes') app.keep(true); });
+  $('help-open').addEventListener('click', () => $('help').showModal());
+  for (const kind of ['command', 'python']) {
+    $(`copy-${kind}`).addEventListener('click', async () => {
+      const text = app.study[kind] || '';
+      try {
+        await navigator.clipboard.writeText(text);
+        app.toast(`Copied: ${text.split('\n').slice(-1)[0]}`);
+      } catch {
+        $('command').textContent = text; // no clipboard: there it can be selected
+      }
+    });
+  }
+  document.addEventListener('keydown', (event) => {
+    const held = event.ctrlKey || event.metaKey, key = event.key.toLowerCase();
+    if (held && key === 'z') { event.preventDefault(); app.go(app.at + (event.shiftKey ? 1 : -1)); return; }
+    if (held && key === 's') { event.preventDefault(); app.keep(); return; }
+    const typing = /** @type {HTMLElement} */ (event.target).closest('input:not([type=range]), select, textarea, dialog');
+    if (held || event.altKey || typing) return;
+    if (/^[1-7]$/.test(key)) app.show(STEPS[Number(key) - 1]);
+    else if (key === '?') $('help').showModal();
+    else if (key === 'p') { app.show('proof'); $('prove').click(); } else return;
+    event.preventDefault();
+  });
+}
+
+export const send = async (file, name) => {
+  const why = await upload(file, name, app.link.token);
+  if (why) app.toast(why);
+  return !why;
+};
+
+listen();
+app.link = new Link((answer) => {
+  if (answer.verb === 'progress') proof.progress(answer);
+  else if (answer.error) app.toast(answer.error);
+}, (state) => {
+  const banner = $('banner');
+  banner.hidden = state === 'open';
+  banner.textContent = state === 'refused'
+    ? 'This page does not have the key of the studio that runs here. Open the address that the terminal shows.'
+    : 'The studio has stopped. Start it again with the same folder: nothing that you let go of is lost. Looking for it …';
+  if (state === 'open') hello();
+});

@@ -1,0 +1,188 @@
+"""What a drag shows: a design, its loop and its margins, in a few milliseconds; no promise is made by it."""
+
+from __future__ import annotations
+
+import base64
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink._arm.link import LinkModel
+from fraclink._arm.loop import with_payload
+from fraclink._arm.rig import Rig
+from fraclink._design import Design
+from fraclink._design.assess import phase_budget
+from fraclink._law import Law
+from fraclink._law.refit import refitted
+from fraclink._studio.messages import Answer, refusal
+from fraclink._studio.request import checked_request, wanted_of
+from fraclink._workflow import design_for
+from fraclink.errors import FieldError, FraclinkError, InfeasibleError
+
+__all__ = ["Subject", "blocks_of", "nearest", "preview"]
+
+Real = NDArray[np.float64]
+
+_POINTS, _PAYLOADS = 280, 49
+_LIGHTER, _HEAVIER = 0.4, 2.0  # of the rig's payload range: where a margin is drawn
+_DECIBELS = 20.0 / math.log(10.0)
+
+
+@dataclass(frozen=True)
+class Subject:
+    """What is designed for: rig and link; `law` is the last exact one, whose poles a preview borrows."""
+
+    rig: Rig
+    model: LinkModel
+    law: Law | None = None
+
+    @cached_property
+    def payloads(self) -> Real:
+        """Payloads of the margin plot [kg]: the rig's range and as much again on both sides."""
+        span = self.rig.payloads
+        return np.geomspace(_LIGHTER * span.low, _HEAVIER * span.high, _PAYLOADS)
+
+    @cached_property
+    def link_frequencies(self) -> Real:
+        """ω₀ of each of them [s^(-λ/2)]."""
+        link = with_payload(self.model, self.rig)
+        return np.array([link.at_payload(float(mass)).natural_frequency for mass in self.payloads])
+
+    @cached_property
+    def frequencies(self) -> Real:
+        """Frequencies of the Bode plots [rad/s]: from a twentieth of the slowest mode to the Nyquist."""
+        slowest = float(self.link_frequencies.min()) ** (2.0 / self.model.order)
+        nyquist = math.pi / self.rig.period
+        return np.geomspace(min(0.1 * slowest, 0.01 * nyquist), nyquist, _POINTS)
+
+    def axes(self) -> dict[str, Any]:
+        """What does not change while a hand drags: a page that scaled its axes would hide what it does."""
+        span = self.rig.payloads
+        return {
+            "frequencies": self.frequencies,
+            "payloads": self.payloads,
+            "rated": [span.low, span.nominal, span.high],
+        }
+
+
+def preview(subject: Subject, state: object) -> Answer:
+    """Return design, loop and margins of `state`, or the refusal that `fraclink design` would print.
+
+    A plain function of its arguments: no file is read or written, nothing is remembered. The law of the
+    answer, where there is one, is `refitted`, and its figures are a preview of those of the exact law.
+    """
+    try:
+        request = checked_request(state)
+        made, assumed = design_for(subject.rig, subject.model, **wanted_of(request))
+        return _shown(subject, made, assumed)
+    except FraclinkError as error:
+        return refusal(error)
+
+
+def nearest(subject: Subject, state: object) -> Answer:
+    """Return the state nearest to a refused one, in round figures that are feasible.
+
+    The nearest feasible request lies on a bound, and rounding may leave it: both sides are tried.
+    """
+    request = checked_request(state)
+    try:
+        design_for(subject.rig, subject.model, **wanted_of(request))
+        return Answer({"ok": True, "state": request})
+    except InfeasibleError as error:
+        found = dict(error.nearest)
+    if "phase_margin" in found:
+        found["phase_margin_deg"] = math.degrees(found.pop("phase_margin"))
+    sides: tuple[Callable[[float], float], ...] = (math.floor, math.ceil, lambda value: value)
+    for sided in product(sides, repeat=len(found)):
+        values = zip(found.items(), sided, strict=True)
+        tried = request | {name: side(100 * value) / 100 for (name, value), side in values}
+        try:
+            design_for(subject.rig, subject.model, **wanted_of(checked_request(tried)))
+        except FraclinkError:
+            continue
+        return Answer({"ok": True, "state": tried})
+    allowed, remedy = "a request near one that is feasible", "move crossover or margin by hand"
+    raise FieldError("state", "this request", "far from anything feasible", allowed=allowed, remedy=remedy)
+
+
+def _shown(subject: Subject, made: Design, assumed: tuple[str, ...]) -> Answer:
+    low, high = made.payloads
+    nominal = made.rig.payloads.nominal
+    three = (low, nominal if low < nominal < high else 0.5 * (low + high), high)
+    links = np.array([made.natural_frequency(mass) for mass in three])
+    logs = made.loop.log(subject.frequencies, links[:, None])
+    crossover, margin = made.loop.margins(subject.link_frequencies)
+    head = {
+        "ok": True,
+        "preview": True,
+        "three": three,
+        "asked": {"gain_crossover": made.gain_crossover, "phase_margin_deg": math.degrees(made.phase_margin)},
+        "controller": _controller(made),
+        "requirements": made.requirements,
+        "findings": made.findings,
+        "assumed": assumed,
+        "budget": _budget(made, low),
+        "passed": made.passed,
+        "said": described(made, subject.payloads, margin),
+    }
+    if subject.law is not None:
+        head |= _quick(subject.law, made)
+    curves = {
+        "gain": np.clip(_DECIBELS * logs.real, -300.0, 300.0),
+        "phase": np.clip(np.degrees(logs.imag), -7200.0, 7200.0),
+        "crossover": crossover,
+        "margin": np.degrees(margin),
+    }
+    return Answer(head, curves)
+
+
+def _controller(made: Design) -> dict[str, Any]:
+    c = made.controller
+    return {
+        "k_d": c.gain,
+        "beta": c.order,
+        "delta": c.filter_time,
+        "n": c.filter_order,
+        "upper": made.gain_crossover_upper,
+        "formula": c.formula,
+    }
+
+
+def _budget(made: Design, payload: float) -> list[tuple[str, float]]:
+    try:
+        return [(share.element, math.degrees(share.phase)) for share in phase_budget(made, payload)]
+    except FieldError:  # without a gain crossover there is no phase to share out
+        return []
+
+
+def _quick(law: Law, made: Design) -> Mapping[str, Any]:
+    quick, error = refitted(law, made.controller)
+    return {"blocks": blocks_of(quick), "law_error": error}
+
+
+def blocks_of(law: Law) -> list[str]:
+    """Return the parameter blocks of `law` in both precisions, as the engine in the page takes them."""
+    return [base64.b64encode(law.in_precision(name).block).decode() for name in ("double", "single")]
+
+
+def described(made: Design, payloads: Real, margin: Real) -> str:
+    """Return what the plot of margins shows, in a sentence for those who do not see it."""
+    low, high = made.payloads
+    inside = (payloads >= low) & (payloads <= high)
+    if not inside.any() or math.isnan(float(margin[inside].min())):
+        return "No payload of the plot lies within the range designed for."
+    ends = np.degrees(np.interp([low, high], payloads, margin))
+    stable = payloads[margin > 0.0]
+    rest = (
+        "; stable from {:.3g} to {:.3g} g of the plot".format(*(1e3 * stable[[0, -1]])) if stable.size else ""
+    )
+    return (
+        f"Phase margin {ends[0]:.1f}° at {1e3 * low:.3g} g, {ends[1]:.1f}° at {1e3 * high:.3g} g, least "
+        f"{math.degrees(float(margin[inside].min())):.1f}° between{rest}."
+    )

@@ -1,0 +1,278 @@
+"""One open study: what the page shows of it, and what is kept of it."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import shutil
+import tempfile
+import weakref
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from threading import Lock
+from typing import Any
+
+from fraclink._arm.rig import Rig
+from fraclink._design import Design
+from fraclink._files import kind_of, sha256_of
+from fraclink._show import tables
+from fraclink._show.arm_box import arm_box
+from fraclink._show.text import marked
+from fraclink._studio.history import History
+from fraclink._studio.messages import Answer
+from fraclink._studio.preview import Subject, blocks_of
+from fraclink._studio.request import as_command, as_python, checked_request, wanted_of
+from fraclink._workflow import Study, designed, load_study, moved, save_study, subject
+from fraclink.errors import FieldError
+from fraclink.findings import Finding, errors_of
+
+__all__ = ["Session", "SupersededError", "opened"]
+
+# Files of a study that no longer belong to it once the design is another one.
+_OUTDATED = ("run-*g.npz", "certificate.json", "faults.json", "model-*.json")
+_BARE: dict[str, Any] = {
+    "design": None,
+    "law": None,
+    "stopped": None,
+    "refused": None,
+    "certificate": None,
+    "uncertified": None,
+    "runs": (),
+    "arms": None,
+    "faults": None,
+}
+
+
+class SupersededError(Exception):
+    """A newer request has made this one pointless."""
+
+
+class Session:
+    """A study in memory, the folder that Keep writes it to, and the states that led to it.
+
+    `draft` is a folder for what is not kept, which `close` removes; `source` is the log's
+    file, `upload` the last file that the page sent.
+    """
+
+    def __init__(self, study: Study, folder: Path, *, kept: bool = False, source: Path | None = None) -> None:
+        self.draft = Path(tempfile.mkdtemp(prefix="fraclink-studio-"))
+        self.close = weakref.finalize(self, shutil.rmtree, self.draft, ignore_errors=True)
+        self.study, self.folder, self.source = study, folder, source
+        self.upload: Path | None = None
+        self.written: dict[str, int] = {}
+        self.lock = Lock()
+        self._kept = _digests(folder) if kept else {}
+        self.history = History.of(folder)
+        self.subject = _subject_of(study)
+        self.state = self._first_state()
+
+    def _first_state(self) -> dict[str, Any]:
+        """The state that a crash left behind, what the study's design was asked for, or what the rig asks."""
+        try:
+            if self.history.state is not None:
+                return checked_request(self.history.state)
+        except FieldError:  # a state of another release, or edited
+            self.history.states, self.history.at = [], -1
+        made, rig = self.study.design, self.study.rig
+        asked: dict[str, Any] = {}
+        if made is not None:
+            asked = {"payloads": made.payloads, "margins": made.margins_kind, "box": made.box is not None}
+            asked["gain_crossover"] = made.gain_crossover
+            asked["phase_margin_deg"] = round(math.degrees(made.phase_margin), 9)
+        elif rig is not None:
+            asked["payloads"] = (rig.payloads.low, rig.payloads.high)
+            if rig.design is not None:
+                asked["gain_crossover"] = rig.design.gain_crossover
+                asked["phase_margin_deg"] = rig.design.phase_margin_deg
+        return checked_request(asked)
+
+    def become(self, study: Study) -> None:
+        """Show another study: what is designed for may have changed with it."""
+        self.study, self.subject = study, _subject_of(study)
+
+    def renew(self) -> None:
+        """Begin a history of its own for another rig: a state of the old one may ask what this has not."""
+        self.history.states, self.history.at = [], -1
+        self.state = self._first_state()
+
+    # ---- the exact design ---------------------------------------------------------------------------------
+
+    def exact(self, state: object, arm_key: object = "", newer: Callable[[], bool] = lambda: False) -> Answer:
+        """Make the design of `state` as `fraclink design` does, its law and its moves; the study has them.
+
+        `newer` tells whether somebody has asked for something else meanwhile: SupersededError is raised then.
+        """
+        request, before = checked_request(state), self.study
+        bare = replace(before, **_BARE, assumptions=before.rig.assumptions if before.rig else ())
+        made = designed(bare, **wanted_of(request))
+        if newer():
+            raise SupersededError
+        made = moved(made)
+        with self.lock:
+            if newer() or self.study.fit is not before.fit or self.study.rig is not before.rig:
+                raise SupersededError
+            same = before.design == made.design
+            if same:  # proof, arms and faults are of this very design
+                made = replace(
+                    made, **{name: getattr(before, name) for name in ("certificate", "uncertified")}
+                )
+                made = replace(made, arms=before.arms, faults=before.faults)
+            self.state = request
+            self.become(made)
+        return Answer({"ok": True, "preview": False, **self.overview(), **self.arm(arm_key)})
+
+    def arm(self, known: object = "") -> dict[str, Any]:
+        """What the engine in the page runs; the key of the arm alone, and its law, where the page has it."""
+        made, law = self.study.design, self.study.law
+        if made is None or law is None:
+            return {"arm_key": "", "arm": None}
+        whole = repr((made.model, made.rig, made.payloads)).encode()
+        key = hashlib.sha256(whole).hexdigest()[:16]
+        if known == key:
+            return {"arm_key": key, "blocks": blocks_of(law)}
+        box = arm_box(self.study, made)
+        return {"arm_key": key, "arm": None if box is None else box.data}
+
+    # ---- what the page shows ------------------------------------------------------------------------------
+
+    def overview(self) -> dict[str, Any]:
+        """Verdict, marks of the steps, tables and commands of the study as it stands."""
+        study, verdict = self.study, self.study.verdict
+        made = study.design
+        return {
+            "name": study.rig.name if study.rig else "",
+            "folder": str(self.folder),
+            "verdict": [
+                {"name": name, "what": what, "state": scope.state, "shown": marked(scope.state),
+                 "reasons": scope.reasons}
+                for name, what, scope in tables.scopes(verdict)
+            ],
+            "remarks": verdict.remarks,
+            "marks": self.marks(),
+            "assumptions": study.assumptions,
+            "design": None if made is None else {
+                "requirements": _rows(tables.requirements_table(made.requirements)),
+                "controller": _rows(tables.controller_table(made, study.law)),
+                "findings": made.findings,
+                "moves": _rows(tables.moves_table(study.runs)),
+                "passed": made.passed,
+            },
+            "certificate": None if study.certificate is None else str(study.certificate),
+            "uncertified": study.uncertified,
+            "files": self.written,
+            **self.commands(),
+        }  # fmt: skip
+
+    def marks(self) -> dict[str, str]:
+        """The state of each step, as words of a verdict."""
+        study = self.study
+        verdict = study.verdict
+        log: tuple[Finding, ...] = study.findings
+        proof = "passed" if study.certificate else "failed" if study.uncertified else "not run"
+        return {
+            "log": "not run" if study.experiment is None else "failed" if errors_of(log) else "passed",
+            "channels": "not run" if study.experiment is None else "passed",
+            "model": "not run" if study.fit is None else tables.state_of(study.fit),
+            "design": verdict.promise.state,
+            "move": verdict.model.state,
+            "proof": "failed" if "failed" in (proof, verdict.reality.state) else proof,
+            "board": "passed" if self.written else "not run",
+        }
+
+    def commands(self) -> dict[str, str]:
+        """The design as a command and as Python."""
+        made, fit = self.study.design, self.study.fit
+        rig, model = self.rig_name(), (self.folder / "model.json" if fit is not None else None)
+        request = dict(self.state)
+        command = as_command(request, rig, model, self.folder / "design.json")
+        known = self.study.rig.design if self.study.rig else None
+        if made is not None:  # Python calls `design`, which completes nothing from the rig
+            request["payloads"] = made.payloads
+            request["gain_crossover"] = made.gain_crossover
+            if self.state["max_sensitivity"] is None or self.state["phase_margin_deg"] is not None:
+                request["phase_margin_deg"] = self.state["phase_margin_deg"] or round(
+                    math.degrees(made.phase_margin), 9
+                )
+            bounds = (request["noise_gain"], request["mode_gain"])
+            if known is not None and request["filter_time"] is None and bounds == (None, None):
+                request["filter_time"] = known.filter_time
+        return {"command": command, "python": as_python(request, rig, model)}
+
+    def rig_name(self) -> str:
+        """How a command names the rig: a bundled one by its name, any other by the file that Keep writes."""
+        rig = self.study.rig
+        if rig is not None and self.study.experiment is None and rig.name in Rig.names():
+            return rig.name if Rig.named(rig.name) == rig else str(self.folder / "rig.toml")
+        return str(self.folder / "rig.toml")
+
+    # ---- what is kept -------------------------------------------------------------------------------------
+
+    def keep(self, *, force: bool = False) -> Answer:
+        """Write the study to its folder by the functions of the command line.
+
+        Raises FieldError where a file there is not the one that was read or kept, unless `force` is given.
+        """
+        trial = self.draft / "keep"
+        shutil.rmtree(trial, ignore_errors=True)
+        save_study(self.study, trial)
+        names = {path.name for path in trial.iterdir()}
+        there = _digests(self.folder)
+        changed = sorted(n for n in names | set(self._kept) if n in there and there[n] != self._kept.get(n))
+        if changed and not force:
+            problem = "already there, or changed since it was read"
+            allowed, remedy = "files that this studio wrote or read", "replace them, or open the folder again"
+            raise FieldError("folder", ", ".join(changed), problem, allowed=allowed, remedy=remedy)
+        self.folder.mkdir(parents=True, exist_ok=True)
+        save_study(self.study, self.folder)
+        removed = self._remove_outdated(names)
+        if self.study.arms is not None and (self.draft / "arms").is_dir():
+            shutil.copytree(self.draft / "arms", self.folder / "arms", dirs_exist_ok=True)
+        self._kept = _digests(self.folder)
+        return Answer({"ok": True, "kept": sorted(names), "removed": removed, **self.overview()})
+
+    def _remove_outdated(self, names: set[str]) -> list[str]:
+        """Remove what belonged to the design that was kept before, and would speak for this one."""
+        old = [p for pattern in _OUTDATED for p in self.folder.glob(pattern) if p.name not in names]
+        gone = [path for path in old if path.name in self._kept]
+        for path in gone:
+            path.unlink()
+        if self.study.arms is None and self._kept and (self.folder / "arms").is_dir():
+            shutil.rmtree(self.folder / "arms")
+        return [path.name for path in gone]
+
+
+def opened(place: Path | None, *, rig: Rig | None = None, out: Path = Path("results")) -> Session:
+    """Return the session of a folder of results, a design, a log, or of the rig alone.
+
+    Raises what reading the file raises.
+    """
+    if place is None:
+        return Session(Study(rig=rig or Rig.named("paper-2023")), out)
+    if place.is_dir():
+        study = load_study(place)
+        return Session(study if rig is None else replace(study, rig=rig), place, kept=True)
+    if place.suffix == ".json" and kind_of(place) == "design":
+        made = Design.load(place)
+        return Session(Study(rig=rig or made.rig, design=made, law=made.law()), out)
+    return Session(Study(rig=rig or Rig.named("paper-2023")), out, source=place)
+
+
+def _subject_of(study: Study) -> Subject | None:
+    try:
+        rig, model, _ = subject(study)
+    except FieldError:
+        return None
+    return Subject(rig, model, study.law)
+
+
+def _digests(folder: Path) -> dict[str, str]:
+    """SHA-256 of every file of a study in `folder`, by name."""
+    if not folder.is_dir():
+        return {}
+    kinds = (".json", ".npz", ".toml")
+    return {path.name: sha256_of(path) for path in sorted(folder.iterdir()) if path.suffix in kinds}
+
+
+def _rows(table: Any) -> Mapping[str, Any]:
+    return {"header": table.header, "rows": table.shown}

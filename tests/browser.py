@@ -1,0 +1,182 @@
+"""Drive Chromium by its DevTools protocol: a page's script, mouse, keys, pictures, and what it asked for.
+
+The socket's client is the one that the studio itself needs; no driver has to be installed beside the browser.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from websockets.sync.client import ClientConnection, connect
+
+from needed_tools import tool
+
+_PATIENCE = 60.0  # [s]; nothing is measured by it
+_KEYS = {
+    "ArrowRight": 39,
+    "ArrowLeft": 37,
+    "ArrowUp": 38,
+    "ArrowDown": 40,
+    "Tab": 9,
+    "Escape": 27,
+    "Enter": 13,
+}
+_KEYS |= {"PageUp": 33, "PageDown": 34, "Home": 36, "End": 35, " ": 32}
+_CONTROL, _SHIFT = 2, 8
+
+
+class Page:
+    """One tab: `complaints` of its console, and every address in `requests`."""
+
+    def __init__(self, socket: ClientConnection) -> None:
+        self._socket, self._number = socket, 0
+        self.complaints: list[str] = []
+        self.requests: list[str] = []
+        for domain in ("Page", "Runtime", "Log", "Network"):
+            self.do(f"{domain}.enable")
+
+    def do(self, method: str, **parameters: Any) -> Any:
+        """Call a method of the protocol and return its result."""
+        self._number += 1
+        self._socket.send(json.dumps({"id": self._number, "method": method, "params": parameters}))
+        while True:
+            said = json.loads(self._socket.recv(timeout=_PATIENCE))
+            if said.get("id") == self._number:
+                if "error" in said:
+                    raise AssertionError(f"{method}: {said['error']}")
+                return said["result"]
+            self._hear(said)
+
+    def _hear(self, event: dict[str, Any]) -> None:
+        given = event.get("params", {})
+        if event.get("method") == "Network.requestWillBeSent":
+            self.requests.append(given["request"]["url"])
+        elif event.get("method") == "Network.webSocketCreated":
+            self.requests.append(given["url"])
+        elif event.get("method") == "Runtime.exceptionThrown":
+            self.complaints.append(json.dumps(given["exceptionDetails"])[:600])
+        elif event.get("method") == "Log.entryAdded" and given["entry"]["level"] in ("error", "warning"):
+            self.complaints.append(f"{given['entry']['text']} {given['entry'].get('url', '')}")
+        elif event.get("method") == "Runtime.consoleAPICalled" and given["type"] in ("error", "warning"):
+            self.complaints.append(str(given["args"])[:300])
+
+    def run(self, script: str) -> Any:
+        """The value of an expression of JavaScript; a promise is awaited."""
+        asked = {"expression": script, "returnByValue": True, "awaitPromise": True, "userGesture": True}
+        found = self.do("Runtime.evaluate", **asked)
+        if "exceptionDetails" in found:
+            raise AssertionError(f"{script[:120]}: {found['exceptionDetails']}")
+        return found["result"].get("value")
+
+    def until(self, condition: str | Callable[[], bool], what: str = "") -> None:
+        """Wait until an expression, or a function, is true."""
+        end = time.monotonic() + _PATIENCE
+        while time.monotonic() < end:
+            if self.run(f"Boolean({condition})") if isinstance(condition, str) else condition():
+                return
+            time.sleep(0.03)
+        raise AssertionError(f"never: {what or condition}; {self.complaints}")
+
+    def open(self, address: str) -> None:
+        """Load an address and wait until its script has said that it is ready."""
+        self.do("Page.navigate", url="about:blank")
+        self.do("Page.navigate", url=address)
+        self.until("document.documentElement?.dataset.ready === 'true'")
+
+    def look(
+        self, *, width: int = 1440, height: int = 900, dark: bool = False, media: str = "screen"
+    ) -> None:
+        """Set the window's size, the colours that the user prefers, and the medium."""
+        mobile = {"deviceScaleFactor": 1, "mobile": False}
+        self.do("Emulation.setDeviceMetricsOverride", width=width, height=height, **mobile)
+        scheme = [{"name": "prefers-color-scheme", "value": "dark" if dark else "light"}]
+        self.do("Emulation.setEmulatedMedia", media=media, features=scheme)
+
+    def middle(self, selector: str) -> tuple[float, float]:
+        """The middle of an element in the window."""
+        rect = f"document.querySelector({json.dumps(selector)})"
+        self.run(f"{rect}.scrollIntoView({{block: 'nearest'}})")
+        x, y = self.run(f"(r => [r.x + r.width / 2, r.y + r.height / 2])({rect}.getBoundingClientRect())")
+        return float(x), float(y)
+
+    def mouse(self, kind: str, x: float, y: float, buttons: int = 1) -> None:
+        button = "none" if kind == "mouseMoved" and not buttons else "left"
+        self.do("Input.dispatchMouseEvent", type=kind, x=x, y=y, button=button, buttons=buttons, clickCount=1)
+
+    def click(self, selector: str) -> None:
+        """Press the left button on an element."""
+        x, y = self.middle(selector)
+        self.mouse("mouseMoved", x, y, 0)
+        self.mouse("mousePressed", x, y)
+        self.mouse("mouseReleased", x, y, 0)
+
+    def drag(self, selector: str, by: tuple[float, float], *, moves: int = 20, pause: float = 0.016) -> float:
+        """Drag an element by so many pixels; return how many seconds the moves took."""
+        x, y = self.middle(selector)
+        self.mouse("mouseMoved", x, y, 0)
+        self.mouse("mousePressed", x, y)
+        begin = time.monotonic()
+        for k in range(1, moves + 1):
+            self.mouse("mouseMoved", x + by[0] * k / moves, y + by[1] * k / moves)
+            time.sleep(max(0.0, begin + k * pause - time.monotonic()))
+        took = time.monotonic() - begin
+        self.mouse("mouseReleased", x + by[0], y + by[1], 0)
+        return took
+
+    def key(self, name: str, *, control: bool = False, shift: bool = False) -> None:
+        """Press a key."""
+        code = _KEYS.get(name, ord(name.upper()[0]))
+        parts: dict[str, Any] = {"key": name, "windowsVirtualKeyCode": code}
+        parts["modifiers"] = _CONTROL * control + _SHIFT * shift
+        text = {} if control or (name in _KEYS and name != " ") else {"text": name}
+        self.do("Input.dispatchKeyEvent", type="keyDown" if text else "rawKeyDown", **parts, **text)
+        self.do("Input.dispatchKeyEvent", type="keyUp", **parts)
+
+    def picture(self, path: Path, *, whole: bool = False) -> None:
+        """Write a PNG of the window, or of the whole page."""
+        shot = self.do("Page.captureScreenshot", format="png", captureBeyondViewport=whole)
+        path.write_bytes(base64.b64decode(shot["data"]))
+
+
+@contextmanager
+def browser(place: Path) -> Iterator[Page]:
+    """A headless Chromium with its profile in `place`, and its one page."""
+    command = [
+        tool("chromium"),
+        "--headless",
+        "--no-sandbox",
+        "--disable-gpu",
+        "--no-first-run",
+        "--disable-background-networking",
+        "--disable-component-update",
+        "--remote-debugging-port=0",
+        f"--user-data-dir={place / 'profile'}",
+        "about:blank",
+    ]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)  # noqa: S603
+    try:
+        assert process.stderr is not None
+        for line in process.stderr:
+            if found := re.search(r"DevTools listening on (ws://\S+)", line):
+                break
+        else:
+            raise AssertionError("Chromium did not start")
+        host = re.match(r"ws://([^/]+)/", found[1])
+        assert host is not None
+        import urllib.request
+
+        tabs = json.loads(urllib.request.urlopen(f"http://{host[1]}/json/list", timeout=30).read())
+        address = next(tab["webSocketDebuggerUrl"] for tab in tabs if tab["type"] == "page")
+        with connect(address, max_size=2**26, compression=None) as socket:
+            yield Page(socket)
+    finally:
+        process.kill()
+        process.communicate()

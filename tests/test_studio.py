@@ -1,0 +1,411 @@
+"""The studio without a browser: what a drag is answered, what is refused, what is kept."""
+
+from __future__ import annotations
+
+import json
+import math
+import struct
+from pathlib import Path
+from typing import get_type_hints
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from starlette.testclient import TestClient
+from starlette.websockets import WebSocketDisconnect
+
+import fraclink as fl
+from fraclink._cli import main
+from fraclink._cli.designs import DesignOptions
+from fraclink._law.refit import refitted
+from fraclink._studio.history import History
+from fraclink._studio.messages import Answer, parsed, refusal
+from fraclink._studio.preview import Subject, nearest, preview
+from fraclink._studio.request import NAMES, as_python, checked_request
+from fraclink._studio.server import POLICY, Studio, application
+from fraclink._studio.serving import serve
+from fraclink._studio.session import Session, SupersededError, opened
+from fraclink.errors import FieldError, FraclinkError
+
+ADDRESS = "http://127.0.0.1:8000"
+ASKED = {"gain_crossover": 12.0, "phase_margin_deg": 50.0, "payloads": [0.02, 0.04]}
+
+
+@pytest.fixture(scope="module")
+def subject() -> Subject:
+    rig = fl.Rig.named("paper-2023")
+    made = fl.design(rig.model, rig, gain_crossover=12.0, phase_margin=fl.deg(50), law=False)
+    return Subject(rig, rig.model, made.law())
+
+
+def unpacked(data: bytes) -> tuple[dict, dict[str, np.ndarray]]:
+    """Head and curves of an answer, as the page reads them; NaN and infinity are no JSON."""
+
+    def none(name: str) -> float:
+        raise AssertionError(f"{name} was sent")
+
+    (size,) = struct.unpack("<I", data[:4])
+    head = json.loads(data[4 : 4 + size], parse_constant=none)
+    assert size % 4 == 0
+    at, curves = 4 + size, {}
+    for name, (rows, count) in head["curves"].items():
+        curves[name] = np.frombuffer(data, "<f4", rows * count, at).reshape(rows, count)
+        at += 4 * rows * count
+    assert at == len(data)
+    return head, curves
+
+
+# --- preview --------------------------------------------------------------------------------------------
+
+
+def test_a_preview_has_the_figures_of_design(subject):
+    head, curves = unpacked(preview(subject, ASKED).packed(3, "preview"))
+    made = fl.design(subject.model, subject.rig, gain_crossover=12.0, phase_margin=fl.deg(50))
+    assert head["controller"]["k_d"] == made.controller.gain
+    assert head["controller"]["beta"] == made.controller.order
+    assert (head["ok"], head["seq"], head["verb"], head["preview"]) == (True, 3, "preview", True)
+    assert sum(phase for _, phase in head["budget"]) + 180 == pytest.approx(50.0, abs=1e-6)
+    at_20g = np.interp(0.02, subject.payloads, curves["margin"][0])
+    assert at_20g == pytest.approx(50.0, abs=0.05)
+    assert "50.0° at 20 g" in head["said"]
+
+
+VALUES = st.one_of(
+    st.none(),
+    st.floats(),
+    st.integers(-5, 10**400),
+    st.text(max_size=8),
+    st.booleans(),
+    st.lists(st.floats(), max_size=3),
+    st.dictionaries(st.text(max_size=3), st.none(), max_size=2),
+)
+WILD = st.dictionaries(st.sampled_from([*NAMES, "gain", ""]), VALUES, max_size=4)
+SANE = st.fixed_dictionaries(
+    {
+        "gain_crossover": st.floats(5.0, 60.0),
+        "phase_margin_deg": st.floats(5.0, 120.0),
+        "payloads": st.tuples(st.floats(0.005, 0.03), st.floats(0.03, 0.09)).map(list),
+    },
+    optional={"filter_time": st.one_of(st.none(), st.floats(0.0, 0.1))},
+)
+
+
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(state=st.one_of(WILD, SANE, VALUES))
+def test_every_state_is_answered_in_numbers_or_refused_in_words(subject, state):
+    head, _ = unpacked(preview(subject, state).packed(0, "preview"))
+    assert head["ok"] or len(head["error"]) > 10
+
+
+@pytest.mark.parametrize(
+    ("option", "state", "words"),
+    [
+        ("gain_crossover", -1.0, ["--gain-crossover", "-1"]),
+        ("phase_margin_deg", 200.0, ["--phase-margin-deg", "200"]),
+        ("filter_time", -0.1, ["--filter-time", "-0.1"]),
+        ("filter_order", 3, ["--filter-order", "3"]),
+        ("max_sensitivity", 0.5, ["--max-sensitivity", "0.5"]),
+        ("payloads", [0.04, 0.02], ["--payloads", "0.04", "0.02"]),
+        ("phase_margin_deg", 99.0, ["--phase-margin-deg", "99", "--gain-crossover", "40"]),
+    ],
+)
+def test_the_command_line_refuses_the_same_in_the_same_words(subject, option, state, words, tmp_path, capsys):
+    asked = {option: state} | ({"gain_crossover": 40.0} if len(words) == 4 and option != "payloads" else {})
+    head, _ = unpacked(preview(subject, asked).packed(0, "preview"))
+    out = str(tmp_path / "design.json")
+    assert main(["design", "--rig", "paper-2023", *words, "--out", out]) in (1, 2)
+    printed = " ".join(capsys.readouterr().err.split())
+    assert not head["ok"]
+    # The command line offers the nearest request as its options.
+    assert " ".join(head["error"].split()).partition("; nearest feasible")[0] in printed
+
+
+def test_the_options_are_those_of_the_command_line():
+    assert set(NAMES) == set(get_type_hints(DesignOptions))
+
+
+def test_a_refusal_names_the_nearest_that_is_feasible(subject):
+    head, _ = unpacked(preview(subject, {**ASKED, "gain_crossover": 9.0}).packed(0, "preview"))
+    assert head["condition"].startswith("gain crossover right of the peak")
+    assert head["nearest"]["gain_crossover"] > 10
+    found = nearest(subject, {**ASKED, "gain_crossover": 9.0}).head["state"]
+    assert preview(subject, found).head["ok"]
+    assert round(found["gain_crossover"], 2) == found["gain_crossover"]
+
+
+def test_a_law_refitted_to_its_own_controller_is_that_law(subject):
+    made = fl.design(subject.model, subject.rig, gain_crossover=12.0, phase_margin=fl.deg(50), law=False)
+    quick, error = refitted(subject.law, made.controller)
+    w = np.geomspace(1.0, 300.0, 50)
+    both = [1.0 + law.frequency_response(w) for law in (quick, subject.law)]
+    assert np.max(np.abs(both[0] / both[1] - 1.0)) < 0.05
+    assert error < 0.05
+    assert len(quick.block) == len(subject.law.block)
+
+
+# --- messages -------------------------------------------------------------------------------------------
+
+BAD = ("", "{", "[]", "null", '"x"', '{"seq": 1}', '{"seq": -1, "verb": "hello"}', '{"verb": "hello"}',
+       '{"seq": 1e400, "verb": "hello"}', '{"seq": NaN, "verb": "hello"}', '{"seq": true, "verb": "hello"}',
+       '{"seq": 1, "verb": 5}', "[" * 5000, "x" * 20_000, "\udcff", None, b"bytes")  # fmt: skip
+
+
+@pytest.mark.parametrize("text", BAD)
+def test_what_is_no_request_is_refused(text):
+    with pytest.raises(FieldError, match="not a request"):
+        parsed(text)
+
+
+def test_no_number_that_is_not_finite_is_sent():
+    head, _ = unpacked(Answer({"a": math.inf, "b": {"c": [math.nan]}}).packed(1, "x"))
+    assert (head["a"], head["b"]["c"]) == (None, [None])
+    with pytest.raises(AssertionError, match="not finite"):
+        Answer({}, {"curve": [1.0, math.nan]}).packed(1, "x")
+
+
+def test_a_refusal_keeps_the_parts_of_its_error():
+    error = FieldError("payload", -1.0, "negative", allowed="> 0 kg", remedy="give kg")
+    assert refusal(error).head["field"] == "payload"
+
+
+# --- the server -----------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def studio(tmp_path) -> Studio:
+    return Studio(opened(None, out=tmp_path / "results"), hosts=["127.0.0.1:8000"])
+
+
+@pytest.fixture
+def client(studio) -> TestClient:
+    return TestClient(application(studio), base_url=ADDRESS)
+
+
+def test_every_file_carries_the_policy_and_nothing_else_is_served(client):
+    page = client.get("/")
+    assert page.status_code == 200
+    found = page.headers
+    assert found["content-security-policy"] == POLICY
+    assert (found["cache-control"], found["x-content-type-options"]) == ("no-store", "nosniff")
+    assert "unsafe-inline" not in POLICY and "http" not in POLICY
+    assert "<script>" not in page.text and " style=" not in page.text and " onclick" not in page.text
+    for path in ("studio.js", "plot.js", "arm_box.js", "studio.css", "arm_box.css", "icon.svg"):
+        assert client.get(f"/{path}").headers["content-security-policy"] == POLICY
+    for path in ("/index.html", "/arm_before.txt", "/../pyproject.toml", "/%2e%2e/session.py", "/x"):
+        assert client.get(path).status_code == 404
+
+
+def test_another_host_or_origin_is_refused(client, studio):
+    assert client.get("/", headers={"host": "evil.example:8000"}).status_code == 421
+    assert client.get("/", headers={"host": "127.0.0.1:9"}).status_code == 421
+    assert client.get("/", headers={"origin": "http://evil.example"}).status_code == 403
+    for origin in ({"origin": "http://evil.example"}, {"origin": "null"}, {}):
+        refused = pytest.raises(Exception)  # the client's own class for a denial
+        with refused as why, client.websocket_connect("ws://127.0.0.1:8000/talk", headers=origin):
+            pass
+        assert getattr(why.value, "status_code", 403) == 403
+
+
+def test_a_wrong_token_closes_the_socket(client):
+    for token in ("", "wrong", "x" * 1000):
+        with client.websocket_connect("ws://127.0.0.1:8000/talk", headers={"origin": ADDRESS}) as socket:
+            socket.send_text(token)
+            with pytest.raises(WebSocketDisconnect) as why:
+                socket.receive_bytes()
+            assert why.value.code == 1008
+
+
+def talked(socket, **message) -> tuple[dict, dict]:
+    """One request and its answer; progress is passed over."""
+    socket.send_text(json.dumps(message))
+    while True:
+        head, curves = unpacked(socket.receive_bytes())
+        if head["seq"] == message["seq"] and head["verb"] != "progress":
+            return head, curves
+
+
+def test_a_page_says_hello_drags_notes_and_keeps(client, studio, tmp_path):
+    with client.websocket_connect("ws://127.0.0.1:8000/talk", headers={"origin": ADDRESS}) as socket:
+        socket.send_text(studio.token)
+        hello, curves = talked(socket, seq=1, verb="hello")
+        assert hello["name"] == "paper-2023" and len(hello["frequencies"]) == 280
+        answer, curves = talked(socket, seq=2, verb="preview", state={**ASKED, "gain_crossover": 12.5})
+        assert answer["ok"] and curves["gain"].shape == (3, 280)
+        exact, _ = talked(socket, seq=3, verb="exact", state={**ASKED, "gain_crossover": 12.5})
+        assert [scope["state"] for scope in exact["verdict"]] == ["passed", "passed", "not run"]
+        assert "--gain-crossover 12.5" in exact["command"]
+        noted, _ = talked(socket, seq=4, verb="note", state={**ASKED, "gain_crossover": 12.5})
+        assert noted["at"] == 0
+        kept, _ = talked(socket, seq=5, verb="keep")
+        assert "design.json" in kept["kept"]
+        refused, _ = talked(socket, seq=6, verb="run-realtime")
+        assert refused["error"].startswith("verb: unknown")  # never moves a real arm
+
+
+def test_hostile_messages_end_nothing(client, studio):
+    rng = np.random.default_rng(0)
+    texts = [text for text in BAD if isinstance(text, str) and text.isascii()]
+    for _ in range(150):
+        length = int(rng.integers(0, 60))
+        texts.append("".join(chr(c) for c in rng.integers(32, 127, length)))
+    verbs = ("hello", "preview", "exact", "note", "go", "keep", "log", "columns", "rig", "model", "export",
+             "zip", "cancel", "prove")  # fmt: skip
+    junk = (None, -1, 1e308, "..", "../../x", [], {}, [[1]], {"a": 1}, True, "\u202e")
+    for k in range(150):
+        verb = verbs[k % len(verbs)]
+        fields = ("state", "at", "force", "name", "columns", "structure", "target", "payload")
+        given = {field: junk[int(rng.integers(len(junk)))] for field in fields}
+        if verb in ("exact", "keep"):  # half a second each; their states are those of preview
+            given = {"state": junk[int(rng.integers(len(junk)))], "force": None}
+        texts.append(json.dumps({"seq": 10 + k, "verb": verb if verb != "keep" else "go", **given}))
+    with client.websocket_connect("ws://127.0.0.1:8000/talk", headers={"origin": ADDRESS}) as socket:
+        socket.send_text(studio.token)
+        for number, text in enumerate(texts):
+            socket.send_text(text)
+            if number % 20 == 19:
+                head, _ = talked(socket, seq=100_000 + number, verb="go", at=-1)
+                assert not head["ok"]
+        head, _ = talked(socket, seq=999_999, verb="hello")
+        assert head["ok"]
+    assert not list(Path(studio.session.folder).glob("../x*"))
+
+
+def test_a_file_is_taken_with_the_token_and_a_plain_name_only(client, studio):
+    token = {"x-studio-token": studio.token}
+    assert client.post("/upload?name=a.csv", content=b"x").status_code == 403
+    for name in ("../a.csv", "a/b.csv", ".csv", "a", "", "a.csv/.."):
+        assert client.post("/upload", params={"name": name}, content=b"x", headers=token).status_code == 400
+    log = fl.bundled_log("prbs_30g")
+    answer = client.post("/upload?name=my log.csv", content=Path(log).read_bytes(), headers=token)
+    assert answer.status_code == 204
+    assert studio.session.upload is not None and studio.session.upload.parent.name == "upload"
+    assert client.get("/studio.zip").status_code == 403
+    assert client.get("/studio.zip", headers=token).status_code == 404
+
+
+def test_an_address_for_others_needs_the_word(tmp_path):
+    session = opened(None, out=tmp_path)
+    with pytest.raises(FieldError, match="others can reach") as why:
+        serve(session, host="0.0.0.0", open_page=False)  # noqa: S104
+    assert "--unsafe-remote" in why.value.remedy
+
+
+# --- what is kept ---------------------------------------------------------------------------------------
+
+
+def test_what_is_kept_is_what_the_commands_write_byte_for_byte(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    session = opened(None, out=Path("kept"))
+    answer = session.exact({**ASKED, "gain_crossover": 13.0, "phase_margin_deg": 47.5, "filter_time": 0.004})
+    session.keep()
+    words = answer.head["command"].split()
+    words[words.index("--out") + 1] = "made.json"
+    assert main(words[1:]) == 0
+    assert Path("made.json").read_bytes() == Path("kept/design.json").read_bytes()
+    # and the lines of Python are of the same design
+    space: dict = {}
+    exec(compile(answer.head["python"], "copied", "exec"), space)  # noqa: S102
+    assert space["design"].requirements == session.study.design.requirements
+    assert space["design"].controller == session.study.design.controller
+    assert space["law"].digest == session.study.law.digest
+
+
+@pytest.mark.slow
+def test_a_study_made_step_by_step_is_the_one_of_run(tmp_path, monkeypatch):
+    from fraclink._studio.logs import LOG_VERBS
+    from fraclink._studio.outputs import OUTPUT_VERBS
+    from fraclink._studio.work import Job
+
+    monkeypatch.chdir(tmp_path)
+    made = ["run", "--rig", "paper-2023-geared", "--log", "demo", "--arms", "200", "--out", "theirs"]
+    assert main(made) in (0, 1)
+    session = opened(None, rig=fl.Rig.named("paper-2023-geared"), out=Path("ours"))
+    assert LOG_VERBS["log"](session, {"name": "prbs_30g"}).head["log"]["channels"]
+    assert LOG_VERBS["columns"](session, {"columns": []}).head["ok"]
+    said: list = []
+    fits, curves = unpacked(Job(session, "identify", {}).done(said.append).packed(1, "identify"))
+    assert len(fits["fits"]) == 4 and "Hz" in fits["fits"][0]["words"] and said
+    assert curves["predicted"].shape == curves["measured"].shape
+    session.exact({"gain_crossover": None})
+    unpacked(Job(session, "arms", {"runs": 200}).done(said.append).packed(2, "arms"))
+    session.keep()
+    names = {path.name for path in Path("theirs").glob("*.*")} - {"report.html"}
+    assert {path.name for path in Path("ours").glob("*.*")} == names
+    differ = [n for n in sorted(names) if Path("ours", n).read_bytes() != Path("theirs", n).read_bytes()]
+    assert differ == []
+    parts = {p.name: p.read_bytes() for p in Path("theirs/arms").iterdir()}
+    assert {p.name: p.read_bytes() for p in Path("ours/arms").iterdir()} == parts
+    written = OUTPUT_VERBS["export"](session, {"target": "c"}).head["written"]
+    assert main(["export", "c", "theirs/design.json", "--out", "firmware"]) == 0
+    for path in Path("firmware").iterdir():
+        assert path.read_bytes() == Path("ours/firmware", path.name).read_bytes()
+    assert f"firmware/{path.name}" in written
+    with pytest.raises(FieldError):
+        OUTPUT_VERBS["export"](session, {"target": "c"})
+    assert OUTPUT_VERBS["zip"](session, {}).head["size"] > 1000
+    # an opened folder shows what it was closed with
+    again = opened(Path("ours"))
+    assert again.study.verdict == session.study.verdict
+    assert again.state["gain_crossover"] == pytest.approx(session.study.design.gain_crossover)
+
+
+def test_a_file_that_changed_outside_is_not_replaced_unasked(tmp_path):
+    session = opened(None, out=tmp_path / "results")
+    session.exact(ASKED)
+    session.keep()
+    session.keep()
+    place = tmp_path / "results" / "design.json"
+    place.write_text(place.read_text() + " ")
+    with pytest.raises(FieldError, match=r"design\.json"):
+        session.keep()
+    session.keep(force=True)
+    other = opened(None, out=tmp_path / "results")  # not opened from there: what lies there is another's
+    other.exact({**ASKED, "gain_crossover": 12.2})
+    with pytest.raises(FieldError, match="already there"):
+        other.keep()
+
+
+def test_what_spoke_for_another_design_does_not_stay_behind(tmp_path):
+    folder = tmp_path / "results"
+    session = opened(None, out=folder)
+    session.exact(ASKED)
+    session.keep()
+    assert (folder / "run-20g.npz").exists()
+    session.exact({**ASKED, "payloads": [0.022, 0.04]})
+    assert "run-20g.npz" in session.keep().head["removed"]
+    assert not (folder / "run-20g.npz").exists() and (folder / "run-22g.npz").exists()
+    assert fl.load_study(folder).verdict == session.study.verdict
+
+
+def test_a_newer_request_stops_the_older_one(tmp_path):
+    session = opened(None, out=tmp_path)
+    with pytest.raises(SupersededError):
+        session.exact(ASKED, newer=lambda: True)
+    assert session.study.design is None
+
+
+def test_a_refused_design_leaves_the_one_before(tmp_path):
+    session = opened(None, out=tmp_path)
+    session.exact(ASKED)
+    with pytest.raises(FraclinkError):
+        session.exact({**ASKED, "gain_crossover": 9.0})
+    assert session.study.design.gain_crossover == 12.0
+
+
+def test_a_history_survives_a_torn_line(tmp_path):
+    history = History.of(tmp_path)
+    for margin in (45.0, 50.0, 55.0):
+        history.add({"phase_margin_deg": margin})
+    history.go(1)
+    with history.path.open("a") as file:
+        file.write('{"at": 2, "sta')
+    again = History.of(tmp_path)
+    assert (again.at, again.state) == (1, {"phase_margin_deg": 50.0})
+    assert Session(fl.Study(rig=fl.Rig.named("paper-2023")), tmp_path).state["phase_margin_deg"] == 50.0
+
+
+def test_options_and_lines_of_python_agree():
+    request = checked_request({**ASKED, "max_sensitivity": 1.8, "box": True})
+    text = as_python(request, "results/rig.toml", Path("results/model.json"))
+    assert "max_sensitivity=1.8" in text and "box=True" in text and "fl.Rig.load('results/rig.toml')" in text
