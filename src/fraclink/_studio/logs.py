@@ -24,7 +24,7 @@ from fraclink._logs.weighing import statements
 from fraclink._show import tables
 from fraclink._show.fits import worth_reading
 from fraclink._studio.messages import Answer
-from fraclink._studio.session import Session
+from fraclink._studio.session import Session, bare
 from fraclink._workflow import Study, examined
 from fraclink.errors import FieldError
 
@@ -174,8 +174,7 @@ def _models(session: Session, given: Mapping[str, Any]) -> Answer:
         if fit is None:
             allowed, remedy = ", ".join(session.study.fits) or "a fit", "fit the log first"
             raise FieldError("structure", str(wanted)[:40], "not fitted", allowed=allowed, remedy=remedy)
-        bare = replace(session.study, fit=fit, design=None, law=None, runs=(), certificate=None, arms=None)
-        session.become(replace(bare, faults=None, uncertified=None, stopped=None))
+        session.become(bare(replace(session.study, fit=fit)))
     return fit_answer(session)
 
 

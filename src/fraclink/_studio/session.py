@@ -27,7 +27,7 @@ from fraclink._workflow import Study, designed, load_study, moved, save_study, s
 from fraclink.errors import FieldError
 from fraclink.findings import Finding, errors_of
 
-__all__ = ["Session", "SupersededError", "opened"]
+__all__ = ["Session", "SupersededError", "bare", "opened"]
 
 # Files of a study that no longer belong to it once the design is another one.
 _OUTDATED = ("run-*g.npz", "certificate.json", "faults.json", "model-*.json")
@@ -104,8 +104,7 @@ class Session:
         `newer` tells whether somebody has asked for something else meanwhile: SupersededError is raised then.
         """
         request, before = checked_request(state), self.study
-        bare = replace(before, **_BARE, assumptions=before.rig.assumptions if before.rig else ())
-        made = designed(bare, **wanted_of(request))
+        made = designed(bare(before), **wanted_of(request))
         if newer():
             raise SupersededError
         made = moved(made)
@@ -256,6 +255,11 @@ def opened(place: Path | None, *, rig: Rig | None = None, out: Path = Path("resu
         made = Design.load(place)
         return Session(Study(rig=rig or made.rig, design=made, law=made.law()), out)
     return Session(Study(rig=rig or Rig.named("paper-2023")), out, source=place)
+
+
+def bare(study: Study) -> Study:
+    """Return the study without its design, and without all that was made of it."""
+    return replace(study, **_BARE, assumptions=study.rig.assumptions if study.rig else ())
 
 
 def _subject_of(study: Study) -> Subject | None:
