@@ -57,7 +57,7 @@ class GaugedLink:
 
     def link_log(self, frequency: ArrayLike, natural_frequency: ArrayLike) -> Complex:
         """Return ln B(jω): the link as encoder and gauge show it together."""
-        ln_w = np.log(np.asarray(frequency, dtype=float))
+        ln_w = np.log(np.asarray(frequency))
         inertia, drag, spring = self._link_terms(ln_w, natural_frequency)
         if not self.exact_gauge:
             return self._gauge_log(np.exp(ln_w), natural_frequency)

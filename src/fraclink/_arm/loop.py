@@ -155,7 +155,7 @@ class Loop(GaugedLink):
 
     def outer_log(self, frequency: ArrayLike) -> Complex:
         """Return ln Ĉ(jω)."""
-        w = np.asarray(frequency, dtype=float)
+        w = np.asarray(frequency)
         value = math.log(self.gain) + self.order * (np.log(w) + 0.5j * math.pi)
         if self.filter_time:
             value = value - self.filter_order * np.log(1.0 + 1j * self.filter_time * w)
@@ -163,7 +163,7 @@ class Loop(GaugedLink):
 
     def motor_log(self, frequency: ArrayLike) -> Complex:
         """Return ln(M e^{-τs}) at jω: motor loop, hold and computation delay."""
-        w = np.asarray(frequency, dtype=float)
+        w = np.asarray(frequency)
         value = -1j * self.delay * w
         if self.lag:
             value = value - 2.0 * np.log(1.0 + 1j * self.lag * w)
@@ -173,14 +173,14 @@ class Loop(GaugedLink):
 
     def log(self, frequency: ArrayLike, natural_frequency: ArrayLike) -> Complex:
         """Return ln L(jω) with the unwrapped phase as its imaginary part; the arguments broadcast."""
-        w = np.asarray(frequency, dtype=float)
+        w = np.asarray(frequency)
         return np.asarray(self.outer_log(w) + self.link_log(w, natural_frequency) + self.motor_log(w))
 
     def __call__(self, frequency: ArrayLike, natural_frequency: ArrayLike) -> Complex:
-        """Return L(jω)."""
+        """Return L(jω); a complex ω with a positive real part gives L(s) beside the axis, at s = jω."""
         if self.exact_gauge:
             return np.asarray(np.exp(self.log(frequency, natural_frequency)), dtype=np.complex128)
-        w = np.asarray(frequency, dtype=float)
+        w = np.asarray(frequency)
         bracket, _, _ = self.parts(w, natural_frequency)
         return np.asarray(np.exp(self.outer_log(w) + self.motor_log(w)) * bracket, dtype=np.complex128)
 

@@ -147,13 +147,13 @@ class SampledMotorLoop:
 
     def loop_gain(self, frequency: ArrayLike) -> Complex:
         """Open loop of the motor loop, ``(Cm1 + Cm2) z^{-d} P`` at `frequency` [rad/s]."""
-        x = np.exp(-1j * np.asarray(frequency, dtype=float) * self.pid.period)
+        x = np.exp(-1j * np.asarray(frequency) * self.pid.period)
         first, second = self.controllers(x)
         return np.asarray((first + second) * x**self.delay_samples * self.plant(x))
 
     def voltage(self, frequency: ArrayLike) -> Complex:
         """From θm* to the applied voltage, ``z^{-d} Cm1/(1 + (Cm1 + Cm2) z^{-d} P)``, at ω [rad/s]."""
-        x = np.exp(-1j * np.asarray(frequency, dtype=float) * self.pid.period)
+        x = np.exp(-1j * np.asarray(frequency) * self.pid.period)
         first, second = self.controllers(x)
         late = x**self.delay_samples
         return np.asarray(first * late / (1.0 + (first + second) * late * self.plant(x)))
@@ -167,7 +167,7 @@ class SampledMotorLoop:
 
         The aliases are left out: at half the Nyquist frequency they are 1e-4 of it, at the crossing 1e-9.
         """
-        w = np.asarray(frequency, dtype=float)
+        w = np.asarray(frequency)
         s, period = 1j * w, self.pid.period
         # By expm1: far below the sampling rate 1 − e^(−sT) loses its digits, and the ratio must tend to one.
         hold = -np.expm1(-s * period) / (s * period)

@@ -21,6 +21,7 @@ from fraclink._design.modes import MODE_LIMIT, higher_modes, mode_requirements
 from fraclink._design.nearest import missed_bounds, offered, refuse
 from fraclink._design.over_box import OverBox, cost_of_box
 from fraclink._design.specification import Design, Requirement, Specification
+from fraclink._design.vibration import ringing
 from fraclink._validate import checked_between, checked_noun
 from fraclink.errors import FieldError, InfeasibleError
 from fraclink.findings import Finding
@@ -304,6 +305,9 @@ def findings_of(
                 {"gain_crossover": task.gain_crossover, "condition_39": sufficient},
             )
         )
+    if task.margins == "loop":  # the paper's reading has no loop that runs
+        ends = {task.model.payload_at(w0): w0 for w0 in (task.low, task.high)}
+        found += ringing(task.full_loop(controller), ends)
     return (*found, *(() if mode_bounded else _spillover(task, controller)))
 
 

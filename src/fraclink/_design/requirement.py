@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._arm.box import ParameterBox, arms_of
+from fraclink._arm.box import Arm, arms_of
 from fraclink._arm.loop import with_payload
+from fraclink._arm.motor_loop import MotorLoop
 from fraclink._arm.sampled import SampledPlant
 from fraclink._law import discretize_controller
 from fraclink._systems.margins import Margins, margins
@@ -80,12 +81,37 @@ class Requirement:
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
-Looked = Sequence[tuple[Margins, float]]  # margins of the sampled loop with the law, and the payload [kg]
+
 LAW_MARGIN = "phase margin, shipped law"
 _ALLOWANCE = math.radians(0.5)  # of the fit of C, which the law states as its own error
 _PAYLOADS = 9
 # Of the design's own |1 + L|: the hold and the fit of the law move it by a few per cent, not by half.
 _NEAR = 0.5
+
+
+@dataclass(frozen=True)
+class Looked:
+    """Margins of the sampled loop with the law, the payload [kg], and the kind of motor loop.
+
+    The law closes the motor loop, too: a PID at the control period. A design for the ideal motor loop is looked at
+    with both: with M(s), which a drive's own position loop may come close to, and with the PID that runs. Far
+    above the motor loop's pole the two have nothing in common, and a late gauge keeps |L| near one as far up
+    as that: B tends to 1 - e^(-τs) there, not to zero.
+    """
+
+    margins: Margins
+    payload: float
+    motor_loop: str
+
+    @property
+    def phase_margin(self) -> float:
+        """Signed phase margin [rad]: negative where the loop is not stable, π where |L| never crosses one."""
+        found = self.margins
+        margin = math.pi if found.phase_margin is None else abs(found.phase_margin)
+        return margin if found.stable else -margin
+
+    def __str__(self) -> str:
+        return "with its PID at the control period" if self.motor_loop == "sampled" else "around M(s)"
 
 
 def margins_of(response: Callable[[Real], Complex], plant: SampledPlant) -> Margins:
@@ -95,72 +121,89 @@ def margins_of(response: Callable[[Real], Complex], plant: SampledPlant) -> Marg
     )
 
 
-def law_margins(design: Design) -> Looked:
+def law_margins(design: Design) -> tuple[Looked, ...]:
     """Return what the law has in the sampled loop, over the payloads, or at every arm of the design's box."""
-    if design.box is not None:
-        return tuple(_over_box(design, design.box))
-    payloads = [design.payload(float(w0)) for w0 in np.geomspace(*design.natural_frequencies, _PAYLOADS)]
-    return tuple((design.sampled_at(payload), payload) for payload in payloads)
-
-
-def _over_box(design: Design, box: ParameterBox) -> Iterator[tuple[Margins, float]]:
-    """For the lightest and the heaviest payload of every arm."""
     law, period = discretize_controller(design.controller, design.rig.period), design.rig.period
+    return tuple(
+        Looked(
+            margins_of(law.frequency_response, arm.plant(settings, design.rig, period)),
+            payload,
+            settings.kind,
+        )
+        for arm, payload in _arms(design)
+        for settings in _motor_loops(design)
+    )
+
+
+def _motor_loops(design: Design) -> tuple[MotorLoop, ...]:
+    """The motor loop of the design, and the one that runs where the design's is the ideal one."""
+    settings = design.motor_loop
+    return (settings,) if settings.kind == "sampled" else (settings, replace(settings, kind="sampled"))
+
+
+def _arms(design: Design) -> Iterator[tuple[Arm, float]]:
+    """Arms and payloads: payloads of the model, or the lightest and the heaviest of every arm of the box."""
     known = with_payload(design.model, design.rig)
-    for arm in arms_of(box, known):
+    if design.box is None:
+        for w0 in np.geomspace(*design.natural_frequencies, _PAYLOADS):
+            yield Arm(replace(known, natural_frequency=float(w0))), design.payload(float(w0))
+        return
+    for arm in arms_of(design.box, known):
         for end, payload in enumerate(reversed(design.payloads)):
-            w0 = design.natural_frequencies[end] * box.natural_frequency[end] / known.natural_frequency
-            link = replace(arm.model, natural_frequency=w0)
-            plant = replace(arm, model=link).plant(design.motor_loop, design.rig, period)
-            yield margins_of(law.frequency_response, plant), payload
+            w0 = design.natural_frequencies[end] * design.box.natural_frequency[end] / known.natural_frequency
+            yield replace(arm, model=replace(arm.model, natural_frequency=w0)), payload
 
 
-def kept_by_law(design: Design, looked: Looked) -> Requirement:
+def kept_by_law(design: Design, looked: Sequence[Looked]) -> Requirement:
     """Return the requirement on the law's worst phase margin: what was asked less the law's tolerance."""
-    kept, payload = _least(looked)
-    return Requirement.at_least(LAW_MARGIN, design.phase_margin - _ALLOWANCE, kept, "rad", payload)
+    least = min(looked, key=_phase_margin)
+    wanted = design.phase_margin - _ALLOWANCE
+    return Requirement.at_least(LAW_MARGIN, wanted, least.phase_margin, "rad", least.payload)
 
 
-def law_findings(design: Design, looked: Looked) -> tuple[Finding, ...]:
+def law_findings(design: Design, looked: Sequence[Looked]) -> tuple[Finding, ...]:
     """Return the findings of a design with W404 and W408, where its law keeps less than the design does."""
-    kept, payload = _least(looked)
+    least = min(looked, key=_phase_margin)
+    kept = least.phase_margin
     others = tuple(finding for finding in design.findings if finding.code not in ("W404", "W408"))
     short = design.phase_margin - kept
     if short > 0.0:
         less = Finding(
             "W404",
             "error" if kept <= 0.0 else "warning" if short > _ALLOWANCE else "info",
-            "the shipped law in the sampled loop keeps less phase margin than was asked for",
-            {"phase_margin_rad": kept, "wanted_rad": design.phase_margin, "payload_kg": payload},
-            "ask for as much more as is missing, with margins='loop'",
+            f"the shipped law in the sampled loop, the motor loop {least}, keeps less phase margin than was "
+            "asked for",
+            {"phase_margin_rad": kept, "wanted_rad": design.phase_margin, "payload_kg": least.payload},
+            _less_margin(design, least),
         )
         others += (less,)
     return others if kept <= 0.0 else (*others, *_near_minus_one(design, looked))
 
 
-def _near_minus_one(design: Design, looked: Looked) -> tuple[Finding, ...]:
+def _near_minus_one(design: Design, looked: Sequence[Looked]) -> tuple[Finding, ...]:
     """W408 where the sampled loop comes much closer to -1 than the design, as one without a filter may."""
-    found, payload = min(looked, key=lambda pair: pair[0].modulus_margin)
-    designed = design.full_loop.margins_at(design.natural_frequency(payload)).modulus_margin
+    nearest = min(looked, key=lambda one: one.margins.modulus_margin)
+    found = nearest.margins
+    designed = design.full_loop.margins_at(design.natural_frequency(nearest.payload)).modulus_margin
     if found.modulus_margin >= _NEAR * designed:
         return ()
     close = Finding(
         "W408",
         "warning",
-        f"the shipped law in the sampled loop comes to |1 + L| = {found.modulus_margin:.2g} at "
-        f"{found.modulus_frequency:.4g} rad/s, where the loop of the design keeps {designed:.2g}",
-        {"modulus_margin": found.modulus_margin, "designed": designed, "payload_kg": payload},
+        f"the shipped law in the sampled loop, the motor loop {nearest}, comes to "
+        f"|1 + L| = {found.modulus_margin:.2g} at {found.modulus_frequency:.4g} rad/s, where the loop of the design keeps {designed:.2g}",
+        {"modulus_margin": found.modulus_margin, "designed": designed, "payload_kg": nearest.payload},
         "leave filter_time out: a filter keeps |L| small near the Nyquist frequency",
     )
     return (close,)
 
 
-def _least(looked: Looked) -> tuple[float, float]:
-    """(least phase margin [rad], its payload [kg]); negative where the loop is not stable."""
-    return min((_signed(found), payload) for found, payload in looked)
+def _less_margin(design: Design, least: Looked) -> str:
+    """What mends a margin that the law does not keep."""
+    if least.motor_loop != design.motor_loop.kind:
+        return "design with inner='sampled' (--inner sampled), or with a longer filter"
+    return "ask for as much more as is missing, with margins='loop'"
 
 
-def _signed(found: Margins) -> float:
-    """π where |L| never crosses one."""
-    margin = math.pi if found.phase_margin is None else abs(found.phase_margin)
-    return margin if found.stable else -margin
+def _phase_margin(found: Looked) -> float:
+    return found.phase_margin
