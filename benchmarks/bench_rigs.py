@@ -109,8 +109,8 @@ def rigs(count: int) -> None:
     while passing < count and tried < 6 * count:
         tried += 1
         rig, model = random_rig(random)
-        crossover = random.uniform(0.7, 1.2) * model.at_payload(rig.payloads.high).natural_frequency
-        margin = fl.deg(random.uniform(35, 55))
+        crossover = random.uniform(0.9, 1.9) * model.at_payload(rig.payloads.high).natural_frequency
+        margin = fl.deg(random.uniform(35, 60))
         design = designed(model, rig, crossover, margin)
         if design is None or not design.passed:
             refused += 1
@@ -146,7 +146,7 @@ def links(count: int) -> None:
         if not fit.passed:
             gated += 1
             continue
-        design = designed(fit, rig, random.uniform(0.7, 1.1) * omega, fl.deg(45))
+        design = designed(fit, rig, random.uniform(1.0, 1.7) * omega, fl.deg(45))
         if design is None or not design.passed:
             refused += 1
             continue

@@ -255,14 +255,16 @@ def test_real_logs_run_end_to_end(
     )
     study = load_study(tmp_path / "out")
     assert code == (0 if doubt is None else 1)
-    assert study.design is not None
-    assert all(item.passed for item in study.design.requirements)
-    assert study.design.passed == (doubt is None)  # the design rests on the fit
-    assert study.verdict.model.state == ("passed" if doubt is None else "not shown")
-    assert doubt is None or any(doubt in reason for reason in study.verdict.reasons)
     assert study.fit is not None
     assert study.fit.heldout_nmse is not None
     assert study.fit.heldout_nmse <= limit
+    assert study.verdict.model.state == ("passed" if doubt is None else "not shown")
+    if doubt is not None:
+        assert any(doubt in reason for reason in study.verdict.reasons)
+        # A gauge that reads a fifth of the torque leaves no loop that damps the link.
+        assert study.design is None and any("ring" in reason for reason in study.verdict.reasons)
+        return
+    assert study.design is not None and study.design.passed
     # Neither rig states what a design should reach: the report says by which rule it was chosen.
     assert any("gain crossover" in sentence for sentence in study.assumptions)
     assert any("phase margin" in sentence for sentence in study.assumptions)

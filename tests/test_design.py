@@ -195,6 +195,14 @@ def test_bad_requests_name_the_field(changes: dict[str, object], field: str, sho
     assert shown in str(caught.value)
 
 
+def _works(changes: dict[str, object]) -> bool:
+    """Whether there is a design, and its moves do not ring."""
+    try:
+        return default_plan(**changes).passed
+    except InfeasibleError:
+        return False
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("changes", "condition"),
@@ -216,8 +224,7 @@ def test_infeasible_requests_name_the_bound_and_a_request_that_works(
     # Nearest: a step further towards the request fails again.
     asked = DEFAULT | changes
     beyond = {k: v + 0.01 * (asked[k] - v) for k, v in caught.value.nearest.items()}
-    with pytest.raises(InfeasibleError):
-        default_plan(**(changes | beyond))
+    assert not _works(changes | beyond)
 
 
 def test_a_loop_with_two_turns_counts_its_encirclements():

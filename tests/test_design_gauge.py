@@ -76,8 +76,9 @@ def test_a_design_for_a_late_gauge_is_stable_with_it(delay: float, gain: float) 
 def test_a_very_late_gauge_is_refused_with_a_request_that_works(delay: float) -> None:
     nearest = designed(delay)
     assert isinstance(nearest, dict)
-    if delay > 0.06:
-        assert nearest == {}  # no controller of this form at 90 ms
+    if delay > 0.05:
+        # At 57 ms there are controllers, and with all of them moves ring; at 90 ms there is none.
+        assert nearest == {}
         return
     model = replace(MODEL, gauge_delay=delay)
     found = fl.design(model, RIG, payloads=(0.020, 0.040), **nearest, law=False)

@@ -82,7 +82,7 @@ def _both_lower(task: Task, top: float, attempt: Attempt) -> dict[str, float]:
     """
     low, high = (float(Loop.ideal(task.model).peak(w0)) for w0 in (task.low, task.high))
     band = np.geomspace(0.8 * low, min(2.5 * high, top), 80)
-    for margin in np.radians([40.0, 30.0, 20.0, 10.0]):
+    for margin in np.radians(np.arange(45.0, 5.0, -5.0)):
         if margin < task.phase_margin:
             crossover = _nearest(replace(task, phase_margin=float(margin)), "gain_crossover", band, attempt)
             if crossover is not None:
@@ -164,11 +164,17 @@ def offered(
         if not missed:
             break
         wanted |= {name: value for name, value in missed.items() if math.isfinite(value)}
-    for share in _LOOSER:
-        trial: dict[str, Any] = {name: _loosened(name, value, share, spec) for name, value in wanted.items()}
-        if missing(trial) is None:
-            return trial
-    return {}
+
+    def looser(share: float) -> dict[str, Any]:
+        return {name: _loosened(name, value, share, spec) for name, value in wanted.items()}
+
+    works = next((share for share in _LOOSER if missing(looser(share)) is None), None)
+    if works is None:
+        return {}
+    short = _LOOSER[max(_LOOSER.index(works) - 1, 0)]
+    # Halved seven times, the last step of the list ends within a thousandth of the edge.
+    edge = boundary(lambda share: missing(looser(share)) is None, works, short, halvings=7, log=False)
+    return looser(edge)
 
 
 def _worded(nearest: dict[str, float], spec: Specification) -> dict[str, float]:

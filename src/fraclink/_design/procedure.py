@@ -146,9 +146,12 @@ def design(
         nearest = error.nearest  # of a box it was found as a whole
         if not box:
             nearest = offered(nearest, spec, lambda trial: _misses(link, rig, trial))
+        explanation = error.explanation
+        if error.nearest and not nearest:
+            explanation += "; but no request near that passes: it misses a bound, or its moves ring"
         # A payload in grams or the model of another arm is refused for reasons that hide the cause.
         doubts = "; ".join(finding.message for finding in doubts_of(rig, link, payloads or ()))
-        explanation = f"{error.explanation}; but {doubts}" if doubts else error.explanation
+        explanation += f"; but {doubts}" if doubts else ""
         raise InfeasibleError(error.condition, explanation, nearest) from error
     made = made.doubted(getattr(model, "findings", ()))
     return made.warned_of_law() if law else made
@@ -174,8 +177,12 @@ def _misses(link: LinkModel, rig: Rig, spec: Specification) -> dict[str, float] 
     found = attempt(task)
     if found is None:
         return {}
-    requirements = requirements_of(task, task.controller(*found), spec)
-    return None if all(item.passed for item in requirements) else missed_bounds(requirements)
+    controller = task.controller(*found)
+    requirements = requirements_of(task, controller, spec)
+    if not all(item.passed for item in requirements):
+        return missed_bounds(requirements)
+    # A design that rings does not pass either, and no bound says by how much it would have to change.
+    return {} if _ringing(task, controller) else None
 
 
 def _designed(link: LinkModel, rig: Rig, spec: Specification) -> Design:
@@ -305,10 +312,15 @@ def findings_of(
                 {"gain_crossover": task.gain_crossover, "condition_39": sufficient},
             )
         )
-    if task.margins == "loop":  # the paper's reading has no loop that runs
-        ends = {task.model.payload_at(w0): w0 for w0 in (task.low, task.high)}
-        found += ringing(task.full_loop(controller), ends)
-    return (*found, *(() if mode_bounded else _spillover(task, controller)))
+    return (*found, *_ringing(task, controller), *(() if mode_bounded else _spillover(task, controller)))
+
+
+def _ringing(task: Task, controller: Controller) -> tuple[Finding, ...]:
+    """W409 where the moves of the loop ring; the paper's reading has no loop that runs."""
+    if task.margins == "ideal":
+        return ()
+    ends = {task.model.payload_at(w0): w0 for w0 in (task.low, task.high)}
+    return ringing(task.full_loop(controller), ends)
 
 
 def _spillover(task: Task, controller: Controller) -> tuple[Finding, ...]:

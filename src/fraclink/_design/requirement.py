@@ -93,10 +93,10 @@ _NEAR = 0.5
 class Looked:
     """Margins of the sampled loop with the law, the payload [kg], and the kind of motor loop.
 
-    The law closes the motor loop, too: a PID at the control period. A design for the ideal motor loop is looked at
-    with both: with M(s), which a drive's own position loop may come close to, and with the PID that runs. Far
-    above the motor loop's pole the two have nothing in common, and a late gauge keeps |L| near one as far up
-    as that: B tends to 1 - e^(-τs) there, not to zero.
+    The law closes the motor loop, too: a PID at the control period. A design for the ideal motor loop is
+    looked at with both: with M(s), which a drive's own position loop may come close to, and with the PID that
+    runs. Far above the motor loop's pole the two have nothing in common, and a late gauge keeps |L| near one
+    as far up as that: B tends to 1 - e^(-τs) there, not to zero.
     """
 
     margins: Margins
@@ -109,9 +109,6 @@ class Looked:
         found = self.margins
         margin = math.pi if found.phase_margin is None else abs(found.phase_margin)
         return margin if found.stable else -margin
-
-    def __str__(self) -> str:
-        return "with its PID at the control period" if self.motor_loop == "sampled" else "around M(s)"
 
 
 def margins_of(response: Callable[[Real], Complex], plant: SampledPlant) -> Margins:
@@ -171,7 +168,7 @@ def law_findings(design: Design, looked: Sequence[Looked]) -> tuple[Finding, ...
         less = Finding(
             "W404",
             "error" if kept <= 0.0 else "warning" if short > _ALLOWANCE else "info",
-            f"the shipped law in the sampled loop, the motor loop {least}, keeps less phase margin than was "
+            f"the shipped law in the sampled loop{_with_pid(design, least)} keeps less phase margin than was "
             "asked for",
             {"phase_margin_rad": kept, "wanted_rad": design.phase_margin, "payload_kg": least.payload},
             _less_margin(design, least),
@@ -190,12 +187,20 @@ def _near_minus_one(design: Design, looked: Sequence[Looked]) -> tuple[Finding, 
     close = Finding(
         "W408",
         "warning",
-        f"the shipped law in the sampled loop, the motor loop {nearest}, comes to "
-        f"|1 + L| = {found.modulus_margin:.2g} at {found.modulus_frequency:.4g} rad/s, where the loop of the design keeps {designed:.2g}",
+        f"the shipped law in the sampled loop{_with_pid(design, nearest)} comes to "
+        f"|1 + L| = {found.modulus_margin:.2g} at {found.modulus_frequency:.4g} rad/s, "
+        f"where the loop of the design keeps {designed:.2g}",
         {"modulus_margin": found.modulus_margin, "designed": designed, "payload_kg": nearest.payload},
         "leave filter_time out: a filter keeps |L| small near the Nyquist frequency",
     )
     return (close,)
+
+
+def _with_pid(design: Design, found: Looked) -> str:
+    """What to say of the motor loop, where it is not the one of the design."""
+    return (
+        "" if found.motor_loop == design.motor_loop.kind else ", with the motor's PID at the control period,"
+    )
 
 
 def _less_margin(design: Design, least: Looked) -> str:

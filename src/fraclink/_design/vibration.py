@@ -1,6 +1,6 @@
 """The vibration that a closed loop leaves: how fast it dies, from the roots of 1 + L(s) beside the axis.
 
-A phase margin bounds what the loop does where |L| is one. A crossover below the resonance can keep it and leave
+A phase margin bounds what the loop does where |L| is one. A crossover at the resonance can keep it and leave
 the resonance as undamped as it was, or less damped: the moves of such a design ring.
 """
 
@@ -21,8 +21,8 @@ __all__ = ["Vibration", "ringing", "vibration"]
 Complex = NDArray[np.complex128]
 Real = NDArray[np.float64]
 
-# Of its own periods, until a vibration has fallen to 2 %: what takes longer is seen as ringing. A link of order
-# 1.95 alone takes sixteen, one of 1.85 five.
+# Of its own periods, until a vibration has fallen to 2 %: what takes longer is seen as ringing. A link of
+# order 1.95 without a controller takes fifteen, one of order 1.85 five: -cos(π/λ) is its damping ratio.
 _PERIODS = 10
 _BAND = (0.3, 4.0)  # of the resonance: farther out a root belongs to the motor loop or to the gauge's delay
 _STEPS = 40  # of Newton's method; from a minimum of |1 + L| it needs five to eight
@@ -95,7 +95,8 @@ def ringing(loop: Loop, ends: Mapping[float, float]) -> tuple[Finding, ...]:
         Finding(
             "W409",
             "error",
-            f"moves ring: the vibration left falls to 2 % in {worst.time:.3g} s, more than {_PERIODS} of its periods",
+            f"moves ring: the vibration left falls to 2 % in {worst.time:.3g} s, more than {_PERIODS} of its "
+            "periods",
             {"damping_ratio": worst.damping_ratio, "frequency": worst.frequency, "payload_kg": payload},
             "a gain crossover farther above the resonance, or a larger phase margin, damps it",
         ),
