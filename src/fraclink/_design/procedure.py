@@ -61,7 +61,8 @@ def design(
     gauge's delay, its gain and the second mode, where the model knows them, stand inside the equations.
 
     The result has the controller, the requirements with what is achieved, and findings. It does not pass
-    where the fit failed a gate, or where model or payloads contradict the rig (W105 to W107).
+    where the fit failed a gate, where model or payloads contradict the rig (W105 to W107), or where a
+    vibration takes more than ten of its periods to fall to 2 % (W409).
 
     Parameters
     ----------

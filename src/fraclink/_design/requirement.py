@@ -171,7 +171,9 @@ def law_findings(design: Design, looked: Sequence[Looked]) -> tuple[Finding, ...
             f"the shipped law in the sampled loop{_with_pid(design, least)} keeps less phase margin than was "
             "asked for",
             {"phase_margin_rad": kept, "wanted_rad": design.phase_margin, "payload_kg": least.payload},
-            _less_margin(design, least),
+            "ask for as much more as is missing, with margins='loop'"
+            if least.motor_loop == design.motor_loop.kind
+            else "design with inner='sampled' (--inner sampled), or with a longer filter",
         )
         others += (less,)
     return others if kept <= 0.0 else (*others, *_near_minus_one(design, looked))
@@ -201,13 +203,6 @@ def _with_pid(design: Design, found: Looked) -> str:
     return (
         "" if found.motor_loop == design.motor_loop.kind else ", with the motor's PID at the control period,"
     )
-
-
-def _less_margin(design: Design, least: Looked) -> str:
-    """What mends a margin that the law does not keep."""
-    if least.motor_loop != design.motor_loop.kind:
-        return "design with inner='sampled' (--inner sampled), or with a longer filter"
-    return "ask for as much more as is missing, with margins='loop'"
 
 
 def _phase_margin(found: Looked) -> float:
