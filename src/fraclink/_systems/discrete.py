@@ -107,17 +107,19 @@ def _grown(
 ) -> PartialFractions:
     """The fractions of the wanted order, of the lowest that meets the tolerances, or the best there are."""
     grown: list[list[PartialFractions]] = []
+    finished: dict[int, PartialFractions] = {}
     for here in grow(target, plane, highest if order is None else order, pairs=pairs):
         grown.append(here)
         # What the quick norms reach is lowered by a tenth or two by the whole ladder.
         if order is None and score(here[0], target) <= 1.3:
-            fit = finish(here, target)
+            fit = finished[len(grown) - 1] = finish(here, target)
             if score(fit, target) <= _WITHIN:
                 return fit
     if order is not None:
         return finish(grown[-1], target)
-    likely = sorted(grown, key=lambda here: score(here[0], target))[:2]
-    return min((finish(here, target) for here in likely), key=lambda fit: score(fit, target))
+    likely = sorted(range(len(grown)), key=lambda k: score(grown[k][0], target))[:2]
+    made = [finished[k] if k in finished else finish(grown[k], target) for k in likely]
+    return min(made, key=lambda fit: score(fit, target))
 
 
 def _grid(band: tuple[float, float], count: int) -> Reals:

@@ -11,8 +11,9 @@ from __future__ import annotations
 
 import cmath
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -20,6 +21,9 @@ from fraclink._systems.terms import Complexes, Reals
 
 _POWERS = (2, 4, 8, 16, 32, 64, 128)
 _STEPS = 12  # Newton steps for each power; quadratic convergence needs 4 to 8
+
+
+Shapes = tuple[Complexes, Complexes, Complexes]
 
 
 @dataclass(frozen=True)
@@ -34,13 +38,20 @@ class Target:
     weight_real: Reals
     weight_imag: Reals
 
+    @cached_property
+    def x(self) -> Complexes:
+        """jΩ as a column."""
+        return np.asarray(1j * self.omega[:, None], dtype=complex)
+
     def rows(self, values: Complexes) -> Reals:
         """Real rows of a complex error (or of columns of a Jacobian): tolerances are 1."""
-        turned = values * (self.turn if values.ndim == 1 else self.turn[:, None])
-        shape = (-1,) if values.ndim == 1 else (-1, 1)
-        return np.concatenate(
-            [turned.real * self.weight_real.reshape(shape), turned.imag * self.weight_imag.reshape(shape)]
-        )
+        own = (self.turn, self.weight_real, self.weight_imag)
+        turn, real, imag = own if values.ndim == 1 else (part[:, None] for part in own)
+        turned, count = values * turn, len(values)
+        rows = np.empty((2 * count, *values.shape[1:]))
+        np.multiply(turned.real, real, out=rows[:count])
+        np.multiply(turned.imag, imag, out=rows[count:])
+        return rows
 
 
 @dataclass(frozen=True)
@@ -57,15 +68,18 @@ class PartialFractions:
     pair_angles: Reals  # η: ψ = (π/2) tanh η keeps every pair in the stable half plane
     pair_gains: Complexes
 
-    def columns(self, omega: Reals) -> Complexes:
+    def columns(self, x: Complexes) -> Complexes:
         """The basis: 1, σ/(x+σ), and for each pair the columns of Re c and Im c; shape (M, order + 1)."""
-        return linear_columns(*self.shapes(omega))
+        return linear_columns(*self.shapes(x))
 
-    def shapes(self, omega: Reals) -> tuple[Complexes, Complexes, Complexes]:
-        """σ/(x + σ), q/(x + q) and q̄/(x + q̄) at x = jΩ, one column for each pole."""
-        x = 1j * omega[:, None]
-        sigma, q = np.exp(self.real_logs), self.poles_of_pairs()
-        return sigma / (x + sigma), q / (x + q), q.conj() / (x + q.conj())
+    def shapes(self, x: Complexes) -> Shapes:
+        """σ/(x + σ), q/(x + q) and q̄/(x + q̄) at a column x = jΩ, one column for each pole."""
+        sigma = np.exp(self.real_logs)
+        real = sigma / (x + sigma)
+        if not len(self.pair_logs):  # most fits have none: half of the time would go into empty arrays
+            return real, real[:, :0], real[:, :0]
+        q = self.poles_of_pairs()
+        return real, q / (x + q), q.conj() / (x + q.conj())
 
     def poles_of_pairs(self) -> Complexes:
         """q = e^(θ + jψ), so that the poles are −q and −q̄."""
@@ -75,6 +89,8 @@ class PartialFractions:
         """Derivatives of R/P by θ of the real poles, θ and η of the pairs, from `shapes`."""
         # d/dθ of q/(x+q) is q x/(x+q)² = shape · (1 − shape).
         by_real = self.real_gains * real * (1 - real)
+        if not pair.shape[1]:
+            return np.asarray(by_real)
         up, down = self.pair_gains * pair * (1 - pair), self.pair_gains.conj() * mirrored * (1 - mirrored)
         slope = 0.5 * math.pi / np.cosh(self.pair_angles) ** 2
         return np.concatenate([by_real, 0.5 * (up + down), 0.5j * slope * (up - down)], axis=1)
@@ -95,24 +111,25 @@ class PartialFractions:
     def moved(self, step: Reals) -> PartialFractions:
         """All parameters moved by a step in the order of `linear_columns` and `pole_columns`."""
         n, m = len(self.real_logs), len(self.pair_logs)
-        linear, poles = step[: 1 + n + 2 * m], step[1 + n + 2 * m :]
-        there = PartialFractions(
-            self.direct,
-            self.real_logs + poles[:n],
-            self.real_gains,
-            self.pair_logs + poles[n : n + m],
-            self.pair_angles + poles[n + m :],
-            self.pair_gains,
+        first = 1 + n + 2 * m
+        return PartialFractions(
+            self.direct + float(step[0]),
+            self.real_logs + step[first : first + n],
+            self.real_gains + step[1 : 1 + n],
+            self.pair_logs + step[first + n : first + n + m],
+            self.pair_angles + step[first + n + m :],
+            self.pair_gains + (step[1 + n : 1 + n + m] + 1j * step[1 + n + m : first]),
         )
-        return there.with_linear(self.linear() + linear)
 
     def error(self, target: Target) -> Reals:
         """Weighted error in rows."""
-        return target.rows(target.factor * (self.columns(target.omega) @ self.linear()) - target.wanted)
+        return target.rows(target.factor * (self.columns(target.x) @ self.linear()) - target.wanted)
 
 
 def linear_columns(real: Complexes, pair: Complexes, mirrored: Complexes) -> Complexes:
     """The basis of `PartialFractions.columns` from its shapes."""
+    if not pair.shape[1]:
+        return np.concatenate([np.ones((len(real), 1)), real], axis=1)
     return np.concatenate(
         [np.ones((len(real), 1)), real, 0.5 * (pair + mirrored), 0.5j * (pair - mirrored)], axis=1
     )
@@ -127,16 +144,16 @@ def log_spaced_start(low: float, high: float, real: int, pairs: int) -> PartialF
     )
 
 
-def improve(start: PartialFractions, target: Target) -> PartialFractions:
-    """The best fractions of the start's structure that Newton's method reaches from it."""
+def improve(start: PartialFractions, target: Target, powers: tuple[int, ...] = _POWERS) -> PartialFractions:
+    """The best fractions of the start's structure that Newton's method reaches from it, norm by norm."""
     current = best_residues(start, target)
-    for power in _POWERS:
+    for power in powers:
         current = newton(current, target, power)
     return current
 
 
 def best_residues(at: PartialFractions, target: Target) -> PartialFractions:
-    columns = target.rows(target.factor[:, None] * at.columns(target.omega))
+    columns = target.rows(target.factor[:, None] * at.columns(target.x))
     size = np.linalg.norm(columns, axis=0)
     # Poles that meet have columns that are equal to rounding: the cut-off gives both the same residue instead
     # of two huge ones of opposite sign, which no single-precision law could run.
@@ -153,10 +170,10 @@ def newton(at: PartialFractions, target: Target, power: int) -> PartialFractions
         peak = float(np.max(np.abs(here.error)))
         if peak == 0:
             break
-        directions = here.directions(target, peak, power)
+        step = here.step(target, peak, power)
         old = _norm(here.error / peak, power)
         for _ in range(8):
-            there = _Trial.of(here.at.moved(peak * directions.step(damping, peak)), target, wanted)
+            there = _Trial.of(here.at.moved(peak * step(damping)), target, wanted)
             new = _norm(there.error / peak, power)
             if new < old:
                 break
@@ -181,21 +198,22 @@ class _Trial:
     """Fractions with their basis and their weighted error: what a step is judged by, the next starts from."""
 
     at: PartialFractions
-    shapes: tuple[Complexes, Complexes, Complexes]
+    shapes: Shapes
     basis: Complexes
     error: Reals
 
     @classmethod
     def of(cls, at: PartialFractions, target: Target, wanted: Reals) -> _Trial:
-        shapes = at.shapes(target.omega)
+        shapes = at.shapes(target.x)
         basis = linear_columns(*shapes)
         return cls(at, shapes, basis, target.rows(target.factor * (basis @ at.linear())) - wanted)
 
-    def directions(self, target: Target, peak: float, power: int) -> _Directions:
-        """Newton's equations (p−1) Jᵀ W² J δ = −Jᵀ W² e at this place, with their eigenvectors.
+    def step(self, target: Target, peak: float, power: int) -> Callable[[float], Reals]:
+        """Newton's equations (p−1) Jᵀ W² J δ = −Jᵀ W² e here, solved for any damping.
 
         The square of the Jacobian loses half its digits, and none that matter: its columns are scaled, and
-        the damping stays above the square root of the rounding.
+        the damping stays above the square root of the rounding. With its eigenvectors every damping costs two
+        small products.
         """
         columns = np.concatenate([self.basis, self.at.pole_columns(*self.shapes)], axis=1)
         ratio = self.error / peak
@@ -204,26 +222,16 @@ class _Trial:
         square = left.T @ left
         size = np.sqrt(np.diag(square)) + 1e-300
         values, vectors = np.linalg.eigh(square / size / size[:, None])
-        right = vectors.T @ ((left.T @ (weight * ratio)) / size)
-        return _Directions(np.maximum(values, 0.0), vectors, -right / (power - 1), size, self.basis.shape[1])
+        values = np.maximum(values, 0.0)
+        right = -(vectors.T @ ((left.T @ (weight * ratio)) / size)) / (power - 1)
 
+        def damped(damping: float) -> Reals:
+            # No pole moves by more than e at once, so that none jumps over its neighbours.
+            step: Reals = (vectors @ (right / (values + max(damping, 1e-12) * values[-1]))) / size
+            longest = peak * float(np.max(np.abs(step[self.basis.shape[1] :]), initial=0.0))
+            return step * min(1.0, 1.0 / max(longest, 1e-300))
 
-@dataclass(frozen=True)
-class _Directions:
-    """Newton's equations in their eigenvectors: every damping costs two small products."""
-
-    values: Reals
-    vectors: Reals
-    right: Reals
-    size: Reals
-    first_pole: int
-
-    def step(self, damping: float, peak: float) -> Reals:
-        """The damped step; no pole moves by more than e at once, so that none jumps over its neighbours."""
-        filtered = self.right / (self.values + max(damping, 1e-12) * self.values[-1])
-        step: Reals = (self.vectors @ filtered) / self.size
-        longest = peak * float(np.max(np.abs(step[self.first_pole :]), initial=0.0))
-        return step * min(1.0, 1.0 / max(longest, 1e-300))
+        return damped
 
 
 def score(fit: PartialFractions, target: Target) -> float:
@@ -267,7 +275,7 @@ def grow(
             starts += [_with_pair(c, x) for x in spots[3:]] + [_with_known(c, q) for q in resonances]
         spread = log_spaced_start(*band, order % 2, order // 2)
         chosen = [*_promising(starts, target, most), relocate(spread, target, 12)[-1]]
-        found = [_quick(c, target) for c in chosen if len(c.pair_logs) <= most]
+        found = [improve(c, target, (2, 8)) for c in chosen if len(c.pair_logs) <= most]
         kept.append(_distinct(found, target))
         yield kept[order]
 
@@ -279,11 +287,11 @@ def finish(candidates: list[PartialFractions], target: Target) -> PartialFractio
 
 def cancellation(fit: PartialFractions, target: Target) -> float:
     """Largest sum of the moduli of all terms over the largest modulus of their sum: 1 is ideal."""
-    real, pair, mirrored = fit.shapes(target.omega)
+    real, pair, mirrored = fit.shapes(target.x)
     parts = abs(fit.direct) + np.abs(fit.real_gains * real).sum(1)
     parts = parts + 0.5 * (np.abs(fit.pair_gains) * (np.abs(pair) + np.abs(mirrored))).sum(1)
     factor = np.abs(target.factor)
-    whole = factor * np.abs(fit.columns(target.omega) @ fit.linear())
+    whole = factor * np.abs(fit.columns(target.x) @ fit.linear())
     return float(np.max(parts * factor) / np.max(whole))
 
 
@@ -312,15 +320,7 @@ def _with_known(c: PartialFractions, q: complex) -> PartialFractions:
 
 def _promising(starts: list[PartialFractions], target: Target, pairs: int) -> list[PartialFractions]:
     fitted = [best_residues(c, target) for c in starts if len(c.pair_logs) <= pairs]
-    residue = [float(np.sum(c.error(target) ** 2)) for c in fitted]
-    return [fitted[i] for i in np.argsort(residue, kind="stable")[:_TRIED]]
-
-
-def _quick(start: PartialFractions, target: Target) -> PartialFractions:
-    here = best_residues(start, target)
-    for power in (2, 8):
-        here = newton(here, target, power)
-    return here
+    return sorted(fitted, key=lambda c: float(np.sum(c.error(target) ** 2)))[:_TRIED]
 
 
 def _distinct(found: list[PartialFractions], target: Target) -> list[PartialFractions]:
@@ -350,7 +350,7 @@ def relocate(start: PartialFractions, target: Target, rounds: int) -> list[Parti
     """
     visited, here = [], start
     for _ in range(rounds):
-        basis = here.columns(target.omega)
+        basis = here.columns(target.x)
         left = np.concatenate(
             [target.factor[:, None] * basis, -target.wanted[:, None] * basis[:, 1:]], axis=1
         )
