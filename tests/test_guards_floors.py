@@ -18,6 +18,7 @@ ROWS: tuple[tuple[str, ...], ...] = (
     ("_certify", "_simulate"),
     ("_compare", "_campaign", "_export", "_realtime", "_shape"),
     ("_workflow",),
+    ("_tune",),
     ("_show",),
     ("_studio",),
     ("_cli", "__main__"),

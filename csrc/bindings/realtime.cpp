@@ -137,6 +137,28 @@ Io callables(nb::callable read, nb::callable write) {
     return io;
 }
 
+// One sample as (period_ns, motor_angle, torque), or None where no new one has come: for a loop in Python.
+nb::object read_once(Io &io) {
+    realtime_sample sample = {0U, {0.0, 0.0}};
+    const realtime_io way = io_of(io);
+    const int found = way.read(way.self, &sample);
+    if (io.failure) std::rethrow_exception(std::exchange(io.failure, nullptr));
+    if (found < 0) throw std::system_error(EIO, std::generic_category());
+    if (found == 0) return nb::none();
+    return nb::make_tuple(sample.period_ns, sample.value.motor_angle, sample.value.torque);
+}
+
+// Whether the command was taken; a way that is broken raises OSError.
+bool write_once(Io &io, double reference, double voltage, std::uint32_t tick, std::uint32_t mode, std::uint32_t reason,
+                std::uint32_t flags) {
+    const arm_command command = {reference, voltage, tick, mode, reason, flags};
+    const realtime_io way = io_of(io);
+    const int refused = way.write(way.self, &command);
+    if (io.failure) std::rethrow_exception(std::exchange(io.failure, nullptr));
+    if (refused < 0) throw std::system_error(EIO, std::generic_category());
+    return refused == 0;
+}
+
 // A virtual clock for some threads, or the one that another process keeps in a file; for none, the machine's.
 struct Clock {
     realtime_clock *clock;
@@ -256,7 +278,10 @@ void bind_realtime(nb::module_ &m) {
         .def_static("socket", &socket_io, nb::arg("file"), nb::arg("arm"), nb::arg("seal").none() = nb::none())
         .def_static("memory", [](int file, bool arm) { return channel_of(realtime_open_memory(file, arm)); })
         .def_static("library", &library)
-        .def_static("callables", &callables);
+        .def_static("callables", &callables)
+        .def("read", &read_once)
+        .def("write", &write_once)
+        .def_prop_ro("clocked", [](Io &io) { return io_of(io).clocked != 0; });
     nb::class_<Clock>(m, "RealtimeClock")
         .def(nb::init<int, int>(), nb::arg("threads"), nb::arg("file") = -1)
         .def("sleep", &Clock::sleep)

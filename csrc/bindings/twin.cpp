@@ -2,6 +2,7 @@
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 
+#include <cmath>
 #include <cstdint>
 #include <cstring>
 #include <vector>
@@ -85,12 +86,34 @@ nb::tuple sense(Vector rig_values, Vector input, Mutable state, Mutable gauge, M
     return nb::make_tuple(angle, torque);
 }
 
+// One period of an arm that a voltage drives, as realtime_arm.c has it: what acts leaves the queue, the twin moves on.
+// Returns tip angle, motor angle, speed and torque before it moved, and the voltage that acted.
+nb::tuple drive(Matrix transition, Vector hub, Vector tip, Matrix outputs, Vector rig_values, Mutable state,
+                Mutable gauge, Mutable voltage, Mutable sensed, Counters counters, double asked) {
+    const twin_step step = step_of(transition, hub, tip, outputs);
+    const twin_rig rig = rig_of(rig_values);
+    Memory buffers{state, gauge, voltage, sensed, counters, {}};
+    twin_memory memory = buffers.checked(rig, hub.size());
+    memory.voltage[rig.voltage_delay] = std::isfinite(asked) ? asked : 0.0;
+    const double acts = std::fmax(std::fmin(memory.voltage[0], rig.voltage_limit), -rig.voltage_limit);
+    std::memmove(memory.voltage, memory.voltage + 1, sizeof(double) * static_cast<std::size_t>(rig.voltage_delay));
+    const nb::tuple before = nb::make_tuple(twin_output(&step, 2, memory.state), twin_output(&step, 0, memory.state),
+                                            twin_output(&step, 1, memory.state), twin_output(&step, 3, memory.state),
+                                            acts);
+    for (int j = 0; j < rig.substeps; j++) {
+        twin_motor_step(&step, &rig, rig.torque_per_volt * acts, 0.0, &memory);
+    }
+    buffers.keep(memory);
+    return before;
+}
+
 }  // namespace
 
 void bind_twin(nb::module_ &m) {
     m.def("twin_march", &march, "March the linear twin; `state` is updated in place.");
     m.def("twin_run", &run, "Run the law on the twin; law and the buffers behind it are updated in place.");
     m.def("twin_sense", &sense, "Encoder and gauge as the controller reads them now.");
+    m.def("twin_drive", &drive, "One period of the twin under a voltage; the buffers are updated in place.");
     m.attr("TWIN_COLUMNS") = static_cast<int>(TWIN_COLUMNS);
     m.attr("TWIN_INPUTS") = static_cast<int>(TWIN_INPUTS);
 }

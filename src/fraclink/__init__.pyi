@@ -143,6 +143,7 @@ from fraclink._realtime.loop import run_realtime as run_realtime
 from fraclink._realtime.machine import WakeUps as WakeUps
 from fraclink._realtime.machine import measure_wake_ups as measure_wake_ups
 from fraclink._realtime.run import RealtimeRun as RealtimeRun
+from fraclink._realtime.simulated import SimulatedArm as SimulatedArm
 from fraclink._shape.move import ShapedMove as ShapedMove
 from fraclink._shape.procedure import shape as shape
 from fraclink._show.arm_page import write_arm_page as write_arm_page
@@ -192,6 +193,12 @@ from fraclink._systems.stability import StabilityVerdict as StabilityVerdict
 from fraclink._systems.stability import is_stable as is_stable
 from fraclink._systems.stability import norm as norm
 from fraclink._systems.stability import poles as poles
+from fraclink._tune.guard import MotionLimits as MotionLimits
+from fraclink._tune.moves import FirstMove as FirstMove
+from fraclink._tune.plan import TuningPlan as TuningPlan
+from fraclink._tune.procedure import tune as tune
+from fraclink._tune.tuning import Tuning as Tuning
+from fraclink._tune.wiring import Wiring as Wiring
 from fraclink._workflow import Scope as Scope
 from fraclink._workflow import Start as Start
 from fraclink._workflow import Study as Study

@@ -48,9 +48,10 @@ KeyFile = Annotated[Path | None, "File with a key of 16 bytes or more that both 
 Address = typer.Option(metavar="ADDRESS")
 
 
-def _connection(
+def connection_of(
     io: str, unsafe_remote: bool, key_file: Path | None
 ) -> realtime.Udp | realtime.SharedMemory | realtime.Library:
+    """Return the way to an arm that the options of a command name."""
     key = None if key_file is None else key_file.read_bytes()
     return realtime.parse_connection(io, unsafe_remote=unsafe_remote, key=key)
 
@@ -232,7 +233,7 @@ def run_realtime(
         wanted = _excitation(1.0 if amplitude is None else amplitude)
     else:
         wanted = reference_of(reference, amplitude, move_time)
-    connection = _connection(io, unsafe_remote, key_file)
+    connection = connection_of(io, unsafe_remote, key_file)
     law = _law(load_design(design_file, gear=gear), motor=motor)
     awake = realtime.measure_wake_ups(
         law.period, priority=options["priority"], lock_memory=options["lock_memory"]
@@ -292,7 +293,7 @@ def serve_arm(
 
     $ fraclink serve-arm design.json --io udp:127.0.0.1:5005 --once
     """
-    connection = _connection(io, unsafe_remote, key_file)
+    connection = connection_of(io, unsafe_remote, key_file)
     made, arm = load_arm(design_file, options)
     for finding in arm.findings:
         tell(str(finding))

@@ -52,13 +52,15 @@ class OverBox:
     solve: Callable[[Specification], tuple[Task, Controller] | None]
     measure: Callable[[Task, Controller, Specification], tuple[Requirement, ...]]
 
-    def aimed(self) -> tuple[Specification, tuple[Requirement, ...]]:
+    def aimed(self, *, nearest: bool = True) -> tuple[Specification, tuple[Requirement, ...]]:
         """Return what to ask for at the model, and what is then achieved over the whole box.
 
-        Raises InfeasibleError with the nearest request that is feasible over the box.
+        Raises InfeasibleError; with `nearest`, it names the nearest request that is feasible over the box.
         """
         found = self._aimed()
         if found is None:
+            if not nearest:
+                raise InfeasibleError("requirements over the box", "not kept by every arm of the box", {})
             self._refuse()
         return found
 

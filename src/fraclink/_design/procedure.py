@@ -53,6 +53,7 @@ def design(
     mode_gain: float | None = None,
     box: ParameterBox | bool | None = None,
     law: bool = True,
+    nearest: bool = True,
 ) -> Design:
     """Design ``C(s) = 1 + k_d s^β/(1 + δs)^n`` for every payload of a range (section 6, eqs. (54)–(57)).
 
@@ -107,6 +108,8 @@ def design(
     law
         whether to fit the law that ships, too, and say where it keeps less than the design in the sampled
         loop (W404, W408). The fit takes most of the time; without it nothing is said of the law.
+    nearest
+        False: a refusal does not search for the nearest request that is feasible, which takes seconds.
 
     Raises
     ------
@@ -142,18 +145,18 @@ def design(
         mode_gain=mode_gain,
     )
     try:
-        made = _designed_over(link, rig, spec, box) if box else _designed(link, rig, spec)
+        made = _designed_over(link, rig, spec, box, nearest) if box else _designed(link, rig, spec)
     except InfeasibleError as error:
-        nearest = error.nearest  # of a box it was found as a whole
-        if not box:
-            nearest = offered(nearest, spec, lambda trial: _misses(link, rig, trial))
+        offer = error.nearest  # of a box it was found as a whole
+        if nearest and not box:
+            offer = offered(offer, spec, lambda trial: _misses(link, rig, trial))
         explanation = error.explanation
-        if error.nearest and not nearest:
+        if error.nearest and not offer:
             explanation += "; but no request near that passes: it misses a bound, or its moves ring"
         # A payload in grams or the model of another arm is refused for reasons that hide the cause.
         doubts = "; ".join(finding.message for finding in doubts_of(rig, link, payloads or ()))
         explanation += f"; but {doubts}" if doubts else ""
-        raise InfeasibleError(error.condition, explanation, nearest) from error
+        raise InfeasibleError(error.condition, explanation, offer) from error
     made = made.doubted(getattr(model, "findings", ()))
     return made.warned_of_law() if law else made
 
@@ -216,7 +219,9 @@ def _designed(link: LinkModel, rig: Rig, spec: Specification) -> Design:
     )
 
 
-def _designed_over(link: LinkModel, rig: Rig, spec: Specification, box: ParameterBox | bool) -> Design:
+def _designed_over(
+    link: LinkModel, rig: Rig, spec: Specification, box: ParameterBox | bool, nearest: bool
+) -> Design:
     """The design that keeps a specification at every arm of a box."""
     if spec.margins == "ideal":
         problem, allowed = "given for the paper's loop, which has no gauge and no motor", 'margins="loop"'
@@ -235,7 +240,7 @@ def _designed_over(link: LinkModel, rig: Rig, spec: Specification, box: Paramete
         return None if found is None else (task, task.controller(*found))
 
     asked = task_of(link, rig, spec)
-    aim, requirements = OverBox(spec, arms, asked, solve, requirements_of).aimed()
+    aim, requirements = OverBox(spec, arms, asked, solve, requirements_of).aimed(nearest=nearest)
     made = _designed(link, rig, aim)
     return replace(
         made,

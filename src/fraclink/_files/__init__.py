@@ -83,7 +83,7 @@ _ENDINGS = {".json", ".npz", ".toml", ".csv"}
 _ZIP = b"PK"  # how every zip archive begins
 # Kind -> module that defines its class, so that reading one file imports what that file needs and no more.
 _HOMES = {
-    "campaign": "fraclink._campaign",
+    **dict.fromkeys(("campaign", "sweep"), "fraclink._campaign"),
     "certificate": "fraclink._certify",
     "comparison": "fraclink._compare",
     "design": "fraclink._design",
@@ -99,7 +99,7 @@ _HOMES = {
     "rig": "fraclink._arm.rig",
     "shaped-move": "fraclink._shape",
     "study": "fraclink._workflow.study",
-    "sweep": "fraclink._campaign",
+    **dict.fromkeys(("tuning", "tuned-link", "tuned-motor", "wiring"), "fraclink._tune"),
 }
 
 

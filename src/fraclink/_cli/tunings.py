@@ -1,0 +1,154 @@
+"""The command `tune`: an unknown arm, moved and measured until it has a law."""
+
+from __future__ import annotations
+
+import math
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from fraclink._cli.app import group
+from fraclink._cli.boards import Address, KeyFile, UnsafeRemote, connection_of
+from fraclink._cli.command import Answer, command
+from fraclink._cli.console import tell
+from fraclink._cli.options import PayloadRange, load_rig
+from fraclink._files import load, output_path
+from fraclink._tune import MotionLimits, Tuning, TuningPlan
+from fraclink._tune import tune as tune_arm
+from fraclink._tune.tuning import FILES
+from fraclink._validate import Between, Payload
+from fraclink.errors import FieldError
+
+__all__ = ["tune"]
+
+app = group()
+
+# What each limit is asked for with, in the unit of its option.
+_LIMITS = {
+    "angle_deg": "How far may the motor turn to each side of where the arm stands now [°]?",
+    "speed": "How fast may it turn at the gear's output [rad/s]?",
+    "torque": "How much torque may the gauge show [N·m]?",
+    "voltage": "How much voltage may the amplifier get [V]?",
+}
+
+
+@command(app)
+def tune(
+    io: Annotated[str, Address, "udp:HOST:PORT, shm:NAME or library:FILE.so"],
+    payload: Annotated[Payload | None, "Payload at the tip while it is tuned [kg]"] = None,
+    payloads: PayloadRange = None,
+    angle_deg: Annotated[
+        float | None,
+        Between(10.0, 5e4, "°"),
+        "Limit of the motor's angle to each side of where it stands",
+    ] = None,
+    speed: Annotated[float | None, "Limit of the motor's speed at the gear's output [rad/s]"] = None,
+    torque: Annotated[float | None, "Limit of the torque that the gauge shows [N·m]"] = None,
+    voltage: Annotated[float | None, "Limit of the voltage at the amplifier's input [V]"] = None,
+    rig: Annotated[
+        str | None, typer.Option(metavar="RIG"), "What is known of the arm, to compare scales with"
+    ] = None,
+    period_ms: Annotated[
+        float | None, Between(0.05, 1000.0, "ms"), "Period of a library's board; udp and shm state theirs"
+    ] = None,
+    out: Annotated[Path, "Folder for the results"] = Path("tuned"),
+    resume: Annotated[bool, "Go on behind the last stage that is whole"] = False,
+    yes: Annotated[bool, "Do not ask before the arm moves"] = False,
+    moves: Annotated[bool, "Make the first moves under the new law"] = True,
+    unsafe_remote: UnsafeRemote = False,
+    key_file: KeyFile = None,
+    force: bool = False,
+) -> Answer:
+    """Tune an unknown arm within limits: wiring, motor, link, design, proof, law and first moves.
+
+    Limits and payload that are not given are asked for; without them nothing moves. The plan is shown
+    first. Ctrl-C, a limit, a lost link or a wrong sign switches the drive off; the record is kept, and
+    --resume goes on. The arm needs its own watchdog and an emergency stop.
+
+    $ fraclink tune --io udp:127.0.0.1:5005 --payload 0.030
+    """
+    given = {"angle_deg": angle_deg, "speed": speed, "torque": torque, "voltage": voltage, "payload": payload}
+    if resume:
+        given = _as_before(out, given)
+    elif not force:
+        for name in FILES:
+            output_path(out / name, force=False)
+    values = {name: _asked(name, value) for name, value in given.items()}
+    carried = values.pop("payload")
+    limits = MotionLimits(
+        angle=math.radians(values["angle_deg"]),
+        **{name: values[name] for name in ("speed", "torque", "voltage")},
+    )
+    plan = TuningPlan(
+        limits,
+        carried,
+        payloads,
+        None if period_ms is None else period_ms / 1e3,
+        None if rig is None else load_rig(rig),
+    )
+    connection = connection_of(io, unsafe_remote, key_file)
+    tell(plan.text)
+    if not yes and not _confirmed():
+        return Answer(text="nothing was moved", passed=False)
+    found = tune_arm(connection, plan, out=out, resume=resume, force=force, moves=moves, begin=tell)
+    written = tuple(out / name for name in FILES if (out / name).is_file())
+    return Answer(found, found.passed, written=written, following=_following(found, io, out))
+
+
+def _following(found: Tuning, io: str, out: Path) -> str:
+    if found.has_law:
+        return f"fraclink run-realtime {out / 'design.json'} --io {io}"
+    if found.stopped:
+        return f"fraclink tune --io {io} --out {out} --resume"
+    return f"fraclink diagnose {out / 'log.npz'}"
+
+
+def _as_before(out: Path, given: dict[str, float | None]) -> dict[str, float | None]:
+    """The limits and the payload of the tuning that is resumed, where they are not given anew."""
+    if not (out / FILES[0]).is_file():
+        return given
+    known: Tuning = load(out / FILES[0], Tuning)
+    limits = known.limits
+    before: dict[str, Any] = {
+        "angle_deg": math.degrees(limits.angle),
+        "speed": limits.speed,
+        "torque": limits.torque,
+        "voltage": limits.voltage,
+        "payload": known.payload,
+    }
+    return {name: before[name] if value is None else value for name, value in given.items()}
+
+
+def _asked(name: str, value: float | None) -> float:
+    """The value, or the answer to its question; FieldError where there is nobody to ask."""
+    if value is not None:
+        return value
+    question = _LIMITS.get(name, "Which mass does the tip carry now [kg]?")
+    option = f"--{name.replace('_', '-')}"
+    if not (sys.stdin.isatty() and sys.stderr.isatty()):
+        allowed, remedy = "a number: nothing moves without it", f"give {option}"
+        raise FieldError(name, None, "missing", allowed=allowed, remedy=remedy)
+    while True:
+        try:
+            return float(_line(question))
+        except ValueError:
+            tell("a number, please")
+
+
+def _confirmed() -> bool:
+    if not (sys.stdin.isatty() and sys.stderr.isatty()):
+        allowed, remedy = "an answer, or --yes", "give --yes where nobody can be asked"
+        raise FieldError("yes", False, "not confirmed", allowed=allowed, remedy=remedy)
+    return _line("Go ahead? [no]").lower() in ("y", "yes")
+
+
+def _line(question: str) -> str:
+    sys.stderr.write(f"{question} > ")
+    sys.stderr.flush()
+    line = sys.stdin.readline()
+    if not line:
+        allowed, remedy = "an answer", "give the options"
+        raise FieldError("answer", "(end of input)", "missing", allowed=allowed, remedy=remedy)
+    return line.strip()

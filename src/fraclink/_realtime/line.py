@@ -1,0 +1,197 @@
+"""An arm one period at a time, for loops in Python that decide what comes next by what they just read."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import signal
+import threading
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+from fraclink import _kernels
+from fraclink._realtime.connections import Callback, Command, Connection, controller_end
+from fraclink._realtime.machine import check_machine, period_ns
+from fraclink.errors import FieldError, FraclinkError
+
+__all__ = ["ArmLine", "ArmLost", "Reading", "Stopped", "open_line"]
+
+_OFF = 4
+_LOOKS = 16  # in a period: the arrival is known to 6 % of it
+_LOST = 5  # samples in a row that may be missing, as law.c rides through
+_STOPS = 3  # one is lost on the way now and then
+_SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP")
+
+
+class Stopped(FraclinkError):
+    """A signal asked for the end; the drive is off."""
+
+    def __init__(self) -> None:
+        super().__init__("stopped by a signal; the drive is off")
+
+
+class ArmLost(FraclinkError):
+    """The arm sends no more samples; a stop was sent."""
+
+    def __init__(self, periods: int) -> None:
+        super().__init__(f"no sample in {periods} periods: the link to the arm is lost; a stop was sent")
+
+
+class Reading(NamedTuple):
+    """One sample: motor angle [rad], torque [N·m], and the periods since the one before (1: none lost)."""
+
+    angle: float
+    torque: float
+    periods: int
+
+
+class ArmLine:
+    """An open way to an arm; `exchange` gives a voltage and returns the next sample.
+
+    An arm with a clock of its own (udp, shm) sets the pace; the others are read on deadlines of `clock`.
+    """
+
+    def __init__(self, way: Any, period: float, clock: Any, signals: threading.Event) -> None:
+        self.period = period
+        self._way, self._clock, self._signals = way, clock, signals
+        self._tick = 0
+        self._due = clock.now + period
+        self._last = clock.now
+
+    def exchange(self, voltage: float) -> Reading:
+        """Give a voltage [V] and return the sample that comes next.
+
+        Raises `Stopped` after a signal, `ArmLost` where no sample came for five periods.
+        """
+        if self._signals.is_set():
+            raise Stopped
+        self._tick += 1
+        self._way.write(0.0, voltage, self._tick, 1, 0, 0)
+        periods, found = 0, None
+        while found is None:
+            periods += 1
+            if periods > _LOST:
+                raise ArmLost(_LOST)
+            found = self._awaited() if self._way.clocked else self._on_time()
+        return Reading(found[1], found[2], periods)
+
+    def _awaited(self) -> tuple[int, float, float] | None:
+        """The next sample of an arm that sends it; None where a period and a half brought none."""
+        last = self._clock.now + 1.5 * self.period
+        while (found := self._way.read()) is None or not math.isfinite(found[1]):
+            if self._clock.now > last:
+                return None
+            self._clock.sleep(self.period / _LOOKS)
+        return found  # type: ignore[no-any-return]
+
+    def _on_time(self) -> tuple[int, float, float] | None:
+        wait = self._due - self._clock.now
+        if wait > 0:
+            self._clock.sleep(wait)
+        self._due = max(self._due + self.period, self._clock.now)
+        found = self._way.read()
+        return None if found is None or not math.isfinite(found[1]) else found
+
+    def stop(self) -> None:
+        """Switch the drive off."""
+        for _ in range(_STOPS if self._way.clocked else 1):
+            self._tick += 1
+            self._way.write(0.0, 0.0, self._tick, _OFF, 0, 0)
+            if self._way.clocked:
+                self._clock.sleep(self.period)
+
+
+class _Called:
+    """A `Callback` behind the calls of the kernel's way, without the way through C and back."""
+
+    clocked = False
+
+    def __init__(self, connection: Callback) -> None:
+        self._read, self._write = connection.read, connection.write
+
+    def read(self) -> tuple[int, float, float] | None:
+        found = self._read()
+        return None if found is None else (0, *found)
+
+    def write(self, *values: Any) -> bool:
+        self._write(Command(*values))
+        return True
+
+
+class _NoClock:
+    """The clock of an arm in this process that has none: a period is over when it was asked for."""
+
+    now = 0.0
+
+    def sleep(self, seconds: float) -> None:
+        self.now += seconds
+
+
+@contextlib.contextmanager
+def open_line(
+    connection: Connection, period: float | None, *, patience: float = 5.0, clock: Any = None
+) -> Iterator[tuple[ArmLine, Reading]]:
+    """Open the way to an arm; yields the line and the first sample. However it ends, a stop is sent.
+
+    `period` [s] may be None for an arm that states its own; FieldError where neither does, or they differ.
+    `clock` may be a `VirtualClock`, or "none" for an arm in this process that lives by its calls alone.
+    """
+    check_machine()
+    time = _NoClock() if clock == "none" else clock or _kernels.RealtimeClock(0)
+    with contextlib.ExitStack() as stack:
+        signals = stack.enter_context(_noted_signals())
+        if isinstance(connection, Callback):
+            way: Any = _Called(connection)
+        else:
+            way = stack.enter_context(controller_end(connection, patience))
+        first = _first_sample(way, connection, period, patience, time, signals)
+        line = ArmLine(way, 1e-9 * first[0] if first[0] else period or 0.0, time, signals)
+        try:
+            yield line, Reading(first[1], first[2], 1)
+        finally:
+            line.stop()
+
+
+def _first_sample(
+    way: Any,
+    connection: Connection,
+    period: float | None,
+    patience: float,
+    clock: Any,
+    signals: threading.Event,
+) -> tuple[int, float, float]:
+    last, look = clock.now + patience, (period or 0.004) / _LOOKS
+    while (found := way.read()) is None or not math.isfinite(found[1]):
+        if signals.is_set():
+            raise Stopped
+        way.write(0.0, 0.0, 0, 0, 0, 0)  # idle: how an arm learns whom to send its samples to
+        if clock.now > last:
+            problem = f"silent: no sample in {patience:g} s"
+            remedy = "start the arm first (`fraclink serve-arm`), or check the board"
+            raise FieldError("io", str(connection), problem, allowed="an arm that answers", remedy=remedy)
+        clock.sleep(look)
+    if period is None and not found[0]:
+        allowed, remedy = "the board's sampling period [s]", "give --period-ms"
+        raise FieldError("period", None, "not stated by this board", allowed=allowed, remedy=remedy)
+    if period is not None and found[0] and period_ns(period) != found[0]:
+        allowed, remedy = f"{1e-9 * found[0]:g} s", "leave it out: this arm states its own"
+        raise FieldError("period", period, "not the arm's", allowed=allowed, remedy=remedy)
+    return found  # type: ignore[no-any-return]
+
+
+@contextlib.contextmanager
+def _noted_signals() -> Iterator[threading.Event]:
+    """Note signals that would end or stop the process instead of obeying them; elsewhere than in the main
+    thread Python delivers none.
+    """
+    noted = threading.Event()
+    if threading.current_thread() is not threading.main_thread():
+        yield noted
+        return
+    numbers = [getattr(signal, name) for name in _SIGNALS]
+    before = {number: signal.signal(number, lambda *_: noted.set()) for number in numbers}
+    try:
+        yield noted
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

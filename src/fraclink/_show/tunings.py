@@ -1,0 +1,69 @@
+"""What people see of a tuning: the verdict, what was measured, and the moves, promised beside measured."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+from fraclink._show.text import Row, Table, View, number
+
+if TYPE_CHECKING:
+    from fraclink._tune import Tuning
+
+__all__ = ["tuning_view"]
+
+
+def tuning_view(made: Tuning) -> View:
+    """The three scopes, what was measured with how sure it is, and the first moves."""
+    verdict = made.verdict
+    tables = [Table(("what", "found", "± standard error"), tuple(_measured(made)))] if made.wiring else []
+    if made.moves:
+        rows = tuple(
+            (
+                f"{number(math.degrees(move.amplitude), 3)}° in {number(move.duration, 3)} s",
+                f"{move.promised_settling:.2f} / {move.measured_settling:.2f}",
+                f"{1e3 * move.promised_residual:.1f} / {1e3 * move.measured_residual:.1f}",
+                number(1e3 * move.jump, 2),
+                number(move.peak_voltage, 3),
+            )
+            for move in made.moves
+        )
+        header = ("move", "settles, promised / measured [s]", "residual, promised / measured [mrad]")
+        tables.append(Table((*header, "hand-over [mrad]", "peak [V]"), rows))
+    scopes = tuple((name, scope.state, "; ".join(scope.reasons)) for name, scope in verdict.scopes.items())
+    tables.append(Table(("scope", "state", "why"), scopes))
+    time = f"{made.arm_time:.0f} s of the arm, {made.computing:.1f} s of computing"
+    headline = (
+        f"stopped: {made.stopped}" if made.stopped else f"{made.attempts} experiments on the link, {time}"
+    )
+    return View(headline, tuple(tables), made.wiring.evidence if made.wiring else (), verdict.state)
+
+
+def _measured(made: Tuning) -> Iterator[Row]:
+    if made.motor is not None:
+        fit, errors = (made.link.motor if made.link else made.motor).fit, made.motor.fit.standard_errors
+        yield "K/J [rad/(s²·V)]", number(fit.gain), number(errors["gain"], 2)
+        yield "ν/J [1/s]", number(fit.decay), number(errors["decay"], 2)
+        yield (
+            "friction [V]",
+            number(fit.coulomb_voltage + fit.dead_zone),
+            number(errors["coulomb_voltage"], 2),
+        )
+        yield "delay of the voltage [ms]", number(1e3 * fit.delay, 3), ""
+        yield "motor loop [rad/s]", number(made.motor.loop.pole), ""
+    if made.link is not None:
+        model, found = made.link.fit.model, made.link.fit.standard_errors
+        for name, word in (
+            ("natural_frequency", "ω₀ [s^(−λ/2)]"),
+            ("order", "λ"),
+            ("damping", "μ"),
+        ):
+            if name in found:
+                yield word, number(getattr(model, name)), number(found[name], 2)
+        yield "torque over bend [N·m/rad]", number(model.stiffness), number(found.get("gain"), 2)
+        late = found.get("delay")
+        yield "delay of the gauge [ms]", number(1e3 * model.gauge_delay, 3), number(late and 1e3 * late, 2)
+        mode = model.second_mode
+        if mode is not None:
+            yield "second mode [rad/s]", number(mode.frequency), ""

@@ -1,0 +1,175 @@
+"""The link: an excitation that is planned from the errors of the last fit and grows until they suffice."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+from fraclink._arm.experiment import Experiment
+from fraclink._arm.rig import Motor
+from fraclink._files import document
+from fraclink._identify import Fit, design_experiment, identify, identify_motor, simulated_torque
+from fraclink._tune.guard import PLANNED, Guard, Record
+from fraclink._tune.motion import follow, motor_law, random_steps
+from fraclink._tune.motor import MotorResult
+from fraclink._tune.wiring import Wiring
+from fraclink.errors import FraclinkError, InfeasibleError, LogError
+
+__all__ = ["LinkResult", "experiment_of", "loaded_motor", "tune_link"]
+
+# Standard errors that suffice: their 95 % intervals are a third of what a rig's usual tolerances add anyway,
+# 0.03 of λ, 1.5 % of ω₀, 5 % of the gauge's gain, 2 ms of its delay.
+ENOUGH = {"order": 0.005, "natural_frequency": 0.0025, "gain": 0.008, "delay": 0.3e-3}
+_DURATION, _LONGEST = 10.0, 20.0  # [s] of one excitation
+_LARGER = 3.0  # the most by which an excitation grows at once
+_LEAST = 0.04  # [rad], 2.3°: below it friction and encoder make more of the motion than the reference
+_ROUNDS = 3
+_COMPENSATED = 0.8  # of the friction: more than there is would drive
+_RINGING = 6.0  # [s] at most that an arm is waited for
+
+
+@document("tuned-link")
+@dataclass(frozen=True, eq=False)
+class LinkResult:
+    """The link's fit, the motor with the link's own torque, and what each excitation gave.
+
+    `rounds` has (amplitude [rad], duration [s], standard error of λ) of each excitation.
+    """
+
+    fit: Fit
+    motor: MotorResult
+    rounds: tuple[tuple[float, float, float], ...]
+
+
+def tune_link(
+    guard: Guard,
+    wiring: Wiring,
+    motor: MotorResult,
+    payload: float,
+    *,
+    begin: Record | None = None,
+    longer: float = 1.0,
+) -> tuple[LinkResult, Record]:
+    """Excite the link until every standard error suffices, or the limits are reached.
+
+    `begin` is what the motor stage recorded, from which the first excitation is planned; `longer` stretches
+    every excitation, for an experiment that is repeated.
+    """
+    limits, period = guard.limits, guard.period
+    fit = None if begin is None else _first_fit(begin)
+    law = motor_law(motor.gain, motor.loop, guard, friction=_COMPENSATED * motor.friction)
+    reach, bit = _planned(fit, wiring, motor, guard)
+    rounds: list[tuple[float, float, float]] = []
+    duration = min(_DURATION * longer, _LONGEST)
+    for _ in range(_ROUNDS):
+        rise = max(2 * 1.875 * reach / (PLANNED * limits.speed), 3.0 / motor.loop.pole, 6 * period)
+        bits = max(8, math.floor(duration / max(bit, 1.2 * rise)))
+        guard.quiet(wiring.gauge_noise, _RINGING)  # a log begins at rest, or its first seconds fit nothing
+        record = follow(guard, law, random_steps(reach, max(bit, 1.2 * rise), rise, bits, period))
+        guard.release()
+        fit = identify(experiment_of(record, payload))
+        short = shortfall(fit)
+        rounds.append((reach, record.duration, fit.standard_errors.get("order", math.nan)))
+        if short <= 1.0 and fit.passed:
+            break
+        most = min(
+            PLANNED * limits.angle / reach,
+            PLANNED * limits.torque / float(abs(record.torque).max()),
+            PLANNED * limits.voltage / float(abs(record.voltage).max()),
+        )
+        if most < 1.1 and duration >= _LONGEST:
+            break
+        grown = min(max(1.2 * short, 1.2), _LARGER, max(most, 1.0))
+        # What the amplitude may not give, the length must: errors fall with its root.
+        duration = min(duration * max(1.0, (1.2 * short / grown) ** 2), _LONGEST)
+        reach *= grown
+        bit = math.pi / (0.7 * _resonance(fit.model.natural_frequency, fit.model.order))
+    assert fit is not None  # noqa: S101  # there was a round
+    return LinkResult(fit, loaded_motor(motor, record, fit), tuple(rounds)), record
+
+
+def shortfall(fit: Fit) -> float:
+    """The largest standard error over what suffices; relative errors where the table's are."""
+    errors, model = fit.standard_errors, fit.model
+    scale = {"order": 1.0, "delay": 1.0, "natural_frequency": model.natural_frequency, "gain": abs(fit.gain)}
+    found = [errors[name] / scale[name] / most for name, most in ENOUGH.items() if name in errors]
+    return max(found, default=math.inf)
+
+
+def experiment_of(record: Record, payload: float | None) -> Experiment:
+    """The record as a log."""
+    return Experiment(
+        period=record.period,
+        motor_angle=record.angle,
+        output=record.torque,
+        payload=payload,
+        voltage=record.voltage,
+        source="tuning",
+    )
+
+
+def loaded_motor(motor: MotorResult, record: Record, fit: Fit) -> MotorResult:
+    """The motor with the inertia that the link's torque shows, in the gauge's units.
+
+    The torque is the model's, which is neither noisy nor late: a regressor with errors loses part of its
+    slope, and the inertia would come out small.
+    """
+    try:
+        found = identify_motor(
+            record.voltage,
+            record.angle,
+            period=record.period,
+            torque=simulated_torque(fit.model, record.angle, record.period, hold="first"),
+        )
+    except LogError:
+        return motor
+    if found.inertia is None or found.inertia <= 0:
+        return motor
+    fitted = replace(
+        motor.fit,
+        inertia=found.inertia,
+        coulomb_torque=motor.fit.coulomb_voltage * motor.fit.gain * found.inertia,
+        standard_errors=motor.fit.standard_errors | {"inertia": found.standard_errors["inertia"]},
+    )
+    return replace(motor, fit=fitted)
+
+
+def _first_fit(record: Record) -> Fit | None:
+    try:
+        return identify(experiment_of(record, None), "UD-FOM", details=False)
+    except FraclinkError:
+        return None
+
+
+def _resonance(frequency: float, order: float) -> float:
+    return math.exp(2.0 / order * math.log(frequency))
+
+
+def _planned(fit: Fit | None, wiring: Wiring, motor: MotorResult, guard: Guard) -> tuple[float, float]:
+    """Amplitude [rad] and bit [s] of the first excitation: the smallest that is expected to suffice."""
+    limits = guard.limits
+    if fit is None:
+        return 0.05, math.pi / (0.7 * wiring.natural_frequency)
+    inertia = motor.fit.inertia or 1.0
+    known = Motor(
+        inertia=inertia,
+        viscous_friction=motor.fit.decay * inertia,
+        torque_constant=motor.fit.gain * inertia,
+        voltage_limit=PLANNED * limits.voltage,
+    )
+    try:
+        plan = design_experiment(
+            fit.model,
+            standard_error=ENOUGH["order"] / 1.5,
+            noise=max(wiring.gauge_noise, 1e-9),
+            period=guard.period,
+            duration=_DURATION,
+            motor=known,
+            deflection_limit=PLANNED * limits.torque / abs(fit.gain),
+            inner_pole=motor.loop.pole,
+        )
+        reach, bit = plan.amplitude, plan.bit
+    except InfeasibleError:
+        reach, bit = 0.05, None
+    resonance = _resonance(fit.model.natural_frequency, fit.model.order)
+    return min(max(1.5 * reach, _LEAST), PLANNED * limits.angle), bit or math.pi / (0.7 * resonance)

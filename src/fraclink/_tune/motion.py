@@ -1,0 +1,202 @@
+"""Moving the arm in the motor loop: law.c with its correction left out, and references within the limits."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink import _kernels
+from fraclink._arm.link import LinkModel
+from fraclink._arm.motor_loop import MotorGain, MotorLoop, SampledMotorLoop
+from fraclink._arm.reference import hold, prbs, smooth_step
+from fraclink._law import MODES, REASONS, Law
+from fraclink._law.block import Drive, Modes
+from fraclink._law.discretization import COULOMB_SPEED
+from fraclink._law.limits import Moves, derive_limits
+from fraclink._tune.guard import Guard, Record
+from fraclink.errors import FieldError, FraclinkError
+
+__all__ = ["LawTripped", "fastest_loop", "follow", "motor_law", "random_moves", "random_steps"]
+
+Real = NDArray[np.float64]
+
+_POLES = (
+    80.0,
+    70.0,
+    60.0,
+    55.0,
+    50.0,
+    45.0,
+    40.0,
+    35.0,
+    30.0,
+    25.0,
+    20.0,
+    15.0,
+    12.0,
+    10.0,
+    8.0,
+    6.0,
+    5.0,
+    4.0,
+)
+_FREE = 1e6  # where the guard watches, and not the law
+
+
+class LawTripped(FraclinkError):
+    """A guard of the control law tripped; the drive is off."""
+
+
+class Follower:
+    """law.c from one period to the next: a reference and a reading in, a voltage out."""
+
+    def __init__(self, law: Law, payload: float = 0.0) -> None:
+        self._law, self._state = law, law.initial_state()
+        self._tick = 0
+        self._signals, self._outputs = np.zeros((5, 1)), np.empty((5, 1))
+        self._signals[4, 0] = payload
+        self._marks, self._ticks = np.empty((3, 1), dtype=np.uint32), np.zeros(1, dtype=np.uint32)
+        self.flags = 0
+
+    @property
+    def tip_estimate(self) -> float:
+        """θm − Γ/c of the last period [rad]."""
+        return float(self._outputs[3, 0])
+
+    def step(
+        self, reference: float, acceleration: float, angle: float, torque: float, periods: int = 1
+    ) -> float:
+        """Return the voltage [V]; `LawTripped` where the law switches off."""
+        self._tick += periods
+        self._ticks[0] = self._tick
+        self._signals[:4, 0] = reference, acceleration, angle, torque
+        single = self._law.precision == "single"
+        self._state = _kernels.law_run(
+            self._law.block, self._state, self._ticks, self._signals, self._outputs, self._marks, single
+        )
+        self.flags, mode, reason = (int(value) for value in self._marks[:, 0])
+        if mode >= MODES.index("degraded"):
+            raise LawTripped(f"the law went to mode {MODES[mode]}: {REASONS[reason]}; the drive is off")
+        return float(self._outputs[1, 0])
+
+
+def motor_law(motor: MotorGain, loop: MotorLoop, guard: Guard, *, friction: float = 0.0) -> Law:
+    """The law of the motor loop alone: no correction, no feed-forward, no use of the gauge.
+
+    `friction` [V] is compensated.
+    """
+    limits, period, pole = guard.limits, guard.period, loop.pole
+    moves = Moves(2 * limits.angle, limits.speed, max(4 * limits.speed * pole, 1.0))
+    # Any link will do: its thresholds are lifted, as the guard has the user's own.
+    derived = derive_limits(LinkModel(1.0, 10.0, 1.9), period, moves, pole=pole)
+    free = replace(
+        derived,
+        torque_limit=_FREE,
+        torque_step=_FREE,
+        torque_trip=_FREE,
+        torque_block=_FREE,
+        stuck_torque=_FREE,
+        residual_angle=_FREE,
+        frozen_angle=_FREE,
+    )
+    return Law(
+        period=period,
+        precision="double",
+        stiffness=1.0,
+        correction=Modes(0.0),
+        feedforward=Modes(0.0),
+        inner_pole=pole,
+        limits=free,
+        drive=Drive(
+            loop=loop.pid(motor, period),
+            voltage_limit=limits.voltage,
+            torque_voltage=0.0,
+            coulomb_voltage=friction,
+            coulomb_speed=COULOMB_SPEED,
+        ),
+    )
+
+
+def fastest_loop(
+    motor: MotorGain, delay: float, period: float, *, ratios: tuple[float, ...], margin: float, most: float
+) -> MotorLoop:
+    """The fastest motor loop that keeps its distance from −1 on motors with `ratios` times that gain.
+
+    Its poles are placed in z with the delay inside the equation: at the same pole this leaves three times the
+    distance that a discretised PID does.
+    """
+    frequency = np.geomspace(1e-2, math.pi / period, 600)
+    samples = max(1, round(delay / period))
+    for pole in _POLES:
+        loop = MotorLoop(pole, samples, "sampled", "direct")
+        if pole <= most and all(_keeps(loop, motor, ratio, period, frequency, margin) for ratio in ratios):
+            return loop
+    raise FraclinkError(
+        f"no motor loop keeps a distance of {margin:g} from -1 with a delay of {1e3 * delay:.3g} ms at a "
+        f"period of {1e3 * period:.3g} ms: shorten the delay or the period"
+    )
+
+
+def _keeps(
+    loop: MotorLoop, motor: MotorGain, ratio: float, period: float, frequency: Real, margin: float
+) -> bool:
+    try:
+        pid = loop.pid(motor, period)
+    except FieldError:
+        return False
+    true = SampledMotorLoop(pid, MotorGain(motor.gain * ratio, motor.decay), loop.delay_samples)
+    if float(np.max(np.abs(true.poles()))) >= 1.0:
+        return False
+    return float(np.min(np.abs(1.0 + true.loop_gain(frequency)))) >= margin
+
+
+def follow(
+    guard: Guard, law: Law, path: Real, *, follower: Follower | None = None, origin: float | None = None
+) -> Record:
+    """Let the law follow a reference, rows angle [rad] and acceleration [rad/s²].
+
+    The reference counts from `origin`, or from where the arm stands.
+    """
+    here = guard.connect().angle
+    start, origin = guard.count, here if origin is None else origin
+    runs = follower or Follower(law)
+    for angle, acceleration in path.T.tolist():
+        reading = guard.reading
+        guard.step(runs.step(origin + angle, acceleration, reading.angle, guard.torque, reading.periods))
+    return guard.record(start)
+
+
+def random_moves(reach: float, speed: float, duration: float, period: float, *, seed: int) -> Real:
+    """Smooth moves between random angles within ± reach [rad], rest to rest, at most at `speed` [rad/s]."""
+    random = np.random.default_rng(seed)
+    at, parts, total = 0.0, [], 0.0
+    while total < duration:
+        to = float(random.uniform(0.3, 1.0) * reach) * (-1.0 if at > 0 else 1.0)
+        last = total > duration - 1.0
+        to = 0.0 if last else to
+        time = max(1.875 * abs(to - at) / (speed * random.uniform(0.5, 1.0)), 8 * period)
+        move = smooth_step(to - at, time)
+        grid = period * np.arange(math.ceil(time / period))
+        parts.append(np.array([at + move.angle(grid), move.acceleration(grid)]))
+        at, total = to, total + time
+        if last:
+            break
+    parts.append(np.tile([[at], [0.0]], (1, round(0.3 / period))))
+    return np.concatenate(parts, axis=1)
+
+
+def random_steps(reach: float, bit: float, rise: float, bits: int, period: float) -> Real:
+    """A pseudo-random binary sequence of ± reach [rad] whose edges are smooth moves of `rise` [s]."""
+    levels = prbs(reach, bit, bits=bits, register=9).coefficients[:-1, 0]
+    count = max(round(bit / period), 2)
+    grid = period * np.arange(count)
+    parts, at = [np.zeros((2, round(0.2 / period)))], 0.0
+    for to in (*levels.tolist(), 0.0):
+        move = smooth_step(to - at, min(rise, bit)) if to != at else hold(0.0)
+        parts.append(np.array([at + move.angle(grid), move.acceleration(grid)]))
+        at = to
+    parts.append(np.zeros((2, round(0.3 / period))))
+    return np.concatenate(parts, axis=1)

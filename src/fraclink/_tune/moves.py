@@ -1,0 +1,200 @@
+"""The first moves under the new law: a tenth of the speed, then all of it, promised against measured."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink._arm.reference import Path, hold, sampled, smooth_step
+from fraclink._design import Design
+from fraclink._law import Law
+from fraclink._simulate.simulate import simulate
+from fraclink._tune.guard import PLANNED, Guard, MotionLimits, Record
+from fraclink._tune.motion import Follower, follow, motor_law
+from fraclink._tune.motor import MotorResult
+
+__all__ = ["FirstMove", "first_moves", "planned_move"]
+
+Real = NDArray[np.float64]
+
+_BAND = 0.02  # of the move, as everywhere
+_AFTER = 2.5  # [s] watched after a reference has come to rest
+_SLOW = 10.0
+_SEEDS = (0, 1, 2)
+_TIMES = 3  # the full move: one record's noise moves its settling time by a sample's band
+_SPEED_TIME = 0.016  # [s] over which a speed is taken
+_LAST = 0.6  # [s] at the end of a record that show the noise and the final angle
+
+
+@dataclass(frozen=True)
+class FirstMove:
+    """One move: what the model promised and what the arm did, by the same estimate of the tip.
+
+    Parameters
+    ----------
+    amplitude, duration
+        of the reference [rad], [s].
+    promised_settling, measured_settling
+        time from which the tip stays within 2 % of the move, or within the noise where that is more [s].
+    promised_residual, measured_residual
+        half the peak-to-peak angle of the tip in the half second after the reference came to rest [rad].
+    measured_noise
+        standard deviation of the motor angle at the end [rad].
+    jump
+        of the motor angle when the law took over [rad].
+    peak_voltage, peak_torque, peak_speed
+        [V], [N·m], [rad/s].
+    """
+
+    amplitude: float
+    duration: float
+    promised_settling: float
+    measured_settling: float
+    promised_residual: float
+    measured_residual: float
+    measured_noise: float
+    jump: float
+    peak_voltage: float
+    peak_torque: float
+    peak_speed: float
+
+    def __str__(self) -> str:
+        return (
+            f"{math.degrees(self.amplitude):.3g}° in {self.duration:.3g} s: promised "
+            f"{self.promised_settling:.2f} s, measured {self.measured_settling:.2f} s"
+        )
+
+
+def planned_move(design: Design, law: Law, limits: MotionLimits, payload: float) -> tuple[float, float]:
+    """Amplitude [rad] and duration [s] of the fastest quintic move that the model makes within the limits."""
+    amplitude = PLANNED * limits.angle
+    duration = max(1.875 * amplitude / (0.8 * PLANNED * limits.speed), 0.2)
+    for _ in range(20):
+        run = _simulated(design, law, smooth_step(amplitude, duration), payload, seed=0, noise=0.0)
+        speed = float(np.max(np.abs(run[0][4:] - run[0][:-4]))) / (4 * law.period)
+        parts = (
+            speed / limits.speed,
+            float(np.max(np.abs(run[1]))) / limits.torque,
+            float(np.max(np.abs(run[2]))) / limits.voltage,
+            float(np.max(np.abs(run[0]))) / limits.angle,
+        )
+        if max(parts) <= _WITHIN:
+            return amplitude, duration
+        if parts[3] == max(parts):
+            amplitude *= 0.9
+        else:
+            duration *= 1.15
+    return amplitude, duration
+
+
+_WITHIN = 0.75
+
+
+def first_moves(
+    guard: Guard, design: Design, law: Law, motor: MotorResult, payload: float
+) -> tuple[FirstMove, ...]:
+    """Hand over from the motor's loop to the law, move at a tenth of the speed, then back at full speed."""
+    amplitude, duration = planned_move(design, law, guard.limits, payload)
+    sign = -1.0 if guard.connect().angle - guard.origin > 0 else 1.0
+    found = []
+    for slower, times in ((_SLOW, 1), (1.0, _TIMES)):
+        records = []
+        for _ in range(times):
+            path = smooth_step(sign * amplitude, slower * duration)
+            guard.release()
+            records.append((path, *_moved(guard, law, motor, path, payload)))
+            sign = -sign
+        guard.release()
+        promised = [_simulated(design, law, path, payload, seed=seed) for seed in _SEEDS]
+        found.append(_compared(design, records, path, promised))
+    return tuple(found)
+
+
+def _moved(guard: Guard, law: Law, motor: MotorResult, path: Path, payload: float) -> tuple[Record, float]:
+    """The record of a move, and how far the arm moved in the fifth of a second after the hand-over."""
+    period = guard.period
+    guard.rest(0.6)
+    rest = motor_law(motor.gain, motor.loop, guard)
+    follow(guard, rest, np.zeros((2, round(0.2 / period))))
+    before = guard.angle
+    runs, count = Follower(law, payload), round(0.2 / period)
+    waited = follow(guard, law, np.zeros((2, count)), follower=runs)
+    jump = float(np.max(np.abs(waited.angle - before)))
+    table = sampled(path, period, math.ceil((path.duration + _AFTER) / period))
+    # The reference counts from where the arm stands when the move begins.
+    return follow(guard, law, table[[0, 2]], follower=runs, origin=guard.origin + before), jump
+
+
+def _simulated(
+    design: Design, law: Law, path: Path, payload: float, *, seed: int, noise: float | None = None
+) -> tuple[Real, Real, Real]:
+    """Motor angle, torque and voltage of the same move on the model, as the sensors show them."""
+    run = simulate(
+        law,
+        path if path.duration > 0 else hold(0.0),
+        rig=design.rig,
+        model=design.model,
+        payload=payload,
+        told=True,
+        duration=path.duration + _AFTER,
+        compensation="measured",
+        seed=seed,
+        noise=noise,
+    )
+    return run.motor_angle_measured, run.torque_measured, run.voltage
+
+
+def _compared(
+    design: Design,
+    records: list[tuple[Path, Record, float]],
+    path: Path,
+    promised: list[tuple[Real, Real, Real]],
+) -> FirstMove:
+    """The median of some moves, beside the median of the same move on the model with other noises."""
+    amplitude = float(path.angle(path.duration))
+    measured = [
+        _judged(r.angle - r.angle[0], r.torque, float(p.angle(p.duration)), path.duration, design)
+        for p, r, _ in records
+    ]
+    expected = [_judged(a, t, amplitude, path.duration, design) for a, t, _ in promised]
+    record = records[-1][1]
+    lag = round(_SPEED_TIME / record.period)
+    return FirstMove(
+        amplitude=amplitude,
+        duration=path.duration,
+        promised_settling=_median(expected, 0),
+        measured_settling=_median(measured, 0),
+        promised_residual=_median(expected, 1),
+        measured_residual=_median(measured, 1),
+        measured_noise=float(np.std(record.angle[-round(_LAST / record.period) :])),
+        jump=max(jump for *_, jump in records),
+        peak_voltage=max(float(np.max(np.abs(r.voltage))) for _, r, _ in records),
+        peak_torque=max(float(np.max(np.abs(r.torque))) for _, r, _ in records),
+        peak_speed=max(float(np.max(np.abs(r.angle[lag:] - r.angle[:-lag]))) for _, r, _ in records)
+        / (lag * record.period),
+    )
+
+
+def _median(pairs: list[tuple[float, float]], place: int) -> float:
+    return float(np.median([pair[place] for pair in pairs]))
+
+
+def _judged(angle: Real, torque: Real, amplitude: float, ends: float, design: Design) -> tuple[float, float]:
+    """Settling time and residual vibration of the tip estimate, smoothed over a quarter of a vibration."""
+    model, rig, period = design.model, design.rig, design.rig.period
+    late = round(max(model.gauge_delay, 0.0) / period)
+    bend = torque[late:] / model.stiffness
+    tip = angle[: bend.size] - (bend - float(np.mean(bend[-round(_LAST / period) :])))
+    width = max(3, round(0.5 * math.pi / abs(model.pole) / period))
+    smooth = np.convolve(np.pad(tip, (width, width), "edge"), np.full(width, 1 / width), "same")[width:-width]
+    # The gauge's noise is left in the estimate: a band below it would never be kept.
+    noise = rig.gauge.noise / model.stiffness / math.sqrt(width)
+    band = max(_BAND * abs(amplitude), 3.5 * noise)
+    final = float(np.mean(smooth[-round(_LAST / period) :]))
+    outside = np.flatnonzero(np.abs(smooth - final) > band)
+    begin = round(ends / period)
+    ringing = smooth[begin : begin + round(0.5 / period)]
+    return (period * float(outside[-1] + 1) if outside.size else 0.0), 0.5 * float(np.ptp(ringing))

@@ -1,0 +1,286 @@
+"""`tune`: from an unknown arm to a law, stage by stage; each is written before the next begins."""
+
+from __future__ import annotations
+
+import itertools
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from fraclink._arm.experiment import Experiment
+from fraclink._files import load, output_path, save
+from fraclink._realtime.connections import Connection
+from fraclink._realtime.line import open_line
+from fraclink._tune.build import Built, build_law, measured_rig
+from fraclink._tune.guard import Guard
+from fraclink._tune.link import LinkResult, shortfall, tune_link
+from fraclink._tune.motor import tune_motor
+from fraclink._tune.moves import first_moves
+from fraclink._tune.plan import TuningPlan
+from fraclink._tune.tuning import FILES, Tuning
+from fraclink._tune.wiring import Wiring, check_wiring
+from fraclink._validate import checked
+from fraclink.errors import FieldError, FraclinkError
+
+__all__ = ["tune"]
+
+EXPERIMENTS = 3  # at most, where a gate or the proof fails
+_OTHER_ARM = 0.35  # of the first guesses, which scatter by a tenth, between a tuning and its resumption
+
+
+@checked
+def tune(
+    connection: Connection,
+    plan: TuningPlan,
+    *,
+    out: Path = Path("tuned"),
+    resume: bool = False,
+    force: bool = False,
+    moves: bool = True,
+    begin: Callable[[str], None] = lambda stage: None,
+    clock: Any = None,
+) -> Tuning:
+    """Tune an arm: wiring, motor, link, design, proof, law and first moves, within limits that are kept.
+
+    Every stage is written to `out` when it is whole. A limit, a wrong sign, a lost link or a signal switches
+    the drive off and ends the tuning; its reason is in the result, its record in ``log.npz``.
+
+    Parameters
+    ----------
+    connection
+        how the arm is reached, e.g. ``parse_connection("udp:127.0.0.1:5005")``.
+    plan
+        limits, payload, and what else is known; ``plan.text`` says what will happen.
+    out
+        folder for the results.
+    resume
+        go on behind the last stage that is whole; the wiring is looked at again in any case.
+    force
+        overwrite an earlier tuning.
+    moves
+        whether to make the first moves under the new law.
+    begin
+        called with a sentence as each stage begins, and with what it found.
+    clock
+        a `VirtualClock`, or "none" for a `SimulatedArm`, which lives by its calls.
+
+    Raises
+    ------
+    FieldError
+        a value out of its range, an arm that does not answer, files that are there, nothing to resume.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import fraclink as fl
+    >>> arm = fl.SimulatedArm(fl.Twin.from_rig(fl.Rig.named("paper-2023-geared")), 0.004, seed=1)
+    >>> limits = fl.MotionLimits(angle=0.6, speed=4.0, torque=2.0, voltage=10.0)
+    >>> plan = fl.TuningPlan(limits, payload=0.030, period=0.004)
+    >>> tuned = fl.tune(arm.callback, plan, out=tempfile.mkdtemp(), moves=False, clock="none")
+    >>> tuned.has_law, round(tuned.link.fit.model.order, 2)
+    (True, 1.92)
+    """
+    before = _resumed(out, plan) if resume else None
+    if not resume:
+        for name in FILES:
+            output_path(out / name, force=force)
+    out.mkdir(parents=True, exist_ok=True)
+    guard: Guard | None = None
+    session = _Session(connection, plan, out, moves, begin, clock, before)
+    try:
+        guard = session.open()
+        session.go(guard)
+    except (FraclinkError, OSError, KeyboardInterrupt) as error:
+        if guard is None:
+            raise
+        session.end(str(error) or "stopped by Ctrl-C; the drive is off")
+    finally:
+        if guard is not None:
+            guard.release()
+            session.keep(guard)
+    return session.state
+
+
+def _resumed(out: Path, plan: TuningPlan) -> Tuning:
+    place = out / FILES[0]
+    if not place.is_file():
+        allowed = f"a folder with {FILES[0]}"
+        raise FieldError(
+            "resume", str(out), "nothing to resume", allowed=allowed, remedy="leave --resume out"
+        )
+    found: Tuning = load(place, Tuning)
+    if found.payload != plan.payload:
+        remedy = "resume with the same payload, or tune anew"
+        allowed = f"{found.payload:g} kg, as before"
+        raise FieldError("payload", plan.payload, "another than before", allowed=allowed, remedy=remedy)
+    return found
+
+
+@dataclass
+class _Session:
+    """One tuning while it runs. Internal, mutable."""
+
+    connection: Connection
+    plan: TuningPlan
+    out: Path
+    moves: bool
+    begin: Callable[[str], None]
+    clock: Any
+    before: Tuning | None
+    state: Tuning = field(init=False)
+    _records: list[Any] = field(default_factory=list)
+    _began: float = field(default_factory=time.process_time)
+
+    def open(self) -> Guard:
+        opened = partial(open_line, self.connection, self.plan.period, clock=self.clock)
+        guard = Guard(opened, self.plan.limits)
+        plan = self.plan
+        self.state = self.before or Tuning(
+            plan.limits, plan.payload, plan.range, guard.period, folder=str(self.out)
+        )
+        self.state = replace(self.state, stopped="", folder=str(self.out), limits=plan.limits)
+        return guard
+
+    def go(self, guard: Guard) -> None:
+        """All stages that are not whole yet."""
+        self.begin("wiring")
+        wiring = check_wiring(guard, self.plan.rig)
+        self._same_arm(wiring)
+        self._tell(wiring.evidence)
+        self._write(guard, wiring=self.state.wiring or wiring)
+        begin = None
+        if self.state.motor is None:
+            self.begin("motor")
+            motor, begin = tune_motor(guard, wiring)
+            self._tell(
+                (
+                    f"K/J {motor.fit.gain:.4g} rad/(s²·V), ν/J {motor.fit.decay:.3g} 1/s, friction "
+                    f"{motor.friction:.3g} V, delay {1e3 * motor.fit.delay:.3g} ms; loop at "
+                    f"{motor.loop.pole:g} rad/s",
+                )
+            )
+            self._write(guard, motor=motor)
+        built = self._link(guard, begin)
+        if built is None or not built.passed or not self.moves:
+            return
+        assert built.design is not None and built.law is not None  # noqa: S101  # passed
+        assert self.state.motor is not None  # noqa: S101
+        self.begin("first moves")
+        found = first_moves(guard, built.design, built.law, self.state.motor, self.plan.payload)
+        self._tell(tuple(map(str, found)))
+        self._write(guard, moves=found)
+
+    def _link(self, guard: Guard, begin: Any) -> Built | None:
+        """The link's experiments, at most three where a gate or the proof fails, and the law."""
+        state, plan = self.state, self.plan
+        assert state.wiring is not None and state.motor is not None  # noqa: S101
+        link, built = state.link, None
+        for attempt in range(state.attempts + 1, EXPERIMENTS + 2):
+            if link is None or attempt > state.attempts + 1:
+                self.begin("link" if attempt == 1 else f"link, experiment {attempt}")
+                longer = 1.0 if attempt == 1 else 2.0
+                link, _ = tune_link(
+                    guard, state.wiring, state.motor, plan.payload, begin=begin, longer=longer
+                )
+                self._tell(tuple(str(link.fit).splitlines()))
+                self._write(guard, link=link, attempts=attempt)
+            self.begin("design, proof and law")
+            guard.release()
+            rig = measured_rig(
+                state.wiring,
+                link,
+                plan.limits,
+                plan.range,
+                plan.payload,
+                guard.period,
+                stated=plan.rig,
+                name=self.out.name[:100] or "arm",
+            )
+            built = build_law(rig, link)
+            self._wrote(built, link)
+            if built.passed or attempt > EXPERIMENTS or not _worth_repeating(built, link):
+                break
+            self.begin(f"{built.reasons[0]}; the next experiment is twice as long")
+        return built
+
+    def _wrote(self, built: Built, link: LinkResult) -> None:
+        """Write what came of the model, each part to its own file."""
+        place = self.out
+        built.rig.save(place / "rig.toml")
+        link.fit.save(place / "model.json")
+        if built.design is not None and built.law is not None:
+            save(built.design, place / "design.json", force=True)
+            save(built.law, place / "law.json", force=True)
+        if built.certificate is not None and built.certificate.passed:
+            built.certificate.save(place / "certificate.json")
+        proof = built.certificate
+        self.state = replace(
+            self.state,
+            certified=proof.verdict if proof is not None and proof.passed else "",
+            design_passed=built.design is not None and built.passed,
+            design_words="; ".join(built.assumptions),
+            reasons=built.reasons,
+        )
+        self._tell(built.assumptions if built.passed else built.reasons)
+        save(self.state, place / FILES[0], force=True)
+
+    def _same_arm(self, wiring: Wiring) -> None:
+        """Refuse to go on with another arm than the one that was measured."""
+        known = self.state.wiring
+        if known is None:
+            return
+        for name in ("gain", "stiffness", "natural_frequency"):
+            was, now = getattr(known, name), getattr(wiring, name)
+            if abs(now / was - 1.0) > _OTHER_ARM:
+                raise FraclinkError(
+                    f"cannot resume: {name} was {was:.3g} and is {now:.3g}: another arm, payload or wiring; "
+                    "tune anew"
+                )
+
+    def _write(self, guard: Guard, **parts: Any) -> None:
+        self.state = replace(
+            self.state,
+            **parts,
+            arm_time=guard.count * guard.period,
+            computing=time.process_time() - self._began,
+        )
+        save(self.state, self.out / FILES[0], force=True)
+
+    def end(self, reason: str) -> None:
+        """Keep why it ended."""
+        self.state = replace(self.state, stopped=reason)
+        self._tell((reason,))
+
+    def keep(self, guard: Guard) -> None:
+        """Write the state and the whole record."""
+        self._write(guard)
+        record = guard.record()
+        if record.angle.size > 1:
+            log = Experiment(
+                period=guard.period,
+                motor_angle=record.angle,
+                output=record.torque,
+                voltage=record.voltage,
+                payload=self.plan.payload,
+                source="fraclink tune",
+            )
+            save(log, self._free_log())
+
+    def _free_log(self) -> Path:
+        """The next log that is not there yet: a tuning that goes on keeps what was recorded before."""
+        if self.before is None:
+            (self.out / "log.npz").unlink(missing_ok=True)
+        names = (f"log{f'-{number}' if number > 1 else ''}.npz" for number in itertools.count(1))
+        return next(self.out / name for name in names if not (self.out / name).exists())
+
+    def _tell(self, lines: tuple[str, ...]) -> None:
+        for line in lines:
+            self.begin(f"  {line}")
+
+
+def _worth_repeating(built: Built, link: LinkResult) -> bool:
+    """Whether a longer experiment can help: a gate of the fit failed, or its errors are too large."""
+    return (built.design is None and not link.fit.passed) or shortfall(link.fit) > 1.0

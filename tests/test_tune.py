@@ -1,0 +1,194 @@
+"""Tuning an unknown arm: the wiring is found before a loop is closed, limits are kept, and a law comes out.
+
+The arm is a twin in this process; each exchange of voltage and reading is one period of its life.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import fraclink as fl
+from fraclink import _kernels
+from fraclink._realtime.connections import Callback, Command
+from fraclink._realtime.line import open_line
+from fraclink._tune import LimitReached, WiringFault
+from fraclink._tune.guard import Guard
+from fraclink._tune.wiring import check_wiring
+from fraclink.errors import FieldError, FraclinkError
+
+if not _kernels.REALTIME:
+    pytest.skip("the real-time loop is Linux's", allow_module_level=True)
+
+RIG = fl.Rig.named("paper-2023-geared")
+LIMITS = fl.MotionLimits(angle=0.6, speed=4.0, torque=2.0, voltage=10.0)
+PLAN = fl.TuningPlan(LIMITS, payload=0.030, period=RIG.period)
+
+
+def arm(seed: int = 0, **changes: float) -> fl.SimulatedArm:
+    """The paper's arm, or one that differs."""
+    return fl.SimulatedArm(fl.Twin.from_rig(RIG, **changes), RIG.period, seed=seed)  # type: ignore[arg-type]
+
+
+def guarded(connection: Callback, limits: fl.MotionLimits = LIMITS) -> Guard:
+    return Guard(partial(open_line, connection, RIG.period, clock="none"), limits)
+
+
+def wired(made: fl.SimulatedArm, *, angle: float = 1, torque: float = 1, voltage: float = 1) -> Callback:
+    """The arm with factors on its wires."""
+
+    def read() -> tuple[float, float]:
+        found = made.read()
+        return angle * found[0], torque * found[1]
+
+    def write(command: Command) -> None:
+        made.write(command._replace(voltage=voltage * command.voltage))
+
+    return Callback(read, write)
+
+
+def swapped(made: fl.SimulatedArm) -> Callback:
+    return Callback(lambda: made.read()[::-1], made.write)
+
+
+WRONG: dict[str, Callable[[fl.SimulatedArm], Callback]] = {
+    "encoder reversed": lambda made: wired(made, angle=-1),
+    "motor reversed": lambda made: wired(made, voltage=-1),
+    "gauge reversed": lambda made: wired(made, torque=-1),
+    "encoder dead": lambda made: wired(made, angle=0),
+    "gauge dead": lambda made: wired(made, torque=0),
+    "neither encoder nor gauge answers": lambda made: wired(made, voltage=0),
+    "channels swapped": swapped,
+    "gauge scale wrong": lambda made: wired(made, torque=10),
+    "encoder scale wrong": lambda made: wired(made, angle=4),
+}
+
+
+@pytest.mark.parametrize("fault", WRONG)
+def test_a_wrong_wire_is_named_within_five_degrees(fault: str) -> None:
+    made = arm()
+    guard = guarded(WRONG[fault](made))
+    with pytest.raises(WiringFault, match=fault):
+        check_wiring(guard, RIG)
+    guard.release()
+    assert np.ptp(made.record[:, 1]) < math.radians(5.0)
+    assert made.record[-1, 4] == 0.0  # the drive is off
+
+
+def test_right_wiring_has_evidence() -> None:
+    made = arm(gauge_delay=0.012, gauge_gain=0.8)
+    found = check_wiring(guarded(made.callback), RIG)
+    assert found.gain == pytest.approx(RIG.motor.gain, rel=0.3)
+    assert found.gauge_delay == pytest.approx(0.012, abs=0.006)
+    assert len(found.evidence) == 5 and "alive" in found.evidence[1]
+    assert np.ptp(made.record[:, 1]) < math.radians(5.0)
+
+
+def test_without_a_rig_it_says_that_no_scale_was_shown() -> None:
+    found = check_wiring(guarded(arm().callback), None)
+    assert "not shown" in found.evidence[-1]
+
+
+@pytest.mark.parametrize(("voltage", "limit"), [(10.0, "speed"), (1.0, "angle")])
+def test_the_guard_stops_before_a_limit(voltage: float, limit: str) -> None:
+    made = arm()
+    limits = replace(LIMITS, speed=1.0) if limit == "speed" else LIMITS
+    guard = guarded(made.callback, limits)
+    with pytest.raises(LimitReached, match=limit):
+        for _ in range(5000):
+            guard.step(voltage)
+    guard.release()
+    for _ in range(500):
+        made.write(Command(0.0, 0.0, 0, 4, 0, 0))
+    assert np.max(np.abs(made.record[:, 1])) <= limits.angle
+
+
+def test_voltages_are_clipped_and_nothing_else_than_a_number_is_sent() -> None:
+    made = arm()
+    guard = guarded(made.callback, replace(LIMITS, voltage=0.01))
+    guard.step(5.0)
+    guard.step(math.nan)
+    assert guard.record().voltage.tolist() == [0.01, 0.0]
+
+
+def test_a_lost_link_ends_with_a_stop() -> None:
+    sent: list[Command] = []
+    samples = iter([(0.0, 0.0)] * 5)
+    guard = guarded(Callback(lambda: next(samples, None), sent.append))
+    with pytest.raises(FraclinkError, match="link to the arm is lost"):
+        for _ in range(20):
+            guard.step(0.1)
+    guard.release()
+    assert sent[-1].mode == 4 and sent[-1].voltage == 0.0
+
+
+@pytest.fixture(scope="module")
+def tuned(tmp_path_factory: pytest.TempPathFactory) -> tuple[fl.Tuning, fl.SimulatedArm, Path]:
+    place, made = tmp_path_factory.mktemp("tune") / "arm", arm(seed=1)
+    return fl.tune(made.callback, PLAN, out=place, clock="none"), made, place
+
+
+@pytest.mark.slow
+def test_an_unknown_arm_ends_with_a_law_that_it_follows(
+    tuned: tuple[fl.Tuning, fl.SimulatedArm, Path],
+) -> None:
+    found, made, place = tuned
+    assert found.has_law and not found.stopped
+    assert found.link is not None and found.motor is not None
+    assert found.link.fit.model.order == pytest.approx(1.92, abs=0.01)
+    assert found.motor.fit.gain == pytest.approx(RIG.motor.gain, rel=0.02)
+    assert found.verdict.promise.state == found.verdict.model.state == "passed"
+    slow, fast = found.moves
+    assert slow.duration == pytest.approx(10 * fast.duration)
+    assert abs(fast.measured_settling - fast.promised_settling) < 0.1
+    assert found.arm_time <= 60.0
+    true = made.record
+    assert np.max(np.abs(true[:, 1])) <= LIMITS.angle
+    assert np.max(np.abs(true[:, 2])) <= LIMITS.speed
+    assert np.max(np.abs(true[:, 3])) <= LIMITS.torque
+    assert np.max(np.abs(true[:, 4])) <= LIMITS.voltage
+    again = fl.load(place / "tuning.json")
+    assert again.link.fit.model == found.link.fit.model and again.moves == found.moves
+    assert fl.load(place / "law.json").digest == fl.load(place / "design.json").law().digest
+
+
+@pytest.mark.slow
+def test_it_goes_on_behind_the_last_stage_that_is_whole(
+    tuned: tuple[fl.Tuning, fl.SimulatedArm, Path], tmp_path: Path
+) -> None:
+    found, _, place = tuned
+    (tmp_path / "tuning.json").write_bytes((place / "tuning.json").read_bytes())
+    begun: list[str] = []
+    going = arm(seed=2)
+    again = fl.tune(
+        going.callback, PLAN, out=tmp_path, resume=True, moves=False, begin=begun.append, clock="none"
+    )
+    assert [line for line in begun if not line.startswith(" ")] == ["wiring", "design, proof and law"]
+    assert again.has_law and again.link is not None and found.link is not None
+    assert again.link.fit.model == found.link.fit.model
+    other = arm(payload=0.120)
+    refused = fl.tune(other.callback, PLAN, out=tmp_path, resume=True, clock="none")
+    assert "another arm, payload or wiring" in refused.stopped
+
+
+def test_a_fault_keeps_reason_and_record(tmp_path: Path) -> None:
+    found = fl.tune(wired(arm(), torque=-1), PLAN, out=tmp_path / "new", clock="none")
+    assert not found.passed and found.stopped.startswith("gauge reversed")
+    assert len(fl.load(tmp_path / "new" / "log.npz").motor_angle) > 1000
+    with pytest.raises(FieldError, match="already there"):
+        fl.tune(arm().callback, PLAN, out=tmp_path / "new", clock="none")
+    with pytest.raises(FieldError, match="nothing to resume"):
+        fl.tune(arm().callback, PLAN, out=tmp_path / "other", resume=True, clock="none")
+
+
+def test_a_plan_says_what_will_move() -> None:
+    lines = PLAN.text.splitlines()
+    assert len(lines) == 7 and "34.4°" in lines[1] and "10 V" in lines[1]
+    with pytest.raises(FieldError, match=r"payloads: without the payload of the tuning"):
+        replace(PLAN, payloads=(0.040, 0.050))
