@@ -13,7 +13,7 @@ from fraclink._law import Law
 from fraclink._tune.guard import MotionLimits
 from fraclink._tune.link import LinkResult
 from fraclink._tune.wiring import Wiring
-from fraclink._workflow.defaults import design_for
+from fraclink._workflow.run import design_for
 from fraclink.errors import InfeasibleError
 
 __all__ = ["Built", "build_law", "measured_rig"]
