@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import fraclink as fl
-from fraclink._arm.doubts import doubts_of
+from fraclink._arm.draft import doubts_of
 from fraclink._arm.link import LinkModel
 from fraclink._cli.app import run as main
 from fraclink._design import Design

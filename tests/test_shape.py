@@ -21,9 +21,16 @@ from fraclink._campaign.campaign import save_campaign
 from fraclink._cli import main
 from fraclink._law import LawInputs
 from fraclink._realtime import Callback, VirtualClock
-from fraclink._shape import ShapedMove, setting
-from fraclink._shape.programme import MoveBounds, Programme, spline_path
-from fraclink._shape.responses import SIGNALS, ShapedArm, responses_of, without_friction
+from fraclink._shape import ShapedMove, move
+from fraclink._shape.programme import (
+    SIGNALS,
+    MoveBounds,
+    Programme,
+    ShapedArm,
+    responses_of,
+    spline_path,
+    without_friction,
+)
 from fraclink._show.moves import shaped_view
 from fraclink._show.runs import shaped_figure
 from fraclink._simulate import Twin
@@ -174,7 +181,7 @@ def test_limits_of_speed_and_torque_cost_time(design: fl.Design, known: ShapedMo
 def test_a_promise_that_noise_breaks_is_a_finding(design: fl.Design, monkeypatch: pytest.MonkeyPatch) -> None:
     small = fl.shape(design, 0.01, payloads=KNOWN, told=True, seeds=1, rivals=False)
     assert [finding.code for finding in small.findings] == ["W501"] and not small.passed
-    monkeypatch.setattr(setting, "_NOISES", 0.0)  # nothing is left to noise
+    monkeypatch.setattr(move, "_NOISES", 0.0)  # nothing is left to noise
     tight = fl.shape(design, 1.0, payloads=KNOWN, told=True, voltage=6.0, seeds=2, rivals=False)
     assert [finding.code for finding in tight.findings] == ["W502"]
 

@@ -25,10 +25,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._certify.correction import inside_circle, modes_of
 from fraclink._certify.discs import ROUNDING, Disc, Span
 from fraclink._certify.statement import ALIASES, ALIASES_FROM, AXES, Statement
 from fraclink._law import block as layout
+from fraclink._law.block import inside_circle, modes_of
 
 Real = NDArray[np.float64]
 Flags = NDArray[np.bool_]

@@ -9,8 +9,7 @@ import numpy as np
 import typer
 
 from fraclink import _identify as identification
-from fraclink._arm.doubts import doubts_of
-from fraclink._arm.draft import RigDraft
+from fraclink._arm.draft import RigDraft, doubts_of
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.recording import FrequencyResponse, Recording
 from fraclink._arm.reference import Reference, chirp, prbs, pulse

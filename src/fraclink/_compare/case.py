@@ -1,4 +1,12 @@
-"""What every rival is tuned on: the rig, fraclink's design and its Ms, and the nominal loop at the period."""
+"""What every rival is tuned on: the rig, fraclink's design and its Ms, and the nominal loop at the period.
+
+All rivals that use the tip estimate have the form of the corrected equation (22),
+
+    θm* = θt* + F(z) θ̈t* + Ĉ(z) e,   e = θt* − (θm − Γ/c),
+
+with one feed-forward F for all and a correction Ĉ of their own. The nominal loop is the one a designer
+knows: L = Ĉ(z) z^−d ZOH{M G} with the lumped model of the nominal payload.
+"""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fraclink._arm.box import ParameterBox
 from fraclink._arm.controller import Controller
-from fraclink._arm.doubts import doubts_of
+from fraclink._arm.draft import doubts_of
 from fraclink._arm.link import LinkModel
 from fraclink._arm.loop import Loop, with_payload, worst_margins
 from fraclink._arm.rig import Rig

@@ -1,4 +1,7 @@
-"""What is claimed of an exported law: its worst-case bounds, and claims, each proved or not."""
+"""What is claimed of an exported law: its worst-case bounds, and claims, each proved or not.
+
+The provers themselves are a package of their own, `fraclink_prove`; reading a proof needs only this module.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,10 @@
-"""Least squares from many starts at once with linear parameters projected out; profiled intervals."""
+"""Least squares from many starts at once with linear parameters projected out; profiled intervals.
+
+Levenberg and Marquardt's method in a box, on residuals of any shape (M, R) for M parameter vectors: what the
+arrays of one call can do for one start they do for all of them. Variable projection: gain and offset are
+solved for inside the residual, so that a start needs no value of theirs and a step cannot trade one for the
+other.
+"""
 
 from __future__ import annotations
 

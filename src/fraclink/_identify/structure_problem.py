@@ -1,4 +1,9 @@
-"""What a structure is fitted to, samples or lines, and its free parameters as coordinates of a search."""
+"""What a structure is fitted to, samples or lines, and its free parameters as coordinates of a search.
+
+Both are a vector of measured numbers and, for a candidate, what it would have been. A recording has besides a
+Laplace transform at some points of a vertical line, on which a candidate costs microseconds: there the search
+begins.
+"""
 
 from __future__ import annotations
 

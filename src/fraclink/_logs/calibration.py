@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._arm.log_columns import UNITS, Channel, ColumnStatement, OutputKind
+from fraclink._logs.channels import Mode, find_mode
 from fraclink._logs.names import role_of_name, words_of
-from fraclink._logs.scan import Mode, find_mode
 from fraclink._logs.weighing import Certainty, Question, Weighing
 from fraclink.errors import LogError
 

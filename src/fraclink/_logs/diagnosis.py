@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.rig import Rig
 from fraclink._logs.channels import (
+    Mode,
     clipping,
     constant_channels,
+    find_mode,
     labels,
     outliers,
     quantisation,
@@ -21,7 +23,6 @@ from fraclink._logs.channels import (
     voltage_limit,
 )
 from fraclink._logs.reading import converter_step
-from fraclink._logs.scan import Mode, find_mode
 from fraclink._validate import checked
 from fraclink.findings import Finding
 

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from fraclink._arm.log_columns import ROW_NUMBER, UNITS, Channel, ColumnStatement, LogColumns
 from fraclink._logs.calibration import STRONG, check_no_tip_angle, guess_angle, guess_output, guess_voltage
+from fraclink._logs.channels import find_mode
 from fraclink._logs.columns import check_count, clock_step, is_stated
 from fraclink._logs.names import role_of_name, words_of
-from fraclink._logs.scan import find_mode
 from fraclink._logs.text import LogTable
 from fraclink._logs.weighing import Certainty, Guess, Question, Weighing, guess_time, samples_of, stamps_of
 from fraclink.errors import LogError

@@ -11,10 +11,8 @@ import numpy as np
 
 from fraclink._arm.reference import Path, SampledReference
 from fraclink._design import Design
-from fraclink._shape.move import ShapedMove
-from fraclink._shape.programme import MoveSolution, Programme
-from fraclink._shape.responses import Responses
-from fraclink._shape.setting import Candidate, MoveSetting, candidates, settling
+from fraclink._shape.move import Candidate, MoveSetting, ShapedMove, candidates, settling
+from fraclink._shape.programme import MoveSolution, Programme, Responses
 from fraclink._simulate import Twin
 from fraclink._simulate.metrics import BAND
 from fraclink._validate import Between, Ordered, checked
