@@ -215,6 +215,12 @@ def test_b29_python_values_are_checked_too() -> None:
         Encoder(counts_per_revolution=1000.5)  # type: ignore[arg-type]
 
 
+def test_a_link_without_any_stiffness_names_both_ways_to_state_one() -> None:
+    with pytest.raises(FieldError, match=r"link\.stiffness is required.*EI"):
+        Link(length=0.65)
+    assert Link(length=0.65, stiffness=1.2).flexural_rigidity == pytest.approx(0.26)
+
+
 def test_b61_long_files_lines_and_keys_are_refused_fast(tmp_path: Path) -> None:
     # A refusal by size takes milliseconds; tomllib alone takes seconds for the keys.
     with processor_limit(2.0):

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import MISSING, dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 
 from fraclink._arm.link import LinkModel
@@ -23,17 +23,20 @@ from fraclink.findings import Finding
 __all__ = ["RigDraft", "doubts_of", "draft_text", "load_rig_or_draft"]
 
 _PARTS = {"motor": Motor, "link": Link, "payloads": Payloads}
-# What a person measures or finds in a data sheet, beside each blank of the file.
-_MEANING = {
-    "inertia": "J, motor and gear, at the motor",
-    "viscous_friction": "ν, at the motor",
-    "torque_constant": "K, motor torque for one volt at the amplifier's input",
-    "length": "L, from the motor's axis to the payload",
-    "flexural_rigidity": "EI; c·L/3 of a uniform link with the stiffness c",
-    "low": "lightest payload",
-    "high": "heaviest payload",
-    "nominal": "usual payload",
+# What `design` cannot do without, beside each blank what a person measures or finds in a data sheet.
+_ASKED = {
+    "motor": {
+        "inertia": "J, motor and gear, at the motor",
+        "torque_constant": "K, motor torque for one volt at the amplifier's input",
+    },
+    "link": {
+        "length": "L, from the motor's axis to the payload",
+        "stiffness": "c, torque at the base for one radian of deflection; 3EI/L of a uniform link",
+    },
+    "payloads": {"low": "lightest payload", "high": "heaviest payload"},
 }
+# ν moves the poles of the closed motor loop by ν/J over their sum, 5 % for the paper's: no need to ask.
+_NO_FRICTION = (0.0, "assumed; ν at the motor, where you know it")
 
 
 @checked
@@ -71,14 +74,24 @@ def load_rig_or_draft(path: Path | str) -> Rig | RigDraft:
         if "log" not in data:
             raise
         table: _LogTable = read_table(_LogTable, data["log"])
-        return RigDraft(table.build(), tuple(fault.field for fault in faults), Path(path).stem[:100])
+        blanks = [fault.field for fault in faults]
+        if not {"stiffness_Nm_per_rad", "flexural_rigidity_Nm2"} & set(data.get("link", {})):
+            blanks.append("link.stiffness_Nm_per_rad")  # seen by Link only once its length is there
+        return RigDraft(table.build(), tuple(dict.fromkeys(blanks)), Path(path).stem[:100])
 
 
 def _is_blank(fault: FieldError) -> bool:
     return fault.problem == "missing" and fault.field.partition(".")[0] in _PARTS
 
 
-def draft_text(name: str, period: float, columns: LogColumns, remarks: Mapping[str, tuple[str, ...]]) -> str:
+def draft_text(
+    name: str,
+    period: float,
+    columns: LogColumns,
+    remarks: Mapping[str, tuple[str, ...]],
+    *,
+    known: Mapping[str, tuple[float, str]] | None = None,
+) -> str:
     """Return the text of a rig file with blanks for motor, link and payloads.
 
     Parameters
@@ -91,7 +104,10 @@ def draft_text(name: str, period: float, columns: LogColumns, remarks: Mapping[s
         the [log] table.
     remarks
         comments above each line of it, by role.
+    known
+        numbers that are no blanks, such as "link.stiffness", with a comment on each.
     """
+    stated = {"motor.viscous_friction": _NO_FRICTION} | dict(known or {})
     lines = [
         "# Written by `fraclink start`. It is enough to read and fit logs; `design` needs the blanks, too.",
         f"name = {toml_value(name)}",
@@ -104,10 +120,12 @@ def draft_text(name: str, period: float, columns: LogColumns, remarks: Mapping[s
         lines.append(f"{role} = {{ {_inline(channel)} }}")
     for part, kind in _PARTS.items():
         lines += ["", f"[{part}]  # blank: needed by `design`"]
-        required = {item.name for item in fields(kind) if item.default is MISSING}
         for key, row in keys_of(kind).items():
-            if row.field in required:
-                lines.append(f"# {key} =   # {_MEANING[row.field]} [{row.rule.unit}]")
+            if f"{part}.{row.field}" in stated:
+                value, why = stated[f"{part}.{row.field}"]
+                lines.append(f"{key} = {toml_value(value)}  # {why}")
+            elif row.field in _ASKED[part]:
+                lines.append(f"# {key} =   # {_ASKED[part][row.field]} [{row.rule.unit}]")
     return "\n".join(lines) + "\n"
 
 

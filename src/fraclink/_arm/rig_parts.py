@@ -107,20 +107,27 @@ class Motor:
 class Link:
     """The flexible link: length L [m], flexural rigidity EI [N·m²], measured stiffness c [N·m/rad] > 0.
 
-    A stiffness that is left out is c = 3EI/L of a uniform beam, eq. (3). The `mass` [kg] is the link's own:
-    the lumped models neglect it, the twin does not.
+    One of c and EI may be left out; it is then the one of c = 3EI/L, a uniform beam, eq. (3). The `mass` [kg]
+    is the link's own: the lumped models neglect it, the twin does not.
 
     >>> round(Link(length=0.65, flexural_rigidity=0.260).stiffness, 12)
     1.2
+    >>> round(Link(length=0.65, stiffness=1.2).flexural_rigidity, 12)
+    0.26
     """
 
     length: Annotated[float, positive("m")]
-    flexural_rigidity: Annotated[float, positive("N·m²")]
-    # None stands for "not measured" in the call only: the attribute is always a number.
+    # None stands for "not measured" in the call only: the attributes are always numbers.
+    flexural_rigidity: Annotated[float, positive("N·m²")] = None  # type: ignore[assignment]
     stiffness: Annotated[float, positive("N·m/rad")] = None  # type: ignore[assignment]
     mass: Annotated[float, at_least_zero("kg")] = 0.0
 
     def __post_init__(self) -> None:
+        if self.stiffness is None and self.flexural_rigidity is None:
+            allowed, remedy = "a stiffness [N·m/rad] or EI [N·m²]", "state stiffness, or flexural_rigidity"
+            raise FieldError("link.stiffness", "(nothing)", "missing", allowed=allowed, remedy=remedy)
+        if self.flexural_rigidity is None:
+            object.__setattr__(self, "flexural_rigidity", self.stiffness * self.length / 3.0)
         if self.stiffness is None:
             object.__setattr__(self, "stiffness", self.beam_stiffness)
 
@@ -135,18 +142,23 @@ class Link:
 class Payloads:
     """The payloads that the arm carries: lightest, heaviest and nominal mass [kg], low <= nominal <= high.
 
-    >>> Payloads(low=0.020, high=0.040, nominal=0.030).nominal
+    A nominal payload that is left out is the mean of the two.
+
+    >>> Payloads(low=0.020, high=0.040).nominal
     0.03
     """
 
     low: Annotated[float, positive("kg")]
     high: Annotated[float, positive("kg")]
-    nominal: Annotated[float, positive("kg")]
+    # None stands for "the mean" in the call only.
+    nominal: Annotated[float, positive("kg")] = None  # type: ignore[assignment]
 
     def __post_init__(self) -> None:
         if self.low > self.high:
             problem, allowed = f"above payloads.high = {self.high:g} kg", "low <= nominal <= high [kg]"
             raise FieldError("payloads.low", self.low, problem, allowed=allowed, remedy="exchange the two")
+        if self.nominal is None:
+            object.__setattr__(self, "nominal", 0.5 * (self.low + self.high))
         if not self.low <= self.nominal <= self.high:
             raise FieldError(
                 "payloads.nominal",

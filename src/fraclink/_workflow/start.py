@@ -153,9 +153,26 @@ def start(
         experiment,
         diagnose(experiment),
         fit,
-        draft_text(place.stem[:100] or "arm", experiment.period, found.columns, _remarks(guesses)),
+        draft_text(
+            place.stem[:100] or "arm",
+            experiment.period,
+            found.columns,
+            _remarks(guesses),
+            known=_known(experiment, fit, payload),
+        ),
         decisions + answers,
     )
+
+
+def _known(log: Experiment, fit: Fit, payload: float | None) -> dict[str, tuple[float, str]]:
+    """What the rig file need not leave blank: a torque log shows c, and the payload was stated."""
+    known = {}
+    if log.output_kind == "torque":
+        known["link.stiffness"] = (float(f"{fit.model.stiffness:.5g}"), "c, from this log")
+    if payload is not None:
+        known["payloads.low"] = (payload, "of this log; the lightest that a controller is to be for")
+        known["payloads.high"] = (payload, "of this log; the heaviest")
+    return known
 
 
 def _resolved(
