@@ -20,12 +20,15 @@ from fraclink._cli import main
 from fraclink._cli.designs import DesignOptions
 from fraclink._law.refit import refitted
 from fraclink._studio.history import History
+from fraclink._studio.logs import LOG_VERBS
 from fraclink._studio.messages import Answer, parsed, refusal
+from fraclink._studio.outputs import OUTPUT_VERBS
 from fraclink._studio.preview import Subject, nearest, preview
 from fraclink._studio.request import NAMES, as_python, checked_request
 from fraclink._studio.server import POLICY, Studio, application
 from fraclink._studio.serving import serve
 from fraclink._studio.session import Session, SupersededError, opened
+from fraclink._studio.work import Job
 from fraclink.errors import FieldError, FraclinkError
 
 ADDRESS = "http://127.0.0.1:8000"
@@ -313,10 +316,6 @@ def test_what_is_kept_is_what_the_commands_write_byte_for_byte(tmp_path, monkeyp
 
 @pytest.mark.slow
 def test_a_study_made_step_by_step_is_the_one_of_run(tmp_path, monkeypatch):
-    from fraclink._studio.logs import LOG_VERBS
-    from fraclink._studio.outputs import OUTPUT_VERBS
-    from fraclink._studio.work import Job
-
     monkeypatch.chdir(tmp_path)
     made = ["run", "--rig", "paper-2023-geared", "--log", "demo", "--arms", "200", "--out", "theirs"]
     assert main(made) in (0, 1)
@@ -383,6 +382,20 @@ def test_a_newer_request_stops_the_older_one(tmp_path):
     with pytest.raises(SupersededError):
         session.exact(ASKED, newer=lambda: True)
     assert session.study.design is None
+
+
+def test_a_log_that_is_read_while_a_design_is_made_is_not_lost(tmp_path):
+    session = opened(None, out=tmp_path)
+
+    def read() -> bool:
+        if session.study.experiment is None:
+            LOG_VERBS["log"](session, {"name": "prbs_30g"})
+            LOG_VERBS["columns"](session, {"columns": []})
+        return False
+
+    with pytest.raises(SupersededError):
+        session.exact(ASKED, newer=read)
+    assert session.study.experiment is not None
 
 
 def test_a_refused_design_leaves_the_one_before(tmp_path):

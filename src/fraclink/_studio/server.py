@@ -97,13 +97,15 @@ async def _refuse(scope: Scope, receive: Receive, send: Send, status: int, why: 
 def _contents() -> dict[str, tuple[bytes, str]]:
     """Every file that is served: path -> (content, kind). Nothing else can be asked for."""
     found = {
-        f"/{path.name}": (path.read_bytes(), _KINDS[Path(path.name).suffix]) for path in _PAGE.iterdir()
+        f"/{path.name}": (path.read_bytes(), _KINDS[Path(path.name).suffix])
+        for path in _PAGE.iterdir()
         if Path(path.name).suffix in _KINDS
-    }  # fmt: skip
+    }
     fragment = re.sub(r"{#.*?#}\s*", "", template_text("arm_box.html"), flags=re.DOTALL)
     page = found.pop("/index.html")[0].decode().replace("<!-- arm_box.html -->", fragment)
     found["/"] = (page.encode(), "text/html")
-    found["/arm_box.css"] = (squeezed("arm_box.css").encode(), "text/css")
+    style = squeezed("palette.css") + squeezed("arm_box.css")
+    found["/arm_box.css"] = (style.encode(), "text/css")
     found["/arm_box.js"] = (_arm_module().encode(), "text/javascript")
     return found
 

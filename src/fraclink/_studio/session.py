@@ -109,7 +109,8 @@ class Session:
             raise SupersededError
         made = moved(made)
         with self.lock:
-            if newer() or self.study.fit is not before.fit or self.study.rig is not before.rig:
+            inputs = ("rig", "experiment", "fit")  # another log may have been read meanwhile
+            if newer() or any(getattr(self.study, name) is not getattr(before, name) for name in inputs):
                 raise SupersededError
             same = before.design == made.design
             if same:  # proof, arms and faults are of this very design
@@ -157,7 +158,7 @@ class Session:
                 "moves": _rows(tables.moves_table(study.runs)),
                 "passed": made.passed,
             },
-            "certificate": None if study.certificate is None else str(study.certificate),
+            "certificate": None if study.certificate is None else study.certificate.verdict,
             "uncertified": study.uncertified,
             "files": self.written,
             **self.commands(),

@@ -88,7 +88,8 @@ class Job:
         found, session = load_study(place), self.session
         with session.lock:
             now = session.study
-            if now.design != self.study.design or now.experiment is not self.study.experiment:
+            another = self.verb != "identify" and now.design != self.study.design
+            if another or now.experiment is not self.study.experiment:
                 raise FieldError(
                     self.verb, "another design", "for a study that has changed meanwhile",
                     allowed="the study it began with", remedy="start it again",
@@ -118,7 +119,7 @@ def proof_of(study: Study) -> dict[str, Any]:
             "modulus": statement.modulus,
             "payloads": [statement.payload_low, statement.payload_high],
             "delays": [statement.delay_low, statement.delay_high],
-            "text": str(study.certificate),
+            "text": study.certificate.verdict,
         }
     if study.arms is not None:
         spread = tables.spread_table(study.arms)

@@ -99,6 +99,7 @@ export class Design {
     this.tip = new Plot($('p-moves'), {label: 'Angle of the tip over time, three payloads', height: 170, x: {low: 0, high: 2}, y: {low: -10, high: 80}});
     this.budget = $('p-budget');
     this.budget.setAttribute('role', 'img');
+    new ResizeObserver(() => { if (this.last) this.drawBudget(this.last.budget); }).observe(this.budget.parentElement);
     this.contours();
     const {app} = this, at = () => app.hand;
     app.hand = {begin: app.begin, change: (time) => app.change(time), end: app.end, cancel: app.cancel};
@@ -249,7 +250,7 @@ export class Design {
     svg.setAttribute('viewBox', `0 0 ${W} ${H}`);
     svg.setAttribute('height', String(H));
     svg.replaceChildren();
-    const left = 130, room = W - left - 60, most = 200, X = (v) => left + (room * (v + most)) / most;
+    const left = 134, room = W - left - 60, most = 200, X = (v) => left + (room * (v + most)) / most;
     let sum = 180;
     const rows = [...shares.map(([name, value]) => { const row = [name, sum, sum + value, value]; sum += value; return row; }), ['left: the phase margin', 0, sum, sum]];
     svg.setAttribute('aria-label', `Of 180°: ${shares.map(([n, v]) => `${n} ${plain(v, 3)}°`).join(', ')}; ${plain(sum, 3)}° are left`);

@@ -70,7 +70,7 @@ export class Logs {
   lists(answer) {
     const place = $('bundled');
     place.replaceChildren();
-    for (const name of answer.bundled) button(name === 'prbs_30g' ? 'demo: prbs_30g' : name, 'chip', place, () => this.open(name));
+    for (const name of answer.bundled) button(name === 'prbs_30g' ? 'demo: prbs_30g' : name, 'chip', place, () => this.open(name)).dataset.name = name;
     const rig = $('rig');
     rig.replaceChildren();
     for (const name of new Set([answer.rig, ...answer.rigs])) if (name) { const o = make('option', '', name, rig); o.value = name; o.selected = name === answer.rig; }

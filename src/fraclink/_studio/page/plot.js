@@ -121,7 +121,7 @@ export class Plot {
         if (!Number.isFinite(x) || !Number.isFinite(y)) { pen = 'M'; continue; }
         d += `${pen}${x.toFixed(1)} ${y.toFixed(1)}`;
         pen = 'L';
-        if (y > TOP + 10 && y < this.height - FOOT && x > LEFT && x < this.W - RIGHT - 30) tagged = [x, y];
+        if (y > TOP + 10 && y < this.height - FOOT && x > LEFT + 30 && x < this.W - RIGHT - 30) tagged = [x, y];
       }
       c.path.setAttribute('d', d);
       if (c.tag && tagged) {

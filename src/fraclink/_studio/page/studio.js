@@ -45,7 +45,7 @@ export function findings(place, list) {
     const item = make('li', typeof f === 'string' ? 'info' : f.severity, '', place);
     if (typeof f === 'string') { item.textContent = f; continue; }
     make('b', '', `${f.code} `, item);
-    item.append(f.message);
+    item.append(`${f.message}.`);
     if (f.remedy) make('span', 'remedy', ` ${f.remedy[0].toUpperCase()}${f.remedy.slice(1)}.`, item);
   }
 }
@@ -239,6 +239,10 @@ function listen() {
   $('redo').addEventListener('click', () => app.go(app.at + 1));
   $('keep').addEventListener('click', () => app.keep());
   $('replace').addEventListener('close', () => { if ($('replace').returnValue === 'yes') app.keep(true); });
+  $('theme').addEventListener('click', () => {
+    const root = document.documentElement, dark = root.dataset.theme ? root.dataset.theme === 'dark' : matchMedia('(prefers-color-scheme: dark)').matches;
+    sessionStorage.setItem('theme', root.dataset.theme = dark ? 'light' : 'dark');
+  });
   $('help-open').addEventListener('click', () => $('help').showModal());
   for (const kind of ['command', 'python']) {
     $(`copy-${kind}`).addEventListener('click', async () => {
@@ -271,6 +275,7 @@ export const send = async (file, name) => {
 };
 
 listen();
+if (sessionStorage.getItem('theme')) document.documentElement.dataset.theme = sessionStorage.getItem('theme');
 app.link = new Link((answer) => {
   if (answer.verb === 'progress') proof.progress(answer);
   else if (answer.error) app.toast(answer.error);

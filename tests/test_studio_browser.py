@@ -1,0 +1,195 @@
+"""The studio in Chromium: every handle, undo, keys, a killed server, and not one request to elsewhere."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from browser import Page, browser
+
+pytestmark = pytest.mark.slow
+
+HANDLES = {
+    "#h-crossover": ((25, 0), "gain_crossover"),
+    "#h-filter": ((-30, 0), "filter_time"),
+    "#h-margin-phase": ((0, 6), "phase_margin_deg"),
+    "#h-margin-nichols": ((-12, 0), "phase_margin_deg"),
+    "#h-crossover-nichols": ((0, -8), "gain_crossover"),
+    "#h-margin-payload": ((0, 8), "phase_margin_deg"),
+    "#h-payload-0": ((12, 0), "payloads"),
+    "#h-payload-1": ((-12, 0), "payloads"),
+}
+
+
+@contextmanager
+def studio(place: Path, *words: str) -> Iterator[tuple[str, subprocess.Popen[str]]]:
+    """A studio that keeps to `place`/results: its address, and its process."""
+    command = [sys.executable, "-m", "fraclink", "studio", "--no-open", "--out", "results", *words]
+    process = subprocess.Popen(command, cwd=place, stdout=subprocess.PIPE, text=True)  # noqa: S603
+    try:
+        assert process.stdout is not None
+        yield process.stdout.readline().strip(), process
+    finally:
+        process.kill()
+        process.communicate()
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory) -> Iterator[Page]:
+    with browser(tmp_path_factory.mktemp("browser")) as found:
+        found.look()
+        yield found
+
+
+def settled(page: Page) -> None:
+    """Wait until the exact design stands: no figure is grey."""
+    page.until("!document.querySelector('#controller').classList.contains('preview')", "an exact design")
+
+
+def states(place: Path) -> list[dict]:
+    lines = (place / "results" / "studio.jsonl").read_text().splitlines()
+    return [json.loads(line) for line in lines]
+
+
+def test_every_handle_drags_and_every_drag_can_be_undone(page, tmp_path):
+    with studio(tmp_path) as (address, process):
+        page.open(address)
+        assert page.run("location.hash") == ""  # the token is out of the address bar
+        page.until("document.querySelector('.armbox')")
+        settled(page)
+        first = states(tmp_path)[-1]["state"]
+        for number, (handle, (by, option)) in enumerate(HANDLES.items(), 1):
+            was = page.run(f"document.querySelector('{handle}').getAttribute('aria-valuenow')")
+            page.drag(handle, by, moves=6)
+            assert page.run(f"document.querySelector('{handle}').getAttribute('aria-valuenow')") != was, (
+                handle
+            )
+            page.until(lambda n=number: len(states(tmp_path)) > n, f"{handle} in the history")
+            before, after = (entry["state"] for entry in states(tmp_path)[-2:])
+            assert [name for name in after if after[name] != before[name]] == [option], handle
+        for _ in HANDLES:
+            page.key("z", control=True)
+        page.until(lambda: states(tmp_path)[-1]["at"] == 0, "undone to the first")
+        page.key("z", control=True, shift=True)
+        page.until(lambda: states(tmp_path)[-1]["at"] == 1, "redone")
+        settled(page)
+        # Escape brings a drag back to where it began, and nothing is noted.
+        lines = len(states(tmp_path)) + 1
+        page.key("z", control=True)
+        page.until(lambda: len(states(tmp_path)) == lines, "the undo before")
+        x, y = page.middle("#h-crossover")
+        for kind, dx in (("mousePressed", 0), ("mouseMoved", 20), ("mouseMoved", 40)):
+            page.mouse(kind, x + dx, y)
+        page.key("Escape")
+        page.mouse("mouseReleased", x + 40, y, 0)
+        shown = page.run("Number(document.querySelector('#h-crossover').getAttribute('aria-valuenow'))")
+        assert shown == first["gain_crossover"]
+        time.sleep(0.3)
+        assert len(states(tmp_path)) == lines
+        # Keys alone: a handle, the steps, Keep.
+        page.run("document.querySelector('#h-margin-phase').focus()")
+        for name in ("ArrowUp", "PageUp"):
+            page.key(name)
+        page.until("document.querySelector('#h-margin-phase').getAttribute('aria-valuenow') === '55.5'")
+        page.until("document.querySelector('#command').textContent.includes('--phase-margin-deg 55.5')")
+        settled(page)
+        page.key("s", control=True)
+        kept = tmp_path / "results" / "design.json"
+        page.until(kept.is_file, "kept")
+        for number, step in enumerate(("log", "channels", "model", "design", "move", "proof", "board"), 1):
+            page.key(str(number))
+            assert page.run(f"!document.querySelector('#step-{step}').hidden"), step
+        # A request that cannot be met: pale curves, a sentence, and the nearest that can.
+        page.key("4")
+        for value in ("9", ""):
+            page.run(
+                "(i => { i.value = '" + value + "'; i.dispatchEvent(new Event('change')); })"
+                "(document.getElementById('f-gain_crossover'))"
+            )
+            if value:
+                page.until("!document.querySelector('#refused').hidden")
+                assert "lies left of the peak" in page.run("document.querySelector('#refused').textContent")
+                page.until("document.querySelector('#refused button')")
+                page.run("document.querySelector('#refused button').click()")
+                page.until("document.querySelector('#refused').hidden")
+        # Killed in the middle of a drag: what was kept is there, and the history is back.
+        bytes_kept, lines = kept.read_bytes(), len(states(tmp_path))
+        x, y = page.middle("#h-crossover")
+        page.mouse("mousePressed", x, y)
+        page.mouse("mouseMoved", x + 15, y)
+        process.kill()
+        page.mouse("mouseReleased", x + 15, y, 0)
+        page.until("!document.querySelector('#banner').hidden", "the page says that the studio is gone")
+    assert kept.read_bytes() == bytes_kept
+    port = address.split(":")[2].split("/")[0]
+    with studio(tmp_path, "--port", port) as (address, _):
+        page.until("document.querySelector('#banner').textContent.includes('key')", "another token")
+        page.open(address)
+        assert page.run("document.querySelector('#undo').disabled") is False
+        assert len(states(tmp_path)) >= lines
+    ours = [r for r in page.requests if not r.startswith(("about:", "data:"))]
+    assert ours and all(r.split("/")[2].startswith("127.0.0.1:") for r in ours)
+    complaints = [c for c in page.complaints if "WebSocket" not in c and "ERR_CONNECTION" not in c]
+    assert complaints == []
+
+
+def test_from_a_dropped_log_to_the_board(page, tmp_path):
+    page.complaints.clear()
+    with studio(tmp_path, "--rig", "paper-2023-geared") as (address, _):
+        page.open(address)
+        page.key("1")
+        page.until("document.querySelector('#bundled button')")
+        page.run(
+            "fetch('/upload?name=x.csv', {method: 'POST', body: 'x'}).then(answer => answer.status)"
+        )  # without a token
+        # Dropped as a file is: the page's own listener takes it.
+        page.run(
+            "(d => { d.items.add(new File([Array.from({length: 5000}, (_, k) => { const t = 0.004 * k,"
+            " a = Math.sin(0.4 * t * t); return `${t.toFixed(3)},${a},${1.5 * a}`; }).join('\\n')"
+            ".replace(/^/, 'time_s,motor_angle_rad,torque_Nm\\n')], 'swept.csv'));"
+            " document.querySelector('#drop').dispatchEvent(new DragEvent('drop', {dataTransfer: d,"
+            " bubbles: true, cancelable: true})); })(new DataTransfer())"
+        )
+        page.until("document.querySelector('#log-said').textContent.startsWith('swept.csv')")
+        page.run("document.querySelector('#bundled [data-name=prbs_30g]').click()")
+        page.until("document.querySelector('#log-said').textContent.startsWith('prbs_30g')")
+        page.until("document.querySelector('#log-payload').placeholder === '30'", "the log is read")
+        page.key("3")
+        page.run("document.querySelector('#fit').click()")
+        page.until("document.querySelectorAll('.model').length === 4", "four fits")
+        assert "Hz" in page.run("document.querySelector('#model-words').textContent")
+        page.key("4")
+        page.until("document.querySelector('#go-design').dataset.mark !== 'not run'", "a design")
+        page.key("5")
+        page.until("document.querySelector('#outcome')?.textContent.startsWith('There in')", "the arm moves")
+        page.click("#fault-nan")
+        page.until("document.querySelector('#outcome').textContent.startsWith('Degraded')")
+        page.key("6")
+        page.run("document.querySelector('#faults').click()")
+        page.until("document.querySelectorAll('.cell').length > 9", "faults stream")
+        page.run("document.querySelector('#cancel').click()")
+        page.until("document.querySelector('#proof-said').textContent.includes('stopped as you asked')")
+        page.key("7")
+        page.run("document.querySelector('#targets button').click()")
+        page.until("document.querySelector('#files td')", "files")
+        assert (tmp_path / "results" / "firmware" / "law.c").is_file()
+        for width, dark in ((390, True), (768, False)):
+            page.look(width=width, height=844, dark=dark)
+            for number in range(1, 8):
+                page.key(str(number))
+                over = "document.documentElement.scrollWidth - document.documentElement.clientWidth"
+                assert page.run(over) <= 0, (number, width)
+        page.look(media="print")
+        page.key("4")
+        assert page.run("getComputedStyle(document.querySelector('.tools')).display") == "none"
+        page.look()
+        time.sleep(0.1)
+    complaints = [c for c in page.complaints if "WebSocket" not in c and "ERR_CONNECTION" not in c]
+    assert [c for c in complaints if "403" not in c] == []
