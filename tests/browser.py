@@ -19,7 +19,7 @@ from websockets.sync.client import ClientConnection, connect
 
 from needed_tools import tool
 
-_PATIENCE = 15.0  # [s]; nothing is measured by it
+_PATIENCE = 60.0  # [s]; nothing is measured by it
 _KEYS = {
     "ArrowRight": 39,
     "ArrowLeft": 37,
