@@ -180,6 +180,7 @@ from fraclink._systems.interop import from_control as from_control
 from fraclink._systems.interop import to_control as to_control
 from fraclink._systems.margins import Margins as Margins
 from fraclink._systems.margins import margins as margins
+from fraclink._systems.mittag_leffler import mittag_leffler as mittag_leffler
 from fraclink._systems.modes import DiscreteModes as DiscreteModes
 from fraclink._systems.rational import RationalApproximation as RationalApproximation
 from fraclink._systems.rational import approximate as approximate
