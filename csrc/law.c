@@ -32,12 +32,15 @@
 #error "compile law.c with -std=c99, or with -ffp-contract=off -DLAW_CONTRACT_OFF"
 #endif
 
-/* What gcc and clang know beyond C99, and what any other compiler computes alike: the absolute value, and which way a
- * test usually goes. Twenty-five instructions of a period on a Cortex-M4F. */
+/* What gcc and clang know beyond C99, and what any other compiler computes alike: the absolute value and which way a
+ * test usually goes, twenty-five instructions of a period on a Cortex-M4F; and a function that
+ * no other one is to take in, be it for flash or for the registers of those that run in every period. */
 #if defined(__GNUC__) && !defined(__FRAMAC__)
 #define LAW_USUALLY(test) (__builtin_expect((test), 1) != 0)
+#define LAW_APART __attribute__((noinline))
 #else
 #define LAW_USUALLY(test) (test)
+#define LAW_APART
 #endif
 
 #define LAW_TINY ((law_real)1e-18F) /* far below any signal, and far above a denormal number */
@@ -247,15 +250,17 @@ static void rest_motor(law_state *s, const law_params *p, law_real angle)
     s->filter = filter + (p->filter_angle_now * angle);
 }
 
-/* What a period leaves to the next beside the modes: where a flipped bit would move the arm and nothing contradict it. */
+/* What a period leaves to the next beside modes and reference: where a flipped bit would move the arm and nothing
+ * contradict it, or a good gauge be given up. */
 static law_real kept(const law_state *s)
 {
-    return s->motor_reference + (s->integral + s->filter);
+    return s->motor_reference + (s->integral + s->torque);
 }
 
-/* Go on from the last good angle as an arm that stands there: nothing of a move is known any more. */
-static void rest_arm(law_state *s, const law_params *p)
+/* Go on from what the sensors say, as an arm that stands there: nothing of a move is known any more. */
+static void rest_arm(law_state *s, const law_params *p, const law_input *in)
 {
+    s->torque = (credible(in->torque, p->torque_limit) != 0U) ? in->torque : (law_real)0;
     empty_modes(s);
     s->reference = s->motor_angle;
     s->motor_reference = clamped(s->motor_angle, p->motor_limit);
@@ -271,11 +276,19 @@ static void rest_arm(law_state *s, const law_params *p)
     s->sum = s->reference + kept(s);
 }
 
+/* A state that has not started, and whether these parameters may start it. */
+static LAW_APART uint32_t forget(law_state *s, const law_params *p)
+{
+    clear(s);
+    s->reason = law_check(p);
+    return s->reason;
+}
+
 /* Begin at the measured angle: the first motor reference is where the motor is, the motor loop is at rest. */
 static uint32_t start(law_state *s, const law_params *p, const law_input *in)
 {
     uint32_t flags = LAW_FLAG_ENCODER;
-    const uint32_t reason = law_init(s, p);
+    const uint32_t reason = forget(s, p);
     if ((reason == LAW_OK) && (credible(in->motor_angle, p->angle_limit) != 0U)) {
         flags = LAW_FLAG_STARTED;
         s->stamp = p->crc;
@@ -284,10 +297,7 @@ static uint32_t start(law_state *s, const law_params *p, const law_input *in)
         s->motor_angle = in->motor_angle;
         s->encoder = in->motor_angle;
         s->input_reference = in->motor_angle;
-        if (credible(in->torque, p->torque_limit) != 0U) {
-            s->torque = in->torque;
-        }
-        rest_arm(s, p);
+        rest_arm(s, p, in);
     }
     return flags;
 }
@@ -332,7 +342,7 @@ static law_real watch_encoder(law_state *s, const law_params *p, law_real readin
     return angle;
 }
 
-/* Take the encoder's angle if it is credible, else keep the last one. */
+/* Take the encoder's angle if it is credible, else go on from the last one as the motor's model does. */
 static uint32_t read_encoder(law_state *s, const law_params *p, const law_input *in, uint32_t periods)
 {
     uint32_t flags = 0U;
@@ -344,8 +354,9 @@ static uint32_t read_encoder(law_state *s, const law_params *p, const law_input 
         s->motor_angle = angle;
         s->bad_encoder = 0U;
     } else {
+        const law_real moved = p->residual_rate * (s->model_near - s->model_angle); /* as the motor's model will now */
         flags |= LAW_FLAG_ENCODER;
-        s->motor_angle = clamped(s->motor_angle, p->angle_limit);
+        s->motor_angle = clamped(s->motor_angle + moved, p->angle_limit);
         s->bad_encoder = counted(s->bad_encoder);
         if (s->bad_encoder >= p->bad_limit) {
             latch(s, LAW_BAD_ENCODER);
@@ -732,7 +743,8 @@ static uint32_t run(law_state *s, const law_params *p, const law_input *in, law_
     correction = correct(s, p, &found, error - s->error, &left);
     if (damaged(s, found + before) != 0U) {
         flags |= LAW_FLAG_STARTED;
-        rest_arm(s, p);
+        rest_arm(s, p, in);
+        tip = s->motor_angle - s->error;
         left = s->reference;
         forward = (law_real)0;
         correction = (law_real)0;
@@ -798,9 +810,7 @@ uint32_t law_check(const law_params *params)
 
 uint32_t law_init(law_state *state, const law_params *params)
 {
-    clear(state);
-    state->reason = law_check(params);
-    return state->reason;
+    return forget(state, params);
 }
 
 /* What a call puts out that has computed nothing. */
@@ -811,13 +821,15 @@ static void say_nothing(law_output *out)
     out->error = (law_real)0;
 }
 
-/* A call that is not a new period: hold the outputs, and trip once that lasts as long as periods may be missed. */
-static void repeat(law_state *s, const law_params *p, law_output *out)
+/* A call that is not a new period: hold the outputs, and trip once that lasts as long as periods may be missed. A
+ * clock that was set back goes on from where it is: to wait for it keeps the last voltage on for longer. */
+static void repeat(law_state *s, const law_params *p, law_output *out, uint32_t tick)
 {
     if (s->repeated_at != s->tick) { /* the calls before belong to another period: a good one lies in between */
-        s->repeated_at = s->tick;
         s->repeated = 0U;
     }
+    s->tick = tick;
+    s->repeated_at = tick;
     s->repeated = counted(s->repeated);
     if (s->repeated > p->missed_limit) {
         latch(s, LAW_MISSED);
@@ -831,7 +843,7 @@ static void repeat(law_state *s, const law_params *p, law_output *out)
 }
 
 /* Make the state fit the parameters: begin anew, or stay tripped where the stamp alone is damaged. */
-static uint32_t restart(law_state *s, const law_params *p, const law_input *in)
+static LAW_APART uint32_t restart(law_state *s, const law_params *p, const law_input *in)
 {
     uint32_t flags = 0U;
     const uint32_t mode = corrected(s->mode);
@@ -863,7 +875,7 @@ void law_step(law_state *state, const law_params *params, const law_input *input
         say_nothing(output);
     } else if ((periods == 0U) || (periods > LAW_COUNT_MAX)) {
         flags |= LAW_FLAG_REPEATED;
-        repeat(state, params, output);
+        repeat(state, params, output, input->tick);
     } else {
         state->tick = input->tick;
         if (periods > 1U) {

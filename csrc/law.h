@@ -225,7 +225,7 @@ typedef struct {
     law_real integral;
     law_real filter;
     law_real voltage;
-    law_real sum; /* of the modes, of both references and of the motor loop's memory: any other one is damage */
+    law_real sum; /* of the modes, both references, the integral and the torque: any other one is damage */
 } law_state;
 
 typedef struct {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import subprocess
 import sys
 import time
@@ -32,16 +33,17 @@ def cluster(folder: Path, workers: int) -> Iterator[tuple[str, list[subprocess.P
     scheduler = spawn("distributed.cli.dask_scheduler", *free, "--scheduler-file", str(about))
     started: list[subprocess.Popen[bytes]] = []
     try:
-        while not about.exists():
+        address = ""
+        while not address:
             assert scheduler.poll() is None, "the scheduler does not start"
             time.sleep(0.05)
+            # while the file is being written it is no JSON
+            with contextlib.suppress(OSError, json.JSONDecodeError):
+                address = json.loads(about.read_text())["address"]
         one = ["--scheduler-file", str(about), "--nthreads", "1", "--no-nanny", "--no-dashboard"]
         place = ["--local-directory", str(folder), "--host", "127.0.0.1"]
         started = [spawn("distributed.cli.dask_worker", *one, *place) for _ in range(workers)]
-        import json
-
-        time.sleep(0.1)
-        yield json.loads(about.read_text())["address"], started
+        yield address, started
     finally:
         for process in (*started, scheduler):
             process.kill()

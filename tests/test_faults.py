@@ -30,7 +30,7 @@ from fraclink._simulate import geared
 from fraclink.errors import FieldError, FileFormatError
 
 # Open points of the shipped law on this arm; docs/how-to/run-a-fault-campaign.md gives their values.
-OPEN = {"F06", "F07", "F08", "F11", "F21", "F23", "F24", "F27", "F30", "F37", "F38"}
+OPEN = {"F03", "F06", "F07", "F08", "F21", "F24", "F27", "F37"}
 WIDE = 1e3
 
 
@@ -251,10 +251,10 @@ def test_a_flipped_bit_of_any_counter_does_no_harm(bench: Bench) -> None:
 
 @pytest.mark.slow
 def test_upsets_name_the_bit_that_they_flip(bench: Bench) -> None:
-    """A clock that is one period off goes on; one that is a million off switches the drive off."""
+    """A clock that is one period off, or was set back by a million, goes on; one that missed 512 does not."""
     found = {upset.bit: upset for upset in upsets(bench, names=["tick"], phase="rest")}
     assert sorted(found) == list(range(32))
-    assert found[0].off == 0 < found[20].off
+    assert found[0].off == found[20].off == 0 < found[9].off
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+import fraclink as fl
 from fraclink._campaign.fault_trial import REALS, WORDS
 from fraclink._law import MODES, REASONS, LawOutputs
 from law_bench import closed_loop, law, run, signals
@@ -248,6 +249,33 @@ def test_a_caller_that_calls_twice_in_every_period_is_ridden_through() -> None:
     np.testing.assert_array_equal(twice.motor_reference[::2], once.motor_reference)
     assert np.all(twice.mode[::2] == once.mode)
     assert once.mode[100] == 1
+
+
+def test_a_clock_that_was_set_back_is_followed_at_once_and_one_that_runs_backwards_is_not() -> None:
+    rows = quiet()
+    rows[0] += 0.05 * np.sin(0.05 * np.arange(COUNT))
+    back = np.arange(1, COUNT + 1)
+    back[200:] -= 3
+    once = run(law(), rows, ticks=back)
+    assert np.flatnonzero(once.flags & REPEATED).tolist() == [200]
+    assert np.all(once.mode == 1) and not np.any(once.flags & MISSED)
+    assert once.motor_reference[200] == once.motor_reference[199] != once.motor_reference[201]
+    backwards = run(law(), rows, ticks=1000 - np.arange(COUNT))
+    assert np.all(backwards.mode[1:6] == 1) and np.all(backwards.mode[6:] == 4)
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_a_motor_whose_encoder_is_lost_goes_on_as_its_model_does(precision: str) -> None:
+    """Four lost samples at full speed, in which the motor turns by 0.03 rad."""
+    made, move = law(precision), fl.smooth_step(1.0, 1.2, 0.1)
+    time = made.period * np.arange(COUNT)
+    rows = np.array([move.angle(time), move.acceleration(time)])
+    lost = range(172, 176)
+    clean, _ = closed_loop(made, rows)
+    tips, outputs = closed_loop(made, rows, lambda k, angle, torque: (np.nan if k in lost else angle, torque))
+    assert np.flatnonzero(outputs.flags & ENCODER).tolist() == list(lost)
+    assert set(outputs.mode) == {1}
+    assert np.abs(tips - clean).max() < 0.002
 
 
 def flipped(state: bytes, word: int, bit: int) -> bytes:

@@ -440,7 +440,7 @@ def test_another_system_is_told_plainly(law: Law, monkeypatch: pytest.MonkeyPatc
 REFUSED = """
     import os, resource, sys
     import fraclink as fl
-    from fraclink._realtime import Callback, run_realtime
+    from fraclink._realtime import Callback, VirtualClock, run_realtime
     rig = fl.Rig.named("paper-2023")
     law = fl.discretize(fl.Controller(gain=0.07, order=0.6, link=rig.model), 0.02, order=4)
     still = Callback(lambda: (0.0, 0.0), lambda command: None)
@@ -449,7 +449,7 @@ REFUSED = """
     resource.setrlimit(resource.RLIMIT_MEMLOCK, (65536, 65536))
     if os.geteuid() == 0:
         os.setresuid(65534, 65534, 65534)
-    run = run_realtime(law, fl.hold(0.0), still, duration=0.1)
+    run = run_realtime(law, fl.hold(0.0), still, duration=0.1, clock=VirtualClock(1))
     print(run.scheduling, "|", run.memory, "|", run.stopped)
 """
 

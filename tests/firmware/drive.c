@@ -305,7 +305,7 @@ static void memory(void)
         for (uint32_t i = 0U; i < 7U; i++) {
             begin((law_real)0.25F);
             law_real *const damage[7] = {&state.real[0], &state.forward[1], &state.reference, &state.motor_reference,
-                                         &state.integral, &state.filter, &state.sum};
+                                         &state.integral, &state.torque, &state.sum};
             state.mode = copied(mode);
             *damage[i] += (law_real)0.0078125F;
             step(1U);

@@ -48,7 +48,7 @@ static void seal(law_state *s, const law_params *p)
         sum += s->pair[i];
     }
 #endif
-    s->sum = sum + (s->motor_reference + (s->integral + s->filter)); /* law.c: kept */
+    s->sum = sum + (s->motor_reference + (s->integral + s->torque)); /* law.c: kept */
 }
 
 int LLVMFuzzerTestOneInput(const unsigned char *bytes, size_t size);

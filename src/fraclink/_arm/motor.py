@@ -70,6 +70,12 @@ class DiscretePid:
     filter_before: float
     filter_decay: float
 
+    @property
+    def stiffness(self) -> float:
+        """Voltage over a lasting error of the angle, before the integral acts [V/rad]."""
+        filtered = self.filter_gain * (self.filter_now + self.filter_before) / (1 - self.filter_decay)
+        return self.direct + filtered
+
 
 @dataclass(frozen=True)
 class ContinuousPid:

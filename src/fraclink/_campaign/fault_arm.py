@@ -16,17 +16,21 @@ from fraclink._campaign.fault_checks import (
     Evidence,
     Requirement,
     bounded,
+    limit_cycle,
     peak_ratio,
     reacts,
     settled,
 )
 from fraclink._campaign.fault_trial import (
+    BAD_ENCODER,
     EVER,
     HOLD,
     IDLE,
     MOVE_BEGINS,
+    OFF,
     OVERLOAD,
     REALS,
+    RESIDUAL,
     RUN,
     SWAPPED,
     TICK_MISSED,
@@ -41,6 +45,7 @@ from fraclink._simulate.kernel import ArmState
 
 HEADER, COUNTS = 16, 40  # bytes of law_params before its reals
 # The paper's gauge, with a noise of 0.01 N·m, asks for 0.24 rad in this time (`Law.wiring_angle`).
+HARMLESS = 0.3  # [rad] between tip and reference, for a drive that stays on (F29)
 SELF_TEST: Reference = smooth_step(0.35, duration=0.12, start=0.1)
 
 
@@ -145,15 +150,17 @@ def wiring_clean(e: Evidence) -> Check:
     return Check.at_most(f"wiring test refused a good gauge (it says: {answer})", answer != "none", 0)
 
 
-def from_the_move(trial: Trial) -> None:
-    """Count from the beginning of the move: at zero angle the fault does not show."""
-    if trial.case.phase == "whole":
-        trial.row = round(MOVE_BEGINS / trial.period)
-
-
 def degrees(trial: Trial) -> None:
-    trial.inputs[trial.row :, columns.ENCODER_GAIN] = trial.pick(10.0, 180 / math.pi, 1800 / math.pi)
-    from_the_move(trial)
+    """Count from when the reading of the motor differs from its angle by more than a good one may.
+
+    At zero angle the fault does not show: `residual_angle` is what a motor may be away from its model. The
+    motor is where its reference was a lag of 2/p + 1.5 T ago, the one that the guards count on, too.
+    """
+    factor = trial.pick(10.0, 180 / math.pi, 1800 / math.pi)
+    trial.inputs[trial.row :, columns.ENCODER_GAIN] = factor
+    lag = round((2 / trial.law.inner_pole + 1.5 * trial.period) / trial.period)
+    motor = np.concatenate((np.full(lag, trial.wanted[0]), trial.wanted))[trial.row : trial.count]
+    trial.row += int(np.argmax((factor - 1) * np.abs(motor) > trial.law.limits.residual_angle))
 
 
 def wrapped(trial: Trial) -> None:
@@ -165,7 +172,22 @@ def swapped(trial: Trial) -> None:
     whole = trial.case.phase == "whole"
     rows = slice(trial.row, None) if whole else trial.rows(trial.pick(0.25, 0.5, EVER))
     trial.set_bits(rows, SWAPPED)
-    from_the_move(trial)
+    trial.detail = "for a while" if trial.case.severity < 3 and not whole else "for ever"
+    if whole:
+        trial.row = round(MOVE_BEGINS / trial.period)  # before it both readings are zero
+
+
+def swap_reaction(e: Evidence) -> Check:
+    """Off; or no harm, where the exchange is over before its readings were incredible for a guard's time.
+
+    A torque that lies within `residual_angle` of the motor's model is, to every guard, the angle of a good
+    encoder: in the first quarter of a second of a move no law can tell. What is left is the harm, for which
+    the limit is that of a flipped bit.
+    """
+    off = reacts(OFF, ANY, BAD_ENCODER, RESIDUAL)(e)
+    if off.passed or e.detail == "for ever":
+        return off
+    return Check.at_most("peak tip error while either reading is credible [rad]", e.peak, HARMLESS)
 
 
 def other_payload(trial: Trial) -> None:
@@ -213,6 +235,18 @@ def sticky(trial: Trial) -> None:
         arm.rig[5:7] *= trial.pick(1.5, 2.0, 3.0)
 
     trial.at(0, action)
+
+
+def hunting(e: Evidence) -> Check:
+    """Half the peak-to-peak at rest: 2 mrad, or what friction that is not compensated holds the motor by.
+
+    Within (x - 1) times the compensated voltage over the motor loop's stiffness, the proportional action does
+    not move the motor; only the integral does, and hunts through that band.
+    """
+    drive = e.law.drive
+    assert drive is not None  # noqa: S101  # a bench gives every law a motor loop
+    band = (e.pick(1.5, 2.0, 3.0) - 1.0) * drive.coulomb_voltage / drive.loop.stiffness
+    return limit_cycle(max(2e-3, band))(e)
 
 
 def slow_motor(trial: Trial) -> None:

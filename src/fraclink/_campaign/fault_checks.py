@@ -21,6 +21,7 @@ __all__ = [
     "limit_cycle",
     "only",
     "peak",
+    "peak_over_best",
     "peak_ratio",
     "reacts",
     "settled",
@@ -62,6 +63,7 @@ class Evidence:
     faulty: TrialSignals
     clean: TrialSignals
     detail: str = ""
+    best: TrialSignals | None = None  # of a law that knows of the fault at once, see `FaultRule.best`
 
     @property
     def peak(self) -> float:
@@ -145,6 +147,19 @@ def reacts(mode: int, within: int, *reasons: int) -> Requirement:
 def peak_ratio(limit: float) -> Requirement:
     """Largest tip error over that of the clean run."""
     return lambda e: Check.at_most("peak tip error over clean", e.peak / e.clean_peak, limit)
+
+
+def peak_over_best(ratio: float) -> Requirement:
+    """Largest tip error over that of the clean run, or of a law that knows of the fault at once.
+
+    The larger of the two: no law can do better than to know at once, and a smaller bound asks for more.
+    """
+
+    def check(e: Evidence) -> Check:
+        best = 0.0 if e.best is None else float(np.abs(e.best.error).max())
+        return Check.at_most("peak tip error [rad]", e.peak, ratio * max(e.clean_peak, best))
+
+    return check
 
 
 def peak(limit: float, *, phases: tuple[str, ...] = PHASES) -> Requirement:

@@ -13,7 +13,6 @@ from fraclink._arm.reference import Reference
 from fraclink._campaign import fault_arm as arm
 from fraclink._campaign import fault_sensors as sensors
 from fraclink._campaign.fault_checks import (
-    ANY,
     Requirement,
     bounded,
     final,
@@ -21,6 +20,7 @@ from fraclink._campaign.fault_checks import (
     limit_cycle,
     only,
     peak,
+    peak_over_best,
     peak_ratio,
     reacts,
     settled,
@@ -61,13 +61,14 @@ class FaultRule:
     """What is done to a trial, and what is measured on its run.
 
     reference: of the run, where it is not the campaign's move. prepare: done to the faulty and the clean run
-    alike.
+    alike. best: done to the faulty trial, too, to show what a law would do that knows of the fault at once.
     """
 
     inject: Callable[[Trial], None]
     require: tuple[Requirement, ...]
     reference: Reference = MOVE
     prepare: Callable[[Trial], None] | None = None
+    best: Callable[[Trial], None] | None = None
 
 
 RIDES = (only(RUN), peak_ratio(1.1))
@@ -88,7 +89,11 @@ RULES = {
     "F08": FaultRule(sensors.stuck(FROZEN_ENCODER, 0.5, 2.0, 3.5), RIDES),
     "F09": FaultRule(sensors.rail, GIVES_UP_GAUGE),
     "F10": FaultRule(sensors.saturated, GIVES_UP_GAUGE),
-    "F11": FaultRule(sensors.stuck(FROZEN_GAUGE, 0.25, 0.5, 1.0), (only(RUN, DEGRADED), peak_ratio(1.1))),
+    "F11": FaultRule(
+        sensors.stuck(FROZEN_GAUGE, 0.25, 0.5, 1.0),
+        (only(RUN, DEGRADED), peak_over_best(1.1)),
+        best=sensors.without_gauge,
+    ),
     # An offset of the gauge, which Ĉ(1) = 0 must reject exactly whenever it comes.
     "F12": FaultRule(sensors.offset, (only(RUN), final(1e-3))),
     "F13": FaultRule(sensors.offset, (only(RUN), final(1e-3))),
@@ -98,14 +103,16 @@ RULES = {
     "F17": FaultRule(sensors.noise, (only(RUN), sensors.noise_bound)),
     "F18": FaultRule(sensors.spikes, (flagged(GAUGE, "gauge"), only(RUN), peak_ratio(1.05))),
     "F19": FaultRule(sensors.coarse, (only(RUN), sensors.one_count)),
-    "F20": FaultRule(sensors.jitter, (only(RUN), peak_ratio(1.02))),
-    "F21": FaultRule(lambda trial: trial.miss(int(trial.pick(1, 3, 5))), (flagged(MISSED, "missed"), *RIDES)),
+    "F20": FaultRule(sensors.jitter, (only(RUN), sensors.jitter_peak)),
+    "F21": FaultRule(sensors.few_missed, (flagged(MISSED, "missed"), only(RUN), sensors.gap_peak)),
     "F22": FaultRule(sensors.dead, (flagged(MISSED, "missed"), sensors.off_at_once, only(RUN, OFF))),
     "F23": FaultRule(sensors.repeated, (flagged(REPEATED, "repeated"), *RIDES)),
     "F24": FaultRule(sensors.delay, (only(RUN), peak_ratio(1.05))),
     "F25": FaultRule(sensors.jump, (flagged(REFERENCE, "reference"), only(RUN), sensors.overshoot)),
     "F26": FaultRule(sensors.bad_reference, (flagged(REFERENCE, "reference"), only(RUN), final(0.02))),
-    "F27": FaultRule(sensors.limited, (only(RUN), sensors.recovery), sensors.THERE_AND_BACK),
+    "F27": FaultRule(
+        sensors.limited, (only(RUN), sensors.recovery), sensors.THERE_AND_BACK, best=sensors.asked_for_less
+    ),
     "F28": FaultRule(sensors.slow, (only(RUN), limit_cycle(2e-3)), prepare=sensors.calm_end),
     "F29": FaultRule(arm.flip, (only(RUN), peak(0.3), settled(1.0))),
     "F30": FaultRule(arm.wipe, RIDES),
@@ -115,11 +122,13 @@ RULES = {
     "F34": FaultRule(arm.blind_start, (flagged(ENCODER, "encoder"), arm.idle, arm.silent, only(IDLE, RUN))),
     "F35": FaultRule(arm.degrees, OFF_BY_ENCODER),
     "F36": FaultRule(arm.wrapped, OFF_BY_ENCODER),
-    "F37": FaultRule(arm.swapped, (reacts(OFF, ANY, BAD_ENCODER, RESIDUAL), only(RUN, OFF))),
-    "F38": FaultRule(arm.other_payload, (only(RUN), arm.payload_peak, final(0.02))),
+    "F37": FaultRule(arm.swapped, (arm.swap_reaction, only(RUN, OFF))),
+    "F38": FaultRule(
+        arm.other_payload, (only(RUN), arm.payload_peak, final(0.02)), prepare=sensors.without_noise
+    ),
     "F39": FaultRule(arm.payload_changes, (only(RUN), bounded(0.1), final(0.02))),
     "F40": FaultRule(arm.hit, (arm.hit_reaction, only(RUN, HOLD))),
-    "F41": FaultRule(arm.sticky, (only(RUN), limit_cycle(2e-3))),
+    "F41": FaultRule(arm.sticky, (only(RUN), arm.hunting)),
     "F42": FaultRule(arm.slow_motor, (only(RUN), bounded(0.2), final(0.02))),
     "F43": FaultRule(arm.nothing, (only(RUN), arm.denormals, arm.quiet_trips)),
     "F44": FaultRule(arm.damaged, (arm.refused(BAD_CRC, BAD_CRC, BAD_CRC), arm.silent)),

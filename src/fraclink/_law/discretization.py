@@ -219,7 +219,7 @@ def equip(law: Law, rig: Rig, link: LinkModel, *, moves: Moves | None = None) ->
             gauge_noise=rig.gauge.noise,
             gauge_quantum=rig.gauge.quantum,
             encoder_resolution=rig.encoder.resolution,
-            sticking=STICTION * drive.coulomb_voltage / _stiffness(drive.loop),
+            sticking=STICTION * drive.coulomb_voltage / drive.loop.stiffness,
             kick=abs(law.correction.direct),
         ),
         tracking=_tracking(law, rig, link, drive.loop),
@@ -248,11 +248,6 @@ def drive_for(rig: Rig, pole: float) -> Drive:
         coulomb_voltage=motor.coulomb_torque / motor.torque_constant,
         coulomb_speed=COULOMB_SPEED,
     )
-
-
-def _stiffness(loop: DiscretePid) -> float:
-    """Voltage over a lasting error of the angle, before the integral acts [V/rad]."""
-    return loop.direct + loop.filter_gain * (loop.filter_now + loop.filter_before) / (1 - loop.filter_decay)
 
 
 def _check_period(controller: Controller, period: float) -> None:

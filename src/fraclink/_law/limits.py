@@ -156,7 +156,11 @@ def derive_limits(
         frozen_angle=min(
             residual, 2 * encoder_resolution + max(sticking, 4.5 * moves.acceleration * period**2)
         ),
-        stuck_torque=max(0.1 * torque, 8 * gauge_quantum + 4 * gauge_noise),
+        # a gauge whose noise is above its quantum does not read the same a dozen times: p = q/(2√π σ) for
+        # twice, below 1e-10 for twelve times, so that any motion of the model will do
+        stuck_torque=gauge_noise
+        if gauge_noise > gauge_quantum
+        else max(0.1 * torque, 8 * gauge_quantum + 4 * gauge_noise),
         block_limit=max(5, round(held / period)),
         # sum of squared motor steps whose torque stands 6 deviations above the noise of a torque step, and at
         # least that of 0.1 rad in 25 periods
