@@ -19,11 +19,11 @@ from fraclink._certify import Statement, enclose_phase_margin
 from fraclink._design import optimise
 from fraclink._design.alternatives import feasibility_map
 from fraclink._design.assess import margin_curve, phase_budget
+from fraclink._design.completed import design_for
 from fraclink._law import Moves, discretize_controller, equip
 from fraclink._realtime import Callback, Library, SharedMemory, Udp, parse_connection, run_realtime
 from fraclink._simulate import geared
 from fraclink._systems.discrete import fit_discrete
-from fraclink._workflow import design_for
 from fraclink.errors import FieldError
 from junk import JUNK, LINK, RIG, Call, design, fields_of, law, take_or_refuse
 

@@ -14,7 +14,7 @@ import pytest
 import fraclink as fl
 from fraclink._arm.box import ParameterBox, arms_of
 from fraclink._cli import main
-from fraclink._workflow import design_for
+from fraclink._design.completed import design_for
 from fraclink.errors import FieldError
 
 

@@ -18,12 +18,14 @@ import pytest
 
 from fraclink._arm.rig import Rig
 from fraclink._cli import main
+from fraclink._design.completed import design_for
 from fraclink._identify import Fit
 from fraclink._logs import bundled_log, read_log
 from fraclink._show.report import render_report
 from fraclink._simulate import Run
-from fraclink._workflow import Scope, design_for, load_study, run, simulate_move
+from fraclink._workflow import load_study, run, simulate_move
 from fraclink.errors import FileFormatError
+from fraclink.findings import Scope
 from shared_data import shared_data
 
 RIGS = Path(__file__).parent / "rigs"

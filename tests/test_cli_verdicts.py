@@ -12,8 +12,8 @@ from fraclink._arm.rig import Rig
 from fraclink._certify import Certificate
 from fraclink._cli import main
 from fraclink._design import Design
+from fraclink._design.completed import design_for
 from fraclink._logs import bundled_log
-from fraclink._workflow import design_for
 from reproduce import designs
 
 Command = Callable[..., tuple[int, str, str]]

@@ -10,8 +10,7 @@ import pytest
 import fraclink as fl
 from fraclink._arm.link import LinkModel
 from fraclink._arm.rig import Rig
-from fraclink._workflow import design_for
-from fraclink._workflow.run import _margin_sentence
+from fraclink._design.completed import _margin_sentence, design_for
 from fraclink.errors import InfeasibleError
 
 SILENT = replace(Rig.named("paper-2023"), design=None)

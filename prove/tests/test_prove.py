@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 import fraclink as fl
 from fraclink._certify import certify
 from fraclink._cli import main
+from fraclink._design.completed import design_for
 from fraclink._export import Proof, export_c
 from fraclink._files import sha256_of
 from fraclink._law import Law
-from fraclink._workflow import design_for
 from fraclink_prove import eva, formulas, rounding, source, step, symbolic, tools
 from fraclink_prove.certificate import loop_claim
 from law_bench import default_controller, law, with_pair

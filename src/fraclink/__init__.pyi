@@ -200,14 +200,14 @@ from fraclink._tune.plan import TuningPlan as TuningPlan
 from fraclink._tune.procedure import tune as tune
 from fraclink._tune.tuning import Tuning as Tuning
 from fraclink._tune.wiring import Wiring as Wiring
-from fraclink._workflow import Scope as Scope
 from fraclink._workflow import Start as Start
 from fraclink._workflow import Study as Study
-from fraclink._workflow import Verdict as Verdict
 from fraclink._workflow import load_study as load_study
 from fraclink._workflow import run as run
 from fraclink._workflow import start as start
 from fraclink.findings import Finding as Finding
+from fraclink.findings import Scope as Scope
+from fraclink.findings import Verdict as Verdict
 
 __version__: str
 __all__: list[str]

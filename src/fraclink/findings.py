@@ -1,4 +1,4 @@
-"""A finding: something a check noticed, with its evidence and what to do about it.
+"""A finding: something a check noticed, with its evidence and what to do; a verdict: what all was shown.
 
 Rigs, logs and fits carry findings instead of printing warnings, so that a report can show them
 and a program can act on their codes.
@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Literal
 
-__all__ = ["Finding", "Severity", "errors_of"]
+__all__ = ["Finding", "Scope", "Severity", "State", "Verdict", "errors_of", "worst_first"]
 
 Severity = Literal["info", "warning", "error"]
 
@@ -68,3 +68,65 @@ def errors_of(findings: Iterable[Finding]) -> tuple[Finding, ...]:
     ()
     """
     return tuple(finding for finding in findings if finding.severity == "error")
+
+
+def worst_first(findings: Iterable[Finding]) -> tuple[Finding, ...]:
+    """Return the findings with errors before warnings, and these before the others, else in their order."""
+    order = {"error": 0, "warning": 1, "info": 2}
+    return tuple(sorted(findings, key=lambda finding: order[finding.severity]))
+
+
+State = Literal["passed", "failed", "not shown", "not run"]
+_WORST_FIRST: tuple[State, ...] = ("failed", "not shown", "not run", "passed")
+
+
+@dataclass(frozen=True)
+class Scope:
+    """One part of a verdict: its state, and the reasons for anything but "passed"."""
+
+    state: State
+    reasons: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What was shown, in three scopes; the whole is never better than its worst part.
+
+    promise: the requirements of the design, and their proof where one was asked for. model: simulated moves
+    of the identified model. reality: arms that differ from the model, and faults if they were injected.
+    remarks stand beside the verdict and do not change it.
+
+    >>> Verdict(Scope("passed"), Scope("passed"), Scope("not run")).state
+    'not run'
+    """
+
+    promise: Scope
+    model: Scope
+    reality: Scope
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def scopes(self) -> Mapping[str, Scope]:
+        """The three scopes by name."""
+        return {"promise": self.promise, "model": self.model, "reality": self.reality}
+
+    @property
+    def state(self) -> State:
+        """The worst state of the three."""
+        states = {scope.state for scope in self.scopes.values()}
+        return next(state for state in _WORST_FIRST if state in states)
+
+    @property
+    def passed(self) -> bool:
+        """Whether all three scopes passed."""
+        return self.state == "passed"
+
+    @property
+    def refuted(self) -> bool:
+        """Whether a scope failed or could not be shown; what was not run refutes nothing."""
+        return self.state in ("failed", "not shown")
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """The reasons of all scopes, each once."""
+        return tuple(dict.fromkeys(reason for scope in self.scopes.values() for reason in scope.reasons))

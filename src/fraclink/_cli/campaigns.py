@@ -19,6 +19,7 @@ from fraclink._cli.command import Answer, Writes, command
 from fraclink._cli.console import steps, watching
 from fraclink._cli.options import Gear, LinkMass, ModelFile, RigName, load_design, load_link_model, load_rig
 from fraclink._design import Design
+from fraclink._design.completed import design_for
 from fraclink._files import save, write_text
 from fraclink._files.envelope import write_npz
 from fraclink._logs.responses import read_reference
@@ -26,7 +27,6 @@ from fraclink._show.report import write_campaign_report
 from fraclink._show.runs import draw_outcome
 from fraclink._show.views import faults_page
 from fraclink._simulate import geared
-from fraclink._workflow import design_for
 from fraclink.errors import FieldError
 
 app = group()

@@ -37,11 +37,12 @@ from fraclink._cli.options import (
     reference_of,
 )
 from fraclink._design import Design
+from fraclink._design.completed import design_for
 from fraclink._files import output_path
 from fraclink._show.arm_page import write_arm_page
 from fraclink._show.report import write_report
 from fraclink._simulate import simulate as run_law
-from fraclink._workflow import design_for, load_study, simulate_move
+from fraclink._workflow import load_study, simulate_move
 from fraclink._workflow import run as run_study
 
 app = group()

@@ -18,7 +18,7 @@ from fraclink._identify.fit import Fit
 from fraclink._identify.search import Solution
 from fraclink._identify.shape import ORDER_LIMITS
 from fraclink._identify.uncertainty import Uncertainty
-from fraclink.findings import Finding
+from fraclink.findings import Finding, worst_first
 
 # A model that explains less than half of a motion it has not seen steers no arm; good logs leave 0.1 to 10 %.
 HELDOUT_MOST = 0.5
@@ -51,7 +51,6 @@ def findings_of(
     log: Experiment,
 ) -> tuple[Finding, ...]:
     """All findings of a fit, worst first; `motion` are the shares of motion and vibration held out."""
-    order = {"error": 0, "warning": 1, "info": 2}
     # The sign and the delay of noise say nothing.
     heard = signal_of(fit) >= SIGNAL_LEAST
     found = [
@@ -64,7 +63,7 @@ def findings_of(
         *(_of_the_delay(fit, solution) if heard else ()),
         *_of_the_residual(fit),
     ]
-    return tuple(sorted(found, key=lambda finding: order[finding.severity]))
+    return worst_first(found)
 
 
 def signal_of(fit: Fit) -> float:

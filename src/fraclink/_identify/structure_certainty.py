@@ -16,7 +16,7 @@ from fraclink._identify.structure_problem import Lines, RecordStart, Samples, St
 from fraclink._identify.structure_search import PERFECT, Place, StructureSearch
 from fraclink._identify.uncertainty import inverted, sandwich
 from fraclink._systems.terms import Term
-from fraclink.findings import Finding
+from fraclink.findings import Finding, worst_first
 
 if TYPE_CHECKING:
     from fraclink._identify.structure_fit import StructureFit
@@ -232,10 +232,9 @@ def structure_findings(
     fit: StructureFit, certain: Certainty, rivals: Sequence[Place], data: RecordStart | Lines
 ) -> tuple[Finding, ...]:
     """All findings, worst first."""
-    rank = {"error": 0, "warning": 1, "info": 2}
     found = [*_of_the_parameters(fit, certain), *_of_the_error(fit), *_of_rivals(fit, rivals, data)]
     found += _of_the_band(fit, data)
-    return tuple(sorted(found, key=lambda finding: rank[finding.severity]))
+    return worst_first(found)
 
 
 def _of_the_parameters(fit: StructureFit, certain: Certainty) -> Iterator[Finding]:

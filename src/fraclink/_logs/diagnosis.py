@@ -24,9 +24,7 @@ from fraclink._logs.channels import (
 )
 from fraclink._logs.reading import converter_step
 from fraclink._validate import checked
-from fraclink.findings import Finding
-
-_ORDER = {"error": 0, "warning": 1, "info": 2}
+from fraclink.findings import Finding, worst_first
 
 
 @checked
@@ -52,7 +50,7 @@ def diagnose(experiment: Experiment, rig: Rig | None = None) -> tuple[Finding, .
     >>> any(finding.severity == "error" for finding in findings)
     False
     """
-    return tuple(sorted(_all(experiment, rig), key=lambda finding: _ORDER[finding.severity]))
+    return worst_first(_all(experiment, rig))
 
 
 def _all(experiment: Experiment, rig: Rig | None) -> Iterator[Finding]:

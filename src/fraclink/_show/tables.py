@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from fraclink._identify import Fit
     from fraclink._law import Law
     from fraclink._simulate import Run
-    from fraclink._workflow import Scope, Study, Verdict
+    from fraclink._workflow import Study
+    from fraclink.findings import Scope, Verdict
 
 
 def state_of(result: Any) -> str:
@@ -314,7 +315,7 @@ def faults_sentence(table: FaultTable) -> str:
 def verdict_sentence(verdict: Verdict) -> str:
     """The three states in one line, as a headline carries them.
 
-    >>> from fraclink._workflow import Scope, Verdict
+    >>> from fraclink.findings import Scope, Verdict
     >>> verdict_sentence(Verdict(Scope("passed"), Scope("passed"), Scope("not run")))
     'promise passed, model passed, reality not run'
     """

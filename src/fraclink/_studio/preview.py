@@ -18,11 +18,11 @@ from fraclink._arm.loop import with_payload
 from fraclink._arm.rig import Rig
 from fraclink._design import Design
 from fraclink._design.assess import phase_budget
+from fraclink._design.completed import design_for
 from fraclink._law import Law
 from fraclink._law.refit import refitted
 from fraclink._studio.messages import Answer, refusal
 from fraclink._studio.request import checked_request, wanted_of
-from fraclink._workflow import design_for
 from fraclink.errors import FieldError, FraclinkError, InfeasibleError
 
 __all__ = ["Subject", "blocks_of", "nearest", "preview"]

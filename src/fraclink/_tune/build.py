@@ -9,11 +9,11 @@ from fraclink._arm.link import LinkModel
 from fraclink._arm.rig import Encoder, Gauge, Link, Motor, Payloads, Rig, StatedTolerances
 from fraclink._certify import Certificate, certify
 from fraclink._design import Design, design
+from fraclink._design.completed import design_for
 from fraclink._law import Law
 from fraclink._tune.guard import MotionLimits
 from fraclink._tune.link import LinkResult
 from fraclink._tune.wiring import Wiring
-from fraclink._workflow.run import design_for
 from fraclink.errors import InfeasibleError
 
 __all__ = ["Built", "build_law", "measured_rig"]

@@ -13,7 +13,7 @@ from fraclink._tune.link import LinkResult
 from fraclink._tune.motor import MotorResult
 from fraclink._tune.moves import FirstMove
 from fraclink._tune.wiring import Wiring
-from fraclink._workflow.study import Scope, Verdict
+from fraclink.findings import Scope, Verdict
 
 __all__ = ["FILES", "Tuning"]
 

@@ -1,7 +1,6 @@
 """The whole way from a log to a verdict, and the folder that keeps it."""
 
 from fraclink._workflow.run import (
-    design_for,
     designed,
     examined,
     identified,
@@ -13,8 +12,7 @@ from fraclink._workflow.run import (
     tried,
 )
 from fraclink._workflow.start import START_FILES, Start, start
-from fraclink._workflow.study import Refusal, Scope, Study, Verdict, load_study, save_study
+from fraclink._workflow.study import Refusal, Study, load_study, save_study
 
-__all__ = ["START_FILES", "Refusal", "Scope", "Start", "Study", "Verdict", "design_for", "designed"]
-__all__ += ["examined", "identified", "load_study", "moved", "proved", "run", "save_study", "simulate_move"]
-__all__ += ["start", "subject", "tried"]
+__all__ = ["START_FILES", "Refusal", "Start", "Study", "designed", "examined", "identified", "load_study"]
+__all__ += ["moved", "proved", "run", "save_study", "simulate_move", "start", "subject", "tried"]

@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import STRUCTURES
@@ -25,64 +25,9 @@ from fraclink._identify import Comparison, Contest, Fit
 from fraclink._law import Law
 from fraclink._simulate import Run
 from fraclink.errors import FileFormatError
-from fraclink.findings import Finding
+from fraclink.findings import Finding, Scope, Verdict
 
-__all__ = ["Scope", "Study", "Verdict", "load_study", "save_study"]
-
-State = Literal["passed", "failed", "not shown", "not run"]
-_WORST_FIRST: tuple[State, ...] = ("failed", "not shown", "not run", "passed")
-
-
-@dataclass(frozen=True)
-class Scope:
-    """One part of a verdict: its state, and the reasons for anything but "passed"."""
-
-    state: State
-    reasons: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class Verdict:
-    """What was shown, in three scopes; the whole is never better than its worst part.
-
-    promise: the requirements of the design, and their proof where one was asked for. model: simulated moves
-    of the identified model. reality: arms that differ from the model, and faults if they were injected.
-    remarks stand beside the verdict and do not change it.
-
-    >>> Verdict(Scope("passed"), Scope("passed"), Scope("not run")).state
-    'not run'
-    """
-
-    promise: Scope
-    model: Scope
-    reality: Scope
-    remarks: tuple[str, ...] = ()
-
-    @property
-    def scopes(self) -> Mapping[str, Scope]:
-        """The three scopes by name."""
-        return {"promise": self.promise, "model": self.model, "reality": self.reality}
-
-    @property
-    def state(self) -> State:
-        """The worst state of the three."""
-        states = {scope.state for scope in self.scopes.values()}
-        return next(state for state in _WORST_FIRST if state in states)
-
-    @property
-    def passed(self) -> bool:
-        """Whether all three scopes passed."""
-        return self.state == "passed"
-
-    @property
-    def refuted(self) -> bool:
-        """Whether a scope failed or could not be shown; what was not run refutes nothing."""
-        return self.state in ("failed", "not shown")
-
-    @property
-    def reasons(self) -> tuple[str, ...]:
-        """The reasons of all scopes, each once."""
-        return tuple(dict.fromkeys(reason for scope in self.scopes.values() for reason in scope.reasons))
+__all__ = ["Refusal", "Study", "load_study", "save_study"]
 
 
 @dataclass(frozen=True)
