@@ -19,7 +19,10 @@ extensions = [
     "sphinx.ext.viewcode",
     "docstrings",
     "linked_names",
+    "accessible",
+    "command_pages",
     "moving_arm",
+    "pictures",
     "quiet_kernels",
 ]
 myst_enable_extensions = ["deflist", "colon_fence", "attrs_inline"]
@@ -37,6 +40,7 @@ html_theme = "furo"
 html_title = f"fraclink {version}"
 html_static_path = ["_static"]
 html_css_files = ["fraclink.css"]
+html_js_files = [("copy.js", {"defer": "defer"})]
 html_show_sphinx = False
 html_copy_source = False
 

@@ -88,8 +88,15 @@ def test_pages_use_public_names_only(page: Path) -> None:
     assert private.findall(page.read_text("utf-8")) == []
 
 
-def test_every_command_stands_on_the_page_of_commands() -> None:
-    cells = "".join(re.findall(r"^options\((.*?)\)$", (DOCS / "reference/command-line.md").read_text(), re.M))
+def extension(name: str, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """A module of the documentation's own extensions."""
+    monkeypatch.syspath_prepend(str(DOCS / "extensions"))
+    return importlib.import_module(name)
+
+
+def test_every_command_has_a_page_with_example_options_and_picture(monkeypatch: pytest.MonkeyPatch) -> None:
+    pages = extension("command_pages", monkeypatch)
+    found = pages.commands()
     group: Any = typer.main.get_command(application())
     context = typer.Context(group)
     commands = [
@@ -97,7 +104,20 @@ def test_every_command_stands_on_the_page_of_commands() -> None:
         for name in group.list_commands(context)
         for inner in getattr(group.get_command(context, name), "commands", {"": None})
     ]
-    assert re.findall(r'"([\w -]+)"', cells) == commands
+    assert list(found) == commands and set(pages.SHOWN) == set(commands)
+    for name, command in found.items():
+        text = pages.page(name, command)
+        assert "```console\n$ fraclink" in text and "{picture}" in text and "## Options" in text
+        assert (DOCS / f"{pages.SHOWN[name][1]}.md").is_file()
+
+
+def test_every_picture_has_a_page_that_shows_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    pictures = extension("pictures", monkeypatch).PICTURES
+    commands = extension("command_pages", monkeypatch).SHOWN
+    assert {picture for picture, _ in commands.values()} <= set(pictures)
+    shown = {name for page in PAGES for name in re.findall(r"\{picture\} ([\w-]+)", page.read_text("utf-8"))}
+    assert shown <= set(pictures)
+    assert {name for name, item in pictures.items() if not (DOCS / f"{item.page}.md").is_file()} == set()
 
 
 def test_every_saved_kind_stands_in_the_file_formats() -> None:

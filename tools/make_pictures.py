@@ -15,11 +15,13 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
-from matplotlib.axes import Axes
 
 import fraclink as fl
 from fraclink._files import write_text
-from fraclink._show.axes import BLUE, GREY, LINES, ORANGE, figure, svg
+from fraclink._show.drawing import Figure, Panel, beside
+from fraclink._show.marks import Across, Curve, Mark, Zone
+from fraclink._show.palette import LINES
+from fraclink._show.scales import Scale
 from fraclink._simulate import Twin
 from fraclink._systems.margins import Margins
 
@@ -68,48 +70,37 @@ def draw_result() -> None:
         margins="ideal",
         filter_order=2,
     )
-    with figure(10.5, 3.3) as drawing:
-        *moves, margin = drawing.subplots(1, 3, width_ratios=(1, 1, 1.2))
-        for tip, told in zip(moves, (False, True), strict=True):
-            _draw_moves(tip, told=told)
-        moves[1].sharey(moves[0])
-        moves[1].legend(loc="lower right")
-        mass = np.linspace(0.008, 0.045, 40)
-        for color, style, label, at in (
-            (GREY, (0, (4, 2)), "published procedure: promised", published.at),
-            (ORANGE, "-", "published procedure: sampled at 4 ms", published.sampled_at),
-            (BLUE, "-", "fraclink: sampled at 4 ms", ours.sampled_at),
-        ):
-            values = [_margin(at(float(m))) for m in mass]
-            margin.plot(1e3 * mass, values, color=color, linestyle=style, label=label)
-        margin.axhline(0, color=GREY, linewidth=0.8)
-        margin.axvspan(20, 40, color="#eef3f8", linewidth=0)
-        margin.set(
-            xlabel="payload [g]; shaded: designed for",
-            ylabel="phase margin [°]",
-            xlim=(8, 45),
-            ylim=(-20, 105),
-        )
-        margin.set_title("What is promised, what is left")
-        margin.legend(loc="upper left", fontsize=7.5)
-        title = "Tip angle of four payloads, not given and given; phase margin against payload"
-        write_text(PLACE, svg(drawing, "result", title) + "\n")
+    mass = np.linspace(0.008, 0.045, 40)
+    marks: list[Mark] = [Zone(20.0, 40.0), Across(0.0, limit=False)]
+    for line, name, at in (
+        (4, "promised", published.at),
+        (2, "published", published.sampled_at),
+        (1, "fraclink", ours.sampled_at),
+    ):
+        marks.append(Curve(1e3 * mass, [_margin(at(float(m))) for m in mass], line, name))
+    panel = Panel("What is promised, what is left: phase margin [°]", Scale(-20.0, 105.0), marks, 230.0)
+    left = Figure("margin", "", Scale(8.0, 45.0), (panel,), "payload [g]; shaded: designed for", width=430.0)
+    told, untold = _moves(told=True), _moves(told=False)
+    title = "Tip angle of four payloads, not given and given; phase margin against payload"
+    write_text(PLACE, beside([untold, told, left], title) + "\n")
 
 
-def _draw_moves(tip: Axes, *, told: bool) -> None:
+def _moves(*, told: bool) -> Figure:
     """Tip angle of four payloads: link 7.35 g, friction, gauge noise, 0.05 N·m gauge offset."""
     rig = fl.Rig.named("paper-2023-geared")
     assert rig.model is not None
     request = {"gain_crossover": 12.0, "phase_margin": fl.deg(50), "filter_time": 0.02}
     law = fl.design(rig.model, rig, payloads=(0.020, 0.040), **request).law()
     move = fl.smooth_step(1.0, duration=0.5)
+    marks: list[Mark] = [Zone(0.98, 1.02, lying=True)]
     for line, payload in zip(LINES, (0.008, 0.020, 0.040, 0.080), strict=True):
         arm = Twin.from_rig(rig, payload=payload)
         run = fl.simulate(law, move, arm=arm, gauge_offset=0.05, duration=2.0, told=told)
-        tip.plot(run.time[::4], run.tip_angle[::4], **line, label=f"{1e3 * payload:g} g")
-    tip.axhspan(0.98, 1.02, color="#eef3f8", linewidth=0)
+        name = f"{1e3 * payload:g} g" if told else ""
+        marks.append(Curve(run.time[::4], run.tip_angle[::4], line, name))
     title = "Payload given" if told else "Payload not given"
-    tip.set(xlabel="time [s]", ylabel="tip angle [rad]", xlim=(0, 2), ylim=(0, 1.4), title=title)
+    panel = Panel(f"{title}: tip angle [rad]", Scale(0.0, 1.4), marks, 230.0)
+    return Figure("moves", title, Scale(0.0, 2.0), (panel,), "time [s]", width=360.0 if told else 310.0)
 
 
 def _margin(found: Margins) -> float:

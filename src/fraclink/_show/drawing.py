@@ -19,7 +19,7 @@ from fraclink._show.pages import template_text
 from fraclink._show.palette import DARK, LIGHT, literal
 from fraclink._show.scales import Scale
 
-__all__ = ["Figure", "Panel", "stand_alone"]
+__all__ = ["Figure", "Panel", "beside", "stand_alone"]
 
 WIDTH = 860.0  # dots of a drawing that stands alone: the text's width on the report's page
 _LETTER = 6.7  # dots a letter of 12 dots is wide, on the average of a system's typeface
@@ -87,7 +87,7 @@ class Figure:
         """Elements, height and the room at the right in dots."""
         parts, top, names = [], 24.0, [0]
         for panel in self.panels:
-            frame = Frame(self.x, panel.y, top, panel.height)
+            frame = Frame(self.x, panel.y, top, panel.height, int(min(9.0, self.width / 80)))
             layers = [mark.drawn(frame) for mark in panel.marks]
             parts.append(_panel(panel, frame, layers, last=panel is self.panels[-1]))
             names += [len(name) for layer in layers for _, name, _ in layer.ends]
@@ -104,6 +104,18 @@ class Figure:
             bottom += 40.0
         right = 14.0 if max(names) == 0 else 38.0 + _LETTER * max(names)
         return "".join(parts), bottom, right
+
+
+def beside(figures: Sequence[Figure], description: str) -> str:
+    """Figures beside one another as one whole SVG, each as wide as it says."""
+    parts, left, height = [], 0.0, 0.0
+    for figure in figures:
+        body, high, right = figure._body()
+        across = figure.width - figure.left - right
+        place = f'x="{left + figure.left:g}" y="10" width="{across:g}" height="{high:g}"'
+        parts.append(f'<svg {place} overflow="visible">{body}</svg>')
+        left, height = left + figure.width, max(height, high)
+    return stand_alone("".join(parts), left, height + 20, description)
 
 
 def _key(key: tuple[str, ...], top: float) -> str:
@@ -123,7 +135,7 @@ def _panel(panel: Panel, frame: Frame, layers: Sequence[Layers], *, last: bool) 
         y = frame.down(value)
         lines.append(f'<line class="grid" x2="100%" y1="{y}" y2="{y}"/>')
         texts.append(f'<text x="-6" y="{round(y + 4, 1)}" text-anchor="end">{escaped(text)}</text>')
-    for k, (value, text) in enumerate(frame.x.marks(9)):
+    for k, (value, text) in enumerate(frame.x.marks(frame.ticks)):
         x = frame.across(value)
         lines.append(f'<line class="grid" x1="{x}" x2="{x}" y1="{frame.top}" y2="{bottom}"/>')
         if last:
@@ -151,7 +163,8 @@ def _panel(panel: Panel, frame: Frame, layers: Sequence[Layers], *, last: bool) 
 
 def _ends(ends: Sequence[tuple[float, str, str]], frame: Frame) -> str:
     """Names at the right ends of their lines, pushed apart until each can be read."""
-    placed = sorted(ends)
+    # Lines that end at one place keep the order in which they were drawn.
+    placed = sorted(ends, key=lambda end: round(end[0] / 8))
     places = [end[0] for end in placed]
     for _ in range(40):
         for k in range(1, len(places)):

@@ -52,6 +52,7 @@ class Frame:
     y: Scale
     top: float
     height: float
+    ticks: int = 9
 
     def across(self, value: float) -> str:
         """A value's place across."""

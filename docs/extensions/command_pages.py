@@ -1,0 +1,159 @@
+"""A page for every command, written before a build from the command's own help: what it does, an example
+with its output as the tests hold it, its options, a picture, and the page that explains more.
+
+The pages lie in `reference/commands`, where only this writes.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import typer
+from sphinx.application import Sphinx
+
+from fraclink._cli.app import application
+
+ROOT = Path(__file__).resolve().parents[2]
+OUTPUTS = ROOT / "tests" / "golden" / "commands"
+_LONGEST = 45  # lines of an output: more hides the options below it
+
+# Command -> picture, and the page that explains more.
+SHOWN: dict[str, tuple[str, str]] = {
+    "start": ("detail", "tutorial/your-own-csv"),
+    "run": ("moves", "tutorial/from-log-to-board"),
+    "inspect": ("log", "how-to/read-your-log"),
+    "diagnose": ("log", "how-to/read-your-log"),
+    "identify": ("detail", "how-to/choose-a-structure"),
+    "design": ("bode", "how-to/design-a-controller"),
+    "simulate": ("moves", "how-to/run-the-twin"),
+    "twin": ("dropped", "how-to/run-the-twin"),
+    "certify": ("nyquist", "how-to/read-a-certificate"),
+    "export c": ("loop", "how-to/flash-a-board"),
+    "export matlab": ("loop", "how-to/python-control"),
+    "export fmu": ("loop", "how-to/export-an-fmu"),
+    "export io": ("loop", "how-to/flash-a-board"),
+    "run-realtime": ("loop", "how-to/run-in-real-time"),
+    "serve-arm": ("arm", "how-to/run-in-real-time"),
+    "report": ("margins", "tutorial/from-log-to-board"),
+    "share": ("arm", "how-to/share-an-arm"),
+    "compare-structures": ("structures", "how-to/choose-a-structure"),
+    "identify-payloads": ("damping", "how-to/choose-a-structure"),
+    "identify-motor": ("arm", "how-to/include-your-motor-loop"),
+    "identify-spectrum": ("response", "how-to/identify-a-frequency-response"),
+    "identify-driven-link": ("response", "how-to/identify-a-frequency-response"),
+    "identify-structure": ("steps", "how-to/identify-any-structure"),
+    "plan-experiment": ("log", "explanation/identification"),
+    "record": ("log", "how-to/run-the-twin"),
+    "assess": ("budget", "explanation/margins"),
+    "optimise": ("filters", "how-to/design-a-controller"),
+    "compare": ("published", "how-to/compare-rivals"),
+    "design-map": ("refused", "how-to/design-a-controller"),
+    "shape": ("moves", "how-to/shape-a-move"),
+    "campaign montecarlo": ("arms", "how-to/run-a-campaign"),
+    "campaign report": ("arms", "how-to/run-a-campaign"),
+    "campaign replay": ("moves", "how-to/run-a-campaign"),
+    "campaign faults": ("dropped", "how-to/run-a-fault-campaign"),
+    "replay": ("loop", "how-to/flash-a-board"),
+    "doctor": ("arm", "how-to/bring-your-rig"),
+}
+
+
+def commands() -> dict[str, Any]:
+    """Every command by the words that call it."""
+    group: Any = typer.main.get_command(application())
+    context = typer.Context(group)
+    found = {}
+    for name in group.list_commands(context):
+        command = group.get_command(context, name)
+        inner = getattr(command, "commands", None)
+        found |= {name: command} if inner is None else {f"{name} {word}": inner[word] for word in inner}
+    return found
+
+
+def file_name(name: str) -> str:
+    """Where a command's page lies."""
+    return name.replace(" ", "-")
+
+
+def summary(command: Any) -> str:
+    """The first sentence of a command's help."""
+    return " ".join((command.help or "").partition("\n\n")[0].split())
+
+
+def page(name: str, command: Any) -> str:
+    """A command's page."""
+    body, _, example = (command.help or "").partition("$ ")
+    picture, more = SHOWN.get(name, ("", ""))
+    example = " ".join(example.split()) or f"fraclink {name} --help"
+    parts = [f"# fraclink {name}", " ".join(body.split())]
+    parts += [f"```console\n$ {example}\n```"]
+    if picture:
+        parts += [f"```{{picture}} {picture}\n```"]
+    parts += _output(name)
+    parts += ["## Options", _options(command)]
+    if more:
+        parts += [f"## See also\n\n[](../../{more}.md), [](../command-line.md)"]
+    return "\n\n".join(parts) + "\n"
+
+
+def _output(name: str) -> list[str]:
+    """What the command printed when its output was recorded for the tests."""
+    place = OUTPUTS / f"{file_name(name)}.txt"
+    if not place.is_file():
+        return []
+    lines = place.read_text("utf-8").rstrip().splitlines()
+    cut = lines[:_LONGEST] + ([f"… {len(lines) - _LONGEST} more lines"] if len(lines) > _LONGEST else [])
+    return ["## What it prints", "```text\n" + "\n".join(cut) + "\n```"]
+
+
+def _options(command: Any) -> str:
+    rows = ["| option | meaning | default |", "|---|---|---|"]
+    for item in command.params:
+        text = " ".join((getattr(item, "help", "") or "").split()).replace("|", "\\|")
+        given = getattr(item, "opts", [])
+        names = (
+            (item.metavar or item.name.upper(),)
+            if item.param_type_name == "argument"
+            else (*given, *item.secondary_opts)
+        )
+        shown = " / ".join(f"`{word}`" for word in names)
+        rows.append(f"| {shown} | {text} | {_default(item)} |")
+    return "\n".join(rows)
+
+
+def _default(item: Any) -> str:
+    if item.required:
+        return "required"
+    value = item.default
+    if value is None or value is False or value == () or callable(value):
+        return ""
+    return f"`{' '.join(map(str, value)) if isinstance(value, tuple | list) else value}`"
+
+
+def write(app: Sphinx) -> None:
+    """Write the pages, and the table that is part of the page of commands."""
+    if not (Path(app.srcdir) / "reference" / "command-line.md").is_file():
+        return
+    folder = Path(app.srcdir) / "reference" / "commands"
+    folder.mkdir(exist_ok=True)
+    found = commands()
+    rows = [
+        f"| [`{name}`](commands/{file_name(name)}.md) | {summary(command)} |"
+        for name, command in found.items()
+    ]
+    texts = {"_all": "\n".join(["| command | what it does |", "|---|---|", *rows]) + "\n"}
+    texts |= {file_name(name): page(name, command) for name, command in found.items()}
+    for old in folder.glob("*.md"):
+        if old.stem not in texts:
+            old.unlink()
+    for name, text in texts.items():
+        place = folder / f"{name}.md"
+        if not place.is_file() or place.read_text("utf-8") != text:  # unchanged pages are not built again
+            place.write_text(text, "utf-8")
+
+
+def setup(app: Sphinx) -> dict[str, bool]:
+    """Called by Sphinx."""
+    app.connect("builder-inited", write)
+    return {"parallel_read_safe": True}

@@ -1,0 +1,465 @@
+"""Pictures of the pages: `{picture} name` stands for a drawing that the package makes in this build.
+
+They are part of the page, in its colours, light and dark; the text of the directive is the caption. The
+gallery shows all of them as thumbnails, each with a link to the page that explains it.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache
+from html import escape
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+from docutils import nodes
+from sphinx.application import Sphinx
+from sphinx.util.docutils import SphinxDirective
+
+import fraclink as fl
+from fraclink import PayloadChange, Twin, geared, phase_budget
+from fraclink._campaign import Campaign, simulate_part
+from fraclink._show import figures, fleets, loops, runs
+from fraclink._show.drawing import Figure, Panel
+from fraclink._show.marks import Across, Curve, Mark, Upright, Zone
+from fraclink._show.pages import template_text
+from fraclink._show.scales import Scale
+from fraclink._show.sketches import arm_sketch, loop_sketch
+
+ASK: dict[str, Any] = {"payloads": (0.020, 0.040), "gain_crossover": 12.0, "phase_margin": fl.deg(50)}
+
+
+@cache
+def rig() -> fl.Rig:
+    return fl.Rig.named("paper-2023")
+
+
+@cache
+def design(filter_time: float | None = None) -> fl.Design:
+    return fl.design(rig().model, rig(), filter_time=filter_time, **ASK)
+
+
+@cache
+def log() -> fl.Experiment:
+    return fl.read_log(fl.bundled_log("prbs_30g"), rig=rig())
+
+
+@cache
+def comparison() -> fl.Comparison:
+    return fl.compare_structures(log())
+
+
+def fit() -> fl.Fit:
+    return comparison().fits["UD-FOM"]
+
+
+def lines(
+    name: str, said: str, label: str, curves: list[tuple[str, Any, Any]], xlabel: str, **more: Any
+) -> Figure:
+    """One panel of curves, each with its name."""
+    marks: list[Mark] = [Curve(x, y, k, text) for k, (text, x, y) in enumerate(curves, 1)]
+    marks = [*more.pop("below", []), *marks, *more.pop("above", [])]
+    x = more.pop("x", None) or Scale(
+        *(float(f(curves[0][1])) for f in (np.min, np.max)), more.pop("log", False)
+    )
+    y = more.pop("y", None) or Scale.around(*(c[2] for c in curves))
+    return Figure(name, said, x, (Panel(label, y, marks, 240.0),), xlabel)
+
+
+def filters() -> Figure:
+    """Noise, margin and sensitivity over the filter's time constant."""
+    times = np.array([0.0, 0.002, 0.005, 0.01, 0.02, 0.03, 0.04])
+    noise, light, peak = [], [], []
+    for time in times:
+        made = design(float(time))
+        run = fl.simulate(made.law(), fl.hold(0.0, duration=1.0), rig=rig(), model=rig().model, duration=8.0)
+        noise.append(1e3 * run.metrics.motor_reference_noise)
+        light.append(math.degrees(made.sampled_at(0.008).phase_margin))
+        peak.append(1 / made.sampled_at(0.020).modulus_margin)
+    milli = 1e3 * times
+    rows = (
+        ("noise of the motor reference at rest [mrad]", noise),
+        ("margin at 8 g, lighter than designed for [°]", light),
+        ("Ms at 20 g", peak),
+    )
+    panels = [
+        Panel(label, Scale.around(values), [Curve(milli, values, k)], 100.0)
+        for k, (label, values) in enumerate(rows, 1)
+    ]
+    said = "A longer filter lowers the noise and costs margin below the range and sensitivity inside of it"
+    return Figure("filters", said, Scale(0.0, 40.0), panels, "filter δ [ms]")
+
+
+def damping() -> Figure:
+    """Damping ratio over the frequency of the mode: viscous and power law."""
+    payloads = np.geomspace(0.004, 0.12, 60)
+    law = [fl.LinkModel(1.56, rig().natural_frequency(float(m)), order=1.92) for m in payloads]
+    base = rig().natural_frequency(0.030)
+    viscous = 0.0628 * np.array([rig().natural_frequency(float(m)) for m in payloads]) / base
+    w = [abs(model.pole) for model in law]
+    said = "The damping ratio of a viscous link rises with its frequency, that of a power law does not"
+    curves = [("power law, λ = 1.92", w, [100 * m.damping_ratio for m in law]), ("viscous", w, 100 * viscous)]
+    return lines(
+        "damping",
+        said,
+        "damping ratio [%]",
+        curves,
+        "frequency of the mode [rad/s]",
+        log=True,
+        y=Scale(0, 18),
+    )
+
+
+def offset() -> Figure:
+    """The tip after the gauge has got an offset."""
+    made = design(0.0)
+    run = fl.simulate(
+        made.law(), fl.hold(0.0), rig=rig(), model=rig().model, duration=6.0, noise=0.0, gauge_offset=0.078
+    )
+    seen = np.abs(1e3 * run.tip_angle)
+    envelope = np.maximum.accumulate(seen[::-1])[::-1]
+    said = "The tip's largest error from then on falls to zero after the gauge has got an offset of 0.05 rad"
+    return lines(
+        "offset",
+        said,
+        "largest error from then on [mrad]",
+        [("tip", run.time, np.maximum(envelope, 1e-3))],
+        "time [s]",
+        y=Scale(1e-2, 100, log=True),
+    )
+
+
+def second_mode() -> Figure:
+    """What the gauge sees of a link with mass, and of one without."""
+    link = rig().link
+    beam = fl.Beam(link.length, link.stiffness * link.length / 3, 0.00735, 0.030)
+    modes = beam.modes(3)
+    shares = modes.participation * modes.curvature / link.stiffness
+    w = np.unique(
+        np.concatenate(
+            [np.geomspace(3, 600, 500), *(m * np.linspace(0.9, 1.1, 81) for m in modes.frequencies)]
+        )
+    )
+    w = w[w <= 600]
+    s = 1j * w
+    material = s ** (2 - rig().model.order)
+    real = sum(
+        share * s**2 / (s**2 + m**2 * material) for share, m in zip(shares, modes.frequencies, strict=True)
+    )
+    lumped = rig().model.torque()(s) / link.stiffness
+    said = "The gauge of a link with mass shows a second mode where the lumped model has none"
+    curves = [("twin", w, 20 * np.log10(np.abs(real))), ("lumped model", w, 20 * np.log10(np.abs(lumped)))]
+    return lines(
+        "second-mode", said, "gauge over motor angle, Γ/(c θm) [dB]", curves, "frequency ω [rad/s]", log=True
+    )
+
+
+def mode_gain() -> Figure:
+    """The open loop at the second mode with the rule's filter and with the one that bounds it."""
+    heavy = geared(rig(), 50)
+    heavy = replace(heavy, link=replace(heavy.link, mass=0.00735))
+    curves = []
+    beam = fl.Beam(heavy.link.length, heavy.link.stiffness * heavy.link.length / 3, 0.00735, 0.030)
+    modes = beam.modes(3)
+    shares = modes.participation * modes.curvature / heavy.link.stiffness
+    w = np.unique(
+        np.concatenate(
+            [np.geomspace(3, 600, 400), *(m * np.linspace(0.85, 1.15, 121) for m in modes.frequencies[:2])]
+        )
+    )
+    w, s = w[w <= 600], 1j * w[w <= 600]
+    tip = 1 - sum(
+        share * s**2 / (s**2 + m**2 * s ** (2 - heavy.model.order))
+        for share, m in zip(shares, modes.frequencies, strict=True)
+    )
+    for text, more in (("10 % rule", {}), ("bounded to 0.5", {"mode_gain": 0.5})):
+        made = fl.design(heavy.model, heavy, **ASK, **more)
+        hold = (1 - np.exp(-s * heavy.period)) / (s * heavy.period) * np.exp(-s * heavy.period)
+        loop = made.law().frequency_response(w) * hold * tip / (1 + s / heavy.motor_loop.pole) ** 2
+        curves.append((text, w, 20 * np.log10(np.abs(loop))))
+    said = (
+        "The loop gain at the second mode: above one with the paper's filter, below one half with the bound"
+    )
+    above = [Across(0.0, "a gain of one"), Upright(float(modes.frequencies[1]), "second mode")]
+    return lines(
+        "mode-gain",
+        said,
+        "open loop |L| of a link of 7 g [dB]",
+        curves,
+        "frequency ω [rad/s]",
+        log=True,
+        above=above,
+    )
+
+
+def published() -> Figure:
+    """What is left of a promised margin, over the payload."""
+    old = fl.design(
+        rig().model,
+        rig(),
+        payloads=(0.020, 0.040),
+        gain_crossover=16.0,
+        phase_margin=fl.deg(70),
+        margins="ideal",
+        filter_order=2,
+    )
+    mass = np.linspace(0.008, 0.045, 30)
+    curves = []
+    for text, at in (
+        ("fraclink, as it runs", design().sampled_at),
+        ("published, as it runs", old.sampled_at),
+        ("published, promised", old.at),
+    ):
+        found = [at(float(m)) for m in mass]
+        sign = [-1.0 if f.stable is False else 1.0 for f in found]
+        curves.append(
+            (
+                text,
+                1e3 * mass,
+                [k * abs(math.degrees(f.phase_margin)) for k, f in zip(sign, found, strict=True)],
+            )
+        )
+    said = "Of the margin that the published procedure promises, the loop that runs keeps little"
+    return lines(
+        "published",
+        said,
+        "phase margin [°]",
+        curves,
+        "payload [g]; shaded: designed for",
+        below=[Zone(20, 40), Across(0.0, limit=False)],
+    )
+
+
+def dropped() -> Figure:
+    """A move of the twin that loses a third of its payload."""
+    arm = Twin.from_rig(geared(rig(), 50), link_mass=0.00735)
+    curves = []
+    for time in (None, 0.02):
+        made = design(time)
+        law = fl.discretize(made.controller, rig().period)
+        run = fl.simulate(
+            law,
+            fl.smooth_step(1.0, duration=1.0),
+            arm=arm,
+            duration=4.0,
+            events=[PayloadChange(time=1.5, payload=0.020)],
+        )
+        curves.append(
+            (f"δ = {1e3 * made.controller.filter_time:.0f} ms", run.time[::2], 1e3 * run.error[::2])
+        )
+    said = "Tip error of two designs whose payload falls from 30 g to 20 g after the move"
+    return lines(
+        "dropped", said, "tip error [mrad]", curves, "time [s]", above=[Upright(1.5, "10 g fall off")]
+    )
+
+
+def stand_ins() -> Figure:
+    """Error of two rational approximations of the same order."""
+    link = rig().model.tip()
+    w = np.geomspace(0.1, 300, 500)
+    exact = link(1j * w)
+    curves = []
+    for method in ("minimax", "oustaloup"):
+        made = fl.approximate(link, band=(0.1, 300.0), order=6, method=method)
+        curves.append((method, w, 20 * np.log10(np.abs(made(1j * w) / exact))))
+    said = "Error of the modulus of two rational approximations of order six"
+    return lines("stand-ins", said, "error of |G| [dB]", curves, "frequency ω [rad/s]", log=True)
+
+
+def arms() -> Figure:
+    """Where arms that differ fail without a gear."""
+    part = simulate_part(Campaign.of(rig(), rig().model, design().law(), runs=4000, seed=1), 0)
+    passed = part["passed"].astype(bool)
+    return fleets.failures_figure(
+        part["coulomb_torque"].astype(float),
+        part["amplitude"].astype(float),
+        ~passed,
+        ("friction left over [N·m]", "move [rad]"),
+    )
+
+
+def refused() -> Figure:
+    """Feasible requests, with one that is not."""
+    found = fl.feasibility_map(
+        rig().model,
+        rig(),
+        gain_crossovers=np.linspace(8, 34, 60),
+        phase_margins=np.radians(np.linspace(10, 100, 60)),
+        filter_time=0.0,
+    )
+    request = {"gain_crossover": 30.0, "phase_margin": fl.deg(80)}
+    try:
+        fl.design(rig().model, rig(), payloads=(0.020, 0.040), filter_time=0.0, **request)
+    except fl.errors.InfeasibleError as error:
+        near = error.nearest
+        return loops.map_figure(found, (30.0, fl.deg(80)), (near["gain_crossover"], near["phase_margin"]))
+    return loops.map_figure(found)
+
+
+@cache
+def moves() -> tuple[fl.Run, ...]:
+    move = fl.smooth_step(1.0, duration=0.5)
+    return tuple(fl.simulate(design(0.02), move, payload=m, duration=2.5) for m in (0.020, 0.030, 0.040))
+
+
+def shaped_or_smooth() -> Figure:
+    """Steps of one loop, exact."""
+    t = np.linspace(0.0, 3.0, 400)
+    curves = []
+    for order in (2.0, 1.95, 1.85):
+        link = fl.LinkModel(1.56, 11.5, order=order)
+        curves.append((f"λ = {order:g}", t[1:], fl.step_response(link.tip(), t).output[1:]))
+    said = "Exact step responses of links of three orders"
+    return lines("steps", said, "tip after a step of the motor", curves, "time [s]")
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A title, the page that explains it, and what draws it."""
+
+    title: str
+    page: str
+    draw: Callable[[], Figure | str]
+
+
+PICTURES: dict[str, Picture] = {
+    "arm": Picture("The arm and its signals", "reference/symbols", arm_sketch),
+    "loop": Picture("The loop", "reference/law", loop_sketch),
+    "log": Picture("A recorded log", "how-to/read-your-log", lambda: figures.log_figure(log())),
+    "detail": Picture(
+        "A model over the log", "tutorial/from-log-to-board", lambda: figures.detail_figure(fit())
+    ),
+    "response": Picture(
+        "Model and log over frequency",
+        "explanation/identification",
+        lambda: figures.response_figure(log(), fit()) or "",
+    ),
+    "residual": Picture(
+        "What a model leaves", "explanation/identification", lambda: figures.residual_figure(fit()) or ""
+    ),
+    "structures": Picture(
+        "Four structures",
+        "how-to/choose-a-structure",
+        lambda: figures.models_figure(comparison().fits, comparison().preferred),
+    ),
+    "damping": Picture("Two kinds of damping", "explanation/why-fractional", damping),
+    "steps": Picture("Steps of fractional links", "how-to/fractional-calculus", shaped_or_smooth),
+    "stand-ins": Picture("Rational stand-ins", "explanation/numerics", stand_ins),
+    "second-mode": Picture("The twin’s second mode", "explanation/twin", second_mode),
+    "bode": Picture("The open loop", "how-to/design-a-controller", lambda: loops.bode_figure(design())),
+    "refused": Picture("What can be asked for", "how-to/design-a-controller", refused),
+    "filters": Picture("The filter’s price", "how-to/choose-the-filter", filters),
+    "mode-gain": Picture("The loop at the second mode", "explanation/limits", mode_gain),
+    "margins": Picture(
+        "Margins over the payload",
+        "explanation/what-the-margins-mean",
+        lambda: loops.margins_figure(design()),
+    ),
+    "published": Picture("Promised and left", "explanation/the-paper", published),
+    "budget": Picture(
+        "Where the phase goes",
+        "explanation/margins",
+        lambda: loops.budget_figure(phase_budget(design(), 0.020), 0.020),
+    ),
+    "nyquist": Picture(
+        "The disk around −1", "how-to/read-a-certificate", lambda: loops.nyquist_figure(design(0.0), 0.45)
+    ),
+    "offset": Picture("An offset is forgotten", "explanation/offset-and-memory", offset),
+    "moves": Picture("One law, three payloads", "how-to/run-the-twin", lambda: runs.moves_figure(moves())),
+    "dropped": Picture("A payload that falls off", "how-to/run-the-twin", dropped),
+    "arms": Picture("Where arms fail", "how-to/run-a-campaign", arms),
+}
+
+
+@cache
+def drawn(name: str) -> str:
+    """A picture as an element of a page."""
+    made = PICTURES[name].draw()
+    if isinstance(made, str):
+        return made[: made.index("<style>")] + made[made.index("/>", made.index("</style>")) + 2 :]
+    return made.inline()
+
+
+def thumbnail(name: str) -> str:
+    """A picture that is part of a link: the link says what it shows, the drawing would say it twice."""
+    text = re.sub(r' role="img" aria-label="[^"]*"', ' aria-hidden="true"', drawn(name))
+    text = re.sub(r' (id|data-\w+)="[^"]*"', "", text)
+    return f'<span class="small">{text}</span>'
+
+
+class PictureDirective(SphinxDirective):
+    """``{picture} name`` with a caption below."""
+
+    required_arguments = 1
+    has_content = True
+    option_spec: ClassVar[dict[str, Any]] = {}
+
+    def run(self) -> list[nodes.Node]:
+        """One figure."""
+        name = self.arguments[0]
+        if name not in PICTURES:
+            raise self.error(f"no picture is called {name!r}")
+        box = nodes.container(classes=["picture"])
+        box += nodes.raw("", drawn(name), format="html")
+        if self.content:
+            caption = nodes.container(classes=["picture-caption"])
+            caption += self.parse_content_to_nodes()
+            box += caption
+        return [box]
+
+
+class GalleryDirective(SphinxDirective):
+    """``{gallery}``: every picture as a thumbnail that leads to its page; or those that are named."""
+
+    optional_arguments = 30
+    has_content = False
+
+    def run(self) -> list[nodes.Node]:
+        """A grid of links."""
+        up = "../" * self.env.docname.count("/")
+        parts = []
+        for name in self.arguments or PICTURES:
+            picture = PICTURES[name]
+            title = f"<b>{escape(picture.title)}</b>"
+            parts.append(f'<a class="thumb" href="{up}{picture.page}.html">{thumbnail(name)}{title}</a>')
+        return [nodes.raw("", f'<div class="gallery">{"".join(parts)}</div>', format="html")]
+
+
+class CardsDirective(SphinxDirective):
+    """``{cards}``: lines of "title | page | picture | sentence" as cards beside one another."""
+
+    has_content = True
+
+    def run(self) -> list[nodes.Node]:
+        """A grid of links."""
+        parts = []
+        for line in self.content:
+            title, page, name, text = (part.strip() for part in line.split("|"))
+            parts.append(
+                f'<a class="thumb" href="{page}.html">{thumbnail(name)}<b>{escape(title)}</b>'
+                f"<span>{escape(text)}</span></a>"
+            )
+        return [nodes.raw("", f'<div class="gallery cards">{"".join(parts)}</div>', format="html")]
+
+
+def write_styles(app: Sphinx, error: Exception | None) -> None:
+    """The package's colours and drawings, for every page."""
+    if error is None and app.builder.format == "html":
+        place = Path(app.outdir) / "_static"
+        # A cell's drawing brings its own style; on these pages the page's colours count.
+        figure = re.sub(r"(^|[,}]\s*|\n)\.fl\b", r"\1body .fl", template_text("figure.css"))
+        (place / "drawings.css").write_text(template_text("palette.css") + figure, "utf-8")
+
+
+def setup(app: Sphinx) -> dict[str, bool]:
+    """Called by Sphinx."""
+    app.add_directive("picture", PictureDirective)
+    app.add_directive("gallery", GalleryDirective)
+    app.add_directive("cards", CardsDirective)
+    app.add_css_file("drawings.css")
+    app.connect("build-finished", write_styles)
+    return {"parallel_read_safe": True}
