@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import json
 import math
 from dataclasses import replace
@@ -359,9 +360,13 @@ def test_saved_and_drawn(everything, tmp_path):
     data = json.loads((tmp_path / "comparison.json").read_text())
     assert [s["name"] for s in data["standings"]] == [s.name for s in everything.standings]
     assert "inf" in {s["peak"] for s in data["standings"]}
-    for ending in ("svg", "png"):
-        everything.draw(tmp_path / f"comparison.{ending}")
-        assert (tmp_path / f"comparison.{ending}").stat().st_size > 5000
+    everything.draw(tmp_path / "comparison.svg")
+    drawn = (tmp_path / "comparison.svg").read_text("utf-8")
+    shown = sum(not math.isinf(s.settling_time) for s in everything.standings)
+    assert drawn.count("never</text>") >= len(everything.standings) - shown
+    assert all(html.escape(s.name) in drawn for s in everything.standings)
+    with pytest.raises(FieldError, match=r"\.svg"):
+        everything.draw(tmp_path / "comparison.png")
 
 
 def test_refusals():

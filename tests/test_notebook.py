@@ -29,7 +29,7 @@ def results() -> dict[str, Any]:
 
 
 NAMES = ("Rig", "Experiment", "Fit", "Comparison", "Design", "Law", "Run", "Certificate")
-DRAWN = {"Experiment", "Fit", "Comparison", "Design", "Run"}
+DRAWN = {"Rig", "Experiment", "Fit", "Comparison", "Design", "Run"}
 
 
 @pytest.mark.parametrize("name", NAMES)

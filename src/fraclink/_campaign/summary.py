@@ -12,6 +12,7 @@ from scipy.special import betaincinv
 
 from fraclink._campaign.campaign import Campaign, Distribution
 from fraclink._campaign.run import read_part
+from fraclink._display import displayed
 from fraclink.errors import FieldError
 
 __all__ = ["METRICS", "PARAMETERS", "Failure", "MetricSummary", "Quantile", "Summary", "columns", "summarise"]
@@ -93,6 +94,7 @@ class Failure:
         return f"{claim}; below {self.high:.2g} at 95 %: {more}"
 
 
+@displayed
 @dataclass(frozen=True)
 class Summary:
     """What `summarise` found: failures, tripped runs by (mode, reason), every metric, and what the law was

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import Annotated
 
@@ -19,9 +20,10 @@ from fraclink._arm.rig import Rig
 from fraclink._arm.shapers import Shaped
 from fraclink._compare.case import Filter, NominalLoop, Setting, fine_step, law_filter, prepare, sampled
 from fraclink._compare.controllers import Seen
-from fraclink._compare.presentation import draw, markdown, sentences
+from fraclink._compare.presentation import markdown, sentences
 from fraclink._compare.rivals import FRACLINK, OFFSET, Rival, builders
-from fraclink._files import write_json
+from fraclink._display import displayed
+from fraclink._files import write_json, write_text
 from fraclink._law import Law
 from fraclink._simulate.arm import Twin
 from fraclink._simulate.damping import PowerLaw
@@ -213,6 +215,7 @@ class Standing:
         return self.passed and self.growth == 0.0
 
 
+@displayed
 @dataclass(frozen=True, eq=False)
 class Tournament:
     """Every rival's standing, fraclink first, with what was assumed and the nominal runs for plots."""
@@ -248,8 +251,15 @@ class Tournament:
         return markdown(self)
 
     def draw(self, path: Path | str) -> None:
-        """Draw the figures as bars to a file (SVG, PDF or PNG by its ending)."""
-        draw(self, path)
+        """Draw a dot for every rival and figure to an SVG file.
+
+        Raises FieldError for a file of another kind.
+        """
+        if Path(path).suffix.lower() not in ("", ".svg"):
+            remedy = "end its name in .svg; browsers and Inkscape turn it into other kinds"
+            raise FieldError("path", str(path), "a file of another kind", allowed=".svg", remedy=remedy)
+        # What draws lies floors above, as for the reprs of results.
+        write_text(path, import_module("fraclink._show.rivals").rivals_figure(self) + "\n")
 
     def save(self, path: Path | str) -> None:
         """Write the standings to a JSON file; infinite figures are the text "inf"."""

@@ -17,6 +17,7 @@ from fraclink._arm.rig import Rig
 from fraclink._design.assess import PRINTED, axis_of, match_at
 from fraclink._design.equations import equation, task_of
 from fraclink._design.specification import Design, Specification
+from fraclink._display import displayed
 from fraclink._systems.sweep import bracketed_roots
 from fraclink._validate import Between, Payload, checked
 from fraclink.errors import InfeasibleError, SizeError
@@ -170,6 +171,7 @@ def _best_order(design: Design, max_sensitivity: float) -> Alternative:
 # ---- the map of what can be asked for ---------------------------------------------------------------------
 
 
+@displayed
 @dataclass(frozen=True)
 class FeasibilityMap:
     """Arrays of shape (len(phase_margin), len(gain_crossover)); NaN where no admissible controller exists.

@@ -56,6 +56,7 @@ class Figure:
     link: str = ""
     left: float = 46.0
     width: float = WIDTH
+    ticks: int = 9  # at most about as many on the horizontal scale
     rigid: bool = False  # the same in both directions: a plane
     key: tuple[str, ...] = ()  # a title, then what the levels' colours mean
 
@@ -87,7 +88,8 @@ class Figure:
         """Elements, height and the room at the right in dots."""
         parts, top, names = [], 24.0, [0]
         for panel in self.panels:
-            frame = Frame(self.x, panel.y, top, panel.height, int(min(9.0, self.width / 80)))
+            ticks = max(3, int(min(self.ticks, self.width / 80)))
+            frame = Frame(self.x, panel.y, top, panel.height, ticks, self.left)
             layers = [mark.drawn(frame) for mark in panel.marks]
             parts.append(_panel(panel, frame, layers, last=panel is self.panels[-1]))
             names += [len(name) for layer in layers for _, name, _ in layer.ends]
@@ -152,11 +154,8 @@ def _panel(panel: Panel, frame: Frame, layers: Sequence[Layers], *, last: bool) 
     curves += "".join(layer.curves for layer in layers)
     above = (panel.raw(frame) if panel.raw else "") + "".join(layer.above for layer in layers)
     frame_line = f'<line class="base" x2="100%" y1="{bottom}" y2="{bottom}"/>'
-    label = (
-        f'<text class="label" x="-42" y="{frame.top - 8}">{escaped(panel.label)}</text>'
-        if panel.label
-        else ""
-    )
+    place = f'x="{4 - min(frame.left, 46.0):g}" y="{frame.top - 8}"'
+    label = f'<text class="label" {place}>{escaped(panel.label)}</text>' if panel.label else ""
     ends = _ends([end for layer in layers for end in layer.ends], frame)
     return "".join([shaded, *lines, *texts, box, curves, "</svg>", frame_line, above, ends, label])
 

@@ -28,7 +28,7 @@ SHOWN = {
     "motor_reference_noise": "motor reference noise",
 }
 _BINS = 40
-_CELLS = 10
+_MOST_CELLS = 14  # each way, of many runs; of few a cell still holds twice the fewest on average
 _FEWEST = 30  # runs of a cell: of fewer a share says little, and the cell stays empty
 _SHARES = (1.0, 10.0, 30.0)  # [%] limits of the colours
 
@@ -73,7 +73,8 @@ def strongest(summary: Summary) -> tuple[str, str]:
 
 def failures_figure(across: Real, up: Real, failed: NDArray[np.bool_], names: tuple[str, str]) -> Figure:
     """Share of runs that fail over two drawn parameters, whose axes `names` title."""
-    runs, x, y = np.histogram2d(across, up, bins=_CELLS)
+    cells = int(np.clip(np.sqrt(across.size / (2 * _FEWEST)), 3, _MOST_CELLS))
+    runs, x, y = np.histogram2d(across, up, bins=cells)
     bad, _, _ = np.histogram2d(across[failed], up[failed], bins=(x, y))
     with np.errstate(invalid="ignore", divide="ignore"):
         share = np.where(runs >= _FEWEST, 100.0 * bad / runs, np.nan)
@@ -117,7 +118,7 @@ def drivers_figure(summary: Summary) -> str:
     names, rows = driver_rows(summary)
 
     def table(frame: Frame) -> str:
-        parts, width = [], 1.0 / len(names)
+        parts, width = [], 0.94 / len(names)  # the last name leans over the right edge
         for column, name in enumerate(names):
             place = f'x="{percent((column + 0.5) * width)}" y="{frame.top + _HEAD - 8}"'
             text = f'<text transform="rotate(-45)">{escaped(name)}</text>'

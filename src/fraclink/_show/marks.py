@@ -53,6 +53,7 @@ class Frame:
     top: float
     height: float
     ticks: int = 9
+    left: float = 46.0
 
     def across(self, value: float) -> str:
         """A value's place across."""

@@ -5,16 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from fraclink._show import figures, loops, runs
+from fraclink._show import figures, fleets, loops, runs
 from fraclink._show.drawing import Figure
+from fraclink._show.rivals import rivals_figure
+from fraclink._show.sketches import arm_sketch
 from fraclink._show.text import looked_up, marked
 from fraclink._show.views import view
+from fraclink._show.words import sketch_notes
 
 __all__ = ["drawing", "page_part", "short"]
 
 _LONGEST = 110  # characters of a repr: a list of results stays readable
 
-_DRAWINGS: dict[str, Callable[[Any], Figure]] = {
+_DRAWINGS: dict[str, Callable[[Any], Figure | str]] = {
     "Experiment": figures.log_figure,
     "Fit": figures.detail_figure,
     "Start": lambda started: figures.fit_figure(started.experiment, started.fit),
@@ -23,6 +26,9 @@ _DRAWINGS: dict[str, Callable[[Any], Figure]] = {
     "StructureFit": figures.structure_figure,
     "DrivenLinkFit": lambda found: figures.structure_figure(found.fit),
     "FeasibilityMap": loops.map_figure,
+    "Rig": lambda rig: arm_sketch(sketch_notes(rig, rig.model)),
+    "Summary": fleets.drivers_figure,
+    "Tournament": rivals_figure,
     "Run": lambda run: runs.moves_figure([run]),
     "ShapedMove": runs.shaped_figure,
 }
@@ -45,8 +51,8 @@ def drawing(result: Any) -> str | None:
     """Return the drawing of a result as SVG, in the colours of both themes; None where it has none."""
     if type(result).__name__ not in _DRAWINGS:
         return None
-    drawn: Figure = looked_up(_DRAWINGS, result)(result)
-    return drawn.alone()
+    drawn: Figure | str = looked_up(_DRAWINGS, result)(result)
+    return drawn if isinstance(drawn, str) else drawn.alone()
 
 
 def page_part(result: Any) -> str:

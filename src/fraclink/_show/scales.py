@@ -61,7 +61,7 @@ class Scale:
         """Places and texts of at most about `most` ticks."""
         if self.ticks is not None:
             return self.ticks
-        return _decades(self.low, self.high) if self.log else nice_ticks(self.low, self.high, most)
+        return _decades(self.low, self.high, most) if self.log else nice_ticks(self.low, self.high, most)
 
     @classmethod
     def around(cls, *values: ArrayLike, least: float = 0.0, room: float = 0.06) -> Scale:
@@ -94,10 +94,11 @@ def _text(value: float, step: float) -> str:
     return f"{value:.3g}".replace("-", "−")
 
 
-def _decades(low: float, high: float) -> tuple[tuple[float, str], ...]:
+def _decades(low: float, high: float, most: int) -> tuple[tuple[float, str], ...]:
     """Powers of ten, with 2 and 5 times them where there are few."""
     span = math.log10(high / low)
-    factors = (1, 2, 5) if span < 3.3 else (1,)
+    factors = (1, 2, 5) if 3 * span < 1.2 * most else (1,)
     powers = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
     values = [factor * 10.0**power for power in powers for factor in factors]
-    return tuple((v, f"{v:.12g}") for v in values if low * (1 - 1e-9) <= v <= high * (1 + 1e-9))
+    inside = [v for v in values if low * (1 - 1e-9) <= v <= high * (1 + 1e-9)]
+    return tuple((v, f"{v:.12g}") for v in inside[:: 1 + len(inside) // (most + 3)])
