@@ -184,7 +184,8 @@ def mode_gain() -> Figure:
     said = (
         "The loop gain at the second mode: above one with the paper's filter, below one half with the bound"
     )
-    above = [Across(0.0, "a gain of one"), Upright(float(modes.frequencies[1]), "second mode")]
+    peak = float(w[np.argmax(np.where(w > 100, curves[0][2], -np.inf))])
+    above = [Across(0.0, "a gain of one"), Upright(peak, "second mode")]
     return lines(
         "mode-gain",
         said,
@@ -272,14 +273,13 @@ def stand_ins() -> Figure:
 
 def arms() -> Figure:
     """Where arms that differ fail without a gear."""
-    part = simulate_part(Campaign.of(rig(), rig().model, design().law(), runs=4000, seed=1), 0)
-    passed = part["passed"].astype(bool)
-    return fleets.failures_figure(
-        part["coulomb_torque"].astype(float),
-        part["amplitude"].astype(float),
-        ~passed,
-        ("friction left over [N·m]", "move [rad]"),
+    campaign = Campaign.of(rig(), rig().model, design().law(), runs=4000, seed=1)
+    parts = [simulate_part(campaign, part) for part in range(campaign.parts)]
+    friction, size, passed = (
+        np.concatenate([part[name] for part in parts]) for name in ("coulomb_torque", "amplitude", "passed")
     )
+    titles = ("Coulomb torque over what is compensated", "move [rad]")
+    return fleets.failures_figure(friction.astype(float), size.astype(float), ~passed.astype(bool), titles)
 
 
 def refused() -> Figure:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = ["BLUE", "FAINT", "FULL_WIDTH", "GREEN", "GREY", "INK", "LEVELS", "LINES", "ORANGE", "VIOLET"]
-__all__ += ["figure", "load_matplotlib", "save_figure", "svg"]
+__all__ += ["cycle", "figure", "load_matplotlib", "save_figure", "svg"]
 
 _LIGHT = colours()
 INK, GREY, FAINT = _LIGHT["ink"], _LIGHT["quiet"], _LIGHT["rule"]
@@ -73,6 +73,12 @@ _STYLE: dict[Any, Any] = {
     "svg.hashsalt": "fraclink",
     "path.simplify_threshold": 0.2,
 }
+
+
+def cycle() -> dict[Any, Any]:
+    """What gives the lines of new axes fraclink's colours and dashes, in their order."""
+    cycler = load_matplotlib().cycler
+    return {"axes.prop_cycle": cycler(color=list(LEVELS)) + cycler(linestyle=list(_DASHES))}
 
 
 @contextmanager

@@ -198,6 +198,9 @@ def _finish(axes: Any) -> None:
     axes[1].set_ylabel("phase [°]")
     axes[1].set_xlabel("frequency [rad/s]")
     low, high = axes[1].get_ylim()
+    if high > -270.0:
+        # Below lies only what delay adds where the gain is long gone: it would flatten what matters.
+        low = max(low, -370.0)
     step = next(d for d in (15, 30, 45, 90, 180, 360, 720, 1e9) if (high - low) / d <= 7)
     if step <= 720:
         axes[1].set_yticks(np.arange(math.floor(low / step), math.ceil(high / step) + 1) * step)

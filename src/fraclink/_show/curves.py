@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fraclink._show.axes import cycle
 from fraclink._systems.loops import SampledLoop, as_loop
 from fraclink._systems.sweep import frequency_grid, refined
 from fraclink.errors import FieldError, MissingExtraError
@@ -26,7 +27,8 @@ def new_axes(rows: int = 1) -> Any:
         from matplotlib import pyplot
     except ImportError as error:
         raise MissingExtraError("matplotlib", "report") from error
-    return pyplot.subplots(rows, 1, sharex=True, layout="constrained")[1]
+    with pyplot.rc_context(cycle()):
+        return pyplot.subplots(rows, 1, sharex=True, layout="constrained")[1]
 
 
 def finish(ax: Any, labels: Sequence[str] | None, *, grid: str = "0.9") -> Any:
