@@ -22,7 +22,7 @@ extensions = [
     "accessible",
     "command_pages",
     "moving_arm",
-    "pictures",
+    "picture_directives",
     "quiet_kernels",
 ]
 myst_enable_extensions = ["deflist", "colon_fence", "attrs_inline"]

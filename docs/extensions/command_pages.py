@@ -35,6 +35,8 @@ SHOWN: dict[str, tuple[str, str]] = {
     "export io": ("loop", "how-to/flash-a-board"),
     "run-realtime": ("loop", "how-to/run-in-real-time"),
     "serve-arm": ("arm", "how-to/run-in-real-time"),
+    "tune": ("bode", "how-to/tune-an-arm"),
+    "studio": ("margins", "how-to/use-the-studio"),
     "report": ("margins", "tutorial/from-log-to-board"),
     "share": ("arm", "how-to/share-an-arm"),
     "compare-structures": ("structures", "how-to/choose-a-structure"),
