@@ -1,4 +1,4 @@
-"""Pictures of the pages, drawn by the package in every build: a title, the page that explains it, the drawing."""
+"""Pictures of the pages, drawn by the package in every build: title, page that explains it, drawing."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ from fraclink._compare.controllers import Seen
 from fraclink._compare.presentation import markdown, sentences
 from fraclink._compare.rivals import FRACLINK, OFFSET, Rival, builders
 from fraclink._display import displayed
-from fraclink._files import write_json, write_text
+from fraclink._files import write_json
 from fraclink._law import Law
 from fraclink._simulate.arm import Twin
 from fraclink._simulate.damping import PowerLaw
@@ -251,15 +251,9 @@ class Tournament:
         return markdown(self)
 
     def draw(self, path: Path | str) -> None:
-        """Draw a dot for every rival and figure to an SVG file.
-
-        Raises FieldError for a file of another kind.
-        """
-        if Path(path).suffix.lower() not in ("", ".svg"):
-            remedy = "end its name in .svg; browsers and Inkscape turn it into other kinds"
-            raise FieldError("path", str(path), "a file of another kind", allowed=".svg", remedy=remedy)
+        """Draw a dot for every rival and figure to an SVG file; FieldError for a file of another kind."""
         # What draws lies floors above, as for the reprs of results.
-        write_text(path, import_module("fraclink._show.rivals").rivals_figure(self) + "\n")
+        import_module("fraclink._show.rivals").draw_rivals(self, path)
 
     def save(self, path: Path | str) -> None:
         """Write the standings to a JSON file; infinite figures are the text "inf"."""

@@ -18,8 +18,9 @@ from fraclink._show.marks import ACROSS, DOWN, Frame, Layers, Mark, escaped, per
 from fraclink._show.pages import template_text
 from fraclink._show.palette import DARK, LIGHT, literal
 from fraclink._show.scales import Scale
+from fraclink.errors import FieldError
 
-__all__ = ["Figure", "Panel", "beside", "stand_alone"]
+__all__ = ["Figure", "Panel", "beside", "save_svg", "stand_alone"]
 
 WIDTH = 860.0  # dots of a drawing that stands alone: the text's width on the report's page
 _LETTER = 6.7  # dots a letter of 12 dots is wide, on the average of a system's typeface
@@ -81,8 +82,8 @@ class Figure:
         return stand_alone(nested, self.left + across + right, height + 20, self.description)
 
     def save(self, path: Path | str) -> None:
-        """Write the drawing to an SVG file, whole or not at all."""
-        write_text(path, self.alone() + "\n")
+        """Write the drawing to an SVG file, as `save_svg` does."""
+        save_svg(self.alone(), path)
 
     def _body(self) -> tuple[str, float, float]:
         """Elements, height and the room at the right in dots."""
@@ -106,6 +107,14 @@ class Figure:
             bottom += 40.0
         right = 14.0 if max(names) == 0 else 38.0 + _LETTER * max(names)
         return "".join(parts), bottom, right
+
+
+def save_svg(text: str, path: Path | str) -> None:
+    """Write a drawing to a file, whole or not at all; FieldError for a file of another kind."""
+    if Path(path).suffix.lower() not in ("", ".svg"):
+        remedy = "end its name in .svg; browsers and Inkscape turn it into other kinds"
+        raise FieldError("path", str(path), "a file of another kind", allowed=".svg", remedy=remedy)
+    write_text(path, text + "\n")
 
 
 def beside(figures: Sequence[Figure], description: str) -> str:

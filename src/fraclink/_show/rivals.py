@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fraclink._show.drawing import Figure, Panel, beside
+from fraclink._show.drawing import Figure, Panel, beside, save_svg
 from fraclink._show.marks import Frame, escaped
 from fraclink._show.scales import Scale
 
 if TYPE_CHECKING:
     from fraclink._compare.tournament import Standing, Tournament
 
-__all__ = ["rivals_figure"]
+__all__ = ["draw_rivals", "rivals_figure"]
 
 # Attribute, title, factor, and the left end of a logarithmic scale: what is below counts as that.
 _COLUMNS = (
@@ -41,6 +42,11 @@ def rivals_figure(result: Tournament) -> str:
         width = room + _WIDE
         columns.append(Figure(attribute, title, x, (panel,), left=room, width=width, ticks=3))
     return beside(columns, "What each rival reached in six figures; left is better")
+
+
+def draw_rivals(result: Tournament, path: Path | str) -> None:
+    """Write `rivals_figure` to an SVG file."""
+    save_svg(rivals_figure(result), path)
 
 
 def _rows(
