@@ -7,5 +7,8 @@
 #define law_init law_init_single
 #define law_step law_step_single
 #define law_check_wiring law_check_wiring_single
+#define payload_check payload_check_single
+#define payload_init payload_init_single
+#define payload_step payload_step_single
 
 #endif

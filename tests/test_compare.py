@@ -32,7 +32,7 @@ from fraclink._compare.published import CORRECTED, INTEGER, PRINTED, integer_twi
 from fraclink._compare.rivals import builders, servo_law
 from fraclink._compare.tournament import feed_forward, linear_growth, mode_gain, run_rival
 from fraclink._simulate import Twin, geared
-from fraclink._simulate.simulate import with_motor_loop
+from fraclink._simulate.on_twin import with_motor_loop
 from fraclink._systems.margins import margins
 from fraclink.errors import FieldError, NotConvergedError
 

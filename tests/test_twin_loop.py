@@ -24,7 +24,7 @@ from fraclink._simulate import (
 )
 from fraclink._simulate.inputs import healthy_inputs
 from fraclink._simulate.kernel import ArmState
-from fraclink._simulate.simulate import with_motor_loop
+from fraclink._simulate.on_twin import with_motor_loop
 from fraclink.errors import FieldError, FileFormatError
 
 RIG = geared(fl.Rig.named("paper-2023"))

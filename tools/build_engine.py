@@ -29,6 +29,7 @@ _FLAGS = (
     "-Os",
     "-ffp-contract=off",
     "-ffreestanding",
+    "-DLOOP_WITHOUT_ESTIMATOR",  # 21.6 kB and not 28.9; the page tells its payload
     "-nostdlib",
     "-Wall",
     "-Wextra",

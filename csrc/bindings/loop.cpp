@@ -65,7 +65,8 @@ struct Links {
 
 // `numbers` (R, BATCH_COLUMNS); `path` (K, 2, N): angle, acceleration; `faults` (N or 0, TWIN_INPUTS); `signals` (3 or 8, R, N): tip, motor reference,
 // voltage, and motor, torque, measured torque, tip estimate, measured angle; `marks` (3, R, N): flags, mode, reason.
-void run(nb::bytes params, bool single, const loop_rig &rig, const Links &links, Read<double, 2> numbers,
+// `estimator`: empty, or the payload estimator's parameters.
+void run(nb::bytes params, bool single, nb::bytes estimator, const loop_rig &shared, const Links &links, Read<double, 2> numbers,
          Read<uint64_t, 1> seeds, Read<int32_t, 1> chosen, Read<double, 3> path, Read<double, 2> faults,
          Write<double, 3> signals, Write<uint32_t, 3> marks) {
     const size_t runs = numbers.shape(0), n = path.shape(2);
@@ -96,6 +97,14 @@ void run(nb::bytes params, bool single, const loop_rig &rig, const Links &links,
                                  f + 2 * plane};
     std::vector<double> block(params.size() / sizeof(double) + 1);  // bytes promise no alignment
     std::memcpy(block.data(), params.c_str(), params.size());
+    int sizes[4] = {0, 0, 0, 0};
+    (single ? twin_sizes_single : twin_sizes_double)(sizes);
+    if (estimator.size() && estimator.size() != size_t(sizes[2]))
+        throw std::invalid_argument("estimator: another size than payload_params");
+    std::vector<double> bank(estimator.size() / sizeof(double) + 1);
+    std::memcpy(bank.data(), estimator.c_str(), estimator.size());
+    loop_rig rig = shared;
+    rig.estimator = estimator.size() ? bank.data() : nullptr;
     std::vector<double> scratch(BATCH_SCRATCH * n);
     int failed = 0;
     {

@@ -8,6 +8,7 @@ void bind_fit(nb::module_ &m);
 void bind_law(nb::module_ &m);
 void bind_loop(nb::module_ &m);
 void bind_modes(nb::module_ &m);
+void bind_payload(nb::module_ &m);
 void bind_realtime(nb::module_ &m);
 void bind_twin(nb::module_ &m);
 
@@ -17,6 +18,7 @@ NB_MODULE(_kernels, m) {
     bind_law(m);
     bind_loop(m);
     bind_modes(m);
+    bind_payload(m);
     bind_realtime(m);
     bind_twin(m);
 }

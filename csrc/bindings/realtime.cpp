@@ -203,21 +203,29 @@ nb::dict told(const realtime_outcome &o) {
     return d;
 }
 
-// Rows of `path`: reference, acceleration, one value a period.
-nb::dict run(Io &io, nb::bytes params, nb::bytes state, bool single, Matrix path, double payload, Record record,
+// Rows of `path`: reference, acceleration, one value a period. `estimator` and `estimate`: empty, or the payload
+// estimator's parameters and first state.
+nb::dict run(Io &io, nb::bytes params, nb::bytes state, bool single, Matrix path, double payload,
+             nb::bytes estimator, nb::bytes estimate, Record record,
              Marks marks, std::int64_t period_ns, std::int64_t patience_ns, bool relative, int priority, bool lock_memory,
              Clock &clock) {
     const std::size_t length = path.shape(1);
     require(path.shape(0) == 2 && length >= 1 && period_ns >= 1, "path: (2, periods), period above 0");
     require(record.shape(0) == length && record.shape(1) == REALTIME_COLUMNS, "record: (periods, columns)");
     require(marks.shape(0) == length && marks.shape(1) == REALTIME_MARKS, "marks: (periods, marks)");
-    int params_size = 0, state_size = 0;
-    (single ? twin_sizes_single : twin_sizes_double)(&params_size, &state_size);
-    require(params.size() == std::size_t(params_size) && state.size() == std::size_t(state_size), "law: other sizes");
+    int sizes[4] = {0, 0, 0, 0};
+    (single ? twin_sizes_single : twin_sizes_double)(sizes);
+    require(params.size() == std::size_t(sizes[0]) && state.size() == std::size_t(sizes[1]), "law: other sizes");
+    require(estimator.size() == 0 ||
+                (estimator.size() == std::size_t(sizes[2]) && estimate.size() == std::size_t(sizes[3])),
+            "estimator: other sizes");
     const auto block = aligned(params);
     auto memory = aligned(state);
+    const auto bank = aligned(estimator);
+    auto estimates = aligned(estimate);
+    realtime_estimator *const way_of = single ? realtime_estimate_single : realtime_estimate_double;
     const realtime_plan plan = {period_ns, std::int64_t(length), path.data(), path.data() + length, payload,
-                                patience_ns, relative, priority, lock_memory, clock.clock};
+                                estimator.size() ? way_of : nullptr, bank.data(), estimates.data(), patience_ns, relative, priority, lock_memory, clock.clock};
     const realtime_io way = io_of(io);
     realtime_outcome outcome;
     {
@@ -230,7 +238,7 @@ nb::dict run(Io &io, nb::bytes params, nb::bytes state, bool single, Matrix path
 }
 
 nb::dict bare(Mutable latency, std::int64_t period_ns, int priority, bool lock_memory, Clock &clock) {
-    const realtime_plan plan = {period_ns, std::int64_t(latency.size()), nullptr, nullptr, 0.0, 0, 0, priority,
+    const realtime_plan plan = {period_ns, std::int64_t(latency.size()), nullptr, nullptr, 0.0, nullptr, nullptr, nullptr, 0, 0, priority,
                                 lock_memory, clock.clock};
     realtime_outcome outcome;
     {

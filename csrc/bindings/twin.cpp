@@ -35,26 +35,37 @@ Result march(Matrix transition, Vector hub, Vector tip, Matrix outputs, Vector i
 
 Result run(Matrix transition, Vector hub, Vector tip, Matrix outputs, Vector rig_values, Vector obstacle_values,
            nb::bytes params, bool single, Matrix input, MutableBytes law, Mutable state, Mutable gauge, Mutable voltage,
-           Mutable sensed, Counters counters) {
+           Mutable sensed, Counters counters, nb::bytes estimator, MutableBytes estimate) {
     const twin_step step = step_of(transition, hub, tip, outputs);
     const twin_rig rig = rig_of(rig_values);
     require(obstacle_values.size() == 5, "obstacle: 5 values");
     const double *o = obstacle_values.data();
     const twin_obstacle obstacle = {o[0], o[1], o[2], o[3], o[4]};
-    int params_size = 0;
-    int state_size = 0;
-    (single ? twin_sizes_single : twin_sizes_double)(&params_size, &state_size);
-    require(params.size() == static_cast<std::size_t>(params_size), "params: another size than law_params");
-    require(law.size() == static_cast<std::size_t>(state_size), "law: another size than law_state");
+    int sizes[4] = {0, 0, 0, 0};
+    (single ? twin_sizes_single : twin_sizes_double)(sizes);
+    const auto fits = [&sizes](std::size_t bytes, int which) { return bytes == static_cast<std::size_t>(sizes[which]); };
+    require(fits(params.size(), 0), "params: another size than law_params");
+    require(fits(law.size(), 1), "law: another size than law_state");
+    const bool estimates = estimator.size() != 0;
+    require(!estimates || fits(estimator.size(), 2), "estimator: another size than payload_params");
+    require(!estimates || fits(estimate.size(), 3), "estimate: another size than payload_state");
     // Copies in words of eight bytes: the structs hold doubles, and a Python buffer promises no alignment.
     std::vector<std::uint64_t> block(params.size() / 8 + 1);
     std::vector<std::uint64_t> law_memory(law.size() / 8 + 1);
     std::memcpy(block.data(), params.c_str(), params.size());
     std::memcpy(law_memory.data(), law.data(), law.size());
+    std::vector<std::uint64_t> bank(estimator.size() / 8 + 1);
+    std::vector<std::uint64_t> bank_memory(estimate.size() / 8 + 1);
+    std::memcpy(bank.data(), estimator.c_str(), estimator.size());
+    std::memcpy(bank_memory.data(), estimate.data(), estimate.size());
     require(input.shape(1) == TWIN_INPUTS, "input: (periods, TWIN_INPUTS)");
     const std::size_t periods = input.shape(0);
     Memory buffers{state, gauge, voltage, sensed, counters, {}};
     twin_memory memory = buffers.checked(rig, hub.size());
+    if (estimates) {
+        memory.estimator = bank.data();
+        memory.estimate = bank_memory.data();
+    }
     double *data = new double[periods * TWIN_COLUMNS]();
     Result whole = matrix(data, periods, TWIN_COLUMNS);
     int done = 0;
@@ -65,6 +76,7 @@ Result run(Matrix transition, Vector hub, Vector tip, Matrix outputs, Vector rig
                        law_memory.data(), &memory, data);
     }
     std::memcpy(law.data(), law_memory.data(), law.size());
+    std::memcpy(estimate.data(), bank_memory.data(), estimate.size());
     buffers.keep(memory);
     if (static_cast<std::size_t>(done) == periods) {
         return whole;

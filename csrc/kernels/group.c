@@ -60,8 +60,8 @@ static void set_motor(motor_lanes *m, int l, const motor_state *one)
 }
 
 /* Sensors and law of one loop; returns what it applies to the motor `delay` periods later. */
-static double decide(const group_loop *loop, const law_params *p, law_state *state, gauge_line *gauge,
-                     const link_state *link, double motor, int64_t k)
+static double decide(const group_loop *loop, const law_params *p, law_state *state, payload_state *estimate,
+                     gauge_line *gauge, const link_state *link, double motor, int64_t k)
 {
     const loop_rig *rig = &loop->rig;
     law_input in;
@@ -72,7 +72,7 @@ static double decide(const group_loop *loop, const law_params *p, law_state *sta
     in.motor_angle = (law_real)rounded_to(rig->start + motor, rig->encoder);
     const double normal = rig->noise > 0.0 ? loop->noise[k] : 0.0;
     in.torque = (law_real)gauge_reading(rig, gauge, root_torque(link, &loop->link, motor), normal, 1.0, 0.0, k);
-    in.payload = (law_real)rig->payload;
+    in.payload = payload_of(rig, estimate, &in);
     law_step(state, p, &in, &out);
     loop->trace.tip[k] = rig->start + link->tip;
     loop->trace.motor_reference[k] = (double)out.motor_reference;
@@ -109,6 +109,7 @@ int GROUP_RUN(const group_loop loops[GROUP_LANES], const void *params, int64_t l
     motor_lanes motor = {{0.0}, {0.0}, {0.0}, {0.0}, {0.0}, {0.0}, {0.0}, {0.0}, {0.0}, {0.0}};
     link_state links[GROUP_LANES];
     law_state states[GROUP_LANES];
+    payload_state estimates[GROUP_LANES];
     gauge_line gauges[GROUP_LANES];
     double pending[GROUP_LANES][LOOP_DELAY];
     int in_lanes = 1;
@@ -128,6 +129,7 @@ int GROUP_RUN(const group_loop loops[GROUP_LANES], const void *params, int64_t l
         for (int i = 0; i <= loops[l].rig.delay; i++)
             pending[l][i] = 0.0;
         (void)law_init(&states[l], p);
+        begin_estimate(&loops[l].rig, &estimates[l]);
     }
     for (int64_t k = 0; k < length; k++) {
         const motor_lanes before = motor;
@@ -136,7 +138,7 @@ int GROUP_RUN(const group_loop loops[GROUP_LANES], const void *params, int64_t l
         {
             const int64_t slots = loops[l].rig.delay + 1;
             pending[l][k % slots] =
-                decide(&loops[l], p, &states[l], &gauges[l], &links[l], motor.angle[l], k);
+                decide(&loops[l], p, &states[l], &estimates[l], &gauges[l], &links[l], motor.angle[l], k);
             applied[l] = pending[l][(k + 1) % slots]; /* written `delay` periods ago */
             motor.held[l] = loops[l].rig.gain * applied[l];
         }

@@ -25,6 +25,7 @@ int LOOP_RUN(const loop_link *link, const loop_rig *rig, const void *params, con
     gauge_line gauge;
     double pending[LOOP_DELAY];
     law_state state;
+    payload_state estimate;
     law_input in;
     law_output out = {0};
     double seen_angle = 0.0, seen_torque = 0.0; /* what the sensors gave last */
@@ -35,6 +36,7 @@ int LOOP_RUN(const loop_link *link, const loop_rig *rig, const void *params, con
     for (int i = 0; i < slots; i++)
         pending[i] = 0.0;
     (void)law_init(&state, p);
+    begin_estimate(rig, &estimate);
     for (int64_t k = 0; k < input->length; k++) {
         const double *const fault = input->faults ? input->faults + k * TWIN_INPUTS : HEALTHY;
         const int broken = (int)fault[TWIN_FAULTS];
@@ -52,10 +54,10 @@ int LOOP_RUN(const loop_link *link, const loop_rig *rig, const void *params, con
         in.reference_acceleration = (law_real)input->acceleration[k];
         in.motor_angle = (law_real)angle;
         in.torque = (law_real)measured;
-        in.payload = (law_real)rig->payload;
         if (broken & TWIN_TICK_MISSED) {
             out.flags = 0U; /* the timer's hardware goes on with the voltage it was given last */
         } else {
+            in.payload = payload_of(rig, &estimate, &in);
             law_step(&state, p, &in, &out);
             if (broken & TWIN_TICK_REPEATED)
                 law_step(&state, p, &in, &out);

@@ -55,6 +55,7 @@ typedef struct {
     double payload;        /* that the law is given [kg]; 0: none */
     double start;          /* angle at rest before the first period [rad] */
     loop_weights weights;  /* loop_weights_of this rig */
+    const void *estimator; /* payload_params of the law's precision, whose estimate the law is given; null: `payload` */
 } loop_rig;
 
 /* What comes from outside, period by period. */

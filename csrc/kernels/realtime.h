@@ -78,6 +78,9 @@ enum { REALTIME_TICK, REALTIME_MODE, REALTIME_REASON, REALTIME_FLAGS, REALTIME_M
 typedef void realtime_law(void *state, const void *params, uint32_t tick, const double *inputs, double *outputs,
                           uint32_t *marks);
 realtime_law realtime_law_double, realtime_law_single;
+/* The payload that is estimated from this period's sample [kg]; 0: none yet. */
+typedef double realtime_estimator(void *state, const void *params, uint32_t tick, double motor_angle, double torque);
+realtime_estimator realtime_estimate_double, realtime_estimate_single;
 
 typedef struct {
     int64_t period_ns;
@@ -85,6 +88,9 @@ typedef struct {
     const double *reference;
     const double *acceleration;
     double payload; /* that the law is given [kg]; 0: none */
+    realtime_estimator *estimator; /* gives the law its payload instead; null: none */
+    const void *bank;              /* payload_params of the law's precision, and its payload_state */
+    void *estimate;
     int64_t patience_ns; /* for the first sample */
     int relative;        /* the reference counts from the angle of the first sample */
     int priority;        /* of SCHED_FIFO; 0: none is asked for */

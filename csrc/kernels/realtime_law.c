@@ -1,9 +1,11 @@
 /* One period of law.c behind a type without its precision; compiled once for each, see realtime_law_single.c. */
 #include "law.h"
+#include "payload_estimator.h"
 #include "realtime.h"
 
 #ifndef REALTIME_LAW
 #define REALTIME_LAW realtime_law_double
+#define REALTIME_ESTIMATE realtime_estimate_double
 #endif
 
 void REALTIME_LAW(void *state, const void *params, uint32_t tick, const double *inputs, double *outputs,
@@ -21,4 +23,12 @@ void REALTIME_LAW(void *state, const void *params, uint32_t tick, const double *
     marks[0] = out.mode;
     marks[1] = out.reason;
     marks[2] = out.flags;
+}
+
+double REALTIME_ESTIMATE(void *state, const void *params, uint32_t tick, double motor_angle, double torque)
+{
+    payload_output found;
+    payload_step((payload_state *)state, (const payload_params *)params, tick, (law_real)motor_angle, (law_real)torque,
+                 &found);
+    return (double)found.given;
 }

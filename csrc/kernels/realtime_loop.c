@@ -67,8 +67,11 @@ static int run_period(const realtime_plan *plan, const realtime_io *io, realtime
     row[REALTIME_ACCELERATION] = plan->acceleration[tick];
     row[REALTIME_MOTOR_ANGLE] = sample.value.motor_angle;
     row[REALTIME_TORQUE] = sample.value.torque;
-    row[REALTIME_PAYLOAD] = plan->payload;
     mark[REALTIME_TICK] = (uint32_t)tick + 1U;
+    row[REALTIME_PAYLOAD] = plan->payload;
+    if (plan->estimator)
+        row[REALTIME_PAYLOAD] = plan->estimator(plan->estimate, plan->bank, mark[REALTIME_TICK],
+                                                row[REALTIME_MOTOR_ANGLE], row[REALTIME_TORQUE]);
     law(state, params, mark[REALTIME_TICK], row + REALTIME_REFERENCE, row + REALTIME_MOTOR_REFERENCE,
         mark + REALTIME_MODE);
     command->motor_reference = row[REALTIME_MOTOR_REFERENCE];

@@ -51,6 +51,8 @@ typedef struct {
     double torque;
     int stuck;
     uint32_t tick;
+    const void *estimator; /* payload_params of the law's precision, and its payload_state; null: the inputs' payload */
+    void *estimate;
 } twin_memory;
 
 /* March the linear twin: one hub input per period, `substeps` steps each, outputs after every step. */
@@ -128,9 +130,9 @@ double twin_contact(const twin_step *step, const twin_obstacle *obstacle, const 
 /* One step of motor and link under a motor torque and a force on the tip. */
 void twin_motor_step(const twin_step *step, const twin_rig *rig, double torque, double force, twin_memory *memory);
 
-/* Bytes of law_params and law_state. */
-void twin_sizes_double(int *params, int *state);
-void twin_sizes_single(int *params, int *state);
+/* Bytes of law_params and law_state, and of payload_params and payload_state. */
+void twin_sizes_double(int sizes[4]);
+void twin_sizes_single(int sizes[4]);
 
 /* Run the law on the twin for `periods` control periods: rows of TWIN_INPUTS in, rows of TWIN_COLUMNS out.
  * `params` and `law` are law_params and law_state of the precision named. Returns the number of periods run, less

@@ -5,16 +5,31 @@
 #include <string.h>
 
 #include "law.h"
+#include "payload_estimator.h"
 
 #ifndef TWIN_RUN
 #define TWIN_RUN twin_run_double
 #define TWIN_SIZES twin_sizes_double
 #endif
 
-void TWIN_SIZES(int *params, int *state)
+void TWIN_SIZES(int sizes[4])
 {
-    *params = (int)sizeof(law_params);
-    *state = (int)sizeof(law_state);
+    sizes[0] = (int)sizeof(law_params);
+    sizes[1] = (int)sizeof(law_state);
+    sizes[2] = (int)sizeof(payload_params);
+    sizes[3] = (int)sizeof(payload_state);
+}
+
+/* The payload that the law is given in this period: the inputs', or the estimate. */
+static law_real payload_of(const double *input, const law_input *in, const twin_memory *memory)
+{
+    payload_output found;
+    if (!memory->estimator) {
+        return (law_real)input[TWIN_PAYLOAD];
+    }
+    payload_step((payload_state *)memory->estimate, (const payload_params *)memory->estimator, in->tick,
+                 in->motor_angle, in->torque, &found);
+    return found.given;
 }
 
 /* The law's answer of one period, and the voltage that acts: `voltage_delay` periods late, within the limit. */
@@ -31,7 +46,6 @@ static double control(const twin_rig *rig, const law_params *params, const doubl
     given.reference_acceleration = (law_real)input[TWIN_ACCELERATION];
     given.motor_angle = (law_real)angle;
     given.torque = (law_real)torque;
-    given.payload = (law_real)input[TWIN_PAYLOAD];
     memory->tick++;
 
     double *queue = memory->voltage;
@@ -44,6 +58,7 @@ static double control(const twin_rig *rig, const law_params *params, const doubl
         answer.mode = law->mode & 0xFFU; /* one of the copies that law.c keeps */
         answer.reason = law->reason;
     } else {
+        given.payload = payload_of(input, &given, memory);
         law_step(law, params, &given, &answer);
         if (faults & TWIN_TICK_REPEATED) {
             law_step(law, params, &given, &answer);

@@ -80,7 +80,8 @@ static loop_rig rig_of(const double *n)
                           n[RIG_GAUGE_GAIN],
                           n[RIG_PAYLOAD],
                           n[RIG_START],
-                          {n[RIG_KEEP], n[RIG_FIRST], n[RIG_SECOND]}};
+                          {n[RIG_KEEP], n[RIG_FIRST], n[RIG_SECOND]},
+                          0};
     return rig;
 }
 

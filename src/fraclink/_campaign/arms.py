@@ -22,11 +22,12 @@ from fraclink._arm.link import LinkModel
 from fraclink._arm.reference import sampled
 from fraclink._arm.rig import Rig
 from fraclink._campaign.campaign import PART_RUNS, Campaign, draw
+from fraclink._simulate.estimates import ESTIMATED
 from fraclink._simulate.kernel import SUBSTEPS, LumpedArms, run_lumped, shared_rig
 from fraclink._simulate.metrics import Signals, judge_many, measure_many
 from fraclink._simulate.plant import LONGEST, POWERS, LinkWeights, second_mode_weights
 from fraclink._simulate.run import Run
-from fraclink._simulate.simulate import model_run
+from fraclink._simulate.simulate import estimates_of_model, model_run
 from fraclink._validate import Between, checked, is_whole
 from fraclink.errors import FieldError
 
@@ -104,7 +105,9 @@ def _signals(
     campaign: Campaign, arms: LumpedArms, chosen: NDArray[np.int32], path: Real, vibration: Real
 ) -> Signals:
     shared = shared_rig(campaign.rig, campaign.law, campaign.motor_loop)
-    (tip, motor_reference, voltage), marks = run_lumped(campaign.law, shared, arms, path, chosen)
+    (tip, motor_reference, voltage), marks = run_lumped(
+        campaign.law, shared, arms, path, chosen, estimator=campaign.estimator
+    )
     flags, mode, reason = marks
     return Signals(
         reference=arms.amplitude[:, None] * path[chosen, 0],
@@ -213,7 +216,9 @@ def replay_run(campaign: Campaign, run: int) -> Run:
         path,
         chosen,
         everything=True,
+        estimator=campaign.estimator,
     )
+    bank = campaign.estimator
     _, metrics = _measured(campaign, arms, chosen, path, _vibration(campaign, block)[row])
     return model_run(
         campaign.law,
@@ -223,6 +228,7 @@ def replay_run(campaign: Campaign, run: int) -> Run:
         marks[:, 0],
         ended=campaign.references[chosen[0]].duration,
         growth=float(metrics["growth"][0]),
+        estimates=None if bank is None else (bank, estimates_of_model(bank, signals[:, 0])),
         about={
             "arm": "model",
             "rig": campaign.rig.name,
@@ -237,7 +243,7 @@ def replay_run(campaign: Campaign, run: int) -> Run:
             "delay_samples": int(own["delay_samples"]),
             "substeps": SUBSTEPS,
             "compensation": "ideal",
-            "payload_given": float(arms.payload_given[0]),
+            "payload_given": float(arms.payload_given[0]) if bank is None else ESTIMATED,
         },
     )
 

@@ -8,6 +8,7 @@ import math
 from collections.abc import Collection
 from dataclasses import MISSING, asdict, dataclass, fields, replace
 from dataclasses import field as with_default
+from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -16,10 +17,12 @@ from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
 from fraclink._arm.link import LinkModel
+from fraclink._arm.loop import with_payload
 from fraclink._arm.reference import Reference, SampledReference, sampled, smooth_step
 from fraclink._arm.rig import Rig
 from fraclink._files import from_plain, read_json, write_json
 from fraclink._law import Law, equip
+from fraclink._law.estimator import PayloadEstimator, payload_estimator
 from fraclink._validate import Between, checked
 from fraclink.errors import FieldError, FileFormatError, SizeError
 
@@ -202,7 +205,8 @@ class Campaign:
     rig, model and law: the nominal arm and the law under test, with its motor loop for
     ``motor_loop="sampled"``. draws: the distributions. runs: how many, 1 … 10⁹. seed: 0 … 2⁶³ − 1; the same
     seed gives the same runs whatever the number of workers. duration [s] of each run. reference: what the tip
-    follows, times the drawn amplitude; a quintic of one of three durations where it is left out.
+    follows, times the drawn amplitude; a quintic of one of three durations where it is left out. payloads
+    [kg]: what the law was designed for, where it is given the payload that it estimates; else None.
     """
 
     rig: Rig
@@ -216,6 +220,7 @@ class Campaign:
         DURATION
     )
     reference: Reference | None = None
+    payloads: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         if self.reference is not None and self.reference.duration + 1.0 > self.duration:
@@ -231,6 +236,13 @@ class Campaign:
                 allowed="UD-FOM or UD-IOM",
                 remedy="fit UD-FOM to the log",
             )
+
+    @cached_property
+    def estimator(self) -> PayloadEstimator | None:
+        """What estimates the payload of each arm, from the nominal one; None where nothing does."""
+        if self.payloads is None:
+            return None
+        return payload_estimator(with_payload(self.model, self.rig), self.rig, self.law, self.payloads)
 
     @property
     def references(self) -> tuple[Reference, ...]:
@@ -267,12 +279,14 @@ class Campaign:
         draws: Draws | None = None,
         motor_loop: Literal["ideal", "sampled"] = "sampled",
         told: bool = False,
+        estimated: tuple[float, float] | None = None,
         reference: Reference | None = None,
     ) -> Campaign:
         """Return the campaign of a law with the default draws of its rig; the law gets the rig's motor loop.
 
-        With `told` the law is given the payload of each arm, whatever `draws` say of that. With a `reference`
-        every tip follows it as it is, whatever they say of the amplitude.
+        With `told` the law is given the payload of each arm, whatever `draws` say of that; with the payloads
+        that it was designed for as `estimated` (low, high) [kg] it estimates it while the arm moves. With a
+        `reference` every tip follows it as it is, whatever they say of the amplitude.
 
         >>> import fraclink as fl
         >>> rig = fl.Rig.named("paper-2023")
@@ -285,22 +299,27 @@ class Campaign:
         chosen = draws_for(rig, model) if draws is None else draws
         chosen = replace(chosen, payload_given=_always(1.0)) if told else chosen
         if reference is None:
-            return Campaign(rig, model, own, chosen, runs, seed, motor_loop)
+            return Campaign(rig, model, own, chosen, runs, seed, motor_loop, payloads=estimated)
         length = max(DURATION, reference.duration + REST)
         chosen = replace(chosen, amplitude=_always(1.0))
-        return Campaign(rig, model, own, chosen, runs, seed, motor_loop, length, reference)
+        return Campaign(rig, model, own, chosen, runs, seed, motor_loop, length, reference, estimated)
 
 
 def _about(campaign: Campaign) -> dict[str, object]:
-    return _followed(campaign) | {
-        "model": _stated(campaign.model, LATER_MODEL),
-        "draws": _stated(campaign.draws, LATER_DRAWS),
-        "seed": campaign.seed,
-        "inner": campaign.motor_loop,
-        "duration": campaign.duration,
-        "part_runs": PART_RUNS,
-        "shapes": list(SHAPES),
-    }
+    estimated = {} if campaign.payloads is None else {"estimated": list(campaign.payloads)}
+    return (
+        _followed(campaign)
+        | estimated
+        | {
+            "model": _stated(campaign.model, LATER_MODEL),
+            "draws": _stated(campaign.draws, LATER_DRAWS),
+            "seed": campaign.seed,
+            "inner": campaign.motor_loop,
+            "duration": campaign.duration,
+            "part_runs": PART_RUNS,
+            "shapes": list(SHAPES),
+        }
+    )
 
 
 def _followed(campaign: Campaign) -> dict[str, object]:
@@ -350,6 +369,7 @@ def load_campaign(folder: Path | str) -> Campaign:
             motor_loop=data["inner"],
             duration=data["duration"],
             reference=None if rows is None else SampledReference(law.period, rows),
+            payloads=tuple(data["estimated"]) if "estimated" in data else None,
         )
     except (AttributeError, KeyError, TypeError) as error:
         raise FileFormatError(

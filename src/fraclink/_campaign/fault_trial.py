@@ -20,7 +20,7 @@ from fraclink._simulate import Twin, kernel
 from fraclink._simulate import inputs as columns
 from fraclink._simulate.inputs import healthy_inputs
 from fraclink._simulate.kernel import ArmState
-from fraclink._simulate.simulate import with_motor_loop
+from fraclink._simulate.on_twin import with_motor_loop
 from fraclink._validate import Between, checked
 from fraclink.errors import FieldError
 

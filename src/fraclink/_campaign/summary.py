@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import betaincinv
 
-from fraclink._campaign.campaign import Campaign, Distribution
+from fraclink._campaign.campaign import Campaign
 from fraclink._campaign.run import read_part
 from fraclink._display import displayed
 from fraclink.errors import FieldError
@@ -127,12 +127,15 @@ def summarise(campaign: Campaign, folder: Path | str) -> Summary:
         trips=_trips(column("mode"), column("reason")),
         metrics=metrics,
         failed=tuple(int(n) for n in failed[:100]),
-        given=_given(campaign.draws.payload_given),
+        given=_given(campaign),
     )
 
 
-def _given(ratio: Distribution) -> str:
+def _given(campaign: Campaign) -> str:
     """What the law was given of each arm's payload; the bounds of the draw are ratios to it."""
+    if campaign.payloads is not None:
+        return "the law was given the payload that it estimated of each arm"
+    ratio = campaign.draws.payload_given
     if not ratio.high:
         return ""
     if ratio.low == ratio.high:

@@ -20,6 +20,7 @@ from fraclink._cli.options import (
     ArmOptions,
     Columns,
     DesignFile,
+    Estimate,
     Gear,
     GivenPayload,
     MoveTime,
@@ -214,6 +215,7 @@ def run_realtime(
     gear: Gear = None,
     motor: Motor = True,
     single: Annotated[bool, "In single precision, as on a microcontroller"] = False,
+    estimate: Estimate = False,
     unsafe_remote: UnsafeRemote = False,
     key_file: KeyFile = None,
     **options: Unpack[LoopOptions],
@@ -234,7 +236,9 @@ def run_realtime(
     else:
         wanted = reference_of(reference, amplitude, move_time)
     connection = connection_of(io, unsafe_remote, key_file)
-    law = _law(load_design(design_file, gear=gear), motor=motor)
+    made = load_design(design_file, gear=gear)
+    law = _law(made, motor=motor)
+    estimator = made.estimator() if estimate else None
     awake = realtime.measure_wake_ups(
         law.period, priority=options["priority"], lock_memory=options["lock_memory"]
     )
@@ -246,6 +250,7 @@ def run_realtime(
         connection,
         relative=not absolute,
         out=out,
+        estimator=estimator,
         **options,
     )
     remarks = _refused("priority", run.scheduling) + _refused("memory", run.memory)

@@ -46,6 +46,7 @@ def montecarlo(
     runs: Annotated[int, "Number of runs"] = 10_000,
     seed: Annotated[int, "Seed of everything that is drawn"] = 0,
     told: Annotated[bool, "The law is given the payload of each arm"] = False,
+    estimate: Annotated[bool, "The law estimates the payload of each arm while it moves"] = False,
     reference: Annotated[
         Path | None, "Move of `fraclink shape`, or a table, that every arm follows; default: quintics"
     ] = None,
@@ -60,6 +61,9 @@ def montecarlo(
         made = Design.load(design)
     else:
         made, _ = design_for(load_rig(rig), load_link_model(model))
+    if told and estimate:
+        allowed, remedy = "one of --told and --estimate", "leave --told out to have payloads estimated"
+        raise FieldError("told", "given", "given beside --estimate", allowed=allowed, remedy=remedy)
     asked = Campaign.of(
         made.rig,
         made.model,
@@ -67,6 +71,7 @@ def montecarlo(
         runs=runs,
         seed=seed,
         told=told,
+        estimated=made.payloads if estimate else None,
         reference=None if reference is None else read_reference(reference),
     )
     with watching(runs) as watch:

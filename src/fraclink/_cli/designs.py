@@ -17,6 +17,7 @@ from fraclink._cli.options import (
     BoxFlag,
     DesignFile,
     DesignRequest,
+    Estimate,
     GivenPayload,
     LinkMass,
     LogOptions,
@@ -35,6 +36,7 @@ from fraclink._cli.options import (
     load_log,
     load_rig,
     reference_of,
+    told_or_estimated,
 )
 from fraclink._design import Design
 from fraclink._design.completed import design_for
@@ -143,7 +145,6 @@ class MoveOptions(TypedDict):
     gauge_offset: Annotated[float | None, "Offset of the gauge [N·m]; default: the rig's"]
     noise: Annotated[float | None, "Gauge noise [N·m]; default: the rig's"]
     inner: Annotated[MotorLoopKind, Default("sampled")]
-    told: Annotated[GivenPayload, Default(0.0)]
     seed: Annotated[SeedNumber, Default(0)]
 
 
@@ -154,6 +155,8 @@ def simulate(
     amplitude: Amplitude = None,
     move_time: Annotated[float | None, "Time of the move [s]; default: 0.5"] = None,
     reference: ReferenceFile = None,
+    told: GivenPayload = 0.0,
+    estimate: Estimate = False,
     out: Annotated[Path, "File to write the run to (npz)", Writes()] = Path("run.npz"),
     **options: Unpack[MoveOptions],
 ) -> Answer:
@@ -163,7 +166,8 @@ def simulate(
     """
     made = Design.load(design_file)
     wanted = reference_of(reference, amplitude, move_time, usual_time=0.5)
-    move = simulate_move(made, payload, reference=wanted, **options)
+    given = told_or_estimated(made, told, estimate)
+    move = simulate_move(made, payload, reference=wanted, told=given, **options)
     move.save(out)
     following = f"fraclink twin {design_file} --payload {payload:g}"
     doubts = doubts_of_move(made, payload)
@@ -177,6 +181,7 @@ def twin(
     move_time: MoveTime = None,
     reference: ReferenceFile = None,
     told: GivenPayload = 0.0,
+    estimate: Estimate = False,
     seed: SeedNumber = 0,
     **options: Unpack[ArmOptions],
 ) -> Answer:
@@ -186,7 +191,8 @@ def twin(
     """
     made, arm = load_arm(design_file, options)
     wanted = reference_of(reference, amplitude, move_time)
-    move = run_law(made.law(), wanted, arm=arm, told=told, seed=seed)
+    given = told_or_estimated(made, told, estimate)
+    move = run_law(made.law(), wanted, arm=arm, told=given, seed=seed)
     doubts = doubts_of_move(made, options["payload"])
     following = f"fraclink certify {design_file}" if move.verdict.passed else f"fraclink assess {design_file}"
     return Answer(move, move.verdict.passed, doubts=doubts, following=following)

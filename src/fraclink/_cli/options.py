@@ -20,6 +20,7 @@ from fraclink._arm.rig import Rig
 from fraclink._design import Design
 from fraclink._files import kind_of
 from fraclink._identify import Fit, load_model
+from fraclink._law.estimator import PayloadEstimator
 from fraclink._logs import bundled_log, read_log
 from fraclink._logs.responses import read_reference
 from fraclink._simulate import Twin, geared
@@ -52,6 +53,7 @@ ReferenceFile = Annotated[
     Path | None, "Move of `fraclink shape`, or a table, to follow instead of --amplitude and --move-time"
 ]
 GivenPayload = Annotated[float, "Payload that the law is given [kg]; 0: none"]
+Estimate = Annotated[bool, "The law is given the payload that it estimates while the arm moves"]
 Columns = Annotated[
     list[str] | None,
     typer.Option(metavar="ROLE=NAME [UNIT]"),
@@ -193,3 +195,11 @@ def load_log(
 def log_path(name: str) -> Path:
     """The file of a log that was named on the command line; ``demo`` is the bundled one."""
     return bundled_log(BUNDLED_LOG) if name == "demo" else Path(name)
+
+
+def told_or_estimated(made: Design, told: float, estimate: bool) -> float | PayloadEstimator:
+    """What `simulate` takes for --told and --estimate; FieldError where both are given."""
+    if estimate and told:
+        allowed, remedy = "one of --told and --estimate", "leave --told out to have the payload estimated"
+        raise FieldError("told", told, "given beside --estimate", allowed=allowed, remedy=remedy)
+    return made.estimator() if estimate else told

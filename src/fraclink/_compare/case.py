@@ -26,8 +26,8 @@ from fraclink._arm.rig import Rig
 from fraclink._design import design
 from fraclink._law import Law, discretize
 from fraclink._simulate.arm import Twin, damping_of, geared
+from fraclink._simulate.on_twin import with_motor_loop
 from fraclink._simulate.plant import LONGEST_STEP, Plant, assemble
-from fraclink._simulate.simulate import with_motor_loop
 from fraclink.errors import FieldError, NotConvergedError
 
 __all__ = [

@@ -29,9 +29,9 @@ from fraclink._simulate.arm import Twin
 from fraclink._simulate.damping import PowerLaw
 from fraclink._simulate.inputs import ACCELERATION, GAUGE_ERROR, REFERENCE, VELOCITY, healthy_inputs
 from fraclink._simulate.kernel import ArmState
+from fraclink._simulate.on_twin import twin_run
 from fraclink._simulate.plant import GAUGE_TORQUE, HUB_ANGLE, Plant, assemble
 from fraclink._simulate.run import Run
-from fraclink._simulate.simulate import twin_run
 from fraclink._validate import Between, Frequency, Length, Payload, PhaseMargin, Seed, Time, checked
 from fraclink.errors import FieldError, InfeasibleError
 

@@ -29,6 +29,7 @@ from fraclink._design.requirement import (
 from fraclink._display import displayed
 from fraclink._files import document, load, save
 from fraclink._law import discretize, discretize_controller
+from fraclink._law.estimator import PayloadEstimator, payload_estimator
 from fraclink._validate import (
     Between,
     Duration,
@@ -295,6 +296,11 @@ class Design:
     def law(self, *, order: int | None = None, precision: Precision = "double") -> Law:
         """Return the law that runs on the rig, `fraclink.discretize` of this design."""
         return discretize(self, order=order, precision=precision)
+
+    def estimator(self, *, gain_doubt: float | None = None) -> PayloadEstimator:
+        """Return the payload estimator of this arm, `fraclink.payload_estimator` of this design."""
+        link = with_payload(self.model, self.rig)
+        return payload_estimator(link, self.rig, self.law(), self.payloads, gain_doubt=gain_doubt)
 
     def with_law(self) -> Design:
         """Return the design with the worst sampled phase margin of its law as a further requirement.

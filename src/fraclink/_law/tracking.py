@@ -21,7 +21,7 @@ from fraclink._arm.rig import Rig
 from fraclink._law.block import FORWARD_MODES, Modes, Tracking
 from fraclink._systems.discrete import DiscreteRational, fit_discrete
 
-__all__ = ["forward_fit", "tracking_for"]
+__all__ = ["forward_fit", "masses_of", "tracking_for"]
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -53,10 +53,7 @@ def tracking_for(
     """
     if link.payload is None:
         return None
-    own = 0.0 if rig is None else LINK_SHARE * rig.link.mass
-    computed = rig is not None and math.isclose(
-        link.natural_frequency, rig.natural_frequency(link.payload), rel_tol=COMPUTED
-    )
+    nominal, own = masses_of(link, rig)
     top = 2 * abs(
         link.pole
     )  # a move has little beyond the link's resonance: it would ring whatever the law does
@@ -69,7 +66,7 @@ def tracking_for(
         follows = loop.voltage(frequency) * loop.plant(back)
     now, after, keep = _fit(follows, back, 1 / (frequency * (1 + (frequency / top) ** 2)))
     return Tracking(
-        nominal=(link.payload if computed else link.payload + own) * _share(link, feedforward, period),
+        nominal=nominal * _share(link, feedforward, period),
         link=own,
         now=now,
         next=after,
@@ -77,6 +74,18 @@ def tracking_for(
         gauge_delay=max(link.gauge_delay, 0.0),  # one that leads is a motor angle that is late
         gauge_gain=link.gauge_gain,
     )
+
+
+def masses_of(link: LinkModel, rig: Rig | None) -> tuple[float, float]:
+    """Return what the link's ω₀² belongs to, and what the link itself weighs at its tip [kg].
+
+    ω₀² of a payload m is the model's times the first over m plus the second. The link knows its payload.
+    """
+    if rig is None or link.payload is None:
+        return link.payload or 0.0, 0.0
+    own = LINK_SHARE * rig.link.mass
+    computed = math.isclose(link.natural_frequency, rig.natural_frequency(link.payload), rel_tol=COMPUTED)
+    return (link.payload if computed else link.payload + own), own
 
 
 def _share(link: LinkModel, feedforward: Modes, period: float) -> float:

@@ -14,9 +14,11 @@ from numpy.typing import NDArray
 from fraclink import _kernels
 from fraclink._arm.reference import Reference, sampled
 from fraclink._law import Law
+from fraclink._law.estimator import PayloadEstimator
 from fraclink._realtime.connections import Connection, controller_end
 from fraclink._realtime.machine import PRIORITY, Priority, check_machine, granted, period_ns
 from fraclink._realtime.run import MARKS, SIGNALS, STOPS, RealtimeRun, first_difference, reserved, saved
+from fraclink._simulate.estimates import estimator_for
 from fraclink._validate import Between, checked
 from fraclink.errors import FieldError
 
@@ -35,6 +37,7 @@ def run_realtime(
     duration: Annotated[float, Between(0.0, 1e300, "s", low_open=True)] | None = None,
     out: Path | None = None,
     payload: Annotated[float, Between(0.0, 1e9, "kg")] = 0.0,
+    estimator: PayloadEstimator | None = None,
     relative: bool = True,
     patience: Annotated[float, Between(0.0, 3600.0, "s")] = 5.0,
     priority: Priority = PRIORITY,
@@ -66,6 +69,8 @@ def run_realtime(
         the record afterwards, a file in the folder of temporary files or at home does (`RealtimeRun.saved`).
     payload
         that the law is given [kg]; 0 for none.
+    estimator
+        from `Design.estimator`: the law is given what it finds while the arm moves, and not `payload`.
     relative
         whether the reference counts from where the arm stands; else it is the absolute angle, and an arm
         that stands elsewhere goes there first, at the law's largest speed.
@@ -105,6 +110,7 @@ def run_realtime(
     ('finished', 0.2, None, 4)
     """
     check_machine()
+    estimator = _checked(estimator, law, payload)
     nanoseconds = period_ns(law.period)
     length = reference.duration + SETTLE if duration is None else duration
     Between(law.period, 1e300, "s").check("duration", length)
@@ -127,6 +133,8 @@ def run_realtime(
             law.precision == "single",
             np.ascontiguousarray(path[[0, 2]]),
             payload,
+            b"" if estimator is None else estimator.block,
+            b"" if estimator is None else estimator.initial_state(),
             record,
             marks,
             nanoseconds,
@@ -137,8 +145,17 @@ def run_realtime(
             clock or _kernels.RealtimeClock(0),
         )
     _check_answer(outcome, connection, law.period, patience)
-    run = _gathered(law, connection, outcome, record, marks, priority, lock_memory, allowed_overruns)
+    run = _gathered(
+        law, estimator, connection, outcome, record, marks, priority, lock_memory, allowed_overruns
+    )
     return run if out is None else replace(run, saved=str(saved(run, out)))
+
+
+def _checked(estimator: PayloadEstimator | None, law: Law, payload: float) -> PayloadEstimator | None:
+    if estimator is not None and payload:
+        allowed, remedy = "payload or estimator", "leave one of them out"
+        raise FieldError("payload", payload, "given beside an estimator", allowed=allowed, remedy=remedy)
+    return None if estimator is None else estimator_for(law, estimator)
 
 
 def _check_answer(outcome: dict[str, float], connection: Connection, period: float, patience: float) -> None:
@@ -155,6 +172,7 @@ def _check_answer(outcome: dict[str, float], connection: Connection, period: flo
 
 def _gathered(
     law: Law,
+    estimator: PayloadEstimator | None,
     connection: Connection,
     outcome: dict[str, float],
     record: NDArray[np.float64],
@@ -180,4 +198,5 @@ def _gathered(
         origin=float(outcome["origin"]),
         first_difference=first_difference(law, columns),
         allowed_overruns=allowed_overruns,
+        estimator=estimator,
     )

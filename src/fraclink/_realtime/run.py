@@ -17,7 +17,9 @@ from numpy.typing import NDArray
 from fraclink._arm.experiment import Experiment
 from fraclink._files import document, save
 from fraclink._law import MODES, REASONS, Law
+from fraclink._law.estimator import Estimates, PayloadEstimator
 from fraclink._realtime.machine import Spread
+from fraclink._simulate.estimates import estimate_findings
 from fraclink._simulate.run import payload_rejected
 from fraclink.errors import FieldError, LogError
 from fraclink.findings import Finding
@@ -89,6 +91,8 @@ class RealtimeRun:
         the first row whose outputs the recorded inputs do not give again; None where all agree bit for bit.
     allowed_overruns
         up to which the run passes.
+    estimator
+        that gave the law its payload; None where there was none.
     saved
         file that the record was written to; empty where none was asked for.
     """
@@ -120,6 +124,7 @@ class RealtimeRun:
     origin: float
     first_difference: int | None
     allowed_overruns: int
+    estimator: PayloadEstimator | None = None
     saved: str = field(default="", metadata={"stored": False})
 
     def __post_init__(self) -> None:
@@ -128,8 +133,21 @@ class RealtimeRun:
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """What a reader should know about the run: W603 where the law rejected the payload."""
-        return payload_rejected(self.flags)
+        """What a reader should know about the run: W603 where the law rejected the payload, W604 and W605
+        where an estimated one left the design's range, or a contact was seen.
+        """
+        estimates = self.estimates
+        if self.estimator is None or estimates is None:
+            return payload_rejected(self.flags)
+        return payload_rejected(self.flags) + estimate_findings(self.estimator, estimates, self.period)
+
+    @property
+    def estimates(self) -> Estimates | None:
+        """What the payload estimator said in each period, from the recorded sensors; None without one."""
+        if self.estimator is None or not len(self.tick):
+            return None
+        state = self.estimator.initial_state()
+        return self.estimator.run(state, self.motor_angle, self.torque, ticks=self.tick)[1]
 
     @property
     def missed(self) -> int:

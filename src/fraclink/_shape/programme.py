@@ -29,7 +29,7 @@ from fraclink._arm.reference import Path, Reference, SampledReference, hold, sam
 from fraclink._arm.rig import Rig
 from fraclink._law import Law
 from fraclink._simulate import Run, Twin, simulate
-from fraclink._simulate.simulate import with_motor_loop
+from fraclink._simulate.on_twin import with_motor_loop
 from fraclink.errors import FieldError
 
 __all__ = [

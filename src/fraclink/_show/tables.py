@@ -220,6 +220,9 @@ def _carried(run: Run) -> str:
     given = run.about.get("payload_given", 0.0)
     if not given:
         return grams(run.payload)
+    if given == "estimated":
+        found = float(run.extras["payload_estimate"][-1])
+        return f"{grams(run.payload)}, estimated " + (grams(found) if found else "not yet")
     own = isinstance(given, str) or given == run.payload
     return f"{grams(run.payload)}, given" if own else f"{grams(run.payload)}, given {grams(given)}"
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from fraclink import _kernels
 from fraclink._arm.reference import Reference
+from fraclink._law.estimator import PayloadEstimator
 from fraclink._simulate.arm import Twin
 from fraclink._simulate.sensors import FAULTS, Event, Obstacle, SensorFault, TipPulse
 from fraclink.errors import FieldError
@@ -94,8 +95,10 @@ def _inject(fault: SensorFault, rows: Real) -> None:
         rows[:, column] = fault.value
 
 
-def given_payload(told: bool | float, payload: float | None) -> float:
-    """What the law is given [kg], 0 for nothing."""
+def given_payload(told: bool | float | str | PayloadEstimator, payload: float | None) -> float:
+    """What the law is given [kg], 0 for nothing, or for what is estimated."""
+    if isinstance(told, str | PayloadEstimator):
+        return 0.0
     if told is not True:
         return float(told)
     if payload is None:

@@ -19,7 +19,9 @@ from fraclink._arm.motor import place_pid
 from fraclink._arm.rig import Rig
 from fraclink._law import Drive, Law
 from fraclink._law.discretization import COULOMB_SPEED
+from fraclink._law.estimator import Estimates, PayloadEstimator
 from fraclink._simulate.arm import Twin
+from fraclink._simulate.estimates import estimated_over
 from fraclink._simulate.plant import LinkWeights, Plant, StepMatrices, substeps
 from fraclink._simulate.sensors import Event, Obstacle, PayloadChange, Restart, delay_line
 
@@ -48,6 +50,8 @@ RECORD = (
     "contact_force",
     "tip_estimate",
 )
+
+_SEEN = ("motor_angle_measured", "torque_measured", "tip_estimate")
 
 # What `run_lumped` returns of each arm, and what more with `everything`.
 SHORT_SIGNALS = ("tip_angle", "motor_reference", "voltage")
@@ -148,6 +152,7 @@ def run_lumped(
     *,
     everything: bool = False,
     faults: Real | None = None,
+    estimator: PayloadEstimator | None = None,
 ) -> tuple[Real, Bits]:
     """Run R arms under one law and return their signals and marks.
 
@@ -164,6 +169,8 @@ def run_lumped(
         estimate and measured angle too, shape (8, R, N). The marks (3, R, N) are flags, mode, reason.
     faults
         of all arms, rows of the twin's inputs, shape (N, 12); None: healthy.
+    estimator
+        of the law's precision, whose payload each law is given; None: that of `arms`.
     """
     runs, length = len(arms.seed), path.shape[2]
     signals = np.empty((8 if everything else 3, runs, length))
@@ -176,6 +183,7 @@ def run_lumped(
     _kernels.loop_run(
         law.block,
         single,
+        b"" if estimator is None else estimator.block,
         shared,
         _kernels.Links(**links),
         numbers,
@@ -209,6 +217,7 @@ class ArmState:
         self.sensed = np.array([start_angle, 0.0])
         self.counters = np.array([1, 1], dtype=np.uint32)  # stuck, first tick
         self.law = np.frombuffer(bytearray(law_state), dtype=np.uint8)
+        self.estimate = np.zeros(0, dtype=np.uint8)  # of the payload estimator, where the law has one
         # twin_rig of twin.h
         self.rig = np.array(
             [
@@ -229,8 +238,20 @@ class ArmState:
         self.obstacle = np.array([0.0, 0.0, 0.0, twin.beam.length, 1.0])
         self.twin = twin
 
-    def run(self, block: bytes, inputs: NDArray[np.float64], *, single: bool = False) -> NDArray[np.float64]:
-        """Advance by the rows of `inputs` under a law's block; returns the kernel's record."""
+    def run(
+        self,
+        block: bytes,
+        inputs: NDArray[np.float64],
+        *,
+        single: bool = False,
+        estimator: PayloadEstimator | None = None,
+    ) -> NDArray[np.float64]:
+        """Advance by the rows of `inputs` under a law's block; returns the kernel's record.
+
+        With an `estimator` of the law's precision the law is given its payload, and not that of the rows.
+        """
+        if estimator is not None and self.estimate.size == 0:
+            self.estimate = np.frombuffer(bytearray(estimator.initial_state()), dtype=np.uint8)
         return np.asarray(
             _kernels.twin_run(
                 *self.step.arrays,
@@ -245,8 +266,26 @@ class ArmState:
                 self.voltage,
                 self.sensed,
                 self.counters,
+                b"" if estimator is None else estimator.block,
+                self.estimate,
             )
         )
+
+    def estimating(
+        self, law: Law, inputs: Real, estimator: PayloadEstimator | None, first: int
+    ) -> tuple[Real, list[Estimates]]:
+        """Return the record of `run` for the periods from `first` on, and the estimates behind it."""
+        single, before = law.precision == "single", self.estimate.tobytes()
+        record = self.run(law.block, inputs, single=single, estimator=estimator)
+        if estimator is None:
+            return record, []
+        angle, torque, tip = (record[:, RECORD.index(name)] for name in _SEEN)
+        ticks, called = (
+            first + 1 + np.arange(len(record)),
+            np.isfinite(tip),
+        )  # the law missed a period without
+        state = before or estimator.initial_state()
+        return record, [estimated_over(estimator, state, angle, torque, ticks, called)[1]]
 
     def sense(self, inputs: Real) -> tuple[float, float]:
         """Return what encoder and gauge read now."""
@@ -312,6 +351,7 @@ def apply(state: ArmState, law: Law, changes: list[Event | None]) -> None:
             state.change_payload(event.payload)
         elif isinstance(event, Restart):
             state.law = np.frombuffer(bytearray(law.initial_state()), dtype=np.uint8)
+            state.estimate = np.zeros(0, dtype=np.uint8)
 
 
 def drive_of(twin: Twin, law: Law) -> Drive:

@@ -14,37 +14,39 @@ from fraclink._arm.link import LinkModel
 from fraclink._arm.reference import Reference, sampled
 from fraclink._arm.rig import Rig
 from fraclink._design import Design
-from fraclink._law import Law, equip
+from fraclink._law import Law
 from fraclink._law.discretization import check_rigs_period
+from fraclink._law.estimator import Estimates, PayloadEstimator
 from fraclink._simulate.arm import Twin
+from fraclink._simulate.estimates import (
+    ESTIMATED,
+    estimate_findings,
+    estimate_signals,
+    estimated_over,
+    estimator_for,
+)
 from fraclink._simulate.inputs import (
-    PAYLOAD,
-    REFERENCE,
+    FAULT_BITS,
     fault_rows,
     given_payload,
-    healthy_inputs,
-    segments,
 )
 from fraclink._simulate.kernel import (
     OTHER_SIGNALS,
-    RECORD,
     SHORT_SIGNALS,
     SUBSTEPS,
-    ArmState,
     LumpedArms,
-    apply,
-    drive_of,
     run_lumped,
     shared_rig,
 )
+from fraclink._simulate.on_twin import on_twin, with_motor_loop
 from fraclink._simulate.plant import link_weights
 from fraclink._simulate.run import Run, judged_run
-from fraclink._simulate.sensors import Event, SensorFault
+from fraclink._simulate.sensors import FAULTS, Event, SensorFault
 from fraclink._validate import Between, Seed, checked
 from fraclink.errors import FieldError, SizeError
 from fraclink.findings import Finding
 
-__all__ = ["model_run", "simulate", "twin_run", "with_motor_loop"]
+__all__ = ["estimates_of_model", "link_at", "model_run", "simulate"]
 
 Real = NDArray[np.float64]
 MotorLoop = Literal["ideal", "sampled"]
@@ -63,7 +65,7 @@ def simulate(
     model: LinkModel | None = None,
     arm: Twin | None = None,
     payload: Annotated[float, Between(1e-9, 1e9, "kg")] | None = None,
-    told: Annotated[float, Between(0.0, 1e9, "kg")] | bool = False,
+    told: Annotated[float, Between(0.0, 1e9, "kg")] | bool | Literal["estimated"] | PayloadEstimator = False,
     duration: Annotated[float, Between(0.0, 1e300, "s", low_open=True)] | None = None,
     motor_loop: MotorLoop | None = None,
     events: Iterable[Event] = (),
@@ -100,7 +102,8 @@ def simulate(
     told
         payload that the law is given as its input: True for the arm's own, also where an event changes it, a
         number [kg] for one that may be wrong, False or 0 for none. The law then scales its feed-forward and
-        compares the tip with where its motor loop can have brought it by now.
+        compares the tip with where its motor loop can have brought it by now. "estimated" gives it what the
+        payload estimator of the design finds while the arm moves; a `PayloadEstimator` is one of your own.
     duration
         time to simulate [s], at most 2 000 000 periods; 5 s after the reference's end where it is left out,
         long enough to see a vibration grow.
@@ -146,6 +149,7 @@ def simulate(
     (True, True)
     """
     law, events = design.law() if isinstance(design, Design) else design, tuple(events)
+    estimator = estimator_for(design, told, rig, model)
     length = _length(reference, duration, law.period)
     options = zip(
         ("gauge_delay", "gauge_gain", "gauge_offset", "gauge_noise"),
@@ -158,7 +162,7 @@ def simulate(
         twin = arm if payload is None else arm.with_payload(payload)
         twin = replace(twin, sensors=replace(twin.sensors, **gauge)) if gauge else twin
         twin = twin if delay_samples is None else replace(twin, voltage_delay=delay_samples)
-        return _on_twin(twin, law, reference, length, events, seed, told)
+        return on_twin(twin, law, reference, length, events, seed, told, estimator)
     faults = tuple(event for event in events if isinstance(event, SensorFault))
     _refuse(events=len(faults) < len(events))
     if isinstance(design, Design):
@@ -180,10 +184,10 @@ def simulate(
         "delay_samples": own.motor_loop.delay_samples if delay_samples is None else delay_samples,
         "substeps": substeps,
         "compensation": compensation,
-        "payload_given": given_payload(told, link.payload),
+        "payload_given": ESTIMATED if estimator else given_payload(told, link.payload),
     }
     about |= gauge | ({"events": "; ".join(map(repr, faults))} if faults else {})
-    return _on_model(law, link, own, reference, length, about, findings, faults)
+    return _on_model(law, link, own, reference, length, about, findings, faults, estimator)
 
 
 def _length(reference: Reference, duration: float | None, period: float) -> float:
@@ -242,6 +246,7 @@ def _on_model(
     about: Mapping[str, Any],
     findings: tuple[Finding, ...],
     faults: tuple[SensorFault, ...],
+    estimator: PayloadEstimator | None,
 ) -> Run:
     count = math.floor(length / law.period * (1 + 1e-12)) + 1
     path = sampled(reference, law.period, count)
@@ -249,7 +254,8 @@ def _on_model(
         raise FieldError("reference", "NaN", "not finite", allowed="finite", remedy="check the reference")
     delay = Between(0.0, 100.0, "periods").check("gauge_delay", about["gauge_delay"] / law.period)
     values = {"stiffness": link.stiffness, "noise": about["gauge_noise"], "gauge_delay": delay}
-    same = ("gauge_offset", "gauge_gain", "delay_samples", "payload_given")
+    values["payload_given"] = 0.0 if estimator else about["payload_given"]
+    same = ("gauge_offset", "gauge_gain", "delay_samples")
     as_is = ("motor_gain", "viscous_friction", "coulomb_torque", "amplitude")
     values |= {name: float(about[name]) for name in same} | dict.fromkeys(as_is, 1.0)
     arm = LumpedArms.of(
@@ -265,10 +271,28 @@ def _on_model(
     shared = shared_rig(rig, law, about["motor_loop"], **own)
     path_of_arm = path[None, [0, 2]], np.zeros(1, dtype=np.int32)
     broken = fault_rows(faults, law.period, count) if faults else None
-    signals, marks = run_lumped(law, shared, arm, *path_of_arm, everything=True, faults=broken)
+    signals, marks = run_lumped(
+        law, shared, arm, *path_of_arm, everything=True, faults=broken, estimator=estimator
+    )
     ended = min(reference.duration, (count - 1) * law.period)
     seen = signals[:, 0], marks[:, 0]
-    return model_run(law, link, path[0], *seen, ended=ended, about=about, findings=findings)
+    estimates = None if estimator is None else (estimator, estimates_of_model(estimator, seen[0], broken))
+    return model_run(
+        law, link, path[0], *seen, ended=ended, about=about, findings=findings, estimates=estimates
+    )
+
+
+def estimates_of_model(estimator: PayloadEstimator, signals: Real, faults: Real | None = None) -> Estimates:
+    """Return what the estimator said in a run of the model: its signals (8, N), and rows of faults."""
+    names = (*SHORT_SIGNALS, *OTHER_SIGNALS)
+    angle, torque = (signals[names.index(name)] for name in ("motor_angle_measured", "torque_measured"))
+    ticks = np.arange(angle.size)
+    missed = (
+        np.zeros(angle.size)
+        if faults is None
+        else faults[:, FAULT_BITS].astype(int) & FAULTS["tick missed"][0]
+    )
+    return estimated_over(estimator, estimator.initial_state(), angle, torque, ticks, missed == 0)[1]
 
 
 def model_run(
@@ -282,6 +306,7 @@ def model_run(
     about: Mapping[str, Any],
     findings: tuple[Finding, ...] = (),
     growth: float | None = None,
+    estimates: tuple[PayloadEstimator, Estimates] | None = None,
 ) -> Run:
     """Return the run of what `run_lumped` gave for one arm: signals (8, N) and marks (3, N)."""
     names = (*SHORT_SIGNALS, *OTHER_SIGNALS)
@@ -293,107 +318,7 @@ def model_run(
         ended=ended,
         vibration_period=2 * math.pi / max(abs(link.pole.imag), 1e-3),
         about=about,
-        findings=findings,
+        findings=findings + (estimate_findings(*estimates, law.period) if estimates else ()),
+        extras=estimate_signals(estimates[1]) if estimates else None,
         growth=growth,
-    )
-
-
-def with_motor_loop(
-    law: Law, *, rig: Rig | None = None, link: LinkModel | None = None, twin: Twin | None = None
-) -> tuple[Law, tuple[Finding, ...]]:
-    """Return the law with the motor loop of its rig, or of the twin's motor, and W602 where it had none."""
-    if law.drive is None:
-        finding = Finding(
-            "W602",
-            "warning",
-            "the law has no motor loop: it ran with the one of its arm, and is not the law in hand",
-            {},
-            "simulate design.law(), which has the motor loop that is shipped",
-        )
-        if rig is not None and link is not None:
-            return equip(law, rig, link), (finding,)
-        if twin is not None:
-            return replace(law, drive=drive_of(twin, law)), (finding,)
-    elif not math.isclose(law.drive.loop.period, law.period, rel_tol=1e-9):
-        raise FieldError(
-            "period",
-            law.period,
-            "not the motor loop's",
-            allowed=f"{law.drive.loop.period} s",
-            remedy="discretise controller and motor loop at one period",
-        )
-    return law, ()
-
-
-# ── the twin ────────────────────────────────────────────────────────────────────────────────────────────────
-
-
-def _on_twin(
-    twin: Twin,
-    law: Law,
-    reference: Reference,
-    length: float,
-    events: tuple[Event, ...],
-    seed: int,
-    told: bool | float,
-) -> Run:
-    law, findings = with_motor_loop(law, twin=twin)
-    count = round(length / law.period) + 1
-    inputs = healthy_inputs(twin, reference, law.period, count, np.random.default_rng(seed))
-    state = ArmState(twin, law.period, law.initial_state(), start_angle=float(inputs[0, REFERENCE]))
-    records, payloads = [], []
-    for first, last, changes in segments(events, law.period, inputs):
-        apply(state, law, changes)
-        inputs[first:last, PAYLOAD] = given_payload(told, state.twin.beam.payload)
-        part = state.run(law.block, inputs[first:last], single=law.precision == "single")
-        records.append(part)
-        payloads.append(np.full(len(part), state.twin.beam.payload))
-        if len(part) < last - first:
-            break
-    return twin_run(
-        np.vstack(records),
-        np.concatenate(payloads),
-        twin,
-        law.period,
-        finished=sum(map(len, records)) == count,
-        ended=reference.duration,
-        about={
-            "law_sha256": law.digest,
-            "seed": seed,
-            "motor_loop": "sampled",
-            "damping": twin.damping.label,
-            "link_mass": twin.beam.link_mass,
-            "payload": twin.beam.payload,
-            "payload_given": "the arm's own" if told is True else float(told),
-            "events": "; ".join(map(repr, events)),
-        },
-        findings=(*twin.findings, *findings),
-    )
-
-
-def twin_run(
-    record: Real,
-    payload: Real,
-    twin: Twin,
-    period: float,
-    *,
-    finished: bool,
-    ended: float,
-    about: Mapping[str, Any],
-    findings: tuple[Finding, ...] = (),
-) -> Run:
-    """Return the run of what `ArmState.run` recorded: columns `RECORD`, and the payload [kg]."""
-    columns = {name: np.ascontiguousarray(column) for name, column in zip(RECORD, record.T, strict=True)}
-    columns |= {name: columns[name].astype(np.uint32) for name in ("mode", "reason", "flags")}
-    extras = {name: columns.pop(name) for name in ("motor_velocity", "contact_force", "voltage_asked")}
-    return judged_run(
-        columns,
-        payload=float(payload[0]),
-        period=period,
-        ended=ended,
-        vibration_period=twin.vibration_period,
-        about={"arm": "twin", **about},
-        findings=findings,
-        extras=extras | {"payload": payload},
-        finished=finished,
     )

@@ -1,0 +1,183 @@
+"""The payload estimated while running: what it finds and when, what the moves gain, contacts, a real log.
+
+Twin of the geared rig: link 7.35 g, friction, 0.05 N·m gauge offset, 10 mN·m noise; 1 rad in 0.5 s; law for
+20 to 40 g. Figures are the worst of 20 seeds where nothing else is said.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from itertools import permutations
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+import fraclink as fl
+from fraclink import _kernels
+from fraclink._design import Design
+from fraclink._law import discretize_controller
+from fraclink._law.estimator import PayloadEstimator, payload_estimator
+from fraclink._law.tracking import masses_of
+from fraclink._simulate import Obstacle, PayloadChange, Run, Twin
+
+SEEDS: Final = 20
+PAYLOADS: Final = (0.008, 0.012, 0.016, 0.020, 0.030, 0.040, 0.060, 0.080)
+RIG: Final = fl.Rig.named("paper-2023-geared")
+MOVE: Final = fl.smooth_step(1.0, duration=0.5)
+REST: Final = 3.0  # [s] between two moves
+ROOT: Final = Path(__file__).resolve().parents[1]
+Real = NDArray[np.float64]
+
+
+def designed() -> Design:
+    assert RIG.model is not None
+    request = {"gain_crossover": 12.0, "phase_margin": fl.deg(50), "filter_time": 0.02}
+    return fl.design(RIG.model, RIG, payloads=(0.020, 0.040), **request)
+
+
+def on_twin(design: Design, payload: float, told: object, seed: int, **options: object) -> Run:
+    arm = Twin.from_rig(RIG, payload=payload)
+    given = {"gauge_offset": 0.05, "duration": 3.0} | options
+    return fl.simulate(design, MOVE, arm=arm, seed=seed, told=told, **given)  # type: ignore[arg-type]
+
+
+def found_at(run: Run, payload: float) -> float:
+    """Time [s] from which on the estimate is within 10 %."""
+    off = np.flatnonzero(np.abs(run.extras["payload_estimate"] / payload - 1) > 0.1)
+    return float(run.time[min(off[-1] + 1, len(run.time) - 1)])
+
+
+def first_moves(design: Design, bank: PayloadEstimator) -> None:
+    print("first move: settling not told, told, estimated; within 10 % after; error at the end; 95 % covers")
+    covered = []
+    for payload in PAYLOADS:
+        runs = [on_twin(design, payload, bank, seed) for seed in range(SEEDS)]
+        settled = [
+            max(on_twin(design, payload, told, seed).metrics.settling_time for seed in range(SEEDS))
+            for told in (False, True)
+        ]
+        settled.append(max(run.metrics.settling_time for run in runs))
+        when = max(found_at(run, payload) for run in runs)
+        error = max(abs(float(run.extras["payload_estimate"][-1]) / payload - 1) for run in runs)
+        inside = np.concatenate([covers(run, payload) for run in runs])
+        covered.append(inside.mean())
+        print(
+            f"  {1e3 * payload:2.0f} g  "
+            f"{settled[0]:.2f} s, {settled[1]:.2f} s, {settled[2]:.2f} s;  {1e3 * when:3.0f} ms;  "
+            f"{100 * error:.1f} %;  {100 * inside.mean():.1f} %",
+            flush=True,
+        )
+    print(f"  all payloads alike: the 95 % interval covers in {100 * np.mean(covered):.1f} % of the periods")
+
+
+def covers(run: Run, payload: float) -> NDArray[np.bool_]:
+    """Whether the interval holds the payload, in every period with an estimate for the law."""
+    x = run.extras
+    shown = x["payload_given"] > 0
+    return np.asarray((x["payload_low"] <= payload) & (payload <= x["payload_high"]))[shown]
+
+
+def settling(run: Run, start: float, target: float) -> float:
+    """Time [s] from `start` after which the tip stays within 2 % of `target` until the next move."""
+    part = (run.time >= start - 1e-9) & (run.time < start + REST + 0.5 - 1e-9)
+    off = np.flatnonzero(np.abs(run.tip_angle[part] - target) > 0.02)
+    return 0.004 * (off[-1] + 1) if off.size else 0.0
+
+
+def changes(design: Design, bank: PayloadEstimator) -> None:
+    """Two moves, another payload while the arm stands, three more: every pair of the eight payloads."""
+    path = MOVE
+    for i in range(1, 5):
+        path = path.then(fl.smooth_step((-1.0) ** i, 0.5, REST))
+    starts = [i * (REST + 0.5) for i in range(5)]
+    print(f"payload changed at rest, all {len(PAYLOADS) * (len(PAYLOADS) - 1)} pairs, 20 seeds each")
+    worst: dict[tuple[float, float], Real] = {}
+    for before, after in permutations(PAYLOADS, 2):
+        event = PayloadChange(starts[2] - 0.3, after)
+        arm = Twin.from_rig(RIG, payload=before)
+        times = []
+        for seed in range(SEEDS):
+            run = fl.simulate(
+                design, path, arm=arm, gauge_offset=0.05, seed=seed, told=bank, events=[event], duration=17.4
+            )
+            times.append([settling(run, at, 1.0 - i % 2) for i, at in enumerate(starts)])
+        worst[before, after] = np.max(times, axis=0)
+    table = np.array(list(worst.values()))
+    names = ("first of all", "second", "with the surprise", "second after it", "third after it")
+    for name, times in zip(names, table.T, strict=True):
+        pair = list(worst)[int(np.argmax(times))]
+        print(f"  {name:18}: {times.max():.2f} s, {1e3 * pair[0]:.0f} to {1e3 * pair[1]:.0f} g", flush=True)
+
+
+def contacts(design: Design, bank: PayloadEstimator) -> None:
+    """A stop of 2 kN/m in the way at 0.3, 0.6 and 0.9 rad; healthy moves of 0.4, 0.5 and 1 s."""
+    seconds, missed, false = [], 0, 0
+    for payload, angle in ((p, a) for p in PAYLOADS for a in (0.3, 0.6, 0.9)):
+        run = on_twin(design, payload, bank, 0, events=[Obstacle(0.0, 9.0, angle=angle, stiffness=2000.0)])
+        touched = run.time[np.argmax(np.abs(run.extras["contact_force"]) > 0)]
+        flagged = run.time[flags(run, _kernels.PAYLOAD_CONTACT)]
+        missed += flagged.size == 0
+        seconds += list(flagged[:1] - touched)
+    for payload, time in ((p, t) for p in PAYLOADS for t in (0.4, 0.5, 1.0)):
+        arm = Twin.from_rig(RIG, payload=payload)
+        for seed in range(5):
+            run = fl.simulate(
+                design,
+                fl.smooth_step(1.0, time),
+                arm=arm,
+                gauge_offset=0.05,
+                seed=seed,
+                told=bank,
+                duration=3.0,
+            )
+            false += bool(flags(run, _kernels.PAYLOAD_CONTACT).any())
+    print(
+        f"contact flagged {1e3 * min(seconds):.0f} to {1e3 * max(seconds):.0f} ms after the touch, median "
+        f"{1e3 * np.median(seconds):.0f} ms; {missed} of 24 missed; {false} of 120 healthy moves flagged"
+    )
+
+
+def flags(run: Run, bit: int) -> NDArray[np.bool_]:
+    return np.asarray(run.extras["payload_flags"].astype(int) & bit != 0)
+
+
+def recorded() -> Iterator[str]:
+    """The log of a real link: the frequency of the estimate against that of the offline fit."""
+    folder = Path(os.environ.get("FRACLINK_SHARED", str(ROOT.parent / "shared" / "data")))
+    file = folder / "quanser_rfl_merced" / "merced_rfl.csv"
+    if not file.exists():
+        yield f"Merced log: not there ({file.name}); set FRACLINK_SHARED"
+        return
+    rig = fl.Rig.load(ROOT / "tests" / "rigs" / "merced.toml")
+    log = fl.read_log(file, rig=rig, payload=0.0158)
+    link = fl.identify(log).model
+    law = discretize_controller(fl.Controller(gain=0.05, order=0.6, link=link), rig.period, rig=rig)
+    time = log.period * np.arange(len(log.output))
+    for what, doubt in (("gauge gain as identified", None), ("gauge gain known to 30 %", 0.3)):
+        bank = payload_estimator(link, rig, law, (0.0158, 0.0158), gain_doubt=doubt)
+        _, found = bank.run(bank.initial_state(), log.motor_angle, link.stiffness * log.output)
+        nominal, own = masses_of(link, rig)
+        late = (time >= 0.5) & (found.given > 0)
+        off = np.abs(np.sqrt(nominal / (found.estimate[late] + own)) - 1)
+        yield (
+            f"Merced log, {what}: frequency within {100 * off.max():.1f} % of the offline fit after 0.5 s "
+            f"(mass {200 * off.max():.1f} %), given in {100 * np.mean(found.given[time >= 0.5] > 0):.0f} % "
+            "of the periods"
+        )
+
+
+def main() -> None:
+    design = designed()
+    bank = design.estimator()
+    first_moves(design, bank)
+    contacts(design, bank)
+    for line in recorded():
+        print(line)
+    changes(design, bank)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,400 @@
+/* The payload estimated while the arm moves. See payload_estimator.h for how to call it.
+ *
+ * Why it is made like this:
+ *  - Each model sees the torque through a filter that forgets within half a vibration, so that its error is linear in
+ *    the gauge's gain and offset: two equations of least squares a model, no covariance matrices, and every filter is
+ *    stable whatever the data say. One estimate of all (frequency, gain, offset) at once would need an observer of the
+ *    vibration that is right before the frequency is.
+ *  - The models look at means of a few periods, one after the other: a vibration of 20 rad/s needs no 250 samples a
+ *    second, and the work of a sample is spread over the periods until the next.
+ *  - Evidence fades only while the arm moves; it fades by half in every sample where the best model fails twice
+ *    in a row, for then the payload is another.
+ *  - Memory is checked where it is used, by comparisons that NaN fails; what is not credible begins the estimate anew.
+ */
+#include "payload_estimator.h"
+
+#if defined(__clang__)
+#pragma STDC FP_CONTRACT OFF
+#elif defined(__GNUC__) && !defined(__STRICT_ANSI__) && !defined(LAW_CONTRACT_OFF) && \
+    (defined(__FMA__) || defined(__ARM_FEATURE_FMA) || defined(__riscv_flen) || defined(__FP_FAST_FMA) || \
+     defined(__FP_FAST_FMAF))
+#error "compile payload_estimator.c with -std=c99, or with -ffp-contract=off -DLAW_CONTRACT_OFF"
+#endif
+
+#define PAYLOAD_TWICE 2U /* samples in a row: one alone may be a sensor's */
+#define PAYLOAD_FADES 10U /* such samples that forget; one that forgot for ever would never learn a wrong offset */
+#define PAYLOAD_DEVIATION ((law_real)1) /* largest relative standard deviation that is told */
+#define PAYLOAD_ROUNDS ((law_real)1.01F) /* room for rounding */
+#define PAYLOAD_NONE ((law_real)1e30F)  /* larger than any cost */
+
+/* Whether a value is a number within +-`limit`: NaN fails the comparison, infinity squared too. */
+static uint32_t sound(law_real value, law_real limit)
+{
+    return ((value * value) <= (limit * limit)) ? 1U : 0U;
+}
+
+static uint32_t one_more(uint32_t count)
+{
+    return (count < 0x7FFFFFFFU) ? (count + 1U) : count;
+}
+
+/* Nothing is known. */
+static void forget(payload_state *s)
+{
+    const law_real zero = (law_real)0;
+    uint32_t i;
+    uint32_t j;
+    s->stamp = 0U;
+    s->tick = 0U;
+    s->count = 0U;
+    s->next = PAYLOAD_MODELS;
+    s->gap = 0U;
+    s->quiet = 0U;
+    s->odd = 0U;
+    s->touched = 0U;
+    s->best = 0U;
+    s->flags = 0U;
+    /*@ loop unroll 14; */
+    for (i = 0U; i < PAYLOAD_MODELS; i++) {
+        payload_memory *const m = &s->model[i];
+        /*@ loop unroll 3; */
+        for (j = 0U; j < 3U; j++) {
+            m->torque[j] = zero;
+            m->angle[j] = zero;
+        }
+        m->ee = zero;
+        m->ev = zero;
+        m->vv = zero;
+        m->e = zero;
+        m->v = zero;
+    }
+    s->angle_sum = zero;
+    s->torque_sum = zero;
+    s->last_angle = zero;
+    s->last_torque = zero;
+    s->angle = zero;
+    s->change = zero;
+    s->torque = zero;
+    s->offset = zero;
+    s->offset_variance = zero;
+    s->shift = zero;
+    s->drift = zero;
+    s->samples = zero;
+    s->keep = zero;
+    s->before = zero;
+    s->cost[0] = zero;
+    s->cost[1] = zero;
+    s->cost[2] = zero;
+    s->best_drift = zero;
+    s->best_told = zero;
+    s->best_error = zero;
+    s->least = zero;
+    s->deviation = PAYLOAD_DEVIATION;
+    s->estimate = zero;
+    s->low = zero;
+    s->high = zero;
+}
+
+/* Begin with a good reading of an arm that stands; one that moves is found out by its errors. */
+static void begin(payload_state *s, const payload_params *p, uint32_t tick, law_real angle, law_real torque)
+{
+    forget(s);
+    if ((payload_check(p) == LAW_OK) && (sound(angle, p->angle_limit) != 0U) && (sound(torque, p->torque_limit) != 0U)) {
+        s->stamp = p->crc;
+        s->tick = tick - 1U;
+        s->last_angle = angle;
+        s->last_torque = torque;
+        s->angle = angle;
+        s->offset = torque;
+        s->offset_variance = p->offset_variance;
+    }
+}
+
+/* Make the models' next sample of the means, and learn the gauge's offset where nothing moves. */
+static void sample(payload_state *s, const payload_params *p)
+{
+    const law_real periods = (law_real)s->count;
+    const law_real angle = s->angle_sum / periods;
+    const law_real torque = (s->torque_sum / periods) - s->offset;
+    s->change = angle - s->angle;
+    s->angle = angle;
+    s->torque = torque;
+    s->shift = (law_real)0;
+    s->angle_sum = (law_real)0;
+    s->torque_sum = (law_real)0;
+    s->count = 0U;
+    if ((sound(s->best_told, p->torque_moved) != 0U) && (sound(torque - s->drift, p->torque_moved) != 0U)) {
+        s->quiet = one_more(s->quiet);
+    } else {
+        s->quiet = 0U;
+    }
+    if (s->quiet > p->quiet_limit) {
+        const law_real part = s->offset_variance / (s->offset_variance + p->variance);
+        s->flags |= PAYLOAD_FROZEN;
+        s->shift = part * torque;
+        s->drift -= s->shift;
+        s->offset += s->shift;
+        s->torque -= s->shift;
+        const law_real known = ((law_real)1 - part) * s->offset_variance;
+        const law_real least = (law_real)0.25F * p->variance; /* a zero that drifts */
+        s->offset_variance = (known > least) ? known : least;
+    } else {
+        s->flags &= ~PAYLOAD_FROZEN;
+        s->keep = (((s->flags & PAYLOAD_CHANGED) != 0U) && (s->odd < PAYLOAD_FADES)) ? (law_real)0.5F : p->keep;
+        s->samples = (s->keep * s->samples) + (law_real)1;
+    }
+    s->next = 0U;
+    s->before = PAYLOAD_NONE;
+    s->cost[1] = PAYLOAD_NONE;
+    s->least = PAYLOAD_NONE;
+}
+
+/* Remember the cost of model `i` where it is the smallest so far, or stands behind that one. */
+static void compare(payload_state *s, uint32_t i, law_real cost, law_real drift, law_real told, law_real error)
+{
+    if (cost < s->cost[1]) {
+        s->cost[0] = s->before;
+        s->cost[1] = cost;
+        s->cost[2] = PAYLOAD_NONE;
+        s->best = i;
+        s->best_drift = drift;
+        s->best_told = told;
+        s->best_error = error;
+    } else if (i == (s->best + 1U)) {
+        s->cost[2] = cost;
+    } else {
+        /* one of the others */
+    }
+    s->before = cost;
+}
+
+/* The filters of a model from one sample to the next, in the form that keeps what they will add to it. */
+static void pass_on(const payload_state *s, const payload_model *c, payload_memory *m, law_real seen, law_real told)
+{
+    m->torque[0] = ((c->a1 * s->torque) - (c->c1 * seen)) + m->torque[1];
+    m->torque[1] = ((c->a2 * s->torque) - (c->c2 * seen)) + m->torque[2];
+    m->torque[2] = (c->a3 * s->torque) - (c->c3 * seen);
+    m->angle[0] = ((c->b1 * s->change) - (c->c1 * told)) + m->angle[1];
+    m->angle[1] = ((c->b2 * s->change) - (c->c2 * told)) + m->angle[2];
+    m->angle[2] = -(c->c3 * told);
+}
+
+/* Errors of a model in this sample, and its cost once gain and offset are those that suit it best: the minimum of
+ * sum (e - x v - y rest)^2 + gain_weight x^2 + offset_weight y^2. Return whether everything was credible. */
+static uint32_t look(payload_state *s, const payload_params *p, uint32_t i, law_real offset_weight)
+{
+    const payload_model *const c = &p->model[i];
+    payload_memory *const m = &s->model[i];
+    const law_real seen = s->torque + m->torque[0];
+    const law_real told = (c->b0 * s->change) + m->angle[0];
+    const law_real e = seen - told;
+    const law_real swing = s->torque - s->drift;
+    pass_on(s, c, m, seen, told);
+    m->ee = (s->keep * m->ee) + (e * e);
+    m->ev = (s->keep * m->ev) + (e * told);
+    m->vv = (s->keep * m->vv) + (told * told);
+    m->e = (s->keep * m->e) + e;
+    m->v = (s->keep * m->v) + told;
+    const law_real gain = m->vv + p->gain_weight;
+    const law_real both = m->v * c->rest;
+    const law_real rest = ((s->samples * c->rest) * c->rest) + offset_weight;
+    const law_real second = m->e * c->rest;
+    const law_real scale = (law_real)1 / ((gain * rest) - (both * both));
+    const law_real x = ((m->ev * rest) - (second * both)) * scale;
+    const law_real y = ((second * gain) - (m->ev * both)) * scale;
+    const law_real cost = m->ee - ((x * m->ev) + (y * second));
+    const law_real left = e - ((x * told) + (y * c->rest));
+    const law_real error = left * left;
+    /* between two models of the bank a right payload errs by a part of the torque, too */
+    const law_real size = (told * told) + (swing * swing);
+    const law_real excess = error - (p->contact * size);
+    s->least = (excess < s->least) ? excess : s->least;
+    compare(s, i, cost, y, told, error - (p->surprise * size));
+    /* no product of two signals is larger than their squares allow */
+    return ((((m->ee <= p->sum_limit) && (m->vv <= p->sum_limit)) && ((m->ev * m->ev) <= (PAYLOAD_ROUNDS * (m->ee * m->vv)))) &&
+            ((cost >= -p->variance) && (cost <= p->sum_limit)))
+               ? 1U
+               : 0U;
+}
+
+/* A model where nothing moves: its filter goes on, its sums are those of before, seen from the new offset. */
+static uint32_t stand(payload_state *s, const payload_params *p, uint32_t i)
+{
+    const payload_model *const c = &p->model[i];
+    payload_memory *const m = &s->model[i];
+    const law_real seen = s->torque + m->torque[0];
+    const law_real told = (c->b0 * s->change) + m->angle[0];
+    const law_real step = s->shift * c->rest;
+    pass_on(s, c, m, seen, told);
+    if (sound(told, (law_real)1e-15F) != 0U) { /* as denormals they would stay for ever */
+        m->angle[0] = (law_real)0;
+        m->angle[1] = (law_real)0;
+        m->angle[2] = (law_real)0;
+    }
+    if (i == s->best) {
+        s->best_told = told;
+    }
+    m->ee = (m->ee - (((law_real)2 * step) * m->e)) + ((s->samples * step) * step);
+    m->ev -= step * m->v;
+    m->e -= s->samples * step;
+    return ((m->ee >= -p->variance) && (m->ee <= p->sum_limit)) ? 1U : 0U;
+}
+
+/* Whether the estimate is narrow enough for the law. */
+static uint32_t usable(const payload_state *s, const payload_params *p)
+{
+    return (((s->deviation > (law_real)0) && (s->deviation <= p->narrow)) && (s->estimate <= p->payload_limit)) ? 1U : 0U;
+}
+
+/* Whether the last samples are explained: by the best model, or by any. */
+static void judge(payload_state *s, const payload_params *p)
+{
+    s->odd = (s->best_error > ((law_real)16 * p->variance)) ? one_more(s->odd) : 0U; /* four and six deviations */
+    s->touched = (s->least > ((law_real)36 * p->variance)) ? one_more(s->touched) : 0U;
+    s->flags &= ~(PAYLOAD_CONTACT | PAYLOAD_CHANGED);
+    s->flags |= (s->odd >= PAYLOAD_TWICE) ? PAYLOAD_CHANGED : 0U;
+    s->flags |= (s->touched >= PAYLOAD_TWICE) ? PAYLOAD_CONTACT : 0U;
+}
+
+/* The estimate: the bottom of the parabola through the costs of the best model and the two beside it. */
+static void conclude(payload_state *s, const payload_params *p)
+{
+    const uint32_t i = s->best;
+    law_real deviation = s->deviation;
+    s->deviation = PAYLOAD_DEVIATION; /* beyond the bank, or another payload than before */
+    s->drift = s->best_drift;
+    judge(s, p);
+    if ((i > 0U) && (i < (PAYLOAD_MODELS - 1U)) && ((s->flags & PAYLOAD_CHANGED) == 0U)) {
+        const law_real tilt = s->cost[0] - s->cost[2];
+        const law_real bend = (s->cost[0] - s->cost[1]) + (s->cost[2] - s->cost[1]);
+        const law_real at = ((law_real)0.5F * tilt) / bend;
+        const law_real here = p->model[i].mass;
+        const law_real rise = (law_real)0.5F * (p->model[i + 1U].mass - p->model[i - 1U].mass);
+        const law_real curve = (law_real)0.5F * ((p->model[i + 1U].mass - here) - (here - p->model[i - 1U].mass));
+        const law_real mass = here + (at * (rise + (at * curve)));
+        const law_real slope = (rise + (((law_real)2 * at) * curve)) / mass;
+        const law_real least = (s->cost[1] - (((law_real)0.25F * tilt) * at)) / s->samples;
+        const law_real noise = p->spread * ((least > p->variance) ? least : p->variance);
+        const law_real variance = ((((law_real)2 * noise) / bend) * (slope * slope)) + p->doubt;
+        if ((sound(at, (law_real)1) != 0U) && (variance <= (PAYLOAD_DEVIATION * PAYLOAD_DEVIATION))) {
+            deviation = ((deviation > (law_real)0) && (deviation <= PAYLOAD_DEVIATION)) ? deviation : PAYLOAD_DEVIATION;
+            /* Newton's square root comes from above and is never too narrow; the next samples bring it nearer */
+            deviation = (law_real)0.5F * (deviation + (variance / deviation));
+            deviation = (law_real)0.5F * (deviation + (variance / deviation));
+            deviation = (law_real)0.5F * (deviation + (variance / deviation));
+            const law_real half = (p->width * deviation) * mass;
+            s->deviation = deviation;
+            s->estimate = mass - p->link;
+            s->low = s->estimate - half;
+            s->high = s->estimate + half;
+        }
+    }
+}
+
+/* Bring the next models up to date; behind the last one the sample has its answer. */
+static void work(payload_state *s, const payload_params *p, uint32_t models)
+{
+    const uint32_t frozen = s->flags & PAYLOAD_FROZEN;
+    const law_real weight = p->variance / s->offset_variance;
+    uint32_t good = 1U;
+    uint32_t i;
+    /*@ loop unroll 14; */
+    for (i = 0U; i < models; i++) {
+        if (s->next < PAYLOAD_MODELS) {
+            const uint32_t fine = (frozen != 0U) ? stand(s, p, s->next) : look(s, p, s->next, weight);
+            good &= fine;
+            s->next++;
+            if ((s->next == PAYLOAD_MODELS) && (frozen == 0U)) {
+                conclude(s, p);
+            }
+        }
+    }
+    s->stamp = (good != 0U) ? s->stamp : 0U; /* damaged memory: the next period begins anew */
+}
+
+/* Show what is known, in its limits whatever the memory holds. */
+static void show(payload_state *s, const payload_params *p, payload_output *out)
+{
+    const law_real most = (law_real)2 * p->payload_limit;
+    const uint32_t known = (((s->estimate > (law_real)0) && (s->estimate <= most)) &&
+                            ((s->low <= s->estimate) && (s->estimate <= s->high)))
+                               ? 1U
+                               : 0U;
+    const uint32_t given = ((known != 0U) && (usable(s, p) != 0U)) ? 1U : 0U;
+    s->flags &= ~(PAYLOAD_GIVEN | PAYLOAD_OUTSIDE);
+    s->flags |= (given != 0U) ? PAYLOAD_GIVEN : 0U;
+    if ((given != 0U) && ((s->high < p->certified_low) || (s->low > p->certified_high))) {
+        s->flags |= PAYLOAD_OUTSIDE;
+    }
+    out->given = (given != 0U) ? s->estimate : (law_real)0;
+    out->estimate = (known != 0U) ? s->estimate : (law_real)0;
+    out->low = ((known != 0U) && (s->low > (law_real)0)) ? s->low : (law_real)0;
+    out->high = (known == 0U) ? (law_real)0 : ((s->high < most) ? s->high : most);
+    out->flags = s->flags;
+}
+
+/* CRC-32 of everything behind the crc field, bit by bit as in law.c. */
+static uint32_t table_crc(const payload_params *params)
+{
+    const unsigned char *bytes = (const unsigned char *)params;
+    uint32_t crc = 0xFFFFFFFFU;
+    uint32_t i;
+    uint32_t bit;
+    for (i = 16U; i < (uint32_t)sizeof(payload_params); i++) {
+        crc ^= (uint32_t)bytes[i];
+        for (bit = 0U; bit < 8U; bit++) {
+            crc = ((crc & 1U) != 0U) ? ((crc >> 1U) ^ 0xEDB88320U) : (crc >> 1U);
+        }
+    }
+    return crc ^ 0xFFFFFFFFU;
+}
+
+uint32_t payload_check(const payload_params *params)
+{
+    uint32_t reason = (params->crc == table_crc(params)) ? LAW_OK : LAW_BAD_CRC;
+    if ((params->size != (uint32_t)sizeof(payload_params)) || (params->precision != (uint32_t)sizeof(law_real))) {
+        reason = LAW_BAD_SIZE;
+    }
+    if (params->version != PAYLOAD_VERSION) {
+        reason = LAW_BAD_VERSION;
+    }
+    return reason;
+}
+
+uint32_t payload_init(payload_state *state, const payload_params *params)
+{
+    forget(state);
+    return payload_check(params);
+}
+
+void payload_step(payload_state *s, const payload_params *p, uint32_t tick, law_real motor_angle, law_real torque,
+                  payload_output *output)
+{
+    uint32_t periods = tick - s->tick;
+    if ((s->stamp != p->crc) || ((periods != 0U) && (periods > p->gap_limit)) || (s->gap > p->gap_limit)) {
+        begin(s, p, tick, motor_angle, torque);
+        periods = tick - s->tick;
+    }
+    if ((s->stamp == p->crc) && (periods != 0U)) {
+        const law_real weight = (law_real)periods;
+        s->tick = tick;
+        s->flags &= ~PAYLOAD_SAMPLE;
+        if ((sound(motor_angle, p->angle_limit) != 0U) && (sound(torque, p->torque_limit) != 0U)) {
+            s->last_angle = motor_angle;
+            s->last_torque = torque;
+            s->gap = 0U;
+        } else {
+            s->flags |= PAYLOAD_SAMPLE;
+            s->gap += periods;
+        }
+        s->angle_sum += weight * s->last_angle;
+        s->torque_sum += weight * s->last_torque;
+        s->count += periods;
+        if (s->count >= p->together) {
+            work(s, p, PAYLOAD_MODELS); /* what missed periods have left of the last sample */
+            sample(s, p);
+        }
+        work(s, p, p->chunk);
+    }
+    show(s, p, output);
+}

@@ -1,0 +1,126 @@
+"""What the payload estimator said during a run: its signals, and what a reader should know of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink import _kernels
+from fraclink._arm.link import LinkModel
+from fraclink._arm.loop import with_payload
+from fraclink._arm.rig import Rig
+from fraclink._design import Design
+from fraclink._law import Law
+from fraclink._law.estimator import Estimates, PayloadEstimator, payload_estimator
+from fraclink.errors import FieldError
+from fraclink.findings import Finding
+
+__all__ = [
+    "ESTIMATED",
+    "estimate_findings",
+    "estimate_signals",
+    "estimated_over",
+    "estimator_for",
+    "joined",
+]
+
+Real = NDArray[np.float64]
+
+ESTIMATED = "estimated"  # what `told` and a run's "payload_given" say where the law was given the estimate
+_NAMES = ("payload_given", "payload_estimate", "payload_low", "payload_high", "payload_flags")
+
+
+def estimated_over(
+    estimator: PayloadEstimator,
+    state: bytes,
+    motor_angle: Real,
+    torque: Real,
+    ticks: NDArray[np.integer[Any]],
+    called: NDArray[np.bool_],
+) -> tuple[bytes, Estimates]:
+    """Run the estimator over the sensors of a run, which gives the bits that it gave in the loop.
+
+    `called` is False in periods that the control missed: there the values of the period before stand.
+    """
+    after, found = estimator.run(state, motor_angle[called], torque[called], ticks=ticks[called])
+    row = np.maximum(np.cumsum(called) - 1, 0)
+    return after, Estimates(*(column[row] for column in found))
+
+
+def joined(parts: Sequence[Estimates]) -> Estimates:
+    """Return the estimates of parts of a run as those of all of it."""
+    return Estimates(*map(np.concatenate, zip(*parts, strict=True)))
+
+
+def estimate_signals(estimates: Estimates) -> dict[str, Real]:
+    """Return the signals as a run keeps them: given, estimate, low and high [kg], flags."""
+    return {
+        name: np.asarray(values, dtype=np.float64) for name, values in zip(_NAMES, estimates, strict=True)
+    }
+
+
+def estimator_for(
+    design: Design | Law,
+    told: bool | float | str | PayloadEstimator,
+    rig: Rig | None = None,
+    model: LinkModel | None = None,
+) -> PayloadEstimator | None:
+    """Return what estimates the payload, in the law's precision; None where it is told, or nothing is.
+
+    FieldError where nothing says how the link moves, or the estimator was made for another period.
+    """
+    if isinstance(told, PayloadEstimator):
+        law = design.law() if isinstance(design, Design) else design
+        if not math.isclose(told.period, law.period, rel_tol=1e-9):
+            allowed, remedy = f"{law.period} s", "make it for this law: design.estimator()"
+            raise FieldError("told.period", told.period, "not the law's", allowed=allowed, remedy=remedy)
+        return told.in_precision(law.precision)
+    if told != ESTIMATED:
+        return None
+    if isinstance(design, Design):
+        return design.estimator()
+    link = model or (rig.model if rig is not None else None)
+    if rig is None or link is None:
+        allowed, remedy = "a design, or a law with rig= and model=", "give the design in place of its law"
+        raise FieldError("told", told, "without a model of the link", allowed=allowed, remedy=remedy)
+    return payload_estimator(with_payload(link, rig), rig, design, (rig.payloads.low, rig.payloads.high))
+
+
+def estimate_findings(
+    estimator: PayloadEstimator, estimates: Estimates, period: float
+) -> tuple[Finding, ...]:
+    """Return W604 where the estimate left the payloads of the certificate, W605 where it met a contact."""
+    found = []
+    outside = (estimates.flags & _kernels.PAYLOAD_OUTSIDE) != 0
+    if outside.any():
+        low, high = estimator.certified
+        last = int(np.flatnonzero(outside)[-1])
+        share = f"{1e3 * estimates.low[last]:.3g} to {1e3 * estimates.high[last]:.3g} g"
+        found.append(
+            Finding(
+                "W604",
+                "warning",
+                f"the estimated payload ({share} in the end) left the {1e3 * low:g} to {1e3 * high:g} g that "
+                f"the design covers, in {np.count_nonzero(outside)} of {outside.size} periods",
+                {"low": float(estimates.low[last]), "high": float(estimates.high[last])},
+                "design for a range that holds this payload: the certificate says nothing about it",
+            )
+        )
+    touched = (estimates.flags & _kernels.PAYLOAD_CONTACT) != 0
+    if touched.any():
+        first = float(period * np.flatnonzero(touched)[0])
+        found.append(
+            Finding(
+                "W605",
+                "warning",
+                f"the gauge showed a torque at {first:.3g} s that no payload explains: the arm touched "
+                "something",
+                {"time": first},
+                "look what stands in its way; a program on the board can stop at this flag",
+            )
+        )
+    return tuple(found)

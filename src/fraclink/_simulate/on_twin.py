@@ -1,0 +1,140 @@
+"""A run of the twin: law.c's own code around the arm with distributed mass, cut where something changes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink._arm.link import LinkModel
+from fraclink._arm.reference import Reference
+from fraclink._arm.rig import Rig
+from fraclink._law import Law, equip
+from fraclink._law.estimator import Estimates, PayloadEstimator
+from fraclink._simulate.arm import Twin
+from fraclink._simulate.estimates import ESTIMATED, estimate_findings, estimate_signals, joined
+from fraclink._simulate.inputs import PAYLOAD, REFERENCE, given_payload, healthy_inputs, segments
+from fraclink._simulate.kernel import RECORD, ArmState, apply, drive_of
+from fraclink._simulate.run import Run, judged_run
+from fraclink._simulate.sensors import Event
+from fraclink.errors import FieldError
+from fraclink.findings import Finding
+
+__all__ = ["on_twin", "twin_run", "with_motor_loop"]
+
+Real = NDArray[np.float64]
+
+
+def with_motor_loop(
+    law: Law, *, rig: Rig | None = None, link: LinkModel | None = None, twin: Twin | None = None
+) -> tuple[Law, tuple[Finding, ...]]:
+    """Return the law with the motor loop of its rig, or of the twin's motor, and W602 where it had none."""
+    if law.drive is None:
+        finding = Finding(
+            "W602",
+            "warning",
+            "the law has no motor loop: it ran with the one of its arm, and is not the law in hand",
+            {},
+            "simulate design.law(), which has the motor loop that is shipped",
+        )
+        if rig is not None and link is not None:
+            return equip(law, rig, link), (finding,)
+        if twin is not None:
+            return replace(law, drive=drive_of(twin, law)), (finding,)
+    elif not math.isclose(law.drive.loop.period, law.period, rel_tol=1e-9):
+        raise FieldError(
+            "period",
+            law.period,
+            "not the motor loop's",
+            allowed=f"{law.drive.loop.period} s",
+            remedy="discretise controller and motor loop at one period",
+        )
+    return law, ()
+
+
+def on_twin(
+    twin: Twin,
+    law: Law,
+    reference: Reference,
+    length: float,
+    events: tuple[Event, ...],
+    seed: int,
+    told: bool | float | str | PayloadEstimator,
+    estimator: PayloadEstimator | None,
+) -> Run:
+    law, findings = with_motor_loop(law, twin=twin)
+    count = round(length / law.period) + 1
+    inputs = healthy_inputs(twin, reference, law.period, count, np.random.default_rng(seed))
+    state = ArmState(twin, law.period, law.initial_state(), start_angle=float(inputs[0, REFERENCE]))
+    records, payloads, estimates = [], [], []
+    for first, last, changes in segments(events, law.period, inputs):
+        apply(state, law, changes)
+        if estimator is None:
+            inputs[first:last, PAYLOAD] = given_payload(told, state.twin.beam.payload)
+        part, seen = state.estimating(law, inputs[first:last], estimator, first)
+        estimates += seen
+        records.append(part)
+        payloads.append(np.full(len(part), state.twin.beam.payload))
+        if len(part) < last - first:
+            break
+    return twin_run(
+        np.vstack(records),
+        np.concatenate(payloads),
+        twin,
+        law.period,
+        finished=sum(map(len, records)) == count,
+        ended=reference.duration,
+        about={
+            "law_sha256": law.digest,
+            "seed": seed,
+            "motor_loop": "sampled",
+            "damping": twin.damping.label,
+            "link_mass": twin.beam.link_mass,
+            "payload": twin.beam.payload,
+            "payload_given": ESTIMATED if estimator else _said(told),
+            "events": "; ".join(map(repr, events)),
+        },
+        findings=(*twin.findings, *findings),
+        estimates=None if estimator is None else (estimator, joined(estimates)),
+    )
+
+
+def _said(told: bool | float | str | PayloadEstimator) -> str | float:
+    """What a run of the twin keeps about the payload that the law was told."""
+    return "the arm's own" if told is True else given_payload(told, None)
+
+
+def twin_run(
+    record: Real,
+    payload: Real,
+    twin: Twin,
+    period: float,
+    *,
+    finished: bool,
+    ended: float,
+    about: Mapping[str, Any],
+    findings: tuple[Finding, ...] = (),
+    estimates: tuple[PayloadEstimator, Estimates] | None = None,
+) -> Run:
+    """Return the run of what `ArmState.run` recorded: columns `RECORD`, and the payload [kg]."""
+    columns = {name: np.ascontiguousarray(column) for name, column in zip(RECORD, record.T, strict=True)}
+    columns |= {name: columns[name].astype(np.uint32) for name in ("mode", "reason", "flags")}
+    extras = {name: columns.pop(name) for name in ("motor_velocity", "contact_force", "voltage_asked")}
+    if estimates is not None:
+        extras |= estimate_signals(estimates[1])
+        findings += estimate_findings(*estimates, period)
+    return judged_run(
+        columns,
+        payload=float(payload[0]),
+        period=period,
+        ended=ended,
+        vibration_period=twin.vibration_period,
+        about={"arm": "twin", **about},
+        findings=findings,
+        extras=extras | {"payload": payload},
+        finished=finished,
+    )
