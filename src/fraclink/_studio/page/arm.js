@@ -36,7 +36,7 @@ export class Arm {
   law(blocks, masses) {
     if (!this.moving) return;
     this.masses = masses;
-    this.moving.law(blocks);
+    this.moving.law(blocks, this.box?.classList.contains('compact'));
     this.moved();
   }
 

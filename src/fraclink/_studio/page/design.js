@@ -176,8 +176,6 @@ export class Design {
     this.last = answer;
     const {curves: c} = answer, {frequencies: w, payloads} = this.app.axes;
     const names = answer.three.map((m) => `${plain(grams(m), 3)} g`);
-    this.phase.band('band', 'area', w, c.phase[0], c.phase[2]);
-    this.gain.band('band', 'area', w, c.gain[0], c.gain[2]);
     this.nichols.curve('band', 'area', [...c.phase[0], ...Array.from(c.phase[2]).reverse()], [...c.gain[0], ...Array.from(c.gain[2]).reverse()]);
     KINDS.forEach((kind, i) => {
       this.gain.curve(kind, kind, w, c.gain[i]);
@@ -194,7 +192,8 @@ export class Design {
     $('said').textContent = answer.said;
     $('budget-at').textContent = `[°] at the crossover of ${names[0]}`;
     $('assumed').textContent = answer.assumed.length ? `Assumed: ${answer.assumed.join('; ')}.` : '';
-    findings($('design-findings'), answer.findings);
+    const said = JSON.stringify(answer.findings);
+    if (said !== this.found) { this.found = said; findings($('design-findings'), answer.findings); }
     $('requirements').classList.add('preview');
     this.tables();
   }
@@ -212,6 +211,7 @@ export class Design {
   }
   exact(answer) {
     if (this.last) this.facts(this.last, false);
+    this.found = JSON.stringify(answer.design.findings);
     findings($('design-findings'), answer.design.findings);
     $('requirements').classList.remove('preview');
     $('step-design').classList.remove('stale');
@@ -276,8 +276,12 @@ export class Design {
       every(payloads, 4).map(([m, i]) => [plain(grams(m), 3), plain(c.crossover[0][i]), c.margin[0][i].toFixed(1)]), 'Margins over the payload');
   }
 
-  /** The law in the page moves three payloads: 1 ms each. */
+  /** The law in the page moves three payloads, 1 ms each: not more often than anybody sees. */
   moves() {
+    if (this.moving) return;
+    this.moving = setTimeout(() => { this.moving = 0; this.drawMoves(); }, 60);
+  }
+  drawMoves() {
     const masses = this.last?.three, found = masses && this.arm.runs(masses);
     if (!found) return;
     const t = found.reference.map((_, k) => k * found.period), room = Math.max(8, 0.3 * Math.abs(found.goal));
@@ -285,7 +289,7 @@ export class Design {
     const until = Math.min(found.until * found.period, 2.5);
     if (this.tip.y.low !== low || this.tip.y.high !== high || this.tip.x.high !== until) this.tip.axes({low: 0, high: until}, {low, high});
     const last = Math.min(t.length, Math.ceil(until / found.period) + 1), cut = t.slice(0, last);
-    this.tip.curve('reference', 'reference', cut, found.reference);
+    this.tip.curve('reference', 'reference', cut, found.reference.slice(0, last));
     KINDS.forEach((kind, i) => this.tip.curve(kind, kind, cut, found.tips[i]));
   }
 }

@@ -55,7 +55,7 @@ const WORDS = {log: 'Log', channels: 'Channels', model: 'Model', design: 'Design
 
 export const app = {
   /** what is asked for, under the names of the command line */
-  state: {}, states: [], at: -1, axes: {}, study: {}, preview: null, step: '', began: null, timer: 0,
+  state: {}, states: [], at: -1, axes: {}, study: {}, preview: null, step: '', began: null, timer: 0, exactly: '',
   link: /** @type {Link} */ (/** @type {any} */ (null)),
 
   // ---- one gesture: begin, change …, end or cancel ----
@@ -70,6 +70,8 @@ export const app = {
     const state = {...app.state};
     app.link.drag({state}, (answer) => {
       app.shown(answer);
+      // under load the last preview may come behind the exact answer of its state
+      if (app.exactly === JSON.stringify(state) && answer.ok) design.exact(app.study);
       requestAnimationFrame(() => {
         performance.measure('drag', {start: at, end: performance.now()});
         if (performance.getEntriesByName('drag').length > 2000) performance.clearMeasures('drag');
@@ -99,9 +101,10 @@ export const app = {
     app.exact();
   },
   async exact() {
-    const answer = await app.link.ask('exact', {state: app.state, arm: arm.key});
+    const asked = JSON.stringify(app.state), answer = await app.link.ask('exact', {state: app.state, arm: arm.key});
     if (answer.superseded || answer.lost) return;
     if (!answer.ok) { design.refuse(answer); return; }
+    app.exactly = asked;
     app.took(answer);
     design.exact(answer);
     arm.take(answer);
@@ -176,6 +179,7 @@ export const app = {
     if (step === 'log' || step === 'channels') logs.open();
     if (step === 'model') logs.models();
     if (step === 'proof') proof.draw();
+    if (step === 'design' && app.axes.frequencies && app.study.design === null) { app.change(); app.exact(); }
   },
   /** After a log, a rig or a fit: other axes, another start. */
   async renew(answer) {
