@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import struct
 from pathlib import Path
 from typing import get_type_hints
@@ -19,6 +20,7 @@ import fraclink as fl
 from fraclink._cli import main
 from fraclink._cli.designs import DesignOptions
 from fraclink._law.refit import refitted
+from fraclink._show.arm_box import squeezed
 from fraclink._studio.history import History
 from fraclink._studio.logs import LOG_VERBS
 from fraclink._studio.messages import Answer, parsed, refusal
@@ -197,6 +199,13 @@ def test_every_file_carries_the_policy_and_nothing_else_is_served(client):
         assert client.get(f"/{path}").headers["content-security-policy"] == POLICY
     for path in ("/index.html", "/arm_before.txt", "/../pyproject.toml", "/%2e%2e/session.py", "/x"):
         assert client.get(path).status_code == 404
+
+
+def test_no_colour_is_used_that_the_palette_does_not_have(client):
+    assert squeezed("palette.css").startswith(":root {")  # no rest of a comment, which takes a rule along
+    style = client.get("/arm_box.css").text + client.get("/studio.css").text
+    assert not re.search(r"\*/\s*$|^\s*\*", style, flags=re.MULTILINE)
+    assert set(re.findall(r"var\(--([\w-]+)", style)) <= set(re.findall(r"--([\w-]+):", style))
 
 
 def test_another_host_or_origin_is_refused(client, studio):

@@ -6,6 +6,7 @@ import base64
 import hashlib
 import json
 import math
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -67,8 +68,10 @@ def arm_box(study: Study, design: Design, *, payloads: int = MOST_PAYLOADS) -> A
 
 def squeezed(name: str) -> str:
     """A script or style without indentation and lines of comment: 5 kB, room for two more payloads."""
-    lines = (line.strip() for line in template_text(name).splitlines())
-    return "".join(f"{line}\n" for line in lines if line and not line.startswith(("//", "/*")))
+    # A comment of several lines is one: its second line, left in, takes the rule behind it along.
+    text = re.sub(r"^\s*/\*.*?\*/", "", template_text(name), flags=re.DOTALL | re.MULTILINE)
+    lines = (line.strip() for line in text.splitlines())
+    return "".join(f"{line}\n" for line in lines if line and not line.startswith("//"))
 
 
 def page_hash(text: str) -> str:

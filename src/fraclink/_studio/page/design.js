@@ -250,7 +250,7 @@ export class Design {
     svg.setAttribute('viewBox', `0 0 ${W} ${H}`);
     svg.setAttribute('height', String(H));
     svg.replaceChildren();
-    const left = 134, room = W - left - 60, most = 200, X = (v) => left + (room * (v + most)) / most;
+    const left = 142, room = W - left - 60, most = 200, X = (v) => left + (room * (v + most)) / most;
     let sum = 180;
     const rows = [...shares.map(([name, value]) => { const row = [name, sum, sum + value, value]; sum += value; return row; }), ['left: the phase margin', 0, sum, sum]];
     svg.setAttribute('aria-label', `Of 180°: ${shares.map(([n, v]) => `${n} ${plain(v, 3)}°`).join(', ')}; ${plain(sum, 3)}° are left`);

@@ -71,7 +71,7 @@ export const app = {
     app.link.drag({state}, (answer) => {
       app.shown(answer);
       // under load the last preview may come behind the exact answer of its state
-      if (app.exactly === JSON.stringify(state) && answer.ok) design.exact(app.study);
+      if (app.exactly === JSON.stringify(state) && answer.ok && app.study.design) design.exact(app.study);
       requestAnimationFrame(() => {
         performance.measure('drag', {start: at, end: performance.now()});
         if (performance.getEntriesByName('drag').length > 2000) performance.clearMeasures('drag');
