@@ -20,7 +20,7 @@ from pathlib import Path
 import pytest
 
 from campaigns import computed, continued, parts_of, small, started
-from fraclink._campaign import load_campaign, read_part, run_campaign, save_campaign
+from fraclink._campaign import load_campaign, read_part, run_campaign, save_campaign, summarise
 from fraclink._campaign import run as part_module
 from fraclink._campaign.run import compute
 from fraclink._cli import main
@@ -198,8 +198,37 @@ def take_anothers(path: Path) -> None:
     part_module.write_part(other, path.parent, int(path.stem[5:]))
 
 
+def rewrite(path: Path) -> None:
+    """Edit one number with a program that writes good files, and keep what the file says of itself."""
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    table = parquet.read_table(path)
+    place = table.column_names.index("settling_time")
+    values = table.column(place).to_numpy().copy()
+    values[3] += 1e-9
+    edited = table.set_column(place, table.schema.field(place), pa.array(values))
+    parquet.write_table(edited.replace_schema_metadata(table.schema.metadata), path, compression="zstd")
+
+
+@pytest.mark.parametrize("damage", [truncate, rewrite])
+def test_a_report_says_which_runs_a_damaged_part_leaves_out(copy, damage, capsys):
+    whole_parts = summarise(small(), copy)
+    assert (whole_parts.damaged, whole_parts.left_out) == ((), "")
+    damage(copy / "part-0000001.parquet")
+    (copy / "part-0000002.parquet").unlink()
+    found = summarise(small(), copy)
+    assert found.damaged == (1,) and not found.passed
+    runs = f"{small().runs - small().part_runs(0)} of {small().runs} runs"
+    assert found.left_out.startswith(f"{runs} are left out: part-0000001.parquet damaged or edited")
+    assert "1 part not computed yet" in found.left_out
+    assert main(["campaign", "report", str(copy), "--out", str(copy / "report.html")]) == 1
+    assert found.left_out[:60] in " ".join(capsys.readouterr().out.split())
+    assert found.left_out in (copy / "report.html").read_text("utf-8")
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("damage", [truncate, flip, empty, take_anothers])
+@pytest.mark.parametrize("damage", [truncate, flip, empty, take_anothers, rewrite])
 def test_a_damaged_part_is_done_again(copy, whole, damage):
     kept = identities(copy)
     path = copy / "part-0000001.parquet"

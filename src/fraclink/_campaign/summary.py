@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.special import betaincinv
 
 from fraclink._campaign.campaign import Campaign
-from fraclink._campaign.run import read_part
+from fraclink._campaign.run import part_path, read_part
 from fraclink._display import displayed
 from fraclink.errors import FieldError
 
@@ -98,13 +98,24 @@ class Failure:
 @dataclass(frozen=True)
 class Summary:
     """What `summarise` found: failures, tripped runs by (mode, reason), every metric, and what the law was
-    given of the payloads, in words; empty where it was given nothing."""
+    given of the payloads, in words; empty where it was given nothing.
+
+    damaged: numbers of the parts that are there and are not believed: cut, edited, or of another campaign;
+    their runs are in no figure. left_out: what is missing, in words; empty where nothing is.
+    """
 
     failure: Failure
     trips: tuple[tuple[int, int, int], ...]
     metrics: tuple[MetricSummary, ...]
     failed: tuple[int, ...]
     given: str = ""
+    damaged: tuple[int, ...] = ()
+    left_out: str = ""
+
+    @property
+    def passed(self) -> bool:
+        """Whether every run passed, and no part is damaged."""
+        return not self.failure.count and not self.damaged
 
 
 def summarise(campaign: Campaign, folder: Path | str) -> Summary:
@@ -118,6 +129,8 @@ def summarise(campaign: Campaign, folder: Path | str) -> Summary:
     def column(name: str) -> NDArray[np.generic]:
         return np.concatenate([_column(campaign, place, part, name) for part in parts])
 
+    missing = sorted(set(range(campaign.parts)) - set(parts))
+    damaged = tuple(part for part in missing if part_path(place, part).exists())
     run, passed = column("run"), column("passed").astype(bool)
     failed = run[~passed]
     drawn = {name: _ranks(column(name)) for name in PARAMETERS}
@@ -128,7 +141,24 @@ def summarise(campaign: Campaign, folder: Path | str) -> Summary:
         metrics=metrics,
         failed=tuple(int(n) for n in failed[:100]),
         given=_given(campaign),
+        damaged=damaged,
+        left_out=_left_out(campaign, place, missing, damaged),
     )
+
+
+def _left_out(campaign: Campaign, place: Path, missing: list[int], damaged: tuple[int, ...]) -> str:
+    """Which runs are in no figure, and what brings them back."""
+    if not missing:
+        return ""
+    runs = sum(campaign.part_runs(part) for part in missing)
+    told = f"{runs} of {campaign.runs} runs are left out: "
+    named = ", ".join(part_path(place, part).name for part in damaged[:3])
+    more = f" and {len(damaged) - 3} more" if len(damaged) > 3 else ""
+    parts = [f"{named}{more} damaged or edited"] if damaged else []
+    waiting = len(missing) - len(damaged)
+    if waiting:
+        parts.append(f"{waiting} part{'s' if waiting > 1 else ''} not computed yet")
+    return f"{told}{'; '.join(parts)}. The command that began the campaign computes them"
 
 
 def _given(campaign: Campaign) -> str:
@@ -152,7 +182,8 @@ def columns(campaign: Campaign, folder: Path | str, *names: str) -> tuple[NDArra
 
 
 def _finished(campaign: Campaign, place: Path) -> list[int]:
-    parts = [p for p in range(campaign.parts) if read_part(campaign, place, p, names=("run",)) is not None]
+    # every column: one that is damaged leaves its part out from the beginning, and not from one figure
+    parts = [part for part in range(campaign.parts) if read_part(campaign, place, part) is not None]
     if not parts:
         raise FieldError(
             "parts",

@@ -96,7 +96,7 @@ def report(
 
 def _summarised(summary: Summary, parts: Path, written: tuple[Path, ...] = ()) -> Answer:
     following = f"fraclink campaign replay {parts} --run {summary.failed[0]}" if summary.failed else ""
-    return Answer(summary, not summary.failure.count, written=written, following=following)
+    return Answer(summary, summary.passed, written=written, following=following)
 
 
 @command(campaign)

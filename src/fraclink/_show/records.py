@@ -77,7 +77,8 @@ def _summary_json(summary: Summary) -> dict[str, Any]:
 
     failure = summary.failure
     return {
-        "passed": not failure.count,
+        "passed": summary.passed,
+        "left_out": summary.left_out,
         "runs": failure.runs,
         "failures": failure.count,
         "probability": [failure.estimate, failure.low, failure.high],

@@ -235,7 +235,8 @@ def write_campaign_report(campaign: Campaign, folder: Path | str, summary: Summa
         campaign=campaign,
         given=summary.given,
         failure=summary.failure,
-        state="failed" if summary.failure.count else "passed",
+        state=tables.state_of(summary),
+        left_out=summary.left_out,
         pointer=_pointer(script=True),
         tables={
             "spread": tables.spread_table(summary),

@@ -232,9 +232,8 @@ def _certificate_view(certificate: Any) -> View:
 
 def _summary_view(summary: Summary) -> View:
     trips = tuple(f"{count} runs: {MODES[mode]} ({REASONS[reason]})" for mode, reason, count in summary.trips)
-    state = "failed" if summary.failure.count else "passed"
-    notes = (summary.given, *trips) if summary.given else trips
-    return View(summary.failure.sentence, (spread_table(summary),), notes, state)
+    notes = (*filter(None, (summary.left_out, summary.given)), *trips)
+    return View(summary.failure.sentence, (spread_table(summary),), notes, state_of(summary))
 
 
 def repeated(table: FaultTable, outcome: Outcome) -> str:
