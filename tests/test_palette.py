@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from itertools import combinations
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -119,6 +120,24 @@ def test_any_two_colours_of_a_figure_differ_for_every_eye(
 ) -> None:
     seen = [lab(VISION[vision] @ linear(colours(theme)[name])) for name in names]
     assert min(distance(a, b) for a, b in combinations(seen, 2)) >= 20.0
+
+
+def distances(names: tuple[str, ...], theme: int) -> list[float]:
+    """Smallest distance for each kind of vision, then in grey."""
+    lights = [linear(colours(theme)[name]) for name in names]
+    found = [
+        min(distance(lab(seen @ a), lab(seen @ b)) for a, b in combinations(lights, 2))
+        for seen in VISION.values()
+    ]
+    return [*found, min(np.diff(sorted(float(lab(light)[0]) for light in lights)))]
+
+
+def test_the_page_of_plots_states_the_distances() -> None:
+    page = (Path(__file__).parents[1] / "docs" / "how-to" / "plots.md").read_text("utf-8")
+    for theme, word in ((LIGHT, "light"), (DARK, "dark")):
+        for names, what in ((CURVES, "ink and lines"), (LEVELS, "levels")):
+            values = " | ".join(f"{value:.1f}" for value in distances(names, theme))
+            assert f"| {word} | {what} | {values} |" in page
 
 
 @pytest.mark.parametrize("theme", [LIGHT, DARK])

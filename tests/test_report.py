@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import html
+import json
 import math
 import re
 import subprocess
@@ -321,6 +322,52 @@ def test_numbers_read_well(value: float | None, shown: str) -> None:
 def test_an_uncertain_number_shows_the_digits_it_has() -> None:
     assert uncertain(10.0234567, 0.00123) == "10.0235 ± 0.0012"
     assert uncertain(5.0, math.inf) == "5"
+
+
+POINTER = """
+<script>
+const at = (id, kind, x, more) => {
+  const svg = document.getElementById(id), own = svg.getBoundingClientRect();
+  const place = {clientX: own.left + x, clientY: own.top + 60, pointerType: 'mouse', ...more};
+  svg.dispatchEvent(new PointerEvent(kind, place));
+};
+const said = [];
+at('fig-bode', 'pointermove', 300);
+said.push(document.getElementById('tip').textContent, document.querySelectorAll('#fig-bode .cursor').length);
+at('fig-bode', 'pointerdown', 200, {button: 0});
+at('fig-bode', 'pointermove', 400);
+const own = document.getElementById('fig-bode').getBoundingClientRect();
+dispatchEvent(new PointerEvent('pointerup', {clientX: own.left + 400, clientY: own.top + 60}));
+said.push(document.querySelector('#fig-bode .box').getAttribute('viewBox').split(' ')[0]);
+document.getElementById('fig-bode').dispatchEvent(new MouseEvent('dblclick'));
+said.push(document.querySelector('#fig-bode .box').getAttribute('viewBox'));
+said.push(document.querySelectorAll('.command button').length);
+document.title = JSON.stringify(said);
+</script>
+"""
+
+
+@pytest.mark.slow
+def test_the_pointer_shows_values_and_zooms(tmp_path: Path) -> None:
+    browser = tool("chromium")
+    made, _ = design_for(RIG)
+    page = render_report(Study(rig=RIG, design=made))
+    page = re.sub(r'<meta http-equiv="Content-Security-Policy"[^>]*>', "", page)  # of the copy that is tried
+    place = tmp_path / "report.html"
+    place.write_text(page.replace("</body>", POINTER + "</body>"), "utf-8")
+    command = [browser, "--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking"]
+    answer = subprocess.run(  # noqa: S603
+        [*command, "--dump-dom", f"--user-data-dir={tmp_path / 'profile'}", place.as_uri()],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=True,
+    )
+    title = html.unescape(re.findall(r"<title>(.*?)</title>", answer.stdout, re.DOTALL)[0])
+    tip, cursors, left, whole, buttons = json.loads(title)
+    assert re.fullmatch(r"[\d.]+\n20 g: −?[\d.]+\n30 g: −?[\d.]+\n40 g: −?[\d.]+", tip)
+    assert cursors == 2  # both panels
+    assert float(left) > 100 and whole == "0 0 4000 2000" and buttons >= 4
 
 
 @pytest.mark.slow

@@ -37,7 +37,7 @@ SHOWN: dict[str, tuple[str, str]] = {
     "serve-arm": ("arm", "how-to/run-in-real-time"),
     "tune": ("bode", "how-to/tune-an-arm"),
     "studio": ("margins", "how-to/use-the-studio"),
-    "report": ("margins", "tutorial/from-log-to-board"),
+    "report": ("margins", "how-to/read-the-report"),
     "share": ("arm", "how-to/share-an-arm"),
     "compare-structures": ("structures", "how-to/choose-a-structure"),
     "identify-payloads": ("damping", "how-to/choose-a-structure"),

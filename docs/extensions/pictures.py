@@ -324,7 +324,7 @@ PICTURES: dict[str, Picture] = {
     ),
     "response": Picture(
         "Model and log over frequency",
-        "explanation/identification",
+        "how-to/read-the-report",
         lambda: figures.response_figure(log(), fit()) or "",
     ),
     "residual": Picture(

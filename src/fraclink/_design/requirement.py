@@ -171,7 +171,7 @@ def law_findings(design: Design, looked: Sequence[Looked]) -> tuple[Finding, ...
             f"the shipped law in the sampled loop{_with_pid(design, least)} keeps less phase margin than was "
             "asked for",
             {"phase_margin_rad": kept, "wanted_rad": design.phase_margin, "payload_kg": least.payload},
-            "ask for as much more as is missing, with margins='loop'"
+            "ask for as much more as is missing, with the margins of the whole loop"
             if least.motor_loop == design.motor_loop.kind
             else "design with inner='sampled' (--inner sampled), or with a longer filter",
         )

@@ -339,7 +339,8 @@ def _of_the_residual(fit: Fit) -> Iterator[Finding]:
             "info",
             "the residual still depends on the motor's motion: the structure misses part of the link",
             {"p_value": fit.tests.input_independence},
-            "compare the other structures",
+            "see the spectrum of the residual in the report: a peak is a further mode, a rise to the "
+            "left friction",
         )
     mode = fit.model.second_mode
     if mode is not None:

@@ -221,7 +221,7 @@ def budget_figure(shares: Sequence[PhaseShare], payload: float | None = None) ->
         Scale(x.low, x.high, ticks=ticks),
         (panel,),
         f"phase at the gain crossover{where}",
-        left=150.0,
+        left=168.0,
     )
 
 
