@@ -10,10 +10,11 @@ import subprocess
 import tempfile
 from pathlib import Path
 
-from bench_law import ROOT, default_law, figure
+from bench_law import RIG, ROOT, default_law, figure
 from fraclink._export import export_c
 from fraclink._export.data import exact_flags, exact_sizes
 from fraclink._law import Law
+from fraclink._law.estimator import PayloadEstimator, payload_estimator
 
 CORE = ("-mcpu=cortex-m4", "-mfpu=fpv4-sp-d16", "-mfloat-abi=hard", "-DLAW_SINGLE")
 CLANG = ("clang", "--target=thumbv7em-none-eabihf", "-ffreestanding")
@@ -37,6 +38,7 @@ def instructions() -> None:
         figure("instructions on a Cortex-M4F", f"not installed: {missing}", "<= 80, <= 440", False)
         return
     law = default_law("single")
+    estimator = bank_of(law)
     modes = f"{law.order} + {len(law.feedforward.poles)} modes"
     for place, (compiler, options, exact) in enumerate(BUILDS):
         flags = (*options, *(exact_flags(law) if exact else ()))
@@ -46,10 +48,27 @@ def instructions() -> None:
         figure(f"{name}: outer law", str(outer), wanted[0], place > 0 or outer <= 80, modes)
         figure(f"{name}: with guards and motor loop", str(whole), wanted[1], place > 0 or whole <= 440)
         figure(f"{name}: and a payload that is given", str(given), wanted[1], place > 0 or given <= 440)
+        _, both = counted(law, compiler, flags, payload="0", estimator=estimator)
+        wish = "<= 1400" if place == 0 else "printed"
+        figure(f"{name}: and the payload estimator", str(both), wish, place > 0 or both <= 1400)
 
 
-def counted(law: Law, compiler: tuple[str, ...], flags: tuple[str, ...], *, payload: str) -> tuple[int, int]:
-    """Return the instructions (of the outer law without guards, of law_step) of one build in QEMU."""
+def bank_of(law: Law) -> PayloadEstimator:
+    assert RIG.model is not None
+    return payload_estimator(RIG.model, RIG, law, (0.020, 0.040))
+
+
+def counted(
+    law: Law,
+    compiler: tuple[str, ...],
+    flags: tuple[str, ...],
+    *,
+    payload: str,
+    estimator: PayloadEstimator | None = None,
+) -> tuple[int, int]:
+    """Return the instructions (of the outer law without guards, of law_step) of one build in QEMU; with an
+    estimator, of both on the average of the periods that make one of its samples.
+    """
     board = ROOT / "tests" / "firmware"
 
     def run(*command: str | Path) -> str:
@@ -58,8 +77,10 @@ def counted(law: Law, compiler: tuple[str, ...], flags: tuple[str, ...], *, payl
         ).stdout
 
     with tempfile.TemporaryDirectory() as scratch:
-        export_c(law, Path(scratch) / "law")
-        (Path(scratch) / "law" / "payload.h").write_text(f"#define PAYLOAD {payload}\n", encoding="utf-8")
+        export_c(law, Path(scratch) / "law", estimator=estimator)
+        estimate = "" if estimator is None else "#define ESTIMATE\n"
+        text = f"#define PAYLOAD {payload}\n{estimate}"
+        (Path(scratch) / "law" / "payload.h").write_text(text, encoding="utf-8")
         run(*compiler, "-std=c99", "-ffp-contract=off", *CORE, *flags, "-Ilaw", "-c", board / "count.c")
         link = ("-T", board / "board.ld", "--specs=rdimon.specs", "-nostartfiles", "-o", "board.elf")
         run("arm-none-eabi-gcc", "-mthumb", *CORE, "-O2", "count.o", board / "start.c", *link)
@@ -73,6 +94,8 @@ def main() -> None:
     instructions()
     law = default_law("single")
     params, state = exact_sizes(law)
+    both = state + bank_of(law).state_size
+    figure("state of law and payload estimator", f"{both} B", "<= 1024 B", both <= 1024)
     figure(
         "state of the law, built for this design",
         f"{state} B",

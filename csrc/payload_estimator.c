@@ -39,7 +39,7 @@ static uint32_t one_more(uint32_t count)
 }
 
 /* Nothing is known. */
-static void forget(payload_state *s)
+static void know_nothing(payload_state *s)
 {
     const law_real zero = (law_real)0;
     uint32_t i;
@@ -98,7 +98,7 @@ static void forget(payload_state *s)
 /* Begin with a good reading of an arm that stands; one that moves is found out by its errors. */
 static void begin(payload_state *s, const payload_params *p, uint32_t tick, law_real angle, law_real torque)
 {
-    forget(s);
+    know_nothing(s);
     if ((payload_check(p) == LAW_OK) && (sound(angle, p->angle_limit) != 0U) && (sound(torque, p->torque_limit) != 0U)) {
         s->stamp = p->crc;
         s->tick = tick - 1U;
@@ -249,8 +249,8 @@ static uint32_t usable(const payload_state *s, const payload_params *p)
 /* Whether the last samples are explained: by the best model, or by any. */
 static void judge(payload_state *s, const payload_params *p)
 {
-    s->odd = (s->best_error > ((law_real)16 * p->variance)) ? one_more(s->odd) : 0U; /* four and six deviations */
-    s->touched = (s->least > ((law_real)36 * p->variance)) ? one_more(s->touched) : 0U;
+    s->odd = (s->best_error > ((law_real)16 * p->variance)) ? one_more(s->odd) : 0U; /* four and eight deviations */
+    s->touched = (s->least > ((law_real)64 * p->variance)) ? one_more(s->touched) : 0U;
     s->flags &= ~(PAYLOAD_CONTACT | PAYLOAD_CHANGED);
     s->flags |= (s->odd >= PAYLOAD_TWICE) ? PAYLOAD_CHANGED : 0U;
     s->flags |= (s->touched >= PAYLOAD_TWICE) ? PAYLOAD_CONTACT : 0U;
@@ -363,7 +363,7 @@ uint32_t payload_check(const payload_params *params)
 
 uint32_t payload_init(payload_state *state, const payload_params *params)
 {
-    forget(state);
+    know_nothing(state);
     return payload_check(params);
 }
 

@@ -9,7 +9,12 @@ int printf(const char *format, ...); /* no header: clang for a bare machine brin
 #define SYST_CSR (*(volatile uint32_t *)0xE000E010U)
 #define SYST_RVR (*(volatile uint32_t *)0xE000E014U)
 #define SYST_CVR (*(volatile uint32_t *)0xE000E018U)
-#include "payload.h" /* PAYLOAD: what the law is given [kg] */
+#include "payload.h" /* PAYLOAD: what the law is given [kg]; ESTIMATE: or estimated, on a swinging arm */
+#ifdef ESTIMATE
+#include "payload_estimator.c"
+#include "payload_data.h"
+static payload_state memory;
+#endif
 
 #define PERIODS 2000U
 
@@ -69,11 +74,20 @@ int main(void)
     in.motor_angle = (law_real)0;
     in.tick = 1U;
     law_step(&state, &law_data, &in, &out);
+#ifdef ESTIMATE
+    (void)payload_init(&memory, &payload_data);
+#endif
     begin = now();
     for (uint32_t k = 0U; k < PERIODS; k++) {
         in.tick++;
         in.reference_acceleration = source;
         in.payload = payload;
+#ifdef ESTIMATE
+        payload_output estimate;
+        in.torque = ((k & 32U) != 0U) ? source : -source; /* never frozen: every period does its whole work */
+        payload_step(&memory, &payload_data, in.tick, in.motor_angle, in.torque, &estimate);
+        in.payload = estimate.given;
+#endif
         law_step(&state, &law_data, &in, &out);
         sink = out.voltage;
     }

@@ -81,6 +81,7 @@ def c(
     name: Annotated[str, "C identifier of the block of coefficients"] = "law_data",
     title: Annotated[str, "Text for the first comment"] = "",
     prove: Annotated[bool, "Prove what the page claims; exit code 1 where something is not proved"] = False,
+    estimate: Annotated[bool, "With the payload estimator, which gives the law its payload"] = False,
     force: bool = False,
 ) -> Answer:
     """Write the law as C99: the files that were simulated, the coefficients, a self-test, a page to read.
@@ -96,7 +97,14 @@ def c(
             certificate = _certificate(made, shipped, motor=motor)
             begin("proving the files, half a minute")
         paths = export_c(
-            shipped, out, name=name, title=title, prove=prove, certificate=certificate, force=force
+            shipped,
+            out,
+            name=name,
+            title=title,
+            prove=prove,
+            certificate=certificate,
+            estimator=made.estimator() if estimate else None,
+            force=force,
         )
     listed = _listed(paths, f"fraclink replay {out} demo")
     if not prove:

@@ -11,10 +11,13 @@ from fraclink import _kernels
 from fraclink._certify import Certificate
 from fraclink._export.claims import CommandBounds, Proof, claims_text, worst_case
 from fraclink._export.data import data_header, exact_flags, exact_sizes, identifier, law_source, title_text
+from fraclink._export.payload import payload_files, payload_readme
 from fraclink._export.selftest import expected, selftest_source
 from fraclink._files import atomic_write
 from fraclink._law import Law
 from fraclink._law.block import Precision
+from fraclink._law.estimator import PayloadEstimator
+from fraclink._simulate.estimates import estimator_for
 from fraclink._validate import checked
 from fraclink.errors import FieldError, MissingExtraError
 
@@ -31,6 +34,7 @@ def export_c(
     title: str = "",
     prove: bool = False,
     certificate: Certificate | None = None,
+    estimator: PayloadEstimator | None = None,
     force: bool = False,
 ) -> tuple[Path, ...]:
     """Write the law as C99 to `folder` and return the paths written.
@@ -59,6 +63,9 @@ def export_c(
         the package fraclink-prove (folder prove/ of the repository).
     certificate
         Of the loop that the exported law closes, from `certify`; with `prove` it becomes a claim.
+    estimator
+        From `Design.estimator`: payload_estimator.c and .h, its tables and a self-test of its own stand
+        beside the law, in its precision, and README.md says how to call it. It is tested, not proved.
     force
         Overwrite the files in an existing folder.
 
@@ -97,7 +104,13 @@ def export_c(
         "law_selftest.c": selftest_source(shipped, name=name, data=data).encode(),
     }
     proof, logs = _proved(shipped, files, name, data, certificate) if prove else (None, {})
-    files["README.md"] = readme(shipped, name=name, data=data, proof=proof).encode()
+    page = readme(shipped, name=name, data=data, proof=proof)
+    bank = None if estimator is None else estimator_for(shipped, estimator)
+    if bank is not None:
+        files |= {file: law_source(file) for file in ("payload_estimator.h", "payload_estimator.c")}
+        files |= payload_files(bank)
+        page += payload_readme(bank)
+    files["README.md"] = page.encode()
     files |= logs
     # Everything is made before anything is written: a failure above leaves no half folder.
     place.mkdir(parents=True, exist_ok=True)

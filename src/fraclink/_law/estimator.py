@@ -62,7 +62,7 @@ MODEL = ("a1", "a2", "a3", "b0", "b1", "b2", "c1", "c2", "c3", "rest", "mass")
 
 # What follows was found on the twin of the geared rig, 8 to 80 g (benchmarks/bench_estimator.py).
 LIGHTEST, HEAVIEST = 0.25, 1.15  # of the lightest payload designed for, and of the law's largest
-TURN = 0.4  # of the lightest payload's vibration in a sample [rad]: 16 samples a vibration
+TURN = 0.5  # of the lightest payload's vibration in a sample [rad]: 12 samples a vibration
 FORGETTING = 0.35  # damping ratio of C; 0.25 is hardly more exact and forgets a start in motion later
 SLOW = 1.0  # its real pole over the vibration's frequency: at 0.3 two estimates in a hundred were 20 % off
 HIGHEST = 3.0  # of each model's own frequency: what a move excites above is the second mode's
@@ -76,7 +76,7 @@ MOVED = 4.0  # standard deviations of a sample beyond which a torque is motion
 SURPRISE = 0.05  # a fifth of the torque: no right model errs by more; a payload that is half or twice does
 CONTACT = 0.01  # a tenth: the best of all models errs by less, whatever the payload
 SPREAD = 0.4  # the errors of a right model are smaller than the gauge's noise: the filter takes its band out
-DOUBT = 0.0055  # relative error of a mass that the models themselves make
+DOUBT = 0.005  # relative error of a mass that the models themselves make
 NARROW = 0.09  # relative standard deviation up to which an estimate serves the law better than none
 QUIET = 0.12  # [s] without motion until the estimate is frozen
 
@@ -226,7 +226,7 @@ def payload_estimator(
     ...                    phase_margin=fl.deg(45))
     >>> bank = payload_estimator(rig.model, rig, design.law(), design.payloads)
     >>> len(bank.models), bank.together, bank.in_precision("single").state_size
-    (14, 3, 744)
+    (14, 4, 756)
     """
     if link.payload is None or law.limits.payload_limit <= 0.0:
         allowed, remedy = "> 0 kg", "fit or design with the payload at which the link's frequency was found"
