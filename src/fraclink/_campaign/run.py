@@ -302,8 +302,8 @@ def read_part(
         return None
     columns = {name: table[name].to_numpy() for name in table.column_names}
     if b"digests" in meta:  # not in the parts of release 0.1
-        digests = dict(zip(schema.names, meta[b"digests"].decode().split(","), strict=False))
-        if any(digests.get(name) != _digest(values) for name, values in columns.items()):
+        digests = dict(zip(schema.names, meta[b"digests"].split(b","), strict=False))
+        if any(digests.get(name) != _digest(values).encode() for name, values in columns.items()):
             return None
     columns = {RENAMED.get(name, name): values for name, values in columns.items()}
     return columns | {
