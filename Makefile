@@ -4,6 +4,8 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 PY := $(BIN)/python
+# Errors alone: pip's warnings are about its own configuration, or about who runs it.
+PIP := $(PY) -m pip install --quiet --quiet --disable-pip-version-check
 STAMP := $(VENV)/.installed
 # An editable install knows the modules that there were when it was made: a new one needs another.
 MODULES := $(VENV)/.modules-$(shell find src/fraclink prove/src -name '*.py' | LC_ALL=C sort | cksum | cut -d' ' -f1)
@@ -14,18 +16,19 @@ CSRC := $(wildcard csrc/*.[ch] csrc/kernels/*.[ch] csrc/bindings/*.cpp csrc/bind
 setup: $(STAMP)
 
 $(VENV)/.locked: requirements.lock
-	$(PYTHON) -m venv $(VENV)
-	$(PY) -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
-	touch $@
+	@echo "setting up $(VENV), once: a few minutes"
+	@$(PYTHON) -m venv $(VENV)
+	@$(PIP) --require-hashes -r requirements.lock
+	@touch $@
 
 $(MODULES): $(VENV)/.locked
-	rm -f $(VENV)/.modules-*
-	touch $@
+	@rm -f $(VENV)/.modules-*
+	@touch $@
 
 $(STAMP): $(VENV)/.locked $(MODULES) pyproject.toml prove/pyproject.toml CMakeLists.txt $(CSRC)
-	$(PY) -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
-	$(PY) -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable prove
-	touch $@
+	@$(PIP) --no-deps --no-build-isolation --editable .
+	@$(PIP) --no-deps --no-build-isolation --editable prove
+	@touch $@
 
 build: setup
 
@@ -34,11 +37,11 @@ demo: setup
 
 # Two workers share nothing but the processor; a file's tests stay together, because their fixtures are dear.
 test: setup
-	$(PY) -m pytest -n 2 --dist loadfile
+	@$(PY) -m pytest -n 2 --dist loadfile
 
 # What a contributor runs before every commit: under a minute on two cores.
 quick: setup
-	$(PY) -m pytest -n 2 --dist loadfile -m "not slow" tests
+	@$(PY) -m pytest -n 2 --dist loadfile -m "not slow" tests
 
 # From Python 3.12 on the interpreter reports lines by itself; on 3.11 a tracer costs half the time again.
 coverage: setup
