@@ -145,7 +145,8 @@ def test_an_unknown_arm_ends_with_a_law_that_it_follows(
     assert found.motor.fit.gain == pytest.approx(RIG.motor.gain, rel=0.02)
     assert found.verdict.promise.state == found.verdict.model.state == "passed"
     slow, fast = found.moves
-    assert slow.duration == pytest.approx(10 * fast.duration)
+    speeds = [abs(move.amplitude) / move.duration for move in (slow, fast)]
+    assert speeds[1] == pytest.approx(10 * speeds[0])
     assert abs(fast.measured_settling - fast.promised_settling) < 0.1
     assert found.arm_time <= 60.0
     true = made.record
@@ -192,3 +193,54 @@ def test_a_plan_says_what_will_move() -> None:
     assert len(lines) == 7 and "34.4°" in lines[1] and "10 V" in lines[1]
     with pytest.raises(FieldError, match=r"payloads: without the payload of the tuning"):
         replace(PLAN, payloads=(0.040, 0.050))
+
+
+# ---- watch ------------------------------------------------------------------------------------------------
+
+
+def running(place: Path, twin: fl.Twin) -> fl.Experiment:
+    """Nine moves of an arm under the law of a tuning."""
+    law, path, at = fl.load(place / "design.json").law(), fl.hold(0.0, 0.5), 0.0
+    for to in (0.3, -0.2, 0.1, -0.3, 0.25, -0.1, 0.3, -0.25, 0.0):
+        path, at = path.then(fl.smooth_step(to - at, 0.6, start=0.5)), to
+    run = fl.simulate(law, path, arm=twin, told=0.030, duration=12.0)
+    return fl.Experiment(
+        period=RIG.period,
+        motor_angle=run.motor_angle_measured,
+        output=run.torque_measured,
+        voltage=run.voltage,
+    )
+
+
+TWIN = fl.Twin.from_rig(RIG)
+CHANGED = {
+    "": TWIN,
+    "natural_frequency": TWIN.with_payload(0.030 / 1.1**2),
+    "gauge_gain": replace(TWIN, sensors=replace(TWIN.sensors, gauge_gain=0.9)),
+    "gauge_delay": replace(TWIN, sensors=replace(TWIN.sensors, gauge_delay=0.005)),
+    "friction": replace(TWIN, motor=replace(TWIN.motor, coulomb_torque=2 * TWIN.motor.coulomb_torque)),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CHANGED)
+def test_watch_names_what_has_changed(tuned: tuple[fl.Tuning, fl.SimulatedArm, Path], name: str) -> None:
+    found, _, place = tuned
+    seen = fl.watch(running(place, CHANGED[name]), found)
+    assert seen.due == ((name,) if name else ())
+    assert seen.passed is (not name)
+
+
+@pytest.mark.slow
+def test_watch_refuses_what_shows_nothing(tuned: tuple[fl.Tuning, fl.SimulatedArm, Path]) -> None:
+    found, _, place = tuned
+    log = running(place, TWIN)
+    short = replace(
+        log, motor_angle=log.motor_angle[:300], output=log.output[:300], voltage=log.voltage[:300]
+    )
+    with pytest.raises(FieldError, match="too little to tell"):
+        fl.watch(short, found)
+    with pytest.raises(FieldError, match="without a model"):
+        fl.watch(log, replace(found, link=None))
+    with pytest.raises(FieldError, match="not the tuning's"):
+        fl.watch(replace(log, period=0.005), found)

@@ -201,6 +201,9 @@ from fraclink._tune.moves import FirstMove as FirstMove
 from fraclink._tune.plan import TuningPlan as TuningPlan
 from fraclink._tune.procedure import tune as tune
 from fraclink._tune.tuning import Tuning as Tuning
+from fraclink._tune.watch import Change as Change
+from fraclink._tune.watch import Watch as Watch
+from fraclink._tune.watch import watch as watch
 from fraclink._tune.wiring import Wiring as Wiring
 from fraclink._workflow import Start as Start
 from fraclink._workflow import Study as Study

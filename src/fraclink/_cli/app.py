@@ -39,7 +39,7 @@ _SECTIONS: dict[str, dict[str, str]] = {
         **dict.fromkeys(("inspect", "diagnose", "identify"), "models"),
         **dict.fromkeys(("design", "simulate", "twin", "certify"), "designs"),
         **dict.fromkeys(("export", "run-realtime", "serve-arm"), "boards"),
-        "tune": "tunings",
+        **dict.fromkeys(("tune", "watch"), "tunings"),
         **dict.fromkeys(("report", "share"), "designs"),
         "studio": "studio",
     },

@@ -1,4 +1,4 @@
-"""The command `tune`: an unknown arm, moved and measured until it has a law."""
+"""The commands `tune` and `watch`: an unknown arm, moved until it has a law, and watched afterwards."""
 
 from __future__ import annotations
 
@@ -9,19 +9,22 @@ from typing import Annotated, Any
 
 import typer
 
+from fraclink._arm.experiment import Experiment
 from fraclink._cli.app import group
 from fraclink._cli.boards import Address, KeyFile, UnsafeRemote, connection_of
 from fraclink._cli.command import Answer, command
 from fraclink._cli.console import tell
 from fraclink._cli.options import PayloadRange, load_rig
-from fraclink._files import load, output_path
+from fraclink._files import checked_path, load, output_path
+from fraclink._realtime import RealtimeRun
 from fraclink._tune import MotionLimits, Tuning, TuningPlan
 from fraclink._tune import tune as tune_arm
+from fraclink._tune import watch as watch_arm
 from fraclink._tune.tuning import FILES
 from fraclink._validate import Between, Payload
 from fraclink.errors import FieldError
 
-__all__ = ["tune"]
+__all__ = ["tune", "watch"]
 
 app = group()
 
@@ -152,3 +155,32 @@ def _line(question: str) -> str:
         allowed, remedy = "an answer", "give the options"
         raise FieldError("answer", "(end of input)", "missing", allowed=allowed, remedy=remedy)
     return line.strip()
+
+
+@command(app)
+def watch(
+    record: Annotated[
+        Path,
+        typer.Argument(metavar="RECORD"),
+        "Record of the running arm (npz): of run-realtime, or a log",
+    ],
+    tuned: Annotated[Path, "Folder of the tuning, or its tuning.json"] = Path("tuned"),
+) -> Answer:
+    """Compare a record of a running arm with its tuning, and say what has changed: ω₀, gauge, friction.
+
+    The exit code is 1 where a retune is due.
+
+    $ fraclink watch realtime.npz --tuned tuned
+    """
+    place = tuned / FILES[0] if tuned.is_dir() else tuned
+    found = load(checked_path("record", record))
+    log = found.experiment() if isinstance(found, RealtimeRun) else found
+    if not isinstance(log, Experiment):
+        allowed, remedy = (
+            "a run in real time, or a log",
+            "record one: `fraclink run-realtime --out realtime.npz`",
+        )
+        raise FieldError("record", str(record), "neither", allowed=allowed, remedy=remedy)
+    seen = watch_arm(log, load(place, Tuning))
+    following = "" if seen.passed else "fraclink tune --io ADDRESS --payload KG --out retuned"
+    return Answer(seen, seen.passed, following=following)

@@ -99,7 +99,7 @@ _HOMES = {
     "rig": "fraclink._arm.rig",
     "shaped-move": "fraclink._shape",
     "study": "fraclink._workflow.study",
-    **dict.fromkeys(("tuning", "tuned-link", "tuned-motor", "wiring"), "fraclink._tune"),
+    **dict.fromkeys(("tuning", "tuned-link", "tuned-motor", "watch", "wiring"), "fraclink._tune"),
 }
 
 

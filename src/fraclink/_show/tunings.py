@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 from fraclink._show.text import Row, Table, View, number
 
 if TYPE_CHECKING:
-    from fraclink._tune import Tuning
+    from fraclink._tune import Tuning, Watch
 
-__all__ = ["tuning_view"]
+__all__ = ["tuning_view", "watch_view"]
 
 
 def tuning_view(made: Tuning) -> View:
@@ -38,6 +38,27 @@ def tuning_view(made: Tuning) -> View:
         f"stopped: {made.stopped}" if made.stopped else f"{made.attempts} experiments on the link, {time}"
     )
     return View(headline, tuple(tables), made.wiring.evidence if made.wiring else (), verdict.state)
+
+
+def watch_view(seen: Watch) -> View:
+    """What has changed, and everything that was compared."""
+    rows = tuple(
+        (
+            each.name.replace("_", " "),
+            number(each.was),
+            number(each.now),
+            number(each.standard_error, 2),
+            "changed" if each.changed else "as before",
+        )
+        for each in seen.changes
+    )
+    due = ", ".join(name.replace("_", " ") for name in seen.due)
+    headline = f"a retune is due: {due}" if due else f"as it was tuned, by {seen.motion:.0f} s of motion"
+    left = (
+        f"the fit leaves {number(seen.residual, 2)} N·m, the gauge's noise was {number(seen.expected, 2)} N·m"
+    )
+    table = Table(("what", "tuned", "now", "± standard error", ""), rows)
+    return View(headline, (table,), (left,), "passed" if seen.passed else "failed")
 
 
 def _measured(made: Tuning) -> Iterator[Row]:

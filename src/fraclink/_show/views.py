@@ -43,7 +43,7 @@ from fraclink._show.tables import (
     verdict_table,
 )
 from fraclink._show.text import Table, View, degrees, grams, looked_up, number
-from fraclink._show.tunings import tuning_view
+from fraclink._show.tunings import tuning_view, watch_view
 from fraclink.findings import errors_of
 
 if TYPE_CHECKING:
@@ -341,5 +341,6 @@ _VIEWS: dict[str, Callable[[Any], View]] = {
     "Replay": _replay_view,
     "ShapedMove": shaped_view,
     "Tuning": tuning_view,
+    "Watch": watch_view,
     "Tournament": lambda result: View("\n".join(result.verdicts()), state=state_of(result.standings[0])),
 }

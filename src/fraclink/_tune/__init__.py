@@ -11,15 +11,19 @@ from fraclink._tune.moves import FirstMove
 from fraclink._tune.plan import TuningPlan
 from fraclink._tune.procedure import tune
 from fraclink._tune.tuning import Tuning
+from fraclink._tune.watch import Change, Watch, watch
 from fraclink._tune.wiring import Wiring, WiringFault
 
 __all__ = [
+    "Change",
     "FirstMove",
     "LimitReached",
     "MotionLimits",
     "Tuning",
     "TuningPlan",
+    "Watch",
     "Wiring",
     "WiringFault",
     "tune",
+    "watch",
 ]

@@ -5,12 +5,16 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from fraclink._arm.link import LinkModel
+from fraclink._arm.reference import hold
 from fraclink._arm.rig import Encoder, Gauge, Link, Motor, Payloads, Rig, StatedTolerances
 from fraclink._certify import Certificate, certify
 from fraclink._design import Design, design
 from fraclink._design.completed import design_for
 from fraclink._law import Law
+from fraclink._simulate.simulate import simulate
 from fraclink._tune.guard import MotionLimits
 from fraclink._tune.link import LinkResult
 from fraclink._tune.wiring import Wiring
@@ -27,6 +31,9 @@ _WANTED = ((1.05, 32.0), (1.05, 28.0), (1.02, 28.0), (1.05, 25.0), (1.1, 25.0))
 _DRIFT = StatedTolerances(
     natural_frequency=0.015, order=0.01, gauge_gain=0.03, gauge_delay=0.001, motor_pole=0.05
 )
+# Part of the voltage limit that the gauge's noise may take at rest: at 0.2 its peaks reach the limit, and a loop
+# that saturates has no margin.
+_NOISE, _AT_REST = 0.12, 1.5  # [s]
 _FULL_TURN = 2 * math.pi
 _COUNTED = 2e-2  # [rad]: a smaller step of the encoder is a count, a larger one a motion
 
@@ -121,14 +128,27 @@ def _designed(rig: Rig, model: LinkModel) -> tuple[Design, tuple[str, ...]]:
         return design_for(rig, model, box=True)
     heavy = model.at_payload(rig.payloads.high)
     resonance = heavy.torque_resonance or heavy.natural_frequency ** (2.0 / heavy.order)
+    noisy = math.inf
     for ratio, degrees in _WANTED:
         made = _asked(model, rig, ratio * resonance, degrees)
-        if made is not None and made.passed:
+        if made is None or not made.passed or not made.with_law().passed:
+            continue
+        share = _noise(made)
+        noisy = min(noisy, share)
+        if share <= _NOISE:
             sentence = (
                 f"gain crossover {made.gain_crossover:.3g} rad/s, {ratio:g} times the torque resonance of "
                 f"the heaviest payload, and phase margin {degrees:.3g}°: what the whole box keeps"
             )
             return made, (sentence,)
+    if noisy < math.inf:
+        raise InfeasibleError(
+            "noise of the gauge",
+            f"the quietest law that the box admits takes {100 * noisy:.0f} % of the voltage limit at rest, more than "
+            f"{100 * _NOISE:.0f} %: the gauge is late by {1e3 * model.gauge_delay:.3g} ms and shows "
+            f"{rig.gauge.noise:.2g} N·m of noise; a faster or quieter gauge, or a narrower range of payloads, helps",
+            {},
+        )
     raise InfeasibleError(
         "requirements over the box",
         f"no law keeps a phase margin of {_WANTED[-1][1]:g}° right of the resonance for every arm that the "
@@ -138,6 +158,20 @@ def _designed(rig: Rig, model: LinkModel) -> tuple[Design, tuple[str, ...]]:
         + ")",
         {},
     )
+
+
+def _noise(made: Design) -> float:
+    """Standard deviation of the voltage at rest, with the gauge's noise, over the limit."""
+    run = simulate(
+        made.law(),
+        hold(0.0),
+        rig=made.rig,
+        model=made.model,
+        payload=made.model.payload,
+        duration=_AT_REST,
+        compensation="measured",
+    )
+    return float(np.std(run.voltage[run.voltage.size // 3 :])) / made.rig.motor.voltage_limit
 
 
 def _asked(model: LinkModel, rig: Rig, crossover: float, degrees: float) -> Design | None:

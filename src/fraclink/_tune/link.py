@@ -17,13 +17,13 @@ from fraclink.errors import FraclinkError, InfeasibleError, LogError
 
 __all__ = ["LinkResult", "experiment_of", "loaded_motor", "tune_link"]
 
-# Standard errors that suffice: their 95 % intervals are a third of what a rig's usual tolerances add anyway,
-# 0.03 of λ, 1.5 % of ω₀, 5 % of the gauge's gain, 2 ms of its delay.
-ENOUGH = {"order": 0.005, "natural_frequency": 0.0025, "gain": 0.008, "delay": 0.3e-3}
-_DURATION, _LONGEST = 10.0, 20.0  # [s] of one excitation
+# Standard errors that suffice: their 95 % intervals are no wider than what an arm may drift by until `watch`
+# says so, 0.01 of λ, 1.5 % of ω₀, 3 % of the gauge's gain, 1 ms of its delay.
+ENOUGH = {"order": 0.006, "natural_frequency": 0.004, "gain": 0.015, "delay": 0.5e-3}
+_DURATION, _LONGEST = 8.0, 16.0  # [s] of one excitation
 _LARGER = 3.0  # the most by which an excitation grows at once
 _LEAST = 0.04  # [rad], 2.3°: below it friction and encoder make more of the motion than the reference
-_ROUNDS = 3
+_ROUNDS = 2
 _COMPENSATED = 0.8  # of the friction: more than there is would drive
 _RINGING = 6.0  # [s] at most that an arm is waited for
 

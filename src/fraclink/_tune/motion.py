@@ -77,7 +77,7 @@ class Follower:
         self._state = _kernels.law_run(
             self._law.block, self._state, self._ticks, self._signals, self._outputs, self._marks, single
         )
-        self.flags, mode, reason = (int(value) for value in self._marks[:, 0])
+        mode, reason, self.flags = (int(value) for value in self._marks[:, 0])
         if mode >= MODES.index("degraded"):
             raise LawTripped(f"the law went to mode {MODES[mode]}: {REASONS[reason]}; the drive is off")
         return float(self._outputs[1, 0])

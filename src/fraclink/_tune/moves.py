@@ -21,8 +21,9 @@ __all__ = ["FirstMove", "first_moves", "planned_move"]
 Real = NDArray[np.float64]
 
 _BAND = 0.02  # of the move, as everywhere
+_ABOVE = 6.0  # times the gauge's white noise, as the loop colours it: a narrower band is left by chance
 _AFTER = 2.5  # [s] watched after a reference has come to rest
-_SLOW = 10.0
+_SLOW, _PART = 10.0, 0.4  # the first move: a tenth of the speed, two fifths of the way
 _SEEDS = (0, 1, 2)
 _TIMES = 3  # the full move: one record's noise moves its settling time by a sample's band
 _SPEED_TIME = 0.016  # [s] over which a speed is taken
@@ -100,10 +101,10 @@ def first_moves(
     amplitude, duration = planned_move(design, law, guard.limits, payload)
     sign = -1.0 if guard.connect().angle - guard.origin > 0 else 1.0
     found = []
-    for slower, times in ((_SLOW, 1), (1.0, _TIMES)):
+    for part, slower, times in ((_PART, _SLOW * _PART, 1), (1.0, 1.0, _TIMES)):
         records = []
         for _ in range(times):
-            path = smooth_step(sign * amplitude, slower * duration)
+            path = smooth_step(sign * part * amplitude, slower * duration)
             guard.release()
             records.append((path, *_moved(guard, law, motor, path, payload)))
             sign = -sign
@@ -192,7 +193,7 @@ def _judged(angle: Real, torque: Real, amplitude: float, ends: float, design: De
     smooth = np.convolve(np.pad(tip, (width, width), "edge"), np.full(width, 1 / width), "same")[width:-width]
     # The gauge's noise is left in the estimate: a band below it would never be kept.
     noise = rig.gauge.noise / model.stiffness / math.sqrt(width)
-    band = max(_BAND * abs(amplitude), 3.5 * noise)
+    band = max(_BAND * abs(amplitude), _ABOVE * noise)
     final = float(np.mean(smooth[-round(_LAST / period) :]))
     outside = np.flatnonzero(np.abs(smooth - final) > band)
     begin = round(ends / period)

@@ -28,6 +28,8 @@ from fraclink.errors import FieldError, FraclinkError
 __all__ = ["tune"]
 
 EXPERIMENTS = 3  # at most, where a gate or the proof fails
+_PATIENCE = 90.0  # [s] of motion, at most, with the experiment that comes next
+_FAR_OFF = 2.0  # times the errors that suffice: less of an excess is in the box, and costs a degree of margin
 _OTHER_ARM = 0.35  # of the first guesses, which scatter by a tenth, between a tuning and its resumption
 
 
@@ -201,7 +203,8 @@ class _Session:
             )
             built = build_law(rig, link)
             self._wrote(built, link)
-            if built.passed or attempt > EXPERIMENTS or not _worth_repeating(built, link):
+            spent = guard.count * guard.period + 2.0 * sum(duration for _, duration, _ in link.rounds)
+            if built.passed or spent > _PATIENCE or not _worth_repeating(built, link):
                 break
             self.begin(f"{built.reasons[0]}; the next experiment is twice as long")
         return built
@@ -282,5 +285,5 @@ class _Session:
 
 
 def _worth_repeating(built: Built, link: LinkResult) -> bool:
-    """Whether a longer experiment can help: a gate of the fit failed, or its errors are too large."""
-    return (built.design is None and not link.fit.passed) or shortfall(link.fit) > 1.0
+    """Whether a longer experiment can help: a gate of the fit failed, or its errors are far too large."""
+    return (built.design is None and not link.fit.passed) or shortfall(link.fit) > _FAR_OFF

@@ -1,0 +1,314 @@
+"""`tune` on random arms, wrong wirings and kills, and what `watch` sees: the figures of the issue's table.
+
+    python benchmarks/bench_tune.py [--arms 100] [--first 0] [--only arms|wiring|kills|watch]
+
+Arms are twins around four rig shapes: payload ±30 %, gear ±20 %, Coulomb friction a half to twice, gauge gain
+±30 %, gauge delay 0 to 20 ms, voltage delay of 1 or 2 periods, link mass 0 to 30 g, gauge noise a half to one
+and a half times, λ from 1.88 to 1.97. Seed of arm k: k. Everything runs in this process, each exchange of
+voltage and reading is one period of the arm, so that no clock is waited for.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import fraclink as fl
+from fraclink._arm.box import Arm
+from fraclink._realtime.connections import Callback, Command
+from fraclink._realtime.line import open_line
+from fraclink._simulate import PowerLaw
+from fraclink._tune import WiringFault
+from fraclink._tune.guard import Guard
+from fraclink._tune.wiring import check_wiring
+from fraclink.errors import FraclinkError
+from identify_logs import line
+
+PAPER = fl.Rig.named("paper-2023-geared")
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A rig around which arms are drawn, and the limits that its user would state."""
+
+    name: str
+    rig: fl.Rig
+    limits: fl.MotionLimits
+
+
+def _rig(length: float, stiffness: float, payload: float, gear: float, period: float) -> fl.Rig:
+    return replace(
+        PAPER,
+        link=fl.Link(length=length, flexural_rigidity=stiffness * length / 3, stiffness=stiffness),
+        payloads=fl.Payloads(low=0.75 * payload, high=1.35 * payload, nominal=payload),
+        motor=replace(PAPER.motor, gear_ratio=gear),
+        gauge=replace(
+            PAPER.gauge, noise=0.0064 * stiffness, quantum=0.00125 * stiffness, limit=2.5 * stiffness
+        ),
+        period=period,
+        model=None,
+        design=None,
+    )
+
+
+SHAPES = (
+    Shape("paper", _rig(0.65, 1.56, 0.030, 50.0, 0.004), fl.MotionLimits(0.6, 4.0, 1.5, 10.0)),
+    Shape("short", _rig(0.45, 3.0, 0.060, 60.0, 0.002), fl.MotionLimits(0.6, 5.0, 3.0, 10.0)),
+    Shape("long", _rig(0.90, 2.2, 0.045, 80.0, 0.004), fl.MotionLimits(0.8, 3.0, 2.0, 10.0)),
+    Shape("heavy", _rig(0.60, 4.0, 0.120, 80.0, 0.004), fl.MotionLimits(0.5, 3.0, 4.0, 10.0)),
+)
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """One arm: its shape, the twin, and the truth in the terms of a model."""
+
+    shape: Shape
+    twin: fl.Twin
+    payload: float
+    order: float
+    gauge_gain: float
+    gauge_delay: float
+    seed: int
+
+
+def draw(seed: int) -> Drawn:
+    """The arm of a seed."""
+    random = np.random.default_rng(seed)
+    shape = SHAPES[seed % len(SHAPES)]
+    rig = shape.rig
+    payload = rig.payloads.nominal * random.uniform(0.7, 1.3)
+    motor = replace(
+        rig.motor,
+        gear_ratio=rig.motor.gear_ratio * random.uniform(0.8, 1.2),
+        coulomb_torque=rig.motor.coulomb_torque * 2.0 ** random.uniform(-1.0, 1.0),
+    )
+    gain, delay, order = random.uniform(0.7, 1.3), random.uniform(0.0, 0.020), random.uniform(1.88, 1.97)
+    link = replace(rig.link, mass=random.uniform(0.0, 0.030))
+    noise = rig.gauge.noise * random.uniform(0.5, 1.5)
+    arm = replace(rig, motor=motor, link=link, gauge=replace(rig.gauge, noise=noise))
+    twin = fl.Twin.from_rig(
+        arm, payload=payload, link_mass=link.mass, damping=PowerLaw(order), gauge_delay=delay, gauge_gain=gain
+    )
+    twin = replace(twin, voltage_delay=int(random.integers(1, 3)))
+    return Drawn(shape, twin, payload, order, gain, delay, seed)
+
+
+def plan_of(drawn: Drawn) -> fl.TuningPlan:
+    """What a user of that rig asks for."""
+    payload = drawn.payload
+    return fl.TuningPlan(
+        drawn.shape.limits, payload, (0.8 * payload, 1.25 * payload), drawn.shape.rig.period, drawn.shape.rig
+    )
+
+
+def broken(record: np.ndarray, limits: fl.MotionLimits) -> list[str]:
+    """The limits that were left in any period, of the truth; the torque is that at the link's root."""
+    parts = {"angle": record[:, 1], "speed": record[:, 2], "torque": record[:, 3], "voltage": record[:, 4]}
+    return [name for name, values in parts.items() if np.max(np.abs(values)) > getattr(limits, name)]
+
+
+def truth(drawn: Drawn, design: fl.Design, made: fl.FirstMove | None) -> tuple[float, float, list[str]]:
+    """(promised, true) phase margin [°] at the tuned payload, and why moves of the true arm fail."""
+    model = design.model
+    stiffness = drawn.shape.rig.link.stiffness
+    real = fl.LinkModel(
+        stiffness=model.stiffness,
+        natural_frequency=float(drawn.twin.beam.modes(1).frequencies[0]),
+        order=drawn.order,
+        payload=drawn.payload,
+        gauge_delay=drawn.gauge_delay,
+        gauge_gain=drawn.gauge_gain * stiffness / model.stiffness,
+    )
+    ratio = drawn.twin.motor.gain / design.rig.motor.gain
+    margins = []
+    for link, times in ((model, 1.0), (real, ratio)):
+        loop = Arm(link, times).loop(design.controller, design.rig)
+        found = loop.margins(np.array([link.natural_frequency]))
+        margins.append(math.degrees(float(found[1][0])))
+    law, reasons = design.law(), []
+    move = fl.smooth_step(0.3, 0.6) if made is None else fl.smooth_step(made.amplitude, made.duration)
+    for payload in (0.8 * drawn.payload, drawn.payload, 1.25 * drawn.payload):
+        run = fl.simulate(law, move, arm=drawn.twin, payload=payload, told=True)
+        if not run.verdict.passed:
+            reasons.append(f"{1e3 * payload:.0f} g: {run.verdict.reason}")
+    return margins[0], margins[1], reasons
+
+
+def one_arm(seed: int, out: Path) -> dict[str, Any]:
+    """Tune one arm, and compare with the truth."""
+    drawn = draw(seed)
+    arm = fl.SimulatedArm(drawn.twin, drawn.shape.rig.period, seed=seed)
+    began = time.process_time()
+    found = fl.tune(arm.callback, plan_of(drawn), out=out / f"{seed}", force=True, clock="none")
+    result: dict[str, Any] = {
+        "seed": seed,
+        "shape": drawn.shape.name,
+        "computing": time.process_time() - began,
+        "arm_time": len(arm.record) * drawn.shape.rig.period,
+        "law": found.has_law,
+        "verdict": found.verdict.state,
+        "stopped": found.stopped,
+        "reasons": list(found.reasons),
+        "broken": broken(arm.record, drawn.shape.limits),
+        "delay_ms": 1e3 * drawn.gauge_delay,
+        "link_g": 1e3 * drawn.twin.beam.link_mass,
+        "payload_g": 1e3 * drawn.payload,
+        "rounds": [] if found.link is None else [[round(x, 4) for x in r] for r in found.link.rounds],
+        "attempts": found.attempts,
+        "mode": found.link is not None and found.link.fit.model.second_mode is not None,
+        "motor": None if found.motor is None else [found.motor.rounds, found.motor.loop.pole],
+        "moves": [(m.promised_settling, m.measured_settling) for m in found.moves],
+    }
+    if found.has_law:
+        design = fl.load(out / f"{seed}" / "design.json")
+        promised, true, failed = truth(drawn, design, found.moves[-1] if found.moves else None)
+        result |= {"margin_promised": promised, "margin_true": true, "failed": failed}
+    return result
+
+
+def arms(first: int, count: int) -> None:
+    """Arms from wiring to first move."""
+    results = []
+    with tempfile.TemporaryDirectory() as folder:
+        for seed in range(first, first + count):
+            try:
+                found = one_arm(seed, Path(folder))
+            except Exception as error:  # noqa: BLE001  # a crash is a result, too
+                found = {"seed": seed, "crash": f"{type(error).__name__}: {error}"}
+            print(json.dumps(found), flush=True)
+            results.append(found)
+    report(results)
+
+
+def report(results: list[dict[str, Any]]) -> None:
+    """The lines of the table."""
+    whole = [found for found in results if "crash" not in found]
+    good = [found for found in whole if found["law"] and not found["failed"] and not found["stopped"]]
+    bad = [found for found in whole if found["law"] and found["failed"]]
+    refused = Counter(
+        (found["stopped"] or "; ".join(found["reasons"]))[:60] for found in whole if not found["law"]
+    )
+    line(
+        "arms with a law whose proof passed and whose moves pass on the truth",
+        f"{len(good)} of {len(results)}; unsafe {len(bad)}; crashes {len(results) - len(whole)}; "
+        f"refused {dict(refused)}",
+        ">= 95 of 100, 0 unsafe",
+        len(good) >= 0.95 * len(results) and not bad,
+    )
+    left = [found["seed"] for found in whole if found["broken"]]
+    line("arms on which a limit was left in any period", f"{len(left)} {left}", "0", not left)
+    times, computing = (np.array([found[name] for found in whole]) for name in ("arm_time", "computing"))
+    line(
+        "arm time; computing [s]",
+        f"median {np.median(times):.0f}, {sum(times > 60)} over 60, most {times.max():.0f}; "
+        f"{np.median(computing):.1f}, {sum(computing > 10)} over 10, most {computing.max():.1f}",
+        "<= 60; <= 10",
+        bool(times.max() <= 60 and computing.max() <= 10),
+    )
+    moved = [found["moves"][-1] for found in whole if found["moves"]]
+    near = sum(abs(m - p) <= max(0.1 * p, 0.0) for p, m in moved)
+    line(
+        "promised against measured settling within 10 %",
+        f"{near} of {len(moved)}",
+        "95 %",
+        near >= 0.95 * len(moved),
+    )
+    margins = [found["margin_true"] - found["margin_promised"] for found in whole if found["law"]]
+    within = sum(abs(gap) <= 3.0 for gap in margins)
+    line(
+        "promised against true phase margin within 3°",
+        f"{within} of {len(margins)}",
+        "95 %",
+        within >= 0.95 * len(margins),
+    )
+
+
+# ---- wrong wirings ----------------------------------------------------------------------------------------
+
+
+def wired(arm: fl.SimulatedArm, *, angle: float = 1, torque: float = 1, voltage: float = 1) -> Callback:
+    """The arm with factors on its wires."""
+
+    def read() -> tuple[float, float]:
+        found = arm.read()
+        return angle * found[0], torque * found[1]
+
+    def write(command: Command) -> None:
+        arm.write(command._replace(voltage=voltage * command.voltage))
+
+    return Callback(read, write)
+
+
+WRONG: dict[str, Callable[[fl.SimulatedArm], Callback]] = {
+    "encoder reversed": lambda arm: wired(arm, angle=-1),
+    "motor reversed": lambda arm: wired(arm, voltage=-1),
+    "gauge reversed": lambda arm: wired(arm, torque=-1),
+    "encoder dead": lambda arm: wired(arm, angle=0),
+    "gauge dead": lambda arm: wired(arm, torque=0),
+    "channels swapped": lambda arm: Callback(lambda: arm.read()[::-1], arm.write),
+    "gauge scale wrong": lambda arm: wired(arm, torque=10),
+    "encoder scale wrong": lambda arm: wired(arm, angle=4),
+}
+
+
+def wiring(count: int) -> None:
+    """Wrong wirings: named, and the motion until then."""
+    named, moved, left, other = Counter[str](), [], 0, []
+    for fault, wire in WRONG.items():
+        for seed in range(count):
+            drawn = draw(seed)
+            arm = fl.SimulatedArm(drawn.twin, drawn.shape.rig.period, seed=seed)
+            guard = Guard(
+                partial(open_line, wire(arm), drawn.shape.rig.period, clock="none"), drawn.shape.limits
+            )
+            try:
+                check_wiring(guard, drawn.shape.rig)
+                other.append(f"{fault} {seed}: passed")
+            except WiringFault as error:
+                named[fault] += str(error).startswith(fault)
+                if not str(error).startswith(fault):
+                    other.append(f"{fault} {seed}: {str(error)[:50]}")
+            except FraclinkError as error:
+                other.append(f"{fault} {seed}: {str(error)[:50]}")
+            guard.release()
+            moved.append(math.degrees(float(np.ptp(arm.record[:, 1]))))
+            left += bool(broken(arm.record, drawn.shape.limits))
+    for text in other:
+        print("  ", text)
+    line(
+        f"wrong wirings named, {len(WRONG)} kinds of {count}",
+        ", ".join(f"{fault} {named[fault]}" for fault in WRONG),
+        "all",
+        not other,
+    )
+    line("motion until it is named [°]", f"most {max(moved):.1f}", "<= 5", max(moved) <= 5.0)
+    line("wrong wirings that left a limit", str(left), "0", left == 0)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--arms", type=int, default=100)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--wirings", type=int, default=20)
+    parser.add_argument("--only", choices=("arms", "wiring"))
+    chosen = parser.parse_args()
+    if chosen.only in (None, "arms"):
+        arms(chosen.first, chosen.arms)
+    if chosen.only in (None, "wiring"):
+        wiring(chosen.wirings)
+
+
+if __name__ == "__main__":
+    main()
