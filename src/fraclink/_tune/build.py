@@ -31,8 +31,8 @@ _WANTED = ((1.05, 32.0), (1.05, 28.0), (1.02, 28.0), (1.05, 25.0), (1.1, 25.0))
 _DRIFT = StatedTolerances(
     natural_frequency=0.015, order=0.01, gauge_gain=0.03, gauge_delay=0.001, motor_pole=0.05
 )
-# Part of the voltage limit that the gauge's noise may take at rest: at 0.2 its peaks reach the limit, and a loop
-# that saturates has no margin.
+# Part of the voltage limit that the gauge's noise may take at rest: at 0.2 its peaks reach the limit, and a
+# loop that saturates has no margin.
 _NOISE, _AT_REST = 0.12, 1.5  # [s]
 _FULL_TURN = 2 * math.pi
 _COUNTED = 2e-2  # [rad]: a smaller step of the encoder is a count, a larger one a motion
@@ -144,9 +144,10 @@ def _designed(rig: Rig, model: LinkModel) -> tuple[Design, tuple[str, ...]]:
     if noisy < math.inf:
         raise InfeasibleError(
             "noise of the gauge",
-            f"the quietest law that the box admits takes {100 * noisy:.0f} % of the voltage limit at rest, more than "
-            f"{100 * _NOISE:.0f} %: the gauge is late by {1e3 * model.gauge_delay:.3g} ms and shows "
-            f"{rig.gauge.noise:.2g} N·m of noise; a faster or quieter gauge, or a narrower range of payloads, helps",
+            f"the quietest law that the box admits takes {100 * noisy:.0f} % of the voltage limit at rest, "
+            f"more than {100 * _NOISE:.0f} %: the gauge is {1e3 * model.gauge_delay:.3g} ms late and shows "
+            f"{rig.gauge.noise:.2g} N·m of noise; a faster or quieter gauge, or a narrower range of "
+            "payloads, helps",
             {},
         )
     raise InfeasibleError(
