@@ -222,7 +222,8 @@ def _tracking(number: int, payload: float) -> Picture:
                 if not run.verdict.passed:
                     ends.append(f"{name}, {line}: {run.verdict.reason}.")
             axes.plot(run.time, run.reference, color=GREY, linewidth=0.8, linestyle=(0, (1, 1)))
-            axes.set(title=name, xlabel="time [s]", xlim=(0, 5), ylim=(-0.1, 1.6))
+            title = f"{name} (fraclink)" if name == "in the loop" else name
+            axes.set(title=title, xlabel="time [s]", xlim=(0, 5), ylim=(-0.1, 1.6))
         panels[0].set_ylabel("tip angle θt [rad]")
         panels[-1].legend(loc="lower right")
         text = svg(drawing, f"fig{number}", f"Figure {number}: tracking at {1e3 * payload:g} g")
