@@ -103,6 +103,8 @@ class Coordinates:
             log_resonance -= min(max(step, -0.5), 0.5)
             if abs(step) < 1e-14:
                 break
+        # The implicit function theorem on the equation just solved: ∂ ln Ω/∂x = −(∂f/∂x)/(∂f/∂ ln Ω), the
+        # latter being `slope`.
         by = {
             "frequency": square / slope,
             "order": -log_resonance * moving / slope,

@@ -85,6 +85,8 @@ def descend(
         moving = np.flatnonzero(~done)
         if not moving.size:
             break
+        # A refused step changes the damping only: its derivatives stand, and trying again costs one
+        # evaluation.
         stale = moving[~fresh[moving]]
         if stale.size:
             jacobian = differences(residuals, places[stale], at[stale], low, high)
@@ -121,6 +123,8 @@ def _steps(
     matrix[held] = 0.0
     matrix.transpose(0, 2, 1)[held] = 0.0
     right[held] = 0.0
+    # Marquardt's scaling: damping counts in units of each coordinate's own curvature, so that a step does not
+    # depend on the units of the parameters.
     back = np.linalg.inv(shear)
     along = np.einsum("ip,mij,jp->mp", back, matrix, back)  # diagonal in the sheared coordinates
     along = np.maximum(along, 1e-12 * along.max(axis=1, keepdims=True) + 1e-300)
@@ -243,6 +247,7 @@ def interval_end(
             ratio = QUANTILE / inside_root if inside_root > 0 else 4.0
             value = centre + (inside - centre) * min(max(ratio, 1.05), 4.0)
         elif math.isfinite(outside_root):
+            # 5 % away from either end, or a secant along a bent root would creep up to the end it came from.
             part = (QUANTILE - inside_root) / (outside_root - inside_root)
             value = inside + (outside - inside) * min(max(part, 0.05), 0.95)
         else:  # no fit there at all: the secant has nothing to go by

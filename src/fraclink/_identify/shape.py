@@ -63,6 +63,8 @@ def mask_of(free: Sequence[int]) -> int:
 
 def damping_and_square(shape: Shape) -> tuple[float, float]:
     """(μ, ω₀²) of a shape; a rounding error below zero is zero."""
+    # At s = jΩ and λ = 2 the denominator s² + μ s^α + ω₀² has the imaginary part μ Ω^α S, where a viscous
+    # link has 2ζΩ², and no real part: ω₀² = Ω² − μ Ω^α C. For another λ it is the same with Ω^λ for Ω².
     order, log_resonance, ratio, other = (float(x) for x in shape[:4])
     sine, cosine = math.sin(other * math.pi / 2), math.cos(other * math.pi / 2)
     whole = math.exp(order * log_resonance)

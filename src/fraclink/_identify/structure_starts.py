@@ -83,6 +83,8 @@ class Starts:
         names = tuple(n for n in own.names if own.structure.roles[n] == "coefficient")
         if not names:
             return ()
+        # N and D are straight in the coefficients if, and at points in general position only if, their values
+        # at zero and one unit of each coefficient add up to those at any other place.
         points = self.spectrum.points[:: max(1, self.spectrum.points.size // 5)]
         points = points / np.median(np.abs(points))
         base = own.values(own.middle()[None, :], projected=False)
@@ -127,6 +129,8 @@ def _least_squares(matrix: NDArray[np.complex128], right: NDArray[np.complex128]
     size = np.where((size > 0) & np.isfinite(size), size, 1.0)
     real = np.nan_to_num(real / size[:, :, None])
     wanted = np.nan_to_num(wanted)
+    # QR and not the normal matrix: columns of nearly equal orders are nearly parallel, and its square would
+    # lose twice the digits.
     q, r = np.linalg.qr(real.transpose(0, 2, 1))
     diagonal = np.einsum("mnn->mn", r)
     small = np.abs(diagonal) < 1e-10
