@@ -23,9 +23,9 @@ from fraclink._systems.fractional import FractionalTransferFunction, s
 from fraclink._systems.interop import to_control
 from fraclink._systems.margins import margins
 from fraclink._systems.minimax import PartialFractions, improve, score
+from fraclink._systems.norms import norm
 from fraclink._systems.rational import approximate
 from fraclink._systems.roots import log_zeros
-from fraclink._systems.stability import norm
 
 PERIOD = 0.004
 BETA, GAIN, W = 0.65, 0.148, 10.0

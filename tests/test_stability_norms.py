@@ -1,14 +1,18 @@
-"""Norms against closed forms and 20-digit quadrature."""
+"""Norms against closed forms, 20-digit quadrature and sums around the circle."""
 
 from __future__ import annotations
 
 import math
+from typing import Any
 
+import control
 import mpmath
+import numpy as np
 import pytest
 
 from fraclink._systems.fractional import FractionalTransferFunction, s
-from fraclink._systems.stability import norm
+from fraclink._systems.norms import norm
+from fraclink._systems.rational import approximate
 from fraclink.errors import FieldError, UnstableError
 
 INF = math.inf
@@ -102,3 +106,84 @@ def test_delayed_feedback_has_norms_too() -> None:
 def test_no_norm(system: FractionalTransferFunction, p: float, error: type[FieldError], words: str) -> None:
     with pytest.raises(error, match=words):
         norm(system, p)
+
+
+def around_the_circle(top: list[float], bottom: list[float]) -> tuple[float, float]:
+    """H2 and H∞ of a sampled filter by a dense trapezoidal sum, which converges exponentially on a circle."""
+    z = np.exp(1j * np.linspace(-math.pi, math.pi, 200_001)[:-1])
+    values = np.abs(np.polyval(top, z) / np.polyval(bottom, z))
+    return math.sqrt(float(np.mean(values**2))), float(values.max())
+
+
+@pytest.mark.parametrize(
+    ("top", "bottom"),
+    [
+        ([0.5, 0.1], [1.0, -0.9]),
+        ([1.0], [1.0, -1.6, 0.89]),
+        ([0.3, -0.2, 0.7], [1.0, -1.99, 0.9902]),
+        ([1.0, 0.0], [1.0, 0.97]),
+        ([1.0, -1.0], [1.0, -0.5]),
+    ],
+)
+@pytest.mark.parametrize("states", [False, True])
+def test_sampled_systems(top: list[float], bottom: list[float], states: bool) -> None:
+    system = control.tf(top, bottom, 0.01)
+    square, peak = around_the_circle(top, bottom)
+    given = control.ss(system) if states else system
+    assert norm(given, 2) == pytest.approx(square, rel=1e-9)
+    assert norm(given, INF) == pytest.approx(peak, rel=1e-6)
+    assert norm(given, INF) >= peak * (1 - 1e-11)
+
+
+def test_closed_forms_of_sampled_systems() -> None:
+    """(z − a)⁻¹: 1/√(1 − a²) and 1/(1 − |a|), whatever the period."""
+    for a in (-0.9, 0.3, 1 - 1e-6):
+        for period in (True, 0.004):
+            system = control.tf([1.0], [1.0, -a], period)
+            assert norm(system, 2) == pytest.approx(1 / math.sqrt((1 - a) * (1 + a)), rel=1e-9)
+            assert norm(system, INF) == pytest.approx(1 / (1 - abs(a)), rel=1e-9)
+
+
+def test_a_lightly_damped_sampled_resonance_is_not_missed() -> None:
+    """1/((z − p)(z − p̄)), p = r e^jθ: the peak lies where cos ω = (1 + r²) cos θ/(2 r)."""
+    for r, theta in ((1 - 1e-7, 0.3), (1 - 1e-7, 2e-4), (0.999, 3.0)):
+        p = r * np.exp(1j * theta)
+        system = control.tf([1.0], [1.0, -2 * p.real, abs(p) ** 2], 1.0)
+        cosine = min(1.0, (1 + r * r) * math.cos(theta) / (2 * r))
+        z = cosine + 1j * math.sqrt((1 - cosine) * (1 + cosine))
+        exact = 1 / abs((z - p) * (z - p.conjugate()))
+        assert norm(system, INF) == pytest.approx(exact, rel=1e-7)
+
+
+def test_rational_models_of_a_fractional_system() -> None:
+    plant = 100 / (s**1.92 + 100)
+    continuous = approximate(plant, (1e-3, 1e4), 8, method="minimax")
+    sampled = approximate(plant, (1e-2, 700.0), 8, method="minimax", period=0.004)
+    for made in (continuous, sampled):
+        assert norm(made, INF) == pytest.approx(norm(plant, INF), rel=0.01)
+        same = control.ss(*made.state_space(), 0.004 if made is sampled else 0)
+        assert norm(same, INF) == pytest.approx(norm(made, INF), rel=1e-9)
+    # ‖g[k]‖² T⁻¹ tends to ‖g(t)‖² for a response that the samples resolve.
+    assert norm(sampled, 2) / math.sqrt(0.004) == pytest.approx(norm(plant, 2), rel=0.05)
+    light = control.tf([100.0], [1.0, 2e-3, 100.0])
+    assert norm(light, 2) == pytest.approx(math.sqrt(25000.0), rel=1e-9)
+    assert norm(control.ss(light), INF) == pytest.approx(1 / math.sin(math.acos(1 - 2e-8)), rel=1e-2)
+    assert norm(plant.to_control(), 2) == norm(plant, 2)
+
+
+@pytest.mark.parametrize(
+    ("system", "p", "error", "words"),
+    [
+        (control.tf([1.0], [1.0, -1.0], 0.1), 2, UnstableError, "≥ 1"),
+        (control.tf([1.0], [1.0, -1.1], 0.1), INF, UnstableError, "≥ 1"),
+        (control.tf([1.0], [1.0, -1.0]), 2, UnstableError, "Re s"),
+        (control.tf([1.0, 2.0], [1.0, 1.0]), 2, FieldError, "feedthrough"),
+        (control.ss([[-1.0]], [[1.0, 1.0]], [[1.0]], [[0.0, 0.0]]), 2, FieldError, "one input"),
+        (lambda z: 1 / (z + 1), 2, FieldError, "not a model"),
+        (3, 2, FieldError, "system"),
+    ],
+)
+def test_no_norm_of_a_model(system: Any, p: float, error: type[FieldError], words: str) -> None:
+    with pytest.raises(error, match=words) as refused:
+        norm(system, p)
+    assert refused.value.field == "system" and refused.value.remedy

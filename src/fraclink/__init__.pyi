@@ -184,6 +184,7 @@ from fraclink._systems.margins import Margins as Margins
 from fraclink._systems.margins import margins as margins
 from fraclink._systems.mittag_leffler import mittag_leffler as mittag_leffler
 from fraclink._systems.modes import DiscreteModes as DiscreteModes
+from fraclink._systems.norms import norm as norm
 from fraclink._systems.rational import RationalApproximation as RationalApproximation
 from fraclink._systems.rational import approximate as approximate
 from fraclink._systems.response import TimeResponse as TimeResponse
@@ -194,7 +195,6 @@ from fraclink._systems.response import step_response as step_response
 from fraclink._systems.response import time_response as time_response
 from fraclink._systems.stability import StabilityVerdict as StabilityVerdict
 from fraclink._systems.stability import is_stable as is_stable
-from fraclink._systems.stability import norm as norm
 from fraclink._systems.stability import poles as poles
 from fraclink._tune.guard import MotionLimits as MotionLimits
 from fraclink._tune.moves import FirstMove as FirstMove

@@ -176,7 +176,7 @@ class FractionalLoop:
             low=low,
             high=high,
             span=span,
-            seeds=np.concatenate([_around(z) for z in (*bottom, *top)] or [np.empty(0)]),
+            seeds=np.concatenate([around(z) for z in (*bottom, *top)] or [np.empty(0)]),
             zeros=bottom,
             known=known and within,
             scalars=tuple((c, t.order, t.delay) for c, t in zip(coefficients, terms, strict=True)),
@@ -281,7 +281,7 @@ def _near_axis(terms: Sequence[Term]) -> tuple[list[complex], bool]:
     return z.tolist(), True
 
 
-def _around(zero: complex) -> Reals:
+def around(zero: complex) -> Reals:
     distance = abs(zero.imag - 0.5 * math.pi)
     if distance > _NEAR:
         return np.empty(0)

@@ -1,24 +1,19 @@
-"""Poles on the principal sheet, the verdict on stability, the H2 and H∞ norms."""
+"""Poles on the principal sheet, and the verdict on stability."""
 
 from __future__ import annotations
 
-import cmath
-import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated
 
 import numpy as np
 
 from fraclink._systems.exponential import right_half_plane_zeros
 from fraclink._systems.fractional import FractionalTransferFunction
-from fraclink._systems.loops import FractionalLoop
 from fraclink._systems.roots import log_zeros
-from fraclink._systems.sweep import gain_slope, sweep, zero_of
-from fraclink._systems.terms import Complexes, Reals, Term
-from fraclink._validate import Between, Where, checked
-from fraclink.errors import FieldError, NotConvergedError, UnstableError
+from fraclink._systems.terms import Complexes, Term
+from fraclink._validate import checked
+from fraclink.errors import FieldError
 
 _SAME = 1e-10  # relative distance at which a zero cancels a pole: what twelve-digit coefficients can tell
 _ON_AXIS = 1e-12  # rad between a pole and the imaginary axis below which it lies on it
@@ -220,161 +215,3 @@ def _both_halves(z: Complexes, at_origin: int) -> Complexes:
             p = complex(np.exp(log))
             found += [p, p.conjugate()]
     return np.array(found, dtype=complex)
-
-
-# --- The norms of a stable system ---------------------------------------------------------------------
-
-
-NORMS = Where(
-    lambda p: p in (2.0, math.inf), "2 or inf", problem="not a norm offered here", remedy="use 2 or inf"
-)
-_FILTER = "multiply by a low-pass filter, as the real input would"
-_TOLERANCE = 1e-13
-# In ln ω: where terms a gap of orders apart differ by e^(−37) ≈ 1e-16 the response is its own asymptote.
-_NEGLIGIBLE = 37.0
-
-
-@checked
-def norm(system: FractionalTransferFunction, p: Annotated[float, Between(finite=False), NORMS]) -> float:
-    """Return the H2 norm (p = 2) or the H∞ norm (p = inf) of a stable system.
-
-    ‖G‖₂² = (1/π) ∫₀^∞ |G(jω)|² dω,      ‖G‖∞ = sup |G(jω)|
-
-    For p = 2 by adaptive quadrature over ln ω to 1e-13, with the tails beyond it by their known powers; for
-    p = inf the highest peak polished to rounding, or a limit at ω → 0 or ∞.
-
-    Parameters
-    ----------
-    system
-        Stable; for p = 2 with a relative degree > 1/2, for p = inf proper. Delays are allowed.
-    p
-        2 or `math.inf` [1].
-
-    Raises
-    ------
-    UnstableError
-        A pole in Re s > 0 or on the imaginary axis (an undamped resonance), an integrator.
-    FieldError
-        Another p; a system that decays too slowly for p = 2; an improper system for p = inf.
-
-    References
-    ----------
-    Malti et al., Automatica 47 (2011) 2425, for the H2 norm's condition on the relative degree.
-
-    Examples
-    --------
-    >>> import math
-    >>> from fraclink._systems.fractional import s
-    >>> G = 100 / (s**2 + 2 * s + 100)
-    >>> round(norm(G, 2), 12), round(norm(G, math.inf), 12)
-    (5.0, 5.025189076296)
-    """
-    if not system.numerator:
-        return 0.0
-    verdict = is_stable(system)
-    if not verdict:
-        problem, remedy = (
-            f"not stable: {verdict.reason}",
-            "close a loop around it, add damping, or use margins",
-        )
-        raise UnstableError("system", repr(system), problem, allowed="stable systems", remedy=remedy)
-    degree = system.relative_degree
-    if p == 2 and degree <= 0.5:
-        problem = f"of relative degree {degree:g}: its H2 norm is infinite"
-        raise FieldError("system", repr(system), problem, allowed="relative degree > 1/2", remedy=_FILTER)
-    if degree < 0:
-        problem = "improper: its gain grows without bound"
-        raise FieldError("system", repr(system), problem, allowed="proper systems", remedy=_FILTER)
-    loop = FractionalLoop.of(system, None)
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        return _h2(system, loop) if p == 2 else _peak(loop)
-
-
-def _h2(system: FractionalTransferFunction, loop: FractionalLoop) -> float:
-    gap = min((b - a for a, b in _neighbours(system)), default=1.0)
-    spare = _NEGLIGIBLE / max(gap, 0.02)
-    low, high = loop.low - spare, loop.high + spare
-
-    def density(x: Reals) -> Reals:
-        return np.asarray(np.exp(2 * loop.log_modulus(x.ravel()).reshape(x.shape) + x))
-
-    seeds = loop.seeds[::4]
-    edges = np.unique(np.concatenate([np.arange(low, high, 2.0), [high], seeds]))
-    # A pole at the distance d from the axis: 16 Gauss points on d/4 are exact to 1e-16.
-    distance = min((abs(z.imag - 0.5 * math.pi) for z in loop.zeros), default=0.3)
-    inside = integrate(density, edges, _TOLERANCE, smooth=0.25 * min(distance, 0.3))
-    # Beyond the edges |G|² ω ~ ω^p: ∫ = density/|p|.
-    rise = 1 + 2 * _order_at(system, -1)
-    fall = 2 * system.relative_degree - 1
-    ends = density(np.array([low, high]))
-    return math.sqrt((inside + float(ends[0]) / rise + float(ends[1]) / fall) / math.pi)
-
-
-def _neighbours(system: FractionalTransferFunction) -> list[tuple[float, float]]:
-    """Pairs of neighbouring orders in numerator and denominator that differ."""
-    pairs = []
-    for terms in (system.numerator, system.denominator):
-        orders = sorted({t.order for t in terms})
-        pairs += list(itertools.pairwise(orders))
-    return pairs
-
-
-def _order_at(system: FractionalTransferFunction, end: int) -> float:
-    """Order of G at ω → 0 (end = −1) or at ω → ∞ (end = 0)."""
-    return system.numerator[end].order - system.denominator[end].order
-
-
-def _peak(loop: FractionalLoop) -> float:
-    x, values, _ = sweep(loop)
-    size = np.abs(values)
-    inner = (size[1:-1] >= size[:-2]) & (size[1:-1] >= size[2:])
-    largest = float(size.max())
-    for i in (np.flatnonzero(inner) + 1).tolist():
-        if size[i] > 0.5 * largest:
-            _, value = zero_of(loop, gain_slope, float(x[i - 1]), float(x[i + 1]))
-            largest = max(largest, abs(value))
-    # A response that approaches its supremum at ω → 0 or ∞ has it as the ratio of two coefficients.
-    return max(largest, *(abs(limit) for limit in loop.ends if not cmath.isnan(limit)))
-
-
-# --- Adaptive Gauss–Legendre quadrature of a smooth function, all panels at once ----------------------
-
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
-_PANELS = 20_000
-
-
-def integrate(f: Callable[[Reals], Reals], edges: Reals, tolerance: float, *, smooth: float) -> float:
-    """∫ f over the panels between `edges`; a panel is halved until its halves agree with the whole.
-
-    `tolerance` is relative to the integral; f takes an array of any shape. On panels shorter than `smooth`
-    the rule is exact to rounding: what they still disagree by is rounding, and no reason to go on.
-    """
-    a, b = edges[:-1], edges[1:]
-    coarse = _panels(f, a, b)
-    total, scale = 0.0, float(np.abs(coarse).sum())
-    while a.size:
-        if a.size > _PANELS:
-            raise NotConvergedError(
-                "quadrature of the norm",
-                reached=float(a.size),
-                wanted=_PANELS,
-                remedy="a pole lies extremely close to the imaginary axis",
-            )
-        middle = 0.5 * (a + b)
-        halves = _panels(f, np.concatenate([a, middle]), np.concatenate([middle, b])).reshape(2, -1)
-        fine = halves.sum(0)
-        # The halves are 2^32 times better than the whole where f is smooth: their difference is the error
-        # of the whole, and the error of the halves is far below it.
-        scale = max(scale, abs(total) + float(np.abs(fine).sum()))
-        done = (np.abs(fine - coarse) <= tolerance * scale / 16) | (b - a < smooth)
-        total += float(fine[done].sum())
-        left = ~done
-        coarse = np.concatenate([halves[0, left], halves[1, left]])
-        a, b = np.concatenate([a[left], middle[left]]), np.concatenate([middle[left], b[left]])
-    return total
-
-
-def _panels(f: Callable[[Reals], Reals], a: Reals, b: Reals) -> Reals:
-    half = 0.5 * (b - a)
-    x = 0.5 * (a + b)[:, None] + half[:, None] * _NODES
-    return np.asarray((f(x) * _WEIGHTS).sum(1) * half)
