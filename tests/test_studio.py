@@ -23,7 +23,7 @@ from fraclink._law.refit import refitted
 from fraclink._show.arm_box import squeezed
 from fraclink._studio.history import History
 from fraclink._studio.logs import LOG_VERBS
-from fraclink._studio.messages import Answer, parsed, refusal
+from fraclink._studio.messages import Reply, parsed, refusal
 from fraclink._studio.outputs import OUTPUT_VERBS
 from fraclink._studio.preview import Subject, nearest, preview
 from fraclink._studio.request import NAMES, as_python, checked_request
@@ -163,10 +163,10 @@ def test_what_is_no_request_is_refused(text):
 
 
 def test_no_number_that_is_not_finite_is_sent():
-    head, _ = unpacked(Answer({"a": math.inf, "b": {"c": [math.nan]}}).packed(1, "x"))
+    head, _ = unpacked(Reply({"a": math.inf, "b": {"c": [math.nan]}}).packed(1, "x"))
     assert (head["a"], head["b"]["c"]) == (None, [None])
     with pytest.raises(AssertionError, match="not finite"):
-        Answer({}, {"curve": [1.0, math.nan]}).packed(1, "x")
+        Reply({}, {"curve": [1.0, math.nan]}).packed(1, "x")
 
 
 def test_a_refusal_keeps_the_parts_of_its_error():

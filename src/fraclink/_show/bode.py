@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fraclink._show.axes import BLUE, GREEN, GREY, ORANGE
-from fraclink._show.curves import Curve, labelled, new_axes, sample
+from fraclink._show.curves import LoopCurve, labelled, new_axes, sample
 from fraclink._systems.margins import Margins
 from fraclink._systems.margins import margins as find_margins
 from fraclink.errors import FieldError
@@ -111,7 +111,7 @@ def _headline(found: Margins) -> str:
     return f"phase margin {math.degrees(found.phase_margin):.2f}° at {found.gain_crossover:.4g} rad/s"
 
 
-def _mark_gain(axes: Any, frequency: float, margin: float, curve: Curve, phase: Real) -> None:
+def _mark_gain(axes: Any, frequency: float, margin: float, curve: LoopCurve, phase: Real) -> None:
     at = float(np.interp(math.log(frequency), np.log(curve.frequency), phase))
     # The multiple of −180° that the margin is measured from on the sheet that is drawn.
     line = at - math.degrees(margin)
@@ -132,7 +132,7 @@ def _mark_gain(axes: Any, frequency: float, margin: float, curve: Curve, phase: 
     )
 
 
-def _mark_phase(axes: Any, frequency: float, margin: float, curve: Curve, phase: Real) -> None:
+def _mark_phase(axes: Any, frequency: float, margin: float, curve: LoopCurve, phase: Real) -> None:
     level = -20 * math.log10(margin)
     color = ORANGE if margin < 1 else BLUE
     at = float(np.interp(math.log(frequency), np.log(curve.frequency), phase))
@@ -149,7 +149,7 @@ def _mark_phase(axes: Any, frequency: float, margin: float, curve: Curve, phase:
     axes[1].plot([frequency], [at], "s", color=color, markersize=3.5)
 
 
-def _as_drawn(curve: Curve) -> tuple[Real, Real]:
+def _as_drawn(curve: LoopCurve) -> tuple[Real, Real]:
     """Both panels at once: their curves bend at the same places."""
     x = np.log(curve.frequency)
     decibels = np.clip(np.nan_to_num(curve.decibels, nan=0.0), *_decibel_range(curve))
@@ -158,7 +158,7 @@ def _as_drawn(curve: Curve) -> tuple[Real, Real]:
     return (x - x[0]) / (x[-1] - x[0]), decibels / span + 0.5 * phase
 
 
-def _decibel_range(curve: Curve) -> tuple[float, float]:
+def _decibel_range(curve: LoopCurve) -> tuple[float, float]:
     """What is shown: an undamped resonance is cut 30 dB above the rest."""
     usual = np.isfinite(curve.decibels)
     if not usual.any():
@@ -181,7 +181,7 @@ def _two_axes(ax: Sequence[Any] | None) -> Any:
     return axes
 
 
-def _draw(axes: Any, curve: Curve, label: str | None, style: dict[str, Any]) -> None:
+def _draw(axes: Any, curve: LoopCurve, label: str | None, style: dict[str, Any]) -> None:
     (line,) = axes[0].semilogx(curve.frequency, curve.decibels, label=label, **style)
     axes[1].semilogx(curve.frequency, np.degrees(curve.phase), **{"color": line.get_color(), **style})
     low, high = _decibel_range(curve)

@@ -15,7 +15,7 @@ from fraclink._systems.loops import SampledLoop, as_loop
 from fraclink._systems.sweep import frequency_grid, refined
 from fraclink.errors import FieldError, MissingExtraError
 
-__all__ = ["Curve", "finish", "labelled", "new_axes", "sample"]
+__all__ = ["LoopCurve", "finish", "labelled", "new_axes", "sample"]
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -40,7 +40,7 @@ def finish(ax: Any, labels: Sequence[str] | None, *, grid: str = "0.9") -> Any:
 
 
 @dataclass(frozen=True)
-class Curve:
+class LoopCurve:
     """A response L(jω) at frequencies ω [rad/s]."""
 
     frequency: Real
@@ -72,8 +72,8 @@ def sample(
     system: Any,
     frequency: ArrayLike | None,
     limit: float | None,
-    drawn: Callable[[Curve], tuple[Real, Real]] | None = None,
-) -> Curve:
+    drawn: Callable[[LoopCurve], tuple[Real, Real]] | None = None,
+) -> LoopCurve:
     """The response on `frequency` [rad/s], or on its own grid refined until `drawn` looks smooth."""
     loop = as_loop(system, limit)
     if frequency is not None:
@@ -93,12 +93,12 @@ def sample(
     return _evaluated(loop, x)
 
 
-def _evaluated(loop: SampledLoop, x: Real) -> Curve:
+def _evaluated(loop: SampledLoop, x: Real) -> LoopCurve:
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         values = loop(x)
     # A pole or zero hit exactly is drawn as a gap in nothing: its neighbours are 1e-9 beside it.
     usual = np.isfinite(values) & (values != 0)
-    return Curve(np.exp(x), np.where(usual, values, math.nan))
+    return LoopCurve(np.exp(x), np.where(usual, values, math.nan))
 
 
 def labelled(systems: Sequence[Any], labels: Sequence[str] | None) -> list[tuple[Any, str | None]]:

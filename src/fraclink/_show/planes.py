@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fraclink._show.axes import ORANGE
-from fraclink._show.curves import Curve, finish, labelled, new_axes, sample
+from fraclink._show.curves import LoopCurve, finish, labelled, new_axes, sample
 
 __all__ = ["nichols", "nyquist"]
 
@@ -53,7 +53,7 @@ def nyquist(
     # An undamped resonance is refined as far as it is seen.
     shown = reach or 8.0
 
-    def drawn(curve: Curve) -> tuple[Real, Real]:
+    def drawn(curve: LoopCurve) -> tuple[Real, Real]:
         far = np.abs(curve.values) > 1.5 * shown
         values = np.where(far, 1.5 * shown * np.exp(1j * np.angle(curve.values)), curve.values)
         values = np.nan_to_num(values, nan=0.0)
@@ -124,7 +124,7 @@ def nichols(
     named = labelled(systems, labels)
     ax = new_axes() if ax is None else ax
 
-    def drawn(curve: Curve) -> tuple[Real, Real]:
+    def drawn(curve: LoopCurve) -> tuple[Real, Real]:
         decibels = np.clip(np.nan_to_num(curve.decibels, nan=0.0), -60, 60)
         return np.nan_to_num(curve.phase, nan=0.0) / (2 * math.pi), decibels / 80
 

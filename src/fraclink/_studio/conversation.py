@@ -12,7 +12,7 @@ from typing import Any
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from fraclink._studio.logs import LOG_VERBS
-from fraclink._studio.messages import Answer, Message, parsed, refusal
+from fraclink._studio.messages import Message, Reply, parsed, refusal
 from fraclink._studio.outputs import OUTPUT_VERBS
 from fraclink._studio.preview import Subject, nearest, preview
 from fraclink._studio.request import checked_request
@@ -23,27 +23,27 @@ from fraclink.errors import FieldError, FraclinkError
 __all__ = ["Conversation"]
 
 # Answered in order, in a thread: session and what the page gave -> answer.
-Verb = Callable[[Session, Mapping[str, Any]], Answer]
+Verb = Callable[[Session, Mapping[str, Any]], Reply]
 _WAITING = 64  # requests of a page that are not done; a page that sends more is no page of ours
 
 
-def _note(session: Session, given: Mapping[str, Any]) -> Answer:
+def _note(session: Session, given: Mapping[str, Any]) -> Reply:
     from_page = given.get("state")
     if not isinstance(from_page, dict):
         raise FieldError("state", from_page, "not an object", allowed="a state", remedy="send the state")
     checked_request(from_page)
     session.history.add(from_page)
-    return Answer({"ok": True, "at": session.history.at, "states": len(session.history.states)})
+    return Reply({"ok": True, "at": session.history.at, "states": len(session.history.states)})
 
 
-def _go(session: Session, given: Mapping[str, Any]) -> Answer:
+def _go(session: Session, given: Mapping[str, Any]) -> Reply:
     at = given.get("at")
     if type(at) is not int:
         raise FieldError("at", at, "not a number", allowed="a whole number", remedy="send the place")
-    return Answer({"ok": True, "state": session.history.go(at), "at": at})
+    return Reply({"ok": True, "state": session.history.go(at), "at": at})
 
 
-def _hello(session: Session, given: Mapping[str, Any]) -> Answer:
+def _hello(session: Session, given: Mapping[str, Any]) -> Reply:
     history = session.history
     head = {
         "ok": True,
@@ -54,7 +54,7 @@ def _hello(session: Session, given: Mapping[str, Any]) -> Answer:
         **session.overview(),
         **session.arm(given.get("arm", "")),
     }
-    return Answer(head)
+    return Reply(head)
 
 
 def _subject(session: Session) -> Subject:
@@ -116,7 +116,7 @@ class Conversation:
         elif message.verb == "cancel":
             if self._job is not None:
                 self._job.cancel()
-            await self._answered(message, Answer({"ok": True}))
+            await self._answered(message, Reply({"ok": True}))
         elif message.verb in _VERBS or message.verb in JOBS:
             if self._orderly.full():
                 await self.socket.close(1008)
@@ -136,10 +136,10 @@ class Conversation:
             work = self._preview if verb == "preview" else self._exact
             await self._answered(message, await asyncio.to_thread(_guarded, work, message))
 
-    def _preview(self, message: Message) -> Answer:
+    def _preview(self, message: Message) -> Reply:
         return preview(_subject(self.session), message.given.get("state"))
 
-    def _exact(self, message: Message) -> Answer:
+    def _exact(self, message: Message) -> Reply:
         def newer() -> bool:
             return self._newest["exact"] is not message
 
@@ -153,7 +153,7 @@ class Conversation:
                 continue
             await self._answered(message, await asyncio.to_thread(_guarded, self._orderly_done, message))
 
-    def _orderly_done(self, message: Message) -> Answer:
+    def _orderly_done(self, message: Message) -> Reply:
         return _VERBS[message.verb](self.session, message.given)
 
     async def _worked(self, message: Message) -> None:
@@ -162,7 +162,7 @@ class Conversation:
 
         def tell(progress: Mapping[str, Any]) -> None:
             head = {**progress, "ok": True, "of": message.verb}
-            future = self._sent(Answer(head).packed(message.seq, "progress"))
+            future = self._sent(Reply(head).packed(message.seq, "progress"))
             asyncio.run_coroutine_threadsafe(future, loop)
 
         loop = asyncio.get_running_loop()
@@ -171,7 +171,7 @@ class Conversation:
         self._job = None
         await self._answered(message, answer)
 
-    async def _answered(self, message: Message, answer: Answer) -> None:
+    async def _answered(self, message: Message, answer: Reply) -> None:
         await self._sent(answer.packed(message.seq, message.verb))
 
     async def _sent(self, data: bytes) -> None:
@@ -180,16 +180,14 @@ class Conversation:
                 await self.socket.send_bytes(data)
 
 
-def _guarded(work: Callable[[Message], Answer], message: Message) -> Answer:
+def _guarded(work: Callable[[Message], Reply], message: Message) -> Reply:
     """The answer of `work`; a refusal is an answer, and a defect of ours does not end the page."""
     try:
         return work(message)
     except SupersededError:
-        return Answer({"ok": False, "superseded": True, "error": "a newer request took its place"})
+        return Reply({"ok": False, "superseded": True, "error": "a newer request took its place"})
     except FraclinkError as error:
         return refusal(error)
     except Exception:  # noqa: BLE001  # whatever it is, the study in memory must survive it
         sys.stderr.write(traceback.format_exc())
-        return Answer(
-            {"ok": False, "defect": True, "error": "a defect of fraclink; the terminal shows where"}
-        )
+        return Reply({"ok": False, "defect": True, "error": "a defect of fraclink; the terminal shows where"})

@@ -23,7 +23,7 @@ from fraclink._logs.reading import bundled_logs
 from fraclink._logs.weighing import statements
 from fraclink._show import tables
 from fraclink._show.fits import worth_reading
-from fraclink._studio.messages import Answer
+from fraclink._studio.messages import Reply
 from fraclink._studio.session import Session, bare
 from fraclink._workflow import Study, examined
 from fraclink.errors import FieldError
@@ -62,7 +62,7 @@ def _finite(values: Real) -> Real:
     return np.asarray(filled)
 
 
-def _choose_log(session: Session, given: Mapping[str, Any]) -> Answer:
+def _choose_log(session: Session, given: Mapping[str, Any]) -> Reply:
     """List the channels of a log: an upload, a bundled one, or the one that the studio was opened with."""
     name = given.get("name")
     if name == "upload" and session.upload is not None:
@@ -75,11 +75,11 @@ def _choose_log(session: Session, given: Mapping[str, Any]) -> Answer:
     return _listing(session)
 
 
-def _listing(session: Session) -> Answer:
+def _listing(session: Session) -> Reply:
     head: dict[str, Any] = {"ok": True, "bundled": bundled_logs(), "rigs": Rig.names(), "log": None}
     head["rig"] = session.study.rig.name if session.study.rig else ""
     if session.source is None:
-        return Answer(head | _experiment(session)[0], _experiment(session)[1])
+        return Reply(head | _experiment(session)[0], _experiment(session)[1])
     listing = inspect_log(session.source)
     table = read_table(session.source)
     curves = {
@@ -100,7 +100,7 @@ def _listing(session: Session) -> Answer:
     }  # fmt: skip
     head["units"] = {role: sorted(units) for role, units in UNITS.items()}
     more, signals = _experiment(session)
-    return Answer(head | more, curves | signals)
+    return Reply(head | more, curves | signals)
 
 
 def _scaled(values: Real) -> Real:
@@ -109,7 +109,7 @@ def _scaled(values: Real) -> Real:
     return (values - low) / (high - low) if high > low else np.full(values.size, 0.5)
 
 
-def _set_columns(session: Session, given: Mapping[str, Any]) -> Answer:
+def _set_columns(session: Session, given: Mapping[str, Any]) -> Reply:
     """Read the log with the columns that the page states, and examine it."""
     texts, payload = given.get("columns", []), given.get("payload")
     if not isinstance(texts, list) or len(texts) > _TEXTS or not all(isinstance(t, str) for t in texts):
@@ -132,7 +132,7 @@ def _set_columns(session: Session, given: Mapping[str, Any]) -> Answer:
     if columns is not None:
         head["toml"] = draft_text(rig.name, log.period, columns, {})
     more, signals = _experiment(session)
-    return Answer(head | more, signals)
+    return Reply(head | more, signals)
 
 
 def _experiment(session: Session) -> tuple[dict[str, Any], dict[str, Real]]:
@@ -149,7 +149,7 @@ def _experiment(session: Session) -> tuple[dict[str, Any], dict[str, Real]]:
     return head, {"motor_angle": thinned(np.degrees(log.motor_angle)), "output": thinned(log.output)}
 
 
-def _set_rig(session: Session, given: Mapping[str, Any]) -> Answer:
+def _set_rig(session: Session, given: Mapping[str, Any]) -> Reply:
     """Take another rig, bundled or the file that was sent; what was computed for the old one is gone."""
     name = given.get("name")
     if name == "upload" and session.upload is not None:
@@ -160,13 +160,13 @@ def _set_rig(session: Session, given: Mapping[str, Any]) -> Answer:
     session.become(Study(rig=rig, assumptions=rig.assumptions) if log is None else examined(rig, log))
     session.renew()
     axes = session.subject.axes() if session.subject else {}
-    return Answer({"ok": True, "rig": rig.name, "state": session.state, **axes, **session.overview()})
+    return Reply({"ok": True, "rig": rig.name, "state": session.state, **axes, **session.overview()})
 
 
 # --- the fits -------------------------------------------------------------------------------------------
 
 
-def _models(session: Session, given: Mapping[str, Any]) -> Answer:
+def _models(session: Session, given: Mapping[str, Any]) -> Reply:
     """Show the fits; with `structure`, design from that one."""
     wanted = given.get("structure")
     if wanted is not None:
@@ -178,7 +178,7 @@ def _models(session: Session, given: Mapping[str, Any]) -> Answer:
     return fit_answer(session)
 
 
-def fit_answer(session: Session) -> Answer:
+def fit_answer(session: Session) -> Reply:
     """Return every fit with its figures in words, and the curves of log, model and residual."""
     study = session.study
     log, fits = study.experiment, study.fits
@@ -186,7 +186,7 @@ def fit_answer(session: Session) -> Answer:
     head |= session.subject.axes() if session.subject else {}
     curves: dict[str, Real] = {}
     if not fits:
-        return Answer(head, curves)
+        return Reply(head, curves)
     used = study.fit.structure if study.fit else ""
     head["table"] = {"header": tables.fits_table(fits).header, "rows": tables.fits_table(fits).rows}
     head["conclusion"] = study.comparison.verdict if study.comparison else ""
@@ -201,7 +201,7 @@ def fit_answer(session: Session) -> Answer:
             "residual": thinned(np.asarray(fit.residual)),
         }
         curves |= _spectrum(log.output, np.asarray(fit.residual), log.period)
-    return Answer(head, curves)
+    return Reply(head, curves)
 
 
 def _card(name: str, fit: Fit, used: bool) -> dict[str, Any]:
@@ -250,7 +250,7 @@ def _spectrum(output: Real, residual: Real, period: float) -> dict[str, Real]:
     return found
 
 
-LOG_VERBS: dict[str, Callable[[Session, Mapping[str, Any]], Answer]] = {
+LOG_VERBS: dict[str, Callable[[Session, Mapping[str, Any]], Reply]] = {
     "log": _choose_log,
     "columns": _set_columns,
     "rig": _set_rig,

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from fraclink._show.records import plain
 from fraclink.errors import FieldError, FraclinkError, InfeasibleError
 
-__all__ = ["LONGEST", "Answer", "Message", "parsed", "refusal"]
+__all__ = ["LONGEST", "Message", "Reply", "parsed", "refusal"]
 
 LONGEST = 16_384  # bytes of a request: a state takes 400, the statements of twelve columns 2000
 _NAME = 40
@@ -30,7 +30,7 @@ class Message:
 
 
 @dataclass(frozen=True)
-class Answer:
+class Reply:
     """An object, and curves: name to array of shape (N,) or (rows, N), sent as float32."""
 
     head: Mapping[str, Any] = field(default_factory=dict)
@@ -78,7 +78,7 @@ def _refused(value: object) -> FieldError:
     return FieldError("message", value, "not a request", allowed=allowed, remedy="send one JSON object")
 
 
-def refusal(error: FraclinkError) -> Answer:
+def refusal(error: FraclinkError) -> Reply:
     """Return an error as an answer: its sentence, and the parts that a page can put beside a field."""
     head: dict[str, Any] = {"ok": False, "error": str(error)}
     if isinstance(error, FieldError):
@@ -86,4 +86,4 @@ def refusal(error: FraclinkError) -> Answer:
         head |= parts | {"remedy": error.remedy}
     if isinstance(error, InfeasibleError):
         head |= {"condition": error.condition, "explanation": error.explanation, "nearest": error.nearest}
-    return Answer(head)
+    return Reply(head)

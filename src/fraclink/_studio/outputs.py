@@ -13,7 +13,7 @@ from fraclink._files import output_path
 from fraclink._law import Law, discretize
 from fraclink._show.arm_page import write_arm_page
 from fraclink._show.report import write_report
-from fraclink._studio.messages import Answer
+from fraclink._studio.messages import Reply
 from fraclink._studio.session import Session
 from fraclink.errors import FieldError
 
@@ -61,7 +61,7 @@ _TARGETS: dict[str, Callable[[Session, Design, Law, Any, bool], tuple[list[Path]
 }
 
 
-def _export(session: Session, given: Mapping[str, Any]) -> Answer:
+def _export(session: Session, given: Mapping[str, Any]) -> Reply:
     """Write one kind of output into the study's folder, never over a file unasked."""
     target, precision = given.get("target"), given.get("precision", "single")
     if target not in _TARGETS or precision not in _PRECISIONS:
@@ -77,10 +77,10 @@ def _export(session: Session, given: Mapping[str, Any]) -> Answer:
     names = {path.relative_to(session.folder).as_posix(): path.stat().st_size for path in paths}
     session.written |= names
     head = {"ok": True, "target": target, "written": names, "export_command": command}
-    return Answer(head | session.overview())
+    return Reply(head | session.overview())
 
 
-def _zip(session: Session, given: Mapping[str, Any]) -> Answer:
+def _zip(session: Session, given: Mapping[str, Any]) -> Reply:
     """Pack what was written into one archive in the draft folder, for the page to fetch."""
     if not session.written:
         raise FieldError("files", None, "missing", allowed="exported files", remedy="export something first")
@@ -88,7 +88,7 @@ def _zip(session: Session, given: Mapping[str, Any]) -> Answer:
     with zipfile.ZipFile(place, "w", zipfile.ZIP_DEFLATED) as archive:
         for name in session.written:
             archive.write(session.folder / name, name)
-    return Answer({"ok": True, "size": place.stat().st_size})
+    return Reply({"ok": True, "size": place.stat().st_size})
 
 
-OUTPUT_VERBS: dict[str, Callable[[Session, Mapping[str, Any]], Answer]] = {"export": _export, "zip": _zip}
+OUTPUT_VERBS: dict[str, Callable[[Session, Mapping[str, Any]], Reply]] = {"export": _export, "zip": _zip}

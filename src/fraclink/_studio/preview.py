@@ -21,7 +21,7 @@ from fraclink._design.assess import phase_budget
 from fraclink._design.completed import design_for
 from fraclink._law import Law
 from fraclink._law.refit import refitted
-from fraclink._studio.messages import Answer, refusal
+from fraclink._studio.messages import Reply, refusal
 from fraclink._studio.request import checked_request, wanted_of
 from fraclink.errors import FieldError, FraclinkError, InfeasibleError
 
@@ -71,7 +71,7 @@ class Subject:
         }
 
 
-def preview(subject: Subject, state: object) -> Answer:
+def preview(subject: Subject, state: object) -> Reply:
     """Return design, loop and margins of `state`, or the refusal that `fraclink design` would print.
 
     A plain function of its arguments: no file is read or written, nothing is remembered. The law of the
@@ -85,7 +85,7 @@ def preview(subject: Subject, state: object) -> Answer:
         return refusal(error)
 
 
-def nearest(subject: Subject, state: object) -> Answer:
+def nearest(subject: Subject, state: object) -> Reply:
     """Return the state nearest to a refused one, in round figures that are feasible.
 
     The nearest feasible request lies on a bound, and rounding may leave it: both sides are tried.
@@ -93,7 +93,7 @@ def nearest(subject: Subject, state: object) -> Answer:
     request = checked_request(state)
     try:
         design_for(subject.rig, subject.model, **wanted_of(request))
-        return Answer({"ok": True, "state": request})
+        return Reply({"ok": True, "state": request})
     except InfeasibleError as error:
         found = dict(error.nearest)
     if "phase_margin" in found:
@@ -106,12 +106,12 @@ def nearest(subject: Subject, state: object) -> Answer:
             design_for(subject.rig, subject.model, **wanted_of(checked_request(tried)))
         except FraclinkError:
             continue
-        return Answer({"ok": True, "state": tried})
+        return Reply({"ok": True, "state": tried})
     allowed, remedy = "a request near one that is feasible", "move crossover or margin by hand"
     raise FieldError("state", "this request", "far from anything feasible", allowed=allowed, remedy=remedy)
 
 
-def _shown(subject: Subject, made: Design, assumed: tuple[str, ...]) -> Answer:
+def _shown(subject: Subject, made: Design, assumed: tuple[str, ...]) -> Reply:
     low, high = made.payloads
     nominal = made.rig.payloads.nominal
     three = (low, nominal if low < nominal < high else 0.5 * (low + high), high)
@@ -139,7 +139,7 @@ def _shown(subject: Subject, made: Design, assumed: tuple[str, ...]) -> Answer:
         "crossover": crossover,
         "margin": np.degrees(margin),
     }
-    return Answer(head, curves)
+    return Reply(head, curves)
 
 
 def _controller(made: Design) -> dict[str, Any]:

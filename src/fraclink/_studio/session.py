@@ -20,7 +20,7 @@ from fraclink._show import tables
 from fraclink._show.arm_box import arm_box
 from fraclink._show.text import marked
 from fraclink._studio.history import History
-from fraclink._studio.messages import Answer
+from fraclink._studio.messages import Reply
 from fraclink._studio.preview import Subject, blocks_of
 from fraclink._studio.request import as_command, as_python, checked_request, wanted_of
 from fraclink._workflow import Study, designed, load_study, moved, save_study, subject
@@ -98,7 +98,7 @@ class Session:
 
     # ---- the exact design ---------------------------------------------------------------------------------
 
-    def exact(self, state: object, arm_key: object = "", newer: Callable[[], bool] = lambda: False) -> Answer:
+    def exact(self, state: object, arm_key: object = "", newer: Callable[[], bool] = lambda: False) -> Reply:
         """Make the design of `state` as `fraclink design` does, its law and its moves; the study has them.
 
         `newer` tells whether somebody has asked for something else meanwhile: SupersededError is raised then.
@@ -120,7 +120,7 @@ class Session:
                 made = replace(made, arms=before.arms, faults=before.faults)
             self.state = request
             self.become(made)
-        return Answer({"ok": True, "preview": False, **self.overview(), **self.arm(arm_key)})
+        return Reply({"ok": True, "preview": False, **self.overview(), **self.arm(arm_key)})
 
     def arm(self, known: object = "") -> dict[str, Any]:
         """What the engine in the page runs; the key of the arm alone, and its law, where the page has it."""
@@ -208,7 +208,7 @@ class Session:
 
     # ---- what is kept -------------------------------------------------------------------------------------
 
-    def keep(self, *, force: bool = False) -> Answer:
+    def keep(self, *, force: bool = False) -> Reply:
         """Write the study to its folder by the functions of the command line.
 
         Raises FieldError where a file there is not the one that was read or kept, unless `force` is given.
@@ -229,7 +229,7 @@ class Session:
         if self.study.arms is not None and (self.draft / "arms").is_dir():
             shutil.copytree(self.draft / "arms", self.folder / "arms", dirs_exist_ok=True)
         self._kept = _digests(self.folder)
-        return Answer({"ok": True, "kept": sorted(names), "removed": removed, **self.overview()})
+        return Reply({"ok": True, "kept": sorted(names), "removed": removed, **self.overview()})
 
     def _remove_outdated(self, names: set[str]) -> list[str]:
         """Remove what belonged to the design that was kept before, and would speak for this one."""

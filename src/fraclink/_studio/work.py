@@ -15,7 +15,7 @@ from typing import Any
 
 from fraclink._show import tables
 from fraclink._studio.logs import fit_answer
-from fraclink._studio.messages import Answer
+from fraclink._studio.messages import Reply
 from fraclink._studio.session import Session
 from fraclink._validate import Between
 from fraclink._workflow import Study, load_study, save_study
@@ -50,7 +50,7 @@ class Job:
             if self._process is not None:
                 self._process.kill()
 
-    def done(self, tell: Callable[[Mapping[str, Any]], None]) -> Answer:
+    def done(self, tell: Callable[[Mapping[str, Any]], None]) -> Reply:
         """Run to the end, with every piece of progress handed to `tell`, and return the study's answer."""
         part, options = JOBS[self.verb]
         if getattr(self.study, part) is None:
@@ -83,7 +83,7 @@ class Job:
             allowed, remedy = "a job that ends", "see the message; the study is as it was"
             raise FieldError(self.verb, code, f"failed: {why}", allowed=allowed, remedy=remedy)
 
-    def _taken(self, place: Path) -> Answer:
+    def _taken(self, place: Path) -> Reply:
         """Take over what the job added, if the study is still the one that it began with."""
         found, session = load_study(place), self.session
         with session.lock:
@@ -107,7 +107,7 @@ class Job:
                 session.become(replace(now, faults=found.faults))
         if self.verb == "identify":
             return fit_answer(session)
-        return Answer({"ok": True, **session.overview(), **proof_of(session.study)})
+        return Reply({"ok": True, **session.overview(), **proof_of(session.study)})
 
 
 def proof_of(study: Study) -> dict[str, Any]:

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, replace
 
 from fraclink._arm.experiment import Experiment
+from fraclink._arm.link import FRACTIONAL
 from fraclink._arm.rig import Motor
 from fraclink._files import document
 from fraclink._identify import Fit, design_experiment, identify, identify_motor, simulated_torque
@@ -136,7 +137,7 @@ def loaded_motor(motor: MotorResult, record: Record, fit: Fit) -> MotorResult:
 
 def _first_fit(record: Record) -> Fit | None:
     try:
-        return identify(experiment_of(record, None), "UD-FOM", details=False)
+        return identify(experiment_of(record, None), FRACTIONAL, details=False)
     except FraclinkError:
         return None
 

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._arm.experiment import Experiment
+from fraclink._arm.link import FRACTIONAL
 from fraclink._arm.rig import Rig
 from fraclink._files import document
 from fraclink._identify import identify
@@ -322,7 +323,7 @@ def _link(angle: Real, torque: Real, period: float) -> tuple[float, float, float
     try:
         fit = identify(
             Experiment(period=period, motor_angle=angle, output=torque),
-            "UD-FOM",
+            FRACTIONAL,
             heldout=0.0,
             hold="first",
             details=False,
