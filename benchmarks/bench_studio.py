@@ -32,7 +32,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 from browser import Page, browser
 
 MOVES = 100
-DRAGS = (("#h-crossover", (40, 0)), ("#h-margin-phase", (0, -10)), ("#h-payload-0", (25, 0)))
+DRAGS = (("#h-crossover", (10, 0)), ("#h-margin-phase", (0, -10)), ("#h-payload-0", (25, 0)))
 # Frames in two seconds, halved.
 FRAMES = """new Promise((done) => {
   let n = 0, begin = 0;
@@ -112,7 +112,8 @@ def drags(page: Page, process: int) -> None:
         before = cpu(process)
         took = page.drag(handle, by, moves=MOVES)
         used = cpu(process) - before
-        page.until("!document.querySelector('#controller').classList.contains('preview')")
+        page.until("!document.querySelector('#controller').classList.contains('preview')", "an exact design")
+        assert page.run("document.querySelector('#refused').hidden"), "a drag to where nothing is feasible"
         seen = sorted(page.run("performance.getEntriesByName('drag').map(e => e.duration)"))
         median, late = np.median(seen), np.quantile(seen, 0.95)
         wanted = "<= 35 ms, p95 <= 70 ms; >= 20 redraws/s"

@@ -136,7 +136,7 @@ export class Plot {
       if (c.tag && tagged) {
         c.tag.textContent = label;
         c.tag.setAttribute('x', tagged[0].toFixed(1));
-        c.tag.setAttribute('y', (tagged[1] - 5).toFixed(1));
+        c.tag.setAttribute('y', (tagged[1] + (kind === 'heavy' ? 14 : -5)).toFixed(1));
       }
     };
     c.draw();

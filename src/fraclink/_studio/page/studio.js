@@ -25,6 +25,8 @@ export const button = (text, kind, parent, click) => {
 export function table(place, header, rows, caption = '') {
   place.replaceChildren();
   if (!rows || !rows.length) return;
+  // wider than a narrow window: it scrolls in itself, by keys, too
+  for (const [name, value] of [['tabindex', '0'], ['role', 'region'], ['aria-label', caption || header.join(', ')]]) place.setAttribute(name, value);
   const made = make('table', '', '', place);
   if (caption) make('caption', '', caption, made);
   const top = make('tr', '', '', make('thead', '', '', made));
@@ -143,7 +145,7 @@ export const app = {
       const mark = (answer.marks || {})[step] || 'not run', item = $(`go-${step}`);
       item.querySelector('.mark').textContent = SIGNS[mark];
       item.dataset.mark = mark;
-      item.setAttribute('aria-label', `${STEPS.indexOf(step) + 1} ${WORDS[step]}: ${mark}`);
+      item.querySelector('.sr').textContent = `: ${mark}`;
     }
     const strip = $('verdict');
     strip.replaceChildren();
@@ -237,7 +239,8 @@ function listen() {
     go.id = `go-${step}`;
     make('span', 'number', String(i + 1), go);
     make('span', 'word', WORDS[step], go);
-    make('span', 'mark', '○', go);
+    make('span', 'mark', '○', go).setAttribute('aria-hidden', 'true');
+    make('span', 'sr', '', go);
   });
   $('undo').addEventListener('click', () => app.go(app.at - 1));
   $('redo').addEventListener('click', () => app.go(app.at + 1));
