@@ -174,6 +174,8 @@ from fraclink._simulate.sensors import SensorFault as SensorFault
 from fraclink._simulate.sensors import Sensors as Sensors
 from fraclink._simulate.sensors import TipPulse as TipPulse
 from fraclink._simulate.simulate import simulate as simulate
+from fraclink._systems.commensurate import FractionalStateSpace as FractionalStateSpace
+from fraclink._systems.commensurate import commensurate_order as commensurate_order
 from fraclink._systems.disk_margins import DiskMargin as DiskMargin
 from fraclink._systems.disk_margins import disk_margin as disk_margin
 from fraclink._systems.fractional import FractionalTransferFunction as FractionalTransferFunction
