@@ -241,7 +241,7 @@ def test_faults_have_a_section_and_a_verdict_of_their_own(tmp_path: Path) -> Non
     texts = " ".join(parsed(render_report(back)).texts)
     assert "1 of 2 faults meet their requirement in every run, 2 runs" in texts
     assert "peak over clean: 1.3 (limit 1.1) (F11-2-30g-start-1: peak over clean)" in texts
-    assert "≤ 1.1 × clean" in texts
+    assert "≤ 1.1 × that of the clean run" in texts
     assert 'id="faults"' not in render_report(replace(back, faults=None))
 
 
