@@ -132,7 +132,7 @@ static void latch(law_state *s, uint32_t reason)
 }
 
 /* One more period of a condition, without wrapping around. */
-static uint32_t counted(uint32_t count)
+static LAW_APART uint32_t counted(uint32_t count)
 {
     uint32_t next = count;
     if (count < LAW_COUNT_MAX) {
@@ -232,8 +232,13 @@ static void sweep(law_state *s)
         s->forward[i - 8U] = alive(s->forward[i - 8U]);
     } else {
 #if !defined(LAW_EXACT) || defined(LAW_PAIRS)
-        if ((i - 16U) < (2U * LAW_PAIR_MODES)) {
-            s->pair[i - 16U] = alive(s->pair[i - 16U]);
+        if ((i - 16U) < LAW_PAIR_MODES) {
+            const uint32_t place = 2U * (i - 16U);
+            law_real *const pair = &s->pair[place];
+            if ((magnitude(pair[0]) + magnitude(pair[1])) < LAW_TINY) {
+                pair[0] = (law_real)0; /* both at once: one that is left turns into the other in the next period */
+                pair[1] = (law_real)0;
+            }
         }
 #endif
         if (i == 31U) {

@@ -5,13 +5,14 @@ catalogue).
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 import fraclink as fl
-from fraclink._campaign.fault_trial import REALS, WORDS
+from fraclink._campaign.fault_trial import REALS, WORDS, members
 from fraclink._law import MODES, REASONS, LawOutputs
 from law_bench import closed_loop, law, run, signals
 
@@ -342,6 +343,20 @@ def test_a_flipped_bit_of_the_mode_does_not_stop_a_drive_that_runs() -> None:
     for bit in range(32):
         _, outputs = made.run(flipped(state, 1, bit), *rows[:, 100:], first_tick=101)
         np.testing.assert_array_equal(outputs.motor_reference, clean.motor_reference)
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_nothing_that_has_died_away_is_left_as_a_denormal_number(precision: str) -> None:
+    """A complex pair, too, of which either half would bring the other one back."""
+    made, rows = law(precision), quiet(60_000)
+    turning = made.correction._replace(pair_poles=(-0.8054407 + 0.5280959j,), pair_gains=(0.02 - 0.03j,))
+    made = replace(made, correction=turning)
+    rows[3, :50] += 0.05
+    state, outputs = made.run(made.initial_state(), *rows)
+    reals = members(np.frombuffer(state, dtype=np.uint8), 4 if precision == "single" else 8)
+    assert np.all(outputs.mode == 1)
+    assert not np.any((reals != 0) & (np.abs(reals) < np.finfo(reals.dtype).tiny))
+    assert not np.any(reals[:20])
 
 
 def test_the_period_counter_may_wrap_around() -> None:
