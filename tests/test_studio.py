@@ -234,6 +234,7 @@ def talked(socket, **message) -> tuple[dict, dict]:
     socket.send_text(json.dumps(message))
     while True:
         head, curves = unpacked(socket.receive_bytes())
+        assert "defect" not in head  # of whatever message it is the answer
         if head["seq"] == message["seq"] and head["verb"] != "progress":
             return head, curves
 

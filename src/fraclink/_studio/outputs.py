@@ -63,17 +63,17 @@ _TARGETS: dict[str, Callable[[Session, Design, Law, Any, bool], tuple[list[Path]
 
 def _export(session: Session, given: Mapping[str, Any]) -> Reply:
     """Write one kind of output into the study's folder, never over a file unasked."""
-    target, precision = given.get("target"), given.get("precision", "single")
+    target, precision = str(given.get("target")), given.get("precision", "single")
     if target not in _TARGETS or precision not in _PRECISIONS:
         allowed = f"{', '.join(_TARGETS)}; {' or '.join(_PRECISIONS)}"
-        shown = f"{str(target)[:40]}, {str(precision)[:40]}"
+        shown = f"{target[:40]}, {str(precision)[:40]}"
         raise FieldError("target", shown, "unknown", allowed=allowed, remedy="choose one of these")
     made, law = session.study.design, session.study.law
     if made is None or law is None:
         allowed, remedy = "a study with a design", "make one in step 4"
         raise FieldError("design", None, "missing", allowed=allowed, remedy=remedy)
     session.folder.mkdir(parents=True, exist_ok=True)
-    paths, command = _TARGETS[str(target)](session, made, law, precision, given.get("force") is True)
+    paths, command = _TARGETS[target](session, made, law, precision, given.get("force") is True)
     names = {path.relative_to(session.folder).as_posix(): path.stat().st_size for path in paths}
     session.written |= names
     head = {"ok": True, "target": target, "written": names, "export_command": command}

@@ -112,6 +112,7 @@ def _listening(host: str, port: int, unsafe_remote: bool) -> socket.socket:
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         listener.bind((host, port))
+        listener.listen()  # before the address is said: whoever opens it at once waits and is not refused
     except OSError as error:
         listener.close()
         allowed, remedy = "a free port of this machine", "leave --port out: a free one is taken"
