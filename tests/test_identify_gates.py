@@ -125,6 +125,15 @@ BAD: dict[str, tuple[Callable[[], Experiment], str, str]] = {
     ),
     # --- no signal
     "noise alone": (lambda: log(output=WHITE), "W313", "check that the gauge is connected"),
+    "a signal of a sixth of the noise, 500 samples": (
+        lambda: Experiment(
+            period=8 * PERIOD,
+            motor_angle=ANGLE[::8],
+            output=np.asarray(TORQUE[::8] + 6 * TORQUE.std() * WHITE[::8]),
+        ),
+        "W313",
+        "hardly better than a constant",
+    ),
     "slow noise alone": (lambda: log(output=SLOW), "W313", "check that the gauge is connected"),
     "mains hum alone": (
         lambda: log(output=np.sin(2 * np.pi * 50 * TIME) + 0.1 * WHITE),

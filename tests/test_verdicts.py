@@ -1,4 +1,4 @@
-"""All verdicts about one closed loop agree: poles, stability, margins, norm, response."""
+"""All verdicts about one closed loop agree: poles, stability, margins, disk margin, norm, response."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import pytest
 
 from fraclink import (
     FractionalTransferFunction,
+    disk_margin,
     errors,
     is_stable,
     margins,
@@ -51,6 +52,14 @@ def verdicts(loop: FractionalTransferFunction) -> dict[str, bool]:
     if not any(t.delay for t in closed.denominator):
         grows = closed.denominator[-1].order > closed.numerator[-1].order
         said["poles"] = bool(np.all(poles(closed).real < 0.0)) and not grows
+    try:
+        disk = disk_margin(loop).stable
+        if disk is not None:
+            said["disk_margin"] = disk
+    except errors.UnstableError:
+        said["disk_margin"] = False
+    except errors.FieldError:
+        pass
     try:
         said["norm"] = math.isfinite(norm(closed, math.inf))
     except errors.UnstableError:

@@ -15,7 +15,7 @@ from fraclink._systems.fractional import FractionalTransferFunction
 from fraclink._systems.response import Hold, SamplePeriod, TimeResponse, time_response
 from fraclink._systems.stability import StabilityVerdict, is_stable
 from fraclink._systems.terms import Reals, Term
-from fraclink._validate import Array, Between, checked
+from fraclink._validate import Array, Between, checked, checked_whole
 from fraclink.errors import FieldError
 
 # Orders are measured or chosen with six digits at most; a random double lies within two units of its last
@@ -25,6 +25,8 @@ _ULP = 4.0 * float(np.finfo(float).eps)
 # The coefficients of det(xI − A) are exact before they are rounded, but the roots of a polynomial of higher
 # degree move by more than the response's own error with that rounding (Wilkinson).
 STATES = 12
+
+Order = Annotated[float, Between(1e-3, 2.0, high_open=True)]
 
 
 @checked
@@ -69,7 +71,7 @@ class FractionalStateSpace:
     A, B, C, D
         Matrices of shapes (n, n), (n, m), (p, n), (p, m), up to 12 states; kept as read-only arrays.
     order
-        q [1], above 0 and below 2.
+        q [1], 0.001 ≤ q < 2.
 
     Raises
     ------
@@ -91,7 +93,7 @@ class FractionalStateSpace:
     B: Annotated[Reals, Array(2)]
     C: Annotated[Reals, Array(2)]
     D: Annotated[Reals, Array(2)]
-    order: Annotated[float, Between(0.0, 2.0, low_open=True, high_open=True)]
+    order: Order
 
     def __post_init__(self) -> None:
         n, (p, m) = len(self.A), self.D.shape
@@ -106,8 +108,9 @@ class FractionalStateSpace:
             raise FieldError("A", self.A.shape, problem, allowed=f"at most {STATES} states", remedy=remedy)
 
     @classmethod
+    @checked
     def from_transfer_function(
-        cls, system: FractionalTransferFunction, *, order: float | None = None
+        cls, system: FractionalTransferFunction, *, order: Order | None = None
     ) -> FractionalStateSpace:
         """Return the controllable canonical form of a proper commensurate system without delay.
 
@@ -140,7 +143,7 @@ class FractionalStateSpace:
     def transfer_function(self, *, output: int = 0, input: int = 0) -> FractionalTransferFunction:
         """Return C (s^q I − A)⁻¹ B + D from one input to one output, both counted from 0."""
         for name, value, count in (("output", output, len(self.C)), ("input", input, self.B.shape[1])):
-            Between(0, count - 1).check(name, value)
+            checked_whole(name, value, 0, count - 1)
         column = [Fraction(b) for b in self.B[:, input].tolist()]
         return self._quotient(output, column, 0.0, direct=Fraction(float(self.D[output, input])))
 
@@ -278,13 +281,12 @@ def _base(system: FractionalTransferFunction, order: float | None) -> float:
     if not system.is_proper:
         raise FieldError("system", repr(system), "improper", allowed="a proper system", remedy=remedy)
     if order is not None:
-        base = Between(0.0, 2.0, low_open=True, high_open=True).check("order", order)
-        powers = [t.order / base for t in (*system.numerator, *system.denominator)]
+        powers = [t.order / order for t in (*system.numerator, *system.denominator)]
         if any(abs(x - round(x)) > 1e-9 for x in powers):
             problem = "does not divide every order of the system"
             allowed, advice = f"a whole part of {commensurate_order(system)}", "leave order out"
             raise FieldError("order", order, problem, allowed=allowed, remedy=advice)
-        return base
+        return order
     found = commensurate_order(system)
     if found is None:
         problem = "of orders without a common base"

@@ -8,12 +8,12 @@ from functools import lru_cache
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.special import rgamma
 
 from fraclink._systems.terms import Complexes, Reals
 from fraclink._validate import Between, checked
-from fraclink.errors import FieldError
+from fraclink.errors import FieldError, value_text
 
 # The parabola s = μ(1 + iu)² passes the origin at μ: rounding is raised by e^μ, and a smaller μ takes more
 # nodes for the same truncation.
@@ -74,11 +74,7 @@ def mittag_leffler(
     >>> print(f"{mittag_leffler(-4.0, 0.5):.12f}, {mittag_leffler(2j, 1.5, beta=2.0):.9f}")
     0.136999457625, 0.836490341+0.574280690j
     """
-    given = np.asarray(z)
-    if given.dtype.kind not in "biufc" or not np.all(np.isfinite(given)):
-        remedy = "give numbers without NaN and infinities"
-        shown = z if given.ndim == 0 else given.dtype.name
-        raise FieldError("z", shown, "not a finite number", allowed="finite real or complex", remedy=remedy)
+    given = _numbers(z)
     flat = given.astype(np.complex128).ravel()
     value = np.full(flat.shape, complex(rgamma(beta)))
     far = np.flatnonzero(np.abs(flat) > _TINY)
@@ -89,6 +85,17 @@ def mittag_leffler(
     shaped = value.reshape(given.shape)
     result = shaped if given.dtype.kind == "c" else np.where(np.isnan(shaped.real), np.inf, shaped.real)
     return result if given.ndim else result[()]
+
+
+def _numbers(z: ArrayLike) -> NDArray[Any]:
+    try:
+        given = np.asarray(z)
+    except ValueError:  # rows of several lengths
+        given = np.array(None)
+    if given.dtype.kind not in "biufc" or not np.all(np.isfinite(given)):
+        allowed, remedy = "finite real or complex numbers", "give one number, or an array without NaN"
+        raise FieldError("z", value_text(z), "not finite numbers", allowed=allowed, remedy=remedy)
+    return given
 
 
 def _values(z: Complexes, alpha: float, beta: float) -> Complexes:
