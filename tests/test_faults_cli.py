@@ -41,7 +41,7 @@ def test_an_open_fault_exits_with_1_and_its_command_repeats_it(
     assert told["passed"] is False and told["faults"] == {"F07": {"runs": 2, "failed": 2}}
     for name in ("F07-3-20g-mid-3", "F07-3-30g-mid-3"):
         figure = tmp_path / "first" / "figures" / f"{name}.svg"
-        assert figure.read_text("utf-8").lstrip().startswith("<?xml")
+        assert figure.read_text("utf-8").startswith("<svg")
     words = shlex.split(told["failures"][1]["replay"])
     assert words[0] == "fraclink"
     assert run(words[1:]) == 1

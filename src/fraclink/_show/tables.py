@@ -287,22 +287,13 @@ def spread_table(summary: Summary) -> Table:
     return Table(("metric", *shares, "driven by"), tuple(rows))
 
 
-def faults_table(table: FaultTable, *, brief: bool = False) -> Table:
-    """One row for each fault, those that miss their requirement first; `brief` leaves two columns out."""
+def faults_table(table: FaultTable) -> Table:
+    """One row for each fault, those that miss their requirement first."""
     rows = tuple(
-        (
-            f"{row.number} {row.title}",
-            row.required.replace("<=", "≤").replace(" x ", " × "),
-            str(row.runs),
-            str(row.failed or "–"),
-            row.worst,
-            state_of(row),
-        )
+        (f"{row.number} {row.title}", str(row.runs), str(row.failed or "–"), state_of(row))
         for row in sorted(table.rows(), key=lambda row: row.passed)
     )
-    header = ("fault", "required", "runs", "failed", "worst run", "verdict")
-    kept = (0, 2, 3, 5) if brief else range(len(header))
-    return Table(tuple(header[k] for k in kept), tuple(tuple(r[k] for k in kept) for r in rows), judged=True)
+    return Table(("fault", "runs", "failed", "verdict"), rows, judged=True)
 
 
 def faults_sentence(table: FaultTable) -> str:

@@ -250,7 +250,7 @@ def _faults_view(table: FaultTable) -> View:
     notes = tuple(
         f"{row.number}: {row.worst}\n  {repeated(table, row.example)}" for row in table.rows() if row.example
     )
-    return View(faults_sentence(table), (faults_table(table, brief=True),), notes, state_of(table))
+    return View(faults_sentence(table), (faults_table(table),), notes, state_of(table))
 
 
 def faults_page(table: FaultTable) -> str:

@@ -127,7 +127,7 @@ def proof_of(study: Study) -> dict[str, Any]:
         failure = study.arms.failure
         found["failures"] = {"count": failure.count, "runs": failure.runs, "failed": study.arms.failed[:12]}
     if study.faults is not None:
-        rows = tables.faults_table(study.faults, brief=True)
+        rows = tables.faults_table(study.faults)
         found["faults"] = {"header": rows.header, "rows": rows.shown}
         found["faults_said"] = tables.faults_sentence(study.faults)
     return found
