@@ -14,6 +14,7 @@ import argparse
 import json
 import math
 import tempfile
+import threading
 import time
 from collections import Counter
 from collections.abc import Callable
@@ -21,18 +22,20 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import numpy as np
 
 import fraclink as fl
 from fraclink._arm.box import Arm
+from fraclink._realtime import VirtualClock
 from fraclink._realtime.connections import Callback, Command
-from fraclink._realtime.line import open_line
+from fraclink._realtime.line import ArmLine, open_line
 from fraclink._simulate import PowerLaw
 from fraclink._tune import WiringFault
 from fraclink._tune.guard import Guard
 from fraclink._tune.wiring import check_wiring
-from fraclink.errors import FraclinkError
+from fraclink.errors import FieldError, FraclinkError
 from identify_logs import line
 
 PAPER = fl.Rig.named("paper-2023-geared")
@@ -297,17 +300,171 @@ def wiring(count: int) -> None:
     line("wrong wirings that left a limit", str(left), "0", left == 0)
 
 
+# ---- kills -------------------------------------------------------------------------------------------
+
+
+class Killed(BaseException):
+    """The process is gone: nothing behind it runs."""
+
+
+class Mortal:
+    """A virtual clock whose owner is killed at a time [s]: no stop is sent by then, as after SIGKILL."""
+
+    def __init__(self, clock: Any, end: float) -> None:
+        self.clock, self.end = clock, end
+
+    @property
+    def now(self) -> float:
+        """Time [s]."""
+        return float(self.clock.now)
+
+    def sleep(self, seconds: float) -> None:
+        """Sleep, or die."""
+        if self.now >= self.end:
+            raise Killed
+        self.clock.sleep(seconds)
+
+
+def kills(count: int) -> None:
+    """Tunings killed at random moments: when the arm's drive is off, and whether --resume goes on."""
+    off, resumed, odd = [], Counter[str](), []
+    shape = SHAPES[0]
+    for seed in range(count):
+        drawn = replace(draw(0), twin=fl.Twin.from_rig(PAPER), payload=0.030)
+        way, clock = fl.SharedMemory(f"bench-tune-{seed}"), VirtualClock(2)
+        served: list[Any] = []
+
+        def serve(way: Any = way, clock: Any = clock, served: list[Any] = served) -> None:
+            try:
+                served.append(
+                    fl.serve_arm(PAPER_TWIN, way, shape.rig.period, duration=40.0, priority=0, clock=clock)
+                )
+            finally:
+                clock.leave()
+
+        thread = threading.Thread(target=serve)
+        end = clock.now + float(np.random.default_rng(seed).uniform(0.1, 35.0))
+        with tempfile.TemporaryDirectory() as folder:
+            thread.start()
+            plan = replace(plan_of(drawn), period=None)
+            alive = "finished"
+            with mock.patch.object(ArmLine, "stop", lambda self: stopped(self)):
+                try:
+                    fl.tune(way, plan, out=Path(folder), moves=False, clock=Mortal(clock, end))
+                except Killed:
+                    alive = "killed"
+            clock.leave()
+            thread.join(120.0)
+            arm = served[0]
+            if alive == "killed":
+                last = int(np.flatnonzero(arm.connected)[-1])
+                sent = np.flatnonzero(arm.voltage[: last + 1])
+                off.append(int(np.count_nonzero(arm.voltage[last + 1 :])))
+                odd += [] if arm.silences <= 1 and sent.size >= 0 else [seed]
+            try:
+                other = fl.SimulatedArm(PAPER_TWIN, shape.rig.period, seed=seed)
+                again = fl.tune(
+                    other.callback, plan_of(drawn), out=Path(folder), resume=True, moves=False, clock="none"
+                )
+                resumed["went on" if again.has_law else f"says why not: {again.stopped[:40]}"] += 1
+            except FieldError as error:
+                resumed[f"says why not: {error.problem}"] += 1
+    line(
+        f"kills, {len(off)} of {count}: periods with a voltage after the watchdog's ten",
+        f"most {max(off, default=0)}",
+        "0",
+        not any(off) and not odd,
+    )
+    line(
+        "--resume behind them", str(dict(resumed)), "goes on or says why not", sum(resumed.values()) == count
+    )
+
+
+def stopped(way: ArmLine) -> None:
+    """What `ArmLine.stop` does, unless its owner is dead."""
+    if way._clock.now < way._clock.end:
+        STOP(way)
+
+
+STOP = ArmLine.stop
+PAPER_TWIN = fl.Twin.from_rig(PAPER)
+
+
+# ---- watch -------------------------------------------------------------------------------------------
+
+
+def running(law: fl.Law, twin: fl.Twin, seed: int) -> fl.Experiment:
+    """Twenty seconds of random moves under a law."""
+    random = np.random.default_rng(seed)
+    path, at = fl.hold(0.0, 0.5), 0.0
+    while path.duration < 20.0:
+        to, pause = float(random.uniform(-0.35, 0.35)), float(random.uniform(0.0, 0.6))
+        path, at = path.then(fl.smooth_step(to - at, float(random.uniform(0.35, 0.9)), start=pause)), to
+    run = fl.simulate(law, path, arm=twin, told=0.030, duration=20.0, seed=seed)
+    return fl.Experiment(
+        period=law.period,
+        motor_angle=run.motor_angle_measured,
+        output=run.torque_measured,
+        voltage=run.voltage,
+    )
+
+
+def watching(count: int) -> None:
+    """Changes of the arm after its tuning, each seen in 20 s of moves, and alarms without a change."""
+    sensors, motor = PAPER_TWIN.sensors, PAPER_TWIN.motor
+    changed = {
+        "natural_frequency": (
+            PAPER_TWIN.with_payload(0.030 / 1.1**2),
+            PAPER_TWIN.with_payload(0.030 / 0.9**2),
+        ),
+        "gauge_delay": (replace(PAPER_TWIN, sensors=replace(sensors, gauge_delay=0.005)),),
+        "gauge_gain": tuple(replace(PAPER_TWIN, sensors=replace(sensors, gauge_gain=g)) for g in (0.9, 1.1)),
+        "friction": (replace(PAPER_TWIN, motor=replace(motor, coulomb_torque=2 * motor.coulomb_torque)),),
+    }
+    with tempfile.TemporaryDirectory() as folder:
+        arm = fl.SimulatedArm(PAPER_TWIN, PAPER.period, seed=1)
+        plan = fl.TuningPlan(SHAPES[0].limits, 0.030, period=PAPER.period)
+        tuned = fl.tune(arm.callback, plan, out=Path(folder), moves=False, clock="none")
+        law = fl.load(Path(folder) / "design.json").law()
+    right = {
+        name: sum(
+            fl.watch(running(law, twins[k % len(twins)], k), tuned).due == (name,) for k in range(count)
+        )
+        for name, twins in changed.items()
+    }
+    total = sum(right.values())
+    line(
+        "watch: changes named rightly, and nothing else, within 20 s",
+        f"{total} of {4 * count} {right}",
+        ">= 95 %",
+        total >= 0.95 * 4 * count,
+    )
+    alarms = sum(bool(fl.watch(running(law, PAPER_TWIN, 1000 + k), tuned).due) for k in range(5 * count))
+    line(
+        "watch: false alarms",
+        f"{alarms} in {5 * count * 20 / 3600:.1f} h",
+        "<= 1 in 10 h",
+        alarms == 0,
+    )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--arms", type=int, default=100)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--wirings", type=int, default=20)
-    parser.add_argument("--only", choices=("arms", "wiring"))
+    parser.add_argument("--kills", type=int, default=50)
+    parser.add_argument("--records", type=int, default=40)
+    parser.add_argument("--only", choices=("arms", "wiring", "kills", "watch"))
     chosen = parser.parse_args()
     if chosen.only in (None, "arms"):
         arms(chosen.first, chosen.arms)
     if chosen.only in (None, "wiring"):
         wiring(chosen.wirings)
+    if chosen.only in (None, "kills"):
+        kills(chosen.kills)
+    if chosen.only in (None, "watch"):
+        watching(chosen.records)
 
 
 if __name__ == "__main__":

@@ -26,9 +26,13 @@ Real = NDArray[np.float64]
 # Parts of the limits that a stage plans for. What is left is for noise, overshoot, a gauge that shows too
 # little, and for coming to rest once the guard has switched the drive off.
 PLANNED = 0.6
-_TRIP = 0.9
+_TRIP, _SPEED_TRIP = (
+    0.8,
+    0.95,
+)  # what is sent acts a period or two later, and speeds are those of some periods ago
 _QUIET = 0.6  # [s]: a vibration period of a slow arm
-_SPEED_SAMPLES = 4  # over which speed is taken: an encoder's count in one period would look like a speed
+_SPEED_SAMPLES = 2  # over which speed is taken: a longer mean would miss a fast vibration
+_PUSHED = 0.8  # of the speed limit, that no voltage may drive the motor beyond
 
 
 class LimitReached(FraclinkError):
@@ -91,7 +95,8 @@ class Guard:
 
     def __init__(self, opened: Opened, limits: MotionLimits) -> None:
         self.limits, self.coast, self.shake = limits, 0.05, 0.0
-        self._driven = False
+        self._driven, self._gain = False, 0.0
+        self._sent: deque[float] = deque([0.0], maxlen=1)  # the voltage that acted last, and those to come
         self._opened, self._stack, self._line = opened, contextlib.ExitStack(), None
         self._rows: list[tuple[float, float, float]] = []
         self._angles: deque[float] = deque(maxlen=_SPEED_SAMPLES)
@@ -136,6 +141,8 @@ class Guard:
             self._check()
         most = self.limits.voltage
         sent = min(max(voltage, -most), most) if math.isfinite(voltage) else 0.0
+        sent = self._slowed(sent)
+        self._sent.append(sent)
         self._driven = self._driven or sent != 0.0
         row = (sent, self.reading.angle, self.reading.torque)
         found = self._line.exchange(sent)  # type: ignore[union-attr]  # connected above
@@ -143,6 +150,28 @@ class Guard:
         self._angles.append(found.angle)
         self.reading = found
         return found
+
+    def learn(self, gain: float, delay: float) -> None:
+        """Use K/J [rad/(s²·V)] and the delay [s] to look ahead: no voltage is sent that drives the motor past
+        the speed limit once it acts.
+        """
+        count = max(1, math.ceil(delay / self.period - 0.1))
+        self._gain, self._sent = gain, deque([0.0] * (count + 1), maxlen=count + 1)
+
+    @property
+    def speed(self) -> float:
+        """Speed at the newest sample [rad/s]: that between the last two, and what the voltage added since."""
+        mean = (self._angles[-1] - self._angles[0]) / self.period
+        return mean + 0.5 * self._gain * self.period * self._sent[0]
+
+    def _slowed(self, voltage: float) -> float:
+        if self._gain <= 0.0:
+            return voltage
+        step = self._gain * self.period
+        speed = self.speed + step * (sum(self._sent) - self._sent[0])
+        most = _PUSHED * self.limits.speed
+        low, high = min((-most - speed) / step, 0.0), max((most - speed) / step, 0.0)
+        return min(max(voltage, low), high)
 
     def allow(self, noise: float) -> None:
         """Allow for an encoder with that much noise [rad]: six standard deviations of the speed."""
@@ -168,7 +197,7 @@ class Guard:
 
     def _check(self) -> None:
         limits = self.limits
-        speed = (self._angles[-1] - self._angles[0]) / ((_SPEED_SAMPLES - 1) * self.period)
+        speed = self.speed
         speed -= math.copysign(min(abs(speed), self.shake), speed)
         ends = self.angle + speed * (self.coast + 2 * self.period)
         for name, value, most, unit in (
@@ -176,7 +205,7 @@ class Guard:
             ("speed", speed, limits.speed, "rad/s"),
             ("torque", self.torque, limits.torque, "N·m"),
         ):
-            if not abs(value) <= _TRIP * most:
+            if not abs(value) <= (_SPEED_TRIP if name == "speed" else _TRIP) * most:
                 raise LimitReached(
                     f"{name}: {value:.3g} {unit} is about to exceed the limit of {most:g} {unit}; the drive "
                     "is off"

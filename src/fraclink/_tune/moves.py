@@ -24,6 +24,7 @@ _BAND = 0.02  # of the move, as everywhere
 _ABOVE = 6.0  # times the gauge's white noise, as the loop colours it: a narrower band is left by chance
 _AFTER = 2.5  # [s] watched after a reference has come to rest
 _SLOW, _PART = 10.0, 0.4  # the first move: a tenth of the speed, two fifths of the way
+_FIRST = 5  # periods in which a hand-over would show as a jump
 _SEEDS = (0, 1, 2)
 _TIMES = 3  # the full move: one record's noise moves its settling time by a sample's band
 _SPEED_TIME = 0.016  # [s] over which a speed is taken
@@ -74,24 +75,23 @@ def planned_move(design: Design, law: Law, limits: MotionLimits, payload: float)
     amplitude = PLANNED * limits.angle
     duration = max(1.875 * amplitude / (0.8 * PLANNED * limits.speed), 0.2)
     for _ in range(20):
-        run = _simulated(design, law, smooth_step(amplitude, duration), payload, seed=0, noise=0.0)
+        run = _simulated(design, law, smooth_step(amplitude, duration), payload, seed=0)
         speed = float(np.max(np.abs(run[0][4:] - run[0][:-4]))) / (4 * law.period)
         parts = (
             speed / limits.speed,
             float(np.max(np.abs(run[1]))) / limits.torque,
-            float(np.max(np.abs(run[2]))) / limits.voltage,
             float(np.max(np.abs(run[0]))) / limits.angle,
         )
         if max(parts) <= _WITHIN:
             return amplitude, duration
-        if parts[3] == max(parts):
+        if parts[2] == max(parts):
             amplitude *= 0.9
         else:
             duration *= 1.15
     return amplitude, duration
 
 
-_WITHIN = 0.75
+_WITHIN = 0.6  # of every limit, in the model's move with the gauge's noise: the guard ends the rest at 0.8
 
 
 def first_moves(
@@ -115,7 +115,7 @@ def first_moves(
 
 
 def _moved(guard: Guard, law: Law, motor: MotorResult, path: Path, payload: float) -> tuple[Record, float]:
-    """The record of a move, and how far the arm moved in the fifth of a second after the hand-over."""
+    """The record of a move, and how far the arm moved in the first periods after the hand-over."""
     period = guard.period
     guard.rest(0.6)
     rest = motor_law(motor.gain, motor.loop, guard)
@@ -123,15 +123,14 @@ def _moved(guard: Guard, law: Law, motor: MotorResult, path: Path, payload: floa
     before = guard.angle
     runs, count = Follower(law, payload), round(0.2 / period)
     waited = follow(guard, law, np.zeros((2, count)), follower=runs)
-    jump = float(np.max(np.abs(waited.angle - before)))
+    # What the link's vibration makes the law do later is no jump: the first periods are.
+    jump = float(np.max(np.abs(waited.angle[:_FIRST] - before)))
     table = sampled(path, period, math.ceil((path.duration + _AFTER) / period))
     # The reference counts from where the arm stands when the move begins.
     return follow(guard, law, table[[0, 2]], follower=runs, origin=guard.origin + before), jump
 
 
-def _simulated(
-    design: Design, law: Law, path: Path, payload: float, *, seed: int, noise: float | None = None
-) -> tuple[Real, Real, Real]:
+def _simulated(design: Design, law: Law, path: Path, payload: float, *, seed: int) -> tuple[Real, Real, Real]:
     """Motor angle, torque and voltage of the same move on the model, as the sensors show them."""
     run = simulate(
         law,
@@ -143,7 +142,6 @@ def _simulated(
         duration=path.duration + _AFTER,
         compensation="measured",
         seed=seed,
-        noise=noise,
     )
     return run.motor_angle_measured, run.torque_measured, run.voltage
 

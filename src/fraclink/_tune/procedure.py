@@ -151,6 +151,7 @@ class _Session:
         self.begin("wiring")
         wiring = check_wiring(guard, self.plan.rig)
         self._same_arm(wiring)
+        guard.learn(wiring.gain, wiring.delay)
         self._tell(wiring.evidence)
         self._write(guard, wiring=self.state.wiring or wiring)
         begin = None
@@ -165,11 +166,12 @@ class _Session:
                 )
             )
             self._write(guard, motor=motor)
+        assert self.state.motor is not None  # noqa: S101  # measured now, or before
+        guard.learn(self.state.motor.fit.gain, self.state.motor.fit.delay)
         built = self._link(guard, begin)
         if built is None or not built.passed or not self.moves:
             return
         assert built.design is not None and built.law is not None  # noqa: S101  # passed
-        assert self.state.motor is not None  # noqa: S101
         self.begin("first moves")
         found = first_moves(guard, built.design, built.law, self.state.motor, self.plan.payload)
         self._tell(tuple(map(str, found)))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -91,7 +91,8 @@ def watch(log: Experiment, tuning: Tuning) -> Watch:
     """Compare a record of a running arm with its tuning: ω₀, gauge gain, gauge delay, friction, residual.
 
     The link's ω₀, gain and delay are fitted anew with λ held, and the friction with the motor's K/J; each is
-    named where it is off by more than half of what is worth a retune and by four standard errors.
+    named where it is off by more than half of what is worth a retune and by four standard errors,
+    friction only where it has grown.
 
     Parameters
     ----------
@@ -172,4 +173,6 @@ def _friction(log: Experiment, fit: Fit, tuning: Tuning) -> tuple[Change, ...]:
     except LogError:
         return ()
     spread = math.hypot(found.standard_errors["coulomb_voltage"], 0.05 * tuning.motor.friction)
-    return (_change("friction", tuning.motor.friction, found.coulomb_voltage, spread),)
+    grown = _change("friction", tuning.motor.friction, found.coulomb_voltage, spread)
+    # Less friction than before is how moves that turn round often look, too: only more of it is a change.
+    return (replace(grown, changed=grown.changed and grown.now > grown.was),)
