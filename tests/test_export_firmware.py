@@ -10,9 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import fraclink as fl
 from fraclink._export import export_c
 from fraclink._export.data import exact_flags, exact_sizes
 from fraclink._law import Law
+from fraclink._law.estimator import payload_estimator
 from law_bench import law
 from needed_tools import missing, tool
 from test_export import FLAGS, run, single
@@ -155,6 +157,20 @@ def test_a_period_on_a_cortex_m4f_is_short(tmp_path: Path) -> None:
         modes = made.order + len(made.feedforward.poles)
         assert 60 < outer <= 8 * modes + 16 <= 80
     assert 300 < wholes[0] < wholes[1] <= 440
+
+
+@pytest.mark.slow
+def test_the_payload_estimator_on_a_cortex_m4f(tmp_path: Path) -> None:
+    """The desktop's bits, and with the law at most 1400 instructions a period (issue 16)."""
+    made, rig = law("single"), fl.Rig.named("paper-2023")
+    assert rig.model is not None
+    export_c(made, tmp_path, estimator=payload_estimator(rig.model, rig, made, (0.02, 0.04)))
+    sources = (tmp_path / "payload_selftest.c", tmp_path / "payload_estimator.c")
+    assert "passed" in on_board(tmp_path, made, "cortex-m4f", *sources)
+    (tmp_path / "payload.h").write_text("#define PAYLOAD 0\n#define ESTIMATE\n", encoding="utf-8")
+    text = on_board(tmp_path, made, "cortex-m4f", FIRMWARE / "count.c", counted=True, exact=True)
+    found = re.search(r"whole (\d+) mode 1", text)
+    assert found is not None and 800 < int(found.group(1)) <= 1400, text
 
 
 def test_flash_and_memory_are_small(tmp_path: Path) -> None:
