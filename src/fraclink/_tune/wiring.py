@@ -134,7 +134,7 @@ def check_wiring(guard: Guard, stated: Rig | None) -> Wiring:
         if isinstance(found, Wiring):
             return found
         moved = float(np.ptp(record.angle))
-        if not isinstance(found, _Unsure) or moved > _MOST / 1.5:
+        if not isinstance(found, _Unsure) or moved > _MOST / 1.6:
             raise found
         pulse = _grown(guard, (1.6 * max(moved, answers[0]), answers[1]), pulse)
 
