@@ -102,19 +102,19 @@ def quantity(value: float | None, unit: str) -> str:
 
 
 def option(name: str, value: float) -> str:
-    """A keyword argument as the option that stands for it, rounded into the feasible side.
+    """A keyword argument as the option that stands for it, with every digit that decides.
 
-    >>> option("phase_margin", math.radians(50.58)), option("gain_crossover", 12.3456)
-    ('--phase-margin-deg 50.57', '--gain-crossover 12.34')
+    >>> option("phase_margin", math.radians(50.0)), option("gain_crossover", 12.346)
+    ('--phase-margin-deg 50', '--gain-crossover 12.346')
     >>> option("mode_gain", 0.505987)
     '--mode-gain 0.506'
     """
-    # The nearest request lies on a bound: half a digit further would be infeasible again. What is asked
-    # for at least is rounded down, what is allowed at most is rounded up.
+    # The nearest request lies on a bound, the highest or the lowest: half a digit further would be infeasible
+    # again. It has five digits already, on the feasible side; what is allowed at most is rounded up.
     word = f"--{name.replace('_', '-')}"
     shown, word = (math.degrees(value), f"{word}-deg") if name == "phase_margin" else (value, word)
     if name in ("phase_margin", "gain_crossover"):
-        return f"{word} {math.floor(100 * shown * (1 - 1e-6)) / 100:g}"
+        return f"{word} {shown:.8g}"
     return f"{word} {math.ceil(1000 * shown * (1 + 1e-6)) / 1000:g}"
 
 
