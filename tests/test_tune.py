@@ -16,6 +16,8 @@ import pytest
 
 import fraclink as fl
 from fraclink import _kernels
+from fraclink._cli import main
+from fraclink._cli.tunings import _following
 from fraclink._realtime.connections import Callback, Command
 from fraclink._realtime.line import open_line
 from fraclink._tune import LimitReached, WiringFault
@@ -176,6 +178,26 @@ def test_it_goes_on_behind_the_last_stage_that_is_whole(
     other = arm(payload=0.120)
     refused = fl.tune(other.callback, PLAN, out=tmp_path, resume=True, clock="none")
     assert "another arm, payload or wiring" in refused.stopped
+
+
+def test_the_command_resumes_with_what_was_asked_for_before(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plan = fl.TuningPlan(LIMITS, 0.030, payloads=(0.021, 0.044), period=RIG.period, rig=RIG)
+    stopped = fl.tune(wired(arm(), torque=-1), plan, out=tmp_path, clock="none")
+    assert stopped.stopped and fl.load(tmp_path / "tuning.json").rig == RIG
+    assert main(["tune", "--io", "shm:fraclink-nobody", "--out", str(tmp_path), "--resume"]) == 2
+    told = capsys.readouterr().err
+    assert "design for 21 to 44 g" in told and "not confirmed" in told
+
+
+def test_only_a_law_whose_moves_were_as_promised_is_offered(tmp_path: Path) -> None:
+    limits, place = LIMITS, tmp_path / "tuned"
+    proved = fl.Tuning(limits, 0.03, (0.02, 0.04), 0.004, certified="proved", design_passed=True)
+    assert "run-realtime" in _following(proved, "udp:a:1", place)
+    slow = fl.FirstMove(0.3, 0.5, 0.47, 2.0, *(0.001,) * 7)
+    off = replace(proved, moves=(slow,))
+    assert not off.passed and "diagnose" in _following(off, "udp:a:1", place)
 
 
 def test_a_fault_keeps_reason_and_record(tmp_path: Path) -> None:

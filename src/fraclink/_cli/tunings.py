@@ -73,9 +73,11 @@ def tune(
     $ fraclink tune --io udp:127.0.0.1:5005 --payload 0.030
     """
     given = {"angle_deg": angle_deg, "speed": speed, "torque": torque, "voltage": voltage, "payload": payload}
-    if resume:
-        given = _as_before(out, given)
-    elif not force:
+    stated = None if rig is None else load_rig(rig)
+    if resume and (out / FILES[0]).is_file():
+        known: Tuning = load(out / FILES[0], Tuning)
+        given, payloads, stated = _as_before(known, given), payloads or known.payloads, stated or known.rig
+    elif not (resume or force):
         for name in FILES:
             output_path(out / name, force=False)
     values = {name: _asked(name, value) for name, value in given.items()}
@@ -89,7 +91,7 @@ def tune(
         carried,
         payloads,
         None if period_ms is None else period_ms / 1e3,
-        None if rig is None else load_rig(rig),
+        stated,
     )
     connection = connection_of(io, unsafe_remote, key_file)
     tell(plan.text)
@@ -101,18 +103,16 @@ def tune(
 
 
 def _following(found: Tuning, io: str, out: Path) -> str:
-    if found.has_law:
+    if found.passed or (found.has_law and found.verdict.reality.state == "not run"):
         return f"fraclink run-realtime {out / 'design.json'} --io {io}"
     if found.stopped:
         return f"fraclink tune --io {io} --out {out} --resume"
+    # A law whose first moves are not what was promised is not one to go on with, proof or not.
     return f"fraclink diagnose {out / 'log.npz'}"
 
 
-def _as_before(out: Path, given: dict[str, float | None]) -> dict[str, float | None]:
+def _as_before(known: Tuning, given: dict[str, float | None]) -> dict[str, float | None]:
     """The limits and the payload of the tuning that is resumed, where they are not given anew."""
-    if not (out / FILES[0]).is_file():
-        return given
-    known: Tuning = load(out / FILES[0], Tuning)
     limits = known.limits
     before: dict[str, Any] = {
         "angle_deg": math.degrees(limits.angle),

@@ -141,7 +141,7 @@ class _Session:
         guard = Guard(opened, self.plan.limits)
         plan = self.plan
         self.state = self.before or Tuning(
-            plan.limits, plan.payload, plan.range, guard.period, folder=str(self.out)
+            plan.limits, plan.payload, plan.range, guard.period, folder=str(self.out), rig=plan.rig
         )
         self.state = replace(self.state, stopped="", folder=str(self.out), limits=plan.limits)
         return guard

@@ -52,6 +52,8 @@ class Tuning:
         how long the arm was moved, and how long was computed [s].
     folder
         where the files are.
+    rig
+        what was stated of the arm, None where nothing was.
     """
 
     __made_by__ = "fraclink.tune(connection, limits=…, payload=…)"
@@ -73,6 +75,7 @@ class Tuning:
     arm_time: float = 0.0
     computing: float = 0.0
     folder: str = ""
+    rig: Rig | None = None
 
     @property
     def verdict(self) -> Verdict:
