@@ -25,7 +25,7 @@ from fraclink._studio.history import History
 from fraclink._studio.logs import LOG_VERBS
 from fraclink._studio.messages import Reply, parsed, refusal
 from fraclink._studio.outputs import OUTPUT_VERBS
-from fraclink._studio.preview import Subject, nearest, preview
+from fraclink._studio.preview import Subject, described, nearest, preview
 from fraclink._studio.request import NAMES, as_python, checked_request
 from fraclink._studio.server import POLICY, Studio, application
 from fraclink._studio.serving import serve
@@ -433,3 +433,12 @@ def test_options_and_lines_of_python_agree():
     request = checked_request({**ASKED, "max_sensitivity": 1.8, "box": True})
     text = as_python(request, "results/rig.toml", Path("results/model.json"))
     assert "max_sensitivity=1.8" in text and "box=True" in text and "fl.Rig.load('results/rig.toml')" in text
+
+
+def test_the_sentence_on_margins_names_a_middle_only_where_it_is_the_least() -> None:
+    rig = fl.Rig.named("paper-2023")
+    design = fl.design(rig.model, rig, gain_crossover=12.0, phase_margin=fl.deg(50), law=False)
+    payloads = np.linspace(*design.payloads, 7)[1:-1]
+    rising = np.radians(np.linspace(52.0, 64.0, 5))
+    assert "between" not in described(design, payloads, rising)
+    assert "least 40.0° between" in described(design, payloads, np.radians([52.0, 45.0, 40.0, 45.0, 52.0]))

@@ -182,7 +182,8 @@ def described(made: Design, payloads: Real, margin: Real) -> str:
     rest = (
         "; stable from {:.3g} to {:.3g} g of the plot".format(*(1e3 * stable[[0, -1]])) if stable.size else ""
     )
-    return (
-        f"Phase margin {ends[0]:.1f}° at {1e3 * low:.3g} g, {ends[1]:.1f}° at {1e3 * high:.3g} g, least "
-        f"{math.degrees(float(margin[inside].min())):.1f}° between{rest}."
-    )
+    least = math.degrees(float(margin[inside].min()))
+    # The points of the plot need not include the ends: said only where the middle is worse than both.
+    middle = f", least {least:.1f}° between" if least < ends.min() - 0.05 else ""
+    both = f"{ends[0]:.1f}° at {1e3 * low:.3g} g, {ends[1]:.1f}° at {1e3 * high:.3g} g"
+    return f"Phase margin {both}{middle}{rest}."
