@@ -58,7 +58,7 @@ napoleon_custom_sections = [("Attributes", "params_style")]  # like parameters: 
 nitpicky = True
 # Other projects' types: their inventories lie on the network, which a build does not need.
 nitpick_ignore_regex = [
-    (r"py:.*", r"(numpy|np|control|matplotlib|pathlib|collections\.abc)\..+"),
+    (r"py:.*", r"(numpy|np|control|matplotlib|pathlib|fractions|collections\.abc)\..+"),
     (r"py:.*", r"ArrayLike|NDArray|TypeAliasForwardRef|Axes|Path"),
     (r"py:.*", r".*typing\.(Annotated|Literal)\[.*"),  # a range or a choice in a signature, cut at its comma
     (r"py:class", r"tuple\[float|fraclink\._validate\.ranges\.Array"),  # likewise

@@ -116,6 +116,9 @@ from fraclink._identify.structure_fit import StructureFit as StructureFit
 from fraclink._identify.structures import identify_structure as identify_structure
 from fraclink._law.discretization import discretize as discretize
 from fraclink._law.discretization import equip as equip
+from fraclink._law.estimator import Estimates as Estimates
+from fraclink._law.estimator import PayloadEstimator as PayloadEstimator
+from fraclink._law.estimator import payload_estimator as payload_estimator
 from fraclink._law.law import Law as Law
 from fraclink._law.law import LawInputs as LawInputs
 from fraclink._law.law import LawOutputs as LawOutputs
