@@ -163,6 +163,6 @@ def test_compilers_that_cannot_are_named(tmp_path: Path) -> None:
         export_fmu(law(), out, compilers=(_compiler(tmp_path, "arm64-apple-darwin23"),))
     with pytest.raises(FieldError, match=r"unable to compile the FMU \(all.c:1: error: no\)"):
         export_fmu(law(), out, fmi=3, compilers=(_compiler(tmp_path, "arm64-apple-darwin23"),))
-    with pytest.raises(FieldError, match=r"fmi: not offered"):
+    with pytest.raises(FieldError, match=r"fmi: unknown"):
         export_fmu(law(), out, fmi=1, compilers=())  # type: ignore[arg-type]
     assert not out.exists()

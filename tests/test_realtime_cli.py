@@ -56,7 +56,7 @@ int arm_read(arm_sample *sample)
 {
     angle += (voltage != 0.0) ? (0.02 * voltage) : (0.5 * (reference - angle));
     sample->motor_angle = angle;
-    sample->torque = 0.0;
+    sample->torque = 0.001 * (reads % 2); /* alive: one that never changes is a stuck gauge */
     reads++;
     if (reads >= BROKEN)
         return -1;

@@ -36,6 +36,7 @@ SHOWN: dict[str, tuple[str, str]] = {
     "run-realtime": ("loop", "how-to/run-in-real-time"),
     "serve-arm": ("arm", "how-to/run-in-real-time"),
     "tune": ("bode", "how-to/tune-an-arm"),
+    "watch": ("log", "how-to/tune-an-arm"),
     "studio": ("margins", "how-to/use-the-studio"),
     "report": ("margins", "how-to/read-the-report"),
     "share": ("arm", "how-to/share-an-arm"),

@@ -222,7 +222,7 @@ def words_of(fit: Fit) -> str:
 
     >>> from fraclink._identify import identify
     >>> words_of(identify(read_log(bundled_log("prbs_30g")), "UD-FOM", details=False))
-    'swings at 1.94 Hz with 6.5 % damping, gauge 2.0 ms late'
+    'swings at 1.89 Hz with 6.6 % damping, gauge 2.1 ms late'
     """
     pole, delay = fit.model.pole, fit.delay
     late = f"gauge {abs(1e3 * delay):.1f} ms {'late' if delay >= 0 else 'early'}"
