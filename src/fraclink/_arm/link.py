@@ -329,9 +329,13 @@ class LinkModel:
 
         centre = math.log(abs(self.pole))
         grid = np.linspace(centre - 3.0, centre + 3.0, 601)
-        best = int(np.argmax(level(grid)))
-        if best in (0, grid.size - 1):
-            return None  # a monotone curve: its largest value on the grid is an end of it
+        values = level(grid)
+        # The highest hump, not the highest value: a torque whose damping has nearly the order of its inertia
+        # may pass its peak, dip, and end higher.
+        humps = np.flatnonzero((values[1:-1] > values[:-2]) & (values[1:-1] >= values[2:])) + 1
+        if humps.size == 0:
+            return None
+        best = int(humps[np.argmax(values[humps])])
         found = minimize_scalar(
             # 1e-9: the square root of the precision, as a maximum is flat to 1e-18 there
             lambda x: -float(level(x)),
