@@ -47,7 +47,10 @@ def quiet(rig: fl.Rig) -> fl.Rig:
 def moved(design: fl.Design, arm: Twin, payloads: tuple[float, ...]) -> Counter[str]:
     """Why moves of the twin fail, by the words of the verdict; empty where all of them pass."""
     law = design.law()
-    runs = (fl.simulate(law, STEP, arm=arm, payload=m) for m in payloads)
+    # Long enough to see it: ten periods of the vibration, which a slow arm takes ten seconds for.
+    slowest = design.natural_frequency(max(payloads)) ** (2.0 / design.model.order)
+    duration = 0.5 + max(5.0, 20.0 * np.pi / slowest)
+    runs = (fl.simulate(law, STEP, arm=arm, payload=m, duration=duration) for m in payloads)
     return Counter(run.verdict.reason for run in runs if not run.verdict.passed)
 
 
