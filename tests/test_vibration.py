@@ -10,7 +10,7 @@ import pytest
 
 import fraclink as fl
 from fraclink._design.vibration import Vibration, vibration
-from fraclink.errors import InfeasibleError
+from fraclink.errors import FieldError, InfeasibleError
 
 RIG = fl.Rig.named("paper-2023-geared")
 LINK = RIG.model
@@ -108,3 +108,13 @@ def test_the_law_is_looked_at_with_the_pid_that_runs() -> None:
     assert [one.severity for one in told] == ["error"] and "PID" in told[0].message
     run = fl.simulate(design, fl.smooth_step(0.5, duration=0.5), payload=0.022)
     assert not run.verdict.passed
+
+
+def test_a_controller_that_no_law_follows_is_a_finding(monkeypatch: pytest.MonkeyPatch) -> None:
+    def none(design: fl.Design) -> None:
+        raise FieldError("order", "3 pairs", "more than law.c holds", allowed="2 pairs", remedy="lower it")
+
+    monkeypatch.setattr("fraclink._design.specification.law_margins", none)
+    design = made_for(LINK, 12.0, 45.0).warned_of_law()
+    assert [one.severity for one in design.findings if one.code == "W404"] == ["error"]
+    assert not design.passed and "no law follows this controller: it takes 3 pairs" in str(design)

@@ -16,12 +16,13 @@ from fraclink._arm.motor_loop import MotorLoop
 from fraclink._arm.sampled import SampledPlant
 from fraclink._law import discretize_controller
 from fraclink._systems.margins import Margins, margins
+from fraclink.errors import FieldError
 from fraclink.findings import Finding
 
 if TYPE_CHECKING:
     from fraclink._design.specification import Design
 
-__all__ = ["LAW_MARGIN", "Requirement", "kept_by_law", "law_findings", "law_margins", "margins_of"]
+__all__ = ["LAW_MARGIN", "Requirement", "kept_by_law", "law_findings", "law_margins", "margins_of", "no_law"]
 
 _ROUNDING = 1e-9  # relative: the equations are solved to 1e-15, a requirement met with equality must pass
 
@@ -177,6 +178,17 @@ def law_findings(design: Design, looked: Sequence[Looked]) -> tuple[Finding, ...
         )
         others += (less,)
     return others if kept <= 0.0 else (*others, *_near_minus_one(design, looked))
+
+
+def no_law(error: FieldError) -> Finding:
+    """Return W404 where no law of law.c's size follows the controller."""
+    return Finding(
+        "W404",
+        "error",
+        f"no law follows this controller: it takes {error.value}, and law.c holds {error.allowed}",
+        {},
+        "ask for a smaller phase margin or a slower gain crossover",
+    )
 
 
 def _near_minus_one(design: Design, looked: Sequence[Looked]) -> tuple[Finding, ...]:

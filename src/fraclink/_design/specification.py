@@ -25,6 +25,7 @@ from fraclink._design.requirement import (
     law_findings,
     law_margins,
     margins_of,
+    no_law,
 )
 from fraclink._display import displayed
 from fraclink._files import document, load, save
@@ -320,9 +321,16 @@ class Design:
 
         Finding W404 says that the phase margin is less than was asked for, an error where the loop is not
         stable; W408 that the law comes closer to -1 than half of what the design does. Near the Nyquist
-        frequency a loop without a filter may, and crosses |L| = 1 nowhere near.
+        frequency a loop without a filter may, and crosses |L| = 1 nowhere near. A controller that no law of
+        law.c's size follows is an error, too.
         """
-        return replace(self, findings=law_findings(self, law_margins(self)))
+        try:
+            found = law_margins(self)
+        except FieldError as error:
+            if error.field != "order":
+                raise
+            return replace(self, findings=(*self.findings, no_law(error)))
+        return replace(self, findings=law_findings(self, found))
 
     def save(self, path: Path | str) -> None:
         """Write the design to one JSON file that ``Design.load`` reads back equal."""
