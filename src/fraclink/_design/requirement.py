@@ -22,7 +22,16 @@ from fraclink.findings import Finding
 if TYPE_CHECKING:
     from fraclink._design.specification import Design
 
-__all__ = ["LAW_MARGIN", "Requirement", "kept_by_law", "law_findings", "law_margins", "margins_of", "no_law"]
+__all__ = [
+    "LAW_MARGIN",
+    "Looked",
+    "Requirement",
+    "kept_by_law",
+    "law_findings",
+    "law_margins",
+    "margins_of",
+    "no_law",
+]
 
 _ROUNDING = 1e-9  # relative: the equations are solved to 1e-15, a requirement met with equality must pass
 

@@ -20,6 +20,7 @@ from fraclink._arm.rig import Rig
 from fraclink._arm.sampled import SampledPlant, sampled_plant
 from fraclink._design.requirement import (
     LAW_MARGIN,
+    Looked,
     Requirement,
     kept_by_law,
     law_findings,
@@ -310,11 +311,11 @@ class Design:
         the findings are those of `warned_of_law`. A design for the paper's reading (`margins` "ideal") gets
         the findings alone: the sampled loop was not what it was asked for.
         """
-        found = law_margins(self)
+        found, findings = self._law_looked_at()
         requirements = tuple(r for r in self.requirements if r.name != LAW_MARGIN)
-        if self.margins_kind == "loop":
+        if self.margins_kind == "loop" and found:
             requirements += (kept_by_law(self, found),)
-        return replace(self, requirements=requirements, findings=law_findings(self, found))
+        return replace(self, requirements=requirements, findings=findings)
 
     def warned_of_law(self) -> Design:
         """Return the design with what its law keeps less in the sampled loop, as `design` looks at it.
@@ -324,13 +325,17 @@ class Design:
         frequency a loop without a filter may, and crosses |L| = 1 nowhere near. A controller that no law of
         law.c's size follows is an error, too.
         """
+        return replace(self, findings=self._law_looked_at()[1])
+
+    def _law_looked_at(self) -> tuple[tuple[Looked, ...], tuple[Finding, ...]]:
+        """The law's margins, and the findings with what they say; no margins where no law fits."""
         try:
             found = law_margins(self)
         except FieldError as error:
             if error.field != "order":
                 raise
-            return replace(self, findings=(*self.findings, no_law(error)))
-        return replace(self, findings=law_findings(self, found))
+            return (), (*self.findings, no_law(error))
+        return found, law_findings(self, found)
 
     def save(self, path: Path | str) -> None:
         """Write the design to one JSON file that ``Design.load`` reads back equal."""
