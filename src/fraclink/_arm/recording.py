@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._arm.experiment import Experiment
-from fraclink._display import displayed
 from fraclink._files import document
+from fraclink._files.display import displayed
 from fraclink._validate import Array, Between, Positive, checked
 from fraclink.errors import FieldError, LogError
 

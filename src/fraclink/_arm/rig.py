@@ -24,8 +24,8 @@ from fraclink._arm.rig_parts import (
     at_least_zero,
     positive,
 )
-from fraclink._display import displayed
 from fraclink._files import document, stored_as, write_text
+from fraclink._files.display import displayed
 from fraclink._files.toml import parse_toml, read_table, read_toml, suggestion, table_of, toml_text
 from fraclink._validate import Between, Frequency, Payload, Period, checked
 from fraclink.errors import FieldError, FileFormatError

@@ -22,8 +22,8 @@ from fraclink._compare.case import Filter, NominalLoop, Setting, fine_step, law_
 from fraclink._compare.controllers import Seen
 from fraclink._compare.presentation import markdown, sentences
 from fraclink._compare.rivals import FRACLINK, OFFSET, Rival, builders
-from fraclink._display import displayed
 from fraclink._files import write_json
+from fraclink._files.display import displayed
 from fraclink._law import Law
 from fraclink._simulate.arm import Twin
 from fraclink._simulate.damping import PowerLaw

@@ -28,8 +28,8 @@ from fraclink._design.requirement import (
     margins_of,
     no_law,
 )
-from fraclink._display import displayed
 from fraclink._files import document, load, save
+from fraclink._files.display import displayed
 from fraclink._law import discretize, discretize_controller
 from fraclink._law.estimator import PayloadEstimator, payload_estimator
 from fraclink._validate import (

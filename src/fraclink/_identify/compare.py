@@ -10,7 +10,7 @@ from types import MappingProxyType
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import FRACTIONAL, STRUCTURES, VISCOUS, LinkModel
 from fraclink._arm.link import structure as structure_row
-from fraclink._display import displayed
+from fraclink._files.display import displayed
 from fraclink._identify.fit import Fit, _parameters, _share, coincidence_text
 from fraclink._identify.fitting import HeldOut, Stiffness, fit_from, make_search
 from fraclink._identify.search import Search, special_cases

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._arm.link import FRACTIONAL, LinkModel, structure
-from fraclink._display import displayed
 from fraclink._files import document, load, save
+from fraclink._files.display import displayed
 from fraclink._identify.least_squares import Interval
 from fraclink._identify.residual import ResidualTests
 from fraclink.errors import SizeError

@@ -13,8 +13,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._display import displayed
 from fraclink._files import document, load, save
+from fraclink._files.display import displayed
 from fraclink._identify.expression import parse_expression
 from fraclink._identify.least_squares import Interval
 from fraclink._systems.fractional import FractionalTransferFunction

@@ -22,8 +22,8 @@ from fraclink._arm.link import LinkModel
 from fraclink._arm.reference import Path, Reference, smooth_step
 from fraclink._arm.shapers import SHAPERS, Shaped, Shaper, shaper_impulses
 from fraclink._design import Design
-from fraclink._display import displayed
 from fraclink._files import document, load, save
+from fraclink._files.display import displayed
 from fraclink._law import Law
 from fraclink._shape.programme import (
     SIGNALS,

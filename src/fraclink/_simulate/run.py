@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink import _kernels
-from fraclink._display import displayed
 from fraclink._files import document, load, save
+from fraclink._files.display import displayed
 from fraclink._simulate.metrics import Metrics, MoveVerdict, Signals, judge, measure
 from fraclink.findings import Finding
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fraclink._arm.rig import Rig
-from fraclink._display import displayed
 from fraclink._files import document
+from fraclink._files.display import displayed
 from fraclink._tune.guard import MotionLimits
 from fraclink._tune.link import LinkResult
 from fraclink._tune.motor import MotorResult

@@ -10,8 +10,8 @@ from pathlib import Path
 from fraclink._arm.draft import draft_text
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.log_columns import ColumnStatement, LogColumns
-from fraclink._display import displayed
 from fraclink._files import output_path, write_text
+from fraclink._files.display import displayed
 from fraclink._identify import Fit, identify
 from fraclink._logs import diagnose, read_log
 from fraclink._logs.formats import read_table

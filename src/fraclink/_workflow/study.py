@@ -19,8 +19,8 @@ from fraclink._campaign import Summary, load_campaign, summarise
 from fraclink._campaign.faults import FaultTable
 from fraclink._certify import Certificate
 from fraclink._design import Design
-from fraclink._display import displayed
 from fraclink._files import checked_path, document, kind_of, load, save
+from fraclink._files.display import displayed
 from fraclink._identify import Comparison, Contest, Fit
 from fraclink._law import Law
 from fraclink._simulate import Run
