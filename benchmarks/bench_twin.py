@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.reference import prbs, smooth_step
 from fraclink._arm.rig import Rig
-from fraclink._compare.case import NominalLoop, law_filter, sampled
+from fraclink._campaign.setting import NominalLoop, law_filter, sampled
 from fraclink._design import design
 from fraclink._identify import compare_structures
 from fraclink._kernels import twin_march

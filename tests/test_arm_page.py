@@ -19,13 +19,13 @@ import numpy as np
 import pytest
 
 import fraclink as fl
+from fraclink._campaign.study import save_study
 from fraclink._cli import main
 from fraclink._law import MODES
 from fraclink._show.arm_page import render_arm_page
 from fraclink._show.palette import colours as colours_of
 from fraclink._show.text import number
 from fraclink._simulate.engine import engine_link
-from fraclink._workflow import save_study
 from fraclink.errors import FieldError
 from needed_tools import tool
 from test_report import HOSTILE, Elements, parsed

@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 import fraclink as fl
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import LinkModel
+from fraclink._campaign.stages import simulate_move
 from fraclink._identify import (
     design_experiment,
     identify_frequency_response,
@@ -40,7 +41,6 @@ from fraclink._simulate import (
 )
 from fraclink._systems.commensurate import FractionalStateSpace
 from fraclink._systems.response import grunwald_letnikov, impulse_response
-from fraclink._workflow import simulate_move
 from fraclink.errors import FraclinkError
 from junk import (
     ANGLE,

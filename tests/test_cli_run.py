@@ -17,13 +17,14 @@ import numpy as np
 import pytest
 
 from fraclink._arm.rig import Rig
+from fraclink._campaign.stages import run, simulate_move
+from fraclink._campaign.study import load_study
 from fraclink._cli import main
 from fraclink._design.completed import design_for
 from fraclink._identify import Fit
 from fraclink._logs import bundled_log, read_log
 from fraclink._show.report import render_report
 from fraclink._simulate import Run
-from fraclink._workflow import load_study, run, simulate_move
 from fraclink.errors import FileFormatError
 from fraclink.findings import Scope
 from shared_data import shared_data

@@ -14,9 +14,7 @@ import fraclink as fl
 from fraclink._arm.motor_loop import MotorLoop
 from fraclink._arm.reference import smooth_step
 from fraclink._arm.sampled import sampled_plant
-from fraclink._compare import Tournament, compare
-from fraclink._compare.case import Filter, NominalLoop, Setting, law_filter, sampled, tune, tustin
-from fraclink._compare.controllers import (
+from fraclink._campaign.rival_controllers import (
     Algebraic,
     Linear,
     Seen,
@@ -28,9 +26,17 @@ from fraclink._compare.controllers import (
     pd_correction,
     sliding_correction,
 )
-from fraclink._compare.published import CORRECTED, INTEGER, PRINTED, integer_twin
-from fraclink._compare.rivals import builders, servo_law
-from fraclink._compare.tournament import feed_forward, linear_growth, mode_gain, run_rival
+from fraclink._campaign.rival_published import CORRECTED, INTEGER, PRINTED, integer_twin
+from fraclink._campaign.rivals import builders, servo_law
+from fraclink._campaign.setting import Filter, NominalLoop, Setting, law_filter, sampled, tune, tustin
+from fraclink._campaign.tournament import (
+    Tournament,
+    compare,
+    feed_forward,
+    linear_growth,
+    mode_gain,
+    run_rival,
+)
 from fraclink._simulate import Twin, geared
 from fraclink._simulate.on_twin import with_motor_loop
 from fraclink._systems.margins import margins
@@ -210,7 +216,7 @@ def test_gpi_places_four_poles():
 @pytest.mark.slow
 def test_a_longer_filter_keeps_the_request_and_quietens(setting):
     """δ inside (55) costs β, not margin: what the 10 % rule leaves on the table."""
-    from fraclink._compare.published import quieter
+    from fraclink._campaign.rival_published import quieter
 
     _, controller = quieter(setting)
     assert controller.filter_time > 2 * setting.controller.filter_time
@@ -228,7 +234,7 @@ def test_a_longer_filter_keeps_the_request_and_quietens(setting):
 
 
 def test_integer_twin_goes_through_our_crossing(setting):
-    from fraclink._compare.published import _nominal_crossing
+    from fraclink._campaign.rival_published import _nominal_crossing
 
     crossover, margin = _nominal_crossing(setting)
     _, controller = integer_twin(setting)
@@ -244,7 +250,7 @@ def test_integer_twin_goes_through_our_crossing(setting):
 def test_rivals_and_the_law_run_on_the_same_arm(setting):
     """Our filter run tick by tick in Python, and law.c: the same motor reference to rounding."""
 
-    from fraclink._compare.rivals import Rival
+    from fraclink._campaign.rivals import Rival
     from fraclink._law import Modes
 
     twin = Twin.from_rig(RIG, link_mass=0.00735)

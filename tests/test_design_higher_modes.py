@@ -12,8 +12,8 @@ import pytest
 
 import fraclink as fl
 from fraclink._arm.rig import Rig
+from fraclink._campaign.setting import NominalLoop, law_filter, sampled
 from fraclink._cli import main
-from fraclink._compare.case import NominalLoop, law_filter, sampled
 from fraclink._design import Design
 from fraclink._design.assess import mode_gains
 from fraclink._simulate import Beam, KelvinVoigt, PowerLaw, assemble

@@ -24,12 +24,12 @@ import pytest
 import fraclink as fl
 from fraclink import _kernels
 from fraclink._arm.motor_loop import MotorLoop
+from fraclink._campaign.study import load_study
 from fraclink._cli import main
 from fraclink._export import export_io
 from fraclink._law import REASONS
 from fraclink._realtime import Library, RealtimeRun, ServedArm, Udp, run_realtime
 from fraclink._simulate import geared
-from fraclink._workflow import load_study
 from fraclink.errors import FieldError
 from needed_tools import tool
 

@@ -21,6 +21,7 @@ import pytest
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.rig import Rig
 from fraclink._campaign.faults import Case, Check, FaultTable, Outcome
+from fraclink._campaign.study import Study, load_study, save_study
 from fraclink._design import design
 from fraclink._design.completed import design_for
 from fraclink._identify import compare_structures
@@ -28,7 +29,6 @@ from fraclink._logs import bundled_log, read_log
 from fraclink._show.report import render_report, write_report
 from fraclink._show.scales import envelope
 from fraclink._show.text import number, uncertain
-from fraclink._workflow import Study, load_study, save_study
 from fraclink.findings import Finding, Scope, Verdict
 from needed_tools import tool
 
@@ -207,7 +207,7 @@ def test_ids_are_unique_and_every_reference_has_its_target() -> None:
 def test_the_same_study_gives_the_same_bytes_in_another_process(tmp_path: Path) -> None:
     code = (
         "from fraclink._arm.rig import Rig; from fraclink._design.completed import design_for\n"
-        "from fraclink._workflow import Study\n"
+        "from fraclink._campaign.study import Study\n"
         "from fraclink._show.report import write_report\n"
         "rig = Rig.named('paper-2023'); design, _ = design_for(rig)\n"
         "import sys; write_report(Study(rig=rig, design=design), sys.argv[1])"

@@ -13,11 +13,12 @@ import pytest
 import fraclink as fl
 from fraclink._arm.draft import doubts_of
 from fraclink._arm.link import LinkModel
+from fraclink._campaign.stages import run
+from fraclink._campaign.study import Study
 from fraclink._cli.app import run as main
 from fraclink._design import Design
 from fraclink._identify import simulated_torque
 from fraclink._logs import bundled_log, read_log
-from fraclink._workflow import Study, run
 from fraclink.errors import InfeasibleError
 from identify_cases import PERIOD, TRUTH
 

@@ -21,8 +21,11 @@ from fraclink._campaign.campaign import save_campaign
 from fraclink._cli import main
 from fraclink._law import LawInputs
 from fraclink._realtime import Callback, VirtualClock
-from fraclink._shape import ShapedMove, move
-from fraclink._shape.programme import (
+from fraclink._show.moves import shaped_view
+from fraclink._show.runs import shaped_figure
+from fraclink._simulate import Twin
+from fraclink._simulate import shaped_move as move
+from fraclink._simulate.shape_programme import (
     SIGNALS,
     MoveBounds,
     Programme,
@@ -31,9 +34,7 @@ from fraclink._shape.programme import (
     spline_path,
     without_friction,
 )
-from fraclink._show.moves import shaped_view
-from fraclink._show.runs import shaped_figure
-from fraclink._simulate import Twin
+from fraclink._simulate.shaped_move import ShapedMove
 from fraclink.errors import FieldError, FileFormatError
 from needed_tools import tool
 

@@ -14,11 +14,11 @@ import numpy as np
 
 import fraclink as fl
 from fraclink._campaign import load_campaign, read_part
+from fraclink._campaign.study import load_study
 from fraclink._certify import Certificate
 from fraclink._export import Proof
 from fraclink._identify import load_model
 from fraclink._realtime import RealtimeRun, ServedArm
-from fraclink._workflow import load_study
 
 FOLDER = Path(__file__).resolve().parent / "formats"
 LINK = ("stiffness", "natural_frequency", "order", "damping", "damping_order", "payload")

@@ -1,4 +1,7 @@
-"""Monte Carlo campaigns: one law on a million arms, resumable, the same for a seed on any machine."""
+"""Many runs and what they say together: rivals, arms that differ, faults, and the study of one log.
+
+A campaign is one law on a million arms, resumable, the same for a seed on any machine.
+"""
 
 from __future__ import annotations
 

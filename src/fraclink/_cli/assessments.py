@@ -10,6 +10,7 @@ from typing import Annotated, Literal, TypedDict, Unpack
 import numpy as np
 import typer
 
+from fraclink._campaign.tournament import compare as run_rivals
 from fraclink._cli.app import group
 from fraclink._cli.command import Answer, Default, Writes, command
 from fraclink._cli.console import steps
@@ -28,7 +29,6 @@ from fraclink._cli.options import (
     load_rig,
     required_model,
 )
-from fraclink._compare import compare as run_rivals
 from fraclink._design import Design, Requirement
 from fraclink._design import optimise as better
 from fraclink._design.alternatives import Alternative, compare_at_equal_sensitivity, feasibility_map

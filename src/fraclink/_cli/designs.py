@@ -7,6 +7,9 @@ from typing import Annotated, TypedDict, Unpack
 
 import typer
 
+from fraclink._campaign.stages import run as run_study
+from fraclink._campaign.stages import simulate_move
+from fraclink._campaign.study import load_study
 from fraclink._certify import certify as prove
 from fraclink._cli.app import group
 from fraclink._cli.command import Answer, Default, Writes, command
@@ -44,8 +47,6 @@ from fraclink._files import output_path
 from fraclink._show.arm_page import write_arm_page
 from fraclink._show.report import write_report
 from fraclink._simulate import simulate as run_law
-from fraclink._workflow import load_study, simulate_move
-from fraclink._workflow import run as run_study
 
 app = group()
 

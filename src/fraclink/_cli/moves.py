@@ -24,7 +24,7 @@ from fraclink._cli.options import (
 )
 from fraclink._export.board import export_reference
 from fraclink._logs.responses import read_reference
-from fraclink._shape import shape as shape_move
+from fraclink._simulate.shape import shape as shape_move
 from fraclink.errors import FieldError
 
 app = group()

@@ -15,11 +15,11 @@ from fraclink._cli.command import Answer, Writes, command
 from fraclink._cli.console import tell
 from fraclink._cli.options import LogName, log_path
 from fraclink._logs.guess import Question
+from fraclink._logs.start import START_FILES, Start
+from fraclink._logs.start import start as start_from
 from fraclink._logs.weighing import answered
 from fraclink._show.figures import fit_figure
 from fraclink._validate import Between, Payload
-from fraclink._workflow import START_FILES, Start
-from fraclink._workflow import start as start_from
 from fraclink.errors import FieldError
 
 __all__ = ["start"]

@@ -85,7 +85,7 @@ _ZIP = b"PK"  # how every zip archive begins
 _HOMES = {
     **dict.fromkeys(("campaign", "sweep"), "fraclink._campaign"),
     "certificate": "fraclink._certify",
-    "comparison": "fraclink._compare",
+    "comparison": "fraclink._campaign.tournament",
     "design": "fraclink._design",
     "fault-campaign": "fraclink._campaign.faults",
     **dict.fromkeys(("driven-link", "fit", "structure-fit"), "fraclink._identify"),
@@ -97,8 +97,8 @@ _HOMES = {
     "law": "fraclink._law",
     "recording": "fraclink._arm.recording",
     "rig": "fraclink._arm.rig",
-    "shaped-move": "fraclink._shape",
-    "study": "fraclink._workflow.study",
+    "shaped-move": "fraclink._simulate.shaped_move",
+    "study": "fraclink._campaign.study",
     **dict.fromkeys(("tuning", "tuned-link", "tuned-motor", "watch", "wiring"), "fraclink._tune"),
 }
 

@@ -1,4 +1,4 @@
-"""Recorded logs: read, inspected, diagnosed. Stated columns in, an `Experiment` out."""
+"""Recorded logs: read, inspected, diagnosed; or guessed, for a first model."""
 
 from fraclink._logs.diagnosis import diagnose
 from fraclink._logs.guess import Guess, Question

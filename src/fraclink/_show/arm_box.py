@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._arm.reference import smooth_step
+from fraclink._campaign.study import Study
 from fraclink._design import Design
 from fraclink._law import MODES, REASONS, Law, equip
 from fraclink._show.pages import template_text
@@ -27,7 +28,6 @@ from fraclink._simulate.engine import (
     engine_rig,
 )
 from fraclink._simulate.simulate import link_at
-from fraclink._workflow import Study
 from fraclink.errors import FieldError
 
 __all__ = ["MOST_PAYLOADS", "ArmBox", "arm_box", "page_hash", "squeezed"]

@@ -6,13 +6,13 @@ from pathlib import Path
 from typing import Any
 
 from fraclink._arm.loop import with_payload
+from fraclink._campaign.study import Study
 from fraclink._design import Design
 from fraclink._files import write_text
 from fraclink._show import tables
 from fraclink._show.arm_box import MOST_PAYLOADS, arm_box, page_hash, squeezed
 from fraclink._show.pages import rendered
 from fraclink._show.text import grams, number
-from fraclink._workflow import Study
 from fraclink.errors import FieldError
 
 __all__ = ["render_arm_page", "write_arm_page"]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from fraclink._show.text import Row, Table, View, milli, number
 
 if TYPE_CHECKING:
-    from fraclink._shape import Measured, ShapedMove
+    from fraclink._simulate.shaped_move import Measured, ShapedMove
 
 __all__ = ["shaped_view"]
 

@@ -20,7 +20,7 @@ from fraclink._show.views import repeated, rival_sentences
 
 if TYPE_CHECKING:
     from fraclink._campaign import Summary
-    from fraclink._workflow import Study
+    from fraclink._campaign.study import Study
 
 __all__ = ["plain", "to_json"]
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from fraclink._campaign import Campaign, Summary, columns
+from fraclink._campaign.study import Study
 from fraclink._design import Design
 from fraclink._design.alternatives import feasibility_map
 from fraclink._design.assess import phase_budget, tolerances
@@ -20,7 +21,6 @@ from fraclink._show.drawing import Figure
 from fraclink._show.pages import rendered
 from fraclink._show.sketches import arm_sketch
 from fraclink._show.text import Table, number
-from fraclink._workflow import Study
 from fraclink.errors import FieldError
 
 __all__ = ["render_report", "write_campaign_report", "write_report"]

@@ -12,7 +12,7 @@ from fraclink._show.marks import Frame, escaped
 from fraclink._show.scales import Scale
 
 if TYPE_CHECKING:
-    from fraclink._compare.tournament import Standing, Tournament
+    from fraclink._campaign.tournament import Standing, Tournament
 
 __all__ = ["draw_rivals", "rivals_figure"]
 

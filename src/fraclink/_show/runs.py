@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 from fraclink._campaign.faults import Bench, Evidence, Outcome, fault_named, observe
 from fraclink._law import MODES
-from fraclink._shape import ShapedMove
 from fraclink._show.drawing import Figure, Panel
 from fraclink._show.marks import Across, Curve, Mark, Upright, Zone
 from fraclink._show.palette import LINES
 from fraclink._show.scales import Scale, envelope
 from fraclink._show.text import grams
 from fraclink._simulate import Run
+from fraclink._simulate.shaped_move import ShapedMove
 
 __all__ = ["draw_outcome", "moves_figure", "outcome_figure", "shaped_figure"]
 

@@ -15,11 +15,11 @@ if TYPE_CHECKING:
     from fraclink._arm.rig import Rig
     from fraclink._campaign import Summary
     from fraclink._campaign.faults import FaultTable
+    from fraclink._campaign.study import Study
     from fraclink._design import Design, Requirement
     from fraclink._identify import Fit
     from fraclink._law import Law
     from fraclink._simulate import Run
-    from fraclink._workflow import Study
     from fraclink.findings import Scope, Verdict
 
 

@@ -50,12 +50,13 @@ if TYPE_CHECKING:
     from fraclink._arm.rig import Rig
     from fraclink._campaign import Summary
     from fraclink._campaign.faults import FaultTable, Outcome
+    from fraclink._campaign.study import Study
     from fraclink._design import Design
     from fraclink._design.alternatives import Alternative
     from fraclink._identify import Comparison, Fit
     from fraclink._law import Law
+    from fraclink._logs.start import Start
     from fraclink._simulate import Run
-    from fraclink._workflow import Start, Study
     from fraclink.findings import Finding
 
 __all__ = ["faults_page", "repeated", "rival_sentences", "view"]

@@ -7,10 +7,10 @@ from collections.abc import Iterator
 
 from fraclink._arm.link import LinkModel
 from fraclink._arm.rig import Rig
+from fraclink._campaign.study import Study
 from fraclink._design import Design
 from fraclink._design.assess import Tolerances
 from fraclink._show.text import degrees, grams, number, option
-from fraclink._workflow import Study
 
 __all__ = ["arm_sentences", "nearest_command", "power_on", "sketch_notes", "steps", "tolerance_sentences"]
 

@@ -1,4 +1,4 @@
-"""One arm and one run: the model (a massless link) or the twin, under the law that is shipped."""
+"""One arm and one run: the model (a massless link) or the twin, under the law that is shipped; its moves."""
 
 from __future__ import annotations
 

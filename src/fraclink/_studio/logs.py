@@ -14,6 +14,8 @@ from fraclink._arm.draft import draft_text
 from fraclink._arm.link import STRUCTURES
 from fraclink._arm.log_columns import UNITS
 from fraclink._arm.rig import Rig
+from fraclink._campaign.stages import examined
+from fraclink._campaign.study import Study
 from fraclink._files import sha256_of
 from fraclink._identify import Fit
 from fraclink._logs import bundled_log, inspect_log, read_log
@@ -25,7 +27,6 @@ from fraclink._show import tables
 from fraclink._show.fits import worth_reading
 from fraclink._studio.messages import Reply
 from fraclink._studio.session import Session, bare
-from fraclink._workflow import Study, examined
 from fraclink.errors import FieldError
 
 __all__ = ["LOG_VERBS", "fit_answer"]

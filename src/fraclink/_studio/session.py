@@ -14,6 +14,8 @@ from threading import Lock
 from typing import Any
 
 from fraclink._arm.rig import Rig
+from fraclink._campaign.stages import designed, moved, subject
+from fraclink._campaign.study import Study, load_study, save_study
 from fraclink._design import Design
 from fraclink._files import kind_of, sha256_of
 from fraclink._show import tables
@@ -23,7 +25,6 @@ from fraclink._studio.history import History
 from fraclink._studio.messages import Reply
 from fraclink._studio.preview import Subject, blocks_of
 from fraclink._studio.request import as_command, as_python, checked_request, wanted_of
-from fraclink._workflow import Study, designed, load_study, moved, save_study, subject
 from fraclink.errors import FieldError
 from fraclink.findings import Finding, errors_of
 

@@ -13,12 +13,12 @@ from pathlib import Path
 from threading import Lock
 from typing import Any
 
+from fraclink._campaign.study import Study, load_study, save_study
 from fraclink._show import tables
 from fraclink._studio.logs import fit_answer
 from fraclink._studio.messages import Reply
 from fraclink._studio.session import Session
 from fraclink._validate import Between
-from fraclink._workflow import Study, load_study, save_study
 from fraclink.errors import FieldError
 
 __all__ = ["JOBS", "Job"]

@@ -17,7 +17,8 @@ from typing import Any
 
 from fraclink._campaign.fault_trial import Bench
 from fraclink._campaign.faults import Outcome, cases, run_faults
-from fraclink._workflow import Study, identified, load_study, proved, save_study, tried
+from fraclink._campaign.stages import identified, proved, tried
+from fraclink._campaign.study import Study, load_study, save_study
 from fraclink.errors import FraclinkError
 
 __all__ = ["main"]

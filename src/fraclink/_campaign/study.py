@@ -15,8 +15,9 @@ from typing import Any
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import STRUCTURES
 from fraclink._arm.rig import Rig
-from fraclink._campaign import Summary, load_campaign, summarise
+from fraclink._campaign.campaign import load_campaign
 from fraclink._campaign.faults import FaultTable
+from fraclink._campaign.summary import Summary, summarise
 from fraclink._certify import Certificate
 from fraclink._design import Design
 from fraclink._files import checked_path, document, kind_of, load, save

@@ -13,8 +13,7 @@ from fraclink._arm.beam import Beam
 from fraclink._arm.controller import Controller
 from fraclink._arm.motor import DiscretePid
 from fraclink._arm.shapers import Shaper, shaper_impulses
-from fraclink._compare.case import Filter, NominalLoop, Setting, fine_step, law_filter, sampled, tune, tustin
-from fraclink._compare.controllers import (
+from fraclink._campaign.rival_controllers import (
     Algebraic,
     Linear,
     Outer,
@@ -26,7 +25,7 @@ from fraclink._compare.controllers import (
     pd_correction,
     sliding_correction,
 )
-from fraclink._compare.published import (
+from fraclink._campaign.rival_published import (
     CORRECTED,
     INTEGER,
     PRINTED,
@@ -35,6 +34,16 @@ from fraclink._compare.published import (
     integer_twin,
     printed,
     quieter,
+)
+from fraclink._campaign.setting import (
+    Filter,
+    NominalLoop,
+    Setting,
+    fine_step,
+    law_filter,
+    sampled,
+    tune,
+    tustin,
 )
 from fraclink._law import Drive, Law, Modes, discretize
 from fraclink._simulate.arm import damping_of

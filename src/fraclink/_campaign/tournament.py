@@ -18,10 +18,10 @@ from fraclink._arm.link import LinkModel
 from fraclink._arm.reference import Reference, checked_reference, smooth_step
 from fraclink._arm.rig import Rig
 from fraclink._arm.shapers import Shaped
-from fraclink._compare.case import Filter, NominalLoop, Setting, fine_step, law_filter, prepare, sampled
-from fraclink._compare.controllers import Seen
-from fraclink._compare.presentation import markdown, sentences
-from fraclink._compare.rivals import FRACLINK, OFFSET, Rival, builders
+from fraclink._campaign.rival_controllers import Seen
+from fraclink._campaign.rivals import FRACLINK, OFFSET, Rival, builders
+from fraclink._campaign.setting import Filter, NominalLoop, Setting, fine_step, law_filter, prepare, sampled
+from fraclink._campaign.tournament_text import markdown, sentences
 from fraclink._files import write_json
 from fraclink._files.display import displayed
 from fraclink._law import Law

@@ -10,8 +10,8 @@ import numpy as np
 from fraclink._arm.controller import Controller
 from fraclink._arm.loop import Loop
 from fraclink._arm.motor_loop import MotorLoop
-from fraclink._compare.case import Setting
-from fraclink._compare.controllers import integer_mode
+from fraclink._campaign.rival_controllers import integer_mode
+from fraclink._campaign.setting import Setting
 from fraclink._design import deg, design
 from fraclink._design.assess import matched_in
 from fraclink.errors import InfeasibleError

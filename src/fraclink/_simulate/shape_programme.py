@@ -28,8 +28,10 @@ from fraclink._arm.link import LinkModel
 from fraclink._arm.reference import Path, Reference, SampledReference, hold, sampled
 from fraclink._arm.rig import Rig
 from fraclink._law import Law
-from fraclink._simulate import Run, Twin, simulate
+from fraclink._simulate.arm import Twin
 from fraclink._simulate.on_twin import with_motor_loop
+from fraclink._simulate.run import Run
+from fraclink._simulate.simulate import simulate
 from fraclink.errors import FieldError
 
 __all__ = [

@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from fraclink._compare.tournament import Standing, Tournament
+    from fraclink._campaign.tournament import Standing, Tournament
 
 __all__ = ["markdown", "sentences"]
 

@@ -25,7 +25,9 @@ from fraclink._design import Design
 from fraclink._files import document, load, save
 from fraclink._files.display import displayed
 from fraclink._law import Law
-from fraclink._shape.programme import (
+from fraclink._simulate.arm import Twin
+from fraclink._simulate.run import Run
+from fraclink._simulate.shape_programme import (
     SIGNALS,
     UNITS,
     MoveBounds,
@@ -35,7 +37,6 @@ from fraclink._shape.programme import (
     noise_of,
     responses_of,
 )
-from fraclink._simulate import Run, Twin
 from fraclink.errors import FieldError
 from fraclink.findings import Finding
 

@@ -13,9 +13,10 @@ from fraclink._arm.log_columns import ColumnStatement, LogColumns
 from fraclink._files import output_path, write_text
 from fraclink._files.display import displayed
 from fraclink._identify import Fit, identify
-from fraclink._logs import diagnose, read_log
+from fraclink._logs.diagnosis import diagnose
 from fraclink._logs.formats import read_table
 from fraclink._logs.guess import Guess, GuessedColumns, Question, guess_columns
+from fraclink._logs.reading import read_log
 from fraclink._logs.text import LogTable
 from fraclink._logs.weighing import answered, statements
 from fraclink._validate import Payload, Period, checked

@@ -13,7 +13,10 @@ from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import STRUCTURES, LinkModel
 from fraclink._arm.reference import Reference, smooth_step
 from fraclink._arm.rig import Rig
-from fraclink._campaign import Campaign, run_campaign, summarise
+from fraclink._campaign.campaign import Campaign
+from fraclink._campaign.run import run_campaign
+from fraclink._campaign.study import Refusal, Study, save_study
+from fraclink._campaign.summary import summarise
 from fraclink._certify import certify
 from fraclink._design import Design
 from fraclink._design.completed import design_for
@@ -22,7 +25,6 @@ from fraclink._law import Law
 from fraclink._logs import diagnose
 from fraclink._simulate import Run, simulate
 from fraclink._validate import Between, Seed, checked
-from fraclink._workflow.study import Refusal, Study, save_study
 from fraclink.errors import FieldError, FraclinkError, InfeasibleError
 
 __all__ = ["designed", "examined", "identified", "moved", "proved", "run", "simulate_move"]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.linalg import expm, solve_continuous_are, solve_discrete_are
 
 from fraclink._arm.link import LinkModel
-from fraclink._compare.case import Filter, tustin
+from fraclink._campaign.setting import Filter, tustin
 
 __all__ = [
     "Algebraic",

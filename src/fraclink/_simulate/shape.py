@@ -11,10 +11,10 @@ import numpy as np
 
 from fraclink._arm.reference import Path, SampledReference
 from fraclink._design import Design
-from fraclink._shape.move import Candidate, MoveSetting, ShapedMove, candidates, settling
-from fraclink._shape.programme import MoveSolution, Programme, Responses
-from fraclink._simulate import Twin
+from fraclink._simulate.arm import Twin
 from fraclink._simulate.metrics import BAND
+from fraclink._simulate.shape_programme import MoveSolution, Programme, Responses
+from fraclink._simulate.shaped_move import Candidate, MoveSetting, ShapedMove, candidates, settling
 from fraclink._validate import Between, Ordered, checked
 from fraclink.errors import FieldError
 from fraclink.findings import Finding
