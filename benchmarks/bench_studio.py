@@ -10,6 +10,7 @@ package axe-core), violations are counted in 7 steps, 2 themes and 3 widths.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 import re
 import subprocess
@@ -17,6 +18,7 @@ import sys
 import tempfile
 import time
 from importlib.metadata import files
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -69,7 +71,7 @@ def previews() -> None:
 def sizes() -> None:
     """Bytes of the own script as it is served, and of the extra."""
     with tempfile.TemporaryDirectory() as place:
-        studio = Studio(opened(None, out=Path(place)), hosts=["127.0.0.1:1"])
+        studio = Studio(lambda: opened(None, out=Path(place)), hosts=["127.0.0.1:1"])
         client = TestClient(application(studio), base_url="http://127.0.0.1:1")
         names = ("studio", "plot", "link", "design", "logs", "proof", "arm")
         own = sum(len(client.get(f"/{name}.js").content) for name in names)
@@ -81,7 +83,10 @@ def sizes() -> None:
         "<= 60 kB",
         f"{rest / 1e3:.1f} kB page and style, {arm / 1e3:.1f} kB arm",
     )
-    packages = ("starlette", "uvicorn", "websockets", "anyio", "h11", "idna", "click")
+    packages = ("starlette", "uvicorn", "wsproto", "anyio", "h11", "idna", "click")
+    if find_spec("wsproto") is None:
+        line("extra [studio]", "not measured", "<= 6 MB", "wsproto is not installed")
+        return
     total = sum(f.locate().stat().st_size for p in packages for f in files(p) or () if f.locate().is_file())
     line("extra [studio]", f"{total / 1e6:.1f} MB", "<= 6 MB", ", ".join(packages))
 
@@ -145,6 +150,7 @@ def violations(page: Page, axe: str) -> None:
 def hostile(address: str) -> None:
     """10 000 random and hostile messages over a real socket; the study must be the one before."""
     from websockets.asyncio.client import connect
+    from websockets.exceptions import ConnectionClosed
 
     rng = np.random.default_rng(1)
     token = address.split("#")[1]
@@ -196,11 +202,13 @@ def hostile(address: str) -> None:
 
         async def read(socket) -> None:
             nonlocal answers, bad
-            async for data in socket:
-                answers += 1
-                size = int.from_bytes(data[:4], "little")
-                head = data[4 : 4 + size]
-                bad += b"NaN" in head or b"Infinity" in head or b'"defect":true' in head
+            # A page that does not wait for its answers is shown the door (1008): that is no defect.
+            with contextlib.suppress(ConnectionClosed):
+                async for data in socket:
+                    answers += 1
+                    size = int.from_bytes(data[:4], "little")
+                    head = data[4 : 4 + size]
+                    bad += b"NaN" in head or b"Infinity" in head or b'"defect":true' in head
 
         sent = 0
         while sent < 10_000:
@@ -209,11 +217,12 @@ def hostile(address: str) -> None:
             ) as socket:
                 await socket.send(token)
                 reading = asyncio.create_task(read(socket))
-                for _ in range(500):
-                    await socket.send(text(sent))
-                    sent += 1
-                    if sent % 25 == 0:
-                        await asyncio.sleep(0.02)
+                with contextlib.suppress(ConnectionClosed):
+                    for _ in range(500):
+                        await socket.send(text(sent))
+                        sent += 1
+                        if sent % 25 == 0:
+                            await asyncio.sleep(0.02)
                 await asyncio.sleep(1.0)
                 reading.cancel()
         return answers, bad

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
+import shlex
 import struct
 from pathlib import Path
 from typing import get_type_hints
@@ -20,7 +21,7 @@ import fraclink as fl
 from fraclink._cli import main
 from fraclink._cli.designs import DesignOptions
 from fraclink._law.refit import refitted
-from fraclink._show.arm_box import squeezed
+from fraclink._show.pages import squeezed, tightened
 from fraclink._studio.history import History
 from fraclink._studio.logs import LOG_VERBS
 from fraclink._studio.messages import Reply, parsed, refusal
@@ -174,12 +175,22 @@ def test_a_refusal_keeps_the_parts_of_its_error():
     assert refusal(error).head["field"] == "payload"
 
 
+def test_a_script_keeps_its_texts_and_loses_its_spaces():
+    cases = {
+        "a = `x  ${b ? `, ${ c }` : ' '} y`": "a=`x  ${b ? `, ${ c }` : ' '} y`\n",
+        "// all\nlet a = 1 - -b; /* two\nlines */ f( /a b/ )": "let a=1- -b;f(/a b/)\n",
+        "const x = a\n(b)": "const x=a\n(b)\n",
+        "return 'a // b' + c": "return'a // b'+c\n",
+    }
+    assert {text: tightened(text) for text in cases} == cases
+
+
 # --- the server -----------------------------------------------------------------------------------------
 
 
 @pytest.fixture
 def studio(tmp_path) -> Studio:
-    return Studio(opened(None, out=tmp_path / "results"), hosts=["127.0.0.1:8000"])
+    return Studio(lambda: opened(None, out=tmp_path / "results"), hosts=["127.0.0.1:8000"])
 
 
 @pytest.fixture
@@ -248,7 +259,7 @@ def test_a_page_says_hello_drags_notes_and_keeps(client, studio, tmp_path):
         assert answer["ok"] and curves["gain"].shape == (3, 280)
         exact, _ = talked(socket, seq=3, verb="exact", state={**ASKED, "gain_crossover": 12.5})
         assert [scope["state"] for scope in exact["verdict"]] == ["passed", "passed", "not run"]
-        assert "--gain-crossover 12.5" in exact["command"]
+        assert "--gain-crossover 12.5" in exact["copies"]["design"]["command"]
         noted, _ = talked(socket, seq=4, verb="note", state={**ASKED, "gain_crossover": 12.5})
         assert noted["at"] == 0
         kept, _ = talked(socket, seq=5, verb="keep")
@@ -301,7 +312,7 @@ def test_a_file_is_taken_with_the_token_and_a_plain_name_only(client, studio):
 def test_an_address_for_others_needs_the_word(tmp_path):
     session = opened(None, out=tmp_path)
     with pytest.raises(FieldError, match="others can reach") as why:
-        serve(session, host="0.0.0.0", open_page=False)  # noqa: S104
+        serve(lambda: session, host="0.0.0.0", open_page=False)  # noqa: S104
     assert "--unsafe-remote" in why.value.remedy
 
 
@@ -313,16 +324,40 @@ def test_what_is_kept_is_what_the_commands_write_byte_for_byte(tmp_path, monkeyp
     session = opened(None, out=Path("kept"))
     answer = session.exact({**ASKED, "gain_crossover": 13.0, "phase_margin_deg": 47.5, "filter_time": 0.004})
     session.keep()
-    words = answer.head["command"].split()
+    words = answer.head["copies"]["design"]["command"].split()
     words[words.index("--out") + 1] = "made.json"
     assert main(words[1:]) == 0
     assert Path("made.json").read_bytes() == Path("kept/design.json").read_bytes()
     # and the lines of Python are of the same design
     space: dict = {}
-    exec(compile(answer.head["python"], "copied", "exec"), space)  # noqa: S102
+    exec(compile(answer.head["copies"]["design"]["python"], "copied", "exec"), space)  # noqa: S102
     assert space["design"].requirements == session.study.design.requirements
     assert space["design"].controller == session.study.design.controller
     assert space["law"].digest == session.study.law.digest
+
+
+@pytest.mark.slow
+def test_what_is_copied_in_a_step_does_what_the_step_did(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    session = opened(None, rig=fl.Rig.named("paper-2023-geared"), out=Path("ours"))
+    LOG_VERBS["log"](session, {"name": "prbs_30g"})
+    columns = ["time=time_s [s]", "motor_angle=motor_angle_rad [rad]", "torque=torque_Nm [Nm]"]
+    assert LOG_VERBS["columns"](session, {"columns": columns, "payload": 0.03}).head["ok"]
+    Job(session, "identify", {"heldout": 0.25}).done(lambda progress: None)
+    session.exact({"gain_crossover": None})
+    session.keep()
+    copied = session.overview()["copies"]
+    for step in ("log", "channels", "model", "move"):
+        assert main(shlex.split(copied[step]["command"].replace("ours/model", "theirs"))[1:]) == 0, step
+        space: dict = {}
+        exec(compile(copied[step]["python"], "copied", "exec"), space)  # noqa: S102
+        if step == "model":
+            assert "--heldout 0.25" in copied[step]["command"] and "heldout=0.25" in copied[step]["python"]
+            fits = (fl.load("ours/model.json"), fl.load("theirs.json"), space["fit"])
+            assert {(fit.model, fit.heldout_nmse, fit.fitted_samples) for fit in fits} == {
+                (session.study.fit.model, session.study.fit.heldout_nmse, session.study.fit.fitted_samples)
+            }
+    assert Path("ours/model.json").read_bytes() == Path("theirs.json").read_bytes()
 
 
 @pytest.mark.slow

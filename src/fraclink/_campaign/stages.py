@@ -21,6 +21,7 @@ from fraclink._certify import certify
 from fraclink._design import Design
 from fraclink._design.completed import design_for
 from fraclink._identify import compare_structures
+from fraclink._identify.fitting import HeldOut
 from fraclink._law import Law
 from fraclink._logs import diagnose
 from fraclink._simulate import Run, simulate
@@ -41,6 +42,7 @@ def run(
     log: Experiment,
     *,
     structure: str | None = None,
+    heldout: HeldOut | None = None,
     certified: bool = False,
     arms: Annotated[int, Between(0, 10**6)] = _ARMS,
     seed: Seed = 0,
@@ -58,6 +60,8 @@ def run(
         the rig and what it recorded.
     structure
         the model that the design uses; the one that the log supports where it is left out.
+    heldout
+        share of the samples at the end that no fit sees, as in `identify`.
     certified
         whether a proof is asked for.
     arms
@@ -86,7 +90,7 @@ def run(
     study = examined(rig, log)
     folder = None if out is None else Path(out) / "arms"
     steps: dict[str, Callable[[Study], Study]] = {
-        "identifying": lambda study: identified(study, structure),
+        "identifying": lambda study: identified(study, structure, heldout),
         "designing": lambda study: designed(study, **wanted),
         "simulating": moved,
     }

@@ -22,6 +22,7 @@ from fraclink._cli.options import (
     DesignRequest,
     Estimate,
     GivenPayload,
+    HeldOutShare,
     LinkMass,
     LogOptions,
     ModelFile,
@@ -67,6 +68,7 @@ def run(
         "results"
     ),
     structure: Annotated[str | None, "Structure of the model; default: what the log supports"] = None,
+    heldout: HeldOutShare = None,
     certify: Annotated[bool, "Prove the design, too; takes a few seconds"] = False,
     arms: Annotated[int, "Arms that differ from the model to try; 0 leaves them out"] = 1000,
     title: Annotated[str | None, "Title of the report"] = None,
@@ -85,6 +87,7 @@ def run(
             known,
             load_log(log, known, **reading),
             structure=structure,
+            heldout=heldout,
             certified=certify,
             arms=arms,
             out=out,

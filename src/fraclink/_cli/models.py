@@ -19,6 +19,7 @@ from fraclink._cli.command import Answer, Writes, command
 from fraclink._cli.console import steps
 from fraclink._cli.options import (
     Columns,
+    HeldOutShare,
     LinkMass,
     LogName,
     LogOptions,
@@ -85,6 +86,7 @@ def identify(
     rig: RigName,
     out: Annotated[Path, "File to write the model to", Writes()] = Path("model.json"),
     structure: StructureName = None,
+    heldout: HeldOutShare = None,
     **reading: Unpack[LogOptions],
 ) -> Answer:
     """Fit a link model to a log, with gain, offset and gauge delay as free parameters.
@@ -98,7 +100,8 @@ def identify(
         begin("examining the log")
         doubts = _errors(experiment, known)
         begin(f"fitting {structure or 'every structure'}")
-        fit = identification.identify(experiment, structure, stiffness=_known_stiffness(experiment, known))
+        stiffness = _known_stiffness(experiment, known)
+        fit = identification.identify(experiment, structure, heldout=heldout, stiffness=stiffness)
     fit.save(out)
     if (rig_in_full := whole(known)) is not None:
         doubts = tuple(dict.fromkeys((*doubts, *doubts_of(rig_in_full, fit.model))))
@@ -107,7 +110,9 @@ def identify(
 
 
 @command(app)
-def compare_structures(log: LogName, rig: RigName, **reading: Unpack[LogOptions]) -> Answer:
+def compare_structures(
+    log: LogName, rig: RigName, heldout: HeldOutShare = None, **reading: Unpack[LogOptions]
+) -> Answer:
     """Fit all four structures to a log and compare them.
 
     $ fraclink compare-structures log.csv --rig rig.toml
@@ -119,7 +124,7 @@ def compare_structures(log: LogName, rig: RigName, **reading: Unpack[LogOptions]
         doubts = _errors(experiment, known)
         begin("fitting four structures")
         comparison = identification.compare_structures(
-            experiment, stiffness=_known_stiffness(experiment, known)
+            experiment, heldout=heldout, stiffness=_known_stiffness(experiment, known)
         )
     return Answer(comparison, doubts=doubts)
 

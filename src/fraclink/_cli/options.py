@@ -20,6 +20,7 @@ from fraclink._arm.rig import Rig
 from fraclink._design import Design
 from fraclink._files import kind_of
 from fraclink._identify import Fit, load_model
+from fraclink._identify.fitting import HeldOut
 from fraclink._law.estimator import PayloadEstimator
 from fraclink._logs import bundled_log, read_log
 from fraclink._logs.responses import read_reference
@@ -54,6 +55,10 @@ ReferenceFile = Annotated[
 ]
 GivenPayload = Annotated[float, "Payload that the law is given [kg]; 0: none"]
 Estimate = Annotated[bool, "The law is given the payload that it estimates while the arm moves"]
+HeldOutShare = Annotated[
+    HeldOut | None,
+    "Share at the end that no fit sees; default: 0.4, or more where the arm rests",
+]
 Columns = Annotated[
     list[str] | None,
     typer.Option(metavar="ROLE=NAME [UNIT]"),

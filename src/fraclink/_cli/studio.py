@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from fraclink._cli.app import group
 from fraclink._cli.command import Answer, command
 from fraclink._cli.console import emit
-from fraclink._cli.options import load_rig
-from fraclink._studio.session import opened
 from fraclink._validate import Between
-from fraclink.errors import MissingExtraError
+from fraclink.errors import FieldError, MissingExtraError
+
+if TYPE_CHECKING:
+    from fraclink._studio.session import Session
 
 app = group()
 
@@ -43,9 +44,26 @@ def studio(
     try:
         from fraclink._studio.serving import serve
     except ModuleNotFoundError as error:
-        if error.name not in ("starlette", "uvicorn", "websockets", "anyio", "h11"):
+        if error.name not in ("starlette", "uvicorn", "anyio", "h11", "click", "idna"):
             raise
         raise MissingExtraError(error.name, "studio") from error
-    session = opened(place, rig=None if rig is None else load_rig(rig), out=out)
-    serve(session, host=host, port=port, unsafe_remote=unsafe_remote, open_page=open, say=emit)
+    if place is not None and not place.exists():
+        allowed, remedy = "a folder, a log or a design that is there", "check the name, or leave it out"
+        raise FieldError("place", str(place), "no such file", allowed=allowed, remedy=remedy)
+    session = serve(
+        lambda: _opened(place, rig, out),
+        host=host,
+        port=port,
+        unsafe_remote=unsafe_remote,
+        open_page=open,
+        say=emit,
+    )
     return Answer(text=f"kept in {session.folder}" if session.folder.is_dir() else "nothing was kept")
+
+
+def _opened(place: Path | None, rig: str | None, out: Path) -> Session:
+    # Everything numerical is loaded here, a second of work, while the browser loads the page.
+    from fraclink._cli.options import load_rig
+    from fraclink._studio.session import opened
+
+    return opened(place, rig=None if rig is None else load_rig(rig), out=out)

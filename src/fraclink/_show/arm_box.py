@@ -6,7 +6,6 @@ import base64
 import hashlib
 import json
 import math
-import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -18,7 +17,7 @@ from fraclink._arm.reference import smooth_step
 from fraclink._campaign.study import Study
 from fraclink._design import Design
 from fraclink._law import MODES, REASONS, Law, equip
-from fraclink._show.pages import template_text
+from fraclink._show.pages import squeezed
 from fraclink._simulate.engine import (
     LONGEST,
     EngineLink,
@@ -30,7 +29,7 @@ from fraclink._simulate.engine import (
 from fraclink._simulate.simulate import link_at
 from fraclink.errors import FieldError
 
-__all__ = ["MOST_PAYLOADS", "ArmBox", "arm_box", "page_hash", "squeezed"]
+__all__ = ["MOST_PAYLOADS", "ArmBox", "arm_box", "page_hash"]
 
 Real = NDArray[np.float64]
 
@@ -64,14 +63,6 @@ def arm_box(study: Study, design: Design, *, payloads: int = MOST_PAYLOADS) -> A
     if not data["links"]:
         return None
     return ArmBox(_json(data), script, page_hash(script), squeezed("arm_box.css"))
-
-
-def squeezed(name: str) -> str:
-    """A script or style without indentation and lines of comment: 5 kB, room for two more payloads."""
-    # A comment of several lines is one: its second line, left in, takes the rule behind it along.
-    text = re.sub(r"^\s*/\*.*?\*/", "", template_text(name), flags=re.DOTALL | re.MULTILINE)
-    lines = (line.strip() for line in text.splitlines())
-    return "".join(f"{line}\n" for line in lines if line and not line.startswith("//"))
 
 
 def page_hash(text: str) -> str:

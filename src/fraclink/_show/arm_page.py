@@ -10,8 +10,8 @@ from fraclink._campaign.study import Study
 from fraclink._design import Design
 from fraclink._files import write_text
 from fraclink._show import tables
-from fraclink._show.arm_box import MOST_PAYLOADS, arm_box, page_hash, squeezed
-from fraclink._show.pages import rendered
+from fraclink._show.arm_box import MOST_PAYLOADS, arm_box, page_hash
+from fraclink._show.pages import rendered, squeezed
 from fraclink._show.text import grams, number
 from fraclink.errors import FieldError
 

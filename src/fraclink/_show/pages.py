@@ -2,19 +2,64 @@
 
 from __future__ import annotations
 
+import re
 from importlib.resources import files
 
 from fraclink._show.text import marked, sentence
 from fraclink.errors import MissingExtraError
 
-__all__ = ["rendered", "template_text"]
+__all__ = ["rendered", "squeezed", "template_text", "tightened"]
 
 _FOLDER = files("fraclink._show") / "templates"
+# What a script is made of, as far as its spaces matter. A template holds at most one more inside of it.
+_TEMPLATE = r"`(?:\\.|[^`\\$]|\$(?!\{)|\$\{(?:[^`{}]|`(?:\\.|[^`\\])*`|\{[^{}]*\})*\})*`"
+_PARTS = re.compile(
+    r"(?P<comment>//[^\n]*|/\*.*?\*/)|(?P<space>\s+)"
+    r"|(?P<text>'(?:\\.|[^'\\\n])*'|\"(?:\\.|[^\"\\\n])*\"|" + _TEMPLATE + r")"
+    r"|(?P<pattern>(?<=[(,=:!&|?])/(?:\\.|\[(?:\\.|[^\]\\])*\]|[^/\\\n\[])+/)|(?P<code>[\w$]+|.)",
+    re.DOTALL,
+)
 
 
 def template_text(name: str) -> str:
     """Return the text of one of the files beside the templates."""
     return (_FOLDER / name).read_text("utf-8")
+
+
+def squeezed(name: str) -> str:
+    """A script or style without indentation and lines of comment: 5 kB, room for two more payloads."""
+    # A comment of several lines is one: its second line, left in, takes the rule behind it along.
+    text = re.sub(r"^\s*/\*.*?\*/", "", template_text(name), flags=re.DOTALL | re.MULTILINE)
+    lines = (line.strip() for line in text.splitlines())
+    return "".join(f"{line}\n" for line in lines if line and not line.startswith("//"))
+
+
+def tightened(script: str) -> str:
+    """Return a script without its comments, and without the spaces that separate nothing.
+
+    Lines end where a statement may: JavaScript puts in the semicolons that are missing there.
+
+    >>> tightened("const a = b => `${b} + 1`; // twice\\n  f( a,\\n  'x y' )\\n")
+    "const a=b=>`${b} + 1`;f(a,'x y')\\n"
+    """
+    found, gap = [""], ""
+    for part in _PARTS.finditer(script):
+        text = part[0]
+        if part.lastgroup in ("comment", "space"):
+            gap = "\n" if "\n" in text or gap == "\n" else " "
+            continue
+        before, after = found[-1][-1:], text[0]
+        if gap == "\n" and before not in ";{,([=:?&|<>" and after not in "})],.;:?&|":
+            found.append("\n")
+        elif gap and ((_is_word(before) and _is_word(after)) or (before == after and after in "+-")):
+            found.append(" ")
+        found.append(text)
+        gap = ""
+    return "".join(found) + "\n"
+
+
+def _is_word(character: str) -> bool:
+    return character == "$" or character.isalnum() or character == "_"
 
 
 def rendered(template: str, **contents: object) -> str:

@@ -16,9 +16,9 @@ from fraclink._design.alternatives import feasibility_map
 from fraclink._design.assess import phase_budget, tolerances
 from fraclink._files import write_text
 from fraclink._show import figures, fleets, loops, matrix, runs, tables, words
-from fraclink._show.arm_box import arm_box, page_hash, squeezed
+from fraclink._show.arm_box import arm_box, page_hash
 from fraclink._show.drawing import Figure
-from fraclink._show.pages import rendered
+from fraclink._show.pages import rendered, squeezed
 from fraclink._show.sketches import arm_sketch
 from fraclink._show.text import Table, number
 from fraclink.errors import FieldError

@@ -128,6 +128,7 @@ def _set_columns(session: Session, given: Mapping[str, Any]) -> Reply:
             raise FieldError("columns", ", ".join(texts)[:200], asked, allowed=allowed, remedy=remedy)
     rig = session.study.rig
     log = read_log(session.source, columns=columns or rig.log, payload=payload)
+    session.columns, session.payload, session.heldout = tuple(texts), payload, None
     session.become(examined(rig, log))
     head: dict[str, Any] = {"ok": True, **session.overview()}
     if columns is not None:

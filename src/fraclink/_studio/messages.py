@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fraclink._show.records import plain
+from fraclink._studio.server import LONGEST
 from fraclink.errors import FieldError, FraclinkError, InfeasibleError
 
 __all__ = ["LONGEST", "Message", "Reply", "parsed", "refusal"]
 
-LONGEST = 16_384  # bytes of a request: a state takes 400, the statements of twelve columns 2000
 _NAME = 40
 
 

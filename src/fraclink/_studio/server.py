@@ -9,9 +9,11 @@ import re
 import secrets
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, MutableMapping
+from concurrent.futures import Future
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from threading import Thread
+from typing import TYPE_CHECKING, Any
 
 from starlette.applications import Starlette
 from starlette.requests import ClientDisconnect, Request
@@ -19,12 +21,12 @@ from starlette.responses import PlainTextResponse, Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from fraclink._show.arm_box import squeezed
-from fraclink._show.pages import template_text
-from fraclink._studio.conversation import Conversation
-from fraclink._studio.session import Session
+from fraclink._show.pages import squeezed, template_text, tightened
 
-__all__ = ["Studio", "application"]
+if TYPE_CHECKING:
+    from fraclink._studio.session import Session
+
+__all__ = ["LONGEST", "Studio", "application"]
 
 POLICY = (
     "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; style-src 'self'; img-src 'self' data:; "
@@ -41,6 +43,7 @@ _HEADERS = {
 _PAGE = files("fraclink._studio") / "page"
 _KINDS = {".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}
 _SCRIPTS = ("arm_engine.js", "arm_drawing.js", "arm_page.js")
+LONGEST = 16_384  # bytes of a request: a state takes 400, the statements of twelve columns 2000
 UPLOAD_LIMIT = 200_000_000  # bytes: as much as the readers of logs take
 _NAME = re.compile(r"[\w][\w .()+-]{0,100}\.\w{1,10}")
 _PATIENCE = 10.0  # [s] for the token, which the page sends at once
@@ -51,14 +54,38 @@ Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
 
 
 class Studio:
-    """What all pages of one server share: the session, the token, and since when nobody has looked."""
+    """What all pages of one server share: the session, the token, and since when nobody has looked.
 
-    def __init__(self, session: Session, *, hosts: Iterable[str] = ()) -> None:
-        self.session = session
+    `opening` makes the session. It runs beside the server: arrays, optimisation and the study
+    take a second to load, and a browser has the page by then.
+    """
+
+    def __init__(self, opening: Callable[[], Session], *, hosts: Iterable[str] = ()) -> None:
+        self._session: Future[Session] = Future()
+        Thread(target=self._open, args=(opening,), daemon=True).start()
         self.token = secrets.token_urlsafe(24)  # 192 bits
         self.hosts = frozenset(hosts)  # empty: set when the port is known
         self.pages = 0
         self.alone_since = time.monotonic()
+
+    def _open(self, opening: Callable[[], Session]) -> None:
+        try:
+            session = opening()
+            import fraclink._studio.conversation  # noqa: F401  # what answers: before it is asked
+        except BaseException as error:  # noqa: BLE001  # handed to whoever waits for the session
+            self._session.set_exception(error)
+        else:
+            self._session.set_result(session)
+
+    @property
+    def session(self) -> Session:
+        """The open study; waits for it, and raises what opening it raised."""
+        return self._session.result()
+
+    @property
+    def failed(self) -> bool:
+        """Whether there is no study to show, and never will be."""
+        return self._session.done() and self._session.exception() is not None
 
     def knows(self, token: object) -> bool:
         """Whether `token` is the one; compared in a time that does not depend on it."""
@@ -111,11 +138,8 @@ def _contents() -> dict[str, tuple[bytes, str]]:
 
 
 def _served(name: str, content: bytes) -> bytes:
-    """A script without its indentation and its lines of comment, a fifth of it; anything else as it is."""
-    if not name.endswith(".js"):
-        return content
-    lines = (line.strip() for line in content.decode().splitlines())
-    return "".join(f"{line}\n" for line in lines if line and not line.startswith(("//", "/**"))).encode()
+    """A script without what only its readers need, a fifth of it; anything else as it is."""
+    return tightened(content.decode()).encode() if name.endswith(".js") else content
 
 
 def _arm_module() -> str:
@@ -211,7 +235,16 @@ async def _talked(studio: Studio, socket: WebSocket) -> None:
             await socket.close(1008)
         return
     async with _counted(studio):
-        await Conversation(studio.session, socket).run()
+        try:
+            session = await asyncio.to_thread(lambda: studio.session)
+        except Exception:  # noqa: BLE001  # said in the terminal by `serve`, which ends now
+            await socket.close(1011)
+            return
+        from fraclink._studio.conversation import (
+            Conversation,
+        )  # loaded behind the first paint, with the session
+
+        await Conversation(session, socket).run()
 
 
 @contextlib.asynccontextmanager

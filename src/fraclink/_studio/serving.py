@@ -9,34 +9,39 @@ import socket
 import time
 import webbrowser
 from collections.abc import Callable
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Literal
 
 import uvicorn
 
-from fraclink._studio.messages import LONGEST
-from fraclink._studio.server import Studio, application
-from fraclink._studio.session import Session
-from fraclink.errors import FieldError
+from fraclink._studio.server import LONGEST, Studio, application
+from fraclink.errors import FieldError, MissingExtraError
+
+if TYPE_CHECKING:
+    from fraclink._studio.session import Session
 
 __all__ = ["serve"]
 
 _ALONE = 600.0  # [s] without a page, after which the studio ends
-_LOOK = 2.0  # [s] between two looks
+_LOOK = 0.5  # [s] between two looks
 _PING = 20.0  # [s]
 
 
 def serve(
-    session: Session,
+    opening: Callable[[], Session],
     *,
     host: str = "127.0.0.1",
     port: int = 0,
     unsafe_remote: bool = False,
     open_page: bool = True,
     say: Callable[[str], None] = print,
-) -> None:
-    """Serve `session` until Ctrl-C, or until no page has been open for ten minutes.
+) -> Session:
+    """Serve a session until Ctrl-C, or until no page has been open for ten minutes, and return it.
 
     Parameters
     ----------
+    opening
+        makes the session; it runs while the browser loads the page, and what it raises ends the studio.
     host, port
         where to listen; port 0 takes one that is free. An address that others can reach needs
         `unsafe_remote`: everybody who learns the token can then read and change the study.
@@ -48,7 +53,7 @@ def serve(
     Raises
     ------
     FieldError
-        the address is not of this machine alone, or is taken.
+        the address is not of this machine alone, or is taken; or what `opening` raises.
     """
     listener = _listening(host, port, unsafe_remote)
     port = listener.getsockname()[1]
@@ -56,16 +61,17 @@ def serve(
     hosts = {f"{shown}:{port}"} | (
         {f"127.0.0.1:{port}", f"localhost:{port}"} if _is_loopback(host) else set()
     )
-    studio = Studio(session, hosts=hosts)
+    studio = Studio(opening, hosts=hosts)
     address = f"http://{shown}:{port}/#{studio.token}"
     settings = uvicorn.Config(
         application(studio),
         log_level="critical",  # its lines would name the addresses of pages
         access_log=False,
         server_header=False,
-        ws="websockets-sansio",
+        ws=_sockets(),
         ws_max_size=4 * LONGEST,
         ws_ping_interval=_PING,
+        ws_per_message_deflate=False,  # 14 kB a drag that never leave the machine
         h11_max_incomplete_event_size=LONGEST,
         lifespan="off",
     )
@@ -75,7 +81,18 @@ def serve(
         webbrowser.open(address)
     with contextlib.suppress(KeyboardInterrupt):
         asyncio.run(_served(server, listener, studio))
+    session = studio.session
     session.close()
+    return session
+
+
+def _sockets() -> Literal["wsproto", "websockets-sansio"]:
+    """What speaks the protocol of the socket: wsproto, a tenth of the size, or what is there anyway."""
+    if find_spec("wsproto") is not None:
+        return "wsproto"
+    if find_spec("websockets") is not None:
+        return "websockets-sansio"
+    raise MissingExtraError("wsproto", "studio")
 
 
 async def _served(server: uvicorn.Server, listener: socket.socket, studio: Studio) -> None:
@@ -89,7 +106,7 @@ async def _served(server: uvicorn.Server, listener: socket.socket, studio: Studi
 async def _watch(server: uvicorn.Server, studio: Studio) -> None:
     while True:
         await asyncio.sleep(_LOOK)
-        if not studio.pages and time.monotonic() - studio.alone_since > _ALONE:
+        if studio.failed or (not studio.pages and time.monotonic() - studio.alone_since > _ALONE):
             server.should_exit = True
 
 

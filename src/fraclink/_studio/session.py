@@ -21,10 +21,11 @@ from fraclink._files import kind_of, sha256_of
 from fraclink._show import tables
 from fraclink._show.arm_box import arm_box
 from fraclink._show.text import marked
+from fraclink._studio.copied import copies
 from fraclink._studio.history import History
 from fraclink._studio.messages import Reply
 from fraclink._studio.preview import Subject, blocks_of
-from fraclink._studio.request import as_command, as_python, checked_request, wanted_of
+from fraclink._studio.request import checked_request, wanted_of
 from fraclink.errors import FieldError
 from fraclink.findings import Finding, errors_of
 
@@ -61,6 +62,10 @@ class Session:
         self.close = weakref.finalize(self, shutil.rmtree, self.draft, ignore_errors=True)
         self.study, self.folder, self.source = study, folder, source
         self.upload: Path | None = None
+        # What a copied command repeats: statements of columns, payload [kg], share that no fit sees.
+        self.columns: tuple[str, ...] = ()
+        self.payload: float | None = None
+        self.heldout: float | None = None
         self.written: dict[str, int] = {}
         self.lock = Lock()
         self._kept = _digests(folder) if kept else {}
@@ -162,7 +167,7 @@ class Session:
             "certificate": None if study.certificate is None else study.certificate.verdict,
             "uncertified": study.uncertified,
             "files": self.written,
-            **self.commands(),
+            "copies": copies(self),
         }  # fmt: skip
 
     def marks(self) -> dict[str, str]:
@@ -180,32 +185,6 @@ class Session:
             "proof": "failed" if "failed" in (proof, verdict.reality.state) else proof,
             "board": "passed" if self.written else "not run",
         }
-
-    def commands(self) -> dict[str, str]:
-        """The design as a command and as Python."""
-        made, fit = self.study.design, self.study.fit
-        rig, model = self.rig_name(), (self.folder / "model.json" if fit is not None else None)
-        request = dict(self.state)
-        command = as_command(request, rig, model, self.folder / "design.json")
-        known = self.study.rig.design if self.study.rig else None
-        if made is not None:  # Python calls `design`, which completes nothing from the rig
-            request["payloads"] = made.payloads
-            request["gain_crossover"] = made.gain_crossover
-            if self.state["max_sensitivity"] is None or self.state["phase_margin_deg"] is not None:
-                request["phase_margin_deg"] = self.state["phase_margin_deg"] or round(
-                    math.degrees(made.phase_margin), 9
-                )
-            bounds = (request["noise_gain"], request["mode_gain"])
-            if known is not None and request["filter_time"] is None and bounds == (None, None):
-                request["filter_time"] = known.filter_time
-        return {"command": command, "python": as_python(request, rig, model)}
-
-    def rig_name(self) -> str:
-        """How a command names the rig: a bundled one by its name, any other by the file that Keep writes."""
-        rig = self.study.rig
-        if rig is not None and self.study.experiment is None and rig.name in Rig.names():
-            return rig.name if Rig.named(rig.name) == rig else str(self.folder / "rig.toml")
-        return str(self.folder / "rig.toml")
 
     # ---- what is kept -------------------------------------------------------------------------------------
 

@@ -60,7 +60,7 @@ class Job:
         try:
             save_study(replace(self.study, arms=None), place)
             self._run(place, asked, tell)
-            return self._taken(place)
+            return self._taken(place, asked)
         finally:
             shutil.rmtree(place, ignore_errors=True)
 
@@ -83,7 +83,7 @@ class Job:
             allowed, remedy = "a job that ends", "see the message; the study is as it was"
             raise FieldError(self.verb, code, f"failed: {why}", allowed=allowed, remedy=remedy)
 
-    def _taken(self, place: Path) -> Reply:
+    def _taken(self, place: Path, asked: Mapping[str, Any]) -> Reply:
         """Take over what the job added, if the study is still the one that it began with."""
         found, session = load_study(place), self.session
         with session.lock:
@@ -95,6 +95,7 @@ class Job:
                     allowed="the study it began with", remedy="start it again",
                 )  # fmt: skip
             if self.verb == "identify":
+                session.heldout = asked["heldout"]
                 session.become(replace(found, experiment=now.experiment, rig=now.rig))
             elif self.verb == "prove":
                 certificate, why = found.certificate, found.uncertified

@@ -27,10 +27,11 @@ export class Logs {
     this.rest = new Plot($('p-rest'), label('Log minus model over time'));
     this.spectrum = new Plot($('p-spectrum'), {label: 'Spectrum of the log and of what the model leaves', height: 170, x: {low: 0.1, high: 100, log: true, text: (v) => `${plain(v)} Hz`}, y: {low: -100, high: 5}});
     this.heldout = 0.4;
+    this.chosen = false; // else the fits take what the command line takes
     this.duration = 10;
     this.overlay.handle({
       id: 'h-split', label: 'Where the part begins that no fit sees', unit: 's', low: 10, high: 95, step: 1, drag: 'x', line: true,
-      get: () => 100 * (1 - this.heldout), set: (v) => { this.heldout = Math.round(100 - v) / 100; },
+      get: () => 100 * (1 - this.heldout), set: (v) => { this.heldout = Math.round(100 - v) / 100; this.chosen = true; },
       toAxis: (v) => (v / 100) * this.duration, fromAxis: (t) => (100 * t) / this.duration,
       at: () => [(1 - this.heldout) * this.duration, this.overlay.y.low], text: (v) => `${plain((v / 100) * this.duration, 3)} s, ${Math.round(100 - v)} % held out`,
     }, {begin: () => {}, change: () => this.overlay.place(), end: () => this.fit(), cancel: () => this.overlay.place()});
@@ -192,7 +193,7 @@ export class Logs {
   async fit() {
     $('fit').disabled = true;
     $('model-said').textContent = 'Fitting four structures …';
-    const answer = await this.app.link.ask('identify', {heldout: this.heldout});
+    const answer = await this.app.link.ask('identify', this.chosen ? {heldout: this.heldout} : {});
     $('fit').disabled = false;
     $('model-said').textContent = '';
     if (!answer.ok) { $('model-said').textContent = answer.error; return; }

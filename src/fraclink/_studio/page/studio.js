@@ -140,7 +140,7 @@ export const app = {
   took(answer) {
     Object.assign(app.study, answer);
     $('study').textContent = [answer.name, answer.folder].filter(Boolean).join(' · ');
-    $('command').textContent = answer.command || '';
+    app.line();
     for (const step of STEPS) {
       const mark = (answer.marks || {})[step] || 'not run', item = $(`go-${step}`);
       item.querySelector('.mark').textContent = SIGNS[mark];
@@ -160,6 +160,8 @@ export const app = {
     proof.took(answer);
     design.took(answer);
   },
+  /** What the user did in this step, as the command line has it. */
+  line() { $('command').textContent = app.study.copies?.[app.step]?.command || ''; },
   say(text) { $('live').textContent = text; },
   toast(text) {
     const place = $('toast');
@@ -177,6 +179,7 @@ export const app = {
       $(`go-${name}`).setAttribute('aria-current', name === step ? 'step' : 'false');
     }
     sessionStorage.setItem('step', step);
+    app.line();
     arm.move(step);
     if (step === 'log' || step === 'channels') logs.open();
     if (step === 'model') logs.models();
@@ -253,7 +256,7 @@ function listen() {
   $('help-open').addEventListener('click', () => $('help').showModal());
   for (const kind of ['command', 'python']) {
     $(`copy-${kind}`).addEventListener('click', async () => {
-      const text = app.study[kind] || '';
+      const text = app.study.copies?.[app.step]?.[kind] || '';
       try {
         await navigator.clipboard.writeText(text);
         app.toast(`Copied: ${text.split('\n').slice(-1)[0]}`);
