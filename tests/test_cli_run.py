@@ -25,7 +25,7 @@ from fraclink._identify import Fit
 from fraclink._logs import bundled_log, read_log
 from fraclink._show.report import render_report
 from fraclink._simulate import Run
-from fraclink.errors import FileFormatError
+from fraclink.errors import FieldError, FileFormatError
 from fraclink.findings import Scope
 from shared_data import shared_data
 
@@ -162,6 +162,25 @@ def test_a_step_that_fails_keeps_what_was_computed_before(
     assert study.fit is not None and study.comparison is not None
     assert study.design is None and study.stopped
     assert (tmp_path / "out" / "report.html").exists()
+
+
+def test_a_controller_that_no_law_follows_ends_the_run_with_its_design(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    def none(*given: object, **options: object) -> None:
+        raise FieldError("order", "3 pairs", "more than law.c holds", allowed="2 pairs", remedy="lower it")
+
+    for name in ("law_margins", "discretize", "discretize_controller"):
+        monkeypatch.setattr(f"fraclink._design.specification.{name}", none)
+    place = tmp_path / "out"
+    assert main(["run", "--rig", "paper-2023", "--log", "demo", "--out", str(place), *EASY, "--certify"]) == 1
+    told = capsys.readouterr().out
+    assert "no law follows this controller: it takes 3 pairs" in told
+    assert "export c" not in told
+    study = load_study(place)
+    assert study.fit is not None and study.design is not None and not study.design.has_law
+    assert study.law is None and not study.runs and study.arms is None
+    assert "no law follows" in (place / "report.html").read_text("utf-8")
 
 
 def test_a_folder_that_is_there_is_kept(told_run: Told, capsys: pytest.CaptureFixture[str]) -> None:

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -21,6 +22,7 @@ from fraclink._cli.tunings import _following
 from fraclink._realtime.connections import Callback, Command
 from fraclink._realtime.line import open_line
 from fraclink._tune import LimitReached, WiringFault
+from fraclink._tune.build import build_law
 from fraclink._tune.guard import Guard
 from fraclink._tune.wiring import check_wiring
 from fraclink.errors import FieldError, FraclinkError
@@ -198,6 +200,20 @@ def test_only_a_law_whose_moves_were_as_promised_is_offered(tmp_path: Path) -> N
     slow = fl.FirstMove(0.3, 0.5, 0.47, 2.0, *(0.001,) * 7)
     off = replace(proved, moves=(slow,))
     assert not off.passed and "diagnose" in _following(off, "udp:a:1", place)
+
+
+def test_a_controller_that_no_law_follows_is_a_reason_and_keeps_the_design(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def none(design: fl.Design) -> None:
+        raise FieldError("order", "3 pairs", "more than law.c holds", allowed="2 pairs", remedy="lower it")
+
+    monkeypatch.setattr("fraclink._design.specification.law_margins", none)
+    assert RIG.design is not None and RIG.model is not None
+    found = SimpleNamespace(fit=SimpleNamespace(passed=True, model=RIG.model, findings=()))
+    built = build_law(RIG, found)  # type: ignore[arg-type]
+    assert built.design is not None and built.law is None and built.certificate is None
+    assert not built.passed and any("no law follows this controller" in why for why in built.reasons)
 
 
 def test_a_fault_keeps_reason_and_record(tmp_path: Path) -> None:

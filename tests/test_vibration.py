@@ -116,5 +116,6 @@ def test_a_controller_that_no_law_follows_is_a_finding(monkeypatch: pytest.Monke
 
     monkeypatch.setattr("fraclink._design.specification.law_margins", none)
     for design in (made_for(LINK, 12.0, 45.0).warned_of_law(), made_for(LINK, 12.0, 45.0).with_law()):
-        assert [one.severity for one in design.findings if one.code == "W404"] == ["error"]
-        assert not design.passed and "no law follows this controller: it takes 3 pairs" in str(design)
+        assert [one.severity for one in design.with_law().findings if one.code == "W410"] == ["error"]
+        assert not design.has_law and not design.passed
+        assert "no law follows this controller: it takes 3 pairs" in str(design)

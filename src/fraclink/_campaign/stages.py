@@ -108,8 +108,9 @@ def run(
             study = replace(study, uncertified=why) if name == "proving" else replace(study, stopped=why)
             if isinstance(error, InfeasibleError) and error.nearest:
                 study = replace(study, refused=Refusal.of(wanted, error.nearest))
-            if study.design is None:
-                break
+        # Without a fit there is no design, and without a law nothing that moves.
+        if (study.fit if name == "identifying" else study.law) is None:
+            break
     if out is not None:
         save_study(study, out)
     return study
@@ -157,12 +158,15 @@ def subject(study: Study) -> tuple[Rig, LinkModel, tuple[str, ...]]:
 
 
 def designed(study: Study, **wanted: Any) -> Study:
-    """Return the study with a design and its law; `wanted` as in `design_for`."""
+    """Return the study with a design and its law; `wanted` as in `design_for`.
+
+    The law is None where no law follows the controller, which is a finding of the design.
+    """
     rig, model, assumed = subject(study)
     made, more = design_for(rig, model, **wanted)
     made = made.doubted(study.fit.findings if study.fit else ()).with_law()
     assumptions = (*study.assumptions, *assumed, *more)
-    return replace(study, design=made, law=made.law(), assumptions=assumptions)
+    return replace(study, design=made, law=made.law() if made.has_law else None, assumptions=assumptions)
 
 
 def moved(study: Study) -> Study:

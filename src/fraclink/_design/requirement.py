@@ -172,7 +172,7 @@ def law_findings(design: Design, looked: Sequence[Looked]) -> tuple[Finding, ...
     """Return the findings of a design with W404 and W408, where its law keeps less than the design does."""
     least = min(looked, key=_phase_margin)
     kept = least.phase_margin
-    others = tuple(finding for finding in design.findings if finding.code not in ("W404", "W408"))
+    others = tuple(finding for finding in design.findings if finding.code not in ("W404", "W408", "W410"))
     short = design.phase_margin - kept
     if short > 0.0:
         less = Finding(
@@ -190,9 +190,9 @@ def law_findings(design: Design, looked: Sequence[Looked]) -> tuple[Finding, ...
 
 
 def no_law(error: FieldError) -> Finding:
-    """Return W404 where no law of law.c's size follows the controller."""
+    """Return W410, that no law of law.c's size follows the controller."""
     return Finding(
-        "W404",
+        "W410",
         "error",
         f"no law follows this controller: it takes {error.value}, and law.c holds {error.allowed}",
         {},

@@ -227,6 +227,11 @@ class Design:
         """The findings that are errors: with a wrong model or rig, met requirements show nothing."""
         return errors_of(self.findings)
 
+    @property
+    def has_law(self) -> bool:
+        """Whether a law follows the controller, as far as that was looked at: False behind W410."""
+        return all(finding.code != "W410" for finding in self.findings)
+
     def doubted(self, findings: Iterable[Finding]) -> Design:
         """Return the design with the errors among `findings`, such as those of the fit that it rests on."""
         return replace(self, findings=tuple(dict.fromkeys((*errors_of(findings), *self.findings))))
@@ -323,7 +328,7 @@ class Design:
         Finding W404 says that the phase margin is less than was asked for, an error where the loop is not
         stable; W408 that the law comes closer to -1 than half of what the design does. Near the Nyquist
         frequency a loop without a filter may, and crosses |L| = 1 nowhere near. A controller that no law of
-        law.c's size follows is an error, too.
+        law.c's size follows is an error, too (W410).
         """
         return replace(self, findings=self._law_looked_at()[1])
 
@@ -334,7 +339,7 @@ class Design:
         except FieldError as error:
             if error.field != "order":
                 raise
-            return (), (*self.findings, no_law(error))
+            return (), tuple(dict.fromkeys((*self.findings, no_law(error))))
         return found, law_findings(self, found)
 
     def save(self, path: Path | str) -> None:

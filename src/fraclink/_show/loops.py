@@ -125,13 +125,14 @@ def margins_figure(design: Design) -> Figure:
     if fan is not None:
         margin.append(Band(mass, *fan, 1))
     shown: list[Real] = [] if fan is None else [*fan]
-    for kind in ("ideal", "motor", "sampled"):
+    for kind in ("ideal", "motor", "sampled" if design.has_law else "loop"):
         name, line = _KINDS[kind]
         angle = np.degrees(margin_curve(design, payloads, kind=kind).phase_margin)
         shown.append(angle)
         margin.append(Curve(mass, angle, line, name))
     margin.append(Across(math.degrees(design.phase_margin), "asked for"))
-    rate = np.array([_or_nan(design.sampled_at(float(m)).gain_crossover) for m in payloads])
+    at = design.sampled_at if design.has_law else design.at
+    rate = np.array([_or_nan(at(float(m)).gain_crossover) for m in payloads])
     crossover: list[Mark] = [Zone(1e3 * low, 1e3 * high), Curve(mass, rate, 1)]
     crossover.append(Across(design.gain_crossover, "asked for"))
     panels = (

@@ -59,11 +59,12 @@ def render_report(study: Study, *, title: str | None = None, script: bool = True
     model = (
         design.model if design else study.fit.model if study.fit else study.rig.model if study.rig else None
     )
+    moves = study.law is not None or (design is not None and design.has_law)
     return rendered(
         "report.html",
         title=title or f"{name}: {source}",
         study=study,
-        arm=arm_box(study, design, payloads=_PAYLOADS) if script and design else None,
+        arm=arm_box(study, design, payloads=_PAYLOADS) if script and design and moves else None,
         pointer=_pointer(script=script),
         zone=_zone(design),
         source=source,

@@ -205,9 +205,10 @@ def margins_table(design: Design, payloads: Iterable[float]) -> Table:
     header = ("payload", "ω_c [rad/s]", "φ_m", "sampled ω_c [rad/s]", "sampled φ_m", "distance to −1")
     rows: list[Row] = []
     for payload in payloads:
-        both = (design.at(payload), design.sampled_at(payload))
-        cells = (cell for m in both for cell in (number(m.gain_crossover), degrees(m.phase_margin)))
-        rows.append((grams(payload), *cells, number(both[1].modulus_margin, 3)))
+        both = (design.at(payload), *((design.sampled_at(payload),) if design.has_law else ()))
+        cells = [cell for m in both for cell in (number(m.gain_crossover), degrees(m.phase_margin))]
+        sampled = [number(both[1].modulus_margin, 3)] if design.has_law else 3 * ["no law"]
+        rows.append((grams(payload), *cells, *sampled))
     return Table(header, tuple(rows))
 
 
@@ -349,6 +350,7 @@ def summary_rows(study: Study) -> list[Row]:
         c = study.design.controller
         filtered = f", δ = {number(1e3 * c.filter_time, 3)} ms" if c.filter_time else ""
         rows.append(("Controller", f"k_d = {number(c.gain, 4)}, β = {number(c.order, 4)}{filtered}"))
+    if study.design is not None and study.design.has_law:
         ends = sorted(set(study.design.payloads))
         margins = (f"{degrees(study.design.sampled_at(m).phase_margin)} at {grams(m)}" for m in ends)
         rows.append(("Phase margin of the sampled loop", " and ".join(margins)))

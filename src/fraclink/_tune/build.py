@@ -114,6 +114,8 @@ def build_law(rig: Rig, link: LinkResult) -> Built:
     except InfeasibleError as error:
         return Built(rig, None, None, None, (str(error),))
     design = design.doubted(fit.findings).with_law()
+    if not design.has_law:
+        return Built(rig, design, None, None, tuple(map(str, design.doubts)), assumed)
     law = design.law()
     certificate = certify(design, law=law)
     reasons = tuple(str(item) for item in design.requirements if not item.passed)

@@ -216,9 +216,9 @@ class _Session:
         place = self.out
         built.rig.save(place / "rig.toml")
         link.fit.save(place / "model.json")
-        if built.design is not None and built.law is not None:
-            save(built.design, place / "design.json", force=True)
-            save(built.law, place / "law.json", force=True)
+        for part, name in ((built.design, "design.json"), (built.law, "law.json")):
+            if part is not None:
+                save(part, place / name, force=True)
         if built.certificate is not None and built.certificate.passed:
             built.certificate.save(place / "certificate.json")
         proof = built.certificate
