@@ -194,6 +194,8 @@ from fraclink._systems.margins import Margins as Margins
 from fraclink._systems.margins import margins as margins
 from fraclink._systems.mittag_leffler import mittag_leffler as mittag_leffler
 from fraclink._systems.modes import DiscreteModes as DiscreteModes
+from fraclink._systems.multivariable import MultivariableMargins as MultivariableMargins
+from fraclink._systems.multivariable import multivariable_margins as multivariable_margins
 from fraclink._systems.norms import norm as norm
 from fraclink._systems.rational import RationalApproximation as RationalApproximation
 from fraclink._systems.rational import approximate as approximate
@@ -206,6 +208,7 @@ from fraclink._systems.response import time_response as time_response
 from fraclink._systems.stability import StabilityVerdict as StabilityVerdict
 from fraclink._systems.stability import is_stable as is_stable
 from fraclink._systems.stability import poles as poles
+from fraclink._systems.transfer_matrix import TransferMatrix as TransferMatrix
 from fraclink._tune.guard import MotionLimits as MotionLimits
 from fraclink._tune.moves import FirstMove as FirstMove
 from fraclink._tune.plan import TuningPlan as TuningPlan
