@@ -21,6 +21,7 @@ import numpy as np
 import fraclink as fl
 from fraclink._export import export_c
 from fraclink._law import Law, discretize_controller, equip
+from fraclink._law.discretization import fit_correction
 from fraclink._simulate.kernel import LumpedArms, run_lumped, shared_rig
 from fraclink._simulate.plant import LinkWeights, link_weights
 
@@ -106,6 +107,19 @@ int main(int count, char **words)
 def figure(name: str, value: str, wanted: str, good: bool, error: str = "") -> None:
     note = f"  ({error})" if error else ""
     print(f"{'ok  ' if good else 'MISS'} {name:<52} {value:<28} wanted {wanted}{note}")
+
+
+def fit_time() -> None:
+    controller = fl.design(RIG.model, RIG, gain_crossover=12.0, phase_margin=fl.deg(50), law=False).controller
+    taken = []
+    for _ in range(5):
+        fit_correction.cache_clear()
+        begin = time.process_time()
+        made = discretize_controller(controller, RIG.period)
+        taken.append(time.process_time() - begin)
+    figure(
+        "fit of a law, CPU time", f"{min(taken):.3f} s", "<= 0.1 s", min(taken) <= 0.1, f"order {made.order}"
+    )
 
 
 def default_law(precision: str = "double") -> Law:
@@ -249,6 +263,7 @@ def speed() -> None:
 
 def main() -> None:
     accuracy()
+    fit_time()
     speed()
 
 

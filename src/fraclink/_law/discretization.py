@@ -297,7 +297,7 @@ def _single(value: float) -> float:
     return float(np.float32(value))
 
 
-# The design's margins, its moves, arms and certificate ask for the same law in turn, each fit takes seconds.
+# The design's margins, moves, arms and certificate ask for the same law in turn: five fits of 0.05 to 0.2 s.
 @lru_cache(maxsize=64)
 def fit_correction(
     controller: Controller, link: LinkModel, period: float, band: tuple[float, float], order: int | None

@@ -20,7 +20,7 @@ def refitted(law: Law, controller: Controller) -> tuple[Law, float]:
     """Return `law` with gains for `controller`, and the largest relative error of C on the law's band.
 
     Least squares, |C - C_law|/|C| on a logarithmic grid, with the poles that `law` has: a fraction of a
-    millisecond, where the minimax fit of `discretize` takes a third of a second. It is a preview: nothing
+    millisecond, where the minimax fit of `discretize` takes fifty. It is a preview: nothing
     is promised of it, its guards are those of `law`, and nothing that is kept or exported is made by it.
 
     >>> import fraclink as fl

@@ -3,25 +3,25 @@
     R(x) = P(x) [ d + Σ r_i σ_i/(x + σ_i) + Σ Re-symmetric pairs ],      x = jΩ
 
 The worst error is reached through the p-norm with p = 2, 4, … 128: each is a smooth problem solved by
-Newton's method (the exact Hessian of the p-norm of a linearised error) from the solution of the last,
-which ends within ln(rows)/128 ≈ 4 % of the minimax error and never leaves the stable half plane.
+Newton's method (csrc/kernels/minimax.c, the exact Hessian of the p-norm of a linearised error) from the
+solution of the last, which ends within ln(rows)/128 ≈ 4 % of the minimax error and never leaves the stable
+half plane.
 """
 
 from __future__ import annotations
 
 import cmath
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
+from fraclink import _kernels
 from fraclink._systems.terms import Complexes, Reals
 
 _POWERS = (2, 4, 8, 16, 32, 64, 128)
-_STEPS = 12  # Newton steps for each power; quadratic convergence needs 4 to 8
-
 
 Shapes = tuple[Complexes, Complexes, Complexes]
 
@@ -42,6 +42,13 @@ class Target:
     def x(self) -> Complexes:
         """jΩ as a column."""
         return np.asarray(1j * self.omega[:, None], dtype=complex)
+
+    @cached_property
+    def real_rows(self) -> tuple[Reals, Reals]:
+        """What makes a complex R/P real rows, as the kernel takes it, and the rows that are wanted."""
+        whole = self.turn * self.factor
+        by_real, by_imag = whole * self.weight_real, whole * self.weight_imag
+        return np.stack([by_real.real, -by_real.imag, by_imag.imag, by_imag.real]), self.rows(self.wanted)
 
     def rows(self, values: Complexes) -> Reals:
         """Real rows of a complex error (or of columns of a Jacobian): tolerances are 1."""
@@ -70,7 +77,12 @@ class PartialFractions:
 
     def columns(self, x: Complexes) -> Complexes:
         """The basis: 1, σ/(x+σ), and for each pair the columns of Re c and Im c; shape (M, order + 1)."""
-        return linear_columns(*self.shapes(x))
+        real, pair, mirrored = self.shapes(x)
+        if not pair.shape[1]:
+            return np.concatenate([np.ones((len(real), 1)), real], axis=1)
+        return np.concatenate(
+            [np.ones((len(real), 1)), real, 0.5 * (pair + mirrored), 0.5j * (pair - mirrored)], axis=1
+        )
 
     def shapes(self, x: Complexes) -> Shapes:
         """σ/(x + σ), q/(x + q) and q̄/(x + q̄) at a column x = jΩ, one column for each pole."""
@@ -85,16 +97,6 @@ class PartialFractions:
         """q = e^(θ + jψ), so that the poles are −q and −q̄."""
         return np.exp(self.pair_logs + 0.5j * math.pi * np.tanh(self.pair_angles))
 
-    def pole_columns(self, real: Complexes, pair: Complexes, mirrored: Complexes) -> Complexes:
-        """Derivatives of R/P by θ of the real poles, θ and η of the pairs, from `shapes`."""
-        # d/dθ of q/(x+q) is q x/(x+q)² = shape · (1 − shape).
-        by_real = self.real_gains * real * (1 - real)
-        if not pair.shape[1]:
-            return np.asarray(by_real)
-        up, down = self.pair_gains * pair * (1 - pair), self.pair_gains.conj() * mirrored * (1 - mirrored)
-        slope = 0.5 * math.pi / np.cosh(self.pair_angles) ** 2
-        return np.concatenate([by_real, 0.5 * (up + down), 0.5j * slope * (up - down)], axis=1)
-
     def linear(self) -> Reals:
         """The linear parameters in the order of `columns`."""
         c = self.pair_gains
@@ -108,31 +110,17 @@ class PartialFractions:
             float(values[0]), self.real_logs, values[1 : 1 + n], self.pair_logs, self.pair_angles, gains
         )
 
-    def moved(self, step: Reals) -> PartialFractions:
-        """All parameters moved by a step in the order of `linear_columns` and `pole_columns`."""
+    def improved(self, target: Target, powers: Sequence[int]) -> PartialFractions:
+        """What Newton's method reaches from here, norm by norm."""
         n, m = len(self.real_logs), len(self.pair_logs)
-        first = 1 + n + 2 * m
-        return PartialFractions(
-            self.direct + float(step[0]),
-            self.real_logs + step[first : first + n],
-            self.real_gains + step[1 : 1 + n],
-            self.pair_logs + step[first + n : first + n + m],
-            self.pair_angles + step[first + n + m :],
-            self.pair_gains + (step[1 + n : 1 + n + m] + 1j * step[1 + n + m : first]),
-        )
+        values = np.concatenate([self.linear(), self.real_logs, self.pair_logs, self.pair_angles])
+        _kernels.minimax_improve(target.omega, *target.real_rows, n, m, powers, values)
+        linear, logs, pairs, angles = np.split(values, np.cumsum([1 + n + 2 * m, n, m]))
+        return replace(self, real_logs=logs, pair_logs=pairs, pair_angles=angles).with_linear(linear)
 
     def error(self, target: Target) -> Reals:
         """Weighted error in rows."""
         return target.rows(target.factor * (self.columns(target.x) @ self.linear()) - target.wanted)
-
-
-def linear_columns(real: Complexes, pair: Complexes, mirrored: Complexes) -> Complexes:
-    """The basis of `PartialFractions.columns` from its shapes."""
-    if not pair.shape[1]:
-        return np.concatenate([np.ones((len(real), 1)), real], axis=1)
-    return np.concatenate(
-        [np.ones((len(real), 1)), real, 0.5 * (pair + mirrored), 0.5j * (pair - mirrored)], axis=1
-    )
 
 
 def log_spaced_start(low: float, high: float, real: int, pairs: int) -> PartialFractions:
@@ -144,12 +132,9 @@ def log_spaced_start(low: float, high: float, real: int, pairs: int) -> PartialF
     )
 
 
-def improve(start: PartialFractions, target: Target, powers: tuple[int, ...] = _POWERS) -> PartialFractions:
+def improve(start: PartialFractions, target: Target, powers: Sequence[int] = _POWERS) -> PartialFractions:
     """The best fractions of the start's structure that Newton's method reaches from it, norm by norm."""
-    current = best_residues(start, target)
-    for power in powers:
-        current = newton(current, target, power)
-    return current
+    return best_residues(start, target).improved(target, powers)
 
 
 def best_residues(at: PartialFractions, target: Target) -> PartialFractions:
@@ -159,79 +144,6 @@ def best_residues(at: PartialFractions, target: Target) -> PartialFractions:
     # of two huge ones of opposite sign, which no single-precision law could run.
     solution = np.linalg.lstsq(columns / size, target.rows(target.wanted), rcond=1e-12)[0] / size
     return at.with_linear(solution)
-
-
-def newton(at: PartialFractions, target: Target, power: int) -> PartialFractions:
-    """Newton's method with Marquardt's damping for the smallest Σ |error|^power near `at`."""
-    # Little damping at first: the start is the solution of the norm before, and Newton's step nearly right.
-    damping, wanted = 1e-3, target.rows(target.wanted)
-    here = _Trial.of(at, target, wanted)
-    for _ in range(_STEPS):
-        peak = float(np.max(np.abs(here.error)))
-        if peak == 0:
-            break
-        step = here.step(target, peak, power)
-        old = _norm(here.error / peak, power)
-        for _ in range(8):
-            there = _Trial.of(here.at.moved(peak * step(damping)), target, wanted)
-            new = _norm(there.error / peak, power)
-            if new < old:
-                break
-            damping = max(damping, 1e-9) * 10
-        else:
-            break
-        here, damping = there, damping * 0.1
-        # A relative change of the p-norm to the power p: 1e-4 of the worst error whatever p.
-        if 1 - new / old < 1e-4 * power:
-            break
-    return here.at
-
-
-def _norm(ratio: Reals, power: int) -> float:
-    # 10^128 is far below the largest double; a step that makes the worst error ten times larger is refused.
-    size = np.abs(ratio)
-    return math.inf if size.max() > 10 else float(np.sum(size**power))
-
-
-@dataclass(frozen=True)
-class _Trial:
-    """Fractions with their basis and their weighted error: what a step is judged by, the next starts from."""
-
-    at: PartialFractions
-    shapes: Shapes
-    basis: Complexes
-    error: Reals
-
-    @classmethod
-    def of(cls, at: PartialFractions, target: Target, wanted: Reals) -> _Trial:
-        shapes = at.shapes(target.x)
-        basis = linear_columns(*shapes)
-        return cls(at, shapes, basis, target.rows(target.factor * (basis @ at.linear())) - wanted)
-
-    def step(self, target: Target, peak: float, power: int) -> Callable[[float], Reals]:
-        """Newton's equations (p−1) Jᵀ W² J δ = −Jᵀ W² e here, solved for any damping.
-
-        The square of the Jacobian loses half its digits, and none that matter: its columns are scaled, and
-        the damping stays above the square root of the rounding. With its eigenvectors every damping costs two
-        small products.
-        """
-        columns = np.concatenate([self.basis, self.at.pole_columns(*self.shapes)], axis=1)
-        ratio = self.error / peak
-        weight = np.abs(ratio) ** (0.5 * power - 1)
-        left = target.rows(target.factor[:, None] * columns) * weight[:, None]
-        square = left.T @ left
-        size = np.sqrt(np.diag(square)) + 1e-300
-        values, vectors = np.linalg.eigh(square / size / size[:, None])
-        values = np.maximum(values, 0.0)
-        right = -(vectors.T @ ((left.T @ (weight * ratio)) / size)) / (power - 1)
-
-        def damped(damping: float) -> Reals:
-            # No pole moves by more than e at once, so that none jumps over its neighbours.
-            step: Reals = (vectors @ (right / (values + max(damping, 1e-12) * values[-1]))) / size
-            longest = peak * float(np.max(np.abs(step[self.basis.shape[1] :]), initial=0.0))
-            return step * min(1.0, 1.0 / max(longest, 1e-300))
-
-        return damped
 
 
 def score(fit: PartialFractions, target: Target) -> float:
