@@ -49,9 +49,9 @@ def _moved(fit: PartialFractions, step: float) -> list[PartialFractions]:
             values = getattr(fit, name).copy()
             values[i] += by
             made.append(replace(fit, **{name: values}))
-    for by in (scale, 1j * scale):
+    for turned in (scale, 1j * scale):
         made += [
-            replace(fit, pair_gains=fit.pair_gains + by * np.eye(len(fit.pair_gains))[i])
+            replace(fit, pair_gains=fit.pair_gains + turned * np.eye(len(fit.pair_gains))[i])
             for i in range(len(fit.pair_gains))
         ]
     return made
