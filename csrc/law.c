@@ -307,13 +307,11 @@ static uint32_t start(law_state *s, const law_params *p, const law_input *in)
     return flags;
 }
 
-/* How far a sensor may have moved since its last good sample: `step` for each of the periods in between. */
-static void stretch(law_real *step, uint32_t periods)
+/* How far a signal can have moved since its last good sample: `step` in each of the periods in between. Asked for
+ * only where one step is not enough, which it nearly always is. */
+static law_real stretched(law_real step, uint32_t periods)
 {
-    if (periods > 1U) {
-        const law_real factor = (law_real)periods;
-        *step *= factor;
-    }
+    return (periods > 1U) ? (step * (law_real)periods) : step;
 }
 
 /* The encoder's angle. A reading that has not changed by a single count while the motor model moved on is frozen:
@@ -352,10 +350,10 @@ static uint32_t read_encoder(law_state *s, const law_params *p, const law_input 
 {
     uint32_t flags = 0U;
     const law_real angle = watch_encoder(s, p, in->motor_angle, &flags);
-    law_real step = p->angle_step;
-    stretch(&step, periods + s->bad_encoder);
     if ((credible(angle, p->angle_limit) != 0U) &&
-        ((credible(angle - s->motor_angle, step) != 0U) || (credible(s->motor_angle, p->angle_limit) == 0U))) {
+        ((credible(angle - s->motor_angle, p->angle_step) != 0U) ||
+         (credible(angle - s->motor_angle, stretched(p->angle_step, periods + s->bad_encoder)) != 0U) ||
+         (credible(s->motor_angle, p->angle_limit) == 0U))) {
         s->motor_angle = angle;
         s->bad_encoder = 0U;
     } else {
@@ -374,10 +372,10 @@ static uint32_t read_encoder(law_state *s, const law_params *p, const law_input 
 static uint32_t read_gauge(law_state *s, const law_params *p, const law_input *in, uint32_t periods)
 {
     uint32_t flags = 0U;
-    law_real step = p->torque_step;
-    stretch(&step, periods + s->bad_gauge);
     if ((credible(in->torque, p->torque_limit) != 0U) &&
-        ((credible(in->torque - s->torque, step) != 0U) || (credible(s->torque, p->torque_limit) == 0U))) {
+        ((credible(in->torque - s->torque, p->torque_step) != 0U) ||
+         (credible(in->torque - s->torque, stretched(p->torque_step, periods + s->bad_gauge)) != 0U) ||
+         (credible(s->torque, p->torque_limit) == 0U))) {
         s->torque = in->torque;
         s->bad_gauge = 0U;
     } else {
@@ -567,14 +565,13 @@ static uint32_t close_motor(law_state *s, const law_params *p, law_output *out)
 static void catch_up(law_state *s, const law_params *p, const law_input *in, uint32_t periods)
 {
     const law_real reference = in->reference;
-    law_real step = p->reference_step;
     law_real moved = reference - s->input_reference;
     law_real behind = reference - s->reference;
-    stretch(&step, periods);
-    if ((credible(s->reference, p->angle_limit) == 0U) || (credible(behind, step) != 0U)) {
+    if ((credible(s->reference, p->angle_limit) == 0U) ||
+        (credible(behind, stretched(p->reference_step, periods)) != 0U)) {
         s->reference = reference; /* damaged memory, or periods that were missed */
     } else {
-        if (credible(moved, step) == 0U) {
+        if (credible(moved, stretched(p->reference_step, periods)) == 0U) {
             moved = (law_real)0;
         }
         behind -= moved;
