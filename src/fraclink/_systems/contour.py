@@ -29,6 +29,7 @@ _EPS = float(np.finfo(float).eps)
 _TRUNCATION = 2e-14  # of the integrand: what is left beyond the last node and between the nodes
 _AROUND = np.array([[0.3], [1.0], [3.0]])  # |s| t
 _CHUNK = 1024  # times together: about 20 nodes each
+_GRIDS = np.array([0.0, 0.5])[:, None, None]  # a node at u = 0, or one on either side of it
 
 
 def careful_response(
@@ -91,7 +92,10 @@ def _on_parabola(
     u = (np.arange(nodes + 2)[:, None] + offset) * step
     root = 1.0 + 1j * u
     z = 2.0 * np.log(root) + scale
-    values = quotient.value(z) * np.exp(z * (1 - power) + np.exp(z) * times) / root
+    exponent = np.exp(z) * times
+    if power != 1:
+        exponent += z * (1 - power)
+    values = quotient.value(z) * np.exp(exponent) / root
     values[0] *= np.where(offset == 0.0, 0.5, 1.0)  # the node u = 0 is its own conjugate
     total: Reals = 2.0 * step / math.pi * values.real.sum(axis=0)
     error = np.zeros(len(times))
@@ -160,8 +164,8 @@ def _offset(poles: Complexes, scale: Reals, step: float) -> Reals:
     """
     if not poles.size:
         return np.zeros(len(scale))
-    places = _place(poles[:, None], scale[None, :]) / step
-    gaps = [np.abs(places - o - np.round(places.real - o)).min(axis=0) for o in (0.0, 0.5)]
+    places = _place(poles[:, None], scale[None, :]) / step - _GRIDS
+    gaps = np.abs(places - np.round(places.real)).min(axis=1)
     return np.where(gaps[0] >= gaps[1], 0.0, 0.5)
 
 

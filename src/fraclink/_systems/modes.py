@@ -156,9 +156,8 @@ def expand(quotient: Quotient, *, shortest: float, longest: float, tolerance: fl
 
 
 def _refuse_overflow(quotient: Quotient, longest: float) -> None:
-    growth = float(
-        np.max(np.where(quotient.zeros.imag < math.pi, np.exp(quotient.zeros).real, 0.0), initial=0.0)
-    )
+    unstable = quotient.zeros[quotient.zeros.imag < 0.5 * math.pi]
+    growth = float(np.exp(unstable).real.max(initial=0.0))
     # e^709 is the largest double; the weights and the input need some of that.
     if growth * longest > 690.0:
         raise FieldError(
@@ -192,17 +191,19 @@ class _Modes:
 
     def expansion(self, shortest: float, tolerance: float) -> Expansion:
         """Keep what is above 1e-3 · tolerance at the shortest time."""
-        real, pair = np.concatenate(self.real, axis=1).T, np.concatenate(self.complex, axis=1).T
+        (rates, weights), (poles, shares) = (
+            np.concatenate(self.real, axis=1),
+            np.concatenate(self.complex, axis=1),
+        )
         with np.errstate(over="ignore", under="ignore"):
-            seen = np.abs(real[:, 1]) * np.exp(np.minimum(-real[:, 0] * shortest, 700.0))
-            seen_pair = np.abs(pair[:, 1]) * np.exp(np.minimum(pair[:, 0].real * shortest, 700.0))
-        peak = max(seen.max(initial=0.0), seen_pair.max(initial=0.0))
+            seen = np.abs(weights) * np.exp(np.minimum(-rates * shortest, 700.0))
+            seen_pair = np.abs(shares) * np.exp(np.minimum(poles.real * shortest, 700.0))
+        limit = 1e-3 * tolerance * max(seen.max(initial=0.0), seen_pair.max(initial=0.0))
         # A slow mode's increments are small although it matters in the end: only fast ones may go.
-        keep = (seen > 1e-3 * tolerance * peak) | (real[:, 0] * shortest < 1.0)
-        keep_pair = (seen_pair > 1e-3 * tolerance * peak) | (np.abs(pair[:, 0]) * shortest < 1.0)
-        real, pair = real[keep & (real[:, 1] != 0.0)], pair[keep_pair & (pair[:, 1] != 0.0)]
-        real = real[np.argsort(real[:, 0])]
-        return Expansion(real[:, 0].copy(), real[:, 1].copy(), pair[:, 0].copy(), pair[:, 1].copy())
+        keep = np.flatnonzero(((seen > limit) | (rates * shortest < 1.0)) & (weights != 0.0))
+        keep = keep[np.argsort(rates[keep])]
+        keep_pair = ((seen_pair > limit) | (np.abs(poles) * shortest < 1.0)) & (shares != 0.0)
+        return Expansion(rates[keep], weights[keep], poles[keep_pair], shares[keep_pair])
 
 
 def _origin(simple: list[complex], clusters: list[Cluster], step: float) -> float:

@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._systems.roots import log_zeros
+from fraclink._systems.roots import log_zeros, two_term_zeros
 from fraclink._systems.terms import Complexes, Reals, Term, collect, same
 from fraclink.errors import FieldError
 
@@ -45,8 +45,12 @@ class Quotient:
 
     @classmethod
     def of(cls, top: Sequence[Term], bottom: Sequence[Term]) -> Quotient:
-        found = log_zeros([t.coefficient for t in bottom], [t.order for t in bottom], angle=SHEET)
-        zeros = np.asarray(found, np.complex128)
+        if len(bottom) == 2:  # as most links are: by hand, a quarter of the time of a whole short response
+            high, low = bottom
+            by_hand = two_term_zeros(low.coefficient / high.coefficient, high.order - low.order, SHEET)
+            zeros = np.array(by_hand, np.complex128)
+        else:
+            zeros = log_zeros([t.coefficient for t in bottom], [t.order for t in bottom], angle=SHEET)
         if len(zeros) and np.abs(zeros.real).max() > _RANGE:
             worst = float(zeros.real[np.argmax(np.abs(zeros.real))])
             raise FieldError(
@@ -69,8 +73,7 @@ class Quotient:
 
     def slope(self, z: Complexes) -> Reals:
         """d ln |G|/d ln |s| at points of the log-plane."""
-        sides = ((_sum(_derivative(side), z) / _sum(side, z)).real for side in (self.top, self.bottom))
-        return np.asarray(next(sides) - next(sides))
+        return _slope(self.top, z) - _slope(self.bottom, z)
 
     def condition(self, z: Complexes) -> Reals:
         """Relative error of `value` in units of rounding: that of each power, raised by what cancels."""
@@ -78,7 +81,7 @@ class Quotient:
 
     def place_error(self, z: Complexes) -> Reals:
         """Error of zeros of D (in ln s) in units of rounding."""
-        return np.asarray(_moduli(self.bottom, z) / np.abs(_sum(_derivative(self.bottom), z)))
+        return np.asarray(_moduli(self.bottom, z) / np.abs(_rise(self.bottom, z)))
 
     def pole_error(self, z: complex) -> tuple[float, float]:
         """Errors of a simple zero of D (in ln s) and, relative, of its residue, both in units of rounding."""
@@ -104,7 +107,7 @@ class Quotient:
     def residue(self, z: complex) -> complex:
         """Residue of G(e^z) at a simple zero of D."""
         point = np.array([z])
-        return complex((_sum(self.top, point) / _sum(_derivative(self.bottom), point))[0])
+        return complex((_sum(self.top, point) / _rise(self.bottom, point))[0])
 
     @cached_property
     def is_sparse(self) -> bool:
@@ -152,8 +155,30 @@ class Quotient:
 def _sum(terms: Sequence[Term], z: Complexes) -> Complexes:
     total = np.zeros(z.shape, np.complex128)
     for t in terms:
-        total += t.coefficient * np.exp(t.order * z)
+        # Exactly what the exponential gives for a constant, and half of the terms of a link are constants.
+        total += t.coefficient * np.exp(t.order * z) if t.order else t.coefficient
     return total
+
+
+def _rise(terms: Sequence[Term], z: Complexes) -> Complexes:
+    """d sum/d ln s."""
+    total = np.zeros(z.shape, np.complex128)
+    for t in terms:
+        if t.order:
+            total += t.coefficient * t.order * np.exp(t.order * z)
+    return total
+
+
+def _slope(terms: Sequence[Term], z: Complexes) -> Reals:
+    """d ln |sum|/d ln |s|, every power formed once for the sum and its derivative."""
+    if len(terms) == 1:  # a power of s is as steep everywhere
+        return np.full(z.shape, terms[0].order)
+    value, rise = np.zeros(z.shape, np.complex128), np.zeros(z.shape, np.complex128)
+    for t in terms:
+        power = np.exp(t.order * z) if t.order else 1.0
+        value += t.coefficient * power
+        rise += t.coefficient * t.order * power
+    return np.asarray((rise / value).real)
 
 
 def _derivative(terms: Sequence[Term]) -> tuple[Term, ...]:
@@ -217,8 +242,11 @@ class LowFrequency:
 
 
 def split_low_frequency(top: Sequence[Term], bottom: Sequence[Term]) -> LowFrequency:
-    """Divide in rising powers of s until what is left is weaker than s^(-0.94)."""
-    rest, lowest = collect(top), bottom[-1]
+    """Divide in rising powers of s until what is left is weaker than s^(-0.94); both in falling orders."""
+    lowest = bottom[-1]
+    if top and lowest.order - top[-1].order < STRONG:  # most links: nothing to divide
+        return LowFrequency(0.0, (), tuple(top), tuple(bottom))
+    rest = collect(top)
     integrator, powers = 0.0, []
     while rest and lowest.order - rest[-1].order >= STRONG:
         factor, order = rest[-1].coefficient / lowest.coefficient, lowest.order - rest[-1].order

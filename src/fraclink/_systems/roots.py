@@ -75,7 +75,7 @@ def log_zeros(coefficients: ArrayLike, orders: ArrayLike, *, angle: float) -> ND
         return np.empty(0, dtype=complex)
     if len(terms.rates) == 2:
         (low, high), gap = terms.coefficients, terms.rates[1]
-        return _upper(terms, np.array(two_term_zeros(low / high, gap, angle), dtype=complex), angle)
+        return np.array(two_term_zeros(low / high, gap, angle), dtype=complex)
     height, count = _counted(terms, angle)
     found = settle_clusters(terms, aberth(terms, height, count))
     if not _complete(found, count):
@@ -85,6 +85,8 @@ def log_zeros(coefficients: ArrayLike, orders: ArrayLike, *, angle: float) -> ND
 
 def two_term_zeros(ratio: float, gap: float, angle: float) -> list[complex]:
     """Zeros of s^gap + ratio = 0 (ratio ≠ 0, gap > 0) by hand: gap z = ln(−ratio) + 2πjm, 0 ≤ Im z ≤ angle.
+
+    What rounding puts beside the edge lies on it.
 
     >>> two_term_zeros(1.0, 2.0, 2.0)
     [1.5707963267948966j]
@@ -96,7 +98,8 @@ def two_term_zeros(ratio: float, gap: float, angle: float) -> list[complex]:
         if first <= (angle + _ON_EDGE) * gap
         else 0
     )
-    return [complex(size, (first + 2 * math.pi * m) / gap) for m in range(last)]
+    heights = ((first + 2 * math.pi * m) / gap for m in range(last))
+    return [complex(size, angle if abs(y - angle) < _ON_EDGE * (1 + angle) else y) for y in heights]
 
 
 def _checked(angle: float) -> float:
