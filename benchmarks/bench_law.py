@@ -57,6 +57,7 @@ static void bare_step(law_state *s, const law_params *p, const law_input *in, la
 #ifdef WITHOUT_GUARDS
 #define law_step bare_step
 #endif
+#include "law_port.c"
 #include "loop.c"
 #include "normal.c"
 #include "weights.c"
@@ -97,7 +98,7 @@ int main(int count, char **words)
     const clock_t begin = clock();
     rig.weights = loop_weights_of(&rig);
     loop_normals(1, normal, total);
-    (void)loop_run_double(&link, &rig, &law_data, &path, &trace);
+    (void)loop_run(&link, &rig, &LAW_IN_DOUBLE, &law_data, &path, &trace);
     printf("%.9f %.17g\\n", (double)(clock() - begin) / CLOCKS_PER_SEC, o[total - 1]);
     return 0;
 }
@@ -234,7 +235,18 @@ def speed() -> None:
         data = _written(folder, weights, reference)
         include = (f"-I{folder / 'law'}", f"-I{ROOT / 'csrc'}", f"-I{ROOT / 'csrc' / 'kernels'}")
         for name, define in (("guarded", "-DGUARDED"), ("bare", "-DWITHOUT_GUARDS")):
-            command = [gcc, "-std=c11", *KERNEL, define, *include, "bench.c", "-lm", "-o", name]
+            command = [
+                gcc,
+                "-std=c11",
+                *KERNEL,
+                define,
+                "-DWITHOUT_ESTIMATOR",
+                *include,
+                "bench.c",
+                "-lm",
+                "-o",
+                name,
+            ]
             subprocess.run(command, cwd=folder, check=True, capture_output=True)  # noqa: S603
         times: dict[str, list[float]] = {"python": [], "guarded": [], "bare": []}
         ends: dict[str, float] = {}

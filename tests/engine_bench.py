@@ -7,11 +7,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+import fraclink as fl
 from fraclink import _kernels
 from fraclink._arm.reference import Reference, sampled
 from fraclink._design import Design
 from fraclink._law import Law
-from fraclink._simulate.engine import RIG_NUMBERS, engine_bytes, engine_link, engine_noise, engine_rig
+from fraclink._simulate.engine import (
+    RIG_NUMBERS,
+    engine_bytes,
+    engine_link,
+    engine_noise,
+    engine_rig,
+    twin_noise,
+)
+from fraclink._simulate.inputs import ACCELERATION, GAUGE_ERROR, PAYLOAD, REFERENCE, fault_rows
+from fraclink._simulate.kernel import twin_numbers
 from needed_tools import missing
 
 try:
@@ -54,6 +64,52 @@ class Engine:
         size = count * np.dtype(kind).itemsize
         return np.frombuffer(bytes(self._exports["memory"].read(self._store, place, place + size)), kind)
 
+    def fill(self, place: int, numbers: NDArray[np.float64]) -> None:
+        """A rig: three whole numbers, and its doubles from byte 16 on."""
+        self.write(place, numbers[:3].astype("<i4").tobytes())
+        self.write(place + 16, numbers[3:].tobytes())
+
+    def signals(self, count: int) -> dict[str, NDArray[Any]]:
+        found = {name: self.read(self.call("signal", i), "<f8", count) for i, name in enumerate(SIGNALS)}
+        return found | {name: self.read(self.call("mark", i), "<u4", count) for i, name in enumerate(MARKS)}
+
+    def run_twin(
+        self,
+        twin: fl.Twin,
+        law: Law,
+        reference: Reference,
+        *,
+        duration: float,
+        seed: int = 0,
+        told: float = 0.0,
+        faults: NDArray[np.float64] | None = None,
+    ) -> dict[str, NDArray[Any]]:
+        """Return the signals and marks of one run of the twin."""
+        count, numbers = round(duration / law.period) + 1, twin_numbers(twin, law.period)
+        fine = law.period / numbers[0]
+        plant = twin.plant(fine)
+        size, stride = plant.order + 2, -(-plant.order // 8) * 8
+        block, outputs = np.zeros((size, size)), np.zeros((plant.outputs.shape[0], stride))
+        block[: plant.order, : plant.order], block[: plant.order, plant.order :] = (
+            plant.dynamics * fine,
+            plant.inputs * fine,
+        )
+        outputs[:, : plant.order] = plant.outputs
+        inputs = fault_rows((), law.period, count) if faults is None else faults.copy()
+        inputs[:, REFERENCE], _, inputs[:, ACCELERATION] = sampled(reference, law.period, count)
+        inputs[:, GAUGE_ERROR] = twin.sensors.gauge_offset + twin.sensors.gauge_noise * twin_noise(
+            seed, count
+        )
+        inputs[:, PAYLOAD] = told
+        self.write(self.call("block"), law.block)
+        self.fill(self.call("twin"), numbers)
+        self.write(self.call("matrix"), block.tobytes())
+        self.write(self.call("outputs"), outputs.tobytes())
+        self.write(self.call("faults"), inputs.tobytes())
+        assert self.call("discretise", size) == 0
+        assert self.call("run_twin", int(law.precision == "single"), size, count) == 0
+        return self.signals(count)
+
     def run(
         self,
         design: Design,
@@ -76,7 +132,7 @@ class Engine:
             numbers[RIG_NUMBERS.index(name)] = value
         angle, _, acceleration = sampled(reference, law.period, count)
         self.write(self.call("block"), law.block)
-        self.write(self.call("rig"), numbers.tobytes())
+        self.fill(self.call("rig"), numbers)
         self.write(self.call("link"), link.numbers.tobytes())
         for row, values in enumerate((angle, acceleration, engine_noise(seed, count))):
             self.write(self.call("path", row), values.tobytes())
@@ -86,5 +142,4 @@ class Engine:
         single = int(law.precision == "single")
         given = (single, link.reals, link.pairs, int(link.second), int(faults is not None), count)
         assert self.call("run", *given) == 0
-        found = {name: self.read(self.call("signal", i), "<f8", count) for i, name in enumerate(SIGNALS)}
-        return found | {name: self.read(self.call("mark", i), "<u4", count) for i, name in enumerate(MARKS)}
+        return self.signals(count)

@@ -149,6 +149,8 @@ RUNS = (
     "payload=3&move=-37&time=9&noise=0.031&offset=0.11&delay=3&told=0&single=1&nan=80",
     "payload=18&move=90&time=2&noise=0&offset=-0.2&delay=0&told=1&single=0&reversed=60&missed=200",
     "payload=11&move=60&noise=0.004&single=1&stuck=30&encoder=310&late=1",
+    "twin=1",
+    "twin=1&payload=3&move=-37&time=9&noise=0.031&offset=0.11&delay=3&told=0&single=1&nan=80",
 )
 
 
@@ -188,7 +190,11 @@ def python_of(shown: str) -> str:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("settings", RUNS, ids=["start", "lost gauge", "reversed, missed", "stuck, late"])
+@pytest.mark.parametrize(
+    "settings",
+    RUNS,
+    ids=["start", "lost gauge", "reversed, missed", "stuck, late", "twin", "twin, lost gauge"],
+)
 def test_a_browser_runs_the_packages_bits_without_a_complaint(study, page, tmp_path, monkeypatch, settings):
     study.design.save(tmp_path / "design.json")
     shown = browsed(page, tmp_path, settings)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import importlib.util
+import re
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
@@ -15,8 +16,8 @@ import fraclink as fl
 from engine_bench import MARKS, SIGNALS, Engine
 from fraclink._arm.link import SecondMode
 from fraclink._design import Design
-from fraclink._simulate import SensorFault
-from fraclink._simulate.engine import LONGEST, RIG_NUMBERS, engine_bytes
+from fraclink._simulate import KelvinVoigt, SensorFault
+from fraclink._simulate.engine import LONGEST, MOST_ROWS, RIG_NUMBERS, TWIN_MODES, engine_bytes
 from fraclink._simulate.inputs import fault_rows
 from needed_tools import missing, tool
 
@@ -67,7 +68,6 @@ def same(page: dict[str, np.ndarray], run: fl.Run) -> None:
 def test_the_engine_asks_for_nothing_and_is_small(engine):
     assert engine.imports == []
     assert len(engine_bytes()) <= builder().LARGEST == 24_000
-    assert engine.call("longest") == LONGEST
 
 
 def test_the_digest_beside_the_engine_is_its_own():
@@ -128,13 +128,80 @@ def test_a_payload_that_is_told_a_late_gauge_and_a_second_mode_have_the_packages
     same(engine.run(odd, law, MOVE, payload=0.04, told=0.04, duration=END, noise=0.0), run)
 
 
+def twin_of(design: Design, payload: float = 0.030, **sensors: float) -> fl.Twin:
+    """The twin of a page, on a hub heavy enough to be held."""
+    delay = int(sensors.pop("delay", 1))
+    twin = fl.Twin.from_rig(
+        design.rig, model=design.model, payload=payload, link_mass=0.00735, modes=TWIN_MODES
+    )
+    return replace(twin, voltage_delay=delay, sensors=replace(twin.sensors, **sensors))
+
+
+@pytest.fixture(scope="module")
+def geared() -> Design:
+    rig = fl.Rig.named("paper-2023-geared")
+    assert rig.model is not None
+    return fl.design(rig.model, rig, payloads=(0.020, 0.040), gain_crossover=12.0, phase_margin=fl.deg(50))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("precision", ["double", "single"])
+@pytest.mark.parametrize("payload", [0.008, 0.016, 0.030, 0.054])
+@pytest.mark.parametrize(("noise", "offset", "delay"), [(0.0, 0.0, 1), (0.02, 0.05, 2), (0.2, -0.1, 0)])
+def test_a_run_of_the_twin_has_the_packages_bits(engine, geared, precision, payload, noise, offset, delay):
+    law = geared.law().in_precision(precision)
+    twin = twin_of(geared, payload, gauge_noise=noise, gauge_offset=offset, delay=delay)
+    run = fl.simulate(law, MOVE, arm=twin, duration=END, seed=7, told=payload)
+    same(engine.run_twin(twin, law, MOVE, duration=END, seed=7, told=payload), run)
+
+
+@pytest.mark.parametrize("precision", ["double", "single"])
+@pytest.mark.parametrize("fault", list(FAULTS))
+def test_a_fault_of_the_twin_has_the_packages_bits(engine, geared, precision, fault):
+    law, twin = geared.law().in_precision(precision), twin_of(geared)
+    run = fl.simulate(law, MOVE, arm=twin, duration=END, events=FAULTS[fault])
+    rows = fault_rows(tuple(FAULTS[fault]), law.period, run.tip_angle.size)
+    page = engine.run_twin(twin, law, MOVE, duration=END, faults=rows)
+    same(page, run)
+    assert not np.array_equal(page["tip_angle"], engine.run_twin(twin, law, MOVE, duration=END)["tip_angle"])
+
+
+def test_a_twin_with_a_late_gauge_or_another_material_has_the_packages_bits(engine, geared):
+    law = geared.law()
+    for twin in (
+        twin_of(geared, gauge_delay=0.0063, gauge_gain=0.93),
+        replace(twin_of(geared), damping=KelvinVoigt(0.0118)),
+        replace(twin_of(geared), beam=replace(twin_of(geared).beam, link_mass=0.0)),
+    ):
+        run = fl.simulate(law, MOVE, arm=twin, duration=END)
+        same(engine.run_twin(twin, law, MOVE, duration=END), run)
+
+
+def test_a_twin_that_leaves_every_bound_stays_where_it_was(engine, geared):
+    law = geared.law()
+    law = replace(law, drive=replace(law.drive, voltage_limit=1e4))
+    weak = replace(
+        twin_of(geared), motor=replace(twin_of(geared).motor, voltage_limit=1e9, torque_constant=1e8)
+    )
+    run = fl.simulate(law, MOVE, arm=weak, duration=END)
+    page = engine.run_twin(weak, law, MOVE, duration=END)
+    assert run.tip_angle.size < page["tip_angle"].size
+    assert np.array_equal(page["tip_angle"][: run.tip_angle.size], run.tip_angle)
+    assert np.all(page["tip_angle"][run.tip_angle.size :] == run.tip_angle[-1])
+
+
 def test_the_engine_refuses_what_it_has_no_room_for(engine):
+    assert engine.call("run", 0, 0, 0, 0, 0, LONGEST) == 0
+    assert engine.call("discretise", MOST_ROWS + 1) == engine.call("run_twin", 0, MOST_ROWS + 1, 10) == 1
+    assert engine.call("run_twin", 0, 8, LONGEST + 1) == 1
     assert engine.call("run", 0, 0, 0, 0, 0, LONGEST + 1) == 1
     assert engine.call("run", 0, 65, 0, 0, 0, 10) == 1
 
 
 def test_the_rigs_numbers_stand_in_the_engines_order():
-    text = (ROOT / "csrc" / "web" / "engine.c").read_text()
-    listed = text[text.index("RIG_SAMPLED") : text.index("RIG_NUMBERS")]
-    names = [line.strip(" ,").removeprefix("RIG_").lower() for line in listed.split("\n") if line.strip()]
-    assert tuple(names) == RIG_NUMBERS
+    text = (ROOT / "csrc" / "kernels" / "loop.h").read_text()
+    fields = {
+        name: re.findall(r"^    (?:int|double) (\w+);", body, re.MULTILINE)
+        for body, name in re.findall(r"^typedef struct {\n(.*?)^} (\w+);", text, re.DOTALL | re.MULTILINE)
+    }
+    assert (*fields["loop_rig"], *fields["loop_weights"]) == RIG_NUMBERS

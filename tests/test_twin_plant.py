@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fraclink._kernels import twin_march
+from fraclink._kernels import twin_exponential, twin_march
 from fraclink._simulate import Beam, FractionalKelvinVoigt, KelvinVoigt, PowerLaw, assemble
 from fraclink.errors import FieldError
 
@@ -16,6 +16,18 @@ ROD = Beam(0.65, 1.56 * 0.65 / 3, 0.00735, 0.030)
 MASSLESS = Beam(0.65, 1.56 * 0.65 / 3, 0.0, 0.030)
 DAMPINGS = [KelvinVoigt(0.0), KelvinVoigt(0.0118), FractionalKelvinVoigt(0.012, 0.7), PowerLaw(1.92)]
 STIFFNESS, OMEGA = MASSLESS.stiffness, MASSLESS.lumped_frequency
+
+
+@pytest.mark.parametrize("size", [1e-9, 0.3, 40.0, 3e3])
+def test_the_exponential_of_a_matrix_against_mpmath(size):
+    """Of a vibration with its squared frequency as norm, as an arm has it, and of a chain that only grows."""
+    vibration = [[0.0, 1e-3, 0.0], [-size, -1e-4, 1e-3], [0.0, 0.0, 0.0]]
+    chain = [[0.0, size, 0.0], [0.0, 0.0, size], [0.0, 0.0, 0.0]]
+    for matrix in (vibration, chain):
+        with mpmath.workdps(60):
+            exact = np.array(mpmath.expm(mpmath.matrix(matrix)).tolist(), dtype=float)
+        found = twin_exponential(np.array(matrix))
+        assert np.max(np.abs(found - exact)) < 1e-14 * np.max(np.abs(exact))
 
 
 def _lumped(damping, s):

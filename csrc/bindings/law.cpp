@@ -1,9 +1,14 @@
 // The law from Python: parameters and state are bytes (they are the C structs), signals are arrays.
-#include "struct_bytes.h"
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
 
+#include <stdint.h>
+
+#include <cstring>
 #include <stdexcept>
+#include <string>
 
 namespace law_double {
 extern "C" {
@@ -23,10 +28,12 @@ extern "C" {
 #undef law_check_wiring
 
 namespace nb = nanobind;
-using namespace struct_bytes;
 
 namespace {
 
+using In = nb::ndarray<const double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+using Ticks = nb::ndarray<const uint32_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+using Out = nb::ndarray<double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 using Marks = nb::ndarray<uint32_t, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 
 struct Double {
@@ -54,6 +61,22 @@ struct Single {
         return law_float::law_check_wiring_single(w, p, a, t);
     }
 };
+
+template <class T> T from_bytes(const nb::bytes &bytes, const char *what) {
+    T value;
+    if (bytes.size() != sizeof(T)) throw std::invalid_argument(std::string(what) + " has the wrong size");
+    std::memcpy(&value, bytes.c_str(), sizeof(T));
+    return value;
+}
+
+template <class T> nb::bytes to_bytes(const T &value) { return nb::bytes(reinterpret_cast<const char *>(&value), sizeof(T)); }
+
+template <class L> nb::tuple init(const nb::bytes &params) {
+    const auto p = from_bytes<typename L::params>(params, "params");
+    typename L::state s;
+    const uint32_t reason = L::init(&s, &p);
+    return nb::make_tuple(to_bytes(s), reason);
+}
 
 // Rows of `inputs`: reference, acceleration, motor angle, torque, payload. Rows of `outputs`: motor reference,
 // voltage, compensation, tip estimate, error. Rows of `marks`: mode, reason, flags.
@@ -100,7 +123,7 @@ template <class L> uint32_t wiring(const nb::bytes &params, In angle, In torque)
 }  // namespace
 
 void bind_law(nb::module_ &m) {
-    bind_init<Double, Single>(m, "law_init", "law_sizes");
+    m.def("law_init", [](const nb::bytes &p, bool single) { return single ? init<Single>(p) : init<Double>(p); });
     m.def("law_run", [](const nb::bytes &p, const nb::bytes &s, Ticks t,
                         nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu> i, Out o, Marks marks,
                         bool single) {
@@ -108,5 +131,9 @@ void bind_law(nb::module_ &m) {
     });
     m.def("law_wiring", [](const nb::bytes &p, In angle, In torque, bool single) {
         return single ? wiring<Single>(p, angle, torque) : wiring<Double>(p, angle, torque);
+    });
+    m.def("law_sizes", [](bool single) {
+        return single ? nb::make_tuple(sizeof(Single::params), sizeof(Single::state))
+                      : nb::make_tuple(sizeof(Double::params), sizeof(Double::state));
     });
 }

@@ -97,9 +97,8 @@ void run(nb::bytes params, bool single, nb::bytes estimator, const loop_rig &sha
                                  f + 2 * plane};
     std::vector<double> block(params.size() / sizeof(double) + 1);  // bytes promise no alignment
     std::memcpy(block.data(), params.c_str(), params.size());
-    int sizes[4] = {0, 0, 0, 0};
-    (single ? twin_sizes_single : twin_sizes_double)(sizes);
-    if (estimator.size() && estimator.size() != size_t(sizes[2]))
+    const law_port &law = single ? LAW_IN_SINGLE : LAW_IN_DOUBLE;
+    if (estimator.size() && estimator.size() != size_t(law.sizes[2]))
         throw std::invalid_argument("estimator: another size than payload_params");
     std::vector<double> bank(estimator.size() / sizeof(double) + 1);
     std::memcpy(bank.data(), estimator.c_str(), estimator.size());

@@ -1,7 +1,10 @@
 // The payload estimator from Python: parameters and state are bytes (they are the C structs), signals are arrays.
-#include "struct_bytes.h"
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
 
+#include <cstring>
 #include <stdexcept>
+#include <string>
 
 namespace payload_double {
 extern "C" {
@@ -21,10 +24,12 @@ extern "C" {
 #undef payload_step
 
 namespace nb = nanobind;
-using namespace struct_bytes;
 
 namespace {
 
+using In = nb::ndarray<const double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+using Ticks = nb::ndarray<const uint32_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+using Out = nb::ndarray<double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 using Flags = nb::ndarray<uint32_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 
 struct Double {
@@ -48,6 +53,22 @@ struct Single {
         payload_float::payload_step_single(s, p, n, a, t, o);
     }
 };
+
+template <class T> T from_bytes(const nb::bytes &bytes, const char *what) {
+    T value;
+    if (bytes.size() != sizeof(T)) throw std::invalid_argument(std::string(what) + " has the wrong size");
+    std::memcpy(&value, bytes.c_str(), sizeof(T));
+    return value;
+}
+
+template <class T> nb::bytes to_bytes(const T &value) { return nb::bytes(reinterpret_cast<const char *>(&value), sizeof(T)); }
+
+template <class E> nb::tuple init(const nb::bytes &params) {
+    const auto p = from_bytes<typename E::params>(params, "params");
+    typename E::state s;
+    const uint32_t reason = E::init(&s, &p);
+    return nb::make_tuple(to_bytes(s), reason);
+}
 
 // Rows of `outputs`: given, estimate, low, high.
 template <class E>
@@ -75,9 +96,13 @@ nb::bytes run(const nb::bytes &params, const nb::bytes &state, Ticks ticks, In a
 }  // namespace
 
 void bind_payload(nb::module_ &m) {
-    bind_init<Double, Single>(m, "payload_init", "payload_sizes");
+    m.def("payload_init", [](const nb::bytes &p, bool single) { return single ? init<Single>(p) : init<Double>(p); });
     m.def("payload_run", [](const nb::bytes &p, const nb::bytes &s, Ticks t, In a, In g, Out o, Flags f, bool single) {
         return single ? run<Single>(p, s, t, a, g, o, f) : run<Double>(p, s, t, a, g, o, f);
+    });
+    m.def("payload_sizes", [](bool single) {
+        return single ? nb::make_tuple(sizeof(Single::params), sizeof(Single::state))
+                      : nb::make_tuple(sizeof(Double::params), sizeof(Double::state));
     });
     // the header's own numbers
     m.attr("PAYLOAD_FROZEN") = unsigned(PAYLOAD_FROZEN);

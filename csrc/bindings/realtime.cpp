@@ -213,8 +213,8 @@ nb::dict run(Io &io, nb::bytes params, nb::bytes state, bool single, Matrix path
     require(path.shape(0) == 2 && length >= 1 && period_ns >= 1, "path: (2, periods), period above 0");
     require(record.shape(0) == length && record.shape(1) == REALTIME_COLUMNS, "record: (periods, columns)");
     require(marks.shape(0) == length && marks.shape(1) == REALTIME_MARKS, "marks: (periods, marks)");
-    int sizes[4] = {0, 0, 0, 0};
-    (single ? twin_sizes_single : twin_sizes_double)(sizes);
+    const law_port &law = single ? LAW_IN_SINGLE : LAW_IN_DOUBLE;
+    const int *const sizes = law.sizes;
     require(params.size() == std::size_t(sizes[0]) && state.size() == std::size_t(sizes[1]), "law: other sizes");
     require(estimator.size() == 0 ||
                 (estimator.size() == std::size_t(sizes[2]) && estimate.size() == std::size_t(sizes[3])),
@@ -223,22 +223,21 @@ nb::dict run(Io &io, nb::bytes params, nb::bytes state, bool single, Matrix path
     auto memory = aligned(state);
     const auto bank = aligned(estimator);
     auto estimates = aligned(estimate);
-    realtime_estimator *const way_of = single ? realtime_estimate_single : realtime_estimate_double;
     const realtime_plan plan = {period_ns, std::int64_t(length), path.data(), path.data() + length, payload,
-                                estimator.size() ? way_of : nullptr, bank.data(), estimates.data(), patience_ns, relative, priority, lock_memory, clock.clock};
+                                estimator.size() ? bank.data() : nullptr, estimates.data(), patience_ns, relative, priority,
+                                lock_memory, clock.clock};
     const realtime_io way = io_of(io);
     realtime_outcome outcome;
     {
         nb::gil_scoped_release release;
-        realtime_run(&plan, &way, single ? realtime_law_single : realtime_law_double, memory.data(), block.data(),
-                     record.data(), marks.data(), &outcome);
+        realtime_run(&plan, &way, &law, memory.data(), block.data(), record.data(), marks.data(), &outcome);
     }
     if (io.failure) std::rethrow_exception(std::exchange(io.failure, nullptr));
     return told(outcome);
 }
 
 nb::dict bare(Mutable latency, std::int64_t period_ns, int priority, bool lock_memory, Clock &clock) {
-    const realtime_plan plan = {period_ns, std::int64_t(latency.size()), nullptr, nullptr, 0.0, nullptr, nullptr, nullptr, 0, 0, priority,
+    const realtime_plan plan = {period_ns, std::int64_t(latency.size()), nullptr, nullptr, 0.0, nullptr, nullptr, 0, 0, priority,
                                 lock_memory, clock.clock};
     realtime_outcome outcome;
     {

@@ -21,6 +21,18 @@ Result matrix(double *data, std::size_t rows, std::size_t columns) {
     return Result(data, {rows, columns}, owner);
 }
 
+Result exponential(Matrix given) {
+    const std::size_t size = given.shape(0);
+    require(given.shape(1) == size && size <= 4096, "matrix: square, at most 4096 rows");
+    double *data = new double[size * size];
+    Result result = matrix(data, size, size);
+    std::memcpy(data, given.data(), sizeof(double) * size * size);
+    std::vector<double> work(2 * size * size);
+    nb::gil_scoped_release release;
+    twin_exponential(static_cast<int>(size), data, work.data());
+    return result;
+}
+
 Result march(Matrix transition, Vector hub, Vector tip, Matrix outputs, Vector input, int substeps, Mutable state) {
     const twin_step step = step_of(transition, hub, tip, outputs);
     require(state.size() == hub.size(), "state: one value per row");
@@ -41,9 +53,8 @@ Result run(Matrix transition, Vector hub, Vector tip, Matrix outputs, Vector rig
     require(obstacle_values.size() == 5, "obstacle: 5 values");
     const double *o = obstacle_values.data();
     const twin_obstacle obstacle = {o[0], o[1], o[2], o[3], o[4]};
-    int sizes[4] = {0, 0, 0, 0};
-    (single ? twin_sizes_single : twin_sizes_double)(sizes);
-    const auto fits = [&sizes](std::size_t bytes, int which) { return bytes == static_cast<std::size_t>(sizes[which]); };
+    const law_port &port = single ? LAW_IN_SINGLE : LAW_IN_DOUBLE;
+    const auto fits = [&port](std::size_t bytes, int which) { return bytes == static_cast<std::size_t>(port.sizes[which]); };
     require(fits(params.size(), 0), "params: another size than law_params");
     require(fits(law.size(), 1), "law: another size than law_state");
     const bool estimates = estimator.size() != 0;
@@ -62,18 +73,13 @@ Result run(Matrix transition, Vector hub, Vector tip, Matrix outputs, Vector rig
     const std::size_t periods = input.shape(0);
     Memory buffers{state, gauge, voltage, sensed, counters, {}};
     twin_memory memory = buffers.checked(rig, hub.size());
-    if (estimates) {
-        memory.estimator = bank.data();
-        memory.estimate = bank_memory.data();
-    }
+    const twin_law driver = {&port, block.data(), law_memory.data(), estimates ? bank.data() : nullptr, bank_memory.data()};
     double *data = new double[periods * TWIN_COLUMNS]();
     Result whole = matrix(data, periods, TWIN_COLUMNS);
     int done = 0;
     {
         nb::gil_scoped_release release;
-        const auto run_law = single ? twin_run_single : twin_run_double;
-        done = run_law(&step, &rig, &obstacle, block.data(), static_cast<int>(periods), input.data(),
-                       law_memory.data(), &memory, data);
+        done = twin_run(&step, &rig, &obstacle, &driver, static_cast<int>(periods), input.data(), &memory, data);
     }
     std::memcpy(law.data(), law_memory.data(), law.size());
     std::memcpy(estimate.data(), bank_memory.data(), estimate.size());
@@ -122,6 +128,7 @@ nb::tuple drive(Matrix transition, Vector hub, Vector tip, Matrix outputs, Vecto
 }  // namespace
 
 void bind_twin(nb::module_ &m) {
+    m.def("twin_exponential", &exponential, "Return the exponential of a square matrix.");
     m.def("twin_march", &march, "March the linear twin; `state` is updated in place.");
     m.def("twin_run", &run, "Run the law on the twin; law and the buffers behind it are updated in place.");
     m.def("twin_sense", &sense, "Encoder and gauge as the controller reads them now.");

@@ -61,7 +61,7 @@ struct Memory {
         require(sensed.size() == 2 && counters.size() == 2, "sensed: angle, torque; counters: stuck, tick");
         scratch.assign(stride, 0.0);
         return {state.data(), gauge.data(), voltage.data(), scratch.data(), sensed.data()[0], sensed.data()[1],
-                static_cast<int>(counters.data()[0]), counters.data()[1], nullptr, nullptr};
+                static_cast<int>(counters.data()[0]), counters.data()[1]};
     }
 
     void keep(const twin_memory &memory) {

@@ -97,8 +97,7 @@ static int run_alone(const batch *b, int64_t r, const void *params, int single, 
                               loop.trace.flags,
                               loop.trace.mode,
                               loop.trace.reason};
-    return single ? loop_run_single(&loop.link, &loop.rig, params, &input, &trace)
-                  : loop_run_double(&loop.link, &loop.rig, params, &input, &trace);
+    return loop_run(&loop.link, &loop.rig, single ? &LAW_IN_SINGLE : &LAW_IN_DOUBLE, params, &input, &trace);
 }
 
 int batch_run(int64_t runs, int64_t length, const batch_links *links, const loop_rig *rig, const double *numbers,

@@ -1,8 +1,9 @@
-/* See group.h. Compiled twice as loop.c is, see group_single.c. */
+/* See group.h. Compiled once for each precision, see group_single.c. */
 #include "group.h"
 
 #include "law.h"
 #include "loop_parts.h"
+#include "payload_estimator.h"
 
 #ifndef GROUP_RUN
 #define GROUP_RUN group_run_double
@@ -72,7 +73,12 @@ static double decide(const group_loop *loop, const law_params *p, law_state *sta
     in.motor_angle = (law_real)rounded_to(rig->start + motor, rig->encoder);
     const double normal = rig->noise > 0.0 ? loop->noise[k] : 0.0;
     in.torque = (law_real)gauge_reading(rig, gauge, root_torque(link, &loop->link, motor), normal, 1.0, 0.0, k);
-    in.payload = payload_of(rig, estimate, &in);
+    in.payload = (law_real)rig->payload;
+    if (rig->estimator) {
+        payload_output found;
+        payload_step(estimate, (const payload_params *)rig->estimator, in.tick, in.motor_angle, in.torque, &found);
+        in.payload = found.given;
+    }
     law_step(state, p, &in, &out);
     loop->trace.tip[k] = rig->start + link->tip;
     loop->trace.motor_reference[k] = (double)out.motor_reference;
@@ -129,7 +135,8 @@ int GROUP_RUN(const group_loop loops[GROUP_LANES], const void *params, int64_t l
         for (int i = 0; i <= loops[l].rig.delay; i++)
             pending[l][i] = 0.0;
         (void)law_init(&states[l], p);
-        begin_estimate(&loops[l].rig, &estimates[l]);
+        if (loops[l].rig.estimator)
+            (void)payload_init(&estimates[l], (const payload_params *)loops[l].rig.estimator);
     }
     for (int64_t k = 0; k < length; k++) {
         const motor_lanes before = motor;

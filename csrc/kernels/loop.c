@@ -2,32 +2,28 @@
  *
  * Within a period the motor's angle is a smooth curve whose angles, speeds and accelerations at both ends are known.
  * The quintic through them differs from it by T^6/46080 times its sixth derivative (1e-9 rad behind M(s) at 4 ms; a
- * cubic is 1e-6 off), and for a quintic the link's response is exact. This file is compiled twice, see loop_single.c. */
+ * cubic is 1e-6 off), and for a quintic the link's response is exact. */
 #include "loop.h"
 
 #include "law.h"
 #include "loop_parts.h"
+#include "payload_estimator.h"
 #include "twin.h"
-
-#ifndef LOOP_RUN
-#define LOOP_RUN loop_run_double
-#endif
 
 static const double HEALTHY[TWIN_INPUTS] = {[TWIN_ENCODER_GAIN] = 1.0, [TWIN_GAUGE_GAIN] = 1.0};
 
-int LOOP_RUN(const loop_link *link, const loop_rig *rig, const void *params, const loop_input *input,
-             const loop_trace *trace)
+int loop_run(const loop_link *link, const loop_rig *rig, const law_port *law, const void *params,
+             const loop_input *input, const loop_trace *trace)
 {
-    const law_params *const p = (const law_params *)params;
     const loop_weights w = rig->weights;
     motor_state motor = {0.0, 0.0, 0.0, 0.0};
     link_state flexible = STRAIGHT;
     gauge_line gauge;
     double pending[LOOP_DELAY];
-    law_state state;
+    law_state state; /* room for those of either precision: these are the larger ones */
     payload_state estimate;
-    law_input in;
-    law_output out = {0};
+    double in[PORT_INPUTS], out[PORT_OUTPUTS] = {0.0};
+    uint32_t marks[PORT_MARKS] = {0U};
     double seen_angle = 0.0, seen_torque = 0.0; /* what the sensors gave last */
     if (out_of_bounds(link, rig))
         return 1;
@@ -35,8 +31,7 @@ int LOOP_RUN(const loop_link *link, const loop_rig *rig, const void *params, con
     const int slots = rig->delay + 1;
     for (int i = 0; i < slots; i++)
         pending[i] = 0.0;
-    (void)law_init(&state, p);
-    begin_estimate(rig, &estimate);
+    law->begin(&state, params, &estimate, rig->estimator);
     for (int64_t k = 0; k < input->length; k++) {
         const double *const fault = input->faults ? input->faults + k * TWIN_INPUTS : HEALTHY;
         const int broken = (int)fault[TWIN_FAULTS];
@@ -49,34 +44,33 @@ int LOOP_RUN(const loop_link *link, const loop_rig *rig, const void *params, con
         twin_break(fault, seen_angle, seen_torque, &angle, &measured);
         seen_angle = angle;
         seen_torque = measured;
-        in.tick = (uint32_t)k;
-        in.reference = (law_real)input->reference[k];
-        in.reference_acceleration = (law_real)input->acceleration[k];
-        in.motor_angle = (law_real)angle;
-        in.torque = (law_real)measured;
+        in[PORT_REFERENCE] = input->reference[k];
+        in[PORT_ACCELERATION] = input->acceleration[k];
+        in[PORT_ANGLE] = angle;
+        in[PORT_TORQUE] = measured;
+        in[PORT_PAYLOAD] = rig->payload;
         if (broken & TWIN_TICK_MISSED) {
-            out.flags = 0U; /* the timer's hardware goes on with the voltage it was given last */
+            marks[PORT_FLAGS] = 0U; /* the timer's hardware goes on with the voltage it was given last */
         } else {
-            in.payload = payload_of(rig, &estimate, &in);
-            law_step(&state, p, &in, &out);
-            if (broken & TWIN_TICK_REPEATED)
-                law_step(&state, p, &in, &out);
+            if (rig->estimator)
+                in[PORT_PAYLOAD] = law->estimate(&estimate, rig->estimator, (uint32_t)k, angle, measured);
+            for (int i = (broken & TWIN_TICK_REPEATED) ? 2 : 1; i; i--)
+                law->step(&state, params, (uint32_t)k, in, out, marks);
         }
         trace->tip[k] = rig->start + flexible.tip;
         trace->motor[k] = rig->start + motor.angle;
-        trace->motor_reference[k] = (double)out.motor_reference;
+        trace->motor_reference[k] = out[PORT_MOTOR_REFERENCE];
         trace->torque[k] = torque;
         trace->measured[k] = measured;
-        trace->voltage[k] = (double)out.voltage;
-        trace->tip_estimate[k] = (double)out.tip_estimate;
+        trace->voltage[k] = out[PORT_VOLTAGE];
+        trace->tip_estimate[k] = out[PORT_TIP_ESTIMATE];
         trace->encoder[k] = angle;
-        trace->flags[k] = out.flags;
-        trace->mode[k] = out.mode;
-        trace->reason[k] = out.reason;
+        trace->flags[k] = marks[PORT_FLAGS];
+        trace->mode[k] = marks[PORT_MODE];
+        trace->reason[k] = marks[PORT_REASON];
         /* ideal: what the law adds against the coupling torque meets a coupling torque that is the same */
-        const double added = rig->coupling > 0.0 ? 0.0 : (double)out.compensation;
-        pending[k % slots] = rig->sampled ? (double)out.voltage - added
-                                          : (double)out.motor_reference - rig->start;
+        const double added = rig->coupling > 0.0 ? 0.0 : out[PORT_COMPENSATION];
+        pending[k % slots] = rig->sampled ? out[PORT_VOLTAGE] - added : out[PORT_MOTOR_REFERENCE] - rig->start;
         const double applied = pending[(k + 1) % slots]; /* written `delay` periods ago */
         const motor_state before = motor;
         double q[LOOP_POWERS];
@@ -92,7 +86,6 @@ int LOOP_RUN(const loop_link *link, const loop_rig *rig, const void *params, con
     return 0;
 }
 
-#ifndef LAW_SINGLE
 /* The motor alone, from `speed`, without voltage: what a test compares with the equation's own solution. */
 void loop_coast(const loop_rig *rig, double speed, double *angle, int64_t length)
 {
@@ -103,4 +96,3 @@ void loop_coast(const loop_rig *rig, double speed, double *angle, int64_t length
         follow_voltage(&motor, rig, &rig->weights, 0.0, &rigid);
     }
 }
-#endif

@@ -4,6 +4,8 @@
 
 #include <stdint.h>
 
+#include "law_port.h"
+
 #define LOOP_POWERS 6
 #define LOOP_MODES 64  /* most real modes, and most pairs, of a link */
 #define LOOP_DELAY 101 /* longest delay in periods, plus one */
@@ -82,11 +84,9 @@ typedef struct {
     uint32_t *reason;
 } loop_trace;
 
-/* Return 0, or 1 where a bound above is exceeded. `params` is a law_params of the named precision. */
-int loop_run_double(const loop_link *link, const loop_rig *rig, const void *params, const loop_input *input,
-                    const loop_trace *trace);
-int loop_run_single(const loop_link *link, const loop_rig *rig, const void *params, const loop_input *input,
-                    const loop_trace *trace);
+/* Return 0, or 1 where a bound above is exceeded. `params` is a law_params of the law's precision. */
+int loop_run(const loop_link *link, const loop_rig *rig, const law_port *law, const void *params,
+             const loop_input *input, const loop_trace *trace);
 
 loop_weights loop_weights_of(const loop_rig *rig);
 

@@ -1,5 +1,5 @@
-/* What one closed loop and a group of them share: motor, link and gauge within one period. Static, because it is
- * compiled with each precision of the law. */
+/* What one closed loop and a group of them share: motor, link and gauge within one period. Static, because
+ * one of the two is compiled with each precision of the law. */
 #ifndef FRACLINK_LOOP_PARTS_H
 #define FRACLINK_LOOP_PARTS_H
 
@@ -7,7 +7,6 @@
 
 #include "clones.h"
 #include "loop.h"
-#include "payload_estimator.h"
 
 typedef struct {
     double angle; /* from the start angle [rad] */
@@ -199,34 +198,6 @@ static double gauge_reading(const loop_rig *rig, gauge_line *gauge, double torqu
         reading += rig->noise * normal;
     reading = rounded_to(reading, rig->quantum);
     return fmin(fmax(reading, -rig->limit), rig->limit);
-}
-
-/* Begin the rig's payload estimator, where it has one. */
-static void begin_estimate(const loop_rig *rig, payload_state *estimate)
-{
-#ifdef LOOP_WITHOUT_ESTIMATOR
-    (void)rig;
-    (void)estimate;
-#else
-    if (rig->estimator)
-        (void)payload_init(estimate, (const payload_params *)rig->estimator);
-#endif
-}
-
-/* The payload that the law is given in this period: the rig's, or the estimate. */
-static law_real payload_of(const loop_rig *rig, payload_state *estimate, const law_input *in)
-{
-#ifdef LOOP_WITHOUT_ESTIMATOR
-    (void)estimate;
-    (void)in;
-#else
-    if (rig->estimator) {
-        payload_output found;
-        payload_step(estimate, (const payload_params *)rig->estimator, in->tick, in->motor_angle, in->torque, &found);
-        return found.given;
-    }
-#endif
-    return (law_real)rig->payload;
 }
 
 /* The quintic in (t - kT)/T with the angles, speeds and accelerations of both ends. */

@@ -55,7 +55,7 @@ enum {
     REALTIME_OTHER_PERIOD /* the arm runs at another one */
 };
 
-/* Columns of the record: one row for every period that ran. */
+/* Columns of the record: one row for every period that ran; the law's inputs and outputs in the order of its port. */
 enum {
     REALTIME_DEADLINE, /* of this period, after the first one [s] */
     REALTIME_LATENCY,  /* from the deadline that was slept for to being awake [s] */
@@ -74,22 +74,13 @@ enum {
 };
 enum { REALTIME_TICK, REALTIME_MODE, REALTIME_REASON, REALTIME_FLAGS, REALTIME_MARKS };
 
-/* The law of one precision, behind one type: `inputs` and `outputs` are columns of a record's row. */
-typedef void realtime_law(void *state, const void *params, uint32_t tick, const double *inputs, double *outputs,
-                          uint32_t *marks);
-realtime_law realtime_law_double, realtime_law_single;
-/* The payload that is estimated from this period's sample [kg]; 0: none yet. */
-typedef double realtime_estimator(void *state, const void *params, uint32_t tick, double motor_angle, double torque);
-realtime_estimator realtime_estimate_double, realtime_estimate_single;
-
 typedef struct {
     int64_t period_ns;
     int64_t length; /* periods */
     const double *reference;
     const double *acceleration;
     double payload; /* that the law is given [kg]; 0: none */
-    realtime_estimator *estimator; /* gives the law its payload instead; null: none */
-    const void *bank;              /* payload_params of the law's precision, and its payload_state */
+    const void *bank; /* payload_params of the law's precision, whose estimate the law is given; null: `payload` */
     void *estimate;
     int64_t patience_ns; /* for the first sample */
     int relative;        /* the reference counts from the angle of the first sample */
@@ -119,7 +110,7 @@ typedef struct {
 } realtime_outcome;
 
 /* Run; the last thing written is always a stop: voltage 0, the motor reference held, ARM_MODE_OFF. */
-void realtime_run(const realtime_plan *plan, const realtime_io *io, realtime_law *law, void *state,
+void realtime_run(const realtime_plan *plan, const realtime_io *io, const law_port *law, void *state,
                   const void *params, double *record, uint32_t *marks, realtime_outcome *outcome);
 
 /* The bare loop to compare with: sleep on the same deadlines, note the latency [s], nothing else. */

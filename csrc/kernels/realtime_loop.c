@@ -50,7 +50,7 @@ static int await_sample(const realtime_plan *plan, const realtime_io *io, const 
 }
 
 /* One period in `row` and `mark`: 0, or negative where the way to the arm is broken. */
-static int run_period(const realtime_plan *plan, const realtime_io *io, realtime_law *law, void *state,
+static int run_period(const realtime_plan *plan, const realtime_io *io, const law_port *law, void *state,
                       const void *params, int64_t tick, double origin, realtime_sample *first, double *row,
                       uint32_t *mark, arm_command *command, int64_t *lost)
 {
@@ -69,11 +69,11 @@ static int run_period(const realtime_plan *plan, const realtime_io *io, realtime
     row[REALTIME_TORQUE] = sample.value.torque;
     mark[REALTIME_TICK] = (uint32_t)tick + 1U;
     row[REALTIME_PAYLOAD] = plan->payload;
-    if (plan->estimator)
-        row[REALTIME_PAYLOAD] = plan->estimator(plan->estimate, plan->bank, mark[REALTIME_TICK],
-                                                row[REALTIME_MOTOR_ANGLE], row[REALTIME_TORQUE]);
-    law(state, params, mark[REALTIME_TICK], row + REALTIME_REFERENCE, row + REALTIME_MOTOR_REFERENCE,
-        mark + REALTIME_MODE);
+    if (plan->bank)
+        row[REALTIME_PAYLOAD] = law->estimate(plan->estimate, plan->bank, mark[REALTIME_TICK],
+                                              row[REALTIME_MOTOR_ANGLE], row[REALTIME_TORQUE]);
+    law->step(state, params, mark[REALTIME_TICK], row + REALTIME_REFERENCE, row + REALTIME_MOTOR_REFERENCE,
+              mark + REALTIME_MODE);
     command->motor_reference = row[REALTIME_MOTOR_REFERENCE];
     command->voltage = row[REALTIME_VOLTAGE];
     command->tick = mark[REALTIME_TICK];
@@ -85,7 +85,7 @@ static int run_period(const realtime_plan *plan, const realtime_io *io, realtime
     return written < 0 ? written : 0;
 }
 
-static void run_periods(const realtime_plan *plan, const realtime_io *io, realtime_law *law, void *state,
+static void run_periods(const realtime_plan *plan, const realtime_io *io, const law_port *law, void *state,
                         const void *params, realtime_sample *sample, double *record, uint32_t *marks,
                         arm_command *command, realtime_outcome *outcome)
 {
@@ -125,7 +125,7 @@ static void run_periods(const realtime_plan *plan, const realtime_io *io, realti
     }
 }
 
-void realtime_run(const realtime_plan *plan, const realtime_io *io, realtime_law *law, void *state,
+void realtime_run(const realtime_plan *plan, const realtime_io *io, const law_port *law, void *state,
                   const void *params, double *record, uint32_t *marks, realtime_outcome *outcome)
 {
     const realtime_outcome none = {0};

@@ -71,6 +71,62 @@ void twin_march(const twin_step *step, int periods, int substeps, const double *
     }
 }
 
+/* c += a b by rows; what is zero of `a`, most of an arm's matrix, costs nothing. */
+FRACLINK_CLONES
+static void add_product(int size, const double *restrict a, const double *restrict b, double *restrict c)
+{
+    for (int i = 0; i < size; ++i, a += size, c += size) {
+        for (int k = 0; k < size; ++k) {
+            const double factor = a[k];
+            if (factor == 0.0) {
+                continue;
+            }
+#pragma omp simd
+            for (int j = 0; j < size; ++j) {
+                c[j] += factor * b[(long)k * size + j];
+            }
+        }
+    }
+}
+
+/* e^A - I of A/2^s by Taylor's series, then s times M <- 2 M + M M: without the identity in it, halving a matrix more
+ * often than its spectrum needs (its norm has the squared frequencies of the modes in it) costs no digits. */
+void twin_exponential(int size, double *matrix, double *work)
+{
+    const int count = size * size, terms = 12; /* 0.25^12/13! of the matrix: 1e-17 */
+    double *const sum = work, *const next = work + count;
+    double norm = 0.0, scale = 1.0;
+    int halved = 0;
+    for (int i = 0; i < count; i += size) {
+        double row = 0.0;
+        for (int j = 0; j < size; ++j) {
+            row += fabs(matrix[i + j]);
+        }
+        norm = row > norm ? row : norm;
+    }
+    for (; norm * scale > 0.25 && halved < 64; ++halved) {
+        scale *= 0.5;
+    }
+    for (int i = 0; i < count; ++i) {
+        matrix[i] *= scale;
+        sum[i] = 0.0;
+    }
+    for (int round = 0; round < terms + halved; ++round) {
+        const int series = round < terms;
+        const double *const left = series ? matrix : sum;
+        for (int i = 0; i < count; ++i) {
+            next[i] = series ? left[i] : 2.0 * left[i];
+        }
+        add_product(size, left, sum, next);
+        for (int i = 0; i < count; ++i) {
+            sum[i] = series ? next[i] / (terms - round) : next[i];
+        }
+    }
+    for (int i = 0; i < count; ++i) {
+        matrix[i] = sum[i] + (i % (size + 1) ? 0.0 : 1.0);
+    }
+}
+
 static double quantised(double value, double quantum)
 {
     return quantum > 0.0 ? floor(value / quantum + 0.5) * quantum : value;

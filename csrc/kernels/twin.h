@@ -4,6 +4,8 @@
 
 #include <stdint.h>
 
+#include "law_port.h"
+
 #define TWIN_OUTPUTS 6 /* hub angle, hub velocity, tip angle, gauge torque, tip velocity, material's moment */
 
 /* One exact step of the linear twin; transition is column-major with `stride` rows, the rest is padded by 0. */
@@ -51,9 +53,20 @@ typedef struct {
     double torque;
     int stuck;
     uint32_t tick;
-    const void *estimator; /* payload_params of the law's precision, and its payload_state; null: the inputs' payload */
-    void *estimate;
 } twin_memory;
+
+/* The law that drives it: blocks and states of the port's precision. */
+typedef struct {
+    const law_port *port;
+    const void *params;
+    void *state;
+    const void *bank; /* payload_params, and its payload_state; null: the inputs' payload */
+    void *estimate;
+} twin_law;
+
+/* matrix <- e^matrix, size x size by rows; `work` has room for two more. Plain arithmetic in one order, so that an arm's
+ * step has the same bits on every machine, and in a browser: a library's would follow its BLAS. */
+void twin_exponential(int size, double *matrix, double *work);
 
 /* March the linear twin: one hub input per period, `substeps` steps each, outputs after every step. */
 void twin_march(const twin_step *step, int periods, int substeps, const double *input, double *state,
@@ -130,16 +143,9 @@ double twin_contact(const twin_step *step, const twin_obstacle *obstacle, const 
 /* One step of motor and link under a motor torque and a force on the tip. */
 void twin_motor_step(const twin_step *step, const twin_rig *rig, double torque, double force, twin_memory *memory);
 
-/* Bytes of law_params and law_state, and of payload_params and payload_state. */
-void twin_sizes_double(int sizes[4]);
-void twin_sizes_single(int sizes[4]);
-
-/* Run the law on the twin for `periods` control periods: rows of TWIN_INPUTS in, rows of TWIN_COLUMNS out.
- * `params` and `law` are law_params and law_state of the precision named. Returns the number of periods run, less
- * than asked for only where the twin left every bound. */
-int twin_run_double(const twin_step *step, const twin_rig *rig, const twin_obstacle *obstacle, const void *params,
-                    int periods, const double *input, void *law, twin_memory *memory, double *record);
-int twin_run_single(const twin_step *step, const twin_rig *rig, const twin_obstacle *obstacle, const void *params,
-                    int periods, const double *input, void *law, twin_memory *memory, double *record);
+/* Run the law on the twin for `periods` control periods: rows of TWIN_INPUTS in, rows of TWIN_COLUMNS out. Returns the
+ * number of periods run, less than asked for only where the twin left every bound. */
+int twin_run(const twin_step *step, const twin_rig *rig, const twin_obstacle *obstacle, const twin_law *law,
+             int periods, const double *input, twin_memory *memory, double *record);
 
 #endif

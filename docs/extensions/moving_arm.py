@@ -16,7 +16,7 @@ def write(app: Sphinx, error: Exception | None) -> None:
     """Write the page where the pages that name it were built."""
     if error is not None or app.builder.format != "html" or "how-to/share-an-arm" not in app.env.found_docs:
         return
-    rig = fl.Rig.named("paper-2023")
+    rig = fl.Rig.named("paper-2023-geared")
     design = fl.design(rig.model, rig, payloads=(0.020, 0.040), gain_crossover=12.0, phase_margin=fl.deg(50))
     study = fl.Study(rig=rig, design=design)
     fl.write_arm_page(study, Path(app.outdir) / "_static" / "arm.html", title="Move the arm")

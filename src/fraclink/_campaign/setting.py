@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq, minimize_scalar
 
-from fraclink._arm.beam import Beam
+from fraclink._arm.beam import DEFAULT_MASS, Beam
 from fraclink._arm.controller import Controller
 from fraclink._arm.link import LinkModel
 from fraclink._arm.rig import Rig
@@ -133,9 +133,6 @@ def sampled(plant: Plant, row: Real, period: float, delay: int, *, gain: float =
     if delay == 0:
         return held
     return held.after(Filter(np.eye(delay, k=1), np.eye(delay)[-1], np.eye(delay)[0], 0.0))
-
-
-DEFAULT_MASS = 0.00735  # [kg] of the link where the rig states none: a carbon rod of 3 mm, 1 m long
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,6 +6,7 @@ import base64
 import hashlib
 import json
 import math
+import zlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -13,6 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fraclink._arm.beam import DEFAULT_MASS
+from fraclink._arm.link import LinkModel
 from fraclink._arm.reference import smooth_step
 from fraclink._campaign.study import Study
 from fraclink._design import Design
@@ -25,11 +28,13 @@ from fraclink._simulate.engine import (
     engine_link,
     engine_noise,
     engine_rig,
+    engine_twin,
+    twin_noise,
 )
 from fraclink._simulate.simulate import link_at
 from fraclink.errors import FieldError
 
-__all__ = ["MOST_PAYLOADS", "ArmBox", "arm_box", "page_hash"]
+__all__ = ["MOST_PAYLOADS", "ArmBox", "arm_box", "assumed_mass", "page_hash"]
 
 Real = NDArray[np.float64]
 
@@ -50,19 +55,22 @@ class ArmBox:
     script: str
     script_hash: str
     style: str
+    has_twin: bool
 
 
-def arm_box(study: Study, design: Design, *, payloads: int = MOST_PAYLOADS) -> ArmBox | None:
-    """Return the arm of a design; `payloads`: how many its slider has, 2 to 4 kB each.
+def arm_box(
+    study: Study, design: Design, *, payloads: int = MOST_PAYLOADS, twin: bool = True
+) -> ArmBox | None:
+    """Return the arm of a design; `payloads`: how many its slider has, 2 to 4 kB each; with its twin or not.
 
     None where the model vibrates too fast for the law's period with every payload.
     """
     # They share their names with no script of the page around them.
     script = "(() => {\n'use strict';\n" + "".join(map(squeezed, _SCRIPTS)) + "})();\n"
-    data = _data(design, *_law(study, design), payloads)
+    data = _data(design, *_law(study, design), payloads, twin)
     if not data["links"]:
         return None
-    return ArmBox(_json(data), script, page_hash(script), squeezed("arm_box.css"))
+    return ArmBox(_json(data), script, page_hash(script), squeezed("arm_box.css"), data["twin"] is not None)
 
 
 def page_hash(text: str) -> str:
@@ -102,7 +110,31 @@ def _base64(parts: Iterable[Real]) -> str:
     ).decode()
 
 
-def _data(design: Design, law: Law, python: str, count: int) -> dict[str, Any]:
+def _packed(data: bytes) -> str:
+    """DEFLATE without a head, in base64: what the script unpacks."""
+    pack = zlib.compressobj(9, zlib.DEFLATED, -zlib.MAX_WBITS)
+    return base64.b64encode(pack.compress(data) + pack.flush()).decode()
+
+
+def assumed_mass(design: Design) -> float:
+    """Mass of the twin's link [kg]: the rig's, or one that is assumed where it states none."""
+    return design.rig.link.mass or DEFAULT_MASS
+
+
+def _twin(design: Design, model: LinkModel, payloads: list[float], count: int) -> dict[str, Any] | None:
+    """What the script makes the twin of; None where the rig and its model make none that the engine holds."""
+    mass = assumed_mass(design)
+    try:
+        twin = engine_twin(design.rig, model, payloads, mass) if payloads else None
+    except FieldError:
+        return None
+    if twin is None:
+        return None
+    parts = [twin.rig, twin_noise(_SEED, count), twin.material, twin.arms]
+    return {"numbers": _base64(parts), "elements": twin.elements, "modes": twin.modes, "mass": mass}
+
+
+def _data(design: Design, law: Law, python: str, count: int, twin: bool) -> dict[str, Any]:
     """Everything that the script reads; `python`: what makes the law; `count`: how many payloads."""
     rig, model, period = design.rig, design.model, law.period
     swing = 2 * math.pi / max(abs(model.pole.imag), 1e-3)
@@ -112,7 +144,7 @@ def _data(design: Design, law: Law, python: str, count: int) -> dict[str, Any]:
     times = _times(half)
     noise = max(0.05, 5 * rig.gauge.noise)
     return {
-        "engine": base64.b64encode(engine_bytes()).decode(),
+        "engine": _packed(engine_bytes()),
         "blocks": [base64.b64encode(law.in_precision(name).block).decode() for name in ("double", "single")],
         # rig, noise, moves, then the links behind one another
         "numbers": _base64(
@@ -141,6 +173,7 @@ def _data(design: Design, law: Law, python: str, count: int) -> dict[str, Any]:
         "length": rig.link.length,
         "torque": _torque(design),
         "voltage": rig.motor.voltage_limit if math.isfinite(rig.motor.voltage_limit) else 0.0,
+        "twin": _twin(design, model, payloads, periods + 1) if twin else None,
         "law": python,
         "told": law.tracking is not None,
         "modes": list(MODES),

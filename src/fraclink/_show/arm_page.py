@@ -10,14 +10,19 @@ from fraclink._campaign.study import Study
 from fraclink._design import Design
 from fraclink._files import write_text
 from fraclink._show import tables
-from fraclink._show.arm_box import MOST_PAYLOADS, arm_box, page_hash
+from fraclink._show.arm_box import MOST_PAYLOADS, arm_box, assumed_mass, page_hash
 from fraclink._show.pages import rendered, squeezed
 from fraclink._show.text import grams, number
+from fraclink._simulate.arm import Twin
+from fraclink._simulate.engine import TWIN_MODES
 from fraclink.errors import FieldError
 
 __all__ = ["render_arm_page", "write_arm_page"]
 
 _LARGEST = 150_000  # bytes of a page
+_FEWEST = (
+    9  # payloads of a slider; below, a fast clock's page goes without the twin, whose noise takes its room
+)
 
 
 def write_arm_page(study: Study, path: Path | str, *, title: str | None = None) -> Path:
@@ -67,7 +72,7 @@ def render_arm_page(study: Study, *, title: str | None = None) -> str:
             allowed="a study with a design",
             remedy="make one: `fraclink run`, or `fraclink design` with --out design.json in the folder",
         )
-    design, payloads = study.design, MOST_PAYLOADS
+    design, payloads, twin = study.design, MOST_PAYLOADS, True
     low, high = design.payloads
     said: dict[str, Any] = {
         "title": title or design.rig.name,
@@ -82,15 +87,18 @@ def render_arm_page(study: Study, *, title: str | None = None) -> str:
         "not_simulated": _not_simulated(design),
     }
     while True:
-        arm = arm_box(study, design, payloads=payloads)
+        arm = arm_box(study, design, payloads=payloads, twin=twin)
         if arm is None:
             raise _too_fast(design)
         style = squeezed("palette.css") + arm.style + squeezed("arm.css")
-        page = rendered("arm.html", arm=arm, style=style, style_hash=page_hash(style), **said)
+        twin_said = _twin_simulated(design, twin_fits=arm.has_twin)
+        page = rendered("arm.html", arm=arm, style=style, style_hash=page_hash(style), twin=twin_said, **said)
         excess = len(page.encode()) - _LARGEST
         if excess <= 0 or payloads <= 5:
             return page
         payloads -= 1 + excess // 4000  # a link takes 2 to 4 kB
+        if twin and payloads < _FEWEST:
+            payloads, twin = MOST_PAYLOADS, False
 
 
 def _too_fast(design: Design) -> FieldError:
@@ -123,6 +131,25 @@ def _simulated(design: Design) -> list[str]:
         f"an encoder with {counts} counts per revolution" if counts else "an encoder without steps",
         gauge,
         f"the law that is shipped (law.c), one period every {number(1e3 * rig.period)} ms, with its guards",
+    ]
+
+
+def _twin_simulated(design: Design, *, twin_fits: bool) -> list[str]:
+    """Sentences on what the switch "twin" adds, or why there is none."""
+    mass, model = assumed_mass(design), with_payload(design.model, design.rig)
+    try:
+        twin = Twin.from_rig(design.rig, model=model, link_mass=mass, modes=TWIN_MODES)
+    except FieldError as error:
+        return [f"there is no twin in this page: {error}"]
+    if not twin_fits:
+        return ["there is no twin in this page: at this sampling period it does not fit into it"]
+    assumed = "" if design.rig.link.mass else ", assumed because the rig file gives none"
+    return [
+        f"a link with a mass of {grams(mass)}{assumed}: its second mode moves tip and gauge",
+        "the torque of the link acts on the motor, and the law compensates it from the gauge's reading",
+        f"a motor that sticks: it breaks away at {number(twin.breakaway)} N·m and slides at "
+        f"{number(twin.coulomb)} N·m",
+        *(finding.message for finding in twin.findings),
     ]
 
 

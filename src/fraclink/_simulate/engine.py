@@ -1,4 +1,4 @@
-"""What the loop takes as WebAssembly (csrc/web/engine.c): the numbers of an arm in the engine's order.
+"""What loop and twin take as WebAssembly (csrc/web/engine.c): the numbers of an arm in the engine's order.
 
 The engine has no library of mathematics. Whatever takes one is computed here, by the functions and kernels
 that `simulate` uses, so that a run in a page has the bits of a run in Python.
@@ -6,6 +6,7 @@ that `simulate` uses, so that a run in a page has the bits of a run in Python.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 
@@ -13,27 +14,37 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink import _kernels
+from fraclink._arm.beam import residual_inertia
 from fraclink._arm.link import LinkModel
 from fraclink._arm.rig import Rig
 from fraclink._law import Law
-from fraclink._simulate.kernel import SUBSTEPS
-from fraclink._simulate.plant import link_weights
+from fraclink._simulate.arm import Twin
+from fraclink._simulate.kernel import SUBSTEPS, twin_numbers
+from fraclink._simulate.plant import link_weights, resolved
 
 __all__ = [
     "LONGEST",
     "RIG_NUMBERS",
+    "TWIN_MODES",
     "EngineLink",
+    "EngineTwin",
     "engine_bytes",
     "engine_link",
     "engine_noise",
     "engine_rig",
+    "engine_twin",
+    "twin_noise",
 ]
 
 Real = NDArray[np.float64]
 
 LONGEST = 4001  # periods: room in the engine's buffers
+MOST_ROWS, MOST_GAUGE = 96, 1024  # of the twin: states and two inputs; steps that its gauge is late
+TWIN_MODES = (
+    2  # the third doubles the time of a run, and moves the tip by 1.3 mrad at most in a move of 1 rad
+)
 
-# The rig's numbers in the order of engine.c. A page changes delay, offset, noise, payload and stiffness.
+# The rig's numbers in the order of loop_rig. A page changes delay, offset, noise and payload.
 RIG_NUMBERS = (
     "sampled",
     "substeps",
@@ -56,7 +67,6 @@ RIG_NUMBERS = (
     "keep",
     "first",
     "second",
-    "stiffness",
 )
 
 
@@ -83,12 +93,19 @@ def engine_link(model: LinkModel, period: float, span: float) -> EngineLink:
     """Return the link's recursion at `period` [s], valid for `span` [s].
 
     >>> engine_link(LinkModel(1.56, 11.094, order=2.0), 0.004, 4.0).numbers.size
-    35
+    36
     """
     weights = link_weights(model, period, max(span, 2 * period))
     second = weights.second.ravel()
     pair = (weights.pair.real, weights.pair.imag, weights.pair_weight.real, weights.pair_weight.imag)
-    parts = (weights.first, second if second.size else np.zeros(15), weights.decay, weights.weight, *pair)
+    parts = (
+        model.stiffness,
+        weights.first,
+        second if second.size else np.zeros(15),
+        weights.decay,
+        weights.weight,
+        *pair,
+    )
     numbers = np.concatenate([np.ravel(part) for part in parts])
     return EngineLink(weights.decay.shape[1], weights.pair.shape[1], bool(second.size), numbers)
 
@@ -115,11 +132,56 @@ def engine_rig(rig: Rig, law: Law, model: LinkModel) -> Real:
         "gauge_gain": model.gauge_gain,
         "payload": 0.0,
         "start": 0.0,
-        "stiffness": model.stiffness,
     }
     weights = _kernels.loop_weights(motor.decay, law.period, SUBSTEPS)
     numbers |= dict(zip(("keep", "first", "second"), weights, strict=True))
     return np.array([numbers[name] for name in RIG_NUMBERS])
+
+
+@dataclass(frozen=True)
+class EngineTwin:
+    """A twin as a page assembles it, by the operations of `assemble` in their order.
+
+    rig: twin_rig of twin.h. material: step [s], length [m], spring, dashpot and hub friction, then weights
+    and rates of the Maxwell elements. arms: for every payload the hub's inertia, then ω², Γ and tip of each
+    mode.
+    """
+
+    rig: Real
+    material: Real
+    arms: Real
+    elements: int
+    modes: int
+
+
+def engine_twin(rig: Rig, model: LinkModel, payloads: Sequence[float], link_mass: float) -> EngineTwin | None:
+    """Return the twins of `Twin.from_rig` with two modes; None where the engine has no room for them.
+
+    >>> rig = Rig.named("paper-2023-geared")
+    >>> found = engine_twin(rig, rig.model, [0.020, 0.030], 0.00735)
+    >>> found.modes, found.elements, found.arms.shape
+    (2, 24, (2, 7))
+    """
+    twin = Twin.from_rig(rig, model=model, payload=payloads[0], link_mass=link_mass, modes=TWIN_MODES)
+    numbers = twin_numbers(twin, rig.period)
+    fine = rig.period / numbers[0]
+    plant = twin.plant(fine)
+    if plant.order + 2 > MOST_ROWS or numbers[2] >= MOST_GAUGE:
+        return None
+    chain, arms = plant.chain, []
+    for beam in map(twin.beam.with_payload, payloads):
+        modes = resolved(beam, TWIN_MODES, fine)
+        each = zip(modes.frequencies, modes.participation, modes.tip, strict=True)
+        inertia = twin.hub_inertia + residual_inertia(beam, modes)
+        arms.append([inertia, *(number for w, load, tip in each for number in (w**2, load, tip))])
+    friction = twin.motor.gear_ratio**2 * twin.motor.viscous_friction
+    material = [fine, twin.beam.length, chain.spring, chain.dashpot, friction, *chain.weights, *chain.rates]
+    return EngineTwin(numbers, np.array(material), np.array(arms), chain.rates.size, plant.modes.count)
+
+
+def twin_noise(seed: int, count: int) -> Real:
+    """Return the standard normal numbers of the twin's gauge, shape (count,): those of `healthy_inputs`."""
+    return np.random.default_rng(seed).standard_normal(count)
 
 
 def engine_noise(seed: int, count: int) -> Real:

@@ -25,7 +25,7 @@ from fraclink._simulate.estimates import estimated_over
 from fraclink._simulate.plant import LinkWeights, Plant, StepMatrices, substeps
 from fraclink._simulate.sensors import Event, Obstacle, PayloadChange, Restart, delay_line
 
-__all__ = ["ArmState", "LumpedArms", "apply", "run_lumped", "shared_rig"]
+__all__ = ["ArmState", "LumpedArms", "apply", "run_lumped", "shared_rig", "twin_numbers"]
 
 Real = NDArray[np.float64]
 Bits = NDArray[np.uint32]
@@ -200,41 +200,45 @@ def run_lumped(
 # ── the twin ────────────────────────────────────────────────────────────────────────────────────────────────
 
 
+def twin_numbers(twin: Twin, period: float) -> Real:
+    """Return twin_rig of twin.h, shape (15,): motor, amplifier and sensors at a control period [s]."""
+    count, sensors = substeps(period, twin.step), twin.sensors
+    oldest, weights = delay_line(sensors.gauge_delay / (period / count))
+    return np.array(
+        [
+            count,
+            twin.voltage_delay,
+            oldest,
+            twin.motor.gear_ratio * twin.motor.torque_constant,
+            twin.motor.voltage_limit,
+            twin.coulomb,
+            twin.breakaway,
+            sensors.angle_quantum,
+            sensors.gauge_quantum,
+            math.inf if sensors.gauge_limit is None else sensors.gauge_limit,
+            sensors.gauge_gain,
+            *weights,
+        ]
+    )
+
+
 class ArmState:
     """A twin while it runs: link, gauge queue, voltage queue, sensors, law. Internal, mutable."""
 
     def __init__(self, twin: Twin, period: float, law_state: bytes, *, start_angle: float = 0.0) -> None:
         self.count = substeps(period, twin.step)
         self.fine = period / self.count
-        sensors = twin.sensors
-        oldest, weights = delay_line(sensors.gauge_delay / self.fine)
+        self.rig = twin_numbers(twin, period)
         self.plant, self.step = _discretised(twin, self.fine)
         self.state = self.step.rest()
         self.state[0] = start_angle
         self.state += _straight(self.plant, start_angle, self.state.size)
-        self.gauge = np.zeros(oldest + 1)
+        self.gauge = np.zeros(int(self.rig[2]) + 1)
         self.voltage = np.zeros(twin.voltage_delay + 1)
         self.sensed = np.array([start_angle, 0.0])
         self.counters = np.array([1, 1], dtype=np.uint32)  # stuck, first tick
         self.law = np.frombuffer(bytearray(law_state), dtype=np.uint8)
         self.estimate = np.zeros(0, dtype=np.uint8)  # of the payload estimator, where the law has one
-        # twin_rig of twin.h
-        self.rig = np.array(
-            [
-                self.count,
-                twin.voltage_delay,
-                oldest,
-                twin.motor.gear_ratio * twin.motor.torque_constant,
-                twin.motor.voltage_limit,
-                twin.coulomb,
-                twin.breakaway,
-                sensors.angle_quantum,
-                sensors.gauge_quantum,
-                math.inf if sensors.gauge_limit is None else sensors.gauge_limit,
-                sensors.gauge_gain,
-                *weights,
-            ]
-        )
         self.obstacle = np.array([0.0, 0.0, 0.0, twin.beam.length, 1.0])
         self.twin = twin
 

@@ -25,9 +25,9 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import expm
 
-from fraclink._arm.beam import Beam, BeamModes
+from fraclink import _kernels
+from fraclink._arm.beam import Beam, BeamModes, residual_inertia
 from fraclink._arm.link import LinkModel, SecondMode
 from fraclink._simulate.damping import Chain, Damping
 from fraclink._systems.response import discrete_modes
@@ -44,6 +44,7 @@ __all__ = [
     "StepMatrices",
     "assemble",
     "link_weights",
+    "resolved",
     "second_mode_weights",
     "substeps",
 ]
@@ -136,7 +137,7 @@ class Plant:
         n, m = self.inputs.shape
         block = np.zeros((n + m, n + m))
         block[:n, :n], block[:n, n:] = self.dynamics * step, self.inputs * step
-        exact = expm(block)
+        exact = _kernels.twin_exponential(block)
         stride = -(-n // 8) * 8
         columns, drives = np.zeros((n, stride)), np.zeros((m, stride))
         outputs = np.zeros((self.outputs.shape[0], stride))
@@ -230,8 +231,7 @@ def assemble(
     size = 2 + kept.count * (2 + chain.rates.size)
     a, b, y, energy = np.zeros((size, size)), np.zeros((size, 2)), np.zeros((6, size)), np.zeros((size, size))
     prescribed = drive == "prescribed"
-    residual = max(beam.inertia - float(np.sum(kept.participation**2)), 0.0)
-    inertia = hub_inertia + residual
+    inertia = hub_inertia + residual_inertia(beam, kept)
     y[HUB_ANGLE, 0] = y[HUB_VELOCITY, 1] = y[TIP_ANGLE, 0] = 1.0
     if not prescribed:
         y[TIP_VELOCITY, 1] = 1.0

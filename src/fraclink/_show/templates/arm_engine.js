@@ -3,13 +3,75 @@
 
 const DATA = JSON.parse(document.getElementById('arm-data').textContent);
 const bytesOf = (text) => Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
-const ENGINE = new WebAssembly.Instance(new WebAssembly.Module(bytesOf(DATA.engine))).exports;
+
+// DEFLATE (RFC 1951): packed, the engine takes two fifths of its room in the file. The browser's own way to unpack is
+// younger than WebAssembly, and answers later.
+function unpacked(data) {
+  const out = [], order = [16, 17, 18, 0, 8, 7, 9, 6, 10, 5, 11, 4, 12, 3, 13, 2, 14, 1, 15];
+  let at = 0, hold = 0, held = 0;
+  const bits = (count) => {
+    for (; held < count; held += 8) hold |= data[at++] << held;
+    const value = hold & ((1 << count) - 1);
+    hold >>>= count;
+    held -= count;
+    return value;
+  };
+  const reader = (lengths) => {
+    const sorted = [], count = Array.from({length: 16}, (_, size) => {
+      lengths.forEach((own, symbol) => { if (size && own === size) sorted.push(symbol); });
+      return size ? lengths.filter((own) => own === size).length : 0;
+    });
+    return () => {
+      for (let size = 1, code = 0, index = 0; size < 16; size++) {
+        code = 2 * code + bits(1); // above the first code of this size
+        if (code < count[size]) return sorted[index + code];
+        index += count[size];
+        code -= count[size];
+      }
+      throw new Error('the engine is damaged');
+    };
+  };
+  for (let last = 0; !last;) {
+    last = bits(1);
+    const kind = bits(2), lengths = [];
+    let letters = 288, distances = 30;
+    if (!kind) {
+      const end = at + 4 + data[at] + 256 * data[at + 1];
+      for (at += 4; at < end;) out.push(data[at++]);
+      hold = held = 0;
+      continue;
+    }
+    if (kind === 1) for (let i = 0; i < 318; i++) lengths.push(i < 144 ? 8 : i < 256 ? 9 : i < 280 ? 7 : i < 288 ? 8 : 5);
+    else {
+      letters = 257 + bits(5);
+      distances = 1 + bits(5);
+      const own = Array(19).fill(0);
+      for (let i = 4 + bits(4), j = 0; j < i; j++) own[order[j]] = bits(3);
+      for (const next = reader(own); lengths.length < letters + distances;) {
+        const symbol = next(), again = symbol === 16 ? lengths[lengths.length - 1] : 0;
+        if (symbol < 16) lengths.push(symbol);
+        else for (let i = symbol === 16 ? 3 + bits(2) : symbol === 17 ? 3 + bits(3) : 11 + bits(7); i; i--) lengths.push(again);
+      }
+    }
+    const letter = reader(lengths.slice(0, letters)), distance = reader(lengths.slice(letters));
+    for (let symbol = letter(); symbol !== 256; symbol = letter()) {
+      if (symbol < 256) { out.push(symbol); continue; }
+      const i = symbol - 257, more = i < 8 || i > 27 ? 0 : (i >> 2) - 1;
+      const size = (i < 8 ? 3 + i : i > 27 ? 258 : 3 + ((4 + (i & 3)) << more)) + bits(more);
+      const d = distance(), far = d < 4 ? 0 : (d >> 1) - 1, back = (d < 4 ? 1 + d : 1 + ((2 + (d & 1)) << far)) + bits(far);
+      for (let j = 0; j < size; j++) out.push(out[out.length - back]);
+    }
+  }
+  return Uint8Array.from(out);
+}
+const ENGINE = new WebAssembly.Instance(new WebAssembly.Module(unpacked(bytesOf(DATA.engine)))).exports;
 const N = DATA.periods + 1;
 const TS = DATA.period;
 const doubles = (place, count) => new Float64Array(ENGINE.memory.buffer, place, count);
 
-const RIG = 22, HEAD = 21, MOVE = 6, COLUMNS = 12; // csrc/web/engine.c, csrc/kernels/twin.h
-const AT = {delay: 2, offset: 10, noise: 11, payload: 16, stiffness: 21};
+const RIG = 21, HEAD = 22, MOVE = 6, COLUMNS = 12, TWIN_RIG = 15, OUTPUTS = 6; // csrc/web/engine.c, csrc/kernels/twin.h
+const AT = {delay: 2, offset: 10, noise: 11, payload: 16};
+const INPUT = {reference: 0, acceleration: 2, gaugeError: 3, payload: 11};
 const FAULT = {bits: 5, encoderGain: 6, gaugeGain: 9, gaugeValue: 10};
 const BIT = {gaugeReplaced: 2, encoderFrozen: 4, gaugeFrozen: 8, tickMissed: 32};
 
@@ -28,7 +90,6 @@ const links = (() => {
 const blocks = DATA.blocks.map(bytesOf);
 
 const view = {
-  rig: doubles(ENGINE.rig(), RIG),
   link: doubles(ENGINE.link(), HEAD + 21 * 64),
   path: [0, 1, 2].map((row) => doubles(ENGINE.path(row), N)),
   faults: doubles(ENGINE.faults(), N * COLUMNS),
@@ -39,6 +100,82 @@ const [tip, motor, , torque, gauge, voltage] = view.signal;
 const [, mode, reason] = view.mark;
 const reference = view.path[0];
 view.path[2].set(numbers.subarray(RIG, RIG + N));
+
+// A rig in the engine: three whole numbers, and its doubles from byte 16 on.
+function fill(place, values) {
+  new Int32Array(ENGINE.memory.buffer, place, 3).set(values.subarray(0, 3));
+  doubles(place + 16, values.length - 3).set(values.subarray(3));
+}
+
+// The twin: a hub with stiction, a link with mass in modes and Maxwell elements. Null where the rig makes none.
+function twinOf(told) {
+  if (!told) return null;
+  const all = new Float64Array(bytesOf(told.numbers).buffer), {elements, modes} = told;
+  let at = 0;
+  const take = (count) => all.subarray(at, at += count);
+  return {
+    ...told, rig: take(TWIN_RIG), noise: take(N), material: take(5), weights: take(elements), rates: take(elements),
+    arms: DATA.payloads.map(() => take(1 + 3 * modes)), steps: new Map(),
+  };
+}
+let TWIN = twinOf(DATA.twin);
+
+// The twin's matrices as `assemble` of the package makes them, in its order of operations and so with its bits.
+function assemble(index) {
+  const {elements, modes, weights, rates} = TWIN, [inertia, ...rest] = TWIN.arms[index];
+  const [step, length, spring, dashpot, friction] = TWIN.material;
+  const states = 2 + modes * (2 + elements), size = states + 2, stride = (states + 7) & ~7;
+  const matrix = doubles(ENGINE.matrix(), size * size), outputs = doubles(ENGINE.outputs(), OUTPUTS * stride);
+  const hub = new Float64Array(states), put = (row, column, value) => { matrix[row * size + column] = value * step; };
+  matrix.fill(0);
+  outputs.fill(0);
+  const tips = outputs.subarray(2 * stride), torques = outputs.subarray(3 * stride);
+  tips[0] = 1;
+  for (let mode = 0; mode < modes; mode++) {
+    const [square, load, end] = rest.slice(3 * mode), place = 2 + mode * (2 + elements), speed = place + 1;
+    const force = [[0, square * (spring * -load)], [1, square * (dashpot * -load)], [place, square * spring], [speed, square * dashpot]];
+    for (let i = 0; i < elements; i++) {
+      const own = speed + 1 + i;
+      force.push([own, square * weights[i]]);
+      put(own, 1, -load);
+      put(own, speed, 1);
+      put(own, own, -rates[i]);
+    }
+    put(place, speed, 1);
+    for (const [column, value] of force) {
+      put(speed, column, -value);
+      hub[column] += load * value;
+    }
+    put(speed, states + 1, end * length);
+    tips[0] += end * -load;
+    tips[place] += end;
+    torques[0] -= square * load * -load;
+    torques[place] -= square * load;
+  }
+  hub.forEach((value, column) => put(1, column, value / inertia - (column === 1 ? friction / inertia : 0)));
+  put(0, 1, 1);
+  put(1, states, 1 / inertia);
+  if (ENGINE.discretise(size)) throw new Error('the engine refused the twin');
+  return {size, matrix: matrix.slice(), outputs: outputs.slice()};
+}
+
+function runTwin() {
+  const at = state.payload, rig = TWIN.rig.slice();
+  if (!TWIN.steps.has(at)) TWIN.steps.set(at, assemble(at));
+  const {size, matrix, outputs} = TWIN.steps.get(at);
+  doubles(ENGINE.matrix(), matrix.length).set(matrix);
+  doubles(ENGINE.outputs(), outputs.length).set(outputs);
+  rig[1] = periodsLate();
+  fill(ENGINE.twin(), rig);
+  breakSensors(true);
+  for (let k = 0, row = 0; k < N; k++, row += COLUMNS) {
+    view.faults[row + INPUT.reference] = view.path[0][k];
+    view.faults[row + INPUT.acceleration] = view.path[1][k];
+    view.faults[row + INPUT.gaugeError] = state.offset + state.noise * TWIN.noise[k];
+    view.faults[row + INPUT.payload] = state.told ? DATA.payloads[at] : 0;
+  }
+  return ENGINE.run_twin(Number(state.single), size, N);
+}
 
 // Faults: what a button breaks from a period on. `rows` writes the engine's row, `python` says the same to fraclink.
 const FAULTS = [
@@ -58,7 +195,7 @@ const EXTRA_DELAY = 6; // periods that the button "late" adds
 
 const state = {
   payload: DATA.start.payload, move: 60, time: DATA.start.time, noise: DATA.start.noise, offset: DATA.start.offset,
-  delay: DATA.start.delay, told: DATA.told, single: false, late: false, thrown: -1,
+  delay: DATA.start.delay, told: DATA.told, single: false, twin: false, late: false, thrown: -1,
   faults: {}, // id: period from which on
 };
 const amplitude = () => (state.move * Math.PI) / 180;
@@ -83,9 +220,9 @@ function follow() {
   }
 }
 
-function breakSensors() {
+function breakSensors(always = false) {
   const broken = FAULTS.filter((fault) => fault.id in state.faults);
-  if (!broken.length) return 0;
+  if (!broken.length && !always) return 0;
   view.faults.fill(0);
   for (let k = 0; k < N; k++) {
     const row = view.faults.subarray(k * COLUMNS, (k + 1) * COLUMNS);
@@ -98,20 +235,22 @@ function breakSensors() {
 const periodsLate = () => state.delay + (state.late ? EXTRA_DELAY : 0);
 let milliseconds = 0;
 
+function runModel() {
+  const link = links[state.payload], rig = rigNumbers.slice();
+  rig[AT.delay] = periodsLate();
+  rig[AT.offset] = state.offset;
+  rig[AT.noise] = state.noise;
+  rig[AT.payload] = state.told ? DATA.payloads[state.payload] : 0;
+  fill(ENGINE.rig(), rig);
+  view.link.set(link.numbers);
+  return ENGINE.run(Number(state.single), link.reals, link.pairs, link.second, breakSensors(), N);
+}
+
 function run() {
   const begin = performance.now();
-  const link = links[state.payload];
-  const numbersOfRig = view.rig;
-  numbersOfRig.set(rigNumbers);
-  numbersOfRig[AT.delay] = periodsLate();
-  numbersOfRig[AT.offset] = state.offset;
-  numbersOfRig[AT.noise] = state.noise;
-  numbersOfRig[AT.payload] = state.told ? DATA.payloads[state.payload] : 0;
-  view.link.set(link.numbers);
   new Uint8Array(ENGINE.memory.buffer).set(blocks[Number(state.single)], ENGINE.block());
   follow();
-  const failed = ENGINE.run(Number(state.single), link.reals, link.pairs, link.second, breakSensors(), N);
-  if (failed) throw new Error('the engine refused the run');
+  if (state.twin ? runTwin() : runModel()) throw new Error('the engine refused the run');
   milliseconds = performance.now() - begin;
 }
 
@@ -138,8 +277,10 @@ function inPython() {
     'design = fl.load("design.json")',
     `law = ${DATA.law}${state.single ? '.in_precision("single")' : ''}`,
     `there, back = fl.smooth_step(${a}, ${time}), fl.smooth_step(${-a}, ${time}, ${DATA.half - time})`,
-    'run = fl.simulate(',
-    '    law, there.then(back), rig=design.rig, model=design.model,',
+    ...(state.twin ? [
+      `arm = fl.Twin.from_rig(design.rig, model=design.model, link_mass=${TWIN.mass}, modes=${TWIN.modes})`,
+      'run = fl.simulate(', '    law, there.then(back), arm=arm,',
+    ] : ['run = fl.simulate(', '    law, there.then(back), rig=design.rig, model=design.model,']),
     `    duration=${end}, seed=${DATA.seed}, noise=${state.noise}, gauge_offset=${state.offset},`,
     `    payload=${DATA.payloads[state.payload]}, told=${state.told ? 'True' : 'False'}, delay_samples=${periodsLate()},`,
     ...(events.length ? [`    events=[${events.join(', ')}],`] : []),

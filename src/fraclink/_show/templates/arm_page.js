@@ -22,6 +22,7 @@ function showSettings() {
   }
   $('told').checked = state.told;
   $('single').checked = state.single;
+  $(state.twin ? 'twin' : 'model').checked = true;
   for (const fault of FAULTS) $(`fault-${fault.id}`).setAttribute('aria-pressed', fault.id in state.faults);
   $('fault-late').setAttribute('aria-pressed', state.late);
   $('throw').textContent = state.thrown < 0 ? 'Throw the payload off' : 'Put the payload back';
@@ -147,7 +148,7 @@ function play(on) {
 }
 
 // The settings in the page's address: a run can be passed on as a link.
-const KEPT = ['payload', 'move', 'time', 'noise', 'offset', 'delay', 'told', 'single', 'late'];
+const KEPT = ['payload', 'move', 'time', 'noise', 'offset', 'delay', 'told', 'single', 'twin', 'late'];
 function remember() {
   const parts = KEPT.map((key) => `${key}=${Number(state[key])}`);
   for (const id in state.faults) parts.push(`${id}=${state.faults[id]}`);
@@ -162,6 +163,7 @@ function recall() {
       state[key] = limited(step === 1 ? Math.round(value) : value, low, high);
     } else if (key === 'told') state.told = DATA.told && value === 1;
     else if (['single', 'late'].includes(key)) state[key] = value === 1;
+    else if (key === 'twin') state.twin = TWIN !== null && value === 1;
     else if (FAULTS.some((fault) => fault.id === key)) state.faults[key] = limited(Math.round(value), 0, N - 1);
     else if (key === 'at') { play(false); go(value / TS); }
   }
@@ -170,7 +172,7 @@ function recall() {
 function reset() {
   Object.assign(state, {
     payload: DATA.start.payload, move: 60, time: DATA.start.time, noise: DATA.start.noise, offset: DATA.start.offset,
-    delay: DATA.start.delay, told: DATA.told, single: false, late: false, thrown: -1, faults: {},
+    delay: DATA.start.delay, told: DATA.told, single: false, twin: false, late: false, thrown: -1, faults: {},
   });
   renew({layout: true});
 }
@@ -204,6 +206,8 @@ function listen() {
   const place = (m) => (DATA.payloads.indexOf(m) / (DATA.payloads.length - 1)) * 100, [low, high] = DATA.designed.map(place);
   Object.assign($('designed').style, {left: `${low}%`, width: `${high - low}%`});
   $('told').disabled = !DATA.told;
+  $('twin').disabled = !TWIN;
+  for (const id of ['model', 'twin']) $(id).addEventListener('change', () => { state.twin = $('twin').checked; renew(); });
   $('told').addEventListener('change', () => { state.told = $('told').checked; renew(); });
   $('single').addEventListener('change', () => { state.single = $('single').checked; renew(); });
   $('throw').addEventListener('click', throwOff);

@@ -1,0 +1,27 @@
+/* law.c and its payload estimator, in either precision, behind doubles: what runs them is compiled once. */
+#ifndef FRACLINK_LAW_PORT_H
+#define FRACLINK_LAW_PORT_H
+
+#include <stdint.h>
+
+/* One period: numbers in and out, and marks, each in this order. */
+enum { PORT_REFERENCE, PORT_ACCELERATION, PORT_ANGLE, PORT_TORQUE, PORT_PAYLOAD, PORT_INPUTS };
+enum { PORT_MOTOR_REFERENCE, PORT_VOLTAGE, PORT_COMPENSATION, PORT_TIP_ESTIMATE, PORT_ERROR, PORT_OUTPUTS };
+enum { PORT_MODE, PORT_REASON, PORT_FLAGS, PORT_MARKS };
+
+/* Pointers are to the blocks and states of the port's precision. */
+typedef struct {
+    /* law_init, and payload_init where `bank` is not null */
+    void (*begin)(void *state, const void *params, void *estimate, const void *bank);
+    void (*step)(void *state, const void *params, uint32_t tick, const double *inputs, double *outputs,
+                 uint32_t *marks);
+    /* motor reference, mode and reason of a law that is not called; the rest is 0 */
+    void (*held)(const void *state, double *outputs, uint32_t *marks);
+    /* the payload that is estimated from this period's sample [kg]; 0: none yet */
+    double (*estimate)(void *state, const void *params, uint32_t tick, double angle, double torque);
+    int sizes[4]; /* bytes of law_params, law_state, payload_params, payload_state */
+} law_port;
+
+extern const law_port LAW_IN_DOUBLE, LAW_IN_SINGLE;
+
+#endif
