@@ -52,6 +52,7 @@ SHOWN: dict[str, tuple[str, str]] = {
     "optimise": ("filters", "how-to/design-a-controller"),
     "compare": ("published", "how-to/compare-rivals"),
     "design-map": ("refused", "how-to/design-a-controller"),
+    "tune-pid": ("pid-step", "how-to/tune-a-fractional-pid"),
     "shape": ("moves", "how-to/shape-a-move"),
     "campaign montecarlo": ("arms", "how-to/run-a-campaign"),
     "campaign report": ("arms", "how-to/run-a-campaign"),

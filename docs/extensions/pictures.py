@@ -306,6 +306,20 @@ def shaped_or_smooth() -> Figure:
     return lines("steps", said, "tip after a step of the motor", curves, "time [s]")
 
 
+def pid_step() -> Figure:
+    """The law of a fractional PID on a furnace."""
+    s = fl.s
+    made = fl.tune_pid(
+        1 / (14994 * s**1.31 + 6009.5 * s**0.97 + 1.69),
+        gain_crossover=0.1,
+        phase_margin=fl.deg(60),
+        period=1.0,
+        output_limit=4000.0,
+        measurement_limit=50.0,
+    )
+    return loops.pid_step_figure(made, made.law(), size=10.0, duration=150.0)
+
+
 @dataclass(frozen=True)
 class Picture:
     """A title, the page that explains it, and what draws it."""
@@ -340,6 +354,7 @@ PICTURES: dict[str, Picture] = {
     "stand-ins": Picture("Rational stand-ins", "explanation/numerics", stand_ins),
     "second-mode": Picture("The twin’s second mode", "explanation/twin", second_mode),
     "bode": Picture("The open loop", "how-to/design-a-controller", lambda: loops.bode_figure(design())),
+    "pid-step": Picture("A fractional PID on its plant", "how-to/tune-a-fractional-pid", pid_step),
     "refused": Picture("What can be asked for", "how-to/design-a-controller", refused),
     "filters": Picture("The filter’s price", "how-to/choose-the-filter", filters),
     "mode-gain": Picture("The loop at the second mode", "explanation/limits", mode_gain),

@@ -3,6 +3,7 @@ from fraclink._arm.beam import Beam as Beam
 from fraclink._arm.box import ParameterBox as ParameterBox
 from fraclink._arm.controller import Controller as Controller
 from fraclink._arm.experiment import Experiment as Experiment
+from fraclink._arm.fractional_pid import FractionalPid as FractionalPid
 from fraclink._arm.link import STRUCTURES as STRUCTURES
 from fraclink._arm.link import LinkModel as LinkModel
 from fraclink._arm.link import SecondMode as SecondMode
@@ -80,6 +81,9 @@ from fraclink._design.assess import spillover as spillover
 from fraclink._design.assess import tolerances as tolerances
 from fraclink._design.optimisation import Optimised as Optimised
 from fraclink._design.optimisation import optimise as optimise
+from fraclink._design.pid import tune_pid as tune_pid
+from fraclink._design.pid_tuning import PidStep as PidStep
+from fraclink._design.pid_tuning import PidTuning as PidTuning
 from fraclink._design.procedure import design as design
 from fraclink._design.specification import Design as Design
 from fraclink._design.specification import Requirement as Requirement
@@ -122,6 +126,8 @@ from fraclink._law.discretization import equip as equip
 from fraclink._law.estimator import Estimates as Estimates
 from fraclink._law.estimator import PayloadEstimator as PayloadEstimator
 from fraclink._law.estimator import payload_estimator as payload_estimator
+from fraclink._law.fractional_pid import discretize_pid as discretize_pid
+from fraclink._law.fractional_pid import pid_response as pid_response
 from fraclink._law.law import Law as Law
 from fraclink._law.law import LawInputs as LawInputs
 from fraclink._law.law import LawOutputs as LawOutputs

@@ -47,6 +47,9 @@ COMMANDS: dict[str, str] = {
     "identify-payloads-tied": f"identify-payloads {THREE} {RIG} --tied",
     "identify-motor": f"identify-motor motor.csv {RIG}",
     "identify-spectrum": "identify-spectrum response.csv",
+    # With both orders given nothing is left to a search, whose last digit is the machine's.
+    "tune-pid": "tune-pid 1/(0.8*s**2.2+0.5*s**0.9+1) --gain-crossover 2 --integral-order 1.2 "
+    "--derivative-order 0.95 --out pid.json",
     "identify-structure": "identify-structure response.csv k*s**a/(s**a+w) --out structure.json",
     "plan-experiment": f"plan-experiment {RIG} --standard-error 0.001 --noise 0.04",
     "plan-experiment-infeasible": f"plan-experiment {RIG} --standard-error 0.001 --noise 0.04 "

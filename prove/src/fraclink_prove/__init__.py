@@ -27,15 +27,16 @@ def prove(law: Law, folder: Path, *, name: str, data: str, certificate: Certific
 
     (1) commands finite and in their limits, no undefined behaviour: Frama-C Eva. (2) the other outputs
     finite, (3) the slew: law_step as an SMT problem in IEEE arithmetic, z3 or cvc5. (4) rounding for all
-    time: Gappa and ball arithmetic. (5) the loop: `certificate`. A tool that is missing leaves its claim
-    unproved and is named with its Debian package.
+    time: Gappa and ball arithmetic. (5) the loop: `certificate`; nothing is claimed of the loop of a PID,
+    whose plant the law does not know. A tool that is missing leaves its claim unproved and is named with its
+    Debian package.
     """
     claims = (
         commands_claim(law, folder, name=name, data=data),
         finite_claim(law, folder),
         slew_claim(law, folder),
         rounding_claim(law, folder),
-        loop_claim(law, folder, certificate),
+        *((loop_claim(law, folder, certificate),) if law.has_gauge else ()),
     )
     sources = {file: sha256_of(folder / file) for file in ("law.h", "law.c", data)}
     return Proof(law.digest, sources, claims)

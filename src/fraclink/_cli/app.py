@@ -53,6 +53,7 @@ _SECTIONS: dict[str, dict[str, str]] = {
     "More on designs and laws": {
         **dict.fromkeys(("assess", "optimise", "compare", "design-map"), "assessments"),
         "shape": "moves",
+        "tune-pid": "assessments",
         "campaign": "campaigns",
         "replay": "boards",
     },

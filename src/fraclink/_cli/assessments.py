@@ -42,12 +42,16 @@ from fraclink._design.assess import (
     phase_budget,
     tolerances,
 )
+from fraclink._design.pid import tune_pid as pid_for
 from fraclink._files import output_path, write_json, write_text
+from fraclink._identify.expression import parse_expression
+from fraclink._identify.structure_fit import StructureFit
 from fraclink._show.axes import save_figure
 from fraclink._show.loops import budget_figure, map_figure, margin_curves_figure
 from fraclink._show.plots import feasibility
 from fraclink._show.records import plain, to_json
-from fraclink._validate import Between, Ordered
+from fraclink._systems.fractional import FractionalTransferFunction
+from fraclink._validate import Between, Frequency, Ordered, PhaseMarginDeg
 from fraclink.errors import FieldError
 
 app = group()
@@ -248,3 +252,68 @@ def design_map(
         save_figure(out, lambda drawing: feasibility(found, ax=drawing.subplots()))
     write_json(numbers, "design-map", 1, plain(vars(found)))
     return Answer(found, bool(found.feasible.any()), written=(out, numbers))
+
+
+# --- a fractional PID for any plant -----------------------------------------------------------------------
+
+
+class PidOptions(TypedDict):
+    """What `tune_pid` is asked for, in its own names."""
+
+    gain_crossover: Annotated[Frequency | None, "ω_c [rad/s]; default: by ITAE"]
+    gain_margin: Annotated[float | None, "Least gain margin, a factor above 1"]
+    max_sensitivity: Annotated[float | None, "Bound on Ms; default: 2 where ω_c is free"]
+    flat_phase: Annotated[bool, "Phase flat at the crossover, against changes of the gain", Default(True)]
+    form: Annotated[Literal["PI", "PD", "PID"], "Parts of the controller", Default("PID")]
+    integral_order: Annotated[float | None, "λ where it is given; 1 for an ordinary integral"]
+    derivative_order: Annotated[float | None, "μ where it is given"]
+    filter_time: Annotated[float | None, "T_f of the derivative [s]; default: 1/(20 ω_c)"]
+    horizon: Annotated[float | None, "Time over which ITAE is taken [s]; default: 40/ω_c"]
+    output_limit: Annotated[float | None, "Largest output, for the law"]
+    measurement_limit: Annotated[float | None, "Largest credible reference and measurement, for the law"]
+
+
+@command(app)
+def tune_pid(
+    plant: Annotated[
+        str,
+        typer.Argument(metavar="PLANT"),
+        'Transfer function, such as "2/(0.4*s**1.5 + 1)*exp(-0.05*s)", or a file of identify-structure',
+    ],
+    phase_margin_deg: Annotated[PhaseMarginDeg, "Phase margin at the crossover"] = 60.0,
+    period_ms: Annotated[
+        float | None, Between(0.0, 1e6, "ms", low_open=True), "Period of the law, counted as delay"
+    ] = None,
+    out: Annotated[Path, "File to write the tuning to", Writes()] = Path("pid.json"),
+    **wanted: Unpack[PidOptions],
+) -> Answer:
+    """Tune a fractional PID for any plant: margins met, phase flat, least ITAE; export takes the file.
+
+    $ fraclink tune-pid "1/(0.8*s**2.2 + 0.5*s**0.9 + 1)" --gain-crossover 2 --phase-margin-deg 60
+    """
+    made = pid_for(
+        _plant(plant),
+        phase_margin=math.radians(phase_margin_deg),
+        period=None if period_ms is None else period_ms / 1e3,
+        **wanted,
+    )
+    made.save(out)
+    ready = made.period and made.output_limit and made.measurement_limit
+    return Answer(
+        made,
+        made.passed,
+        written=(out,),
+        following=f"fraclink export c {out} --out firmware" if ready else "",
+    )
+
+
+def _plant(text: str) -> FractionalTransferFunction:
+    """The plant of a file, or of a formula in which every value is a number."""
+    if text.endswith(".json"):
+        return StructureFit.load(text).transfer_function
+    expression = parse_expression(text)
+    if expression.names:
+        allowed = "numbers and s"
+        remedy = "write numbers, or give the file of identify-structure, which finds them"
+        raise FieldError("plant", ", ".join(expression.names), "unknown", allowed=allowed, remedy=remedy)
+    return expression.function({})

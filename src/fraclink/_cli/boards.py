@@ -10,6 +10,8 @@ from typing import Annotated, Literal, TypedDict, Unpack
 import typer
 
 from fraclink import _realtime as realtime
+from fraclink._arm.experiment import Experiment
+from fraclink._arm.recording import Recording
 from fraclink._arm.reference import Reference, prbs
 from fraclink._certify import Certificate, certify
 from fraclink._cli.app import group
@@ -30,14 +32,17 @@ from fraclink._cli.options import (
     load_design,
     load_log,
     load_rig,
+    named_channels,
     reference_of,
     refuse_beside,
 )
 from fraclink._design import Design
+from fraclink._design.pid_tuning import PidTuning
 from fraclink._export import Proof, export_c, export_fmu, export_io, export_matlab, replay_log
-from fraclink._files import save
+from fraclink._files import kind_of, save
 from fraclink._law import Law, discretize
-from fraclink.errors import LogError, MissingExtraError
+from fraclink._logs.responses import read_recording
+from fraclink.errors import FieldError, LogError, MissingExtraError
 
 app = group()
 export = group("Write the controller for C on a board, MATLAB, an FMU, or a board's I/O.")
@@ -55,6 +60,14 @@ def connection_of(
     """Return the way to an arm that the options of a command name."""
     key = None if key_file is None else key_file.read_bytes()
     return realtime.parse_connection(io, unsafe_remote=unsafe_remote, key=key)
+
+
+def _of_file(path: Path, *, motor: bool) -> tuple[Law, Design | None]:
+    """The law of a design, with the design; or that of a fractional PID, which has none."""
+    if kind_of(path) == "pid-tuning":
+        return PidTuning.load(path).law(), None
+    made = Design.load(path)
+    return _law(made, motor=motor), made
 
 
 def _law(made: Design, *, motor: bool) -> Law:
@@ -88,13 +101,16 @@ def c(
 
     $ fraclink export c design.json --out firmware
     """
-    made = Design.load(design_file)
-    shipped = _law(made, motor=motor).in_precision(precision)
+    law, made = _of_file(design_file, motor=motor)
+    if estimate and made is None:
+        problem, remedy = "given for a fractional PID", "leave it out: a PID knows no payload"
+        raise FieldError("estimate", True, problem, allowed="the design of an arm", remedy=remedy)
+    shipped = law.in_precision(precision)
     with steps(2 if prove else 0) as begin:
         certificate = None
         if prove:
             begin("certifying the loop")
-            certificate = _certificate(made, shipped, motor=motor)
+            certificate = _certificate(made, shipped, motor=motor) if made else None
             begin("proving the files, half a minute")
         paths = export_c(
             shipped,
@@ -103,10 +119,10 @@ def c(
             title=title,
             prove=prove,
             certificate=certificate,
-            estimator=made.estimator() if estimate else None,
+            estimator=made.estimator() if estimate and made else None,
             force=force,
         )
-    listed = _listed(paths, f"fraclink replay {out} demo")
+    listed = _listed(paths, f"fraclink replay {out} demo" if made else "")
     if not prove:
         return listed
     proof = Proof.load(out / "proof.json")
@@ -155,7 +171,7 @@ def fmu(
     $ fraclink export fmu design.json --out arm_law.fmu
     """
     path = export_fmu(
-        _law(Design.load(design_file), motor=True),
+        _of_file(design_file, motor=True)[0],
         out,
         fmi=3 if fmi == "3" else 2,
         precision=precision,
@@ -180,6 +196,8 @@ def replay(
     log_file: Annotated[str, typer.Argument(metavar="LOG"), "Log file, or demo for the bundled one"],
     rig: RigName = "paper-2023",
     column: Columns = None,
+    input: Annotated[str | None, "Column of a fractional PID's reference, instead of an arm's log"] = None,
+    output: Annotated[str | None, "Column of its measurement"] = None,
     allow_changed: Annotated[bool, "Compile and run C that differs from what fraclink exports"] = False,
 ) -> Answer:
     """Compile an exported law and run a log through it beside the package's: bit for bit, or exit code 1.
@@ -189,7 +207,12 @@ def replay(
 
     $ fraclink replay firmware log.csv --rig rig.toml
     """
-    result = replay_log(folder, load_log(log_file, load_rig(rig), column), allow_changed=allow_changed)
+    log: Experiment | Recording
+    if input is None and output is None:
+        log = load_log(log_file, load_rig(rig), column)
+    else:
+        log = read_recording(Path(log_file), *named_channels(input, output))
+    result = replay_log(folder, log, allow_changed=allow_changed)
     return Answer(result, result.passed, remarks=(f"{folder}/law.c was compiled and run on this computer",))
 
 

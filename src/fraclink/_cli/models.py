@@ -30,6 +30,7 @@ from fraclink._cli.options import (
     load_rig,
     load_rig_for_logs,
     log_path,
+    named_channels,
     required_model,
     whole,
 )
@@ -269,13 +270,9 @@ def identify_structure(
                 raise FieldError(name, value, problem, allowed="a recording with it", remedy=remedy)
         measured = read_frequency_response(data)
     else:
-        given = {"input": input, "output": output}
-        for name, column in given.items():
-            if column is None:
-                remedy = "a recording needs both, a frequency response none of them"
-                raise FieldError(name, None, "missing", allowed="the name of a column", remedy=remedy)
+        channels = named_channels(input, output)
         period = None if period_ms is None else period_ms / 1e3
-        measured = read_recording(data, str(input), str(output), time=time, period=period)
+        measured = read_recording(data, *channels, time=time, period=period)
     with steps(1) as begin:
         begin("fitting the structure")
         fit = identification.identify_structure(

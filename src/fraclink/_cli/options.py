@@ -208,3 +208,12 @@ def told_or_estimated(made: Design, told: float, estimate: bool) -> float | Payl
         allowed, remedy = "one of --told and --estimate", "leave --told out to have the payload estimated"
         raise FieldError("told", told, "given beside --estimate", allowed=allowed, remedy=remedy)
     return made.estimator() if estimate else told
+
+
+def named_channels(input: str | None, output: str | None) -> tuple[str, str]:
+    """Both columns of a recording; FieldError where one of them is not named."""
+    for name, column in {"input": input, "output": output}.items():
+        if column is None:
+            remedy = "a recording needs both, anything else none of them"
+            raise FieldError(name, None, "missing", allowed="the name of a column", remedy=remedy)
+    return str(input), str(output)

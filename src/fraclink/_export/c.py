@@ -223,26 +223,76 @@ def _rounding(bounds: CommandBounds, proof: Proof | None) -> str:
     return f"| rounding of Ĉe for \\|e\\| ≤ {bounds.error:g} rad, all times | ≤ {bounds.rounding:.2e} rad |\n"
 
 
+# Of a PID: the guards that can act, and what they mean there. The rest belongs to motor, gauge and link.
+_OF_PID = {
+    "angle_limit": "reference and measurement beyond it are not credible",
+    "sum_limit": "largest credible value of the filter 1 + Ĉ; beyond, its states are healed",
+    "correction_limit": "largest state of the filter",
+    "motor_limit": "range of the filtered error and of the reference together",
+    "bad_limit": _MEANING["bad_limit"],
+    "missed_limit": _MEANING["missed_limit"],
+}
+
+
+def _limit_rows(law: Law) -> list[str]:
+    limits = asdict(law.limits)
+    if law.has_gauge:
+        return [
+            f"| `{key}` | {value:.6g} | {_UNITS[key]} | {_MEANING[key]} |" for key, value in limits.items()
+        ]
+    units = {key: "periods" if _UNITS[key] == "periods" else "of the measurement" for key in _OF_PID}
+    return [f"| `{key}` | {limits[key]:.6g} | {units[key]} | {text} |" for key, text in _OF_PID.items()]
+
+
+def _connected(law: Law) -> str:
+    if law.drive is None:
+        return "no motor loop: `motor_reference` goes to the drive's own position servo, `voltage` stays 0"
+    if law.has_gauge:
+        return f"motor loop closed by the law, voltage within ±{law.drive.voltage_limit:g} V"
+    return f"fractional PID, output within ±{law.drive.voltage_limit:g}, integral with anti-windup"
+
+
+def _called(law: Law) -> str:
+    """What a caller of law_step has to know."""
+    if not law.has_gauge:
+        return """\
+`input.reference` is the reference r, `input.motor_angle` the measurement y and `output.voltage` the
+controller's output u = C(z) (r − y): the names are those of the arm that law.c was written for. Leave
+`reference_acceleration`, `torque` and `payload` at 0; they have no effect on the output. The first
+`law_step` with a credible measurement starts with an empty filter and u = 0 for no error. The tuning counts
+on an output that takes effect one period after the samples. A trip is left by `law_init` only.
+`law_check_wiring` is about a gauge: there is none here. Where this page says rad and V it means the units of
+the measurement and of the output."""
+    return f"""\
+The first `law_step` with a credible encoder starts at the measured angle, without a bump. Outputs take
+effect one period after the samples (the design counts on it). A trip is left by `law_init` only. Before
+the first enabling, run the wiring test `law_check_wiring` (see law.h) while the motor turns by
+{law.wiring_angle():.2f} rad or more within {law.limits.block_limit * law.period / 3:.2f} s: a gauge wired
+backwards destabilises the arm, and no other check finds it."""
+
+
+def _forward_row(law: Law) -> str:
+    if not law.has_gauge:
+        return ""
+    decibels, angle = law.feedforward_error
+    return (
+        "| feed-forward against s^(λ−2)/ω₀², from a fifth of the resonance on | "
+        f"{decibels:.3f} dB, {angle:.3f}° |\n"
+    )
+
+
 def readme(law: Law, *, name: str, data: str, proof: Proof | None = None) -> str:
     """Return the text of the exported README.md; with `proof`, its claims are those of this very folder."""
     bounds = worst_case(law)
     params, state = _kernels.law_sizes(law.precision == "single")
     flag = " -DLAW_SINGLE" if law.precision == "single" else ""
     made = "ball arithmetic" if bounds.rigorous else "double precision; python-flint was not installed"
-    limits = "\n".join(
-        f"| `{key}` | {value:.6g} | {_UNITS[key]} | {_MEANING[key]} |"
-        for key, value in asdict(law.limits).items()
-    )
-    inner = (
-        f"motor loop closed by the law, voltage within ±{law.drive.voltage_limit:g} V"
-        if law.drive is not None
-        else "no motor loop: `motor_reference` goes to the drive's own position servo, `voltage` stays 0"
-    )
+    limits = "\n".join(_limit_rows(law))
     return f"""# Control law, period {law.period * 1e3:g} ms, {law.precision} precision
 
 Law `{law.digest}`.
 `law.h` and `law.c` are the files that were simulated; `{data}` holds this design's numbers. Order
-{law.order}; {inner}.
+{law.order}; {_connected(law)}.
 
 ## Build and check
 ```
@@ -264,11 +314,7 @@ if (law_init(&state, &{name}) != LAW_OK) {{ /* keep the drive off */ }}
 law_step(&state, &{name}, &input, &output);
 if (output.mode == LAW_OFF) {{ /* switch the drive off */ }}
 ```
-The first `law_step` with a credible encoder starts at the measured angle, without a bump. Outputs take
-effect one period after the samples (the design counts on it). A trip is left by `law_init` only. Before
-the first enabling, run the wiring test `law_check_wiring` (see law.h) while the motor turns by
-{law.wiring_angle():.2f} rad or more within {law.limits.block_limit * law.period / 3:.2f} s: a gauge wired
-backwards destabilises the arm, and no other check finds it.
+{_called(law)}
 
 | memory | bytes |
 |---|---|
@@ -285,9 +331,7 @@ backwards destabilises the arm, and no other check finds it.
 |---|---|
 | C = 1 + Ĉ against the design, {law.band[0]:g} to {law.band[1]:g} rad/s | {law.correction_error[0]:.3f} dB, {
         law.correction_error[1]:.3f}° |
-| feed-forward against s^(λ−2)/ω₀², from a fifth of the resonance on | {law.feedforward_error[0]:.3f} dB, {
-        law.feedforward_error[1]:.3f}° |
-| Ĉ at constant input | exactly 0 |
+{_forward_row(law)}| Ĉ at constant input | exactly 0 |
 | worst-case gain, \\|Ĉe\\| ≤ gain · max\\|e\\| ({made}) | {bounds.gain:.9g} |
 {_rounding(bounds, proof)}
 {claims_text(law, proof)}"""

@@ -14,7 +14,17 @@ from typing import Literal, NamedTuple
 
 from fraclink._law import MODES, REASONS
 
-__all__ = ["STANDARDS", "UNITS", "VARIABLES", "FmuModel", "Standard", "Unit", "Variable", "token_of"]
+__all__ = [
+    "PID_VARIABLES",
+    "STANDARDS",
+    "UNITS",
+    "VARIABLES",
+    "FmuModel",
+    "Standard",
+    "Unit",
+    "Variable",
+    "token_of",
+]
 
 
 class Variable(NamedTuple):
@@ -66,6 +76,28 @@ VARIABLES: tuple[Variable, ...] = (
 )
 
 
+_RENAMED = {
+    "reference": ("reference", "reference of the measurement"),
+    "motor_angle": ("measurement", "measurement"),
+    "motor_reference": ("filtered_reference", "measurement + (1 + C^) error, what the integral sees"),
+    "voltage": ("output", "output of the controller, limited"),
+    "tip_estimate": ("measurement_used", "measurement, bridged where a sample was rejected"),
+}
+_NO_EFFECT = "leave it at 0: without effect in a PID"
+
+
+def _of_pid(variable: Variable) -> Variable:
+    """A variable of the law as one of a PID, whose quantities have units that only its user knows."""
+    if not variable.real or variable.causality == "independent":
+        return variable
+    name, description = _RENAMED.get(variable.name, (variable.name, _NO_EFFECT))
+    start = ("measurement",) if variable.start_from else ()
+    return variable._replace(name=name, description=description, unit="1", start_from=start)
+
+
+PID_VARIABLES: tuple[Variable, ...] = tuple(_of_pid(variable) for variable in VARIABLES)
+
+
 class Unit(NamedTuple):
     """Exponents of the SI base units, and a unit to display it in with its factor."""
 
@@ -80,6 +112,7 @@ UNITS: Mapping[str, Unit] = {
     "rad": Unit({"rad": 1}, ("deg", 180.0 / math.pi)),
     "rad/s2": Unit({"rad": 1, "s": -2}, ("deg/s2", 180.0 / math.pi)),
     "s": Unit({"s": 1}),
+    "1": Unit({}),
 }
 
 
@@ -88,18 +121,21 @@ class FmuModel:
     """The model that modelDescription.xml describes.
 
     `name` is the model's C identifier, `token` (FMI 2: guid) ties the description to the library, `period`
-    [s] is the only communication step, `digest` identifies the law.
+    [s] is the only communication step, `digest` identifies the law, `variables` are `VARIABLES` or those of
+    a PID, in the same order.
     """
 
     name: str
     token: str
     period: float
     digest: str
+    variables: tuple[Variable, ...] = VARIABLES
 
     @property
     def description(self) -> str:
         """One line for the importer's user."""
-        return f"Control law of a flexible link, one step each period of {self.period:g} s; law {self.digest}"
+        what = "Control law of a flexible link" if self.variables is VARIABLES else "Fractional PID"
+        return f"{what}, one step each period of {self.period:g} s; law {self.digest}"
 
     def interface(self, state_word: str) -> dict[str, str]:
         """Attributes of the element CoSimulation; FMI 2 and 3 write "state" of `state_word` differently."""
@@ -125,10 +161,11 @@ def _text(root: ET.Element) -> str:
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
 
 
-def _add_general(root: ET.Element, period: float) -> None:
+def _add_general(root: ET.Element, model: FmuModel) -> None:
     """Add what both versions write alike: units, the only category of messages, 500 periods to start with."""
     units = ET.SubElement(root, "UnitDefinitions")
-    for name, unit in UNITS.items():
+    used = {variable.unit for variable in model.variables}
+    for name, unit in ((name, unit) for name, unit in UNITS.items() if name in used):
         element = ET.SubElement(units, "Unit", name=name)
         ET.SubElement(element, "BaseUnit", {key: str(power) for key, power in unit.base.items()})
         if unit.display is not None:
@@ -136,7 +173,7 @@ def _add_general(root: ET.Element, period: float) -> None:
             ET.SubElement(element, "DisplayUnit", name=display, factor=repr(factor))
     categories = ET.SubElement(root, "LogCategories")
     ET.SubElement(categories, "Category", name="logStatusError", description="why a call failed")
-    times = {"startTime": "0", "stopTime": repr(500 * period), "stepSize": repr(period)}
+    times = {"startTime": "0", "stopTime": repr(500 * model.period), "stepSize": repr(model.period)}
     ET.SubElement(root, "DefaultExperiment", times)
 
 
@@ -157,10 +194,10 @@ def _value(variable: Variable) -> dict[str, str]:
     return {"unit": variable.unit} | ({"start": "0"} if variable.causality == "input" else {})
 
 
-def _unknowns(first: int) -> list[tuple[str, str]]:
+def _unknowns(listed: tuple[Variable, ...], first: int) -> list[tuple[str, str]]:
     """Of each output its place, counted from `first`, and those of what its start value follows from."""
-    place = {variable.name: str(index) for index, variable in enumerate(VARIABLES, start=first)}
-    outputs = [variable for variable in VARIABLES if variable.causality == "output"]
+    place = {variable.name: str(index) for index, variable in enumerate(listed, start=first)}
+    outputs = [variable for variable in listed if variable.causality == "output"]
     return [(place[v.name], " ".join(place[name] for name in v.start_from)) for v in outputs]
 
 
@@ -177,14 +214,16 @@ def _descriptions_2(model: FmuModel) -> dict[str, str]:
     interface = model.interface("state") | {"canNotUseMemoryManagementFunctions": "true"}
     simulation = ET.SubElement(root, "CoSimulation", interface)
     ET.SubElement(ET.SubElement(simulation, "SourceFiles"), "File", name="all.c")
-    _add_general(root, model.period)
+    _add_general(root, model)
     variables = ET.SubElement(root, "ModelVariables")
-    for reference, variable in enumerate(VARIABLES):
+    for reference, variable in enumerate(model.variables):
         element = ET.SubElement(variables, "ScalarVariable", _about(variable, reference))
         ET.SubElement(element, "Real" if variable.real else "Integer", _value(variable))
     structure = ET.SubElement(root, "ModelStructure")
     outputs, initial = ET.SubElement(structure, "Outputs"), ET.SubElement(structure, "InitialUnknowns")
-    for index, known in _unknowns(first=1):  # FMI 2 counts variables from 1, FMI 3 names value references
+    for index, known in _unknowns(
+        model.variables, first=1
+    ):  # FMI 2 counts variables from 1, FMI 3 names value references
         ET.SubElement(outputs, "Unknown", index=index, dependencies="")
         ET.SubElement(initial, "Unknown", index=index, dependencies=known)
     return {"modelDescription.xml": _text(root)}
@@ -202,15 +241,15 @@ def _descriptions_3(model: FmuModel) -> dict[str, str]:
     # No fixedInternalStepSize: it would allow communication steps of several periods, in which the law would
     # run on sensors that stand still.
     ET.SubElement(root, "CoSimulation", model.interface("State"))
-    _add_general(root, model.period)
+    _add_general(root, model)
     variables = ET.SubElement(root, "ModelVariables")
-    for reference, variable in enumerate(VARIABLES):
+    for reference, variable in enumerate(model.variables):
         kind = "Float64" if variable.real else "UInt32"
         ET.SubElement(variables, kind, _about(variable, reference) | _value(variable))
     structure = ET.SubElement(root, "ModelStructure")
-    for place, _ in _unknowns(first=0):
+    for place, _ in _unknowns(model.variables, first=0):
         ET.SubElement(structure, "Output", valueReference=place, dependencies="")
-    for place, known in _unknowns(first=0):
+    for place, known in _unknowns(model.variables, first=0):
         ET.SubElement(structure, "InitialUnknown", valueReference=place, dependencies=known)
     build = ET.Element("fmiBuildDescription", fmiVersion="3.0")
     configuration = ET.SubElement(build, "BuildConfiguration", modelIdentifier=model.name)

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Literal
 
 from fraclink._export.data import data_header, identifier, law_source
-from fraclink._export.fmi import STANDARDS, VARIABLES, FmuModel, token_of
+from fraclink._export.fmi import PID_VARIABLES, STANDARDS, VARIABLES, FmuModel, token_of
 from fraclink._files import atomic_write, output_path
 from fraclink._law import MODES, REASONS, Law
 from fraclink._law.block import Precision
@@ -84,7 +84,8 @@ def export_fmu(
     standard = STANDARDS[fmi]
     shipped = law if precision is None else law.in_precision(precision)
     sources, token = _sources(shipped, name, standard.sources)
-    model = FmuModel(name=name, token=token, period=shipped.period, digest=shipped.digest)
+    listed = VARIABLES if shipped.has_gauge else PID_VARIABLES
+    model = FmuModel(name, token, shipped.period, shipped.digest, listed)
     parts = {f"sources/{file}": text.encode() for file, text in sources.items()}
     parts |= {file: text.encode() for file, text in standard.descriptions(model).items()}
     parts["documentation/index.html"] = documentation(model, shipped).encode()
@@ -218,12 +219,8 @@ _FLAG = re.compile(r"#define LAW_FLAG_(\w+) (\d+)U +/\* (.+?) \*/")
 def documentation(model: FmuModel, law: Law) -> str:
     """Return the page as HTML, complete in itself."""
     flags = _FLAG.findall(law_source("law.h").decode())
-    servo = (
-        f"The law closes the motor loop: connect <code>voltage</code>, within ±{law.drive.voltage_limit:g} V."
-        if law.drive is not None
-        else "The robot has a motor loop: connect <code>motor_reference</code>, not <code>voltage</code>."
-    )
-    variables = [(v.name, v.causality, v.unit or "–", v.description) for v in VARIABLES]
+    servo = _connected(law)
+    variables = [(v.name, v.causality, v.unit or "–", v.description) for v in model.variables]
     return f"""<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><title>{escape(model.name)}</title>
 <style>{_STYLE}</style></head><body>
@@ -234,7 +231,7 @@ def documentation(model: FmuModel, law: Law) -> str:
 <li>The communication step is {model.period!r} s, constant. Another step is an error.</li>
 <li>Outputs answer the inputs at the beginning of a step: the importer sees them one period later, which is
 the delay that the design counts on. No output depends on an input at the same instant.</li>
-<li>Before the first step the arm is taken to rest at <code>motor_angle</code>.</li>
+<li>Before the first step {_resting(law)}.</li>
 <li>{servo}</li>
 </ul>
 {_table(("variable", "", "unit", ""), variables)}
@@ -247,6 +244,21 @@ the delay that the design counts on. No output depends on an input at the same i
 {_table(("bit", "name", "what"), ((bit, name, what) for name, bit, what in flags))}
 </body></html>
 """
+
+
+def _connected(law: Law) -> str:
+    if law.drive is None:
+        return "The robot has a motor loop: connect <code>motor_reference</code>, not <code>voltage</code>."
+    limit = f"within ±{law.drive.voltage_limit:g}"
+    if not law.has_gauge:
+        return f"A fractional PID: connect <code>output</code>, {limit}."
+    return f"The law closes the motor loop: connect <code>voltage</code>, {limit} V."
+
+
+def _resting(law: Law) -> str:
+    if law.has_gauge:
+        return "the arm is taken to rest at <code>motor_angle</code>"
+    return "the controller is at rest, and its filter empty"
 
 
 def _table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fraclink._arm.experiment import Experiment
+from fraclink._arm.recording import Recording
 from fraclink._export.data import data_header, identifier, law_source
 from fraclink._files import checked_path
 from fraclink._law import Law
@@ -178,15 +179,18 @@ def _signals(**given: ArrayLike) -> list[Real]:
 
 
 def replay_log(
-    folder: Path | str, log: Experiment, *, compiler: str = "cc", allow_changed: bool = False
+    folder: Path | str, log: Experiment | Recording, *, compiler: str = "cc", allow_changed: bool = False
 ) -> Replay:
     """Run the sensors of a log through the law exported to `folder` and through the package's, and compare.
 
     The motor's own path is the reference, with acceleration 0, so that the guards see a motor that
-    follows. The law is the folder's law.json. Raises FieldError where its period [s] is not that of the log,
-    or where the C of the folder was changed, unless `allow_changed`: it is compiled and run on this computer.
+    follows. A `Recording` is for the law of a fractional PID: its input is the reference, its output the
+    measurement. The law is the folder's law.json. Raises FieldError where its period [s] is not that of the
+    log, or where the C of the folder was changed, unless `allow_changed`: it is compiled and run on this
+    computer.
     """
-    checked_noun("log", log, Experiment, remedy="read_log makes one")
+    if not isinstance(log, Recording):
+        checked_noun("log", log, Experiment, remedy="read_log makes one")
     place = checked_path("folder", folder)
     law_file = place / "law.json"
     if not law_file.is_file():
@@ -201,18 +205,32 @@ def replay_log(
     headers = [
         file.stem for file in sorted(place.glob("*.h")) if f"law {law.digest}" in file.read_text("utf-8")
     ]
-    torque = log.output if log.output_kind == "torque" else law.stiffness * log.output
+    reference, measured, torque = _sensors(law, log)
     return replay(
         place,
         law,
-        reference=log.motor_angle,
-        reference_acceleration=np.zeros_like(log.motor_angle),
-        motor_angle=log.motor_angle,
+        reference=reference,
+        reference_acceleration=np.zeros_like(reference),
+        motor_angle=measured,
         torque=torque,
         name=headers[0] if headers else "law_data",
         compiler=compiler,
         allow_changed=allow_changed,
     )
+
+
+def _sensors(law: Law, log: Experiment | Recording) -> tuple[Real, Real, Real]:
+    """Reference, motor angle (of a PID: its measurement) and torque."""
+    if isinstance(log, Recording) == law.has_gauge:
+        given = "a recording" if isinstance(log, Recording) else "an arm's log"
+        remedy = (
+            "the law of an arm takes an Experiment, that of a fractional PID a Recording (--input, --output)"
+        )
+        raise FieldError("log", given, "of another kind than the law", allowed="its own", remedy=remedy)
+    if isinstance(log, Recording):
+        return log.input, log.output, np.zeros_like(log.output)
+    torque = log.output if log.output_kind == "torque" else law.stiffness * log.output
+    return log.motor_angle, log.motor_angle, torque
 
 
 def _check_block(place: Path, law: Law, name: str) -> None:

@@ -268,7 +268,8 @@ def block_values(
             "options": (WITH_INNER if drive is not None else 0) | (LATE_GAUGE if late else 0),
             "period": period,
             "compliance": 1 / stiffness,
-            "stiffness": stiffness,
+            # Infinite where there is no gauge: a block holds finite numbers, and no torque is looked at then.
+            "stiffness": stiffness if math.isfinite(stiffness) else 0.0,
             "residual_rate": -math.expm1(-inner_pole * period),
         }
     )
@@ -319,9 +320,14 @@ def _inner(drive: Drive | None, limits: Limits, pole: float) -> dict[str, Any]:
     if drive is None:
         return dict.fromkeys(INNER, 0.0)
     loop = drive.loop
-    # The motor follows at the reference's largest speed with the loop's lag, and a model's error behind it.
     friction = drive.coulomb_voltage
-    error = (2 / (pole * loop.period) + 1.5) * limits.motor_step + limits.residual_angle
+    if pole > 0:
+        # The motor follows at the reference's largest speed with the loop's lag, and a model's error behind.
+        error = (2 / (pole * loop.period) + 1.5) * limits.motor_step + limits.residual_angle
+        credible = loop.direct * error
+    else:  # no motor: the largest error, and as much again that the integral holds against it at the limit
+        error = limits.motor_limit + limits.angle_limit
+        credible = 2 * error * (loop.direct + 2 * loop.integral_gain * loop.integral_now)
     values = (
         loop.direct,
         loop.angle_direct,
@@ -332,7 +338,7 @@ def _inner(drive: Drive | None, limits: Limits, pole: float) -> dict[str, Any]:
         loop.angle_filter_gain * loop.filter_now,
         loop.angle_filter_gain * loop.filter_before,
         loop.filter_decay,
-        drive.voltage_limit + loop.direct * error + drive.torque_voltage * limits.torque_limit + friction,
+        drive.voltage_limit + credible + drive.torque_voltage * limits.torque_limit + friction,
         drive.voltage_limit,
         drive.torque_voltage,
         friction,

@@ -32,7 +32,16 @@ from fraclink._systems.discrete import DiscreteRational, Order, checked_band, fi
 from fraclink._validate import checked, checked_number
 from fraclink.errors import FieldError
 
-__all__ = ["check_rigs_period", "discretize", "discretize_controller", "drive_for", "equip"]
+__all__ = [
+    "TOLERANCE_DB",
+    "TOLERANCE_DEG",
+    "check_rigs_period",
+    "discretize",
+    "discretize_controller",
+    "drive_for",
+    "equip",
+    "modes_from",
+]
 
 Real = NDArray[np.float64]
 
@@ -107,12 +116,12 @@ def discretize_controller(
     forward = forward_fit(model, period)
     inner_pole = controller.inner.pole if controller.inner is not None else 80.0
     delay = controller.inner.delay_samples if controller.inner is not None else 1
-    modes = _modes("link.order", forward, FORWARD_MODES, 0)
+    modes = modes_from("link.order", forward, FORWARD_MODES, 0)
     law = Law(
         period=period,
         precision=precision,
         stiffness=model.stiffness,
-        correction=_modes("order", correction, REAL_MODES, PAIR_MODES),
+        correction=modes_from("order", correction, REAL_MODES, PAIR_MODES),
         feedforward=modes,
         inner_pole=inner_pole,
         limits=derive_limits(
@@ -271,7 +280,8 @@ def _band(controller: Controller, period: float) -> tuple[float, float]:
     return min(LOWEST, 1e-3 * nyquist), high
 
 
-def _modes(field: str, fit: DiscreteRational, reals: int, pairs: int) -> Modes:
+def modes_from(field: str, fit: DiscreteRational, reals: int, pairs: int) -> Modes:
+    """Return a fit as the modes of a block; FieldError where it has more than law.c holds."""
     if len(fit.decays) > reals or len(fit.pole_decays) > pairs:
         raise FieldError(
             field,

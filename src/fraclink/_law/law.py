@@ -121,7 +121,7 @@ class Law:
     precision
         "single" or "double".
     stiffness
-        c [N·m/rad].
+        c [N·m/rad]; infinite for a law without a gauge.
     correction, feedforward
         Ĉ(z)/(1 − z⁻¹) and F(z).
     correction_error, band
@@ -129,7 +129,7 @@ class Law:
     feedforward_error
         the same of F, from a fifth of the resonance on.
     inner_pole
-        p of M(s) [rad/s].
+        p of M(s) [rad/s]; 0 for a law that closes no motor loop.
     drive
         None for a robot that has its own position servo.
     limits
@@ -165,6 +165,11 @@ class Law:
     def order(self) -> int:
         """Number of states of the correction Ĉ, without the one of its difference."""
         return len(self.correction.poles) + 2 * len(self.correction.pair_poles)
+
+    @property
+    def has_gauge(self) -> bool:
+        """Whether the law measures a torque; the law of a `FractionalPid` has a measurement only."""
+        return math.isfinite(self.stiffness)
 
     @property
     def values(self) -> dict[str, Any]:

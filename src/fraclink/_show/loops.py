@@ -12,6 +12,8 @@ from fraclink._arm.box import ParameterBox, arms_of
 from fraclink._design import Design
 from fraclink._design.alternatives import FeasibilityMap
 from fraclink._design.assess import MarginCurve, PhaseShare, margin_curve
+from fraclink._design.pid_tuning import PidTuning
+from fraclink._law import Law
 from fraclink._show.drawing import Figure, Panel
 from fraclink._show.marks import (
     Across,
@@ -32,7 +34,7 @@ from fraclink._show.text import grams, number
 from fraclink.errors import FieldError
 
 __all__ = ["bode_figure", "budget_figure", "map_figure", "margin_curves_figure", "margins_figure"]
-__all__ += ["nyquist_figure", "payloads_of"]
+__all__ += ["nyquist_figure", "payloads_of", "pid_figure", "pid_step_figure"]
 
 Real = NDArray[np.float64]
 
@@ -79,6 +81,63 @@ def bode_figure(design: Design) -> Figure:
     x = Scale(1.0, math.pi / design.rig.period, log=True)
     said = "Gain and phase of the open loop over frequency; dots mark the gain crossings"
     return Figure("bode", said, x, panels, "frequency ω [rad/s]", "loop")
+
+
+def pid_figure(made: PidTuning) -> Figure:
+    """Draw gain and phase of the open loop of a fractional PID; a dot marks the crossover that counts."""
+    crossover = made.margins.gain_crossover
+    w = np.geomspace(crossover / 300.0, crossover * 300.0, 500)
+    if made.period is not None:
+        w = w[w < math.pi / made.period]
+    loop = np.asarray(made.open_loop(1j * w))
+    decibels = 20 * np.log10(np.abs(loop))
+    decibels = np.where(np.abs(decibels) > 60.0, np.nan, decibels)
+    angle = np.degrees(np.unwrap(np.angle(loop)))
+    here = float(np.interp(math.log(crossover), np.log(w), angle))
+    shift = 360.0 * round((here + 180.0 - math.degrees(made.margins.phase_margin)) / 360.0)
+    angle, here = np.where(angle - shift < -360.0, np.nan, angle - shift), here - shift
+    quarters = tuple((float(k), f"{k}".replace("-", "−")) for k in range(-360, 91, 90))
+    panels = (
+        Panel(
+            "gain of the open loop |L| [dB]",
+            Scale.around(decibels[np.isfinite(decibels)]),
+            [
+                Across(0.0, limit=False),
+                Curve(w, np.clip(decibels, -60.0, 60.0), 1),
+                Point(crossover, 0.0, line=1),
+            ],
+            190.0,
+        ),
+        Panel(
+            "phase of L [°]",
+            Scale(-360.0, 90.0, ticks=quarters),
+            [Across(-180.0, limit=False), Curve(w, angle, 1), Point(crossover, here, line=1)],
+            190.0,
+        ),
+    )
+    said = f"Gain and phase of the open loop with {made.controller.formula}; the dot is the gain crossover"
+    return Figure(
+        "pid", said, Scale(float(w[0]), float(w[-1]), log=True), panels, "frequency ω [rad/s]", "loop"
+    )
+
+
+def pid_step_figure(made: PidTuning, law: Law, size: float = 1.0, duration: float | None = None) -> Figure:
+    """Draw measurement and output of the shipped law after a step of the reference."""
+    step = made.step(law=law, size=size, duration=duration)
+    held = np.repeat(step.output, 2)[:-1]
+    times = np.repeat(step.time, 2)[1:]
+    panels = (
+        Panel(
+            "measurement",
+            Scale.around(step.measurement, np.array([0.0, size])),
+            [Across(size, "reference"), Curve(step.time, step.measurement, 1)],
+            190.0,
+        ),
+        Panel("controller's output", Scale.around(step.output), [Curve(times, held, 2)], 130.0),
+    )
+    said = "The law of a fractional PID on its plant: measurement and output after a step of the reference"
+    ends = Scale(0.0, float(step.time[-1]))
+    return Figure("pid-step", said, ends, panels, "time [s]", "step")
 
 
 _REACH = (-2.3, 0.9)  # of both axes: what is near −1; the resonance's circle is many times larger

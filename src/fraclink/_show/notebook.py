@@ -23,6 +23,7 @@ _DRAWINGS: dict[str, Callable[[Any], Figure | str]] = {
     "Start": lambda started: figures.fit_figure(started.experiment, started.fit),
     "Comparison": lambda found: figures.models_figure(found.fits, found.preferred),
     "Design": loops.bode_figure,
+    "PidTuning": loops.pid_figure,
     "StructureFit": figures.structure_figure,
     "DrivenLinkFit": lambda found: figures.structure_figure(found.fit),
     "FeasibilityMap": loops.map_figure,

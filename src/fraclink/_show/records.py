@@ -158,6 +158,10 @@ _NAMES = {
     "Requirement": "name unit passed wanted achieved at_payload slack",
     "Design": "passed margins:margins_kind controller requirements findings",
     "Step": "structure value taken",
+    "FractionalPid": "proportional integral integral_order derivative derivative_order filter_time",
+    "PidTuning": "passed controller stable gain_crossover:margins.gain_crossover "
+    "phase_margin:margins.phase_margin gain_margin:margins.gain_margin "
+    "sensitivity_peak:margins.sensitivity_peak itae horizon findings",
     "Metrics": "overshoot settling_time residual_vibration steady_state_error peak_voltage "
     "motor_reference_noise",
     "Measured": "name duration predicted settling_time largest_error residual_vibration peak_voltage limited",

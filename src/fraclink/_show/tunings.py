@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING
 from fraclink._show.text import Row, Table, View, number
 
 if TYPE_CHECKING:
+    from fraclink._design.pid_tuning import PidTuning
     from fraclink._tune import Tuning, Watch
 
-__all__ = ["tuning_view", "watch_view"]
+__all__ = ["pid_view", "tuning_view", "watch_view"]
 
 
 def tuning_view(made: Tuning) -> View:
@@ -38,6 +39,37 @@ def tuning_view(made: Tuning) -> View:
         f"stopped: {made.stopped}" if made.stopped else f"{made.attempts} experiments on the link, {time}"
     )
     return View(headline, tuple(tables), made.wiring.evidence if made.wiring else (), verdict.state)
+
+
+def pid_view(made: PidTuning) -> View:
+    """The controller, what was asked for and achieved, and how the step of the reference is answered."""
+    rows = tuple(
+        (
+            name.replace("[rad]", "[°]"),
+            *(_shown(name, x) for x in (asked, got)),
+            "kept" if kept else "not kept",
+        )
+        for name, asked, got, kept in made.kept
+    )
+    others = (
+        ("gain margin", "–", number(made.margins.gain_margin), ""),
+        ("sensitivity peak", "–", number(made.margins.sensitivity_peak), ""),
+    )
+    asked_for = {row[0] for row in rows}
+    table = Table(
+        ("what", "asked for", "achieved", ""), (*rows, *(r for r in others if r[0] not in asked_for))
+    )
+    notes = [f"ITAE {number(made.itae)} s² over {number(made.horizon)} s after a unit step"]
+    if made.delay:
+        notes.append(f"{number(1e3 * made.delay)} ms of the delay in the loop are those of the sampling")
+    if not made.stable:
+        notes.append("the closed loop is not stable")
+    state = "passed" if made.passed else "failed"
+    return View(made.controller.formula, (table,), (*notes, *map(str, made.findings)), state)
+
+
+def _shown(name: str, value: float) -> str:
+    return number(round(math.degrees(value), 5) + 0.0, 4) if name.endswith("[rad]") else number(value)
 
 
 def watch_view(seen: Watch) -> View:

@@ -43,7 +43,7 @@ from fraclink._show.tables import (
     verdict_table,
 )
 from fraclink._show.text import Table, View, degrees, grams, looked_up, number
-from fraclink._show.tunings import tuning_view, watch_view
+from fraclink._show.tunings import pid_view, tuning_view, watch_view
 from fraclink.findings import errors_of
 
 if TYPE_CHECKING:
@@ -135,6 +135,7 @@ def _design_view(design: Design) -> View:
 def _law_view(law: Law) -> View:
     order = len(law.correction.poles) + 2 * len(law.correction.pair_poles)
     motor = "with its motor loop" if law.drive is not None else "for a robot with its own servo"
+    motor = motor if law.has_gauge else "a fractional PID"
     headline = f"{order} states, one step each {number(1e3 * law.period)} ms, {motor}"
     return View(headline, notes=(f"SHA-256 {law.digest}",))
 
@@ -329,6 +330,7 @@ _VIEWS: dict[str, Callable[[Any], View]] = {
     "ExperimentDesign": experiment_view,
     "Design": _design_view,
     "Law": _law_view,
+    "PidTuning": pid_view,
     "Optimised": _optimised_view,
     "Assessment": _assessment_view,
     "FeasibilityMap": _map_view,

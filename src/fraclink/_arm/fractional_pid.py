@@ -1,0 +1,132 @@
+"""The fractional PID controller: ``C(s) = k_p + k_i/s^λ + k_d s^μ/(1 + T_f s)^n`` (Podlubny 1999)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fraclink._files import document, load, save
+from fraclink._systems.fractional import FractionalTransferFunction, s
+from fraclink._validate import Between, checked
+from fraclink.errors import FieldError
+
+__all__ = ["FractionalPid"]
+
+_ONE_SIGN = "write a plant of negative gain as -plant, and negate the controller's output"
+Gain = Annotated[float, Between(0.0, 1e12, remedy=_ONE_SIGN)]
+PidOrder = Annotated[float, Between(0.0, 2.0, low_open=True, high_open=True)]
+
+
+@document("fractional-pid", summary=lambda made: {"formula": made.formula})
+@checked
+@dataclass(frozen=True)
+class FractionalPid:
+    """A PI^λD^μ controller of an error: ``C(s) = k_p + k_i/s^λ + k_d s^μ/(1 + T_f s)^n``.
+
+    n is 1 for μ ≤ 1 and 2 above it, the least that keeps C proper; λ = μ = 1 is the PID of every textbook.
+
+    Parameters
+    ----------
+    proportional
+        k_p, >= 0, in units of the output over those of the error.
+    integral, derivative
+        k_i and k_d, >= 0, the same times s^(-λ) and s^μ; 0 leaves a part out.
+    integral_order, derivative_order
+        λ and μ, > 0 and < 2.
+    filter_time
+        T_f of the derivative [s], >= 0; zero means no filter.
+
+    Raises
+    ------
+    FieldError
+        a value out of its range, and a controller whose gains are all zero.
+
+    Source: Podlubny, IEEE Trans. Automatic Control 44 (1999) 208–214.
+
+    Examples
+    --------
+    >>> import fraclink as fl
+    >>> pid = fl.FractionalPid(2.0, integral=3.0, integral_order=0.8, derivative=0.5, derivative_order=1.2,
+    ...                        filter_time=0.01)
+    >>> pid.formula
+    'C(s) = 2 + 3/s^0.8 + 0.5 s^1.2/(1 + 0.01 s)^2'
+    >>> abs(pid.transfer()(5j) - pid.response(5.0)) < 1e-12
+    True
+    """
+
+    proportional: Gain
+    integral: Gain = 0.0
+    integral_order: PidOrder = 1.0
+    derivative: Gain = 0.0
+    derivative_order: PidOrder = 1.0
+    filter_time: Annotated[float, Between(0.0, 1e6, "s")] = 0.0
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            object.__setattr__(self, field.name, float(getattr(self, field.name)))
+        if not (self.proportional or self.integral or self.derivative):
+            remedy = "give at least one gain above 0"
+            raise FieldError("proportional", 0.0, "zero like the other gains", allowed="> 0", remedy=remedy)
+
+    @property
+    def filter_order(self) -> int:
+        """n of the derivative's filter: the least for which the controller is proper."""
+        return math.ceil(self.derivative_order)
+
+    @property
+    def formula(self) -> str:
+        """C(s) as text, numbers to five digits."""
+        parts = [f"{self.proportional:.5g}"] if self.proportional else []
+        if self.integral:
+            parts.append(f"{self.integral:.5g}/s{_exponent(self.integral_order)}")
+        if self.derivative:
+            part = f"{self.derivative:.5g} s{_exponent(self.derivative_order)}"
+            if self.filter_time:
+                part += f"/(1 + {self.filter_time:.5g} s)" + ("" if self.filter_order == 1 else "^2")
+            parts.append(part)
+        return "C(s) = " + " + ".join(parts)
+
+    def response(self, frequency: ArrayLike) -> NDArray[np.complex128]:
+        """Return C(jω) at real `frequency` [rad/s] > 0, shape kept."""
+        parts = pid_parts(frequency, self.integral_order, self.derivative_order, self.filter_time)
+        gains = (self.proportional, self.integral, self.derivative)
+        return np.asarray(sum(gain * part for gain, part in zip(gains, parts, strict=True)))
+
+    def transfer(self) -> FractionalTransferFunction:
+        """Return C(s) as a fractional transfer function, for every other function of the package."""
+        whole = self.proportional + s**0 * 0.0
+        if self.integral:
+            whole = whole + self.integral / s**self.integral_order
+        if self.derivative:
+            lag = (1.0 + self.filter_time * s) ** (self.filter_order if self.filter_time else 0)
+            whole = whole + self.derivative * s**self.derivative_order / lag
+        return whole
+
+    def save(self, path: Path | str) -> None:
+        """Write the controller to one JSON file."""
+        save(self, path, force=True)
+
+    @staticmethod
+    def load(path: Path | str) -> FractionalPid:
+        """Read a controller back; FileFormatError where the file is not one, or was edited."""
+        return load(path, FractionalPid)
+
+
+def pid_parts(
+    frequency: ArrayLike, integral_order: ArrayLike, derivative_order: ArrayLike, filter_time: ArrayLike
+) -> tuple[NDArray[np.complex128], NDArray[np.complex128], NDArray[np.complex128]]:
+    """Return 1, s^(-λ) and s^μ/(1 + T_f s)^n at s = jω; the arguments broadcast."""
+    given = (frequency, integral_order, derivative_order, filter_time)
+    w, lam, mu, lag = (np.asarray(x, dtype=float) for x in given)
+    slow = np.power(w, -lam) * np.exp(-0.5j * np.pi * lam)
+    fast = np.power(w, mu) * np.exp(0.5j * np.pi * mu) / (1.0 + 1j * lag * w) ** np.ceil(mu)
+    return np.ones_like(slow * fast), slow * np.ones_like(fast), fast * np.ones_like(slow)
+
+
+def _exponent(order: float) -> str:
+    return "" if order == 1.0 else f"^{order:.5g}"

@@ -1,0 +1,286 @@
+"""`tune_pid`: a PI^λD^μ controller for any plant, integer or fractional."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Annotated, Any, Literal
+
+import numpy as np
+
+from fraclink._arm.fractional_pid import FractionalPid, PidOrder
+from fraclink._design.pid_search import PidProblem, best_of, crossover_grid, itae, searched
+from fraclink._design.pid_tuning import PERIODS, PidTuning
+from fraclink._identify.structure_fit import StructureFit
+from fraclink._systems.fractional import FractionalTransferFunction
+from fraclink._systems.interop import from_control
+from fraclink._systems.stability import is_stable
+from fraclink._validate import Between, Duration, Frequency, PhaseMargin, checked
+from fraclink.errors import FieldError, InfeasibleError
+from fraclink.findings import Finding
+
+__all__ = ["tune_pid"]
+
+FILTER = 20.0  # 1/(ω_c T_f): the filter costs the derivative 3° at the crossover
+HORIZON = 40.0  # of ITAE, times 1/ω_c: six periods of an oscillation at the crossover
+# Of a law's phase margin: its own tolerance of 0.5°, and what 1.5 periods of delay leave out of the hold.
+LAW_LOSS = math.radians(1.0)
+MARGIN = math.radians(60.0)
+SENSITIVITY = 2.0  # of a crossover that nothing but ITAE chooses: ITAE alone goes to Ms of 3 to 6
+# With λ below a half an error lasts as t^(−λ) beyond every horizon, which ITAE does not see.
+_INTEGRAL_ORDERS, _DERIVATIVE_ORDERS = (0.5, 1.6), (0.1, 1.6)
+
+Form = Literal["PI", "PD", "PID"]
+
+
+@checked
+def tune_pid(
+    plant: Any,
+    *,
+    phase_margin: PhaseMargin = MARGIN,
+    gain_crossover: Frequency | None = None,
+    gain_margin: Annotated[float, Between(1.0, 1e3, low_open=True)] | None = None,
+    max_sensitivity: Annotated[float, Between(1.0, 100.0, low_open=True)] | None = None,
+    flat_phase: bool = True,
+    form: Form = "PID",
+    integral_order: PidOrder | None = None,
+    derivative_order: PidOrder | None = None,
+    filter_time: Annotated[float, Between(0.0, 1e3, "s")] | None = None,
+    period: Annotated[float, Between(0.0, 1e3, "s", low_open=True)] | None = None,
+    output_limit: Annotated[float, Between(0.0, 1e6, low_open=True)] | None = None,
+    measurement_limit: Annotated[float, Between(0.0, 1e6, low_open=True)] | None = None,
+    horizon: Duration | None = None,
+) -> PidTuning:
+    """Tune ``C(s) = k_p + k_i/s^λ + k_d s^μ/(1 + T_f s)^n`` for a plant, integer or fractional.
+
+    |L| = 1 with the phase margin φ_m at ω_c, and d arg L/d ln ω = 0 there (flat phase: the margin then
+    outlasts a change of the plant's gain), are three linear equations in the gains for each (λ, μ). Of all
+    pairs of orders, and of all ω_c where none is given, the one of least ITAE = ∫ t |e| dt is taken that has
+    no negative gain, a stable loop, and keeps `gain_margin` and `max_sensitivity`.
+
+    Parameters
+    ----------
+    plant
+        P(s): a function of `fraclink.s`, the result of `identify_structure`, or a python-control system with
+        one input and one output; of positive gain at rest, without poles in Re s > 0.
+    phase_margin
+        φ_m [rad], met at ω_c and kept at every other crossing.
+    gain_crossover
+        ω_c [rad/s]; chosen by ITAE when left out, which needs a plant with a delay, or `period`.
+    gain_margin
+        least factor, > 1, by which the gain may change before the loop is unstable.
+    max_sensitivity
+        bound on Ms = max |1/(1 + L)|; 2 where it is left out together with `gain_crossover`.
+    flat_phase
+        False leaves the slope of the phase to ITAE, too.
+    form
+        "PI", "PD" or "PID". With two gains, flat phase determines the order.
+    integral_order, derivative_order
+        λ and μ where they are given; 1 and 1 make an ordinary PID.
+    filter_time
+        T_f [s]; 1/(20 ω_c) when left out.
+    period
+        of the law [s]: 1.5 periods of delay (hold and computation) are then part of the loop.
+    output_limit, measurement_limit
+        largest |u|, and largest credible |r| and |y|, kept for `PidTuning.law`.
+    horizon
+        of ITAE [s]; 40/ω_c when left out (40 over the highest feasible ω_c where that is chosen). With λ < 1
+        and a plant without integrators ITAE grows without bound: e dies away as t^(−λ).
+
+    Raises
+    ------
+    FieldError
+        a plant that is unstable or of negative gain, and requests that leave nothing free.
+    InfeasibleError
+        no controller of this form meets them; `nearest` holds the nearest phase margin that one does.
+
+    Source: flat phase: Chen and Moore, Nonlinear Dynamics 38 (2005); the equations: Monje et al., Control
+    Engineering Practice 16 (2008) 798–812, solved here in the gains.
+
+    Examples
+    --------
+    >>> import fraclink as fl
+    >>> tuning = fl.tune_pid(
+    ...     (1 / (0.4 * fl.s**1.5 + 1)).delayed(0.05), gain_crossover=3.0, form="PI", phase_margin=fl.deg(70)
+    ... )
+    >>> tuning.passed, abs(tuning.phase_slope) < 1e-6
+    (True, True)
+    """
+    if max_sensitivity is None and gain_crossover is None:
+        max_sensitivity = SENSITIVITY
+    own = _plant_of(plant)
+    problem = _problem(own, period, gain_crossover, locals())
+    crossovers = [gain_crossover] if gain_crossover is not None else list(crossover_grid(problem))
+    found = searched(problem, crossovers)
+    if not found.count:
+        raise _infeasible(problem, crossovers)
+    length = HORIZON / float(np.max(found.crossover)) if horizon is None else horizon
+    best = best_of(problem, found, length, free=gain_crossover is None)
+    made = PidTuning(
+        plant=own,
+        controller=best.controller(0),
+        phase_margin=phase_margin,
+        itae=float(itae(problem, best, length, 8192)[0]),
+        horizon=length,
+        gain_crossover=gain_crossover,
+        gain_margin=gain_margin,
+        max_sensitivity=max_sensitivity,
+        flat_phase=flat_phase,
+        period=period,
+        output_limit=output_limit,
+        measurement_limit=measurement_limit,
+        findings=_lasting(problem, best.controller(0)),
+    )
+    return made if period is None else replace(made, findings=(*made.findings, *_of_law(made)))
+
+
+def _of_law(made: PidTuning) -> tuple[Finding, ...]:
+    """What the law that ships keeps less of the phase margin, with the plant behind its hold."""
+    if any(term.delay for term in made.plant.denominator):
+        return ()  # no modes of such a plant: the continuous loop with its delay is all there is
+    found = made.sampled_margins(made.law(output_limit=1.0, measurement_limit=1.0))
+    lost = made.phase_margin - found.phase_margin
+    evidence = {"asked, °": math.degrees(made.phase_margin), "kept, °": math.degrees(found.phase_margin)}
+    if not found.stable:
+        return (
+            Finding(
+                "W422",
+                "error",
+                "the loop of the shipped law is not stable",
+                evidence,
+                "ask for a slower gain crossover, or take a shorter period",
+            ),
+        )
+    if lost <= LAW_LOSS:
+        return ()
+    return (
+        Finding(
+            "W422",
+            "warning",
+            "the shipped law keeps less phase margin than was asked for",
+            evidence,
+            "ask for as much more as is missing",
+        ),
+    )
+
+
+def _lasting(problem: PidProblem, controller: FractionalPid) -> tuple[Finding, ...]:
+    """What is left of a step for ever, where neither controller nor plant integrates."""
+    if controller.integral or problem.integrators > 0.0:
+        return ()
+    top, bottom = problem.plant.numerator[-1], problem.plant.denominator[-1]
+    gain = top.coefficient / bottom.coefficient if top.order == bottom.order else 0.0
+    left = 100.0 / (1.0 + controller.proportional * gain)
+    return (
+        Finding(
+            "W421",
+            "warning",
+            "without an integral a step of the reference is never reached",
+            {"lasting error, %": left},
+            "ask for a PID, or let the reference be larger by as much",
+        ),
+    )
+
+
+def _words(problem: PidProblem) -> str:
+    """The form that was asked for, in words."""
+    form = "P" + "I" * problem.integral + "D" * problem.derivative
+    return f"{form} controller with a flat phase" if problem.flat else f"{form} controller"
+
+
+def _plant_of(plant: Any) -> FractionalTransferFunction:
+    """The plant as a function; FieldError for one whose loop the search cannot count."""
+    own = plant.transfer_function if isinstance(plant, StructureFit) else from_control(plant)
+    if not own.numerator:
+        raise FieldError("plant", "0", "zero", allowed="a plant that answers", remedy="build it from s")
+    if own.relative_degree <= 0.0:
+        raise FieldError(
+            "plant",
+            str(own),
+            "not strictly proper",
+            allowed="|P| -> 0 for high frequencies",
+            remedy="write down the lag of its sensor or actuator",
+        )
+    order = own.denominator[-1].order
+    free = own / FractionalTransferFunction.power(-order) if order else own
+    if not is_stable(free):
+        raise FieldError(
+            "plant",
+            str(own),
+            "unstable: it has a pole with Re s >= 0 beside the origin",
+            allowed="a stable plant, or one with integrators",
+            remedy="close an inner loop first, and tune for what that makes of it",
+        )
+    lowest = own.numerator[-1].coefficient / own.denominator[-1].coefficient
+    if lowest < 0.0:
+        remedy = "tune for -plant, and negate the controller's output"
+        raise FieldError("plant", str(own), "of negative gain at rest", allowed="> 0", remedy=remedy)
+    return own
+
+
+def _problem(
+    plant: FractionalTransferFunction, period: float | None, crossover: float | None, given: dict[str, Any]
+) -> PidProblem:
+    form = given["form"]
+    integral, derivative = "I" in form, "D" in form
+    for name, used in (("integral_order", integral), ("derivative_order", derivative)):
+        if given[name] is not None and not used:
+            remedy = f"leave it out, or ask for another form than {form}"
+            raise FieldError(name, given[name], f"given for a {form}", allowed="none", remedy=remedy)
+    single = given["integral_order"] if integral else given["derivative_order"]
+    if given["flat_phase"] and not (integral and derivative) and single is not None:
+        raise FieldError(
+            "flat_phase",
+            True,
+            f"asked of a {form} whose order is given: nothing is left to make the phase flat with",
+            allowed="False",
+            remedy="give flat_phase=False (--no-flat-phase), or leave the order free",
+        )
+    whole = plant.delayed(PERIODS * (period or 0.0))
+    return PidProblem(
+        plant=whole,
+        phase_margin=given["phase_margin"],
+        integral=integral,
+        derivative=derivative,
+        flat=given["flat_phase"],
+        gain_margin=given["gain_margin"],
+        max_sensitivity=given["max_sensitivity"],
+        integral_orders=_ends(given["integral_order"], _INTEGRAL_ORDERS),
+        derivative_orders=_ends(given["derivative_order"], _DERIVATIVE_ORDERS),
+        filter_time=given["filter_time"],
+        filter_ratio=FILTER,
+        crossovers=_crossovers(whole, crossover),
+    )
+
+
+def _ends(given: float | None, usual: tuple[float, float]) -> tuple[float, float]:
+    return usual if given is None else (given, given)
+
+
+def _crossovers(plant: FractionalTransferFunction, given: float | None) -> tuple[float, float]:
+    """Range of ω_c: the one that is given, or three decades below where the delay alone turns by 180°."""
+    if given is not None:
+        return given, given
+    delay = plant.delay
+    if not delay:
+        raise FieldError(
+            "gain_crossover",
+            None,
+            "left out for a plant without a delay: the faster the better, without end",
+            allowed="> 0 rad/s",
+            remedy="give gain_crossover=, or period= of the law, whose delay bounds it",
+        )
+    return 1e-3 * math.pi / delay, math.pi / delay
+
+
+def _infeasible(problem: PidProblem, crossovers: list[float]) -> InfeasibleError:
+    """The error, with the nearest phase margin for which there is a controller."""
+    asked = problem.phase_margin
+    more = "another crossover, another form, or flat_phase=False (--no-flat-phase) leaves more room"
+    steps = sorted(np.radians(np.arange(5.0, 150.0, 2.5)), key=lambda angle: abs(angle - asked))
+    for angle in steps:
+        if searched(replace(problem, phase_margin=float(angle)), crossovers[::4]).count:
+            explanation = f"no {_words(problem)} with gains >= 0 meets it in a stable loop; {more}"
+            return InfeasibleError("phase_margin", explanation, {"phase_margin": float(angle)})
+    explanation = f"no {_words(problem)} with gains >= 0 crosses there in a stable loop; {more}"
+    return InfeasibleError("gain_crossover", explanation)

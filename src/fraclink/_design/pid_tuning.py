@@ -1,0 +1,252 @@
+"""The result of `tune_pid`: a fractional PID with its plant, its margins, its law, its answer to a step."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink._arm.fractional_pid import FractionalPid
+from fraclink._files import document, load, save
+from fraclink._files.display import displayed
+from fraclink._law.fractional_pid import discretize_pid, pid_response
+from fraclink._law.law import Law, LawInputs
+from fraclink._systems.fractional import FractionalTransferFunction
+from fraclink._systems.margins import Margins, margins
+from fraclink._systems.response import discrete_modes, time_response
+from fraclink._systems.stability import is_stable
+from fraclink._validate import Between
+from fraclink.errors import FieldError
+from fraclink.findings import Finding, errors_of
+
+__all__ = ["PERIODS", "PidStep", "PidTuning"]
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+PERIODS = 1.5  # of delay: half of the hold, and one until the output takes effect
+LAW_BAND = (200.0, 50.0)  # of the law's fit below and above ω_c: what a loop is judged by lies inside
+SPAN = 25.0  # of the sampled plant's modes, times the horizon: exact from ω_c/1000 on
+_EXACT = 1e-6  # relative: what was asked for is met to rounding and search
+
+
+class PidStep(NamedTuple):
+    """Answer to a step of the reference: time [s], measurement and controller's output, shape (N,)."""
+
+    time: Real
+    measurement: Real
+    output: Real
+
+
+@displayed
+@document(
+    "pid-tuning",
+    period=lambda made: made.period,
+    summary=lambda made: {"passed": made.passed, "controller": made.controller.formula},
+)
+@dataclass(frozen=True)
+class PidTuning:
+    """A fractional PID and the plant it was tuned for: the result of `tune_pid`.
+
+    Attributes
+    ----------
+    plant
+        P(s), without the delay of the sampling.
+    controller
+        C(s).
+    gain_crossover, phase_margin, gain_margin, max_sensitivity
+        what was asked for: [rad/s], [rad], factor, and bound of Ms; None where it was not.
+    itae
+        ∫ t |e| dt [s²] over `horizon` [s] after a unit step of the reference.
+    period
+        of the law [s]; None for a controller without sampling. The tuning counts 1.5 periods of delay.
+    output_limit, measurement_limit
+        of the law; None where they were not given.
+    findings
+        codes W42x.
+
+    Examples
+    --------
+    >>> import fraclink as fl
+    >>> plant = 1 / (0.8 * fl.s**2.2 + 0.5 * fl.s**0.9 + 1)
+    >>> tuning = fl.tune_pid(plant, gain_crossover=2.0, phase_margin=fl.deg(60))
+    >>> tuning.passed, round(tuning.margins.gain_crossover, 6), round(tuning.itae, 2)
+    (True, 2.0, 1.12)
+    """
+
+    __made_by__ = "fraclink.tune_pid(plant, ...)"
+
+    plant: FractionalTransferFunction
+    controller: FractionalPid
+    phase_margin: float
+    itae: float
+    horizon: float
+    gain_crossover: float | None = None
+    gain_margin: float | None = None
+    max_sensitivity: float | None = None
+    flat_phase: bool = True
+    period: float | None = None
+    output_limit: float | None = None
+    measurement_limit: float | None = None
+    findings: tuple[Finding, ...] = ()
+
+    @property
+    def delay(self) -> float:
+        """Delay of the sampling that the tuning counts [s]."""
+        return PERIODS * (self.period or 0.0)
+
+    @property
+    def open_loop(self) -> FractionalTransferFunction:
+        """L = C P e^(−1.5 T s)."""
+        return (self.controller.transfer() * self.plant).delayed(self.delay)
+
+    @cached_property
+    def margins(self) -> Margins:
+        """Every margin of the open loop, by root finding."""
+        return margins(self.open_loop)
+
+    @cached_property
+    def stable(self) -> bool:
+        """Whether the closed loop is stable."""
+        found = self.margins.stable
+        return bool(is_stable(self.open_loop.feedback())) if found is None else found
+
+    @property
+    def phase_slope(self) -> float:
+        """d arg L/d ln ω at the gain crossover [rad]: 0 where the phase is flat."""
+        w, step = self.margins.gain_crossover, 1e-5
+        loop = self.open_loop
+        return float(np.angle(loop(1j * w * math.exp(step)) / loop(1j * w * math.exp(-step))) / (2.0 * step))
+
+    @property
+    def kept(self) -> tuple[tuple[str, float, float, bool], ...]:
+        """Each requirement: its name, what was asked for, what was achieved, and whether it is kept."""
+        found = self.margins
+        rows = [("phase margin [rad]", self.phase_margin, found.phase_margin, 1)]
+        if self.gain_crossover is not None:
+            rows.append(("gain crossover [rad/s]", self.gain_crossover, found.gain_crossover, 0))
+        if self.gain_margin is not None:
+            nearest = found.gain_margin
+            rows.append(("gain margin", self.gain_margin, max(nearest, 1.0 / nearest), 1))
+        if self.max_sensitivity is not None:
+            rows.append(("sensitivity peak", self.max_sensitivity, found.sensitivity_peak, -1))
+        if self.flat_phase:
+            rows.append(("slope of the phase [rad]", 0.0, self.phase_slope, 0))
+        return tuple((name, asked, got, _is_kept(asked, got, sense)) for name, asked, got, sense in rows)
+
+    @property
+    def passed(self) -> bool:
+        """Whether the closed loop is stable and every requirement is kept, and no finding is an error."""
+        held = all(kept for *_, kept in self.kept)
+        return self.stable and held and not errors_of(self.findings)
+
+    def __str__(self) -> str:
+        rows = [
+            f"{name}: asked {asked:.5g}, achieved {got:.5g}{'' if kept else ', FAILED'}"
+            for name, asked, got, kept in self.kept
+        ]
+        value = f"ITAE {self.itae:.5g} s² over {self.horizon:.4g} s"
+        return "\n".join([self.controller.formula, *rows, value, *map(str, self.findings)])
+
+    def law(
+        self,
+        *,
+        period: float | None = None,
+        output_limit: float | None = None,
+        measurement_limit: float | None = None,
+        order: int | None = None,
+        precision: Literal["single", "double"] = "double",
+    ) -> Law:
+        """Return the law that runs the controller, by `fraclink.discretize_pid`.
+
+        What is left out is what the tuning was given; its filter is closest to C within two decades below
+        the crossover and fifty times it.
+        """
+        given = {
+            "period": self.period if period is None else period,
+            "output_limit": self.output_limit if output_limit is None else output_limit,
+            "measurement_limit": self.measurement_limit if measurement_limit is None else measurement_limit,
+        }
+        for name, value in given.items():
+            if value is None:
+                remedy = f"give {name}= here or to tune_pid (--{name.replace('_', '-')})"
+                raise FieldError(name, None, "missing", allowed="a number > 0", remedy=remedy)
+        chosen = Between(0.0, 1e3, "s", low_open=True).check("period", given["period"])
+        crossover, high = self.margins.gain_crossover, 0.5 * math.pi / chosen
+        band = None
+        if math.isfinite(crossover) and crossover < 0.2 * high:
+            band = (max(crossover / LAW_BAND[0], 1e-5 * high), min(LAW_BAND[1] * crossover, high))
+        return discretize_pid(
+            self.controller,
+            chosen,
+            output_limit=given["output_limit"],  # type: ignore[arg-type]
+            measurement_limit=given["measurement_limit"],  # type: ignore[arg-type]
+            order=order,
+            precision=precision,
+            band=band,
+        )
+
+    def sampled_margins(self, law: Law) -> Margins:
+        """Return every margin of the sampled loop that `law` closes, one period of computation included.
+
+        The plant behind its zero-order hold is exact (`discrete_modes`), the law is its coefficients.
+        """
+        modes = discrete_modes(self.plant, law.period, span=SPAN * self.horizon)
+
+        def loop(s: Complex) -> Complex:
+            w = np.imag(s)
+            late = np.exp(-1j * w * law.period)
+            return np.asarray(pid_response(law, w) * modes.frequency_response(w) * late)
+
+        return margins(loop, limit=math.pi / law.period, unstable_poles=0)
+
+    def step(self, *, law: Law | None = None, size: float = 1.0, duration: float | None = None) -> PidStep:
+        """Return the answer to a step of the reference by `size`, over `duration` [s] (default `horizon`).
+
+        Without `law` it is that of C(s) in continuous time. With it law.c runs, period by period, on the
+        plant behind its hold: with its limit, its anti-windup and a period of computation. A plant with a
+        delay in a loop without sampling is inverted numerically, which takes seconds.
+        """
+        length = self.horizon if duration is None else duration
+        if law is not None:
+            return _run(self.plant, law, size, max(2, round(length / law.period) + 1))
+        time = np.linspace(0.0, length, 1001)
+        loop, pressed = self.open_loop, np.full(time.size, size)
+        closed, outer = loop.feedback(), self.controller.transfer().feedback(self.plant.delayed(self.delay))
+        answers = [time_response(system, pressed, time[1]).output for system in (closed, outer)]
+        return PidStep(time, *answers)
+
+    def save(self, path: Path | str) -> None:
+        """Write the tuning to one JSON file."""
+        save(self, path, force=True)
+
+    @staticmethod
+    def load(path: Path | str) -> PidTuning:
+        """Read a tuning back; FileFormatError where the file is not one, or was edited."""
+        return load(path, PidTuning)
+
+
+def _is_kept(asked: float, got: float, sense: int) -> bool:
+    room = _EXACT * max(1.0, abs(asked))
+    return abs(got - asked) <= room if sense == 0 else sense * (got - asked) >= -room
+
+
+def _run(plant: FractionalTransferFunction, law: Law, size: float, count: int) -> PidStep:
+    """law.c on the exactly held plant; its output takes effect one period later."""
+    modes = discrete_modes(plant, law.period, span=count * law.period)
+    weights = modes.respond(np.eye(1, count)[0])  # to a pulse of one period, at the later samples
+    state, given = law.initial_state(), np.zeros(count)
+    measured = np.zeros(count)
+    for k in range(count):
+        measured[k] = given[: k + 1] @ weights[k::-1]
+        state, answer = law.step(state, LawInputs(size, 0.0, measured[k], 0.0), tick=k + 1)
+        if k + 1 < count:
+            given[k + 1] = answer.voltage
+    return PidStep(
+        np.asarray(law.period * np.arange(count), dtype=np.float64), measured, np.append(given[1:], given[-1])
+    )

@@ -1,0 +1,210 @@
+"""A fractional PID as a law of law.c: the motor loop's PI behind the outer law's filter.
+
+law.c computes θm* = θt* + Ĉ(z) (θt* − θte) and u = P(z) (θm* − θm). A law without a gauge has θte = θm, so
+that u = P(z) (1 + Ĉ(z)) (θt* − θm): with the measurement y in place of θm and the reference r in place of θt*
+this is a controller of the error r − y. P = k_P + k_I T (z + 1)/(2 (z − 1)) has the integral action, exactly
+and with the anti-windup of law.c; what is left of C is 1 + Ĉ = C/P, which is 1 at rest: s^(−λ) becomes
+s^(−1) s^(1−λ), and the second factor is a filter like that of every other law.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fraclink._arm.fractional_pid import FractionalPid
+from fraclink._arm.motor import DiscretePid
+from fraclink._law.block import PAIR_MODES, REAL_MODES, Drive, Modes, Precision, modes_of
+from fraclink._law.discretization import TOLERANCE_DB, TOLERANCE_DEG, modes_from
+from fraclink._law.law import Law
+from fraclink._law.limits import Limits
+from fraclink._systems.discrete import Band, Order, checked_band, fit_discrete
+from fraclink._validate import Between, Positive, checked
+from fraclink.errors import FieldError
+
+__all__ = ["discretize_pid", "pid_response"]
+
+Complex = NDArray[np.complex128]
+
+# Below the band's lower end ω_b the integral is the integer one of k_I = k_i (ω_b/3)^(1−λ): where the two
+# meet the phase turns by 90° (1 − λ), and a third of ω_b leaves the band itself out of that.
+JOINT = 3.0
+DECADES = 4.0  # of the default band: 8 states follow s^(1−λ) over as many to the tolerance
+Range = Annotated[float, Between(0.0, 1e6, low_open=True)]
+
+
+@checked
+def discretize_pid(
+    controller: FractionalPid,
+    period: Positive,
+    *,
+    output_limit: Range,
+    measurement_limit: Range,
+    order: Order | None = None,
+    precision: Precision = "double",
+    band: Band | None = None,
+) -> Law:
+    """Return the law that runs a fractional PID at `period` [s]: u = C(z) (r − y), in the C of every law.
+
+    On `band` C(z) meets C(jω) to 0.1 dB and 0.5° where 8 states can (`Law.correction_error` says what was
+    met); below it k_i/s^λ goes over into an integer integral, so that a lasting error is always removed. u is
+    limited to ±`output_limit`, and the integral does not wind up there.
+
+    On the board the measurement is `law_input.motor_angle`, the reference `law_input.reference`, and u
+    `law_output.voltage`; `torque`, `payload` and `reference_acceleration` stay 0. u answers the samples of
+    its period, and takes effect when the board writes it.
+
+    Parameters
+    ----------
+    output_limit
+        largest |u|, in the output's unit.
+    measurement_limit
+        largest credible |r| and |y|: samples beyond it are rejected, and five in a row switch the output off.
+    order
+        states of 1 + Ĉ, 0 to 8; without it the fewest that meet the tolerance, else the best of 8.
+    precision
+        "double" or "single".
+    band
+        [rad/s]; four decades up to half of the Nyquist frequency when it is left out.
+
+    Raises
+    ------
+    FieldError
+        a value out of its range, and a controller that has neither a proportional nor an integral part.
+
+    Examples
+    --------
+    >>> import fraclink as fl
+    >>> pid = fl.FractionalPid(2.0, integral=3.0, integral_order=0.8, derivative=0.05, derivative_order=0.7)
+    >>> law = fl.discretize_pid(pid, 0.01, output_limit=10.0, measurement_limit=2.0)
+    >>> law.correction_error[0] < 0.1, law.correction_error[1] < 0.5
+    (True, True)
+    """
+    reach = _band(period) if band is None else checked_band(band, period)
+    base = _integer_part(controller, period, reach)
+
+    def rest(frequency: NDArray[np.float64]) -> Complex:
+        return controller.response(frequency) / _response(base, frequency) - 1.0
+
+    fit = fit_discrete(
+        rest,
+        period=period,
+        order=order,
+        zeros_at_one=1,
+        offset=1.0,
+        band=reach,
+        tolerance_db=TOLERANCE_DB,
+        tolerance_deg=TOLERANCE_DEG,
+    )
+    correction = modes_from("order", fit, REAL_MODES, PAIR_MODES)
+    drive = Drive(base, output_limit, torque_voltage=0.0, coulomb_voltage=0.0, coulomb_speed=1.0)
+    return Law(
+        period=period,
+        precision=precision,
+        stiffness=math.inf,
+        correction=correction,
+        feedforward=Modes(0.0),
+        inner_pole=0.0,
+        limits=_limits(correction, measurement_limit),
+        drive=drive,
+        correction_error=(fit.error_db, fit.error_deg),
+        feedforward_error=(0.0, 0.0),
+        band=reach,
+    )
+
+
+def pid_response(law: Law, frequency: ArrayLike) -> Complex:
+    """Return C(e^(jωT)) of a law that `discretize_pid` made, at ω [rad/s]; any shape."""
+    if law.drive is None or law.has_gauge:
+        remedy = "discretize_pid makes one; Law.frequency_response is that of every other"
+        raise FieldError(
+            "law", repr(law), "no law of a PID", allowed="that of a FractionalPid", remedy=remedy
+        )
+    return _response(law.drive.loop, frequency) * (1.0 + law.frequency_response(frequency))
+
+
+def _band(period: float) -> tuple[float, float]:
+    high = 0.5 * math.pi / period
+    return high / 10.0**DECADES, high
+
+
+def _integer_part(controller: FractionalPid, period: float, band: tuple[float, float]) -> DiscretePid:
+    """P(z): k_P, and the integral that continues k_i/s^λ below the band."""
+    joint = band[0] / JOINT
+    integral = controller.integral * joint ** (1.0 - controller.integral_order)
+    if not (controller.proportional or integral):
+        raise FieldError(
+            "proportional",
+            0.0,
+            "zero in a controller without an integral: at rest it would do nothing",
+            allowed="> 0",
+            remedy="give a proportional or an integral gain",
+        )
+    return DiscretePid(
+        period=period,
+        direct=controller.proportional,
+        angle_direct=0.0,
+        integral_gain=integral,
+        filter_gain=0.0,
+        angle_filter_gain=0.0,
+        integral_now=0.5 * period,
+        integral_before=0.5 * period,
+        filter_now=0.0,
+        filter_before=0.0,
+        filter_decay=0.0,
+    )
+
+
+def _response(loop: DiscretePid, frequency: ArrayLike) -> Complex:
+    """P(e^(jωT)): Tustin's integral is T/(2j tan(ωT/2))."""
+    w = np.asarray(frequency, dtype=float)
+    integral = 0.5 * loop.period / (1j * np.tan(0.5 * w * loop.period))
+    return np.asarray(loop.direct + loop.integral_gain * integral, dtype=np.complex128)
+
+
+def _limits(correction: Modes, reach: float) -> Limits:
+    """The guards of a loop of which nothing but the range of the measurement is known.
+
+    Errors are within 2Y. By the l1 norms of the filter's parts nothing that they can make is limited; what
+    compares a motor with its model (residual, frozen encoder) can never act, and a torque, which a loop
+    without a gauge does not have, is rejected without any effect on the output.
+    """
+    listed = {
+        "real": [x for mode in zip(correction.poles, correction.gains, strict=True) for x in mode],
+        "pair": [
+            x
+            for pole, gain in zip(correction.pair_poles, correction.pair_gains, strict=True)
+            for x in (pole.real, pole.imag, gain.real, gain.imag)
+        ],
+    }
+    norms = [(1 + abs(1 - p) / (1 - abs(p)), abs(g)) for p, g in modes_of(listed)]
+    error = 2.0 * reach * 1.01
+    largest = max([norm for norm, _ in norms] + [1.0])
+    command = (2 * abs(correction.direct) + sum(norm * gain for norm, gain in norms)) * error
+    motor = reach + command
+    return Limits(
+        sum_limit=command,
+        correction_limit=2.0 * largest * error,
+        forward_limit=1.0,
+        angle_limit=reach,
+        angle_step=2.0 * error,
+        torque_limit=0.0,
+        torque_step=0.0,
+        torque_trip=1.0,
+        torque_block=1.0,
+        reference_step=2.0 * error,
+        reference_rate=1.0,
+        acceleration_limit=0.0,
+        payload_limit=0.0,
+        scale_step=1.0,
+        motor_limit=motor,
+        motor_step=2.0 * motor,
+        fade_step=0.0,
+        residual_angle=2.0 * motor,
+        frozen_angle=2.0 * motor,
+        stuck_torque=1.0,
+        wiring_energy=1.0,
+    )
