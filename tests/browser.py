@@ -29,7 +29,7 @@ _KEYS = {
     "Escape": 27,
     "Enter": 13,
 }
-_KEYS |= {"PageUp": 33, "PageDown": 34, "Home": 36, "End": 35, " ": 32}
+_KEYS |= {"Delete": 46, "PageUp": 33, "PageDown": 34, "Home": 36, "End": 35, " ": 32}
 _CONTROL, _SHIFT = 2, 8
 
 

@@ -7,6 +7,7 @@ import math
 import re
 import shlex
 import struct
+from dataclasses import replace
 from pathlib import Path
 from typing import get_type_hints
 
@@ -27,6 +28,7 @@ from fraclink._studio.logs import LOG_VERBS
 from fraclink._studio.messages import Reply, parsed, refusal
 from fraclink._studio.outputs import OUTPUT_VERBS
 from fraclink._studio.preview import Subject, described, nearest, preview
+from fraclink._studio.regions import Region, checked_regions, fan_of, map_of, round_regions, violated
 from fraclink._studio.request import NAMES, as_python, checked_request
 from fraclink._studio.server import POLICY, Studio, application
 from fraclink._studio.serving import serve
@@ -138,6 +140,84 @@ def test_a_refusal_names_the_nearest_that_is_feasible(subject):
     found = nearest(subject, {**ASKED, "gain_crossover": 9.0}).head["state"]
     assert preview(subject, found).head["ok"]
     assert round(found["gain_crossover"], 2) == found["gain_crossover"]
+
+
+def test_a_region_is_entered_by_a_curve_that_crosses_it_between_two_points(subject):
+    box = Region("nichols", -200.0, -160.0, -6.0, 6.0)
+    w = np.array([1.0, 2.0])
+    through, beside, along = (
+        (np.array([20.0, -20.0]), np.array([-180.0, -181.0])),
+        (np.array([20.0, -20.0]), np.array([-159.0, -150.0])),
+        (np.array([6.0, 6.0]), np.array([-300.0, -60.0])),  # on the edge is not inside
+    )
+    entered = [box.entered(w, gain[None], phase[None]) for gain, phase in (through, beside, along)]
+    assert entered == [True, False, False]
+    between = np.array([[-20.0, -20.0], [20.0, 20.0]])  # of two payloads, one on each side
+    assert box.entered(w, between, np.full((2, 2), -180.0))
+    made = fl.design(subject.model, subject.rig, gain_crossover=12.0, phase_margin=fl.deg(50), law=False)
+    dense = np.geomspace(subject.frequencies[0], subject.frequencies[-1], 5000)
+    for region in (Region("gain", 15.0, 18.0, -3.0, 30.0), Region("gain", 40.0, 50.0, -10.0, 30.0)):
+        db = [
+            20 * np.log10(np.abs(made.loop(dense, made.natural_frequency(m))))
+            for m in np.linspace(0.02, 0.04, 9)
+        ]
+        inside = (dense > region.left) & (dense < region.right)
+        truth = any(np.any((g[inside] > region.low) & (g[inside] < region.high)) for g in db)
+        assert violated(made, [region], subject.frequencies) == [truth]
+
+
+def test_a_way_round_the_regions_is_found_or_refused(subject):
+    wall = [{"plot": "gain", "left": 11.5, "right": 12.5, "low": -3.0, "high": 3.0}]
+    shown = preview(subject, {**ASKED, "regions": wall}).head
+    assert shown["entered"] == [True]
+    found = round_regions(subject, ASKED, checked_regions(wall))
+    assert preview(subject, {**found, "regions": wall}).head["entered"] == [False]
+    everywhere = [{"plot": "gain", "left": 1.0, "right": 500.0, "low": -3.0, "high": 3.0}]
+    with pytest.raises(FieldError, match="entered by every design"):
+        round_regions(subject, ASKED, checked_regions(everywhere))
+
+
+@pytest.mark.parametrize(
+    "regions",
+    [
+        5,
+        [1],
+        [{"plot": "arm"}],
+        [{"plot": "gain", "left": 0.0, "right": 1.0, "low": 0.0, "high": 1.0}],
+        [{"plot": "gain", "left": 2.0, "right": 1.0, "low": 0.0, "high": 1.0}],
+        [{"plot": "nichols", "left": -1e9, "right": 1.0, "low": 0.0, "high": 1.0}],
+        [{"plot": "nichols", "left": True, "right": 1.0, "low": 0.0, "high": 1.0}],
+        [{"plot": "nichols", "left": math.nan, "right": 1.0, "low": 0.0, "high": 1.0}],
+    ],
+)
+def test_what_is_no_region_is_refused(subject, regions):
+    assert preview(subject, {**ASKED, "regions": regions}).head["error"].startswith("regions: no regions")
+
+
+def test_the_map_is_the_one_of_feasibility_map_and_the_fan_is_of_the_box(subject):
+    found = map_of(subject, ASKED)
+    row, column = np.argwhere(found["noise"] > 0)[7]
+    asked = {"gain_crossover": found["crossovers"][column], "phase_margin_deg": found["margins"][row]}
+    assert preview(subject, {**ASKED, **asked}).head["ok"]
+    head, curves = unpacked(preview(subject, ASKED, fan=True).packed(0, "preview"))
+    assert head["ok"] and len(curves["fan_gain"]) > 8 and np.ptp(curves["fan_gain"], axis=0).max() > 3.0
+    # of a box that is one point there is one arm, the model's, at both payloads
+    made = fl.design(subject.model, subject.rig, gain_crossover=12.0, phase_margin=fl.deg(50), law=False)
+    point = fan_of(replace(made, box=fl.ParameterBox.at(subject.model)), subject.frequencies)
+    assert np.allclose(point["fan_gain"], curves["gain"][[0, 2], ::4], atol=1e-3)
+    assert np.allclose(point["fan_phase"], curves["phase"][[0, 2], ::4], atol=1e-3)
+
+
+def test_what_was_kept_is_remembered(tmp_path):
+    history = History.of(tmp_path)
+    for margin in (45.0, 50.0, 55.0):
+        history.add({"phase_margin_deg": margin})
+    history.go(1)
+    history.keep()
+    assert History.of(tmp_path).kept == {1} and History.of(tmp_path).at == 1
+    history.go(0)
+    history.add({"phase_margin_deg": 60.0})
+    assert History.of(tmp_path).kept == set()
 
 
 def test_a_law_refitted_to_its_own_controller_is_that_law(subject):

@@ -15,6 +15,7 @@ from fraclink._studio.logs import LOG_VERBS
 from fraclink._studio.messages import Message, Reply, parsed, refusal
 from fraclink._studio.outputs import OUTPUT_VERBS
 from fraclink._studio.preview import Subject, nearest, preview
+from fraclink._studio.regions import map_of, parted, round_regions
 from fraclink._studio.request import checked_request
 from fraclink._studio.session import Session, SupersededError
 from fraclink._studio.work import JOBS, Job
@@ -31,7 +32,7 @@ def _note(session: Session, given: Mapping[str, Any]) -> Reply:
     from_page = given.get("state")
     if not isinstance(from_page, dict):
         raise FieldError("state", from_page, "not an object", allowed="a state", remedy="send the state")
-    checked_request(from_page)
+    checked_request(parted(from_page)[0])
     session.history.add(from_page)
     return Reply({"ok": True, "at": session.history.at, "states": len(session.history.states)})
 
@@ -43,13 +44,20 @@ def _go(session: Session, given: Mapping[str, Any]) -> Reply:
     return Reply({"ok": True, "state": session.history.go(at), "at": at})
 
 
+def _keep(session: Session, given: Mapping[str, Any]) -> Reply:
+    answer = session.keep(force=given.get("force") is True)
+    session.history.keep()
+    return answer
+
+
 def _hello(session: Session, given: Mapping[str, Any]) -> Reply:
     history = session.history
     head = {
         "ok": True,
-        "state": session.state,
+        "state": {**session.state, "regions": (history.state or {}).get("regions", [])},
         "states": history.states,
         "at": history.at,
+        "kept": sorted(history.kept),
         **(session.subject.axes() if session.subject else {}),
         **session.overview(),
         **session.arm(given.get("arm", "")),
@@ -64,12 +72,24 @@ def _subject(session: Session) -> Subject:
     return session.subject
 
 
+def _map(session: Session, given: Mapping[str, Any]) -> Reply:
+    return Reply({"ok": True, **map_of(_subject(session), parted(given.get("state"))[0])})
+
+
+def _around(session: Session, given: Mapping[str, Any]) -> Reply:
+    state, regions = parted(given.get("state"))
+    return Reply({"ok": True, "state": round_regions(_subject(session), state, regions)})
+
+
 _VERBS: dict[str, Verb] = {
     "hello": _hello,
     "note": _note,
     "go": _go,
     "nearest": lambda session, given: nearest(_subject(session), given.get("state")),
-    "keep": lambda session, given: session.keep(force=given.get("force") is True),
+    "look": lambda session, given: preview(_subject(session), given.get("state")),
+    "map": _map,
+    "around": _around,
+    "keep": _keep,
     **LOG_VERBS,
     **OUTPUT_VERBS,
 }
@@ -137,7 +157,8 @@ class Conversation:
             await self._answered(message, await asyncio.to_thread(_guarded, work, message))
 
     def _preview(self, message: Message) -> Reply:
-        return preview(_subject(self.session), message.given.get("state"))
+        fan = message.given.get("fan") is True
+        return preview(_subject(self.session), message.given.get("state"), fan=fan)
 
     def _exact(self, message: Message) -> Reply:
         def newer() -> bool:

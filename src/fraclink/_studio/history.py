@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +35,7 @@ class History:
     path: Path
     states: list[dict[str, Any]]
     at: int = -1
+    kept: set[int] = field(default_factory=set)  # those that Keep wrote to the study's files
 
     @staticmethod
     def of(folder: Path) -> History:
@@ -70,6 +71,11 @@ class History:
             self._write({"at": at})
         return self.states[at]
 
+    def keep(self) -> None:
+        """Remember that the state that stands was kept."""
+        if self.states and self.at not in self.kept:
+            self._write({"at": self.at, "kept": True})
+
     def _write(self, entry: dict[str, Any]) -> None:
         self.path.parent.mkdir(parents=True, exist_ok=True)
         # Appended and closed at once: a kill loses the line that was being written, and no other.
@@ -81,7 +87,10 @@ class History:
         at = min(int(entry["at"]), len(self.states))
         if "state" in entry:
             self.states = [*self.states[:at], dict(entry["state"])]
+            self.kept = {k for k in self.kept if k < at}
         self.at = min(at, len(self.states) - 1)
+        if entry.get("kept") is True:
+            self.kept.add(self.at)
 
 
 def _entry(line: bytes) -> dict[str, Any] | None:

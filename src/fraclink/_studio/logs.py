@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._arm.draft import draft_text
+from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import STRUCTURES
 from fraclink._arm.log_columns import UNITS
 from fraclink._arm.rig import Rig
@@ -18,6 +19,7 @@ from fraclink._campaign.stages import examined
 from fraclink._campaign.study import Study
 from fraclink._files import sha256_of
 from fraclink._identify import Fit
+from fraclink._identify.looked_at import error_map, welch_response
 from fraclink._logs import bundled_log, inspect_log, read_log
 from fraclink._logs.formats import read_table
 from fraclink._logs.guess import guess_columns
@@ -202,8 +204,28 @@ def fit_answer(session: Session) -> Reply:
             "predicted": thinned(np.asarray(fit.predicted)),
             "residual": thinned(np.asarray(fit.residual)),
         }
+        curves |= _pictures(log, fit)
         curves |= _spectrum(log.output, np.asarray(fit.residual), log.period)
     return Reply(head, curves)
+
+
+def _pictures(log: Experiment, fit: Fit) -> dict[str, Real]:
+    """Responses of log and model with their coherence, and the error over order and resonance."""
+    seen, around = welch_response(log, fit), error_map(log, fit)
+    low = 1e-4 * float(np.abs(seen.measured).max())
+
+    def decibels(response: NDArray[np.complex128]) -> Real:
+        return np.asarray(20.0 * np.log10(np.maximum(np.abs(response), low)))
+
+    return {
+        "response_w": seen.frequency,
+        "response_log": decibels(seen.measured),
+        "response_model": decibels(seen.predicted),
+        "coherence": seen.coherence,
+        "error_order": around.order,
+        "error_resonance": around.resonance,
+        "error": around.ratio,
+    }
 
 
 def _card(name: str, fit: Fit, used: bool) -> dict[str, Any]:
@@ -216,6 +238,7 @@ def _card(name: str, fit: Fit, used: bool) -> dict[str, Any]:
         "rows": tables.fit_table(fit).rows,
         "findings": worth_reading(fit.findings),
         "heldout_nmse": fit.heldout_nmse,
+        "at": [abs(fit.model.pole), fit.model.order],
     }
 
 

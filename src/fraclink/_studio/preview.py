@@ -22,6 +22,7 @@ from fraclink._design.completed import design_for
 from fraclink._law import Law
 from fraclink._law.refit import refitted
 from fraclink._studio.messages import Reply, refusal
+from fraclink._studio.regions import fan_of, parted, violated
 from fraclink._studio.request import checked_request, wanted_of
 from fraclink.errors import FieldError, FraclinkError, InfeasibleError
 
@@ -71,16 +72,20 @@ class Subject:
         }
 
 
-def preview(subject: Subject, state: object) -> Reply:
+def preview(subject: Subject, state: object, *, fan: bool = False) -> Reply:
     """Return design, loop and margins of `state`, or the refusal that `fraclink design` would print.
 
     A plain function of its arguments: no file is read or written, nothing is remembered. The law of the
     answer, where there is one, is `refitted`, and its figures are a preview of those of the exact law.
+    `state` may hold regions that the loop shall not enter; with `fan` the answer has arms of the box, too.
     """
     try:
-        request = checked_request(state)
+        asked, regions = parted(state)
+        request = checked_request(asked)
         made, assumed = design_for(subject.rig, subject.model, **wanted_of(request))
-        return _shown(subject, made, assumed)
+        shown = _shown(subject, made, assumed)
+        head = dict(shown.head) | {"entered": violated(made, regions, subject.frequencies) if regions else []}
+        return Reply(head, dict(shown.curves) | (fan_of(made, subject.frequencies) if fan else {}))
     except FraclinkError as error:
         return refusal(error)
 
@@ -90,7 +95,7 @@ def nearest(subject: Subject, state: object) -> Reply:
 
     The nearest feasible request lies on a bound, and rounding may leave it: both sides are tried.
     """
-    request = checked_request(state)
+    request = checked_request(parted(state)[0])
     try:
         design_for(subject.rig, subject.model, **wanted_of(request))
         return Reply({"ok": True, "state": request})

@@ -25,6 +25,7 @@ from fraclink._studio.copied import copies
 from fraclink._studio.history import History
 from fraclink._studio.messages import Reply
 from fraclink._studio.preview import Subject, blocks_of
+from fraclink._studio.regions import parted
 from fraclink._studio.request import checked_request, wanted_of
 from fraclink.errors import FieldError
 from fraclink.findings import Finding, errors_of
@@ -77,7 +78,7 @@ class Session:
         """The state that a crash left behind, what the study's design was asked for, or what the rig asks."""
         try:
             if self.history.state is not None:
-                return checked_request(self.history.state)
+                return checked_request(parted(self.history.state)[0])
         except FieldError:  # a state of another release, or edited
             self.history.states, self.history.at = [], -1
         made, rig = self.study.design, self.study.rig
@@ -109,7 +110,7 @@ class Session:
 
         `newer` tells whether somebody has asked for something else meanwhile: SupersededError is raised then.
         """
-        request, before = checked_request(state), self.study
+        request, before = checked_request(parted(state)[0]), self.study
         made = designed(bare(before), **wanted_of(request))
         if newer():
             raise SupersededError

@@ -1,25 +1,21 @@
 // @ts-check
 // Step 4: the loop, its handles, and what they ask for.
 import {Plot, el, limited, plain} from './plot.js';
+import {Around} from './around.js';
 import {$, make, button, table, findings} from './studio.js';
 
 const grams = (kg) => 1e3 * kg;
 const digits = (v, n) => Number(v.toPrecision(n));
 const KINDS = ['light', 'nominal', 'heavy'];
 
-/** Fields of the left column: name of the option, words, unit, factor of the unit, bounds, step. */
-const FIELDS = [
-  ['gain_crossover', 'Crossover', 'rad/s', 1, 1, 200, 0.1, 'least, at the heaviest payload'],
-  ['phase_margin_deg', 'Phase margin', '°', 1, 1, 120, 0.5, 'least, at the lightest payload'],
-  ['payloads.0', 'Lightest', 'g', 1e3, 0.1, 1e6, 0.5, ''],
-  ['payloads.1', 'Heaviest', 'g', 1e3, 0.1, 1e6, 0.5, 'payload range designed for'],
-  ['filter_time', 'Filter δ', 'ms', 1e3, 0, 1e4, 0.1, 'empty: by the 10 % rule'],
-];
-const MORE = [
-  ['max_sensitivity', 'Sensitivity peak Ms', '', 1, 1.01, 100, 0.05, 'at most'],
-  ['noise_gain', 'Noise gain', '', 1, 0.01, 1e6, 0.1, 'at most'],
-  ['mode_gain', 'Gain at modes 2 and 3', '', 1, 0.01, 1e3, 0.05, 'at most'],
-];
+/** A circle of the plane about a centre left of 0, as phases and decibels. */
+const disk = (centre, r) => {
+  const points = Array.from({length: 181}, (_, k) => {
+    const a = (2 * Math.PI * k) / 180, x = centre + r * Math.cos(a), y = r * Math.sin(a), phase = (Math.atan2(y, x) * 180) / Math.PI;
+    return [phase > 0 ? phase - 360 : phase, 20 * Math.log10(Math.hypot(x, y))];
+  });
+  return [points.map((p) => p[0]), points.map((p) => p[1])];
+};
 
 export class Design {
   constructor(app, arm) {
@@ -27,24 +23,19 @@ export class Design {
     this.arm = arm;
     this.last = null;
     this.inputs = {};
-    for (const [rows, place] of [[FIELDS, $('fields')], [MORE, $('fields-more')]]) for (const row of rows) this.field(row, place);
-    const box = make('label', 'check', '', $('fields-more'));
-    this.box = make('input', '', '', box);
-    this.box.type = 'checkbox';
-    box.append(' over all that fit and rig leave open');
+    for (const input of /** @type {NodeListOf<HTMLInputElement>} */ (document.querySelectorAll('[data-option]'))) this.field(input);
+    this.box = $('box');
     this.box.addEventListener('change', () => this.put('box', this.box.checked));
     this.plots();
+    this.around = new Around(app, this);
+    this.cross(this.around.map);
     arm.moved = () => this.moves();
     document.querySelector('.tables').addEventListener('toggle', () => this.tables());
   }
 
   // ---- fields ----
-  field([name, words, unit, factor, low, high, step, note], place) {
-    const label = make('label', 'field', '', place), said = make('span', '', words, label);
-    if (unit) make('small', '', unit, said);
-    const input = make('input', '', '', label);
-    Object.assign(input, {type: 'number', min: low, max: high, step: 'any', inputMode: 'decimal', id: `f-${name}`});
-    if (note) { make('small', 'note', note, label).id = `n-${name}`; input.setAttribute('aria-describedby', `n-${name}`); }
+  field(input) {
+    const name = input.dataset.option, factor = Number(input.dataset.factor), step = Number(input.dataset.step);
     input.addEventListener('keydown', (event) => {
       const by = {ArrowUp: 1, ArrowDown: -1, PageUp: 10, PageDown: -10}[event.key];
       if (!by) return;
@@ -92,11 +83,11 @@ export class Design {
   // ---- plots and their handles ----
   plots() {
     const degrees = (v) => `${plain(v, 3)}°`;
-    this.gain = new Plot($('p-gain'), {label: 'Gain of the loop over frequency, three payloads', x: {low: 1, high: 785, log: true}, y: {low: -40, high: 40, ticks: [-40, -20, 0, 20, 40]}});
-    this.phase = new Plot($('p-phase'), {label: 'Phase of the loop over frequency, three payloads', x: {low: 1, high: 785, log: true}, y: {low: -315, high: 0, ticks: [-270, -180, -90, 0], text: degrees}});
-    this.nichols = new Plot($('p-nichols'), {label: 'Gain of the loop over its phase, three payloads, with the circles of the closed loop', x: {low: -300, high: -60, ticks: [-300, -240, -180, -120, -60], text: degrees}, y: {low: -40, high: 40, ticks: [-40, -20, 0, 20, 40]}});
-    this.margin = new Plot($('p-margin'), {label: 'Phase margin over the payload', x: {low: 8, high: 80, log: true}, y: {low: 0, high: 120, ticks: [0, 30, 60, 90, 120], text: degrees}});
-    this.tip = new Plot($('p-moves'), {label: 'Angle of the tip over time, three payloads', height: 170, x: {low: 0, high: 2}, y: {low: -10, high: 80}});
+    this.gain = new Plot('p-gain', {low: 1, high: 785, log: true}, {low: -40, high: 40, ticks: [-40, -20, 0, 20, 40]});
+    this.phase = new Plot('p-phase', {low: 1, high: 785, log: true}, {low: -315, high: 0, ticks: [-270, -180, -90, 0], text: degrees});
+    this.nichols = new Plot('p-nichols', {low: -300, high: -60, ticks: [-300, -240, -180, -120, -60], text: degrees}, {low: -40, high: 40, ticks: [-40, -20, 0, 20, 40]});
+    this.margin = new Plot('p-margin', {low: 8, high: 80, log: true}, {low: 0, high: 120, ticks: [0, 30, 60, 90, 120], text: degrees});
+    this.tip = new Plot('p-moves', {low: 0, high: 2}, {low: -10, high: 80});
     this.budget = $('p-budget');
     this.budget.setAttribute('role', 'img');
     new ResizeObserver(() => { if (this.last) this.drawBudget(this.last.budget); }).observe(this.budget.parentElement);
@@ -105,6 +96,7 @@ export class Design {
     app.hand = {begin: app.begin, change: (time) => app.change(time), end: app.end, cancel: app.cancel};
     const crossover = {label: 'Gain crossover, at the heaviest payload', unit: 'rad/s', low: 1, high: 300, step: 0.1, get: () => this.get('gain_crossover') || 10, set: (v) => this.set('gain_crossover', digits(v, 4))};
     const margin = {label: 'Phase margin, at the lightest payload', unit: '°', low: 1, high: 120, step: 0.5, get: () => this.get('phase_margin_deg') || 50, set: (v) => this.set('phase_margin_deg', Math.round(10 * v) / 10), text: (v) => `${plain(v)}°`};
+    this.sliders = {crossover, margin};
     const upper = () => this.last?.controller?.upper || 15;
     this.gain.handle({...crossover, id: 'h-crossover', drag: 'x', at: () => [crossover.get(), 0]}, at());
     this.gain.handle({
@@ -125,26 +117,33 @@ export class Design {
       }, at());
     }
   }
+  /** The present design on the map: two lines, each a slider. */
+  cross(map) {
+    const {crossover, margin} = this.sliders;
+    map.handle({...crossover, id: 'h-map-crossover', drag: 'x', line: true, at: () => [crossover.get(), map.y.low]}, this.app.hand);
+    map.handle({...margin, id: 'h-map-margin', drag: 'y', shape: 'square', line: true, at: () => [map.x.low, margin.get()]}, this.app.hand);
+  }
   heavyPhase() {
     const phases = this.last?.curves?.phase, w = this.app.axes.frequencies;
     if (!phases || !w) return -130;
     const at = w.findIndex((v) => v >= (this.get('gain_crossover') || 10));
     return phases[phases.length - 1][Math.max(0, at)];
   }
-  place() { for (const plot of [this.gain, this.phase, this.nichols, this.margin]) plot.place(); }
+  /** What the request itself forbids: below 0 dB left of the crossover, 0 dB nearer to −180° than the margin, the disk of Ms. */
+  forbidden() {
+    const {gain, phase, nichols} = this, w = this.get('gain_crossover'), m = this.get('phase_margin_deg'), up = this.last?.controller?.upper, ms = this.app.state.max_sensitivity;
+    const box = (plot, left, right, low, high) => plot.mark('bound', 'bound', () => `M${plot.X(left)} ${plot.Y(high)}H${plot.X(right)}V${plot.Y(low)}H${plot.X(left)}Z`);
+    if (!w || !m) return;
+    box(gain, gain.x.low, w, gain.y.low, 0);
+    if (up) box(phase, w, Math.max(up, w), phase.y.low, m - 180);
+    box(nichols, -180 - m, m - 180, -1.2, 1.2);
+    if (ms) nichols.curve('disk', 'bound', ...disk(-1, 1 / ms)); else nichols.remove('disk');
+  }
+  place() { this.forbidden(); this.around.place(); for (const plot of [this.gain, this.phase, this.nichols, this.margin]) plot.place(); }
 
   /** Circles of constant |T| about −180° and the disk about −1 that Ms = 2 is. */
   contours() {
-    for (const [i, peak] of [1.2, 1.5, 2, 4].entries()) {
-      const points = Array.from({length: 181}, (_, k) => {
-        const a = (2 * Math.PI * k) / 180, m2 = peak * peak, centre = -m2 / (m2 - 1), r = peak / (m2 - 1);
-        const x = centre + r * Math.cos(a), y = r * Math.sin(a);
-        let phase = (Math.atan2(y, x) * 180) / Math.PI;
-        if (phase > 0) phase -= 360;
-        return [phase, 20 * Math.log10(Math.hypot(x, y))];
-      });
-      this.nichols.curve(`m${i}`, 'contour', points.map((p) => p[0]), points.map((p) => p[1]));
-    }
+    for (const peak of [1.2, 1.5, 2, 4]) this.nichols.curve(`m${peak}`, 'contour', ...disk(-peak * peak / (peak * peak - 1), peak / (peak * peak - 1)));
     this.nichols.mark('critical', 'critical', () => { const x = this.nichols.X(-180), y = this.nichols.Y(0); return `M${x - 5} ${y}H${x + 5}M${x} ${y - 5}V${y + 5}`; });
   }
 
@@ -185,6 +184,13 @@ export class Design {
     const g = payloads.map(grams), [low, , high] = answer.three.map(grams);
     this.margin.curve('margin', 'nominal', g, c.margin[0]);
     this.margin.mark('zone', 'zone', () => `M${this.margin.X(low)} 0H${this.margin.X(high)}V999H${this.margin.X(low)}Z`);
+    const fan = (plot, x, y) => { if (!c.fan_gain) { plot.remove('fan'); return; } plot.curve('fan', 'fan', c.fan_gain.flatMap((_, k) => [...x(k), NaN]), y.flatMap((row) => [...row, NaN])); };
+    const few = Array.from(w).filter((_, k) => k % 4 === 0);
+    fan(this.gain, () => few, c.fan_gain);
+    fan(this.phase, () => few, c.fan_phase);
+    fan(this.nichols, (k) => c.fan_phase[k], c.fan_gain);
+    this.around.found(answer.entered);
+    this.around.compare();
     this.place();
     this.fields();
     this.facts(answer, true);
@@ -214,6 +220,7 @@ export class Design {
     this.found = JSON.stringify(answer.design.findings);
     findings($('design-findings'), answer.design.findings);
     $('requirements').classList.remove('preview');
+    this.around.mapped();
     $('step-design').classList.remove('stale');
   }
   took(answer) {
@@ -224,6 +231,15 @@ export class Design {
       table($('moves-table'), found.moves.header, found.moves.rows, 'Moves of the model with the exact law');
     }
   }
+  /** Another state that Python looked for. */
+  async offer(verb) {
+    const found = await this.app.link.ask(verb, {state: this.app.state});
+    if (!found.ok) { this.app.toast(found.error); return; }
+    this.app.begin();
+    this.app.state = {...found.state, regions: this.app.state.regions};
+    this.app.change();
+    this.app.end();
+  }
   refuse(answer) {
     const place = $('refused');
     place.hidden = false;
@@ -231,14 +247,7 @@ export class Design {
     make('b', '', answer.condition ? `${answer.condition}. ` : 'Not possible. ', place);
     place.append(answer.explanation || answer.error);
     if (Object.keys(answer.nearest || {}).length) {
-      button('Take the nearest that is', '', place, async () => {
-        const found = await this.app.link.ask('nearest', {state: this.app.state});
-        if (!found.ok) { this.app.toast(found.error); return; }
-        this.app.begin();
-        this.app.state = found.state;
-        this.app.change();
-        this.app.end();
-      });
+      button('Take the nearest that is', '', place, () => this.offer('nearest'));
     }
     $('step-design').classList.add('stale');
     this.app.say(answer.error);

@@ -20,21 +20,25 @@ export class Logs {
     $('rig').addEventListener('change', () => this.rig($('rig').value));
     $('read').addEventListener('click', () => this.read());
     $('fit').addEventListener('click', () => this.fit());
-    const label = (text) => ({label: text, height: 150, x: {low: 0, high: 10}, y: {low: -1, high: 1}});
-    this.angle = new Plot($('p-angle'), label('Motor angle over time'));
-    this.output = new Plot($('p-output'), label('Output of the gauge over time'));
-    this.overlay = new Plot($('p-fit'), {...label('Log and model over time'), height: 230});
-    this.rest = new Plot($('p-rest'), label('Log minus model over time'));
-    this.spectrum = new Plot($('p-spectrum'), {label: 'Spectrum of the log and of what the model leaves', height: 170, x: {low: 0.1, high: 100, log: true, text: (v) => `${plain(v)} Hz`}, y: {low: -100, high: 5}});
+    this.angle = new Plot('p-angle');
+    this.output = new Plot('p-output');
+    this.overlay = new Plot('p-fit');
+    this.rest = new Plot('p-rest');
+    this.spectrum = new Plot('p-spectrum', {low: 0.1, high: 100, log: true, text: (v) => `${plain(v)} Hz`}, {low: -100, high: 5});
+    this.bode = new Plot('p-response', {low: 1, high: 300, log: true}, {low: -60, high: 20});
+    this.trust = new Plot('p-coherence', {low: 1, high: 300, log: true}, {low: 0, high: 1, ticks: [0, 0.5, 1]});
+    this.valley = new Plot('p-valley', {low: 10, high: 12, log: true, text: (v) => plain(v, 3)}, {low: 1.8, high: 2});
     this.heldout = 0.4;
     this.chosen = false; // else the fits take what the command line takes
     this.duration = 10;
+    const hand = {begin: () => {}, change: () => this.overlay.lay(), end: () => this.fit(), cancel: () => this.overlay.lay()};
     this.overlay.handle({
       id: 'h-split', label: 'Where the part begins that no fit sees', unit: 's', low: 10, high: 95, step: 1, drag: 'x', line: true,
       get: () => 100 * (1 - this.heldout), set: (v) => { this.heldout = Math.round(100 - v) / 100; this.chosen = true; },
       toAxis: (v) => (v / 100) * this.duration, fromAxis: (t) => (100 * t) / this.duration,
       at: () => [(1 - this.heldout) * this.duration, this.overlay.y.low], text: (v) => `${plain((v / 100) * this.duration, 3)} s, ${Math.round(100 - v)} % held out`,
-    }, {begin: () => {}, change: () => this.overlay.place(), end: () => this.fit(), cancel: () => this.overlay.place()});
+    }, hand);
+    this.overlay.painted(hand, (from, to) => { this.heldout = Math.round(100 - Math.min(95, Math.max(10, (100 * to[0]) / this.duration))) / 100; this.chosen = true; });
   }
 
   async sent(file) {
@@ -111,16 +115,7 @@ export class Logs {
   slots() {
     const place = $('slots');
     place.replaceChildren();
-    const svg = el('svg', {viewBox: '0 0 640 120', class: 'rigpicture', 'aria-hidden': 'true'}, place);
-    el('path', {class: 'floorline', d: 'M60 92H610'}, svg);
-    el('path', {class: 'blade', d: 'M110 74C260 72 430 66 560 34'}, svg);
-    el('circle', {class: 'hubdot', cx: 104, cy: 74, r: 22}, svg);
-    el('circle', {class: 'hubaxis', cx: 104, cy: 74, r: 6}, svg);
-    el('rect', {class: 'gaugedot', x: 150, y: 67, width: 34, height: 12, rx: 2}, svg);
-    el('circle', {class: 'loaddot', cx: 566, cy: 32, r: 15}, svg);
-    for (const [x, y, text] of [[104, 112, 'motor'], [167, 98, 'gauge'], [566, 66, 'payload']]) el('text', {x, y, 'text-anchor': 'middle'}, svg, text);
-    const row = make('div', 'slots', '', place);
-    for (const [role, words, where] of SLOTS) this.slot(row, role, words, where);
+    for (const [role, words, where] of SLOTS) this.slot(place, role, words, where);
   }
   slot(row, role, words, where) {
     const set = this.roles[role], box = make('div', `slot${set ? ' set' : ''}`, '', row);
@@ -231,6 +226,16 @@ export class Logs {
     const hz = c.spectrum_hz[0];
     this.spectrum.axes({...this.spectrum.x, low: Math.max(hz[0], 0.05), high: hz[hz.length - 1]}, null);
     this.spectrum.curve('log', 'measured', hz, c.spectrum_log[0]);
+    const w = c.response_w[0], [first, last] = [w[0], w[w.length - 1]], top = Math.max(...c.response_log[0], ...c.response_model[0]) + 5;
+    this.bode.axes({...this.bode.x, low: first, high: last}, {low: top - 70, high: top});
+    this.bode.curve('log', 'measured', w, c.response_log[0]);
+    this.bode.curve('model', 'predicted', w, c.response_model[0]);
+    this.trust.axes(this.bode.x, null);
+    this.trust.curve('coherence', 'heavy', w, c.coherence[0]);
+    const [x, y] = [c.error_resonance[0], c.error_order[0]];
+    this.valley.axes({...this.valley.x, low: x[0], high: x[x.length - 1]}, {low: y[0], high: y[y.length - 1]});
+    this.valley.cells(x, y, c.error, [1, 1.01, 1.05, 1.25]);
+    this.valley.mark('fit', 'critical', () => { const [a, b] = [this.valley.X(used.at[0]), this.valley.Y(used.at[1])]; return `M${a - 6} ${b}h12M${a} ${b - 6}v12`; });
     this.spectrum.curve('rest', 'predicted', hz, c.spectrum_rest[0]);
   }
 }

@@ -4,7 +4,7 @@
 /** @typedef {{low: number, high: number, log?: boolean, ticks?: number[], text?: (v: number) => string}} Axis */
 /** @typedef {{id: string, label: string, unit: string, low: number, high: number, step: number, drag: 'x' | 'y', shape?: string}} Slider */
 /** @typedef {Slider & {get: () => number, set: (v: number) => void, at: () => [number, number], line?: boolean}} Placed */
-/** @typedef {Placed & {toAxis?: (v: number) => number, fromAxis?: (v: number) => number, text?: (v: number) => string}} Handle */
+/** @typedef {Placed & {toAxis?: (v: number) => number, remove?: () => void, fromAxis?: (v: number) => number, text?: (v: number) => string}} Handle */
 
 const SVG = 'http://www.w3.org/2000/svg';
 export const el = (name, attributes = {}, parent = null, text = '') => {
@@ -38,14 +38,10 @@ const decades = (low, high) => {
 let clips = 0;
 
 export class Plot {
-  /** @param {SVGSVGElement} svg @param {{x: Axis, y: Axis, height?: number, label: string}} options */
-  constructor(svg, options) {
-    this.svg = svg;
-    this.height = options.height || 210;
-    this.x = options.x;
-    this.y = options.y;
-    svg.setAttribute('role', 'group');
-    svg.setAttribute('aria-label', options.label);
+  /** @param {string} id @param {Axis} x @param {Axis} y */
+  constructor(id, x = {low: 0, high: 10}, y = {low: -1, high: 1}) {
+    const svg = /** @type {SVGSVGElement} */ (/** @type {any} */ (document.getElementById(id)));
+    Object.assign(this, {svg, x, y, height: Number(svg.dataset.height) || 210});
     this.clip = `clip-${++clips}`;
     this.frame = el('g', {class: 'frame', 'aria-hidden': 'true'}, svg);
     this.rect = el('rect', {}, el('clipPath', {id: this.clip}, el('defs', {}, svg)));
@@ -165,6 +161,7 @@ export class Plot {
     if (h.line) el('line', {class: 'edge'}, g), el('line', {class: 'reach'}, g);
     el('circle', {class: 'touch', r: 14}, g);
     if (h.shape === 'square') el('rect', {class: 'knob', x: -6, y: -6, width: 12, height: 12, rx: 2}, g);
+    else if (h.shape === 'small') el('circle', {class: 'knob', r: 4}, g);
     else if (h.shape === 'diamond') el('path', {class: 'knob', d: 'M0-8L8 0L0 8L-8 0Z'}, g);
     else el('circle', {class: 'knob', r: 7}, g);
     const entry = {h, g};
@@ -192,6 +189,7 @@ export class Plot {
     g.addEventListener('keydown', (event) => {
       if (event.key === 'Escape' && grabbed) { grabbed = null; hand.cancel(); return; }
       if (event.ctrlKey || event.metaKey || event.altKey) return;
+      if (event.key === 'Delete' && h.remove) { h.remove(); return; }
       const many = {ArrowRight: 1, ArrowUp: 1, ArrowLeft: -1, ArrowDown: -1, PageUp: 10, PageDown: -10}[event.key];
       const v = many ? h.get() + many * h.step : event.key === 'Home' ? h.low : event.key === 'End' ? h.high : null;
       if (v === null) return;
@@ -204,6 +202,42 @@ export class Plot {
     });
     this.place();
     return entry;
+  }
+
+  /** Handles and marks whose names begin so are taken away. */
+  drop(name) {
+    this.handles = this.handles.filter(({h, g}) => { const gone = h.id.startsWith(`h-${name}`); if (gone) g.remove(); return !gone; });
+    for (const key of [...this.curves.keys()]) if (key.startsWith(name)) this.remove(key);
+  }
+  /** A grid of values in four strengths: from edges[k] to edges[k + 1], the last without an end. */
+  cells(xs, ys, values, edges) {
+    for (const [k, from] of edges.entries()) {
+      this.mark(`cells${k}`, `cells c${k}`, () => {
+        const dx = (this.X(xs[1]) - this.X(xs[0])) / 2, dy = (this.Y(ys[0]) - this.Y(ys[1])) / 2, to = edges[k + 1] ?? Infinity, box = `h${(2 * dx).toFixed(1)}v${(2 * dy).toFixed(1)}h${(-2 * dx).toFixed(1)}z`;
+        return Array.from(ys, (y, i) => Array.from(xs, (x, j) => (values[i][j] >= from && values[i][j] < to ? `M${(this.X(x) - dx).toFixed(1)} ${(this.Y(y) - dy).toFixed(1)}${box}` : '')).join('')).join('');
+      });
+    }
+  }
+  /** The background taken by a pointer: from where, to where. */
+  painted(hand, move, ready = () => true) {
+    let from = null;
+    this.svg.addEventListener('pointerdown', (event) => {
+      if (!ready() || event.target.closest('.handle')) return;
+      event.preventDefault();
+      this.svg.setPointerCapture(event.pointerId);
+      hand.begin();
+      from = this.spot(event);
+      move(from, from);
+      hand.change(event.timeStamp);
+    });
+    this.svg.addEventListener('pointermove', (event) => { if (from) { move(from, this.spot(event)); hand.change(event.timeStamp); } });
+    for (const kind of ['pointerup', 'pointercancel']) this.svg.addEventListener(kind, () => { if (from) { from = null; hand.end(); } });
+  }
+  /** Where a pointer is, as numbers of the axes. */
+  spot(event) {
+    const box = this.svg.getBoundingClientRect();
+    const x = (event.clientX - box.left - LEFT) / (this.W - LEFT - RIGHT), y = (event.clientY - box.top - TOP) / (this.height - TOP - FOOT);
+    return [this.value(this.x, limited(x, 0, 1)), this.value(this.y, 1 - limited(y, 0, 1))];
   }
 
   place() {

@@ -4,28 +4,14 @@ import {Plot, plain} from './plot.js';
 import {$, make, button, table} from './studio.js';
 import {download} from './link.js';
 
-const TARGETS = [
-  ['c', 'C99 for a board', 'law.c as it was simulated, coefficients, self-test, a page to read'],
-  ['fmu', 'FMU 2.0', 'with sources, for Simulink, Dymola, OpenModelica'],
-  ['matlab', 'MATLAB', 'a function that runs the law'],
-  ['share', 'The arm in a page', 'one HTML file that moves, for anybody'],
-  ['report', 'Report', 'everything of the study, in one HTML file'],
-];
-
 export class Proof {
   constructor(app) {
     this.app = app;
     this.cells = {};
     for (const verb of ['prove', 'arms', 'faults']) $(verb).addEventListener('click', () => this.work(verb));
     $('cancel').addEventListener('click', () => this.app.link.ask('cancel'));
-    const height = 330;
-    this.plane = new Plot($('p-nyquist'), {label: 'The loop in the complex plane, three payloads, and the disk about −1 that it stays out of', height, x: {low: -2.6, high: 1.2}, y: {low: -1.8, high: 1.2}});
-    for (const [target, words, what] of TARGETS) {
-      const card = make('div', 'card', '', $('targets'));
-      make('b', '', words, card);
-      make('span', 'hint', what, card);
-      button('Write', '', card, () => this.export(target)).setAttribute('aria-label', `Write: ${words}`);
-    }
+    this.plane = new Plot('p-nyquist', {low: -2.6, high: 1.2}, {low: -1.8, high: 1.2});
+    for (const one of /** @type {NodeListOf<HTMLElement>} */ (document.querySelectorAll('[data-target]'))) one.addEventListener('click', () => this.export(one.dataset.target));
     $('zip').addEventListener('click', async () => {
       const answer = await app.link.ask('zip');
       const why = answer.ok ? await download(app.link.token, 'fraclink.zip') : answer.error;

@@ -5,6 +5,7 @@ import {Arm} from './arm.js';
 import {Design} from './design.js';
 import {Logs} from './logs.js';
 import {Proof} from './proof.js';
+import {palette} from './palette.js';
 
 export const $ = (id) => /** @type {any} */ (document.getElementById(id));
 /** An element with text; what comes from a file never becomes markup. */
@@ -53,11 +54,10 @@ export function findings(place, list) {
 }
 export const SIGNS = {'passed': '✓', 'failed': '✗', 'not shown': '!', 'not run': '○'};
 const STEPS = ['log', 'channels', 'model', 'design', 'move', 'proof', 'board'];
-const WORDS = {log: 'Log', channels: 'Channels', model: 'Model', design: 'Design', move: 'Move', proof: 'Proof', board: 'Board'};
 
 export const app = {
   /** what is asked for, under the names of the command line */
-  state: {}, states: [], at: -1, axes: {}, study: {}, preview: null, step: '', began: null, timer: 0, exactly: '',
+  state: {}, states: [], at: -1, kept: new Set(), axes: {}, study: {}, preview: null, step: '', began: null, timer: 0, exactly: '',
   link: /** @type {Link} */ (/** @type {any} */ (null)),
 
   // ---- one gesture: begin, change …, end or cancel ----
@@ -70,7 +70,7 @@ export const app = {
     design.fields();
     design.place();
     const state = {...app.state};
-    app.link.drag({state}, (answer) => {
+    app.link.drag({state, fan: $('fan').checked}, (answer) => {
       app.shown(answer);
       // under load the last preview may come behind the exact answer of its state
       if (app.exactly === JSON.stringify(state) && answer.ok && app.study.design) design.exact(app.study);
@@ -97,6 +97,7 @@ export const app = {
   /** A state that a hand let go of: into the history, and exactly. */
   settle() {
     app.states = [...app.states.slice(0, app.at + 1), structuredClone(app.state)];
+    app.kept = new Set([...app.kept].filter((k) => k <= app.at));
     app.at = app.states.length - 1;
     app.link.ask('note', {state: app.state});
     app.buttons();
@@ -131,6 +132,7 @@ export const app = {
     app.exact();
   },
   buttons() {
+    design.around.strip();
     $('undo').disabled = app.at <= 0;
     $('redo').disabled = app.at >= app.states.length - 1;
     $('undo').title = `Undo (Ctrl Z): ${Math.max(0, app.at)} back`;
@@ -197,6 +199,8 @@ export const app = {
     const answer = await app.link.ask('keep', {force});
     if (answer.ok) {
       app.took(answer);
+      app.kept.add(app.at);
+      app.buttons();
       app.toast(`Kept ${answer.kept.length} files in ${answer.folder}`);
     } else if (answer.field === 'folder') {
       $('replace-said').textContent = answer.error;
@@ -219,14 +223,15 @@ async function hello() {
   if (first || !app.state.margins) {
     app.states = answer.states;
     app.at = answer.at;
+    app.kept = new Set(answer.kept);
     app.state = answer.state;
     if (!app.states.length) { app.states = [structuredClone(app.state)]; app.at = 0; app.link.ask('note', {state: app.state}); }
   }
   app.axes = answer.frequencies ? {frequencies: answer.frequencies, payloads: answer.payloads, rated: answer.rated} : {};
   app.took(answer);
-  app.buttons();
   design.axes(app.axes);
   arm.take(answer);
+  app.buttons();
   if (!app.step) app.show(sessionStorage.getItem('step') || (answer.frequencies ? 'design' : 'log'));
   if (answer.frequencies) {
     app.change();
@@ -236,15 +241,7 @@ async function hello() {
 }
 
 function listen() {
-  const list = $('steps');
-  STEPS.forEach((step, i) => {
-    const go = button('', 'step-button', make('li', '', '', list), () => app.show(step));
-    go.id = `go-${step}`;
-    make('span', 'number', String(i + 1), go);
-    make('span', 'word', WORDS[step], go);
-    make('span', 'mark', '○', go).setAttribute('aria-hidden', 'true');
-    make('span', 'sr', '', go);
-  });
+  for (const step of STEPS) $(`go-${step}`).addEventListener('click', () => app.show(step));
   $('undo').addEventListener('click', () => app.go(app.at - 1));
   $('redo').addEventListener('click', () => app.go(app.at + 1));
   $('keep').addEventListener('click', () => app.keep());
@@ -265,13 +262,17 @@ function listen() {
       }
     });
   }
+  const open = palette(app);
+  $('palette-open').addEventListener('click', open);
   document.addEventListener('keydown', (event) => {
     const held = event.ctrlKey || event.metaKey, key = event.key.toLowerCase();
     if (held && key === 'z') { event.preventDefault(); app.go(app.at + (event.shiftKey ? 1 : -1)); return; }
+    if (held && key === 'k') { event.preventDefault(); open(); return; }
     if (held && key === 's') { event.preventDefault(); app.keep(); return; }
     const typing = /** @type {HTMLElement} */ (event.target).closest('input:not([type=range]), select, textarea, dialog');
     if (held || event.altKey || typing) return;
     if (/^[1-7]$/.test(key)) app.show(STEPS[Number(key) - 1]);
+    else if (key === '/') open();
     else if (key === '?') $('help').showModal();
     else if (key === 'p') { app.show('proof'); $('prove').click(); } else return;
     event.preventDefault();

@@ -1,0 +1,43 @@
+// @ts-check
+// Everything that can be done, by its name: buttons, handles and fields of all steps.
+import {$, make} from './studio.js';
+
+export function palette(app) {
+  const box = $('palette'), input = $('palette-find'), list = $('palette-list');
+  let found = [], at = 0;
+  const name = (node) => node.getAttribute('aria-label') || (node.querySelector('.word') || node.labels?.[0] || node).textContent || node.title;
+  const step = (node) => node.closest('.step')?.id.slice(5);
+  const mark = () => [...list.children].forEach((item, i) => {
+    item.setAttribute('aria-selected', String(i === at));
+    if (i === at) { input.setAttribute('aria-activedescendant', item.id); item.scrollIntoView({block: 'nearest'}); }
+  });
+  const run = (node) => {
+    box.close();
+    if (step(node)) app.show(step(node));
+    for (let open = node.closest('details'); open; open = open.parentElement.closest('details')) open.open = true;
+    if (node.matches('.handle, input, select')) node.focus(); else node.click();
+  };
+  const fill = () => {
+    const words = input.value.toLowerCase().split(/\s+/);
+    found = [...document.querySelectorAll('button[id], .handle, .step input[id], .step select[id], .chip[data-name], #targets button')]
+      .filter((node) => !node.closest('dialog') && !node.disabled && !node.closest('.step [hidden]'))
+      .map((node) => [node, `${step(node) ? `${step(node)}: ` : ''}${name(node).trim()}`])
+      .filter(([, text]) => words.every((word) => text.toLowerCase().includes(word))).slice(0, 60);
+    at = 0;
+    list.replaceChildren();
+    found.forEach(([node, text], i) => {
+      const item = make('li', '', text, list);
+      item.id = `p-${i}`;
+      item.setAttribute('role', 'option');
+      item.addEventListener('click', () => run(node));
+    });
+    mark();
+  };
+  input.addEventListener('input', fill);
+  input.addEventListener('keydown', (event) => {
+    const by = {ArrowDown: 1, ArrowUp: -1}[event.key];
+    if (by) { at = (at + by + found.length) % found.length; mark(); } else if (event.key === 'Enter') { if (found[at]) run(found[at][0]); } else return;
+    event.preventDefault();
+  });
+  return () => { input.value = ''; fill(); box.showModal(); input.focus(); };
+}
