@@ -28,6 +28,7 @@ import numpy as np
 
 import fraclink as fl
 from fraclink._arm.box import Arm
+from fraclink._arm.link import SecondMode
 from fraclink._realtime import VirtualClock
 from fraclink._realtime.connections import Callback, Command
 from fraclink._realtime.line import ArmLine, open_line
@@ -124,15 +125,20 @@ def broken(record: np.ndarray, limits: fl.MotionLimits) -> list[str]:
 
 def truth(drawn: Drawn, design: fl.Design, made: fl.FirstMove | None) -> tuple[float, float, list[str]]:
     """(promised, true) phase margin [°] at the tuned payload, and why moves of the true arm fail."""
-    model = design.model
-    stiffness = drawn.shape.rig.link.stiffness
+    model, modes = design.model, drawn.twin.beam.modes(2)
+    sizes = modes.participation * modes.curvature  # Γ/θm of each mode far above it [N·m/rad]
+    second = float(modes.frequencies[-1])
+    law = (1j * second) ** (2.0 - drawn.order)  # what a power law makes of ω²
     real = fl.LinkModel(
         stiffness=model.stiffness,
-        natural_frequency=float(drawn.twin.beam.modes(1).frequencies[0]),
+        natural_frequency=float(modes.frequencies[0]),
         order=drawn.order,
         payload=drawn.payload,
         gauge_delay=drawn.gauge_delay,
-        gauge_gain=drawn.gauge_gain * stiffness / model.stiffness,
+        gauge_gain=drawn.gauge_gain * float(sizes[0]) / model.stiffness,
+        second_mode=SecondMode(
+            second * math.sqrt(law.real), float(sizes[1] / sizes[0]), 0.5 * law.imag / law.real
+        ),
     )
     ratio = drawn.twin.motor.gain / design.rig.motor.gain
     margins = []

@@ -19,11 +19,14 @@ import fraclink as fl
 from fraclink import _kernels
 from fraclink._cli import main
 from fraclink._cli.tunings import _following
+from fraclink._identify import simulated_torque
 from fraclink._realtime.connections import Callback, Command
 from fraclink._realtime.line import open_line
 from fraclink._tune import LimitReached, WiringFault
 from fraclink._tune.build import build_law
 from fraclink._tune.guard import Guard
+from fraclink._tune.link import _fitted
+from fraclink._tune.motion import random_steps
 from fraclink._tune.wiring import check_wiring
 from fraclink.errors import FieldError, FraclinkError
 
@@ -180,6 +183,70 @@ def test_it_goes_on_behind_the_last_stage_that_is_whole(
     other = arm(payload=0.120)
     refused = fl.tune(other.callback, PLAN, out=tmp_path, resume=True, clock="none")
     assert "another arm, payload or wiring" in refused.stopped
+
+
+@pytest.mark.slow
+def test_the_law_is_moved_with_another_payload_of_the_range(
+    tuned: tuple[fl.Tuning, fl.SimulatedArm, Path], tmp_path: Path
+) -> None:
+    found, _, place = tuned
+    for name in ("tuning.json", "design.json", "law.json"):
+        (tmp_path / name).write_bytes((place / name).read_bytes())
+    heavy = replace(PLAN, payload=0.038)
+    again = fl.tune(arm(seed=3, payload=0.038).callback, heavy, out=tmp_path, resume=True, clock="none")
+    assert [move.payload for move in again.moves] == [0.030, 0.030, 0.038, 0.038]
+    assert again.has_law and again.verdict.reality.state == "passed" and again.payload == 0.030
+    assert again.link is not None and found.link is not None
+    assert again.link.fit.model == found.link.fit.model
+    with pytest.raises(FieldError, match=r"0.0225 to 0.04 kg to move the law"):
+        fl.tune(
+            arm().callback, replace(PLAN, payload=0.060, payloads=(0.05, 0.07)), out=tmp_path, resume=True
+        )
+
+
+@pytest.mark.slow
+def test_a_law_that_the_arm_refuses_is_withheld_and_the_next_one_is_tried(
+    tuned: tuple[fl.Tuning, fl.SimulatedArm, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, _, place = tuned
+    (tmp_path / "tuning.json").write_bytes((place / "tuning.json").read_bytes())
+    tried: list[str] = []
+
+    def moved(guard: Guard, design: fl.Design, law: fl.Law, *_: object) -> tuple[fl.FirstMove, ...]:
+        tried.append(law.digest)
+        return (fl.FirstMove(0.3, 0.5, 0.6, 2.4, *(0.001,) * 7, payload=0.030),)
+
+    monkeypatch.setattr("fraclink._tune.procedure.first_moves", moved)
+    monkeypatch.setattr("fraclink._tune.procedure.LAWS", 2)
+    found = fl.tune(arm().callback, PLAN, out=tmp_path, resume=True, clock="none")
+    assert len(set(tried)) == len(tried) == found.refused == 2
+    assert not found.has_law and found.verdict.promise.state == "failed"
+    assert "the arm's own moves fail" in found.reasons[0] and "measured 2.40 s" in found.reasons[0]
+    assert not any((tmp_path / name).exists() for name in ("design.json", "law.json", "certificate.json"))
+
+
+def test_the_second_mode_and_what_still_rings_do_not_bend_the_link() -> None:
+    period, random = 0.004, np.random.default_rng(7)
+    moves = random_steps(0.1, 0.3, 0.1, 24, period)[0]
+    shaken = np.repeat(random.choice([-1.0, 1.0], 170), 3)
+    angle = np.concatenate([moves, 2e-3 * np.cumsum(shaken - shaken.mean())])
+    link = fl.LinkModel(1.3, 10.0, 1.95)
+    mode = fl.LinkModel(1.3 * 1.4, 140.0, 2.0, damping=2 * 0.03 * 140.0, damping_order=1.0)
+    time = period * np.arange(angle.size)
+    rings = np.exp(link.pole * time).real * 0.03
+    torque = rings + 0.01 * random.standard_normal(angle.size)
+    for part in (link, mode):
+        torque += simulated_torque(part, angle, period, delay=0.012, hold="first")
+    log = fl.Experiment(period=period, motor_angle=angle, output=torque, payload=0.03)
+    first = replace(log, motor_angle=angle[: moves.size], output=torque[: moves.size])
+    fit = _fitted(first, log)
+    found = fit.model.second_mode
+    assert found is not None and found.frequency == pytest.approx(140.0, rel=0.01)
+    assert found.gain == pytest.approx(1.4, rel=0.1)
+    assert abs(fit.model.order - 1.95) < 4 * fit.standard_errors["order"] < 0.02
+    assert abs(fit.delay - 0.012) < 4 * fit.standard_errors["delay"] < 0.003
+    bent = fl.identify(first, "UD-FOM")
+    assert abs(bent.delay - 0.012) > 2 * abs(fit.delay - 0.012)
 
 
 def test_the_command_resumes_with_what_was_asked_for_before(

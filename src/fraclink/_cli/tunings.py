@@ -57,7 +57,9 @@ def tune(
         float | None, Between(0.05, 1000.0, "ms"), "Period of a library's board; udp and shm state theirs"
     ] = None,
     out: Annotated[Path, "Folder for the results"] = Path("tuned"),
-    resume: Annotated[bool, "Go on behind the last stage that is whole"] = False,
+    resume: Annotated[
+        bool, "Go on behind the last stage that is whole; with another --payload of the range, move it"
+    ] = False,
     yes: Annotated[bool, "Do not ask before the arm moves"] = False,
     moves: Annotated[bool, "Make the first moves under the new law"] = True,
     unsafe_remote: UnsafeRemote = False,
@@ -73,9 +75,10 @@ def tune(
     $ fraclink tune --io udp:127.0.0.1:5005 --payload 0.030
     """
     given = {"angle_deg": angle_deg, "speed": speed, "torque": torque, "voltage": voltage, "payload": payload}
-    stated = None if rig is None else load_rig(rig)
+    stated, before = None if rig is None else load_rig(rig), None
     if resume and (out / FILES[0]).is_file():
         known: Tuning = load(out / FILES[0], Tuning)
+        before = known.payload
         given, payloads, stated = _as_before(known, given), payloads or known.payloads, stated or known.rig
     elif not (resume or force):
         for name in FILES:
@@ -95,6 +98,8 @@ def tune(
     )
     connection = connection_of(io, unsafe_remote, key_file)
     tell(plan.text)
+    if resume and before not in (None, carried):
+        tell(f"of these only the wiring and the first moves, with {1e3 * carried:.3g} g")
     if not yes and not _confirmed():
         return Answer(text="nothing was moved", passed=False)
     found = tune_arm(connection, plan, out=out, resume=resume, force=force, moves=moves, begin=tell)

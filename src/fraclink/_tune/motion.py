@@ -19,7 +19,7 @@ from fraclink._law.limits import Moves, derive_limits
 from fraclink._tune.guard import Guard, Record
 from fraclink.errors import FieldError, FraclinkError
 
-__all__ = ["LawTripped", "fastest_loop", "follow", "motor_law", "random_moves", "random_steps"]
+__all__ = ["LawTripped", "burst", "fastest_loop", "follow", "motor_law", "random_moves", "random_steps"]
 
 Real = NDArray[np.float64]
 
@@ -43,6 +43,8 @@ _POLES = (
     5.0,
     4.0,
 )
+_CALM, _LOOK = 0.5, 25  # [s] of a quiet gauge, periods between two looks
+_DAMPING, _LEAK = 0.8, 1.0  # twice the damping ratio, of which friction and lag take half; 1/s
 _FREE = 1e6  # where the guard watches, and not the law
 
 
@@ -154,18 +156,27 @@ def _keeps(
 
 
 def follow(
-    guard: Guard, law: Law, path: Real, *, follower: Follower | None = None, origin: float | None = None
+    guard: Guard,
+    law: Law,
+    path: Real,
+    *,
+    follower: Follower | None = None,
+    origin: float | None = None,
+    shaken: Real | None = None,
 ) -> Record:
     """Let the law follow a reference, rows angle [rad] and acceleration [rad/s²].
 
-    The reference counts from `origin`, or from where the arm stands.
+    The reference counts from `origin`, or from where the arm stands. `shaken` [V] is added to the law's
+    voltage, one value for each period.
     """
     here = guard.connect().angle
     start, origin = guard.count, here if origin is None else origin
     runs = follower or Follower(law)
-    for angle, acceleration in path.T.tolist():
+    more = np.zeros(path.shape[1]) if shaken is None else shaken
+    for (angle, acceleration), voltage in zip(path.T.tolist(), more.tolist(), strict=True):
         reading = guard.reading
-        guard.step(runs.step(origin + angle, acceleration, reading.angle, guard.torque, reading.periods))
+        law_s = runs.step(origin + angle, acceleration, reading.angle, guard.torque, reading.periods)
+        guard.step(law_s + voltage)
     return guard.record(start)
 
 
@@ -200,3 +211,30 @@ def random_steps(reach: float, bit: float, rise: float, bits: int, period: float
         at = to
     parts.append(np.zeros((2, round(0.3 / period))))
     return np.concatenate(parts, axis=1)
+
+
+def calm(guard: Guard, law: Law, *, stiffness: float, resonance: float, noise: float, longest: float) -> None:
+    """Take a vibration out of the link with the motor loop, until the gauge [N·m] shows its `noise` alone.
+
+        θm = -k ω ∫ Γ/c dt    in    θt'' = ω² Γ/c    is    θt'' + k ω θt' + ω² θt = 0
+
+    A stiffness or a resonance [rad/s] that is a quarter off, and a gauge 20 ms late, change the damping by as
+    much and no more. The integral leaks, as the gauge's zero is not exact.
+    """
+    runs, origin, part = Follower(law), guard.connect().angle, 0.0
+    window, last = math.ceil(_CALM / guard.period), guard.count + math.ceil(longest / guard.period)
+    first = guard.count + window
+    while guard.count < last:
+        if guard.count >= first and float(np.std(guard.record(guard.count - window).torque)) <= 1.2 * noise:
+            return
+        for _ in range(_LOOK):
+            reading = guard.reading
+            part -= guard.period * (_DAMPING * resonance * guard.torque / stiffness + _LEAK * part)
+            guard.step(runs.step(origin + part, 0.0, reading.angle, guard.torque, reading.periods))
+
+
+def burst(voltage: float, bit: float, seconds: float, period: float) -> Real:
+    """Voltages of ± `voltage` [V] that change at random every `bit` [s], and a rest of the motor's loop."""
+    held = max(round(bit / period), 1)
+    bits = prbs(voltage, held * period, bits=max(round(seconds / (held * period)), 2), register=9)
+    return np.concatenate([np.repeat(bits.coefficients[:-1, 0], held), np.zeros(round(0.2 / period))])

@@ -4,23 +4,26 @@ from __future__ import annotations
 
 import itertools
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from fraclink._arm.experiment import Experiment
+from fraclink._design import Design
 from fraclink._files import load, output_path, save
+from fraclink._law import Law
 from fraclink._realtime.connections import Connection
 from fraclink._realtime.line import open_line
-from fraclink._tune.build import Built, build_law, measured_rig
-from fraclink._tune.guard import Guard
+from fraclink._tune.build import Built, built_laws, measured_rig
+from fraclink._tune.guard import Guard, LimitReached
 from fraclink._tune.link import LinkResult, shortfall, tune_link
+from fraclink._tune.motion import LawTripped
 from fraclink._tune.motor import tune_motor
 from fraclink._tune.moves import first_moves
 from fraclink._tune.plan import TuningPlan
-from fraclink._tune.tuning import FILES, Tuning
+from fraclink._tune.tuning import FILES, LAW_FILES, Tuning
 from fraclink._tune.wiring import Wiring, check_wiring
 from fraclink._validate import checked
 from fraclink.errors import FieldError, FraclinkError
@@ -28,6 +31,7 @@ from fraclink.errors import FieldError, FraclinkError
 __all__ = ["tune"]
 
 EXPERIMENTS = 3  # at most, where a gate or the proof fails
+LAWS = 3  # that the arm is moved with at most: each takes a quarter of a minute
 _PATIENCE = 90.0  # [s] of motion, at most, with the experiment that comes next
 _FAR_OFF = 2.0  # times the errors that suffice: less of an excess is in the box, and costs a degree of margin
 _OTHER_ARM = 0.35  # of the first guesses, which scatter by a tenth, between a tuning and its resumption
@@ -59,7 +63,8 @@ def tune(
     out
         folder for the results.
     resume
-        go on behind the last stage that is whole; the wiring is looked at again in any case.
+        go on behind the last stage that is whole; the wiring is looked at again in any case. With another
+        payload of the range, move the law that is there with it.
     force
         overwrite an earlier tuning.
     moves
@@ -114,9 +119,12 @@ def _resumed(out: Path, plan: TuningPlan) -> Tuning:
             "resume", str(out), "nothing to resume", allowed=allowed, remedy="leave --resume out"
         )
     found: Tuning = load(place, Tuning)
-    if found.payload != plan.payload:
+    low, high = found.payloads
+    if found.payload != plan.payload and not (found.has_law and low <= plan.payload <= high):
         remedy = "resume with the same payload, or tune anew"
         allowed = f"{found.payload:g} kg, as before"
+        if found.has_law:
+            allowed += f", or {low:g} to {high:g} kg to move the law with another payload"
         raise FieldError("payload", plan.payload, "another than before", allowed=allowed, remedy=remedy)
     return found
 
@@ -153,6 +161,9 @@ class _Session:
         self._same_arm(wiring)
         guard.learn(wiring.gain, wiring.delay)
         self._tell(wiring.evidence)
+        if self.plan.payload != self.state.payload:
+            self._carry(guard)
+            return
         self._write(guard, wiring=self.state.wiring or wiring)
         begin = None
         if self.state.motor is None:
@@ -168,22 +179,72 @@ class _Session:
             self._write(guard, motor=motor)
         assert self.state.motor is not None  # noqa: S101  # measured now, or before
         guard.learn(self.state.motor.fit.gain, self.state.motor.fit.delay)
-        built = self._link(guard, begin)
-        if built is None or not built.passed or not self.moves:
-            return
-        assert built.design is not None and built.law is not None  # noqa: S101  # passed
-        self.begin("first moves")
-        found = first_moves(guard, built.design, built.law, self.state.motor, self.plan.payload)
-        self._tell(tuple(map(str, found)))
-        self._write(guard, moves=found)
+        link, built, laws = self._link(guard, begin)
+        if built.passed and self.moves:
+            self._move(guard, link, itertools.chain((built,), laws))
 
-    def _link(self, guard: Guard, begin: Any) -> Built | None:
+    def _carry(self, guard: Guard) -> None:
+        """Move the law that is there with another payload of its range, which the arm carries now."""
+        design = load(self.out / LAW_FILES[0], Design)
+        law = load(self.out / LAW_FILES[1], Law)
+        assert self.state.motor is not None  # noqa: S101  # there is a law
+        guard.learn(self.state.motor.fit.gain, self.state.motor.fit.delay)
+        why = self._refusal(guard, Built(design.rig, design, law, None, ()))
+        if why:
+            self._withhold(why)
+            self._tell(self.state.reasons)
+
+    def _move(self, guard: Guard, link: LinkResult, laws: Iterator[Built]) -> None:
+        """First moves under the law; one that the arm refuses is withheld, and the next one is tried."""
+        for number, built in enumerate(itertools.islice(laws, LAWS)):
+            if number:
+                self.begin("the arm refused that law, which is withheld; the next one")
+                self._wrote(built, link)
+            why = self._refusal(guard, built)
+            if not why:
+                return
+            self._withhold(why)
+
+    def _refusal(self, guard: Guard, built: Built) -> str:
+        """Make the first moves, and return why the arm refuses the law, "" where it does not."""
+        assert built.design is not None and built.law is not None  # noqa: S101  # passed
+        assert self.state.motor is not None  # noqa: S101  # measured
+        self.begin("first moves")
+        try:
+            found = first_moves(guard, built.design, built.law, self.state.motor, self.plan.payload)
+        except LimitReached as error:
+            self._withhold(str(error))
+            raise
+        except LawTripped as error:
+            return str(error)
+        finally:
+            guard.release()
+        self._tell(tuple(map(str, found)))
+        others = tuple(move for move in self.state.moves if move.payload != self.plan.payload)
+        self._write(guard, moves=others + found)
+        return "; ".join(self.state.verdict.reality.reasons)
+
+    def _withhold(self, why: str) -> None:
+        """Take back the law that the arm refused: its files, and that it passed."""
+        for name in LAW_FILES:
+            (self.out / name).unlink(missing_ok=True)
+        self.state = replace(
+            self.state,
+            certified="",
+            design_passed=False,
+            reasons=(f"the arm's own moves fail: {why}",),
+            refused=self.state.refused + 1,
+        )
+        save(self.state, self.out / FILES[0], force=True)
+
+    def _link(self, guard: Guard, begin: Any) -> tuple[LinkResult, Built, Iterator[Built]]:
         """The link's experiments, at most three where a gate or the proof fails, and the law."""
         state, plan = self.state, self.plan
         assert state.wiring is not None and state.motor is not None  # noqa: S101
-        link, built = state.link, None
-        for attempt in range(state.attempts + 1, EXPERIMENTS + 2):
-            if link is None or attempt > state.attempts + 1:
+        link, attempt = state.link, state.attempts
+        while True:
+            if link is None:
+                attempt += 1
                 self.begin("link" if attempt == 1 else f"link, experiment {attempt}")
                 longer = 1.0 if attempt == 1 else 2.0
                 link, _ = tune_link(
@@ -203,24 +264,27 @@ class _Session:
                 stated=plan.rig,
                 name=self.out.name[:100] or "arm",
             )
-            built = build_law(rig, link)
+            laws = itertools.islice(built_laws(rig, link), state.refused, None)
+            built = next(laws, None) or Built(rig, None, None, None, state.reasons)  # all refused before
             self._wrote(built, link)
             spent = guard.count * guard.period + 2.0 * sum(duration for _, duration, _ in link.rounds)
-            if built.passed or spent > _PATIENCE or not _worth_repeating(built, link):
-                break
+            tired = attempt >= EXPERIMENTS or spent > _PATIENCE
+            if built.passed or tired or not _worth_repeating(built, link):
+                return link, built, laws
             self.begin(f"{built.reasons[0]}; the next experiment is twice as long")
-        return built
+            link = None
 
     def _wrote(self, built: Built, link: LinkResult) -> None:
         """Write what came of the model, each part to its own file."""
         place = self.out
         built.rig.save(place / "rig.toml")
         link.fit.save(place / "model.json")
-        for part, name in ((built.design, "design.json"), (built.law, "law.json")):
-            if part is not None:
-                save(part, place / name, force=True)
-        if built.certificate is not None and built.certificate.passed:
-            built.certificate.save(place / "certificate.json")
+        parts = (built.design, built.law, built.certificate)
+        for name, part in zip(LAW_FILES, parts, strict=True):
+            if built.passed and part is not None:
+                part.save(place / name)
+            else:  # nothing that failed is left to be run
+                (place / name).unlink(missing_ok=True)
         proof = built.certificate
         self.state = replace(
             self.state,
@@ -228,6 +292,7 @@ class _Session:
             design_passed=built.design is not None and built.passed,
             design_words="; ".join(built.assumptions),
             reasons=built.reasons,
+            moves=(),
         )
         self._tell(built.assumptions if built.passed else built.reasons)
         save(self.state, place / FILES[0], force=True)
@@ -237,7 +302,9 @@ class _Session:
         known = self.state.wiring
         if known is None:
             return
-        for name in ("gain", "stiffness", "natural_frequency"):
+        names = ("gain", "stiffness", "natural_frequency")
+        # Another payload of the range moves ω₀, and nothing else.
+        for name in names if self.plan.payload == self.state.payload else names[:2]:
             was, now = getattr(known, name), getattr(wiring, name)
             if abs(now / was - 1.0) > _OTHER_ARM:
                 raise FraclinkError(

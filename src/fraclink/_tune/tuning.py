@@ -18,6 +18,7 @@ from fraclink.findings import Scope, Verdict
 __all__ = ["FILES", "Tuning"]
 
 FILES = ("tuning.json", "rig.toml", "model.json", "design.json", "law.json", "certificate.json", "log.npz")
+LAW_FILES = FILES[3:6]  # that are taken back where the arm refuses the law
 
 _AGREEMENT, _LEAST = 0.10, 0.05  # of the settling time, or [s]: a sample's noise moves it by as much
 _LATEST = 2.0  # [s] behind the reference's end
@@ -48,6 +49,8 @@ class Tuning:
         the first moves, promised and measured.
     stopped
         why the tuning ended early; empty where it did not.
+    refused
+        how many laws were withheld because the arm's own moves failed under them.
     arm_time, computing
         how long the arm was moved, and how long was computed [s].
     folder
@@ -76,6 +79,7 @@ class Tuning:
     computing: float = 0.0
     folder: str = ""
     rig: Rig | None = None
+    refused: int = 0
 
     @property
     def verdict(self) -> Verdict:
@@ -90,15 +94,19 @@ class Tuning:
             return Verdict(
                 promise, Scope("not run"), Scope("not run", (self.stopped,) if self.stopped else ())
             )
-        last = self.moves[-1]
-        settles = last.promised_settling <= last.duration + _LATEST
+        settles = all(move.promised_settling <= move.duration + _LATEST for move in self._fast)
         model = Scope("passed") if settles else Scope("failed", ("the model's move does not settle",))
         return Verdict(promise, model, self._reality())
+
+    @property
+    def _fast(self) -> tuple[FirstMove, ...]:
+        """The last move with each payload; of the slow one the gauge's noise says when it has settled."""
+        return tuple({move.payload: move for move in self.moves}.values())
 
     def _reality(self) -> Scope:
         off = [
             str(move)
-            for move in self.moves[-1:]  # of the slow one the gauge's noise says when it has settled
+            for move in self._fast
             if abs(move.measured_settling - move.promised_settling)
             > max(_AGREEMENT * move.promised_settling, _LEAST)
         ]
