@@ -8,6 +8,8 @@ from pathlib import Path
 
 from fraclink._files import write_text
 from reproduce import figures
+from reproduce.drawings import loop_drawings
+from reproduce.figures_tracking import tracking_pictures
 from reproduce.published import read_published
 from reproduce.results import results_text
 from reproduce.values import computed
@@ -25,9 +27,10 @@ def reproduce(published: Path, out: Path) -> Path:
     values = computed(paper)
     drawn = (
         *figures.identification_pictures(),
+        *loop_drawings(),
         figures.nyquist_picture(),
         *figures.margin_pictures(),
-        *figures.tracking_pictures(),
+        *tracking_pictures(),
     )
     for picture in drawn:
         write_text(out / "figures" / picture.name, picture.drawing + "\n")

@@ -16,18 +16,28 @@ from fraclink._design import Design, design
 from fraclink._design.assess import PRINTED
 
 __all__ = [
+    "CROSSOVER",
+    "MARGIN_DEG",
     "ORDER",
+    "SMALL",
     "Pair",
+    "carried_out",
     "corrected",
     "in_loop",
     "matched_integer",
     "measured",
     "printed",
     "printed_design",
+    "procedure",
+    "readings",
+    "rescaled",
     "rig",
+    "unfiltered",
 ]
 
 ORDER = 1.92  # λ of Tables 2 and 3
+CROSSOVER, MARGIN_DEG = 16.0, 70.0  # rad/s and °, asked for in section 7.1
+SMALL = (0.016, 0.008)  # kg, section 7.2
 _PRINTED = (9.42, 11.54, 14.14)  # ϖ of Table 1: minimal, nominal, maximal
 
 
@@ -52,14 +62,23 @@ def link(payload: float, order: float = ORDER) -> LinkModel:
     return LinkModel(arm.link.stiffness, arm.natural_frequency(payload), order=order, payload=payload)
 
 
-def _designed(low: float, high: float, nominal: float, **options: object) -> Design:
+def carried_out(
+    low: float,
+    high: float,
+    nominal: float,
+    *,
+    crossover: float = CROSSOVER,
+    margin: float = math.radians(MARGIN_DEG),
+    **options: object,
+) -> Design:
+    """Section 6 for ω₀ from `low` to `high`: M(s) = 1, `crossover` [rad/s] and `margin` [rad] at its ends."""
     model = LinkModel(rig().link.stiffness, nominal, order=ORDER, payload=rig().payloads.nominal)
     return design(
         model,
         rig(),
         natural_frequencies=(low, high),
-        gain_crossover=16.0,
-        phase_margin=math.radians(70.0),
+        gain_crossover=crossover,
+        phase_margin=margin,
         margins="ideal",
         law=False,
         **options,  # type: ignore[arg-type]
@@ -69,14 +88,14 @@ def _designed(low: float, high: float, nominal: float, **options: object) -> Des
 @cache
 def printed_design() -> Design:
     """Section 6 applied to the printed inputs of Table 1, without a filter."""
-    return _designed(_PRINTED[0], _PRINTED[2], _PRINTED[1], filter_time=0.0)
+    return carried_out(_PRINTED[0], _PRINTED[2], _PRINTED[1], filter_time=0.0)
 
 
 @cache
 def measured_design() -> Design:
     """Section 6 applied to eq. (5) with c = 1.56 N·m at 40, 30 and 20 g, without a filter."""
     arm = rig()
-    return _designed(*(arm.natural_frequency(m) for m in (0.040, 0.020, 0.030)), filter_time=0.0)
+    return carried_out(*(arm.natural_frequency(m) for m in (0.040, 0.020, 0.030)), filter_time=0.0)
 
 
 @cache
@@ -84,7 +103,7 @@ def rule_filter(which: str, order: int) -> float:
     """δ [s] of the paper's 10 % rule for the "printed" or the "measured" inputs."""
     arm = rig()
     ends = _PRINTED if which == "printed" else tuple(arm.natural_frequency(m) for m in (0.040, 0.030, 0.020))
-    return _designed(ends[0], ends[2], ends[1], filter_order=order).controller.filter_time
+    return carried_out(ends[0], ends[2], ends[1], filter_order=order).controller.filter_time
 
 
 def matched_integer(designed: Design, nominal: float) -> tuple[float, float]:
@@ -109,6 +128,43 @@ def printed() -> Pair:
     """(58) and (59) as they are printed."""
     pair = (_on_link(PRINTED["(58)"], ORDER), _on_link(PRINTED["(59)"], 2.0))
     return Pair("printed (58), (59)", *pair)
+
+
+@cache
+def rescaled() -> Pair:
+    """The printed gains with δ = 0.0016 s, the only power-of-ten reading of 0.16 that keeps the 10 % rule."""
+    return _with_filter("printed gains, δ = 0.0016 s", printed(), 0.0016)
+
+
+def unfiltered(pair: Pair, name: str) -> Pair:
+    """The pair without its filter."""
+    return _with_filter(name, pair, 0.0)
+
+
+def _with_filter(name: str, pair: Pair, time: float) -> Pair:
+    changed = (replace(item, filter_time=time) for item in (pair.fractional, pair.integer))
+    return Pair(name, *changed)
+
+
+@cache
+def readings() -> tuple[Pair, ...]:
+    """Every way to read the paper's two controllers: as printed, and as its own procedure gives them."""
+    return (
+        Pair("(58), (59) as printed, δ = 0.16 s", printed().fractional, printed().integer),
+        unfiltered(printed(), "printed gains, no filter"),
+        rescaled(),
+        unfiltered(corrected(), "procedure carried out, no filter"),
+        Pair("procedure, its own 10 % filter", corrected().fractional, corrected().integer),
+    )
+
+
+@cache
+def procedure() -> Pair:
+    """Section 6 carried out on the printed inputs of Table 1, with the filter of its 10 % rule, n = 2."""
+    designed, delta = printed_design(), rule_filter("printed", 2)
+    gain, order = matched_integer(designed, _PRINTED[1])
+    base = _controller(designed.controller.gain, designed.controller.order, delta, 2, ORDER)
+    return Pair("procedure from Table 1", base, _controller(gain, order, delta, 2, 2.0))
 
 
 @cache

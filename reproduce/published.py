@@ -13,9 +13,15 @@ from fraclink.errors import FileFormatError
 
 __all__ = ["VERDICTS", "Claim", "Equation", "Number", "Published", "agreement", "agrees", "read_published"]
 
-VERDICTS = ("input", "reproduced", "corrected", "contradicts", "not reproducible")
+VERDICTS = {  # and what a count of them says
+    "input": "are inputs, used as they stand",
+    "reproduced": "are reproduced",
+    "corrected": "is corrected",
+    "contradicts": "contradict the paper's own other numbers",
+    "not reproducible": "need the laboratory's data",
+}
 _EQUATIONS = ("right", "misprint")
-_CLAIMS = ("holds", "does not hold", "holds in part")
+_CLAIMS = ("holds", "does not hold", "holds in part", "not testable without the logs")
 
 
 @dataclass(frozen=True)
@@ -98,7 +104,7 @@ def read_published(folder: Path) -> Published:
     rest = _read(folder / "equations.toml") | _read(folder / "claims.toml")
     return Published(
         str(numbers.get("source", "")),
-        _items(Number, numbers.get("number", []), "verdict", VERDICTS, folder),
+        _items(Number, numbers.get("number", []), "verdict", tuple(VERDICTS), folder),
         _items(Equation, rest.get("equation", []), "verdict", _EQUATIONS, folder),
         _items(Claim, rest.get("claim", []), "verdict", _CLAIMS, folder),
     )

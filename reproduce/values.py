@@ -4,29 +4,53 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from functools import cache
 
-from fraclink._identify import Comparison, aic, compare_structures
-from fraclink._logs import bundled_log, read_log
-from reproduce import designs
+from fraclink._identify import aic
+from reproduce import designs, logs
+from reproduce.logs import PAYLOADS
 from reproduce.published import Published
 
-__all__ = ["LOGS", "PAYLOADS", "comparison", "computed"]
+__all__ = ["SAMPLES", "computed", "mse_of_table_2"]
 
-PAYLOADS = {"light": 0.020, "nominal": 0.030, "heavy": 0.040}
-LOGS = {"pulse": "pulse_30g", "light": "prbs_20g", "nominal": "prbs_30g", "heavy": "prbs_40g"}
-_SAMPLES = 5001  # 20 s at 4 ms: the only count that gives the AIC of Table 2 from its MSE
+SAMPLES = 5001  # 20 s at 4 ms: the only count that gives the AIC of Table 2 from its MSE
 _FREE = {"UD-IOM": 1, "D-IOM": 2, "UD-FOM": 2, "D-FOM": 3}
 
 
 def computed(published: Published) -> Mapping[str, float]:
     """Every value that we can compute, by name."""
-    return {**_law_of_payloads(), **_table_2(published), **_designs(), **_fits()}
+    return {**_used(), **_law_of_payloads(), **_table_2(published), **_designs(), **_fits()}
+
+
+def _used() -> dict[str, float]:
+    """Every datum of the paper that is an input here, read from where the computations take it."""
+    arm, pulse = designs.rig(), logs.pulse_log().header
+    density = 1600.0  # kg/m³, of a carbon rod: the paper prints neither mass nor material
+    return {
+        "used.inertia": arm.motor.inertia,
+        "used.viscous_friction": arm.motor.viscous_friction,
+        "used.torque_constant": arm.motor.torque_constant,
+        "used.length": float(pulse["length_m"]),
+        "used.payload_nominal": float(pulse["payload_kg"]),
+        "used.period_ms": 1e3 * arm.period,
+        "used.diameter": math.sqrt(float(pulse["link_mass_kg"]) / (math.pi / 4 * density * arm.link.length)),
+        "used.pulse_width": logs.WIDTH,
+        "used.pulse_amplitude": logs.AMPLITUDE,
+        "used.stiffness": float(pulse["stiffness_Nm"]),
+        "used.pole": -arm.motor_loop.pole,
+        "used.crossover": designs.printed_design().gain_crossover,
+        "used.margin_deg": math.degrees(designs.printed_design().phase_margin),
+        "used.filter_order": float(designs.printed().fractional.filter_order),
+        "used.payload_16": 1e3 * designs.SMALL[0],
+        "used.payload_8": 1e3 * designs.SMALL[1],
+    }
 
 
 def _law_of_payloads() -> dict[str, float]:
     arm = designs.rig()
-    values = {"table1.stiffness": arm.link.beam_stiffness}
+    values = {
+        "table1.stiffness": arm.link.beam_stiffness,
+        "table1.rigidity": arm.link.stiffness * arm.link.length / 3.0,
+    }
     for name, payload in PAYLOADS.items():
         model = designs.link(payload)
         values[f"law5.{name}"] = model.natural_frequency
@@ -35,12 +59,17 @@ def _law_of_payloads() -> dict[str, float]:
     return values
 
 
-def _table_2(published: Published) -> dict[str, float]:
-    mse = {
+def mse_of_table_2(published: Published) -> dict[str, float]:
+    """The printed mean squared errors of Table 2 [(N·m)²], by structure."""
+    return {
         name: next(item.printed for item in published.numbers if item.id == f"table2_{_slug(name)}_mse")
         for name in _FREE
     }
-    values = {f"table2.aic.{name}": aic(mse[name], _SAMPLES, free) / 1e4 for name, free in _FREE.items()}
+
+
+def _table_2(published: Published) -> dict[str, float]:
+    mse = mse_of_table_2(published)
+    values = {f"table2.aic.{name}": aic(mse[name], SAMPLES, free) / 1e4 for name, free in _FREE.items()}
     return values | {"table2.reduction": 100.0 * (1.0 - mse["UD-FOM"] / mse["UD-IOM"])}
 
 
@@ -73,23 +102,28 @@ def _designs() -> dict[str, float]:
     return values
 
 
-@cache
-def comparison(log: str) -> Comparison:
-    """The four fits of a log (a key of `LOGS`); all samples are fitted, as in the paper."""
-    experiment = read_log(bundled_log(LOGS[log]), rig=designs.rig())
-    return compare_structures(experiment, heldout=0.0, details=False)
-
-
 def _fits() -> dict[str, float]:
+    """Tables 2 and 3 on the twin under the paper's conditions, and with gain and delay fitted as well."""
     values: dict[str, float] = {}
-    for log in LOGS:
-        stem = "twin.pulse" if log == "pulse" else f"twin.prbs.{log}"
-        for name, fit in comparison(log).fits.items():
+    for name in ("pulse", *PAYLOADS):
+        stem = "pulse" if name == "pulse" else f"prbs.{name}"
+        for structure, fit in logs.twin_fits(name).items():
             for quantity in ("natural_frequency", "order", "damping", "damping_order"):
-                values[f"{stem}.{name}.{quantity}"] = getattr(fit.model, quantity)
-            values[f"{stem}.{name}.mse"] = fit.mse
-    # One λ for the three payloads: their mean, weighted by the errors of each.
-    fits = [comparison(log).fits["UD-FOM"] for log in PAYLOADS]
-    weights = [1.0 / fit.standard_errors["order"] ** 2 for fit in fits]
-    mean = sum(w * fit.model.order for w, fit in zip(weights, fits, strict=True)) / sum(weights)
-    return values | {"twin.prbs.joint.order": mean}
+                values[f"twin.{stem}.{structure}.{quantity}"] = getattr(fit.model, quantity)
+            values[f"twin.{stem}.{structure}.mse"] = fit.mse
+    for structure, fit in logs.alone("pulse", free=True).items():
+        values[f"free.pulse.{structure}.natural_frequency"] = fit.model.natural_frequency
+        values[f"free.pulse.{structure}.stiffness"] = fit.model.stiffness
+        values[f"free.pulse.{structure}.delay_ms"] = 1e3 * fit.model.gauge_delay
+        values[f"free.pulse.{structure}.mse"] = fit.mse
+    for which, free in (("twin", False), ("free", True)):
+        fractional, damped = joint_models(free)
+        values[f"{which}.prbs.joint.order"] = fractional
+        values[f"{which}.prbs.joint.damping_order"], values[f"{which}.prbs.joint.damping"] = damped
+    return values
+
+
+def joint_models(free: bool) -> tuple[float, tuple[float, float]]:
+    """λ of UD-FOM, and (α, μ) of D-FOM, each common to the twin's three PRBS logs."""
+    damped = logs.joint("D-FOM", free=free).models[0]
+    return logs.joint("UD-FOM", free=free).models[0].order, (damped.damping_order, damped.damping)

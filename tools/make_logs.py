@@ -35,7 +35,10 @@ def prbs(seed: int, *, amplitude: float = 0.1, hold: int = 60, rest: int = 125) 
 
 
 def pulse() -> NDArray[np.float64]:
-    """Raise the hub by 0.2 rad for 7 s, as in the paper; it falls at 12.5 s, in the part that is held out."""
+    """Raise the hub by 0.2 rad for 7 s; it falls at 12.5 s, in the part that is held out.
+
+    The paper's pulse has the same width and 1 rad; reproduce/logs.py makes that one.
+    """
     values = np.zeros(SAMPLES)
     values[1375 : 1375 + 1750] = 0.2
     return values

@@ -1,0 +1,77 @@
+"""Each numbered equation evaluated at random points: as printed, by the code that is it, and independently.
+
+    right     print and code agree with the independent expression at every point
+    misprint  the code does, the print does not
+
+The independent expression shares no algebra with the other two: it solves the physical equations as a linear
+system, differentiates numerically, finds a crossing by bisection, or maximises a modulus. The code of a row
+is whatever equations.toml names; it is looked up by that name and called, so a row that names another
+function, or another verdict, fails.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from reproduce.equations_control import CONTROL
+from reproduce.equations_design import DESIGN
+from reproduce.equations_model import MODEL
+from reproduce.points import Check
+from reproduce.published import Equation
+
+__all__ = ["CHECKS", "TOLERANCE", "Found", "code_of", "measured"]
+
+TOLERANCE = 1e-7  # numerical derivatives of a bisected crossing leave 1e-9
+_SEED = 60
+CHECKS: Mapping[str, Check] = {**MODEL, **CONTROL, **DESIGN}
+
+
+@dataclass(frozen=True)
+class Found:
+    """The largest relative difference of print and of code from the independent expression."""
+
+    printed: float
+    code: float
+
+    @property
+    def verdict(self) -> str:
+        """Right, a misprint, or "wrong" where the code is not the equation."""
+        if not self.code <= TOLERANCE:
+            return "wrong"
+        return "right" if self.printed <= TOLERANCE else "misprint"
+
+
+def code_of(name: str) -> Any:
+    """The object that a dotted name means; AttributeError or ModuleNotFoundError where there is none."""
+    parts = name.split(".")
+    for cut in range(len(parts), 0, -1):
+        try:
+            found: Any = importlib.import_module(".".join(parts[:cut]))
+        except ModuleNotFoundError:
+            continue
+        for part in parts[cut:]:
+            found = getattr(found, part)
+        return found.fget if isinstance(found, property) else found
+    raise ModuleNotFoundError(name)
+
+
+def measured(equation: Equation) -> Found:
+    """Evaluate an equation's three sides at its random points; the same points on every run."""
+    check, code = CHECKS[equation.number], code_of(equation.code)
+    draw = np.random.default_rng([_SEED, int(equation.number.strip("()"))])
+    printed, own = 0.0, 0.0
+    for _ in range(check.points):
+        first, second, true = (
+            np.atleast_1d(np.asarray(side, dtype=complex)).ravel() for side in check.sides(code, draw)
+        )
+        # An element that vanishes is compared with the largest one.
+        size = np.maximum(np.abs(true), 1e-9 * float(np.max(np.abs(true))))
+        size[size == 0.0] = 1.0
+        printed = max(printed, float(np.max(np.abs(first - true) / size)))
+        own = max(own, float(np.max(np.abs(second - true) / size)))
+    return Found(printed, own)
