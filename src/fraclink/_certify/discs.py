@@ -31,6 +31,8 @@ class Span:
     def around(first: Real, second: Real) -> Span:
         """The intervals between computed ends, in either order, with what rounding may have moved them."""
         low, high = np.minimum(first, second), np.maximum(first, second)
+        # Outwards on both sides: an interval that is a hair too wide costs a leaf, one too narrow costs the
+        # proof.
         return Span(low - 4 * ROUNDING * np.abs(low), high + 4 * ROUNDING * np.abs(high))
 
     @property
@@ -45,6 +47,7 @@ class Span:
     def disc(self) -> Disc:
         """The discs about the midpoints that hold the intervals."""
         middle = self.middle
+        # The midpoint is rounded, so the two halves differ: the larger one holds both ends.
         half = np.maximum(self.high - middle, middle - self.low)
         return Disc(middle, half * (1 + ROUNDING) + ROUNDING * np.abs(middle))
 
@@ -67,6 +70,7 @@ class Disc:
     def __add__(self, other: Disc | complex) -> Disc:
         other = other if isinstance(other, Disc) else Disc(other)
         centre = self.c + other.c
+        # By the terms and not by their sum: where they cancel the sum is small and its error is not.
         rounding = ROUNDING * (np.abs(self.c) + np.abs(other.c))
         slopes = dict(self.d)
         for name, slope in other.d.items():
@@ -117,6 +121,7 @@ class Disc:
     def exp(self) -> Disc:
         """e^z: |e^(c + h) − e^c| <= |e^c| (e^|h| − 1)."""
         centre = np.exp(self.c)
+        # The library's exponential errs by units of its result and by those of its argument: |c| of them.
         found = Disc(centre, np.abs(centre) * (np.expm1(self.r) + ROUNDING * (1 + np.abs(self.c))))
         return Disc(found.c, found.r, {name: slope * found for name, slope in self.d.items()})
 

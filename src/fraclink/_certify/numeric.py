@@ -75,6 +75,8 @@ def _voltage(statement: Statement, law: Law, frequency: Real, delay: Real, gain:
 
     first = float(c["inner_direct"]) + pair("integral") / (1.0 - x) + slow * pair("filter")  # type: ignore[arg-type]
     both = first + float(c["inner_angle"]) + slow * pair("filter_angle")  # type: ignore[arg-type]
+    # The motor A/(s(s + a)) behind a hold that is `delay` late, at the samples: a partial fraction each for
+    # the integrator and for the pole, with the rest of the period `left` after the late edge.
     decay, left = statement.decay, law.period - delay
     held = (decay * left - 1.0) + decay * law.period * x / (1.0 - x)
     held = held + np.exp(-decay * left) * (1.0 - x) / (1.0 - np.exp(-decay * law.period) * x)
@@ -103,6 +105,8 @@ def _corners(statement: Statement) -> dict[str, Real]:
     if len(ends) > _CORNERS:
         ends = ends[np.random.default_rng(0).choice(len(ends), _CORNERS, replace=False)]
     if "softness" in names:
+        # The payload is the widest axis by far: a loop may come closest to -1 between its ends, where no
+        # corner is.
         middle = np.unique(ends, axis=0)[:: max(1, len(ends) // 64)].copy()
         middle[:, names.index("softness")] = 0.4
         ends = np.concatenate([ends, middle])
@@ -119,6 +123,7 @@ def worst_distance(statement: Statement, law: Law) -> tuple[float, dict[str, flo
     distance = np.abs(1.0 + loop_values(statement, law, w, place))
     closest = np.min(distance, axis=1)
     best = (math.inf, {name: float(column[0, 0]) for name, column in place.items()})
+    # From three corners: the lowest on the grid need not lead to the lowest of all.
     for row in np.argsort(closest)[:3]:
         at = {name: float(column[row, 0]) for name, column in place.items()}
         at["frequency"] = float(w[int(np.argmin(distance[row]))])
@@ -137,6 +142,8 @@ def _downhill(statement: Statement, law: Law, start: dict[str, float]) -> tuple[
     for _ in range(_STEPS):
         trial = {name: np.full(2 * len(names) + 1, at[name]) for name in AXES}
         for k, name in enumerate(names):
+            # The frequency's interval spans a factor of four; a fifth of it would step over a narrow second
+            # mode.
             reach = step * (high[name] - low[name]) * (0.1 if name == "frequency" else 1.0)
             for row, sign in ((2 * k, -1.0), (2 * k + 1, 1.0)):
                 trial[name][row] = min(max(at[name] + sign * reach, low[name]), high[name])

@@ -101,6 +101,8 @@ def certify(
     claim, proper = _statement(subject, model, rig, payloads, delay, law, inner, box, others)
     if modulus_margin is not None:
         claim = replace(claim, modulus=modulus_margin)
+    # In plain floating point first: a loop that is unstable, or too close already, is told in milliseconds,
+    # and the branch and bound would only run out of nodes on it.
     unstable = windings(claim, proper)
     if unstable is not None:
         return _unstable(claim, subject, model, unstable)
@@ -115,6 +117,8 @@ def certify(
 def _largest_claim(claim: Statement, law: Law, distance: float, place: dict[str, float]) -> Certificate:
     """Prove the largest claim of three digits that leaves `_ROOM`, or a smaller one where that is refuted."""
     loop, step = BoxLoop(claim), _ROOM
+    # The proof holds fewer aliases than the loop has and allows for the rest by a bound: that much less is
+    # claimed.
     kept = distance - loop.alias_at(place) - _ROOM
     for most in _NODES:
         claim = replace(claim, modulus=max(math.floor(1000.0 * kept) / 1000.0, 0.001))
@@ -165,6 +169,7 @@ def _failed(
 
 def _payload_at(claim: Statement, place: dict[str, float]) -> float:
     """The payload [kg] of the range that has this q with a softness as close to the middle as there is."""
+    # Payload and the frequency's own doubt enter as one product q: many pairs give the place that was found.
     return min(max(place["softness"] / claim.softness, claim.payload_low), claim.payload_high)
 
 
@@ -210,6 +215,7 @@ def _statement(
     chosen = law if law is not None else subject
     assert not isinstance(chosen, (Design, Controller))  # noqa: S101  # both branches above gave a law
     kind, period = inner or "ideal", chosen.period
+    # From none to a whole period is what a board may take to compute; the design counted on one of them.
     first, last = (0.0, period) if delay is None else delay
     first = checked_between("delay[0]", first, 0.0, 8.0 * period, "s")
     last = checked_between("delay[1]", last, first, period if kind == "sampled" else 8.0 * period, "s")
@@ -224,6 +230,7 @@ def _statement(
         nominal_payload=0.0,
         delay=(first, last),
         motor_loop=kind,
+        # A placeholder: the caller puts what is to be claimed.
         modulus=0.5,
     )
     return replace(claim, nominal_payload=_nominal_payload(chosen, _middle(claim, link))), chosen
@@ -250,13 +257,17 @@ def _nominal_payload(law: Law, link: LinkModel) -> float:
 
     It ties the statement's link to the block on the board: a forged link has another resonance.
     """
+    # The limits were derived as 1 − e^(−ω T/JUMP) of the link's resonance ω: solved for it here.
     wanted = -JUMP / law.period * math.log1p(-law.limits.reference_rate)
 
     def beyond(log_payload: float) -> float:
         return math.log(abs(link.at_payload(math.exp(log_payload)).pole) / wanted)
 
     try:
+        # From a milligram to ten tonnes: whatever arm a link model stands for lies between.
         payload = math.exp(brentq(beyond, math.log(1e-6), math.log(1e4), xtol=1e-14, rtol=1e-14))
+        # Six digits are written into the statement; the checker forms the resonance from what is written, not
+        # from what was found.
         return float(f"{payload:.6g}")
     except ValueError as error:
         raise FieldError(

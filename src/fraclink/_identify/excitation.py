@@ -155,6 +155,8 @@ def _motions(
     for share in _BANDS:
         centre = share * resonance
         if kind == "prbs":
+            # Half a period of the centre a bit: power then lies from the lowest line to 0.44/bit, where it
+            # has fallen by half.
             bit = max(round(math.pi / centre / period), 2) * period
             path = prbs(1.0, bit, bits=max(int((duration - 0.5) / bit), 1), register=9, start=0.2)
             band = (2 * math.pi / duration, 0.44 * 2 * math.pi / bit)
@@ -170,6 +172,7 @@ def _multisine(time: Reals, band: tuple[float, float]) -> Reals:
     span = time[-1]
     lines = np.arange(math.ceil(band[0] * span / 2 / math.pi), math.floor(band[1] * span / 2 / math.pi) + 1)
     lines = lines[lines > 0]
+    # Schroeder's phases sweep the lines in time: a peak of 1.7 times the RMS where equal phases give √(2N).
     phases = -math.pi * np.arange(lines.size) * (np.arange(lines.size) - 1) / max(lines.size, 1)
     wave = np.zeros_like(time)
     for line, phase in zip(lines, phases, strict=True):
@@ -180,6 +183,7 @@ def _multisine(time: Reals, band: tuple[float, float]) -> Reals:
 
 def _followed(reference: Reals, period: float, pole: float) -> Reals:
     """The reference, held between samples, after 1/(1 + s/pole)²."""
+    # The double pole by its exact solution over a period, whatever the period is.
     fade, level, slope = math.exp(-pole * period), 0.0, 0.0
     result = np.empty_like(reference)
     for k, target in enumerate(reference):
@@ -215,12 +219,14 @@ def _unit(
 ) -> _Unit:
     window = Window(motion, np.zeros_like(motion), period, "first")
     kernel = window.kernel(abs(model.pole), longest_delay=2 * period)
+    # Without its damping: λ alone is asked for, and a fit of λ beside μ would need another amplitude.
     fractional = LinkModel(model.stiffness, model.natural_frequency, model.order)
     mask = mask_of([COORDINATE[name] for name in ("order", "natural_frequency", "delay")])
     columns = columns_of(kernel, shape_of(fractional), mask)
     scaled = np.vstack([model.stiffness * columns, np.ones(motion.size)])
     scaled[0] /= model.stiffness  # the gain's own derivative
     size = np.linalg.norm(scaled, axis=1)
+    # Columns of length one: derivatives by λ and by the offset differ by orders of magnitude.
     inverse = np.linalg.inv((scaled / size[:, None]) @ (scaled / size[:, None]).T)
     error = noise * math.sqrt(inverse[1, 1]) / float(size[1])
     voltage = None

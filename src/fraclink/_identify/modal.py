@@ -87,6 +87,7 @@ class SpectrumFit:
             raise FieldError(
                 "resonances", len(self.resonances), "no single-mode link", allowed=allowed, remedy=remedy
             )
+        # p^λ = ω₀²: a resonance is in rad/s, the model's ω₀ in s^(−λ/2).
         frequency = self.resonances[0] ** (self.order / 2)
         c = stiffness or abs(self.gain)
         return LinkModel(c, frequency, self.order, payload=payload, gauge_delay=self.delay)
@@ -126,6 +127,7 @@ class ModalProblem:
         """The best gain for the lines that are kept, and Ĥ at all of them."""
         basis = _basis(full, self.frequency, self.resonances, self.derivative)
         a, b = (self.weight * basis)[kept], (self.weight * self.response)[kept]
+        # The gain is real: a complex one would swallow the phase by which a delay and λ are told apart.
         gain = float(np.real(np.vdot(a, b)) / np.real(np.vdot(a, a)))
         return gain, gain * basis
 
@@ -136,6 +138,8 @@ class ModalProblem:
 
     def solve(self, kept: Bits, start: Reals | None, *, loss: str) -> Reals:
         """The best free vector, from `start` or from points that need no guess."""
+        # The loss turns at f_scale: measured by the median line, not by a resonance that is a hundred times
+        # higher.
         scale = float(np.median(np.abs((self.weight * self.response)[kept])))
         starts = [start] if start is not None else [x[self.moving] for x in _starting_points(self, kept)]
         low, high = self._limits()
@@ -143,6 +147,7 @@ class ModalProblem:
         for point in starts:
             found = least_squares(
                 lambda x: self.errors(self.full(x), kept) / scale,
+                # least_squares refuses a start on its own bounds.
                 np.clip(point, low + 1e-9, high - 1e-9),
                 bounds=(low, high),
                 loss=loss,
@@ -161,6 +166,7 @@ class ModalProblem:
         return best
 
     def _limits(self) -> tuple[Reals, Reals]:
+        # In logarithms a step is a ratio: 1 % at 1 rad/s and at 100.
         low, high = math.log(self.frequency.min()) - _BEYOND, math.log(self.frequency.max()) + _BEYOND
         longest = LONGEST / self.frequency.max()
         places = self.resonances + self.anti_resonances
@@ -193,6 +199,8 @@ class ModalProblem:
         units = step * np.eye(full.size)[self.moving]
         ends = [(self.errors(full + unit, kept), self.errors(full - unit, kept)) for unit in units]
         jacobian, error = np.array([(b - a) / (2 * step) for b, a in ends]).T, self.errors(full, kept)
+        # Two modes that meet make the matrix singular: the pseudo-inverse then gives what is known, the gates
+        # the rest.
         inverse = np.linalg.pinv(jacobian.T @ jacobian)
         meat = (jacobian * error[:, None]).T @ (jacobian * error[:, None])
         spread = np.zeros(full.size)
@@ -232,6 +240,7 @@ def _starting_points(problem: ModalProblem, kept: Bits) -> list[Reals]:
     Levy's roots pair up beside a strong one; its most prominent peaks and dips do not.
     """
     frequency, response, weight = problem.frequency[kept], problem.response[kept], problem.weight[kept]
+    # The band's geometric mean as unit: powers up to s^(4λ) stay within a few decades of one.
     scale = float(np.exp(np.mean(np.log(frequency))))
     orders = _ORDERS if problem.order is None else (problem.order,)
     delays = [d / frequency.max() for d in _DELAYS] if problem.delay is None else [problem.delay]
@@ -239,6 +248,7 @@ def _starting_points(problem: ModalProblem, kept: Bits) -> list[Reals]:
     for lam in orders:
         x = np.asarray((1j * frequency / scale) ** lam, dtype=np.complex128)
         for tau in delays:
+            # What is known of the model is taken off first: the rest is a plain quotient of polynomials in x.
             moved = response * np.exp(1j * frequency * tau) / x**problem.derivative
             top, bottom, error = _levy(x, moved, weight, problem.anti_resonances, problem.resonances)
             places = [_places(c, lam, scale) for c in (bottom, top)]
@@ -256,6 +266,7 @@ def _starting_points(problem: ModalProblem, kept: Bits) -> list[Reals]:
 def _seen(frequency: Reals, response: Complexes, peaks: int, dips: int) -> list[tuple[float, ...]]:
     """ln of prominent peaks and dips of |H|, every choice of them; noise may stand out like a mode."""
     level = np.log(np.abs(response) + 1e-300)
+    # A median of three: a single line of hum is a peak to a mean, and none to a median.
     smooth = np.array([np.median(level[max(0, k - 1) : k + 2]) for k in range(level.size)])
     ups, downs = _prominent(smooth, peaks + _SPARE), _prominent(-smooth, dips + _SPARE)
     logs = np.log(frequency)
@@ -287,6 +298,8 @@ def _levy(
     divisor: Complexes = np.ones(x.size, dtype=np.complex128)
     top, bottom, error = np.ones(zeros + 1), np.ones(poles + 1), np.inf
     for _ in range(_LEVY_ROUNDS):
+        # Sanathanan and Koerner's weight: without it the error counts times |D|, least at the very
+        # resonances.
         row = (weight / np.abs(divisor))[:, None]
         matrix = row * np.column_stack(
             [x**k for k in range(zeros, -1, -1)] + [-response * x**k for k in range(poles - 1, -1, -1)]

@@ -195,10 +195,13 @@ class _Bumps:
         self.period, self.half = period, half
         width = half * period
         x = np.arange(-half, half + 1) / half
+        # By parts: ∫ φ θ'' = ∫ φ'' θ and ∫ φ θ' = −∫ φ' θ, as φ and its slope vanish at both ends. The angle
+        # itself is never differentiated: an encoder's steps twice differentiated are all noise.
         first, second = _BUMP.deriv(1)(x) / width, _BUMP.deriv(2)(x) / width**2
         slope = -np.correlate(angle, first, "valid") * period  # ∫ φ θ'
         mean = slope / (np.sum(_BUMP(x)) * period)
         wide = np.lib.stride_tricks.sliding_window_view(mean, 2 * half + 1)
+        # A share of the fastest motion: nearer to rest friction takes any value up to Γc.
         least = 0.03 * float(np.max(np.abs(mean)))
         steady = (np.min(wide, axis=1) > least) | (np.max(wide, axis=1) < -least)
         # A bump at k touches velocities half a bump to each side: all of them must have one sign.
@@ -248,6 +251,7 @@ class _Bumps:
 def _search(
     bumps: _Bumps, u: Reals, period: float, delay: float | None, dead_zone: float | None
 ) -> tuple[float, float]:
+    # A grid first: the narrowing that follows only goes downhill.
     delays = np.arange(0, 8.01, 0.5) * period if delay is None else np.array([delay])
     top = 0.5 * float(np.median(np.abs(u[u != 0]))) if np.any(u) else 0.0
     zones = np.linspace(0, top, 9) if dead_zone is None else np.array([dead_zone])
@@ -285,6 +289,8 @@ def _result(bumps: _Bumps, u: Reals, delay: float, zone: float, inertia: float |
     )  # bumps overlap eightfold
     covariance = inverse @ meat @ inverse
     gain, decay, coulomb = (float(v) for v in values[:3])
+    # Γc/K is a quotient of two estimates that depend on each other: the gradient takes their covariance
+    # along.
     by_gain = np.array([-coulomb / gain**2, 0.0, 1 / gain])
     errors = {
         "gain": math.sqrt(max(covariance[0, 0], 0)),
@@ -292,6 +298,7 @@ def _result(bumps: _Bumps, u: Reals, delay: float, zone: float, inertia: float |
         "coulomb_voltage": math.sqrt(max(float(by_gain @ covariance[:3, :3] @ by_gain), 0)),
     }
     if bumps.load is not None:
+        # Column 1/J: the error of a reciprocal is its square times that of what was found.
         inertia = 1 / float(values[3])
         errors["inertia"] = math.sqrt(max(covariance[3, 3], 0)) * inertia**2
     return MotorFit(

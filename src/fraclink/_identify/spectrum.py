@@ -69,6 +69,7 @@ def frequency_response(
     if u.shape != y.shape or u.size < 16:
         problem, remedy = f"not as long as the input {u.shape}", "cut both to the same whole periods"
         raise LogError("output", str(y.shape), problem, allowed=">= 16 samples of each", remedy=remedy)
+    # Without the constant: an offset of the gauge is no response to anything.
     into, out = np.fft.rfft(u)[1:], np.fft.rfft(y)[1:]
     lines = np.abs(into) >= threshold * np.max(np.abs(into))
     frequency = 2 * np.pi * np.arange(1, into.size + 1) / (u.size * period)
@@ -133,7 +134,10 @@ def identify_frequency_response(
     (1.92, 1.56, 10.02)
     """
     w, h, weight = _lines(frequency, response, coherence, weights)
+    # The outliers are found beside their neighbours in frequency, whatever order the table had.
     ascending = np.argsort(w)
+    # Torque over angle goes with s^λ at low frequency and has no zeros; a tip or a point on the beam has
+    # them.
     power = (0 if anti_resonances else 1) if derivative is None else derivative
     least = 2 * (resonances + anti_resonances) + 4
     if w.size < least:
@@ -147,6 +151,7 @@ def identify_frequency_response(
     else:
         # A loss that ignores outliers may also ignore a mode; one that does not may follow an outlier.
         tried = [_without_outliers(problem, loss) for loss in ("soft_l1", "linear")]
+        # A percent of the fit for a percent of the lines: setting lines aside must not pay by itself.
         found = max(tried, key=lambda fit: fit.fit - 100 * len(fit.outliers) / w.size)
     found = replace(found, findings=tuple(_findings(found, columns[0])))
     return _in_order(found, ascending)
@@ -256,6 +261,8 @@ def _standing_out(error: Complexes) -> Bits:
     for k in range(count):
         near = [i for i in range(max(0, k - reach), min(count, k + reach + 1)) if i != k]
         centre = np.median(error[near].real) + 1j * np.median(error[near].imag)
+        # 1.4826 times the median deviation is the standard deviation of Gaussian errors, and no outlier moves
+        # it.
         spread = 1.4826 * float(np.median(np.abs(error[near] - centre)))
         result[k] = abs(error[k] - centre) > _HAMPEL * max(spread, floor)
     return result

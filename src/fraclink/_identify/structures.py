@@ -110,6 +110,7 @@ def identify_structure(
     offset = known.pop("offset", None)
     if isinstance(data, FrequencyResponse):
         samples: RecordStart | Lines = _lines_of(data, weighting)
+        # A constant in the output is no line of a response: there is none to fit.
         longest, offset = _TURNS / data.band[1], 0.0
         whole, fitted = samples, data.frequency.size
     else:
@@ -123,6 +124,7 @@ def identify_structure(
     search = StructureSearch(coordinates, offset)
     found = [(in_order(coordinates, place), x) for x, place in search.run(samples, start)]
     best = found[0][0]
+    # All on the fitted part; what was held out is predicted once and steers nothing.
     certain = certainty_of(search, samples, best, details=details)
     predicted = best.offset * (whole.offset if whole.offset is not None else 0.0) + _simulated(
         whole, structure, best
@@ -171,6 +173,8 @@ def _lines_of(measured: FrequencyResponse, weighting: Weighting | None) -> Lines
             problem, remedy = "zero at a line", "leave that line out"
             raise FieldError("response", 0, problem, allowed="|H| > 0", remedy=remedy)
         weight = 1.0 / np.abs(h) if chosen == "relative" else np.ones(h.size)
+    # Scaled to a sum of squares of one: the error is then a share, as the gates and the search's own limits
+    # take it.
     return Lines.of(measured.frequency[order], h, weight / np.linalg.norm(weight * h))
 
 
@@ -208,6 +212,7 @@ def _coordinates(
 ) -> StructureCoordinates:
     usual = {"order": ORDER_LIMITS, "delay": (0.0, longest), "coefficient": COEFFICIENT_LIMITS}
     limits = {name: usual[role] for name, role in structure.roles.items()}
+    # Wider than any use, and so narrow that s^order stays a double over six decades of frequency.
     widest = {"order": 20.0, "delay": 1e6, "coefficient": 1e15}
     for name, pair in bounds.items():
         role = structure.roles[name]
@@ -264,6 +269,8 @@ def _heldout(
 
 def _lines_held(search: StructureSearch, lines: Lines, best: Place) -> float | None:
     """Error over every fourth line, predicted by a fit to the others that begins at the best parameters."""
+    # Every fourth and not the last quarter: a gap in the middle is bridged by a right model, a missing end is
+    # extrapolated by none.
     held = np.arange(lines.points.size) % _EVERY == _EVERY // 2
     if 2 * np.count_nonzero(~held) < _LEAST_EACH * len(search.coordinates.names):
         return None
@@ -271,6 +278,8 @@ def _lines_held(search: StructureSearch, lines: Lines, best: Place) -> float | N
     rest, seen = (
         Lines(lines.points[k], lines.input[k], lines.output[k], lines.weight[k]) for k in (held, ~held)
     )
+    # From the best parameters: another search could end in another valley, and the error would be that of the
+    # search.
     begin = np.array([[float(own.place(name, best.values[name])) for name in own.moving]])
     place = search.descended(seen, begin)
     error = (
@@ -295,6 +304,7 @@ def _fit_of(
 ) -> StructureFit:
     timed = isinstance(whole, RecordStart)
     power = samples.measured - (best.offset if timed else 0.0)
+    # Real parts first, then imaginary ones, each with the weight of its line: divided out for the drawing.
     unweighted = 1.0 if isinstance(whole, RecordStart) else np.tile(whole.weight, 2)
     return StructureFit(
         expression=structure.text,

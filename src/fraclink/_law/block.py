@@ -342,6 +342,8 @@ def _inner(drive: Drive | None, limits: Limits, pole: float) -> dict[str, Any]:
         drive.voltage_limit,
         drive.torque_voltage,
         friction,
+        # The slope of the sign that is softened, in reference angle a period; 0 without friction compensates
+        # none.
         1 / (drive.coulomb_speed * loop.period) if drive.coulomb_voltage > 0 else 0.0,
     )
     return dict(zip(INNER, values, strict=True))
@@ -356,6 +358,7 @@ def modes_of(coefficients: Mapping[str, Any]) -> list[tuple[complex, complex]]:
     found = [(complex(p), complex(g)) for p, g in zip(real[::2], real[1::2], strict=True) if g]
     for re, im, g, x in zip(*(pair[k::4] for k in range(4)), strict=True):
         if g or x:
+            # The block holds c of ½(c/(z − q) + c̄/(z − q̄)): each of the two has half.
             pole, gain = complex(re, im), complex(g, x) / 2
             found += [(pole, gain), (pole.conjugate(), gain.conjugate())]
     return found

@@ -236,8 +236,12 @@ def payload_estimator(
         raise FieldError("gain_doubt", doubt, "not above 0", allowed="> 0", remedy="0.05 is usual")
     nominal, own = masses_of(link, rig)
     largest = law.limits.payload_limit
+    # Evenly in ln m, as the frequency goes with m^(−1/2): neighbours differ by the same ratio everywhere, and
+    # the interpolation between them errs by the same share.
     masses = np.geomspace(LIGHTEST * payloads[0] + own, HEAVIEST * largest + own, MODELS)
     links = [replace(link, natural_frequency=link.natural_frequency * math.sqrt(nominal / m)) for m in masses]
+    # The lightest payload vibrates fastest: its vibration sets how many periods may be added up to one
+    # sample.
     together = max(1, int(TURN / (abs(links[0].pole) * law.period)))
     sample = together * law.period
     values = _values(rig, law, together, doubt, own, payloads)
@@ -245,6 +249,8 @@ def payload_estimator(
         period=law.period,
         precision=law.precision,
         together=together,
+        # Rounded up: all models are up to date when the next sample is whole, and no period has more work
+        # than another.
         chunk=-(-MODELS // together),
         quiet_limit=max(2, round(QUIET / sample)),
         gap_limit=max(2 * together, 8),
@@ -257,6 +263,7 @@ def _gain_doubt(link: LinkModel) -> float:
     found = link.interval("gauge_gain")
     if found is None:
         return GAIN_DOUBT
+    # A 95 % interval is 3.92 standard deviations wide.
     return max(LEAST_GAIN_DOUBT, (found[1] - found[0]) / 3.92 / abs(link.gauge_gain))
 
 
@@ -264,6 +271,7 @@ def _values(
     rig: Rig, law: Law, together: int, gain_doubt: float, own: float, payloads: Sequence[float]
 ) -> dict[str, float]:
     limit = law.limits.torque_limit
+    # A converter's rounding is noise of its step/√12 beside the gauge's own.
     noise = math.hypot(rig.gauge.noise, rig.gauge.quantum / math.sqrt(12)) or NOT_STATED * limit
     variance = noise**2 / together
     keep = math.exp(-together * law.period / MEMORY)
@@ -273,6 +281,8 @@ def _values(
         "torque_moved": MOVED * math.sqrt(variance),
         "variance": variance,
         "gain_weight": variance / gain_doubt**2,
+        # Wide on purpose: until the arm has stood still nobody knows the offset, and it must not pass for a
+        # payload.
         "offset_variance": (OFFSET_DOUBT * limit) ** 2,
         "keep": keep,
         # a filter that forgets within half a vibration gives back at most twice what it is given
@@ -298,8 +308,11 @@ def _model(link: LinkModel, sample: float) -> tuple[float, ...]:
     pole = link.pole
     fast = np.exp(abs(pole) * complex(-FORGETTING, math.sqrt(1 - FORGETTING**2)) * sample)
     slow = math.exp(-SLOW * abs(pole) * sample)
+    # C, by which both sides are filtered: what is left of the start, and of an old payload, dies as fast as
+    # its poles; without it the equation would be fitted to noise that A differentiates.
     below = np.convolve([1.0, -2 * fast.real, abs(fast) ** 2], [1.0, -slow])
     w = np.linspace(0.05, HIGHEST, 120) * abs(pole)
+    # Beyond the samples' Nyquist frequency the table would be fitted to an alias.
     w = w[w < 0.9 * math.pi / sample]
     torque = link.torque()(1j * w)
     if link.second_mode is not None:
@@ -308,6 +321,7 @@ def _model(link: LinkModel, sample: float) -> tuple[float, ...]:
     back, high = np.exp(-1j * w * sample), np.exp(-1j * np.linspace(0, math.pi, 100)[1:])
     weight = abs(pole) / (w * (1 + (w / abs(pole)) ** 2)) / np.polyval(below[::-1], back)
     noise = NOISE_GAIN * (1 - high) / np.polyval(below[::-1], high)
+    # B has a zero at z = 1: a motor that has been turned and holds still causes no torque.
     columns = [np.concatenate([(1 - back) * back**i * weight, noise * high**i]) for i in range(3)]
     columns += [np.concatenate([-torque * back**i * weight, 0 * high]) for i in (1, 2, 3)]
     both, wanted = np.stack(columns, axis=1), np.concatenate([torque * weight, 0 * high])

@@ -93,6 +93,7 @@ def _first_format(content: dict[str, Any]) -> dict[str, Any]:
 
 def _second_format(content: dict[str, Any]) -> dict[str, Any]:
     """Format 2 had no payload as an input: its laws run as they did, and reject one that is given."""
+    # A limit of 0 kg rejects every payload, so that the law runs bit for bit as it did without the input.
     none = {"payload_limit": (0.0).hex(), "scale_step": (1.0).hex()}
     return content | {"limits": {**content["limits"], **none}, "tracking": None}
 
@@ -189,6 +190,8 @@ class Law:
     def block(self) -> bytes:
         """The parameter block of law.c, byte for byte."""
         made = layout.pack(self.values, self.precision)
+        # The struct is laid out twice, here and by the C compiler: a field that one of them lacks would shift
+        # all that follow, and the CRC, formed here, would not notice.
         if len(made) != _kernels.law_sizes(self.precision == "single")[0]:
             raise AssertionError("fraclink._law.block does not match csrc/law.h")
         return made
@@ -222,6 +225,7 @@ class Law:
     def _filter(self) -> tuple[float, Complex, Complex, Complex, Complex]:
         """(d, p − 1, g, those of the pairs) of the block: a design asks for its response a thousand times."""
         c = self.coefficients
+        # Taken from the block and not from `correction`: in single precision these are the board's numbers.
         n, m = len(self.correction.poles), len(self.correction.pair_poles)  # the block's lists end in zeros
         poles, gains = np.asarray(c["real"]).reshape(-1, 2)[:n].T
         pole, turn, gain, cross = np.asarray(c["pair"]).reshape(-1, 4)[:m].T
@@ -279,6 +283,7 @@ class Law:
         count = four[0].size
         signals = np.ascontiguousarray([*four, np.broadcast_to(np.asarray(payload, dtype=float), count)])
         numbers = np.arange(count) + first_tick if ticks is None else np.asarray(ticks)
+        # The counter of a board wraps after 2³² periods; NumPy would refuse a negative number as unsigned.
         numbers = np.ascontiguousarray(numbers.astype(np.int64) % 2**32, dtype=np.uint32)
         if numbers.shape != (count,):
             raise FieldError(

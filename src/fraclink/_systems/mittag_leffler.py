@@ -77,6 +77,7 @@ def mittag_leffler(
     """
     given = _numbers(z)
     flat = given.astype(np.complex128).ravel()
+    # E(0) = 1/Γ(β), and 0 where β is a pole of Γ, which 1/Γ gives without a special case.
     value = np.full(flat.shape, complex(rgamma(beta)))
     far = np.flatnonzero(np.abs(flat) > _TINY)
     with np.errstate(all="ignore"):
@@ -112,6 +113,7 @@ def _values(z: Complexes, alpha: float, beta: float) -> Complexes:
         u = (np.arange(-count - 1, count + 2) + o) * step
         log_s = math.log(_VERTEX) + 2.0 * np.log(1.0 + 1j * u)
         weights = step * _VERTEX / math.pi * (1.0 + 1j * u) * np.exp(np.exp(log_s) + (alpha - beta) * log_s)
+        # Points that share an offset share their nodes: one row of exponentials serves them all.
         total[at] = (weights / _denominator(log_s, z[at, None], alpha)).sum(axis=1)
     kernel = 1.0 / (1.0 - np.exp(-2j * math.pi * (places / step - offset)))
     residues = np.exp(np.exp(logs) + (1.0 - beta) * logs) / alpha
@@ -132,9 +134,11 @@ def _poles(z: Complexes, alpha: float) -> tuple[Complexes, Complexes]:
     inverse = 1.0 / alpha
     lost = float(Fraction(1) / Fraction(alpha) - Fraction(inverse))
     radius = size**inverse * (1.0 + lost * np.log(size) + inverse * error)
+    # z^(1/α) has an argument within ±π for that many turns of z: for α below 1 at most one pole.
     turns = math.ceil(0.5 * alpha)
     angles = (np.angle(z) + 2.0 * math.pi * np.arange(-turns, turns + 1)[:, None]) / alpha
     angles = np.where(np.abs(angles) <= math.pi, angles, np.nan)
+    # The parabola is s = μ(1 + iu)²: its inverse is a square root, and u = −i(√(s/μ) − 1).
     root = np.sqrt(radius / _VERTEX) * np.exp(0.5j * angles)
     return np.asarray(np.log(radius) + 1j * angles), np.asarray(-1j * (root - 1.0))
 
@@ -143,6 +147,7 @@ def _modulus(z: Complexes) -> tuple[Reals, Reals]:
     """|z| and the relative error that its rounding made."""
     size = np.abs(z)
     exponent = np.frexp(size)[1]
+    # Powers of two scale without rounding, and squares of 1e±200 would leave the range of doubles.
     scaled = [np.ldexp(part, -exponent) for part in (z.real, z.imag, size)]
     (x, dx), (y, dy), (r, dr) = (_square(part) for part in scaled)
     return size, np.asarray(0.5 * (((x - r) + y) + (dx + dy - dr)) / r)

@@ -150,10 +150,13 @@ def approximate(
         fit = fit_discrete(lambda w: system(1j * w), period=period, band=band, order=order)
         half = 0.5 * fit.pole_gains
         parts = np.concatenate([fit.gains, half, half.conj()])
+        # The fit's pairs are ½(c/(z − q) + c̄/(z − q̄)): as plain fractions each of both has half.
         found = fit.poles
         zeros, gain = zeros_of_fractions(found, parts, fit.feedthrough)
     made = RationalApproximation(zeros, found, gain, period, band, method)
+    # Logarithmic points miss the ripple at the upper end of a discrete fit, equidistant ones the lower end.
     w = np.unique(np.concatenate([np.geomspace(*band, 2000), np.linspace(*band, 1000)]))
+    # One logarithm gives both errors: its real part in nepers, its imaginary part in radians without turns.
     ratio = np.log(made.frequency_response(w) / system(1j * w))
     return replace(
         made,
@@ -202,9 +205,12 @@ def _continuous(
     system: FractionalTransferFunction, band: tuple[float, float], order: int
 ) -> tuple[Complexes, Complexes, float]:
     known = poles(system)
+    # The fit places its poles in the open left half plane only; of an unstable system it would find the
+    # stable function that is nearest on the axis, and say nothing.
     if np.any(known.real >= 0):
         allowed, remedy = "stable poles for method='minimax'", "use method='oustaloup'"
         raise FieldError("system", repr(system), "not stable", allowed=allowed, remedy=remedy)
+    # Few enough that a Newton step costs microseconds, more than ten a pole at the highest order.
     w = np.geomspace(*band, 160)
     near = known[(np.abs(known) > band[0]) & (np.abs(known) < band[1]) & (known.imag > 0)]
     for p in near:  # a resonance needs points of its own
@@ -213,6 +219,7 @@ def _continuous(
         w = np.append(w, abs(p) * np.exp(width * np.sinh(np.linspace(-4, 4, 25))))
     w = np.unique(w[(w >= band[0]) & (w <= band[1])])
     wanted = system(1j * w)
+    # 0.1 dB weighs as much as 0.5°: the balance of a law's fit, the absolute size does not matter here.
     nepers, radians = np.full(w.size, 20 / math.log(10) / 0.1), np.full(w.size, 180 / math.pi / 0.5)
     target = Target(w, np.ones(w.size, dtype=complex), wanted, 1 / wanted, nepers, radians)
     grown = list(grow(target, band, order, resonances=[-p for p in near]))

@@ -117,12 +117,16 @@ def is_stable(system: FractionalTransferFunction) -> StabilityVerdict:
     if any(t.delay for t in system.denominator):
         count = right_half_plane_zeros(system.denominator)
         return _verdict(system, (), integrators, count, delayed=True)
+    # The poles are found, not only counted: `log_zeros` returns as many as the argument principle certifies,
+    # so that counting those with Re s > 0 is counting certified ones.
     logs, cancelled = _pole_logs(system)
     bad = logs[logs.imag < 0.5 * math.pi + _ON_AXIS]
     inside = bad[bad.imag < 0.5 * math.pi - _ON_AXIS]
+    # The upper half plane was searched: each pole off the real axis stands for itself and its conjugate.
     winding = 2 * len(inside) - int(np.sum(inside.imag == 0))
     found = tuple(complex(p) for p in _both_halves(bad, 0))
     verdict = _verdict(system, found, integrators, winding, delayed=False)
+    # A cancelled pole is no part of the transfer function, but the plant behind it still grows: it is told.
     hidden = cancelled[cancelled.imag < 0.5 * math.pi + _ON_AXIS]
     if not hidden.size:
         return verdict
@@ -178,6 +182,7 @@ def _lowest(terms: Sequence[Term]) -> float:
 
 def _poles_at_origin(system: FractionalTransferFunction) -> int:
     orders = [t.order for t in (*system.numerator, *system.denominator)]
+    # s^2.5 is no pole of any multiplicity but a branch point: only a system of integer orders has poles at 0.
     return int(_integrators(system)) if all(float(a).is_integer() for a in orders) else 0
 
 
@@ -189,8 +194,10 @@ def _pole_logs(system: FractionalTransferFunction) -> tuple[Complexes, Complexes
         raise FieldError("denominator", repr(system), problem, allowed=allowed, remedy=remedy)
     left, cancelled = _logs(system.denominator).tolist(), []
     top = system.numerator
+    # A common delay moves no zero; several delays make infinitely many, none of which cancels a pole exactly.
     if len(top) > 1 and all(t.delay == top[0].delay for t in top):
         for zero in _logs(top).tolist():
+            # One at a time: a double pole with one zero on it is a simple pole, not none.
             near = [p for p in left if abs(p - zero) < _SAME][:1]
             if near:
                 left.remove(near[0])
@@ -207,6 +214,8 @@ def _both_halves(z: Complexes, at_origin: int) -> Complexes:
     found: list[complex] = [0j] * at_origin
     for log in z:
         size, angle = math.exp(log.real), float(log.imag)
+        # `log_zeros` puts zeros on the edges exactly there; e^z would leave an imaginary part of 1e-16, and a
+        # real pole would count as a pair.
         if angle in (0.0, math.pi):
             found.append(complex(math.copysign(size, math.cos(angle))))
         elif abs(angle - 0.5 * math.pi) < _ON_AXIS:

@@ -27,6 +27,8 @@ def residues(zeros: Complexes, poles: Complexes, gain: float) -> Complexes:
     found = np.empty(len(poles), dtype=complex)
     with np.errstate(divide="ignore", invalid="ignore"):
         for i, p in enumerate(poles):
+            # The product without that pole, and not a derivative: it keeps its digits where other poles are
+            # near.
             found[i] = evaluate(np.array([p]), zeros, np.delete(poles, i), gain)[0]
     return found
 
@@ -36,6 +38,8 @@ def zeros_of_fractions(poles: Complexes, parts: Complexes, direct: float) -> tup
 
     The eigenvalues are right to 1e-16 of the largest pole; zeros five decades below it need the polish.
     """
+    # The realisation's own inverse: its poles are the zeros. Multiplying the fractions out first would give a
+    # polynomial whose coefficients span forty decades.
     matrix = np.diag(poles) - np.outer(np.ones(len(poles)), parts) / direct
     start = np.asarray(np.linalg.eigvals(matrix), dtype=complex)
 
@@ -96,6 +100,8 @@ def _quadratics(roots: Complexes) -> list[Reals]:
     real = sorted(roots[roots.imag == 0].real, key=abs)
     factors = [np.array([1.0, -2 * z.real, abs(z) ** 2]) for z in roots if z.imag > 0]
     factors += [np.array([1.0, -(x + y), x * y]) for x, y in zip(real[::2], real[1::2], strict=False)]
+    # By modulus, in zeros and poles alike: a section then has a zero and a pole of like size, and no state is
+    # large where the output is not.
     factors.sort(key=lambda p: float(p[2]))
     if len(real) % 2:
         factors.append(np.array([1.0, -real[-1]]))
@@ -130,6 +136,7 @@ def matched(
     zeros: Complexes, found: Complexes, gain: float, period: float, frequency: float
 ) -> tuple[Complexes, Complexes, float]:
     """z = e^(sT) for every root, all but one of the zeros at infinity at −1, |R| kept at `frequency`."""
+    # One zero stays at infinity: it is the delay of a sample that a strictly proper system has.
     absent = max(len(found) - len(zeros) - 1, 0)
     at_zeros = np.concatenate([np.exp(zeros * period), np.full(absent, -1.0)])
     at_poles = np.exp(found * period)
