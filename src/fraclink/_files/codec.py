@@ -81,6 +81,7 @@ class _Float:
         if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
             raise misfit(path, value, "not a number", "a real number")
         number = self._made(float, value, path)
+        # JSON has no word for them, and a reader of another language would stop at NaN: they are texts.
         if not math.isfinite(number):
             return str(number)
         return number.hex() if storage.hex_floats else number

@@ -43,6 +43,8 @@ def renamed(data: Any) -> Any:
         return [renamed(item) for item in data]
     if not isinstance(data, dict):
         return data
+    # Renaming one onto the other would keep whichever stands last: a forged file could show one verdict and
+    # mean another.
     twice = next((old for old, new in RENAMED.items() if old in data and new in data), None)
     if twice is not None:
         problem, allowed = "given twice, under its old and its new name", "each key once"
@@ -81,6 +83,7 @@ def write_npz(
     """Write arrays with their envelope (`kind`, `version`, `about`) in one step; `about` holds no NaN."""
     header = json.dumps(_envelope(kind, version, about), allow_nan=False)
     plain = {
+        # Little-endian, whatever the machine: a file is compared by its bytes.
         name: np.asarray(values).astype("<u4" if np.asarray(values).dtype == np.uint32 else "<f8", order="C")
         for name, values in arrays.items()
     }

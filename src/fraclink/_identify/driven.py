@@ -31,6 +31,8 @@ Output = Literal["motor_angle", "torque"]
 
 # λ up to 2.2: that of a classical link is then inside of its range, and its interval says that it is 2.
 _LIMITS = {"l": (1.0, 2.2)}
+# Motor (1) and link (10), with (s/z)^λ multiplied out: as polynomials in s and s^λ their coefficients are
+# straight, and no start value is needed.
 _TOP = {"motor_angle": "A*({link} + 1)", "torque": "k*{link}"}
 _BOTTOM = "((s**2 + B*s)*({link} + 1) + m*{link})*exp(-T*s)"
 _BEYOND = 3.0  # times the band: a peak that it misses is sought there, so that it can be said
@@ -119,6 +121,7 @@ class DrivenLinkFit:
             rows.append(("order", *order))
             if "z" in intervals:  # ω₀ = z^(λ/2) is as unsure as both
                 low, high = intervals["z"].low, intervals["z"].high
+                # All four corners: z^(λ/2) rises with λ above 1 rad/s and falls below.
                 ends = [end ** (half / 2) for end in (low, high) for half in order]
                 rows.append(("natural_frequency", min(ends), max(ends)))
         if "m" in intervals:
@@ -176,10 +179,14 @@ def identify_driven_link(
     straight = _structure(output, "s**l/w")
     # Straight in 1/w, so that its start is found by linear least squares; z then has an interval of its own.
     first = identify_structure(measured, straight, bounds=_LIMITS, weighting=weighting, details=False)
+    # z and λ depend on each other in w = z^λ: an interval of w would be as wide as λ makes it, and say little
+    # of z.
     start = {name: value for name, value in first.parameters.items() if name != "w"}
     start["z"] = first.parameters["w"] ** (1.0 / first.parameters["l"])
     start["l"] = min(max(start["l"], _LIMITS["l"][0]), _LIMITS["l"][1])
     low, high = measured.band
+    # So wide that an anti-resonance outside of the band can be found there and reported, not pressed to its
+    # edge.
     bounds = {**_LIMITS, "z": (low / 30, high * 30)}
     start["z"] = min(max(start["z"], bounds["z"][0]), bounds["z"][1])
     structure = _structure(output, "(s/z)**l")
@@ -196,6 +203,7 @@ def _structure(output: Output, link: str) -> str:
 
 def _peak(fit: StructureFit, output: Output, band: tuple[float, float]) -> float | None:
     """The highest local maximum of |H|, for a motor angle above the anti-resonance [rad/s]."""
+    # Below its anti-resonance a motor angle falls from the integrator: no maximum there is a resonance.
     low = fit.parameters["z"] if output == "motor_angle" else band[0] / _BEYOND
     w = np.geomspace(low, _BEYOND * max(band[1], low), _GRID)
     level = np.log(np.abs(fit.transfer_function(1j * w)))

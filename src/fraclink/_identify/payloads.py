@@ -170,6 +170,7 @@ def identify_payloads(
         make_search(log, heldout=0.0, stiffness=stiffness, fixed=fixed, guess=None, hold=hold) for log in logs
     ]
     structure = _supported(searches) if structure is None else structure
+    # ω₀ is each payload's own, or tied by eq. (5): what may be common is the link's material.
     own = tuple(name for name in structure_row(structure).free if name != "natural_frequency")
     names = (
         own
@@ -179,6 +180,8 @@ def identify_payloads(
             for name in common
         )
     )
+    # The fits of each log for itself are the start of the joint one, its weights, and what the test compares
+    # with.
     alone = [search.solve(structure) for search in searches]
     weights = [weight_of(search, solution) for search, solution in zip(searches, alone, strict=True)]
     payloads = tuple(float(log.payload or 0.0) for log in logs) if tied else None
@@ -223,6 +226,7 @@ def _result(
     coordinates = joint.coordinates
     rows = [_of_one(log, i, joint, theta) for i, log in enumerate(logs)]
     models, gains, offsets, delays, predicted = (tuple(column) for column in zip(*rows, strict=True))
+    # Over all samples and unweighted: figures that a user can compare from log to log.
     mse = tuple(float(np.mean((log.output - p) ** 2)) for log, p in zip(logs, predicted, strict=True))
     parameters = len(structure_row(structure).free)
     alone_mse = tuple(solution.cost / log.output.size for solution, log in zip(alone, logs, strict=True))
@@ -256,6 +260,7 @@ def _of_one(
     raw = columns_of(search.kernel, shape)[0]
     gain = search.gain
     if math.isnan(gain):
+        # Gain and offset are straight in the prediction: regression gives both.
         gain = float(np.cov(raw, log.output, bias=True)[0, 1] / np.var(raw))
     offset = float(np.mean(log.output - gain * raw))
     model = model_of(shape, max(abs(gain), 1e-12), log.payload)
@@ -267,6 +272,7 @@ def _of_one(
 
 
 def _errors(coordinates: Coordinates, theta: Vector, normal: NDArray[np.float64]) -> dict[str, float]:
+    # Two that only act together make the matrix singular: the pseudo-inverse gives what is determined.
     covariance = np.linalg.pinv(normal, rcond=1e-14, hermitian=True)
     errors = np.sqrt(np.maximum(np.diag(covariance), 0))
     result: dict[str, float] = {}
@@ -276,6 +282,7 @@ def _errors(coordinates: Coordinates, theta: Vector, normal: NDArray[np.float64]
             label = "stiffness_over_square" if coordinates.payloads else "resonance"
         for i in range(coordinates.logs):
             k = coordinates.index(name, i)
+            # These two are logarithms: d e^x = e^x dx.
             scale = math.exp(theta[k]) if name in ("damping", "frequency") else 1.0
             result[label if name in coordinates.common else f"{label} {i + 1}"] = float(errors[k] * scale)
     return result
@@ -287,8 +294,11 @@ def _test(
     statistic = 0.0
     for log, weight, together, own in zip(logs, joint.weights, mse, alone_mse, strict=True):
         if own > 0:  # weight · own is 1/k
+            # A residual with colour has fewer independent samples than it has samples: k divides their
+            # number.
             statistic += log.output.size * weight * own * math.log(max(together / own, 1.0))
     coordinates = joint.coordinates
+    # As many as the joint fit has parameters less.
     degrees = coordinates.logs * len(coordinates.names) - coordinates.size
     p_value = float(gammaincc(degrees / 2, statistic / 2)) if degrees > 0 else 1.0
     return LikelihoodRatio(statistic, degrees, p_value)

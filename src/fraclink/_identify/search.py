@@ -133,6 +133,7 @@ class Search:
         points = max(int((high - low) / _SWEEP_STEP), 8)
         kernel = self.window.kernel(math.exp(low), longest_delay=abs(delay), coarse=True)
         broad, costs = self._tried(kernel, np.linspace(low, high, points), _SWEEP_ORDER, delay)
+        # Two: the lowest of a broad resonance need not be the lowest of a narrow one.
         near = broad[_lowest_valleys(costs, 2)]
         fine = (near[:, 1:2] + _SWEEP_STEP * np.array([-0.4, -0.2, 0.0, 0.2, 0.4])).ravel()
         narrow, costs = self._tried(kernel, fine, _SCAN_ORDER, delay)
@@ -142,6 +143,8 @@ class Search:
         best: Shape = narrow[int(np.argmin(costs))]
         if "delay" in self.fixed:
             return best
+        # A delay of a quarter of the vibration turns the torque into a velocity: the scan without it then
+        # finds the right frequency with the wrong phase, or another frequency.
         late = np.concatenate([_delayed(near, part) for part in _DELAY_STARTS])
         kernel = self.window.kernel(math.exp(low), longest_delay=float(np.max(late[:, 4])), coarse=True)
         late_costs = kernel.costs(late, self.gain, self.offset)
@@ -163,6 +166,7 @@ class Search:
         shortest = max(_DELAY_LIMITS[0] * self.wave, -0.9 * self.longest_delay) if may_lead else 0.0
         longest = min(_DELAY_LIMITS[1] * self.wave, 0.97 * self.longest_delay)
         lower = np.array([ORDER_LIMITS[0], low - 0.5, 0.0, ALPHA_LIMITS[0], shortest])
+        # ζ up to the kernel's FIT_RATIO_MOST: beyond it there is no vibration.
         upper = np.array([ORDER_LIMITS[1], high + 0.3, 0.9, ALPHA_LIMITS[1], longest])
         return lower, upper
 
@@ -294,6 +298,7 @@ class Search:
         elif "order" in free:
             yield from (self.solve(special).shape for special in special_cases(name))
         elif "damping" in free:
+            # The undamped link of order λ decays as one with ζ = −cos(π/λ): a start beside the optimum.
             yield np.array([2.0, fractional[1], max(ratio, 1e-3), 1.0, fractional[4]])
         else:
             yield from self._undamped(fractional)

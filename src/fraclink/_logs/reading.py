@@ -118,6 +118,8 @@ def read_log(
     stated = columns or (rig.log if rig else None) or columns_of_names(table.names)
     if stated is None:
         raise _unstated(table)
+    # Units and signs at the border: from here on everything is SI, radians and positive where the motor
+    # speeds up.
     data, findings = _channels(table, stated, interpolate)
     stamps = data.pop("time")
     base = time_base(stamps, resample=resample)
@@ -330,6 +332,7 @@ def _summary(table: LogTable, number: int) -> ChannelSummary:
         missing=values.size - finite.size,
         minimum=float(finite.min()) if finite.size else float("nan"),
         maximum=float(finite.max()) if finite.size else float("nan"),
+        # A clock's step is its period; as a converter's step it would mislead.
         quantum=converter_step(finite) if period is None else 0.0,
         period=period,
     )
@@ -340,6 +343,7 @@ def converter_step(values: NDArray[np.float64]) -> float:
 
     Gaps below a thousandth of the median gap are rounding of the numbers' text, not steps.
     """
+    # A converter of 16 bits has 65536 values: the limit holds more, and sorts a long log in milliseconds.
     distinct = np.unique(values[:_DISTINCT_LIMIT])
     if distinct.size < 2 or distinct.size > 0.5 * min(values.size, _DISTINCT_LIMIT):
         return 0.0
