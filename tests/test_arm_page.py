@@ -97,7 +97,7 @@ def test_the_same_study_gives_the_same_page(study, page):
 def test_the_page_says_what_is_promised_and_what_it_simulates(study, page):
     texts = " ".join(" ".join(parsed(page).texts).split())
     assert "designed for payloads from 20 to 40 g" in texts.replace("  ", " ")
-    assert "Outside of this range nothing is promised" in texts
+    assert "Outside this range nothing is promised" in texts
     assert "promise passed, model not run, reality not run" in texts
     assert "No certificate came with this design" in texts
     assert "The mass of the link" in texts
@@ -300,7 +300,7 @@ def test_the_python_of_the_page_names_the_law_that_it_runs(study):
 @pytest.mark.slow
 def test_without_a_move_the_page_says_how_far_the_tip_goes(page, tmp_path):
     text, colour = outcome_of(browsed(page, tmp_path, "move=0&noise=0.02"))
-    assert re.fullmatch(r"No move: the tip stays within 0\.\d\d° of its place\.", text)
+    assert re.fullmatch(r"No move: the tip stays within 0\.\d\d° of its position\.", text)
     assert colour == "good"
     # a gauge wired backwards makes the loop swing up by itself: that is not resting
     text, colour = outcome_of(browsed(page, tmp_path, "move=0&noise=0.02&reversed=1"))

@@ -41,8 +41,8 @@ def test_failures_have_the_interval_of_clopper_and_pearson(count, runs):
 
 
 def test_a_claim_without_a_failure_states_what_a_stronger_one_needs():
-    assert "1000000 runs without one" in _failure(0, 100_000).sentence
-    assert "3.7e-05 at 95 %" in _failure(0, 100_000).sentence
+    assert "1000000 runs without a failure" in _failure(0, 100_000).sentence
+    assert "less than 0.0037 % fail, at 95 %" in _failure(0, 100_000).sentence
 
 
 @pytest.mark.parametrize(

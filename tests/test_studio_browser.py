@@ -203,7 +203,9 @@ def test_from_a_dropped_log_to_the_board(page, tmp_path):
         page.key("4")
         page.until("document.querySelector('#go-design').dataset.mark !== 'not run'", "a design")
         page.key("5")
-        page.until("document.querySelector('#outcome')?.textContent.startsWith('There in')", "the arm moves")
+        page.until(
+            "document.querySelector('#outcome')?.textContent.startsWith('Settled after')", "the arm moves"
+        )
         page.click("#fault-nan")
         page.until("document.querySelector('#outcome').textContent.startsWith('Degraded')")
         page.key("6")

@@ -58,7 +58,7 @@ EXAMPLES: tuple[tuple[errors.FraclinkError, str], ...] = (
     ),
     (
         errors.SizeError("runs", 10**12, "too many", allowed="<= 1000000000", remedy="ask for less"),
-        "ask for less; nothing was computed and no memory was taken",
+        "ask for less; nothing was computed and no memory was allocated",
     ),
     (
         errors.UnstableError(
@@ -80,7 +80,7 @@ EXAMPLES: tuple[tuple[errors.FraclinkError, str], ...] = (
     ),
     (
         errors.NotConvergedError("norm", reached=1e-3, wanted=1e-6, remedy="widen the tolerance"),
-        "`reached`, `wanted`, `remedy`: what was reached may do",
+        "`reached`, `wanted`, `remedy`: the value reached may suffice",
     ),
     (errors.MissingExtraError("python-control", "control"), "install the extra that the message names"),
 )

@@ -118,11 +118,11 @@ class FileFormatError(FieldError):
 
 
 class SizeError(FieldError):
-    """A request is refused by its estimated size, before any memory is taken."""
+    """A request is refused because of its estimated size, before any memory is allocated."""
 
 
 class UnstableError(FieldError):
-    """The quantity asked for exists for stable systems only."""
+    """The requested quantity exists only for stable systems."""
 
 
 # Of the arguments that a request names; the others have none.

@@ -86,12 +86,12 @@ class Failure:
     @property
     def sentence(self) -> str:
         """The claim in words, with the number of runs a stronger one needs."""
-        share = f"{self.estimate:.3g} ({self.low:.3g} … {self.high:.3g})"
-        claim = f"{self.count} of {self.runs} runs failed: {share}"
+        claim = f"{self.count} of {self.runs} runs failed"
         if self.count:
-            return claim
-        more = f"ten times less needs {10 * self.runs} runs without one"
-        return f"{claim}; below {self.high:.2g} at 95 %: {more}"
+            interval = f"95 % interval {100 * self.low:.3g} to {100 * self.high:.3g} %"
+            return f"{claim}: {100 * self.estimate:.3g} % ({interval})"
+        more = f"to show a tenth of that, {10 * self.runs} runs without a failure are needed"
+        return f"{claim}: less than {100 * self.high:.2g} % fail, at 95 % confidence; {more}"
 
 
 @displayed

@@ -178,10 +178,10 @@ def law_findings(design: Design, looked: Sequence[Looked]) -> tuple[Finding, ...
         less = Finding(
             "W404",
             "error" if kept <= 0.0 else "warning" if short > _ALLOWANCE else "info",
-            f"the shipped law in the sampled loop{_with_pid(design, least)} keeps less phase margin than was "
-            "asked for",
+            f"the shipped law in the sampled loop{_with_pid(design, least)} keeps less phase margin than "
+            "requested",
             {"phase_margin_rad": kept, "wanted_rad": design.phase_margin, "payload_kg": least.payload},
-            "ask for as much more as is missing, with the margins of the whole loop"
+            "request that much more margin, for the whole loop"
             if least.motor_loop == design.motor_loop.kind
             else "design with inner='sampled' (--inner sampled), or with a longer filter",
         )

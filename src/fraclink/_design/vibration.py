@@ -95,8 +95,8 @@ def ringing(loop: Loop, ends: Mapping[float, float]) -> tuple[Finding, ...]:
         Finding(
             "W409",
             "error",
-            f"moves ring: the vibration left falls to 2 % in {worst.time:.3g} s, more than {_PERIODS} of its "
-            "periods",
+            f"moves ring: the residual vibration falls to 2 % only after {worst.time:.3g} s, "
+            f"more than {_PERIODS} of its periods",
             {"damping_ratio": worst.damping_ratio, "frequency": worst.frequency, "payload_kg": payload},
             "a gain crossover farther above the resonance, or a larger phase margin, damps it",
         ),

@@ -57,7 +57,7 @@ def column_findings(log: Experiment) -> Iterator[Finding]:
             "W325",
             "error",
             f"{100 * share:.3g} % of the samples lie at the largest or smallest output: the amplifier "
-            "saturates, or this is a command and no measurement",
+            "saturates, or this is a command, not a measurement",
             {"share": share, "most": STOPPED_MOST, "low": float(output.min()), "high": float(output.max())},
             "move less or lower the amplifier's gain, and check the column of the output",
         )

@@ -242,5 +242,5 @@ def _missed(code: str, name: str, place: float, measured: FrequencyResponse) -> 
         "error",
         f"the band does not show the {name}",
         {"place": place, "low": low, "high": high},
-        "measure lines on both sides of it",
+        "measure at frequencies on both sides of it",
     )

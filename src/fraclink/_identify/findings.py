@@ -99,14 +99,14 @@ def _no_signal(signal: float, log: Experiment) -> Finding:
         return Finding(
             "W313",
             "error",
-            f"no signal: the output is the hum of the mains at {hum:.0f} Hz",
+            f"no signal: the output is mains hum at {hum:.0f} Hz",
             evidence,
             "check the gauge's wiring and shield",
         )
     return Finding(
         "W313",
         "error",
-        "no signal: this model explains the output from the motor hardly better than a constant does",
+        "no signal: this model predicts the output hardly better than a constant does",
         evidence,
         "check that the gauge is connected, and that both channels are of one recording; or move further",
     )
@@ -152,7 +152,7 @@ def _of_the_prediction(fit: Fit, motion: tuple[float, float]) -> Iterator[Findin
         yield Finding(
             "W317",
             "error",
-            "the held-out part contains no motion, so that nothing shows whether the model predicts",
+            "the held-out part contains no motion, so nothing shows whether the model predicts",
             {"motion": motion[0], "vibration": motion[1], "heldout_nmse": relative},
             "leave heldout out, or hold out a part in which the motor moves",
         )
@@ -213,7 +213,7 @@ def _of_the_optimum(fit: Fit, singular: bool) -> Iterator[Finding]:
         yield Finding(
             "W302",
             "warning",
-            "the optimiser did not converge; the values are the best that were met",
+            "the optimiser did not converge; the values are the best ones found",
             {"passes": float(fit.evaluations)},
             "identify a simpler structure or a longer log",
         )
@@ -232,7 +232,7 @@ def _of_the_optimum(fit: Fit, singular: bool) -> Iterator[Finding]:
         yield Finding(
             "W308",
             "warning",
-            "α is not identifiable: the log hardly tells its values apart",
+            "α is not identifiable: the log hardly distinguishes its values",
             {"alpha_low": interval.low, "alpha_high": interval.high},
             "read α with its interval, or use a structure without it",
         )
@@ -245,7 +245,7 @@ def _of_the_angle(motor_angle: Vector) -> Iterator[Finding]:
         yield Finding(
             "W323",
             "error",
-            "the motor turns more than once around: are these degrees called radians?",
+            "the motor turns by more than one revolution: are these degrees labelled as radians?",
             {"largest_angle": largest, "if_degrees": math.radians(largest)},
             'give the angle at the link\'s side of the gear in rad, or state unit = "deg"',
         )
@@ -265,7 +265,7 @@ def _of_the_sensor(fit: Fit, stiffness: float | None) -> Iterator[Finding]:
         yield Finding(
             "W320",
             "error",
-            "the output is no deflection in rad: a deflection log has a gain of 1",
+            "the output is not a deflection in rad: a deflection log has a gain of 1",
             {"gain": fit.gain, "least": GAIN_RANGE[0], "most": GAIN_RANGE[1]},
             "check the unit and scale of the channel in the rig file",
         )
@@ -329,7 +329,7 @@ def _of_the_residual(fit: Fit) -> Iterator[Finding]:
         yield Finding(
             "W305",
             "info",
-            "the residual is not white; standard errors and intervals allow for its colour",
+            "the residual is not white; standard errors and intervals account for its colour",
             {"p_value": fit.tests.whiteness, "correlation_time": fit.tests.correlation_time},
             "nothing, or look at the residual for a second mode or friction",
         )
@@ -362,7 +362,7 @@ def _of_outliers(fit: Fit) -> Iterator[Finding]:
         yield Finding(
             "W312",
             "warning",
-            "a few samples make most of the error: outliers pull the fit",
+            "a few samples cause most of the error: outliers distort the fit",
             {"samples": float(few), "share_of_error": share},
             "examine the log with diagnose and cut or repair these rows",
         )

@@ -192,7 +192,7 @@ def _findings(fit: SpectrumFit, frequency: Reals) -> Iterator[Finding]:
             yield Finding(
                 "W342",
                 "error",
-                f"{name} lies outside of the frequencies that were measured",
+                f"{name} lies outside the frequencies that were measured",
                 {"place": place, "low": low, "high": high},
                 "fit fewer modes, or measure a wider band",
             )
@@ -202,7 +202,7 @@ def _findings(fit: SpectrumFit, frequency: Reals) -> Iterator[Finding]:
                 "error",
                 f"the response does not determine {name}",
                 {"place": place, "relative_error": error, "most": _ERROR_MOST},
-                "fit fewer modes, or measure more lines around it",
+                "fit fewer modes, or measure at more frequencies around it",
             )
     longest = LONGEST / high
     if "delay" in fit.standard_errors and abs(fit.delay) > 0.999 * longest:
@@ -227,7 +227,7 @@ def _findings(fit: SpectrumFit, frequency: Reals) -> Iterator[Finding]:
             "error",
             "the response has the opposite sign of a link's",
             {"gain": fit.gain},
-            "turn the sign of one channel, or add 180° to the phase",
+            "reverse the sign of one channel, or add 180° to the phase",
         )
 
 

@@ -252,7 +252,7 @@ def _of_the_parameters(fit: StructureFit, certain: Certainty) -> Iterator[Findin
         yield Finding(
             "W352",
             "error",
-            f"the data see {', '.join(certain.blind)} together only, no matter how precise they are",
+            f"the data see {', '.join(certain.blind)} only in combination, however precise they are",
             {name: fit.parameters[name] for name in certain.blind},
             "give one of them in fixed, or write the structure with fewer parameters",
         )
@@ -271,16 +271,16 @@ def _of_the_parameters(fit: StructureFit, certain: Certainty) -> Iterator[Findin
             yield Finding(
                 "W354",
                 "warning",
-                f"{one} and {other} trade against each other",
+                f"{one} and {other} can be traded for each other",
                 {"correlation": related},
-                "their intervals say so already; one that is known belongs into fixed",
+                "their intervals already show it; if one is known, give it in fixed",
             )
 
     if not fit.converged:
         yield Finding(
             "W359",
             "error",
-            "the descent stopped short: the data hardly tell the parameters apart",
+            "the search stopped early: the data hardly distinguish the parameters",
             {"evaluations": float(fit.evaluations)},
             "excite more of the band, give parameters that are known in fixed, or narrower bounds",
         )
@@ -300,7 +300,7 @@ def _of_the_error(fit: StructureFit) -> Iterator[Finding]:
         yield Finding(
             "W356",
             "error" if held > _UNEXPLAINED else "warning",
-            "the structure predicts what it has not seen worse than what it was fitted to",
+            "the structure predicts the held-out data worse than the data it was fitted to",
             {"heldout_nmse": held, "nmse": fit.nmse},
             "look for drift, another operating point, or a structure with fewer parameters",
         )
@@ -344,7 +344,7 @@ def _of_the_band(fit: StructureFit, data: RecordStart | Lines) -> Iterator[Findi
             yield Finding(
                 "W358",
                 "warning",
-                "a corner of the structure lies outside of the band that was excited",
+                "a corner of the structure lies outside the band that was excited",
                 {"corner": corner, "low": low, "high": high},
                 "excite that frequency: beyond the band the structure is a guess",
             )

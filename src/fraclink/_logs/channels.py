@@ -223,7 +223,8 @@ def range_of_angle(experiment: Experiment) -> Iterator[Finding]:
         yield Finding(
             "W209",
             "error",
-            f"the motor turns by {largest:.4g} rad, more than a full turn: are these degrees called radians?",
+            f"the motor turns by {largest:.4g} rad, more than a full turn: "
+            "are these degrees labelled as radians?",
             {"largest_angle": largest, "if_degrees": math.radians(largest)},
             'state unit = "deg" for the motor angle if they are',
         )
@@ -292,7 +293,7 @@ def voltage_limit(experiment: Experiment, rig: Rig | None) -> Iterator[Finding]:
             "info",
             f"the voltage is at its limit in {100 * share:.3g} % of the samples",
             {"limit": rig.motor.voltage_limit, "share": share},
-            "the link's model is not touched by it; a motor's model is",
+            "the link's model is not affected; a motor model is",
         )
 
 

@@ -153,7 +153,7 @@ def clean_column(
             "warning",
             f"{missing.size} missing cells of column {name!r} were interpolated",
             {"missing": missing.size, "share": share},
-            "look whether they lie where the arm moves",
+            "check whether they lie where the arm moves",
         )
     ]
 

@@ -117,7 +117,7 @@ def _too_short(experiment: Experiment) -> Finding:
     return Finding(
         "W204",
         "error",
-        f"{experiment.output.size} samples are too few to look for a vibration",
+        f"{experiment.output.size} samples are too few to find a vibration",
         {"samples": experiment.output.size, "duration_s": experiment.duration},
         "record at least 200 samples and three periods of the vibration",
     )
@@ -137,7 +137,7 @@ def _unexplained(mode: Mode) -> Finding:
     return Finding(
         "W233",
         "warning",
-        "no vibration explained by the motor's motion was found: not excited, or covered by noise",
+        "no vibration explained by the motor's motion was found: it is not excited, or hidden by noise",
         {"explained": mode.share, "best_frequency": mode.frequency},
         "excite with more amplitude around the expected resonance; check the output's column",
     )
@@ -172,7 +172,7 @@ def _resolution(experiment: Experiment, mode: Mode) -> Iterator[Finding]:
             "error",
             f"the log holds {periods:.3g} periods of the vibration",
             {"periods": periods, "period_of_vibration_s": cycle},
-            "record at least three periods; ten give a damping",
+            "record at least three periods, or ten to determine the damping",
         )
     if samples < _SAMPLES:
         yield Finding(
@@ -190,9 +190,9 @@ def _delayed(experiment: Experiment, mode: Mode) -> Finding:
     return Finding(
         "W234",
         "warning" if phase > 10 else "info",
-        f"the output answers about {mode.delay * 1e3:.3g} ms late ({phase:.2g}° at the resonance)",
+        f"the output lags by about {mode.delay * 1e3:.3g} ms ({phase:.2g}° at the resonance)",
         {"delay_s": mode.delay, "samples": samples, "phase": math.radians(phase)},
-        "it is fitted with the model; unfitted, a delay passes for a fractional order",
+        "it is fitted with the model; if ignored, it would look like a fractional order",
     )
 
 
@@ -238,5 +238,5 @@ def stiction(experiment: Experiment) -> Iterator[Finding]:
         "warning" if share > 0.1 else "info",
         f"the motor stands still in {100 * share:.3g} % of its driven time, up to about {held:.3g} V",
         {"share": share, "voltage": held, "longest_s": _longest_run(stuck) * experiment.period},
-        "stiction: compensate it in the motor loop; the model of the link is not touched by it",
+        "stiction: compensate it in the motor loop; the model of the link is not affected",
     )

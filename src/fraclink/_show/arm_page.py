@@ -127,10 +127,10 @@ def _simulated(design: Design) -> list[str]:
         gauge += f", {number(1e3 * model.gauge_delay, 2)} ms late"
     return [
         link,
-        "a motor with inertia, viscous and Coulomb friction under the law's own motor loop",
+        "a motor with inertia, viscous and Coulomb friction, driven by the law's own motor loop",
         f"an encoder with {counts} counts per revolution" if counts else "an encoder without steps",
         gauge,
-        f"the law that is shipped (law.c), one period every {number(1e3 * rig.period)} ms, with its guards",
+        f"the shipped law (law.c) with its guards, run every {number(1e3 * rig.period)} ms",
     ]
 
 
@@ -156,9 +156,9 @@ def _twin_simulated(design: Design, *, twin_fits: bool) -> list[str]:
 def _not_simulated(design: Design) -> list[str]:
     """Sentences on what it leaves out."""
     missing = [
-        "the torque of the link on the motor: it is taken as compensated without error, a lost gauge or not",
+        "the link's torque on the motor: it is assumed to be compensated exactly, even without a gauge",
         "contact, gravity, play and elasticity of the gear, heat, wear",
-        "whatever the log did not show of the arm",
+        "anything about the arm that the log did not show",
     ]
-    higher = "higher modes" if design.model.second_mode else "the second mode and all above"
-    return [f"the mass of the link, and with it {higher} in the motion of the tip", *missing]
+    higher = "higher modes" if design.model.second_mode else "the second and all higher modes"
+    return [f"the mass of the link, and so {higher} in the motion of the tip", *missing]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from fraclink._show.text import Row, Table, View, milli, number
+from fraclink._show.text import Row, Table, View, finding_line, milli, number
 
 if TYPE_CHECKING:
     from fraclink._simulate.shaped_move import Measured, ShapedMove
@@ -38,7 +38,7 @@ def shaped_view(made: ShapedMove) -> View:
     header = ("reference", *promised, last, "peak voltage [V]", "guards act [% of runs]")
     table = Table(header, tuple(_row(each, along=along) for each in made.measured))
     state = "passed" if made.passed else "failed"
-    return View(f"{what}: {result}, {voltage}", (table,), tuple(map(str, made.findings)), state)
+    return View(f"{what}: {result}, {voltage}", (table,), tuple(map(finding_line, made.findings)), state)
 
 
 def _row(each: Measured, *, along: bool) -> Row:

@@ -235,7 +235,7 @@ def latency(run: RealtimeRun, *, ax: Any = None) -> Any:
     ax = new_axes() if ax is None else ax
     longest = max(run.period, *(float(np.max(x, initial=0.0)) for x in (run.latency, run.work)))
     bins = 1e6 * np.geomspace(_LEAST, 2 * longest, _BINS)
-    for label, values in (("latency of the wake-up", run.latency), ("work of the period", run.work)):
+    for label, values in (("wake-up latency", run.latency), ("computing time", run.work)):
         ax.hist(1e6 * np.maximum(values, _LEAST), bins=bins, label=label, alpha=0.8)
     ax.axvline(1e6 * run.period, color="0.3", linestyle="--", linewidth=1.0, label="period")
     ax.set(xscale="log", yscale="log", xlabel="time [µs]", ylabel="periods")

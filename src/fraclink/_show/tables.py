@@ -69,7 +69,7 @@ def log_table(log: Experiment) -> Table:
     """Quantity and value of what is known about the log."""
     duration = log.period * (len(log.time) - 1)
     rows: list[Row] = [
-        ("Samples", f"{len(log.time)} in {number(duration)} s, one each {number(1e3 * log.period)} ms"),
+        ("Samples", f"{len(log.time)} in {number(duration)} s, one every {number(1e3 * log.period)} ms"),
         ("Output", _OUTPUTS[log.output_kind]),
         ("Payload", grams(log.payload) if log.payload is not None else "not stated"),
     ]

@@ -12,7 +12,7 @@ from typing import Any
 
 from fraclink.findings import Finding
 
-__all__ = ["Table", "View", "marked", "plain_text"]
+__all__ = ["Table", "View", "finding_line", "marked", "plain_text"]
 
 Row = tuple[str, ...]
 
@@ -148,6 +148,11 @@ class Table:
         return tuple((*row[:-1], marked(row[-1])) for row in self.rows) if self.judged else self.rows
 
 
+def finding_line(finding: Finding) -> str:
+    """A finding in a line; the numbers behind a remark, which fill two lines more, are left to the JSON."""
+    return str(finding if finding.severity != "info" else replace(finding, evidence={}))
+
+
 @dataclass(frozen=True)
 class View:
     """What people read of a result: verdict first, tables, then notes; `state` is the word of the verdict."""
@@ -164,7 +169,7 @@ class View:
         """The same with errors of the input, which stand first: nothing is shown by this result."""
         if not findings:
             return self
-        notes = (*map(str, findings), *self.notes)
+        notes = (*map(finding_line, findings), *self.notes)
         return replace(
             self, headline=f"the input is in doubt; {self.headline}", notes=notes, state="not shown"
         )

@@ -42,7 +42,7 @@ from fraclink._show.tables import (
     verdict_sentence,
     verdict_table,
 )
-from fraclink._show.text import Table, View, degrees, grams, looked_up, number
+from fraclink._show.text import Table, View, degrees, finding_line, grams, looked_up, number
 from fraclink._show.tunings import pid_view, tuning_view, watch_view
 from fraclink.findings import errors_of
 
@@ -80,14 +80,14 @@ def _findings_view(findings: tuple[Finding, ...]) -> View:
     state = "failed" if "error" in found else "not shown" if "warning" in found else "passed"
     counts = [(found.count(word), word) for word in ("error", "warning", "info") if word in found]
     headline = ", ".join(f"{n} {word}{'s' if n > 1 and word != 'info' else ''}" for n, word in counts)
-    return View(headline or "no findings", notes=tuple(map(str, findings)), state=state)
+    return View(headline or "no findings", notes=tuple(map(finding_line, findings)), state=state)
 
 
 # --- rig, log and models ----------------------------------------------------------------------------------
 
 
 def _rig_view(rig: Rig) -> View:
-    return View(rig.name, (rig_table(rig),), tuple(map(str, rig.warnings)))
+    return View(rig.name, (rig_table(rig),), tuple(map(finding_line, rig.warnings)))
 
 
 def _log_view(log: Any) -> View:
@@ -129,14 +129,14 @@ def _design_view(design: Design) -> View:
     tables = (requirements_table(design.requirements),)
     missed = any(not item.passed for item in design.requirements)
     state = "not shown" if design.doubts and not missed else state_of(design)
-    return View(headline, tables, tuple(map(str, design.findings)), state)
+    return View(headline, tables, tuple(map(finding_line, design.findings)), state)
 
 
 def _law_view(law: Law) -> View:
     order = len(law.correction.poles) + 2 * len(law.correction.pair_poles)
     motor = "with its motor loop" if law.drive is not None else "for a robot with its own servo"
     motor = motor if law.has_gauge else "a fractional PID"
-    headline = f"{order} states, one step each {number(1e3 * law.period)} ms, {motor}"
+    headline = f"{order} states, one step every {number(1e3 * law.period)} ms, {motor}"
     return View(headline, notes=(f"SHA-256 {law.digest}",))
 
 
@@ -205,7 +205,7 @@ def _rival_sentence(rival: Alternative, own: Alternative) -> str:
     if not rival.stable:
         return f"{rival.name}: unstable for some payload of the range"
     if rival.gain_crossover == 0.0:
-        return f"{name} crosses nowhere at this Ms"
+        return f"{name} has no gain crossover at this Ms"
     speed, noise = rival.gain_crossover / own.gain_crossover, rival.noise_gain / own.noise_gain
     return (
         f"{name} crosses at {speed:.2f} times the crossover of {own.name} "
@@ -222,7 +222,9 @@ def _map_view(found: Any) -> View:
 
 def _run_view(run: Run) -> View:
     headline = "move settled" if run.verdict.passed else run.verdict.reason
-    return View(headline, (moves_table([run]),), tuple(map(str, run.findings)), state_of(run.verdict))
+    return View(
+        headline, (moves_table([run]),), tuple(map(finding_line, run.findings)), state_of(run.verdict)
+    )
 
 
 def _certificate_view(certificate: Any) -> View:
@@ -285,16 +287,16 @@ def _study_view(study: Study) -> View:
 
 
 def _realtime_view(run: Any) -> View:
-    spreads = (("latency of the wake-up", run.latencies), ("work of the period", run.works))
+    spreads = (("wake-up latency", run.latencies), ("computing time", run.works))
     rows = tuple((name, *(f"{1e6 * value:.1f}" for value in values)) for name, values in spreads)
     headline = (
         f"{len(run.tick)} periods of {1e3 * run.period:g} ms, {run.missed} missed, "
         f"{run.overruns} overruns, {run.lost_samples} lost samples"
     )
-    notes = [*map(str, run.findings), f"scheduling {run.scheduling}, memory {run.memory}"]
+    notes = [*map(finding_line, run.findings), f"scheduling {run.scheduling}, memory {run.memory}"]
     notes += ["the record replays through the law to the last bit"] if run.first_difference is None else []
     notes += [] if run.passed else [f"stopped: {run.problem}"]
-    table = Table(("time [µs]", "least", "mean", "99.9 %", "most"), rows)
+    table = Table(("time [µs]", "min", "mean", "99.9 %", "max"), rows)
     return View(headline, (table,), tuple(notes), state_of(run))
 
 

@@ -25,7 +25,7 @@ def arm_sentences(rig: Rig, model: LinkModel | None) -> list[str]:
         said += _swing(model)
         if model.second_mode is not None:
             hertz = number(model.second_mode.frequency / (2 * math.pi), 3)
-            said.append(f"A second mode rings at {hertz} Hz; the design bounds its loop gain.")
+            said.append(f"It has a second mode at {hertz} Hz; the design bounds the loop gain there.")
         if abs(model.gauge_delay) > 1e-6:
             late = number(1e3 * abs(model.gauge_delay), 2)
             said.append(f"The gauge is {late} ms {'late' if model.gauge_delay > 0 else 'early'}.")
@@ -37,16 +37,16 @@ def arm_sentences(rig: Rig, model: LinkModel | None) -> list[str]:
 def _swing(model: LinkModel) -> Iterator[str]:
     pole = model.pole
     if not pole.imag:
-        yield "The link does not swing: it creeps back."
+        yield "The link does not oscillate: it creeps back."
         return
     with_payload = f"with {grams(model.payload)} " if model.payload is not None else ""
     swing = f"With the motor held, it swings {with_payload}at {number(abs(pole.imag) / (2 * math.pi), 2)} Hz"
     ratio = -pole.real / abs(pole)
     if ratio <= 0:
-        yield f"{swing} without end in this model."
+        yield f"{swing}, undamped in this model."
         return
     swings = -math.log(_LEFT) * abs(pole.imag) / (2 * math.pi * -pole.real)
-    yield f"{swing}, and 5 % of a swing is left after {number(swings, 2)} swings."
+    yield f"{swing}; after {number(swings, 2)} swings the amplitude is down to 5 %."
 
 
 def sketch_notes(rig: Rig, model: LinkModel | None) -> tuple[str, str, str]:
@@ -94,7 +94,7 @@ def refusal_sentence(study: Study) -> str:
     if study.refused is None:
         return ""
     texts = [_request(values) for values in (study.refused.asked, study.refused.nearest)]
-    return f"Asked for: {texts[0]}. Nearest that can be met: {texts[1]}."
+    return f"Requested: {texts[0]}. Nearest feasible request: {texts[1]}."
 
 
 def _request(values: object) -> str:
@@ -110,12 +110,12 @@ def _request(values: object) -> str:
 def steps(study: Study) -> list[tuple[str, str]]:
     """What to do next, each with the command that does it in the folder of the report."""
     if study.design is None:
-        return [("Ask for what can be met", nearest_command(study))] if study.refused else []
+        return [("Request the nearest feasible design", nearest_command(study))] if study.refused else []
     todo = []
     if study.arms is not None and study.arms.failed:
         todo.append(
             (
-                "See why an arm fails, with all signals",
+                "Look at a failing arm, with all its signals",
                 f"fraclink campaign replay arms --run {study.arms.failed[0]}",
             )
         )
@@ -129,7 +129,7 @@ def steps(study: Study) -> list[tuple[str, str]]:
             )
         )
     todo.append(("Write the law as C99 with a self-test", "fraclink export c design.json --out firmware"))
-    todo.append(("Send the arm that moves to someone", "fraclink share . --out arm.html"))
+    todo.append(("Share the moving arm as one file", "fraclink share . --out arm.html"))
     return todo
 
 
@@ -139,11 +139,11 @@ def power_on(design: Design) -> list[str]:
     limit = f" ({number(0.2 * volts, 2)} V of {number(volts, 3)} V)" if math.isfinite(volts) else ""
     return [
         "Motor off: turn the hub by hand towards the positive side; the encoder must count up.",
-        "Motor off: bend the tip by hand; the gauge's torque must have the sign that it has in the log.",
+        "Motor off: bend the tip by hand; the gauge torque must have the same sign as in the log.",
         f"Voltage limited to a fifth{limit}, link off: run the motor loop alone on a small move.",
         f"Link on, {grams(design.payloads[1])}, the heaviest payload, at the tip: a move of 0.1 rad; "
-        "the mode of the law must stay “run”.",
+        "the law must stay in mode “run”.",
         f"The same with {grams(design.payloads[0])}, the lightest, where the margin is smallest; "
         "then the full move and the full voltage.",
-        "Unplug the gauge during a move: the law must say “degraded” and finish the move.",
+        "Unplug the gauge during a move: the law must switch to “degraded” and finish the move.",
     ]

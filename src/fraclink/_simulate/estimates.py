@@ -104,7 +104,7 @@ def estimate_findings(
             Finding(
                 "W604",
                 "warning",
-                f"the estimated payload ({share} in the end) left the {1e3 * low:g} to {1e3 * high:g} g that "
+                f"the estimated payload ({share} at the end) left the {1e3 * low:g} to {1e3 * high:g} g that "
                 f"the design covers, in {np.count_nonzero(outside)} of {outside.size} periods",
                 {"low": float(estimates.low[last]), "high": float(estimates.high[last])},
                 "design for a range that holds this payload: the certificate says nothing about it",
@@ -120,7 +120,7 @@ def estimate_findings(
                 f"the gauge showed a torque at {first:.3g} s that no payload explains: the arm touched "
                 "something",
                 {"time": first},
-                "look what stands in its way; a program on the board can stop at this flag",
+                "see what stands in its way; a program on the board can stop at this flag",
             )
         )
     return tuple(found)

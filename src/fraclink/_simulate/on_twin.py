@@ -37,7 +37,7 @@ def with_motor_loop(
         finding = Finding(
             "W602",
             "warning",
-            "the law has no motor loop: it ran with the one of its arm, and is not the law in hand",
+            "the law has no motor loop: it ran with the motor loop of its arm, so it is not the law you have",
             {},
             "simulate design.law(), which has the motor loop that is shipped",
         )

@@ -267,7 +267,7 @@ def _along(made: ShapedMove, span: float) -> list[Finding]:
             Finding(
                 "W504",
                 "warning",
-                "the path is faster than the limits let the tip be",
+                "the path is faster than the limits allow",
                 {"farthest": ours.predicted, "span": span},
                 "make it slower, begin it at rest, allow more voltage, or tell the law the payload",
             )

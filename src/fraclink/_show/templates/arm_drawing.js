@@ -100,7 +100,7 @@ function drawHub(g) {
 function drawPayload() {
   const thrown = state.thrown >= 0, r = payloadRadius();
   arm.load.replaceChildren();
-  arm.load.setAttribute('aria-label', `${gramsOf(state.payload)}: ${thrown ? 'put the payload back' : 'throw the payload off'}`);
+  arm.load.setAttribute('aria-label', `${gramsOf(state.payload)}: ${thrown ? 'put the payload back' : 'throw off the payload'}`);
   el('circle', {class: 'grip', r: Math.max(20, r + 7)}, arm.load);
   el('circle', {class: 'load', r}, arm.load);
   el('circle', {class: 'spark', cx: -r / 3, cy: -r / 3, r: r / 4.5}, arm.load);

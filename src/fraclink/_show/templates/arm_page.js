@@ -25,11 +25,11 @@ function showSettings() {
   $(state.twin ? 'twin' : 'model').checked = true;
   for (const fault of FAULTS) $(`fault-${fault.id}`).setAttribute('aria-pressed', fault.id in state.faults);
   $('fault-late').setAttribute('aria-pressed', state.late);
-  $('throw').textContent = state.thrown < 0 ? 'Throw the payload off' : 'Put the payload back';
+  $('throw').textContent = state.thrown < 0 ? 'Throw off the payload' : 'Put the payload back';
   const m = DATA.payloads[state.payload], [low, high] = DATA.designed;
   $('zone').textContent = m < low || m > high
-    ? `${gramsOf(state.payload)} is outside of what was designed for: nothing is promised here.`
-    : 'Inside the range that was designed for.';
+    ? `${gramsOf(state.payload)} is outside the design range: nothing is promised here.`
+    : 'Within the design range.';
   $('zone').className = m < low || m > high ? 'hint out' : 'hint';
 }
 
@@ -38,8 +38,8 @@ function say() {
   let text = '';
   if (o.changed >= 0) {
     const name = DATA.modes[o.worst], after = {
-      degraded: 'the law gives the gauge up and goes on without it.',
-      hold: 'the law holds the motor where it is.',
+      degraded: 'the law ignores the gauge and continues without it.',
+      hold: 'the law holds the motor in place.',
       off: 'the law switches the drive off.',
     }[name] || '';
     text = `${name[0].toUpperCase()}${name.slice(1)} at ${(TS * o.changed).toFixed(2)} s (${o.why}): ${after} `;
@@ -47,17 +47,17 @@ function say() {
   const placed = state.move || o.away <= o.band;
   if (o.worst < 3 && !state.move) {
     text += placed
-      ? `No move: the tip stays within ${fixed(degrees(o.away), 2)}° of its place.`
-      : `No move, and yet the tip goes ${fixed(degrees(o.away), 1)}° away from its place.`;
+      ? `No move: the tip stays within ${fixed(degrees(o.away), 2)}° of its position.`
+      : `No move, yet the tip moves ${fixed(degrees(o.away), 1)}° from its position.`;
   } else if (o.worst < 3) {
     if (Number.isNaN(o.settles)) text += `The tip does not come to rest within 2 % in ${fixed(DATA.half, 1)} s.`;
     else {
-      text += `There in ${o.settles.toFixed(2)} s (within 2 %), overshoot ${fixed(100 * o.overshoot, 1)} %`;
-      text += Number.isNaN(o.returns) ? '; it does not settle on the way back.' : `, back in ${o.returns.toFixed(2)} s.`;
+      text += `Settled after ${o.settles.toFixed(2)} s (within 2 %), overshoot ${fixed(100 * o.overshoot, 1)} %`;
+      text += Number.isNaN(o.returns) ? '; it does not settle after the move back.' : `, back after ${o.returns.toFixed(2)} s.`;
     }
   }
   if ('reversed' in state.faults && o.worst <= 1) {
-    text += ' The law has no guard against a gauge wired backwards: it goes on running. The wiring test before the first move finds it.';
+    text += ' The law has no guard against a gauge wired backwards: it keeps running. The wiring test before the first move finds this.';
   }
   said.textContent = text;
   const rests = placed && !Number.isNaN(o.settles);
