@@ -143,6 +143,17 @@ def test_the_command_writes_the_page_and_leaves_a_file_alone(study, page, tmp_pa
     assert main([*command, "--force"]) == 0
 
 
+@pytest.mark.parametrize("found", [True, False])
+def test_open_shows_the_page_or_names_it(study, tmp_path, monkeypatch, capsys, found):
+    save_study(study, tmp_path / "results")
+    asked = []
+    monkeypatch.setattr("webbrowser.open", lambda address: asked.append(address) or found)
+    out = tmp_path / "arm.html"
+    assert main(["share", str(tmp_path / "results"), "--out", str(out), "--open"]) == 0
+    assert asked == [out.as_uri()]
+    assert ("open " in capsys.readouterr().err) == (not found)
+
+
 # What the page's address can say; together every slider, every fault and both precisions.
 RUNS = (
     "",

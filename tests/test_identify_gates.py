@@ -56,34 +56,34 @@ BAD: dict[str, tuple[Callable[[], Experiment], str, str]] = {
     "deflection in degrees": (
         lambda: log(output=np.rad2deg(DEFLECTION), output_kind="deflection"),
         "W320",
-        "no deflection in rad",
+        "not a deflection in rad",
     ),
     "deflection in mrad": (
         lambda: log(output=1e3 * DEFLECTION, output_kind="deflection"),
         "W320",
-        "no deflection in rad",
+        "not a deflection in rad",
     ),
     "deflection in metres": (
         lambda: log(output=0.4 * DEFLECTION, output_kind="deflection"),
         "W320",
-        "no deflection in rad",
+        "not a deflection in rad",
     ),
     "deflection in volts": (
         lambda: log(output=4.0 * DEFLECTION, output_kind="deflection"),
         "W320",
-        "no deflection in rad",
+        "not a deflection in rad",
     ),
     "torque as deflection": (
         lambda: log(output=TORQUE, output_kind="deflection"),
         "W320",
-        "no deflection in rad",
+        "not a deflection in rad",
     ),
     "angle in degrees": (
         lambda: log(np.rad2deg(ANGLE), DEFLECTION, output_kind="deflection"),
         "W320",
-        "no deflection in rad",
+        "not a deflection in rad",
     ),
-    "angle in degrees, torque": (lambda: log(np.rad2deg(ANGLE)), "W323", "degrees called radians"),
+    "angle in degrees, torque": (lambda: log(np.rad2deg(ANGLE)), "W323", "degrees labelled as radians"),
     "torque with the other sign": (lambda: log(output=-TORQUE), "W307", "opposite sign"),
     "deflection with the other sign": (
         lambda: log(output=-DEFLECTION, output_kind="deflection"),
@@ -105,7 +105,7 @@ BAD: dict[str, tuple[Callable[[], Experiment], str, str]] = {
     ),
     "the time as torque": (lambda: log(output=TIME.copy()), "W324", "the output grows steadily with time"),
     "the time as angle": (lambda: log(TIME.copy()), "W324", "the motor angle grows by one step"),
-    "the reference as torque": (lambda: log(output=np.sign(ANGLE)), "W325", "a command and no measurement"),
+    "the reference as torque": (lambda: log(output=np.sign(ANGLE)), "W325", "a command, not a measurement"),
     "a counter as torque": (lambda: log(output=np.arange(COUNT) % 256.0), "W324", "a clock, a counter"),
     "another log's torque": (
         lambda: log(output=TORQUE[::-1].copy()),

@@ -13,6 +13,7 @@ from __future__ import annotations
 import copy
 import functools
 import inspect
+import webbrowser
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -38,7 +39,7 @@ class Answer:
 
     text replaces the view and values the JSON; values are added to it otherwise. doubts are errors of the
     input that leave nothing shown by the result. remarks go to standard error and are left out with --json.
-    written are the files; following is the command a user would give next.
+    written are the files; following is the command a user would give next; opened is a page for the browser.
     """
 
     result: Any = None
@@ -49,6 +50,7 @@ class Answer:
     remarks: tuple[str, ...] = ()
     written: tuple[Path, ...] = ()
     following: str = ""
+    opened: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -162,6 +164,8 @@ def _command(function: Callable[..., Answer]) -> Callable[..., int]:
                 mark.check(given[name], force=force)
         answer = function(**given, **({"force": force} if own_force else {}))
         (_show_json if json else _show_text)(answer)
+        if answer.opened and not webbrowser.open(answer.opened.resolve().as_uri()):
+            tell(f"no browser was found; open {answer.opened} yourself")
         return PASSED if answer.passed and not answer.doubts else FAILED
 
     parameters = [part.parameter for part in (*declared, *added)]

@@ -52,6 +52,7 @@ from fraclink._simulate import simulate as run_law
 app = group()
 
 Script = Annotated[bool, "With the arm that moves; without it the report holds no script at all"]
+Open = Annotated[bool, "Open the page in a browser when it is written"]
 
 
 class RunOptions(LogOptions, DesignRequest):
@@ -73,6 +74,7 @@ def run(
     arms: Annotated[int, "Arms that differ from the model to try; 0 leaves them out"] = 1000,
     title: Annotated[str | None, "Title of the report"] = None,
     script: Script = True,
+    open: Open = False,
     **options: Unpack[RunOptions],
 ) -> Answer:
     """Take a log to a model, a controller, simulated moves and a report; the exit code is the verdict.
@@ -100,7 +102,8 @@ def run(
     if study.arms and study.arms.failure.count:
         following = f"fraclink campaign replay {out / 'arms'} --run {study.arms.failed[0]}"
     values = {"report": str(place), "out": str(out)}
-    return Answer(study, not study.verdict.refuted, values=values, written=(place,), following=following)
+    passed, shown = not study.verdict.refuted, place if open else None
+    return Answer(study, passed, values=values, written=(place,), following=following, opened=shown)
 
 
 class DesignOptions(DesignRequest):
@@ -234,6 +237,7 @@ def report(
     out: Annotated[Path | None, "File to write; default: report.html there"] = None,
     title: Annotated[str | None, "Title of the report"] = None,
     script: Script = True,
+    open: Open = False,
     force: bool = False,
 ) -> Answer:
     """Gather a folder of results into one self-contained HTML file.
@@ -243,7 +247,8 @@ def report(
     place = output_path(out or folder / "report.html", force=force)
     study = load_study(folder)
     write_report(study, place, title=title, script=script)
-    return Answer(text=str(place), values={"out": str(place), "passed": study.verdict.passed})
+    values = {"out": str(place), "passed": study.verdict.passed}
+    return Answer(text=str(place), values=values, opened=place if open else None)
 
 
 @command(app)
@@ -251,6 +256,7 @@ def share(
     folder: Annotated[Path, typer.Argument(metavar="FOLDER"), "Folder of results with a design"],
     out: Annotated[Path, "File to write"] = Path("arm.html"),
     title: Annotated[str | None, "Title of the page; default: the rig's name"] = None,
+    open: Open = False,
     force: bool = False,
 ) -> Answer:
     """Write the arm as a page that moves: the same law in one HTML file, for any browser, without a server.
@@ -261,4 +267,4 @@ def share(
     study = load_study(folder)
     write_arm_page(study, place, title=title)
     values = {"out": str(place), "passed": study.verdict.passed}
-    return Answer(text=str(place), values=values)
+    return Answer(text=str(place), values=values, opened=place if open else None)
