@@ -489,3 +489,21 @@ def test_the_command_line_states_columns_and_repairs(tmp_path: Path) -> None:
     assert main([*call, *words]) == 2
     assert main([*call, *words, "--interpolate"]) == 2
     assert main([*call, *words, "--interpolate", "--resample"]) == 0
+
+
+@pytest.mark.parametrize(("columns", "accepted"), [(5, True), (6, False)])
+def test_b57_too_many_columns(
+    columns: int, accepted: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from fraclink._logs import text
+
+    monkeypatch.setattr(text, "COLUMN_LIMIT", 5)
+    rows = [[*row, *(["0"] * (columns - len(row)))] for row in made_rows()]
+    header = [*HEADER, *(f"more_{k}" for k in range(columns - len(HEADER)))]
+    path = write_log(tmp_path / "log.csv", rows, header=header)
+    if accepted:
+        assert len(read_columns(path)) == columns
+        return
+    error = refused(path)
+    assert isinstance(error, SizeError)
+    assert (error.field, error.value, error.allowed) == ("columns", 6, "5")

@@ -767,3 +767,14 @@ def test_the_checker_reads_the_block_where_the_law_wrote_it(checker: ModuleType)
     assert list(loop.pid) == [written[name] for name in motor]
     assert (loop.T, loop.direct) == (written["period"], written["direct"])
     assert [p.real for p, _ in loop.modes] == list(law.correction.poles)
+
+
+def test_a_law_alone_says_which_noun_is_missing() -> None:
+    made = fl.design(RIG.model, RIG, payloads=(0.02, 0.04), gain_crossover=12.0, phase_margin=fl.deg(50))
+    law = made.law()
+    with pytest.raises(FieldError, match="model is required"):
+        certify(law)
+    with pytest.raises(FieldError, match="model is required"):
+        certify(law, rig=RIG)
+    with pytest.raises(FieldError, match="rig is required"):
+        certify(law, model=RIG.model)

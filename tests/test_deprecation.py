@@ -87,3 +87,16 @@ def test_nothing_outlives_the_release_that_removes_it() -> None:
             if keyword.arg == "removed" and isinstance(keyword.value, ast.Constant)
         ]
     assert [release for release in promised if _release(release) <= now] == []
+
+
+def test_the_depth_says_whose_line_is_named() -> None:
+    def old(depth: dict[str, int]) -> int:
+        warn_deprecated("Plan", use="Design", removed="0.3", **depth)
+        return inspect.currentframe().f_lineno - 1  # type: ignore[union-attr]
+
+    for depth, caller in (({}, True), ({"depth": 1}, True), ({"depth": 0}, False)):
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            here = inspect.currentframe().f_lineno + 1  # type: ignore[union-attr]
+            inside = old(depth)
+        assert caught[0].lineno == (here if caller else inside)

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 import fraclink as fl
+from fraclink._campaign import fault_arm
 from fraclink._campaign.endurance import soak, upsets
 from fraclink._campaign.fault_checks import shared_checks
 from fraclink._campaign.fault_rules import RULES
@@ -305,3 +308,19 @@ def test_a_healthy_arm_that_trips_ends_the_campaign_at_once(bench: Bench) -> Non
     with pytest.raises(FieldError, match=r"bench: trips with 20 g before anything is broken \(got off"):
         run_faults(tender, cases(tender), progress=begun.append)
     assert begun == ["F01"]
+
+
+@pytest.mark.parametrize(
+    ("payload", "inside"), [(0.0199, False), (0.02, True), (0.03, True), (0.04, True), (0.0401, False)]
+)
+def test_another_payload_is_judged_by_whether_the_design_covers_it(
+    payload: float, inside: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(fault_arm, "peak_ratio", lambda limit: lambda evidence: ("ratio", limit))
+    monkeypatch.setattr(fault_arm, "bounded", lambda limit: lambda evidence: ("bounded", limit))
+    evidence: Any = SimpleNamespace(
+        case=SimpleNamespace(payload=payload),
+        bench=SimpleNamespace(payloads=(0.02, 0.03, 0.04)),
+        pick=lambda first, *others: first,
+    )
+    assert fault_arm.payload_peak(evidence) == (("ratio", 1.2) if inside else ("bounded", 0.1))

@@ -178,3 +178,18 @@ def test_bad_responses_name_their_field(field: str, options: dict[str, object]) 
 def test_spectra_need_equal_lengths() -> None:
     with pytest.raises(LogError):
         frequency_response(np.ones(64), np.ones(63))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_linear_least_squares_return_an_exact_ratio(seed: int) -> None:
+    """Levy's fit of a rational function of its own degrees is that function, whatever the weights."""
+    from fraclink._identify.modal import _levy
+
+    g = np.random.default_rng(seed)
+    top, bottom = g.normal(size=3), np.concatenate([[1.0], g.uniform(0.5, 2.0, 3)])
+    x = (1j * np.geomspace(0.1, 10.0, 60)) ** 0.9
+    response = np.polyval(top, x) / np.polyval(bottom, x)
+    found = _levy(x, response, g.uniform(0.5, 2.0, 60), 2, 3)
+    np.testing.assert_allclose(found[0], top, rtol=1e-8)
+    np.testing.assert_allclose(found[1], bottom, rtol=1e-8)
+    assert found[2] < 1e-10

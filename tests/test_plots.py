@@ -240,3 +240,19 @@ def test_the_phase_budget_falls_from_half_a_turn_to_the_margin() -> None:
         assert left.get_y() + left.get_height() == pytest.approx(right.get_y())
     with pytest.raises(FieldError, match="shares"):
         plots.phase_shares([])
+
+
+@pytest.mark.parametrize("delay", [0.02, 0.6])
+def test_nichols_marks_every_critical_point_in_view_and_a_grid_for_every_turn(delay: float) -> None:
+    """−180° and each turn away from it: the phase of a delay runs through several."""
+    loop = (3.0 / (fl.s + 0.3)).delayed(delay)
+    axis = plots.nichols(loop, frequency=np.geomspace(0.01, 40.0, 800))
+    low, high = axis.get_xlim()
+    marked = sorted(float(line.get_xdata()[0]) for line in axis.get_lines() if line.get_marker() == "+")
+    inside = [x for x in range(-180 - 20 * 360, 5 * 360, 360) if low <= x <= high]
+    assert inside and set(inside) <= set(marked)
+    assert all(low - 360 <= x <= high + 360 for x in marked)
+    contours = [line for line in axis.get_lines() if line.get_marker() != "+"]
+    for x in inside:  # the M circles around each critical point cross its phase
+        phases = [np.asarray(line.get_xdata(), dtype=float) for line in contours[1:]]
+        assert sum(p.size > 2 and np.nanmin(p) < x < np.nanmax(p) for p in phases) >= 3

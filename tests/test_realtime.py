@@ -28,6 +28,7 @@ from fraclink._arm.reference import Reference
 from fraclink._files.envelope import write_npz
 from fraclink._law import MODES, REASONS, Law
 from fraclink._realtime import Callback, Command, RealtimeRun, Spread, VirtualClock, run_realtime
+from fraclink._realtime.line import open_line
 from fraclink._show.views import view
 from fraclink.errors import FieldError, FileFormatError, LogError, SizeError
 
@@ -485,3 +486,15 @@ def test_what_it_grants_is_given_back(law: Law) -> None:
     assert (run.scheduling == "SCHED_FIFO 5") == (scheduler == os.SCHED_FIFO)
     assert (run.memory == "locked") == (kilobytes > 0)
     assert (os.sched_getscheduler(0), locked_kilobytes()) == (before, 0)
+
+
+def test_a_board_that_states_no_period_must_be_told_one() -> None:
+    sent: list[object] = []
+    with (
+        pytest.raises(FieldError, match="Give --period-ms") as caught,
+        open_line(Callback(lambda: (0.0, 0.0), sent.append), None, clock="none"),
+    ):
+        pass
+    assert caught.value.field == "period"
+    with open_line(Callback(lambda: (0.1, 0.2), sent.append), PERIOD, clock="none") as (line, first):
+        assert (line.period, first.angle, first.torque) == (PERIOD, 0.1, 0.2)

@@ -395,3 +395,25 @@ def test_a_browser_shows_the_page_without_a_complaint(tmp_path: Path) -> None:
     drawn = sum(count for (tag, names), count in found.found.items() if tag == "svg" and "data-x" in names)
     assert drawn == 4  # log, Bode, margins, phase budget
     assert 'data-ready="true"' in answer.stdout
+
+
+def test_a_parameter_is_printed_with_its_error_or_as_held_or_as_a_dash() -> None:
+    from types import SimpleNamespace
+
+    from fraclink._show.tables import _parameter
+
+    def shown(name: str, structure: str = "UD-FOM", **values: float) -> str:
+        model = SimpleNamespace(
+            **{"natural_frequency": 10.02, "order": 1.92, "damping": 0.0, "damping_order": 1.0} | values
+        )
+        fit = SimpleNamespace(model=model, structure=structure, standard_errors={"order": 0.01})
+        return _parameter(fit, name)  # type: ignore[arg-type]
+
+    assert shown("natural_frequency", natural_frequency=0.0) == "–"
+    assert shown("natural_frequency").startswith("10.02")
+    assert shown("order") == uncertain(1.92, 0.01).replace("± ", "±\N{NO-BREAK SPACE}")
+    assert "±\N{NO-BREAK SPACE}" in shown("order")
+    assert (shown("damping"), shown("damping_order")) == ("–", "–")
+    assert shown("damping", damping=0.25) == number(0.25)
+    assert shown("damping_order", damping=0.25) == number(1.0)
+    assert shown("order", "D-IOM") == number(1.92)

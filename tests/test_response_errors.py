@@ -154,3 +154,20 @@ def test_the_estimate_grows_with_an_unstable_mode() -> None:
     found = time_response(G, np.ones(266_074), 0.00187)
     true = worst(found, G, 1, np.array([266_073]))
     assert true <= found.error_estimate <= 1e-9 * found.output[-1]
+
+
+@pytest.mark.parametrize("hold", ["zero", "first"])
+@pytest.mark.parametrize(("gain", "delay"), [(0.7, 0.5), (1.2, 1.0), (2.0, 0.3)])
+def test_the_estimate_of_a_retarded_loop_is_near_its_error(gain: float, delay: float, hold: str) -> None:
+    """ẏ = k (u − y) a delay later, whose step response is a polynomial between multiples of the delay."""
+    loop = (gain / s).delayed(delay).feedback()
+    count, period = 400, 0.02
+    time = period * np.arange(count)
+    exact = np.zeros(count)
+    for n in range(1, 1 + int(time[-1] / delay) + 1):
+        late = np.maximum(time - n * delay, 0.0)
+        exact -= (-gain) ** n * late**n / math.factorial(n)
+    found = time_response(loop, np.ones(count), period, hold=hold)
+    assert found.method == "fft"
+    error = float(np.abs(found.output - exact).max())
+    assert error <= found.error_estimate <= max(1e4 * error, 1e-4)

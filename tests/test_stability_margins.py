@@ -333,3 +333,11 @@ def test_encirclements_agree_with_the_certified_count(seed: int) -> None:
     assert found.stable is not None
     if found.modulus_margin > 1e-6:
         assert found.stable is bool(is_stable(loop.feedback()))
+
+
+def test_the_grid_of_a_constant_lies_evenly_around_1_rad_s() -> None:
+    from fraclink._systems.sweep import frequency_grid
+
+    grid = frequency_grid(0 * s + 2.0)
+    assert grid[0] * grid[-1] == pytest.approx(1.0, rel=1e-9)
+    assert grid[-1] / grid[0] > 1e3
