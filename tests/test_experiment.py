@@ -139,6 +139,8 @@ def test_arrays_in_other_units_are_the_same_experiment() -> None:
     assert (log.period, log.payload, log.output_kind) == (0.004, 0.03, "torque")
     units = {"time": "ms", "motor_angle": "deg", "torque": "mNm"}
     other = Experiment.from_arrays(1e3 * TIME, np.degrees(ANGLE), 1e3 * TORQUE, units=units, voltage=ANGLE)
+    short = Experiment.from_arrays(TIME, ANGLE, 1e3 * TORQUE, units="mNm", voltage=ANGLE)
+    np.testing.assert_allclose(short.output, TORQUE, rtol=1e-12)
     assert other.period == 0.004
     assert np.allclose(other.motor_angle, log.motor_angle, rtol=1e-14, atol=1e-15)
     assert np.allclose(other.output, log.output, rtol=1e-14, atol=1e-15)

@@ -233,7 +233,7 @@ def test_to_control_refuses(system: object) -> None:
 def test_a_name_is_shown() -> None:
     named = to_control(LOOP, name="loop")
     assert named.name == "loop" and str(named).startswith("loop: ")
-    assert repr(to_control(1 / (s**0.5 + 1))) == "to_control(1 / (s^0.5 + 1))"
+    assert repr(to_control(1 / (s**0.5 + 1))) == "to_control(1/(s**0.5 + 1))"
 
 
 def test_without_python_control(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -241,3 +241,14 @@ def test_without_python_control(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delitem(sys.modules, "fraclink._systems.control_adapter", raising=False)
     with pytest.raises(MissingExtraError, match=r"fraclink\[control\]"):
         to_control(LOOP)
+
+
+def test_systems_of_python_control_in_the_algebra() -> None:
+    lag, held = control.tf([1], [1, 1]), 2 / (s**0.5 + 3)
+    assert lag * held == held / (s + 1)
+    assert held * lag == held / (s + 1)
+    assert control.ss(lag) * held == held / (s + 1)
+    assert lag + held == held + 1 / (s + 1)
+    assert held / lag == held * (s + 1)
+    assert control.feedback(held, 1) == held.feedback()
+    assert control.feedback(held, 2, 1) == held.feedback(2, sign=1)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -48,6 +49,22 @@ def test_a_cell_shows_the_table_and_the_drawing(name: str, results: dict[str, An
     if drawing is not None:
         assert drawing.startswith("<svg") and drawing in page
     assert results[name]._repr_html_() == page
+
+
+def test_a_drawing_is_written(results: dict[str, Any], tmp_path: Path) -> None:
+    fl.draw(results["Fit"], tmp_path / "fit.svg")
+    assert (tmp_path / "fit.svg").read_text().strip() == results["Fit"]._repr_svg_().strip()
+    with pytest.raises(fl.errors.FieldError, match="without a drawing"):
+        fl.draw(results["Law"], tmp_path / "law.svg")
+    with pytest.raises(fl.errors.FieldError, match="of another kind"):
+        fl.draw(results["Fit"], tmp_path / "fit.png")
+
+
+def test_a_comparison_comes_back(results: dict[str, Any], tmp_path: Path) -> None:
+    fl.save(results["Comparison"], tmp_path / "c.json")
+    again = fl.load(tmp_path / "c.json")
+    assert str(again) == str(results["Comparison"])
+    assert again.fits[again.preferred] == results["Comparison"].fits[again.preferred]
 
 
 def test_texts_are_escaped(results: dict[str, Any]) -> None:

@@ -400,3 +400,25 @@ def test_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest
     assert main(["tune-pid", "k/(s + 1)", "--out", "no.json"]) == 2
     assert "identify-structure" in capsys.readouterr().err
     assert main(["tune-pid", plant, "--gain-crossover", "2", "--form", "PI", "--out", "no.json"]) == 1
+
+
+# --- in python-control ------------------------------------------------------------------------------------
+
+
+def test_laws_in_python_control() -> None:
+    """Against the block's own response, with real modes, a complex pair, and a PID's integral."""
+    pytest.importorskip("control")
+    rig = fl.Rig.named("paper-2023")
+    arm = fl.discretize(fl.Controller(gain=0.069876, order=0.612197, link=rig.model), rig.period, order=4)
+    plain = fl.discretize_pid(pid(), 0.004, **LAW)
+    pair = {"pair_poles": (-0.3 + 0.7j, 0.2 + 0.1j), "pair_gains": (1.5 + 3j, 0.3 - 1j)}
+    turning = replace(plain, correction=plain.correction._replace(**pair))
+    w = np.geomspace(0.05, 780.0, 80)
+    for law, wanted in (
+        (arm, arm.frequency_response(w)),
+        (plain, fl.pid_response(plain, w)),
+        (turning, fl.pid_response(turning, w)),
+    ):
+        system = law.to_control()
+        assert system.dt == law.period
+        np.testing.assert_allclose(system(np.exp(1j * w * law.period)), wanted, rtol=1e-9)

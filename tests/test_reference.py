@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import fraclink as fl
-from fraclink._arm.reference import Path, Reference, sampled
+from fraclink._arm.reference import Path, Reference, checked_reference, sampled
 from fraclink.errors import FieldError, SizeError
 
 SMOOTH: dict[str, Reference] = {
@@ -116,3 +117,16 @@ def test_a_pulse_with_soft_edges_rests_between_them() -> None:
     time = np.array([0.5, 1.15, 1.3, 2.0, 7.5, 8.0, 8.15, 8.3, 20.0])
     assert soft.angle(time) == pytest.approx([0, 0.5, 1, 1, 1, 1, 0.5, 0, 0], abs=1e-12)
     assert np.ptp(soft.angle(np.linspace(0, 10, 5001))) == pytest.approx(1.0)
+
+
+def test_two_arrays_are_a_path() -> None:
+    time, angle = np.linspace(0.0, 0.5, 40), 0.2 * np.sin(np.linspace(0.0, 0.5, 40))
+    given: Any = (time, angle)
+    taken = checked_reference(given)
+    np.testing.assert_array_equal(taken.angle(time), fl.spline(time, angle).angle(time))
+    bad: Any
+    for bad in ((time, angle, angle), (time, 3.0), np.sin, [1.0, 2.0]):
+        with pytest.raises(FieldError, match="spline"):
+            checked_reference(bad)
+    with pytest.raises(FieldError):
+        checked_reference((time[::-1], angle))  # type: ignore[arg-type]

@@ -161,6 +161,7 @@ from fraclink._realtime.simulated import SimulatedArm as SimulatedArm
 from fraclink._show.arm_page import write_arm_page as write_arm_page
 from fraclink._show.bode import margin_plot as margin_plot
 from fraclink._show.fleets import drivers_figure as drivers_figure
+from fraclink._show.notebook import draw as draw
 from fraclink._show.planes import nichols as nichols
 from fraclink._show.planes import nyquist as nyquist
 from fraclink._show.plots import bode as bode

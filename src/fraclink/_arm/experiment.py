@@ -114,7 +114,7 @@ class Experiment:
         output: ArrayLike,
         *,
         output_kind: OutputKind = "torque",
-        units: Mapping[str, str] = MappingProxyType({}),
+        units: Mapping[str, str] | str = MappingProxyType({}),
         voltage: ArrayLike | None = None,
         payload: float | None = None,
         source: str = "",
@@ -122,16 +122,17 @@ class Experiment:
         """Return the experiment that arrays of shape (N,) hold, in SI units and radians or in `units`.
 
         `time` are the stamps of the samples [s], steps below 1 s; `units` states others by role, such as
-        ``{"time": "ms", "motor_angle": "deg", "torque": "mNm"}``. Raises LogError for stamps with gaps,
-        repeats or strong jitter, and for an unknown unit.
+        ``{"time": "ms", "motor_angle": "deg", "torque": "mNm"}``; a text is the output's. Raises LogError for
+        stamps with gaps, repeats or strong jitter, and for an unknown unit.
 
         >>> log = Experiment.from_arrays([0, 4, 8], [0, 5.0, 9.0], [0, 10, 30], units={"time": "ms"})
         >>> log.period, log.duration
         (0.004, 0.008)
         """
+        stated: Mapping[str, str] = {output_kind: units} if isinstance(units, str) else units
         arrays = {"time": time, "motor_angle": motor_angle, output_kind: output}
         arrays |= {} if voltage is None else {"voltage": voltage}
-        channels = {role: Channel(role, units.get(role, SI[role])) for role in arrays}
+        channels = {role: Channel(role, stated.get(role, SI[role])) for role in arrays}
         columns = LogColumns(
             channels["time"],
             channels["motor_angle"],

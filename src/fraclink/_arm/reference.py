@@ -50,9 +50,21 @@ _TAPS = {3: 2, 4: 3, 5: 3, 6: 5, 7: 6, 9: 5, 10: 7, 11: 9}
 class Reference(ABC):
     """An angle over time with two known derivatives; `duration` [s] is when its last change ends."""
 
-    __made_by__ = "smooth_step, pulse, prbs, chirp, hold, spline or SampledReference"
+    __made_by__ = (
+        "smooth_step, pulse, prbs, chirp, hold, SampledReference, two arrays (time, angle), or "
+        "spline(time, f(time)) for a function"
+    )
 
     duration: float
+
+    @staticmethod
+    def __made_of__(value: object) -> Reference | None:
+        """A pair of arrays, times [s] and angles [rad], is the spline through them, from rest to rest."""
+        if not isinstance(value, tuple) or len(value) != 2:
+            return None
+        if any(np.ndim(part) != 1 for part in value):
+            return None
+        return spline(*value)
 
     @abstractmethod
     def derivative(self, time: ArrayLike, order: int) -> Real:

@@ -10,6 +10,7 @@ from types import MappingProxyType
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import FRACTIONAL, STRUCTURES, VISCOUS, LinkModel
 from fraclink._arm.link import structure as structure_row
+from fraclink._files import document
 from fraclink._files.display import displayed
 from fraclink._identify.fit import Fit, _parameters, _share, coincidence_text
 from fraclink._identify.fitting import HeldOut, Stiffness, fit_from, make_search
@@ -52,6 +53,7 @@ class Contest:
 
 
 @displayed
+@document("comparison", summary=lambda found: {"preferred": found.preferred, "verdict": found.verdict})
 @dataclass(frozen=True, eq=False, repr=False)
 class Comparison:
     """Every structure fitted to one log.

@@ -22,7 +22,7 @@ from fraclink._files.display import displayed
 from fraclink._law import block as layout
 from fraclink._law.block import Drive, Modes, Tracking, block_values
 from fraclink._law.limits import Limits
-from fraclink.errors import FieldError, FileFormatError
+from fraclink.errors import FieldError, FileFormatError, MissingExtraError
 
 __all__ = ["MODES", "REASONS", "Law", "LawInputs", "LawOutputs"]
 
@@ -78,6 +78,11 @@ class LawOutputs(NamedTuple):
     mode: Any
     reason: Any
     flags: Any
+
+
+def _of_pair(gain: complex) -> list[float]:
+    """What real and imaginary part of a pair's state count in the sum: Re(gain·state)."""
+    return [gain.real, -gain.imag]
 
 
 def _first_format(content: dict[str, Any]) -> dict[str, Any]:
@@ -241,6 +246,48 @@ class Law:
         total = direct + (gains / (beyond - poles)).sum(-1)
         total = total + 0.5 * (crossed / (beyond - pairs) + crossed.conj() / (beyond - pairs.conj())).sum(-1)
         return np.asarray(2j * np.sin(half) * np.exp(-1j * half) * total, dtype=np.complex128)
+
+    def to_control(self) -> Any:
+        """Return the law's filter as a discrete `control.StateSpace`: from the error to the correction Ĉ e.
+
+        That of a fractional PID leads from the error to the output, its integral included. Limits, guards and
+        feed-forward are not in it. MissingExtraError where python-control is not installed.
+
+        >>> import fraclink as fl
+        >>> rig = fl.Rig.named("paper-2023")
+        >>> law = fl.discretize(fl.Controller(gain=0.069876, order=0.612197, link=rig.model), 0.004, order=4)
+        >>> system = law.to_control()
+        >>> bool(abs(system(np.exp(4j * law.period)) - law.frequency_response(4.0)) < 1e-12), system.dt
+        (True, 0.004)
+        """
+        try:
+            import control
+        except ImportError as error:
+            raise MissingExtraError("control", "control") from error
+        direct, poles, gains, pairs, crossed = self._filter
+        size = len(poles) + 2 * len(pairs)
+        a, b, c = np.zeros((size + 1, size + 1)), np.zeros(size + 1), np.zeros(size + 1)
+        turns = [np.array([[p.real, -p.imag], [p.imag, p.real]]) for p in pairs + 1]
+        for place, block in enumerate([*(poles + 1).reshape(-1, 1, 1), *turns]):
+            at = place if place < len(poles) else 2 * place - len(poles)
+            width = len(block)
+            a[at : at + width, at : at + width] = block
+            b[at] = 1.0
+            c[at : at + width] = [gains[place]] if width == 1 else _of_pair(crossed[place - len(poles)])
+        # the last state is the error of the period before: the modes are driven by its change
+        a[:, -1], c[-1] = -b, -direct
+        b[-1] = 1.0
+        names = {"inputs": "error", "outputs": "correction"}
+        if self.has_gauge or self.drive is None:
+            return control.ss(a, b[:, None], c[None, :], [[direct]], self.period, **names)
+        loop = self.drive.loop
+        half = loop.integral_gain * loop.integral_now
+        whole, into = np.zeros((size + 2, size + 2)), np.append(b, 2 * half * (1 + direct))
+        whole[:-1, :-1], whole[-1, :-1], whole[-1, -1] = a, 2 * half * c, 1.0
+        out = np.append((loop.direct + half) * c, 1.0)
+        through = [[(loop.direct + half) * (1 + direct)]]
+        names["outputs"] = "output"
+        return control.ss(whole, into[:, None], out[None, :], through, self.period, **names)
 
     def initial_state(self) -> bytes:
         """Return the state before the first period; the first step starts at the measured angle without a

@@ -98,7 +98,7 @@ def structure_view(fit: Any) -> View:
     held = "nothing held out" if share is None else f"held-out error {100 * share:.2g} %"
     state = "passed" if fit.passed else "not shown"
     table = Table((fit.expression, "value", "95 % interval"), tuple(rows))
-    notes = (f"G(s) = {fit.transfer_function!r}", *worth_reading(fit.findings))
+    notes = (f"G(s) = {fit.transfer_function}", *worth_reading(fit.findings))
     return View(f"error {100 * fit.nmse:.2g} %, {held}", (table,), notes, state)
 
 

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from fraclink._show import figures, fleets, loops, runs
-from fraclink._show.drawing import Figure
+from fraclink._show.drawing import Figure, save_svg
 from fraclink._show.rivals import rivals_figure
 from fraclink._show.sketches import arm_sketch
 from fraclink._show.text import looked_up, marked
 from fraclink._show.views import view
 from fraclink._show.words import sketch_notes
+from fraclink.errors import FieldError
 
-__all__ = ["drawing", "page_part", "short"]
+__all__ = ["draw", "drawing", "page_part", "short"]
 
 _LONGEST = 110  # characters of a repr: a list of results stays readable
 
@@ -54,6 +56,24 @@ def drawing(result: Any) -> str | None:
         return None
     drawn: Figure | str = looked_up(_DRAWINGS, result)(result)
     return drawn if isinstance(drawn, str) else drawn.alone()
+
+
+def draw(result: Any, path: Path | str) -> None:
+    """Write the drawing of a result to an SVG file, as a notebook shows it, in the colours of both themes.
+
+    FieldError for a result without a drawing, and for a file of another kind.
+
+    >>> import fraclink as fl, tempfile
+    >>> place = Path(tempfile.mkdtemp()) / "arm.svg"
+    >>> fl.draw(fl.Rig.named("paper-2023"), place)
+    >>> place.read_text().startswith("<svg")
+    True
+    """
+    drawn = drawing(result)
+    if drawn is None:
+        allowed, given = ", ".join(sorted(_DRAWINGS)), type(result).__name__
+        raise FieldError("result", given, "without a drawing", allowed=allowed, remedy="draw one of these")
+    save_svg(drawn, path)
 
 
 def page_part(result: Any) -> str:

@@ -89,7 +89,7 @@ def simulate(
     design
         a design, which brings its rig, its model and its law, or a law, with `rig` and `model` or with `arm`.
     reference
-        of the tip, e.g. `smooth_step`.
+        of the tip, e.g. `smooth_step`, or two arrays (time [s], angle [rad]) for the spline through them.
     rig
         motor, encoder and gauge; its period must be the law's.
     model

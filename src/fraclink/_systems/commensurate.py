@@ -82,7 +82,7 @@ class FractionalStateSpace:
     --------
     >>> system = FractionalStateSpace([[0, 1], [-4, -1]], [[0], [1]], [[1, 0]], [[0]], 0.8)
     >>> system.transfer_function()
-    1 / (s^1.6 + s^0.8 + 4)
+    1/(s**1.6 + s**0.8 + 4)
     >>> print(system.is_stable())
     stable: no pole has Re s ≥ 0
     >>> system.response([0.0, 0.0, 0.0], 0.5, initial=[1.0, 0.0]).output.round(6)

@@ -6,8 +6,10 @@ Orders are real and need no common base. The power is the principal one, s^a = e
 -π < arg s ≤ π, so a function is real for s > 0 and conjugate-symmetric elsewhere.
 
 >>> from fraclink._systems.fractional import s
->>> G = 1.56 * s**1.92 / (s**1.92 + 10.02**2)
+>>> G = 1.56 * s**1.92 / (s**1.92 + 100.4004)
 >>> G
+1.56*s**1.92/(s**1.92 + 100.4004)
+>>> print(G)
 1.56 s^1.92 / (s^1.92 + 100.4)
 >>> G.is_proper, G.relative_degree
 (True, 0.0)
@@ -16,10 +18,10 @@ Orders are real and need no common base. The power is the principal one, s^a = e
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from importlib import import_module
-from typing import Any, overload
+from typing import Any, cast, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,31 +33,34 @@ from fraclink._systems.terms import (
     collect,
     evaluate,
     finite,
+    latex_text,
     normal,
     product,
+    python_text,
     scaled,
     text,
 )
 from fraclink.errors import FieldError
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class FractionalTransferFunction:
     """A quotient of two sums of terms c·s^a·e^(-τs), always in the same normal form.
 
     Equal orders are merged, zeros dropped, powers and delays common to numerator and denominator divided
     out, terms sorted by falling order, and the denominator's leading coefficient scaled to 1. Equality and
-    hash compare this form. A numerator that is a multiple of the denominator is cancelled: the response from
-    rest is the same.
+    hash compare this form, and a constant equals its number. A numerator that is a multiple of the
+    denominator is cancelled: the response from rest is the same. `repr` is Python that makes an equal
+    function, `str` is for reading, and a notebook shows a formula.
 
     `numerator`, `denominator`: terms, a single term, or a number. Raises `FieldError` for an empty or zero
     denominator, for NaN or infinite entries, for a negative order in a
     denominator and for a function that would answer before its input.
 
     >>> FractionalTransferFunction((Term(2, 0.5),), (Term(4, 1.5), Term(2, 0.5)))
-    0.5 / (s + 0.5)
+    0.5/(s + 0.5)
     >>> (s + 1) / (2 * s + 2)
-    0.5
+    0.5*s**0
     """
 
     numerator: tuple[Term, ...]
@@ -63,7 +68,7 @@ class FractionalTransferFunction:
 
     __made_by__ = "fraclink.s, such as 100 / (s**1.92 + 100)"
 
-    # numpy must hand `array * G` to us (and so refuse it) instead of making an array of objects.
+    # numpy must hand `array * G` to us: an array of functions comes of it in both orders.
     __array_ufunc__ = None
 
     def __post_init__(self) -> None:
@@ -104,7 +109,7 @@ class FractionalTransferFunction:
     def __add__(self, other: object) -> FractionalTransferFunction:
         right = _operand(other)
         if right is NotImplemented:
-            return NotImplemented
+            return _each(other, lambda one: self + one)
         if self.denominator == right.denominator:
             return _build((*self.numerator, *right.numerator), self.denominator)
         return _build(
@@ -115,13 +120,13 @@ class FractionalTransferFunction:
     def __mul__(self, other: object) -> FractionalTransferFunction:
         right = _operand(other)
         if right is NotImplemented:
-            return NotImplemented
+            return _each(other, lambda one: self * one)
         return _quotient(self.numerator, self.denominator, right.numerator, right.denominator)
 
     def __truediv__(self, other: object) -> FractionalTransferFunction:
         right = _operand(other)
         if right is NotImplemented:
-            return NotImplemented
+            return _each(other, lambda one: self / one)
         if not right.numerator:
             remedy = "do not divide by zero"
             raise FieldError("denominator", 0.0, "zero", allowed="a nonzero function", remedy=remedy)
@@ -129,7 +134,7 @@ class FractionalTransferFunction:
 
     def __sub__(self, other: object) -> FractionalTransferFunction:
         right = _operand(other)
-        return NotImplemented if right is NotImplemented else self + (-right)
+        return _each(other, lambda one: self - one) if right is NotImplemented else self + (-right)
 
     def __neg__(self) -> FractionalTransferFunction:
         return _build(scaled(self.numerator, -1.0), self.denominator)
@@ -148,7 +153,7 @@ class FractionalTransferFunction:
 
     def __rtruediv__(self, other: object) -> FractionalTransferFunction:
         left = _operand(other)
-        return NotImplemented if left is NotImplemented else left / self
+        return _each(other, lambda one: one / self) if left is NotImplemented else left / self
 
     def __pow__(self, exponent: object) -> FractionalTransferFunction:
         """Integer power of any function, real power of a single term c·s^a with c > 0 (s**1.92)."""
@@ -182,18 +187,20 @@ class FractionalTransferFunction:
         """Return G(s)·e^(-τs) for the delay τ ≥ 0 [s].
 
         >>> (1 / (s + 1)).delayed(0.01)
-        e^(-0.01 s) / (s + 1)
+        (1*s**0).delayed(0.01)/(s + 1)
         """
         extra = Term(1.0, 0.0, delay)
         return _build(product(self.numerator, (extra,)), self.denominator)
 
     def feedback(
-        self, other: FractionalTransferFunction | float = 1.0, *, sign: int = -1
+        self, other: FractionalTransferFunction | float = 1.0, sign: int = -1
     ) -> FractionalTransferFunction:
         """Return the closed loop G/(1 - sign·G·H) with H = `other`; `sign` is -1 (negative feedback) or +1.
 
+        As in python-control, whose `control.feedback(G, H)` calls this.
+
         >>> (10 / s**0.5).feedback()
-        10 / (s^0.5 + 10)
+        10/(s**0.5 + 10)
         """
         if sign not in (-1, 1):
             raise FieldError("sign", sign, "not a sign", allowed="-1 or +1", remedy="-1 is negative feedback")
@@ -234,18 +241,51 @@ class FractionalTransferFunction:
         """Return s^a for any real order a.
 
         >>> FractionalTransferFunction.power(-0.5)
-        1 / s^0.5
+        1/s**0.5
         """
         value = finite("order", order)
         return _build((Term(1.0, max(value, 0.0)),), (Term(1.0, max(-value, 0.0)),))
 
+    # -- comparison and text ----------------------------------------------------------------------
+
+    def __eq__(self, other: object) -> bool:
+        right = _operand(other)
+        if right is NotImplemented:
+            return NotImplemented
+        return (self.numerator, self.denominator) == (right.numerator, right.denominator)
+
+    def __hash__(self) -> int:
+        if self.denominator != _ONE or len(self.numerator) > 1:
+            return hash((self.numerator, self.denominator))
+        only = self.numerator[0] if self.numerator else Term(0.0, 0.0)
+        constant = not only.order and not only.delay
+        return hash(only.coefficient if constant else (self.numerator, self.denominator))
+
+    def __bool__(self) -> bool:
+        """False for 0."""
+        return bool(self.numerator)
+
     def __repr__(self) -> str:
+        top = python_text(self.numerator)
+        if self.denominator == _ONE:
+            single = all(t.order == 0.0 and not t.delay for t in self.numerator)
+            return f"{top}*s**0" if single else top
+        bottom = python_text(self.denominator)
+        top = f"({top})" if len(self.numerator) > 1 else top
+        several = len(self.denominator) > 1 or self.denominator[0].delay
+        return f"{top}/({bottom})" if several else f"{top}/{bottom}"
+
+    def __str__(self) -> str:
         top = text(self.numerator)
-        if self.denominator == (Term(1.0, 0.0),):
+        if self.denominator == _ONE:
             return top
         bottom = text(self.denominator)
         top = f"({top})" if len(self.numerator) > 1 else top
         return f"{top} / ({bottom})" if len(self.denominator) > 1 else f"{top} / {bottom}"
+
+    def _repr_latex_(self) -> str:
+        top, bottom = latex_text(self.numerator), latex_text(self.denominator)
+        return f"${top}$" if self.denominator == _ONE else rf"$\displaystyle\frac{{{top}}}{{{bottom}}}$"
 
 
 def _build(top: Iterable[Term], bottom: Iterable[Term]) -> FractionalTransferFunction:
@@ -261,9 +301,27 @@ def _quotient(
     return _build(product(top, other_top), product(bottom, other_bottom))
 
 
+_ONE = (Term(1.0, 0.0),)
+
+
+def _each(array: object, operation: Callable[[Any], Any]) -> FractionalTransferFunction:
+    """The operation on every element of an array, as an array of functions; NotImplemented for no array.
+
+    An operator's type is that of its usual operands: for an array it is an array.
+    """
+    found: Any = NotImplemented
+    if isinstance(array, np.ndarray):
+        found = np.empty(array.shape, dtype=object)
+        for place, one in np.ndenumerate(array):
+            found[place] = operation(one)
+    return cast("FractionalTransferFunction", found)
+
+
 def _operand(value: object) -> Any:
     if isinstance(value, FractionalTransferFunction):
         return value
+    if hasattr(value, "ninputs") and hasattr(value, "dt"):  # a system of python-control
+        return import_module("fraclink._systems.interop").from_control(value)
     if isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool):
         return _build((Term(float(value), 0.0),), (Term(1.0, 0.0),))
     return NotImplemented

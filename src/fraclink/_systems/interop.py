@@ -78,7 +78,7 @@ def from_control(system: Any) -> FractionalTransferFunction:
     --------
     >>> import control
     >>> from_control(control.tf([10], [1, 2, 10]))
-    10 / (s^2 + 2 s + 10)
+    10/(s**2 + 2*s + 10)
     """
     if isinstance(system, FractionalTransferFunction):
         return system

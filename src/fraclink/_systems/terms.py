@@ -176,6 +176,39 @@ def text(terms: tuple[Term, ...]) -> str:
     return " ".join(parts) or "0"
 
 
+def python_text(terms: tuple[Term, ...]) -> str:
+    """The sum as Python reads it back to the last bit, with s the Laplace variable."""
+    parts: list[str] = []
+    for term in terms:
+        sign, size = ("-" if term.coefficient < 0 else "+"), f"{abs(float(term.coefficient))!r}"
+        size = size.removesuffix(".0")
+        power = "" if term.order == 0.0 else "s" if term.order == 1.0 else f"s**{float(term.order)!r}"
+        power = power.removesuffix(".0")
+        body = "*".join(factor for factor in ("" if size == "1" and power else size, power) if factor)
+        if term.delay:
+            body = f"({body if power else f'{body}*s**0'}).delayed({float(term.delay)!r})"
+        parts.append(f"{sign} {body}" if parts else ("-" if sign == "-" else "") + body)
+    return " ".join(parts) or "0"
+
+
+def latex_text(terms: tuple[Term, ...]) -> str:
+    """The sum for a formula; numbers to six digits."""
+    parts: list[str] = []
+    for term in terms:
+        sign, size = ("-" if term.coefficient < 0 else "+"), f"{abs(term.coefficient):.6g}"
+        if "e" in size:
+            digits, power = size.split("e")
+            size = rf"{digits} \cdot 10^{{{int(power)}}}"
+        factors = [] if size == "1" and (term.order or term.delay) else [size]
+        if term.order:
+            factors.append("s" if term.order == 1.0 else f"s^{{{term.order:.6g}}}")
+        if term.delay:
+            factors.append(f"e^{{-{term.delay:.6g} s}}")
+        body = r"\,".join(factors)
+        parts.append(f"{sign} {body}" if parts else ("-" if sign == "-" else "") + body)
+    return " ".join(parts) or "0"
+
+
 # --- Values of sums of c·s^a·e^(-τs) on arrays: the arithmetic under `FractionalTransferFunction` -----
 
 

@@ -10,7 +10,7 @@ import inspect
 import os
 import types
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import InitVar
+from dataclasses import InitVar, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, Union, cast, get_args, get_origin
 
@@ -125,7 +125,16 @@ def instance_rule(kind: type) -> Rule:
     """An instance of a class; its ``__made_by__`` says where to get one: ``"read_log(path)"``."""
     name = f"{'an' if kind.__name__[0] in 'AEIOU' else 'a'} {kind.__name__}"
     source = getattr(kind, "__made_by__", None)
-    return _kind(lambda value: isinstance(value, kind), name, f"use {source}" if source else f"give {name}")
+    own = _kind(lambda value: isinstance(value, kind), name, f"use {source}" if source else f"give {name}")
+    made_of = getattr(kind, "__made_of__", None)
+    if made_of is None:
+        return own
+
+    def convert(value: Any) -> Any:
+        made = made_of(value)
+        return own.convert(value if made is None else made)
+
+    return replace(own, convert=convert)
 
 
 def _names_a_file(value: Any) -> bool:
