@@ -103,7 +103,7 @@ def test_every_verdict_follows_from_the_numbers(item: Number) -> None:
 
 
 def test_only_what_stands_on_the_twin_or_a_measurement_needs_the_logs() -> None:
-    """What follows from the paper's own numbers is reproduced, corrected or contradicts; it needs nobody's log."""
+    """What follows from the paper's own numbers is reproduced, corrected or contradicts."""
     for item in PUBLISHED.numbers:
         if item.verdict == "not reproducible":
             assert item.ours.startswith(("twin.", "resonance.")), item.id
