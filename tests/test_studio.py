@@ -19,21 +19,26 @@ from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
 import fraclink as fl
+import fraclink._studio.swept as swept_module
+from fraclink._campaign.faults import FaultTable
 from fraclink._cli import main
 from fraclink._cli.designs import DesignOptions
+from fraclink._design.requirement import margins_of
 from fraclink._law.refit import refitted
 from fraclink._show.pages import squeezed, tightened
 from fraclink._studio.history import History
 from fraclink._studio.logs import LOG_VERBS
 from fraclink._studio.messages import Reply, parsed, refusal
 from fraclink._studio.outputs import OUTPUT_VERBS
+from fraclink._studio.played import PLAY_VERBS
 from fraclink._studio.preview import Subject, described, nearest, preview
 from fraclink._studio.regions import Region, checked_regions, fan_of, map_of, round_regions, violated
 from fraclink._studio.request import NAMES, as_python, checked_request
 from fraclink._studio.server import POLICY, Studio, application
 from fraclink._studio.serving import serve
 from fraclink._studio.session import Session, SupersededError, opened
-from fraclink._studio.work import Job
+from fraclink._studio.swept import swept
+from fraclink._studio.work import Job, proof_of
 from fraclink.errors import FieldError, FraclinkError
 
 ADDRESS = "http://127.0.0.1:8000"
@@ -261,8 +266,90 @@ def test_a_script_keeps_its_texts_and_loses_its_spaces():
         "// all\nlet a = 1 - -b; /* two\nlines */ f( /a b/ )": "let a=1- -b;f(/a b/)\n",
         "const x = a\n(b)": "const x=a\n(b)\n",
         "return 'a // b' + c": "return'a // b'+c\n",
+        "f((x) => { g(x); }, [1, ],);": "f(x=>{g(x)},[1]);\n",
     }
     assert {text: tightened(text) for text in cases} == cases
+
+
+# --- runs that Python makes for the page ----------------------------------------------------------------
+
+MOVED = {"payload": 0.03, "move": 1.0, "time": 0.5, "half": 2.0, "duration": 4.0, "noise": 0.0, "offset": 0.0,
+         "delay": 1, "told": False}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory) -> Session:
+    session = opened(None, rig=fl.Rig.named("paper-2023-geared"), out=tmp_path_factory.mktemp("made") / "r")
+    session.exact(ASKED)
+    return session
+
+
+def test_a_tip_that_is_held_stays_and_a_payload_that_is_lost_is_gone(made):
+    _, free = unpacked(PLAY_VERBS["play"](made, MOVED).packed(1, "play"))
+    design = made.study.design
+    path = fl.smooth_step(1.0, 0.5).then(fl.smooth_step(-1.0, 0.5, start=1.5))
+    arm = fl.Twin.from_rig(design.rig, model=design.model, link_mass=design.rig.link.mass)
+    own = fl.simulate(made.study.law, path, arm=arm, duration=4.0, noise=0.0, payload=0.03, delay_samples=1)
+    assert np.array_equal(free["tip"][0], own.tip_angle.astype("<f4"))
+    hold = {"begin": 0.2, "until": 0.6, "angle": float(np.interp(0.2, own.time, own.tip_angle))}
+    head, held = unpacked(PLAY_VERBS["play"](made, MOVED | {"hold": hold}).packed(1, "play"))
+    inside = (own.time > 0.25) & (own.time < 0.6)
+    assert held["tip"][0][inside].max() < hold["angle"] + 0.05 < free["tip"][0][inside].max() - 0.3
+    assert "held at" in head["said"]
+    lost = {"throw": {"time": 0.3, "payload": 0.008}}
+    head, thrown = unpacked(PLAY_VERBS["play"](made, MOVED | lost).packed(1, "play"))
+    before = own.time < 0.299
+    assert np.array_equal(thrown["tip"][0][before], free["tip"][0][before])
+    assert np.abs(thrown["torque"][0] - free["torque"][0]).max() > 0.05
+    assert "8 g at 0.30 s" in head["said"]
+
+
+def test_a_red_cell_shows_the_run_that_was_judged(made):
+    case = {"fault": "F09", "severity": 1, "payload": 0.03, "phase": "mid"}
+    head, curves = unpacked(PLAY_VERBS["fault"](made, case).packed(1, "fault"))
+    bench = fl.Bench.of(made.study.design)
+    outcome = fl.run_case(bench, fl.Case("F09", 1, 0.03, "mid", 1), single=False)
+    assert np.abs(curves["tip"] - curves["reference"]).max() == pytest.approx(outcome.peak, rel=1e-5)
+    assert head["said"].startswith("F09, severity 1, 30 g: gauge open circuit")
+    table = FaultTable((outcome, fl.run_case(bench, fl.Case("F07", 3, 0.03, "mid", 1), single=False)))
+    cells = proof_of(replace(made.study, faults=table))["cells"]
+    assert [(cell["fault"], cell["phase"], cell["passed"]) for cell in cells] == [
+        (o.case.fault, "mid", o.passed) for o in table.outcomes
+    ]
+
+
+@pytest.mark.parametrize("name", ["payload", "move", "time", "delay", "duration"])
+@pytest.mark.parametrize("value", [None, "x", True, math.inf, 1e300, -5.0])
+def test_a_run_of_impossible_settings_is_refused_in_words(made, name, value):
+    if (name, value) == ("move", -5.0):
+        return  # a move to the other side
+    with pytest.raises(FraclinkError) as why:
+        PLAY_VERBS["play"](made, MOVED | {name: value})
+    assert len(str(why.value)) > 10
+
+
+def test_the_map_about_minus_one_is_the_true_sampled_loops(made):
+    design, law = made.study.design, made.study.law
+    head, curves = swept(design, law)
+    delays, near = np.asarray(head["delays"]), np.asarray(head["near"])
+    assert near.shape == (delays.size, len(head["payloads"])) and delays[0] == 0.0
+    late = [swept_module._distance(design, law, mass, 0.0) for mass in design.payloads]
+    margins = [
+        -margins_of(law.frequency_response, _plant_of(design, m)).modulus_margin for m in design.payloads
+    ]
+    assert late == pytest.approx(margins)
+    assert near[-1, 0] > near[0, 0]  # later is nearer, or unstable
+    assert (near[-1] == 1.0).any() == any(
+        not margins_of(
+            law.frequency_response, replace(_plant_of(design, float(m)), delay=float(delays[-1]))
+        ).stable
+        for m in head["payloads"]
+    )
+    assert curves["sweep_x"].shape == curves["sweep_y"].shape == (6, 400)
+
+
+def _plant_of(design: fl.Design, payload: float):
+    return design.sampled_plant(design.natural_frequency(payload))
 
 
 # --- the server -----------------------------------------------------------------------------------------

@@ -35,12 +35,12 @@ def squeezed(name: str) -> str:
 
 
 def tightened(script: str) -> str:
-    """Return a script without its comments, and without the spaces that separate nothing.
+    """Return a script without its comments, and without the spaces and signs that separate nothing.
 
-    Lines end where a statement may: JavaScript puts in the semicolons that are missing there.
+    It must be written with a semicolon behind every statement but a block, and without empty bodies of loops.
 
-    >>> tightened("const a = b => `${b} + 1`; // twice\\n  f( a,\\n  'x y' )\\n")
-    "const a=b=>`${b} + 1`;f(a,'x y')\\n"
+    >>> tightened("const a = (b) => { return `${b} + 1`; }; // twice\\n  f( a,\\n  'x y' );\\n")
+    "const a=b=>{return`${b} + 1`};f(a,'x y');\\n"
     """
     found, gap = [""], ""
     for part in _PARTS.finditer(script):
@@ -49,13 +49,24 @@ def tightened(script: str) -> str:
             gap = "\n" if "\n" in text or gap == "\n" else " "
             continue
         before, after = found[-1][-1:], text[0]
-        if gap == "\n" and before not in ";{,([=:?&|<>" and after not in "})],.;:?&|":
+        if gap == "\n" and _may_end(before, after):
             found.append("\n")
         elif gap and ((_is_word(before) and _is_word(after)) or (before == after and after in "+-")):
             found.append(" ")
+        if text in ("}", "]", ")") and found[-1] == ("," if text != "}" else ";"):
+            found.pop()
         found.append(text)
         gap = ""
+        if found[-5:-4] == ["("] and found[-3:] == [")", "=", ">"] and not _is_word(found[-6][-1:]):
+            del found[-5], found[-3]  # of the one parameter of a function
     return "".join(found) + "\n"
+
+
+def _may_end(before: str, after: str) -> bool:
+    """Whether a line break between these may be all that separates two statements."""
+    if before == "}" and _is_word(after):
+        return False
+    return before not in ";{,([=:?&|<>" and after not in "})],.;:?&|"
 
 
 def _is_word(character: str) -> bool:

@@ -14,11 +14,12 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from fraclink._studio.logs import LOG_VERBS
 from fraclink._studio.messages import Message, Reply, parsed, refusal
 from fraclink._studio.outputs import OUTPUT_VERBS
+from fraclink._studio.played import PLAY_VERBS
 from fraclink._studio.preview import Subject, nearest, preview
 from fraclink._studio.regions import map_of, parted, round_regions
 from fraclink._studio.request import checked_request
 from fraclink._studio.session import Session, SupersededError
-from fraclink._studio.work import JOBS, Job
+from fraclink._studio.work import JOBS, WORK_VERBS, Job
 from fraclink.errors import FieldError, FraclinkError
 
 __all__ = ["Conversation"]
@@ -92,6 +93,8 @@ _VERBS: dict[str, Verb] = {
     "keep": _keep,
     **LOG_VERBS,
     **OUTPUT_VERBS,
+    **PLAY_VERBS,
+    **WORK_VERBS,
 }
 
 

@@ -21,6 +21,7 @@ from fraclink._design.assess import phase_budget
 from fraclink._design.completed import design_for
 from fraclink._law import Law
 from fraclink._law.refit import refitted
+from fraclink._show.text import number
 from fraclink._studio.messages import Reply, refusal
 from fraclink._studio.regions import fan_of, parted, violated
 from fraclink._studio.request import checked_request, wanted_of
@@ -129,6 +130,7 @@ def _shown(subject: Subject, made: Design, assumed: tuple[str, ...]) -> Reply:
         "three": three,
         "asked": {"gain_crossover": made.gain_crossover, "phase_margin_deg": math.degrees(made.phase_margin)},
         "controller": _controller(made),
+        "facts": _facts(made),
         "requirements": made.requirements,
         "findings": made.findings,
         "assumed": assumed,
@@ -157,6 +159,20 @@ def _controller(made: Design) -> dict[str, Any]:
         "upper": made.gain_crossover_upper,
         "formula": c.formula,
     }
+
+
+def _facts(made: Design) -> list[tuple[str, str]]:
+    """What a design is known by, as a page shows it, and lays beside that of another one."""
+    c = made.controller
+    return [
+        ("ω_c", f"{number(made.gain_crossover)} rad/s"),
+        ("φ_m", f"{number(math.degrees(made.phase_margin))}°"),
+        ("k_d", number(c.gain)),
+        ("β", number(c.order)),
+        ("δ", f"{number(1e3 * c.filter_time, 3)} ms" if c.filter_time else "none"),
+        ("n", str(c.filter_order)),
+        ("ω̄_c", f"{number(made.gain_crossover_upper)} rad/s"),
+    ]
 
 
 def _budget(made: Design, payload: float) -> list[tuple[str, float]]:

@@ -13,15 +13,17 @@ from pathlib import Path
 from threading import Lock
 from typing import Any
 
+from fraclink._campaign.faults import FaultTable
 from fraclink._campaign.study import Study, load_study, save_study
 from fraclink._show import tables
 from fraclink._studio.logs import fit_answer
 from fraclink._studio.messages import Reply
 from fraclink._studio.session import Session
+from fraclink._studio.swept import swept
 from fraclink._validate import Between
 from fraclink.errors import FieldError
 
-__all__ = ["JOBS", "Job"]
+__all__ = ["JOBS", "WORK_VERBS", "Job"]
 
 # Verb -> (part of the study it needs, what it is asked for beside: name, range, default).
 _Option = tuple[str, Between, float | None]
@@ -131,7 +133,33 @@ def proof_of(study: Study) -> dict[str, Any]:
         rows = tables.faults_table(study.faults)
         found["faults"] = {"header": rows.header, "rows": rows.shown}
         found["faults_said"] = tables.faults_sentence(study.faults)
+        found["cells"] = _cells(study.faults)
     return found
+
+
+def _cells(table: FaultTable) -> list[dict[str, Any]]:
+    """One for each fault, severity and payload: its first run that failed, or one that passed."""
+    found: dict[tuple[Any, ...], dict[str, Any]] = {}
+    for outcome in table.outcomes:
+        case = outcome.case
+        key = (case.fault, case.severity, case.payload)
+        if key not in found or (found[key]["passed"] and not outcome.passed):
+            names = ("fault", "severity", "payload")
+            found[key] = dict(zip(names, key, strict=True)) | {"phase": case.phase, "passed": outcome.passed}
+    return list(found.values())
+
+
+def _proof(session: Session, given: Mapping[str, Any]) -> Reply:
+    """Everything that step 6 shows of the study as it stands."""
+    study = session.study
+    head: dict[str, Any] = {"ok": True, **proof_of(study)}
+    if study.design is None or study.law is None:
+        return Reply(head)
+    near, curves = swept(study.design, study.law)
+    return Reply(head | {"swept": near}, curves)
+
+
+WORK_VERBS: dict[str, Callable[[Session, Mapping[str, Any]], Reply]] = {"proof": _proof}
 
 
 def _checked(name: str, bounds: Between, value: object) -> Any:

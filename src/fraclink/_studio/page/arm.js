@@ -1,6 +1,7 @@
 // @ts-check
 // The arm of the shared page, with another law at every drag.
 import {startArm} from './arm_box.js';
+import {$} from './studio.js';
 
 export class Arm {
   constructor(app) {
@@ -8,7 +9,8 @@ export class Arm {
     this.key = '';
     this.moving = null; // the doors of the running arm
     this.moved = () => {};
-    this.masses = [];
+    this.held = null;
+    this.hands();
   }
 
   /** What an exact design brings: a new arm, or a new law for this one. */
@@ -24,31 +26,67 @@ export class Arm {
 
   rebuild(text) {
     this.moving?.stop();
-    document.getElementById('arm-data').textContent = text;
-    const template = /** @type {HTMLTemplateElement} */ (document.getElementById('arm-template'));
+    $('arm-data').textContent = text;
+    const template = /** @type {HTMLTemplateElement} */ ($('arm-template'));
     document.querySelector('.armbox')?.remove();
     this.box = /** @type {HTMLElement} */ (/** @type {any} */ (template.content.cloneNode(true)).querySelector('.armbox'));
-    document.getElementById('arm-design').append(this.box);
+    $('arm-design').append(this.box);
     this.moving = startArm();
     this.move(this.app.step);
   }
 
-  law(blocks, masses) {
+  law(blocks) {
     if (!this.moving) return;
-    this.masses = masses;
     this.moving.law(blocks, this.box?.classList.contains('compact'));
     this.moved();
   }
 
   /** In the design it is small and beside the loop, in the move it has the page. */
   move(step) {
-    document.getElementById('no-arm').hidden = Boolean(this.box);
+    $('no-arm').hidden = Boolean(this.box);
     if (!this.box) return;
     const whole = step === 'move';
-    document.getElementById(whole ? 'arm-move' : 'arm-design').append(this.box);
+    $(whole ? 'arm-move' : 'arm-design').append(this.box);
     this.box.classList.toggle('compact', !whole);
     if (whole || step === 'design') this.moving.lay();
   }
 
+  /** A run that Python makes: a hand at the tip, a payload lost on the way, a fault's case. */
+  async play(verb, given) {
+    const answer = await this.app.ask(verb, given);
+    if (!answer.ok) { this.app.toast(answer.error); return; }
+    if (!this.moving) return;
+    if (this.app.step !== 'move') this.app.show('move');
+    this.moving.show(answer);
+    this.app.say(answer.said);
+  }
+  hold(on) {
+    if (!this.moving || on === Boolean(this.held)) return;
+    const now = this.moving.now(), {at, angle, duration} = now;
+    const {begin, angle: place} = this.held ||= {begin: at, angle};
+    $('hold').setAttribute('aria-pressed', String(on));
+    if (!on) this.held = null;
+    this.play('play', {...now, hold: {begin, angle: place, until: on || at < begin ? duration : at}});
+  }
+  lose() {
+    if (!this.moving) return;
+    const now = this.moving.now();
+    this.play('play', {...now, throw: {time: now.at, payload: now.lightest}});
+  }
+  /** The mouse at the payload: a click loses it in mid-move, a longer press holds the tip until it is let go of. */
+  hands() {
+    $('hold').addEventListener('click', () => this.hold(!this.held));
+    $('lose').addEventListener('click', () => this.lose());
+    let timer = 0, pressed = false;
+    const place = $('arm-move'), ours = (event) => event.target.closest('#load');
+    place.addEventListener('pointerdown', (event) => { if (ours(event)) timer = setTimeout(() => { timer = 0; this.hold(pressed = true); }, 250); }, true);
+    addEventListener('pointerup', () => { clearTimeout(timer); if (pressed) this.hold(pressed = false); });
+    place.addEventListener('click', (event) => {
+      if (!ours(event)) return;
+      event.stopPropagation();
+      if (timer) this.lose();
+      timer = 0;
+    }, true);
+  }
   runs(masses) { return this.moving ? this.moving.runs(masses) : null; }
 }

@@ -1,10 +1,9 @@
 // @ts-check
 // Around the loop: regions that it keeps out of, the map of what can be asked for, states laid over one another.
-import {Plot, el, plain} from './plot.js';
+import {Plot, digits, el, plain} from './plot.js';
 import {$, make, button, table} from './studio.js';
 
-const EDGES = [['left', 'x'], ['right', 'x'], ['low', 'y'], ['high', 'y']];
-const THUMBS = 12;
+const EDGES = [['left', 'x', 'right', 'Left'], ['right', 'x', 'left', 'Right'], ['low', 'y', 'high', 'Lower'], ['high', 'y', 'low', 'Upper']];
 
 export class Around {
   constructor(app, design) {
@@ -12,7 +11,7 @@ export class Around {
     this.plots = {gain: design.gain, nichols: design.nichols};
     for (const [name, plot] of Object.entries(this.plots)) this.tool(name, plot);
     this.map = new Plot('p-map', {low: 4, high: 90, log: true}, {low: 10, high: 100, ticks: [20, 40, 60, 80], text: (v) => `${v}°`});
-    this.both = (x, y) => { design.set('gain_crossover', Number(x.toPrecision(3))); design.set('phase_margin_deg', Math.round(y)); };
+    this.both = (x, y) => { design.set('gain_crossover', round(x)); design.set('phase_margin_deg', Math.round(y)); };
     this.map.painted(app.hand, (from, to) => this.both(...to));
     $('fan').addEventListener('change', () => app.change());
     $('around').addEventListener('click', () => design.offer('around'));
@@ -23,7 +22,8 @@ export class Around {
   put(list) { this.app.state = {...this.app.state, regions: list}; }
   change(list) { this.app.begin(); this.put(list); this.app.change(); this.app.end(); }
   tool(name, plot) {
-    const mode = button('▭ keep out', 'chip tool', plot.svg.parentElement.querySelector('figcaption'), (event) => {
+    const mode = $(`keepout-${name}`);
+    mode.addEventListener('click', (event) => {
       if (event.detail) { on(mode.getAttribute('aria-pressed') !== 'true'); return; }
       // by keys: one in the middle, with its edges to be moved
       this.change([...this.list(), box([plot.value(plot.x, 0.6), plot.value(plot.y, 0.6)], [plot.value(plot.x, 0.75), plot.value(plot.y, 0.75)])]);
@@ -31,9 +31,6 @@ export class Around {
     });
     const on = (now) => { mode.setAttribute('aria-pressed', String(now)); plot.svg.classList.toggle('drawing', now); };
     const box = ([x, y], [u, v]) => ({plot: name, left: round(Math.min(x, u)), right: round(Math.max(x, u)), low: round(Math.min(y, v)), high: round(Math.max(y, v))});
-    mode.id = `keepout-${name}`;
-    mode.setAttribute('aria-label', `Draw a region that the ${name === 'gain' ? 'loop gain' : 'Nichols curve'} may not enter`);
-    on(false);
     let before = [];
     plot.painted({...this.app.hand, end: () => { on(false); this.app.end(); }}, (from, to) => {
       if (from === to) before = this.list();
@@ -44,10 +41,10 @@ export class Around {
     for (const plot of Object.values(this.plots)) plot.drop('region');
     this.list().forEach((region, i) => {
       const plot = this.plots[region.plot], logs = plot.x.log;
-      for (const [edge, drag] of EDGES) {
-        const now = () => this.list()[i] || region, axis = plot[drag], other = {left: 'right', right: 'left', low: 'high', high: 'low'}[edge];
+      for (const [edge, drag, other, words] of EDGES) {
+        const now = () => this.list()[i] || region, axis = plot[drag];
         plot.handle({
-          id: `h-region-${i}-${edge}`, label: `${edge[0].toUpperCase()}${edge.slice(1)} edge of region ${i + 1}`, unit: drag === 'y' ? 'dB' : logs ? 'rad/s' : '°',
+          id: `h-region-${i}-${edge}`, label: `${words} edge of region ${i + 1}`, unit: drag === 'y' ? 'dB' : logs ? 'rad/s' : '°',
           low: axis.low, high: axis.high, step: 1, drag, shape: 'small', get: () => now()[edge],
           set: (v) => { const least = edge === 'left' || edge === 'low'; if (least ? v < now()[other] : v > now()[other]) this.put(this.list().map((r, k) => (k === i ? {...r, [edge]: round(v)} : r))); },
           at: () => { const r = now(), x = logs ? Math.sqrt(r.left * r.right) : (r.left + r.right) / 2; return drag === 'x' ? [r[edge], (r.low + r.high) / 2] : [x, r[edge]]; },
@@ -85,7 +82,7 @@ export class Around {
     const {state} = this.app, of = JSON.stringify([state.payloads, state.filter_time, state.filter_order, state.margins, this.app.axes.payloads]);
     if (of === this.of || !this.app.axes.payloads) return;
     this.of = of;
-    const found = await this.app.link.ask('map', {state});
+    const found = await this.app.ask('map', {state});
     if (!found.ok) { this.of = ''; return; }
     const {crossovers: x, margins: y, noise} = found, last = (list) => list[list.length - 1];
     const levels = noise.flat().filter((v) => v >= 0).sort((a, b) => a - b);
@@ -94,16 +91,16 @@ export class Around {
   }
 
   // ---- states beside one another ----
-  words(state) { return `${plain(state.gain_crossover ?? NaN, 3)} rad/s, ${plain(state.phase_margin_deg ?? NaN, 3)}°`; }
+  words(state) { return `${plain(state.gain_crossover, 3)} rad/s, ${plain(state.phase_margin_deg, 3)}°`; }
   async look(state) {
     const key = JSON.stringify(state);
-    if (!this.pictures.has(key)) this.pictures.set(key, await this.app.link.ask('look', {state}));
+    if (!this.pictures.has(key)) this.pictures.set(key, await this.app.ask('look', {state}));
     return this.pictures.get(key);
   }
   strip() {
     const {states, at} = this.app, place = $('strip');
     place.replaceChildren();
-    for (let k = Math.max(0, states.length - THUMBS); k < states.length; k++) {
+    for (let k = Math.max(0, states.length - 12); k < states.length; k++) {
       const state = states[k], item = make('div', `thumb${k === at ? ' now' : ''}`, '', place), kept = this.app.kept.has(k) ? ', kept' : '';
       const go = button('', '', item, () => this.app.go(k)), key = JSON.stringify(state);
       go.setAttribute('aria-label', `Go to state ${k + 1}: ${this.words(state)}${kept}`);
@@ -130,8 +127,7 @@ export class Around {
     if (!shown) { for (const plot of four) plot.remove('other'); $('compared').replaceChildren(); return; }
     const c = b.curves;
     [[w, c.gain[1]], [w, c.phase[1]], [c.phase[1], c.gain[1]], [payloads.map((m) => 1e3 * m), c.margin[0]]].forEach(([x, y], i) => four[i].curve('other', 'other', x, y, 'B'));
-    const rows = [['ω_c [rad/s]', (s) => s.asked.gain_crossover], ['φ_m [°]', (s) => s.asked.phase_margin_deg], ['k_d', (s) => s.controller.k_d], ['β', (s) => s.controller.beta], ['δ [ms]', (s) => 1e3 * s.controller.delta], ['ω̄_c [rad/s]', (s) => s.controller.upper]];
-    table($('compared'), ['', 'A, this one', 'B'], rows.map(([name, of]) => [name, plain(of(a)), plain(of(b))]), 'A and B');
+    table($('compared'), ['', 'A, this one', 'B'], a.facts.map(([name, value], i) => [name, value, b.facts[i][1]]), 'A and B');
   }
 }
-const round = (v) => Number(v.toPrecision(3));
+const round = (v) => digits(v, 3);

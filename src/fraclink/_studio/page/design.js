@@ -1,11 +1,10 @@
 // @ts-check
 // Step 4: the loop, its handles, and what they ask for.
-import {Plot, el, limited, plain} from './plot.js';
+import {Plot, digits, limited, plain} from './plot.js';
 import {Around} from './around.js';
 import {$, make, button, table, findings} from './studio.js';
 
 const grams = (kg) => 1e3 * kg;
-const digits = (v, n) => Number(v.toPrecision(n));
 const KINDS = ['light', 'nominal', 'heavy'];
 
 /** A circle of the plane about a centre left of 0, as phases and decibels. */
@@ -88,9 +87,6 @@ export class Design {
     this.nichols = new Plot('p-nichols', {low: -300, high: -60, ticks: [-300, -240, -180, -120, -60], text: degrees}, {low: -40, high: 40, ticks: [-40, -20, 0, 20, 40]});
     this.margin = new Plot('p-margin', {low: 8, high: 80, log: true}, {low: 0, high: 120, ticks: [0, 30, 60, 90, 120], text: degrees});
     this.tip = new Plot('p-moves', {low: 0, high: 2}, {low: -10, high: 80});
-    this.budget = $('p-budget');
-    this.budget.setAttribute('role', 'img');
-    new ResizeObserver(() => { if (this.last) this.drawBudget(this.last.budget); }).observe(this.budget.parentElement);
     this.contours();
     const {app} = this, at = () => app.hand;
     app.hand = {begin: app.begin, change: (time) => app.change(time), end: app.end, cancel: app.cancel};
@@ -206,10 +202,10 @@ export class Design {
 
   /** What is a preview is grey and has its ≈; the exact answer replaces it. */
   facts(answer, preview) {
-    const place = $('controller'), c = answer.controller, sign = preview ? '≈ ' : '';
+    const place = $('controller'), sign = preview ? '≈ ' : '';
     place.classList.toggle('preview', preview);
     place.replaceChildren();
-    for (const [name, value] of [['k_d', plain(c.k_d)], ['β', plain(c.beta)], ['δ', c.delta ? `${plain(1e3 * c.delta, 3)} ms` : 'none'], ['n', String(c.n)], ['ω̄_c', `${plain(c.upper)} rad/s`]]) {
+    for (const [name, value] of answer.facts.slice(2)) {
       const box = make('div', '', '', place);
       make('dt', '', name, box);
       make('dd', '', `${sign}${value}`, box);
@@ -233,7 +229,7 @@ export class Design {
   }
   /** Another state that Python looked for. */
   async offer(verb) {
-    const found = await this.app.link.ask(verb, {state: this.app.state});
+    const found = await this.app.ask(verb, {state: this.app.state});
     if (!found.ok) { this.app.toast(found.error); return; }
     this.app.begin();
     this.app.state = {...found.state, regions: this.app.state.regions};
@@ -254,22 +250,17 @@ export class Design {
   }
 
   drawBudget(shares) {
-    const svg = this.budget, W = svg.clientWidth, H = 26 + 19 * (shares.length + 1);
-    if (!W) return;
-    svg.setAttribute('viewBox', `0 0 ${W} ${H}`);
-    svg.setAttribute('height', String(H));
-    svg.replaceChildren();
-    const left = 142, room = W - left - 60, most = 200, X = (v) => left + (room * (v + most)) / most;
+    const place = $('p-budget'), row = (name, from, value, kind) => {
+      const line = make('div', 'share', '', place), ends = [from, from + value].map((v) => limited(v, 0, 200) / 2);
+      make('span', '', name, line);
+      const bar = make('i', `bar ${kind}`, '', make('b', '', '', line));
+      Object.assign(bar.style, {left: `${Math.min(...ends)}%`, width: `${Math.abs(ends[1] - ends[0])}%`});
+      make('span', 'value', `${plain(Number(value.toFixed(1)))}°`, line);
+    };
+    place.replaceChildren();
     let sum = 180;
-    const rows = [...shares.map(([name, value]) => { const row = [name, sum, sum + value, value]; sum += value; return row; }), ['left: the phase margin', 0, sum, sum]];
-    svg.setAttribute('aria-label', `Of 180°: ${shares.map(([n, v]) => `${n} ${plain(v, 3)}°`).join(', ')}; ${plain(sum, 3)}° are left`);
-    const scale = (v) => X(limited(v, 0, 200) - most);
-    rows.forEach(([name, from, to, value], i) => {
-      const y = 8 + 19 * i;
-      el('text', {x: left - 6, y: y + 11, 'text-anchor': 'end'}, svg, name);
-      el('rect', {class: i === rows.length - 1 ? 'bar rest' : value < 0 ? 'bar lag' : 'bar lead', x: Math.min(scale(from), scale(to)), y, width: Math.max(1, Math.abs(scale(to) - scale(from))), height: 14}, svg);
-      el('text', {class: 'value', x: Math.max(scale(from), scale(to)) + 5, y: y + 11}, svg, `${plain(Number(value.toFixed(1)))}°`);
-    });
+    for (const [name, value] of shares) { row(name, sum, value, value < 0 ? 'lag' : 'lead'); sum += value; }
+    row('left: the phase margin', 0, sum, 'rest');
   }
 
   /** The same numbers as the plots, for those who read them. */

@@ -3,8 +3,6 @@
 import {Plot, el, plain} from './plot.js';
 import {$, make, button, table, findings, send} from './studio.js';
 
-const SLOTS = [['time', 'Time', 'the clock'], ['motor_angle', 'Motor angle', 'at the hub'], ['torque', 'Torque', 'the strain gauge'], ['deflection', 'Deflection', 'instead of a torque'], ['voltage', 'Voltage', 'of the amplifier, optional']];
-
 export class Logs {
   constructor(app) {
     this.app = app;
@@ -49,7 +47,7 @@ export class Logs {
     else this.open('upload');
   }
   async rig(name) {
-    const answer = await this.app.link.ask('rig', {name});
+    const answer = await this.app.ask('rig', {name});
     if (!answer.ok) { this.app.toast(answer.error); return; }
     this.app.took(answer);
     this.app.states = [];
@@ -61,7 +59,7 @@ export class Logs {
     this.open();
   }
   async open(name) {
-    const answer = await this.app.link.ask('log', name ? {name} : {});
+    const answer = await this.app.ask('log', name ? {name} : {});
     if (!answer.ok) { $('log-said').textContent = answer.error; $('log-said').className = 'lead bad'; return; }
     this.known = answer;
     this.lists(answer);
@@ -112,15 +110,13 @@ export class Logs {
   }
 
   /** The arm with a place for each channel. */
-  slots() {
-    const place = $('slots');
-    place.replaceChildren();
-    for (const [role, words, where] of SLOTS) this.slot(place, role, words, where);
-  }
-  slot(row, role, words, where) {
-    const set = this.roles[role], box = make('div', `slot${set ? ' set' : ''}`, '', row);
-    make('b', '', words, box);
-    make('small', 'hint', where, box);
+  slots() { for (const box of document.querySelectorAll('[data-role]')) this.slot(/** @type {HTMLElement} */ (box)); }
+  slot(old) {
+    // a fresh copy: one that is shown again would hear a drop twice
+    const {role} = old.dataset, set = this.roles[role], box = old.cloneNode(true), words = box.firstElementChild.textContent;
+    while (box.children.length > 2) box.lastElementChild.remove();
+    old.replaceWith(box);
+    box.className = `slot${set ? ' set' : ''}`;
     const pick = make('select', '', '', box);
     pick.setAttribute('aria-label', `Channel of the ${words.toLowerCase()}`);
     make('option', '', '–', pick).value = '';
@@ -151,7 +147,7 @@ export class Logs {
     const columns = Object.entries(this.roles).map(([role, c]) => `${role}=${c.sign < 0 ? '-' : ''}${c.column}${c.scale && c.scale !== 1 ? ` * ${c.scale}` : ''} [${c.unit}]`);
     const grams = Number($('log-payload').value), given = {columns: quiet && !grams ? [] : columns};
     if (grams > 0) given.payload = grams / 1e3;
-    const answer = await this.app.link.ask('columns', given);
+    const answer = await this.app.ask('columns', given);
     if (!answer.ok) {
       if (quiet) { this.app.toast('The columns of this log are not stated: see step 2'); return; }
       findings($('log-findings'), [{severity: 'error', code: '', message: answer.error}]);
@@ -180,7 +176,7 @@ export class Logs {
 
   // ---- the fits ----
   async models(structure) {
-    const answer = await this.app.link.ask('model', structure ? {structure} : {});
+    const answer = await this.app.ask('model', structure ? {structure} : {});
     if (!answer.ok) { this.app.toast(answer.error); return; }
     this.drawModels(answer);
     if (structure) { this.app.took(answer); this.app.renew(answer); }
@@ -188,7 +184,7 @@ export class Logs {
   async fit() {
     $('fit').disabled = true;
     $('model-said').textContent = 'Fitting four structures …';
-    const answer = await this.app.link.ask('identify', this.chosen ? {heldout: this.heldout} : {});
+    const answer = await this.app.ask('identify', this.chosen ? {heldout: this.heldout} : {});
     $('fit').disabled = false;
     $('model-said').textContent = '';
     if (!answer.ok) { $('model-said').textContent = answer.error; return; }

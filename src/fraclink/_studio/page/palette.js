@@ -19,7 +19,7 @@ export function palette(app) {
   };
   const fill = () => {
     const words = input.value.toLowerCase().split(/\s+/);
-    found = [...document.querySelectorAll('button[id], .handle, .step input[id], .step select[id], .chip[data-name], #targets button')]
+    found = [...document.querySelectorAll('button[id], .handle, .step input[id], .step select[id], .chip[data-name]')]
       .filter((node) => !node.closest('dialog') && !node.disabled && !node.closest('.step [hidden]'))
       .map((node) => [node, `${step(node) ? `${step(node)}: ` : ''}${name(node).trim()}`])
       .filter(([, text]) => words.every((word) => text.toLowerCase().includes(word))).slice(0, 60);

@@ -14,10 +14,12 @@ export const el = (name, attributes = {}, parent = null, text = '') => {
   if (parent) parent.append(made);
   return made;
 };
+export const digits = (v, n) => Number(v.toPrecision(n));
+const tenth = (v) => v.toFixed(1);
 export const limited = (v, low, high) => Math.min(high, Math.max(low, v));
-export const plain = (v, digits = 4) => {
+export const plain = (v, places = 4) => {
   if (v === null || !Number.isFinite(v)) return '–';
-  const text = Math.abs(v) >= 1e5 || (v && Math.abs(v) < 1e-4) ? v.toExponential(digits - 1) : String(Number(v.toPrecision(digits)));
+  const text = Math.abs(v) >= 1e5 || (v && Math.abs(v) < 1e-4) ? v.toExponential(places - 1) : String(Number(v.toPrecision(places)));
   return text.replace('-', '−');
 };
 
@@ -131,8 +133,8 @@ export class Plot {
       c.path.setAttribute('d', parts.join(''));
       if (c.tag && tagged) {
         c.tag.textContent = label;
-        c.tag.setAttribute('x', tagged[0].toFixed(1));
-        c.tag.setAttribute('y', (tagged[1] + (kind === 'heavy' ? 14 : -5)).toFixed(1));
+        c.tag.setAttribute('x', tenth(tagged[0]));
+        c.tag.setAttribute('y', tenth(tagged[1] + (kind === 'heavy' ? 14 : -5)));
       }
     };
     c.draw();
@@ -213,8 +215,8 @@ export class Plot {
   cells(xs, ys, values, edges) {
     for (const [k, from] of edges.entries()) {
       this.mark(`cells${k}`, `cells c${k}`, () => {
-        const dx = (this.X(xs[1]) - this.X(xs[0])) / 2, dy = (this.Y(ys[0]) - this.Y(ys[1])) / 2, to = edges[k + 1] ?? Infinity, box = `h${(2 * dx).toFixed(1)}v${(2 * dy).toFixed(1)}h${(-2 * dx).toFixed(1)}z`;
-        return Array.from(ys, (y, i) => Array.from(xs, (x, j) => (values[i][j] >= from && values[i][j] < to ? `M${(this.X(x) - dx).toFixed(1)} ${(this.Y(y) - dy).toFixed(1)}${box}` : '')).join('')).join('');
+        const dx = (this.X(xs[1]) - this.X(xs[0])) / 2, dy = (this.Y(ys[0]) - this.Y(ys[1])) / 2, to = edges[k + 1] ?? Infinity, box = `h${tenth(2 * dx)}v${tenth(2 * dy)}h${tenth(-2 * dx)}z`;
+        return Array.from(ys, (y, i) => Array.from(xs, (x, j) => (values[i][j] >= from && values[i][j] < to ? `M${tenth(this.X(x) - dx)} ${tenth(this.Y(y) - dy)}${box}` : '')).join('')).join('');
       });
     }
   }
@@ -245,9 +247,9 @@ export class Plot {
     for (const {h, g} of this.handles) {
       const [dx, dy] = h.at(), v = h.get();
       const x = limited(this.X(dx), LEFT, this.W - RIGHT), y = limited(this.Y(dy), TOP, this.height - FOOT);
-      g.setAttribute('transform', `translate(${x.toFixed(1)} ${y.toFixed(1)})`);
+      g.setAttribute('transform', `translate(${tenth(x)} ${tenth(y)})`);
       const along = h.drag === 'x' ? {x1: 0, x2: 0, y1: TOP - y, y2: this.height - FOOT - y} : {x1: LEFT - x, x2: this.W - RIGHT - x, y1: 0, y2: 0};
-      for (const line of g.querySelectorAll('line')) for (const k in along) line.setAttribute(k, along[k].toFixed(1));
+      for (const line of g.querySelectorAll('line')) for (const k in along) line.setAttribute(k, tenth(along[k]));
       const text = (h.text || ((u) => `${plain(u)} ${h.unit}`))(v);
       for (const [k, value] of Object.entries({'aria-valuemin': h.low, 'aria-valuemax': h.high, 'aria-valuenow': v, 'aria-valuetext': text})) g.setAttribute(k, String(value));
     }

@@ -57,7 +57,7 @@ const STEPS = ['log', 'channels', 'model', 'design', 'move', 'proof', 'board'];
 
 export const app = {
   /** what is asked for, under the names of the command line */
-  state: {}, states: [], at: -1, kept: new Set(), axes: {}, study: {}, preview: null, step: '', began: null, timer: 0, exactly: '',
+  state: {}, states: [], at: -1, kept: new Set(), axes: {}, study: {}, step: '', began: null, timer: 0, exactly: '',
   link: /** @type {Link} */ (/** @type {any} */ (null)),
 
   // ---- one gesture: begin, change …, end or cancel ----
@@ -99,12 +99,12 @@ export const app = {
     app.states = [...app.states.slice(0, app.at + 1), structuredClone(app.state)];
     app.kept = new Set([...app.kept].filter((k) => k <= app.at));
     app.at = app.states.length - 1;
-    app.link.ask('note', {state: app.state});
+    app.ask('note', {state: app.state});
     app.buttons();
     app.exact();
   },
   async exact() {
-    const asked = JSON.stringify(app.state), answer = await app.link.ask('exact', {state: app.state, arm: arm.key});
+    const asked = JSON.stringify(app.state), answer = await app.ask('exact', {state: app.state, arm: arm.key});
     if (answer.superseded || answer.lost) return;
     if (!answer.ok) { design.refuse(answer); return; }
     app.exactly = asked;
@@ -115,9 +115,8 @@ export const app = {
   },
   shown(answer) {
     if (answer.lost) return;
-    app.preview = answer;
     design.preview(answer);
-    if (answer.ok && answer.blocks) arm.law(answer.blocks, answer.three);
+    if (answer.ok && answer.blocks) arm.law(answer.blocks);
   },
 
   // ---- history ----
@@ -127,7 +126,7 @@ export const app = {
     app.at = at;
     app.state = structuredClone(app.states[at]);
     app.buttons();
-    app.link.ask('go', {at});
+    app.ask('go', {at});
     app.change();
     app.exact();
   },
@@ -164,6 +163,7 @@ export const app = {
   },
   /** What the user did in this step, as the command line has it. */
   line() { $('command').textContent = app.study.copies?.[app.step]?.command || ''; },
+  ask: (verb, given) => app.link.ask(verb, given),
   say(text) { $('live').textContent = text; },
   toast(text) {
     const place = $('toast');
@@ -185,7 +185,7 @@ export const app = {
     arm.move(step);
     if (step === 'log' || step === 'channels') logs.open();
     if (step === 'model') logs.models();
-    if (step === 'proof') proof.draw();
+    if (step === 'proof') proof.open();
     if (step === 'design' && app.axes.frequencies && app.study.design === null) { app.change(); app.exact(); }
   },
   /** After a log, a rig or a fit: other axes, another start. */
@@ -196,7 +196,7 @@ export const app = {
     if (answer.frequencies) { app.change(); await app.exact(); }
   },
   async keep(force = false) {
-    const answer = await app.link.ask('keep', {force});
+    const answer = await app.ask('keep', {force});
     if (answer.ok) {
       app.took(answer);
       app.kept.add(app.at);
@@ -217,7 +217,7 @@ export const logs = new Logs(app);
 export const proof = new Proof(app);
 
 async function hello() {
-  const answer = await app.link.ask('hello', {arm: arm.key});
+  const answer = await app.ask('hello', {arm: arm.key});
   if (!answer.ok) return;
   const first = !app.states.length && app.at < 0;
   if (first || !app.state.margins) {
@@ -225,7 +225,7 @@ async function hello() {
     app.at = answer.at;
     app.kept = new Set(answer.kept);
     app.state = answer.state;
-    if (!app.states.length) { app.states = [structuredClone(app.state)]; app.at = 0; app.link.ask('note', {state: app.state}); }
+    if (!app.states.length) { app.states = [structuredClone(app.state)]; app.at = 0; app.ask('note', {state: app.state}); }
   }
   app.axes = answer.frequencies ? {frequencies: answer.frequencies, payloads: answer.payloads, rated: answer.rated} : {};
   app.took(answer);
@@ -274,7 +274,7 @@ function listen() {
     if (/^[1-7]$/.test(key)) app.show(STEPS[Number(key) - 1]);
     else if (key === '/') open();
     else if (key === '?') $('help').showModal();
-    else if (key === 'p') { app.show('proof'); $('prove').click(); } else return;
+    else if (key === 'p' || key === 'f') { app.show('proof'); $(key === 'p' ? 'prove' : 'faults').click(); } else return;
     event.preventDefault();
   });
 }
@@ -293,8 +293,6 @@ app.link = new Link((answer) => {
 }, (state) => {
   const banner = $('banner');
   banner.hidden = state === 'open';
-  banner.textContent = state === 'refused'
-    ? 'This page does not have the key of the studio that runs here. Open the address that the terminal shows.'
-    : 'The studio has stopped. Start it again with the same folder: nothing that you let go of is lost. Looking for it …';
+  banner.textContent = banner.dataset[state] || '';
   if (state === 'open') hello();
 });
