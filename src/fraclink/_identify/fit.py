@@ -52,6 +52,7 @@ def aic(mse: float, samples: int, parameters: int) -> float:
     >>> [round(aic(mse, 5001, k)) for mse, k in ((0.05845, 1), (0.00531, 2), (0.00524, 2), (0.00524, 3))]
     [-14199, -26192, -26258, -26256]
     """
+    # A perfect fit has no bound of its likelihood: simulated logs without noise reach it.
     return 2.0 * parameters + samples * math.log(mse) if mse > 0 else -math.inf
 
 
@@ -205,6 +206,8 @@ class Fit:
         return all(np.array_equal(a, b) if isinstance(a, np.ndarray) else a == b for a, b in pairs)
 
     def __hash__(self) -> int:
+        # Without the arrays: equal fits have equal figures here, and hashing a log's samples takes as long as
+        # a fit.
         return hash((self.structure, self.model, self.gain, self.offset, self.delay, self.sha256))
 
     def __repr__(self) -> str:

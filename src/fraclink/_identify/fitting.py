@@ -158,6 +158,8 @@ def fitted_samples(log: Experiment) -> int:
     motor = _activity(np.diff(log.motor_angle))
     swing = _activity(log.output - np.median(log.output))
     borders = [k for k in range(1, _BLOCKS) if places[k] >= _LEAST_SAMPLES]
+    # A border at rest: the held-out part then begins as the model does, and no old vibration is charged to
+    # it.
     rests = [k for k in borders if motor[k - 1] - motor[k] < 0.01 and 0.25 <= motor[k] <= 0.75]
     ringing = [k for k in borders if swing[k] >= 0.25 and motor[k] < 0.5]
     return int(places[max(rests or ringing or [round(_BLOCKS * (1 - _HELDOUT))])])
@@ -251,6 +253,7 @@ def _identified(fit: Fit, mode: tuple[SecondMode | None, float | None], stiffnes
     """
     size = max(abs(fit.gain), 1e-12)
     torque = fit.output_kind == "torque"
+    # The gain is straight in the prediction: its profile is the parabola, and the standard error says all.
     reach = 1.96 * fit.standard_errors.get("gain", math.nan)
     rows = [(name, end.low, end.high) for name, end in fit.intervals.items() if name != "delay"]
     if "delay" in fit.intervals:
@@ -289,6 +292,8 @@ def _intervals(search: Search, solution: Solution, errors: Uncertainty, allow: b
     for i, name in enumerate(errors.names):
         if name in ("gain", "offset"):
             continue
+        # A profile follows the likelihood of white noise: it is cut higher by as much as colour widens the
+        # variance.
         inflation = min(float(variances[i]) / float(white[i]), 1e12) if white[i] > 0 else 1.0
         error = math.sqrt(max(white[i], 0.0) * inflation)
         result[name] = profile_interval(search, solution, name, error, inflation)

@@ -148,6 +148,7 @@ def weight_of(search: Search, solution: Solution) -> float:
     own = [i for i, name in enumerate(errors.names) if name in ("order", "natural_frequency", "damping")]
     if errors.coloured is None or not own:
         return 1 / variance
+    # The median over the link's own parameters: one that hardly matters may have any ratio.
     ratios = np.diag(errors.coloured)[own] / np.maximum(np.diag(errors.white)[own], 1e-300)
     return 1 / (variance * max(1.0, float(np.median(ratios)))) if variance > 0 else 1.0
 
@@ -174,7 +175,9 @@ class JointProblem:
             gram = search.kernel.gram(shape, mask_of(moving)) if possible else None
             if gram is None:
                 return math.inf, normal, slope
+            # Gain and offset of each log are projected out: θ holds what is curved in the prediction.
             inner, own_slope, cost = reduced(gram, search)
+            # The chain rule takes each log's own Gram matrix to θ: no log's data are touched twice.
             part = rates[moving]
             normal += weight * part.T @ inner @ part
             slope += weight * part.T @ own_slope
@@ -207,6 +210,7 @@ class JointProblem:
                     break
             else:
                 damping *= 10
+                # The step is as small as rounding, or what it promises is: the cost does not fall any more.
                 if damping > 1e8 or float(step @ slope) < 1e-10 * cost:
                     break
         return theta, normal

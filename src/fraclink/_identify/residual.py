@@ -35,6 +35,7 @@ def long_run_covariance(scores: Matrix, lags: int) -> Matrix:
     Bartlett's weights are the Fejér kernel in frequency: one matrix product instead of a sum over lags.
     """
     count = scores.shape[1]
+    # Padded beyond the lags that count: the transform's convolution is circular.
     size = 1 << (count + lags).bit_length()
     spectrum = np.fft.rfft(scores, size, axis=1)
     half = np.pi * np.arange(1, spectrum.shape[1]) / size
@@ -50,6 +51,7 @@ def autoregression(series: Vector) -> tuple[Vector, float]:
     picks one.
     """
     gamma = autocovariance(series)
+    # Ten samples a coefficient at least: a longer autoregression describes the noise that there is.
     most = min(_AR_MOST, series.size // 10)
     best, coefficients, variance = (math.inf, np.ones(1), float(gamma[0])), np.ones(1), float(gamma[0])
     for order in range(most + 1):
@@ -89,6 +91,7 @@ def correlation_lag(residual: Vector) -> int:
     covariance = autocovariance(residual)
     if covariance[0] <= 0:
         return 1
+    # A quarter of the record: farther out the autocovariance is an average of few products.
     large = np.flatnonzero(np.abs(covariance[: residual.size // 4]) > 0.1 * covariance[0])
     return int(large[-1]) + 1
 
@@ -158,6 +161,7 @@ def _input_statistic(residual: Vector, motion: Vector, lags: int) -> float:
     covariance = [
         float(two_sided @ shifted[centre - reach + 1 + d : centre + reach + d]) for d in range(lags)
     ]
+    # A periodic motion makes R singular: what it does not excite is left out of the statistic.
     solution = lstsq(toeplitz(covariance), r, cond=1e-8)[0]
     return max(float(count * (r @ solution)), 0.0)
 
@@ -209,6 +213,7 @@ def find_second_mode(
     grid = np.arange(low, high, _STEP)
     costs = kernel.costs(np.array([row(x, _RATIO) for x in grid]), math.nan, math.nan)
     lower, upper = row(low, _RATIO_LIMITS[0]), row(high, _RATIO_LIMITS[1])
+    # Three: the deepest dip may be a harmonic of the first mode, which the gates below refuse.
     for start in grid[np.argsort(costs)[:3]]:
         starts = np.array([row(start, ratio) for ratio in _RATIOS])
         found = kernel.solve(starts, mask_of((1, 2)), lower, upper, math.nan, math.nan, 100)[1]

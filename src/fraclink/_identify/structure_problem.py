@@ -60,6 +60,7 @@ class StructureCoordinates:
         once = self.structure.response(values, points)
         for name in self.structure.of_role("coefficient"):
             if name in self.names:
+                # Tried in numbers and not read off the tree: k/(k·s + k) has none, however its text looks.
                 twice = self.structure.response({**values, name: 2.0 * values[name]}, points)
                 if np.allclose(twice, 2.0 * once, rtol=1e-12, atol=0.0):
                     return name
@@ -117,6 +118,7 @@ class StructureCoordinates:
 
     def _slope(self, name: str, values: Mapping[str, Reals], points: NDArray[np.complex128]) -> Any:
         """∂G/∂ln c of a coefficient, ∂G/∂n of an order."""
+        # The third root of the rounding: where the error of a central difference is least.
         step = 1e-5 * (values[name] if self.is_logarithmic(name) else 1.0)
         ends = (
             self.structure.response({**values, name: values[name] + sign * step}, points) for sign in (1, -1)
@@ -274,6 +276,8 @@ class RecordStart:
         width[0] = max(width[0] / 2, 0.5)
         into = _held(transforms[0], points, period, self.hold, float(self.input[0]))
         out = _held(transforms[1], points, period, "first", float(self.output[0]))
+        # Each point stands for the lines around it: evenly in ln ω, yet counted as the whole record would
+        # count.
         weight = np.sqrt(width) / math.sqrt(float(np.sum(width * np.abs(out) ** 2)) or 1.0)
         return Spectrum(points, into, out, weight, 1.0 / points)
 
