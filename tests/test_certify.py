@@ -26,7 +26,7 @@ from fraclink._arm.link import LinkModel, SecondMode
 from fraclink._arm.rig import Rig
 from fraclink._certify import Certificate, certify, search
 from fraclink._certify.enclosure import BoxLoop
-from fraclink._certify.numeric import loop_values
+from fraclink._certify.numeric import loop_values, worst_distance
 from fraclink._certify.search import MarginFailure, prove
 from fraclink._certify.statement import ASSUMPTIONS, AXES, CLAIM, Statement
 from fraclink._design import Design
@@ -778,3 +778,20 @@ def test_a_law_alone_says_which_noun_is_missing() -> None:
         certify(law, rig=RIG)
     with pytest.raises(FieldError, match="rig is required"):
         certify(law, model=RIG.model)
+
+
+@pytest.mark.slow
+def test_the_search_for_the_closest_loop_ends_below_random_points_of_the_box() -> None:
+    """What it returns is a loop of the box, and no loop of two thousand random ones is closer to −1."""
+    _, statement, law = known(RICH, "tustin")
+    least, at = worst_distance(statement, law)
+    here = {name: np.array([value]) for name, value in at.items()}
+    assert abs(1 + loop_values(statement, law, here["frequency"], here)[0]) == pytest.approx(least, rel=1e-12)
+    g = np.random.default_rng(0)
+    low, high = statement.box
+    place = {name: g.uniform(low[name], high[name], 2000) for name in low}
+    place["frequency"] = np.exp(g.uniform(math.log(1.0), math.log(math.pi / law.period), 2000))
+    for name in low:  # a tenth of them beside the place that was found
+        place[name][:200] = np.clip(at[name] * (1 + 1e-3 * g.normal(size=200)), low[name], high[name])
+    place["frequency"][:200] = at["frequency"] * (1 + 1e-3 * g.normal(size=200))
+    assert np.abs(1 + loop_values(statement, law, place["frequency"], place)).min() >= least * (1 - 1e-6)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from fraclink._export import export_c, export_matlab
-from fraclink._export.claims import _plain_norm, worst_case
+from fraclink._export.claims import _plain_norm, _rounding, worst_case
 from fraclink._export.data import hex_float
 from fraclink._law import Law
 from fraclink.errors import FieldError, MissingExtraError
@@ -281,3 +281,27 @@ def test_a_proof_without_the_provers_names_their_package(
     with pytest.raises(MissingExtraError, match=r"fraclink-prove .*pip install \./prove"):
         export_c(law("single"), tmp_path / "firmware", prove=True)
     assert not (tmp_path / "firmware").exists()
+
+
+@pytest.mark.parametrize("precision", ["single", "double"])
+def test_the_rounding_bound_is_the_sum_of_its_parts(precision: str) -> None:
+    """By hand, for a filter of one mode: state, product, partial sums, and the change rounded once."""
+    made = law(precision, equipped=False)
+    unit, error = (2.0**-24 if precision == "single" else 2.0**-53), 0.05
+    change, direct, pole, gain = 2 * error, 1.7, 0.9, -0.3
+    assert _rounding(made, direct, [], [], error) == pytest.approx(3 * direct * change * unit, rel=1e-12)
+    step = (pole * change * 3 + change) * unit
+    state = 0.3 * step / (1 - pole) + 0.3 * change * unit
+    partial = direct * change + 0.3 * change
+    static = direct + 0.3 / (1 - pole)
+    expected = direct * change * unit + state + 2 * partial * unit + static * change * unit
+    assert _rounding(made, direct, [pole], [gain], error) == pytest.approx(expected, rel=1e-12)
+    # A mode of alternating sign sees changes, which add up to change/(1 − |p|); a pair is rounded twice.
+    size = change / (1 - pole)
+    step = (pole * size * 3 + change) * unit
+    state = 0.3 * step / (1 - pole) + 0.3 * size * unit
+    partial = direct * change + 0.3 * size
+    expected = direct * change * unit + state + 2 * partial * unit + static * change * unit
+    assert _rounding(made, direct, [-pole], [gain], error) == pytest.approx(expected, rel=1e-12)
+    turning = expected + 0.3 * step / (1 - pole)
+    assert _rounding(made, direct, [pole * 1j], [gain], error) == pytest.approx(turning, rel=1e-12)

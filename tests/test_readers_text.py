@@ -309,3 +309,16 @@ def test_a_header_that_contradicts_the_stated_unit_is_a_gate(tmp_path: Path, uni
         assert finding.severity == "error"
         assert finding.evidence["header_unit"] == 1.0
         assert finding.evidence["stated_unit"] == pytest.approx(np.pi / 180)
+
+
+def test_inspect_counts_the_samples_that_are_missing(tmp_path: Path) -> None:
+    rows = made_rows()
+    for k in (3, 9, 200):
+        rows[k][2] = "nan"
+    listing = inspect_log(write_log(tmp_path / "a.csv", rows))
+    assert [(c.samples, c.missing) for c in listing.channels] == [(400, 0), (400, 0), (400, 3)]
+    column = np.array([float(row[2]) for row in rows])
+    assert (listing.channels[2].minimum, listing.channels[2].maximum) == (
+        np.nanmin(column),
+        np.nanmax(column),
+    )
