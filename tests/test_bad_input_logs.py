@@ -507,3 +507,23 @@ def test_b57_too_many_columns(
     error = refused(path)
     assert isinstance(error, SizeError)
     assert (error.field, error.value, error.allowed) == ("columns", 6, "5")
+
+
+@pytest.mark.parametrize("separator", [";", "\t", " "])
+def test_b58_a_row_with_another_separator_is_told_so(separator: str, tmp_path: Path) -> None:
+    path = write_log(tmp_path / "log.csv", made_rows())
+    lines = path.read_text(encoding="utf-8").splitlines()
+    lines[7] = lines[7].replace(",", separator)
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    error = refused(path)
+    assert error.field == "line 8"
+    assert "use one separator in the whole file" in error.remedy
+
+
+def test_b59_a_row_of_one_number_is_not_told_of_separators(tmp_path: Path) -> None:
+    path = write_log(tmp_path / "log.csv", made_rows())
+    lines = path.read_text(encoding="utf-8").splitlines()
+    lines[7] = "0.25"
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    error = refused(path)
+    assert (error.field, error.remedy) == ("line 8", "repair or remove the line")

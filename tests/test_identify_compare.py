@@ -169,3 +169,22 @@ def test_a_parameter_that_is_held_stays_in_the_model() -> None:
     assert identify(made_log(noise=0.05), fixed={"order": 1.9}, details=False).model.order == 1.9
     damped = identify(made_log(noise=0.05), fixed={"damping_order": 0.8}, details=False)
     assert damped.model.damping_order == 0.8
+
+
+@pytest.mark.parametrize("at_bound", [False, True])
+@pytest.mark.parametrize("open_above", [None, False, True])
+@pytest.mark.parametrize("code", ["W307", "W308"])
+def test_the_sentences_about_the_parameters(at_bound: bool, open_above: bool | None, code: str) -> None:
+    from types import SimpleNamespace
+
+    from fraclink._identify.compare import FRACTIONAL, _of_the_parameters
+
+    intervals = {} if open_above is None else {"order": SimpleNamespace(high_open=open_above)}
+    fit = SimpleNamespace(
+        at_bound=("order",) if at_bound else (), intervals=intervals, findings=(SimpleNamespace(code=code),)
+    )
+    said = _of_the_parameters({FRACTIONAL: fit})  # type: ignore[dict-item]
+    expected = ["λ is at its bound 2: this log shows no fractional order."] if at_bound else []
+    expected += ["λ = 2 is not excluded by this log."] if open_above and not at_bound else []
+    expected += ["α is not identifiable."] if code == "W308" else []
+    assert said == expected

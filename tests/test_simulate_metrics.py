@@ -151,3 +151,17 @@ def test_a_trip_names_mode_reason_and_time() -> None:
     assert not verdict.passed
     assert verdict.reason.startswith("tripped: the law goes to off")
     assert verdict.reason.endswith("at 2.5 s")
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_what_is_steady_is_judged_by_the_last_tenth_alone(sign: float) -> None:
+    """The first nine tenths may say anything; an error has the sign of tip − reference."""
+    last = TIME.size // 10
+    tip = REFERENCE + sign * 0.5
+    tip[-last:] = REFERENCE[-last:] + sign * 0.02
+    wild = np.random.default_rng(0).normal(size=TIME.size)
+    k = np.arange(last)
+    wild[-last:] = 3.0 + 0.1 * k - 0.002 * k**2 + 1e-3 * (-1.0) ** k  # a parabola is no noise
+    found = measured(tip, motor_reference=wild)
+    assert found.steady_state_error == pytest.approx(sign * 0.02, rel=1e-12)
+    assert found.motor_reference_noise == pytest.approx(1e-3, rel=0.02)
