@@ -18,6 +18,7 @@ from fraclink import _kernels
 from fraclink._design.assess import margin_curve, phase_budget
 from fraclink._realtime import Callback, run_realtime
 from fraclink._show import plots
+from fraclink._show.palette import colours
 from fraclink._systems.fractional import s
 from fraclink.errors import FieldError, MissingExtraError
 
@@ -119,7 +120,7 @@ def test_nichols_draws_magnitude_over_phase() -> None:
 def test_nichols_contour_is_the_closed_loop_magnitude() -> None:
     """Every point of a drawn contour has the same |L/(1 + L)|."""
     axis = plots.nichols(LOOP)
-    contours = [line for line in axis.get_lines() if line.get_color() == "0.82"]
+    contours = [line for line in axis.get_lines() if line.get_color() == colours()["rule"]]
     assert len(contours) >= 8
     for line in contours:
         phase, db = line.get_data()
@@ -256,3 +257,16 @@ def test_nichols_marks_every_critical_point_in_view_and_a_grid_for_every_turn(de
     for x in inside:  # the M circles around each critical point cross its phase
         phases = [np.asarray(line.get_xdata(), dtype=float) for line in contours[1:]]
         assert sum(p.size > 2 and np.nanmin(p) < x < np.nanmax(p) for p in phases) >= 3
+
+
+@pytest.mark.parametrize("style", ["default", "dark_background"])
+def test_plots_take_the_colours_of_their_background(style):
+    theme = int(style == "dark_background")
+    from matplotlib import pyplot as plt
+
+    with plt.style.context(style):
+        axes = fl.margin_plot(100 / (s**1.92 + 100) * 0.148 * s**0.65)
+        drawn = {mpl.colors.to_hex(line.get_color()) for axis in axes for line in axis.get_lines()}
+        assert drawn <= set(colours(theme).values())
+        assert mpl.colors.to_hex(axes[0].get_xgridlines()[0].get_color()) == colours(theme)["rule"]
+        plt.close("all")

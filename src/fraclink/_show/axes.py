@@ -11,15 +11,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fraclink._files import atomic_write
+from fraclink._show.palette import DARK, LIGHT, colours
 from fraclink._show.palette import LINES as LINE_NUMBERS
-from fraclink._show.palette import colours
 from fraclink.errors import MissingExtraError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = ["BLUE", "FAINT", "FULL_WIDTH", "GREEN", "GREY", "INK", "LEVELS", "LINES", "ORANGE", "VIOLET"]
-__all__ += ["cycle", "figure", "load_matplotlib", "save_figure", "svg"]
+__all__ += ["cycle", "figure", "load_matplotlib", "save_figure", "svg", "theme_on", "tint"]
 
 _LIGHT = colours()
 INK, GREY, FAINT = _LIGHT["ink"], _LIGHT["quiet"], _LIGHT["rule"]
@@ -75,10 +75,29 @@ _STYLE: dict[Any, Any] = {
 }
 
 
+def theme_on(background: Any) -> int:
+    """The theme whose lines stand out on a background: dark below half of the full brightness.
+
+    >>> theme_on("white"), theme_on("#131920")
+    (0, 1)
+    """
+    from matplotlib.colors import to_rgba
+
+    *colour, opacity = to_rgba(background)
+    return DARK if opacity and sum(colour) < 1.5 else LIGHT
+
+
 def cycle() -> dict[Any, Any]:
-    """What gives the lines of new axes fraclink's colours and dashes, in their order."""
-    cycler = load_matplotlib().cycler
-    return {"axes.prop_cycle": cycler(color=list(LEVELS)) + cycler(linestyle=list(_DASHES))}
+    """What gives the lines of new axes fraclink's colours and dashes, light or dark as the axes are."""
+    mpl = load_matplotlib()
+    known = colours(theme_on(mpl.rcParams["axes.facecolor"]))
+    lines = [known[f"line-{line}"] for line in LINE_NUMBERS]
+    return {"axes.prop_cycle": mpl.cycler(color=lines) + mpl.cycler(linestyle=list(_DASHES))}
+
+
+def tint(ax: Any, name: str) -> str:
+    """A colour of the palette by its name, for the background of some axes."""
+    return colours(theme_on(ax.get_facecolor()))[name]
 
 
 @contextmanager

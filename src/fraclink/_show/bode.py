@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fraclink._show.axes import BLUE, GREEN, GREY, ORANGE
+from fraclink._show.axes import tint
 from fraclink._show.curves import LoopCurve, labelled, new_axes, sample
 from fraclink._systems.margins import Margins
 from fraclink._systems.margins import margins as find_margins
@@ -89,8 +89,8 @@ def margin_plot(
     found = find_margins(loop, limit=limit)
     curve = sample(loop, frequency, limit, _as_drawn)
     axes = _two_axes(ax)
-    _draw(axes, curve, None, {"color": "black", "linewidth": 1.3, **style})
-    axes[0].axhline(0.0, color="0.6", linewidth=0.8)
+    _draw(axes, curve, None, {"color": tint(axes[0], "ink"), "linewidth": 1.3, **style})
+    axes[0].axhline(0.0, color=tint(axes[0], "quiet"), linewidth=0.8)
     phase = np.degrees(curve.phase)
     for crossing in found.gain_crossings:
         _mark_gain(axes, crossing.frequency, crossing.phase_margin, curve, phase)
@@ -116,11 +116,12 @@ def _mark_gain(axes: Any, frequency: float, margin: float, curve: LoopCurve, pha
     # The multiple of −180° that the margin is measured from on the sheet that is drawn.
     line = at - math.degrees(margin)
     # Where a resonance rises through 0 dB the phase is far from −180° on either side: neither good nor bad.
-    color = GREY if abs(margin) > 0.5 * math.pi else ORANGE if margin < 0 else GREEN
+    name = "quiet" if abs(margin) > 0.5 * math.pi else "line-2" if margin < 0 else "line-3"
+    color = tint(axes[0], name)
     axes[0].plot([frequency], [0.0], "o", color=color, markersize=4)
     axes[1].plot([frequency, frequency], [line, at], "-", color=color, linewidth=1.6)
     axes[1].plot([frequency], [at], "o", color=color, markersize=4)
-    axes[1].axhline(line, color="0.6", linewidth=0.8)
+    axes[1].axhline(line, color=tint(axes[1], "quiet"), linewidth=0.8)
     axes[1].annotate(
         f"{math.degrees(margin):.1f}°",
         (frequency, 0.5 * (line + at)),
@@ -134,7 +135,7 @@ def _mark_gain(axes: Any, frequency: float, margin: float, curve: LoopCurve, pha
 
 def _mark_phase(axes: Any, frequency: float, margin: float, curve: LoopCurve, phase: Real) -> None:
     level = -20 * math.log10(margin)
-    color = ORANGE if margin < 1 else BLUE
+    color = tint(axes[0], "line-2" if margin < 1 else "line-1")
     at = float(np.interp(math.log(frequency), np.log(curve.frequency), phase))
     axes[0].plot([frequency, frequency], [0.0, level], "-", color=color, linewidth=1.6)
     axes[0].annotate(
@@ -206,5 +207,5 @@ def _finish(axes: Any) -> None:
         axes[1].set_yticks(np.arange(math.floor(low / step), math.ceil(high / step) + 1) * step)
         axes[1].set_ylim(low, high)
     for axis in axes:
-        axis.grid(True, which="major", color="0.85")
-        axis.grid(True, which="minor", axis="x", color="0.93", linewidth=0.5)
+        axis.grid(True, which="major", color=tint(axis, "rule"))
+        axis.grid(True, which="minor", axis="x", color=tint(axis, "faint"), linewidth=0.5)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fraclink._show.axes import cycle
+from fraclink._show.axes import cycle, tint
 from fraclink._systems.loops import SampledLoop, as_loop
 from fraclink._systems.sweep import frequency_grid, refined
 from fraclink.errors import FieldError, MissingExtraError
@@ -31,9 +31,9 @@ def new_axes(rows: int = 1) -> Any:
         return pyplot.subplots(rows, 1, sharex=True, layout="constrained")[1]
 
 
-def finish(ax: Any, labels: Sequence[str] | None, *, grid: str = "0.9") -> Any:
+def finish(ax: Any, labels: Sequence[str] | None) -> Any:
     """Give axes their grid, and a legend where the curves have labels; return them."""
-    ax.grid(True, color=grid)
+    ax.grid(True, color=tint(ax, "faint"))
     if labels is not None:
         ax.legend(loc="best", fontsize="small")
     return ax

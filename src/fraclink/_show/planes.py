@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fraclink._show.axes import ORANGE
+from fraclink._show.axes import tint
 from fraclink._show.curves import LoopCurve, finish, labelled, new_axes, sample
 
 __all__ = ["nichols", "nyquist"]
@@ -49,7 +49,7 @@ def nyquist(
     named = labelled(systems, labels)
     ax = new_axes() if ax is None else ax
     angle = np.linspace(0, 2 * math.pi, 361)
-    ax.plot(np.cos(angle), np.sin(angle), ":", color="0.6", linewidth=0.9)
+    ax.plot(np.cos(angle), np.sin(angle), ":", color=tint(ax, "quiet"), linewidth=0.9)
     # An undamped resonance is refined as far as it is seen.
     shown = reach or 8.0
 
@@ -69,7 +69,7 @@ def nyquist(
             ax.plot(values.real, -values.imag, **shade)
         _arrows(ax, values, line.get_color(), min(shown, float(np.nanmax(np.abs(values)))))
         largest = max(largest, float(np.nanmax(np.abs(values))))
-    ax.plot([-1], [0], "+", color=ORANGE, markersize=11, markeredgewidth=2)
+    ax.plot([-1], [0], "+", color=tint(ax, "line-2"), markersize=11, markeredgewidth=2)
     half = reach or (1.1 * largest if largest <= 8 else 5.0)
     ax.set(xlim=(-half, half), ylim=(-half, half), xlabel="Re L", ylabel="Im L")
     ax.set_aspect("equal")
@@ -137,9 +137,9 @@ def nichols(
         for turn in range(math.floor(low / 360), math.ceil(high / 360) + 1):
             _contours(ax, 360.0 * turn)
     for critical in range(math.floor((low + 180) / 360), math.ceil((high + 180) / 360) + 1):
-        ax.plot([360 * critical - 180], [0], "+", color=ORANGE, markersize=11, markeredgewidth=2)
+        ax.plot([360 * critical - 180], [0], "+", color=tint(ax, "line-2"), markersize=11, markeredgewidth=2)
     ax.set(xlim=(low, high), ylim=(bottom, top), xlabel="phase [°]", ylabel="magnitude [dB]")
-    return finish(ax, labels, grid="0.92")
+    return finish(ax, labels)
 
 
 def _seen(ax: Any, bottom: float, top: float) -> tuple[float, float]:
@@ -161,13 +161,13 @@ def _contours(ax: Any, shift: float) -> None:
         phase = np.degrees(np.mod(np.angle(loop), 2 * math.pi)) - 360 + shift
         order = np.argsort(phase) if level < 0 else np.arange(phase.size)
         decibels = 20 * np.log10(np.abs(loop))
-        ax.plot(phase[order], decibels[order], color="0.82", linewidth=0.7, zorder=0)
+        ax.plot(phase[order], decibels[order], color=tint(ax, "rule"), linewidth=0.7, zorder=0)
         i = int(np.argmin(np.abs(phase - (shift - 358)))) if level < 0 else int(np.argmax(decibels))
         ax.annotate(
             f"{level:g} dB",
             (phase[i], decibels[i]),
             fontsize=7,
-            color="0.55",
+            color=tint(ax, "quiet"),
             ha="center",
             annotation_clip=True,
         )

@@ -15,7 +15,7 @@ import numpy as np
 
 from fraclink._design.alternatives import FeasibilityMap
 from fraclink._design.assess import MarginCurve, PhaseShare
-from fraclink._show.axes import BLUE, FAINT, GREEN, INK, ORANGE
+from fraclink._show.axes import tint
 from fraclink._show.bode import bode, margin_plot
 from fraclink._show.curves import finish, labelled, new_axes
 from fraclink._show.planes import nichols, nyquist
@@ -106,8 +106,7 @@ _NAMES = {
     "sampled": "sampled, with the shipped law",
 }
 # The sampled loop lies on the continuous one to a fraction of a degree: dots on a line show both.
-_STYLES = {"ideal": ":", "motor": "--", "loop": "-", "sampled": "k."}
-_LAG, _LEAD, _LEFT = ORANGE, BLUE, GREEN
+_STYLES = {"ideal": ":", "motor": "--", "loop": "-", "sampled": "."}
 
 
 def margins_against_payload(
@@ -145,16 +144,17 @@ def margins_against_payload(
         raise FieldError("curves", "none", "empty", allowed="one curve or more", remedy="call margin_curve")
     ax = new_axes() if ax is None else ax
     if payloads is not None:
-        ax.axvspan(*(1e3 * mass for mass in payloads), color="0.94", zorder=0)
+        ax.axvspan(*(1e3 * mass for mass in payloads), color=tint(ax, "zone"), zorder=0)
     if wanted is not None:
-        ax.axhline(math.degrees(wanted), color="0.5", linewidth=0.8)
-    ax.axhline(0.0, color="0.2", linewidth=0.8)
+        ax.axhline(math.degrees(wanted), color=tint(ax, "quiet"), linewidth=0.8)
+    ax.axhline(0.0, color=tint(ax, "ink"), linewidth=0.8)
     for curve in curves:
         ax.plot(
             1e3 * np.asarray(curve.payload),
             np.degrees(curve.phase_margin),
             _STYLES.get(curve.kind, "-"),
             markersize=4,
+            **({"color": tint(ax, "ink")} if curve.kind == "sampled" else {}),
             label=_NAMES.get(curve.kind, curve.kind),
         )
     ax.set(xlabel="payload [g]", ylabel="phase margin [°]")
@@ -183,19 +183,19 @@ def phase_shares(shares: Sequence[PhaseShare], *, ax: Any = None) -> Any:
         raise FieldError("shares", "none", "empty", allowed="one share or more", remedy="call phase_budget")
     ax = new_axes() if ax is None else ax
     level, names = 180.0, ["180°", *(share.element for share in shares), "phase margin"]
-    ax.bar(0, level, color="0.8")
+    ax.bar(0, level, color=tint(ax, "rule"))
     for place, share in enumerate(shares, start=1):
         step = math.degrees(share.phase)
-        ax.bar(place, step, bottom=level, color=_LAG if step < 0.0 else _LEAD)
+        ax.bar(place, step, bottom=level, color=tint(ax, "line-2" if step < 0.0 else "line-1"))
         _label(ax, place, max(level, level + step), f"{step:+.1f}°")
         level += step
-    ax.bar(len(shares) + 1, level, color=_LEFT)
+    ax.bar(len(shares) + 1, level, color=tint(ax, "line-3"))
     _label(ax, len(shares) + 1, max(level, 0.0), f"{level:.1f}°")
-    ax.axhline(0.0, color="0.2", linewidth=0.8)
+    ax.axhline(0.0, color=tint(ax, "ink"), linewidth=0.8)
     ax.set_xticks(range(len(names)), names, rotation=25, ha="right")
     ax.set(ylabel="phase [°]")
     ax.set_ylim(top=195.0)
-    ax.grid(True, axis="y", color="0.9")
+    ax.grid(True, axis="y", color=tint(ax, "faint"))
     ax.set_axisbelow(True)
     return ax
 
@@ -237,7 +237,7 @@ def latency(run: RealtimeRun, *, ax: Any = None) -> Any:
     bins = 1e6 * np.geomspace(_LEAST, 2 * longest, _BINS)
     for label, values in (("wake-up latency", run.latency), ("computing time", run.work)):
         ax.hist(1e6 * np.maximum(values, _LEAST), bins=bins, label=label, alpha=0.8)
-    ax.axvline(1e6 * run.period, color="0.3", linestyle="--", linewidth=1.0, label="period")
+    ax.axvline(1e6 * run.period, color=tint(ax, "quiet"), linestyle="--", linewidth=1.0, label="period")
     ax.set(xscale="log", yscale="log", xlabel="time [µs]", ylabel="periods")
     ax.set_ylim(0.5, 10 ** math.ceil(math.log10(max(len(run.latency), 1)) + 0.1))
     ax.legend(loc="best", fontsize="small")
@@ -271,14 +271,14 @@ def feasibility(found: FeasibilityMap, *, ax: Any = None) -> Any:
     grid = (found.gain_crossover, np.degrees(found.phase_margin))
     shade = ax.pcolormesh(*grid, np.ma.masked_invalid(found.order), cmap="Blues", shading="nearest")
     ax.figure.colorbar(shade, ax=ax, label="β")
-    noise = ax.contour(*grid, np.ma.masked_invalid(found.noise_gain), _NOISE, colors=ORANGE)
+    noise = ax.contour(*grid, np.ma.masked_invalid(found.noise_gain), _NOISE, colors=tint(ax, "line-2"))
     ax.clabel(noise, fmt="noise %g", fontsize=8)
-    settling = ax.contour(*grid, np.ma.masked_invalid(found.settling_time), _SETTLING, colors=INK)
+    settling = ax.contour(*grid, np.ma.masked_invalid(found.settling_time), _SETTLING, colors=tint(ax, "ink"))
     ax.clabel(settling, fmt="%g s", fontsize=8)
     ax.set(
         xlabel="gain crossover ω_c at the heaviest payload [rad/s]",
         ylabel="phase margin at the lightest payload [°]",
-        title="Feasible requests; orange: noise gain, black: 2π/ω_c",
+        title="Feasible requests, with contours of noise gain (orange) and 2π/ω_c",
     )
-    ax.set_facecolor(FAINT)
+    ax.set_facecolor(tint(ax, "faint"))
     return ax
