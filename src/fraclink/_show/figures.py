@@ -139,7 +139,7 @@ def models_figure(fits: Mapping[str, Fit], chosen: str | None = None) -> Figure:
     common = 1.1 * max(size for size in sizes.values() if size <= _LARGE * min(sizes.values()))
     panels = []
     for name, fit in fits.items():
-        beyond = f"; runs out of the panel, up to {sizes[name]:.2g}" if sizes[name] > common else ""
+        beyond = f"; exceeds the panel, up to {sizes[name]:.2g}" if sizes[name] > common else ""
         used = " (used)" if name == chosen and len(fits) > 1 else ""
         label = f"{name}{used}: measured − model {_SHORT[some.output_kind]}{beyond}"
         marks = _rest(time, fit.residual, edge, 1 if name == chosen or len(fits) == 1 else 0)

@@ -189,18 +189,18 @@ def margins_figure(design: Design) -> Figure:
         angle = np.degrees(margin_curve(design, payloads, kind=kind).phase_margin)
         shown.append(angle)
         margin.append(Curve(mass, angle, line, name))
-    margin.append(Across(math.degrees(design.phase_margin), "asked for"))
+    margin.append(Across(math.degrees(design.phase_margin), "requested"))
     at = design.sampled_at if design.has_law else design.at
     rate = np.array([_or_nan(at(float(m)).gain_crossover) for m in payloads])
     crossover: list[Mark] = [Zone(1e3 * low, 1e3 * high), Curve(mass, rate, 1)]
-    crossover.append(Across(design.gain_crossover, "asked for"))
+    crossover.append(Across(design.gain_crossover, "requested"))
     panels = (
         Panel("phase margin [°]", Scale.around([0.0], *shown), margin, 230.0),
         Panel("gain crossover [rad/s]", Scale.around(rate, [design.gain_crossover]), crossover, 110.0),
     )
-    said = "Phase margin and gain crossover over the payload; the payloads designed for are shaded"
+    said = "Phase margin and gain crossover over the payload; the design range is shaded"
     x = Scale(float(mass[0]), float(mass[-1]))
-    return Figure("margins", said, x, panels, "payload [g]; shaded: designed for", "payload")
+    return Figure("margins", said, x, panels, "payload [g]; shaded: design range", "payload")
 
 
 def _fan(design: Design, payloads: Real) -> tuple[Real, Real] | None:
@@ -235,13 +235,13 @@ def margin_curves_figure(
     for curve in curves:
         name, line = _KINDS[curve.kind]
         marks.append(Curve(1e3 * curve.payload, np.degrees(curve.phase_margin), line, name))
-    marks.append(Across(math.degrees(wanted), "asked for"))
+    marks.append(Across(math.degrees(wanted), "requested"))
     shown = [np.degrees(curve.phase_margin) for curve in curves]
     panel = Panel("phase margin [°]", Scale.around([0.0], *shown), marks, 280.0)
     mass = 1e3 * curves[0].payload
     said = "Phase margin over the payload, with more and more of the real loop"
     x = Scale(float(mass[0]), float(mass[-1]))
-    return Figure("margins", said, x, (panel,), "payload [g]; shaded: designed for", "payload")
+    return Figure("margins", said, x, (panel,), "payload [g]; shaded: design range", "payload")
 
 
 def budget_figure(shares: Sequence[PhaseShare], payload: float | None = None) -> Figure:
@@ -314,7 +314,7 @@ def map_figure(
         if sx.low < w < sx.high:
             marks.append(Upright(w, f"{settling:g} s"))
     if request is not None:
-        marks.append(Point(request[0], math.degrees(request[1]), "asked for", sign="cross"))
+        marks.append(Point(request[0], math.degrees(request[1]), "requested", sign="cross"))
     if nearest is not None:
         near = f"nearest: {number(nearest[0], 3)} rad/s, {math.degrees(nearest[1]):.1f}°"
         marks.append(Point(nearest[0], math.degrees(nearest[1]), near, sign="ring"))

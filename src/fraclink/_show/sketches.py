@@ -71,7 +71,7 @@ def loop_sketch() -> str:
         (300, "motor loop", "hold and delay"),
         (462, "arm", "link and payload"),
     )
-    parts = [_text(8, 74, "θt*", "label"), _text(8, 112, "wanted")]
+    parts = [_text(8, 74, "θt*", "label"), _text(8, 112, "reference")]
     parts += [_sum(74, 70, "−"), _sum(256, 70, "+")]
     for left, title, below in boxes:
         parts.append(f'<rect class="card" x="{left}" y="44" width="126" height="52" rx="7"/>')
@@ -89,8 +89,8 @@ def loop_sketch() -> str:
     parts += [_down(500, 96, 155), _down(550, 96, 155)]
     parts += [_text(492, 130, "θm", "label", "end"), _text(558, 130, "Γ", "label")]
     parts.append('<path class="c0 d0" d="M296 182H74V86"/>' + _head(74, 80, 0, -1))
-    said = "The loop: the motor follows the wanted tip angle plus a correction, made of what the estimate of "
-    said += "the tip differs from it; encoder and gauge give the estimate"
+    said = "The loop: the motor follows the reference of the tip plus a correction, made of the difference "
+    said += "between it and the estimate of the tip; encoder and gauge give the estimate"
     return _drawn("".join(parts), _LOOP, said)
 
 
