@@ -213,7 +213,7 @@ def find_second_mode(
     grid = np.arange(low, high, _STEP)
     costs = kernel.costs(np.array([row(x, _RATIO) for x in grid]), math.nan, math.nan)
     lower, upper = row(low, _RATIO_LIMITS[0]), row(high, _RATIO_LIMITS[1])
-    # Three: the deepest dip may be a harmonic of the first mode, which the gates below refuse.
+    # Three: the deepest dip on the grid need not be the one that passes the gates below.
     for start in grid[np.argsort(costs)[:3]]:
         starts = np.array([row(start, ratio) for ratio in _RATIOS])
         found = kernel.solve(starts, mask_of((1, 2)), lower, upper, math.nan, math.nan, 100)[1]

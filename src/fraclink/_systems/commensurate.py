@@ -124,7 +124,6 @@ class FractionalStateSpace:
         """
         base = _base(system, order)
         # The system is proper: no order of the numerator is higher.
-        # The system is proper: no order of the numerator is higher.
         degree = round(system.denominator[0].order / base)
         if degree > STATES:
             problem = f"of {degree} states with the order {base:.6g}"
@@ -146,10 +145,8 @@ class FractionalStateSpace:
         """Return C (s^q I − A)⁻¹ B + D from one input to one output, both counted from 0."""
         for name, value, count in (("output", output, len(self.C)), ("input", input, self.B.shape[1])):
             checked_whole(name, value, 0, count - 1)
-        # Exact from here on: the polynomials of a companion matrix with entries of 1e-8 and 1e8 would lose
-        # every digit of the small ones, and with them a pole.
-        # Exact from here on: the polynomials of a companion matrix with entries of 1e-8 and 1e8 would lose
-        # every digit of the small ones, and with them a pole.
+        # Exact fractions: the coefficients of det(xI − A) cancel, and what rounding leaves of a small one
+        # would move a pole.
         column = [Fraction(b) for b in self.B[:, input].tolist()]
         return self._quotient(output, column, 0.0, direct=Fraction(float(self.D[output, input])))
 
@@ -204,8 +201,6 @@ class FractionalStateSpace:
             problem, remedy = "given with an order of 1 or less", "leave initial_rate out"
             shown = np.asarray(initial_rate).tolist()
             raise FieldError("initial_rate", shown, problem, allowed="an order above 1", remedy=remedy)
-        # Caputo's derivative of an order above 1 starts from a position and a velocity; each state has one of
-        # both.
         # Caputo's derivative of an order above 1 starts from a position and a velocity; each state has one of
         # both.
         states.append((self._state("initial_rate", initial_rate), self.order - 1.0))
@@ -302,7 +297,6 @@ def _base(system: FractionalTransferFunction, order: float | None) -> float:
         problem = "of orders without a common base"
         raise FieldError("system", repr(system), problem, allowed="commensurate orders", remedy=remedy)
     # Above 2 no state of D^q x = A x can be stable: the base is divided until it is below.
-    # Above 2 no state of D^q x = A x can be stable: the base is divided until it is below.
     return float(found if found < 2 else found / math.ceil(found))
 
 
@@ -326,8 +320,6 @@ def _adjugate(matrix: NDArray[np.float64]) -> tuple[list[list[list[Fraction]]], 
             [sum(x * y for x, y in zip(row, column, strict=True)) for column in zip(*here, strict=True)]
             for row in a
         ]
-        # n⁴ operations of fractions: for the 12 states that are admitted a few milliseconds.
-        # n⁴ operations of fractions: for the 12 states that are admitted a few milliseconds.
         c = -Fraction(sum(product[i][i] for i in range(n))) / k
         coefficients.append(c)
         here = [

@@ -117,7 +117,6 @@ def disk_margin(
         x, values, _ = sweep(known)
         alpha, frequency, worst = _nearest(known, x, values, skew, whole=limit is None)
     # A loop of no gain tolerates every disk: finite numbers keep the formulas below from 0/0.
-    # A loop of no gain tolerates every disk: finite numbers keep the formulas below from 0/0.
     size = min(alpha, _LARGEST)
     return DiskMargin(skew, alpha, frequency, worst, _gains(size, skew), _phase(size, skew), stable)
 
@@ -127,7 +126,6 @@ def _nearest(
 ) -> tuple[float, float, complex]:
     """inf of the distance over frequency, where it is [rad/s], and −1/L there."""
     distance = np.asarray(_distance(values, skew))
-    # Where numerator and denominator are both infinite or zero nothing is known; a neighbour of the grid is.
     # Where numerator and denominator are both infinite or zero nothing is known; a neighbour of the grid is.
     distance[np.isnan(distance)] = math.inf
     best = int(np.argmin(distance))
@@ -139,8 +137,6 @@ def _nearest(
         moved = value * rate
         return (moved / (1 + value) + (1 - skew) * moved / ((1 + skew) - (1 - skew) * value)).real
 
-    # Every valley that could hold the infimum, not the lowest point of the grid alone: between two points a
-    # narrow resonance comes closer than either shows.
     # Every valley that could hold the infimum, not the lowest point of the grid alone: between two points a
     # narrow resonance comes closer than either shows.
     for i in (np.flatnonzero(low) + 1).tolist():

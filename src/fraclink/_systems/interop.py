@@ -55,7 +55,6 @@ def to_control(system: FractionalTransferFunction, *, name: str | None = None) -
         )
     try:
         # A module of its own, as its class derives from one of python-control's.
-        # A module of its own, as its class derives from one of python-control's.
         from fraclink._systems.control_adapter import FractionalResponse
     except ImportError as error:
         raise MissingExtraError("control", "control") from error
@@ -87,7 +86,6 @@ def from_control(system: Any) -> FractionalTransferFunction:
     if isinstance(system, (int, float)):
         return FractionalTransferFunction((Term(system, 0.0),), (Term(1.0, 0.0),))
     # What `to_control` made holds the exact system: reading its samples back would make a stand-in of it.
-    # What `to_control` made holds the exact system: reading its samples back would make a stand-in of it.
     known = getattr(system, "fractional", None)
     if isinstance(known, FractionalTransferFunction):
         return known
@@ -116,7 +114,6 @@ def _check(system: Any) -> None:
             allowed="one input and one output",
             remedy="select one channel, such as system[0, 0]",
         )
-    # None is a system of unstated time base, which python-control treats as continuous.
     # None is a system of unstated time base, which python-control treats as continuous.
     period = system.dt
     if period is True or (period is not None and period > 0):

@@ -106,15 +106,12 @@ def _h2(system: FractionalTransferFunction, loop: FractionalLoop) -> float:
     gap = min((b - a for a, b in _neighbours(system)), default=1.0)
     # Beyond the last corner G approaches a power of ω like ω^−gap: orders close to each other need more
     # decades.
-    # Beyond the last corner G approaches a power of ω like ω^−gap: orders close to each other need more
-    # decades.
     spare = _NEGLIGIBLE / max(gap, 0.02)
     low, high = loop.low - spare, loop.high + spare
 
     def density(x: Reals) -> Reals:
         return np.asarray(np.exp(2 * loop.log_modulus(x.ravel()).reshape(x.shape) + x))
 
-    # The panels halve themselves where they must: a quarter of the points around each resonance starts them.
     # The panels halve themselves where they must: a quarter of the points around each resonance starts them.
     seeds = loop.seeds[::4]
     edges = np.unique(np.concatenate([np.arange(low, high, 2.0), [high], seeds]))
@@ -149,8 +146,6 @@ def _peak(loop: SampledLoop) -> float:
     largest = float(size.max())
     for i in (np.flatnonzero(inner) + 1).tolist():
         if size[i] > 0.5 * largest:
-            # A supremum is where the slope of ln|L| vanishes; the grid's own largest value is too small at
-            # every resonance.
             # A supremum is where the slope of ln|L| vanishes; the grid's own largest value is too small at
             # every resonance.
             _, value = zero_of(loop, gain_slope, float(x[i - 1]), float(x[i + 1]))
@@ -206,7 +201,6 @@ def _of_model(model: _Model, p: float) -> float:
     if not model.sampled and np.any(d):
         problem = "with a direct feedthrough: its H2 norm is infinite"
         raise FieldError("system", model.name, problem, allowed="relative degree > 1/2", remedy=_FILTER)
-    # The Gramian gives the H2 norm of a rational system in closed form: no integral, and no end of the band.
     # The Gramian gives the H2 norm of a rational system in closed form: no integral, and no end of the band.
     solve = solve_discrete_lyapunov if model.sampled else solve_continuous_lyapunov
     states = solve(a, b @ b.T if model.sampled else -b @ b.T) if len(a) else np.zeros((0, 0))

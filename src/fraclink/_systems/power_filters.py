@@ -132,8 +132,6 @@ def _newton(
     places = np.tan(np.linspace(0.0, 0.5 * math.pi, count + 2)[1:-1]) ** 2  # where they lie for q = 2
     # Off the axis, to alternating sides: real starts of a real polynomial stay real, and its pairs are never
     # found.
-    # Off the axis, to alternating sides: real starts of a real polynomial stay real, and its pairs are never
-    # found.
     turned = np.exp(0.3j * np.where(np.arange(count) % 2, 1, -1))
     return aberth(np.asarray(-places * turned, dtype=complex), rate)
 
@@ -161,7 +159,6 @@ def substituted(
 
 def _split(order: float) -> tuple[int, float]:
     whole = math.floor(order)
-    # 1.92 − 1 is 0.9199999999999999: without rounding two terms of one fraction would get two filters.
     # 1.92 − 1 is 0.9199999999999999: without rounding two terms of one fraction would get two filters.
     return whole, round(order - whole, 12)
 
