@@ -38,8 +38,8 @@ def test_identify_payloads(capsys: pytest.CaptureFixture[str]) -> None:
     orders = result["orders"]
     assert isinstance(orders, list)
     assert orders[0] == orders[2] == pytest.approx(1.92, abs=0.002)
-    assert run(["identify-payloads", *logs, "--rig", "paper-2023", "--tied"]) == 0
-    assert "stiffness of eq. (5)" in capsys.readouterr().out
+    assert run(["identify-payloads", *logs, "--rig", "paper-2023", "--tied"]) == 1
+    assert "stiffness of eq. (5) cannot be common" in capsys.readouterr().out
     assert run(["identify-payloads", *logs, "--rig", "paper-2023", "--payload", "0.02"]) == 2
     assert "payload" in capsys.readouterr().err
 

@@ -151,9 +151,8 @@ def identify_payloads(
     known = load_rig(rig)
     masses: list[float | None] = list(payload) if payload else [None] * len(logs)
     experiments = [load_log(log, known, column, mass) for log, mass in zip(logs, masses, strict=True)]
-    return Answer(
-        identification.identify_payloads(experiments, structure, tied=tied, length=known.link.length)
-    )
+    fit = identification.identify_payloads(experiments, structure, tied=tied, length=known.link.length)
+    return Answer(fit, fit.test.common)
 
 
 @command(app)
