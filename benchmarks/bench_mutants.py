@@ -60,6 +60,7 @@ UNCONCERNED = (
     "test_readme", "test_reproduce", "test_examples", "test_export_gates", "test_export_firmware",
     "test_export_fmu_sources", "test_palette", "test_readers_mutants", "test_mutation",
 )  # fmt: skip
+INTERFACE = "tests/test_interface.py"  # asks for every default and range, whatever it runs
 # What a process needs to run a module's changed code although it starts anew.
 SITE = f"""
 import builtins, json, marshal, mmap, os
@@ -321,9 +322,11 @@ class Choice:
             blocks = sorted({b for name in site.names for b in self.mentions.get(name, ())})
             starts = sorted([*self.firsts.values(), self.rows.shape[1]])
             own = range(self.firsts[file], starts[starts.index(self.firsts[file]) + 1])
-            touched = self.rows[:, blocks].any(axis=1) if blocks else self.rows[:, own].any(axis=1)
+            inside = self.rows[:, own].any(axis=1)
+            touched = inside & self.rows[:, blocks].any(axis=1) if blocks else inside
             if not touched.any():
-                touched = self.rows[:, own].any(axis=1)
+                touched = inside
+            touched |= np.array([name.startswith(INTERFACE) for name in self.names])
         every = sorted((float(self.costs[k]), self.names[k]) for k in np.flatnonzero(touched))
         # One of each file first: ten cheap tests of one file ask the same thing ten times.
         turn: collections.Counter[str] = collections.Counter()

@@ -7,10 +7,12 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
 
+import fraclink as fl
 from fraclink._export import export_c, export_matlab
 from fraclink._export.claims import _plain_norm, _rounding, worst_case
 from fraclink._export.data import hex_float
@@ -305,3 +307,16 @@ def test_the_rounding_bound_is_the_sum_of_its_parts(precision: str) -> None:
     assert _rounding(made, direct, [-pole], [gain], error) == pytest.approx(expected, rel=1e-12)
     turning = expected + 0.3 * step / (1 - pole)
     assert _rounding(made, direct, [pole * 1j], [gain], error) == pytest.approx(turning, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("statuses", "passed"),
+    [(("proved", "proved"), True), (("proved", "failed"), False), (("not proved", "proved"), False)],
+)
+def test_a_proof_passes_where_every_claim_is_proved(
+    statuses: tuple[Literal["proved", "failed", "not proved"], ...], passed: bool
+) -> None:
+    claims = tuple(fl.Claim(f"claim {k}", "holds", status) for k, status in enumerate(statuses))
+    proof = fl.Proof("00", {"law.c": "11"}, claims)
+    assert proof.passed is passed
+    assert proof["claim 1"] == claims[1]

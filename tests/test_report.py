@@ -417,3 +417,50 @@ def test_a_parameter_is_printed_with_its_error_or_as_held_or_as_a_dash() -> None
     assert shown("damping", damping=0.25) == number(0.25)
     assert shown("damping_order", damping=0.25) == number(1.0)
     assert shown("order", "D-IOM") == number(1.92)
+
+
+def test_the_sentences_on_tolerances_say_each_bound_that_there_is() -> None:
+    from types import SimpleNamespace
+
+    from fraclink._design.assess import Tolerances
+    from fraclink._show.words import tolerance_sentences
+
+    made = SimpleNamespace(payloads=(0.02, 0.04), rig=SimpleNamespace(motor_loop=SimpleNamespace(pole=80.0)))
+
+    def said(*numbers: float) -> list[str]:
+        return tolerance_sentences(Tolerances(*numbers), made)  # type: ignore[arg-type]
+
+    assert said(0.012, 0.004, 0.2, 0.25, 6.0, 31.0) == [
+        "12 ms more delay",
+        "payloads down to 4 g and up to 200 g instead of 20 to 40 g",
+        "a link 0.25 to 6 times as stiff as the model",
+        "a motor loop as slow as 31 rad/s instead of 80 rad/s",
+    ]
+    assert said(math.inf, 0.0, math.inf, 0.0, math.inf, 0.0) == ["any payload"]
+    assert said(0.0, 0.004, math.inf, 0.0, 6.0, 0.0) == [
+        "payloads down to 4 g instead of 20 to 40 g",
+        "a link up to 6 times as stiff as the model",
+    ]
+    assert said(0.0, 0.0, 0.2, 0.25, math.inf, 0.0)[1] == "a link 0.25 times as stiff as the model"
+
+
+def test_the_phase_budget_falls_from_180_degrees_by_each_share_to_the_margin() -> None:
+    from fraclink._design.assess import PhaseShare
+    from fraclink._show.loops import budget_figure
+
+    shares = [
+        PhaseShare("controller", math.radians(40.0)),
+        PhaseShare("link", math.radians(-150.5)),
+        PhaseShare("delay", math.radians(-20.0)),
+    ]
+    figure = budget_figure(shares, 0.03)
+    assert figure.description == (
+        "Where the phase goes at 30 g: feedback 180°, controller +40.0°, link −150.5°, delay −20.0°, "
+        "phase margin 49.5°"
+    )
+    assert budget_figure(shares).description.startswith("Where the phase goes: feedback 180°")
+    low, high = figure.x.low, figure.x.high
+    assert low == 0.0 and high == pytest.approx(1.12 * 220.0)
+    assert [tick[0] for tick in figure.x.ticks] == [0.0, 45.0, 90.0, 135.0, 180.0, 225.0]
+    beyond = budget_figure([PhaseShare("link", math.radians(-200.0))])
+    assert beyond.x.low == pytest.approx(-20.0)

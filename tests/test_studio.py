@@ -644,3 +644,30 @@ def test_the_sentence_on_margins_names_a_middle_only_where_it_is_the_least() -> 
     rising = np.radians(np.linspace(52.0, 64.0, 5))
     assert "between" not in described(design, payloads, rising)
     assert "least 40.0° between" in described(design, payloads, np.radians([52.0, 45.0, 40.0, 45.0, 52.0]))
+
+
+def test_a_log_is_listed_by_its_name_or_as_the_last_upload(tmp_path):
+    from fraclink._studio.logs import LOG_VERBS
+
+    session = opened(None, out=tmp_path)
+    choose = LOG_VERBS["log"]
+    with pytest.raises(fl.errors.FieldError, match="log"):
+        choose(session, {"name": "upload"})  # nothing was sent yet
+    assert choose(session, {}).head["log"] is None
+    assert choose(session, {"name": "prbs_30g"}).head["log"]["name"] == Path(fl.bundled_log("prbs_30g")).name
+    session.upload = tmp_path / "mine.csv"
+    session.upload.write_bytes(Path(fl.bundled_log("prbs_30g")).read_bytes())
+    reply = choose(session, {"name": "upload"})
+    assert (reply.head["log"]["name"], session.source) == ("mine.csv", session.upload)
+    assert reply.head["bundled"] == fl.bundled_logs()
+    with pytest.raises(fl.errors.FieldError, match="log"):
+        choose(session, {"name": "../mine.csv"})
+
+
+def test_a_gap_is_closed_by_the_value_before_it():
+    from fraclink._studio.logs import _finite
+
+    nan, inf = np.nan, np.inf
+    assert _finite(np.array([1.0, nan, 3.0, inf, -inf, 1e31, 0.0, nan])).tolist() == [1, 1, 3, 3, 3, 3, 0, 0]
+    assert _finite(np.array([nan, nan, 2.0])).tolist() == [0, 0, 2]
+    assert _finite(np.array([nan, inf])).tolist() == [0, 0]
