@@ -176,6 +176,7 @@ class SampledMotorLoop:
         return np.asarray(self.voltage(w) * hold * motor / ideal)
 
 
+@lru_cache(maxsize=16)  # for every arm of a box the same one
 def direct_placement(motor: MotorConstants, pole: float, period: float, delay_samples: int) -> DiscretePid:
     """Return the PID that has three closed-loop poles at ``z₀ = exp(-p Ts)``, its delay in the equation.
 
