@@ -133,6 +133,7 @@ def test_two_workers_write_the_bytes_of_one(whole, tmp_path):
     done = run_campaign(small(), tmp_path / "two", workers=2, watch=seen.append)
     assert parts_of(tmp_path / "two") == parts_of(whole) and len(parts_of(whole)) == 3
     assert (done.before, done.done, done.runs) == (0, 2500, 2500) and len(seen) == 3
+    assert seen[-1].failed == summarise(small(), tmp_path / "two").failure.count > 0
 
 
 @pytest.mark.slow

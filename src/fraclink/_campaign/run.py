@@ -39,11 +39,15 @@ IN_FLIGHT = 2  # parts handed out per worker: one computed, one waiting, so that
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a campaign is: runs finished before this call, finished by now, and wanted."""
+    """How far a campaign is: runs finished before this call, finished by now, and wanted.
+
+    failed: of those that this call finished; counted where `watch` is given.
+    """
 
     before: int
     done: int
     runs: int
+    failed: int = 0
 
 
 @checked
@@ -91,7 +95,9 @@ def run_campaign(
             source = _on_pool(place, missing, workers) if workers > 1 else _here(place, missing)
         with closing(source) as finished:
             for part in finished:
-                progress = Progress(before, progress.done + campaign.part_runs(part), campaign.runs)
+                done = progress.done + campaign.part_runs(part)
+                failed = progress.failed + (_failures(campaign, place, part) if watch is not None else 0)
+                progress = Progress(before, done, campaign.runs, failed)
                 if watch is not None:
                     watch(progress)
     except OSError as error:
@@ -133,6 +139,11 @@ def _claim(campaign: Campaign, place: Path) -> None:
 
 def _is_done(campaign: Campaign, place: Path, part: int) -> bool:
     return part_path(place, part).exists() and read_part(campaign, place, part) is not None
+
+
+def _failures(campaign: Campaign, place: Path, part: int) -> int:
+    found = read_part(campaign, place, part, names=("passed",))
+    return 0 if found is None else int(np.count_nonzero(found["passed"] == 0))
 
 
 def compute(folder: str, part: int) -> int:

@@ -115,7 +115,10 @@ def watching(runs: int) -> Iterator[Callable[[Any], None] | None]:
         def watch(progress: Any) -> None:
             rate = (progress.done - progress.before) / max(time.monotonic() - began, 1e-9)
             left = (runs - progress.done) / max(rate, 1e-9)
-            shown = f"{progress.done} / {runs} · {rate:.0f} runs/s · {left:.0f} s left"
+            failed = 100 * progress.failed / max(progress.done - progress.before, 1)
+            shown = (
+                f"{progress.done} / {runs} · {failed:.1f} % failed · {rate:.0f} runs/s · {left:.0f} s left"
+            )
             bar.update(task, completed=progress.done, description=shown)
 
         yield watch
