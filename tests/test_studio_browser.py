@@ -125,6 +125,11 @@ def test_every_handle_drags_and_every_drag_can_be_undone(page, tmp_path):
         page.key("ArrowUp")
         page.key("Delete")
         page.until("!document.querySelector('.keepout')")
+        page.run("document.querySelector('#keepout-nichols').click()")  # as Enter does: one in the middle
+        page.until("document.activeElement.id === 'h-region-0-left'")
+        page.key("ArrowLeft")
+        page.key("Delete")
+        page.until("!document.querySelector('.keepout')")
         # The map takes both at once; a state lies over another; a name finds what has no key.
         page.until("document.querySelector('#p-map .cells')?.getAttribute('d')", "the map")
         before = len(states(tmp_path))

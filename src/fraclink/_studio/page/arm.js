@@ -53,9 +53,8 @@ export class Arm {
 
   /** A run that Python makes: a hand at the tip, a payload lost on the way, a fault's case. */
   async play(verb, given) {
-    const answer = await this.app.ask(verb, given);
-    if (!answer.ok) { this.app.toast(answer.error); return; }
-    if (!this.moving) return;
+    const answer = await this.app.need(verb, given);
+    if (!answer || !this.moving) return;
     if (this.app.step !== 'move') this.app.show('move');
     this.moving.show(answer);
     this.app.say(answer.said);

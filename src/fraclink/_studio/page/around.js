@@ -123,11 +123,11 @@ export class Around {
   }
   compare() {
     const {design} = this, {frequencies: w, payloads} = this.app.axes, b = this.other, a = design.last;
-    const shown = b?.ok && a, four = [design.gain, design.phase, design.nichols, design.margin];
+    const shown = b?.ok && a, {four} = design;
     if (!shown) { for (const plot of four) plot.remove('other'); $('compared').replaceChildren(); return; }
     const c = b.curves;
     [[w, c.gain[1]], [w, c.phase[1]], [c.phase[1], c.gain[1]], [payloads.map((m) => 1e3 * m), c.margin[0]]].forEach(([x, y], i) => four[i].curve('other', 'other', x, y, 'B'));
-    table($('compared'), ['', 'A, this one', 'B'], a.facts.map(([name, value], i) => [name, value, b.facts[i][1]]), 'A and B');
+    table($('compared'), ['figure', 'A, now', 'B'], a.facts.map(([name, value], i) => [name, value, b.facts[i][1]]), 'A and B');
   }
 }
 const round = (v) => digits(v, 3);

@@ -5,6 +5,7 @@ import {Around} from './around.js';
 import {$, make, button, table, findings} from './studio.js';
 
 const grams = (kg) => 1e3 * kg;
+const put = (node, key, value) => { if (node[key] !== value) node[key] = value; };
 const KINDS = ['light', 'nominal', 'heavy'];
 
 /** A circle of the plane about a centre left of 0, as phases and decibels. */
@@ -72,9 +73,11 @@ export class Design {
     for (const [name, [input, factor]] of Object.entries(this.inputs)) {
       if (document.activeElement === input && !this.app.began) continue;
       const own = name.startsWith('payloads') ? this.get(name) : this.app.state[name];
-      input.value = own === null || own === undefined ? '' : String(digits(own * factor, 6));
+      const text = own === null || own === undefined ? '' : String(digits(own * factor, 6));
+      put(input, 'value', text);
       const shown = name === 'filter_time' ? this.last?.controller?.delta : this.get(name);
-      input.placeholder = shown ? `${digits(shown * factor, 4)}` : 'none';
+      const other = shown ? `${digits(shown * factor, 4)}` : 'none';
+      put(input, 'placeholder', other);
     }
     this.box.checked = Boolean(this.app.state.box);
   }
@@ -86,6 +89,7 @@ export class Design {
     this.phase = new Plot('p-phase', {low: 1, high: 785, log: true}, {low: -315, high: 0, ticks: [-270, -180, -90, 0], text: degrees});
     this.nichols = new Plot('p-nichols', {low: -300, high: -60, ticks: [-300, -240, -180, -120, -60], text: degrees}, {low: -40, high: 40, ticks: [-40, -20, 0, 20, 40]});
     this.margin = new Plot('p-margin', {low: 8, high: 80, log: true}, {low: 0, high: 120, ticks: [0, 30, 60, 90, 120], text: degrees});
+    this.four = [this.gain, this.phase, this.nichols, this.margin];
     this.tip = new Plot('p-moves', {low: 0, high: 2}, {low: -10, high: 80});
     this.contours();
     const {app} = this, at = () => app.hand;
@@ -135,7 +139,7 @@ export class Design {
     box(nichols, -180 - m, m - 180, -1.2, 1.2);
     if (ms) nichols.curve('disk', 'bound', ...disk(-1, 1 / ms)); else nichols.remove('disk');
   }
-  place() { this.forbidden(); this.around.place(); for (const plot of [this.gain, this.phase, this.nichols, this.margin]) plot.place(); }
+  place() { this.forbidden(); this.around.place(); for (const plot of this.four) plot.place(); }
 
   /** Circles of constant |T| about −180° and the disk about −1 that Ms = 2 is. */
   contours() {
@@ -154,7 +158,7 @@ export class Design {
 
   /** The curves of where a drag began, thin behind those of now. */
   ghost(on) {
-    if (!on) { for (const plot of [this.gain, this.phase, this.nichols, this.margin]) plot.remove('ghost'); return; }
+    if (!on) { for (const plot of this.four) plot.remove('ghost'); return; }
     const c = this.last?.curves, {frequencies: w, payloads} = this.app.axes;
     if (!c || !w) return;
     const i = c.gain.length - 1;
@@ -190,7 +194,7 @@ export class Design {
     this.place();
     this.fields();
     this.facts(answer, true);
-    this.drawBudget(answer.budget);
+    this.moves();
     $('said').textContent = answer.said;
     $('budget-at').textContent = `[°] at the crossover of ${names[0]}`;
     $('assumed').textContent = answer.assumed.length ? `Assumed: ${answer.assumed.join('; ')}.` : '';
@@ -229,8 +233,8 @@ export class Design {
   }
   /** Another state that Python looked for. */
   async offer(verb) {
-    const found = await this.app.ask(verb, {state: this.app.state});
-    if (!found.ok) { this.app.toast(found.error); return; }
+    const found = await this.app.need(verb, {state: this.app.state});
+    if (!found) return;
     this.app.begin();
     this.app.state = {...found.state, regions: this.app.state.regions};
     this.app.change();
@@ -282,14 +286,15 @@ export class Design {
     this.moving = setTimeout(() => { this.moving = 0; this.drawMoves(); }, 60);
   }
   drawMoves() {
-    const masses = this.last?.three, found = masses && this.arm.runs(masses);
+    if (!this.last) return;
+    this.drawBudget(this.last.budget);
+    const found = this.arm.runs(this.last.three);
     if (!found) return;
-    const t = found.reference.map((_, k) => k * found.period), room = Math.max(8, 0.3 * Math.abs(found.goal));
-    const low = Math.min(0, found.goal) - room / 2, high = Math.max(0, found.goal) + room;
-    const until = Math.min(found.until * found.period, 2.5);
+    const room = Math.max(8, 0.3 * Math.abs(found.goal)), low = Math.min(0, found.goal) - room / 2, high = Math.max(0, found.goal) + room;
+    const until = Math.min(found.until * found.period, 2.5), few = (list) => list.filter((_, k) => k % 3 === 0 && k * found.period <= until); // a pixel is three periods wide
     if (this.tip.y.low !== low || this.tip.y.high !== high || this.tip.x.high !== until) this.tip.axes({low: 0, high: until}, {low, high});
-    const last = Math.min(t.length, Math.ceil(until / found.period) + 1), cut = t.slice(0, last);
-    this.tip.curve('reference', 'reference', cut, found.reference.slice(0, last));
-    KINDS.forEach((kind, i) => this.tip.curve(kind, kind, cut, found.tips[i]));
+    const cut = few(found.reference.map((_, k) => k * found.period));
+    this.tip.curve('reference', 'reference', cut, few(found.reference));
+    KINDS.forEach((kind, i) => this.tip.curve(kind, kind, cut, few(found.tips[i])));
   }
 }

@@ -47,8 +47,8 @@ export class Logs {
     else this.open('upload');
   }
   async rig(name) {
-    const answer = await this.app.ask('rig', {name});
-    if (!answer.ok) { this.app.toast(answer.error); return; }
+    const answer = await this.app.need('rig', {name});
+    if (!answer) return;
     this.app.took(answer);
     this.app.states = [];
     this.app.at = -1;
@@ -176,8 +176,8 @@ export class Logs {
 
   // ---- the fits ----
   async models(structure) {
-    const answer = await this.app.ask('model', structure ? {structure} : {});
-    if (!answer.ok) { this.app.toast(answer.error); return; }
+    const answer = await this.app.need('model', structure ? {structure} : {});
+    if (!answer) return;
     this.drawModels(answer);
     if (structure) { this.app.took(answer); this.app.renew(answer); }
   }

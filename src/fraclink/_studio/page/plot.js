@@ -53,7 +53,6 @@ export class Plot {
     this.curves = new Map();
     this.handles = [];
     this.W = 0;
-    this.drawn = () => {};
     new ResizeObserver(() => { if (svg.clientWidth && Math.abs(svg.clientWidth - this.W) > 1) this.lay(); }).observe(svg);
   }
 
@@ -106,7 +105,6 @@ export class Plot {
       el('text', {x: LEFT - 5, y: y + 4, 'text-anchor': 'end'}, this.frame, this.y.text ? this.y.text(t) : plain(t));
     }
     for (const c of this.curves.values()) c.draw();
-    this.drawn();
     this.place();
   }
 
@@ -143,7 +141,7 @@ export class Plot {
     let c = this.curves.get(name);
     if (!c) this.curves.set(name, c = {path: el('path', {}, this.inside), draw: () => {}});
     c.path.setAttribute('class', kind);
-    c.draw = () => c.path.setAttribute('d', d());
+    c.draw = () => { const now = d(); if (now !== c.now) c.path.setAttribute('d', c.now = now); };
     c.draw();
   }
   remove(name) {
@@ -166,7 +164,7 @@ export class Plot {
     else if (h.shape === 'small') el('circle', {class: 'knob', r: 4}, g);
     else if (h.shape === 'diamond') el('path', {class: 'knob', d: 'M0-8L8 0L0 8L-8 0Z'}, g);
     else el('circle', {class: 'knob', r: 7}, g);
-    const entry = {h, g};
+    const entry = {h, g, now: ''};
     this.handles.push(entry);
     const to = h.toAxis || ((v) => v), from = h.fromAxis || ((v) => v);
     const put = (v) => h.set(limited(v, h.low, h.high));
@@ -244,9 +242,12 @@ export class Plot {
 
   place() {
     if (!this.W) return;
-    for (const {h, g} of this.handles) {
-      const [dx, dy] = h.at(), v = h.get();
+    for (const entry of this.handles) {
+      const {h, g} = entry, [dx, dy] = h.at(), v = h.get();
       const x = limited(this.X(dx), LEFT, this.W - RIGHT), y = limited(this.Y(dy), TOP, this.height - FOOT);
+      const now = `${x} ${y} ${v} ${this.W}`;
+      if (now === entry.now) continue;
+      entry.now = now;
       g.setAttribute('transform', `translate(${tenth(x)} ${tenth(y)})`);
       const along = h.drag === 'x' ? {x1: 0, x2: 0, y1: TOP - y, y2: this.height - FOOT - y} : {x1: LEFT - x, x2: this.W - RIGHT - x, y1: 0, y2: 0};
       for (const line of g.querySelectorAll('line')) for (const k in along) line.setAttribute(k, tenth(along[k]));

@@ -64,6 +64,7 @@ export const app = {
   begin() {
     if (app.began) return;
     app.began = structuredClone(app.state);
+    performance.clearMeasures('drag');
     design.ghost(true);
   },
   change(at = performance.now()) {
@@ -76,7 +77,6 @@ export const app = {
       if (app.exactly === JSON.stringify(state) && answer.ok && app.study.design) design.exact(app.study);
       requestAnimationFrame(() => {
         performance.measure('drag', {start: at, end: performance.now()});
-        if (performance.getEntriesByName('drag').length > 2000) performance.clearMeasures('drag');
       });
     });
   },
@@ -164,6 +164,12 @@ export const app = {
   /** What the user did in this step, as the command line has it. */
   line() { $('command').textContent = app.study.copies?.[app.step]?.command || ''; },
   ask: (verb, given) => app.link.ask(verb, given),
+  /** An answer, or nothing: a refusal is said. */
+  async need(verb, given) {
+    const answer = await app.ask(verb, given);
+    if (!answer.ok) app.toast(answer.error);
+    return answer.ok && answer;
+  },
   say(text) { $('live').textContent = text; },
   toast(text) {
     const place = $('toast');
@@ -190,7 +196,7 @@ export const app = {
   },
   /** After a log, a rig or a fit: other axes, another start. */
   async renew(answer) {
-    app.axes = answer.frequencies ? {frequencies: answer.frequencies, payloads: answer.payloads, rated: answer.rated} : {};
+    app.axes = axesOf(answer);
     if (answer.state) app.state = answer.state;
     design.axes(app.axes);
     if (answer.frequencies) { app.change(); await app.exact(); }
@@ -208,7 +214,7 @@ export const app = {
     } else app.toast(answer.error);
   },
 };
-app.toast.timer = 0;
+const axesOf = ({frequencies, payloads, rated}) => (frequencies ? {frequencies, payloads, rated} : {});
 const verdictSaid = () => (app.study.verdict || []).map((s) => `${s.name} ${s.state}`).join(', ');
 
 export const arm = new Arm(app);
@@ -227,7 +233,7 @@ async function hello() {
     app.state = answer.state;
     if (!app.states.length) { app.states = [structuredClone(app.state)]; app.at = 0; app.ask('note', {state: app.state}); }
   }
-  app.axes = answer.frequencies ? {frequencies: answer.frequencies, payloads: answer.payloads, rated: answer.rated} : {};
+  app.axes = axesOf(answer);
   app.took(answer);
   design.axes(app.axes);
   arm.take(answer);
