@@ -144,6 +144,17 @@ def test_a_tip_that_is_held_back_by_the_limit_is_called_saturated() -> None:
         assert verdict.reason.startswith(word)
 
 
+def test_a_voltage_at_its_limit_behind_the_move_does_not_pass_however_still_the_tip() -> None:
+    # An unstable loop above the link's modes: the limit holds it, and the tip moves by less than 2 %.
+    for share, passed in ((0.0, True), (0.05, True), (0.5, False)):
+        at_limit = (np.arange(TIME.size) % 20 < 20 * share) & (TIME > ENDED)
+        verdict = judged(REFERENCE, saturated=at_limit)
+        assert verdict.passed == passed
+    assert verdict.reason == (
+        "the voltage does not come to rest: it is at its limit in 50 % of the periods after the move"
+    )
+
+
 def test_a_trip_names_mode_reason_and_time() -> None:
     mode = RUNNING.copy()
     mode[250:] = 4

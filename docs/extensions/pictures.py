@@ -165,8 +165,8 @@ def mode_gain() -> Figure:
         share * s**2 / (s**2 + m**2 * s ** (2 - heavy.model.order))
         for share, m in zip(shares, modes.frequencies, strict=True)
     )
-    for text, more in (("10 % rule", {}), ("bounded to 0.5", {"mode_gain": 0.5})):
-        made = fl.design(heavy.model, heavy, **ASK, **more)
+    for text, bound in (("10 % rule", 100.0), ("bounded to 0.5", 0.5)):
+        made = fl.design(heavy.model, heavy, **ASK, mode_gain=bound)
         hold = (1 - np.exp(-s * heavy.period)) / (s * heavy.period) * np.exp(-s * heavy.period)
         loop = made.law().frequency_response(w) * hold * tip / (1 + s / heavy.motor_loop.pole) ** 2
         curves.append((text, w, 20 * np.log10(np.abs(loop))))

@@ -14,6 +14,7 @@ proportional to the stiffness leaves the mode shapes real: with w = Σ φi(x) qi
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Annotated, Literal
@@ -21,13 +22,16 @@ from typing import Annotated, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from fraclink._arm.link import LinkModel
 from fraclink._arm.rig import Rig
 from fraclink._validate import Between, checked
 from fraclink.errors import FieldError
 
-__all__ = ["DEFAULT_MASS", "Beam", "BeamModes", "matrices", "residual_inertia", "rigid_rotation"]
+__all__ = ["DEFAULT_MASS", "Beam", "BeamModes", "assumed_ratio", "material_law", "matrices", "modal_shares"]
+__all__ += ["modes_of", "residual_inertia", "rigid_rotation", "unmodelled_modes"]
 
 Vector = NDArray[np.float64]
+Complex = NDArray[np.complex128]
 
 # 48 cubic elements: the third mode of the lightest payload is exact to 2e-7 and the fifth to 1e-5;
 # doubling the number gains nothing once the eigenvalues are at 1e-8, where rounding takes over.
@@ -244,3 +248,65 @@ def _modes(beam: Beam, count: int) -> BeamModes:
     for array in vars(result).values():
         array.flags.writeable = False
     return result
+
+
+# ---- the modes that a model of the link does not have -----------------------------------------------------
+
+ASSUMED_RATIO = 0.02  # of a model without damping, whose modes would be infinitely high
+_MODES = 3  # the fourth mode of the paper's arm lies beyond the Nyquist frequency, where the hold ends it
+
+
+@lru_cache(maxsize=64)
+def modal_shares(beam: Beam) -> tuple[Vector, Vector]:
+    """(ω_i [rad/s], Γi² ω_i² [N·m]) of the first three modes; every request for one rig asks again."""
+    modes = beam.modes(_MODES)
+    return modes.frequencies, modes.participation * modes.curvature
+
+
+def modes_of(model: LinkModel) -> int:
+    """How many modes of the link a model has."""
+    return 1 if model.second_mode is None else 2
+
+
+def assumed_ratio(model: LinkModel) -> float | None:
+    """The damping ratio of the higher modes of a model without damping; None where its law has one."""
+    return ASSUMED_RATIO if model.order == 2.0 and model.damping == 0.0 else None
+
+
+def material_law(model: LinkModel, s: Complex, frequency: float, ratio: float | None) -> Complex:
+    """D_i(s) of the mode at `frequency` [rad/s]: the model's damping law, or a damping ratio."""
+    if ratio is not None:
+        return np.asarray(1.0 + 2.0 * ratio * s / frequency)
+    if model.order < 2.0:
+        return np.asarray(np.exp((2.0 - model.order) * np.log(s)))
+    turned = np.exp(model.damping_order * np.log(s))
+    return np.asarray(1.0 + model.damping / model.natural_frequency**2 * turned)
+
+
+def unmodelled_modes(model: LinkModel, rig: Rig, payload: float) -> Callable[[Complex], Complex] | None:
+    """Return the part of Γ/(c θm) in the beam's modes 2 and 3 that the model has not, at complex s.
+
+    None for a link without mass. `payload` [kg] > 0 is at its tip; the damping is the model's law.
+
+    >>> rig = Rig.named("paper-2023")
+    >>> heavy = replace(rig, link=replace(rig.link, mass=0.00735))
+    >>> unmodelled_modes(rig.model, rig, 0.03)
+    >>> bool(abs(unmodelled_modes(rig.model, heavy, 0.03)(220j)) > 3.0)
+    True
+    """
+    if rig.link.mass <= 0.0:
+        return None
+    ratio = assumed_ratio(model)
+    frequencies, sizes = (
+        part[modes_of(model) :] for part in modal_shares(Beam.from_rig(rig, payload=payload))
+    )
+
+    def torque(s: Complex) -> Complex:
+        squared, found = s**2, np.zeros(np.shape(s), dtype=np.complex128)
+        law = material_law(model, s, 1.0, None) if ratio is None else None  # the same for every mode
+        for frequency, share in zip(map(float, frequencies), sizes / model.stiffness, strict=True):
+            stiff = material_law(model, s, frequency, ratio) if law is None else law
+            found += share * squared / (squared + frequency**2 * stiff)
+        return found
+
+    return torque

@@ -7,6 +7,9 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from itertools import product
 
+import numpy as np
+from numpy.typing import NDArray
+
 from fraclink._arm.controller import Controller
 from fraclink._arm.link import LinkModel
 from fraclink._arm.loop import Loop, with_payload
@@ -18,6 +21,7 @@ from fraclink.errors import FieldError
 __all__ = ["Arm", "Interval", "ParameterBox", "arms_of", "outward"]
 
 Interval = tuple[float, float]
+Complex = NDArray[np.complex128]
 # Where neither the fit nor the rig says more, relative: a damping that two logs of one arm agree on to a
 # tenth is a good one, and a second mode moves with the material by a few per cent.
 _DAMPING, _MODE_FREQUENCY, _MODE_GAIN = 0.1, 0.05, 0.2
@@ -39,14 +43,25 @@ class Arm:
         period = rig.period if controller.period is None else controller.period
         return replace(loop, correction=settings.correction(rig.motor, period, ratio=self.motor_ratio))
 
-    def plant(self, settings: MotorLoop, rig: Rig, period: float) -> SampledPlant:
-        """Return what the law sees of this arm from its motor reference to the tip estimate, sampled."""
+    def plant(
+        self,
+        settings: MotorLoop,
+        rig: Rig,
+        period: float,
+        *,
+        higher: Callable[[Complex], Complex] | None = None,
+    ) -> SampledPlant:
+        """Return what the law sees of this arm from its motor reference to the tip estimate, sampled.
+
+        `higher` is what the model does not know of the link, see `sampled_plant`.
+        """
         if settings.kind == "ideal":
             slower = replace(settings, pole=settings.pole * self.motor_ratio)
-            return sampled_plant(self.model, slower, rig.motor, period)
+            return sampled_plant(self.model, slower, rig.motor, period, higher=higher)
         true = MotorGain(rig.motor.gain * self.motor_ratio, rig.motor.decay)
         pid = SampledMotorLoop(settings.pid(rig.motor, period), true, settings.delay_samples)
-        return replace(sampled_plant(self.model, settings, true, period), before=pid.voltage)
+        plant = sampled_plant(self.model, settings, true, period, higher=higher)
+        return replace(plant, before=pid.voltage)
 
 
 @dataclass(frozen=True)

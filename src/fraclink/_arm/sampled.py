@@ -88,7 +88,12 @@ class SampledPlant:
 
 
 def sampled_plant(
-    model: LinkModel, motor_loop: MotorLoop, motor: MotorConstants, period: float
+    model: LinkModel,
+    motor_loop: MotorLoop,
+    motor: MotorConstants,
+    period: float,
+    *,
+    higher: Callable[[Complex], Complex] | None = None,
 ) -> SampledPlant:
     """Return what the law sees from its motor reference to the tip estimate, exactly sampled.
 
@@ -102,9 +107,12 @@ def sampled_plant(
         A and B of the motor.
     period
         control period [s], > 0.
+    higher
+        part of Γ/(c θm) that the model does not know, such as the higher modes of a beam, at complex s.
     """
     sampled = motor_loop.sampled(motor, period) if motor_loop.kind == "sampled" else None
     lag, spring = 1.0 / motor_loop.pole, model.natural_frequency**2
+    exact = model.exact_gauge and higher is None
 
     def response(s: Complex) -> Complex:
         ideal: Complex = (1.0 + lag * s) ** 2
@@ -114,9 +122,11 @@ def sampled_plant(
         inertia: Complex = np.asarray(np.exp(model.order * ln_s), dtype=np.complex128)
         drag: Complex = np.asarray(model.damping * np.exp(model.damping_order * ln_s), dtype=np.complex128)
         whole = inertia + drag + spring
-        if model.exact_gauge:
+        if exact:
             return np.asarray((drag + spring) / (whole * drive), dtype=np.complex128)
         torque: Complex = inertia / whole
+        if higher is not None:
+            torque = torque + higher(s)
         if model.second_mode is not None:
             torque = torque + model.second_mode.response(s)
         read = model.gauge_gain * np.exp(-model.gauge_delay * s)
@@ -132,6 +142,6 @@ def sampled_plant(
         delay=0.0 if sampled else motor_loop.delay_samples * period,
         # Two powers of the motor loop (or of the motor), one of the hold.
         decay=3.0 + softest,
-        leading=strength * (motor.gain if sampled else lag**-2) if model.exact_gauge else None,
+        leading=strength * (motor.gain if sampled else lag**-2) if exact else None,
         before=sampled.voltage if sampled else None,
     )

@@ -283,10 +283,11 @@ def mode_gains(
     >>> import fraclink as fl
     >>> rig = fl.Rig.named("paper-2023")
     >>> rig = replace(rig, link=replace(rig.link, mass=0.00735))
-    >>> design = fl.design(rig.model, rig, gain_crossover=12.0, phase_margin=fl.deg(50))
+    >>> wanted = {"gain_crossover": 12.0, "phase_margin": fl.deg(50)}
+    >>> design = fl.design(rig.model, rig, **wanted, law=False)
     >>> second, third = mode_gains(design)
-    >>> second.passed, 1.3 < second.achieved < 1.6
-    (False, True)
+    >>> second.passed, round(second.achieved, 3)
+    (True, 0.5)
     """
     loop = design.full_loop
     modes = higher_modes(design.model, design.rig, loop, design.payloads, damping_ratio=damping_ratio)

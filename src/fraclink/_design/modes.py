@@ -13,12 +13,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._arm.beam import Beam
+from fraclink._arm.beam import Beam, assumed_ratio, material_law, modal_shares, modes_of
 from fraclink._arm.link import LinkModel
 from fraclink._arm.loop import Loop
 from fraclink._arm.rig import Rig
@@ -31,8 +30,6 @@ Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 MODE_LIMIT = 0.5  # of the loop gain: 6 dB below the one at which phase alone would decide
-ASSUMED_RATIO = 0.02  # of a model without damping, whose modes would be infinitely high
-_MODES = 3  # the fourth mode of the paper's arm lies beyond the Nyquist frequency, where the hold ends it
 # The gain of a mode changes by 3 % over a range of two: its ends and the middle are plenty.
 _MODE_PAYLOADS = 3
 _WIDEST = 0.035  # so that the points of a mode that is damped away do not reach down to the first mode
@@ -55,13 +52,6 @@ class HigherModes:
     def gains(self, loop: Loop) -> Real:
         """Return the largest loop gain of each row with the Ĉ of `loop`, shape (K,)."""
         return np.asarray(np.max(np.exp(loop.outer_log(self.frequency).real + self.level), axis=1))
-
-
-@lru_cache(maxsize=64)
-def _shape(beam: Beam) -> tuple[Real, Real]:
-    """(ω_i, Γi² ω_i²) of the clamped beam; asked for again by every request for one rig."""
-    modes = beam.modes(_MODES)
-    return modes.frequencies, modes.participation * modes.curvature
 
 
 def higher_modes(
@@ -91,8 +81,8 @@ def higher_modes(
         return None
     if damping_ratio is not None:
         damping_ratio = checked_between("mode_damping", damping_ratio, 0.0, 0.999, open_low=True)
-    elif model.order == 2.0 and model.damping == 0.0:
-        damping_ratio = ASSUMED_RATIO
+    else:
+        damping_ratio = assumed_ratio(model)
     rows: list[tuple[int, float, Real, Real]] = []
     for payload in map(float, np.unique(np.geomspace(*payloads, _MODE_PAYLOADS))):
         if model.second_mode is not None:
@@ -112,35 +102,30 @@ def _beam_modes(
     model: LinkModel, rig: Rig, payload: float, ratio: float | None
 ) -> list[tuple[int, float, Real, Real]]:
     """(number, payload, ω, ln|Θ̂t/Θm|) of the beam's modes that were not identified."""
-    frequencies, sizes = _shape(Beam.from_rig(rig, payload=payload))
+    frequencies, sizes = modal_shares(Beam.from_rig(rig, payload=payload))
     found = []
-    for i in range(1 if model.second_mode is None else 2, frequencies.size):
+    for i in range(modes_of(model), frequencies.size):
         w = _around(model, float(frequencies[i]), ratio)
         s = np.asarray(1j * w, dtype=np.complex128)
         answer = np.ones(s.shape, dtype=np.complex128)
         for frequency, share in zip(frequencies, sizes / model.stiffness, strict=True):
-            answer -= share * s**2 / (s**2 + frequency**2 * _law(model, s, float(frequency), ratio))
+            answer -= share * s**2 / (s**2 + frequency**2 * material_law(model, s, float(frequency), ratio))
         found.append((i + 1, payload, w, np.log(np.abs(answer))))
     return found
 
 
-def _law(model: LinkModel, s: Complex, frequency: float, ratio: float | None) -> Complex:
-    """D_i(s) of the mode at `frequency` [rad/s]."""
-    if ratio is not None:
-        return np.asarray(1.0 + 2.0 * ratio * s / frequency)
-    if model.order < 2.0:
-        return np.asarray(np.exp((2.0 - model.order) * np.log(s)))
-    turned = np.exp(model.damping_order * np.log(s))
-    return np.asarray(1.0 + model.damping / model.natural_frequency**2 * turned)
+def _known(model: LinkModel) -> int:
+    """How many modes of the link the model has."""
+    return 1 if model.second_mode is None else 2
 
 
 def _around(model: LinkModel, frequency: float, ratio: float | None) -> Real:
     """Frequencies about the peak of a mode: a power law moves it, by 25 % for λ = 1.92."""
     peak = frequency
     for _ in range(30):  # ω² = ω_i² Re D(jω), a contraction as Re D grows by less than ω^1
-        law = complex(_law(model, np.asarray(1j * peak), frequency, ratio))
+        law = complex(material_law(model, np.asarray(1j * peak), frequency, ratio))
         peak = frequency * math.sqrt(max(law.real, 0.25))
-    law = complex(_law(model, np.asarray(1j * peak), frequency, ratio))
+    law = complex(material_law(model, np.asarray(1j * peak), frequency, ratio))
     width = min(max(0.5 * abs(math.atan2(law.imag, law.real)), 1e-3), _WIDEST)
     return np.asarray(peak * np.exp(width * _POINTS))
 

@@ -37,42 +37,46 @@ def boundary(
     return good
 
 
-def refuse(task: Task, attempt: Attempt, found: tuple[ClosedForm, ...], fastest: float) -> NoReturn:
-    """Raise InfeasibleError with the binding condition and the nearest feasible request.
+def refuse(
+    task: Task, attempt: Attempt, found: tuple[ClosedForm, ...], fastest: float, *, nearest: bool = True
+) -> NoReturn:
+    """Raise InfeasibleError with the binding condition and, with `nearest`, the nearest feasible request.
 
     `found` are the solutions of the two equations, admissible or not; `fastest` [rad/s] is the crossover
     that the motor loop and the sampling admit at most.
     """
+    condition, reason = _reason(task, found)
+    if not nearest:
+        raise InfeasibleError(condition, reason, {})
     top = 0.999 * (fastest if task.inside else 1e4)
     start = min(task.low ** (2.0 / task.model.order), top) / 3.0
     # Steps of 2.3° and, from a third of the heaviest payload's resonance on, of some percent: finer than what
     # a person would try next, and the edge itself is then found by halving.
     margin = _nearest(task, "phase_margin", np.linspace(0.01, math.pi - 0.01, 80), attempt)
     crossover = _nearest(task, "gain_crossover", np.geomspace(start, top, 60), attempt)
-    condition, reason = _reason(task, found)
-    parts, nearest, change = [reason], {}, math.inf
+    parts, offer, change = [reason], {}, math.inf
     asked = {"phase_margin": task.phase_margin, "gain_crossover": task.gain_crossover}
     if margin is not None:
         word = "largest" if margin < task.phase_margin else "smallest"
         degrees = math.degrees(margin)
         parts.append(f"at {task.gain_crossover:.6g} rad/s the {word} phase margin is {degrees:.4g}°")
         change = abs(math.log(margin / task.phase_margin))
-        nearest = asked | {"phase_margin": margin}
+        offer = asked | {"phase_margin": margin}
     if crossover is not None:
         word = "highest" if crossover < task.gain_crossover else "lowest"
         degrees = math.degrees(task.phase_margin)
         parts.append(f"with {degrees:.4g}° the {word} gain crossover is {crossover:.6g} rad/s")
         if abs(math.log(crossover / task.gain_crossover)) < change:
-            nearest = asked | {"gain_crossover": crossover}
-    if not nearest:
-        nearest = _both_lower(task, top, attempt)
+            offer = asked | {"gain_crossover": crossover}
+    if not offer:
+        offer = _both_lower(task, top, attempt)
         parts += [
-            f"with {math.degrees(nearest['phase_margin']):.3g}° and {nearest['gain_crossover']:.6g} rad/s "
+            f"with {math.degrees(offer['phase_margin']):.3g}° and {offer['gain_crossover']:.6g} rad/s "
             "there is a controller"
-            if nearest
+            if offer
             else "no smaller margin at another crossover has a controller either"
         ]
-    raise InfeasibleError(condition, "; ".join(parts), nearest)
+    raise InfeasibleError(condition, "; ".join(parts), offer)
 
 
 def _both_lower(task: Task, top: float, attempt: Attempt) -> dict[str, float]:

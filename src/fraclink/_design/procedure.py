@@ -100,7 +100,7 @@ def design(
     mode_gain
         bound on the loop gain at the higher modes of the link, > 0; more filter where needed, paid for with
         a larger β. Below one no phase of the mode can destabilise it. Where the model knows a second mode
-        the bound is 0.5 unless another is given.
+        or the rig the link's mass, the bound is 0.5 unless another is given.
     box
         arms that must keep every requirement: a `ParameterBox`; True for ``ParameterBox.of(model, rig)``, the
         fit's intervals and at least the rig's ``[tolerances]``; None or False for the model alone. Finding
@@ -145,7 +145,7 @@ def design(
         mode_gain=mode_gain,
     )
     try:
-        made = _designed_over(link, rig, spec, box, nearest) if box else _designed(link, rig, spec)
+        made = _designed_over(link, rig, spec, box, nearest) if box else _designed(link, rig, spec, nearest)
     except InfeasibleError as error:
         offer = error.nearest  # of a box it was found as a whole
         if nearest and not box:
@@ -161,16 +161,21 @@ def design(
     return made.warned_of_law() if law else made
 
 
-def _bounded(spec: Specification, link: LinkModel) -> Specification:
-    """The specification with the usual bound on the gain at a second mode, where it states none."""
-    if spec.mode_gain is None and link.second_mode is not None and spec.margins == "loop":
+def _bounded(spec: Specification, link: LinkModel, rig: Rig) -> Specification:
+    """The specification with the usual bound on the gain at higher modes, where it states none.
+
+    They are known from the log, or from the mass that the rig states: a log shows a second mode only where
+    its share is large, its damping small and the motion fast.
+    """
+    known = link.second_mode is not None or rig.link.mass > 0.0
+    if spec.mode_gain is None and known and spec.margins == "loop":
         return replace(spec, mode_gain=MODE_LIMIT)
     return spec
 
 
 def _misses(link: LinkModel, rig: Rig, spec: Specification) -> dict[str, float] | None:
     """The bounds that a specification misses, with what is achieved; None where it meets all of them."""
-    spec = _bounded(spec, link)
+    spec = _bounded(spec, link, rig)
     try:
         task = task_of(link, rig, spec)
         task = reach(task, spec, attempt) if spec.bounded else task
@@ -189,14 +194,15 @@ def _misses(link: LinkModel, rig: Rig, spec: Specification) -> dict[str, float] 
     return {} if _ringing(task, controller) else None
 
 
-def _designed(link: LinkModel, rig: Rig, spec: Specification) -> Design:
-    """The design of a specification; InfeasibleError where there is none."""
+def _designed(link: LinkModel, rig: Rig, spec: Specification, nearest: bool = True) -> Design:
+    """The design of a specification; InfeasibleError where there is none, with one that there is."""
     asked, given = task_of(link, rig, spec), spec.mode_gain is not None
-    spec = _bounded(spec, link)
+    spec = _bounded(spec, link, rig)
     task = reach(asked, spec, attempt) if spec.bounded else asked
     found = attempt(task)
     if found is None:
-        refuse(task, attempt, candidates(task), min(rig.motor_loop.pole, math.pi / rig.period))
+        fastest = min(rig.motor_loop.pole, math.pi / rig.period)
+        refuse(task, attempt, candidates(task), fastest, nearest=nearest)
     solution, order = found
     controller = task.controller(solution, order)
     requirements = requirements_of(task, controller, spec)
@@ -228,7 +234,7 @@ def _designed_over(
         raise FieldError("box", "given", problem, allowed=allowed, remedy="leave one of the two out")
     known = with_payload(link, rig)
     arms = ParameterBox.of(known, rig) if box is True else checked_noun("box", box, ParameterBox, remedy=_BOX)
-    spec = _bounded(spec, link)
+    spec = _bounded(spec, link, rig)
 
     def solve(aim: Specification) -> tuple[Task, Controller] | None:
         try:

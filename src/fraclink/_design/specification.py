@@ -325,8 +325,9 @@ class Design:
     def warned_of_law(self) -> Design:
         """Return the design with what its law keeps less in the sampled loop, as `design` looks at it.
 
-        Finding W404 says that the phase margin is less than was asked for, an error where the loop is not
-        stable; W408 that the law comes closer to -1 than half of what the design does. Near the Nyquist
+        Finding W404 says that the phase margin is less than was asked for, an error where it is less than
+        half of it; W408 that the law comes closer to -1 than half of what the design does, an error where
+        |1 + L| < 0.1. Both are looked at with the modes of the link's mass. Near the Nyquist
         frequency a loop without a filter may, and crosses |L| = 1 nowhere near. A controller that no law of
         law.c's size follows is an error, too (W410).
         """

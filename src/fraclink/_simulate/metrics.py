@@ -26,6 +26,7 @@ REST_BAND = 2e-3  # [rad]: what "settled" means where there is no move to take 2
 # of 500 resonances that noise rings. The printed controller (58) reaches 20 to 160 in 4 s, where 18 is asked.
 CHANCE, STRAIGHT = 2e-4, 10.0
 WINDOWS = 4  # vibration periods: a line through three points has no error to speak of
+_AT_LIMIT = 0.05  # of the periods at rest: white noise with half the limit as its RMS is at it in 4.6 %
 
 
 @dataclass(frozen=True)
@@ -131,7 +132,9 @@ def judge_many(signals: Signals, metrics: dict[str, Real]) -> dict[str, NDArray[
     """Return the law's first abnormal mode and its reason (1 and 0 where there is none), and who passed.
 
     A run passes where the tip settled half a vibration period before the end at the latest (what only passes
-    through the band has left it again by then), the law stayed in its normal mode, and no vibration grows.
+    through the band has left it again by then), the law stayed in its normal mode, no vibration grows, and
+    the voltage is not at its limit when reference and tip are at rest: an unstable loop that the limit holds
+    hardly moves the tip.
     """
     rows, at = np.arange(len(signals.tip)), _first_abnormal(signals.mode)
     within = np.minimum(at, signals.mode.shape[1] - 1)
@@ -141,7 +144,11 @@ def judge_many(signals: Signals, metrics: dict[str, Real]) -> dict[str, NDArray[
     return {
         "mode": mode,
         "reason": np.where(normal, 0, signals.reason[rows, within]).astype(np.uint32),
-        "passed": settled & normal & (metrics["growth"] <= 0.0) & np.isfinite(signals.tip).all(axis=1),
+        "passed": settled
+        & normal
+        & (metrics["growth"] <= 0.0)
+        & (_driven(signals) <= _AT_LIMIT)
+        & np.isfinite(signals.tip).all(axis=1),
     }
 
 
@@ -169,6 +176,10 @@ def judge(signals: Signals, metrics: Metrics) -> MoveVerdict:
     if tripped:
         what = f"{MODES[int(many['mode'][0])]} ({REASONS[int(many['reason'][0])]})"
         return MoveVerdict(False, f"tripped: the law goes to {what} at {signals.period * stop:.3g} s")
+    driven = float(_driven(signals)[0])
+    if driven > _AT_LIMIT:
+        what = f"it is at its limit in {100 * driven:.2g} % of the periods after the move"
+        return MoveVerdict(False, f"the voltage does not come to rest: {what}")
     lasting = "saturated: the voltage is at its limit" if metrics.saturated > 0.2 else "not settled"
     error = signals.tip[0] - signals.reference[0]
     away, end = float(np.max(np.abs(error[-_tenth(len(error)) :]))), signals.period * (len(error) - 1)
@@ -212,6 +223,15 @@ def _noise(tail: Real) -> Real:
     steps = np.linspace(-1.0, 1.0, tail.shape[1])
     basis, _ = np.linalg.qr(np.vander(steps, 3))
     return np.asarray(np.std(tail - (tail @ basis) @ basis.T, axis=1))
+
+
+def _driven(signals: Signals) -> Real:
+    """Part of the last tenth with the voltage at its limit, 0 where the reference still moves; shape (R,)."""
+    length = signals.tip.shape[1]
+    tenth = _tenth(length)
+    rests = signals.ended <= signals.period * (length - tenth)
+    at_limit = (signals.flags[:, -tenth:] & _kernels.LAW_FLAG_SATURATED) != 0
+    return np.asarray(np.where(rests, at_limit.mean(axis=1), 0.0))
 
 
 def _first_abnormal(mode: Bits) -> NDArray[np.intp]:
