@@ -114,11 +114,14 @@ def coverage(seeds: range) -> None:
 
 
 def second_mode() -> None:
-    """The second mode of links with mass, in logs of the twin: found or not, and its frequency."""
+    """The second mode of links with mass, in logs of the twin: found or not, and its frequency.
+
+    Told apart by its damping ratio: above 0.15 it hardly resonates, and above 0.2 it is not looked for.
+    """
     bits = prbs(0.1, 0.24, bits=83, register=9, start=0.5).angle(PERIOD * np.arange(5001))
     for noise in (0.01, 0.03, 0.1):
-        found = missed = 0
-        worst = 0.0
+        # (found, logs, worst error) of the modes up to and above 0.15
+        seen = {False: [0, 0, 0.0], True: [0, 0, 0.0]}
         for k, mass in enumerate((0.002, 0.00735, 0.015, 0.03, 0.06)):
             for pole in (40.0, 80.0):
                 for payload in (0.01, 0.03, 0.06):
@@ -135,16 +138,21 @@ def second_mode() -> None:
                         output = torque + noise * torque.std() * rng.standard_normal(torque.size)
                         log = Experiment(period=PERIOD, motor_angle=clean[1].motor_angle, output=output)
                         mode = identify(log).model.second_mode
-                        missed += mode is None
+                        viscous = isinstance(damping, KelvinVoigt)
+                        group = seen[viscous and 0.02 * float(modes[1] / modes[0]) > 0.15]
+                        group[1] += 1
                         if mode is not None:
-                            found += 1
-                            worst = max(worst, abs(mode.frequency / mode_frequency(beam, damping) - 1))
-        line(
-            f"second mode of more than 1 % of the output, noise {100 * noise:g} %: {found + missed} logs",
-            f"{found} found, worst error {100 * worst:.1f} %",
-            "all, 5 %",
-            missed == 0 and worst <= 0.05,
-        )
+                            group[0] += 1
+                            error = abs(mode.frequency / mode_frequency(beam, damping) - 1)
+                            group[2] = max(group[2], error)
+        for damped, (found, logs, worst) in seen.items():
+            line(
+                f"second mode of > 1 % of the output, damping ratio {'>' if damped else '<='} 0.15, noise "
+                f"{100 * noise:g} %: {logs} logs",
+                f"{found} found, worst error {100 * worst:.1f} %",
+                "all, 5 %",
+                found == logs and worst <= 0.05,
+            )
 
 
 def mode_frequency(beam: Beam, damping: object) -> float:

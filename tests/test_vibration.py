@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import fraclink as fl
+from fraclink._arm.box import ParameterBox
 from fraclink._design.vibration import Vibration, vibration
 from fraclink.errors import FieldError, InfeasibleError
 
@@ -75,6 +76,22 @@ def test_a_design_that_rings_does_not_pass() -> None:
     assert finding.evidence["damping_ratio"] == min(one.damping_ratio for one in ends if one is not None)
     damped = made_for(model, 1.5 * LINK.at_payload(0.04).natural_frequency, 50.0)
     assert "W409" not in {one.code for one in damped.findings}
+
+
+def test_a_design_over_a_box_rings_where_an_arm_of_the_box_does() -> None:
+    massless = replace(RIG, link=replace(RIG.link, mass=0.0))
+    asked = {"gain_crossover": 1.2 * LINK.at_payload(0.04).natural_frequency, "phase_margin": fl.deg(20.0)}
+    box = replace(ParameterBox.at(LINK), order=(1.92, 1.97))
+    design = fl.design(LINK, massless, **asked, payloads=(0.02, 0.04), law=False, box=box)  # type: ignore[arg-type]
+    of_the_model = [vibration(design.full_loop, w0) for w0 in design.natural_frequencies]
+    assert all(one is not None and one.periods < 10.0 for one in of_the_model)
+    assert all(item.passed for item in design.requirements) and not design.passed
+    (finding,) = [one for one in design.findings if one.code == "W409"]
+    assert "moves of an arm of the box (λ = 1.97" in finding.message
+    stiff = replace(design, model=replace(LINK, order=1.97)).full_loop
+    of_the_arm = [vibration(stiff, w0) for w0 in design.natural_frequencies]
+    worst = min(one.damping_ratio for one in of_the_arm if one is not None)
+    assert finding.evidence["damping_ratio"] == pytest.approx(worst, rel=1e-6)
 
 
 def test_the_papers_reading_says_nothing_of_moves() -> None:

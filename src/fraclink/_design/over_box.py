@@ -20,7 +20,7 @@ from fraclink._design.specification import Requirement, Specification
 from fraclink.errors import InfeasibleError
 from fraclink.findings import Finding
 
-__all__ = ["OverBox", "cost_of_box"]
+__all__ = ["OverBox", "at_arm", "cost_of_box"]
 
 # Each round leaves some per cent of what was missing: four are the rule, and twelve are enough near the edge.
 _ROUNDS = 12

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._arm.box import ParameterBox
+from fraclink._arm.box import ParameterBox, arms_of
 from fraclink._arm.controller import Controller
 from fraclink._arm.draft import doubts_of
 from fraclink._arm.link import LinkModel
@@ -19,7 +19,7 @@ from fraclink._design.bounds import bound_requirements, reach
 from fraclink._design.equations import MARGIN_SHARE, Task, attempt, candidates, task_of
 from fraclink._design.modes import MODE_LIMIT, higher_modes, mode_requirements
 from fraclink._design.nearest import missed_bounds, offered, refuse
-from fraclink._design.over_box import OverBox, cost_of_box
+from fraclink._design.over_box import OverBox, at_arm, cost_of_box
 from fraclink._design.specification import Design, Requirement, Specification
 from fraclink._design.vibration import ringing
 from fraclink._validate import checked_between, checked_noun
@@ -63,7 +63,7 @@ def design(
 
     The result has the controller, the requirements with what is achieved, and findings. It does not pass
     where the fit failed a gate, where model or payloads contradict the rig (W105 to W107), or where a
-    vibration takes more than ten of its periods to fall to 2 % (W409).
+    vibration takes more than ten of its periods to fall to 2 % (W409), on the model or on an arm of the box.
 
     Parameters
     ----------
@@ -248,6 +248,8 @@ def _designed_over(
     asked = task_of(link, rig, spec)
     aim, requirements = OverBox(spec, arms, asked, solve, requirements_of).aimed(nearest=nearest)
     made = _designed(link, rig, aim)
+    if all(finding.code != "W409" for finding in made.findings):
+        made = replace(made, findings=(*made.findings, *_ringing_over(asked, made.controller, arms)))
     return replace(
         made,
         requirements=requirements,
@@ -333,6 +335,17 @@ def _ringing(task: Task, controller: Controller) -> tuple[Finding, ...]:
         return ()
     ends = {task.model.payload_at(w0): w0 for w0 in (task.low, task.high)}
     return ringing(task.full_loop(controller), ends)
+
+
+def _ringing_over(task: Task, controller: Controller, box: ParameterBox) -> tuple[Finding, ...]:
+    """W409 of the arm of a box whose moves ring longest, at either end of its payloads; 3 ms each."""
+    light, heavy = task.payloads
+    found: list[Finding] = []
+    for arm in arms_of(box, task.model):
+        here = at_arm(task, box, arm)
+        whose = f" of an arm of the box (λ = {arm.model.order:.4g}, gauge {arm.model.gauge_gain:.3g} times)"
+        found += ringing(here.full_loop(controller), {heavy: here.low, light: here.high}, whose=whose)
+    return tuple(sorted(found, key=lambda one: one.evidence["damping_ratio"])[:1])
 
 
 def _spillover(task: Task, controller: Controller) -> tuple[Finding, ...]:

@@ -81,10 +81,11 @@ def _roots(loop: Loop, w: Complex, natural_frequency: float) -> Complex:
     return np.asarray(w[kept])
 
 
-def ringing(loop: Loop, ends: Mapping[float, float]) -> tuple[Finding, ...]:
+def ringing(loop: Loop, ends: Mapping[float, float], *, whose: str = "") -> tuple[Finding, ...]:
     """Return W409 where a move leaves a vibration that takes more than ten of its periods to fall to 2 %.
 
     `ends` has payload [kg] to ω₀ [s^(-λ/2)]; damping is smallest at one end of a range of payloads.
+    `whose` says in the sentence whose moves they are, where it is not the model's.
     """
     found = {payload: vibration(loop, w0) for payload, w0 in ends.items()}
     slow = {payload: one for payload, one in found.items() if one is not None and one.periods > _PERIODS}
@@ -95,7 +96,7 @@ def ringing(loop: Loop, ends: Mapping[float, float]) -> tuple[Finding, ...]:
         Finding(
             "W409",
             "error",
-            f"moves ring: the residual vibration falls to 2 % only after {worst.time:.3g} s, "
+            f"moves{whose} ring: the residual vibration falls to 2 % only after {worst.time:.3g} s, "
             f"more than {_PERIODS} of its periods",
             {"damping_ratio": worst.damping_ratio, "frequency": worst.frequency, "payload_kg": payload},
             "a gain crossover farther above the resonance, or a larger phase margin, damps it",
