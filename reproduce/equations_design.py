@@ -5,6 +5,7 @@ from __future__ import annotations
 import cmath
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -238,6 +239,21 @@ def _row(true: Callable[[Crossing], Any], also: Callable[[Crossing], float] | No
     return Check(sides, 20)
 
 
+def _with_gain(code: Any, draw: Draw) -> Sides:
+    """(46) is the differential of (43) beside a crossing, too, where k_d cannot be taken out."""
+    at = random_crossing(draw)
+    beside = replace(at, gain=at.gain * float(draw.uniform(1.2, 3.0)))
+    own = code(beside)
+    return own, own, _differentials(beside)
+
+
+def _without_gain(code: Any, draw: Draw) -> Sides:
+    """(47) holds at a crossing only, and knows no k_d: it is given a wrong one."""
+    at = random_crossing(draw)
+    own = code(replace(at, gain=2.0 * at.gain))
+    return own, own, _differentials(at)
+
+
 def _integral(code: Any, draw: Draw) -> Sides:
     """(53): h at the end of a range, by Gauss–Legendre on (52), against h there."""
     at = random_crossing(draw)
@@ -368,8 +384,8 @@ DESIGN: Mapping[str, Check] = {
     "(43)": Check(_modulus, 20),
     "(44)": Check(_phase_margin, 10),
     "(45)": _row(_rate_of_margin, _rate_of_crossover),
-    "(46)": _row(_differentials),
-    "(47)": _row(_differentials),
+    "(46)": Check(_with_gain, 20),
+    "(47)": Check(_without_gain, 20),
     "(48)": _row(_rate_of_crossover),
     "(49)": _row(_rate_of_margin),
     "(50)": Check(_condition),
