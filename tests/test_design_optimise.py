@@ -18,6 +18,7 @@ from fraclink._certify import certify
 from fraclink._cli import main
 from fraclink._design import Design, Optimised, optimise
 from fraclink._design.assess import phase_budget
+from fraclink._design.optimisation import Step
 from fraclink._design.problem import Bounds, Problem
 from fraclink.errors import FieldError, InfeasibleError
 
@@ -190,3 +191,30 @@ def test_the_verb_writes_a_design_that_other_verbs_read(
     assert told["pays"]
     assert Design.load(out).controller.gain == told["controller"]["gain"]
     assert main(line) == 2  # what is there is kept without --force
+
+
+def test_what_was_tried_is_listed_with_what_was_taken() -> None:
+    class Made:
+        def __str__(self) -> str:
+            return "the design"
+
+    steps = (Step("closed form", 2.5, False), Step("free gain", 2.0, True), Step("pair", float("nan"), False))
+    found = Optimised(Made(), "noise", steps, 0.01)  # type: ignore[arg-type]
+    assert str(found).splitlines() == [
+        "worst noise gain, each structure with the same bounds, taken if better by 1 %:",
+        "  closed form: 2.5",
+        "  free gain: 2, taken",
+        "  pair: none found in the bounds",
+        "the design",
+    ]
+    assert found.pays
+    assert found.gain == pytest.approx(0.2)
+    own = Optimised(Made(), "crossover", (Step("closed form", 12.0, True), steps[2]), 0.05)  # type: ignore[arg-type]
+    assert str(own).splitlines()[0].startswith("smallest crossover, ") and "5 %" in str(own)
+    assert str(own).splitlines()[1:] == [
+        "  closed form: 12 rad/s, taken",
+        "  pair: none found in the bounds",
+        "nothing else pays: the closed-form design is returned as it is",
+        "the design",
+    ]
+    assert not own.pays

@@ -257,3 +257,25 @@ def test_the_law_keeps_the_margins_of_the_exact_controller(changes: dict[str, fl
             design.sampled_at(payload, realisation=kind).phase_margin for kind in ("exact", "law")
         )
         assert shipped == pytest.approx(exact, abs=fl.deg(0.2)), payload
+
+
+def test_the_modes_of_a_block_answer_a_pulse_as_the_recursion_of_law_c_does() -> None:
+    """A pair's state is one complex number, x ← q x + e, of which law.c gives Re(c x)."""
+    from fraclink._law.block import modes_of
+
+    rng = np.random.default_rng(5)
+    real = [0.9, -0.3, 0.4, 1.2, 0.0, 0.0]
+    pair = [0.5, 0.3, 0.2, -0.7, 0.1, 0.85, 0.0, 0.4, 0.0, 0.0, 0.0, 0.0]
+    e, states, turning, output = rng.normal(size=60), [0.0] * 3, [0j] * 3, []
+    for value in e:
+        output.append(
+            sum(g * x for g, x in zip(real[1::2], states, strict=True))
+            + sum((complex(c, d) * x).real for c, d, x in zip(pair[2::4], pair[3::4], turning, strict=True))
+        )
+        states = [p * x + value for p, x in zip(real[::2], states, strict=True)]
+        turning = [complex(a, b) * x + value for a, b, x in zip(pair[::4], pair[1::4], turning, strict=True)]
+    modes = modes_of({"real": real, "pair": pair})
+    assert len(modes) == 2 + 2 * 2  # slots of no gain hold no mode
+    answer = np.array([sum(g * p**k for p, g in modes) for k in range(e.size)])
+    np.testing.assert_allclose(answer.imag, 0.0, atol=1e-15)
+    np.testing.assert_allclose(np.convolve(e, answer.real)[: e.size - 1], output[1:], atol=1e-12)

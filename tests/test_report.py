@@ -464,3 +464,22 @@ def test_the_phase_budget_falls_from_180_degrees_by_each_share_to_the_margin() -
     assert [tick[0] for tick in figure.x.ticks] == [0.0, 45.0, 90.0, 135.0, 180.0, 225.0]
     beyond = budget_figure([PhaseShare("link", math.radians(-200.0))])
     assert beyond.x.low == pytest.approx(-20.0)
+
+
+@pytest.mark.parametrize("kind", ["Curve", "Dots"])
+def test_a_name_stands_at_the_last_value_that_is_drawn(kind: str) -> None:
+    from fraclink._show import marks
+    from fraclink._show.scales import Scale
+
+    frame = marks.Frame(Scale(0.0, 4.0), Scale(0.0, 10.0), top=20.0, height=100.0)
+    mark = getattr(marks, kind)
+    x, nan = [0.0, 1.0, 2.0, 3.0], math.nan
+
+    def ends(y: list[float], name: str) -> list[tuple[float, str]]:
+        return [(place, text) for place, text, _ in mark(x, y, name=name).drawn(frame).ends]
+
+    assert ends([1.0, 2.0, 5.0, nan], "tip") == [(frame.down(5.0), "tip")]
+    assert ends([1.0, 2.0, 5.0, 7.5], "tip") == [(frame.down(7.5), "tip")]
+    assert ends([1.0, 2.0, 5.0, nan], "") == []
+    assert ends([nan, nan, nan, nan], "tip") == []
+    assert frame.down(7.5) < frame.down(5.0)  # upwards is less

@@ -527,3 +527,23 @@ def test_a_recorded_log_in_volts_takes_one_decision(name: str) -> None:
     assert found.columns.motor_angle.column == "pot_V"
     assert (found.columns.output_kind, found.columns.output.column) == ("deflection", "strain_V")
     assert found.columns.voltage.column == "u_V"
+
+
+@pytest.mark.parametrize(("payload", "source"), [(None, "in the log's header"), (0.03, "as stated")])
+@pytest.mark.parametrize("error", [None, 0.00021])
+def test_what_the_reader_and_the_fit_say_of_a_log(
+    payload: float | None, source: str, error: float | None
+) -> None:
+    from types import SimpleNamespace
+
+    from fraclink._logs.start import _of_the_fit
+
+    log = SimpleNamespace(motor_angle=np.zeros(2501), duration=10.0, period=0.004, payload=0.03)
+    fit = SimpleNamespace(delay=0.0123, standard_errors={} if error is None else {"delay": error})
+    said = {guess.part: guess for guess in _of_the_fit(log, fit, payload)}  # type: ignore[arg-type]
+    assert (said["period"].value, said["period"].evidence) == ("4 ms", "2501 samples, 10 s")
+    assert (said["payload"].value, said["payload"].evidence) == ("0.03 kg", source)
+    assert said["delay of the output"].value == "12.3 ms"
+    assert said["delay of the output"].evidence == "fitted with the model" + (
+        "" if error is None else ", ± 0.21 ms"
+    )
