@@ -55,8 +55,9 @@ class Channel:
     Parameters
     ----------
     column
-        its name in the log (``"#2"`` is the second column where the log names none; as the time ``"#row"`` is
-        the number of the sample, for a log without stamps: its scale is the period).
+        its name in the log, or two names with ``" - "`` or ``" + "`` between them. ``"#2"`` is the second
+        column where the log names none; as the time ``"#row"`` is the number of the sample, for a log without
+        stamps: its scale is the period.
     unit
         unit of the scaled value: s, ms, us, ns; rad, mrad, deg, rev; Nm, mNm; V, mV.
     sign
@@ -133,15 +134,53 @@ class LogColumns:
         for role, channel in self.channels().items():
             known = UNITS[QUANTITY_OF[role]]
             if channel.unit not in known:
-                near = difflib.get_close_matches(channel.unit, known, n=1, cutoff=0.3)
-                remedy = f"did you mean {near[0]!r}?" if near else f"give one of {', '.join(known)}"
                 problem, allowed = f"not a unit of {role}", ", ".join(known)
+                remedy = _way_to(role, channel, known)
                 raise FieldError(f"log.{role}.unit", channel.unit, problem, allowed=allowed, remedy=remedy)
 
     def channels(self) -> dict[str, Channel]:
         """The stated channels by role: time, motor_angle, torque or deflection, voltage."""
         stated = {"time": self.time, "motor_angle": self.motor_angle, str(self.output_kind): self.output}
         return stated | ({"voltage": self.voltage} if self.voltage is not None else {})
+
+
+_LENGTHS = ("m", "mm", "cm", "um", "µm", "in", "inch")
+_ACCELERATIONS = ("m/s2", "m/s^2", "m/s²", "mps2", "g")
+_RAW = (
+    "count",
+    "counts",
+    "adc",
+    "digit",
+    "digits",
+    "lsb",
+    "raw",
+    "bit",
+    "bits",
+    "strain",
+    "ustrain",
+    "µstrain",
+)
+
+
+def _way_to(role: str, channel: Channel, known: Iterable[str]) -> str:
+    """How to state a signal whose unit its role has not; one of another quantity is no slip of the pen."""
+    unit, angle = channel.unit, QUANTITY_OF[role] == "angle"
+    if unit in _LENGTHS and angle:
+        return (
+            "a length over the link's length is an angle: for a link of 0.32 m write "
+            f'"{role}={channel.column} * 1/0.32 [rad]" for metres'
+        )
+    if unit in _ACCELERATIONS and angle:
+        return "an accelerometer is no angle: fit it by identify-structure, with k*s**2/(s**a + w)/(T*s + 1)"
+    if (unit.lower() in _RAW or unit in UNITS["voltage"]) and role in ("torque", "deflection"):
+        return (
+            f'a gauge that is not calibrated: write "deflection={channel.column} [rad]", its scale becomes '
+            "part of the fitted gain; or let `fraclink start` scale it"
+        )
+    if unit in _LENGTHS + _ACCELERATIONS + _RAW or any(unit in units for units in UNITS.values()):
+        return f"it measures another quantity; give one of {', '.join(known)}"
+    near = difflib.get_close_matches(unit, known, n=1, cutoff=0.3)
+    return f"did you mean {near[0]!r}?" if near else f"give one of {', '.join(known)}"
 
 
 _NUMBER = r"[0-9.]+(?:[eE][-+]?[0-9]+)?"

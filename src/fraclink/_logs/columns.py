@@ -6,6 +6,8 @@ Only names such as ``motor_angle_rad`` count as stated. Everything else needs th
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -223,3 +225,31 @@ def stated_payload(table: LogTable, stated: float | None) -> tuple[float | None,
             "fraclink uses the stated one; correct the other",
         )
     ]
+
+
+_COMBINED = re.compile(r"(\S.*?)\s+([-+])\s+(\S.*)")
+
+
+def with_combined(table: LogTable, stated: Iterable[str]) -> LogTable:
+    """Return the table with a column for each stated sum or difference, such as ``"enc - tip"``.
+
+    A name that a column has is that column. The cells that either part misses are missing.
+    """
+    for name in dict.fromkeys(stated):
+        found = _COMBINED.fullmatch(name)
+        if found is None or name in table.names:
+            continue
+        first, second = (table.place(part, name) for part in (found[1], found[3]))
+        if table.values[first].shape != table.values[second].shape:
+            allowed, remedy = "two columns of one length", "combine columns that were sampled together"
+            raise LogError("columns", name, "of two lengths", allowed=allowed, remedy=remedy)
+        sign = 1.0 if found[2] == "+" else -1.0
+        faults = table.faults.get(first) or table.faults.get(second)
+        table = replace(
+            table,
+            names=(*table.names, name),
+            values=(*table.values, table.values[first] + sign * table.values[second]),
+            units=(*table.units, "") if table.units else (),
+            faults={**table.faults, **({len(table.names): faults} if faults else {})},
+        )
+    return table

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from fraclink._arm.log_columns import ROW_NUMBER, UNITS, Channel, ColumnStatement, LogColumns
 from fraclink._logs.calibration import STRONG, check_no_tip_angle, guess_angle, guess_output, guess_voltage
 from fraclink._logs.channels import find_mode
-from fraclink._logs.columns import check_count, clock_step, is_stated
+from fraclink._logs.columns import check_count, clock_step, is_stated, with_combined
 from fraclink._logs.names import role_of_name, words_of
 from fraclink._logs.text import LogTable
 from fraclink._logs.weighing import Certainty, Guess, Question, Weighing, guess_time, samples_of, stamps_of
@@ -68,6 +68,7 @@ def guess_columns(
         column that could be the motor angle or the output.
     """
     check_count(max((values.size for values in table.values), default=0))
+    table = with_combined(table, [each.column for each in stated.values() if each.column])
     weighing = Weighing(table, stated, assume, interpolate)
     # Values near the largest double overflow in a difference: such a column is no signal, and no error here.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):

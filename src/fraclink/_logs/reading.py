@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -9,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._arm.experiment import Experiment
-from fraclink._arm.log_columns import QUANTITY_OF, ROW_NUMBER, UNITS, Channel, LogColumns
+from fraclink._arm.log_columns import QUANTITY_OF, ROW_NUMBER, UNITS, Channel, LogColumns, parse_columns
 from fraclink._arm.rig import Rig
 from fraclink._arm.timebase import resampled, time_base
 from fraclink._files import sha256_of
@@ -22,6 +23,7 @@ from fraclink._logs.columns import (
     stated_payload,
     suggested_columns,
     suggested_mapping,
+    with_combined,
 )
 from fraclink._logs.formats import read_table
 from fraclink._logs.names import unit_in
@@ -74,7 +76,7 @@ def read_log(
     path: Path | str,
     *,
     rig: Rig | None = None,
-    columns: LogColumns | None = None,
+    columns: LogColumns | Mapping[str, str] | None = None,
     payload: float | None = None,
     resample: bool = False,
     interpolate: bool = False,
@@ -94,7 +96,8 @@ def read_log(
     rig
         whose `[log]` table states the columns.
     columns
-        states them instead.
+        states them instead; a mapping of texts such as ``{"time": "t [s]", "torque": "- gauge * 0.1 [Nm]"}``
+        does, too.
     payload
         m [kg], > 0; by default the log's own ``# payload_kg:`` line, if it has one.
     resample
@@ -115,9 +118,12 @@ def read_log(
     """
     place = Path(path)
     table = read_table(place)
+    if columns is not None and not isinstance(columns, LogColumns):
+        columns = parse_columns(f"{role}={text}" for role, text in columns.items())
     stated = columns or (rig.log if rig else None) or columns_of_names(table.names)
     if stated is None:
         raise _unstated(table)
+    table = with_combined(table, [channel.column for channel in stated.channels().values()])
     # Units and signs at the border: from here on everything is SI, radians and positive where the motor
     # speeds up.
     data, findings = _channels(table, stated, interpolate)
