@@ -114,7 +114,7 @@ def says(run: fl.Run, rows: list[int]) -> str:
     modes = [MODES[int(run.mode[k])] for k in rows]
     lines = {
         "run": ("good", "The law runs on strain gauge and encoder."),
-        "degraded": ("warn", "The strain gauge reads NaN: the law goes on without it."),
+        "degraded": ("warn", "The strain gauge reads NaN: the law continues without it."),
     }
     assert set(modes) == set(lines), modes
     shown = []
@@ -147,7 +147,7 @@ def main() -> None:
         f'<g class="still">\n{arm(run, [middle], lambda key, values: "")}\n</g>',
         f'<circle class="hub" cx="{HUB[0]}" cy="{HUB[1]}" r="19"/>',
         f'<circle class="axis" cx="{HUB[0]}" cy="{HUB[1]}" r="3"/>',
-        f'<text x="20" y="{HEIGHT - 16}">30 g on 0.65 m, to scale; dashed: where the tip shall be</text>',
+        f'<text x="20" y="{HEIGHT - 16}">30 g on 0.65 m, to scale; dashed: where the tip should be</text>',
         "</svg>",
     ]
     write_text(PLACE, "\n".join(parts) + "\n")
