@@ -332,8 +332,11 @@ class Mortal:
 
 
 def kills(count: int) -> None:
-    """Tunings killed at random moments: when the arm's drive is off, and whether --resume goes on."""
-    off, resumed, odd = [], Counter[str](), []
+    """Tunings killed at random moments: when the arm's drive is off, and whether --resume goes on.
+
+    Each is a tuning and a half, with two threads that take turns sixteen times a period: half a minute.
+    """
+    off, resumed, odd = list[int](), Counter[str](), list[int]()
     shape = SHAPES[0]
     for seed in range(count):
         drawn = replace(draw(0), twin=fl.Twin.from_rig(PAPER), payload=0.030)
@@ -343,20 +346,20 @@ def kills(count: int) -> None:
         def serve(way: Any = way, clock: Any = clock, served: list[Any] = served) -> None:
             try:
                 served.append(
-                    fl.serve_arm(PAPER_TWIN, way, shape.rig.period, duration=40.0, priority=0, clock=clock)
+                    fl.serve_arm(PAPER_TWIN, way, shape.rig.period, duration=60.0, priority=0, clock=clock)
                 )
             finally:
                 clock.leave()
 
         thread = threading.Thread(target=serve)
-        end = clock.now + float(np.random.default_rng(seed).uniform(0.1, 35.0))
+        end = clock.now + float(np.random.default_rng(seed).uniform(0.1, 45.0))
         with tempfile.TemporaryDirectory() as folder:
             thread.start()
             plan = replace(plan_of(drawn), period=None)
             alive = "finished"
             with mock.patch.object(ArmLine, "stop", lambda self: stopped(self)):
                 try:
-                    fl.tune(way, plan, out=Path(folder), moves=False, clock=Mortal(clock, end))
+                    fl.tune(way, plan, out=Path(folder), clock=Mortal(clock, end))
                 except Killed:
                     alive = "killed"
             clock.leave()
@@ -375,6 +378,7 @@ def kills(count: int) -> None:
                 resumed["went on" if again.has_law else f"says why not: {again.stopped[:40]}"] += 1
             except FieldError as error:
                 resumed[f"says why not: {error.problem}"] += 1
+            print(f"  {seed}: {alive} at {end:.1f} s, {dict(resumed)}", flush=True)
     line(
         f"kills, {len(off)} of {count}: periods with a voltage after the watchdog's ten",
         f"most {max(off, default=0)}",

@@ -42,6 +42,7 @@ _COUNTS = 8  # of an encoder, at least
 _SURE = 5.0  # standard errors that a sign needs
 _DEVIATIONS = 8.0  # of the gauge's noise, smoothed, that are an answer
 _KEPT = 0.3  # of a motion that follows the doublets: of an angle about half, of a torque a tenth
+_REVERSED = 0.6  # of what the link leaves unexplained: with the right wires the reverse leaves more
 _CLEAR = 8.0  # standard errors of the torque's gain that a fit over all frequencies does not find in noise
 _DOUBLETS = 12
 _FAR = 1.6  # times the stated K/J: small motions, which friction shortens, show four fifths of it
@@ -212,7 +213,7 @@ def _concluded(
         return WiringFault(_encoder_scale(gain, stated))
     link = _link(record.angle, record.torque, record.period)
     kept = _kept(record, record.angle), _kept(record, record.torque)
-    if kept[1] > max(_KEPT, 2.0 * kept[0]):
+    if kept[1] > max(_KEPT, 2.0 * kept[0]) or (kept[1] > max(_KEPT, kept[0]) and _swapped(record, link)):
         return WiringFault(
             "channels swapped: what is read as the torque stays where the motor was moved to "
             f"({100 * kept[1]:.0f} % of its motion), what is read as the angle does not "
@@ -332,6 +333,13 @@ def _link(angle: Real, torque: Real, period: float) -> tuple[float, float, float
         return None
     error = fit.standard_errors.get("gain", abs(fit.gain) * math.sqrt(fit.nmse))
     return fit.gain, error, fit.model.natural_frequency, fit.delay, fit.nmse
+
+
+def _swapped(record: Record, link: tuple[float, float, float, float, float] | None) -> bool:
+    """Whether what is read as the angle is the link's answer to what is read as the torque."""
+    other = _link(record.torque, record.angle, record.period)
+    left = 1.0 if link is None else link[4]
+    return other is not None and other[0] > _SURE * other[1] and other[4] < _REVERSED * left
 
 
 def _motor(record: Record) -> tuple[float, float, float, float]:
