@@ -29,7 +29,7 @@ def realised(A: NDArray[Any], B: NDArray[Any], C: NDArray[Any], order: float = 1
         return sum((c * x**k for k, c in enumerate(rising)), 0 * s)
 
     bottom = polynomial(coefficients[::-1])
-    rows, columns = range(len(C)), range(B.shape[1])
+    rows, columns = len(C), B.shape[1]
     return fl.TransferMatrix(
         [
             [polynomial([float(m[i, k]) for m in top[::-1]]) / bottom for k in range(columns)]
