@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 from fraclink._arm.log_columns import SI, Channel, LogColumns, OutputKind, parse_columns
 from fraclink._arm.timebase import time_base
 from fraclink._files import document, write_text
-from fraclink._files.display import displayed
 from fraclink._validate import Array, Between, Payload, Positive, checked
+from fraclink._validate.display import displayed
 from fraclink.errors import LogError
 from fraclink.findings import Finding
 

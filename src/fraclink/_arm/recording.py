@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from fraclink._arm.experiment import Experiment
 from fraclink._files import document
-from fraclink._files.display import displayed
 from fraclink._validate import Array, Between, Positive, checked
+from fraclink._validate.display import displayed
 from fraclink.errors import FieldError, LogError
 
 __all__ = ["Coherence", "FrequencyResponse", "Lines", "Recording", "coherence_weights"]

@@ -25,9 +25,9 @@ from fraclink._arm.rig_parts import (
     positive,
 )
 from fraclink._files import document, stored_as, write_text
-from fraclink._files.display import displayed
 from fraclink._files.toml import parse_toml, read_table, read_toml, suggestion, table_of, toml_text
 from fraclink._validate import Between, Frequency, Payload, Period, checked
+from fraclink._validate.display import displayed
 from fraclink.errors import FieldError, FileFormatError
 from fraclink.findings import Finding
 

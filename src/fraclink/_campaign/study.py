@@ -21,10 +21,10 @@ from fraclink._campaign.summary import Summary, summarise
 from fraclink._certify import Certificate
 from fraclink._design import Design
 from fraclink._files import checked_path, document, kind_of, load, save
-from fraclink._files.display import displayed
 from fraclink._identify import Comparison, Contest, Fit
 from fraclink._law import Law
 from fraclink._simulate import Run
+from fraclink._validate.display import displayed
 from fraclink.errors import FileFormatError
 from fraclink.findings import Finding, Scope, Verdict
 

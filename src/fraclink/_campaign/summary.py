@@ -12,7 +12,7 @@ from scipy.special import betaincinv
 
 from fraclink._campaign.campaign import Campaign
 from fraclink._campaign.run import part_path, read_part
-from fraclink._files.display import displayed
+from fraclink._validate.display import displayed
 from fraclink.errors import FieldError
 
 __all__ = ["METRICS", "PARAMETERS", "Failure", "MetricSummary", "Quantile", "Summary", "columns", "summarise"]

@@ -23,7 +23,6 @@ from fraclink._campaign.rivals import FRACLINK, OFFSET, Rival, builders
 from fraclink._campaign.setting import Filter, NominalLoop, Setting, fine_step, law_filter, prepare, sampled
 from fraclink._campaign.tournament_text import markdown, sentences
 from fraclink._files import write_json
-from fraclink._files.display import displayed
 from fraclink._law import Law
 from fraclink._simulate.arm import Twin
 from fraclink._simulate.damping import PowerLaw
@@ -33,6 +32,7 @@ from fraclink._simulate.on_twin import twin_run
 from fraclink._simulate.plant import GAUGE_TORQUE, HUB_ANGLE, Plant, assemble
 from fraclink._simulate.run import Run
 from fraclink._validate import Between, Frequency, Length, Payload, PhaseMargin, Seed, Time, checked
+from fraclink._validate.display import displayed
 from fraclink.errors import FieldError, InfeasibleError
 
 __all__ = ["Standing", "Tournament", "compare", "linear_growth", "mode_gain", "run_rival"]

@@ -17,9 +17,9 @@ from fraclink._arm.rig import Rig
 from fraclink._design.assess import PRINTED, axis_of, match_at
 from fraclink._design.equations import equation, task_of
 from fraclink._design.specification import Design, Specification
-from fraclink._files.display import displayed
 from fraclink._systems.sweep import bracketed_roots
 from fraclink._validate import Between, Payload, checked
+from fraclink._validate.display import displayed
 from fraclink.errors import InfeasibleError, SizeError
 
 __all__ = [

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from fraclink._arm.fractional_pid import FractionalPid
 from fraclink._files import document, load, save
-from fraclink._files.display import displayed
 from fraclink._law.fractional_pid import discretize_pid, pid_response
 from fraclink._law.law import Law, LawInputs
 from fraclink._systems.fractional import FractionalTransferFunction
@@ -21,6 +20,7 @@ from fraclink._systems.margins import Margins, margins
 from fraclink._systems.response import discrete_modes, time_response
 from fraclink._systems.stability import is_stable
 from fraclink._validate import Between
+from fraclink._validate.display import displayed
 from fraclink.errors import FieldError
 from fraclink.findings import Finding, errors_of
 

@@ -29,7 +29,6 @@ from fraclink._design.requirement import (
     no_law,
 )
 from fraclink._files import document, load, save
-from fraclink._files.display import displayed
 from fraclink._law import discretize, discretize_controller
 from fraclink._law.estimator import PayloadEstimator, payload_estimator
 from fraclink._validate import (
@@ -44,6 +43,7 @@ from fraclink._validate import (
     checked_between,
     checked_choice,
 )
+from fraclink._validate.display import displayed
 from fraclink.errors import FieldError
 from fraclink.findings import Finding, errors_of
 

@@ -18,10 +18,10 @@ import numpy as np
 from fraclink._arm.link import LinkModel
 from fraclink._arm.recording import FrequencyResponse
 from fraclink._files import document
-from fraclink._files.display import displayed
 from fraclink._identify.structure_fit import StructureFit
 from fraclink._identify.structures import Weighting, identify_structure
 from fraclink._validate import Between, Positive, checked
+from fraclink._validate.display import displayed
 from fraclink.errors import FieldError
 from fraclink.findings import Finding, errors_of
 

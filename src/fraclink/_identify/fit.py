@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from fraclink._arm.link import FRACTIONAL, LinkModel, structure
 from fraclink._files import document, load, save
-from fraclink._files.display import displayed
 from fraclink._identify.least_squares import Interval
 from fraclink._identify.residual import ResidualTests
+from fraclink._validate.display import displayed
 from fraclink.errors import SizeError
 from fraclink.findings import Finding, errors_of
 

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._files import document, load, save
-from fraclink._files.display import displayed
 from fraclink._identify.expression import parse_expression
 from fraclink._identify.least_squares import Interval
 from fraclink._systems.fractional import FractionalTransferFunction
+from fraclink._validate.display import displayed
 from fraclink.errors import SizeError
 from fraclink.findings import Finding, errors_of
 

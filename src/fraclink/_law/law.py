@@ -18,10 +18,10 @@ from fraclink._files import document
 from fraclink._files import load as load_document
 from fraclink._files import save as save_document
 from fraclink._files.codec import Storage, codec_of
-from fraclink._files.display import displayed
 from fraclink._law import block as layout
 from fraclink._law.block import Drive, Modes, Tracking, block_values
 from fraclink._law.limits import Limits
+from fraclink._validate.display import displayed
 from fraclink.errors import FieldError, FileFormatError, MissingExtraError
 
 __all__ = ["MODES", "REASONS", "Law", "LawInputs", "LawOutputs"]

@@ -11,7 +11,6 @@ from fraclink._arm.draft import draft_text
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.log_columns import ColumnStatement, LogColumns
 from fraclink._files import output_path, write_text
-from fraclink._files.display import displayed
 from fraclink._identify import Fit, identify
 from fraclink._logs.diagnosis import diagnose
 from fraclink._logs.formats import read_table
@@ -20,6 +19,7 @@ from fraclink._logs.reading import read_log
 from fraclink._logs.text import LogTable
 from fraclink._logs.weighing import answered, statements
 from fraclink._validate import Payload, Period, checked
+from fraclink._validate.display import displayed
 from fraclink.errors import LogError
 from fraclink.findings import Finding, errors_of
 

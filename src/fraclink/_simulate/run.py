@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from fraclink import _kernels
 from fraclink._files import document, load, save
-from fraclink._files.display import displayed
 from fraclink._simulate.metrics import Metrics, MoveVerdict, Signals, judge, measure
+from fraclink._validate.display import displayed
 from fraclink.findings import Finding
 
 __all__ = ["Run", "judged_run", "payload_rejected"]

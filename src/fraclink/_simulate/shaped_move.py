@@ -23,7 +23,6 @@ from fraclink._arm.reference import Path, Reference, smooth_step
 from fraclink._arm.shapers import SHAPERS, Shaped, Shaper, shaper_impulses
 from fraclink._design import Design
 from fraclink._files import document, load, save
-from fraclink._files.display import displayed
 from fraclink._law import Law
 from fraclink._simulate.arm import Twin
 from fraclink._simulate.run import Run
@@ -37,6 +36,7 @@ from fraclink._simulate.shape_programme import (
     noise_of,
     responses_of,
 )
+from fraclink._validate.display import displayed
 from fraclink.errors import FieldError
 from fraclink.findings import Finding
 

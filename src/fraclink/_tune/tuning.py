@@ -7,12 +7,12 @@ from pathlib import Path
 
 from fraclink._arm.rig import Rig
 from fraclink._files import document
-from fraclink._files.display import displayed
 from fraclink._tune.guard import MotionLimits
 from fraclink._tune.link import LinkResult
 from fraclink._tune.motor import MotorResult
 from fraclink._tune.moves import FirstMove
 from fraclink._tune.wiring import Wiring
+from fraclink._validate.display import displayed
 from fraclink.findings import Scope, Verdict
 
 __all__ = ["FILES", "Tuning"]
