@@ -43,8 +43,10 @@ def test_50_000_periods_are_those_of_the_simulation(
     np.testing.assert_array_equal(got[:-1, 1], simulated.voltage[1:])
     assert set(simulated.mode.tolist()) == modes
     seen = np.bitwise_or.reduce(simulated.flags)
-    # residual (256) needs an encoder that stands still; missed and repeated periods (8, 16) another timer
-    assert seen == 0x1FF - 8 - 16 - (256 if ending == "held" else 0)
+    # Missed and repeated periods (8, 16) need another timer. A residual (256) that lasts needs an encoder
+    # that stands still; for a single period a motor that an event has pushed is away from its model, too.
+    assert seen | 256 == 0x1FF - 8 - 16
+    assert ending == "held" or seen & 256
 
 
 @pytest.mark.slow

@@ -238,8 +238,9 @@ def latency(run: RealtimeRun, *, ax: Any = None) -> Any:
     for label, values in (("wake-up latency", run.latency), ("computing time", run.work)):
         ax.hist(1e6 * np.maximum(values, _LEAST), bins=bins, label=label, alpha=0.8)
     ax.axvline(1e6 * run.period, color=tint(ax, "quiet"), linestyle="--", linewidth=1.0, label="period")
-    ax.set(xscale="log", yscale="log", xlabel="time [µs]", ylabel="periods")
+    # Limits before scales: an axis that scales itself warns of a run that ended before its first period.
     ax.set_ylim(0.5, 10 ** math.ceil(math.log10(max(len(run.latency), 1)) + 0.1))
+    ax.set(xscale="log", yscale="log", xlabel="time [µs]", ylabel="periods")
     ax.legend(loc="best", fontsize="small")
     return ax
 
