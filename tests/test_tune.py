@@ -23,12 +23,12 @@ from fraclink._identify import simulated_torque
 from fraclink._realtime.connections import Callback, Command
 from fraclink._realtime.line import open_line
 from fraclink._tune import LimitReached, WiringFault
-from fraclink._tune.build import build_law
+from fraclink._tune.build import _designs, build_law
 from fraclink._tune.guard import Guard
 from fraclink._tune.link import _fitted
 from fraclink._tune.motion import random_steps
 from fraclink._tune.wiring import check_wiring
-from fraclink.errors import FieldError, FraclinkError
+from fraclink.errors import FieldError, FraclinkError, InfeasibleError
 
 if not _kernels.REALTIME:
     pytest.skip("the real-time loop is Linux's", allow_module_level=True)
@@ -283,6 +283,19 @@ def test_a_controller_that_no_law_follows_is_a_reason_and_keeps_the_design(
     built = build_law(massless, found)  # type: ignore[arg-type]
     assert built.design is not None and built.law is None and built.certificate is None
     assert not built.passed and any("no law follows this controller" in why for why in built.reasons)
+
+
+def test_a_wish_that_is_not_feasible_gets_the_law_that_is_with_the_reason(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def none(*_: object, **__: object) -> None:
+        raise InfeasibleError("phase margin", "70° is too much", {})
+
+    monkeypatch.setattr("fraclink._tune.build.design_for", none)
+    assert RIG.design is not None and RIG.model is not None
+    made, words = next(_designs(RIG, RIG.model))
+    assert made.passed and math.degrees(made.phase_margin) == pytest.approx(32.0)
+    assert "70° is too much" in words[0] and "phase margin 32°" in words[1]
 
 
 def test_a_fault_keeps_reason_and_record(tmp_path: Path) -> None:

@@ -146,25 +146,26 @@ def built_laws(rig: Rig, link: LinkResult) -> Iterator[Built]:
         return
     refused: Built | None = None
     any_passed = False
-    try:
-        for made, words in _designs(rig, late_free(fit.model)):
-            built = _proved(rig, made.doubted(fit.findings), words)
-            any_passed |= built.passed
-            if built.passed:
-                yield built
-            else:
-                refused = refused or built
-    except InfeasibleError as error:  # of what the rig states
-        refused = Built(rig, None, None, None, (str(error),))
+    for made, words in _designs(rig, late_free(fit.model)):
+        built = _proved(rig, made.doubted(fit.findings), words)
+        any_passed |= built.passed
+        if built.passed:
+            yield built
+        else:
+            refused = refused or built
     if not any_passed:
         yield refused or Built(rig, None, None, None, (_none(rig, fit.model),))
 
 
 def _designs(rig: Rig, model: LinkModel) -> Iterator[tuple[Design, tuple[str, ...]]]:
     """The designs that keep their requirements over the box, the preferred one first."""
+    asked: tuple[str, ...] = ()
     if rig.design is not None:
-        yield design_for(rig, model, box=True)
-        return
+        try:
+            yield design_for(rig, model, box=True)
+            asked = ("what the rig asks for has no law that passes; instead:",)
+        except InfeasibleError as error:
+            asked = (f"what the rig asks for is not feasible ({error}); instead:",)
     heavy = model.at_payload(rig.payloads.high)
     resonance = heavy.torque_resonance or heavy.natural_frequency ** (2.0 / heavy.order)
     second_choice: list[tuple[float, Design, tuple[str, ...]]] = []
@@ -174,6 +175,7 @@ def _designs(rig: Rig, model: LinkModel) -> Iterator[tuple[Design, tuple[str, ..
             continue
         gain = max((item.achieved for item in made.requirements if "mode" in item.name), default=0.0)
         words: tuple[str, ...] = (
+            *asked,
             f"gain crossover {made.gain_crossover:.3g} rad/s and phase margin {degrees:.3g}°, which the "
             "whole box keeps",
         )
