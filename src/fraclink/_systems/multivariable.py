@@ -126,7 +126,7 @@ def multivariable_margins(
     >>> L = TransferMatrix([[2 / s, 1 / (s + 1)], [-1 / (s + 1), 4 / s**1.2]])
     >>> found = multivariable_margins(L)
     >>> found.stable, round(found.singular_value_margin, 4)
-    (True, 0.7883)
+    (True, 0.8661)
     """
     if unstable_poles is None and isinstance(loop, TransferMatrix):
         unstable_poles = _none_unstable(loop)
