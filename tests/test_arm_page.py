@@ -147,7 +147,12 @@ def test_the_command_writes_the_page_and_leaves_a_file_alone(study, page, tmp_pa
 def test_open_shows_the_page_or_names_it(study, tmp_path, monkeypatch, capsys, found):
     save_study(study, tmp_path / "results")
     asked = []
-    monkeypatch.setattr("webbrowser.open", lambda address: asked.append(address) or found)
+
+    def opened(address: str) -> bool:
+        asked.append(address)
+        return found
+
+    monkeypatch.setattr("webbrowser.open", opened)
     out = tmp_path / "arm.html"
     assert main(["share", str(tmp_path / "results"), "--out", str(out), "--open"]) == 0
     assert asked == [out.as_uri()]
