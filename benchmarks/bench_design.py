@@ -21,12 +21,13 @@ from types import ModuleType
 import numpy as np
 
 import fraclink as fl
+from fraclink._arm.controller import closed_loop_poles
 from fraclink._arm.motor_loop import motor_loop_costs
 from fraclink._arm.rig import Rig
 from fraclink._certify import Certificate, certify, enclose_phase_margin
 from fraclink._design import Design
 from fraclink._design.alternatives import compare_at_equal_sensitivity, feasibility_map
-from fraclink._design.assess import PRINTED, closed_loop_poles, match_at
+from fraclink._design.assess import PRINTED, match_at
 
 RIG = Rig.named("paper-2023")
 WANTED = {"payloads": (0.020, 0.040), "gain_crossover": 12.0, "phase_margin": fl.deg(50)}

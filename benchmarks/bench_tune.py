@@ -32,10 +32,9 @@ from fraclink._arm.link import SecondMode
 from fraclink._realtime import VirtualClock
 from fraclink._realtime.connections import Callback, Command
 from fraclink._realtime.line import ArmLine, open_line
+from fraclink._realtime.tune_guard import Guard
+from fraclink._realtime.tune_wiring import WiringFault, check_wiring
 from fraclink._simulate import PowerLaw
-from fraclink._tune import WiringFault
-from fraclink._tune.guard import Guard
-from fraclink._tune.wiring import check_wiring
 from fraclink.errors import FieldError, FraclinkError
 from identify_logs import line
 

@@ -9,8 +9,8 @@ from functools import cache
 
 import numpy as np
 
+from fraclink._arm.controller import closed_loop_poles
 from fraclink._arm.loop import Loop
-from fraclink._design.assess import closed_loop_poles
 from reproduce import designs
 from reproduce.judged import HOLDS, NOT, PART, Evidence, Reading, judged, together
 from reproduce.loops import last_crossing

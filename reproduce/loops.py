@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from fraclink._arm.controller import Controller
 from fraclink._arm.motor_loop import MotorLoop
 from fraclink._arm.sampled import sampled_plant
-from fraclink._design.requirement import margins_of
 from fraclink._law import discretize
+from fraclink._law.requirement import margins_of
 from fraclink._systems.margins import Margins, margins
 from reproduce import designs
 

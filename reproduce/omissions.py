@@ -10,11 +10,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._arm.controller import Controller
+from fraclink._arm.controller import Controller, closed_loop_poles
 from fraclink._arm.link import LinkModel
 from fraclink._arm.motor import Method, place_pid
 from fraclink._design import Design, design
-from fraclink._design.assess import PRINTED, closed_loop_poles
+from fraclink._design.assess import PRINTED
 from fraclink._systems.margins import margins
 from reproduce import designs
 

@@ -171,7 +171,7 @@ def test_a_controller_that_no_law_follows_ends_the_run_with_its_design(
         raise FieldError("order", "3 pairs", "more than law.c holds", allowed="2 pairs", remedy="lower it")
 
     for name in ("law_margins", "discretize", "discretize_controller"):
-        monkeypatch.setattr(f"fraclink._design.specification.{name}", none)
+        monkeypatch.setattr(f"fraclink._law.design.{name}", none)
     place = tmp_path / "out"
     assert main(["run", "--rig", "paper-2023", "--log", "demo", "--out", str(place), *EASY, "--certify"]) == 1
     told = capsys.readouterr().out

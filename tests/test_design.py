@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 import fraclink as fl
+from fraclink._arm.controller import closed_loop_poles
 from fraclink._arm.loop import Loop
 from fraclink._arm.rig import Rig
 from fraclink._design import Design
-from fraclink._design.assess import PRINTED, closed_loop_poles, match_at
+from fraclink._design.assess import PRINTED, match_at
 from fraclink.errors import FieldError, InfeasibleError
 
 RIG = Rig.named("paper-2023")

@@ -6,8 +6,11 @@ import dataclasses
 import json
 import math
 import os
+import re
 import shutil
 import stat
+import subprocess
+import sys
 import threading
 import zipfile
 from collections.abc import Mapping
@@ -541,3 +544,20 @@ def test_d8_a_damaged_study_is_refused(damage: Any, field: str, tmp_path: Path) 
     with pytest.raises(FileFormatError) as caught:
         fl.load_study(folder)
     assert caught.value.field == field
+
+
+def test_every_kind_is_found_by_a_process_that_has_loaded_nothing(tmp_path: Path) -> None:
+    """A kind that the table lacks loads only where something else has imported its class."""
+    from fraclink import _files
+
+    source = Path(_files.__file__).parents[1]
+    text = "\n".join(file.read_text(encoding="utf-8") for file in sorted(source.rglob("*.py")))
+    kinds = set(re.findall(r'^@?document\(\s*"([\w-]+)"', text, re.MULTILINE))
+    assert len(kinds) > 20 and kinds <= set(_files._HOMES)
+    margins = fl.margins(2.0 / (fl.s * (fl.s + 1)))
+    file = fl.save(margins, tmp_path / "margins.json")
+    command = f"import fraclink as fl; print(fl.load({str(file)!r}).modulus_margin)"
+    done = subprocess.run(  # noqa: S603
+        [sys.executable, "-c", command], capture_output=True, text=True, check=False
+    )
+    assert done.stdout.strip() == repr(margins.modulus_margin), done.stderr

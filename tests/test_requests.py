@@ -12,7 +12,7 @@ import pytest
 import fraclink as fl
 from fraclink._arm.rig import Rig
 from fraclink._design.nearest import offered
-from fraclink._design.specification import Specification
+from fraclink._law.design import Specification
 from fraclink.errors import FieldError, InfeasibleError
 
 RIG = Rig.named("paper-2023")

@@ -23,8 +23,8 @@ import fraclink._studio.swept as swept_module
 from fraclink._campaign.faults import FaultTable
 from fraclink._cli import main
 from fraclink._cli.designs import DesignOptions
-from fraclink._design.requirement import margins_of
 from fraclink._law.refit import refitted
+from fraclink._law.requirement import margins_of
 from fraclink._show.pages import squeezed, tightened
 from fraclink._studio.history import History
 from fraclink._studio.logs import LOG_VERBS

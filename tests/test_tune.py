@@ -22,12 +22,11 @@ from fraclink._cli.tunings import _following
 from fraclink._identify import simulated_torque
 from fraclink._realtime.connections import Callback, Command
 from fraclink._realtime.line import open_line
-from fraclink._tune import LimitReached, WiringFault
-from fraclink._tune.build import _designs, build_law
-from fraclink._tune.guard import Guard
-from fraclink._tune.link import _fitted
-from fraclink._tune.motion import random_steps
-from fraclink._tune.wiring import check_wiring
+from fraclink._realtime.tune_build import _designs, build_law
+from fraclink._realtime.tune_guard import Guard, LimitReached
+from fraclink._realtime.tune_link import _fitted
+from fraclink._realtime.tune_motion import random_steps
+from fraclink._realtime.tune_wiring import WiringFault, check_wiring
 from fraclink.errors import FieldError, FraclinkError, InfeasibleError
 
 if not _kernels.REALTIME:
@@ -216,8 +215,8 @@ def test_a_law_that_the_arm_refuses_is_withheld_and_the_next_one_is_tried(
         tried.append(law.digest)
         return (fl.FirstMove(0.3, 0.5, 0.6, 2.4, *(0.001,) * 7, payload=0.030),)
 
-    monkeypatch.setattr("fraclink._tune.procedure.first_moves", moved)
-    monkeypatch.setattr("fraclink._tune.procedure.LAWS", 2)
+    monkeypatch.setattr("fraclink._realtime.tune.first_moves", moved)
+    monkeypatch.setattr("fraclink._realtime.tune.LAWS", 2)
     found = fl.tune(arm().callback, PLAN, out=tmp_path, resume=True, clock="none")
     assert len(set(tried)) == len(tried) == found.refused == 2
     assert not found.has_law and found.verdict.promise.state == "failed"
@@ -275,7 +274,7 @@ def test_a_controller_that_no_law_follows_is_a_reason_and_keeps_the_design(
     def none(design: fl.Design) -> None:
         raise FieldError("order", "3 pairs", "more than law.c holds", allowed="2 pairs", remedy="lower it")
 
-    monkeypatch.setattr("fraclink._design.specification.law_margins", none)
+    monkeypatch.setattr("fraclink._law.design.law_margins", none)
     assert RIG.design is not None and RIG.model is not None
     found = SimpleNamespace(fit=SimpleNamespace(passed=True, model=RIG.model, findings=()))
     # With its mass the whole box keeps no more than 13°.
@@ -291,7 +290,7 @@ def test_a_wish_that_is_not_feasible_gets_the_law_that_is_with_the_reason(
     def none(*_: object, **__: object) -> None:
         raise InfeasibleError("phase margin", "70° is too much", {})
 
-    monkeypatch.setattr("fraclink._tune.build.design_for", none)
+    monkeypatch.setattr("fraclink._realtime.tune_build.design_for", none)
     assert RIG.design is not None and RIG.model is not None
     made, words = next(_designs(RIG, RIG.model))
     assert made.passed and math.degrees(made.phase_margin) == pytest.approx(32.0)

@@ -131,7 +131,7 @@ def test_a_controller_that_no_law_follows_is_a_finding(monkeypatch: pytest.Monke
     def none(design: fl.Design) -> None:
         raise FieldError("order", "3 pairs", "more than law.c holds", allowed="2 pairs", remedy="lower it")
 
-    monkeypatch.setattr("fraclink._design.specification.law_margins", none)
+    monkeypatch.setattr("fraclink._law.design.law_margins", none)
     for design in (made_for(LINK, 12.0, 45.0).warned_of_law(), made_for(LINK, 12.0, 45.0).with_law()):
         assert [one.severity for one in design.with_law().findings if one.code == "W410"] == ["error"]
         assert not design.has_law and not design.passed

@@ -9,13 +9,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from fraclink._arm.link import LinkModel
 from fraclink._arm.motor_loop import MotorLoop
+from fraclink._files import document
 from fraclink._systems.fractional import FractionalTransferFunction, s
+from fraclink._systems.margins import Margins
+from fraclink._systems.stability import poles
 from fraclink._validate import checked_between, checked_noun, is_whole
 from fraclink.errors import FieldError
 
-__all__ = ["Controller"]
+__all__ = ["Controller", "closed_loop", "closed_loop_poles"]
 
 _LARGEST = 1e12  # gains and times beyond it are slips of the pen; squaring them must not overflow
+
+document("margins")(Margins)  # here and not beside the class: systems stand below the codec
 
 
 @dataclass(frozen=True)
@@ -137,3 +142,35 @@ class Controller:
         0.0
         """
         return replace(self, filter_time=0.0)
+
+
+def closed_loop(
+    controller: Controller, link: LinkModel, *, inner_pole: float | None = None
+) -> FractionalTransferFunction:
+    """Return ``T = L/(1 + L)``, ``L = Ĉ M G`` (eq. (25)); M = 1 without `inner_pole` [rad/s].
+
+    Hold and delay are left out: with them the loop has infinitely many poles.
+    """
+    open_loop = controller.correction() * link.tip()
+    if inner_pole is not None:
+        open_loop = open_loop / (1.0 + s / inner_pole) ** 2
+    return open_loop.feedback()
+
+
+def closed_loop_poles(
+    controller: Controller, link: LinkModel, *, inner_pole: float | None = None
+) -> NDArray[np.complex128]:
+    """Return the poles of the closed loop on the principal sheet, rightmost first [rad/s].
+
+    Examples
+    --------
+    The paper's controller (58) on the paper's link at 30 g, with its motor loop, is unstable:
+
+    >>> link = LinkModel(stiffness=1.56, natural_frequency=11.547, order=1.92)
+    >>> controller = Controller(gain=0.148, order=0.65, filter_time=0.16, filter_order=2)
+    >>> pole = closed_loop_poles(controller, link, inner_pole=80.0)[0]
+    >>> print(f"{pole.real:+.3f} ± {abs(pole.imag):.2f}j")
+    +0.106 ± 12.89j
+    """
+    found = poles(closed_loop(controller, link, inner_pole=inner_pole))
+    return np.asarray(found[np.argsort(-found.real)], dtype=np.complex128)

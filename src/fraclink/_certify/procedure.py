@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 from scipy.optimize import brentq
 
 from fraclink._arm.box import ParameterBox
-from fraclink._arm.controller import Controller
+from fraclink._arm.controller import Controller, closed_loop_poles
 from fraclink._arm.link import LinkModel
 from fraclink._arm.loop import with_payload
 from fraclink._arm.rig import Rig
@@ -18,9 +18,8 @@ from fraclink._certify.enclosure import BoxLoop
 from fraclink._certify.numeric import loop_values, windings, worst_distance
 from fraclink._certify.search import MarginFailure, MarginProof, prove
 from fraclink._certify.statement import AXES, Certificate, Statement, state
-from fraclink._design import Design
-from fraclink._design.assess import closed_loop_poles
 from fraclink._law import Law, discretize_controller
+from fraclink._law.design import Design
 from fraclink._law.limits import JUMP
 from fraclink._validate import Between, Ordered, Payload, checked, checked_between
 from fraclink.errors import FieldError

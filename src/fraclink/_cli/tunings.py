@@ -17,10 +17,11 @@ from fraclink._cli.console import tell
 from fraclink._cli.options import PayloadRange, load_rig
 from fraclink._files import checked_path, load, output_path
 from fraclink._realtime import RealtimeRun
-from fraclink._tune import MotionLimits, Tuning, TuningPlan
-from fraclink._tune import tune as tune_arm
-from fraclink._tune import watch as watch_arm
-from fraclink._tune.tuning import FILES
+from fraclink._realtime.tune import tune as tune_arm
+from fraclink._realtime.tune_guard import MotionLimits
+from fraclink._realtime.tune_plan import TuningPlan
+from fraclink._realtime.tuning import FILES, Tuning
+from fraclink._realtime.watch import watch as watch_arm
 from fraclink._validate import Between, Payload
 from fraclink.errors import FieldError
 

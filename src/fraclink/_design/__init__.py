@@ -4,6 +4,6 @@ from __future__ import annotations
 
 from fraclink._design.optimisation import Optimised, Step, optimise
 from fraclink._design.procedure import design
-from fraclink._design.specification import Design, Requirement, Specification, deg
+from fraclink._law.design import Design, Requirement, Specification, deg
 
 __all__ = ["Design", "Optimised", "Requirement", "Specification", "Step", "deg", "design", "optimise"]

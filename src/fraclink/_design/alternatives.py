@@ -16,7 +16,7 @@ from fraclink._arm.loop import Loop, noise_points
 from fraclink._arm.rig import Rig
 from fraclink._design.assess import PRINTED, axis_of, match_at
 from fraclink._design.equations import equation, task_of
-from fraclink._design.specification import Design, Specification
+from fraclink._law.design import Design, Specification
 from fraclink._systems.sweep import bracketed_roots
 from fraclink._validate import Between, Payload, checked
 from fraclink._validate.display import displayed

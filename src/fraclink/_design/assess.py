@@ -19,9 +19,7 @@ from fraclink._arm.controller import Controller
 from fraclink._arm.link import LinkModel
 from fraclink._arm.loop import Loop
 from fraclink._design.modes import MODE_LIMIT, higher_modes, mode_requirements
-from fraclink._design.specification import Design, Requirement
-from fraclink._systems.fractional import FractionalTransferFunction, s
-from fraclink._systems.stability import poles
+from fraclink._law.design import Design, Requirement
 from fraclink._validate import (
     Between,
     Frequency,
@@ -38,8 +36,6 @@ __all__ = [
     "Tolerances",
     "VibrationMode",
     "axis_of",
-    "closed_loop",
-    "closed_loop_poles",
     "margin_curve",
     "match_at",
     "matched_in",
@@ -295,35 +291,6 @@ def mode_gains(
 
 
 # ---- poles ------------------------------------------------------------------------------------------------
-
-
-def closed_loop(
-    controller: Controller, link: LinkModel, *, inner_pole: float | None = None
-) -> FractionalTransferFunction:
-    """Return ``T = L/(1 + L)``, ``L = Ĉ M G`` (eq. (25)); M = 1 without `inner_pole` [rad/s].
-
-    Hold and delay are left out: with them the loop has infinitely many poles.
-    """
-    open_loop = controller.correction() * link.tip()
-    if inner_pole is not None:
-        open_loop = open_loop / (1.0 + s / inner_pole) ** 2
-    return open_loop.feedback()
-
-
-def closed_loop_poles(controller: Controller, link: LinkModel, *, inner_pole: float | None = None) -> Complex:
-    """Return the poles of the closed loop on the principal sheet, rightmost first [rad/s].
-
-    Examples
-    --------
-    The paper's controller (58) on the paper's link at 30 g, with its motor loop, is unstable:
-
-    >>> link = LinkModel(stiffness=1.56, natural_frequency=11.547, order=1.92)
-    >>> pole = closed_loop_poles(PRINTED["(58)"], link, inner_pole=80.0)[0]
-    >>> print(f"{pole.real:+.3f} ± {abs(pole.imag):.2f}j")
-    +0.106 ± 12.89j
-    """
-    found = poles(closed_loop(controller, link, inner_pole=inner_pole))
-    return np.asarray(found[np.argsort(-found.real)], dtype=np.complex128)
 
 
 def match_at(

@@ -13,7 +13,7 @@ from scipy.optimize import brentq
 
 from fraclink._arm.controller import Controller
 from fraclink._design.modes import higher_modes, mode_requirements
-from fraclink._design.specification import Requirement, Specification
+from fraclink._law.design import Requirement, Specification
 from fraclink.errors import InfeasibleError
 
 if TYPE_CHECKING:

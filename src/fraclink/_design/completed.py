@@ -9,7 +9,7 @@ from typing import Any
 from fraclink._arm.link import LinkModel
 from fraclink._arm.rig import Rig
 from fraclink._design.procedure import design
-from fraclink._design.specification import Design
+from fraclink._law.design import Design
 from fraclink._validate import checked
 from fraclink.errors import FieldError, InfeasibleError
 

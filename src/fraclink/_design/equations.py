@@ -21,7 +21,7 @@ from fraclink._arm.link import LinkModel
 from fraclink._arm.loop import Loop, with_payload, worst_margins
 from fraclink._arm.motor_loop import MotorLoop
 from fraclink._arm.rig import Rig
-from fraclink._design.specification import Specification
+from fraclink._law.design import Specification
 from fraclink._systems.sweep import bracketed_roots
 from fraclink.errors import FieldError
 

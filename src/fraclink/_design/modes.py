@@ -21,7 +21,7 @@ from fraclink._arm.beam import Beam, assumed_ratio, material_law, modal_shares, 
 from fraclink._arm.link import LinkModel
 from fraclink._arm.loop import Loop
 from fraclink._arm.rig import Rig
-from fraclink._design.specification import Requirement
+from fraclink._law.design import Requirement
 from fraclink._validate import checked_between
 
 __all__ = ["MODE_LIMIT", "HigherModes", "higher_modes", "mode_requirements"]

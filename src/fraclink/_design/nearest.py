@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fraclink._arm.loop import Loop
 from fraclink._design.bounds import Attempt
-from fraclink._design.specification import Requirement, Specification
+from fraclink._law.design import Requirement, Specification
 from fraclink.errors import FieldError, InfeasibleError
 
 if TYPE_CHECKING:

@@ -22,7 +22,7 @@ from fraclink._design.equations import Task, task_of
 from fraclink._design.modes import HigherModes, higher_modes
 from fraclink._design.problem import Bounds, Goal, Problem
 from fraclink._design.procedure import findings_of, requirements_of
-from fraclink._design.specification import Design, Specification
+from fraclink._law.design import Design, Specification
 from fraclink._validate import Fraction, checked
 from fraclink.errors import FieldError, InfeasibleError
 

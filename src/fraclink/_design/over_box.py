@@ -16,7 +16,7 @@ from fraclink._arm.controller import Controller
 from fraclink._arm.loop import worst_margins
 from fraclink._design.equations import Task
 from fraclink._design.nearest import boundary
-from fraclink._design.specification import Requirement, Specification
+from fraclink._law.design import Requirement, Specification
 from fraclink.errors import InfeasibleError
 from fraclink.findings import Finding
 

@@ -20,8 +20,8 @@ from fraclink._design.equations import MARGIN_SHARE, Task, attempt, candidates, 
 from fraclink._design.modes import MODE_LIMIT, higher_modes, mode_requirements
 from fraclink._design.nearest import missed_bounds, offered, refuse
 from fraclink._design.over_box import OverBox, at_arm, cost_of_box
-from fraclink._design.specification import Design, Requirement, Specification
 from fraclink._design.vibration import ringing
+from fraclink._law.design import Design, Requirement, Specification
 from fraclink._validate import checked_between, checked_noun
 from fraclink.errors import FieldError, InfeasibleError
 from fraclink.findings import Finding

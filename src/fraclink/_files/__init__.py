@@ -28,12 +28,12 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Literal, TypeVar, cast, overload
 
-import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._files.codec import Storage, codec_of, stored_as
 from fraclink._files.containers import (
     JSON_LIMIT,
+    array_digest,
     atomic_write,
     broken,
     checked_path,
@@ -86,20 +86,22 @@ _HOMES = {
     **dict.fromkeys(("campaign", "sweep"), "fraclink._campaign"),
     "certificate": "fraclink._certify",
     "comparison": "fraclink._campaign.tournament",
-    "design": "fraclink._design",
+    "design": "fraclink._law.design",
     "fault-campaign": "fraclink._campaign.faults",
     **dict.fromkeys(("driven-link", "fit", "structure-fit"), "fraclink._identify"),
     **dict.fromkeys(("realtime-run", "served-arm"), "fraclink._realtime"),
     **dict.fromkeys(("run", "twin-run"), "fraclink._simulate"),
-    "frequency-response": "fraclink._arm.recording",
+    "fractional-pid": "fraclink._arm.fractional_pid",
     "log": "fraclink._arm.experiment",
+    "margins": "fraclink._arm.controller",
     "model": "fraclink._arm.link",
     "law": "fraclink._law",
-    "recording": "fraclink._arm.recording",
+    "pid-tuning": "fraclink._design.pid_tuning",
+    **dict.fromkeys(("frequency-response", "recording"), "fraclink._arm.recording"),
     "rig": "fraclink._arm.rig",
     "shaped-move": "fraclink._simulate.shaped_move",
     "study": "fraclink._campaign.study",
-    **dict.fromkeys(("tuning", "tuned-link", "tuned-motor", "watch", "wiring"), "fraclink._tune"),
+    **dict.fromkeys(("tuning", "tuned-link", "tuned-motor", "watch", "wiring"), "fraclink._realtime.watch"),
 }
 
 
@@ -234,6 +236,9 @@ def digest_of(value: object) -> str:
 
 
 def _document_of(value: object) -> _Document:
+    if type(value) not in _BY_CLASS:  # of a room below this one, or of none: the refusal names all there are
+        for home in sorted(set(_HOMES.values())):
+            import_module(home)
     found = _BY_CLASS.get(type(value))
     if found is None:
         allowed = ", ".join(sorted(item.__name__ for item in _BY_CLASS))
@@ -252,7 +257,7 @@ def _enveloped(value: object, found: _Document) -> tuple[dict[str, Any], dict[st
         "period": found.period(value),
         "sources": dict(found.sources(value)),
         "summary": codec_of(Any).encode(found.summary(value), "summary", Storage()),
-        "arrays": {name: _array_digest(values) for name, values in arrays.items()},
+        "arrays": {name: array_digest(values) for name, values in arrays.items()},
     }
     head = {"fraclink": found.kind, "format": found.version, "tool": __version__, "units": UNITS}
     head |= {key: item for key, item in optional.items() if item not in (None, {})}
@@ -264,11 +269,6 @@ def _digest(data: Mapping[str, Any]) -> str:
     covered = {key: value for key, value in data.items() if key not in ("sha256", "tool")}
     text = json.dumps(covered, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.sha256(text.encode("ascii")).hexdigest()
-
-
-def _array_digest(values: NDArray[Any]) -> str:
-    stored = np.ascontiguousarray(values, dtype=values.dtype.newbyteorder("<"))
-    return hashlib.sha256(f"{stored.dtype.str}{values.shape}".encode() + stored.tobytes()).hexdigest()
 
 
 _BEFORE_DIGESTS = {"fraclink", "format", "tool", "units"}
@@ -392,7 +392,7 @@ def _unread(found: _Document, version: object) -> FileFormatError:
 def _check_digest(data: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]], place: Path) -> None:
     if unknown := sorted(set(data) - _ENVELOPE):
         raise misfit(unknown[0], data[unknown[0]], "an unknown key", ", ".join(sorted(_ENVELOPE)))
-    actual = {name: _array_digest(values) for name, values in arrays.items()}
+    actual = {name: array_digest(values) for name, values in arrays.items()}
     if data.get("arrays", {}) != actual:
         raise misfit("arrays", ", ".join(actual), "changed after they were written", "the arrays as written")
     digest = guarded(lambda: _digest(data), "sha256")

@@ -85,6 +85,12 @@ def sha256_of(path: Path) -> str:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
+def array_digest(values: NDArray[Any]) -> str:
+    """SHA-256 of an array's type, shape and little-endian bytes: the same on every machine."""
+    stored = np.ascontiguousarray(values, dtype=values.dtype.newbyteorder("<"))
+    return hashlib.sha256(f"{stored.dtype.str}{values.shape}".encode() + stored.tobytes()).hexdigest()
+
+
 def checked_path(field: str, value: object) -> Path:
     """Return `value` as a path; FieldError for anything that names no file.
 

@@ -1,4 +1,4 @@
-"""The law in real time: a loop of fixed period around a board, a simulated arm or two functions of Python.
+"""The law in real time, around a board, a simulated arm or two functions of Python; and an arm tuned over it.
 
 The loop is C on absolute deadlines; what it runs is law.c, the file that is simulated and exported. It does
 not judge what happens on the way to the arm: a sample that did not come is NaN and a missed period is a

@@ -10,7 +10,8 @@ from fraclink._show.text import Row, Table, View, number
 
 if TYPE_CHECKING:
     from fraclink._design.pid_tuning import PidTuning
-    from fraclink._tune import Tuning, Watch
+    from fraclink._realtime.tuning import Tuning
+    from fraclink._realtime.watch import Watch
 
 __all__ = ["pid_view", "tuning_view", "watch_view"]
 

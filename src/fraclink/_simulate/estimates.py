@@ -13,8 +13,8 @@ from fraclink import _kernels
 from fraclink._arm.link import LinkModel
 from fraclink._arm.loop import with_payload
 from fraclink._arm.rig import Rig
-from fraclink._design import Design
 from fraclink._law import Law
+from fraclink._law.design import Design
 from fraclink._law.estimator import Estimates, PayloadEstimator, payload_estimator
 from fraclink.errors import FieldError
 from fraclink.findings import Finding

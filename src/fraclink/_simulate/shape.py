@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 import numpy as np
 
 from fraclink._arm.reference import Path, SampledReference
-from fraclink._design import Design
+from fraclink._law.design import Design
 from fraclink._simulate.arm import Twin
 from fraclink._simulate.metrics import BAND
 from fraclink._simulate.shape_programme import MoveSolution, Programme, Responses

@@ -21,9 +21,9 @@ from fraclink import _kernels
 from fraclink._arm.link import LinkModel
 from fraclink._arm.reference import Path, Reference, smooth_step
 from fraclink._arm.shapers import SHAPERS, Shaped, Shaper, shaper_impulses
-from fraclink._design import Design
 from fraclink._files import document, load, save
 from fraclink._law import Law
+from fraclink._law.design import Design
 from fraclink._simulate.arm import Twin
 from fraclink._simulate.run import Run
 from fraclink._simulate.shape_programme import (

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from fraclink._arm.link import LinkModel
 from fraclink._arm.reference import Reference, sampled
 from fraclink._arm.rig import Rig
-from fraclink._design import Design
 from fraclink._law import Law
+from fraclink._law.design import Design
 from fraclink._law.discretization import check_rigs_period
 from fraclink._law.estimator import Estimates, PayloadEstimator
 from fraclink._simulate.arm import Twin

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._design import Design
-from fraclink._design.requirement import margins_of
 from fraclink._law import Law
+from fraclink._law.requirement import margins_of
 
 __all__ = ["swept"]
 

@@ -11,7 +11,6 @@ from typing import Annotated, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._files import document
 from fraclink._systems.fractional import FractionalTransferFunction
 from fraclink._systems.loops import FractionalLoop, SampledLoop, as_loop
 from fraclink._systems.stability import is_stable
@@ -64,7 +63,6 @@ class PhaseCrossing:
     gain_margin: float
 
 
-@document("margins")
 @dataclass(frozen=True)
 class Margins:
     """All crossings of a loop, sorted by frequency, and its modulus margin min |1 + L(jω)|.

@@ -18,7 +18,7 @@ from fraclink._arm.link import FRACTIONAL
 from fraclink._arm.rig import Rig
 from fraclink._files import document
 from fraclink._identify import identify
-from fraclink._tune.guard import Guard, Record
+from fraclink._realtime.tune_guard import Guard, Record
 from fraclink.errors import FraclinkError
 
 __all__ = ["Wiring", "WiringFault", "check_wiring"]

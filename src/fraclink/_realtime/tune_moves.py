@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from fraclink._arm.reference import Path, sampled, smooth_step
 from fraclink._design import Design
 from fraclink._law import Law
+from fraclink._realtime.tune_build import link_twins
+from fraclink._realtime.tune_guard import PLANNED, Guard, MotionLimits, Record
+from fraclink._realtime.tune_motion import Follower, follow, motor_law
+from fraclink._realtime.tune_motor import MotorResult
 from fraclink._simulate.simulate import simulate
-from fraclink._tune.build import link_twins
-from fraclink._tune.guard import PLANNED, Guard, MotionLimits, Record
-from fraclink._tune.motion import Follower, follow, motor_law
-from fraclink._tune.motor import MotorResult
 
 __all__ = ["FirstMove", "first_moves", "planned_move"]
 

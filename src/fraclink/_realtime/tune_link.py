@@ -15,10 +15,10 @@ from fraclink._arm.rig import Motor
 from fraclink._files import document
 from fraclink._identify import Fit, design_experiment, identify, identify_motor, simulated_torque
 from fraclink._law import Law
-from fraclink._tune.guard import PLANNED, Guard, Record
-from fraclink._tune.motion import burst, calm, follow, motor_law, random_steps
-from fraclink._tune.motor import MotorResult
-from fraclink._tune.wiring import Wiring
+from fraclink._realtime.tune_guard import PLANNED, Guard, Record
+from fraclink._realtime.tune_motion import burst, calm, follow, motor_law, random_steps
+from fraclink._realtime.tune_motor import MotorResult
+from fraclink._realtime.tune_wiring import Wiring
 from fraclink.errors import FraclinkError, InfeasibleError, LogError
 
 Real = NDArray[np.float64]

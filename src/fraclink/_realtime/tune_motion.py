@@ -16,7 +16,7 @@ from fraclink._law import MODES, REASONS, Law
 from fraclink._law.block import Drive, Modes
 from fraclink._law.discretization import COULOMB_SPEED
 from fraclink._law.limits import Moves, derive_limits
-from fraclink._tune.guard import Guard, Record
+from fraclink._realtime.tune_guard import Guard, Record
 from fraclink.errors import FieldError, FraclinkError
 
 __all__ = ["LawTripped", "burst", "fastest_loop", "follow", "motor_law", "random_moves", "random_steps"]

@@ -10,7 +10,7 @@ import numpy as np
 from fraclink._arm.experiment import Experiment
 from fraclink._files import document
 from fraclink._identify import Fit, identify, identify_motor, simulated_torque
-from fraclink._tune.tuning import Tuning
+from fraclink._realtime.tuning import Tuning
 from fraclink._validate import checked
 from fraclink._validate.display import displayed
 from fraclink.errors import FieldError, LogError

@@ -15,13 +15,13 @@ from fraclink._arm.box import Arm, arms_of
 from fraclink._arm.loop import with_payload
 from fraclink._arm.motor_loop import MotorLoop
 from fraclink._arm.sampled import SampledPlant
-from fraclink._law import discretize_controller
+from fraclink._law.discretization import discretize_controller
 from fraclink._systems.margins import Margins, margins
 from fraclink.errors import FieldError
 from fraclink.findings import Finding
 
 if TYPE_CHECKING:
-    from fraclink._design.specification import Design
+    from fraclink._law.design import Design
 
 __all__ = [
     "LAW_MARGIN",

@@ -16,15 +16,15 @@ from fraclink._files import load, output_path, save
 from fraclink._law import Law
 from fraclink._realtime.connections import Connection
 from fraclink._realtime.line import open_line
-from fraclink._tune.build import Built, built_laws, measured_rig
-from fraclink._tune.guard import Guard, LimitReached
-from fraclink._tune.link import LinkResult, shortfall, tune_link
-from fraclink._tune.motion import LawTripped
-from fraclink._tune.motor import tune_motor
-from fraclink._tune.moves import first_moves
-from fraclink._tune.plan import TuningPlan
-from fraclink._tune.tuning import FILES, LAW_FILES, Tuning
-from fraclink._tune.wiring import Wiring, check_wiring
+from fraclink._realtime.tune_build import Built, built_laws, measured_rig
+from fraclink._realtime.tune_guard import Guard, LimitReached
+from fraclink._realtime.tune_link import LinkResult, shortfall, tune_link
+from fraclink._realtime.tune_motion import LawTripped
+from fraclink._realtime.tune_motor import tune_motor
+from fraclink._realtime.tune_moves import first_moves
+from fraclink._realtime.tune_plan import TuningPlan
+from fraclink._realtime.tune_wiring import Wiring, check_wiring
+from fraclink._realtime.tuning import FILES, LAW_FILES, Tuning
 from fraclink._validate import checked
 from fraclink.errors import FieldError, FraclinkError
 

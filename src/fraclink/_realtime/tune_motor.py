@@ -9,9 +9,9 @@ import numpy as np
 from fraclink._arm.motor_loop import MotorGain, MotorLoop
 from fraclink._files import document
 from fraclink._identify import MotorFit, identify_motor
-from fraclink._tune.guard import PLANNED, Guard, Record
-from fraclink._tune.motion import fastest_loop, follow, motor_law, random_moves
-from fraclink._tune.wiring import Wiring
+from fraclink._realtime.tune_guard import PLANNED, Guard, Record
+from fraclink._realtime.tune_motion import fastest_loop, follow, motor_law, random_moves
+from fraclink._realtime.tune_wiring import Wiring
 from fraclink.errors import FraclinkError, LogError
 
 __all__ = ["MotorResult", "tune_motor"]

@@ -16,11 +16,11 @@ from fraclink._certify import Certificate, certify
 from fraclink._design import Design, design
 from fraclink._design.completed import design_for
 from fraclink._law import Law
+from fraclink._realtime.tune_guard import MotionLimits
+from fraclink._realtime.tune_link import LinkResult
+from fraclink._realtime.tune_wiring import Wiring
 from fraclink._simulate.arm import Twin, damping_of
 from fraclink._simulate.simulate import simulate
-from fraclink._tune.guard import MotionLimits
-from fraclink._tune.link import LinkResult
-from fraclink._tune.wiring import Wiring
 from fraclink.errors import FieldError, InfeasibleError
 
 __all__ = ["Built", "build_law", "built_laws", "link_twins", "measured_rig"]

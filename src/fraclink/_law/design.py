@@ -18,7 +18,10 @@ from fraclink._arm.loop import Loop, with_payload
 from fraclink._arm.motor_loop import MotorLoop
 from fraclink._arm.rig import Rig
 from fraclink._arm.sampled import SampledPlant, sampled_plant
-from fraclink._design.requirement import (
+from fraclink._files import document, load, save
+from fraclink._law.discretization import discretize, discretize_controller
+from fraclink._law.estimator import PayloadEstimator, payload_estimator
+from fraclink._law.requirement import (
     LAW_MARGIN,
     Looked,
     Requirement,
@@ -28,9 +31,6 @@ from fraclink._design.requirement import (
     margins_of,
     no_law,
 )
-from fraclink._files import document, load, save
-from fraclink._law import discretize, discretize_controller
-from fraclink._law.estimator import PayloadEstimator, payload_estimator
 from fraclink._validate import (
     Between,
     Duration,
@@ -48,8 +48,8 @@ from fraclink.errors import FieldError
 from fraclink.findings import Finding, errors_of
 
 if TYPE_CHECKING:
-    from fraclink._law import Law
     from fraclink._law.block import Precision
+    from fraclink._law.law import Law
     from fraclink._systems.margins import Margins
 
 __all__ = ["Design", "Requirement", "Specification", "deg"]

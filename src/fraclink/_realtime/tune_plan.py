@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from fraclink._arm.rig import Rig
-from fraclink._tune.guard import PLANNED, MotionLimits
-from fraclink._tune.wiring import _MOST
+from fraclink._realtime.tune_guard import PLANNED, MotionLimits
+from fraclink._realtime.tune_wiring import _MOST
 from fraclink._validate import Between, Payload, checked, checked_noun
 from fraclink.errors import FieldError
 

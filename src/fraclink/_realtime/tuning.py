@@ -7,11 +7,11 @@ from pathlib import Path
 
 from fraclink._arm.rig import Rig
 from fraclink._files import document
-from fraclink._tune.guard import MotionLimits
-from fraclink._tune.link import LinkResult
-from fraclink._tune.motor import MotorResult
-from fraclink._tune.moves import FirstMove
-from fraclink._tune.wiring import Wiring
+from fraclink._realtime.tune_guard import MotionLimits
+from fraclink._realtime.tune_link import LinkResult
+from fraclink._realtime.tune_motor import MotorResult
+from fraclink._realtime.tune_moves import FirstMove
+from fraclink._realtime.tune_wiring import Wiring
 from fraclink._validate.display import displayed
 from fraclink.findings import Scope, Verdict
 
