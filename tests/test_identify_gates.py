@@ -138,7 +138,7 @@ BAD: dict[str, tuple[Callable[[], Experiment], str, str]] = {
     "mains hum alone": (
         lambda: log(output=np.sin(2 * np.pi * 50 * TIME) + 0.1 * WHITE),
         "W313",
-        "the mains at 50 Hz",
+        "mains hum at 50 Hz",
     ),
     "an amplifier's drift": (
         lambda: log(output=0.1 * TIME + 0.02 * WHITE),

@@ -289,7 +289,7 @@ def tune_pid(
 ) -> Answer:
     """Tune a fractional PID for any plant: margins met, phase flat, least ITAE; export takes the file.
 
-    $ fraclink tune-pid "1/(0.8*s**2.2 + 0.5*s**0.9 + 1)" --gain-crossover 2 --phase-margin-deg 60
+    $ fraclink tune-pid "1/(0.4*s**1.5 + 1)" --gain-crossover 2
     """
     made = pid_for(
         _plant(plant),

@@ -101,7 +101,7 @@ def tune_pid(
     --------
     >>> import fraclink as fl
     >>> tuning = fl.tune_pid(
-    ...     (1 / (0.4 * fl.s**1.5 + 1)).delayed(0.05), gain_crossover=3.0, form="PI", phase_margin=fl.deg(70)
+    ...     (1 / (0.4 * fl.s**1.5 + 1)).delayed(0.05), gain_crossover=1.0, form="PI", phase_margin=fl.deg(70)
     ... )
     >>> tuning.passed, abs(tuning.phase_slope) < 1e-6
     (True, True)

@@ -78,7 +78,7 @@ def discretize_pid(
     Examples
     --------
     >>> import fraclink as fl
-    >>> pid = fl.FractionalPid(2.0, integral=3.0, integral_order=0.8, derivative=0.05, derivative_order=0.7)
+    >>> pid = fl.FractionalPid(2.0, integral=3.0, integral_order=0.5)
     >>> law = fl.discretize_pid(pid, 0.01, output_limit=10.0, measurement_limit=2.0)
     >>> law.correction_error[0] < 0.1, law.correction_error[1] < 0.5
     (True, True)
