@@ -44,7 +44,7 @@ def welch_response(log: Experiment, fit: Fit) -> WelchResponse:
     >>> from fraclink._identify import identify
     >>> from fraclink._logs import bundled_log, read_log
     >>> log = read_log(bundled_log("prbs_30g"))
-    >>> found = welch_response(log, identify(log, "UD-FOM", details=False))
+    >>> found = welch_response(log, identify(log, details=False))
     >>> told = found.coherence > 0.9  # elsewhere the noise has the peaks
     >>> round(float(found.frequency[told][np.argmax(np.abs(found.measured[told]))]))
     16
@@ -92,7 +92,7 @@ def error_map(log: Experiment, fit: Fit) -> ErrorMap:
     >>> from fraclink._identify import identify
     >>> from fraclink._logs import bundled_log, read_log
     >>> log = read_log(bundled_log("prbs_30g"))
-    >>> fit = identify(log, "UD-FOM", details=False)
+    >>> fit = identify(log, details=False)
     >>> found = error_map(log, fit)
     >>> row, column = np.unravel_index(np.argmin(found.ratio), found.ratio.shape)
     >>> bool(abs(found.order[row] - fit.model.order) < 0.01)
