@@ -171,3 +171,17 @@ def test_the_estimate_of_a_retarded_loop_is_near_its_error(gain: float, delay: f
     assert found.method == "fft"
     error = float(np.abs(found.output - exact).max())
     assert error <= found.error_estimate <= max(1e4 * error, 1e-4)
+
+
+def test_the_errors_of_several_jumps_add_up() -> None:
+    """Found by benchmarks/bench_promises.py, seed 100926: three jumps, each with the error of a step."""
+    link = 1.56 / (s**1.7283840909811163 + 0.0002466047329379374 * s**1.1106082016811476 + 48.156444060782455)
+    jumps, period = {0: -0.69984677, 35: 0.99660463, 49: -0.41257491}, 0.01695048353398508
+    u = np.zeros(164)
+    for at, jump in jumps.items():
+        u[at:] += jump
+    found = time_response(link, u, period)
+    steps = np.diff(u, prepend=0.0)
+    for k in (100, 150, 163):
+        exact = sum(steps[j] * inverse(link, (k - j) * period, 1) for j in jumps)
+        assert abs(found.output[k] - exact) <= found.error_estimate

@@ -28,6 +28,7 @@ from fraclink.errors import SizeError
 
 _CHECKS = 9  # times at which the modes are compared with the contour integral; their error swings in ln t
 _SWING = 6.0  # that error swings in ln t, and nine times need not meet its largest value
+_ADDED = 4.0  # jumps of an input whose errors may fall together: its other swings take turns
 _ENOUGH = 3e-11  # of the peak: above this the modes cancel, and a contour per lag is used …
 _MOST_WEIGHTS = 200_000  # … for so many samples (about 2 s); the error estimate tells the rest
 _CORRECTIONS = 3  # of the tolerance that an expansion is asked for
@@ -159,7 +160,7 @@ class HeldQuotient:
         if lag <= len(u) and hold == "first":
             self._add_edges(output, u, parts, period, lag, ahead)
         error = _SWING * error + self._unseen(parts, span, 1, len(u))
-        return Part(output, error * largest(u) + 4e-15 * largest(output), modes.count, self._method)
+        return Part(output, error * _jumps(u) + 4e-15 * largest(output), modes.count, self._method)
 
     def _add_edges(
         self, output: Reals, u: Reals, parts: Expansion, period: float, lag: int, ahead: float
@@ -316,6 +317,12 @@ class HeldQuotient:
         if split:
             value += self.low.integrator * times + power_response(self.low.powers, times, 1)
         return float(np.max(np.abs(value - exact))), float(np.max(np.abs(exact))), first
+
+
+def _jumps(u: Reals) -> float:
+    """How many errors of a step add up over an input: each jump brings its own, and they swing in ln t."""
+    moved = abs(float(u[0])) + float(np.abs(np.diff(u)).sum()) if len(u) else 0.0
+    return min(moved, _ADDED * largest(u))
 
 
 def _mean_growth(x: NDArray[Any]) -> NDArray[Any]:
