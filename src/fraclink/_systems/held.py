@@ -23,7 +23,7 @@ from fraclink._systems.contour import (
 )
 from fraclink._systems.modes import DiscreteModes, Expansion, expand
 from fraclink._systems.quotient import LowFrequency, Quotient, split_low_frequency
-from fraclink._systems.terms import Reals, Term, collect, same, snap
+from fraclink._systems.terms import Reals, Term, collect, grid, largest, same, snap
 from fraclink.errors import SizeError
 
 _CHECKS = 9  # times at which the modes are compared with the contour integral; their error swings in ln t
@@ -36,7 +36,7 @@ _FINEST = 1e-14  # where rounding begins
 _VAGUE = 1e3  # units of rounding: a pole less certain than that has a neighbour, and their errors cancel
 _POWER_UNITS = 20.0  # of rounding in t^a/Γ(1+a) and in its convolution by FFT
 _BYTES = 40  # per sample: input, output, time and what a hold needs
-_CHUNK = 4096  # times that are evaluated together: 60 modes are 2 MB
+_CHUNK = 4096  # times that are evaluated together: 60 modes are 2 MB; and differences that are added
 
 
 @dataclass(frozen=True)
@@ -321,8 +321,13 @@ class HeldQuotient:
 
 def _jumps(u: Reals) -> float:
     """How many errors of a step add up over an input: each jump brings its own, and they swing in ln t."""
-    moved = abs(float(u[0])) + float(np.abs(np.diff(u)).sum()) if len(u) else 0.0
-    return min(moved, _ADDED * largest(u))
+    most, seen = _ADDED * largest(u), 0
+    moved = abs(float(u[0])) if len(u) else 0.0
+    # In chunks that stay in the cache, and no further than it takes: a busy input is at its bound at once.
+    while moved < most and seen < len(u) - 1:
+        moved += float(np.abs(np.diff(u[seen : seen + _CHUNK + 1])).sum())
+        seen += _CHUNK
+    return min(moved, most)
 
 
 def _mean_growth(x: NDArray[Any]) -> NDArray[Any]:
@@ -372,18 +377,6 @@ def _leading(top: tuple[Term, ...], bottom: tuple[Term, ...], direct: float) -> 
     if not rest:
         return 0.0, math.inf
     return rest[0].coefficient / bottom[0].coefficient, snap(bottom[0].order - rest[0].order)
-
-
-def largest(values: Reals) -> float:
-    """Largest modulus, NaN where there is one; two passes and no copy."""
-    return max(float(values.max()), -float(values.min())) if len(values) else 0.0
-
-
-def grid(count: int, period: float) -> Reals:
-    """Times k·period [s], k = 0 … count - 1."""
-    times = np.arange(count, dtype=np.float64)
-    times *= period
-    return times
 
 
 def refuse_beyond_memory(field: str, count: float, each: int = _BYTES) -> None:

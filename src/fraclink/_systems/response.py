@@ -13,9 +13,9 @@ from numpy.typing import ArrayLike
 from fraclink import _kernels
 from fraclink._systems.contour import convolve, delay_free_part, feedthrough, invert
 from fraclink._systems.fractional import FractionalTransferFunction
-from fraclink._systems.held import HeldQuotient, Part, grid, largest, refuse_beyond_memory
+from fraclink._systems.held import HeldQuotient, Part, refuse_beyond_memory
 from fraclink._systems.modes import DiscreteModes
-from fraclink._systems.terms import Reals, Term
+from fraclink._systems.terms import Reals, Term, grid, largest
 from fraclink._validate import Array, Between, Positive, checked
 from fraclink.errors import FieldError, NotConvergedError, SizeError
 

@@ -261,3 +261,15 @@ def _extreme(
     value = top / bottom
     value[(bottom == 0.0) & (top != 0.0)] = np.inf
     return value
+
+
+def largest(values: Reals) -> float:
+    """Largest modulus, NaN where there is one; two passes and no copy."""
+    return max(float(values.max()), -float(values.min())) if len(values) else 0.0
+
+
+def grid(count: int, period: float) -> Reals:
+    """Times k·period [s], k = 0 … count - 1."""
+    times = np.arange(count, dtype=np.float64)
+    times *= period
+    return times
