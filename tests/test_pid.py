@@ -19,6 +19,7 @@ from fraclink._cli import main
 from fraclink._export.claims import worst_case
 from fraclink._export.selftest import expected
 from fraclink._law.block import Modes
+from fraclink._law.fractional_pid import pid_response
 from fraclink._systems.fractional import FractionalTransferFunction, s
 from needed_tools import tool
 
@@ -173,6 +174,30 @@ def test_a_pd_says_what_it_leaves() -> None:
     assert finding.code == "W421"
     last = made.step(duration=400.0).measurement[-1]
     assert finding.evidence["lasting error, %"] == pytest.approx(100 * (1 - last), rel=0.02)
+
+
+def test_a_tuning_passes_no_better_than_the_law_that_ships() -> None:
+    """At 0.3 s the continuous loop has its 60° and the sampled one rises to one again, 28° from −1."""
+    plant = 1 / (0.4 * s**1.5 + 1)
+    assert not fl.tune_pid(plant, gain_crossover=2.0, period=0.1).findings
+    made = fl.tune_pid(plant, gain_crossover=2.0, period=0.3)
+    (finding,) = made.findings
+    assert (finding.code, finding.severity, made.passed) == ("W422", "error", False)
+    assert all(kept for *_, kept in made.kept)
+    law = made.law(output_limit=1.0, measurement_limit=1.0)
+    z = np.exp(-1j * 0.3 * (w := np.linspace(5.0, 10.0, 10_001)))
+    # The plant behind its hold, by the sum over the images of the sampling, and a period of computation.
+    images = [w + 2 * math.pi * m / 0.3 for m in range(-200, 201)]
+    held = sum((1 - z) / (1j * v) / (0.4 * (1j * v) ** 1.5 + 1) for v in images) / 0.3
+    loop = pid_response(law, w) * held * z
+    at = int(np.argmin(np.abs(np.abs(loop) - 1.0)))
+    assert finding.evidence["kept, °"] == pytest.approx(abs(angle(loop[at])), abs=0.05)
+
+
+def test_a_law_that_cannot_be_looked_at_is_said() -> None:
+    inner = (0.5 / (s + 1)).delayed(0.1)
+    (finding,) = fl.tune_pid(inner / (1 + inner), gain_crossover=1.0, period=0.01).findings
+    assert finding.code == "W423"
 
 
 # --- the law ----------------------------------------------------------------------------------------------

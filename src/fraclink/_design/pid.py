@@ -12,6 +12,7 @@ from fraclink._arm.fractional_pid import FractionalPid, PidOrder
 from fraclink._design.pid_search import PidProblem, best_of, crossover_grid, itae, searched
 from fraclink._design.pid_tuning import PERIODS, PidTuning
 from fraclink._identify.structure_fit import StructureFit
+from fraclink._law.requirement import LEAST_SHARE
 from fraclink._systems.fractional import FractionalTransferFunction
 from fraclink._systems.interop import from_control
 from fraclink._systems.stability import is_stable
@@ -109,7 +110,18 @@ def tune_pid(
     if max_sensitivity is None and gain_crossover is None:
         max_sensitivity = SENSITIVITY
     own = _plant_of(plant)
-    problem = _problem(own, period, gain_crossover, locals())
+    problem = _problem(
+        own.delayed(PERIODS * (period or 0.0)),
+        form,
+        phase_margin=phase_margin,
+        gain_crossover=gain_crossover,
+        gain_margin=gain_margin,
+        max_sensitivity=max_sensitivity,
+        flat_phase=flat_phase,
+        integral_order=integral_order,
+        derivative_order=derivative_order,
+        filter_time=filter_time,
+    )
     crossovers = [gain_crossover] if gain_crossover is not None else list(crossover_grid(problem))
     found = searched(problem, crossovers)
     if not found.count:
@@ -137,10 +149,19 @@ def tune_pid(
 def _of_law(made: PidTuning) -> tuple[Finding, ...]:
     """What the law that ships keeps less of the phase margin, with the plant behind its hold."""
     if any(term.delay for term in made.plant.denominator):
-        return ()  # no modes of such a plant: the continuous loop with its delay is all there is
+        return (
+            Finding(
+                "W423",
+                "warning",
+                "the shipped law was not looked at: a plant with a delay inside its own loop has no modes",
+                {"delay, s": max(term.delay for term in made.plant.denominator)},
+                "keep a larger margin, or simulate the law on the arm's own software",
+            ),
+        )
     found = made.sampled_margins(made.law(output_limit=1.0, measurement_limit=1.0))
-    lost = made.phase_margin - found.phase_margin
-    evidence = {"asked, °": math.degrees(made.phase_margin), "kept, °": math.degrees(found.phase_margin)}
+    # A stable loop's nearest crossing may lie on either side of -1; what counts is how far.
+    kept = abs(found.phase_margin)
+    evidence = {"asked, °": math.degrees(made.phase_margin), "kept, °": math.degrees(kept)}
     if not found.stable:
         return (
             Finding(
@@ -151,15 +172,16 @@ def _of_law(made: PidTuning) -> tuple[Finding, ...]:
                 "ask for a slower gain crossover, or take a shorter period",
             ),
         )
-    if lost <= LAW_LOSS:
+    if made.phase_margin - kept <= LAW_LOSS:
         return ()
     return (
         Finding(
             "W422",
-            "warning",
+            # As W404 judges a design: below half of the margin it is another loop than the one asked for.
+            "error" if kept < LEAST_SHARE * made.phase_margin else "warning",
             "the shipped law keeps less phase margin than was asked for",
             evidence,
-            "ask for as much more as is missing",
+            "take a shorter period, or ask for a slower gain crossover",
         ),
     )
 
@@ -219,16 +241,29 @@ def _plant_of(plant: Any) -> FractionalTransferFunction:
 
 
 def _problem(
-    plant: FractionalTransferFunction, period: float | None, crossover: float | None, given: dict[str, Any]
+    plant: FractionalTransferFunction,
+    form: Form,
+    *,
+    phase_margin: float,
+    gain_crossover: float | None,
+    gain_margin: float | None,
+    max_sensitivity: float | None,
+    flat_phase: bool,
+    integral_order: float | None,
+    derivative_order: float | None,
+    filter_time: float | None,
 ) -> PidProblem:
-    form = given["form"]
     integral, derivative = "I" in form, "D" in form
-    for name, used in (("integral_order", integral), ("derivative_order", derivative)):
-        if given[name] is not None and not used:
+    orders = (
+        ("integral_order", integral_order, integral),
+        ("derivative_order", derivative_order, derivative),
+    )
+    for name, order, used in orders:
+        if order is not None and not used:
             remedy = f"leave it out, or ask for another form than {form}"
-            raise FieldError(name, given[name], f"given for a {form}", allowed="none", remedy=remedy)
-    single = given["integral_order"] if integral else given["derivative_order"]
-    if given["flat_phase"] and not (integral and derivative) and single is not None:
+            raise FieldError(name, order, f"given for a {form}", allowed="none", remedy=remedy)
+    single = integral_order if integral else derivative_order
+    if flat_phase and not (integral and derivative) and single is not None:
         raise FieldError(
             "flat_phase",
             True,
@@ -236,20 +271,19 @@ def _problem(
             allowed="False",
             remedy="give flat_phase=False (--no-flat-phase), or leave the order free",
         )
-    whole = plant.delayed(PERIODS * (period or 0.0))
     return PidProblem(
-        plant=whole,
-        phase_margin=given["phase_margin"],
+        plant=plant,
+        phase_margin=phase_margin,
         integral=integral,
         derivative=derivative,
-        flat=given["flat_phase"],
-        gain_margin=given["gain_margin"],
-        max_sensitivity=given["max_sensitivity"],
-        integral_orders=_ends(given["integral_order"], _INTEGRAL_ORDERS),
-        derivative_orders=_ends(given["derivative_order"], _DERIVATIVE_ORDERS),
-        filter_time=given["filter_time"],
+        flat=flat_phase,
+        gain_margin=gain_margin,
+        max_sensitivity=max_sensitivity,
+        integral_orders=_ends(integral_order, _INTEGRAL_ORDERS),
+        derivative_orders=_ends(derivative_order, _DERIVATIVE_ORDERS),
+        filter_time=filter_time,
         filter_ratio=FILTER,
-        crossovers=_crossovers(whole, crossover),
+        crossovers=_crossovers(plant, gain_crossover),
     )
 
 

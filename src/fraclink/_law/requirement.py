@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "LAW_MARGIN",
+    "LEAST_SHARE",
     "Looked",
     "Requirement",
     "kept_by_law",
@@ -100,7 +101,7 @@ _PAYLOADS = 9
 _NEAR = 0.5
 # Less than half of the phase margin asked for, or an |1 + L| that a loop gain of 10 % more may take away, is
 # another loop than the one designed: gauge, motor and damping are known to 5 % each at best.
-_LEAST, _CLOSEST = 0.5, 0.1
+LEAST_SHARE, _CLOSEST = 0.5, 0.1
 
 
 @dataclass(frozen=True)
@@ -181,7 +182,7 @@ def law_findings(design: Design, looked: Sequence[Looked]) -> tuple[Finding, ...
     others = tuple(finding for finding in design.findings if finding.code not in ("W404", "W408", "W410"))
     short = design.phase_margin - kept
     # The paper's reading was not asked for a margin of the loop that runs: there only stability counts.
-    enough = _LEAST * design.phase_margin if design.margins_kind == "loop" else 0.0
+    enough = LEAST_SHARE * design.phase_margin if design.margins_kind == "loop" else 0.0
     if short > 0.0:
         less = Finding(
             "W404",
