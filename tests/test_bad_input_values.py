@@ -100,12 +100,22 @@ def test_b34_a_design_that_needs_a_controller_above_the_links_order() -> None:
     assert planned(link, **nearest).controller.order < 1.3
 
 
-def test_b35_theorem_2_asks_for_frequencies_above_one() -> None:
-    error = refused(
-        lambda: planned(payloads=None, natural_frequencies=(0.8, 1.5), margins="ideal"), "natural_frequencies"
+def test_b35_a_slow_link_has_the_paper_s_design_in_another_unit_of_time() -> None:
+    """Theorem 2 asks for ω₀ > 1, a choice of the unit of time: 20 times slower is the same design."""
+    slower, scale = 20.0, 20.0 ** (LINK.order / 2)
+    fast, slow = (
+        planned(
+            payloads=None,
+            natural_frequencies=(9.0 / s, 14.0 / s),
+            gain_crossover=16.0 / w,
+            filter_time=0.0,
+            margins="ideal",
+        ).controller
+        for w, s in ((1.0, 1.0), (slower, scale))
     )
-    assert "Theorem 2" in error.problem
-    assert 'margins="loop"' in error.remedy
+    assert 9.0 / scale < 1.0
+    assert slow.order == pytest.approx(fast.order, rel=1e-9)
+    assert slow.gain == pytest.approx(fast.gain * slower**fast.order, rel=1e-9)
 
 
 @pytest.mark.slow

@@ -104,15 +104,6 @@ def task_of(model: LinkModel, rig: Rig, spec: Specification) -> Task:
             remedy="state mass_kg in [link] (--link-mass on the command line)",
         )
     low, high, payloads = _range(link, rig, spec)
-    # ω₀ has the unit s^(−λ/2), and the theorem compares powers of it: below one the inequality turns over.
-    if spec.margins == "ideal" and low <= 1.0:
-        raise FieldError(
-            "natural_frequencies",
-            low,
-            "not above one (Theorem 2 needs ω₀ > 1)",
-            allowed="> 1 s^(-λ/2)",
-            remedy='say margins="loop", which checks the whole range itself',
-        )
     crossover, margin = _crossover(spec), _margin(spec)
     if spec.margins == "loop":
         _check_bandwidth(crossover, rig)
