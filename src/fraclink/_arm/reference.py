@@ -239,7 +239,7 @@ def spline(time: Annotated[Real, Array(1, min_size=2)], angle: Annotated[Real, A
     >>> float(path.angle(0.4)), float(path.velocity(1.0)), path.duration
     (0.7, 0.0, 1.0)
     """
-    from scipy.interpolate import CubicSpline  # 0.2 s that no other reference needs
+    from scipy.interpolate import CubicSpline  # see LinkModel._peak: a parser of logs needs no scipy
 
     if time.shape != angle.shape:
         raise FieldError("angle", angle.shape, "not one a time", allowed=f"{time.shape}", remedy="pair them")

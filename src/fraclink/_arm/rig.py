@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
+from fraclink import __version__
 from fraclink._arm.link import LinkModel, SecondMode
 from fraclink._arm.log_columns import Channel, LogColumns
 from fraclink._arm.motor_loop import LONGEST_DELAY, MotorLoop
@@ -159,8 +160,6 @@ class Rig:
 
     def to_toml(self) -> str:
         """Return the rig file of this rig; `load` reads back an equal one."""
-        from fraclink import __version__
-
         return f"# Written by fraclink {__version__}.\n{toml_text(self.tables())}"
 
     def save(self, path: Path | str) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import betaincinv
+from scipy.special import bdtr, bdtrik, betaincinv
 
 from fraclink._campaign.campaign import Campaign
 from fraclink._campaign.run import part_path, read_part
@@ -220,18 +220,22 @@ def _metric(name: str, values: Real, run: NDArray[np.generic], drawn: dict[str, 
 
 def _quantile(order: Real, probability: float) -> Quantile:
     """Order statistics l, u with P(B < l), P(B ≥ u) ≤ 2.5 %, B binomial(n, p) (David and Nagaraja 2003)."""
-    # Half a second to import: a log is read and fitted in less, and needs no statistics of campaigns.
-    from scipy.stats import binom
-
     n, tail = len(order), 0.5 * (1.0 - CONFIDENCE)
-    low = int(binom.ppf(tail, n, probability))
-    high = int(binom.ppf(1.0 - tail, n, probability)) + 1
+    low = _binomial_quantile(tail, n, probability)
+    high = _binomial_quantile(1.0 - tail, n, probability) + 1
     return Quantile(
         probability,
         float(order[max(math.ceil(probability * n), 1) - 1]),
         float(order[low - 1]) if low >= 1 else -math.inf,
         float(order[high - 1]) if high <= n else math.inf,
     )
+
+
+def _binomial_quantile(tail: float, count: int, probability: float) -> int:
+    """The smallest k with P(B ≤ k) ≥ tail."""
+    above: int = math.ceil(bdtrik(tail, count, probability))
+    # The inverse is that of the continuous beta function: where it returns k + 1e-12 it means k.
+    return above - 1 if above > 0 and bdtr(above - 1, count, probability) >= tail else above
 
 
 def _failure(count: int, runs: int) -> Failure:
@@ -249,9 +253,8 @@ def _trips(mode: NDArray[np.generic], reason: NDArray[np.generic]) -> tuple[tupl
 
 def _ranks(values: NDArray[np.generic]) -> Real:
     """Mean ranks, centred and of length one: a dot product of two of them is Spearman's correlation."""
-    from scipy.stats import rankdata
-
-    ranks = rankdata(values) - 0.5 * (len(values) + 1)
+    _, place, ties = np.unique(values, return_inverse=True, return_counts=True)
+    ranks = (np.cumsum(ties) - 0.5 * (ties - 1))[place] - 0.5 * (len(values) + 1)
     length = float(np.linalg.norm(ranks))
     return np.asarray(ranks / length if length else ranks)
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 
+from fraclink.errors import MissingExtraError
+
 __all__ = ["main"]
 
 
@@ -18,8 +20,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except ModuleNotFoundError as error:
         if error.name not in {"typer", "rich"}:
             raise
-        from fraclink.errors import MissingExtraError
-
         sys.stderr.write(f"error: {MissingExtraError(error.name, 'cli')}\n")
         return 2
     return run(sys.argv[1:] if arguments is None else arguments)

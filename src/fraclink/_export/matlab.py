@@ -7,6 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
+from scipy.io import savemat
 
 from fraclink._export.data import identifier
 from fraclink._files import atomic_write, output_path
@@ -64,8 +65,6 @@ def _filters(law: Law) -> dict[str, tuple[float, np.ndarray, np.ndarray]]:
 
 
 def _numbers(law: Law) -> bytes:
-    from scipy.io import savemat
-
     content: dict[str, object] = {"period": law.period, "stiffness": law.stiffness, "sha256": law.digest}
     for name, (direct, poles, residues) in _filters(law).items():
         content |= {f"{name}_direct": direct, f"{name}_poles": poles, f"{name}_residues": residues}

@@ -30,6 +30,7 @@ from typing import Any, Literal, TypeVar, cast, overload
 
 from numpy.typing import NDArray
 
+from fraclink import __version__
 from fraclink._files.codec import Storage, codec_of, stored_as
 from fraclink._files.containers import (
     JSON_LIMIT,
@@ -248,8 +249,6 @@ def _document_of(value: object) -> _Document:
 
 
 def _enveloped(value: object, found: _Document) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-    from fraclink import __version__
-
     arrays: dict[str, NDArray[Any]] = {}
     storage = Storage(found.hex_floats, arrays if found.container == "npz" else None)
     content = codec_of(found.cls).encode(value, "", storage)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fraclink import __version__
 from fraclink._files.containers import (
     atomic_write,
     guarded,
@@ -53,8 +54,6 @@ def renamed(data: Any) -> Any:
 
 
 def _envelope(kind: str, version: int, payload: Mapping[str, Any]) -> dict[str, Any]:
-    from fraclink import __version__
-
     head = {"fraclink": kind, "format": version, "tool": __version__, "units": "SI, radians"}
     return head | dict(payload)
 

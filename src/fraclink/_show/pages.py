@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from importlib.resources import files
 
+from fraclink import __version__
 from fraclink._show.text import marked, sentence
 from fraclink.errors import MissingExtraError
 
@@ -79,7 +80,6 @@ def rendered(template: str, **contents: object) -> str:
         import jinja2
     except ModuleNotFoundError as error:
         raise MissingExtraError("jinja2", "report") from error
-    from fraclink import __version__  # the root's stub names this module: a circle for the type checker
 
     environment = jinja2.Environment(
         loader=jinja2.FunctionLoader(template_text),

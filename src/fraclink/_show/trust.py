@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import gammaincinv
 
 from fraclink._arm.experiment import Experiment
 from fraclink._identify import Fit
@@ -90,8 +91,6 @@ def residual_density(fit: Fit) -> tuple[Real, Real, float, float] | None:
     A Welch mean of n independent parts is χ² with 2 n degrees of freedom; the band holds every single line
     of white noise with 99 %. None where the log is too short.
     """
-    from scipy.stats import chi2
-
     residual = np.asarray(fit.residual[: fit.fitted_samples])
     length = _parts(residual.size)
     if not length or not float(np.ptp(residual)) > 0.0:
@@ -101,5 +100,5 @@ def residual_density(fit: Fit) -> tuple[Real, Real, float, float] | None:
     white = float(np.var(residual)) * float(np.sum(np.hanning(length + 1) ** 2))
     freedom = 2 * _independent(lines)
     frequency = 2 * math.pi * np.arange(1, lines.shape[1] + 1) / (length * fit.period)
-    low, high = (float(chi2.ppf(p, freedom) / freedom) for p in (0.005, 0.995))
+    low, high = (float(gammaincinv(0.5 * freedom, p) / (0.5 * freedom)) for p in (0.005, 0.995))
     return frequency, density / white, low, high
