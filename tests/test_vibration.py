@@ -10,7 +10,7 @@ import pytest
 
 import fraclink as fl
 from fraclink._arm.box import ParameterBox
-from fraclink._design.vibration import Vibration, vibration
+from fraclink._design.modes import Vibration, vibration
 from fraclink.errors import FieldError, InfeasibleError
 
 RIG = fl.Rig.named("paper-2023-geared")

@@ -17,10 +17,9 @@ from fraclink._arm.loop import Loop, with_payload, worst_margins
 from fraclink._arm.rig import Rig
 from fraclink._design.bounds import bound_requirements, reach
 from fraclink._design.equations import MARGIN_SHARE, Task, attempt, candidates, task_of
-from fraclink._design.modes import MODE_LIMIT, higher_modes, mode_requirements
+from fraclink._design.modes import MODE_LIMIT, higher_modes, mode_requirements, ringing
 from fraclink._design.nearest import missed_bounds, offered, refuse
 from fraclink._design.over_box import OverBox, at_arm, cost_of_box
-from fraclink._design.vibration import ringing
 from fraclink._law.design import Design, Requirement, Specification
 from fraclink._validate import checked_between, checked_noun
 from fraclink.errors import FieldError, InfeasibleError

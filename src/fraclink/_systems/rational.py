@@ -12,10 +12,18 @@ from numpy.typing import ArrayLike
 from fraclink._systems.discrete import Band, checked_band, fit_discrete
 from fraclink._systems.fractional import FractionalTransferFunction
 from fraclink._systems.minimax import Target, finish, grow
-from fraclink._systems.power_filters import FILTERS, substituted
 from fraclink._systems.stability import poles
 from fraclink._systems.terms import Complexes, Reals
-from fraclink._systems.zero_pole import bilinear, cascade, evaluate, matched, residues, zeros_of_fractions
+from fraclink._systems.zero_pole import (
+    FILTERS,
+    bilinear,
+    cascade,
+    evaluate,
+    matched,
+    residues,
+    substituted,
+    zeros_of_fractions,
+)
 from fraclink._validate import Between, Positive, checked
 from fraclink.errors import FieldError
 
