@@ -322,19 +322,8 @@ def _check_law(law: Law, model: LinkModel) -> None:
             raise FieldError(f"law.limits.{name}", c[name], "not positive", allowed="> 0", remedy=remedy)
 
 
-def state(
-    law: Law,
-    model: LinkModel,
-    rig: Rig,
-    *,
-    box: ParameterBox,
-    payloads: tuple[float, float],
-    nominal_payload: float,
-    delay: tuple[float, float],
-    motor_loop: str,
-    modulus: float,
-) -> Statement:
-    """Return the statement about `law` over `box`, around `model` with a known payload."""
+def _check_provable(law: Law, model: LinkModel, rig: Rig, box: ParameterBox, motor_loop: str) -> None:
+    """FieldError where the formulas of the proof do not describe the arm, with what would make them."""
     if box.order[1] >= 2.0 and not box.damping[0]:
         raise FieldError(
             "model.order",
@@ -354,6 +343,22 @@ def state(
     if box.gauge_delay[0] < 0 or box.gauge_gain[0] <= 0:
         remedy = "certify with the gauge's true sign and delay"
         raise FieldError("model.gauge_delay", model.gauge_delay, "negative", allowed=">= 0 s", remedy=remedy)
+
+
+def state(
+    law: Law,
+    model: LinkModel,
+    rig: Rig,
+    *,
+    box: ParameterBox,
+    payloads: tuple[float, float],
+    nominal_payload: float,
+    delay: tuple[float, float],
+    motor_loop: str,
+    modulus: float,
+) -> Statement:
+    """Return the statement about `law` over `box`, around `model` with a known payload."""
+    _check_provable(law, model, rig, box, motor_loop)
     _check_law(law, model)
     # A pole outside the unit circle is refused where the proof begins.
     gaps = [1 - abs(p) for p, _ in modes_of(law.coefficients) if abs(p) < 1]

@@ -272,8 +272,30 @@ def _of_the_sensor(fit: Fit, stiffness: float | None) -> Iterator[Finding]:
 
 
 def _of_the_delay(fit: Fit, solution: Solution) -> Iterator[Finding]:
-    """Sign and delay together: of a vibration, half a period more is the other sign."""
-    cycle = 2 * math.pi / math.exp(solution.shape[1])
+    yield from _of_the_sign(fit, 2 * math.pi / math.exp(solution.shape[1]))
+    error = fit.standard_errors.get("delay")
+    if error is None or error == 0:
+        return
+    if fit.delay > max(4 * error, fit.period):
+        yield Finding(
+            "W306",
+            "info",
+            "the output is behind the motor angle: a sensor delay was fitted along",
+            {"delay": fit.delay, "standard_error": error},
+            "check the filter of the strain amplifier; a design must count this delay",
+        )
+    if fit.delay < -max(4 * error, fit.period):
+        yield Finding(
+            "W309",
+            "warning",
+            "the motor angle is behind the output",
+            {"delay": fit.delay, "standard_error": error},
+            "check the filter of the encoder or which channel is sampled first",
+        )
+
+
+def _of_the_sign(fit: Fit, cycle: float) -> Iterator[Finding]:
+    """Sign and delay together: of a vibration, half a `cycle` more is the other sign."""
     late = abs(fit.delay) > cycle / 8
     if fit.gain < 0 and not late:
         yield Finding(
@@ -299,25 +321,6 @@ def _of_the_delay(fit: Fit, solution: Solution) -> Iterator[Finding]:
             "the delay ended at its limit, a third of the vibration's period",
             {"delay": fit.delay, "vibration_period": cycle},
             "check that both channels are of one recording and on one clock",
-        )
-    error = fit.standard_errors.get("delay")
-    if error is None or error == 0:
-        return
-    if fit.delay > max(4 * error, fit.period):
-        yield Finding(
-            "W306",
-            "info",
-            "the output is behind the motor angle: a sensor delay was fitted along",
-            {"delay": fit.delay, "standard_error": error},
-            "check the filter of the strain amplifier; a design must count this delay",
-        )
-    if fit.delay < -max(4 * error, fit.period):
-        yield Finding(
-            "W309",
-            "warning",
-            "the motor angle is behind the output",
-            {"delay": fit.delay, "standard_error": error},
-            "check the filter of the encoder or which channel is sampled first",
         )
 
 

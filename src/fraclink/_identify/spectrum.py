@@ -184,27 +184,8 @@ def _findings(fit: SpectrumFit, frequency: Reals) -> Iterator[Finding]:
             {"fit_percent": fit.fit, "least": _FIT_LEAST},
             "check gain, phase and their units, and fit as many modes as the table shows",
         )
-    low, high = float(frequency.min()), float(frequency.max())
-    places = {"resonance": fit.resonances, "anti-resonance": fit.anti_resonances}
-    for name, place in ((f"{kind} {i + 1}", w) for kind in places for i, w in enumerate(places[kind])):
-        error = fit.standard_errors[name] / place
-        if not low <= place <= high:
-            yield Finding(
-                "W342",
-                "error",
-                f"{name} lies outside the frequencies that were measured",
-                {"place": place, "low": low, "high": high},
-                "fit fewer modes, or measure a wider band",
-            )
-        elif not error <= _ERROR_MOST:
-            yield Finding(
-                "W343",
-                "error",
-                f"the response does not determine {name}",
-                {"place": place, "relative_error": error, "most": _ERROR_MOST},
-                "fit fewer modes, or measure at more frequencies around it",
-            )
-    longest = LONGEST / high
+    yield from _of_the_places(fit, float(frequency.min()), float(frequency.max()))
+    longest = LONGEST / float(frequency.max())
     if "delay" in fit.standard_errors and abs(fit.delay) > 0.999 * longest:
         yield Finding(
             "W344",
@@ -229,6 +210,29 @@ def _findings(fit: SpectrumFit, frequency: Reals) -> Iterator[Finding]:
             {"gain": fit.gain},
             "reverse the sign of one channel, or add 180° to the phase",
         )
+
+
+def _of_the_places(fit: SpectrumFit, low: float, high: float) -> Iterator[Finding]:
+    """Whether each resonance and anti-resonance lies where was measured, and is known there."""
+    places = {"resonance": fit.resonances, "anti-resonance": fit.anti_resonances}
+    for name, place in ((f"{kind} {i + 1}", w) for kind in places for i, w in enumerate(places[kind])):
+        error = fit.standard_errors[name] / place
+        if not low <= place <= high:
+            yield Finding(
+                "W342",
+                "error",
+                f"{name} lies outside the frequencies that were measured",
+                {"place": place, "low": low, "high": high},
+                "fit fewer modes, or measure a wider band",
+            )
+        elif not error <= _ERROR_MOST:
+            yield Finding(
+                "W343",
+                "error",
+                f"the response does not determine {name}",
+                {"place": place, "relative_error": error, "most": _ERROR_MOST},
+                "fit fewer modes, or measure at more frequencies around it",
+            )
 
 
 def _in_order(fit: SpectrumFit, ascending: NDArray[np.intp]) -> SpectrumFit:
