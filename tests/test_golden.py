@@ -9,37 +9,47 @@ import difflib
 
 import pytest
 
-from golden.commands import COMMANDS, TEXTS, answers  # type: ignore[attr-defined]
-from golden.record import TOPICS, differences, probe, recorded
+from golden.commands import COMMANDS, TEXTS, Desk  # type: ignore[attr-defined]
+from golden.record import TOPICS, differences, entries, plain, probe, recorded
 
-SLOW = {"designs", "exports"}
+# Over two seconds each.
+SLOW = {"claims", "run", "report", "design-geared", "optimise", "optimised noise", "optimised crossover"}
+ENTRIES = [
+    pytest.param(topic, title, marks=pytest.mark.slow if title in SLOW else (), id=f"{topic}: {title}")
+    for topic in TOPICS
+    for title in entries(topic)
+]
 
 
-@pytest.mark.parametrize(
-    "topic", [pytest.param(name, marks=pytest.mark.slow if name in SLOW else ()) for name in TOPICS]
-)
-def test_the_recorded_figures_come_out(topic: str) -> None:
-    figures, rel = TOPICS[topic]
+@pytest.mark.parametrize(("topic", "title"), ENTRIES)
+def test_the_recorded_figures_come_out(topic: str, title: str) -> None:
     told = recorded(topic)
     # Digests hold for the arithmetic they were made with; numbers hold everywhere.
-    found = differences(told["figures"], figures(), rel, bits=told["probe"] == probe(), place=topic)
-    assert not found, f"{len(found)} entries differ:\n" + "\n".join(found)
+    bits = told["probe"] == probe()
+    found = plain(entries(topic)[title]())
+    lines = differences(told["figures"][title], found, TOPICS[topic][1], bits=bits, place=f"{topic}/{title}")
+    assert not lines, f"{len(lines)} values differ:\n" + "\n".join(lines)
+
+
+@pytest.mark.parametrize("topic", TOPICS)
+def test_every_recorded_figure_is_made(topic: str) -> None:
+    assert sorted(recorded(topic)["figures"]) == sorted(entries(topic))
 
 
 @pytest.fixture(scope="module")
-def printed() -> dict[str, str]:
-    """The texts of all commands, run once: each works on what those before it wrote."""
-    return dict(answers())
+def desk(tmp_path_factory: pytest.TempPathFactory) -> Desk:
+    """The folder in which the commands run: each works on what those before it wrote."""
+    return Desk(tmp_path_factory.mktemp("desk"))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", COMMANDS)
-def test_a_command_prints_what_it_printed(name: str, printed: dict[str, str]) -> None:
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow if name in SLOW else ()) for name in COMMANDS]
+)
+def test_a_command_prints_what_it_printed(name: str, desk: Desk) -> None:
     told = (TEXTS / f"{name}.txt").read_text("utf-8")
-    lines = difflib.unified_diff(
-        told.splitlines(), printed[name].splitlines(), "recorded", "now", lineterm=""
-    )
-    assert printed[name] == told, f"commands/{name}.txt:\n" + "\n".join(lines)
+    printed = desk.text(name)
+    lines = difflib.unified_diff(told.splitlines(), printed.splitlines(), "recorded", "now", lineterm="")
+    assert printed == told, f"commands/{name}.txt:\n" + "\n".join(lines)
 
 
 def test_every_text_is_of_a_command() -> None:

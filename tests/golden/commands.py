@@ -8,7 +8,6 @@ import math
 import os
 import re
 import tempfile
-from collections.abc import Iterator
 from pathlib import Path
 
 import fraclink as fl
@@ -24,8 +23,8 @@ ARM = f"{RIG} --gear 50 --link-mass 0.00735"
 BUNDLED = ("prbs_20g", "prbs_30g", "prbs_40g", "pulse_30g")
 THREE = "prbs_20g.csv prbs_30g.csv prbs_40g.csv"
 
-# Name of the text: the command. They run one after another in one folder: a later one reads what an earlier
-# one wrote. Left out is what takes long or prints times: run-realtime, serve-arm, export c --prove.
+# Name of the text: the command. They run in one folder; `NEEDS` says which must have run before. Left out is
+# what takes long or prints times: run-realtime, serve-arm, export c --prove.
 COMMANDS: dict[str, str] = {
     "version": "--version",
     "help": "--help",
@@ -96,6 +95,25 @@ COMMANDS: dict[str, str] = {
 }
 
 
+# Which command writes what a command reads.
+NEEDS: dict[str, str] = {
+    "design-geared": "identify",
+    "design-there": "design",
+    "simulate-no-design": "simulate",
+    "export-c": "design",
+    "export-fmu": "design",
+    "export-matlab": "design",
+    "campaign-faults": "design",
+    "campaign-faults-open": "design",
+    "campaign-montecarlo": "design",
+    "campaign-replay": "campaign-montecarlo",
+    "report": "run",
+} | dict.fromkeys(
+    ("simulate", "simulate-heavy", "twin", "certify", "certify-fails", "assess", "assess-json", "optimise"),
+    "design",
+)
+
+
 def _inputs() -> None:
     """The bundled logs, a log with voltages, and a table of gain and phase, as a user has them."""
     for name in BUNDLED:
@@ -143,19 +161,29 @@ def answer(line: str, folder: Path) -> str:
     return normalised("".join(parts), folder)
 
 
-def answers() -> Iterator[tuple[str, str]]:
-    """The texts of all commands, in the order in which they run."""
-    kept = os.environ.get("COLUMNS")
-    os.environ["COLUMNS"] = WIDTH
-    with tempfile.TemporaryDirectory() as temporary, contextlib.chdir(temporary):
-        folder = Path(temporary)
-        _inputs()
-        for name, line in COMMANDS.items():
-            yield name, answer(line, folder)
-    if kept is None:
-        del os.environ["COLUMNS"]
-    else:
-        os.environ["COLUMNS"] = kept
+class Desk:
+    """A folder with the inputs, in which each command runs once, and before it what it needs."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._texts: dict[str, str] = {}
+        with contextlib.chdir(folder):
+            _inputs()
+
+    def text(self, name: str) -> str:
+        """All that the command did."""
+        if name in NEEDS:
+            self.text(NEEDS[name])
+        if name not in self._texts:
+            kept = os.environ.get("COLUMNS")
+            os.environ["COLUMNS"] = WIDTH
+            with contextlib.chdir(self._folder):
+                self._texts[name] = answer(COMMANDS[name], self._folder)
+            if kept is None:
+                del os.environ["COLUMNS"]
+            else:
+                os.environ["COLUMNS"] = kept
+        return self._texts[name]
 
 
 def record_commands() -> None:
@@ -163,5 +191,7 @@ def record_commands() -> None:
     TEXTS.mkdir(exist_ok=True)
     for old in TEXTS.glob("*.txt"):
         old.unlink()
-    for name, text in answers():
-        (TEXTS / f"{name}.txt").write_text(text, "utf-8")
+    with tempfile.TemporaryDirectory() as temporary:
+        desk = Desk(Path(temporary))
+        for name in COMMANDS:
+            (TEXTS / f"{name}.txt").write_text(desk.text(name), "utf-8")

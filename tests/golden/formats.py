@@ -6,6 +6,7 @@ before controllers had a lead. Results without a reader (comparison, assessment,
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -151,6 +152,6 @@ def campaigns() -> Found:
     }
 
 
-def formats() -> Found:
+def formats() -> dict[str, Callable[[], Found]]:
     """What is read from every file."""
-    return {"rigs": rigs(), "designs": designs(), "study": study(), "runs": runs(), "campaigns": campaigns()}
+    return {"rigs": rigs, "designs": designs, "study": study, "runs": runs, "campaigns": campaigns}

@@ -4,10 +4,11 @@
     python -m tests.golden.record commands        # the texts of the command line
     python -m tests.golden.record                 # list the topics
 
-Each topic is a function that returns plain JSON values; `tests/test_golden.py` calls it again and names every
-entry that differs. What is under a key ``sha256`` is compared bit for bit, and only where this machine's
-floating-point functions give the bits of the machine that recorded it (`probe`); the numbers beside the
-digests are compared everywhere. Record a topic again only for a difference that is understood and wanted.
+Each topic is a function that returns its entries: a title, and the function that makes the plain JSON values
+under it. `tests/test_golden.py` makes each entry in a test of its own and names every value that differs.
+What is under a key ``sha256`` is compared bit for bit, and only where this machine's floating-point functions
+give the bits of the machine that recorded it (`probe`); the numbers beside the digests are compared
+everywhere. Record a topic again only for a difference that is understood and wanted.
 """
 
 # ruff: noqa: E402
@@ -24,6 +25,7 @@ import tempfile
 import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -77,6 +79,7 @@ LINK = RIG.model
 METRICS = ("steady_state_error", "residual_vibration", "overshoot", "peak_tip_error", "settling_time")
 
 Plain = dict[str, Any]
+Entries = dict[str, Callable[[], Any]]
 
 
 def plain(value: Any) -> Any:
@@ -104,6 +107,7 @@ def digest(values: ArrayLike | bytes) -> str:
     return hashlib.sha256(values).hexdigest()[:16]
 
 
+@functools.cache
 def probe() -> str:
     """Digest of what this machine makes of the functions whose last bit is not the same everywhere."""
     x = np.linspace(-3.0, 3.0, 1001)
@@ -126,27 +130,37 @@ def design_of(rig: fl.Rig, **asked: Any) -> fl.Design:
     return fl.design(rig.model, rig, **(wanted | asked))
 
 
-def laws() -> dict[str, fl.Law]:
-    """The laws of today's fits. Recorded once; the runs read the files."""
-    printed = fl.Controller(gain=0.148, order=0.65, filter_time=0.16, filter_order=2, link=LINK)
-    default = design_of(RIG).law()
-    far = replace(  # guards that are never met
-        default.limits,
+@functools.cache
+def default_law() -> fl.Law:
+    """The law of the design that most figures start from."""
+    return design_of(RIG).law()
+
+
+def unguarded_law() -> fl.Law:
+    """The same with guards that are never met."""
+    far = replace(
+        default_law().limits,
         torque_trip=1e6,
         torque_block=1e6,
         residual_angle=1e6,
         frozen_angle=1e6,
         stuck_torque=1e6,
     )
-    return {
-        "default": default,
-        "order-4": design_of(RIG, filter_time=0.0).law(order=4),
-        "unguarded": replace(default, limits=far),
-        "outer": replace(default, drive=None),
-        "direct": design_of(RIG, inner="sampled", placement="direct").law(),
-        "printed": equip(fl.discretize(printed, RIG.period), RIG, LINK),
-        "geared": design_of(GEARED).law(),
-    }
+    return replace(default_law(), limits=far)
+
+
+PRINTED = fl.Controller(gain=0.148, order=0.65, filter_time=0.16, filter_order=2, link=LINK)
+
+# How the laws are fitted today. Recorded once; the runs read the files.
+LAWS: dict[str, Callable[[], fl.Law]] = {
+    "default": default_law,
+    "order-4": lambda: design_of(RIG, filter_time=0.0).law(order=4),
+    "unguarded": unguarded_law,
+    "outer": lambda: replace(default_law(), drive=None),
+    "direct": lambda: design_of(RIG, inner="sampled", placement="direct").law(),
+    "printed": lambda: equip(fl.discretize(PRINTED, RIG.period), RIG, LINK),
+    "geared": lambda: design_of(GEARED).law(),
+}
 
 
 @functools.cache
@@ -190,13 +204,16 @@ def run_figures(run: Any) -> Plain:
     )
 
 
-def model_runs() -> Iterator[tuple[str, fl.Run]]:
+def model_runs() -> Iterator[tuple[str, Callable[[], fl.Run]]]:
     """Runs on the lumped model."""
     move = fl.smooth_step(1.0, 0.5)
     for seed, grams in enumerate((8, 16, 20, 30, 40, 60)):
         for inner, named in (("ideal", "outer"), ("sampled", "default")):
             options: Plain = {"payload": grams / 1e3, "seed": seed, "motor_loop": inner, "duration": 3.0}
-            yield f"model {grams} g {inner}", fl.simulate(law(named), move, rig=RIG, model=LINK, **options)
+            yield (
+                f"model {grams} g {inner}",
+                partial(fl.simulate, law(named), move, rig=RIG, model=LINK, **options),
+            )
     several: dict[str, tuple[str, str, Plain]] = {
         "quiet": ("default", "double", {"noise": 0.0}),
         "noise": ("default", "double", {"noise": 0.03, "seed": 11}),
@@ -213,7 +230,7 @@ def model_runs() -> Iterator[tuple[str, fl.Run]]:
     }
     for title, (named, precision, options) in several.items():
         made = {"motor_loop": "sampled", "duration": 3.0} | options
-        yield f"model {title}", fl.simulate(law(named, precision), move, rig=RIG, model=LINK, **made)
+        yield f"model {title}", partial(fl.simulate, law(named, precision), move, rig=RIG, model=LINK, **made)
     links = {
         "D-FOM": fl.LinkModel(1.56, 11.0, damping=0.8, damping_order=0.6),
         "D-IOM": fl.LinkModel(1.56, 11.0, damping=0.5),
@@ -222,13 +239,21 @@ def model_runs() -> Iterator[tuple[str, fl.Run]]:
     for title, link in links.items():
         yield (
             f"model {title}",
-            fl.simulate(
-                law("outer", "single"), move, rig=RIG, model=link, motor_loop="ideal", seed=21, duration=3.0
+            partial(
+                fl.simulate,
+                law("outer", "single"),
+                move,
+                rig=RIG,
+                model=link,
+                motor_loop="ideal",
+                seed=21,
+                duration=3.0,
             ),
         )
     yield (
         "model pulse",
-        fl.simulate(
+        partial(
+            fl.simulate,
             law("default"),
             fl.pulse(0.4, 0.5, 1.5),
             rig=RIG,
@@ -240,13 +265,20 @@ def model_runs() -> Iterator[tuple[str, fl.Run]]:
     )
     yield (
         "model at rest",
-        fl.simulate(
-            law("outer"), fl.hold(0.0), rig=RIG, model=LINK, motor_loop="ideal", seed=23, duration=3.0
+        partial(
+            fl.simulate,
+            law("outer"),
+            fl.hold(0.0),
+            rig=RIG,
+            model=LINK,
+            motor_loop="ideal",
+            seed=23,
+            duration=3.0,
         ),
     )
 
 
-def twin_runs() -> Iterator[tuple[str, Any]]:
+def twin_runs() -> Iterator[tuple[str, Callable[[], Any]]]:
     """Runs on the arm with distributed mass."""
     move = fl.smooth_step(1.0, 1.0)
     materials = {
@@ -259,7 +291,7 @@ def twin_runs() -> Iterator[tuple[str, Any]]:
             arm = fl.Twin.from_rig(GEARED, payload=grams / 1e3, link_mass=LINK_MASS, damping=damping)
             yield (
                 f"twin {title} {grams} g",
-                fl.simulate(law("geared"), move, arm=arm, duration=3.0, seed=seed),
+                partial(fl.simulate, law("geared"), move, arm=arm, duration=3.0, seed=seed),
             )
     arm = fl.Twin.from_rig(GEARED, link_mass=LINK_MASS)
     slow = fl.Twin.from_rig(GEARED, link_mass=LINK_MASS, gauge_delay=0.004)
@@ -279,12 +311,12 @@ def twin_runs() -> Iterator[tuple[str, Any]]:
         ],
     }
     for seed, (title, list_) in enumerate(events.items()):
-        run = fl.simulate(law("geared"), move, arm=arm, duration=3.0, seed=seed, events=list_)
+        run = partial(fl.simulate, law("geared"), move, arm=arm, duration=3.0, seed=seed, events=list_)
         yield f"twin {title}", run
-    yield "twin single", fl.simulate(law("geared", "single"), move, arm=arm, duration=3.0, seed=5)
-    yield "twin late gauge", fl.simulate(law("geared"), move, arm=slow, duration=3.0, seed=6)
+    yield "twin single", partial(fl.simulate, law("geared", "single"), move, arm=arm, duration=3.0, seed=5)
+    yield "twin late gauge", partial(fl.simulate, law("geared"), move, arm=slow, duration=3.0, seed=6)
     there = fl.smooth_step(1.0, 0.6).then(fl.smooth_step(-0.5, 0.6))
-    yield "twin two moves", fl.simulate(law("geared"), there, arm=arm, duration=3.0, seed=7)
+    yield "twin two moves", partial(fl.simulate, law("geared"), there, arm=arm, duration=3.0, seed=7)
 
 
 def campaign_figures(inner: str, seed: int) -> Plain:
@@ -317,14 +349,19 @@ def _bench() -> Bench:
 FAULTS = (("F02", 2, "mid"), ("F07", 3, "mid"), ("F09", 1, "mid"), ("F14", 2, "rest"), ("F23", 2, "mid"))
 
 
-def runs() -> Plain:
+def _of_run(make: Callable[[], Any]) -> Plain:
+    return run_figures(make())
+
+
+def runs() -> Entries:
     """Seeded runs of model, twin, Monte Carlo campaign and faults."""
-    made = {title: run_figures(run) for title, run in (*model_runs(), *twin_runs())}
+    made: Entries = {title: partial(_of_run, make) for title, make in (*model_runs(), *twin_runs())}
     made |= {
-        f"campaign {inner}": campaign_figures(inner, seed) for inner, seed in (("sampled", 7), ("ideal", 8))
+        f"campaign {inner}": partial(campaign_figures, inner, seed)
+        for inner, seed in (("sampled", 7), ("ideal", 8))
     }
     return made | {
-        f"fault {name}-{severity}-{phase}": fault_figures(name, severity, phase)
+        f"fault {name}-{severity}-{phase}": partial(fault_figures, name, severity, phase)
         for name, severity, phase in FAULTS
     }
 
@@ -332,16 +369,16 @@ def runs() -> Plain:
 # --- the paper
 
 
-def paper() -> Plain:
+def paper() -> Entries:
     """Every value that the reproduction computes, and every verdict on the printed ones."""
     published = read_published(ROOT / "reproduce")
-    return plain(
-        {
-            "values": computed(published),
-            "numbers": {item.id: item.verdict for item in published.numbers},
-            "claims": {item.id: EVIDENCE[item.evidence](published).verdict for item in published.claims},
-        }
-    )
+    return {
+        "values": lambda: plain(computed(published)),
+        "numbers": lambda: plain({item.id: item.verdict for item in published.numbers}),
+        "claims": lambda: plain(
+            {item.id: EVIDENCE[item.evidence](published).verdict for item in published.claims}
+        ),
+    }
 
 
 # --- certificates
@@ -368,7 +405,7 @@ def certificate_figures(found: Certificate) -> Plain:
     )
 
 
-def certificates() -> Plain:
+def certificates() -> Entries:
     """Claims of proofs that succeed and of two that do not."""
     about: Plain = {"model": LINK, "rig": RIG, "payloads": (0.020, 0.040)}
     asked: dict[str, tuple[fl.Law, Plain]] = {
@@ -382,7 +419,9 @@ def certificates() -> Plain:
         "printed": (law("printed"), {}),
     }
     return {
-        title: certificate_figures(fl.certify(subject, **(about | options)))
+        title: lambda subject=subject, options=options: certificate_figures(
+            fl.certify(subject, **(about | options))
+        )
         for title, (subject, options) in asked.items()
     }
 
@@ -472,29 +511,32 @@ def answer(rig: fl.Rig, asked: Plain) -> Plain:
         return plain({"condition": error.condition, "nearest": error.nearest})
 
 
-def designs() -> Plain:
+def _optimised(options: Plain) -> Plain:
+    best = optimise(design_of(RIG), **options)
+    steps = {step.structure: [step.value, step.taken] for step in best.steps}
+    return plan_figures(best.design) | {"steps": plain(steps)}
+
+
+def _of_damped_link() -> Plain:
+    link = fl.LinkModel(1.56, 11.0, damping=0.8, damping_order=0.6, payload=0.03)
+    asked: Plain = {"payloads": (0.02, 0.04), "gain_crossover": 12.0, "phase_margin": fl.deg(50)}
+    return plan_figures(fl.design(link, RIG, **asked))
+
+
+def designs() -> Entries:
     """Designs over a grid of requests, of other links, with a bound on higher modes, and optimised ones."""
-    made = {title: answer(RIG, asked) for title, asked in REQUESTS.items()}
-    made["damped link"] = plan_figures(
-        fl.design(
-            fl.LinkModel(1.56, 11.0, damping=0.8, damping_order=0.6, payload=0.03),
-            RIG,
-            payloads=(0.02, 0.04),
-            gain_crossover=12.0,
-            phase_margin=fl.deg(50),
-        )
-    )
+    made: Entries = {title: partial(answer, RIG, asked) for title, asked in REQUESTS.items()}
+    made["damped link"] = _of_damped_link
     # The law of a design takes a second to fit: its margin is added to two of them.
-    shipped = {"filter_time": 0.0}, {"inner": "sampled", "placement": "direct"}
+    shipped: tuple[Plain, ...] = {"filter_time": 0.0}, {"inner": "sampled", "placement": "direct"}
     for asked in shipped:
-        made[f"with law {asked}"] = plan_figures(design_of(RIG, **asked).with_law())
+        made[f"with law {asked}"] = lambda asked=asked: plan_figures(design_of(RIG, **asked).with_law())
     massive = replace(GEARED, link=replace(GEARED.link, mass=LINK_MASS))
     for bound in (0.9, 0.05):
-        made[f"mode gain {bound:g}"] = answer(massive, {"mode_gain": bound, "phase_margin": fl.deg(40)})
-    for title, options in (("noise", {}), ("crossover", {"goal": "crossover"})):
-        best = optimise(design_of(RIG), **options)
-        steps = {step.structure: [step.value, step.taken] for step in best.steps}
-        made[f"optimised {title}"] = plan_figures(best.design) | {"steps": plain(steps)}
+        mode: Plain = {"mode_gain": bound, "phase_margin": fl.deg(40)}
+        made[f"mode gain {bound:g}"] = partial(answer, massive, mode)
+    made["optimised noise"] = partial(_optimised, {})
+    made["optimised crossover"] = partial(_optimised, {"goal": "crossover"})
     return made
 
 
@@ -552,52 +594,69 @@ def spectrum_figures() -> Plain:
     )
 
 
-def identification() -> Plain:
-    """Fits of the bundled logs, several payloads together, the motor, a spectrum, an experiment's design."""
-    logs = {name: fl.read_log(fl.bundled_log(name), rig=RIG) for name in LOGS}
-    made: Plain = {}
-    for name, log in logs.items():
-        found = fl.compare_structures(log)
-        made[name] = {structure: fit_figures(fit) for structure, fit in found.fits.items()}
-        made[name]["preferred"] = found.preferred
-        made[name]["advantage"] = plain(found.contest.advantage)
-        made[name]["diagnosis"] = [finding.code for finding in fl.diagnose(log)]
-    for title, tied in (("payloads", False), ("payloads tied", True)):
-        joint = identify_payloads([logs[name] for name in LOGS[1:]], tied=tied, length=RIG.link.length)
-        made[title] = plain(
-            {
-                "links": [[getattr(model, name) for name in LINK_NUMBERS] for model in joint.models],
-                "standard_errors": joint.standard_errors,
-                "test": [joint.test.statistic, joint.test.degrees, joint.test.p_value, joint.test.common],
-            }
-        )
+@functools.cache
+def log_of(name: str) -> fl.Experiment:
+    """A bundled log, read once."""
+    return fl.read_log(fl.bundled_log(name), rig=RIG)
+
+
+def structure_figures(name: str) -> Plain:
+    """The four structures fitted to a bundled log, and what the log's diagnosis finds."""
+    found = fl.compare_structures(log_of(name))
+    made: Plain = {structure: fit_figures(fit) for structure, fit in found.fits.items()}
+    made["preferred"] = found.preferred
+    made["advantage"] = plain(found.contest.advantage)
+    made["diagnosis"] = [finding.code for finding in fl.diagnose(log_of(name))]
+    return made
+
+
+def payload_figures(tied: bool) -> Plain:
+    """One fit of three payloads."""
+    joint = identify_payloads([log_of(name) for name in LOGS[1:]], tied=tied, length=RIG.link.length)
+    return plain(
+        {
+            "links": [[getattr(model, name) for name in LINK_NUMBERS] for model in joint.models],
+            "standard_errors": joint.standard_errors,
+            "test": [joint.test.statistic, joint.test.degrees, joint.test.p_value, joint.test.common],
+        }
+    )
+
+
+MOTOR_NUMBERS = ("gain", "decay", "coulomb_voltage", "coulomb_torque", "dead_zone", "delay", "nmse")
+EXPERIMENT_NUMBERS = (
+    "amplitude",
+    "bit",
+    "band",
+    "duration",
+    "standard_error",
+    "peak_deflection",
+    "peak_voltage",
+    "limit",
+)
+
+
+def motor_figures() -> Plain:
+    """A motor with a dead zone and a delay."""
     voltage, angle = example_motor_log(samples=2500, dead_zone=0.03, delay=0.006)
     motor = identify_motor(voltage, angle, period=0.004, inertia=RIG.motor.inertia)
-    names = (
-        "gain",
-        "decay",
-        "coulomb_voltage",
-        "coulomb_torque",
-        "dead_zone",
-        "delay",
-        "nmse",
-        "standard_errors",
-    )
-    made["motor"] = plain({name: getattr(motor, name) for name in names})
-    made["spectrum"] = spectrum_figures()
+    return plain({name: getattr(motor, name) for name in (*MOTOR_NUMBERS, "standard_errors")})
+
+
+def experiment_figures() -> Plain:
+    """An experiment planned for a standard error."""
     wanted = design_experiment(LINK, standard_error=0.001, noise=0.04, period=0.004, motor=RIG.motor)
-    names = (
-        "amplitude",
-        "bit",
-        "band",
-        "duration",
-        "standard_error",
-        "peak_deflection",
-        "peak_voltage",
-        "limit",
-    )
-    made["experiment"] = plain({name: getattr(wanted, name) for name in names})
-    return made
+    return plain({name: getattr(wanted, name) for name in EXPERIMENT_NUMBERS})
+
+
+def identification() -> Entries:
+    """Fits of the bundled logs, several payloads together, the motor, a spectrum, an experiment's design."""
+    return {name: partial(structure_figures, name) for name in LOGS} | {
+        "payloads": partial(payload_figures, False),
+        "payloads tied": partial(payload_figures, True),
+        "motor": motor_figures,
+        "spectrum": spectrum_figures,
+        "experiment": experiment_figures,
+    }
 
 
 # --- exports
@@ -634,37 +693,58 @@ def _matlab(path: Path) -> str:
     return shipped(path.name, content if path.suffix == ".m" else content[116:])
 
 
-def exports() -> Plain:
+def _c_files(named: str, precision: str) -> Plain:
+    with tempfile.TemporaryDirectory() as place:
+        fl.export_c(law(named, precision), Path(place) / "c", title="golden")
+        return {"sha256": _files(Path(place) / "c")}
+
+
+def _fmu(named: str, precision: str, fmi: int) -> Plain:
+    with tempfile.TemporaryDirectory() as place:
+        target = Path(place) / f"arm_{named}_{precision}_{fmi}.fmu"
+        export_fmu(law(named, precision), target, fmi=fmi, compilers=())
+        return {"sha256": _members(target)}
+
+
+def _for_matlab(ending: str) -> Plain:
+    with tempfile.TemporaryDirectory() as place:
+        path = export_matlab(law("default"), Path(place) / f"arm_law.{ending}")
+        return {"sha256": {"file": _matlab(path)}}
+
+
+def _board() -> Plain:
+    with tempfile.TemporaryDirectory() as place:
+        export_io(Path(place) / "board")
+        return {"sha256": _files(Path(place) / "board")}
+
+
+def law_figures(named: str) -> Plain:
+    """A law as it is fitted now, beside the digest of the recorded one."""
+    fitted = LAWS[named]()
+    return plain(
+        {
+            "sha256": {"recorded": law(named).digest[:16], "fitted": fitted.digest[:16]},
+            "states": fitted.order,
+            "correction_error": fitted.correction_error,
+            "feedforward_error": fitted.feedforward_error,
+            "band": fitted.band,
+            "response": _response(fitted),
+        }
+    )
+
+
+def exports() -> Entries:
     """Bytes of what leaves the package, for laws that are read from files; digests of laws fitted now."""
-    made: Plain = {}
-    with tempfile.TemporaryDirectory() as temporary:
-        place = Path(temporary)
-        for named in ("default", "outer", "geared"):
-            for precision in ("double", "single"):
-                title, chosen = f"{named} {precision}", law(named, precision)
-                fl.export_c(chosen, place / title, title="golden")
-                made[f"C {title}"] = {"sha256": _files(place / title)}
-                for fmi in (2, 3):
-                    target = place / f"arm_{named}_{precision}_{fmi}.fmu"
-                    export_fmu(chosen, target, fmi=fmi, compilers=())
-                    made[f"FMU {fmi} {title}"] = {"sha256": _members(target)}
-        for ending in ("m", "mat"):
-            path = export_matlab(law("default"), place / f"arm_law.{ending}")
-            made[f"MATLAB .{ending}"] = {"sha256": {"file": _matlab(path)}}
-        export_io(place / "board")
-        made["board"] = {"sha256": _files(place / "board")}
-    for named, fitted in laws().items():
-        made[f"law {named}"] = plain(
-            {
-                "sha256": {"recorded": law(named).digest[:16], "fitted": fitted.digest[:16]},
-                "states": fitted.order,
-                "correction_error": fitted.correction_error,
-                "feedforward_error": fitted.feedforward_error,
-                "band": fitted.band,
-                "response": _response(fitted),
-            }
-        )
-    return made
+    made: Entries = {}
+    for named in ("default", "outer", "geared"):
+        for precision in ("double", "single"):
+            made[f"C {named} {precision}"] = partial(_c_files, named, precision)
+            for fmi in (2, 3):
+                made[f"FMU {fmi} {named} {precision}"] = partial(_fmu, named, precision, fmi)
+    for ending in ("m", "mat"):
+        made[f"MATLAB .{ending}"] = partial(_for_matlab, ending)
+    made["board"] = _board
+    return made | {f"law {named}": partial(law_figures, named) for named in LAWS}
 
 
 def _response(fitted: fl.Law) -> list[list[float]]:
@@ -674,15 +754,21 @@ def _response(fitted: fl.Law) -> list[list[float]]:
 
 # --- record and compare
 
-TOPICS: dict[str, tuple[Callable[[], Plain], float]] = {  # topic: its figures and their relative tolerance
+TOPICS: dict[str, tuple[Callable[[], Entries], float]] = {  # topic: its entries and their relative tolerance
     "runs": (runs, 1e-9),
     "paper": (paper, 1e-9),
     "certificates": (certificates, 1e-9),
     "designs": (designs, 1e-9),
     "identification": (identification, 1e-7),
     "exports": (exports, 1e-9),
-    "formats": (lambda: plain(formats()), 1e-12),
+    "formats": (formats, 1e-12),
 }
+
+
+@functools.cache
+def entries(topic: str) -> Entries:
+    """The entries of a topic, by title."""
+    return TOPICS[topic][0]()
 
 
 def differences(told: Any, found: Any, rel: float, *, bits: bool, place: str = "") -> list[str]:
@@ -704,6 +790,7 @@ def differences(told: Any, found: Any, rel: float, *, bits: bool, place: str = "
     return [] if type(told) is type(found) and told == found else [f"{place}: {told!r} became {found!r}"]
 
 
+@functools.cache
 def recorded(topic: str) -> Plain:
     """What was recorded of a topic."""
     return dict(json.loads((HERE / f"{topic}.json").read_text("utf-8")))
@@ -711,7 +798,7 @@ def recorded(topic: str) -> Plain:
 
 def record(topic: str) -> None:
     """Record a topic again."""
-    figures = TOPICS[topic][0]()
+    figures = {title: plain(make()) for title, make in entries(topic).items()}
     text = json.dumps({"probe": probe(), "figures": figures}, indent=1, ensure_ascii=False, allow_nan=False)
     (HERE / f"{topic}.json").write_text(text + "\n", "utf-8")
 
@@ -720,8 +807,8 @@ def main(names: list[str]) -> int:
     """Record the topics named on the command line."""
     for name in names:
         if name == "laws":
-            for title, made in laws().items():
-                made.save(HERE / "laws" / f"{title}.json")
+            for title, make in LAWS.items():
+                make().save(HERE / "laws" / f"{title}.json")
         elif name == "commands":
             record_commands()
         else:
