@@ -70,6 +70,7 @@ from reproduce.values import computed
 HERE = Path(__file__).resolve().parent
 from golden.commands import record_commands  # type: ignore[attr-defined]
 from golden.formats import formats  # type: ignore[attr-defined]
+from golden.rooms import rooms  # type: ignore[attr-defined]
 
 ROOT = HERE.parents[1]
 LINK_MASS = 0.00735  # [kg], of the twin: a quarter of the nominal payload
@@ -762,6 +763,7 @@ TOPICS: dict[str, tuple[Callable[[], Entries], float]] = {  # topic: its entries
     "identification": (identification, 1e-7),
     "exports": (exports, 1e-9),
     "formats": (formats, 1e-12),
+    "rooms": (rooms, 1e-6),
 }
 
 
