@@ -15,7 +15,8 @@ from fraclink._arm.log_columns import Channel, LogColumns
 from fraclink._arm.rig import Rig
 from fraclink._logs import bundled_log, bundled_logs, inspect_log, read_columns, read_log
 from fraclink._logs.columns import suggested_mapping
-from fraclink._logs.text import NUMBER, LogTable, parse_cells, read_text_table
+from fraclink._logs.forms import NUMBER
+from fraclink._logs.text import LogTable, parse_cells, read_text_table
 from fraclink.errors import FieldError
 from made_logs import HEADER, made_rows, write_log
 from shared_data import shared_data

@@ -73,6 +73,11 @@ THROUGH: dict[str, tuple[Shape, tuple[str, ...], Taken]] = {
         (),
         ("t_ms", "ms", "theta_deg", "deg", "torque", "bridge_mNm", "mNm", -1),
     ),
+    "decimal commas": (
+        Shape({"t_s": TIME, "theta_deg": DEG * MOTOR, "torque_Nm": TORQUE}, separator=";", comma=True),
+        (),
+        ("t_s", "s", "theta_deg", "deg", "torque", "torque_Nm", "Nm", 1),
+    ),
     "units in brackets, semicolons": (
         Shape({"Time [ms]": 1e3 * TIME, "Angle [deg]": DEG * MOTOR, "Torque [N*m]": TORQUE}, separator=";"),
         (),
@@ -206,8 +211,8 @@ THROUGH: dict[str, tuple[Shape, tuple[str, ...], Taken]] = {
 
 # What is not taken: the words of the error that mend it.
 REFUSED: dict[str, tuple[Shape, str]] = {
-    "decimal commas": (
-        Shape({"t_s": TIME, "theta_deg": DEG * MOTOR, "torque_Nm": TORQUE}, separator=";", comma=True),
+    "decimal commas between commas": (
+        Shape({"t_s": TIME, "theta_deg": DEG * MOTOR, "torque_Nm": TORQUE}, comma=True),
         "export with decimal points",
     ),
     "encoder counts": (

@@ -14,8 +14,10 @@ from numpy.typing import NDArray
 
 from fraclink._arm.log_columns import QUANTITY_OF, UNITS, Channel, LogColumns
 from fraclink._files.toml import toml_value
-from fraclink._logs.names import COMMANDED, HINTS, unit_in
-from fraclink._logs.text import NUMBER, LogTable, cell_remedy
+from fraclink._logs.faults import cell_remedy
+from fraclink._logs.forms import NUMBER
+from fraclink._logs.names import COMMANDED, HINTS, unit_in, unit_of_name
+from fraclink._logs.text import LogTable
 from fraclink._validate import Payload
 from fraclink._validate.rules import rule
 from fraclink.errors import LogError
@@ -106,7 +108,8 @@ def suggested_columns(table: LogTable) -> list[tuple[str, str, str]]:
 
 def _suggested_unit(table: LogTable, role: str, name: str) -> str:
     stated = table.units[table.names.index(name)] if table.units and name != "?" else ""
-    return stated if stated in UNITS[QUANTITY_OF[role]] else unit_in(name, role)
+    known = UNITS[QUANTITY_OF[role]]
+    return next((unit for unit in (stated, unit_in(name, role), unit_of_name(name)) if unit in known), "?")
 
 
 # --- what a stated column must be ------------------------------------------------------------------------

@@ -36,6 +36,7 @@ _MAGIC = (
     (512, b"\x89HDF\r\n\x1a\n", "HDF5"),
     (0, b"PAR1", "Parquet"),
     (0, b"TDSm", "TDMS"),
+    (0, b"\x93NUMPY", "NumPy"),
     (0, b"\x89MCAP0\r\n", "ROS 2"),
     (0, b"SQLite format 3\x00", "ROS 2"),
 )
@@ -44,7 +45,6 @@ _FOREIGN = (
     (b"\x1f\x8b", "gzip"),
     (b"\xd0\xcf\x11\xe0", "an old spreadsheet"),
     (b"%PDF", "PDF"),
-    (b"\x93NUMPY", "NumPy"),
     (b"\x80\x04", "pickle"),
     (b"{", "JSON"),
     (b"<", "HTML or XML"),
@@ -56,6 +56,7 @@ _PROMISED = {
     ".hdf5": ("HDF5",),
     ".parquet": ("Parquet",),
     ".tdms": ("TDMS",),
+    ".npy": ("NumPy",),
     ".mcap": ("ROS 2",),
     ".db3": ("ROS 2",),
     ".csv": ("text",),
@@ -64,7 +65,7 @@ _PROMISED = {
 
 
 def sniffed_kind(path: Path) -> str:
-    """The format of the file at `path`: text, MAT v5, HDF5, Parquet, TDMS or ROS 2.
+    """The format of the file at `path`: text, MAT v5, HDF5, Parquet, TDMS, NumPy or ROS 2.
 
     Raises FileFormatError where its content holds no log, or is of another format than its name says.
     """
@@ -84,7 +85,8 @@ def sniffed_kind(path: Path) -> str:
     kind = next((kind for at, magic, kind in _MAGIC if head[at : at + len(magic)] == magic), "text")
     for magic, name in _FOREIGN:
         if head.startswith(magic):
-            raise _other(path, name, "text, MAT, HDF5, Parquet, TDMS, rosbag2, MCAP", "export it as CSV")
+            known = "text, MAT, HDF5, Parquet, TDMS, NumPy, rosbag2, MCAP"
+            raise _other(path, name, known, "export it as CSV")
     promised = _PROMISED.get(path.suffix.lower(), (kind,))
     if kind not in promised:
         raise _other(path, kind, " or ".join(promised), _remedy(path, kind))
@@ -101,15 +103,17 @@ def _remedy(path: Path, kind: str) -> str:
     return "correct the ending of its name" if kind != "text" else "it is damaged, or correct its ending"
 
 
-def read_table(path: Path) -> LogTable:
+def read_table(path: Path, *, numbered: bool = False) -> LogTable:
     """Read the columns of a file of any known format.
+
+    Where `numbered`, columns of text that the file's names do not fit are called by their numbers.
 
     Binary formats are parsed in a child process with limits of memory and time. Raises FileFormatError,
     LogError, SizeError or MissingExtraError.
     """
     kind = sniffed_kind(path)
     if kind == "text":
-        return read_text_table(path)
+        return read_text_table(path, numbered=numbered)
     _check_folder(path)
     with ReaderChild() as child:
         table = child.read(path, kind)

@@ -70,6 +70,8 @@ def guess_columns(
     check_count(max((values.size for values in table.values), default=0))
     table = with_combined(table, [each.column for each in stated.values() if each.column])
     weighing = Weighing(table, stated, assume, interpolate)
+    for remark in table.remarks:
+        weighing.conclude("form of the file", remark, "certain", "the whole file agrees")
     # Values near the largest double overflow in a difference: such a column is no signal, and no error here.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         columns = _columns(weighing)

@@ -81,7 +81,7 @@ def read_log(
     resample: bool = False,
     interpolate: bool = False,
 ) -> Experiment:
-    """Read a recorded log: CSV and other text, MAT, HDF5, Parquet, TDMS, rosbag2 or MCAP.
+    """Read a recorded log: CSV and other text, MAT, HDF5, Parquet, TDMS, NumPy, rosbag2 or MCAP.
 
     Which column is what, in which unit and with which sign, is stated and never guessed: by `columns`, by the
     rig's `[log]` table, or by names in the log that are a role and a unit (``time_s``, ``motor_angle_rad``,
@@ -271,7 +271,8 @@ class ChannelSummary:
 class LogListing:
     """The channels of a file, its header's notes, and a mapping to paste into a rig file.
 
-    `print` it for a person; `values` gives the same for a machine.
+    `print` it for a person; `values` gives the same for a machine. `remarks` says in sentences what was done
+    to the file's form to read it.
     """
 
     path: str
@@ -279,6 +280,7 @@ class LogListing:
     channels: tuple[ChannelSummary, ...]
     notes: tuple[tuple[str, str], ...]
     suggestion: str
+    remarks: tuple[str, ...] = ()
 
     def values(self) -> dict[str, object]:
         """The listing as plain values; None for the range of a column without numbers."""
@@ -291,7 +293,8 @@ class LogListing:
     def __str__(self) -> str:
         head = f"{self.path}: {self.kind}, {len(self.channels)} channels"
         width = max(7, *(len(_shown(c.name)) for c in self.channels), 7)
-        lines = [head, f"{'channel':{width}}  unit   samples  missing       minimum       maximum     step"]
+        lines = [head, *(f"read as: {_printable(remark)}" for remark in self.remarks)]
+        lines.append(f"{'channel':{width}}  unit   samples  missing       minimum       maximum     step")
         for c in self.channels:
             clock = f"  every {c.period:.6g}" if c.period is not None else ""
             lines.append(
@@ -303,7 +306,11 @@ class LogListing:
 
 
 def _shown(text: str) -> str:
-    return "".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in text[:80])
+    return _printable(text[:80])
+
+
+def _printable(text: str) -> str:
+    return "".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in text)
 
 
 def inspect_log(path: Path | str) -> LogListing:
@@ -322,9 +329,9 @@ def inspect_log(path: Path | str) -> LogListing:
     torque = { column = "torque_Nm", unit = "Nm" }
     """
     place = Path(path)
-    table = read_table(place)
+    table = read_table(place, numbered=True)
     channels = tuple(_summary(table, number) for number in range(len(table.names)))
-    return LogListing(place.name, table.kind, channels, table.notes, suggested_mapping(table))
+    return LogListing(place.name, table.kind, channels, table.notes, suggested_mapping(table), table.remarks)
 
 
 def _summary(table: LogTable, number: int) -> ChannelSummary:

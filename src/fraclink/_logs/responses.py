@@ -15,10 +15,12 @@ from fraclink._arm.recording import FrequencyResponse, Recording
 from fraclink._arm.reference import Reference, SampledReference, spline
 from fraclink._files import kind_of, load, sha256_of
 from fraclink._logs.columns import clean_column, clock_step
+from fraclink._logs.encodings import normal_bytes
 from fraclink._logs.formats import read_table
+from fraclink._logs.forms import NUMBER, split_cells
 from fraclink._logs.names import names_time, stated_unit, unit_of_name, words_of
 from fraclink._logs.reading import read_columns
-from fraclink._logs.text import NUMBER, LogTable, check_file, normal_bytes, split_cells
+from fraclink._logs.text import LogTable, check_file
 from fraclink._validate import checked
 from fraclink.errors import FieldError, FileFormatError, LogError
 

@@ -13,25 +13,26 @@ understand by NaN hide faults. Here a number is what the regular expression says
 
 from __future__ import annotations
 
-import csv
 import difflib
 import io
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fraclink._logs.encodings import normal_bytes
+from fraclink._logs.faults import check_width, fault_of_names, ragged, width_of
+from fraclink._logs.forms import LINE_LIMIT, NUMBER, SEPARATORS, Layout, plain_form, split_cells
 from fraclink.errors import FileFormatError, LogError, SizeError
 
 FILE_LIMIT = 256_000_000  # bytes
 SAMPLE_LIMIT = 4_000_000  # rows
 COLUMN_LIMIT = 1_000
-LINE_LIMIT = 100_000  # bytes of one line of text
 VALUE_LIMIT = 32_000_000  # numbers in all: 256 MB in memory
 MEMORY_LIMIT = 1_000_000_000  # bytes of address space of the child that reads binary files
 CPU_SECONDS = 10  # of that child, for one file
@@ -93,6 +94,8 @@ class LogTable:
         what is wrong with the cells of a column, by its place.
     units
         unit that the file states for a column, by its place; "" for none.
+    remarks
+        what was done to the file's form to read it, in sentences.
     """
 
     names: tuple[str, ...]
@@ -101,6 +104,7 @@ class LogTable:
     notes: tuple[tuple[str, str], ...] = ()
     faults: Mapping[int, CellFaults] = field(default_factory=lambda: MappingProxyType({}))
     units: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
 
     def place(self, name: str, role: str, remedy: str = "correct [log] of the rig file") -> int:
         """The place of the column that is stated for `role`; ``"#2"`` names the second by its number.
@@ -133,59 +137,36 @@ class LogTable:
         return LogError(f"column of {role}", name, "not in the log", allowed=listed, remedy=hint)
 
 
-_SEPARATORS = ("\t", ";", ",")  # in this order: a semicolon file may have decimal commas
 _NOTE = re.compile(r"[#%]+\s*([^:=]{1,80}?)\s*[:=]\s*(.{0,500})")
 _NOTE_LIMIT = 200
 
 
-@dataclass(frozen=True)
-class Layout:
-    """Where the body of a text table begins, and how its cells are separated ("" for blanks)."""
-
-    names: tuple[str, ...]
-    separator: str
-    first_line: int  # number of the body's first line in the file, counted from 1
-    body: bytes
-    notes: tuple[tuple[str, str], ...]
-
-
-def read_text_table(path: Path) -> LogTable:
+def read_text_table(path: Path, *, numbered: bool = False) -> LogTable:
     """Read the table of numbers at `path`.
+
+    Where `numbered`, columns that the names do not fit are called by their numbers.
 
     Raises FileFormatError (another encoding, binary), LogError (no header, no rows, ragged rows) or
     SizeError (over the limits of `fraclink._logs.text`).
     """
     check_file(path)
-    layout = _layout(normal_bytes(path.read_bytes(), path), path)
+    form = plain_form(normal_bytes(path.read_bytes(), path))
+    layout = _layout(form.text, path)
+    _check_size(layout)
+    if fault := fault_of_names(layout, path):
+        if not numbered:
+            raise fault
+        names = tuple(f"#{place + 1}" for place in range(width_of(layout)))
+        layout = replace(layout, names=names)
+        form = form.told(f"columns by number: {fault.field} has {fault.problem}; {fault.remedy}")
     _check_rows(layout)
     values = _parse_fast(layout)
     faults: dict[int, CellFaults] = {}
     if values is None:
         values, faults = parse_cells(layout.body, layout.separator, layout.names, layout.first_line)
     columns = tuple(np.ascontiguousarray(values[:, place]) for place in range(len(layout.names)))
-    return LogTable(layout.names, columns, "text", layout.notes, faults)
-
-
-def normal_bytes(raw: bytes, path: Path) -> bytes:
-    """The text as UTF-8 bytes with line feeds only, whatever editor wrote it; other encodings are refused."""
-    wide = ((b"\xff\xfe", "UTF-16 or UTF-32"), (b"\xfe\xff", "UTF-16"), (b"\x00\x00\xfe\xff", "UTF-32"))
-    for mark, name in wide:
-        if raw.startswith(mark):
-            raise _not_text(path, f"{name} text", "save it as UTF-8")
-    if b"\x00" in raw:
-        place = raw.index(b"\x00")
-        raise _not_text(path, f"damaged or binary (NUL at byte {place})", "export the log as CSV in UTF-8")
-    raw = raw.removeprefix(b"\xef\xbb\xbf")
-    try:
-        raw.decode("utf-8")
-    except UnicodeDecodeError as error:
-        problem = f"not UTF-8 (byte {raw[error.start]:#04x} at {error.start})"
-        raise _not_text(path, problem, "save it as UTF-8") from error
-    return raw.replace(b"\r\n", b"\n").replace(b"\r", b"\n") if b"\r" in raw else raw
-
-
-def _not_text(path: Path, problem: str, remedy: str) -> FileFormatError:
-    return FileFormatError("log", path.name, problem, allowed="UTF-8 text", remedy=remedy)
+    units = tuple(form.units.get(name, "") for name in layout.names) if form.units else ()
+    return LogTable(layout.names, columns, "text", layout.notes, faults, units, form.remarks)
 
 
 def _layout(text: bytes, path: Path) -> Layout:
@@ -209,7 +190,7 @@ def _layout(text: bytes, path: Path) -> Layout:
 def _with_header(text: bytes, span: tuple[int, int], number: int, comments: list[str], path: Path) -> Layout:
     notes = tuple((m[1], m[2]) for c in comments[:_NOTE_LIMIT] if (m := _NOTE.fullmatch(c)))
     line = text[slice(*span)].decode()
-    separator = next((mark for mark in _SEPARATORS if mark in line), "")
+    separator = next((mark for mark in SEPARATORS if mark in line), "")
     cells = split_cells(line, separator)
     if all(NUMBER.fullmatch(cell) for cell in cells):
         # The first row is numbers already: the names may stand in the last comment, as numpy writes them.
@@ -227,16 +208,11 @@ def _with_header(text: bytes, span: tuple[int, int], number: int, comments: list
     return Layout(names, separator, first, body + b"\n", notes)
 
 
-def split_cells(line: str, separator: str) -> list[str]:
-    cells = next(csv.reader([line], delimiter=separator)) if separator else line.split()
-    return [cell.strip() for cell in cells]
-
-
 def _names_of_comment(comments: list[str], count: int) -> tuple[str, ...]:
     if not comments:
         return ()
     line = comments[-1].lstrip("#% ")
-    separator = next((mark for mark in _SEPARATORS if mark in line), "")
+    separator = next((mark for mark in SEPARATORS if mark in line), "")
     cells = split_cells(line, separator)
     return tuple(cells) if len(cells) == count and all(cells) else ()
 
@@ -252,8 +228,8 @@ def _check_line_length(length: int, number: int) -> None:
         )
 
 
-def _check_rows(layout: Layout) -> None:
-    """Refuse what is over the limits, and rows whose number of cells differs from the header's."""
+def _check_size(layout: Layout) -> None:
+    """Refuse what is over the limits."""
     data = np.frombuffer(layout.body, dtype=np.uint8)
     ends = np.flatnonzero(data == ord("\n"))
     lengths = np.diff(ends, prepend=-1) - 1
@@ -268,34 +244,19 @@ def _check_rows(layout: Layout) -> None:
             allowed=f"{SAMPLE_LIMIT} rows, {VALUE_LIMIT} numbers",
             remedy="cut the recording to one experiment, or record at a lower rate",
         )
+
+
+def _check_rows(layout: Layout) -> None:
+    """Refuse rows whose number of cells differs from the header's."""
+    data, width = np.frombuffer(layout.body, dtype=np.uint8), len(layout.names)
+    ends = np.flatnonzero(data == ord("\n"))
     if not layout.separator:
         return  # blanks repeat: the parser itself counts the cells
     marks = np.flatnonzero(data == ord(layout.separator))
     cells = np.diff(np.searchsorted(marks, ends), prepend=0) + 1
     wrong = np.flatnonzero(cells != width)
     if wrong.size:
-        raise _ragged(layout, int(wrong[0]), int(cells[wrong[0]]), wrong.size)
-
-
-def _ragged(layout: Layout, row: int, found: int, count: int) -> LogError:
-    width, line = len(layout.names), layout.first_line + row
-    text = layout.body.split(b"\n", row + 1)[row].decode()
-    remedy = "repair or remove the line"
-    if not text.strip():
-        remedy = "remove the blank line"
-    elif layout.separator == "," and found == 2 * width:
-        remedy = "numbers seem to have decimal commas: export with decimal points"
-    elif found == width + 1 and text.rstrip().endswith(layout.separator):
-        remedy = "rows end with a separator: remove it, or end the header with one as well"
-    elif found == 1 and any(mark in text for mark in (*_SEPARATORS, " ")):
-        remedy = "the separator differs from the header's: use one separator in the whole file"
-    return LogError(
-        f"line {line}",
-        text,
-        f"a row of {found} cells ({count} such)",
-        allowed=f"{width} cells",
-        remedy=remedy,
-    )
+        raise ragged(layout, int(wrong[0]), int(cells[wrong[0]]), wrong.size)
 
 
 def _parse_fast(layout: Layout) -> NDArray[np.float64] | None:
@@ -318,9 +279,6 @@ def _parse_fast(layout: Layout) -> NDArray[np.float64] | None:
 # --- cells, one by one -----------------------------------------------------------------------------------
 
 
-NUMBER = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]{1,3})?")
-DECIMAL_COMMA = re.compile(r"[+-]?[0-9]+,[0-9]+(?:[eE][+-]?[0-9]{1,3})?")
-CLOCK = re.compile(r"[0-9-/.T ]*[0-9]{1,2}:[0-9]{2}(?::[0-9]{2}.*)?|[0-9]{4}-[0-9]{2}-[0-9]{2}")
 _MISSING = frozenset(
     ("", "nan", "+nan", "-nan", "na", "n/a", "#n/a", "null", "none", "-", "inf", "+inf", "-inf")
 )
@@ -343,7 +301,7 @@ def parse_cells(
         if good_row.fullmatch(line):
             values[row] = cells  # numpy converts a row of checked cells at once
         else:
-            _check_width(first_line + row, line, len(cells), len(names))
+            check_width(first_line + row, line, len(cells), len(names))
             _fill(values[row], cells, first_line + row, faults)
     for place in np.flatnonzero(np.isinf(values).any(axis=0)).tolist():  # such as 1e999
         rows = np.flatnonzero(np.isinf(values[:, place]))
@@ -353,17 +311,6 @@ def parse_cells(
             old.missing, old.first_missing, rows.size, (first_line + int(rows[0]), cell)
         )
     return values, faults
-
-
-def _check_width(line: int, text: str, found: int, wanted: int) -> None:
-    if found != wanted:
-        raise LogError(
-            f"line {line}",
-            text,
-            f"a row of {found} cells",
-            allowed=f"{wanted} cells",
-            remedy="repair or remove the line" if text.strip() else "remove the blank line",
-        )
 
 
 def _fill(row: NDArray[np.float64], cells: list[str], line: int, faults: dict[int, CellFaults]) -> None:
@@ -383,18 +330,3 @@ def _noted(known: CellFaults, line: int, cell: str) -> CellFaults:
         return CellFaults(known.missing + 1, first, known.bad, known.first_bad)
     first = known.first_bad if known.bad else (line, cell)
     return CellFaults(known.missing, known.first_missing, known.bad + 1, first)
-
-
-def cell_remedy(cell: str) -> str:
-    """What to do about a cell that is no number."""
-    if DECIMAL_COMMA.fullmatch(cell):
-        return "it has a decimal comma: export with decimal points"
-    if CLOCK.fullmatch(cell):
-        return "write the time as seconds, such as those since the start"
-    if cell[:1] in "'\"" and len(cell) > 1:
-        return "write numbers without quotes"
-    if any(c.isdigit() and not c.isascii() for c in cell):
-        return "write the digits 0 to 9"
-    if "_" in cell:
-        return "write numbers without underscores"
-    return "repair the cell, or state another column"

@@ -312,11 +312,22 @@ def _channel(name: str, channel: Any) -> list[RawColumn]:
     return found
 
 
+def read_npy(path: Path) -> tuple[list[RawColumn], dict[str, str]]:
+    """An array of NumPy: its fields by their names, its columns by their numbers."""
+    with path.open("rb") as stream:
+        array = np.lib.format.read_array(stream, allow_pickle=False, max_header_size=10_000)
+    if array.dtype.names:
+        return [column for name in array.dtype.names for column in columns_of(name, array[name])], {}
+    found = [column.values for column in columns_of("", array)]
+    return [RawColumn(f"#{place + 1}", "", values) for place, values in enumerate(found)], {}
+
+
 PARSERS: dict[str, Callable[[Path], tuple[list[RawColumn], dict[str, str]]]] = {
     "MAT v5": read_mat5,
     "HDF5": read_hdf5,
     "Parquet": read_parquet,
     "TDMS": read_tdms,
+    "NumPy": read_npy,
     "ROS 2": read_ros,
 }
 

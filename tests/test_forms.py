@@ -1,0 +1,264 @@
+"""Forms of text tables: each is read as the plain table is, saying what was done; or shown and refused."""
+
+from __future__ import annotations
+
+import datetime
+import re
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fraclink._logs import inspect_log, read_columns
+from fraclink._logs.formats import read_table
+from fraclink._logs.text import read_text_table
+from fraclink.errors import FileFormatError, LogError
+from made_logs import HEADER, made_rows, write_log
+
+ROWS = made_rows(300)
+NUMBERS = np.array(ROWS, dtype=float)
+PLAIN = ",".join(HEADER) + "\n" + "\n".join(map(",".join, ROWS)) + "\n"
+BODY = PLAIN.split("\n", 1)[1]
+
+
+def stamped(date: str, point: str = ".") -> str:
+    """The rows with a clock's time of day, which passes midnight, for seconds."""
+    start = datetime.datetime(2026, 3, 31, 23, 59, 59, 500_000)
+    lines = []
+    for row in ROWS:
+        moment = start + datetime.timedelta(milliseconds=round(1e3 * float(row[0])))
+        stamp = moment.strftime(date) + f"{moment.microsecond // 1000:03d}"
+        lines.append(";".join((stamp.replace("#", point), row[1], row[2])))
+    return "clock;motor_angle_rad;torque_Nm\n" + "\n".join(lines) + "\n"
+
+
+def labview(*, stamps: bool) -> str:
+    """What LabVIEW writes with a measurement file."""
+    rows = "\n".join("\t".join((row[0] if stamps else "", *row[1:], "")) for row in ROWS)
+    return (
+        "LabVIEW Measurement\t\nWriter_Version\t2\nSeparator\tTab\nX_Columns\tOne\n"
+        "Date\t2026/03/01\nTime\t10:00:00.123\n***End_of_Header***\t\n\t\nChannels\t2\t\t\n"
+        "Samples\t300\t300\t\nY_Unit_Label\tdeg\tN m\t\nX_Dimension\tTime\tTime\t\nX0\t0\t0\t\n"
+        "Delta_X\t0.004\t0.004\t\n***End_of_Header***\t\t\t\n"
+        "X_Value\tTheta\tTorque\tComment\n" + rows + "\n"
+    )
+
+
+# What stands in the file, the names and units it is read with, and a word of what is said of it.
+FORMS: dict[str, tuple[bytes, tuple[str, ...], tuple[str, ...], str]] = {
+    "plain": (PLAIN.encode(), (*HEADER,), (), ""),
+    "UTF-16": (PLAIN.encode("utf-16"), (*HEADER,), (), ""),
+    "UTF-32": (PLAIN.encode("utf-32"), (*HEADER,), (), ""),
+    "Windows-1252": ("t [µs],a [°],g\n".encode("cp1252") + BODY.encode(), ("t [µs]", "a [°]", "g"), (), ""),
+    "decimal commas": (
+        PLAIN.replace(",", ";").replace(".", ",").encode(),
+        (*HEADER,),
+        (),
+        "decimal commas",
+    ),
+    "decimal commas between blanks": (
+        PLAIN.replace(",", "  ").replace(".", ",").encode(),
+        (*HEADER,),
+        (),
+        "decimal commas",
+    ),
+    "quotes": (
+        (",".join(HEADER) + "\n" + re.sub(r"[^,\n]+", r'"\g<0>"', BODY)).encode(),
+        (*HEADER,),
+        (),
+        "quotes",
+    ),
+    "decimal commas in quotes": (
+        (",".join(HEADER) + "\n" + re.sub(r"[^,\n]+", r'"\g<0>"', BODY).replace(".", ",")).encode(),
+        (*HEADER,),
+        (),
+        "decimal commas",
+    ),
+    "a title": (
+        ("Experiment 5, beam A\nDate: 1 March\n\n" + PLAIN).encode(),
+        (*HEADER,),
+        (),
+        "3 lines of title",
+    ),
+    "units below the names": (
+        ("time,angle,torque\n(s),(deg),(mNm)\n" + BODY).encode(),
+        ("time", "angle", "torque"),
+        ("s", "deg", "mNm"),
+        "line 2 holds the units",
+    ),
+    "a title, and units without brackets": (
+        ("Beam A\ntime,angle,torque\n-,deg,mNm\n" + BODY).encode(),
+        ("time", "angle", "torque"),
+        ("", "deg", "mNm"),
+        "line 3 holds the units",
+    ),
+    "separators at the end of every row": (
+        (",".join(HEADER) + "\n" + BODY.replace("\n", ",\n")).encode(),
+        (*HEADER,),
+        (),
+        "at the end of every row",
+    ),
+    "a separator at the end of the names": (
+        (",".join(HEADER) + ",\n" + BODY).encode(),
+        (*HEADER,),
+        (),
+        "at the end of the names",
+    ),
+    "on its side": (
+        "\n".join(",".join(cells) for cells in zip(HEADER, *ROWS, strict=True)).encode(),
+        (*HEADER,),
+        (),
+        "turned upright",
+    ),
+    "on its side, nameless": (
+        "\n".join(",".join(cells) for cells in zip(*ROWS, strict=True)).encode(),
+        ("#1", "#2", "#3"),
+        (),
+        "turned upright",
+    ),
+    "LabVIEW": (labview(stamps=True).encode(), ("X_Value", "Theta", "Torque"), ("s", "deg", "Nm"), "LabVIEW"),
+    "LabVIEW without stamps": (
+        labview(stamps=False).encode(),
+        ("X_Value", "Theta", "Torque"),
+        ("s", "deg", "Nm"),
+        "steps of 0.004 s",
+    ),
+    "ISO stamps": (
+        stamped("%Y-%m-%dT%H:%M:%S#").encode(),
+        ("clock", "motor_angle_rad", "torque_Nm"),
+        ("s", "", ""),
+        "seconds since 2026-03-31T23:59:59.500",
+    ),
+    "a clock over midnight": (
+        stamped("%H:%M:%S#").encode(),
+        ("clock", "motor_angle_rad", "torque_Nm"),
+        ("s", "", ""),
+        "seconds since 23:59:59.500",
+    ),
+    "a clock with decimal commas": (
+        stamped("%Y-%m-%d %H:%M:%S#").replace(".", ",").encode(),
+        ("clock", "motor_angle_rad", "torque_Nm"),
+        ("s", "", ""),
+        "decimal commas",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", FORMS)
+def test_a_form_is_read_as_the_plain_table_is(name: str, tmp_path: Path) -> None:
+    content, names, units, words = FORMS[name]
+    path = tmp_path / "log.csv"
+    path.write_bytes(content)
+    table = read_text_table(path)
+    assert table.names == names
+    assert table.units == units
+    assert not table.faults
+    np.testing.assert_allclose(np.column_stack(table.values), NUMBERS, rtol=0, atol=1e-9)
+    assert any(words in remark for remark in table.remarks) if words else not table.remarks
+    said = str(inspect_log(path))
+    assert all(f"read as: {remark}" in said for remark in table.remarks)
+
+
+def test_dates_of_a_country_serve_within_a_day(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text(stamped("%d.%m.%Y %H:%M:%S#"))  # over midnight: a day later, or a month
+    with pytest.raises(LogError, match="write the time as seconds".capitalize()):
+        read_columns(path)
+    path.write_text(stamped("03.04.2026 12:%M:%S#").replace(" 12:00", " 13:00"))
+    np.testing.assert_allclose(read_columns(path)["clock"], NUMBERS[:, 0], atol=1e-9)
+
+
+# --- names that do not fit the rows -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("names", "mended"),
+    [
+        ("time_s,motor_angle_rad", ["time_s", "motor_angle_rad", "#3"]),
+        ("time_s,motor_angle_rad,torque_Nm,spare", [*HEADER]),
+        ("a b|c,d&e,f,g", ["a_b|c", "d&e", "f"]),
+    ],
+)
+def test_names_that_do_not_fit_are_shown_and_refused(names: str, mended: list[str], tmp_path: Path) -> None:
+    path = tmp_path / "my log.csv"
+    path.write_text(names + "\n" + BODY)
+    with pytest.raises(LogError, match=r"names above rows of 3 cells") as caught:
+        read_text_table(path)
+    listing = inspect_log(path)
+    assert [channel.name for channel in listing.channels] == ["#1", "#2", "#3"]
+    assert caught.value.remedy in str(listing)
+    command = caught.value.remedy.split("such as by ", 1)[1]
+    subprocess.run(command, shell=True, check=True, cwd=tmp_path)  # noqa: S602 - the line that we print
+    assert list(read_columns(path)) == mended
+    np.testing.assert_array_equal(np.column_stack(list(read_columns(path).values())), NUMBERS)
+
+
+def test_the_number_of_a_row_that_r_writes_has_no_name(tmp_path: Path) -> None:
+    rows = [f"{k + 1},{','.join(row)}" for k, row in enumerate(ROWS)]
+    path = tmp_path / "log.csv"
+    path.write_text(",".join(HEADER) + "\n" + "\n".join(rows) + "\n")
+    with pytest.raises(LogError, match=r"row,time_s,motor_angle_rad,torque_Nm"):
+        read_text_table(path)
+
+
+def test_names_with_blanks_between_blanks_keep_their_brackets(tmp_path: Path) -> None:
+    path = tmp_path / "log.txt"
+    path.write_text("Time (s) Motor angle (rad) Torque (Nm)\n" + BODY.replace(",", " "))
+    with pytest.raises(LogError, match=re.escape("Time_(s) Motor_angle_(rad) Torque_(Nm)")):
+        read_text_table(path)
+
+
+@pytest.mark.parametrize("above", ["x,y,z\ntime_s,a,b\n", "s,deg,x\ns,deg,mNm\nq,r,s\n"])
+def test_two_lines_that_may_be_the_names_are_not_decided(above: str, tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text(above + BODY)
+    table = read_text_table(path)
+    assert table.names == tuple(above.split("\n")[0].split(","))
+    assert table.faults  # the reader refuses the second line as a row
+
+
+def test_what_follows_a_table_is_cut_off_by_the_line_that_is_told(tmp_path: Path) -> None:
+    path = write_log(tmp_path / "log.csv", ROWS)
+    path.write_text(path.read_text() + "\nEnd of recording\n")
+    with pytest.raises(LogError, match=re.escape("sed -i '302,$d'")):
+        read_text_table(path)
+
+
+# --- arrays of NumPy, raw numbers --------------------------------------------------------------------------
+
+
+def test_an_array_of_numpy(tmp_path: Path) -> None:
+    np.save(tmp_path / "log.npy", NUMBERS)
+    table = read_table(tmp_path / "log.npy")
+    assert (table.kind, table.names) == ("NumPy", ("#1", "#2", "#3"))
+    np.testing.assert_array_equal(np.column_stack(table.values), NUMBERS)
+    fields = np.zeros(300, dtype=[("time_s", "f8"), ("theta", "f4")])
+    fields["time_s"] = NUMBERS[:, 0]
+    np.save(tmp_path / "fields.npy", fields)
+    assert read_table(tmp_path / "fields.npy").names == ("time_s", "theta")
+
+
+def test_an_array_of_objects_is_not_unpickled(tmp_path: Path) -> None:
+    np.save(tmp_path / "log.npy", np.array([{}, []], dtype=object), allow_pickle=True)
+    with pytest.raises(FileFormatError, match="damaged or hostile"):
+        read_table(tmp_path / "log.npy")
+
+
+@pytest.mark.parametrize(("kind", "turned"), [("<f8", False), ("<f8", True), ("<f4", False)])
+def test_raw_numbers_are_told_by_their_shape(kind: str, turned: bool, tmp_path: Path) -> None:
+    numbers = NUMBERS.T if turned else NUMBERS
+    np.ascontiguousarray(numbers, dtype=kind).tofile(tmp_path / "log.bin")
+    with pytest.raises(FileFormatError, match=r"3 (columns|rows) the first of them rises") as caught:
+        read_table(tmp_path / "log.bin")
+    line = re.search(r'python -c "(.*)" and', caught.value.remedy)
+    assert line is not None
+    script = line[1].replace("'log.", f"'{tmp_path}/log.")
+    exec(script)  # noqa: S102 - the line that we print
+    np.testing.assert_allclose(np.load(tmp_path / "log.npy"), NUMBERS, rtol=1e-6, atol=1e-9)
+
+
+def test_bytes_that_are_no_numbers_have_no_shape(tmp_path: Path) -> None:
+    (tmp_path / "log.bin").write_bytes(np.random.default_rng(1).bytes(24_000))
+    with pytest.raises(FileFormatError, match=r"damaged or binary|not UTF-8"):
+        read_table(tmp_path / "log.bin")
