@@ -5,31 +5,44 @@
 
 #include "clones.h"
 
-/* y = transition x, by columns: every product goes into its own row, so that nothing is summed across a
- * vector and the result does not depend on the vector's length. Four columns at a time keep y in registers
- * for four products per load. */
+#define ROWS 8 /* of a block: the stride is a multiple of it */
+
+/* Over the rows of a block. Clang, which compiles the page's engine for size, leaves their sums in memory unless the loop
+ * over them is gone. */
+#ifdef __clang__
+#define FRACLINK_ROWS _Pragma("clang loop unroll(full)")
+#else
+#define FRACLINK_ROWS _Pragma("omp simd")
+#endif
+
+/* y = transition x by blocks of rows, whose sums stay in registers over all columns. Every product goes into its own row,
+ * four columns at a time in one order, so that nothing is summed across a vector and the result depends neither on the
+ * vector's length nor on the block's. */
 FRACLINK_CLONES
 static void advance(const twin_step *step, const double *restrict x, double *restrict y)
 {
     const int stride = step->stride;
-    const double *restrict column = step->transition;
-    for (int i = 0; i < stride; ++i) {
-        y[i] = 0.0;
-    }
-    int j = 0;
-    for (; j + 4 <= step->states; j += 4, column += 4 * stride) {
-        const double a = x[j], b = x[j + 1], c = x[j + 2], d = x[j + 3];
-#pragma omp simd
-        for (int i = 0; i < stride; ++i) {
-            y[i] += (column[i] * a + column[stride + i] * b) +
-                    (column[2 * stride + i] * c + column[3 * stride + i] * d);
+    for (int row = 0; row < stride; row += ROWS) {
+        const double *restrict column = step->transition + row;
+        double sum[ROWS] = {0.0};
+        int j = 0;
+        for (; j + 4 <= step->states; j += 4, column += 4 * stride) {
+            const double a = x[j], b = x[j + 1], c = x[j + 2], d = x[j + 3];
+            FRACLINK_ROWS
+            for (int i = 0; i < ROWS; ++i) {
+                sum[i] += (column[i] * a + column[stride + i] * b) +
+                          (column[2 * stride + i] * c + column[3 * stride + i] * d);
+            }
         }
-    }
-    for (; j < step->states; ++j, column += stride) {
-        const double a = x[j];
-#pragma omp simd
-        for (int i = 0; i < stride; ++i) {
-            y[i] += column[i] * a;
+        for (; j < step->states; ++j, column += stride) {
+            FRACLINK_ROWS
+            for (int i = 0; i < ROWS; ++i) {
+                sum[i] += column[i] * x[j];
+            }
+        }
+        FRACLINK_ROWS
+        for (int i = 0; i < ROWS; ++i) {
+            y[row + i] = sum[i];
         }
     }
 }
@@ -173,8 +186,8 @@ double twin_contact(const twin_step *step, const twin_obstacle *obstacle, const 
  * motion: exact stiction without a velocity threshold, and friction that can never push. */
 void twin_motor_step(const twin_step *step, const twin_rig *rig, double torque, double force, twin_memory *memory)
 {
-    double *restrict next = memory->scratch;
-    advance(step, memory->state, next);
+    double *restrict next = memory->scratch, *restrict state = memory->state;
+    advance(step, state, next);
     add(step->stride, torque, step->hub, next);
     if (force != 0.0) {
         add(step->stride, force, step->tip, next);
@@ -183,10 +196,12 @@ void twin_motor_step(const twin_step *step, const twin_rig *rig, double torque, 
     const double available = memory->stuck ? rig->stiction : rig->coulomb;
     memory->stuck = fabs(stopping) <= available && available > 0.0;
     const double friction = memory->stuck ? stopping : copysign(rig->coulomb, stopping);
-    add(step->stride, -friction, step->hub, next);
-    memcpy(memory->state, next, sizeof(double) * (size_t)step->stride);
+#pragma omp simd
+    for (int i = 0; i < step->stride; ++i) {
+        state[i] = next[i] - friction * step->hub[i];
+    }
     if (memory->stuck) {
-        memory->state[1] = 0.0; /* rounding of the line above would count as a crawl */
+        state[1] = 0.0; /* rounding of the line above would count as a crawl */
     }
     memmove(memory->gauge, memory->gauge + 1, sizeof(double) * (size_t)rig->gauge_delay);
     memory->gauge[rig->gauge_delay] = twin_output(step, 3, memory->state);
