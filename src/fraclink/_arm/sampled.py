@@ -39,6 +39,7 @@ def tail_sum(exponent: float, start: Real | float) -> Real:
     a, q = np.asarray(start, dtype=float), exponent
     third = q * (q + 1.0) * (q + 2.0)
     fifth = third * (q + 3.0) * (q + 4.0)
+    # Euler and Maclaurin: the integral, half the first term, and B₂ₖ/(2k)! times the odd derivatives.
     series = a / (q - 1.0) + 0.5 + q / (12.0 * a) - third / (720.0 * a**3) + fifth / (30240.0 * a**5)
     return np.asarray(a ** (-q) * series)
 

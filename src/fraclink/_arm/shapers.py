@@ -45,6 +45,7 @@ def shaper_impulses(kind: Shaper, frequency: float, ratio: float) -> tuple[Real,
 
 def _extra_insensitive(half: float, z: float) -> tuple[Real, Real]:
     v = _LEFT
+    # The fits leave 4.8 to 5.1 % of the vibration at the mode for ζ up to 0.3.
     first = 0.24968 + 0.24962 * v + 0.80008 * z + 1.23328 * v * z + 0.49599 * z**2 + 3.17316 * v * z**2
     last = 0.25149 + 0.21474 * v - 0.83249 * z + 1.41498 * v * z + 0.85181 * z**2 - 4.90094 * v * z**2
     late = 0.49990 + 0.46159 * v * z + 4.26169 * v * z**2 + 1.75601 * v * z**3

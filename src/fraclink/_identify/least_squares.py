@@ -106,6 +106,7 @@ def descend(
         done[moving] = settled[moving] | (~better & (damping[moving] > _STUCK))
         won, lost = moving[better], moving[~better]
         places[won], at[won], costs[won], fresh[won] = tried[better], there[better], cost[better], False
+        # Down faster than up, and by no power of each other: a damping that failed is not tried again.
         damping[won] = np.maximum(damping[won] * 0.1, _DAMPING[0])
         damping[lost] = np.minimum(damping[lost] * 8.0, _DAMPING[1])
     return Descent(places, costs, settled & np.isfinite(costs), evaluations)
@@ -127,6 +128,7 @@ def _steps(
     # depend on the units of the parameters.
     back = np.linalg.inv(shear)
     along = np.einsum("ip,mij,jp->mp", back, matrix, back)  # diagonal in the sheared coordinates
+    # A direction without curvature would be undamped, and its step infinite.
     along = np.maximum(along, 1e-12 * along.max(axis=1, keepdims=True) + 1e-300)
     damper = np.einsum("pi,mp,pj->mij", shear, along, shear)
     matrix[:, range(matrix.shape[1]), range(matrix.shape[1])] += np.where(held, 1.0, 0.0)

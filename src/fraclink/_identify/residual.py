@@ -251,6 +251,7 @@ def _regressed(residual: Vector, response: Vector) -> tuple[float, float]:
     gain = float(response @ residual) / power
     left = residual - gain * response
     scores: NDArray[np.float64] = (response * left)[None, :]
+    # Five correlation times hold e^-5 of the colour; a fifth of the log is what its own covariance can bear.
     lags = min(max(5 * correlation_lag(left), 10), left.size // 5)
     variance = max(float(long_run_covariance(scores, lags)[0, 0]), power * float(left @ left) / left.size)
     return gain, math.sqrt(variance) / power

@@ -124,6 +124,7 @@ class Search:
         """The largest delay [s] that the kernel must be able to apply."""
         fixed = abs(self.fixed.get("delay", 0.0))
         span = self.window.samples * self.window.period
+        # A hair more than a fit may use (`_DELAY_LIMITS`), three times that where the seed is a guess.
         return max(fixed, min(0.36 * self.wave * (3 if self.seed is self.start else 1), span))
 
     def _scan(self) -> Shape:
@@ -246,6 +247,8 @@ class Search:
         channel is later: the delay is then not let below zero (see `limits`).
         """
         rows = []
+        # 0.6 of a sample is just over the crest that half a sample makes; 2.5 is far beyond the one sample
+        # within which a lead says nothing.
         for shift in (-0.6, 0.6, -2.5):
             rows.append(found.shape.copy())
             rows[-1][4] += shift * self.window.period

@@ -266,6 +266,7 @@ def _on_surface(normal: Matrix, slope: Vector, along: Vector, miss: float) -> Ve
     """The Gauss–Newton step that moves the parameter by `miss`: a Lagrange multiplier borders the matrix."""
     size = normal.shape[0]
     system = np.zeros((size + 1, size + 1))
+    # What the log does not determine must not move: without the ridge such a direction would take any step.
     system[:size, :size] = normal + 1e-10 * np.diag(np.diag(normal))
     system[:size, size] = system[size, :size] = along
     return np.asarray(np.linalg.lstsq(system, np.append(slope, miss), rcond=None)[0][:size])

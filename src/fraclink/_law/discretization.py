@@ -270,12 +270,16 @@ def _check_period(controller: Controller, period: float) -> None:
             allowed=f"{designed} s",
             remedy="design again for this period, or use controller.period",
         )
+    # The fit's band begins at LOWEST: five times that must lie below the Nyquist frequency.
     if period > 0.2 * math.pi / LOWEST:
         raise FieldError("period", period, "too long", allowed="<= 12 s", remedy="give the period in seconds")
 
 
 def _band(controller: Controller, period: float) -> tuple[float, float]:
     nyquist = math.pi / period
+    # 600 rad/s is 0.764 of the Nyquist frequency at the paper's 4 ms. To 0.95 of it eight states err four
+    # times as much. Without a filter |Ĉ| grows on: a band to 600 rad/s leaves 0.2 to 0.5 dB where one to 300
+    # keeps 0.1 dB with six to eight states.
     high = min(600.0, 0.764 * nyquist) if controller.is_strictly_proper else min(300.0, 0.382 * nyquist)
     return min(LOWEST, 1e-3 * nyquist), high
 

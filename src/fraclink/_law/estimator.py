@@ -293,6 +293,7 @@ def _values(
         "spread": SPREAD,
         "doubt": DOUBT**2,
         "narrow": NARROW,
+        # two-sided 95 % of a normal distribution
         "width": 1.96,
         "payload_limit": law.limits.payload_limit,
         "certified_low": payloads[0],

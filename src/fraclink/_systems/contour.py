@@ -84,6 +84,8 @@ def _on_parabola(
     quotient: Quotient, times: Reals, power: int, nodes: int, *, noise: bool = False
 ) -> tuple[Reals, Reals]:
     """The response, and with `noise` a bound of its error (zeros without)."""
+    # Zeros that e^(st) does not tell apart at the first time, |δs| t < 0.3, have residues that cancel: one
+    # circle around them all gives their sum.
     found, packed = quotient.grouped(lambda z: 0.3 * math.exp(-z.real) / float(times[0]))
     simple = np.array([z for z in found if z.imag < math.pi - 1e-9], np.complex128)
     clusters = [c for c in packed if c.centre.imag < math.pi - 1e-9]
@@ -137,6 +139,8 @@ def _nodes(order: float) -> int:
     The error e^(-2πN/3) then carries the factor (2πN/3)^(2a-1)/Γ(2a). More nodes than needed raise the
     rounding error, e^(πN/12).
     """
+    # 2.1 for 2π/3, and e^-32 = 1e-14. With e^-20 a contour per lag misses what it promises:
+    # test_a_contour_per_lag_where_modes_would_cancel.
     nodes, exponent = 16, max(2.0 * order - 1.0, 0.0)
     while exponent * math.log(2.0 * math.pi * nodes / 3.0) - math.lgamma(exponent + 1.0) > 2.1 * nodes - 32.0:
         nodes += 1
@@ -178,6 +182,7 @@ def _cluster(
     time: float,
     power: int,
 ) -> tuple[float, float]:
+    # Only the node nearest to the cluster counts, and a parabola has less than forty on either side.
     nodes = 2.0 * np.log(1.0 + 1j * (np.arange(-40, 41) + offset) * step) + scale
     gap = float(min(np.abs(nodes - cluster.centre).min(), math.pi - cluster.centre.imag))
     at = np.array([scale]), np.array([offset])
@@ -277,6 +282,7 @@ def jump_response(powers: Powers, period: float, times: Reals) -> Reals:
 
 def convolve(weights: Reals, u: Reals) -> Reals:
     """First len(u) samples of the convolution, by FFT."""
+    # Twice the length: the circular convolution of an FFT then wraps around into zeros only.
     size = 1 << max(2 * len(u) - 1, 1).bit_length()
     spectrum = np.fft.rfft(weights, size) * np.fft.rfft(u, size)
     result: Reals = np.fft.irfft(spectrum, size)[: len(u)]
@@ -348,6 +354,8 @@ def invert(
     best, smallest = np.zeros(count), math.inf
     for shift in _SHIFTS:
         sigma = _DECAY / (_WINDOW * count * period) + shift / (count * period)
+        # What wraps around depends on σ, what the cut of the series leaves on the highest frequency: the
+        # second inversion changes both, so that neither error can be the same in it.
         fine = _series(G, exact, count, period, degree, sigma, _OVERSAMPLING)
         coarse = _series(G, exact, count, period, degree, 1.3 * sigma, _OVERSAMPLING // 2)
         error = float(np.max(np.abs(fine - coarse), initial=0.0))

@@ -90,6 +90,7 @@ def fit_discrete(
     """
     checked_band(band, period)
     target = _target(response, period, band, zeros_at_one, offset, weight, (tolerance_db, tolerance_deg))
+    # tan(ωT/2) is infinite at the Nyquist frequency: 1.55 rad puts the end of the plane at 48.
     plane = (math.tan(0.5 * band[0] * period), math.tan(min(0.5 * band[1] * period, 1.55)))
     best = _grown(target, plane, order, highest, pairs)
     made = DiscreteRational.from_fractions(best, period=period, zeros_at_one=zeros_at_one, band=band)
@@ -158,6 +159,7 @@ def _target(
         (2j * np.sin(half) * np.exp(-1j * half)) ** zeros_at_one,
         wanted,
         np.asarray(emphasis / base, dtype=complex),
+        # The error is in nepers and radians, 20/ln 10 dB and 180/π degrees each: in units of its tolerance.
         np.where(within, 20 / (math.log(10) * tolerance[0]), 1 / _GUARD),
         np.where(within, 180 / (math.pi * tolerance[1]), 1 / _GUARD),
     )

@@ -115,10 +115,13 @@ class ExponentialSum:
         """
         a, b, total = start, end, 0.0
         while a.size:
+            # Pieces of 1e-13 are as short as rounding lets them be: halving them again shows nothing new.
             if a.size > PIECE_LIMIT or np.min(np.abs(b - a)) < 1e-13:
                 raise NearZeroError(a.size)
             turned, sure = self._pieces(a, b)
             total += float(turned[sure].sum())
+            # Only what is uncertain is halved: the pieces are as many as the zeros beside the path ask for,
+            # and not as its length does.
             a, b = a[~sure], b[~sure]
             middle = 0.5 * (a + b)
             a, b = np.concatenate([a, middle]), np.concatenate([middle, b])
@@ -236,6 +239,7 @@ def _balance(sizes: Reals, gaps: Reals, wanted: float) -> float:
         return float(np.exp(np.minimum(np.log(sizes) + gaps * x, 700.0)).sum()) - wanted
 
     low, high = float(places.min()), float(places.max())
+    # Ten tolerances of the root to the safe side: the dominance that is claimed must hold, not nearly hold.
     return low if excess(high) <= 0.0 or low == high else float(brentq(excess, low, high, xtol=1e-3)) - 1e-2
 
 
@@ -308,6 +312,7 @@ class _Quasi:
         """
         total, free = 0.0, self.delays == 0.0
         while a.size:
+            # Ends that are 1e-13 of ln ω apart are one number but for rounding: between them lies a zero.
             if a.size > _PIECES or np.min(b - a) < 1e-13:
                 raise NearZeroError(a.size)
             middle = 0.5 * (a + b)

@@ -324,6 +324,8 @@ def unstable_closed_loop_poles(
     if not ends_real or abs(values[-1]) < 1:
         change -= _arc(complex(values[-1]), loop.point(float(x[-1]))[1].real)
     turns = -change / math.pi
+    # The arcs at both ends are those of the leading power alone. Where they do not close to a whole number it
+    # is not yet the leading one there, and any count would be a guess.
     if not math.isfinite(turns) or abs(turns - round(turns)) > 0.2:
         return None
     return open_loop + round(turns)

@@ -21,6 +21,8 @@ import numpy as np
 from fraclink import _kernels
 from fraclink._systems.terms import Complexes, Reals
 
+# Straight from 2 to 128 three of six controllers need more poles, and the best of order 8 is twice as far
+# off: each norm is to start beside its minimum. A ladder that ends at 32 costs 3 % of the error.
 _POWERS = (2, 4, 8, 16, 32, 64, 128)
 
 Shapes = tuple[Complexes, Complexes, Complexes]
@@ -175,6 +177,8 @@ def grow(
     `band` is the range of Ω to spread poles over, `resonances` are q (poles −q, −q̄) that are tried as they
     are, `pairs` is the largest number of pairs.
     """
+    # Nine places, the last ones beyond the band by up to e³: with none there a controller with a filter takes
+    # 6 poles where 5 do, and an unfiltered one of order 1.2 is met 12 % worse by 8.
     spots = np.linspace(math.log(band[0]), math.log(band[1]) + 3.0, 9)
     most = highest if pairs is None else pairs
     empty = np.zeros(0)
@@ -187,6 +191,8 @@ def grow(
             starts += [_with_pair(c, x) for x in spots[3:]] + [_with_known(c, q) for q in resonances]
         spread = log_spaced_start(*band, order % 2, order // 2)
         chosen = [*_promising(starts, target, most), relocate(spread, target, 12)[-1]]
+        # The 8-norm ranks the candidates nearly as their largest errors do. With least squares alone two of
+        # six controllers need a pole more, and a third misses its tolerance with the best that is found.
         found = [improve(c, target, (2, 8)) for c in chosen if len(c.pair_logs) <= most]
         kept.append(_distinct(found, target))
         yield kept[order]
@@ -268,6 +274,8 @@ def relocate(start: PartialFractions, target: Target, rounds: int) -> list[Parti
         )
         rows = target.rows(left)
         size = np.linalg.norm(rows, axis=0) + 1e-300
+        # Columns of one length: poles three decades apart make columns as far apart, and the cut at 1e-13 is
+        # meant for what is dependent, not for what is small.
         solution = np.linalg.lstsq(rows / size, target.rows(target.wanted), rcond=1e-13)[0] / size
         here = _from_poles(_zeros_of_denominator(here, solution[basis.shape[1] :]), target)
         visited.append(here)

@@ -123,6 +123,7 @@ def _values(z: Complexes, alpha: float, beta: float) -> Complexes:
 
 def _denominator(log_s: Complexes, z: Complexes, alpha: float) -> Complexes:
     """s^α − z; for small α the whole parabola lies beside the pole, and the difference would lose 1/α."""
+    # Only a z near s^α cancels. Towards z = 0 nothing does, and ln z would raise the rounding without bound.
     difference = z * np.expm1(alpha * log_s - np.log(z))
     return np.asarray(np.where(np.abs(z) > 0.1, difference, np.exp(alpha * log_s) - z))
 
@@ -155,6 +156,7 @@ def _modulus(z: Complexes) -> tuple[Reals, Reals]:
 
 def _square(x: Reals) -> tuple[Reals, Reals]:
     """x² and what its rounding lost (Dekker and Veltkamp)."""
+    # 2^27 + 1 splits a double into halves of 26 bits, whose products are exact.
     product, wide = x * x, 134217729.0 * x
     high = wide - (wide - x)
     low = x - high

@@ -99,6 +99,8 @@ class DiscreteModes:
 # The constant is left out: held responses use increments only, which makes the integral converge at r → 0
 # for every G weaker than 1/s there.
 
+# With eight a double pole on the cut and an undamped double resonance are missed:
+# test_servo_and_link_a_double_pole_on_the_cut, test_undamped_double_resonance.
 _SEGMENT = 18  # nodes that stand for a cluster of poles
 _FOLD = 10  # Chebyshev nodes for all rates below 1/longest: e^(-rt) there is a polynomial to 5e-13
 _FOLD_ANGLES = np.pi * (2 * np.arange(_FOLD) + 1) / (2 * _FOLD)
@@ -224,6 +226,7 @@ def _add_cut(
     fold = -math.log(longest)
     slowest = min([fold, *quotient.zeros.real.tolist()])
     singular = max(0.0, quotient.bottom[-1].order - quotient.top[-1].order)
+    # Towards r = 0 the integrand falls like r^(1 − a): e-folds of it, not of r, are what a double forgets.
     first = max(slowest - _REACH / (1.0 - singular), -600.0)
     nodes = origin + step * np.arange(math.ceil((first - origin) / step), math.ceil((last - origin) / step))
     weights = quotient.on_cut(nodes) * step / math.pi

@@ -278,6 +278,7 @@ def _clockwise(loop: TransferMatrix, x: Reals, *, whole: bool) -> int | None:
     direct = [g for row in loop.entries for g in row if g.numerator and g.relative_degree <= 0.0]
     if not whole or any(t.delay for g in direct for t in (*g.numerator, *g.denominator)):
         return None
+    # A start in steps of 3°; what turns by more than `TURN` between two of them is halved below.
     quarter = 1j * np.linspace(0.0, 0.5 * math.pi, 33)
     z = np.concatenate([x[0] + quarter, _indented(loop, x), x[-1] + quarter[::-1]])
     values = _determinants(loop, z)

@@ -225,6 +225,7 @@ def _around_the_circle(model: _Model) -> CallableLoop:
 
 def _up_the_axis(model: _Model) -> CallableLoop:
     near = np.log(model.poles)
+    # e^14: six decades beyond its outermost poles a rational response is at the limits that `ends` has.
     low, high = float(np.min(near.real, initial=0.0)) - 14.0, float(np.max(near.real, initial=0.0)) + 14.0
     ends = complex(model.response(np.zeros(1, complex))[0]), complex(model.matrices[3][0, 0])
     return CallableLoop(model.response, low, high, seeds=_beside(near), delayed=False, ends=ends)

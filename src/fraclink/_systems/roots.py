@@ -283,6 +283,8 @@ def _cluster(sum_: ExponentialSum, points: Complexes, free: Mask, i: int) -> tup
 
 def _newton(sum_: ExponentialSum, z: complex, m: int) -> complex:
     """Newton's method for the simple zero of D^(m−1) beside z."""
+    # Newton doubles the digits: from 1e-2 three rounds reach rounding, and a multiple zero that was taken for
+    # a simple one is left early by the length of its step.
     for _ in range(8):
         values, _ = sum_.derivatives(np.array([z]), m + 1)
         if values[m, 0] == 0:

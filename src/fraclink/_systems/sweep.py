@@ -162,6 +162,7 @@ def refined(
         sharp = (turn > bend) & (np.minimum(length[1:], length[:-1]) > 0.002)
         long = length > 0.1
         halve = np.flatnonzero(np.concatenate([sharp, [False]]) | np.concatenate([[False], sharp]) | long)
+        # A jump, as of a phase at a pole on the axis, stays sharp however short its interval is.
         halve = halve[np.diff(x)[halve] > 1e-9 * np.abs(x[halve]) + 1e-12]
         if not halve.size or x.size + halve.size > limit:
             break
@@ -203,6 +204,7 @@ def bracketed_roots(
     """
     a, b = np.array(low, dtype=float), np.array(high, dtype=float)
     at_a, at_b = np.asarray(function(a)), np.asarray(function(b))
+    # A bracket of four units in the last place: nothing lies between its ends that a double could name.
     done = 4e-16 * (np.abs(a) + np.abs(b))
     with np.errstate(divide="ignore", invalid="ignore"):
         for turn in range(_ROUNDS):
