@@ -1,8 +1,9 @@
 """Figures of the fault campaign: verdicts and causes, clean periods, narrower guards, flipped bits.
 
-    python benchmarks/bench_faults.py [--periods 1000000] [--seeds 10]
+    python benchmarks/bench_faults.py [--periods 1000000] [--seeds 10] [--first-seed 1] [PART ...]
 
-Every line: what was measured | value | wanted | error beside it.
+A part is one of verdicts, rest, quiet, narrower, floors, identified, bits; default: all. Every line: what was
+measured | value | wanted | error beside it.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import argparse
 import statistics
 import time
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -45,14 +47,19 @@ def arm() -> tuple[Bench, fl.Design]:
     return Bench.of(design, link_mass=0.00735), design
 
 
-def verdicts(bench: Bench, seeds: int) -> FaultTable:
+def verdicts(bench: Bench, seeds: range) -> FaultTable:
     """Print how many faults meet their requirement, and the open ones with their worst value."""
     began = time.process_time()
-    table = run_faults(bench, cases(bench, seeds=range(1, seeds + 1)))
+    table = run_faults(bench, cases(bench, seeds=seeds))
     seconds = time.process_time() - began
     rows = table.rows()
     runs = len(table.outcomes)
-    line("faults with a verdict", f"{len(rows)} of {len(CATALOGUE)}", "44", f"{runs} runs, {seeds} seed(s)")
+    line(
+        "faults with a verdict",
+        f"{len(rows)} of {len(CATALOGUE)}",
+        "44",
+        f"{runs} runs, {len(seeds)} seed(s)",
+    )
     met = sum(row.passed for row in rows)
     line("faults met in every run", f"{met}", "44 or listed as open", f"{len(table.failures)} open runs")
     for group in GROUPS:
@@ -64,6 +71,18 @@ def verdicts(bench: Bench, seeds: int) -> FaultTable:
             line("    because of", fault_named(row.number).cause, "-")
     line("time of a run in both precisions", f"{1e3 * seconds / runs:.1f} ms", "-", "clean runs included")
     return table
+
+
+def rest(bench: Bench, seeds: range) -> None:
+    """Print how often an arm that stands still for a minute is switched off, at three payloads."""
+    table = run_faults(bench, cases(bench, only=["F43"], severities=(1,), seeds=seeds))
+    said = f"seeds {seeds.start} to {seeds[-1]}, {len(bench.payloads)} payloads, both precisions"
+    line(
+        "F43, an arm at rest: runs that do not meet it",
+        f"{len(table.failures)} of {len(table.outcomes)}",
+        "0",
+        said,
+    )
 
 
 def quiet(bench: Bench, periods: int) -> None:
@@ -153,18 +172,28 @@ def every_bit(bench: Bench) -> None:
 
 
 def main() -> None:
-    """Print every figure."""
+    """Print every figure, or those of the parts that are named."""
+    bench, design = arm()
     parser = argparse.ArgumentParser()
     parser.add_argument("--periods", type=int, default=1_000_000)
     parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--first-seed", type=int, default=1)
+    parser.add_argument("part", nargs="*")
     options = parser.parse_args()
-    bench, design = arm()
-    verdicts(bench, options.seeds)
-    quiet(bench, options.periods)
-    narrower(bench, design)
-    floors(bench)
-    identified()
-    every_bit(bench)
+    seeds = range(options.first_seed, options.first_seed + options.seeds)
+    parts: dict[str, Callable[[], object]] = {
+        "verdicts": lambda: verdicts(bench, seeds),
+        "rest": lambda: rest(bench, seeds),
+        "quiet": lambda: quiet(bench, options.periods),
+        "narrower": lambda: narrower(bench, design),
+        "floors": lambda: floors(bench),
+        "identified": identified,
+        "bits": lambda: every_bit(bench),
+    }
+    if unknown := set(options.part) - parts.keys():
+        parser.error(f"no such part: {', '.join(sorted(unknown))}; there are {', '.join(parts)}")
+    for name in options.part or parts:
+        parts[name]()
 
 
 if __name__ == "__main__":

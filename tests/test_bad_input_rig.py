@@ -18,6 +18,7 @@ from fraclink._arm.motor_loop import MotorLoop
 from fraclink._arm.rig import Encoder, Link, Motor, Payloads, Rig
 from fraclink._files.toml import FileFaults
 from fraclink.errors import FieldError, FileFormatError
+from junk import CHARACTERS
 from processor_limit import processor_limit
 
 PAPER = Path(__file__).parents[1] / "src" / "fraclink" / "rigs" / "paper-2023.toml"
@@ -266,9 +267,9 @@ junk = st.one_of(
     st.booleans(),
     st.integers(-(10**30), 10**30),
     st.floats(),
-    st.text(max_size=10),
+    st.text(CHARACTERS, max_size=10),
     st.lists(st.integers(), max_size=3),
-    st.dictionaries(st.text(max_size=5), st.integers(), max_size=2),
+    st.dictionaries(st.text(CHARACTERS, max_size=5), st.integers(), max_size=2),
 )
 
 

@@ -293,13 +293,15 @@ def test_the_soak_sees_trips(bench: Bench) -> None:
         soak(bench, 0.03, periods=0)
 
 
-@pytest.mark.parametrize("seed", range(11, 15))
+@pytest.mark.parametrize(
+    "seed", [11, 12, 79, 117]
+)  # the last two: held with noise left in the modes, it trips
 def test_an_arm_that_is_quiet_for_an_hour_does_not_trip(bench: Bench, seed: int) -> None:
     for severity in (1, 2):
-        outcome = run_case(bench, Case("F43", severity, 0.03, "whole", seed), single=False)
-        measured = {check.name: check.measured for check in outcome.checks}
-        assert measured["quiet periods in another mode than run"] == 0
-        assert measured["denormal numbers left in the state"] == 0
+        outcome = run_case(bench, Case("F43", severity, 0.04, "whole", seed))
+        names = {check.name for check in outcome.checks}
+        assert {"quiet periods in another mode than run", "denormal numbers left in the state"} <= names
+        assert [check for check in outcome.checks if not check.passed] == []
 
 
 def test_a_healthy_arm_that_trips_ends_the_campaign_at_once(bench: Bench) -> None:

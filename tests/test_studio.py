@@ -40,6 +40,7 @@ from fraclink._studio.session import Session, SupersededError, opened
 from fraclink._studio.swept import swept
 from fraclink._studio.work import Job, proof_of
 from fraclink.errors import FieldError, FraclinkError
+from junk import CHARACTERS
 
 ADDRESS = "http://127.0.0.1:8000"
 ASKED = {"gain_crossover": 12.0, "phase_margin_deg": 50.0, "payloads": [0.02, 0.04]}
@@ -88,10 +89,10 @@ VALUES = st.one_of(
     st.none(),
     st.floats(),
     st.integers(-5, 10**400),
-    st.text(max_size=8),
+    st.text(CHARACTERS, max_size=8),
     st.booleans(),
     st.lists(st.floats(), max_size=3),
-    st.dictionaries(st.text(max_size=3), st.none(), max_size=2),
+    st.dictionaries(st.text(CHARACTERS, max_size=3), st.none(), max_size=2),
 )
 WILD = st.dictionaries(st.sampled_from([*NAMES, "gain", ""]), VALUES, max_size=4)
 SANE = st.fixed_dictionaries(

@@ -262,9 +262,10 @@ def nothing(trial: Trial) -> None:
 def quiet(e: Evidence) -> tuple[Real, bytes]:
     """Let the law go on with constant inputs; return its modes and its memory.
 
-    They must be those of an arm that is really at rest: one sample of the gauge's noise, held for an hour, is
-    a torque that the law answers with a voltage, and an encoder that then does not move is a fault, for which
-    it trips rightly. So each is the mean of the last second, and the reference what the tip then is.
+    They must be those of an arm that is really at rest. One sample of the gauge's noise, held for an hour, is
+    a torque that the law answers with a voltage, and the correction goes on with what noise left in its
+    modes: an encoder that then does not move is a fault, for which the law trips rightly. So `calm_end` lets
+    the arm come to rest first; each input is the mean of the last second, the reference what the tip then is.
     """
     count = round(e.pick(60.0, 600.0, 3600.0) / e.law.period)
     last = slice(-round(1.0 / e.law.period), None)

@@ -130,7 +130,7 @@ RULES = {
     "F40": FaultRule(arm.hit, (arm.hit_reaction, only(RUN, HOLD))),
     "F41": FaultRule(arm.sticky, (only(RUN), arm.hunting)),
     "F42": FaultRule(arm.slow_motor, (only(RUN), bounded(0.2), final(0.02))),
-    "F43": FaultRule(arm.nothing, (only(RUN), arm.denormals, arm.quiet_trips)),
+    "F43": FaultRule(arm.nothing, (only(RUN), arm.denormals, arm.quiet_trips), prepare=sensors.calm_end),
     "F44": FaultRule(arm.damaged, (arm.refused(BAD_CRC, BAD_CRC, BAD_CRC), arm.silent)),
 }
 

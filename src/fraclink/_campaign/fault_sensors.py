@@ -269,7 +269,8 @@ def without_noise(trial: Trial) -> None:
 def calm_end(trial: Trial) -> None:
     """Leave the gauge's noise out of the last three seconds: a limit cycle goes on without it.
 
-    In the last two, which are measured, noise alone moves the tip by up to 5e-3 rad.
+    In the last two, which are measured, noise alone moves the tip by up to 5e-3 rad. Without a limit cycle
+    the arm comes to rest.
     """
     quiet = trial.inputs[-round(3.0 / trial.period) :]
     quiet[:, columns.GAUGE_ERROR] = trial.twin.sensors.gauge_offset
