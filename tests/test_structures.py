@@ -9,6 +9,10 @@ import pytest
 
 import fraclink as fl
 from fraclink._identify.expression import parse_expression
+from fraclink._identify.least_squares import differences
+from fraclink._identify.structure_problem import RecordStart, StructureCoordinates
+from fraclink._identify.structure_search import StructureSearch
+from fraclink._identify.structure_slopes import Rows, derivatives
 from fraclink.errors import FieldError, LogError, NotConvergedError
 
 LAG = "k/(s**a + w)"
@@ -76,6 +80,87 @@ def test_the_link_structure_is_that_of_identify() -> None:
     assert fit.parameters["T"] == pytest.approx(link.delay, abs=1e-6)
     assert fit.nmse == pytest.approx(link.nmse, rel=1e-6)
     assert fit.standard_errors["a"] == pytest.approx(link.standard_errors["order"], rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("expression", "values"),
+    [
+        ("(b*s**n + 1)/(a2*s**2 + s + a0)*exp(-T*s)", {"b": 0.3, "n": 0.7, "a2": 0.2, "a0": 2.0, "T": 0.1}),
+        ("k/((T*s)**a + 1)**2 - k**0.5", {"k": 2.0, "T": 1.5, "a": 0.8}),
+        ("1 - 2**a/(s + w)**2", {"a": 0.6, "w": 3.0}),
+    ],
+)
+def test_derivatives_of_an_expression_are_those_of_differences(
+    expression: str, values: dict[str, float]
+) -> None:
+    points = 0.1 + 1j * np.geomspace(0.1, 30.0, 20)
+    structure = parse_expression(expression)
+    value, slopes = derivatives(structure, values, points)
+    np.testing.assert_allclose(value, structure.response(values, points), rtol=1e-12)
+    assert set(slopes) == set(values)
+    for name in values:
+        above, below = (
+            structure.response({**values, name: values[name] * (1 + sign * 1e-5)}, points) for sign in (1, -1)
+        )
+        wanted = (above - below) / (2e-5 * values[name])
+        np.testing.assert_allclose(slopes[name], wanted, atol=1e-8 * np.abs(value).max())
+
+
+def coordinates_of(expression: str) -> StructureCoordinates:
+    structure = parse_expression(expression)
+    limits = {"order": (0.02, 4.0), "delay": (0.0, 10.0), "coefficient": (1e-12, 1e12)}
+    return StructureCoordinates(structure, {n: limits[r] for n, r in structure.roles.items()}, {})
+
+
+def test_rows_of_a_jacobian_by_a_transform_back_are_those_of_exact_responses() -> None:
+    data = RecordStart.of(recording(TWO_TERMS, TRUTH, samples=8000), "auto", 8000)
+    own = coordinates_of(TWO_TERMS)
+    coarse = Rows(data).coarse(own, TRUTH)
+    assert coarse is not None
+    assert coarse.sharp and coarse.width > 1
+    at = np.array([[float(own.place(name, TRUTH[name])) for name in own.names]])
+    low, high = own.box(own.names)
+
+    def simulated(places: np.ndarray) -> np.ndarray:
+        return data.simulated(own.structure, own.values(places, projected=False), len(places))
+
+    exact = differences(simulated, at, simulated(at), low, high)[0]
+    whole = exact.shape[1] // coarse.width * coarse.width
+    wanted = exact[:, :whole].reshape(len(exact), -1, coarse.width).mean(axis=2) * np.sqrt(coarse.width)
+    rows = coarse.rows(own, TRUTH)
+    assert rows is not None
+    assert np.all(np.linalg.norm(rows - wanted, axis=1) < 5e-3 * np.linalg.norm(wanted, axis=1))
+
+
+@pytest.mark.parametrize(
+    ("expression", "values"),
+    [
+        ("k/(s - w)", {"k": 1.0, "w": 2.0}),  # grows: it would wrap around
+        ("k*s**a/(s**a + w)", {"k": 1.0, "a": 1.5, "w": 2.0}),  # jumps with its input
+        ("k/(s**a + w)*exp(-T*s)", {"k": 1.0, "a": 1.5, "w": 2.0, "T": 0.13}),  # a jump between samples
+    ],
+)
+def test_what_no_transform_back_knows_is_left_to_exact_responses(
+    expression: str, values: dict[str, float]
+) -> None:
+    data = RecordStart.of(recording("1/(s + 1)", {}), "auto", 2500)
+    coarse = Rows(data).coarse(coordinates_of(expression), values)
+    assert coarse is None or not coarse.sharp
+
+
+def test_the_steps_end_where_the_exact_jacobian_leads() -> None:
+    """From a place far off, by damped steps on blocks of samples: the end is that of a trust region."""
+    data = RecordStart.of(recording(TWO_TERMS, TRUTH), "auto", 2500)
+    search = StructureSearch(coordinates_of(TWO_TERMS), None)
+    own = search.coordinates
+    low, high = own.box(own.moving)
+    far = {"a2": 1.6, "n2": 1.9, "a1": 0.2, "n1": 0.6, "a0": 1.3}
+    begin = np.array([float(own.place(name, far[name])) for name in own.moving])
+    ended = search._ended(data, [begin], low, high)
+    settled = search._settled(data, ended.places, low, high)
+    assert ended.converged[0]
+    assert settled.costs[0] == pytest.approx(ended.costs[0], rel=1e-6)
+    np.testing.assert_allclose(ended.places[0], settled.places[0], atol=1e-4)
 
 
 def test_frequency_response_without_a_start() -> None:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from fraclink._systems.fractional import FractionalTransferFunction, s
 from fraclink.errors import FieldError
 
-__all__ = ["Expression", "Role", "parse_expression"]
+__all__ = ["Expression", "Leaves", "Role", "parse_expression"]
 
 Role = Literal["order", "delay", "coefficient"]
 Reals = NDArray[np.float64]
@@ -64,36 +64,36 @@ class Expression:
         """G at `points` [rad/s], shape (K,), for parameters of shape () or (M, 1)."""
         logarithm = np.log(points)
         arrays = {name: np.asarray(value, dtype=np.float64) for name, value in values.items()}
-        leaves = _Leaves(points, lambda order: np.exp(order * logarithm), np.exp, arrays)
+        leaves = Leaves(points, lambda order: np.exp(order * logarithm), np.exp, arrays)
         with np.errstate(all="ignore"):  # a candidate may overflow: its cost is infinite, and it is dropped
-            return np.asarray(_walk(self.tree, leaves), dtype=np.complex128)
+            return np.asarray(walk(self.tree, leaves), dtype=np.complex128)
 
     def quotient(self, values: Mapping[str, Any], points: Complexes) -> tuple[Complexes, Complexes]:
         """Numerator and denominator of G at `points`, as the text divides them."""
         logarithm = np.log(points)
-        leaves = _Leaves(
+        leaves = Leaves(
             _Ratio(points),
             lambda order: _Ratio(np.exp(_plain(order) * logarithm)),
             lambda ratio: _Ratio(np.exp(ratio.top / ratio.bottom)),
             {name: np.asarray(value, dtype=np.float64) for name, value in values.items()},
         )
         with np.errstate(all="ignore"):
-            found = _Ratio.of(_walk(self.tree, leaves))
+            found = _Ratio.of(walk(self.tree, leaves))
         shape = np.broadcast_shapes(np.shape(found.top), np.shape(found.bottom), points.shape)
         return np.broadcast_to(found.top, shape), np.broadcast_to(found.bottom, shape)
 
     def function(self, values: Mapping[str, float]) -> FractionalTransferFunction:
         """The exact transfer function; FieldError where there is none for these values (a delay below 0)."""
-        leaves = _Leaves(s, s.power, _delayed, {name: float(value) for name, value in values.items()})
+        leaves = Leaves(s, s.power, _delayed, {name: float(value) for name, value in values.items()})
         try:
-            made = _walk(self.tree, leaves)
+            made = walk(self.tree, leaves)
         except ArithmeticError as error:
             raise _not_a_number(self.text, error) from error
         return made if isinstance(made, FractionalTransferFunction) else float(made) * s**0
 
 
 @dataclass(frozen=True)
-class _Leaves:
+class Leaves:
     """What s, s**a, exp and the parameters are in one algebra."""
 
     variable: Any
@@ -102,24 +102,24 @@ class _Leaves:
     values: Mapping[str, Any]
 
 
-def _walk(node: ast.expr, leaves: _Leaves) -> Any:
+def walk(node: ast.expr, leaves: Leaves) -> Any:
     if isinstance(node, ast.Constant):
         return float(node.value)  # type: ignore[arg-type]  # the parser admits int and float alone
     if isinstance(node, ast.Name):
         return leaves.variable if node.id == "s" else leaves.values[node.id]
     if isinstance(node, ast.UnaryOp):
-        inner = _walk(node.operand, leaves)
+        inner = walk(node.operand, leaves)
         return -inner if isinstance(node.op, ast.USub) else inner
     if isinstance(node, ast.Call):
-        return leaves.exponential(_walk(node.args[0], leaves))
+        return leaves.exponential(walk(node.args[0], leaves))
     if not isinstance(node, ast.BinOp):
         raise TypeError(type(node).__name__)
-    right = _walk(node.right, leaves)
+    right = walk(node.right, leaves)
     if isinstance(node.op, ast.Pow):
         if isinstance(node.left, ast.Name) and node.left.id == "s":
             return leaves.power(right)
-        return _real_power(_walk(node.left, leaves), right)
-    return _OPERATORS[type(node.op)](_walk(node.left, leaves), right)
+        return _real_power(walk(node.left, leaves), right)
+    return _OPERATORS[type(node.op)](walk(node.left, leaves), right)
 
 
 def _real_power(base: Any, exponent: Any) -> Any:
@@ -261,7 +261,7 @@ def _not_a_number(text: str, error: ArithmeticError | None = None) -> FieldError
 def _constant(node: ast.expr) -> float:
     """The value of a piece without names; FieldError where it is no finite real number."""
     try:
-        value = _walk(node, _Leaves(s, s.power, _delayed, {}))  # in floating point: no power takes long
+        value = walk(node, Leaves(s, s.power, _delayed, {}))  # in floating point: no power takes long
     except ArithmeticError as error:
         raise _not_a_number(ast.unparse(node), error) from error
     if not math.isfinite(value):
@@ -382,9 +382,9 @@ def _check_exponentials(made: Expression) -> None:
     for node in ast.walk(made.tree):
         if not isinstance(node, ast.Call):
             continue
-        leaves = _Leaves(s, s.power, _delayed, values)
+        leaves = Leaves(s, s.power, _delayed, values)
         try:
-            exponent = _walk(node.args[0], leaves)
+            exponent = walk(node.args[0], leaves)
         except (FieldError, ArithmeticError) as error:
             raise _refused(node, "not a delay", "write it as exp(-T*s)") from error
         slope = exponent / s

@@ -53,17 +53,17 @@ def certainty_of(search: StructureSearch, data: Samples, best: Place, *, details
     """Standard errors that allow for the residual's colour; profile intervals where `details` are wanted."""
     own = search.coordinates
     stuck = tuple(name for name in own.names if _is_at_bound(own, name, best.values[name]))
-    rows = search.jacobian(data, best)
-    if len(stuck) == len(rows):
+    found = search.jacobian(data, best)
+    if len(stuck) == len(found.rows):
         return Certainty(
             {}, {}, stuck, (), (), {}
         )  # nothing is inside its range, where an error has a meaning
     kept = [k for k, name in enumerate(own.names) if name not in stuck] + list(
-        range(len(own.names), len(rows))
+        range(len(own.names), len(found.rows))
     )
     free = tuple(name for name in own.names if name not in stuck)
-    jacobian = rows[kept]
-    residual = data.measured - _predicted(search, data, best)
+    jacobian = found.rows[kept]
+    residual = found.of(data.measured - _predicted(search, data, best))
     inverse, _ = inverted(jacobian @ jacobian.T)
     blind = _blind(jacobian, free)
     variance = best.cost / max(data.measured.size - len(kept), 1)

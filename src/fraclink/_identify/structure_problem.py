@@ -30,6 +30,7 @@ __all__ = [
     "Samples",
     "Spectrum",
     "StructureCoordinates",
+    "held_transform",
 ]
 
 Reals = NDArray[np.float64]
@@ -142,6 +143,7 @@ Complexes = NDArray[np.complex128]
 _POINTS = 160  # of the transform: a resonance of ζ = 0.05 is met by three of them in a band of three decades
 _DECAYS = 5.0  # e^-5 of what a record does not show is left in its transform
 _HIGHEST = 1.0  # |s| Ts: up to there the line between two samples is the signal to 8 %
+_KEPT = 4  # responses
 _EXCITED = 1e-3  # of the largest line: below, the input does not excite
 
 
@@ -250,12 +252,27 @@ class RecordStart:
         result = np.full((count, self.output.size), np.nan)
         rows = {name: np.broadcast_to(np.ravel(value), (count,)) for name, value in values.items()}
         for k in range(count):
-            try:
-                G = structure.function({name: float(row[k]) for name, row in rows.items()})
-                result[k] = time_response(G, self.input, self.period, hold=self.hold).output
-            except (FieldError, NotConvergedError):  # improper, a delay below zero, a response beyond doubles
-                continue
+            result[k] = self._response(structure, {name: float(row[k]) for name, row in rows.items()})
         return result
+
+    def _response(self, structure: Expression, values: Mapping[str, float]) -> Reals:
+        """The response of one candidate; the last few are kept, as each is asked for again."""
+        key: tuple[str | float, ...] = (structure.text, *(values[name] for name in structure.names))
+        if key not in self._latest:
+            if len(self._latest) >= _KEPT:
+                del self._latest[next(iter(self._latest))]
+            try:
+                found = time_response(
+                    structure.function(values), self.input, self.period, hold=self.hold
+                ).output
+            except (FieldError, NotConvergedError):  # improper, a delay below zero, a response beyond doubles
+                found = np.full(self.output.size, np.nan)
+            self._latest[key] = found
+        return self._latest[key]
+
+    @cached_property
+    def _latest(self) -> dict[tuple[str | float, ...], Reals]:
+        return {}
 
     @cached_property
     def spectrum(self) -> Spectrum:
@@ -274,8 +291,8 @@ class RecordStart:
         transforms = [np.fft.rfft(damped * values)[lines] for values in (self.input, self.output)]
         width = np.gradient(lines.astype(np.float64)) if lines.size > 1 else np.ones(1)
         width[0] = max(width[0] / 2, 0.5)
-        into = _held(transforms[0], points, period, self.hold, float(self.input[0]))
-        out = _held(transforms[1], points, period, "first", float(self.output[0]))
+        into = held_transform(transforms[0], points, period, self.hold, float(self.input[0]))
+        out = held_transform(transforms[1], points, period, "first", float(self.output[0]))
         # Each point stands for the lines around it: evenly in ln ω, yet counted as the whole record would
         # count.
         weight = np.sqrt(width) / math.sqrt(float(np.sum(width * np.abs(out) ** 2)) or 1.0)
@@ -290,7 +307,7 @@ class RecordStart:
         return float(excited[0]), float(excited[-1])
 
 
-def _held(samples: Complexes, s: Complexes, period: float, hold: str, first: float) -> Complexes:
+def held_transform(samples: Complexes, s: Complexes, period: float, hold: str, first: float) -> Complexes:
     """Transform of the held signal of a transform Σ x_k e^(−skT): steps, or straight lines."""
     x = s * period
     if hold == "zero":

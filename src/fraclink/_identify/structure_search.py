@@ -18,12 +18,13 @@ from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import lstsq
-from scipy.optimize import OptimizeResult, least_squares
+from scipy.optimize import least_squares
 
 from fraclink._identify.least_squares import Descent, descend, differences, project
 from fraclink._identify.structure_problem import RecordStart, Samples, Spectrum, StructureCoordinates
+from fraclink._identify.structure_slopes import Blocks, Coarse, Rows
 from fraclink._identify.structure_starts import Starts
+from fraclink._identify.structure_steps import ENOUGH, Stepped, decrement, stepped
 from fraclink.errors import NotConvergedError
 
 __all__ = ["PERFECT", "Place", "StructureSearch"]
@@ -37,9 +38,6 @@ _SAME = 1e-6  # costs closer than that are those of one function, found twice or
 _ENOUGH = 1e-9  # of the cost on samples: what a step gains at the end of a descent
 _CALLS = 150
 PERFECT = 1e-16  # of the power: a cost below is rounding
-_NEAR_ENOUGH = (
-    1e-5  # of the cost: what a last step would still gain; in 10 000 samples a tenth of a parameter's
-)
 _VANISHED = 14.0  # in the logarithm: within a factor of a million of the range's end
 _RETURNS = 29
 _RETURNED = 3.0  # times the least cost of these: values that hardly disturb what was found, or improve it
@@ -63,6 +61,7 @@ class StructureSearch:
     coordinates: StructureCoordinates
     offset: float | None
     evaluations: int = 0
+    rows: Rows | None = None
 
     def residuals(self, data: Samples, places: Reals) -> Reals:
         """Residuals (M, R) with gain and offset at their best."""
@@ -132,7 +131,10 @@ class StructureSearch:
             ranked = ranked[:_TRIED]
         if not ranked:
             raise self._lost()
-        last = self._settled(data, np.array(ranked), low, high)
+        if isinstance(data, RecordStart):
+            last = self._ended(data, ranked, low, high)
+        else:
+            last = self._settled(data, np.array(ranked), low, high)
         if isinstance(data, RecordStart) and data.hold == "zero":
             last = self._over_the_jumps(data, last, low, high)
         last = self._back_from_zero(data, spectrum, last, low, high)
@@ -228,6 +230,46 @@ class StructureSearch:
         self.evaluations += found.evaluations
         return found
 
+    def _ended(self, data: RecordStart, places: list[Reals], low: Reals, high: Reals) -> Descent:
+        """The ends of descents on the samples: first on a transform back, then with the exact response."""
+        ends = [self._stepped(data, np.clip(place, low + 1e-9, high - 1e-9), low, high) for place in places]
+        rows = [(end.place, end.cost, end.converged) for end in ends]
+        reached, costs, converged = (np.array(column) for column in zip(*rows, strict=True))
+        found = Descent(reached, costs, converged, 0)
+        for k in np.flatnonzero(~found.converged):
+            again = self._settled(data, found.places[k : k + 1], low, high)
+            found.places[k], found.costs[k] = again.places[0], again.costs[0]
+            found.converged[k] = again.converged[0]
+        return found
+
+    def _stepped(self, data: RecordStart, begin: Reals, low: Reals, high: Reals) -> Stepped:
+        """Steps whose Jacobian is that of a transform back, which no candidate is simulated for."""
+        own = self.coordinates
+        moving = [own.names.index(name) for name in own.moving]
+
+        def descent(samples: Samples, place: Reals, *, damped: bool = False) -> Stepped:
+            found = stepped(
+                lambda x: self.residuals(samples, x[None, :])[0],
+                lambda x: self.blocks(samples, self.place(samples, x, 0.0, converged=False)),
+                place,
+                (low, high),
+                moving,
+                PERFECT * float(samples.measured @ samples.measured),
+                damped=damped,
+            )
+            self.evaluations += found.evaluations
+            return found
+
+        found = descent(data, begin)
+        if found.ended or not math.isfinite(found.cost):
+            return found
+        values = self.place(data, found.place, 0.0, converged=False).values
+        coarse = self._rows_of(data).coarse(own, values, crude=True)
+        if coarse is None:
+            return found
+        again = descent(data, descent(coarse, found.place, damped=True).place)
+        return again if again.cost < found.cost else found
+
     def _settled(self, data: Samples, places: Reals, low: Reals, high: Reals) -> Descent:
         """The ends of descents by a trust region, one after another.
 
@@ -268,8 +310,8 @@ class StructureSearch:
                 )
             ends.append(found.x)
             costs.append(2.0 * float(found.cost))
-            least = max(_NEAR_ENOUGH * costs[-1], PERFECT * power)
-            converged.append(found.status > 0 and _decrement(found) <= least)
+            least = max(ENOUGH * costs[-1], PERFECT * power)
+            converged.append(found.status > 0 and decrement(found) <= least)
         return Descent(np.array(ends), np.array(costs), np.array(converged), 0)
 
     def _ranked(self, spectrum: Spectrum, draws: Reals) -> Reals:
@@ -291,8 +333,34 @@ class StructureSearch:
 
     # --- derivatives of the whole ---------------------------------------------------------------------------
 
-    def jacobian(self, data: Samples, place: Place) -> Reals:
-        """∂(measured)/∂(free parameters' coordinates, then the offset where it is free), shape (q, R)."""
+    def blocks(self, data: Samples, place: Place) -> Blocks | None:
+        """∂(measured)/∂(free parameters' coordinates, then the offset where it is free), of a recording.
+
+        None where no transform back knows them.
+        """
+        own = self.coordinates
+        coarse = data if isinstance(data, Coarse) else None
+        if isinstance(data, RecordStart):
+            coarse = self._rows_of(data).coarse(own, place.values)
+        if coarse is None:
+            return None
+        found = coarse.rows(own, place.values)
+        if found is None:
+            return None
+        if self.offset is None:
+            found = np.concatenate([found, coarse.offset[None, :]])
+        return Blocks(found, 1, True) if coarse is data else Blocks(found, coarse.width, coarse.sharp)
+
+    def _rows_of(self, data: RecordStart) -> Rows:
+        if self.rows is None or self.rows.data is not data:
+            self.rows = Rows(data)
+        return self.rows
+
+    def jacobian(self, data: Samples, place: Place) -> Blocks:
+        """As `blocks`, with differences where no transform knows the slopes well, shape (q, R)."""
+        found = self.blocks(data, place)
+        if found is not None and found.sharp:
+            return found
         own = self.coordinates
         names = own.names
         at = np.array([[float(own.place(name, place.values[name])) for name in names]])
@@ -305,16 +373,7 @@ class StructureSearch:
         self.evaluations += len(names) + 1
         if data.offset is not None and self.offset is None:
             rows = np.concatenate([rows, data.offset[None, :]])
-        return np.asarray(rows)
-
-
-def _decrement(found: OptimizeResult) -> float:
-    """What a Gauss–Newton step in the coordinates that no limit holds would gain."""
-    jacobian = found.jac[:, found.active_mask == 0]
-    size = np.linalg.norm(jacobian, axis=0)
-    gained = lstsq(jacobian / np.where(size > 0, size, 1.0), found.fun, cond=1e-9)[0]
-    along = jacobian / np.where(size > 0, size, 1.0) @ gained
-    return float(along @ along)
+        return Blocks(rows, 1)
 
 
 def _rises(place: Reals, orders: Sequence[int]) -> int:

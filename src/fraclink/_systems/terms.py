@@ -36,6 +36,10 @@ class Term:
     delay: float = 0.0
 
     def __post_init__(self) -> None:
+        given = (self.coefficient, self.order, self.delay)
+        # Algebra makes terms by the thousand, of floats: those are looked at once.
+        if all(type(value) is float for value in given) and math.isfinite(sum(given)) and self.delay >= 0.0:
+            return
         for name in ("coefficient", "order", "delay"):
             object.__setattr__(self, name, finite(name, getattr(self, name)))
         if self.delay < 0.0:
@@ -65,6 +69,9 @@ def same(a: float, b: float) -> bool:
 
 def collect(terms: Iterable[Term]) -> list[Term]:
     """Merge terms of equal order and delay, drop zeros, sort by falling order, then rising delay."""
+    terms = tuple(terms)
+    if len(terms) == 1:
+        return [terms[0]] if terms[0].coefficient != 0.0 else []
     groups: list[list[Term]] = []
     for term in sorted(terms, key=lambda t: (-t.order, t.delay, t.coefficient)):
         equal = (g for g in groups if same(g[0].order, term.order) and same(g[0].delay, term.delay))
