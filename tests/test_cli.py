@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shlex
 import subprocess
 import sys
@@ -103,6 +104,38 @@ def test_doctor_says_what_is_there(fraclink: Command) -> None:
     assert "✓ passed: fraclink 0.1.0 on " in answer.out
     found = json.loads(fraclink("doctor", "--json").out)
     assert found["extras"]["matplotlib"] and found["version"] == "0.1.0"
+
+
+def test_the_manual_page_has_every_command_and_option(fraclink: Command, tmp_path: Path) -> None:
+    page = fraclink("man").out
+    for words, command in _commands():
+        called = re.escape(" ".join(words).replace("-", r"\-"))
+        section = re.split(rf'\n\.SS "fraclink {called}["\s]', page)[1].partition("\n.S")[0]
+        for item in command.params:
+            for option in getattr(item, "opts", ()) if item.param_type_name == "option" else ():
+                assert f"\n.B {option}".replace("-", r"\-") in section, (words, option)
+    # roff reads a line that begins so as a request, and a bare hyphen as a dash.
+    requests = {line.split()[0] for line in page.splitlines() if line[:1] in (".", "'")}
+    assert requests == {'.\\"', ".TH", ".SH", ".SS", ".PP", ".TP", ".B", ".I", ".EX", ".EE"}
+    answer = fraclink("man", "--out", str(tmp_path / "fraclink.1"))
+    assert answer.code == 0 and (tmp_path / "fraclink.1").read_text("utf-8").strip() == page.strip()
+
+
+def test_a_terminal_shows_links_and_the_bad_value_bold_a_pipe_neither(
+    fraclink: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    place = tmp_path / "a page.1"
+    assert fraclink("man", "--out", str(place)).err.splitlines()[0] == f"written: {place}"
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("TERM", "xterm")
+    said = fraclink("man", "--out", str(place), "--force").err.splitlines()[0]
+    assert said == f"written: \x1b]8;;{place.as_uri()}\x1b\\{place}\x1b]8;;\x1b\\" and "%20" in said
+    said = fraclink("design", "--rig", "paper-2023", "--phase-margin-deg", "200").err
+    assert said.startswith("\x1b[31merror\x1b[0m: ") and "(got \x1b[1m" in said
+    monkeypatch.setenv("TERM", "dumb")
+    assert "\x1b]8" not in fraclink("man", "--out", str(place), "--force").err
+    monkeypatch.setenv("NO_COLOR", "1")
+    assert "\x1b" not in fraclink("design", "--rig", "paper-2032").err
 
 
 @pytest.mark.slow

@@ -96,7 +96,7 @@ def extension(name: str, monkeypatch: pytest.MonkeyPatch) -> Any:
 
 def test_every_command_has_a_page_with_example_options_and_picture(monkeypatch: pytest.MonkeyPatch) -> None:
     pages = extension("command_pages", monkeypatch)
-    found = pages.commands()
+    found = pages.every_command()
     group: Any = typer.main.get_command(application())
     context = typer.Context(group)
     commands = [

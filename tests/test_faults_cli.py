@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import fraclink as fl
-from fraclink._campaign.faults import FaultTable
+from fraclink._campaign.faults import Case, FaultTable, Outcome
 from fraclink._cli.app import run
 from fraclink._files.envelope import read_npz
 
@@ -37,7 +37,8 @@ def test_an_open_fault_exits_with_1_and_its_command_repeats_it(
     monkeypatch.chdir(tmp_path)
     given = ["--only", "F07", "--severity", "3", "--phase", "mid", "--payload", "0.02", "--payload", "0.03"]
     assert run([*ARM, *given, "--seed", "3", "--out", "first", "--json"]) == 1
-    told = json.loads(capsys.readouterr().out)
+    said = capsys.readouterr()
+    told = json.loads(said.out)
     assert told["passed"] is False and told["faults"] == {"F07": {"runs": 2, "failed": 2}}
     for name in ("F07-3-20g-mid-3", "F07-3-30g-mid-3"):
         figure = tmp_path / "first" / "figures" / f"{name}.svg"
@@ -49,6 +50,16 @@ def test_an_open_fault_exits_with_1_and_its_command_repeats_it(
     assert again.outcomes == fl.load(tmp_path / "first" / "faults.json", FaultTable).outcomes[1:]
     first = (tmp_path / "first" / "figures" / "F07-3-30g-mid-3.svg").read_bytes()
     assert (tmp_path / "F07-3-30g-mid-3" / "figures" / "F07-3-30g-mid-3.svg").read_bytes() == first
+    # By its name, too, and not over files that are there.
+    capsys.readouterr()
+    named = ["campaign", "replay", "first", "--case", "F07-3-30g-mid-3"]
+    assert run(named) == 1
+    said = capsys.readouterr()
+    assert "0 of 1 faults" in said.out and said.err == "written: run.npz\nwritten: run.svg\n"
+    assert (tmp_path / "run.svg").read_bytes() == first
+    assert read_npz(tmp_path / "run.npz", "fault-run", (1,))[0]["case"] == "F07-3-30g-mid-3"
+    (tmp_path / "run.npz").unlink()
+    assert run(named) == 2 and "run.svg" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -67,3 +78,28 @@ def test_bad_requests_exit_with_2(
     assert run([*words, "--out", str(tmp_path / "none")]) == 2
     assert field in capsys.readouterr().err
     assert not (tmp_path / "none").exists()
+
+
+def test_a_replay_names_what_it_misses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    table = FaultTable((Outcome(Case("F02", 2, 0.03, "mid", 1), (), 0.0, 0.0, 0.0, "run", "none", -1),), {})
+    fl.save(table, tmp_path / "faults.json")
+    words = ["campaign", "replay", str(tmp_path), "--out", str(tmp_path / "run.npz")]
+    assert run(words) == 2 and "--run of arms, or --case of faults" in capsys.readouterr().err
+    assert run([*words, "--run", "1", "--case", "F02-2-30g-mid-1"]) == 2
+    assert "given beside --case" in capsys.readouterr().err
+    assert run([*words, "--case", "F03-2-30g-mid-1"]) == 2
+    assert "such as F02-2-30g-mid-1" in capsys.readouterr().err
+    # The studio's table has no command: the design of its folder was tested, and here there is none.
+    assert run([*words, "--case", "F02-2-30g-mid-1"]) == 2
+    assert "design.json" in capsys.readouterr().err
+
+
+def test_a_replay_refuses_another_law(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    command = "fraclink campaign faults --rig paper-2023 --gear 50.0 --link-mass 0.00735"
+    case = Outcome(Case("F02", 2, 0.03, "mid", 1), (), 0.0, 0.0, 0.0, "run", "none", -1)
+    table = FaultTable((case,), {"command": command, "law_sha256": "0" * 64})
+    fl.save(table, tmp_path / "faults.json")
+    words = ["campaign", "replay", str(tmp_path), "--case", "F02-2-30g-mid-1"]
+    assert run([*words, "--out", str(tmp_path / "run.npz")]) == 2
+    assert "not the law that was tested" in capsys.readouterr().err
+    assert not (tmp_path / "run.npz").exists()

@@ -9,10 +9,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import typer
 from sphinx.application import Sphinx
 
-from fraclink._cli.app import application
+from fraclink._cli.app import every_command
 
 ROOT = Path(__file__).resolve().parents[2]
 OUTPUTS = ROOT / "tests" / "golden" / "commands"
@@ -60,19 +59,8 @@ SHOWN: dict[str, tuple[str, str]] = {
     "campaign faults": ("dropped", "how-to/run-a-fault-campaign"),
     "replay": ("loop", "how-to/flash-a-board"),
     "doctor": ("arm", "how-to/bring-your-rig"),
+    "man": ("arm", "tutorial/from-log-to-board"),
 }
-
-
-def commands() -> dict[str, Any]:
-    """Every command by the words that call it."""
-    group: Any = typer.main.get_command(application())
-    context = typer.Context(group)
-    found = {}
-    for name in group.list_commands(context):
-        command = group.get_command(context, name)
-        inner = getattr(command, "commands", None)
-        found |= {name: command} if inner is None else {f"{name} {word}": inner[word] for word in inner}
-    return found
 
 
 def file_name(name: str) -> str:
@@ -141,7 +129,7 @@ def write(app: Sphinx) -> None:
         return
     folder = Path(app.srcdir) / "reference" / "commands"
     folder.mkdir(exist_ok=True)
-    found = commands()
+    found = every_command()
     rows = [
         f"| [`{name}`](commands/{file_name(name)}.md) | {summary(command)} |"
         for name, command in found.items()

@@ -12,7 +12,7 @@ from typer.core import TyperGroup
 from fraclink import __version__
 from fraclink._cli.console import emit, guarded
 
-__all__ = ["application", "run"]
+__all__ = ["application", "every_command", "run"]
 
 # The commands of the first screen, with the few words that there is room for.
 _FIRST = {
@@ -57,7 +57,7 @@ _SECTIONS: dict[str, dict[str, str]] = {
         "campaign": "campaigns",
         "replay": "boards",
     },
-    "This installation": {"doctor": "doctor"},
+    "This installation": {"doctor": "doctor", "man": "manual"},
 }
 _HOMES = {name: module for listed in _SECTIONS.values() for name, module in listed.items()}
 _EPILOG = "Exit code: 0 passed, 1 failed or not shown, 2 bad input."
@@ -163,6 +163,18 @@ def application() -> typer.Typer:
     )
     app.callback()(_options)
     return app
+
+
+def every_command() -> dict[str, Any]:
+    """Return every command by the words that call it, those of a group behind its name."""
+    top: Any = typer.main.get_command(application())
+    context = typer.Context(top)
+    found: dict[str, Any] = {}
+    for name in top.list_commands(context):
+        each = top.get_command(context, name)
+        inner = getattr(each, "commands", None)
+        found |= {name: each} if inner is None else {f"{name} {word}": inner[word] for word in inner}
+    return found
 
 
 def run(arguments: Sequence[str]) -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 from dataclasses import fields
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Literal, TypedDict, Unpack, cast
 
@@ -13,14 +14,14 @@ import typer
 from fraclink import _campaign as campaigns
 from fraclink._campaign import Campaign, Summary
 from fraclink._campaign.fault_trial import Phase
-from fraclink._campaign.faults import PHASES, Bench, Case, cases, observe, run_faults
+from fraclink._campaign.faults import PHASES, Bench, Case, FaultTable, cases, observe, run_faults
 from fraclink._cli.app import group
 from fraclink._cli.command import Answer, Writes, command
 from fraclink._cli.console import steps, watching
 from fraclink._cli.options import Gear, LinkMass, ModelFile, RigName, load_design, load_link_model, load_rig
 from fraclink._design import Design
 from fraclink._design.completed import design_for
-from fraclink._files import save, write_text
+from fraclink._files import load, output_path, save, write_text
 from fraclink._files.envelope import write_npz
 from fraclink._logs.responses import read_reference
 from fraclink._show.report import write_campaign_report
@@ -102,13 +103,22 @@ def _summarised(summary: Summary, parts: Path, written: tuple[Path, ...] = ()) -
 @command(campaign)
 def replay(
     parts: Parts,
-    run: Annotated[int, "Number of the run"],
+    run: Annotated[int | None, "Number of the run, of arms that differ"] = None,
+    case: Annotated[
+        str | None, typer.Option(metavar="NAME"), "Name of a fault's run, e.g. F07-3-30g-mid-3"
+    ] = None,
     out: Annotated[Path, "File for the run's signals (.npz)", Writes()] = Path("run.npz"),
+    force: bool = False,
 ) -> Answer:
-    """Repeat one run of a campaign with all its signals.
+    """Repeat one run of a campaign with all its signals; of faults, with its figure beside them.
 
     $ fraclink campaign replay mc --run 17 --out run.npz
     """
+    if (run is None) == (case is None):
+        problem, remedy = "missing" if run is None else "given beside --case", "give one of them"
+        raise FieldError("run", run, problem, allowed="--run of arms, or --case of faults", remedy=remedy)
+    if run is None:
+        return _repeat_fault(parts, case or "", out, output_path(out.with_suffix(".svg"), force=force))
     found = campaigns.replay_run(campaigns.load_campaign(parts), run)
     found.save(out)
     return Answer(found, found.verdict.passed, values={"run": run}, written=(out,))
@@ -154,7 +164,7 @@ def faults(
     $ fraclink campaign faults --design design.json --only F07 --out faults
     """
     bench = _bench(options)
-    given = {f"--{name.replace('_', '-')}": options[name] for name in BenchOptions.__annotations__}  # type: ignore[literal-required]
+    given = {_flag(name): options[name] for name in BenchOptions.__annotations__}  # type: ignore[literal-required]
     words = [word for name, value in given.items() if value is not None for word in (name, str(value))]
     repeat = "fraclink campaign faults " + shlex.join(words)
     planned = cases(
@@ -178,7 +188,54 @@ def faults(
     if len(planned) == 1:
         _keep_signals(bench, planned[0], out / "run.npz")
     remarks, written = tuple(map(str, bench.twin.findings)), (out / "faults.md",)
-    return Answer(result, result.passed, values={"out": str(out)}, remarks=remarks, written=written)
+    worst = next((row.example.case.name for row in result.rows() if row.example), None)
+    following = f"fraclink campaign replay {out} --case {worst}" if worst and len(planned) > 1 else ""
+    return Answer(
+        result,
+        result.passed,
+        values={"out": str(out)},
+        remarks=remarks,
+        written=written,
+        following=following,
+    )
+
+
+def _repeat_fault(folder: Path, name: str, out: Path, figure: Path) -> Answer:
+    """Run one case of a finished campaign on faults again, on the same arm and with the same law."""
+    table = load(folder / "faults.json", FaultTable)
+    case = next((outcome.case for outcome in table.outcomes if outcome.case.name == name), None)
+    if case is None:
+        allowed = f"a run that {folder / 'faults.json'} lists, such as {table.outcomes[0].case.name}"
+        raise FieldError("case", name, "no run of this campaign", allowed=allowed, remedy="copy its name")
+    bench = _bench(_options_of(table, folder))
+    tested = table.about.get("law_sha256", bench.law.digest)
+    if bench.law.digest != tested:
+        problem, allowed = "not the law that was tested", f"the campaign's law, {tested[:16]}"
+        remedy = "run the campaign again"
+        raise FieldError("law", bench.law.digest[:16], problem, allowed=allowed, remedy=remedy)
+    result = run_faults(bench, [case], about=dict(table.about))
+    _keep_signals(bench, case, out)
+    draw_outcome(bench, result.outcomes[0], figure)
+    return Answer(result, result.passed, values={"case": case.name}, written=(out, figure))
+
+
+def _options_of(table: FaultTable, folder: Path) -> BenchOptions:
+    """What the campaign's command was given; the studio's, which has none, tests its folder's design."""
+    words = shlex.split(table.about.get("command", ""))
+    given = {flag: text for flag, text in pairwise(words) if flag.startswith("--")}
+    rig, design, gear, mass, model = (given.get(_flag(name)) for name in BenchOptions.__annotations__)
+    design = str(folder / "design.json") if rig is None and design is None else design
+    return {
+        "rig": rig,
+        "design": None if design is None else Path(design),
+        "gear": None if gear is None else float(gear),
+        "link_mass": None if mass is None else float(mass),
+        "model": None if model is None else Path(model),
+    }
+
+
+def _flag(name: str) -> str:
+    return f"--{name.replace('_', '-')}"
 
 
 def _bench(options: BenchOptions) -> Bench:

@@ -22,7 +22,7 @@ from typing import Annotated, Any, get_args, get_origin, get_type_hints
 import typer
 from typer.models import OptionInfo, ParameterInfo
 
-from fraclink._cli.console import FAILED, PASSED, emit, emit_json, tell, width
+from fraclink._cli.console import FAILED, PASSED, emit, emit_json, tell, tell_written, width
 from fraclink._files import output_path
 from fraclink._show.records import to_json
 from fraclink._show.text import View, plain_text
@@ -193,6 +193,6 @@ def _show_text(answer: Answer) -> None:
     for remark in answer.remarks:
         tell(remark)
     for path in answer.written:
-        tell(f"written: {path}")
+        tell_written(path)
     if answer.following:
         tell(f"next: {answer.following}")

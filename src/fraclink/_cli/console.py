@@ -16,6 +16,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any, TextIO
 
 import typer
@@ -25,7 +26,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from fraclink._show.text import folded, option
 from fraclink.errors import FieldError, FraclinkError, FraclinkWarning, InfeasibleError, MissingExtraError
 
-__all__ = ["clean", "emit", "emit_json", "guarded", "steps", "tell", "watching", "width"]
+__all__ = ["clean", "emit", "emit_json", "guarded", "steps", "tell", "tell_written", "watching", "width"]
 
 PASSED, FAILED, BAD_INPUT = 0, 1, 2
 DEFECT = 70  # a defect of fraclink itself, kept apart from the three verdicts (sysexits' EX_SOFTWARE)
@@ -36,6 +37,7 @@ _COLOURS = (
     ("✓ passed|✓", "32"),
     ("✗ (?:failed|missed)|^error|✗", "31"),
     ("! (?:not shown|missing)|^warning", "33"),
+    (r"(?<=\(got ).+?(?=\)(?:;|\. |\.?$))", "1"),  # the value that an error complains about
 )
 
 
@@ -60,8 +62,13 @@ def width() -> int:
     return shutil.get_terminal_size().columns
 
 
+def _plain(stream: TextIO) -> bool:
+    """Whether nothing but text goes to `stream`."""
+    return "NO_COLOR" in os.environ or not (stream.isatty() or "FORCE_COLOR" in os.environ)
+
+
 def _coloured(text: str, stream: TextIO) -> str:
-    if "NO_COLOR" in os.environ or not (stream.isatty() or "FORCE_COLOR" in os.environ):
+    if _plain(stream):
         return text
     for words, code in _COLOURS:
         text = re.sub(words, f"\x1b[{code}m\\g<0>\x1b[0m", text, flags=re.MULTILINE)
@@ -83,6 +90,17 @@ def tell(text: str) -> None:
     if sys.stderr.isatty():
         text = folded(text, width())
     sys.stderr.write(_coloured(clean(text), sys.stderr) + "\n")
+
+
+def tell_written(path: Path) -> None:
+    """Name a file that was written; a terminal opens it by a click (OSC 8), a pipe gets its name alone.
+
+    The name is not folded: a link over two lines would be two links, and a name that is copied would break.
+    """
+    name = clean(path)
+    if not _plain(sys.stderr) and os.environ.get("TERM") != "dumb":
+        name = f"\x1b]8;;{path.resolve().as_uri()}\x1b\\{name}\x1b]8;;\x1b\\"
+    sys.stderr.write(f"written: {name}\n")
 
 
 # --- progress -------------------------------------------------------------------------------------------

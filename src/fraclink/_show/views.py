@@ -250,10 +250,8 @@ def repeated(table: FaultTable, outcome: Outcome) -> str:
 
 
 def _faults_view(table: FaultTable) -> View:
-    """The table, and for each fault that fails its worst run with the command that repeats it."""
-    notes = tuple(
-        f"{row.number}: {row.worst}\n  {repeated(table, row.example)}" for row in table.rows() if row.example
-    )
+    """The table, and for each fault that fails its worst run by name: `campaign replay` repeats it."""
+    notes = tuple(f"{row.number}: {row.worst}" for row in table.rows() if row.example)
     return View(faults_sentence(table), (faults_table(table),), notes, state_of(table))
 
 
