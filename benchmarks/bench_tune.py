@@ -1,6 +1,7 @@
 """`tune` on random arms, wrong wirings and kills, and what `watch` sees: the figures of the issue's table.
 
     python benchmarks/bench_tune.py [--arms 100] [--first 0] [--only arms|wiring|kills|watch]
+    python benchmarks/bench_tune.py --report arms-0.jsonl arms-50.jsonl
 
 Arms are twins around four rig shapes: payload ±30 %, gear ±20 %, Coulomb friction a half to twice, gauge gain
 ±30 %, gauge delay 0 to 20 ms, voltage delay of 1 or 2 periods, link mass 0 to 30 g, gauge noise a half to one
@@ -200,6 +201,13 @@ def arms(first: int, count: int) -> None:
     report(results)
 
 
+def lines_of(files: list[Path]) -> list[dict[str, Any]]:
+    """The arms of some files of JSON lines, the last line of each seed."""
+    texts = (text for file in files for text in file.read_text().splitlines() if text.startswith("{"))
+    found = {one["seed"]: one for one in map(json.loads, texts)}
+    return [found[seed] for seed in sorted(found)]
+
+
 def report(results: list[dict[str, Any]]) -> None:
     """The lines of the table."""
     whole = [found for found in results if "crash" not in found]
@@ -333,60 +341,121 @@ class Mortal:
 def kills(count: int) -> None:
     """Tunings killed at random moments: when the arm's drive is off, and whether --resume goes on.
 
-    Each is a tuning and a half, with two threads that take turns sixteen times a period: half a minute.
+    What is killed is resumed, and killed again, until a tuning ends; then the next one begins. Two threads
+    take turns four times a period on one virtual clock, and the arm outlives its controller by a second.
     """
-    off, resumed, odd = list[int](), Counter[str](), list[int]()
-    shape = SHAPES[0]
-    for seed in range(count):
-        drawn = replace(draw(0), twin=fl.Twin.from_rig(PAPER), payload=0.030)
-        way, clock = fl.SharedMemory(f"bench-tune-{seed}"), VirtualClock(2)
-        served: list[Any] = []
+    off, held, resumed, stages = list[int](), list[int](), Counter[str](), Counter[str]()
+    random, finished, number = np.random.default_rng(0), 0, 0
+    with (
+        mock.patch.object(ArmLine, "stop", stopped),
+        mock.patch("fraclink._realtime.line._LOOKS", 4),
+        tempfile.TemporaryDirectory() as place,
+    ):
+        while len(off) < count:
+            folder = Path(place) / str(finished)
+            attempt = Attempt(float(random.uniform(0.1, 30.0)), number, folder)
+            number += 1
+            arm, found = attempt.run()
+            if attempt.again and (found is not None or attempt.begun != ["wiring"]):
+                resumed[attempt.resumed] += 1  # one that is killed in the wiring check is resumed once more
+            if found is None:
+                last = int(np.flatnonzero(arm.connected)[-1])
+                off.append(int(np.count_nonzero(arm.voltage[last + 1 :])))
+                held.append(kept_up(arm.voltage))
+                stages[attempt.begun[-1]] += 1
+                print(
+                    f"  kill {len(off)} at {attempt.end:.1f} s in {attempt.begun}, {dict(resumed)}",
+                    flush=True,
+                )
+            else:
+                finished += 1
+                print(
+                    f"  tuning {finished}: {found.verdict.state} {found.stopped} {found.reasons}", flush=True
+                )
+    line(
+        f"kills, {len(off)} in {dict(stages)}: periods with a voltage after the watchdog's ten",
+        f"most {max(off, default=0)}",
+        "0",
+        not any(off),
+    )
+    line(
+        "periods for which the last voltage was held",
+        f"most {max(held, default=0)}",
+        "<= 10",
+        max(held) <= 10,
+    )
+    line(
+        f"--resume behind them; {finished} tunings ended",
+        str(dict(resumed)),
+        "goes on or says why not",
+        not resumed["neither"],
+    )
 
-        def serve(way: Any = way, clock: Any = clock, served: list[Any] = served) -> None:
+
+def kept_up(voltage: np.ndarray) -> int:
+    """Periods for which the last voltage that is none was held."""
+    last = int(np.flatnonzero(voltage)[-1]) if np.any(voltage) else -1
+    other = np.flatnonzero(voltage[: last + 1] != voltage[last])
+    return last - (int(other[-1]) if other.size else -1) if last >= 0 else 0
+
+
+class Attempt:
+    """One start of `tune` on a served arm, resumed where something is there, that is killed at `end` [s]."""
+
+    def __init__(self, end: float, seed: int, folder: Path) -> None:
+        self.end, self.seed, self.folder = end, seed, folder
+        self.again = (folder / "tuning.json").exists()
+        self.begun: list[str] = []
+        self.resumed = "neither"
+
+    def say(self, text: str) -> None:
+        """Note the stage that begins."""
+        if not text.startswith(" "):
+            self.begun.append(text.split(",")[0] if "experiment" not in text else "link")
+            # The wiring is looked at in any case; a second stage is one behind it that was not whole.
+            if len(self.begun) > 1:
+                self.resumed = "goes on"
+
+    def run(self) -> tuple[fl.ServedArm, fl.Tuning | None]:
+        """What the arm saw, and the tuning; None where it was killed."""
+        clock, period = VirtualClock(2), SHAPES[0].rig.period
+        way, served = fl.SharedMemory(f"bench-tune-{self.seed}"), list[fl.ServedArm]()
+
+        def serve() -> None:
             try:
                 served.append(
-                    fl.serve_arm(PAPER_TWIN, way, shape.rig.period, duration=60.0, priority=0, clock=clock)
+                    fl.serve_arm(
+                        PAPER_TWIN,
+                        way,
+                        period,
+                        duration=self.end + 1.0,
+                        seed=self.seed,
+                        priority=0,
+                        clock=clock,
+                    )
                 )
             finally:
                 clock.leave()
 
         thread = threading.Thread(target=serve)
-        end = clock.now + float(np.random.default_rng(seed).uniform(0.1, 45.0))
-        with tempfile.TemporaryDirectory() as folder:
-            thread.start()
-            plan = replace(plan_of(drawn), period=None)
-            alive = "finished"
-            with mock.patch.object(ArmLine, "stop", lambda self: stopped(self)):
-                try:
-                    fl.tune(way, plan, out=Path(folder), clock=Mortal(clock, end))
-                except Killed:
-                    alive = "killed"
-            clock.leave()
-            thread.join(120.0)
-            arm = served[0]
-            if alive == "killed":
-                last = int(np.flatnonzero(arm.connected)[-1])
-                sent = np.flatnonzero(arm.voltage[: last + 1])
-                off.append(int(np.count_nonzero(arm.voltage[last + 1 :])))
-                odd += [] if arm.silences <= 1 and sent.size >= 0 else [seed]
-            try:
-                other = fl.SimulatedArm(PAPER_TWIN, shape.rig.period, seed=seed)
-                again = fl.tune(
-                    other.callback, plan_of(drawn), out=Path(folder), resume=True, moves=False, clock="none"
-                )
-                resumed["went on" if again.has_law else f"says why not: {again.stopped[:40]}"] += 1
-            except FieldError as error:
-                resumed[f"says why not: {error.problem}"] += 1
-            print(f"  {seed}: {alive} at {end:.1f} s, {dict(resumed)}", flush=True)
-    line(
-        f"kills, {len(off)} of {count}: periods with a voltage after the watchdog's ten",
-        f"most {max(off, default=0)}",
-        "0",
-        not any(off) and not odd,
-    )
-    line(
-        "--resume behind them", str(dict(resumed)), "goes on or says why not", sum(resumed.values()) == count
-    )
+        thread.start()
+        plan = replace(plan_of(replace(draw(0), twin=PAPER_TWIN, payload=0.030)), period=None)
+        mortal = Mortal(clock, clock.now + self.end)
+        try:
+            found = fl.tune(way, plan, out=self.folder, resume=self.again, begin=self.say, clock=mortal)
+            if found.stopped:
+                self.resumed = "says why not"
+            return self._served(clock, thread, served), found
+        except Killed:
+            return self._served(clock, thread, served), None
+        except FieldError as error:
+            self.resumed = f"says why not: {error.problem}"
+            raise
+
+    def _served(self, clock: Any, thread: threading.Thread, served: list[fl.ServedArm]) -> fl.ServedArm:
+        clock.leave()
+        thread.join(120.0)
+        return served[0]
 
 
 def stopped(way: ArmLine) -> None:
@@ -464,8 +533,17 @@ def main() -> None:
     parser.add_argument("--wirings", type=int, default=20)
     parser.add_argument("--kills", type=int, default=50)
     parser.add_argument("--records", type=int, default=40)
+    parser.add_argument(
+        "--report",
+        type=Path,
+        nargs="+",
+        help="files of JSON lines to sum up, the last line of each seed counts",
+    )
     parser.add_argument("--only", choices=("arms", "wiring", "kills", "watch"))
     chosen = parser.parse_args()
+    if chosen.report:
+        report(lines_of(chosen.report))
+        return
     if chosen.only in (None, "arms"):
         arms(chosen.first, chosen.arms)
     if chosen.only in (None, "wiring"):

@@ -341,3 +341,20 @@ def test_the_grid_of_a_constant_lies_evenly_around_1_rad_s() -> None:
     grid = frequency_grid(0 * s + 2.0)
     assert grid[0] * grid[-1] == pytest.approx(1.0, rel=1e-9)
     assert grid[-1] / grid[0] > 1e3
+
+
+def test_newton_stops_where_the_function_is_no_more_than_its_own_rounding() -> None:
+    from fraclink._systems.sweep import bracketed_roots
+
+    wanted, calls = np.linspace(0.5, 3.0, 40), 0
+
+    def level(x: np.ndarray) -> np.ndarray:
+        nonlocal calls
+        calls += 1
+        return np.tanh(0.3 * (x - wanted)) + 1e-14 * np.sin(1e16 * x)
+
+    found = bracketed_roots(
+        level, wanted - 0.4, wanted + 0.3, slope=lambda x: 0.3 / np.cosh(0.3 * (x - wanted)) ** 2
+    )
+    assert np.max(np.abs(found - wanted)) < 1e-13
+    assert calls <= 10

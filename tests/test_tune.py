@@ -26,6 +26,7 @@ from fraclink._realtime.tune_build import _designs, build_law
 from fraclink._realtime.tune_guard import Guard, LimitReached
 from fraclink._realtime.tune_link import _fitted
 from fraclink._realtime.tune_motion import random_steps
+from fraclink._realtime.tune_moves import _decided
 from fraclink._realtime.tune_wiring import WiringFault, check_wiring
 from fraclink.errors import FieldError, FraclinkError, InfeasibleError
 
@@ -94,6 +95,27 @@ def test_right_wiring_has_evidence() -> None:
     assert found.gauge_delay == pytest.approx(0.012, abs=0.006)
     assert len(found.evidence) == 5 and "alive" in found.evidence[1]
     assert np.ptp(made.record[:, 1]) < math.radians(5.0)
+
+
+@pytest.mark.parametrize("coulomb", [0.5, 1.0, 2.0])
+def test_friction_does_not_shorten_what_small_motions_show(coulomb: float) -> None:
+    """Seen through friction, a K/J of half made a gauge of 0.7 times the torque one of 0.39 times."""
+    twin = fl.Twin.from_rig(RIG, gauge_gain=0.7)
+    motor = replace(twin.motor, coulomb_torque=coulomb * twin.motor.coulomb_torque)
+    made = fl.SimulatedArm(replace(twin, motor=motor), RIG.period)
+    found = check_wiring(guarded(made.callback), RIG)
+    assert found.gain == pytest.approx(RIG.motor.gain, rel=0.12)
+    assert round(found.delay / RIG.period) == twin.voltage_delay
+
+
+@pytest.mark.parametrize(
+    ("times", "decided"),
+    [((0.50, 0.54), True), ((0.50, 0.60), False), ((0.60, 0.90), True), ((0.30, 0.70), False)],
+)
+def test_a_third_move_decides_where_two_do_not_say_the_same(
+    times: tuple[float, float], decided: bool
+) -> None:
+    assert _decided([(time, 0.0) for time in times], [(0.5, 0.0)] * 7) is decided
 
 
 def test_without_a_rig_it_says_that_no_scale_was_shown() -> None:
@@ -292,7 +314,7 @@ def test_a_wish_that_is_not_feasible_gets_the_law_that_is_with_the_reason(
 
     monkeypatch.setattr("fraclink._realtime.tune_build.design_for", none)
     assert RIG.design is not None and RIG.model is not None
-    made, words = next(_designs(RIG, RIG.model))
+    made, words = next(_designs(RIG, RIG.model, []))
     assert made.passed and math.degrees(made.phase_margin) == pytest.approx(32.0)
     assert "70° is too much" in words[0] and "phase margin 32°" in words[1]
 

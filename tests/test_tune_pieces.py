@@ -16,6 +16,7 @@ from fraclink import _kernels
 from fraclink._realtime.connections import Callback
 from fraclink._realtime.line import open_line
 from fraclink._realtime.tune_build import _about, _mass_ratio, _with_link, late_free, link_twins
+from fraclink._realtime.tune_doublets import motor_of_doublets
 from fraclink._realtime.tune_guard import Guard, Record
 from fraclink._realtime.tune_link import _ringing, _torque_of, shortfall
 from fraclink._realtime.tune_motion import burst, random_moves, random_steps
@@ -26,14 +27,11 @@ from fraclink._realtime.tune_wiring import (
     Wiring,
     WiringFault,
     _concluded,
-    _held,
     _kept,
-    _motor,
     _scales,
     _smoothed,
     _step,
     _train,
-    _twice,
 )
 from fraclink.errors import FieldError
 
@@ -48,60 +46,62 @@ PERIOD = RIG.period
 # --- the wiring ------------------------------------------------------------------------------------------
 
 
-FINE = 200  # steps of integration in a period
+FINE, LOSS = 100, 10.0  # steps of integration in a period, ν/J [1/s]
+HALF = round(_PULSE / PERIOD)
+
+
+def doublet(gain: float, friction: float) -> Real:
+    """Angle under 2 V and then −2 V from rest: θ'' = gain (V − friction · sign θ') − ν/J θ'."""
+    step, angle, speed, path = PERIOD / FINE, 0.0, 0.0, [0.0]
+    for k in range(2 * HALF * FINE):
+        voltage = 2.0 if k < HALF * FINE else -2.0
+        against = math.copysign(friction, speed or voltage)
+        faster = speed + step * (gain * (voltage - against) - LOSS * speed)
+        faster = 0.0 if faster * speed < 0 else faster
+        angle, speed = angle + 0.5 * step * (speed + faster), faster
+        path.append(angle)
+    return np.array(path)
 
 
 def doublets(gain: float, friction: float, delay: float, noise: float = 0.0) -> Record:
-    """Doublets of θ'' = gain (V(t − delay) − friction·sign), each from rest, integrated finely."""
-    half, pause, parts = round(_PULSE / PERIOD), round(_PAUSE / PERIOD), [np.zeros(25)]
+    """Doublets of ±2 V, each from rest, that act `delay` later."""
+    pause, parts = round(_PAUSE / PERIOD), [np.zeros(25)]
     for k in range(8):
         sign = 1.0 if k % 2 == 0 else -1.0
-        parts += [np.full(half, 2.0 * sign), np.full(half, -2.0 * sign), np.zeros(pause + 5 * (k % 4))]
+        parts += [np.full(HALF, 2.0 * sign), np.full(HALF, -2.0 * sign), np.zeros(pause + 5 * (k % 4))]
     voltage = np.concatenate(parts)
-    begins = np.flatnonzero((voltage[1:] != 0) & (voltage[:-1] == 0)) + 1
-    late = round(delay / PERIOD * FINE)
-    force = np.concatenate([np.zeros(late), np.repeat(voltage, FINE)])[: voltage.size * FINE]
-    angle = np.zeros(voltage.size * FINE)
-    for begin in begins:  # the friction acts against the way it turns
-        first = begin * FINE + late
-        part = slice(first, first + 2 * half * FINE)
-        pushed = gain * (force[part] - friction * np.sign(voltage[begin]))
-        # Semi-implicit: the midpoint's speed, half a step early.
-        path = np.cumsum((np.cumsum(pushed) - 0.5 * pushed) * PERIOD / FINE) * PERIOD / FINE
-        angle[first + 1 : part.stop + 1] += path
-        angle[part.stop + 1 :] += path[-1]
-    measured = angle[::FINE] + noise * np.random.default_rng(3).normal(size=voltage.size)
+    way, time = np.sign(gain) * doublet(abs(gain), friction), PERIOD * np.arange(voltage.size)
+    angle = np.zeros(voltage.size)
+    for begin in np.flatnonzero((voltage[1:] != 0) & (voltage[:-1] == 0)) + 1:
+        since = time - time[begin] - delay
+        angle += np.sign(voltage[begin]) * np.interp(since, PERIOD / FINE * np.arange(way.size), way)
+    measured = angle + noise * np.random.default_rng(3).normal(size=voltage.size)
     return Record(PERIOD, voltage, measured, np.zeros(voltage.size))
 
 
 @pytest.mark.parametrize(
-    ("gain", "friction", "delay"), [(150.0, 0.0, 0.0), (60.0, 0.3, 0.008), (-80.0, 0.2, 0.004)]
+    ("gain", "friction", "delay"),
+    [(150.0, 0.0, 0.0), (60.0, 0.3, 0.008), (-80.0, 0.2, 0.004), (60.0, 0.9, 0.006)],
 )
 def test_the_motor_is_found_from_its_doublets(gain: float, friction: float, delay: float) -> None:
-    found, error, lost, late = _motor(doublets(gain, friction, delay))
+    """With the friction of a motor that stops within the doublet, too, and with its wires reversed."""
+    found, error, lost, late = motor_of_doublets(doublets(gain, friction, delay), HALF)
     assert found == pytest.approx(gain, rel=0.02)
     assert lost == pytest.approx(friction, abs=0.03)
-    # What is sent behind a reading is seen in the next one.
-    assert late == pytest.approx(delay + PERIOD, abs=0.01 * PERIOD)
-    assert error < 0.1 * abs(gain)
+    assert late == pytest.approx(delay, abs=0.01 * PERIOD)
+    assert error < 0.01 * abs(gain)
 
 
 def test_the_motors_error_is_that_of_its_gain() -> None:
-    quiet, loud = (_motor(doublets(150.0, 0.3, 0.004, noise)) for noise in (1e-4, 1e-3))
+    quiet, loud = (motor_of_doublets(doublets(150.0, 0.3, 0.004, noise), HALF) for noise in (1e-3, 1e-2))
     assert loud[1] == pytest.approx(10.0 * quiet[1], rel=0.5)
     assert abs(loud[0] - 150.0) < 4.0 * loud[1]
 
 
-def test_the_double_integral_of_a_held_voltage() -> None:
-    """∬ of 3 V that begin 2.5 periods late: 3 (t − 2.5 T)²/2 behind the period in which they begin."""
-    t = 0.01 * np.arange(1, 21)
-    np.testing.assert_allclose(_twice(np.full(20, 3.0), 0.01), 1.5 * t**2, rtol=1e-12)
-    np.testing.assert_allclose(
-        _held(np.full(20, 3.0), 0.02, 0.01), 1.5 * np.maximum(t - 0.02, 0.0) ** 2, atol=1e-15
-    )
-    half = _held(np.full(20, 3.0), 0.025, 0.01)
-    np.testing.assert_allclose(half[4:], 1.5 * (t[4:] - 0.025) ** 2 + 1.5 * 0.005**2, rtol=1e-9)
-    assert half[1] == 0.0 < half[2]
+def test_a_record_without_a_doublet_shows_no_sign() -> None:
+    still = Record(PERIOD, np.full(200, 1.0), np.zeros(200), np.zeros(200))
+    gain, error, _, _ = motor_of_doublets(still, HALF)
+    assert gain == 0.0 and error == math.inf
 
 
 def test_what_a_doublet_moves_stays_and_what_it_bends_comes_back() -> None:

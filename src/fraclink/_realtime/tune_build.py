@@ -145,8 +145,8 @@ def built_laws(rig: Rig, link: LinkResult) -> Iterator[Built]:
         yield Built(rig, None, None, None, (f"the model failed a gate: {gates}",))
         return
     refused: Built | None = None
-    any_passed = False
-    for made, words in _designs(rig, late_free(fit.model)):
+    any_passed, missed = False, list[Design]()
+    for made, words in _designs(rig, late_free(fit.model), missed):
         built = _proved(rig, made.doubted(fit.findings), words)
         any_passed |= built.passed
         if built.passed:
@@ -154,11 +154,13 @@ def built_laws(rig: Rig, link: LinkResult) -> Iterator[Built]:
         else:
             refused = refused or built
     if not any_passed:
-        yield refused or Built(rig, None, None, None, (_none(rig, fit.model),))
+        yield refused or Built(rig, None, None, None, (_none(rig, fit.model, missed),))
 
 
-def _designs(rig: Rig, model: LinkModel) -> Iterator[tuple[Design, tuple[str, ...]]]:
-    """The designs that keep their requirements over the box, the preferred one first."""
+def _designs(rig: Rig, model: LinkModel, missed: list[Design]) -> Iterator[tuple[Design, tuple[str, ...]]]:
+    """The designs that keep their requirements over the box, the preferred one first; the others go to
+    `missed`.
+    """
     asked: tuple[str, ...] = ()
     if rig.design is not None:
         try:
@@ -171,7 +173,10 @@ def _designs(rig: Rig, model: LinkModel) -> Iterator[tuple[Design, tuple[str, ..
     second_choice: list[tuple[float, Design, tuple[str, ...]]] = []
     for ratio, degrees, share in _WANTED:
         made = _asked(model, rig, ratio * resonance, degrees, share / resonance)
-        if made is None or not made.passed:
+        if made is None:
+            continue
+        if not made.passed:
+            missed.append(made)
             continue
         gain = max((item.achieved for item in made.requirements if "mode" in item.name), default=0.0)
         words: tuple[str, ...] = (
@@ -216,17 +221,28 @@ def _proved(rig: Rig, design: Design, words: tuple[str, ...]) -> Built:
     return Built(rig, design, law, certificate, reasons, words)
 
 
-def _none(rig: Rig, model: LinkModel) -> str:
+def _none(rig: Rig, model: LinkModel, missed: list[Design]) -> str:
+    """Why there is no design: what each of those that keep their margins over the box misses."""
     second, least = model.second_mode, min(degrees for _, degrees, _ in _WANTED)
     low, high = (1e3 * payload for payload in (rig.payloads.low, rig.payloads.high))
-    open_ = f"gauge delay {1e3 * model.gauge_delay:.3g} ms, payloads {low:.3g} to {high:.3g} g"
-    if second is not None:
-        open_ += f", second mode at {second.frequency:.3g} rad/s"
-    return (
-        f"requirements over the box: no law keeps a phase margin of {least:g}° right of the resonance for "
-        f"every arm that the measurement leaves open ({open_}); a faster gauge or a narrower range of "
-        "payloads helps"
+    text = (
+        f"requirements over the box: no law with a phase margin of {least:g}° or more right of the resonance "
+        f"for every arm that the measurement leaves open (gauge delay {1e3 * model.gauge_delay:.3g} ms, "
+        f"payloads {low:.3g} to {high:.3g} g)"
     )
+    rings = sum(any(one.code == "W409" for one in made.findings) for made in missed)
+    gains = [item.achieved for made in missed for item in made.requirements if not item.passed]
+    parts, unkept = [f"of {len(_WANTED)} tried"], len(_WANTED) - len(missed)
+    if unkept:
+        parts.append(f"{unkept} do not keep their margin")
+    if rings:
+        parts.append(f"{rings} ring for more than ten periods after a move")
+    if gains and second is not None:
+        parts.append(
+            f"{len(gains)} have a loop gain of {min(gains):.2f} or more at the second mode "
+            f"({second.frequency:.3g} rad/s), where {_MODE_GAIN:g} is allowed"
+        )
+    return f"{text}: {', '.join(parts)}; a faster gauge or a narrower range of payloads helps"
 
 
 def _noise(made: Design, law: Law) -> float:

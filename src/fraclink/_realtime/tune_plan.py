@@ -94,6 +94,6 @@ class TuningPlan:
                 "needed, and a random voltage for 2 s; 12 to 50 s",
                 f"4 the drive is off: model, design for {low:.3g} to {high:.3g} g, proof, law; some seconds",
                 f"5 first moves: {math.degrees(PLANNED * limits.angle):.3g}° at a tenth of the speed, then "
-                "back at full speed; 16 s for each law, three at most",
+                "two or three times at full speed; 13 to 17 s for each law, three at most",
             )
         )

@@ -18,6 +18,7 @@ from fraclink._arm.link import FRACTIONAL
 from fraclink._arm.rig import Rig
 from fraclink._files import document
 from fraclink._identify import identify
+from fraclink._realtime.tune_doublets import edges_of, motor_of_doublets
 from fraclink._realtime.tune_guard import Guard, Record
 from fraclink.errors import FraclinkError
 
@@ -45,7 +46,7 @@ _KEPT = 0.3  # of a motion that follows the doublets: of an angle about half, of
 _REVERSED = 0.6  # of what the link leaves unexplained: with the right wires the reverse leaves more
 _CLEAR = 8.0  # standard errors of the torque's gain that a fit over all frequencies does not find in noise
 _DOUBLETS = 12
-_FAR = 1.6  # times the stated K/J: small motions, which friction shortens, show four fifths of it
+_FAR = 1.6  # times the stated K/J: the fit to small motions is within a tenth, payload and gear a third off
 _SCALE = 2.5  # that a stated value may be off: friction, payload and gauge differ by a third, units by ten
 _EXPLAINED = (
     0.85  # nmse above which one signal is not the other's link; of noise nothing is explained, nmse 1
@@ -178,11 +179,15 @@ def _settled(guard: Guard) -> tuple[float, float]:
 
 
 def _doublet(guard: Guard, voltage: float) -> None:
-    periods = max(2, round(_PULSE / guard.period))
     for part in (voltage, -voltage):
-        for _ in range(periods):
+        for _ in range(_half(guard.period)):
             guard.step(part)
     guard.rest(_PAUSE)
+
+
+def _half(period: float) -> int:
+    """Periods of one half of a doublet."""
+    return max(2, round(_PULSE / period))
 
 
 def _train(guard: Guard, pulse: float) -> Record:
@@ -208,7 +213,7 @@ def _concluded(
             f"encoder dead: it stands still while the gauge answers the drive ({pulse:.3g} V) with "
             f"{float(np.ptp(_smoothed(record.torque))):.3g} N·m"
         )
-    gain, error, friction, delay = _motor(record)
+    gain, error, friction, delay = motor_of_doublets(record, _half(record.period))
     if stated is not None and gain > _FAR * stated.motor.gain and gain > _SURE * error:
         return WiringFault(_encoder_scale(gain, stated))
     link = _link(record.angle, record.torque, record.period)
@@ -301,11 +306,9 @@ def _encoder_scale(gain: float, stated: Rig) -> str:
 
 def _kept(record: Record, channel: Real) -> float:
     """The share of a channel's motion that follows the places the doublets move the motor to."""
-    driven = record.voltage != 0
-    begins = np.flatnonzero(driven[1:] & ~driven[:-1]) + 1
     place = np.zeros(channel.size)
-    for begin in begins:
-        place[begin + max(2, round(_PULSE / record.period)) :] += np.sign(record.voltage[begin])
+    for begin in edges_of(record):
+        place[begin + _half(record.period) :] += np.sign(record.voltage[begin])
     matrix = np.column_stack([place, np.ones(channel.size)])
     left = channel - matrix @ np.linalg.lstsq(matrix, channel, rcond=None)[0]
     whole = float(np.sum((channel - np.mean(channel)) ** 2))
@@ -340,51 +343,3 @@ def _swapped(record: Record, link: tuple[float, float, float, float, float] | No
     other = _link(record.torque, record.angle, record.period)
     left = 1.0 if link is None else link[4]
     return other is not None and other[0] > _SURE * other[1] and other[4] < _REVERSED * left
-
-
-def _motor(record: Record) -> tuple[float, float, float, float]:
-    """(A, its standard error, friction [V], delay [s]) of θ = A ∬V(t − τ) − F ∬sign in each doublet."""
-    period = record.period
-    delays = np.arange(0.0, 0.0401, 0.5 * period)
-    tried = [(_regressed(record, delay), delay) for delay in delays]
-    (values, errors, _), delay = min(tried, key=lambda pair: pair[0][2])
-    gain = float(values[0])
-    return gain, float(errors[0]), max(float(values[1] / gain), 0.0), float(delay)
-
-
-def _regressed(record: Record, delay: float) -> tuple[Real, Real, float]:
-    period = record.period
-    edges = np.flatnonzero((record.voltage[1:] != 0) & (record.voltage[:-1] == 0)) + 1
-    half = max(2, round(_PULSE / period))
-    length = 2 * half + round(delay / period)
-    rows, wanted = [], []
-    for begin in edges:
-        if begin + length > record.angle.size or begin < 1:
-            continue
-        part = slice(begin, begin + length)
-        drive = _held(record.voltage[begin : begin + length], delay, period)
-        angle = record.angle[part] - record.angle[begin - 1]
-        sign = np.sign(record.voltage[begin]) * (np.arange(length) * period >= delay)
-        rows.append(np.column_stack([drive, -_twice(sign, period)]))
-        wanted.append(angle)
-    matrix, right = np.concatenate(rows), np.concatenate(wanted)
-    values, *_ = np.linalg.lstsq(matrix, right, rcond=None)
-    left = right - matrix @ values
-    cost = float(left @ left)
-    # Errors of neighbours are alike: a doublet counts as one observation.
-    spread = cost / max(len(rows), 1)
-    errors = np.sqrt(np.diag(np.linalg.pinv(matrix.T @ matrix)) * spread)
-    return values, errors, cost
-
-
-def _held(voltage: Real, delay: float, period: float) -> Real:
-    """∬ of the held voltage, `delay` later; between two samples linear in the fraction."""
-    whole, part = divmod(delay / period, 1.0)
-    late = np.concatenate([np.zeros(int(whole) + 1), voltage])
-    mixed = (1 - part) * late[1 : 1 + voltage.size] + part * late[: voltage.size]
-    return _twice(mixed, period)
-
-
-def _twice(held: Real, period: float) -> Real:
-    speed = np.cumsum(held) * period
-    return np.asarray(np.cumsum(speed - 0.5 * held * period) * period)

@@ -20,7 +20,6 @@ __all__ = ["FILES", "Tuning"]
 FILES = ("tuning.json", "rig.toml", "model.json", "design.json", "law.json", "certificate.json", "log.npz")
 LAW_FILES = FILES[3:6]  # that are taken back where the arm refuses the law
 
-_AGREEMENT, _LEAST = 0.10, 0.05  # of the settling time, or [s]: a sample's noise moves it by as much
 _LATEST = 2.0  # [s] behind the reference's end
 _JUMP = 0.02  # [rad] at the hand-over
 
@@ -104,12 +103,7 @@ class Tuning:
         return tuple({move.payload: move for move in self.moves}.values())
 
     def _reality(self) -> Scope:
-        off = [
-            str(move)
-            for move in self._fast
-            if abs(move.measured_settling - move.promised_settling)
-            > max(_AGREEMENT * move.promised_settling, _LEAST)
-        ]
+        off = [str(move) for move in self._fast if not move.kept]
         off += [f"jump of {move.jump:.2g} rad at the hand-over" for move in self.moves if move.jump > _JUMP]
         if self.stopped:
             off.append(self.stopped)

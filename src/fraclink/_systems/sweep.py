@@ -174,6 +174,9 @@ def refined(
 
 
 _ROUNDS = 100  # bisection alone needs 53; Newton 4 to 6, the secant 6 to 10
+# A Newton step this small, relative, leaves an error of its square. Where the function's own rounding is then
+# more than that of x, its sign is chance: without this bound Newton wandered about in it for fifty rounds.
+_NEAR = 1e-8
 
 
 def bracketed_roots(
@@ -205,7 +208,8 @@ def bracketed_roots(
     a, b = np.array(low, dtype=float), np.array(high, dtype=float)
     at_a, at_b = np.asarray(function(a)), np.asarray(function(b))
     # A bracket of four units in the last place: nothing lies between its ends that a double could name.
-    done = 4e-16 * (np.abs(a) + np.abs(b))
+    size = np.abs(a) + np.abs(b)
+    done, settled = 4e-16 * size, np.zeros(a.shape, dtype=bool)
     with np.errstate(divide="ignore", invalid="ignore"):
         for turn in range(_ROUNDS):
             if slope is None:
@@ -219,8 +223,10 @@ def bracketed_roots(
             kept = at_a if slope is not None else 0.5 * at_a
             a, at_a = np.where(stays, a, b), np.where(stays, kept, at_b)
             moved = np.abs(x - b)
+            if slope is not None:
+                settled |= (moved <= _NEAR * size) & (np.abs(at_x) >= np.abs(at_b))
             b, at_b = x, at_x
-            if np.all((moved <= done) | (at_x == 0.0)):
+            if np.all((moved <= done) | (at_x == 0.0) | settled):
                 break
     return b
 
