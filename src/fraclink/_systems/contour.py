@@ -48,11 +48,11 @@ def careful_response(
         return np.empty(0), 0.0
     values, needed = np.empty(len(times)), _needed(quotient, times, power)
     bound, size = 0.0, _CHUNK if quotient.is_sparse else 1
-    for nodes in np.unique(needed):
+    for nodes in sorted(set(needed.tolist())):
         place = np.flatnonzero(needed == nodes)
         for k in range(0, len(place), size):
             part = place[k : k + size]
-            values[part] = _on_parabola(quotient, times[part], power, int(nodes))[0]
+            values[part] = _on_parabola(quotient, times[part], power, nodes)[0]
         if not bounded:
             continue
         # The bound changes slowly with the time: some forty of many times show its largest value.
@@ -61,8 +61,8 @@ def careful_response(
         early = np.geomspace(1, len(place), min(len(place), 15)).astype(int) - 1
         for index in chosen[np.union1d(even, early)]:
             at = times[index : index + 1]
-            rounding = _on_parabola(quotient, at, power, int(nodes), noise=True)[1]
-            other = _on_parabola(quotient, at, power, int(nodes) + 5)[0]
+            rounding = _on_parabola(quotient, at, power, nodes, noise=True)[1]
+            other = _on_parabola(quotient, at, power, nodes + 5)[0]
             bound = max(bound, float(rounding[0]) + 2.0 * abs(float(other[0]) - float(values[index])))
     return values, bound
 
@@ -90,7 +90,8 @@ def _on_parabola(
     simple = np.array([z for z in found if z.imag < math.pi - 1e-9], np.complex128)
     clusters = [c for c in packed if c.centre.imag < math.pi - 1e-9]
     step, scale = 3.0 / nodes, np.log(math.pi * nodes / (12.0 * times))
-    offset = _offset(np.concatenate((simple, [c.centre for c in clusters])), scale, step)
+    poles = np.concatenate((simple, [c.centre for c in clusters])) if clusters else simple
+    offset = _offset(poles, scale, step)
     u = (np.arange(nodes + 2)[:, None] + offset) * step
     root = 1.0 + 1j * u
     z = 2.0 * np.log(root) + scale

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import sys
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -246,10 +247,13 @@ class HeldQuotient:
         if degree == 0:
             size *= np.abs(rates) / np.minimum(turned, 1.0)
         units = 2.0 + turned * place + steps * life / (16.0 * span)
-        powers = [(abs(c) * (_POWER_UNITS + a * abs(math.log(span))), a) for c, a in self.low.powers]
-        shared = float(power_response(powers, np.array([span]), degree)[0])
+        shared = 0.0
+        if self.low.powers:
+            powers = [(abs(c) * (_POWER_UNITS + a * abs(math.log(span))), a) for c, a in self.low.powers]
+            shared = float(power_response(powers, np.array([span]), degree)[0])
         # The modes' errors are independent: three times the root of the sum of their squares.
-        return float(np.finfo(float).eps) * (3.0 * float(np.linalg.norm(size * units)) + shared)
+        size *= units
+        return sys.float_info.epsilon * (3.0 * math.sqrt(float(size @ size)) + shared)
 
     @property
     def _method(self) -> str:
@@ -325,7 +329,8 @@ def _jumps(u: Reals) -> float:
     moved = abs(float(u[0])) if len(u) else 0.0
     # In chunks that stay in the cache, and no further than it takes: a busy input is at its bound at once.
     while moved < most and seen < len(u) - 1:
-        moved += float(np.abs(np.diff(u[seen : seen + _CHUNK + 1])).sum())
+        part = u[seen : seen + _CHUNK + 1]
+        moved += float(np.abs(part[1:] - part[:-1]).sum())
         seen += _CHUNK
     return min(moved, most)
 
