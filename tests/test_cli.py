@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import pytest
 import typer
 
+from fraclink import __version__
 from fraclink._arm.rig import Rig
 from fraclink._cli import main
 from fraclink._cli.app import application
@@ -51,7 +52,7 @@ DESIGN = ("design", "--rig", "paper-2023", "--payloads", "0.020", "0.040", "--ga
 
 
 def test_version_and_help(fraclink: Command) -> None:
-    assert fraclink("--version") == Answer(0, "fraclink 0.1.0\n", "")
+    assert fraclink("--version") == Answer(0, f"fraclink {__version__}\n", "")
     answer = fraclink("--help")
     assert answer.code == 0
     for name in ("run", "inspect", "diagnose", "identify", "design", "simulate", "report", "certify"):

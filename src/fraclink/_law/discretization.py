@@ -347,7 +347,8 @@ def fit_correction(
         return first
     plain = fit(None, MOST_STATES)
     # An emphasis is a weight of one or more: it cannot meet what C alone misses by far. "By far", because the
-    # search is not global: the default design at 16 rad/s has 6 states with an emphasis of 1, and 7 without.
+    # search is not global: on the paper's link at 16 rad/s and 50° it finds 0.11 dB with 6 states and an
+    # emphasis of 1, and without one 0.14 dB with 7.
     if inside and _is_met(plain, slack=1.2):
         for emphasis in EMPHASES[1:]:
             if _is_met(found := emphasised(emphasis, STATES)):

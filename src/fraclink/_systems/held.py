@@ -362,7 +362,7 @@ def _judge(quotient: Quotient, times: Reals, power: int) -> Reals:
 
 def _check_times(shortest: float, longest: float) -> Reals:
     """Times at which the modes are judged, even on a logarithmic scale."""
-    # geomspace by hand: its own checks cost a tenth of a short response.
+    # geomspace by hand: its own checks cost an eighth of a short response.
     growth = math.log(max(longest / shortest, 1.0001)) / (_CHECKS - 1)
     return np.asarray(shortest * np.exp(growth * np.arange(_CHECKS)))
 
