@@ -6,8 +6,11 @@ import json
 import math
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from fraclink import StructureFit
+from fraclink._arm.rig import Rig
 from fraclink._cli.app import run
 from fraclink._files import kind_of
 from fraclink._logs import bundled_log
@@ -70,17 +73,70 @@ def test_identify_motor(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
     from made_logs import example_motor_log
 
     voltage, angle = example_motor_log(samples=2500)
-    rows = ["time_s,motor_angle_rad,deflection_rad,voltage_V"]
-    rows += [
-        f"{0.004 * k:.4f},{a:.9f},{0.01 * a:.9f},{v:.9f}"
-        for k, (a, v) in enumerate(zip(angle, voltage, strict=True))
-    ]
+    rows = ["t,enc,u"]
+    rows += [f"{0.004 * k:.4f},{a:.9f},{v:.9f}" for k, (a, v) in enumerate(zip(angle, voltage, strict=True))]
     log = tmp_path / "motor.csv"
     log.write_text("\n".join(rows) + "\n")
-    result = told(["identify-motor", str(log), "--rig", "paper-2023"], capsys)
+    columns = ("time=t [s]", "motor_angle=enc [rad]", "voltage=u [V]")
+    stated = [word for text in columns for word in ("--column", text)]
+    result = told(["identify-motor", str(log), *stated, "--rig", "paper-2023"], capsys)
     assert result["gain"] == pytest.approx(3056.77, rel=0.02)
-    assert run(["identify-motor", str(log), "--rig", "paper-2023"]) == 0
+    assert result["coulomb_torque"] is not None
+    assert run(["identify-motor", str(log), *stated]) == 0
     assert "K/J" in capsys.readouterr().out
+    assert run(["identify-motor", str(log)]) == 2
+    assert "--column" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_identify_motor_makes_the_load_of_a_deflection(
+    sign: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A motor of J = 0.05 kg·m² that bends a link: without the load K/J is off by a tenth."""
+    from made_logs import made_output
+
+    time = 0.004 * np.arange(3000)
+    angle = 0.4 * np.sin(3 * time) - 0.15 * np.sin(8 * time)
+    bent = made_output(angle, stiffness=1.0)
+    stiffness = Rig.named("paper-2023").link.stiffness
+    speed = np.gradient(angle, 0.004)
+    voltage = (np.gradient(speed, 0.004) + 15.15 * speed + stiffness / 0.05 * bent) / 61.1
+    log = tmp_path / "motor.csv"
+    table = np.column_stack((time, angle, sign * bent, voltage))
+    names = "time_s,motor_angle_rad,deflection_rad,voltage_V"
+    np.savetxt(log, table, delimiter=",", header=names, comments="")
+    words = ["identify-motor", str(log), "--rig", "paper-2023"]
+    if sign < 0:
+        assert run(words) == 2
+        assert "J of an impossible sign" in capsys.readouterr().err
+        return
+    result = told(words, capsys)
+    assert result["gain"] == pytest.approx(61.1, rel=0.05)
+    assert result["inertia"] == pytest.approx(0.05, rel=0.05)
+    stated = [w for n in ("time_s [s]", "motor_angle_rad [rad]") for w in ("--column", n)]
+    assert run(["identify-motor", str(log), *stated]) == 2  # neither role= nor a rig for the load
+    capsys.readouterr()
+
+
+def test_a_ring_down_is_fitted_on_the_command_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    time = 0.004 * np.arange(2000)
+    ring = 0.3 + 0.1 * np.cos(10 * time) * np.exp(-0.3 * time)
+    held = np.concatenate((np.full(80, 0.4), ring))[:2000]
+    for name, values in (("held", held), ("begun", ring)):
+        log = tmp_path / f"{name}.csv"
+        np.savetxt(log, np.column_stack((time, values)), delimiter=",", header="t,strain", comments="")
+        words = ["identify-structure", str(log), "k/(s**2 + d*s + w)*exp(-L*s)", "--output", "strain"]
+        out = ["--out", str(tmp_path / "fit.json"), "--force"]
+        assert run([*words, "--ring-down", *out]) == 0
+        found = StructureFit.load(tmp_path / "fit.json").parameters
+        assert found["w"] == pytest.approx(100.1, rel=0.01)
+        assert found["d"] == pytest.approx(0.6, rel=0.05)
+        assert found["L"] == pytest.approx(0.32 if name == "held" else 0.0, abs=0.003)
+        capsys.readouterr()
+    assert run([*words, "--ring-down", "--input", "strain"]) == 2
+    assert "has no input" in capsys.readouterr().err
 
 
 def test_plan_experiment(capsys: pytest.CaptureFixture[str]) -> None:

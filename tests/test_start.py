@@ -192,6 +192,51 @@ THROUGH: dict[str, tuple[Shape, tuple[str, ...], Taken]] = {
         ("motor_angle=enc * 1/4096 [rev]",),
         ("t", "s", "enc", "rev", "torque", "torque", "Nm", 1),
     ),
+    "a tip angle": (
+        Shape({"t": TIME, "theta": MOTOR, "tip_rad": MOTOR - DEFLECTION}),
+        ("motor_angle=[rad]",),
+        ("t", "s", "theta", "rad", "deflection", "theta - tip_rad", RAW, 1),
+    ),
+    "a tip angle in other units": (
+        Shape({"t": TIME, "theta_deg": DEG * MOTOR, "tip_rad": MOTOR - DEFLECTION}),
+        (),
+        ("t", "s", "theta_deg", "deg", "deflection", "theta_deg - 57.2958 * tip_rad", "deg", 1),
+    ),
+    "a tip angle that is called a deflection": (
+        Shape({"t_s": TIME, "theta_rad": MOTOR, "alpha_rad": MOTOR - DEFLECTION}),
+        (),
+        ("t_s", "s", "theta_rad", "rad", "deflection", "theta_rad - alpha_rad", "rad", 1),
+    ),
+    "a tip angle that nothing names": (
+        Shape({"a": TIME, "b": MOTOR, "c": MOTOR - DEFLECTION}, header=False),
+        ("motor_angle=#2 [rad]",),
+        ("#1", "s", "#2", "rad", "deflection", "#2 - #3", "rad", 1),
+    ),
+    "two gauges against each other": (
+        Shape({"t": TIME, "theta": MOTOR, "strain1": DEFLECTION + 1, "strain2": NOISE - DEFLECTION}),
+        (),
+        ("t", "s", "theta", "rad", "deflection", "strain1 - strain2", RAW, 1),
+    ),
+    "two gauges together": (
+        Shape({"t": TIME, "theta": MOTOR, "strain1": -DEFLECTION, "strain2": NOISE - DEFLECTION}),
+        (),
+        ("t", "s", "theta", "rad", "deflection", "strain1 + strain2", RAW, -1),
+    ),
+    "a laser in millimetres": (
+        Shape({"t": TIME, "theta": MOTOR, "laser_mm": 320 * DEFLECTION}),
+        (),
+        ("t", "s", "theta", "rad", "deflection", "laser_mm", RAW, 1),
+    ),
+    "a linear axis": (
+        Shape({"t": TIME, "cart_mm": 100 * MOTOR, "torque_Nm": TORQUE}),
+        (),
+        ("t", "s", "cart_mm", "rad", "torque", "torque_Nm", "Nm", 1),
+    ),
+    "stamps of each channel, as in TDMS": (
+        Shape({"Arm/Theta": MOTOR, "Arm/Theta.time": TIME, "Arm/Torque": TORQUE, "Arm/Torque.time": TIME}),
+        ("time=Arm/Theta.time [s]",),
+        ("Arm/Theta.time", "s", "Arm/Theta", "rad", "torque", "Arm/Torque", "Nm", 1),
+    ),
     "a potentiometer in volts with its factor": (
         Shape({"t": TIME, "pot_V": DEG * MOTOR / 36.8 + 2.5, "torque_Nm": TORQUE}),
         ("motor_angle=pot_V * 36.8 [deg]",),
@@ -237,18 +282,34 @@ REFUSED: dict[str, tuple[Shape, str]] = {
         '--column "motor_angle=enc1"',
     ),
     "no output": (Shape({"t": TIME, "theta": MOTOR}), "Record both signals together"),
-    "a tip angle as the only output": (
-        Shape({"t": TIME, "theta": MOTOR, "tip_rad": MOTOR - DEFLECTION}),
+    "a table that is too short": (Shape({"t_s": TIME[:2], "theta_rad": MOTOR[:2]}), "too short"),
+    "two gauges that do not belong together": (
+        Shape({"t": TIME, "theta": MOTOR, "strain1": DEFLECTION, "strain2": NOISE}),
+        '--column "torque=strain1"',
+    ),
+    "a tip that moves otherwise": (
+        Shape({"t": TIME, "theta_rad": MOTOR, "tip_rad": np.roll(MOTOR, 400)}),
         '--column "torque=tip_rad" or "deflection=',
     ),
-    "a tip angle that is called a deflection": (
-        Shape({"t_s": TIME, "theta_rad": MOTOR, "alpha_rad": MOTOR - DEFLECTION}),
-        "state it as the deflection",
+    "an acceleration": (
+        Shape({"t": TIME, "theta_rad": MOTOR, "acc": np.gradient(np.gradient(MOTOR - DEFLECTION))}),
+        'log.csv "k*s**2/(s**a + w)/(0.001*s + 1)*exp(-L*s)" --input theta_rad --output acc --period-ms 4',
     ),
-    "a table that is too short": (Shape({"t_s": TIME[:2], "theta_rad": MOTOR[:2]}), "too short"),
-    "two gauges": (
-        Shape({"t": TIME, "theta": MOTOR, "strain1": DEFLECTION, "strain2": -DEFLECTION}),
-        '--column "torque=strain1"',
+    "an angle and a voltage": (
+        Shape({"t": 1e3 * TIME, "theta_rad": MOTOR, "u_V": VOLTAGE}),
+        '--column "time=t [ms]" --column "motor_angle=theta_rad [rad]" --column "voltage=u_V [V]"',
+    ),
+    "a ring-down": (
+        Shape({"t": TIME, "theta_rad": np.full(COUNT, 0.1), "strain_V": DEFLECTION}),
+        'log.csv "k/(s**a + w)*exp(-L*s)" --ring-down --output strain_V --period-ms 4',
+    ),
+    "a frequency response": (
+        Shape({"f_Hz": 1 + TIME, "gain": 1 / (1 + TIME), "phase_deg": -TIME}),
+        "fraclink identify-spectrum",
+    ),
+    "a torque by which the angle may have either unit": (
+        Shape({"t": TIME, "theta": MOTOR, "torque_Nm": 0.1 * TORQUE}),
+        '--column "motor_angle=theta [deg]"',
     ),
 }
 

@@ -19,6 +19,8 @@ TEXTS = HERE / "commands"
 WIDTH = "100"  # columns: what a help page is folded to must not depend on the terminal
 
 RIG = "--rig paper-2023"
+# The motor of motor.csv bends no link: its deflection is left out.
+DRIVE = "--column time=time_s[s] --column motor_angle=motor_angle_rad[rad] --column voltage=voltage_V[V]"
 ARM = f"{RIG} --gear 50 --link-mass 0.00735"
 BUNDLED = ("prbs_20g", "prbs_30g", "prbs_40g", "pulse_30g")
 THREE = "prbs_20g.csv prbs_30g.csv prbs_40g.csv"
@@ -44,7 +46,7 @@ COMMANDS: dict[str, str] = {
     "compare-structures": f"compare-structures demo {RIG}",
     "identify-payloads": f"identify-payloads {THREE} {RIG}",
     "identify-payloads-tied": f"identify-payloads {THREE} {RIG} --tied",
-    "identify-motor": f"identify-motor motor.csv {RIG}",
+    "identify-motor": f"identify-motor motor.csv {RIG} {DRIVE}",
     "identify-spectrum": "identify-spectrum response.csv",
     # With both orders given nothing is left to a search, whose last digit is the machine's.
     "tune-pid": "tune-pid 1/(0.8*s**2.2+0.5*s**0.9+1) --gain-crossover 2 --integral-order 1.2 "

@@ -20,7 +20,7 @@ from fraclink._validate import Between, Length, Where, checked
 from fraclink.errors import FieldError
 
 __all__ = ["QUANTITY_OF", "SI", "UNITS", "Channel", "ColumnStatement", "LogColumns", "OutputKind"]
-__all__ += ["ROW_NUMBER", "parse_columns"]
+__all__ += ["ROW_NUMBER", "drive_columns", "parse_columns"]
 
 OutputKind = Literal["torque", "deflection"]
 
@@ -55,7 +55,8 @@ class Channel:
     Parameters
     ----------
     column
-        its name in the log, or two names with ``" - "`` or ``" + "`` between them. ``"#2"`` is the second
+        its name in the log, or two names with ``" - "`` or ``" + "`` between them, each behind a factor if
+        there is one (``"enc - 179 * tip"``). ``"#2"`` is the second
         column where the log names none; as the time ``"#row"`` is the number of the sample, for a log without
         stamps: its scale is the period.
     unit
@@ -282,3 +283,16 @@ def parse_columns(texts: Iterable[str]) -> LogColumns:
         )
     kind, voltage = outputs[0], channels.get("voltage")
     return LogColumns(channels["time"], channels["motor_angle"], channels[kind], kind, voltage)
+
+
+def drive_columns(texts: Iterable[str]) -> LogColumns:
+    """Return the columns of a log for the motor alone: without an output, the angle stands for it.
+
+    >>> drive_columns(["time=t [s]", "motor_angle=enc [deg]", "voltage=u [V]"]).output.column
+    'enc'
+    """
+    stated = list(texts)
+    roles = {ColumnStatement.of(text).role: text for text in stated}
+    if "motor_angle" in roles and not roles.keys() & {"torque", "deflection"}:
+        stated.append("deflection=" + roles["motor_angle"].partition("=")[2])
+    return parse_columns(stated)

@@ -16,6 +16,7 @@ from fraclink.errors import FieldError, LogError
 
 __all__ = ["Coherence", "FrequencyResponse", "Lines", "Recording", "coherence_weights"]
 
+_HELD = 0.05  # of the whole swing: what moves less at the beginning is held, and trembles
 Signal = Annotated[NDArray[np.float64], Array(1, min_size=2)]
 
 
@@ -62,6 +63,34 @@ class Recording:
             remedy = "cut both to their common span of time"
             problem = f"not as long as the input ({self.input.size} samples)"
             raise LogError("output", self.output.size, problem, allowed="equal lengths", remedy=remedy)
+
+    @classmethod
+    def ring_down(
+        cls, period: float, output: NDArray[np.float64], *, source: str = "", sha256: str = ""
+    ) -> Recording:
+        """Return the record of a link that was bent, held and let go, from its output alone.
+
+            y(0) − y(t) = G(s) 1/s,    G = k/(s^a + w): a step of the force that held it, taken away
+
+        A record that begins while it is held keeps that part, as a delay of the step; one that begins later
+        is cut at its widest swing, where the link turns round. Raises LogError where nothing moves.
+
+        >>> t = np.arange(0, 4, 0.01)
+        >>> record = Recording.ring_down(0.01, 0.1 * np.cos(6 * t) * np.exp(-0.2 * t))
+        >>> record.input.max(), round(float(record.output.max()), 2)
+        (1.0, 0.19)
+        """
+        values = np.asarray(output, dtype=np.float64)
+        lead = max(10, values.size // 50)
+        if values.size < 5 * lead or not np.ptp(values):
+            allowed, remedy = ">= 50 samples that move", "record from before the link is let go"
+            raise LogError("output", int(values.size), "no ring-down", allowed=allowed, remedy=remedy)
+        held = float(np.ptp(values[:lead])) < _HELD * float(np.ptp(values))
+        rest = float(values[-(values.size // 5) :].mean())
+        begin = 0 if held else int(np.argmax(np.abs(values[: values.size // 2] - rest)))
+        start = float(values[:lead].mean()) if held else float(values[begin])
+        moved = start - values[begin:]
+        return cls(period, np.ones(moved.size), moved, source=source, sha256=sha256)
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Recording):

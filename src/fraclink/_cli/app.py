@@ -43,13 +43,12 @@ _SECTIONS: dict[str, dict[str, str]] = {
         **dict.fromkeys(("report", "share"), "designs"),
         "studio": "studio",
     },
-    "More on logs and models": dict.fromkeys(
-        (
-            *("compare-structures", "identify-payloads", "identify-motor", "identify-spectrum"),
-            *("identify-driven-link", "identify-structure", "plan-experiment", "record"),
-        ),
-        "models",
-    ),
+    "More on logs and models": {
+        **dict.fromkeys(("compare-structures", "identify-payloads"), "models"),
+        **dict.fromkeys(("identify-motor", "identify-spectrum", "identify-driven-link"), "recordings"),
+        "identify-structure": "recordings",
+        **dict.fromkeys(("plan-experiment", "record"), "models"),
+    },
     "More on designs and laws": {
         **dict.fromkeys(("assess", "optimise", "compare", "design-map"), "assessments"),
         "shape": "moves",

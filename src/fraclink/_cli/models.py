@@ -1,9 +1,9 @@
-"""Commands on logs and link models: inspect, diagnose, record, and every identification."""
+"""Commands on logs and link models: inspect, diagnose, record, and every fit of a link to a log."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal, Unpack
+from typing import Annotated, Literal, Unpack
 
 import numpy as np
 import typer
@@ -11,7 +11,6 @@ import typer
 from fraclink import _identify as identification
 from fraclink._arm.draft import RigDraft, doubts_of
 from fraclink._arm.experiment import Experiment
-from fraclink._arm.recording import FrequencyResponse, Recording
 from fraclink._arm.reference import Reference, chirp, prbs, pulse
 from fraclink._arm.rig import Rig
 from fraclink._cli.app import group
@@ -30,15 +29,14 @@ from fraclink._cli.options import (
     load_rig,
     load_rig_for_logs,
     log_path,
-    named_channels,
     required_model,
     whole,
 )
 from fraclink._logs import diagnose as examine
-from fraclink._logs import inspect_log, read_frequency_response, read_recording
+from fraclink._logs import inspect_log
 from fraclink._simulate import Twin, simulate_log
 from fraclink._validate import Between, Payload
-from fraclink.errors import FieldError, LogError
+from fraclink.errors import FieldError
 from fraclink.findings import Finding, errors_of
 
 StructureName = Annotated[
@@ -153,163 +151,6 @@ def identify_payloads(
     experiments = [load_log(log, known, column, mass) for log, mass in zip(logs, masses, strict=True)]
     fit = identification.identify_payloads(experiments, structure, tied=tied, length=known.link.length)
     return Answer(fit, fit.test.common)
-
-
-@command(app)
-def identify_motor(
-    log: Annotated[str, typer.Argument(metavar="LOG"), "A log with the amplifier's voltage"],
-    rig: RigName,
-    column: Columns = None,
-) -> Answer:
-    """Identify the motor from voltage and angle: K/J, ν/J, Coulomb torque, dead zone, delay.
-
-    $ fraclink identify-motor log.csv --rig rig.toml
-    """
-    known = load_rig(rig)
-    experiment = load_log(log, known, column)
-    if experiment.voltage is None:
-        allowed = "a log with a voltage column"
-        remedy = 'name it in the rig file\'s [log], or by --column "voltage=NAME [V]"'
-        raise LogError("log", log, "without the amplifier's voltage", allowed=allowed, remedy=remedy)
-    torque = experiment.output if experiment.output_kind == "torque" else None
-    fit = identification.identify_motor(
-        experiment.voltage,
-        experiment.motor_angle,
-        period=experiment.period,
-        torque=torque,
-        inertia=None if torque is not None else known.motor.inertia,
-    )
-    return Answer(fit, fit.passed)
-
-
-@command(app)
-def identify_spectrum(
-    response: Annotated[
-        Path,
-        typer.Argument(metavar="TABLE"),
-        "Table with frequency_rad_s or frequency_Hz, gain or gain_dB, phase_rad or phase_deg",
-    ],
-    resonances: Annotated[int, Between(1, 6), "Number of resonances"] = 1,
-    anti_resonances: Annotated[int, Between(0, 6), "Number of anti-resonances"] = 0,
-) -> Answer:
-    """Fit modes with one common λ to a table of gain and phase; a column `coherence` is used.
-
-    $ fraclink identify-spectrum response.csv --resonances 2
-    """
-    measured = read_frequency_response(response)
-    fit = identification.identify_frequency_response(
-        measured.frequency,
-        measured.response,
-        coherence=measured.coherence,
-        resonances=resonances,
-        anti_resonances=anti_resonances,
-    )
-    return Answer(fit, fit.passed, values={"outliers": [float(measured.frequency[k]) for k in fit.outliers]})
-
-
-@command(app)
-def identify_driven_link(
-    response: Annotated[
-        Path, typer.Argument(metavar="TABLE"), "Table of the response, as of identify-spectrum"
-    ],
-    rig: RigName,
-    output: Annotated[Literal["motor_angle", "torque"], "What was measured"] = "motor_angle",
-    out: Annotated[Path, "File to write the model to", Writes()] = Path("model.json"),
-) -> Answer:
-    """Fit link and motor to a frequency response from the amplifier's voltage.
-
-    $ fraclink identify-driven-link response.csv --rig rig.toml
-    """
-    motor = load_rig(rig).motor
-    found = identification.identify_driven_link(read_frequency_response(response), output=output)
-    if not found.passed:
-        return Answer(found, passed=False)
-    identification.save_model(found.model(motor.inertia * motor.gear_ratio**2), out)
-    return Answer(found, written=(out,), following=f"fraclink design --rig {rig} --model {out}")
-
-
-@command(app)
-def identify_structure(
-    data: Annotated[
-        Path,
-        typer.Argument(metavar="FILE"),
-        "A recording; without --input and --output a table of a frequency response",
-    ],
-    structure: Annotated[
-        str, typer.Argument(metavar="STRUCTURE"), 'Transfer function, such as "k/(T*s**a + 1)*exp(-L*s)"'
-    ],
-    input: Annotated[str | None, "Column of the input"] = None,
-    output: Annotated[str | None, "Column of the output"] = None,
-    time: Annotated[
-        str | None, "Column of the stamps (s; ms as in time_ms); default: the one that is named so"
-    ] = None,
-    period_ms: Annotated[
-        float | None, Between(0.0, 1e6, "ms", low_open=True), "Sampling period of a file without stamps"
-    ] = None,
-    fix: Annotated[
-        list[str] | None, typer.Option(metavar="NAME=VALUE"), "A parameter that is known, or offset=0"
-    ] = None,
-    bound: Annotated[
-        list[str] | None, typer.Option(metavar="NAME=LOW,HIGH"), "Range of a parameter, as in k=-10,10"
-    ] = None,
-    out: Annotated[Path, "File to write the fit to", Writes()] = Path("structure.json"),
-) -> Answer:
-    """Fit a transfer function of your own, with fractional orders and a delay; no start value is needed.
-
-    $ fraclink identify-structure log.csv "k/(T*s**a + 1)" --input u --output y
-    """
-    measured: Recording | FrequencyResponse
-    if input is None and output is None:
-        for name, value in {"time": time, "period_ms": period_ms}.items():
-            if value is not None:
-                problem, remedy = (
-                    "given beside a frequency response",
-                    "leave it out, or give input and output",
-                )
-                raise FieldError(name, value, problem, allowed="a recording with it", remedy=remedy)
-        measured = read_frequency_response(data)
-    else:
-        channels = named_channels(input, output)
-        period = None if period_ms is None else period_ms / 1e3
-        measured = read_recording(data, *channels, time=time, period=period)
-    with steps(1) as begin:
-        begin("fitting the structure")
-        fit = identification.identify_structure(
-            measured,
-            structure,
-            fixed={name: _numbers("fix", text, 1)[0] for name, text in _named("fix", fix)},
-            bounds={name: _numbers("bound", text, 2) for name, text in _named("bound", bound)},
-        )
-    fit.save(out)
-    return Answer(fit, fit.passed, written=(out,))
-
-
-def _named(option: str, texts: list[str] | None) -> list[tuple[str, str]]:
-    """Name and value of every NAME=VALUE."""
-    pairs = [text.partition("=") for text in texts or ()]
-    for name, mark, _ in pairs:
-        if not mark:
-            allowed, remedy = "NAME=VALUE", f'write it as --{option} "k=1"'
-            raise FieldError(option, name, "without a value", allowed=allowed, remedy=remedy)
-    found: dict[str, str] = {}
-    for name, _, value in pairs:
-        if (own := name.strip()) in found:
-            problem, remedy = f"given beside {own}={found[own]}", "leave one of them out"
-            raise FieldError(option, f"{own}={value}", problem, allowed="one for each name", remedy=remedy)
-        found[own] = value
-    return list(found.items())
-
-
-def _numbers(option: str, text: str, count: int) -> Any:
-    """The numbers of "1" or "1,2"."""
-    try:
-        found = tuple(float(cell) for cell in text.split(","))
-    except ValueError:
-        found = ()
-    if len(found) != count:
-        allowed = "a number" if count == 1 else "two numbers with a comma between them"
-        raise FieldError(option, text, "not understood", allowed=allowed, remedy="write 0.5, or 0,10")
-    return found
 
 
 @command(app)

@@ -120,7 +120,7 @@ def identify_motor(
     ------
     LogError
         signals without motion, or that give a motor with an impossible sign: K/J ≤ 0 (the voltage brakes),
-        ν/J or Coulomb friction clearly below zero (friction that drives).
+        ν/J or Coulomb friction clearly below zero (friction that drives), J below zero (a link that drives).
     FieldError
         arguments out of range.
 
@@ -175,6 +175,24 @@ def _judged(fit: MotorFit) -> MotorFit:
             )
             raise LogError(name, value, problem, allowed=">= 0", remedy=remedy)
     findings = []
+    if fit.inertia is not None and "inertia" in fit.standard_errors:
+        # What is fitted is 1/J, whose error is that of J over its square.
+        error = fit.standard_errors["inertia"] / fit.inertia**2
+        if 1 / fit.inertia < -_SIGN * error:
+            problem = f"J of an impossible sign, 1/J with a standard error of {error:.3g}"
+            remedy = "check the sign and the unit of the link's torque, and that it is of this motor"
+            raise LogError("inertia", fit.inertia, problem, allowed="> 0", remedy=remedy)
+        if 1 / fit.inertia < _SIGN * error:
+            findings.append(
+                Finding(
+                    "W332",
+                    "warning",
+                    "the link's torque does not show in the motion, and so neither does the inertia",
+                    {"reciprocal": 1 / fit.inertia, "standard_error": error},
+                    "state the inertia, or bend the link more",
+                )
+            )
+            fit = replace(fit, inertia=None, coulomb_torque=None)
     if fit.nmse > _NMSE_MOST:
         findings.append(
             Finding(

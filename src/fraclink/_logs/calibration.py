@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fraclink._arm.log_columns import UNITS, Channel, ColumnStatement, OutputKind
 from fraclink._logs.channels import Mode, find_mode
-from fraclink._logs.names import role_of_name, words_of
+from fraclink._logs.names import UNITS_OF_LENGTH, length_of_name, role_of_name, words_of
 from fraclink._logs.weighing import Certainty, Question, Weighing
 from fraclink.errors import LogError
 
@@ -27,12 +27,16 @@ _LATE = 0.12  # of a vibration: a later answer could as well be one of the other
 # Stiffness of links in laboratories [N·m/rad]; in mN·m the number is a thousand times as large.
 _SOFTEST, _STIFFEST = 0.02, 20.0
 _SMALL_MOVE = 0.9  # an excitation that turns the motor by less than one degree is rare
+_MANY_TURNS = 8 * math.pi  # that no cable of an arm follows
 _LARGEST_TURN = 400.0  # degrees; beyond it they are counts, or millirad
 _LARGEST_VOLTAGE = 60.0  # V of a servo-amplifier: more is millivolts or a converter's counts
 
 
-def guess_angle(weighing: Weighing, place: int, raw: Array) -> Channel | None:
-    """The channel of the motor angle; None where its unit is a question."""
+def guess_angle(weighing: Weighing, place: int, raw: Array, stiffness: float = 0.0) -> Channel | None:
+    """The channel of the motor angle; None where its unit is a question.
+
+    `stiffness` is the gain of a torque on the angle as it stands [N·m], 0 where the output is none.
+    """
     statement, own, name = weighing.statement("motor_angle"), weighing.unit(place), weighing.label(place)
     sign, reach = statement.sign or 1, float(np.abs(raw - raw[0]).max())
     unit = statement.unit or (own if own in UNITS["angle"] else "")
@@ -44,11 +48,18 @@ def guess_angle(weighing: Weighing, place: int, raw: Array) -> Channel | None:
         return Channel(name, unit, sign=sign, scale=scale)
     counts = reach >= 50 and bool((raw == np.round(raw)).all())
     volts = own in UNITS["voltage"] or {"pot", "poti"} & set(words_of(name))
+    if length := length_of_name(name):
+        return _linear_axis(weighing, name, length, sign)
     if not counts and not volts and (reach <= _SMALL_MOVE or 2 * math.pi < reach <= _LARGEST_TURN):
         unit = "rad" if reach <= _SMALL_MOVE else "deg"
         reason = "under one degree" if unit == "rad" else "more than a full turn"
         other = "degrees" if unit == "rad" else "radians"
         evidence = f"it moves by {reach:.4g}: as {other}, {reason}"
+        links = {each for each in ("rad", "deg") if _is_link(stiffness / UNITS["angle"][each])}
+        # As the other unit it would be a link as well, or as this one none.
+        if stiffness and (unit not in links or (reach < _MANY_TURNS and len(links) > 1)):
+            _ask_by_stiffness(weighing, name, reach, stiffness)
+            return None
         weighing.conclude("unit of the motor angle", unit, "likely", evidence)
         return Channel(name, unit, sign=sign)
     example, choices = "[deg]", ("rad", "deg")
@@ -62,6 +73,33 @@ def guess_angle(weighing: Weighing, place: int, raw: Array) -> Channel | None:
     option = f'--column "motor_angle={name} {example}"'
     weighing.ask(Question("motor_angle", "unit", text, choices, "", option))
     return None
+
+
+def _is_link(stiffness: float) -> bool:
+    return _SOFTEST < stiffness < _STIFFEST
+
+
+def _ask_by_stiffness(weighing: Weighing, name: str, reach: float, stiffness: float) -> None:
+    in_degrees = stiffness / UNITS["angle"]["deg"]
+    text = (
+        f"{name} moves by {reach:.4g}, and the link would have {stiffness:.3g} N·m/rad if these are radians, "
+        f"{in_degrees:.3g} if they are degrees: in which unit?"
+    )
+    option = f'--column "motor_angle={name} [deg]"'
+    weighing.ask(Question("motor_angle", "unit", text, ("rad", "deg"), "", option))
+
+
+def _linear_axis(weighing: Weighing, name: str, length: str, sign: Literal[1, -1]) -> Channel | None:
+    """The channel of a carriage: any radius makes an angle of its way, for all but the gain."""
+    scale = UNITS_OF_LENGTH[length]
+    text = f"{name} is a linear axis [{length}]: which angle of the root is 1 {length} of it?"
+    option = f'--column "motor_angle={name} * {scale / 0.1:g} [rad]" for a lever of 0.1 m'
+    question = Question("motor_angle", "unit", text, (f"{scale:g} rad",), f"{scale:g} rad", option)
+    if not weighing.ask(question):
+        return None
+    evidence = "a linear axis: frequency, order and delay do not depend on the lever"
+    weighing.conclude("unit of the motor angle", f"1 rad for 1 m of {name}", "assumed", evidence)
+    return Channel(name, "rad", sign=sign, scale=scale)
 
 
 def check_no_tip_angle(weighing: Weighing, place: int, angle: Array, output: Array, period: float) -> None:
@@ -81,7 +119,8 @@ def check_no_tip_angle(weighing: Weighing, place: int, angle: Array, output: Arr
             weighing.label(place),
             "the angle of the tip: the motor angle less it is what vibrates",
             allowed="the torque at the base, or the deflection: motor angle less tip angle",
-            remedy="write that difference into a column of its own, and state it as the deflection",
+            remedy="state that difference as the deflection, as in "
+            '--column "deflection=motor_angle_column - tip_angle_column [deg]"',
         )
 
 
@@ -106,7 +145,10 @@ def _kind_and_unit(weighing: Weighing, place: int, mode: Mode | None) -> tuple[O
     statement, own = weighing.statement("output"), weighing.unit(place)
     unit = statement.unit or own
     if unit in UNITS["torque"] or (statement.role == "torque" and statement.unit):
-        weighing.conclude("output measures", f"torque [{unit}]", "stated", _by(statement))
+        gain = abs(mode.gain) * (statement.scale or 1.0) * UNITS["torque"].get(unit, 1.0) if mode else 0.0
+        odd = mode is not None and mode.share >= STRONG and not _is_link(gain)
+        evidence = _by(statement) + (f"; {gain:.3g} N·m/rad, which few links have" if odd else "")
+        weighing.conclude("output measures", f"torque [{unit}]", "likely" if odd else "stated", evidence)
         return "torque", unit, statement.scale or 1.0
     gain = abs(mode.gain) if mode is not None and mode.share >= _WEAK else 0.0
     calibrated = gain * (statement.scale or 1.0) * (UNITS["angle"].get(unit, 1.0))
@@ -122,7 +164,8 @@ def _kind_and_unit(weighing: Weighing, place: int, mode: Mode | None) -> tuple[O
     if own in UNITS["angle"] and not statement.unit:
         _ask_angle_unit(weighing, place, own, calibrated)
         return None
-    found = None if statement.unit else _by_gain(weighing, place, gain, own)
+    length = length_of_name(weighing.table.names[place])
+    found = None if statement.unit or length else _by_gain(weighing, place, gain, own)
     return found or _uncalibrated(weighing, place, gain)
 
 
@@ -171,6 +214,10 @@ def _uncalibrated(weighing: Weighing, place: int, gain: float) -> tuple[OutputKi
     text = f"What does {name} measure, and in which unit? (raw: not calibrated, scaled by the fit)"
     default = "raw" if gain else ""
     option = f'--column "torque={name} [Nm]", --column "deflection={name} [deg]" or "deflection={name} [raw]"'
+    length = length_of_name(weighing.table.names[place])
+    if length:
+        text = f"{name} is a length: how long is the link? (raw: scaled by the fit)"
+        option = f'--column "deflection={name} * 1/0.32 [rad]" for a link of 0.32 {length}'
     if statement.unit != "raw":
         question = Question("output", "unit", text, ("Nm", "mNm", "deg", "rad", "raw"), default, option)
         if not weighing.ask(question):
@@ -185,7 +232,8 @@ def _uncalibrated(weighing: Weighing, place: int, gain: float) -> tuple[OutputKi
         "output measures",
         f"deflection, {scale:g} rad each",
         "assumed",
-        f"{name} is not calibrated: scaled to a gain of 1 on the motor angle, as a deflection has; "
+        (f"a link of {gain:.3g} {length}: " if length else f"{name} is not calibrated: ")
+        + "scaled to a gain of 1 on the motor angle, as a deflection has; "
         "frequency, order and delay do not depend on it",
     )
     return "deflection", "rad", scale

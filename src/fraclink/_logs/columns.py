@@ -16,7 +16,7 @@ from fraclink._arm.log_columns import QUANTITY_OF, UNITS, Channel, LogColumns
 from fraclink._files.toml import toml_value
 from fraclink._logs.faults import cell_remedy
 from fraclink._logs.forms import NUMBER
-from fraclink._logs.names import COMMANDED, HINTS, unit_in, unit_of_name
+from fraclink._logs.names import COMMANDED, HINTS, names_time, role_of_name, unit_in, unit_of_name
 from fraclink._logs.text import LogTable
 from fraclink._validate import Payload
 from fraclink._validate.rules import rule
@@ -89,9 +89,12 @@ def suggested_columns(table: LogTable) -> list[tuple[str, str, str]]:
     """What the names and values of the columns suggest: (role, column, unit), "?" for what they do not."""
     sizes = dict(zip(table.names, (values.size for values in table.values), strict=True))
     clocks = [
-        name for name, values in zip(table.names, table.values, strict=True) if clock_step(values) is not None
+        name
+        for name, values in zip(table.names, table.values, strict=True)
+        # An angle that only grows is no clock, and the row's number is one where nothing else is.
+        if clock_step(values) is not None and not role_of_name(name)[0]
     ]
-    clocks.sort(key=lambda name: -sizes[name])
+    clocks.sort(key=lambda name: (-sizes[name], not names_time(name)))
     length = sizes[clocks[0]] if clocks else max(sizes.values(), default=0)
     free = [name for name in table.names if name not in clocks and sizes[name] == length]
     found: dict[str, str] = {"time": clocks[0] if clocks else "?"}
@@ -230,11 +233,12 @@ def stated_payload(table: LogTable, stated: float | None) -> tuple[float | None,
     ]
 
 
-_COMBINED = re.compile(r"(\S.*?)\s+([-+])\s+(\S.*)")
+_FACTOR = r"(?:([0-9.]+(?:[eE][-+]?[0-9]+)?) *\* *)?"
+_COMBINED = re.compile(_FACTOR + r"(\S.*?)\s+([-+])\s+" + _FACTOR + r"(\S.*)")
 
 
 def with_combined(table: LogTable, stated: Iterable[str]) -> LogTable:
-    """Return the table with a column for each stated sum or difference, such as ``"enc - tip"``.
+    """Return the table with a column for each stated sum or difference, such as ``"enc - 179 * tip"``.
 
     A name that a column has is that column. The cells that either part misses are missing.
     """
@@ -242,17 +246,26 @@ def with_combined(table: LogTable, stated: Iterable[str]) -> LogTable:
         found = _COMBINED.fullmatch(name)
         if found is None or name in table.names:
             continue
-        first, second = (table.place(part, name) for part in (found[1], found[3]))
+        first, second = (table.place(part, name) for part in (found[2], found[5]))
         if table.values[first].shape != table.values[second].shape:
             allowed, remedy = "two columns of one length", "combine columns that were sampled together"
             raise LogError("columns", name, "of two lengths", allowed=allowed, remedy=remedy)
-        sign = 1.0 if found[2] == "+" else -1.0
+        of_first, of_second = _factor(found[1], name), _factor(found[4], name)
+        sign = 1.0 if found[3] == "+" else -1.0
         faults = table.faults.get(first) or table.faults.get(second)
         table = replace(
             table,
             names=(*table.names, name),
-            values=(*table.values, table.values[first] + sign * table.values[second]),
+            values=(*table.values, of_first * table.values[first] + sign * of_second * table.values[second]),
             units=(*table.units, "") if table.units else (),
             faults={**table.faults, **({len(table.names): faults} if faults else {})},
         )
     return table
+
+
+def _factor(text: str | None, name: str) -> float:
+    try:
+        return float(text or 1)
+    except ValueError:
+        allowed, remedy = "numbers such as 1.5e-3", "write it as 179 * tip"
+        raise LogError("columns", name, f"with a factor {text}", allowed=allowed, remedy=remedy) from None

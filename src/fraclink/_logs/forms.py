@@ -195,7 +195,8 @@ def _without_title(form: Form) -> Form:
     count = places[begin] if units is not None else places[header]
     told = Form(_commented(form.text, count, kept), form.units, form.remarks)
     if header:
-        told = told.told(f"{places[header]} lines of title above the names")
+        lines_above = "1 line" if places[header] == 1 else f"{places[header]} lines"
+        told = told.told(f"{lines_above} of title above the names")
     if units is not None:
         told = replace(told, units=form.units | dict(zip(cells[header], units, strict=True)))
         told = told.told(f"line {places[begin - 1] + 1} holds the units")

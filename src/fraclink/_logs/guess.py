@@ -17,17 +17,17 @@ from fraclink._arm.log_columns import ROW_NUMBER, UNITS, Channel, ColumnStatemen
 from fraclink._logs.calibration import STRONG, check_no_tip_angle, guess_angle, guess_output, guess_voltage
 from fraclink._logs.channels import find_mode
 from fraclink._logs.columns import check_count, clock_step, is_stated, with_combined
-from fraclink._logs.names import role_of_name, words_of
+from fraclink._logs.dead_ends import check_no_response, no_angle, no_output
+from fraclink._logs.names import names_time, role_of_name, words_of
 from fraclink._logs.text import LogTable
+from fraclink._logs.tips import LONGEST_SCAN, gauges, tip_difference
 from fraclink._logs.weighing import Certainty, Guess, Question, Weighing, guess_time, samples_of, stamps_of
-from fraclink.errors import LogError
 
 __all__ = ["Guess", "GuessedColumns", "Question", "guess_columns"]
 
 Array = NDArray[np.float64]
 
 _APART = 0.6  # of the best share: a second pair of columns that explains more makes the first one doubtful
-_PAIR_SAMPLES = 2_048  # looked at for each pair of columns without names: a scan takes 30 ms then
 _PAIR_COLUMNS = 6  # without names: thirty ordered pairs are a second
 
 
@@ -46,6 +46,7 @@ def guess_columns(
     *,
     assume: bool = False,
     interpolate: bool = False,
+    source: str = "log.csv",
 ) -> GuessedColumns:
     """Weigh names, ranges and the vibration in the log into columns.
 
@@ -60,6 +61,8 @@ def guess_columns(
         take the defaults of the questions that have one.
     interpolate
         look past missing cells.
+    source
+        the file, as a command that a refusal names is to call it.
 
     Raises
     ------
@@ -67,9 +70,10 @@ def guess_columns(
         a column that is stated is not there, a cell of one that is needed is no number, or the log has no
         column that could be the motor angle or the output.
     """
+    check_no_response(table, source)
     check_count(max((values.size for values in table.values), default=0))
     table = with_combined(table, [each.column for each in stated.values() if each.column])
-    weighing = Weighing(table, stated, assume, interpolate)
+    weighing = Weighing(table, stated, assume, interpolate, source)
     for remark in table.remarks:
         weighing.conclude("form of the file", remark, "certain", "the whole file agrees")
     # Values near the largest double overflow in a difference: such a column is no signal, and no error here.
@@ -87,7 +91,8 @@ def _columns(weighing: Weighing) -> LogColumns | None:
         return None
     raw_angle, raw_output = weighing.cells(angle), weighing.cells(output)
     period = float(np.median(np.abs(np.diff(stamps_of(weighing, time)))))
-    angle_channel = guess_angle(weighing, angle, raw_angle)
+    stiffness = _stiffness(weighing, output, raw_angle, raw_output, period)
+    angle_channel = guess_angle(weighing, angle, raw_angle, stiffness)
     if angle_channel is None or not period > 0 or raw_angle.size != raw_output.size:
         return None
     in_radians = angle_channel.in_si(raw_angle, "motor_angle")
@@ -98,6 +103,16 @@ def _columns(weighing: Weighing) -> LogColumns | None:
         return None
     kind, channel = found
     return LogColumns(time, angle_channel, channel, kind, guess_voltage(weighing, in_radians))
+
+
+def _stiffness(weighing: Weighing, output: int, angle: Array, raw: Array, period: float) -> float:
+    """Gain of a torque on the angle in its own unit [N·m], 0 where there is none to tell the unit by."""
+    unit = weighing.statement("output").unit or weighing.unit(output)
+    if unit not in UNITS["torque"] or not period > 0 or angle.size != raw.size:
+        return 0.0
+    mode = find_mode(angle, raw, period)
+    scale = UNITS["torque"][unit] * (weighing.statement("output").scale or 1.0)
+    return abs(mode.gain) * scale if mode is not None and mode.share >= STRONG else 0.0
 
 
 # --- which column is the motor angle, which the output ----------------------------------------------------
@@ -111,9 +126,9 @@ def _signals(weighing: Weighing, time: Channel | None) -> tuple[int | None, int 
     free = [
         place
         for place, values in enumerate(table.values)
-        # A column that only rises is another clock, unless its name says what it measures.
+        # A column that only rises is another clock, unless its name says what it measures and not when.
         if place != clock and values.size == length and _moves(values)
-        if named[place][0] or clock_step(values) is None
+        if clock_step(values) is None or (named[place][0] and not names_time(table.names[place]))
     ]
     places: dict[str, int | None] = {}
     for role, part in (("motor_angle", "motor angle"), ("output", "output")):
@@ -121,21 +136,52 @@ def _signals(weighing: Weighing, time: Channel | None) -> tuple[int | None, int 
         if place is not None:
             weighing.conclude(part, weighing.label(place), "stated", "as stated")
     taken = set(places.values())
+    settled = places["output"] is not None
     if places["motor_angle"] is None:
         places["motor_angle"] = _by_name(weighing, "motor angle", ("motor_angle",), named, free, taken)
     if places["output"] is None:
         places["output"] = _by_name(
             weighing, "output", ("torque", "deflection"), named, free, taken | {places["motor_angle"]}
         )
+    if places["output"] is None:
+        places["output"] = _of_two(weighing, places["motor_angle"], named, free, time)
     if None in places.values():
         _by_vibration(weighing, places, [place for place in free if not named[place][0]], time)
-    for role, words in (
-        ("motor_angle", "the motor angle"),
-        ("output", "the output of the link (torque or deflection)"),
-    ):
-        if places[role] is None:
-            _ask_column(weighing, role, words, [place for place in free if place not in places.values()])
-    return places["motor_angle"], places["output"]
+    if None in places.values():
+        _ask_columns(weighing, places, named, free, time)
+    angle, output = places["motor_angle"], places["output"]
+    if angle is None or output is None or settled or output >= len(named):
+        return angle, output
+    return angle, _in_space(weighing, angle, output, time)
+
+
+def _of_two(
+    weighing: Weighing,
+    angle: int | None,
+    named: Mapping[int, tuple[str, str]],
+    free: list[int],
+    time: Channel | None,
+) -> int | None:
+    """The place of an output that two gauges make, or the tip and the motor angle."""
+    pair = gauges(weighing, named, free)
+    tips = [place for place in free if named[place][0] == "the tip" and place != angle]
+    if pair is not None or angle is None or len(tips) != 1:
+        return pair
+    return tip_difference(weighing, angle, tips[0], time)
+
+
+def _in_space(weighing: Weighing, angle: int, output: int, time: Channel | None) -> int:
+    """The output, or the deflection that is made of it where its values are those of the tip's angle."""
+    own = weighing.unit(output)
+    if own and own not in UNITS["angle"]:
+        return output
+    said = len(weighing.guesses)
+    found = tip_difference(weighing, angle, output, time)
+    if found is None or found == output:
+        del weighing.guesses[said:]
+        return output
+    weighing.guesses[:] = [g for k, g in enumerate(weighing.guesses) if g.part != "output" or k >= said]
+    return found
 
 
 def _moves(values: Array) -> bool:
@@ -184,7 +230,7 @@ def _by_vibration(
     angles = nameless if places["motor_angle"] is None else [places["motor_angle"]]
     outputs = nameless if places["output"] is None else [places["output"]]
     stamps = stamps_of(weighing, time)
-    stride = max(1, stamps.size // _PAIR_SAMPLES)
+    stride = max(1, stamps.size // LONGEST_SCAN)
     period = stride * float(np.median(np.abs(np.diff(stamps))))
     shares: dict[tuple[int, int], float] = {}
     for angle in angles:
@@ -206,19 +252,28 @@ def _by_vibration(
             places[role] = place
 
 
-def _ask_column(weighing: Weighing, role: str, words: str, candidates: list[int]) -> None:
-    """Ask for a column by name; LogError where there is none left to choose from."""
-    table = weighing.table
-    if not candidates:
-        raise LogError(
-            "columns",
-            ", ".join(table.names[:12]),
-            f"without {words}",
-            allowed="a time, the motor angle, and the link's torque or deflection, each of which moves",
-            remedy="record both signals together: a link is identified from the motor's motion to its output",
-        )
-    names = tuple(weighing.label(place) for place in candidates)
-    spelled = "motor_angle" if role == "motor_angle" else "torque"
-    option = f'--column "{spelled}={names[0]}"' + (' or "deflection=…"' if role == "output" else "")
-    question = Question(role, "column", f"Which column is {words}?", names, "", option)
-    weighing.ask(question)
+_NO_SIGNAL = ("a commanded value", "a speed", "an acceleration", "a current", "a temperature", "voltage")
+
+
+def _ask_columns(
+    weighing: Weighing,
+    places: Mapping[str, int | None],
+    named: Mapping[int, tuple[str, str]],
+    free: list[int],
+    time: Channel | None,
+) -> None:
+    """Ask for each column that is open, by name; LogError where there is none left to choose from."""
+    left = [place for place in free if place not in places.values() and named[place][0] not in _NO_SIGNAL]
+    open_roles = [role for role, place in places.items() if place is None]
+    if len(left) < len(open_roles) and time is not None:
+        if places["motor_angle"] is None and not [p for p in left if named[p][0] == "motor_angle"]:
+            raise no_angle(weighing, time, free, named)
+        raise no_output(weighing, time, places["motor_angle"], free, named)
+    if not left:
+        return  # the question for the time comes first
+    words = {"motor_angle": "the motor angle", "output": "the output of the link (torque or deflection)"}
+    for role in open_roles:
+        names = tuple(weighing.label(place) for place in left)
+        spelled = "motor_angle" if role == "motor_angle" else "torque"
+        option = f'--column "{spelled}={names[0]}"' + (' or "deflection=…"' if role == "output" else "")
+        weighing.ask(Question(role, "column", f"Which column is {words[role]}?", names, "", option))

@@ -11,13 +11,14 @@ from collections.abc import Collection
 
 from fraclink._arm.log_columns import QUANTITY_OF, UNITS
 
-__all__ = ["COMMANDED", "HINTS", "role_of_name", "unit_in", "unit_of_name", "words_of"]
-__all__ += ["names_time", "stated_unit"]
+__all__ = ["COMMANDED", "HINTS", "UNITS_OF_LENGTH", "role_of_name", "unit_in", "unit_of_name", "words_of"]
+__all__ += ["length_of_name", "names_time", "stated_unit"]
 
 # Words that loggers use, English and German; the time is known by its values: they never decrease.
 HINTS = {
     "motor_angle": (
         *("motor_angle", "theta", "pot", "enc", "position", "angle", "hub", "joint", "winkel", "phi", "pos"),
+        *("cart", "carriage", "slider", "schlitten", "axis", "achse"),
     ),
     "torque": ("torque", "gamma", "moment", "effort", "nm", "drehmoment"),
     "deflection": (
@@ -33,8 +34,11 @@ COMMANDED = ("ref", "cmd", "set", "target", "desired")  # what was asked for is 
 _OTHER = {
     "a commanded value": (*COMMANDED, "reference", "setpoint", "soll", "sollwert", "command", "demand"),
     "the tip": ("tip", "endpoint", "spitze", "laser", "camera", "kamera"),
-    "a speed": ("speed", "velocity", "vel", "omega", "rpm", "drehzahl", "geschwindigkeit", "dtheta"),
-    "an acceleration": ("acc", "accel", "acceleration", "beschleunigung"),
+    "a speed": (
+        *("speed", "velocity", "vel", "omega", "rpm", "drehzahl", "geschwindigkeit", "dtheta", "dot", "rate"),
+        *("dalpha", "dphi", "dq"),
+    ),
+    "an acceleration": ("acc", "accel", "acceleration", "accelerometer", "beschleunigung", "imu"),
     "a current": ("current", "strom", "amps"),
     "a temperature": ("temp", "temperature", "temperatur"),
 }
@@ -154,6 +158,21 @@ def _is_unit(text: str) -> bool:
         return _is_unit(top) and _is_unit(bottom)
     base = _spelled(text[1:], _UNITS_ELSEWHERE) if text[:1].lower() in _PREFIXES else ""
     return bool(base)
+
+
+UNITS_OF_LENGTH = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "um": 1e-6, "µm": 1e-6, "inch": 0.0254}
+
+
+def length_of_name(name: str) -> str:
+    """The unit of length that a name ends with, or ""; "m" alone may be the motor, as in theta_m.
+
+    >>> [length_of_name(name) for name in ("laser_mm", "tip [m]", "cart_m", "theta_m", "x_V")]
+    ['mm', 'm', 'm', '', '']
+    """
+    endings, square = _endings(name)
+    found = next((ending for ending in endings if ending in UNITS_OF_LENGTH), "")
+    meant = square or "(" in name or not {"theta", "th", "angle", "enc", "q", "pot"} & set(words_of(name))
+    return found if found != "m" or meant else ""
 
 
 def names_time(name: str) -> bool:

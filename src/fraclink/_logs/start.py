@@ -141,7 +141,7 @@ def start(
     stated = statements(column, period)
     decisions = len(stated) + (payload is not None)
     table = read_table(place)
-    found, answers = _resolved(table, stated, ask, interpolate)
+    found, answers = _resolved(table, str(log), stated, ask, interpolate)
     assert found.columns is not None  # noqa: S101  # `_resolved` ends with columns or an error
     experiment = read_log(
         place, columns=found.columns, payload=payload, resample=resample, interpolate=interpolate
@@ -177,12 +177,12 @@ def _known(log: Experiment, fit: Fit, payload: float | None) -> dict[str, tuple[
 
 
 def _resolved(
-    table: LogTable, stated: dict[str, ColumnStatement], ask: Ask | None, interpolate: bool
+    table: LogTable, source: str, stated: dict[str, ColumnStatement], ask: Ask | None, interpolate: bool
 ) -> tuple[GuessedColumns, int]:
     """The columns once every question is answered or assumed, and the number of answers."""
     answers = 0
     while True:
-        found = guess_columns(table, stated, assume=ask is None, interpolate=interpolate)
+        found = guess_columns(table, stated, assume=ask is None, interpolate=interpolate, source=source)
         if not found.questions:
             return found, answers
         if ask is None:

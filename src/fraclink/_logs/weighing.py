@@ -139,6 +139,7 @@ class Weighing:
     stated: Mapping[str, ColumnStatement]
     assume: bool
     interpolate: bool
+    source: str = "log.csv"
     guesses: list[Guess] = field(default_factory=list)
     questions: list[Question] = field(default_factory=list)
 

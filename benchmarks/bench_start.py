@@ -1,0 +1,287 @@
+"""From a log that nobody has described to a first model: logs of many shapes through `start`.
+
+    python benchmarks/bench_start.py [words of a shape's name]
+
+Every made log is of one motion of one arm (λ = 1.93, ω₀ = 10.02, c = 1.56 N·m/rad, 0.32 m), so that the
+script knows what each column is: it compares the period, motor angle, output, voltage, units, signs, delay,
+frequency and order that `start` ends with. Where `start` refuses, its sentence must name the option, the line
+or the command that mends it; the script fills in the number that only the laboratory has and goes on as told,
+so that each answer is a decision. Bundled and recorded logs are compared with what their rig files state.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import re
+import shlex
+import shutil
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+os.environ["OPENBLAS_NUM_THREADS"] = "1"  # before numpy is loaded
+
+import numpy as np
+
+import fraclink as fl
+from fraclink._cli import main as command
+from identify_logs import line
+from start_shapes import DELAY, FREQUENCY, ORDER, PERIOD, Shape, forms, motion, signals
+
+MOST_DECISIONS, MOST_SECONDS, FEWEST_SHAPES = 7, 3.0, 20
+
+
+@dataclass
+class Outcome:
+    """What became of one log."""
+
+    fitted: bool = False
+    mended: bool = False
+    decisions: int = 0
+    faults: list[str] = field(default_factory=list)
+    physical: int = 0
+
+
+def compared(shape: Shape, found: fl.Start) -> Iterator[str]:
+    """What `start` has taken wrongly."""
+    log, true = found.experiment, motion()
+    if abs(log.period / PERIOD - 1) > 1e-6:
+        yield f"period {1e3 * log.period:.6g} ms"
+    if log.output_kind != shape.kind:
+        yield f"output taken for a {log.output_kind}"
+    output = "late" if shape.late else "torque" if shape.kind == "torque" else "deflection"
+    pairs = [("motor angle", log.motor_angle, true["angle"], shape.any_radius)]
+    pairs.append(("output", log.output, true[output], shape.raw))
+    if shape.voltage != (log.voltage is not None):
+        yield "voltage not found" if shape.voltage else "voltage found where there is none"
+    elif log.voltage is not None:
+        pairs.append(("voltage", log.voltage, true["voltage"], False))
+    for name, taken, known, scaled in pairs:
+        x, y = taken - taken.mean(), known[: taken.size] - known[: taken.size].mean()
+        factor = float(x @ y / (y @ y))
+        rest = float(np.std(x - factor * y) / np.std(x))
+        if rest > 0.1 or factor <= 0 or not (scaled or abs(factor / shape.times - 1) < 0.03):
+            yield f"{name}: {factor:.3g} of the true one, {100 * rest:.2g} % besides"
+    model = found.fit.model
+    if abs(model.natural_frequency ** (2 / model.order) / FREQUENCY ** (2 / ORDER) - 1) > 0.01:
+        yield f"resonance {model.natural_frequency ** (2 / model.order):.4g} rad/s"
+    if found.fit.structure == "UD-FOM" and abs(model.order - ORDER) > 0.02:
+        yield f"λ {model.order:.4g}"
+    if abs(found.fit.delay - shape.late * DELAY) > 2e-3:
+        yield f"delay {1e3 * found.fit.delay:.3g} ms"
+
+
+def gone_on(said: str, answer: str, path: Path) -> list[str]:
+    """Run the command that a refusal names; return what it did wrong."""
+    named = re.search(re.escape(answer.strip()) + r"[^;]*?(?=, fraclink|[ .]*$| where )", said)
+    if named is None:
+        return [f"names no command: {said}"]
+    words = shlex.split(named[0].replace("RIG", "paper-2023"))
+    with contextlib.redirect_stdout(io.StringIO()) as output, contextlib.redirect_stderr(output):
+        code = command(
+            [*words[1:], *(() if words[1] != "identify-structure" else ("--out", str(path) + ".json"))]
+        )
+    text = output.getvalue()
+    if code:
+        return [f"{named[0]}: exit code {code}: {text[-300:]}"]
+    if "identify-structure" in named[0]:
+        found = fl.StructureFit.load(str(path) + ".json").parameters
+        if (
+            abs(found["a"] - ORDER) > 0.03
+            or abs(found["w"] ** (1 / found["a"]) / FREQUENCY ** (2 / ORDER) - 1) > 0.02
+        ):
+            return [f"{found}"]
+    return []
+
+
+def pasted(said: str, answer: str, path: Path) -> Path:
+    """Run the line for the shell that a refusal prints behind `answer`; return the file that is then read."""
+    text = said[said.index(answer) + (0 if answer == "python" else len(answer)) :].rstrip(".")
+    text = text.split(" and read ")[0]
+    if "$d'" in text:
+        text += f" {shlex.quote(path.name)}"
+    subprocess.run(text.replace("python ", f"{sys.executable} ", 1), shell=True, check=True, cwd=path.parent)  # noqa: S602
+    made = path.with_suffix(".npy")
+    return made if made.exists() else path
+
+
+def tried(shape: Shape, folder: Path) -> Outcome:
+    """Take one log through `start` as a person would who reads what it says."""
+    outcome, path = Outcome(), shape.write(folder)
+    column, options = list(shape.stated), {}
+    outcome.decisions = len(column)
+    for told, answer in (*shape.steps, ("", None)):
+        try:
+            found = fl.start(path, column=column, **options)
+        except ValueError as error:
+            said = " ".join(str(error).split())
+            if answer is None or told.lower() not in said.lower():
+                outcome.faults.append(f"refused: {said}")
+                return outcome
+            outcome.decisions += 1
+            outcome.physical += bool(re.match(r"(payload|motor|link)[._=]", answer))
+            if answer.startswith("fraclink") or not answer:
+                outcome.faults += gone_on(said, answer, path) if answer else []
+                outcome.mended = True
+                return outcome
+            if answer.startswith("$ "):
+                path = pasted(said, answer[2:], path)
+            elif re.fullmatch(r"(period|resample|interpolate)=.*", answer):
+                name, value = answer.split("=")
+                options[name] = True if value == "True" else float(value)
+            else:
+                column.append(answer)
+        else:
+            outcome.fitted = True
+            outcome.faults += compared(shape, found)
+            if answer is not None:
+                outcome.faults.append(f"not asked: {told}")
+            return outcome
+    return outcome
+
+
+def made(wanted: str) -> tuple[dict[str, Outcome], int]:
+    """Every made shape, and how many tracebacks there were."""
+    found, broken = {}, 0
+    for name, shape in (forms() | signals()).items():
+        if wanted not in name:
+            continue
+        with tempfile.TemporaryDirectory() as folder:
+            try:
+                found[name] = tried(shape, Path(folder))
+            except ImportError as error:
+                print(f"     {name}: needs {error.name}")
+                continue
+            except Exception as error:  # noqa: BLE001 - a traceback is what is counted
+                broken += 1
+                found[name] = Outcome(faults=[f"{type(error).__name__}: {error}"])
+        outcome = found[name]
+        way = "fitted" if outcome.fitted else "command or remedy named" if outcome.mended else "STUCK"
+        print(
+            f"     {name:<44} {outcome.decisions} decisions, {way}",
+            *outcome.faults,
+            sep="\n         ",
+            flush=True,
+        )
+    return found, broken
+
+
+def known_logs() -> Iterator[tuple[str, Path, tuple[str, ...], fl.Experiment]]:
+    """Bundled and recorded logs: the file, what only its laboratory knows, the log as its rig states it."""
+    for name in fl.bundled_logs():
+        path = fl.bundled_log(name)
+        yield name, path, (), fl.read_log(path)
+    tests = Path(__file__).resolve().parents[1] / "tests"
+    data = Path(os.environ.get("FRACLINK_SHARED", str(tests.parents[1] / "shared" / "data")))
+    recorded = {
+        "ist_flexbar/2_lab_a05_f04.csv": ("ist", ("motor_angle=* 36.79 [deg]",)),
+        "ist_flexbar/2_lab_a10_f04.csv": ("ist", ("motor_angle=* 36.79 [deg]",)),
+        "ist_flexbar/2_lab_a15_f10.csv": ("ist", ("motor_angle=* 36.79 [deg]",)),
+        "quanser_rfl_merced/merced_rfl.csv": ("merced", ()),
+    }
+    for name, (rig, stated) in recorded.items():
+        if (data / name).exists():
+            known = fl.read_log(data / name, rig=fl.Rig.load(tests / "rigs" / f"{rig}.toml"))
+            yield name, data / name, stated, known
+
+
+def compared_with(found: fl.Start, known: fl.Experiment) -> Iterator[str]:
+    """Where `start` took a log otherwise than its rig; a gauge that is not calibrated may have any factor."""
+    log = found.experiment
+    pairs = [("motor angle", log.motor_angle, known.motor_angle), ("output", log.output, known.output)]
+    if known.voltage is not None and log.voltage is not None:
+        pairs.append(("voltage", log.voltage, known.voltage))
+    if log.period != known.period or log.output_kind != known.output_kind:
+        yield f"period {log.period}, {log.output_kind}"
+    for name, taken, true in pairs:
+        x, y = taken - taken.mean(), true - true.mean()
+        factor = float(x @ y / (y @ y))
+        raw = name == "output" and any(
+            g.certainty == "assumed" and g.part == "output measures" for g in found.guesses
+        )
+        if np.std(x - factor * y) > 1e-6 * np.std(x) or factor <= 0 or not (raw or abs(factor - 1) < 1e-6):
+            yield f"{name}: {factor:.3g} of the known one"
+
+
+def known() -> tuple[int, int, list[str]]:
+    """How many known logs there are, how many are fitted, and what is wrong."""
+    count, fitted, wrong = 0, 0, []
+    for name, path, stated, log in known_logs():
+        count += 1
+        try:
+            found = fl.start(path, column=stated)
+        except ValueError as error:
+            wrong.append(f"{name}: {error}")
+            continue
+        fitted += 1
+        faults = list(compared_with(found, log))
+        wrong += [f"{name}: {fault}" for fault in faults]
+        print(f"     {name:<44} {len(stated)} decisions, fitted", *faults, sep="\n         ", flush=True)
+    return count, fitted, wrong
+
+
+def speed() -> None:
+    """`fraclink start` in a fresh process on 20 s at 250 Hz, to fit and picture: clock and processor."""
+    folder = Path(tempfile.mkdtemp())
+    words = [sys.executable, "-m", "fraclink", "start", str(fl.bundled_log("prbs_30g")), "--out", str(folder)]
+    clock, processor = [], []
+    for _ in range(5):
+        begin, before = time.perf_counter(), os.times()
+        subprocess.run([*words, "--force"], check=True, capture_output=True)  # noqa: S603
+        clock.append(time.perf_counter() - begin)
+        processor.append(sum(b - a for a, b in zip(before[2:4], os.times()[2:4], strict=True)))
+    shutil.rmtree(folder)
+    line(
+        "`fraclink start` on 20 s at 250 Hz, to fit and picture: clock [s]",
+        f"{statistics.median(clock):.2f} ({min(clock):.2f} to {max(clock):.2f})",
+        f"<= {MOST_SECONDS:g} s",
+        statistics.median(clock) <= MOST_SECONDS,
+    )
+    median = statistics.median(processor)
+    line(
+        "the same, seconds of the processor",
+        f"{median:.2f}",
+        f"<= {MOST_SECONDS:g} s",
+        median <= MOST_SECONDS,
+    )
+
+
+def main(wanted: str = "") -> None:
+    """Print every figure."""
+    found, broken = made(wanted)
+    through = sum(o.fitted for o in found.values())
+    mended = sum(o.mended for o in found.values())
+    wrong = [name for name, o in found.items() if o.faults]
+    line(
+        "made shapes: fitted, refused with the line or command that mends",
+        f"{through} + {mended} of {len(found)}",
+        f"all of >= {FEWEST_SHAPES}",
+        through + mended == len(found) >= FEWEST_SHAPES,
+    )
+    line("tracebacks", str(broken), "0", not broken)
+    line("made shapes with a guess that is wrong", f"{len(wrong)} {', '.join(wrong)}", "0", not wrong)
+    counts = [o.decisions for o in found.values()]
+    line(
+        "decisions until the fit: most, median",
+        f"{max(counts)}, {statistics.median(counts):g}",
+        f"<= {MOST_DECISIONS}",
+        max(counts) <= MOST_DECISIONS,
+    )
+    physical = sum(o.physical for o in found.values())
+    line("numbers of motor, link or payload among the answers", str(physical), "0", not physical)
+    if not wanted:
+        count, fitted, faults = known()
+        line("bundled and recorded logs fitted", f"{fitted} of {count}", "all", fitted == count)
+        line("of these taken otherwise than their rig files state", "; ".join(faults) or "0", "0", not faults)
+        speed()
+
+
+if __name__ == "__main__":
+    main(" ".join(sys.argv[1:]))
