@@ -198,6 +198,20 @@ def _swapped(make: Callable[[float, float], Filter], time: float, rate: float) -
     return make(rate, time)
 
 
+def _quiet(
+    setting: Setting, frequency: float, make: Callable[[float, float], Filter]
+) -> tuple[float, float, Filter]:
+    """(rate, filter time, correction): the shortest filter with no more noise than the design's law has."""
+    wanted = setting.loop.noise(law_filter(setting.law))
+    for k in range(16):
+        time = FILTER_TIME * 1.25**k
+        at_rate = partial(_swapped, make, time)
+        rate, correction, _ = tune(setting.loop, at_rate, (0.3 * frequency, 4 * frequency), 1.0)
+        if setting.loop.noise(correction) <= wanted:
+            break
+    return rate, time, correction
+
+
 def _noisy_rivals(setting: Setting) -> dict[str, Builder]:
     """Rivals that cancel the link's stiffness: no knob gives them its Ms, so their rule is its noise.
 
@@ -205,18 +219,8 @@ def _noisy_rivals(setting: Setting) -> dict[str, Builder]:
     noise of the gauge reaches the motor reference no stronger than with fraclink's, and the error poles
     are those of the smallest Ms at that filter.
     """
-    period, model = setting.rig.period, setting.model
-    frequency, _ = integer_mode(model)
-    wanted = setting.loop.noise(law_filter(setting.law))
-
-    def quiet(make: Callable[[float, float], Filter]) -> tuple[float, float, Filter]:
-        for k in range(16):
-            time = FILTER_TIME * 1.25**k
-            at_rate = partial(_swapped, make, time)
-            rate, correction, _ = tune(setting.loop, at_rate, (0.3 * frequency, 4 * frequency), 1.0)
-            if setting.loop.noise(correction) <= wanted:
-                break
-        return rate, time, correction
+    period = setting.rig.period
+    frequency, _ = integer_mode(setting.model)
 
     def build(
         name: str,
@@ -225,7 +229,7 @@ def _noisy_rivals(setting: Setting) -> dict[str, Builder]:
         outer: Callable[[float, float], Outer],
         extra: tuple[int, int],
     ) -> Rival:
-        rate, time, correction = quiet(make)
+        rate, time, correction = _quiet(setting, frequency, make)
         states, products = _filter_cost(setting.law, correction)
         return Rival(
             name,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Annotated, Any
 
 import numpy as np
@@ -168,6 +168,18 @@ def fitted_samples(log: Experiment) -> int:
 # --- the fit and how sure it is ----------------------------------------------------------------------------
 
 
+def _predicted(search: Search, solution: Solution, log: Experiment) -> NDArray[np.float64]:
+    """The output over all of the log, of which the search saw the first part only."""
+    whole = Window(log.motor_angle, log.output, log.period, search.window.hold)
+    kernel = whole.kernel(search.lowest, longest_delay=search.longest_delay)
+    return np.asarray(solution.gain * columns_of(kernel, solution.shape)[0] + solution.offset)
+
+
+def _deviations(names: Iterable[str], variances: NDArray[np.float64]) -> dict[str, float]:
+    # Rounding may leave a variance just below zero.
+    return dict(zip(names, np.sqrt(np.maximum(variances, 0)).tolist(), strict=True))
+
+
 def fit_from(
     search: Search,
     name: str,
@@ -180,9 +192,7 @@ def fit_from(
     """The fit of one structure from a search, judged on the whole log; `errors` where they are known."""
     solution = search.solve(name)
     window = search.window
-    whole = Window(log.motor_angle, log.output, log.period, window.hold)
-    kernel = whole.kernel(search.lowest, longest_delay=search.longest_delay)
-    predicted = solution.gain * columns_of(kernel, solution.shape)[0] + solution.offset
+    predicted = _predicted(search, solution, log)
     residual = log.output - predicted
     if errors is None or not details:
         errors = uncertainty(search, solution, coloured=details)
@@ -202,10 +212,8 @@ def fit_from(
         output_kind=log.output_kind,
         period=float(log.period),
         **_figures(log, residual, window.samples, solution),
-        standard_errors=dict(zip(errors.names, np.sqrt(np.maximum(variances, 0)).tolist(), strict=True)),
-        white_standard_errors=dict(
-            zip(errors.names, np.sqrt(np.maximum(np.diag(errors.white), 0)).tolist(), strict=True)
-        ),
+        standard_errors=_deviations(errors.names, variances),
+        white_standard_errors=_deviations(errors.names, np.diag(errors.white)),
         errors_allow_colour=bool(allow),
         intervals=intervals,
         at_bound=_bounds(solution),
