@@ -27,6 +27,12 @@ def tool(name: str, package: str | None = None) -> str:
     return path
 
 
+def chromium() -> str:
+    """Return the path of Chromium: of its shell without windows, in half the memory, or of the whole."""
+    shell = "chromium-headless-shell"
+    return shutil.which(shell) or shutil.which("chromium") or tool(shell)
+
+
 def octave_with_control() -> str:
     """Return the path of Octave, or skip and name what is missing: the program or its control package."""
     path = tool("octave-cli", "octave")

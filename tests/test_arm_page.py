@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 
 import fraclink as fl
+from browser import command_line
 from fraclink._campaign.study import save_study
 from fraclink._cli import main
 from fraclink._law import MODES
@@ -27,7 +28,6 @@ from fraclink._show.palette import colours as colours_of
 from fraclink._show.text import number
 from fraclink._simulate.engine import engine_link
 from fraclink.errors import FieldError
-from needed_tools import tool
 from test_report import HOSTILE, Elements, parsed
 
 
@@ -172,19 +172,10 @@ RUNS = (
 
 def browsed(page: str, place: Path, settings: str) -> str:
     """The page as a browser has it at this address, after its script has run without a complaint."""
-    browser = tool("chromium")
     (place / "arm.html").write_text(page)
+    command = command_line(place, "--enable-logging=stderr", "--dump-dom")
     answer = subprocess.run(  # noqa: S603
-        [
-            browser,
-            "--headless",
-            "--no-sandbox",
-            "--disable-gpu",
-            "--enable-logging=stderr",
-            "--dump-dom",
-            f"--user-data-dir={place / 'profile'}",
-            f"{(place / 'arm.html').as_uri()}#{settings}",
-        ],
+        [*command, f"{(place / 'arm.html').as_uri()}#{settings}"],
         capture_output=True,
         text=True,
         timeout=120,

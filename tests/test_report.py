@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from browser import command_line
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.rig import Rig
 from fraclink._campaign.faults import Case, Check, FaultTable, Outcome
@@ -30,7 +31,6 @@ from fraclink._show.report import render_report, write_report
 from fraclink._show.scales import envelope
 from fraclink._show.text import number, uncertain
 from fraclink.findings import Finding, Scope, Verdict
-from needed_tools import tool
 
 HOSTILE = [
     "<img src=x onerror=alert(1)>",
@@ -349,15 +349,13 @@ document.title = JSON.stringify(said);
 
 @pytest.mark.slow
 def test_the_pointer_shows_values_and_zooms(tmp_path: Path) -> None:
-    browser = tool("chromium")
     made, _ = design_for(RIG)
     page = render_report(Study(rig=RIG, design=made))
     page = re.sub(r'<meta http-equiv="Content-Security-Policy"[^>]*>', "", page)  # of the copy that is tried
     place = tmp_path / "report.html"
     place.write_text(page.replace("</body>", POINTER + "</body>"), "utf-8")
-    command = [browser, "--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking"]
     answer = subprocess.run(  # noqa: S603
-        [*command, "--dump-dom", f"--user-data-dir={tmp_path / 'profile'}", place.as_uri()],
+        [*command_line(tmp_path, "--dump-dom"), place.as_uri()],
         capture_output=True,
         text=True,
         timeout=120,
@@ -372,18 +370,9 @@ def test_the_pointer_shows_values_and_zooms(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_browser_shows_the_page_without_a_complaint(tmp_path: Path) -> None:
-    browser = tool("chromium")
     place = write_report(study(HOSTILE[0], design=True), tmp_path / "report.html")
-    command = [
-        browser,
-        "--headless",
-        "--no-sandbox",
-        "--disable-gpu",
-        "--enable-logging=stderr",
-        "--dump-dom",
-    ]
     answer = subprocess.run(  # noqa: S603
-        [*command, f"--user-data-dir={tmp_path / 'profile'}", place.as_uri()],
+        [*command_line(tmp_path, "--enable-logging=stderr", "--dump-dom"), place.as_uri()],
         capture_output=True,
         text=True,
         timeout=120,

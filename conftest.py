@@ -1,0 +1,70 @@
+"""Give memory back: a run of all tests, two workers and a browser, fits into a gigabyte.
+
+What a file of tests leaves in its caches is needed by no other, and free memory goes back to the system only
+where the C library is told to: without either, a worker grows to twice what it starts with.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import gc
+import linecache
+import sys
+from types import ModuleType
+
+import pytest
+from xdist.remote import Producer
+from xdist.scheduler import LoadFileScheduling
+
+# Files whose tests start large processes: browsers, pools of workers, a cluster. One worker runs them all, so
+# that no two of those live at once.
+_ONE_AT_A_TIME = {
+    f"tests/test_{name}.py"
+    for name in (
+        *("arm_page", "report", "studio_browser"),
+        *("campaign", "campaign_cluster", "campaign_resume", "campaign_summary", "integrity"),
+    )
+}
+
+
+class _Scheduling(LoadFileScheduling):
+    def _split_scope(self, nodeid: str) -> str:
+        file = super()._split_scope(nodeid)
+        return "large processes" if file in _ONE_AT_A_TIME else file
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> LoadFileScheduling | None:
+    """Keep the tests of a file on one worker, and all of those that start large processes."""
+    return _Scheduling(config, log) if config.getvalue("dist") == "loadfile" else None
+
+
+def _forget(module: ModuleType) -> None:
+    """Empty the caches of the functions that a module has or uses; the package's own are bounded."""
+    for value in vars(module).values():
+        if hasattr(value, "cache_clear") and not str(value.__module__).startswith("fraclink."):
+            value.cache_clear()
+
+
+def _give_back() -> None:
+    gc.collect()
+    if sys.platform == "linux":
+        ctypes.CDLL(None).malloc_trim(0)
+
+
+def pytest_collection_finish() -> None:
+    """Leave modules and collected tests out of every later search for garbage: they stay."""
+    linecache.clearcache()  # every source in which an example was looked for
+    _give_back()
+    gc.freeze()
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> None:
+    """Behind the last test of a file, empty its caches and return what is free."""
+    if nextitem is not None and nextitem.path == item.path:
+        return
+    module = getattr(item, "module", None)
+    if module is not None:
+        _forget(module)
+    _give_back()
