@@ -148,8 +148,9 @@ class Recorder:
         """Keep a few cases of each slow test: the others run the same blocks."""
         seen: collections.Counter[str] = collections.Counter()
         for item in items:
-            seen[item.nodeid.split("[")[0]] += item.get_closest_marker("slow") is not None
-            item.left_out = seen[item.nodeid.split("[")[0]] > SLOW_CASES
+            slow = item.get_closest_marker("slow") is not None
+            seen[item.nodeid.split("[")[0]] += slow
+            item.left_out = slow and seen[item.nodeid.split("[")[0]] > SLOW_CASES
         items[:] = [item for item in items if not item.left_out]
 
     @pytest.hookimpl(wrapper=True)

@@ -14,8 +14,17 @@ from hypothesis import strategies as st
 
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import STRUCTURES, LinkModel, Structure
+from fraclink._arm.reference import smooth_step
 from fraclink._files import write_json
-from fraclink._identify import Fit, aic, compare_structures, identify, load_model, save_model
+from fraclink._identify import (
+    Fit,
+    aic,
+    compare_structures,
+    identify,
+    load_model,
+    save_model,
+    simulated_torque,
+)
 from fraclink._systems.response import time_response
 from fraclink.errors import FieldError, FileFormatError, LogError, SizeError
 from identify_cases import PERIOD, TRUTH, made_log, smooth_pulse
@@ -52,6 +61,7 @@ def test_gain_offset_and_delay_are_found_along() -> None:
 @example(
     order=1.6875, frequency=34.0, delay=0.01171875, seed=0
 )  # the scan takes eight times the frequency for it
+@example(order=1.6015625, frequency=35.0, delay=0.0, seed=0)  # and the delay ends at what that may lead by
 @given(
     order=st.floats(1.6, 1.99),
     frequency=st.floats(3.0, 40.0),
@@ -302,3 +312,19 @@ def test_a_fifth_structure_is_one_row(monkeypatch: pytest.MonkeyPatch) -> None:
     assert fit.model.damping == pytest.approx(0.8, rel=0.05)
     assert fit.mse <= min(comparison.fits[name].mse for name in ("UD-FOM", "D-IOM")) * (1 + 1e-7)
     assert set(fit.standard_errors) >= set(row.free)
+
+
+@pytest.mark.parametrize(("resonance", "order", "delay"), [(23.7, 1.62, 0.0207), (24.1, 1.60, 0.0129)])
+def test_a_smooth_move_has_a_second_valley_in_the_delay(resonance: float, order: float, delay: float) -> None:
+    """On a single smooth move λ and the delay trade: the fit with the delay given is no better."""
+    period = 0.004
+    angle = smooth_step(0.5, 1.6).angle(period * np.arange(900))
+    link = LinkModel(1.5, resonance ** (order / 2), order=order)
+    torque = simulated_torque(link, angle, period, delay=delay, hold="first")
+    for seed in range(4):
+        noise = 0.02 * np.std(torque) * np.random.default_rng(seed).normal(size=900)
+        log = Experiment(period=period, motor_angle=angle, output=torque + noise)
+        own = identify(log, "UD-FOM", hold="first", details=False)
+        given = identify(log, "UD-FOM", hold="first", details=False, fixed={"delay": delay})
+        assert own.mse <= given.mse * (1 + 1e-6)
+        assert own.delay == pytest.approx(delay, abs=0.008)

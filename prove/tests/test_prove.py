@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import operator
 import re
 from dataclasses import replace
 from fractions import Fraction
@@ -308,3 +309,230 @@ EVA_LOG = """
 )
 def test_whatever_speaks_against_the_claim_in_evas_log_is_found(log: str, complaints: list[str]) -> None:
     assert eva._alarms(log, 3) == complaints
+
+
+# --- without a tool: the terms and the script, evaluated here ---------------------------------------------
+
+
+def evaluated(lines: list[str], goal: str, given: dict[str, object]) -> object:
+    """A term of SMT-LIB over reals in single precision, words and conditions."""
+    names = dict(given)
+    reals = {"fp.add": np.add, "fp.sub": np.subtract, "fp.mul": np.multiply, "fp.div": np.divide}
+    tests = {"fp.lt": "lt", "fp.leq": "le", "fp.gt": "gt", "fp.geq": "ge", "fp.eq": "eq"}
+    words = {"bvadd": "add", "bvsub": "sub", "bvmul": "mul", "bvand": "and_", "bvor": "or_", "bvxor": "xor"}
+    orders = {"bvult": "lt", "bvule": "le", "bvugt": "gt", "bvuge": "ge", "=": "eq"}
+
+    def value(parts: list[object] | str) -> object:
+        if isinstance(parts, str):
+            return names[parts] if parts in names else {"true": True, "false": False}[parts]
+        sign, *rest = parts
+        if sign == "_":  # (_ bv3 32)
+            return int(str(rest[0])[2:])
+        if sign == "fp":
+            bits = "".join(str(part)[2:] for part in rest)
+            return np.frombuffer(int(bits, 2).to_bytes(4, "big"), ">f4")[0].astype(np.float32)
+        if sign == "ite":
+            return value(rest[1]) if value(rest[0]) else value(rest[2])  # type: ignore[arg-type]
+        if isinstance(sign, list):  # ((_ to_fp_unsigned 8 24) RNE word)
+            return np.float32(value(rest[1]))  # type: ignore[arg-type]
+        if sign in reals:
+            a, b = (value(part) for part in rest[1:])  # type: ignore[arg-type]
+            return np.float32(reals[str(sign)](a, b))
+        found = [value(part) for part in rest]  # type: ignore[arg-type]
+        if sign in ("fp.abs", "fp.neg", "not"):
+            one: object = found[0]
+            return not one if sign == "not" else abs(one) if sign == "fp.abs" else -one  # type: ignore[arg-type,operator]
+        if sign in words:
+            return getattr(operator, words[str(sign)])(*found) % 2**32
+        return bool(getattr(operator, (tests | orders)[str(sign)])(*found))
+
+    for line in lines:
+        tree = nested(line)
+        if tree[0] == "define-fun":
+            names[str(tree[1])] = value(tree[-1])  # type: ignore[arg-type]
+    return value(nested(goal)) if goal.startswith("(") else value(goal)
+
+
+def nested(text: str) -> list[object]:
+    stack: list[list[object]] = [[]]
+    for token in re.findall(r"[()]|[^\s()]+", text):
+        if token == "(":
+            stack.append([])
+        elif token == ")":
+            done = stack.pop()
+            stack[-1].append(done)
+        else:
+            stack[-1].append(token)
+    return stack[0][0]  # type: ignore[return-value]
+
+
+REAL_SIGNS = {"+": np.add, "-": np.subtract, "*": np.multiply}
+TEST_SIGNS = {
+    "<": operator.lt,
+    "<=": operator.le,
+    ">": operator.gt,
+    ">=": operator.ge,
+    "==": operator.eq,
+    "!=": operator.ne,
+}
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_a_formula_has_the_value_that_was_computed(seed: int) -> None:
+    """Random steps of single precision, with choices, a bounded name and known constants among them."""
+    random = np.random.default_rng(seed)
+    constants = [np.float32(x) for x in (0.0, 0.5, 1.5, -1.5, 3.0, -0.25)]
+    made = formulas.Formulas("single", [float(x) for x in constants])
+    free = made.any("real", "x")
+    command = made.any("real", "command")
+    given = {free.term: np.float32(random.normal()), command.term: np.float32(random.uniform(-1.5, 1.5))}
+    made.bounded[command.term] = 1.5
+    values: list[tuple[formulas.Value, np.float32]] = [
+        (free, given[free.term]),
+        (command, given[command.term]),
+    ]
+    values += [(formulas.Value("real", formulas.real_literal(float(x), "single")), x) for x in constants]
+    tests: list[tuple[formulas.Value, bool]] = [(formulas.TRUE, True), (formulas.FALSE, False)]
+    for _ in range(25):
+        (a, x), (b, y) = (values[random.integers(len(values))] for _ in range(2))
+        step = random.integers(6)
+        if step == 0:
+            sign = str(random.choice(list(REAL_SIGNS)))
+            values.append((made.operated(sign, a, b), np.float32(REAL_SIGNS[sign](x, y))))
+        elif step == 1:
+            sign = str(random.choice(list(TEST_SIGNS)))
+            tests.append((made.operated(sign, a, b), bool(TEST_SIGNS[sign](x, y))))
+        elif step == 2:
+            test, truth = tests[random.integers(len(tests))]
+            values.append((made.choice(test, a, b), x if truth else y))
+        elif step == 3:
+            values.append((made.negative(a), -x))
+        elif step == 4:
+            values.append((made.magnitude(a), abs(x)))
+        else:
+            (one, p), (other, q) = (tests[random.integers(len(tests))] for _ in range(2))
+            sign = str(random.choice(["&&", "||"]))
+            tests.append((made.joined(sign, [one, other]), (p and q) if sign == "&&" else (p or q)))
+            tests.append((made.negated(one), not p))
+    for formula, number in values:
+        assert evaluated(made.lines, formula.term, given) == number
+    for formula, truth in tests:
+        assert (
+            evaluated(made.lines, formula.term, given) is truth
+            or evaluated(made.lines, formula.term, given) == truth
+        )
+    for formula, number in values[8:]:  # what is asked for may be more than is true, never less
+        limit = float(np.float32(random.uniform(0.1, 8.0)))
+        asked = made.at_most(formula, limit)
+        if evaluated(made.lines, asked.term, given):
+            assert abs(number) <= limit
+        chosen = made.relevant([asked.term])
+        assert set(chosen) <= set(made.lines) | {line for line in chosen if "declare-const" in line}
+
+
+def test_a_bound_is_met_by_its_parts() -> None:
+    """A sum of two quarters, a product with the other factor small enough, and the literal limit itself."""
+    made = formulas.Formulas("single", [2.0, 0.5])
+    x, y = made.any("real", "x"), made.any("real", "y")
+    two = formulas.Value("real", formulas.real_literal(2.0, "single"))
+    total, product = made.operated("+", x, y), made.operated("*", x, two)
+    for formula, met, inside in (
+        (made.at_most(total, 4.0), "parts", lambda a, b: abs(a) <= 1 and abs(b) <= 1),
+        (made.at_most(product, 4.0), "factor", lambda a, _: abs(a) <= 0.5),
+    ):
+        tree = str(formula.term)
+        assert tree != "true" and met
+        definition = next(line for line in made.lines if line.split()[1] == tree)
+        *_, parts = re.findall(r"t\d+", definition)
+        for a in (0.0, 0.4, -0.5, 0.6, 1.0, 1.1, -3.0):
+            for b in (0.0, 0.9, -1.0, 1.1):
+                given = {x.term: np.float32(a), y.term: np.float32(b)}
+                assert evaluated(made.lines, parts, given) == inside(a, b), (met, a, b)
+
+
+def test_what_is_set_free_is_a_sum_with_a_part_that_may_be_anything() -> None:
+    made = formulas.Formulas("double", [])
+    x, y = made.any("real", "x"), made.any("real", "y")
+    total = made.operated("+", x, y)
+    twice = made.operated("*", total, total)
+    lines = made.relevant([twice.term])
+    assert f"(declare-const {total.term} {made.real_sort})" in lines
+    assert not any(x.term in line or y.term in line for line in lines)
+    both = made.relevant([twice.term, f"(fp.leq {x.term} {y.term})"])
+    assert any(line.startswith(f"(define-fun {total.term}") for line in both)  # x and y are used elsewhere
+    assert made.relevant([twice.term], arithmetic=False) == [f"(declare-const {twice.term} {made.real_sort})"]
+
+
+def test_a_function_knows_its_loops_and_whether_it_is_pure() -> None:
+    looped = source.Function("f", "void", (("law_real", True, "x"),), "for (i = 0; i < 3; i++) { x[i] = 0; }")
+    plain = source.Function("g", "law_real", (("law_real", False, "x"),), "return forty + x;")
+    assert looped.loops and not looped.pure
+    assert plain.pure and not plain.loops
+
+
+@pytest.mark.parametrize("made", [law("single"), with_pair("double")], ids=["real", "pairs"])
+def test_the_script_is_one_period_of_the_law(made: Law) -> None:
+    """The exact formulas of the Gappa script, with rational samples, against complex arithmetic."""
+    script = rounding._script(made, 0.5)
+    formula = dict(re.findall(r"^(\w+)_exact = (.*);$", script, re.MULTILINE))
+    limits = dict(re.findall(r"\|(\w+)\| <= (\S+)", script))
+    random = np.random.default_rng(1)
+    names = set(re.findall(r"\b[a-z]\w*\b", " ".join(formula.values()))) - {"rnd"}
+    names = {name for name in names if not re.fullmatch(r"0x.*|p", name)}
+    sample = {name: Fraction(int(random.integers(-99, 99)), 64) for name in names}
+
+    def computed(name: str) -> Fraction:
+        text = re.sub(r"-?0x[0-9a-f.]+p[+-]?\d+", lambda m: f"F({float.fromhex(m[0])!r})", formula[name])
+        return Fraction(eval(text, {"F": Fraction}, dict(sample)))  # noqa: S307 - the script made here
+
+    values = made.coefficients
+    one = {key: Fraction(values[key]) for key in ("direct", "forward_direct", "compliance")}  # type: ignore[arg-type]
+
+    def grouped(key: str, width: int, count: int) -> list[list[Fraction]]:
+        numbers = [Fraction(v) for v in values[key][: width * count]]  # type: ignore[index]
+        return [numbers[k * width : (k + 1) * width] for k in range(count)]
+
+    out = one["direct"] * sample["driven"]
+    for k, (pole, gain) in enumerate(grouped("real", 2, len(made.correction.poles))):
+        assert computed(f"real{k}") == pole * sample[f"x_real{k}"] + sample["driven"]
+        out += gain * sample[f"x_real{k}"]
+    for k, (pole, turn, gain, cross) in enumerate(grouped("pair", 4, len(made.correction.pair_poles))):
+        x, y = sample[f"x_pair{k}"], sample[f"y_pair{k}"]
+        assert computed(f"pair{k}") == pole * x - turn * y + sample["driven"]  # Re (p + jt)(x + jy)
+        assert computed(f"pair{k}_turned") == pole * y + turn * x
+        out += gain * x - cross * y
+    assert computed("sum_output") == out
+    ahead = one["forward_direct"] * sample["acceleration"]
+    for k, (pole, gain) in enumerate(grouped("forward", 2, len(made.feedforward.poles))):
+        assert computed(f"ahead{k}") == pole * sample[f"x_ahead{k}"] + sample["acceleration"]
+        ahead += gain * sample[f"x_ahead{k}"]
+    assert computed("ahead_output") == ahead
+    assert computed("change") == sample["now"] - sample["before"]
+    tip = sample["angle"] - sample["torque"] * one["compliance"]
+    assert computed("error") == sample["reference"] - tip
+    assert computed("offset") == sample["forwarded"] + sample["corrected"]
+    assert computed("wanted") == sample["reference"] + sample["offset"]
+    assert float.fromhex(limits["now"]) == pytest.approx(0.5) and float.fromhex(limits["driven"]) >= 1.0
+    for name, key in (("angle", "angle_limit"), ("torque", "torque_limit"), ("corrected", "sum_limit")):
+        assert float(values[key]) <= float.fromhex(limits[name]) <= float(values[key]) * 1.001  # type: ignore[arg-type]
+    assert ("ieee_32" in script) == (made.precision == "single")
+
+
+@pytest.mark.parametrize(("pole", "turn"), [(0.9, 0.0), (-0.6, 0.0), (0.0, 0.0), (0.7, 0.5), (-0.4, 0.6)])
+def test_a_modes_largest_state_is_that_of_the_worst_input(pole: float, turn: float) -> None:
+    mode = rounding._Mode("pair0" if turn else "real0", pole, 0.3, turn, -0.2 if turn else 0.0)
+    p = complex(pole, turn)
+    powers = p ** np.arange(4000)
+    whole = np.abs(powers).sum() if turn else np.abs(powers.real).sum()
+    assert 1.0 / float(mode.leak) == pytest.approx(whole, rel=1e-6)
+    assert float(mode.size(Fraction(1), of_change=False)) == pytest.approx(whole, rel=1e-6)
+    # Differences of errors of up to half the change: the response to (1 - 1/z).
+    differences = np.diff(np.concatenate([[0.0], powers]))
+    worst = 0.5 * np.abs(differences.real).sum()
+    bound = float(mode.size(Fraction(1), of_change=True))
+    assert bound >= worst * (1 - 1e-9)
+    if not turn:
+        assert bound == pytest.approx(worst, rel=1e-6)
+    else:
+        assert bound <= 2.0 * 0.5 * np.abs(differences).sum()
+    assert mode.weight == abs(Fraction(0.3)) + abs(Fraction(mode.cross))

@@ -38,7 +38,8 @@ _ORDER_MOST = 0.25
 class Certainty:
     """What is known of each parameter; `pairs` are the correlations of all pairs, `blind` what is not seen.
 
-    `blind` are the parameters of directions in which nothing that was measured changes.
+    `blind` are the parameters of directions in which nothing that was measured changes; `inflation` is the
+    largest factor by which the residual's colour widens a variance.
     """
 
     intervals: Mapping[str, Interval]
@@ -47,6 +48,7 @@ class Certainty:
     undetermined: tuple[str, ...]
     blind: tuple[str, ...]
     pairs: Mapping[tuple[str, str], float]
+    inflation: float = 1.0
 
 
 def certainty_of(search: StructureSearch, data: Samples, best: Place, *, details: bool) -> Certainty:
@@ -75,12 +77,13 @@ def certainty_of(search: StructureSearch, data: Samples, best: Place, *, details
         wide = np.maximum(np.diag(sandwich(inverse, jacobian, residual, variance)[0]), white)
     size = np.sqrt(np.diag(inverse))
     related = inverse / np.outer(size, size)
-    errors, intervals = {}, {}
+    errors, intervals, widest = {}, {}, 1.0
     for k, name in enumerate(free):
         if name in blind:
             continue
         error = math.sqrt(max(float(wide[k]), 0.0))
         inflation = float(wide[k] / white[k]) if white[k] > 0 else 1.0
+        widest = max(widest, inflation)
         value = best.values[name]
         errors[name] = error * (abs(value) if own.is_logarithmic(name) else 1.0)
         intervals[name] = _straight_interval(own, name, value, QUANTILE * error)
@@ -96,7 +99,7 @@ def certainty_of(search: StructureSearch, data: Samples, best: Place, *, details
         or (name in intervals and not _is_known(own, name, best.values[name], intervals[name]))
     )
     pairs = {(free[i], free[j]): float(related[i, j]) for i, j in combinations(range(len(free)), 2)}
-    return Certainty(intervals, errors, stuck, undetermined, blind, pairs)
+    return Certainty(intervals, errors, stuck, undetermined, blind, pairs, widest)
 
 
 def _predicted(search: StructureSearch, data: Samples, place: Place) -> Reals:
@@ -232,7 +235,7 @@ def structure_findings(
     fit: StructureFit, certain: Certainty, rivals: Sequence[Place], data: RecordStart | Lines
 ) -> tuple[Finding, ...]:
     """All findings, worst first."""
-    found = [*_of_the_parameters(fit, certain), *_of_the_error(fit), *_of_rivals(fit, rivals, data)]
+    found = [*_of_the_parameters(fit, certain), *_of_the_error(fit), *_of_rivals(fit, certain, rivals, data)]
     found += _of_the_band(fit, data)
     return worst_first(found)
 
@@ -306,8 +309,13 @@ def _of_the_error(fit: StructureFit) -> Iterator[Finding]:
         )
 
 
-def _of_rivals(fit: StructureFit, rivals: Sequence[Place], data: RecordStart | Lines) -> Iterator[Finding]:
-    """Other parameters that fit as well as the data can tell, and are not the same."""
+def _of_rivals(
+    fit: StructureFit, certain: Certainty, rivals: Sequence[Place], data: RecordStart | Lines
+) -> Iterator[Finding]:
+    """Other parameters that fit as well as the data can tell, and are not the same.
+
+    An interval follows one valley of the cost; another valley is as good by the same measure.
+    """
     least = fit.nmse
     for rival in rivals:
         ratio = rival.cost / max(_cost(fit, data), 1e-300)
@@ -318,7 +326,7 @@ def _of_rivals(fit: StructureFit, rivals: Sequence[Place], data: RecordStart | L
             if not interval.contains(rival.values[name])
             and not math.isclose(rival.values[name], fit.parameters[name], rel_tol=1e-3)
         ]
-        if told < QUANTILE**2 and apart and least > 1e-12:
+        if told < QUANTILE**2 * certain.inflation and apart and least > 1e-12:
             values = {name: rival.values[name] for name in apart}
             yield Finding(
                 "W357",
