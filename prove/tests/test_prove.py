@@ -355,14 +355,14 @@ def evaluated(lines: list[str], goal: str, given: dict[str, object]) -> object:
 
 def nested(text: str) -> list[object]:
     stack: list[list[object]] = [[]]
-    for token in re.findall(r"[()]|[^\s()]+", text):
-        if token == "(":
+    for part in re.findall(r"[()]|[^\s()]+", text):
+        if part == "(":
             stack.append([])
-        elif token == ")":
+        elif part == ")":
             done = stack.pop()
             stack[-1].append(done)
         else:
-            stack[-1].append(token)
+            stack[-1].append(part)
     return stack[0][0]  # type: ignore[return-value]
 
 
