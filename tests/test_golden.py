@@ -14,6 +14,7 @@ from golden.record import TOPICS, differences, entries, plain, probe, recorded
 
 # Over two seconds each.
 SLOW = {"claims", "run", "report", "design-geared", "optimise", "optimised noise", "optimised crossover"}
+SLOW |= {"drawing of a shaped move"}
 ENTRIES = [
     pytest.param(topic, title, marks=pytest.mark.slow if title in SLOW else (), id=f"{topic}: {title}")
     for topic in TOPICS

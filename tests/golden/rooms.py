@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import contextlib
 import functools
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -16,7 +17,9 @@ from typing import Any
 import numpy as np
 
 import fraclink as fl
-from fraclink._campaign import rivals
+from fraclink._arm.recording import Recording
+from fraclink._campaign import Campaign, rivals, simulate_part
+from fraclink._campaign.faults import Bench, Case, run_case
 from fraclink._campaign.rival_controllers import (
     Algebraic,
     Linear,
@@ -39,8 +42,11 @@ from fraclink._design.assess import (
     spillover,
     tolerances,
 )
-from fraclink._show import figures, loops
-from fraclink._show.runs import moves_figure
+from fraclink._export.payload import payload_files
+from fraclink._show import figures, fleets, loops
+from fraclink._show.figures import structure_figure
+from fraclink._show.runs import moves_figure, outcome_figure, shaped_figure
+from fraclink._show.sketches import arm_sketch, loop_sketch
 from fraclink._simulate import geared
 from fraclink._simulate.on_twin import with_motor_loop
 from fraclink._systems.fractional import s
@@ -64,7 +70,7 @@ def dumped(value: Any) -> Any:
     if is_dataclass(value) and not isinstance(value, type):
         named = {item.name: getattr(value, item.name) for item in fields(value)}
         return {name: dumped(part) for name, part in named.items() if not callable(part)}
-    if isinstance(value, dict):
+    if isinstance(value, Mapping):
         return {str(key): dumped(part) for key, part in value.items()}
     if isinstance(value, list | tuple):
         if len(value) > 24 and all(isinstance(item, int | float) for item in value):
@@ -349,6 +355,90 @@ def of_runs() -> Any:
     return _drawn(moves_figure(runs))
 
 
+def of_a_campaign() -> Any:
+    """Drawings and tables of many runs, of which some never settle."""
+    law = fl.Law.load(Path(__file__).resolve().parent / "laws" / "default.json")
+    columns = simulate_part(Campaign.of(RIG, RIG.model, law, runs=400, seed=5, motor_loop="sampled"), 0)
+    shown = {name: np.array(columns[name], dtype=float) for name in fleets.SHOWN}
+    shown["settling_time"][::9] = np.inf
+    draws = np.random.default_rng(1).normal(size=(2, 2000))
+    failures = fleets.failures_figure(*draws, draws[0] + draws[1] > 1.5, ("across", "up"))
+    return {
+        "spread": [_drawn(figure) for figure in fleets.spread_figures(shown)],
+        "failures": _drawn(failures),
+    }
+
+
+def of_a_fault() -> Any:
+    """The drawing of a case."""
+    bench = Bench.of(design_of("geared"), link_mass=0.00735)
+    outcome = run_case(bench, Case("F09", 1, 0.030, "mid", 1), single=False)
+    return _drawn(outcome_figure(bench, outcome))
+
+
+def of_a_structure() -> Any:
+    """A structure of one's own fitted to a log: its drawing, its tables, its findings."""
+    random = np.random.default_rng(2)
+    u = np.repeat(random.choice([-1.0, 1.0], size=40), 10)
+    y = fl.time_response((2.0 / (0.7 * s**1.2 + 1)).delayed(0.15), u, 0.05).output
+    data = Recording(period=0.05, input=u, output=y + 0.02 * random.normal(size=400))
+    made = fl.identify_structure(data, "k*exp(-L*s)/(T*s**a + 1)", hold="zero")
+    numbers = {
+        name: getattr(made, name) for name in ("parameters", "standard_errors", "nmse", "heldout_nmse")
+    }
+    return [dumped(numbers), dumped(made.intervals), _drawn(structure_figure(made)), made.undetermined]
+
+
+def of_a_shaped_move() -> Any:
+    """The fastest move of the tip: its figures and drawing."""
+    rig = fl.Rig.named("paper-2023-geared")
+    made = fl.shape(_of_geared(rig), 0.5, voltage=8.0, seeds=1)
+    return [dumped([m.name for m in made.measured]), dumped(made.settling_time), _drawn(shaped_figure(made))]
+
+
+@functools.cache
+def _of_geared(rig: fl.Rig) -> fl.Design:
+    asked: dict[str, Any] = {"payloads": (0.020, 0.040), "gain_crossover": 12.0, "phase_margin": fl.deg(50)}
+    return fl.design(rig.model, rig, **asked, filter_time=0.02)
+
+
+SVG_NUMBER = re.compile(r"-?\d+(?:\.\d+)?")
+
+
+def sketches() -> Any:
+    """The numbers and words of the sketches."""
+    drawn = {"arm": arm_sketch(("one", "two", "three")), "loop": loop_sketch()}
+    return {
+        name: [dumped([float(x) for x in SVG_NUMBER.findall(text)]), re.findall(r">([^<>]+)<", text)]
+        for name, text in drawn.items()
+    }
+
+
+def exported_estimator() -> Any:
+    """The data of a payload estimator as C, in both precisions."""
+    rig = fl.Rig.named("paper-2023-geared")
+    made = _of_geared(rig)
+    bank = fl.payload_estimator(rig.model, rig, made.law(), made.payloads)
+    shipped = {"double": bank, "single": bank.in_precision("single")}
+    files = {name: payload_files(item)["payload_data.h"].decode() for name, item in shipped.items()}
+    hexes = {
+        name: [float.fromhex(x) for x in re.findall(r"-?0x[0-9a-f.]+p[+-]?\d+", text)]
+        for name, text in files.items()
+    }
+    return {
+        "sizes": [bank.state_size, shipped["single"].state_size],
+        **{n: dumped(v) for n, v in hexes.items()},
+    }
+
+
+def enclosures() -> Any:
+    """The worst phase margin over a box, from both sides."""
+    law = fl.Law.load(Path(__file__).resolve().parent / "laws" / "outer.json")
+    statement = fl.certify(law, model=RIG.model, rig=RIG, payloads=(0.02, 0.04), modulus_margin=0.3).statement
+    found = fl.enclose_phase_margin(statement, law, width=fl.deg(0.5))
+    return dumped(found)
+
+
 def rooms() -> Entries:
     """Every entry."""
     made: Entries = {
@@ -362,6 +452,13 @@ def rooms() -> Entries:
         "drawings of a design": of_a_design,
         "drawings of a fractional PID": of_a_pid,
         "drawings of runs": of_runs,
+        "drawings of a campaign": of_a_campaign,
+        "drawing of a fault": of_a_fault,
+        "drawing of a structure": of_a_structure,
+        "drawing of a shaped move": of_a_shaped_move,
+        "sketches": sketches,
+        "payload estimator": exported_estimator,
+        "enclosure": enclosures,
     }
     made |= {f"system {name}": partial(system, name) for name in SYSTEMS}
     made |= {f"loop {name}": partial(loop_margins, name) for name in LOOPS}
