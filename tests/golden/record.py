@@ -347,7 +347,13 @@ def _bench() -> Bench:
     return Bench.of(design_of(GEARED), link_mass=LINK_MASS)
 
 
-FAULTS = (("F02", 2, "mid"), ("F07", 3, "mid"), ("F09", 1, "mid"), ("F14", 2, "rest"), ("F23", 2, "mid"))
+FAULTS: tuple[tuple[str, int, str], ...] = (
+    ("F02", 2, "mid"),
+    ("F07", 3, "mid"),
+    ("F09", 1, "mid"),
+    ("F14", 2, "rest"),
+    ("F23", 2, "mid"),
+)
 # Every fault with every severity, which costs 20 ms each.
 FAULTS += tuple((fault.number, severity, "mid") for fault in fl.CATALOGUE for severity in (1, 2, 3))
 

@@ -361,8 +361,8 @@ def of_a_campaign() -> Any:
     columns = simulate_part(Campaign.of(RIG, RIG.model, law, runs=400, seed=5, motor_loop="sampled"), 0)
     shown = {name: np.array(columns[name], dtype=float) for name in fleets.SHOWN}
     shown["settling_time"][::9] = np.inf
-    draws = np.random.default_rng(1).normal(size=(2, 2000))
-    failures = fleets.failures_figure(*draws, draws[0] + draws[1] > 1.5, ("across", "up"))
+    across, up = np.random.default_rng(1).normal(size=(2, 2000))
+    failures = fleets.failures_figure(across, up, across + up > 1.5, ("across", "up"))
     return {
         "spread": [_drawn(figure) for figure in fleets.spread_figures(shown)],
         "failures": _drawn(failures),
