@@ -6,6 +6,7 @@ The arm is a twin in this process; each exchange of voltage and reading is one p
 from __future__ import annotations
 
 import math
+import threading
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -20,8 +21,10 @@ from fraclink import _kernels
 from fraclink._cli import main
 from fraclink._cli.tunings import _following
 from fraclink._identify import simulated_torque
+from fraclink._realtime import VirtualClock
 from fraclink._realtime.connections import Callback, Command
 from fraclink._realtime.line import open_line
+from fraclink._realtime.tune import _lateness
 from fraclink._realtime.tune_build import _designs, build_law
 from fraclink._realtime.tune_guard import Guard, LimitReached
 from fraclink._realtime.tune_link import _fitted
@@ -154,6 +157,45 @@ def test_a_lost_link_ends_with_a_stop() -> None:
             guard.step(0.1)
     guard.release()
     assert sent[-1].mode == 4 and sent[-1].voltage == 0.0
+
+
+def test_samples_that_came_while_the_process_slept_are_counted() -> None:
+    """A busy machine must not look like a fast arm: the way between two samples took all their periods."""
+    way = fl.SharedMemory("fraclink-test-late")
+    clock = VirtualClock(2)
+    served: list[fl.ServedArm] = []
+
+    def serve() -> None:
+        try:
+            twin = fl.Twin.from_rig(RIG)
+            served.append(fl.serve_arm(twin, way, RIG.period, duration=1.0, priority=0, clock=clock))
+        finally:
+            clock.leave()
+
+    thread = threading.Thread(target=serve)
+    thread.start()
+    try:
+        guard = Guard(partial(open_line, way, None, clock=clock), LIMITS)
+        for _ in range(10):
+            guard.step(0.5)
+        before = guard.count
+        clock.sleep(4.5 * RIG.period)
+        guard.step(0.5)
+        assert guard.reading.periods in (4, 5) and guard.lost == guard.reading.periods - 1
+        assert guard.count == before + guard.reading.periods
+        record = guard.record()
+        between = np.diff(record.angle[-guard.reading.periods :])
+        assert np.ptp(between) < 1e-9  # a line stands for what is missing
+        assert abs(guard.speed) < 1.2 * np.max(np.diff(record.angle)) / RIG.period
+        assert "did not come in time" in _lateness(guard)
+        clock.sleep(12.5 * RIG.period)
+        with pytest.raises(FraclinkError, match="the link to the arm is lost"):
+            guard.step(0.5)
+        guard.release()
+    finally:
+        clock.leave()
+        thread.join(60.0)
+    assert served[0].voltage[-1] == 0.0
 
 
 @pytest.fixture(scope="module")

@@ -288,7 +288,8 @@ void bind_realtime(nb::module_ &m) {
         .def_static("callables", &callables)
         .def("read", &read_once)
         .def("write", &write_once)
-        .def_prop_ro("clocked", [](Io &io) { return io_of(io).clocked != 0; });
+        .def_prop_ro("clocked", [](Io &io) { return io_of(io).clocked != 0; })
+        .def_prop_ro("taken", [](Io &io) { return io.channel ? io.channel->taken : 0U; });
     nb::class_<Clock>(m, "RealtimeClock")
         .def(nb::init<int, int>(), nb::arg("threads"), nb::arg("file") = -1)
         .def("sleep", &Clock::sleep)

@@ -19,6 +19,7 @@ __all__ = ["ArmLine", "ArmLost", "Reading", "Stopped", "open_line"]
 _OFF = 4
 _LOOKS = 16  # in a period: the arrival is known to 6 % of it
 _LOST = 5  # samples in a row that may be missing, as law.c rides through
+_NUMBERS = 2**32  # of samples, and then from the beginning
 _STOPS = 3  # one is lost on the way now and then
 _SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP")
 
@@ -56,12 +57,14 @@ class ArmLine:
         self._way, self._clock, self._signals = way, clock, signals
         self._tick = 0
         self._due = clock.now + period
+        self._seen = way.taken if way.clocked else 0
         self._last = clock.now
 
     def exchange(self, voltage: float) -> Reading:
         """Give a voltage [V] and return the sample that comes next.
 
-        Raises `Stopped` after a signal, `ArmLost` where no sample came for five periods.
+        Raises `Stopped` after a signal, `ArmLost` where no sample came for five periods. An arm with a clock
+        of its own numbers its samples: where this process was late for some, the newest says how many.
         """
         if self._signals.is_set():
             raise Stopped
@@ -73,6 +76,9 @@ class ArmLine:
             if periods > _LOST:
                 raise ArmLost(_LOST)
             found = self._awaited() if self._way.clocked else self._on_time()
+        if self._way.clocked:
+            before, self._seen = self._seen, self._way.taken
+            periods = max((self._seen - before) % _NUMBERS, 1)
         return Reading(found[1], found[2], periods)
 
     def _awaited(self) -> tuple[int, float, float] | None:

@@ -34,6 +34,7 @@ EXPERIMENTS = 3  # at most, where a gate or the proof fails
 LAWS = 3  # that the arm is moved with at most: each takes a quarter of a minute
 _PATIENCE = 90.0  # [s] of motion, at most, with the experiment that comes next
 _FAR_OFF = 2.0  # times the errors that suffice: less of an excess is in the box, and costs a degree of margin
+_FEW_LOST = 0.01  # of the samples, as for a record of `run-realtime`
 _OTHER_ARM = 0.35  # of the first guesses, which scatter by a tenth, between a tuning and its resumption
 
 
@@ -103,7 +104,7 @@ def tune(
     except (FraclinkError, OSError, KeyboardInterrupt) as error:
         if guard is None:
             raise
-        session.end(str(error) or "stopped by Ctrl-C; the drive is off")
+        session.end((str(error) or "stopped by Ctrl-C; the drive is off") + _lateness(guard))
     finally:
         if guard is not None:
             guard.release()
@@ -351,6 +352,16 @@ class _Session:
     def _tell(self, lines: tuple[str, ...]) -> None:
         for line in lines:
             self.begin(f"  {line}")
+
+
+def _lateness(guard: Guard) -> str:
+    """What lost samples add to why a tuning ended: a busy machine looks like another arm."""
+    if guard.lost <= _FEW_LOST * guard.count:
+        return ""
+    return (
+        f" (of {guard.count} samples {guard.lost} did not come in time: this machine, or the link, is too "
+        f"busy for a period of {1e3 * guard.period:.3g} ms, and what was measured suffers)"
+    )
 
 
 def _worth_repeating(built: Built, link: LinkResult) -> bool:

@@ -100,6 +100,8 @@ class Guard:
         self._opened, self._stack, self._line = opened, contextlib.ExitStack(), None
         self._rows: list[tuple[float, float, float]] = []
         self._angles: deque[float] = deque(maxlen=_SPEED_SAMPLES)
+        self._apart = 1  # periods between the two
+        self.lost = 0  # samples that did not come in time
         self.reading = self.connect()
         self.origin, self.offset = self.reading.angle, self.reading.torque
 
@@ -111,6 +113,7 @@ class Guard:
             self._line, self.reading = self._stack.enter_context(self._opened())
             self.period = self._line.period
             self._angles.extend([self.reading.angle] * _SPEED_SAMPLES)
+            self._apart = 1
         return self.reading
 
     def release(self) -> None:
@@ -144,10 +147,16 @@ class Guard:
         sent = self._slowed(sent)
         self._sent.append(sent)
         self._driven = self._driven or sent != 0.0
-        row = (sent, self.reading.angle, self.reading.torque)
+        last = self.reading
         found = self._line.exchange(sent)  # type: ignore[union-attr]  # connected above
-        self._rows += [row] * found.periods  # where a sample was lost, the one before stands for it
+        self.lost += found.periods - 1
+        self._sent.extend([sent] * (found.periods - 1))  # the arm held it
+        for k in range(found.periods):  # where samples were lost, a line to the next one stands for them
+            part = k / found.periods
+            angle = last.angle + part * (found.angle - last.angle)
+            self._rows.append((sent, angle, last.torque + part * (found.torque - last.torque)))
         self._angles.append(found.angle)
+        self._apart = found.periods
         self.reading = found
         return found
 
@@ -161,7 +170,7 @@ class Guard:
     @property
     def speed(self) -> float:
         """Speed at the newest sample [rad/s]: that between the last two, and what the voltage added since."""
-        mean = (self._angles[-1] - self._angles[0]) / self.period
+        mean = (self._angles[-1] - self._angles[0]) / (self._apart * self.period)
         return mean + 0.5 * self._gain * self.period * self._sent[0]
 
     def _slowed(self, voltage: float) -> float:
