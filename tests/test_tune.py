@@ -145,6 +145,7 @@ def test_voltages_are_clipped_and_nothing_else_than_a_number_is_sent() -> None:
     guard = guarded(made.callback, replace(LIMITS, voltage=0.01))
     guard.step(5.0)
     guard.step(math.nan)
+    guard.release()
     assert guard.record().voltage.tolist() == [0.01, 0.0]
 
 

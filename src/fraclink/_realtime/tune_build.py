@@ -164,7 +164,8 @@ def _designs(rig: Rig, model: LinkModel, missed: list[Design]) -> Iterator[tuple
     asked: tuple[str, ...] = ()
     if rig.design is not None:
         try:
-            yield design_for(rig, model, box=True)
+            # The nearest feasible request costs a quarter of a minute; `fraclink design` says it at leisure.
+            yield design_for(rig, model, box=True, nearest=False)
             asked = ("what the rig asks for has no law that passes; instead:",)
         except InfeasibleError as error:
             asked = (f"what the rig asks for is not feasible ({error}); instead:",)
