@@ -11,7 +11,8 @@ into eight steps, which brings it nearer to the truth. It knows neither a delay 
 those two examples have no such column. Seconds are processor time of one thread, so that other work on the
 machine does not count.
 
-`--samples N` is the length of the recordings, `--seeds S` draws S noises for every example.
+`--samples N` is the length of the recordings, `--seeds S` draws S noises for every example, `--example K`
+runs one of the ten alone.
 """
 
 from __future__ import annotations
@@ -217,14 +218,16 @@ def main() -> None:
     parser.add_argument("--samples", type=int, default=20_000)
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--no-peer", action="store_true")
+    parser.add_argument("--example", type=int, choices=range(1, 11), help="one of the ten alone")
     given = parser.parse_args()
     good, ratios = 0, []
-    for example in EXAMPLES:
+    chosen = EXAMPLES if given.example is None else EXAMPLES[given.example - 1 : given.example]
+    for example in chosen:
         found, seconds = recovered(example, given.samples, given.seeds)
         good += found
         if not given.no_peer and example.period and "exp" not in example.expression:
             ratios.append(peers(example, given.samples, seconds))
-    line("examples recovered, no start value", f"{good} of {len(EXAMPLES)}", "10", good == len(EXAMPLES))
+    line("examples recovered, no start value", f"{good} of {len(chosen)}", "all", good == len(chosen))
     names = (f"N = {given.samples}", f"N = {given.samples // SPLIT}, each step split into {SPLIT}")
     for name, column in zip(names, np.array(ratios).reshape(-1, 2).T, strict=True):
         if not column.size:

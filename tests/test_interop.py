@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import copy
 import math
 import sys
 import warnings
 from collections.abc import Iterator
+from fractions import Fraction
 from typing import Any
 
 import control
@@ -13,6 +15,7 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 
+import fraclink as fl
 from fraclink._systems.fractional import FractionalTransferFunction, s
 from fraclink._systems.interop import from_control, to_control
 from fraclink._systems.margins import margins
@@ -211,7 +214,8 @@ def test_round_trip_of_an_integer_system() -> None:
 @pytest.mark.parametrize(
     ("system", "field"),
     [
-        (control.tf([1], [1, 0.5], 0.1), "system.dt"),
+        (control.tf([1], [1, 0.5], 0.1), "system"),  # alternates from sample to sample
+        (control.tf([1, 1], [2, 0], 0.1), "system"),  # a mean of two samples
         (control.tf([1], [1, 0.5], True), "system.dt"),
         (control.ss(np.eye(2), np.eye(2), np.eye(2), np.zeros((2, 2))), "system"),
         (control.frd([1, 2], [1, 2]), "system"),
@@ -252,3 +256,57 @@ def test_systems_of_python_control_in_the_algebra() -> None:
     assert held / lag == held * (s + 1)
     assert control.feedback(held, 1) == held.feedback()
     assert control.feedback(held, 2, 1) == held.feedback(2, sign=1)
+
+
+@pytest.mark.parametrize(
+    "plant",
+    [
+        control.tf([2.0], [1.0, 3.0]),
+        control.tf([1.0, 2.0], [1.0, 0.6, 25.0]),
+        control.tf([1.0], [1.0, 2.0, 1.0]),  # a double pole
+        control.tf([5.0], [1.0, 1.0, 0.0]),  # an integrator
+        control.tf([1.0, 0.0, 4.0], [1.0, 2.0, 3.0]),  # jumps with its input
+        control.ss([[0.0, 1.0], [-9.0, -0.3]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]]),
+    ],
+)
+def test_a_sampled_system_is_the_continuous_one_behind_its_hold(plant: Any) -> None:
+    sampled = control.sample_system(plant, 0.1, method="zoh")
+    late = control.tf([1.0], [1.0, 0.0, 0.0], 0.1) * control.tf(sampled)
+    w = np.array([0.1, 1.0, 5.0, 20.0])
+    wanted = fl.from_control(plant)(1j * w)
+    np.testing.assert_allclose(fl.from_control(sampled)(1j * w), wanted, rtol=1e-8)
+    np.testing.assert_allclose(fl.from_control(late)(1j * w), wanted * np.exp(-0.2j * w), rtol=1e-8)
+    assert fl.from_control(late).delay == pytest.approx(0.2)
+    u = np.random.default_rng(0).standard_normal(50)
+    answered = control.forced_response(sampled, inputs=u).outputs
+    np.testing.assert_allclose(
+        fl.time_response(fl.from_control(sampled), u, 0.1).output,
+        answered,
+        atol=1e-8 * np.abs(answered).max(),
+    )
+
+
+def test_an_operator_does_not_guess_the_hold_of_a_sampled_system() -> None:
+    sampled = control.tf([1.0], [1.0, -0.5], 0.1)
+    for operation in (
+        lambda: s * sampled,
+        lambda: s + sampled,
+        lambda: fl.to_control(1 / s).feedback(sampled),
+    ):
+        with pytest.raises(FieldError, match="from_control"):
+            operation()
+
+
+def test_what_python_controls_users_ask_of_a_function() -> None:
+    G = (s + 2) / (s**1.92 + 0.3 * s**0.5 + 100)
+    assert G.dcgain() == control.dcgain(G) == 0.02
+    assert (1 / s).dcgain() == math.inf
+    np.testing.assert_array_equal(G.poles(), fl.poles(G))
+    np.testing.assert_array_equal(control.zeros(G), [-2.0])
+    for name, told in {"num": "G.numerator", "step": "step_response", "isdtime": "to_control"}.items():
+        with pytest.raises(AttributeError, match=told):
+            getattr(G, name)
+    with pytest.raises(AttributeError, match=r"no attribute 'nothing'$"):
+        getattr(G, "nothing")  # noqa: B009 - a type checker would refuse the other spelling
+    assert Fraction(1, 2) * G == 0.5 * G
+    assert copy.deepcopy(G) == G

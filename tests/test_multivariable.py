@@ -168,7 +168,10 @@ def test_algebra_is_that_of_the_values() -> None:
     three = realised(*random_system(1))
     np.testing.assert_allclose(three.determinant()(at), np.linalg.det(three(at)), rtol=1e-9)
     np.testing.assert_allclose(g.determinant()(at), np.linalg.det(g(at)), rtol=1e-12)
-    assert repr(fl.TransferMatrix([[1 / s, 0]])) == f"[{1 / s!r},  {0 * s!r}]"
+    row = fl.TransferMatrix([[1 / s, 0]])
+    assert repr(row) == "TransferMatrix([[1/s, 0]])"
+    assert str(row) == "[1 / s,  0]"
+    assert row._repr_latex_() == r"$\displaystyle\begin{bmatrix}\frac{1}{s} & 0\end{bmatrix}$"
 
 
 BAD: list[tuple[Any, str]] = [

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fraclink._arm.link import LinkModel
 from fraclink._arm.motor_loop import MotorLoop
+from fraclink._arm.reference import Path
 from fraclink._files import document
 from fraclink._systems.fractional import FractionalTransferFunction, s
 from fraclink._systems.margins import Margins
@@ -21,6 +22,7 @@ __all__ = ["Controller", "closed_loop", "closed_loop_poles"]
 _LARGEST = 1e12  # gains and times beyond it are slips of the pen; squaring them must not overflow
 
 document("margins")(Margins)  # here and not beside the class: systems stand below the codec
+document("reference")(Path)  # and a reference is needed where mypy has not seen the codec yet
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, Any
@@ -16,6 +16,7 @@ from fraclink._arm.timebase import time_base
 from fraclink._files import document, write_text
 from fraclink._validate import Array, Between, Payload, Positive, checked
 from fraclink._validate.display import displayed
+from fraclink._validate.equality import compared
 from fraclink.errors import LogError
 from fraclink.findings import Finding
 
@@ -32,6 +33,7 @@ __all__ = ["Experiment"]
     sources=lambda log: {log.source: log.sha256} if log.sha256 else {},
 )
 @checked(error=LogError)
+@compared
 @dataclass(frozen=True, eq=False)
 class Experiment:
     """One recorded motion of a flexible arm; what every identification starts from.
@@ -184,14 +186,6 @@ class Experiment:
         """Time of the samples, shape (N,) [s]."""
         return np.asarray(self.start_time + self.period * np.arange(self.motor_angle.size), dtype=np.float64)
 
-    def __eq__(self, other: object) -> bool:
-        if not isinstance(other, Experiment):
-            return NotImplemented
-        return all(_same(getattr(self, item.name), getattr(other, item.name)) for item in fields(self))
-
-    def __hash__(self) -> int:
-        return hash((self.period, self.output_kind, self.source, self.sha256, self.output.tobytes()))
-
     def save(self, path: Path | str) -> None:
         """Write the log as CSV with its notes, in SI units, so that `read_log` gives the same numbers back.
 
@@ -261,9 +255,3 @@ def _column(frame: Any, channel: Channel) -> NDArray[np.float64]:
         remedy = "give one-dimensional arrays of one length"
         raise LogError("columns", channel.column, f"of shape {values.shape}", allowed="(N,)", remedy=remedy)
     return values
-
-
-def _same(one: object, other: object) -> bool:
-    if isinstance(one, np.ndarray) and isinstance(other, np.ndarray):
-        return np.array_equal(one, other)
-    return not isinstance(one, np.ndarray) and not isinstance(other, np.ndarray) and one == other

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import numpy as np
@@ -12,6 +12,7 @@ from fraclink._arm.experiment import Experiment
 from fraclink._files import document
 from fraclink._validate import Array, Between, Positive, checked
 from fraclink._validate.display import displayed
+from fraclink._validate.equality import compared
 from fraclink.errors import FieldError, LogError
 
 __all__ = ["Coherence", "FrequencyResponse", "Lines", "Recording", "coherence_weights"]
@@ -28,6 +29,7 @@ Signal = Annotated[NDArray[np.float64], Array(1, min_size=2)]
     sources=lambda record: {record.source: record.sha256} if record.sha256 else {},
 )
 @checked(error=LogError)
+@compared
 @dataclass(frozen=True, eq=False)
 class Recording:
     """An input and an output that were sampled together; any two channels, in any units.
@@ -92,15 +94,6 @@ class Recording:
         moved = start - values[begin:]
         return cls(period, np.ones(moved.size), moved, source=source, sha256=sha256)
 
-    def __eq__(self, other: object) -> bool:
-        if not isinstance(other, Recording):
-            return NotImplemented
-        pairs = [(getattr(self, item.name), getattr(other, item.name)) for item in fields(self)]
-        return all(np.array_equal(a, b) if isinstance(a, np.ndarray) else a == b for a, b in pairs)
-
-    def __hash__(self) -> int:
-        return hash((self.period, self.source, self.sha256, self.output.tobytes()))
-
     @property
     def time(self) -> NDArray[np.float64]:
         """Time of the samples from the first one on, shape (N,) [s]."""
@@ -145,6 +138,7 @@ Coherence = Annotated[
     sources=lambda found: {found.source: found.sha256} if found.sha256 else {},
 )
 @checked
+@compared
 @dataclass(frozen=True, eq=False)
 class FrequencyResponse:
     """What was measured of a system at some frequencies, H(jω) = output/input.
@@ -190,20 +184,6 @@ class FrequencyResponse:
                 problem = f"not as long as frequency {self.frequency.shape}"
                 remedy = "give one for each frequency"
                 raise FieldError(name, str(column.shape), problem, allowed="equal lengths", remedy=remedy)
-
-    def __eq__(self, other: object) -> bool:
-        if not isinstance(other, FrequencyResponse):
-            return NotImplemented
-        pairs = [(getattr(self, item.name), getattr(other, item.name)) for item in fields(self)]
-        return all(
-            np.array_equal(a, b)
-            if isinstance(a, np.ndarray) and isinstance(b, np.ndarray)
-            else a is b or a == b
-            for a, b in pairs
-        )
-
-    def __hash__(self) -> int:
-        return hash((self.source, self.sha256, self.frequency.tobytes(), self.response.tobytes()))
 
     @property
     def band(self) -> tuple[float, float]:

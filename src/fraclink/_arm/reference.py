@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fraclink._validate import Array, Between, Period, checked
+from fraclink._validate.equality import compared
 from fraclink.errors import FieldError, SizeError
 
 __all__ = [
@@ -84,6 +85,7 @@ class Reference(ABC):
 
 
 @checked
+@compared
 @dataclass(frozen=True, eq=False)
 class Path(Reference):
     """A piecewise polynomial: piece i holds from breaks[i] on, in powers of time − breaks[i].
@@ -160,6 +162,7 @@ class Chirp(Reference):
 
 
 @checked
+@compared
 @dataclass(frozen=True, eq=False)
 class SampledReference(Reference):
     """A table: angle, velocity and acceleration at 0, period, 2 period …, straight lines between the rows.

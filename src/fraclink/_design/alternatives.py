@@ -20,6 +20,7 @@ from fraclink._law.design import Design, Specification
 from fraclink._systems.sweep import bracketed_roots
 from fraclink._validate import Between, Payload, checked
 from fraclink._validate.display import displayed
+from fraclink._validate.equality import compared
 from fraclink.errors import InfeasibleError, SizeError
 
 __all__ = [
@@ -175,7 +176,8 @@ def _best_order(design: Design, max_sensitivity: float) -> Alternative:
 
 
 @displayed
-@dataclass(frozen=True)
+@compared
+@dataclass(frozen=True, eq=False)
 class FeasibilityMap:
     """Arrays of shape (len(phase_margin), len(gain_crossover)); NaN where no admissible controller exists.
 

@@ -27,6 +27,7 @@ from fraclink._validate import (
     checked,
     checked_series,
 )
+from fraclink._validate.equality import compared
 from fraclink.errors import FieldError
 
 __all__ = [
@@ -106,7 +107,8 @@ def phase_budget(design: Design, payload: float) -> tuple[PhaseShare, ...]:
     )
 
 
-@dataclass(frozen=True)
+@compared
+@dataclass(frozen=True, eq=False)
 class MarginCurve:
     """Margins against payload (Fig. 10): arrays of shape (N,) in kg, rad/s, rad and 1.
 

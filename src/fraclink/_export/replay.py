@@ -21,6 +21,7 @@ from fraclink._export.data import data_header, identifier, law_source
 from fraclink._files import checked_path
 from fraclink._law import Law
 from fraclink._validate import checked_between, checked_noun, checked_series
+from fraclink._validate.equality import compared
 from fraclink.errors import FieldError
 
 __all__ = ["Replay", "replay", "replay_log"]
@@ -61,6 +62,7 @@ int main(void)
 """
 
 
+@compared
 @dataclass(frozen=True, eq=False)
 class Replay:
     """What the exported law and the package's law gave for the same log; signals have shape (N,).

@@ -23,10 +23,9 @@ import functools
 import hashlib
 import json
 import re
-from collections.abc import Callable, Mapping
-from importlib import import_module
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal, TypeVar, cast, overload
+from typing import Any, TypeVar, cast, overload
 
 from numpy.typing import NDArray
 
@@ -54,9 +53,11 @@ from fraclink._files.containers import (
 
 # Envelopes of packages that still write their files themselves; gone with the last of them.
 from fraclink._files.envelope import RENAMED, checked_envelope, read_json, renamed, write_json
+from fraclink._files.kinds import HOMES, Document, Upgrade, document, document_of, registered
 from fraclink.errors import FieldError, FileFormatError, SizeError
 
 __all__ = [
+    "HOMES",
     "RENAMED",
     "atomic_write",
     "checked_envelope",
@@ -77,105 +78,9 @@ __all__ = [
 ]
 
 T = TypeVar("T")
-Upgrade = Callable[[dict[str, Any]], dict[str, Any]]
-Container = Literal["json", "npz", "toml"]
 UNITS = "SI, radians"
 _ENDINGS = {".json", ".npz", ".toml", ".csv"}
 _ZIP = b"PK"  # how every zip archive begins
-# Kind -> module that defines its class, so that reading one file imports what that file needs and no more.
-_HOMES = {
-    **dict.fromkeys(("campaign", "sweep"), "fraclink._campaign"),
-    "certificate": "fraclink._certify",
-    "comparison": "fraclink._campaign.tournament",
-    "design": "fraclink._law.design",
-    "fault-campaign": "fraclink._campaign.faults",
-    **dict.fromkeys(("driven-link", "fit", "structure-fit"), "fraclink._identify"),
-    **dict.fromkeys(("realtime-run", "served-arm"), "fraclink._realtime"),
-    **dict.fromkeys(("run", "twin-run"), "fraclink._simulate"),
-    "fractional-pid": "fraclink._arm.fractional_pid",
-    "log": "fraclink._arm.experiment",
-    "margins": "fraclink._arm.controller",
-    "model": "fraclink._arm.link",
-    "law": "fraclink._law",
-    "pid-tuning": "fraclink._design.pid_tuning",
-    **dict.fromkeys(("frequency-response", "recording"), "fraclink._arm.recording"),
-    "rig": "fraclink._arm.rig",
-    "shaped-move": "fraclink._simulate.shaped_move",
-    "study": "fraclink._campaign.study",
-    **dict.fromkeys(("tuning", "tuned-link", "tuned-motor", "watch", "wiring"), "fraclink._realtime.watch"),
-}
-
-
-@dataclasses.dataclass(frozen=True)
-class _Document:
-    """What `document` states about a class."""
-
-    cls: type
-    kind: str
-    version: int
-    container: Container
-    hex_floats: bool
-    upgrades: Mapping[int | tuple[str, int], Upgrade]
-    period: Callable[[Any], float | None]
-    sources: Callable[[Any], Mapping[str, str]]
-    summary: Callable[[Any], Mapping[str, Any]]
-    before_save: Callable[[Any], None]
-
-
-_BY_KIND: dict[str, _Document] = {}
-_BY_CLASS: dict[type, _Document] = {}
-
-
-def document(
-    kind: str,
-    *,
-    version: int = 1,
-    container: Container = "json",
-    upgrades: Mapping[int | tuple[str, int], Upgrade] | None = None,
-    hex_floats: bool = False,
-    period: Callable[[Any], float | None] = lambda value: None,
-    sources: Callable[[Any], Mapping[str, str]] = lambda value: {},
-    summary: Callable[[Any], Mapping[str, Any]] = lambda value: {},
-    before_save: Callable[[Any], None] = lambda value: None,
-) -> Callable[[type[T]], type[T]]:
-    """Register a frozen dataclass as a document of `kind`; put this decorator above ``@dataclass``.
-
-    Raise `version` and add an upgrade whenever a stored field is renamed, removed or means something else; a
-    new field with a default needs neither, as a file without it means the default.
-
-    Parameters
-    ----------
-    kind
-        the word in the file; add it to `_HOMES` above.
-    version
-        of the content's format.
-    container
-        "json", or "npz" for signals, whose arrays become members of the archive.
-    upgrades
-        version n (or ``(old kind, n)`` of a kind that was merged into this one) -> function that turns the
-        raw content of version n into that of n + 1. They may raise anything: it becomes FileFormatError.
-    hex_floats
-        whether reals are written as 0x1.8p+1, for readers that must not depend on a decimal parser.
-    period
-        the sampling period of a value [s], for the envelope; None where it has none.
-    sources
-        what a value was made from: name -> SHA-256.
-    summary
-        what people and other programs want to read in the file and what follows from the content, such as a
-        verdict's sentence: under the digest, not read back.
-    before_save
-        raises where a value must not be saved.
-    """
-
-    def register(cls: type[T]) -> type[T]:
-        hooks = (period, sources, summary, before_save)
-        made = _Document(cls, kind, version, container, hex_floats, upgrades or {}, *hooks)
-        merged = {key[0] for key in made.upgrades if isinstance(key, tuple)}
-        _BY_KIND.update(dict.fromkeys((kind, *merged), made))
-        _BY_CLASS[cls] = made
-        return cls
-
-    return register
 
 
 def save(value: object, path: Path | str, *, force: bool = False) -> Path:
@@ -209,17 +114,23 @@ def save(value: object, path: Path | str, *, force: bool = False) -> Path:
     ...     fl.load(fl.save(log, f"{folder}/log.npz")).output.tolist()
     [0.0, 0.01]
     """
-    found = _document_of(value)
+    found = document_of(value)
     found.before_save(value)
     place = output_path(path, force=force)
-    if place.suffix in _ENDINGS - {f".{found.container}"}:
-        allowed, remedy = f".{found.container}, the ending of a {found.kind}", "change the ending"
+    container = found.container
+    if container == "either":
+        container = "npz" if place.suffix == ".npz" else "json"
+    if place.suffix in _ENDINGS - {f".{container}"}:
+        allowed, remedy = f".{container}, the ending of a {found.kind}", "change the ending"
         raise FieldError("out", place.name, "of another kind of file", allowed=allowed, remedy=remedy)
-    if found.container == "toml":
+    if found.own:
+        getattr(value, "save")(place)  # noqa: B009 - what such a class offers
+        return place
+    if container == "toml":
         write_text(place, getattr(value, "to_toml")())  # noqa: B009 - what such a class offers
         return place
-    envelope, arrays = _enveloped(value, found)
-    if found.container == "npz":
+    envelope, arrays = _enveloped(value, dataclasses.replace(found, container=container))
+    if container == "npz":
         with atomic_write(place, "wb") as stream:
             write_archive(stream, json.dumps(envelope, allow_nan=False), arrays)
         return place
@@ -233,22 +144,10 @@ def save(value: object, path: Path | str, *, force: bool = False) -> Path:
 
 def digest_of(value: object) -> str:
     """Return the SHA-256 that `save` writes into the file of `value`, by which others name their source."""
-    return str(_enveloped(value, _document_of(value))[0]["sha256"])
+    return str(_enveloped(value, document_of(value))[0]["sha256"])
 
 
-def _document_of(value: object) -> _Document:
-    if type(value) not in _BY_CLASS:  # of a room below this one, or of none: the refusal names all there are
-        for home in sorted(set(_HOMES.values())):
-            import_module(home)
-    found = _BY_CLASS.get(type(value))
-    if found is None:
-        allowed = ", ".join(sorted(item.__name__ for item in _BY_CLASS))
-        name, remedy = type(value).__name__, "save one of these"
-        raise FieldError("value", name, "without a file format", allowed=allowed, remedy=remedy)
-    return found
-
-
-def _enveloped(value: object, found: _Document) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+def _enveloped(value: object, found: Document) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     arrays: dict[str, NDArray[Any]] = {}
     storage = Storage(found.hex_floats, arrays if found.container == "npz" else None)
     content = codec_of(found.cls).encode(value, "", storage)
@@ -291,10 +190,12 @@ def load(path: Path | str, kind: type[Any] | tuple[type, ...] | None = None) -> 
     """
     place, wanted = checked_path("path", path), (kind if isinstance(kind, tuple) else (kind,) if kind else ())
     if place.suffix == ".toml":
-        found = _registered("rig", wanted, place)
+        found = registered("rig", wanted, place)
         return getattr(found.cls, "load")(place)  # noqa: B009 - what such a class offers
     data, arrays = _read(place)
-    found = _registered(data.get("fraclink"), wanted, place)
+    found = registered(data.get("fraclink"), wanted, place)
+    if found.own:
+        return getattr(found.cls, "load")(place)  # noqa: B009 - what such a class offers
     content = _content(data, arrays, found, place)
     return codec_of(found.cls).decode(content, "", Storage(found.hex_floats, arrays))
 
@@ -335,22 +236,7 @@ def _read(place: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     return data, arrays
 
 
-def _registered(kind: object, wanted: tuple[type, ...], place: Path) -> _Document:
-    """Return the document of a kind, whose module is imported where that has not happened."""
-    if isinstance(kind, str) and kind not in _BY_KIND and kind in _HOMES:
-        import_module(_HOMES[kind])
-    found = _BY_KIND.get(kind) if isinstance(kind, str) else None
-    allowed = ", ".join(sorted({*_HOMES, *_BY_KIND}))
-    if found is not None and wanted and found.cls not in wanted:
-        allowed = " or ".join(_BY_CLASS[cls].kind if cls in _BY_CLASS else cls.__name__ for cls in wanted)
-        found = None
-    if found is None:
-        problem, remedy = f"of kind {str(kind)[:40]!r}", "give another file"
-        raise FileFormatError("file", place.name, problem, allowed=allowed, remedy=remedy)
-    return found
-
-
-def _content(data: dict[str, Any], arrays: Mapping[str, NDArray[Any]], found: _Document, place: Path) -> Any:
+def _content(data: dict[str, Any], arrays: Mapping[str, NDArray[Any]], found: Document, place: Path) -> Any:
     """Return the content in today's format, after the digest of what was written has been compared."""
     # The version first: a later format may count its digest otherwise.
     steps = _steps(str(data["fraclink"]), data.get("format"), found)
@@ -367,7 +253,7 @@ def _content(data: dict[str, Any], arrays: Mapping[str, NDArray[Any]], found: _D
     return content
 
 
-def _steps(kind: str, version: object, found: _Document) -> list[Upgrade]:
+def _steps(kind: str, version: object, found: Document) -> list[Upgrade]:
     """Return the upgrades that lead from one kind and version to those of today."""
     steps: list[Upgrade] = []
     while type(version) is int and (kind, version) != (found.kind, found.version):
@@ -382,7 +268,7 @@ def _steps(kind: str, version: object, found: _Document) -> list[Upgrade]:
     return steps
 
 
-def _unread(found: _Document, version: object) -> FileFormatError:
+def _unread(found: Document, version: object) -> FileFormatError:
     allowed = ", ".join(sorted({str(found.version), *map(str, found.upgrades)}))
     problem, remedy = "a version this release does not read", "update fraclink, or make the file again"
     return FileFormatError("format", version, problem, allowed=allowed, remedy=remedy)

@@ -192,7 +192,7 @@ class _Array:
         try:
             found = np.array(_leaves(data, item, path))
             if self.dtype.kind == "c":
-                found = found[..., 0] + 1j * found[..., 1]
+                found = found.astype(float).reshape(-1, 2).view(complex).reshape(found.shape[:-1] or (0,))
             values = found.astype(self.dtype)
         except (ValueError, OverflowError, IndexError) as error:
             if isinstance(error, FileFormatError):

@@ -18,6 +18,7 @@ from fraclink._identify.shape import Hold
 from fraclink._identify.uncertainty import Uncertainty, structure_criteria, uncertainty
 from fraclink._validate import checked
 from fraclink._validate.display import displayed
+from fraclink._validate.equality import compared
 from fraclink.findings import Finding
 
 # Chance alone lowers the AIC by 8 with one superfluous parameter in one log of six hundred (by 4: in one of
@@ -54,6 +55,7 @@ class Contest:
 
 @displayed
 @document("comparison", summary=lambda found: {"preferred": found.preferred, "verdict": found.verdict})
+@compared
 @dataclass(frozen=True, eq=False, repr=False)
 class Comparison:
     """Every structure fitted to one log.

@@ -15,6 +15,7 @@ from fraclink._arm.reference import prbs
 from fraclink._arm.rig import Motor
 from fraclink._identify.shape import COORDINATE, Window, columns_of, mask_of, shape_of
 from fraclink._validate import Between, checked
+from fraclink._validate.equality import compared
 from fraclink.errors import InfeasibleError
 
 Reals = NDArray[np.float64]
@@ -30,6 +31,7 @@ Deflection = Annotated[
 ]
 
 
+@compared
 @dataclass(frozen=True, eq=False)
 class ExperimentDesign:
     """An excitation that reaches a wanted standard error of λ.

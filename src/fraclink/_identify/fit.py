@@ -18,6 +18,7 @@ from fraclink._files import document, load, save
 from fraclink._identify.least_squares import Interval
 from fraclink._identify.residual import ResidualTests
 from fraclink._validate.display import displayed
+from fraclink._validate.equality import compared
 from fraclink.errors import SizeError
 from fraclink.findings import Finding, errors_of
 
@@ -82,6 +83,7 @@ def _check_size(fit: Fit) -> None:
     summary=lambda fit: {"passed": fit.passed, "text": str(fit)},
     before_save=_check_size,
 )
+@compared
 @dataclass(frozen=True, eq=False, repr=False)
 class Fit:
     """One structure fitted to one log.
@@ -198,16 +200,6 @@ class Fit:
             array = np.array(getattr(self, name), dtype=np.float64)
             array.flags.writeable = False
             object.__setattr__(self, name, array)
-
-    def __eq__(self, other: object) -> bool:
-        if not isinstance(other, Fit):
-            return NotImplemented
-        pairs = [(getattr(self, f.name), getattr(other, f.name)) for f in dataclasses.fields(self)]
-        return all(np.array_equal(a, b) if isinstance(a, np.ndarray) else a == b for a, b in pairs)
-
-    def __hash__(self) -> int:
-        # Without the arrays: equal fits have equal figures, and these tell any two apart in practice.
-        return hash((self.structure, self.model, self.gain, self.offset, self.delay, self.sha256))
 
     def __repr__(self) -> str:
         return f"Fit({self.structure}: {_parameters(self)}; {_share(self.heldout_nmse)})"

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import least_squares
 
 from fraclink._arm.link import LinkModel
+from fraclink._validate.equality import compared
 from fraclink.errors import FieldError, NotConvergedError
 from fraclink.findings import Finding
 
@@ -26,6 +27,7 @@ _SPARE = 2  # peaks and dips more than there are modes: noise may stand out like
 _BEYOND = 1.5  # a resonance is sought up to e^1.5 beyond the lines, so that a gate can say that it is there
 
 
+@compared
 @dataclass(frozen=True, eq=False)
 class SpectrumFit:
     """A modal model with one common λ, fitted to a frequency response.

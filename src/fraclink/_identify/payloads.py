@@ -21,6 +21,7 @@ from fraclink._identify.joint import Coordinates, JointProblem, start_of, weight
 from fraclink._identify.search import Search, Solution
 from fraclink._identify.shape import Hold, Vector, columns_of, model_of
 from fraclink._validate import Between, checked, checked_choice
+from fraclink._validate.equality import compared
 from fraclink.errors import LogError
 
 _SYMBOLS = {"order": "λ", "damping": "μ", "damping_order": "α", "delay": "the delay"}
@@ -52,6 +53,7 @@ class LikelihoodRatio:
         return self.p_value >= 0.05
 
 
+@compared
 @dataclass(frozen=True, eq=False, repr=False)
 class JointFit:
     """One structure fitted to several payloads at once.

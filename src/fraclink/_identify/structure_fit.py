@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -18,6 +17,7 @@ from fraclink._identify.expression import parse_expression
 from fraclink._identify.least_squares import Interval
 from fraclink._systems.fractional import FractionalTransferFunction
 from fraclink._validate.display import displayed
+from fraclink._validate.equality import compared
 from fraclink.errors import SizeError
 from fraclink.findings import Finding, errors_of
 
@@ -42,6 +42,7 @@ def _check_size(fit: StructureFit) -> None:
     summary=lambda fit: {"passed": fit.passed, "text": str(fit)},
     before_save=_check_size,
 )
+@compared
 @dataclass(frozen=True, eq=False, repr=False)
 class StructureFit:
     """A structure of one's own, fitted to a recording or to a frequency response.
@@ -133,15 +134,6 @@ class StructureFit:
             array = np.array(getattr(self, name), dtype=np.float64)
             array.flags.writeable = False
             object.__setattr__(self, name, array)
-
-    def __eq__(self, other: object) -> bool:
-        if not isinstance(other, StructureFit):
-            return NotImplemented
-        pairs = [(getattr(self, f.name), getattr(other, f.name)) for f in dataclasses.fields(self)]
-        return all(np.array_equal(a, b) if isinstance(a, np.ndarray) else a == b for a, b in pairs)
-
-    def __hash__(self) -> int:
-        return hash((self.expression, tuple(self.parameters.items()), self.sha256))
 
     def __repr__(self) -> str:
         values = ", ".join(f"{name} = {value:.5g}" for name, value in self.parameters.items())

@@ -16,6 +16,7 @@ from fraclink._realtime.machine import PRIORITY, Priority, check_machine, grante
 from fraclink._simulate import Twin
 from fraclink._simulate.kernel import ArmState
 from fraclink._validate import Between, Seed, checked
+from fraclink._validate.equality import compared
 from fraclink.errors import FieldError, SizeError
 
 __all__ = ["ServedArm", "serve_arm"]
@@ -42,6 +43,7 @@ def _without_origin(content: dict[str, Any]) -> dict[str, Any]:
     period=lambda arm: arm.period,
     summary=lambda arm: {"passed": arm.passed, "simulated": True},
 )
+@compared
 @dataclass(frozen=True, eq=False)
 class ServedArm:
     """What really happened at the simulated arm, one value for each of its periods; shape (N,).

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from fraclink import _kernels
 from fraclink._validate import Between, checked
+from fraclink._validate.equality import compared
 from fraclink.errors import FieldError
 
 __all__ = [
@@ -56,6 +57,7 @@ class Spread(NamedTuple):
         return Spread(float(values.min()), float(values.mean()), float(high), float(values.max()))
 
 
+@compared
 @dataclass(frozen=True, eq=False)
 class WakeUps:
     """How late this machine woke a loop that does nothing else: `latency` [s] of every wake-up, shape (N,).

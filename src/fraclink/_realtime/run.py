@@ -21,6 +21,7 @@ from fraclink._law.estimator import Estimates, PayloadEstimator
 from fraclink._realtime.machine import Spread
 from fraclink._simulate.estimates import estimate_findings
 from fraclink._simulate.run import payload_rejected
+from fraclink._validate.equality import compared
 from fraclink.errors import FieldError, LogError
 from fraclink.findings import Finding
 
@@ -52,6 +53,7 @@ def _without_payload(content: dict[str, Any]) -> dict[str, Any]:
     sources=lambda run: {"law": run.law_sha256},
     summary=lambda run: {"passed": run.passed, "problem": run.problem},
 )
+@compared
 @dataclass(frozen=True, eq=False)
 class RealtimeRun:
     """The law in real time, one value for each period that ran; every signal has shape (N,).

@@ -15,6 +15,7 @@ from fraclink import _kernels
 from fraclink._files import document, load, save
 from fraclink._simulate.metrics import Metrics, MoveVerdict, Signals, judge, measure
 from fraclink._validate.display import displayed
+from fraclink._validate.equality import compared
 from fraclink.findings import Finding
 
 __all__ = ["Run", "judged_run", "payload_rejected"]
@@ -70,6 +71,7 @@ def _upgraded(old: dict[str, Any], about: dict[str, Any], payload: float) -> dic
     period=lambda run: run.period,
     sources=lambda run: {"law": run.about["law_sha256"]} if "law_sha256" in run.about else {},
 )
+@compared
 @dataclass(frozen=True, eq=False)
 class Run:
     """A run of the closed loop, one value per control period, each at the period's beginning; shape (N,).

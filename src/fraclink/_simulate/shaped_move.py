@@ -37,6 +37,7 @@ from fraclink._simulate.shape_programme import (
     responses_of,
 )
 from fraclink._validate.display import displayed
+from fraclink._validate.equality import compared
 from fraclink.errors import FieldError
 from fraclink.findings import Finding
 
@@ -91,6 +92,7 @@ class Measured:
     sources=lambda move: {"law": move.law_sha256},
     summary=lambda move: {"passed": move.passed},
 )
+@compared
 @dataclass(frozen=True, eq=False)
 class ShapedMove:
     """A reference for the loop that runs, with what was promised of it and what was measured.

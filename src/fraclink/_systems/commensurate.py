@@ -16,6 +16,7 @@ from fraclink._systems.response import Hold, SamplePeriod, TimeResponse, time_re
 from fraclink._systems.stability import StabilityVerdict, is_stable
 from fraclink._systems.terms import Reals, Term
 from fraclink._validate import Array, Between, checked, checked_whole
+from fraclink._validate.equality import compared
 from fraclink.errors import FieldError
 
 # Orders are measured or chosen with six digits at most; a random double lies within two units of its last
@@ -62,6 +63,7 @@ def commensurate_order(system: FractionalTransferFunction) -> Fraction | None:
 
 
 @checked
+@compared
 @dataclass(frozen=True, eq=False)
 class FractionalStateSpace:
     """D^q x = A x + B u, y = C x + D u with the Caputo derivative of one order q for all states.

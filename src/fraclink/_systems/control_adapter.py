@@ -15,7 +15,7 @@ import control
 import numpy as np
 
 from fraclink._systems.fractional import FractionalTransferFunction
-from fraclink._systems.interop import from_control
+from fraclink._systems.interop import continuous
 from fraclink._systems.sweep import frequency_grid
 from fraclink.errors import FraclinkError
 
@@ -83,7 +83,7 @@ class FractionalResponse(control.FrequencyResponseData):  # type: ignore[misc]
             left, right = self.frd(other.omega), other
             return operation(right, left) if reflected else operation(left, right)
         try:
-            exact = from_control(other.item() if isinstance(other, np.generic) else other)
+            exact = continuous(other.item() if isinstance(other, np.generic) else other)
         except (FraclinkError, AttributeError):
             return NotImplemented
         left, right = (exact, self.fractional) if reflected else (self.fractional, exact)
@@ -123,7 +123,7 @@ class FractionalResponse(control.FrequencyResponseData):  # type: ignore[misc]
             here = self.fractional(1j * other.omega)
             closed = here / (1 - sign * here * other.frdata.reshape(-1))
             return control.FrequencyResponseData(closed, other.omega, dt=0)
-        return FractionalResponse(self.fractional.feedback(from_control(other), sign=-1 if sign < 0 else 1))
+        return FractionalResponse(self.fractional.feedback(continuous(other), sign=-1 if sign < 0 else 1))
 
     def _repr_eval_(self) -> str:
         return f"to_control({self.fractional!r})"

@@ -21,7 +21,8 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from importlib import import_module
-from typing import Any, cast, overload
+from numbers import Real
+from typing import TYPE_CHECKING, Any, NoReturn, cast, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -231,6 +232,26 @@ class FractionalTransferFunction:
         """The dead time from input to output [s]: the least delay of the numerator."""
         return min((t.delay for t in self.numerator), default=0.0)
 
+    def dcgain(self) -> float:
+        """Return G(0): finite, zero or infinite.
+
+        >>> (3 / (FractionalTransferFunction.power(0.5) + 2)).dcgain()
+        1.5
+        """
+        return float(self(0j).real)
+
+    def poles(self) -> NDArray[np.complex128]:
+        """Return the poles on the principal sheet [rad/s], as `fraclink.poles` does."""
+        return cast("NDArray[np.complex128]", import_module("fraclink._systems.stability").poles(self))
+
+    def zeros(self) -> NDArray[np.complex128]:
+        """Return the zeros on the principal sheet [rad/s]: the poles of 1/G.
+
+        >>> ((FractionalTransferFunction.power(1.0) + 2) / FractionalTransferFunction.power(2.5)).zeros().real
+        array([-2.])
+        """
+        return (1.0 / self).poles()
+
     def to_control(self, *, name: str | None = None) -> Any:
         """Return the function as a python-control system (see `fraclink._systems.interop.to_control`)."""
         # By name and at call time: this module knows nothing of the floors above it.
@@ -261,6 +282,13 @@ class FractionalTransferFunction:
         constant = not only.order and not only.delay
         return hash(only.coefficient if constant else (self.numerator, self.denominator))
 
+    if not TYPE_CHECKING:  # for people; a type checker shall know every attribute
+
+        def __getattr__(self, name: str) -> NoReturn:
+            told = f": {_ELSEWHERE[name]}" if name in _ELSEWHERE else ""
+            kind = type(self).__name__
+            raise AttributeError(f"{kind!r} object has no attribute {name!r}{told}", name=name, obj=self)
+
     def __bool__(self) -> bool:
         """False for 0."""
         return bool(self.numerator)
@@ -284,8 +312,16 @@ class FractionalTransferFunction:
         return f"{top} / ({bottom})" if len(self.denominator) > 1 else f"{top} / {bottom}"
 
     def _repr_latex_(self) -> str:
+        return f"${self.latex()}$" if self.denominator == _ONE else rf"$\displaystyle{self.latex()}$"
+
+    def latex(self) -> str:
+        """Return the function as LaTeX, without dollar signs.
+
+        >>> print((1 / (FractionalTransferFunction.power(0.5) + 2)).latex())
+        \\frac{1}{s^{0.5} + 2}
+        """
         top, bottom = latex_text(self.numerator), latex_text(self.denominator)
-        return f"${top}$" if self.denominator == _ONE else rf"$\displaystyle\frac{{{top}}}{{{bottom}}}$"
+        return top if self.denominator == _ONE else rf"\frac{{{top}}}{{{bottom}}}"
 
 
 def _build(top: Iterable[Term], bottom: Iterable[Term]) -> FractionalTransferFunction:
@@ -302,6 +338,31 @@ def _quotient(
 
 
 _ONE = (Term(1.0, 0.0),)
+
+_CONTROL = "python-control's functions take G.to_control()"
+# What people who know other packages ask of a transfer function -> where it is here.
+_ELSEWHERE = {
+    "num": "its terms, of any order, are G.numerator",
+    "den": "its terms, of any order, are G.denominator",
+    "num_list": "its terms, of any order, are G.numerator",
+    "den_list": "its terms, of any order, are G.denominator",
+    "pole": "G.poles()",
+    "zero": "G.zeros()",
+    "step": "fraclink.step_response(G, 10.0, 0.01)",
+    "impulse": "fraclink.impulse_response(G, 10.0, 0.01)",
+    "output": "fraclink.time_response(G, u, period)",
+    "bode": "fraclink.bode(G)",
+    "nyquist": "fraclink.nyquist(G)",
+    "margin": "fraclink.margins(G)",
+    "stability_margins": "fraclink.margins(G)",
+    "freqresp": "G(1j * frequency)",
+    "frequency_response": "G(1j * frequency); " + _CONTROL,
+    "minreal": "whole factors cancel by themselves",
+    "sample": "fraclink.discrete_modes(G, period, span=10.0)",
+    "c2d": "fraclink.discrete_modes(G, period, span=10.0)",
+    **dict.fromkeys(("isdtime", "isctime", "issiso", "update_names", "dt", "ninputs", "noutputs"), _CONTROL),
+    **dict.fromkeys(("damp", "nstates", "A", "to_ss"), "fraclink.approximate makes an integer-order model"),
+}
 
 
 def _each(array: object, operation: Callable[[Any], Any]) -> FractionalTransferFunction:
@@ -321,8 +382,8 @@ def _operand(value: object) -> Any:
     if isinstance(value, FractionalTransferFunction):
         return value
     if hasattr(value, "ninputs") and hasattr(value, "dt"):  # a system of python-control
-        return import_module("fraclink._systems.interop").from_control(value)
-    if isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool):
+        return import_module("fraclink._systems.interop").continuous(value)
+    if isinstance(value, Real) and not isinstance(value, bool):  # a Fraction, too
         return _build((Term(float(value), 0.0),), (Term(1.0, 0.0),))
     return NotImplemented
 

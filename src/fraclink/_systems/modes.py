@@ -11,10 +11,12 @@ import numpy as np
 from fraclink import _kernels
 from fraclink._systems.quotient import Cluster, Quotient
 from fraclink._systems.terms import Complexes, Reals
+from fraclink._validate.equality import compared
 from fraclink.errors import FieldError
 
 
-@dataclass(frozen=True)
+@compared
+@dataclass(frozen=True, eq=False)
 class DiscreteModes:
     """Exact held response of G at the samples, with O(modes) memory.
 

@@ -25,9 +25,11 @@ from fraclink._systems.zero_pole import (
     zeros_of_fractions,
 )
 from fraclink._validate import Between, Positive, checked
+from fraclink._validate.equality import compared
 from fraclink.errors import FieldError
 
 
+@compared
 @dataclass(frozen=True, eq=False)
 class RationalApproximation:
     """R(s) = k Π(s − z_i)/Π(s − p_i), or the same in the variable z where `period` is given.

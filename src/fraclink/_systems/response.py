@@ -17,6 +17,7 @@ from fraclink._systems.held import HeldQuotient, Part, refuse_beyond_memory
 from fraclink._systems.modes import DiscreteModes
 from fraclink._systems.terms import Reals, Term, grid, largest
 from fraclink._validate import Array, Between, Positive, checked
+from fraclink._validate.equality import compared
 from fraclink.errors import FieldError, NotConvergedError, SizeError
 
 Signal = Annotated[ArrayLike, Array(1, flags=True)]
@@ -30,7 +31,8 @@ FFT_BYTES = 2000  # per sample of the numerical inversion: four spans, eight tim
 _METHODS = ("modes", "modes+convolution", "contour")  # from the most to the least direct
 
 
-@dataclass(frozen=True)
+@compared
+@dataclass(frozen=True, eq=False)
 class TimeResponse:
     """A response from rest at equally spaced samples (or at the times asked for).
 

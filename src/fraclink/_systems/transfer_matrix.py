@@ -120,7 +120,15 @@ class TransferMatrix:
         return determinant
 
     def __repr__(self) -> str:
-        return "\n".join("[" + ",  ".join(map(repr, row)) + "]" for row in self.entries)
+        rows = (", ".join(repr(g) if g else "0" for g in row) for row in self.entries)
+        return f"TransferMatrix([{', '.join(f'[{row}]' for row in rows)}])"
+
+    def __str__(self) -> str:
+        return "\n".join("[" + ",  ".join(str(g) if g else "0" for g in row) + "]" for row in self.entries)
+
+    def _repr_latex_(self) -> str:
+        rows = (" & ".join(g.latex() if g else "0" for g in row) for row in self.entries)
+        return r"$\displaystyle\begin{bmatrix}" + r" \\ ".join(rows) + r"\end{bmatrix}$"
 
 
 def _refused(value: object, problem: str) -> FieldError:

@@ -1,0 +1,139 @@
+"""Whatever a user can hold is written to a file and read back equal."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import fraclink as fl
+from fraclink._arm.reference import Path as Polynomial
+from fraclink._files.kinds import _NO_VALUES
+from fraclink._validate.equality import _same
+from fraclink.errors import FieldError
+
+S = fl.s
+LOOP = 2.0 / (S**1.5 + S)
+# Public classes without a file of their own: open connections, and a study, which is a folder of files.
+WITHOUT_FILE = {*_NO_VALUES, "Study"}
+
+
+@cache
+def design() -> fl.Design:
+    rig = fl.Rig.named("paper-2023")
+    return fl.design(rig.model, rig, payloads=(0.02, 0.04), gain_crossover=12.0, phase_margin=fl.deg(50))
+
+
+@cache
+def pid() -> fl.PidTuning:
+    plant = (1 / (0.4 * S**1.5 + 1)).delayed(0.05)
+    return fl.tune_pid(plant, gain_crossover=1.0, form="PI", phase_margin=fl.deg(70))
+
+
+@cache
+def log() -> fl.Experiment:
+    return fl.read_log(fl.bundled_log("pulse_30g"))
+
+
+HELD: dict[str, Any] = {
+    "FractionalTransferFunction": lambda: (1 / (S**0.5 + 3)).delayed(0.1),
+    "TransferMatrix": lambda: fl.TransferMatrix([[1 / S**0.5, 0], [2, 1 / (S + 1)]]),
+    "TimeResponse": lambda: fl.step_response(1 / (S**0.5 + 1), 1.0, 0.01),
+    "DiscreteModes": lambda: fl.discrete_modes(1 / (S + 1), 0.1, span=10.0),
+    "Margins": lambda: fl.margins(LOOP),
+    "DiskMargin": lambda: fl.disk_margin(LOOP),
+    "StabilityVerdict": lambda: fl.is_stable(LOOP),
+    "MultivariableMargins": lambda: fl.multivariable_margins(fl.TransferMatrix([[LOOP, 0], [0, LOOP]])),
+    "RationalApproximation": lambda: fl.approximate(1 / (S**0.5 + 1), (0.1, 10.0), order=4),
+    "Controller": lambda: design().controller,
+    "Design": design,
+    "LinkModel": lambda: design().model,
+    "Law": lambda: fl.discretize(design()),
+    "Limits": lambda: fl.discretize(design()).limits,
+    "Tolerances": lambda: fl.tolerances(design()),
+    "MarginCurve": lambda: fl.margin_curve(design(), [0.02, 0.03]),
+    "Requirement": lambda: design().requirements[0],
+    "Run": lambda: fl.simulate(design(), fl.smooth_step(1.0, duration=0.5), duration=0.8),
+    "Metrics": lambda: HELD["Run"]().metrics,
+    "Experiment": log,
+    "Fit": lambda: fl.identify(log(), "D-IOM", details=False),
+    "Comparison": lambda: fl.compare_structures(log()),
+    "LogListing": lambda: fl.inspect_log(fl.bundled_log("pulse_30g")),
+    "PidTuning": pid,
+    "PidStep": lambda: pid().step(),
+    "FractionalPid": lambda: pid().controller,
+    "SampledReference": lambda: fl.SampledReference(0.1, [[0.0, 1.0], [0.0, 0.0], [0.0, 0.0]]),
+    "Finding": lambda: fl.Finding("W210", "warning", "an offset", {"offset": 0.1}, "subtract it"),
+    "Rig": lambda: fl.Rig.named("paper-2023"),
+    "Specification": lambda: fl.Specification(gain_crossover=12.0, phase_margin=1.0),
+    "SecondMode": lambda: fl.SecondMode(60.0, 0.1, 0.02),
+    "Path": lambda: fl.smooth_step(1.0, duration=0.5),
+}
+ENDINGS = {"Rig": ".toml", "Experiment": ".npz", "Run": ".npz"}
+
+
+@pytest.mark.parametrize("name", HELD)
+def test_what_a_user_holds_is_saved_and_loaded_equal(name: str, tmp_path: Path) -> None:
+    held = HELD[name]()
+    assert type(held).__name__ == name
+    back = fl.load(fl.save(held, tmp_path / f"held{ENDINGS.get(name, '.json')}"))
+    assert _same(back, held)
+    assert type(back) is type(held)
+
+
+def test_arrays_go_into_an_archive_where_the_ending_says_so(tmp_path: Path) -> None:
+    response = HELD["TimeResponse"]()
+    place = fl.save(response, tmp_path / "step.npz")
+    assert fl.load(place) == response
+    assert np.load(place)["output"].tolist() == response.output.tolist()
+
+
+@pytest.mark.slow
+def test_a_certificate_is_saved_and_loaded(tmp_path: Path) -> None:
+    certificate = fl.certify(design(), payloads=(0.03, 0.03))
+    assert fl.load(fl.save(certificate, tmp_path / "certificate.json")) == certificate
+    statement = certificate.statement
+    assert fl.load(fl.save(statement, tmp_path / "statement.json")) == statement
+
+
+def test_a_process_that_has_loaded_nothing_reads_every_public_result(tmp_path: Path) -> None:
+    place = fl.save(HELD["TimeResponse"](), tmp_path / "response.json")
+    command = f"import fraclink as fl; print(type(fl.load({str(place)!r})).__name__)"
+    done = subprocess.run(  # noqa: S603
+        [sys.executable, "-c", command], capture_output=True, text=True, check=False
+    )
+    assert done.stdout.strip() == "TimeResponse", done.stderr
+
+
+def test_every_public_class_is_a_value_or_named_as_none() -> None:
+    from fraclink._files.kinds import document_of
+
+    for name in fl.__all__:
+        kind = getattr(fl, name)
+        if isinstance(kind, type) and (hasattr(kind, "__dataclass_fields__") or hasattr(kind, "_fields")):
+            if name in WITHOUT_FILE:
+                continue
+            document_of(object.__new__(kind) if not issubclass(kind, tuple) else tuple.__new__(kind, ()))
+
+
+@pytest.mark.parametrize("value", [(), print, 3.0, fl.Callback, object()])
+def test_what_is_no_result_is_refused(value: Any, tmp_path: Path) -> None:
+    with pytest.raises(FieldError, match="without a file format"):
+        fl.save(value, tmp_path / "nothing.json")
+
+
+@pytest.mark.parametrize(
+    "name", ["TimeResponse", "MarginCurve", "DiscreteModes", "Run", "Comparison", "Path"]
+)
+def test_results_with_arrays_are_equal_where_their_samples_are(name: str) -> None:
+    one, other = HELD[name](), HELD[name]()
+    assert one == other and hash(one) == hash(other)
+    assert one != 3.0 and one != "text"
+    if name == "TimeResponse":
+        assert one != fl.step_response(1 / (S**0.5 + 1), 1.0, 0.02)
+    assert isinstance(HELD["Path"](), Polynomial)
