@@ -122,8 +122,3 @@ class Tuning:
     def file(self, name: str) -> Path:
         """The place of one of its files."""
         return Path(self.folder) / name
-
-
-def rig_of(folder: Path) -> Rig:
-    """The rig as it was measured."""
-    return Rig.load(folder / "rig.toml")

@@ -18,7 +18,7 @@ from fraclink.errors import MissingExtraError
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["BLUE", "FAINT", "FULL_WIDTH", "GREEN", "GREY", "INK", "LEVELS", "LINES", "ORANGE", "VIOLET"]
+__all__ = ["BLUE", "FAINT", "GREEN", "GREY", "INK", "LEVELS", "LINES", "ORANGE", "VIOLET"]
 __all__ += ["cycle", "figure", "load_matplotlib", "save_figure", "svg", "theme_on", "tint"]
 
 _LIGHT = colours()
@@ -137,9 +137,6 @@ def svg(drawing: Figure, name: str, description: str) -> str:
     text = re.sub(r"\s*\n\s*", "\n", text)
     opening = f'<svg role="img" aria-label="{html.escape(description)}" '
     return opening + text[len("<svg") :].strip()
-
-
-FULL_WIDTH = 8.6  # inches: the text's width on the page at 96 dots an inch
 
 
 def save_figure(
