@@ -162,12 +162,15 @@ def test_open_shows_the_page_or_names_it(study, tmp_path, monkeypatch, capsys, f
 # What the page's address can say; together every slider, every fault and both precisions.
 RUNS = (
     "",
-    "payload=3&move=-37&time=9&noise=0.031&offset=0.11&delay=3&told=0&single=1&nan=80",
-    "payload=18&move=90&time=2&noise=0&offset=-0.2&delay=0&told=1&single=0&reversed=60&missed=200",
-    "payload=11&move=60&noise=0.004&single=1&stuck=30&encoder=310&late=1",
-    "twin=1",
+    "payload=3&move=-37&time=9&noise=0.031&offset=0.11&delay=3&told=0&single=1&nan=80&blind=400",
+    "payload=18&move=90&time=2&noise=0&offset=-0.2&delay=0&told=1&single=0&reversed=60&half=150&missed=200",
+    "payload=11&move=60&noise=0.004&single=1&stuck=30&encoder=310&slip=90&late=1",
+    "twin=1&zero=100&backwards=300",
     "twin=1&payload=3&move=-37&time=9&noise=0.031&offset=0.11&delay=3&told=0&single=1&nan=80",
 )
+
+
+FAULTS = ["nan", "stuck", "reversed", "zero", "half", "encoder", "blind", "backwards", "slip", "missed"]
 
 
 def browsed(page: str, place: Path, settings: str) -> str:
@@ -206,7 +209,7 @@ def test_a_browser_runs_the_packages_bits_without_a_complaint(study, page, tmp_p
     study.design.save(tmp_path / "design.json")
     shown = browsed(page, tmp_path, settings)
     code = python_of(shown)
-    for name in ("nan", "stuck", "reversed", "encoder", "missed"):
+    for name in FAULTS:
         assert (f"{name}=" in settings) == (f'id="fault-{name}" aria-pressed="true"' in shown)
     script = tmp_path / "same_run.py"
     script.write_text(code)

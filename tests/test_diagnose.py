@@ -131,6 +131,8 @@ def test_b13_clipped_samples(side: int) -> None:
     assert finding.evidence["value"] == pytest.approx(side * limit)
     assert finding.evidence["samples"] > 10
     assert f"{100 * finding.evidence['samples'] / 2000:.3g} %" in finding.message
+    first = np.flatnonzero(side * GOOD.output >= limit)[0]
+    assert finding.evidence["time_s"] == pytest.approx(0.004 * first)
 
 
 def test_b13_a_known_limit_of_the_gauge() -> None:
@@ -195,6 +197,7 @@ def test_b24_outlier_rows() -> None:
     finding = found(changed(output=output), "W224")
     assert finding.severity == "error"
     assert "sample" in finding.message
+    assert finding.evidence["value"] == output[round(finding.evidence["time_s"] / 0.004)]
 
 
 def test_a_log_that_starts_in_motion() -> None:
@@ -226,6 +229,8 @@ def test_stiction_needs_a_voltage_to_be_seen() -> None:
     )
     finding = found(log, "W232")
     assert finding.evidence["voltage"] == pytest.approx(1.0, rel=0.15)
+    first = round(finding.evidence["time_s"] / 0.004)
+    assert np.ptp(motor[first : first + round(finding.evidence["longest_s"] / 0.004)]) <= 0.002
     assert "W232" not in codes(dataclasses.replace(log, voltage=None))
 
 

@@ -238,6 +238,27 @@ def test_resampling_uses_the_stamps(tmp_path: Path) -> None:
     (finding,) = log.findings
     assert finding.code == "W205"
     assert finding.evidence["lost_samples"] == 8
+    assert finding.evidence["time_s"] == pytest.approx(0.004 * 49)  # of the last sample before the first gap
+
+
+def test_a_stretch_is_read_and_the_rest_may_have_gaps(tmp_path: Path) -> None:
+    rows = made_rows(800)
+    whole = read_log(write_log(tmp_path / "whole.csv", rows))
+    cut = read_log(write_log(tmp_path / "gap.csv", rows[:600] + rows[650:]), keep=(0.4, 2.0))
+    assert np.array_equal(cut.output, whole.output[100:501])
+    assert (cut.start_time, cut.duration) == (pytest.approx(0.4), pytest.approx(1.6))
+    (finding,) = cut.findings
+    assert (finding.code, dict(finding.evidence)) == ("W237", {"from_s": 0.4, "until_s": 2.0})
+    late = [[repr(100.0 + 0.004 * k), *row[1:]] for k, row in enumerate(rows)]
+    assert np.array_equal(
+        read_log(write_log(tmp_path / "late.csv", late), keep=(0.4, 2.0)).output, cut.output
+    )
+
+
+@pytest.mark.parametrize("keep", [(2.0, 1.0), (-0.1, 1.0), (1.0, 1.001), (50.0, 60.0), (math.nan, 1.0)])
+def test_no_stretch_is_refused_by_its_name(tmp_path: Path, keep: tuple[float, float]) -> None:
+    with pytest.raises(FieldError, match=r"^keep: no stretch of the log .*within 3\.196 s"):
+        read_log(write_log(tmp_path / "a.csv", made_rows(800)), keep=keep)
 
 
 def test_resampling_leaves_uniform_stamps_alone(tmp_path: Path) -> None:

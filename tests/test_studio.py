@@ -8,6 +8,7 @@ import re
 import shlex
 import struct
 from dataclasses import replace
+from importlib.resources import files
 from pathlib import Path
 from typing import get_type_hints
 
@@ -20,9 +21,12 @@ from starlette.websockets import WebSocketDisconnect
 
 import fraclink as fl
 import fraclink._studio.swept as swept_module
+from fraclink._campaign import Campaign, replay_run
 from fraclink._campaign.faults import FaultTable
 from fraclink._cli import main
 from fraclink._cli.designs import DesignOptions
+from fraclink._export.data import exact_sizes
+from fraclink._export.selftest import expected
 from fraclink._law.refit import refitted
 from fraclink._law.requirement import margins_of
 from fraclink._show.pages import squeezed, tightened
@@ -37,7 +41,7 @@ from fraclink._studio.request import NAMES, as_python, checked_request
 from fraclink._studio.server import POLICY, Studio, application
 from fraclink._studio.serving import serve
 from fraclink._studio.session import Session, SupersededError, opened
-from fraclink._studio.swept import swept
+from fraclink._studio.swept import moves_of_arms, swept
 from fraclink._studio.work import Job, proof_of
 from fraclink.errors import FieldError, FraclinkError
 from junk import CHARACTERS
@@ -342,7 +346,8 @@ def test_the_map_about_minus_one_is_the_true_sampled_loops(made):
     assert near[-1, 0] > near[0, 0]  # later is nearer, or unstable
     assert (near[-1] == 1.0).any() == any(
         not margins_of(
-            law.frequency_response, replace(_plant_of(design, float(m)), delay=float(delays[-1]))
+            law.frequency_response,
+            replace(_plant_of(design, 1e-3 * float(m)), delay=1e-3 * float(delays[-1])),
         ).stable
         for m in head["payloads"]
     )
@@ -509,8 +514,8 @@ def test_what_is_copied_in_a_step_does_what_the_step_did(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     session = opened(None, rig=fl.Rig.named("paper-2023-geared"), out=Path("ours"))
     LOG_VERBS["log"](session, {"name": "prbs_30g"})
-    columns = ["time=time_s [s]", "motor_angle=motor_angle_rad [rad]", "torque=torque_Nm [Nm]"]
-    assert LOG_VERBS["columns"](session, {"columns": columns, "payload": 0.03}).head["ok"]
+    given = {"columns": COLUMNS, "payload": 0.03, "keep": [0.0, 18.0]}
+    assert LOG_VERBS["columns"](session, given).head["ok"]
     Job(session, "identify", {"heldout": 0.25}).done(lambda progress: None)
     session.exact({"gain_crossover": None})
     session.keep()
@@ -663,6 +668,62 @@ def test_a_log_is_listed_by_its_name_or_as_the_last_upload(tmp_path):
     assert reply.head["bundled"] == fl.bundled_logs()
     with pytest.raises(fl.errors.FieldError, match="log"):
         choose(session, {"name": "../mine.csv"})
+
+
+COLUMNS = ["time=time_s [s]", "motor_angle=motor_angle_rad [rad]", "torque=torque_Nm [Nm]"]
+
+
+def test_a_stretch_that_the_page_marks_is_what_the_command_reads(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    session = opened(None, rig=fl.Rig.named("paper-2023-geared"), out=Path("ours"))
+    LOG_VERBS["log"](session, {"name": "prbs_30g"})
+    answer = LOG_VERBS["columns"](session, {"columns": COLUMNS, "keep": [2.0, 12.5]})
+    shown, log = answer.head["experiment"], session.study.experiment
+    assert (shown["keep"], shown["duration"], shown["whole"]) == ((2.0, 12.5), 20.0, True)
+    assert np.asarray(answer.curves["motor_angle"]).size > 2000  # all of it is drawn
+    assert (log.start_time, log.duration) == (pytest.approx(2.0), pytest.approx(10.5))
+    assert "W237" in [finding.code for finding in shown["findings"]]
+    session.keep()
+    for step in ("channels", "model"):
+        assert "--keep 2 12.5" in answer.head["copies"][step]["command"]
+        assert "keep=(2.0, 12.5)" in answer.head["copies"][step]["python"]
+    space: dict = {}
+    exec(compile(answer.head["copies"]["channels"]["python"], "copied", "exec"), space)  # noqa: S102
+    assert space["log"] == log
+    whole = LOG_VERBS["columns"](session, {"columns": COLUMNS}).head["experiment"]
+    assert (whole["keep"], session.study.experiment.duration) == (None, 20.0)
+    for bad in ([3.0], "all", [2.0, 1.0], [1.0, "x"], [True, 2.0]):
+        with pytest.raises(FieldError, match="keep"):
+            LOG_VERBS["columns"](session, {"columns": COLUMNS, "keep": bad})
+
+
+def test_a_board_is_told_what_the_law_needs(made):
+    board = OUTPUT_VERBS["board"](made, {"precision": "single"}).head
+    law = made.study.law.in_precision("single")
+    assert {row[0]: row[1] for row in board["board"]}["memory of each arm (RAM)"] == (
+        f"{exact_sizes(law)[1]} bytes"
+    )
+    assert board["board"][-1][1] == f"hash {expected(law).hash:08X}" and len(board["power_on"]) == 6
+    double = OUTPUT_VERBS["board"](made, {"precision": "double"}).head["board"]
+    assert double[-1] != board["board"][-1] and "not counted" in double[2][1]
+    assert OUTPUT_VERBS["board"](made, {"precision": []}).head["board"] == []
+
+
+def test_moves_of_arms_are_those_of_the_campaign(made, tmp_path):
+    campaign = Campaign.of(made.study.rig, made.study.design.model, made.study.law, runs=40)
+    curves = moves_of_arms(campaign, (3, 5))
+    assert curves["fan_passed"].shape == (24, curves["fan_t"].size) and curves["fan_failed"].shape[0] == 2
+    run = replay_run(campaign, 3)
+    assert curves["fan_failed"][0][-1] == pytest.approx(
+        100.0 * np.interp(curves["fan_t"][-1], run.time, run.tip_angle) / run.reference[-1]
+    )
+    assert set(moves_of_arms(campaign, ())) == {"fan_t", "fan_passed"}
+
+
+def test_the_page_s_own_script_stays_small() -> None:
+    page = files("fraclink._studio") / "page"
+    scripts = [path.read_text("utf-8") for path in page.iterdir() if path.name.endswith(".js")]
+    assert sum(len(tightened(script).encode()) for script in scripts) <= 60_000
 
 
 def test_a_gap_is_closed_by_the_value_before_it():

@@ -10,8 +10,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+import fraclink as fl
 from browser import Page, browser
 
 pytestmark = pytest.mark.slow
@@ -191,6 +193,44 @@ def _loses_the_payload(page: Page) -> bool:
     return False
 
 
+def replayed_and_cut(page: Page) -> None:
+    """The drawn arm stands as the log says; a stretch is marked by keys, kept, and taken back."""
+    page.key("2")
+    page.until("!document.querySelector('#replayed').hidden", "an arm that can replay")
+    log = fl.read_log(fl.bundled_log("prbs_30g"))
+    for part in (0.0, 0.31, 0.9):
+        page.run(
+            f"(i => {{ i.value = {1000 * part}; i.dispatchEvent(new Event('input')); }})"
+            "(document.getElementById('replay-at'))"
+        )
+        turned = page.run(
+            "Number(document.querySelector('#hub').getAttribute('transform').match(/-?[\\d.]+/)[0])"
+        )
+        assert turned == pytest.approx(
+            -np.degrees(log.motor_angle[round(part * (log.output.size - 1))]), abs=0.3
+        )
+    page.run("document.querySelector('#replay').click()")
+    page.until("Math.abs(document.querySelector('#replay-at').value - 900) > 5", "it moves")
+    page.run("document.querySelector('#replay').click()")
+    page.run("document.querySelector('#h-cut-1').focus()")
+    for _ in range(2):
+        page.key("PageDown")
+    page.until("document.querySelector('#cut-said').textContent === 'Marked: 0 to 18 s'")
+    page.run("document.querySelector('#cut-keep').click()")
+    page.until(
+        "document.querySelector('#command').textContent.includes('--keep 0 18')", "the stretch in the command"
+    )
+    assert "W237" in page.run("document.querySelector('#log-findings').textContent")
+    page.click("#p-output")  # a click marks nothing
+    page.until("document.querySelector('#cut-keep').disabled")
+    page.run("document.querySelector('#cut-all').click()")
+    page.until("!document.querySelector('#command').textContent.includes('--keep')")
+    # the numbers of a plot, and its sentence
+    page.run("document.querySelector('#p-angle').closest('figure').querySelector('.numbers').click()")
+    page.until("document.querySelectorAll('#p-angle + .tablebox tbody tr').length === 14")
+    page.until("/^log from .* at 0 to /.test(document.querySelector('#p-angle desc').textContent)")
+
+
 def test_from_a_dropped_log_to_the_board(page, tmp_path):
     page.complaints.clear()
     with studio(tmp_path, "--rig", "paper-2023-geared") as (address, _):
@@ -212,6 +252,7 @@ def test_from_a_dropped_log_to_the_board(page, tmp_path):
         page.run("document.querySelector('#bundled [data-name=prbs_30g]').click()")
         page.until("document.querySelector('#log-said').textContent.startsWith('prbs_30g')")
         page.until("document.querySelector('#log-payload').placeholder === '30'", "the log is read")
+        replayed_and_cut(page)
         page.key("3")
         page.run("document.querySelector('#fit').click()")
         page.until("document.querySelectorAll('.model').length === 4", "four fits")
@@ -242,6 +283,8 @@ def test_from_a_dropped_log_to_the_board(page, tmp_path):
         page.key("7")
         page.run("document.querySelector('#write-c').click()")
         page.until("document.querySelector('#files td')", "files")
+        page.until("document.querySelectorAll('#power-on li').length === 6")
+        assert "hash" in page.run("document.querySelector('#board-facts').textContent")
         assert (tmp_path / "results" / "firmware" / "law.c").is_file()
         for width, dark in ((390, True), (768, False)):
             page.look(width=width, height=844, dark=dark)

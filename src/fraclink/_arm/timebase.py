@@ -123,13 +123,19 @@ def _gap(
             f"{worst * 1e3:.6g} ms between samples, first after {first:.6g} s",
             f"not uniform: {gaps.size} gaps, about {lost} samples lost at {typical * 1e3:.6g} ms",
             allowed=f"gaps below {_GAP * typical * 1e3:.4g} ms",
-            remedy="record again, cut the log, or read with resample=True (--resample)",
+            remedy="record again, read a stretch without gaps (--keep), or with resample=True (--resample)",
         )
     return Finding(
         "W205",
         "warning",
         f"{gaps.size} gaps in time were bridged by interpolation",
-        {"gaps": gaps.size, "lost_samples": lost, "longest_s": worst, "period_s": typical},
+        {
+            "gaps": gaps.size,
+            "lost_samples": lost,
+            "longest_s": worst,
+            "period_s": typical,
+            "time_s": first - float(stamps[0]),
+        },
         "record again if the gaps lie where the arm moves",
     )
 

@@ -72,6 +72,11 @@ class LogOptions(TypedDict):
 
     payload: Annotated[ranges.Payload | None, "Payload of the log"]
     column: Columns
+    keep: Annotated[
+        tuple[float, float] | None,
+        typer.Option(metavar="FROM UNTIL"),
+        "Stretch of the log to read [s from its first sample]; default: all of it",
+    ]
     resample: Annotated[bool, "Interpolate over gaps, repeated stamps and strong jitter"]
     interpolate: Annotated[bool, "Fill missing cells, at most 1 % of a column"]
 
@@ -190,7 +195,7 @@ def load_log(
     rig: Rig | RigDraft,
     column: list[str] | None = None,
     payload: float | None = None,
-    **options: bool,
+    **options: Any,
 ) -> Experiment:
     """Return the log of a file, or the bundled one."""
     columns = parse_columns(column) if column else rig.log

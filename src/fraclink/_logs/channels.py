@@ -243,7 +243,12 @@ def outliers(experiment: Experiment) -> Iterator[Finding]:
                 "W224",
                 "error" if far.size < 0.02 * values.size else "warning",
                 f"{far.size} outliers in the {named}, the largest at sample {worst}",
-                {"value": float(values[worst]), "median": float(middle), "outliers": far.size},
+                {
+                    "value": float(values[worst]),
+                    "median": float(middle),
+                    "outliers": far.size,
+                    "time_s": worst * experiment.period,
+                },
                 "remove or repair these rows: a fit by least squares follows them",
             )
 
@@ -267,17 +272,21 @@ def clipping(experiment: Experiment, rig: Rig | None) -> Iterator[Finding]:
                 "W213",
                 "warning",
                 f"{100 * at / values.size:.3g} % of the samples lie at the {side} output: it seems clipped",
-                {"value": float(signed.max()) * (1 if side == "largest" else -1), "samples": at},
+                {
+                    "value": float(signed.max()) * (1 if side == "largest" else -1),
+                    "samples": at,
+                    "time_s": float(np.argmax(signed)) * experiment.period,
+                },
                 "move less or lower the amplifier's gain; a clipped torque biases every fit",
             )
     limit = rig.gauge.limit if rig is not None and experiment.output_kind == "torque" else math.inf
-    beyond = int((np.abs(values) >= 0.99 * limit).sum()) if math.isfinite(limit) else 0
-    if beyond:
+    past = np.flatnonzero(np.abs(values) >= 0.99 * limit)
+    if beyond := past.size:
         yield Finding(
             "W213",
             "warning",
             f"{beyond} samples of the torque reach the gauge's limit of {limit:g} N·m",
-            {"limit": limit, "samples": beyond},
+            {"limit": limit, "samples": beyond, "time_s": float(past[0]) * experiment.period},
             "move less or lower the amplifier's gain",
         )
 
@@ -286,13 +295,17 @@ def voltage_limit(experiment: Experiment, rig: Rig | None) -> Iterator[Finding]:
     """Samples at the amplifier's limit: the motor loop was open there."""
     if experiment.voltage is None or rig is None or not math.isfinite(rig.motor.voltage_limit):
         return
-    share = float((np.abs(experiment.voltage) >= 0.99 * rig.motor.voltage_limit).mean())
-    if share:
+    full = np.abs(experiment.voltage) >= 0.99 * rig.motor.voltage_limit
+    if share := float(full.mean()):
         yield Finding(
             "W236",
             "info",
             f"the voltage is at its limit in {100 * share:.3g} % of the samples",
-            {"limit": rig.motor.voltage_limit, "share": share},
+            {
+                "limit": rig.motor.voltage_limit,
+                "share": share,
+                "time_s": float(np.argmax(full)) * experiment.period,
+            },
             "the link's model is not affected; a motor model is",
         )
 
@@ -323,6 +336,7 @@ def rest_at_start(experiment: Experiment, offset: float, spread: float) -> Itera
                 "first_output": float(first.mean()),
                 "offset": offset,
                 "first_move": float(np.ptp(angle[:lead])),
+                "time_s": 0.0,
             },
             "start recording before the motion, or let the fit skip the first periods: models assume rest",
         )

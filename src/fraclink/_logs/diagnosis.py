@@ -36,7 +36,7 @@ def diagnose(experiment: Experiment, rig: Rig | None = None) -> tuple[Finding, .
     needs a vibration stands on the one mode Γ/θm = c s²/(s² + 2ζωs + ω²)·e^(−τs) that explains most of the
     output, found by a scan that needs no guess.
 
-    The findings have codes W201 … W235; ``error`` means that the log cannot be used as it is.
+    The findings have codes W201 … W237; ``error`` means that the log cannot be used as it is.
 
     Parameters
     ----------
@@ -204,9 +204,13 @@ _SHORTEST = 0.02  # s: a standstill shorter than that is a reversal
 _DRIVEN = 0.02  # of the largest voltage: less is an idle amplifier's offset
 
 
-def _longest_run(mask: NDArray[np.bool_]) -> int:
+def _longest_run(mask: NDArray[np.bool_]) -> tuple[int, int]:
+    """First sample and length of the longest stretch that is true; 0 and 0 without one."""
     edges = np.flatnonzero(np.diff(np.concatenate(([0], mask.astype(np.int8), [0]))))
-    return int((edges[1::2] - edges[::2]).max()) if edges.size else 0
+    if not edges.size:
+        return 0, 0
+    longest = int(np.argmax(edges[1::2] - edges[::2]))
+    return int(edges[2 * longest]), int(edges[2 * longest + 1] - edges[2 * longest])
 
 
 def _still(angle: NDArray[np.float64], window: int, reach: float) -> NDArray[np.bool_]:
@@ -229,7 +233,8 @@ def stiction(experiment: Experiment) -> Iterator[Finding]:
     driven = np.abs(experiment.voltage) > _DRIVEN * float(np.abs(experiment.voltage).max())
     shortest = max(5, round(_SHORTEST / experiment.period))
     stuck = still & driven
-    if not driven.any() or _longest_run(stuck) < shortest:
+    first, longest = _longest_run(stuck)
+    if not driven.any() or longest < shortest:
         return
     share = float(stuck.sum() / driven.sum())
     held = float(np.quantile(np.abs(experiment.voltage[stuck]), 0.95))
@@ -237,6 +242,11 @@ def stiction(experiment: Experiment) -> Iterator[Finding]:
         "W232",
         "warning" if share > 0.1 else "info",
         f"the motor stands still in {100 * share:.3g} % of its driven time, up to about {held:.3g} V",
-        {"share": share, "voltage": held, "longest_s": _longest_run(stuck) * experiment.period},
+        {
+            "share": share,
+            "voltage": held,
+            "longest_s": longest * experiment.period,
+            "time_s": first * experiment.period,
+        },
         "stiction: compensate it in the motor loop; the model of the link is not affected",
     )

@@ -32,6 +32,7 @@ from fraclink.errors import FieldError, LogError
 from fraclink.findings import Finding
 
 _LOGS = Path(__file__).resolve().parents[1] / "logs"
+_ROUNDED = 1e-9  # [s]: stamps are sums of periods, and an end that is meant lies an ulp beside one
 
 
 def bundled_logs() -> tuple[str, ...]:
@@ -78,6 +79,7 @@ def read_log(
     rig: Rig | None = None,
     columns: LogColumns | Mapping[str, str] | None = None,
     payload: float | None = None,
+    keep: tuple[float, float] | None = None,
     resample: bool = False,
     interpolate: bool = False,
 ) -> Experiment:
@@ -100,6 +102,9 @@ def read_log(
         does, too.
     payload
         m [kg], > 0; by default the log's own ``# payload_kg:`` line, if it has one.
+    keep
+        the stretch to read, (from, until) [s] from the first sample, 0 <= from < until; what lies outside
+        need not be uniform. Models assume that it begins at rest, and `diagnose` looks whether it does.
     resample
         interpolate onto a uniform grid where the stamps have gaps, repeats or strong jitter.
     interpolate
@@ -115,6 +120,8 @@ def read_log(
     >>> log = read_log(bundled_log("prbs_30g"))
     >>> log.period, log.payload, log.output_kind, log.simulated
     (0.004, 0.03, 'torque', True)
+    >>> read_log(bundled_log("prbs_30g"), keep=(0.0, 8.0)).duration
+    8.0
     """
     place = Path(path)
     table = read_table(place)
@@ -128,6 +135,10 @@ def read_log(
     # speeds up.
     data, findings = _channels(table, stated, interpolate)
     stamps = data.pop("time")
+    if keep is not None:
+        inside, cut = _kept(stamps, *keep)
+        findings.append(cut)
+        stamps, data = stamps[inside], {role: values[inside] for role, values in data.items()}
     base = time_base(stamps, resample=resample)
     if resample and base.findings:  # uniform stamps need no interpolation, which would cost the last bits
         _check_span(stamps, base.period)
@@ -147,6 +158,27 @@ def read_log(
         start_time=base.start,
         voltage=data.get("voltage"),
         notes=table.notes,
+    )
+
+
+def _kept(stamps: NDArray[np.float64], begin: float, end: float) -> tuple[NDArray[np.bool_], Finding]:
+    """Which samples lie from `begin` to `end` [s] after the first, and the finding that says so (W237)."""
+    since = stamps - stamps[0]
+    inside = (since >= begin - _ROUNDED) & (since <= end + _ROUNDED)
+    if not (0.0 <= begin < end) or inside.sum() < 2:
+        raise LogError(
+            "keep",
+            f"{begin:g} to {end:g} s",
+            "no stretch of the log",
+            allowed=f"0 <= from < until, within {float(since.max()):.6g} s, with two samples or more",
+            remedy="give the stretch in seconds from the first sample",
+        )
+    return inside, Finding(
+        "W237",
+        "info",
+        f"of {float(since.max()):.4g} s, those from {begin:.4g} to {end:.4g} s were read",
+        {"from_s": begin, "until_s": end},
+        "no check and no fit has seen the rest",
     )
 
 

@@ -78,6 +78,8 @@ class _Log:
             words += ["--column", column]
         if rig and self.session.payload is not None:
             words += ["--payload", f"{self.session.payload:g}"]
+        if rig and self.session.stretch is not None:
+            words += ["--keep", *(f"{time:g}" for time in self.session.stretch)]
         return shlex.join([*words, *more])
 
     def lines(self, *lines: str, rig: bool = True) -> str:
@@ -88,6 +90,8 @@ class _Log:
             stated = [f"columns={_python_columns(self.session.columns)}"]
         if self.session.payload is not None:
             stated.append(f"payload={self.session.payload!r}")
+        if self.session.stretch is not None:
+            stated.append(f"keep={self.session.stretch!r}")
         read = f"fl.read_log({', '.join([shown, *stated])})"
         first = [f"rig = {_python_rig(self.rig)}"] if rig else []
         return _lines(*first, *(line.format(log=shown, read=read) for line in lines))

@@ -23,13 +23,14 @@ from fraclink._identify.looked_at import error_map, welch_response
 from fraclink._logs import bundled_log, inspect_log, read_log
 from fraclink._logs.formats import read_table
 from fraclink._logs.guess import guess_columns
-from fraclink._logs.reading import bundled_logs
+from fraclink._logs.reading import ChannelSummary, bundled_logs
 from fraclink._logs.weighing import statements
 from fraclink._show import tables
 from fraclink._show.fits import worth_reading
+from fraclink._show.text import number
 from fraclink._studio.messages import Reply
 from fraclink._studio.session import Session, bare
-from fraclink.errors import FieldError
+from fraclink.errors import FieldError, LogError
 
 __all__ = ["LOG_VERBS", "fit_answer"]
 
@@ -89,21 +90,37 @@ def _listing(session: Session) -> Reply:
         f"spark{k}": thinned(_scaled(_finite(values)), _SPARKS) for k, values in enumerate(table.values)
     }
     guessed = guess_columns(table, {}, assume=True)
+    roles = {} if guessed.columns is None else guessed.columns.channels()
+    places = {channel.column: role.replace("_", " ") for role, channel in roles.items()}
+    channels = listing.channels
+    samples = channels[0].samples if channels else 0
     head["log"] = {
         "name": listing.path,
-        "kind": listing.kind,
-        "channels": listing.values()["channels"],
+        "said": f"{listing.path}: {listing.kind}, {len(channels)} channels, {samples} samples.",
+        "channels": [
+            {"name": found.name, "unit": found.unit, "facts": _facts(found, places.get(found.name))}
+            for found in channels
+        ],
         "notes": listing.notes,
         "sha256": sha256_of(session.source),
     }
     head["guesses"] = guessed.guesses
-    head["roles"] = {} if guessed.columns is None else {
+    head["roles"] = {
         role: {"column": channel.column, "unit": channel.unit, "sign": channel.sign, "scale": channel.scale}
-        for role, channel in guessed.columns.channels().items()
-    }  # fmt: skip
+        for role, channel in roles.items()
+    }
     head["units"] = {role: sorted(units) for role, units in UNITS.items()}
     more, signals = _experiment(session)
     return Reply(head | more, curves | signals)
+
+
+def _facts(channel: ChannelSummary, role: str | None) -> str:
+    """What is known of a channel, in a line: its role, its range, its clock and its gaps."""
+    facts = [role] if role else []
+    facts.append(f"{number(channel.minimum)} … {number(channel.maximum)}")
+    facts += [f"every {number(channel.period)}"] if channel.period else []
+    facts += [f"{channel.missing} missing"] if channel.missing else []
+    return " · ".join(facts)
 
 
 def _scaled(values: Real) -> Real:
@@ -129,14 +146,31 @@ def _set_columns(session: Session, given: Mapping[str, Any]) -> Reply:
             allowed, remedy = "an answer to each question", "drag the channel to its place"
             raise FieldError("columns", ", ".join(texts)[:200], asked, allowed=allowed, remedy=remedy)
     rig = session.study.rig
-    log = read_log(session.source, columns=columns or rig.log, payload=payload)
-    session.columns, session.payload, session.heldout = tuple(texts), payload, None
+    keep = _stretch(given.get("keep"))
+    log = read_log(session.source, columns=columns or rig.log, payload=payload, keep=keep)
+    session.columns, session.payload, session.stretch, session.heldout = tuple(texts), payload, keep, None
+    session.whole = log
+    if keep is not None:  # the picture shows what lies beside it, if that can be read
+        try:
+            session.whole = read_log(session.source, columns=columns or rig.log, resample=True)
+        except LogError:
+            session.whole = None
     session.become(examined(rig, log))
     head: dict[str, Any] = {"ok": True, **session.overview()}
     if columns is not None:
         head["toml"] = draft_text(rig.name, log.period, columns, {})
     more, signals = _experiment(session)
     return Reply(head | more, signals)
+
+
+def _stretch(given: object) -> tuple[float, float] | None:
+    """The stretch of the log that the page marked [s]; which are possible is for `read_log` to say."""
+    if given is None:
+        return None
+    if isinstance(given, list) and len(given) == 2 and all(type(t) in (int, float) for t in given):
+        return float(given[0]), float(given[1])
+    allowed, remedy = "two numbers of seconds", "mark the stretch again"
+    raise FieldError("keep", str(given)[:40], "not a stretch", allowed=allowed, remedy=remedy)
 
 
 def _experiment(session: Session) -> tuple[dict[str, Any], dict[str, Real]]:
@@ -146,11 +180,13 @@ def _experiment(session: Session) -> tuple[dict[str, Any], dict[str, Real]]:
         return {"experiment": None}, {}
     rows = tables.log_table(log)
     findings = tuple(dict.fromkeys((*log.findings, *session.study.findings)))
+    shown = session.whole or log
     head = {
-        "experiment": {"rows": rows.rows, "findings": findings, "duration": log.duration,
-                       "kind": log.output_kind, "payload": log.payload}
+        "experiment": {"rows": rows.rows, "findings": findings, "duration": shown.duration,
+                       "kind": log.output_kind, "payload": log.payload,
+                       "keep": session.stretch if session.whole else None, "whole": session.whole is not None}
     }  # fmt: skip
-    return head, {"motor_angle": thinned(np.degrees(log.motor_angle)), "output": thinned(log.output)}
+    return head, {"motor_angle": thinned(np.degrees(shown.motor_angle)), "output": thinned(shown.output)}
 
 
 def _set_rig(session: Session, given: Mapping[str, Any]) -> Reply:
@@ -186,7 +222,9 @@ def fit_answer(session: Session) -> Reply:
     """Return every fit with its figures in words, and the curves of log, model and residual."""
     study = session.study
     log, fits = study.experiment, study.fits
-    head: dict[str, Any] = {"ok": True, **session.overview(), "fits": [], "words": {}}
+    said = "Not fitted yet." if log is not None else "Read a log first (steps 1 and 2)."
+    said = f"The arm {words_of(study.fit)}." if study.fit is not None else said
+    head: dict[str, Any] = {"ok": True, **session.overview(), "fits": [], "conclusion": "", "said": said}
     head |= session.subject.axes() if session.subject else {}
     curves: dict[str, Real] = {}
     if not fits:
@@ -206,7 +244,41 @@ def fit_answer(session: Session) -> Reply:
         }
         curves |= _pictures(log, fit)
         curves |= _spectrum(log.output, np.asarray(fit.residual), log.period)
+        head |= {"drawn": _DRAWN, "axes": _axes_of(curves, log.duration)}
     return Reply(head, curves)
+
+
+# Plot of the page, curve in it, its style, and which of the answer's curves hold its places and its values;
+# without places it is drawn over time.
+_DRAWN = (
+    ("overlay", "measured", "measured", None, "measured"),
+    ("overlay", "predicted", "predicted", None, "predicted"),
+    ("rest", "log minus model", "heavy", None, "residual"),
+    ("bode", "log", "measured", "response_w", "response_log"),
+    ("bode", "model", "predicted", "response_w", "response_model"),
+    ("trust", "coherence", "heavy", "response_w", "coherence"),
+    ("spectrum", "log", "measured", "spectrum_hz", "spectrum_log"),
+    ("spectrum", "what the model leaves", "predicted", "spectrum_hz", "spectrum_rest"),
+)
+
+
+def _axes_of(curves: Mapping[str, Real], duration: float) -> dict[str, Any]:
+    """The ends of both axes of every plot of step 3, where the page does not know them."""
+
+    def ends(name: str, least: float = -math.inf) -> dict[str, float]:
+        return {"low": max(float(curves[name][0]), least), "high": float(curves[name][-1])}
+
+    high = 1.08 * max(float(np.abs(curves["measured"]).max()), 1e-9)
+    over_time = [{"low": 0.0, "high": duration}, {"low": -high, "high": high}]
+    top = 5.0 + max(float(curves[name].max()) for name in ("response_log", "response_model"))
+    return {
+        "overlay": over_time,
+        "rest": over_time,
+        "bode": [ends("response_w"), {"low": top - 70.0, "high": top}],
+        "trust": [ends("response_w"), {}],
+        "spectrum": [ends("spectrum_hz", 0.05), {}],
+        "valley": [ends("error_resonance"), ends("error_order")],
+    }
 
 
 def _pictures(log: Experiment, fit: Fit) -> dict[str, Real]:

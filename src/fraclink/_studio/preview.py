@@ -21,7 +21,7 @@ from fraclink._design.assess import phase_budget
 from fraclink._design.completed import design_for
 from fraclink._law import Law
 from fraclink._law.refit import refitted
-from fraclink._show.text import number
+from fraclink._show.text import grams, number
 from fraclink._studio.messages import Reply, refusal
 from fraclink._studio.regions import fan_of, parted, violated
 from fraclink._studio.request import checked_request, wanted_of
@@ -85,7 +85,9 @@ def preview(subject: Subject, state: object, *, fan: bool = False) -> Reply:
         request = checked_request(asked)
         made, assumed = design_for(subject.rig, subject.model, **wanted_of(request))
         shown = _shown(subject, made, assumed)
-        head = dict(shown.head) | {"entered": violated(made, regions, subject.frequencies) if regions else []}
+        entered = violated(made, regions, subject.frequencies) if regions else []
+        words = [region.said(inside) for region, inside in zip(regions, entered, strict=True)]
+        head = dict(shown.head) | {"entered": entered, "regions": words}
         return Reply(head, dict(shown.curves) | (fan_of(made, subject.frequencies) if fan else {}))
     except FraclinkError as error:
         return refusal(error)
@@ -128,12 +130,13 @@ def _shown(subject: Subject, made: Design, assumed: tuple[str, ...]) -> Reply:
         "ok": True,
         "preview": True,
         "three": three,
+        "names": [grams(mass) for mass in three],
         "asked": {"gain_crossover": made.gain_crossover, "phase_margin_deg": math.degrees(made.phase_margin)},
         "controller": _controller(made),
         "facts": _facts(made),
         "requirements": made.requirements,
         "findings": made.findings,
-        "assumed": assumed,
+        "assumed": f"Assumed: {'; '.join(assumed)}." if assumed else "",
         "budget": _budget(made, low),
         "passed": made.passed,
         "said": described(made, subject.payloads, margin),

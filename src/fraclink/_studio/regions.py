@@ -14,6 +14,7 @@ from fraclink._arm.box import ParameterBox, arms_of
 from fraclink._design import Design
 from fraclink._design.alternatives import feasibility_map
 from fraclink._design.completed import design_for
+from fraclink._show.text import number
 from fraclink._studio.request import checked_request, wanted_of
 from fraclink.errors import FieldError, FraclinkError
 
@@ -38,6 +39,16 @@ class Region:
     right: float
     low: float
     high: float
+
+    def said(self, entered: bool) -> str:
+        """Return the region in words, behind whether the loop enters it.
+
+        >>> Region("gain", 10.0, 100.0, 0.0, 20.0).said(False)
+        '✓ kept out of: 10 to 100 rad/s, 0 to 20 dB'
+        """
+        unit = "rad/s" if self.plot == "gain" else "°"
+        left, right, low, high = (number(edge, 3) for edge in (self.left, self.right, self.low, self.high))
+        return f"{'✗ entered' if entered else '✓ kept out of'}: {left} to {right} {unit}, {low} to {high} dB"
 
     def entered(self, frequency: Real, gain: Real, phase: Real) -> bool:
         """Whether the loop has a part of it inside; gain and phase have shape (payloads, frequencies).

@@ -13,6 +13,7 @@ from pathlib import Path
 from threading import Lock
 from typing import Any
 
+from fraclink._arm.experiment import Experiment
 from fraclink._arm.rig import Rig
 from fraclink._campaign.stages import designed, moved, subject
 from fraclink._campaign.study import Study, load_study, save_study
@@ -63,9 +64,11 @@ class Session:
         self.close = weakref.finalize(self, shutil.rmtree, self.draft, ignore_errors=True)
         self.study, self.folder, self.source = study, folder, source
         self.upload: Path | None = None
-        # What a copied command repeats: statements of columns, payload [kg], share that no fit sees.
+        # What a copied command repeats: statements of columns, payload [kg], stretch [s], share held out.
         self.columns: tuple[str, ...] = ()
         self.payload: float | None = None
+        self.stretch: tuple[float, float] | None = None
+        self.whole: Experiment | None = None  # the log of which `stretch` was read: the page shows all of it
         self.heldout: float | None = None
         self.written: dict[str, int] = {}
         self.lock = Lock()
@@ -150,26 +153,36 @@ class Session:
         return {
             "name": study.rig.name if study.rig else "",
             "folder": str(self.folder),
+            "title": " · ".join([*([study.rig.name] if study.rig else []), str(self.folder)]),
+            "spoken": ", ".join(f"{name} {scope.state}" for name, _, scope in tables.scopes(verdict)),
             "verdict": [
                 {"name": name, "what": what, "state": scope.state, "shown": marked(scope.state),
-                 "reasons": scope.reasons}
+                 "reasons": scope.reasons or ["nothing against it"]}
                 for name, what, scope in tables.scopes(verdict)
             ],
             "remarks": verdict.remarks,
-            "marks": self.marks(),
+            "marks": {step: [marked(mark)[0], mark] for step, mark in self.marks().items()},
             "assumptions": study.assumptions,
             "design": None if made is None else {
-                "requirements": _rows(tables.requirements_table(made.requirements)),
+                "requirements": _rows(tables.requirements_table(made.requirements), (0, 1, 2, 5)),
                 "controller": _rows(tables.controller_table(made, study.law)),
                 "findings": made.findings,
                 "moves": _rows(tables.moves_table(study.runs)),
                 "passed": made.passed,
             },
-            "certificate": None if study.certificate is None else study.certificate.verdict,
-            "uncertified": study.uncertified,
+            "certificate": study.certificate is not None,
+            "proof_said": self._proof_said(),
             "files": self.written,
+            "board_said": f"Written into {self.folder}." if self.written
+            else "Nothing written yet." if made else "Make a design first (step 4).",
             "copies": copies(self),
         }  # fmt: skip
+
+    def _proof_said(self) -> str:
+        study = self.study
+        if study.certificate is not None:
+            return study.certificate.verdict
+        return f"Not proved: {study.uncertified}" if study.uncertified else ""
 
     def marks(self) -> dict[str, str]:
         """The state of each step, as words of a verdict."""
@@ -260,5 +273,8 @@ def _digests(folder: Path) -> dict[str, str]:
     return {path.name: sha256_of(path) for path in sorted(folder.iterdir()) if path.suffix in kinds}
 
 
-def _rows(table: Any) -> Mapping[str, Any]:
-    return {"header": table.header, "rows": table.shown}
+def _rows(table: Any, columns: tuple[int, ...] | None = None) -> Mapping[str, Any]:
+    """A table as the page shows it: all of its columns, or those."""
+    rows = [table.header, *table.shown]
+    cut = rows if columns is None else [[row[k] for k in columns] for row in rows]
+    return {"header": cut[0], "rows": cut[1:]}

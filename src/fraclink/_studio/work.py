@@ -13,13 +13,14 @@ from pathlib import Path
 from threading import Lock
 from typing import Any
 
+from fraclink._campaign.campaign import load_campaign
 from fraclink._campaign.faults import FaultTable
 from fraclink._campaign.study import Study, load_study, save_study
 from fraclink._show import tables
 from fraclink._studio.logs import fit_answer
 from fraclink._studio.messages import Reply
 from fraclink._studio.session import Session
-from fraclink._studio.swept import swept
+from fraclink._studio.swept import moves_of_arms, swept
 from fraclink._validate import Between
 from fraclink.errors import FieldError
 
@@ -120,8 +121,11 @@ def proof_of(study: Study) -> dict[str, Any]:
         statement = study.certificate.statement
         found["proved"] = {
             "modulus": statement.modulus,
-            "payloads": [statement.payload_low, statement.payload_high],
-            "delays": [statement.delay_low, statement.delay_high],
+            "payloads": [
+                1e3 * statement.payload_low,
+                1e3 * statement.payload_high,
+            ],  # [g], [ms]: its box on the map
+            "delays": [1e3 * statement.delay_low, 1e3 * statement.delay_high],
             "text": study.certificate.verdict,
         }
     if study.arms is not None:
@@ -156,6 +160,9 @@ def _proof(session: Session, given: Mapping[str, Any]) -> Reply:
     if study.design is None or study.law is None:
         return Reply(head)
     near, curves = swept(study.design, study.law)
+    kept = [place for place in (session.draft / "arms", session.folder / "arms") if place.is_dir()]
+    if study.arms is not None and kept:
+        curves |= moves_of_arms(load_campaign(kept[0]), study.arms.failed)
     return Reply(head | {"swept": near}, curves)
 
 

@@ -60,10 +60,12 @@ def _with_faults(study: Study) -> Study:
         nonlocal done
         done += 1
         case = outcome.case
-        _tell({"done": done, "all": len(planned), "fault": case.fault, "severity": case.severity,
-               "payload": case.payload, "phase": case.phase, "passed": outcome.passed})  # fmt: skip
+        said = f"{done} of {len(planned)} runs, {case.fault}"
+        _tell({"said": said, "done": done, "all": len(planned), "passed": outcome.passed, "fault": case.fault,
+               "severity": case.severity, "payload": case.payload, "phase": case.phase})  # fmt: skip
 
-    _tell({"done": 0, "all": len(planned), "payloads": bench.payloads})
+    said = f"0 of {len(planned)} runs"
+    _tell({"said": said, "done": 0, "all": len(planned), "payloads": bench.payloads})
     return replace(study, faults=run_faults(bench, planned, watch=watch))
 
 

@@ -45,6 +45,7 @@ function layArm() {
   arm.ghost = el('g', {class: 'ghost'}, g);
   el('line', {x1: 0, y1: 0, x2: 0, y2: -L}, arm.ghost);
   el('circle', {cx: 0, cy: -L, r: payloadRadius() + 3}, arm.ghost);
+  arm.past = el('path', {class: 'past'}, g);
   arm.shadow = el('path', {class: 'shadow', 'stroke-width': arm.thick + 4}, g);
   arm.link = el('path', {class: 'link'}, g);
   arm.shine = el('path', {class: 'shine', 'stroke-width': 1.5}, g);
@@ -132,6 +133,7 @@ function drawArm(k) {
   arm.link.setAttribute('d', blade(points));
   arm.shine.setAttribute('d', line(bent(0.08, 0.97, base, bend)));
   arm.shadow.setAttribute('d', d);
+  arm.past.setAttribute('d', past.tip ? line(bent(0, 1, past.motor[k], past.tip[k] - past.motor[k])) : '');
   arm.gauge.setAttribute('d', line(bent(0.1, 0.17, base, bend)));
   set(arm.rigid, {x1: px(arm.cx), y1: px(arm.cy), x2: px(gx), y2: px(gy)});
   const turn = (angle) => fixed(-degrees(angle - arm.middle), 2).replace('−', '-');
@@ -243,7 +245,7 @@ function drawPlots() {
   const most = limited(nice(1.05 * torque.reduce((x, y) => Math.max(x, Math.abs(y)), 0.3 * T)), 0.1 * T, 4 * T);
   plots.drawn = [
     drawPlot('plot-tip', wide ? 200 : 180, low, high, marks(low, high, step),
-      [['wanted', 'reference', inDegrees(reference)], ['hub', 'motor', inDegrees(motor)], ['tip', 'tip', inDegrees(tip)]], step < 1 ? 1 : 0, false),
+      [...(past.tip ? [['past', '', inDegrees(past.tip)]] : []), ['wanted', 'reference', inDegrees(reference)], ['hub', 'motor', inDegrees(motor)], ['tip', 'tip', inDegrees(tip)]], step < 1 ? 1 : 0, false),
     drawRibbon(),
     drawPlot('plot-gauge', 104, -most, most, [-most, 0, most], [['measured', 'gauge', gauge], ['true', 'true', torque]], most < 1 ? (most < 0.1 ? 2 : 1) : 0, false),
     drawPlot('plot-voltage', 112, -u, u, [-u, 0, u], [['volts', 'voltage', voltage]], u < 1 ? 1 : 0, true),

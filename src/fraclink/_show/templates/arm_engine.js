@@ -72,8 +72,8 @@ const doubles = (place, count) => new Float64Array(ENGINE.memory.buffer, place, 
 const RIG = 21, HEAD = 22, MOVE = 6, COLUMNS = 12, TWIN_RIG = 15, OUTPUTS = 6; // csrc/web/engine.c, csrc/kernels/twin.h
 const AT = {delay: 2, offset: 10, noise: 11, payload: 16};
 const INPUT = {reference: 0, acceleration: 2, gaugeError: 3, payload: 11};
-const FAULT = {bits: 5, encoderGain: 6, gaugeGain: 9, gaugeValue: 10};
-const BIT = {gaugeReplaced: 2, encoderFrozen: 4, gaugeFrozen: 8, tickMissed: 32};
+const FAULT = {bits: 5, encoderGain: 6, encoderError: 7, encoderValue: 8, gaugeGain: 9, gaugeValue: 10};
+const BIT = {encoderReplaced: 1, gaugeReplaced: 2, encoderFrozen: 4, gaugeFrozen: 8, tickMissed: 32};
 
 const numbers = new Float64Array(bytesOf(DATA.numbers).buffer);
 const rigNumbers = numbers.subarray(0, RIG);
@@ -185,8 +185,18 @@ const FAULTS = [
     python: (a, b) => [`fl.SensorFault(${a}, ${b}, "gauge frozen")`]},
   {id: 'reversed', name: 'Gauge wired backwards', part: 'gauge', row: (r) => { r[FAULT.gaugeGain] = -1; },
     python: (a, b) => [`fl.SensorFault(${a}, ${b}, "gauge gain", -1.0)`]},
+  {id: 'zero', name: 'Gauge reads zero', part: 'gauge', row: (r) => { r[FAULT.bits] |= BIT.gaugeReplaced; r[FAULT.gaugeValue] = 0; },
+    python: (a, b) => [`fl.SensorFault(${a}, ${b}, "gauge value", 0.0)`]},
+  {id: 'half', name: 'Gauge reads half', part: 'gauge', row: (r) => { r[FAULT.gaugeGain] = 0.5; },
+    python: (a, b) => [`fl.SensorFault(${a}, ${b}, "gauge gain", 0.5)`]},
   {id: 'encoder', name: 'Encoder stuck', part: 'encoder', row: (r) => { r[FAULT.bits] |= BIT.encoderFrozen; },
     python: (a, b) => [`fl.SensorFault(${a}, ${b}, "encoder frozen")`]},
+  {id: 'blind', name: 'Encoder reads NaN', part: 'encoder', row: (r) => { r[FAULT.bits] |= BIT.encoderReplaced; r[FAULT.encoderValue] = NaN; },
+    python: (a, b) => [`fl.SensorFault(${a}, ${b}, "encoder value", float("nan"))`]},
+  {id: 'backwards', name: 'Encoder counts backwards', part: 'encoder', row: (r) => { r[FAULT.encoderGain] = -1; },
+    python: (a, b) => [`fl.SensorFault(${a}, ${b}, "encoder gain", -1.0)`]},
+  {id: 'slip', name: 'Encoder slips by 0.1 rad', part: 'encoder', row: (r) => { r[FAULT.encoderError] += 0.1; },
+    python: (a, b) => [`fl.SensorFault(${a}, ${b}, "encoder offset", 0.1)`]},
   {id: 'missed', name: 'Two of three periods missed', part: 'clock',
     row: (r, k) => { if (k % 3) r[FAULT.bits] |= BIT.tickMissed; },
     python: (a, b, k) => [`*(fl.SensorFault(k * ${TS}, (k + 1) * ${TS}, "tick missed") for k in range(${k}, ${N}) if k % 3)`]},
@@ -221,7 +231,8 @@ function follow() {
 }
 
 function breakSensors(always = false) {
-  const broken = FAULTS.filter((fault) => fault.id in state.faults);
+  // the latest wins where two write one number, as in fraclink
+  const broken = FAULTS.filter((fault) => fault.id in state.faults).sort((a, b) => state.faults[a.id] - state.faults[b.id]);
   if (!broken.length && !always) return 0;
   view.faults.fill(0);
   for (let k = 0; k < N; k++) {

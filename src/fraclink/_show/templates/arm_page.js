@@ -67,12 +67,20 @@ function say() {
   $('speed-of-run').textContent = `${fixed(TS * DATA.periods, 1)} s of motion took ${milliseconds.toFixed(2)} ms to compute.`;
 }
 
+// The run before this one, as a ghost beside it: what stood when the settings began to change.
+const past = {tip: null, motor: null, fresh: null};
+function pass() {
+  if (past.fresh) [past.tip, past.motor] = past.fresh;
+  past.fresh = null;
+}
+
 let pending = 0, speaking = 0;
 function renew({layout = false} = {}) {
   renew.layout = renew.layout || layout;
   if (pending) return;
   pending = requestAnimationFrame(() => {
     pending = 0;
+    pass();
     run();
     if (renew.layout || wild() !== arm.round) layArm(); else drawPayload();
     renew.layout = false;
@@ -81,7 +89,7 @@ function renew({layout = false} = {}) {
     draw();
     // the live region would speak at every pixel of a drag
     clearTimeout(speaking);
-    speaking = setTimeout(() => { say(); remember(); }, 150);
+    speaking = setTimeout(() => { say(); remember(); past.fresh = [tip.slice(), motor.slice()]; }, 150);
   });
 }
 
@@ -220,10 +228,7 @@ function listen() {
     }
   });
   $('play').addEventListener('click', () => play(!clock.playing));
-  $('slow').addEventListener('click', () => {
-    clock.slow = clock.slow === 1 ? 0.2 : 1;
-    $('slow').setAttribute('aria-pressed', clock.slow !== 1);
-  });
+  $('slow').addEventListener('change', () => { clock.slow = 1 / Number($('slow').value); });
   $('reset').addEventListener('click', reset);
   $('now').max = N - 1;
   $('now').addEventListener('input', () => { play(false); go(Number($('now').value)); draw(); });
@@ -231,7 +236,7 @@ function listen() {
   document.addEventListener('keydown', (event) => {
     // in a report the space bar turns the page
     if (!document.documentElement.matches('.armpage') && !event.target.closest('.armbox')) return;
-    if (event.target.closest('button, input, summary, a, pre, [role=button]') || event.ctrlKey || event.metaKey || event.altKey) return;
+    if (event.target.closest('button, input, select, summary, a, pre, [role=button]') || event.ctrlKey || event.metaKey || event.altKey) return;
     if (event.key === ' ') play(!clock.playing);
     else if (event.key === '.' || event.key === ',') { play(false); go(clock.k + (event.key === '.' ? 1 : -1)); draw(); } else return;
     event.preventDefault();
@@ -250,5 +255,6 @@ drawPlots();
 showSettings();
 draw();
 say();
+past.fresh = [tip.slice(), motor.slice()];
 requestAnimationFrame((now) => { clock.before = now; frame(now); });
 document.documentElement.dataset.ready = 'true';

@@ -1,7 +1,7 @@
 // @ts-check
 // The arm of the shared page, with another law at every drag.
 import {startArm} from './arm_box.js';
-import {$} from './studio.js';
+import {$, on, put, say} from './dom.js';
 
 export class Arm {
   constructor(app) {
@@ -26,7 +26,7 @@ export class Arm {
 
   rebuild(text) {
     this.moving?.stop();
-    $('arm-data').textContent = text;
+    say('arm-data', text);
     const template = /** @type {HTMLTemplateElement} */ ($('arm-template'));
     document.querySelector('.armbox')?.remove();
     this.box = /** @type {HTMLElement} */ (/** @type {any} */ (template.content.cloneNode(true)).querySelector('.armbox'));
@@ -59,13 +59,13 @@ export class Arm {
     this.moving.show(answer);
     this.app.say(answer.said);
   }
-  hold(on) {
-    if (!this.moving || on === Boolean(this.held)) return;
+  hold(wanted) {
+    if (!this.moving || wanted === Boolean(this.held)) return;
     const now = this.moving.now(), {at, angle, duration} = now;
     const {begin, angle: place} = this.held ||= {begin: at, angle};
-    $('hold').setAttribute('aria-pressed', String(on));
-    if (!on) this.held = null;
-    this.play('play', {...now, hold: {begin, angle: place, until: on || at < begin ? duration : at}});
+    put($('hold'), {'aria-pressed': wanted});
+    if (!wanted) this.held = null;
+    this.play('play', {...now, hold: {begin, angle: place, until: wanted || at < begin ? duration : at}});
   }
   lose() {
     if (!this.moving) return;
@@ -74,12 +74,12 @@ export class Arm {
   }
   /** The mouse at the payload: a click loses it in mid-move, a longer press holds the tip until it is let go of. */
   hands() {
-    $('hold').addEventListener('click', () => this.hold(!this.held));
-    $('lose').addEventListener('click', () => this.lose());
+    on('hold', 'click', () => this.hold(!this.held));
+    on('lose', 'click', () => this.lose());
     let timer = 0, pressed = false;
     const place = $('arm-move'), ours = (event) => event.target.closest('#load');
     place.addEventListener('pointerdown', (event) => { if (ours(event)) timer = setTimeout(() => { timer = 0; this.hold(pressed = true); }, 250); }, true);
-    addEventListener('pointerup', () => { clearTimeout(timer); if (pressed) this.hold(pressed = false); });
+    on(window, 'pointerup', () => { clearTimeout(timer); if (pressed) this.hold(pressed = false); });
     place.addEventListener('click', (event) => {
       if (!ours(event)) return;
       event.stopPropagation();

@@ -1,20 +1,17 @@
 // @ts-check
 // Step 4: the loop, its handles, and what they ask for.
-import {Plot, digits, limited, plain} from './plot.js';
+import {Plot, digits, ends, joined, limited, plain, ring} from './plot.js';
 import {Around} from './around.js';
-import {$, make, button, table, findings} from './studio.js';
+import {$, make, button, emptied, on, table, findings, say} from './dom.js';
 
 const grams = (kg) => 1e3 * kg;
-const put = (node, key, value) => { if (node[key] !== value) node[key] = value; };
+const change = (node, key, value) => { if (node[key] !== value) node[key] = value; };
 const KINDS = ['light', 'nominal', 'heavy'];
 
 /** A circle of the plane about a centre left of 0, as phases and decibels. */
 const disk = (centre, r) => {
-  const points = Array.from({length: 181}, (_, k) => {
-    const a = (2 * Math.PI * k) / 180, x = centre + r * Math.cos(a), y = r * Math.sin(a), phase = (Math.atan2(y, x) * 180) / Math.PI;
-    return [phase > 0 ? phase - 360 : phase, 20 * Math.log10(Math.hypot(x, y))];
-  });
-  return [points.map((p) => p[0]), points.map((p) => p[1])];
+  const points = ring(centre, r), phases = points.map(([x, y]) => (Math.atan2(y, x) * 180) / Math.PI);
+  return [phases.map((p) => (p > 0 ? p - 360 : p)), points.map((p) => 20 * Math.log10(Math.hypot(...p)))];
 };
 
 export class Design {
@@ -24,25 +21,23 @@ export class Design {
     this.last = null;
     this.inputs = {};
     for (const input of /** @type {NodeListOf<HTMLInputElement>} */ (document.querySelectorAll('[data-option]'))) this.field(input);
-    this.box = $('box');
-    this.box.addEventListener('change', () => this.put('box', this.box.checked));
+    this.box = on('box', 'change', () => this.put('box', this.box.checked));
     this.plots();
     this.around = new Around(app, this);
     this.cross(this.around.map);
     arm.moved = () => this.moves();
-    document.querySelector('.tables').addEventListener('toggle', () => this.tables());
   }
 
   // ---- fields ----
   field(input) {
     const name = input.dataset.option, factor = Number(input.dataset.factor), step = Number(input.dataset.step);
-    input.addEventListener('keydown', (event) => {
+    on(input, 'keydown', (event) => {
       const by = {ArrowUp: 1, ArrowDown: -1, PageUp: 10, PageDown: -10}[event.key];
       if (!by) return;
       event.preventDefault();
       this.put(name, digits((Number(input.value || input.placeholder) + by * step) / factor, 6));
     });
-    input.addEventListener('change', () => this.put(name, input.value === '' ? null : Number(input.value) / factor));
+    on(input, 'change', () => this.put(name, input.value === '' ? null : Number(input.value) / factor));
     this.inputs[name] = [input, factor];
   }
   get(name) {
@@ -74,49 +69,44 @@ export class Design {
       if (document.activeElement === input && !this.app.began) continue;
       const own = name.startsWith('payloads') ? this.get(name) : this.app.state[name];
       const text = own === null || own === undefined ? '' : String(digits(own * factor, 6));
-      put(input, 'value', text);
+      change(input, 'value', text);
       const shown = name === 'filter_time' ? this.last?.controller?.delta : this.get(name);
-      const other = shown ? `${digits(shown * factor, 4)}` : 'none';
-      put(input, 'placeholder', other);
+      change(input, 'placeholder', shown ? `${digits(shown * factor, 4)}` : 'none');
     }
     this.box.checked = Boolean(this.app.state.box);
   }
 
   // ---- plots and their handles ----
   plots() {
-    const degrees = (v) => `${plain(v, 3)}°`;
-    this.gain = new Plot('p-gain', {low: 1, high: 785, log: true}, {low: -40, high: 40, ticks: [-40, -20, 0, 20, 40]});
-    this.phase = new Plot('p-phase', {low: 1, high: 785, log: true}, {low: -315, high: 0, ticks: [-270, -180, -90, 0], text: degrees});
-    this.nichols = new Plot('p-nichols', {low: -300, high: -60, ticks: [-300, -240, -180, -120, -60], text: degrees}, {low: -40, high: 40, ticks: [-40, -20, 0, 20, 40]});
-    this.margin = new Plot('p-margin', {low: 8, high: 80, log: true}, {low: 0, high: 120, ticks: [0, 30, 60, 90, 120], text: degrees});
+    for (const name of ['gain', 'phase', 'nichols', 'margin']) this[name] = new Plot(`p-${name}`);
     this.four = [this.gain, this.phase, this.nichols, this.margin];
-    this.tip = new Plot('p-moves', {low: 0, high: 2}, {low: -10, high: 80});
+    this.tip = new Plot('p-moves');
     this.contours();
-    const {app} = this, at = () => app.hand;
-    app.hand = {begin: app.begin, change: (time) => app.change(time), end: app.end, cancel: app.cancel};
+    const {app} = this, hand = app.hand = {begin: app.begin, change: (time) => app.change(time), end: app.end, cancel: app.cancel};
     const crossover = {label: 'Gain crossover, at the heaviest payload', unit: 'rad/s', low: 1, high: 300, step: 0.1, get: () => this.get('gain_crossover') || 10, set: (v) => this.set('gain_crossover', digits(v, 4))};
     const margin = {label: 'Phase margin, at the lightest payload', unit: '°', low: 1, high: 120, step: 0.5, get: () => this.get('phase_margin_deg') || 50, set: (v) => this.set('phase_margin_deg', Math.round(10 * v) / 10), text: (v) => `${plain(v)}°`};
     this.sliders = {crossover, margin};
-    const upper = () => this.last?.controller?.upper || 15;
-    this.gain.handle({...crossover, id: 'h-crossover', drag: 'x', at: () => [crossover.get(), 0]}, at());
+    const upper = () => this.last?.controller?.upper || 15, corner = () => 1 / Math.max(this.app.state.filter_time ?? this.last?.controller?.delta ?? 0.005, 5e-4);
+    const turned = {...margin, shape: 'square', toAxis: (v) => v - 180, fromAxis: (v) => v + 180};
+    this.gain.handle({...crossover, id: 'h-crossover', drag: 'x', at: () => [crossover.get(), 0]}, hand);
     this.gain.handle({
       id: 'h-filter', label: 'Corner of the filter, 1/δ', unit: 'rad/s', low: 5, high: 2000, step: 5, drag: 'x', shape: 'diamond',
-      get: () => 1 / Math.max(this.app.state.filter_time ?? this.last?.controller?.delta ?? 0.005, 5e-4),
-      set: (v) => this.set('filter_time', digits(1 / v, 3)), at: () => [1 / Math.max(this.app.state.filter_time ?? this.last?.controller?.delta ?? 0.005, 5e-4), -32],
+      get: corner, set: (v) => this.set('filter_time', digits(1 / v, 3)), at: () => [corner(), -32],
       text: (v) => `${plain(v, 3)} rad/s, δ = ${plain(1e3 / v, 3)} ms`,
-    }, at());
-    this.phase.handle({...margin, id: 'h-margin-phase', drag: 'y', shape: 'square', toAxis: (v) => v - 180, fromAxis: (v) => v + 180, at: () => [upper(), margin.get() - 180]}, at());
-    this.nichols.handle({...margin, id: 'h-margin-nichols', drag: 'x', shape: 'square', toAxis: (v) => v - 180, fromAxis: (v) => v + 180, at: () => [margin.get() - 180, 0]}, at());
+    }, hand);
+    this.phase.handle({...turned, id: 'h-margin-phase', drag: 'y', at: () => [upper(), margin.get() - 180]}, hand);
+    this.nichols.handle({...turned, id: 'h-margin-nichols', drag: 'x', at: () => [margin.get() - 180, 0]}, hand);
     // Up is faster: a decibel of the heavy curve is 4 % of its crossover, near the slope that these loops have.
-    this.nichols.handle({...crossover, id: 'h-crossover-nichols', drag: 'y', toAxis: (v) => 25 * Math.log(v / (this.grabbed || v)), fromAxis: (db) => (this.grabbed || 12) * Math.exp(db / 25), at: () => [this.heavyPhase(), 0]}, {...at(), begin: () => { this.grabbed = crossover.get(); app.begin(); }});
-    this.margin.handle({...margin, id: 'h-margin-payload', drag: 'y', shape: 'square', line: true, at: () => [Math.sqrt(grams(this.get('payloads.0')) * grams(this.get('payloads.1'))), margin.get()]}, at());
+    this.nichols.handle({...crossover, id: 'h-crossover-nichols', drag: 'y', toAxis: (v) => 25 * Math.log(v / (this.grabbed || v)), fromAxis: (db) => (this.grabbed || 12) * Math.exp(db / 25), at: () => [this.heavyPhase(), 0]}, {...hand, begin: () => { this.grabbed = crossover.get(); app.begin(); }});
+    this.margin.handle({...margin, id: 'h-margin-payload', drag: 'y', shape: 'square', line: true, at: () => [Math.sqrt(this.payload(0) * this.payload(1)), margin.get()]}, hand);
     for (const [i, end] of [[0, 'Lightest'], [1, 'Heaviest']]) {
       this.margin.handle({
         id: `h-payload-${i}`, label: `${end} payload designed for`, unit: 'g', low: 1, high: 1e5, step: 0.5, drag: 'x', line: true,
-        get: () => grams(this.get(`payloads.${i}`)), set: (v) => this.set(`payloads.${i}`, digits(v / 1e3, 3)), at: () => [grams(this.get(`payloads.${i}`)), 6],
-      }, at());
+        get: () => this.payload(i), set: (v) => this.set(`payloads.${i}`, digits(v / 1e3, 3)), at: () => [this.payload(i), 6],
+      }, hand);
     }
   }
+  payload(i) { return grams(this.get(`payloads.${i}`)); }
   /** The present design on the map: two lines, each a slider. */
   cross(map) {
     const {crossover, margin} = this.sliders;
@@ -132,11 +122,10 @@ export class Design {
   /** What the request itself forbids: below 0 dB left of the crossover, 0 dB nearer to −180° than the margin, the disk of Ms. */
   forbidden() {
     const {gain, phase, nichols} = this, w = this.get('gain_crossover'), m = this.get('phase_margin_deg'), up = this.last?.controller?.upper, ms = this.app.state.max_sensitivity;
-    const box = (plot, left, right, low, high) => plot.mark('bound', 'bound', () => `M${plot.X(left)} ${plot.Y(high)}H${plot.X(right)}V${plot.Y(low)}H${plot.X(left)}Z`);
     if (!w || !m) return;
-    box(gain, gain.x.low, w, gain.y.low, 0);
-    if (up) box(phase, w, Math.max(up, w), phase.y.low, m - 180);
-    box(nichols, -180 - m, m - 180, -1.2, 1.2);
+    gain.box('bound', 'bound', [gain.x.low, w], [gain.y.low, 0]);
+    if (up) phase.box('bound', 'bound', [w, Math.max(up, w)], [phase.y.low, m - 180]);
+    nichols.box('bound', 'bound', [-180 - m, m - 180], [-1.2, 1.2]);
     if (ms) nichols.curve('disk', 'bound', ...disk(-1, 1 / ms)); else nichols.remove('disk');
   }
   place() { this.forbidden(); this.around.place(); for (const plot of this.four) plot.place(); }
@@ -144,16 +133,15 @@ export class Design {
   /** Circles of constant |T| about −180° and the disk about −1 that Ms = 2 is. */
   contours() {
     for (const peak of [1.2, 1.5, 2, 4]) this.nichols.curve(`m${peak}`, 'contour', ...disk(-peak * peak / (peak * peak - 1), peak / (peak * peak - 1)));
-    this.nichols.mark('critical', 'critical', () => { const x = this.nichols.X(-180), y = this.nichols.Y(0); return `M${x - 5} ${y}H${x + 5}M${x} ${y - 5}V${y + 5}`; });
+    this.nichols.cross('critical', -180, 0);
   }
 
   axes(axes) {
     if (!axes.frequencies) return;
-    const w = axes.frequencies, [low, high] = [w[0], w[w.length - 1]];
-    this.gain.axes({...this.gain.x, low: Math.max(low, high / 500), high}, null);
-    this.phase.axes({...this.phase.x, low: Math.max(low, high / 500), high}, null);
-    const m = axes.payloads.map(grams);
-    this.margin.axes({low: m[0], high: m[m.length - 1], log: true}, null);
+    const {low, high} = ends(axes.frequencies), across = {low: Math.max(low, high / 500), high};
+    this.gain.axes(across);
+    this.phase.axes(across);
+    this.margin.axes(ends(axes.payloads.map(grams)));
   }
 
   /** The curves of where a drag began, thin behind those of now. */
@@ -174,7 +162,8 @@ export class Design {
     $('refused').hidden = true;
     this.last = answer;
     const {curves: c} = answer, {frequencies: w, payloads} = this.app.axes;
-    const names = answer.three.map((m) => `${plain(grams(m), 3)} g`);
+    const {names} = answer, named = Object.fromEntries(KINDS.map((kind, i) => [kind, names[i]]));
+    for (const plot of [this.gain, this.phase, this.nichols, this.tip]) plot.names = named;
     this.nichols.curve('band', 'area', [...c.phase[0], ...Array.from(c.phase[2]).reverse()], [...c.gain[0], ...Array.from(c.gain[2]).reverse()]);
     KINDS.forEach((kind, i) => {
       this.gain.curve(kind, kind, w, c.gain[i]);
@@ -183,32 +172,30 @@ export class Design {
     });
     const g = payloads.map(grams), [low, , high] = answer.three.map(grams);
     this.margin.curve('margin', 'nominal', g, c.margin[0]);
-    this.margin.mark('zone', 'zone', () => `M${this.margin.X(low)} 0H${this.margin.X(high)}V999H${this.margin.X(low)}Z`);
-    const fan = (plot, x, y) => { if (!c.fan_gain) { plot.remove('fan'); return; } plot.curve('fan', 'fan', c.fan_gain.flatMap((_, k) => [...x(k), NaN]), y.flatMap((row) => [...row, NaN])); };
+    this.margin.box('zone', 'zone', [low, high], null);
+    const fan = (plot, x, y) => { if (!c.fan_gain) { plot.remove('fan'); return; } plot.curve('fan', 'fan', joined(c.fan_gain.map((_, k) => x(k))), joined(y)); };
     const few = Array.from(w).filter((_, k) => k % 4 === 0);
     fan(this.gain, () => few, c.fan_gain);
     fan(this.phase, () => few, c.fan_phase);
     fan(this.nichols, (k) => c.fan_phase[k], c.fan_gain);
-    this.around.found(answer.entered);
+    this.around.found(answer);
     this.around.compare();
     this.place();
     this.fields();
     this.facts(answer, true);
     this.moves();
-    $('said').textContent = answer.said;
-    $('budget-at').textContent = `[°] at the crossover of ${names[0]}`;
-    $('assumed').textContent = answer.assumed.length ? `Assumed: ${answer.assumed.join('; ')}.` : '';
+    say('said', answer.said);
+    say('budget-at', `[°] at the crossover of ${names[0]}`);
+    say('assumed', answer.assumed);
     const said = JSON.stringify(answer.findings);
     if (said !== this.found) { this.found = said; findings($('design-findings'), answer.findings); }
     $('requirements').classList.add('preview');
-    this.tables();
   }
 
   /** What is a preview is grey and has its ≈; the exact answer replaces it. */
   facts(answer, preview) {
-    const place = $('controller'), sign = preview ? '≈ ' : '';
+    const place = emptied('controller'), sign = preview ? '≈ ' : '';
     place.classList.toggle('preview', preview);
-    place.replaceChildren();
     for (const [name, value] of answer.facts.slice(2)) {
       const box = make('div', '', '', place);
       make('dt', '', name, box);
@@ -226,8 +213,7 @@ export class Design {
   took(answer) {
     const found = answer.design;
     if (found) {
-      const keep = [0, 1, 2, 5], cut = (row) => keep.map((k) => row[k]);
-      table($('requirements'), cut(found.requirements.header), found.requirements.rows.map(cut), 'Requirements');
+      table($('requirements'), found.requirements.header, found.requirements.rows, 'Requirements');
       table($('moves-table'), found.moves.header, found.moves.rows, 'Moves of the model with the exact law');
     }
   }
@@ -241,9 +227,8 @@ export class Design {
     this.app.end();
   }
   refuse(answer) {
-    const place = $('refused');
+    const place = emptied('refused');
     place.hidden = false;
-    place.replaceChildren();
     make('b', '', answer.condition ? `${answer.condition}. ` : 'Not possible. ', place);
     place.append(answer.explanation || answer.error);
     if (Object.keys(answer.nearest || {}).length) {
@@ -254,30 +239,16 @@ export class Design {
   }
 
   drawBudget(shares) {
-    const place = $('p-budget'), row = (name, from, value, kind) => {
+    const place = emptied('p-budget'), row = (name, from, value, kind) => {
       const line = make('div', 'share', '', place), ends = [from, from + value].map((v) => limited(v, 0, 200) / 2);
       make('span', '', name, line);
       const bar = make('i', `bar ${kind}`, '', make('b', '', '', line));
       Object.assign(bar.style, {left: `${Math.min(...ends)}%`, width: `${Math.abs(ends[1] - ends[0])}%`});
       make('span', 'value', `${plain(Number(value.toFixed(1)))}°`, line);
     };
-    place.replaceChildren();
     let sum = 180;
     for (const [name, value] of shares) { row(name, sum, value, value < 0 ? 'lag' : 'lead'); sum += value; }
     row('left: the phase margin', 0, sum, 'rest');
-  }
-
-  /** The same numbers as the plots, for those who read them. */
-  tables() {
-    const place = $('plot-tables'), c = this.last?.curves, {frequencies: w, payloads} = this.app.axes;
-    place.replaceChildren();
-    if (!c || !document.querySelector('.tables').open) return;
-    const every = (list, n) => Array.from(list, (v, i) => [v, i]).filter(([, i]) => i % n === 0);
-    const names = this.last.three.map((m) => `${plain(grams(m), 3)} g`);
-    table(make('div', 'tablebox', '', place), ['ω [rad/s]', ...names.map((n) => `gain ${n} [dB]`), ...names.map((n) => `phase ${n} [°]`)],
-      every(w, 14).map(([v, i]) => [plain(v, 3), ...c.gain.map((g) => g[i].toFixed(1)), ...c.phase.map((p) => p[i].toFixed(0))]), 'Loop');
-    table(make('div', 'tablebox', '', place), ['payload [g]', 'crossover [rad/s]', 'phase margin [°]'],
-      every(payloads, 4).map(([m, i]) => [plain(grams(m), 3), plain(c.crossover[0][i]), c.margin[0][i].toFixed(1)]), 'Margins over the payload');
   }
 
   /** The law in the page moves three payloads, 1 ms each: not more often than anybody sees. */

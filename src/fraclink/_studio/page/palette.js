@@ -1,6 +1,6 @@
 // @ts-check
 // Everything that can be done, by its name: buttons, handles and fields of all steps.
-import {$, make} from './studio.js';
+import {$, make, on, put} from './dom.js';
 
 export function palette(app) {
   const box = $('palette'), input = $('palette-find'), list = $('palette-list');
@@ -8,8 +8,8 @@ export function palette(app) {
   const name = (node) => node.getAttribute('aria-label') || (node.querySelector('.word') || node.labels?.[0] || node).textContent || node.title;
   const step = (node) => node.closest('.step')?.id.slice(5);
   const mark = () => [...list.children].forEach((item, i) => {
-    item.setAttribute('aria-selected', String(i === at));
-    if (i === at) { input.setAttribute('aria-activedescendant', item.id); item.scrollIntoView({block: 'nearest'}); }
+    put(item, {'aria-selected': i === at});
+    if (i === at) { put(input, {'aria-activedescendant': item.id}); item.scrollIntoView({block: 'nearest'}); }
   });
   const run = (node) => {
     box.close();
@@ -27,14 +27,12 @@ export function palette(app) {
     list.replaceChildren();
     found.forEach(([node, text], i) => {
       const item = make('li', '', text, list);
-      item.id = `p-${i}`;
-      item.setAttribute('role', 'option');
-      item.addEventListener('click', () => run(node));
+      put(on(item, 'click', () => run(node)), {id: `p-${i}`, role: 'option'});
     });
     mark();
   };
-  input.addEventListener('input', fill);
-  input.addEventListener('keydown', (event) => {
+  on(input, 'input', fill);
+  on(input, 'keydown', (event) => {
     const by = {ArrowDown: 1, ArrowUp: -1}[event.key];
     if (by) { at = (at + by + found.length) % found.length; mark(); } else if (event.key === 'Enter') { if (found[at]) run(found[at][0]); } else return;
     event.preventDefault();

@@ -1,15 +1,15 @@
 // @ts-check
-// Plots in real pixels with fixed axes, curves from arrays, and handles that are sliders for everybody.
+// Plots in real pixels with fixed axes, curves from arrays, handles that are sliders for everybody, and tables.
+import {button, emptied, make, on, put, table} from './dom.js';
 
-/** @typedef {{low: number, high: number, log?: boolean, ticks?: number[], text?: (v: number) => string}} Axis */
+/** @typedef {{name: string, low: number, high: number, log: boolean, ticks: number[] | null, unit: string}} Axis */
 /** @typedef {{id: string, label: string, unit: string, low: number, high: number, step: number, drag: 'x' | 'y', shape?: string}} Slider */
 /** @typedef {Slider & {get: () => number, set: (v: number) => void, at: () => [number, number], line?: boolean}} Placed */
 /** @typedef {Placed & {toAxis?: (v: number) => number, remove?: () => void, fromAxis?: (v: number) => number, text?: (v: number) => string}} Handle */
 
 const SVG = 'http://www.w3.org/2000/svg';
 export const el = (name, attributes = {}, parent = null, text = '') => {
-  const made = document.createElementNS(SVG, name);
-  for (const key in attributes) made.setAttribute(key, attributes[key]);
+  const made = put(document.createElementNS(SVG, name), attributes);
   if (text) made.textContent = text;
   if (parent) parent.append(made);
   return made;
@@ -22,6 +22,15 @@ export const plain = (v, places = 4) => {
   const text = Math.abs(v) >= 1e5 || (v && Math.abs(v) < 1e-4) ? v.toExponential(places - 1) : String(Number(v.toPrecision(places)));
   return text.replace('-', '−');
 };
+/** First and last of a list, as the ends of an axis. */
+export const ends = (list) => ({low: list[0], high: list[list.length - 1]});
+/** One line of a list of values, from left to right in a box of that size. */
+export const line = (ys, width, y) => Array.from(ys, (v, i) => `${i ? 'L' : 'M'}${tenth((width * i) / Math.max(1, ys.length - 1))} ${tenth(y(v))}`).join('');
+
+/** Rows as one curve with gaps between them. */
+export const joined = (rows) => rows.flatMap((row) => [...row, NaN]);
+/** A circle about a place of the real axis. */
+export const ring = (centre, r) => Array.from({length: 121}, (_, k) => [centre + r * Math.cos((Math.PI * k) / 60), r * Math.sin((Math.PI * k) / 60)]);
 
 const LEFT = 42, RIGHT = 10, TOP = 8, FOOT = 20;
 const steps = (low, high, count) => {
@@ -36,14 +45,26 @@ const decades = (low, high) => {
   }
   return found;
 };
+/** An axis as the page's text has it: name; low, high and "log"; ticks; unit behind a number. @returns {Axis} */
+const axisOf = (text) => {
+  const [name, range, ticks, unit = ''] = text.split('; '), [low, high, log] = range.split(' ');
+  return {name, low: Number(low), high: Number(high), log: Boolean(log), ticks: ticks ? ticks.split(' ').map(Number) : null, unit};
+};
+/** About `count` places of a list, spread over it. */
+const spread = (length, count) => Array.from({length: Math.min(length, count)}, (_, k) => Math.round((k * (length - 1)) / Math.max(1, Math.min(length, count) - 1)));
+/** What a gesture calls. @typedef {{begin?: () => void, change?: (at?: number) => void, end?: () => void, cancel?: () => void}} Hand */
+const STILL = {begin() {}, change() {}, end() {}, cancel() { this.change(); }};
+const ROWS = 14; // of a table of numbers
+const SILENT = /area|ghost|contour|bound|disk|fan|sweep/; // curves that are drawn beside what is told
 
 let clips = 0;
 
 export class Plot {
-  /** @param {string} id @param {Axis} x @param {Axis} y */
-  constructor(id, x = {low: 0, high: 10}, y = {low: -1, high: 1}) {
-    const svg = /** @type {SVGSVGElement} */ (/** @type {any} */ (document.getElementById(id)));
-    Object.assign(this, {svg, x, y, height: Number(svg.dataset.height) || 210});
+  /** @param {string} id of an svg in a figure, whose axes are its `data-x` and `data-y` */
+  constructor(id) {
+    const svg = /** @type {SVGSVGElement} */ (/** @type {any} */ (document.getElementById(id))), {x, y, height} = svg.dataset;
+    Object.assign(this, {svg, x: axisOf(x), y: axisOf(y), height: Number(height) || 210, names: {}, flagged: [], grid: null, later: 0});
+    this.desc = el('desc', {}, svg);
     this.clip = `clip-${++clips}`;
     this.frame = el('g', {class: 'frame', 'aria-hidden': 'true'}, svg);
     this.rect = el('rect', {}, el('clipPath', {id: this.clip}, el('defs', {}, svg)));
@@ -53,6 +74,12 @@ export class Plot {
     this.curves = new Map();
     this.handles = [];
     this.W = 0;
+    const caption = svg.closest('figure').querySelector('figcaption');
+    this.numbers = make('div', 'tablebox');
+    svg.after(this.numbers);
+    this.opener = button('▦', 'chip tool numbers', null, () => { put(this.opener, {'aria-expanded': this.opener.ariaExpanded !== 'true'}); this.tell(); }, `${caption.firstChild.textContent.trim()}: the numbers as a table`);
+    put(this.opener, {'aria-expanded': 'false'});
+    caption.prepend(this.opener);
     new ResizeObserver(() => { if (svg.clientWidth && Math.abs(svg.clientWidth - this.W) > 1) this.lay(); }).observe(svg);
   }
 
@@ -74,10 +101,10 @@ export class Plot {
     return (v) => from + k * (v - low);
   }
 
-  /** Other axes: only where another log or model was opened, never while a hand drags. */
+  /** Other ends of the axes: only where another log or model was opened, never while a hand drags. */
   axes(x, y) {
-    this.x = x || this.x;
-    this.y = y || this.y;
+    Object.assign(this.x, x);
+    Object.assign(this.y, y);
     this.lay();
   }
 
@@ -87,9 +114,10 @@ export class Plot {
     const {W, height} = this;
     this.svg.setAttribute('viewBox', `0 0 ${W} ${height}`);
     this.svg.setAttribute('height', String(height));
-    for (const [k, v] of Object.entries({x: LEFT, y: TOP, width: Math.max(1, W - LEFT - RIGHT), height: height - TOP - FOOT})) this.rect.setAttribute(k, v);
+    const inside = {x: LEFT, y: TOP, width: Math.max(1, W - LEFT - RIGHT), height: height - TOP - FOOT};
+    put(this.rect, inside);
     this.frame.replaceChildren();
-    el('rect', {class: 'ground', x: LEFT, y: TOP, width: Math.max(1, W - LEFT - RIGHT), height: height - TOP - FOOT}, this.frame);
+    el('rect', {class: 'ground', ...inside}, this.frame);
     const across = this.x.ticks || (this.x.log ? decades(this.x.low, this.x.high) : steps(this.x.low, this.x.high, W / 75));
     let last = -1e9;
     for (const t of across) {
@@ -97,14 +125,20 @@ export class Plot {
       el('line', {class: 'grid', x1: x, x2: x, y1: TOP, y2: height - FOOT}, this.frame);
       if (x - last < 34) continue;
       last = x;
-      el('text', {x, y: height - 5, 'text-anchor': 'middle'}, this.frame, this.x.text ? this.x.text(t) : plain(t));
+      el('text', {x, y: height - 5, 'text-anchor': 'middle'}, this.frame, plain(t) + this.x.unit);
     }
     for (const t of this.y.ticks || steps(this.y.low, this.y.high, height / 40)) {
       const y = this.Y(t);
       el('line', {class: t ? 'grid' : 'grid zero', x1: LEFT, x2: W - RIGHT, y1: y, y2: y}, this.frame);
-      el('text', {x: LEFT - 5, y: y + 4, 'text-anchor': 'end'}, this.frame, this.y.text ? this.y.text(t) : plain(t));
+      el('text', {x: LEFT - 5, y: y + 4, 'text-anchor': 'end'}, this.frame, plain(t) + this.y.unit);
     }
     for (const c of this.curves.values()) c.draw();
+    this.flagged.forEach(({at, severity, code, message}, i) => {
+      const flag = el('g', {class: `flag ${severity}`, transform: `translate(${tenth(this.X(at))} ${TOP + 14 * i})`}, this.frame);
+      el('title', {}, flag, message);
+      el('path', {d: `M0 ${height - FOOT - TOP - 14 * i}V0l11 5l-11 5`}, flag);
+      el('text', {x: 13, y: 9}, flag, code);
+    });
     this.place();
   }
 
@@ -115,7 +149,10 @@ export class Plot {
       c = {path: el('path', {}, this.inside), tag: label ? el('text', {class: `end ${kind}`}, this.over) : null};
       this.curves.set(name, c);
     }
-    c.path.setAttribute('class', `curve ${kind}`);
+    put(c.path, {class: `curve ${kind}`});
+    if (!SILENT.test(kind)) Object.assign(c, {xs, ys});
+    clearTimeout(this.later);
+    this.later = setTimeout(() => this.tell(), 500);
     c.draw = () => {
       if (!this.W) return;
       const parts = [], most = this.W - RIGHT - 30, foot = this.height - FOOT, X = this.scale(this.x, LEFT, this.W - RIGHT), Y = this.scale(this.y, foot, TOP);
@@ -131,8 +168,7 @@ export class Plot {
       c.path.setAttribute('d', parts.join(''));
       if (c.tag && tagged) {
         c.tag.textContent = label;
-        c.tag.setAttribute('x', tenth(tagged[0]));
-        c.tag.setAttribute('y', tenth(tagged[1] + (kind === 'heavy' ? 14 : -5)));
+        put(c.tag, {x: tenth(tagged[0]), y: tenth(tagged[1] + (kind === 'heavy' ? 14 : -5))});
       }
     };
     c.draw();
@@ -140,10 +176,18 @@ export class Plot {
   mark(name, kind, d) {
     let c = this.curves.get(name);
     if (!c) this.curves.set(name, c = {path: el('path', {}, this.inside), draw: () => {}});
-    c.path.setAttribute('class', kind);
+    put(c.path, {class: kind});
     c.draw = () => { const now = d(); if (now !== c.now) c.path.setAttribute('d', c.now = now); };
     c.draw();
   }
+  /** A rectangle between values of the axes; null is all of that axis. */
+  box(name, kind, x, y) {
+    this.mark(name, kind, () => {
+      const [left, right] = (x || [this.x.low, this.x.high]).map((v) => tenth(this.X(v))), [foot, top] = (y || [this.y.low, this.y.high]).map((v) => tenth(this.Y(v)));
+      return `M${left} ${top}H${right}V${foot}H${left}Z`;
+    });
+  }
+  cross(name, x, y) { this.mark(name, 'critical', () => `M${tenth(this.X(x) - 6)} ${tenth(this.Y(y))}h12m-6-6v12`); }
   remove(name) {
     const c = this.curves.get(name);
     if (!c) return;
@@ -152,8 +196,9 @@ export class Plot {
     this.curves.delete(name);
   }
 
-  /** @param {Handle} h @param {{begin: () => void, change: (at?: number) => void, end: () => void, cancel: () => void}} hand */
-  handle(h, hand) {
+  /** @param {Handle} h @param {Hand} given */
+  handle(h, given) {
+    const hand = {...STILL, ...given};
     const g = el('g', {
       class: `handle ${h.shape || ''}`, id: h.id, role: 'slider', tabindex: 0, 'aria-label': h.label,
       'aria-orientation': h.drag === 'x' ? 'horizontal' : 'vertical',
@@ -169,25 +214,25 @@ export class Plot {
     const to = h.toAxis || ((v) => v), from = h.fromAxis || ((v) => v);
     const put = (v) => h.set(limited(v, h.low, h.high));
     let grabbed = null;
-    g.addEventListener('pointerdown', (event) => {
+    on(g, 'pointerdown', (event) => {
       event.preventDefault();
       g.focus({preventScroll: true});
       g.setPointerCapture(event.pointerId);
       hand.begin();
       grabbed = {pointer: h.drag === 'x' ? event.clientX : event.clientY, own: this.part(h.drag === 'x' ? this.x : this.y, to(h.get()))};
     });
-    g.addEventListener('pointermove', (event) => {
+    on(g, 'pointermove', (event) => {
       if (!grabbed) return;
       const moved = (h.drag === 'x' ? event.clientX - grabbed.pointer : grabbed.pointer - event.clientY);
       const room = h.drag === 'x' ? this.W - LEFT - RIGHT : this.height - TOP - FOOT;
       put(from(this.value(h.drag === 'x' ? this.x : this.y, grabbed.own + moved / room)));
       hand.change(event.timeStamp);
     });
-    const release = () => { if (grabbed) { grabbed = null; hand.end(); } };
-    g.addEventListener('pointerup', release);
-    g.addEventListener('pointercancel', () => { if (grabbed) { grabbed = null; hand.cancel(); } });
-    g.addEventListener('keydown', (event) => {
-      if (event.key === 'Escape' && grabbed) { grabbed = null; hand.cancel(); return; }
+    const release = (how) => { if (grabbed) { grabbed = null; hand[how](); } };
+    on(g, 'pointerup', () => release('end'));
+    on(g, 'pointercancel', () => release('cancel'));
+    on(g, 'keydown', (event) => {
+      if (event.key === 'Escape') { release('cancel'); return; }
       if (event.ctrlKey || event.metaKey || event.altKey) return;
       if (event.key === 'Delete' && h.remove) { h.remove(); return; }
       const many = {ArrowRight: 1, ArrowUp: 1, ArrowLeft: -1, ArrowDown: -1, PageUp: 10, PageDown: -10}[event.key];
@@ -210,7 +255,8 @@ export class Plot {
     for (const key of [...this.curves.keys()]) if (key.startsWith(name)) this.remove(key);
   }
   /** A grid of values in four strengths: from edges[k] to edges[k + 1], the last without an end. */
-  cells(xs, ys, values, edges) {
+  cells(xs, ys, values, edges, said = plain) {
+    this.grid = {xs, ys, values, said};
     for (const [k, from] of edges.entries()) {
       this.mark(`cells${k}`, `cells c${k}`, () => {
         const dx = (this.X(xs[1]) - this.X(xs[0])) / 2, dy = (this.Y(ys[0]) - this.Y(ys[1])) / 2, to = edges[k + 1] ?? Infinity, box = `h${tenth(2 * dx)}v${tenth(2 * dy)}h${tenth(-2 * dx)}z`;
@@ -219,9 +265,10 @@ export class Plot {
     }
   }
   /** The background taken by a pointer: from where, to where. */
-  painted(hand, move, ready = () => true) {
+  painted(given, move, ready = () => true) {
+    const hand = {...STILL, ...given};
     let from = null;
-    this.svg.addEventListener('pointerdown', (event) => {
+    on(this.svg, 'pointerdown', (event) => {
       if (!ready() || event.target.closest('.handle')) return;
       event.preventDefault();
       this.svg.setPointerCapture(event.pointerId);
@@ -230,8 +277,8 @@ export class Plot {
       move(from, from);
       hand.change(event.timeStamp);
     });
-    this.svg.addEventListener('pointermove', (event) => { if (from) { move(from, this.spot(event)); hand.change(event.timeStamp); } });
-    for (const kind of ['pointerup', 'pointercancel']) this.svg.addEventListener(kind, () => { if (from) { from = null; hand.end(); } });
+    on(this.svg, 'pointermove', (event) => { if (from) { move(from, this.spot(event)); hand.change(event.timeStamp); } });
+    on(this.svg, 'pointerup pointercancel', () => { if (from) { from = null; hand.end(); } });
   }
   /** Where a pointer is, as numbers of the axes. */
   spot(event) {
@@ -250,9 +297,25 @@ export class Plot {
       entry.now = now;
       g.setAttribute('transform', `translate(${tenth(x)} ${tenth(y)})`);
       const along = h.drag === 'x' ? {x1: 0, x2: 0, y1: TOP - y, y2: this.height - FOOT - y} : {x1: LEFT - x, x2: this.W - RIGHT - x, y1: 0, y2: 0};
-      for (const line of g.querySelectorAll('line')) for (const k in along) line.setAttribute(k, tenth(along[k]));
+      for (const k in along) along[k] = tenth(along[k]);
+      for (const line of g.querySelectorAll('line')) put(line, along);
       const text = (h.text || ((u) => `${plain(u)} ${h.unit}`))(v);
-      for (const [k, value] of Object.entries({'aria-valuemin': h.low, 'aria-valuemax': h.high, 'aria-valuenow': v, 'aria-valuetext': text})) g.setAttribute(k, String(value));
+      put(g, {'aria-valuemin': h.low, 'aria-valuemax': h.high, 'aria-valuenow': v, 'aria-valuetext': text});
     }
+  }
+
+  /** What the curves show: a sentence for those who cannot see them, and tables for those who want the numbers. */
+  tell() {
+    const told = [...this.curves].filter(([, c]) => c.xs?.length).map(([key, {xs, ys}]) => ({name: this.names[key] || key, xs, ys})), {x, y, grid} = this;
+    const at = (list, unit) => plain(list, 3) + unit, least = (ys, pick) => at(ys.reduce((a, v) => pick(a, v)), y.unit);
+    this.desc.textContent = told.map(({name, xs, ys}) => `${name} from ${at(ys[0], y.unit)} at ${at(xs[0], x.unit)} to ${at(ys[ys.length - 1], y.unit)} at ${at(xs[xs.length - 1], x.unit)}, least ${least(ys, Math.min)}, most ${least(ys, Math.max)}`).join('; ');
+    emptied(this.numbers);
+    if (this.opener.ariaExpanded !== 'true') return;
+    const alike = new Map(), add = (...rest) => table(make('div', '', '', this.numbers), ...rest);
+    for (const c of told) { const key = Object.values({...ends(c.xs), n: c.xs.length}).join(); alike.set(key, [...(alike.get(key) || []), c]); }
+    for (const same of alike.values()) add([x.name, ...same.map(({name}) => `${name}: ${y.name}`)], spread(same[0].xs.length, ROWS).map((i) => [plain(same[0].xs[i], 3), ...same.map(({ys}) => plain(ys[i], 3))]));
+    if (!grid) return;
+    const columns = spread(grid.xs.length, 9);
+    add([`${y.name} over ${x.name}`, ...columns.map((j) => plain(grid.xs[j], 3))], spread(grid.ys.length, 9).map((i) => [plain(grid.ys[i], 3), ...columns.map((j) => grid.said(grid.values[i][j], 3))]));
   }
 }

@@ -1,19 +1,25 @@
 // @ts-check
 // Steps 6 and 7: what was proved and tried, and the files that leave the house.
-import {Plot, plain} from './plot.js';
-import {$, arm, make, button, table} from './studio.js';
+import {Plot, ends, joined, plain, ring} from './plot.js';
+import {$, make, button, emptied, items, on, table, say} from './dom.js';
 import {download} from './link.js';
 
+const precision = () => /** @type {HTMLInputElement} */ (document.querySelector('input[name=precision]:checked')).value;
+const JOBS = ['prove', 'arms', 'faults'];
+
 export class Proof {
-  constructor(app) {
+  constructor(app, arm) {
     this.app = app;
+    this.arm = arm;
     this.cells = {};
-    for (const verb of ['prove', 'arms', 'faults']) $(verb).addEventListener('click', () => this.work(verb));
-    $('cancel').addEventListener('click', () => this.app.ask('cancel'));
-    this.swept = new Plot('p-swept', {low: 10, high: 60, log: true}, {low: 0, high: 30});
-    this.plane = new Plot('p-nyquist', {low: -2.6, high: 1.2}, {low: -1.8, high: 1.2});
-    for (const one of /** @type {NodeListOf<HTMLElement>} */ (document.querySelectorAll('[data-target]'))) one.addEventListener('click', () => this.export(one.dataset.target));
-    $('zip').addEventListener('click', async () => {
+    for (const verb of JOBS) on(verb, 'click', () => this.work(verb));
+    on('cancel', 'click', () => this.app.ask('cancel'));
+    this.swept = new Plot('p-swept');
+    this.plane = new Plot('p-nyquist');
+    this.arms = new Plot('p-fan');
+    on(document.querySelector('.choice'), 'change', () => this.board());
+    for (const one of /** @type {NodeListOf<HTMLElement>} */ (document.querySelectorAll('[data-target]'))) on(one, 'click', () => this.export(one.dataset.target));
+    on('zip', 'click', async () => {
       const answer = await app.link.ask('zip');
       const why = answer.ok ? await download(app.link.token, 'fraclink.zip') : answer.error;
       if (why) app.toast(why);
@@ -21,16 +27,16 @@ export class Proof {
   }
 
   async work(verb) {
-    const busy = (on) => { for (const id of ['prove', 'arms', 'faults']) $(id).disabled = on; $('progress').hidden = !on; };
+    const busy = (on) => { for (const id of JOBS) $(id).disabled = on; $('progress').hidden = !on; };
     busy(true);
     $('bar').removeAttribute('value');
-    $('progress-said').textContent = 'Starting …';
-    if (verb === 'faults') { this.cells = {}; $('matrix').replaceChildren(); }
-    const answer = await this.app.ask(verb);
+    say('progress-said', 'Starting …');
+    if (verb === 'faults') this.matrix();
+    const answer = await this.app.need(verb, {}, 'proof-said');
     busy(false);
-    if (!answer.ok) { $('proof-said').textContent = answer.error; return; }
-    this.app.took(answer);
+    if (!answer) return;
     this.result(answer);
+    if (verb === 'arms') this.open();
   }
   /** What the study as it stands has to show. */
   async open() {
@@ -38,20 +44,34 @@ export class Proof {
     const answer = await this.app.ask('proof');
     if (answer.ok) this.result(answer);
   }
+  /** What the board needs for this law, and how it is switched on. */
+  async board() {
+    const {board, power_on} = await this.app.need('board', {precision: precision()});
+    table($('board-facts'), ['of the law', 'built for this design alone', 'with room for every design'], board, 'What the board needs');
+    items('power-on', power_on);
+  }
+  fan({fan_t, ...fans}) {
+    $('moves-of-arms').hidden = !fan_t;
+    for (const [name, kind] of [['fan_passed', 'fan'], ['fan_failed', 'fan failed']]) {
+      const rows = fans[name] || [];
+      if (fan_t) this.arms.curve(name, kind, joined(rows.map(() => fan_t[0])), joined(rows));
+    }
+  }
   sweep({swept, curves}) {
-    const x = swept.payloads.map((m) => 1e3 * m), y = swept.delays.map((t) => 1e3 * t), last = (list) => list[list.length - 1];
-    this.swept.axes({...this.swept.x, low: x[0], high: last(x)}, {low: y[0], high: last(y)});
-    this.swept.cells(x, y, swept.near, [-9, -0.6, -0.5, -0.3, 0]);
-    this.swept.mark('proved', 'proved', () => { const b = this.box; return b ? `M${this.swept.X(1e3 * b.payloads[0])} ${this.swept.Y(Math.max(y[0], 1e3 * b.delays[0]))}H${this.swept.X(1e3 * b.payloads[1])}V${this.swept.Y(1e3 * b.delays[1])}H${this.swept.X(1e3 * b.payloads[0])}Z` : ''; });
-    const joined = (rows) => rows.flatMap((row) => [...row, NaN]);
+    const {payloads: x, delays: y} = swept, {box} = this;
+    this.swept.axes(ends(x), ends(y));
+    this.swept.cells(x, y, swept.near, [-9, -0.6, -0.5, -0.3, 0], (v, n) => (v > 0 ? 'unstable' : plain(-v, n)));
+    if (box) this.swept.box('proved', 'proved', box.payloads, box.delays);
+    else this.swept.remove('proved');
     this.plane.curve('sweep', 'fan', joined(curves.sweep_x), joined(curves.sweep_y));
-    ['light', 'nominal', 'heavy'].forEach((kind, i) => this.plane.curve(kind, kind, curves.sweep_x[2 * i], curves.sweep_y[2 * i], `${plain(1e3 * swept.three[i], 3)} g`));
+    ['light', 'nominal', 'heavy'].forEach((kind, i) => this.plane.curve(kind, kind, curves.sweep_x[2 * i], curves.sweep_y[2 * i], swept.names[i]));
   }
   progress(answer) {
-    $('progress-said').textContent = answer.said || `${answer.done} of ${answer.all} runs${answer.fault ? `, ${answer.fault}` : ''}`;
+    say('progress-said', answer.said);
     if (answer.all) { $('bar').max = answer.all; $('bar').value = answer.done; }
     if (answer.fault) this.cell(answer);
   }
+  matrix() { this.cells = {}; emptied('matrix'); }
   /** One row a fault, one column for each severity and payload; a cell is as good as its worst run. */
   cell({fault, severity, payload, phase, passed}) {
     const id = `${fault}|${severity}|${payload}`;
@@ -66,55 +86,48 @@ export class Proof {
       square.title = `${fault}, severity ${severity}, ${plain(1e3 * payload)} g`;
     }
     if (passed || square.matches('.bad')) return;
-    const failed = this.cells[id] = button('✗', 'cell bad', null, () => arm.play('fault', {fault, severity, payload, phase}));
-    failed.title = `${square.title}: see it happen`;
-    failed.setAttribute('aria-label', failed.title);
+    const words = `${square.title}: see it happen`, failed = this.cells[id] = button('✗', 'cell bad', null, () => this.arm.play('fault', {fault, severity, payload, phase}), words);
+    failed.title = words;
     square.replaceWith(failed);
   }
   result(answer) {
-    if (answer.proved) $('proof-said').textContent = answer.proved.text;
+    if (answer.proved) say('proof-said', answer.proved.text);
     if (answer.spread) table($('spread'), answer.spread.header, answer.spread.rows, `${answer.failures.count} of ${answer.failures.runs} arms fail`);
     if (answer.faults) table($('faults-table'), answer.faults.header, answer.faults.rows, answer.faults_said);
     if (answer.cells) {
-      this.cells = {};
-      $('matrix').replaceChildren();
+      this.matrix();
       for (const cell of answer.cells) this.cell(cell);
     }
     this.modulus = answer.proved?.modulus ?? this.modulus;
     this.box = answer.proved || this.box;
     this.swept.lay();
-    if (answer.swept) this.sweep(answer);
+    if (answer.swept) { this.sweep(answer); this.fan(answer.curves); }
     this.draw();
   }
   took(answer) {
-    if (!answer.certificate) { this.modulus = this.box = undefined; $('proof-said').textContent = answer.uncertified ? `Not proved: ${answer.uncertified}` : ''; } else $('proof-said').textContent = answer.certificate;
+    if (!answer.certificate) this.modulus = this.box = undefined;
+    say('proof-said', answer.proof_said);
     const files = Object.entries(answer.files || {});
-    $('board-said').textContent = files.length ? `Written into ${answer.folder}.` : answer.design ? 'Nothing written yet.' : 'Make a design first (step 4).';
+    say('board-said', answer.board_said);
     $('zip').hidden = !files.length;
     table($('files'), ['file', 'bytes'], files.map(([name, size]) => [name, String(size)]));
     if (this.app.step === 'proof') this.draw();
   }
 
   draw() {
-    const disk = (name, kind, r) => {
-      const turn = Array.from({length: 91}, (_, k) => (2 * Math.PI * k) / 90);
-      this.plane.curve(name, kind, turn.map((a) => -1 + r * Math.cos(a)), turn.map((a) => r * Math.sin(a)));
-    };
-    if (this.modulus) disk('disk', 'disk', this.modulus); else this.plane.remove('disk');
-    this.plane.mark('critical', 'critical', () => { const x = this.plane.X(-1), y = this.plane.Y(0); return `M${x - 6} ${y}H${x + 6}M${x} ${y - 6}V${y + 6}`; });
+    const points = ring(-1, this.modulus);
+    if (this.modulus) this.plane.curve('disk', 'disk', points.map((p) => p[0]), points.map((p) => p[1])); else this.plane.remove('disk');
+    this.plane.cross('critical', -1, 0);
   }
 
   async export(target, force = false) {
-    const precision = /** @type {HTMLInputElement} */ (document.querySelector('input[name=precision]:checked')).value;
-    const answer = await this.app.ask('export', {target, precision, force});
+    const answer = await this.app.ask('export', {target, precision: precision(), force});
     if (answer.ok) {
       this.app.took(answer);
-      $('board-said').textContent = answer.export_command;
+      say('board-said', answer.export_command);
       this.app.toast(`Wrote ${Object.keys(answer.written).length} files`);
     } else if (/already|exists|overwrit/i.test(answer.error) && !force) {
-      $('replace-said').textContent = answer.error;
-      $('replace').showModal();
-      $('replace').addEventListener('close', () => { if ($('replace').returnValue === 'yes') this.export(target, true); }, {once: true});
-    } else { $('board-said').textContent = answer.error; }
+      this.app.replace(answer.error, () => this.export(target, true));
+    } else say('board-said', answer.error);
   }
 }

@@ -1,58 +1,13 @@
 // @ts-check
 // The page: steps, state and its history, verdict, what is kept. It shows what Python answers and decides nothing.
-import {Link, upload} from './link.js';
+import {Link} from './link.js';
 import {Arm} from './arm.js';
 import {Design} from './design.js';
 import {Logs} from './logs.js';
 import {Proof} from './proof.js';
 import {palette} from './palette.js';
+import {$, emptied, items, make, on, say} from './dom.js';
 
-export const $ = (id) => /** @type {any} */ (document.getElementById(id));
-/** An element with text; what comes from a file never becomes markup. */
-export const make = (name, kind = '', text = '', parent = null) => {
-  const made = document.createElement(name);
-  if (kind) made.className = kind;
-  if (text) made.textContent = text;
-  if (parent) parent.append(made);
-  return made;
-};
-export const button = (text, kind, parent, click) => {
-  const made = make('button', kind, text, parent);
-  made.type = 'button';
-  made.addEventListener('click', click);
-  return made;
-};
-/** A table of Python's cells. */
-export function table(place, header, rows, caption = '') {
-  place.replaceChildren();
-  if (!rows || !rows.length) return;
-  // wider than a narrow window: it scrolls in itself, by keys, too
-  for (const [name, value] of [['tabindex', '0'], ['role', 'region'], ['aria-label', caption || header.join(', ')]]) place.setAttribute(name, value);
-  const made = make('table', '', '', place);
-  if (caption) make('caption', '', caption, made);
-  const top = make('tr', '', '', make('thead', '', '', made));
-  for (const cell of header) make('th', '', cell, top).scope = 'col';
-  const body = make('tbody', '', '', made);
-  for (const row of rows) {
-    const line = make('tr', '', '', body);
-    row.forEach((cell, i) => {
-      const word = i === row.length - 1 ? {'✓': 'good', '✗': 'bad', '!': 'fair'}[cell[0]] || '' : '';
-      const made = make(i ? 'td' : 'th', word, cell, line);
-      if (!i) made.scope = 'row';
-    });
-  }
-}
-export function findings(place, list) {
-  place.replaceChildren();
-  for (const f of list || []) {
-    const item = make('li', typeof f === 'string' ? 'info' : f.severity, '', place);
-    if (typeof f === 'string') { item.textContent = f; continue; }
-    make('b', '', `${f.code} `, item);
-    item.append(`${f.message}.`);
-    if (f.remedy) make('span', 'remedy', ` ${f.remedy[0].toUpperCase()}${f.remedy.slice(1)}.`, item);
-  }
-}
-export const SIGNS = {'passed': '✓', 'failed': '✗', 'not shown': '!', 'not run': '○'};
 const STEPS = ['log', 'channels', 'model', 'design', 'move', 'proof', 'board'];
 
 export const app = {
@@ -111,7 +66,7 @@ export const app = {
     app.took(answer);
     design.exact(answer);
     arm.take(answer);
-    app.say(verdictSaid());
+    app.say(answer.spoken);
   },
   shown(answer) {
     if (answer.lost) return;
@@ -130,6 +85,8 @@ export const app = {
     app.change();
     app.exact();
   },
+  /** A history of this state alone. */
+  begun() { app.states = [structuredClone(app.state)]; app.at = 0; app.buttons(); },
   buttons() {
     design.around.strip();
     $('undo').disabled = app.at <= 0;
@@ -140,37 +97,38 @@ export const app = {
   // ---- what Python says of the study ----
   took(answer) {
     Object.assign(app.study, answer);
-    $('study').textContent = [answer.name, answer.folder].filter(Boolean).join(' · ');
+    say('study', answer.title);
     app.line();
     for (const step of STEPS) {
-      const mark = (answer.marks || {})[step] || 'not run', item = $(`go-${step}`);
-      item.querySelector('.mark').textContent = SIGNS[mark];
+      const [sign, mark] = answer.marks[step], item = $(`go-${step}`);
+      item.querySelector('.mark').textContent = sign;
       item.dataset.mark = mark;
       item.querySelector('.sr').textContent = `: ${mark}`;
     }
-    const strip = $('verdict');
-    strip.replaceChildren();
-    for (const scope of answer.verdict || []) {
+    const strip = emptied('verdict');
+    for (const scope of answer.verdict) {
       const box = make('details', `scope ${scope.state.replace(' ', '-')}`, '', strip), top = make('summary', '', '', box);
       make('b', '', scope.name, top);
       make('span', 'state', ` ${scope.shown}`, top);
       make('small', '', scope.what, top);
-      const why = make('ul', '', '', box);
-      for (const reason of scope.reasons.length ? scope.reasons : ['nothing against it']) make('li', '', reason, why);
+      items(make('ul', '', '', box), scope.reasons);
     }
     proof.took(answer);
     design.took(answer);
   },
   /** What the user did in this step, as the command line has it. */
-  line() { $('command').textContent = app.study.copies?.[app.step]?.command || ''; },
+  line() { say('command', app.study.copies?.[app.step]?.command || ''); },
   ask: (verb, given) => app.link.ask(verb, given),
-  /** An answer, or nothing: a refusal is said. */
-  async need(verb, given) {
+  /** An answer, and what it says of the study; or nothing: then a refusal is said, in its place or to all. */
+  async need(verb, given, place = '') {
     const answer = await app.ask(verb, given);
-    if (!answer.ok) app.toast(answer.error);
+    if (answer.ok) {
+      if (answer.marks) app.took(answer);
+    } else if (place) say(place, answer.error);
+    else app.toast(answer.error);
     return answer.ok && answer;
   },
-  say(text) { $('live').textContent = text; },
+  say(text) { say('live', text); },
   toast(text) {
     const place = $('toast');
     place.textContent = text;
@@ -192,11 +150,13 @@ export const app = {
     if (step === 'log' || step === 'channels') logs.open();
     if (step === 'model') logs.models();
     if (step === 'proof') proof.open();
+    if (step === 'board') proof.board();
     if (step === 'design' && app.axes.frequencies && app.study.design === null) { app.change(); app.exact(); }
   },
   /** After a log, a rig or a fit: other axes, another start. */
   async renew(answer) {
     app.axes = axesOf(answer);
+    design.around.pictures.clear(); // of the model before
     if (answer.state) app.state = answer.state;
     design.axes(app.axes);
     if (answer.frequencies) { app.change(); await app.exact(); }
@@ -208,19 +168,24 @@ export const app = {
       app.kept.add(app.at);
       app.buttons();
       app.toast(`Kept ${answer.kept.length} files in ${answer.folder}`);
-    } else if (answer.field === 'folder') {
-      $('replace-said').textContent = answer.error;
-      $('replace').showModal();
-    } else app.toast(answer.error);
+    } else if (answer.field === 'folder') app.replace(answer.error, () => app.keep(true));
+    else app.toast(answer.error);
+  },
+  /** Ask before a file is replaced. */
+  replace(why, then) {
+    const dialog = $('replace');
+    say('replace-said', why);
+    dialog.onclose = () => { if (dialog.returnValue === 'yes') then(); };
+    dialog.returnValue = '';
+    dialog.showModal();
   },
 };
 const axesOf = ({frequencies, payloads, rated}) => (frequencies ? {frequencies, payloads, rated} : {});
-const verdictSaid = () => (app.study.verdict || []).map((s) => `${s.name} ${s.state}`).join(', ');
 
 export const arm = new Arm(app);
 export const design = new Design(app, arm);
 export const logs = new Logs(app);
-export const proof = new Proof(app);
+export const proof = new Proof(app, arm);
 
 async function hello() {
   const answer = await app.ask('hello', {arm: arm.key});
@@ -231,7 +196,7 @@ async function hello() {
     app.at = answer.at;
     app.kept = new Set(answer.kept);
     app.state = answer.state;
-    if (!app.states.length) { app.states = [structuredClone(app.state)]; app.at = 0; app.ask('note', {state: app.state}); }
+    if (!app.states.length) { app.begun(); app.ask('note', {state: app.state}); }
   }
   app.axes = axesOf(answer);
   app.took(answer);
@@ -247,30 +212,24 @@ async function hello() {
 }
 
 function listen() {
-  for (const step of STEPS) $(`go-${step}`).addEventListener('click', () => app.show(step));
-  $('undo').addEventListener('click', () => app.go(app.at - 1));
-  $('redo').addEventListener('click', () => app.go(app.at + 1));
-  $('keep').addEventListener('click', () => app.keep());
-  $('replace').addEventListener('close', () => { if ($('replace').returnValue === 'yes') app.keep(true); });
-  $('theme').addEventListener('click', () => {
+  const open = palette(app), clicked = {undo: () => app.go(app.at - 1), redo: () => app.go(app.at + 1), keep: () => app.keep(), 'help-open': () => $('help').showModal(), 'palette-open': open, theme: () => {
     const root = document.documentElement, dark = root.dataset.theme ? root.dataset.theme === 'dark' : matchMedia('(prefers-color-scheme: dark)').matches;
     sessionStorage.setItem('theme', root.dataset.theme = dark ? 'light' : 'dark');
-  });
-  $('help-open').addEventListener('click', () => $('help').showModal());
+  }};
+  for (const step of STEPS) clicked[`go-${step}`] = () => app.show(step);
   for (const kind of ['command', 'python']) {
-    $(`copy-${kind}`).addEventListener('click', async () => {
+    clicked[`copy-${kind}`] = async () => {
       const text = app.study.copies?.[app.step]?.[kind] || '';
       try {
         await navigator.clipboard.writeText(text);
         app.toast(`Copied: ${text.split('\n').slice(-1)[0]}`);
       } catch {
-        $('command').textContent = text; // no clipboard: there it can be selected
+        say('command', text); // no clipboard: there it can be selected
       }
-    });
+    };
   }
-  const open = palette(app);
-  $('palette-open').addEventListener('click', open);
-  document.addEventListener('keydown', (event) => {
+  for (const id in clicked) on(id, 'click', clicked[id]);
+  on(document, 'keydown', (event) => {
     const held = event.ctrlKey || event.metaKey, key = event.key.toLowerCase();
     if (held && key === 'z') { event.preventDefault(); app.go(app.at + (event.shiftKey ? 1 : -1)); return; }
     if (held && key === 'k') { event.preventDefault(); open(); return; }
@@ -284,12 +243,6 @@ function listen() {
     event.preventDefault();
   });
 }
-
-export const send = async (file, name) => {
-  const why = await upload(file, name, app.link.token);
-  if (why) app.toast(why);
-  return !why;
-};
 
 listen();
 if (sessionStorage.getItem('theme')) document.documentElement.dataset.theme = sessionStorage.getItem('theme');

@@ -1,0 +1,78 @@
+// @ts-check
+// Elements: found, made, heard.
+
+export const $ = (id) => /** @type {any} */ (document.getElementById(id));
+/** What an element has to say of itself, by the names of its attributes. */
+export const put = (node, given) => { for (const key in given) node.setAttribute(key, given[key]); return node; };
+/** An element with text; what comes from a file never becomes markup. */
+export const make = (name, kind = '', text = '', parent = null) => {
+  const made = document.createElement(name);
+  if (kind) made.className = kind;
+  if (text) made.textContent = text;
+  if (parent) parent.append(made);
+  return made;
+};
+/** Put a text into the element of that id. */
+export const say = (id, text) => { $(id).textContent = text; };
+/** Listen to an element, or to the one of that id. */
+export const on = (node, types, heard) => {
+  const found = typeof node === 'string' ? $(node) : node;
+  for (const type of types.split(' ')) found.addEventListener(type, heard);
+  return found;
+};
+/** Take everything out of an element, or of the one of that id. */
+export const emptied = (node) => {
+  const found = typeof node === 'string' ? $(node) : node;
+  found.replaceChildren();
+  return found;
+};
+export const button = (text, kind, parent, click, label = '') => {
+  const made = make('button', kind, text, parent);
+  made.type = 'button';
+  if (label) put(made, {'aria-label': label});
+  return on(made, 'click', click);
+};
+/** A choice of names, into a select that is there. */
+export const choices = (select, names, chosen) => {
+  for (const name of new Set([chosen, ...names])) if (name !== undefined) make('option', '', name || '–', select).value = name;
+  select.value = chosen;
+  return select;
+};
+/** Whatever is dropped there. */
+export const takes = (node, drop) => {
+  on(node, 'dragenter dragover', (event) => { event.preventDefault(); node.classList.add('over'); });
+  on(node, 'dragleave drop', () => node.classList.remove('over'));
+  on(node, 'drop', (event) => { event.preventDefault(); drop(event.dataTransfer); });
+};
+/** A list of texts. */
+export const items = (node, texts) => { const place = emptied(node); for (const text of texts) make('li', '', text, place); };
+/** A table of Python's cells. */
+export function table(place, header, rows, caption = '') {
+  emptied(place);
+  if (!rows || !rows.length) return;
+  // wider than a narrow window: it scrolls in itself, by keys, too
+  put(place, {'tabindex': '0', 'role': 'region', 'aria-label': caption || header.join(', ')});
+  const made = make('table', '', '', place);
+  if (caption) make('caption', '', caption, made);
+  const top = make('tr', '', '', make('thead', '', '', made));
+  for (const cell of header) make('th', '', cell, top).scope = 'col';
+  const body = make('tbody', '', '', made);
+  for (const row of rows) {
+    const line = make('tr', '', '', body);
+    row.forEach((cell, i) => {
+      const word = i === row.length - 1 ? {'✓': 'good', '✗': 'bad', '!': 'fair'}[cell[0]] || '' : '';
+      const made = make(i ? 'td' : 'th', word, cell, line);
+      if (!i) made.scope = 'row';
+    });
+  }
+}
+export function findings(place, list) {
+  emptied(place);
+  for (const f of list || []) {
+    const item = make('li', typeof f === 'string' ? 'info' : f.severity, '', place);
+    if (typeof f === 'string') { item.textContent = f; continue; }
+    make('b', '', `${f.code} `, item);
+    item.append(`${f.message}.`);
+    if (f.remedy) make('span', 'remedy', ` ${f.remedy[0].toUpperCase()}${f.remedy.slice(1)}.`, item);
+  }
+}
