@@ -226,6 +226,7 @@ def _least_gain_margin(loop: Complex) -> Real:
     level = np.abs(np.log(np.abs(loop)))
     share = turns[:, :-1] / (turns[:, :-1] - turns[:, 1:])
     at = level[:, :-1] + share * (level[:, 1:] - level[:, :-1])
+    # e^300: a loop that never passes −1 bears any gain.
     return np.asarray(np.exp(np.min(np.where(passes, at, 300.0), axis=1)))
 
 

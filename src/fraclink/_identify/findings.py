@@ -80,6 +80,7 @@ def _mains(log: Experiment) -> float | None:
     top, length = int(power.argmax()), output.size * log.period
     # A Hann window spreads a line over four bins: two on either side of the top hold all of it.
     line = float(power[max(top - 2, 0) : top + 3].sum())
+    # The mains keep within 0.5 Hz of their frequency, and a record of T seconds tells lines 1/T apart.
     nearest = 50.0 if top / length < 55.0 else 60.0
     return nearest if abs(top / length - nearest) < 0.5 + 1 / length and line > 0.5 * power.sum() else None
 

@@ -100,6 +100,7 @@ class Coordinates:
             moving, friction = math.exp(order * log_resonance), damping * math.exp(other * log_resonance)
             slope = order * moving - other * friction * cosine
             step = (moving - square - friction * cosine) / slope
+            # On a sum of exponentials a step from the left overshoots: half an e-fold keeps it in reach.
             log_resonance -= min(max(step, -0.5), 0.5)
             if abs(step) < 1e-14:
                 break

@@ -262,4 +262,5 @@ def _noise(residual: Vector) -> float:
 
     Slow misfit does not hide a fast mode: the second difference, scaled to white noise, leaves it out.
     """
+    # 1² + 2² + 1²: what a second difference makes of white noise.
     return float(np.std(np.diff(residual, 2)) / math.sqrt(6.0))

@@ -132,6 +132,8 @@ def chosen_hold(motor_angle: Vector, hold: Hold) -> Literal["zero", "first"]:
         return hold
     steps = np.abs(np.diff(motor_angle, prepend=motor_angle[:1], append=motor_angle[-1:]))
     calm = np.maximum(steps[:-2], steps[2:]) <= 1e-3 * steps[1:-1]
+    # A twentieth of the whole range is a jump; an encoder that counts once in a while rests on both sides,
+    # too.
     jumps = calm & (steps[1:-1] > 0.05 * np.ptp(motor_angle))
     return "zero" if steps[1:-1][jumps].sum() > 0.5 * steps.sum() > 0 else "first"
 

@@ -229,6 +229,8 @@ class _Profile:
                 return best
             normal, slope, cost = reduced(gram, self.search)
             miss = value - self.value(shape)
+            # Within 1e-6 of the value it is a point of the profile; at 1e-9, and with no gain any more, the
+            # last one.
             if abs(miss) < 1e-9 * max(abs(value), 1e-3) and cost >= best[0] * (1 - 1e-9):
                 return best
             if abs(miss) < 1e-6 * max(abs(value), 1e-3):

@@ -185,6 +185,7 @@ def _fastest(
         return found is not None and found.distance <= allowed
 
     while not within(high):
+        # Up by half until it is within reach: the fastest is then sought between the last two.
         low, high = high, math.ceil(1.5 * high)
         if high + tail > programme.length:
             factor *= 2
