@@ -1,14 +1,16 @@
 """Damage every kind of file that fraclink writes, and read it: 20 000 mutants in all, or as many as stated.
 
-    python benchmarks/fuzz_documents.py [count]
+    python benchmarks/fuzz_documents.py [count] [seed]
 
 Half of them are changes of bytes, half of them, where the file is JSON, changes of its structure, which leave
-it JSON and so reach the checks behind the parser. Wanted: no surprise, that is, no exception that is not
-fraclink's own.
+it JSON and so reach the checks behind the parser. The files are those of release 0.1; whatever of them `load`
+reads is saved anew, as today's documents, and what such a one holds is changed under a digest that fits: it
+would refuse every other change. Wanted: no surprise, that is, no exception that is not fraclink's own.
 """
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import json
 import shutil
@@ -26,6 +28,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
 import fraclink as fl
 from fraclink._campaign import load_campaign, read_part
+from fraclink._certify import Certificate
+from fraclink._files import _digest as document_digest
 from fraclink.errors import FraclinkError
 from mutants import mutate
 
@@ -88,7 +92,10 @@ def load_folder(path: Path) -> object:
 
 def readers() -> list[tuple[Path, Callable[[Path], object]]]:
     """Each file of the collection and how it is read."""
-    special = {"proof.json": load_proof}
+    special: dict[str, Callable[[Path], object]] = {
+        "proof.json": load_proof,
+        "certificate.json": Certificate.load,
+    }
     found: list[tuple[Path, Callable[[Path], object]]] = []
     for path in sorted(FORMATS.rglob("*.*")):
         if path.parent.name == "campaign":
@@ -102,15 +109,40 @@ def readers() -> list[tuple[Path, Callable[[Path], object]]]:
     return found
 
 
-def fuzz(path: Path, read: Callable[[Path], object], count: int, folder: Path) -> tuple[Counter[str], float]:
+def signed(raw: bytes, rng: np.random.Generator) -> bytes:
+    """A document of today with a changed content, and the digest of that content."""
+    data = json.loads(raw)
+    data["content"] = json.loads(restructured(json.dumps(data["content"]).encode(), rng))
+    with contextlib.suppress(ValueError):  # a number that is none: no digest, and so none that fits
+        data["sha256"] = document_digest(data)
+    return json.dumps(data).encode()
+
+
+def renewed(folder: Path) -> list[tuple[Path, Callable[[Path], object]]]:
+    """Today's documents of what the collection holds."""
+    found: list[tuple[Path, Callable[[Path], object]]] = []
+    for path in sorted(FORMATS.rglob("*.json")):
+        with contextlib.suppress(FraclinkError):  # with a reader of its own
+            found.append((fl.save(fl.load(path), folder / "today" / path.name), fl.load))
+    fl.certify(fl.load(folder / "today" / "design.json", fl.Design)).save(
+        folder / "proof" / "certificate.json"
+    )
+    return [*found, (folder / "proof" / "certificate.json", Certificate.load)]
+
+
+def fuzz(
+    path: Path, read: Callable[[Path], object], count: int, seed: int, folder: Path
+) -> tuple[Counter[str], float]:
     """Read `count` mutants of a file; how they ended, and the slowest [s of processor time]."""
-    rng, ended, slowest = np.random.default_rng(1), Counter[str](), 0.0
+    rng, ended, slowest = np.random.default_rng(seed), Counter[str](), 0.0
+    today = path.parent.name == "today"
     here = folder / path.parent.name
     shutil.copytree(path.parent, here, dirs_exist_ok=True)
     place, raw = here / path.name, path.read_bytes()
     for number in range(count):
         structured = number % 2 == 1 and path.suffix == ".json"
-        place.write_bytes(restructured(raw, rng) if structured else mutate(raw, rng))
+        change = (signed if today else restructured) if structured else mutate
+        place.write_bytes(change(raw, rng))
         began = time.process_time()
         try:
             read(place)
@@ -124,24 +156,26 @@ def fuzz(path: Path, read: Callable[[Path], object], count: int, folder: Path) -
     return ended, slowest
 
 
-def main(count: int = 20_000) -> bool:
+def main(count: int = 20_000, seed: int = 1) -> bool:
     """Print one line for each file; return whether every mutant was read or refused."""
-    found, good, total = readers(), True, 0
-    each = -(-count // len(found))
+    good, total = True, 0
     print(f"{'file':32} {'mutants':>8} {'read':>7} {'refused':>8} {'surprises':>9}  slowest")
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory() as folder, tempfile.TemporaryDirectory() as new:
+        found = [*readers(), *renewed(Path(new))]
+        each = -(-count // len(found))
         for path, read in found:
-            ended, slowest = fuzz(path, read, each, Path(folder))
+            ended, slowest = fuzz(path, read, each, seed, Path(folder))
             surprises = {name: n for name, n in ended.items() if name.startswith("surprise")}
-            name = str(path.relative_to(FORMATS))
+            name = "/".join(path.parts[-2:])
             figures = f"{each:8d} {ended['read']:7d} {ended['refused']:8d} {sum(surprises.values()):9d}"
             print(f"{name:32} {figures}  {slowest:.2f} s", flush=True)
             for surprise, times in surprises.items():
                 print(f"    {times} x {surprise}")
             good, total = good and not surprises, total + each
-    print(f"{total} mutants of {len(found)} files, {'no surprise' if good else 'surprises'}")
+    outcome = "no surprise" if good else "surprises"
+    print(f"{total} mutants of {len(found)} files, seed {seed}: {outcome}")
     return good
 
 
 if __name__ == "__main__":
-    sys.exit(0 if main(*map(int, sys.argv[1:2])) else 1)
+    sys.exit(0 if main(*map(int, sys.argv[1:3])) else 1)
