@@ -124,10 +124,9 @@ def renewed(folder: Path) -> list[tuple[Path, Callable[[Path], object]]]:
     for path in sorted(FORMATS.rglob("*.json")):
         with contextlib.suppress(FraclinkError):  # with a reader of its own
             found.append((fl.save(fl.load(path), folder / "today" / path.name), fl.load))
-    fl.certify(fl.load(folder / "today" / "design.json", fl.Design)).save(
-        folder / "proof" / "certificate.json"
-    )
-    return [*found, (folder / "proof" / "certificate.json", Certificate.load)]
+    proof = folder / "proof" / "certificate.json"
+    fl.certify(fl.load(folder / "today" / "design.json", fl.Design)).save(proof)
+    return [*found, (proof, Certificate.load)]
 
 
 def fuzz(
