@@ -796,3 +796,10 @@ def test_the_search_for_the_closest_loop_ends_below_random_points_of_the_box() -
         place[name][:200] = np.clip(at[name] * (1 + 1e-3 * g.normal(size=200)), low[name], high[name])
     place["frequency"][:200] = at["frequency"] * (1 + 1e-3 * g.normal(size=200))
     assert np.abs(1 + loop_values(statement, law, place["frequency"], place)).min() >= least * (1 - 1e-6)
+
+
+def test_the_law_of_another_plant_is_refused_with_what_computes_its_margins() -> None:
+    controller = fl.FractionalPid(proportional=0.5, integral=0.9, integral_order=1.3)
+    law = fl.discretize_pid(controller, 0.02, output_limit=1.0, measurement_limit=1.0)
+    with pytest.raises(FieldError, match="sampled_margins"):
+        fl.certify(law)

@@ -381,3 +381,11 @@ def test_two_channels_of_a_log() -> None:
         fl.Recording.of(fl.Experiment(0.01, [0.5, 0.6], [0.0, 0.1]), "voltage")
     with pytest.raises(LogError, match="output"):
         fl.Recording(0.1, [1.0, 2.0], [1.0])
+
+
+def test_a_formula_in_place_of_a_link_structure_is_sent_where_it_is_fitted() -> None:
+    log = fl.read_log(fl.bundled_log("pulse_30g"))
+    with pytest.raises(FieldError, match="identify_structure"):
+        fl.identify(log, "k*s**a/(s**a + w)")
+    with pytest.raises(FieldError, match="hoose one of these"):
+        fl.identify(log, "FOM")

@@ -203,6 +203,11 @@ def _statement(
         box = subject.box if box is None else box
         settings = subject.controller.inner
         inner = (settings.kind if settings else "ideal") if inner is None else inner
+    if isinstance(subject, Law) and not subject.has_gauge:
+        allowed = "a law of an arm: the proof knows its motor, link and gauge, and no other plant"
+        remedy = "PidTuning.sampled_margins computes this loop's margins, which is no proof"
+        given = "a fractional PID's law"
+        raise FieldError("subject", given, "of another plant", allowed=allowed, remedy=remedy)
     if model is None or rig is None:
         raise FieldError(
             "model" if model is None else "rig",

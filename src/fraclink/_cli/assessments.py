@@ -298,13 +298,15 @@ def tune_pid(
         **wanted,
     )
     made.save(out)
-    ready = made.period and made.output_limit and made.measurement_limit
-    return Answer(
-        made,
-        made.passed,
-        written=(out,),
-        following=f"fraclink export c {out} --out firmware" if ready else "",
-    )
+    needed = {
+        "--period-ms": made.period,
+        "--output-limit": made.output_limit,
+        "--measurement-limit": made.measurement_limit,
+    }
+    missing = ", ".join(name for name, value in needed.items() if not value)
+    export = f"fraclink export c {out} --out firmware"
+    again = f"the same with {missing}, then {export}"
+    return Answer(made, made.passed, written=(out,), following=again if missing else export)
 
 
 def _plant(text: str) -> FractionalTransferFunction:

@@ -19,6 +19,7 @@ from fraclink._identify.uncertainty import Uncertainty, structure_criteria, unce
 from fraclink._validate import checked
 from fraclink._validate.display import displayed
 from fraclink._validate.equality import compared
+from fraclink.errors import FieldError
 from fraclink.findings import Finding
 
 # Chance alone lowers the AIC by 8 with one superfluous parameter in one log of six hundred (by 4: in one of
@@ -175,6 +176,9 @@ def identify(
     # A structure without the parameter that is held, such as λ, would not keep what it was given.
     held = {"order", "damping_order"} & set(fixed or {})
     names = [row.name for row in STRUCTURES.values() if held <= set(row.free)]
+    if structure is not None and structure not in STRUCTURES and "/" in structure:
+        allowed, remedy = ", ".join(STRUCTURES), "identify_structure(log, formula) fits any other"
+        raise FieldError("structure", structure, "a formula", allowed=allowed, remedy=remedy)
     if structure is not None:
         names = [structure_row(structure).name]
     search = make_search(log, heldout=heldout, stiffness=stiffness, fixed=fixed, guess=guess, hold=hold)

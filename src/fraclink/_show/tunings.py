@@ -65,6 +65,7 @@ def pid_view(made: PidTuning) -> View:
         notes.append(f"{number(1e3 * made.delay)} ms of the delay in the loop are those of the sampling")
     if not made.stable:
         notes.append("the closed loop is not stable")
+    notes.append("computed, not proved: certificates know the loop of an arm, and no other plant")
     state = "passed" if made.passed else "failed"
     return View(made.controller.formula, (table,), (*notes, *map(str, made.findings)), state)
 

@@ -55,6 +55,11 @@ class TimeResponse:
         self.time.flags.writeable = False
         self.output.flags.writeable = False
 
+    def __repr__(self) -> str:
+        last = f" to {self.time[-1]:.6g} s" if len(self.time) else ""
+        told = f"{len(self.time)} samples{last}, {self.method}, error {self.error_estimate:.1g}"
+        return f"TimeResponse({told})"
+
 
 @checked
 def time_response(
