@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import linalg, signal
 
 import fraclink as fl
 from fraclink._arm.motor_loop import MotorLoop
@@ -405,3 +406,71 @@ def test_what_is_no_payload_name_seed_or_reference_is_refused_by_its_field(field
     ):
         with pytest.raises(FieldError, match=field):
             compare(RIG, **{"names": ["fraclink"], field: junk})
+
+
+def lumped(model: fl.LinkModel, pole: float, s: np.ndarray) -> np.ndarray:
+    """M(s) G(s) of the nearest integer-order link, written out."""
+    w, ratio = integer_mode(model)
+    return (pole / (s + pole)) ** 2 * w**2 / (s**2 + 2.0 * ratio * w * s + w**2)
+
+
+@pytest.mark.parametrize(("delay", "gain"), [(0, 0.2), (1, 0.4), (2, 1.0)])
+def test_loop_shaping_bears_the_coprime_uncertainty_that_its_gamma_says(delay: int, gain: float) -> None:
+    """min over ω of |1 + P K|/√((1 + |P|²)(1 + |K|²)) is at least 1/γ, and γ is 1.1 times the best there is."""
+    period, pole, model = 0.004, 80.0, RIG.model
+    w0, ratio = integer_mode(model)
+    made = hinf_correction(model, period=period, pole=pole, delay=delay, gain=gain)
+    w = np.geomspace(0.01, 600.0, 20000)
+    s, corner, rate = 1j * w, w0 / 10.0, 2.0 / ((delay + 0.5) * period)
+    weight = gain * s / (s + corner)
+    plant = weight * (rate - s) / (rate + s) * lumped(model, pole, s)
+    # Tustin's map takes jω to this point of the unit circle, so that the continuous controller is seen.
+    z = (1.0 + s * period / 2.0) / (1.0 - s * period / 2.0)
+    central = made.response(z) / weight
+    margin = np.abs(1.0 + plant * central) / np.sqrt(
+        (1.0 + np.abs(plant) ** 2) * (1.0 + np.abs(central) ** 2)
+    )
+    # The best margin from Hankel's singular value of the normalised factors, by a realisation of its own.
+    arm = signal.TransferFunction(
+        gain * w0**2 * pole**2 * np.polymul([1.0, 0.0], [-1.0, rate]),
+        np.polymul(
+            np.polymul([1.0, corner], [1.0, rate]),
+            np.polymul(np.polymul([1.0, pole], [1.0, pole]), [1.0, 2.0 * ratio * w0, w0**2]),
+        ),
+    ).to_ss()
+    x = linalg.solve_continuous_are(arm.A, arm.B, arm.C.T @ arm.C, np.eye(1))
+    y = linalg.solve_continuous_are(arm.A.T, arm.C.T, arm.B @ arm.B.T, np.eye(1))
+    best = 1.0 / math.sqrt(1.0 + float(np.abs(np.linalg.eigvals(x @ y)).max()))
+    assert best / 1.1 * (1 - 1e-6) <= margin.min() <= best * (1 + 1e-3)
+
+
+@pytest.mark.parametrize(("delay", "weight"), [(0, 1.0), (1, 4.0), (3, 0.3)])
+def test_the_lqg_loop_has_the_poles_of_regulator_and_filter(delay: int, weight: float) -> None:
+    """Separation, with both Riccati equations solved for another realisation of the arm."""
+    period, pole, noise = 0.004, 80.0, 0.0064
+    w, ratio = integer_mode(RIG.model)
+    denominator = np.polymul(np.polymul([1.0, pole], [1.0, pole]), [1.0, 2.0 * ratio * w, w**2])
+    arm = signal.TransferFunction([w**2 * pole**2], denominator).to_ss()
+    a, b, c, *_ = signal.cont2discrete((arm.A, arm.B, arm.C, arm.D), period)
+    n = 4 + delay
+    held, drive, row = np.zeros((n, n)), np.zeros((n, 1)), np.zeros((1, n))
+    held[:4, :4], row[:, :4] = a, c
+    if delay:
+        held[:4, 4:5] = b
+        held[4 : n - 1, 5:] = np.eye(delay - 1)
+        drive[-1] = 1.0
+    else:
+        drive[:4] = b
+    cost = linalg.solve_discrete_are(held, drive, row.T @ row, np.array([[1.0 / weight]]))
+    regulator = held - drive @ np.linalg.solve(1.0 / weight + drive.T @ cost @ drive, drive.T @ cost @ held)
+    made = lqg_correction(RIG.model, period=period, pole=pole, delay=delay, noise=noise, weight=weight)
+    loop = np.block(
+        [
+            [held - made.d * drive @ row, drive @ made.c[None, :]],
+            [-made.b[:, None] @ row, made.a],
+        ]
+    )
+    found, wanted = np.linalg.eigvals(loop), np.linalg.eigvals(regulator)
+    for one in wanted:  # the regulator's poles are among those of the loop
+        assert np.abs(found - one).min() < 1e-4
+    assert np.abs(found).max() <= 1.0 + 1e-9

@@ -15,7 +15,7 @@ from fraclink._campaign import fault_arm
 from fraclink._campaign.endurance import soak, upsets
 from fraclink._campaign.fault_checks import shared_checks
 from fraclink._campaign.fault_rules import RULES
-from fraclink._campaign.fault_trial import REALS, WORDS, members
+from fraclink._campaign.fault_trial import REALS, WORDS, Trial, execute, members
 from fraclink._campaign.faults import (
     CATALOGUE,
     Bench,
@@ -326,3 +326,57 @@ def test_another_payload_is_judged_by_whether_the_design_covers_it(
         pick=lambda first, *others: first,
     )
     assert fault_arm.payload_peak(evidence) == (("ratio", 1.2) if inside else ("bounded", 0.1))
+
+
+def trial_of(bench: Bench) -> Trial:
+    return Trial(bench, Case("F29", 1, 0.03, "mid", 3), bench.law, fl.smooth_step(0.5, 0.6), 2.4)
+
+
+def test_a_byte_is_damaged_in_one_bit_or_as_a_word(bench: Bench) -> None:
+    trial = trial_of(bench)
+    whole = bytes(trial.block)
+    trial.corrupt(37)
+    changed = [k for k, (a, b) in enumerate(zip(whole, trial.block, strict=True)) if a != b]
+    assert changed == [37] and whole[37] ^ trial.block[37] == 1 and trial.detail == "byte 37"
+    trial.corrupt(37)
+    assert trial.block == whole
+    trial.corrupt(8, 0x01020304)
+    assert trial.block[8:12] == bytes([4, 3, 2, 1]) and trial.block[12:] == whole[12:]
+    trial.corrupt(8, -1)
+    assert trial.block[8:12] == b"\xff" * 4
+
+
+def test_a_period_is_as_long_as_its_sampling_instants_are_apart(bench: Bench) -> None:
+    """Without shifts, and with none of any size, the run is the same; a late sample is one of a later arm."""
+    plain = execute(trial_of(bench))
+    still = trial_of(bench)
+    still.shifts = np.zeros(still.count, dtype=int)
+    same = execute(still)
+    assert np.array_equal(same.tip, plain.tip) and np.array_equal(same.mode, plain.mode)
+    late = trial_of(bench)
+    late.shifts = np.zeros(late.count, dtype=int)
+    late.shifts[100] = 2
+    moved = execute(late)
+    assert np.array_equal(moved.tip[:100], plain.tip[:100])
+    # The arm has moved on by two of its steps when it is sampled, and is back in time with the next sample.
+    ahead = (moved.motor[100] - plain.motor[100]) / (plain.motor[101] - plain.motor[100])
+    assert 0.2 < ahead < 1.0
+    assert abs(moved.motor[101] - plain.motor[101]) < 0.1 * abs(moved.motor[100] - plain.motor[100])
+
+
+def test_marks_and_readings_stand_where_the_fault_is(bench: Bench) -> None:
+    trial = trial_of(bench)
+    rows = trial.rows(0.02)
+    assert rows == slice(trial.row, trial.row + 5) and trial.rows(1e-9) == slice(trial.row, trial.row + 1)
+    trial.replace_reading("gauge", 1.25, rows)
+    assert np.flatnonzero(trial.marks).tolist() == list(range(trial.row, trial.row + 5))
+    assert (trial.inputs == 1.25).sum() == 5
+    assert [trial.pick(1.0, 2.0, 3.0), replace_severity(trial, 3).pick(1.0, 2.0, 3.0)] == [1.0, 3.0]
+    ticked = trial_of(bench)
+    ticked.miss(3)
+    assert np.flatnonzero(ticked.marks).tolist() == [ticked.row + 3]  # where the law can first tell
+
+
+def replace_severity(trial: Trial, severity: int) -> Trial:
+    trial.case = replace(trial.case, severity=severity)
+    return trial

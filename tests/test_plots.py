@@ -15,7 +15,7 @@ import pytest
 
 import fraclink as fl
 from fraclink import _kernels
-from fraclink._design.assess import margin_curve, phase_budget
+from fraclink._design.assess import PhaseShare, margin_curve, phase_budget
 from fraclink._realtime import Callback, run_realtime
 from fraclink._show import plots
 from fraclink._show.palette import colours
@@ -270,3 +270,18 @@ def test_plots_take_the_colours_of_their_background(style):
         assert drawn <= set(colours(theme).values())
         assert mpl.colors.to_hex(axes[0].get_xgridlines()[0].get_color()) == colours(theme)["rule"]
         plt.close("all")
+
+
+def test_shares_of_the_phase_stack_up_to_the_margin_in_the_colour_of_their_sign() -> None:
+    shares = [PhaseShare("link", math.radians(-150.0)), PhaseShare("derivative", math.radians(40.0))]
+    axis = plots.phase_shares([*shares, PhaseShare("delay", 0.0)])
+    bars = axis.patches
+    assert [round(bar.get_height(), 9) for bar in bars] == [180.0, -150.0, 40.0, 0.0, 70.0]
+    assert [round(bar.get_y(), 9) for bar in bars] == [0.0, 180.0, 30.0, 70.0, 0.0]
+    start, lag, lead, none, margin = (bar.get_facecolor() for bar in bars)
+    assert lead == none and len({start, lag, lead, margin}) == 4
+    assert [text.get_text() for text in axis.texts] == ["-150.0°", "+40.0°", "+0.0°", "70.0°"]
+    names = [label.get_text() for label in axis.get_xticklabels()]
+    assert names == ["180°", "link", "derivative", "delay", "phase margin"]
+    with pytest.raises(FieldError, match="empty"):
+        plots.phase_shares([])

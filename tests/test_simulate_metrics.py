@@ -176,3 +176,24 @@ def test_what_is_steady_is_judged_by_the_last_tenth_alone(sign: float) -> None:
     found = measured(tip, motor_reference=wild)
     assert found.steady_state_error == pytest.approx(sign * 0.02, rel=1e-12)
     assert found.motor_reference_noise == pytest.approx(1e-3, rel=0.02)
+
+
+def test_an_unstable_run_says_when_the_law_trips_and_a_tip_that_is_no_number_is_unstable() -> None:
+    mode = RUNNING.copy()
+    mode[550:] = 4
+    growing = vibrating(0.02 * np.exp(0.5 * (TIME - ENDED)))
+    assert (
+        judged(growing, mode=mode).reason
+        == "unstable: the vibration grows at 0.5 1/s; the law trips at 5.5 s"
+    )
+    assert judged(growing).reason == "unstable: the vibration grows at 0.5 1/s"
+    lost = REFERENCE.copy()
+    lost[500:] = math.nan
+    with np.errstate(invalid="ignore"):
+        assert judged(lost).reason.startswith("unstable")
+
+
+def test_the_verdict_says_how_far_away_the_tip_still_is_and_when() -> None:
+    tip = REFERENCE - 0.25 * (TIME > 5.9)
+    assert judged(tip).reason == "not settled; the tip is still 0.25 rad away at 6 s"
+    assert str(judged(REFERENCE)) == "passed" and judged(REFERENCE).reason.startswith("settled in 0.")

@@ -31,7 +31,7 @@ from fraclink._law.refit import refitted
 from fraclink._law.requirement import margins_of
 from fraclink._show.pages import squeezed, tightened
 from fraclink._studio.history import History
-from fraclink._studio.logs import LOG_VERBS
+from fraclink._studio.logs import LOG_VERBS, _scaled, _spectrum, thinned
 from fraclink._studio.messages import Reply, parsed, refusal
 from fraclink._studio.outputs import OUTPUT_VERBS
 from fraclink._studio.played import PLAY_VERBS
@@ -733,3 +733,36 @@ def test_a_gap_is_closed_by_the_value_before_it():
     assert _finite(np.array([1.0, nan, 3.0, inf, -inf, 1e31, 0.0, nan])).tolist() == [1, 1, 3, 3, 3, 3, 0, 0]
     assert _finite(np.array([nan, nan, 2.0])).tolist() == [0, 0, 2]
     assert _finite(np.array([nan, inf])).tolist() == [0, 0]
+
+
+@pytest.mark.parametrize("count", [2400, 2401, 7001, 48000])
+def test_a_thinned_signal_keeps_every_stretchs_extremes_in_order(count):
+    values = np.cumsum(np.random.default_rng(count).normal(size=count))
+    kept = thinned(values)
+    assert kept.size <= 2400 and kept.min() == values.min() and kept.max() == values.max()
+    if count == 2400:
+        assert kept is values
+    places = np.array([int(np.flatnonzero(values == v)[0]) for v in kept[:: kept.size // 50]])
+    assert (np.diff(places) > 0).all()
+
+
+def test_a_sparkline_fills_its_height():
+    assert np.array_equal(_scaled(np.array([2.0, 4.0, 3.0])), [0.0, 1.0, 0.5])
+    assert np.array_equal(_scaled(np.full(4, 7.0)), np.full(4, 0.5))
+
+
+def test_the_spectrum_of_a_log_has_its_lines_where_they_are():
+    """Two sines of 5 and 20 Hz, the second a tenth as large; the rest a hundredth of the first."""
+    period, time = 0.004, 0.004 * np.arange(5000)
+    output = np.sin(2 * math.pi * 5.0 * time) + 0.1 * np.sin(2 * math.pi * 20.0 * time) + 3.0
+    found = _spectrum(output, 0.01 * np.sin(2 * math.pi * 5.0 * time), period)
+    hertz, log, rest = (found[name] for name in ("spectrum_hz", "spectrum_log", "spectrum_rest"))
+    assert hertz.size == log.size == rest.size == 160
+    assert hertz[0] == pytest.approx(0.05, rel=0.1) and hertz[-1] == pytest.approx(125.0, rel=0.1)
+    assert hertz[np.argmax(log)] == pytest.approx(5.0, rel=0.05) and log.max() == pytest.approx(0.0, abs=1e-9)
+    near = np.abs(np.log(hertz / 20.0)) < 0.06
+    assert log[near].max() == pytest.approx(-20.0, abs=0.1)
+    assert rest.max() == pytest.approx(-40.0, abs=0.1) and hertz[np.argmax(rest)] == pytest.approx(
+        5.0, rel=0.05
+    )
+    assert log.min() >= -120.0

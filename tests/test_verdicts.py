@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
 
 from fraclink import (
     FractionalTransferFunction,
+    RationalApproximation,
+    TransferMatrix,
     disk_margin,
     errors,
     is_stable,
     margins,
+    multivariable_margins,
     norm,
     poles,
     s,
@@ -97,3 +101,76 @@ def test_the_step_response_of_a_stable_loop_settles_and_of_an_unstable_one_grows
     late = step_response(closed, [30.0 / slowest, 60.0 / slowest]).output
     settled = abs(late[1] - late[0]) < 0.5 * max(1.0, abs(late[0]))
     assert settled == is_stable(closed).stable
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_all_verdicts_about_a_sampled_loop_agree(seed: int) -> None:
+    """L(z) with poles inside the unit circle, one on it or one outside: against the closed loop's eigenvalues."""
+    generator = np.random.default_rng(seed)
+    period, size = 10.0 ** generator.uniform(-3, 0), int(generator.integers(1, 5))
+    open_poles = generator.uniform(-0.5, 0.97, size)
+    open_poles[0] = {0: 1.0, 1: 1.2}.get(seed % 4, open_poles[0])
+    zeros = generator.uniform(-0.8, 0.9, int(generator.integers(0, size)))
+    gain = 10.0 ** generator.uniform(-2, 0.7)
+    top, bottom = gain * np.atleast_1d(np.poly(zeros)), np.poly(open_poles)
+    closed = np.roots(np.polyadd(bottom, top))
+    if np.abs(np.abs(closed) - 1.0).min() < 1e-6:
+        return
+    stable = bool(np.abs(closed).max() < 1.0)
+
+    def loop(at: np.ndarray) -> np.ndarray:
+        z = np.exp(at * period)
+        return np.asarray(np.polyval(top, z) / np.polyval(bottom, z))
+
+    outside = int((np.abs(open_poles) > 1.0).sum())
+    known: dict[str, Any] = {"limit": math.pi / period, "unstable_poles": outside}
+    # A pole on the circle is a pole of the callable at s = 0, which it does not tell of.
+    if seed % 4:
+        assert margins(loop, **known).stable is stable
+        try:
+            assert disk_margin(loop, **known).stable is stable is True
+        except errors.UnstableError:
+            assert not stable
+    sampled = RationalApproximation(
+        zeros=zeros, poles=closed, gain=gain, period=period, band=(1e-3 / period, 1.0 / period), method="made"
+    )
+    for p in (2.0, math.inf):
+        try:
+            found = norm(sampled, p)
+        except errors.UnstableError:
+            assert not stable
+            continue
+        assert stable
+        angle = np.linspace(-math.pi, math.pi, 400_001)
+        size_ = np.abs(np.polyval(top, np.exp(1j * angle)) / np.polyval(np.poly(closed), np.exp(1j * angle)))
+        on_grid = size_.max() if p == math.inf else math.sqrt(float(np.mean(size_[:-1] ** 2)))
+        assert found == pytest.approx(on_grid, rel=1e-4)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, 1, 3, 4, 6, 8, 9, 10, 11])  # 2, 5 and 7 agree, too, in 15 s
+def test_all_verdicts_about_a_loop_with_two_channels_agree(seed: int) -> None:
+    """Two scalar loops, some delayed, some unstable, seen through a rotation: stable where both are."""
+    generator = np.random.default_rng(300 + seed)
+    loops: list[FractionalTransferFunction] = []
+    while len(loops) < 2:  # the determinant turns with the delay: up to 0.1 s it is followed in a second
+        drawn = random_loop(generator)
+        loops += [drawn] if drawn.delay <= 0.1 else []
+    alone = [verdicts(loop) for loop in loops]
+    if not all("margins" in said for said in alone):
+        return
+    c, t = math.cos(0.7), math.sin(0.7)
+    first, second = loops
+    both = TransferMatrix(
+        [
+            [c * c * first + t * t * second, c * t * (first - second)],
+            [c * t * (first - second), t * t * first + c * c * second],
+        ]
+    )
+    try:
+        found = multivariable_margins(both)
+    except errors.FieldError:  # the sum of two delays may turn more often than can be followed
+        return
+    wanted = all(all(said.values()) for said in alone)
+    if found.stable is not None:
+        assert found.stable is wanted, (alone, found)
