@@ -416,7 +416,7 @@ def lumped(model: fl.LinkModel, pole: float, s: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize(("delay", "gain"), [(0, 0.2), (1, 0.4), (2, 1.0)])
 def test_loop_shaping_bears_the_coprime_uncertainty_that_its_gamma_says(delay: int, gain: float) -> None:
-    """min over ω of |1 + P K|/√((1 + |P|²)(1 + |K|²)) is at least 1/γ, and γ is 1.1 times the best there is."""
+    """min |1 + PK|/√((1 + |P|²)(1 + |K|²)) over ω is at least 1/γ, and γ is 1.1 times the best there is."""
     period, pole, model = 0.004, 80.0, RIG.model
     w0, ratio = integer_mode(model)
     made = hinf_correction(model, period=period, pole=pole, delay=delay, gain=gain)

@@ -105,7 +105,7 @@ def test_the_step_response_of_a_stable_loop_settles_and_of_an_unstable_one_grows
 
 @pytest.mark.parametrize("seed", range(40))
 def test_all_verdicts_about_a_sampled_loop_agree(seed: int) -> None:
-    """L(z) with poles inside the unit circle, one on it or one outside: against the closed loop's eigenvalues."""
+    """L(z) with poles inside the unit circle, or one on it or outside: against the closed loop's poles."""
     generator = np.random.default_rng(seed)
     period, size = 10.0 ** generator.uniform(-3, 0), int(generator.integers(1, 5))
     open_poles = generator.uniform(-0.5, 0.97, size)
