@@ -361,7 +361,7 @@ def kills(count: int) -> None:
             if found is None:
                 last = int(np.flatnonzero(arm.connected)[-1])
                 off.append(int(np.count_nonzero(arm.voltage[last + 1 :])))
-                held.append(kept_up(arm.voltage))
+                held.append(kept_up(arm, attempt.end))
                 stages[attempt.begun[-1]] += 1
                 print(
                     f"  kill {len(off)} at {attempt.end:.1f} s in {attempt.begun}, {dict(resumed)}",
@@ -379,7 +379,7 @@ def kills(count: int) -> None:
         not any(off),
     )
     line(
-        "periods for which the last voltage was held",
+        "periods from the kill until the drive was off",
         f"most {max(held, default=0)}",
         "<= 10",
         max(held) <= 10,
@@ -392,11 +392,10 @@ def kills(count: int) -> None:
     )
 
 
-def kept_up(voltage: np.ndarray) -> int:
-    """Periods for which the last voltage that is none was held."""
-    last = int(np.flatnonzero(voltage)[-1]) if np.any(voltage) else -1
-    other = np.flatnonzero(voltage[: last + 1] != voltage[last])
-    return last - (int(other[-1]) if other.size else -1) if last >= 0 else 0
+def kept_up(arm: fl.ServedArm, killed: float) -> int:
+    """Periods from the kill [s] to the last voltage at the motor; the arm began its first a period late."""
+    driven = np.flatnonzero(arm.voltage)
+    return max(int(driven[-1]) + 1 - round(killed / arm.period), 0) if driven.size else 0
 
 
 class Attempt:

@@ -41,6 +41,10 @@ _WANTED: tuple[tuple[float, float, float], ...] = (
     (1.05, 40.0, 0.3),
     (1.1, 25.0, 0.15),
 )
+# Where none of these gives a law: crossovers and filters at which a margin is looked for between one with
+# which moves ring and one with which the second mode is too loud; its lowest value, widest gap [°], halvings.
+_BETWEEN = ((1.035, 0.4), (1.02, 0.4), (1.05, 0.3))
+_LOWEST, _GAP, _HALVINGS = 25.0, 12.0, 3
 # Loop gain at a second mode that was measured: below one over the whole box no phase of the mode matters, and
 # the proof holds the mode besides; below 0.7 is preferred, by the 3 dB that `design_for` keeps.
 _MODE_GAIN, _MODE_PREFERRED = 0.95, 0.7
@@ -172,27 +176,64 @@ def _designs(rig: Rig, model: LinkModel, missed: list[Design]) -> Iterator[tuple
     heavy = model.at_payload(rig.payloads.high)
     resonance = heavy.torque_resonance or heavy.natural_frequency ** (2.0 / heavy.order)
     second_choice: list[tuple[float, Design, tuple[str, ...]]] = []
+    tried: dict[tuple[float, float], list[tuple[float, Design | None]]] = {}
     for ratio, degrees, share in _WANTED:
         made = _asked(model, rig, ratio * resonance, degrees, share / resonance)
+        tried.setdefault((ratio, share), []).append((degrees, made))
         if made is None:
             continue
         if not made.passed:
             missed.append(made)
             continue
-        gain = max((item.achieved for item in made.requirements if "mode" in item.name), default=0.0)
-        words: tuple[str, ...] = (
-            *asked,
-            f"gain crossover {made.gain_crossover:.3g} rad/s and phase margin {degrees:.3g}°, which the "
-            "whole box keeps",
-        )
-        if gain > 0.0:
-            words += (f"loop gain of {gain:.2g} at most at the second mode",)
+        gain = _mode_gain(made)
         if gain <= _MODE_PREFERRED:
-            yield made, words
+            yield made, (*asked, *_words(made, degrees))
         else:
-            second_choice.append((gain, made, words))
+            second_choice.append((gain, made, (*asked, *_words(made, degrees))))
     for _, made, words in sorted(second_choice, key=lambda row: row[0]):
         yield made, words
+    for ratio, share in _BETWEEN:
+        for degrees, made in _between(model, rig, ratio * resonance, share / resonance, tried[ratio, share]):
+            yield made, (*asked, *_words(made, degrees))
+
+
+def _words(made: Design, degrees: float) -> tuple[str, ...]:
+    gain = _mode_gain(made)
+    words = (
+        f"gain crossover {made.gain_crossover:.3g} rad/s and phase margin {degrees:.3g}°, which the whole "
+        "box keeps",
+    )
+    return (*words, f"loop gain of {gain:.2g} at most at the second mode") if gain > 0.0 else words
+
+
+def _mode_gain(made: Design) -> float:
+    return max((item.achieved for item in made.requirements if "mode" in item.name), default=0.0)
+
+
+def _between(
+    model: LinkModel,
+    rig: Rig,
+    crossover: float,
+    filter_time: float,
+    tried: list[tuple[float, Design | None]],
+) -> Iterator[tuple[float, Design]]:
+    """The design whose margin damps the moves and leaves the second mode quiet, where halving meets one."""
+    low, high, tried = _LOWEST, math.inf, list(tried)
+    for turn in range(_HALVINGS + len(tried)):
+        if turn < len(tried):
+            degrees, made = tried[turn]
+        else:
+            degrees = 0.5 * (low + min(high, low + _GAP))
+            made = _asked(model, rig, crossover, degrees, filter_time)
+        if made is not None and made.passed:
+            if turn >= len(tried):  # the others have been offered
+                yield degrees, made
+            return
+        rings = made is not None and any(one.code == "W409" for one in made.findings)
+        loud = made is None or not all(item.passed for item in made.requirements)
+        if rings == loud:  # both, or neither: no other margin mends what is missed
+            return
+        low, high = (max(low, degrees), high) if rings else (low, min(high, degrees))
 
 
 def _proved(rig: Rig, design: Design, words: tuple[str, ...]) -> Built:
