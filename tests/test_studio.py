@@ -697,6 +697,19 @@ def test_a_stretch_that_the_page_marks_is_what_the_command_reads(tmp_path, monke
             LOG_VERBS["columns"](session, {"columns": COLUMNS, "keep": bad})
 
 
+def test_a_preview_takes_over_the_filter_that_the_second_mode_asked_for(made):
+    exact, subject = made.study.design, made.subject
+    assert "W406" in [finding.code for finding in exact.findings]
+    moved = preview(subject, {**ASKED, "phase_margin_deg": 49.0}).head
+    assert moved["controller"]["delta"] == exact.controller.filter_time
+    assert moved["controller"]["n"] == exact.controller.filter_order
+    assert "W401" not in [finding.code for finding in moved["findings"]]
+    stated = preview(subject, {**ASKED, "filter_time": 0.02}).head
+    assert stated["controller"]["delta"] == 0.02
+    assert replace(subject, lengthened=None).borrowed(checked_request(ASKED)) == {}
+    assert subject.borrowed(checked_request({**ASKED, "mode_gain": 0.4})) == {}
+
+
 def test_a_board_is_told_what_the_law_needs(made):
     board = OUTPUT_VERBS["board"](made, {"precision": "single"}).head
     law = made.study.law.in_precision("single")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
 from typing import Any
@@ -38,11 +38,16 @@ _DECIBELS = 20.0 / math.log(10.0)
 
 @dataclass(frozen=True)
 class Subject:
-    """What is designed for: rig and link; `law` is the last exact one, whose poles a preview borrows."""
+    """What is designed for: rig and link; and what a preview borrows of the last exact design.
+
+    Of its `law` the poles; and its filter (δ [s], n) where the bound at the second mode had it `lengthened`:
+    to search that again takes half a second.
+    """
 
     rig: Rig
     model: LinkModel
     law: Law | None = None
+    lengthened: tuple[float, int] | None = None
 
     @cached_property
     def payloads(self) -> Real:
@@ -62,6 +67,13 @@ class Subject:
         slowest = float(self.link_frequencies.min()) ** (2.0 / self.model.order)
         nyquist = math.pi / self.rig.period
         return np.geomspace(min(0.1 * slowest, 0.01 * nyquist), nyquist, _POINTS)
+
+    def borrowed(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        """What a preview of `request` takes over of the last exact design's filter: nothing, or δ and n."""
+        bounds = ("filter_time", "filter_order", "noise_gain", "mode_gain", "max_sensitivity")
+        if self.lengthened is None or any(request[name] is not None for name in bounds):
+            return {}
+        return {"filter_time": self.lengthened[0], "filter_order": self.lengthened[1]}
 
     def axes(self) -> dict[str, Any]:
         """What does not change while a hand drags: a page that scaled its axes would hide what it does."""
@@ -83,7 +95,10 @@ def preview(subject: Subject, state: object, *, fan: bool = False) -> Reply:
     try:
         asked, regions = parted(state)
         request = checked_request(asked)
-        made, assumed = design_for(subject.rig, subject.model, **wanted_of(request))
+        borrowed = subject.borrowed(request)
+        made, assumed = design_for(subject.rig, subject.model, **wanted_of(request) | borrowed)
+        if borrowed:  # nobody asked for this filter, so nobody is told what it costs
+            made = replace(made, findings=tuple(f for f in made.findings if f.code != "W401"))
         shown = _shown(subject, made, assumed)
         entered = violated(made, regions, subject.frequencies) if regions else []
         words = [region.said(inside) for region, inside in zip(regions, entered, strict=True)]

@@ -262,7 +262,10 @@ def _subject_of(study: Study) -> Subject | None:
         rig, model, _ = subject(study)
     except FieldError:
         return None
-    return Subject(rig, model, study.law)
+    made = study.design
+    longer = made is not None and any(finding.code == "W406" for finding in made.findings)
+    own = (made.controller.filter_time, made.controller.filter_order) if made and longer else None
+    return Subject(rig, model, study.law, own)
 
 
 def _digests(folder: Path) -> dict[str, str]:
