@@ -56,9 +56,10 @@ def compared(shape: Shape, found: fl.Start) -> Iterator[str]:
         yield f"period {1e3 * log.period:.6g} ms"
     if log.output_kind != shape.kind:
         yield f"output taken for a {log.output_kind}"
+    of = shape.of
     output = "late" if shape.late else "torque" if shape.kind == "torque" else "deflection"
-    pairs = [("motor angle", log.motor_angle, true["angle"], shape.any_radius)]
-    pairs.append(("output", log.output, true[output], shape.raw))
+    pairs = [("motor angle", log.motor_angle, true[of + "angle"], shape.any_radius)]
+    pairs.append(("output", log.output, true[of + output], shape.raw))
     if shape.voltage != (log.voltage is not None):
         yield "voltage not found" if shape.voltage else "voltage found where there is none"
     elif log.voltage is not None:
@@ -126,7 +127,7 @@ def tried(shape: Shape, folder: Path) -> Outcome:
                 outcome.faults.append(f"refused: {said}")
                 return outcome
             outcome.decisions += 1
-            outcome.physical += bool(re.match(r"(payload|motor|link)[._=]", answer))
+            outcome.physical += bool(re.match(r"(payload|rig|motor\.|link\.)", answer))
             if answer.startswith("fraclink") or not answer:
                 outcome.faults += gone_on(said, answer, path) if answer else []
                 outcome.mended = True

@@ -32,7 +32,11 @@ def motion() -> dict[str, Array]:
     speed = np.gradient(angle, PERIOD)
     noise = np.random.default_rng(5).normal(0, 0.003, COUNT)
     push = np.gradient(speed, PERIOD) + 15.15 * speed + STIFFNESS / 0.05 * bent
+    turned = angle + np.clip(time - 1, 0, 10) * 1.2
+    swing = fl.time_response(link, turned, PERIOD, hold="first").output
     return {
+        "long angle": turned,
+        "long torque": STIFFNESS * (swing + noise),
         "t": time,
         "angle": angle,
         "deflection": bent + noise,
@@ -61,6 +65,8 @@ class Shape:
         is unknown (a gauge that nobody has calibrated).
     any_radius
         whether a factor of the motor angle is free: a linear axis.
+    of
+        which motion: "" or "long ", in which the motor turns by 12 rad besides.
     times
         how many times as large the motion is.
     stated
@@ -76,6 +82,7 @@ class Shape:
     any_radius: bool = False
     stated: tuple[str, ...] = ()
     times: float = 1.0
+    of: str = ""
 
 
 Columns = dict[str, Array]
@@ -208,9 +215,9 @@ def forms() -> dict[str, Shape]:
         "no units: ms and degrees": Shape(written(table({"t": 1e3 * t, "enc": DEG * a, "torque": g}))),
         "no units: µs and mN·m": Shape(written(table({"t": 1e6 * t, "enc": a, "moment": 1e3 * g}))),
         "no units: radians beyond a turn": Shape(
-            written(table({"t": t, "theta": 12 * a, "torque_Nm": 12 * g})),
+            written(table({"t": t, "theta": m["long angle"], "torque_Nm": m["long torque"]})),
             (('--column "motor_angle=theta [deg]"', "motor_angle=theta [rad]"),),
-            times=12,
+            of="long ",
         ),
         "no units: less than a degree": Shape(
             written(table({"t": t, "theta": DEG * a / 60, "torque_Nm": g / 60})),

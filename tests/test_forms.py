@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fraclink._logs import inspect_log, read_columns
+from fraclink import start
+from fraclink._logs import inspect_log, read_columns, read_log
 from fraclink._logs.formats import read_table
 from fraclink._logs.text import read_text_table
 from fraclink.errors import FileFormatError, LogError
@@ -145,6 +146,20 @@ FORMS: dict[str, tuple[bytes, tuple[str, ...], tuple[str, ...], str]] = {
 }
 
 
+FORMS["points between thousands"] = (
+    PLAIN.replace(",", ";").replace(".", ",").replace("\n0,000;0;0\n", "\n0,000;0,0;0,0\n").encode(),
+    (*HEADER,),
+    (),
+    "decimal commas",
+)
+FORMS["a record that begins in the middle of a row"] = (
+    (",".join(HEADER) + "\n0.3,0.17\n" + BODY).encode(),
+    (*HEADER,),
+    (),
+    "line 2 is part of a row",
+)
+
+
 @pytest.mark.parametrize("name", FORMS)
 def test_a_form_is_read_as_the_plain_table_is(name: str, tmp_path: Path) -> None:
     content, names, units, words = FORMS[name]
@@ -158,6 +173,37 @@ def test_a_form_is_read_as_the_plain_table_is(name: str, tmp_path: Path) -> None
     assert any(words in remark for remark in table.remarks) if words else not table.remarks
     said = str(inspect_log(path))
     assert all(f"read as: {remark}" in said for remark in table.remarks)
+
+
+def test_points_between_thousands(tmp_path: Path) -> None:
+    rows = [f"{4 * k:,d}".replace(",", ".") + f",0;{k % 9},25" for k in range(300)]
+    path = tmp_path / "log.csv"
+    path.write_text("t_ms;a\n" + "\n".join(rows) + "\n")
+    table = read_text_table(path)
+    np.testing.assert_array_equal(table.values[0], 4.0 * np.arange(300))
+    assert table.remarks == ("decimal commas, points between thousands",)
+    path.write_text("t_ms;a\n" + "\n".join(rows) + "\n1.5;0,25\n")  # one cell has a point for its decimals
+    assert read_text_table(path).faults
+
+
+def test_names_that_stand_again_are_shown(tmp_path: Path) -> None:
+    path = write_log(tmp_path / "log.csv", [*ROWS, [*HEADER], *ROWS])
+    with pytest.raises(LogError, match=re.escape("logger was started again") + ".*" + re.escape("'302,$d'")):
+        read_columns(path)
+    assert "time_s: 1 cells are no numbers, the first in line 302" in str(inspect_log(path))
+
+
+def test_whole_seconds_beside_nanoseconds_are_one_time(tmp_path: Path) -> None:
+    stamps = [1_764_000_000_250_000_000 + round(1e9 * float(row[0])) for row in ROWS]
+    rows = [[str(n // 10**9), str(n % 10**9), row[1], row[2]] for n, row in zip(stamps, ROWS, strict=True)]
+    path = write_log(tmp_path / "a.csv", rows, header=["stamp.sec", "stamp.nanosec", "position", "effort"])
+    mapping = inspect_log(path).suggestion
+    assert 'time = { column = "stamp.sec + 1e-9 * stamp.nanosec", unit = "s" }' in mapping
+    columns = {"time": "stamp.sec + 1e-9 * stamp.nanosec [s]", "motor_angle": "position [rad]"}
+    log = read_log(path, columns={**columns, "torque": "effort [Nm]"})
+    assert log.period == pytest.approx(0.004, rel=1e-6)
+    found = start(path)
+    assert found.columns.time.column == "stamp.sec + 1e-9 * stamp.nanosec"
 
 
 def test_dates_of_a_country_serve_within_a_day(tmp_path: Path) -> None:

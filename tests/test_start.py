@@ -232,6 +232,11 @@ THROUGH: dict[str, tuple[Shape, tuple[str, ...], Taken]] = {
         (),
         ("t", "s", "cart_mm", "rad", "torque", "torque_Nm", "Nm", 1),
     ),
+    "degrees by which a link in radians would bend too far": (
+        Shape({"t": TIME, "theta": 0.5 * DEG * MOTOR, "torque_Nm": 0.5 * TORQUE}),
+        (),
+        ("t", "s", "theta", "deg", "torque", "torque_Nm", "Nm", 1),
+    ),
     "stamps of each channel, as in TDMS": (
         Shape({"Arm/Theta": MOTOR, "Arm/Theta.time": TIME, "Arm/Torque": TORQUE, "Arm/Torque.time": TIME}),
         ("time=Arm/Theta.time [s]",),

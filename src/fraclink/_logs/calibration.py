@@ -27,15 +27,19 @@ _LATE = 0.12  # of a vibration: a later answer could as well be one of the other
 # Stiffness of links in laboratories [N·m/rad]; in mN·m the number is a thousand times as large.
 _SOFTEST, _STIFFEST = 0.02, 20.0
 _SMALL_MOVE = 0.9  # an excitation that turns the motor by less than one degree is rare
+_MOST_BENT = 3.0  # rad: no link bends by half a turn
 _MANY_TURNS = 8 * math.pi  # that no cable of an arm follows
 _LARGEST_TURN = 400.0  # degrees; beyond it they are counts, or millirad
 _LARGEST_VOLTAGE = 60.0  # V of a servo-amplifier: more is millivolts or a converter's counts
 
 
-def guess_angle(weighing: Weighing, place: int, raw: Array, stiffness: float = 0.0) -> Channel | None:
+def guess_angle(
+    weighing: Weighing, place: int, raw: Array, stiffness: float = 0.0, bend: float = 0.0
+) -> Channel | None:
     """The channel of the motor angle; None where its unit is a question.
 
-    `stiffness` is the gain of a torque on the angle as it stands [N·m], 0 where the output is none.
+    `stiffness` is the gain of a torque on the angle as it stands [N·m], 0 where the output is none; `bend`
+    is how far the link bends by it, in the angle's unit.
     """
     statement, own, name = weighing.statement("motor_angle"), weighing.unit(place), weighing.label(place)
     sign, reach = statement.sign or 1, float(np.abs(raw - raw[0]).max())
@@ -55,7 +59,11 @@ def guess_angle(weighing: Weighing, place: int, raw: Array, stiffness: float = 0
         reason = "under one degree" if unit == "rad" else "more than a full turn"
         other = "degrees" if unit == "rad" else "radians"
         evidence = f"it moves by {reach:.4g}: as {other}, {reason}"
-        links = {each for each in ("rad", "deg") if _is_link(stiffness / UNITS["angle"][each])}
+        links = {
+            each
+            for each, size in UNITS["angle"].items()
+            if each in ("rad", "deg") and _is_link(stiffness / size) and bend * size < _MOST_BENT
+        }
         # As the other unit it would be a link as well, or as this one none.
         if stiffness and (unit not in links or (reach < _MANY_TURNS and len(links) > 1)):
             _ask_by_stiffness(weighing, name, reach, stiffness)

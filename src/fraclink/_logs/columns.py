@@ -16,7 +16,7 @@ from fraclink._arm.log_columns import QUANTITY_OF, UNITS, Channel, LogColumns
 from fraclink._files.toml import toml_value
 from fraclink._logs.faults import cell_remedy
 from fraclink._logs.forms import NUMBER
-from fraclink._logs.names import COMMANDED, HINTS, names_time, role_of_name, unit_in, unit_of_name
+from fraclink._logs.names import COMMANDED, HINTS, names_time, role_of_name, unit_in, unit_of_name, words_of
 from fraclink._logs.text import LogTable
 from fraclink._validate import Payload
 from fraclink._validate.rules import rule
@@ -97,7 +97,7 @@ def suggested_columns(table: LogTable) -> list[tuple[str, str, str]]:
     clocks.sort(key=lambda name: (-sizes[name], not names_time(name)))
     length = sizes[clocks[0]] if clocks else max(sizes.values(), default=0)
     free = [name for name in table.names if name not in clocks and sizes[name] == length]
-    found: dict[str, str] = {"time": clocks[0] if clocks else "?"}
+    found: dict[str, str] = {"time": clocks[0] if clocks else seconds_and_parts(table) or "?"}
     for role, words in HINTS.items():
         if role == "deflection" and "torque" in found:
             continue
@@ -110,6 +110,8 @@ def suggested_columns(table: LogTable) -> list[tuple[str, str, str]]:
 
 
 def _suggested_unit(table: LogTable, role: str, name: str) -> str:
+    if role == "time" and name not in table.names:
+        return "s" if name != "?" else "?"
     stated = table.units[table.names.index(name)] if table.units and name != "?" else ""
     known = UNITS[QUANTITY_OF[role]]
     return next((unit for unit in (stated, unit_in(name, role), unit_of_name(name)) if unit in known), "?")
@@ -118,7 +120,15 @@ def _suggested_unit(table: LogTable, role: str, name: str) -> str:
 # --- what a stated column must be ------------------------------------------------------------------------
 
 
+_AGAIN = (
+    "the names stand again where the logger was started again: keep one run, such as by sed -i '{line},$d'"
+)
 _INTERPOLATED = 0.01  # largest share of missing cells that may be interpolated
+
+
+def bad_cell_remedy(name: str, line: int, cell: str) -> str:
+    """What to do about a cell of column `name` that is no number."""
+    return _AGAIN.format(line=line) if cell == name else cell_remedy(cell)
 
 
 def clean_column(
@@ -134,7 +144,7 @@ def clean_column(
             cell,
             f"not a number ({faults.bad} such cells)",
             allowed="numbers such as -1.5e-3",
-            remedy=cell_remedy(cell),
+            remedy=bad_cell_remedy(name, line, cell),
         )
     missing = np.flatnonzero(~np.isfinite(values))
     if not missing.size:
@@ -269,3 +279,18 @@ def _factor(text: str | None, name: str) -> float:
     except ValueError:
         allowed, remedy = "numbers such as 1.5e-3", "write it as 179 * tip"
         raise LogError("columns", name, f"with a factor {text}", allowed=allowed, remedy=remedy) from None
+
+
+_PARTS = {"nanosec": "1e-9", "nsec": "1e-9", "nsecs": "1e-9", "usec": "1e-6", "microsec": "1e-6"}
+
+
+def seconds_and_parts(table: LogTable) -> str:
+    """The stamps of ROS and of Unix, whole seconds beside the parts of one, as one combined column; or ""."""
+    last = {words[-1]: place for place, name in enumerate(table.names) if (words := words_of(name))}
+    whole = next((last[word] for word in ("sec", "secs") if word in last), None)
+    part = next((word for word in _PARTS if word in last), "")
+    if whole is None or not part:
+        return ""
+    name = f"{table.names[whole]} + {_PARTS[part]} * {table.names[last[part]]}"
+    values = with_combined(table, [name]).values[-1]
+    return name if clock_step(values) is not None else ""

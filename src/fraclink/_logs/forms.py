@@ -32,6 +32,7 @@ _ALIKE = 3  # rows of one width that are a table, where a line of two numbers ma
 _FEWEST, _MOST_ROWS = 200, 64  # a table with fewer rows than channels have samples lies on its side
 _LABVIEW = "***End_of_Header***"
 _DAY = 86_400.0
+_GROUPED = re.compile(r"[+-]?(?:0|[1-9][0-9]{0,2}(?:\.[0-9]{3})*),[0-9]+")  # 1.234,56
 
 
 @dataclass(frozen=True)
@@ -74,7 +75,7 @@ def separator_of(line: str) -> str:
 
 def _is_numeric(cell: str) -> bool:
     plain = cell.strip().strip('"')
-    return any(form.fullmatch(plain) for form in (NUMBER, DECIMAL_COMMA, CLOCK))
+    return any(form.fullmatch(plain) for form in (NUMBER, DECIMAL_COMMA, _GROUPED, CLOCK))
 
 
 def _is_row(cells: list[str]) -> bool:
@@ -187,6 +188,8 @@ def _without_title(form: Form) -> Form:
     cells = [split_cells(lines[place], separator) for place in places[: begin + 1]]
     width, above = len(cells[begin]), cells[begin - 1]
     units = _units_of(above) if len(above) == width and len(cells[begin - 2]) == width else None
+    if units is None and begin > 1 and len(above) < width and all(map(_is_numeric, above)):
+        return _without_fragment(form, lines, places[begin - 1])
     header = begin - 1 if units is None else begin - 2
     # A line of as many cells as the rows may be the names as well: which one is, only a person knows.
     if len(cells[header]) != width or any(len(row) == width for row in cells[:header]):
@@ -201,6 +204,17 @@ def _without_title(form: Form) -> Form:
         told = replace(told, units=form.units | dict(zip(cells[header], units, strict=True)))
         told = told.told(f"line {places[begin - 1] + 1} holds the units")
     return told
+
+
+def _without_fragment(form: Form, lines: list[str], place: int) -> Form:
+    """The part of a row below the names, with which a recording begins that was switched on in its middle."""
+    before = [number for number in range(place) if not _is_comment(lines[number])]
+    separator = separator_of(lines[place + 1])
+    names = split_cells(lines[before[-1]], separator) if before else []
+    if len(names) != len(split_cells(lines[place + 1], separator)) or any(map(_is_numeric, names)):
+        return form
+    kept = _commented(form.text, place + 1, [before[-1]])
+    return _without_title(replace(form, text=kept).told(f"line {place + 1} is part of a row: left out"))
 
 
 def _first_row(lines: list[str], places: list[int]) -> int | None:
@@ -279,8 +293,14 @@ def _with_points(form: Form) -> Form:
     if separator_of(first) == "," and not blanks:
         return form
     body = form.text[begin:]
-    if b"," not in body or b"." in body:
+    if b"," not in body:
         return form
+    if b"." in body:  # 1.234,56 beside 0,04: points that group thousands
+        cells = set(re.findall(rb"[^;\t\n ]+", body))
+        if not all(_GROUPED.fullmatch(cell.decode()) for cell in cells):
+            return form
+        plain = body.replace(b".", b"").replace(b",", b".")
+        return replace(form, text=form.text[:begin] + plain).told("decimal commas, points between thousands")
     between = re.findall(rb"(?<![0-9,])([0-9]+),([0-9]+)(?![0-9,])", body)
     if len(between) != body.count(b","):
         return form

@@ -22,6 +22,7 @@ from fraclink._logs.names import names_time, role_of_name, words_of
 from fraclink._logs.text import LogTable
 from fraclink._logs.tips import LONGEST_SCAN, gauges, tip_difference
 from fraclink._logs.weighing import Certainty, Guess, Question, Weighing, guess_time, samples_of, stamps_of
+from fraclink.errors import LogError
 
 __all__ = ["Guess", "GuessedColumns", "Question", "guess_columns"]
 
@@ -91,9 +92,15 @@ def _columns(weighing: Weighing) -> LogColumns | None:
         return None
     raw_angle, raw_output = weighing.cells(angle), weighing.cells(output)
     period = float(np.median(np.abs(np.diff(stamps_of(weighing, time)))))
+    if not period > 0:
+        allowed, remedy = "stamps that rise from sample to sample", "state another column, or --period-ms 4"
+        raise LogError(
+            "column of time", time.column, "the same in most samples", allowed=allowed, remedy=remedy
+        )
     stiffness = _stiffness(weighing, output, raw_angle, raw_output, period)
-    angle_channel = guess_angle(weighing, angle, raw_angle, stiffness)
-    if angle_channel is None or not period > 0 or raw_angle.size != raw_output.size:
+    bend = float(np.ptp(raw_output)) / 2 * _torque(weighing, output) / stiffness if stiffness else 0.0
+    angle_channel = guess_angle(weighing, angle, raw_angle, stiffness, bend)
+    if angle_channel is None or raw_angle.size != raw_output.size:
         return None
     in_radians = angle_channel.in_si(raw_angle, "motor_angle")
     mode = find_mode(in_radians, raw_output, period)
@@ -107,12 +114,17 @@ def _columns(weighing: Weighing) -> LogColumns | None:
 
 def _stiffness(weighing: Weighing, output: int, angle: Array, raw: Array, period: float) -> float:
     """Gain of a torque on the angle in its own unit [N·m], 0 where there is none to tell the unit by."""
-    unit = weighing.statement("output").unit or weighing.unit(output)
-    if unit not in UNITS["torque"] or not period > 0 or angle.size != raw.size:
+    scale = _torque(weighing, output)
+    if not scale or angle.size != raw.size:
         return 0.0
     mode = find_mode(angle, raw, period)
-    scale = UNITS["torque"][unit] * (weighing.statement("output").scale or 1.0)
     return abs(mode.gain) * scale if mode is not None and mode.share >= STRONG else 0.0
+
+
+def _torque(weighing: Weighing, output: int) -> float:
+    """N·m for one of the output as it stands, 0 where it is no torque by its unit."""
+    statement = weighing.statement("output")
+    return UNITS["torque"].get(statement.unit or weighing.unit(output), 0.0) * abs(statement.scale or 1.0)
 
 
 # --- which column is the motor angle, which the output ----------------------------------------------------

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._arm.log_columns import QUANTITY_OF, ROW_NUMBER, UNITS, Channel, ColumnStatement
-from fraclink._logs.columns import clean_column, clock_step
+from fraclink._logs.columns import clean_column, clock_step, seconds_and_parts, with_combined
 from fraclink._logs.names import names_time, unit_of_name
 from fraclink._logs.text import LogTable
 from fraclink.errors import FieldError
@@ -142,6 +142,7 @@ class Weighing:
     source: str = "log.csv"
     guesses: list[Guess] = field(default_factory=list)
     questions: list[Question] = field(default_factory=list)
+    units: dict[str, str] = field(default_factory=dict)  # of a column that is made of others, by role
 
     def conclude(self, part: str, value: str, certainty: Certainty, evidence: str) -> None:
         self.guesses.append(Guess(part, value, certainty, evidence))
@@ -195,6 +196,10 @@ def guess_time(weighing: Weighing) -> Channel | None:
         return Channel(ROW_NUMBER, unit, scale=scale)
     place = weighing.place(statement)
     named = place is not None
+    if place is None and (parts := seconds_and_parts(table)):
+        weighing.table = with_combined(table, [parts])
+        table, weighing.units["time"] = weighing.table, "s"
+        place = table.names.index(parts)
     if place is None:
         place = _clock(table)
     if place is None:
@@ -232,7 +237,7 @@ def _clock(table: LogTable) -> int | None:
 
 
 def _time_unit(weighing: Weighing, place: int, step: float) -> str:
-    statement, own = weighing.statement("time"), weighing.unit(place)
+    statement, own = weighing.statement("time"), weighing.units.get("time") or weighing.unit(place)
     scale = statement.scale or 1.0
     if statement.unit:
         weighing.conclude(
