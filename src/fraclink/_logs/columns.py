@@ -131,6 +131,16 @@ def bad_cell_remedy(name: str, line: int, cell: str) -> str:
     return _AGAIN.format(line=line) if cell == name else cell_remedy(cell)
 
 
+def bad_cells(table: LogTable) -> list[str]:
+    """A sentence for each column with cells that are no numbers, with the first of them."""
+    return [
+        f"{name}: {fault.bad} cells are no numbers, the first in line {fault.first_bad[0]}, "
+        f"{fault.first_bad[1]!r}: {bad_cell_remedy(name, *fault.first_bad)}"
+        for place, name in enumerate(table.names)
+        if (fault := table.faults.get(place)) is not None and fault.bad
+    ]
+
+
 def clean_column(
     table: LogTable, place: int, *, interpolate: bool
 ) -> tuple[NDArray[np.float64], list[Finding]]:

@@ -15,7 +15,7 @@ from fraclink._arm.rig import Rig
 from fraclink._arm.timebase import resampled, time_base
 from fraclink._files import sha256_of
 from fraclink._logs.columns import (
-    bad_cell_remedy,
+    bad_cells,
     check_count,
     check_signals,
     clean_column,
@@ -364,20 +364,9 @@ def inspect_log(path: Path | str) -> LogListing:
     place = Path(path)
     table = read_table(place, numbered=True)
     channels = tuple(_summary(table, number) for number in range(len(table.names)))
-    faults = (
-        f"{name}: {fault.bad} cells are no numbers, the first in line {fault.first_bad[0]}, "
-        f"{fault.first_bad[1]!r}: {bad_cell_remedy(name, *fault.first_bad)}"
-        for place, name in enumerate(table.names)
-        if (fault := table.faults.get(place)) is not None and fault.bad
-    )
-    return LogListing(
-        Path(path).name,
-        table.kind,
-        channels,
-        table.notes,
-        suggested_mapping(table),
-        (*table.remarks, *faults),
-    )
+    remarks = (*table.remarks, *bad_cells(table))
+    suggestion = suggested_mapping(table)
+    return LogListing(Path(path).name, table.kind, channels, table.notes, suggestion, remarks)
 
 
 def _summary(table: LogTable, number: int) -> ChannelSummary:
