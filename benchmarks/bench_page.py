@@ -10,6 +10,7 @@ whose policy is taken out of the copy that is measured.
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
 import socket
@@ -35,6 +36,7 @@ from fraclink._simulate.inputs import fault_rows
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
+from browser import browser as shown_in
 from engine_bench import MARKS, SIGNALS, Engine
 
 MOVE = fl.smooth_step(1.0, duration=0.5)
@@ -216,12 +218,60 @@ def firefox(known: fl.Study) -> None:
     line("the same digests in Firefox and Python", same, "yes", "model and twin")
 
 
+# Every frame moves another slider, payload and move among them, which lay the drawing out anew.
+SLIDING = """
+new Promise((done) => {
+  const ids = ['payload', 'move', 'noise', 'offset', 'delay'], begin = performance.now();
+  let frames = 0;
+  const step = (now) => {
+    const input = document.getElementById(ids[++frames % ids.length]), low = Number(input.min);
+    input.value = low + (Number(input.max) - low) * (0.5 + 0.5 * Math.sin(frames / 17));
+    input.dispatchEvent(new Event('input'));
+    if (now - begin < 4000) requestAnimationFrame(step);
+    else done([frames, (now - begin) / 1e3]);
+  };
+  requestAnimationFrame(step);
+})
+"""
+
+
+def processor_time() -> dict[int, float]:
+    """CPU seconds of the main thread of every page that Chromium shows."""
+    found = {}
+    for place in Path("/proc").glob("[0-9]*"):
+        try:
+            if b"--type=renderer" in (place / "cmdline").read_bytes():
+                numbers = (place / "task" / place.name / "stat").read_text().rpartition(")")[2].split()
+                found[int(place.name)] = (int(numbers[11]) + int(numbers[12])) / os.sysconf("SC_CLK_TCK")
+        except OSError:
+            continue  # it ended in between
+    return found
+
+
+def frames(known: fl.Study) -> None:
+    """Frames while the sliders move, and what one costs: the second hardly depends on what else runs."""
+    with tempfile.TemporaryDirectory() as folder, shown_in(Path(folder)) as page:
+        place = Path(folder) / "arm.html"
+        place.write_text(render_arm_page(known), encoding="utf-8")
+        for arm in ("model", "twin"):
+            page.open(f"{place.as_uri()}#twin={int(arm == 'twin')}")
+            before = processor_time()
+            count, seconds = page.run(SLIDING)
+            cost = max(now - before.get(one, 0.0) for one, now in processor_time().items())
+            load = f"load {os.getloadavg()[0]:.0f} on {os.cpu_count()} cores"
+            line(
+                f"CPU time of a frame while sliders move: {arm}", f"{1e3 * cost / count:.1f} ms", "<= 16.7 ms"
+            )
+            line(f"frames while sliders move: {arm}", f"{count / seconds:.0f}/s", "60/s", load)
+
+
 def main() -> None:
     """Print all figures."""
     known = study()
     sizes(known)
     bits(known)
     browser(known)
+    frames(known)
     firefox(known)
 
 

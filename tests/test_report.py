@@ -201,6 +201,9 @@ def test_ids_are_unique_and_every_reference_has_its_target() -> None:
     assert [name for name, count in Counter(ids).items() if count > 1] == []
     used = re.findall(r'href="#([^"]+)"|url\(#([^)]+)\)', text)
     assert {first or second for first, second in used} <= set(ids)
+    # Margins again for the first sheet of paper: not named twice, and silent for readers of screens.
+    paper = re.search(r'<div class="paper" aria-hidden="true">(.*?)</div>', text, re.DOTALL)
+    assert paper and "<svg" in paper[1] and " id=" not in paper[1] and "aria-label" not in paper[1]
 
 
 @pytest.mark.slow

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -60,6 +61,7 @@ def render_report(study: Study, *, title: str | None = None, script: bool = True
         design.model if design else study.fit.model if study.fit else study.rig.model if study.rig else None
     )
     moves = study.law is not None or (design is not None and design.has_law)
+    drawn = {name: figure.inline() for name, figure in _figures(study).items()}
     return rendered(
         "report.html",
         title=title or f"{name}: {source}",
@@ -80,7 +82,8 @@ def render_report(study: Study, *, title: str | None = None, script: bool = True
         log_findings=[finding for finding in study.findings if not finding.code.startswith("W1")],
         coincidence=tables.coincidence(study.fits),
         faults=_faults(study),
-        figures={name: drawn.inline() for name, drawn in _figures(study).items()},
+        figures=drawn,
+        on_paper=[_copy(drawn[name]) for name in ("margins", "moves") if name in drawn],
         refusal=words.refusal_sentence(study),
         steps=words.steps(study),
         power_on=words.power_on(design) if design else [],
@@ -99,6 +102,12 @@ def _pointer(*, script: bool) -> Mapping[str, str] | None:
 def _inline(text: str) -> str:
     """A drawing that stands alone, without the style and the ground that the page has."""
     return text[: text.index("<style>")] + text[text.index("/>", text.index("</style>")) + 2 :]
+
+
+def _copy(drawing: str) -> str:
+    """A drawing again, for the first sheet of paper, where nothing is pointed at: what is clipped finds its
+    edge by the name that the first one has."""
+    return re.sub(r' (?:id|role|aria-label|data-[\w-]+)="[^"]*"', "", drawing)
 
 
 def _zone(design: Design | None) -> str:
