@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import base64
 import json
+import os
 import re
+import signal
 import subprocess
 import time
 from collections.abc import Callable, Iterator
@@ -142,8 +144,10 @@ class Page:
 
     def picture(self, path: Path, *, whole: bool = False) -> None:
         """Write a PNG of the window, or of the whole page."""
-        shot = self.do("Page.captureScreenshot", format="png", captureBeyondViewport=whole)
-        path.write_bytes(base64.b64decode(shot["data"]))
+        if whole:  # a window as high as the page: what stands at the window's foot stands at the page's
+            self.look(height=int(self.run("document.documentElement.scrollHeight")))
+            time.sleep(0.3)
+        path.write_bytes(base64.b64decode(self.do("Page.captureScreenshot", format="png")["data"]))
 
 
 def command_line(place: Path, *more: str) -> list[str]:
@@ -161,7 +165,10 @@ def command_line(place: Path, *more: str) -> list[str]:
 def browser(place: Path) -> Iterator[Page]:
     """A headless Chromium with its profile in `place`, and its one page."""
     command = [*command_line(place), "--remote-debugging-port=0", "about:blank"]
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)  # noqa: S603
+    # Debian's chromium-headless-shell is a script that waits for the browser: only the group ends both.
+    process = subprocess.Popen(  # noqa: S603
+        command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True, start_new_session=True
+    )
     try:
         assert process.stderr is not None
         for line in process.stderr:
@@ -178,5 +185,5 @@ def browser(place: Path) -> Iterator[Page]:
         with connect(address, max_size=2**26, compression=None) as socket:
             yield Page(socket)
     finally:
-        process.kill()
+        os.killpg(process.pid, signal.SIGKILL)
         process.communicate()

@@ -230,8 +230,8 @@ def test_the_stages_chain_through_files(
     for command in commands:
         assert main(command.split()) == 0, capsys.readouterr().err
     text = Path("report.html").read_text("utf-8")
-    # models, Bode, Nyquist, margins, moves: the log itself is not in the folder
-    assert text.count("<figure><svg") == 9 and text.count('class="armbox"') == 1
+    # models, Bode, Nyquist, margins, moves: the log itself is not in the folder; two again for paper only
+    assert text.count("<figure><svg") == 9 + 2 and text.count('class="armbox"') == 1
     assert Run.load("results/run.npz").payload == 0.020
 
 

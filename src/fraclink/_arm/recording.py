@@ -79,7 +79,7 @@ class Recording:
 
         >>> t = np.arange(0, 4, 0.01)
         >>> record = Recording.ring_down(0.01, 0.1 * np.cos(6 * t) * np.exp(-0.2 * t))
-        >>> record.input.max(), round(float(record.output.max()), 2)
+        >>> float(record.input.max()), round(float(record.output.max()), 2)
         (1.0, 0.19)
         """
         values = np.asarray(output, dtype=np.float64)
