@@ -79,7 +79,7 @@ def main() -> None:
     """Open a studio on the log and draw."""
     with tempfile.TemporaryDirectory() as name:
         place = Path(name)
-        words = ["studio", str(spoilt(place / "arm.csv")), "--no-open", "--rig", "paper-2023-geared"]
+        words = ["studio", spoilt(place / "arm.csv").name, "--no-open", "--rig", "paper-2023-geared"]
         command = [sys.executable, "-m", "fraclink", *words]
         process = subprocess.Popen(command, cwd=place, stdout=subprocess.PIPE, text=True)  # noqa: S603
         try:
