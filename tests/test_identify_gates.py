@@ -210,6 +210,21 @@ def test_a_few_samples_at_the_stops_are_no_gate() -> None:
     assert not many.passed
 
 
+def test_a_log_cut_in_mid_motion_says_so_and_one_at_rest_does_not() -> None:
+    """The vibration from before the cut is not in the model: here the delay is 4 ms, and the fit errs."""
+    late = int(np.flatnonzero(np.diff(ANGLE) != 0)[0]) + 600
+    cut = identify(log(ANGLE[late:], (TORQUE + 0.02 * WHITE)[late:]))
+    (begins,) = (item for item in cut.findings if item.code == "W326")
+    assert begins.severity == "warning" and "the link is bent" in begins.message and "keep" in begins.remedy
+    residual = cut.residual[: cut.fitted_samples] ** 2
+    first = residual[: round(float(begins.evidence["time"]) / PERIOD)]
+    assert begins.evidence["first_mse"] == pytest.approx(first.mean())
+    assert first.mean() > 2 * residual[first.size :].mean()
+    whole = identify(log())
+    assert "W326" not in {item.code for item in whole.findings}
+    assert abs(cut.delay - 0.004) > 2 * abs(whole.delay - 0.004)
+
+
 @pytest.mark.slow
 def test_a_good_log_passes_every_gate() -> None:
     for noise in (0.0, 0.02 * WHITE, 0.02 * SLOW):

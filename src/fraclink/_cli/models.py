@@ -25,6 +25,7 @@ from fraclink._cli.options import (
     ModelFile,
     RigName,
     SeedNumber,
+    as_stated,
     load_log,
     load_rig,
     load_rig_for_logs,
@@ -76,7 +77,8 @@ def diagnose(log: LogName, rig: RigName, **reading: Unpack[LogOptions]) -> Answe
     known = load_rig_for_logs(rig)
     findings = examine(load_log(log, known, **reading), whole(known))
     failed = bool(errors_of(findings))
-    return Answer(findings, not failed, following="" if failed else f"fraclink identify {log} --rig {rig}")
+    following = "" if failed else f"fraclink identify {log} --rig {rig}{as_stated(reading)}"
+    return Answer(findings, not failed, following=following)
 
 
 @command(app)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -98,6 +99,22 @@ class ArmOptions(TypedDict):
     link_mass: LinkMass
     gear: Gear
     model: ModelFile
+
+
+def as_stated(options: Mapping[str, Any]) -> str:
+    """The options that were given, as words of the next command, each behind a space."""
+    words: list[str] = []
+    for name, value in options.items():
+        flag = f"--{name.replace('_', '-')}"
+        if name == "column":
+            words += [word for each in value or () for word in (flag, each)]
+        elif value is True:
+            words.append(flag)
+        elif isinstance(value, tuple):
+            words += [flag, *(f"{each:g}" for each in value)]
+        elif value is not None and value is not False:
+            words += [flag, f"{value:g}"]
+    return "".join(f" {shlex.quote(word)}" for word in words)
 
 
 def in_radians(wanted: Mapping[str, Any]) -> dict[str, Any]:

@@ -63,6 +63,19 @@ def column_findings(log: Experiment) -> Iterator[Finding]:
         )
 
 
+def lead_of(output: Vector) -> int:
+    """Samples at the beginning of a log that show whether it begins at rest."""
+    return max(10, round(0.01 * output.size))
+
+
+def motion_at_start(angle: Vector, vibration: Vector, spread: float) -> str | None:
+    """What moves in a log's first samples, None where the arm is at rest; `vibration` is without offset."""
+    lead = lead_of(vibration)
+    if float(np.ptp(angle[:lead])) > 0.02 * float(np.ptp(angle)):
+        return "the motor moves"
+    return "the link is bent" if abs(float(vibration[:lead].mean())) > 0.5 * spread else None
+
+
 def _explained(values: Vector, source: Vector) -> float:
     """Share of the variance of `values` that a multiple of `source` and a constant explain: R²."""
     centred, other = values - values.mean(), source - source.mean()

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._arm.experiment import Experiment
-from fraclink._identify.columns import column_findings
+from fraclink._identify.columns import column_findings, motion_at_start
 from fraclink._identify.fit import Fit
 from fraclink._identify.search import Solution
 from fraclink._identify.shape import ORDER_LIMITS
@@ -28,6 +28,8 @@ GAIN_RANGE = (2 / 3, 3 / 2)
 SIGNAL_LEAST = 30.0
 # Relative standard error of the resonance. A link that vibrates visibly gives 0.01 % to 1 %.
 RESONANCE_MOST = 0.1
+# Vibrations at the beginning of a log that are held against the rest, and what their error may be of it.
+_START, _FIRST_ERROR = 2.0, 2.0
 # No encoder of a rig resolves less.
 _TREMBLE = 1e-3  # [rad]
 
@@ -57,6 +59,7 @@ def findings_of(
         *column_findings(log),
         *_of_the_angle(log.motor_angle),
         *_of_the_vibration(fit, solution, errors, log),
+        *_of_the_start(fit, log),
         *_of_the_prediction(fit, motion),
         *_of_the_optimum(fit, errors.singular),
         *(_of_the_sensor(fit, stiffness) if heard else ()),
@@ -141,6 +144,30 @@ def _of_the_vibration(
                 "most": RESONANCE_MOST,
             },
             "move faster, with rise times below half a period of the vibration",
+        )
+
+
+def _of_the_start(fit: Fit, log: Experiment) -> Iterator[Finding]:
+    """W326: the vibration from before the first sample, which the model does not have.
+
+    A log that begins in motion and is met from its first sample on had little of it; what a fit cannot meet
+    there it takes for a delay and a damping.
+    """
+    output = log.output - fit.offset
+    begins = motion_at_start(log.motor_angle, output, float(output.std()))
+    length = round(_START * 2 * math.pi / (abs(fit.model.pole) * fit.period))
+    if begins is None or 2 * length > fit.fitted_samples:
+        return
+    error = fit.residual[: fit.fitted_samples] ** 2
+    first, rest = float(error[:length].mean()), float(error[length:].mean())
+    if first > _FIRST_ERROR * rest:
+        yield Finding(
+            "W326",
+            "warning",
+            f"the log begins in motion ({begins}), and the model is off most there: in the first "
+            f"{length * fit.period:.2g} s its mean square error is {first / rest:.2g} times that of the rest",
+            {"first_mse": first, "other_mse": rest, "time": length * fit.period, "most": _FIRST_ERROR},
+            "begin the log, or the stretch that is kept (keep=, --keep), where the arm is at rest",
         )
 
 

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.rig import Rig
+from fraclink._identify.columns import lead_of, motion_at_start
 from fraclink._logs.reading import converter_step
 from fraclink.findings import Finding
 
@@ -322,23 +323,21 @@ def rest_at_start(experiment: Experiment, offset: float, spread: float) -> Itera
             {"offset": offset, "motion": spread},
             "it is fitted with the model; balance the gauge bridge if it grows",
         )
-    lead = max(10, round(0.01 * experiment.output.size))
-    first, angle = experiment.output[:lead], experiment.motor_angle
-    moved = float(np.ptp(angle[:lead])) > 0.02 * float(np.ptp(angle))
-    bent = abs(float(first.mean()) - offset) > 0.5 * spread
-    if moved or bent:
-        what = "the motor moves" if moved else "the link is bent"
+    begins = motion_at_start(experiment.motor_angle, experiment.output - offset, spread)
+    if begins is not None:
+        lead = lead_of(experiment.output)
         yield Finding(
             "W231",
             "warning",
-            f"the log does not start at rest: {what} in its first {lead * experiment.period:.3g} s",
+            f"the log does not start at rest: {begins} in its first {lead * experiment.period:.3g} s",
             {
-                "first_output": float(first.mean()),
+                "first_output": float(experiment.output[:lead].mean()),
                 "offset": offset,
-                "first_move": float(np.ptp(angle[:lead])),
+                "first_move": float(np.ptp(experiment.motor_angle[:lead])),
                 "time_s": 0.0,
             },
-            "start recording before the motion, or let the fit skip the first periods: models assume rest",
+            "start recording before the motion, or cut the log where the arm is at rest (keep=, --keep): "
+            "models assume rest",
         )
 
 

@@ -300,8 +300,8 @@ def _realtime_view(run: Any) -> View:
 
 def _served_view(served: Any) -> View:
     headline = (
-        f"{len(served.voltage)} periods, {served.late} late; {served.controllers} controllers, "
-        f"{served.silences} of them left without a stop; {served.rejected} messages rejected"
+        f"periods {len(served.voltage)}, late {served.late}; controllers {served.controllers}, "
+        f"left without a stop {served.silences}; messages rejected {served.rejected}"
     )
     return View(headline, state=state_of(served))
 
