@@ -2,7 +2,8 @@
 
     python tools/make_studio_pictures.py
 
-The log is a bundled one with two readings spoilt, so that a finding has a place in it.
+The log is a bundled one with two readings spoilt near its end, so that a finding has a place in it, and what
+is kept begins at rest.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ def spoilt(place: Path) -> Path:
     """A log with two readings far outside of the others."""
     lines = fl.bundled_log("prbs_30g").read_text("utf-8").splitlines()
     first = next(k for k, line in enumerate(lines) if line[:1].isdigit())
-    for row in (first + 700, first + 701):
+    for row in (first + 4100, first + 4101):
         lines[row] = ",".join([*lines[row].split(",")[:-1], "9.9"])
     place.write_text("\n".join(lines) + "\n", "utf-8")
     return place
@@ -43,7 +44,6 @@ def pictures(page: Page, address: str) -> None:
     page.until("document.querySelector('.flag')", "a finding at its time")
     page.run("document.querySelector('#replay-at').value = 430")
     page.run("document.querySelector('#replay-at').dispatchEvent(new Event('input'))")
-    page.drag("#h-cut-0", (190, 0))
     page.drag("#h-cut-1", (-260, 0))
     time.sleep(4.5)  # until the toast has gone
     page.picture(STATIC / "studio-channels.png")
@@ -52,6 +52,7 @@ def pictures(page: Page, address: str) -> None:
     page.key("3")
     page.run("document.querySelector('#fit').click()")
     page.until("document.querySelectorAll('.model').length === 4", "four fits")
+    time.sleep(4.5)
     page.look(height=960, dark=True)
     time.sleep(0.6)
     page.picture(STATIC / "studio-dark.png")
@@ -68,6 +69,7 @@ def pictures(page: Page, address: str) -> None:
     page.until("document.querySelector('#p-map .cells')?.getAttribute('d')", "the map")
     time.sleep(1.0)
     page.picture(STATIC / "studio.png", whole=True)
+    page.look(height=960)
     page.key("6")
     page.run("document.querySelector('#arms').click()")
     page.until("document.querySelector('#p-fan .fan')", "moves of arms")
