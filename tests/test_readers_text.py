@@ -248,7 +248,9 @@ def test_a_stretch_is_read_and_the_rest_may_have_gaps(tmp_path: Path) -> None:
     assert np.array_equal(cut.output, whole.output[100:501])
     assert (cut.start_time, cut.duration) == (pytest.approx(0.4), pytest.approx(1.6))
     (finding,) = cut.findings
-    assert (finding.code, dict(finding.evidence)) == ("W237", {"from_s": 0.4, "until_s": 2.0})
+    assert finding.code == "W237" and dict(finding.evidence) == pytest.approx({"from_s": 0.4, "until_s": 2.0})
+    (finding,) = read_log(write_log(tmp_path / "ends.csv", rows), keep=(1.0, 40.0)).findings
+    assert "from 1 to 3.196 s were read" in finding.message  # what there is, not what was asked for
     late = [[repr(100.0 + 0.004 * k), *row[1:]] for k, row in enumerate(rows)]
     assert np.array_equal(
         read_log(write_log(tmp_path / "late.csv", late), keep=(0.4, 2.0)).output, cut.output

@@ -174,11 +174,12 @@ def _kept(stamps: NDArray[np.float64], begin: float, end: float) -> tuple[NDArra
             allowed=f"0 <= from < until, within {float(since.max()):.6g} s, with two samples or more",
             remedy="give the stretch in seconds from the first sample",
         )
+    first, last = float(since[inside][0]), float(since[inside][-1])
     return inside, Finding(
         "W237",
         "info",
-        f"of {float(since.max()):.4g} s, those from {begin:.4g} to {end:.4g} s were read",
-        {"from_s": begin, "until_s": end},
+        f"of {float(since.max()):.4g} s, those from {first:.4g} to {last:.4g} s were read",
+        {"from_s": first, "until_s": last},
         "no check and no fit has seen the rest",
     )
 
