@@ -3,6 +3,7 @@
     python benchmarks/bench_mutants.py record [TEST ...]   # the blocks each test runs, and its time
     python benchmarks/bench_mutants.py run --seed 1 --count 300 --minutes 9   # again until all are judged
     python benchmarks/bench_mutants.py report --seed 1
+    python benchmarks/bench_mutants.py run --seed 1 --count 40 --only _logs   # of one room
 
 Without arguments: all three. A mutant is drawn by room (the packages of src/fraclink, the modules beside
 them, and prove), at least `FEWEST` from each and the rest by the number of places; then by operator, each as
@@ -50,10 +51,10 @@ ROOT = Path(__file__).resolve().parents[1]
 PLACE = ROOT / "results" / "mutants"
 TREES = (ROOT / "src" / "fraclink", ROOT / "prove" / "src")
 SEED, COUNT, FEWEST = 1, 300, 8  # FEWEST of a room, and less of a small count
-LONGEST = 8.0  # s of processor time a test may need to take part
+LONGEST = 20.0  # s of processor time a test may need to take part
 SLOW_CASES = 2  # of a slow test with many parameters
 COLD_FILES = 10
-BUDGET = 6.0  # s of processor time of the tests of one mutant
+BUDGET = 20.0  # s of processor time of the tests of one mutant
 # Tests of files, guards and pages: they read sources, or start what never runs the mutant.
 UNCONCERNED = (
     "test_docs", "test_guards", "test_architecture", "test_studio_browser", "test_benchmarks_run",
@@ -89,7 +90,9 @@ def room(path: Path) -> str:
 
 
 def digest() -> str:
-    return hashlib.sha256(b"".join(path.read_bytes() for path in files())).hexdigest()[:16]
+    """Of what the sources say to the interpreter: a comment changes no block."""
+    trees = (ast.dump(ast.parse(path.read_bytes())) for path in files())
+    return hashlib.sha256("".join(trees).encode()).hexdigest()[:16]
 
 
 # --- recording ----------------------------------------------------------------------------------------
@@ -261,13 +264,15 @@ def load_record() -> dict[str, Any]:
 # --- drawing ------------------------------------------------------------------------------------------
 
 
-def draw(seed: int, count: int) -> list[tuple[str, int]]:
-    """(file, index of the change) of `count` mutants."""
+def draw(seed: int, count: int, only: str = "") -> list[tuple[str, int]]:
+    """(file, index of the change) of `count` mutants, of one room where it is named."""
     rng = random.Random(seed)  # noqa: S311 - a draw that can be repeated
     places: dict[str, dict[str, dict[Any, list[tuple[str, int]]]]] = collections.defaultdict(
         lambda: collections.defaultdict(lambda: collections.defaultdict(list))
     )
     for path in files():
+        if only and room(path) != only:
+            continue
         name = str(path.relative_to(ROOT))
         for k, site in enumerate(sites(path)[1]):
             ends = [getattr(site.node, end, 0) for end in ("col_offset", "end_lineno", "end_col_offset")]
@@ -345,6 +350,10 @@ class Choice:
                 chosen.append((name, cost))
                 spent += cost
         return chosen
+
+
+def fates_file(seed: int, only: str) -> Path:
+    return PLACE / f"seed-{seed}{only and '-' + only}.json"
 
 
 # --- judging ------------------------------------------------------------------------------------------
@@ -482,13 +491,13 @@ def silence() -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
 
 
-def run(seed: int, count: int, minutes: float) -> None:
+def run(seed: int, count: int, minutes: float, only: str = "") -> None:
     """Judge the mutants that are not yet judged, for so many minutes of processor time."""
-    place = PLACE / f"seed-{seed}.json"
+    place = fates_file(seed, only)
     fates: dict[str, Any] = json.loads(place.read_text(encoding="utf-8")) if place.exists() else {}
     choice, end = Choice(), 60.0 * minutes
     cold, warm, told = [], [], {}
-    for file, index in draw(seed, count):
+    for file, index in draw(seed, count, only):
         key = f"{file}:{index}"
         if key in fates:
             continue
@@ -563,9 +572,9 @@ def preload() -> None:
 DEAD = ("killed", "out of time")
 
 
-def report(seed: int) -> None:
+def report(seed: int, only: str = "") -> None:
     """Print the shares by operator and by room, and every mutant that no test noticed."""
-    fates = list(json.loads((PLACE / f"seed-{seed}.json").read_text(encoding="utf-8")).values())
+    fates = list(json.loads(fates_file(seed, only).read_text(encoding="utf-8")).values())
     shares: dict[str, dict[str, list[str]]] = {"kind": {}, "room": {}}
     for by, table in shares.items():
         for fate in fates:
@@ -593,6 +602,7 @@ def main() -> None:
     parser.add_argument("tests", nargs="*")
     parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument("--count", type=int, default=COUNT)
+    parser.add_argument("--only", default="", metavar="ROOM", help="mutants of this room alone")
     parser.add_argument("--marks", default="", help="record these tests only, such as 'not slow'")
     parser.add_argument("--minutes", type=float, default=60.0)
     given = parser.parse_args()
@@ -602,12 +612,13 @@ def main() -> None:
     if given.step == "record":
         record(given.tests, marks=given.marks)
     elif given.step == "run":
-        run(given.seed, given.count, given.minutes)
+        run(given.seed, given.count, given.minutes, given.only)
     elif given.step == "report":
-        report(given.seed)
+        report(given.seed, given.only)
     else:
         for step in ("record", "run", "report"):
             line = [sys.executable, __file__, step, "--seed", str(given.seed), "--count", str(given.count)]
+            line += ["--only", given.only]
             subprocess.run(line, check=True)  # noqa: S603 - this script under the running interpreter
 
 
