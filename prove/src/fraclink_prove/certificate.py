@@ -23,6 +23,7 @@ def loop_claim(law: Law, folder: Path, certificate: Certificate | None) -> Claim
         return replace(claim, reason="no certificate was given (fraclink._certify makes one from the design)")
     if not certificate.passed:
         return replace(claim, status="failed", reason=certificate.verdict)
+    # By the hash of the block and not by the design: single precision has another one, and another proof.
     if certificate.statement.digest != law.digest:
         made_for = certificate.statement.digest[:12]
         return replace(claim, reason=f"the certificate is about the law {made_for}, not about this one")

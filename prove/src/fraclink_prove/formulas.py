@@ -12,6 +12,7 @@ from fraclink_prove.source import Unreadable
 
 __all__ = ["FALSE", "TRUE", "ZERO", "Formulas", "Value", "kind_of", "real_literal"]
 
+# Bits of the exponent and of the significand with its hidden one, as SMT-LIB counts them.
 _WIDTHS = {"single": (8, 24), "double": (11, 53)}
 _REAL = {"+": "fp.add RNE", "-": "fp.sub RNE", "*": "fp.mul RNE", "/": "fp.div RNE"}
 _REAL |= {
@@ -30,6 +31,7 @@ _WORD = {
     ">>": "bvlshr",
 }
 _WORD_TESTS = {"<": "bvult", "<=": "bvule", ">": "bvugt", ">=": "bvuge", "==": "="}
+# Every name that is made here begins like this; no operation of SMT-LIB does.
 _NAMES = re.compile(r"\b(?:any_\w+|t\d+)\b")
 _SUM = re.compile(r"\(fp\.(?:add|sub) R.. (\S+) ([^\s)]+)\)\)$")
 
@@ -89,6 +91,8 @@ class Formulas:
 
     def defined(self, kind: str, term: str) -> Value:
         """Return a name for `term`, so that it is written once however often it is used."""
+        # Equal terms get one name: that two sums round alike is then seen without arithmetic, where a solver
+        # would compare two adders bit by bit.
         if (kind, term) not in self._names:
             self.count += 1
             name = f"t{self.count}"
@@ -98,6 +102,7 @@ class Formulas:
 
     def choice(self, test: Value, yes: Value, no: Value) -> Value:
         """Return `yes` where `test` holds, else `no`."""
+        # What is decided here never reaches a solver; each branch less halves what it has to look at.
         if test == TRUE or yes == no:
             return yes
         if test == FALSE:
@@ -127,6 +132,7 @@ class Formulas:
         """
         if a.kind != b.kind or a.kind not in ("real", "word"):
             raise Unreadable(f"{a.kind} {sign} {b.kind}")
+        # Not a test of its own: IEEE's != is true of NaN, and so is the negation of ==.
         if sign == "!=":
             return self.negated(self.operated("==", a, b))
         for left in (True, False):
@@ -151,14 +157,17 @@ class Formulas:
     def _decided(self, sign: str, a: Value, b: Value) -> Value | None:
         """A comparison whose answer is known already: of constants, or by what is assumed."""
         if a.kind == "word":
+            # Only literals: two names may stand for one word.
             if a.term.startswith("(_ bv") and b.term.startswith("(_ bv") and sign == "==":
                 return TRUE if a == b else FALSE
             return TRUE if a == b and sign == "==" else None
+        # x == x is false for NaN: it takes an assumption that there is none.
         if a == b and sign == "==" and a.term in self.bounded:
             return TRUE
         limit = self.known.get(b.term)
         if limit is None or a.term not in self.bounded or self.bounded[a.term] > abs(limit):
             return None
+        # Where a bound of |a| alone decides; a.term may still have either sign.
         if sign == "<=" and limit >= self.bounded[a.term]:
             return TRUE
         if (sign == ">" and limit > 0) or (sign == "<" and limit < 0):
@@ -170,6 +179,8 @@ class Formulas:
         if value.kind == "float":  # a constant that a cast makes a real
             return Value("float", f"-{value.term}")
         if value.term in self.known:
+            # The negative of a literal is one, too, and stays known: bounds are
+            # compared with both ends of a range.
             literal = real_literal(-self.known[value.term], self.precision)
             self.known[literal] = -self.known[value.term]
             return Value("real", literal)
@@ -273,11 +284,13 @@ def _uses(defined: Mapping[str, str], goals: Sequence[str]) -> dict[str, int]:
 
 
 def _single(digits: str) -> float:
+    # Through the four bytes: numpy's float32 would warn where a constant overflows, and struct refuses it.
     return float(struct.unpack("<f", struct.pack("<f", float(digits)))[0])
 
 
 def kind_of(c_type: str) -> str:
     """Return the kind of a type of C."""
+    # int and double are left out on purpose: C would promote them silently, and this arithmetic would not.
     kinds = {"law_real": "real", "uint32_t": "word"}
     if c_type not in kinds:
         raise Unreadable(f"the type {c_type}")

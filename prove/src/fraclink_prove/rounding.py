@@ -72,6 +72,8 @@ class _Mode:
             if self.paired
             else abs(Fraction(self.pole))
         )
+        # Four units in the last place for the rounding of the square and of its root: a leak that is taken
+        # too large makes every bound behind it too small.
         return 1 - root * (1 + Fraction(1, 2**50)) if self.paired else 1 - root
 
     @property
@@ -128,6 +130,7 @@ def rounding_claim(law: Law, folder: Path, *, error: float = 0.5) -> Claim:
     bounds = worst_case(law, error=error)
     if not bounds.rigorous:
         return replace(claim, reason="python-flint is not installed (pip install 'fraclink[certify]')")
+    # Blanks do not count: how the text is laid out is no part of the arithmetic.
     text = re.sub(r"\s+", " ", (folder / "law.c").read_text(encoding="utf-8"))
     gone = [form for form in _FORM if form not in text]
     if gone:
@@ -171,6 +174,7 @@ def rounding_bound(law: Law, answer: str, bounds: CommandBounds) -> Rounding:
     )
     own += static * step["change"]
     forward = _of_filter(ahead, step, "ahead", Fraction(_real(law, "acceleration_limit")), of_change=False)
+    # An error of the error passes through the whole filter: its worst gain is the l1 norm of the correction.
     from_samples = Fraction(bounds.gain) * step["error"]
     command = own + forward + from_samples + step["offset"] + step["wanted"]
     return Rounding(_up(own), _up(command), bounds.error)
@@ -181,7 +185,10 @@ def _of_filter(
 ) -> Fraction:
     total = step[f"{name}_output"]
     for mode in modes:
+        # A pair's two states err by at most the sum of both errors in modulus.
         entering = step[mode.tag] + step.get(f"{mode.tag}_turned", Fraction(0)) + _SWEPT
+        # The bound of one step was made for states up to `_ROOM` times their exact bound: it holds for ever
+        # if the rounding itself never carries them beyond that.
         through = (entering + step["change"]) / mode.leak if of_change else entering / mode.leak
         if mode.size(change, of_change=of_change) + through > mode.size(change, of_change=of_change) * _ROOM:
             raise ValueError(f"the rounding in mode {mode.tag} grows beyond what was assumed of its state")
@@ -222,7 +229,10 @@ def _script(law: Law, error: float) -> str:
     asked: list[str] = []
 
     def sample(name: str, limit: float) -> None:
+        # Any number of this precision, and not any real: Gappa then knows that it
+        # carries no rounding of its own.
         lines.append(f"{name} = rnd({name}_any);")
+        # In hexadecimal and one double outwards: a decimal could be read back below the limit.
         given.append(f"|{name}| <= {hex_float(math.nextafter(limit, math.inf), 'double')}")
 
     def computed(name: str, formula: str) -> None:
@@ -253,6 +263,7 @@ def _script(law: Law, error: float) -> str:
     sample("now", error)
     sample("before", error)
     computed("change", "now - before")
+    # The computed change may be a rounding above 2·error; 2^-20 is far more, and costs nothing of the bound.
     sample("driven", 2 * error * (1 + 2.0**-20))
     filtered(correction, "sum", number["direct"], "driven", change, of_change=True)
     sample("acceleration", _real(law, "acceleration_limit"))

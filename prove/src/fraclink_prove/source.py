@@ -20,6 +20,7 @@ _TOKENS = re.compile(
 )
 _FUNCTION = re.compile(r"(?:static )?(void|uint32_t|law_real) (\w+)\(([^()]*)\)\s*\{")
 _MEMBER = re.compile(r"^\s*(law_real|uint32_t) (\w+)(?:\[[^\]]*\])?;", re.MULTILINE)
+# C's precedence, loosest first; all of them associate to the left.
 _LEVELS = (
     ("||",),
     ("&&",),
@@ -76,12 +77,15 @@ class Source:
         return self._effects(name, ())
 
     def _effects(self, name: str, above: tuple[str, ...]) -> frozenset[tuple[str, str]]:
+        # What it changes would be what it changes: there is no end to wait for.
         if name in above:
             raise Unreadable(f"{name} calls itself")
         function = self.functions[name]
         changed: set[tuple[str, str]] = set()
         for kind, pointer, parameter in function.parameters:
             if pointer:
+                # Found in the text and not by reading it: functions with loops, which
+                # are not read, have effects, too.
                 assigned = rf"\b{parameter}->(\w+)(?:\[[^\]]*\])?\s*(?:[-+*|&^/]?=(?!=)|\+\+|--)"
                 # an address that is handed on may be written through
                 for member in re.findall(rf"{assigned}|&{parameter}->(\w+)", function.text):
@@ -102,6 +106,8 @@ def read_source(text: str) -> Source:
     members: dict[str, str] = {}
     for struct in re.findall(r"typedef struct\s*\{(.*?)\}", text, flags=re.DOTALL):
         for kind, member in _MEMBER.findall(struct):
+            # A type is looked up by the member's name alone: two structs may
+            # share one, but then with one type.
             if members.setdefault(member, kind) != kind:
                 raise Unreadable(f"{member} has two types")
     return Source(functions, members)
@@ -206,6 +212,7 @@ class _Reader:
         return [("declare", kind, name, value)]
 
     def assignment(self) -> Node:
+        # (void)f(x); a value that is dropped on purpose.
         if self.peek() == "(" and self.peek(1) == "void":
             self.place += 3
         target = self.unary()
@@ -213,10 +220,13 @@ class _Reader:
             self.take()
             return ("do", target)
         sign = self.take()
+        # An element of an array is no target: which one it is would have to be
+        # followed, and no proof needs it.
         if sign not in _ASSIGNMENTS or target[0] not in ("name", "member", "at"):
             raise Unreadable(f"{sign!r} after {target[0]!r}")
         value = self.expression()
         self.take(";")
+        # a += b is a = a + b: no target here has an effect that would then happen twice.
         return ("set", target, value if sign == "=" else ("binary", sign[:-1], target, value))
 
     def expression(self) -> Node:

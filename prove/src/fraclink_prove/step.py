@@ -58,6 +58,7 @@ def slew_claim(law: Law, folder: Path) -> Claim:
     def query(executed: Symbolic) -> list[Value]:
         before = executed.memory["before", "motor_reference"]
         after = executed.memory["law_output", "motor_reference"]
+        # Rounded up and down: the exact difference of the two commands lies between, whatever its rounding.
         up, down = (executed.operated(sign, after, before) for sign in ("-up", "-down"))
         most, least = (Value("real", real_literal(x, law.precision)) for x in (bound, -bound))
         return [executed.operated("<=", up, most), executed.operated(">=", down, least)]
@@ -150,6 +151,7 @@ def _problems(
 ) -> list[str]:
     single = ("-DLAW_SINGLE",) if law.precision == "single" else ()
     text = COMPILER.run(("-E", "-P", "-std=c99", *single, "law.c"), folder).text
+    # Modes are left free: neither claim depends on the filter, and a proof without them holds for every one.
     names = [name for name, length in REALS if length == 1]
     values = {name: float(law.coefficients[name]) for name in names}  # type: ignore[arg-type]
     undamaged = {"damaged": ZERO} if started else {}
@@ -170,8 +172,10 @@ def _problems(
 def _started(executed: Symbolic, limit: float) -> list[str]:
     """Assume a law that was started with these parameters and whose last command is still in its memory."""
     state = {name: executed.load(("law_state", name)) for name in ("mode", "motor_reference")}
+    # Else the state counts as that of another law, and law_step begins anew.
     executed.memory["law_state", "stamp"] = executed.load(("law_params", "crc"))
     command = executed.memory["before", "motor_reference"] = state["motor_reference"]
+    # Told to the formulas, too: comparisons with the limit are then decided without a solver.
     executed.bounded[command.term] = limit
     modes = (f"(= {state['mode'].term} (_ bv{mode * _COPIES} 32))" for mode in _STARTED)
     return [

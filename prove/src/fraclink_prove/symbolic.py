@@ -55,10 +55,13 @@ class Symbolic(Formulas):
     def call(self, name: str, arguments: tuple[Value, ...]) -> Value | None:
         """Return what the function returns after its effects; None for void."""
         function = self.source.functions[name]
+        # A pure function costs its formula once, and its result may bound what is asked; one with effects
+        # elsewhere would only grow the problem.
         followed = function.pure or bool(self.source.effects(name) & self.tracked)
         if not followed or function.loops:
             return self._anything(function, arguments)
         self.count += 1
+        # A frame of its own for each call, so that two calls of one function share no variable.
         frame = f"{name}#{self.count}"
         for (kind, pointer, parameter), value in zip(function.parameters, arguments, strict=True):
             if pointer != (value.kind == "pointer"):
@@ -68,6 +71,7 @@ class Symbolic(Formulas):
         returned: Value | None = None
         for number, statement in enumerate(body):
             if statement[0] == "return":
+                # An early return makes all that follows conditional; law.c has one exit a function.
                 if number != len(body) - 1:
                     raise Unreadable(f"{name} returns before its end")
                 returned = self.converted(function.result, self._value(_node(statement[1]), frame))
@@ -76,6 +80,7 @@ class Symbolic(Formulas):
         return returned
 
     def _anything(self, function: Function, arguments: tuple[Value, ...]) -> Value | None:
+        # Sorted, so that the same text always makes the same problem: the logs are compared by their hashes.
         for owner, member in sorted(self.source.effects(function.name)):
             kind = self.source.members.get(member)
             if kind is None:
@@ -112,10 +117,13 @@ class Symbolic(Formulas):
 
     def _branch(self, statement: Node, frame: str) -> None:
         test = self.truth(self._value(_node(statement[1]), frame))
+        # A branch that cannot be taken is not executed: its members would be
+        # joined with what they never become.
         if test in (TRUE, FALSE):
             for part in _nodes(statement[2 if test == TRUE else 3]):
                 self._run(part, frame)
             return
+        # Both branches from the same memory; what they leave is joined place by place.
         before = dict(self.memory)
         for part in _nodes(statement[2]):
             self._run(part, frame)
@@ -190,6 +198,8 @@ class Symbolic(Formulas):
         if sign in ("&&", "||"):
             before = dict(self.memory)
             tests = [self.truth(self._value(part, frame)) for part in (left, right)]
+            # C evaluates the second part only where the first lets it: an effect
+            # there would be unconditional here.
             if any(self.memory.get(place) != value for place, value in before.items()):
                 raise Unreadable("an effect inside a condition")
             return self.joined(sign, tests)

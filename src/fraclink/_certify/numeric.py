@@ -89,6 +89,8 @@ def _grid(statement: Statement, law: Law, points: int) -> Real:
     low, high = statement.box
     modes = [end["softness"] ** (-1.0 / order["order"]) for end, order in ((high, high), (low, low))]
     nyquist = np.pi / law.period
+    # |1 + L| is least beside the falling crossing, which lies above the mode and
+    # within a factor of four of it.
     near = np.geomspace(0.5 * min(modes), min(4.0 * max(modes), nyquist), points)
     parts = [near, np.geomspace(0.05, nyquist, points // 2)]
     if high["mode_gain"]:  # the second mode is narrow, and anywhere in its interval

@@ -79,6 +79,7 @@ def _distance(modulus: float) -> _Goal:
 
     def plain(value: Complex, alias: Real) -> tuple[Complex, Real]:
         ahead = 1.0 + value
+        # Beside −1 away from it; left of it straight up or down, as the ray to −∞ is forbidden too.
         normal = np.where(ahead.real >= 0.0, _unit(ahead), np.where(ahead.imag >= 0.0, 1j, -1j))
         return normal, modulus + alias - normal.real
 
@@ -123,6 +124,8 @@ class _Judged:
 def _judge(loop: BoxLoop, goal: _Goal, low: Real, high: Real) -> _Judged:
     with np.errstate(all="ignore"):  # a box that is too wide gives infinities and NaN, which prove nothing
         plain, inverse, alias = loop.forms(low, high)
+        # Where |L| < 1 its own disc is the smaller one, beyond it that of 1/L: on a resonance L may be any
+        # number, and 1/L is a small disc beside 0.
         soft = np.isfinite(plain.r) & (np.abs(plain.c) < 1.0)
         loud = np.isfinite(inverse.r) & ~soft
         normal, least = (
@@ -130,10 +133,14 @@ def _judge(loop: BoxLoop, goal: _Goal, low: Real, high: Real) -> _Judged:
             for a, b in zip(goal.plain(plain.c, alias), goal.inverse(inverse.c, alias), strict=True)
         )
         point, loss, weight = _downhill(loop.axes, plain, inverse, loud, normal, low, high)
+        # A sector bounds the angle alone: what is left to do is to show |L| < 1, and
+        # every axis that moves L helps.
         if goal.bounds_size:
             for name in loop.axes:
                 k = AXES.index(name)
                 weight[:, k] = (high[:, k] - low[:, k]) * plain.d[name].most()
+        # With the aliases that the box holds: the point lies in it, but may lie on the
+        # other side of where they begin.
         at_plain, at_inverse, _ = loop.forms(point, point, loop.held(low[:, 0]))
         value = np.where(loud, at_inverse.c, at_plain.c)
         radius = np.where(loud, at_inverse.r, at_plain.r)
@@ -141,6 +148,7 @@ def _judge(loop: BoxLoop, goal: _Goal, low: Real, high: Real) -> _Judged:
         front = np.isfinite(plain.r) | np.isfinite(inverse.r)
         quiet = goal.quiet(plain.most(), alias)
         proved, loud = quiet | (front & (reached > least + (_SLACK - 1.0))), loud & ~quiet
+        # Before the slopes are asked: they are infinite there, too, and any of them would win.
         front_axis = loop.unbounded_along(low, high, alias)
         axis = np.where(front_axis >= 0, front_axis, _widest(low, high, weight))
         return _Judged(proved, loud, axis, point, at_plain.c, alias)
@@ -165,6 +173,8 @@ def _downhill(
         along = (np.conj(normal) * slope.c).real
         spread = slope.r * (1 + ROUNDING) + 4 * ROUNDING * np.abs(slope.c)
         width = second[:, k] - first[:, k]
+        # The slope along the normal keeps its sign over the box: the worse end is
+        # the minimum, and costs nothing.
         fixed = np.abs(along) >= spread
         point[:, k] = np.where(fixed, np.where(along >= 0.0, first[:, k], second[:, k]), point[:, k])
         steep = np.abs(along) + spread
@@ -172,6 +182,7 @@ def _downhill(
         cost = (0.5 * width * (1 + 4 * ROUNDING) + 4 * ROUNDING * np.abs(second[:, k])) * steep
         # a zero width still has a middle: nothing is lost there, whatever the slope
         loss = loss + np.where(fixed | (width == 0.0), 0.0, cost)
+        # Of a fixed slope the spread alone is to be gained by a cut; what it moves is known already.
         weight[:, k] = np.where(width > 0.0, width * np.where(fixed, spread, steep), -1.0)
     return point, loss, weight
 
@@ -207,9 +218,12 @@ def prove(loop: BoxLoop, *, most: int = 80_000) -> MarginProof | MarginFailure:
     s = loop.statement
     corner = {name: loop.low[name] for name in AXES}
     if not loop.correction_is_stable():
+        # The tree shows that the curve keeps away from −1; that no pole lies outside
+        # begins with the law's own ones.
         return MarginFailure("a pole of the law's correction lies outside the unit circle", corner)
     if not loop.inner_is_stable():
         return MarginFailure("the sampled motor loop is not stable for every delay", corner)
+    # Written as a negation: a bound that is nan or inf ends here, too.
     if not loop.low_bound() < 1.0 - s.modulus:
         return MarginFailure("the loop gain is not small at low frequency", corner)
 
@@ -229,6 +243,8 @@ def _covered(
     while low.size:
         found = _judge(loop, goal, low, high)
         nodes += low.shape[0]
+        # A value at a point of the box that breaks the claim ends the search at
+        # once: no cutting would mend it.
         wrong = refuted(found)
         if wrong.any():
             k = int(np.argmin(np.where(wrong, np.abs(1.0 + found.value), np.inf)))
@@ -293,6 +309,7 @@ def enclose_phase_margin(
     """
     high, payload, frequency = _attained(statement, law)
     loop = BoxLoop(statement)
+    # The upper end was attained: a proof of all but `width` of it is the answer, and mostly succeeds at once.
     nodes = _keeps(loop, high - width, most)
     if nodes is not None:
         return Enclosure(high - width, high, payload, frequency, nodes)
@@ -300,6 +317,7 @@ def enclose_phase_margin(
     low, bad = 0.0, high - width
     for _ in range(12):
         middle = 0.5 * (low + bad)
+        # A quarter of the nodes: twelve proofs that all run out would take three times as long as the first.
         found = _keeps(loop, middle, most // 4)
         low, bad, nodes = (middle, bad, found) if found is not None else (low, middle, nodes)
     return Enclosure(low, high, payload, frequency, nodes or 0)
@@ -310,6 +328,8 @@ def _attained(statement: Statement, law: Law) -> tuple[float, float, float]:
     low, high = statement.box
     best = (math.pi, statement.payload_low, 0.0)
     mode = low["softness"] ** (-1.0 / low["order"])
+    # From a fifth of the lightest payload's mode, the mode of 25 times its payload. A crossing elsewhere
+    # would be missed by the upper end, not by the proof of the lower one.
     w = np.geomspace(0.2 * mode, min(8.0 * mode, math.pi / law.period), 4000)
     names = [name for name in AXES[1:] if low[name] < high[name]]
     fixed = {name: low[name] for name in AXES[1:]}

@@ -213,6 +213,7 @@ class FractionalStateSpace:
                 time_response(self.transfer_function(output=row, input=k), columns[:, k], period, hold=hold)
                 for k in range(columns.shape[1])
             ]
+            # The initial states are held from the first sample on: a step, whatever hold the input has.
             parts += [
                 time_response(self._quotient(row, x, lift), ones, period) for x, lift in states if any(x)
             ]
@@ -220,8 +221,10 @@ class FractionalStateSpace:
         values = np.stack([np.sum([part.output for part in parts], axis=0) for parts in outputs], axis=1)
         every = [part for parts in outputs for part in parts]
         return TimeResponse(
+            # Copied, as the result makes its arrays read-only and the parts may share them.
             every[0].time.copy(),
             values[:, 0].copy() if len(self.C) == 1 else values,
+            # The least direct method of any part names the whole: its error is the one to read.
             max((part.method for part in every), key=["modes", "modes+convolution", "contour", "fft"].index),
             max(sum(part.error_estimate for part in parts) for parts in outputs),
             max(part.modes for part in every),
@@ -289,6 +292,7 @@ def _base(system: FractionalTransferFunction, order: float | None) -> float:
         raise FieldError("system", repr(system), "improper", allowed="a proper system", remedy=remedy)
     if order is not None:
         powers = [t.order / order for t in (*system.numerator, *system.denominator)]
+        # A given order is a decimal: 0.3333333333 has to divide 1, though 1/3 is what divides it.
         if any(abs(x - round(x)) > 1e-9 for x in powers):
             problem = "does not divide every order of the system"
             allowed, advice = f"a whole part of {commensurate_order(system)}", "leave order out"

@@ -79,6 +79,7 @@ class FractionalResponse(control.FrequencyResponseData):  # type: ignore[misc]
     # -- algebra: with whatever has a transfer function, exact; with measured data, on its own grid ----
 
     def _with(self, other: Any, operation: Callable[[Any, Any], Any], *, reflected: bool = False) -> Any:
+        # The very class and no subclass: a `FractionalResponse` is exact, and must not fall back to a grid.
         if type(other) is control.FrequencyResponseData:
             left, right = self.frd(other.omega), other
             return operation(right, left) if reflected else operation(left, right)
@@ -123,6 +124,7 @@ class FractionalResponse(control.FrequencyResponseData):  # type: ignore[misc]
             here = self.fractional(1j * other.omega)
             closed = here / (1 - sign * here * other.frdata.reshape(-1))
             return control.FrequencyResponseData(closed, other.omega, dt=0)
+        # python-control takes any sign here; only its direction counts.
         return FractionalResponse(self.fractional.feedback(continuous(other), sign=-1 if sign < 0 else 1))
 
     def _repr_eval_(self) -> str:

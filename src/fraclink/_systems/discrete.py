@@ -119,6 +119,7 @@ def _grown(
                 return fit
     if order is not None:
         return finish(grown[-1], target)
+    # The ladder lowers either by a tenth or two: neighbours may change ranks.
     likely = sorted(range(len(grown)), key=lambda k: score(grown[k][0], target))[:2]
     made = [finished[k] if k in finished else finish(grown[k], target) for k in likely]
     return min(made, key=lambda fit: score(fit, target))
@@ -142,11 +143,14 @@ def _target(
     tolerance: tuple[float, float],
 ) -> Target:
     inside, nyquist = _grid(band, 80), math.pi / period
+    # Twenty points up to the Nyquist frequency, none where the band ends beside it: nothing is left to guard.
     above = np.linspace(band[1], nyquist, 21)[1:] * (1 - 1e-9) if band[1] < 0.99 * nyquist else np.empty(0)
     w = np.concatenate([inside, above])
     w = np.minimum(w, nyquist * (1 - 1e-6))  # tan(ωT/2) is infinite at the Nyquist frequency
     wanted = _values("response", response, w, complex)
     within = np.arange(w.size) < inside.size
+    # In the band the error is that of the whole controller, which `offset` may dominate; above it only the
+    # size of what is fitted is guarded, and the offset would hide it.
     base = np.where(within, offset + wanted, np.abs(wanted))
     if wanted.shape != w.shape or not np.all(np.isfinite(wanted)) or not np.all(base):
         problem = "zero, not finite or of another shape at some frequency"
@@ -274,6 +278,8 @@ class DiscreteRational:
             remedy = "filter one signal at a time"
             raise FieldError("samples", v.shape, "not one signal", allowed="shape (N,)", remedy=remedy)
         for _ in range(self.zeros_at_one):
+            # Differencing the input and not the output: a constant is then zero from its second sample on,
+            # and no sum of rounded modes is left to cancel.
             v = np.diff(v, prepend=0.0)
         y = self.feedthrough * v
         x, w = np.zeros(len(self.decays)), np.zeros(len(self.pole_decays), dtype=complex)
@@ -291,6 +297,8 @@ class DiscreteRational:
         real, pair = fit.real_gains * sigma / (1 + sigma), fit.pair_gains * q / (1 + q)
         decays, turned = (1 - sigma) / (1 + sigma), (1 - q) / (1 + q)
         gains = pair * (1 + turned)
+        # The map (1 − q)/(1 + q) reverses the sign of Im q; the law keeps the
+        # pole of each pair that lies above.
         below = turned.imag < 0
         return cls(
             period=period,

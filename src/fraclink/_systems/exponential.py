@@ -56,6 +56,7 @@ class ExponentialSum:
                     allowed="finite numbers",
                     remedy="remove NaN and inf",
                 )
+        # To the bit, other than `collect` in terms.py: what comes from a transfer function is merged already.
         nu, index = np.unique(nu, return_inverse=True)
         merged = np.zeros_like(nu)
         np.add.at(merged, index, a)
@@ -82,6 +83,8 @@ class ExponentialSum:
         """All terms at each z, shape (K, *z.shape), divided by the largest one, and their sum of moduli."""
         column = (-1, *[1] * np.ndim(z))
         exponents = np.asarray(self._logs.reshape(column) + np.multiply.outer(self.rates, z), dtype=complex)
+        # The zeros of D do not depend on its size: s^6 at 1e100 rad/s would leave the range of doubles, its
+        # share of the largest term does not.
         exponents -= exponents.real.max(axis=0)
         terms = np.asarray(self._signs.reshape(column) * np.exp(exponents))
         moduli: Reals = np.abs(terms).sum(axis=0)
@@ -151,6 +154,8 @@ class ExponentialSum:
             strayed = strayed + power * np.abs(centre_terms.sum(axis=0))
         strayed = strayed + power * radius / 4 * (moduli * gap**4).sum(axis=0)
         sure = strayed < np.abs(centre.sum(axis=0))
+        # Both ends lie in one disc without the origin: the principal argument of their
+        # quotient is the change itself.
         turned = np.angle(right.sum(axis=0) * left.sum(axis=0).conj())
         return turned + c * (b.imag - a.imag), sure
 
@@ -214,6 +219,7 @@ def right_half_plane_zeros(terms: Sequence[Term]) -> int:
     if leading[0].delay or 2.0 * abs(leading[0].coefficient) <= sum(abs(t.coefficient) for t in leading):
         return -1
     quasi = _Quasi.of(terms)
+    # A start for the walk, which halves what it cannot certify: the count is the same from any other.
     x = np.linspace(*quasi.range(), 65)
     try:
         turned = quasi.phase_change(x[:-1], x[1:])
@@ -299,6 +305,7 @@ class _Quasi:
 
     def deviation(self, x: float, order: float) -> float:
         """arg of D(jω) over its dominant term, within ±π/2."""
+        # What is left is smaller than the ruling term: it turns it by less than a quarter turn.
         value = self.value(np.array([x]), order)[0] * np.exp(-0.5j * math.pi * order)
         sign = math.copysign(1.0, math.fsum(self.coefficients[self.orders == order]))
         return float(np.angle(sign * value))

@@ -111,6 +111,7 @@ class FractionalTransferFunction:
         right = _operand(other)
         if right is NotImplemented:
             return _each(other, lambda one: self + one)
+        # Else 1/D + 1/D would be 2D/D²: every pole twice, with a zero on one of both.
         if self.denominator == right.denominator:
             return _build((*self.numerator, *right.numerator), self.denominator)
         return _build(
@@ -209,6 +210,7 @@ class FractionalTransferFunction:
         if right is NotImplemented:
             allowed, remedy = "a function or a number", "build it from s"
             raise FieldError("other", other, "not a transfer function", allowed=allowed, remedy=remedy)
+        # From the four sums and not as G/(1 + GH), which would carry the denominator of G above and below.
         loop = product(self.numerator, right.numerator)
         return _build(
             product(self.numerator, right.denominator),
@@ -278,6 +280,7 @@ class FractionalTransferFunction:
     def __hash__(self) -> int:
         if self.denominator != _ONE or len(self.numerator) > 1:
             return hash((self.numerator, self.denominator))
+        # s/s equals 1, and what is equal has to have one hash.
         only = self.numerator[0] if self.numerator else Term(0.0, 0.0)
         constant = not only.order and not only.delay
         return hash(only.coefficient if constant else (self.numerator, self.denominator))

@@ -162,6 +162,7 @@ _ROUNDING = 1e-11  # of a numerator's largest term: what the logarithm's roundin
 def _continued(top: Reals, bottom: Reals, period: float) -> FractionalTransferFunction:
     """The continuous system behind a zero-order hold: [[A, B], [0, 1]] = exp([[A_c, B_c], [0, 0]] T)."""
     top, bottom = np.trim_zeros(top, "f"), np.trim_zeros(bottom, "f")
+    # A pole at z = 0 is a sample of delay; it has no logarithm, and goes first.
     steps = int(np.argmax(np.abs(bottom[::-1]) > _AT_ZERO * np.abs(bottom).max()))
     bottom = bottom[: bottom.size - steps]
     if top.size > bottom.size:
@@ -174,6 +175,7 @@ def _continued(top: Reals, bottom: Reals, period: float) -> FractionalTransferFu
         return FractionalTransferFunction(_polynomial(top), _polynomial(bottom)).delayed(steps * period)
     a, b, c, d = tf2ss(top, bottom)
     order = len(a)
+    # With the held input as one more state: dividing B by (A − I) fails for every integrator, this does not.
     whole = logm(np.block([[a, b], [np.zeros((1, order)), np.ones((1, 1))]])).real / period
     numerator, denominator = ss2tf(whole[:order, :order], whole[:order, order:], c, d)
     # Terms are compared where they count: at the size of the poles.

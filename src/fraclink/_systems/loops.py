@@ -89,6 +89,8 @@ def _data_loop(data: Any, limit: float | None) -> CallableLoop:
         allowed, remedy = "one input, one output, values that are not zero", "select one channel of the data"
         raise FieldError("loop", values.shape, problem, allowed=allowed, remedy=remedy)
     x, logs = np.log(omega[usable]), np.log(np.abs(values.reshape(-1)[usable]))
+    # Modulus and phase each by itself: a chord of the Nyquist curve has a smaller modulus than its ends, and
+    # would cut off every resonance.
     phase = np.unwrap(np.angle(values.reshape(-1)[usable]))
 
     def response(s: Complexes) -> Complexes:
@@ -104,6 +106,7 @@ def _callable_loop(loop: Callable[..., object], limit: float | None) -> Callable
     response, period = loop, getattr(loop, "dt", None)
     if isinstance(period, (int, float)) and not isinstance(period, bool) and period > 0:
         step = float(period)
+        # Beyond the Nyquist frequency a sampled response only repeats itself, mirrored.
         limit = math.pi / step if limit is None else min(limit, math.pi / step)
 
         def response(s: Complexes) -> object:
@@ -154,17 +157,21 @@ class FractionalLoop:
         span, reach = _marks(system)
         slowest = max(t.delay for t in terms)
         steepest = max(abs(system.numerator[i].order - system.denominator[i].order) for i in (0, -1))
+        # The steepest asymptote has to stay a double at the farthest frequency, too.
         farthest = min(_FARTHEST, _LARGEST / max(1.0, steepest))
         within = span[0] >= -farthest and span[1] <= farthest
         span = (max(span[0], -farthest), min(span[1], farthest))
         low, high = max(span[0] - reach, -farthest - 1), min(span[1] + reach, farthest + 1)
         follow = high
         if slowest:
+            # Below a tenth of a radian of the delay's phase the delay moves nothing that a margin would show.
             low = min(low, math.log(0.1 / slowest))
             follow = math.log(4 * math.pi / slowest)  # the first two crossings of the phase
             high = max(high, follow, min(_faint(system), farthest))
         if limit is not None:
             high = min(high, math.log(limit))
+            # A limit below every corner leaves a factor e of the low asymptote: a
+            # range that is empty has no margins.
             low = min(low, high - 1.0)
         bottom, known = _near_axis(system.denominator)
         top, _ = _near_axis(system.numerator)
@@ -222,6 +229,7 @@ class FractionalLoop:
             side = k >= self.top
             sums[side] += term
             slopes[side] += rate * term
+        # Exactly on a pole or a zero of the axis: there is a value, but no slope to polish a crossing with.
         if not (sums[0] and sums[1]):
             return (complex(math.inf) if sums[0] else 0j), complex(math.nan, math.nan)
         return sums[0] / sums[1], slopes[0] / sums[0] - slopes[1] / sums[1]
@@ -231,6 +239,7 @@ class FractionalLoop:
         """Poles with Re s > 0, conjugates counted; None where a delay or a corner out of range hides them."""
         if not self.known:
             return None
+        # `zeros` has one of each pair, the upper one; what is real is its own conjugate.
         right = [z for z in self.zeros if z.imag < 0.5 * math.pi - _ON_AXIS]
         return sum(1 if z.imag == 0 else 2 for z in right)
 
@@ -256,6 +265,7 @@ def _limit(system: FractionalTransferFunction, end: int) -> complex:
     if up.order != down.order or (turning and not end):
         return complex(math.nan)
     sides = (system.numerator, system.denominator)
+    # Several delayed terms may share the lowest order: at ω → 0 no delay turns anything, and they add up.
     sums = [math.fsum(t.coefficient for t in side if t.order == up.order) for side in sides]
     return complex(sums[0] / sums[1]) if sums[1] else complex(math.nan)
 

@@ -122,6 +122,7 @@ class Margins:
     @property
     def gain_margin(self) -> float:
         """The gain margin nearest to 1 on a logarithmic scale; inf if there is no phase crossing."""
+        # Nearest to 1 and not least: a conditionally stable loop is as close to its end when its gain falls.
         values = [c.gain_margin for c in self.phase_crossings if 0 < c.gain_margin < math.inf]
         return min(values, key=lambda g: abs(math.log(g)), default=math.inf)
 
@@ -192,6 +193,8 @@ def margins(
         stable = None
         if modulus < _ON_AXIS:
             stable = False
+        # The swept part of the curve shows no encirclement beyond the limit: the
+        # verdict is that of the whole loop.
         elif limit is not None and isinstance(known, FractionalLoop):
             stable = _beyond_limit(cast(FractionalTransferFunction, getattr(loop, "fractional", loop)))
         elif unstable_poles is not None:
@@ -227,6 +230,8 @@ def crossings(
     for bracket in _brackets(loop, gain_level, x, level, np.isfinite(level)):
         root, value = zero_of(loop, gain_level, *bracket)
         frequency, margin = math.exp(root), cmath.phase(-value)
+        # A delay turns L clockwise only. Where the margin is negative it has to
+        # go on to −1 the long way round.
         gain.append(GainCrossing(frequency, margin, (margin % (2 * math.pi)) / frequency))
     phase = []
     for bracket in _brackets(loop, phase_level, x, turn, _followed(loop, x, values, turn, quiet)):
@@ -237,6 +242,8 @@ def crossings(
 
 def _followed(loop: SampledLoop, x: Reals, values: Complexes, turn: Reals, quiet: float) -> NDArray[np.bool_]:
     """Points near the negative real axis whose phase was followed there."""
+    # The phase of −L jumps by 2π on the positive real axis: a change of sign there
+    # is no crossing of the negative.
     near = np.abs(turn) < 0.5 * math.pi
     if quiet:
         near &= (np.abs(values) > quiet) | (x <= loop.follow)
@@ -261,6 +268,7 @@ def _brackets(loop: SampledLoop, level: Tendency, x: Reals, y: Reals, usable: Ma
 
 def _hidden(loop: SampledLoop, level: Tendency, a: float, b: float) -> list[Bracket]:
     """The two brackets that an extreme between a and b makes where it passes zero."""
+    # The extreme itself decides: two crossings 1e-5 apart lie between two points of any grid.
     x, value = zero_of(loop, gain_slope if level is gain_level else phase_slope, a, b)
     passed = level(value, 0j) * level(*loop.point(a)) < 0
     return [(a, x), (x, b)] if passed else []
@@ -334,6 +342,8 @@ def unstable_closed_loop_poles(
 def _arc(value: complex, slope: float) -> float:
     """Change of arg(1 + L) from the positive real axis to jω along |s| = ω, where L ≈ c s^slope."""
     phase = cmath.phase(value)
+    # Beside the origin 1 + L stays in the right half plane: the principal
+    # argument is the change along the arc.
     if abs(value) < 1:
         return cmath.phase(1 + value)
     # L starts at a multiple of π and turns by slope π/2, which the phase itself says more exactly.

@@ -177,8 +177,12 @@ def _determinant_loop(
 
     def response(s: Complexes) -> Complexes:
         ahead = _matrices(loop, np.log(s.imag))
+        # A pole of an entry that the sweep has hit: infinite for the sweep, which
+        # then looks at both sides of it.
         finite = np.isfinite(ahead).all(axis=(1, 2))
         values = np.full(len(s), complex(math.inf))
+        # By elimination at each frequency and not from `determinant()`, whose uncancelled factors would
+        # be zeros and poles of their own.
         values[finite] = np.linalg.det(ahead[finite]) - 1.0
         return values
 
@@ -214,6 +218,8 @@ def _limit(loop: TransferMatrix, limit: float | None, end: int) -> Complexes:
 
 def _none_unstable(loop: TransferMatrix) -> int | None:
     """0 where no entry has a pole with Re s > 0; None else: entries may share a pole, or each have it."""
+    # The sum over the entries is an upper bound of P, and a wrong P makes a
+    # wrong verdict: nothing is claimed.
     for g in (g for row in loop.entries for g in row):
         known = FractionalLoop.of(g, None).unstable_poles if g.numerator else 0
         if (is_stable(g).winding if known is None else known) != 0:
@@ -245,6 +251,7 @@ def _infimum(of: Callable[[Reals], Reals], x: Reals) -> tuple[float, float]:
     inner = values[1:-1]
     low = (inner <= values[:-2]) & (inner <= values[2:]) & (inner < _SPARE * smallest)
     for i in (np.flatnonzero(low) + 1).tolist():
+        # By values and not by a root of the slope: σ has kinks where two singular values meet.
         found = minimize_scalar(
             lambda place: float(of(np.array([place]))[0]),
             bounds=(float(x[i - 1]), float(x[i + 1])),
@@ -264,6 +271,8 @@ def _approached(loop: TransferMatrix, limit: float | None) -> list[tuple[Complex
 
 def _falls(loop: TransferMatrix, x: Reals) -> bool:
     """Whether σ falls to 0 at ω → 0: a pole of L at the origin that one direction hides from det(I + L)."""
+    # One factor e below the range, where every entry is its own asymptote: σ
+    # there is constant, or a power of ω.
     below, here = _sigma(_matrices(loop, np.array([x[0] - 1.0, x[0]])))
     return bool(below < here * (1.0 - _FALLS))
 
@@ -275,6 +284,7 @@ def _clockwise(loop: TransferMatrix, x: Reals, *, whole: bool) -> int | None:
     passing the poles of L on their right, and back along the last circle. None where it cannot be followed:
     a delayed direct path, or a `limit` beyond which the rest may turn.
     """
+    # A delayed direct path turns det(I + L) for ever: there is no last circle along which it rests.
     direct = [g for row in loop.entries for g in row if g.numerator and g.relative_degree <= 0.0]
     if not whole or any(t.delay for g in direct for t in (*g.numerator, *g.denominator)):
         return None
@@ -304,10 +314,12 @@ def _indented(loop: TransferMatrix, x: Reals) -> Complexes:
     path = np.asarray(x + 0.5j * math.pi)
     while poles:
         first = last = poles.pop(0)
+        # Joints of one frequency share it but for rounding: two half circles would cross each other.
         while poles and poles[0] < last + 4.0 * _INDENT:
             last = poles.pop(0)
         radius = 0.5 * (last - first) + _INDENT
         half = 0.5 * (first + last) + 0.5j * math.pi + radius * np.exp(1j * np.linspace(-math.pi, 0.0, 33))
+        # Its ends exactly on the axis, where `_determinants` forms s without a real part.
         half[[0, -1]] = half[[0, -1]].real + 0.5j * math.pi
         before = path[path.real < half[0].real]
         path = np.concatenate([before, half, path[path.real > half[-1].real]])

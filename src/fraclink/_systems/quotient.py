@@ -127,6 +127,8 @@ class Quotient:
             return self.zeros.tolist(), []
         groups: list[list[complex]] = []
         for z in self.zeros.tolist():
+            # A chain is one cluster though its ends be farther apart than `reach`: a circle around a part of
+            # it would pass between two zeros.
             near = [g for g in groups if min(abs(z - w) for w in g) < min(_NEAR, reach(z))]
             groups = [g for g in groups if g not in near]
             groups.append([z, *(w for g in near for w in g)])
@@ -148,6 +150,8 @@ class Quotient:
         converges geometrically.
         """
         others = [abs(z - cluster.centre) for z in self.zeros if abs(z - cluster.centre) > cluster.radius]
+        # Never smaller than 1.5 radii of the cluster: the points have to enclose every zero, and at 1.5^-96
+        # the rule still ends at rounding.
         size = max(min(radius, 0.5 * clearance, *(0.5 * o for o in others)), 1.5 * cluster.radius)
         turn = np.exp(2j * np.pi * (np.arange(_CIRCLE) + 0.5) / _CIRCLE)
         points = cluster.centre + size * turn
@@ -209,6 +213,7 @@ def _sum_on_cut(terms: Sequence[Term], x: NDArray[np.float64], lowest: float) ->
 
 def _turn(order: float) -> complex:
     """e^{iπa}, exact for integers and halves."""
+    # The period is 2, and `fmod` is exact where the product πa loses digits as a grows.
     part = math.fmod(order, 2.0)
     quarter = round(2.0 * part)
     rest = math.pi * (part - 0.5 * quarter)

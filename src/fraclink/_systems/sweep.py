@@ -66,6 +66,7 @@ def _too_wide(loop: SampledLoop, x: Reals, values: Complexes, quiet: float) -> N
     """Intervals to halve: ln L moves too far, or 1 + L more than its distance from zero."""
     change = np.log(values[1:] / values[:-1])
     fine = (np.abs(change.imag) <= TURN) & (np.abs(change.real) <= RISE)
+    # A chord shorter than the distance of its ends from −1 cannot hide a turn around −1.
     away = np.abs(1 + values)
     fine &= np.abs(np.diff(values)) <= np.minimum(away[1:], away[:-1])
     width = np.diff(x)
@@ -120,6 +121,7 @@ def frequency_grid(
 
 def _bent(x: Reals, values: Complexes, *, keep_top: bool) -> tuple[Reals, Complexes]:
     """Cut the ends where d ln L/dx is constant, leaving one decade of each."""
+    # 0.02 is 0.4 dB a decade: what changes less is one straight line in a Bode plot.
     slope = np.diff(np.log(np.abs(values))) / np.diff(x)
     turn = np.abs(np.angle(values[1:] / values[:-1])) / np.diff(x)
     still = (turn < 0.02) & np.isfinite(slope)

@@ -49,6 +49,7 @@ class Term:
 
 
 def finite(name: str, value: object) -> float:
+    # `float` takes True for 1 and "2" for 2, and numpy drops an imaginary part with a mere warning.
     if isinstance(value, (bool, str, bytes, complex)) or value is None:
         number = math.nan
     else:
@@ -72,8 +73,12 @@ def collect(terms: Iterable[Term]) -> list[Term]:
     terms = tuple(terms)
     if len(terms) == 1:
         return [terms[0]] if terms[0].coefficient != 0.0 else []
+    # Sorted by the coefficient, too, and summed by `fsum` below: the same terms in another sequence then make
+    # the same function to the last bit, which is what `==` and hashes compare.
     groups: list[list[Term]] = []
     for term in sorted(terms, key=lambda t: (-t.order, t.delay, t.coefficient)):
+        # Against the first of each group and not by a rounded key: two orders that rounding has parted may
+        # lie on either side of any grid.
         equal = (g for g in groups if same(g[0].order, term.order) and same(g[0].delay, term.delay))
         group = next(equal, None)
         if group is None:
@@ -92,6 +97,7 @@ def shifted(terms: Iterable[Term], order: float, delay: float, scale: float) -> 
 
 def snap(value: float) -> float:
     """The decimal of 12 places that `value` is, but for rounding: 1.92 - 0.92 is 0.9999999999999999."""
+    # Only where the decimal is within rounding: √2 stays √2, and does not become 1.414213562373.
     nearest = round(value, 12)
     return nearest if same(value, nearest) else value
 
@@ -115,6 +121,7 @@ def proportional(a: tuple[Term, ...], b: tuple[Term, ...]) -> bool:
 
 def cancelled(top: Sequence[Term], bottom: Sequence[Term]) -> tuple[Sequence[Term], Sequence[Term]]:
     """Both sums, or single terms with the same quotient where one sum is a multiple of the other."""
+    # Single terms need no search: `normal` divides out what they share.
     if len(bottom) < 2 or not proportional(tuple(top), tuple(bottom)):
         return top, bottom
     order, delay = top[0].order - bottom[0].order, top[0].delay - bottom[0].delay
@@ -159,6 +166,7 @@ def normal(top: list[Term], bottom: list[Term]) -> tuple[tuple[Term, ...], tuple
         raise FieldError(
             "delay", early, "negative", allowed="≥ 0 s", remedy="the function would answer before its input"
         )
+    # Monic in the highest order: it is the one coefficient that no denominator can lack.
     lead = bottom[0].coefficient
     numerator, denominator = shifted(top, order, delay, lead), shifted(bottom, order, delay, lead)
     return numerator, denominator
@@ -231,6 +239,8 @@ def evaluate(
     flat = points.astype(np.complex128).ravel()
     with np.errstate(all="ignore"):
         logs = np.log(flat)
+        # Plain first: the scaled sums below cost as much again, and only poles, s = 0
+        # and |s| beyond 1e100 need them.
         value = _sum(numerator, flat, logs, 0.0) / _sum(denominator, flat, logs, 0.0)
         bad = ~np.isfinite(value)
         if bad.any():
@@ -250,6 +260,7 @@ def _sum(terms: Sequence[Term], s: Complexes, logs: Complexes, shift: float) -> 
             value = (term.coefficient * s ** int(order)).astype(np.complex128)
         else:
             value = (term.coefficient * np.exp(order * logs)).astype(np.complex128)
+            # numpy multiplies −inf + 0j by the order as by a complex number, and 0·inf makes that nan.
             value[s == 0.0] = 0.0 if order > 0.0 else np.inf
         total += value * np.exp(-term.delay * s) if term.delay else value
     return total
@@ -261,6 +272,7 @@ def _extreme(
     """Values where the plain quotient is not finite: poles, s = 0, and |s| so large that powers overflow."""
     highest = max((t.order for t in (*numerator, *denominator)), default=0.0)
     top, bottom = _sum(numerator, s, logs, 0.0), _sum(denominator, s, logs, 0.0)
+    # Divided by the highest power everywhere: ∞/∞ becomes the ratio of two leading coefficients.
     large = np.abs(s) > 1.0
     if large.any():
         top[large] = _sum(numerator, s[large], logs[large], highest)

@@ -139,6 +139,7 @@ def _refused(value: object, problem: str) -> FieldError:
 def _entry(given: object) -> FractionalTransferFunction:
     if isinstance(given, FractionalTransferFunction):
         return given
+    # True is a number to Python; in a matrix of gains it is a slip.
     if isinstance(given, bool) or not isinstance(given, (int, float, np.integer, np.floating)):
         raise _refused(given, "neither a transfer function nor a number")
     return FractionalTransferFunction.power(0.0) * float(given)
@@ -155,8 +156,11 @@ def _expanded(rows: Sequence[Sequence[Any]]) -> Any:
     """Laplace's expansion along the first row."""
     if len(rows) == 1:
         return rows[0][0]
+    # Not by elimination, which divides by functions whose factors would stay above and below.
     total = _entry(0.0)
     for k, g in enumerate(rows[0]):
+        # A zero entry has a minor that nobody needs: the determinant of a
+        # triangular matrix costs its diagonal.
         if g.numerator:
             minor = [(*row[:k], *row[k + 1 :]) for row in rows[1:]]
             total = total + (-1.0) ** k * g * _expanded(minor)
