@@ -36,6 +36,8 @@ class Arm:
 
     def loop(self, controller: Controller, rig: Rig) -> Loop:
         """Return the loop that runs on this arm: the PID of a sampled motor loop is the one of the rig."""
+        # The PID was placed for the motor that the rig states and runs on the true one: the ratio changes the
+        # plant, never the controller.
         loop = Loop.of(controller, self.model, rig)
         settings = controller.inner
         if settings is None or settings.kind == "ideal":
@@ -56,6 +58,8 @@ class Arm:
         `higher` is what the model does not know of the link, see `sampled_plant`.
         """
         if settings.kind == "ideal":
+            # M(s) is the closed motor loop, whose pole follows the motor's gain in the same direction: one
+            # ratio serves both kinds.
             slower = replace(settings, pole=settings.pole * self.motor_ratio)
             return sampled_plant(self.model, slower, rig.motor, period, higher=higher)
         true = MotorGain(rig.motor.gain * self.motor_ratio, rig.motor.decay)
@@ -198,6 +202,8 @@ def _around(model: LinkModel, rig: Rig) -> ParameterBox:
     def share(name: str, value: float, part: float) -> Interval:
         return _hull((value * (1 - part), value * (1 + part)), model.interval(name))
 
+    # The wider of two doubts at either end: an interval is what one log could not tell apart, a tolerance
+    # what a laboratory does not measure at all.
     order = _hull((model.order - stated.order, model.order + stated.order), model.interval("order"))
     # Without damping the link of order two never comes to rest: the interval ends half way before it.
     highest = 2.0 if model.damping else 0.5 * (model.order + 2.0)

@@ -80,6 +80,7 @@ class Controller:
             )
         set_(self, "order", order)
         set_(self, "filter_time", checked_between("filter_time", self.filter_time, 0.0, 1e6, "s"))
+        # A third pole would cost more phase at the crossover than it takes off the noise behind the two.
         if not is_whole(self.filter_order, 1, 2):
             raise FieldError(
                 "filter_order",
@@ -153,6 +154,7 @@ def closed_loop(
 
     Hold and delay are left out: with them the loop has infinitely many poles.
     """
+    # G and not the gauge's B: a late gauge, like hold and delay, has infinitely many poles.
     open_loop = controller.correction() * link.tip()
     if inner_pole is not None:
         open_loop = open_loop / (1.0 + s / inner_pole) ** 2

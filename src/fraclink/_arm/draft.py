@@ -67,6 +67,7 @@ def load_rig_or_draft(path: Path | str) -> Rig | RigDraft:
     try:
         return Rig.load(path)
     except FieldError as error:
+        # Any fault but a blank is a mistake in what was written, and a draft would hide it until `design`.
         faults: tuple[FieldError, ...] = getattr(error, "faults", (error,))
         if not all(_is_blank(fault) for fault in faults):
             raise
@@ -175,6 +176,8 @@ def _of_stiffness(rig: Rig, model: LinkModel) -> Iterator[Finding]:
     ratio = max(found / stated, stated / found)
     if ratio <= _STIFFNESS_MOST:
         return
+    # A wrong unit on top of an ordinary error: within 60 % of the factor it is named, farther off it would be
+    # a guess.
     unit = next((words for factor, words in _UNITS.items() if 0.6 < ratio / factor < 1.6), "")
     hint = f": a factor of {ratio:.3g}, {unit}" if unit else ""
     yield Finding(

@@ -165,6 +165,8 @@ class Experiment:
         """
         if not isinstance(columns, LogColumns):
             columns = parse_columns(f"{role}={text}" for role, text in columns.items())
+        # In SI before the time base is formed: its limits, a second between samples among them, are in
+        # seconds.
         data = {
             role: channel.in_si(_column(frame, channel), role) for role, channel in columns.channels().items()
         }
@@ -202,6 +204,8 @@ class Experiment:
 
     def text(self) -> str:
         """The log as CSV [s, rad, N·m or rad, V]; see `save`."""
+        # The field and not the note that it may have been read from: a corrected payload must not stand
+        # beside the old one.
         notes = [(key, value) for key, value in self.notes if key != "payload_kg"]
         if self.payload is not None:
             notes.append(("payload_kg", repr(self.payload)))
@@ -210,6 +214,7 @@ class Experiment:
         columns["torque_Nm" if self.output_kind == "torque" else "deflection_rad"] = self.output
         if self.voltage is not None:
             columns["voltage_V"] = self.voltage
+        # `repr` of a float is the shortest text that reads back as the same bits.
         rows = zip(*(values.tolist() for values in columns.values()), strict=True)
         return "\n".join([*lines, ",".join(columns), *(",".join(map(repr, row)) for row in rows)])
 
@@ -246,6 +251,7 @@ class Experiment:
 
 def _column(frame: Any, channel: Channel) -> NDArray[np.float64]:
     try:
+        # By the name alone, which every kind of frame answers: no frame library is imported, or needed.
         values = np.asarray(frame[channel.column], dtype=np.float64)
     except (KeyError, IndexError, TypeError, ValueError) as error:
         allowed, remedy = "the name of a column of numbers", "state a column of the frame"

@@ -68,6 +68,7 @@ class FractionalPid:
 
     def __post_init__(self) -> None:
         for field in fields(self):
+            # An integer gain would be written as one, and two equal controllers would differ in their files.
             object.__setattr__(self, field.name, float(getattr(self, field.name)))
         if not (self.proportional or self.integral or self.derivative):
             remedy = "give at least one gain above 0"
@@ -76,6 +77,7 @@ class FractionalPid:
     @property
     def filter_order(self) -> int:
         """n of the derivative's filter: the least for which the controller is proper."""
+        # s^μ/(1 + T_f s)^n falls or stays for n >= μ; one pole more would cost ω_c T_f of phase for nothing.
         return math.ceil(self.derivative_order)
 
     @property
@@ -99,6 +101,7 @@ class FractionalPid:
 
     def transfer(self) -> FractionalTransferFunction:
         """Return C(s) as a fractional transfer function, for every other function of the package."""
+        # A function even where k_p is 0 and the sum begins with nothing.
         whole = self.proportional + s**0 * 0.0
         if self.integral:
             whole = whole + self.integral / s**self.integral_order

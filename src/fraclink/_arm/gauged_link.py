@@ -61,6 +61,7 @@ class GaugedLink:
         inertia, drag, spring = self._link_terms(ln_w, natural_frequency)
         if not self.exact_gauge:
             return self._gauge_log(np.exp(ln_w), natural_frequency)
+        # log1p: far below the resonance s^λ/ω₀² is the whole of ln G, and 1 + it would round it away.
         if not self.damping:
             return np.asarray(-np.log1p(inertia / spring), dtype=np.complex128)
         return np.asarray(np.log(drag + spring) - np.log(inertia + drag + spring), dtype=np.complex128)

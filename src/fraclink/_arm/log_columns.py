@@ -89,6 +89,7 @@ class Channel:
 
     def in_si(self, raw: NDArray[np.float64], role: str) -> NDArray[np.float64]:
         """The column in SI units and radians; `role` is time, motor_angle, torque, deflection or voltage."""
+        # An encoder counts from where it was switched on: the first sample is its zero, whatever it reads.
         offset = raw[0] if self.offset == "first" else self.offset
         factor = self.sign * self.scale * UNITS[QUANTITY_OF[role]][self.unit]
         # Multiplying by 1.0 is exact, so that a log in SI units is read bit for bit.
@@ -166,6 +167,8 @@ _RAW = (
 def _way_to(role: str, channel: Channel, known: Iterable[str]) -> str:
     """How to state a signal whose unit its role has not; one of another quantity is no slip of the pen."""
     unit, angle = channel.unit, QUANTITY_OF[role] == "angle"
+    # In this order: a length or an acceleration has its own way to an angle, and a nearest unit ("mm" →
+    # "mrad") would send the user astray.
     if unit in _LENGTHS and angle:
         return (
             "a length over the link's length is an angle: for a link of 0.32 m write "
@@ -180,10 +183,12 @@ def _way_to(role: str, channel: Channel, known: Iterable[str]) -> str:
         )
     if unit in _LENGTHS + _ACCELERATIONS + _RAW or any(unit in units for units in UNITS.values()):
         return f"it measures another quantity; give one of {', '.join(known)}"
+    # A low cutoff: units have one to four letters, of which a single wrong one is much.
     near = difflib.get_close_matches(unit, known, n=1, cutoff=0.3)
     return f"did you mean {near[0]!r}?" if near else f"give one of {', '.join(known)}"
 
 
+# The factor stands behind a space or the equals sign: "k*2" without them may be a column's name.
 _NUMBER = r"[0-9.]+(?:[eE][-+]?[0-9]+)?"
 _STATED = re.compile(
     r"(\w+) *= *([-+]?) *(.*?) *(?:(?<=[ =])\* *("
@@ -294,5 +299,7 @@ def drive_columns(texts: Iterable[str]) -> LogColumns:
     stated = list(texts)
     roles = {ColumnStatement.of(text).role: text for text in stated}
     if "motor_angle" in roles and not roles.keys() & {"torque", "deflection"}:
+        # The readers ask for one output; an angle in the unit of the motor's can stand for it, a torque could
+        # not.
         stated.append("deflection=" + roles["motor_angle"].partition("=")[2])
     return parse_columns(stated)

@@ -181,6 +181,7 @@ def place_pid(motor: MotorConstants, pole: float = 80.0) -> ContinuousPid:
         raise FieldError(
             "motor.gain", gain, "not positive", allowed="> 0 rad/(s²·V)", remedy="check K and J of the rig"
         )
+    # The four closed-loop poles at −p add up to the open loop's: the motor's B and the filter's c.
     if not (math.isfinite(pole) and pole > decay / 4):
         raise FieldError(
             "inner.pole",

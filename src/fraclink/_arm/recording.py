@@ -83,12 +83,18 @@ class Recording:
         (1.0, 0.19)
         """
         values = np.asarray(output, dtype=np.float64)
+        # A fiftieth of the record, and ten samples at least: enough to tell a held link, whose swing is
+        # noise, from one that moves.
         lead = max(10, values.size // 50)
         if values.size < 5 * lead or not np.ptp(values):
             allowed, remedy = ">= 50 samples that move", "record from before the link is let go"
             raise LogError("output", int(values.size), "no ring-down", allowed=allowed, remedy=remedy)
         held = float(np.ptp(values[:lead])) < _HELD * float(np.ptp(values))
+        # The mean of the last fifth: a vibration that has not died yet averages out over its periods, one
+        # sample does not.
         rest = float(values[-(values.size // 5) :].mean())
+        # At its widest swing the speed is zero, as it is in the hand of who lets go; the first half, lest
+        # noise at the end be taken for a swing.
         begin = 0 if held else int(np.argmax(np.abs(values[: values.size // 2] - rest)))
         start = float(values[:lead].mean()) if held else float(values[begin])
         moved = start - values[begin:]
@@ -114,6 +120,7 @@ class Recording:
                 raise LogError(
                     "input", role, "not in the log", allowed=allowed, remedy="name another channel"
                 )
+        # An encoder's first reading is where the arm stood, not a step of the motor from zero.
         start = float(log.motor_angle[0])
         signal = log.motor_angle if log.voltage is None or input == "motor_angle" else log.voltage
         measured = log.motor_angle - start if output == "motor_angle" else log.output
@@ -210,5 +217,7 @@ def coherence_weights(response: Complexes, coherence: Reals) -> Reals:
     """Weight √(γ²/(1 − γ²))/|H| of each line's error: one over its spread, but for a factor."""
     if not np.all(np.abs(response) > 0):
         raise FieldError("response", 0, "zero at a line", allowed="|H| > 0", remedy="leave that line out")
+    # γ² = 1 would weigh infinitely: a millionth off is an error of 0.1 % of a line, below any that is
+    # measured.
     share = np.minimum(coherence, 1 - 1e-6)
     return np.asarray(np.sqrt(share / (1 - share)) / np.abs(response))

@@ -113,10 +113,13 @@ class Path(Reference):
     def derivative(self, time: ArrayLike, order: int) -> Real:
         """Return the derivative of `order` [rad/s^order] at `time` [s]."""
         t = np.asarray(time, dtype=float)
+        # From the right: at a break the later piece holds, so that a step at t = 0 has been made at t = 0.
         piece = np.clip(np.searchsorted(self.breaks, t, side="right") - 1, 0, None)
         local = np.maximum(t - self.breaks[piece], 0.0)
         value = np.zeros_like(local)
         for power in range(self.coefficients.shape[1] - 1, order - 1, -1):
+            # Horner's rule on the derivative's own coefficients, j!/(j − k)! a_j: exact, where differences of
+            # the angle would lose half of the digits at each order.
             value = value * local + math.perm(power, order) * self.coefficients[piece, power]
         return value
 
@@ -249,6 +252,7 @@ def spline(time: Annotated[Real, Array(1, min_size=2)], angle: Annotated[Real, A
     if not (time[0] >= 0.0 and np.all(np.diff(time) >= _SHORTEST)):
         allowed, remedy = "rising from 0 s on", "sort them, and leave repeated ones out"
         raise FieldError("time", time[:3].tolist(), "not rising", allowed=allowed, remedy=remedy)
+    # Clamped: at rest at both ends, as an arm is. SciPy has the highest power first, a `Path` the lowest.
     pieces = CubicSpline(time, angle, bc_type="clamped").c[::-1].T
     start, end = ([[value, 0.0, 0.0, 0.0]] for value in (angle[0], angle[-1]))
     before = ([0.0], start) if time[0] > 0.0 else ([], np.empty((0, 4)))

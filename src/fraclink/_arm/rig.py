@@ -179,6 +179,7 @@ class Rig:
     def warnings(self) -> tuple[Finding, ...]:
         """Contradictions between the rig's own values, each with both of them."""
         link, model = self.link, self.model
+        # Each contradiction with both of its values, as only a person can say which of them is wrong.
         found = [self._stiffness_finding()]
         if model is not None:
             stated = ("model.stiffness", model.stiffness)

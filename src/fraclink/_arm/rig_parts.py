@@ -127,6 +127,8 @@ class Link:
             allowed, remedy = "a stiffness [N·m/rad] or EI [N·m²]", "state stiffness, or flexural_rigidity"
             raise FieldError("link.stiffness", "(nothing)", "missing", allowed=allowed, remedy=remedy)
         if self.flexural_rigidity is None:
+            # Eq. (3), c = 3 EI/L: whichever was measured, the twin bends and the lumped model's torque is the
+            # same at rest.
             object.__setattr__(self, "flexural_rigidity", self.stiffness * self.length / 3.0)
         if self.stiffness is None:
             object.__setattr__(self, "stiffness", self.beam_stiffness)
@@ -175,6 +177,7 @@ class Payloads:
         >>> finding.message
         'a payload of 30 kg is 750 times the heaviest that the rig states'
         """
+        # Both ways: kilograms on a rig that was stated in grams are a hundred times too light.
         if self.low / _ANOTHER_UNIT <= payload <= self.high * _ANOTHER_UNIT:
             return None
         nearest, word = (self.high, "heaviest") if payload > self.high else (self.low, "lightest")

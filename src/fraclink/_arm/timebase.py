@@ -39,14 +39,18 @@ def time_base(stamps: NDArray[np.float64], *, resample: bool = False) -> TimeBas
     steps = np.diff(stamps)
     _check_order(stamps, steps, resample)
     steps = steps[steps > 0]
+    # The median: a tenth of the samples may be lost, or the clock may have stood for a minute, and it does
+    # not move.
     typical = float(np.median(steps))
     _check_unit(typical)
+    # Behind the check of the unit: a gap is counted in periods, and these must be right.
     gaps = np.flatnonzero(steps > _GAP * typical)
     if gaps.size:
         finding = _gap(stamps, steps, gaps, typical, resample)
         return TimeBase(float(stamps[0]), _rounded(typical), (finding,))
     if steps.size + 1 < stamps.size:  # repeated stamps, accepted because they are resampled
         return TimeBase(float(stamps[0]), _rounded(typical), _jitter(typical, typical, resample))
+    # From the two ends: N steps average a stamp's rounding down by N, which a median of steps does not.
     start, period = float(stamps[0]), _rounded(float((stamps[-1] - stamps[0]) / steps.size))
     if _distance(stamps, start, period) > _SILENT * period:
         # Jitter of the two end stamps would tilt the whole grid: take the line through all of them.
@@ -170,6 +174,8 @@ def resampled(
     stamps: NDArray[np.float64], base: TimeBase, values: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """`values` interpolated linearly from their stamps onto the uniform grid of `base`."""
+    # A repeated stamp keeps its first value: `np.interp` needs rising places, and the second is as likely a
+    # copy.
     keep = np.concatenate(([True], np.diff(stamps) > 0))
     count = int(np.floor((stamps[-1] - base.start) / base.period + 1e-6)) + 1
     grid = base.start + base.period * np.arange(count)

@@ -34,6 +34,8 @@ __all__ = [
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 PeakBound = Annotated[float, Between(1.0, 100.0, low_open=True)]
+# Ms and noise are smooth over ω₀; nine links, as for the requirements of a design, so that two figures of one
+# controller agree.
 _PAYLOADS = 9
 _POINTS = 320  # trial values of ω̄_c of a map; a root is then closed in on by secant steps
 _CELLS = 1_000_000
@@ -69,11 +71,15 @@ def compare_at_equal_sensitivity(design: Design, *, max_sensitivity: float) -> t
     found = design.ideal_loop.crossings(w0)
     upper = int(np.argmax(found.frequency))
     crossover = float(found.frequency[upper])
+    # The angle itself, 0 to 360°: a margin above 180° must not come as a negative one, which asks for another
+    # β.
     margin = float(np.remainder(found.phase_margin[upper], 2.0 * math.pi))
     matched = match_at(replace(design.model, order=2.0, damping=0.0), w0, crossover, margin)
     entries = [("C, fractional model", own.order), ("C', integer model", matched.order), ("PD", 1.0)]
     rivals = []
     for name, order in entries:
+        # From the same |Ĉ| at the crossover: the factor on the gain that is then sought lies between 0.01 and
+        # 100.
         start = _start(own, order, crossover)
         rivals.append(_rate(design, name, scale_to_sensitivity(design, start, max_sensitivity)))
     rivals.append(_best_order(design, max_sensitivity))
@@ -98,6 +104,7 @@ def _rate(design: Design, name: str, controller: Controller) -> Alternative:
         sensitivity_peak=float(np.max(got.sensitivity_peak)),
         gain_crossover=slowest,
         phase_margin=float(np.min(got.phase_margin)),
+        # Of an unstable loop the integral is finite, and says nothing: no stationary noise exists there.
         noise_gain=float(np.max(got.noise_gain)) if stable else math.inf,
         settling_time=2.0 * math.pi / slowest if slowest else math.inf,
     )
@@ -124,6 +131,8 @@ def scale_to_sensitivity(design: Design, controller: Controller, max_sensitivity
         return float(np.max(replace(loop, gain=ratio * loop.gain).sensitivity_peak(w0))) - bound
 
     last = int(np.nonzero(kept)[0][-1])
+    # A step to either side: the grid's peaks are a per cent low, and the true one may already exceed the
+    # bound at the last that kept it.
     good, bad = float(ratios[max(last - 1, 0)]), float(ratios[min(last + 1, ratios.size - 1)])
     if excess(bad) > 0.0:
         good = float(brentq(excess, good, bad, xtol=1e-11 * good, rtol=1e-11))
@@ -138,6 +147,7 @@ def _rough_peaks(loop: Loop, w0: Real, ratios: Real) -> Real:
     w = np.minimum(loop.peak(w0)[:, None] * np.geomspace(0.2, 60.0, 400), loop.highest)
     log = loop.log(w, w0[:, None])
     value, beyond = np.exp(log), log.imag <= -math.pi
+    # The initial value stands for a phase that never reaches −180°: no gain makes that loop unstable.
     crossing = float(np.max(np.abs(value), where=beyond, initial=1e-300))
     peaks = np.array([float(np.max(1.0 / np.abs(1.0 + r * value))) for r in ratios])
     return np.where(ratios * crossing < 1.0, peaks, math.inf)
@@ -145,6 +155,7 @@ def _rough_peaks(loop: Loop, w0: Real, ratios: Real) -> Real:
 
 def _start(own: Controller, order: float, frequency: float) -> Controller:
     """The design's controller with another β and the same gain at `frequency` [rad/s]."""
+    # As `design` chooses n: a single pole behind s^β, β >= 1, leaves Ĉ and its noise rising (32).
     n = max(own.filter_order, 2 if order >= 1.0 and own.filter_time else 1)
     return replace(own, order=order, gain=own.gain * frequency ** (own.order - order), filter_order=n)
 
@@ -156,6 +167,7 @@ def _best_order(design: Design, max_sensitivity: float) -> Alternative:
     centre, width = design.controller.order, 0.35
     for _ in range(3):
         for order in map(float, centre + width * np.linspace(-1.0, 1.0, 7)):
+            # Theorem 1 needs β < λ, and β → 0 is a constant Ĉ, whose C(0) is not 1.
             if not 0.05 < order < min(design.model.order, 1.95):
                 continue
             start = _start(design.controller, order, design.gain_crossover_upper)
@@ -237,6 +249,8 @@ def feasibility_map(
         allowed, remedy = f"at most {_CELLS}", "take fewer values"
         raise SizeError("gain_crossovers", count, "too many cells", allowed=allowed, remedy=remedy)
     spec = Specification(
+        # One task for all cells: the easiest crossover, so that the bandwidth is refused only where no cell
+        # has it. The equations then take each cell's own pair.
         gain_crossover=float(crossovers.min()),
         phase_margin=float(angles.max()),
         filter_order=filter_order,
@@ -256,6 +270,9 @@ def feasibility_map(
         cells.rising((gain, order, time), w0, falling)
         for w0, falling in ((task.low, np.broadcast_to(crossovers, order.shape)), (task.high, upper))
     ]
+    # Only the two ends of the range are asked. The falling crossing's margin is (55) itself there; that no
+    # payload between is worse is what a test compares cell by cell with `design`, which asks over the whole
+    # range.
     kept = np.minimum(*rising) >= angles[:, None]
     order, upper, time, gain = (np.where(kept, v, np.nan) for v in (order, upper, time, gain))
     settling = np.where(np.isfinite(order), 2.0 * math.pi / crossovers, np.nan)
@@ -283,9 +300,12 @@ class _Cells:
         top = min(self.bare.highest, 50.0 * float(crossovers.max()) * (high / low) ** 2)
         grid = np.geomspace(0.9 * float(crossovers.min()), top, _POINTS)
         residual, beta, _, _ = terms(grid[None, :], crossovers[:, None])
+        # The same lower end, 0.9 ω_c, as `solutions`: a map and a single design must not differ in what they
+        # look at.
         inside = (grid[None, :] >= 0.9 * crossovers[:, None]) & (beta > 0.0) & (beta < limit)
         # |L| falls through one: the residual goes from plus to minus, which is the exact condition at ω̄_c.
         change = (residual[:, :-1] > 0.0) & (residual[:, 1:] <= 0.0) & inside[:, :-1]
+        # The lowest root, as `attempt` takes the first admissible one; a row without any is masked behind.
         at = np.argmax(change, axis=1)
         upper = bracketed_roots(lambda x: terms(x, crossovers)[0], grid[at], grid[at + 1])
         _, beta, chi, time = terms(upper, crossovers)
@@ -327,6 +347,8 @@ class _Cells:
     def noise(self, cells: tuple[Real, Real, Real], natural_frequency: float, period: float) -> Real:
         """Noise gain of every feasible cell at one ω₀; all cells share one set of frequencies."""
         w, weights = noise_points(self.bare, natural_frequency, period)
+        # The filter's lag differs from cell to cell and is multiplied with Ĉ below: here it would count
+        # twice.
         rest = replace(self.bare, filter_time=0.0)(w, natural_frequency)
         found, n = np.full(cells[1].shape, np.nan), self.bare.filter_order
         for row in range(len(found)):

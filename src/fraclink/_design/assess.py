@@ -90,6 +90,7 @@ def phase_budget(design: Design, payload: float) -> tuple[PhaseShare, ...]:
     if crossings.size == 0:
         allowed, remedy = "a payload at which |L| crosses one", "give the mass in kg"
         raise FieldError("payload", payload, "without a gain crossover", allowed=allowed, remedy=remedy)
+    # The highest crossing: where |L| rises through one the loop is slow, and no delay costs anything there.
     w = float(np.max(crossings))
     hold = 0.5 * design.rig.period
     # What the gauge adds is the difference to a perfect one: its delay alone would leave out what the second
@@ -149,6 +150,8 @@ def margin_curve(design: Design, payloads: ArrayLike, *, kind: CurveKind = "loop
             np.array([f.modulus_margin for f in found]),
         )
     loops = {
+        # Up to the Nyquist frequency, as the others: a crossing of the paper's L beyond it belongs to no
+        # controller.
         "ideal": replace(design.ideal_loop, highest=whole.highest),
         "motor": replace(
             whole, delay=0.0, correction=None, gauge_delay=0.0, gauge_gain=1.0, second_mode=None
@@ -166,6 +169,7 @@ def axis_of(field: str, values: ArrayLike, annotation: object) -> Real:
     axis = checked_series(field, [values] if single else values, remedy="give one axis of numbers")
     if axis.size == 0:
         raise FieldError(field, 0, "without values", allowed="one or more", remedy="give numbers")
+    # The annotation's own range: a series is then refused in the words of the single number.
     (bounds,) = (item for item in getattr(annotation, "__metadata__", ()) if isinstance(item, Between))
     for value in axis:
         bounds.check(field, float(value))
@@ -196,7 +200,11 @@ def tolerances(design: Design) -> Tolerances:
     low, high = design.natural_frequencies
     grid = np.geomspace(low, high, _PAYLOADS)
     found = loop.crossings(grid)
+    # More delay at a falling crossing adds an encirclement of −1, and takes one away at a rising one
+    # (`Loop.margins`): only the falling ones are lost to it.
     falling = found.slope < 0.0
+    # φ_m/ω_c at each, in [0, 2π): the smallest is not that of the smallest margin where a late gauge crosses
+    # often.
     delay = float(np.min(np.remainder(found.phase_margin[falling], 2 * math.pi) / found.frequency[falling]))
 
     def margin(changed: Loop, w0: Real | float) -> float:
@@ -205,6 +213,8 @@ def tolerances(design: Design) -> Tolerances:
     def stiff(ratio: float) -> float:
         # θte = θm − Γ/c with the assumed c: a stiffer link moves the mode and shows in the gauge as gain.
         changed = replace(loop, gauge_gain=ratio * loop.gauge_gain)
+        # Ends and middle: the least margin lies at an end, or inside where a late gauge puts it, and every
+        # link more is asked for at up to 120 stiffnesses.
         return margin(changed, grid[[0, 4, 8]] * math.sqrt(ratio))
 
     # A factor of 7 in ω₀ is one of 49 in payload, further than any design is asked about.
@@ -213,6 +223,7 @@ def tolerances(design: Design) -> Tolerances:
     slow = None
     if loop.lag:
         slow = _edge(lambda p: margin(replace(loop, lag=1.0 / p), grid), 1.0 / loop.lag, 0.02 / loop.lag)
+    # A factor of 20 either way is farther than anybody is wrong about a stiffness.
     soft, hard = _edge(stiff, 1.0, 0.05), _edge(stiff, 1.0, 20.0)
     return Tolerances(
         delay=delay,
@@ -260,6 +271,8 @@ def spillover(
         w, zeta = mode.frequency, mode.damping_ratio
         # Above the first mode the lumped link is gone (G → 0): what the mode is multiplied with is Ĉ·M alone.
         rest = math.exp(float((loop.outer_log(w) + loop.motor_log(w)).real))
+        # At the peak 1 − (ω/ω_i)² is 0 and 2jζ is left; the phase is nobody's to know, so the size alone is
+        # judged.
         value = rest * abs(mode.share) / (2.0 * zeta)
         found.append(Requirement.at_most(f"loop gain at mode {number}", limit, value, "", design.payloads[0]))
     return tuple(found)
@@ -315,5 +328,6 @@ def matched_in(
 ) -> Controller:
     """Return the same for any loop without its Ĉ: what stands beside k_d s^β."""
     value = complex(beside.log(gain_crossover, natural_frequency))
+    # The phase of k_d (jω)^β is βπ/2 whatever k_d: (55) is linear in β, and k_d follows from |L| = 1.
     order = 2.0 / math.pi * (phase_margin - math.pi - value.imag)
     return Controller(gain=math.exp(-value.real) / gain_crossover**order, order=order)

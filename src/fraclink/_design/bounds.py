@@ -26,6 +26,7 @@ Complex = NDArray[np.complex128]
 Attempt = Callable[["Task"], "tuple[ClosedForm, int] | None"]
 Figure = Callable[["Task", Controller], float]
 
+# Filter and margin answer each other: two or three turns settle it, and twelve are far beyond.
 _TURNS = 12
 _LINKS = 9  # of the range, at which Ms and noise are asked for: both are smooth over ω₀
 
@@ -42,6 +43,7 @@ def edge(figure: Callable[[float], float], bound: float, good: float, bad: float
 
     known: dict[float, float] = {}  # ln of a value: its figure
 
+    # In logarithms: margins and filters span decades, and the figures fall like powers of them.
     def excess(log: float) -> float:
         if log not in known:
             known[log] = figure(math.exp(log))
@@ -99,6 +101,7 @@ def _worst(task: Task, controller: Controller) -> tuple[tuple[float, float], tup
 
 def _peak(task: Task, controller: Controller) -> float:
     loop, links = task.loop(controller), np.geomspace(task.low, task.high, _LINKS)
+    # An unstable loop may keep its distance from −1: 1/|1 + L| alone would take it for a good one.
     stable = bool(np.all(loop.margins(links)[1] > 0.0))
     return float(np.max(loop.sensitivity_peak(links))) if stable else math.inf
 
@@ -129,6 +132,8 @@ def bound_requirements(
         if spec.noise_gain is not None:
             found.append(Requirement.at_most("noise gain", spec.noise_gain, noise, "", where(at_noise)))
     if spec.settling_time is not None:
+        # Section 6 of the paper takes 2π/ω_c for the settling time; the slowest crossover of the range
+        # decides.
         time = 2.0 * math.pi / slowest if slowest else math.inf
         found.append(Requirement.at_most("settling time", spec.settling_time, time, "s", task.payloads[1]))
     if spec.mode_gain is not None:
@@ -164,6 +169,8 @@ def reach(task: Task, spec: Specification, attempt: Attempt) -> Task:
         if spec.max_sensitivity is not None and spec.phase_margin is None:
             task = _raise_margin(task, spec.max_sensitivity, share, peak)
         for name, bound, worst in bounds:
+            # A filter that was given is kept, and what it misses is reported. In the paper's reading it
+            # stands behind the equations, where it could reach no bound.
             if bound is not None and spec.filter_time is None and task.inside:
                 task = _raise_filter(task, name, bound, share, worst)
         if task == before:
@@ -175,6 +182,8 @@ def _raise_margin(task: Task, asked: float, share: float, worst: Callable[[Task]
     """The smallest phase margin whose sensitivity peak is within `asked`."""
     if worst(task) <= asked:
         return task
+    # Steps of 2.8° from 50° on. Above the mode the link's own phase is −λπ/2, so that (55) asks for β = λ − 2
+    # (1 − φ_m/π): at 0.9 π that is 0.2 below the λ at which Theorem 1 ends.
     bound, margins = 1.0 + (asked - 1.0) * share, np.linspace(task.phase_margin, 0.9 * math.pi, 41)
 
     def figure(margin: float) -> float:
@@ -200,6 +209,8 @@ def _raise_filter(task: Task, name: str, bound: float, share: float, worst: Call
     ruled = worst(task)
     if ruled <= bound:
         return task
+    # Which n lags less for the same bound depends on how far above the crossover the noise or the mode lies:
+    # both are tried.
     orders = (1, 2) if task.filter_order is None else (task.filter_order,)
     tried = [_shortest(replace(task, filter_order=n), bound * share, worst) for n in orders]
     made = [found for found, _ in tried if found is not None]

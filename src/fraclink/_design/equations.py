@@ -109,6 +109,8 @@ def task_of(model: LinkModel, rig: Rig, spec: Specification) -> Task:
         _check_bandwidth(crossover, rig)
     settings = rig.motor_loop
     motor_loop = MotorLoop(settings.pole, int(settings.delay_samples), spec.inner, spec.placement)
+    # Here and not at the first loop: a search for the nearest request must not meet a FieldError in its
+    # midst.
     if spec.inner == "sampled":
         motor_loop.sampled(rig.motor, rig.period)  # refused at once where its poles cannot be placed
     return Task(
@@ -202,6 +204,7 @@ class ClosedForm:
         Right of the peak of |L| is the exact condition: the denominator of (49) is minus the slope times a
         positive factor, so its sign is what makes ω_c rise and φ_m fall with ω₀. (39) is only sufficient.
         """
+        # β < λ is a condition of Theorem 1, and β < 2 what a controller may have: with λ = 2 they are one.
         limit = min(link_order, 2.0)
         if self.order <= 0.0:
             return "β > 0"
@@ -229,8 +232,11 @@ def equation(
         # The rule's δ depends on the trial ω̄_c, so its filter is added here and not in `bare`.
         at_low = at_low - n * np.log(1.0 + 1j * time * crossover)
         at_high = at_high - n * np.log(1.0 + 1j * time * upper)
+    # arg L = −π + φ_m at ω̄_c, and arg (jω)^β is βπ/2 at every ω: linear in β, no branch to choose, as
+    # `bare.log` has the unwrapped phase.
     beta = 2.0 / math.pi * (margin - math.pi - at_high.imag)
     chi = -at_low.real
+    # ln|L(jω̄_c)| with k_d from (54): ln χ + β ln(ω̄_c/ω_c) + ln|R B|. Its zero is the second crossing.
     residual = chi + beta * (np.log(upper) - np.log(crossover)) + at_high.real
     return np.asarray(residual), np.asarray(beta), np.asarray(chi), time
 
@@ -282,6 +288,7 @@ def attempt(task: Task) -> tuple[ClosedForm, int] | None:
     """
     aim, last = task, math.inf
     for _ in range(1 if task.model.exact_gauge or not task.inside else _AIMS):
+        # Of the first solution that crosses at all, in the order of preference: n = 1, lowest ω̄_c.
         shortfall: tuple[float, float] | None = None
         for order in (task.filter_order,) if task.filter_order else (1, 2):
             for solution in solutions(aim, order, admissible=True):

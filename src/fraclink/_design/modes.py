@@ -84,6 +84,8 @@ def vibration(loop: Loop, natural_frequency: float) -> Vibration | None:
     """
     mode = float(loop.peak(natural_frequency))
     w = np.minimum(mode * np.geomspace(*_BAND, 160), loop.highest)
+    # A root beside the axis dents |1 + L| on it, so every dent is a start. The open loop's own pole would be
+    # one only where the correction is weak.
     distance = np.abs(1.0 + loop(w, natural_frequency))
     inner = np.flatnonzero((distance[1:-1] <= distance[:-2]) & (distance[1:-1] <= distance[2:])) + 1
     roots = _roots(loop, w[inner].astype(complex), natural_frequency)
@@ -106,6 +108,7 @@ def _roots(loop: Loop, w: Complex, natural_frequency: float) -> Complex:
         if np.all(np.abs(change) <= _STILL * np.abs(w)):
             break
     kept = (np.abs(1.0 + loop(w, natural_frequency)) < 1e-8) & (w.real > 0.0)
+    # In the right half plane of ω, the upper of s: the other of the pair is its mirror image.
     return np.asarray(w[kept])
 
 
@@ -119,6 +122,7 @@ def ringing(loop: Loop, ends: Mapping[float, float], *, whose: str = "") -> tupl
     slow = {payload: one for payload, one in found.items() if one is not None and one.periods > _PERIODS}
     if not slow:
         return ()
+    # The least damped is the one that a user sees longest, and the finding names one payload.
     payload, worst = min(slow.items(), key=lambda item: item[1].damping_ratio)
     return (
         Finding(
@@ -187,8 +191,11 @@ def higher_modes(
     if damping_ratio is not None:
         damping_ratio = checked_between("mode_damping", damping_ratio, 0.0, 0.999, open_low=True)
     else:
+        # A fractional or viscous law damps the higher modes as it does the first; without one they would be
+        # infinitely high, and no filter would do.
         damping_ratio = assumed_ratio(model)
     rows: list[tuple[int, float, Real, Real]] = []
+    # `unique`: the payloads of a range of one point would be three rows of the same.
     for payload in map(float, np.unique(np.geomspace(*payloads, _MODE_PAYLOADS))):
         if model.second_mode is not None:
             width = min(model.second_mode.damping_ratio, _WIDEST)
@@ -215,6 +222,8 @@ def _beam_modes(
         answer = np.ones(s.shape, dtype=np.complex128)
         for frequency, share in zip(frequencies, sizes / model.stiffness, strict=True):
             answer -= share * s**2 / (s**2 + frequency**2 * material_law(model, s, float(frequency), ratio))
+        # The whole sum and not the mode's own term: the tails of its neighbours, with it or against it, are
+        # part of what the gauge shows there.
         found.append((i + 1, payload, w, np.log(np.abs(answer))))
     return found
 
@@ -226,6 +235,8 @@ def _around(model: LinkModel, frequency: float, ratio: float | None) -> Real:
         law = complex(material_law(model, np.asarray(1j * peak), frequency, ratio))
         peak = frequency * math.sqrt(max(law.real, 0.25))
     law = complex(material_law(model, np.asarray(1j * peak), frequency, ratio))
+    # arg D is 2ζ for a small ζ. The floor keeps points on either side of a peak that the iteration above has
+    # placed to three digits only, as it may for α near 2.
     width = min(max(0.5 * abs(math.atan2(law.imag, law.real)), 1e-3), _WIDEST)
     return np.asarray(peak * np.exp(width * _POINTS))
 

@@ -48,6 +48,8 @@ def refuse(
     condition, reason = _reason(task, found)
     if not nearest:
         raise InfeasibleError(condition, reason, {})
+    # Just inside what `task_of` refuses; in the paper's reading nothing bounds a crossover, and 1e4 rad/s is
+    # beyond any arm.
     top = 0.999 * (fastest if task.inside else 1e4)
     start = min(task.low ** (2.0 / task.model.order), top) / 3.0
     # Steps of 2.3° and, from a third of the heaviest payload's resonance on, of some percent: finer than what
@@ -66,6 +68,7 @@ def refuse(
         word = "highest" if crossover < task.gain_crossover else "lowest"
         degrees = math.degrees(task.phase_margin)
         parts.append(f"with {degrees:.4g}° the {word} gain crossover is {crossover:.6g} rad/s")
+        # Near is a ratio: 10 % of a margin against 10 % of a crossover, whatever their units.
         if abs(math.log(crossover / task.gain_crossover)) < change:
             offer = asked | {"gain_crossover": crossover}
     if not offer:
@@ -161,6 +164,8 @@ def offered(
         except FieldError:
             return {}  # what would be needed is out of its range: nothing near is feasible
 
+    # What is missed is asked for as it was achieved, which may cost another bound: three rounds let noise, Ms
+    # and the mode answer one another.
     for _ in range(3):
         missed = missing(wanted)
         if missed is None:
@@ -172,6 +177,7 @@ def offered(
     def looser(share: float) -> dict[str, Any]:
         return {name: _loosened(name, value, share, spec) for name, value in wanted.items()}
 
+    # Beyond a quarter the offer is another request, and better asked for anew.
     works = next((share for share in _LOOSER if missing(looser(share)) is None), None)
     if works is None:
         return {}

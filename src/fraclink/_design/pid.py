@@ -110,6 +110,7 @@ def tune_pid(
     if max_sensitivity is None and gain_crossover is None:
         max_sensitivity = SENSITIVITY
     own = _plant_of(plant)
+    # Hold and computation stand in the plant from the start: a margin met without them is lost by ω_c·1.5 T.
     problem = _problem(
         own.delayed(PERIODS * (period or 0.0)),
         form,
@@ -126,12 +127,16 @@ def tune_pid(
     found = searched(problem, crossovers)
     if not found.count:
         raise _infeasible(problem, crossovers)
+    # One horizon for all candidates: with 40/ω_c of each its own, a slow loop would be given more time to be
+    # late in, and its ITAE could not be compared with a fast one's.
     length = HORIZON / float(np.max(found.crossover)) if horizon is None else horizon
     best = best_of(problem, found, length, free=gain_crossover is None)
     made = PidTuning(
         plant=own,
         controller=best.controller(0),
         phase_margin=phase_margin,
+        # Eight times the search's samples: the value is stated, not only compared. To 1e-5 of the exact
+        # response's on the plants of the tests.
         itae=float(itae(problem, best, length, 8192)[0]),
         horizon=length,
         gain_crossover=gain_crossover,
@@ -158,6 +163,7 @@ def _of_law(made: PidTuning) -> tuple[Finding, ...]:
                 "keep a larger margin, or simulate the law on the arm's own software",
             ),
         )
+    # The limits play no part in the linear loop: any finite ones do, as the caller need not have given them.
     found = made.sampled_margins(made.law(output_limit=1.0, measurement_limit=1.0))
     # A stable loop's nearest crossing may lie on either side of -1; what counts is how far.
     kept = abs(found.phase_margin)
@@ -188,6 +194,8 @@ def _of_law(made: PidTuning) -> tuple[Finding, ...]:
 
 def _lasting(problem: PidProblem, controller: FractionalPid) -> tuple[Finding, ...]:
     """What is left of a step for ever, where neither controller nor plant integrates."""
+    # An integral of any order λ > 0 has infinite gain at rest: the error then vanishes, if as slowly as
+    # t^(−λ).
     if controller.integral or problem.integrators > 0.0:
         return ()
     top, bottom = problem.plant.numerator[-1], problem.plant.denominator[-1]
@@ -215,6 +223,8 @@ def _plant_of(plant: Any) -> FractionalTransferFunction:
     own = plant.transfer_function if isinstance(plant, StructureFit) else from_control(plant)
     if not own.numerator:
         raise FieldError("plant", "0", "zero", allowed="a plant that answers", remedy="build it from s")
+    # |L| of a plant that does not fall may stay above one for ever, and the 1.5 periods of delay then turn it
+    # round −1 without end: no count of turns, which decides stability here, comes to rest.
     if own.relative_degree <= 0.0:
         raise FieldError(
             "plant",
@@ -224,6 +234,8 @@ def _plant_of(plant: Any) -> FractionalTransferFunction:
             remedy="write down the lag of its sensor or actuator",
         )
     order = own.denominator[-1].order
+    # A pole at the origin is no instability here: the scan knows how far L turns there. It is divided out,
+    # and what is left must be stable, as a Nyquist count without right half-plane poles is used.
     free = own / FractionalTransferFunction.power(-order) if order else own
     if not is_stable(free):
         raise FieldError(
@@ -233,6 +245,8 @@ def _plant_of(plant: Any) -> FractionalTransferFunction:
             allowed="a stable plant, or one with integrators",
             remedy="close an inner loop first, and tune for what that makes of it",
         )
+    # The sign of the gain at rest: with gains of C that are >= 0, a plant of negative gain closes a positive
+    # feedback.
     lowest = own.numerator[-1].coefficient / own.denominator[-1].coefficient
     if lowest < 0.0:
         remedy = "tune for -plant, and negate the controller's output"
@@ -262,6 +276,7 @@ def _problem(
         if order is not None and not used:
             remedy = f"leave it out, or ask for another form than {form}"
             raise FieldError(name, order, f"given for a {form}", allowed="none", remedy=remedy)
+    # Two gains are spent on ω_c and φ_m, so of a PI or PD the order is the one number left for a flat phase.
     single = integral_order if integral else derivative_order
     if flat_phase and not (integral and derivative) and single is not None:
         raise FieldError(
@@ -304,6 +319,7 @@ def _crossovers(plant: FractionalTransferFunction, given: float | None) -> tuple
             allowed="> 0 rad/s",
             remedy="give gain_crossover=, or period= of the law, whose delay bounds it",
         )
+    # Above π/τ the delay alone takes 180°. Three decades down no plant is left whose delay decides anything.
     return 1e-3 * math.pi / delay, math.pi / delay
 
 
@@ -311,6 +327,8 @@ def _infeasible(problem: PidProblem, crossovers: list[float]) -> InfeasibleError
     """The error, with the nearest phase margin for which there is a controller."""
     asked = problem.phase_margin
     more = "another crossover, another form, or flat_phase=False (--no-flat-phase) leaves more room"
+    # Nearest first, so that the first that works is the offer; steps of 2.5° and every fourth crossover, as
+    # each trial is a search of its own and a person asks again in whole degrees.
     steps = sorted(np.radians(np.arange(5.0, 150.0, 2.5)), key=lambda angle: abs(angle - asked))
     for angle in steps:
         if searched(replace(problem, phase_margin=float(angle)), crossovers[::4]).count:

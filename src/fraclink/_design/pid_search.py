@@ -26,9 +26,16 @@ __all__ = ["Candidates", "PidProblem", "best_of", "crossover_grid", "itae", "sea
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
+# Eighty points a decade and those about the modes: on three plants the margins of 600 candidates are 2e-3 rad
+# at most off those of a scan forty times as dense, Ms 3 %. That ranks them; what is accepted is measured
+# anew.
 _POINTS = 480  # of the scan in ω; margins are found again by root finding once the search is over
 _REACH = 1e3  # either side of the crossover
+# At 512 samples the least ITAE of a plant with an integrator is another candidate's than at 16 384, at 1024
+# it is the same on the three plants tried, although a candidate near its margin is 9 % off.
 _SAMPLES = 1024  # of the error in the search: frequencies to 80 times the crossover
+# A larger factor multiplies what the truncated series leaves out: with 1e8 candidates near their margin come
+# out wrong by a factor of three.
 _DAMPING = math.log(1e5)  # of the Fourier series: what wraps around counts 1e-5
 _TOLERANCE = 3e-4  # [rad] between scan and root
 _ROOM = 1.002  # between the scan's value of a bound and the true one
@@ -117,6 +124,9 @@ class PidProblem:
         low, high = self.crossovers[0] / _REACH, self.crossovers[1] * _REACH
         w = [np.geomspace(low, high, _POINTS)]
         try:
+            # A lightly damped mode is narrower than the scan's steps of 3 %, and a loop gain that rises to
+            # one there and falls again would be missed. Six modes: the lowest are the ones that a controller
+            # reaches.
             modes = np.abs([pole for pole in poles(self.plant) if abs(pole.imag) > 0])
         except FraclinkError:  # delays in the denominator: no finite list of poles
             modes = np.empty(0)
@@ -148,13 +158,19 @@ class PidProblem:
             right.append(slope - turn)
         with np.errstate(all="ignore"):
             matrix, wished = np.stack(rows, axis=1), np.stack(right, axis=1)[..., None]
+            # λ = μ, or an order that makes two parts parallel at ω_c: no gains follow, and numpy would refuse
+            # the whole stack for one of them.
             regular = np.abs(np.linalg.det(matrix)) > 1e-200
             found = np.zeros((crossover.size, len(used)))
             found[regular] = np.linalg.solve(matrix[regular], wished[regular])[..., 0]
         gains = np.zeros((crossover.size, 3))
         gains[:, used] = found
+        # The slope of the whole curve, given or not: `_made_flat` looks for its change of sign along the
+        # orders.
         own = ((gains * slopes).sum(axis=1) / wanted).imag + turn
         made = Candidates(gains, lam, mu, own, crossover, self.lag(crossover))
+        # Negative gains are dropped rather than clipped to 0: clipped, the controller no longer crosses at
+        # ω_c with the margin.
         return made[
             regular & np.all(np.isfinite(gains) & (gains >= 0.0), axis=1) & np.any(gains > 0.0, axis=1)
         ]
@@ -169,6 +185,8 @@ class PidProblem:
                 _least_margin(loop) >= self.phase_margin - _TOLERANCE
             )
             if self.gain_margin is not None:
+                # The scan's minima are no better than its steps, so the bounds are asked for with `_ROOM` to
+                # spare, and the exact engine, which judges the result, finds them kept.
                 good &= _least_gain_margin(loop) >= self.gain_margin * _ROOM
             if self.max_sensitivity is not None:
                 good &= np.min(np.abs(1.0 + loop), axis=1) >= _ROOM / self.max_sensitivity
@@ -207,12 +225,15 @@ def _stable(loop: Complex, origin: Real) -> NDArray[np.bool_]:
     first = -0.5 * math.pi * origin
     start = first + np.angle(turned[:, 0] * np.exp(-1j * first))
     end = start + np.angle(turned[:, 1:] / turned[:, :-1]).sum(axis=1)
+    # Turns differ by 2π; one radian tells them apart whatever the scan loses between two points.
     return np.asarray(np.abs(end - np.angle(turned[:, -1])) < 1.0)
 
 
 def _least_margin(loop: Complex) -> Real:
     """Smallest |phase margin| over the gain crossings of each row, π where there is none."""
     level = np.log(np.abs(loop))
+    # By the straight line between two points in ln ω: a root search for every one of some thousand candidates
+    # would take a hundred times as long.
     crosses = (level[:, :-1] > 0.0) != (level[:, 1:] > 0.0)
     share = level[:, :-1] / (level[:, :-1] - level[:, 1:])
     angle = np.angle(-loop[:, :-1]) + share * np.angle(loop[:, 1:] / loop[:, :-1])
@@ -222,6 +243,7 @@ def _least_margin(loop: Complex) -> Real:
 def _least_gain_margin(loop: Complex) -> Real:
     """Smallest factor by which the gain may change, up or down, before the loop passes −1."""
     turns = np.angle(-loop)
+    # A change of sign by more than π is the phase wrapping at ±180° from −1, on the far side: no crossing.
     passes = (turns[:, :-1] * turns[:, 1:] < 0.0) & (np.abs(turns[:, 1:] - turns[:, :-1]) < math.pi)
     level = np.abs(np.log(np.abs(loop)))
     share = turns[:, :-1] / (turns[:, :-1] - turns[:, 1:])
@@ -239,6 +261,8 @@ def itae(problem: PidProblem, found: Candidates, horizon: float, samples: int = 
     shift = _DAMPING / (2.0 * horizon)
     s = np.asarray(shift + 1j * math.pi / horizon * np.arange(samples // 2 + 1), dtype=np.complex128)
     with np.errstate(all="ignore"):
+        # E(s) = 1/(s (1 + L)), in closed form for any L: delays and orders need no model, and all candidates
+        # go through one FFT.
         image = 1.0 / (s * (1.0 + found.response(s) * problem.plant(s)[None, :]))
         rate = found.crossover[:, None]
         series = np.fft.irfft(image - 1.0 / (s + rate), n=samples, axis=1)
@@ -251,6 +275,8 @@ def itae(problem: PidProblem, found: Candidates, horizon: float, samples: int = 
 def searched(problem: PidProblem, crossovers: Sequence[float]) -> Candidates:
     """Every candidate of the grid that keeps what is asked for."""
     both = problem.integral and problem.derivative
+    # 21 × 21 orders, or 11 × 11 with ten slopes each: some thousand linear systems of three, a few
+    # milliseconds.
     count = _FEWER if both and not problem.flat else _ORDERS
     lam = _range(problem.integral_orders, problem.integral, count)
     mu = _range(problem.derivative_orders, problem.derivative, count)
@@ -275,6 +301,8 @@ def _made_flat(problem: PidProblem, found: Candidates) -> Candidates:
     """Between two candidates whose slopes have opposite signs, the one whose phase is flat."""
     orders = found.integral_order if problem.integral else found.derivative_order
     chosen = []
+    # Candidates with a negative gain were left out, so neighbours in the list may be far apart in their
+    # order: halving ends with no candidate there, and the pair is given up.
     for k in np.flatnonzero(found.slope[:-1] * found.slope[1:] < 0.0):
         low, high = orders[k], orders[k + 1]
         for _ in range(40):  # halving: an order is known to 1e-13 then
@@ -325,17 +353,22 @@ def best_of(problem: PidProblem, found: Candidates, horizon: float, *, free: boo
             low <= x <= high for x, (low, high), on in zip(values, spans, varied, strict=False) if on
         )
         low, high = problem.crossovers
+        # A wall instead of a penalty: outside the range there may be no controller whose ITAE could be asked.
         if not within or not low <= math.exp(values[3]) <= high:
             return _REFUSED
         made = problem.admitted(problem.solved(values[:1], values[1:2], values[2:3], np.exp(values[3:])))
         if not made.count:
             return _REFUSED
+        # The cost is ITAE with what is inadmissible cut out, so the simplex may end on a value that was
+        # refused: the best admitted one is kept beside it.
         result = float(itae(problem, made, horizon)[0])
         if result < kept[0][0]:
             kept[0] = (result, made)
         return result
 
     begin = np.array(start)[varied]
+    # About the grid's step in the orders, and 6 % in ω_c, whose grid has steps of 35 %: the simplex begins
+    # inside the cell that won. SciPy's own start, 5 % of each value, is none where a slope is 0.
     simplex = np.vstack([begin, begin + np.diag(np.array([0.04, 0.04, 0.05, 0.06])[varied])])
     options = {"initial_simplex": simplex, "maxfev": 200, "xatol": 1e-4}
     minimize(cost, begin, method="Nelder-Mead", options=options)

@@ -113,12 +113,17 @@ class PidTuning:
     @cached_property
     def stable(self) -> bool:
         """Whether the closed loop is stable."""
+        # The engine says None for a plant whose open-loop poles it cannot count; the closed loop's are then
+        # sought themselves.
         found = self.margins.stable
         return bool(is_stable(self.open_loop.feedback())) if found is None else found
 
     @property
     def phase_slope(self) -> float:
         """d arg L/d ln ω at the gain crossover [rad]: 0 where the phase is flat."""
+        # A central difference, 1e-10 off: the loop has delays and arbitrary orders, and its derivative in
+        # closed form would have to be written for every kind of plant. By the ratio, so that no turn of 2π
+        # comes between.
         w, step = self.margins.gain_crossover, 1e-5
         loop = self.open_loop
         return float(np.angle(loop(1j * w * math.exp(step)) / loop(1j * w * math.exp(-step))) / (2.0 * step))
@@ -131,6 +136,8 @@ class PidTuning:
         if self.gain_crossover is not None:
             rows.append(("gain crossover [rad/s]", self.gain_crossover, found.gain_crossover, 0))
         if self.gain_margin is not None:
+            # A loop that becomes unstable with less gain has a margin below one: what is asked for is a
+            # factor either way.
             nearest = found.gain_margin
             rows.append(("gain margin", self.gain_margin, max(nearest, 1.0 / nearest), 1))
         if self.max_sensitivity is not None:
@@ -179,6 +186,8 @@ class PidTuning:
         chosen = Between(0.0, 1e3, "s", low_open=True).check("period", given["period"])
         crossover, high = self.margins.gain_crossover, 0.5 * math.pi / chosen
         band = None
+        # A crossover in the last fifth of the band has no fifty-fold above it: the default band then serves
+        # as well.
         if math.isfinite(crossover) and crossover < 0.2 * high:
             band = (max(crossover / LAW_BAND[0], 1e-5 * high), min(LAW_BAND[1] * crossover, high))
         return discretize_pid(
@@ -200,6 +209,8 @@ class PidTuning:
 
         def loop(s: Complex) -> Complex:
             w = np.imag(s)
+            # A whole period, where `open_loop` counts one and a half: the half is the hold, which `modes` has
+            # exactly.
             late = np.exp(-1j * w * law.period)
             return np.asarray(pid_response(law, w) * modes.frequency_response(w) * late)
 
@@ -215,6 +226,8 @@ class PidTuning:
         length = self.horizon if duration is None else duration
         if law is not None:
             return _run(self.plant, law, size, max(2, round(length / law.period) + 1))
+        # A thousand points are more than a drawing shows; a loop without a delay is exact at each of them,
+        # whatever their number.
         time = np.linspace(0.0, length, 1001)
         loop, pressed = self.open_loop, np.full(time.size, size)
         closed, outer = loop.feedback(), self.controller.transfer().feedback(self.plant.delayed(self.delay))
@@ -232,6 +245,7 @@ class PidTuning:
 
 
 def _is_kept(asked: float, got: float, sense: int) -> bool:
+    # Absolute below one, as a slope of 0 rad is asked for: relative room of nothing is nothing.
     room = _EXACT * max(1.0, abs(asked))
     return abs(got - asked) <= room if sense == 0 else sense * (got - asked) >= -room
 
@@ -239,6 +253,8 @@ def _is_kept(asked: float, got: float, sense: int) -> bool:
 def _run(plant: FractionalTransferFunction, law: Law, size: float, count: int) -> PidStep:
     """law.c on the exactly held plant; its output takes effect one period later."""
     modes = discrete_modes(plant, law.period, span=count * law.period)
+    # Convolution with the plant's pulse response, O(N²): a state that is carried along would need the modes
+    # of a delayed plant written out once more, and N is a few thousand.
     weights = modes.respond(np.eye(1, count)[0])  # to a pulse of one period, at the later samples
     state, given = law.initial_state(), np.zeros(count)
     measured = np.zeros(count)

@@ -246,6 +246,8 @@ def _designed_over(
 
     asked = task_of(link, rig, spec)
     aim, requirements = OverBox(spec, arms, asked, solve, requirements_of).aimed(nearest=nearest)
+    # Once more for what was aimed at, and not the last trial: findings of the filter and of the mode are
+    # those of the controller that is returned.
     made = _designed(link, rig, aim)
     if all(finding.code != "W409" for finding in made.findings):
         made = replace(made, findings=(*made.findings, *_ringing_over(asked, made.controller, arms)))
@@ -293,6 +295,7 @@ def findings_of(
     [rad/s]; `mode_bounded` tells that the loop gain at the higher modes was asked for.
     """
     found = list(doubts_of(task.rig, task.model, task.payloads))
+    # The lag at ω̄_c, where the phase margin is met: at ω_c the filter would look cheaper than it is.
     cost = controller.filter_order * math.atan(controller.filter_time * upper)
     if task.filter_time is not None and cost > MARGIN_SHARE * task.phase_margin * (1.0 + 1e-2):
         margin = task.phase_margin
@@ -315,6 +318,7 @@ def findings_of(
                 "the sampling bounds it; give filter_time, or leave it out to have it chosen",
             )
         )
+    # At the heaviest payload: the bound (39) rises with ω₀, but the crossover is asked for at ω_c only there.
     sufficient = Loop.ideal(task.model).sufficient(task.low)
     if task.gain_crossover <= sufficient:
         found.append(

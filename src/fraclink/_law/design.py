@@ -143,6 +143,8 @@ def _from_first_formats(data: dict[str, Any]) -> dict[str, Any]:
     for item in data["requirements"]:
         slack = item.pop("slack")
         del item["passed"]
+        # The old slack had the sign of what is good: where it rises with the value achieved, the bound is a
+        # least one.
         rises = (item["achieved"] - item["wanted"]) * slack >= 0.0
         item["bound"] = "at least" if rises else "at most"
     return data
@@ -234,6 +236,8 @@ class Design:
 
     def doubted(self, findings: Iterable[Finding]) -> Design:
         """Return the design with the errors among `findings`, such as those of the fit that it rests on."""
+        # Errors only: a warning of a fit is the fit's to tell, an error takes the ground from under the
+        # design. As a set that keeps its order, so that saying it twice changes nothing.
         return replace(self, findings=tuple(dict.fromkeys((*errors_of(findings), *self.findings))))
 
     @property
@@ -274,6 +278,7 @@ class Design:
 
     def sampled_plant(self, natural_frequency: float) -> SampledPlant:
         """Return what the law sees from its motor reference to the tip estimate, exactly sampled."""
+        # ω₀ alone: the plant knows no payload, and a design for ω₀ in its own right has none to be converted.
         link = replace(self.model, natural_frequency=_checked_frequency(natural_frequency))
         return sampled_plant(link, self.motor_loop, self.rig.motor, self.rig.period)
 
@@ -317,6 +322,7 @@ class Design:
         the findings alone: the sampled loop was not what it was asked for.
         """
         found, findings = self._law_looked_at()
+        # Asked twice, it is still one requirement.
         requirements = tuple(r for r in self.requirements if r.name != LAW_MARGIN)
         if self.margins_kind == "loop" and found:
             requirements += (kept_by_law(self, found),)
@@ -338,6 +344,8 @@ class Design:
         try:
             found = law_margins(self)
         except FieldError as error:
+            # "order" is the field of `modes_from`, for a fit of more modes than law.c holds; any other fault
+            # is the caller's.
             if error.field != "order":
                 raise
             return (), tuple(dict.fromkeys((*self.findings, no_law(error))))
@@ -356,6 +364,7 @@ class Design:
 def _check_response(response: Callable[[Real], Complex]) -> None:
     """Raise FieldError where `response` does not turn frequencies into as many complex values."""
     try:
+        # Tried on two frequencies: a function of one number would fail deep inside the search for margins.
         shape = np.asarray(response(np.array([1.0, 2.0])), dtype=np.complex128).shape
     except (TypeError, ValueError):
         shape = ()

@@ -89,6 +89,8 @@ def discretize_pid(
     def rest(frequency: NDArray[np.float64]) -> Complex:
         return controller.response(frequency) / _response(base, frequency) - 1.0
 
+    # 1 + Ĉ = C/P is 1 at rest only where P has the whole of C's integral: the zero at z = 1 is Ĉ's, and an
+    # error that lasts meets the integer integral alone.
     fit = fit_discrete(
         rest,
         period=period,
@@ -100,10 +102,12 @@ def discretize_pid(
         tolerance_deg=TOLERANCE_DEG,
     )
     correction = modes_from("order", fit, REAL_MODES, PAIR_MODES)
+    # No friction and no coupling torque: the plant is nobody's motor. The speed of 1 divides nothing then.
     drive = Drive(base, output_limit, torque_voltage=0.0, coulomb_voltage=0.0, coulomb_speed=1.0)
     return Law(
         period=period,
         precision=precision,
+        # A compliance 1/c of zero takes the torque out of the tip estimate: θte = θm, the measurement.
         stiffness=math.inf,
         correction=correction,
         feedforward=Modes(0.0),
@@ -134,6 +138,7 @@ def _band(period: float) -> tuple[float, float]:
 def _integer_part(controller: FractionalPid, period: float, band: tuple[float, float]) -> DiscretePid:
     """P(z): k_P, and the integral that continues k_i/s^λ below the band."""
     joint = band[0] / JOINT
+    # k_i/s^λ and k_I/s have one size at the joint: |k_i ω^(−λ)| = k_I/ω there.
     integral = controller.integral * joint ** (1.0 - controller.integral_order)
     if not (controller.proportional or integral):
         raise FieldError(
@@ -180,7 +185,11 @@ def _limits(correction: Modes, reach: float) -> Limits:
             for x in (pole.real, pole.imag, gain.real, gain.imag)
         ],
     }
+    # The state of a mode is driven by the change of the error: (1 − z⁻¹)/(z − p) answers an impulse with 1, p
+    # − 1, (p − 1) p, …, of which this is the absolute sum.
     norms = [(1 + abs(1 - p) / (1 - abs(p)), abs(g)) for p, g in modes_of(listed)]
+    # r and y of opposite signs are 2Y apart; a hundredth more, so that rounding in single precision trips
+    # nothing.
     error = 2.0 * reach * 1.01
     largest = max([norm for norm, _ in norms] + [1.0])
     command = (2 * abs(correction.direct) + sum(norm * gain for norm, gain in norms)) * error

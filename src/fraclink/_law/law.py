@@ -282,6 +282,8 @@ class Law:
             return control.ss(a, b[:, None], c[None, :], [[direct]], self.period, **names)
         loop = self.drive.loop
         half = loop.integral_gain * loop.integral_now
+        # One state more, the integral of e + Ĉe by Tustin's rule: u = (k + half) x + integral, integral += 2
+        # half x.
         whole, into = np.zeros((size + 2, size + 2)), np.append(b, 2 * half * (1 + direct))
         whole[:-1, :-1], whole[-1, :-1], whole[-1, -1] = a, 2 * half * c, 1.0
         out = np.append((loop.direct + half) * c, 1.0)

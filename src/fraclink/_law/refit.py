@@ -33,9 +33,13 @@ def refitted(law: Law, controller: Controller) -> tuple[Law, float]:
     """
     w = np.geomspace(*law.band, _POINTS)
     wanted = controller.response(w)
+    # C − C_law = Ĉ − Ĉ_law, so the error of C relative to C is that of Ĉ over |1 + Ĉ|: linear in the gains.
     weight = 1.0 / np.abs(1.0 + wanted)
+    # The poles depend on the band and hardly on the controller, whose β and δ a drag in the studio moves by
+    # little: with them kept the fit is linear.
     rows = _terms(law, w) * weight[:, None]
     aim = wanted * weight
+    # Real and imaginary part one under the other: the gains are real.
     gains = np.linalg.lstsq(
         np.vstack([rows.real, rows.imag]), np.concatenate([aim.real, aim.imag]), rcond=None
     )[0]
@@ -58,6 +62,7 @@ def _terms(law: Law, w: NDArray[np.float64]) -> NDArray[np.complex128]:
     reals = 1.0 / (z - np.array(law.correction.poles)[None, :])
     pairs = np.array(law.correction.pair_poles, dtype=np.complex128)[None, :]
     up, down = 1.0 / (z - pairs), 1.0 / (z - pairs.conj())
+    # ½(c/(z − q) + c̄/(z − q̄)) in the two real unknowns Re c and Im c, as the block holds a pair.
     both = np.stack([0.5 * (up + down), 0.5j * (up - down)], axis=2).reshape(w.size, -1)
     terms = np.concatenate([np.ones_like(z), reals, both], axis=1)
     return np.asarray((1.0 - 1.0 / z) * terms, dtype=np.complex128)

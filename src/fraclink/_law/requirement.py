@@ -96,6 +96,7 @@ Complex = NDArray[np.complex128]
 
 LAW_MARGIN = "phase margin, shipped law"
 _ALLOWANCE = math.radians(0.5)  # of the fit of C, which the law states as its own error
+# Of a payload range, for the law: each asks for a sampled plant with its aliases, for every motor loop.
 _PAYLOADS = 9
 # Of the design's own |1 + L|: the hold and the fit of the law move it by a few per cent, not by half.
 _NEAR = 0.5
@@ -123,6 +124,8 @@ class Looked:
     def phase_margin(self) -> float:
         """Signed phase margin [rad]: negative where the loop is not stable, π where |L| never crosses one."""
         found = self.margins
+        # Signed by the stability of the loop as a whole: a crossing alone cannot tell on which side of −1 it
+        # belongs.
         margin = math.pi if found.phase_margin is None else abs(found.phase_margin)
         return margin if found.stable else -margin
 
@@ -136,6 +139,7 @@ def margins_of(response: Callable[[Real], Complex], plant: SampledPlant) -> Marg
 
 def law_margins(design: Design) -> tuple[Looked, ...]:
     """Return what the law has in the sampled loop, over the payloads, or at every arm of the design's box."""
+    # One law for every payload and arm, as one ships: the fit does not know the payload.
     law, period = discretize_controller(design.controller, design.rig.period), design.rig.period
     return tuple(
         Looked(
@@ -163,6 +167,8 @@ def _arms(design: Design) -> Iterator[tuple[Arm, float]]:
             yield Arm(replace(known, natural_frequency=float(w0))), design.payload(float(w0))
         return
     for arm in arms_of(design.box, known):
+        # The heaviest payload has the lowest ω₀: both ranges ascend, so they are gone through in opposite
+        # directions. The box's own interval of ω₀ widens the range at both ends.
         for end, payload in enumerate(reversed(design.payloads)):
             w0 = design.natural_frequencies[end] * design.box.natural_frequency[end] / known.natural_frequency
             yield replace(arm, model=replace(arm.model, natural_frequency=w0)), payload
@@ -179,6 +185,8 @@ def law_findings(design: Design, looked: Sequence[Looked]) -> tuple[Finding, ...
     """Return the findings of a design with W404 and W408, where its law keeps less than the design does."""
     least = min(looked, key=_phase_margin)
     kept = least.phase_margin
+    # What an earlier look found is replaced: a design may be looked at by `design`, by `with_law` and by
+    # `certify`.
     others = tuple(finding for finding in design.findings if finding.code not in ("W404", "W408", "W410"))
     short = design.phase_margin - kept
     # The paper's reading was not asked for a margin of the loop that runs: there only stability counts.
