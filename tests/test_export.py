@@ -71,6 +71,24 @@ def test_the_data_are_the_block(exported: tuple[Law, Path]) -> None:
     assert answer.stdout == made.block
 
 
+def test_the_self_test_s_expectations_are_those_of_the_c(exported: tuple[Law, Path]) -> None:
+    """The hash and the eight pairs of commands that the package wrote, recomputed by the C of the folder."""
+    made, folder = exported
+    run(tool("gcc"), *FLAGS, "-O0", *single(made), "law_selftest.c", "law.c", "-o", "quick", cwd=folder)
+    assert "checkpoints differing: 0: passed" in run(folder / "quick").stdout
+    text = (folder / "law_selftest.c").read_text(encoding="utf-8")
+    assert "#define PERIODS 1000U" in text
+    rows = re.findall(r"^    \{(\d+)U, (\S+), (\S+)\},$", text, re.MULTILINE)
+    assert [int(row[0]) for row in rows] == [1, 50, 200, 299, 400, 599, 799, 999]
+    # They are moments of a motion; at the last one the encoder has been lost, and the drive is off.
+    assert len({row[1] for row in rows}) == len(rows) and float.fromhex(rows[-1][2].rstrip("F")) == 0.0
+    # One wrong digit of a checkpoint is said.
+    place = folder / "wrong_selftest.c"
+    place.write_text(text.replace(rows[3][1], rows[4][1]), encoding="utf-8")
+    run(tool("gcc"), *FLAGS, "-O0", *single(made), place, "law.c", "-o", "wrong", cwd=folder)
+    assert "checkpoints differing: 1: FAILED" in run(folder / "wrong", check=False).stdout
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("compiler", ["gcc", "clang"])
 @pytest.mark.parametrize("level", ["-O0", "-O2", "-O3"])

@@ -14,6 +14,7 @@ import pytest
 from fmu_bench import Imported, eventful, fmpy_or_skip, outputs_of
 from fraclink._export import export_fmu
 from fraclink._export.fmi import VARIABLES
+from fraclink._export.fmu import platform_of
 from fraclink.errors import FieldError
 from law_bench import PERIOD, law, run, signals
 from needed_tools import tool
@@ -168,3 +169,37 @@ def test_compilers_that_cannot_are_named(tmp_path: Path) -> None:
     with pytest.raises(FieldError, match=r"fmi: unknown"):
         export_fmu(law(), out, fmi=1, compilers=())  # type: ignore[arg-type]
     assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("triple", "platform", "folders"),
+    [
+        ("x86_64-linux-gnu", "x86_64-linux", {2: "linux64/arm.so", 3: "x86_64-linux/arm.so"}),
+        ("x86_64-w64-mingw32", "x86_64-windows", {2: "win64/arm.dll", 3: "x86_64-windows/arm.dll"}),
+        ("x86_64-apple-darwin23", "x86_64-darwin", {2: "darwin64/arm.dylib", 3: "x86_64-darwin/arm.dylib"}),
+        ("arm64-apple-darwin23", "aarch64-darwin", {3: "aarch64-darwin/arm.dylib"}),
+        ("aarch64-unknown-linux-gnu", "aarch64-linux", {3: "aarch64-linux/arm.so"}),
+        ("riscv32-unknown-elf", "riscv32-unknown", {}),
+    ],
+)
+def test_a_library_stands_where_the_version_looks_for_it(
+    triple: str, platform: str, folders: dict[int, str], tmp_path: Path
+) -> None:
+    """A compiler that writes down how it was called, in place of the library."""
+    compiler = tmp_path / "writes-it-down"
+    compiler.write_text(
+        f'#!/bin/sh\n[ "$1" = -dumpmachine ] && echo {triple} && exit\necho "$@" > law.library\n', "utf-8"
+    )
+    compiler.chmod(0o755)
+    assert platform_of(str(compiler)) == platform
+    for fmi, place in folders.items():
+        given = {"fmi": fmi, "compilers": (str(compiler),)}
+        with zipfile.ZipFile(export_fmu(law(), tmp_path / f"fmi{fmi}" / "arm.fmu", **given)) as archive:  # type: ignore[arg-type]
+            called = archive.read(f"binaries/{place}").decode().split()
+            assert {info.date_time for info in archive.infolist()} == {(1980, 1, 1, 0, 0, 0)}
+        # Without -ffp-contract=off the library would not give the simulation's bits.
+        assert {"-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-shared", "all.c"} < set(called)
+    if 3 in folders:
+        twice = (str(compiler), str(compiler))
+        with pytest.raises(FieldError, match=f"the second one for {platform}"):
+            export_fmu(law(), tmp_path / "twice.fmu", fmi=3, compilers=twice)

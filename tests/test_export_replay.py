@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import asdict
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -37,6 +40,48 @@ def test_the_export_repeats_the_package_to_the_bit(precision: str, compiler: str
     assert result.largest_difference == 0.0
     assert len(result.voltage) == 2000
     assert np.ptp(result.motor_reference) > 0.2
+
+
+def test_a_replay_holds_what_the_c_gave(tmp_path: Path) -> None:
+    """Each signal beside the package's; the same ones as the law's own run where a payload is given."""
+    made = law("single")
+    export_c(made, tmp_path, name="arm_2")
+    names = ("reference", "reference_acceleration", "motor_angle", "torque")
+    given = dict(zip(names, ROWS[:, :400], strict=True))
+    result = replay(tmp_path, made, **given, payload=0.05, name="arm_2")
+    _, own = made.run(made.initial_state(), *ROWS[:, :400], np.full(400, 0.05))
+    _, without = made.run(made.initial_state(), *ROWS[:, :400])
+    assert result.passed and result.largest_difference == 0.0
+    for name in ("motor_reference", "voltage", "tip_estimate", "mode", "flags"):
+        np.testing.assert_array_equal(getattr(result, name), getattr(own, name))
+    assert np.any(own.motor_reference != without.motor_reference)
+    with pytest.raises(FieldError, match="not an export"):
+        replay(tmp_path, made, **given)  # its block has another name
+    for field, values in (("torque", ROWS[3, :399]), ("motor_angle", ROWS[2, :401])):
+        with pytest.raises(FieldError, match=f"{field}: of another length .got {values.size}.*400 samples"):
+            replay(tmp_path, made, **(given | {field: values}), name="arm_2")
+    with pytest.raises(FieldError, match="payload"):
+        replay(tmp_path, made, **given, payload=-0.01, name="arm_2")
+
+
+def test_a_difference_is_told_with_its_period_and_size(tmp_path: Path) -> None:
+    """C that adds 0.25 V in the periods from 100 on: the oracle is the change itself."""
+    made = law("double")
+    export_c(made, tmp_path)
+    source = tmp_path / "law.c"
+    text = source.read_text(encoding="utf-8")
+    changed = "    output->voltage += (input->tick > 100U) ? 0.25 : 0.0;\n}\n"
+    head, brace, tail = text.partition("void law_step(")
+    body = tail.index("\n}\n")
+    source.write_text(head + brace + tail[: body + 1] + changed + tail[body + 3 :], encoding="utf-8")
+    names = ("reference", "reference_acceleration", "motor_angle", "torque")
+    given = dict(zip(names, ROWS[:, :200], strict=True))
+    with pytest.raises(FieldError, match="firmware: not as this release exports it") as refused:
+        replay(tmp_path, made, **given)
+    assert refused.value.value == "law.c"
+    result = replay(tmp_path, made, **given, allow_changed=True)
+    assert not result.passed and result.first_difference == 100
+    assert result.largest_difference == pytest.approx(0.25, rel=1e-12)
 
 
 @pytest.mark.slow
@@ -127,6 +172,63 @@ def test_the_mat_file_is_the_discrete_law(tmp_path: Path) -> None:
     assert data["period"][0, 0] == PERIOD
 
 
+def test_the_mat_file_holds_the_rest_of_the_law(tmp_path: Path) -> None:
+    """Feed-forward, stiffness and what a payload changes, by their names in the law."""
+    from scipy.io import loadmat
+
+    made = with_pair()
+    data = {
+        name: value.ravel()
+        for name, value in loadmat(export_matlab(made, tmp_path / "law.mat")).items()
+        if not name.startswith("__")
+    }
+    assert data.pop("sha256").tolist() == [made.digest]
+    assert data["stiffness"] == [made.stiffness]
+    assert data["feedforward_direct"] == [made.feedforward.direct]
+    np.testing.assert_array_equal(data["feedforward_poles"], made.feedforward.poles)
+    np.testing.assert_array_equal(data["feedforward_residues"], made.feedforward.gains)
+    assert made.tracking is not None
+    told = {name: value for name, value in data.items() if name.startswith("payload_")}
+    assert {name: float(value[0]) for name, value in told.items()} == {
+        f"payload_{name}": value for name, value in asdict(made.tracking).items()
+    }
+    plain = loadmat(export_matlab(law(equipped=False), tmp_path / "plain.mat"))
+    assert law(equipped=False).tracking is not None or not [name for name in plain if "payload" in name]
+
+
+def _numbers(text: str, name: str) -> list[complex]:
+    """The value of `name` in a .m file: a scalar, or a column of complex numbers."""
+    value = re.findall(rf"^law\.{re.escape(name)} = (.+);$", text, re.MULTILINE)[0]
+    return [
+        complex(cell.replace(" + ", "+").replace("+-", "-").replace("i", "j"))
+        for cell in value.strip("[]").split("; ")
+    ]
+
+
+def test_the_m_file_states_the_same_filters(tmp_path: Path) -> None:
+    """Read by a parser of five lines in place of MATLAB: the responses are the law's."""
+    made = with_pair()
+    text = export_matlab(made, tmp_path / "arm_law.m").read_text(encoding="utf-8")
+    w = np.geomspace(0.05, 500.0, 40)
+    z = np.exp(1j * w * PERIOD)[:, None]
+    responses = {}
+    for part in ("correction", "feedforward"):
+        poles, residues = (np.array(_numbers(text, f"{part}.{name}")) for name in ("poles", "residues"))
+        responses[part] = _numbers(text, f"{part}.direct")[0] + (residues / (z - poles)).sum(axis=1)
+    np.testing.assert_allclose(
+        (1 - 1 / z[:, 0]) * responses["correction"], made.frequency_response(w), rtol=1e-9
+    )
+    c = made.feedforward
+    own = c.direct + (np.array(c.gains) / (z - np.array(c.poles))).sum(axis=1)
+    np.testing.assert_allclose(responses["feedforward"], own, rtol=1e-12)
+    assert _numbers(text, "period") == [PERIOD] and _numbers(text, "stiffness") == [made.stiffness]
+    assert made.tracking is not None
+    for key, value in asdict(made.tracking).items():
+        assert _numbers(text, f"payload.{key}") == [value]
+    assert f"%   law {made.digest}" in text.splitlines()
+    assert text.splitlines()[1].startswith("%ARM_LAW ")
+
+
 def test_the_m_file_holds_every_number_to_the_bit(tmp_path: Path) -> None:
     made = with_pair()
     text = export_matlab(made, tmp_path / "arm_law.m").read_text(encoding="utf-8")
@@ -187,9 +289,34 @@ def test_the_verb_replays_a_log(precision: str, tmp_path: Path, capsys: pytest.C
     assert "not an export" in capsys.readouterr().err
 
 
-@pytest.mark.slow
 def test_a_log_of_another_period_is_refused(tmp_path: Path) -> None:
     export_c(law(), tmp_path / "firmware")
     log = fl.Experiment(period=0.005, motor_angle=np.zeros(300), output=np.zeros(300), output_kind="torque")
-    with pytest.raises(FieldError, match="period"):
+    with pytest.raises(FieldError, match=r"period: not the law's .got 0.005.; expected 0.004 s"):
         replay_log(tmp_path / "firmware", log)
+    (tmp_path / "firmware" / "law.json").unlink()
+    with pytest.raises(FieldError, match="firmware: not an export"):
+        replay_log(tmp_path / "firmware", log)
+
+
+@pytest.mark.parametrize("kind", ["torque", "deflection"])
+def test_a_log_s_sensors_drive_the_law(kind: Literal["torque", "deflection"], tmp_path: Path) -> None:
+    """The motor's path is the reference, without acceleration; a deflection is c times as large a torque."""
+    made = law()
+    export_c(made, tmp_path, name="arm_2")
+    angle, signal = ROWS[2, :300], ROWS[3, :300]
+    log = fl.Experiment(period=PERIOD, motor_angle=angle, output=signal, output_kind=kind)
+    result = replay_log(tmp_path, log)
+    torque = signal if kind == "torque" else made.stiffness * signal
+    _, own = made.run(made.initial_state(), angle, np.zeros(300), angle, torque)
+    assert result.passed
+    np.testing.assert_array_equal(result.motor_reference, own.motor_reference)
+    # a period that differs by rounding is the law's
+    close = fl.Experiment(period=PERIOD * (1 + 9e-7), motor_angle=angle, output=signal, output_kind=kind)
+    assert replay_log(tmp_path, close).passed
+    far = fl.Experiment(period=PERIOD * (1 + 1.1e-6), motor_angle=angle, output=signal, output_kind=kind)
+    with pytest.raises(FieldError, match="period"):
+        replay_log(tmp_path, far)
+    record = fl.Recording(period=PERIOD, input=angle, output=signal)
+    with pytest.raises(FieldError, match=r"of another kind than the law .got a recording"):
+        replay_log(tmp_path, record)
