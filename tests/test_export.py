@@ -18,7 +18,7 @@ from fraclink._export.claims import _plain_norm, _rounding, worst_case
 from fraclink._export.data import hex_float
 from fraclink._law import Law
 from fraclink.errors import FieldError, MissingExtraError
-from law_bench import law
+from law_bench import law, with_pair
 from law_bench import run as run_law
 from needed_tools import tool
 
@@ -245,6 +245,28 @@ def test_the_worst_case_gain_is_reached_and_not_passed(precision: str) -> None:
     assert np.abs(response).sum() >= bounds.gain * (1 - 1e-3)
     plain = _plain_norm(made.correction.direct, list(poles), list(gains), count)
     assert plain == pytest.approx(bounds.gain, rel=1e-6)
+
+
+@pytest.mark.parametrize("pole", [0.9, -0.9, 0.3 + 0.85j])
+@pytest.mark.parametrize("count", [3, 400])
+def test_a_sum_that_is_cut_is_closed_by_its_tail(pole: complex, count: int) -> None:
+    """However early the plain sum ends, it is no smaller than the whole one, and late it is that one."""
+    gain, direct = 0.7, 0.2
+    inner = np.concatenate([[direct], (gain * pole ** np.arange(2000)).real])
+    whole = np.abs(np.diff(inner, prepend=0.0)).sum()
+    bound = _plain_norm(direct, [pole], [gain], count)
+    assert bound >= whole and (count == 3 or bound == pytest.approx(whole, rel=1e-8))
+
+
+def test_the_worst_case_gain_of_a_pair_is_its_l1_norm() -> None:
+    made = with_pair()
+    c = made.correction
+    poles = np.array([*c.poles, *c.pair_poles], dtype=complex)
+    gains = np.array([*c.gains, *c.pair_gains], dtype=complex)
+    inner = (gains[:, None] * poles[:, None] ** np.arange(30_000)).real.sum(axis=0)
+    whole = np.abs(np.diff(np.concatenate([[c.direct], inner]), prepend=0.0)).sum()
+    # The law's coefficients are those of the block, rounded to single precision where they are poles.
+    assert worst_case(made).gain == pytest.approx(whole, rel=1e-3)
 
 
 def test_the_rounding_bound_holds() -> None:

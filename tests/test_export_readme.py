@@ -98,7 +98,7 @@ def test_the_memory_is_what_a_compiler_needs(precision: str, tmp_path: Path) -> 
     assert f"add `{' '.join(exact_flags(made))}`: law.c" in page
 
 
-def test_the_flags_of_a_build_for_one_law() -> None:
+def test_the_flags_of_a_build_for_one_law(tmp_path: Path) -> None:
     """A kind of modes that there is none of: C has no empty arrays, so pairs are left out, others refuse."""
     made = law()
     counts = len(made.correction.poles), len(made.feedforward.poles)
@@ -106,6 +106,16 @@ def test_the_flags_of_a_build_for_one_law() -> None:
     assert exact_flags(with_pair())[1] == "-DLAW_PAIRS=1U"
     assert exact_flags(pid()) == ()  # no feed-forward
     assert "loops of fixed length" not in page_of(pid())
+    for made in (law(), pid()):
+        export_c(made, tmp_path / str(made.order))
+    check = (tool("gcc"), *FLAGS, "-fsyntax-only", "law_selftest.c")
+    here, of_pid = (tmp_path / str(made.order) for made in (law(), pid()))
+    run(*check, *exact_flags(law()), cwd=here)
+    other = (f"-DLAW_REALS={counts[0] + 1}U", f"-DLAW_FORWARDS={counts[1]}U")
+    assert f"made for {' '.join(exact_flags(law()))}" in run(*check, *other, cwd=here, check=False).stderr
+    run(*check, cwd=of_pid)
+    told = run(*check, "-DLAW_REALS=4U", "-DLAW_FORWARDS=1U", cwd=of_pid, check=False).stderr
+    assert "no modes of one kind" in told
 
 
 def test_what_the_page_says_of_build_call_and_precision() -> None:
