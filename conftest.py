@@ -15,6 +15,7 @@ from types import ModuleType
 import pytest
 from xdist.remote import Producer
 from xdist.scheduler import LoadFileScheduling
+from xdist.workermanage import WorkerController
 
 # Files whose tests start large processes: browsers, pools of workers, a cluster. One worker runs them all, so
 # that no two of those live at once.
@@ -27,10 +28,20 @@ _ONE_AT_A_TIME = {
 }
 
 
+_LARGE = "large processes"
+
+
 class _Scheduling(LoadFileScheduling):
     def _split_scope(self, nodeid: str) -> str:
         file = super()._split_scope(nodeid)
-        return "large processes" if file in _ONE_AT_A_TIME else file
+        return _LARGE if file in _ONE_AT_A_TIME else file
+
+    def _assign_work_unit(self, node: WorkerController) -> None:
+        # First of all: a browser's quarter of a gigabyte beside workers that have run nothing yet. It is the
+        # longest unit, too, and a run that began it late would end with one worker idle.
+        if _LARGE in self.workqueue:
+            self.workqueue.move_to_end(_LARGE, last=False)
+        super()._assign_work_unit(node)
 
 
 @pytest.hookimpl(optionalhook=True)
