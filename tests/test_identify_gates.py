@@ -225,6 +225,21 @@ def test_a_log_cut_in_mid_motion_says_so_and_one_at_rest_does_not() -> None:
     assert abs(cut.delay - 0.004) > 2 * abs(whole.delay - 0.004)
 
 
+@pytest.mark.parametrize("late", [300, 600, 1100])
+def test_a_log_that_knows_the_angle_before_its_cut_is_fitted_as_the_whole_one(late: int) -> None:
+    late += int(np.flatnonzero(np.diff(ANGLE) != 0)[0])
+    found = identify(log(ANGLE[late:], (TORQUE + 0.02 * WHITE)[late:], earlier_angle=ANGLE[:late]))
+    assert "W326" not in {item.code for item in found.findings}
+    for name, truth in (("delay", 0.004), ("natural_frequency", 10.02), ("order", 1.92)):
+        interval = found.intervals[name]
+        spare = 0.3 * (interval.high - interval.low)  # 2.6 standard errors: one noise, nine intervals
+        assert interval.low - spare < truth < interval.high + spare, name
+    # The model of the cut log, driven by all of the angle, is that of the prediction.
+    again = simulated_torque(found.model, ANGLE, PERIOD, delay=found.delay)[late:] + found.offset
+    assert np.allclose(found.predicted, again, rtol=0, atol=3e-7)  # each grid of rates errs by itself
+    assert found.samples == ANGLE.size - late and found.fitted_samples < found.samples
+
+
 @pytest.mark.slow
 def test_a_good_log_passes_every_gate() -> None:
     for noise in (0.0, 0.02 * WHITE, 0.02 * SLOW):

@@ -101,3 +101,20 @@ def test_hold_is_seen_in_the_angle() -> None:
     assert chosen_hold(smooth_pulse(time), "auto") == "first"
     assert chosen_hold(np.where((time > 1) & (time < 5), 1.0, 0.0), "auto") == "zero"
     assert chosen_hold(np.round(smooth_pulse(time) * 300) / 300, "auto") == "first"
+
+
+@pytest.mark.parametrize("hold", ["zero", "first"])
+@pytest.mark.parametrize("before", [1, 7, 8, 450])
+@pytest.mark.parametrize("delay", [-0.021, 0.0, 0.0173, 0.3])
+def test_samples_before_the_first_output_move_the_link(delay: float, before: int, hold: str) -> None:
+    """The columns of a log that was cut are those of the whole one from there on, whatever the delay."""
+    angle = smooth_pulse(PERIOD * np.arange(900))
+    shape = shape_of(TRUTH, delay)
+    whole = Window(angle, angle, PERIOD, hold)  # type: ignore[arg-type]
+    cut = Window(angle, angle[before:], PERIOD, hold)  # type: ignore[arg-type]
+    assert cut.samples == angle.size - before
+    expected = whole.kernel(5.0, longest_delay=0.4).columns(shape, 0b10111)
+    found = cut.kernel(5.0, longest_delay=0.4).columns(shape, 0b10111)
+    assert expected is not None and found is not None
+    scale = np.max(np.abs(expected), axis=1, keepdims=True)
+    assert np.max(np.abs(found - expected[:, before:]) / scale) < 1e-12

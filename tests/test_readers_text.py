@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +12,11 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from fraclink._arm.experiment import Experiment
 from fraclink._arm.log_columns import Channel, LogColumns
 from fraclink._arm.rig import Rig
-from fraclink._logs import bundled_log, bundled_logs, inspect_log, read_columns, read_log
+from fraclink._files import load, save
+from fraclink._logs import bundled_log, bundled_logs, diagnose, inspect_log, read_columns, read_log
 from fraclink._logs.columns import suggested_mapping
 from fraclink._logs.forms import NUMBER
 from fraclink._logs.text import LogTable, parse_cells, read_text_table
@@ -255,6 +258,37 @@ def test_a_stretch_is_read_and_the_rest_may_have_gaps(tmp_path: Path) -> None:
     assert np.array_equal(
         read_log(write_log(tmp_path / "late.csv", late), keep=(0.4, 2.0)).output, cut.output
     )
+
+
+def test_the_angle_before_a_cut_is_kept_as_far_back_as_it_is_uniform(tmp_path: Path) -> None:
+    rows = made_rows(800)
+    whole = read_log(write_log(tmp_path / "whole.csv", rows))
+    assert whole.earlier_angle is None and whole.whole_angle is whole.motor_angle
+    cut = read_log(write_log(tmp_path / "cut.csv", rows), keep=(0.4, 2.0))
+    assert cut.earlier_angle is not None and np.array_equal(cut.earlier_angle, whole.motor_angle[:100])
+    assert np.array_equal(cut.whole_angle, whole.motor_angle[:501])
+    # A gap behind sample 29, a stamp that stands twice: what is older moved the link at an unknown time.
+    gap = read_log(write_log(tmp_path / "gap.csv", rows[:30] + rows[35:]), keep=(0.4, 2.0))
+    assert gap.earlier_angle is not None and np.array_equal(gap.earlier_angle, whole.motor_angle[35:100])
+    twice = read_log(write_log(tmp_path / "twice.csv", [*rows[:41], *rows[40:]]), keep=(0.4, 2.0))
+    assert twice.earlier_angle is not None and np.array_equal(twice.earlier_angle, whole.motor_angle[40:100])
+    just = read_log(write_log(tmp_path / "just.csv", rows[:95] + rows[100:]), keep=(0.4, 2.0))
+    assert just.earlier_angle is None
+    assert load(save(cut, tmp_path / "cut.npz")) == cut != replace(cut, earlier_angle=None)
+
+
+def test_a_cut_in_mid_motion_needs_no_rest_where_the_motion_before_is_known() -> None:
+    def remarks(log: Experiment) -> set[str]:
+        return {item.code for item in diagnose(log)}
+
+    cut = read_log(bundled_log("prbs_30g"), keep=(3.8, 20.0))
+    assert cut.earlier_angle is not None
+    assert "W231" not in remarks(cut)
+    assert "W231" in remarks(replace(cut, earlier_angle=None))
+    assert "W231" in remarks(replace(cut, earlier_angle=cut.earlier_angle[-5:]))  # too short to be a rest
+    moving = int(np.argmax(np.abs(np.diff(cut.earlier_angle))))
+    late = cut.earlier_angle[moving - 1 :]
+    assert late.size > 100 and "W231" in remarks(replace(cut, earlier_angle=late))  # itself in mid-motion
 
 
 @pytest.mark.parametrize("keep", [(2.0, 1.0), (-0.1, 1.0), (1.0, 1.001), (50.0, 60.0), (math.nan, 1.0)])

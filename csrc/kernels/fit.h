@@ -30,8 +30,9 @@ typedef struct {
     ptrdiff_t count;      /* samples */
     double period;        /* [s] */
     int hold;             /* 0: input is held, 1: input is linear between samples */
-    const double *input;  /* jump at (hold 0) or slope after (hold 1) sample k; readable for -pad <= k < count + pad */
-    ptrdiff_t pad;        /* zeros on both sides of the input */
+    const double *input;  /* jump at (hold 0) or slope after (hold 1) sample k; readable for -before - pad <= k < count + pad */
+    ptrdiff_t before;     /* inputs before sample 0: they move the link, and no output is compared with them */
+    ptrdiff_t pad;        /* zeros on both sides of these inputs */
     const double *output; /* measured, count */
     double grid_start, grid_step; /* ln(rate) of the first real mode, and the step */
     int modes, tail;      /* recursed rates, and rates above them */

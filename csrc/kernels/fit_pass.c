@@ -108,7 +108,8 @@ void fit_pass(const fit_problem *problem, const fit_table *table, double *gram, 
     int side = 2 + table->outputs;
     pass_state state[GROUP + 1] = {{{0}, {0}, 0}};
     const double *v = problem->input - table->shift;
-    for (ptrdiff_t k = table->shift; k < 0; k++) single_step(table, state, problem->input[k - table->shift]);
+    /* What acts before the first output: the inputs before the log, and with a negative delay some of its own. */
+    for (ptrdiff_t k = -problem->before; k < -table->shift; k++) single_step(table, state, problem->input[k]);
     double(*model)[GROUP * L] = &out[2]; /* out: measured, one, predicted, derivatives; reordered at the end */
     for (int j = 0; j < GROUP * L; j++) out[1][j] = 1;
     for (ptrdiff_t base = 0; base < problem->count; base += GROUP * L) {

@@ -63,6 +63,9 @@ class Experiment:
         at the amplifier's input, shape (N,) [V], or None.
     notes
         header entries of the log, such as (("simulated", "true"),).
+    earlier_angle
+        θm at the samples just before the first, shape (H,) [rad], of a log that was cut; None for one that
+        begins with the recording. A link that was moving at the cut swings by what the motor did before.
 
     Arrays are stored as read-only copies.
 
@@ -95,6 +98,7 @@ class Experiment:
     start_time: float = 0.0
     voltage: Annotated[NDArray[np.float64], Array(1)] | None = None
     notes: tuple[tuple[str, str], ...] = ()
+    earlier_angle: Annotated[NDArray[np.float64], Array(1)] | None = None
 
     def __post_init__(self) -> None:
         count = self.motor_angle.size
@@ -217,6 +221,18 @@ class Experiment:
         # `repr` of a float is the shortest text that reads back as the same bits.
         rows = zip(*(values.tolist() for values in columns.values()), strict=True)
         return "\n".join([*lines, ",".join(columns), *(",".join(map(repr, row)) for row in rows)])
+
+    @property
+    def whole_angle(self) -> NDArray[np.float64]:
+        """θm from before the cut on: `earlier_angle` and `motor_angle`, shape (H + N,) [rad].
+
+        >>> log = Experiment(period=0.004, motor_angle=[1, 2], output=[0, 0], earlier_angle=[0, 0.5])
+        >>> log.whole_angle.tolist()
+        [0.0, 0.5, 1.0, 2.0]
+        """
+        if self.earlier_angle is None:
+            return self.motor_angle
+        return np.concatenate([self.earlier_angle, self.motor_angle])
 
     @property
     def duration(self) -> float:

@@ -170,6 +170,14 @@ def _jitter(worst: float, period: float, resample: bool) -> tuple[Finding, ...]:
     )
 
 
+def uniform_before(stamps: NDArray[np.float64], first: int, period: float) -> slice:
+    """The samples before sample `first` that go on to it in steps of `period`, without gap or repeat."""
+    steps = np.diff(stamps[: first + 1])
+    # Two stamps may each be off by what one may be.
+    odd = np.flatnonzero(np.abs(steps - period) > 2 * _TOLERATED * period)
+    return slice(int(odd[-1]) + 1 if odd.size else 0, first)
+
+
 def resampled(
     stamps: NDArray[np.float64], base: TimeBase, values: NDArray[np.float64]
 ) -> NDArray[np.float64]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Iterable, Mapping
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -95,14 +95,18 @@ def make_search(
         values.setdefault("gain", stiffness)
     count = fitted_samples(log) if heldout is None else log.output.size - round(heldout * log.output.size)
     _check_motion(log, count)
-    window = Window(
-        log.motor_angle[:count], log.output[:count], log.period, chosen_hold(log.motor_angle, hold)
-    )
+    window = fitted_window(log, count, chosen_hold(log.motor_angle, hold))
     start = None
     if guess is not None:
         start = shape_of(guess, values.get("delay", 0.0))
         start[0] = np.clip(start[0], *ORDER_LIMITS)
     return Search(window, values, start)
+
+
+def fitted_window(log: Experiment, count: int, hold: Literal["zero", "first"]) -> Window:
+    """The first `count` samples of a log, moved by all that the motor is known to have done."""
+    whole = log.whole_angle
+    return Window(whole[: whole.size - log.output.size + count], log.output[:count], log.period, hold)
 
 
 def _check_motion(log: Experiment, count: int) -> None:
@@ -170,7 +174,7 @@ def fitted_samples(log: Experiment) -> int:
 
 def _predicted(search: Search, solution: Solution, log: Experiment) -> NDArray[np.float64]:
     """The output over all of the log, of which the search saw the first part only."""
-    whole = Window(log.motor_angle, log.output, log.period, search.window.hold)
+    whole = fitted_window(log, log.output.size, search.window.hold)
     kernel = whole.kernel(search.lowest, longest_delay=search.longest_delay)
     return np.asarray(solution.gain * columns_of(kernel, solution.shape)[0] + solution.offset)
 
@@ -226,7 +230,7 @@ def fit_from(
         source=log.source,
         sha256=log.sha256,
     )
-    mode = find_second_mode(search, solution, log.motor_angle, residual) if details else (None, None)
+    mode = find_second_mode(search, solution, log.whole_angle, residual) if details else (None, None)
     fit = dataclasses.replace(fit, model=_identified(fit, mode, stiffness))
     motion = motion_after(log, window.samples)
     findings = findings_of(fit, solution, errors, stiffness, motion, log)
@@ -290,7 +294,7 @@ def _tests(search: Search, residual: Vector, errors: Uncertainty) -> ResidualTes
     if errors.coloured is not None and errors.names:
         pairs = zip(np.diag(errors.coloured).tolist(), np.diag(errors.white).tolist(), strict=True)
         ratio = min(max((c / w for c, w in pairs if w > 0), default=1.0), 1e12)
-    motion = search.window.increments()
+    motion = search.window.increments()[-search.window.samples :]
     return residual_tests(residual, motion, search.window.period, errors.lag, ratio)
 
 

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from fraclink._arm.experiment import Experiment
 from fraclink._identify.fit import Fit
-from fraclink._identify.shape import Window, chosen_hold, shape_of
+from fraclink._identify.fitting import fitted_window
+from fraclink._identify.shape import chosen_hold, shape_of
 
 __all__ = ["ErrorMap", "WelchResponse", "error_map", "welch_response"]
 
@@ -99,9 +100,7 @@ def error_map(log: Experiment, fit: Fit) -> ErrorMap:
     True
     """
     count = fit.fitted_samples
-    window = Window(
-        log.motor_angle[:count], log.output[:count], log.period, chosen_hold(log.motor_angle, "auto")
-    )
+    window = fitted_window(log, count, chosen_hold(log.motor_angle, "auto"))
     best = shape_of(fit.model, fit.delay)
     kernel = window.kernel(math.exp(best[1] - _MOST), longest_delay=abs(fit.delay))
     # A parabola through the best point and one beside it says where the error will have grown enough.

@@ -190,8 +190,8 @@ def find_second_mode(
     λ = 2. Every candidate ω₂ is a regression of the residual on that response, made orthogonal to everything
     the first mode's parameters can explain: otherwise a slightly wrong λ or delay would pass for a mode.
 
-    `motor_angle` and `whole` are the angle and the residual of the whole log: what the fitted part shows
-    must show again in the part that was held out.
+    `motor_angle` and `whole` are the angle (with that before a cut) and the residual of the whole log: what
+    the fitted part shows must show again in the part that was held out.
     """
     window, shape = search.window, solution.shape
     columns = columns_of(search.kernel, shape, mask_of(solution.free))

@@ -140,7 +140,13 @@ def chosen_hold(motor_angle: Vector, hold: Hold) -> Literal["zero", "first"]:
 
 @dataclass(frozen=True, eq=False)
 class Window:
-    """A stretch of a log from its start, in the kernel's terms."""
+    """A stretch of a log from its start, in the kernel's terms.
+
+    Of `angle` (H + N,) the last N samples are those of `output` (N,). The H before them move the link and are
+    compared with nothing: without them a log that was cut in mid-motion begins with a vibration that no link
+    at rest can have, and the fit takes it for delay and damping (8 ms on the bundled log, see
+    ``benchmarks/bench_identify.py``).
+    """
 
     angle: Vector
     output: Vector
@@ -168,7 +174,7 @@ class Window:
         return bool(steps[1:] @ steps[:-1] < steps[2:] @ steps[:-2])
 
     def increments(self) -> Vector:
-        """Jump at each sample (held input) or slope after it; the link is at rest before the first one."""
+        """Jump at each sample of `angle` (held input) or slope after it; the link rests before the first."""
         if self.hold == "zero":
             return np.diff(self.angle, prepend=self.angle[:1])
         return np.diff(self.angle, append=self.angle[-1:]) / self.period

@@ -324,8 +324,8 @@ def rest_at_start(experiment: Experiment, offset: float, spread: float) -> Itera
             "it is fitted with the model; balance the gauge bridge if it grows",
         )
     begins = motion_at_start(experiment.motor_angle, experiment.output - offset, spread)
-    if begins is not None:
-        lead = lead_of(experiment.output)
+    lead = lead_of(experiment.output)
+    if begins is not None and not _begins_before(experiment, lead):
         yield Finding(
             "W231",
             "warning",
@@ -339,6 +339,17 @@ def rest_at_start(experiment: Experiment, offset: float, spread: float) -> Itera
             "start recording before the motion, or cut the log where the arm is at rest (keep=, --keep): "
             "models assume rest",
         )
+
+
+def _begins_before(experiment: Experiment, lead: int) -> bool:
+    """Whether the log was cut, and what the motor did before the cut is known from a rest on.
+
+    A fit starts from there. The rest must last as long as that of a log that was not cut: behind a gap in the
+    stamps a few samples that hardly differ are no rest.
+    """
+    earlier = experiment.earlier_angle
+    still = 0.02 * float(np.ptp(experiment.whole_angle))
+    return earlier is not None and earlier.size >= lead and float(np.ptp(earlier[:lead])) <= still
 
 
 def quantisation(experiment: Experiment, mode: Mode | None) -> Iterator[Finding]:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.log_columns import QUANTITY_OF, ROW_NUMBER, UNITS, Channel, LogColumns, parse_columns
 from fraclink._arm.rig import Rig
-from fraclink._arm.timebase import resampled, time_base
+from fraclink._arm.timebase import resampled, time_base, uniform_before
 from fraclink._files import sha256_of
 from fraclink._logs.columns import (
     bad_cells,
@@ -105,7 +105,8 @@ def read_log(
         m [kg], > 0; by default the log's own ``# payload_kg:`` line, if it has one.
     keep
         the stretch to read, (from, until) [s] from the first sample, 0 <= from < until; what lies outside
-        need not be uniform. Models assume that it begins at rest, and `diagnose` looks whether it does.
+        need not be uniform. The motor angle before it is kept as far back as it is uniform
+        (`Experiment.earlier_angle`): a link that moves at the cut swings by what the motor did before.
     resample
         interpolate onto a uniform grid where the stamps have gaps, repeats or strong jitter.
     interpolate
@@ -136,10 +137,12 @@ def read_log(
     # speeds up.
     data, findings = _channels(table, stated, interpolate)
     stamps = data.pop("time")
+    recorded, whole_angle, first = stamps, data["motor_angle"], 0
     if keep is not None:
         inside, cut = _kept(stamps, *keep)
         findings.append(cut)
         stamps, data = stamps[inside], {role: values[inside] for role, values in data.items()}
+        first = int(np.argmax(inside))  # of the samples that are kept
     base = time_base(stamps, resample=resample)
     if resample and base.findings:  # uniform stamps need no interpolation, which would cost the last bits
         _check_span(stamps, base.period)
@@ -147,6 +150,7 @@ def read_log(
     output = data[stated.output_kind]
     check_signals(data["motor_angle"], output, stated.output_kind)
     known, payload_findings = stated_payload(table, payload)
+    earlier = whole_angle[uniform_before(recorded, first, base.period)]
     return Experiment(
         period=base.period,
         motor_angle=data["motor_angle"],
@@ -159,6 +163,7 @@ def read_log(
         start_time=base.start,
         voltage=data.get("voltage"),
         notes=table.notes,
+        earlier_angle=earlier if earlier.size else None,
     )
 
 
@@ -180,7 +185,7 @@ def _kept(stamps: NDArray[np.float64], begin: float, end: float) -> tuple[NDArra
         "info",
         f"of {float(since.max()):.4g} s, those from {first:.4g} to {last:.4g} s were read",
         {"from_s": first, "until_s": last},
-        "no check and no fit has seen the rest",
+        "no check and no fit has seen the rest, but for the motor angle before: the link still swings by it",
     )
 
 
