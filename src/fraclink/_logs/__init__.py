@@ -1,5 +1,6 @@
 """Recorded logs: read, inspected, diagnosed; or guessed, for a first model."""
 
+from fraclink._logs.columns import converter_step
 from fraclink._logs.diagnosis import diagnose
 from fraclink._logs.guess import Guess, Question
 from fraclink._logs.reading import (
@@ -7,7 +8,6 @@ from fraclink._logs.reading import (
     LogListing,
     bundled_log,
     bundled_logs,
-    converter_step,
     inspect_log,
     read_columns,
     read_log,

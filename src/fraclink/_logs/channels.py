@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.rig import Rig
 from fraclink._identify.columns import lead_of, motion_at_start
-from fraclink._logs.reading import converter_step
+from fraclink._logs.columns import converter_step
 from fraclink.findings import Finding
 
 _LONGEST = 8_192  # samples looked at: 8 s at 1 kHz, half a minute at 250 Hz

@@ -77,6 +77,22 @@ def clock_step(values: NDArray[np.float64]) -> float | None:
     return step if step > 0 else None
 
 
+_DISTINCT_LIMIT = 100_000  # samples looked at for the step of the converter
+
+
+def converter_step(values: NDArray[np.float64]) -> float:
+    """Step of the converter: the smallest gap between distinct values, 0 where they do not repeat.
+
+    Gaps below a thousandth of the median gap are rounding of the numbers' text, not steps.
+    """
+    # A converter of 16 bits has 65536 values: the limit holds more, and sorts a long log in milliseconds.
+    distinct = np.unique(values[:_DISTINCT_LIMIT])
+    if distinct.size < 2 or distinct.size > 0.5 * min(values.size, _DISTINCT_LIMIT):
+        return 0.0
+    gaps = np.diff(distinct)
+    return float(gaps[gaps > 1e-3 * np.median(gaps)].min())
+
+
 def suggested_mapping(table: LogTable) -> str:
     """A `[log]` table to paste into a rig file; what it could not tell is a ``?`` for a person to fill in."""
     lines = ["[log] # check every line: column, unit and sign"]

@@ -22,7 +22,7 @@ from fraclink._logs.channels import (
     rest_at_start,
     voltage_limit,
 )
-from fraclink._logs.reading import converter_step
+from fraclink._logs.columns import converter_step
 from fraclink._validate import checked
 from fraclink.findings import Finding, worst_first
 

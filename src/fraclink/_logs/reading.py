@@ -21,6 +21,7 @@ from fraclink._logs.columns import (
     clean_column,
     clock_step,
     columns_of_names,
+    converter_step,
     stated_payload,
     suggested_columns,
     suggested_mapping,
@@ -275,9 +276,6 @@ def _check_span(stamps: NDArray[np.float64], period: float) -> None:
 # --- inspection: before units and roles are known ---------------------------------------------------------
 
 
-_DISTINCT_LIMIT = 100_000  # samples looked at for the step of the converter
-
-
 @dataclass(frozen=True)
 class ChannelSummary:
     """One column of a file, in the file's own units.
@@ -390,16 +388,3 @@ def _summary(table: LogTable, number: int) -> ChannelSummary:
         quantum=converter_step(finite) if period is None else 0.0,
         period=period,
     )
-
-
-def converter_step(values: NDArray[np.float64]) -> float:
-    """Step of the converter: the smallest gap between distinct values, 0 where they do not repeat.
-
-    Gaps below a thousandth of the median gap are rounding of the numbers' text, not steps.
-    """
-    # A converter of 16 bits has 65536 values: the limit holds more, and sorts a long log in milliseconds.
-    distinct = np.unique(values[:_DISTINCT_LIMIT])
-    if distinct.size < 2 or distinct.size > 0.5 * min(values.size, _DISTINCT_LIMIT):
-        return 0.0
-    gaps = np.diff(distinct)
-    return float(gaps[gaps > 1e-3 * np.median(gaps)].min())
