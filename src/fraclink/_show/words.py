@@ -12,7 +12,8 @@ from fraclink._design import Design
 from fraclink._design.assess import Tolerances
 from fraclink._show.text import degrees, grams, number, option
 
-__all__ = ["arm_sentences", "nearest_command", "power_on", "sketch_notes", "steps", "tolerance_sentences"]
+__all__ = ["arm_sentences", "nearest_command", "oscillates", "power_on", "sketch_notes", "steps"]
+__all__ += ["tolerance_sentences"]
 
 _LEFT = 0.05  # of a swing: what nobody sees any more
 
@@ -34,9 +35,19 @@ def arm_sentences(rig: Rig, model: LinkModel | None) -> list[str]:
     return said
 
 
+def oscillates(pole: complex) -> bool:
+    """Whether a pole of the link is one of a vibration.
+
+    >>> oscillates(-1 + 10j), oscillates(-5 + 1e-16j)
+    (True, False)
+    """
+    # The pole of an overdamped link comes from a Newton iteration or from e^(jπ): real but for rounding.
+    return abs(pole.imag) > 1e-9 * abs(pole)
+
+
 def _swing(model: LinkModel) -> Iterator[str]:
     pole = model.pole
-    if not pole.imag:
+    if not oscillates(pole):
         yield "The link does not oscillate: it creeps back."
         return
     with_payload = f"with {grams(model.payload)} " if model.payload is not None else ""

@@ -28,6 +28,7 @@ from fraclink._logs.weighing import statements
 from fraclink._show import tables
 from fraclink._show.fits import worth_reading
 from fraclink._show.text import number
+from fraclink._show.words import oscillates
 from fraclink._studio.messages import Reply
 from fraclink._studio.session import Session, bare
 from fraclink.errors import FieldError, LogError
@@ -323,8 +324,8 @@ def words_of(fit: Fit) -> str:
     """
     pole, delay = fit.model.pole, fit.delay
     late = f"gauge {abs(1e3 * delay):.1f} ms {'late' if delay >= 0 else 'early'}"
-    if not abs(pole) > 0.0:
-        return late
+    if not oscillates(pole):  # overdamped, or a D-FOM that ended at ω₀ = 0
+        return f"does not oscillate, {late}"
     swing = f"swings at {abs(pole.imag) / (2 * math.pi):.3g} Hz"
     return f"{swing} with {100 * -pole.real / abs(pole):.2g} % damping, {late}"
 
