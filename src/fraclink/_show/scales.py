@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fraclink._show.text import number
+
 __all__ = ["Scale", "envelope", "nice_ticks"]
 
 Real = NDArray[np.float64]
@@ -69,7 +71,10 @@ class Scale:
         every = np.concatenate([np.asarray(value, dtype=float).ravel() for value in values])
         every = every[np.isfinite(every)]
         low, high = (float(every.min()), float(every.max())) if every.size else (0.0, 1.0)
-        spare = max(0.5 * (least - (high - low)), room * (high - low), 1e-9 * abs(high), 1e-300)
+        # A signal that stands still but for rounding would blow its last bits up over the whole panel, under
+        # ticks that all read alike: it gets a twentieth of its value, or 1 where that is nothing, beside it.
+        still = 0.05 * abs(high) or 1.0 if high - low <= 1e-9 * abs(high) else 0.0
+        spare = max(0.5 * (least - (high - low)), room * (high - low), still)
         return cls(low - spare, high + spare)
 
 
@@ -83,15 +88,19 @@ def nice_ticks(low: float, high: float, most: int) -> tuple[tuple[float, str], .
     power = 10.0 ** math.floor(math.log10(rough))
     step = next(power * factor for factor in (1, 2, 2.5, 5, 10, 20) if power * factor >= 0.999 * rough)
     first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
-    values = [round(k * step, 12) for k in range(first, last + 1)]
+    # Twelve digits of the value, not twelve places behind the point: a residual of 1e-13 N·m has ticks, too.
+    values = [float(f"{k * step:.12g}") for k in range(first, last + 1)]
     return tuple((value, _text(value, step)) for value in values)
 
 
 def _text(value: float, step: float) -> str:
-    if 1e-4 <= abs(step) < 1e5:
-        text = f"{value:.6f}".rstrip("0").rstrip(".")
-        return text.replace("-", "−") if float(text) else "0"
-    return f"{value:.3g}".replace("-", "−")
+    """A tick's text, with the digits that tell it from its neighbours."""
+    if not value:
+        return "0"
+    if 1e-4 <= step < 1e5:
+        return f"{value:.6f}".rstrip("0").rstrip(".").replace("-", "−")
+    # Two digits of the step (2.5), and as many before it as the value is larger.
+    return number(value, 2 + math.floor(math.log10(abs(value))) - math.floor(math.log10(step)))
 
 
 def _decades(low: float, high: float, most: int) -> tuple[tuple[float, str], ...]:
@@ -101,4 +110,4 @@ def _decades(low: float, high: float, most: int) -> tuple[tuple[float, str], ...
     powers = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
     values = [factor * 10.0**power for power in powers for factor in factors]
     inside = [v for v in values if low * (1 - 1e-9) <= v <= high * (1 + 1e-9)]
-    return tuple((v, f"{v:.12g}") for v in inside[:: 1 + len(inside) // (most + 3)])
+    return tuple((v, _text(v, v)) for v in inside[:: 1 + len(inside) // (most + 3)])
