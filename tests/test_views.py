@@ -74,6 +74,9 @@ def made(kind: str, /, **attributes: Any) -> Any:
         (milli(math.inf), "–"),
         (milli(-0.04), "−40.0"),
         (degrees(None), "–"),
+        (degrees(-math.radians(0.04)), "0.0°"),  # what rounds to nothing has no sign
+        (degrees(-math.radians(0.06)), "−0.1°"),
+        (number(-0.0), "0"),
         (degrees(math.nan), "–"),
         (degrees(-math.pi, 0), "−180°"),
         (quantity(0.5, ""), "0.5"),

@@ -32,7 +32,7 @@ def number(value: float | None, digits: int = 4) -> str:
         return "–"
     if math.isinf(value):
         return "∞" if value > 0 else "−∞"
-    text = f"{value:.{digits}g}"
+    text = f"{value + 0.0:.{digits}g}"  # of −0.0 the sum is 0.0: nobody reads a sign of nothing
     mantissa, _, exponent = text.partition("e")
     if 0 < abs(value) < 1e-3 and not exponent:
         mantissa, _, exponent = f"{value:.{digits - 1}e}".partition("e")
@@ -57,7 +57,7 @@ def uncertain(value: float, error: float | None) -> str:
     places = max(0, 1 - math.floor(math.log10(error)))
     if places > 9 or abs(value) >= 1e6:
         return f"{number(value, 5)} ± {number(error, 2)}"
-    return f"{value:.{places}f} ± {error:.{places}f}".replace("-", "−")
+    return f"{_fixed(value, places)} ± {_fixed(error, places)}"
 
 
 def grams(payload: float | None) -> str:
@@ -77,19 +77,24 @@ def milli(value: float | None, places: int = 1) -> str:
     """
     if value is None or not math.isfinite(value):
         return "–"
-    text = f"{1e3 * value:.{places}f}"
+    return _fixed(1e3 * value, places)
+
+
+def _fixed(value: float, places: int) -> str:
+    """A value with a fixed number of places; what rounds to nothing has no sign."""
+    text = f"{value:.{places}f}"
     return text.lstrip("-") if float(text) == 0 else text.replace("-", "−")
 
 
 def degrees(angle: float | None, places: int = 1) -> str:
     """An angle in degrees.
 
-    >>> degrees(math.pi / 6)
-    '30.0°'
+    >>> degrees(math.pi / 6), degrees(-1e-5)
+    ('30.0°', '0.0°')
     """
     if angle is None or math.isnan(angle):
         return "–"
-    return f"{math.degrees(angle):.{places}f}°".replace("-", "−")
+    return f"{_fixed(math.degrees(angle), places)}°"
 
 
 def quantity(value: float | None, unit: str) -> str:
