@@ -17,7 +17,9 @@ _TEMPLATE = r"`(?:\\.|[^`\\$]|\$(?!\{)|\$\{(?:[^`{}]|`(?:\\.|[^`\\])*`|\{[^{}]*\
 _PARTS = re.compile(
     r"(?P<comment>//[^\n]*|/\*.*?\*/)|(?P<space>\s+)"
     r"|(?P<text>'(?:\\.|[^'\\\n])*'|\"(?:\\.|[^\"\\\n])*\"|" + _TEMPLATE + r")"
-    r"|(?P<pattern>(?<=[(,=:!&|?])/(?:\\.|\[(?:\\.|[^\]\\])*\]|[^/\\\n\[])+/)|(?P<code>[\w$]+|.)",
+    # Behind a sign that a value follows, with a space or without, a stroke begins a pattern; else it divides.
+    r"|(?P<pattern>(?:(?<=[(,=:!&|?])|(?<=[(,=:!&|?] ))"
+    r"/(?:\\.|\[(?:\\.|[^\]\\])*\]|[^/\\\n\[])+/)|(?P<code>[\w$]+|.)",
     re.DOTALL,
 )
 
