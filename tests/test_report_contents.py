@@ -91,7 +91,7 @@ def test_a_report_of_moves_and_models_shows_them(contents: Any, design: fl.Desig
 def test_a_refused_request_is_drawn_on_the_map_of_what_can_be_had(
     contents: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Half the slower crossover to 1.25 times the faster; margins from 10° to 100° or 1.1 times the larger."""
+    """From half the slower crossover to 1.25 times the faster; margins to 100° or 1.1 times the larger."""
     asked = {"gain_crossover": 9.0, "phase_margin": math.radians(95.0)}
     nearest = {"gain_crossover": 12.0, "phase_margin": math.radians(50.0)}
     grids: list[Any] = []
