@@ -1254,10 +1254,10 @@ def test_a_refusal_is_told_with_the_command_that_asks_for_less() -> None:
         asked={"gain_crossover": 9.0, "phase_margin": math.radians(50)},
         nearest={"gain_crossover": 10.5, "phase_margin": math.radians(48.5), "noise_gain": 2.0},
     )
-    log = SimpleNamespace(source="/home/me/logs/mine.csv")
+    log = SimpleNamespace(source="C:\\logs\\my log.csv")
     study = SimpleNamespace(rig=RIG, refused=refused, experiment=log, design=None)
     command = (
-        "fraclink run --rig paper-2023 --log mine.csv --gain-crossover 10.5 --phase-margin-deg 48.5 "
+        "fraclink run --rig paper-2023 --log 'my log.csv' --gain-crossover 10.5 --phase-margin-deg 48.5 "
         "--noise-gain 2.001"
     )
     assert words.nearest_command(study) == command  # type: ignore[arg-type]
@@ -1266,6 +1266,8 @@ def test_a_refusal_is_told_with_the_command_that_asks_for_less() -> None:
         "Requested: a crossover of 9 rad/s and a phase margin of 50.00°. Nearest feasible request: "
         "a crossover of 10.5 rad/s and a phase margin of 48.50° and noise gain 2."
     )
+    study.rig = replace(RIG, name="our arm")  # not bundled: the file beside the report
+    assert words.nearest_command(study).startswith("fraclink run --rig rig.toml --log ")  # type: ignore[arg-type]
     study.experiment = None
     assert " --log LOG --" in words.nearest_command(study)  # type: ignore[arg-type]
     study.refused = None

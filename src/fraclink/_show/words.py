@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 from collections.abc import Iterator
 
 from fraclink._arm.link import LinkModel
@@ -10,6 +11,7 @@ from fraclink._arm.rig import Rig
 from fraclink._campaign.study import Study
 from fraclink._design import Design
 from fraclink._design.assess import Tolerances
+from fraclink._show.tables import source_name
 from fraclink._show.text import degrees, grams, number, option
 
 __all__ = ["arm_sentences", "nearest_command", "oscillates", "power_on", "sketch_notes", "steps"]
@@ -96,8 +98,11 @@ def nearest_command(study: Study) -> str:
     if study.refused is None or study.rig is None:
         return ""
     options = " ".join(option(name, value) for name, value in study.refused.nearest.items())
-    log = study.experiment.source if study.experiment is not None and study.experiment.source else "LOG"
-    return f"fraclink run --rig {study.rig.name} --log {log.rpartition('/')[2]} {options}"
+    named = study.experiment is not None and study.experiment.source
+    log = source_name(study.experiment) if named else "LOG"
+    # A rig that is not bundled is known to the command by its file only, which lies beside the report.
+    rig = study.rig.name if study.rig.name in Rig.names() else "rig.toml"
+    return f"fraclink run --rig {rig} --log {shlex.quote(log)} {options}"
 
 
 def refusal_sentence(study: Study) -> str:
