@@ -1,0 +1,149 @@
+"""What a residual holds, against sums written out: covariances, autoregressions, tests of whiteness."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+from scipy.stats import chi2
+
+from fraclink._identify.residual import (
+    ResidualTests,
+    autocovariance,
+    autoregression,
+    coloured_covariance,
+    correlation_lag,
+    long_run_covariance,
+    residual_tests,
+)
+
+Array = NDArray[np.float64]
+
+
+def wandering(count: int, correlation: float, seed: int = 0) -> Array:
+    """AR(1) noise of unit variance."""
+    white = np.random.default_rng(seed).normal(size=count + 500)
+    return np.asarray(lfilter([math.sqrt(1 - correlation**2)], [1, -correlation], white))[500:]
+
+
+def direct(first: Array, second: Array) -> list[float]:
+    """Σ_k x_{k+l} y_k / n, one lag after another."""
+    count = first.size
+    return [float(first[lag:] @ second[: count - lag]) / count for lag in range(count)]
+
+
+@pytest.mark.parametrize("count", [1, 2, 7, 8, 9, 33])
+def test_covariances_are_their_sums(count: int) -> None:
+    first, second = np.random.default_rng(count).normal(size=(2, count))
+    assert autocovariance(first) == pytest.approx(direct(first, first), abs=1e-13)
+    assert autocovariance(first, second) == pytest.approx(direct(first, second), abs=1e-13)
+
+
+@pytest.mark.parametrize(("count", "lags"), [(40, 0), (40, 5), (41, 7), (64, 12)])
+def test_newey_and_wests_sum_with_bartletts_weights(count: int, lags: int) -> None:
+    """n Γ₀ + n Σ (1 − l/(L+1)) (Γ_l + Γ_lᵀ), of Newey and West (1987)."""
+    scores = np.random.default_rng(count).normal(size=(3, count))
+    wanted = scores @ scores.T
+    for lag in range(1, lags + 1):
+        across = scores[:, lag:] @ scores[:, : count - lag].T
+        wanted = wanted + (1 - lag / (lags + 1)) * (across + across.T)
+    assert long_run_covariance(scores, lags) == pytest.approx(wanted, abs=1e-10)
+
+
+def test_an_autoregression_is_found_with_its_order() -> None:
+    series = np.asarray(lfilter([1.0], [1.0, -1.5, 0.8], np.random.default_rng(3).normal(size=6000)))[500:]
+    coefficients, variance = autoregression(series)
+    assert coefficients[:3] == pytest.approx([1.0, -1.5, 0.8], abs=0.04)
+    assert np.abs(coefficients[3:]).max(initial=0.0) < 0.06
+    assert variance == pytest.approx(1.0, rel=0.05)
+
+
+def test_white_noise_needs_no_autoregression_and_a_line_is_predicted_exactly() -> None:
+    coefficients, variance = autoregression(np.random.default_rng(1).normal(0, 2.0, 4000))
+    assert coefficients.size <= 3
+    assert variance == pytest.approx(4.0, rel=0.05)
+    # A sine obeys x_k = 2 cos(ω) x_{k−1} − x_{k−2}: two coefficients leave what the ends make alone.
+    wave = np.sin(0.3 * np.arange(20000))
+    coefficients, variance = autoregression(wave)
+    assert variance < 1e-3 * 0.5
+    assert abs(np.polyval(coefficients, np.exp(0.3j))) < 1e-2
+
+
+@pytest.mark.parametrize("count", [9, 10, 45])
+def test_a_short_series_has_a_tenth_of_its_samples_as_coefficients(count: int) -> None:
+    series = wandering(count, 0.9, seed=2) + 0.01 * np.sin(np.arange(count))
+    assert autoregression(series)[0].size <= 1 + count // 10
+
+
+def test_the_covariance_of_a_regression_under_coloured_noise() -> None:
+    """Σ_kl x_k γ(k − l) x_lᵀ with the known γ(l) = 0.9^|l| of the noise."""
+    count = 1500
+    regressors = np.stack([np.sin(0.02 * np.arange(count)), np.ones(count)])
+    lags = np.abs(np.subtract.outer(np.arange(count), np.arange(count)))
+    wanted = regressors @ (0.9**lags) @ regressors.T
+    found = np.mean(
+        [coloured_covariance(regressors, wandering(count, 0.9, seed)) for seed in range(20)], axis=0
+    )
+    # The variance of 1500 such samples is itself known to 10 %, their sum over lags in 20 runs to 7 %.
+    assert np.diag(found) == pytest.approx(np.diag(wanted), rel=0.2)
+    white = coloured_covariance(regressors, np.random.default_rng(0).normal(0, 3.0, count))
+    assert np.diag(white) == pytest.approx(9.0 * np.diag(regressors @ regressors.T), rel=0.25)
+
+
+@pytest.mark.parametrize(("correlation", "least", "most"), [(0.0, 1, 1), (0.8, 6, 20), (0.95, 25, 90)])
+def test_the_lag_after_which_a_residual_forgets(correlation: float, least: int, most: int) -> None:
+    """Of AR(1) the autocorrelation falls below 0.1 after ln 0.1/ln ρ samples: 10 and 45."""
+    assert least <= correlation_lag(wandering(8000, correlation, seed=1)) <= most
+
+
+def test_lags_count_to_the_last_large_one_within_a_quarter() -> None:
+    assert correlation_lag(np.zeros(50)) == 1
+    # ±1 every ten samples: autocovariance 1 − l/n at lags of 10, so the last in a quarter of 400 is lag 90.
+    comb = np.where(np.arange(400) % 10 == 0, 1.0, 0.0)
+    assert correlation_lag(comb) == 91
+
+
+# --- tests --------------------------------------------------------------------------------------------------
+
+
+def test_ljung_and_box_written_out() -> None:
+    residual = wandering(600, 0.1, seed=4) + 0.3
+    found = residual_tests(residual, np.random.default_rng(1).normal(size=600), 0.01, 7, 2.5)
+    centred = residual - residual.mean()
+    rho = np.array(direct(centred, centred)[1:26]) / (centred @ centred / 600)
+    statistic = 600 * 602 * np.sum(rho**2 / (600 - np.arange(1, 26)))
+    assert found.whiteness == pytest.approx(float(chi2.sf(statistic, 25)), rel=1e-9)
+    assert found.correlation_time == pytest.approx(0.07)
+    assert found.variance_inflation == 2.5
+
+
+def test_a_short_residual_is_tested_at_a_quarter_of_its_lags() -> None:
+    residual = wandering(40, 0.5, seed=4)
+    found = residual_tests(residual, np.random.default_rng(1).normal(size=40), 0.01, 1, 1.0)
+    centred = residual - residual.mean()
+    rho = np.array(direct(centred, centred)[1:11]) / (centred @ centred / 40)
+    statistic = 40 * 42 * np.sum(rho**2 / (40 - np.arange(1, 11)))
+    assert found.whiteness == pytest.approx(float(chi2.sf(statistic, 10)), rel=1e-9)
+
+
+def test_a_residual_of_zero_holds_nothing() -> None:
+    assert residual_tests(np.zeros(100), np.ones(100), 0.02, 3, 9.0) == ResidualTests(1.0, 1.0, 0.02, 1.0)
+
+
+def test_a_residual_that_follows_the_motor_is_told_from_one_that_does_not() -> None:
+    rng = np.random.default_rng(5)
+    motion = np.asarray(lfilter([1.0], [1.0, -0.7], rng.normal(size=3000)))
+    p_values = []
+    for seed in range(20):
+        noise = wandering(3000, 0.6, seed=seed)
+        p_values.append(residual_tests(noise, motion + 5.0, 0.01, 1, 1.0).input_independence)
+    # Uniform where nothing depends: the colour of both series is allowed for.
+    assert 0.2 < np.mean(p_values) < 0.8
+    assert min(p_values) > 1e-3
+    late = np.concatenate([np.zeros(3), motion[:-3]])
+    assert residual_tests(noise + 0.2 * late, motion, 0.01, 1, 1.0).input_independence < 1e-6
+    early = np.concatenate([motion[3:], np.zeros(3)])  # before the motor moved: no consequence of it
+    assert residual_tests(noise + 0.2 * early, motion, 0.01, 1, 1.0).input_independence < 1e-2

@@ -1,0 +1,364 @@
+"""The coordinates of a fit, the log as the kernel sees it, and which structures contain which."""
+
+from __future__ import annotations
+
+import cmath
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fraclink._arm.experiment import Experiment
+from fraclink._arm.link import LinkModel
+from fraclink._identify.fitting import _activity, fitted_samples, make_search, motion_after
+from fraclink._identify.search import Search, Solution, _delayed, _lowest_valleys, special_cases
+from fraclink._identify.shape import (
+    ALPHA_LIMITS,
+    Window,
+    chosen_hold,
+    columns_of,
+    damping_and_square,
+    free_coordinates,
+    largest_ratio,
+    mask_of,
+    model_gradients,
+    model_of,
+    shape_of,
+    undamped_as_damped,
+)
+from fraclink._identify.uncertainty import inverted, reduced
+from fraclink.errors import LogError, NotConvergedError
+from identify_cases import PERIOD, TRUTH, made_log, smooth_pulse
+
+LINKS = [
+    LinkModel(1.0, 10.0),
+    LinkModel(1.0, 10.0, order=1.7),
+    LinkModel(1.0, 10.0, damping=1.3),
+    LinkModel(1.0, 10.0, damping=1.3, damping_order=0.6),
+    LinkModel(1.0, 10.0, damping=0.05, damping_order=1.6),
+]
+
+
+@pytest.mark.parametrize("link", LINKS)
+def test_a_link_is_its_shape_and_back(link: LinkModel) -> None:
+    shape = shape_of(link, 0.003)
+    back = model_of(shape, 1.0, None)
+    for name in ("natural_frequency", "order", "damping", "damping_order"):
+        assert getattr(back, name) == pytest.approx(getattr(link, name), rel=1e-9, abs=1e-12)
+    assert shape[4] == 0.003
+
+
+@pytest.mark.parametrize("link", [link for link in LINKS if link.damping])
+def test_resonance_and_ratio_are_those_of_the_denominator(link: LinkModel) -> None:
+    """At s = jΩ the denominator s² + μ s^α + ω₀² is 2 j ζ Ω²: no real part, and a viscous link's width."""
+    order, log_resonance, ratio, other, _ = shape_of(link)
+    s = 1j * math.exp(log_resonance)
+    denominator = s**order + link.damping * s**other + link.natural_frequency**2
+    assert denominator == pytest.approx(2j * ratio * abs(s) ** 2, rel=1e-9)
+
+
+def test_without_damping_the_resonance_is_the_poles_modulus() -> None:
+    link = LINKS[1]
+    assert shape_of(link)[1] == pytest.approx(math.log(10.0 ** (2 / 1.7)))
+    pole = cmath.rect(10.0 ** (2 / 1.7), math.pi / 1.7)
+    assert pole**1.7 + 100.0 == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_square_below_what_a_double_resolves_is_zero() -> None:
+    other = 0.4
+    edge = np.array([2.0, math.log(10.0), largest_ratio(other), other, 0.0])
+    assert damping_and_square(edge)[1] < 1e-12
+    assert model_of(edge, 1.0, None).natural_frequency == 0.0
+    inside = edge.copy()
+    inside[2] *= 1 - 1e-6
+    assert model_of(inside, 1.0, None).natural_frequency == pytest.approx(10.0 * 1e-3, rel=1e-3)
+    assert model_of(np.array([2.0, 0.0, 0.0, 0.7, 0.0]), 2.0, 0.3) == LinkModel(2.0, 1.0, payload=0.3)
+
+
+def test_the_undamped_link_of_fractional_order_is_one_with_fractional_damping() -> None:
+    """s^λ/(s^λ + ω₀²) = s²/(s² + ω₀² s^(2−λ)), whatever s is."""
+    shape = shape_of(LinkModel(1.0, 9.0, order=1.7), 0.01)
+    other = model_of(undamped_as_damped(shape), 1.0, None)
+    assert (other.order, other.natural_frequency) == (2.0, 0.0)
+    assert other.damping == pytest.approx(81.0, rel=1e-9)
+    assert other.damping_order == pytest.approx(0.3, abs=1e-12)
+    assert undamped_as_damped(shape)[4] == 0.01
+    # At λ = 2 there is no such link: α stays inside of its limits.
+    assert undamped_as_damped(np.array([2.0, 1.0, 0.0, 1.0, 0.0]))[3] == ALPHA_LIMITS[0]
+
+
+def test_the_largest_ratio() -> None:
+    assert largest_ratio(0.5) == pytest.approx(0.5)
+    assert [largest_ratio(x) for x in (1.0, 1.5)] == [0.9, 0.9]
+
+
+@pytest.mark.parametrize("link", LINKS[2:])
+def test_gradients_of_the_parameters(link: LinkModel) -> None:
+    shape, rows = shape_of(link), model_gradients(shape_of(link))
+    for k in range(4):
+        moved = shape.copy()
+        moved[k] += 1e-4
+        parts = []
+        for sign in (1, -1):
+            moved[k] = shape[k] + sign * 1e-4
+            damping, square = damping_and_square(moved)
+            parts.append(np.array([math.sqrt(square), moved[0], damping, moved[3]]))
+        assert rows[:, k] == pytest.approx((parts[0] - parts[1]) / 2e-4, rel=1e-4, abs=1e-6)
+
+
+def test_coordinates_and_their_bits() -> None:
+    assert [free_coordinates(name) for name in ("UD-IOM", "D-IOM", "UD-FOM", "D-FOM")] == [
+        (1,),
+        (1, 2),
+        (0, 1),
+        (1, 2, 3),
+    ]
+    assert [mask_of(free) for free in ((), (0,), (1, 3), (4, 0))] == [0, 1, 10, 17]
+
+
+def test_columns_hold_the_output_and_its_derivatives() -> None:
+    angle = smooth_pulse(PERIOD * np.arange(3000))
+    window = Window(angle, np.zeros(3000), PERIOD, "first")
+    shape = shape_of(LinkModel(1.0, 10.0, damping=1.3, damping_order=0.8), 0.01)
+    kernel = window.kernel(8.0, longest_delay=0.02)
+    columns = columns_of(kernel, shape, mask_of((1, 2, 3, 4)))
+    for row, k in enumerate((1, 2, 3, 4)):
+        step = 1e-5 * np.eye(5)[k]
+        wanted = (columns_of(kernel, shape + step)[0] - columns_of(kernel, shape - step)[0]) / 2e-5
+        assert columns[1 + row] == pytest.approx(wanted, abs=1e-5 * np.abs(wanted).max())
+    with pytest.raises(NotConvergedError, match="the vibration pole") as caught:
+        columns_of(kernel, np.array([2.0, 2.0, 1.2, 1.0, 0.0]))
+    assert "0.9" in caught.value.remedy
+
+
+# --- what the motor does between samples --------------------------------------------------------------------
+
+
+def test_a_command_that_jumps_and_rests_is_held() -> None:
+    time = np.arange(400)
+    steps = np.where((time > 50) & (time < 200), 1.0, 0.0)
+    assert chosen_hold(steps, "auto") == "zero"
+    assert chosen_hold(steps, "first") == "first"
+    assert chosen_hold(smooth_pulse(PERIOD * time), "zero") == "zero"
+    assert chosen_hold(smooth_pulse(PERIOD * 10 * time), "auto") == "first"
+    # An encoder that counts once in a while: forty small jumps, each of them calm on both sides.
+    assert chosen_hold(np.floor(time / 10.0), "auto") == "first"
+    assert chosen_hold(np.floor(time / 40.0), "auto") == "zero"
+    # Jumps are half of the path, and no more: the rest is a slow motion.
+    assert chosen_hold(steps + 0.004 * time, "auto") == "first"
+    assert chosen_hold(steps + 1e-5 * time, "auto") == "zero"
+    assert chosen_hold(np.zeros(10), "auto") == "first"
+
+
+def test_increments_are_jumps_or_slopes() -> None:
+    angle = np.array([1.0, 1.0, 3.0, 2.5])
+    held = Window(angle, np.zeros(4), 0.5, "zero")
+    assert held.increments().tolist() == [0.0, 0.0, 2.0, -0.5]
+    straight = Window(angle, np.zeros(4), 0.5, "first")
+    assert straight.increments().tolist() == [0.0, 4.0, -1.0, 0.0]
+    assert straight.samples == 4
+
+
+def test_frequencies_that_a_log_can_show() -> None:
+    low, high = Window(np.zeros(1001), np.zeros(1001), 0.01, "first").frequency_limits
+    assert 2 * math.pi / low == pytest.approx(1001 * 0.01 / 1.5)
+    assert 2 * math.pi / high == pytest.approx(6 * 0.01)
+
+
+def test_an_encoders_steps_make_an_angle_rough() -> None:
+    angle = smooth_pulse(PERIOD * np.arange(3000))
+    assert not Window(angle, angle, PERIOD, "first").is_rough
+    noisy = angle + 1e-3 * np.random.default_rng(0).normal(size=3000)
+    assert Window(noisy, angle, PERIOD, "first").is_rough
+
+
+# --- starts and limits --------------------------------------------------------------------------------------
+
+
+def test_special_cases_of_the_structures() -> None:
+    assert {name: special_cases(name) for name in ("UD-IOM", "D-IOM", "UD-FOM", "D-FOM")} == {
+        "UD-IOM": [],
+        "D-IOM": ["UD-IOM"],
+        "UD-FOM": ["UD-IOM"],
+        "D-FOM": ["UD-IOM", "D-IOM", "UD-FOM"],
+    }
+
+
+def test_the_lowest_valleys() -> None:
+    costs = np.array([1.0, 3.0, 2.0, 5.0, 5.0, 0.5, 4.0, 3.5])
+    assert _lowest_valleys(costs, 2).tolist() == [5, 0]
+    assert _lowest_valleys(costs, 9).tolist() == [5, 0, 2, 7]
+
+
+def test_a_delay_as_a_part_of_the_period() -> None:
+    rows = _delayed(np.array([[2.0, math.log(4.0), 0.0, 1.0, 9.0]]), 0.25)
+    assert rows.tolist() == [[2.0, math.log(4.0), 0.0, 1.0, pytest.approx(0.25 * 2 * math.pi / 4.0)]]
+
+
+def solution(shape: list[float], free: tuple[int, ...]) -> Solution:
+    low, high = np.array([1.0, 0.0, 0.0, 0.1, 0.0]), np.array([2.0, 5.0, 0.9, 1.9, 0.1])
+    return Solution("D-FOM", free, np.array(shape), 1.0, 0.0, 1.0, np.eye(8), low, high, 0, 1)
+
+
+def test_a_coordinate_on_its_limit_is_at_its_bound() -> None:
+    assert solution([1.5, 2.0, 0.1, 1.0, 0.05], (0, 1, 2, 3, 4)).at_bound == ()
+    assert solution([2.0, 2.0, 0.0, 1.0, 0.1], (0, 1, 2, 4)).at_bound == (0, 2, 4)
+    assert solution([2.0, 2.0, 0.0, 1.0, 0.1], (1,)).at_bound == ()
+    assert solution([2.0 - 0.9e-7, 2.0, 0.0, 1.0, 0.1], (0,)).at_bound == (0,)
+    assert solution([2.0 - 1.1e-7, 2.0, 0.0, 1.0, 0.1], (0,)).at_bound == ()
+
+
+def test_fractional_damping_may_end_without_a_natural_frequency() -> None:
+    most = largest_ratio(0.5)
+    assert solution([2.0, 2.0, most, 0.5, 0.0], (1, 2, 3)).on_edge
+    assert solution([2.0, 2.0, (1 - 0.9e-7) * most, 0.5, 0.0], (1, 2, 3)).on_edge
+    assert not solution([2.0, 2.0, (1 - 1.1e-7) * most, 0.5, 0.0], (1, 2, 3)).on_edge
+    assert not solution([2.0, 2.0, 0.9, 1.0, 0.0], (1, 2, 3)).on_edge
+    assert not solution([2.0, 2.0, most, 0.5, 0.0], (1, 2)).on_edge
+
+
+def searched(log: Experiment, **options: object) -> Search:
+    usual = {"heldout": 0.0, "stiffness": None, "fixed": None, "guess": None, "hold": "auto"}
+    return make_search(log, **(usual | options))  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def log() -> Experiment:
+    return made_log(noise=0.05, samples=2501)
+
+
+def test_limits_follow_the_scan(log: Experiment) -> None:
+    search = searched(log)
+    wave = 2 * math.pi / abs(TRUTH.pole)
+    assert search.wave == pytest.approx(wave, rel=0.1)
+    lower, upper = search.limits(may_lead=True)
+    low, high = search.window.frequency_limits
+    assert (lower[0], upper[0]) == (1.01, 2.0)
+    assert (lower[1], upper[1]) == (pytest.approx(math.log(low) - 0.5), pytest.approx(math.log(high) + 0.3))
+    assert (lower[2], upper[2]) == (0.0, 0.9)
+    assert lower[4] == pytest.approx(-0.12 * search.wave)
+    assert upper[4] <= 0.35 * search.wave
+    assert search.limits(may_lead=False)[0][4] == 0.0
+
+
+def test_what_is_fixed_is_not_free(log: Experiment) -> None:
+    assert searched(log).free("UD-FOM") == (0, 1, 4)
+    assert searched(log, fixed={"delay": 0.01}).free("D-FOM") == (1, 2, 3)
+    assert searched(log, fixed={"order": 1.9}).free("UD-FOM") == (1, 4)
+    assert searched(log, fixed={"damping_order": 0.9}).free("D-FOM") == (1, 2, 4)
+    assert math.isnan(searched(log).gain)
+    assert searched(log, stiffness=1.5).gain == 1.5
+    assert searched(log, stiffness=1.5, fixed={"gain": 1.4}).gain == 1.4
+    deflection = replace(log, output_kind="deflection")
+    assert math.isnan(searched(deflection, stiffness=1.5).gain)
+
+
+def test_a_gram_matrix_without_gain_and_offset_is_that_of_least_squares(log: Experiment) -> None:
+    """Cost, slope and curvature against the projection of the written-out columns."""
+    for options in (
+        {},
+        {"fixed": {"gain": 1.5}},
+        {"fixed": {"offset": 0.2}},
+        {"fixed": {"gain": 1.5, "offset": 0.2}},
+    ):
+        search = searched(log, **options)
+        shape = shape_of(TRUTH, 0.003)
+        shape[0] -= 0.01
+        gram = search.kernel.gram(shape, mask_of((0, 1, 4)))
+        assert gram is not None
+        normal, slope, cost = reduced(gram, search)
+        raw = columns_of(search.kernel, shape, mask_of((0, 1, 4)))
+        straight = []
+        measured = log.output.copy()
+        for name, column in (("gain", raw[0]), ("offset", np.ones(raw.shape[1]))):
+            if name in options.get("fixed", {}):
+                measured = measured - options["fixed"][name] * column
+            else:
+                straight.append(column)
+        basis = np.linalg.qr(np.stack(straight, axis=1))[0] if straight else np.zeros((raw.shape[1], 0))
+        left = measured - basis @ (basis.T @ measured)
+        gain = (
+            1.5
+            if "gain" in options.get("fixed", {})
+            else np.linalg.lstsq(np.stack(straight, axis=1), measured, rcond=None)[0][0]
+        )
+        columns = gain * raw[1:]
+        columns = columns - (columns @ basis) @ basis.T
+        assert cost == pytest.approx(float(left @ left), rel=1e-8)
+        assert slope == pytest.approx(columns @ left, rel=1e-6, abs=1e-6 * float(left @ left))
+        assert normal == pytest.approx(columns @ columns.T, rel=1e-6)
+
+
+def test_a_singular_matrix_is_told_and_still_inverted() -> None:
+    normal = np.diag([4.0, 1e-8])
+    inverse, singular = inverted(normal)
+    assert np.diag(inverse) == pytest.approx([0.25, 1e8])  # small is not singular
+    assert not singular
+    twins = np.array([[1.0, 1.0 - 1e-11], [1.0 - 1e-11, 1.0]])
+    assert inverted(twins)[1]
+    assert np.isfinite(inverted(twins)[0]).all()
+    assert not inverted(np.array([[1.0, 1.0 - 1e-9], [1.0 - 1e-9, 1.0]]))[1]
+    assert np.isfinite(inverted(np.diag([1.0, 0.0]))[0]).all()
+
+
+# --- which part is held out ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("count", [1200, 1237])
+def test_activity_is_the_energy_that_is_still_to_come(count: int) -> None:
+    signal = np.where(np.arange(count) < count / 4, 2.0, 0.0)
+    found = _activity(signal)
+    assert found.shape == (121,)
+    assert (found[0], found[-1]) == (pytest.approx(1.0), 0.0)
+    border = sum(block.size for block in np.array_split(signal, 120)[:15])
+    assert found[15] == pytest.approx(1 - border / (count / 4), abs=0.005)
+    assert found[32:] == pytest.approx(0.0)
+    # The level of the quietest blocks is noise: a constant one has no quiet end, and is shared evenly.
+    assert _activity(np.ones(count)) == pytest.approx(np.linspace(1, 0, 121), abs=1e-12)
+
+
+def moved(*moves: tuple[float, float], count: int = 3000) -> Experiment:
+    """A motor that ramps by 1 rad within 0.2 s at these times [s], in these directions."""
+    time = PERIOD * np.arange(count)
+    angle = sum(sign * np.clip((time - at) / 0.2, 0, 1) for at, sign in moves)
+    output = np.exp(-np.maximum(time - moves[0][0], 0.0)) * np.where(time > moves[0][0], np.sin(10 * time), 0)
+    return Experiment(period=PERIOD, motor_angle=angle, output=output)
+
+
+def test_the_last_two_fifths_are_held_out_where_there_is_motion() -> None:
+    log = moved((1.0, 1), (3.0, -1), (9.0, 1))
+    assert fitted_samples(log) == 1800
+    motor, output = motion_after(log, 1800)
+    assert motor == pytest.approx(1 / 3, abs=0.02)
+    assert output == pytest.approx(0.0, abs=1e-3)
+    assert motion_after(log, 0) == (pytest.approx(1.0), pytest.approx(1.0))
+
+
+def test_the_border_moves_to_the_rest_before_the_last_moves() -> None:
+    log = moved((1.0, 1), (3.0, -1), (5.0, 1))  # all of it before 7.2 s
+    count = fitted_samples(log)
+    assert 3.2 / PERIOD < count <= 5.0 / PERIOD
+    assert motion_after(log, count)[0] == pytest.approx(1 / 3, abs=0.05)
+
+
+def test_a_log_of_one_move_is_cut_in_its_ring_down() -> None:
+    log = moved((1.0, 1))
+    count = fitted_samples(log)
+    assert 1.2 / PERIOD < count < 3.0 / PERIOD
+    assert motion_after(log, count)[1] >= 0.2
+    # Too short to be cut into blocks: the last two fifths, whatever moves.
+    assert fitted_samples(moved((0.1, 1), count=239)) == 239 - round(0.4 * 239)
+
+
+def test_too_short_and_still_logs_are_refused_with_what_is_wanted() -> None:
+    log = made_log(samples=1000)
+    short = Experiment(period=PERIOD, motor_angle=log.motor_angle[250:299], output=log.output[250:299])
+    with pytest.raises(LogError) as caught:
+        searched(short)
+    assert (caught.value.field, caught.value.value, caught.value.allowed) == ("output", 49, ">= 50")
+    searched(Experiment(period=PERIOD, motor_angle=log.motor_angle[250:300], output=log.output[250:300]))
+    still = Experiment(period=PERIOD, motor_angle=np.full(100, 0.3), output=log.output[250:350])
+    with pytest.raises(LogError) as caught:
+        searched(still)
+    assert (caught.value.field, caught.value.value, caught.value.allowed) == ("motor_angle", 0.3, "a motion")
