@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fraclink._arm.link import LinkModel
-from fraclink._identify import frequency_response, identify_frequency_response
+from fraclink._identify import SpectrumFit, frequency_response, identify_frequency_response
+from fraclink._identify.modal import ModalProblem, _levy, _places, _prominent, _seen
+from fraclink._identify.spectrum import _findings, _standing_out
 from fraclink.errors import FieldError, LogError
+from fraclink.findings import Finding
 from shared_data import shared_data
 
 FREQUENCY = np.linspace(1, 40, 200)
@@ -183,8 +188,6 @@ def test_spectra_need_equal_lengths() -> None:
 @pytest.mark.parametrize("seed", range(3))
 def test_linear_least_squares_return_an_exact_ratio(seed: int) -> None:
     """Levy's fit of a rational function of its own degrees is that function, whatever the weights."""
-    from fraclink._identify.modal import _levy
-
     g = np.random.default_rng(seed)
     top, bottom = g.normal(size=3), np.concatenate([[1.0], g.uniform(0.5, 2.0, 3)])
     x = (1j * np.geomspace(0.1, 10.0, 60)) ** 0.9
@@ -193,3 +196,209 @@ def test_linear_least_squares_return_an_exact_ratio(seed: int) -> None:
     np.testing.assert_allclose(found[0], top, rtol=1e-8)
     np.testing.assert_allclose(found[1], bottom, rtol=1e-8)
     assert found[2] < 1e-10
+
+
+# --- the pieces against closed forms ------------------------------------------------------------------------
+
+
+def test_lines_of_whole_periods() -> None:
+    """Amplitude and frequency of each line; the constant and weak lines are left out."""
+    k = np.arange(64)
+    u = 3.0 + np.cos(2 * np.pi * 4 * k / 64) + 0.06 * np.sin(2 * np.pi * 9 * k / 64)
+    y = 7.0 + 2 * np.sin(2 * np.pi * 4 * k / 64) + 0.5 * np.sin(2 * np.pi * 9 * k / 64)
+    found = frequency_response(u, y, period=0.5)
+    assert found.frequency == pytest.approx(2 * np.pi * np.array([4, 9]) / 32.0)
+    assert found.response == pytest.approx([-2j, 0.5 / 0.06])
+    assert found.magnitude == pytest.approx([32.0, 0.06 * 32])
+    few = frequency_response(u, y, period=0.5, threshold=0.07)
+    assert few.frequency == pytest.approx([2 * np.pi * 4 / 32.0])
+    assert frequency_response(u, y, threshold=0.05).frequency == pytest.approx(
+        2 * np.pi * np.array([4, 9]) / 64
+    )
+    frequency_response(u[:16], y[:16])
+    with pytest.raises(LogError) as caught:
+        frequency_response(u[:15], y[:15])
+    assert (caught.value.field, caught.value.allowed) == ("output", ">= 16 samples of each")
+
+
+def test_lines_that_stand_out_from_their_neighbours() -> None:
+    rng = np.random.default_rng(0)
+    error = rng.normal(size=60) + 1j * rng.normal(size=60) + np.linspace(0, 4, 60)  # a smooth misfit
+    for size, told in ((30.0, [30]), (3.0, [])):
+        spoilt = error.copy()
+        spoilt[30] += size * 1j
+        assert np.flatnonzero(_standing_out(0.01 * spoilt)).tolist() == told
+    edges = rng.normal(size=60) + 0j
+    edges[[0, 59]] += 40.0
+    assert np.flatnonzero(_standing_out(edges)).tolist() == [0, 59]
+
+
+def test_prominence_is_the_height_over_the_saddle() -> None:
+    level = np.array([0.0, 3.0, 1.0, 5.0, 4.5, 4.8, 2.0, 2.5, 0.0])
+    assert _prominent(level, 1) == [3]
+    assert _prominent(level, 2) == [1, 3]  # 2 over its saddle; the peak at 5 stands 0.3 over its own
+    assert _prominent(level, 3) == [1, 3, 7]
+    assert _prominent(level, 9) == [1, 3, 5, 7]
+    assert _prominent(np.array([1.0, 2.0, 2.0, 1.0]), 3) == [1]  # a plateau is one peak
+    assert _prominent(np.array([3.0, 2.0, 1.0]), 3) == []
+
+
+def test_peaks_and_dips_by_eye() -> None:
+    w = np.geomspace(1.0, 100.0, 400)
+    s = 1j * w
+    response = (s**2 + 0.6 * s + 15.0**2) / ((s**2 + 0.5 * s + 6.0**2) * (s**2 + 1.2 * s + 40.0**2))
+    found = _seen(w, response, 2, 1)
+    assert len(found) == 1
+    assert np.exp(found[0]) == pytest.approx([6.0, 40.0, 15.0], rel=0.02)
+    level = np.abs(response)
+    level[200] *= 50  # a single line of hum is no peak
+    for places in _seen(w, level + 0j, 2, 1):
+        assert np.exp(places[:2]) == pytest.approx([6.0, 40.0], rel=0.02)
+
+
+def test_roots_of_a_polynomial_in_s_to_the_order() -> None:
+    """x² + 5 x + 4 = (x + 1)(x + 4) with x = (s/3)^1.8: frequencies 3 and 3·4^(1/1.8)."""
+    found = np.exp(_places(np.array([1.0, 5.0, 4.0]), 1.8, 3.0))
+    assert found == pytest.approx([3.0, 3.0 * 4.0 ** (1 / 1.8)])
+    assert np.exp(_places(np.array([0.0, 0.0, 4.0]), 1.8, 3.0)) == pytest.approx([3.0, 3.0])
+    assert np.exp(_places(np.array([0.0, 1.0, 4.0]), 1.8, 3.0)) == pytest.approx(
+        [3.0 * 4.0 ** (1 / 1.8), 3.0]
+    )
+
+
+def problem(**changes: object) -> ModalProblem:
+    w = np.linspace(1.0, 20.0, 40)
+    h = 2.0 * np.exp(-0.01j * w) * (1j * w) ** 1.9 / ((1j * w) ** 1.9 + 9.0**1.9)
+    usual: dict[str, object] = {"frequency": w, "response": h, "weight": np.ones(40), "resonances": 1}
+    usual |= {"anti_resonances": 0, "derivative": 1, "order": None, "delay": None}
+    return ModalProblem(**(usual | changes))  # type: ignore[arg-type]
+
+
+def test_free_and_full_vectors() -> None:
+    whole = problem()
+    assert whole.moving.tolist() == [True, True, True]
+    held = problem(order=1.9, delay=0.01)
+    assert held.moving.tolist() == [False, False, True]
+    assert held.full(np.array([2.2])).tolist() == [1.9, 0.01, 2.2]
+    low, high = whole._limits()
+    assert low == pytest.approx([1.0, -1.0, -1.5])
+    assert high == pytest.approx([2.0, 1.0, np.log(20.0) + 1.5])
+    truth = np.array([1.9, 0.01, np.log(9.0)])
+    gain, predicted = whole.fitted(truth, np.ones(40, bool))
+    assert gain == pytest.approx(2.0)
+    assert predicted == pytest.approx(whole.response)
+    assert whole.errors(truth, np.ones(40, bool)) == pytest.approx(np.zeros(80), abs=1e-12)
+    few = np.arange(40) < 30
+    assert whole.errors(truth + 0.01, few).size == 60
+    # A real gain: turned by 90° nothing is left of it.
+    assert problem(response=1j * whole.response).fitted(truth, np.ones(40, bool))[0] == pytest.approx(
+        0.0, abs=1e-9
+    )
+
+
+def test_the_result_of_a_fit_in_numbers() -> None:
+    whole, every = problem(), np.ones(40, bool)
+    spoilt = problem(response=whole.response + 0.1)
+    found = spoilt.result(np.array([1.9, 0.01, np.log(9.0)]), every)
+    weighed = whole.response
+    gain = np.real(np.vdot(weighed / 2, spoilt.response)) / np.real(np.vdot(weighed / 2, weighed / 2))
+    left = np.linalg.norm(spoilt.response - gain * weighed / 2) / np.linalg.norm(spoilt.response)
+    assert found.gain == pytest.approx(gain)
+    assert found.fit == pytest.approx(100 * (1 - left))
+    assert (found.order, found.delay, found.resonances) == (1.9, 0.01, (pytest.approx(9.0),))
+    assert not found.at_bound and found.outliers == ()
+    assert problem(order=2.0).result(np.array([0.01, np.log(9.0)]), every).at_bound is False  # it was given
+    assert whole.result(np.array([2.0, 0.01, np.log(9.0)]), every).at_bound
+    assert whole.result(np.array([1.0, 0.01, np.log(9.0)]), every).at_bound
+    kept = np.arange(40) != 7
+    assert whole.result(np.array([1.9, 0.01, np.log(9.0)]), kept).outliers == (7,)
+
+
+def test_standard_errors_are_the_scatter_of_fits() -> None:
+    fits = [identify_frequency_response(FREQUENCY, noisy(seed), robust=False) for seed in range(16)]
+    for name, values in (
+        ("order", [fit.order for fit in fits]),
+        ("delay", [fit.delay for fit in fits]),
+        ("resonance 1", [fit.resonances[0] for fit in fits]),
+    ):
+        said = np.median([fit.standard_errors[name] for fit in fits])
+        assert 0.55 < said / np.std(values) < 1.8, name  # the scatter of 16 is known to 18 %
+
+
+GOOD = SpectrumFit(
+    1.9, (9.0,), (), 1.5, 0.01, 1, {"resonance 1": 0.1, "delay": 1e-4}, 97.0, (), False, np.ones(2)
+)
+
+
+@pytest.mark.parametrize(
+    ("changes", "codes"),
+    [
+        ({}, []),
+        ({"fit": 50.1}, []),
+        ({"fit": 49.9}, ["W341"]),
+        ({"resonances": (40.0,)}, []),
+        ({"resonances": (40.01,)}, ["W342"]),
+        ({"resonances": (0.99,)}, ["W342"]),
+        ({"standard_errors": {"resonance 1": 0.89}}, []),
+        ({"standard_errors": {"resonance 1": 0.91}}, ["W343"]),
+        ({"standard_errors": {"resonance 1": float("nan")}}, ["W343"]),
+        ({"delay": 0.499}, []),
+        ({"delay": 0.4999}, ["W344"]),
+        ({"delay": -0.4999}, ["W344"]),
+        ({"at_bound": True}, []),
+        ({"at_bound": True, "order": 1.0}, ["W345"]),
+        ({"gain": -1.5}, ["W346"]),
+        (
+            {
+                "gain": -1.5,
+                "anti_resonances": (5.0,),
+                "standard_errors": {"resonance 1": 0.1, "anti-resonance 1": 0.1},
+            },
+            [],
+        ),
+    ],
+)
+def test_gates_of_a_response_at_their_thresholds(changes: dict[str, object], codes: list[str]) -> None:
+    found = list(_findings(replace(GOOD, **changes), FREQUENCY))  # type: ignore[arg-type]
+    assert [finding.code for finding in found] == codes
+    assert all(finding.severity == "error" for finding in found)
+
+
+def test_evidence_of_the_gates() -> None:
+    def evidence(**changes: object) -> object:
+        (finding,) = _findings(replace(GOOD, **changes), FREQUENCY)  # type: ignore[arg-type]
+        return dict(finding.evidence)
+
+    assert evidence(fit=12.0) == {"fit_percent": 12.0, "least": 50.0}
+    assert evidence(resonances=(50.0,)) == {"place": 50.0, "low": 1.0, "high": 40.0}
+    vague = evidence(standard_errors={"resonance 1": 1.8})
+    assert vague == {"place": 9.0, "relative_error": pytest.approx(0.2), "most": 0.1}
+    assert evidence(delay=0.5) == {"delay": 0.5, "bound": 0.5}
+    assert evidence(at_bound=True, order=1.0) == {"order": 1.0}
+    assert evidence(gain=-2.0) == {"gain": -2.0}
+
+
+def test_a_link_of_one_resonance() -> None:
+    model = GOOD.model(payload=0.03)
+    assert (model.stiffness, model.order, model.gauge_delay, model.payload) == (1.5, 1.9, 0.01, 0.03)
+    assert model.natural_frequency == pytest.approx(9.0**0.95)
+    assert replace(GOOD, gain=-1.5).model().stiffness == 1.5
+    assert GOOD.model(stiffness=7.0).stiffness == 7.0
+    for changes in ({"resonances": (3.0, 9.0)}, {"anti_resonances": (5.0,)}):
+        with pytest.raises(FieldError) as caught:
+            replace(GOOD, **changes).model()  # type: ignore[arg-type]
+        assert caught.value.allowed == "1 resonance, no anti-resonance"
+    assert replace(GOOD, findings=(Finding("W341", "error", "m", {}, "r"),)).passed is False
+    assert GOOD.passed
+
+
+def test_two_lines_for_each_mode_and_four_more() -> None:
+    w = np.linspace(1.0, 20.0, 6)
+    h = LINK.torque()(1j * w)
+    assert identify_frequency_response(w, h, robust=False).order == pytest.approx(1.92, abs=1e-3)
+    with pytest.raises(FieldError) as caught:
+        identify_frequency_response(w[1:], h[1:])
+    assert (caught.value.value, caught.value.allowed) == (5, ">= 6")
+    with pytest.raises(FieldError) as caught:
+        identify_frequency_response(w, h, resonances=2, anti_resonances=1)
+    assert caught.value.allowed == ">= 10"

@@ -1,0 +1,600 @@
+"""The pieces of a structure's search against closed forms: coordinates, transforms, starts, findings."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.optimize import OptimizeResult
+
+import fraclink as fl
+from fraclink._identify.expression import parse_expression
+from fraclink._identify.least_squares import QUANTILE, Descent, Interval
+from fraclink._identify.structure_certainty import (
+    Certainty,
+    _blind,
+    _corners,
+    _is_at_bound,
+    _is_known,
+    _of_rivals,
+    _of_the_band,
+    _of_the_error,
+    _of_the_parameters,
+    _straight_interval,
+    in_order,
+)
+from fraclink._identify.structure_problem import (
+    Lines,
+    RecordStart,
+    Spectrum,
+    StructureCoordinates,
+    held_transform,
+)
+from fraclink._identify.structure_search import Place, StructureSearch, _distinct
+from fraclink._identify.structure_slopes import Blocks, blocks_of
+from fraclink._identify.structure_starts import Starts, _halton, _least_squares
+from fraclink._identify.structure_steps import decrement, stepped
+from fraclink._systems.terms import Term
+from fraclink.errors import FieldError
+from fraclink.findings import Finding
+
+Array = NDArray[np.float64]
+LIMITS = {"order": (0.02, 4.0), "delay": (0.0, 10.0), "coefficient": (1e-12, 1e12)}
+LINK = "k*s**a/(s**a + w)*exp(-T*s)"
+
+
+def coordinates(text: str, fixed: dict[str, float] | None = None, **limits: Any) -> StructureCoordinates:
+    structure = parse_expression(text)
+    return StructureCoordinates(
+        structure, {n: limits.get(n, LIMITS[r]) for n, r in structure.roles.items()}, fixed or {}
+    )
+
+
+# --- limits of a text ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("fits", "too_much", "problem"),
+    [
+        ("k*s" + " " * 996 + "+", None, "not a formula"),
+        ("s+" * 60 + "s*k", "s+" * 61 + "s*k", "nested too deeply"),
+        (
+            "+".join(f"p{i}*s" for i in range(12)),
+            "+".join(f"p{i}*s" for i in range(13)),
+            "too many parameters",
+        ),
+        ("k*(s + 1)**8", "k*(s + 1)**9", "a power of a sum that is not a whole number up to 8"),
+        ("k*(s + 1)**-8", "k*(s + 1)**-9", "a power of a sum that is not a whole number up to 8"),
+        ("s*k" + " " * 997, "s*k" + " " * 998, "too long"),
+        ("s*k*9e299", "s*k*1e300", "not a number"),
+    ],
+)
+def test_a_text_up_to_its_limits(fits: str, too_much: str | None, problem: str) -> None:
+    if too_much is not None:
+        assert "s" not in parse_expression(fits).names
+    with pytest.raises(FieldError) as caught:
+        parse_expression(too_much or fits)
+    assert caught.value.problem.startswith(problem)
+
+
+def test_what_is_no_text_and_where_it_breaks() -> None:
+    for value, problem in ((3, "no text"), ("  ", "empty")):
+        with pytest.raises(FieldError) as caught:
+            parse_expression(value)  # type: ignore[arg-type]
+        assert (caught.value.value, caught.value.problem) == (value, problem)
+        assert caught.value.allowed == "a text of 1 to 1000 characters"
+    with pytest.raises(FieldError) as caught:
+        parse_expression("k s")
+    assert caught.value.problem.startswith("not a formula at character")
+    with pytest.raises(FieldError, match="too many") as caught:
+        parse_expression("+".join(f"p{i}*s" for i in range(13)))
+    assert (caught.value.value, caught.value.allowed) == (13, "<= 12 parameters")
+
+
+def test_names_stand_in_the_order_of_the_text() -> None:
+    made = parse_expression("  k * s**a /\t(w + s**b) * exp(-T*s)")
+    assert made.text == "k * s**a / (w + s**b) * exp(-T*s)"
+    assert made.names == ("k", "a", "w", "b", "T")
+    assert [made.of_role(r) for r in ("order", "delay", "coefficient")] == [("a", "b"), ("T",), ("k", "w")]
+
+
+def test_the_exact_function_of_values() -> None:
+    made = parse_expression("k*s/s")
+    assert made.function({"k": 3.0})(2.0 + 1j) == pytest.approx(3.0)
+    late = parse_expression(LINK).function({"k": 2.0, "a": 1.5, "w": 3.0, "T": 0.25})
+    assert late.delay == 0.25
+    with pytest.raises(FieldError):
+        parse_expression(LINK).function({"k": 2.0, "a": 1.5, "w": 3.0, "T": -0.25})
+
+
+# --- coordinates --------------------------------------------------------------------------------------------
+
+
+def test_coordinates_are_logarithms_where_the_range_is_positive() -> None:
+    own = coordinates(LINK, w=(-5.0, 5.0))
+    assert own.names == ("k", "a", "w", "T")
+    assert own.gain == "k"
+    assert own.moving == ("a", "w", "T")
+    assert {name: own.is_logarithmic(name) for name in own.names} == {
+        "k": True, "a": False, "w": False, "T": False,
+    }  # fmt: skip
+    assert own.place("k", 10.0) == pytest.approx(math.log(10.0))
+    assert own.value("k", math.log(10.0)) == pytest.approx(10.0)
+    assert (own.place("w", -2.0), own.value("a", 1.5)) == (-2.0, 1.5)
+    low, high = own.box(("k", "a", "w"))
+    assert low == pytest.approx([math.log(1e-12), 0.02, -5.0])
+    assert high == pytest.approx([math.log(1e12), 4.0, 5.0])
+    values = own.values(np.array([[1.5, 2.0, 0.1], [1.6, 3.0, 0.2]]))
+    assert values["k"].tolist() == [[1.0]]
+    assert values["w"].tolist() == [[2.0], [3.0]]
+    assert own.values(np.zeros((1, 4)), projected=False)["k"] == 1.0
+    held = coordinates(LINK, {"a": 1.9, "k": 2.0})
+    assert (held.names, held.gain, held.moving) == (("w", "T"), None, ("w", "T"))
+    assert held.values(np.zeros((1, 2)))["a"].tolist() == [[1.9]]
+
+
+@pytest.mark.parametrize(
+    ("text", "gain"),
+    [(LINK, "k"), ("1/(s**a + w)", None), ("k/(k*s + k)", None), ("s + k", None), ("b*c/(s + 1)", "b")],
+)
+def test_the_gain_is_what_multiplies_the_whole(text: str, gain: str | None) -> None:
+    assert coordinates(text).gain == gain
+
+
+def test_the_shear_takes_the_unit_of_time_out_of_coefficients() -> None:
+    """In c·s^n the valley is ln c + n ln ω = constant; a term below the bar has the other sign."""
+    own = coordinates("1/(c*s**n + b*s**m + w)")
+    shear = own.shear(7.0)
+    at = {name: k for k, name in enumerate(own.moving)}
+    wanted = np.eye(5)
+    wanted[at["c"], at["n"]] = wanted[at["b"], at["m"]] = math.log(7.0)
+    assert shear == pytest.approx(wanted)
+    assert coordinates("k/(s + w)").shear(7.0) == pytest.approx(np.eye(1))
+
+
+# --- what it is fitted to -----------------------------------------------------------------------------------
+
+
+def test_transforms_of_held_signals() -> None:
+    """Steps and straight lines through samples x_k, integrated piece by piece."""
+    period, count, s = 0.3, 9, np.array([0.4 + 2.0j, 1.0 + 0j, 0.2 - 5.0j])
+    x = np.random.default_rng(0).normal(size=count)
+    x[-1] = 0.0
+    samples = np.array([np.sum(x * np.exp(-z * period * np.arange(count))) for z in s])
+    fine = np.linspace(0.0, period, 4001)
+    for hold in ("zero", "first"):
+        wanted = np.zeros(3, complex)
+        for k in range(count - 1):
+            part = x[k] + (x[k + 1] - x[k]) * fine / period if hold == "first" else np.full(fine.size, x[k])
+            for i, z in enumerate(s):
+                wanted[i] += np.trapezoid(part * np.exp(-z * (k * period + fine)), fine)
+        assert held_transform(samples, s, period, hold, x[0]) == pytest.approx(wanted, rel=1e-5)
+
+
+def test_the_transform_of_a_record_is_that_of_its_response() -> None:
+    """Y(s)/U(s) = G(s) on the line Re s = σ, whatever the offset that the weight's constant takes up."""
+    time = 0.02 * np.arange(4000)
+    u = np.where(time > 0.5, 1.0, 0.0)
+    G = 2.0 / (fl.s**1.3 + 3.0)
+    y = fl.time_response(G, u, 0.02, hold="zero").output
+    data = RecordStart.of(fl.Recording(0.02, u, y), "auto", 4000)
+    assert data.hold == "zero"
+    spectrum = data.spectrum
+    low = np.abs(spectrum.points) < 5.0
+    assert spectrum.output[low] / spectrum.input[low] == pytest.approx(G(spectrum.points[low]), rel=2e-2)
+    assert spectrum.points[0] == pytest.approx(5.0 / 80.0)
+    assert spectrum.points.imag.max() <= 1.0 / 0.02 * (1 + 1e-9)
+    assert np.all(np.diff(spectrum.points.imag) > 0)
+    assert spectrum.of_constant == pytest.approx(1.0 / spectrum.points)
+    assert float(np.sum(spectrum.measured**2)) == pytest.approx(1.0, rel=0.01)
+    assert spectrum.band == (pytest.approx(5.0 / 80.0), pytest.approx(np.abs(spectrum.points).max()))
+
+
+def test_a_record_knows_its_band_and_its_rest() -> None:
+    period, count = 0.01, 2000
+    time = period * np.arange(count)
+    u = 4.0 - np.cos(2 * np.pi * 2.0 * time) + 1e-5 * np.sin(2 * np.pi * 30.0 * time)
+    data = RecordStart.of(fl.Recording(period, u, u, input_at_rest=3.0), "first", 1500)
+    assert data.input == pytest.approx(u[:1500] - 3.0)
+    assert data.measured == pytest.approx(u[:1500])
+    assert data.offset == pytest.approx(np.ones(1500))
+    assert data.band == (pytest.approx(4 * np.pi), pytest.approx(4 * np.pi))  # 30 Hz is a 150 000th of it
+    constant = RecordStart.of(fl.Recording(period, np.ones(50), u[:50]), "auto", 50)
+    assert constant.hold == "zero"
+
+
+def test_lines_are_stacked_real_before_imaginary() -> None:
+    w, h = np.array([1.0, 2.0]), np.array([3.0 + 4.0j, 5.0 - 6.0j])
+    data = Lines.of(w, h, np.array([1.0, 0.5]))
+    assert data.measured.tolist() == [3.0, 2.5, 4.0, -3.0]
+    assert (data.offset, data.band) == (None, (1.0, 2.0))
+    made = data.simulated(parse_expression("k*s"), {"k": np.array([[2.0], [4.0]])}, 2)
+    assert made.tolist() == [[0.0, 0.0, 2.0, 2.0], [0.0, 0.0, 4.0, 4.0]]
+
+
+def test_a_candidate_without_a_response_is_not_finite() -> None:
+    data = RecordStart.of(fl.Recording(0.1, np.ones(60), np.ones(60)), "auto", 60)
+    values = {"k": np.array([[1.0], [2.0]]), "T": np.array([[0.2], [-0.2]])}
+    made = data.simulated(parse_expression("k/(s + 1)*exp(-T*s)"), values, 2)
+    assert np.isfinite(made[0]).all()
+    assert np.isnan(made[1]).all()
+    time = 0.1 * np.arange(60)
+    assert made[0] == pytest.approx(
+        np.where(time > 0.2, 1 - np.exp(-np.maximum(time - 0.2, 0)), 0.0), abs=1e-9
+    )
+    improper = data.simulated(parse_expression("k*s**2/(s + 1)"), {"k": np.ones((1, 1))}, 1)
+    assert np.isnan(improper).all()
+
+
+# --- starts -------------------------------------------------------------------------------------------------
+
+
+def test_points_of_halton() -> None:
+    """Digits of 1, 2, 3 … behind the point, in base 2, 3 and 5."""
+    found = _halton(6, 3)
+    assert found[:, 0] == pytest.approx([1 / 2, 1 / 4, 3 / 4, 1 / 8, 5 / 8, 3 / 8])
+    assert found[:, 1] == pytest.approx([1 / 3, 2 / 3, 1 / 9, 4 / 9, 7 / 9, 2 / 9])
+    assert found[:, 2] == pytest.approx([1 / 5, 2 / 5, 3 / 5, 4 / 5, 1 / 25, 6 / 25])
+
+
+def test_real_solutions_of_complex_systems() -> None:
+    rng = np.random.default_rng(0)
+    matrix = rng.normal(size=(2, 3, 8)) + 1j * rng.normal(size=(2, 3, 8))
+    truth = np.array([[1.0, -2.0, 3e6], [0.5, 1e-7, 2.0]])
+    matrix[:, 2] *= 1e-3
+    right = np.einsum("mnk,mn->mk", matrix, truth)
+    assert _least_squares(matrix, right) == pytest.approx(truth, rel=1e-9, abs=1e-12)
+    matrix[0, 1] = 0.0  # a column that is not there takes nothing
+    right = np.einsum("mnk,mn->mk", matrix, truth)
+    assert _least_squares(matrix, right)[0, [0, 2]] == pytest.approx(truth[0, [0, 2]], rel=1e-9)
+
+
+def spectrum_of(text: str, truth: dict[str, float]) -> Spectrum:
+    w = np.geomspace(0.05, 50.0, 60)
+    h = parse_expression(text).function(truth)(1j * w)
+    return Lines.of(w, h, 1 / np.abs(h) / np.sqrt(w.size))
+
+
+def test_coefficients_follow_from_the_orders() -> None:
+    """With the orders of the truth among the limits, linear least squares give the truth."""
+    text, truth = (
+        "(b*s**m + 1)/(a2*s**2 + a1*s**n + a0)",
+        {"b": 0.3, "m": 0.7, "a2": 0.2, "a1": 1.0, "n": 0.8, "a0": 2.0},
+    )
+    own = coordinates(text, m=(0.7, 0.7 + 1e-9), n=(0.8, 0.8 + 1e-9))
+    starts = Starts(own, spectrum_of(text, truth), False).places()
+    assert starts.shape == (120, 6)
+    found = {name: own.value(name, starts[:, k]) for k, name in enumerate(own.moving)}
+    for name, value in truth.items():
+        assert found[name] == pytest.approx(np.full(120, value), rel=1e-5)
+
+
+def test_draws_lie_in_their_ranges() -> None:
+    own = coordinates("k/((T*s)**a + w)*exp(-d*s)", a=(0.5, 3.5), d=(0.0, 2.0))
+    starts = Starts(own, spectrum_of("1/(s + 1)", {}), False)
+    places = starts.places()  # T stands in a power: nothing is straight, all is drawn
+    assert len(places) == 600
+    low, high = own.box(own.moving)
+    assert np.all((places >= low - 1e-9) & (places <= high + 1e-9))
+    uniform = np.linspace(0.0, 1.0, 1001)
+    orders = starts._drawn("a", uniform)
+    assert (orders.min(), orders.max()) == (0.5, 2.5)
+    delays = starts._drawn("d", uniform)
+    assert np.mean(delays == 0.0) == pytest.approx(0.25, abs=0.01)
+    assert delays.max() == pytest.approx(2.0, rel=5e-3) and delays.min() == 0.0
+    sizes = starts._drawn("w", uniform)
+    assert sizes.min() >= 50.0**-2 and sizes.max() <= 50.0**2 / 1.0 * 1e3
+    assert np.any(starts._drawn("w", uniform) > 100.0) and np.any(sizes < 0.01)
+    signed = Starts(coordinates("k/(s + w)", w=(-10.0, 10.0)), spectrum_of("1/(s + 1)", {}), False)
+    drawn = signed._drawn("w", uniform)
+    assert 0.3 < np.mean(drawn < 0) < 0.7
+    assert np.abs(drawn).max() <= 10.0
+
+
+# --- steps --------------------------------------------------------------------------------------------------
+
+
+def test_blocks_keep_the_variance_of_white_noise() -> None:
+    noise = np.random.default_rng(0).normal(size=100_003)
+    found = blocks_of(noise, 4)
+    assert found.size == 25_000
+    assert found.std() == pytest.approx(1.0, rel=0.02)
+    assert blocks_of(np.ones(10), 4).tolist() == [2.0, 2.0]
+    assert Blocks(np.zeros((1, 2)), 4).of(np.arange(9.0)).tolist() == [3.0, 11.0]
+
+
+def line(x: Array) -> Array:
+    """Residuals with the least cost 3 at (1, 2), bent a little."""
+    return np.array([x[0] - 1.0, 2.0 * (x[1] - 2.0), 0.1 * (x[0] - 1.0) ** 2, math.sqrt(3.0)])
+
+
+def slopes(x: Array) -> Blocks:
+    """−∂(residual)/∂x: rows are those of what is simulated."""
+    return Blocks(-np.array([[1.0, 0.0, 0.2 * (x[0] - 1.0), 0.0], [0.0, 2.0, 0.0, 0.0]]), 1)
+
+
+def test_steps_end_at_the_optimum() -> None:
+    box = np.full(2, -10.0), np.full(2, 10.0)
+    found = stepped(line, slopes, np.array([4.0, -3.0]), box, [0, 1], 0.0, damped=False)
+    assert found.place == pytest.approx([1.0, 2.0], abs=1e-2)
+    assert found.cost == pytest.approx(3.0, rel=1e-4)
+    assert found.ended and found.converged
+    assert 3 <= found.evaluations <= 10
+    blunt = stepped(
+        line, lambda x: replace(slopes(x), sharp=False), np.array([4.0, -3.0]), box, [0, 1], 0.0, damped=True
+    )
+    assert blunt.ended and not blunt.converged
+
+
+def test_steps_stop_at_a_limit_and_without_rows() -> None:
+    box = np.full(2, -10.0), np.array([10.0, 1.0])
+    at_limit = stepped(line, slopes, np.array([4.0, -3.0]), box, [0, 1], 0.0, damped=False)
+    assert at_limit.place[1] == 1.0
+    assert not at_limit.ended
+    begin = np.array([4.0, -3.0])
+    none = stepped(line, lambda x: None, begin, box, [0, 1], 0.0, damped=True)
+    assert (none.place.tolist(), none.ended, none.evaluations) == ([4.0, -3.0], False, 1)
+    assert none.cost == pytest.approx(float(line(begin) @ line(begin)))
+    lost = stepped(lambda x: np.full(4, np.inf), slopes, begin, box, [0, 1], 0.0, damped=True)
+    assert (lost.cost, lost.ended, lost.evaluations) == (math.inf, False, 1)
+    twins = Blocks(np.array([[1.0, 0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]]), 1)
+    assert not stepped(line, lambda x: twins, begin, box, [0, 1], 0.0, damped=True).ended
+
+
+def test_damped_steps_descend_where_plain_ones_do_not() -> None:
+    """On arctan a Gauss–Newton step from 3 overshoots; damped ones end at zero."""
+
+    def residual(x: Array) -> Array:
+        return np.arctan(x)
+
+    def rows(x: Array) -> Blocks:
+        return Blocks(-np.diag(1 / (1 + x**2)), 1)
+
+    box = np.array([-50.0]), np.array([50.0])
+    plain = stepped(residual, rows, np.array([3.0]), box, [0], 0.0, damped=False)
+    assert (plain.place[0], plain.ended) == (3.0, False)
+    damped = stepped(residual, rows, np.array([3.0]), box, [0], 1e-20, damped=True)
+    assert abs(damped.place[0]) < 1e-6
+    assert damped.ended
+
+
+def test_what_a_last_step_would_gain() -> None:
+    jacobian, rest = np.array([[1.0, 0.0], [0.0, 2.0], [0.0, 0.0]]), np.array([3.0, 4.0, 5.0])
+    free = OptimizeResult(jac=jacobian, fun=rest, active_mask=np.array([0, 0]))
+    assert decrement(free) == pytest.approx(25.0)
+    held = OptimizeResult(jac=jacobian, fun=rest, active_mask=np.array([0, 1]))
+    assert decrement(held) == pytest.approx(9.0)
+
+
+def test_places_are_told_apart_by_their_costs() -> None:
+    places = np.array([[1.0, 2.0], [2.0, 1.0], [5.0, 5.0], [7.0, 7.0], [8.0, 8.0]])
+    costs = np.array([1.0, 1.0 + 5e-7, 3.0, math.inf, 1.0 + 3e-6])
+    found = Descent(places, costs, np.ones(5, bool), 0)
+    # The first two are one function: that whose orders fall in the order of the text stays.
+    assert [row.tolist() for row in _distinct(found, [0, 1])] == [[2.0, 1.0], [8.0, 8.0], [5.0, 5.0]]
+    assert [row.tolist() for row in _distinct(found, [])] == [[1.0, 2.0], [8.0, 8.0], [5.0, 5.0]]
+
+
+def test_a_given_start_is_tried_on_the_samples() -> None:
+    """A jump between two samples: only a start beside the truth leads into its valley at once."""
+    u = np.repeat(np.random.default_rng(1).choice([-1.0, 1.0], 40), 25)
+    y = fl.time_response(parse_expression("2/(s + 1)*exp(-0.31*s)").function({}), u, 0.02, hold="zero").output
+    data = RecordStart.of(fl.Recording(0.02, u, y), "zero", 1000)
+    search = StructureSearch(coordinates("k/(s + w)*exp(-T*s)"), None)
+    places = search.run(data, {"w": 1.0, "T": 0.31})
+    assert places[0][1].values == pytest.approx({"k": 2.0, "w": 1.0, "T": 0.31}, rel=1e-5)
+    costs = [place.cost for _, place in places]
+    assert costs == sorted(costs)
+    assert places[0][1].offset == pytest.approx(0.0, abs=1e-6)
+    assert search.evaluations > 60
+
+
+# --- how sure -----------------------------------------------------------------------------------------------
+
+
+def test_a_bound_is_met_within_a_ten_millionth_of_the_range() -> None:
+    own = coordinates("k/(s**a + w)", w=(-1.0, 1.0))
+    for value, told in ((0.02, True), (0.02 + 3e-7, True), (0.02 + 6e-7, False), (4.0, True), (1.0, False)):
+        assert _is_at_bound(own, "a", value) is told
+    assert _is_at_bound(own, "k", 1e-12) and _is_at_bound(own, "k", 0.0)
+    assert not _is_at_bound(own, "k", 1e-11)
+    assert _is_at_bound(own, "w", -1.0) and not _is_at_bound(own, "w", 0.0)
+
+
+def test_directions_that_are_not_seen() -> None:
+    rng = np.random.default_rng(0)
+    a, b, c = rng.normal(size=(3, 50))
+    assert _blind(np.stack([a, b, c]), ("a", "b", "c")) == ()
+    assert _blind(np.stack([a, 2 * a, c]), ("a", "b", "c")) == ("a", "b")
+    assert _blind(np.stack([a, b, np.zeros(50)]), ("a", "b", "c")) == ("c",)
+    assert _blind(np.stack([a, b, a + b]), ("a", "b", "c")) == ("a", "b", "c")
+    # A row behind the names is a constant output: it has no name, and may hide a parameter.
+    assert _blind(np.stack([a, np.ones(50), 3 * np.ones(50)]), ("a", "b")) == ("b",)
+
+
+def test_what_an_interval_determines() -> None:
+    own = coordinates(LINK)
+
+    def known(
+        name: str, value: float, low: float, high: float, *, below: bool = False, above: bool = False
+    ) -> bool:
+        return _is_known(own, name, value, Interval(low, high, below, above))
+
+    assert known("a", 1.0, 0.76, 1.25) and not known("a", 1.0, 0.74, 1.25)
+    assert known("k", 10.0, 6.0, 15.9) and not known("k", 10.0, 6.0, 16.1)
+    assert known("T", 0.1, 0.0, 9.0, below=True) and not known("T", 0.1, 0.0, 9.0, above=True)
+    assert not known("a", 1.0, 0.9, 1.1, below=True) and not known("k", 1.0, 0.9, 1.1, above=True)
+
+
+def test_the_interval_of_a_parabola() -> None:
+    own = coordinates("k/(s**a + w)")
+    straight = _straight_interval(own, "a", 1.5, 0.2)
+    assert (straight.low, straight.high) == (pytest.approx(1.3), pytest.approx(1.7))
+    assert not straight.low_open and not straight.high_open
+    cut = _straight_interval(own, "a", 3.9, 0.2)
+    assert (cut.high, cut.low_open, cut.high_open) == (4.0, False, True)
+    logarithmic = _straight_interval(own, "k", 10.0, 0.1)
+    assert logarithmic.low == pytest.approx(10.0 * math.exp(-0.1))
+    assert logarithmic.high == pytest.approx(10.0 * math.exp(0.1))
+
+
+def test_terms_that_may_change_names() -> None:
+    own = coordinates("1/(a2*s**n2 + a1*s**n1 + a0)")
+    values = {"a2": 0.5, "n2": 0.9, "a1": 0.8, "n1": 2.2, "a0": 1.0}
+    found = in_order(own, Place(values, 0.0, 1.0, True)).values
+    assert dict(found) == {"a2": 0.8, "n2": 2.2, "a1": 0.5, "n1": 0.9, "a0": 1.0}
+    assert in_order(own, Place(found, 0.0, 1.0, True)).values == found
+    # With limits of their own they are not the same: nothing is exchanged.
+    other = coordinates("1/(a2*s**n2 + a1*s**n1 + a0)", n2=(0.02, 3.0))
+    assert dict(in_order(other, Place(values, 0.0, 1.0, True)).values) == values
+    apart = coordinates("s**m/(s**n + w)")
+    rising = {"m": 0.5, "n": 0.9, "w": 1.0}
+    assert dict(in_order(apart, Place(rising, 0.0, 1.0, True)).values) == rising
+
+
+def test_corners_of_asymptotes() -> None:
+    """s² + 10 s + 1: the terms are equal at 0.1 and at 10 rad/s; a small middle term leaves one corner."""
+    terms = [Term(1.0, 2.0), Term(10.0, 1.0), Term(1.0, 0.0)]
+    assert sorted(_corners(terms)) == pytest.approx([0.1, 10.0])
+    assert _corners([Term(1.0, 2.0), Term(0.1, 1.0), Term(9.0, 0.0)]) == pytest.approx([3.0])
+    assert _corners([Term(4.0, 1.0)]) == []
+    assert _corners([Term(1.0, 1.0), Term(1e300, 0.999)]) == [math.exp(200.0)]
+
+
+# --- findings of a structure's fit --------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def fit() -> fl.StructureFit:
+    """A good fit to lines, to be changed."""
+    w = np.geomspace(0.1, 100.0, 60)
+    noise = 1 + 0.01 * np.random.default_rng(0).normal(size=60)
+    data = fl.FrequencyResponse(w, (2 / (fl.s**0.8 + 3))(1j * w) * noise)
+    return fl.identify_structure(data, "k/(s**a + b)")
+
+
+def certain(**changes: Any) -> Certainty:
+    return replace(Certainty({}, {}, (), (), (), {}), **changes)
+
+
+def one(findings: Iterable[Finding]) -> Finding:
+    (found,) = list(findings)
+    return found
+
+
+def codes(findings: Iterable[Finding]) -> list[str]:
+    return [finding.code for finding in findings]
+
+
+def test_a_parameter_at_a_bound_or_not_seen(fit: fl.StructureFit) -> None:
+    assert list(_of_the_parameters(fit, certain())) == []
+    stuck = one(_of_the_parameters(replace(fit, at_bound=("a",)), certain()))
+    assert (stuck.code, stuck.severity) == ("W351", "error")
+    assert stuck.evidence == {"value": fit.parameters["a"], "low": 0.02, "high": 4.0}
+    delay = replace(fit, at_bound=("a",), limits={**fit.limits, "a": (0.0, 1e7)})
+    assert one(_of_the_parameters(delay, certain())).severity == "warning"  # a delay of zero is no fault
+    blind = one(_of_the_parameters(replace(fit, undetermined=("k", "b")), certain(blind=("k", "b"))))
+    assert (blind.code, blind.severity) == ("W352", "error")
+    assert "k, b only in combination" in blind.message
+    assert blind.evidence == {name: fit.parameters[name] for name in ("k", "b")}
+    vague = one(_of_the_parameters(replace(fit, undetermined=("a",)), certain()))
+    assert (vague.code, vague.severity) == ("W353", "error")
+    interval = fit.intervals["a"]
+    assert vague.evidence == {"value": fit.parameters["a"], "low": interval.low, "high": interval.high}
+    for related, told in ((0.991, True), (-0.991, True), (0.989, False)):
+        found = list(_of_the_parameters(fit, certain(pairs={("k", "a"): related})))
+        assert codes(found) == ["W354"] * told
+        assert not told or found[0].evidence == {"correlation": related}
+    assert not list(_of_the_parameters(fit, certain(pairs={("k", "a"): 1.0}, blind=("a",))))[1:]
+    early = one(_of_the_parameters(replace(fit, converged=False, evaluations=99), certain()))
+    assert (early.code, early.severity, early.evidence) == ("W359", "error", {"evaluations": 99.0})
+
+
+@pytest.mark.parametrize(
+    ("nmse", "held", "told"),
+    [
+        (0.249, None, []),
+        (0.251, None, [("W355", "error")]),
+        (0.01, 0.0399, []),
+        (0.01, 0.0401, [("W356", "warning")]),
+        (0.06, 0.249, [("W356", "warning")]),
+        (0.06, 0.251, [("W356", "error")]),
+        (1e-14, 9e-13, []),
+        (1e-14, 1.1e-12, [("W356", "warning")]),
+    ],
+)
+def test_the_error_seen_and_held_out(
+    fit: fl.StructureFit, nmse: float, held: float | None, told: list[tuple[str, str]]
+) -> None:
+    found = list(_of_the_error(replace(fit, nmse=nmse, heldout_nmse=held)))
+    assert [(finding.code, finding.severity) for finding in found] == told
+    if told and told[0][0] == "W356":
+        assert found[0].evidence == {"heldout_nmse": held, "nmse": nmse}
+    elif told:
+        assert found[0].evidence == {"nmse": nmse, "most": 0.25}
+
+
+def test_another_valley_that_fits_as_well_is_told(fit: fl.StructureFit) -> None:
+    weight = 1 / np.abs(fit.measured[:60] + 1j * fit.measured[60:])
+    data = Lines.of(fit.place, fit.measured[:60] + 1j * fit.measured[60:], weight / np.sqrt(60))
+    cost = fit.nmse * float(data.measured @ data.measured)
+    far = {name: 2.0 * value for name, value in fit.parameters.items()}
+
+    def said(ratio: float, values: dict[str, float], inflation: float = 1.0) -> list[Finding]:
+        rival = Place(values, 0.0, cost * ratio, True)
+        return list(_of_rivals(fit, certain(inflation=inflation), [rival], data))
+
+    edge = math.exp(QUANTILE**2 / 120)  # 120 numbers: n ln(ratio) at the quantile
+    found = one(said(1.0 + 0.99 * (edge - 1.0), far))
+    assert (found.code, found.severity, found.evidence) == ("W357", "error", far)
+    assert said(1.0 + 1.01 * (edge - 1.0), far) == []
+    assert codes(said(1.0 + 1.01 * (edge - 1.0), far, inflation=2.0)) == ["W357"]
+    assert said(1.0, dict(fit.parameters)) == []
+    only = {**fit.parameters, "a": 3.0}
+    assert one(said(1.0, only)).evidence == {"a": 3.0}
+
+
+def test_a_corner_outside_of_the_band_is_told(fit: fl.StructureFit) -> None:
+    corner = fit.parameters["b"] ** (1 / fit.parameters["a"])
+    h = np.ones(2, complex)
+
+    def said(low: float, high: float) -> list[Finding]:
+        return list(_of_the_band(fit, Lines.of(np.array([low, high]), h, np.ones(2))))
+
+    assert said(corner / 9, corner / 2.9) == said(2.9 * corner, 9 * corner) == []
+    below = one(said(corner / 9, corner / 3.1))
+    assert (below.code, below.severity) == ("W358", "warning")
+    assert below.evidence == {
+        "corner": pytest.approx(corner, rel=1e-5),
+        "low": pytest.approx(corner / 9),
+        "high": pytest.approx(corner / 3.1),
+    }
+    assert codes(said(3.1 * corner, 9 * corner)) == ["W358"]
+    stuck = replace(fit, at_bound=("b",))
+    assert list(_of_the_band(stuck, Lines.of(np.array([1e3, 1e4]), h, np.ones(2)))) == []
+
+
+def test_a_fit_in_words(fit: fl.StructureFit) -> None:
+    intervals = {"k": Interval(1.9, 2.1, False, False), "b": Interval(1.0, 9.0, False, False)}
+    shown = replace(
+        fit, parameters={"k": 2.0, "a": 0.8, "b": 3.0}, fixed=(), at_bound=("a",), undetermined=("b",),
+        intervals=intervals, nmse=0.0123, heldout_nmse=None, findings=(),
+    )  # fmt: skip
+    assert str(shown).split("\n") == [
+        "k/(s**a + b)",
+        "k = 2, 95 % 1.9 to 2.1",
+        "a = 0.8 (at its bound)",
+        "b = 3 (not determined)",
+        "error 1.23 % (NMSE), nothing held out",
+    ]
+    assert repr(shown) == "StructureFit(k/(s**a + b): k = 2, a = 0.8, b = 3)"
+    given = str(replace(shown, fixed=("a",), heldout_nmse=0.0456))
+    assert "a = 0.8 (given)" in given
+    assert "held-out error 4.56 %" in given
+    assert not replace(shown, findings=(Finding("W351", "error", "m", {}, "r"),)).passed
+    assert replace(shown, findings=(Finding("W351", "warning", "m", {}, "r"),)).passed
