@@ -434,9 +434,9 @@ def test_a_few_samples_that_cause_the_error(fit: Fit) -> None:
         found = list(_of_outliers(changed))
         assert codes(found) == ["W312"] * told
     squares[10:14] = 0.5
-    found = one(_of_outliers(replace(changed, residual=np.sqrt(squares))))
-    assert found.evidence["samples"] == 4.0
-    assert found.evidence["share_of_error"] == pytest.approx(2.0 / (2.0 + 0.71), rel=1e-2)
+    worst = one(_of_outliers(replace(changed, residual=np.sqrt(squares))))
+    assert worst.evidence["samples"] == 4.0
+    assert worst.evidence["share_of_error"] == pytest.approx(2.0 / (2.0 + 0.71), rel=1e-2)
     assert list(_of_outliers(replace(changed, residual=np.zeros(count + 500)))) == []
 
 

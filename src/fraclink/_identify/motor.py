@@ -217,8 +217,8 @@ class _Bumps:
         # itself is never differentiated: an encoder's steps twice differentiated are all noise.
         first, second = _BUMP.deriv(1)(x) / width, _BUMP.deriv(2)(x) / width**2
         # As a sum over samples the second one neither vanishes on a constant (2e-4 at 31 samples: 8 % of an
-        # angle in rad, from wherever the encoder counts, would pass for an acceleration in rad/s²) nor gives a
-        # parabola its own (1.4e-4 too much, several standard errors of the gain). Both are set right here.
+        # angle in rad, from wherever the encoder counts, would pass for an acceleration in rad/s²) nor gives
+        # a parabola its own (1.4e-4 too much, several standard errors of the gain). Both are set right here.
         second -= second.mean()
         second *= np.sum(_BUMP(x)) / (0.5 * second @ (x * width) ** 2)
         slope = -np.correlate(angle, first, "valid") * period  # ∫ φ θ'
