@@ -131,12 +131,13 @@ def watching(runs: int) -> Iterator[Callable[[Any], None] | None]:
         task = bar.add_task("simulating", total=runs)
 
         def watch(progress: Any) -> None:
-            rate = (progress.done - progress.before) / max(time.monotonic() - began, 1e-9)
-            left = (runs - progress.done) / max(rate, 1e-9)
-            failed = 100 * progress.failed / max(progress.done - progress.before, 1)
-            shown = (
-                f"{progress.done} / {runs} · {failed:.1f} % failed · {rate:.0f} runs/s · {left:.0f} s left"
-            )
+            # What a resumed campaign finds finished took no time of this one, and is not in its rate.
+            now = progress.done - progress.before
+            shown = f"{progress.done} / {runs}"
+            if now:
+                rate = now / max(time.monotonic() - began, 1e-9)  # a clock may not have moved on yet
+                left, failed = (runs - progress.done) / rate, 100 * progress.failed / now
+                shown += f" · {failed:.1f} % failed · {rate:.0f} runs/s · {left:.0f} s left"
             bar.update(task, completed=progress.done, description=shown)
 
         yield watch

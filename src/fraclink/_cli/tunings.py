@@ -140,8 +140,11 @@ def _asked(name: str, value: float | None) -> float:
         allowed, remedy = "a number: nothing moves without it", f"give {option}"
         raise FieldError(name, None, "missing", allowed=allowed, remedy=remedy)
     while True:
+        # Outside the `try`: an input that has ended is a FieldError, which is a ValueError, too, and would
+        # be asked again for ever.
+        answer = _line(question)
         try:
-            return float(_line(question))
+            return float(answer)
         except ValueError:
             tell("a number, please")
 

@@ -1,0 +1,373 @@
+"""What a terminal is shown and a pipe is not: links, colours, progress, folded remarks, questions."""
+
+from __future__ import annotations
+
+import io
+import json
+import sys
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from fraclink._cli import console, main, tunings
+from fraclink._cli.app import every_command
+from fraclink._cli.console import clean, emit, emit_json, guarded, steps, tell, tell_written, watching, width
+from fraclink.errors import FieldError, FraclinkError, FraclinkWarning, InfeasibleError
+
+
+class Terminal(io.StringIO):
+    """A stream that a person looks at."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+def on_terminal(monkeypatch: pytest.MonkeyPatch) -> Terminal:
+    """Standard error of this test, on a terminal of 60 columns."""
+    for name in ("NO_COLOR", "FORCE_COLOR"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setenv("COLUMNS", "60")
+    stream = Terminal()
+    monkeypatch.setattr(sys, "stderr", stream)
+    return stream
+
+
+# --- text -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("given", "shown"),
+    [
+        ("\x07", r"\x07"),
+        ("\x7f", r"\x7f"),
+        ("\xff", "\xff"),  # ÿ is a letter
+        ("\xad", r"\xad"),  # a hyphen that nobody sees
+        ("Ā", "Ā"),
+        ("\u0600", r"\u0600"),  # the first characters of more than a byte that do not print
+        ("\ue000", r"\ue000"),
+        ("a\nb", "a\nb"),
+        (Path("a\tb"), r"a\x09b"),
+    ],
+)
+def test_what_does_not_print_is_written_out(given: object, shown: str) -> None:
+    assert clean(given) == shown
+
+
+def test_the_width_is_the_terminals_or_that_of_COLUMNS(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "47")
+    assert width() == 47
+    monkeypatch.delenv("COLUMNS")
+    monkeypatch.setattr(sys, "__stdout__", io.StringIO())
+    assert width() == 80
+
+
+def test_verdicts_have_colours_where_somebody_looks(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("NO_COLOR", raising=False)
+    monkeypatch.delenv("FORCE_COLOR", raising=False)
+    text = "✓ passed: a\n✗ failed: b\n! not shown: c\nno error here"
+    stream = Terminal()
+    monkeypatch.setattr(sys, "stdout", stream)
+    emit(text)
+    lines = stream.getvalue().splitlines()
+    green, red, yellow, plain = (f"\x1b[{code}m" for code in ("32", "31", "33", "0"))
+    assert lines[0] == f"{green}✓ passed{plain}: a"
+    assert lines[1] == f"{red}✗ failed{plain}: b"
+    assert lines[2] == f"{yellow}! not shown{plain}: c"
+    assert lines[3] == "no error here"  # only where a line begins with it
+    monkeypatch.setenv("NO_COLOR", "")
+    monkeypatch.setattr(sys, "stdout", again := Terminal())
+    emit(text)
+    assert again.getvalue() == text + "\n"
+    monkeypatch.delenv("NO_COLOR")
+    monkeypatch.setattr(sys, "stdout", pipe := io.StringIO())
+    emit(text)
+    assert pipe.getvalue() == text + "\n"
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    emit("✓")
+    assert pipe.getvalue().endswith(f"{green}✓{plain}\n")
+
+
+def test_a_program_reads_plain_numbers_and_no_gap(capsys: pytest.CaptureFixture[str]) -> None:
+    emit_json({"λ": 0.1 + 0.2})
+    told = capsys.readouterr().out
+    assert json.loads(told) == {"λ": 0.1 + 0.2} and told.isascii() and told.endswith("}\n")
+    with pytest.raises(ValueError, match="JSON"):
+        emit_json({"x": float("nan")})
+
+
+def test_a_remark_is_folded_on_a_terminal_and_a_line_in_a_pipe(monkeypatch: pytest.MonkeyPatch) -> None:
+    terminal = on_terminal(monkeypatch)
+    words = "a sentence of many words " * 6
+    tell(words)
+    assert max(map(len, terminal.getvalue().splitlines())) <= 60
+    assert len(terminal.getvalue().splitlines()) >= 3
+    monkeypatch.setattr(sys, "stderr", pipe := io.StringIO())
+    tell(words)
+    assert pipe.getvalue() == words + "\n"
+
+
+def test_a_file_is_a_link_on_a_terminal_and_a_name_in_a_pipe(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    terminal = on_terminal(monkeypatch)
+    place = tmp_path / "a file.json"
+    tell_written(place)
+    assert terminal.getvalue() == f"written: \x1b]8;;{place.as_uri()}\x1b\\{place}\x1b]8;;\x1b\\\n"
+    monkeypatch.setenv("TERM", "dumb")  # Emacs' shell shows the escapes
+    monkeypatch.setattr(sys, "stderr", again := Terminal())
+    tell_written(place)
+    assert again.getvalue() == f"written: {place}\n"
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setattr(sys, "stderr", pipe := io.StringIO())
+    tell_written(place)
+    assert pipe.getvalue() == f"written: {place}\n"
+
+
+# --- progress ---------------------------------------------------------------------------------------------
+
+
+def test_steps_are_named_on_a_terminal_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    terminal = on_terminal(monkeypatch)
+    monkeypatch.setattr(console, "Console", lambda **_: _wide(terminal))
+    with steps(3) as begin:
+        begin("first")
+        begin("second [b]")  # a name from a file is no markup
+    # The end is a step, too: the one that is named is not yet done.
+    assert "second [b] " in terminal.getvalue() and " 2/4 " in terminal.getvalue()
+    monkeypatch.setattr(sys, "stderr", pipe := io.StringIO())
+    with steps(3) as begin:
+        begin("first")
+    assert pipe.getvalue() == ""
+
+
+def _wide(stream: io.StringIO) -> Any:
+    from rich.console import Console
+
+    return Console(file=stream, width=120, force_terminal=True, no_color=True)
+
+
+def test_a_campaign_says_its_rate_and_the_time_that_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    """200 of 1000 runs were there; 300 more took 6 s, and 15 of them failed: 50 a second, 10 s for 500."""
+    now = iter([0.0])
+    monkeypatch.setattr(console, "time", SimpleNamespace(monotonic=lambda: next(now)))
+    for progress, said in (
+        (
+            SimpleNamespace(done=500, before=200, failed=15),
+            "500 / 1000 · 5.0 % failed · 50 runs/s · 10 s left ",
+        ),
+        (SimpleNamespace(done=200, before=200, failed=0), "200 / 1000 ━"),  # no rate yet
+    ):
+        terminal = on_terminal(monkeypatch)
+        monkeypatch.setattr(console, "Console", lambda shown=terminal, **_: _wide(shown))
+        now = iter([100.0, 106.0])
+        with watching(1000) as watch:
+            assert watch is not None
+            watch(progress)
+        assert said in terminal.getvalue()
+    monkeypatch.setattr(sys, "stderr", io.StringIO())
+    with watching(1000) as watch:
+        assert watch is None
+
+
+# --- errors and warnings ----------------------------------------------------------------------------------
+
+
+def test_warnings_of_fraclink_are_lines_and_others_are_dropped(capsys: pytest.CaptureFixture[str]) -> None:
+    def work() -> int:
+        warnings.warn(FraclinkWarning("W999", "ours\nover two lines"), stacklevel=1)
+        warnings.warn("theirs", RuntimeWarning, stacklevel=1)
+        warnings.warn(FraclinkWarning("W999", "ours again"), stacklevel=1)
+        return 1
+
+    assert guarded(work, as_json=False) == 1
+    assert capsys.readouterr().err == "warning: W999: ours over two lines\nwarning: W999: ours again\n"
+    assert guarded(lambda: None, as_json=True) == 0
+    assert capsys.readouterr() == ("", "")
+
+
+def error(kind: str) -> BaseException:
+    made: dict[str, Callable[[], BaseException]] = {
+        "field": lambda: FieldError("m\x1b", -1, "negative", allowed="> 0 kg", remedy="say kg"),
+        "nearest": lambda: InfeasibleError("(39)", "too slow", {"gain_crossover": 12.0}),
+        "hopeless": lambda: InfeasibleError("(39)", "too slow", {}),
+        "other": lambda: FraclinkError("of\nsome kind"),
+        "file": lambda: OSError(28, "No space left on device"),
+        "loader": lambda: OSError("cannot open shared object"),
+    }
+    return made[kind]()
+
+
+@pytest.mark.parametrize(
+    ("kind", "code", "line", "parts"),
+    [
+        (
+            "field",
+            2,
+            r"error: m\x1b: negative (got -1); expected > 0 kg. Say kg.",
+            {
+                "field": r"m\x1b",
+                "value": "-1",
+                "problem": "negative",
+                "allowed": "> 0 kg",
+                "remedy": "say kg",
+            },
+        ),
+        (
+            "nearest",
+            1,
+            "✗ failed: (39): too slow; nearest feasible: --gain-crossover 12",
+            {"condition": "(39)", "problem": "too slow", "nearest": {"gain_crossover": 12.0}},
+        ),
+        ("hopeless", 1, "✗ failed: ", {"condition": "(39)", "problem": "too slow", "nearest": {}}),
+        ("other", 1, "✗ failed: of some kind", {"problem": "of some kind"}),
+        (
+            "file",
+            2,
+            "error: file: No space left on device",
+            {"problem": "[Errno 28] No space left on device"},
+        ),
+        ("loader", 2, "error: file: cannot open shared object", {"problem": "cannot open shared object"}),
+    ],
+)
+def test_an_error_has_one_line_for_people_and_its_parts_for_programs(
+    capsys: pytest.CaptureFixture[str], kind: str, code: int, line: str, parts: dict[str, object]
+) -> None:
+    def work() -> int:
+        raise error(kind)
+
+    assert guarded(work, as_json=True) == code
+    told = capsys.readouterr()
+    assert told.err.startswith(line) and told.err.count("\n") == 1
+    if kind != "hopeless":
+        assert told.err == line + "\n"
+    assert "nearest" not in told.err or kind == "nearest"
+    assert json.loads(told.out) == {"exit": code, "error": parts}
+
+
+def test_a_file_with_several_faults_gets_a_line_for_each(capsys: pytest.CaptureFixture[str]) -> None:
+    faults = [FieldError(name, 1, "wrong", allowed="2", remedy="mend it") for name in ("a", "b")]
+    whole = FieldError("rig", "x.toml", "2 faults", allowed="none", remedy="mend them")
+    whole.faults = faults  # type: ignore[attr-defined]
+
+    def work() -> int:
+        raise whole
+
+    assert guarded(work, as_json=True) == 2
+    told = capsys.readouterr()
+    assert told.err.splitlines() == [
+        "error: a: wrong (got 1); expected 2. Mend it.",
+        "error: b: wrong (got 1); expected 2. Mend it.",
+    ]
+    said = json.loads(told.out)["error"]
+    assert said["field"] == "rig" and [fault["field"] for fault in said["faults"]] == ["a", "b"]
+
+
+def test_a_wrong_word_says_where_the_right_ones_are(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["design", "--gain", "1", "--json"]) == 2
+    told = capsys.readouterr()
+    assert told.err.endswith("(see `fraclink design --help`)\n") and "--gain" in told.err
+    assert json.loads(told.out)["exit"] == 2 and "--gain" in json.loads(told.out)["error"]["problem"]
+    assert main(["export", "cc"]) == 2
+    assert capsys.readouterr().err.endswith("(see `fraclink export --help`)\n")
+    assert main(["diagnos"]) == 2
+    assert "diagnose" in capsys.readouterr().err  # what was meant, though its module was not loaded yet
+
+
+# --- lists and help -----------------------------------------------------------------------------------------
+
+
+def test_help_names_a_command_or_lists_them_all_in_their_sections(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main(["help", "all"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    sections = [line for line in lines if line and not line.startswith(" ")]
+    assert sections[:4] == [
+        "From a log to a board:",
+        "More on logs and models:",
+        "More on designs and laws:",
+        "This installation:",
+    ]
+    assert sections[4] == "Exit code: 0 passed, 1 failed or not shown, 2 bad input."
+    listed = [line.split()[0] for line in lines if line.startswith("  ") and line[2] != " "]
+    assert listed == list(dict.fromkeys(name.split()[0] for name in every_command()))
+    assert lines[1].split() == ["start", *every_command()["start"].help.split()[: len(lines[1].split()) - 1]]
+    assert main(["help", "export", "c"]) == 0
+    assert capsys.readouterr().out.startswith("Usage: fraclink export c ")
+    assert main(["help"]) == 0
+    first = capsys.readouterr().out
+    assert main([]) == 0 and capsys.readouterr().out == first
+    assert "\nMore:\n" in first and "--install-completion" in first
+
+
+def test_every_command_stands_under_the_words_that_call_it() -> None:
+    found = every_command()
+    assert {"export c", "export fmu", "campaign faults", "campaign montecarlo", "start", "man"} <= set(found)
+    assert not {"export", "campaign", "c"} & set(found)
+    assert found["export c"].name == "c"
+
+
+def test_without_typer_the_extra_is_named(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    class Gone:
+        """An installation without one package, which the application imports first."""
+
+        missing = ""
+
+        def find_spec(self, name: str, *_: object) -> None:
+            if name == "fraclink._cli.app":
+                raise ModuleNotFoundError(f"No module named {self.missing!r}", name=self.missing)
+
+    gone = Gone()
+    monkeypatch.delitem(sys.modules, "fraclink._cli.app")
+    monkeypatch.setattr(sys, "meta_path", [gone, *sys.meta_path])
+    for gone.missing in ("typer", "rich"):
+        assert main([]) == 2
+        told = capsys.readouterr().err
+        assert told.startswith(f"error: {gone.missing} is not installed; ") and "fraclink[cli]" in told
+    gone.missing = "scipy"  # a broken installation, and not an extra that was left out
+    with pytest.raises(ModuleNotFoundError):
+        main([])
+
+
+# --- questions ----------------------------------------------------------------------------------------------
+
+
+def test_a_limit_is_asked_for_until_it_is_a_number(monkeypatch: pytest.MonkeyPatch) -> None:
+    terminal = on_terminal(monkeypatch)
+    stdin = Terminal("fast\n 3.5 \n")
+    monkeypatch.setattr(sys, "stdin", stdin)
+    assert tunings._asked("speed", None) == 3.5
+    asked = "How fast may it turn at the gear's output [rad/s]? > "
+    assert terminal.getvalue() == f"{asked}a number, please\n{asked}"
+    assert tunings._asked("speed", 0.0) == 0.0  # what was given is not asked for
+    with pytest.raises(FieldError, match="answer is required"):
+        tunings._asked("payload", None)
+    assert "Which mass does the tip carry now [kg]? > " in terminal.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("said", "go"), [("y", True), ("YES", True), ("no", False), ("", False), ("ye", False)]
+)
+def test_an_arm_moves_after_a_yes_only(monkeypatch: pytest.MonkeyPatch, said: str, go: bool) -> None:
+    terminal = on_terminal(monkeypatch)
+    monkeypatch.setattr(sys, "stdin", Terminal(said + "\n"))
+    assert tunings._confirmed() is go
+    assert terminal.getvalue() == "Go ahead? [no] > "
+
+
+@pytest.mark.parametrize("blind", ["stdin", "stderr"])
+def test_nobody_is_asked_where_one_end_is_a_pipe(monkeypatch: pytest.MonkeyPatch, blind: str) -> None:
+    on_terminal(monkeypatch)
+    monkeypatch.setattr(sys, "stdin", Terminal("y\n"))
+    monkeypatch.setattr(sys, blind, io.StringIO("1\n"))
+    with pytest.raises(FieldError, match=r"yes: not confirmed .*Give --yes where nobody can be asked"):
+        tunings._confirmed()
+    with pytest.raises(FieldError, match=r"angle_deg is required; .*Give --angle-deg"):
+        tunings._asked("angle_deg", None)
