@@ -11,7 +11,7 @@ import pytest
 import fraclink as fl
 from fraclink._campaign.faults import Case, FaultTable, Outcome
 from fraclink._cli.app import run
-from fraclink._files.envelope import read_npz
+from fraclink._files.containers import read_archive
 
 ARM = ["campaign", "faults", "--rig", "paper-2023", "--gear", "50", "--link-mass", "0.00735"]
 ONE = ["--severity", "2", "--payload", "0.03", "--phase", "mid", "--seed", "1"]
@@ -23,8 +23,8 @@ def test_a_fault_that_is_met_exits_with_0(tmp_path: Path, capsys: pytest.Capture
     assert "1 of 1 faults" in capsys.readouterr().out
     assert fl.load(out / "faults.json", FaultTable).passed
     assert not (out / "figures").exists()
-    about, signals = read_npz(out / "run.npz", "fault-run", (1,))
-    assert about["case"] == "F02-2-30g-mid-1" and len(signals["tip"]) == 1751
+    about, signals = read_archive(out / "run.npz", "a replayed run")
+    assert json.loads(about)["case"] == "F02-2-30g-mid-1" and len(signals["tip"]) == 1751
     # A result is not overwritten unless asked to.
     assert run([*ARM, *ONE, "--only", "F02", "--out", str(out)]) == 2
     assert "--force" in capsys.readouterr().err
@@ -57,7 +57,8 @@ def test_an_open_fault_exits_with_1_and_its_command_repeats_it(
     said = capsys.readouterr()
     assert "0 of 1 faults" in said.out and said.err == "written: run.npz\nwritten: run.svg\n"
     assert (tmp_path / "run.svg").read_bytes() == first
-    assert read_npz(tmp_path / "run.npz", "fault-run", (1,))[0]["case"] == "F07-3-30g-mid-3"
+    about, _ = read_archive(tmp_path / "run.npz", "a replayed run")
+    assert json.loads(about)["case"] == "F07-3-30g-mid-3"
     (tmp_path / "run.npz").unlink()
     assert run(named) == 2 and "run.svg" in capsys.readouterr().err
 

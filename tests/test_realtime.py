@@ -25,7 +25,7 @@ import pytest
 import fraclink as fl
 from fraclink import _kernels
 from fraclink._arm.reference import Reference
-from fraclink._files.envelope import write_npz
+from fraclink._files import write_npz
 from fraclink._law import MODES, REASONS, Law
 from fraclink._realtime import Callback, Command, RealtimeRun, Spread, VirtualClock, run_realtime
 from fraclink._realtime.line import open_line

@@ -21,8 +21,7 @@ from fraclink._cli.console import steps, watching
 from fraclink._cli.options import Gear, LinkMass, ModelFile, RigName, load_design, load_link_model, load_rig
 from fraclink._design import Design
 from fraclink._design.completed import design_for
-from fraclink._files import load, output_path, save, write_text
-from fraclink._files.envelope import write_npz
+from fraclink._files import load, output_path, save, write_npz, write_text
 from fraclink._logs.responses import read_reference
 from fraclink._show.report import write_campaign_report
 from fraclink._show.runs import draw_outcome

@@ -145,63 +145,35 @@ def _proved(
     return proof, logs
 
 
-_UNITS = {
-    "sum_limit": "rad",
-    "correction_limit": "rad",
-    "forward_limit": "rad/s²",
-    "angle_limit": "rad",
-    "angle_step": "rad",
-    "torque_limit": "N·m",
-    "torque_step": "N·m",
-    "torque_trip": "N·m",
-    "torque_block": "N·m",
-    "reference_step": "rad",
-    "reference_rate": "1",
-    "acceleration_limit": "rad/s²",
-    "payload_limit": "kg",
-    "scale_step": "1",
-    "motor_limit": "rad",
-    "motor_step": "rad",
-    "fade_step": "1",
-    "residual_angle": "rad",
-    "frozen_angle": "rad",
-    "stuck_torque": "N·m",
-    "wiring_energy": "rad²",
-    "bad_limit": "periods",
-    "missed_limit": "periods",
-    "residual_limit": "periods",
-    "stuck_limit": "periods",
-    "frozen_limit": "periods",
-    "block_limit": "periods",
-}
-_MEANING = {
-    "sum_limit": "largest credible correction and feed-forward; beyond, the states are healed",
-    "correction_limit": "largest state of the correction",
-    "forward_limit": "largest state of the feed-forward",
-    "angle_limit": "encoder and reference beyond it are not credible",
-    "angle_step": "largest credible change of the encoder in a period",
-    "torque_limit": "gauge readings beyond it are not credible",
-    "torque_step": "largest credible change of the gauge in a period",
-    "torque_trip": "a link that pushes more is blocked: hold",
-    "torque_block": "a link that pushes more and does not swing back is blocked: hold",
-    "reference_step": "the reference is followed at no more than this in a period",
-    "reference_rate": "part of a jump of the reference that is followed in a period",
-    "acceleration_limit": "largest acceleration that is fed forward",
-    "payload_limit": "a payload beyond it is not credible, and as one that is not given",
-    "scale_step": "largest change of the feed-forward's scale in a period, 1 for the nominal payload",
-    "motor_limit": "range of the motor reference",
-    "motor_step": "largest change of the motor reference in a period",
-    "fade_step": "fade of the correction in a period, once the gauge is given up",
-    "residual_angle": "motor farther from its model is a fault: off",
-    "frozen_angle": "an encoder that stands still while the motor model moves this far is frozen",
-    "stuck_torque": "a gauge that stands still while the model's torque moves this far is stuck",
-    "wiring_energy": "sum of squared motor steps from which the wiring test decides",
-    "bad_limit": "rejected samples in a row before the reaction",
-    "missed_limit": "missed periods in a row that are ridden through",
-    "residual_limit": "periods in a row away from the motor model before switching off",
-    "stuck_limit": "periods in a row of a gauge that stands still before it is given up",
-    "frozen_limit": "periods in a row of a frozen encoder before switching off",
-    "block_limit": "periods in a row above `torque_block` before holding",
+# What each field of the law's limits is: its unit, and what happens at it.
+_LIMITS = {
+    "sum_limit": ("rad", "largest credible correction and feed-forward; beyond, the states are healed"),
+    "correction_limit": ("rad", "largest state of the correction"),
+    "forward_limit": ("rad/s²", "largest state of the feed-forward"),
+    "angle_limit": ("rad", "encoder and reference beyond it are not credible"),
+    "angle_step": ("rad", "largest credible change of the encoder in a period"),
+    "torque_limit": ("N·m", "gauge readings beyond it are not credible"),
+    "torque_step": ("N·m", "largest credible change of the gauge in a period"),
+    "torque_trip": ("N·m", "a link that pushes more is blocked: hold"),
+    "torque_block": ("N·m", "a link that pushes more and does not swing back is blocked: hold"),
+    "reference_step": ("rad", "the reference is followed at no more than this in a period"),
+    "reference_rate": ("1", "part of a jump of the reference that is followed in a period"),
+    "acceleration_limit": ("rad/s²", "largest acceleration that is fed forward"),
+    "payload_limit": ("kg", "a payload beyond it is not credible, and as one that is not given"),
+    "scale_step": ("1", "largest change of the feed-forward's scale in a period, 1 for the nominal payload"),
+    "motor_limit": ("rad", "range of the motor reference"),
+    "motor_step": ("rad", "largest change of the motor reference in a period"),
+    "fade_step": ("1", "fade of the correction in a period, once the gauge is given up"),
+    "residual_angle": ("rad", "motor farther from its model is a fault: off"),
+    "frozen_angle": ("rad", "an encoder that stands still while the motor model moves this far is frozen"),
+    "stuck_torque": ("N·m", "a gauge that stands still while the model's torque moves this far is stuck"),
+    "wiring_energy": ("rad²", "sum of squared motor steps from which the wiring test decides"),
+    "bad_limit": ("periods", "rejected samples in a row before the reaction"),
+    "missed_limit": ("periods", "missed periods in a row that are ridden through"),
+    "residual_limit": ("periods", "periods in a row away from the motor model before switching off"),
+    "stuck_limit": ("periods", "periods in a row of a gauge that stands still before it is given up"),
+    "frozen_limit": ("periods", "periods in a row of a frozen encoder before switching off"),
+    "block_limit": ("periods", "periods in a row above `torque_block` before holding"),
 }
 
 
@@ -229,18 +201,16 @@ _OF_PID = {
     "sum_limit": "largest credible value of the filter 1 + Ĉ; beyond, its states are healed",
     "correction_limit": "largest state of the filter",
     "motor_limit": "range of the filtered error and of the reference together",
-    "bad_limit": _MEANING["bad_limit"],
-    "missed_limit": _MEANING["missed_limit"],
+    "bad_limit": _LIMITS["bad_limit"][1],
+    "missed_limit": _LIMITS["missed_limit"][1],
 }
 
 
 def _limit_rows(law: Law) -> list[str]:
     limits = asdict(law.limits)
     if law.has_gauge:
-        return [
-            f"| `{key}` | {value:.6g} | {_UNITS[key]} | {_MEANING[key]} |" for key, value in limits.items()
-        ]
-    units = {key: "periods" if _UNITS[key] == "periods" else "of the measurement" for key in _OF_PID}
+        return [f"| `{key}` | {value:.6g} | {' | '.join(_LIMITS[key])} |" for key, value in limits.items()]
+    units = {key: "periods" if _LIMITS[key][0] == "periods" else "of the measurement" for key in _OF_PID}
     return [f"| `{key}` | {limits[key]:.6g} | {units[key]} | {text} |" for key, text in _OF_PID.items()]
 
 

@@ -18,7 +18,8 @@ PERIODS = 1000
 def payload_files(estimator: PayloadEstimator) -> dict[str, bytes]:
     """Return payload_data.h and payload_selftest.c by name; the C itself is the package's."""
     digits = f"0x{_hash(estimator):08X}U"
-    selftest = _SELFTEST.replace("@HASH@", digits).replace("@PERIODS@", f"{PERIODS}U")
+    selftest = _SELFTEST.replace("@HASH@", digits).replace("@PERIODS@ periods", f"{PERIODS} periods")
+    selftest = selftest.replace("@PERIODS@", f"{PERIODS}U")
     return {DATA: _data(estimator).encode(), SELFTEST: selftest.encode()}
 
 

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.recording import Recording
 from fraclink._export.data import data_header, identifier, law_source
+from fraclink._export.fmu import complaint, found
 from fraclink._files import checked_path
 from fraclink._law import Law
 from fraclink._validate import checked_between, checked_noun, checked_series
@@ -280,31 +281,15 @@ def _check_unchanged(place: Path, law: Law, name: str) -> None:
 
 
 def _compiled(place: Path, law: Law, name: str, compiler: str, log: bytes) -> bytes:
-    found = shutil.which(checked_noun("compiler", compiler, str, remedy="a name on the PATH, such as cc"))
-    if found is None:
-        raise FieldError(
-            "compiler", compiler, "not installed", allowed="a C compiler", remedy="install gcc or clang"
-        )
+    command = [found(compiler, "install gcc or clang"), "-std=c99", "-O2", "-ffp-contract=off"]
+    command += ["-DLAW_SINGLE"] if law.precision == "single" else []
     with tempfile.TemporaryDirectory() as scratch:
         source, program = Path(scratch) / "replay.c", Path(scratch) / "replay"
         for file in ("law.h", "law.c", f"{name}.h"):  # alone: a math.h beside them would be taken for C's own
             if (place / file).is_file():
                 shutil.copyfile(place / file, Path(scratch) / file)
         source.write_text(_HARNESS.replace("@DATA@", f"{name}.h").replace("@NAME@", name), encoding="utf-8")
-        single = ["-DLAW_SINGLE"] if law.precision == "single" else []
-        command = [found, "-std=c99", "-O2", "-ffp-contract=off", *single, str(source)]
-        built = subprocess.run(  # noqa: S603 - the compiler the caller named, on files that were checked
-            [*command, str(source.with_name("law.c")), "-o", str(program)],
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        if built.returncode:
-            raise FieldError(
-                "firmware",
-                built.stderr.strip().splitlines()[0] if built.stderr else "no message",
-                "refused by the compiler",
-                allowed="C99",
-                remedy="export the law again",
-            )
+        if said := complaint([*command, source.name, "law.c", "-o", program.name], Path(scratch)):
+            allowed, remedy = "C99", "export the law again"
+            raise FieldError("firmware", said, "refused by the compiler", allowed=allowed, remedy=remedy)
         return subprocess.run([program], input=log, capture_output=True, check=True).stdout  # noqa: S603

@@ -27,6 +27,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeVar, cast, overload
 
+import numpy as np
 from numpy.typing import NDArray
 
 from fraclink import __version__
@@ -50,9 +51,6 @@ from fraclink._files.containers import (
     write_archive,
     write_text,
 )
-
-# Envelopes of packages that still write their files themselves; gone with the last of them.
-from fraclink._files.envelope import RENAMED, checked_envelope, read_json, renamed, write_json
 from fraclink._files.kinds import HOMES, Document, Upgrade, document, document_of, registered
 from fraclink.errors import FieldError, FileFormatError, SizeError
 
@@ -62,7 +60,6 @@ __all__ = [
     "atomic_write",
     "checked_envelope",
     "checked_path",
-    "digest_of",
     "document",
     "from_plain",
     "kind_of",
@@ -74,6 +71,7 @@ __all__ = [
     "sha256_of",
     "stored_as",
     "write_json",
+    "write_npz",
     "write_text",
 ]
 
@@ -142,11 +140,6 @@ def save(value: object, path: Path | str, *, force: bool = False) -> Path:
     return place
 
 
-def digest_of(value: object) -> str:
-    """Return the SHA-256 that `save` writes into the file of `value`, by which others name their source."""
-    return str(_enveloped(value, document_of(value))[0]["sha256"])
-
-
 def _enveloped(value: object, found: Document) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     arrays: dict[str, NDArray[Any]] = {}
     storage = Storage(found.hex_floats, arrays if found.container == "npz" else None)
@@ -157,9 +150,13 @@ def _enveloped(value: object, found: Document) -> tuple[dict[str, Any], dict[str
         "summary": codec_of(Any).encode(found.summary(value), "summary", Storage()),
         "arrays": {name: array_digest(values) for name, values in arrays.items()},
     }
-    head = {"fraclink": found.kind, "format": found.version, "tool": __version__, "units": UNITS}
+    head = _head(found.kind, found.version)
     head |= {key: item for key, item in optional.items() if item not in (None, {})}
     return head | {"sha256": _digest(head | {"content": content}), "content": content}, arrays
+
+
+def _head(kind: str, version: int) -> dict[str, Any]:
+    return {"fraclink": kind, "format": version, "tool": __version__, "units": UNITS}
 
 
 def _digest(data: Mapping[str, Any]) -> str:
@@ -283,3 +280,68 @@ def _check_digest(data: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]], p
     digest = guarded(lambda: _digest(data), "sha256")
     if data.get("sha256") != digest:
         raise edited(place, data.get("sha256"), digest)
+
+
+# --- files that a class writes itself: the envelope of the first formats, without a digest ------------------
+
+
+# Release 0.1 wrote the verdict of a run, a requirement and a cell under another name.
+RENAMED = {"holds": "passed"}
+
+
+def renamed(data: Any) -> Any:
+    """Return plain JSON with the keys of release 0.1 under their names of today."""
+    if isinstance(data, list):
+        return [renamed(item) for item in data]
+    if not isinstance(data, dict):
+        return data
+    # Renaming one onto the other would keep whichever stands last: a forged file could show one verdict and
+    # mean another.
+    twice = next((old for old, new in RENAMED.items() if old in data and new in data), None)
+    if twice is not None:
+        problem, allowed = "given twice, under its old and its new name", "each key once"
+        raise FileFormatError(twice, data[twice], problem, allowed=allowed, remedy="remove one")
+    return {RENAMED.get(key, key): renamed(item) for key, item in data.items()}
+
+
+def write_json(path: Path | str, kind: str, version: int, payload: Mapping[str, Any]) -> None:
+    """Write values with their envelope; floats round-trip exactly, NaN and infinity are refused."""
+    text = json.dumps(_head(kind, version) | dict(payload), indent=1, allow_nan=False)
+    write_text(path, text + "\n")
+
+
+def read_json(path: Path | str, kind: str, versions: tuple[int, ...] = (1,)) -> dict[str, Any]:
+    """Read back what `write_json` wrote, after checking its kind and its format's version."""
+    data = parse_json(read_text(path, f"a {kind} file"), source=Path(path).name)
+    return checked_envelope(data, kind, versions, Path(path))
+
+
+def write_npz(
+    path: Path | str,
+    kind: str,
+    version: int,
+    about: Mapping[str, Any],
+    arrays: Mapping[str, NDArray[Any]],
+) -> None:
+    """Write arrays with their envelope (`kind`, `version`, `about`) in one step; `about` holds no NaN."""
+    header = json.dumps(_head(kind, version) | dict(about), allow_nan=False)
+    plain = {
+        # Little-endian, whatever the machine: a file is compared by its bytes.
+        name: np.asarray(values).astype("<u4" if np.asarray(values).dtype == np.uint32 else "<f8", order="C")
+        for name, values in arrays.items()
+    }
+    with atomic_write(path, "wb") as stream:
+        write_archive(stream, header, plain)
+
+
+def checked_envelope(data: object, kind: str, versions: tuple[int, ...], place: Path) -> dict[str, Any]:
+    """Return the object of a saved result after checking its kind and its format's version."""
+    found = data.get("fraclink") if isinstance(data, dict) else None
+    if not isinstance(data, dict) or found != kind:
+        problem, remedy = f"of kind {found!r}", f"give a {kind} file"
+        raise FileFormatError("file", str(place), problem, allowed=f"kind {kind!r}", remedy=remedy)
+    if data.get("format") not in versions:
+        allowed, remedy = ", ".join(map(str, versions)), "make the file again with this release"
+        problem = "a version this release does not read"
+        raise FileFormatError("format", data.get("format"), problem, allowed=allowed, remedy=remedy)
+    return dict(guarded(lambda: renamed(data), kind))
