@@ -327,3 +327,13 @@ def test_an_answer_that_never_ends_is_not_waited_for(tmp_path: Path, monkeypatch
     monkeypatch.setattr(module.subprocess, "Popen", endless)
     error = refused(write_mat5(tmp_path / "a.mat", made_columns()))
     assert "no list of columns" in error.problem
+
+
+def test_a_bag_is_as_large_as_its_files_together(tmp_path: Path) -> None:
+    """Two files of 130 MB each, written as holes: none is too large by itself."""
+    (tmp_path / "metadata.yaml").write_text("rosbag2_bagfile_information: {}\n", "utf-8")
+    for name in ("bag_0.db3", "bag_1.db3"):
+        with (tmp_path / name).open("wb") as stream:
+            stream.truncate(130_000_000)
+    with pytest.raises(SizeError, match=r"log: too large .got 260 MB.; expected 256 MB"):
+        read_log(tmp_path)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from fraclink._arm.log_columns import UNITS, Channel, ColumnStatement, OutputKind
 from fraclink._logs.channels import Mode, find_mode
 from fraclink._logs.names import UNITS_OF_LENGTH, length_of_name, role_of_name, words_of
+from fraclink._logs.tips import CLEARER, TIP
 from fraclink._logs.weighing import Certainty, Question, Weighing
 from fraclink.errors import LogError
 
@@ -19,8 +20,6 @@ __all__ = ["STRONG", "check_no_tip_angle", "guess_angle", "guess_output", "guess
 Array = NDArray[np.float64]
 
 STRONG, _WEAK = 0.6, 0.3  # share of an output that one vibration explains: surely the output; not shown
-# Shares of the difference of both angles: on made logs 0.97 and more, of the tip angle itself 0.54 to 0.91.
-_TIP, _CLEARER = 0.9, 0.05
 _SURE = 0.8  # share from which no noise turns the sign
 _ONE_UNIT = 3.0  # factor by which the gain of a deflection may differ from 1 where its unit is the angle's
 _LATE = 0.12  # of a vibration: a later answer could as well be one of the other sign
@@ -121,7 +120,7 @@ def check_no_tip_angle(weighing: Weighing, place: int, angle: Array, output: Arr
     itself, rest = find_mode(angle, output, period), find_mode(angle, angle - output, period)
     if itself is None or rest is None or itself.gain > 0 or rest.gain < 0:
         return
-    if rest.share > _TIP and rest.share > itself.share + _CLEARER:
+    if rest.share > TIP and rest.share > itself.share + CLEARER:
         raise LogError(
             "column of output",
             weighing.label(place),

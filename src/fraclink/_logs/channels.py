@@ -205,7 +205,7 @@ def _channels(experiment: Experiment) -> tuple[tuple[str, str, str], ...]:
 
 
 def constant_channels(experiment: Experiment) -> Iterator[Finding]:
-    """B02, B03, B21: a channel that moves by less than a billionth of its value tells nothing."""
+    """A channel that moves by less than a billionth of its value tells nothing."""
     remedies = ("excite the arm: a pulse, a PRBS or a square wave", "check the gauge and its amplifier")
     for code, (name, named, unit), remedy in zip(
         ("W202", "W203"), _channels(experiment), remedies, strict=True
@@ -218,7 +218,7 @@ def constant_channels(experiment: Experiment) -> Iterator[Finding]:
 
 
 def range_of_angle(experiment: Experiment) -> Iterator[Finding]:
-    """B09: more than a turn is rare on these rigs; degrees called radians are not."""
+    """More than a turn is rare on these rigs; degrees called radians are not."""
     largest = float(np.abs(experiment.motor_angle - experiment.motor_angle[0]).max())
     if largest > 2 * math.pi:
         yield Finding(
@@ -232,7 +232,7 @@ def range_of_angle(experiment: Experiment) -> Iterator[Finding]:
 
 
 def outliers(experiment: Experiment) -> Iterator[Finding]:
-    """B24: samples far outside the range that holds 99 % of the channel."""
+    """Samples far outside the range that holds 99 % of the channel."""
     for name, named, _unit in _channels(experiment):
         values = getattr(experiment, name)
         low, middle, high = np.quantile(values, (0.005, 0.5, 0.995))
@@ -242,7 +242,7 @@ def outliers(experiment: Experiment) -> Iterator[Finding]:
             worst = int(far[np.argmax(np.abs(values[far] - middle))])
             yield Finding(
                 "W224",
-                "error" if far.size < 0.02 * values.size else "warning",
+                "error",
                 f"{far.size} outliers in the {named}, the largest at sample {worst}",
                 {
                     "value": float(values[worst]),
@@ -263,7 +263,7 @@ def _piled(values: NDArray[np.float64], step: float) -> tuple[int, int]:
 
 
 def clipping(experiment: Experiment, rig: Rig | None) -> Iterator[Finding]:
-    """B13: samples that pile up at the largest or smallest reading."""
+    """Samples that pile up at the largest or smallest reading."""
     values = experiment.output
     step = converter_step(values) or float(np.ptp(values)) / 500
     for side, signed in (("largest", values), ("smallest", -values)):
@@ -312,7 +312,7 @@ def voltage_limit(experiment: Experiment, rig: Rig | None) -> Iterator[Finding]:
 
 
 def rest_at_start(experiment: Experiment, offset: float, spread: float) -> Iterator[Finding]:
-    """Offset of the gauge (B12), and whether the link is at rest before the motion begins."""
+    """Offset of the gauge, and whether the link is at rest before the motion begins."""
     ratio = abs(offset) / spread if spread else math.inf
     if ratio > _OFFSET_INFO:
         yield Finding(
@@ -353,7 +353,7 @@ def _begins_before(experiment: Experiment, lead: int) -> bool:
 
 
 def quantisation(experiment: Experiment, mode: Mode | None) -> Iterator[Finding]:
-    """B14: steps of the converter against the signal and against what the mode leaves unexplained."""
+    """Steps of the converter against the signal and against what the mode leaves unexplained."""
     for name, named, unit in _channels(experiment):
         values = getattr(experiment, name)
         step = converter_step(values)

@@ -20,10 +20,10 @@ import numpy as np
 
 from fraclink._logs.text import (
     CPU_SECONDS,
-    FILE_LIMIT,
     MEMORY_LIMIT,
     WALL_SECONDS,
     LogTable,
+    check_bytes,
     check_file,
     read_text_table,
 )
@@ -129,12 +129,9 @@ def read_table(path: Path, *, numbered: bool = False) -> LogTable:
 
 
 def _check_folder(path: Path) -> None:
+    """Refuse a bag by its size: recorders split one into files, each of which may be small enough alone."""
     if path.is_dir():
-        size = sum(file.stat().st_size for file in path.iterdir() if file.is_file())
-        if size > FILE_LIMIT:
-            check_file(
-                max((file for file in path.iterdir() if file.is_file()), key=lambda f: f.stat().st_size)
-            )
+        check_bytes(sum(file.stat().st_size for file in path.iterdir() if file.is_file()))
 
 
 # --- the parent's side of the child ----------------------------------------------------------------------

@@ -15,9 +15,9 @@ from fraclink._arm.recording import FrequencyResponse, Recording
 from fraclink._arm.reference import Reference, SampledReference, spline
 from fraclink._files import kind_of, load, sha256_of
 from fraclink._logs.columns import clean_column, clock_step
-from fraclink._logs.encodings import normal_bytes
+from fraclink._logs.faults import normal_bytes
 from fraclink._logs.formats import read_table
-from fraclink._logs.forms import NUMBER, split_cells
+from fraclink._logs.forms import NUMBER, separator_of, split_cells
 from fraclink._logs.names import names_time, stated_unit, unit_of_name, words_of
 from fraclink._logs.reading import read_columns
 from fraclink._logs.text import LogTable, check_file
@@ -213,7 +213,7 @@ def _on_its_side(path: Path) -> LogTable | None:
     lines = [line for line in lines if line.lstrip()[0] not in "#%"]
     if not _FEWEST <= len(lines) <= len(_ROLES):
         return None
-    separator = next((mark for mark in ("\t", ";", ",") if mark in lines[0]), "")
+    separator = separator_of(lines[0])
     rows = [split_cells(line, separator) for line in lines]
     named = all(
         len(row) > 1 and not NUMBER.fullmatch(row[0]) and all(NUMBER.fullmatch(cell) for cell in row[1:])

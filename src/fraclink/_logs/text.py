@@ -25,9 +25,8 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._logs.encodings import normal_bytes
-from fraclink._logs.faults import check_width, fault_of_names, ragged, width_of
-from fraclink._logs.forms import LINE_LIMIT, NUMBER, SEPARATORS, Layout, plain_form, split_cells
+from fraclink._logs.faults import check_width, fault_of_names, normal_bytes, ragged, width_of
+from fraclink._logs.forms import LINE_LIMIT, NUMBER, Layout, plain_form, separator_of, split_cells
 from fraclink.errors import FileFormatError, LogError, SizeError
 
 FILE_LIMIT = 256_000_000  # bytes
@@ -48,6 +47,16 @@ def check_file(path: Path) -> int:
             "log", str(path), "not a file", allowed="a log file", remedy="give the file itself"
         )
     size = path.stat().st_size
+    check_bytes(size)
+    if size == 0:
+        raise FileFormatError(
+            "log", str(path), "empty", allowed="a header and samples", remedy="record again"
+        )
+    return size
+
+
+def check_bytes(size: int) -> None:
+    """Raise SizeError where a log is of more bytes than one experiment needs."""
     if size > FILE_LIMIT:
         raise SizeError(
             "log",
@@ -56,11 +65,6 @@ def check_file(path: Path) -> int:
             allowed=f"{FILE_LIMIT / 1e6:.0f} MB",
             remedy="cut the recording to one experiment, or record at a lower rate",
         )
-    if size == 0:
-        raise FileFormatError(
-            "log", str(path), "empty", allowed="a header and samples", remedy="record again"
-        )
-    return size
 
 
 @dataclass(frozen=True)
@@ -190,7 +194,7 @@ def _layout(text: bytes, path: Path) -> Layout:
 def _with_header(text: bytes, span: tuple[int, int], number: int, comments: list[str], path: Path) -> Layout:
     notes = tuple((m[1], m[2]) for c in comments[:_NOTE_LIMIT] if (m := _NOTE.fullmatch(c)))
     line = text[slice(*span)].decode()
-    separator = next((mark for mark in SEPARATORS if mark in line), "")
+    separator = separator_of(line)
     cells = split_cells(line, separator)
     if all(NUMBER.fullmatch(cell) for cell in cells):
         # The first row is numbers already: the names may stand in the last comment, as numpy writes them.
@@ -212,7 +216,7 @@ def _names_of_comment(comments: list[str], count: int) -> tuple[str, ...]:
     if not comments:
         return ()
     line = comments[-1].lstrip("#% ")
-    separator = next((mark for mark in SEPARATORS if mark in line), "")
+    separator = separator_of(line)
     cells = split_cells(line, separator)
     return tuple(cells) if len(cells) == count and all(cells) else ()
 

@@ -15,13 +15,13 @@ from fraclink._logs.columns import with_combined
 from fraclink._logs.names import length_of_name, words_of
 from fraclink._logs.weighing import Weighing, stamps_of
 
-__all__ = ["LONGEST_SCAN", "gauges", "tip_difference"]
+__all__ = ["CLEARER", "LONGEST_SCAN", "TIP", "gauges", "tip_difference"]
 
 Array = NDArray[np.float64]
 
 LONGEST_SCAN = 2_048  # samples looked at where many pairs or factors are tried: a scan takes 30 ms then
 # Shares of the difference of both angles: on made logs 0.97 and more, of the tip angle itself 0.54 to 0.91.
-_TIP, _CLEARER = 0.9, 0.05
+TIP, CLEARER = 0.9, 0.05
 _OWN_GAIN = 1.5  # factor by which the deflection that is left may differ from what its angles say
 _SNAP = 0.03  # of the factor between two units of angle: what is so close is that
 _TOGETHER = 0.9  # correlation of two gauges of one bridge
@@ -52,9 +52,9 @@ def tip_difference(weighing: Weighing, angle: int, tip: int, time: Channel | Non
     itself, rest = find_mode(x, y, period), find_mode(x, x - factor * y, period)
     if itself is None or rest is None:
         return None
-    if rest.share > max(_TIP, itself.share + _CLEARER) and 1 / _OWN_GAIN < rest.gain < _OWN_GAIN:
+    if rest.share > max(TIP, itself.share + CLEARER) and 1 / _OWN_GAIN < rest.gain < _OWN_GAIN:
         return _difference(weighing, angle, tip, factor, rest)
-    if itself.share > _TIP:
+    if itself.share > TIP:
         share = f"one vibration explains {100 * itself.share:.3g} % of it: it is measured from the hub"
         weighing.conclude("output", weighing.label(tip), "likely", share)
         return tip
