@@ -157,6 +157,20 @@ class GaugedLink:
         value = size + 1j * (np.where(outside, round_origin, phase) + 2.0 * math.pi * turns)
         return np.asarray(value, dtype=np.complex128)
 
+    def turns(self, low: float, high: float, each: float) -> Real:
+        """Return frequencies from `low` to `high`, `each` a half turn of the delay: |B| goes round in two."""
+        count = int(each * abs(self.gauge_delay) * (high - low) / math.pi) + 2
+        # 20 000: a delay of seconds, far beyond any gauge's, must not take all memory.
+        return np.linspace(low, high, min(count, 20_000))
+
+    def about_mode(self, count: int) -> Real:
+        """Return `count` frequencies about the second mode, none where none is known."""
+        if self.second_mode is None:
+            return np.empty(0)
+        # Eight half-widths of the second mode to either side: beyond, it adds 1/16 of its peak at most.
+        width = self.second_mode.damping_ratio * np.linspace(-8.0, 8.0, count)
+        return np.asarray(self.second_mode.frequency * np.exp(width))
+
     @cached_property
     def _alone(self) -> GaugedLink:
         """The link without what a subclass adds: loops that differ in Ĉ only share what is cached for it."""
@@ -185,10 +199,7 @@ def _unit_gains(link: GaugedLink, natural_frequency: float) -> tuple[tuple[float
     near = np.geomspace(1e-6, 0.3, 24)
     shape = np.concatenate([np.geomspace(1e-3, 1e4, 200), 1.0 + near, 1.0 / (1.0 + near)])
     grid = float(link.peak(natural_frequency)) * shape
-    if link.second_mode is not None:
-        # Eight half-widths of the second mode to either side: beyond, it adds 1/16 of its peak at most.
-        width = link.second_mode.damping_ratio * np.linspace(-8.0, 8.0, 97)
-        grid = np.concatenate([grid, link.second_mode.frequency * np.exp(width)])
+    grid = np.concatenate([grid, link.about_mode(97)])
     grid = np.unique(grid)
     level = np.log(link.parts(grid, natural_frequency)[1])
     found = []

@@ -283,8 +283,8 @@ class LinkModel:
     def pole(self) -> complex:
         """The vibration pole with positive imaginary part [rad/s], root of s^λ + μ s^α + ω₀² = 0.
 
-        Without damping it is ω₀^(2/λ) e^(jπ/λ) exactly; with damping a Newton iteration in ln s
-        follows it there from that value (negative real where the link is overdamped).
+        Without damping ω₀^(2/λ) e^(jπ/λ) exactly; with damping Newton's iteration in ln s follows it, to the
+        negative real axis where overdamped (a pole for λ = 2, α = 1 only, a time scale otherwise).
         """
         if self.damping == 0:
             return cmath.rect(self.natural_frequency ** (2 / self.order), math.pi / self.order)
@@ -301,9 +301,6 @@ class LinkModel:
 
         For UD-FOM it is (14), ω_r = (−ω₀² cos(πλ/2))^(1/λ).
         """
-        if self.damping == 0:
-            cosine = -math.cos(math.pi * self.order / 2)
-            return (self.natural_frequency**2 * cosine) ** (1 / self.order) if self.order > 1 else None
         return self._peak(inertia=False)
 
     @property
@@ -313,12 +310,14 @@ class LinkModel:
         For UD-FOM it is (−ω₀²/cos(πλ/2))^(1/λ), which is what a torque spectrum shows; the paper
         compares (14), the peak of the tip angle, with the measured torque.
         """
-        if self.damping == 0:
-            cosine = -math.cos(math.pi * self.order / 2)
-            return (self.natural_frequency**2 / cosine) ** (1 / self.order) if self.order > 1 else None
         return self._peak(inertia=True)
 
     def _peak(self, *, inertia: bool) -> float | None:
+        if self.damping == 0:
+            if self.order <= 1:
+                return None  # cos(πλ/2) < 0 for λ > 1 alone: a link of order one only falls
+            cosine, square = -math.cos(math.pi * self.order / 2), self.natural_frequency**2
+            return float((square / cosine if inertia else square * cosine) ** (1 / self.order))
         from scipy.optimize import minimize_scalar  # late: parsers of logs start in 0.2 s, not 0.5 s
 
         def level(log_frequency: ArrayLike) -> NDArray[np.float64]:
@@ -360,8 +359,9 @@ class LinkModel:
             (name, low * scale, high * scale) if name == _FREQUENCY else (name, low, high)
             for name, low, high in self.intervals
         )
-        frequency = self.natural_frequency * scale
-        return replace(self, natural_frequency=frequency, payload=wanted, intervals=intervals)
+        return replace(
+            self, natural_frequency=self.natural_frequency * scale, payload=wanted, intervals=intervals
+        )
 
     def payload_at(self, natural_frequency: float) -> float:
         """Return the payload [kg] at which the link has this ω₀ [s^(-λ/2)], the inverse of `at_payload`.

@@ -183,8 +183,8 @@ def _way_to(role: str, channel: Channel, known: Iterable[str]) -> str:
         )
     if unit in _LENGTHS + _ACCELERATIONS + _RAW or any(unit in units for units in UNITS.values()):
         return f"it measures another quantity; give one of {', '.join(known)}"
-    # A low cutoff: units have one to four letters, of which a single wrong one is much.
-    near = difflib.get_close_matches(unit, known, n=1, cutoff=0.3)
+    # Half of the letters: "nm" is "Nm" and "sec" is "s", but "hour" is not "us", nor "minutes" "ms".
+    near = difflib.get_close_matches(unit, known, n=1, cutoff=0.5)
     return f"did you mean {near[0]!r}?" if near else f"give one of {', '.join(known)}"
 
 

@@ -18,7 +18,7 @@ from fraclink._design.assess import PRINTED, axis_of, match_at
 from fraclink._design.equations import equation, task_of
 from fraclink._law.design import Design, Specification
 from fraclink._systems.sweep import bracketed_roots
-from fraclink._validate import Between, Payload, checked
+from fraclink._validate import Between, Frequency, PhaseMargin, checked
 from fraclink._validate.display import displayed
 from fraclink._validate.equality import compared
 from fraclink.errors import InfeasibleError, SizeError
@@ -242,8 +242,8 @@ def feasibility_map(
     >>> found.feasible.tolist(), round(float(found.order[0, 1]), 4)
     ([[False, True]], 0.6122)
     """
-    crossovers = axis_of("gain_crossovers", gain_crossovers, Payload)
-    angles = axis_of("phase_margins", phase_margins, Payload)
+    crossovers = axis_of("gain_crossovers", gain_crossovers, Frequency)
+    angles = axis_of("phase_margins", phase_margins, PhaseMargin)
     if crossovers.size * angles.size > _CELLS:
         count = crossovers.size * angles.size
         allowed, remedy = f"at most {_CELLS}", "take fewer values"

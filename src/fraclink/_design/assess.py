@@ -146,7 +146,7 @@ def margin_curve(design: Design, payloads: ArrayLike, *, kind: CurveKind = "loop
             kind,
             masses,
             np.array([f.gain_crossover for f in found]),
-            sign * np.array([abs(f.phase_margin) for f in found]),
+            sign * np.array([min(abs(f.phase_margin), math.pi) for f in found]),
             np.array([f.modulus_margin for f in found]),
         )
     loops = {

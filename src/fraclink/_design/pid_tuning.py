@@ -181,7 +181,8 @@ class PidTuning:
         }
         for name, value in given.items():
             if value is None:
-                remedy = f"give {name}= here or to tune_pid (--{name.replace('_', '-')})"
+                option = "period-ms" if name == "period" else name.replace("_", "-")
+                remedy = f"give {name}= here or to tune_pid (--{option})"
                 raise FieldError(name, None, "missing", allowed="a number > 0", remedy=remedy)
         chosen = Between(0.0, 1e3, "s", low_open=True).check("period", given["period"])
         crossover, high = self.margins.gain_crossover, 0.5 * math.pi / chosen

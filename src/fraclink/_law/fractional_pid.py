@@ -86,22 +86,10 @@ def discretize_pid(
     reach = _band(period) if band is None else checked_band(band, period)
     base = _integer_part(controller, period, reach)
 
-    def rest(frequency: NDArray[np.float64]) -> Complex:
-        return controller.response(frequency) / _response(base, frequency) - 1.0
-
-    # 1 + Ĉ = C/P is 1 at rest only where P has the whole of C's integral: the zero at z = 1 is Ĉ's, and an
-    # error that lasts meets the integer integral alone.
-    fit = fit_discrete(
-        rest,
-        period=period,
-        order=order,
-        zeros_at_one=1,
-        offset=1.0,
-        band=reach,
-        tolerance_db=TOLERANCE_DB,
-        tolerance_deg=TOLERANCE_DEG,
-    )
-    correction = modes_from("order", fit, REAL_MODES, PAIR_MODES)
+    # A proportional controller is P itself: there is nothing to fit, and no relative error of nothing.
+    correction, errors = Modes(0.0), (0.0, 0.0)
+    if controller.integral or controller.derivative:
+        correction, errors = _fitted(controller, base, period, reach, order)
     # No friction and no coupling torque: the plant is nobody's motor. The speed of 1 divides nothing then.
     drive = Drive(base, output_limit, torque_voltage=0.0, coulomb_voltage=0.0, coulomb_speed=1.0)
     return Law(
@@ -114,10 +102,33 @@ def discretize_pid(
         inner_pole=0.0,
         limits=_limits(correction, measurement_limit),
         drive=drive,
-        correction_error=(fit.error_db, fit.error_deg),
+        correction_error=errors,
         feedforward_error=(0.0, 0.0),
         band=reach,
     )
+
+
+def _fitted(
+    controller: FractionalPid, base: DiscretePid, period: float, band: tuple[float, float], order: int | None
+) -> tuple[Modes, tuple[float, float]]:
+    """Ĉ = C/P − 1 as modes, and its largest error on the band [dB], [°]."""
+
+    def rest(frequency: NDArray[np.float64]) -> Complex:
+        return controller.response(frequency) / _response(base, frequency) - 1.0
+
+    # 1 + Ĉ = C/P is 1 at rest only where P has the whole of C's integral: the zero at z = 1 is Ĉ's, and an
+    # error that lasts meets the integer integral alone.
+    fit = fit_discrete(
+        rest,
+        period=period,
+        order=order,
+        zeros_at_one=1,
+        offset=1.0,
+        band=band,
+        tolerance_db=TOLERANCE_DB,
+        tolerance_deg=TOLERANCE_DEG,
+    )
+    return modes_from("order", fit, REAL_MODES, PAIR_MODES), (fit.error_db, fit.error_deg)
 
 
 def pid_response(law: Law, frequency: ArrayLike) -> Complex:

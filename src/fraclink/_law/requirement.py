@@ -125,8 +125,8 @@ class Looked:
         """Signed phase margin [rad]: negative where the loop is not stable, π where |L| never crosses one."""
         found = self.margins
         # Signed by the stability of the loop as a whole: a crossing alone cannot tell on which side of −1 it
-        # belongs.
-        margin = math.pi if found.phase_margin is None else abs(found.phase_margin)
+        # belongs. Without a crossing the engine says infinite; no angle is more than π.
+        margin = min(abs(found.phase_margin), math.pi)
         return margin if found.stable else -margin
 
 
