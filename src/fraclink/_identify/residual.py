@@ -87,7 +87,7 @@ def coloured_covariance(regressors: Matrix, residual: Vector) -> Matrix:
 
 
 def correlation_lag(residual: Vector) -> int:
-    """First lag after which the autocorrelation stays below 0.1 for as long again."""
+    """First lag after which the autocorrelation stays below 0.1, as far as it is known."""
     covariance = autocovariance(residual)
     if covariance[0] <= 0:
         return 1
