@@ -9,7 +9,9 @@ from pathlib import Path
 
 import fraclink as fl
 from fraclink._campaign import Campaign, save_campaign
+from fraclink._campaign.faults import Bench
 from fraclink._campaign.run import write_part
+from fraclink._simulate import geared
 
 
 @functools.cache
@@ -18,6 +20,14 @@ def small(runs: int = 2500, seed: int = 7) -> Campaign:
     rig = fl.Rig.named("paper-2023")
     law = fl.discretize(fl.Controller(gain=0.069876, order=0.612197, link=rig.model), rig.period, order=4)
     return Campaign.of(rig, rig.model, law, runs=runs, seed=seed)
+
+
+@functools.cache
+def fault_bench() -> Bench:
+    """The paper's arm behind a gear, its link with mass, under the design of the documentation."""
+    rig = geared(fl.Rig.named("paper-2023"))
+    design = fl.design(rig.model, rig, payloads=(0.020, 0.040), gain_crossover=12.0, phase_margin=fl.deg(50))
+    return Bench.of(design, link_mass=0.00735)
 
 
 def started(out: Path, *, runs: int, workers: int = 2, seed: int = 7) -> subprocess.Popen[str]:

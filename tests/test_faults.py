@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import fraclink as fl
+from campaigns import fault_bench
 from fraclink._campaign import fault_arm
 from fraclink._campaign.endurance import soak, upsets
 from fraclink._campaign.fault_checks import shared_checks
@@ -29,7 +30,6 @@ from fraclink._campaign.faults import (
     run_case,
     run_faults,
 )
-from fraclink._simulate import geared
 from fraclink.errors import FieldError, FileFormatError
 
 # Open points of the shipped law on this arm; docs/how-to/run-a-fault-campaign.md gives their values.
@@ -39,9 +39,7 @@ WIDE = 1e3
 
 @pytest.fixture(scope="module")
 def bench() -> Bench:
-    rig = geared(fl.Rig.named("paper-2023"))
-    design = fl.design(rig.model, rig, payloads=(0.020, 0.040), gain_crossover=12.0, phase_margin=fl.deg(50))
-    return Bench.of(design, link_mass=0.00735)
+    return fault_bench()
 
 
 @pytest.fixture(scope="module")

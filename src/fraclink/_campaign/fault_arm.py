@@ -93,7 +93,7 @@ def refused(*reasons: int) -> Requirement:
 
 def silent(e: Evidence) -> Check:
     """Voltage and motor reference of a law that must not have started."""
-    rows = e.marks if e.marks.any() else slice(None)
+    rows = e.marked if e.marks.any() else slice(None)
     out = np.abs(np.vstack((e.faulty.command[rows], e.faulty.asked[rows])))
     return Check.at_most("output of a law that is not started", out.max(), 0.0)
 
@@ -107,7 +107,7 @@ def restarts(trial: Trial) -> None:
 
 
 def bumpless(e: Evidence) -> Check:
-    apart = np.abs(e.faulty.command - e.faulty.encoder)[e.marks]
+    apart = np.abs(e.faulty.command - e.faulty.encoder)[e.marked]
     return Check.at_most("first command from the motor angle [rad]", apart.max(), e.law.limits.motor_step)
 
 
@@ -120,7 +120,7 @@ def blind_start(trial: Trial) -> None:
 
 
 def idle(e: Evidence) -> Check:
-    wrong = e.marks[: len(e.faulty.mode)] & (e.faulty.mode != IDLE)
+    wrong = e.marked & (e.faulty.mode != IDLE)
     return Check.at_most("blind periods in another mode than idle", int(np.count_nonzero(wrong)), 0)
 
 

@@ -81,6 +81,11 @@ class Evidence:
         return abs(float(self.faulty.error[-round(LAST / self.law.period) :].mean()))
 
     @property
+    def marked(self) -> NDArray[np.bool_]:
+        """The bad periods of those that were run: a run that leaves every bound is cut."""
+        return self.marks[: len(self.faulty.flags)]
+
+    @property
     def reacted(self) -> int:
         """Periods from the fault to the first mode above RUN, the fault's own counted as 1; -1: none."""
         other = np.flatnonzero(self.faulty.mode[self.row :] > RUN)
@@ -117,10 +122,9 @@ def flagged(bit: int, name: str) -> Requirement:
     """Every marked period carries a flag, in that very period."""
 
     def check(e: Evidence) -> Check:
-        marked = e.marks[: len(e.faulty.flags)]
-        missing = int(np.count_nonzero(marked & ((e.faulty.flags & bit) == 0)))
+        missing = int(np.count_nonzero(e.marked & ((e.faulty.flags & bit) == 0)))
         # A fault that was never injected must not pass.
-        return Check.at_most(f"bad periods without the {name} flag", missing if marked.any() else 1, 0)
+        return Check.at_most(f"bad periods without the {name} flag", missing if e.marked.any() else 1, 0)
 
     return check
 
