@@ -21,7 +21,7 @@ from fraclink._campaign import run as run_module
 from fraclink._campaign import summary as summary_module
 from fraclink._campaign.arms import batch_links, block_of, unit_paths
 from fraclink._campaign.campaign import draw
-from fraclink._campaign.faults import Case, Check, FaultTable, Outcome, cases
+from fraclink._campaign.faults import Case, Check, FaultTable, Outcome, cases, fault_named
 from fraclink._campaign.run import part_path, read_part, run_campaign, write_part
 from fraclink._campaign.summary import _correlation, _metric, _ranks, columns, summarise
 from fraclink.errors import FieldError, SizeError
@@ -78,8 +78,8 @@ def test_the_default_draws_are_those_that_the_documentation_states() -> None:
         ("motor_gain", 0.0, 1.0, False), ("amplitude", 0.0, 1.0, False), ("amplitude", 0.1, 1.0, True),
         ("order", 1.0, 1.9, False), ("order", 1.5, 2.0, True), ("order", 1.5, 2.01, False),
         ("delay_samples", 0, 100, True), ("delay_samples", 0, 101, False), ("delay_samples", -1, 1, False),
-        ("viscous_friction", 0.0, 2.0, True), ("coulomb_torque", -1, 1, False), ("coulomb_torque", 0, 1, True),
-        ("noise", 0.0, 1.0, True), ("gauge_delay", 0.0, 0.1, True), ("gauge_delay", -0.1, 0.1, False),
+        ("viscous_friction", 0.0, 2.0, True), ("coulomb_torque", -1, 1, False), ("noise", 0, 1, True),
+        ("coulomb_torque", 0, 1, True), ("gauge_delay", 0.0, 0.1, True), ("gauge_delay", -0.1, 0.1, False),
         ("payload_given", 0, 1.5, True), ("payload_given", -0.1, 1, False), ("gauge_offset", -9, 9, True),
     ],
 )  # fmt: skip
@@ -94,7 +94,7 @@ def test_a_parameter_is_drawn_from_its_range(name: str, low: float, high: float,
 
 
 def test_what_came_later_is_drawn_behind_the_others() -> None:
-    """From the generator itself: the parameters of release 0.1, the shape of the move, then the later ones."""
+    """From the generator itself: the parameters of release 0.1, the shape, then the later ones."""
     draws = replace(
         small().draws,
         gauge_delay=Distribution("uniform", 0.0, 1.0),
@@ -482,4 +482,4 @@ def test_cases_are_those_that_make_sense_in_order() -> None:
 
 
 def phases_of(number: int) -> tuple[str, ...]:
-    return fl.fault_named(f"F{number:02}").phases
+    return fault_named(f"F{number:02}").phases
