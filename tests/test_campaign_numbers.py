@@ -287,7 +287,7 @@ def test_progress_counts_what_was_there_and_what_failed(
 ) -> None:
     done: set[int] = {0}
     monkeypatch.setattr(run_module, "_is_done", lambda campaign, place, part: part in done)
-    monkeypatch.setattr(run_module, "compute", lambda folder, part: done.add(part) or part)
+    monkeypatch.setattr(run_module, "compute", lambda folder, part: (done.add(part), part)[1])
     failed = {1: np.array([1, 0, 0]), 2: np.array([1, 1, 0])}
     monkeypatch.setattr(run_module, "read_part", lambda c, p, part, names: {"passed": failed[part]})
     seen: list[Any] = []

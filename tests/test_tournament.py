@@ -255,10 +255,10 @@ def test_a_rival_is_run_with_a_jump_of_the_gauges_offset(setting: Setting) -> No
 
 
 def test_an_outer_controller_sees_reference_error_and_bend(setting: Setting) -> None:
-    seen: list[Seen] = []
+    rows_seen: list[Seen] = []
 
-    def outer(value: Seen) -> float:
-        seen.append(value)
+    def outer(seen: Seen) -> float:
+        rows_seen.append(seen)
         return 0.125
 
     bare = replace(servo_law(setting.law), correction=Modes(0.0), feedforward=Modes(0.0))
@@ -268,7 +268,7 @@ def test_an_outer_controller_sees_reference_error_and_bend(setting: Setting) -> 
     move = fl.smooth_step(0.2, 0.3)
     run = run_rival(quiet, rival, move, setting.law, duration=0.4, seed=1)
     forward = module.feed_forward(setting.law, move.acceleration(run.time))
-    rows = np.array(seen)
+    rows = np.array(rows_seen)
     assert rows[:, 0] == pytest.approx(run.reference) and rows[:, 3] == pytest.approx(forward)
     assert rows[:, 2] == pytest.approx(run.torque_measured / 1.56, abs=1e-12)
     assert rows[:, 1] == pytest.approx(run.reference - run.motor_angle_measured + rows[:, 2], abs=1e-12)
@@ -422,7 +422,7 @@ def test_a_knob_is_turned_up_to_the_target_and_not_past_a_worse_range() -> None:
     seen: list[float] = []
 
     def loop(shape: Any) -> Any:
-        return SimpleNamespace(peak=lambda made: seen.append(made) or shape(made))
+        return SimpleNamespace(peak=lambda made: (seen.append(made), shape(made))[1])
 
     value, made, reached = tune(loop(lambda k: 1.0 + k), lambda k: k, (0.1, 10.0), 3.0)  # type: ignore[arg-type,return-value]
     assert reached and value == made == pytest.approx(2.0, rel=1e-5)

@@ -488,9 +488,8 @@ def test_an_estimate_stands_while_the_control_is_missed() -> None:
         ) -> tuple[bytes, Estimates]:
             seen = np.column_stack([angle, torque, ticks]).tolist()
             assert seen == [[1.0, 10.0, 5.0], [3.0, 30.0, 7.0]]
-            return b"after", Estimates(
-                *(np.array([k, k + 0.5]) for k in range(4)), np.array([8, 9], np.uint32)
-            )
+            given, estimate, low, high = (np.array([k, k + 0.5]) for k in range(4))
+            return b"after", Estimates(given, estimate, low, high, np.array([8, 9], np.uint32))
 
     bank: Any = Bank()
     angle, torque = np.arange(5.0), 10 * np.arange(5.0)
