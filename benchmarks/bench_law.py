@@ -23,7 +23,7 @@ from fraclink._export import export_c
 from fraclink._law import Law, discretize_controller, equip
 from fraclink._law.discretization import fit_correction
 from fraclink._simulate.kernel import LumpedArms, run_lumped, shared_rig
-from fraclink._simulate.plant import LinkWeights, link_weights
+from fraclink._simulate.links import LinkWeights, link_weights
 
 ROOT = Path(__file__).resolve().parents[1]
 RIG = fl.Rig.named("paper-2023")

@@ -32,7 +32,7 @@ from fraclink._show.arm_page import render_arm_page
 from fraclink._show.report import render_report
 from fraclink._simulate import SensorFault
 from fraclink._simulate.engine import TWIN_MODES, engine_bytes
-from fraclink._simulate.inputs import fault_rows
+from fraclink._simulate.sensors import fault_rows
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 

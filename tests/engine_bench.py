@@ -20,8 +20,8 @@ from fraclink._simulate.engine import (
     engine_rig,
     twin_noise,
 )
-from fraclink._simulate.inputs import ACCELERATION, GAUGE_ERROR, PAYLOAD, REFERENCE, fault_rows
 from fraclink._simulate.kernel import twin_numbers
+from fraclink._simulate.sensors import ACCELERATION, GAUGE_ERROR, PAYLOAD, REFERENCE, fault_rows
 from needed_tools import missing
 
 try:

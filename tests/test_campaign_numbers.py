@@ -19,11 +19,12 @@ from campaigns import fault_bench, small
 from fraclink._campaign import Campaign, Distribution, arm_of, draws_for, load_campaign, save_campaign
 from fraclink._campaign import run as run_module
 from fraclink._campaign import summary as summary_module
-from fraclink._campaign.arms import batch_links, block_of, unit_paths
+from fraclink._campaign.arms import block_of, unit_paths
 from fraclink._campaign.campaign import draw
 from fraclink._campaign.faults import Case, Check, FaultTable, Outcome, cases, fault_named
 from fraclink._campaign.run import part_path, read_part, run_campaign, write_part
 from fraclink._campaign.summary import _correlation, _metric, _ranks, columns, summarise
+from fraclink._simulate.links import batch_links
 from fraclink.errors import FieldError, SizeError
 
 RIG = fl.Rig.named("paper-2023")
@@ -287,7 +288,7 @@ def test_progress_counts_what_was_there_and_what_failed(
 ) -> None:
     done: set[int] = {0}
     monkeypatch.setattr(run_module, "_is_done", lambda campaign, place, part: part in done)
-    monkeypatch.setattr(run_module, "compute", lambda folder, part: (done.add(part), part)[1])
+    monkeypatch.setattr(run_module, "compute", lambda folder, part: (done.add(part), part)[1])  # type: ignore[func-returns-value]
     failed = {1: np.array([1, 0, 0]), 2: np.array([1, 1, 0])}
     monkeypatch.setattr(run_module, "read_part", lambda c, p, part, names: {"passed": failed[part]})
     seen: list[Any] = []

@@ -28,16 +28,10 @@ from fraclink._campaign.rival_controllers import (
     sliding_correction,
 )
 from fraclink._campaign.rival_published import CORRECTED, INTEGER, PRINTED, integer_twin
+from fraclink._campaign.rival_runs import feed_forward, linear_growth, mode_gain, run_rival
 from fraclink._campaign.rivals import builders, servo_law
 from fraclink._campaign.setting import Filter, NominalLoop, Setting, law_filter, sampled, tune, tustin
-from fraclink._campaign.tournament import (
-    Tournament,
-    compare,
-    feed_forward,
-    linear_growth,
-    mode_gain,
-    run_rival,
-)
+from fraclink._campaign.tournament import Tournament, compare
 from fraclink._simulate import Twin, geared
 from fraclink._simulate.on_twin import with_motor_loop
 from fraclink._systems.margins import margins

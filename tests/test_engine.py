@@ -18,7 +18,7 @@ from fraclink._arm.link import SecondMode
 from fraclink._design import Design
 from fraclink._simulate import KelvinVoigt, SensorFault
 from fraclink._simulate.engine import LONGEST, MOST_ROWS, RIG_NUMBERS, TWIN_MODES, engine_bytes
-from fraclink._simulate.inputs import fault_rows
+from fraclink._simulate.sensors import fault_rows
 from needed_tools import missing, tool
 
 ROOT = Path(__file__).parents[1]

@@ -251,7 +251,7 @@ def test_the_command_may_be_as_noisy_as_the_sensitivity_says() -> None:
     assert found.limit == pytest.approx(0.05 / 1.5 * 5.0 / 0.8)
     assert found.measured == pytest.approx(np.std(command[500:]))
     seen: list[Real] = []
-    flat.frequency_response = lambda w: (seen.append(w), np.ones(w.shape))[1]
+    flat.frequency_response = lambda w: (seen.append(w), np.ones(w.shape))[1]  # type: ignore[func-returns-value]
     fault_sensors.noise_bound(evidence(signals(), law=flat, bench=bench))
     grid = seen[0] * PERIOD / math.pi  # the mean over the band up to Nyquist, by its middles
     assert grid == pytest.approx((np.arange(grid.size) + 0.5) / grid.size, rel=1e-12) and grid.size >= 1000

@@ -24,7 +24,7 @@ from fraclink._campaign.fault_trial import (
     members,
 )
 from fraclink._campaign.faults import fault_named
-from fraclink._simulate import inputs as columns
+from fraclink._simulate import sensors as columns
 from fraclink._simulate.kernel import ArmState
 
 RUN, DEGRADED = 1, 2

@@ -329,7 +329,9 @@ def test_a_deflection_log_is_fitted_with_the_rigs_stiffness(monkeypatch: pytest.
     fits: dict[str, Any] = {name: SimpleNamespace(model=name, structure=name) for name in ("UD-FOM", "D-FOM")}
     comparison = SimpleNamespace(fits=fits, preferred="D-FOM")
     monkeypatch.setattr(
-        stages, "compare_structures", lambda log, **given: (asked.append(given), comparison)[1]
+        stages,
+        "compare_structures",
+        lambda log, **given: (asked.append(given), comparison)[1],  # type: ignore[func-returns-value]
     )
     monkeypatch.setattr(stages, "doubts_of", lambda rig, model: (doubt, doubt))
     for kind, stiffness in (("deflection", 1.56), ("torque", None)):

@@ -15,9 +15,10 @@ from fraclink._arm.shapers import shaper_impulses
 from fraclink._campaign import tournament as module
 from fraclink._campaign.rival_controllers import Linear, Seen, integer_mode
 from fraclink._campaign.rival_published import QUIETER, corrected, printed, quieter
+from fraclink._campaign.rival_runs import _plant, feed_forward, linear_growth, run_rival
 from fraclink._campaign.rivals import FRACLINK, Rival, _law_cost, builders, collocated, servo_law
 from fraclink._campaign.setting import Filter, NominalLoop, Setting, fine_step, prepare, tune
-from fraclink._campaign.tournament import Standing, Tournament, compare, linear_growth, run_rival
+from fraclink._campaign.tournament import Standing, Tournament, compare
 from fraclink._law import Modes
 from fraclink._simulate import MoveVerdict, Twin, geared
 from fraclink.errors import FieldError, InfeasibleError, NotConvergedError
@@ -267,7 +268,7 @@ def test_an_outer_controller_sees_reference_error_and_bend(setting: Setting) -> 
     quiet = replace(twin, sensors=replace(twin.sensors, gauge_noise=0.0, gauge_quantum=0.0, gauge_gain=1.0))
     move = fl.smooth_step(0.2, 0.3)
     run = run_rival(quiet, rival, move, setting.law, duration=0.4, seed=1)
-    forward = module.feed_forward(setting.law, move.acceleration(run.time))
+    forward = feed_forward(setting.law, move.acceleration(run.time))
     rows = np.array(rows_seen)
     assert rows[:, 0] == pytest.approx(run.reference) and rows[:, 3] == pytest.approx(forward)
     assert rows[:, 2] == pytest.approx(run.torque_measured / 1.56, abs=1e-12)
@@ -422,7 +423,7 @@ def test_a_knob_is_turned_up_to_the_target_and_not_past_a_worse_range() -> None:
     seen: list[float] = []
 
     def loop(shape: Any) -> Any:
-        return SimpleNamespace(peak=lambda made: (seen.append(made), shape(made))[1])
+        return SimpleNamespace(peak=lambda made: (seen.append(made), shape(made))[1])  # type: ignore[func-returns-value]
 
     value, made, reached = tune(loop(lambda k: 1.0 + k), lambda k: k, (0.1, 10.0), 3.0)  # type: ignore[arg-type,return-value]
     assert reached and value == made == pytest.approx(2.0, rel=1e-5)
@@ -442,7 +443,7 @@ def test_growth_is_the_logarithm_of_the_radius_in_a_second(setting: Setting) -> 
     twin = Twin.from_rig(RIG, link_mass=0.0, payload=0.030)
     strong = Filter(np.zeros((0, 0)), np.zeros(0), np.zeros(0), 30.0)
     rival = Rival("wild", "", "", 1.0, 0, 0, setting.law, correction=strong, outer=lambda: Linear(strong))
-    _, seen = module._plant(setting, twin)
+    _, seen = _plant(setting, twin)
     closed = seen.a - 30.0 * np.outer(seen.b, seen.c)
     radius = np.abs(np.linalg.eigvals(closed)).max()
     assert radius > 1 and linear_growth(setting, twin, rival) == pytest.approx(math.log(radius) / PERIOD)

@@ -22,9 +22,9 @@ from fraclink._simulate import (
     Twin,
     geared,
 )
-from fraclink._simulate.inputs import healthy_inputs
 from fraclink._simulate.kernel import ArmState
 from fraclink._simulate.on_twin import with_motor_loop
+from fraclink._simulate.sensors import healthy_inputs
 from fraclink.errors import FieldError, FileFormatError
 
 RIG = geared(fl.Rig.named("paper-2023"))
@@ -108,7 +108,9 @@ def test_free_swing_loses_energy_with_friction(law):
     vessel.state[1], vessel.counters[0] = 3.0, 0
     energies = [vessel.plant.energy(vessel.state)]
     for _ in range(1500):
-        vessel.run(off.block, healthy_inputs(twin, hold(0.0), law.period, 1, np.random.default_rng(0)))
+        vessel.run(
+            off.block, healthy_inputs(twin.sensors, hold(0.0), law.period, 1, np.random.default_rng(0))
+        )
         energies.append(vessel.plant.energy(vessel.state))
     assert np.all(np.diff(energies) <= 1e-9 * energies[0])
     assert energies[-1] < 0.05 * energies[0]
@@ -119,7 +121,7 @@ def test_payload_exchange_conserves_shape_and_speed(law, damping):
     twin = quiet(payload=0.040, damping=damping)
     vessel = ArmState(twin, law.period, law.initial_state())
     vessel.run(
-        smooth(law).block, healthy_inputs(twin, MOVE, law.period, 150, np.random.default_rng(0))
+        smooth(law).block, healthy_inputs(twin.sensors, MOVE, law.period, 150, np.random.default_rng(0))
     )  # mid-move
     before, energy = (
         vessel.plant.outputs @ vessel.state[: vessel.plant.order],
@@ -137,7 +139,9 @@ def test_payload_exchange_conserves_shape_and_speed(law, damping):
 def test_exchange_for_the_same_payload_changes_nothing(law):
     twin = quiet(payload=0.030)
     vessel = ArmState(twin, law.period, law.initial_state())
-    vessel.run(smooth(law).block, healthy_inputs(twin, MOVE, law.period, 150, np.random.default_rng(0)))
+    vessel.run(
+        smooth(law).block, healthy_inputs(twin.sensors, MOVE, law.period, 150, np.random.default_rng(0))
+    )
     before = vessel.state.copy()
     vessel.change_payload(0.030)
     assert vessel.state == pytest.approx(before, rel=1e-9, abs=1e-9 * np.abs(before).max())

@@ -30,15 +30,15 @@ from fraclink._simulate import (
     damping_of,
     geared,
 )
-from fraclink._simulate import inputs as columns
+from fraclink._simulate import sensors as columns
 from fraclink._simulate.engine import engine_link, engine_noise, engine_rig, engine_twin, twin_noise
 from fraclink._simulate.estimates import estimate_findings, estimate_signals, estimated_over, joined
-from fraclink._simulate.inputs import fault_rows, given_payload, healthy_inputs, segments
 from fraclink._simulate.kernel import ArmState, apply, drive_of, twin_numbers
+from fraclink._simulate.links import link_weights, second_mode_weights
 from fraclink._simulate.on_twin import with_motor_loop
-from fraclink._simulate.plant import link_weights, resolved, second_mode_weights, substeps
+from fraclink._simulate.plant import resolved, substeps
 from fraclink._simulate.run import payload_rejected
-from fraclink._simulate.sensors import delay_line
+from fraclink._simulate.sensors import delay_line, fault_rows, given_payload, healthy_inputs, segments
 from fraclink._simulate.simulate import link_at
 from fraclink.errors import FieldError
 from law_bench import law
@@ -109,9 +109,8 @@ def test_a_gauge_has_gain_offset_drift_then_noise_its_range_and_its_converter() 
 
 def test_a_healthy_run_has_the_reference_and_the_gauges_error() -> None:
     sensors = Sensors(gauge_offset=0.2, gauge_drift=0.3, gauge_noise=0.01)
-    twin = replace(Twin.from_rig(GEARED), sensors=sensors)
     move = fl.smooth_step(1.0, 0.5, 0.1)
-    found = healthy_inputs(twin, move, PERIOD, 200, np.random.default_rng(6))
+    found = healthy_inputs(sensors, move, PERIOD, 200, np.random.default_rng(6))
     time = PERIOD * np.arange(200)
     wanted = np.zeros((200, _kernels.TWIN_INPUTS))
     wanted[:, 0], wanted[:, 1], wanted[:, 2] = move.angle(time), move.velocity(time), move.acceleration(time)

@@ -23,8 +23,8 @@ from fraclink._campaign.fault_trial import (
     Trial,
     execute,
 )
-from fraclink._simulate.inputs import GAUGE_ERROR, healthy_inputs
 from fraclink._simulate.kernel import ArmState
+from fraclink._simulate.sensors import GAUGE_ERROR, healthy_inputs
 from fraclink._validate import Between, Payload, Seed, checked
 
 __all__ = ["Soak", "Upset", "soak", "upsets"]
@@ -60,7 +60,7 @@ def soak(
     law = bench.law
     twin = bench.twin.with_payload(payload)
     generator = np.random.default_rng(seed)
-    rounds = healthy_inputs(twin, ROUND, law.period, round(ROUND_TIME / law.period), generator)
+    rounds = healthy_inputs(twin.sensors, ROUND, law.period, round(ROUND_TIME / law.period), generator)
     arm = ArmState(twin, law.period, law.initial_state())
     trips = flagged = done = 0
     peak = 0.0

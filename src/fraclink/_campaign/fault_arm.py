@@ -40,7 +40,7 @@ from fraclink._campaign.fault_trial import (
 )
 from fraclink._law import Modes
 from fraclink._law.discretization import drive_for
-from fraclink._simulate import inputs as columns
+from fraclink._simulate import sensors as columns
 from fraclink._simulate.kernel import ArmState
 
 HEADER, COUNTS = 16, 40  # bytes of law_params before its reals

@@ -26,7 +26,7 @@ from fraclink._campaign.fault_trial import (
     Real,
     Trial,
 )
-from fraclink._simulate import inputs as columns
+from fraclink._simulate import sensors as columns
 from fraclink._simulate.kernel import ArmState
 
 JITTER = 1e-3  # [s] by which an instant of sampling is early or late

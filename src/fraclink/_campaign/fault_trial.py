@@ -17,10 +17,10 @@ from fraclink._arm.rig import Rig
 from fraclink._design import Design
 from fraclink._law import Law
 from fraclink._simulate import Twin, kernel
-from fraclink._simulate import inputs as columns
-from fraclink._simulate.inputs import healthy_inputs
+from fraclink._simulate import sensors as columns
 from fraclink._simulate.kernel import ArmState
 from fraclink._simulate.on_twin import with_motor_loop
+from fraclink._simulate.sensors import healthy_inputs
 from fraclink._validate import Between, checked
 from fraclink.errors import FieldError
 
@@ -143,7 +143,7 @@ class Trial:
         # The fault's own dice, so that the noise is that of the clean run; the name holds the seed.
         self.chance = np.random.default_rng([case.seed, zlib.crc32(case.name.encode())])
         noise = np.random.default_rng([case.seed, 0])
-        self.inputs = healthy_inputs(self.twin, reference, self.period, self.count, noise)
+        self.inputs = healthy_inputs(self.twin.sensors, reference, self.period, self.count, noise)
         self.wanted = self.inputs[:, columns.REFERENCE].copy()
         self.row = round(TIMES[case.phase] / self.period)
         self.marks = np.zeros(self.count, dtype=bool)  # periods in which a sample is bad

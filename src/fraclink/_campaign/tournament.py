@@ -10,32 +10,21 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.signal import lfilter
 
-from fraclink import _kernels
 from fraclink._arm.link import LinkModel
 from fraclink._arm.reference import Reference, checked_reference, smooth_step
 from fraclink._arm.rig import Rig
-from fraclink._arm.shapers import Shaped
-from fraclink._campaign.rival_controllers import Seen
+from fraclink._campaign.rival_runs import linear_growth, mode_gain, run_rival
 from fraclink._campaign.rivals import FRACLINK, OFFSET, Rival, builders
-from fraclink._campaign.setting import Filter, NominalLoop, Setting, fine_step, law_filter, prepare, sampled
-from fraclink._campaign.tournament_text import markdown, sentences
+from fraclink._campaign.setting import Setting, prepare
 from fraclink._files import write_json
-from fraclink._law import Law
 from fraclink._simulate.arm import Twin
-from fraclink._simulate.damping import PowerLaw
-from fraclink._simulate.inputs import ACCELERATION, GAUGE_ERROR, REFERENCE, VELOCITY, healthy_inputs
-from fraclink._simulate.kernel import ArmState
-from fraclink._simulate.on_twin import twin_run
-from fraclink._simulate.plant import GAUGE_TORQUE, HUB_ANGLE, Plant, assemble
 from fraclink._simulate.run import Run
 from fraclink._validate import Between, Frequency, Length, Payload, PhaseMargin, Seed, Time, checked
 from fraclink._validate.display import displayed
 from fraclink.errors import FieldError, InfeasibleError
 
-__all__ = ["Standing", "Tournament", "compare", "linear_growth", "mode_gain", "run_rival"]
+__all__ = ["Standing", "Tournament", "compare"]
 
 
 def _chosen(known: tuple[str, ...], names: Sequence[str] | None) -> list[str]:
@@ -48,126 +37,6 @@ def _chosen(known: tuple[str, ...], names: Sequence[str] | None) -> list[str]:
             allowed, remedy = ", ".join(known), "give a part of one of these"
             raise FieldError("names", word, "part of no rival's name", allowed=allowed, remedy=remedy)
     return [name for name in known if name == FRACLINK or any(word in name.lower() for word in words)]
-
-
-Real = NDArray[np.float64]
-
-
-def feed_forward(law: Law, acceleration: Real) -> Real:
-    """Return F θ̈t* as law.c computes it, shape (N,)."""
-    modes = law.feedforward
-    result = modes.direct * acceleration
-    for pole, gain in zip(modes.poles, modes.gains, strict=True):
-        result += lfilter([0.0, gain], [1.0, -pole], acceleration)
-    return np.asarray(result)
-
-
-def run_rival(
-    twin: Twin,
-    rival: Rival,
-    reference: Reference,
-    forward: Law,
-    *,
-    duration: float,
-    offset: float = 0.0,
-    offset_time: float = 0.2,
-    seed: int = 0,
-) -> Run:
-    """Run a rival; the gauge's offset jumps by `offset` [N·m] at `offset_time` [s].
-
-    forward: the law whose feed-forward the rivals with tip feedback share
-    """
-    law = rival.law
-    count = round(duration / law.period) + 1
-    followed: Reference = Shaped(reference, *rival.impulses) if rival.impulses else reference
-    inputs = healthy_inputs(twin, followed, law.period, count, np.random.default_rng(seed))
-    inputs[round(offset_time / law.period) :, GAUGE_ERROR] += offset
-    state = ArmState(twin, law.period, law.initial_state())
-    if rival.outer is None:
-        record = state.run(law.block, inputs)
-    else:
-        record = _tick_by_tick(state, rival, inputs, feed_forward(forward, inputs[:, ACCELERATION]))
-    wanted = reference.angle(law.period * np.arange(len(record)))
-    record[:, 0] = wanted  # judged by what was asked, not by the shaped reference
-    return twin_run(
-        record,
-        np.full(len(record), twin.beam.payload),
-        twin,
-        law.period,
-        finished=len(record) == count,
-        ended=followed.duration,  # a shaper's own delay counts as settling, not as vibration
-        about={"rival": rival.name, "seed": seed},
-    )
-
-
-def _tick_by_tick(state: ArmState, rival: Rival, inputs: Real, forward: Real) -> Real:
-    assert rival.outer is not None  # noqa: S101  # the caller's case
-    outer, block = rival.outer(), rival.law.block
-    compliance = 1.0 / rival.law.stiffness
-    record = np.empty((len(inputs), _kernels.TWIN_COLUMNS))
-    wanted = inputs[:, REFERENCE].tolist()
-    for k in range(len(inputs)):
-        angle, torque = state.sense(inputs[k])
-        bend = torque * compliance
-        error = wanted[k] - (angle - bend)
-        command = wanted[k] + forward[k] + outer(Seen(wanted[k], error, bend, forward[k]))
-        inputs[k, REFERENCE] = min(max(command, -1e3), 1e3)
-        inputs[k, VELOCITY], inputs[k, ACCELERATION] = inputs[k, VELOCITY], 0.0
-        record[k] = state.run(block, inputs[k : k + 1])[0]
-        if abs(record[k, 1]) > 1e2:
-            return record[: k + 1]
-    return record
-
-
-def _correction(rival: Rival) -> Filter | None:
-    """The rival's feedback of the tip estimate as a filter, None where it has none."""
-    if rival.correction is None and rival.law.correction.direct != 0.0:
-        return law_filter(rival.law)
-    return rival.correction
-
-
-def _plant(setting: Setting, twin: Twin) -> tuple[Plant, Filter]:
-    """The twin behind the ideal motor servo, and its tip estimate θm − Γ/c as the controller sees it."""
-    period = setting.rig.period
-    plant = assemble(
-        twin.beam,
-        twin.damping,
-        drive="servo",
-        modes=twin.modes,
-        step=fine_step(period),
-        servo_pole=setting.law.inner_pole,
-    )
-    estimate = plant.outputs[HUB_ANGLE] - plant.outputs[GAUGE_TORQUE] / setting.model.stiffness
-    return plant, sampled(plant, estimate, period, setting.rig.motor_loop.delay_samples)
-
-
-def mode_gain(setting: Setting, twin: Twin, rival: Rival) -> float:
-    """Return the largest |L| around the twin's second mode; 0 without feedback of the tip estimate."""
-    correction, period = _correction(rival), setting.rig.period
-    plant, seen = _plant(setting, twin)
-    if correction is None or plant.modes.count < 2:
-        return 0.0
-    mode = float(plant.modes.frequencies[1])
-    # With a power law the mode is at ω^(2/λ), 25 % above ω here.
-    shifted = mode ** (2.0 / twin.damping.order) if isinstance(twin.damping, PowerLaw) else mode
-    frequency = np.geomspace(0.8 * mode, min(1.25 * shifted, 0.999 * np.pi / period), 600)
-    z = np.exp(1j * frequency * period)
-    return float(np.max(np.abs(seen.response(z) * correction.response(z))))
-
-
-def linear_growth(setting: Setting, twin: Twin, rival: Rival) -> float:
-    """Return how fast the rival's linear loop on the twin grows [1/s]; 0 where it is stable.
-
-    Friction and the voltage limit are not in it: friction can hide a slow growth, a limit can bound a fast
-    one, and a run of some seconds then ends well.
-    """
-    correction, period = _correction(rival), setting.rig.period
-    if correction is None:
-        return 0.0
-    _, seen = _plant(setting, twin)
-    radius = NominalLoop(seen, period, setting.model.stiffness).radius(correction)
-    # The power law's slowest relaxation lies within 1e-9 of one.
-    return math.log(radius) / period if radius > 1.0 + 1e-9 else 0.0
 
 
 PAYLOADS = (0.008, 0.012, 0.016, 0.020, 0.025, 0.030, 0.035, 0.040)
@@ -244,11 +113,35 @@ class Tournament:
 
     def verdicts(self) -> tuple[str, ...]:
         """Return a sentence for every figure: where fraclink is best, and where a rival is better."""
-        return sentences(self)
+        winners, first = self.winners(), self.standings[0]
+        if not winners:
+            return ("no figure has a winner: no design passes with a stable linear loop",)
+        if len(self.standings) == 1:
+            return (f"{first.name} ran alone: nothing to compare with",)
+        made = []
+        for name, winner in winners.items():
+            words = name.replace("_", " ")
+            best = min(float(getattr(s, name)) for s in self.standings if s.sound)
+            own = float(getattr(first, name))
+            if first.name in winner:
+                also = [w for w in winner if w != first.name]
+                shared = f", with {', '.join(also)}" if also else ""
+                made.append(f"{words}: {first.name} is best ({_figure(name, own)}){shared}")
+            else:
+                reached = f"{_figure(name, best)} against {_figure(name, own)}"
+                made.append(f"{words}: better than fraclink: {', '.join(winner)} ({reached})")
+        return tuple(made)
 
     def markdown(self) -> str:
         """Return the table, the rules and the verdicts as Markdown."""
-        return markdown(self)
+        rows = [_HEAD, tuple("---" for _ in _HEAD), *(_row(s) for s in self.standings)]
+        lines = ["| " + " | ".join(row) + " |" for row in rows]
+        lines += _hidden(self)
+        lines += ["", "Figure by figure:", "", *(f"- {sentence}" for sentence in self.verdicts())]
+        lines += ["", "How each was tuned:", ""]
+        lines += [f"- {s.name}: {s.rule} ({s.knob})" for s in self.standings]
+        lines += ["", "Assumed:", "", *(f"- {note}" for note in self.notes)]
+        return "\n".join(lines) + "\n"
 
     def draw(self, path: Path | str) -> None:
         """Draw a dot for every rival and figure to an SVG file; FieldError for a file of another kind."""
@@ -398,3 +291,74 @@ def _settled(run: Run) -> float:
     """Settling time, infinite where the tip has not been in its band for at least a second."""
     time = run.metrics.settling_time
     return time if run.verdict and time <= run.time[-1] - 1.0 else math.inf
+
+
+# ── in words ────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+_HEAD = (
+    "rival",
+    "settling [s]",
+    "overshoot [%]",
+    "residual [mrad]",
+    "offset error [mrad]",
+    "noise [mrad]",
+    "saturated [%]",
+    "worst payload",
+    "gain at mode 2",
+    "linear loop",
+    "Ms",
+    "states",
+    "products",
+)
+
+
+def _number(value: float, digits: int = 3) -> str:
+    return "never" if math.isinf(value) else f"{value:.{digits}g}"
+
+
+def _row(s: Standing) -> tuple[str, ...]:
+    settled = "never" if math.isinf(s.worst_settling) else f"{s.worst_settling:.2f} s"
+    return (
+        s.name if s.passed else f"{s.name} (failed)",
+        "never" if math.isinf(s.settling_time) else f"{s.settling_time:.2f}",
+        f"{100 * s.overshoot:.1f}",
+        f"{1e3 * s.residual_vibration:.1f}",
+        _number(1e3 * s.offset_error),
+        f"{1e3 * s.motor_reference_noise:.1f}",
+        f"{100 * s.saturated:.1f}",
+        f"{1e3 * s.worst_payload:g} g: {settled}",
+        f"{s.mode_gain:.3f}",
+        "stable" if s.growth == 0.0 else f"grows {s.growth:.2g}/s",
+        "unstable" if math.isinf(s.peak) else f"{s.peak:.2f}",
+        str(s.states),
+        str(s.multiplications),
+    )
+
+
+def _hidden(result: Tournament) -> list[str]:
+    """Explain a rival that passes although its linear loop is unstable."""
+    lines = []
+    for s in result.standings:
+        if s.growth == 0.0 or not s.passed:
+            continue
+        bounded = (
+            f"the voltage limit, reached in {100 * s.saturated:.2g} % of the periods, bounds it"
+            if s.saturated > 0.0
+            else "friction holds the oscillation while it is small"
+        )
+        lines.append(
+            f"- {s.name}: the linear loop on the twin is unstable, e-fold in {1.0 / s.growth:.2g} s; in "
+            f"these runs {bounded}. It is not a design to ship, and wins no figure."
+        )
+    return ["", "Unstable linear loop, although the runs passed:", "", *lines] if lines else []
+
+
+def _figure(name: str, value: float) -> str:
+    if math.isinf(value):
+        return "never"
+    if name in ("residual_vibration", "offset_error", "motor_reference_noise"):
+        return f"{1e3 * value if value > 1e-9 else 0.0:.3g} mrad"
+    if name in ("settling_time", "worst_settling"):
+        return f"{value:.3g} s"
+    return f"{100 * value:.2g} %" if name in ("overshoot", "saturated") else f"{value:.3g}"

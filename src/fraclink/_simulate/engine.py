@@ -20,7 +20,8 @@ from fraclink._arm.rig import Rig
 from fraclink._law import Law
 from fraclink._simulate.arm import Twin
 from fraclink._simulate.kernel import SUBSTEPS, twin_numbers
-from fraclink._simulate.plant import link_weights, resolved
+from fraclink._simulate.links import link_weights
+from fraclink._simulate.plant import resolved
 
 __all__ = [
     "LONGEST",

@@ -22,7 +22,8 @@ from fraclink._law.discretization import COULOMB_SPEED
 from fraclink._law.estimator import Estimates, PayloadEstimator
 from fraclink._simulate.arm import Twin
 from fraclink._simulate.estimates import estimated_over
-from fraclink._simulate.plant import LinkWeights, Plant, StepMatrices, substeps
+from fraclink._simulate.links import LinkWeights
+from fraclink._simulate.plant import Plant, StepMatrices, substeps
 from fraclink._simulate.sensors import Event, Obstacle, PayloadChange, Restart, delay_line
 
 __all__ = ["ArmState", "LumpedArms", "apply", "run_lumped", "shared_rig", "twin_numbers"]

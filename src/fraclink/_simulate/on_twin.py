@@ -17,10 +17,9 @@ from fraclink._law import Law, equip
 from fraclink._law.estimator import Estimates, PayloadEstimator
 from fraclink._simulate.arm import Twin
 from fraclink._simulate.estimates import ESTIMATED, estimate_findings, estimate_signals, joined
-from fraclink._simulate.inputs import PAYLOAD, REFERENCE, given_payload, healthy_inputs, segments
 from fraclink._simulate.kernel import RECORD, ArmState, apply, drive_of
 from fraclink._simulate.run import Run, judged_run
-from fraclink._simulate.sensors import Event
+from fraclink._simulate.sensors import PAYLOAD, REFERENCE, Event, given_payload, healthy_inputs, segments
 from fraclink.errors import FieldError
 from fraclink.findings import Finding
 
@@ -68,7 +67,7 @@ def on_twin(
 ) -> Run:
     law, findings = with_motor_loop(law, twin=twin)
     count = round(length / law.period) + 1
-    inputs = healthy_inputs(twin, reference, law.period, count, np.random.default_rng(seed))
+    inputs = healthy_inputs(twin.sensors, reference, law.period, count, np.random.default_rng(seed))
     state = ArmState(twin, law.period, law.initial_state(), start_angle=float(inputs[0, REFERENCE]))
     records, payloads, estimates = [], [], []
     for first, last, changes in segments(events, law.period, inputs):

@@ -1,7 +1,7 @@
-"""The linear part of an arm, stepped exactly: the twin's hub and modes, and the model's lumped link.
+"""The linear part of the twin, stepped exactly: its hub and the modes of its link.
 
-The twin: hub angle θm and velocity v, then for every mode the absolute coordinate pi = qi + Γi θm, its
-velocity, and one state zj per Maxwell element of the damping:
+Hub angle θm and velocity v, then for every mode the absolute coordinate pi = qi + Γi θm, its velocity, and
+one state zj per Maxwell element of the damping:
 
     fi  = ωi² (e qi + d q̇i + Σj wj zj)           modal force of the material, e spring, d dashpot
     żj  = q̇i − rj zj
@@ -11,41 +11,30 @@ velocity, and one state zj per Maxwell element of the damping:
     hub (prescribed):  θ̇m given, constant over a step
 
 Between two steps the inputs are constant and the step is the exact matrix exponential.
-
-The model: between two samples the motor's angle is Σ qⱼ xʲ with x = (t − kT)/T. The response of the lumped
-link to each power is exact: at the end of its own period by the power series of G = θt/θm, later by the modes
-of the step response (a sum of exponentials, see fraclink._systems.response).
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
-from typing import Annotated, Any, Literal
+from dataclasses import dataclass
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fraclink import _kernels
 from fraclink._arm.beam import Beam, BeamModes, residual_inertia
-from fraclink._arm.link import LinkModel, SecondMode
 from fraclink._simulate.damping import Chain, Damping
-from fraclink._systems.response import discrete_modes
 from fraclink._validate import Between, Frequency, NonNegative, Period, checked
 from fraclink.errors import FieldError
 
 __all__ = [
-    "LONGEST",
     "LONGEST_STEP",
-    "POWERS",
     "Drive",
-    "LinkWeights",
     "Plant",
     "StepMatrices",
     "assemble",
-    "link_weights",
     "resolved",
-    "second_mode_weights",
     "substeps",
 ]
 
@@ -58,11 +47,6 @@ Drive = Literal["motor", "servo", "prescribed"]
 TOLERANCE = 3e-8
 LONGEST_STEP = 1e-3  # [s]; longer steps would hold the hub's force or speed over a quarter of mode 2
 Step = Annotated[float, Between(1e-6, LONGEST_STEP, "s", remedy="1 ms is exact for three modes")]
-
-POWERS = 6
-# |pole|·T [rad]: beyond, three samples a vibration, the power series cancels and no loop passes.
-LONGEST = 2.0
-LINK_TOLERANCE = 1e-9  # of the step response: three digits below what is promised of a move
 
 # Rows of the outputs.
 HUB_ANGLE, HUB_VELOCITY, TIP_ANGLE, GAUGE_TORQUE, TIP_VELOCITY, HUB_MOMENT = range(6)
@@ -289,111 +273,3 @@ def _attach_hub(
     a[1, 1] -= friction / inertia
     b[1, 0] = 1.0 / inertia
     energy[1, 1] += 0.5 * inertia
-
-
-# ── the lumped link ─────────────────────────────────────────────────────────────────────────────────────────
-
-
-@dataclass(frozen=True)
-class LinkWeights:
-    """Decays and weights of the recursions of R links; see loop.h for the formula.
-
-    decay (R, n), weight (R, 6, n), pair (R, m), pair_weight (R, 6, m), first (R, 6), and second (R, 15), or
-    (0, 15) where no link has a second mode.
-    """
-
-    decay: Vector
-    weight: Vector
-    pair: NDArray[np.complex128]
-    pair_weight: NDArray[np.complex128]
-    first: Vector
-    second: Vector
-
-    def rows(self, rows: slice | NDArray[np.intp]) -> LinkWeights:
-        """Return the recursions of some of the links."""
-        own = {field.name: getattr(self, field.name) for field in fields(self)}
-        # No link has a second mode: no rows to take.
-        return LinkWeights(**{name: value[rows] if len(value) else value for name, value in own.items()})
-
-
-def link_weights(model: LinkModel, period: float, span: float) -> LinkWeights:
-    """Return the recursion of one link's tip at `period` [s], valid for `span` [s].
-
-    >>> weights = link_weights(LinkModel(1.56, 11.094, order=2.0), 0.004, 10.0)
-    >>> weights.decay.shape, weights.pair.shape
-    ((1, 0), (1, 1))
-    """
-    reach = abs(model.pole) * period
-    if not reach < LONGEST:
-        raise FieldError(
-            "period",
-            period,
-            "too long for this link",
-            allowed=f"< {LONGEST / abs(model.pole):.3g} s: {2 * math.pi / LONGEST:.2g} samples a vibration",
-            remedy="simulate at a shorter period",
-        )
-    modes = discrete_modes(model.tip(), period, span=span, tolerance=LINK_TOLERANCE)
-    at_end = [_end_of_power(model, period, j) for j in range(POWERS)]
-    real = modes.gains * _relative_powers(modes.log_decays)
-    pair = modes.pole_gains * _relative_powers(modes.pole_log_decays)
-    first = np.array(at_end) - real.sum(axis=1) - pair.sum(axis=1).real
-    second = second_mode_weights(model.second_mode, period)
-    return LinkWeights(
-        modes.decays[None], real[None], modes.pole_decays[None], pair[None], first[None], second
-    )
-
-
-def second_mode_weights(mode: SecondMode | None, period: float) -> Vector:
-    """Return the kernel's row of a second mode, shape (1, 15); (0, 15) where there is none.
-
-    Its step response is Re(g₀ e^(pt)) with g₀ = gain (1 + jζ/√(1 − ζ²)): a state z' = p z + g₀ p θm, and the
-    angle gain θm + Re z that it adds to the bend: exact at the samples, above the Nyquist frequency too.
-    """
-    if mode is None:
-        return np.zeros((0, 15))
-    damped = math.sqrt(1.0 - mode.damping_ratio**2)
-    z = mode.frequency * period * complex(-mode.damping_ratio, damped)
-    step = mode.gain * complex(1.0, mode.damping_ratio / damped) * np.expm1(z)
-    weights = step * _relative_powers(np.array([z]))[:, 0]
-    decay = np.exp(z)
-    return np.concatenate([[mode.gain, decay.real, decay.imag], weights.real, weights.imag])[None]
-
-
-def _end_of_power(model: LinkModel, period: float, power: int) -> float:
-    """Response of G to xʲ at x = 1: G = Σ −(−X)ⁿ, X = (μ s^α + ω₀²)/s^λ, term by term: t^q/Γ(q + 1)."""
-    stiff = model.natural_frequency**2 * period**model.order
-    soft = model.damping * period ** (model.order - model.damping_order)
-    total = 0.0
-    # X at the end of the period is below LONGEST^λ ≤ 4, and Γ(λn + 1) outruns 4ⁿ: some twenty terms do.
-    for n in range(1, 100):
-        part = 0.0
-        for k in range(n + 1 if soft else 1):
-            exponent = model.order * n - model.damping_order * k + power
-            size = math.comb(n, k) * soft**k * stiff ** (n - k)
-            part += size * math.exp(-math.lgamma(exponent + 1))
-        total -= (-1) ** n * part
-        if part < 1e-18 * abs(total):
-            break
-    return math.factorial(power) * total
-
-
-def _relative_powers(log_decay: NDArray[Any]) -> NDArray[Any]:
-    """φ_j/φ_0 for j = 0 ... 5, φ_j(z) = ∫₀¹ x^j e^(z(1 − x)) dx: a mode's answer to x^j, relative to a step.
-
-    Where |z| is large φ_j = (j φ_(j-1) − 1)/z; that cancels for small |z|, where the series j! Σ zⁿ/(n + j
-    + 1)! is used.
-    """
-    z = np.atleast_1d(np.asarray(log_decay))
-    # Five steps of the recursion multiply its rounding by 5!/|z|⁵, and 1/20! ends the series at 4e-19: they
-    # meet at |z| = 1.
-    near = np.abs(z) < 1.0
-    small = np.where(near, z, 0.0)
-    large = np.where(near, 1.0, z)
-    rows = []
-    by_recursion = np.expm1(large) / large
-    for j in range(POWERS):
-        by_series = math.factorial(j) * sum(small**n / math.factorial(n + j + 1) for n in range(20))
-        if j:
-            by_recursion = (j * by_recursion - 1.0) / large
-        rows.append(np.where(near, by_series, by_recursion))
-    return np.asarray(np.array(rows) / rows[0])

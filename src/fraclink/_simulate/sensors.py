@@ -1,14 +1,18 @@
-"""What the sensors make of the truth, and what happens to the arm while it moves."""
+"""What the sensors make of the truth, what happens to the arm while it moves, and both as a run's inputs."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fraclink import _kernels
+from fraclink._arm.reference import Reference
+from fraclink._law.estimator import PayloadEstimator
 from fraclink._validate import Angle, Between, Duration, Time, checked
 from fraclink.errors import FieldError
 
@@ -22,9 +26,17 @@ __all__ = [
     "Sensors",
     "TipPulse",
     "delay_line",
+    "fault_rows",
+    "given_payload",
+    "healthy_inputs",
+    "segments",
 ]
 
 Vector = NDArray[np.float64]
+
+# Columns of the twin's inputs (csrc/kernels/twin.h); the model reads those of a fault.
+REFERENCE, VELOCITY, ACCELERATION, GAUGE_ERROR, TIP_FORCE, FAULT_BITS = range(6)
+ENCODER_GAIN, ENCODER_ERROR, ENCODER_VALUE, GAUGE_GAIN, GAUGE_VALUE, PAYLOAD = range(6, 12)
 
 _OFF = "0 switches it off"
 Size = Annotated[float, Between(0.0, 1e6, "N·m", remedy=_OFF)]
@@ -211,21 +223,21 @@ class Restart:
     time: Time
 
 
-# Kind -> (bit of the kernel's fault word or 0, name of the input column it sets or None).
-FAULTS: dict[str, tuple[int, str | None]] = {
-    "encoder value": (1, "ENCODER_VALUE"),
-    "gauge value": (2, "GAUGE_VALUE"),
+# Kind -> (bit of the kernel's fault word or 0, the input column it sets or None).
+FAULTS: dict[str, tuple[int, int | None]] = {
+    "encoder value": (1, ENCODER_VALUE),
+    "gauge value": (2, GAUGE_VALUE),
     "encoder frozen": (4, None),
     "gauge frozen": (8, None),
     "channels swapped": (16, None),
     "tick missed": (32, None),
     "tick repeated": (64, None),
-    "encoder gain": (0, "ENCODER_GAIN"),
-    "encoder offset": (0, "ENCODER_ERROR"),
-    "gauge gain": (0, "GAUGE_GAIN"),
-    "gauge offset": (0, "GAUGE_ERROR"),
+    "encoder gain": (0, ENCODER_GAIN),
+    "encoder offset": (0, ENCODER_ERROR),
+    "gauge gain": (0, GAUGE_GAIN),
+    "gauge offset": (0, GAUGE_ERROR),
 }
-_VALUED = tuple(kind for kind, (_, column) in FAULTS.items() if column)
+_VALUED = tuple(kind for kind, (_, column) in FAULTS.items() if column is not None)
 
 
 @checked
@@ -269,3 +281,78 @@ Event = PayloadChange | TipPulse | Obstacle | Restart | SensorFault
 def _check_span(time: float, until: float) -> None:
     if until <= time:
         raise FieldError("until", until, "not after time", allowed=f"> {time:g} s", remedy="exchange the two")
+
+
+# ── what comes from outside in every period ─────────────────────────────────────────────────────────────────
+
+
+def healthy_inputs(
+    sensors: Sensors, reference: Reference, period: float, count: int, generator: np.random.Generator
+) -> Vector:
+    """Return the kernel's inputs of a run without events or faults, shape (count, 12)."""
+    time = period * np.arange(count)
+    inputs = fault_rows((), period, count)
+    inputs[:, REFERENCE] = reference.angle(time)
+    inputs[:, VELOCITY] = reference.velocity(time)
+    inputs[:, ACCELERATION] = reference.acceleration(time)
+    inputs[:, GAUGE_ERROR] = sensors.gauge_offset + sensors.gauge_drift * time
+    # Drawn even where the noise is 0, so that a seed gives the same noise whatever its size.
+    inputs[:, GAUGE_ERROR] += sensors.gauge_noise * generator.standard_normal(count)
+    return inputs
+
+
+def fault_rows(faults: tuple[SensorFault, ...], period: float, count: int) -> Vector:
+    """Return the kernels' inputs of faults alone, shape (count, 12)."""
+    inputs = np.zeros((count, _kernels.TWIN_INPUTS))
+    inputs[:, ENCODER_GAIN] = inputs[:, GAUGE_GAIN] = 1.0
+    segments(faults, period, inputs)
+    return inputs
+
+
+def segments(
+    events: Sequence[Event], period: float, inputs: Vector
+) -> list[tuple[int, int, list[Event | None]]]:
+    """Cut the run where something changes; pulses go straight into the inputs."""
+    count = len(inputs)
+    changes: dict[int, list[Event | None]] = {0: []}
+    for event in sorted(events, key=lambda e: e.time):
+        at = round(event.time / period)
+        if isinstance(event, TipPulse):
+            inputs[at : at + max(1, round(event.duration / period)), TIP_FORCE] += event.force
+            continue
+        if isinstance(event, SensorFault):
+            _inject(event, inputs[at : max(at + 1, round(event.until / period))])
+            continue
+        changes.setdefault(min(at, count), []).append(event)
+        if isinstance(event, Obstacle):
+            changes.setdefault(min(round(event.until / period), count), []).append(None)
+    edges = sorted(changes)
+    return [
+        (first, last, changes[first])
+        for first, last in zip(edges, [*edges[1:], count], strict=True)
+        if first < last
+    ]
+
+
+def _inject(fault: SensorFault, rows: Vector) -> None:
+    """Write a sensor's fault into the kernel's inputs."""
+    bit, column = FAULTS[fault.kind]
+    rows[:, FAULT_BITS] = rows[:, FAULT_BITS].astype(int) | bit
+    if column is None or fault.value is None:
+        return
+    if column in (ENCODER_ERROR, GAUGE_ERROR):
+        rows[:, column] += fault.value
+    else:
+        rows[:, column] = fault.value
+
+
+def given_payload(told: bool | float | str | PayloadEstimator, payload: float | None) -> float:
+    """What the law is given [kg], 0 for nothing, or for what is estimated."""
+    if isinstance(told, str | PayloadEstimator):
+        return 0.0
+    if told is not True:
+        return float(told)
+    if payload is None:
+        remedy = "give payload=, or a model that knows its own"
+        raise FieldError("told", True, "without a payload to tell", allowed="a payload in kg", remedy=remedy)
+    return payload

@@ -25,11 +25,6 @@ from fraclink._simulate.estimates import (
     estimated_over,
     estimator_for,
 )
-from fraclink._simulate.inputs import (
-    FAULT_BITS,
-    fault_rows,
-    given_payload,
-)
 from fraclink._simulate.kernel import (
     OTHER_SIGNALS,
     SHORT_SIGNALS,
@@ -38,10 +33,17 @@ from fraclink._simulate.kernel import (
     run_lumped,
     shared_rig,
 )
+from fraclink._simulate.links import link_weights
 from fraclink._simulate.on_twin import on_twin, with_motor_loop
-from fraclink._simulate.plant import link_weights
 from fraclink._simulate.run import Run, judged_run
-from fraclink._simulate.sensors import FAULTS, Event, SensorFault
+from fraclink._simulate.sensors import (
+    FAULT_BITS,
+    FAULTS,
+    Event,
+    SensorFault,
+    fault_rows,
+    given_payload,
+)
 from fraclink._validate import Between, Seed, checked
 from fraclink.errors import FieldError, SizeError
 from fraclink.findings import Finding
