@@ -166,6 +166,8 @@ def draws_for(rig: Rig, model: LinkModel) -> Draws:
     >>> draws_for(rig, rig.model).payload.high
     0.04
     """
+    # λ above 2 is a link that makes energy: for a model near 2 the spread is cut on both sides, so that its
+    # mean stays the model's.
     reach = min(0.02, 2.0 - model.order)
     return Draws(
         payload=Distribution("uniform", rig.payloads.low, rig.payloads.high),
@@ -173,6 +175,8 @@ def draws_for(rig: Rig, model: LinkModel) -> Draws:
         order=Distribution("normal", model.order - reach, model.order + reach),
         gauge_offset=Distribution("uniform", -0.05, 0.05),
         delay_samples=Distribution("whole", rig.motor_loop.delay_samples, rig.motor_loop.delay_samples),
+        # An identified delay below zero says that the motor angle is late; no gauge shows a torque that is
+        # yet to come.
         gauge_delay=_always(max(model.gauge_delay, 0.0)),
         gauge_gain=_always(model.gauge_gain),
     )
@@ -184,6 +188,7 @@ def draw(draws: Draws, seed: int, part: int, runs: int) -> dict[str, Real]:
     Part `part` has its own stream, ``SeedSequence(seed, spawn_key=(part,))``: what is drawn depends on the
     seed and the part's number only, never on who computes it or when.
     """
+    # Philox, a counter-based generator keyed by seed and part: the streams of two parts cannot overlap.
     generator = np.random.Generator(np.random.Philox(np.random.SeedSequence(seed, spawn_key=(part,))))
     names = [field.name for field in fields(draws)]
     # What came later is drawn behind the others, and leaves what a seed gives as it was.
@@ -223,11 +228,15 @@ class Campaign:
     payloads: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
+        # A second to settle: less, and every run would fail for the length of the campaign and not for its
+        # arm.
         if self.reference is not None and self.reference.duration + 1.0 > self.duration:
             allowed, remedy = f"<= {self.duration - 1.0:g} s", "run for longer"
             raise FieldError("reference", self.reference.duration, "too long", allowed=allowed, remedy=remedy)
         if self.runs > LARGEST:
             raise SizeError("runs", self.runs, "too many", allowed=f"<= {LARGEST}", remedy="ask for less")
+        # The batched links have the closed form of a link without μ; a viscous one would need another
+        # integral.
         if self.model.structure not in ("UD-FOM", "UD-IOM"):
             raise FieldError(
                 "model",
@@ -264,6 +273,7 @@ class Campaign:
         """SHA-256 of everything a part's result depends on; the number of runs is not among it."""
         # as release 0.1 called the table, so that its folders can be resumed
         rig = self.rig.to_toml().replace("[motor_loop]", "[inner_loop]")
+        # Sorted keys and the shortest decimals that read back: the same text on every machine.
         text = json.dumps({"rig": rig} | _about(self), sort_keys=True) + self.law.former_digest
         return hashlib.sha256(text.encode()).hexdigest()
 
@@ -300,6 +310,7 @@ class Campaign:
         chosen = replace(chosen, payload_given=_always(1.0)) if told else chosen
         if reference is None:
             return Campaign(rig, model, own, chosen, runs, seed, motor_loop, payloads=estimated)
+        # The reference has its own size: an amplitude drawn on top would ask for moves that nobody planned.
         length = max(DURATION, reference.duration + REST)
         chosen = replace(chosen, amplitude=_always(1.0))
         return Campaign(rig, model, own, chosen, runs, seed, motor_loop, length, reference, estimated)

@@ -12,6 +12,7 @@ import numpy as np
 from fraclink._arm.reference import Reference, smooth_step
 from fraclink._campaign.fault_checks import (
     ANY,
+    SAFE,
     Check,
     Evidence,
     Requirement,
@@ -45,7 +46,6 @@ from fraclink._simulate.kernel import ArmState
 
 HEADER, COUNTS = 16, 40  # bytes of law_params before its reals
 # The paper's gauge, with a noise of 0.01 N·m, asks for 0.24 rad in this time (`Law.wiring_angle`).
-HARMLESS = 0.3  # [rad] between tip and reference, for a drive that stays on (F29)
 SELF_TEST: Reference = smooth_step(0.35, duration=0.12, start=0.1)
 
 
@@ -54,6 +54,8 @@ SELF_TEST: Reference = smooth_step(0.35, duration=0.12, start=0.1)
 
 def flip(trial: Trial) -> None:
     modes = len(trial.law.correction.poles)
+    # A law with nothing but pairs keeps them behind the sixteen real modes. A mode that the law does not have
+    # is not in its memory's path: flipping it would test nothing.
     name = f"modes[{int(trial.chance.integers(modes))}]" if modes else "modes[16]"
     if trial.case.severity == 3:
         live = [real for real in REALS if not real.startswith("modes")] + [name]
@@ -64,6 +66,7 @@ def flip(trial: Trial) -> None:
 def wipe(trial: Trial) -> None:
     def action(arm: ArmState) -> None:
         if trial.case.severity == 3:
+            # Reals alone: with the words gone, too, it is the case of severity 2.
             members(arm.law, trial.width)[:] = math.nan
         else:
             arm.law[:] = (0x00, 0xFF)[trial.case.severity - 1]
@@ -73,10 +76,12 @@ def wipe(trial: Trial) -> None:
 
 def mismatch(trial: Trial) -> None:
     version, size, _, crc = struct.unpack_from("<IIII", trial.block)
+    # Words 0, 1 and 3 of the header. The law must name which: its reasons are what a user of a board reads.
     trial.corrupt(*((0, version + 1), (4, size - 4), (12, crc ^ 1))[trial.case.severity - 1])
 
 
 def damaged(trial: Trial) -> None:
+    # The third real: Ĉ's direct gain, which a law that did not look would multiply into every command.
     direct = HEADER + COUNTS + 2 * trial.width
     inside = HEADER + int(trial.chance.integers(len(trial.block) - HEADER))
     trial.corrupt(int(trial.pick(direct, len(trial.block) - 1, inside)))
@@ -84,6 +89,8 @@ def damaged(trial: Trial) -> None:
 
 def refused(*reasons: int) -> Requirement:
     def check(e: Evidence) -> Check:
+        # In every period and for that reason: a law that starts after some calls, or refuses for another
+        # cause, has not understood its block.
         reason = int(e.pick(*reasons))
         wrong = (e.faulty.mode != IDLE) | (e.faulty.reason != reason)
         return Check.at_most(f"periods not refused for reason {reason}", int(np.count_nonzero(wrong)), 0)
@@ -100,6 +107,7 @@ def silent(e: Evidence) -> Check:
 
 def restarts(trial: Trial) -> None:
     if trial.case.severity == 2:
+        # The processor that restarts the law was away for as long: the arm went on with its last voltage.
         trial.set_bits(slice(trial.row, trial.row + 3), TICK_MISSED)
     trial.restart(trial.row + int(trial.pick(0, 3, 0)))
     if trial.case.severity == 3:
@@ -112,6 +120,7 @@ def bumpless(e: Evidence) -> Check:
 
 
 def far(trial: Trial) -> None:
+    # The arm, and not the reference, so that the move to come is that of all other faults.
     trial.start_angle += trial.pick(1.0, 2.0, 3.0)
 
 
@@ -131,6 +140,8 @@ def self_test(trial: Trial) -> None:
     """The commissioning move: motor loop alone, without correction and compensation by the gauge."""
     drive = trial.law.drive
     assert drive is not None  # noqa: S101  # a bench gives every law a motor loop
+    # A gauge that is wired backwards would turn compensation and correction into positive feedback: the test
+    # of its sign must not depend on it.
     alone = replace(drive, torque_voltage=0.0)
     trial.use(replace(trial.law, correction=Modes(0.0), feedforward=Modes(0.0), drive=alone))
 
@@ -165,6 +176,8 @@ def degrees(trial: Trial) -> None:
 
 def wrapped(trial: Trial) -> None:
     turn = 2 * math.pi
+    # A counter of 16 bits that overflows at the rig's 100 000 counts a turn: 4.1 rad, which is no whole turn
+    # that a modulo would take out.
     trial.inputs[trial.row :, columns.ENCODER_ERROR] += trial.pick(turn, -turn, 2**16 * turn / 1e5)
 
 
@@ -187,7 +200,7 @@ def swap_reaction(e: Evidence) -> Check:
     off = reacts(OFF, ANY, BAD_ENCODER, RESIDUAL)(e)
     if off.passed or e.detail == "for ever":
         return off
-    return Check.at_most("peak tip error while either reading is credible [rad]", e.peak, HARMLESS)
+    return Check.at_most("peak tip error while either reading is credible [rad]", e.peak, SAFE)
 
 
 def other_payload(trial: Trial) -> None:
@@ -197,6 +210,7 @@ def other_payload(trial: Trial) -> None:
 def payload_peak(e: Evidence) -> Check:
     payload = e.case.payload * e.pick(1.0, 0.8, 0.4)
     low, _, high = e.bench.payloads
+    # The lightest payload times its factor of 1 is the design's own bound but for rounding.
     if low <= payload * (1 + 1e-9) and payload <= high:
         return peak_ratio(1.2)(e)
     return bounded(0.1)(e)  # outside the design: bounded, with the limit of a lost payload
@@ -204,6 +218,8 @@ def payload_peak(e: Evidence) -> Check:
 
 def payload_changes(trial: Trial) -> None:
     payload = trial.case.payload
+    # Severity 3 begins light and picks its payload up: the feed-forward, and the loop's gain, then change the
+    # other way.
     after = trial.pick(0.5 * payload, 0.2 * payload, payload)
     if trial.case.severity == 3:
         trial.twin = trial.bench.twin.with_payload(0.2 * payload)
@@ -214,6 +230,7 @@ def hit(trial: Trial) -> None:
     if trial.case.severity < 3:
         trial.inputs[trial.rows(0.02), columns.TIP_FORCE] += trial.pick(0.1, 0.25, 0.0)
         return
+    # 0.05 rad ahead of where the move is: near enough to be hit at speed, far enough not to touch at once.
     angle = float(trial.wanted[trial.row]) + 0.05
 
     def wall(arm: ArmState) -> None:
@@ -232,6 +249,7 @@ def hit_reaction(e: Evidence) -> Check:
 
 def sticky(trial: Trial) -> None:
     def action(arm: ArmState) -> None:
+        # Sliding friction and stiction of twin_rig alike: the law compensates what its rig states.
         arm.rig[5:7] *= trial.pick(1.5, 2.0, 3.0)
 
     trial.at(0, action)
@@ -251,6 +269,8 @@ def hunting(e: Evidence) -> Check:
 
 def slow_motor(trial: Trial) -> None:
     pole = trial.law.inner_pole * trial.pick(0.8, 0.65, 0.5)
+    # The law's own motor loop is made slower, not the motor: the correction then counts on a pole that is not
+    # there, as with a motor that was identified wrongly.
     trial.use(replace(trial.law, drive=drive_for(trial.bench.rig, pole)))
 
 
@@ -270,6 +290,7 @@ def quiet(e: Evidence) -> tuple[Real, bytes]:
     count = round(e.pick(60.0, 600.0, 3600.0) / e.law.period)
     last = slice(-round(1.0 / e.law.period), None)
     angle, torque = float(np.mean(e.faulty.encoder[last])), float(np.mean(e.faulty.gauge[last]))
+    # The reference is the tip estimate θm − Γ/c of that rest, so that the error is zero and stays so.
     inputs = (angle - torque / e.law.stiffness, 0.0, angle, torque)
     state, outputs = e.law.run(
         e.faulty.law_state, *(np.full(count, value) for value in inputs), first_tick=len(e.faulty.time) + 1
@@ -281,6 +302,8 @@ def denormals(e: Evidence) -> Check:
     """Denormal numbers in the law's memory after long quiet; they would make every period slower."""
     size = 4 if e.law.precision == "single" else 8
     reals = members(np.frombuffer(quiet(e)[1], dtype=np.uint8), size)
+    # Many processors take a hundred times as long for a denormal number: a state that decays into them would
+    # miss its period after an hour of silence.
     tiny = np.finfo(reals.dtype).tiny
     count = np.count_nonzero((reals != 0) & (np.abs(reals) < tiny))
     return Check.at_most("denormal numbers left in the state", int(count), 0)

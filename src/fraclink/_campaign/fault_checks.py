@@ -78,6 +78,7 @@ class Evidence:
     @property
     def final(self) -> float:
         """|mean tip error| of the last second [rad]."""
+        # A mean and not the last sample: the gauge's noise alone moves the tip by 5 mrad.
         return abs(float(self.faulty.error[-round(LAST / self.law.period) :].mean()))
 
     @property
@@ -88,6 +89,7 @@ class Evidence:
     @property
     def reacted(self) -> int:
         """Periods from the fault to the first mode above RUN, the fault's own counted as 1; -1: none."""
+        # Above RUN: IDLE, before the law has started, is no reaction to a fault.
         other = np.flatnonzero(self.faulty.mode[self.row :] > RUN)
         return int(other[0]) + 1 if other.size else -1
 
@@ -101,6 +103,9 @@ class Evidence:
         return values[self.case.severity - 1]
 
 
+# [rad] between tip and reference: an arm that is farther away with its drive closed is a danger, whatever the
+# requirement that it misses. Set for a flipped bit (F29), and the limit wherever no law can do better.
+SAFE = 0.3
 OTHER_MODE = "periods in another mode than allowed"
 ANY = 10**6  # periods: the catalogue states no number
 
@@ -111,6 +116,7 @@ def only(*modes: int) -> Requirement:
     """No other mode than `modes` after the law started: no other trip."""
 
     def check(e: Evidence) -> Check:
+        # A law is idle until it has read both sensors once, whatever the fault.
         begun = int(np.argmax((e.faulty.flags & STARTED) != 0))
         others = int(np.count_nonzero(~np.isin(e.faulty.mode[begun:], modes)))
         return Check.at_most(OTHER_MODE, others, 0)
@@ -141,6 +147,8 @@ def reacts(mode: int, within: int, *reasons: int) -> Requirement:
             missed = f" (went {MODES[e.faulty.mode[first]]})"
         elif reasons and e.faulty.reason[first] not in reasons:
             missed = f" (for {REASONS[e.faulty.reason[first]]})"
+        # A higher mode may follow (degraded, then off); to come back is not for a law to decide, since a
+        # fault that pauses is not gone.
         elif np.any(e.faulty.mode[first:] < mode):
             missed = " (did not latch)"
         return Check.at_most(f"periods until {MODES[mode]}{missed}", np.inf if missed else e.reacted, within)
@@ -175,6 +183,7 @@ def peak(limit: float, *, phases: tuple[str, ...] = PHASES) -> Requirement:
     def check(e: Evidence) -> Check:
         if e.case.phase in phases:
             return Check.at_most("peak tip error [rad]", e.peak, limit)
+        # From where the tip was when it happened: what had been moved before is no doing of the fault.
         after = e.faulty.tip[e.row :]
         return Check.at_most("tip travel after the fault [rad]", np.abs(after - after[0]).max(), limit)
 
@@ -217,12 +226,15 @@ def limit_cycle(limit: float) -> Requirement:
 def shared_checks(e: Evidence) -> tuple[Check, ...]:
     """Return the global criteria G1–G3 of the faulty run: finite, in limits, slew."""
     signals, limits, drive = e.faulty, e.law.limits, e.law.drive
-    slack = 1e-6 if e.law.precision == "single" else 1e-12  # the limits themselves round to the precision
+    # The limits themselves round to the block's precision, by 6e-8 of their value in 24 bits.
+    slack = 1e-6 if e.law.precision == "single" else 1e-12
+    # What leaves the law, and what the motor gets of it: each by itself may hide what the other shows.
     outputs = np.vstack((signals.command, signals.asked, signals.voltage))
     infinite = int(np.count_nonzero(~np.isfinite(outputs)))
     step = np.abs(np.diff(signals.command))
     # A law that starts anew does not know what the one before asked for: it begins at the motor.
     known = (signals.flags[1:] & STARTED) == 0
+    # A step from or to what is no number has no size: it counts as the largest.
     worst = float(step[known].max(initial=0.0)) if np.isfinite(step).all() else np.inf
     volts = np.inf if drive is None else drive.voltage_limit
     command, asked = np.abs(signals.command).max(), np.abs(signals.asked).max()

@@ -43,6 +43,8 @@ def one_bad(sensor: str, *values: float) -> Callable[[Trial], None]:
     """One bad sample; the harder severities repeat it, always with good ones in between."""
 
     def inject(trial: Trial) -> None:
+        # A second of single bad samples: the law counts those in a row, so that no number of them that lie
+        # apart may add up to a trip.
         every = (0, 25, 5)[trial.case.severity - 1]
         rows = np.arange(trial.row, trial.row + (250 if every else 1), every or 1)
         trial.replace_reading(sensor, np.resize(values, rows.size), rows)
@@ -61,6 +63,7 @@ def both(trial: Trial) -> None:
 
 def held(e: Evidence) -> Check:
     first = e.row + e.reacted - 1
+    # To the bit: a command that is held is not computed again.
     moved = np.ptp(e.faulty.command[first:]) if e.reacted > 0 else np.inf
     return Check.at_most("change of the held motor reference [rad]", moved, 0.0)
 
@@ -75,6 +78,7 @@ def last_outside(error: Real, band: float, e: Evidence, *, after: int = 0) -> fl
 
 
 def settling(e: Evidence) -> Check:
+    # 2 % of the move of 1 rad. The ratio, since the clean run's own settling depends on payload and noise.
     faulty, clean = (last_outside(run.error, 0.02, e) - MOVE_BEGINS for run in (e.faulty, e.clean))
     return Check.at_most("settling time over clean", faulty / clean, 1.02)
 
@@ -97,6 +101,8 @@ def saturated(trial: Trial) -> None:
 
 
 def offset(trial: Trial) -> None:
+    # Up to 0.1 N·m: 64 mrad of apparent bend, which a correction without the zero at z = 1 would leave in the
+    # tip.
     trial.inputs[trial.row :, columns.GAUGE_ERROR] += trial.pick(0.025, 0.05, 0.1)
 
 
@@ -116,6 +122,8 @@ def noise(trial: Trial) -> None:
 
 def noise_bound(e: Evidence) -> Check:
     """rms of the command against Ms σ/c ‖Ĉ‖₂: the sensitivity amplifies what the correction passes."""
+    # Middles of 4096 equal parts of the band up to Nyquist: the rule that is exact for a periodic function,
+    # and Ĉ(z) is one.
     grid = (np.arange(4096) + 0.5) * math.pi / 4096 / e.law.period
     energy = math.sqrt(float(np.mean(np.abs(e.law.frequency_response(grid)) ** 2)))
     bound = e.pick(0.02, 0.05, 0.1) / e.law.stiffness * energy / e.bench.modulus_margin
@@ -126,6 +134,8 @@ def noise_bound(e: Evidence) -> Check:
 def spikes(trial: Trial) -> None:
     rows = trial.sprinkled(trial.pick(0.0025, 0.005, 0.01))
     rows = rows[rows >= trial.row]
+    # At 0.25 % the 950 periods of rest are without a spike in one draw of eleven, and such a run would pass
+    # with nothing shown.
     rows = rows if rows.size else np.array([trial.row])
     trial.inputs[rows, columns.GAUGE_ERROR] += 3.0 * trial.chance.choice((-1.0, 1.0), rows.size)
     trial.marks[rows] = True
@@ -133,6 +143,7 @@ def spikes(trial: Trial) -> None:
 
 def coarse(trial: Trial) -> None:
     quantum = 2 * math.pi / trial.pick(8000, 4000, 2000)
+    # Number 7 of twin_rig: the angle of an encoder's count.
     trial.at(0, lambda arm: arm.rig.__setitem__(7, quantum))
 
 
@@ -152,6 +163,7 @@ def jitter(trial: Trial) -> None:
         shifts = trial.chance.integers(-1, 2, count)
         if trial.case.severity == 1:
             shifts[trial.chance.random(count) > 0.1] = 0
+    # The run has its length, and the mean of the periods stays the law's.
     shifts[0] = shifts[-1] = 0
     trial.shifts = shifts
     # The reference is a table over the task's periods; it is the instant that is late.
@@ -178,6 +190,7 @@ def gap_peak(e: Evidence) -> Check:
     While the task does not run, the motor keeps its last voltage, that of one sample of noise: up to there
     the two runs have the same noise, so that the difference of their motors is the gap's alone.
     """
+    # The first period in which the task runs again.
     back = e.row + int(e.pick(1, 3, 5))
     astray = abs(float(e.faulty.motor[back] - e.clean.motor[back]))
     return Check.at_most("peak tip error [rad]", e.peak, 1.1 * e.clean_peak + astray)
@@ -190,6 +203,7 @@ def dead(trial: Trial) -> None:
 
 def off_at_once(e: Evidence) -> Check:
     first = e.row + e.reacted - 1
+    # The watchdog has already stopped the drive; the law must know by itself that it was away, and say so.
     good = e.reacted > 0 and e.faulty.mode[first] == OFF and e.faulty.reason[first] == MISSED_PERIODS
     return Check.at_most("calls of the law until off", e.reacted - e.pick(8, 12, 25) if good else math.inf, 1)
 
@@ -224,6 +238,7 @@ def jump(trial: Trial) -> None:
 
 
 def overshoot(e: Evidence) -> Check:
+    # Only beyond the last reference, in the direction of the jump, which is upward at every severity.
     beyond = max(0.0, float(e.faulty.tip.max()) - float(e.faulty.wanted[-1]))
     return Check.at_most("overshoot over the jump", beyond / e.pick(0.25, 0.5, 1.0), 0.2)
 
@@ -231,6 +246,7 @@ def overshoot(e: Evidence) -> Check:
 def bad_reference(trial: Trial) -> None:
     rows = trial.rows(trial.pick(trial.period, 0.1, 0.1))
     trial.inputs[rows, columns.REFERENCE] = trial.pick(math.nan, math.nan, 1e3)
+    # The acceleration comes by the same line as the angle: where one is nonsense the other is, too.
     trial.inputs[rows, columns.ACCELERATION] = trial.pick(math.nan, math.nan, 1e6)
     trial.marks[rows] = True
 

@@ -118,8 +118,11 @@ class Bench:
         law, _ = with_motor_loop(replace(design, rig=arm).law(), twin=twin)
         low, high = design.payloads
         nominal = arm.payloads.nominal
+        # A design for other payloads than its rig's is tested in the middle of its own.
         if not low <= nominal <= high:
             nominal = 0.5 * (low + high)
+        # Of both ends, since the sensitivity's peak moves from the lightest to the heaviest payload with the
+        # design.
         margin = min(design.sampled_at(p).modulus_margin for p in (low, high))
         return Bench(arm, law, twin, (low, nominal, high), margin)
 
@@ -142,9 +145,13 @@ class Trial:
         self.count = round(duration / self.period) + 1
         # The fault's own dice, so that the noise is that of the clean run; the name holds the seed.
         self.chance = np.random.default_rng([case.seed, zlib.crc32(case.name.encode())])
+        # A stream apart from the fault's dice: with one for both, a fault that draws would change the noise
+        # behind it, and clean and faulty run would differ by more than the fault.
         noise = np.random.default_rng([case.seed, 0])
         self.inputs = healthy_inputs(self.twin.sensors, reference, self.period, self.count, noise)
         self.wanted = self.inputs[:, columns.REFERENCE].copy()
+        # Of every phase the nearest period, so that a rig of another clock is broken at the same moment of
+        # its move.
         self.row = round(TIMES[case.phase] / self.period)
         self.marks = np.zeros(self.count, dtype=bool)  # periods in which a sample is bad
         self.actions: dict[int, list[Action]] = {}
@@ -176,6 +183,7 @@ class Trial:
     def set_bits(self, rows: Rows, bits: int, *, mark: bool = False) -> None:
         """Set bits of the kernel's fault word, and mark the periods in which the law must say something."""
         column = self.inputs[:, columns.FAULT_BITS]
+        # Several faults may meet in one period; the column holds a word of bits as a real.
         column[rows] = column[rows].astype(int) | bits
         self.marks[rows] |= mark
 
@@ -188,6 +196,7 @@ class Trial:
     def miss(self, count: int) -> None:
         """Do not run the task for `count` periods; the next one is marked, where the law can first tell."""
         self.set_bits(slice(self.row, self.row + count), TICK_MISSED)
+        # While the task does not run there is nobody to raise a flag.
         self.marks[self.row + count] = True
 
     @property
@@ -198,6 +207,7 @@ class Trial:
     def flip(self, name: str, bit_from_top: int) -> None:
         """Flip one bit of a real of the law's memory at the fault; 1 is the highest bit of the exponent."""
         place = 4 * COUNTERS + self.width * REALS.index(name)
+        # Little-endian: the sign is the highest bit of the last byte, the exponent's highest the one below.
         bit = 8 * self.width - 1 - bit_from_top
         self.detail = f"{name}, {'sign' if bit_from_top == 0 else 'exponent'}"
 
@@ -219,6 +229,7 @@ class Trial:
         if value is None:
             block[byte] ^= 1
         else:
+            # The header's words are unsigned: −1 is the largest.
             struct.pack_into("<I", block, byte, value % 2**32)
         self.block = bytes(block)
 
@@ -280,9 +291,12 @@ def execute(trial: Trial) -> TrialSignals:
     """Run a trial on the twin."""
     arm = ArmState(trial.twin, trial.period, trial.state, start_angle=trial.start_angle)
     single = trial.law.precision == "single"
+    # A period is as long as its two instants of sampling are apart: the arm's own steps are exact and of 1
+    # ms, so that an early sample is a shorter period of whole steps.
     steps = None if trial.shifts is None else arm.count + np.diff(trial.shifts, append=0)
     edges = sorted({0, trial.count, *(k for k in trial.actions if 0 <= k < trial.count)})
     if steps is not None:
+        # Every period has a length of its own then, and is a call of its own.
         edges = list(range(trial.count + 1))
     records: list[Real] = []
     for first, last in itertools.pairwise(edges):
@@ -291,6 +305,7 @@ def execute(trial: Trial) -> TrialSignals:
         if steps is not None:
             arm.rig[0] = steps[first]
         records.append(arm.run(trial.block, trial.inputs[first:last], single=single))
+        # The arm has left every bound: what would follow is no physics.
         if len(records[-1]) < last - first:
             break
     record = np.vstack(records)

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from fraclink._campaign.fault_checks import OTHER_MODE, Check, Evidence, shared_checks
+from fraclink._campaign.fault_checks import OTHER_MODE, SAFE, Check, Evidence, shared_checks
 from fraclink._campaign.fault_rules import CATALOGUE, Fault, fault_named
 from fraclink._campaign.fault_trial import (
     MOVE,
@@ -47,7 +47,6 @@ __all__ = [
 ]
 
 CleanRuns = dict[tuple[object, ...], TrialSignals]
-SAFE = 0.3  # [rad] between tip and reference: what a flipped bit may do to a drive that stays on (F29)
 GROUPS = ("met", "slower than promised", "trips without need", "unsafe")  # in the order of severity
 
 
@@ -173,10 +172,13 @@ class FaultTable:
     def _row(self, fault: Fault) -> Row:
         mine = [outcome for outcome in self.outcomes if outcome.case.fault == fault.number]
         failed = [outcome for outcome in mine if not outcome.passed]
+        # By the factor over the limit: a peak in radians and a reaction in periods have no other common
+        # measure.
         candidates = ((check, o) for o in failed for check in o.failed)
         check, example = max(candidates, key=lambda x: _excess(x[0]), default=(None, None))
         worst = "" if example is None else f"{check} ({example.name})"
         counts = (len(mine), len(failed))
+        # A fault is as bad as its worst run.
         group = max((outcome.group for outcome in mine), key=GROUPS.index)
         return Row(fault.number, fault.title, fault.reaction, fault.required, *counts, worst, example, group)
 
@@ -190,6 +192,7 @@ class FaultTable:
         for row in rows:
             cells = (row.number, row.title, row.reaction, row.required, row.runs, row.failed, row.group)
             lines.append(
+                # |x| in a check's name would end a cell of Markdown.
                 "| " + " | ".join(str(cell).replace("|", "\\|") for cell in (*cells, row.worst)) + " |"
             )
         faults = [(row, fault_named(row.number)) for row in rows]
@@ -226,6 +229,8 @@ def cases(
 
     Raises FieldError for unknown faults, phases, severities, payloads, and where nothing is left to run.
     """
+    # Faults outside, seeds inside: what can be shared, the clean run of a payload and a seed, is met again
+    # soon.
     faults = [fault_named(name) for name in only] or list(CATALOGUE)
     result = tuple(
         Case(fault.number, severity, payload, phase, seed)
@@ -254,7 +259,11 @@ def observe(bench: Bench, case: Case, law: Law, *, clean: CleanRuns | None = Non
     fault.rule.inject(trial)
     payload = bench.payloads[1] if fault.nominal else case.payload
     special = fault.number if fault.rule.prepare or fault.rule.reference is not MOVE else ""
+    # All that a clean run depends on. A fault that prepares its arm, or moves otherwise, has a clean run of
+    # its own; the law's digest tells the two precisions apart.
     key = (payload, case.seed, fault.duration, special, law.digest)
+    # A dictionary of the caller's and no cache of the module: a campaign of 8610 runs keeps some 100 clean
+    # ones, and frees them.
     known = {} if clean is None else clean
     if key not in known:
         healthy = execute(_trial(bench, fault, Case(fault.number, 1, payload, "whole", case.seed), law))
@@ -263,6 +272,7 @@ def observe(bench: Bench, case: Case, law: Law, *, clean: CleanRuns | None = Non
     best = None
     if fault.rule.best is not None:
         knowing = _trial(bench, fault, case, law)
+        # The same fault, drawn by the same dice, and on top of it what a law would do that knew.
         fault.rule.inject(knowing)
         fault.rule.best(knowing)
         best = execute(knowing)
@@ -308,6 +318,7 @@ def run_case(bench: Bench, case: Case, *, single: bool = True, clean: CleanRuns 
     >>> outcome.passed, outcome.mode, outcome.reason, outcome.reacted
     (True, 'degraded', 'gauge', 5)
     """
+    # Double precision is the reference; what is reported of a run, peak and final error, is its.
     e = observe(bench, case, bench.law.in_precision("double"), clean=clean)
     checks = _judged(e)
     if single:

@@ -26,7 +26,14 @@ def printed(setting: Setting) -> Ruled:
     """Return (58) with the numbers the paper prints."""
     own = setting.controller
     controller = Controller(
-        gain=0.148, order=0.65, filter_time=0.16, filter_order=2, link=own.link, inner=own.inner
+        # Not rounded, not corrected: (58) as it stands in the paper, although δ = 0.16 s is probably a
+        # misprint for 0.0016 s. What comes of it is shown and not judged here.
+        gain=0.148,
+        order=0.65,
+        filter_time=0.16,
+        filter_order=2,
+        link=own.link,
+        inner=own.inner,
     )
     return "the paper's numbers: k_d 0.148, β 0.65, δ 0.16 s, n 2", controller
 
@@ -40,6 +47,8 @@ def corrected(setting: Setting) -> Ruled:
         payloads=(payloads.low, payloads.high),
         gain_crossover=16.0,
         phase_margin=deg(70.0),
+        # As the paper computes them: M(s) = 1 and no sampling. Its own specification, 16 rad/s and 70°, is
+        # not feasible with hold and delay.
         margins="ideal",
         filter_order=2,
         law=False,
@@ -56,6 +65,8 @@ def integer_twin(setting: Setting) -> Ruled:
     """
     crossover, margin = _nominal_crossing(setting)
     mode, _ = integer_mode(setting.model)
+    # s^β with gain 1 and order 0 is 1: the loop without its controller, whose phase and gain at the crossover
+    # say what k and β must be.
     beside = replace(_loop(setting), gain=1.0, order=0.0, link_order=2.0, damping=0.0)
     matched = matched_in(beside, mode, crossover, margin)
     controller = replace(setting.controller, gain=matched.gain, order=matched.order)
@@ -66,6 +77,8 @@ def integer_twin(setting: Setting) -> Ruled:
 def _nominal_crossing(setting: Setting) -> tuple[float, float]:
     """Upper gain crossover [rad/s] and phase margin [rad] of the design's loop at the nominal payload."""
     crossings = _loop(setting).crossings(setting.model.natural_frequency)
+    # The loop crosses one twice, below the resonance and above; bandwidth and margin are those of the upper
+    # crossing, (54) and (55).
     upper = int(np.argmax(crossings.frequency))
     return float(crossings.frequency[upper]), float(crossings.phase[upper]) + math.pi
 
@@ -90,6 +103,7 @@ def quieter(setting: Setting) -> tuple[str, Controller]:
     Raises InfeasibleError where no longer filter meets the request.
     """
     rig, made = setting.rig, []
+    # A design without a filter has none to lengthen: from a millisecond on, a quarter of a period.
     base = max(setting.controller.filter_time, 1e-3)
     refused: InfeasibleError | None = None
     for factor in FACTORS:
@@ -104,6 +118,8 @@ def quieter(setting: Setting) -> tuple[str, Controller]:
                 law=False,
             )
         except InfeasibleError as error:
+            # Beyond some δ the phase that it takes cannot be paid for by β any more; shorter ones still may
+            # do.
             refused = error
             continue
         made.append((setting.loop.noise(result.controller.response), result.controller))

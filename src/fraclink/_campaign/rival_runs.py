@@ -54,8 +54,10 @@ def run_rival(
     """
     law = rival.law
     count = round(duration / law.period) + 1
+    # A shaper changes what the arm follows and nothing else: it runs through the law as all the others do.
     followed: Reference = Shaped(reference, *rival.impulses) if rival.impulses else reference
     inputs = healthy_inputs(twin.sensors, followed, law.period, count, np.random.default_rng(seed))
+    # After the start: an offset that is there from the first sample is taken by the law for the gauge's zero.
     inputs[round(offset_time / law.period) :, GAUGE_ERROR] += offset
     state = ArmState(twin, law.period, law.initial_state())
     if rival.outer is None:
@@ -85,10 +87,16 @@ def _tick_by_tick(state: ArmState, rival: Rival, inputs: Real, forward: Real) ->
         angle, torque = state.sense(inputs[k])
         bend = torque * compliance
         error = wanted[k] - (angle - bend)
+        # Equation (22), corrected: reference, feed-forward, and the rival's own answer to the error.
         command = wanted[k] + forward[k] + outer(Seen(wanted[k], error, bend, forward[k]))
+        # A rival that diverges would hand the law infinity, which its guards answer; what is compared is
+        # control.
         inputs[k, REFERENCE] = min(max(command, -1e3), 1e3)
+        # The feed-forward is in the command already: the law must not add its own.
         inputs[k, ACCELERATION] = 0.0
         record[k] = state.run(block, inputs[k : k + 1])[0]
+        # A motor at 100 rad has turned sixteen times: it diverges, and each further tick costs as much as a
+        # good one.
         if abs(record[k, 1]) > 1e2:
             return record[: k + 1]
     return record
@@ -125,6 +133,8 @@ def mode_gain(setting: Setting, twin: Twin, rival: Rival) -> float:
     mode = float(plant.modes.frequencies[1])
     # With a power law the mode is at ω^(2/λ), 25 % above ω here.
     shifted = mode ** (2.0 / twin.damping.order) if isinstance(twin.damping, PowerLaw) else mode
+    # From below the undamped frequency to above the shifted one: where in between the peak is depends on the
+    # material.
     frequency = np.geomspace(0.8 * mode, min(1.25 * shifted, 0.999 * np.pi / period), 600)
     z = np.exp(1j * frequency * period)
     return float(np.max(np.abs(seen.response(z) * correction.response(z))))

@@ -53,10 +53,15 @@ __all__ = ["FRACLINK", "OFFSET", "Rival", "builders", "collocated", "servo_law"]
 
 
 # Derivatives are filtered at 100 rad/s, above the motor servo (80) and below Nyquist (785).
+# Above the servo, since below it the filter would be the loop's slowest lag; below Nyquist, since above it
+# the filter would not filter.
 FILTER_TIME = 0.01
 ESTIMATION = 0.5  # [s] of the move for the algebraic estimator: half of it, one period of the slowest payload
+# Five times the noise of the paper's gauge: 32 mrad of apparent bend, more than the band of 2 % in which a
+# move of 1 rad settles.
 OFFSET = 0.05  # [N·m], the gauge offset of the offset test
 BEND = 0.1  # [rad] of bend whose acceleration the sliding mode may ask for: three times what OFFSET fakes
+# Far above every angle, torque and speed of an arm, and a number that a block in single precision holds.
 UNBOUNDED = 1e6
 FRACLINK = "fraclink"
 
@@ -101,6 +106,7 @@ def _bare(law: Law) -> Law:
 
 def _forward_cost(law: Law) -> tuple[int, int]:
     modes = law.feedforward
+    # The direct gain, and for each mode its pole and its gain.
     return len(modes.poles), 1 + 2 * len(modes.poles)
 
 
@@ -108,6 +114,7 @@ def _law_cost(law: Law) -> tuple[int, int]:
     """States and multiplications of law.c's outer part: Ĉ, feed-forward, 1/c."""
     modes = law.correction
     states, products = _forward_cost(law)
+    # One for the factor 1 − z⁻¹ of the correction, which remembers the error before.
     states += 1 + len(modes.poles) + 2 * len(modes.pair_poles)
     return states, products + 2 + 2 * len(modes.poles) + 6 * len(modes.pair_poles)
 
@@ -120,6 +127,8 @@ def _filter_cost(law: Law, correction: Filter) -> tuple[int, int]:
 
 def _by_law(name: str, rule: str, controller: Controller, setting: Setting) -> Rival:
     law = discretize(controller, setting.rig.period)
+    # One motor loop for all: a law equipped for its own controller would have guards, and so limits, of its
+    # own.
     law = servo_law(replace(law, drive=setting.law.drive))
     c = controller
     knob = f"k_d {c.gain:.4g}, β {c.order:.4g}, δ {c.filter_time:.3g} s, n {c.filter_order}"
@@ -154,6 +163,8 @@ def _feedback_rivals(setting: Setting) -> dict[str, Builder]:
     """Rivals with feedback of the tip estimate; one knob each, turned until Ms is that of the design."""
     period, model, rig = setting.rig.period, setting.model, setting.rig
     frequency, _ = integer_mode(model)
+    # A filter for a gauge without noise would have infinite gain: a tenth of a millinewton-metre is below
+    # every converter's step.
     noise = max(rig.gauge.noise, 1e-4) / model.stiffness
     pole, delay = setting.law.inner_pole, rig.motor_loop.delay_samples
     same = "same Ms as fraclink's design at the nominal payload"
@@ -174,6 +185,8 @@ def _feedback_rivals(setting: Setting) -> dict[str, Builder]:
                 f"zero at the nominal mode, gain for the {same}",
                 "gain",
                 lambda g: pd_correction(g, corner=frequency, filter_time=FILTER_TIME, period=period),
+                # Gains from a loop that does nothing to one that is unstable on every arm: the scan finds
+                # where Ms is met.
                 (1e-3, 10.0),
             ),
             tuned(
@@ -202,10 +215,15 @@ def _quiet(
     setting: Setting, frequency: float, make: Callable[[float, float], Filter]
 ) -> tuple[float, float, Filter]:
     """(rate, filter time, correction): the shortest filter with no more noise than the design's law has."""
+    # The Ms of the design is out of these structures' reach: what is left to be equal in is the noise that
+    # the motor suffers.
     wanted = setting.loop.noise(law_filter(setting.law))
+    # Up to 10 ms · 1.25^15 = 0.28 s, half a vibration period: beyond it the filter is slower than what it
+    # shall damp.
     for k in range(16):
         time = FILTER_TIME * 1.25**k
         at_rate = partial(_swapped, make, time)
+        # No loop has an Ms of 1, so that the scan returns the knob of the least Ms that there is.
         rate, correction, _ = tune(setting.loop, at_rate, (0.3 * frequency, 4 * frequency), 1.0)
         if setting.loop.noise(correction) <= wanted:
             break
@@ -243,6 +261,7 @@ def _noisy_rivals(setting: Setting) -> dict[str, Builder]:
             outer=lambda: outer(rate, time),
         )
 
+    # θ̈t = ω² δ: the acceleration of the tip that belongs to a bend.
     bound = frequency**2 * BEND
     return {
         "sliding mode": lambda: build(
@@ -270,6 +289,7 @@ def _shaping(setting: Setting, name: str, kind: Shaper) -> Rival:
         "impulses from the nominal mode and its damping; motor servo, no feedback of the tip",
         f"half period {times[1]:.4g} s",
         1.0,
+        # A shaper keeps the samples of its reference up to the last impulse.
         math.ceil(float(times[-1]) / setting.rig.period),
         len(sizes),
         _bare(setting.law),
@@ -301,6 +321,7 @@ DERIVATIVE_POLE = 300.0  # [rad/s] of the filtered derivative, about the inner l
 def _gains(setting: Setting, pole: float) -> tuple[float, float]:
     """Proportional [V/rad] and derivative gain [V·s/rad] for two hub poles at −`pole` without the link."""
     motor = setting.rig.motor
+    # s² + (B + A k_d) s + A k_p = (s + p)²; a motor whose own friction is more than 2p needs no derivative.
     return pole**2 / motor.gain, max(2.0 * pole - motor.decay, 0.0) / motor.gain
 
 
@@ -311,6 +332,7 @@ def _controller(setting: Setting, pole: float) -> Filter:
         np.array([[-c]]),
         np.ones(1),
         np.array([-derivative * c * c]),
+        # k_p + k_d s c/(s + c) = k_p + k_d c − k_d c²/(s + c): one state.
         proportional + derivative * c,
         setting.rig.period,
     )
@@ -320,6 +342,7 @@ def _hub(setting: Setting) -> NominalLoop:
     """Voltage to motor angle of the lumped arm on its free hub, held and delayed."""
     model, motor, period = setting.model, setting.rig.motor, setting.rig.period
     length = setting.rig.link.length
+    # Equation (5) backwards: the payload with which the massless beam has the model's frequency.
     mass = model.stiffness / (model.natural_frequency * length) ** 2
     ratio = motor.gear_ratio
     plant = assemble(
@@ -360,6 +383,7 @@ def collocated(setting: Setting, bare: Law) -> Rival:
         filter_before=weight,
         filter_decay=(1.0 - c * half) / (1.0 + c * half),
     )
+    # Encoder only: a compensation of the coupling torque would be feedback of the gauge.
     drive: Drive = replace(inner, loop=pd, torque_voltage=0.0)
     return Rival(
         "collocated PD",

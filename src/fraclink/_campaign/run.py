@@ -85,6 +85,8 @@ def run_campaign(
     """
     place = checked_path("folder", folder)
     _claim(campaign, place)
+    # Read in full and compared with its digests, not only looked for: a file that a kill or an editor left
+    # would otherwise be summarised.
     missing = [part for part in range(campaign.parts) if not _is_done(campaign, place, part)]
     before = campaign.runs - sum(campaign.part_runs(part) for part in missing)
     progress = Progress(before, before, campaign.runs)
@@ -92,6 +94,7 @@ def run_campaign(
         if scheduler:
             source = _on_cluster(place, missing, scheduler)
         else:
+            # Closed at the end, whatever ends it: an exception of `watch` must not leave processes behind.
             source = _on_pool(place, missing, workers) if workers > 1 else _here(place, missing)
         with closing(source) as finished:
             for part in finished:
@@ -123,6 +126,8 @@ def _claim(campaign: Campaign, place: Path) -> None:
                 allowed="a new folder, or one of the same rig, law, draws and seed",
                 remedy="choose another folder",
             )
+        # A shorter request of the same campaign is done already where the longer one is; the file keeps the
+        # longer.
         if known.runs >= campaign.runs:
             return
     try:
@@ -165,6 +170,7 @@ def _on_pool(place: Path, missing: list[int], workers: int) -> Generator[int, No
         try:
             for part in _one_pool(place, left, workers):
                 done.append(part)
+                # A pool that brings something home is no sick machine: only deaths in a row count.
                 deaths = 0
                 yield part
         except BrokenProcessPool as error:
@@ -180,6 +186,8 @@ def _on_pool(place: Path, missing: list[int], workers: int) -> Generator[int, No
 
 
 def _one_pool(place: Path, parts: list[int], workers: int) -> Generator[int, None, None]:
+    # Reversed, so that the first part is popped first and a campaign that is looked at meanwhile is filled
+    # from its beginning.
     waiting, running = list(reversed(parts)), set[Future[int]]()
     with process_pool(workers) as pool:
         while waiting or running:
@@ -207,6 +215,8 @@ def _on_cluster(place: Path, missing: list[int], scheduler: str | None) -> Gener
         ) from error
     with client:
         # retries: Dask gives the parts of a worker that died to another one
+        # Keys that are not derived from the arguments: Dask would otherwise hand out the answer of an earlier
+        # campaign for the same folder and part, although its files are gone.
         futures = client.map(compute, [str(place.resolve())] * len(missing), missing, pure=False, retries=3)
         for future in as_completed(futures):
             yield future.result()
@@ -309,6 +319,8 @@ def read_part(
         b"part": str(part).encode(),
         b"columns": ",".join(schema.names).encode(),
     }
+    # The last part of a shorter campaign has fewer runs under the same number and fingerprint: it is done
+    # again.
     if any(meta.get(k) != v for k, v in wanted.items()) or rows != campaign.part_runs(part):
         return None
     columns = {name: table[name].to_numpy() for name in table.column_names}

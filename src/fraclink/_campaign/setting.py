@@ -157,6 +157,7 @@ class NominalLoop:
     def of(model: LinkModel, payload: float, *, period: float, pole: float, delay: int) -> NominalLoop:
         """Return the loop of a lumped model with its payload [kg] (both exact, no link mass)."""
         # A massless beam is the lumped model; its length is free, the frequency fixes m L².
+        # Of unit length: m = c/ω₀². Neither L nor m by itself is seen in θt/θm.
         mass = model.stiffness / model.natural_frequency**2
         beam = Beam(1.0, model.stiffness / 3.0, 0.0, mass)
         step = fine_step(period)
@@ -209,6 +210,8 @@ class NominalLoop:
         # White noise has equal power at equal steps of ω, so this grid is linear where that of Ms is not.
         frequency = np.linspace(0.05, 0.999 * math.pi / self.period, 2000)
         z = np.exp(1j * frequency * self.period)
+        # Ĉ/(1 + Ĉ P): from the estimate through the loop to the motor's reference, where noise becomes
+        # voltage.
         gain = correction.response(z) if isinstance(correction, Filter) else correction(frequency)
         return float(np.sqrt(np.mean(np.abs(gain / (1.0 + gain * self._noise_plant)) ** 2)))
 
@@ -303,10 +306,14 @@ def prepare(
     filter_time: float | None,
 ) -> tuple[Setting, Twin, list[str]]:
     """Return what the rivals are tuned from, the arm they run on, and what was assumed."""
+    # What the designers know; the twin behind it has its link's mass on top, so that all of them are wrong
+    # alike.
     known = rig.model if model is None else model
     if known is None:
         raise FieldError("model", None, "missing", allowed="a LinkModel", remedy="identify one first")
     mass = (rig.link.mass or DEFAULT_MASS) if link_mass is None else link_mass
+    # One tuning for all payloads, at the nominal one, as a laboratory would do it; the table then asks the
+    # others.
     nominal = known.at_payload(rig.payloads.nominal) if known.payload else known
     notes = [f"link of {1e3 * mass:g} g, {damping_of(nominal).label}"]
     # All rivals must fail or pass by their control and not by a compensation that no law could make stable.

@@ -88,6 +88,7 @@ def run(
         raise FieldError("structure", structure, "unknown", allowed=allowed, remedy="choose one of these")
     begin("examining the log")
     study = examined(rig, log)
+    # Kept where they are computed: a campaign of a million arms that is cut goes on from its parts.
     folder = None if out is None else Path(out) / "arms"
     steps: dict[str, Callable[[Study], Study]] = {
         "identifying": lambda study: identified(study, structure, heldout),
@@ -174,6 +175,7 @@ def moved(study: Study) -> Study:
     assert study.design is not None  # noqa: S101
     low, high = study.design.payloads
     nominal = study.design.rig.payloads.nominal
+    # The margin is least at one of the ends, and the nominal payload is the one that people look at.
     payloads = sorted({low, high} | ({nominal} if low < nominal < high else set()))
     return replace(study, runs=tuple(simulate_move(study.design, m, law=study.law) for m in payloads))
 
@@ -190,6 +192,7 @@ def proved(study: Study) -> Study:
 def tried(study: Study, arms: int, seed: int = 0, folder: Path | None = None) -> Study:
     """Return the study with `arms` runs of arms that differ from the model, kept in `folder` if given."""
     assert study.rig is not None and study.design is not None and study.law is not None  # noqa: S101
+    # The model of the design and not of the fit: they differ where the log stated no payload.
     campaign = Campaign.of(study.rig, study.design.model, study.law, runs=arms, seed=seed)
     with tempfile.TemporaryDirectory() as scratch:
         place = Path(scratch) if folder is None else folder
@@ -201,6 +204,8 @@ def _with_payload(model: LinkModel, rig: Rig) -> tuple[LinkModel, tuple[str, ...
     """The model with the payload of its log: ω₀ can be carried to other payloads from there only."""
     if model.payload is not None:
         return model, ()
+    # Without a payload ω₀ could be used at that of the log only, and no design over a range were possible;
+    # the assumption is written down, as a wrong one shifts every frequency by its root.
     nominal = rig.payloads.nominal
     return replace(model, payload=nominal), (
         f"the log was made with the nominal payload, {1e3 * nominal:g} g, as none was stated",

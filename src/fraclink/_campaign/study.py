@@ -94,6 +94,7 @@ class Study:
         wrong += [("the model", finding) for finding in (self.fit.findings if self.fit else ())]
         said = {finding for _, finding in wrong}
         wrong += [("the design", f) for f in (self.design.findings if self.design else ()) if f not in said]
+        # Errors only: a warning asks for a look, an error says that the numbers do not describe the arm.
         doubts = [f"{what}: {f.message}. {f.remedy}" for what, f in wrong if f.severity == "error"]
         return Verdict(
             _scope(self._broken_promises(), doubts, self.design is not None),
@@ -123,6 +124,7 @@ class Study:
         if self.arms is not None and self.arms.failure.count:
             count, runs = self.arms.failure.count, self.arms.failure.runs
             settling = next(metric for metric in self.arms.metrics if metric.name == "settling_time")
+            # The first two: in a thousand runs chance alone correlates by 3 %, and the third is soon there.
             causes = " and ".join(name.replace("_", " ") for name, _ in settling.drivers[:2])
             failed.append(
                 f"{count} of {runs} arms fail ({100 * count / runs:.1f} %); most depends on {causes}"
@@ -136,6 +138,7 @@ class Study:
 
 
 def _scope(failures: list[str], doubts: list[str], ran: bool) -> Scope:
+    # Failed before doubtful: what ran and missed is a fact, whatever is wrong with the model.
     if failures:
         return Scope("failed", tuple(failures + doubts))
     if doubts:
@@ -171,10 +174,13 @@ def save_study(study: Study, folder: Path | str) -> None:
         "certificate.json": study.certificate,
     }
     for name, fit in study.fits.items():
+        # The fit that the design used is model.json, so that the commands that take a model need no name of a
+        # structure.
         chosen = study.fit is not None and fit.structure == study.fit.structure
         parts["model.json" if chosen else f"model-{name}.json"] = fit
     parts |= {f"run-{1e3 * move.payload:.6g}g.npz": move for move in study.runs}
     for name, part in parts.items():
+        # What a study has not got leaves no empty file: a folder tells by its files what was done.
         if part is not None:
             part.save(place / name)
     if study.experiment is not None:
@@ -212,6 +218,7 @@ def load_study(folder: Path | str) -> Study:
     by_kind: dict[str, list[Path]] = {}
     for path in sorted(place.iterdir()):
         by_kind.setdefault(_kind(path), []).append(path)
+    # A certificate or a table of faults alone has no arm to be shown with.
     if not set(by_kind) & {"rig", "fit", "design", "run", "log"}:
         allowed, remedy = "model, design or run files", "run `fraclink run` with --out in this folder"
         raise FileFormatError("folder", str(place), "without results", allowed=allowed, remedy=remedy)
@@ -265,6 +272,7 @@ def _gathered(place: Path, by_kind: Mapping[str, list[Path]]) -> Study:
     about = first("study", lambda path: load(path, _Remarks)) or _Remarks()
     fits = {fit.structure: fit for fit in map(Fit.load, by_kind.get("fit", []))}
     made, proof = first("design", Design.load), first("certificate", Certificate.load)
+    # A certificate that says no is kept as the file that it is, and is a reason in the verdict, not a proof.
     refuted = proof is not None and not proof.passed
     campaign = load_campaign(place / "arms") if (place / "arms").is_dir() else None
     return Study(
@@ -287,6 +295,7 @@ def _gathered(place: Path, by_kind: Mapping[str, list[Path]]) -> Study:
 
 
 def _comparison(fits: dict[str, Fit], about: _Preference | None) -> Comparison | None:
+    # A comparison of some structures would name one as preferred that was never held against the others.
     if about is None or set(fits) != set(STRUCTURES):
         return None
     ordered = {name: fits[name] for name in STRUCTURES}

@@ -44,6 +44,8 @@ PARAMETERS = (
     "gauge_delay",
     "gauge_gain",
 )
+# The 99.9 % quantile of 1000 runs has no upper bound, and is told with an infinite one: a reader sees how
+# many runs would be needed.
 PROBABILITIES = (0.05, 0.5, 0.95, 0.99, 0.999)
 CONFIDENCE = 0.95
 WORST = 5
@@ -131,6 +133,7 @@ def summarise(campaign: Campaign, folder: Path | str) -> Summary:
 
     missing = sorted(set(range(campaign.parts)) - set(parts))
     damaged = tuple(part for part in missing if part_path(place, part).exists())
+    # One column after the other: a million runs of 25 columns would be 200 MB at once.
     run, passed = column("run"), column("passed").astype(bool)
     failed = run[~passed]
     drawn = {name: _ranks(column(name)) for name in PARAMETERS}
@@ -139,6 +142,7 @@ def summarise(campaign: Campaign, folder: Path | str) -> Summary:
         failure=_failure(len(failed), len(run)),
         trips=_trips(column("mode"), column("reason")),
         metrics=metrics,
+        # A hundred: enough to replay, and a page that still loads where everything fails.
         failed=tuple(int(n) for n in failed[:100]),
         given=_given(campaign),
         damaged=damaged,
@@ -205,6 +209,7 @@ def _column(campaign: Campaign, place: Path, part: int, name: str) -> NDArray[np
 
 
 def _metric(name: str, values: Real, run: NDArray[np.generic], drawn: dict[str, Real]) -> MetricSummary:
+    # The only metric with a sign; its worst case is the farthest, on either side.
     size = np.abs(values) if name == "steady_state_error" else values
     order = np.sort(size)
     worst = np.argsort(size)[::-1][:WORST]
@@ -225,6 +230,8 @@ def _quantile(order: Real, probability: float) -> Quantile:
     high = _binomial_quantile(1.0 - tail, n, probability) + 1
     return Quantile(
         probability,
+        # The smallest value with at least that part of the sample at or below it; no interpolation, which a
+        # bound on order statistics would not cover.
         float(order[max(math.ceil(probability * n), 1) - 1]),
         float(order[low - 1]) if low >= 1 else -math.inf,
         float(order[high - 1]) if high <= n else math.inf,
@@ -241,6 +248,7 @@ def _binomial_quantile(tail: float, count: int, probability: float) -> int:
 def _failure(count: int, runs: int) -> Failure:
     """Clopper and Pearson 1934: the beta quantiles that make the binomial tails 2.5 %."""
     tail = 0.5 * (1.0 - CONFIDENCE)
+    # No run failed: nothing bounds the share from below, and the interval is one-sided by its data.
     low = float(betaincinv(count, runs - count + 1, tail)) if count else 0.0
     high = float(betaincinv(count + 1, runs - count, 1.0 - tail)) if count < runs else 1.0
     return Failure(count, runs, count / runs, low, high)
@@ -254,6 +262,8 @@ def _trips(mode: NDArray[np.generic], reason: NDArray[np.generic]) -> tuple[tupl
 def _ranks(values: NDArray[np.generic]) -> Real:
     """Mean ranks, centred and of length one: a dot product of two of them is Spearman's correlation."""
     _, place, ties = np.unique(values, return_inverse=True, return_counts=True)
+    # Ties share their mean rank: a parameter that is not varied then has rank zero everywhere, and a
+    # correlation of 0 instead of 0/0.
     ranks = (np.cumsum(ties) - 0.5 * (ties - 1))[place] - 0.5 * (len(values) + 1)
     length = float(np.linalg.norm(ranks))
     return np.asarray(ranks / length if length else ranks)

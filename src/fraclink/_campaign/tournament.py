@@ -106,6 +106,7 @@ class Tournament:
         for name, floor in _FIGURES.items():
             values = [float(getattr(s, name)) for s in able]
             best = min(values)
+            # An infinite best is shared by all: inf · 1.02 + floor is inf, and nobody has won.
             result[name] = tuple(
                 s.name for s, v in zip(able, values, strict=True) if v <= best * 1.02 + floor or v == best
             )
@@ -160,6 +161,7 @@ class Tournament:
 
 
 # Figure -> difference below which two rivals are called equal, in the figure's unit.
+# On top of the 2 % of `winners`, since a figure near zero would be won by the last digit of its noise.
 _FIGURES = {
     "settling_time": 0.01,
     "overshoot": 0.001,
@@ -221,6 +223,7 @@ def compare(
     ['fraclink', 'ZV shaping']
     """
     move = smooth_step(1.0, duration=1.0) if reference is None else checked_reference(reference)
+    # The arm is judged by the twin, the rivals are tuned by the model: nobody sees the twin before its run.
     setting, twin, notes = prepare(
         rig,
         model,
@@ -257,9 +260,11 @@ def _standing(
         )
 
     nominal = run(setting.rig.payloads.nominal)
+    # A run of its own: in one with the offset the figures of the move would be those of a disturbed one.
     shifted = run(setting.rig.payloads.nominal, OFFSET)
     by_payload = {p: run(p) for p in payloads}
     settling = {p: _settled(r) for p, r in by_payload.items()}
+    # Of several that never settle the farthest from the nominal payload is named.
     worst = max(settling, key=lambda p: (settling[p], abs(p - setting.rig.payloads.nominal)))
     m = nominal.metrics
     last = shifted.error[-round(1.0 / setting.rig.period) :]

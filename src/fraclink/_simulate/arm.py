@@ -27,7 +27,7 @@ __all__ = ["Twin", "TwinLog", "damping_of", "geared", "simulate_log"]
 
 Vector = NDArray[np.float64]
 
-MOST_SAMPLES = 2_000_000
+MOST_SAMPLES = 2_000_000  # two hours at 4 ms
 
 # Hub inertia over the arm's below which the compensation of the coupling torque, late by a period and a half,
 # feeds the mode more than the inner loop takes from it. Seen on the paper's rig with 8 to 40 g at 4 ms: 0.5 %
@@ -63,6 +63,7 @@ def damping_of(model: LinkModel) -> Damping:
     """
     if model.order < 2.0:
         return PowerLaw(model.order)
+    # (15) and (16) have μ s^α beside ω₀²: divided by ω₀² it is D − 1, whatever the payload is.
     factor = model.damping / model.natural_frequency**2
     if model.damping == 0.0 or model.damping_order == 1.0:
         return KelvinVoigt(factor)
@@ -71,6 +72,7 @@ def damping_of(model: LinkModel) -> Damping:
 
 def _agree(rig: Rig, model: LinkModel) -> None:
     """Refuse a rig whose model is another arm than its length, stiffness and payload make."""
+    # A model that does not know its payload cannot contradict one.
     if model.payload is None:
         return
     lumped = rig.natural_frequency(model.payload)
@@ -172,8 +174,7 @@ class Twin:
             gauge_offset=gauge.offset,
             gauge_quantum=gauge.quantum,
             gauge_limit=None if math.isinf(gauge.limit) else gauge.limit,
-            # A gauge that leads its link is the fit's way to say that the motor angle is late; no arm runs
-            # ahead.
+            # A gauge that leads is the fit's way to say that the motor angle is late; no arm runs ahead.
             gauge_delay=max(link.gauge_delay if link else 0.0, 0.0) if gauge_delay is None else gauge_delay,
             gauge_gain=(link.gauge_gain if link else 1.0) if gauge_gain is None else gauge_gain,
         )
@@ -322,9 +323,8 @@ def simulate_log(
     if reference.size > MOST_SAMPLES:
         allowed, remedy = f"{MOST_SAMPLES} samples", "simulate a shorter log"
         raise SizeError("reference", reference.size, "too long", allowed=allowed, remedy=remedy)
-    if not np.isfinite(
-        reference
-    ).all():  # after the size: a month of samples takes a gigabyte to look through
+    # After the size: a month of samples takes a gigabyte to look through.
+    if not np.isfinite(reference).all():
         raise FieldError("reference", "NaN", "not finite", allowed="finite", remedy="check the reference")
     sensors = Sensors() if sensors is None else sensors
     count = substeps(period, step)
@@ -332,6 +332,7 @@ def simulate_log(
     plant = assemble(beam, damping, drive=drive, modes=modes, step=fine, servo_pole=servo_pole)
     outputs = _march(plant.discretise(fine), reference, count, drive == "prescribed", fine)
     angle, tip, torque = outputs[:, 0], outputs[:, 2], outputs[:, 3]
+    # Delayed at the fine steps, then sampled: a delay of half a period is not to be rounded to one.
     delayed = sensors.delayed(torque, fine)[::count]
     generator = np.random.default_rng(seed)
     hub = angle[::count].copy()
@@ -353,6 +354,7 @@ def _march(matrices: StepMatrices, reference: Vector, count: int, prescribed: bo
     """Outputs at every fine step, shape ((N−1)·count + 1, 6); the twin starts at rest at the first sample."""
     inputs = np.diff(reference) / (fine * count) if prescribed else reference[:-1] - reference[0]
     marched = _kernels.twin_march(*matrices.arrays, inputs, count, matrices.rest())
+    # Linear and at rest at first: marched from zero, and only the angles know where zero is.
     result = np.vstack([np.zeros(marched.shape[1]), marched])
     result[:, 0] += reference[0]
     result[:, 2] += reference[0]

@@ -58,6 +58,8 @@ def _gauss(moments: list[float]) -> tuple[Vector, Vector]:
     determinant = m0 * m2 - m1 * m1
     linear = (m1 * m2 - m0 * m3) / determinant
     constant = (m1 * m3 - m2 * m2) / determinant
+    # Roots of the quadratic orthogonal polynomial of the measure; the smaller by the product, since the
+    # difference would cancel.
     large = 0.5 * (-linear + math.sqrt(linear * linear - 4.0 * constant))
     small = constant / large
     weight = (m1 - m0 * small) / (large - small)
@@ -68,6 +70,7 @@ def _chain(spring: float, scale: float, order: float, tolerance: float, highest:
     """Return spring + scale·s^order as a passive chain, to `tolerance` relative on the imaginary axis."""
     # The nearest singularity of the integrand lies π/2 off the real axis of ln r for s = jω, so that the
     # trapezoid's error is 2 exp(−π²/h).
+    # So 3e-8 takes h = 0.55: 20 elements for four and a half decades of rates.
     step = math.pi**2 / math.log(2.0 / tolerance)
     count = math.ceil(math.log(max(FASTEST, REACH * highest) / SLOWEST) / step) + 1
     rates = SLOWEST * np.exp(step * np.arange(count))
@@ -176,6 +179,7 @@ class PowerLaw:
 
     def chain(self, tolerance: float, highest: float = 1500.0) -> Chain:
         """Return D(s) as a passive chain, good up to `highest` [rad/s]."""
+        # A springpot has no spring beside it: in rest its slowest element bears the load, and creeps.
         return _chain(0.0, 1.0, 2.0 - self.order, tolerance, highest)
 
     @property

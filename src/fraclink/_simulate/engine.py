@@ -39,6 +39,7 @@ __all__ = [
 
 Real = NDArray[np.float64]
 
+# 16 s at 4 ms: a page shows a move and what is left of it.
 LONGEST = 4001  # periods: room in the engine's buffers
 MOST_ROWS, MOST_GAUGE = 96, 1024  # of the twin: states and two inputs; steps that its gauge is late
 TWIN_MODES = (
@@ -77,6 +78,8 @@ def engine_bytes() -> bytes:
     >>> engine_bytes()[:4]
     b'\\x00asm'
     """
+    # Read from the package and not built: a user has no compiler for it, and its digest is tested against
+    # csrc.
     return (files("fraclink._simulate") / "engine.wasm").read_bytes()
 
 
@@ -96,12 +99,15 @@ def engine_link(model: LinkModel, period: float, span: float) -> EngineLink:
     >>> engine_link(LinkModel(1.56, 11.094, order=2.0), 0.004, 4.0).numbers.size
     36
     """
+    # As `simulate` does, whose bits the page must have: for two periods at least, since a response has to be
+    # remembered for one.
     weights = link_weights(model, period, max(span, 2 * period))
     second = weights.second.ravel()
     pair = (weights.pair.real, weights.pair.imag, weights.pair_weight.real, weights.pair_weight.imag)
     parts = (
         model.stiffness,
         weights.first,
+        # Always fifteen numbers: the engine finds what follows by counts alone.
         second if second.size else np.zeros(15),
         weights.decay,
         weights.weight,
@@ -129,6 +135,8 @@ def engine_rig(rig: Rig, law: Law, model: LinkModel) -> Real:
         "noise": gauge.noise,
         "limit": gauge.limit,
         "quantum": gauge.quantum,
+        # In periods, as the kernel counts; a gauge that leads is the motor angle being late, as in
+        # `simulate`.
         "gauge_delay": max(model.gauge_delay, 0.0) / law.period,
         "gauge_gain": model.gauge_gain,
         "payload": 0.0,
@@ -163,10 +171,12 @@ def engine_twin(rig: Rig, model: LinkModel, payloads: Sequence[float], link_mass
     >>> found.modes, found.elements, found.arms.shape
     (2, 24, (2, 7))
     """
+    # The first payload's twin gives what all have in common: motor, sensors, material.
     twin = Twin.from_rig(rig, model=model, payload=payloads[0], link_mass=link_mass, modes=TWIN_MODES)
     numbers = twin_numbers(twin, rig.period)
     fine = rig.period / numbers[0]
     plant = twin.plant(fine)
+    # Two more rows than states: the matrix whose exponential is the step holds the inputs, too.
     if plant.order + 2 > MOST_ROWS or numbers[2] >= MOST_GAUGE:
         return None
     chain, arms = plant.chain, []

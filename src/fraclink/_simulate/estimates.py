@@ -47,6 +47,7 @@ def estimated_over(
     `called` is False in periods that the control missed: there the values of the period before stand.
     """
     after, found = estimator.run(state, motor_angle[called], torque[called], ticks=ticks[called])
+    # Number of the last call up to each period; before the first there is nothing, and the first stands in.
     row = np.maximum(np.cumsum(called) - 1, 0)
     return after, Estimates(*(column[row] for column in found))
 
@@ -75,9 +76,11 @@ def estimator_for(
     """
     if isinstance(told, PayloadEstimator):
         law = design.law() if isinstance(design, Design) else design
+        # Its models are recursions at one period: at another they would see every frequency scaled.
         if not math.isclose(told.period, law.period, rel_tol=1e-9):
             allowed, remedy = f"{law.period} s", "make it for this law: design.estimator()"
             raise FieldError("told.period", told.period, "not the law's", allowed=allowed, remedy=remedy)
+        # law.c and the estimator share their type of reals on a board.
         return told.in_precision(law.precision)
     if told != ESTIMATED:
         return None
@@ -87,6 +90,7 @@ def estimator_for(
     if rig is None or link is None:
         allowed, remedy = "a design, or a law with rig= and model=", "give the design in place of its law"
         raise FieldError("told", told, "without a model of the link", allowed=allowed, remedy=remedy)
+    # A law alone does not say for which payloads it was designed: those of its rig.
     return payload_estimator(with_payload(link, rig), rig, design, (rig.payloads.low, rig.payloads.high))
 
 
@@ -98,6 +102,8 @@ def estimate_findings(
     outside = (estimates.flags & _kernels.PAYLOAD_OUTSIDE) != 0
     if outside.any():
         low, high = estimator.certified
+        # The last look outside: early in a move the interval is wide, and leaves the range for a while by its
+        # width.
         last = int(np.flatnonzero(outside)[-1])
         share = f"{1e3 * estimates.low[last]:.3g} to {1e3 * estimates.high[last]:.3g} g"
         found.append(
@@ -112,6 +118,7 @@ def estimate_findings(
         )
     touched = (estimates.flags & _kernels.PAYLOAD_CONTACT) != 0
     if touched.any():
+        # The first touch: what follows is the arm swinging from it.
         first = float(period * np.flatnonzero(touched)[0])
         found.append(
             Finding(

@@ -105,6 +105,7 @@ class LumpedArms:
     def of(rig: Rig, links: LinkWeights, seed: NDArray[np.uint64], **values: Real) -> LumpedArms:
         """Return arms of one rig; motor gain, viscous friction, Coulomb torque are factors of its own."""
         motor = rig.motor
+        # As a deceleration at the gear's output: nΓc over n²J.
         friction = motor.coulomb_torque / (motor.inertia * motor.gear_ratio) * values.pop("coulomb_torque")
         return LumpedArms(
             links=links,
@@ -176,6 +177,7 @@ def run_lumped(
     runs, length = len(arms.seed), path.shape[2]
     signals = np.empty((8 if everything else 3, runs, length))
     marks = np.empty((3, runs, length), dtype=np.uint32)
+    # The kernel walks rows: what was sliced or stacked must lie one behind the other.
     links = {
         field.name: np.ascontiguousarray(getattr(arms.links, field.name)) for field in fields(LinkWeights)
     }
@@ -204,6 +206,7 @@ def run_lumped(
 def twin_numbers(twin: Twin, period: float) -> Real:
     """Return twin_rig of twin.h, shape (15,): motor, amplifier and sensors at a control period [s]."""
     count, sensors = substeps(period, twin.step), twin.sensors
+    # In the arm's own steps and not in periods: the queue of true torques is written at every step.
     oldest, weights = delay_line(sensors.gauge_delay / (period / count))
     return np.array(
         [
@@ -232,8 +235,11 @@ class ArmState:
         self.rig = twin_numbers(twin, period)
         self.plant, self.step = _discretised(twin, self.fine)
         self.state = self.step.rest()
+        # A straight link at rest: the hub at its angle, and each mode where Γi θm puts its absolute
+        # coordinate.
         self.state[0] = start_angle
         self.state += _straight(self.plant, start_angle, self.state.size)
+        # The queues hold zeros: the link is straight, and no voltage has been asked for.
         self.gauge = np.zeros(int(self.rig[2]) + 1)
         self.voltage = np.zeros(twin.voltage_delay + 1)
         self.sensed = np.array([start_angle, 0.0])
@@ -280,6 +286,8 @@ class ArmState:
         self, law: Law, inputs: Real, estimator: PayloadEstimator | None, first: int
     ) -> tuple[Real, list[Estimates]]:
         """Return the record of `run` for the periods from `first` on, and the estimates behind it."""
+        # The estimator's memory before the run: what it said is recomputed from there, bit for bit, since the
+        # kernel records what the law did and not what it was told.
         single, before = law.precision == "single", self.estimate.tobytes()
         record = self.run(law.block, inputs, single=single, estimator=estimator)
         if estimator is None:
@@ -330,11 +338,13 @@ def _straight(plant: Plant, angle: float, size: int) -> Real:
 
 def _transfer(old: Plant, new: Plant, state: Real, step: StepMatrices) -> Real:
     """Project link, velocity and every Maxwell element of the old modes on the new ones."""
+    # Least squares in the norm of the kinetic energy, in which the new modes are orthogonal.
     mass, _ = matrices(new.beam)
     projection = new.modes.shapes.T @ mass @ old.modes.shapes
     result = step.rest()
     result[:2] = state[:2]
     blocks = np.array([state[old.mode_slice(i)] for i in range(old.modes.count)])
+    # From absolute to bending coordinates and back: the rigid rotation Γi θm belongs to the payload's own Γi.
     blocks[:, 0] -= old.modes.participation * state[0]
     blocks[:, 1] -= old.modes.participation * state[1]
     moved = projection @ blocks
@@ -355,6 +365,8 @@ def apply(state: ArmState, law: Law, changes: list[Event | None]) -> None:
         elif isinstance(event, PayloadChange):
             state.change_payload(event.payload)
         elif isinstance(event, Restart):
+            # The law and its estimator forget; arm, queues and clock go on, as the processor restarts and the
+            # world does not.
             state.law = np.frombuffer(bytearray(law.initial_state()), dtype=np.uint8)
             state.estimate = np.zeros(0, dtype=np.uint8)
 
@@ -364,6 +376,7 @@ def drive_of(twin: Twin, law: Law) -> Drive:
     return Drive(
         loop=place_pid(motor, law.inner_pole).discretize(law.period),
         voltage_limit=min(motor.voltage_limit, 1e4),  # a block holds finite numbers
+        # The link's torque acts at the output: nK volts hold it.
         torque_voltage=1.0 / (motor.torque_constant * motor.gear_ratio),
         coulomb_voltage=motor.coulomb_torque / motor.torque_constant,
         coulomb_speed=COULOMB_SPEED,

@@ -31,6 +31,7 @@ __all__ = ["LinkWeights", "batch_links", "link_weights", "second_mode_weights"]
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
+# Degree 5: angle, speed and acceleration of the motor at both ends of a period are six numbers.
 POWERS = 6
 # |pole|·T [rad]: beyond, three samples a vibration, the power series cancels and no loop passes.
 LONGEST = 2.0
@@ -58,6 +59,7 @@ class LinkWeights:
 
     def rows(self, rows: slice | NDArray[np.intp]) -> LinkWeights:
         """Return the recursions of some of the links."""
+        # Every array has a row for each link: no field is to be forgotten here when one is added.
         own = {field.name: getattr(self, field.name) for field in fields(self)}
         # No link has a second mode: no rows to take.
         return LinkWeights(**{name: value[rows] if len(value) else value for name, value in own.items()})
@@ -80,9 +82,13 @@ def link_weights(model: LinkModel, period: float, span: float) -> LinkWeights:
             remedy="simulate at a shorter period",
         )
     modes = discrete_modes(model.tip(), period, span=span, tolerance=LINK_TOLERANCE)
+    # A sum of exponentials is good from one period on; within the first, where a fractional response begins
+    # like t^λ, the power series is exact.
     at_end = [_end_of_power(model, period, j) for j in range(POWERS)]
     real = modes.gains * _relative_powers(modes.log_decays)
     pair = modes.pole_gains * _relative_powers(modes.pole_log_decays)
+    # What the modes of one period would say at its end is taken out of the direct term, as the recursion adds
+    # it.
     first = np.array(at_end) - real.sum(axis=1) - pair.sum(axis=1).real
     second = second_mode_weights(model.second_mode, period)
     return LinkWeights(
@@ -98,6 +104,7 @@ def second_mode_weights(mode: SecondMode | None, period: float) -> Real:
     """
     if mode is None:
         return np.zeros((0, 15))
+    # The step response of gain s²/(s² + 2ζωs + ω²): starts at the gain, with the slope of −2ζω.
     damped = math.sqrt(1.0 - mode.damping_ratio**2)
     z = mode.frequency * period * complex(-mode.damping_ratio, damped)
     step = mode.gain * complex(1.0, mode.damping_ratio / damped) * np.expm1(z)
@@ -173,6 +180,8 @@ def batch_links(stiff: Real, order: Real, period: float) -> LinkWeights:
     """
     speed = stiff ** (1.0 / order)
     reach = speed * period
+    # One arm of a block that cannot be simulated is an error of the draws, and named; leaving it out would
+    # make the campaign's share of failures a lie.
     if float(reach.max()) >= LONGEST:
         raise FieldError(
             "period",
@@ -181,6 +190,7 @@ def batch_links(stiff: Real, order: Real, period: float) -> LinkWeights:
             allowed=f"< {LONGEST / float(speed.max()):.3g} s",
             remedy="draw heavier payloads or a smaller stiffness",
         )
+    # One grid for all arms: the smallest λ needs both ends farthest out, the slowest link the upper one.
     grid = _grid(float(reach.min()), float(order.min()))
     density = -np.sin(np.pi * order)[:, None] * np.exp(np.multiply.outer(order, grid)) / np.pi
     density /= np.abs(1.0 + np.exp(order[:, None] * (grid + 1j * np.pi))) ** 2
@@ -206,6 +216,7 @@ def batch_links(stiff: Real, order: Real, period: float) -> LinkWeights:
 def _grid(reach: float, order: float) -> Real:
     """Nodes v: the density falls like e^(−λ|v|), and above like e^(−e^v ΩT) from one period on."""
     low = -NEGLIGIBLE / order
+    # Either fall is enough: beyond the sooner of the two the nodes add less than e^-15 of the response.
     high = min(NEGLIGIBLE / order, math.log(NEGLIGIBLE / reach))
     return np.asarray(np.arange(math.floor(low / STEP), math.ceil(high / STEP) + 1) * STEP + 0.5 * STEP)
 
@@ -225,6 +236,7 @@ def _answers(gain: NDArray[np.inexact], log_decay: NDArray[np.inexact]) -> NDArr
 
     A step's share is gain·(e^z − 1) = gain·z·φ_0, so x^j's is gain·z·φ_j with φ_j = ∫₀¹ x^j e^(z(1−x)) dx.
     """
+    # The two ways meet at |z| = 1, as in `_relative_powers`.
     near = np.abs(log_decay) < 1.0
     small, large = np.where(near, log_decay, 0.0), np.where(near, 1.0, log_decay)
     rows = []
@@ -249,6 +261,7 @@ def _powers_at_end(stiff: Real, order: Real, period: float) -> Real:
     """Response of G to x^j at x = 1, from the power series −Σ (−X)ⁿ of G: shape (R, 6)."""
     ratio = (stiff * period**order)[:, None, None]
     power = np.arange(POWERS)[None, :, None]
+    # X < LONGEST^λ <= 4, and 4^39/Γ(40) is 1e-23; logarithms, since Γ of the highest overflows.
     n = np.arange(1, 40)[None, None, :]
     size = n * np.log(ratio) + gammaln(power + 1.0) - gammaln(order[:, None, None] * n + power + 1.0)
     return np.asarray(-np.sum((-1.0) ** n * np.exp(size), axis=2))

@@ -114,11 +114,14 @@ def measure_many(signals: Signals) -> dict[str, Real]:
     tenth = _tenth(tip.shape[1])
     beyond = (excess * np.sign(move)[:, None]).max(axis=1)
     return {
+        # In the direction of the move; where there is none there is nothing to be overshot, and
+        # `settling_time` has its own band.
         "overshoot": np.maximum(
             0.0, np.divide(beyond, np.abs(move), out=np.zeros_like(move), where=move != 0)
         ),
         "settling_time": _settling(np.abs(excess), _band(reference), signals.period),
         "residual_vibration": _residual(signals),
+        # A mean, so that neither the gauge's noise nor a vibration that dies away is taken for an offset.
         "steady_state_error": (tip[:, -tenth:] - reference[:, -tenth:]).mean(axis=1),
         "peak_tip_error": np.abs(tip - reference).max(axis=1),
         "peak_voltage": np.abs(signals.voltage).max(axis=1),
@@ -140,6 +143,8 @@ def judge_many(signals: Signals, metrics: dict[str, Real]) -> dict[str, NDArray[
     within = np.minimum(at, signals.mode.shape[1] - 1)
     mode = signals.mode[rows, within]
     normal = mode == _kernels.LAW_RUN
+    # Half a period of the vibration: a swing of constant size that happens to end inside the band has been
+    # outside within that time.
     settled = metrics["settling_time"] <= _latest_settling(signals)
     return {
         "mode": mode,
@@ -187,6 +192,7 @@ def judge(signals: Signals, metrics: Metrics) -> MoveVerdict:
 
 
 def _tenth(count: int) -> int:
+    # Eight samples at least: a parabola through fewer is no noise.
     return max(8, int(0.1 * count))
 
 
@@ -199,6 +205,7 @@ def _band(reference: Real) -> Real:
 def _settling(distance: Real, band: Real, period: float) -> Real:
     outside = distance > band[:, None]
     length = distance.shape[1]
+    # From the end: the band may be left and entered again any number of times.
     last = length - 1 - np.argmax(outside[:, ::-1], axis=1)  # last sample outside, where there is one
     time = np.where(outside.any(axis=1), (last + 1.0) * period, 0.0)
     return np.asarray(np.where(outside[:, -1], np.inf, time))
@@ -212,6 +219,7 @@ def _residual(signals: Signals) -> Real:
     length = signals.tip.shape[1]
     time = signals.period * np.arange(length)
     begin = np.searchsorted(time, signals.ended, side="left")
+    # Two periods: one may begin at a node of what several modes leave.
     end = np.searchsorted(time, signals.ended + 2.0 * signals.vibration_period, side="right")
     begin = np.minimum(begin, length - _tenth(length))  # a run that ends with its reference: its last tenth
     rows = zip(signals.tip, begin, end, strict=True)
@@ -221,6 +229,8 @@ def _residual(signals: Signals) -> Real:
 def _noise(tail: Real) -> Real:
     """Standard deviation about a parabola, which is taken out as one projection."""
     steps = np.linspace(-1.0, 1.0, tail.shape[1])
+    # The motor reference still creeps at the end of a run, by the slow modes of the correction: that is no
+    # noise.
     basis, _ = np.linalg.qr(np.vander(steps, 3))
     return np.asarray(np.std(tail - (tail @ basis) @ basis.T, axis=1))
 
@@ -229,6 +239,7 @@ def _driven(signals: Signals) -> Real:
     """Part of the last tenth with the voltage at its limit, 0 where the reference still moves; shape (R,)."""
     length = signals.tip.shape[1]
     tenth = _tenth(length)
+    # A reference that still moves may need all of the voltage.
     rests = signals.ended <= signals.period * (length - tenth)
     at_limit = (signals.flags[:, -tenth:] & _kernels.LAW_FLAG_SATURATED) != 0
     return np.asarray(np.where(rests, at_limit.mean(axis=1), 0.0))
@@ -243,6 +254,8 @@ def _first_abnormal(mode: Bits) -> NDArray[np.intp]:
 def _growth(signals: Signals) -> Real:
     stop = _first_abnormal(signals.mode)
     deviation = signals.tip - signals.reference
+    # A period after the reference's end: what the move itself leaves there is a step of the envelope, no
+    # growth.
     begin = np.ceil((signals.ended + signals.vibration_period) / signals.period).astype(int)
     window = np.maximum(2, np.rint(signals.vibration_period / signals.period)).astype(int)
     rows = zip(deviation, begin, stop, window, strict=True)
@@ -254,14 +267,21 @@ def _rate(deviation: Real, window: int) -> float:
     count = len(deviation) // window
     if count < WINDOWS:
         return 0.0
+    # Peak to peak in windows of one vibration period, counted back from the end: an offset falls out, and the
+    # last window, the largest of a growing vibration, is a whole one.
     peaks = np.ptp(deviation[-count * window :].reshape(count, window), axis=1)
+    # Below 2 mrad a vibration is the sensors', however straight its envelope; `not >=`, as NaN is no
+    # vibration either.
     if not peaks.max() >= REST_BAND:
         return 0.0
+    # A quiet window has no logarithm: a picoradian in its place.
     level = np.log(np.maximum(peaks, 1e-12))
     at = np.arange(count) - 0.5 * (count - 1)
     spread = float(at @ at)
     slope = float(at @ level) / spread
     left = level - level.mean() - slope * at
+    # Standard error of the slope of a straight line through `count` points, with count − 2 degrees of
+    # freedom.
     error = math.sqrt(float(left @ left) / ((count - 2) * spread))
     return slope if abs(slope) > _straight(count) * error else 0.0
 

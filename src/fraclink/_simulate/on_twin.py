@@ -40,10 +40,13 @@ def with_motor_loop(
             {},
             "simulate design.law(), which has the motor loop that is shipped",
         )
+        # With rig and link the law gets the guards of its sensors, too; the twin's motor alone gives a loop
+        # and no limits.
         if rig is not None and link is not None:
             return equip(law, rig, link), (finding,)
         if twin is not None:
             return replace(law, drive=drive_of(twin, law)), (finding,)
+    # Each is a recursion of its own period: run at another, its pole would be elsewhere without a word.
     elif not math.isclose(law.drive.loop.period, law.period, rel_tol=1e-9):
         raise FieldError(
             "period",
@@ -73,11 +76,14 @@ def on_twin(
     for first, last, changes in segments(events, law.period, inputs):
         apply(state, law, changes)
         if estimator is None:
+            # Within a segment the payload is constant: an event that changes it begins the next, and True
+            # follows the arm.
             inputs[first:last, PAYLOAD] = given_payload(told, state.twin.beam.payload)
         part, seen = state.estimating(law, inputs[first:last], estimator, first)
         estimates += seen
         records.append(part)
         payloads.append(np.full(len(part), state.twin.beam.payload))
+        # The arm has left every bound: the run ends here, and says that it is not finished.
         if len(part) < last - first:
             break
     return twin_run(
@@ -122,6 +128,7 @@ def twin_run(
     """Return the run of what `ArmState.run` recorded: columns `RECORD`, and the payload [kg]."""
     columns = {name: np.ascontiguousarray(column) for name, column in zip(RECORD, record.T, strict=True)}
     columns |= {name: columns[name].astype(np.uint32) for name in ("mode", "reason", "flags")}
+    # What only a twin has stays out of the signals that all runs share.
     extras = {name: columns.pop(name) for name in ("motor_velocity", "contact_force", "voltage_asked")}
     if estimates is not None:
         extras |= estimate_signals(estimates[1])

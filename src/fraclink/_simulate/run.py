@@ -43,6 +43,7 @@ SIGNALS = (
 def _of_model(old: dict[str, Any]) -> dict[str, Any]:
     """A run of the model of format 1: its settings are what is said about it now."""
     about = {"arm": "model", **old.pop("settings")}
+    # Names of release 0.1 in its files; what it did not know (growth, findings) is empty rather than guessed.
     about["motor_loop"] = about.pop("inner")
     mass = about.pop("payload")
     return _upgraded(old, about, math.nan if mass is None else mass)
@@ -55,6 +56,7 @@ def _of_twin(old: dict[str, Any]) -> dict[str, Any]:
 
 
 def _upgraded(old: dict[str, Any], about: dict[str, Any], payload: float) -> dict[str, Any]:
+    # Not zero: a signal that was not recorded must not be drawn as one that was at rest.
     unknown = np.full(len(old["time"]), math.nan)
     extras = {k: v for k, v in old.items() if isinstance(v, np.ndarray) and k not in SIGNALS}
     signals = {name: old.get(name, unknown) for name in SIGNALS}
@@ -150,6 +152,7 @@ class Run:
 
     def __post_init__(self) -> None:
         for name in SIGNALS:
+            # A run is shared by plots, reports and comparisons: who wants to change a signal takes a copy.
             getattr(self, name).flags.writeable = False
         for values in self.extras.values():
             values.flags.writeable = False
@@ -157,6 +160,7 @@ class Run:
     @property
     def period(self) -> float:
         """Control period [s]."""
+        # From the samples and not stored twice: the two could then differ.
         return float(self.time[1] - self.time[0])
 
     @property
@@ -213,6 +217,8 @@ def judged_run(
         ended=np.array([ended]),
         vibration_period=np.array([vibration_period]),
     )
+    # A campaign follows a growing vibration for twice as long; its replay must have its verdict, and not that
+    # of four seconds.
     metrics = measure(block) if growth is None else replace(measure(block), growth=growth)
     return Run(
         time=period * np.arange(len(signals["reference"]), dtype=np.float64),
@@ -229,6 +235,7 @@ def judged_run(
 
 def payload_rejected(flags: NDArray[Any]) -> tuple[Finding, ...]:
     """Return W603 where the law was given a payload that it cannot use: it ran as if none were given."""
+    # A flag and no error: the law is a controller, it goes on with what it can use.
     periods = int(np.count_nonzero(flags & _kernels.LAW_FLAG_PAYLOAD))
     if not periods:
         return ()

@@ -56,8 +56,12 @@ def delay_line(delay: float) -> tuple[int, Vector]:
     ((2, array([1., 0., 0., 0.])), 3)
     """
     whole = round(delay)
+    # A millionth of a step is the rounding of a delay in seconds over a period: interpolated, it would take
+    # four entries for one.
     if abs(delay - whole) < 1e-6:
         return whole, np.array([1.0, 0.0, 0.0, 0.0])
+    # In the middle of its four points the cubic errs least; a delay below one step has no younger entry, and
+    # is read off one side.
     youngest = max(math.floor(delay) - 1, 0)
     at, nodes = delay - youngest, range(4)
     lagrange = [math.prod((at - j) / (i - j) for j in nodes if j != i) for i in nodes]
@@ -122,6 +126,7 @@ class Sensors:
         oldest, weights = delay_line(self.gauge_delay / step)
         if oldest == 0:
             return torque
+        # Before the log the torque was what it was at first: zeros would be a step that never was.
         late = np.concatenate([np.full(oldest, torque[0]), torque])
         if weights[0] == 1.0:
             return late[: torque.size]
@@ -145,6 +150,7 @@ class Sensors:
                 )
             reading = reading + self.gauge_noise * generator.standard_normal(torque.size)
         if self.gauge_limit is not None:
+            # The amplifier's range first, then the converter's steps: noise is clipped with the rest.
             reading = np.clip(reading, -self.gauge_limit, self.gauge_limit)
         if self.gauge_quantum > 0.0:
             reading = np.round(reading / self.gauge_quantum) * self.gauge_quantum
@@ -316,11 +322,13 @@ def segments(
     count = len(inputs)
     changes: dict[int, list[Event | None]] = {0: []}
     for event in sorted(events, key=lambda e: e.time):
+        # To the nearest period: the arm is changed between two, never within one.
         at = round(event.time / period)
         if isinstance(event, TipPulse):
             inputs[at : at + max(1, round(event.duration / period)), TIP_FORCE] += event.force
             continue
         if isinstance(event, SensorFault):
+            # One period at least: a fault that was asked for must happen.
             _inject(event, inputs[at : max(at + 1, round(event.until / period))])
             continue
         changes.setdefault(min(at, count), []).append(event)
@@ -337,10 +345,13 @@ def segments(
 def _inject(fault: SensorFault, rows: Vector) -> None:
     """Write a sensor's fault into the kernel's inputs."""
     bit, column = FAULTS[fault.kind]
+    # Two faults at once are both: the column holds a word of bits as a real.
     rows[:, FAULT_BITS] = rows[:, FAULT_BITS].astype(int) | bit
     if column is None or fault.value is None:
         return
     if column in (ENCODER_ERROR, GAUGE_ERROR):
+        # An error adds to what is there, the noise and the offset of the gauge; a gain or a value takes its
+        # place.
         rows[:, column] += fault.value
     else:
         rows[:, column] = fault.value

@@ -21,9 +21,12 @@ from fraclink.findings import Finding
 
 __all__ = ["shape"]
 
+# Beyond, what is left of a vibration only decays: a tip that was in the band for two and a half periods
+# stays.
 _TAIL = 2.5  # vibration periods after settling that the programme looks at
 _LONGEST = 16  # times that: no move of an arm takes longer
 _FAR = 0.1  # of a path's span: a tip that is farther away does not follow it
+# Rows and columns of the programme both grow with it, and the time of a solution with more than the square.
 _MOST = 60  # coefficients; a longer reference gets fewer knots in a second
 
 
@@ -112,10 +115,13 @@ def shape(
         raise FieldError("arm", "given", "a twin, beside on='model'", allowed=allowed, remedy=remedy)
     twin = None if on == "model" else arm or Twin.from_rig(design.rig, model=design.model)
     setting = MoveSetting.of(design, payloads, told, twin, gauge_offset)
+    # Beyond the law's own limit of an angle its guard would reject the reference; the programme does not know
+    # of guards.
     farthest, limit = setting.law.limits.angle_limit, setting.arm.voltage_limit
     if not isinstance(move, Path) and abs(move) >= farthest:
         allowed, remedy = f"< {farthest:.4g} rad, the law's own limit", "derive the law's limits for it"
         raise FieldError("move", move, "too far", allowed=allowed, remedy=remedy)
+    # Whatever is allowed, the amplifier gives no more.
     most = limit if voltage is None else min(voltage, limit)
     shaped, tried, kept_back = _references(setting, move, (most, speed, torque), reserve, rivals=rivals)
     target = move if isinstance(move, Path) else None
@@ -164,6 +170,7 @@ def _references(
     else:
         band = BAND * abs(move)
         promised = settling(programme.loops.to(path, ("tip",))[:, 0], move, band, programme.period)
+        # The same loop, the same bounds: what a rival loses is not lost to another model.
         others = candidates(programme.loops, move, band, programme.bounds, setting.link) if rivals else ()
     ours = Candidate("shaped", path, promised, spent)
     return path, (ours, *(others if rivals else ())), kept_back
@@ -193,9 +200,13 @@ def _fastest(
                 raise _unreachable(move, programme)
             programme = setting.longer(programme, factor)
         programme = _coarse(programme, high * programme.period)
+    # To a period, or to one in a hundred: the last bit of a second is below what noise does to the settling
+    # time.
     while high - low > max(1, high // 100):
         middle = (low + high) // 2
         low, high = (low, middle) if within(middle) else (middle, high)
+    # Of all references that settle as soon the gentlest: the extreme one rattles between its bounds, and the
+    # arm with it.
     found = _settling_at(programme, move, high, tail, within=allowed)
     return found or _required(_settling_at(programme, move, high, tail)), programme
 
@@ -233,6 +244,7 @@ def _following(programme: Programme, path: Path) -> MoveSolution:
         raise FieldError(
             "move", path.duration, "too long a path", allowed=allowed, remedy="cut it into parts"
         )
+    # The loop is at rest at zero; a path from elsewhere is that path and a jump before it.
     if float(path.angle(0.0)) != 0.0:
         allowed, remedy = "a path from 0 rad", "count the path from where the arm stands"
         raise FieldError("move", float(path.angle(0.0)), "not at 0 at first", allowed=allowed, remedy=remedy)
@@ -283,6 +295,7 @@ def _findings(made: ShapedMove) -> tuple[Finding, ...]:
         found += _along(
             made, float(np.ptp(made.target.angle(made.period * np.arange(made.tip_angle.shape[1]))))
         )
+    # A sample and a half: measured and promised are both counted in periods, and each may round by one.
     if made.target is None and ours.settling_time > ours.predicted + 1.5 * made.period:
         found.append(
             Finding(

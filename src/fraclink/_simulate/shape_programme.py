@@ -155,6 +155,7 @@ class Responses:
         """Return the signals of these names along a reference, shape (P, names, N)."""
         inputs = sampled(reference, self.period, self.length)[[0, 2]]
         found = self._spectra[:, :, [SIGNALS.index(name) for name in names]]
+        # Twice the length, so that the product of spectra is the sum over the past and does not come around.
         spectrum = np.einsum("if,pisf->psf", np.fft.rfft(inputs, 2 * self.length), found)
         return np.asarray(np.fft.irfft(spectrum, 2 * self.length)[..., : self.length])
 
@@ -180,6 +181,8 @@ def responses_of(
     found = []
     for payload in payloads:
         found.append(np.stack([_impulse(free, plain, row, payload, duration, told) for row in (0, 2)]))
+        # A loop that is not stable leaves every bound and is cut, or grows: there is no response to
+        # superpose.
         if found[-1].shape != found[0].shape or not np.all(np.abs(found[-1][0, 0]) < _DIVERGED):
             problem, allowed = "one with which the loop is not stable", "a payload that the law holds"
             remedy = "narrow the range, or design for it"
@@ -190,8 +193,11 @@ def responses_of(
 def _impulse(law: Law, arm: ShapedArm, row: int, payload: float, duration: float, told: bool) -> Real:
     size = _ACCELERATION if row else _ANGLE
     values = np.zeros((3, 4))
+    # One period of the angle, or of the acceleration, alone: the law reads both, and takes them for
+    # independent.
     values[row, 1] = size  # in the second period: the first one starts the law
     reference = SampledReference(law.period, values)
+    # One period longer, for the one in which the law starts.
     run = arm.run(law, reference, payload, duration + law.period, told=told)
     return np.asarray(_signals(run)[:, 1:] / size)
 
@@ -281,8 +287,11 @@ class Programme:
         free: list[tuple[float | None, float | None]] = [(None, None)] * count
         most: list[tuple[float | None, float | None]] = [(0.0, within)]
         end = [float(target[-1])]
+        # The last unknown is e, the distance; nothing else costs.
         cost = np.append(np.zeros(count), 1.0)
         if within is not None:
+            # Σ |differences of the acceleration| as a linear programme: each bounded by an unknown of its
+            # own.
             jerk = self._jerk(count)
             extra = len(jerk)
             rows = np.block(
@@ -296,6 +305,7 @@ class Programme:
 
     def _kept(self, count: int, target: Real, first: int, last: int) -> tuple[Real, Real]:
         """Every inequality as rows @ (c, e) <= sides."""
+        # Once the reference rests the loop only decays: its peaks lie before, or within a tenth of a second.
         until = min(count * self.knot + _AFTER, self.length)
         rows, sides = [], []
         for answer in self._answers:
@@ -383,5 +393,6 @@ def spline_path(coefficients: Real, step: float) -> Path:
     for j, size in enumerate(coefficients):
         pieces[j : j + 3] += size * _STEP[:3]
         pieces[j + 3 :, 0] += size
+    # From powers of t/h to powers of t.
     pieces /= step ** np.arange(4.0)
     return Path("shaped", step * np.arange(count + 3.0), pieces, step * (count + 2))

@@ -208,6 +208,7 @@ class Candidate:
 
 def settling(tip: Real, move: float, band: float, period: float) -> float:
     """Return when every row of `tip`, (payloads, N), stays within `band` of `move` [rad]; inf for never."""
+    # Of any payload: one reference has to serve them all.
     outside = np.any(np.abs(tip - move) > band, axis=0)
     if outside[-1]:
         return math.inf
@@ -249,6 +250,7 @@ def candidates(
         began = perf_counter()
         for name, reference in _tried(kind, move, link):
             time = settling(loops.to(reference, ("tip",))[:, 0], move, band, loops.period)
+            # The bounds are asked last: they cost four convolutions, and most tries settle too late anyway.
             if (best is None or time < best.predicted) and _kept(loops, bounds, reference):
                 best = Candidate(name, reference, time)
         found += [] if best is None else [replace(best, computing_time=perf_counter() - began)]
@@ -290,6 +292,7 @@ class MoveSetting:
         if low <= 0.0:
             raise FieldError("payloads", low, "no payload", allowed="> 0 kg", remedy="give kg: 0.030 is 30 g")
         own = ShapedArm(design.rig, design.model, twin)
+        # Geometric, as ω₀ goes with the root of the payload: the middle of the frequencies.
         middle = math.sqrt(low * high)
         link = design.model.at_payload(middle) if design.model.payload is not None else design.model
         return MoveSetting(own.equipped(design.law()), own, link, (low, high), told, gauge_offset)
@@ -316,6 +319,7 @@ class MoveSetting:
         loops = responses_of(law, self.arm, self.between(self.steps), _KNOWN * self.vibration, told=self.told)
         noise = noise_of(law, self.arm, self.payloads[1], told=self.told)
         left = {name: _NOISES * noise[name] for name in noise}
+        # The compensation of friction is added to what the linear loop asks for, with the sign of the speed.
         left["voltage"] += drive.coulomb_voltage if drive else 0.0
         torques = (torque, self.arm.gauge_limit, _GUARDED * limits.torque_limit)
         most = {
@@ -325,6 +329,7 @@ class MoveSetting:
             "motor_step": _GUARDED * limits.motor_step,
         }
         for name, value in most.items():
+            # Nothing is left for the move: the programme would be infeasible, and say nothing of why.
             if left[name] >= value:
                 field, unit = name.removeprefix("motor_"), UNITS[SIGNALS.index(name)]
                 problem, allowed = "less than noise and friction take", f"> {left[name]:.3g} {unit}"
@@ -354,6 +359,8 @@ class MoveSetting:
         """Run a reference on the arm with every payload and noise, and return the worst."""
         runs = [
             self.run(tried.reference, payload, seed)
+            # Twice as dense as the programme's payloads: those in between were promised nothing, and are
+            # asked.
             for payload in self.between(2 * self.steps)
             for seed in range(seeds)
         ]

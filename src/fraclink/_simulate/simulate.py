@@ -17,7 +17,7 @@ from fraclink._law import Law
 from fraclink._law.design import Design
 from fraclink._law.discretization import check_rigs_period
 from fraclink._law.estimator import Estimates, PayloadEstimator
-from fraclink._simulate.arm import Twin
+from fraclink._simulate.arm import MOST_SAMPLES, Twin
 from fraclink._simulate.estimates import (
     ESTIMATED,
     estimate_findings,
@@ -55,7 +55,6 @@ MotorLoop = Literal["ideal", "sampled"]
 Torque = Annotated[float, Between(-1e6, 1e6, "N·m")]
 
 SETTLE = 5.0  # [s] simulated after the reference has come to rest: 30 periods of the paper's slowest link
-MOST_SAMPLES = 2_000_000
 
 
 @checked
@@ -165,11 +164,13 @@ def simulate(
         twin = replace(twin, sensors=replace(twin.sensors, **gauge)) if gauge else twin
         twin = twin if delay_samples is None else replace(twin, voltage_delay=delay_samples)
         return on_twin(twin, law, reference, length, events, seed, told, estimator)
+    # A massless model has no modes to be exchanged and no tip to be pushed; its sensors can fail.
     faults = tuple(event for event in events if isinstance(event, SensorFault))
     _refuse(events=len(faults) < len(events))
     if isinstance(design, Design):
         rig, model = rig or design.rig, model or design.model
     own, link = _rig_and_link(law, rig, model, payload)
+    # A law without a motor loop asks for a motor angle: it is run behind the M(s) for which it was designed.
     kind = motor_loop or ("ideal" if law.drive is None else "sampled")
     _refuse(measured=compensation == "measured" and kind == "ideal")
     law, findings = with_motor_loop(law, rig=own, link=link) if kind == "sampled" else (law, ())
@@ -236,6 +237,8 @@ def link_at(link: LinkModel, rig: Rig, payload: float) -> LinkModel:
     """Return the link at a payload [kg]; where its own is not known, with ω₀ of the rig, eq. (5)."""
     if link.payload is not None:
         return link if payload == link.payload else link.at_payload(payload)
+    # Without the payload of its log ω₀ cannot be carried over by (5); the rig's stiffness and length make
+    # one.
     return replace(link, natural_frequency=rig.natural_frequency(payload), payload=payload)
 
 
@@ -250,6 +253,7 @@ def _on_model(
     faults: tuple[SensorFault, ...],
     estimator: PayloadEstimator | None,
 ) -> Run:
+    # Whole periods that fit: 4.9 ms over 0.1 ms are 48.99999999999999 in binary.
     count = math.floor(length / law.period * (1 + 1e-12)) + 1
     path = sampled(reference, law.period, count)
     if not np.all(np.isfinite(path)):
@@ -276,6 +280,7 @@ def _on_model(
     signals, marks = run_lumped(
         law, shared, arm, *path_of_arm, everything=True, faults=broken, estimator=estimator
     )
+    # A run that is cut before its reference rests is judged by its last tenth.
     ended = min(reference.duration, (count - 1) * law.period)
     seen = signals[:, 0], marks[:, 0]
     estimates = None if estimator is None else (estimator, estimates_of_model(estimator, seen[0], broken))
@@ -318,6 +323,8 @@ def model_run(
         payload=math.nan if link.payload is None else link.payload,
         period=law.period,
         ended=ended,
+        # A link without stiffness, or overdamped, does not swing: its windows are then longer than any run,
+        # and nothing grows in them.
         vibration_period=2 * math.pi / max(abs(link.pole.imag), 1e-3),
         about=about,
         findings=findings + (estimate_findings(*estimates, law.period) if estimates else ()),
