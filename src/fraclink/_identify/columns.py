@@ -65,12 +65,14 @@ def column_findings(log: Experiment) -> Iterator[Finding]:
 
 def lead_of(output: Vector) -> int:
     """Samples at the beginning of a log that show whether it begins at rest."""
+    # Ten samples at least: the mean of fewer is the gauge's noise and not the link's bend.
     return max(10, round(0.01 * output.size))
 
 
 def motion_at_start(angle: Vector, vibration: Vector, spread: float) -> str | None:
     """What moves in a log's first samples, None where the arm is at rest; `vibration` is without offset."""
     lead = lead_of(vibration)
+    # A fiftieth of the way: an encoder's noise and the creep of a brake stay below it, a move does not.
     if float(np.ptp(angle[:lead])) > 0.02 * float(np.ptp(angle)):
         return "the motor moves"
     return "the link is bent" if abs(float(vibration[:lead].mean())) > 0.5 * spread else None
@@ -79,6 +81,7 @@ def motion_at_start(angle: Vector, vibration: Vector, spread: float) -> str | No
 def _explained(values: Vector, source: Vector) -> float:
     """Share of the variance of `values` that a multiple of `source` and a constant explain: R²."""
     centred, other = values - values.mean(), source - source.mean()
+    # Squared, so that a copy with the other sign or in another unit is a copy too.
     power = float(centred @ centred) * float(other @ other)
     return float(centred @ other) ** 2 / power if power > 0 else 0.0
 
@@ -87,6 +90,8 @@ def _is_ramp(values: Vector) -> bool:
     """Whether nearly all steps are one step, as those of a clock or of a counter that starts anew."""
     steps = np.diff(values)
     usual = float(np.median(steps))
+    # Measured steps differ by counts of the encoder and by noise: alike to a millionth are only those that
+    # were computed. A tenth of them may be others, where a counter starts anew.
     return usual != 0 and float(np.mean(np.abs(steps - usual) < 1e-6 * abs(usual))) > 0.9
 
 

@@ -183,6 +183,7 @@ def identify(
         names = [structure_row(structure).name]
     search = make_search(log, heldout=heldout, stiffness=stiffness, fixed=fixed, guess=guess, hold=hold)
     if len(names) < len(STRUCTURES):
+        # One structure, or two that hold the value: the pair of criteria is made for the whole table.
         fits = [fit_from(search, name, log, stiffness=stiffness, details=details) for name in names]
         return min(fits, key=lambda fit: fit.aic)
     criteria, errors = criteria_of(search)
@@ -251,6 +252,7 @@ def compare_structures(
     }
     still = {}
     if "delay" not in search.fixed:
+        # A delay turns the phase as λ < 2 does: only a fit without it shows what it has explained.
         at_once = {**(fixed or {}), "delay": 0.0}
         other = make_search(log, heldout=heldout, stiffness=stiffness, fixed=at_once, guess=None, hold=hold)
         still = {
@@ -266,6 +268,8 @@ def compare_structures(
 
 def _gap(criteria: Criteria, name: str, other: str) -> float:
     """By how much a structure is above another one in both criteria, below it in both; 0 if they differ."""
+    # Where one criterion speaks for each, the log has not decided: the gap is the smaller one of two that
+    # agree.
     gaps = [a - b for a, b in zip(criteria[name], criteria[other], strict=True)]
     return max(min(gaps), 0.0) + min(max(gaps), 0.0)
 
@@ -303,6 +307,7 @@ def _undecided(search: Search, criteria: Criteria, preferred: str) -> tuple[str,
         name
         for name in _near(criteria)
         if name != preferred
+        # Two descents to one model end within their tolerance of each other, and no closer.
         and abs(search.solve(name).cost - least) > 1e-9 * least
         and preferred not in special_cases(name)
     )
@@ -348,6 +353,7 @@ def _of_the_delay(fits: Mapping[str, Fit], still: Mapping[str, Fit]) -> list[str
     if not still:
         return []
     viscous, fractional = fits[VISCOUS], fits[FRACTIONAL]
+    # 2: what one parameter costs in the AIC. Both have as many, so that a smaller gap is no preference.
     at_once_wins = still[FRACTIONAL].aic < still[VISCOUS].aic - 2
     # Less than a sample of delay may be the noise of the angle, averaged between two samples.
     shown = max(3 * viscous.standard_errors.get("delay", math.inf), viscous.period)

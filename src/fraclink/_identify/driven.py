@@ -211,6 +211,8 @@ def _peak(fit: StructureFit, output: Output, band: tuple[float, float]) -> float
     if not tops.size:
         return None
     k = int(tops[np.argmax(level[tops])])
+    # The grid is 0.3 % wide a step where the band spans three decades: a third of a percent of a peak would
+    # be more than its interval.
     before, at, after = level[k - 1 : k + 2]
     shift = 0.5 * (before - after) / (before - 2 * at + after)  # the top of the parabola through three points
     return float(w[k] * (w[1] / w[0]) ** shift)

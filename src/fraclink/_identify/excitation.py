@@ -135,6 +135,8 @@ def design_experiment(
     found = [_scaled(unit, wanted, deflection_limit, motor) for unit in tried]
     allowed = [design for design, reached in found if reached]
     if allowed:
+        # The smallest motion that does: it wears the arm least and bends the link least out of its straight
+        # range.
         return replace(min(allowed, key=lambda design: design.amplitude), kind=kind)
     best = min((design for design, _ in found), key=lambda design: design.standard_error)
     # The error of an estimate falls with the square root of the samples.
@@ -143,6 +145,7 @@ def design_experiment(
     raise InfeasibleError(
         f"{best.limit} limit",
         f"standard error {wanted:.3g} of λ needs more than {best.amplitude:.3g} rad{longer}",
+        # A hair more than what was reached, or rounding would refuse what is offered here.
         {"standard_error": best.standard_error * (1 + 1e-6)},
     )
 
@@ -159,7 +162,9 @@ def _motions(
         if kind == "prbs":
             # Half a period of the centre a bit: power then lies from the lowest line to 0.44/bit, where it
             # has fallen by half.
+            # Whole samples: the controller that plays it can change its reference at a sample only.
             bit = max(round(math.pi / centre / period), 2) * period
+            # 0.2 s of rest before it, for the offset, and 0.3 s after it, so that its last bit is answered.
             path = prbs(1.0, bit, bits=max(int((duration - 0.5) / bit), 1), register=9, start=0.2)
             band = (2 * math.pi / duration, 0.44 * 2 * math.pi / bit)
             result.append((bit, band, _followed(path.angle(time), period, inner_pole)))
@@ -179,6 +184,7 @@ def _multisine(time: Reals, band: tuple[float, float]) -> Reals:
     wave = np.zeros_like(time)
     for line, phase in zip(lines, phases, strict=True):
         wave += np.cos(2 * math.pi * line * time / span + phase)
+    # 3t² − 2t³: the slope begins and ends at zero, and so the motor's speed does not jump.
     wave *= np.clip(time, 0, 1) ** 2 * (3 - 2 * np.clip(time, 0, 1))
     return np.asarray(wave / np.max(np.abs(wave)))
 
@@ -230,9 +236,11 @@ def _unit(
     size = np.linalg.norm(scaled, axis=1)
     # Columns of length one: derivatives by λ and by the offset differ by orders of magnitude.
     inverse = np.linalg.inv((scaled / size[:, None]) @ (scaled / size[:, None]).T)
+    # Row 0 is the gain's, row 1 that of λ.
     error = noise * math.sqrt(inverse[1, 1]) / float(size[1])
     voltage = None
     if motor is not None:
+        # Differences of the motion after the motor's loop: it has a double pole, so that θm'' is finite.
         speed = np.gradient(motion, period)
         load = model.stiffness * columns[0] / (motor.gear_ratio * motor.torque_constant)
         drive = (np.gradient(speed, period) + motor.decay * speed) / motor.gain + load
@@ -248,6 +256,7 @@ def _scaled(
     most = {"deflection": deflection_limit / unit.deflection}
     if motor is not None and unit.voltage:
         most["voltage"] = motor.voltage_limit / unit.voltage
+    # The limit that binds first is the one that is named.
     limit = min(most, key=lambda name: most[name])
     reached = needed <= most[limit]
     amplitude = needed if reached else most[limit]

@@ -67,6 +67,7 @@ def bic(mse: float, samples: int, parameters: int) -> float:
 
 
 def _check_size(fit: Fit) -> None:
+    # Before anything is written: a file that `load` would refuse is worth less than none.
     if fit.samples > _SAMPLES_MOST:
         remedy = "fit a part of the log, or keep the link alone with save(fit.model, path)"
         problem, most = "too many to save with their residual", f"<= {_SAMPLES_MOST}"
@@ -230,6 +231,7 @@ class Fit:
         """
         if rig.gauge.delay_in_loop:
             return self.model
+        # The interval of a delay that is not in the loop would widen what a design has to bear.
         kept = tuple(row for row in self.model.intervals if row[0] != "gauge_delay")
         return dataclasses.replace(self.model, gauge_delay=0.0, intervals=kept)
 
@@ -273,6 +275,7 @@ def _parameters(fit: Fit) -> str:
     for name in structure(fit.structure).free:
         symbol, unit = SYMBOLS[name]
         error = fit.standard_errors.get(name)
+        # Six digits, as λ = 1.92314 ± 0.00012 needs them; two of the error.
         value = f"{symbol} = {getattr(fit.model, name):.6g}" + ("" if error is None else f" ± {error:.2g}")
         parts.append(f"{value} {unit}".rstrip())
     return ", ".join(parts)

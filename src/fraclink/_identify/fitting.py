@@ -92,6 +92,7 @@ def make_search(
         for name, value in (fixed or {}).items()
     }
     if stiffness is not None and log.output_kind == "torque":
+        # In a deflection log the gain is the gauge's own, whatever the link's stiffness.
         values.setdefault("gain", stiffness)
     count = fitted_samples(log) if heldout is None else log.output.size - round(heldout * log.output.size)
     _check_motion(log, count)
@@ -99,6 +100,7 @@ def make_search(
     start = None
     if guess is not None:
         start = shape_of(guess, values.get("delay", 0.0))
+        # A guess may be any link; a search that began outside of its limits would end there.
         start[0] = np.clip(start[0], *ORDER_LIMITS)
     return Search(window, values, start)
 
@@ -156,9 +158,11 @@ def fitted_samples(log: Experiment) -> int:
     """
     total = log.output.size
     count = total - round(_HELDOUT * total)
+    # Blocks of a sample or two have no mean square to compare.
     if total < 2 * _BLOCKS or _MOVES <= motion_after(log, count)[0] <= 1 - _MOVES:
         return count
     places = np.linspace(0, total, _BLOCKS + 1).astype(int)
+    # Steps of the angle and not the angle: a motor that rests away from zero does not move.
     motor = _activity(np.diff(log.motor_angle))
     swing = _activity(log.output - np.median(log.output))
     borders = [k for k in range(1, _BLOCKS) if places[k] >= _LEAST_SAMPLES]
@@ -166,6 +170,7 @@ def fitted_samples(log: Experiment) -> int:
     # it.
     rests = [k for k in borders if motor[k - 1] - motor[k] < 0.01 and 0.25 <= motor[k] <= 0.75]
     ringing = [k for k in borders if swing[k] >= 0.25 and motor[k] < 0.5]
+    # The last of them: the fitted part is then as long as it can be.
     return int(places[max(rests or ringing or [round(_BLOCKS * (1 - _HELDOUT))])])
 
 
@@ -199,9 +204,11 @@ def fit_from(
     predicted = _predicted(search, solution, log)
     residual = log.output - predicted
     if errors is None or not details:
+        # Without details the white covariance alone: the coloured one takes as long as the fit.
         errors = uncertainty(search, solution, coloured=details)
     tests, allow, intervals = None, False, {}
     if details:
+        # On the fitted part: what was held out judges the prediction, not the noise.
         tests = _tests(search, residual[: window.samples], errors)
         allow = tests.whiteness < _COLOURED and errors.coloured is not None
         intervals = _intervals(search, solution, errors, allow)
@@ -240,7 +247,10 @@ def fit_from(
 
 def _figures(log: Experiment, residual: Vector, count: int, solution: Solution) -> dict[str, Any]:
     """Errors and criteria over the fitted part and over the one held out."""
+    # The structure's own, as the paper counts them: gain, offset and delay are in every one, and shift all
+    # criteria alike.
     parameters = len(structure_row(solution.structure).free)
+    # Powers about the offset: a gauge that is off by a volt explains nothing by being constant.
     squares, powers = residual**2, (log.output - solution.offset) ** 2
     mse, held, held_power = float(np.mean(squares[:count])), None, 0.0
     if count < residual.size:
@@ -263,6 +273,7 @@ def _identified(fit: Fit, mode: tuple[SecondMode | None, float | None], stiffnes
     stiffness that the controller meets. A deflection log shows the gauge gain itself. A reversed sign is a
     wiring fault to be stated in the rig file (W307), not a property of the gauge.
     """
+    # Zero is no stiffness of a link model; a fit of nothing ends there, and its gates say so.
     size = max(abs(fit.gain), 1e-12)
     torque = fit.output_kind == "torque"
     # The gain is straight in the prediction: its profile is the parabola, and the standard error says all.
@@ -293,6 +304,7 @@ def _tests(search: Search, residual: Vector, errors: Uncertainty) -> ResidualTes
     ratio = 1.0
     if errors.coloured is not None and errors.names:
         pairs = zip(np.diag(errors.coloured).tolist(), np.diag(errors.white).tolist(), strict=True)
+        # The worst one: it says by how much fewer samples the least certain parameter counts.
         ratio = min(max((c / w for c, w in pairs if w > 0), default=1.0), 1e12)
     motion = search.window.increments()[-search.window.samples :]
     return residual_tests(residual, motion, search.window.period, errors.lag, ratio)
@@ -310,6 +322,7 @@ def _intervals(search: Search, solution: Solution, errors: Uncertainty, allow: b
         error = math.sqrt(max(white[i], 0.0) * inflation)
         result[name] = profile_interval(search, solution, name, error, inflation)
     if 3 in solution.free and "damping_order" not in result:  # at a limit: one-sided, but never left out
+        # At a limit there is no standard error to begin at: 0.2 is a tenth of the range of α.
         result["damping_order"] = profile_interval(search, solution, "damping_order", 0.2, 1.0)
     if solution.on_edge:
         # ω₀ = 0 is where the interval begins; its width is set by how fast α may leave the edge.

@@ -95,6 +95,7 @@ class Coordinates:
             return value, {"frequency": 1.0}
         square = math.exp(value) / self.payloads[log]
         cosine, sine = math.cos(other * math.pi / 2), math.sin(other * math.pi / 2)
+        # The undamped link's Ω: within some percent of the root, as the damping of an arm is weak.
         log_resonance = math.log(square) / order
         for _ in range(40):  # Newton on Ω^λ − κ/m − μ Ω^α cos(απ/2), in ln Ω
             moving, friction = math.exp(order * log_resonance), damping * math.exp(other * log_resonance)
@@ -125,10 +126,12 @@ def start_of(coordinates: Coordinates, alone: Sequence[Solution]) -> Vector:
         damping, square = damping_and_square(shape)
         frequency = float(shape[1])
         if coordinates.payloads is not None:
+            # ω₀² m = c/L² by eq. (5): each log's own estimate of what is to be common.
             frequency = math.log(max(square, 1e-12) * coordinates.payloads[i])
         values = {
             "frequency": frequency,
             "order": float(shape[0]),
+            # A logarithm needs a start above zero; an undamped fit begins where damping no longer shows.
             "damping": math.log(max(damping, 1e-6)),
             "damping_order": float(shape[3]),
             "delay": float(shape[4]),
@@ -148,6 +151,7 @@ def weight_of(search: Search, solution: Solution) -> float:
     variance = solution.cost / search.window.samples
     own = [i for i, name in enumerate(errors.names) if name in ("order", "natural_frequency", "damping")]
     if errors.coloured is None or not own:
+        # No estimate of the colour (a perfect fit, all at a limit): every sample counts.
         return 1 / variance
     # The median over the link's own parameters: one that hardly matters may have any ratio.
     ratios = np.diag(errors.coloured)[own] / np.maximum(np.diag(errors.white)[own], 1e-300)
@@ -189,11 +193,13 @@ class JointProblem:
         """The best θ and the normal matrix there."""
         logs = range(self.coordinates.logs) if "order" in self.coordinates.names else ()
         orders = [self.coordinates.index("order", i) for i in logs]
+        # Orders are the only coordinates with a limit that fits run into: λ = 2 is an integer link.
         theta[orders] = np.clip(theta[orders], *ORDER_LIMITS)
         cost, normal, slope = self.evaluate(theta)
         if not math.isfinite(cost):
             remedy = "fit each log alone first, they may not belong together"
             raise NotConvergedError("the joint fit", reached=math.inf, wanted=0.0, remedy=remedy)
+        # A Gauss–Newton step to begin with, hardly damped: the logs' own fits are close.
         damping = 1e-3
         for _ in range(_ITERATIONS):
             size = np.maximum(np.diag(normal), 1e-300)

@@ -39,12 +39,15 @@ class Descent:
 def differences(residuals: Residuals, places: Reals, at: Reals, low: Reals, high: Reals) -> Reals:
     """Jacobians (M, p, R) by one-sided differences that stay inside the box."""
     count, size = places.shape
+    # One-sided, since a second response would double the cost of the search; 1e-6 of a coordinate of order
+    # one.
     step = _STEP * np.where(places + _STEP > high, -1.0, 1.0)
     # A limit of the domain that is no limit of the box (an improper function) is left backwards.
     for side in (1.0, -1.0):
         moved = np.repeat(places[:, None, :], size, axis=1)
         moved[:, range(size), range(size)] += side * step
         moved = np.clip(moved, low, high)
+        # What was really moved, after clipping and rounding.
         taken = moved[:, range(size), range(size)] - places
         taken = np.where(taken == 0.0, np.inf, taken)
         there = residuals(moved.reshape(count * size, size)).reshape(count, size, -1)
@@ -74,6 +77,7 @@ def descend(
     count, size = places.shape
     at = np.array(residuals(places))  # rows are written below
     costs, evaluations = _costs(at), count
+    # A start without a value has no slope to leave it by: it is done, and its cost stays infinite.
     damping, done = np.full(count, 1e-3), ~np.isfinite(costs)
     if size == 0:
         return Descent(places, costs, ~done, evaluations)
@@ -97,6 +101,7 @@ def descend(
         steps, gains = _steps(
             normal[moving], slope[moving], damping[moving], places[moving], (low, high), shear
         )
+        # By what the step would gain and not by its length: in a long valley short steps still gain.
         settled[moving] = gains <= tolerance * costs[moving]
         tried = np.clip(places[moving] - steps, low, high)
         there = residuals(tried)
@@ -132,6 +137,8 @@ def _steps(
     along = np.maximum(along, 1e-12 * along.max(axis=1, keepdims=True) + 1e-300)
     damper = np.einsum("pi,mp,pj->mij", shear, along, shear)
     matrix[:, range(matrix.shape[1]), range(matrix.shape[1])] += np.where(held, 1.0, 0.0)
+    # A trace of damping alone keeps a singular matrix solvable; what it says a step would gain is that of the
+    # undamped one.
     whole = np.linalg.solve(matrix + 1e-12 * damper, right[:, :, None])[:, :, 0]
     steps = np.linalg.solve(matrix + damping[:, None, None] * damper, right[:, :, None])[:, :, 0]
     return np.asarray(steps), np.asarray(np.einsum("mp,mp->m", whole, right))
@@ -164,6 +171,8 @@ def _solved(normal: Reals, right: Reals, low: Reals, high: Reals, first: int) ->
     if normal.shape[1] == 1:
         return np.clip(right / normal[:, :, 0], low, high)
     other = 1 - first
+    # Two columns by Cramer's rule for all candidates at once: a call of `solve` each would take longer than
+    # the response.
     determinant = normal[:, 0, 0] * normal[:, 1, 1] - normal[:, 0, 1] ** 2
     own = (right[:, first] * normal[:, other, other] - right[:, other] * normal[:, 0, 1]) / determinant
     result = np.empty_like(right)
@@ -228,6 +237,7 @@ def interval_end(
     through it meet the quantile in two or three fits where bisection would take twenty.
     """
     samples, least, shape = profile.samples, profile.least, profile.begin
+    # A bracket from the start: the fit itself is inside, and nothing is known to be outside.
     inside, inside_root, outside, outside_root = centre, 0.0, math.nan, math.inf
     value = centre + step
     for _ in range(25):
@@ -246,6 +256,8 @@ def interval_end(
         else:
             outside, outside_root = value, height
         if math.isnan(outside):
+            # As far as the straight root says, at least 5 % farther (or rounding stops it) and at most four
+            # times: behind that the profile may have another valley.
             ratio = QUANTILE / inside_root if inside_root > 0 else 4.0
             value = centre + (inside - centre) * min(max(ratio, 1.05), 4.0)
         elif math.isfinite(outside_root):
@@ -256,4 +268,5 @@ def interval_end(
             value = (inside + outside) / 2
         if abs(outside - inside) < 1e-9 * abs(centre):
             return outside, False
+    # Open where 25 fits never left the likelihood's reach.
     return value, math.isnan(outside)

@@ -50,6 +50,7 @@ def welch_response(log: Experiment, fit: Fit) -> WelchResponse:
     >>> round(float(found.frequency[told][np.argmax(np.abs(found.measured[told]))]))
     16
     """
+    # Half-overlapping: a Hann window forgets the ends of a segment, which lie in the middle of the next.
     size = 2 * (log.output.size // (_SEGMENTS + 1))
     starts = range(0, log.output.size - size + 1, size // 2)
     window = np.hanning(size)
@@ -61,6 +62,7 @@ def welch_response(log: Experiment, fit: Fit) -> WelchResponse:
 
     u, y, model = map(spectra, signals)
     power = np.mean(np.abs(u) ** 2, axis=0)
+    # A thousandth in amplitude: below, the ratio is the gauge's noise over an encoder's.
     moved = power > 1e-6 * power.max()
     cross = np.mean(y * u.conj(), axis=0)
     heard = np.maximum(power * np.mean(np.abs(y) ** 2, axis=0), 1e-300)
@@ -102,10 +104,12 @@ def error_map(log: Experiment, fit: Fit) -> ErrorMap:
     count = fit.fitted_samples
     window = fitted_window(log, count, chosen_hold(log.motor_angle, "auto"))
     best = shape_of(fit.model, fit.delay)
+    # The grid of rates reaches down to the lowest resonance of the map, or its edge would be wrong.
     kernel = window.kernel(math.exp(best[1] - _MOST), longest_delay=abs(fit.delay))
     # A parabola through the best point and one beside it says where the error will have grown enough.
     beside = best + _TRIED * np.array([[0.0] * 5, [-1.0, 0, 0, 0, 0], [0, 1.0, 0, 0, 0]])
     least, *grown = kernel.costs(beside, math.nan, math.nan)
+    # A direction in which nothing grows is cut at _MOST: a parabola without curvature reaches anywhere.
     shares = np.maximum(np.array(grown) / least - 1.0, 1e-6)
     reach = np.clip(_TRIED * np.sqrt(_GROWN / shares), _LEAST, _MOST)
     orders = np.linspace(max(best[0] - reach[0], 1.0), min(best[0] + reach[0], 2.0), _ORDERS)

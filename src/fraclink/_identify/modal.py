@@ -76,6 +76,7 @@ class SpectrumFit:
 
     def response(self, frequency: ArrayLike) -> Complexes:
         """Ĥ(jω) at `frequency` [rad/s]."""
+        # The gain was fitted last and is real: a response is the basis times it.
         values = [self.order, self.delay, *np.log(self.resonances), *np.log(self.anti_resonances)]
         basis = _basis(
             np.array(values), np.asarray(frequency, dtype=np.float64), len(self.resonances), self.derivative
@@ -143,6 +144,8 @@ class ModalProblem:
         # The loss turns at f_scale: measured by the median line, not by a resonance that is a hundred times
         # higher.
         scale = float(np.median(np.abs((self.weight * self.response)[kept])))
+        # After the first fit a start is there: setting lines aside moves the optimum a little, and no new
+        # valley is looked for.
         starts = [start] if start is not None else [x[self.moving] for x in _starting_points(self, kept)]
         low, high = self._limits()
         best, least = None, math.inf
@@ -172,6 +175,8 @@ class ModalProblem:
         low, high = math.log(self.frequency.min()) - _BEYOND, math.log(self.frequency.max()) + _BEYOND
         longest = LONGEST / self.frequency.max()
         places = self.resonances + self.anti_resonances
+        # A delay may come out negative: a table whose phase was measured the other way round is told by a
+        # gate.
         ends = np.array([[1.0, -longest, *[low] * places], [2.0, longest, *[high] * places]])
         return ends[0, self.moving], ends[1, self.moving]
 
@@ -197,6 +202,8 @@ class ModalProblem:
 
     def _standard_errors(self, free: Reals, kept: Bits) -> dict[str, float]:
         """White's sandwich: lines near a resonance err more than others, and in their own way."""
+        # Central differences of numbers of order one: their error, 1e-12 by the step and 1e-10 by rounding,
+        # is none.
         full, step = self.full(free), 1e-6
         units = step * np.eye(full.size)[self.moving]
         ends = [(self.errors(full + unit, kept), self.errors(full - unit, kept)) for unit in units]
@@ -213,6 +220,7 @@ class ModalProblem:
             ("resonance", slice(0, self.resonances)),
             ("anti-resonance", slice(self.resonances, None)),
         ):
+            # The fit may cross two modes; resonance 1 is the lowest in every result.
             ascending = np.argsort(places[rows])
             result |= {f"{kind} {rank + 1}": float(own[rows][i]) for rank, i in enumerate(ascending)}
         return result
@@ -261,12 +269,15 @@ def _starting_points(problem: ModalProblem, kept: Bits) -> list[Reals]:
         for spots in _seen(frequency, response, problem.resonances, problem.anti_resonances)
     ]
     by_eye = [(float(np.linalg.norm(problem.errors(full, kept))), full) for full in seen]
+    # Two and three: a fit from each takes tens of milliseconds, and where the table has more modes than the
+    # model the best start by error is often not the best by place.
     best = sorted(found, key=lambda pair: pair[0])[:2] + sorted(by_eye, key=lambda pair: pair[0])[:3]
     return [full for _, full in best]
 
 
 def _seen(frequency: Reals, response: Complexes, peaks: int, dips: int) -> list[tuple[float, ...]]:
     """ln of prominent peaks and dips of |H|, every choice of them; noise may stand out like a mode."""
+    # A logarithm: a peak of ten over its saddle counts the same at any height.
     level = np.log(np.abs(response) + 1e-300)
     # A median of three: a single line of hum is a peak to a mean, and none to a median.
     smooth = np.array([np.median(level[max(0, k - 1) : k + 2]) for k in range(level.size)])
@@ -287,6 +298,8 @@ def _prominent(level: Reals, count: int) -> list[int]:
             continue
         saddles = []
         for side in (level[k::-1], level[k:]):
+            # On a side without a higher point the saddle is the lowest one: the end of the table bounds what
+            # is known.
             higher = np.flatnonzero(side > level[k])
             saddles.append(float(np.min(side[: higher[0]] if higher.size else side)))
         rows.append((level[k] - max(saddles), k))
@@ -318,6 +331,7 @@ def _levy(
 
 def _places(coefficients: Reals, order: float, scale: float) -> list[float]:
     """ln of the frequencies |root|^(1/λ) of a polynomial in x."""
+    # A leading coefficient of zero is a root at infinity: that mode starts at the band's middle instead.
     roots = np.roots(coefficients) if np.any(coefficients[:-1]) else np.zeros(0)
     missing = coefficients.size - 1 - roots.size
     sizes = np.sort(np.abs(roots)).tolist() + [1.0] * missing

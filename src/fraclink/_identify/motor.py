@@ -146,6 +146,8 @@ def identify_motor(
         dead_zone = Between(0.0, 0.99 * float(np.max(np.abs(u))), "V").check("dead_zone", dead_zone)
     if window is not None:
         window = Between(0.0, longest, "s", low_open=True).check("window", window)
+    # 80 ms: friction, backlash and the encoder average out, and a move of a tenth of a second still holds a
+    # bump. Fewer than 30 samples would not follow the bump's second derivative.
     half = max(15, round((0.04 if window is None else window / 2) / period))
     bumps = _Bumps(angle, load, period, half)
     if bumps.places.size < _LEAST_WINDOWS:
@@ -168,6 +170,7 @@ def _judged(fit: MotorFit) -> MotorFit:
         ("coulomb_voltage", "Coulomb friction", fit.coulomb_voltage),
     ):
         error = fit.standard_errors[name]
+        # A gain of zero or below is impossible however badly it is known: nothing can be commanded with it.
         if value < -_SIGN * error or (name == "gain" and value <= 0):
             problem = f"{symbol} of an impossible sign, with a standard error of {error:.3g}"
             remedy = (
@@ -228,6 +231,8 @@ class _Bumps:
         least = 0.03 * float(np.max(np.abs(mean)))
         steady = (np.min(wide, axis=1) > least) | (np.max(wide, axis=1) < -least)
         # A bump at k touches velocities half a bump to each side: all of them must have one sign.
+        # Eight to a bump's length: more of them are nearly the same equation again, fewer leave information
+        # out.
         self.places = (np.flatnonzero(steady) + half)[:: max(1, half // 4)]
         self.centres = self.places + half
         self.sign = np.sign(mean[self.places])
@@ -240,6 +245,8 @@ class _Bumps:
     def driven(self, u: Reals, delay: float) -> Reals:
         """∫ φ(t) u(t − τ) dt of a held voltage, exact for every τ."""
         width = self.half * self.period
+        # A held voltage is a staircase: its integral with the bump is a sum of differences of the
+        # antiderivative, for delays between samples, too.
         integral = _BUMP.integ()
         reach = self.half + 1
         shift = delay / self.period
@@ -247,6 +254,7 @@ class _Bumps:
         edges = np.arange(-reach, reach + 2) + (shift - whole)
         inside = np.clip(edges * self.period / width, -1, 1)
         weights = np.diff(integral(inside)) * width
+        # Before the log and after it the voltage is taken to stay: bumps near the ends reach there.
         padded = np.concatenate(
             [np.full(reach + abs(whole) + 1, u[0]), u, np.full(reach + abs(whole) + 1, u[-1])]
         )
@@ -275,7 +283,9 @@ def _search(
     bumps: _Bumps, u: Reals, period: float, delay: float | None, dead_zone: float | None
 ) -> tuple[float, float]:
     # A grid first: the narrowing that follows only goes downhill.
+    # Up to eight samples: computation, filter and a bus; half a sample, as the cost bends at every whole one.
     delays = np.arange(0, 8.01, 0.5) * period if delay is None else np.array([delay])
+    # Half of the usual voltage: a dead zone beyond would have left the motor at rest.
     top = 0.5 * float(np.median(np.abs(u[u != 0]))) if np.any(u) else 0.0
     zones = np.linspace(0, top, 9) if dead_zone is None else np.array([dead_zone])
     costs = np.array([[bumps.cost(u, d, z) for z in zones] for d in delays])
@@ -306,6 +316,8 @@ def _result(bumps: _Bumps, u: Reals, delay: float, zone: float, inertia: float |
     matrix = bumps.matrix(u, delay, zone)
     values = np.linalg.lstsq(matrix, bumps.acceleration, rcond=None)[0]
     error = bumps.acceleration - matrix @ values
+    # A motor without friction in its log makes a column small, not wrong: the pseudo-inverse says so in its
+    # error.
     inverse = np.linalg.pinv(matrix.T @ matrix)
     meat = long_run_covariance(
         (matrix * error[:, None]).T, min(16, error.size // 4)

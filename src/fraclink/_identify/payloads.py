@@ -50,6 +50,7 @@ class LikelihoodRatio:
     @property
     def common(self) -> bool:
         """Whether the logs let the parameters be common (p ≥ 0.05)."""
+        # Of logs whose parameters are common one in twenty is refused: the usual error of the first kind.
         return self.p_value >= 0.05
 
 
@@ -169,7 +170,9 @@ def identify_payloads(
     _check(logs, tied)
     fixed = {} if delay is None else {"delay": delay}
     searches = [
-        make_search(log, heldout=0.0, stiffness=stiffness, fixed=fixed, guess=None, hold=hold) for log in logs
+        # Nothing is held out: the likelihood ratio compares the fits over the same samples.
+        make_search(log, heldout=0.0, stiffness=stiffness, fixed=fixed, guess=None, hold=hold)
+        for log in logs
     ]
     structure = _supported(searches) if structure is None else structure
     # ω₀ is each payload's own, or tied by eq. (5): what may be common is the link's material.
@@ -302,6 +305,7 @@ def _test(
     coordinates = joint.coordinates
     # As many as the joint fit has parameters less.
     degrees = coordinates.logs * len(coordinates.names) - coordinates.size
+    # The upper tail of χ², whose small values keep their digits: 1 − P would round to zero below 1e-16.
     p_value = float(gammaincc(degrees / 2, statistic / 2)) if degrees > 0 else 1.0
     return LikelihoodRatio(statistic, degrees, p_value)
 
@@ -312,6 +316,7 @@ def _verdict(coordinates: Coordinates, common: Sequence[str], test: LikelihoodRa
     shared = [_SYMBOLS[name] for name in common]
     if coordinates.payloads is not None:
         shared.append("the stiffness of eq. (5)")
+    # Below 1e-9 a normal distribution's tail says nothing of a real log.
     chance = f"p = {test.p_value:.2g}" if test.p_value >= 1e-9 else "p < 1e-9"
     may = "may" if test.common else "cannot"
     return f"{' and '.join(shared)} {may} be common to these {coordinates.logs} logs ({chance})."

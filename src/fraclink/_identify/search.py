@@ -323,10 +323,12 @@ class Search:
         """Points to start from; only the undamped fractional link, which fits any ring-down, needs a scan."""
         free = set(structure(name).free)
         if name == FRACTIONAL:
+            # Not at 2: on the limit the slope in λ may point outwards, and the descent would never leave it.
             order = self.fixed.get("order", min(self.seed[0], 1.95))
             yield np.array([order, self.seed[1], 0.0, 1.0, self.seed[4]])
             return
         fractional = self.solve(FRACTIONAL).shape
+        # The pole of s^λ + ω₀² lies at the angle π/λ: its damping ratio is −cos(π/λ).
         ratio = max(-math.cos(math.pi / fractional[0]), 1e-4)
         if "damping_order" in free:
             yield from self._damped(name, fractional, ratio)

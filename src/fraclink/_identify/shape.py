@@ -184,7 +184,9 @@ class Window:
         step = _SCAN_STEP if coarse else _STEP
         start = math.log(resonance) - (_DEPTH if not coarse else 8.0)
         modes = math.ceil((math.log(_REACH / self.period) - start) / step)
+        # Sixty rates reach e^30 above the slowest: only a period of twenty million samples would need more.
         modes, tail = min(max(modes, 4), _MODES_MAX - 4), math.ceil(_TAIL / step)
+        # Two of the kernel's blocks of eight beyond the longest delay, and as much again for an overshoot.
         pad = math.ceil(longest_delay / self.period) + 32
         held = int(self.hold == "first")
         return FitProblem(self.increments(), self.output, self.period, held, start, step, modes, tail, pad)

@@ -66,6 +66,7 @@ def frequency_response(
     ([2.0], [0.0625])
     """
     u, y = np.asarray(signal), np.asarray(output)
+    # Sixteen: eight lines, of which one mode takes six.
     if u.shape != y.shape or u.size < 16:
         problem, remedy = f"not as long as the input {u.shape}", "cut both to the same whole periods"
         raise LogError("output", str(y.shape), problem, allowed=">= 16 samples of each", remedy=remedy)
@@ -194,6 +195,7 @@ def _findings(fit: SpectrumFit, frequency: Reals) -> Iterator[Finding]:
             {"delay": fit.delay, "bound": longest},
             "check the phase's sign and unit, or give delay",
         )
+    # At 2 the order ends where a classical link has it: that is no fault.
     if fit.at_bound and fit.order < 1.5:
         yield Finding(
             "W345",
@@ -202,6 +204,7 @@ def _findings(fit: SpectrumFit, frequency: Reals) -> Iterator[Finding]:
             {"order": fit.order},
             "check the unit of the frequency and which column is the gain",
         )
+    # With anti-resonances the sign depends on where along the beam was measured.
     if fit.gain < 0 and not fit.anti_resonances:
         yield Finding(
             "W346",
@@ -246,6 +249,7 @@ def _without_outliers(problem: ModalProblem, loss: str) -> SpectrumFit:
     kept = np.ones(problem.frequency.size, dtype=bool)
     best = problem.solve(kept, None, loss=loss)
     for _ in range(_ROUNDS):
+        # All lines are judged anew each time: one that was set aside beside a worse one may return.
         again = ~_standing_out(
             problem.weight * (problem.response - problem.fitted(problem.full(best), kept)[1])
         )
@@ -261,6 +265,8 @@ def _standing_out(error: Complexes) -> Bits:
     """Lines whose error is far from the median of its neighbours': a model's error is smooth over lines."""
     count, reach = error.size, 4
     result = np.zeros(count, dtype=bool)
+    # Where the neighbours agree to the last digit any line would stand out: it must do so from the table's
+    # usual error, too.
     floor = 1.4826 * float(np.median(np.abs(error)))
     for k in range(count):
         near = [i for i in range(max(0, k - reach), min(count, k + reach + 1)) if i != k]

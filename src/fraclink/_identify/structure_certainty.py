@@ -66,6 +66,7 @@ def certainty_of(search: StructureSearch, data: Samples, best: Place, *, details
     free = tuple(name for name in own.names if name not in stuck)
     jacobian = found.rows[kept]
     residual = found.of(data.measured - _predicted(search, data, best))
+    # Singular is judged by `_blind`, which names the parameters: W352 is of more use than that a matrix is.
     inverse, _ = inverted(jacobian @ jacobian.T)
     blind = _blind(jacobian, free)
     variance = best.cost / max(data.measured.size - len(kept), 1)
@@ -110,7 +111,9 @@ def _predicted(search: StructureSearch, data: Samples, place: Place) -> Reals:
 
 def _is_at_bound(own: StructureCoordinates, name: str, value: float) -> bool:
     low, high = own.box((name,))
+    # Of the range in the coordinate: of 1e-12 to 1e12 that is a factor of 1 + 5e-6.
     near = _AT_BOUND * float(high[0] - low[0])
+    # A projected gain may be zero or negative where its logarithm is the coordinate.
     place = float(own.place(name, value)) if value > 0 or not own.is_logarithmic(name) else -math.inf
     return bool(place <= low[0] + near or place >= high[0] - near)
 
@@ -132,6 +135,8 @@ def _is_known(own: StructureCoordinates, name: str, value: float, interval: Inte
     role = own.structure.roles[name]
     if interval.high_open or (interval.low_open and role != "delay"):
         return False
+    # A delay of zero is the usual answer, and its interval begins at that limit: only its open end counts
+    # against it.
     half = (interval.high - interval.low) / 2
     if role == "order":
         return half <= _ORDER_MOST
@@ -167,6 +172,8 @@ class _StructureProfile:
         own = self.search.coordinates
         held = replace(own, fixed={**own.fixed, self.name: float(own.value(self.name, value))})
         inner = StructureSearch(held, self.search.offset)
+        # The others move along the valley of the cost, as the normal matrix has it: a start from where they
+        # were would walk back into it, some ten calls more.
         step = value - float(own.place(self.name, near.values[self.name]))
         start = [float(held.place(n, near.values[n])) + self.slopes.get(n, 0.0) * step for n in held.moving]
         found = inner.descended(self.data, np.array([start]))
@@ -215,6 +222,7 @@ def _exchangeable(own: StructureCoordinates, orders: tuple[str, str], others: tu
     pairs = [orders, others] if others else [orders]
     if any(own.limits[one] != own.limits[other] for one, other in pairs):
         return False
+    # Three points in general position: two functions of one form that agree there agree everywhere.
     points = np.exp(1j * np.array([0.3, 0.9, 1.4])) * np.array([0.5, 1.1, 2.3])
     values = own.values(own.middle()[None, :], projected=False)
     swapped = dict(values)
@@ -319,6 +327,7 @@ def _of_rivals(
     least = fit.nmse
     for rival in rivals:
         ratio = rival.cost / max(_cost(fit, data), 1e-300)
+        # n ln(cost/least) is the likelihood ratio of Gaussian noise, as the intervals are cut by.
         told = data.measured.size * math.log(max(ratio, 1.0))
         apart = [
             name
@@ -360,11 +369,14 @@ def _of_the_band(fit: StructureFit, data: RecordStart | Lines) -> Iterator[Findi
 
 def _corners(terms: Sequence[Term]) -> list[float]:
     """Frequencies [rad/s] at which neighbouring terms are equal: corners of the magnitude's asymptotes."""
+    # ln|c s^n| = ln|c| + n ln ω: the largest term at each ω is the upper hull of the points (n, ln|c|), its
+    # corners the slopes between neighbours.
     rows = sorted((t.order, math.log(abs(t.coefficient))) for t in terms)
     hull: list[tuple[float, float]] = []
     for x, y in rows:
         while len(hull) > 1:
             (x1, y1), (x2, y2) = hull[-2:]
+            # A point below the line of its neighbours is never the largest term: it makes no corner.
             if (y2 - y1) * (x - x1) > (y - y1) * (x2 - x1):
                 break
             hull.pop()

@@ -131,6 +131,8 @@ class StructureFit:
         for name in ("parameters", "limits", "intervals", "standard_errors"):
             object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
         for name in ("place", "measured", "predicted"):
+            # Copies that cannot be written: a fit that is hashed, cached and drawn must not change behind
+            # them.
             array = np.array(getattr(self, name), dtype=np.float64)
             array.flags.writeable = False
             object.__setattr__(self, name, array)
@@ -148,6 +150,7 @@ class StructureFit:
         value = f"{name} = {self.parameters[name]:.6g}"
         if name in self.fixed:
             return f"{value} (given)"
+        # An interval that determines nothing is in the data and not in the text: a reader would quote it.
         if name in self.intervals and name not in self.undetermined:
             return f"{value}, 95 % {self.intervals[name].low:.6g} to {self.intervals[name].high:.6g}"
         return f"{value} ({'at its bound' if name in self.at_bound else 'not determined'})"

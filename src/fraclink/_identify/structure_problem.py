@@ -36,6 +36,9 @@ __all__ = [
 Reals = NDArray[np.float64]
 Limits = tuple[float, float]
 
+# Below 0.02 a term is a constant over any band that can be measured; above 4 no fractional model of a machine
+# is known, and `bounds` admits one. Coefficients in any unit: 24 decades, as a range in the logarithm costs
+# nothing.
 ORDER_LIMITS = (0.02, 4.0)
 COEFFICIENT_LIMITS = (1e-12, 1e12)
 
@@ -89,6 +92,8 @@ class StructureCoordinates:
         found = []
         for k, name in enumerate(self.names):
             low, high = (self.place(name, x) for x in self.limits[name])
+            # 0.6, 0.77, 0.94 …: no two alike and no sum of two of them another, so that no difference of
+            # parameters vanishes by chance.
             found.append(float(np.clip(0.6 + 0.17 * k, low, high)))
         return np.array(found)
 
@@ -111,6 +116,8 @@ class StructureCoordinates:
         slopes = {name: self._slope(name, values, points) for name in self.moving}
         for row, one in enumerate(self.moving):
             for column, other in enumerate(self.moving):
+                # 1e-5: the differences below are right to 1e-9, and another ratio of two slopes misses a
+                # whole number by more.
                 if self.is_logarithmic(one) and self.structure.roles[other] == "order":
                     ratio = slopes[other] / (slopes[one] * np.log(points))
                     if np.allclose(ratio, np.round(ratio[0].real), atol=1e-5) and round(ratio[0].real):
@@ -249,6 +256,7 @@ class RecordStart:
 
     def simulated(self, structure: Expression, values: Mapping[str, Any], count: int) -> Reals:
         """As of `Samples`; every candidate by its exact response to the held input."""
+        # Not finite where nothing responds: the search takes such a candidate for infinitely bad and goes on.
         result = np.full((count, self.output.size), np.nan)
         rows = {name: np.broadcast_to(np.ravel(value), (count,)) for name, value in values.items()}
         for k in range(count):
@@ -259,6 +267,8 @@ class RecordStart:
         """The response of one candidate; the last few are kept, as each is asked for again."""
         key: tuple[str | float, ...] = (structure.text, *(values[name] for name in structure.names))
         if key not in self._latest:
+            # Four: a descent asks for a place, its trial and the two ends of a difference again, and each is
+            # a million bytes in a long record.
             if len(self._latest) >= _KEPT:
                 del self._latest[next(iter(self._latest))]
             try:
@@ -285,11 +295,14 @@ class RecordStart:
         damping = _DECAYS / (count * period)
         damped = np.exp(-damping * period * np.arange(count))
         highest = min(int(_HIGHEST * count / (2 * math.pi)), count // 2)
+        # Evenly in the logarithm, as orders and corners show there: a linear grid would spend nine tenths of
+        # its lines on the last decade.
         spread = np.geomspace(1.0, max(highest, 2), _POINTS).round().astype(int)
         lines = np.unique(np.concatenate([[0], spread]))
         points = damping + 2j * math.pi * lines / (count * period)
         transforms = [np.fft.rfft(damped * values)[lines] for values in (self.input, self.output)]
         width = np.gradient(lines.astype(np.float64)) if lines.size > 1 else np.ones(1)
+        # The real point stands for half a line's width: its other half is the mirror image at negative ω.
         width[0] = max(width[0] / 2, 0.5)
         into = held_transform(transforms[0], points, period, self.hold, float(self.input[0]))
         out = held_transform(transforms[1], points, period, "first", float(self.output[0]))
@@ -301,6 +314,7 @@ class RecordStart:
     @property
     def band(self) -> tuple[float, float]:
         """Lowest and highest frequency [rad/s] at which the input has power."""
+        # Of the differences: a step excites all frequencies alike, and would seem to excite the lowest alone.
         power = np.abs(np.fft.rfft(np.diff(self.input, prepend=0.0)))[1:]
         frequency = 2 * math.pi * np.arange(1, power.size + 1) / (self.input.size * self.period)
         excited = frequency[power > _EXCITED * power.max()]
@@ -311,6 +325,7 @@ def held_transform(samples: Complexes, s: Complexes, period: float, hold: str, f
     """Transform of the held signal of a transform Σ x_k e^(−skT): steps, or straight lines."""
     x = s * period
     if hold == "zero":
+        # expm1: at the lowest lines x is 1e-5, where 1 − e^(−x) would lose five digits.
         return np.asarray(samples * -np.expm1(-x) / s)
     # The triangle around the first sample is cut in two: nothing comes before it.
     before = first * (np.expm1(x) - x) / (s * x)

@@ -80,6 +80,8 @@ class _Dual:
     def __pow__(self, exponent: Any) -> _Dual:
         power = _Dual.of(exponent)
         value = self.value**power.value
+        # d(b^p) = p b^(p−1) db + ln b · b^p dp; the logarithm is asked for only where p is a parameter, as it
+        # has none at b = 0.
         by_base = self.times(power.value * value / self.value, value) if self.slopes else _Dual(value, {})
         return by_base + power.times(np.log(self.value) * value, 0.0) if power.slopes else by_base
 
@@ -106,6 +108,7 @@ def derivatives(
     structure: Expression, values: Mapping[str, float], points: Complexes
 ) -> tuple[Complexes, dict[str, Complexes]]:
     """G at `points` [rad/s] and ∂G/∂p for every parameter p of `values`."""
+    # One logarithm for all powers of s, which is the derivative's factor besides: ds^a/da = ln s · s^a.
     logarithm = np.log(points)
 
     def power(order: Any) -> _Dual:
@@ -157,6 +160,8 @@ class _Slopes:
     @cached_property
     def _size(self) -> int:
         """Twice the samples: what comes behind the end does not wrap around to the beginning."""
+        # A multiple of the coarsest block, so that every width divides it, and of small primes, or the
+        # transform is ten times slower.
         return _COARSEST * int(next_fast_len(-(-2 * self.data.output.size // _COARSEST), real=True))
 
     @cached_property
@@ -190,6 +195,8 @@ class _Slopes:
     ) -> tuple[int, float]:
         """How many lines hold all but a part of every row's power, and the part where aliases are."""
         found = self._lines(own, values, self._spread)
+        # What lies above each line, from the highest line down: each of the spread stands for those around
+        # it.
         power = np.cumsum((np.abs(found) ** 2 * np.gradient(self._spread))[:, ::-1], axis=1)[:, ::-1]
         power /= power[:, :1]
         needed = np.flatnonzero(np.any(power > left_out, axis=0))
@@ -201,6 +208,8 @@ class _Slopes:
     def _width(self, count: int, samples: int) -> int:
         """Samples of a block, for so many lines."""
         width = _COARSEST
+        # Halved until the lines fit below the coarse grid's Nyquist frequency with room, and blocks enough
+        # are left to see a residual's colour in.
         while width > 1 and (self._size // width < 2 * _FINER * count or samples // width < _FEWEST):
             width //= 2
         return width
@@ -209,9 +218,11 @@ class _Slopes:
         """The signals (…, N/width) of transforms at the first lines, one value for each block of samples."""
         count, size = lines.shape[-1], self.data.output.size
         middle = 0.5 * (width - 1)
+        # To the middle of each block: its mean is there, and not at its first sample.
         turned = lines * np.exp(2j * math.pi * middle / self._size * np.arange(count))
         found = irfft(turned, self._size // width, axis=-1)[..., : size // width]
         # The transform counts the samples of the coarse grid only, each for a block of `width`.
+        # The damping that made the transform converge is taken off again: at the end by e^1 or e^4.
         growth = np.exp(self.decay / size * (middle + width * np.arange(size // width)))
         return np.asarray(found * (growth / math.sqrt(width)))
 
@@ -240,6 +251,8 @@ class _Slopes:
             width = self._width(count, simulated.size)
             each = {name: np.array([[value]]) for name, value in values.items()}
             missed = self.output(own.structure, each, count, width)[0] - blocks_of(simulated, width)
+            # Against the exact response, once for each place: no error bound of the transform would know of a
+            # pole to the right of the line.
             wrong = math.sqrt(missed @ missed / (simulated @ simulated))
         sharp = aliased <= _SHARP and wrong <= _CLOSE
         return Coarse(self, count, width, sharp) if wrong <= _WRONG + math.sqrt(left_out) else None
@@ -305,4 +318,6 @@ class Rows:
         simulated = self.data.simulated(own.structure, {n: np.array([[v]]) for n, v in values.items()}, 1)[0]
         left_out = _CRUDE if crude else _LEFT_OUT
         found = (slopes.coarse(own, values, simulated, left_out) for slopes in self._of_decays)
+        # The weakly damped line first: it loses least, where the response has died away before the record
+        # ends.
         return next((coarse for coarse in found if coarse is not None), None)

@@ -37,7 +37,11 @@ class Starts:
         own = self.coordinates
         shaped = [n for n in own.moving if own.structure.roles[n] != "coefficient"]
         straight = self._straight()
+        # Where coefficients follow from the orders the draws fill the space of the orders only; beyond three
+        # the descents do the rest.
         count = _DRAWS * min(max(len(shaped), 1), 3) if straight else _DRAWS_AT_RANDOM
+        # Evenly spread and the same in every run: of 60 draws at random some orders would be found by some
+        # seeds only.
         uniform = _halton(count, len(own.moving))
         values = {name: self._drawn(name, uniform[:, k]) for k, name in enumerate(own.moving)}
         if own.gain is not None:
@@ -52,6 +56,8 @@ class Starts:
         for name in own.moving:
             column = values[name]
             if own.is_logarithmic(name):
+                # Least squares know no sign: a coefficient that came out negative is tried as large with the
+                # sign that its range admits.
                 column = np.maximum(np.abs(column), own.limits[name][0])
             columns.append(own.place(name, column))
         return np.column_stack(columns) if columns else np.zeros((1, 0))
@@ -112,9 +118,12 @@ class Starts:
         divisor = np.ones(shape, dtype=np.complex128)
         found = np.ones((count, len(names)))
         for _ in range(_ROUNDS):
+            # The first round weighs by one: what Levy did alone, which favours high frequencies; from the
+            # second on the last denominator takes that away.
             row = self.spectrum.weight / np.maximum(np.abs(divisor), 1e-300)
             columns = [row * e for e in equations[1:]]
             if self.spectrum.of_constant is not None and self.offset_is_free:
+                # N U + c D/s − D Y: an offset in the output passes the same denominator.
                 columns.append(row * self.spectrum.of_constant * divisor)
             found = _least_squares(np.stack(columns, axis=1), -row * equations[0])[:, : len(names)]
             divisor = bottoms[0] + np.einsum("nmk,mn->mk", bottoms[1:], found)
@@ -133,6 +142,8 @@ def _least_squares(matrix: NDArray[np.complex128], right: NDArray[np.complex128]
     # lose twice the digits.
     q, r = np.linalg.qr(real.transpose(0, 2, 1))
     diagonal = np.einsum("mnn->mn", r)
+    # Two columns that are one (orders that were drawn alike): the pivot is held away from zero, and the start
+    # is merely a bad one.
     small = np.abs(diagonal) < 1e-10
     r[:, range(r.shape[1]), range(r.shape[1])] = np.where(small, 1e-10, diagonal)
     solution = np.linalg.solve(r, np.einsum("mkn,mk->mn", q, wanted)[:, :, None])[:, :, 0]

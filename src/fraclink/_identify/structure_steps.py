@@ -61,6 +61,8 @@ def stepped(
     cost, count = float(rest @ rest), 1
     gain, damping, found = math.inf, 0.0, None
     for _ in range(_STEPS if math.isfinite(cost) else 0):
+        # A step moves the parameters by a standard error where it gains p σ² = p cost/n: within that the
+        # valley's slope is the same.
         if found is None or gain * rest.size > cost * begin.size:
             found = rows(place)
         if found is None:
@@ -76,9 +78,12 @@ def stepped(
         if not reached < cost:
             if done or not damped or not damping < _MOST_DAMPED:
                 return Stepped(place, cost, done, done and found.sharp, count)
+            # As in `descend`: up by eight, down by ten, so that no damping that failed is tried again.
             damping = max(8.0 * damping, _DAMPED)
             continue
         place, rest, cost, damping = tried, there, reached, 0.1 * damping
+        # At a limit the other coordinates need a step of their own, which a trust region takes and this does
+        # not.
         if np.any((place <= box[0]) | (place >= box[1])):
             break
         if done:
@@ -89,11 +94,14 @@ def stepped(
 def _newton(rows: Reals, rest: Reals, damping: float) -> tuple[Reals, float]:
     """The damped step, and what it would gain undamped; not finite where the rows do not tell it."""
     normal, slope = rows @ rows.T, rows @ rest
+    # Unit columns, so that 1e-11 says how much two parameters trade and not in which units they are.
     size = np.sqrt(np.diag(normal))
     with np.errstate(all="ignore"):
         values, vectors = np.linalg.eigh(np.nan_to_num(normal / np.outer(size, size)))
         if not values[0] > _SINGULAR:
             return np.full(slope.size, np.nan), math.inf
+        # In the axes of the valley one decomposition serves every damping, and the undamped gain is a sum of
+        # squares.
         along = vectors.T @ (slope / size)
         return vectors @ (along / (values + damping)) / size, float(along @ (along / values))
 
@@ -102,6 +110,8 @@ def decrement(found: OptimizeResult) -> float:
     """What a Gauss–Newton step in the coordinates that no limit holds would gain."""
     jacobian = found.jac[:, found.active_mask == 0]
     size = np.linalg.norm(jacobian, axis=0)
+    # By QR of the Jacobian and not by its square: at the end of a curved valley the latter loses the digits
+    # that decide.
     gained = lstsq(jacobian / np.where(size > 0, size, 1.0), found.fun, cond=1e-9)[0]
     along = jacobian / np.where(size > 0, size, 1.0) @ gained
     return float(along @ along)

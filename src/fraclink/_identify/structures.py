@@ -152,6 +152,7 @@ def _fitted(record: Recording, heldout: float | None) -> int:
 
 
 def _check_motion(samples: RecordStart) -> None:
+    # Not the input's range: a step at the first sample never changes and excites everything.
     for name, still in (("input", not np.any(samples.input)), ("output", np.ptp(samples.output) == 0)):
         if still:
             remedy = "check the column, or fit a part in which it moves"
@@ -169,6 +170,8 @@ def _lines_of(measured: FrequencyResponse, weighting: Weighting | None) -> Lines
             raise FieldError("weighting", chosen, "without a coherence", allowed=allowed, remedy=remedy)
         weight = coherence_weights(h, measured.coherence[order])
     else:
+        # A relative weight of such a line would be infinite, and with an absolute one its phase still means
+        # nothing.
         if not np.all(np.abs(h) > 0):
             problem, remedy = "zero at a line", "leave that line out"
             raise FieldError("response", 0, problem, allowed="|H| > 0", remedy=remedy)
@@ -195,6 +198,7 @@ def _check_used(data: Any, known: Values, hold: Hold, heldout: float | None, wei
 
 
 def _check_names(structure: Expression, fixed: Values, bounds: Bounds, start: Values) -> None:
+    # `offset` is the output's constant and in no formula: it may be fixed, and has neither range nor start.
     for field, given in (("fixed", {**fixed}), ("bounds", {**bounds}), ("start", {**start})):
         for name in given:
             if name not in structure.names and (field, name) != ("fixed", "offset"):
@@ -237,6 +241,7 @@ def _coordinates(
 
 
 def _check_start(coordinates: StructureCoordinates, start: Values | None, measured: int) -> None:
+    # Five numbers each: a fit of noise then leaves four fifths of its square, which a gate refuses.
     least = _LEAST_EACH * len(coordinates.names)
     if measured < least:
         remedy = "measure more, or fix parameters that are known"
@@ -262,6 +267,8 @@ def _heldout(
     if isinstance(whole, RecordStart):
         if count == whole.output.size:
             return None
+        # Over (output − offset)², as the fitted part's: a gauge that is off by a volt explains nothing by
+        # being constant.
         error, power = whole.output[count:] - predicted[count:], whole.output[count:] - best.offset
         return float(error @ error / (power @ power)) if np.any(power) and np.isfinite(error).all() else None
     return _lines_held(search, samples, best) if isinstance(samples, Lines) else None
@@ -272,6 +279,7 @@ def _lines_held(search: StructureSearch, lines: Lines, best: Place) -> float | N
     # Every fourth and not the last quarter: a gap in the middle is bridged by a right model, a missing end is
     # extrapolated by none.
     held = np.arange(lines.points.size) % _EVERY == _EVERY // 2
+    # Real and imaginary part of each line: two numbers.
     if 2 * np.count_nonzero(~held) < _LEAST_EACH * len(search.coordinates.names):
         return None
     own = search.coordinates

@@ -60,6 +60,7 @@ def uncertainty(search: Search, solution: Solution, *, coloured: bool) -> Uncert
     """Covariance at a solution; `coloured` adds the sandwich estimate from the residual's scores."""
     inside, linear = _moving(search, solution)
     columns = [3 + solution.free.index(i) for i in inside] + linear
+    # The Gram matrix holds columns of unit gain: ∂(output)/∂(shape) is the gain times them.
     scale = np.array([solution.gain] * len(inside) + [1.0] * len(linear))
     basis = _basis(solution, inside, len(linear))
     names = _names(solution, inside, linear)
@@ -67,6 +68,7 @@ def uncertainty(search: Search, solution: Solution, *, coloured: bool) -> Uncert
     normal = basis.T @ (solution.gram[np.ix_(columns, columns)] * np.outer(scale, scale)) @ basis
     inverse, singular = inverted(normal)
     samples = search.window.samples
+    # n − p: the fit has taken p of the residual's degrees of freedom.
     variance = solution.cost / max(samples - basis.shape[1], 1)
     white = variance * through @ inverse @ through.T
     resonance = basis[inside.index(1)] if 1 in inside else np.full(basis.shape[1], np.nan)
@@ -92,6 +94,8 @@ def sandwich(
     products = long_run_covariance(regressors * residual, min(max(5 * lag, 10), residual.size // 5))
     wider = np.sqrt(np.maximum(_diagonal(inverse, products) / _diagonal(inverse, meat), 1.0))
     spread = inverse @ meat @ inverse * np.outer(wider, wider)
+    # tr(H⁻¹ J): under white noise the number of parameters, under slow noise as many more as it has fewer
+    # independent samples.
     effective = float(np.trace(inverse @ meat)) / variance if variance > 0 else float(inverse.shape[0])
     return spread, lag, effective
 
@@ -116,6 +120,7 @@ def _basis(solution: Solution, inside: list[int], linear: int) -> Matrix:
     """Directions in which the point may move: all, but on ω₀ = 0 the damping ratio follows α."""
     basis = np.eye(len(inside) + linear)
     if solution.on_edge and 2 in inside and 3 in inside:
+        # dζ/dα of `largest_ratio`, ζ = tan(απ/2)/2: on the edge the two are one coordinate.
         basis[inside.index(2), inside.index(3)] = np.pi / 4 / np.cos(solution.shape[3] * np.pi / 2) ** 2
         basis = np.delete(basis, inside.index(2), axis=1)
     return basis
@@ -157,6 +162,8 @@ def inverted(normal: Matrix) -> tuple[Matrix, bool]:
     size[size == 0] = 1.0
     values, vectors = np.linalg.eigh(normal / np.outer(size, size))
     singular = bool(values[0] < 1e-10)
+    # Not zero: an unseen direction gets an error of 1e7 times the others', large enough to be refused by
+    # every gate and finite enough to print.
     values = np.maximum(values, 1e-14)
     inverse: Matrix = (vectors / values) @ vectors.T / np.outer(size, size)
     return inverse, singular
@@ -204,6 +211,8 @@ class _Profile:
         if direct is None:
             return self._constrained(value, near)
         start = near.copy()
+        # λ, α, the delay and (for a classical link) ω₀ are coordinates or their logarithm: held exactly, the
+        # kernel fits the others by itself.
         start[direct] = math.log(value) if direct == 1 else value
         others = [i for i in self.solution.free if i != direct]
         s = self.search
@@ -223,6 +232,8 @@ class _Profile:
         free = [i for i in self.solution.free if i not in self.solution.at_bound]
         shape = near.copy()
         best = (math.inf, near)
+        # Eight: a step doubles the digits once the value is met, and a start from the point before meets it
+        # in two or three.
         for _ in range(8):
             gram = self.search.kernel.gram(shape, mask_of(free))
             if gram is None:
@@ -320,6 +331,8 @@ def structure_criteria(search: Search, errors: Mapping[str, Uncertainty]) -> dic
     that only what both say is taken for shown.
     """
     solutions = {name: search.solve(name) for name in STRUCTURES}
+    # What the richest leaves is noise if any structure's residual is: a poorer one would have its own misfit
+    # whitened away.
     richest = max(STRUCTURES, key=lambda name: len(structure(name).free))
     filtered = autoregression(_linearised(search, solutions[richest])[1])[0]
     found = {name: _innovations(search, solution, filtered) for name, solution in solutions.items()}
@@ -353,5 +366,7 @@ def _innovations(search: Search, solution: Solution, coefficients: Vector) -> tu
     rows = np.stack(whitened)
     size = np.linalg.norm(rows[:-1], axis=1)
     columns = rows[:-1] / np.where(size > 0, size, 1.0)[:, None]
+    # One step is enough: the fit without the filter is within a few standard errors of the fit behind it,
+    # where the prediction is straight.
     step = lstsq(columns.T, rows[-1], cond=1e-9)[0]
     return columns, np.asarray(rows[-1] - step @ columns)

@@ -56,6 +56,7 @@ Time = Annotated[float, Between(0.0, 1e6, "s", remedy="give seconds")]
 Duration = Annotated[float, Between(0.0, 1e6, "s", low_open=True, remedy="give seconds")]
 Payload = Annotated[float, Between(0.0, 1e4, "kg", low_open=True, remedy="give the mass at the tip in kg")]
 Frequency = Annotated[float, Between(0.0, 1e6, "rad/s", low_open=True)]
+# Its unit depends on λ: ω₀² is added to s^λ.
 NaturalFrequency = Annotated[float, Between(0.0, 1e6, "s^(-λ/2)", low_open=True)]
 Angle = Annotated[float, Between(-1e6, 1e6, "rad", remedy="give radians; deg(50) converts degrees")]
 _HALF_TURN = Between(
@@ -64,7 +65,9 @@ _HALF_TURN = Between(
 PhaseMargin = Annotated[float, _HALF_TURN]
 PhaseMarginDeg = Annotated[float, Between(0.0, 179.0, "°", low_open=True, remedy="50° is a usual margin")]
 LinkOrder = Annotated[float, Between(1.0, 2.0, "(λ)", remedy="λ is 2 for a classical link")]
+# A billion: more than any count in a file that fits into memory, and exact as a double.
 Count = Annotated[int, Between(1, 10**9)]
+# What NumPy's generators take.
 Seed = Annotated[int, Between(0, 2**64 - 1)]
 Workers = Annotated[int, Between(1, 1024)]
 Series = Annotated[NDArray[np.float64], Array(1)]
@@ -117,11 +120,15 @@ def checked(target: Any = None, /, *, error: type[FieldError] = FieldError, pref
 
 
 def _checked(target: Any, *, error: type[FieldError], prefix: str) -> Any:
+    # Annotations are resolved at the first call: a test goes through this list, so that none fails for a user
+    # first.
     _TARGETS.append(target)
     if not isinstance(target, type):
         return _guarded(target, target, error, prefix, own=False)
     if not is_dataclass(target):
         raise TypeError(f"checked: {target.__name__} is not a dataclass; put checked above dataclass")
+    # The class's own `__init__` and not a wrapper class: `replace`, `fields` and pickles see the dataclass as
+    # it is written.
     target.__init__ = _guarded(target.__init__, target, error, prefix, own=True)  # type: ignore[method-assign]
     return target
 
@@ -142,6 +149,7 @@ def _plan(function: Callable[..., Any], target: Any, own: bool) -> _Plan:
     for name, parameter in inspect.signature(function).parameters.items():
         kinds.setdefault(parameter.kind, []).append(name)
     one = inspect.Parameter
+    # A parameter that takes both is in both tables: the call decides which of them is asked.
     ordered = kinds.get(one.POSITIONAL_ONLY, []) + kinds.get(one.POSITIONAL_OR_KEYWORD, [])
     named = kinds.get(one.POSITIONAL_OR_KEYWORD, []) + kinds.get(one.KEYWORD_ONLY, [])
     rest, others = (checks.get(kinds.get(kind, [""])[0]) for kind in (one.VAR_POSITIONAL, one.VAR_KEYWORD))
@@ -168,6 +176,7 @@ def _guarded(
             if args:
                 values = list(args)
                 for index, value in enumerate(args):
+                    # Behind the last one comes *args, whose entries have no name of their own.
                     name, check = ordered[index] if index < len(ordered) else ("", plan.rest)
                     if check is not None:
                         values[index] = check(value)
@@ -177,6 +186,8 @@ def _guarded(
                 if check is not None:
                     kwargs[name] = check(value)
         except Refused as refused:
+            # Without the inner frames: the user's mistake is at the call, and the rule that saw it is no part
+            # of the message.
             raise refused.error(prefix + name, error) from None
         return function(*args, **kwargs)
 
@@ -204,6 +215,7 @@ def _hints(target: Any, *, strict: bool = False) -> dict[str, Any]:
         if strict:
             raise
         hints = {}
+        # Base classes first, so that a field's own annotation wins.
         for part in reversed(target.__mro__) if isinstance(target, type) else (target,):
             hints |= _resolvable(part)
     hints.pop("return", None)
@@ -214,6 +226,7 @@ def _resolvable(target: Any) -> dict[str, Any]:
     hints: dict[str, Any] = {}
     scope = vars(sys.modules[target.__module__])
     for name, hint in inspect.get_annotations(target).items():
+        # One name at a time: get_type_hints resolves all annotations of a target or none.
         lone = types.SimpleNamespace(__annotations__={name: hint})
         with contextlib.suppress(NameError):
             hints |= get_type_hints(lone, globalns=scope, include_extras=True)
@@ -237,6 +250,7 @@ def checked_number(
     try:
         return cast(float, conditional_rule(number_rule(number), where).convert(value))
     except Refused as refused:
+        # The words of a condition say more than the range: they name both.
         refused.expected = allowed
         raise refused.error(field, FieldError) from None
 
@@ -262,6 +276,7 @@ def checked_whole(field: str, value: object, low: int, high: int, unit: str = ""
 
 def is_whole(value: object, low: int, high: int) -> bool:
     """Whether `value` is an integer from `low` to `high`, and neither a bool nor a float."""
+    # A bool is an int in Python, and True no count of anything.
     return isinstance(value, int | np.integer) and not isinstance(value, bool) and bool(low <= value <= high)
 
 
@@ -293,6 +308,7 @@ def checked_series(
 ) -> NDArray[np.float64]:
     """Return `value` as an array of shape (N,), which may hold NaN."""
     try:
+        # A copy: what is fitted must not change while its caller goes on recording into the array.
         return np.array(array_rule(NDArray[np.float64], Array(1, finite=False), None, False).convert(value))
     except Refused as refused:
         refused.remedy = remedy

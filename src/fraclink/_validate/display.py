@@ -15,6 +15,7 @@ Kind = TypeVar("Kind", bound=type)
 
 
 def _template(name: str) -> Any:
+    # By name and not imported above: this module lies floors below `_show`, which loads matplotlib.
     return getattr(import_module("fraclink._show.notebook"), name)
 
 
@@ -42,6 +43,7 @@ def displayed(kind: Kind) -> Kind:
     >>> fl.Rig.named("paper-2023")
     Rig(paper-2023)
     """
+    # A repr of the class's own is what its author wants in a prompt; only dataclass's is replaced.
     if kind.__dataclass_params__.repr:  # type: ignore[attr-defined]
         kind.__repr__ = _repr  # type: ignore[assignment]
     kind._repr_html_ = _repr_html  # type: ignore[attr-defined]

@@ -143,8 +143,10 @@ class Where:
 
 def _figure(number: float) -> str:
     """A bound as people write it: 1e6 for 1000000.0, every digit of a whole number that is an int."""
+    # A range of samples is read by its digits, 300000; one of a unit by its size, 1e6.
     text = str(number) if isinstance(number, int) and abs(number) < 10**6 else f"{number:g}"
     mantissa, mark, exponent = text.partition("e")
+    # 1e+06 is what Python writes and nobody else.
     return f"{mantissa}e{int(exponent)}" if mark else text
 
 
@@ -154,6 +156,7 @@ def number_rule(bounds: Between | None = None) -> Rule:
     low, high, simple = limits.low, limits.high, not (limits.low_open or limits.high_open)
 
     def convert(value: Any) -> float:
+        # The common case first: this runs at every call of every public function.
         if type(value) is not float:
             value = _as_float(value, expected, remedy)
         # NaN fails every comparison, so it falls through to the refusal below.
@@ -174,6 +177,7 @@ def _as_float(value: Any, expected: str, remedy: str) -> float:
     try:
         return float(value)
     except OverflowError:  # a whole number of more than 308 digits
+        # As infinity it meets the range's own refusal, "not finite", which names the bounds.
         return math.inf if value > 0 else -math.inf
 
 
@@ -187,6 +191,7 @@ def whole_rule(bounds: Between | None = None) -> Rule:
     def convert(value: Any) -> int:
         if isinstance(value, bool | np.bool_) or not isinstance(value, int | np.integer):
             raise Refused(brief(value), "not a whole number", expected, remedy, is_type=True)
+        # Python's int: bounds of 64 bits are compared exactly, which a numpy integer would wrap around.
         number = int(value)
         if not low <= number <= high:
             raise Refused(number, "out of range", expected, remedy)
@@ -214,5 +219,6 @@ def complex_rule() -> Rule:
 def brief(value: object) -> str:
     """A value of the wrong kind: small ones as written, the others by their type."""
     scalar = isinstance(value, str | bytes | int | float | complex | np.generic | None)
+    # A message is one line: of a thousand samples the type says enough.
     short = isinstance(value, tuple | list) and len(value) <= 8
     return value_text(value) if scalar or short else type(value).__name__

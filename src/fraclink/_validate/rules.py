@@ -71,6 +71,7 @@ def _rule(annotation: Any, own: bool) -> Rule:
 def _container(kind: type, arguments: tuple[Any, ...], own: bool) -> Rule:
     if issubclass(kind, os.PathLike):
         return _PATH
+    # tuple[float, float] is a pair; tuple[float, ...] a sequence of any length, as a list is.
     if kind is tuple and arguments and arguments[-1] is not Ellipsis:
         return _fixed(tuple(rule(item, own=own) for item in arguments))
     if kind in _SEQUENCES:
@@ -100,6 +101,7 @@ def _narrowed(base: Any, metadata: tuple[Any, ...], own: bool) -> Rule:
         raise TypeError(f"Between stands beside float, int or an array, not beside {base}")
     else:
         narrowed = rule(base, own=own)
+    # In the order of the annotation: a later one sees only what the earlier ones let through.
     for item in metadata:
         if isinstance(item, Ordered):
             narrowed = _ordered(narrowed, item)
@@ -131,6 +133,7 @@ def instance_rule(kind: type) -> Rule:
         return own
 
     def convert(value: Any) -> Any:
+        # A class may take what it can be made of: a path for the log in it, a name for a bundled rig.
         made = made_of(value)
         return own.convert(value if made is None else made)
 
@@ -182,6 +185,7 @@ def _choice(choices: tuple[Any, ...]) -> Rule:
 def _union(members: tuple[Any, ...], own: bool) -> Rule:
     present = [member for member in members if member not in (None, type(None))]
     kinds = [get_origin(member) or member for member in present]
+    # str | Path: one value, the name of a file, however it is given.
     if len(kinds) > 1 and all(kind is str or kind in (os.PathLike, Path) for kind in kinds):
         inner = _PATH
     elif len(present) == 1:
@@ -222,6 +226,7 @@ def _fixed(rules: tuple[Rule, ...]) -> Rule:
     expected = f"{name}, each {words[0]}" if len(words) == 1 else f"{name}: {', '.join(words)}"
 
     def convert(value: Any) -> tuple[Any, ...]:
+        # A set or a dict of two has no first entry.
         if not isinstance(value, tuple | list | np.ndarray) or len(value) != count:
             raise Refused(brief(value), f"not {name}", expected, f"give {name}", is_type=True)
         return tuple(_entries(zip(rules, value, strict=True)))
@@ -233,10 +238,13 @@ def _sequence(item: Rule, kind: type[tuple[Any, ...]] | type[list[Any]]) -> Rule
     expected = "a list" if item.expected == "anything" else f"a list, each entry {item.expected}"
 
     def convert(value: Any) -> Any:
+        # A text is a sequence of letters and a mapping one of its keys: both are mistakes where a list is
+        # wanted.
         if isinstance(value, str | bytes | Mapping) or not isinstance(value, Iterable):
             raise Refused(brief(value), "not a list", expected, "put a single one in a list", is_type=True)
         if isinstance(value, np.ndarray) and value.ndim == 0:
             raise Refused(brief(value), "not a list", expected, "put a single one in a list", is_type=True)
+        # Once through: a generator cannot be read a second time.
         return kind(_entries((item, entry) for entry in value))
 
     return Rule(expected, convert, item.unit, item.low, item.high)
@@ -269,6 +277,7 @@ def _entries(pairs: Iterable[tuple[Rule, Any]], keys: tuple[Any, ...] = ()) -> l
 
 def array_rule(annotation: Any, shape: Array, bounds: Between | None, own: bool) -> Rule:
     dtype = _dtype(annotation)
+    # What goes without loss: integers into floats, floats into complex numbers, never a float into an index.
     kinds = {"c": "iufc", "b": "b", "i": "iu"}.get(dtype.kind, "iuf") + ("b" if shape.flags else "")
     expected = f"{shape.expected}, each {bounds.expected}" if bounds else shape.expected
     remedy = "give one column of numbers" if shape.ndim == 1 else "give an array of numbers"
@@ -282,6 +291,7 @@ def array_rule(annotation: Any, shape: Array, bounds: Between | None, own: bool)
             raise Refused(brief(value), "not an array of numbers", expected, remedy, is_type=True)
         if (shape.ndim is not None and raw.ndim != shape.ndim) or raw.size < shape.min_size:
             raise Refused(f"shape {raw.shape}", "of another shape", expected, remedy)
+        # Not copied where it is float64 already: logs of millions of samples pass here at every call.
         array = raw.astype(dtype, copy=False)
         # One pass without a copy: NaN and infinity show in the sum, and only then every entry is looked at.
         if shape.finite and dtype.kind in "fc" and not _sums_up(array):
@@ -307,6 +317,7 @@ def _check_entries(array: NDArray[Any], good: Any, problem: str, expected: str, 
 
 def _owned(array: NDArray[Any]) -> NDArray[Any]:
     """The array itself where it is read-only, a read-only copy otherwise."""
+    # A read-only view is no promise: whoever holds the base writes through it.
     if array.flags.writeable or array.base is not None or not array.flags.c_contiguous:
         array = np.array(array, order="C")
         array.flags.writeable = False
