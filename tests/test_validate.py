@@ -35,9 +35,17 @@ from fraclink._validate import (
     SeriesLike,
     Where,
     checked,
+    checked_between,
+    checked_choice,
+    checked_noun,
+    checked_number,
+    checked_series,
+    checked_whole,
     describe,
+    is_whole,
     rules,
 )
+from fraclink._validate.equality import compared
 from fraclink._validate.rules import rule
 from fraclink.errors import FieldError, LogError
 from junk import JUNK
@@ -336,6 +344,202 @@ def test_arguments_are_not_copied_and_fields_are_read_only_copies() -> None:
 )
 def test_a_range_reads_as_engineers_write_it(annotation: Any, words: str) -> None:
     assert describe(annotation) == words
+
+
+@pytest.mark.parametrize(
+    ("between", "words"),
+    [
+        (Between(-999_999, 999_999), "-999999 to 999999"),
+        (Between(-(10**6), 10**6), "-1e6 to 1e6"),
+        (Between(300_000.0, 1_500_000.0), "300000 to 1.5e6"),
+        (Between(1e-12, 2.5e-7), "1e-12 to 2.5e-7"),
+        (Between(0.1, 7.0, "s", low_open=True, high_open=True), "> 0.1 and < 7 s"),
+        (Between(0.1, 7.0, high_open=True), ">= 0.1 and < 7"),
+        (Between(high=7.0), "<= 7"),
+        (Between(high=7.0, high_open=True, unit="V"), "< 7 V"),
+        (Between(unit="V"), "a finite number V"),
+        (Between(finite=False), "a number"),
+        (Between(unit="V", finite=False), "a number V"),
+        (Between(0.0, 1.0, "V", finite=False), "0 to 1 V or infinite"),
+    ],
+)
+def test_figures_of_a_range(between: Between, words: str) -> None:
+    assert between.expected == words
+
+
+@pytest.mark.parametrize(
+    ("array", "words"),
+    [
+        (Array(None), "finite numbers of any shape"),
+        (Array(0, finite=False), "numbers of no axis"),
+        (Array(2, min_size=3), "finite numbers of shape (N, M) with N >= 3"),
+        (Array(3), "finite numbers of 3 axes"),
+    ],
+)
+def test_shapes_in_words(array: Array, words: str) -> None:
+    assert array.expected == words
+
+
+@pytest.mark.parametrize(
+    ("annotation", "words"),
+    [
+        (Annotated[int, Between(high=3)], "whole number"),
+        (Annotated[int, Between(2, 2 * 10**6)], "whole number 2 to 2e6"),
+        (Annotated[tuple[int, ...], Length(2)], "a list, each entry whole number; at least 2 entries"),
+        (Annotated[tuple[int, ...], Length(2, 4)], "a list, each entry whole number; 2 to 4 entries"),
+        (tuple[float, float, float], "3 values, each a finite number"),
+        (tuple[Any, ...], "a list"),
+        (Mapping[str, float], "a mapping, each value a finite number"),
+        (complex, "a finite complex number"),
+        (float | str, "a finite number or a text"),
+        (Series | None, "finite numbers of shape (N,)"),
+        (Annotated[Series, Between(0.0, 1.0)], "finite numbers of shape (N,), each 0 to 1"),
+        (FieldError, "a FieldError"),
+        (Exception, "an Exception"),
+    ],
+)
+def test_other_ranges_in_words(annotation: Any, words: str) -> None:
+    assert describe(annotation) == words
+
+
+def test_a_rule_carries_its_bounds_and_unit() -> None:
+    for annotation in (Payload, Payload | None, Annotated[float, Between(0.0, 1e4, "kg", low_open=True)]):
+        found = rule(annotation)
+        assert (found.unit, found.low, found.high) == ("kg", 0.0, 1e4)
+    pair = Annotated[tuple[Payload, Payload], Ordered(strict=True)]
+    for annotation in (pair, tuple[Payload, ...], Annotated[tuple[Payload, ...], Length(1, 3)]):
+        found = rule(annotation)
+        assert (found.unit, found.low, found.high) == ("kg", 0.0, 1e4)
+    assert rule(Count).low == 1 and rule(Count).high == 10**9
+    assert rule(Mapping[str, Payload]).unit == "kg"
+    assert rule(Annotated[Series, Between(0.0, 1.0, "V")]).unit == "V"
+    assert rule(Series).unit == ""
+    assert rule(Literal["a", "b"] | None).choices == ("a", "b")
+    assert (rule(float).low, rule(float).high) == (-math.inf, math.inf)
+
+
+def test_what_was_given_is_shown_in_one_line() -> None:
+    assert refusal(float, [1, 2]).value == "[1, 2]"
+    assert refusal(float, list(range(8))).value == "[0, 1, 2, 3, 4, 5, 6, 7]"
+    assert refusal(float, list(range(9))).value == "list"
+    assert refusal(float, {"a": 1}).value == "dict"
+    assert refusal(float, None).value == "None"
+    assert refusal(float, "x").value == "'x'"
+    assert refusal(Series, np.zeros((2, 3))).value == "shape (2, 3)"
+    assert refusal(Series, [0.0, math.inf]).value == math.inf
+    masses = Annotated[NDArray[np.float64], Array(None), Between(0.0, 1.0)]
+    error = refusal(masses, np.array(2.0))
+    assert (error.value, error.problem) == (2.0, "out of range (entry the only one)")
+
+
+def test_what_to_do_fits_the_kind() -> None:
+    assert refusal(float, "x").remedy == "check the value and its unit"
+    assert refusal(int, 1.5).remedy == "give a whole number"
+    assert refusal(Annotated[int, Between(1, 3, remedy="count again")], 9).remedy == "count again"
+    assert refusal(Series, "x").remedy == "give one column of numbers"
+    assert refusal(NDArray[np.float64], "x").remedy == "give an array of numbers"
+    assert refusal(tuple[float, float], 1.0).remedy == "give a pair"
+    assert refusal(tuple[float, ...], 1.0).remedy == "put a single one in a list"
+    assert refusal(Mapping[str, float], 1.0).remedy == "give a dict"
+    assert refusal(Annotated[tuple[float, ...], Length(1, 3)], []).remedy == "give 1 to 3"
+    assert refusal(Annotated[tuple[float, ...], Length(2)], [1.0]).remedy == "give at least 2"
+    strict = Annotated[tuple[float, float], Ordered(strict=True)]
+    assert refusal(strict, (2.0, 1.0)).remedy == "give the smaller one first"
+    assert refusal(strict, (2.0, 1.0)).allowed == "(low, high) with low < high, each a finite number"
+    assert rule(strict).check("x", (1.0, 2.0)) == (1.0, 2.0)
+    assert refusal(float | str, [1]).remedy == "check the value and its unit or give a str"
+
+
+# --- calls by name ------------------------------------------------------------------------------------------
+
+
+def test_a_number_by_name_with_its_bounds() -> None:
+    assert checked_between("x", 1, 1.0, 2.0) == 1.0
+    assert checked_between("x", 2, 1.0, 2.0) == 2.0
+    with pytest.raises(FieldError) as caught:
+        checked_between("x", 1.0, 1.0, 2.0, "s", open_low=True, remedy="wait")
+    assert (caught.value.field, caught.value.allowed, caught.value.remedy) == ("x", "> 1 and <= 2 s", "wait")
+    with pytest.raises(FieldError) as caught:
+        checked_number("x", 3, allowed="an even number", holds=lambda n: n % 2 == 0, remedy="add one")
+    assert (caught.value.value, caught.value.allowed, caught.value.remedy) == (
+        3.0,
+        "an even number",
+        "add one",
+    )
+    assert checked_number("x", 4, allowed="an even number", holds=lambda n: n % 2 == 0) == 4.0
+    for junk, problem in (("4", "not a number"), (math.nan, "not finite")):
+        with pytest.raises(FieldError) as caught:
+            checked_number("x", junk, allowed="an even number", remedy="add one")
+        assert (caught.value.problem, caught.value.allowed) == (problem, "an even number")
+
+
+def test_whole_numbers_and_choices_by_name() -> None:
+    assert [checked_whole("n", k, 1, 3) for k in (1, np.int8(3))] == [1, 3]
+    with pytest.raises(FieldError) as caught:
+        checked_whole("n", 4, 1, 3, "samples")
+    assert caught.value.allowed == "whole number 1 to 3 samples"
+    assert [is_whole(k, 1, 3) for k in (0, 1, 3, 4, np.int64(2), True, 2.0, "2")] == [
+        False, True, True, False, True, False, False, False,
+    ]  # fmt: skip
+    assert checked_choice("kind", "b", ["a", "b"]) == "b"
+    for junk in ("c", 3, None):
+        with pytest.raises(FieldError) as caught:
+            checked_choice("kind", junk, iter(["a", "b", "c d"]), remedy="look")
+        assert (caught.value.allowed, caught.value.problem) == ("a, b or c d", "unknown")
+        assert (caught.value.value, caught.value.remedy) == (junk, "look")
+
+
+def test_nouns_and_series_by_name() -> None:
+    log = Log()
+    assert checked_noun("log", log, Log) is log
+    for remedy, said in ((None, "use read_log(path)"), ("read it", "read it")):
+        with pytest.raises(FieldError) as caught:
+            checked_noun("log", 3, Log, remedy=remedy)
+        assert (caught.value.field, caught.value.remedy) == ("log", said)
+    mine = np.arange(3.0)
+    found = checked_series("u", mine)
+    mine[0] = 9.0
+    assert found.tolist() == [0.0, 1.0, 2.0]
+    assert math.isnan(checked_series("u", [math.nan, 1.0])[0])
+    with pytest.raises(LogError) as caught:
+        checked_series("u", [[1.0]], error=LogError, remedy="one column")
+    assert (caught.value.field, caught.value.problem, caught.value.remedy) == (
+        "u",
+        "of another shape",
+        "one column",
+    )
+
+
+# --- results that are compared ------------------------------------------------------------------------------
+
+
+@compared
+@dataclass(frozen=True, eq=False)
+class Result:
+    """Something with samples."""
+
+    samples: Any
+    name: str = ""
+    note: str = dataclasses.field(default="", compare=False)
+
+
+def test_results_are_equal_where_all_their_fields_are() -> None:
+    a = Result(np.arange(3.0), "a")
+    assert a == Result(np.arange(3.0), "a", "another note")
+    assert a != Result(np.arange(3.0), "b")
+    assert a != Result(np.arange(3), "a")  # integers are another answer
+    assert a != Result(np.arange(4.0), "a")
+    assert (a == "a") is False
+    assert Result(np.array([math.nan])) == Result(np.array([math.nan]))
+    assert Result(math.nan) == Result(math.nan) and Result(1.0) != Result(math.nan)
+    assert Result(np.array(["x"])) == Result(np.array(["x"]))
+    assert Result({"k": np.ones(2)}) == Result({"k": np.ones(2)})
+    assert Result({"k": np.ones(2)}) != Result({"k": np.zeros(2)}) != Result({"j": np.zeros(2)})
+    assert Result((np.ones(2), 1)) == Result((np.ones(2), 1))
+    assert Result((np.ones(2), 1)) != Result((np.ones(2), 1, 2)) != Result((np.ones(2), 1))
+    assert Result(()) != Result((1,))
+    assert Result((np.ones(2), 1)) != Result((np.ones(2), 2))
+    assert hash(a) == hash(Result(np.arange(3.0), "a", "another note")) != hash(Result(np.arange(3.0), "b"))
 
 
 def test_a_range_beside_the_wrong_type_is_a_mistake_of_ours() -> None:
