@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +11,8 @@ import pytest
 
 import fraclink as fl
 from fraclink._cli.app import run
+from fraclink._identify import DrivenLinkFit, Interval
+from fraclink._identify.driven import _of_the_band
 from fraclink.errors import FieldError, LogError
 
 LINES = np.geomspace(2.0, 60.0, 120)
@@ -276,3 +280,74 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert fl.load(out).order == pytest.approx(1.92, abs=0.02)
     table.write_text("\n".join(["omega,real,imag", *rows[:40]]))
     assert run([*command, "--force"]) == 1
+
+
+@pytest.fixture(scope="module")
+def driven() -> DrivenLinkFit:
+    """A fit of the motor's angle, to be changed."""
+    clean = fl.FrequencyResponse(LINES, arm()(1j * LINES))
+    return fl.identify_driven_link(clean, details=False)
+
+
+def test_the_peak_lies_between_the_points_of_its_grid(driven: DrivenLinkFit) -> None:
+    w = np.geomspace(11.1, 14.0, 400_001)
+    exact = w[np.argmax(np.abs(driven.fit.transfer_function(1j * w)))]
+    assert driven.peak == pytest.approx(exact, rel=2e-5)  # the grid's own step is 2e-3
+    assert driven.order == pytest.approx(1.92, abs=1e-6)
+    assert driven.anti_resonance == pytest.approx(100 ** (1 / 1.92), rel=1e-6)
+    assert driven.passed and driven.findings == ()
+
+
+def changed(found: DrivenLinkFit, **values: float) -> DrivenLinkFit:
+    fit = replace(found.fit, parameters={**found.parameters, **values})
+    return replace(found, fit=fit)
+
+
+def test_a_model_of_the_driven_link(driven: DrivenLinkFit) -> None:
+    model = driven.model(0.2, payload=0.03)
+    assert model.stiffness == pytest.approx(9.0 * 0.2, rel=1e-5)
+    assert model.natural_frequency == pytest.approx(10.0, rel=1e-5)
+    assert (model.payload, model.gauge_delay) == (0.03, 0.0)
+    stiff = changed(driven, l=2.1, z=12.0)
+    assert (stiff.order, stiff.model(0.2).order, stiff.model(0.2).natural_frequency) == (2.0, 2.0, 12.0)
+    intervals = {
+        "l": Interval(1.9, 2.1, False, False), "z": Interval(0.5, 2.0, False, False),
+        "m": Interval(8.0, 10.0, False, False),
+    }  # fmt: skip
+    wide = replace(driven, fit=replace(driven.fit, intervals=intervals)).model(0.2)
+    assert wide.interval("order") == (1.9, 2.0)
+    assert wide.interval("natural_frequency") == (pytest.approx(0.5), pytest.approx(2.0))
+    assert wide.interval("stiffness") == (pytest.approx(1.6), pytest.approx(2.0))
+    none = replace(driven, fit=replace(driven.fit, intervals={"z": intervals["z"]})).model(0.2)
+    assert none.intervals == ()
+
+
+def test_lines_on_both_sides_show_a_place(driven: DrivenLinkFit) -> None:
+    """Three lines below the anti-resonance and three above the peak, and no fewer."""
+    z, peak = driven.anti_resonance, driven.peak
+    assert peak is not None
+
+    def codes(low: int, high: int, **parts: object) -> list[str]:
+        fit = replace(driven.fit, **parts)  # type: ignore[arg-type]
+        below = np.linspace(0.8, 0.99, low) * z
+        between = np.linspace(1.01 * z, 0.99 * peak, 3)
+        w = np.concatenate([below, between, np.linspace(1.01, 1.5, high) * peak])
+        data = fl.FrequencyResponse(w, np.ones(w.size))
+        return [finding.code for finding in _of_the_band(fit, data, "motor_angle", peak)]
+
+    assert codes(3, 3) == []
+    assert codes(2, 3) == ["W347"]
+    assert codes(3, 2) == ["W348"]
+    assert codes(3, 3, undetermined=("z",)) == codes(3, 3, at_bound=("l",)) == ["W347"]
+    assert codes(3, 3, undetermined=("m",)) == []
+    data = fl.FrequencyResponse(LINES, np.ones(LINES.size))
+    (missing,) = _of_the_band(driven.fit, data, "motor_angle", None)
+    assert (missing.code, missing.severity) == ("W348", "error")
+    assert math.isnan(missing.evidence["place"])
+    assert (missing.evidence["low"], missing.evidence["high"]) == (pytest.approx(2.0), pytest.approx(60.0))
+    names = {
+        output: next(_of_the_band(replace(driven.fit, at_bound=("l",)), data, output, 20.0)).message
+        for output in ("motor_angle", "torque")
+    }
+    assert names["motor_angle"] == "the band does not show the anti-resonance"
+    assert names["torque"] == "the band does not show the frequency of the link with the motor held"
