@@ -14,7 +14,15 @@ from scipy.optimize import OptimizeResult
 
 import fraclink as fl
 from fraclink._identify.expression import parse_expression
-from fraclink._identify.least_squares import QUANTILE, Descent, Interval
+from fraclink._identify.least_squares import (
+    QUANTILE,
+    Blocks,
+    Descent,
+    Interval,
+    blocks_of,
+    decrement,
+    stepped,
+)
 from fraclink._identify.structure_certainty import (
     Certainty,
     _blind,
@@ -36,9 +44,8 @@ from fraclink._identify.structure_problem import (
     held_transform,
 )
 from fraclink._identify.structure_search import Place, StructureSearch, _distinct
-from fraclink._identify.structure_slopes import Blocks, blocks_of
+from fraclink._identify.structure_slopes import Coarse
 from fraclink._identify.structure_starts import Starts, _halton, _least_squares
-from fraclink._identify.structure_steps import decrement, stepped
 from fraclink._systems.terms import Term
 from fraclink.errors import FieldError
 from fraclink.findings import Finding
@@ -369,6 +376,8 @@ def test_what_a_last_step_would_gain() -> None:
     assert decrement(free) == pytest.approx(25.0)
     held = OptimizeResult(jac=jacobian, fun=rest, active_mask=np.array([0, 1]))
     assert decrement(held) == pytest.approx(9.0)
+    blind = OptimizeResult(jac=jacobian * [1.0, 0.0], fun=rest, active_mask=np.array([0, 0]))
+    assert decrement(blind) == pytest.approx(9.0)  # nothing depends on the second one
 
 
 def test_places_are_told_apart_by_their_costs() -> None:
@@ -387,11 +396,33 @@ def test_a_given_start_is_tried_on_the_samples() -> None:
     data = RecordStart.of(fl.Recording(0.02, u, y), "zero", 1000)
     search = StructureSearch(coordinates("k/(s + w)*exp(-T*s)"), None)
     places = search.run(data, {"w": 1.0, "T": 0.31})
-    assert places[0][1].values == pytest.approx({"k": 2.0, "w": 1.0, "T": 0.31}, rel=1e-5)
-    costs = [place.cost for _, place in places]
+    assert places[0].values == pytest.approx({"k": 2.0, "w": 1.0, "T": 0.31}, rel=1e-5)
+    costs = [place.cost for place in places]
     assert costs == sorted(costs)
-    assert places[0][1].offset == pytest.approx(0.0, abs=1e-6)
+    assert places[0].offset == pytest.approx(0.0, abs=1e-6)
     assert search.evaluations > 60
+
+
+@pytest.mark.parametrize("timed", [True, False])
+def test_evaluations_are_the_candidates_that_were_simulated(
+    timed: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    counted = []
+    for kind in (RecordStart, Spectrum, Coarse):
+
+        def simulated(self: Any, structure: Any, values: Any, count: int, own: Any = kind.simulated) -> Any:
+            counted.append(count)
+            return own(self, structure, values, count)
+
+        monkeypatch.setattr(kind, "simulated", simulated)
+    w = np.geomspace(0.05, 50.0, 60)
+    data: Any = fl.FrequencyResponse(w, (2 / (fl.s**1.5 + 3))(1j * w))
+    if timed:
+        u = np.repeat(np.random.default_rng(1).choice([-1.0, 1.0], 40), 25)
+        data = fl.Recording(0.02, u, fl.time_response(2 / (fl.s**1.5 + 3), u, 0.02, hold="zero").output)
+    fit = fl.identify_structure(data, "k/(s**a + w)", details=False)
+    # Less those of the results: predictions, gain and offset at the ends, the held-out lines.
+    assert 0.9 * sum(counted) <= fit.evaluations <= sum(counted)
 
 
 # --- how sure -----------------------------------------------------------------------------------------------

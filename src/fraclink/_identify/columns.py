@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
@@ -20,7 +21,7 @@ STOPPED_MOST = 0.1
 
 
 def column_findings(log: Experiment) -> Iterator[Finding]:
-    """Findings W324 and W325: a copy of the motor's motion, a clock or counter, an amplifier at its stops."""
+    """Findings W323 to W325: degrees, a copy of the motor's motion, a clock, an amplifier at its stops."""
     angle, output, period = log.motor_angle, log.output, log.period
     time = np.arange(output.size, dtype=np.float64)
     speed = np.gradient(angle, period)
@@ -61,6 +62,28 @@ def column_findings(log: Experiment) -> Iterator[Finding]:
             {"share": share, "most": STOPPED_MOST, "low": float(output.min()), "high": float(output.max())},
             "move less or lower the amplifier's gain, and check the column of the output",
         )
+    largest = float(np.max(np.abs(angle - angle[0])))
+    # At the link's side of a gear no flexible arm turns more than once; 7 degrees called radians do.
+    if largest > 2 * math.pi:
+        yield Finding(
+            "W323",
+            "error",
+            "the motor turns by more than one revolution: are these degrees labelled as radians?",
+            {"largest_angle": largest, "if_degrees": math.radians(largest)},
+            'give the angle at the link\'s side of the gear in rad, or state unit = "deg"',
+        )
+
+
+def mains_of(log: Experiment) -> float | None:
+    """Frequency of the mains [Hz] where the output is mostly one line there, None elsewhere."""
+    output = log.output
+    power = np.abs(np.fft.rfft((output - output.mean()) * np.hanning(output.size))) ** 2
+    top, length = int(power.argmax()), output.size * log.period
+    # A Hann window spreads a line over four bins: two on either side of the top hold all of it.
+    line = float(power[max(top - 2, 0) : top + 3].sum())
+    # The mains keep within 0.5 Hz of their frequency, and a record of T seconds tells lines 1/T apart.
+    nearest = 50.0 if top / length < 55.0 else 60.0
+    return nearest if abs(top / length - nearest) < 0.5 + 1 / length and line > 0.5 * power.sum() else None
 
 
 def lead_of(output: Vector) -> int:

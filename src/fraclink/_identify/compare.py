@@ -257,6 +257,8 @@ def compare_structures(
         other = make_search(log, heldout=heldout, stiffness=stiffness, fixed=at_once, guess=None, hold=hold)
         still = {
             name: fit_from(other, name, log, stiffness=stiffness, details=False)
+            # Of the two that may be taken for each other, and not of all four: a fit costs as much without a
+            # delay.
             for name in (VISCOUS, FRACTIONAL)
         }
     preferred = preferred_structure(criteria)

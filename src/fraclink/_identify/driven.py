@@ -126,6 +126,7 @@ class DrivenLinkFit:
                 rows.append(("natural_frequency", min(ends), max(ends)))
         if "m" in intervals:
             rows.append(("stiffness", intervals["m"].low * inertia, intervals["m"].high * inertia))
+        # z^λ = ω₀².
         frequency = values["z"] ** (self.order / 2)
         return LinkModel(values["m"] * inertia, frequency, self.order, payload=payload, intervals=tuple(rows))
 
@@ -205,6 +206,7 @@ def _peak(fit: StructureFit, output: Output, band: tuple[float, float]) -> float
     """The highest local maximum of |H|, for a motor angle above the anti-resonance [rad/s]."""
     # Below its anti-resonance a motor angle falls from the integrator: no maximum there is a resonance.
     low = fit.parameters["z"] if output == "motor_angle" else band[0] / _BEYOND
+    # Searched on the fitted function and not on the lines: noise has maxima everywhere.
     w = np.geomspace(low, _BEYOND * max(band[1], low), _GRID)
     level = np.log(np.abs(fit.transfer_function(1j * w)))
     tops = np.flatnonzero((level[1:-1] > level[:-2]) & (level[1:-1] >= level[2:])) + 1

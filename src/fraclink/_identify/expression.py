@@ -62,25 +62,13 @@ class Expression:
 
     def response(self, values: Mapping[str, Any], points: Complexes) -> Complexes:
         """G at `points` [rad/s], shape (K,), for parameters of shape () or (M, 1)."""
+        # The principal branch once for all powers: s^a is then the same function at every point, with its cut
+        # along the negative real axis, as `_systems` has it.
         logarithm = np.log(points)
         arrays = {name: np.asarray(value, dtype=np.float64) for name, value in values.items()}
         leaves = Leaves(points, lambda order: np.exp(order * logarithm), np.exp, arrays)
         with np.errstate(all="ignore"):  # a candidate may overflow: its cost is infinite, and it is dropped
             return np.asarray(walk(self.tree, leaves), dtype=np.complex128)
-
-    def quotient(self, values: Mapping[str, Any], points: Complexes) -> tuple[Complexes, Complexes]:
-        """Numerator and denominator of G at `points`, as the text divides them."""
-        logarithm = np.log(points)
-        leaves = Leaves(
-            _Ratio(points),
-            lambda order: _Ratio(np.exp(_plain(order) * logarithm)),
-            lambda ratio: _Ratio(np.exp(ratio.top / ratio.bottom)),
-            {name: np.asarray(value, dtype=np.float64) for name, value in values.items()},
-        )
-        with np.errstate(all="ignore"):
-            found = _Ratio.of(walk(self.tree, leaves))
-        shape = np.broadcast_shapes(np.shape(found.top), np.shape(found.bottom), points.shape)
-        return np.broadcast_to(found.top, shape), np.broadcast_to(found.bottom, shape)
 
     def function(self, values: Mapping[str, float]) -> FractionalTransferFunction:
         """The exact transfer function; FieldError where there is none for these values (a delay below 0)."""
@@ -135,66 +123,6 @@ def _delayed(exponent: FractionalTransferFunction) -> FractionalTransferFunction
     return (s**0).delayed(-slope.numerator[0].coefficient if slope.numerator else 0.0)
 
 
-def _plain(value: Any) -> Any:
-    return value.top / value.bottom if isinstance(value, _Ratio) else value
-
-
-def _is_one(bottom: Any) -> bool:
-    return np.isscalar(bottom) and bottom == 1.0
-
-
-@dataclass(frozen=True)
-class _Ratio:
-    """A quotient of arrays that is not divided out."""
-
-    top: Any
-    bottom: Any = 1.0
-
-    __array_ufunc__ = None  # numpy hands `array * ratio` to the methods below
-
-    @staticmethod
-    def of(value: Any) -> _Ratio:
-        return value if isinstance(value, _Ratio) else _Ratio(value)
-
-    def __add__(self, other: Any) -> _Ratio:
-        right = _Ratio.of(other)
-        if self.bottom is right.bottom or (_is_one(self.bottom) and _is_one(right.bottom)):
-            return _Ratio(self.top + right.top, self.bottom)
-        return _Ratio(self.top * right.bottom + right.top * self.bottom, self.bottom * right.bottom)
-
-    def __radd__(self, other: Any) -> _Ratio:
-        return _Ratio.of(other) + self
-
-    def __neg__(self) -> _Ratio:
-        return _Ratio(-self.top, self.bottom)
-
-    def __sub__(self, other: Any) -> _Ratio:
-        return self + (-_Ratio.of(other))
-
-    def __rsub__(self, other: Any) -> _Ratio:
-        return _Ratio.of(other) + (-self)
-
-    def __mul__(self, other: Any) -> _Ratio:
-        right = _Ratio.of(other)
-        return _Ratio(self.top * right.top, self.bottom * right.bottom)
-
-    def __rmul__(self, other: Any) -> _Ratio:
-        return _Ratio.of(other) * self
-
-    def __truediv__(self, other: Any) -> _Ratio:
-        right = _Ratio.of(other)
-        return _Ratio(self.top * right.bottom, self.bottom * right.top)
-
-    def __rtruediv__(self, other: Any) -> _Ratio:
-        return _Ratio.of(other) / self
-
-    def __pow__(self, exponent: Any) -> _Ratio:
-        power = _plain(exponent)
-        if isinstance(power, int | float) and power < 0:
-            return _Ratio(self.bottom**-power, self.top**-power)
-        return _Ratio(self.top**power, self.bottom**power)
-
-
 # --- parsing ------------------------------------------------------------------------------------------------
 
 
@@ -214,11 +142,14 @@ def parse_expression(text: str) -> Expression:
         problem = "no text" if not isinstance(text, str) else "empty" if not text.strip() else "too long"
         raise FieldError("expression", text, problem, allowed=allowed, remedy=remedy)
     try:
+        # Parsed as Python and never run as Python: every node is compared with a list of nine below, and what
+        # is none of them is refused by name.
         tree = ast.parse(text.strip(), mode="eval").body
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         where = f" at character {error.offset}" if isinstance(error, SyntaxError) and error.offset else ""
         problem, remedy = f"not a formula{where}", "check brackets and operators; a product needs its *"
         raise FieldError("expression", text, problem, allowed=_FORMS, remedy=remedy) from error
+    # A number is a transfer function, too, but a text without s is nearly always a slip.
     if "s" not in _names(tree):
         raise _refused(tree, "without s", "write the transfer function, such as k/(T*s**a + 1)")
     _check(tree, 0)
@@ -226,6 +157,7 @@ def parse_expression(text: str) -> Expression:
     if len(roles) > _MOST:
         allowed, remedy = f"<= {_MOST} parameters", "write known values as numbers"
         raise FieldError("expression", len(roles), "too many parameters", allowed=allowed, remedy=remedy)
+    # After the checks, so that an error quotes what was written and not what became of it.
     tree = _Distributed().visit(tree)
     _check(tree, 0)  # once more: a factor of a term may be a root of a negative number now
     made = Expression(" ".join(text.split()), roles, tree)
@@ -235,6 +167,7 @@ def parse_expression(text: str) -> Expression:
 
 def _names(tree: ast.AST) -> list[str]:
     """Names in the order of the text, those of functions left out."""
+    # exp is a name to the parser, and no parameter.
     called = {id(node.func) for node in ast.walk(tree) if isinstance(node, ast.Call)}
     found = [node for node in ast.walk(tree) if isinstance(node, ast.Name) and id(node) not in called]
     return list(dict.fromkeys(node.id for node in sorted(found, key=lambda n: (n.lineno, n.col_offset))))
@@ -277,6 +210,7 @@ def _check(node: ast.expr, depth: int) -> None:
         if (
             isinstance(node.value, bool)
             or not isinstance(node.value, int | float)
+            # Room for a product: at 1e308 the first multiplication is infinite.
             or not abs(node.value) < 1e300
         ):
             raise _refused(node, "not a number", "write numbers as 0.5 or 1e-3")
@@ -299,6 +233,7 @@ def _check(node: ast.expr, depth: int) -> None:
         raise _refused(node, "an operator that is not known", remedy)
     else:
         raise _refused(node, "a piece that is not known", "write it with + - * / ** and exp(-T*s)")
+    # Constants are computed here once: an overflow or a root of −1 is named with the piece that has it.
     if isinstance(node, ast.BinOp) and not _names(node):
         _constant(node)
 
@@ -318,6 +253,7 @@ def _check_power(node: ast.BinOp, depth: int) -> None:
     _check(node.right, depth + 1)
     if not _has_s(node.left) or _is_single_term(node.left):
         return
+    # A power that is a parameter may be fractional: (s + 1)^a is no quotient of powers of s.
     power = None if _names(node.right) else _constant(node.right)
     if power is None or not power.is_integer() or abs(power) > _LARGEST_POWER:
         remedy = "no quotient of powers of s is equal to it; multiply out, or use powers of s alone"
@@ -366,6 +302,7 @@ def _uses(node: ast.AST, inside: Role) -> Iterator[tuple[str, Role]]:
 
 
 def _roles(tree: ast.expr) -> dict[str, Role]:
+    # An order is the narrowest: what stands in an exponent and elsewhere keeps the exponent's range.
     rank: tuple[Role, ...] = ("order", "delay", "coefficient")
     uses = list(_uses(tree, "coefficient"))
     return {
@@ -388,11 +325,8 @@ def _check_exponentials(made: Expression) -> None:
         except (FieldError, ArithmeticError) as error:
             raise _refused(node, "not a delay", "write it as exp(-T*s)") from error
         slope = exponent / s
-        constant = all(
-            len(terms) <= 1 and not any(t.order for t in terms)
-            for terms in (slope.numerator, slope.denominator)
-        )
-        if not constant or slope.delay:
+        # exponent/s must be a number: no delay inside a delay, no power of s left in it.
+        if slope.delay or any(t.order for terms in (slope.numerator, slope.denominator) for t in terms):
             raise _refused(
                 node, "not a delay: its exponent is not proportional to s", "write it as exp(-T*s)"
             )

@@ -10,10 +10,9 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fraclink._arm.experiment import Experiment
-from fraclink._identify.columns import column_findings, motion_at_start
+from fraclink._identify.columns import column_findings, mains_of, motion_at_start
 from fraclink._identify.fit import Fit
 from fraclink._identify.search import Solution
 from fraclink._identify.shape import ORDER_LIMITS
@@ -32,8 +31,6 @@ RESONANCE_MOST = 0.1
 _START, _FIRST_ERROR = 2.0, 2.0
 # No encoder of a rig resolves less.
 _TREMBLE = 1e-3  # [rad]
-
-Vector = NDArray[np.float64]
 
 _AT_BOUND = {
     "order": "at λ = 2 the link is classical: use a structure of integer order",
@@ -57,7 +54,6 @@ def findings_of(
     heard = signal_of(fit) >= SIGNAL_LEAST
     found = [
         *column_findings(log),
-        *_of_the_angle(log.motor_angle),
         *_of_the_vibration(fit, solution, errors, log),
         *_of_the_start(fit, log),
         *_of_the_prediction(fit, motion),
@@ -71,26 +67,16 @@ def findings_of(
 
 def signal_of(fit: Fit) -> float:
     """Twice the log-likelihood that the model wins over an arm at rest, colour allowed for."""
+    # By the residual's colour: under slow noise a thousand samples are a hundred witnesses, and luck wins
+    # more with them.
     inflation = max(fit.effective_parameters / max(len(fit.standard_errors), 1), 1.0)
     output = (fit.predicted + fit.residual)[: fit.fitted_samples]
     return fit.fitted_samples * math.log(max(float(np.var(output)) / max(fit.mse, 1e-300), 1.0)) / inflation
 
 
-def _mains(log: Experiment) -> float | None:
-    """Frequency of the mains [Hz] where the output is mostly one line there, None elsewhere."""
-    output = log.output
-    power = np.abs(np.fft.rfft((output - output.mean()) * np.hanning(output.size))) ** 2
-    top, length = int(power.argmax()), output.size * log.period
-    # A Hann window spreads a line over four bins: two on either side of the top hold all of it.
-    line = float(power[max(top - 2, 0) : top + 3].sum())
-    # The mains keep within 0.5 Hz of their frequency, and a record of T seconds tells lines 1/T apart.
-    nearest = 50.0 if top / length < 55.0 else 60.0
-    return nearest if abs(top / length - nearest) < 0.5 + 1 / length and line > 0.5 * power.sum() else None
-
-
 def _no_signal(signal: float, log: Experiment) -> Finding:
     """W313, with the cause where the output or the motor shows one."""
-    turned, hum = float(np.ptp(log.motor_angle)), _mains(log)
+    turned, hum = float(np.ptp(log.motor_angle)), mains_of(log)
     evidence = {"signal": signal, "least": SIGNAL_LEAST, "motor_range": turned}
     if turned < _TREMBLE:
         return Finding(
@@ -124,6 +110,7 @@ def _of_the_vibration(
     if signal < SIGNAL_LEAST:
         yield _no_signal(signal, log)
         return
+    # λ at its upper limit is a classical link; at the lower one nothing vibrates.
     order_low = 0 in solution.at_bound and fit.model.order < sum(ORDER_LIMITS) / 2
     if 1 in solution.at_bound or order_low:
         yield Finding(
@@ -187,6 +174,7 @@ def _of_the_prediction(fit: Fit, motion: tuple[float, float]) -> Iterator[Findin
         )
     elif relative > HELDOUT_MOST and not noise:
         yield _not_predicted(fit, relative)
+    # Both: a quiet end has a large relative error by its small power alone, a loud one a large mean square.
     elif relative > 4 * fit.nmse and held > 2 * fit.mse:
         yield Finding(
             "W311",
@@ -195,6 +183,7 @@ def _of_the_prediction(fit: Fit, motion: tuple[float, float]) -> Iterator[Findin
             {"nmse": fit.nmse, "heldout_nmse": relative},
             "look for a change of the arm within the log, or fit a longer part",
         )
+    # Of its own accord a fit takes 60 %: less than half is the border's move to where motion is.
     if fit.fitted_samples < fit.samples // 2:
         yield Finding(
             "W319",
@@ -211,6 +200,7 @@ def _not_predicted(fit: Fit, relative: float) -> Finding:
     before, after = float(np.std(output[: fit.fitted_samples])), float(np.std(output[late]))
     predicted = float(np.std(fit.predicted[late]))
     cause = "a payload that slipped, a wrong channel or saturation"
+    # A third of both: neither the motion nor the model grew quiet there.
     if after < 0.3 * min(before, predicted):
         cause = "a gauge or a cable that came off: the output is nearly at rest there"
     elif after > 2 * max(before, predicted):
@@ -267,19 +257,6 @@ def _of_the_optimum(fit: Fit, singular: bool) -> Iterator[Finding]:
         )
 
 
-def _of_the_angle(motor_angle: Vector) -> Iterator[Finding]:
-    largest = float(np.max(np.abs(motor_angle - motor_angle[0])))
-    # At the link's side of a gear no flexible arm turns more than once; 7 degrees called radians do.
-    if largest > 2 * math.pi:
-        yield Finding(
-            "W323",
-            "error",
-            "the motor turns by more than one revolution: are these degrees labelled as radians?",
-            {"largest_angle": largest, "if_degrees": math.radians(largest)},
-            'give the angle at the link\'s side of the gear in rad, or state unit = "deg"',
-        )
-
-
 def _of_the_sensor(fit: Fit, stiffness: float | None) -> Iterator[Finding]:
     if fit.output_kind == "deflection" and stiffness is None:
         yield Finding(
@@ -290,6 +267,7 @@ def _of_the_sensor(fit: Fit, stiffness: float | None) -> Iterator[Finding]:
             "give stiffness=",
         )
     size = abs(fit.gain)
+    # Of a torque the gain is a stiffness, which may be any.
     if fit.output_kind == "deflection" and not GAIN_RANGE[0] < size < GAIN_RANGE[1]:
         yield Finding(
             "W320",
@@ -305,6 +283,7 @@ def _of_the_delay(fit: Fit, solution: Solution) -> Iterator[Finding]:
     error = fit.standard_errors.get("delay")
     if error is None or error == 0:
         return
+    # A sample's time: who stamps the sample before reading the gauge is that late, and it matters to no loop.
     if fit.delay > max(4 * error, fit.period):
         yield Finding(
             "W306",
@@ -325,6 +304,7 @@ def _of_the_delay(fit: Fit, solution: Solution) -> Iterator[Finding]:
 
 def _of_the_sign(fit: Fit, cycle: float) -> Iterator[Finding]:
     """Sign and delay together: of a vibration, half a `cycle` more is the other sign."""
+    # Beyond an eighth of a cycle half a turn of phase may be delay and sign as well as sign alone.
     late = abs(fit.delay) > cycle / 8
     if fit.gain < 0 and not late:
         yield Finding(
@@ -365,6 +345,7 @@ def _of_the_residual(fit: Fit) -> Iterator[Finding]:
             {"p_value": fit.tests.whiteness, "correlation_time": fit.tests.correlation_time},
             "nothing, or look at the residual for a second mode or friction",
         )
+    # One in a thousand: every real arm has friction, and at one in twenty each log would say so.
     if fit.tests.input_independence < 1e-3:
         yield Finding(
             "W310",

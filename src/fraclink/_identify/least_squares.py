@@ -15,8 +15,13 @@ from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import lstsq
+from scipy.optimize import OptimizeResult
 
-__all__ = ["QUANTILE", "Descent", "Interval", "Profile", "descend", "differences", "interval_end", "project"]
+__all__ = [
+    "ENOUGH", "QUANTILE", "Blocks", "Descent", "Interval", "Profile", "Stepped", "blocks_of", "decrement",
+    "descend", "differences", "interval_end", "project", "stepped",
+]  # fmt: skip
 
 Reals = NDArray[np.float64]
 Residuals = Callable[[Reals], Reals]  # (M, p) -> (M, R); rows that have no value are not finite
@@ -24,6 +29,11 @@ Residuals = Callable[[Reals], Reals]  # (M, p) -> (M, R); rows that have no valu
 _STEP = 1e-6  # of the differences: responses are known to 1e-12 of their peak, so that slopes are to 1e-6
 _DAMPING = (1e-12, 1e12)
 _STUCK = 1e9  # damping at which a step is none
+_ENDED = 1e-10  # of the cost: in 10 000 samples a step of a thousandth of a standard error
+ENOUGH = 1e-5  # of the cost: what a last step still gains; in 10 000 samples a tenth of a parameter's
+_STEPS = 60
+_DAMPED, _MOST_DAMPED = 1e-4, 1e4  # of a normal matrix with ones on its diagonal
+_SINGULAR = 1e-11  # of that matrix: a direction that is hardly seen
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,11 +74,9 @@ def descend(
     high: Reals,
     *,
     iterations: int,
-    tolerance: float = 1e-10,
     shear: Reals | None = None,
 ) -> Descent:
-    """The descent from every row of `places`; one ends where the next step would gain `tolerance` of its
-    cost.
+    """The descent from every row of `places`; one ends where the next step would gain 1e-10 of its cost.
 
     `shear` (p, p) gives coordinates in which the valleys of the cost lie along the axes: damping counts
     there. What a step would gain is the Newton decrement: a short step says only that the damping is large.
@@ -102,7 +110,7 @@ def descend(
             normal[moving], slope[moving], damping[moving], places[moving], (low, high), shear
         )
         # By what the step would gain and not by its length: in a long valley short steps still gain.
-        settled[moving] = gains <= tolerance * costs[moving]
+        settled[moving] = gains <= _ENDED * costs[moving]
         tried = np.clip(places[moving] - steps, low, high)
         there = residuals(tried)
         evaluations += moving.size
@@ -148,6 +156,121 @@ def _costs(residual: Reals) -> Reals:
     with np.errstate(over="ignore", invalid="ignore"):
         costs = np.einsum("mr,mr->m", residual, residual)
     return np.where(np.isfinite(costs), costs, np.inf)
+
+
+# --- one place at a time, where a Jacobian costs less than a response -----------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Blocks:
+    """Rows of a Jacobian, one value for each block of samples: sums over blocks are sums over samples."""
+
+    rows: Reals
+    width: int
+    sharp: bool = True  # a descent may end on them
+
+    def of(self, samples: Reals) -> Reals:
+        """Samples (N,) as one value for each block, of the same variance where they are white."""
+        return blocks_of(samples, self.width)
+
+
+def blocks_of(samples: Reals, width: int) -> Reals:
+    """Means of blocks, times the root of their width: white noise keeps its variance."""
+    whole = samples.size // width * width
+    return np.asarray(samples[:whole].reshape(-1, width).sum(axis=1) / math.sqrt(width))
+
+
+@dataclass(frozen=True, eq=False)
+class Stepped:
+    """Where the steps led, the cost there, and the residuals that they took.
+
+    `ended`: no step gained more; `converged`: nor would one with a sharper Jacobian.
+    """
+
+    place: Reals
+    cost: float
+    ended: bool
+    converged: bool
+    evaluations: int
+
+
+def stepped(
+    residual: Callable[[Reals], Reals],
+    rows: Callable[[Reals], Blocks | None],
+    begin: Reals,
+    box: tuple[Reals, Reals],
+    moving: list[int],
+    least: float,
+    *,
+    damped: bool,
+) -> Stepped:
+    """The descent of |residual|² from a place, to a cost `least` or a step that gains hardly more.
+
+    `moving` are the rows of the coordinates; other rows belong to parameters that `residual` projects out.
+    It ends not converged at a limit of the box, where there are no rows or they do not tell a step or are not
+    sharp enough to end on, and, unless `damped` steps are wanted, at one that does not gain.
+    """
+    place, rest = begin, residual(begin)
+    cost, count = float(rest @ rest), 1
+    gain, damping, found = math.inf, 0.0, None
+    for _ in range(_STEPS if math.isfinite(cost) else 0):
+        # A step moves the parameters by a standard error where it gains p σ² = p cost/n: within that the
+        # valley's slope is the same.
+        if found is None or gain * rest.size > cost * begin.size:
+            found = rows(place)
+        if found is None:
+            break
+        step, gain = _newton(found.rows, found.of(rest), damping)
+        if not np.isfinite(step).all():
+            break
+        tried = np.clip(place + step[moving], *box)
+        done = gain <= max(ENOUGH * cost, least)
+        there = residual(tried)
+        count += 1
+        reached = float(there @ there)
+        if not reached < cost:
+            if done or not damped or not damping < _MOST_DAMPED:
+                return Stepped(place, cost, done, done and found.sharp, count)
+            # As in `descend`: up by eight, down by ten, so that no damping that failed is tried again.
+            damping = max(8.0 * damping, _DAMPED)
+            continue
+        place, rest, cost, damping = tried, there, reached, 0.1 * damping
+        # At a limit the other coordinates need a step of their own, which a trust region takes and this does
+        # not.
+        if np.any((place <= box[0]) | (place >= box[1])):
+            break
+        if done:
+            return Stepped(place, cost, True, found.sharp, count)
+    return Stepped(place, cost, False, False, count)
+
+
+def _newton(rows: Reals, rest: Reals, damping: float) -> tuple[Reals, float]:
+    """The damped step, and what it would gain undamped; not finite where the rows do not tell it."""
+    normal, slope = rows @ rows.T, rows @ rest
+    # Unit columns, so that 1e-11 says how much two parameters trade and not in which units they are.
+    size = np.sqrt(np.diag(normal))
+    with np.errstate(all="ignore"):
+        values, vectors = np.linalg.eigh(np.nan_to_num(normal / np.outer(size, size)))
+        if not values[0] > _SINGULAR:
+            return np.full(slope.size, np.nan), math.inf
+        # In the axes of the valley one decomposition serves every damping, and the undamped gain is a sum of
+        # squares.
+        along = vectors.T @ (slope / size)
+        return vectors @ (along / (values + damping)) / size, float(along @ (along / values))
+
+
+def decrement(found: OptimizeResult) -> float:
+    """What a Gauss–Newton step in the coordinates that no limit holds would gain."""
+    jacobian = found.jac[:, found.active_mask == 0]
+    size = np.linalg.norm(jacobian, axis=0)
+    # By QR of the Jacobian and not by its square: at the end of a curved valley the latter loses the digits
+    # that decide.
+    gained = lstsq(jacobian / np.where(size > 0, size, 1.0), found.fun, cond=1e-9)[0]
+    along = jacobian / np.where(size > 0, size, 1.0) @ gained
+    return float(along @ along)
+
+
+# --- linear parameters --------------------------------------------------------------------------------------
 
 
 def project(measured: Reals, columns: Reals, low: Reals, high: Reals) -> tuple[Reals, Reals]:

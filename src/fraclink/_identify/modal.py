@@ -311,7 +311,6 @@ def _levy(
 ) -> tuple[Reals, Reals, float]:
     """Coefficients (highest first) of N and D with D monic, and the weighted error of their ratio."""
     divisor: Complexes = np.ones(x.size, dtype=np.complex128)
-    top, bottom, error = np.ones(zeros + 1), np.ones(poles + 1), np.inf
     for _ in range(_LEVY_ROUNDS):
         # Sanathanan and Koerner's weight: without it the error counts times |D|, least at the very
         # resonances.
@@ -325,8 +324,7 @@ def _levy(
         )[0]
         top, bottom = solution[: zeros + 1], np.concatenate([[1.0], solution[zeros + 1 :]])
         divisor = np.asarray(np.polyval(bottom, x), dtype=np.complex128)
-        error = float(np.linalg.norm(weight * (response - np.polyval(top, x) / divisor)))
-    return top, bottom, error
+    return top, bottom, float(np.linalg.norm(weight * (response - np.polyval(top, x) / divisor)))
 
 
 def _places(coefficients: Reals, order: float, scale: float) -> list[float]:

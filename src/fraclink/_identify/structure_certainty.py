@@ -335,6 +335,8 @@ def _of_rivals(
             if not interval.contains(rival.values[name])
             and not math.isclose(rival.values[name], fit.parameters[name], rel_tol=1e-3)
         ]
+        # Where the fit is perfect every rival is as perfect: two names for one function, which are no two
+        # answers.
         if told < QUANTILE**2 * certain.inflation and apart and least > 1e-12:
             values = {name: rival.values[name] for name in apart}
             yield Finding(

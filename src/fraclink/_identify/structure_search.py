@@ -20,11 +20,20 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from fraclink._identify.least_squares import Descent, descend, differences, project
+from fraclink._identify.least_squares import (
+    ENOUGH,
+    Blocks,
+    Descent,
+    Stepped,
+    decrement,
+    descend,
+    differences,
+    project,
+    stepped,
+)
 from fraclink._identify.structure_problem import RecordStart, Samples, Spectrum, StructureCoordinates
-from fraclink._identify.structure_slopes import Blocks, Coarse, Rows
+from fraclink._identify.structure_slopes import Coarse, Rows
 from fraclink._identify.structure_starts import Starts
-from fraclink._identify.structure_steps import ENOUGH, Stepped, decrement, stepped
 from fraclink.errors import NotConvergedError
 
 __all__ = ["PERFECT", "Place", "StructureSearch"]
@@ -72,6 +81,7 @@ class StructureSearch:
         simulated = data.simulated(own.structure, own.values(places), len(places))
         measured = data.measured
         columns, limits = [], []
+        # Without a gain the whole response counts as measured: only the offset is left to be fitted to it.
         if own.gain is None:
             measured = measured - simulated
         else:
@@ -103,15 +113,14 @@ class StructureSearch:
         ordered = {name: values[name] for name in own.structure.names}
         return Place(ordered, linear[0] if linear else (self.offset or 0.0), cost, converged)
 
-    def run(
-        self, data: RecordStart | Spectrum, start: Mapping[str, float] | None
-    ) -> list[tuple[Reals, Place]]:
-        """Places that no step improves, best first, in coordinates and as parameters."""
+    def run(self, data: RecordStart | Spectrum, start: Mapping[str, float] | None) -> list[Place]:
+        """Places that no step improves, best first."""
         spectrum = data.spectrum if isinstance(data, RecordStart) else data
         low, high = self.coordinates.box(self.coordinates.moving)
         begin = Starts(self.coordinates, spectrum, self.offset is None).places()
         draws = self._ranked(spectrum, np.clip(begin, low, high))
         if start is not None:
+            # Before the others and not in their place: a wrong start costs one descent and hides nothing.
             given = [float(self.coordinates.place(name, start[name])) for name in self.coordinates.moving]
             draws = np.concatenate([np.array([given]), draws])
         # Few steps tell a promising descent from a lost one; only the former are worth an end.
@@ -127,23 +136,17 @@ class StructureSearch:
                 ranked = [draws[0], *ranked]
             # The transform does not know an unstable function from a stable one; its samples do.
             ranked = self._on_samples(data, [*ranked, *first[_TRIED:]])[:_TRIED]
-        else:
-            ranked = ranked[:_TRIED]
-        if not ranked:
-            raise self._lost()
-        if isinstance(data, RecordStart):
+            if not ranked:
+                raise self._lost()
             last = self._ended(data, ranked, low, high)
+            if data.hold == "zero":
+                last = self._over_the_jumps(data, last, low, high)
         else:
-            last = self._settled(data, np.array(ranked), low, high)
-        if isinstance(data, RecordStart) and data.hold == "zero":
-            last = self._over_the_jumps(data, last, low, high)
+            last = self._settled(data, np.array(ranked[:_TRIED]), low, high)
         last = self._back_from_zero(data, spectrum, last, low, high)
         order = [k for k in np.argsort(last.costs) if np.isfinite(last.costs[k])]
         return [
-            (
-                last.places[k],
-                self.place(data, last.places[k], float(last.costs[k]), converged=bool(last.converged[k])),
-            )
+            self.place(data, last.places[k], float(last.costs[k]), converged=bool(last.converged[k]))
             for k in order
         ]
 
@@ -158,6 +161,8 @@ class StructureSearch:
             if self.coordinates.structure.roles[name] != "delay":
                 continue
             periods = float(found.places[best, k]) / data.period
+            # A delay on a sample (to 1e-9 of the period) belongs to one interval, any other to the two beside
+            # it.
             for whole in sorted({math.floor(periods + 1e-9), math.ceil(periods - 1e-9)}):
                 inner = low.copy(), high.copy()
                 inner[0][k] = max((whole - 1 + 1e-6) * data.period, low[k])
@@ -165,11 +170,9 @@ class StructureSearch:
                 if inner[0][k] >= inner[1][k]:
                     continue
                 begin = found.places[best : best + 1].copy()
+                # From the sample itself, where the cost is smooth from below.
                 begin[0, k] = inner[1][k]
-                again = self._settled(data, begin, *inner)
-                if again.costs[0] < found.costs[best]:
-                    found.places[best], found.costs[best] = again.places[0], again.costs[0]
-                    found.converged[best] = again.converged[0]
+                _take_over(found, best, self._settled(data, begin, *inner))
         return found
 
     def _back_from_zero(
@@ -185,16 +188,14 @@ class StructureSearch:
             if not self.coordinates.is_logarithmic(name) or found.places[best, k] > low[k] + _VANISHED:
                 continue
             tried = np.repeat(found.places[best : best + 1], _RETURNS, axis=0)
+            # A factor e a step over twelve decades: a valley of a coefficient is wider than that in the
+            # logarithm.
             tried[:, k] = np.linspace(max(low[k], -_VANISHED), min(high[k], _VANISHED), _RETURNS)
             costs = np.einsum("mr,mr->m", rest := self.residuals(spectrum, tried), rest)
             near = np.flatnonzero(costs <= _RETURNED * np.nanmin(costs))
             begin = tried[near[-_TRIED:]]
             # The transform does not tell them apart as the samples do: each is settled there.
-            again = self._settled(data, begin, low, high)
-            least = int(np.argmin(again.costs))
-            if again.costs[least] < found.costs[best]:
-                found.places[best], found.costs[best] = again.places[least], again.costs[least]
-                found.converged[best] = again.converged[least]
+            _take_over(found, best, self._settled(data, begin, low, high))
         return found
 
     def descended(self, data: Samples, begin: Reals) -> Place:
@@ -208,24 +209,11 @@ class StructureSearch:
         remedy = "check that the structure is proper (use a frequency response if it is not), or give start"
         return NotConvergedError(self.coordinates.structure.text, reached=math.inf, wanted=0.0, remedy=remedy)
 
-    def _descend(
-        self,
-        data: Samples,
-        places: Reals,
-        low: Reals,
-        high: Reals,
-        *,
-        iterations: int,
-        tolerance: float = 1e-10,
-    ) -> Descent:
+    def _descend(self, data: Samples, places: Reals, low: Reals, high: Reals, *, iterations: int) -> Descent:
+        # The unit of time is the middle of the band: there coefficients and orders trade least.
+        shear = self.coordinates.shear(math.sqrt(math.prod(data.band)))
         found = descend(
-            lambda x: self.residuals(data, x),
-            places,
-            low,
-            high,
-            iterations=iterations,
-            tolerance=tolerance,
-            shear=self.coordinates.shear(math.sqrt(math.prod(data.band))),
+            lambda x: self.residuals(data, x), places, low, high, iterations=iterations, shear=shear
         )
         self.evaluations += found.evaluations
         return found
@@ -263,6 +251,8 @@ class StructureSearch:
         found = descent(data, begin)
         if found.ended or not math.isfinite(found.cost):
             return found
+        # The exact response failed to lead on, mostly from a place far off: there a crude transform is good
+        # enough.
         values = self.place(data, found.place, 0.0, converged=False).values
         coarse = self._rows_of(data).coarse(own, values, crude=True)
         if coarse is None:
@@ -309,6 +299,7 @@ class StructureSearch:
                     max_nfev=_CALLS,
                 )
             ends.append(found.x)
+            # scipy's cost is half a sum of squares.
             costs.append(2.0 * float(found.cost))
             least = max(ENOUGH * costs[-1], PERFECT * power)
             converged.append(found.status > 0 and decrement(found) <= least)
@@ -369,11 +360,20 @@ class StructureSearch:
         def simulated(places: Reals) -> Reals:
             return data.simulated(own.structure, own.values(places, projected=False), len(places))
 
+        # With the gain as a coordinate: its error is asked for, too, though the search projects it out.
         rows = differences(simulated, at, simulated(at), low, high)[0]
         self.evaluations += len(names) + 1
         if data.offset is not None and self.offset is None:
             rows = np.concatenate([rows, data.offset[None, :]])
         return Blocks(rows, 1)
+
+
+def _take_over(found: Descent, k: int, again: Descent) -> None:
+    """Put the best end of another descent in place k where it is lower."""
+    least = int(np.argmin(again.costs))
+    if again.costs[least] < found.costs[k]:
+        found.places[k], found.costs[k] = again.places[least], again.costs[least]
+        found.converged[k] = again.converged[least]
 
 
 def _rises(place: Reals, orders: Sequence[int]) -> int:

@@ -19,9 +19,10 @@ from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
 
 from fraclink._identify.expression import Expression, Leaves, walk
+from fraclink._identify.least_squares import blocks_of
 from fraclink._identify.structure_problem import RecordStart, StructureCoordinates, held_transform
 
-__all__ = ["Blocks", "Coarse", "Rows"]
+__all__ = ["Coarse", "Rows"]
 
 Reals = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -129,25 +130,6 @@ def derivatives(
 
 
 # --- rows of a Jacobian ---------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, eq=False)
-class Blocks:
-    """Rows of a Jacobian, one value for each block of samples: sums over blocks are sums over samples."""
-
-    rows: Reals
-    width: int
-    sharp: bool = True  # a descent may end on them
-
-    def of(self, samples: Reals) -> Reals:
-        """Samples (N,) as one value for each block, of the same variance where they are white."""
-        return blocks_of(samples, self.width)
-
-
-def blocks_of(samples: Reals, width: int) -> Reals:
-    """Means of blocks, times the root of their width: white noise keeps its variance."""
-    whole = samples.size // width * width
-    return np.asarray(samples[:whole].reshape(-1, width).sum(axis=1) / math.sqrt(width))
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,5 +1,6 @@
 """Where the search for a structure begins: draws of orders and delays, coefficients by linear least squares.
 
+Numerator and denominator of a text come from an algebra of quotients that are not divided out.
 Sanathanan and Koerner, IEEE Trans. Autom. Control 8 (1963) 56: the equation N U = D Y is straight in the
 coefficients, and divided by the last D its error is that of the output.
 """
@@ -8,15 +9,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fraclink._identify.expression import Expression, Leaves, walk
 from fraclink._identify.structure_problem import Spectrum, StructureCoordinates
 
-__all__ = ["Starts"]
+__all__ = ["Starts", "quotient"]
 
 Reals = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
 
 _DRAWS = 60  # for each order or delay that is free, up to three
 _DRAWS_AT_RANDOM = 600
@@ -96,8 +100,8 @@ class Starts:
         base = own.values(own.middle()[None, :], projected=False)
         probes = [{**base, **dict.fromkeys(names, np.zeros((1, 1)))}]
         probes += [{**probes[0], name: np.ones((1, 1))} for name in names]
-        zero, *units = (np.stack(own.structure.quotient(probe, points)) for probe in probes)
-        whole = np.stack(own.structure.quotient(base, points))
+        zero, *units = (np.stack(quotient(own.structure, probe, points)) for probe in probes)
+        whole = np.stack(quotient(own.structure, base, points))
         built = zero + sum(base[n][0, 0] * (unit - zero) for n, unit in zip(names, units, strict=True))
         return names if np.allclose(whole, built, rtol=1e-9, atol=1e-12) else ()
 
@@ -110,7 +114,7 @@ class Starts:
         base = fixed | drawn | dict.fromkeys(names, np.zeros((1, 1)))
         probes = [base, *({**base, name: np.ones((1, 1))} for name in names)]
         shape = (count, self.spectrum.points.size)
-        pairs = [own.structure.quotient(probe, self.spectrum.points) for probe in probes]
+        pairs = [quotient(own.structure, probe, self.spectrum.points) for probe in probes]
         tops, bottoms = (np.stack([np.broadcast_to(p[i], shape) for p in pairs]) for i in (0, 1))
         tops[1:] -= tops[0]
         bottoms[1:] -= bottoms[0]
@@ -161,3 +165,85 @@ def _halton(count: int, size: int) -> Reals:
             number, digit = np.divmod(number, primes[k])
             result[:, k] += weight * digit
     return result
+
+
+# --- numerator and denominator ------------------------------------------------------------------------------
+
+
+def quotient(
+    structure: Expression, values: Mapping[str, Any], points: Complexes
+) -> tuple[Complexes, Complexes]:
+    """Numerator and denominator of G at `points` [rad/s], as the text divides them."""
+    logarithm = np.log(points)
+    leaves = Leaves(
+        _Ratio(points),
+        lambda order: _Ratio(np.exp(_plain(order) * logarithm)),
+        lambda ratio: _Ratio(np.exp(ratio.top / ratio.bottom)),
+        {name: np.asarray(value, dtype=np.float64) for name, value in values.items()},
+    )
+    with np.errstate(all="ignore"):  # a draw may overflow: it is a bad start, and others are better
+        found = _Ratio.of(walk(structure.tree, leaves))
+    shape = np.broadcast_shapes(np.shape(found.top), np.shape(found.bottom), points.shape)
+    return np.broadcast_to(found.top, shape), np.broadcast_to(found.bottom, shape)
+
+
+def _plain(value: Any) -> Any:
+    return value.top / value.bottom if isinstance(value, _Ratio) else value
+
+
+def _is_one(bottom: Any) -> bool:
+    return np.isscalar(bottom) and bottom == 1.0
+
+
+@dataclass(frozen=True)
+class _Ratio:
+    """A quotient of arrays that is not divided out."""
+
+    top: Any
+    bottom: Any = 1.0
+
+    __array_ufunc__ = None  # numpy hands `array * ratio` to the methods below
+
+    @staticmethod
+    def of(value: Any) -> _Ratio:
+        return value if isinstance(value, _Ratio) else _Ratio(value)
+
+    def __add__(self, other: Any) -> _Ratio:
+        right = _Ratio.of(other)
+        # A common denominator is kept and not squared: the equations would have roots that G has not.
+        if self.bottom is right.bottom or (_is_one(self.bottom) and _is_one(right.bottom)):
+            return _Ratio(self.top + right.top, self.bottom)
+        return _Ratio(self.top * right.bottom + right.top * self.bottom, self.bottom * right.bottom)
+
+    def __radd__(self, other: Any) -> _Ratio:
+        return _Ratio.of(other) + self
+
+    def __neg__(self) -> _Ratio:
+        return _Ratio(-self.top, self.bottom)
+
+    def __sub__(self, other: Any) -> _Ratio:
+        return self + (-_Ratio.of(other))
+
+    def __rsub__(self, other: Any) -> _Ratio:
+        return _Ratio.of(other) + (-self)
+
+    def __mul__(self, other: Any) -> _Ratio:
+        right = _Ratio.of(other)
+        return _Ratio(self.top * right.top, self.bottom * right.bottom)
+
+    def __rmul__(self, other: Any) -> _Ratio:
+        return _Ratio.of(other) * self
+
+    def __truediv__(self, other: Any) -> _Ratio:
+        right = _Ratio.of(other)
+        return _Ratio(self.top * right.bottom, self.bottom * right.top)
+
+    def __rtruediv__(self, other: Any) -> _Ratio:
+        return _Ratio.of(other) / self
+
+    def __pow__(self, exponent: Any) -> _Ratio:
+        power = _plain(exponent)
+        if isinstance(power, int | float) and power < 0:
+            # A negative power turns the quotient over: (s + 1)^−1 has its root in the denominator.
+            return _Ratio(self.bottom**-power, self.top**-power)
+        return _Ratio(self.top**power, self.bottom**power)

@@ -122,8 +122,7 @@ def identify_structure(
     coordinates = _coordinates(structure, known, bounds or {}, longest)
     _check_start(coordinates, start, samples.measured.size)
     search = StructureSearch(coordinates, offset)
-    found = [(in_order(coordinates, place), x) for x, place in search.run(samples, start)]
-    best = found[0][0]
+    best, *rivals = (in_order(coordinates, place) for place in search.run(samples, start))
     # All on the fitted part; what was held out is predicted once and steers nothing.
     certain = certainty_of(search, samples, best, details=details)
     predicted = best.offset * (whole.offset if whole.offset is not None else 0.0) + _simulated(
@@ -133,7 +132,6 @@ def identify_structure(
     fit = _fit_of(
         structure, coordinates, best, certain, samples, whole, predicted, held, search, data, fitted
     )
-    rivals = [place for place, _ in found[1:]]
     return dataclasses.replace(fit, findings=structure_findings(fit, certain, rivals, samples))
 
 
