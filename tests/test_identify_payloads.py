@@ -200,10 +200,10 @@ def test_requests_that_no_logs_answer() -> None:
     with pytest.raises(LogError) as caught:
         identify_payloads(logs[:1])
     assert (caught.value.field, caught.value.value, caught.value.allowed) == ("logs", 1, ">= 2")
-    with pytest.raises(FieldError) as caught:
+    with pytest.raises(FieldError) as unknown:
         identify_payloads(logs, "D-FOM", common=("order",))
-    assert caught.value.allowed == "damping, damping_order or delay"
-    assert caught.value.remedy == "D-FOM has these"
+    assert unknown.value.allowed == "damping, damping_order or delay"
+    assert unknown.value.remedy == "D-FOM has these"
 
 
 @pytest.mark.parametrize("order", [1.8, 1.95])

@@ -403,11 +403,17 @@ def test_other_ranges_in_words(annotation: Any, words: str) -> None:
 
 
 def test_a_rule_carries_its_bounds_and_unit() -> None:
-    for annotation in (Payload, Payload | None, Annotated[float, Between(0.0, 1e4, "kg", low_open=True)]):
+    narrowed: tuple[Any, ...] = (
+        Payload,
+        Payload | None,
+        Annotated[float, Between(0.0, 1e4, "kg", low_open=True)],
+    )
+    for annotation in narrowed:
         found = rule(annotation)
         assert (found.unit, found.low, found.high) == ("kg", 0.0, 1e4)
     pair = Annotated[tuple[Payload, Payload], Ordered(strict=True)]
-    for annotation in (pair, tuple[Payload, ...], Annotated[tuple[Payload, ...], Length(1, 3)]):
+    several: tuple[Any, ...] = (pair, tuple[Payload, ...], Annotated[tuple[Payload, ...], Length(1, 3)])
+    for annotation in several:
         found = rule(annotation)
         assert (found.unit, found.low, found.high) == ("kg", 0.0, 1e4)
     assert rule(Count).low == 1 and rule(Count).high == 10**9
