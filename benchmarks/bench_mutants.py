@@ -551,7 +551,9 @@ def run_anew(codes: dict[str, types.CodeType], names: list[str], say: Callable[[
     install(codes, place, 0)
     silence()
     watch = Watch(say)
-    ended = pytest.main(options("-x", *names), plugins=[watch])
+    # Where a docstring's example is among the tests, pytest would rewrite that module's assertions, from the
+    # file and not from the mutant's code.
+    ended = pytest.main(options("--assert=plain", "-x", *names), plugins=[watch])
     shutil.rmtree(place, ignore_errors=True)
     if watch.failed or ended != pytest.ExitCode.OK:
         raise Failed
