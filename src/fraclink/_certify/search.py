@@ -324,7 +324,7 @@ def enclose_phase_margin(
 
 
 def _attained(statement: Statement, law: Law) -> tuple[float, float, float]:
-    """(margin, payload, frequency) of the worst falling crossing at the corners of the box."""
+    """(margin, payload, frequency) of the worst crossing at the corners of the box."""
     low, high = statement.box
     best = (math.pi, statement.payload_low, 0.0)
     mode = low["softness"] ** (-1.0 / low["order"])

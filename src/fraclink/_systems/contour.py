@@ -71,9 +71,11 @@ def _needed(quotient: Quotient, times: Reals, power: int) -> NDArray[np.intp]:
     """Nodes for each time, from the power of s that G/s^n resembles at frequencies near 1/t."""
     # The parabola's error comes from |s| t of about 0.7; G's slope there, and on either side of it.
     z = np.log(_AROUND / times).astype(np.complex128)
-    order = (power - quotient.slope(z)).max(axis=0)
+    # A real zero of N or D at one of these points, as of 1/(s − 1) at 1 s, has a slope that is no number.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        order = (power - quotient.slope(z)).max(axis=0)
     at_zero = quotient.bottom[-1].order - quotient.top[-1].order + float(power)
-    steepest = quotient.bottom[0].order + power  # no slope exceeds it but beside a zero of G, where it is nan
+    steepest = quotient.bottom[0].order + power  # no slope exceeds it but at a zero of G
     order = np.fmin(np.fmax(order, at_zero), steepest)
     nodes = np.array([_nodes(0.25 * step) for step in np.ceil(4.0 * order).tolist()])
     # Five nodes too many raise the rounding error by e^(5π/12) = 4 and save an evaluation of their own.

@@ -94,7 +94,6 @@ class ExponentialSum:
         """D, D', …, D^(count−1) at z divided by the largest term, and the sums of moduli of each."""
         terms = self.terms(z)[0]
         powers = self.rates ** np.arange(count)[:, None]
-        powers[0] = 1.0
         values: Complexes = np.einsum("jk,k...->j...", powers, terms)
         moduli: Reals = np.einsum("jk,k...->j...", powers, np.abs(terms))
         return values, moduli

@@ -251,9 +251,9 @@ class HeldQuotient:
         if self.low.powers:
             powers = [(abs(c) * (_POWER_UNITS + a * abs(math.log(span))), a) for c, a in self.low.powers]
             shared = float(power_response(powers, np.array([span]), degree)[0])
-        # The modes' errors are independent: three times the root of the sum of their squares.
-        size *= units
-        return sys.float_info.epsilon * (3.0 * math.sqrt(float(size @ size)) + shared)
+        # The modes' errors are independent: three times the root of the sum of their squares. By `hypot`, as
+        # the squares of what grows beyond e^355 leave the range of doubles.
+        return sys.float_info.epsilon * (3.0 * math.hypot(*(size * units).tolist()) + shared)
 
     @property
     def _method(self) -> str:

@@ -98,13 +98,20 @@ def _data_loop(data: Any, limit: float | None) -> CallableLoop:
         return np.asarray(np.exp(np.interp(at, x, logs) + 1j * np.interp(at, x, phase)))
 
     high = float(x[-1]) if limit is None else min(float(x[-1]), math.log(limit))
+    if high <= x[0]:
+        problem, allowed = "below the first point of the data", f"> {math.exp(x[0]):.6g} rad/s"
+        raise FieldError("limit", limit, problem, allowed=allowed, remedy="raise it, or leave it out")
     return CallableLoop(response, float(x[0]), high, seeds=x)
 
 
 def _callable_loop(loop: Callable[..., object], limit: float | None) -> CallableLoop:
     """A function of s, or a python-control system (recognised by its `dt`; sampled ones stop at π/dt)."""
     response, period = loop, getattr(loop, "dt", None)
-    if isinstance(period, (int, float)) and not isinstance(period, bool) and period > 0:
+    if period is True:  # a response over z; as one over s it would have margins, and wrong ones
+        problem, allowed = "sampled, without a period", "a sampling period in seconds, or continuous time"
+        remedy = "give it one, such as control.tf(num, den, 0.01)"
+        raise FieldError("loop", "dt = True", problem, allowed=allowed, remedy=remedy)
+    if isinstance(period, (int, float)) and period > 0:
         step = float(period)
         # Beyond the Nyquist frequency a sampled response only repeats itself, mirrored.
         limit = math.pi / step if limit is None else min(limit, math.pi / step)
