@@ -7,6 +7,7 @@ import hashlib
 import importlib.util
 import json
 import math
+import re
 import struct
 import subprocess
 import sys
@@ -24,11 +25,12 @@ import fraclink as fl
 from fraclink._arm.box import ParameterBox
 from fraclink._arm.link import LinkModel, SecondMode
 from fraclink._arm.rig import Rig
-from fraclink._certify import Certificate, certify, search
+from fraclink._certify import Certificate, certify, numeric, search
+from fraclink._certify.discs import Disc, Span
 from fraclink._certify.enclosure import BoxLoop
 from fraclink._certify.numeric import loop_values, worst_distance
 from fraclink._certify.search import MarginFailure, prove
-from fraclink._certify.statement import ASSUMPTIONS, AXES, CLAIM, Statement
+from fraclink._certify.statement import ALIASES, ALIASES_FROM, ASSUMPTIONS, AXES, CLAIM, Statement
 from fraclink._design import Design
 from fraclink._design.assess import PRINTED
 from fraclink._export import export_c
@@ -803,3 +805,263 @@ def test_the_law_of_another_plant_is_refused_with_what_computes_its_margins() ->
     law = fl.discretize_pid(controller, 0.02, output_limit=1.0, measurement_limit=1.0)
     with pytest.raises(FieldError, match="sampled_margins"):
         fl.certify(law)
+
+
+# --- the arithmetic of the proof, beside points that it has to hold ---------------------------------------
+
+
+def held(disc: Disc, points: Any, *, tight: float = 0.0) -> None:
+    """Every point lies in its disc, and (with `tight`) some point comes that near to the edge."""
+    away = np.abs(points - disc.c)
+    assert np.all(away <= disc.r), float(np.max(away - disc.r))
+    if tight:
+        assert np.all(np.max(away, axis=0) >= tight * disc.r)
+
+
+def discs_and_points(seed: int) -> tuple[Disc, Any, Disc, Any]:
+    """Two arrays of discs, and 400 points of each: the edge itself half of the time."""
+    rng = np.random.default_rng(seed)
+
+    def some() -> tuple[Disc, Any]:
+        centre = rng.normal(size=50) * 3 + 1j * rng.normal(size=50)
+        radius = 10 ** rng.uniform(-6, 0, 50) * np.abs(centre)
+        reach = np.where(np.arange(400) % 2, 1.0 - 1e-9, rng.uniform(0, 1, 400))[:, None]
+        return Disc(centre, radius), centre + radius * reach * np.exp(2j * np.pi * rng.random((400, 50)))
+
+    return *some(), *some()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_each_operation_holds_every_point_and_little_else(seed: int):
+    a, x, b, y = discs_and_points(seed)
+    held(a + b, x + y, tight=0.7)
+    held(a - b, x - y, tight=0.7)
+    held(2.5 - a, 2.5 - x, tight=0.99)
+    held(a * b, x * y, tight=0.4)
+    held(3j * a, 3j * x, tight=0.99)
+    held(-a, -x, tight=0.99)
+    held(a.exp(), np.exp(x), tight=0.3)
+    far = np.abs(a.c) > 1.5 * a.r
+    inverse = a.inverse()
+    held(Disc(inverse.c[far], inverse.r[far]), 1 / x[:, far], tight=0.9)
+    assert np.all(np.abs(x) <= a.most()) and np.all(a.most() <= np.abs(a.c) + a.r * 1.001)
+    zero = Disc(np.array([0.1, 1.0, 1.0]), np.array([0.2, 1.0, 0.5])).inverse()
+    assert zero.r.tolist()[:2] == [math.inf, math.inf] and zero.r[2] < 1.0
+
+
+def test_intervals_hold_their_ends_and_become_discs():
+    low, high = np.array([0.5, 2.0, 1e-3]), np.array([0.7, 2.0, 1e3])
+    span = Span(low, high)
+    disc = span.disc()
+    for end in (low, high, 0.3 * low + 0.7 * high):
+        held(disc, end)
+    assert np.all(disc.r <= 0.5 * (high - low) * (1 + 1e-12) + 1e-13 * high)
+    assert span.middle.tolist() == (0.5 * (low + high)).tolist()
+    inverse = span.inverse()
+    assert np.all(inverse.low <= 1 / high) and np.all(inverse.high >= 1 / low)
+    assert np.all(inverse.low >= (1 - 1e-12) / high) and np.all(inverse.high <= (1 + 1e-12) / low)
+    turned = Span.around(high, low)
+    assert np.all(turned.low < low) and np.all(turned.high > high)
+
+
+def test_slopes_hold_every_difference_quotient_and_the_mean_value_theorem_its_values():
+    """f = exp(x)/(x y) + x² over boxes of two variables, by name."""
+    rng = np.random.default_rng(4)
+    centre, half = rng.uniform(1, 2, (2, 40)), 10 ** rng.uniform(-5, -1, (2, 40))
+    one = Disc(np.ones(40))
+
+    def variables(at: Any, reach: Any) -> tuple[Disc, Disc]:
+        return Disc(at[0], reach[0], {"x": one}), Disc(at[1], reach[1], {"y": one})
+
+    def f(x: Any, y: Any) -> Any:
+        return (x.exp() if isinstance(x, Disc) else np.exp(x)) * (
+            (x * y).inverse() if isinstance(x, Disc) else 1 / (x * y)
+        ) + x * x
+
+    wide = f(*variables(centre, half))
+    points = centre + half * rng.uniform(-1, 1, (200, 2, 40))
+    x, y = points[:, 0], points[:, 1]
+    held(wide, f(x, y))
+    held(wide.d["x"], np.exp(x) * (x - 1) / (x * x * y) + 2 * x)
+    held(wide.d["y"], -np.exp(x) / (x * y * y))
+    middle = f(*variables(centre, 0 * half)).plain
+    closer = wide.closer(middle, {"x": half[0], "y": half[1]})
+    held(closer, f(x, y))
+    assert np.all(closer.r <= wide.r) and np.mean(closer.r) < 0.8 * np.mean(wide.r)
+    assert closer.d is wide.d and not wide.plain.d
+    same = wide - wide  # it does not know that both are one, but the slopes cancel
+    assert np.all(np.abs(same.d["x"].c) < 1e-9)
+    places = np.zeros(60, dtype=bool)
+    places[10:50] = True
+    put = wide.placed(places)
+    assert put.c[10:50].tolist() == wide.c.tolist() and not put.c[:10].any() and not put.r[50:].any()
+    assert put.d["y"].c[10:50].tolist() == wide.d["y"].c.tolist()
+
+
+def test_boxes_are_halved_at_the_geometric_mean_of_frequencies_and_else_in_the_middle():
+    low, high = np.zeros((2, len(AXES))), np.ones((2, len(AXES)))
+    low[:, 0], high[:, 0] = [1.0, 1.0], [4.0, 9.0]
+    first, last = search.cut(low, high, np.array([0, 1]))
+    assert first.shape == last.shape == (4, len(AXES))
+    assert (last[0, 0], first[2, 0]) == (2.0, 2.0)
+    assert (last[1, 1], first[3, 1]) == (0.5, 0.5)
+    untouched = np.ones((4, len(AXES)), dtype=bool)
+    untouched[[0, 2], 0] = untouched[[1, 3], 1] = False
+    assert np.all((first == np.tile(low, (2, 1)))[untouched])
+    assert np.all((last == np.tile(high, (2, 1)))[untouched])
+
+
+def test_letters_stand_in_preorder():
+    """Cut w; its first half is a leaf by L, the second cut m into one by 1/L and one by L."""
+    dot, comma = len(AXES), len(AXES) + 1
+    generations = [np.array([0]), np.array([dot, 1]), np.array([comma, dot])]
+    assert search._preorder(generations) == "w.m,."
+    # Two cuts in one generation: all first halves come before all second ones.
+    generations = [np.array([0]), np.array([1, 2]), np.array([dot, comma, comma, dot])]
+    assert search._preorder(generations) == "wm.,t,."
+
+
+def test_the_axis_to_cut_is_where_most_is_undecided():
+    low, high = np.full((4, len(AXES)), 1.0), np.full((4, len(AXES)), 2.0)
+    weight = np.full(low.shape, -1.0)
+    weight[0, 3], weight[0, 5] = 1.0, 2.0
+    weight[1, 3], weight[1, 5] = 2.0, 1.0
+    weight[2, 4] = weight[2, 5] = np.nan  # unknown: the delay of the gauge turns by ω τ, here 2 · 1
+    weight[2, 6] = 5.0  # and what is known does not count beside them
+    weight[3, 0], weight[3, 5] = np.inf, np.inf  # of a frequency three times its relative width
+    assert search._widest(low, high, weight).tolist() == [5, 3, 4, 0]
+
+
+def test_the_sector_holds_no_angle_within_the_margin():
+    for margin in (0.1, 0.7, 1.5):
+        plane = search._sector(margin)
+        value = np.array([0.3 + 0.1j, 2j, -3j, 5.0, np.exp(2.0j), -1.0 + 0.2j])
+        for alias in (0.0, 0.01):
+            normal, least = plane.plain(value, np.full(6, alias))
+            assert np.abs(normal) == pytest.approx(1) and not least.any()
+            inside = np.linspace(-margin - 2 * alias, margin + 2 * alias, 41)
+            assert np.all((np.conj(normal)[:, None] * -np.exp(1j * inside)).real <= 1e-12)
+        assert plane.quiet(np.array([0.98, 1.0]), np.array([0.01, 0.0])).tolist() == [True, False]
+
+
+def test_what_is_small_enough_is_quiet_with_its_aliases():
+    goal = search._distance(0.4)
+    assert goal.quiet(np.array([0.59, 0.6, 0.55]), np.array([0.0, 0.0, 0.06])).tolist() == [
+        True,
+        False,
+        False,
+    ]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("inner", ["ideal", "sampled"])
+def test_the_bound_of_the_aliases_holds_their_sum_and_is_near_it(inner: str):
+    """Σ over n of |F H| at ω + 2πn/Ts, summed here to n = 400, for the aliases that L does not hold."""
+    design = plan_for(inner)
+    law_ = design.law()
+    point = ParameterBox.at(RIG.model)
+    claim = certify(design, law=law_, modulus_margin=0.999, box=point).statement
+    loop = BoxLoop(claim)
+    place = dict(claim.box[0]) | {"delay": 0.004}
+    turn = 2 * math.pi / law_.period
+    for w in (0.5, 30.0, 150.0, 170.0, 500.0, 780.0):
+        kept = ALIASES if w >= 0.5 * ALIASES_FROM * turn else ()
+        orders = [n for n in range(-400, 401) if n and n not in kept]
+        shared = law_.frequency_response(np.array([w])) * -np.expm1(-1j * w * law_.period) / law_.period
+        if inner == "sampled":
+            shared = shared * numeric._voltage(claim, law_, np.array([w]), place["delay"], place["motor"])
+        at = {name: np.asarray(value) for name, value in place.items()}
+        parts = numeric._continuous(claim, w + np.array(orders) * turn, at)
+        true, bound = float(np.abs(shared * parts).sum()), loop.alias_at(place | {"frequency": w})
+        assert true <= bound <= (20.0 if kept else 4.0) * true, w
+
+
+def test_a_statement_that_is_not_one_is_refused(certificate: Certificate):
+    good = certificate.statement.to_json()
+    assert set(good) == set(Statement.__annotations__)
+    assert all(isinstance(value, str) for value in good.values())
+    for change in ({"modulus": "0.35"}, {"modulus": 0.35}, {"block": "zz"}, {"extra": "1"}, {"precision": 2}):
+        bad = good | change
+        if change == {"modulus": "0.35"}:
+            assert Statement.from_json(bad).modulus == float.fromhex("0.35")  # hexadecimal, as all are
+            continue
+        with pytest.raises(FileFormatError) as refused:
+            Statement.from_json(bad)
+        assert refused.value.field == "statement" and "again" in refused.value.remedy
+    for missing in (None, [], {k: v for k, v in good.items() if k != "hold"}):
+        with pytest.raises(FileFormatError):
+            Statement.from_json(missing)
+
+
+def test_the_box_of_a_statement_holds_every_payload_times_every_softness(certificate: Certificate):
+    claim = certificate.statement
+    low, high = claim.box
+    assert set(low) == set(high) == set(AXES[1:])
+    assert low["softness"] < claim.softness_low * claim.payload_low
+    assert high["softness"] > claim.softness_high * claim.payload_high
+    assert high["softness"] == pytest.approx(claim.softness_high * claim.payload_high, rel=1e-15)
+    assert claim.softness == pytest.approx(0.5 * (claim.softness_low + claim.softness_high))
+    assert (low["motor"], high["motor"]) == (claim.pole_low, claim.pole_high)
+    none = replace(claim, mode_gain_high=0.0, mode_frequency_low=3.0, mode_frequency_high=5.0).box
+    assert none[0]["mode_frequency"] == none[1]["mode_frequency"] == 0.0
+    some = replace(claim, mode_gain_high=0.1, mode_frequency_low=3.0, mode_frequency_high=5.0).box
+    assert (some[0]["mode_frequency"], some[1]["mode_frequency"]) == (3.0, 5.0)
+    voltage = replace(claim, motor_loop="sampled", gain_low=3.0, gain_high=4.0).box
+    assert (voltage[0]["motor"], voltage[1]["motor"]) == (3.0, 4.0)
+
+
+def test_the_words_name_every_number_of_the_claim(certificate: Certificate, law: Law):
+    said = certificate.verdict
+    claim = certificate.statement
+    assert said == claim.words() and said.endswith("meet no limit of the command.")
+    named = ("modulus", "payload_low", "delay_high", "order_high", "stiffness", "linear_range")
+    for name in (*named, "softness_low", "pole_high", "nominal_payload"):
+        assert f" {getattr(claim, name)}" in said
+    assert f"law {law.digest[:12]} " in said and f"period {law.period} s" in said
+    assert claim.lowest == pytest.approx(
+        min([2.0**-20 * math.pi, *(0.05 * (1 - abs(p)) for p in law.correction.poles)]) / law.period
+    )
+
+
+def test_delays_up_to_what_the_proof_knows(law: Law):
+    """A sampled motor loop is known for a delay of up to a period, an ideal one for eight."""
+    wanted = {"model": RIG.model, "rig": RIG, "payloads": (0.02, 0.04), "modulus_margin": 0.999}
+    for inner, most in (("sampled", 0.004), ("ideal", 0.032)):
+        claim = certify(law, inner=inner, delay=(0.0, most), **wanted).statement  # type: ignore[arg-type]
+        assert (claim.delay_low, claim.delay_high) == (0.0, most)
+        with pytest.raises(FieldError, match=r"delay\[1\]"):
+            certify(law, inner=inner, delay=(0.0, 1.001 * most), **wanted)  # type: ignore[arg-type]
+    assert certify(law, inner="ideal", **wanted).statement.delay_high == law.period  # type: ignore[arg-type]
+
+
+def test_where_it_fails_is_told_with_all_that_is_not_exact(law: Law):
+    wanted = {"model": RIG.model, "rig": RIG, "payloads": (0.02, 0.04), "modulus_margin": 0.95}
+    exact = certify(law, inner="ideal", box=ParameterBox.at(RIG.model), **wanted)  # type: ignore[arg-type]
+    found = re.fullmatch(
+        r"Not certified: \|1 \+ L\| = (\S+) is not above 0\.95 at (\S+) g, (\S+) rad/s and (\S+) ms of delay",
+        exact.verdict,
+    )
+    assert found is not None, exact.verdict
+    assert exact.distance is not None and exact.payload is not None
+    assert exact.frequency is not None and exact.delay is not None
+    numbers = (exact.distance, 1e3 * exact.payload, exact.frequency, 1e3 * exact.delay)
+    assert [float(x) for x in found.groups()] == pytest.approx(numbers, rel=1e-3)
+    place = dict(exact.place)
+    assert set(place) == set(AXES) and place["frequency"] == exact.frequency
+    at = {name: np.array([value]) for name, value in place.items()}
+    distance = abs(1 + loop_values(exact.statement, law, at["frequency"], at)[0])
+    assert distance == pytest.approx(exact.distance, rel=1e-9) and distance <= 0.95
+    wide = certify(law, inner="ideal", **wanted)  # type: ignore[arg-type]
+    low, high = wide.statement.box
+    named = [name.replace("_", " ") for name in AXES[3:] if low[name] < high[name]]
+    assert named and all(f"{name} " in wide.verdict.split("(")[-1] for name in named)
+    assert exact.tree == "" and exact.leaves == 0 and not exact.passed
+
+
+def test_a_law_of_another_link_or_none_is_refused(law: Law):
+    limits = replace(law.limits, reference_rate=1.0 - 1e-15)
+    with pytest.raises(FieldError, match="reference_rate"):
+        certify(replace(law, limits=limits), model=RIG.model, rig=RIG, modulus_margin=0.3)
+    still = replace(RIG, motor=replace(RIG.motor, viscous_friction=0.0))
+    with pytest.raises(FieldError, match="friction"):
+        certify(law, model=RIG.model, rig=still, inner="sampled", modulus_margin=0.3)

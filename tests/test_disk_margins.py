@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import control
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 from numpy.polynomial import polynomial
 
 import fraclink as fl
+from fraclink._systems.disk_margins import _gains, _phase
 
 s = fl.s
 LINK = (0.148 * s**0.65 * 100 / (s**1.92 + 100)).delayed(0.01)
@@ -126,3 +128,61 @@ def test_refusals() -> None:
         fl.disk_margin(1 / s, skew=11.0)
     assert out.value.field == "skew"
     assert fl.disk_margin(lambda z: 1 / (z + 1)).stable is None
+
+
+def test_the_three_printed_lines() -> None:
+    found = fl.disk_margin(25 / (s**3 + 10 * s**2 + 10 * s + 10))
+    alpha = smallest([25.0], [10.0, 10.0, 10.0, 1.0], 0.0)
+    low, high = (1 - alpha / 2) / (1 + alpha / 2), (1 + alpha / 2) / (1 - alpha / 2)
+    lines = str(found).splitlines()
+    assert lines[0] == f"disk margin     {alpha:12.6g} (skew 0) at {found.frequency:.6g} rad/s"
+    phase = math.degrees(2 * math.atan(alpha / 2))
+    assert lines[1] == f"tolerated       gain {low:.4g} … {high:.4g}, phase ±{phase:.3f}°"
+    assert lines[2] == "closed loop     stable"
+    assert str(fl.disk_margin(lambda z: 1 / (z + 1))).endswith("not decided: give unstable_poles")
+
+
+@pytest.mark.parametrize("alpha", [0.3, 0.9, 1.6])
+@pytest.mark.parametrize("skew", [-1.5, -1.0, 0.0, 0.4, 1.0, 2.0])
+def test_gains_and_phases_are_where_the_disk_meets_axis_and_circle(alpha: float, skew: float) -> None:
+    """|δ(f)| is below α from f = 1 to each end, α there, and above it beyond."""
+
+    def size(f: Any) -> Any:
+        return np.abs(2 * (f - 1) / ((1 - skew) + (1 + skew) * f))
+
+    inside = np.linspace(0.01, 0.999, 200)
+    for end in _gains(alpha, skew):
+        if abs(end) < math.inf:
+            assert size(end) == pytest.approx(alpha, rel=1e-12)
+            assert np.all(size(1 + (end - 1) * inside) < alpha) and size(1 + (end - 1) * 1.001) > alpha
+    phase = _phase(alpha, skew)
+    if phase == math.inf:
+        assert np.all(size(np.exp(1j * np.linspace(0.0, math.pi, 200))) <= alpha)
+    else:
+        assert size(np.exp(1j * phase)) == pytest.approx(alpha, rel=1e-12)
+        assert np.all(size(np.exp(1j * phase * inside)) < alpha)
+
+
+def test_disks_that_reach_infinity() -> None:
+    """With α(1 + σ) ≥ 2 the disk is a half plane or the outside of a circle: every larger gain is borne."""
+    assert _gains(2.0, 0.0) == (0.0, math.inf)
+    assert _gains(1.0, 1.0) == (0.5, math.inf)
+    assert _gains(1.0, -3.0)[0] == -math.inf  # (1 + σ)α/2 = −1
+    assert _gains(0.999, 1.0)[1] == pytest.approx(1000.0)
+    assert _phase(1.0, 2.0) == math.inf and _phase(0.999, 2.0) < math.pi
+    assert _phase(1.0, -2.0) == math.inf
+    silent = fl.disk_margin(0 * s)
+    assert (silent.alpha, silent.phase_margin) == (2.0, pytest.approx(math.pi / 2))
+
+
+def test_a_limit_hides_what_lies_beyond_it() -> None:
+    loop = 25 / (s**3 + 10 * s**2 + 10 * s + 10)
+    whole = fl.disk_margin(loop)
+    seen = fl.disk_margin(loop, limit=1.0)
+    at = 25 / ((1j) ** 3 + 10 * (1j) ** 2 + 10j + 10)
+    assert seen.alpha == pytest.approx(2 * abs(1 + at) / abs(1 - at), rel=1e-6)
+    assert seen.frequency == pytest.approx(1.0) and seen.alpha > whole.alpha
+    assert fl.disk_margin(loop, limit=100.0).alpha == pytest.approx(whole.alpha, rel=1e-12)
+    # S − T of s + 1 tends to (1 − L)/(1 + L) = −1: α is 2 at ω → ∞, which a limit of 1 rad/s does not show.
+    assert fl.disk_margin(2 * s + 3, skew=0.0).frequency == math.inf
+    assert fl.disk_margin(2 * s + 3, skew=0.0, limit=1.0).frequency < 1.0 + 1e-9

@@ -203,3 +203,114 @@ def test_arrays_and_strings_are_refused_in_algebra() -> None:
             other * s
         with pytest.raises(TypeError):
             s + other
+
+
+TEXTS: list[tuple[Any, str, str, str]] = [
+    (-s, "-s", "-s", "-s"),
+    (0 * s - 1, "-1*s**0", "-1", "-1"),
+    (s**0.5 - 2, "s**0.5 - 2", "s^0.5 - 2", "s^{0.5} - 2"),
+    (-2.5 * s**2 + s - 1, "-2.5*s**2 + s - 1", "-2.5 s^2 + s - 1", r"-2.5\,s^{2} + s - 1"),
+    ((1 / s).delayed(0.25), "(1*s**0).delayed(0.25)/s", "e^(-0.25 s) / s", r"\frac{e^{-0.25 s}}{s}"),
+    ((0 * s + 3).delayed(1.5), "(3*s**0).delayed(1.5)", "3 e^(-1.5 s)", r"3\,e^{-1.5 s}"),
+    (1 / (s.delayed(0.1) + 1), "1/((s).delayed(0.1) + 1)", "1 / (s e^(-0.1 s) + 1)",
+     r"\frac{1}{s\,e^{-0.1 s} + 1}"),
+    (s**1.2345678901234, "s**1.2345678901234", "s^1.23456789", "s^{1.23457}"),
+    (12345678 * s, "12345678*s", "1.23457e+07 s", r"1.23457 \cdot 10^{7}\,s"),
+    ((s + 1) / (s**2 + 3), "(s + 1)/(s**2 + 3)", "(s + 1) / (s^2 + 3)", r"\frac{s + 1}{s^{2} + 3}"),
+    (0 * s, "0*s**0", "0", "0"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("made", "python", "read", "latex"), TEXTS)
+def test_a_function_is_written_as_one_would(made: Any, python: str, read: str, latex: str) -> None:
+    assert (repr(made), str(made), made.latex()) == (python, read, latex)
+    assert made._repr_latex_() == (rf"$\displaystyle{latex}$" if latex.startswith(r"\frac") else f"${latex}$")
+
+
+def test_powers_of_functions() -> None:
+    twice = (2 * s).delayed(0.2) ** 2
+    assert twice == (4 * s**2).delayed(0.4)
+    assert (9 * s**3) ** 0.5 == 3 * s**1.5
+    assert (4 / s) ** -0.5 == 0.5 * s**0.5
+    assert (s.delayed(0.3)) ** 1.5 == (s**1.5).delayed(0.3 * 1.5)
+    assert (s + 2) ** 0 == 1
+    assert (s + 2) ** 5 == (s + 2) * (s + 2) * (s + 2) * (s + 2) * (s + 2)
+    assert (s + 2) ** -3 == 1 / ((s + 2) * (s + 2) * (s + 2))
+    binomials = [t.coefficient for t in ((s + 1) ** 64).numerator]
+    assert binomials == pytest.approx([math.comb(64, k) for k in range(65)], rel=1e-14)
+    with pytest.raises(FieldError) as refused:
+        (s + 1) ** 65
+    assert refused.value.field == "exponent" and "64" in str(refused.value)
+    assert (3 * s) ** 65 == 3.0**65 * s**65  # of one term there is any power
+
+
+def test_sums_over_one_denominator_keep_it() -> None:
+    one = 1 / (s**1.3 + 2)
+    assert one + one == 2 / (s**1.3 + 2)
+    assert (one + 1 / (s + 1)).denominator == ((s**1.3 + 2) * (s + 1)).numerator
+
+
+def test_whole_powers_to_eight_are_exact() -> None:
+    """(2j)^n has one part that is a power of two and one that is 0: a trace of the other turns a phase."""
+    for n, value in ((1, 2j), (2, -4), (3, -8j), (4, 16), (7, -128j), (8, 256)):
+        assert (s**n)(2j) == value
+    assert (1 / (s**8 + 1))(2j) == 1 / 257
+
+
+def test_values_where_powers_leave_the_range_of_doubles() -> None:
+    G = (3 * s**4 + s) / (2 * s**4 + s**2 + 5)
+    assert G(1e200j) == pytest.approx(1.5, rel=1e-15)
+    assert (s / (s**3 + 1))(1e200) == 0.0
+    assert ((s**3 + 1) / s)(0) == complex(math.inf)
+    both = G(np.array([1e-3j, 1e200j]))  # the finite one is computed as it is alone
+    assert both[0] == G(1e-3j)
+    assert (s**0.5 + 2)(0) == 2 and (2 + 1 / s**0.5)(0) == complex(math.inf)
+
+
+def test_gain_at_rest_zeros_and_poles() -> None:
+    assert (3 / (s**0.5 + 2)).dcgain() == 1.5
+    assert ((2 * s + 6).delayed(0.1) / (s**1.92 + 4)).dcgain() == 1.5
+    assert (s**0.5 / (s + 1)).dcgain() == 0.0
+    assert sorted(((s + 2) * (s + 3) / s**2.5).zeros().real) == pytest.approx([-3.0, -2.0])
+    assert (LINK.delayed(0.3) + LINK).delay == 0.0
+    assert (0 * s).delay == 0.0
+
+
+def test_numbers_that_are_none_are_refused_with_what_is_allowed() -> None:
+    for junk in (True, "1", b"1", 1j, None, [1.0], math.inf, 10**400):
+        with pytest.raises(FieldError, match="real numbers"):
+            Term(junk, 1.0)  # type: ignore[arg-type]
+    assert Term(np.float64(2.0), 1) == Term(2.0, 1.0)  # type: ignore[arg-type]
+    assert Term(1.0, 1.0, 0.0).delay == 0.0
+    with pytest.raises(FieldError, match="0 s"):
+        Term(1, 1, -1e-9)
+
+
+def test_orders_and_delays_are_one_within_rounding_and_no_further() -> None:
+    ulp = 2.0**-52
+    assert len((s**1.5 + s ** (1.5 + 32 * ulp)).numerator) == 1
+    assert len((s**1.5 + s ** (1.5 + 256 * ulp)).numerator) == 2
+    assert len((s.delayed(0.3) + s.delayed(0.1 + 0.2)).numerator) == 1
+    assert len((s.delayed(0.3) + s.delayed(0.3001)).numerator) == 2
+    early = s.delayed(0.3) / (0 * s + 1).delayed(0.1 + 0.2)  # 5e-17 s before its input, by rounding
+    assert early == s
+    assert (s ** math.sqrt(2)).numerator[0].order == math.sqrt(2)
+
+
+def test_a_multiple_of_the_denominator_is_a_number_a_power_and_a_delay() -> None:
+    D = s**1.3 + 2 * s**0.4 + 7
+    assert 3 * D / D == 3
+    assert (D * s**0.5) / D == s**0.5
+    assert D / (D * s**0.5) == 1 / s**0.5
+    assert (D.delayed(0.2)) / D == (0 * s + 1).delayed(0.2)
+    assert (s**1.3 + 2 * s**0.4 + 7.0001) / D != 1
+    assert (s**1.3 + 2 * s**0.5 + 7) / D != 1
+
+
+def test_the_sign_and_the_operand_of_feedback() -> None:
+    G, H = 2 / (s + 1), 3 / (s + 4)
+    assert G.feedback(H) == 2 * (s + 4) / ((s + 1) * (s + 4) + 6)
+    assert G.feedback(H, 1) == 2 * (s + 4) / ((s + 1) * (s + 4) - 6)
+    for sign in (0, 2, -2):
+        with pytest.raises(FieldError, match="negative feedback"):
+            G.feedback(H, sign)

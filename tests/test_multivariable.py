@@ -192,3 +192,86 @@ BAD: list[tuple[Any, str]] = [
 def test_refusals(call: Any, match: str) -> None:
     with pytest.raises(FieldError, match=match):
         call()
+
+
+def test_the_four_printed_lines() -> None:
+    loop = fl.TransferMatrix([[2 / s, 1 / (s + 1)], [-1 / (s + 1), 4 / s**1.2]])
+    found = fl.multivariable_margins(loop)
+    w = np.geomspace(0.1, 1e3, 20_001)
+    ahead = np.eye(2) + loop(1j * w)
+    sigma, modulus = np.linalg.svd(ahead, compute_uv=False)[:, -1], np.abs(np.linalg.det(ahead))
+    first, second, third, last = str(found).splitlines()
+    assert first == f"smallest σ(I + L)   {sigma.min():10.6g} at {found.frequency:.6g} rad/s"
+    assert found.frequency == pytest.approx(w[sigma.argmin()], rel=1e-3)
+    assert second == f"smallest |det|      {modulus.min():10.6g} at {found.determinant_frequency:.6g} rad/s"
+    assert found.determinant_frequency == pytest.approx(w[modulus.argmin()], rel=1e-3)
+    a = sigma.min()
+    phase = math.degrees(2 * math.asin(a / 2))
+    assert third == (
+        f"tolerated           gain {1 / (1 + a):.4g} … {1 / (1 - a):.4g}, phase ±{phase:.3f}°"
+        " in all channels at once"
+    )
+    assert last == "closed loop         stable"
+
+
+def test_margins_of_one_and_more_bear_every_larger_gain() -> None:
+    def of(margin: float) -> fl.MultivariableMargins:
+        return fl.MultivariableMargins(margin, 1.0, margin, 1.0, 0, True)
+
+    assert of(1.0).gain_margin == (0.5, math.inf) and of(1.0).phase_margin == pytest.approx(math.pi / 3)
+    assert of(0.5).gain_margin == (pytest.approx(1 / 1.5), 2.0)
+    assert of(2.0).phase_margin == of(2.5).phase_margin == math.pi
+
+
+def test_what_is_only_approached_has_no_place_on_the_axis() -> None:
+    """σ(I + L) falls to that of I + L(0) from above, or to that of I + L(∞)."""
+    slow = fl.multivariable_margins(fl.TransferMatrix([[-0.5 / (s + 1), 0], [0, 1 / (s + 2)]]))
+    assert (slow.singular_value_margin, slow.frequency) == (pytest.approx(0.5), 0.0)
+    assert (slow.determinant_margin, slow.determinant_frequency) == (pytest.approx(0.75), 0.0)
+    fast = fl.multivariable_margins(fl.TransferMatrix([[(1 - 0.4 * s) / (s + 1), 0], [0, 2]]))
+    assert (fast.singular_value_margin, fast.frequency) == (pytest.approx(0.6), math.inf)
+    assert (fast.determinant_margin, fast.determinant_frequency) == (pytest.approx(1.8), math.inf)
+
+
+def test_a_limit_below_the_minimum_does_not_see_it() -> None:
+    loop = fl.TransferMatrix([[4 / (s * (s + 1) * (s + 2)), 0], [0.3, 1 / (s + 1)]])
+    whole, seen = fl.multivariable_margins(loop), fl.multivariable_margins(loop, limit=0.8)
+    at = np.eye(2) + loop(np.array([0.8j]))
+    assert seen.singular_value_margin == pytest.approx(
+        float(np.linalg.svd(at, compute_uv=False)[0, -1]), rel=1e-6
+    )
+    assert seen.frequency == pytest.approx(0.8) and seen.stable is None
+    assert whole.frequency > 1.0 and whole.stable is True
+    # A callable is held up to its limit for what there is: its curve is closed there.
+    assert fl.multivariable_margins(lambda at: loop(at), limit=50.0, unstable_poles=0).stable is True
+
+
+def test_the_determinant_of_six_channels_and_of_no_more() -> None:
+    six = fl.TransferMatrix([[(i + 2 * k) % 5 + int(i == k) * s for k in range(6)] for i in range(6)])
+    assert six.determinant()(0.7j) == pytest.approx(np.linalg.det(six(0.7j)), rel=1e-12)
+    seven = fl.TransferMatrix.diagonal(*[s] * 7)
+    with pytest.raises(FieldError, match="6 × 6"):
+        seven.determinant()
+    assert fl.TransferMatrix.diagonal(s, 2.0, 1 / s).determinant() == 2.0
+    assert fl.TransferMatrix([[0, s], [s, 0]]).determinant() == -(s**2)
+
+
+def test_matrices_keep_out_what_is_none() -> None:
+    g = fl.TransferMatrix([[1 / s, 2], [0, s]])
+    for junk in (g * 1, 3.0 * g):
+        assert isinstance(junk, fl.TransferMatrix)
+    for wrong in (lambda: g @ 2, lambda: g + 1, lambda: g - 1, lambda: g * g):
+        with pytest.raises(TypeError):
+            wrong()  # type: ignore[no-untyped-call]
+    for rows in ([], [[]], "s", [s, s], [[s], []], [[None]], [[1j]]):
+        with pytest.raises(FieldError) as refused:
+            fl.TransferMatrix(rows)  # type: ignore[arg-type]
+        assert refused.value.field == "entries" and "g11" in refused.value.remedy
+    wide = fl.TransferMatrix([[s, 2, 3]])
+    assert wide.shape == (1, 3)
+    assert (wide @ fl.TransferMatrix([[1], [s], [0]])).entries == ((3 * s,),)
+    with pytest.raises(FieldError, match=r"3 rows"):
+        wide @ g
+    assert (-g).entries[0] == (-1 / s, -2 + 0 * s)
+    assert wide(2j).tolist() == [[2j, 2, 3]]
+    assert str(g).splitlines() == ["[1 / s,  2]", "[0,  s]"]

@@ -11,6 +11,7 @@ import pytest
 
 from fraclink._systems.fractional import FractionalTransferFunction, s
 from fraclink._systems.rational import RationalApproximation, approximate
+from fraclink._systems.zero_pole import cascade
 from fraclink.errors import FieldError
 
 BAND = (1e-2, 700.0)
@@ -240,3 +241,64 @@ def test_bad_input(system: FractionalTransferFunction, options: dict[str, object
     with pytest.raises(FieldError) as caught:
         approximate(system, **arguments)  # type: ignore[arg-type]
     assert caught.value.field == field
+
+
+def test_an_approximation_states_itself() -> None:
+    """Order, gain at infinity, band, method, period and the error that it has on a grid of its own."""
+    system = 100 / (s**1.92 + 100)
+    made = approximate(system, (0.1, 100.0), 5)
+    assert (made.method, made.band, made.period) == ("oustaloup", (0.1, 100.0), None)
+    assert made.order == len(made.poles) and made.direct == 0.0 and len(made.zeros) < made.order
+    proper = approximate(s**0.5 / (s**0.5 + 2), (0.1, 100.0), 5)
+    assert proper.direct == proper.gain != 0.0
+    w = np.geomspace(0.1, 100.0, 4001)
+    ratio = made.frequency_response(w) / system(1j * w)
+    assert made.error_db == pytest.approx(np.max(np.abs(20 * np.log10(np.abs(ratio)))), rel=1e-3)
+    assert made.error_deg == pytest.approx(np.max(np.abs(np.degrees(np.angle(ratio)))), rel=1e-3)
+    for name in ("zeros", "poles"):
+        with pytest.raises(ValueError, match="read-only"):
+            getattr(made, name)[0] = 0.0
+    sampled = approximate(system, (0.1, 100.0), 5, period=0.01)
+    assert sampled.period == 0.01
+    assert sampled.frequency_response(3.0) == pytest.approx(sampled(np.exp(0.03j)))
+
+
+def test_bands_up_to_the_nyquist_frequency_and_orders_at_their_bounds() -> None:
+    period = 0.01
+    assert approximate(s**0.5, (1.0, math.pi / period), 3, period=period).band[1] == math.pi / period
+    with pytest.raises(FieldError, match="Nyquist"):
+        approximate(s**0.5, (1.0, 1.0001 * math.pi / period), 3, period=period)
+    assert approximate(s**0.5, (1.0, 100.0), 40).order == 40
+    assert approximate(s**0.5, (1.0, 100.0), 1).order == 1
+    assert len(approximate(s**0.99, (1.0, 10.0), 2).zeros) == 2  # improper by less than one order
+    with pytest.raises(FieldError, match="> -1"):
+        approximate(s**1.5 / (s**0.5 + 1), (1.0, 10.0), 2)
+
+
+def test_a_simple_pole_has_its_residue_and_a_double_one_an_infinite_one() -> None:
+    made = RationalApproximation(np.array([-3.0]), np.array([-1.0, -2.0]), 4.0, None, (1.0, 2.0), "by hand")
+    # 4 (s + 3)/((s + 1)(s + 2)) = 8/(s + 1) − 4/(s + 2)
+    assert made.residues.tolist() == [8.0, -4.0]
+    assert made.direct == 0.0 and made(1.0) == pytest.approx(16 / 6)
+    a, b, c, d = made.state_space()
+    assert (c @ np.linalg.solve(np.eye(2) - a, b) + d).item() == pytest.approx(16 / 6)
+    double = RationalApproximation(np.array([]), np.array([-1.0, -1.0]), 1.0, None, (1.0, 2.0), "by hand")
+    assert np.all(np.isinf(np.abs(double.residues)) | np.isnan(double.residues))
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4, 5])
+def test_sections_in_series_are_the_product_of_their_roots(count: int) -> None:
+    """Real roots and pairs, odd and even in number, fewer zeros than poles."""
+    rng = np.random.default_rng(count)
+    for pairs in range(count // 2 + 1):
+        poles = np.concatenate([-rng.uniform(0.1, 50, count - 2 * pairs), np.zeros(0)]).astype(complex)
+        for _ in range(pairs):
+            p = complex(-rng.uniform(0.1, 5), rng.uniform(1, 30))
+            poles = np.append(poles, [p, p.conjugate()])
+        for missing in range(count + 1):
+            zeros = -rng.uniform(0.1, 50, count - missing).astype(complex)
+            a, b, c, d = cascade(zeros, poles, 2.5)
+            assert a.shape == (count, count) and d[0, 0] == (2.5 if not missing else 0.0)
+            for z in (0.3j, 7.0 + 2j):
+                value = (c @ np.linalg.solve(z * np.eye(count) - a, b) + d).item()
+                assert value == pytest.approx(2.5 * np.prod(z - zeros) / np.prod(z - poles), rel=1e-9)

@@ -260,3 +260,71 @@ def test_filter_wants_one_signal(slow_filter: DiscreteRational) -> None:
 def test_arrays_are_read_only(slow_filter: DiscreteRational) -> None:
     with pytest.raises(ValueError, match="read-only"):
         slow_filter.decays[0] = 0.0
+
+
+def test_the_stated_error_is_that_of_an_independent_grid(fast_filter: DiscreteRational) -> None:
+    db, deg = worst(fast_filter, 0.016, 600.0)
+    assert (fast_filter.error_db, fast_filter.error_deg) == pytest.approx((db, deg), rel=0.02)
+    assert fast_filter.order == len(fast_filter.decays) + 2 * len(fast_filter.pole_decays)
+    assert fast_filter.order == len(fast_filter.poles)
+    assert fast_filter.band == (0.05, 600.0) and fast_filter.period == PERIOD
+
+
+@pytest.mark.parametrize(
+    ("weight", "field"),
+    [
+        (lambda w: 0.0 * w, "weight"),
+        (lambda w: -1.0 + 0.0 * w, "weight"),
+        (lambda w: np.full(w.shape, np.inf), "weight"),
+        (lambda w: np.ones(3), "weight"),
+        (lambda w: "much", "weight"),
+    ],
+)
+def test_weights_that_are_none_are_refused(weight: object, field: str) -> None:
+    with pytest.raises(FieldError) as caught:
+        fit_discrete(correction(0.1), period=PERIOD, band=(0.1, 300.0), order=1, weight=weight)  # type: ignore[arg-type]
+    assert caught.value.field == field and caught.value.remedy
+
+
+def test_a_weight_need_not_be_positive_above_the_band() -> None:
+    made = fit_discrete(
+        correction(0.1),
+        period=PERIOD,
+        band=(0.1, 300.0),
+        order=2,
+        weight=lambda w: np.where(w > 301, -1, 2.0),
+    )
+    plain = fit_discrete(correction(0.1), period=PERIOD, band=(0.1, 300.0), order=2)
+    assert made.error_db < 2 * plain.error_db + 0.1
+
+
+def test_a_response_of_no_numbers_is_refused() -> None:
+    with pytest.raises(FieldError, match="no numbers") as caught:
+        fit_discrete(lambda w: ["a"] * len(w), period=PERIOD, band=(0.1, 300.0), order=1)  # type: ignore[arg-type,return-value]
+    assert caught.value.field == "response"
+
+
+def test_no_pole_at_all_is_a_gain() -> None:
+    made = fit_discrete(lambda w: np.full(w.shape, 2.0 + 0j), period=PERIOD, band=(0.1, 300.0), order=0)
+    assert (made.order, made.feedthrough) == (0, pytest.approx(2.0))
+    assert made.error_db < 1e-9
+    assert made.filter([1.0, -2.0]).tolist() == pytest.approx([2.0, -4.0])
+
+
+@pytest.mark.parametrize("zeros", [0, 1, 2, 3])
+def test_zeros_at_one_are_differences_of_the_input(zeros: int) -> None:
+    made = DiscreteRational(0.1, zeros, 0.5, np.array([0.8]), np.array([0.3]), np.array([0.2 + 0.5j]),
+                            np.array([0.1 - 0.4j]), (1.0, 2.0))  # fmt: skip
+    u = np.random.default_rng(zeros).normal(size=30)
+    v = u
+    for _ in range(zeros):
+        v = v - np.concatenate([[0.0], v[:-1]])
+    x, w, wanted = 0.0, 0j, []
+    for drive in v:
+        wanted.append(0.5 * drive + 0.3 * x + ((0.1 - 0.4j) * w).real)
+        x, w = 0.8 * x + drive, (0.2 + 0.5j) * w + drive
+    np.testing.assert_allclose(made.filter(u), wanted, rtol=1e-13)
+    z = np.exp(2.3j * 0.1)
+    q, c = 0.2 + 0.5j, 0.1 - 0.4j
+    inner = 0.5 + 0.3 / (z - 0.8) + 0.5 * c / (z - q) + 0.5 * c.conjugate() / (z - q.conjugate())
+    assert made(2.3) == pytest.approx((1 - 1 / z) ** zeros * inner, rel=1e-12)

@@ -4,24 +4,27 @@ from __future__ import annotations
 
 import itertools
 import math
+from typing import Any
 
 import mpmath as mp
 import numpy as np
 import pytest
-from scipy.special import erfcx, gamma, wofz
+from scipy.special import binom, erfcx, gamma, wofz
 
 from fraclink._arm.link import LinkModel
 from fraclink._systems.fractional import FractionalTransferFunction, s
+from fraclink._systems.held import split_delay
 from fraclink._systems.response import (
     discrete_modes,
     grunwald_letnikov,
+    grunwald_letnikov_weights,
     held_quotient,
     impulse_response,
     step_response,
     time_response,
 )
 from fraclink._systems.terms import Term
-from fraclink.errors import NotConvergedError
+from fraclink.errors import FieldError, NotConvergedError, SizeError
 
 T = 0.004
 LINK = 11.54**2 / (s**1.92 + 11.54**2)
@@ -170,6 +173,31 @@ def test_holds_and_delays(hold: str, delay: float) -> None:
     u = RNG.normal(size=400)
     result = time_response((5 / (s + 5)).delayed(delay), u, T, hold=hold)
     np.testing.assert_allclose(result.output, held_exactly(u, delay, 5.0, hold), atol=2e-13)
+
+
+@pytest.mark.parametrize("hold", ["zero", "first"])
+@pytest.mark.parametrize("delay", [0.0, 0.3 * T, 1.7 * T])
+def test_integrators_of_held_inputs_seen_between_samples(hold: str, delay: float) -> None:
+    """2/s + 3/s²: the sums of held values, of their slopes, and what a jump at 0 adds, late by any time."""
+    u = RNG.normal(size=60)
+    t = np.arange(60) * T - delay
+    exact = np.zeros(60)
+    starts, jumps = np.arange(60) * T, np.diff(u, prepend=0.0)
+    for start, jump in zip(starts, jumps if hold == "zero" else [u[0], *np.zeros(59)], strict=True):
+        after = np.maximum(t - start, 0.0)
+        exact += jump * (2 * after + 1.5 * after**2)
+    if hold == "first":
+        slopes = np.append(np.diff(u), 0.0) / T
+        for start, bend in zip(starts, np.diff(slopes, prepend=0.0), strict=True):
+            after = np.maximum(t - start, 0.0)
+            exact += bend * (after**2 + 0.5 * after**3)
+    both = time_response((2 / s + 3 / s**2).delayed(delay), u, T, hold=hold)  # type: ignore[arg-type]
+    assert both.method == "modes+convolution"
+    np.testing.assert_allclose(both.output, exact, atol=1e-13 * np.abs(exact).max())
+    alone = time_response((2 / s).delayed(delay) + LINK.delayed(delay), u, T, hold=hold)  # type: ignore[arg-type]
+    link = time_response(LINK.delayed(delay), u, T, hold=hold).output  # type: ignore[arg-type]
+    held = time_response((3 / s**2).delayed(delay), u, T, hold=hold).output  # type: ignore[arg-type]
+    np.testing.assert_allclose(alone.output - link, exact - held, atol=2e-12 * np.abs(exact).max())
 
 
 def test_several_delays_add_up() -> None:
@@ -383,3 +411,157 @@ def test_inversion_where_poles_are_not_certified(hold: str, monkeypatch: pytest.
     assert error <= result.error_estimate
     assert error < 1e-6
     assert step_response(system, 1.0, 0.01).method == "fft"
+
+
+# -- what is sampled when, what is claimed, what is kept -------------------------------------------
+
+
+def test_a_sample_on_the_jump_counts_as_after_it() -> None:
+    """0.3 is 2.9999999999999996 periods of 0.1 s: still four samples, and the last one has jumped."""
+    late = step_response((0 * s + 2).delayed(0.3), 0.3, 0.1)
+    assert late.output.tolist() == [0.0, 0.0, 0.0, 2.0]
+    assert late.time.tolist() == pytest.approx([0.0, 0.1, 0.2, 0.3])
+    assert len(step_response(LINK, 0.39, 0.1).time) == 4
+    near = step_response((0 * s + 2).delayed(0.3), [0.3 - 1e-9, 0.3 - 1e-14, 0.3 + 1e-9])
+    assert near.output.tolist() == [0.0, 2.0, 2.0]
+    far = step_response((0 * s + 2).delayed(1000.0), [1000.0 - 1e-7, 1000.0 - 5e-10])
+    assert far.output.tolist() == [0.0, 2.0]
+
+
+def test_a_gain_claims_rounding_and_no_more() -> None:
+    found = time_response(0 * s - 3, SIGNAL, T)
+    assert (found.error_estimate, found.modes, found.method) == (pytest.approx(3 * 4e-15), 0, "modes")
+    assert step_response(0 * s - 3, [0.0, 1.0]).error_estimate == pytest.approx(3 * 4e-15)
+
+
+def test_several_delays_claim_the_errors_of_all_and_the_least_direct_method() -> None:
+    plain, power = time_response(LINK, SIGNAL, T), time_response(1 / s**1.5, SIGNAL, T)
+    assert (plain.method, power.method) == ("modes", "modes+convolution")
+    both = time_response(LINK + LINK.delayed(0.1), SIGNAL, T)
+    assert plain.error_estimate < both.error_estimate <= 2 * plain.error_estimate
+    assert both.modes == plain.modes > 2
+    mixed = time_response(1 / s**0.5 + (1 / s**0.5).delayed(0.1) * (1 + 1 / s), SIGNAL, T)
+    assert mixed.method == "modes+convolution"
+    assert time_response(0 * s, SIGNAL, T).error_estimate == 0.0
+
+
+@pytest.mark.parametrize(
+    ("delay", "lag", "ahead"),
+    [
+        (0.0, 0, 0.0),
+        (T, 1, 0.0),
+        (1.5 * T, 2, 0.5 * T),
+        (T * (1 - 1e-10), 1, 0.0),  # a whole period but for rounding
+        (T * (1 + 1e-10), 1, 0.0),
+        (T * (1 + 1e-6), 2, T * (1 - 1e-6)),
+        (1e-6 * T, 1, T * (1 - 1e-6)),
+    ],
+)
+def test_a_delay_is_whole_periods_and_the_rest_ahead(delay: float, lag: int, ahead: float) -> None:
+    assert split_delay(delay, T) == (lag, pytest.approx(ahead, rel=1e-9, abs=0.0))
+
+
+DAMPED = (s + 40) / (s**2 + 4 * s + 100) + 0.3
+
+
+@pytest.mark.parametrize("hold", ["zero", "first"])
+@pytest.mark.parametrize("delay", [0.0, 0.01, 0.013])
+def test_the_frequency_response_is_the_transform_of_the_samples(hold: Any, delay: float) -> None:
+    modes = discrete_modes(DAMPED.delayed(delay), 0.01, hold=hold, span=20.0)
+    impulse = np.zeros(2000)
+    impulse[1] = 1.0  # the hat of a linear hold begins one sample before
+    w = np.array([0.0, 0.4, 9.0, 70.0, 314.0])
+    transform = np.exp(-1j * np.outer(w, np.arange(2000) - 1) * 0.01) @ modes.respond(impulse)
+    np.testing.assert_allclose(modes.frequency_response(w), transform, atol=1e-12)
+    assert modes.frequency_response(w)[0] == pytest.approx(DAMPED.dcgain(), abs=1e-12)
+    exact = time_response(DAMPED.delayed(delay), np.sin(7 * np.arange(500) * 0.01), 0.01, hold=hold).output
+    np.testing.assert_allclose(modes.respond(np.sin(7 * np.arange(500) * 0.01)), exact, atol=1e-11)
+
+
+def test_a_run_goes_on_from_the_state_in_which_another_ended() -> None:
+    modes = discrete_modes(DAMPED + 2 / (s + 3), 0.01, span=10.0)
+    whole = modes.respond(SIGNAL[:400])
+    x, z = np.zeros(len(modes.gains)), np.zeros(len(modes.pole_gains), complex)
+    for u in SIGNAL[:150]:
+        x, z = modes.decays * x + u, modes.pole_decays * z + u
+    state = np.concatenate((x, np.column_stack((z.real, z.imag)).ravel()))
+    assert modes.count == len(state) == len(x) + 2 * len(z) == 3
+    rest = modes.respond(SIGNAL[150:400], initial=state)
+    rest[0] += modes.first * SIGNAL[149]  # v[k-1] of the first sample, which the state does not hold
+    np.testing.assert_allclose(rest, whole[150:], atol=1e-13)
+
+
+def test_spans_and_tolerances_at_their_bounds() -> None:
+    assert discrete_modes(LINK, T, span=T).span == T
+    for tolerance in (1e-14, 1e-2):
+        assert discrete_modes(LINK, T, span=1.0, tolerance=tolerance).tolerance == tolerance
+    with pytest.raises(FieldError, match="one period"):
+        discrete_modes(LINK, T, span=0.999 * T)
+
+
+def test_growth_is_admitted_to_the_end_of_doubles() -> None:
+    """e^690 is held, with two periods behind the span; what is longer is told how long it may be."""
+    found = time_response(1 / (s - 1), np.ones(688), 1.0)
+    assert abs(found.output[-1] - math.expm1(687.0)) <= found.error_estimate <= 1e-11 * found.output[-1]
+    with pytest.raises(FieldError, match=r"at most 690 s") as refused:
+        time_response(1 / (s - 1), np.ones(689), 1.0)
+    assert refused.value.field == "span"
+
+
+def test_weights_of_grunwald_and_letnikov_are_signed_binomials() -> None:
+    for order in (-0.7, 0.0, 0.5, 1.0, 2.0, 2.3):
+        wanted = [(-1) ** k * binom(order, k) for k in range(7)]
+        assert grunwald_letnikov_weights(order, 7).tolist() == pytest.approx(wanted, abs=1e-15)
+    assert grunwald_letnikov_weights(0.5, 1).tolist() == [1.0]
+    assert grunwald_letnikov_weights(0.5, 0).tolist() == []
+
+
+def test_grunwald_and_letnikov_of_whole_orders_are_backward_differences() -> None:
+    """s/(s² + 3 s + 5) as (1 − 1/z)/T: solved for the newest sample, one after the other."""
+    u, period, y = SIGNAL[:60], 0.05, np.zeros(62)
+    for k in range(60):
+        before = u[k - 1] if k else 0.0
+        right = (u[k] - before) / period + (2 * y[k + 1] - y[k]) / period**2 + 3 * y[k + 1] / period
+        y[k + 2] = right / (1 / period**2 + 3 / period + 5)
+    found = grunwald_letnikov(s / (s**2 + 3 * s + 5), u, period)
+    np.testing.assert_allclose(found, y[2:], rtol=1e-12, atol=1e-14)
+
+
+@pytest.mark.parametrize("count", [299_999, 300_001])
+def test_the_longest_memory_of_grunwald_and_letnikov(count: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """300 000 samples take half a minute: the kernels are left out of this."""
+    monkeypatch.setattr("fraclink._kernels.memory_sum", lambda _, u: u)
+    monkeypatch.setattr("fraclink._kernels.memory_solve", lambda _, u: u)
+    if count <= 300_000:
+        assert len(grunwald_letnikov(LINK, np.ones(count), T)) == count
+    else:
+        with pytest.raises(SizeError, match="<= 300000"):
+            grunwald_letnikov(LINK, np.ones(count), T)
+
+
+def test_modes_that_a_board_runs() -> None:
+    """A pair for the resonance, exponentials in even steps above 1/span, and ten for all that is slower."""
+    modes = discrete_modes(LINK, T, span=100.0)
+    rates = -modes.log_decays / T
+    assert (
+        len(modes.pole_gains) == 1
+        and modes.count == len(rates) + 2 == time_response(LINK, np.ones(25_001), T).modes
+    )
+    slow, steps = rates[rates < 0.01], np.diff(np.log(rates[rates > 0.01]))
+    # The rule's error is e^(−2π·1.5/h)/2: h is what makes it the tolerance.
+    assert steps == pytest.approx(2 * math.pi * 1.5 / math.log(0.5 / 1e-12), rel=1e-9)
+    longest = 100.0 + 2 * T
+    chebyshev = 0.5 * (1 + np.cos(np.pi * (2 * np.arange(10) + 1) / 20)) / longest
+    assert slow == pytest.approx(np.sort(chebyshev), rel=1e-9)
+    # What has fallen to e^-3 of the tolerance within a period is left out.
+    assert rates[-1] * T < math.log(1e12) + 3
+    assert discrete_modes(1 / (s + 1), T, span=10.0).count == 1
+    assert discrete_modes(1 / (s**2 + s + 1), T, span=10.0).count == 2
+
+
+def test_a_pole_at_one_over_the_time_is_like_any_other() -> None:
+    """1/(s − 1) at 1 s: no warning of a division by zero where |s| t = 1 is looked at."""
+    assert step_response(1 / (s - 1), [1.0]).output[0] == pytest.approx(math.expm1(1.0), rel=1e-13)
+    assert step_response((s - 1) / (s + 2), [1.0]).output[0] == pytest.approx(
+        1.5 * math.exp(-2.0) - 0.5, rel=1e-12
+    )

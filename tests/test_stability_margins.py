@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import re
+from typing import Any
 
 import control
 import mpmath
@@ -14,6 +16,7 @@ from hypothesis import strategies as st
 from fraclink._systems.fractional import FractionalTransferFunction, s
 from fraclink._systems.margins import Margins, margins
 from fraclink._systems.stability import is_stable
+from fraclink._systems.sweep import bracketed_roots, frequency_grid, refined
 from fraclink.errors import FieldError
 
 K, BETA, W = 0.148, 0.65, 10.0
@@ -336,16 +339,12 @@ def test_encirclements_agree_with_the_certified_count(seed: int) -> None:
 
 
 def test_the_grid_of_a_constant_lies_evenly_around_1_rad_s() -> None:
-    from fraclink._systems.sweep import frequency_grid
-
     grid = frequency_grid(0 * s + 2.0)
     assert grid[0] * grid[-1] == pytest.approx(1.0, rel=1e-9)
     assert grid[-1] / grid[0] > 1e3
 
 
 def test_newton_stops_where_the_function_is_no_more_than_its_own_rounding() -> None:
-    from fraclink._systems.sweep import bracketed_roots
-
     wanted, calls = np.linspace(0.5, 3.0, 40), 0
 
     def level(x: np.ndarray) -> np.ndarray:
@@ -358,3 +357,178 @@ def test_newton_stops_where_the_function_is_no_more_than_its_own_rounding() -> N
     )
     assert np.max(np.abs(found - wanted)) < 1e-13
     assert calls <= 10
+
+
+def test_the_printed_numbers_are_those_of_the_loop() -> None:
+    """4/(s(s+1)(s+2)): gain margin 1.5 at √2; the crossing and its phase from ω²(ω²+1)(ω²+4) = 16."""
+    lines = str(margins(4 / (s * (s + 1) * (s + 2)))).splitlines()
+    w = math.sqrt(max(r.real for r in np.roots([1, 5, 4, -16]) if abs(r.imag) < 1e-9))
+    phase = math.pi / 2 - math.atan(w) - math.atan(w / 2)
+    assert lines[0] == (
+        f"gain crossing   {w:12.6g} rad/s  phase margin {math.degrees(phase):8.3f}°"
+        f"  delay margin {phase / w:.4g} s"
+    )
+    assert lines[1] == "phase crossing       1.41421 rad/s  gain margin        1.5  (3.52 dB)"
+    x = np.linspace(1.0, 1.5, 500_001)
+    distance = np.abs(1 + 4 / (1j * x * (1j * x + 1) * (1j * x + 2)))
+    least = int(distance.argmin())
+    place, number = re.fullmatch(r"nearest to −1 +(\S+) rad/s  distance +(\S+)", lines[2]).groups()  # type: ignore[union-attr]
+    assert float(place) == pytest.approx(x[least], abs=2e-5)
+    assert float(number) == pytest.approx(distance[least], abs=5e-5)
+    assert lines[3] == "closed loop     stable"
+
+
+def test_eight_crossings_of_a_kind_are_printed_and_the_others_counted() -> None:
+    found = margins((10 / (s + 1)).delayed(0.1))
+    lines = str(found).splitlines()
+    assert sum(line.startswith("phase crossing") for line in lines) == 8
+    assert f"… and {len(found.phase_crossings) - 8} crossings more" in lines
+    assert not any("more" in line for line in str(margins(link_loop(1.92))).splitlines())
+
+
+def test_of_two_gain_margins_the_nearer_to_one_counts() -> None:
+    """k (s+1)²/(s³ (s/40+1)²) bears less gain and more; which is nearer depends on k."""
+    for k in (0.7, 2.0, 30.0):
+        found = margins(k * (s + 1) ** 2 / (s**3 * (s / 40 + 1) ** 2))
+        w = np.geomspace(0.1, 100, 50_001)
+        loop = k * (1j * w + 1) ** 2 / ((1j * w) ** 3 * (1j * w / 40 + 1) ** 2)
+        at = np.flatnonzero((np.diff(np.sign(loop.imag)) != 0) & (loop.real[1:] < 0))
+        gains = sorted(1 / abs(float(loop[i].real)) for i in at)
+        assert [c.gain_margin for c in sorted(found.phase_crossings, key=lambda c: c.gain_margin)] == (
+            pytest.approx(gains, rel=1e-3)
+        )
+        assert found.gain_margin == pytest.approx(min(gains, key=lambda g: abs(math.log(g))), rel=1e-3)
+        assert found.stable is (gains[0] < 1 < gains[1])
+
+
+def test_a_negative_phase_margin_needs_the_long_way_round_to_the_point() -> None:
+    found = margins(9 / (s * (s + 1) * (s + 2)))
+    (crossing,) = found.gain_crossings
+    assert crossing.phase_margin < 0
+    assert crossing.delay_margin == pytest.approx((crossing.phase_margin + 2 * math.pi) / crossing.frequency)
+    assert found.critical == crossing
+    assert found.phase_margin == crossing.phase_margin
+
+
+def test_of_two_crossings_the_one_of_the_smaller_phase_is_critical() -> None:
+    found = margins(link_loop(1.92))
+    low, high = found.gain_crossings
+    assert abs(high.phase_margin) < abs(low.phase_margin)
+    assert (found.critical, found.gain_crossover) == (high, high.frequency)
+    assert found.delay_margin == min(low.delay_margin, high.delay_margin)
+
+
+@pytest.mark.parametrize("as_callable", [False, True])
+def test_crossings_up_to_the_limit_and_none_beyond(as_callable: bool) -> None:
+    loop = link_loop(1.92)
+    low, high = (c.frequency for c in margins(loop).gain_crossings)
+    for limit, count in ((low * 0.999, 0), (low * 1.001, 1), (high * 0.999, 1), (high * 1.001, 2)):
+        given_loop = (lambda z: loop(z)) if as_callable else loop
+        assert len(margins(given_loop, limit=limit).gain_crossings) == count
+    assert margins(loop, limit=1.0).stable is margins(loop).stable  # of the whole loop, not of what is seen
+
+
+def test_the_infimum_of_the_distance_at_either_end_of_the_axis() -> None:
+    """|1 + L| falls to |1 + L(0)| or to 1 at ∞ and has no minimum between."""
+    falls = margins(-0.5 / (s + 1))
+    assert (falls.modulus_margin, falls.modulus_frequency) == (0.5, 0.0)
+    ends = margins((1 - 0.4 * s) / (s + 1))
+    assert (ends.modulus_margin, ends.modulus_frequency) == (pytest.approx(0.6, rel=1e-12), math.inf)
+    assert ends.sensitivity_peak == pytest.approx(1 / 0.6)
+    assert margins(-1 / (s + 1)).sensitivity_peak == math.inf
+
+
+def test_grids_for_plots_reach_two_decades_beyond_the_corners() -> None:
+    resonance = 100 / (s**2 + 0.02 * s + 100)
+    grid = frequency_grid(resonance, points=100)
+    assert (grid[0], grid[-1]) == (pytest.approx(0.1), pytest.approx(1000.0))
+    assert np.all(np.diff(grid) > 0)
+    even = np.geomspace(0.1, 1000.0, 100)
+    assert all(np.min(np.abs(grid / w - 1)) < 1e-9 for w in even)
+    # The peak is 1/(2 ζ √(1 − ζ²)) at ζ = 0.001: the grid shows it to a part in a thousand.
+    assert np.abs(resonance(1j * grid)).max() == pytest.approx(1 / 0.002, rel=1e-3)
+    cut = frequency_grid(resonance, points=100, limit=50.0)
+    assert (cut[0], cut[-1]) == (pytest.approx(0.1), pytest.approx(50.0))
+    below = frequency_grid(resonance, points=100, limit=0.01)
+    assert (below[0], below[-1]) == (pytest.approx(1e-4), pytest.approx(0.01))
+
+
+def test_grids_of_callables_keep_a_decade_of_each_straight_end() -> None:
+    """1/(z + 1) bends at 1 rad/s: its slope is within 0.02 of 0 below 0.14 and of −1 above 7 rad/s."""
+    grid = frequency_grid(lambda z: 1 / (z + 1), points=100)
+    assert 1e-3 < grid[0] < 0.05 and 20 < grid[-1] < 1e3
+    assert frequency_grid(lambda z: 1 / (z + 1), points=100, limit=50.0)[-1] == pytest.approx(50.0)
+    for straight in (lambda z: 1 / z, lambda z: 5 + 0 * z):
+        line = frequency_grid(straight)
+        assert 0.01 <= line[0] < 0.0115 and 87 < line[-1] <= 100.0
+    late = frequency_grid(lambda z: np.exp(-0.1 * z) / (z + 1))
+    assert 900 < late[-1] < 2e4  # above −60 dB a delay turns the phase without end
+
+
+def test_a_curve_is_refined_where_it_bends_and_not_where_it_is_straight() -> None:
+    x = np.linspace(-3.0, 3.0, 21)
+    bent = refined(lambda at: (at / 6, np.tanh(20 * at) / 2), x)
+    assert np.all(np.diff(bent) > 0) and set(x) <= set(bent)
+    near = np.diff(bent)[np.abs(bent[:-1]) < 0.1]
+    assert near.max() < 0.02 < 0.1 < np.diff(bent).max()
+    up = np.tanh(20 * bent) / 2
+    angles = np.unwrap(np.arctan2(np.diff(up), np.diff(bent) / 6))
+    chords = np.hypot(np.diff(bent) / 6, np.diff(up))
+    seen = np.minimum(chords[1:], chords[:-1]) > 0.002
+    assert np.abs(np.diff(angles))[seen].max() <= 0.03
+    assert chords.max() <= 0.1
+    straight = refined(lambda at: (at / 600, at / 600), x)
+    assert straight.tolist() == x.tolist()
+    assert refined(lambda at: (at / 6, np.sin(300 * at)), x, limit=25).size <= 25
+    with pytest.raises(FieldError, match="3 points"):
+        refined(lambda at: (at, at), x[:2])
+
+
+@pytest.mark.parametrize("slope", [None, lambda x: 3 * x**2])
+def test_roots_in_brackets_of_either_direction(slope: Any) -> None:
+    wanted = np.cbrt([2.0, 0.5, 8.0, 1e-9])
+    cubes = wanted**3
+
+    def level(x: np.ndarray) -> np.ndarray:
+        return np.asarray(x**3 - cubes)
+
+    found = bracketed_roots(level, [1.0, 2.0, 2.0, 1.0], [2.0, 0.0, 2.0, 0.0], slope=slope)
+    assert found == pytest.approx(wanted, rel=1e-14)
+
+
+def test_measured_data_at_zero_frequency_and_of_no_response() -> None:
+    w = np.array([0.0, 1.0, 2.0, 4.0])
+    with_zero, without = (control.frd(2 / (1j * at + 1), at) for at in (w, w[1:]))
+    assert margins(with_zero) == margins(without)
+    # A straight line in a Bode plot, from √2 at 1 rad/s to 2/√5 at 2 rad/s.
+    share = math.log(math.sqrt(2)) / (math.log(math.sqrt(2)) - math.log(2 / math.sqrt(5)))
+    assert margins(without, limit=3.0).gain_crossover == pytest.approx(2**share, rel=1e-12)
+    assert margins(without, limit=1.5).gain_crossings == ()
+    for bad in (control.frd([1.0, 0.0], [1.0, 2.0]), control.frd([1.0, 2.0], [0.0, 1.0])):
+        with pytest.raises(FieldError, match="two frequencies"):
+            margins(bad)
+
+
+def test_a_callable_that_gives_no_number_says_where() -> None:
+    with pytest.raises(FieldError, match="not a number at") as refused:
+        margins(lambda z: np.where(z.imag > 10.0, np.nan, 1 / (z + 1)))
+    place = float(re.search(r"not a number at (\S+) rad/s", str(refused.value))[1])  # type: ignore[index]
+    assert 10.0 < place < 12.5
+    with pytest.raises(FieldError, match="another shape"):
+        margins(lambda z: z[:-1])
+
+
+def test_a_sampled_system_without_a_period_has_no_margins_in_seconds() -> None:
+    with pytest.raises(FieldError, match="without a period") as refused:
+        margins(control.tf([1.5], [1.0, -0.5], True))
+    assert refused.value.field == "loop" and "0.01" in refused.value.remedy
+    sampled = margins(control.tf([0.9], [1.0, -0.5], 2.0))
+    assert sampled.gain_crossover == pytest.approx(math.acos(1.25 - 0.81) / 2.0, rel=1e-9)
+
+
+def test_a_limit_below_all_data_is_refused() -> None:
+    data = control.frd([1.0, 0.5j, 0.1], [1.0, 2.0, 3.0])
+    for limit in (0.5, 1.0):
+        with pytest.raises(FieldError, match="> 1 rad/s") as refused:
+            margins(data, limit=limit)
+        assert refused.value.field == "limit"

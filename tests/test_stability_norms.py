@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from fraclink._systems.fractional import FractionalTransferFunction, s
-from fraclink._systems.norms import norm
+from fraclink._systems.norms import integrate, norm
 from fraclink._systems.rational import approximate
-from fraclink.errors import FieldError, UnstableError
+from fraclink.errors import FieldError, NotConvergedError, UnstableError
 
 INF = math.inf
 
@@ -187,3 +187,61 @@ def test_no_norm_of_a_model(system: Any, p: float, error: type[FieldError], word
     with pytest.raises(error, match=words) as refused:
         norm(system, p)
     assert refused.value.field == "system" and refused.value.remedy
+
+
+def test_quadrature_is_exact_where_its_rule_is_and_halves_where_it_is_not() -> None:
+    """16 Gauss points are exact to degree 31; |x − 1/3| needs halving, a narrow peak very much of it."""
+    edges = np.array([-1.0, 0.5, 2.0])
+    assert integrate(lambda x: x**31, edges, 1e-13, smooth=0.0) == pytest.approx(
+        (2.0**32 - 1.0) / 32, rel=1e-13
+    )
+    assert integrate(lambda x: np.abs(x - 1 / 3), edges, 1e-13, smooth=0.0) == pytest.approx(
+        0.5 * ((4 / 3) ** 2 + (5 / 3) ** 2), rel=1e-12
+    )
+    assert integrate(lambda x: 1 / (x**2 + 1e-8), edges, 1e-12, smooth=0.0) == pytest.approx(
+        1e4 * (math.atan(2e4) + math.atan(1e4)), rel=1e-11
+    )
+    noise = np.random.default_rng(1)
+    # Rounding that never agrees with itself ends at panels that are smooth by assumption.
+    rough = integrate(lambda x: 1.0 + 1e-9 * noise.normal(size=x.shape), edges, 1e-13, smooth=0.1)
+    assert rough == pytest.approx(3.0, rel=1e-8)
+    with pytest.raises(NotConvergedError, match="imaginary axis"):
+        integrate(lambda x: noise.normal(size=x.shape), edges, 1e-13, smooth=0.0)
+
+
+def test_models_without_states_are_their_gain() -> None:
+    for period, square in ((0.1, 2.5), (0, None)):
+        gain = control.tf([2.5], [1.0], period)
+        assert norm(gain, INF) == 2.5
+        if square is not None:
+            assert norm(gain, 2) == 2.5
+        else:
+            with pytest.raises(FieldError, match="feedthrough"):
+                norm(gain, 2)
+
+
+def test_poles_exactly_at_the_limit_of_stability() -> None:
+    for bad in (control.tf([1.0], [1.0, 0.0]), control.tf([1.0], [1.0, 0.0, 4.0])):
+        with pytest.raises(UnstableError, match="Re s ≥ 0"):
+            norm(bad, INF)
+    for bad in (control.tf([1.0], [1.0, 1.0], 0.1), control.tf([1.0], [1.0, -1.0], 0.1)):
+        with pytest.raises(UnstableError, match=r"\|z\| ≥ 1"):
+            norm(bad, 2)
+    assert norm(control.tf([1.0], [1.0, -0.999999], 0.1), INF) == pytest.approx(1e6, rel=1e-6)
+
+
+def test_the_relative_degree_that_a_norm_needs() -> None:
+    with pytest.raises(FieldError, match="relative degree > 1/2"):
+        norm(1 / (s**0.5 + 1), 2)
+    assert norm(1 / (s**0.51 + 1), 2) > 1.0
+    assert norm((s**0.5 + 3) / (s**0.5 + 1), INF) == pytest.approx(3.0, rel=1e-14)
+    with pytest.raises(FieldError, match="proper systems"):
+        norm((s**1.01 + 3) / (s + 1), INF)
+
+
+def test_the_largest_of_several_peaks() -> None:
+    """Two resonances of like height: each is a local supremum, the higher one counts."""
+    for small, large in ((0.9, 1.0), (1.0, 0.9)):
+        system = small / (s**2 + 0.02 * s + 1) + 100 * large / (s**2 + 0.2 * s + 100)
+        x = np.concatenate([np.linspace(0.99, 1.01, 40_001), np.linspace(9.9, 10.1, 40_001)])
+        assert norm(system, INF) == pytest.approx(np.abs(system(1j * x)).max(), rel=1e-8)

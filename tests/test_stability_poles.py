@@ -173,3 +173,117 @@ def test_a_published_benchmark() -> None:
     found = poles(1 / (0.8 * s**2.2 + 0.5 * s**0.9 + 1))
     assert np.exp(np.log(found) / 10).round(4).tolist() == [1.0045 + 0.1684j, 1.0045 - 0.1684j]
     assert is_stable(1 / (0.8 * s**2.2 + 0.5 * s**0.9 + 1))
+
+
+@pytest.mark.parametrize(
+    ("system", "sentence", "unstable"),
+    [
+        (1 / (s + 1), "stable: no pole has Re s ≥ 0", ()),
+        (1 / (s - 1), "not stable: 1 pole has Re s > 0, the rightmost at 1 rad/s", (1,)),
+        (
+            1 / (s**2 - 2 * s + 2),
+            "not stable: 2 poles have Re s > 0, the rightmost at 1 ± 1j rad/s",
+            (1 + 1j, 1 - 1j),
+        ),
+        (
+            1 / ((s - 1) * (s - 3) * (s + 5)),
+            "not stable: 2 poles have Re s > 0, the rightmost at 3 rad/s",
+            (1, 3),
+        ),
+        (1 / (s**2 + 4), "not stable: a pole lies on the imaginary axis at 0 ± 2j rad/s", (2j, -2j)),
+        (1 / s**2, "not stable: s^2 divides the denominator: a step gives an unbounded output", ()),
+        (
+            s**0.5,
+            "stable: no pole has Re s ≥ 0; the system is improper: "
+            "its output is bounded for smooth inputs only",
+            (),
+        ),
+        (
+            (s**2 + 1) / ((s**2 + 1) * (s + 1)),
+            "stable: no pole has Re s ≥ 0; a zero cancels the pole at 0 ± 1j rad/s, "
+            "which stays inside the system",
+            (),
+        ),
+    ],
+)
+def test_a_verdict_is_one_sentence(
+    system: FractionalTransferFunction, sentence: str, unstable: tuple[complex, ...]
+) -> None:
+    verdict = is_stable(system)
+    assert str(verdict) == sentence
+    assert sorted(verdict.unstable_poles, key=lambda p: (p.real, p.imag)) == pytest.approx(
+        sorted(unstable, key=lambda p: (complex(p).real, complex(p).imag)), abs=1e-13
+    )
+
+
+def test_a_pole_and_a_zero_at_the_origin_divide_out() -> None:
+    assert is_stable(s / (s * (s + 1))) and is_stable(s**0.5 / s**0.5 * 1 / (s + 1))
+    assert is_stable(s**0.3 / (s**0.5 * (s + 1))).integrators == pytest.approx(0.2)
+    assert is_stable(s**2 / (s * (s + 1))).integrators == 0.0
+    assert poles((s + 2) / (s**2 * (s + 1))).tolist() == pytest.approx([0, 0, -1])
+    assert poles(1 / (s**1.5 * (s + 1))).tolist() == pytest.approx([-1])  # a branch point is no pole
+    assert is_stable(0 * s).integrators == 0.0
+
+
+def test_a_zero_cancels_one_pole_of_a_double_one_and_only_within_rounding() -> None:
+    double = (s + 3) * (s + 1) / ((s + 1) ** 2 * (s + 4))
+    assert sorted(poles(double).real) == pytest.approx([-4, -1])
+    near = (s + 1 + 1e-8) * (s + 7) / ((s + 1) * (s + 2) * (s + 5))
+    assert len(poles(near)) == 3
+    same = (s + 1 + 1e-12) * (s + 7) / ((s + 1) * (s + 2) * (s + 5))
+    assert len(poles(same)) == 2
+    late = ((s + 1) * (s + 7)).delayed(0.1) / ((s + 1) * (s + 2) * (s + 5))
+    assert len(poles(late)) == 2  # a common delay moves no zero
+    both = (s + (0 * s + 1).delayed(0.1)) / ((s + 1) * (s + 2) * (s + 5))
+    assert len(poles(both)) == 3
+
+
+def test_poles_come_in_pairs_and_exactly_on_the_axes() -> None:
+    found = poles(1 / ((s + 2) * (s - 3) * (s**2 + 9) * (s**2 + s + 7)))
+    assert set(found[found.imag == 0].real.round(12)) == {-2.0, 3.0}
+    on_axis = found[found.real == 0.0]
+    assert sorted(on_axis.imag) == pytest.approx([-3.0, 3.0], rel=1e-14)
+    pair = found[(found.real != 0) & (found.imag != 0)]
+    assert pair.sum().imag == 0.0 and pair.sum().real == pytest.approx(-1.0)
+    assert np.all(np.diff(np.abs(np.angle(found))) >= -1e-14)  # sorted by argument
+
+
+@pytest.mark.parametrize("order", [0.5, 1.0, 1.5])
+def test_delayed_feedback_around_a_power(order: float) -> None:
+    """s^a + k e^(−s): a pair crosses the axis at k = (π(1 − a/2))^a, and again 2π further on."""
+    for turn, poles_ in ((0, 0), (1, 2), (2, 4)):
+        low = (math.pi * (1 - order / 2) + 2 * math.pi * (turn - 1)) ** order if turn else 0.0
+        high = (math.pi * (1 - order / 2) + 2 * math.pi * turn) ** order
+        gain = 0.5 * (low + high)
+        verdict = is_stable(1 / (s**order + (gain + 0 * s).delayed(1.0)))
+        assert (verdict.winding, verdict.stable) == (poles_, poles_ == 0)
+        assert verdict.unstable_poles == ()
+
+
+def test_several_delays_and_orders_are_counted_as_their_roots() -> None:
+    """s² + 0.4 s e^(−0.3 s) + 5 − k e^(−s): roots in Re s > 0 by Newton from a grid."""
+    for k in (0.5, 3.0, 6.0, 20.0):
+        re, im = np.meshgrid(np.linspace(0.0, 6.0, 60), np.linspace(-12.0, 12.0, 121))
+        z = (re + 1j * im).ravel()
+        with np.errstate(all="ignore"):
+            for _ in range(50):
+                value = z**2 + 0.4 * z * np.exp(-0.3 * z) + 5 - k * np.exp(-z)
+                slope = 2 * z + 0.4 * np.exp(-0.3 * z) * (1 - 0.3 * z) + k * np.exp(-z)
+                z = z - value / slope
+            left = np.abs(z**2 + 0.4 * z * np.exp(-0.3 * z) + 5 - k * np.exp(-z))
+        good = z[np.isfinite(left) & (left < 1e-9) & (z.real > 1e-9)]
+        known = len({(round(p.real, 6), round(p.imag, 6) + 0.0) for p in good.tolist()})
+        system = 1 / (s**2 + 0.4 * s.delayed(0.3) + 5 - (k + 0 * s).delayed(1.0))
+        assert is_stable(system).winding == known
+
+
+def test_a_neutral_loop_at_its_bound_and_below() -> None:
+    """(s + 1) + g s e^(−s): |g| = 1 has poles as near to the axis as one likes."""
+    for gain, winding in ((0.999, 0), (-0.999, 0), (1.0, -1), (-1.0, -1), (1.5, -1)):
+        assert is_stable(1 / (s + 1 + gain * s.delayed(1.0))).winding == winding
+    assert "gain of 1 or more" in is_stable(1 / (s + 1 + s.delayed(1.0))).reason
+
+
+def test_terms_that_cancel_at_the_origin_are_refused() -> None:
+    with pytest.raises(FieldError, match="terms that cancel there"):
+        is_stable(1 / (s + 1 - (0 * s + 1).delayed(1.0)))

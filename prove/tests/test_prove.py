@@ -536,3 +536,433 @@ def test_a_modes_largest_state_is_that_of_the_worst_input(pole: float, turn: flo
     else:
         assert bound <= 2.0 * 0.5 * np.abs(differences).sum()
     assert mode.weight == abs(Fraction(0.3)) + abs(Fraction(mode.cross))
+
+
+# --- the reader, the executed text and the bounds, each beside something that knows the answer -------------
+
+
+def test_expressions_have_the_precedence_of_the_compiler(tmp_path: Path) -> None:
+    """Random expressions of words, computed by the compiler and from the tree that was read."""
+    random, shared = np.random.default_rng(5), ["&", "|", "^", "<", "<=", ">", ">=", "==", "!=", "&&", "||"]
+    texts = []
+    for k in range(80):
+        # By a difference nothing can be shifted: it may be four thousand million.
+        signs = [*shared, *(("+", "-", "*") if k % 2 else ("<<", ">>"))]
+        words = [f"{random.integers(1, 9)}U"]
+        for _ in range(int(random.integers(1, 5))):
+            sign = str(random.choice(signs))
+            words += [sign, f"{random.integers(1, 4 if sign in ('<<', '>>') else 9)}U"]
+        if random.random() < 0.3:
+            place = 2 * int(random.integers((len(words) + 1) // 2))
+            words[place] = f"({words[place]} {random.choice(shared[:3])} 3U)"
+        if random.random() < 0.2:
+            words += ["?", "7U", ":", "2U"]
+        texts.append(" ".join(words))
+    lines = "".join(f'printf("%u\\n", (unsigned)({text}));' for text in texts)
+    (tmp_path / "try.c").write_text(f"#include <stdio.h>\nint main(void) {{ {lines} return 0; }}\n")
+    run(tool("gcc"), "-std=c99", "-w", "try.c", "-o", "try", cwd=tmp_path)
+    wanted = [int(line) for line in run(tmp_path / "try").stdout.split()]
+    tests = {"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge}
+    tests |= {"==": operator.eq, "!=": operator.ne}
+    words_of = {"+": operator.add, "-": operator.sub, "*": operator.mul, "&": operator.and_}
+    words_of |= {"|": operator.or_, "^": operator.xor, "<<": operator.lshift, ">>": operator.rshift}
+
+    def value(node: source.Node) -> int:
+        kind = node[0]
+        if kind == "number":
+            return int(str(node[1]).rstrip("U"))
+        if kind == "choice":
+            return value(node[2]) if value(node[1]) else value(node[3])  # type: ignore[arg-type]
+        assert kind == "binary"
+        sign, left, right = str(node[1]), value(node[2]), value(node[3])  # type: ignore[arg-type]
+        if sign in ("&&", "||"):
+            return int(bool(left) and bool(right)) if sign == "&&" else int(bool(left) or bool(right))
+        return int(tests[sign](left, right)) if sign in tests else words_of[sign](left, right) % 2**32
+
+    for text, number in zip(texts, wanted, strict=True):
+        ((kind, tree),) = source.Function("f", "uint32_t", (), f"return {text};").body()
+        assert kind == "return"
+        assert value(tree) == number, text  # type: ignore[arg-type]
+
+
+SMALL = """
+# 1 "law.c"
+typedef struct {
+    law_real x;
+    law_real y;
+    uint32_t mode;
+    law_real list[4];
+} law_state;
+typedef struct {
+    law_real limit;
+    uint32_t count;
+} law_params;
+/* a comment with { a brace */
+static law_real clamped(law_real v, law_real limit)
+{
+    law_real found = v;
+    if (v > limit) { found = limit; } else if (v < -limit) { found = -limit; }
+    return found;
+}
+static void raise(law_state *s, law_real *place, law_real by)
+{
+    *place = *place + by;
+    s->mode |= 2U;
+}
+static void fill(law_state *s, law_real by)
+{
+    for (uint32_t i = 0U; i < 4U; i++) { s->list[i] += by; }
+}
+static void both(law_state *s, law_real by)
+{
+    fill(s, by);
+    s->y = by;
+}
+law_real stepped(law_state *s, const law_params *p, law_real u)
+{
+    law_real sum = clamped(u, p->limit) * (law_real)2.0F;
+    if ((s->mode == 1U) && (u > (law_real)0.0F)) {
+        raise(s, &s->x, sum);
+    } else {
+        s->y -= sum / (law_real)4.0F;
+        s->mode = (s->mode == 5U) ? 1U : s->mode;
+    }
+    sum += s->x;
+    return sum;
+}
+"""
+
+
+def test_what_a_call_may_change_is_what_its_text_assigns() -> None:
+    read = source.read_source(SMALL)
+    assert read.members == {
+        "x": "law_real", "y": "law_real", "mode": "uint32_t", "list": "law_real", "limit": "law_real",
+        "count": "uint32_t",
+    }  # fmt: skip
+    assert set(read.functions) == {"clamped", "raise", "fill", "both", "stepped"}
+    assert read.effects("clamped") == frozenset()
+    assert read.effects("raise") == {("law_state", "mode")}
+    assert read.effects("fill") == {("law_state", "list")}
+    assert read.effects("both") == {("law_state", "list"), ("law_state", "y")}
+    assert read.effects("stepped") == {("law_state", name) for name in ("x", "y", "mode")}
+    assert read.functions["clamped"].pure and not read.functions["raise"].pure
+    assert read.functions["fill"].loops and not read.functions["both"].loops
+    assert read.functions["stepped"].parameters == (
+        ("law_state", True, "s"), ("law_params", True, "p"), ("law_real", False, "u")
+    )  # fmt: skip
+    for text, words in (
+        ("void f(law_state *s) { f(s); }", "calls itself"),
+        ("typedef struct {\n law_real a;\n} one;\ntypedef struct {\n uint32_t a;\n} two;", "two types"),
+        ("void f(void) { if (", "does not end"),
+    ):
+        with pytest.raises(source.Unreadable, match=words):
+            source.read_source(text).effects("f")
+    for assignment in ("s->x++;", "s->x--;", "s->x ^= 1U;", "s->x /= (law_real)2.0F;", "g(&s->x);"):
+        assert source.read_source(f"void f(law_state *s) {{ {assignment} }}").effects("f") == {
+            ("law_state", "x")
+        }
+    assert not source.read_source("void f(law_state *s) { y = s->x == 1U; }").effects("f")
+
+
+@pytest.mark.parametrize("mode", [0, 1, 5])
+@pytest.mark.parametrize("u", [-3.0, -0.7, 0.0, 0.4, 2.5])
+def test_the_executed_text_computes_what_the_text_says(mode: int, u: float) -> None:
+    """`stepped` of the small law above, in Python's words and single precision."""
+    one = np.float32
+    x, y, limit = one(0.3), one(-1.7), one(1.5)
+    kept = {("law_state", name) for name in ("x", "y", "mode")}
+    run_ = symbolic.Symbolic(
+        source.read_source(SMALL), "single", constants={"limit": 1.5}, tracked=frozenset(kept)
+    )
+    free = {name: run_.load(("law_state", name)) for name in ("x", "y", "mode")}
+    given = run_.any("real", "u")
+    states = (formulas.Value("pointer", "law_state"), formulas.Value("pointer", "law_params"))
+    answer = run_.call("stepped", (*states, given))
+    assert answer is not None and answer.kind == "real"
+    names = {free["x"].term: x, free["y"].term: y, free["mode"].term: mode, given.term: one(u)}
+    total = one(max(min(one(u), limit), -limit) * one(2))
+    if mode == 1 and u > 0:
+        x, mode = one(x + total), mode | 2
+    else:
+        y, mode = one(y - total / one(4)), 1 if mode == 5 else mode
+    assert evaluated(run_.lines, answer.term, names) == one(total + x)
+    for name, wanted in (("x", x), ("y", y), ("mode", mode)):
+        assert evaluated(run_.lines, run_.memory["law_state", name].term, names) == wanted
+
+
+def test_what_is_not_followed_may_leave_anything() -> None:
+    read = source.read_source(SMALL)
+    run_ = symbolic.Symbolic(read, "single", constants={}, tracked=frozenset({("law_state", "y")}))
+    before = run_.load(("law_state", "x"))
+    state, by = formulas.Value("pointer", "law_state"), run_.any("real", "by")
+    run_.call("both", (state, by))
+    assert run_.memory["law_state", "y"] == by  # followed, as it writes what is tracked
+    assert run_.memory["law_state", "list"].term.startswith("any_list")  # its loop is not
+    assert run_.load(("law_state", "x")) == before
+    place = formulas.Value("pointer", "law_state.x")
+    run_.call("raise", (state, place, by))  # writes nothing tracked: its effects are anything
+    assert run_.memory["law_state", "mode"].term.startswith("any_mode")
+    assert run_.memory["law_state", "x"].term.startswith("any_written")
+    assumed = symbolic.Symbolic(
+        read, "single", constants={}, tracked=frozenset(), assumed={"clamped": formulas.ZERO}
+    )
+    assert assumed._call_node(("call", "clamped", ()), "here") == formulas.ZERO
+    with pytest.raises(source.Unreadable, match="text is not here"):
+        assumed._call_node(("call", "unknown", ()), "here")
+    with pytest.raises(source.Unreadable, match="given something else"):
+        run_.call("both", (by, by))
+    with pytest.raises(source.Unreadable, match="read before it is written"):
+        run_.load(("law_state", "nothing"))
+
+
+@pytest.mark.parametrize(
+    ("body", "words"),
+    [
+        ("if (u > (law_real)0.0F) { return u; } return u;", "inside a branch"),
+        ("return u; u = (law_real)1.0F;", "before its end"),
+        ("return 1.0;", "double precision"),
+        ("return (law_real)(u > (law_real)0.0F);", "bool as"),
+        ("return u + 1U;", r"real \+ word"),
+        ("return u & u;", "real & real"),
+        ("return (u > (law_real)0.0F) ? u : 1U;", "between two types"),
+        ("list[0] = u; return u;", "after 'element'"),
+        ("u = clamped(u, u) = u; return u;", "where ';' was expected"),
+        ("return (set(&u) > 0U) && (u > (law_real)0.0F) ? u : u;", "effect inside"),
+    ],
+)
+def test_a_form_that_is_not_read_is_named(body: str, words: str) -> None:
+    text = SMALL + "static uint32_t set(law_real *v) { *v = (law_real)1.0F; return 1U; }\n"
+    read = source.read_source(text + f"law_real tried(law_real u) {{ {body} }}\n")
+    run_ = symbolic.Symbolic(read, "single", constants={}, tracked=frozenset())
+    with pytest.raises(source.Unreadable, match=words):
+        run_.call("tried", (run_.any("real", "u"),))
+
+
+def test_known_comparisons_need_no_solver() -> None:
+    """|command| ≤ 1.5 is assumed: what follows from that is decided, and nothing else."""
+    made = formulas.Formulas("single", [0.0, 1.0, 1.5, 2.0, -1.5, -2.0])
+    command, other = made.any("real", "command"), made.any("real", "x")
+    made.bounded[command.term] = 1.5
+
+    def number(value: float) -> formulas.Value:
+        return formulas.Value("real", formulas.real_literal(value, "single"))
+
+    decided = {
+        ("<=", 2.0): True, ("<=", 1.5): True, (">", 2.0): False, (">", 1.5): False, ("<", -2.0): False,
+        ("<", -1.5): False, ("<=", 1.0): None, (">", 1.0): None, ("<", 1.5): None, ("<", 2.0): None,
+        ("<=", -2.0): None, (">", -2.0): None, (">=", -2.0): None, ("<", 0.0): None,
+    }  # fmt: skip
+    truths = {True: formulas.TRUE, False: formulas.FALSE}
+    for (sign, limit), known in decided.items():
+        found = made.operated(sign, command, number(limit))
+        assert (found == truths[known]) if known is not None else found.term.startswith("t"), (sign, limit)
+        assert made.operated(sign, other, number(limit)).term.startswith("t")
+    assert made.operated("==", command, command) == formulas.TRUE
+    assert made.operated("==", other, other).term.startswith("t")  # it may be NaN
+    assert made.operated("!=", command, command) == formulas.FALSE
+    size = made.magnitude(command)
+    assert made.operated("<=", size, number(1.5)) == formulas.TRUE
+    word = formulas.Value("word", "(_ bv3 32)")
+    assert made.operated("==", word, word) == formulas.TRUE
+    assert made.operated("==", word, formulas.ZERO) == formulas.FALSE
+    assert made.operated("==", made.any("word", "w"), formulas.ZERO).term.startswith("t")
+
+
+def test_numbers_and_conversions_of_c() -> None:
+    made = formulas.Formulas("double", [])
+    assert made.number("0x10") == formulas.Value("word", "(_ bv16 32)")
+    assert made.number("7U") == formulas.Value("word", "(_ bv7 32)")
+    tenth = made.converted("law_real", made.number("0.1F"))
+    assert tenth.term == formulas.real_literal(float(np.float32(0.1)), "double")
+    assert made.converted("law_real", made.negative(made.number("0.1F"))).term == formulas.real_literal(
+        -float(np.float32(0.1)), "double"
+    )
+    assert made.converted("law_real", formulas.ZERO).term == formulas.real_literal(0.0, "double")
+    word = made.any("word", "w")
+    turned = made.converted("law_real", word)
+    assert (
+        made.lines[-1]
+        == f"(define-fun {turned.term} () {made.real_sort} ((_ to_fp_unsigned 11 53) RNE {word.term}))"
+    )
+    assert made.truth(word).kind == "bool" and made.truth(formulas.TRUE) == formulas.TRUE
+    for bad in (lambda: made.number("1.5"), lambda: made.truth(turned), lambda: made.converted("int", word)):
+        with pytest.raises(source.Unreadable):
+            bad()  # type: ignore[no-untyped-call]
+    for value in (0.1, -2.5, 1e-310, 3e300):
+        bits = "".join(re.findall(r"#b([01]+)", formulas.real_literal(value, "double")))
+        assert np.frombuffer(int(bits, 2).to_bytes(8, "big"), ">f8")[0] == value
+
+
+GAPPA = """Results:
+  real0_computed - real0_exact in [-3b-30 {-2.8e-09, -2^(-28.4)}, 1b-30 {9.3e-10, 2^(-30)}]
+  change_computed - change_exact in [-1b-40, 1b-41]
+"""
+
+
+def test_answers_of_gappa_are_read_to_the_last_bit() -> None:
+    assert rounding._answers(GAPPA) == {"real0": Fraction(3, 2**30), "change": Fraction(1, 2**40)}
+    assert [rounding._dyadic(text) for text in ("5", "-7b2", "3b-1")] == [5, -28, Fraction(3, 2)]
+    with pytest.raises(ValueError, match="no bounds: Error: nothing"):
+        rounding._answers("Error: nothing\nmore\n")
+
+
+@pytest.mark.parametrize("made", [law("single"), with_pair("double")], ids=["real", "pairs"])
+def test_the_bound_for_all_time_is_the_sum_of_what_each_rounding_may_become(made: Law) -> None:
+    """An error in each period, of a size of its own for each place, through the filters' l1 norms."""
+    asked = re.findall(r"(\w+)_computed - \w+ in \?", rounding._script(made, 0.5))
+    sizes = {name: 2.0 ** -(40 + k % 5) for k, name in enumerate(asked)}
+    answer = "\n".join(
+        f"  {name}_computed - {name}_exact in [-1b{int(np.log2(size))}, 1b-99]"
+        for name, size in sizes.items()
+    )
+    bounds = rounding.worst_case(made, error=0.5)
+    found = rounding.rounding_bound(made, answer, bounds)
+    values = made.coefficients
+
+    def filtered(key: str, width: int, count: int, tag: str) -> tuple[float, float]:
+        """What the errors of the states become at the output, and the l1 norm from a drive to there."""
+        total = norm = 0.0
+        for k in range(count):
+            row = values[key][width * k : width * (k + 1)]  # type: ignore[index]
+            pole, gain, turn, cross = (
+                (row[0], row[1], 0.0, 0.0) if width == 2 else (row[0], row[2], row[1], row[3])
+            )
+            entering = sizes[f"{tag}{k}"] + sizes.get(f"{tag}{k}_turned", 0.0)
+            lasting = 1.0 / (1.0 - abs(complex(pole, turn)))
+            total += (abs(gain) + abs(cross)) * entering * lasting
+            norm += (abs(gain) + abs(cross)) * lasting
+        return total, norm
+
+    real, norm = filtered("real", 2, len(made.correction.poles), "real")
+    pair, more = filtered("pair", 4, len(made.correction.pair_poles), "pair")
+    ahead, _ = filtered("forward", 2, len(made.feedforward.poles), "ahead")
+    own = sizes["sum_output"] + real + pair + (abs(values["direct"]) + norm + more) * sizes["change"]  # type: ignore[arg-type]
+    assert found.correction == pytest.approx(own, rel=1e-6)
+    forward = sizes["ahead_output"] + ahead
+    whole = own + forward + bounds.gain * sizes["error"] + sizes["offset"] + sizes["wanted"]
+    assert found.command == pytest.approx(whole, rel=1e-6) and found.error == 0.5
+    with pytest.raises(ValueError, match="grows beyond"):
+        rounding.rounding_bound(made, answer.replace("[-1b-40", "[-1b-2"), bounds)
+
+
+def test_a_tool_runs_in_its_folder_and_is_stopped_for_time(tmp_path: Path) -> None:
+    shell = tools.Tool("sh", "dash")
+    answer = shell.run(("-c", "pwd; echo $PWD; echo lost >&2; exit 3"), tmp_path)
+    assert answer == tools.Answer(f"{tmp_path.resolve()}\n{tmp_path.resolve()}\nlost\n", 3)
+    assert shell.run(("-c", "exec sleep 20"), tmp_path, seconds=0.2) == tools.Answer(
+        "sh: no answer within 0.2 s\n", None
+    )
+    gone = tools.Tool("no-such-prover", "none")
+    assert gone.path is None
+    assert gone.missing == "no-such-prover is not installed (Debian package none)"
+    (tmp_path / "prover").write_text("#!/bin/sh\necho the prover 4.7 of 2026\n")
+    (tmp_path / "prover").chmod(0o755)
+    assert tools.Tool(str(tmp_path / "prover"), "p").name == f"{tmp_path / 'prover'} 4.7"
+
+
+class Canned:
+    """A prover whose answers are known: what it was asked is kept."""
+
+    program, name, path, missing = "canned", "canned 1", "/canned", "canned is missing"
+
+    def __init__(self, *answers: str) -> None:
+        self.answers, self.asked = list(answers), []  # type: list[str], list[tuple[str, ...]]
+
+    def run(self, arguments: tuple[str, ...], folder: Path, **_: object) -> tools.Answer:
+        self.asked.append(tuple(arguments))
+        return tools.Answer(self.answers[min(len(self.asked), len(self.answers)) - 1], 0)
+
+
+@pytest.mark.parametrize("precision", ["single", "double"])
+def test_eva_is_asked_about_both_builds(
+    precision: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = law(precision)
+    count = eva.driver(name="law_data", data="law_data.h").count("/*@ assert")
+    good = EVA_LOG.format(valid=count, unknown=0, invalid=0)
+    for answers, status in (((good,), "proved"), ((good, good.replace("0 alarms", "1 alarms")), "failed")):
+        asked = Canned(*answers)
+        monkeypatch.setattr(eva, "FRAMA_C", asked)
+        claim = eva.commands_claim(made, tmp_path, name="law_data", data="law_data.h")
+        assert claim.status == status and claim.tools == ("canned 1",)
+        assert [log for log, _ in claim.logs] == ["proof/eva_general.log", "proof/eva_exact.log"]
+        general, exact = asked.asked
+        assert ("-DLAW_SINGLE" in general[1]) is (precision == "single")
+        assert len(exact[1]) > len(general[1])  # the flags of the design's own build
+        assert general[-1] == "law.c" and general[general.index("-main") + 1] == "eva_main"
+        if status == "failed":
+            assert claim.reason.startswith("exact build: ")
+    limit = tools.at_most(made.limits.motor_limit)
+    assert f"|motor_reference| ≤ {limit} rad and |voltage| ≤ " in claim.statement
+    without = eva.commands_claim(law(precision, equipped=False), tmp_path, name="law_data", data="law_data.h")
+    assert "voltage" not in without.statement
+    text = eva.driver(name="mine", data="my_law.h")
+    assert '#include "my_law.h"' in text and "law_data" not in text and "law_step(&state, &mine," in text
+
+
+@pytest.mark.parametrize(
+    ("answers", "status", "words"),
+    [
+        (("unsat\n",), "proved", ""),
+        (("sat\n(model)",), "failed", "canned 1 found a step that breaks it (proof/slew_1.smt2)"),
+        (("unsat", "sat"), "failed", "(proof/slew_2.smt2)"),
+        (("unknown\n",), "not proved", "proof/slew_1.smt2: no solver decided it"),
+        (("(error) unsat",), "not proved", "no solver decided it"),
+    ],
+)
+def test_what_a_solver_answers_decides_the_claim(
+    answers: tuple[str, ...], status: str, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tool("cc", "gcc")
+    made = law("single")
+    export_c(made, tmp_path)
+    monkeypatch.setattr(step, "SOLVERS", (Canned(*answers),))
+    claim = step.slew_claim(made, tmp_path)
+    assert claim.status == status and words in claim.reason
+    problem = (tmp_path / "proof" / "slew_1.smt2").read_text(encoding="utf-8")
+    assert problem.startswith("(set-logic QF_BVFP)\n") and problem.endswith("(check-sat)\n")
+    # The command is within its range, one of the modes is on, and the goal is denied.
+    assert problem.count("(assert ") == 3 and problem.count("(assert (not ") == 1
+    for mode in (1, 2, 3, 4):
+        assert f"(_ bv{mode * 0x01010101} 32)" in problem
+    assert claim.logs[0] == ("proof/slew_1.smt2", tools.sha256_of_text(problem))
+    if status == "proved":
+        assert claim.tools == ("canned 1",) and len(claim.logs) == 2
+        extra = step.slew_bound(made) - made.limits.motor_step
+        assert f"motor_step + {tools.at_most(extra, 3)} rad" in claim.statement
+
+
+def test_without_a_solver_or_a_compiler_nothing_is_asked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    gone = tools.Tool("no-such-solver", "none")
+    monkeypatch.setattr(step, "SOLVERS", (gone, gone))
+    claim = step.finite_claim(law("single"), tmp_path)
+    assert (claim.status, claim.reason) == ("not proved", f"{gone.missing} and {gone.missing}; one is enough")
+    monkeypatch.setattr(step, "SOLVERS", (gone, Canned("unsat")))
+    monkeypatch.setattr(step, "COMPILER", gone)
+    assert step.finite_claim(law("single"), tmp_path).reason == gone.missing
+
+
+@pytest.mark.parametrize("precision", ["single", "double"])
+def test_the_slew_bound_is_one_rounding_of_a_sum_above_the_step(precision: str) -> None:
+    made = law(precision)
+    kind = np.float32 if precision == "single" else np.float64
+    size, limit = kind(made.limits.motor_step), kind(made.limits.motor_limit)
+    unit = float(np.spacing(limit))
+    assert (
+        float(size) + unit
+        <= step.slew_bound(made)
+        <= float(size) * (1 + 8 * float(np.finfo(kind).eps)) + 2 * unit
+    )
+
+
+def test_a_certificate_is_no_claim_where_it_is_none(tmp_path: Path) -> None:
+    made = law("double")
+    assert loop_claim(made, tmp_path, None).reason.startswith("no certificate was given")
+    rig = fl.Rig.named("paper-2023")
+    wanted = {"model": rig.model, "rig": rig, "law": made}
+    failed = certify(default_controller(), modulus_margin=0.95, **wanted)
+    claim = loop_claim(made, tmp_path, failed)
+    assert (claim.status, claim.reason) == ("failed", failed.verdict)
+    assert not (tmp_path / "proof").exists()
