@@ -24,7 +24,7 @@ from fraclink._campaign.study import save_study
 from fraclink._cli import main
 from fraclink._law import MODES
 from fraclink._show.arm_page import render_arm_page
-from fraclink._show.palette import colours as colours_of
+from fraclink._show.pages import colours as colours_of
 from fraclink._show.text import number
 from fraclink._simulate.engine import engine_link
 from fraclink.errors import FieldError

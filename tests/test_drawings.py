@@ -617,7 +617,7 @@ def rivals() -> Any:
 
 
 def test_every_rival_has_a_dot_in_every_column_or_never() -> None:
-    root = tree(fleets.rivals_figure(rivals()) if hasattr(fleets, "rivals_figure") else _old_rivals())
+    root = tree(fleets.rivals_figure(rivals()))
     columns = [found for found in root if found.tag == "svg"]
     assert len(columns) == 6
     assert [float(c.get("x", "")) for c in columns] == [190.0] + [190 + 128 + 140 * k + 12 for k in range(5)]
@@ -636,12 +636,6 @@ def test_every_rival_has_a_dot_in_every_column_or_never() -> None:
     assert [float(c.get("cx", "")[:-1]) for c in offset.iter("circle")] == pytest.approx(
         [share, share], abs=0.01
     )
-
-
-def _old_rivals() -> str:
-    from fraclink._show.rivals import rivals_figure
-
-    return rivals_figure(rivals())
 
 
 # --- what a prompt and a cell show ------------------------------------------------------------------------
@@ -684,15 +678,14 @@ def test_the_map_of_faults_has_a_cell_for_every_severity_and_payload() -> None:
         ),
         {"command": "c"},
     )
-    matrix = fleets if hasattr(fleets, "fault_rows") else __import__("fraclink._show.matrix", fromlist=["x"])
-    assert matrix.fault_columns(table) == ("severity 1, 20 g", "severity 2, 40 g")
-    assert matrix.fault_counts(table) == [
+    assert fleets.fault_columns(table) == ("severity 1, 20 g", "severity 2, 40 g")
+    assert fleets.fault_counts(table) == [
         (GROUPS[3], 3, 1),
         (GROUPS[2], 2, 0),
         (GROUPS[1], 1, 0),
         (GROUPS[0], 0, 1),
     ]
-    worst, fine = matrix.fault_rows(table)
+    worst, fine = fleets.fault_rows(table)
     assert (worst.number, worst.group, worst.level, worst.runs, worst.failed) == ("F11", "unsafe", 3, 3, 2)
     assert [(cell.level, cell.sign, cell.words) for cell in worst.cells] == [
         (3, "✗", "severity 1, 20 g: unsafe, 1 of 2 runs"),

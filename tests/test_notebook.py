@@ -11,7 +11,7 @@ import pytest
 
 import fraclink as fl
 from fraclink._certify import Certificate
-from fraclink._show.palette import DARK, LIGHT, colours
+from fraclink._show.pages import DARK, LIGHT, colours
 from fraclink._show.views import view
 
 RIG = fl.Rig.named("paper-2023")

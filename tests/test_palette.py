@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fraclink._show.palette import DARK, DASHES, LIGHT, LINES, colours
+from fraclink._show.pages import DARK, DASHES, LIGHT, LINES, colours
 
 Real = NDArray[np.float64]
 

@@ -18,7 +18,7 @@ from fraclink import _kernels
 from fraclink._design.assess import PhaseShare, margin_curve, phase_budget
 from fraclink._realtime import Callback, run_realtime
 from fraclink._show import plots
-from fraclink._show.palette import colours
+from fraclink._show.pages import colours
 from fraclink._systems.fractional import s
 from fraclink.errors import FieldError, MissingExtraError
 

@@ -21,8 +21,8 @@ from fraclink._campaign.campaign import save_campaign
 from fraclink._cli import main
 from fraclink._law import LawInputs
 from fraclink._realtime import Callback, VirtualClock
-from fraclink._show.moves import shaped_view
 from fraclink._show.runs import shaped_figure
+from fraclink._show.tunings import shaped_view
 from fraclink._simulate import Twin
 from fraclink._simulate import shaped_move as move
 from fraclink._simulate.shape_programme import (

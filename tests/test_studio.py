@@ -20,7 +20,7 @@ from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
 import fraclink as fl
-import fraclink._studio.swept as swept_module
+import fraclink._studio.work as swept_module
 from fraclink._campaign import Campaign, replay_run
 from fraclink._campaign.faults import FaultTable
 from fraclink._cli import main
@@ -30,19 +30,18 @@ from fraclink._export.selftest import expected
 from fraclink._law.refit import refitted
 from fraclink._law.requirement import margins_of
 from fraclink._show.pages import squeezed, tightened
+from fraclink._studio.copied import as_python
 from fraclink._studio.history import History
 from fraclink._studio.logs import LOG_VERBS, _scaled, _spectrum, thinned
-from fraclink._studio.messages import Reply, parsed, refusal
+from fraclink._studio.messages import NAMES, Reply, checked_request, parsed, refusal
 from fraclink._studio.outputs import OUTPUT_VERBS
 from fraclink._studio.played import PLAY_VERBS
 from fraclink._studio.preview import Subject, described, nearest, preview
 from fraclink._studio.regions import Region, checked_regions, fan_of, map_of, round_regions, violated
-from fraclink._studio.request import NAMES, as_python, checked_request
 from fraclink._studio.server import POLICY, Studio, application
 from fraclink._studio.serving import serve
 from fraclink._studio.session import Session, SupersededError, opened
-from fraclink._studio.swept import moves_of_arms, swept
-from fraclink._studio.work import Job, proof_of
+from fraclink._studio.work import Job, moves_of_arms, proof_of, swept
 from fraclink.errors import FieldError, FraclinkError
 from junk import CHARACTERS
 

@@ -23,15 +23,14 @@ from fraclink._campaign.fault_trial import Bench
 from fraclink._campaign.faults import Case, Check, FaultTable, Outcome, cases
 from fraclink._show.text import number
 from fraclink._studio import logs, outputs, played, server, serving, session, work, worker
-from fraclink._studio import swept as swept_module
-from fraclink._studio.copied import copies
+from fraclink._studio import work as swept_module
+from fraclink._studio.copied import as_command, as_python, copies
 from fraclink._studio.history import History
-from fraclink._studio.messages import LONGEST, Reply, parsed, refusal
+from fraclink._studio.messages import LONGEST, Reply, checked_request, parsed, refusal, wanted_of
 from fraclink._studio.preview import Subject, nearest, preview
 from fraclink._studio.regions import Region, checked_regions, fan_of, map_of, parted, round_regions
-from fraclink._studio.request import as_command, as_python, checked_request, wanted_of
 from fraclink._studio.session import Session, bare, opened
-from fraclink._studio.swept import swept
+from fraclink._studio.work import swept
 from fraclink.errors import FieldError, FraclinkError, InfeasibleError, MissingExtraError
 from fraclink.findings import Finding
 

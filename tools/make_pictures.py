@@ -20,7 +20,7 @@ import fraclink as fl
 from fraclink._files import write_text
 from fraclink._show.drawing import Figure, Panel, beside
 from fraclink._show.marks import Across, Curve, Mark, Zone
-from fraclink._show.palette import LINES
+from fraclink._show.pages import LINES
 from fraclink._show.scales import Scale
 from fraclink._simulate import Twin
 from fraclink._systems.margins import Margins

@@ -147,7 +147,7 @@ class Tournament:
     def draw(self, path: Path | str) -> None:
         """Draw a dot for every rival and figure to an SVG file; FieldError for a file of another kind."""
         # What draws lies floors above, as for the reprs of results.
-        import_module("fraclink._show.rivals").draw_rivals(self, path)
+        import_module("fraclink._show.fleets").draw_rivals(self, path)
 
     def save(self, path: Path | str) -> None:
         """Write the standings to a JSON file; infinite figures are the text "inf"."""

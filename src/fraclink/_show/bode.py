@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fraclink._show.axes import tint
-from fraclink._show.curves import LoopCurve, labelled, new_axes, sample
+from fraclink._show.axes import LoopCurve, labelled, new_axes, sample, tint
 from fraclink._systems.margins import Margins
 from fraclink._systems.margins import margins as find_margins
 from fraclink.errors import FieldError

@@ -15,8 +15,7 @@ from pathlib import Path
 
 from fraclink._files import write_text
 from fraclink._show.marks import ACROSS, DOWN, Frame, Layers, Mark, escaped, percent
-from fraclink._show.pages import template_text
-from fraclink._show.palette import DARK, LIGHT, literal
+from fraclink._show.pages import DARK, LIGHT, literal, template_text
 from fraclink._show.scales import Scale
 from fraclink.errors import FieldError
 

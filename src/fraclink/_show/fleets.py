@@ -1,20 +1,31 @@
-"""Drawings of many runs: how metrics are spread, where runs fail, and what drives them."""
+"""Drawings of many runs: a campaign's spread, failures and drivers, the map of faults, a tournament."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._campaign import Summary
-from fraclink._show.drawing import Figure, Panel
+from fraclink._campaign.faults import GROUPS, FaultTable, Outcome, fault_named
+from fraclink._show.drawing import Figure, Panel, beside, save_svg
 from fraclink._show.marks import Bars, Cells, Frame, Mark, Upright, escaped, percent
 from fraclink._show.scales import Scale
 from fraclink._show.tables import UNITS
-from fraclink._show.text import number
+from fraclink._show.text import grams, number
+from fraclink._show.views import repeated
+
+if TYPE_CHECKING:
+    from fraclink._campaign.tournament import Standing, Tournament
 
 __all__ = ["SHOWN", "driver_rows", "drivers_figure", "failures_figure", "spread_figures", "strongest"]
+__all__ += ["Cell", "FaultRow", "draw_rivals", "fault_columns", "fault_counts", "fault_rows", "rivals_figure"]
 
 Real = NDArray[np.float64]
 
@@ -141,3 +152,154 @@ def drivers_figure(summary: Summary) -> str:
 
 def _correlation(value: float) -> str:
     return f"{value:+.2f}".replace("-", "−") if abs(value) >= 0.05 else ""
+
+
+# --- the map of faults: one row a fault, one cell for each severity and payload, worst first ---------------
+
+_SIGNS = ("✓", "!", "✗", "✗")
+
+
+@dataclass(frozen=True)
+class Cell:
+    """The runs of one severity and payload: level of colour 0 to 3 or -1 for none, sign, and words."""
+
+    level: int
+    sign: str
+    words: str
+
+
+@dataclass(frozen=True)
+class FaultRow:
+    """One fault: what happened in each cell, and what unfolds."""
+
+    number: str
+    title: str
+    group: str
+    level: int
+    cells: tuple[Cell, ...]
+    required: str
+    runs: int
+    failed: int
+    worst: str
+    cause: str
+    note: str
+    command: str
+
+
+def _columns(table: FaultTable) -> list[tuple[int, float]]:
+    return sorted({(outcome.case.severity, outcome.case.payload) for outcome in table.outcomes})
+
+
+def fault_columns(table: FaultTable) -> tuple[str, ...]:
+    """What the cells of a row stand for, from left to right."""
+    return tuple(f"severity {severity}, {grams(payload)}" for severity, payload in _columns(table))
+
+
+def fault_counts(table: FaultTable) -> list[tuple[str, int, int]]:
+    """Each group with its level and how many faults are in it, the worst first."""
+    found = Counter(row.group for row in table.rows())
+    return [(group, level, found[group]) for level, group in reversed([*enumerate(GROUPS)])]
+
+
+def fault_rows(table: FaultTable) -> list[FaultRow]:
+    """The rows of the map, the worst group first."""
+    rows = []
+    for row in sorted(table.rows(), key=lambda row: (-GROUPS.index(row.group), row.number)):
+        known = fault_named(row.number)
+        mine = [outcome for outcome in table.outcomes if outcome.case.fault == row.number]
+        rows.append(
+            FaultRow(
+                row.number,
+                row.title,
+                row.group,
+                GROUPS.index(row.group),
+                tuple(_cell(mine, *column) for column in _columns(table)),
+                row.required.replace("<=", "≤").replace(" x ", " × "),
+                row.runs,
+                row.failed,
+                row.worst,
+                known.cause if row.failed else "",
+                known.note,
+                repeated(table, row.example) if row.example else "",
+            )
+        )
+    return rows
+
+
+def _cell(mine: list[Outcome], severity: int, payload: float) -> Cell:
+    here = [o for o in mine if (o.case.severity, o.case.payload) == (severity, payload)]
+    where = f"severity {severity}, {grams(payload)}"
+    if not here:
+        return Cell(-1, "", f"{where}: not run")
+    level = max(GROUPS.index(outcome.group) for outcome in here)
+    failed = sum(not outcome.passed for outcome in here)
+    words = f"{where}: {GROUPS[level]}" + (f", {failed} of {len(here)} runs" if failed else "")
+    return Cell(level, _SIGNS[level], words)
+
+
+# --- a tournament: one row a rival, one column a figure, a dot for what it reached -------------------------
+
+# Attribute, title, factor, and the left end of a logarithmic scale: what is below counts as that.
+_COLUMNS = (
+    ("settling_time", "settling [s]", 1.0, 0.0),
+    ("worst_settling", "worst payload [s]", 1.0, 0.0),
+    ("residual_vibration", "vibration [mrad]", 1e3, 0.1),
+    ("offset_error", "by offset [mrad]", 1e3, 0.001),
+    ("motor_reference_noise", "noise [mrad]", 1e3, 0.1),
+    ("mode_gain", "gain at mode 2", 1.0, 0.001),
+)
+_RIVAL, _NAMES, _WIDE = 24.0, 190.0, 128.0  # dots of a row, of the names, of a column
+_END = 1.6  # of the largest value: room for its dot
+
+
+def rivals_figure(result: Tournament) -> str:
+    """Draw a dot for every rival and figure, in the order of the table; left is better throughout."""
+    columns = []
+    for column, (attribute, title, factor, left) in enumerate(_COLUMNS):
+        values = [factor * float(getattr(standing, attribute)) for standing in result.standings]
+        finite = [value for value in values if math.isfinite(value)] or [1.0]
+        x = Scale(left, _END * max(*finite, 10 * left), log=True) if left else Scale(0.0, 1.1 * max(finite))
+        rows = _rows(result.standings, values, x, names=not column)
+        panel = Panel(title, Scale(0.0, 1.0, ticks=()), (), _RIVAL * len(values), rows)
+        room = _NAMES if not column else 12.0
+        width = room + _WIDE
+        columns.append(Figure(attribute, title, x, (panel,), left=room, width=width, ticks=3))
+    return beside(columns, "What each rival reached in six figures; left is better")
+
+
+def draw_rivals(result: Tournament, path: Path | str) -> None:
+    """Write `rivals_figure` to an SVG file."""
+    save_svg(rivals_figure(result), path)
+
+
+def _rows(
+    standings: tuple[Standing, ...], values: list[float], x: Scale, *, names: bool
+) -> Callable[[Frame], str]:
+    def draw(frame: Frame) -> str:
+        parts = []
+        for row, (standing, value) in enumerate(zip(standings, values, strict=True)):
+            y = frame.top + _RIVAL * (row + 0.5)
+            ours = standing.name.startswith("fraclink")
+            parts.append(f'<line class="grid" x2="100%" y1="{y}" y2="{y}"/>')
+            if names:
+                style = "label" if ours else "name"
+                text = standing.name + ("" if standing.sound else " ✗")
+                parts.append(
+                    f'<text class="{style}" x="-10" y="{y + 4}" text-anchor="end">{escaped(text)}</text>'
+                )
+            if not math.isfinite(value):
+                parts.append(
+                    f'<text class="name" x="100%" dx="-4" y="{y + 4}" text-anchor="end">never</text>'
+                )
+                continue
+            at = frame.across(max(value, x.low))
+            if standing.sound:
+                parts.append(
+                    f'<circle class="f{1 if ours else 2}" cx="{at}" cy="{y}" r="{6 if ours else 4.5}"/>'
+                )
+            else:  # unstable, or only held by friction or a limit: no figure counts
+                cross = '<path class="c0 cross" d="M-4-4l8 8m0-8l-8 8"/>'
+                parts.append(f'<svg x="{at}" y="{y}" overflow="visible">{cross}</svg>')
+        return "".join(parts)
+
+    return draw

@@ -28,7 +28,7 @@ from fraclink._show.marks import (
     escaped,
     percent,
 )
-from fraclink._show.palette import LINES
+from fraclink._show.pages import LINES
 from fraclink._show.scales import Scale
 from fraclink._show.text import grams, number
 from fraclink.errors import FieldError
@@ -144,10 +144,13 @@ _REACH = (-2.3, 0.9)  # of both axes: what is near −1; the resonance's circle 
 
 
 def nyquist_figure(design: Design, proved: float | None = None) -> Figure:
-    """Draw L(jω) around −1, and the disk that no payload of the design enters."""
+    """Draw L(jω) around −1, and the disk that these curves keep out of.
+
+    proved: its radius where a certificate states one, min |1 + L| over every payload of the range.
+    """
     turn = np.exp(1j * np.linspace(0, 2 * math.pi, 181))
     payloads = payloads_of(design)
-    clear = proved or min(1.0 / float(1.0 / design.at(m).modulus_margin) for m in payloads)
+    clear = proved or min(design.at(m).modulus_margin for m in payloads)
     disk = -1 + clear * turn
     marks: list[Mark] = [
         Curve(disk.real, disk.imag, 2, weight="fill"),

@@ -83,7 +83,7 @@ class Frame:
             elif (p, q) != last:
                 parts.append(f"{p - last[0]} {q - last[1]} ")
                 last = (p, q)
-        return "".join(parts).replace(" -", "-").replace("l-", "l-").rstrip()
+        return "".join(parts).replace(" -", "-").rstrip()
 
 
 @dataclass(frozen=True)

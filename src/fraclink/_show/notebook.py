@@ -8,7 +8,6 @@ from typing import Any
 
 from fraclink._show import figures, fleets, loops, runs
 from fraclink._show.drawing import Figure, save_svg
-from fraclink._show.rivals import rivals_figure
 from fraclink._show.sketches import arm_sketch
 from fraclink._show.text import looked_up, marked
 from fraclink._show.views import view
@@ -31,7 +30,7 @@ _DRAWINGS: dict[str, Callable[[Any], Figure | str]] = {
     "FeasibilityMap": loops.map_figure,
     "Rig": lambda rig: arm_sketch(sketch_notes(rig, rig.model)),
     "Summary": fleets.drivers_figure,
-    "Tournament": rivals_figure,
+    "Tournament": fleets.rivals_figure,
     "Run": lambda run: runs.moves_figure([run]),
     "ShapedMove": runs.shaped_figure,
 }

@@ -1,15 +1,17 @@
-"""HTML pages from templates: one place for the environment, in which everything from outside is escaped."""
+"""Pages from templates, in which everything from outside is escaped, and the colours of every drawing."""
 
 from __future__ import annotations
 
 import re
+from functools import cache
 from importlib.resources import files
 
 from fraclink import __version__
 from fraclink._show.text import marked, sentence
 from fraclink.errors import MissingExtraError
 
-__all__ = ["rendered", "squeezed", "template_text", "tightened"]
+__all__ = ["DARK", "DASHES", "LIGHT", "LINES", "colours", "literal"]
+__all__ += ["rendered", "squeezed", "template_text", "tightened"]
 
 _FOLDER = files("fraclink._show") / "templates"
 # What a script is made of, as far as its spaces matter. A template holds at most one more inside of it.
@@ -92,3 +94,33 @@ def rendered(template: str, **contents: object) -> str:
     )
     environment.filters |= {"sentence": sentence, "marked": marked}
     return environment.get_template(template).render(version=__version__, **contents)
+
+
+# --- colours, read from the one style sheet ---------------------------------------------------------------
+
+# Dashes [dots] of the lines 0 to 4: where colours are of no use, in grey print, and where curves lie on one
+# another. Line 0 is the ink: a reference, a measured signal.
+DASHES = ("", "", "7 3", "3 2.5", "9 3 2 3")
+LINES = tuple(range(1, len(DASHES)))
+LIGHT, DARK = 0, 1
+
+
+@cache
+def colours(theme: int = LIGHT) -> dict[str, str]:
+    """Name and hexadecimal value of each colour of a theme.
+
+    >>> colours()["card"], colours(DARK)["card"]
+    ('#ffffff', '#131920')
+    """
+    found = re.findall(r"--([\w-]+): light-dark\((#\w{6}), (#\w{6})\)", template_text("palette.css"))
+    return {name: values[theme] for name, *values in found}
+
+
+def literal(style: str, theme: int = LIGHT) -> str:
+    """Return a style with its colours by value: a drawing that stands alone has no page to ask.
+
+    >>> literal("fill:var(--card)")
+    'fill:#ffffff'
+    """
+    known = colours(theme)
+    return re.sub(r"var\(--([\w-]+)\)", lambda name: known[name[1]], style)

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fraclink._show.axes import tint
-from fraclink._show.curves import LoopCurve, finish, labelled, new_axes, sample
+from fraclink._show.axes import LoopCurve, finish, labelled, new_axes, sample, tint
 
 __all__ = ["nichols", "nyquist"]
 

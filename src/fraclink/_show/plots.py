@@ -15,9 +15,8 @@ import numpy as np
 
 from fraclink._design.alternatives import FeasibilityMap
 from fraclink._design.assess import MarginCurve, PhaseShare
-from fraclink._show.axes import tint
+from fraclink._show.axes import finish, labelled, new_axes, tint
 from fraclink._show.bode import bode, margin_plot
-from fraclink._show.curves import finish, labelled, new_axes
 from fraclink._show.planes import nichols, nyquist
 from fraclink._systems.fractional import FractionalTransferFunction
 from fraclink._systems.loops import FractionalLoop

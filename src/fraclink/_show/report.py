@@ -16,7 +16,7 @@ from fraclink._design import Design
 from fraclink._design.alternatives import feasibility_map
 from fraclink._design.assess import phase_budget, tolerances
 from fraclink._files import write_text
-from fraclink._show import figures, fleets, loops, matrix, runs, tables, words
+from fraclink._show import figures, fleets, loops, runs, tables, words
 from fraclink._show.arm_box import arm_box, page_hash
 from fraclink._show.drawing import Figure
 from fraclink._show.pages import rendered, squeezed
@@ -123,9 +123,9 @@ def _faults(study: Study) -> Mapping[str, Any] | None:
     if study.faults is None:
         return None
     return {
-        "columns": matrix.fault_columns(study.faults),
-        "counts": matrix.fault_counts(study.faults),
-        "rows": matrix.fault_rows(study.faults),
+        "columns": fleets.fault_columns(study.faults),
+        "counts": fleets.fault_counts(study.faults),
+        "rows": fleets.fault_rows(study.faults),
         "sentence": tables.faults_sentence(study.faults),
         "command": study.faults.about.get("command", ""),
     }

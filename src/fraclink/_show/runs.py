@@ -13,7 +13,7 @@ from fraclink._campaign.faults import Bench, Evidence, Outcome, fault_named, obs
 from fraclink._law import MODES
 from fraclink._show.drawing import Figure, Panel
 from fraclink._show.marks import Across, Curve, Mark, Upright, Zone
-from fraclink._show.palette import LINES
+from fraclink._show.pages import LINES
 from fraclink._show.scales import Scale, envelope
 from fraclink._show.text import grams
 from fraclink._simulate import Run

@@ -25,7 +25,6 @@ from fraclink._show.fits import (
     structure_view,
     worth_reading,
 )
-from fraclink._show.moves import shaped_view
 from fraclink._show.tables import (
     coincidence,
     faults_sentence,
@@ -43,7 +42,7 @@ from fraclink._show.tables import (
     verdict_table,
 )
 from fraclink._show.text import Table, View, degrees, finding_line, grams, looked_up, number
-from fraclink._show.tunings import pid_view, tuning_view, watch_view
+from fraclink._show.tunings import pid_view, shaped_view, tuning_view, watch_view
 from fraclink.findings import errors_of
 
 if TYPE_CHECKING:

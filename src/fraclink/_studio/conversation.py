@@ -12,12 +12,11 @@ from typing import Any
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from fraclink._studio.logs import LOG_VERBS
-from fraclink._studio.messages import Message, Reply, parsed, refusal
+from fraclink._studio.messages import Message, Reply, checked_request, parsed, refusal
 from fraclink._studio.outputs import OUTPUT_VERBS
 from fraclink._studio.played import PLAY_VERBS
 from fraclink._studio.preview import Subject, nearest, preview
 from fraclink._studio.regions import map_of, parted, round_regions
-from fraclink._studio.request import checked_request
 from fraclink._studio.session import Session, SupersededError
 from fraclink._studio.work import JOBS, WORK_VERBS, Job
 from fraclink.errors import FieldError, FraclinkError

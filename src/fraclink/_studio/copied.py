@@ -12,12 +12,12 @@ from fraclink._arm.log_columns import parse_columns
 from fraclink._arm.rig import Rig
 from fraclink._campaign.study import Study
 from fraclink._logs import bundled_log
-from fraclink._studio.request import as_command, as_python
+from fraclink._studio.messages import USUAL
 
 if TYPE_CHECKING:
     from fraclink._studio.session import Session
 
-__all__ = ["copies"]
+__all__ = ["as_command", "as_python", "copies"]
 
 Copies = Mapping[str, Mapping[str, str]]
 
@@ -165,3 +165,40 @@ def _completed(session: Session) -> dict[str, Any]:
     if known is not None and request["filter_time"] is None and bounds == (None, None):
         request["filter_time"] = known.filter_time
     return request
+
+
+def as_command(request: Mapping[str, Any], rig: str, model: Path | None, out: Path) -> str:
+    """Return the command that makes the design of `request`, byte for byte."""
+    words = ["fraclink", "design", "--rig", rig]
+    if model is not None:
+        words += ["--model", str(model)]
+    for name, value in request.items():
+        if value is None or value == USUAL.get(name):
+            continue
+        words.append(f"--{name.replace('_', '-')}")
+        if value is not True:  # a flag has no word behind it
+            words += map(_plain, value if isinstance(value, tuple) else (value,))
+    return shlex.join([*words, "--out", str(out)])
+
+
+def as_python(request: Mapping[str, Any], rig: str, model: Path | None) -> str:
+    """Return the lines of Python that make the same design, with the completions of the rig."""
+    by_file = rig.endswith(".toml")
+    lines = ["import fraclink as fl", ""]
+    lines.append(f"rig = fl.Rig.load({rig!r})" if by_file else f"rig = fl.Rig.named({rig!r})")
+    link = "rig.model" if model is None else "fit"
+    if model is not None:
+        lines.append(f"fit = fl.load({str(model)!r})")
+    lines += ["design = fl.design(", f"    {link}, rig,"]
+    for name, value in request.items():
+        if value is None or value == USUAL.get(name):
+            continue
+        if name == "phase_margin_deg":
+            lines.append(f"    phase_margin=fl.deg({_plain(value)}),")
+        else:
+            lines.append(f"    {name}={value!r},")
+    return "\n".join([*lines, "    law=False,", ").with_law()", "law = fl.discretize(design)"])
+
+
+def _plain(value: object) -> str:
+    return repr(value) if isinstance(value, float) else str(value)

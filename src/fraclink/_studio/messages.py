@@ -1,21 +1,38 @@
-"""What goes over the socket: requests as small JSON objects, answers as a JSON head with curves behind it."""
+"""What goes over the socket: requests as small JSON objects, answers as a JSON head with curves behind it.
+
+A request for a design has the options of `fraclink design`, under their names and with their ranges.
+"""
 
 from __future__ import annotations
 
 import json
+import math
 import struct
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Annotated, Any, get_type_hints
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from fraclink._design import Specification
 from fraclink._show.records import plain
 from fraclink._studio.server import LONGEST
+from fraclink._validate import PhaseMarginDeg
+from fraclink._validate.rules import rule
 from fraclink.errors import FieldError, FraclinkError, InfeasibleError
 
-__all__ = ["LONGEST", "Message", "Reply", "parsed", "refusal"]
+__all__ = [
+    "LONGEST",
+    "NAMES",
+    "USUAL",
+    "Message",
+    "Reply",
+    "checked_request",
+    "parsed",
+    "refusal",
+    "wanted_of",
+]
 
 _NAME = 40
 
@@ -87,3 +104,46 @@ def refusal(error: FraclinkError) -> Reply:
     if isinstance(error, InfeasibleError):
         head |= {"condition": error.condition, "explanation": error.explanation, "nearest": error.nearest}
     return Reply(head)
+
+
+# --- what a page asks of a design -----------------------------------------------------------------------
+
+# Every option has the range that the library states for it; the command line gives the margin in degrees.
+_HINTS: dict[str, Any] = {
+    name: hint
+    for name, hint in get_type_hints(Specification, include_extras=True).items()
+    if name not in ("phase_margin", "natural_frequencies")
+} | {"phase_margin_deg": Annotated[PhaseMarginDeg | None, ""], "box": bool}
+NAMES = tuple(_HINTS)
+USUAL = {"margins": "loop", "inner": "ideal", "placement": "tustin", "box": False}
+
+
+def checked_request(given: object) -> dict[str, Any]:
+    """Return what a page asked for, every option present; None leaves one to the rig or to its rule.
+
+    Raises FieldError for a name that `fraclink design` does not have, and for a value out of its range.
+
+    >>> checked_request({"gain_crossover": 12, "payloads": [0.02, 0.04]})["payloads"]
+    (0.02, 0.04)
+    """
+    if not isinstance(given, Mapping):
+        allowed, remedy = "an object of options", "send the options by name"
+        raise FieldError("state", type(given).__name__, "not an object", allowed=allowed, remedy=remedy)
+    for name in given:
+        if name not in _HINTS:
+            allowed, remedy = ", ".join(NAMES), "leave it out"
+            raise FieldError("state", str(name), "unknown option", allowed=allowed, remedy=remedy)
+    found = {}
+    for name, hint in _HINTS.items():
+        value = given.get(name)
+        if isinstance(value, list):
+            value = tuple(value)
+        found[name] = USUAL.get(name) if value is None else rule(hint).check(name, value)
+    return found
+
+
+def wanted_of(request: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the request as `design_for` takes it: the margin in radians, the box only where it is wanted."""
+    margin = request["phase_margin_deg"]
+    rest = {name: value for name, value in request.items() if name not in ("phase_margin_deg", "box")}
+    return rest | {"phase_margin": None if margin is None else math.radians(margin), "box": request["box"]}

@@ -22,9 +22,8 @@ from fraclink._design.completed import design_for
 from fraclink._law import Law
 from fraclink._law.refit import refitted
 from fraclink._show.text import grams, number
-from fraclink._studio.messages import Reply, refusal
+from fraclink._studio.messages import Reply, checked_request, refusal, wanted_of
 from fraclink._studio.regions import fan_of, parted, violated
-from fraclink._studio.request import checked_request, wanted_of
 from fraclink.errors import FieldError, FraclinkError, InfeasibleError
 
 __all__ = ["Subject", "blocks_of", "nearest", "preview"]

@@ -15,7 +15,7 @@ from fraclink._design import Design
 from fraclink._design.alternatives import feasibility_map
 from fraclink._design.completed import design_for
 from fraclink._show.text import number
-from fraclink._studio.request import checked_request, wanted_of
+from fraclink._studio.messages import checked_request, wanted_of
 from fraclink.errors import FieldError, FraclinkError
 
 __all__ = ["Region", "checked_regions", "fan_of", "map_of", "parted", "round_regions", "violated"]

@@ -24,10 +24,9 @@ from fraclink._show.arm_box import arm_box
 from fraclink._show.text import marked
 from fraclink._studio.copied import copies
 from fraclink._studio.history import History
-from fraclink._studio.messages import Reply
+from fraclink._studio.messages import Reply, checked_request, wanted_of
 from fraclink._studio.preview import Subject, blocks_of
 from fraclink._studio.regions import parted
-from fraclink._studio.request import checked_request, wanted_of
 from fraclink.errors import FieldError
 from fraclink.findings import Finding, errors_of
 
