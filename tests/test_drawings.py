@@ -14,7 +14,7 @@ import pytest
 
 import fraclink as fl
 from fraclink._campaign.faults import GROUPS, Case, Check, FaultTable, Outcome
-from fraclink._show import fleets, loops, marks
+from fraclink._show import figures, fleets, loops, marks
 from fraclink._show.drawing import Figure, Panel, beside
 from fraclink._show.marks import Frame
 from fraclink._show.notebook import drawing, page_part, short
@@ -697,3 +697,54 @@ def test_the_map_of_faults_has_a_cell_for_every_severity_and_payload() -> None:
     ]
     assert (fine.number, fine.command, fine.cause) == ("F09", "", "") and "≤" in worst.required
     assert worst.command.startswith("c --only F11 --severity 1 --payload 0.02 --phase mid --seed 1 --out")
+
+
+# --- can the model be trusted -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("samples", [700, 2000])
+def test_the_bands_of_noise_hold_the_share_that_they_state(samples: int) -> None:
+    """Of white noise 99 % of the lines lie in the band; the response errs by less than its bound with 95 %."""
+    rng = np.random.default_rng(samples)
+    inside, below = [], []
+    for _ in range(120):
+        noise = rng.normal(size=samples)
+        u = np.repeat(rng.choice([-1.0, 1.0], size=samples // 4), 4)
+        fit: Any = SimpleNamespace(residual=noise, fitted_samples=samples, period=0.004)
+        frequency, share, low, high = figures.residual_density(fit)  # type: ignore[misc]
+        inside.append(np.mean((share > low) & (share < high)))
+        log: Any = SimpleNamespace(time=u, motor_angle=u, output=30 * u + noise, period=0.004)
+        found = figures.response_estimate(log, fit)
+        assert found is not None
+        off = np.abs(found.measured - found.model) / np.abs(found.model)
+        below.append(np.mean(off < found.error))
+    assert np.mean(inside) == pytest.approx(0.99, abs=0.004)
+    assert np.mean(below) == pytest.approx(0.95, abs=0.02)
+    length = 128 if samples == 700 else 256  # 8 parts or more, of a power of two
+    step = 2 * math.pi / (length * 0.004)
+    assert (frequency[0], frequency[-1], frequency.size) == pytest.approx(
+        (step, (length // 2 - 1) * step, length // 2 - 1)
+    )
+
+
+def test_a_response_is_that_of_the_log_where_it_was_excited() -> None:
+    samples = 4000
+    rng = np.random.default_rng(3)
+    u = np.repeat(rng.choice([-1.0, 1.0], size=samples // 4), 4)
+    fit: Any = SimpleNamespace(
+        residual=0.001 * rng.normal(size=samples), fitted_samples=samples, period=0.004
+    )
+    log: Any = SimpleNamespace(time=u, motor_angle=u, output=2.5 * u + fit.residual, period=0.004)
+    found = figures.response_estimate(log, fit)
+    assert found is not None
+    assert found.model == pytest.approx(np.full(found.frequency.size, 2.5), abs=1e-9)
+    assert np.abs(found.measured / 2.5 - 1).max() < 0.05 and found.explained.min() > 0.98
+    blind = SimpleNamespace(**vars(log) | {"output": 0.0 * u})
+    alone = SimpleNamespace(**vars(fit) | {"residual": rng.normal(size=samples)})
+    blind.output = alone.residual
+    assert figures.response_estimate(blind, alone) is None  # type: ignore[arg-type]  # nothing but noise
+    short: Any = SimpleNamespace(time=u[:280], motor_angle=u[:280], output=u[:280], period=0.004)
+    assert figures.response_estimate(short, fit) is None  # parts of less than 64 samples
+    still: Any = SimpleNamespace(residual=np.ones(samples), fitted_samples=samples, period=0.004)
+    assert figures.residual_density(still) is None
+    assert [figures._parts(n) for n in (287, 288, 575, 576, 4608)] == [0, 64, 64, 128, 1024]

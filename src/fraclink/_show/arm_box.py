@@ -81,6 +81,7 @@ def page_hash(text: str) -> str:
 def _json(data: Mapping[str, Any]) -> str:
     """JSON that no parser of HTML takes for the end of its element."""
     text = json.dumps(data, separators=(",", ":"), allow_nan=False, ensure_ascii=True)
+    # A name of a rig with </script> in it would end the element wherever it stood in the JSON.
     return text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
 
 
@@ -90,6 +91,7 @@ def _law(study: Study, design: Design) -> tuple[Law, str]:
         law, python = study.law or design.law(), "design.law()"
     else:
         law, python = study.law, 'fl.load("law.json")'
+    # The page's engine compares itself with `simulate`, which runs in double precision unless told otherwise.
     if law.precision != "double":
         law, python = law.in_precision("double"), f'{python}.in_precision("double")'
     if law.drive is None:  # without it `simulate` would run an ideal motor
@@ -112,6 +114,7 @@ def _base64(parts: Iterable[Real]) -> str:
 
 def _packed(data: bytes) -> str:
     """DEFLATE without a head, in base64: what the script unpacks."""
+    # Raw, as the page unpacks it with forty lines of its own: it knows neither a head nor a checksum.
     pack = zlib.compressobj(9, zlib.DEFLATED, -zlib.MAX_WBITS)
     return base64.b64encode(pack.compress(data) + pack.flush()).decode()
 
@@ -137,11 +140,14 @@ def _twin(design: Design, model: LinkModel, payloads: list[float], count: int) -
 def _data(design: Design, law: Law, python: str, count: int, twin: bool) -> dict[str, Any]:
     """Everything that the script reads; `python`: what makes the law; `count`: how many payloads."""
     rig, model, period = design.rig, design.model, law.period
+    # 3.5 swings there and as many back show how a move decays; at least two seconds each way, as a fast arm
+    # is not to flicker, and no more than the engine's buffers hold.
     swing = 2 * math.pi / max(abs(model.pole.imag), 1e-3)
     periods = min(LONGEST - 1, 2 * round(max(2.0, 3.5 * swing) / period))
     half = 0.5 * periods * period
     payloads, links = _links(design, period, periods * period, count)
     times = _times(half)
+    # Sliders reach beyond what the rig states: a gauge with no noise is to be tried with some.
     noise = max(0.05, 5 * rig.gauge.noise)
     return {
         "engine": _packed(engine_bytes()),
@@ -213,6 +219,8 @@ def _links(design: Design, period: float, span: float, count: int) -> tuple[list
     low, high = design.payloads
     model, rig = design.model, design.rig
     own = {low, high, model.payload or rig.payloads.nominal}
+    # Geometric, as ω₀ goes with a power of the payload; two digits, so that a person meets round grams; those
+    # designed for are always among them, unrounded.
     spread = np.geomspace(_LIGHTEST * low, _HEAVIEST * high, max(count - len(own), 2))
     wanted = sorted(own | {float(f"{value:.2g}") for value in spread})
     payloads, links = [], []

@@ -96,7 +96,11 @@ def render_arm_page(study: Study, *, title: str | None = None) -> str:
         excess = len(page.encode()) - _LARGEST
         if excess <= 0 or payloads <= 5:
             return page
+        # At least one less in every round, so that it ends; a link is counted as if it were one of the large
+        # ones, so as not to drop more than needed.
         payloads -= 1 + excess // 4000  # a link takes 2 to 4 kB
+        # The page without its twin but with a fine slider says more than one with both and five payloads; so
+        # the full count is tried again.
         if twin and payloads < _FEWEST:
             payloads, twin = MOST_PAYLOADS, False
 
@@ -114,6 +118,8 @@ def _too_fast(design: Design) -> FieldError:
 def _simulated(design: Design) -> list[str]:
     """Sentences on what a run in the page contains."""
     rig = design.rig
+    # A model that names no payload is the nominal one's: simulate takes it so, and the page must say the
+    # same.
     model = with_payload(design.model, rig)
     link = f"the model of the link: λ = {number(model.order, 4)}, ω₀ = {number(model.natural_frequency, 4)}"
     if model.payload is not None:

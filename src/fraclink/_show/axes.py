@@ -94,6 +94,7 @@ def theme_on(background: Any) -> int:
     """
     from matplotlib.colors import to_rgba
 
+    # A transparent background shows the page's, which is white more often than not.
     *colour, opacity = to_rgba(background)
     return DARK if opacity and sum(colour) < 1.5 else LIGHT
 
@@ -115,6 +116,7 @@ def tint(ax: Any, name: str) -> str:
 def figure(width: float, height: float) -> Iterator[Figure]:
     """Yield an empty figure of `width` × `height` inches in the report's style."""
     mpl = load_matplotlib()
+    # `layout` is solved when the figure is drawn, and `svg` draws it inside of the same style.
     with mpl.rc_context(_STYLE):
         yield mpl.figure.Figure(figsize=(width, height), layout="constrained")
 
@@ -160,6 +162,7 @@ def save_figure(
     mpl = load_matplotlib()
     kind = Path(path).suffix.lstrip(".").lower() or "svg"
     # Without a date and with ids that do not change a second run writes the same file.
+    # Pixels at 110 per inch: what a page of 7.5 inches needs on a screen of usual density.
     extra = {"metadata": {"Date": None}} if kind == "svg" else {"dpi": 110}
     with mpl.rc_context({"svg.hashsalt": "fraclink"}):
         drawing = mpl.figure.Figure(figsize=size, layout="constrained")
@@ -209,9 +212,13 @@ class LoopCurve:
         turns = np.angle(self.values[1:] / self.values[:-1])
         # Across a pole of the axis the phase falls by π, whichever sign rounding gave the jump.
         size = np.abs(self.values)
+        # 2.8 rad between two neighbours of a refined grid is no curve but a jump by ±π; it counts as a pole's
+        # only where both sides are large, for at a zero of the axis the phase rises.
         over = (turns > 2.8) & (np.minimum(size[1:], size[:-1]) > np.median(size))
         turns[over] -= 2 * math.pi
         first = float(np.angle(self.values[0]))
+        # Bode's relation for a minimum-phase loop: phase = 90° times the slope. It picks the multiple of
+        # 360°, which the angle alone leaves open: k/s³ starts at −270° and not at +90°.
         x = np.log(self.frequency[:2])
         slope = float(np.diff(np.log(size[:2]))[0] / (x[1] - x[0]))
         if math.isfinite(slope):
@@ -247,6 +254,7 @@ def sample(
 def _evaluated(loop: SampledLoop, x: Real) -> LoopCurve:
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         values = loop(x)
+    # No value beside a pole says where the curve goes, and an infinite one would scale the axis away.
     # A pole or zero hit exactly is drawn as a gap in nothing: its neighbours are 1e-9 beside it.
     usual = np.isfinite(values) & (values != 0)
     return LoopCurve(np.exp(x), np.where(usual, values, math.nan))

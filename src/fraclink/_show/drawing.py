@@ -63,9 +63,13 @@ class Figure:
     def inline(self) -> str:
         """The drawing as an element of a page that has `figure.css`."""
         if self.rigid:
+            # A plane must keep its proportions, so it is drawn with a viewBox as a file is; the page already
+            # has the style, and a ground of its own.
             text = re.sub(r"<style>.*?</style><rect[^>]*/>", "", self.alone(), flags=re.DOTALL)
             return text.replace(' role="img"', f' id="fig-{self.name}" role="img"', 1)
         body, height, right = self._body()
+        # The script under the pointer turns dots back into values by these ends: nine digits are more than a
+        # screen's dots can tell apart in any zoom it offers.
         scale = f"{self.x.low:.9g} {self.x.high:.9g}{' log' if self.x.log else ''}"
         data = f'data-x="{scale}" data-link="{escaped(self.link or self.name)}"'
         style = f"height:{height:g}px;padding:0 {right:g}px 0 {self.left:g}px"
@@ -75,6 +79,7 @@ class Figure:
     def alone(self) -> str:
         """The drawing as a file, or as a cell's: with its own style, in both themes."""
         body, height, right = self._body()
+        # Both axes of a rigid figure have one scale, so it is as wide as high.
         across = self.panels[0].height if self.rigid else self.width - self.left - right
         inner = f'x="{self.left:g}" y="10" width="{across:g}" height="{height:g}"'
         nested = f'<svg {inner} overflow="visible">{body}</svg>'
@@ -88,11 +93,15 @@ class Figure:
         """Elements, height and the room at the right in dots."""
         parts, top, names = [], 24.0, [0]
         for panel in self.panels:
+            # 80 dots for a tick's text of at most seven characters, with as much room again between two of
+            # them.
             ticks = max(3, int(min(self.ticks, self.width / 80)))
             frame = Frame(self.x, panel.y, top, panel.height, ticks, self.left)
             layers = [mark.drawn(frame) for mark in panel.marks]
             parts.append(_panel(panel, frame, layers, last=panel is self.panels[-1]))
             names += [len(name) for layer in layers for _, name, _ in layer.ends]
+            # 34 dots between panels: the label of the next one above its edge, and the ends of this one's
+            # scale.
             top += panel.height + 34.0
         bottom = top - 34.0
         if self.xlabel:
@@ -104,12 +113,15 @@ class Figure:
         if self.key:
             parts.append(_key(self.key, bottom + 14.0))
             bottom += 40.0
+        # Names at the ends of lines stand outside of the panel, behind a key of 29 dots; without any the last
+        # tick's text still needs half its width.
         right = 14.0 if max(names) == 0 else 38.0 + _LETTER * max(names)
         return "".join(parts), bottom, right
 
 
 def save_svg(text: str, path: Path | str) -> None:
     """Write a drawing to a file, whole or not at all; FieldError for a file of another kind."""
+    # Written as .png or .pdf the file would open in no program: refused before anything is written.
     if Path(path).suffix.lower() not in ("", ".svg"):
         remedy = "end its name in .svg; browsers and Inkscape turn it into other kinds"
         raise FieldError("path", str(path), "a file of another kind", allowed=".svg", remedy=remedy)
@@ -141,6 +153,7 @@ def _key(key: tuple[str, ...], top: float) -> str:
 def _panel(panel: Panel, frame: Frame, layers: Sequence[Layers], *, last: bool) -> str:
     bottom = round(frame.top + frame.height, 1)
     lines, texts = [], []
+    # A tick for every 34 dots, twice the height of a line of text; the lowest panels still get four.
     for value, text in frame.y.marks(max(4, int(frame.height / 34))):
         y = frame.down(value)
         lines.append(f'<line class="grid" x2="100%" y1="{y}" y2="{y}"/>')
@@ -149,6 +162,8 @@ def _panel(panel: Panel, frame: Frame, layers: Sequence[Layers], *, last: bool) 
         x = frame.across(value)
         lines.append(f'<line class="grid" x1="{x}" x2="{x}" y1="{frame.top}" y2="{bottom}"/>')
         if last:
+            # On a narrow screen every second text is hidden by the style sheet; a page without a script
+            # cannot place ticks anew.
             hidden = ' class="alt"' if k % 2 else ""
             texts.append(
                 f'<text{hidden} x="{x}" y="{bottom + 17}" text-anchor="middle">{escaped(text)}</text>'
@@ -157,6 +172,8 @@ def _panel(panel: Panel, frame: Frame, layers: Sequence[Layers], *, last: bool) 
     place = f'y="{frame.top}" width="100%" height="{frame.height}"'
     view = f'viewBox="0 0 {ACROSS} {DOWN}" preserveAspectRatio="none"'
     box = f'<svg class="box" {place} {view} data-y="{scale}">'
+    # A zone lies below the grid, so that values can be read in it; bands and bars lie in the box with the
+    # curves, which stretches, and hide the grid only by their tint.
     shaded = "".join(layer.below for layer in layers if layer.below.startswith("<rect"))
     curves = "".join(layer.below for layer in layers if not layer.below.startswith("<rect"))
     curves += "".join(layer.curves for layer in layers)
@@ -173,6 +190,8 @@ def _ends(ends: Sequence[tuple[float, str, str]], frame: Frame) -> str:
     # Lines that end at one place keep the order in which they were drawn.
     placed = sorted(ends, key=lambda end: round(end[0] / 8))
     places = [end[0] for end in placed]
+    # Pushing two names apart pushes one of them into the next, so it is repeated; forty rounds are
+    # more than the few names of a panel need.
     for _ in range(40):
         for k in range(1, len(places)):
             near = _ROW - (places[k] - places[k - 1])
@@ -205,6 +224,7 @@ def _own_style() -> str:
     rules = re.sub(r"@media[^{]*\{(?:[^{}]*\{[^{}]*\})*\s*\}", "", rules)
     rules = "\n".join(line for line in rules.splitlines() if line.strip())
     dark = "\n".join(rule for rule in re.findall(r"[^{}]+\{[^}]*\}", rules) if "var(--" in rule)
+    # Colours by value: `var(--…)` of a page does not reach into an image file, nor into a notebook's cell.
     return f"{literal(rules, LIGHT)}\n@media (prefers-color-scheme: dark) {{ {literal(dark, DARK).strip()} }}"
 
 

@@ -87,6 +87,8 @@ def structure_view(fit: Any) -> View:
         interval = fit.intervals.get(name)
         if name in fit.fixed:
             known = "given"
+        # Before the interval: at a bound the curvature says nothing, and an interval from it would be an
+        # invention.
         elif name in fit.at_bound:
             known = "at a bound of its range"
         elif interval is None or name in fit.undetermined:
@@ -118,6 +120,7 @@ def driven_view(found: Any) -> View:
         (text, number(fit.parameters[name], 5), _span(shown[name]) if name in shown else "not determined")
         for text, name in named
     ]
+    # Derived from the parameters before it, hence without an interval of its own.
     rows.insert(2, ("peak [rad/s]", "–" if found.peak is None else number(found.peak, 5), ""))
     state = "passed" if found.passed else "not shown"
     table = Table(("link and motor", "value", "95 % interval"), tuple(rows))
@@ -165,5 +168,6 @@ def experiment_view(plan: Any) -> View:
         "peak deflection [rad]": number(plan.peak_deflection, 5),
         "peak voltage [V]": number(plan.peak_voltage, 5),
     }
+    # An excitation for the motor alone has no standard error of λ, and is not told that it has none.
     known = tuple((name, value) for name, value in rows.items() if value != "–")
     return View(tables=(Table(("experiment", "value"), known),))

@@ -55,6 +55,8 @@ def _histogram(name: str, column: Real) -> Figure:
     finite = column[np.isfinite(column)]
     never = len(column) - len(finite)
     low = float(finite.min()) if finite.size else 0.0
+    # One run in a thousand may stand far out; on a scale that reaches it the others would share one bar. What
+    # lies beyond is counted in the last bar, not left out.
     top = float(np.quantile(finite, 0.999)) if finite.size else 1.0
     top = top if top > low else low + 1.0
     heights, edges = np.histogram(np.clip(finite, low, top), bins=_BINS, range=(low, top))
@@ -67,6 +69,7 @@ def _histogram(name: str, column: Real) -> Figure:
         marks.append(Upright(end, f"never: {100 * never / len(column):.3g} %", left=True))
     for share, text in ((0.5, "median"), (0.95, "95 %")) if finite.size else ():
         at = float(np.quantile(finite, share))
+        # Beside the bar for "never" there is no room for a second text: the line stays.
         marks.append(Upright(at, text if not (share > 0.9 and never) else ""))
     panel = Panel(
         f"{SHOWN[name]} [{unit}]", Scale(0.0, 1.15 * max(*heights, never, 1), ticks=()), marks, 90.0
@@ -84,11 +87,14 @@ def strongest(summary: Summary) -> tuple[str, str]:
 
 def failures_figure(across: Real, up: Real, failed: NDArray[np.bool_], names: tuple[str, str]) -> Figure:
     """Share of runs that fail over two drawn parameters, whose axes `names` title."""
+    # As many cells as hold 2 · 30 runs on the average, so that most of them may be coloured: a share of 30
+    # runs is known to ± 9 % at best (one standard error at one half).
     cells = int(np.clip(np.sqrt(across.size / (2 * _FEWEST)), 3, _MOST_CELLS))
     runs, x, y = np.histogram2d(across, up, bins=cells)
     bad, _, _ = np.histogram2d(across[failed], up[failed], bins=(x, y))
     with np.errstate(invalid="ignore", divide="ignore"):
         share = np.where(runs >= _FEWEST, 100.0 * bad / runs, np.nan)
+    # histogram2d has its first parameter along the rows, a drawing across: hence the transposition.
     levels = np.where(np.isfinite(share), np.digitize(np.nan_to_num(share), _SHARES), -1).T
     first, second, third = (number(limit) for limit in _SHARES)
     key = (
@@ -108,6 +114,7 @@ def driver_rows(
     summary: Summary,
 ) -> tuple[tuple[str, ...], Sequence[tuple[str, tuple[tuple[str, int], ...]]]]:
     """Parameters, and for each metric its rank correlations as text with a level of colour."""
+    # Saturation is a means, not an end: no requirement is stated for it.
     metrics = [m for m in summary.metrics if m.name != "saturated"]
     names = sorted({p for p, _ in metrics[0].drivers})
     rows = []
@@ -129,6 +136,7 @@ def drivers_figure(summary: Summary) -> str:
     names, rows = driver_rows(summary)
 
     def table(frame: Frame) -> str:
+        # Names are turned by 45° to fit over their columns, and the last of them needs room to the right.
         parts, width = [], 0.94 / len(names)  # the last name leans over the right edge
         for column, name in enumerate(names):
             place = f'x="{percent((column + 0.5) * width)}" y="{frame.top + _HEAD - 8}"'
@@ -151,6 +159,7 @@ def drivers_figure(summary: Summary) -> str:
 
 
 def _correlation(value: float) -> str:
+    # Of 1000 runs a rank correlation of 0.05 is about 1.6 standard errors (1/√n): noise, left blank.
     return f"{value:+.2f}".replace("-", "−") if abs(value) >= 0.05 else ""
 
 
@@ -231,6 +240,7 @@ def _cell(mine: list[Outcome], severity: int, payload: float) -> Cell:
     where = f"severity {severity}, {grams(payload)}"
     if not here:
         return Cell(-1, "", f"{where}: not run")
+    # A cell is as bad as its worst run; how many runs were so is said in words under the pointer.
     level = max(GROUPS.index(outcome.group) for outcome in here)
     failed = sum(not outcome.passed for outcome in here)
     words = f"{where}: {GROUPS[level]}" + (f", {failed} of {len(here)} runs" if failed else "")
@@ -257,7 +267,10 @@ def rivals_figure(result: Tournament) -> str:
     columns = []
     for column, (attribute, title, factor, left) in enumerate(_COLUMNS):
         values = [factor * float(getattr(standing, attribute)) for standing in result.standings]
+        # Some rival may never settle: infinity has no place on a scale, and is said in words.
         finite = [value for value in values if math.isfinite(value)] or [1.0]
+        # From zero where values share a decade; a rival's vibration or noise may be a thousand times
+        # another's.
         x = Scale(left, _END * max(*finite, 10 * left), log=True) if left else Scale(0.0, 1.1 * max(finite))
         rows = _rows(result.standings, values, x, names=not column)
         panel = Panel(title, Scale(0.0, 1.0, ticks=()), (), _RIVAL * len(values), rows)

@@ -50,6 +50,8 @@ def payloads_of(design: Design) -> list[float]:
 
 def _frequencies(design: Design, payload: float) -> Real:
     """A grid [rad/s] that is dense where the mode turns the curve, and ends at the Nyquist frequency."""
+    # Around the mode the phase turns by λ·90° within a few per cent of ω: sinh puts half of the points within
+    # a quarter of it, a quarter within 9 %. On an even grid of as many a resonance would have corners.
     mode = float(design.loop.peak(design.natural_frequency(payload)))
     near = mode * np.exp(np.sinh(np.linspace(-3.5, 3.5, 181)) / np.sinh(3.5) * 1.5)
     ends = np.geomspace(0.03 * mode, math.pi / design.rig.period, 160)
@@ -70,6 +72,8 @@ def bode_figure(design: Design) -> Figure:
         gain.append(Curve(w, 20 * value.real / math.log(10), line, grams(payload)))
         phase.append(Curve(w, np.degrees(value.imag), line))
         for crossing in design.at(payload).gain_crossings:
+            # The logarithm keeps the sheet of the phase, so that the dot lies on its curve however many turns
+            # a delay has added; the margin alone would leave the turn open.
             at = design.loop.log(np.array([crossing.frequency]), design.natural_frequency(payload))[0]
             gain.append(Point(crossing.frequency, 0.0, line=line))
             phase.append(Point(crossing.frequency, math.degrees(at.imag), line=line))
@@ -91,9 +95,11 @@ def pid_figure(made: PidTuning) -> Figure:
         w = w[w < math.pi / made.period]
     loop = np.asarray(made.open_loop(1j * w))
     decibels = 20 * np.log10(np.abs(loop))
+    # An integrator runs to infinity on the left: 60 dB either way is more than any margin is read from.
     decibels = np.where(np.abs(decibels) > 60.0, np.nan, decibels)
     angle = np.degrees(np.unwrap(np.angle(loop)))
     here = float(np.interp(math.log(crossover), np.log(w), angle))
+    # On the sheet of the stated margin: unwrapped from the left the phase may lie a whole turn off.
     shift = 360.0 * round((here + 180.0 - math.degrees(made.margins.phase_margin)) / 360.0)
     angle, here = np.where(angle - shift < -360.0, np.nan, angle - shift), here - shift
     quarters = tuple((float(k), f"{k}".replace("-", "−")) for k in range(-360, 91, 90))
@@ -124,6 +130,7 @@ def pid_figure(made: PidTuning) -> Figure:
 def pid_step_figure(made: PidTuning, law: Law, size: float = 1.0, duration: float | None = None) -> Figure:
     """Draw measurement and output of the shipped law after a step of the reference."""
     step = made.step(law=law, size=size, duration=duration)
+    # The output is held between samples: steps and no slopes, as the actuator gets it.
     held = np.repeat(step.output, 2)[:-1]
     times = np.repeat(step.time, 2)[1:]
     panels = (
@@ -160,6 +167,8 @@ def nyquist_figure(design: Design, proved: float | None = None) -> Figure:
     for line, payload in zip(LINES, payloads, strict=False):
         w0 = design.natural_frequency(payload)
         value = design.loop(_frequencies(design, payload), w0)
+        # The circle of an undamped resonance is many times larger than the detail: outside it is cut off, or
+        # its chords would cross the picture.
         value = np.where(np.abs(value) > 6.0, np.nan, value)
         marks.append(Curve(value.real, value.imag, line, grams(payload)))
         for crossing in design.at(payload).gain_crossings:
@@ -180,6 +189,8 @@ def margins_figure(design: Design) -> Figure:
     and rig leave open.
     """
     low, high = design.payloads
+    # Below the range the mode is fast and the margin falls quickly; above it changes little: hence more room
+    # on the light side, and geometric steps.
     payloads = np.geomspace(_BEYOND * low, 1.15 * high, _STEPS)
     mass = 1e3 * payloads
     margin: list[Mark] = [Zone(1e3 * low, 1e3 * high), Across(0.0, limit=False)]
@@ -210,9 +221,12 @@ def _fan(design: Design, payloads: Real) -> tuple[Real, Real] | None:
     """Smallest and largest phase margin [°] of the corners of a box of parameters, over payloads."""
     try:
         box = design.box or ParameterBox.of(design.model, design.rig)
+    # A fit whose interval of the delay lies below zero states no box of arms that could exist.
     except FieldError:  # of a gauge that leads its encoder nothing is known
         return None
     w0 = np.array([design.natural_frequency(float(m)) for m in payloads])
+    # Every corner with the controller as it was designed: what an arm other than the model does to the
+    # margin.
     loops = (arm.loop(design.controller, design.rig) for arm in arms_of(box, design.model))
     angles = np.degrees([loop.achieved(w0, design.rig.period).phase_margin for loop in loops])
     return np.min(angles, axis=0), np.max(angles, axis=0)
@@ -249,6 +263,7 @@ def margin_curves_figure(
 
 def budget_figure(shares: Sequence[PhaseShare], payload: float | None = None) -> Figure:
     """Draw the phase budget as a waterfall: from 180° down to the phase margin."""
+    # The margin is 180° + arg L: the sign of the feedback is the first element, and lags take from it.
     steps = [("feedback", 0.0, 180.0, "180°", 0)]
     level = 180.0
     for share in shares:
@@ -304,6 +319,8 @@ def map_figure(
     x, y = (_edges(values) for values in (across, up))
     levels = _levels(found.noise_gain)
     asked = [place for place in (request, nearest) if place is not None]
+    # Both the refused request and the nearest one must be seen, with some room beyond them, wherever the map
+    # ends.
     sx = Scale(
         min(x[0], *(p[0] for p in asked)) if asked else x[0], max([x[-1], *(1.05 * p[0] for p in asked)])
     )
@@ -313,6 +330,7 @@ def map_figure(
     )
     marks: list[Mark] = []
     for settling in _SETTLING:
+        # A crossover ω_c goes with a settling of about 2π/ω_c: workshops think in seconds.
         w = 2 * math.pi / settling
         if sx.low < w < sx.high:
             marks.append(Upright(w, f"{settling:g} s"))
@@ -335,6 +353,7 @@ def map_figure(
 def _outline(x: Real, y: Real, feasible: NDArray[np.bool_]) -> list[Mark]:
     """The upper and the lower edge of what is feasible, column by column."""
     some = feasible.any(axis=0)
+    # Steps along the cells, as they were computed: a smooth curve would promise what no cell was asked for.
     top = np.where(some, y[feasible.shape[0] - np.argmax(feasible[::-1], axis=0)], np.nan)
     bottom = np.where(some, y[np.argmax(feasible, axis=0)], np.nan)
     across = np.repeat(x, 2)[1:-1]
@@ -353,6 +372,8 @@ def _levels(values: Real) -> Real:
     finite = np.asarray(values)[np.isfinite(values)]
     if not finite.size:
         return np.array([1.0, 2.0, 3.0])
+    # Quartiles, so that each colour has about a quarter of the map: of equal steps the lowest would take
+    # nearly all, as the noise gain rises steeply at the edge.
     return np.array([float(f"{q:.2g}") for q in np.quantile(finite, (0.25, 0.5, 0.75))])
 
 

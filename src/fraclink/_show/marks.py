@@ -30,6 +30,8 @@ __all__ += ["Upright", "Zone", "escaped", "percent"]
 
 Real = NDArray[np.float64]
 
+# Whole numbers make a path half as long as decimals would. 4000 steps are a fifth of a dot at a text's width
+# of 860: finer than a stroke, and still after the page zooms in by four.
 ACROSS, DOWN = 4000, 2000  # steps of the box that curves lie in; it stretches with its panel
 _ASIDE = 0.55  # of the width: a text beside a place further right stands left of it
 
@@ -67,8 +69,11 @@ class Frame:
     def path(self, x: ArrayLike, y: ArrayLike, *, dots: bool = False) -> str:
         """A line through points, or a dot at each; what is not finite is a gap."""
         with np.errstate(invalid="ignore"):
+            # A scalar stands for a level or an upright line: Curve(w, 0.0) needs no array.
             a, b = np.broadcast_arrays(ACROSS * self.x.share(x), DOWN * (1.0 - self.y.share(y)))
         good = np.isfinite(a) & np.isfinite(b)
+        # Far outside, a value is clipped at once the panel's size: the slope at the edge hardly changes, and
+        # a pole does not put numbers of a hundred digits into the page.
         at = np.rint(np.clip(np.nan_to_num(a), -ACROSS, 2 * ACROSS)).astype(int)
         down = np.rint(np.clip(np.nan_to_num(b), -DOWN, 2 * DOWN)).astype(int)
         if dots:
@@ -80,9 +85,11 @@ class Frame:
             elif last is None:
                 parts.append(f"M{p} {q}l")
                 last = (p, q)
+            # A step of nothing is left out: where a record rests, all of its points fall on one place.
             elif (p, q) != last:
                 parts.append(f"{p - last[0]} {q - last[1]} ")
                 last = (p, q)
+        # A minus separates numbers as well as a space: 5 % of a log's drawing.
         return "".join(parts).replace(" -", "-").rstrip()
 
 
@@ -112,9 +119,13 @@ class Curve:
         dash = "" if self.dashed is False else " w" if self.dashed else f" d{self.line}"
         style = f"c{self.line}{dash} {self.weight}".strip()
         if self.weight == "fill":
+            # A disk or a corridor has no end where a name could stand, and must not cover the curves: it lies
+            # below.
             return Layers(below=f'<path class="b{self.line}" d="{frame.path(self.x, self.y)}z"/>')
         values = np.asarray(self.y, dtype=float).ravel()
         across = frame.x.share(np.broadcast_to(np.asarray(self.x, dtype=float), values.shape))
+        # A name stands where its line leaves the panel: what is drawn on behind the right edge is cut off
+        # there.
         seen = values[np.isfinite(values) & (across <= 1.0 + 1e-9)]
         named = f' data-name="{escaped(self.name)}"' if self.name else ""
         ends = ((frame.down(float(seen[-1])), self.name, style),) if self.name and seen.size else ()
@@ -159,6 +170,8 @@ class Band:
         x, low, high = (np.asarray(v, dtype=float) for v in (self.x, self.low, self.high))
         x, low, high = np.broadcast_arrays(x, low, high)
         there, back = frame.path(x, high), frame.path(x[::-1], low[::-1])
+        # Joined by a line instead of begun anew, both edges are one surface; two subpaths would be two
+        # slivers.
         back = re.sub(r"^M", "L", back)
         return Layers(below=f'<path class="b{self.line}" d="{there}{back}z"/>' if there else "")
 
@@ -175,6 +188,7 @@ class Bars:
         """One outline of all bars."""
         edges, heights = np.asarray(self.edges, dtype=float), np.asarray(self.heights, dtype=float)
         x = np.repeat(edges, 2)
+        # As one outline neighbours share their side: bars of their own would leave hairlines between them.
         y = np.concatenate([[0.0], np.repeat(heights, 2), [0.0]])
         return Layers(below=f'<path class="b{self.line} full" d="{frame.path(x, y)}z"/>')
 
@@ -193,6 +207,7 @@ class Cells:
         y = np.rint(DOWN * (1.0 - frame.y.share(self.up))).astype(int)
         parts: dict[int, list[str]] = {}
         for row, values in enumerate(self.levels):
+            # The appended value differs from the last one whatever that is, so that the last run ends, too.
             ends = np.flatnonzero(np.diff(values, append=values[-1] - 1)) + 1
             for start, end in zip([0, *ends[:-1]], ends, strict=True):
                 box = f"M{x[start]} {y[row]}H{x[end]}V{y[row + 1]}H{x[start]}z"
@@ -274,6 +289,8 @@ class Point:
             "ring": f'<circle class="c{self.line} ring" r="6"/>',
             "cross": f'<path class="c{self.line} cross" d="M-6-6l12 12m0-12l-12 12"/>',
         }
+        # No width of a text is known here, since the page's typeface is the reader's: the side with more room
+        # is the guess that rarely runs out of the drawing.
         left = float(frame.x.share(self.x)) > _ASIDE
         side = 'text-anchor="end" x="-9"' if left else 'x="9"'
         text = f'<text class="halo name" {side} y="-5">{escaped(self.text)}</text>' if self.text else ""

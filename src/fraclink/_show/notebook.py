@@ -44,6 +44,7 @@ def short(result: Any) -> str:
     'Experiment(log.csv)'
     """
     shown = view(result)
+    # Headlines may have several lines, as a tournament's; a repr is one.
     text = " ".join(f"{marked(shown.state)}: {shown.headline}".removeprefix(": ").split())
     text = text if len(text) <= _LONGEST else text[: _LONGEST - 1] + "…"
     return f"{type(result).__name__}({text})"
@@ -51,6 +52,8 @@ def short(result: Any) -> str:
 
 def drawing(result: Any) -> str | None:
     """Return the drawing of a result as SVG, in the colours of both themes; None where it has none."""
+    # By the class itself and not by its bases: a subclass that has no drawing of its own is not drawn as
+    # something else.
     if type(result).__name__ not in _DRAWINGS:
         return None
     drawn: Figure | str = looked_up(_DRAWINGS, result)(result)

@@ -53,11 +53,15 @@ def tightened(script: str) -> str:
         if part.lastgroup in ("comment", "space"):
             gap = "\n" if "\n" in text or gap == "\n" else " "
             continue
+        # What stands between two tokens is decided when the second is known: a space only between two words
+        # or two equal signs, `a - -b`, and a line break only where it may end a statement.
         before, after = found[-1][-1:], text[0]
         if gap == "\n" and _may_end(before, after):
             found.append("\n")
         elif gap and ((_is_word(before) and _is_word(after)) or (before == after and after in "+-")):
             found.append(" ")
+        # The last comma of a list and the last semicolon of a block separate nothing. In an empty for (;;)
+        # both count, which is why scripts are written without.
         if text in ("}", "]", ")") and found[-1] == ("," if text != "}" else ";"):
             found.pop()
         found.append(text)
@@ -85,6 +89,8 @@ def rendered(template: str, **contents: object) -> str:
     except ModuleNotFoundError as error:
         raise MissingExtraError("jinja2", "report") from error
 
+    # StrictUndefined: a name misspelled in a template is an error of the test suite, not a blank in a report.
+    # autoescape: names of files and columns come from outside.
     environment = jinja2.Environment(
         loader=jinja2.FunctionLoader(template_text),
         autoescape=True,

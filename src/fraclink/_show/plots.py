@@ -91,9 +91,12 @@ def _duration(system: FractionalTransferFunction) -> float:
     """Eight time constants of the slowest stable pole; of the lowest corner where there is none."""
     delay = max(t.delay for t in system.numerator)
     if not any(t.delay for t in system.denominator):
+        # Fractional systems decay at last like a power of time, which has no time constant; eight of the
+        # slowest exponential show what is not that tail.
         rates = -poles(system).real
         if np.any(rates > 0):
             return float(_TIMES / rates[rates > 0].min()) + 2 * delay
+    # Without a stable pole, as for 1/(s^0.5 + 1), the lowest corner frequency is the only time there is.
     low, _ = FractionalLoop.of(system, None).span
     return _TIMES / math.exp(low) + 2 * delay
 
@@ -232,9 +235,11 @@ def latency(run: RealtimeRun, *, ax: Any = None) -> Any:
     'time [µs]'
     """
     ax = new_axes() if ax is None else ax
+    # Up to twice the largest time, be it late: every period must have its bar.
     longest = max(run.period, *(float(np.max(x, initial=0.0)) for x in (run.latency, run.work)))
     bins = 1e6 * np.geomspace(_LEAST, 2 * longest, _BINS)
     for label, values in (("wake-up latency", run.latency), ("computing time", run.work)):
+        # A time of zero has no place on a logarithmic axis and counts as the smallest: no period is lost.
         ax.hist(1e6 * np.maximum(values, _LEAST), bins=bins, label=label, alpha=0.8)
     ax.axvline(1e6 * run.period, color=tint(ax, "quiet"), linestyle="--", linewidth=1.0, label="period")
     # Limits before scales: an axis that scales itself warns of a run that ended before its first period.
@@ -269,6 +274,7 @@ def feasibility(found: FeasibilityMap, *, ax: Any = None) -> Any:
     """
     ax = new_axes() if ax is None else ax
     grid = (found.gain_crossover, np.degrees(found.phase_margin))
+    # Where no controller exists nothing is drawn, and the background says so.
     shade = ax.pcolormesh(*grid, np.ma.masked_invalid(found.order), cmap="Blues", shading="nearest")
     ax.figure.colorbar(shade, ax=ax, label="β")
     noise = ax.contour(*grid, np.ma.masked_invalid(found.noise_gain), _NOISE, colors=tint(ax, "line-2"))

@@ -38,8 +38,11 @@ def plain(value: Any) -> Any:
     {'gain': 1.5, 'limit': None, 'payloads': [0.02, 0.04]}
     """
     if isinstance(value, float | np.floating):
+        # JSON has neither infinity nor NaN; Python's own writer would put words there that no other parser
+        # reads.
         return float(value) if math.isfinite(value) else None
     if isinstance(value, np.ndarray | np.generic):
+        # numpy's scalars are no JSON either; bool and str of numpy come back as Python's own.
         return plain(value.tolist())
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}

@@ -60,6 +60,7 @@ def render_report(study: Study, *, title: str | None = None, script: bool = True
     model = (
         design.model if design else study.fit.model if study.fit else study.rig.model if study.rig else None
     )
+    # The arm that moves needs a law: of the design, or of the study where the design has none.
     moves = study.law is not None or (design is not None and design.has_law)
     drawn = {name: figure.inline() for name, figure in _figures(study).items()}
     return rendered(
@@ -101,6 +102,8 @@ def _pointer(*, script: bool) -> Mapping[str, str] | None:
 
 def _inline(text: str) -> str:
     """A drawing that stands alone, without the style and the ground that the page has."""
+    # The page has the same rules once; a style in every drawing would be 4 kB each, and the policy allows a
+    # style by its hash alone.
     return text[: text.index("<style>")] + text[text.index("/>", text.index("</style>")) + 2 :]
 
 
@@ -210,6 +213,8 @@ def _map(study: Study) -> Figure | None:
         return None
     rates, angles = zip(*places, strict=True)
     # Wide enough for both places, and for what lies beside them.
+    # From a little motion to well beyond both places; margins up to 100°, where every design has become
+    # sluggish.
     crossovers = np.linspace(0.5 * min(rates), 1.25 * max(rates), _MAP)
     margins = np.linspace(math.radians(10.0), max(math.radians(100.0), 1.1 * max(angles)), _MAP)
     found = feasibility_map(model, study.rig, gain_crossovers=crossovers, phase_margins=margins)
@@ -222,6 +227,7 @@ def write_campaign_report(campaign: Campaign, folder: Path | str, summary: Summa
     Raises MissingExtraError where jinja2 is not installed.
     """
     names = list(fleets.SHOWN)
+    # Failures are drawn over the two parameters that matter most, or chance would fill the map.
     drivers = fleets.strongest(summary)
     first, second, passed, *values = columns(campaign, folder, *drivers, "passed", *names)
     titles = tuple(name.replace("_", " ") for name in drivers)

@@ -62,6 +62,7 @@ def shaped_figure(made: ShapedMove) -> Figure:
     """Draw reference and tips, the reference's acceleration, and the voltages of the runs that are kept."""
     reference, time = made.reference, made.period * np.arange(made.tip_angle.shape[1])
     # what comes after twice the move is rest and noise
+    # Half of the picture for the move, half for what it leaves behind.
     end = min(float(time[-1]), 2.0 * reference.duration)
     part = time <= end * (1 + 1e-9)
     time = time[part]
@@ -73,6 +74,7 @@ def shaped_figure(made: ShapedMove) -> Figure:
     else:
         tip.append(Curve(*envelope(time, made.target.angle(time)), 0, "path"))
     tip.append(Curve(*envelope(time, reference.angle(time)), 0, "reference", dashed=True))
+    # The acceleration shows how a shaped move differs from a smooth one, which angles do not.
     push = [Curve(*envelope(time, reference.acceleration(time)), 0)]
     voltage: list[Mark] = [Across(made.voltage, "limit"), Across(-made.voltage)]
     for line, payload, angle, volts in zip(
@@ -101,6 +103,7 @@ def outcome_figure(bench: Bench, outcome: Outcome) -> Figure:
         Curve(*envelope(e.faulty.time, e.faulty.torque), 0, "true"),
     ]
     modes = Scale(-0.4, len(MODES) - 0.6, ticks=tuple((float(k), name) for k, name in enumerate(MODES)))
+    # The mode is held for a period and changes at once: a slope between two of them would be a third.
     time, mode = np.repeat(e.faulty.time, 2)[1:], np.repeat(e.faulty.mode, 2)[:-1]
     rows = (
         Panel(f"{title}. Tip angle [rad]", *_tip(e), 190.0),
@@ -134,6 +137,8 @@ def _tip(e: Evidence) -> tuple[Scale, list[Mark]]:
 
 
 def _motor(e: Evidence) -> tuple[Scale, list[Mark]]:
+    # By the true angle and not by the encoder's, which is what is broken; 0.1 rad of room even beside
+    # an arm that stands.
     low, high = float(e.faulty.motor.min()), float(e.faulty.motor.max())
     edge = 0.2 * max(high - low, 0.5)
     marks: list[Mark] = [

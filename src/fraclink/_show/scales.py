@@ -30,8 +30,12 @@ def envelope(time: NDArray[Any], values: NDArray[Any], points: int = _POINTS) ->
     count = len(values)
     if count <= 2 * points:
         return time, values
+    # Stretches of equal length but for one sample, and none is empty, as each holds two samples or more:
+    # reduceat of an empty one would repeat its first value.
     edges = np.linspace(0, count, points + 1).astype(int)[:-1]
     low, high = np.minimum.reduceat(values, edges), np.maximum.reduceat(values, edges)
+    # Drawn in the order smallest, largest or the other way round a stretch of a sine would get a stroke back
+    # in time; where it begins tells which comes first.
     rising = values[edges] <= (low + high) / 2
     first, second = np.where(rising, low, high), np.where(rising, high, low)
     middle = np.append(edges[1:], count)
@@ -54,6 +58,7 @@ class Scale:
     def share(self, values: ArrayLike) -> Real:
         """Where values lie between the ends: 0 to 1."""
         at, ends = np.asarray(values, dtype=float), np.array([self.low, self.high])
+        # Outside of a logarithmic scale's domain the share is −∞ or NaN, which paths leave out as a gap.
         if self.log:
             with np.errstate(divide="ignore", invalid="ignore"):
                 at, ends = np.log(at), np.log(ends)
@@ -84,6 +89,8 @@ def nice_ticks(low: float, high: float, most: int) -> tuple[tuple[float, str], .
     >>> nice_ticks(0.0, 1.0, 5)
     ((0.0, '0'), (0.2, '0.2'), (0.4, '0.4'), (0.6, '0.6'), (0.8, '0.8'), (1.0, '1'))
     """
+    # 20 is there for a rough step that rounding puts just above 10 times its power; 0.999 lets a side of
+    # exactly `most` steps have them.
     rough = (high - low) / max(most, 1)
     power = 10.0 ** math.floor(math.log10(rough))
     step = next(power * factor for factor in (1, 2, 2.5, 5, 10, 20) if power * factor >= 0.999 * rough)
@@ -106,8 +113,11 @@ def _text(value: float, step: float) -> str:
 def _decades(low: float, high: float, most: int) -> tuple[tuple[float, str], ...]:
     """Powers of ten, with 2 and 5 times them where there are few."""
     span = math.log10(high / low)
+    # 2 and 5 lie about evenly between powers on a logarithmic scale; three ticks a decade must still be about
+    # as few as asked for.
     factors = (1, 2, 5) if 3 * span < 1.2 * most else (1,)
     powers = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
     values = [factor * 10.0**power for power in powers for factor in factors]
     inside = [v for v in values if low * (1 - 1e-9) <= v <= high * (1 + 1e-9)]
+    # Over many decades every second or third power: all of them would run into one another.
     return tuple((v, _text(v, v)) for v in inside[:: 1 + len(inside) // (most + 3)])

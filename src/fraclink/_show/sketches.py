@@ -18,6 +18,8 @@ _LOOP = (652.0, 220.0)
 def _link(length: float, turned: float, bend: float) -> list[tuple[float, float]]:
     """A bent link from the hub's edge: points of a cantilever's first shape, turned by the motor's angle."""
     places = np.linspace(0.0, 1.0, 25)
+    # w(x) = x² (3L − x)/2, scaled to 1 at the tip: a cantilever with a force at its end, which is how a
+    # payload bends a massless link.
     away = bend * places**2 * (3 - places) / 2
     c, s = math.cos(turned), math.sin(turned)
     x, y = length * places, length * away
@@ -36,6 +38,8 @@ def _arc(x: float, y: float, radius: float, end: float) -> str:
 
 def arm_sketch(notes: tuple[str, str, str] = ("", "", "")) -> str:
     """Draw hub, link, payload and gauge from above, with θm, θt and Γ; notes: of motor, gauge and payload."""
+    # Bent against the turn, as at the start of a move: the tip lags behind the motor, θt < θm. Bend and angle
+    # are larger than life, to be told apart at this size.
     x, y, length, turned, bend = 70.0, 158.0, 300.0, math.radians(26), -0.16
     points = [(x + a, y + b) for a, b in _link(length, turned, bend)]
     tip = points[-1]

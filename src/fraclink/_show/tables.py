@@ -91,6 +91,7 @@ def _parameter(fit: Fit, name: str) -> str:
     value = getattr(fit.model, name)
     if name == "natural_frequency" and value == 0:
         return "–"  # a D-FOM that ended at its bound: the line below the table says which UD-FOM it is
+    # A parameter that the structure holds is no estimate: it has no error, and 0 damping has no order.
     if name not in structure(fit.structure).free:
         return "–" if value == 0 or (name == "damping_order" and fit.model.damping == 0) else number(value)
     # A line may end before the sign, never behind it.
@@ -106,6 +107,7 @@ def fits_table(fits: Mapping[str, Fit], *, brief: bool = False) -> Table:
 
     A terminal has room for the `brief` table: the two parameters of the fractional link, and no MSE.
     """
+    # 80 columns of a terminal: damping and its order are in the file and in the report.
     shown = [name for name in PARAMETERS if not (brief and name.startswith("damping"))]
     errors = () if brief else ("MSE",)
     header = ("structure", *(PARAMETERS[n] for n in shown), "delay [ms]", *errors, "AIC", "held-out NMSE")
@@ -184,6 +186,7 @@ def requirements_table(requirements: Iterable[Requirement]) -> Table:
 
     def slack(item: Requirement) -> float:
         # The equations are solved to rounding: 1e-16 of slack is none.
+        # Relative to the wanted value, so that it holds for radians as for rad/s; below 1 absolute.
         return 0.0 if abs(item.slack) < 1e-9 * max(1.0, abs(item.wanted)) else item.slack
 
     rows = tuple(
@@ -224,6 +227,8 @@ def _carried(run: Run) -> str:
     if given == "estimated":
         found = float(run.extras["payload_estimate"][-1])
         return f"{grams(run.payload)}, estimated " + (grams(found) if found else "not yet")
+    # "told" and the true payload are one; any other number is a payload that the law was wrongly given, and
+    # both are shown.
     own = isinstance(given, str) or given == run.payload
     return f"{grams(run.payload)}, given" if own else f"{grams(run.payload)}, given {grams(given)}"
 
@@ -274,6 +279,7 @@ def metric_name(name: str) -> str:
 
 def metric_text(name: str, value: float) -> str:
     """A metric's value in its unit."""
+    # Infinite is a time that never comes: the tip does not settle, or no growth could be found.
     return number(UNITS[name][1] * value, 3) if math.isfinite(value) else "never"
 
 
@@ -283,6 +289,7 @@ def spread_table(summary: Summary) -> Table:
     rows = []
     for metric in summary.metrics:
         values = (metric_text(metric.name, q.value) for q in metric.quantiles)
+        # One driver: the strongest. The drawing of all of them is in the campaign's report.
         driver = ", ".join(f"{name.replace('_', ' ')} {r:+.2f}" for name, r in metric.drivers[:1])
         rows.append((metric_name(metric.name), *values, driver.replace("-", "−")))
     return Table(("metric", *shares, "driven by"), tuple(rows))
@@ -290,6 +297,7 @@ def spread_table(summary: Summary) -> Table:
 
 def faults_table(table: FaultTable) -> Table:
     """One row for each fault, those that miss their requirement first."""
+    # sorted is stable: within met and missed the order of the catalogue stays.
     rows = tuple(
         (f"{row.number} {row.title}", str(row.runs), str(row.failed or "–"), state_of(row))
         for row in sorted(table.rows(), key=lambda row: row.passed)
@@ -351,6 +359,7 @@ def summary_rows(study: Study) -> list[Row]:
         filtered = f", δ = {number(1e3 * c.filter_time, 3)} ms" if c.filter_time else ""
         rows.append(("Controller", f"k_d = {number(c.gain, 4)}, β = {number(c.order, 4)}{filtered}"))
     if study.design is not None and study.design.has_law:
+        # A design for one payload has both ends alike, and is told once.
         ends = sorted(set(study.design.payloads))
         margins = (f"{degrees(study.design.sampled_at(m).phase_margin)} at {grams(m)}" for m in ends)
         rows.append(("Phase margin of the sampled loop", " and ".join(margins)))

@@ -34,6 +34,7 @@ def number(value: float | None, digits: int = 4) -> str:
         return "∞" if value > 0 else "−∞"
     text = f"{value + 0.0:.{digits}g}"  # of −0.0 the sum is 0.0: nobody reads a sign of nothing
     mantissa, _, exponent = text.partition("e")
+    # Python turns to powers of ten only below 1e-4; 0.0006871 and 0.006871 in one column are misread.
     if 0 < abs(value) < 1e-3 and not exponent:
         mantissa, _, exponent = f"{value:.{digits - 1}e}".partition("e")
     mantissa = mantissa.replace("-", "−")
@@ -52,8 +53,10 @@ def uncertain(value: float, error: float | None) -> str:
     """
     if error is None or not math.isfinite(error) or error <= 0:
         return number(value, 5)
+    # Digits of a value that may as well have the other sign would be read as knowledge.
     if error >= abs(value):
         return "undetermined"
+    # Two digits of the error: one would round 0.14 to 0.1, three claim what no covariance knows.
     places = max(0, 1 - math.floor(math.log10(error)))
     if places > 9 or abs(value) >= 1e6:
         return f"{number(value, 5)} ± {number(error, 2)}"
@@ -118,6 +121,7 @@ def option(name: str, value: float) -> str:
     # again. It has five digits already, on the feasible side; what is allowed at most is rounded up.
     word = f"--{name.replace('_', '-')}"
     shown, word = (math.degrees(value), f"{word}-deg") if name == "phase_margin" else (value, word)
+    # Eight digits: the request itself, on its bound as far as the solver went.
     if name in ("phase_margin", "gain_crossover"):
         return f"{word} {shown:.8g}"
     return f"{word} {math.ceil(1000 * shown * (1 + 1e-6)) / 1000:g}"
@@ -131,6 +135,7 @@ def sentence(text: str) -> str:
     """
     text = text.strip()
     first = text.partition(" ")[0]
+    # Fields such as link.stiffness are what the user types: a capital would make another name of them.
     named = "_" in first or "." in first.rstrip(".") or first == "fraclink"
     ended = text.endswith((".", "?", "!", ":")) or not text
     return (text[:1] if named else text[:1].upper()) + text[1:] + ("" if ended else ".")
@@ -204,6 +209,7 @@ def marked(state: str) -> str:
 def plain_text(shown: View, width: int = 80) -> str:
     """Return `shown` as lines of at most `width` columns, broken between words."""
     lead = f"{marked(shown.state)}: " if shown.state and shown.headline else marked(shown.state)
+    # The verdict first: it is what a person reads at all, and what a pipe into `head` keeps.
     parts = [folded(lead + shown.headline, width)] if shown.headline or shown.state else []
     parts += [table_text(table, width) for table in shown.tables if table.rows]
     notes = "\n".join(folded(note, width) for note in shown.notes)
@@ -240,9 +246,12 @@ def table_text(table: Table, width: int = 80) -> str:
     words = [max(-(-len(head) // 3), *map(len, head.split() or [""])) for head in table.header]
     widths = [max(word, *(len(row[k]) for row in rows)) for k, word in enumerate(words)]
     spare = width - sum(widths) - 2 * (len(widths) - 1)
+    # The order in which room is found: sentences fold, then columns move below, and only heads and paths
+    # overrun.
     if spare < 0:
         # Sentences give way: the widest column folds, as far as a line of it can still be read.
         widest = max(range(len(widths)), key=widths.__getitem__)
+        # 24 letters hold three or four words: below that a sentence becomes a column of single ones.
         widths[widest] = max(24, widths[widest] + spare)
         fitting = [sum(widths[:k]) + 2 * (k - 1) <= width for k in range(1, len(widths) + 1)]
         if not fitting[-1] and len(widths) > 2:
@@ -256,6 +265,7 @@ def table_text(table: Table, width: int = 80) -> str:
     for k, head in enumerate(table.header):
         more = min(max(spare, 0), max(0, len(head) - widths[k])) if spare >= len(head) - widths[k] else 0
         widths[k], spare = widths[k] + more, spare - more
+    # Numbers flush right, so that their digits stand below one another; words flush left.
     last = len(widths) - 1
     left = [k == 0 or (k == last and table.judged) or _wordy(rows, k) for k in range(len(widths))]
     lines = _folded_row(table.header, widths, left, bottom=True)
@@ -288,4 +298,6 @@ def _folded_row(row: Row, widths: list[int], left: list[bool], *, bottom: bool) 
 
 def looked_up(by_class: Mapping[str, Callable[[Any], Any]], result: Any) -> Callable[[Any], Any]:
     """The entry of a result's class, or of the nearest class above it that has one."""
+    # By name, as importing the classes would load every package to show one result; by the bases too, so that
+    # a user's subclass of a result is shown as that result.
     return next(by_class[kind.__name__] for kind in type(result).__mro__ if kind.__name__ in by_class)

@@ -66,12 +66,15 @@ def pid_view(made: PidTuning) -> View:
         notes.append(f"{number(1e3 * made.delay)} ms of the delay in the loop are those of the sampling")
     if not made.stable:
         notes.append("the closed loop is not stable")
+    # A reader of arms' certificates must not take this verdict for one.
     notes.append("computed, not proved: certificates know the loop of an arm, and no other plant")
     state = "passed" if made.passed else "failed"
     return View(made.controller.formula, (table,), (*notes, *map(str, made.findings)), state)
 
 
 def _shown(name: str, value: float) -> str:
+    # Solved to rounding, a margin of 60° reads 59.99999999: rounded before it is cut to four digits; + 0.0
+    # takes the sign of −0.
     return number(round(math.degrees(value), 5) + 0.0, 4) if name.endswith("[rad]") else number(value)
 
 
@@ -98,6 +101,8 @@ def watch_view(seen: Watch) -> View:
 
 def _measured(made: Tuning) -> Iterator[Row]:
     if made.motor is not None:
+        # The motor measured with its link is the later and better one; the errors are those of the motor's
+        # own experiments, which are larger.
         fit, errors = (made.link.motor if made.link else made.motor).fit, made.motor.fit.standard_errors
         yield "K/J [rad/(s²·V)]", number(fit.gain), number(errors["gain"], 2)
         yield "ν/J [1/s]", number(fit.decay), number(errors["decay"], 2)

@@ -76,6 +76,7 @@ def view(result: Any) -> View:
 
 def _findings_view(findings: tuple[Finding, ...]) -> View:
     found = [f.severity for f in findings]
+    # A warning is no failure, but a result with one is not yet shown to be right: the word between.
     state = "failed" if "error" in found else "not shown" if "warning" in found else "passed"
     counts = [(found.count(word), word) for word in ("error", "warning", "info") if word in found]
     headline = ", ".join(f"{n} {word}{'s' if n > 1 and word != 'info' else ''}" for n, word in counts)
@@ -126,6 +127,8 @@ def _design_view(design: Design) -> View:
     )
     headline = f"controller k_d = {number(c.gain, 5)}, β = {number(c.order, 5)}{filtered}"
     tables = (requirements_table(design.requirements),)
+    # A doubt about the input outweighs requirements that are met, for they are met by a model in doubt; one
+    # that is missed fails whatever the input.
     missed = any(not item.passed for item in design.requirements)
     state = "not shown" if design.doubts and not missed else state_of(design)
     return View(headline, tables, tuple(map(finding_line, design.findings)), state)
@@ -150,6 +153,7 @@ def _optimised_view(found: Any) -> View:
         for s in found.steps
     )
     shown = _design_view(found.design)
+    # A search that finds nothing is an answer; said first, or the table of structures reads as a failure.
     kept = f"no structure is better by {100 * found.least:g} %: the closed-form design is kept"
     notes = shown.notes if found.pays else (kept, *shown.notes)
     return replace(shown, tables=(Table(("structure", figure, ""), rows), *shown.tables), notes=notes)
@@ -203,6 +207,8 @@ def _rival_sentence(rival: Alternative, own: Alternative) -> str:
     name = f"{rival.name} (β = {rival.controller.order:.3g})"
     if not rival.stable:
         return f"{rival.name}: unstable for some payload of the range"
+    # At the bound on Ms a rival's gain may stay below 1 everywhere: a ratio of crossovers would be 0 and its
+    # noise look good.
     if rival.gain_crossover == 0.0:
         return f"{name} has no gain crossover at this Ms"
     speed, noise = rival.gain_crossover / own.gain_crossover, rival.noise_gain / own.noise_gain
@@ -220,6 +226,7 @@ def _map_view(found: Any) -> View:
 
 
 def _run_view(run: Run) -> View:
+    # The reason already says which requirement of the move was missed, with its number.
     headline = "move settled" if run.verdict.passed else run.verdict.reason
     return View(
         headline, (moves_table([run]),), tuple(map(finding_line, run.findings)), state_of(run.verdict)
@@ -227,6 +234,7 @@ def _run_view(run: Run) -> View:
 
 
 def _certificate_view(certificate: Any) -> View:
+    # The sign before the headline says "failed" already.
     return View(certificate.verdict.removeprefix("Not certified: "), state=state_of(certificate))
 
 
@@ -268,6 +276,7 @@ def faults_page(table: FaultTable) -> str:
 def _study_view(study: Study) -> View:
     verdict, design = study.verdict, study.design
     tables, notes = [verdict_table(verdict)], list(verdict.remarks)
+    # What is only good to know fills the report; a terminal gets what may change a decision.
     for finding in (*study.findings, *(design.findings if design else ())):
         notes += [f"{finding.code}: {finding.message}"] if finding.severity != "info" else []
     if study.comparison:
@@ -291,6 +300,7 @@ def _realtime_view(run: Any) -> View:
         f"{run.overruns} overruns, {run.lost_samples} lost samples"
     )
     notes = [*map(finding_line, run.findings), f"scheduling {run.scheduling}, memory {run.memory}"]
+    # Bit for bit, or the record is not that of this law: there is no "nearly" to report.
     notes += ["the record replays through the law to the last bit"] if run.first_difference is None else []
     notes += [] if run.passed else [f"stopped: {run.problem}"]
     table = Table(("time [µs]", "min", "mean", "99.9 %", "max"), rows)

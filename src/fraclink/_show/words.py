@@ -29,9 +29,12 @@ def arm_sentences(rig: Rig, model: LinkModel | None) -> list[str]:
         if model.second_mode is not None:
             hertz = number(model.second_mode.frequency / (2 * math.pi), 3)
             said.append(f"It has a second mode at {hertz} Hz; the design bounds the loop gain there.")
+        # Less than a microsecond is rounding of a fit: no log shows it.
         if abs(model.gauge_delay) > 1e-6:
             late = number(1e3 * abs(model.gauge_delay), 2)
             said.append(f"The gauge is {late} ms {'late' if model.gauge_delay > 0 else 'early'}.")
+    # (1 + 4) e⁻⁴: a double pole is within 9 % after four of its time constants, the workshop's usual figure
+    # [ms].
     settled = number(4.0e3 / rig.motor_loop.pole, 2)
     said.append(f"The motor follows within {settled} ms; the law runs every {number(1e3 * rig.period)} ms.")
     return said
@@ -58,6 +61,7 @@ def _swing(model: LinkModel) -> Iterator[str]:
     if ratio <= 0:
         yield f"{swing}, undamped in this model."
         return
+    # e^(−σt) = 0.05 after t = −ln 0.05/σ; in periods of 2π/ω, whatever the order λ, as the pole has both.
     swings = -math.log(_LEFT) * abs(pole.imag) / (2 * math.pi * -pole.real)
     yield f"{swing}; after {number(swings, 2)} swings the amplitude is down to 5 %."
 
@@ -128,6 +132,8 @@ def steps(study: Study) -> list[tuple[str, str]]:
     if study.design is None:
         return [("Request the nearest feasible design", nearest_command(study))] if study.refused else []
     todo = []
+    # In the order of what a reader can still lose: a failing arm first, then the proof, the faults, and only
+    # then the board.
     if study.arms is not None and study.arms.failed:
         todo.append(
             (
@@ -152,6 +158,8 @@ def steps(study: Study) -> list[tuple[str, str]]:
 def power_on(design: Design) -> list[str]:
     """The first power-on in the order in which a mistake costs least."""
     volts = design.rig.motor.voltage_limit
+    # A fifth of the voltage: a wrong sign of encoder or gauge then pushes the arm gently enough to be caught
+    # by hand.
     limit = f" ({number(0.2 * volts, 2)} V of {number(volts, 3)} V)" if math.isfinite(volts) else ""
     return [
         "Motor off: turn the hub by hand towards the positive side; the encoder must count up.",

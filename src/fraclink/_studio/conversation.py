@@ -110,6 +110,8 @@ class Conversation:
 
     async def run(self) -> None:
         """Answer until the page goes; what it left under way is stopped."""
+        # One task for each kind that is dragged and one for all that must keep its order: a slow exact design
+        # must not hold up the previews of the next drag.
         tasks = [asyncio.create_task(self._dragged(verb)) for verb in self._awake]
         tasks.append(asyncio.create_task(self._in_order()))
         try:
@@ -133,14 +135,19 @@ class Conversation:
             await self._sent(refusal(error).packed(0, "message"))
             return
         if message.verb in self._awake:
+            # The older one is forgotten here: a hand asks sixty times a second, and only where it is now is
+            # worth an answer.
             self._newest[message.verb] = message
             self._awake[message.verb].set()
+        # Past the queue: it is meant for what runs there, and would wait for its end.
         elif message.verb == "cancel":
             if self._job is not None:
                 self._job.cancel()
             await self._answered(message, Reply({"ok": True}))
         elif message.verb in _VERBS or message.verb in JOBS:
             if self._orderly.full():
+                # 1008: policy violation. Without a bound a page gone wild fills the memory of a machine that
+                # may be running an arm.
                 await self.socket.close(1008)
             else:
                 self._orderly.put_nowait(message)
@@ -154,6 +161,8 @@ class Conversation:
         while True:
             await self._awake[verb].wait()
             self._awake[verb].clear()
+            # Read behind the clearing of the event: a request that comes between the two wakes it again, and
+            # none is lost.
             message = self._newest[verb]
             work = self._preview if verb == "preview" else self._exact
             await self._answered(message, await asyncio.to_thread(_guarded, work, message))
@@ -164,6 +173,8 @@ class Conversation:
 
     def _exact(self, message: Message) -> Reply:
         def newer() -> bool:
+            # Asked by the thread that designs, between its stages: half a second of work is given up for a
+            # newer request.
             return self._newest["exact"] is not message
 
         return self.session.exact(message.given.get("state"), message.given.get("arm", ""), newer)
@@ -185,6 +196,7 @@ class Conversation:
 
         def tell(progress: Mapping[str, Any]) -> None:
             head = {**progress, "ok": True, "of": message.verb}
+            # The job runs in a thread; only the loop may write to the socket.
             future = self._sent(Reply(head).packed(message.seq, "progress"))
             asyncio.run_coroutine_threadsafe(future, loop)
 
@@ -198,6 +210,7 @@ class Conversation:
         await self._sent(answer.packed(message.seq, message.verb))
 
     async def _sent(self, data: bytes) -> None:
+        # Answers of three tasks: two sends at once would mix their frames.
         async with self._sending:
             with contextlib.suppress(RuntimeError, WebSocketDisconnect):  # the page has gone
                 await self.socket.send_bytes(data)

@@ -68,10 +68,12 @@ class _Log:
         elif source.is_relative_to(session.draft):  # sent by the page, which does not know where it lay
             self.word = source.name
         else:
+            # The command line calls the bundled log demo; its path lies in this machine's installation.
             self.word = "demo" if source == bundled_log("prbs_30g") else str(source)
 
     def words(self, verb: str, rig: str = "", *more: str) -> str:
         """The command `verb` on the log, with what was stated of its columns where a rig is named."""
+        # `inspect` lists what is in a file whatever it is taken for: it has no such options.
         stated: Sequence[str] = self.session.columns if rig else ()
         words = ["fraclink", verb, self.word, *(["--rig", rig] if rig else [])]
         for column in stated:
@@ -113,6 +115,7 @@ class _Log:
         given = f", {structure!r}" if structure else ""
         given += "" if heldout is None else f", heldout={heldout:g}"
         known = self.session.study.experiment
+        # A deflection is an angle over an angle, in which c cancels: it must be stated.
         if known is not None and known.output_kind == "deflection":  # it cannot show the stiffness
             given += ", stiffness=rig.link.stiffness"
         return self.lines("log = {read}", f"fit = fl.identify(log{given})")
@@ -157,8 +160,11 @@ def _completed(session: Session) -> dict[str, Any]:
     if made is None:
         return request
     known = study.rig.design if study.rig else None
+    # What was completed is read from the design and not worked out again: two ways to complete would differ
+    # some day.
     request["payloads"] = made.payloads
     request["gain_crossover"] = made.gain_crossover
+    # Where Ms was asked for the margin is a result; stated as well, it would be a second request.
     if request["max_sensitivity"] is None or request["phase_margin_deg"] is not None:
         request["phase_margin_deg"] = request["phase_margin_deg"] or round(math.degrees(made.phase_margin), 9)
     bounds = (request["noise_gain"], request["mode_gain"])
@@ -176,6 +182,7 @@ def as_command(request: Mapping[str, Any], rig: str, model: Path | None, out: Pa
         if value is None or value == USUAL.get(name):
             continue
         words.append(f"--{name.replace('_', '-')}")
+        # A flag has no word behind it.
         if value is not True:  # a flag has no word behind it
             words += map(_plain, value if isinstance(value, tuple) else (value,))
     return shlex.join([*words, "--out", str(out)])

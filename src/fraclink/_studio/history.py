@@ -14,6 +14,7 @@ from fraclink.errors import FieldError
 __all__ = ["History"]
 
 _NAME = "studio.jsonl"
+# At a state for every second that a hand lets go, nearly three hours.
 _MOST = 10_000  # lines that are read back; nobody takes back more, and a file from elsewhere may be long
 
 
@@ -83,10 +84,14 @@ class History:
             file.write(json.dumps(entry, allow_nan=False) + "\n")
         self._apply(entry)
 
+    # The same for a line that is read and for one that is written: a history read back is the one that was
+    # left.
     def _apply(self, entry: Mapping[str, Any]) -> None:
+        # A file edited by hand may name a state far behind the last: it becomes the next one.
         at = min(int(entry["at"]), len(self.states))
         if "state" in entry:
             self.states = [*self.states[:at], dict(entry["state"])]
+            # What is undone and then replaced is gone with its mark: another state has its number now.
             self.kept = {k for k in self.kept if k < at}
         self.at = min(at, len(self.states) - 1)
         if entry.get("kept") is True:
@@ -95,6 +100,7 @@ class History:
 
 def _entry(line: bytes) -> dict[str, Any] | None:
     """The entry of a line; None where it is not one."""
+    # No request that long is taken from a page either; a file of one endless line is not parsed.
     if len(line) > LONGEST:
         return None
     try:

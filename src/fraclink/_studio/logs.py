@@ -49,7 +49,10 @@ def thinned(values: Real, points: int = _POINTS) -> Real:
     """
     if values.size <= points:
         return values
+    # Two points a stretch, its smallest and its largest value in their order: what a picture of so many
+    # pixels shows anyway.
     size = -(-values.size // (points // 2))
+    # Filled up with the last value, which adds no extreme of its own.
     padded = np.concatenate([values, np.full(-values.size % size, values[-1])]).reshape(-1, size)
     low, high = np.argmin(padded, axis=1), np.argmax(padded, axis=1)
     rows = np.arange(padded.shape[0])
@@ -59,6 +62,7 @@ def thinned(values: Real, points: int = _POINTS) -> Real:
 
 def _finite(values: Real) -> Real:
     """The signal with its gaps closed by the value before: a picture has no room for a NaN."""
+    # Loggers write 1e38 or so for a missing value; as float32 that is nearly infinite.
     good = np.isfinite(values) & (np.abs(values) < 1e30)
     if not good.any():
         return np.zeros_like(values)
@@ -90,6 +94,7 @@ def _listing(session: Session) -> Reply:
     curves = {
         f"spark{k}": thinned(_scaled(_finite(values)), _SPARKS) for k, values in enumerate(table.values)
     }
+    # assume: a listing proposes, it does not read; a guess that is wrong is dragged away by hand.
     guessed = guess_columns(table, {}, assume=True)
     roles = {} if guessed.columns is None else guessed.columns.channels()
     places = {channel.column: role.replace("_", " ") for role, channel in roles.items()}
@@ -143,16 +148,20 @@ def _set_columns(session: Session, given: Mapping[str, Any]) -> Reply:
         guessed = guess_columns(read_table(session.source), statements(texts, None), assume=True)
         columns = guessed.columns
         if columns is None:
+            # Nothing is assumed where the columns are stated: a unit that was guessed wrong is a controller
+            # that is wrong.
             asked = " ".join(question.text for question in guessed.questions)
             allowed, remedy = "an answer to each question", "drag the channel to its place"
             raise FieldError("columns", ", ".join(texts)[:200], asked, allowed=allowed, remedy=remedy)
     rig = session.study.rig
     keep = _stretch(given.get("keep"))
+    # Without statements those of the rig file, as the command line takes them.
     log = read_log(session.source, columns=columns or rig.log, payload=payload, keep=keep)
     session.columns, session.payload, session.stretch, session.heldout = tuple(texts), payload, keep, None
     session.whole = log
     if keep is not None:  # the picture shows what lies beside it, if that can be read
         try:
+            # resample: the clock may be uneven beside the stretch; for a picture that does not matter.
             session.whole = read_log(session.source, columns=columns or rig.log, resample=True)
         except LogError:
             session.whole = None
@@ -180,6 +189,7 @@ def _experiment(session: Session) -> tuple[dict[str, Any], dict[str, Real]]:
     if log is None:
         return {"experiment": None}, {}
     rows = tables.log_table(log)
+    # The log's own and those of its examination overlap: each is told once.
     findings = tuple(dict.fromkeys((*log.findings, *session.study.findings)))
     shown = session.whole or log
     head = {
@@ -198,6 +208,7 @@ def _set_rig(session: Session, given: Mapping[str, Any]) -> Reply:
     else:
         rig = Rig.named(str(name)[:80])
     log = session.study.experiment
+    # The log stays, in SI units it knows no rig; everything that was computed for the old one goes.
     session.become(Study(rig=rig, assumptions=rig.assumptions) if log is None else examined(rig, log))
     session.renew()
     axes = session.subject.axes() if session.subject else {}
@@ -215,6 +226,7 @@ def _models(session: Session, given: Mapping[str, Any]) -> Reply:
         if fit is None:
             allowed, remedy = ", ".join(session.study.fits) or "a fit", "fit the log first"
             raise FieldError("structure", str(wanted)[:40], "not fitted", allowed=allowed, remedy=remedy)
+        # The design was made for the other model, and must not stand beside this one as if it were its own.
         session.become(bare(replace(session.study, fit=fit)))
     return fit_answer(session)
 
@@ -271,6 +283,7 @@ def _axes_of(curves: Mapping[str, Real], duration: float) -> dict[str, Any]:
 
     high = 1.08 * max(float(np.abs(curves["measured"]).max()), 1e-9)
     over_time = [{"low": 0.0, "high": duration}, {"low": -high, "high": high}]
+    # 70 dB: below lies the noise of a gauge of twelve bits.
     top = 5.0 + max(float(curves[name].max()) for name in ("response_log", "response_model"))
     return {
         "overlay": over_time,
@@ -285,6 +298,7 @@ def _axes_of(curves: Mapping[str, Real], duration: float) -> dict[str, Any]:
 def _pictures(log: Experiment, fit: Fit) -> dict[str, Real]:
     """Responses of log and model with their coherence, and the error over order and resonance."""
     seen, around = welch_response(log, fit), error_map(log, fit)
+    # 80 dB below the largest: a line at which nothing was heard would pull the axis down to −∞.
     low = 1e-4 * float(np.abs(seen.measured).max())
 
     def decibels(response: NDArray[np.complex128]) -> Real:
@@ -335,6 +349,8 @@ def _spectrum(output: Real, residual: Real, period: float) -> dict[str, Real]:
     window = np.hanning(output.size)
     both = [np.abs(np.fft.rfft((x - x.mean()) * window))[1:] for x in (output, residual)]
     frequency = np.arange(1, both[0].size + 1) / (output.size * period)
+    # 160 peaks on a logarithmic axis: of ten thousand lines, most of them in the last decade, a picture is a
+    # black band.
     edges = np.geomspace(frequency[0], frequency[-1], 161)
     place = np.clip(np.searchsorted(edges, frequency) - 1, 0, edges.size - 2)
     most = max(float(both[0].max()), 1e-300)
@@ -344,6 +360,7 @@ def _spectrum(output: Real, residual: Real, period: float) -> dict[str, Real]:
         np.maximum.at(peaks, place, values)
         known = peaks > 0.0
         level = 20 * np.log10(np.maximum(peaks / most, 1e-6))
+        # On the left a stretch may hold no line at all: it gets the straight line between its neighbours.
         found[name] = np.interp(np.arange(level.size), np.flatnonzero(known), level[known])
     return found
 

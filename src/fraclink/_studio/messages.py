@@ -60,11 +60,14 @@ class Reply:
         """
         arrays = {name: np.atleast_2d(np.asarray(curve, dtype="<f4")) for name, curve in self.curves.items()}
         for name, array in arrays.items():
+            # The page draws what it gets without looking: a NaN would end its line somewhere and nobody would
+            # know why.
             if not np.isfinite(array).all():
                 raise AssertionError(f"curve {name} is not finite")
         shapes = {name: list(array.shape) for name, array in arrays.items()}
         head = plain({**self.head, "seq": seq, "verb": verb, "curves": shapes})
         text = json.dumps(head, allow_nan=False, separators=(",", ":")).encode()
+        # A Float32Array of the page must begin at a multiple of four bytes; the spaces are still JSON.
         text += b" " * (-len(text) % 4)
         return struct.pack("<I", len(text)) + text + b"".join(array.tobytes() for array in arrays.values())
 
@@ -84,6 +87,7 @@ def parsed(text: object) -> Message:
     if not isinstance(found, dict):
         raise _refused(type(found).__name__)
     seq, verb = found.pop("seq", None), found.pop("verb", None)
+    # 2^53: the last whole number of JavaScript. bool is an int of Python, hence `type`.
     counted = type(seq) is int and 0 <= seq < 2**53
     if not counted or not isinstance(verb, str) or len(verb) > _NAME:
         raise _refused(f"seq {str(seq)[:_NAME]}, verb {str(verb)[:_NAME]}")
@@ -135,6 +139,7 @@ def checked_request(given: object) -> dict[str, Any]:
             raise FieldError("state", str(name), "unknown option", allowed=allowed, remedy=remedy)
     found = {}
     for name, hint in _HINTS.items():
+        # JSON has no tuples, and a range is one; None stands for whatever the rule or the rig chooses.
         value = given.get(name)
         if isinstance(value, list):
             value = tuple(value)

@@ -38,6 +38,7 @@ def _c(session: Session, made: Design, law: Law, precision: Any, force: bool) ->
 def _matlab(session: Session, made: Design, law: Law, precision: Any, force: bool) -> tuple[list[Path], str]:
     path = session.folder / "arm_law.m"
     # Without the motor loop, as the command writes it: MATLAB simulates the robot's own servo.
+    # The same function as the command's, so that the file is the same to the byte.
     own = discretize(made.controller, made.rig.period)
     return [export_matlab(own, path, force=force)], f"fraclink export matlab design.json --out {path}"
 
@@ -96,6 +97,7 @@ def _board(session: Session, given: Mapping[str, Any]) -> Reply:
     flash, state = exact_sizes(law)
     room = _kernels.law_sizes(precision == "single")
     modes = law.order + len(law.feedforward.poles)
+    # Counted for 6 + 2 modes, and carried over: every further one is eight instructions a period.
     counts = [f"about {count + _A_MODE * (modes - _OF_MODES)}" for count in _COUNTED]
     rows = [
         ["memory of each arm (RAM)", f"{state} bytes", f"{room[1]} bytes"],
@@ -112,6 +114,7 @@ def _zip(session: Session, given: Mapping[str, Any]) -> Reply:
     if not session.written:
         raise FieldError("files", None, "missing", allowed="exported files", remedy="export something first")
     place = session.draft / "studio.zip"
+    # In the draft folder: an archive in the results would be packed into the next one.
     with zipfile.ZipFile(place, "w", zipfile.ZIP_DEFLATED) as archive:
         for name in session.written:
             archive.write(session.folder / name, name)

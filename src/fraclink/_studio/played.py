@@ -45,6 +45,7 @@ def _play(session: Session, given: Mapping[str, Any]) -> Reply:
         "reference": run.reference, "tip": run.tip_angle, "motor": run.motor_angle, "torque": run.torque,
         "gauge": run.torque_measured, "voltage": run.voltage, "mode": run.mode, "reason": run.reason,
     }  # fmt: skip
+    # Modes 0 and 1 are idle and run: above them the law has reacted.
     after = "" if np.asarray(run.mode).max() <= 1 else " The law changed its mode."
     return _reply(f"On the twin: {said}.{after}", payload, math.degrees(move), curves)
 
@@ -55,7 +56,10 @@ def _events(given: Mapping[str, Any], angle: Callable[[Any], Any]) -> tuple[list
     said = []
     if isinstance(hold, Mapping):
         begin, until, place = (_number(hold, name) for name in ("begin", "until", "angle"))
+        # A hand stops the arm on its way: the stop stands before it, on the side that the reference will have
+        # reached in 0.3 s; at the moment of the grip it may still be at the tip's place.
         side: Literal[1, -1] = 1 if float(np.asarray(angle(np.array([begin + _AHEAD])))[0]) >= place else -1
+        # Let go in the same frame it is a stop of no length, which is none; a millisecond is a touch.
         events.append(Obstacle(begin, max(until, begin + 1e-3), place, side))
         said.append(f"held at {math.degrees(place):.3g}° from {begin:.2f} s on")
     if isinstance(throw, Mapping):
@@ -74,6 +78,8 @@ def _fault(session: Session, given: Mapping[str, Any]) -> Reply:
     case = Case(str(given.get("fault"))[:8], round(severity), payload, given.get("phase"), 1)  # type: ignore[arg-type]
     fault = fault_named(case.fault)
     bench = Bench.of(made, made.rig)
+    # In double precision and with seed 1, as the campaign of this page judged it: another precision is
+    # another run.
     seen = observe(bench, case, bench.law.in_precision("double"))
     run = seen.faulty
     curves: dict[str, Any] = {
@@ -91,6 +97,8 @@ def _reply(said: str, payload: float, move: float, curves: Mapping[str, Any]) ->
     for name, values in curves.items():
         found = np.asarray(values, dtype=float).copy()
         good = np.isfinite(found) & (np.abs(found) < 1e6)
+        # What is not finite is what the fault did to a reading; the law held the value before, and so does
+        # the picture.
         last = np.maximum.accumulate(np.where(good, np.arange(found.size), 0))
         clean[name] = np.where(good, found, 0.0)[last]
     return Reply({"ok": True, "said": said, "payload": payload, "move": move}, clean)

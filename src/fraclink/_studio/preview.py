@@ -96,6 +96,7 @@ def preview(subject: Subject, state: object, *, fan: bool = False) -> Reply:
         request = checked_request(asked)
         borrowed = subject.borrowed(request)
         made, assumed = design_for(subject.rig, subject.model, **wanted_of(request) | borrowed)
+        # W401 says what a filter takes of the phase: true, but of a filter that stands in no field.
         if borrowed:  # nobody asked for this filter, so nobody is told what it costs
             made = replace(made, findings=tuple(f for f in made.findings if f.code != "W401"))
         shown = _shown(subject, made, assumed)
@@ -120,6 +121,8 @@ def nearest(subject: Subject, state: object) -> Reply:
         found = dict(error.nearest)
     if "phase_margin" in found:
         found["phase_margin_deg"] = math.degrees(found.pop("phase_margin"))
+    # Rounded down, up, and as it is, in every combination: which side is feasible depends on the bound that
+    # binds, and the unrounded request is feasible in any case.
     sides: tuple[Callable[[float], float], ...] = (math.floor, math.ceil, lambda value: value)
     for sided in product(sides, repeat=len(found)):
         values = zip(found.items(), sided, strict=True)
@@ -136,6 +139,7 @@ def nearest(subject: Subject, state: object) -> Reply:
 def _shown(subject: Subject, made: Design, assumed: tuple[str, ...]) -> Reply:
     low, high = made.payloads
     nominal = made.rig.payloads.nominal
+    # Three curves whatever the range: where the nominal payload is no third one, the middle of the range is.
     three = (low, nominal if low < nominal < high else 0.5 * (low + high), high)
     links = np.array([made.natural_frequency(mass) for mass in three])
     logs = made.loop.log(subject.frequencies, links[:, None])
@@ -156,8 +160,11 @@ def _shown(subject: Subject, made: Design, assumed: tuple[str, ...]) -> Reply:
         "said": described(made, subject.payloads, margin),
     }
     if subject.law is not None:
+        # The poles of the last exact law with residues fitted anew: a fiftieth of the time of a new law.
         head |= _quick(subject.law, made)
     curves = {
+        # An undamped mode has a pole on the axis: clipped far outside of every plot, or float32 would carry
+        # infinities.
         "gain": np.clip(_DECIBELS * logs.real, -300.0, 300.0),
         "phase": np.clip(np.degrees(logs.imag), -7200.0, 7200.0),
         "crossover": crossover,
@@ -212,6 +219,7 @@ def blocks_of(law: Law) -> list[str]:
 def described(made: Design, payloads: Real, margin: Real) -> str:
     """Return what the plot of margins shows, in a sentence for those who do not see it."""
     low, high = made.payloads
+    # The plot's points are fixed while a hand drags the range: a narrow one may lie between two of them.
     inside = (payloads >= low) & (payloads <= high)
     if not inside.any() or math.isnan(float(margin[inside].min())):
         return "No payload of the plot lies within the range designed for."
@@ -220,6 +228,7 @@ def described(made: Design, payloads: Real, margin: Real) -> str:
     rest = (
         "; stable from {:.3g} to {:.3g} g of the plot".format(*(1e3 * stable[[0, -1]])) if stable.size else ""
     )
+    # A twentieth of a degree below the smaller end counts: less is the points' spacing.
     least = math.degrees(float(margin[inside].min()))
     # The points of the plot need not include the ends: said only where the middle is worse than both.
     middle = f", least {least:.1f}° between" if least < ends.min() - 0.05 else ""

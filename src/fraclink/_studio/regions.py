@@ -24,7 +24,10 @@ Real = NDArray[np.float64]
 
 _MOST = 8  # regions of a design
 _PAYLOADS = 9  # at which a region is looked at, ends included
+# Six intervals have 64 corners: at two payloads and 280 frequencies 36 000 numbers, for what is drawn as a
+# veil.
 _ARMS, _SKIPPED = 16, 4  # of the fan: at most so many corners of the box, every fourth frequency
+# 825 designs, a tenth of a second: too long for every step of a drag, which never computes the map.
 _CROSSOVERS, _MARGINS = 33, 25  # cells of the map
 _FASTEST, _WIDEST = 4.0, 100.0  # of the map: beyond the lightest link's ω₀ (as rad/s), and degrees of margin
 _DECIBELS = 20.0 / math.log(10.0)
@@ -61,9 +64,12 @@ class Region:
         >>> box.entered(w, above, above), box.entered(w, across, above)
         (False, True)
         """
+        # Over ln ω lines between neighbours are what the page draws, as its axis is logarithmic.
         logs = self.plot == "gain"
         x = np.broadcast_to(np.log(frequency), gain.shape) if logs else phase
         ends = (math.log(self.left), math.log(self.right)) if logs else (self.left, self.right)
+        # Along the payloads too: between two that are looked at, a resonance moves right across a narrow
+        # region, and neither curve enters it.
         return any(self._crossed(x, gain, ends, axis) for axis in (0, 1))
 
     def _crossed(self, x: Real, gain: Real, ends: tuple[float, float], axis: int) -> bool:
@@ -73,11 +79,14 @@ class Region:
         step = np.diff(points, axis=1 + axis)
         low = np.array([ends[0], self.low])[:, None, None] - first
         high = np.array([ends[1], self.high])[:, None, None] - first
+        # A step of nothing divides by zero: such lines run along an edge, and are in or out as a whole
+        # (`still`).
         with np.errstate(divide="ignore", invalid="ignore"):
             one, two = low / step, high / step
         still, inside = step == 0.0, (low < 0.0) & (high > 0.0)
         begin = np.where(still, np.where(inside, -np.inf, np.inf), np.minimum(one, two)).max(axis=0)
         end = np.where(still, np.where(inside, np.inf, -np.inf), np.maximum(one, two)).min(axis=0)
+        # Strictly: a line along the edge, or one that touches a corner, does not enter.
         return bool(np.any((begin < end) & (begin < 1.0) & (end > 0.0)))
 
 
@@ -103,6 +112,7 @@ def checked_regions(given: object) -> tuple[Region, ...]:
         region = Region(row["plot"], *map(float, edges))  # type: ignore[arg-type]
         if not (region.left < region.right and region.low < region.high):
             raise _refused(row)
+        # ω lies on a logarithmic axis: at 0 it has no place.
         if region.plot == "gain" and region.left <= 0.0:
             raise _refused(row)
         found.append(region)
@@ -134,13 +144,17 @@ def round_regions(subject: Any, state: object, regions: tuple[Region, ...]) -> d
     at = (here.gain_crossover, math.degrees(here.phase_margin))
     found = map_of(subject, state)
     crossovers, margins = np.asarray(found["crossovers"]), np.asarray(found["margins"])
+    # A crossover at half the speed and 30° of margin are changes of about one size to who designs: neither is
+    # given up for a trifle of the other.
     far = np.hypot(np.log2(crossovers / at[0])[None, :], (margins[:, None] - at[1]) / 30.0)
     far[np.asarray(found["noise"]) < 0.0] = np.inf
+    # In the order of distance, and the first that keeps out is taken: each try is a design of its own.
     for cell in np.argsort(far, axis=None):
         row, column = np.unravel_index(cell, far.shape)
         if not math.isfinite(far[row, column]):
             break
         tried = request | {
+            # Rounded before it is tried: what stands in the fields afterwards is what was found to keep out.
             "gain_crossover": float(f"{crossovers[column]:.3g}"),
             "phase_margin_deg": float(f"{margins[row]:.3g}"),
         }
@@ -162,6 +176,7 @@ def round_regions(subject: Any, state: object, regions: tuple[Region, ...]) -> d
 def map_of(subject: Any, state: object) -> dict[str, Any]:
     """Return which pairs of crossover and margin can be had: noise gain of each cell, −1 where none is."""
     request = checked_request(state)
+    # ω₀ has the unit s^(−λ/2); ω₀^(2/λ) is the frequency [rad/s] that it belongs to.
     slowest = float(subject.link_frequencies.min()) ** (2.0 / subject.model.order)
     fastest = float(subject.link_frequencies.max()) ** (2.0 / subject.model.order)
     crossovers = np.geomspace(0.5 * slowest, _FASTEST * fastest, _CROSSOVERS)

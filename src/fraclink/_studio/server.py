@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
 __all__ = ["LONGEST", "Studio", "application"]
 
+# No inline script or style, no other host, no frame: what a hostile name in a log could smuggle into the page
+# does not run. WebAssembly must be compiled, hence 'wasm-unsafe-eval'.
 POLICY = (
     "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; style-src 'self'; img-src 'self' data:; "
     "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
@@ -45,6 +47,8 @@ _KINDS = {".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".
 _SCRIPTS = ("arm_engine.js", "arm_drawing.js", "arm_page.js")
 LONGEST = 16_384  # bytes of a request: a state takes 400, the statements of twelve columns 2000
 UPLOAD_LIMIT = 200_000_000  # bytes: as much as the readers of logs take
+# A plain file name with an ending: no folder, no leading dot, nothing that a file system or a shell takes for
+# something else.
 _NAME = re.compile(r"[\w][\w .()+-]{0,100}\.\w{1,10}")
 _PATIENCE = 10.0  # [s] for the token, which the page sends at once
 
@@ -62,6 +66,7 @@ class Studio:
 
     def __init__(self, opening: Callable[[], Session], *, hosts: Iterable[str] = ()) -> None:
         self._session: Future[Session] = Future()
+        # A daemon: Ctrl-C while numpy is still loading ends the studio.
         Thread(target=self._open, args=(opening,), daemon=True).start()
         self.token = secrets.token_urlsafe(24)  # 192 bits
         self.hosts = frozenset(hosts)  # empty: set when the port is known
@@ -104,7 +109,11 @@ class _Guard:
             return
         headers = {key.decode("latin-1"): value.decode("latin-1") for key, value in scope["headers"]}
         origin = headers.get("origin")
+        # A browser names the origin of every socket and of every POST, and no script of another page can
+        # forge it; a GET of one's own has none.
         foreign = origin is not None and origin.removeprefix("http://") not in self.studio.hosts
+        # Another page may resolve its own name to 127.0.0.1 (DNS rebinding) and is then of one origin with
+        # it: the Host header still has its name.
         if headers.get("host") not in self.studio.hosts:
             await _refuse(scope, receive, send, 421, "wrong host")
         elif foreign or (origin is None and scope["type"] == "websocket"):
@@ -204,6 +213,7 @@ async def _uploaded(studio: Studio, request: Request) -> Response:
         with place.open("wb") as file:
             async for part in request.stream():
                 size += len(part)
+                # Counted while it comes: a length in the header is only a claim.
                 if size > UPLOAD_LIMIT:
                     raise ValueError
                 file.write(part)
@@ -227,6 +237,7 @@ def _downloaded(studio: Studio, request: Request) -> Response:
 async def _talked(studio: Studio, socket: WebSocket) -> None:
     await socket.accept()
     try:
+        # The token comes as the first message and not in the address, which logs and histories keep.
         token = await asyncio.wait_for(socket.receive_text(), _PATIENCE)
     except (TimeoutError, WebSocketDisconnect, KeyError):  # KeyError: bytes instead of text
         token = ""

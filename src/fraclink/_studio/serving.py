@@ -69,6 +69,7 @@ def serve(
         access_log=False,
         server_header=False,
         ws=_sockets(),
+        # Four bytes a letter at most (UTF-8): longer than any request that `parsed` would take.
         ws_max_size=4 * LONGEST,
         ws_ping_interval=_PING,
         ws_per_message_deflate=False,  # 14 kB a drag that never leave the machine
@@ -77,6 +78,7 @@ def serve(
     )
     server = uvicorn.Server(settings)
     say(address)
+    # Said before the browser is opened: on a machine without one the line is all there is.
     if open_page:
         webbrowser.open(address)
     with contextlib.suppress(KeyboardInterrupt):
@@ -106,6 +108,7 @@ async def _served(server: uvicorn.Server, listener: socket.socket, studio: Studi
 async def _watch(server: uvicorn.Server, studio: Studio) -> None:
     while True:
         await asyncio.sleep(_LOOK)
+        # A page that is reloaded is away for a second, a laptop that sleeps for longer: ten minutes are both.
         if studio.failed or (not studio.pages and time.monotonic() - studio.alone_since > _ALONE):
             server.should_exit = True
 
@@ -126,6 +129,7 @@ def _listening(host: str, port: int, unsafe_remote: bool) -> socket.socket:
         raise FieldError("host", host, problem, allowed=allowed, remedy=remedy)
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     listener = socket.socket(family, socket.SOCK_STREAM)
+    # Or a studio that is started again on its port waits a minute for the last one's sockets.
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         listener.bind((host, port))

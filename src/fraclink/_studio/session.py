@@ -60,6 +60,8 @@ class Session:
 
     def __init__(self, study: Study, folder: Path, *, kept: bool = False, source: Path | None = None) -> None:
         self.draft = Path(tempfile.mkdtemp(prefix="fraclink-studio-"))
+        # Also at the end of the interpreter and for a session that nobody closed: the draft holds a user's
+        # log.
         self.close = weakref.finalize(self, shutil.rmtree, self.draft, ignore_errors=True)
         self.study, self.folder, self.source = study, folder, source
         self.upload: Path | None = None
@@ -116,11 +118,14 @@ class Session:
         made = designed(bare(before), **wanted_of(request))
         if newer():
             raise SupersededError
+        # Only then the moves: a request that is already outdated does without.
         made = moved(made)
         with self.lock:
+            # By identity: an equal log read again is another one, whose findings may differ.
             inputs = ("rig", "experiment", "fit")  # another log may have been read meanwhile
             if newer() or any(getattr(self.study, name) is not getattr(before, name) for name in inputs):
                 raise SupersededError
+            # A hand that comes back to the same place has lost nothing: neither proof nor campaign is made anew.
             same = before.design == made.design
             if same:  # proof, arms and faults are of this very design
                 made = replace(
@@ -136,6 +141,8 @@ class Session:
         made, law = self.study.design, self.study.law
         if made is None or law is None:
             return {"arm_key": "", "arm": None}
+        # What the page's engine is built of: 100 kB that are sent only when one of these has changed. The
+        # law, which a drag changes, is sent by itself.
         whole = repr((made.model, made.rig, made.payloads)).encode()
         key = hashlib.sha256(whole).hexdigest()[:16]
         if known == key:
@@ -206,11 +213,13 @@ class Session:
 
         Raises FieldError where a file there is not the one that was read or kept, unless `force` is given.
         """
+        # Written to the draft first: only then is it known which files Keep would write.
         trial = self.draft / "keep"
         shutil.rmtree(trial, ignore_errors=True)
         save_study(self.study, trial)
         names = {path.name for path in trial.iterdir()}
         there = _digests(self.folder)
+        # A file counts as ours when its digest is that of what was read or kept: times and sizes lie.
         changed = sorted(n for n in names | set(self._kept) if n in there and there[n] != self._kept.get(n))
         if changed and not force:
             problem = "already there, or changed since it was read"
@@ -226,6 +235,7 @@ class Session:
 
     def _remove_outdated(self, names: set[str]) -> list[str]:
         """Remove what belonged to the design that was kept before, and would speak for this one."""
+        # Only files that this session read or kept: what a user laid beside them is not ours to remove.
         old = [p for pattern in _OUTDATED for p in self.folder.glob(pattern) if p.name not in names]
         gone = [path for path in old if path.name in self._kept]
         for path in gone:
@@ -262,6 +272,7 @@ def _subject_of(study: Study) -> Subject | None:
     except FieldError:
         return None
     made = study.design
+    # W406: the filter was made longer for the bound at the second mode.
     longer = made is not None and any(finding.code == "W406" for finding in made.findings)
     own = (made.controller.filter_time, made.controller.filter_order) if made and longer else None
     return Subject(rig, model, study.law, own)

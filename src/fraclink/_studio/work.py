@@ -70,6 +70,7 @@ class Job:
         asked = {name: _checked(name, bounds, self.given.get(name, usual)) for name, bounds, usual in options}
         place = Path(tempfile.mkdtemp(dir=self.session.draft))
         try:
+            # The campaign's parts stay where they are: a job that needs them makes them anew.
             save_study(replace(self.study, arms=None), place)
             self._run(place, asked, tell)
             return self._taken(place, asked)
@@ -77,6 +78,8 @@ class Job:
             shutil.rmtree(place, ignore_errors=True)
 
     def _run(self, place: Path, asked: Mapping[str, Any], tell: Callable[[Mapping[str, Any]], None]) -> None:
+        # A process of its own: it can be killed in the middle of a proof, and takes no time from the thread
+        # that answers drags.
         command = [sys.executable, "-m", "fraclink._studio.worker", str(place), self.verb, json.dumps(asked)]
         with self._lock:
             if self._cancelled:
@@ -87,6 +90,7 @@ class Job:
         with self._process as process:
             for line in process.stdout or ():
                 tell(json.loads(line))
+            # Read at the end: a job writes a line of error at most, which the pipe holds without a reader.
             code, said = process.wait(), (process.stderr.read() if process.stderr else "")
         if self._cancelled:
             raise _cancelled(self.verb)
@@ -100,6 +104,8 @@ class Job:
         found, session = load_study(place), self.session
         with session.lock:
             now = session.study
+            # A fit needs the log alone; everything else speaks for one design, and would be wrong beside
+            # another.
             another = self.verb != "identify" and now.design != self.study.design
             if another or now.experiment is not self.study.experiment:
                 raise FieldError(
@@ -155,6 +161,7 @@ def swept(design: Design, law: Law) -> tuple[dict[str, Any], dict[str, Real]]:
     low, high = design.payloads
     payloads = np.geomspace(_LIGHTER * low, _HEAVIER * high, _PAYLOADS)
     own = _plant(design, low, 0.0).delay
+    # From no delay at all, where the design's own is taken away, to six periods more.
     more = np.linspace(-own, _LATER * law.period, _DELAYS)
     rows = [[_distance(design, law, float(mass), float(late)) for mass in payloads] for late in more]
     nyquist = np.pi / law.period
@@ -165,6 +172,7 @@ def swept(design: Design, law: Law) -> tuple[dict[str, Any], dict[str, Real]]:
         for late in (0.0, 0.5 * float(more[-1])):
             loops.append(law.frequency_response(w) * _plant(design, mass, late)(w))
     values = np.array(loops)
+    # On a circle of 10 instead of cut off: the page draws one line, and beyond 10 only the direction tells.
     values = np.where(np.abs(values) > 10.0, 10.0 * values / np.abs(values), values)
     head = {
         "names": [grams(mass) for mass in three],
@@ -182,6 +190,7 @@ def _plant(design: Design, payload: float, late: float) -> Any:
 
 def _distance(design: Design, law: Law, payload: float, late: float) -> float:
     found = margins_of(law.frequency_response, _plant(design, payload, late))
+    # One scale from far (−1) over touching (0) to unstable (1): the map interpolates between cells.
     return -found.modulus_margin if found.stable else _UNSTABLE
 
 
@@ -192,6 +201,7 @@ def moves_of_arms(campaign: Campaign, failures: tuple[int, ...]) -> dict[str, Re
     out.
     """
     law = campaign.law
+    # So many runs hold _ARMS that pass even if all that fail were among them.
     passed = [run for run in range(min(campaign.runs, _ARMS + len(failures))) if run not in failures]
     count = round(_SEEN / law.period)
     curves: dict[str, Real] = {
@@ -201,6 +211,7 @@ def moves_of_arms(campaign: Campaign, failures: tuple[int, ...]) -> dict[str, Re
         moves = [replay_run(campaign, run) for run in runs]
         rows = [100.0 * move.tip_angle[:count:_EVERY] / move.reference[-1] for move in moves]
         if rows:
+            # A run that diverged is drawn to the edge of the picture, ten times the goal.
             curves[name] = np.clip(np.nan_to_num(np.array(rows), nan=1e3), -1e3, 1e3)
     return curves
 
@@ -238,6 +249,7 @@ def _cells(table: FaultTable) -> list[dict[str, Any]]:
     for outcome in table.outcomes:
         case = outcome.case
         key = (case.fault, case.severity, case.payload)
+        # A red cell leads to a run that shows why it is red.
         if key not in found or (found[key]["passed"] and not outcome.passed):
             names = ("fault", "severity", "payload")
             found[key] = dict(zip(names, key, strict=True)) | {"phase": case.phase, "passed": outcome.passed}

@@ -31,6 +31,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         save_study(_worked(load_study(place), verb, json.loads(options), place), place)
     except FraclinkError as error:
+        # One line: the last one is what the page shows.
         sys.stderr.write(f"{error}\n")
         return 2
     return 0
@@ -42,6 +43,7 @@ def _worked(study: Study, verb: str, options: Mapping[str, Any], place: Path) ->
         return identified(study, heldout=options["heldout"])
     if verb == "prove":
         _tell({"said": "proving every payload and delay"})
+        # What an earlier try said would be taken for this one's if it were cancelled.
         return proved(replace(study, uncertified=None, certificate=None))
     if verb == "arms":
         _tell({"said": f"trying {options['runs']:g} arms"})
@@ -53,6 +55,7 @@ def _with_faults(study: Study) -> Study:
     """Every fault at three severities and three payloads, in every phase of a move, with one seed."""
     assert study.design is not None  # noqa: S101
     bench = Bench.of(study.design, study.design.rig)
+    # A third of the command's campaign, which takes three seeds: somebody sits before the page and waits.
     planned = cases(bench, seeds=(1,))
     done = 0
 
