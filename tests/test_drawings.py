@@ -704,7 +704,7 @@ def test_the_map_of_faults_has_a_cell_for_every_severity_and_payload() -> None:
 
 @pytest.mark.parametrize("samples", [700, 2000])
 def test_the_bands_of_noise_hold_the_share_that_they_state(samples: int) -> None:
-    """Of white noise 99 % of the lines lie in the band; the response errs by less than its bound with 95 %."""
+    """Of white noise 99 % of the lines lie in the band; the response errs by less than its bound in 95 %."""
     rng = np.random.default_rng(samples)
     inside, below = [], []
     for _ in range(120):

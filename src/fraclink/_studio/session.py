@@ -125,7 +125,7 @@ class Session:
             inputs = ("rig", "experiment", "fit")  # another log may have been read meanwhile
             if newer() or any(getattr(self.study, name) is not getattr(before, name) for name in inputs):
                 raise SupersededError
-            # A hand that comes back to the same place has lost nothing: neither proof nor campaign is made anew.
+            # A hand that comes back to the same place has lost nothing: proof and campaign still hold.
             same = before.design == made.design
             if same:  # proof, arms and faults are of this very design
                 made = replace(
