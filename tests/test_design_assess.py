@@ -11,6 +11,7 @@ import pytest
 import fraclink as fl
 from fraclink._arm.box import ParameterBox
 from fraclink._arm.controller import Controller
+from fraclink._arm.loop import Loop
 from fraclink._arm.motor import held_motor
 from fraclink._arm.motor_loop import MotorLoop, direct_placement, motor_loop_costs
 from fraclink._arm.rig import Rig
@@ -19,7 +20,10 @@ from fraclink._certify import certify, enclose_phase_margin
 from fraclink._design import Design
 from fraclink._design.alternatives import compare_at_equal_sensitivity, feasibility_map
 from fraclink._design.assess import VibrationMode, margin_curve, phase_budget, spillover, tolerances
+from fraclink._design.equations import attempt, task_of
+from fraclink._design.procedure import requirements_of
 from fraclink._law import equip
+from fraclink._law.design import Specification
 from fraclink.errors import FieldError, InfeasibleError, SizeError
 
 RIG = Rig.named("paper-2023")
@@ -327,3 +331,153 @@ def test_transfer_is_one_plus_the_correction():
     assert np.allclose(controller.correction()(1j * w), controller.response(w), rtol=1e-13)
     assert np.allclose(controller.transfer()(1j * w), 1 + controller.response(w), rtol=1e-13)
     assert controller.is_strictly_proper and not controller.without_filter().is_strictly_proper
+    assert controller.formula == "C(s) = 1 + 0.148 s^0.65 / (1 + 0.16 s)^2"
+    assert replace(controller, filter_order=1).formula == "C(s) = 1 + 0.148 s^0.65 / (1 + 0.16 s)"
+    assert controller.without_filter().formula == "C(s) = 1 + 0.148 s^0.65"
+    assert not replace(controller, filter_order=1, order=1.0).is_strictly_proper
+
+
+# --- what a design says of itself, number by number ---------------------------------------------------------
+
+
+def test_a_bound_alone_is_the_requirement_that_it_adds() -> None:
+    base = {"gain_crossover": 12.0, "phase_margin": fl.deg(50)}
+    names = {}
+    for bound in ({}, {"noise_gain": 5.0}, {"max_sensitivity": 9.0}, {"settling_time": 0.9}):
+        spec = Specification(payloads=(0.02, 0.04), **base, **bound)
+        task = task_of(RIG.model, RIG, spec)
+        found = attempt(task)
+        assert found is not None
+        rows = requirements_of(task, task.controller(*found), spec)
+        names[tuple(bound)] = [item.name for item in rows][2:]
+        if bound:
+            assert rows[2].wanted == next(iter(bound.values())) and rows[2].bound == "at most"
+    assert names == {
+        (): [],
+        ("noise_gain",): ["noise gain"],
+        ("max_sensitivity",): ["sensitivity peak"],
+        ("settling_time",): ["settling time"],
+    }
+    assert rows[2].achieved == pytest.approx(2 * math.pi / rows[0].achieved) and rows[2].unit == "s"
+    assert rows[2].at_payload == 0.04
+
+
+def test_findings_of_a_filter_that_was_given() -> None:
+    """Lag n·atan(δ ω̄_c): W401 above a tenth of the margin, W402 where nothing filters, W403 for (39)."""
+    found = {time: fl.design(RIG.model, RIG, **WANTED, filter_time=time, law=False) for time in (0.0, 0.02)}
+    codes = {time: {one.code: one for one in made.findings} for time, made in found.items()}
+    assert set(codes[0.0]) == {"W402"} and set(codes[0.02]) == {"W401"}
+    long = found[0.02]
+    cost = long.controller.filter_order * math.atan(0.02 * long.gain_crossover_upper)
+    assert codes[0.02]["W401"].evidence == pytest.approx(
+        {"filter_time": 0.02, "cost_rad": cost, "phase_margin_rad": fl.deg(50)}
+    )
+    assert codes[0.0]["W402"].evidence == pytest.approx(
+        {"order": found[0.0].controller.order, "filter_time": 0.0}
+    )
+    # Condition (39), (−ω₀²/cos(πλ/2))^(1/λ) at the heaviest payload, is only sufficient.
+    low = RIG.natural_frequency(0.04)
+    bound = (low**2 / -math.cos(0.96 * math.pi)) ** (1 / 1.92)
+    near = {"payloads": (0.038, 0.04), "phase_margin": fl.deg(75), "law": False}
+    below = fl.design(RIG.model, RIG, gain_crossover=0.999 * bound, **near)
+    above = fl.design(RIG.model, RIG, gain_crossover=1.001 * bound, **near)
+    (told,) = [one for one in below.findings if one.code == "W403"]
+    assert told.evidence == pytest.approx({"gain_crossover": 0.999 * bound, "condition_39": bound})
+    assert "W403" not in {one.code for one in above.findings}
+
+
+def test_a_small_map_agrees_with_single_designs() -> None:
+    axes = {"gain_crossovers": [8.0, 12.0, 14.0], "phase_margins": fl.deg(50)}
+    for filter_time, kind in ((None, "loop"), (0.002, "loop"), (0.0, "ideal")):
+        options = {"payloads": (0.02, 0.04), "filter_time": filter_time, "margins": kind, "filter_order": 1}
+        found = feasibility_map(RIG.model, RIG, **axes, **options)
+        assert found.order.shape == (1, 3)
+        assert found.feasible[0].tolist() == [False, True, True]
+        assert all(math.isnan(column[0, 0]) for column in (found.gain, found.upper, found.noise_gain))
+        for column in (1, 2):
+            crossover = float(found.gain_crossover[column])
+            single = fl.design(
+                RIG.model, RIG, gain_crossover=crossover, phase_margin=fl.deg(50), **options, law=False
+            )
+            c = single.controller
+            got = [x[0, column] for x in (found.gain, found.order, found.upper, found.settling_time)]
+            wanted = [c.gain, c.order, single.gain_crossover_upper, 2 * math.pi / crossover]
+            assert got == pytest.approx(wanted, rel=1e-8)
+            if kind == "loop":
+                light = single.loop.noise_gain(single.natural_frequencies[1], RIG.period)[0]
+                assert found.noise_gain[0, column] == pytest.approx(light, rel=1e-6)
+                assert found.filter_time[0, column] == pytest.approx(c.filter_time, abs=1e-12)
+    wide = feasibility_map(
+        RIG.model,
+        RIG,
+        natural_frequencies=(9.6, 13.6),
+        gain_crossovers=12.0,
+        phase_margins=[2.9],
+        filter_order=2,
+    )
+    assert not wide.feasible.any()
+
+
+@pytest.mark.parametrize(
+    ("field", "values", "unit"), [("gain_crossovers", [-1.0], "rad/s"), ("phase_margins", [3.2], "rad")]
+)
+def test_an_axis_of_a_map_is_refused_in_its_own_unit(field: str, values: list[float], unit: str) -> None:
+    axes = {"gain_crossovers": [12.0], "phase_margins": [0.8]} | {field: values}
+    with pytest.raises(FieldError) as caught:
+        feasibility_map(RIG.model, RIG, **axes)
+    assert caught.value.field == field and unit in str(caught.value) and "kg" not in str(caught.value)
+    with pytest.raises(FieldError, match="without values"):
+        feasibility_map(RIG.model, RIG, **(axes | {field: []}))
+
+
+def test_shares_of_the_phase_are_those_of_the_elements(design: Design) -> None:
+    late = replace(design, model=replace(design.model, gauge_delay=0.003, gauge_gain=1.02))
+    w0 = late.natural_frequency(0.03)
+    w = float(late.full_loop.crossings(w0).frequency.max())
+    s = 1j * w
+    tip = w0**2 / (s**1.92 + w0**2)
+    gauged = 1 - 1.02 * np.exp(-0.003 * s) * (1 - tip)
+    c = late.controller
+    wanted = {
+        "link": np.angle(tip),
+        "gauge and second mode": np.angle(gauged / tip),
+        "derivative": 0.5 * math.pi * c.order,
+        "filter": 0.0,
+        "motor loop": -2 * math.atan(w / 80.0),
+        "hold": -0.002 * w,
+        "computation delay": -0.004 * w,
+    }
+    assert {share.element: share.phase for share in phase_budget(late, 0.03)} == pytest.approx(
+        wanted, abs=1e-9
+    )
+    assert "gauge and second mode" not in {share.element for share in phase_budget(design, 0.03)}
+    quiet = replace(design, controller=replace(design.controller, gain=1e-9))
+    with pytest.raises(FieldError, match="without a gain crossover"):
+        phase_budget(quiet, 0.03)
+
+
+def test_each_tolerance_is_where_the_signed_margin_ends() -> None:
+    made = fl.design(
+        RIG.model, RIG, payloads=(0.02, 0.04), gain_crossover=25.0, phase_margin=fl.deg(40), law=False
+    )
+    found, loop, ends = tolerances(made), made.full_loop, np.geomspace(*made.natural_frequencies, 9)
+
+    def stable(changed: Loop, w0: np.ndarray) -> bool:
+        return bool(np.min(changed.margins(w0)[1]) > 0)
+
+    for share, kept in ((1.001, True), (0.999, False)):
+        assert stable(replace(loop, lag=1 / (share * found.motor_pole)), ends) is kept
+        light = RIG.natural_frequency(share * found.payload_low)
+        assert stable(loop, np.array([light])) is kept
+    for ratio, inside in ((found.stiffness_high, 0.999), (found.stiffness_low, 1.001)):
+        for share, kept in ((inside, True), (1 / inside, False)):
+            changed = replace(loop, gauge_gain=ratio * share)
+            assert stable(changed, ends * math.sqrt(ratio * share)) is kept
+    assert found.payload_high == math.inf  # up to 49 times the heaviest
+    falling = [
+        crossing.phase_margin / crossing.frequency
+        for w0 in ends
+        for crossing in loop.margins_at(float(w0)).gain_crossings
+        if crossing.frequency > w0
+    ]
+    assert found.delay == pytest.approx(min(falling), rel=1e-6)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,11 +10,14 @@ import numpy as np
 import pytest
 
 import fraclink as fl
-from fraclink._arm.box import ParameterBox, arms_of
+from fraclink._arm.box import Arm, ParameterBox, arms_of
 from fraclink._arm.link import SecondMode
 from fraclink._arm.loop import Loop
 from fraclink._arm.motor_loop import MotorLoop
 from fraclink._design import Design, design
+from fraclink._design.equations import task_of
+from fraclink._design.over_box import _shrunk, cost_of_box
+from fraclink._law.design import Specification
 from fraclink.errors import FieldError, InfeasibleError
 
 RIG = fl.Rig.named("paper-2023")
@@ -141,3 +145,62 @@ def test_bad_boxes_are_refused(box: object, margins: str) -> None:
     with pytest.raises(FieldError) as caught:
         design(RIG.model, RIG, **WANTED, box=box, margins=margins, law=False)
     assert caught.value.field == "box"
+
+
+# --- one parameter after the other ------------------------------------------------------------------------
+
+
+def test_each_interval_is_closed_towards_the_model_alone() -> None:
+    link = replace(RIG.model, damping=0.4, second_mode=MODE)
+    box = replace(ParameterBox.at(link), natural_frequency=(10.0, 13.0))
+    far = {"order": 1.9, "damping": 0.5, "gauge_gain": 1.05, "gauge_delay": 0.002}
+    arm = Arm(replace(link, **far, second_mode=replace(MODE, frequency=190.0)), 1.1)
+
+    def moved(name: str, point: float, share: float) -> tuple[ParameterBox, Arm]:
+        return _shrunk(box, arm, name, point, share)
+
+    for name, point, half in (
+        ("order", 1.92, 1.91),
+        ("damping", 0.4, 0.45),
+        ("gauge_gain", 1.0, 1.025),
+        ("gauge_delay", 0.0, 0.001),
+    ):
+        same, there = moved(name, point, 0.5)
+        assert getattr(there.model, name) == pytest.approx(half)
+        assert same == box and replace(there.model, **{name: far[name]}) == arm.model
+        assert getattr(moved(name, point, 0.0)[1].model, name) == pytest.approx(point)
+    assert moved("motor_ratio", 1.0, 0.5)[1].motor_ratio == pytest.approx(1.05)
+    assert moved("motor_ratio", 1.0, 0.5)[1].model == arm.model
+    second = moved("mode_frequency", 180.0, 0.5)[1].model.second_mode
+    assert second is not None and (second.frequency, second.gain) == (pytest.approx(185.0), MODE.gain)
+    narrow, same = moved("natural_frequency", 11.0, 0.5)
+    assert narrow.natural_frequency == pytest.approx((10.5, 12.0)) and same == arm
+    assert narrow.order == box.order
+
+
+def test_the_cost_of_a_box_names_the_dearest_parameter_and_a_single_arm_costs_nothing() -> None:
+    made = design(RIG.model, RIG, **WANTED, law=False)
+    box = replace(ParameterBox.at(RIG.model), gauge_delay=(0.0, 0.004), gauge_gain=(0.99, 1.01))
+    task = task_of(RIG.model, RIG, Specification(**WANTED))
+    found = cost_of_box(task, made.controller, box)
+    assert set(found.evidence) == {"nominal_rad", "worst_rad", "gauge_delay_rad", "gauge_gain_rad"}
+    assert found.evidence["nominal_rad"] == pytest.approx(fl.deg(50), abs=1e-6)
+    assert found.evidence["gauge_delay_rad"] > found.evidence["gauge_gain_rad"] > 0.0
+    lost = math.degrees(found.evidence["nominal_rad"] - found.evidence["worst_rad"])
+    back = math.degrees(found.evidence["gauge_delay_rad"])
+    assert found.message.startswith(
+        f"the box costs {lost:.1f}° of phase margin, most of it the gauge's delay from 0 to 0.004: exactly "
+        f"known it would give back {back:.1f}°, half as wide"
+    )
+    assert found.remedy == "measuring the delay that the controller sees narrows the interval"
+    # The delay's own part, on a loop with the other parameters where they are worst.
+    late = [
+        Arm(replace(RIG.model, gauge_delay=delay, gauge_gain=gain)).loop(made.controller, RIG)
+        for delay in (0.004, 0.0)
+        for gain in (0.99, 1.01)
+    ]
+    worst = [min(float(loop.margins(w0)[1][0]) for w0 in (task.low, task.high)) for loop in late]
+    assert min(worst) == pytest.approx(found.evidence["worst_rad"], abs=2e-3)
+    single = cost_of_box(task, made.controller, ParameterBox.at(RIG.model))
+    assert single.message == "the box is a single arm and costs nothing"
+    assert single.remedy == "give box=True for what fit and rig leave open"

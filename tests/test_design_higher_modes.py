@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 
 import fraclink as fl
+from fraclink._arm.beam import assumed_ratio, material_law, unmodelled_modes
 from fraclink._arm.rig import Rig
 from fraclink._campaign.setting import NominalLoop, law_filter, sampled
 from fraclink._cli import main
-from fraclink._design import Design
+from fraclink._design import Design, modes
 from fraclink._design.assess import mode_gains
 from fraclink._simulate import Beam, KelvinVoigt, PowerLaw, assemble
 from fraclink._simulate.damping import Damping
@@ -171,3 +172,115 @@ def test_the_command_line_bounds_the_mode(tmp_path: Path, capsys: pytest.Capture
     names = {item["name"]: item["achieved"] for item in told["requirements"]}
     assert names["loop gain at mode 2"] == pytest.approx(0.5, rel=1e-6)
     assert Design.load(place).rig.link.mass == 0.00735
+
+
+# --- the numbers behind it, by the sum over the modes written out ----------------------------------------
+
+
+def on_the_beam(rig: Rig, design: Design, payload: float, w: np.ndarray) -> np.ndarray:
+    """|Ĉ · hold · M · Θ̂t/Θm| from the beam's modes and the model's damping law s^(2 − λ)."""
+    beam, s, model = Beam.from_rig(rig, payload=payload).modes(3), 1j * w, design.model
+    answer = np.ones(w.shape, dtype=complex)
+    for i in range(3):
+        share = beam.participation[i] ** 2 * beam.frequencies[i] ** 2 / model.stiffness
+        answer -= share * s**2 / (s**2 + beam.frequencies[i] ** 2 * s ** (2 - model.order))
+    half = 0.5 * rig.period * w
+    motor = np.abs(np.sin(half) / half) / np.abs(1 + s / 80.0) ** 2
+    return np.abs(design.controller.response(w)) * motor * np.abs(answer)
+
+
+@pytest.fixture(scope="module")
+def massive() -> Design:
+    rig = with_mass(0.00735)
+    return fl.design(rig.model, rig, **WANTED, **FREE, law=False)
+
+
+def test_the_gain_at_mode_two_is_the_peak_of_the_written_out_loop(massive: Design) -> None:
+    second, third = mode_gains(massive, limit=0.7)
+    peaks = {}
+    for payload in (0.02, math.sqrt(0.02 * 0.04), 0.04):
+        mode = Beam.from_rig(massive.rig, payload=payload).modes(2).frequencies[1]
+        w = np.linspace(mode, 1.5 * mode, 4000)
+        peaks[payload] = float(on_the_beam(massive.rig, massive, payload, w).max())
+    at = max(peaks, key=lambda payload: peaks[payload])
+    assert second.achieved == pytest.approx(peaks[at], rel=2e-3)
+    assert second.at_payload == pytest.approx(at)
+    assert (second.name, second.wanted, second.bound) == ("loop gain at mode 2", 0.7, "at most")
+    assert third.name == "loop gain at mode 3" and third.achieved < second.achieved
+
+
+def test_where_the_computer_sees_a_mode_beyond_nyquist() -> None:
+    nyquist = math.pi / 0.004
+    w = np.array([100.0, nyquist - 10.0, nyquist + 10.0, 2 * nyquist - 30.0, 2 * nyquist + 30.0])
+    seen = modes._seen(w, 0.004)
+    assert seen == pytest.approx([100.0, nyquist - 10.0, nyquist - 10.0, 30.0, 30.0])
+    assert modes._seen(np.array([2 * nyquist]), 0.004)[0] == pytest.approx(1e-3 * nyquist)  # not zero
+    loop = fl.design(RIG.model, RIG, **WANTED, **FREE, law=False).full_loop
+    half = 0.5 * 0.004 * np.array([100.0, 1000.0])
+    hold = np.abs(np.sin(half) / half)
+    motor = 1 / np.abs(1 + 1j * np.array([100.0, nyquist]) / 80.0) ** 2
+    assert np.exp(modes._rest(loop, np.array([100.0, 1000.0]), 0.004)) == pytest.approx(hold * motor)
+
+
+def test_an_identified_second_mode_takes_the_place_of_the_beams(massive: Design) -> None:
+    known = replace(massive.model, second_mode=fl.SecondMode(190.0, 0.03, 0.02))
+    found = modes.higher_modes(known, massive.rig, massive.full_loop, (0.02, 0.04))
+    assert found is not None and sorted(found.number.tolist()) == [2, 2, 2, 3, 3, 3]
+    assert sorted(set(found.payload.tolist())) == pytest.approx([0.02, math.sqrt(0.0008), 0.04])
+    second = found.frequency[found.number == 2]
+    assert second.min() == pytest.approx(190.0 * math.exp(-0.02 * math.sinh(3.0)))
+    assert second.max() == pytest.approx(190.0 * math.exp(0.02 * math.sinh(3.0)))
+    broad = replace(known, second_mode=fl.SecondMode(190.0, 0.03, 0.5))
+    wide = modes.higher_modes(broad, massive.rig, massive.full_loop, (0.02, 0.02))
+    assert wide is not None
+    assert wide.frequency[0].max() == pytest.approx(190.0 * math.exp(0.035 * math.sinh(3.0)))
+    assert modes.higher_modes(RIG.model, with_mass(0.0), massive.full_loop, (0.02, 0.04)) is None
+    with pytest.raises(FieldError) as caught:
+        mode_gains(massive, damping_ratio=0.0)
+    assert caught.value.field == "mode_damping"
+
+
+def test_a_law_of_damping_lays_the_peak_of_a_mode() -> None:
+    """ω² = ω_i² Re D(jω): for s^(2 − λ) the peak is (ω_i² cos(π(2 − λ)/2))^(1/λ)."""
+    model = fl.LinkModel(1.56, 11.0, order=1.92)
+    w = modes._around(model, 180.0, None)
+    peak = (180.0**2 * math.cos(0.04 * math.pi)) ** (1 / 1.92)
+    assert w[30] == pytest.approx(peak, rel=1e-9)
+    # arg D = (2 − λ)π/2, of which half is the damping ratio, limited to 3.5 %
+    assert w[-1] / peak == pytest.approx(math.exp(0.035 * math.sinh(3.0)))
+    sharp = modes._around(model, 180.0, 0.01)
+    assert sharp[30] == pytest.approx(180.0) and sharp[-1] / 180.0 == pytest.approx(
+        math.exp(0.01 * math.sinh(3.0)), rel=1e-4
+    )
+    viscous = fl.LinkModel(1.56, 11.0, damping=0.5)
+    s = np.array([5j, 200j])
+    assert material_law(viscous, s, 180.0, None) == pytest.approx(1 + 0.5 / 121 * s)
+    assert material_law(model, s, 180.0, None) == pytest.approx(s**0.08)
+    assert material_law(model, s, 180.0, 0.03) == pytest.approx(1 + 2 * 0.03 * s / 180.0)
+    assert (assumed_ratio(model), assumed_ratio(viscous), assumed_ratio(fl.LinkModel(1.56, 11.0))) == (
+        None,
+        None,
+        0.02,
+    )
+
+
+def test_modes_that_the_model_has_not_add_to_its_torque() -> None:
+    rig, model = with_mass(0.00735), RIG.model
+    beam = Beam.from_rig(rig, payload=0.03).modes(3)
+    s = np.array([3.0 + 100j, 177j, 400j])
+
+    def torque(kept: slice) -> np.ndarray:
+        found = np.zeros(3, dtype=complex)
+        for w, gamma in list(zip(beam.frequencies, beam.participation, strict=True))[kept]:
+            found += gamma**2 * w**2 / model.stiffness * s**2 / (s**2 + w**2 * s ** (2 - model.order))
+        return found
+
+    extra = unmodelled_modes(model, rig, 0.03)
+    assert extra is not None and extra(s) == pytest.approx(torque(slice(1, 3)), rel=1e-9)
+    known = unmodelled_modes(replace(model, second_mode=fl.SecondMode(180.0, 0.05)), rig, 0.03)
+    assert known is not None and known(s) == pytest.approx(torque(slice(2, 3)), rel=1e-9)
+    undamped = unmodelled_modes(replace(model, order=2.0), rig, 0.03)
+    assert undamped is not None
+    w, gamma = beam.frequencies[1], beam.participation[1]
+    peak = gamma**2 * w**2 / model.stiffness * -1 / (0.04j)  # −ω²/(2jζω²), ζ = 0.02, and mode 3 far above
+    assert complex(undamped(np.array([1j * w]))[0]) == pytest.approx(complex(peak), rel=0.02)

@@ -3,12 +3,21 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import fraclink as fl
-from fraclink._arm.motor import ContinuousPid, place_pid
+from fraclink._arm.motor import ContinuousPid, _one_pole, held_motor, place_pid
+from fraclink._arm.motor_loop import (
+    MotorLoop,
+    SampledMotorLoop,
+    _left_over,
+    direct_placement,
+    motor_loop_costs,
+)
 from fraclink.errors import FieldError
 
 A, B = 0.21 / 6.87e-5, 1.041e-3 / 6.87e-5
@@ -86,3 +95,105 @@ def test_a_period_must_be_positive(period: float) -> None:
 def test_an_unknown_method_is_refused() -> None:
     with pytest.raises(FieldError, match="euler"):
         _loop().discretize(0.004, method="euler")  # type: ignore[arg-type]
+
+
+# --- what the loop around the motor costs, and its limits ---------------------------------------------------
+
+
+def test_partial_fractions_of_the_pid() -> None:
+    """Cm1 = a2 + (a0/c)/s + ρ1/(s + c) and Cm2 = b1 + ρ2/(s + c), at any s."""
+    loop, d, s = _loop(), _loop().discretize(0.004), 3.0 + 40.0j
+    c = loop.filter_pole
+    first = d.direct + d.integral_gain / s + d.filter_gain / (s + c)
+    assert first == pytest.approx((loop.a2 * s**2 + loop.a1 * s + loop.a0) / (s * (s + c)), rel=1e-12)
+    assert d.angle_direct + d.angle_filter_gain / (s + c) == pytest.approx(
+        (loop.b1 * s + loop.b0) / (s + c), rel=1e-12
+    )
+    # held for long, without the integral: a2 + ρ1/c
+    assert d.stiffness == pytest.approx(loop.a2 + d.filter_gain / c, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("method", "now", "before", "decay"),
+    [
+        ("tustin", 0.002 / 1.6, 0.002 / 1.6, 0.4 / 1.6),
+        ("backward", 0.004 / 2.2, 0.0, 1 / 2.2),
+        ("zero-order-hold", 0.0, (1 - math.exp(-1.2)) / 300.0, math.exp(-1.2)),
+    ],
+)
+def test_one_pole_at_300_by_each_method(method: str, now: float, before: float, decay: float) -> None:
+    assert _one_pole(300.0, 0.004, method) == pytest.approx((now, before, decay), rel=1e-12)  # type: ignore[arg-type]
+    integral = _one_pole(0.0, 0.004, method)  # type: ignore[arg-type]
+    assert integral[0] + integral[1] == pytest.approx(0.004) and integral[2] == 1.0
+
+
+def test_a_held_motor_is_the_integral_of_its_speed() -> None:
+    """θ(T) = A (T − w)/B and θ̇(T) = A w of a unit voltage, w = (1 − e^(−BT))/B; without friction A T²/2."""
+    motor = SimpleNamespace(gain=3000.0, decay=15.0)
+    m1, m2, e = held_motor(motor, 0.004)  # type: ignore[arg-type]
+    w = (1 - math.exp(-0.06)) / 15.0
+    assert (m1, e) == pytest.approx((3000.0 * (0.004 - w) / 15.0, math.exp(-0.06)), rel=1e-12)
+    # x (m1 + m2 x)/((1 − x)(1 − e x)) under a step: θ(2T) = m1 + m1 (1 + e) + m2
+    after_two = 3000.0 * (0.008 - (1 - math.exp(-0.12)) / 15.0) / 15.0
+    assert m1 * (2 + e) + m2 == pytest.approx(after_two, rel=1e-9)
+    free = held_motor(SimpleNamespace(gain=3000.0, decay=0.0), 0.004)  # type: ignore[arg-type]
+    assert free == pytest.approx((0.024, 0.024, 1.0))
+    nearly = held_motor(SimpleNamespace(gain=3000.0, decay=1e-4), 0.004)  # type: ignore[arg-type]
+    assert nearly == pytest.approx(free, rel=1e-6)
+
+
+def test_closed_poles_are_the_roots_of_the_loop_written_in_z() -> None:
+    """1 + (Cm1 + Cm2) z^(−d) P = 0, asked of every eigenvalue of the state matrix."""
+    rig = fl.Rig.named("paper-2023")
+    for motor in (rig.motor, SimpleNamespace(gain=3000.0, decay=0.0)):
+        for delay in (0, 1, 3):
+            pid = place_pid(motor, 80.0).discretize(0.004)  # type: ignore[arg-type]
+            loop = SampledMotorLoop(pid, motor, delay)  # type: ignore[arg-type]
+            poles = loop.poles()
+            assert poles.size == 4 + delay and np.all(np.diff(np.abs(poles)) <= 1e-12)
+            x = 1 / poles[np.abs(poles) > 1e-3]
+            first, second = loop.controllers(x)
+            assert np.abs(1 + (first + second) * x**delay * loop.plant(x)).max() < 1e-6
+
+
+def test_costs_of_the_two_placements_are_those_of_their_loops() -> None:
+    rig = fl.Rig.named("paper-2023")
+    for cost in motor_loop_costs(rig, frequency=18.0):
+        loop = MotorLoop(80.0, 1, "sampled", cost.placement).sampled(rig.motor, rig.period)
+        w = np.geomspace(0.01, math.pi / rig.period, 20_000)
+        x = np.exp(-1j * w * rig.period)
+        first, second = loop.controllers(x)
+        open_loop = (first + second) * x * loop.plant(x)
+        assert cost.modulus_margin == pytest.approx(np.abs(1 + open_loop).min(), rel=1e-3)
+        noise = np.abs((first + second) / (1 + open_loop)).max()
+        assert cost.voltage_per_noise == pytest.approx(noise, rel=1e-3)
+        pid = loop.pid
+        jump = pid.direct + pid.integral_gain * pid.integral_now + pid.filter_gain * pid.filter_now
+        assert cost.voltage_per_step == pytest.approx(jump)
+        # θm/θm* against hold, delay and M(s) at 18 rad/s, aliases left out
+        s = 18j
+        z = np.exp(-s * 0.004)
+        one, two = loop.controllers(np.array([z]))
+        closed = complex((one * z * loop.plant(z) / (1 + (one + two) * z * loop.plant(z)))[0])
+        wanted = np.exp(-1.5 * 0.004 * s) / (1 + s / 80.0) ** 2
+        assert cost.lag == pytest.approx(-np.angle(closed / wanted), abs=2e-3) and cost.frequency == 18.0
+    slow = replace(rig, motor_loop=MotorLoop(200.0, 3))
+    assert [one.placement for one in motor_loop_costs(slow, frequency=18.0)] == ["tustin"]
+
+
+def test_the_filter_pole_of_a_direct_placement_leaves_the_fastest_rest() -> None:
+    rig = fl.Rig.named("paper-2023")
+    pid = direct_placement(rig.motor, 60.0, 0.004, 1)
+
+    def slowest(r: float) -> float:
+        return _left_over(rig.motor, 60.0, 0.004, 1, r)[1]
+
+    best = slowest(pid.filter_decay)
+    assert best <= min(slowest(float(r)) for r in np.linspace(-0.8, 0.8, 400)) + 2e-3
+    z0 = math.exp(-60.0 * 0.004)
+    poles = SampledMotorLoop(pid, rig.motor, 1).poles()
+    rest = np.abs(poles)[np.argsort(np.abs(poles - z0))[3:]]
+    assert rest.max() == pytest.approx(best, abs=1e-6)
+    # both zeros of Cm1 lie at z₀: the reference sees one of the three poles only
+    first, _ = SampledMotorLoop(pid, rig.motor, 1).controllers(np.array([1 / z0, 1 / (z0 + 1e-4)]))
+    assert np.abs(first[0]) < 1e-9 * pid.direct and abs(first[1]) < 1e-5 * pid.direct

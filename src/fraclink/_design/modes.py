@@ -195,8 +195,7 @@ def higher_modes(
         # infinitely high, and no filter would do.
         damping_ratio = assumed_ratio(model)
     rows: list[tuple[int, float, Real, Real]] = []
-    # `unique`: the payloads of a range of one point would be three rows of the same.
-    for payload in map(float, np.unique(np.geomspace(*payloads, _MODE_PAYLOADS))):
+    for payload in np.geomspace(*payloads, _MODE_PAYLOADS).tolist():
         if model.second_mode is not None:
             width = min(model.second_mode.damping_ratio, _WIDEST)
             w = model.second_mode.frequency * np.exp(width * _POINTS)
