@@ -145,6 +145,7 @@ class ParameterBox:
                     allowed="models without one, or a model that knows it, too",
                     remedy="begin from the model that knows it, and give the other one beside it",
                 )
+            # ω₀ belongs to its log's payload: two logs can only be compared at one.
             found = found.hull(ParameterBox.at(with_payload(other, rig).at_payload(_payload(model, rig))))
         return found
 

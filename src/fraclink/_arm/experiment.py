@@ -135,6 +135,7 @@ class Experiment:
         >>> log.period, log.duration
         (0.004, 0.008)
         """
+        # A single text can only mean the output: the others are in SI or are stated by name.
         stated: Mapping[str, str] = {output_kind: units} if isinstance(units, str) else units
         arrays = {"time": time, "motor_angle": motor_angle, output_kind: output}
         arrays |= {} if voltage is None else {"voltage": voltage}

@@ -70,6 +70,7 @@ class FractionalPid:
         for field in fields(self):
             # An integer gain would be written as one, and two equal controllers would differ in their files.
             object.__setattr__(self, field.name, float(getattr(self, field.name)))
+        # Zero gains leave their orders free, and a loop without a controller has no margin to speak of.
         if not (self.proportional or self.integral or self.derivative):
             remedy = "give at least one gain above 0"
             raise FieldError("proportional", 0.0, "zero like the other gains", allowed="> 0", remedy=remedy)

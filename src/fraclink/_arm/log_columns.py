@@ -176,6 +176,7 @@ def _way_to(role: str, channel: Channel, known: Iterable[str]) -> str:
         )
     if unit in _ACCELERATIONS and angle:
         return "an accelerometer is no angle: fit it by identify-structure, with k*s**2/(s**a + w)/(T*s + 1)"
+    # Its scale need not be known: a link's frequency and order do not depend on the gauge's gain.
     if (unit.lower() in _RAW or unit in UNITS["voltage"]) and role in ("torque", "deflection"):
         return (
             f'a gauge that is not calibrated: write "deflection={channel.column} [rad]", its scale becomes '

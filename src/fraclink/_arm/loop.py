@@ -323,6 +323,7 @@ class Loop(GaugedLink):
             points = self._gauge_points(w0)
             w = np.sort(np.concatenate([w, np.broadcast_to(points, (w0.size, points.size))], axis=1), axis=1)
             w = np.minimum(w, self.highest)
+        # Steps of 2 %, then twice sixteenths between the neighbours of the least: 8e-5 of ω, 1e-6 of Ms.
         rows = np.arange(w0.size)
         for _ in range(3):
             distance = np.abs(1.0 + self(w, w0[:, None]))
@@ -386,6 +387,7 @@ def worst_margins(loop: Loop, low: float, high: float) -> tuple[tuple[float, flo
     crossover, margin = loop.margins(w0)
     first, place = int(np.argmin(crossover)), int(np.argmin(margin))
     value, at = float(margin[place]), float(w0[place])
+    # Each round leaves an eighth of the interval: after four a margin is known to that of links 1e-4 apart.
     for _ in range(4):
         if place in (0, w0.size - 1):
             break

@@ -195,6 +195,7 @@ def place_pid(motor: MotorConstants, pole: float = 80.0) -> ContinuousPid:
         pole=p,
         gain=gain,
         decay=decay,
+        # Six unknowns, c among them: the four powers of (s + p)⁴, and the two zeros of Cm1 at −p.
         a0=p**4 / gain,
         a1=2 * p**3 / gain,
         a2=p**2 / gain,

@@ -86,6 +86,7 @@ class Recording:
         # A fiftieth of the record, and ten samples at least: enough to tell a held link, whose swing is
         # noise, from one that moves.
         lead = max(10, values.size // 50)
+        # Below fifty samples the last fifth, from which the rest is taken, is shorter than the beginning.
         if values.size < 5 * lead or not np.ptp(values):
             allowed, remedy = ">= 50 samples that move", "record from before the link is let go"
             raise LogError("output", int(values.size), "no ring-down", allowed=allowed, remedy=remedy)

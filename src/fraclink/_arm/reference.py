@@ -135,6 +135,7 @@ class Path(Reference):
         return Path(
             f"{self.kind}, {later.kind}",
             np.concatenate([self.breaks[keep], self.duration + later.breaks]),
+            # Angles add up: only the constant of each later piece is raised.
             np.concatenate([first[keep], second + np.eye(1, width) * end]),
             self.duration + later.duration,
         )
@@ -255,6 +256,8 @@ def spline(time: Annotated[Real, Array(1, min_size=2)], angle: Annotated[Real, A
     # Clamped: at rest at both ends, as an arm is. SciPy has the highest power first, a `Path` the lowest.
     pieces = CubicSpline(time, angle, bc_type="clamped").c[::-1].T
     start, end = ([[value, 0.0, 0.0, 0.0]] for value in (angle[0], angle[-1]))
+    # A spline that begins late is preceded by a piece at rest: held at its first break, the cubic would have
+    # its acceleration there from t = 0 on.
     before = ([0.0], start) if time[0] > 0.0 else ([], np.empty((0, 4)))
     return Path(
         "spline", np.concatenate([before[0], time]), np.vstack([before[1], pieces, end]), float(time[-1])
@@ -305,6 +308,7 @@ def pulse(amplitude: Angle, width: Length, start: Start = 0.0, *, rise: Start = 
     >>> bool(pulse(1.0, 7.0).angle(3.0) == 1.0), float(pulse(1.0, 7.0).angle(7.5))
     (True, 0.0)
     """
+    # No edge at all: a quintic of no duration divides by zero, and a jump is what was asked for.
     if rise < _SHORTEST:
         return _steps("pulse", [0.0, start, start + width], [0.0, amplitude, 0.0], start + width)
     if rise > width:
@@ -342,6 +346,7 @@ def prbs(
     >>> len(path.breaks), round(path.duration, 1)
     (128, 25.4)
     """
+    # Any start but all zeros, which the register would never leave.
     stages, levels = [1] * register, []
     for _ in range(bits):
         levels.append(amplitude if stages[-1] else -amplitude)

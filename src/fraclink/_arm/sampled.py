@@ -67,6 +67,8 @@ class SampledPlant:
         rate = 2.0 * math.pi / self.period
         terms = _UNSUMMED if self.leading is None else _TERMS
         s = 1j * (w[..., None] + rate * np.arange(-terms, terms + 1))
+        # 1/s is the hold's own integral; its 1 − e^(−sT) is the same for every alias and stands outside the
+        # sum.
         total = np.sum(self.response(s) / s * np.exp(-self.delay * s), axis=-1)
         if self.leading is not None and self._whole_samples:
             total = total + self.leading * self._far(w, rate) * np.exp(-1j * self.delay * w)

@@ -38,6 +38,7 @@ def shaper_impulses(kind: Shaper, frequency: float, ratio: float) -> tuple[Real,
     if kind == "EI":
         return _extra_insensitive(half, ratio)
     k = math.exp(-ratio * math.pi / root)
+    # ZVD is ZV convolved with itself: a double zero at the mode, so that a frequency x % off leaves x² of it.
     sizes = np.array([1.0, 2.0 * k, k * k] if kind == "ZVD" else [1.0, k])
     times: Real = half * np.arange(len(sizes), dtype=np.float64)
     return times, np.asarray(sizes / sizes.sum())

@@ -49,6 +49,7 @@ def time_base(stamps: NDArray[np.float64], *, resample: bool = False) -> TimeBas
         finding = _gap(stamps, steps, gaps, typical, resample)
         return TimeBase(float(stamps[0]), _rounded(typical), (finding,))
     if steps.size + 1 < stamps.size:  # repeated stamps, accepted because they are resampled
+        # A sample that repeats its stamp is a whole period off its place.
         return TimeBase(float(stamps[0]), _rounded(typical), _jitter(typical, typical, resample))
     # From the two ends: N steps average a stamp's rounding down by N, which a median of steps does not.
     start, period = float(stamps[0]), _rounded(float((stamps[-1] - stamps[0]) / steps.size))

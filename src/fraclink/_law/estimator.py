@@ -274,6 +274,7 @@ def _values(
     # A converter's rounding is noise of its step/√12 beside the gauge's own.
     noise = math.hypot(rig.gauge.noise, rig.gauge.quantum / math.sqrt(12)) or NOT_STATED * limit
     variance = noise**2 / together
+    # Of what was learnt before: it fades as fast in time, however many periods make a sample.
     keep = math.exp(-together * law.period / MEMORY)
     return {
         "angle_limit": law.limits.angle_limit,
