@@ -218,3 +218,70 @@ def test_what_was_tried_is_listed_with_what_was_taken() -> None:
         "the design",
     ]
     assert not own.pays
+
+
+# --- the smooth problem -------------------------------------------------------------------------------------
+
+
+def problem_of(made: Design, goal: str = "noise", **changes: object) -> Problem:
+    bare = replace(made.full_loop, gain=1.0, order=0.0, filter_time=0.0)
+    given = {"filter_order": 2, "bounds": Bounds(1.6, 12.0, 1.4)} | changes
+    return Problem(bare, made.natural_frequencies, RIG.period, goal=goal, **given)  # type: ignore[arg-type]
+
+
+def test_the_constraints_are_the_figures_of_the_loop(design: Design) -> None:
+    """ln of: Ms times each distance from −1, |L| at the crossover, the bound over the noise of each link."""
+    problem, controller = problem_of(design), replace(design.controller, filter_order=2)
+    x = problem.start(controller)
+    assert x[:3] == pytest.approx(
+        [math.log(controller.gain), controller.order, math.log(controller.filter_time)]
+    )
+    assert x[3] == pytest.approx(math.log(1.4))
+    values, gradient = problem.constraints(x)
+    assert gradient.shape == (values.size, 4) and values.size == 5 * 90 + 1 + 5
+    loop, ends = design.full_loop.with_controller(controller), np.geomspace(*design.natural_frequencies, 5)
+    peaks = loop.sensitivity_peak(ends)
+    assert math.exp(-float(values[:450].min())) * 1.6 == pytest.approx(float(peaks.max()), rel=1e-2)
+    assert values[450] == pytest.approx(math.log(abs(complex(loop(12.0, ends[0])))), abs=1e-9)
+    assert values[451:] == pytest.approx(np.log(1.4 / loop.noise_gain(ends, RIG.period)), abs=1e-9)
+    fast = problem_of(design, "crossover")
+    y = fast.start(controller)
+    assert y[3] == pytest.approx(math.log(12.0))
+    y[3] = math.log(15.0)
+    assert fast.constraints(y)[0][450] == pytest.approx(math.log(abs(complex(loop(15.0, ends[0])))), abs=1e-9)
+
+
+def test_a_start_is_brought_into_range_with_the_same_gain_about_the_crossover(design: Design) -> None:
+    one = problem_of(design, filter_order=1)
+    low, high = one.box[1]
+    assert (low, high) == (0.05, pytest.approx(0.98)) and problem_of(design).box[1][1] == pytest.approx(1.90)
+    assert one.box[2] == (pytest.approx(math.log(2e-4)), 0.0)
+    steep = fl.Controller(gain=0.02, order=1.4, filter_time=0.01, filter_order=2)
+    x = one.start(steep)
+    assert x[1] == pytest.approx(0.98)
+    assert math.exp(x[0]) * 24.0**0.98 == pytest.approx(0.02 * 24.0**1.4)  # |Ĉ| at twice the crossover
+    assert math.exp(x[2]) == pytest.approx(0.02)  # one pole for two lags as much with twice the time
+    bare = fl.Controller(gain=0.02, order=0.6)
+    assert math.exp(one.start(bare)[2]) == pytest.approx(0.1 / 24.0)
+    made = one.controller(x, design.controller)
+    assert (made.order, made.filter_order, made.link) == (x[1], 1, design.controller.link)
+    assert (made.gain, made.filter_time) == pytest.approx((math.exp(x[0]), 0.02))
+
+
+def test_an_optimised_design_is_the_one_of_its_bounds(quiet: Optimised, design: Design) -> None:
+    names = [item.name for item in quiet.design.requirements]
+    assert names == ["gain crossover", "phase margin", "sensitivity peak", "noise gain"]
+    own = design.full_loop.achieved(np.geomspace(*design.natural_frequencies, 9), RIG.period)
+    wanted = [item.wanted for item in quiet.design.requirements]
+    assert wanted[2] == pytest.approx(float(np.max(own.sensitivity_peak)))
+    assert wanted[3] == pytest.approx(float(np.max(own.noise_gain)))
+    assert [step.structure for step in quiet.steps] == [
+        "closed form",
+        "k_d, β, δ, n = 1",
+        "k_d, β, δ, n = 2",
+    ]
+    c = quiet.design.controller
+    assert quiet.design.chi == pytest.approx(c.gain * 12.0**c.order)
+    light = quiet.design.full_loop.crossings(quiet.design.natural_frequencies[1]).frequency.max()
+    assert quiet.design.gain_crossover_upper == pytest.approx(light, rel=1e-9)
+    assert quiet.goal == "noise" and quiet.least == 0.02 and quiet.steps[2].taken

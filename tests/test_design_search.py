@@ -13,7 +13,7 @@ import pytest
 
 import fraclink as fl
 from fraclink._arm.box import ParameterBox
-from fraclink._design import nearest
+from fraclink._design import nearest, optimisation
 from fraclink._design.bounds import edge, first_within, reach
 from fraclink._design.equations import ClosedForm, Task, task_of
 from fraclink._design.nearest import boundary, missed_bounds, offered, refuse
@@ -444,3 +444,43 @@ def test_a_second_try_asks_for_as_much_less_as_the_first_was_too_much(made: fl.D
     far = OptimumSearch.of(made, "noise", (0.5 * (peak + 1.0), None, None, None))
     drawn = far._tightened(far.bounds, made.controller).max_sensitivity
     assert drawn == pytest.approx(0.5 * (peak + 1.0) / 1.02, rel=2e-6)  # 2 % a round at most
+
+
+def test_steeper_starts_keep_the_gain_at_the_crossover(made: fl.Design) -> None:
+    own = made.controller
+    steep = optimisation._steeper(own, (0.4, 0.2), 12.0)
+    assert (steep.order, steep.filter_time, steep.filter_order) == (
+        pytest.approx(own.order + 0.4),
+        pytest.approx(0.2 / 12.0),
+        2,
+    )
+    assert abs(steep.response(12.0)) == pytest.approx(abs(own.response(12.0)), rel=1e-12)
+    assert optimisation._steeper(replace(own, order=1.8), (0.8, 0.4), 12.0).order == 1.95
+
+
+def test_an_offer_that_is_loosened_is_rounded_away_from_what_was_asked() -> None:
+    spec = replace(SPEC, noise_gain=1.0)
+    down = nearest._loosened("phase_margin", 0.8123456, 0.01, spec)
+    assert down == pytest.approx(0.80422) and down <= 0.8123456 * 0.99
+    up = nearest._loosened("noise_gain", 1.2345678, 0.1, spec)
+    assert up == pytest.approx(1.3581) and up >= 1.2345678 * 1.1
+    higher = nearest._loosened("gain_crossover", 13.123456, 0.0, spec)  # more than was asked: on upwards
+    assert higher == pytest.approx(13.124)
+    assert nearest._loosened("gain_crossover", 12.0, 0.25, spec) == 12.0  # as it was asked
+    assert nearest._loosened("max_sensitivity", 1.51, 0.0, spec) == pytest.approx(1.51)
+
+
+def test_a_refusal_with_an_offer_does_not_say_that_there_is_none() -> None:
+    asked = {"payloads": (0.02, 0.04), "law": False}
+    with pytest.raises(InfeasibleError) as caught:
+        fl.design(MODEL, RIG, gain_crossover=12.0, phase_margin=fl.deg(110), **asked)
+    assert caught.value.nearest and "but no request near" not in str(caught.value)
+    assert caught.value.condition == "phase margin at the other gain crossing"
+    with pytest.raises(InfeasibleError) as caught:
+        fl.design(MODEL, RIG, gain_crossover=12.0, phase_margin=fl.deg(110), nearest=False, **asked)
+    assert caught.value.nearest == {} and "; but" not in str(caught.value)
+    # A payload in grams is named beside the condition that it broke.
+    with pytest.raises(InfeasibleError, match="a payload of 20 kg is 500 times the heaviest"):
+        fl.design(
+            MODEL, RIG, payloads=(20.0, 40.0), gain_crossover=12.0, phase_margin=2.0, nearest=False, law=False
+        )

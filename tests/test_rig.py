@@ -289,3 +289,80 @@ def test_every_code_of_a_rig_and_a_log_stands_in_the_reference() -> None:
     codes = {code for source in sources for code in re.findall(r'"(W[12]\d\d)"', source)}
     assert len(codes) > 20
     assert [code for code in sorted(codes) if code not in page] == []
+
+
+# --- values that were left out, and what contradicts --------------------------------------------------------
+
+
+def test_what_a_rig_leaves_out_follows_from_what_it_states() -> None:
+    assert Link(length=0.65, stiffness=1.2).flexural_rigidity == pytest.approx(0.26)
+    assert Link(length=0.65, flexural_rigidity=0.26).stiffness == pytest.approx(1.2)
+    assert Payloads(0.02, 0.05).nominal == pytest.approx(0.035)
+    with pytest.raises(FieldError, match=r"link\.stiffness is required"):
+        Link(length=0.65)
+    for values, field in (
+        ((0.05, 0.02), "payloads.low"),
+        ((0.02, 0.05, 0.06), "payloads.nominal"),
+        ((0.02, 0.05, 0.01), "payloads.nominal"),
+    ):
+        with pytest.raises(FieldError) as caught:
+            Payloads(*values)
+        assert caught.value.field == field
+    assert Payloads(0.02, 0.02).nominal == 0.02
+    for length in (1, 100):
+        assert len(dataclasses.replace(Rig.named("paper-2023"), name="x" * length).name) == length
+    for name in ("", "x" * 101, "\ud800"):
+        with pytest.raises(FieldError, match="name"):
+            dataclasses.replace(Rig.named("paper-2023"), name=name)
+    plain = Motor(1e-4, 1e-3, 0.2)
+    assert (plain.gear_ratio, plain.coulomb_torque, plain.voltage_limit) == (1.0, 0.0, math.inf)
+    assert DesignDefaults(12.0, 90.0).phase_margin == pytest.approx(math.pi / 2)
+
+
+@pytest.mark.parametrize(("payload", "doubted"), [(2e-4, False), (1.9e-4, True), (4.0, False), (4.1, True)])
+def test_a_payload_a_hundred_times_off_is_doubted(payload: float, doubted: bool) -> None:
+    finding = Payloads(0.02, 0.04).doubt(payload)
+    assert (finding is not None) is doubted
+    if finding is not None:
+        word, end = ("lightest", 0.02) if payload < 1 else ("heaviest", 0.04)
+        assert f"is {payload / end:.3g} times the {word} that" in finding.message
+        assert finding.evidence == {"payload": payload, "low": 0.02, "high": 0.04}
+
+
+def test_contradictions_begin_at_two_per_cent() -> None:
+    rig = dataclasses.replace(Rig.named("paper-2023"), link=Link(0.65, 0.26), model=None)
+    for share, told in ((1.019, False), (1.021, True), (0.981, False), (0.979, True)):
+        link = dataclasses.replace(rig.link, stiffness=share * 1.2)
+        assert bool(dataclasses.replace(rig, link=link).warnings) is told
+        model = LinkModel(share * 1.2, rig.natural_frequency(0.03), payload=0.03)
+        codes = [one.code for one in dataclasses.replace(rig, model=model).warnings]
+        assert codes == (["W102"] if told else [])
+        other = LinkModel(1.2, share * rig.natural_frequency(0.03), payload=0.03)
+        found = dataclasses.replace(rig, model=other).warnings
+        assert [one.code for one in found] == (["W103"] if told else [])
+    assert found[0].message.startswith("model.natural_frequency = ")
+    assert found[0].evidence == pytest.approx(
+        {"stated": 0.979 * rig.natural_frequency(0.03), "expected": rig.natural_frequency(0.03)}
+    )
+    massive = dataclasses.replace(rig, link=dataclasses.replace(rig.link, mass=0.0201))
+    (heavy,) = massive.warnings
+    assert heavy.message.startswith("the link (0.0201 kg) outweighs the lightest payload (0.02 kg)")
+    assert dataclasses.replace(rig, link=dataclasses.replace(rig.link, mass=0.02)).warnings == ()
+
+
+def test_a_model_table_is_completed_from_link_and_payload() -> None:
+    text = Rig.named("paper-2023").to_toml()
+    bare = re.sub(r"\[model\][^\[]*", "[model]\norder = 1.9\n\n", text)
+    model = Rig.from_toml(bare).model
+    assert model is not None
+    assert (model.stiffness, model.payload, model.order) == (1.56, 0.03, 1.9)
+    assert model.natural_frequency == pytest.approx(math.sqrt(1.56 / (0.03 * 0.65**2)))
+    assert (model.gauge_gain, model.gauge_delay, model.intervals, model.second_mode) == (1.0, 0.0, (), None)
+    more = bare.replace("order = 1.9\n", "order = 1.9\nstiffness_Nm_per_rad = 2.0\npayload_kg = 0.05\n")
+    other = Rig.from_toml(more).model
+    assert other is not None and other.natural_frequency == pytest.approx(math.sqrt(2.0 / (0.05 * 0.65**2)))
+    with pytest.raises(FieldError, match=r"period_ms is required.*state the control period|period"):
+        Rig.from_toml(text.replace("period_s = 0.004\n", "").replace("period_ms = 4.0\n", ""))
+    twice = text.replace("period_s = 0.004\n", "period_s = 0.004\nperiod_ms = 4.0\n")
+    with pytest.raises(FieldError, match="given twice, as period_s and as period_ms"):
+        Rig.from_toml(twice)
