@@ -173,8 +173,8 @@ def test_each_interval_is_closed_towards_the_model_alone() -> None:
     assert moved("motor_ratio", 1.0, 0.5)[1].model == arm.model
     second = moved("mode_frequency", 180.0, 0.5)[1].model.second_mode
     assert second is not None and (second.frequency, second.gain) == (pytest.approx(185.0), MODE.gain)
-    narrow, same = moved("natural_frequency", 11.0, 0.5)
-    assert narrow.natural_frequency == pytest.approx((10.5, 12.0)) and same == arm
+    narrow, unmoved = moved("natural_frequency", 11.0, 0.5)
+    assert narrow.natural_frequency == pytest.approx((10.5, 12.0)) and unmoved == arm
     assert narrow.order == box.order
 
 
