@@ -27,7 +27,7 @@ from fraclink._identify.shape import (
     shape_of,
     undamped_as_damped,
 )
-from fraclink._identify.uncertainty import inverted, reduced
+from fraclink._identify.uncertainty import inverted, profile_interval, reduced, uncertainty
 from fraclink.errors import LogError, NotConvergedError
 from identify_cases import PERIOD, TRUTH, made_log, smooth_pulse
 
@@ -362,3 +362,112 @@ def test_too_short_and_still_logs_are_refused_with_what_is_wanted() -> None:
     with pytest.raises(LogError) as caught:
         searched(still)
     assert (caught.value.field, caught.value.value, caught.value.allowed) == ("motor_angle", 0.3, "a motion")
+
+
+@pytest.mark.parametrize("part", [0.0, 0.24])
+def test_the_scan_finds_the_resonance_and_about_the_delay(part: float) -> None:
+    """Delays are parts of the vibration's period; without one a late log would have another phase."""
+    wave = 2 * math.pi / abs(TRUTH.pole)
+    search = searched(made_log(noise=0.02, samples=2501, delay=part * wave))
+    order, log_resonance, ratio, other, late = search.seed
+    assert log_resonance == pytest.approx(math.log(abs(TRUTH.pole)), abs=0.2)
+    assert (ratio, other) == (0.0, 1.0)
+    assert order in (1.85, 1.92)
+    # One of those that are tried: the fit creeps the rest of the way by itself.
+    assert round(late / search.wave, 9) in ((0.12, 0.24) if part else (0.0,))
+    assert search.seed is search.seed  # found once
+    assert search.lowest == pytest.approx(math.exp(log_resonance))
+    assert search.longest_delay == pytest.approx(0.36 * search.wave)
+
+
+def test_a_guess_beside_the_scan_and_in_its_place(log: Experiment) -> None:
+    good = LinkModel(1.0, TRUTH.natural_frequency * 1.001, order=1.921)
+    assert searched(log, guess=good).seed == pytest.approx(shape_of(good))
+    poor = LinkModel(1.0, 40.0, order=1.5)
+    assert searched(log, guess=poor).seed[1] == pytest.approx(math.log(abs(TRUTH.pole)), abs=0.15)
+    # With the gain known there is no scan: a guess is taken at its word, three times too high or not.
+    alone = searched(log, guess=poor, fixed={"gain": 1.5, "delay": 0.002})
+    assert alone.seed == pytest.approx(shape_of(poor, 0.002))
+    assert alone.lowest == pytest.approx(math.exp(alone.seed[1]) / 3)
+    assert alone.longest_delay == pytest.approx(3 * 0.36 * alone.wave)
+    narrow = searched(log, guess=LinkModel(1.0, 9.0, order=1.0))
+    assert narrow.start is not None and narrow.start[0] == 1.01
+
+
+def test_a_known_delay_is_within_reach_of_the_kernel(log: Experiment) -> None:
+    search = searched(log, fixed={"delay": 0.9})
+    assert search.longest_delay == 0.9
+    assert search.seed[4] == 0.9
+    assert searched(log, fixed={"order": 1.7}).seed[0] == 1.7
+
+
+def test_starts_of_the_structures_follow_from_those_found(log: Experiment) -> None:
+    search = searched(log)
+    fractional = search.solve("UD-FOM").shape
+    (first,) = search._starts("UD-FOM")
+    assert first == pytest.approx([min(search.seed[0], 1.95), search.seed[1], 0.0, 1.0, search.seed[4]])
+    (viscous,) = search._starts("D-IOM")
+    ratio = -math.cos(math.pi / fractional[0])
+    assert viscous == pytest.approx([2.0, fractional[1], ratio, 1.0, fractional[4]])
+    undamped = list(search._starts("UD-IOM"))
+    assert len(undamped) == 3
+    assert all((row[0], row[2], row[3]) == (2.0, 0.0, 1.0) for row in undamped)
+    assert all(abs(row[1] - fractional[1]) <= 0.16 for row in undamped)
+    damped = list(search._starts("D-FOM"))
+    assert damped[0] == pytest.approx(search.solve("D-IOM").shape)
+    assert damped[1] == pytest.approx(undamped_as_damped(fractional))
+    assert [row[3] for row in damped[2:]] == [0.4, 1.5]
+    assert damped[2][2] == pytest.approx(min(ratio, 0.9 * largest_ratio(0.4)))
+    held = searched(log, fixed={"damping_order": 0.9})
+    assert [row[3] for row in held._starts("D-FOM")] == [0.9]
+
+
+def test_errors_under_white_noise_written_out(log: Experiment) -> None:
+    """σ² (JᵀJ)⁻¹ of the written-out columns, for a viscous link with gain, offset and delay."""
+    search = searched(log)
+    solution = search.solve("D-IOM")
+    found = uncertainty(search, solution, coloured=False)
+    assert found.names == ("natural_frequency", "damping", "delay", "gain", "offset")
+    model = model_of(solution.shape, 1.0, None)
+    steps = {"natural_frequency": 1e-4, "damping": 1e-4, "delay": 1e-6}
+    columns = []
+    for name, step in steps.items():
+        ends = []
+        for sign in (1, -1):
+            delay = solution.shape[4] + (sign * step if name == "delay" else 0.0)
+            moved = model if name == "delay" else replace(model, **{name: getattr(model, name) + sign * step})
+            ends.append(columns_of(search.kernel, shape_of(moved, delay))[0])
+        columns.append(solution.gain * (ends[0] - ends[1]) / (2 * step))
+    columns += [columns_of(search.kernel, solution.shape)[0], np.ones(log.output.size)]
+    J = np.array(columns)
+    variance = solution.cost / (log.output.size - 5)
+    wanted = variance * np.linalg.inv(J @ J.T)
+    assert found.white == pytest.approx(
+        wanted, rel=2e-3, abs=1e-3 * np.sqrt(np.outer(*2 * [np.diag(wanted)])).min()
+    )
+    assert (found.lag, found.effective, found.singular, found.coloured) == (1, 5.0, False, None)
+    # Of the resonance the error is relative: that of ln Ω, which viscous damping does not move.
+    assert found.resonance == pytest.approx(math.sqrt(wanted[0, 0]) / model.natural_frequency, rel=1e-2)
+    coloured = uncertainty(search, solution, coloured=True)
+    assert coloured.white == pytest.approx(found.white)
+    assert coloured.coloured is not None
+    assert np.diag(coloured.coloured) == pytest.approx(np.diag(wanted), rel=0.5)
+    assert 3.0 < coloured.effective < 9.0
+
+
+def test_a_profile_is_the_best_cost_with_the_parameter_held(log: Experiment) -> None:
+    """At each end of an interval a fit with that value costs exp(1.96²/n) times the least."""
+    search = searched(log)
+    solution = search.solve("UD-FOM")
+    error = math.sqrt(uncertainty(search, solution, coloured=False).white[1, 1])
+    interval = profile_interval(search, solution, "order", error, 1.0)
+    assert not interval.low_open and not interval.high_open
+    assert interval.low < solution.shape[0] < interval.high
+    for end in (interval.low, interval.high):
+        held = searched(log, fixed={"order": end}).solve("UD-FOM")
+        told = log.output.size * math.log(held.cost / solution.cost)
+        assert math.sqrt(told) == pytest.approx(1.96, abs=5e-3)
+    wide = profile_interval(search, solution, "order", 2 * error, 4.0)
+    assert wide.high - wide.low == pytest.approx(2 * (interval.high - interval.low), rel=0.05)
+    own = profile_interval(search, solution, "natural_frequency", 0.01, 1.0)
+    assert own.contains(model_of(solution.shape, 1.0, None).natural_frequency)
