@@ -35,6 +35,7 @@ from fraclink._identify.structure_certainty import (
     _of_the_parameters,
     _straight_interval,
     in_order,
+    structure_findings,
 )
 from fraclink._identify.structure_problem import (
     Lines,
@@ -47,7 +48,7 @@ from fraclink._identify.structure_search import Place, StructureSearch, _distinc
 from fraclink._identify.structure_slopes import Coarse
 from fraclink._identify.structure_starts import Starts, _halton, _least_squares
 from fraclink._systems.terms import Term
-from fraclink.errors import FieldError
+from fraclink.errors import FieldError, LogError
 from fraclink.findings import Finding
 
 Array = NDArray[np.float64]
@@ -395,7 +396,16 @@ def test_a_given_start_is_tried_on_the_samples() -> None:
     y = fl.time_response(parse_expression("2/(s + 1)*exp(-0.31*s)").function({}), u, 0.02, hold="zero").output
     data = RecordStart.of(fl.Recording(0.02, u, y), "zero", 1000)
     search = StructureSearch(coordinates("k/(s + w)*exp(-T*s)"), None)
+    compared: list[list[float]] = []
+    own = search._on_samples
+
+    def on_samples(data: RecordStart, places: list[Array]) -> list[Array]:
+        compared.extend(place.tolist() for place in places)
+        return own(data, places)
+
+    search._on_samples = on_samples  # type: ignore[method-assign]
     places = search.run(data, {"w": 1.0, "T": 0.31})
+    assert compared[0] == [0.0, 0.31]  # as it was given: ln w and T
     assert places[0].values == pytest.approx({"k": 2.0, "w": 1.0, "T": 0.31}, rel=1e-5)
     costs = [place.cost for place in places]
     assert costs == sorted(costs)
@@ -610,6 +620,15 @@ def test_a_corner_outside_of_the_band_is_told(fit: fl.StructureFit) -> None:
     assert list(_of_the_band(stuck, Lines.of(np.array([1e3, 1e4]), h, np.ones(2)))) == []
 
 
+def test_findings_are_listed_worst_first(fit: fl.StructureFit) -> None:
+    data = Lines.of(np.array([1e3, 1e4]), np.ones(2, complex), np.ones(2))  # the corner lies far below
+    changed = replace(fit, undetermined=("a",), nmse=0.3)
+    found = structure_findings(changed, certain(pairs={("k", "b"): 0.999}), [], data)
+    assert [(finding.code, finding.severity) for finding in found] == [
+        ("W353", "error"), ("W355", "error"), ("W354", "warning"), ("W358", "warning"),
+    ]  # fmt: skip
+
+
 def test_a_fit_in_words(fit: fl.StructureFit) -> None:
     intervals = {"k": Interval(1.9, 2.1, False, False), "b": Interval(1.0, 9.0, False, False)}
     shown = replace(
@@ -629,3 +648,114 @@ def test_a_fit_in_words(fit: fl.StructureFit) -> None:
     assert "held-out error 4.56 %" in given
     assert not replace(shown, findings=(Finding("W351", "error", "m", {}, "r"),)).passed
     assert replace(shown, findings=(Finding("W351", "warning", "m", {}, "r"),)).passed
+
+
+# --- what a user states -------------------------------------------------------------------------------------
+
+LAG = "k/(s**a + w)"
+
+
+def swept(count: int = 40) -> fl.FrequencyResponse:
+    w = np.geomspace(0.1, 30.0, count)
+    return fl.FrequencyResponse(w, (2 / (fl.s**1.2 + 1))(1j * w))
+
+
+@pytest.mark.parametrize(
+    ("options", "field", "value", "allowed"),
+    [
+        ({"fixed": {"q": 1.0}}, "fixed", "q", "k, a, w"),
+        ({"start": {"a": 1.0}}, "start", "w", "a, w"),
+        ({"start": {"a": 5.0, "w": 1.0}}, "start['a']", 5.0, "0.02 to 4"),
+        ({"bounds": {"a": (1.0, 1.0)}}, "bounds['a']", (1.0, 1.0), "low < high"),
+        ({"bounds": {"a": (-21.0, 1.0)}}, "bounds['a']", -21.0, "-20 to 20"),
+        ({"bounds": {"a": (0.0, 20.1)}}, "bounds['a']", 20.1, "-20 to 20"),
+        ({"bounds": {"w": (0.0, 1.1e15)}}, "bounds['w']", 1.1e15, "-1e15 to 1e15"),
+        ({"fixed": {"w": -1.1e15}}, "fixed['w']", -1.1e15, "-1e15 to 1e15"),
+        ({"fixed": {"k": 1.0, "a": 1.0, "w": 1.0}}, "expression", LAG, ">= 1 free parameter"),
+        ({"weighting": "coherence"}, "weighting", "coherence", "a response with coherence"),
+    ],
+)
+def test_what_is_stated_of_parameters(options: Any, field: str, value: Any, allowed: str) -> None:
+    with pytest.raises(FieldError) as caught:
+        fl.identify_structure(swept(), LAG, **options)
+    assert (caught.value.field, caught.value.value, caught.value.allowed) == (field, value, allowed)
+
+
+def test_what_is_stated_of_delays() -> None:
+    late = "k/(s + w)*exp(-T*s)"
+    for options, field, allowed in (
+        ({"bounds": {"T": (-0.1, 1.0)}}, "bounds['T']", "0 to 1e6"),
+        ({"fixed": {"T": -0.1}}, "fixed['T']", "0 to 1e15"),
+    ):
+        with pytest.raises(FieldError) as caught:
+            fl.identify_structure(swept(), late, **options)  # type: ignore[arg-type]
+        assert (caught.value.field, caught.value.allowed) == (field, allowed)
+    fit = fl.identify_structure(swept(), late, details=False)
+    assert fit.limits["T"] == (0.0, pytest.approx(20.0 / 30.0))  # 20 rad at the highest line
+    assert fit.limits["k"] == (1e-12, 1e12)
+
+
+def test_five_numbers_for_each_parameter() -> None:
+    assert fl.identify_structure(swept(8), LAG, details=False).fitted == 8  # 16 numbers for three parameters
+    with pytest.raises(FieldError) as caught:
+        fl.identify_structure(swept(7), LAG)
+    assert (caught.value.field, caught.value.value) == ("data", 14)
+    assert caught.value.allowed == ">= 15 numbers for 3 parameters"
+    assert fl.identify_structure(swept(7), LAG, fixed={"a": 1.2}, details=False).fitted == 7
+
+
+def test_weights_of_lines_and_what_was_held_out() -> None:
+    data = swept()
+    noisy_part = data.response * (1 + 0.01 * np.random.default_rng(0).normal(size=40))
+    data = fl.FrequencyResponse(data.frequency, noisy_part)
+    relative, absolute = (
+        fl.identify_structure(data, LAG, weighting=kind, details=False)  # type: ignore[arg-type]
+        for kind in ("relative", "absolute")
+    )
+    for fit, weight in ((relative, 1 / np.abs(data.response)), (absolute, np.ones(40))):
+        h = fit.transfer_function(1j * data.frequency)
+        wanted = np.sum(np.abs(weight * (data.response - h)) ** 2) / np.sum(
+            np.abs(weight * data.response) ** 2
+        )
+        assert fit.nmse == pytest.approx(wanted, rel=1e-6)
+        assert fit.predicted == pytest.approx(np.concatenate([h.real, h.imag]), rel=1e-9)
+        assert fit.measured == pytest.approx(np.concatenate([data.response.real, data.response.imag]))
+        assert fit.place == pytest.approx(data.frequency)
+        assert (fit.domain, fit.period, fit.hold, fit.fitted, fit.offset) == (
+            "frequency",
+            None,
+            None,
+            40,
+            0.0,
+        )
+    # Every fourth line from the third on, predicted by a fit to the others.
+    held = np.arange(40) % 4 == 2
+    rest = fl.FrequencyResponse(data.frequency[~held], data.response[~held])
+    G = fl.identify_structure(rest, LAG, details=False).transfer_function
+    error = (data.response[held] - G(1j * data.frequency[held])) / np.abs(data.response[held])
+    assert relative.heldout_nmse == pytest.approx(float(np.mean(np.abs(error) ** 2)), rel=1e-3)
+
+
+def test_figures_of_a_fit_to_a_recording() -> None:
+    u = np.repeat(np.random.default_rng(1).choice([-1.0, 1.0], 40), 25)
+    noise = 0.01 * np.random.default_rng(2).normal(size=1000)
+    y = 0.4 + fl.time_response(2 / (fl.s**1.2 + 1), u, 0.02, hold="zero").output + noise
+    fit = fl.identify_structure(fl.Recording(0.02, u, y), LAG, details=False)
+    count = fit.fitted
+    predicted = fit.offset + fl.time_response(fit.transfer_function, u, 0.02, hold="zero").output
+    assert fit.predicted == pytest.approx(predicted, abs=1e-9)
+    assert fit.measured == pytest.approx(y)
+    assert fit.place == pytest.approx(0.02 * np.arange(1000))
+    assert (fit.domain, fit.period, fit.hold, count) == ("time", 0.02, "zero", 600)
+    error, power = (y - predicted) ** 2, (y - fit.offset) ** 2
+    assert fit.nmse == pytest.approx(error[:600].sum() / power[:600].sum(), rel=1e-6)
+    assert fit.heldout_nmse == pytest.approx(error[600:].sum() / power[600:].sum(), rel=1e-6)
+    assert fl.identify_structure(fl.Recording(0.02, u, y), LAG, heldout=0.25, details=False).fitted == 750
+    step = fl.Recording(0.02, np.ones(1000), y)
+    with pytest.raises(LogError) as caught:  # a step is fitted as a whole; a constant output is none
+        fl.identify_structure(replace(step, output=np.ones(1000)), LAG)
+    assert (caught.value.field, caught.value.allowed) == ("output", "a motion")
+    still = fl.Recording(0.02, np.zeros(1000), y)
+    with pytest.raises(LogError) as caught:
+        fl.identify_structure(still, LAG)
+    assert (caught.value.field, caught.value.value) == ("input", 0.0)
