@@ -44,8 +44,8 @@ from fraclink._identify.structure_problem import (
     StructureCoordinates,
     held_transform,
 )
-from fraclink._identify.structure_search import Place, StructureSearch, _distinct
-from fraclink._identify.structure_slopes import Coarse
+from fraclink._identify.structure_search import Place, StructureSearch, _distinct, _take_over
+from fraclink._identify.structure_slopes import Coarse, Rows, _Slopes
 from fraclink._identify.structure_starts import Starts, _halton, _least_squares
 from fraclink._systems.terms import Term
 from fraclink.errors import FieldError, LogError
@@ -759,3 +759,168 @@ def test_figures_of_a_fit_to_a_recording() -> None:
     with pytest.raises(LogError) as caught:
         fl.identify_structure(still, LAG)
     assert (caught.value.field, caught.value.value) == ("input", 0.0)
+
+
+# --- a transform back ---------------------------------------------------------------------------------------
+
+
+def slow_record(count: int = 8000, period: float = 0.02) -> RecordStart:
+    time = period * np.arange(count)
+    u = np.sin(0.5 * time) + 0.5 * np.sin(1.3 * time)
+    y = fl.time_response(2 / (fl.s**1.3 + 0.4 * fl.s + 1), u, period, hold="first").output
+    return RecordStart.of(fl.Recording(period, u, y), "first", count)
+
+
+@pytest.mark.parametrize("decay", [1.0, 4.0])
+def test_lines_are_turned_back_into_samples(decay: float) -> None:
+    data = slow_record(1000)
+    slopes_ = _Slopes(data, decay)
+    assert slopes_._size % 16 == 0 and slopes_._size >= 2000
+    damped = data.output * np.exp(-decay * np.arange(1000) / 1000)
+    lines = np.fft.rfft(damped, slopes_._size)
+    assert slopes_.back(lines, 1) == pytest.approx(data.output, abs=1e-10)
+    assert slopes_._points[0] == pytest.approx(decay / 20.0)
+    assert slopes_._points[1].imag == pytest.approx(2 * np.pi / (slopes_._size * 0.02))
+    # In blocks: the mean of each times the root of its width, from the lines that hold the signal.
+    few = lines[: slopes_._size // 32]
+    blocks = slopes_.back(few, 4)
+    assert blocks.shape == (250,)
+    middle = slice(10, -10)
+    assert blocks[middle] == pytest.approx(blocks_of(data.output, 4)[middle], abs=0.02)
+
+
+def test_blocks_are_as_wide_as_lines_and_samples_allow() -> None:
+    slopes_ = _Slopes(slow_record(8000), 1.0)
+    size = slopes_._size
+    for count, samples, wanted in (
+        (10, 100_000, 16),
+        (size // (2 * 4 * 16), 100_000, 16),
+        (size // (2 * 4 * 16) + 1, 100_000, 8),
+        (10, 16_000, 16),
+        (10, 15_999, 8),
+        (10, 1999, 1),
+        (size, 100_000, 1),
+    ):
+        assert slopes_._width(count, samples) == wanted, (count, samples)
+
+
+def test_a_coarse_record_is_near_the_exact_one() -> None:
+    data = slow_record()
+    own = coordinates("k/(s**a + c*s + w)")
+    truth = {"k": 2.0, "a": 1.3, "c": 0.4, "w": 1.0}
+    coarse = Rows(data).coarse(own, truth)
+    assert coarse is not None and coarse.sharp
+    assert coarse.measured == pytest.approx(blocks_of(data.output, coarse.width))
+    assert coarse.offset == pytest.approx(np.full(coarse.measured.size, math.sqrt(coarse.width)))
+    assert coarse.band == data.band
+    values = {name: np.array([[value]]) for name, value in truth.items()}
+    made = coarse.simulated(own.structure, values, 1)[0]
+    assert np.linalg.norm(made - coarse.measured) < 4e-3 * np.linalg.norm(coarse.measured)
+    two = coarse.simulated(own.structure, {**values, "k": np.array([[2.0], [4.0]])}, 2)
+    assert two[1] == pytest.approx(2 * two[0])
+    rows = coarse.rows(own, truth)
+    assert rows is not None
+    assert rows[0] == pytest.approx(made, rel=1e-6, abs=1e-9)  # k ∂/∂k of what is straight in k
+    crude = Rows(data).coarse(own, truth, crude=True)
+    assert crude is not None and crude.count <= coarse.count
+
+
+def test_an_input_that_jumps_and_a_free_delay_have_no_rows() -> None:
+    u = np.repeat([0.0, 1.0, -1.0, 0.5], 500)
+    data = RecordStart.of(fl.Recording(0.02, u, u), "zero", 2000)
+    held = {"k": 1.0, "w": 2.0, "T": 0.1}
+    assert Rows(data).coarse(coordinates("k/(s**2 + w)*exp(-T*s)"), held) is None
+    assert Rows(data).coarse(coordinates("k/(s**2 + s + w)*exp(-T*s)", {"T": 0.1}), held) is not None
+
+
+# --- descents of a whole search -----------------------------------------------------------------------------
+
+
+def test_a_coefficient_that_vanished_is_brought_back() -> None:
+    """From c = 1e-11 the cost is flat; larger values are tried, and the best descends again."""
+    w = np.geomspace(0.05, 50.0, 60)
+    data = Lines.of(w, (2 / ((1j * w) ** 1.4 + 0.7 * 1j * w + 3)).astype(complex), np.ones(60))
+    search = StructureSearch(coordinates("k/(s**a + c*s + w)"), 0.0)
+    own = search.coordinates
+    low, high = own.box(own.moving)
+    lost = np.array([[1.3, math.log(1e-11), math.log(3.0)]])
+    found = Descent(lost, np.array([1e3]), np.array([True]), 0)
+    back = search._back_from_zero(data, data, found, low, high)
+    assert back.costs[0] < 1e-6
+    assert back.places[0] == pytest.approx([1.4, math.log(0.7), math.log(3.0)], abs=1e-3)
+    kept = Descent(np.add(lost, [[0.0, 15.0, 0.0]]), np.array([1e3]), np.array([True]), 0)
+    assert search._back_from_zero(data, data, kept, low, high).costs[0] == 1e3  # it has not vanished
+
+
+def test_a_lower_end_is_taken_over() -> None:
+    found = Descent(np.zeros((2, 1)), np.array([3.0, 2.0]), np.array([True, True]), 0)
+    again = Descent(np.array([[1.0], [2.0]]), np.array([2.5, 1.0]), np.array([True, False]), 0)
+    _take_over(found, 1, again)
+    assert (found.places.tolist(), found.costs.tolist()) == ([[0.0], [2.0]], [3.0, 1.0])
+    assert found.converged.tolist() == [True, False]
+    _take_over(found, 1, again)
+    _take_over(found, 1, replace(again, costs=np.array([9.0, 9.0])))
+    assert found.costs.tolist() == [3.0, 1.0]
+
+
+@pytest.mark.parametrize("offset", [None, 0.3])
+@pytest.mark.parametrize("text", ["k/(s + w)", "1/(s + w)"])
+def test_gain_and_offset_are_projected_out(text: str, offset: float | None) -> None:
+    """What is left is what least squares leave of the response and a constant."""
+    u = np.repeat(np.random.default_rng(1).choice([-1.0, 1.0], 40), 25)
+    y = 0.3 + fl.time_response(2 / (fl.s + 1.5), u, 0.02, hold="zero").output
+    data = RecordStart.of(fl.Recording(0.02, u, y), "zero", 1000)
+    search = StructureSearch(coordinates(text), offset)
+    unit = fl.time_response(1 / (fl.s + 1.0), u, 0.02, hold="zero").output
+    columns, target = [], y.copy()
+    if text.startswith("k"):
+        columns.append(unit)
+    else:
+        target = target - unit
+    if offset is None:
+        columns.append(np.ones(1000))
+    else:
+        target = target - offset
+    left = target
+    best = np.zeros(0)
+    if columns:
+        best = np.linalg.lstsq(np.stack(columns, axis=1), target, rcond=None)[0]
+        left = target - np.stack(columns, axis=1) @ best
+    assert search.residuals(data, np.zeros((1, 1)))[0] == pytest.approx(left, abs=1e-8)
+    place = search.place(data, np.zeros(1), 7.0, converged=True)
+    assert (place.cost, place.converged) == (7.0, True)
+    assert place.values["w"] == 1.0
+    if text.startswith("k"):
+        assert place.values["k"] == pytest.approx(best[0])
+    assert place.offset == pytest.approx(best[-1] if offset is None else 0.3)
+
+
+def test_standard_errors_of_a_structure_written_out() -> None:
+    """σ² (JᵀJ)⁻¹ of differences of the exact response, for lines with white noise."""
+    w = np.geomspace(0.05, 50.0, 80)
+    truth = (2 / (fl.s**1.4 + 3))(1j * w)
+    rng = np.random.default_rng(3)
+    noise = 0.02 * (rng.normal(size=80) + 1j * rng.normal(size=80)) / math.sqrt(2)
+    data = fl.FrequencyResponse(w, truth * (1 + noise))
+    fit = fl.identify_structure(data, "k/(s**a + w)")
+    values = dict(fit.parameters)
+
+    def scaled(values: dict[str, float]) -> Array:
+        h = (values["k"] / (fl.s ** values["a"] + values["w"]))(1j * w) / np.abs(data.response)
+        return np.concatenate([h.real, h.imag])
+
+    J = np.stack(
+        [
+            (scaled({**values, n: v * (1 + 1e-5)}) - scaled({**values, n: v * (1 - 1e-5)})) / (2e-5 * v)
+            for n, v in values.items()
+        ]
+    )
+    measured = np.concatenate([data.response.real, data.response.imag]) / np.tile(np.abs(data.response), 2)
+    rest = measured - scaled(values)
+    errors = np.sqrt(np.diag(np.linalg.inv(J @ J.T)) * (rest @ rest) / (160 - 3))
+    for k, name in enumerate(values):
+        assert fit.standard_errors[name] == pytest.approx(errors[k], rel=0.35)  # colour may widen them
+        assert fit.standard_errors[name] >= 0.999 * errors[k]
+        interval = fit.intervals[name]
+        assert interval.high - interval.low == pytest.approx(2 * 1.96 * fit.standard_errors[name], rel=0.1)
+    assert fit.undetermined == () and fit.at_bound == ()
