@@ -527,7 +527,8 @@ def test_gain_and_offset_are_projected_out(text: str, offset: float | None) -> N
     data = RecordStart.of(fl.Recording(0.02, u, y), "zero", 1000)
     search = StructureSearch(coordinates(text), offset)
     unit = fl.time_response(1 / (fl.s + 1.0), u, 0.02, hold="zero").output
-    columns, target = [], y.copy()
+    columns: list[Array] = []
+    target: Array = y.copy()
     if text.startswith("k"):
         columns.append(unit)
     else:
