@@ -538,7 +538,7 @@ def test_gain_and_offset_are_projected_out(text: str, offset: float | None) -> N
     else:
         target = target - offset
     left: Array = target
-    best = np.zeros(0)
+    best: Array = np.zeros(0)
     if columns:
         best = np.linalg.lstsq(np.stack(columns, axis=1), target, rcond=None)[0]
         left = target - np.stack(columns, axis=1) @ best
