@@ -540,7 +540,7 @@ def test_gain_and_offset_are_projected_out(text: str, offset: float | None) -> N
     left: Array = target
     best: Array = np.zeros(0)
     if columns:
-        best = np.linalg.lstsq(np.stack(columns, axis=1), target, rcond=None)[0]
+        best = np.asarray(np.linalg.lstsq(np.stack(columns, axis=1), target, rcond=None)[0], np.float64)
         left = target - np.stack(columns, axis=1) @ best
     assert search.residuals(data, np.zeros((1, 1)))[0] == pytest.approx(left, abs=1e-8)
     place = search.place(data, np.zeros(1), 7.0, converged=True)
