@@ -275,3 +275,8 @@ def test_matrices_keep_out_what_is_none() -> None:
     assert (-g).entries[0] == (-1 / s, -2 + 0 * s)
     assert wide(2j).tolist() == [[2j, 2, 3]]
     assert str(g).splitlines() == ["[1 / s,  2]", "[0,  s]"]
+
+
+def test_margins_of_one_channel_send_a_matrix_to_those_of_several() -> None:
+    with pytest.raises(FieldError, match="Use multivariable_margins"):
+        fl.margins(fl.TransferMatrix([[1 / s]]))

@@ -302,3 +302,10 @@ def test_sections_in_series_are_the_product_of_their_roots(count: int) -> None:
             for z in (0.3j, 7.0 + 2j):
                 value = (c @ np.linalg.solve(z * np.eye(count) - a, b) + d).item()
                 assert value == pytest.approx(2.5 * np.prod(z - zeros) / np.prod(z - poles), rel=1e-9)
+
+
+def test_zero_has_no_relative_error_and_is_refused() -> None:
+    for method in ("oustaloup", "minimax"):
+        with pytest.raises(FieldError, match="zero at every frequency") as refused:
+            approximate(0 * s, (0.1, 10.0), 3, method=method)  # type: ignore[arg-type]
+        assert refused.value.field == "system"

@@ -13,7 +13,7 @@ from scipy.special import binom, erfcx, gamma, wofz
 
 from fraclink._arm.link import LinkModel
 from fraclink._systems.fractional import FractionalTransferFunction, s
-from fraclink._systems.held import split_delay
+from fraclink._systems.modes import split_delay
 from fraclink._systems.response import (
     discrete_modes,
     grunwald_letnikov,

@@ -20,8 +20,7 @@ from fraclink._design.completed import design_for
 from fraclink._export import Proof, export_c
 from fraclink._files import sha256_of
 from fraclink._law import Law
-from fraclink_prove import eva, formulas, rounding, source, step, symbolic, tools
-from fraclink_prove.certificate import loop_claim
+from fraclink_prove import eva, formulas, loop_claim, rounding, source, step, symbolic, tools
 from law_bench import default_controller, law, with_pair
 from law_bench import run as run_law
 from needed_tools import tool

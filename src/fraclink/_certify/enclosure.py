@@ -61,6 +61,7 @@ class BoxLoop:
         self.pid = {name: float(c[name]) for name in layout.PID}
         self.low, self.high = s.box
         self.low["frequency"] = s.lowest
+        # π/Ts is no double: the box ends a hair above it.
         self.high["frequency"] = math.nextafter(math.pi / self.period, math.inf) * (1 + ROUNDING)
         self.axes = tuple(name for name in AXES if self.low[name] < self.high[name])
         # Bound of all aliases of L below the lowest frequency, over |K| |y|: leaves alone hold some in L.
@@ -280,6 +281,7 @@ class BoxLoop:
         share = (1 + ratio * (ratio + 2 * self.statement.mode_damping)).inverse()
         # Over wide boxes the denominator may seem to vanish; R itself never exceeds its peak.
         most = self.mode_peak * (1 + 1e-9)
+        # Negated, so that nan counts as wide.
         wide = ~(share.r < most)
         share = Disc(np.where(wide, 0.0, share.c), np.where(wide, most, share.r), share.d)
         return share * self._variable("mode_gain", box["mode_gain"])
@@ -354,6 +356,7 @@ class BoxLoop:
             return math.inf
         mode = self.high["mode_gain"] * ratio**2 / (1 - ratio**2)
         tip = 1 + self.read * self.high["gauge_gain"] * (soft / (1 - soft - drag) + mode)
+        # |e^(−jωTs) − 1| ≤ ωTs: one disc holds the arc from 0 to the lowest frequency.
         arc = Disc(np.ones(1), np.array([w * self.period]))
         bound = float(self._kernel(arc).most()[0]) * w * self.period * (tip + self.tail)
         voltage = self._low_voltage(arc) if self.motor_loop == "sampled" else 1.0
@@ -362,18 +365,11 @@ class BoxLoop:
     def _low_voltage(self, arc: Disc) -> float:
         """What the sampled motor loop multiplies it with."""
         first, both = self.controllers(arc)
-        spans = [
-            Span(*(np.array([side[name]]) for side in (self.low, self.high))) for name in ("delay", "motor")
-        ]
-        closing = self.closing(
-            FrequencyWindow((both,), np.zeros(1), arc, both), spans[0].disc(), spans[1].inverse().disc()
-        )
+        box = self.box(*self.root())
+        window = FrequencyWindow((both,), np.zeros(1), arc, both)
+        closing = self.closing(window, box["delay"].disc(), box["motor"].inverse().disc())
         size = first.most() * closing.inverse().most() / self.low["motor"]
         return float(size[0]) * (self.period * self.high["motor"] / self.statement.decay + 2)
-
-    def correction_is_stable(self) -> bool:
-        """Whether every pole of Ĉ lies inside the unit circle."""
-        return all(abs(p) < 1 for p, _ in self.modes)
 
     def inner_is_stable(self) -> bool:
         """Whether the sampled motor loop is stable at the least delay and motor gain: Jury's reflections.

@@ -12,7 +12,7 @@ import numpy as np
 from fraclink._systems.fractional import FractionalTransferFunction
 from fraclink._systems.loops import FractionalLoop, SampledLoop, as_loop
 from fraclink._systems.margins import margins
-from fraclink._systems.sweep import sweep, zero_of
+from fraclink._systems.sweep import sweep, valleys, zero_of
 from fraclink._systems.terms import Complexes, Reals
 from fraclink._validate import Between, checked
 from fraclink.errors import UnstableError
@@ -130,16 +130,12 @@ def _nearest(
     distance[np.isnan(distance)] = math.inf
     best = int(np.argmin(distance))
     smallest, frequency, at = float(distance[best]), math.exp(float(x[best])), complex(values[best])
-    inner = distance[1:-1]
-    low = (inner <= distance[:-2]) & (inner <= distance[2:]) & (inner < _SPARE * smallest)
 
     def slope(value: complex, rate: complex) -> float:
         moved = value * rate
         return (moved / (1 + value) + (1 - skew) * moved / ((1 + skew) - (1 - skew) * value)).real
 
-    # Every valley that could hold the infimum, not the lowest point of the grid alone: between two points a
-    # narrow resonance comes closer than either shows.
-    for i in (np.flatnonzero(low) + 1).tolist():
+    for i in valleys(distance, spare=_SPARE):
         place, value = zero_of(loop, slope, float(x[i - 1]), float(x[i + 1]))
         here = float(_distance(np.array([value]), skew)[0])
         if here <= smallest:

@@ -3,29 +3,24 @@
 from __future__ import annotations
 
 import math
-import os
 import sys
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fraclink import _kernels
-from fraclink._systems.contour import (
-    careful_response,
-    convolve,
+from fraclink._systems.contour import careful_response, convolve, respond_by_weights, sample_response
+from fraclink._systems.modes import DiscreteModes, Expansion, expand, mean_growth, split_delay
+from fraclink._systems.quotient import (
+    LowFrequency,
+    Quotient,
     jump_response,
     power_response,
     power_weights,
-    respond_by_weights,
-    sample_response,
+    split_low_frequency,
 )
-from fraclink._systems.modes import DiscreteModes, Expansion, expand
-from fraclink._systems.quotient import LowFrequency, Quotient, split_low_frequency
 from fraclink._systems.terms import Reals, Term, collect, grid, largest, same, snap
-from fraclink.errors import SizeError
 
 _CHECKS = 9  # times at which the modes are compared with the contour integral; their error swings in ln t
 _SWING = 6.0  # that error swings in ln t, and nine times need not meet its largest value
@@ -36,7 +31,6 @@ _CORRECTIONS = 3  # of the tolerance that an expansion is asked for
 _FINEST = 1e-14  # where rounding begins
 _VAGUE = 1e3  # units of rounding: a pole less certain than that has a neighbour, and their errors cancel
 _POWER_UNITS = 20.0  # of rounding in t^a/Γ(1+a) and in its convolution by FFT
-_BYTES = 40  # per sample: input, output, time and what a hold needs
 _CHUNK = 4096  # times that are evaluated together: 60 modes are 2 MB; and differences that are added
 
 
@@ -63,6 +57,8 @@ class HeldQuotient:
     def of(cls, top: tuple[Term, ...], bottom: tuple[Term, ...]) -> HeldQuotient:
         low = split_low_frequency(top, bottom)
         whole = Quotient.of(top, bottom)
+        # What is taken off at low frequency has its poles at 0 alone: the others
+        # are found once, for the whole.
         quotient = Quotient(low.top, whole.bottom, whole.zeros) if low.top else None
         same_degree = bool(low.top) and low.top[0].order == low.bottom[0].order
         direct = low.top[0].coefficient / low.bottom[0].coefficient if same_degree else 0.0
@@ -81,6 +77,7 @@ class HeldQuotient:
         """Step (power 1) or ramp (2) response at single times ≥ 0, without integrator and singular powers."""
         if self.quotient is None:
             return [self.direct * (t if power == 2 else 1.0) for t in times]
+        # At 0 itself the parabola has no scale; what the response is there follows from its highest powers.
         start = self.direct if power == 1 else 0.0
         later = [t for t in times if t > 0.0]
         values = iter(_judge(self.quotient, np.array(later), power).tolist())
@@ -133,11 +130,16 @@ class HeldQuotient:
             zeroth = (at - 2.0 * before) / period
             zeroth += integrator * (0.5 * period + ahead - 0.5 * ahead**2 / period)
             one = (next_at - 2.0 * at + before) / period + integrator * period
+            # A hat is a second difference of ramps: (e^x − 1)²/x of each mode, without the
+            # cancellation of three exponentials.
             gains = parts.weights * np.expm1(x) ** 2 / x
             pole_gains = 2.0 * parts.pole_weights * np.expm1(z) ** 2 / z
+        # A sample is `ahead` later than the input that it answers, and each mode has moved on by as much.
         gains, pole_gains = gains * np.exp(x * ahead / period), pole_gains * np.exp(z * ahead / period)
         if integrator:
             x, gains = np.append(x, 0.0), np.append(gains, integrator * period)
+        # The weight at lag 1 is exact by construction: within the first period the
+        # modes are not what they stand for.
         first = one - float(gains.sum()) - float(pole_gains.sum().real)
         return DiscreteModes(
             period, hold, zeroth, first, x, gains, z, pole_gains, span, lag, early, tolerance
@@ -147,6 +149,8 @@ class HeldQuotient:
         """Response to the samples u."""
         span = max(len(u), 1) * period
         parts = self.expansion(period, span, tolerance)
+        # Every response is judged by the contour: whether modes cancel depends
+        # on the span, and not on G alone.
         error, peak, step = self.error(parts, period, span)
         if self._needs_contour(error, peak, len(u)):
             lag, ahead = split_delay(delay, period)
@@ -183,8 +187,9 @@ class HeldQuotient:
         """Response to a jump at 0 minus that to a straight rise from -T to 0, `ahead` after each sample."""
         step, (ramp, next_ramp) = self.exact([ahead], 1)[0], self.exact([ahead, ahead + period], 2)
         x, z = -parts.rates * period, parts.poles * period
-        gains = -parts.weights * np.exp(x * ahead / period) * _mean_growth(x)
-        pole_gains = -2.0 * parts.pole_weights * np.exp(z * ahead / period) * _mean_growth(z)
+        gains = -parts.weights * np.exp(x * ahead / period) * mean_growth(x)
+        pole_gains = -2.0 * parts.pole_weights * np.exp(z * ahead / period) * mean_growth(z)
+        # An unforced run of the modes from 1: what a jump at time 0 leaves of itself at every later sample.
         start = np.concatenate((np.ones(len(x)), np.tile([1.0, 0.0], len(z))))
         output: Reals = _kernels.modes_response(np.zeros(count), 0.0, 0.0, x, gains, z, pole_gains, start)
         output[0] = step - (next_ramp - ramp) / period
@@ -220,6 +225,7 @@ class HeldQuotient:
             value[k : k + _CHUNK] = real + 2.0 * pair.real
         if degree:
             # The modes hold increments only: one exact value fixes the constant.
+            # At the first time: there the value is smallest, and a constant that is off shows most.
             index = int(np.argmin(t))
             value += (self.exact([shortest], 1)[0] if first is None else first) - value[index]
         value += self.low.integrator * (t if degree else 1.0) + power_response(self.low.powers, t, degree)
@@ -240,6 +246,7 @@ class HeldQuotient:
         moving = (rates.imag != 0.0) | (rates.real > 0.0)  # the others are gone before their error matters
         place = np.ones(len(rates))
         place[moving] += np.minimum(self.whole.place_error(np.log(rates[moving])), _VAGUE)
+        # A mode that dies errs for as long as it lives, and not for the whole span.
         life = span / np.maximum(1.0, -rates.real * span)
         turned = np.abs(rates) * life
         # A slow mode moves by its weight times |p| t only: the weight itself, huge beside 0, is never seen.
@@ -260,6 +267,7 @@ class HeldQuotient:
         return "modes+convolution" if self.low.powers else "modes"
 
     def _needs_contour(self, error: float, peak: float, count: int) -> bool:
+        # `not <=` and not `>`: modes that overflowed into each other leave nan, which is no small error.
         return not self.low.is_split or (not error <= _ENOUGH * peak and count <= _MOST_WEIGHTS)
 
     def _initial(self, degree: int) -> float:
@@ -271,6 +279,7 @@ class HeldQuotient:
         else:
             tail, gap = _leading(self.low.top, self.low.bottom, self.direct)
         strongest = min([gap, *([1.0] if self.low.integrator else []), *(a for _, a in self.low.powers)])
+        # h ~ t^(a−1)/Γ(a): infinite at 0 for a < 1, finite for 1/s alone, else 0.
         if strongest < 1.0:
             return math.copysign(math.inf, tail)
         return (tail if gap == 1.0 else 0.0) + self.low.integrator
@@ -289,6 +298,7 @@ class HeldQuotient:
 
         Not that of the step response over a time: modes of high rates err most just after the first time.
         """
+        # Nothing but a gain and an integrator: there is no mode whose error could be seen.
         if not self.falling.top or (self.quotient is None and not self.low.powers):
             return 0.0, 1.0
         times = _check_times(shortest, longest)
@@ -335,26 +345,6 @@ def _jumps(u: Reals) -> float:
     return min(moved, most)
 
 
-def _mean_growth(x: NDArray[Any]) -> NDArray[Any]:
-    """(e^x - 1)/x - 1: the mean of e^(xτ) - 1 over a period. Left in, the 1 would drown a slow mode."""
-    small = np.abs(x) < 0.5
-    near, series = x[small], np.zeros(np.count_nonzero(small), x.dtype)
-    for n in range(16, 0, -1):  # Σ x^n/(n+1)!, by Horner's rule: 0.5^16/17! is 1e-19
-        series = (series + 1.0) * near / (n + 1.0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        mean = np.asarray(np.expm1(x) / x - 1.0)
-    mean[small] = series
-    return mean
-
-
-def split_delay(delay: float, period: float) -> tuple[int, float]:
-    """Whole periods of delay, rounded up, and how far the sample then is ahead of the delayed input [s]."""
-    steps = delay / period
-    lag = round(steps) if abs(steps - round(steps)) < 1e-9 * max(1.0, steps) else math.ceil(steps)
-    ahead = lag * period - delay
-    return lag, (0.0 if abs(ahead) < 1e-9 * max(period, delay) else ahead)
-
-
 def _judge(quotient: Quotient, times: Reals, power: int) -> Reals:
     """The response accurate relative to itself: a single early time has no later peak to hide its error."""
     return careful_response(quotient, times, power, bounded=False)[0]
@@ -382,15 +372,3 @@ def _leading(top: tuple[Term, ...], bottom: tuple[Term, ...], direct: float) -> 
     if not rest:
         return 0.0, math.inf
     return rest[0].coefficient / bottom[0].coefficient, snap(bottom[0].order - rest[0].order)
-
-
-def refuse_beyond_memory(field: str, count: float, each: int = _BYTES) -> None:
-    """Raise `SizeError` where `count` samples need more memory than the machine has; nothing is allocated."""
-    # Where the system does not tell, 8 GiB: every machine that runs numpy in earnest has them.
-    known = hasattr(os, "sysconf")
-    available = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") if known else 8 << 30
-    if not count * each < available:
-        problem = f"too many samples: they need {count * each:.2g} bytes"
-        allowed = f"at most {available // each:.3g} samples on this machine"
-        remedy = "shorten the span or lengthen the period"
-        raise SizeError(field, count, problem, allowed=allowed, remedy=remedy)

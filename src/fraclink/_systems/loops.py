@@ -49,6 +49,8 @@ class CallableLoop:
         if values.shape != x.shape:
             problem, allowed = "of another shape than its argument", f"shape {x.shape}"
             remedy = "write the callable with numpy operations on arrays of s"
+            if values.ndim == 3:
+                remedy = "use multivariable_margins for several inputs and outputs"
             raise FieldError("loop", values.shape, problem, allowed=allowed, remedy=remedy)
         if np.isnan(values).any():
             problem = f"not a number at {math.exp(float(x[np.isnan(values)][0])):.6g} rad/s"

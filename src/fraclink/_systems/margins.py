@@ -22,6 +22,7 @@ from fraclink._systems.sweep import (
     phase_level,
     phase_slope,
     sweep,
+    valleys,
     zero_of,
 )
 from fraclink._systems.terms import Complexes, Reals
@@ -290,11 +291,9 @@ def modulus_margin(loop: SampledLoop, x: Reals, values: Complexes) -> tuple[floa
     distance = np.abs(1 + values)
     distance[np.isnan(distance)] = math.inf
     best = int(np.argmin(distance))
-    inner = distance[1:-1]
-    # The sweep lets 1 + L move by its own size from point to point: part of that may still be lost.
-    low = (inner <= distance[:-2]) & (inner <= distance[2:]) & (inner < 3 * distance[best])
     smallest, at = float(distance[best]), float(x[best])
-    for i in (np.flatnonzero(low) + 1).tolist():
+    # The sweep lets 1 + L move by its own size from point to point: part of that may still be lost.
+    for i in valleys(distance, spare=3.0):
         place, value = zero_of(loop, modulus_slope, float(x[i - 1]), float(x[i + 1]))
         if abs(1 + value) <= smallest:
             smallest, at = abs(1 + value), place

@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fraclink import _kernels
 from fraclink._systems.quotient import Cluster, Quotient
@@ -87,6 +89,16 @@ class DiscreteModes:
             total = total + 0.5 * np.conj(pole_gain) * shift / (1.0 - np.conj(pole) * shift)
         result: Complexes = np.asarray(total * shift**self.lag, np.complex128)
         return result
+
+
+def split_delay(delay: float, period: float) -> tuple[int, float]:
+    """Whole periods of delay, rounded up, and how far the sample then is ahead of the delayed input [s]."""
+    steps = delay / period
+    # 3 · 0.1 s is 3.0000000000000004 periods of 0.1 s: rounded up to four, every sample
+    # would be a whole period ahead.
+    lag = round(steps) if abs(steps - round(steps)) < 1e-9 * max(1.0, steps) else math.ceil(steps)
+    ahead = lag * period - delay
+    return lag, (0.0 if abs(ahead) < 1e-9 * max(period, delay) else ahead)
 
 
 # --- The step response as a sum of exponentials, uniformly accurate between two times -----------------
@@ -291,3 +303,15 @@ def _lagrange(x: Complexes) -> Complexes:
     gap = x[:, None] - np.cos(angle)[None, :]
     basis = (-1.0) ** index * np.sin(angle) / gap
     return np.asarray(basis / basis.sum(axis=1, keepdims=True))
+
+
+def mean_growth(x: NDArray[Any]) -> NDArray[Any]:
+    """(e^x - 1)/x - 1: the mean of e^(xτ) - 1 over a period. Left in, the 1 would drown a slow mode."""
+    small = np.abs(x) < 0.5
+    near, series = x[small], np.zeros(np.count_nonzero(small), x.dtype)
+    for n in range(16, 0, -1):  # Σ x^n/(n+1)!, by Horner's rule: 0.5^16/17! is 1e-19
+        series = (series + 1.0) * near / (n + 1.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        mean = np.asarray(np.expm1(x) / x - 1.0)
+    mean[small] = series
+    return mean

@@ -15,7 +15,7 @@ from fraclink._systems.fractional import FractionalTransferFunction
 from fraclink._systems.loops import CallableLoop, FractionalLoop, SampledLoop, as_loop
 from fraclink._systems.margins import unstable_closed_loop_poles
 from fraclink._systems.stability import is_stable
-from fraclink._systems.sweep import POINT_LIMIT, TURN, sweep
+from fraclink._systems.sweep import POINT_LIMIT, TURN, sweep, valleys
 from fraclink._systems.terms import Complexes, Reals
 from fraclink._systems.transfer_matrix import TransferMatrix
 from fraclink._validate import Between, checked
@@ -248,9 +248,7 @@ def _infimum(of: Callable[[Reals], Reals], x: Reals) -> tuple[float, float]:
     values = of(x)
     best = int(np.argmin(values))
     smallest, at = float(values[best]), float(x[best])
-    inner = values[1:-1]
-    low = (inner <= values[:-2]) & (inner <= values[2:]) & (inner < _SPARE * smallest)
-    for i in (np.flatnonzero(low) + 1).tolist():
+    for i in valleys(values, spare=_SPARE):
         # By values and not by a root of the slope: σ has kinks where two singular values meet.
         found = minimize_scalar(
             lambda place: float(of(np.array([place]))[0]),

@@ -16,7 +16,7 @@ from fraclink._systems.fractional import FractionalTransferFunction
 from fraclink._systems.loops import CallableLoop, FractionalLoop, SampledLoop, around
 from fraclink._systems.rational import RationalApproximation
 from fraclink._systems.stability import is_stable
-from fraclink._systems.sweep import gain_slope, sweep, zero_of
+from fraclink._systems.sweep import gain_slope, sweep, valleys, zero_of
 from fraclink._systems.terms import Complexes, Reals
 from fraclink._validate import Between, Where, checked
 from fraclink.errors import FieldError, NotConvergedError, UnstableError
@@ -142,14 +142,12 @@ def _order_at(system: FractionalTransferFunction, end: int) -> float:
 def _peak(loop: SampledLoop) -> float:
     x, values, _ = sweep(loop)
     size = np.abs(values)
-    inner = (size[1:-1] >= size[:-2]) & (size[1:-1] >= size[2:])
     largest = float(size.max())
-    for i in (np.flatnonzero(inner) + 1).tolist():
-        if size[i] > 0.5 * largest:
-            # A supremum is where the slope of ln|L| vanishes; the grid's own largest value is too small at
-            # every resonance.
-            _, value = zero_of(loop, gain_slope, float(x[i - 1]), float(x[i + 1]))
-            largest = max(largest, abs(value))
+    # A supremum is where the slope of ln|L| vanishes; the grid's own largest value is too small at every
+    # resonance.
+    for i in valleys(-size, spare=0.5):
+        _, value = zero_of(loop, gain_slope, float(x[i - 1]), float(x[i + 1]))
+        largest = max(largest, abs(value))
     # A response that approaches its supremum at ω → 0 or ∞ has it as the ratio of two coefficients.
     return max(largest, *(abs(limit) for limit in loop.ends if not cmath.isnan(limit)))
 

@@ -205,6 +205,9 @@ def _check(system: FractionalTransferFunction, band: tuple[float, float], period
         remedy = "approximate the system without its delay and keep the delay as samples"
         allowed = "systems without delay"
         raise FieldError("system", repr(system), "delayed", allowed=allowed, remedy=remedy)
+    if not system.numerator:
+        problem, remedy = "zero at every frequency", "approximate what is not zero: every error is relative"
+        raise FieldError("system", repr(system), problem, allowed="functions other than 0", remedy=remedy)
     if system.relative_degree <= -1:
         problem, remedy = "improper by one order or more", "divide by a power of s: s^1.65 is s times s^0.65"
         allowed = "relative degree > -1"

@@ -13,9 +13,9 @@ from numpy.typing import ArrayLike
 from fraclink import _kernels
 from fraclink._systems.contour import convolve, delay_free_part, feedthrough, invert
 from fraclink._systems.fractional import FractionalTransferFunction
-from fraclink._systems.held import HeldQuotient, Part, refuse_beyond_memory
+from fraclink._systems.held import HeldQuotient, Part
 from fraclink._systems.modes import DiscreteModes
-from fraclink._systems.terms import Reals, Term, grid, largest
+from fraclink._systems.terms import Reals, Term, grid, largest, refuse_beyond_memory
 from fraclink._validate import Array, Between, Positive, checked
 from fraclink._validate.equality import compared
 from fraclink.errors import FieldError, NotConvergedError, SizeError
@@ -225,6 +225,7 @@ def _instants(time: object, period: float | None) -> Reals:
             remedy = "give the period of the samples, or an array of times"
             raise FieldError("period", None, "missing", allowed="> 0 s", remedy=remedy)
         refuse_beyond_memory("time", time / period)
+        # 0.3/0.1 is 2.9999999999999996: the last sample asked for would be missing.
         return grid(int(time / period * (1.0 + 1e-12)) + 1, period)
     if period is not None:
         allowed = "a duration and a period, or times alone"
@@ -252,6 +253,8 @@ def _fixed(G: FractionalTransferFunction, time: object, period: float | None, de
             late[np.abs(late) <= 1e-12 * max(1.0, delay)] = 0.0
             parts.append(held_quotient(top, G.denominator).at(late, degree, TOLERANCE))
     except NotConvergedError:
+        # The inversion works on a grid and not at single times, and an impulse has no
+        # samples that it could difference.
         if period is None or degree == 0:
             raise
         return time_response(G, np.ones(len(times)), period)

@@ -235,6 +235,18 @@ def bracketed_roots(
 
 # --- Roots and extremes of a response inside their brackets -------------------------------------------
 
+
+def valleys(values: Reals, *, spare: float) -> list[int]:
+    """Indices of the inner points that neither neighbour undercuts, if below `spare` times the least value.
+
+    Every valley that could hold the infimum and not the lowest point alone: between two points of a sweep a
+    narrow resonance comes closer than either shows.
+    """
+    inner = values[1:-1]
+    low = (inner <= values[:-2]) & (inner <= values[2:]) & (inner < spare * values.min())
+    return (np.flatnonzero(low) + 1).tolist()
+
+
 Tendency = Callable[[complex, complex], float]  # of L and d ln L/d ln ω
 
 # The least that brentq admits, relative to ln ω: crossings are then known to rounding.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -10,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink.errors import FieldError
+from fraclink.errors import FieldError, SizeError
 
 Reals = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -292,3 +293,18 @@ def grid(count: int, period: float) -> Reals:
     times = np.arange(count, dtype=np.float64)
     times *= period
     return times
+
+
+_BYTES = 40  # per sample of a response: input, output, time and what a hold needs
+
+
+def refuse_beyond_memory(field: str, count: float, each: int = _BYTES) -> None:
+    """Raise `SizeError` where `count` samples need more memory than the machine has; nothing is allocated."""
+    # Where the system does not tell, 8 GiB: every machine that runs numpy in earnest has them.
+    known = hasattr(os, "sysconf")
+    available = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") if known else 8 << 30
+    if not count * each < available:
+        problem = f"too many samples: they need {count * each:.2g} bytes"
+        allowed = f"at most {available // each:.3g} samples on this machine"
+        remedy = "shorten the span or lengthen the period"
+        raise SizeError(field, count, problem, allowed=allowed, remedy=remedy)
