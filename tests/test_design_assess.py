@@ -17,8 +17,12 @@ from fraclink._arm.motor_loop import MotorLoop, direct_placement, motor_loop_cos
 from fraclink._arm.rig import Rig
 from fraclink._arm.sampled import SampledPlant
 from fraclink._certify import certify, enclose_phase_margin
-from fraclink._design import Design
-from fraclink._design.alternatives import compare_at_equal_sensitivity, feasibility_map
+from fraclink._design import Design, alternatives
+from fraclink._design.alternatives import (
+    compare_at_equal_sensitivity,
+    feasibility_map,
+    scale_to_sensitivity,
+)
 from fraclink._design.assess import VibrationMode, margin_curve, phase_budget, spillover, tolerances
 from fraclink._design.equations import attempt, task_of
 from fraclink._design.procedure import requirements_of
@@ -481,3 +485,47 @@ def test_each_tolerance_is_where_the_signed_margin_ends() -> None:
         if crossing.frequency > w0
     ]
     assert found.delay == pytest.approx(min(falling), rel=1e-6)
+
+
+def test_the_largest_gain_within_a_bound_on_ms(design: Design) -> None:
+    """On a dense grid: Ms is the bound at the gain that is found, and more a per cent above it."""
+    start = replace(design.controller, gain=0.3 * design.controller.gain)
+    for bound in (1.55, 8.0):
+        found = scale_to_sensitivity(design, start, bound)
+        w = np.geomspace(1.0, math.pi / RIG.period, 20_000)
+
+        def peak(gain: float, w: np.ndarray = w) -> float:
+            loop = design.full_loop.with_controller(replace(start, gain=gain))
+            return max(
+                float(np.max(1 / np.abs(1 + loop(w, w0))))
+                for w0 in np.geomspace(*design.natural_frequencies, 9)
+            )
+
+        assert peak(found.gain) == pytest.approx(bound, rel=1e-4)
+        assert peak(1.01 * found.gain) > bound
+        assert replace(found, gain=start.gain) == start
+    with pytest.raises(InfeasibleError, match=r"no gain brings Ms to 1\.001 with β = 0\.6"):
+        scale_to_sensitivity(design, replace(start, gain=30.0), 1.001)
+
+
+def test_a_rival_is_rated_by_its_worst_payload(design: Design) -> None:
+    own = alternatives._rate(design, "own", design.controller)
+    got = design.full_loop.achieved(np.geomspace(*design.natural_frequencies, 9), RIG.period)
+    assert (own.name, own.controller, own.stable) == ("own", design.controller, True)
+    figures = (own.sensitivity_peak, own.gain_crossover, own.phase_margin, own.noise_gain)
+    assert figures == pytest.approx(
+        (got.sensitivity_peak.max(), got.gain_crossover.min(), got.phase_margin.min(), got.noise_gain.max())
+    )
+    assert own.settling_time == pytest.approx(2 * math.pi / 12.0)
+    loud = alternatives._rate(design, "loud", replace(design.controller, gain=20 * design.controller.gain))
+    assert not loud.stable and loud.phase_margin < 0 and loud.sensitivity_peak == loud.noise_gain == math.inf
+    quiet = alternatives._rate(design, "quiet", replace(design.controller, gain=1e-9))
+    assert quiet.gain_crossover == 0.0 and quiet.settling_time == math.inf
+
+
+def test_a_rivals_start_has_the_gain_of_the_design_at_its_crossover(design: Design) -> None:
+    filtered = replace(design.controller, filter_time=0.004)
+    for own, order, n in ((filtered, 1.2, 2), (filtered, 0.9, 1), (design.controller, 1.2, 1)):
+        start = alternatives._start(own, order, 15.0)
+        assert (start.order, start.filter_order, start.filter_time) == (order, n, own.filter_time)
+        assert start.gain * 15.0**order == pytest.approx(own.gain * 15.0**own.order)

@@ -285,3 +285,16 @@ def test_an_optimised_design_is_the_one_of_its_bounds(quiet: Optimised, design: 
     light = quiet.design.full_loop.crossings(quiet.design.natural_frequencies[1]).frequency.max()
     assert quiet.design.gain_crossover_upper == pytest.approx(light, rel=1e-9)
     assert quiet.goal == "noise" and quiet.least == 0.02 and quiet.steps[2].taken
+
+
+def test_a_solution_is_quieter_and_keeps_what_was_bounded(design: Design) -> None:
+    own = design.full_loop.achieved(np.geomspace(*design.natural_frequencies, 9), RIG.period)
+    peak, noise = float(np.max(own.sensitivity_peak)), float(np.max(own.noise_gain))
+    problem = problem_of(design, bounds=Bounds(peak, 12.0, noise))
+    found = problem.solve(problem.start(replace(design.controller, order=1.2, filter_time=0.02)))
+    assert problem.constraints(found)[0].min() > -1e-6
+    assert math.exp(found[3]) < 0.5 * noise  # the last parameter is ln of the noise gain
+    made = problem.controller(found, design.controller)
+    loop = design.full_loop.with_controller(made)
+    links = np.geomspace(*design.natural_frequencies, 5)
+    assert math.exp(found[3]) == pytest.approx(float(loop.noise_gain(links, RIG.period).max()), rel=1e-6)

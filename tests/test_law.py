@@ -16,6 +16,7 @@ from fraclink import _kernels
 from fraclink._arm.link import LinkModel
 from fraclink._law import Law, LawInputs, Modes, Moves, derive_limits, discretize_controller
 from fraclink._law import block as layout
+from fraclink._law.discretization import _crossover
 from fraclink.errors import FieldError, FileFormatError
 from law_bench import PERIOD, default_controller, law, run, signals
 
@@ -279,3 +280,60 @@ def test_the_modes_of_a_block_answer_a_pulse_as_the_recursion_of_law_c_does() ->
     answer = np.array([sum(g * p**k for p, g in modes) for k in range(e.size)])
     np.testing.assert_allclose(answer.imag, 0.0, atol=1e-15)
     np.testing.assert_allclose(np.convolve(e, answer.real)[: e.size - 1], output[1:], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("crossover", "margin", "filter_time", "emphasis"),
+    [(12.0, 50.0, 0.0, 3.0), pytest.param(20.0, 45.0, None, 1.0, marks=pytest.mark.slow)],
+)
+def test_a_fit_is_closest_about_the_crossover(
+    crossover: float, margin: float, filter_time: float | None, emphasis: float
+) -> None:
+    """There Ĉ itself is met to C's 0.1 dB and 0.5° over the emphasis: the loop is Ĉ times the plant."""
+    rig = fl.Rig.named("paper-2023")
+    asked = {"gain_crossover": crossover, "phase_margin": fl.deg(margin), "filter_time": filter_time}
+    made = fl.design(rig.model, rig, **asked, law=False)  # type: ignore[arg-type]
+    law = discretize_controller(made.controller, PERIOD)
+    assert law.correction_error[0] <= 0.1 and law.correction_error[1] <= 0.5 and law.order == 6
+    centre = made.ideal_loop.with_controller(made.controller).crossings(made.natural_frequency(0.03))
+    w = centre.frequency.max() * np.geomspace(1 / 2.4, 2.4, 200)
+    error = np.abs(law.frequency_response(w) / made.controller.response(w) - 1)
+    assert error.max() < np.hypot(0.1 * np.log(10) / 20, np.radians(0.5)) / emphasis
+
+
+def test_a_law_of_a_controller_alone_has_the_papers_motor_loop() -> None:
+    """M(s) of 80 rad/s and one period of computation, unless the controller was designed for another."""
+    own = default_controller()
+    bare = discretize_controller(own, PERIOD)
+    assert (bare.inner_pole, bare.drive) == (80.0, None)
+    other = discretize_controller(replace(own, inner=fl.MotorLoop(40.0, 3)), PERIOD)
+    assert other.inner_pole == 40.0 and other.correction == bare.correction
+    assert other.tracking != bare.tracking
+    same = discretize_controller(replace(own, inner=fl.MotorLoop(80.0, 1)), PERIOD)
+    assert same.tracking == bare.tracking and same.limits == bare.limits
+    nyquist = np.pi / PERIOD
+    assert bare.band == pytest.approx((0.05, 300.0))
+    filtered = replace(own, filter_time=0.01)
+    assert discretize_controller(filtered, PERIOD).band == pytest.approx((0.05, 600.0))
+    assert discretize_controller(own, 0.02).band == pytest.approx((0.05, 0.382 * nyquist / 5))
+    assert discretize_controller(filtered, 0.02).band == pytest.approx((0.05, 0.764 * nyquist / 5))
+    assert discretize_controller(own, 0.1, order=2).band[0] == pytest.approx(1e-3 * np.pi / 0.1)
+    with pytest.raises(FieldError, match="too long"):
+        discretize_controller(own, 12.6)
+    with pytest.raises(FieldError, match="not the one the controller was designed for"):
+        discretize_controller(replace(own, period=0.005), PERIOD)
+    with pytest.raises(FieldError, match="link"):
+        discretize_controller(replace(own, link=None), PERIOD)
+
+
+def test_the_fit_is_centred_where_the_loop_last_falls_through_one() -> None:
+    """k w^β ω₀²/(w² − ω₀²) = 1 above the resonance of an undamped link; the resonance where it never is."""
+    link = LinkModel(1.56, 10.0)
+    for gain, order in ((0.05, 0.5), (0.2, 0.8), (0.5, 0.3)):
+        w = np.geomspace(10.001, 290.0, 200_000)
+        falls = np.flatnonzero(gain * w**order * 100.0 / (w**2 - 100.0) > 1.0)[-1]
+        found = _crossover(fl.Controller(gain=gain, order=order), link)
+        assert found == pytest.approx(w[falls], rel=0.011)  # the grid has steps of 1 %
+    assert _crossover(fl.Controller(gain=1e-9, order=0.5), LinkModel(1.56, 10.0, order=1.5)) == pytest.approx(
+        10.0 ** (2 / 1.5)
+    )

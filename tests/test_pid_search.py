@@ -12,7 +12,7 @@ from scipy.integrate import quad
 
 import fraclink as fl
 from fraclink._design import pid_search
-from fraclink._design.pid import _problem
+from fraclink._design.pid import _of_law, _problem
 from fraclink._design.pid_search import Candidates, PidProblem, itae
 from fraclink._systems.fractional import FractionalTransferFunction, s
 from fraclink.errors import FieldError, InfeasibleError
@@ -270,6 +270,10 @@ def test_a_tuning_lists_what_was_asked_and_what_was_achieved(made: fl.PidTuning)
 def test_a_law_takes_what_the_tuning_was_given(made: fl.PidTuning) -> None:
     law = made.law()
     assert (law.period, law.drive.voltage_limit, law.limits.angle_limit) == (0.01, 50.0, 5.0)  # type: ignore[union-attr]
+    drive, block = law.drive, law.coefficients
+    assert drive is not None and (drive.torque_voltage, drive.coulomb_voltage) == (0.0, 0.0)
+    assert (block["torque_voltage"], block["coulomb_voltage"], block["coulomb_slope"]) == (0.0, 0.0, 0.0)
+    assert (law.inner_pole, law.feedforward_error, law.has_gauge) == (0.0, (0.0, 0.0), False)
     w = made.margins.gain_crossover
     assert law.band == pytest.approx((w / 200.0, min(50.0 * w, 0.5 * math.pi / 0.01)))
     other = made.law(period=0.02, output_limit=7.0, measurement_limit=2.0, order=3, precision="single")
@@ -307,6 +311,38 @@ def test_a_step_is_the_closed_loops(made: fl.PidTuning) -> None:
     assert held.output[0] == pytest.approx(3.0) and held.output[-1] == held.output[-2]
 
 
+def test_limits_of_a_pids_law_are_those_of_its_measurement() -> None:
+    """Errors within 2Y: a mode's state stays within (1 + |1 − p|/(1 − |p|)) of them."""
+    law = fl.discretize_pid(
+        fl.FractionalPid(2.0, integral=3.0, integral_order=0.8), 0.01, output_limit=9.0, measurement_limit=5.0
+    )
+    modes, error, bound = law.correction, 2.0 * 5.0 * 1.01, law.limits
+    poles, gains = np.array(modes.poles), np.abs(modes.gains)
+    assert not modes.pair_poles and np.all(np.abs(poles) < 1)
+    norms = 1 + np.abs(1 - poles) / (1 - np.abs(poles))
+    command = (2 * abs(modes.direct) + float(norms @ gains)) * error
+    wanted = {
+        "sum_limit": command,
+        "correction_limit": 2 * max(float(norms.max()), 1.0) * error,
+        "angle_limit": 5.0,
+        "angle_step": 2 * error,
+        "reference_step": 2 * error,
+        "motor_limit": 5.0 + command,
+        "motor_step": 2 * (5.0 + command),
+        "residual_angle": 2 * (5.0 + command),
+        "frozen_angle": 2 * (5.0 + command),
+        "torque_limit": 0.0,
+        "payload_limit": 0.0,
+        "acceleration_limit": 0.0,
+        "reference_rate": 1.0,
+        "scale_step": 1.0,
+    }
+    assert {name: getattr(bound, name) for name in wanted} == pytest.approx(wanted, rel=1e-12)
+    plain = fl.discretize_pid(fl.FractionalPid(3.0), 0.01, output_limit=9.0, measurement_limit=5.0)
+    assert (plain.order, plain.correction_error, plain.limits.sum_limit) == (0, (0.0, 0.0), 0.0)
+    assert fl.pid_response(plain, [1.0, 100.0]) == pytest.approx([3.0, 3.0])
+
+
 def test_the_margins_of_the_shipped_law_count_a_period_of_computation(made: fl.PidTuning) -> None:
     law = fl.discretize_pid(fl.FractionalPid(3.0), 0.1, output_limit=50.0, measurement_limit=5.0)
     plain = replace(made, plant=1 / (s + 1), controller=fl.FractionalPid(3.0), period=0.1, horizon=2.0)
@@ -319,3 +355,23 @@ def test_the_margins_of_the_shipped_law_count_a_period_of_computation(made: fl.P
 
     assert abs(loop(found.gain_crossover)) == pytest.approx(1.0, rel=1e-6)
     assert found.phase_margin == pytest.approx(float(np.angle(-loop(found.gain_crossover))), abs=1e-6)
+
+
+def test_what_the_shipped_law_keeps_is_told_by_how_much(made: fl.PidTuning) -> None:
+    """The same law on plants that are louder than the one it was tuned for."""
+    kept = abs(made.sampled_margins(made.law(output_limit=1.0, measurement_limit=1.0)).phase_margin)
+    assert math.degrees(kept) == pytest.approx(60.0, abs=1.0) and not made.findings
+    (loud,) = _of_law(replace(made, plant=20.0 * made.plant))
+    assert (loud.code, loud.severity) == ("W422", "error")
+    assert loud.message == "the loop of the shipped law is not stable"
+    more = replace(made, phase_margin=kept + fl.deg(1.1))
+    (less,) = _of_law(more)
+    assert (less.code, less.severity) == ("W422", "warning")
+    assert less.evidence == pytest.approx(
+        {"asked, °": math.degrees(kept) + 1.1, "kept, °": math.degrees(kept)}, abs=1e-9
+    )
+    assert not _of_law(replace(made, phase_margin=kept + fl.deg(0.9)))
+    (half,) = _of_law(replace(made, phase_margin=2.01 * kept))
+    assert (
+        half.severity == "error" and _of_law(replace(made, phase_margin=1.99 * kept))[0].severity == "warning"
+    )

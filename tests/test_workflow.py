@@ -170,3 +170,20 @@ def test_the_rigs_own_request_completes_what_was_not_asked(monkeypatch: pytest.M
     assert said.requests[-1] == {"gain_crossover": 9.0, "phase_margin": 0.7, "filter_time": 0.0}
     with pytest.raises(FieldError, match="model"):
         design_for(replace(SILENT, model=None))
+
+
+def test_a_link_without_a_torque_resonance_is_crossed_above_its_natural_frequency(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """ω₀^(2/λ) is what is left to go by where the damping has taken the peak away."""
+    damped = replace(gauged(), order=2.0, natural_frequency=11.0, damping=60.0, payload=0.03)
+    heavy = damped.at_payload(0.04)
+    assert heavy.torque_resonance is None
+    asking(monkeypatch, lambda **_: True)
+    made, _ = design_for(SILENT, damped)
+    assert made.gain_crossover == pytest.approx(1.15 * heavy.natural_frequency)
+    fractional = replace(damped, order=1.9)
+    made, _ = design_for(SILENT, fractional)
+    heavy = fractional.at_payload(0.04)
+    wanted = heavy.torque_resonance or heavy.natural_frequency ** (2 / 1.9)
+    assert made.gain_crossover == pytest.approx(1.15 * wanted)
