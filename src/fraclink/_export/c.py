@@ -95,6 +95,8 @@ def export_c(
             allowed="a new or an empty folder",
             remedy="choose another name or add --force",
         )
+    # From here on everything is about the law in the precision that is shipped: limits and coefficients are
+    # rounded once, here, and the self-test, the bounds and the proof are those of the rounded numbers.
     shipped = law if precision is None else law.in_precision(precision)
     data = f"{name}.h"
     files: dict[str, bytes] = {
@@ -105,11 +107,13 @@ def export_c(
     }
     proof, logs = _proved(shipped, files, name, data, certificate) if prove else (None, {})
     page = readme(shipped, name=name, data=data, proof=proof)
+    # The estimator in the law's precision: both include one law.h, which has one law_real.
     bank = None if estimator is None else estimator_for(shipped, estimator)
     if bank is not None:
         files |= {file: law_source(file) for file in ("payload_estimator.h", "payload_estimator.c")}
         files |= payload_files(bank)
         page += payload_readme(bank)
+    # Written into the table last, as it tells what the files above it are.
     files["README.md"] = page.encode()
     files |= logs
     # Everything is made before anything is written: a failure above leaves no half folder.
@@ -256,6 +260,7 @@ def readme(law: Law, *, name: str, data: str, proof: Proof | None = None) -> str
     bounds = worst_case(law)
     params, state = _kernels.law_sizes(law.precision == "single")
     flag = " -DLAW_SINGLE" if law.precision == "single" else ""
+    # A bound in doubles is right in practice and no proof: the page says which one it is.
     made = "ball arithmetic" if bounds.rigorous else "double precision; python-flint was not installed"
     limits = "\n".join(_limit_rows(law))
     return f"""# Control law, period {law.period * 1e3:g} ms, {law.precision} precision

@@ -42,6 +42,8 @@ def identifier(field: str, name: object) -> str:
             allowed="a letter, then letters, digits or _, at most 31, no keyword",
             remedy="choose a name such as law_data",
         )
+    # law.h takes every name that begins so, in either case for its macros. "law_data" alone is free: it is
+    # the default, and law.h has no such name.
     if name.lower().startswith("law_") and name != "law_data":
         raise FieldError(
             field, name, "in the law's own name space", allowed="another prefix", remedy="e.g. arm_law"
@@ -55,6 +57,8 @@ def title_text(title: object) -> str:
     >>> title_text("Arm 2, 20-40 g")
     'Arm 2, 20-40 g'
     """
+    # No * and no / : two of them end a comment. No backslash: at a line's end it would continue a // comment
+    # of a reader's tool. No ?: ??/ is a backslash in C99's trigraphs.
     if not isinstance(title, str) or not re.fullmatch(r"[A-Za-z0-9 .,:()+=-]{0,80}", title):
         raise FieldError(
             "title",
@@ -73,6 +77,8 @@ def law_source(name: str) -> bytes:
     True
     """
     here = Path(__file__).resolve()
+    # A checkout is asked first: there csrc/ is what an edited law.c was built from, while the copy beside the
+    # kernels is as old as the last build.
     for folder in (here.parents[3] / "csrc", Path(_kernels.__file__).parent / "csrc"):
         if (folder / name).is_file():
             return (folder / name).read_bytes()
@@ -110,6 +116,7 @@ def hex_float(value: float, precision: layout.Precision) -> str:
     """
     mantissa, exponent = value.hex().split("p")
     whole, _, digits = mantissa.partition(".")
+    # float.hex writes 13 digits always; of a float that was rounded to single precision seven are zeros.
     digits = digits.rstrip("0") or "0"
     return f"{whole}.{digits}p{exponent}" + ("F" if precision == "single" else "")
 
@@ -127,6 +134,8 @@ def exact_flags(law: Law) -> tuple[str, ...]:
     that C needs an array for.
     """
     modes = _modes(law)
+    # C99 has no array of length 0. Pairs are left out of the structs by the preprocessor; the other two kinds
+    # are in every design of an arm, and a PID, which has no feed-forward, takes the general build.
     if not (modes["real"] and modes["forward"]):
         return ()
     return tuple(f"-DLAW_{kind.upper()}S={count}U" for kind, count in modes.items() if count)
@@ -136,6 +145,8 @@ def exact_sizes(law: Law) -> tuple[int, int]:
     """Return the bytes of (parameters, state) of a build with `exact_flags`."""
     modes = _modes(law)
     width = 4 if law.precision == "single" else 8
+    # 21 reals behind the modes and 14 words in front (56 bytes): law_state of law.h, which test_export_readme
+    # compares with sizeof.
     states = modes["real"] + modes["forward"] + 2 * modes["pair"] + 21
     return layout.exact_header(law.block, law.precision, modes)[0], 56 + width * states
 
@@ -159,6 +170,8 @@ def data_header(law: Law, *, name: str, title: str) -> str:
     )
     rows = [f"    .{f} = {n}U," for f, n in zip((*layout.HEADER, *layout.COUNTS), whole, strict=True)]
     size, crc = layout.exact_header(law.block, law.precision, modes)
+    # Size and CRC are of the struct that is compiled, and differ between the general build and that for this
+    # law alone: the preprocessor chooses.
     rows[1:4] = [
         f"#ifdef LAW_EXACT\n    .size = {size}U,\n    .crc = 0x{crc:08X}U,",
         f"#else\n    .size = {whole[1]}U,\n    .crc = 0x{whole[3]:08X}U,\n#endif",
@@ -167,6 +180,7 @@ def data_header(law: Law, *, name: str, title: str) -> str:
     for field, _ in layout.REALS:
         value = values[field]
         if isinstance(value, list):
+            # An initialiser of no elements is not C99; an array that is left out is zero.
             if modes[field] == 0:  # C fills it with zeros, or has no such array
                 continue
             listed = [hex_float(x, law.precision) for x in value]
@@ -176,6 +190,8 @@ def data_header(law: Law, *, name: str, title: str) -> str:
         else:
             rows.append(f"    .{field} = {hex_float(value, law.precision)},")
     single = law.precision == "single"
+    # No date, no user, no path: the same law gives the same bytes, by which `replay` knows a header that was
+    # changed.
     return _TEMPLATE.format(
         version=__version__,
         title=f" {title}" if title else "",

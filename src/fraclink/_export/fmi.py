@@ -70,7 +70,10 @@ VARIABLES: tuple[Variable, ...] = (
     Variable(
         "reason", "output", "why a mode above run was entered, LAW_... in law.h", largest=len(REASONS) - 1
     ),
+    # 1023: all ten bits of law.h.
     Variable("flags", "output", "bits of the last period, LAW_FLAG_... in law.h", largest=1023),
+    # FMI 3 wants the independent variable declared, FMI 2 allows it. It and the payload, an input, stand
+    # behind the outputs, as they came later: a value reference that somebody's importer has stored must stay.
     Variable("time", "independent", "simulation time", "s"),
     Variable("payload", "input", "mass at the tip; 0 where it is not known", "kg"),
 )
@@ -109,6 +112,8 @@ UNITS: Mapping[str, Unit] = {
     "kg": Unit({"kg": 1}),
     "N.m": Unit({"kg": 1, "m": 2, "s": -2}),
     "V": Unit({"kg": 1, "m": 2, "s": -3, "A": -1}),
+    # FMI defines display = factor·value (2.0.4, section 2.2.2), which is 180/π for degrees and not its
+    # inverse.
     "rad": Unit({"rad": 1}, ("deg", 180.0 / math.pi)),
     "rad/s2": Unit({"rad": 1, "s": -2}, ("deg/s2", 180.0 / math.pi)),
     "s": Unit({"s": 1}),
@@ -142,7 +147,9 @@ class FmuModel:
         return {
             "modelIdentifier": self.name,
             "needsExecutionTool": "false",
+            # The filter's poles are those of one period: another step would be another filter.
             "canHandleVariableCommunicationStepSize": "false",
+            # law.c has no statics: two arms in one simulation are two instances.
             "canBeInstantiatedOnlyOncePerProcess": "false",
             f"canGetAndSetFMU{state_word}": "true",
             f"canSerializeFMU{state_word}": "true",
@@ -151,6 +158,8 @@ class FmuModel:
 
 def token_of(sources: Mapping[str, str]) -> str:
     """Return the token of an FMU made of these sources: another law or another wrapper, another token."""
+    # Between the texts a character that C has not: two that share their ends at another place are another
+    # text.
     digits = hashlib.sha256("\0".join(sources[name] for name in sorted(sources)).encode()).hexdigest()[:32]
     return "{" + "-".join((digits[:8], digits[8:12], digits[12:16], digits[16:20], digits[20:])) + "}"
 
@@ -173,6 +182,8 @@ def _add_general(root: ET.Element, model: FmuModel) -> None:
             ET.SubElement(element, "DisplayUnit", name=display, factor=repr(factor))
     categories = ET.SubElement(root, "LogCategories")
     ET.SubElement(categories, "Category", name="logStatusError", description="why a call failed")
+    # 500 periods: two seconds at 4 ms, a move and its settling. An importer may choose another end, but no
+    # other step.
     times = {"startTime": "0", "stopTime": repr(500 * model.period), "stepSize": repr(model.period)}
     ET.SubElement(root, "DefaultExperiment", times)
 
@@ -182,6 +193,8 @@ def _about(variable: Variable, reference: int) -> dict[str, str]:
         "name": variable.name,
         "valueReference": str(reference),
         "causality": variable.causality,
+        # Outputs change at the ends of steps only and stand still between them: what FMI calls discrete,
+        # although the values are real.
         "variability": "discrete" if variable.causality == "output" else "continuous",
         "description": variable.description,
     }
@@ -191,6 +204,8 @@ def _value(variable: Variable) -> dict[str, str]:
     """Attributes of a variable's value: unit and start of a real one, range of a whole one."""
     if not variable.real:
         return {"min": "0", "max": str(variable.largest)}
+    # A start value belongs to inputs; that of an output is calculated (FMI 2.0.4, table of section 2.2.7),
+    # from those that `start_from` names.
     return {"unit": variable.unit} | ({"start": "0"} if variable.causality == "input" else {})
 
 
@@ -267,6 +282,7 @@ class Standard(NamedTuple):
     descriptions: Callable[[FmuModel], dict[str, str]]
 
 
+# FMI 2.0 names systems of x86 alone: an FMU for ARM is one of FMI 3.
 _PLATFORMS_2 = {"x86_64-linux": "linux64", "x86_64-windows": "win64", "x86_64-darwin": "darwin64"}
 _PLATFORMS_3 = (*_PLATFORMS_2, "aarch64-linux", "aarch64-darwin")
 

@@ -79,6 +79,8 @@ def export_fmu(
     name = identifier("out", place.stem)
     standard = STANDARDS[fmi]
     shipped = law if precision is None else law.in_precision(precision)
+    # The token is a hash of the C: who pairs a library with the description of another law is refused by the
+    # FMU itself at instantiation.
     sources, token = _sources(shipped, name, standard.sources)
     listed = VARIABLES if shipped.has_gauge else PID_VARIABLES
     model = FmuModel(name, token, shipped.period, shipped.digest, listed)
@@ -118,6 +120,7 @@ def _sources(law: Law, name: str, wrapper: tuple[str, ...]) -> tuple[dict[str, s
             for function in ("law_check", "law_init", "law_step", "law_check_wiring")
         ),
         f'#define FMU_TOKEN "{token}"',
+        # Hexadecimal, as the step is compared with it: 0.004 read by another parser may be a neighbour.
         f"#define FMU_PERIOD {law.period.hex()} /* {law.period!r} s */",
         '#include "law.c"',
         '#include "law_data.h"',
@@ -142,9 +145,11 @@ def _folder(platform: str, known: Mapping[str, str], fmi: int) -> str:
 def _zipped(parts: Mapping[str, bytes]) -> bytes:
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w") as archive:
+        # Sorted, and each deflated alone: neither the order of a dict nor the time of day reaches the bytes.
         for file in sorted(parts):
             # a fixed date: the same law gives the same file
             about = zipfile.ZipInfo(file, (1980, 1, 1, 0, 0, 0))
+            # Without permissions unzip makes files that nobody may read.
             about.external_attr = 0o644 << 16
             archive.writestr(about, parts[file], zipfile.ZIP_DEFLATED)
     return stream.getvalue()
@@ -193,6 +198,7 @@ def platform_of(compiler: str) -> str:
         [found(compiler), "-dumpmachine"], capture_output=True, text=True, check=False
     )
     triple = answer.stdout.strip().lower()
+    # arm64 is what Apple calls aarch64, and FMI 3 has the latter.
     architecture = triple.partition("-")[0].replace("arm64", "aarch64")
     systems = {"mingw": "windows", "linux": "linux", "darwin": "darwin"}
     system = next((name for word, name in systems.items() if word in triple), "unknown")
@@ -222,6 +228,7 @@ _STYLE = (
     "body { font: 16px/1.5 system-ui, sans-serif; max-width: 50rem; margin: 2rem auto; padding: 0 1rem; } "
     "th { text-align: left; } th, td { padding: .1rem .9rem .1rem 0; vertical-align: baseline; }"
 )
+# The header is the only list of flags: a page that had its own would miss the next one.
 _FLAG = re.compile(r"#define LAW_FLAG_(\w+) (\d+)U +/\* (.+?) \*/")
 
 

@@ -53,6 +53,8 @@ def export_matlab(law: Law, path: Path | str, *, force: bool = False) -> Path:
 
 def _filters(law: Law) -> dict[str, tuple[float, np.ndarray, np.ndarray]]:
     correction, forward = law.correction, law.feedforward
+    # The law holds half of each pair and takes twice its real part: Re(g/(z − p)) = g/2/(z − p) + ḡ/2/(z −
+    # p̄).
     pairs = np.array(correction.pair_poles), np.array(correction.pair_gains)
     return {
         "correction": (
@@ -71,6 +73,8 @@ def _numbers(law: Law) -> bytes:
     if law.tracking is not None:
         content |= {f"payload_{name}": value for name, value in asdict(law.tracking).items()}
     stream = io.BytesIO()
+    # Version 5 is the newest that is no HDF5: MATLAB and Octave read it alike. Columns, as roots() and
+    # residue() give them.
     savemat(stream, content, format="5", do_compression=False, oned_as="column")
     return stream.getvalue()
 

@@ -26,6 +26,8 @@ def payload_files(estimator: PayloadEstimator) -> dict[str, bytes]:
 def _data(estimator: PayloadEstimator) -> str:
     """The block as C, every real a hex float, rounded to its precision."""
     single = estimator.precision == "single"
+    # Four words of header and four counts, then reals in the order of the C struct: the block itself is
+    # taken apart, so that the text cannot hold another number than the package uses.
     words = struct.unpack("<8I", estimator.block[:32])
     code = "f" if single else "d"
     reals = struct.unpack(
@@ -51,6 +53,8 @@ def _hash(estimator: PayloadEstimator) -> int:
     """Run the package's own estimator on the self-test's inputs and return the hash of what it gave."""
     seed, tick, rows = 1, 0, []
     for k in range(PERIODS):
+        # As in the law's self-test: three missed periods, one that is called twice, lost samples of both
+        # sensors. The same sequence is written in C below.
         tick += 4 if k == 500 else 0 if k == 520 else 1
         phase = k % 512
         ramp = phase if phase < 256 else 512 - phase
@@ -58,7 +62,10 @@ def _hash(estimator: PayloadEstimator) -> int:
         for _ in range(2):
             seed = (seed * 1664525 + 1013904223) % 2**32
             noise.append((seed >> 20) - 2048)
+        # A parabola up to 0.5 rad: a constant acceleration, the one motion whose torque tells the payload.
         angle = ramp * ramp / 131072 + noise[0] / 2**24
+        # ±1/16 N·m beside it, with noise of 2¹¹/2¹⁷ = 0.016 N·m. Powers of two, so that no product is rounded
+        # before the estimator sees it.
         torque = (64 if phase < 256 else -64) / 1024 + noise[1] / 2**17
         rows.append(
             (

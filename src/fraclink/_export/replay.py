@@ -144,8 +144,13 @@ def replay(
         motor_angle=motor_angle,
         torque=torque,
     )
+    # One payload for the whole log: logs do not hold one for each sample.
     given = np.full(signals[0].shape, checked_between("payload", payload, 0.0, 1e9, "kg"))
+    # A row for each period, as the program below reads them: five doubles at a time from its standard input.
+    # Neither text nor a file comes between, so that no digit is lost.
     rows = np.ascontiguousarray(np.column_stack([*signals, given]))
+    # First whose law it is, then whether its C is ours: "another law" is the plainer answer where both are
+    # so. Nothing is compiled before.
     _check_block(place, law, name)
     if not allow_changed:
         _check_unchanged(place, law, name)
@@ -155,10 +160,13 @@ def replay(
     wanted = np.column_stack(
         [own.motor_reference, own.voltage, own.tip_estimate, own.error, own.mode, own.flags]
     )
+    # Fewer rows: the program ended early, as law_init refused the block.
     if got.shape != wanted.shape:
         raise FieldError(
             "firmware", got.shape, "incomplete", allowed=f"{wanted.shape}", remedy="export the law again"
         )
+    # A comparison of values: NaN would differ from itself, but the law gives none; −0 and 0 are the same
+    # command.
     differs = np.flatnonzero(np.any(got != wanted, axis=1))
     return Replay(
         motor_reference=got[:, 0].copy(),
@@ -201,10 +209,14 @@ def replay_log(
             "firmware", str(place), "not an export", allowed="a folder of export_c", remedy="export the law"
         )
     law = Law.load(law_file)
+    # Stamps in decimals leave a period that is off by a part in 10⁹; a millionth is no other rate, and in an
+    # hour 4 ms.
     if abs(log.period - law.period) > 1e-6 * law.period:
         raise FieldError(
             "period", log.period, "not the law's", allowed=f"{law.period} s", remedy="resample the log"
         )
+    # The block's name was free at the export. The header is known by the digest in its first comment, which
+    # stands in no other file.
     headers = [
         file.stem for file in sorted(place.glob("*.h")) if f"law {law.digest}" in file.read_text("utf-8")
     ]
@@ -232,7 +244,10 @@ def _sensors(law: Law, log: Experiment | Recording) -> tuple[Real, Real, Real]:
         raise FieldError("log", given, "of another kind than the law", allowed="its own", remedy=remedy)
     if isinstance(log, Recording):
         return log.input, log.output, np.zeros_like(log.output)
+    # Γ = c (θm − θt): the law knows the torque alone.
     torque = log.output if log.output_kind == "torque" else law.stiffness * log.output
+    # A log has no reference. With the motor's own path as one the error of the motor loop is small, and the
+    # guards see a motor that follows; the two commands are compared, not judged.
     return log.motor_angle, log.motor_angle, torque
 
 
