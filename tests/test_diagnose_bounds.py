@@ -13,7 +13,7 @@ from fraclink._arm.experiment import Experiment
 from fraclink._arm.rig import Gauge, Rig
 from fraclink._logs import channels, diagnosis
 from fraclink._logs.channels import Mode
-from fraclink._logs.reading import converter_step
+from fraclink._logs.columns import converter_step
 from fraclink.findings import Finding
 
 RIG = Rig.named("paper-2023")

@@ -63,6 +63,17 @@ def test_columns_without_names_are_called_by_number(tmp_path: Path) -> None:
     assert read_log(path, columns=stated).motor_angle.size == 400
 
 
+def test_a_column_s_number_is_the_whole_number() -> None:
+    """With 1000 columns, the most there may be; "#1234" is none, and not the 123rd."""
+    table = LogTable(tuple(f"c{k}" for k in range(1, 1001)), (np.zeros(2),) * 1000, "text")
+    assert [table.place(name, "time") for name in ("#1", "#99", "#1000")] == [0, 98, 999]
+    for name in ("#0", "#1001", "#1234", "#9999999999", "#", "#1.5", "#²"):
+        with pytest.raises(FieldError, match="not in the log"):
+            table.place(name, "time")
+    # A column that is called so is meant first.
+    assert LogTable(("a", "#1"), (np.zeros(2),) * 2, "text").place("#1", "time") == 1
+
+
 def test_quoted_names_and_a_byte_order_mark(tmp_path: Path) -> None:
     path = write_log(tmp_path / "a.csv", made_rows(), header=[f'"{name}"' for name in HEADER])
     path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())

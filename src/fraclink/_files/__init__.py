@@ -113,11 +113,14 @@ def save(value: object, path: Path | str, *, force: bool = False) -> Path:
     [0.0, 0.01]
     """
     found = document_of(value)
+    # First, as it may refuse: nothing is encoded, and no file of that name is touched.
     found.before_save(value)
     place = output_path(path, force=force)
     container = found.container
     if container == "either":
         container = "npz" if place.suffix == ".npz" else "json"
+    # Only endings that promise another container are refused; a name without one, or with a person's own, is
+    # taken as it is, since `load` looks at the first bytes.
     if place.suffix in _ENDINGS - {f".{container}"}:
         allowed, remedy = f".{container}, the ending of a {found.kind}", "change the ending"
         raise FieldError("out", place.name, "of another kind of file", allowed=allowed, remedy=remedy)
@@ -127,12 +130,14 @@ def save(value: object, path: Path | str, *, force: bool = False) -> Path:
     if container == "toml":
         write_text(place, getattr(value, "to_toml")())  # noqa: B009 - what such a class offers
         return place
+    # Encoded whole before the file is opened: a value that does not fit leaves nothing behind.
     envelope, arrays = _enveloped(value, dataclasses.replace(found, container=container))
     if container == "npz":
         with atomic_write(place, "wb") as stream:
             write_archive(stream, json.dumps(envelope, allow_nan=False), arrays)
         return place
     text = json_text(envelope) + "\n"
+    # What `load` would refuse is not written: a result that cannot be read back is lost in silence.
     if len(text) > JSON_LIMIT:
         allowed, remedy = f"<= {JSON_LIMIT} bytes, which can be read back", "save a shorter one"
         raise SizeError(found.kind, len(text), "too large to save", allowed=allowed, remedy=remedy)
@@ -161,6 +166,8 @@ def _head(kind: str, version: int) -> dict[str, Any]:
 
 def _digest(data: Mapping[str, Any]) -> str:
     """SHA-256 of everything in a document but the tool's version: sorted keys, no spaces, ASCII."""
+    # Without the tool's version two releases give one digest to one result; sorted keys and no blanks make it
+    # independent of who wrote the file.
     covered = {key: value for key, value in data.items() if key not in ("sha256", "tool")}
     text = json.dumps(covered, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.sha256(text.encode("ascii")).hexdigest()
@@ -210,6 +217,8 @@ def kind_of(path: Path | str) -> str:
         return "rig"
     start = b""
     with contextlib.suppress(OSError), place.open("rb") as stream:
+        # Kind and format stand in front of everything in what `save` writes: 200 bytes tell a folder's files
+        # apart, however large they are.
         start = stream.read(200)
     if start.startswith(_ZIP):
         start = header_of(place)[:200].encode("utf-8", "replace")
@@ -253,6 +262,8 @@ def _content(data: dict[str, Any], arrays: Mapping[str, NDArray[Any]], found: Do
 def _steps(kind: str, version: object, found: Document) -> list[Upgrade]:
     """Return the upgrades that lead from one kind and version to those of today."""
     steps: list[Upgrade] = []
+    # One step for each version, so that an upgrade is written once and never again touched. A kind that was
+    # merged into another has its steps under (kind, version).
     while type(version) is int and (kind, version) != (found.kind, found.version):
         own = found.upgrades.get(version) if kind == found.kind else None
         step = found.upgrades.get((kind, version), own)
@@ -272,6 +283,7 @@ def _unread(found: Document, version: object) -> FileFormatError:
 
 
 def _check_digest(data: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]], place: Path) -> None:
+    # A key that the digest covers and no release writes: the file was made by something else.
     if unknown := sorted(set(data) - _ENVELOPE):
         raise misfit(unknown[0], data[unknown[0]], "an unknown key", ", ".join(sorted(_ENVELOPE)))
     actual = {name: array_digest(values) for name, values in arrays.items()}

@@ -119,6 +119,8 @@ def atomic_write(path: Path | str, mode: str = "w") -> Iterator[IO[Any]]:
     """
     place = Path(path)
     place.parent.mkdir(parents=True, exist_ok=True)
+    # Beside the file and not in /tmp: a rename replaces in one step only within one file system. The name is
+    # cut, as 255 bytes are all that most of them allow.
     temporary = place.with_name(f".{place.name[:100]}.{secrets.token_hex(8)}.tmp")
     binary = "b" in mode
     # Mode "x" is O_CREAT | O_EXCL with permissions 0666, from which the kernel takes the umask. Asking for
@@ -127,6 +129,8 @@ def atomic_write(path: Path | str, mode: str = "w") -> Iterator[IO[Any]]:
         try:
             yield stream
             stream.flush()
+            # The content reaches the disk before the name does; the other order leaves an empty file after a
+            # power cut.
             os.fsync(stream.fileno())
             stream.close()
             temporary.replace(place)
@@ -151,6 +155,7 @@ def read_text(path: Path | str, what: str, *, limit: int = JSON_LIMIT) -> str:
         raise broken(what, place, "not there", "check the path")
     try:
         with place.open("rb") as stream:
+            # One byte more than is allowed, as a size that is asked for before may be another by now.
             raw = stream.read(limit + 1)
     except OSError as error:
         raise broken(what, place, f"not readable ({error.strerror})", "check its permissions") from error
@@ -259,6 +264,8 @@ def json_text(value: object, level: int = 0) -> str:
     if isinstance(value, dict) and value:
         pairs = (f"{json.dumps(key)}: {json_text(item, level + 1)}" for key, item in value.items())
         return "{" + inner + f",{inner}".join(pairs) + outer + "}"
+    # Lists of numbers stay on a line, lists of objects do not: a file of 100 000 samples has few lines, and a
+    # person can read the rest.
     if isinstance(value, list) and any(isinstance(item, dict) for item in value):
         return "[" + inner + f",{inner}".join(json_text(item, level + 1) for item in value) + outer + "]"
     return json.dumps(value, allow_nan=False)
@@ -267,12 +274,15 @@ def json_text(value: object, level: int = 0) -> str:
 def write_archive(stream: IO[bytes], header: str, arrays: Mapping[str, NDArray[Any]]) -> None:
     """Write `header` and the arrays to an NPZ archive; the same content gives the same bytes."""
     size = sum(values.nbytes for values in arrays.values())
+    # A tenth for the headers of the members, which count when the file is read.
     if size > 0.9 * UNPACKED_LIMIT:
         allowed = f"<= {0.9 * UNPACKED_LIMIT:.0f} bytes, which can be read back"
         raise SizeError("arrays", size, "too large to save", allowed=allowed, remedy="save a shorter run")
     members = {name: np.asarray(values, order="C") for name, values in arrays.items()}
     with zipfile.ZipFile(stream, "w", zipfile.ZIP_STORED) as archive:
         for name, values in (members | {_HEADER: np.array(header)}).items():
+            # Stored, not deflated, at a fixed date: signals with noise pack by a few percent, and the same
+            # run is the same bytes.
             blob = io.BytesIO()
             np.lib.format.write_array(blob, values, version=(1, 0), allow_pickle=False)
             archive.writestr(zipfile.ZipInfo(f"{name}.npy", (1980, 1, 1, 0, 0, 0)), blob.getvalue())
@@ -328,9 +338,13 @@ def _check_members(archive: zipfile.ZipFile, what: str, place: Path) -> None:
 
 def _member(archive: zipfile.ZipFile, item: zipfile.ZipInfo, what: str, place: Path) -> NDArray[Any] | str:
     with archive.open(item) as stream:
+        # The directory's word for the size was compared with the limits; a member that unpacks to more is cut
+        # off here.
         raw = stream.read(item.file_size + 1)
     if len(raw) != item.file_size:
         raise broken(what, place, f"damaged (member {item.filename})", "make it again")
+    # numpy's own reader evaluates the header as a Python literal, and makes the array that it claims before
+    # it looks for its bytes.
     described = _NPY.match(raw)
     if described is None or described.end() != 10 + int.from_bytes(raw[8:10], "little"):
         raise broken(what, place, f"damaged ({item.filename} is no plain array)", "make it again")

@@ -117,6 +117,7 @@ def document(
         hooks = (period, sources, summary, before_save)
         made = Document(cls, kind, version, container, hex_floats, upgrades or {}, *hooks, own)
         merged = {key[0] for key in made.upgrades if isinstance(key, tuple)}
+        # Merged kinds are found under their old words: their files are upgraded like old versions.
         _BY_KIND.update(dict.fromkeys((kind, *merged), made))
         _BY_CLASS[cls] = made
         return cls
@@ -162,6 +163,8 @@ def _plain(cls: type) -> Document | None:
 
 def registered(kind: object, wanted: tuple[type, ...], place: Path) -> Document:
     """Return the document of a kind, whose module is imported where that has not happened."""
+    # The word comes from a file that may be hostile: it selects a module from a list and is never itself
+    # imported.
     if isinstance(kind, str) and kind not in _BY_KIND and kind in HOMES:
         import_module(HOMES[kind])
     if isinstance(kind, str) and kind not in _BY_KIND:
@@ -170,6 +173,7 @@ def registered(kind: object, wanted: tuple[type, ...], place: Path) -> Document:
         found_class = getattr(package, named[0]) if named else None
         if isinstance(found_class, type):
             _plain(found_class)
+    # JSON may hold a list here, which no dict can be asked for.
     found = _BY_KIND.get(kind) if isinstance(kind, str) else None
     allowed = ", ".join(sorted({*HOMES, *_BY_KIND}))
     if found is not None and wanted and found.cls not in wanted:

@@ -123,6 +123,8 @@ def _read(kind: Any, data: Any, place: str, faults: list[FieldError]) -> Any:
         problem = f"of type {type(data).__name__}, not a table"
         faults.append(FieldError(place, data, problem, allowed="a table", remedy=f"write it as [{place}]"))
         return None
+    # Every fault is collected: a rig file has thirty numbers, and nobody wants to run the command thirty
+    # times.
     before, keys, values = len(faults), keys_of(kind), {}
     for name, key in keys.items():
         path = f"{place}.{name}" if place else name
@@ -136,6 +138,7 @@ def _read(kind: Any, data: Any, place: str, faults: list[FieldError]) -> Any:
         path, allowed = f"{place}.{name}" if place else name, ", ".join(keys)
         remedy = suggestion(name, keys) or "remove it"
         faults.append(FieldError(path, data[name], "an unknown key", allowed=allowed, remedy=remedy))
+    # The constructor compares fields with each other: with one missing or wrong it would blame another.
     return None if len(faults) > before else _found(faults, place, functools.partial(kind, **values))
 
 
@@ -192,6 +195,7 @@ def _broken(path: Path, problem: str, remedy: str, allowed: str = "a rig file (T
 
 
 def _depth(data: object) -> int:
+    # By layers and not by recursion, whose own limit a hostile file would meet here.
     level, layer = 0, [data]
     while layer:
         inside = (list(x.values()) if isinstance(x, dict) else x for x in layer if isinstance(x, dict | list))
@@ -205,6 +209,7 @@ def table_of(value: Any) -> dict[str, Any]:
     kind: type = type(value)
     for name, key in keys_of(kind).items():
         item = getattr(value, key.field)
+        # TOML has inf, but a limit that a person did not state is left out, as they left it out.
         unlimited = isinstance(item, float) and math.isinf(item)
         if item is not None and not unlimited and not (isinstance(item, bool) and item is key.default):
             table[name] = table_of(item) if key.table else item
@@ -221,12 +226,14 @@ def _lines(table: Mapping[str, Any], place: str) -> list[str]:
     for name, item in table.items():
         if isinstance(item, dict):
             inner = f"{place}.{_key(name)}" if place else _key(name)
+            # [a.b] alone makes a: a header without a key of its own would be noise.
             only_tables = item and all(isinstance(part, dict) for part in item.values())
             lines += ([] if only_tables else ["", f"[{inner}]"]) + _lines(item, inner)
     return lines
 
 
 def _key(name: str) -> str:
+    # A bare key of TOML; any other name is a quoted one.
     return name if re.fullmatch("[A-Za-z0-9_-]+", name) else toml_value(name)
 
 

@@ -49,15 +49,19 @@ def guess_angle(
         evidence = f"{source}; it moves by {scale * reach:.4g} {unit}"
         weighing.conclude("unit of the motor angle", unit, "stated", evidence)
         return Channel(name, unit, sign=sign, scale=scale)
+    # Whole numbers are counts where the motor moves by fifty of them: an angle in whole degrees seldom does.
     counts = reach >= 50 and bool((raw == np.round(raw)).all())
     volts = own in UNITS["voltage"] or {"pot", "poti"} & set(words_of(name))
     if length := length_of_name(name):
         return _linear_axis(weighing, name, length, sign)
+    # Between 0.9 and 2π both units are plausible motions, and a factor of 57 in c is no place for a guess.
     if not counts and not volts and (reach <= _SMALL_MOVE or 2 * math.pi < reach <= _LARGEST_TURN):
         unit = "rad" if reach <= _SMALL_MOVE else "deg"
         reason = "under one degree" if unit == "rad" else "more than a full turn"
         other = "degrees" if unit == "rad" else "radians"
         evidence = f"it moves by {reach:.4g}: as {other}, {reason}"
+        # The stiffness decides where a torque tells one: a link of 1.5 N·m/rad would be one of 0.026 if its
+        # degrees were radians.
         links = {
             each
             for each, size in UNITS["angle"].items()
@@ -117,6 +121,8 @@ def check_no_tip_angle(weighing: Weighing, place: int, angle: Array, output: Arr
     """
     if weighing.unit(place) in (*UNITS["torque"], *UNITS["voltage"]):
         return
+    # A deflection δ = θm − θt answers an acceleration with a positive gain, a tip angle with a negative one;
+    # what is left of θm by subtracting it is then the positive one.
     itself, rest = find_mode(angle, output, period), find_mode(angle, angle - output, period)
     if itself is None or rest is None or itself.gain > 0 or rest.gain < 0:
         return
@@ -159,6 +165,8 @@ def _kind_and_unit(weighing: Weighing, place: int, mode: Mode | None) -> tuple[O
         return "torque", unit, statement.scale or 1.0
     gain = abs(mode.gain) if mode is not None and mode.share >= _WEAK else 0.0
     calibrated = gain * (statement.scale or 1.0) * (UNITS["angle"].get(unit, 1.0))
+    # A deflection θm − θt has the gain 1 on the motor angle in theory. A factor of 20 is no error of
+    # calibration; one of 57 is degrees taken for radians.
     in_line = not gain or 1 / 20 < calibrated < 20
     if unit in UNITS["angle"] and (in_line or statement.unit):
         evidence = _by(statement) + (
@@ -234,6 +242,7 @@ def _uncalibrated(weighing: Weighing, place: int, gain: float) -> tuple[OutputKi
         raise LogError(
             "column of output", name, problem, allowed="Nm, mNm, rad or deg", remedy=f"state {option}"
         )
+    # Four digits, as people write a calibration: the gain itself is known to a percent.
     scale = float(f"{1 / gain:.4g}")
     weighing.conclude(
         "output measures",
@@ -249,6 +258,8 @@ def _uncalibrated(weighing: Weighing, place: int, gain: float) -> tuple[OutputKi
 def _sign(weighing: Weighing, name: str, kind: str, mode: Mode | None) -> Literal[1, -1]:
     """The sign with which the output is positive where the motor speeds up."""
     shown = mode is not None and mode.share >= _WEAK
+    # Where the motor speeds up the link is bent backwards, and Γ = c(θm − θt) is positive: the sign
+    # convention of rig and law.
     sign: Literal[1, -1] = -1 if mode is not None and shown and mode.gain < 0 else 1
     mark, part = "+" if sign > 0 else "-", "sign of the output"
     if mode is None or not shown or mode.delay * mode.frequency > 2 * math.pi * _LATE:
@@ -278,6 +289,8 @@ def guess_voltage(weighing: Weighing, angle: Array) -> Channel | None:
     unit = statement.unit or (own if own in UNITS["voltage"] else "")
     if not unit and np.abs(raw).max() > _LARGEST_VOLTAGE:
         return None
+    # A motor runs where its voltage drives it. Of a servo that brakes as often as it drives the correlation
+    # is small: −0.2 is what a wrong sign is at least.
     speed = np.gradient(angle)
     spread = float(np.std(raw) * np.std(speed))
     relation = float(np.mean((raw - raw.mean()) * (speed - speed.mean()))) / spread if spread else 0.0

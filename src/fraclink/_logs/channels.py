@@ -25,9 +25,13 @@ from fraclink._logs.columns import converter_step
 from fraclink.findings import Finding
 
 _LONGEST = 8_192  # samples looked at: 8 s at 1 kHz, half a minute at 250 Hz
+# A factor of four apart, which the search refines; below the first one the ringing outlasts the window, and
+# the share hardly depends on ζ.
 _DAMPINGS = (0.01, 0.04, 0.15)
 _ROUNDS = 16  # of the search around the best point of the grid, which ends within 0.3 % of ω
+# Its peak vanishes at 1/√2: beyond 0.5 any smooth output is explained by some ω.
 _MOST_DAMPED = 0.5
+# Energies are products of two squares: 1e-240, above the smallest double of 2e-308.
 _TINY = 1e-60
 _GRID = 72  # frequencies: 8 % apart over two and a half decades; the widest ζ covers the gaps
 _LATEST = 0.15  # of the mode's period: a later answer could as well be one of the other sign
@@ -63,6 +67,8 @@ def find_mode(angle: NDArray[np.float64], output: NDArray[np.float64], period: f
     """The best mode from `angle` to `output`, both shape (N,); None where the log is too short for one."""
     angle, output = angle[:_LONGEST] - angle[0], output[:_LONGEST] - np.mean(output[:_LONGEST])
     count = angle.size
+    # Two periods within the log, of one the offset explains as much; and 0.6 of the Nyquist frequency, above
+    # which the hold between samples is a part of the response.
     lowest, highest = 2 * math.pi * 2 / (count * period), 0.6 * math.pi / period
     if lowest * 4 > highest or not np.ptp(angle) or not np.ptp(output):
         return None
@@ -70,8 +76,11 @@ def find_mode(angle: NDArray[np.float64], output: NDArray[np.float64], period: f
         return None  # their squares underflow or overflow: no angle and no torque
     spectra = _Spectra.of(angle, output, period)
     grid = [(w, z) for w in np.geomspace(lowest, highest, _GRID).tolist() for z in _DAMPINGS]
+    # The rough share costs one FFT and errs where ringing outlasts the log: it ranks the 216 points, and the
+    # three best are fitted as they are.
     grid.sort(key=lambda point: -spectra.rough_share(*point))
     best = max((spectra.fit(w, z) for w, z in grid[:3]), key=lambda mode: mode.share)
+    # From the spacing of the grid on, halved in the logarithm whenever none of the four neighbours is better.
     step, factor = (highest / lowest) ** (1 / (_GRID - 1)), 2.0
     for _ in range(_ROUNDS):
         w, z = best.frequency, best.damping_ratio
@@ -98,6 +107,8 @@ class _Spectra:
     @staticmethod
     def of(angle: NDArray[np.float64], output: NDArray[np.float64], period: float) -> _Spectra:
         count = angle.size
+        # A power of two of at least twice the length: a correlation at a lag is then that of the two signals
+        # and not of one with the other's other end.
         size = 1 << (2 * count - 1).bit_length()
         held = np.concatenate((angle, np.full(size - count, angle[-1])))
         # Beyond its end the angle returns to zero by a ramp: a jump would ring through the whole window.
@@ -135,6 +146,8 @@ class _Spectra:
         response -= response.mean()
         spectrum = np.fft.rfft(response, size)
         correlation = np.fft.irfft(np.conj(spectrum) * self.output)[: self._lags(frequency)]
+        # The largest in modulus: an output of the wrong sign answers with a negative peak at its own delay,
+        # and the sign is read off it.
         lag = int(np.argmax(np.abs(correlation)))
         power = float(response @ response) or math.inf
         share = min(1.0, float(correlation[lag]) ** 2 / (power * self.energy))
@@ -173,6 +186,7 @@ def labels(experiment: Experiment, rig: Rig | None) -> Iterator[Finding]:
             {},
             "state it (--payload, or # payload_kg: in the log): from a known one a model scales to others",
         )
+    # A percent: the rates of a timer's dividers lie farther apart, and a timer's crystal is off by less.
     if rig is not None and abs(experiment.period - rig.period) > 0.01 * rig.period:
         yield Finding(
             "W217",
@@ -212,6 +226,7 @@ def constant_channels(experiment: Experiment) -> Iterator[Finding]:
     ):
         values = getattr(experiment, name)
         spread, size = float(values.std()), float(np.abs(values).max())
+        # Decimals of nine digits leave that much of a constant.
         if spread <= 1e-9 * size or size == 0:
             state = f"constant at {float(values[0]):.6g} {unit}" if size else "zero throughout"
             yield Finding(code, "error", f"the {named} is {state}", {"standard_deviation": spread}, remedy)
@@ -235,7 +250,10 @@ def outliers(experiment: Experiment) -> Iterator[Finding]:
     """Samples far outside the range that holds 99 % of the channel."""
     for name, named, _unit in _channels(experiment):
         values = getattr(experiment, name)
+        # Quantiles, as one spike of 100 times the motion would raise a standard deviation to where it is none
+        # itself. At most one sample in a hundred lies beyond both, so that what is found is always few.
         low, middle, high = np.quantile(values, (0.005, 0.5, 0.995))
+        # An output that rests in 99 % of the samples has no such range.
         reach = max(high - middle, middle - low) or float(values.std())
         far = np.flatnonzero(np.abs(values - middle) > _FAR * reach)
         if far.size:
@@ -265,6 +283,8 @@ def _piled(values: NDArray[np.float64], step: float) -> tuple[int, int]:
 def clipping(experiment: Experiment, rig: Rig | None) -> Iterator[Finding]:
     """Samples that pile up at the largest or smallest reading."""
     values = experiment.output
+    # A continuous signal has no levels: a five-hundredth of its range stands for one, which the crest of a
+    # sine fills 2.4 times as full as the next, too.
     step = converter_step(values) or float(np.ptp(values)) / 500
     for side, signed in (("largest", values), ("smallest", -values)):
         at, inside = _piled(signed, step)
@@ -280,6 +300,7 @@ def clipping(experiment: Experiment, rig: Rig | None) -> Iterator[Finding]:
                 },
                 "move less or lower the amplifier's gain; a clipped torque biases every fit",
             )
+    # The limit is a torque: a deflection's converter has one of its own that no rig file states.
     limit = rig.gauge.limit if rig is not None and experiment.output_kind == "torque" else math.inf
     past = np.flatnonzero(np.abs(values) >= 0.99 * limit)
     if beyond := past.size:
@@ -296,6 +317,7 @@ def voltage_limit(experiment: Experiment, rig: Rig | None) -> Iterator[Finding]:
     """Samples at the amplifier's limit: the motor loop was open there."""
     if experiment.voltage is None or rig is None or not math.isfinite(rig.motor.voltage_limit):
         return
+    # An amplifier that saturates is recorded a converter's step below what its data sheet says.
     full = np.abs(experiment.voltage) >= 0.99 * rig.motor.voltage_limit
     if share := float(full.mean()):
         yield Finding(
@@ -362,6 +384,8 @@ def quantisation(experiment: Experiment, mode: Mode | None) -> Iterator[Finding]
         levels = float(np.ptp(values)) / step
         if levels > _FINE:
             continue
+        # A step q is noise of q/√12: of 50 levels 0.6 % of the range, and of twice what the mode leaves
+        # a third of the power of that.
         coarse = levels < 50 or (name == "output" and mode is not None and step > 2 * mode.residual)
         yield Finding(
             "W214",

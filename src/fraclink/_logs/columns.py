@@ -23,6 +23,8 @@ from fraclink._validate.rules import rule
 from fraclink.errors import LogError
 from fraclink.findings import Finding
 
+# Role, then a unit: both in the name, or a person has to state them. "theta" alone is a motor angle to a
+# reader and nothing to this one.
 _NAME = re.compile(r"(time|motor_angle|torque|deflection|voltage)(?:_| *\[| *\()([A-Za-z·*]{1,5})[\])]?")
 
 
@@ -46,6 +48,8 @@ def columns_of_names(names: tuple[str, ...]) -> LogColumns | None:
                 remedy="say in [log] of the rig file which one is meant",
             )
         found[match[1]] = Channel(name, match[2])
+    # Two signals of one flexion: which of them the model is to explain decides the unit of c, and is no
+    # business of the order of columns.
     if "torque" in found and "deflection" in found:
         raise LogError(
             "columns",
@@ -71,6 +75,8 @@ def clock_step(values: NDArray[np.float64]) -> float | None:
     """Median step of values that never decrease, as those of a clock; None for others."""
     finite = values[np.isfinite(values)]
     steps = np.diff(finite)
+    # Two values always rise or fall; "never decrease" says something of three and more. Equal stamps are
+    # allowed: a coarse clock repeats itself.
     if finite.size < 3 or bool((steps < 0).any()):
         return None
     step = float(np.median(steps))
@@ -87,6 +93,8 @@ def converter_step(values: NDArray[np.float64]) -> float:
     """
     # A converter of 16 bits has 65536 values: the limit holds more, and sorts a long log in milliseconds.
     distinct = np.unique(values[:_DISTINCT_LIMIT])
+    # A converter's readings occur again and again; where more than half are distinct the values are
+    # continuous, and their smallest gap is an accident.
     if distinct.size < 2 or distinct.size > 0.5 * min(values.size, _DISTINCT_LIMIT):
         return 0.0
     gaps = np.diff(distinct)
@@ -110,6 +118,8 @@ def suggested_columns(table: LogTable) -> list[tuple[str, str, str]]:
         # An angle that only grows is no clock, and the row's number is one where nothing else is.
         if clock_step(values) is not None and not role_of_name(name)[0]
     ]
+    # The clock of most samples first: files of TDMS and of ROS hold one for each channel or topic, and the
+    # slow ones belong to others.
     clocks.sort(key=lambda name: (-sizes[name], not names_time(name)))
     length = sizes[clocks[0]] if clocks else max(sizes.values(), default=0)
     free = [name for name in table.names if name not in clocks and sizes[name] == length]
@@ -118,6 +128,8 @@ def suggested_columns(table: LogTable) -> list[tuple[str, str, str]]:
         if role == "deflection" and "torque" in found:
             continue
         candidates = [name for word in words for name in free if word in name.lower()]
+        # What was commanded stands behind what was measured; sorting is stable, so that the words of HINTS
+        # rank else.
         candidates.sort(key=lambda name: any(word in name.lower() for word in COMMANDED))
         candidates = [name for name in candidates if name not in found.values()]
         if candidates or role in ("motor_angle", "deflection"):
@@ -180,6 +192,8 @@ def clean_column(
         faults.first_missing if faults is not None else (int(missing[0]), repr(float(values[missing[0]])))
     )
     where = f"line {line}" if faults is not None else f"sample {line}"
+    # Not even asked for beyond a percent: a line over a missing second of vibration is a false torque, and
+    # least squares believe it.
     if not interpolate or share > _INTERPOLATED:
         few = share <= _INTERPOLATED
         raise LogError(
@@ -190,6 +204,7 @@ def clean_column(
             remedy="record again, or read with interpolate=True (--interpolate)" if few else "record again",
         )
     good = np.flatnonzero(np.isfinite(values))
+    # Over the sample's number: whether the samples are uniform is found later, from the stamps.
     filled = np.interp(np.arange(values.size), good, values[good])
     return filled, [
         Finding(
@@ -223,6 +238,8 @@ def check_signals(angle: NDArray[np.float64], output: NDArray[np.float64], kind:
         ("motor_angle", angle, "excite the arm: a pulse, a PRBS or a square wave; or state another column"),
         (kind, output, "check the gauge and its amplifier, or state another column"),
     ):
+        # Exactly constant is refused here, as no fit can begin; what moves by a billionth is for `diagnose`
+        # to judge.
         if np.ptp(values) == 0:
             value = float(values[0])
             raise LogError(
@@ -237,6 +254,7 @@ def check_signals(angle: NDArray[np.float64], output: NDArray[np.float64], kind:
 def stated_payload(table: LogTable, stated: float | None) -> tuple[float | None, list[Finding]]:
     """The payload of a log, from the call or from its own header."""
     mass_range = rule(Payload)
+    # A set: the same label twice contradicts nothing.
     labels = {value for key, value in table.notes if key == "payload_kg"}
     if len(labels) > 1:
         raise LogError(
@@ -256,6 +274,7 @@ def stated_payload(table: LogTable, stated: float | None) -> tuple[float | None,
     if stated is None:
         return header, []
     mass = mass_range.check("payload", stated)
+    # 0.03 and 30 g that somebody converted differ in the last bit.
     if header is None or abs(mass - header) <= 1e-9 * mass:
         return mass, []
     return mass, [
@@ -288,6 +307,8 @@ def with_combined(table: LogTable, stated: Iterable[str]) -> LogTable:
             raise LogError("columns", name, "of two lengths", allowed=allowed, remedy=remedy)
         of_first, of_second = _factor(found[1], name), _factor(found[4], name)
         sign = 1.0 if found[3] == "+" else -1.0
+        # What is wrong with either part is wrong with the sum; the first fault is named by its line, which
+        # both share.
         faults = table.faults.get(first) or table.faults.get(second)
         table = replace(
             table,
@@ -312,6 +333,7 @@ _PARTS = {"nanosec": "1e-9", "nsec": "1e-9", "nsecs": "1e-9", "usec": "1e-6", "m
 
 def seconds_and_parts(table: LogTable) -> str:
     """The stamps of ROS and of Unix, whole seconds beside the parts of one, as one combined column; or ""."""
+    # By the last word: header.stamp.sec and header.stamp.nanosec, as well as sec and nsec.
     last = {words[-1]: place for place, name in enumerate(table.names) if (words := words_of(name))}
     whole = next((last[word] for word in ("sec", "secs") if word in last), None)
     part = next((word for word in _PARTS if word in last), "")
@@ -319,4 +341,5 @@ def seconds_and_parts(table: LogTable) -> str:
         return ""
     name = f"{table.names[whole]} + {_PARTS[part]} * {table.names[last[part]]}"
     values = with_combined(table, [name]).values[-1]
+    # Parts that were not carried over into seconds jump back once a second: such a pair is no clock.
     return name if clock_step(values) is not None else ""

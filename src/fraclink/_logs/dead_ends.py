@@ -24,6 +24,7 @@ def check_no_response(table: LogTable, source: str) -> None:
     """Raise LogError for a table of a frequency response, which no clock runs through."""
     words = [set(words_of(name)) for name in table.names]
     shown = [each for each in words if each & _RESPONSE]
+    # Two columns of a response and one of frequencies beside them: "phase" alone is a channel of a log.
     if len(shown) < 2 or not any(each & _FREQUENCY for each in words if each not in shown):
         return
     file = shlex.quote(source)
@@ -67,6 +68,7 @@ def no_angle(weighing: Weighing, time: Channel, free: list[int], named: Named) -
     """The error of a log in which no motor moves: a ring-down, where one other signal does."""
     table = weighing.table
     rings = [place for place in free if named[place][0] in _RINGS]
+    # One signal that rings, and nothing that drives it; of two nobody knows which one is the output.
     if len(rings) == 1 and not any(named[place][0] == "voltage" for place in free):
         command = (
             f'fraclink identify-structure {shlex.quote(weighing.source)} "k/(s**a + w)*exp(-L*s)" '

@@ -58,6 +58,7 @@ def _all(experiment: Experiment, rig: Rig | None) -> Iterator[Finding]:
     yield from labels(experiment, rig)
     dead = list(constant_channels(experiment))
     yield from dead
+    # Without two signals that move there is no mode to speak of: what follows would find fault with noise.
     if dead:
         return
     yield from range_of_angle(experiment)
@@ -66,6 +67,8 @@ def _all(experiment: Experiment, rig: Rig | None) -> Iterator[Finding]:
     yield from voltage_limit(experiment, rig)
     yield from stiction(experiment)
     mode = find_mode(experiment.motor_angle, experiment.output, experiment.period)
+    # The same scan with the roles exchanged: a motor angle follows from its torque as a double integral, so
+    # that a swap shows as a large share this way and a small one that way.
     reverse = find_mode(experiment.output, experiment.motor_angle, experiment.period)
     yield from mode_findings(experiment, mode, reverse)
     offset, spread = _offset(experiment, mode)
@@ -80,6 +83,8 @@ def _offset(experiment: Experiment, mode: Mode | None) -> tuple[float, float]:
     to a change of velocity.
     """
     offset = float(experiment.output.mean())
+    # What the mode does not explain is noise, offset or another mode: it is no motion that an offset could be
+    # compared with.
     residual = mode.residual if mode is not None else 0.0
     spread = float(experiment.output.std())
     return offset, max(spread**2 - residual**2, 0.0) ** 0.5 or spread
@@ -99,9 +104,11 @@ def mode_findings(experiment: Experiment, mode: Mode | None, reverse: Mode | Non
     if mode is None:
         yield _too_short(experiment)
         return
+    # Half as much: where one vibration fills the log, either signal explains the other well.
     if reverse is not None and reverse.share > _SWAPPED and mode.share < 0.5 * reverse.share:
         yield _swapped(mode, reverse)
         return
+    # Before sign, periods and delay: those of a mode that explains nothing would be sentences about noise.
     if mode.share < _EXPLAINED:
         yield _unexplained(mode)
         return
@@ -109,6 +116,7 @@ def mode_findings(experiment: Experiment, mode: Mode | None, reverse: Mode | Non
     if mode.gain < 0:
         yield _reversed(experiment, mode)
     yield from _resolution(experiment, mode)
+    # Half a sample is what the parabola through the correlation's crest resolves.
     if mode.delay > 0.5 * experiment.period:
         yield _delayed(experiment, mode)
 
@@ -177,6 +185,8 @@ def _resolution(experiment: Experiment, mode: Mode) -> Iterator[Finding]:
     if samples < _SAMPLES:
         yield Finding(
             "W215",
+            # At four a period the resonance stands at half of the Nyquist frequency: a fit rests on the hold
+            # there.
             "warning" if samples > 4 else "error",
             f"there are {samples:.3g} samples in a period of the vibration",
             {"samples_per_period": samples, "period_s": experiment.period},
@@ -189,6 +199,8 @@ def _delayed(experiment: Experiment, mode: Mode) -> Finding:
     phase = math.degrees(mode.delay * mode.frequency)
     return Finding(
         "W234",
+        # A delay τ turns the phase at the resonance by ωτ, as an order below 2 does: ten degrees pass for λ =
+        # 1.9.
         "warning" if phase > 10 else "info",
         f"the output lags by about {mode.delay * 1e3:.3g} ms ({phase:.2g}° at the resonance)",
         {"delay_s": mode.delay, "samples": samples, "phase": math.radians(phase)},
@@ -206,6 +218,7 @@ _DRIVEN = 0.02  # of the largest voltage: less is an idle amplifier's offset
 
 def _longest_run(mask: NDArray[np.bool_]) -> tuple[int, int]:
     """First sample and length of the longest stretch that is true; 0 and 0 without one."""
+    # Zeros at both ends, so that stretches that begin or end the log have two edges as well.
     edges = np.flatnonzero(np.diff(np.concatenate(([0], mask.astype(np.int8), [0]))))
     if not edges.size:
         return 0, 0
@@ -217,6 +230,7 @@ def _still(angle: NDArray[np.float64], window: int, reach: float) -> NDArray[np.
     """Where the angle moves by no more than `reach` within `window` samples around."""
     moves = np.abs(angle[window:] - angle[:-window])
     still = np.zeros(angle.size, dtype=bool)
+    # The verdict of a window belongs to its middle: the motor stood still before and after it.
     still[window // 2 : window // 2 + moves.size] = moves <= reach
     return still
 
@@ -229,6 +243,7 @@ def stiction(experiment: Experiment) -> Iterator[Finding]:
     if experiment.voltage is None:
         return
     step = converter_step(experiment.motor_angle)
+    # One step of the encoder may flicker at rest; two are motion.
     still = _still(experiment.motor_angle, max(3, round(_WINDOW / experiment.period)), 1.5 * step)
     driven = np.abs(experiment.voltage) > _DRIVEN * float(np.abs(experiment.voltage).max())
     shortest = max(5, round(_SHORTEST / experiment.period))
@@ -237,6 +252,7 @@ def stiction(experiment: Experiment) -> Iterator[Finding]:
     if not driven.any() or longest < shortest:
         return
     share = float(stuck.sum() / driven.sum())
+    # Not the largest: the voltage that breaks the motor loose belongs to the last sample of a standstill.
     held = float(np.quantile(np.abs(experiment.voltage[stuck]), 0.95))
     yield Finding(
         "W232",

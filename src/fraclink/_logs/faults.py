@@ -25,6 +25,8 @@ def fault_of_names(layout: Layout, path: Path) -> LogError | None:
     """The error of names that are not as many as the cells of the rows, with the line that mends them."""
     width, rows = width_of(layout), [line.decode() for line in layout.body.split(b"\n", 20)[:20]]
     cells = [split_cells(row, layout.separator) for row in rows if row.strip()]
+    # Three rows that agree with each other and not with the names: then the names are wrong. One odd row
+    # among many is the row's fault, which `ragged` tells.
     same = len(cells) > 2 and all(len(row) == width for row in cells)
     if width == len(layout.names) or not same or not all(map(NUMBER.fullmatch, cells[0])):
         return None
@@ -33,12 +35,16 @@ def fault_of_names(layout: Layout, path: Path) -> LogError | None:
         counted = [row[0] for row in cells]  # R writes the number of the row without a name for it
         first = more == 1 and all(int(float(b)) - int(float(a)) == 1 for a, b in itertools.pairwise(counted))
         names = ("row", *names) if first else (*names, *(f"#{len(names) + k + 1}" for k in range(more)))
+    # Twice as many cells as names, without a point anywhere: 1,5,2,5 are two numbers.
     if layout.separator == "," and width == 2 * len(layout.names) and b"." not in layout.body:
         return None  # decimal commas: `ragged` says so
     line, mark = layout.first_line - 1, layout.separator or " "
     text = mark.join(layout.names)
+    # Names such as "torque (N m)" between blanks are three cells each; with their brackets they are as many
+    # as the rows have.
     whole = re.findall(r"\s*([^()\[\]]+[(\[][^()\[\]]*[)\]])", text)
     names = tuple(whole) if mark == " " and len(whole) == width else names
+    # What sed takes for itself in a replacement.
     program = re.sub(r"([\\|&])", r"\\\1", mark.join(name.replace(" ", "_") for name in names))
     command = f"sed -i {shlex.quote(f'{line}s|.*|{program}|')} {shlex.quote(path.name)}"
     return LogError(
@@ -56,10 +62,13 @@ def ragged(layout: Layout, row: int, found: int, count: int) -> LogError:
     text = layout.body.split(b"\n", row + 1)[row].decode()
     remedy = "repair or remove the line"
     rows = layout.body.count(b"\n")
+    # Nothing but text from here on: a footer, or a last row that was cut off when the logger stopped.
     if row >= rows - 1 or not any(c.isdigit() for c in layout.body.split(b"\n", row)[-1].decode()):
         remedy = f"if the table ends before it, cut off the rest by sed -i '{line},$d'"
     elif not text.strip():
         remedy = "remove the blank line"
+    # Or most rows are wrong and no cell has a point: the header has commas between the names, the rows inside
+    # their numbers.
     elif layout.separator == "," and (found == 2 * width or (2 * count > rows and b"." not in layout.body)):
         remedy = "numbers seem to have decimal commas, and commas separate them, too: export with decimal "
         remedy += "points, or with semicolons between the cells"
@@ -148,6 +157,8 @@ def _of_windows(raw: bytes, path: Path, error: UnicodeDecodeError) -> bytes:
     """Names as Windows-1252 wrote them; refused where a byte that is no text stands among the numbers."""
     problem, remedy = f"not UTF-8 (byte {raw[error.start]:#04x} at {error.start})", "save it as UTF-8"
     high = np.flatnonzero(np.frombuffer(raw, dtype=np.uint8) > 127)
+    # A high byte far below the header is no ° of a name but damage, and would end in a cell that some
+    # encoding makes a digit of.
     if raw.count(b"\n", 0, int(high[-1])) >= _HEADER:
         raise _not_text(path, problem, remedy) from error
     try:
@@ -158,6 +169,8 @@ def _of_windows(raw: bytes, path: Path, error: UnicodeDecodeError) -> bytes:
 
 def _binary(raw: bytes, path: Path) -> FileFormatError:
     """The error for bytes that are no text, with a line to paste where they look like raw numbers."""
+    # Doubles first: any file of doubles is one of twice as many floats, while floats read as doubles seldom
+    # make a clock.
     for kind, words in (("<f8", "float64"), ("<f4", "float32")):
         if len(raw) % np.dtype(kind).itemsize == 0 and (shape := _shape_of(np.frombuffer(raw, kind))):
             columns, order, clock = shape
@@ -181,6 +194,7 @@ def _shape_of(numbers: NDArray[np.floating]) -> tuple[int, str, str] | None:
     if numbers.size < _FEWEST or not np.isfinite(numbers).all():
         return None
     size = np.abs(numbers)
+    # Bytes that are no numbers, read as numbers, have exponents all over the range of doubles.
     if size.max() > _LARGEST or np.any((size > 0) & (size < _SMALLEST)):
         return None
     for columns in (n for n in range(2, _MOST_COLUMNS + 1) if numbers.size % n == 0):
@@ -188,6 +202,8 @@ def _shape_of(numbers: NDArray[np.floating]) -> tuple[int, str, str] | None:
             table = numbers.reshape(-1, columns).T if order == "columns" else numbers.reshape(columns, -1)
             for place, values in enumerate(table):
                 steps = np.diff(values)
+                # Steadily, as a time with jitter does: an angle that happens to rise over the whole log
+                # changes its speed.
                 if np.all(steps > 0) and np.ptp(steps) < 0.5 * np.median(steps):
                     named = ("first", "second", "third")
                     return columns, order, named[place] if place < len(named) else f"{place + 1}th"

@@ -82,6 +82,7 @@ def sniffed_kind(path: Path) -> str:
     check_file(path)
     with path.open("rb") as stream:
         head = stream.read(1024)
+    # By content and not by name: a .mat file is MATLAB's own format or HDF5, by its age.
     kind = next((kind for at, magic, kind in _MAGIC if head[at : at + len(magic)] == magic), "text")
     for magic, name in _FOREIGN:
         if head.startswith(magic):
@@ -186,12 +187,16 @@ class ReaderChild:
     def read(self, path: Path, kind: str) -> LogTable:
         """The table in the file at `path`; FileFormatError where the child refuses it or dies of it."""
         process = self._running()
+        # The child's own limit counts processor time: one that waits for a disk or hangs in a lock never
+        # reaches it.
         clock = threading.Timer(WALL_SECONDS, process.kill)
         clock.start()
         try:
             return self._ask(process, path, kind)
         except (BrokenPipeError, EOFError, json.JSONDecodeError, UnicodeDecodeError) as error:
             try:
+                # The pipe closes a moment before the process is gone: without a wait there is no exit code to
+                # explain.
                 reason = _death(process.wait(timeout=_GRACE), self._cpu_seconds)
             except subprocess.TimeoutExpired:
                 reason = "its parser gave an answer that is no list of columns"
@@ -207,6 +212,8 @@ class ReaderChild:
         request = {"path": str(path.absolute()), "kind": kind, "cpu_seconds": self._cpu_seconds}
         requests.write(json.dumps(request).encode() + b"\n")
         requests.flush()
+        # A limit, as the child works on hostile bytes: it must not fill the parent's memory with an endless
+        # line.
         header = json.loads(answers.readline(_HEADER_LIMIT))
         if "columns" not in header:
             raise _refusal(path, kind, header)
@@ -219,6 +226,8 @@ class ReaderChild:
 
 
 def _array(answers: IO[bytes], size: int) -> Any:
+    # The size is the child's word: what it does not send is an error, and read() takes no memory for what
+    # does not come.
     blob = answers.read(size)
     if len(blob) != size:
         raise EOFError
@@ -251,6 +260,7 @@ def _refusal(path: Path, kind: str, header: dict[str, Any]) -> Exception:
         return MissingExtraError(*header["missing"])
     if "refused" in header:
         field, value, problem, allowed, remedy = header["refused"]
+        # Classes do not cross the pipe: the words of the problem tell which one it was.
         error = SizeError if "large" in problem else FieldError
         return error(field, value, problem, allowed=allowed, remedy=remedy)
     return _damaged(path, kind, str(header.get("damaged", "")))

@@ -59,9 +59,6 @@ class Layout:
     notes: tuple[tuple[str, str], ...]
 
 
-# --- lines ------------------------------------------------------------------------------------------------
-
-
 def split_cells(line: str, separator: str) -> list[str]:
     """The cells of a line, without the blanks around them; separated by blanks where `separator` is ""."""
     cells = next(csv.reader([line], delimiter=separator)) if separator else line.split()
@@ -80,12 +77,15 @@ def _is_numeric(cell: str) -> bool:
 
 def _is_row(cells: list[str]) -> bool:
     """Whether these are numbers; a column of text beside them does no harm."""
+    # Two numbers: a date or a serial number stands alone in many titles.
     return sum(map(_is_numeric, cells)) >= min(2, len(cells)) and bool(cells)
 
 
 def plain_form(text: bytes) -> Form:
     """`text` in the plain form, with what was done to it."""
     form = Form(text)
+    # In this order: LabVIEW's header hides the table, a table on its side has no rows to look at, a title
+    # hides the names, and quotes hide the commas.
     for step in (_without_labview, _upright, _without_title, _without_quotes, _with_points):
         form = step(form)
     return _with_seconds(_without_last_separators(form))
@@ -154,6 +154,7 @@ def _labview_columns(form: Form, fields: dict[str, list[str]], sample: list[str]
 
 def _upright(form: Form) -> Form:
     """A table whose channels are rows is turned upright."""
+    # Before anything is split: a log of a million rows is looked at no further.
     if form.text.count(b"\n") > 4 * _MOST_ROWS:
         return form
     lines = [line for line in form.text.split(b"\n") if line.strip()]
@@ -163,6 +164,8 @@ def _upright(form: Form) -> Form:
     separator = separator_of(rows[0])
     table = [split_cells(row, separator) for row in rows]
     width = len(table[0])
+    # Four times as wide as high, and long enough for a log: a matrix of 64 by 100 numbers is no table of
+    # channels.
     if width <= max(_FEWEST, 4 * len(rows)) or any(len(row) != width for row in table):
         return form
     named = not any(_is_numeric(row[0]) for row in table)
@@ -239,9 +242,6 @@ def _units_of(cells: list[str]) -> list[str] | None:
     return units if bracketed or known else None
 
 
-# --- cells ------------------------------------------------------------------------------------------------
-
-
 def _begin(text: bytes) -> int:
     """Where the first row of numbers begins; behind the last byte where there is none."""
     lines = _head(text)
@@ -274,6 +274,7 @@ def _without_quotes(form: Form) -> Form:
         return form
     quoted, body = re.compile(rb'"([^"\n]*)"'), form.text[begin:]
     commas = [cell for cell in set(quoted.findall(body)) if b"," in cell]
+    # A quoted text with a comma in it is no number: what it means, only its reader knows.
     if not all(DECIMAL_COMMA.fullmatch(cell.decode().strip()) for cell in commas):
         return form
     plain = quoted.sub(lambda match: match[1].replace(b",", b"."), body)
@@ -383,10 +384,14 @@ def _seconds(cells: list[str]) -> list[float] | None:
     result: list[float] = []
     for match in stamps:
         clock = 3600 * int(match["h"]) + 60 * int(match["m"]) + float(match["s"])
+        # Half a day back is midnight; a little back is a stamp out of order, which the reader refuses by its
+        # line.
         if not match["day"] and clock < last - 0.5 * _DAY:
             added += _DAY  # midnight
         last = clock
         value = clock + added + _DAY * (number.get(match["day"], 0) - number.get(stamps[0]["day"], 0))
         start = start if result else value
+        # Nanoseconds: the difference of two times of day of 86 400 s carries 1e-11 s of rounding, which would
+        # look like jitter in the last digits.
         result.append(round(value - start, 9))
     return result

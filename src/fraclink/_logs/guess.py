@@ -71,6 +71,7 @@ def guess_columns(
         a column that is stated is not there, a cell of one that is needed is no number, or the log has no
         column that could be the motor angle or the output.
     """
+    # First what no answer could mend, then what a question may.
     check_no_response(table, source)
     check_count(max((values.size for values in table.values), default=0))
     table = with_combined(table, [each.column for each in stated.values() if each.column])
@@ -91,6 +92,8 @@ def _columns(weighing: Weighing) -> LogColumns | None:
     if time is None or angle is None or output is None:
         return None
     raw_angle, raw_output = weighing.cells(angle), weighing.cells(output)
+    # The median: a gap or a stamp that jumps back is for the reader to refuse, and does not move the scan's
+    # period.
     period = float(np.median(np.abs(np.diff(stamps_of(weighing, time)))))
     if not period > 0:
         allowed, remedy = "stamps that rise from sample to sample", "state another column, or --period-ms 4"
@@ -98,10 +101,13 @@ def _columns(weighing: Weighing) -> LogColumns | None:
             "column of time", time.column, "the same in most samples", allowed=allowed, remedy=remedy
         )
     stiffness = _stiffness(weighing, output, raw_angle, raw_output, period)
+    # Half of the range of Γ over c: how far the link bends to each side, in the unit in which the stiffness
+    # was found.
     bend = float(np.ptp(raw_output)) / 2 * _torque(weighing, output) / stiffness if stiffness else 0.0
     angle_channel = guess_angle(weighing, angle, raw_angle, stiffness, bend)
     if angle_channel is None or raw_angle.size != raw_output.size:
         return None
+    # From here on the angle is in radians: a gain of 1 then means a deflection, and c is in N·m/rad.
     in_radians = angle_channel.in_si(raw_angle, "motor_angle")
     mode = find_mode(in_radians, raw_output, period)
     check_no_tip_angle(weighing, output, in_radians, raw_output * UNITS["angle"][angle_channel.unit], period)
@@ -148,6 +154,7 @@ def _signals(weighing: Weighing, time: Channel | None) -> tuple[int | None, int 
         if place is not None:
             weighing.conclude(part, weighing.label(place), "stated", "as stated")
     taken = set(places.values())
+    # A column that was stated is taken at its word, even where its values look like a tip angle's.
     settled = places["output"] is not None
     if places["motor_angle"] is None:
         places["motor_angle"] = _by_name(weighing, "motor angle", ("motor_angle",), named, free, taken)
@@ -190,6 +197,7 @@ def _in_space(weighing: Weighing, angle: int, output: int, time: Channel | None)
     said = len(weighing.guesses)
     found = tip_difference(weighing, angle, output, time)
     if found is None or found == output:
+        # Nothing was concluded after all: no sentence of the attempt may stand in the report.
         del weighing.guesses[said:]
         return output
     weighing.guesses[:] = [g for k, g in enumerate(weighing.guesses) if g.part != "output" or k >= said]
@@ -198,6 +206,7 @@ def _in_space(weighing: Weighing, angle: int, output: int, time: Channel | None)
 
 def _moves(values: Array) -> bool:
     finite = values[np.isfinite(values)]
+    # A column with a tenth of its cells missing is an event counter or a comment, whatever it is called.
     return finite.size > 0.9 * values.size and bool(np.ptp(finite) > 0)
 
 
@@ -217,6 +226,7 @@ def _by_name(
             for p in found
             if any(w in ("motor", "hub", "m", "joint") for w in words_of(weighing.table.names[p]))
         ]
+        # Of two angles the one at the motor's side is wanted; of two outputs no word says which is better.
         found = exact if part == "motor angle" and exact else found
     if len(found) != 1:
         return None
@@ -242,6 +252,8 @@ def _by_vibration(
     angles = nameless if places["motor_angle"] is None else [places["motor_angle"]]
     outputs = nameless if places["output"] is None else [places["output"]]
     stamps = stamps_of(weighing, time)
+    # Every n-th sample of the whole log, not its first part: many logs begin at rest. A vibration above the
+    # new Nyquist frequency is not found, and asked for instead.
     stride = max(1, stamps.size // LONGEST_SCAN)
     period = stride * float(np.median(np.abs(np.diff(stamps))))
     shares: dict[tuple[int, int], float] = {}
@@ -255,6 +267,7 @@ def _by_vibration(
     ranked = sorted(shares, key=lambda pair: -shares[pair])
     if not ranked or shares[ranked[0]] < STRONG:
         return
+    # Another pair that explains nearly as much leaves it open: motor and tip angle both ring with the torque.
     if len(ranked) > 1 and shares[ranked[1]] > _APART * shares[ranked[0]]:
         return
     share = f"one vibration explains {100 * shares[ranked[0]]:.3g} % of it"

@@ -98,6 +98,7 @@ def words_of(name: str) -> tuple[str, ...]:
     >>> words_of("motorAngle2 [deg]"), words_of("theta_ref")
     (('motor', 'angle', 'deg'), ('theta', 'ref'))
     """
+    # Behind a small letter only: VIEW and GHZ are no words of one letter.
     spaced = re.sub(r"(?<=[a-zäöüß])(?=[A-Z])", " ", name)
     return tuple(word.lower() for word in re.split(r"[\W\d_]+", spaced) if word)
 
@@ -138,12 +139,14 @@ def _endings(name: str) -> tuple[list[str], bool]:
     if bracketed := re.search(r"([\[(])([^\])]*)[\])]\s*$", name):
         inside = bracketed[2].strip()
         return [inside] if inside else [], bracketed[1] == "["
+    # Without the first part, which is the name itself: a column "s" is no unit.
     parts = [part for part in re.split(r"[_ /.\-]+", name.strip()) if part.lower() != "per"]
     return ["/".join(parts[k:]) for k in range(1, len(parts)) if parts[k]], False
 
 
 def _spelled(text: str, known: Collection[str]) -> str:
     """A unit as `known` spells it, or ""."""
+    # N m, N.m, N·m and N*m are one unit.
     plain = re.sub(r"[ .·*⋅]", "", text)
     own = _SPELLINGS.get(plain.lower(), "")
     return next((unit for unit in (text, plain, own) if unit in known), "")
@@ -171,6 +174,7 @@ def length_of_name(name: str) -> str:
     """
     endings, square = _endings(name)
     found = next((ending for ending in endings if ending in UNITS_OF_LENGTH), "")
+    # theta_m is the motor's angle in every second paper: m is a length there in brackets only.
     meant = square or "(" in name or not {"theta", "th", "angle", "enc", "q", "pot"} & set(words_of(name))
     return found if found != "m" or meant else ""
 
@@ -193,6 +197,7 @@ def role_of_name(name: str) -> tuple[str, str]:
     driving = unit if unit in UNITS["voltage"] else next(filter(_drives, words), "")
     if driving and not _sensor_role(words):
         return "voltage", driving
+    # Before the roles: theta_ref holds a role's word, and what was asked for is not what was measured.
     for meaning, listed in _OTHER.items():
         if word := next((word for word in words if word in listed), ""):
             return meaning, word
@@ -211,12 +216,16 @@ def _sensor_role(words: tuple[str, ...]) -> str:
 def _hits(word: str, listed: tuple[str, ...]) -> str:
     """The hint that is this word, begins it, or is a long part of it (Motorwinkel)."""
     for hint in listed:
+        # Short hints are parts of too many words: "pos" begins position and compose holds it, "nm" is in
+        # environment; five letters seldom meet by chance.
         if word == hint or (len(hint) >= 3 and word.startswith(hint)) or (len(hint) >= 5 and hint in word):
             return hint
     return ""
 
 
 def _by_words(words: tuple[str, ...]) -> tuple[str, str]:
+    # In this order, as names hold two words: "motor_torque" and "joint_effort" are torques, "motor_voltage"
+    # is none of the three.
     for role in ("torque", "deflection", "motor_angle", "voltage"):
         for word in words:
             if hint := _hits(word, HINTS[role]):

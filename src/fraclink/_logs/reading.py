@@ -130,6 +130,7 @@ def read_log(
     table = read_table(place)
     if columns is not None and not isinstance(columns, LogColumns):
         columns = parse_columns(f"{role}={text}" for role, text in columns.items())
+    # The call before the rig, and the rig before the names: who states more, knows more.
     stated = columns or (rig.log if rig else None) or columns_of_names(table.names)
     if stated is None:
         raise _unstated(table)
@@ -208,6 +209,8 @@ def _channels(
     data: dict[str, NDArray[np.float64]] = {}
     findings: list[Finding] = []
     for role, channel in stated.channels().items():
+        # Optional: a rig file states the voltage for all its logs, of which some have none. It costs the
+        # friction, not the link.
         if role == "voltage" and channel.column not in table.names:
             findings.append(_no_voltage(channel))
             continue
@@ -225,6 +228,7 @@ def _channels(
 
 def _contradicted(table: LogTable, place: int, role: str, channel: Channel) -> list[Finding]:
     """The unit that the log's own header states for a column, where it is not the one that was stated."""
+    # Compared by size, not by spelling: Nm and N*m agree.
     known = UNITS[QUANTITY_OF[role]]
     units = (table.units[place] if table.units else "", unit_in(table.names[place], role))
     own = next((unit for unit in units if unit in known), channel.unit)
@@ -262,6 +266,7 @@ def _check_lengths(data: dict[str, NDArray[np.float64]], stated: LogColumns) -> 
 
 
 def _check_span(stamps: NDArray[np.float64], period: float) -> None:
+    # One stamp of another day, and a grid of the usual step over the gap is more memory than the log.
     count = float(stamps[-1] - stamps[0]) / period
     if count > SAMPLE_LIMIT:
         raise LogError(
@@ -347,6 +352,7 @@ def _shown(text: str) -> str:
 
 
 def _printable(text: str) -> str:
+    # A name from a file may hold a terminal's commands.
     return "".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in text)
 
 

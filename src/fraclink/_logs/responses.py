@@ -88,6 +88,7 @@ def read_frequency_response(
     place = Path(path)
     found = _columns_of(place, columns)
     frequency = _values(found, "frequency")
+    # First, as they need no unit: a table that holds both forms says the same twice.
     if "real" in found and "imaginary" in found:
         response = _values(found, "real") + 1j * _values(found, "imaginary")
     elif "gain" in found and "phase" in found:
@@ -147,6 +148,7 @@ def _columns_of(path: Path, stated: Mapping[str, str] | Sequence[str] | None) ->
         names = list(stated)
         if len(names) == len(table.names):
             rows = [clean_column(table, k, interpolate=False)[0] for k in values]
+        # As many names as rows: the table lies on its side and has no header.
         elif len(names) == table.values[0].size:
             rows = list(np.array([clean_column(table, k, interpolate=False)[0] for k in values]).T)
         else:
@@ -211,6 +213,7 @@ def _on_its_side(path: Path) -> LogTable | None:
     check_file(path)
     lines = [line for line in normal_bytes(path.read_bytes(), path).decode().split("\n") if line.strip()]
     lines = [line for line in lines if line.lstrip()[0] not in "#%"]
+    # As many rows as there are roles at most: a table of ten frequencies has more lines, and stands upright.
     if not _FEWEST <= len(lines) <= len(_ROLES):
         return None
     separator = separator_of(lines[0])
@@ -296,6 +299,7 @@ def _second(table: LogTable, place: int) -> float:
     words = (unit_of_name(f"[{word}]", known) for word in words_of(name))  # "millis", "ms_since_start"
     stated = stated_unit(name, known) or next(filter(None, words), "")
     in_file = table.units[place] if table.units else ""
+    # The file's own statement before the name's: a TDMS property is set by the program, a name by a person.
     unit = stated_unit(f"[{in_file}]", known) or stated
     if unit and unit not in known:
         raise _other_unit("time", name, unit, known)
@@ -309,6 +313,8 @@ def _period(table: LogTable, name: str) -> float:
     if stamps.size < 2:
         allowed, remedy = ">= 2 rows", "record a motion, or give period"
         raise LogError("time", stamps.size, "too few rows for a step", allowed=allowed, remedy=remedy)
+    # The mean step, as the rounding of single stamps cancels in it; each step may be off by its share of
+    # jitter.
     step = (stamps[-1] - stamps[0]) / (stamps.size - 1)
     worst = float(np.max(np.abs(np.diff(stamps) - step), initial=0.0))
     if not step > 0 or worst > _JITTER * step:
@@ -374,8 +380,11 @@ def read_reference(path: Path) -> Reference:
     if not steps.size:
         allowed, remedy = ">= 2 rows", "add the rows of the motion"
         raise FileFormatError("reference", path.name, "one row, no path", allowed=allowed, remedy=remedy)
+    # A law takes the rows one by one: a start elsewhere or another step would play the move late or at
+    # another speed.
     if len(values) != 3 or time[0] != 0.0 or np.ptp(steps) > _UNEVEN * steps.mean():
         allowed = "velocity and acceleration both, at 0 s and in equal steps from there"
         remedy = "leave both out: a spline goes through angles at any times"
         raise FileFormatError("reference", path.name, "no whole table", allowed=allowed, remedy=remedy)
+    # The step from the whole duration: that of one row is rounded to the text's digits.
     return SampledReference(float(time[-1] / len(steps)), np.array(values))

@@ -73,6 +73,8 @@ class Start:
     @property
     def blanks(self) -> int:
         """How many numbers `design` still needs in the rig file."""
+        # A blank is a commented line with its key: the same by which the draft's reader names what is
+        # missing.
         return len(re.findall(r"^# \w+ = ", self.rig_file, flags=re.MULTILINE))
 
     def save(self, folder: Path | str = ".", *, force: bool = False) -> tuple[Path, ...]:
@@ -143,6 +145,8 @@ def start(
     table = read_table(place)
     found, answers = _resolved(table, str(log), stated, ask, interpolate)
     assert found.columns is not None  # noqa: S101  # `_resolved` ends with columns or an error
+    # Through the one reader: what was guessed is stated to it, and it refuses or converts as it does for
+    # everybody.
     experiment = read_log(
         place, columns=found.columns, payload=payload, resample=resample, interpolate=interpolate
     )
@@ -169,6 +173,7 @@ def _known(log: Experiment, fit: Fit, payload: float | None) -> dict[str, tuple[
     """What the rig file need not leave blank: a torque log shows c, and the payload was stated."""
     known = {}
     if log.output_kind == "torque":
+        # Five digits: the rest is noise of the fit, and a rig file is read by people.
         known["link.stiffness"] = (float(f"{fit.model.stiffness:.5g}"), "c, from this log")
     if payload is not None:
         known["payloads.low"] = (payload, "of this log; the lightest that a controller is to be for")
@@ -187,6 +192,7 @@ def _resolved(
             return found, answers
         if ask is None:
             raise _open(table, found.questions)
+        # One at a time: an answer often settles what else was open, and all of it is weighed again.
         question = found.questions[0]
         statement = stated.get(question.role, ColumnStatement(question.role))
         stated[question.role] = answered(statement, question, ask(question) or question.default)

@@ -116,7 +116,8 @@ class LogTable:
         `remedy` says where the name was stated and how to mend it.
         """
         if name.startswith("#") and name[1:].isascii() and name[1:].isdigit() and name not in self.names:
-            number = int(name[1:4])
+            # Four digits hold every place there may be; an integer of thousands of digits is not even made.
+            number = int(name[1:]) if len(name) <= 5 else 0
             if 1 <= number <= len(self.names):
                 return number - 1
         places = [place for place, known in enumerate(self.names) if known == name]
@@ -142,6 +143,7 @@ class LogTable:
 
 
 _NOTE = re.compile(r"[#%]+\s*([^:=]{1,80}?)\s*[:=]\s*(.{0,500})")
+# of a header: more lines of comments are a log's own chatter
 _NOTE_LIMIT = 200
 
 
@@ -206,6 +208,7 @@ def _with_header(text: bytes, span: tuple[int, int], number: int, comments: list
         raise SizeError(
             "columns", len(names), "too many", allowed=f"{COLUMN_LIMIT}", remedy="export fewer channels"
         )
+    # Blank lines at the end are the editor's. A trailing tab of a table of tabs is an empty last cell.
     body = body.rstrip(b" \t\n") if separator != "\t" else body.rstrip(b" \n")
     if not body:
         raise LogError("log", path.name, "a header only", allowed="samples", remedy="record or export again")
@@ -266,6 +269,8 @@ def _check_rows(layout: Layout) -> None:
 def _parse_fast(layout: Layout) -> NDArray[np.float64] | None:
     """The whole body by numpy's C parser, or None where a cell is not a plain finite number."""
     allowed = np.zeros(256, dtype=bool)
+    # A letter other than e and E or a quote: one table lookup for each byte says whether the careful way is
+    # needed, before a cell is looked at.
     allowed[list(b"0123456789+-.eE\n " + (layout.separator or "\t").encode())] = True
     if not allowed[np.frombuffer(layout.body, dtype=np.uint8)].all():
         return None
@@ -302,11 +307,15 @@ def parse_cells(
     good_row = re.compile(" *" + blanks.join([NUMBER.pattern] * len(names)) + "[ \\t]*")
     for row, line in enumerate(lines):
         cells = line.split(separator or None)
+        # Most rows of a faulty file are good: they are recognised whole, and only the others are looked at
+        # cell by cell.
         if good_row.fullmatch(line):
             values[row] = cells  # numpy converts a row of checked cells at once
         else:
             check_width(first_line + row, line, len(cells), len(names))
             _fill(values[row], cells, first_line + row, faults)
+    # A number by its form that no double holds. It is a fault of its cell like any other, found once for the
+    # column.
     for place in np.flatnonzero(np.isinf(values).any(axis=0)).tolist():  # such as 1e999
         rows = np.flatnonzero(np.isinf(values[:, place]))
         cell = lines[rows[0]].split(separator or None)[place].strip()

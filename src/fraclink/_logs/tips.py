@@ -43,6 +43,7 @@ def tip_difference(weighing: Weighing, angle: int, tip: int, time: Channel | Non
     if turned.size != moved.size or not period > 0:
         return None
     x, y = turned[::stride] - turned[0], moved[::stride] - moved[0]
+    # Without any unit both columns are taken to be in the same one, as people record both angles alike.
     units = weighing.statement("motor_angle").unit or weighing.unit(angle), weighing.unit(tip)
     angles = [UNITS["angle"].get(unit) for unit in units]
     if all(angles) or (units[0] == units[1] == "" and not length_of_name(weighing.table.names[tip])):
@@ -52,6 +53,8 @@ def tip_difference(weighing: Weighing, angle: int, tip: int, time: Channel | Non
     itself, rest = find_mode(x, y, period), find_mode(x, x - factor * y, period)
     if itself is None or rest is None:
         return None
+    # Clearer than the column itself: a deflection that is subtracted from the motor angle leaves a mode as
+    # well, but a worse one.
     if rest.share > max(TIP, itself.share + CLEARER) and 1 / _OWN_GAIN < rest.gain < _OWN_GAIN:
         return _difference(weighing, angle, tip, factor, rest)
     if itself.share > TIP:
@@ -72,6 +75,8 @@ def _factor(x: Array, y: Array, period: float) -> float:
         return 1.0 if mode is None else -mode.share
 
     # A slow motion moves tip and motor alike, so that the plain slope is wrong by the vibration in it only.
+    # A factor of 2 either way in steps of a tenth of the logarithm: the share has several local maxima, and a
+    # bounded minimisation alone would end in the nearest.
     grid = np.linspace(-0.7, 0.7, 15)
     best = float(min(grid, key=left))
     found = minimize_scalar(left, bounds=(best - 0.1, best + 0.1), method="bounded", options={"xatol": 1e-4})
@@ -113,12 +118,15 @@ def gauges(weighing: Weighing, named: Mapping[int, tuple[str, str]], free: list[
     """The place of two gauges of one bridge, which move together or against each other; None for others."""
     found = [place for place in free if named[place][0] == "deflection"]
     names = [weighing.table.names[place] for place in found]
+    # strain1 and strain2 are one bridge, strain and bend are two quantities.
     if len(found) != 2 or words_of(names[0]) != words_of(names[1]):
         return None
     first, second = (weighing.cells(place) for place in found)
     together = float(np.corrcoef(first, second)[0, 1])
     if abs(together) < _TOGETHER:
         return None
+    # Gauges on both faces of the link: one is stretched where the other is compressed. Their difference
+    # doubles the signal and cancels what temperature does to both.
     mark, way = ("-", "against each other") if together < 0 else ("+", "together")
     name = f"{weighing.label(found[0])} {mark} {weighing.label(found[1])}"
     weighing.conclude("output", name, "likely", f"both move {way} (correlation {together:.2g})")

@@ -181,6 +181,7 @@ class Weighing:
     def unit(self, place: int) -> str:
         """The unit that the file states for a column, or its name."""
         own = self.table.units[place] if self.table.units else ""
+        # The file's own statement first; spelled as this package does, where it knows the spelling.
         return (unit_of_name(f"x [{own}]") if own else "") or unit_of_name(self.table.names[place])
 
 
@@ -224,11 +225,13 @@ def _clock(table: LogTable) -> int | None:
 
     def rank(place: int) -> tuple[bool, bool, float]:
         steps = np.diff(table.values[place])
+        # Named as a time first; a plain counter of rows last, as it may be one; and of two the steadier.
         uneven = float(np.std(steps) / np.median(steps))
         return not names_time(table.names[place]), float(np.median(steps)) == 1.0, uneven
 
     clocks = [place for place, values in enumerate(table.values) if clock_step(values) is not None]
     longest = max((table.values[place].size for place in clocks), default=0)
+    # The longest columns are the signals, and their clock is as long.
     clocks = [place for place in clocks if table.values[place].size == longest]
     if clocks:
         return min(clocks, key=rank)
@@ -246,9 +249,12 @@ def _time_unit(weighing: Weighing, place: int, step: float) -> str:
         return statement.unit
     fitting = [unit for unit, size in UNITS["time"].items() if _FASTEST <= step * scale * size <= _SLOWEST]
     rate = f"a sample every {step * scale:.6g}"
+    # The name's unit stands unless it makes a step of a second and more, with which no vibration of an arm is
+    # recorded: then somebody exported ms under the name of s.
     if own in UNITS["time"] and step * UNITS["time"][own] < 1.0:
         weighing.conclude("unit of time", own, "stated", f"by its name: {rate} {own}")
         return own
+    # A column that rises by one may count samples or milliseconds: only a name of time makes it the latter.
     counter = step == 1.0 and not names_time(weighing.table.names[place])
     if len(fitting) == 1 and not counter and own not in UNITS["time"]:
         others = "s" if fitting[0] != "s" else "ms"
