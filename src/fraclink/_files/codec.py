@@ -70,6 +70,7 @@ class _Scalar:
         return self.decode(value.item() if isinstance(value, np.generic) else value, path, storage)
 
     def decode(self, data: Any, path: str, storage: Storage) -> Any:
+        # Not isinstance: True is an int to Python, and to no other reader of the file.
         if type(data) not in self.kinds:
             expected = " or ".join(kind.__name__ for kind in self.kinds)
             raise misfit(path, data, f"of type {type(data).__name__}", expected)
@@ -188,6 +189,7 @@ class _Array:
     def _unlisted(self, data: Any, path: str) -> NDArray[Any]:
         if not isinstance(data, list):
             raise misfit(path, data, "not an array", "a list of numbers")
+        # Each leaf by itself: np.array makes texts of [1, "a"], and numbers of true and false.
         item = codec_of({"f": float, "c": float, "b": bool}.get(self.dtype.kind, int))
         try:
             found = np.array(_leaves(data, item, path))
@@ -198,6 +200,7 @@ class _Array:
             if isinstance(error, FileFormatError):
                 raise
             raise misfit(path, str(error), "not an array", f"equal rows of {self.dtype}") from error
+        # astype wraps round: 300 as an unsigned byte would be 44.
         if self.dtype.kind in "iu" and not np.array_equal(values, found):
             raise misfit(path, "an integer", "out of range", str(self.dtype))
         return values
@@ -243,9 +246,8 @@ class _Table:
         key, item = codec_of(self.key), codec_of(self.item)
         words = (key.encode(k, path, Storage()) for k in value)
         names = [word if isinstance(word, str) else json.dumps(word) for word in words]
-        return {
-            n: item.encode(v, _child(path, n), storage) for n, v in zip(names, value.values(), strict=True)
-        }
+        pairs = zip(names, value.values(), strict=True)
+        return {name: item.encode(held, _child(path, name), storage) for name, held in pairs}
 
     def decode(self, data: Any, path: str, storage: Storage) -> Any:
         if not isinstance(data, dict):
@@ -329,6 +331,7 @@ class _Fields:
     def decode(self, data: Any, path: str, storage: Storage) -> Any:
         if not isinstance(data, dict):
             raise misfit(path, data, "not a table", self.kind.__name__)
+        # Unknown keys first: a misspelt one is missing as well, and its own spelling says why.
         for key in [*data, *self.required]:
             if key not in self.hints:
                 raise misfit(_child(path, key), data[key], "an unknown key", ", ".join(self.hints))
@@ -364,10 +367,7 @@ _SIMPLE: dict[Any, Codec] = {
     bytes: _Bytes(),
     Any: _PLAIN,
     object: _PLAIN,
-    bool: _Scalar(bool),
-    int: _Scalar(int),
-    str: _Scalar(str),
-    type(None): _Scalar(type(None)),
+    **{kind: _Scalar(kind) for kind in (bool, int, str, type(None))},
 }
 
 

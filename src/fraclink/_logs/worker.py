@@ -55,6 +55,7 @@ def columns_of(
         return
     check_size(array.size)
     table = array.reshape(-1, 1) if array.ndim == 1 else array
+    # A log has more samples than channels: time runs along the longer axis, whichever program wrote it.
     wide = table.shape[0] < table.shape[1]
     table = table.T if wide else table
     if table.shape[1] > _WIDEST:
@@ -67,13 +68,9 @@ def columns_of(
 def check_size(values: int, columns: int = 1) -> None:
     """Raise SizeError where an array is over the limits, before it is made."""
     if values > VALUE_LIMIT or columns > COLUMN_LIMIT:
-        raise SizeError(
-            "log",
-            f"{values} numbers in {columns} columns",
-            "too large",
-            allowed=f"{VALUE_LIMIT} numbers, {COLUMN_LIMIT} columns",
-            remedy="cut the recording to one experiment",
-        )
+        found, allowed = f"{values} numbers in {columns}", f"{VALUE_LIMIT} numbers, {COLUMN_LIMIT} columns"
+        remedy = "cut the recording to one experiment"
+        raise SizeError("log", f"{found} columns", "too large", allowed=allowed, remedy=remedy)
 
 
 # --- HDF5, and MATLAB v7.3, which is HDF5 with transposed arrays -----------------------------------------
@@ -88,6 +85,7 @@ def read_hdf5(path: Path) -> tuple[list[RawColumn], dict[str, str]]:
 
     columns: list[RawColumn] = []
     with path.open("rb") as stream, h5py.File(stream, "r") as file:
+        # Hard links alone: a soft or an external one leads out of this file, or round in it.
         own = [name for name in file if isinstance(file.get(name, getlink=True), h5py.HardLink)]
         matlab = any("MATLAB_class" in file[name].attrs for name in own)
 
@@ -123,9 +121,6 @@ def _text(value: object) -> str:
     return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
 
 
-# --- MATLAB up to v7 -------------------------------------------------------------------------------------
-
-
 _STRUCTURE_DEPTH = 6  # structures within structures
 
 
@@ -153,13 +148,11 @@ def _flat(name: str, value: object, depth: int) -> Iterator[RawColumn]:
         yield from columns_of(name, value)
         return
     elements = value.reshape(-1)
+    # An array of structures is a list of recordings; 64 are more than a log has, and each makes columns.
     for place, element in enumerate(elements[:64]):
         label = name if elements.size == 1 else f"{name}({place + 1})"
         for field in value.dtype.names:
             yield from _flat(f"{label}.{field}", element[field], depth - 1)
-
-
-# --- Parquet ---------------------------------------------------------------------------------------------
 
 
 def read_parquet(path: Path) -> tuple[list[RawColumn], dict[str, str]]:
@@ -170,6 +163,7 @@ def read_parquet(path: Path) -> tuple[list[RawColumn], dict[str, str]]:
     except ImportError as error:
         raise MissingExtraError("pyarrow", "io") from error
 
+    # A pool of threads reserves more address space than the child has.
     pa.set_cpu_count(1)
     with path.open("rb") as stream:
         file = parquet.ParquetFile(stream)
@@ -177,22 +171,18 @@ def read_parquet(path: Path) -> tuple[list[RawColumn], dict[str, str]]:
         table = file.read(use_threads=False)
     columns = []
     for field in table.schema:
-        values = _values(table.column(field.name) if _single(table, field.name) else None, field.type)
+        # -1 where two columns share the name: neither can be asked for, and neither is a signal of the log.
+        single = int(table.schema.get_field_index(field.name)) >= 0
+        values = _values(table.column(field.name), field.type) if single else None
         if values is not None:
             unit = (field.metadata or {}).get(b"unit", b"").decode("utf-8", "replace")[:20]
             columns.append(RawColumn(field.name, "s" if pa.types.is_timestamp(field.type) else unit, values))
     return columns, {}
 
 
-def _single(table: Any, name: str) -> bool:
-    return int(table.schema.get_field_index(name)) >= 0  # -1 where two columns share the name
-
-
 def _values(column: Any, kind: Any) -> Any:
     import pyarrow as pa
 
-    if column is None:
-        return None
     if pa.types.is_timestamp(kind):
         stamps = column.cast(pa.timestamp("ns")).cast(pa.int64()).to_numpy()
         # Nanoseconds since 1970 do not fit a float64; since the first stamp they do.
@@ -224,15 +214,15 @@ def read_ros(path: Path) -> tuple[list[RawColumn], dict[str, str]]:
         check_size(8 * reader.message_count)
         for connection, _received, raw in reader.messages():
             message = reader.deserialize(raw, connection.msgtype)
+            # Without a header there is no stamp of the measurement, only the recorder's time of arrival: such
+            # a topic is no signal of the log.
             header = getattr(message, "header", None)
             if header is None:
                 continue
-            numbers = (
-                _joints(message)
-                if connection.msgtype == _JOINT_STATE
-                else _numbers(message, "", _MESSAGE_DEPTH)
-            )
+            joints = connection.msgtype == _JOINT_STATE
+            numbers = _joints(message) if joints else _numbers(message, "", _MESSAGE_DEPTH)
             count = len(stamps[connection.topic])
+            # Whole nanoseconds: as a double, the seconds since 1970 resolve a quarter of a microsecond.
             stamps[connection.topic].append(header.stamp.sec * 1_000_000_000 + header.stamp.nanosec)
             for name, value in numbers.items():
                 values = series[connection.topic][name]
@@ -274,6 +264,7 @@ def _sorted_columns(
         order = np.argsort(after, kind="stable")
         columns.append(RawColumn(f"{topic}/time", "s", after[order]))
         for name, values in series[topic].items():
+            # Joints may come and go in a topic: each column is as long as its topic's stamps.
             padded = np.array(values + [np.nan] * (len(times) - len(values)))
             columns.append(
                 RawColumn(f"{topic}/{name}", _UNITS.get(name.rsplit(".", 1)[-1], ""), padded[order])
@@ -315,6 +306,8 @@ def _channel(name: str, channel: Any) -> list[RawColumn]:
 def read_npy(path: Path) -> tuple[list[RawColumn], dict[str, str]]:
     """An array of NumPy: its fields by their names, its columns by their numbers."""
     with path.open("rb") as stream:
+        # No pickle, which runs what the file holds; and a header of 10 kB at most, as it is evaluated as a
+        # literal.
         array = np.lib.format.read_array(stream, allow_pickle=False, max_header_size=10_000)
     if array.dtype.names:
         return [column for name in array.dtype.names for column in columns_of(name, array[name])], {}
@@ -345,6 +338,8 @@ def _limit_time(seconds: int) -> None:
     """Allow `seconds` of processor time from now on; the kernel ends the process beyond that."""
     if sys.platform != "win32":
         usage = resource.getrusage(resource.RUSAGE_SELF)
+        # The limit counts from the child's birth: what earlier files took is added, and a second for rounding
+        # down.
         limit = int(usage.ru_utime + usage.ru_stime) + 1 + seconds
         resource.setrlimit(resource.RLIMIT_CPU, (limit, resource.getrlimit(resource.RLIMIT_CPU)[1]))
 
