@@ -59,7 +59,7 @@ class Document:
     sources: Callable[[Any], Mapping[str, str]]
     summary: Callable[[Any], Mapping[str, Any]]
     before_save: Callable[[Any], None]
-    own: bool = False
+    own: bool
 
 
 # Public classes that are no values: an open connection, a memory that others write.

@@ -231,8 +231,9 @@ def _uncalibrated(weighing: Weighing, place: int, gain: float) -> tuple[OutputKi
     option = f'--column "torque={name} [Nm]", --column "deflection={name} [deg]" or "deflection={name} [raw]"'
     length = length_of_name(weighing.table.names[place])
     if length:
+        size = f"{0.32 / UNITS_OF_LENGTH[length]:.4g}"
         text = f"{name} is a length: how long is the link? (raw: scaled by the fit)"
-        option = f'--column "deflection={name} * 1/0.32 [rad]" for a link of 0.32 {length}'
+        option = f'--column "deflection={name} * 1/{size} [rad]" for a link of {size} {length}'
     if statement.unit != "raw":
         question = Question("output", "unit", text, ("Nm", "mNm", "deg", "rad", "raw"), default, option)
         if not weighing.ask(question):
