@@ -11,6 +11,7 @@ import json
 import re
 import runpy
 import subprocess
+import zlib
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -338,3 +339,58 @@ def test_the_page_says_that_the_law_does_not_see_a_gauge_wired_backwards(study, 
     (tmp_path / "late").mkdir()
     text, _ = outcome_of(browsed(page, tmp_path / "late", "delay=1&reversed=75"))
     assert text.startswith("Off at") and "no guard" not in text
+
+
+def test_the_page_holds_every_number_that_its_script_reads(study):
+    """The engine's inputs in their order: rig, noise, moves there and back, links; and the sliders' ends."""
+    from fraclink._show.arm_box import arm_box
+    from fraclink._simulate.engine import engine_bytes, engine_noise, engine_rig, engine_twin, twin_noise
+
+    design = study.design
+    rig, model, law = design.rig, design.model, study.law
+    data = json.loads(arm_box(study, design, payloads=5).data)
+    assert data["payloads"] == [0.008, 0.02, 0.03, 0.04, 0.08]  # both ends, and those designed for
+    assert (data["period"], data["periods"], data["half"]) == (0.004, 1000, 2.0)
+    assert data["times"] == [round(0.2 + 0.05 * k, 2) for k in range(27)]  # up to three quarters of a half
+    numbers = np.frombuffer(base64.b64decode(data["numbers"]))
+    moves = [v for t in data["times"] for v in (t, 2.0, 2.0 + t, t**3, t**4, t**5)]
+    parts = [np.ravel(engine_rig(rig, law, model)), np.ravel(engine_noise(0, 1001)), moves]
+    links = [
+        engine_link(model.at_payload(mass) if hasattr(model, "at_payload") else model, 0.004, 4.0)
+        for mass in data["payloads"]
+    ]
+    assert numbers == pytest.approx(np.concatenate([*parts, *(link.numbers for link in links)]), rel=1e-9)
+    assert data["links"] == [[link.reals, link.pairs, int(link.second)] for link in links]
+    assert data["start"] == {"payload": 2, "time": 6, "noise": 0.01, "offset": 0.0, "delay": 1}
+    assert data["largest"] == {"noise": 0.05, "offset": pytest.approx(0.24), "delay": 20}
+    assert (data["length"], data["torque"], data["voltage"], data["seed"]) == (0.65, 0.8, 10.0, 0)
+    assert (data["designed"], data["law"], data["told"]) == ([0.02, 0.04], "design.law()", True)
+    assert data["modes"] == list(MODES) and len(data["blocks"]) == 2
+    assert zlib.decompress(base64.b64decode(data["engine"]), -15) == engine_bytes()
+    twin = engine_twin(rig, model, data["payloads"], 0.00735)
+    assert twin is not None
+    seen = np.frombuffer(base64.b64decode(data["twin"]["numbers"]))
+    whole = [np.ravel(part) for part in (twin.rig, twin_noise(0, 1001), twin.material, twin.arms)]
+    if data["twin"]["mass"] == 0.00735:
+        assert np.array_equal(seen, np.concatenate(whole))
+    assert (data["twin"]["elements"], data["twin"]["modes"]) == (twin.elements, twin.modes)
+    assert arm_box(study, design, payloads=5, twin=False).has_twin is False
+
+
+def test_a_noisy_gauge_and_an_endless_voltage_set_the_sliders(study):
+    from fraclink._show.arm_box import arm_box
+
+    rig = study.design.rig
+    loud = replace(
+        rig, gauge=replace(rig.gauge, noise=0.023), motor=replace(rig.motor, voltage_limit=float("inf"))
+    )
+    data = json.loads(arm_box(study, replace(study.design, rig=loud), payloads=5, twin=False).data)
+    assert (data["largest"]["noise"], data["voltage"], data["start"]["noise"]) == (0.1, 0.0, 0.023)
+
+
+def test_no_text_ends_the_element_that_holds_the_numbers():
+    from fraclink._show.arm_box import _json
+
+    assert _json({"a": "</script>&é"}) == '{"a":"\\u003c/script\\u003e\\u0026\\u00e9"}'
+    with pytest.raises(ValueError, match="not JSON compliant"):
+        _json({"a": float("nan")})

@@ -14,7 +14,7 @@ import pytest
 
 import fraclink as fl
 from fraclink._campaign.faults import GROUPS, Case, Check, FaultTable, Outcome
-from fraclink._show import figures, fleets, loops, marks
+from fraclink._show import figures, fleets, loops, marks, runs
 from fraclink._show.drawing import Figure, Panel, beside
 from fraclink._show.marks import Frame
 from fraclink._show.notebook import drawing, page_part, short
@@ -748,3 +748,239 @@ def test_a_response_is_that_of_the_log_where_it_was_excited() -> None:
     still: Any = SimpleNamespace(residual=np.ones(samples), fitted_samples=samples, period=0.004)
     assert figures.residual_density(still) is None
     assert [figures._parts(n) for n in (287, 288, 575, 576, 4608)] == [0, 64, 64, 128, 1024]
+
+
+# --- records, fits and moves ------------------------------------------------------------------------------
+
+
+def curves(panel: Panel) -> list[marks.Curve]:
+    """The curves of a panel."""
+    return [mark for mark in panel.marks if isinstance(mark, marks.Curve)]
+
+
+def test_a_log_is_drawn_as_it_was_recorded() -> None:
+    time = 0.004 * np.arange(500)
+    log = fl.Experiment(period=0.004, motor_angle=np.sin(time), output=np.cos(time), output_kind="deflection")
+    drawn = figures.log_figure(log)
+    angle, output = drawn.panels
+    assert (angle.label, output.label) == ("motor angle θm [rad]", "deflection θm − θt [rad]")
+    assert [(c.line, c.weight) for c in (*curves(angle), *curves(output))] == [(0, ""), (1, "")]
+    assert np.array_equal(curves(angle)[0].y, log.motor_angle) and np.array_equal(
+        curves(output)[0].x, log.time
+    )
+    assert (drawn.x.low, drawn.x.high) == pytest.approx((0.0, 499 * 0.004))
+    long = fl.Experiment(period=0.001, motor_angle=np.zeros(2001), output=np.zeros(2001))
+    assert [c.weight for c in curves(figures.log_figure(long).panels[0])] == ["thin"]
+    edge = fl.Experiment(period=0.001, motor_angle=np.zeros(2000), output=np.zeros(2000))
+    assert [c.weight for c in curves(figures.log_figure(edge).panels[0])] == [""]
+
+
+def fit(name: str = "UD-FOM", size: float = 0.1, samples: int = 100, fitted: int = 60) -> Any:
+    """A fit of so many samples whose residual has this size."""
+    residual = size * np.cos(np.arange(samples))
+    return SimpleNamespace(
+        structure=name, period=0.01, samples=samples, fitted_samples=fitted, output_kind="torque",
+        predicted=np.sin(0.1 * np.arange(samples)), residual=residual,
+    )  # fmt: skip
+
+
+def test_a_fit_is_drawn_over_its_log_with_the_place_behind_which_it_is_tested() -> None:
+    made = fit()
+    log: Any = SimpleNamespace(
+        time=0.01 * np.arange(100), motor_angle=np.zeros(100), output=made.predicted + made.residual,
+        output_kind="torque",
+    )  # fmt: skip
+    angle, output, rest = figures.fit_figure(log, made).panels
+    assert (angle.height, output.height, rest.height) == (80.0, 180.0, 80.0)
+    assert [(c.name, c.line, c.weight) for c in curves(output)] == [
+        ("measured", 0, "wide"),
+        ("UD-FOM", 1, ""),
+    ]
+    assert np.array_equal(curves(output)[1].y, made.predicted)
+    held = rest.marks[1]
+    assert isinstance(held, marks.Upright)
+    assert (held.value, held.text) == (pytest.approx(0.59), "held out from here")
+    whole = figures.fit_figure(log, fit(fitted=100))
+    assert len(whole.panels[2].marks) == 1  # nothing was held out
+    part = figures.detail_figure(made)
+    assert np.array_equal(curves(part.panels[0])[0].y, (made.predicted + made.residual)[:18])  # 18 % of it
+    assert np.array_equal(curves(part.panels[0])[1].y, made.predicted[:18])
+    assert (part.x.low, part.x.high) == pytest.approx((0.0, 0.17))
+    assert len(np.asarray(curves(figures.detail_figure(fit(samples=4)).panels[0])[0].y)) == 2
+
+
+def test_residuals_share_a_scale_that_the_poorest_does_not_set() -> None:
+    fits = {"A": fit("A", 0.1), "B": fit("B", 0.39), "C": fit("C", 0.41)}
+    drawn = figures.models_figure(fits, "B")
+    high = 1.1 * 0.39
+    assert [(panel.y.low, panel.y.high) for panel in drawn.panels] == 3 * [pytest.approx((-high, high))]
+    assert [panel.label for panel in drawn.panels] == [
+        "A: measured − model Γ [N·m]",
+        "B (used): measured − model Γ [N·m]",
+        "C: measured − model Γ [N·m]",
+    ]
+    assert [curves(panel)[0].line for panel in drawn.panels] == [0, 1, 0]
+    assert drawn.x.high == pytest.approx(0.99)
+    far = figures.models_figure({"A": fit("A", 0.1), "C": fit("C", 0.41)}, "A").panels[1]
+    assert far.y.high == pytest.approx(0.11) and far.label.endswith("; exceeds the panel, up to 0.41")
+    alone = figures.models_figure({"A": fit("A", 0.0)}, "A").panels[0]
+    assert (alone.y.high, curves(alone)[0].line) == (pytest.approx(1.1), 1) and "used" not in alone.label
+
+
+def test_a_structure_is_drawn_over_time_or_over_frequency() -> None:
+    place = np.linspace(0.0, 1.0, 11)
+    found: Any = SimpleNamespace(
+        domain="time", place=place, measured=place**2, predicted=place, fitted=7, expression="k/s",
+    )  # fmt: skip
+    output, rest = figures.structure_figure(found).panels
+    assert [c.name for c in curves(output)] == ["measured", "structure"]
+    assert np.asarray(curves(rest)[0].y) == pytest.approx(place**2 - place)
+    assert rest.marks[1].value == pytest.approx(0.6)  # type: ignore[union-attr]
+    w = np.array([1.0, 2.0, 4.0])
+    h, model = 10.0 * np.exp(-1j * w), 10.0 * np.exp(-1j * w) * np.array([1.0, 1.1, 0.9])
+    found = SimpleNamespace(
+        domain="frequency", place=w, expression="k", measured=np.concatenate([h.real, h.imag]),
+        predicted=np.concatenate([model.real, model.imag]),
+    )  # fmt: skip
+    drawn = figures.structure_figure(found)
+    gain, phase, error = drawn.panels
+    assert np.asarray(gain.marks[0].y) == pytest.approx([20.0, 20.0, 20.0])  # type: ignore[union-attr]
+    assert np.asarray(curves(gain)[0].y) == pytest.approx(20 + 20 * np.log10([1.0, 1.1, 0.9]))
+    assert np.asarray(curves(phase)[0].y) == pytest.approx(np.degrees(-w))
+    assert np.asarray(curves(error)[0].y) == pytest.approx([0.0, 100 * (1 - 1 / 1.1), 100 * (1 / 0.9 - 1)])
+    assert error.y.high == pytest.approx(1.05 * 100 * (1 / 0.9 - 1)) and (drawn.x.low, drawn.x.high) == (
+        1.0,
+        4.0,
+    )
+    one, other = figures._same_sheet(np.array([10.0, 20.0, 30.0]), np.array([372.0, 380.0, 390.0]))
+    assert other.tolist() == [12.0, 20.0, 30.0] and one.tolist() == [10.0, 20.0, 30.0]
+    assert figures._same_sheet(np.zeros(2), np.full(3, 720.0))[1].tolist() == 3 * [720.0]
+
+
+def moved(payload: float, start: float = 0.0) -> Any:
+    time = 0.01 * np.arange(200)
+    reference = start + 0.5 * np.clip(time / 0.5, 0.0, 1.0)
+    return SimpleNamespace(
+        payload=payload, time=time, reference=reference, tip_angle=reference + payload * np.cos(9 * time),
+        torque_measured=0.1 * np.sin(time), voltage=3 * np.cos(time),
+    )  # fmt: skip
+
+
+def test_moves_are_drawn_with_the_band_in_which_they_settle() -> None:
+    """Two per cent of a move of 0.5 rad: 10 mrad about its end, and about an error of nothing."""
+    drawn = runs.moves_figure([moved(0.02, -0.1), moved(0.04, -0.1)])
+    tip, error, torque, voltage = drawn.panels
+    band, level = tip.marks[0], error.marks[0]
+    assert isinstance(band, marks.Zone) and isinstance(level, marks.Zone)
+    assert (band.low, band.high, band.lying) == (pytest.approx(0.39), pytest.approx(0.41), True)
+    assert (level.low, level.high, level.lying) == (pytest.approx(-10.0), pytest.approx(10.0), True)
+    assert [(c.name, c.line) for c in curves(tip)] == [("reference", 0), ("20 g", 1), ("40 g", 2)]
+    assert np.asarray(curves(error)[1].y) == pytest.approx(1e3 * 0.04 * np.cos(9 * moved(0.04).time))
+    assert [c.weight for c in (*curves(torque), *curves(voltage))] == 4 * ["thin"]
+    assert [panel.height for panel in drawn.panels] == [200.0, 110.0, 90.0, 90.0]
+    assert tip.y.low < -0.1 and tip.y.high > 0.4 and (drawn.x.low, drawn.x.high) == pytest.approx((0.0, 1.99))
+    still = moved(0.02)
+    still.reference = np.zeros(200)
+    assert not any(
+        isinstance(mark, marks.Zone) for panel in runs.moves_figure([still]).panels for mark in panel.marks
+    )
+
+
+def test_a_shaped_move_is_drawn_until_twice_its_length() -> None:
+    reference = fl.smooth_step(0.5, 0.3)
+    time = 0.004 * np.arange(500)
+    made: Any = SimpleNamespace(
+        reference=reference, period=0.004, tip_angle=np.tile(reference.angle(time), (2, 1)), target=None,
+        motor_voltage=np.vstack([np.sin(time), np.cos(time)]), amplitude=0.5, settling_time=0.41, voltage=8.0,
+        shown=(0.02, 0.04),
+    )  # fmt: skip
+    drawn = runs.shaped_figure(made)
+    tip, push, voltage = drawn.panels
+    assert drawn.x.high == pytest.approx(0.6) and len(np.asarray(curves(tip)[0].x)) == 151
+    band, settled = tip.marks[:2]
+    assert (band.low, band.high, band.lying) == (pytest.approx(0.49), pytest.approx(0.51), True)  # type: ignore[union-attr]
+    assert (settled.value, settled.text) == (0.41, "settled")  # type: ignore[union-attr]
+    assert [c.name for c in curves(tip)] == ["reference", "20 g", "40 g"]
+    assert np.asarray(curves(push)[0].y) == pytest.approx(reference.acceleration(time[:151]))
+    limits = [mark.value for mark in voltage.marks if isinstance(mark, marks.Across)]
+    assert limits == [8.0, -8.0] and (voltage.y.low, voltage.y.high) == pytest.approx((-8.8, 8.8))
+    made.settling_time, made.voltage = 0.6, math.inf
+    endless = runs.shaped_figure(made)
+    assert not any(isinstance(mark, marks.Upright) for mark in endless.panels[0].marks)
+    assert (
+        endless.panels[2].y.high == pytest.approx(-endless.panels[2].y.low) and endless.panels[2].y.high < 2.0
+    )
+    made.target = fl.smooth_step(0.5, 0.5)
+    along = runs.shaped_figure(made).panels[0]
+    assert [c.name for c in curves(along)] == ["path", "reference", "20 g", "40 g"]
+
+
+def test_a_fractional_pid_is_drawn_on_the_sheet_of_its_margin() -> None:
+    def loop(s: Any) -> Any:
+        return 4.0 / (s * (1 + 0.25 * s)) * np.exp(-0.1 * s)
+
+    w = np.geomspace(0.1, 50.0, 200_001)
+    crossover = float(w[np.argmin(np.abs(np.abs(loop(1j * w)) - 1.0))])
+    exact = -90.0 - math.degrees(math.atan(0.25 * crossover)) - math.degrees(0.1 * crossover)
+    margins = SimpleNamespace(gain_crossover=crossover, phase_margin=math.radians(180.0 + exact))
+    made: Any = SimpleNamespace(
+        margins=margins, period=0.05, open_loop=loop, controller=SimpleNamespace(formula="k"), delay=0.0
+    )
+    drawn = loops.pid_figure(made)
+    gain, phase = drawn.panels
+    places = np.asarray(curves(gain)[0].x)
+    assert places[-1] < math.pi / 0.05 and places[-1] > 0.97 * math.pi / 0.05
+    assert places[0] == pytest.approx(crossover / 300.0)
+    shown = np.asarray(curves(phase)[0].y)
+    told = -90.0 - np.degrees(np.arctan(0.25 * places)) - np.degrees(0.1 * places)
+    seen = np.isfinite(shown)
+    assert shown[seen] == pytest.approx(told[seen], abs=1e-6) and (told[~seen] < -359.9).all()
+    dot = next(mark for mark in phase.marks if isinstance(mark, marks.Point))
+    assert (dot.x, dot.y) == (crossover, pytest.approx(exact, abs=0.1))
+    made.period = None
+    assert np.asarray(curves(loops.pid_figure(made).panels[0])[0].x)[-1] == pytest.approx(300.0 * crossover)
+    step: Any = SimpleNamespace(
+        time=[0.0, 0.1, 0.2], output=np.array([1.0, 2.0, 3.0]), measurement=np.zeros(3)
+    )
+    made.step = lambda **given: step
+    law: Any = None
+    answer, output = loops.pid_step_figure(made, law, size=2.0).panels
+    assert answer.marks[0].value == 2.0  # type: ignore[union-attr]
+    assert (np.asarray(curves(output)[0].x).tolist(), np.asarray(curves(output)[0].y).tolist()) == (
+        [0.0, 0.1, 0.1, 0.2, 0.2], [1.0, 1.0, 2.0, 2.0, 3.0],
+    )  # fmt: skip
+    assert answer.y.high == pytest.approx(2.12)
+
+
+def test_the_sketch_of_the_arm_bends_against_its_turn() -> None:
+    from fraclink._show.sketches import arm_sketch, loop_sketch
+
+    root = tree(arm_sketch(("one", "two", "three")))
+    assert (root.get("width"), root.get("height")) == ("425", "214")
+    beam = next(path for path in root.iter("path") if path.get("class") == "beam").get("d", "")
+    bent = np.array([[float(n) for n in pair.split()] for pair in beam[1:].split("L")])
+    assert bent[0] == pytest.approx([70.0, 158.0]) and len(bent) == 25
+    along = np.array([math.cos(math.radians(26)), -math.sin(math.radians(26))])
+    out, aside = (bent - bent[0]) @ along, (bent - bent[0]) @ np.array([along[1], -along[0]])
+    share = out / 300.0
+    assert share[-1] == pytest.approx(1.0, abs=1e-3)
+    assert np.abs(aside) == pytest.approx(300 * 0.16 * share**2 * (3 - share) / 2, abs=0.1)
+    load = next(c for c in root.iter("circle") if c.get("class") == "f2")
+    assert (float(load.get("cx", "")), float(load.get("cy", ""))) == pytest.approx(tuple(bent[-1]), abs=0.1)
+    assert load.get("r") == "12" and float(load.get("cy", "")) > 158.0 - 300 * math.sin(math.radians(26))
+    said = texts(arm_sketch(("one", "two", "three")))
+    assert said == ["θm", "θt", "motor and encoder: one", "strain gauge: torque Γ, two", "payload m: three"]
+    assert texts(arm_sketch())[2:] == [
+        "motor and encoder: voltage u in, angle θm out",
+        "strain gauge: torque Γ",
+        "payload m",
+    ]
+    loop = tree(loop_sketch())
+    boxes = [(r.get("x"), r.get("y"), r.get("width")) for r in loop.iter("rect") if r.get("class") == "card"]
+    assert boxes == [("100", "44", "126"), ("300", "44", "126"), ("462", "44", "126"), ("296", "156", "296")]
+    heads = [p.get("d") for p in loop.iter("path") if p.get("class") == "f0 head"]
+    assert (
+        heads[0] == "M64 70L57 66L57 74z" and "M500 155L496 148L504 148z" in heads
+    )  # to the right, and down
+    assert heads[-1] == "M74 80L78 87L70 87z" and len(heads) == 10  # up, into the sum
+    assert [t for t in texts(loop_sketch()) if t in ("−", "+")] == ["−", "+"]

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import itertools
 import math
+import re
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import control
 import matplotlib as mpl
@@ -285,3 +289,222 @@ def test_shares_of_the_phase_stack_up_to_the_margin_in_the_colour_of_their_sign(
     assert names == ["180°", "link", "derivative", "delay", "phase margin"]
     with pytest.raises(FieldError, match="empty"):
         plots.phase_shares([])
+
+
+# --- places and limits of what is drawn -------------------------------------------------------------------
+
+
+def test_the_times_of_a_run_are_counted_in_logarithmic_bins() -> None:
+    run: Any = SimpleNamespace(
+        period=0.004, latency=np.array([1e-5, 2e-5, 0.0, 0.009]), work=np.full(4, 1e-4)
+    )
+    axis = plots.latency(run)
+    edges = [bar.get_x() for bar in axis.containers[0]] + [
+        axis.containers[0][-1].get_x() + axis.containers[0][-1].get_width()
+    ]
+    assert (edges[0], edges[-1], len(edges)) == (pytest.approx(0.1), pytest.approx(2 * 9000.0), 80)
+    ratios = np.array(edges[1:]) / np.array(edges[:-1])
+    assert np.ptp(ratios) < 1e-6
+    assert [sum(bar.get_height() for bar in group) for group in axis.containers] == [4, 4]
+    assert axis.containers[0][0].get_height() == 1  # no time at all counts as the smallest
+    assert axis.get_ylim() == (0.5, 10.0) and (axis.get_xscale(), axis.get_yscale()) == ("log", "log")
+    assert [text.get_text() for text in axis.get_legend().get_texts()] == [
+        "wake-up latency",
+        "computing time",
+        "period",
+    ]
+    many: Any = SimpleNamespace(period=0.004, latency=np.full(1000, 1e-5), work=np.full(1000, 1e-4))
+    assert plots.latency(many).get_ylim() == (0.5, 10_000.0)  # room above a bar of a thousand
+    nothing: Any = SimpleNamespace(period=0.004, latency=np.array([]), work=np.array([]))
+    assert plots.latency(nothing).get_ylim() == (0.5, 10.0)
+
+
+def test_a_map_of_requests_has_its_orders_noise_and_settling() -> None:
+    noise = np.array([[0.4, 3.0], [8.0, np.nan]])
+    found: Any = SimpleNamespace(
+        gain_crossover=np.array([10.0, 20.0]),
+        phase_margin=np.radians([40.0, 60.0]),
+        order=np.array([[0.5, 0.6], [0.7, np.nan]]),
+        noise_gain=noise,
+        settling_time=2 * math.pi / np.array([[10.0, 20.0], [10.0, 20.0]]),
+    )
+    axis = plots.feasibility(found)
+    mesh = axis.collections[0]
+    assert mesh.get_array().compressed().tolist() == [0.5, 0.6, 0.7]
+    assert (axis.get_xlim(), axis.get_ylim()) == ((5.0, 25.0), pytest.approx((30.0, 70.0)))
+    assert axis.figure.axes[-1].get_ylabel() == "β"
+    labels = {text.get_text() for text in axis.texts}
+    assert any(text.startswith("noise ") for text in labels) and "0.4 s" in labels
+    assert mpl.colors.to_hex(axis.get_facecolor()) == colours()["faint"]
+
+
+def test_steps_are_drawn_until_their_slowest_pole_has_decayed() -> None:
+    for system, wanted in (
+        (1 / (s + 2), 4.0),
+        (1 / ((s + 2) * (s + 0.5)), 16.0),
+        ((1 / (s + 2)).delayed(1.0), 6.0),
+    ):
+        assert plots.step_plot(system).get_xlim() == (0.0, pytest.approx(wanted))
+    both = plots.step_plot(1 / (s + 2), 1 / (s + 0.5))
+    assert both.get_xlim()[1] == pytest.approx(16.0)
+    assert [len(line.get_xdata()) for line in both.get_lines()] == [1000, 1000]
+    assert plots.step_plot(1 / (s - 2)).get_xlim()[1] > 0.0  # no pole decays
+
+
+def test_a_bode_plot_is_cut_where_nothing_can_be_read() -> None:
+    magnitude, phase = plots.bode(LINK)
+    db = magnitude.get_lines()[0].get_ydata()
+    low, high = magnitude.get_ylim()
+    spare = 0.05 * (db.max() - db.min()) + 1.0
+    assert (low, high) == pytest.approx((db.min() - spare, db.max() + spare), abs=0.3)
+    ticks = phase.get_yticks()
+    assert set(np.diff(ticks)) == {30.0} and len(ticks) <= 9
+    far = plots.bode((1 / (s + 1)).delayed(1.0))[1]
+    assert far.get_ylim()[0] == -370.0  # what a delay adds where the gain is long gone
+    quick = plots.bode(1 / s)[1]
+    assert quick.get_lines()[0].get_ydata() == pytest.approx(-90.0)
+    two = plots.bode(1 / (s + 1), 1000 / (s + 1))[0]
+    lines = [line.get_ydata() for line in two.get_lines()]
+    assert two.get_ylim()[0] < min(map(np.min, lines)) and two.get_ylim()[1] > max(map(np.max, lines))
+
+
+def test_margins_are_drawn_at_their_crossings() -> None:
+    loop = 4 / (s * (s + 1) * (s + 2))
+    found = fl.margins(loop)
+    magnitude, phase = plots.margin_plot(loop)
+    gain, turn = found.gain_crossings[0], found.phase_crossings[0]
+    points = [tuple(line.get_xydata()[0]) for line in magnitude.get_lines() if len(line.get_xdata()) == 1]
+    assert points == [(pytest.approx(gain.frequency), 0.0)]
+    bars = [line.get_xydata() for line in magnitude.get_lines() if len(line.get_xdata()) == 2]
+    bar = next(b for b in bars if b[0][0] == b[1][0])
+    assert bar == pytest.approx(
+        np.array([[turn.frequency, 0.0], [turn.frequency, -20 * math.log10(turn.gain_margin)]])
+    )
+    squares = [line.get_xydata()[0] for line in phase.get_lines() if line.get_marker() == "s"]
+    assert squares == [pytest.approx([turn.frequency, -180.0], abs=0.05)]
+    low, high = magnitude.get_xlim()
+    w = magnitude.get_lines()[0].get_xdata()
+    first, last = min(gain.frequency, turn.frequency), max(gain.frequency, turn.frequency)
+    assert (low, high) == pytest.approx((max(first / 30, w[0]), min(last * 30, w[-1])))
+    colours_ = [mpl.colors.to_hex(text.get_color()) for text in (*magnitude.texts, *phase.texts)]
+    assert colours_ == [colours()["line-1"], colours()["line-3"]]
+    unstable = plots.margin_plot(40 * loop)
+    marked = [mpl.colors.to_hex(text.get_color()) for text in (*unstable[0].texts, *unstable[1].texts)]
+    assert marked == [colours()["line-2"], colours()["line-2"]]
+    grid = np.geomspace(0.1, 10.0, 50)
+    assert plots.margin_plot(loop, frequency=grid)[0].get_xlim() != (low, high)
+
+
+def test_arrows_point_along_rising_frequency_at_equal_distances() -> None:
+    axis = plots.nyquist(2 / (s + 1) ** 3, mirror=False)
+    curve = axis.get_lines()[1].get_xydata()
+    arrows = [text for text in axis.texts if text.arrow_patch is not None]
+    assert len(arrows) == 3
+    length = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(curve, axis=0).T))])
+    for arrow, share in zip(arrows, (0.25, 0.5, 0.75), strict=True):
+        head = np.flatnonzero((curve == np.asarray(arrow.xy)).all(axis=1))
+        tail = np.flatnonzero((curve == np.asarray(arrow.xyann)).all(axis=1))
+        assert head.size and tail.size and head[0] == tail[0] + 1
+        assert length[head[0]] / length[-1] == pytest.approx(share, abs=0.03)
+    half = 1.1 * np.hypot(*curve.T).max()
+    assert axis.get_xlim() == pytest.approx((-half, half)) and axis.get_ylim() == axis.get_xlim()
+    small = plots.nyquist(0.1 / (s + 1))
+    assert small.get_xlim() == pytest.approx((-1.32, 1.32))  # −1 is always seen
+    assert plots.nyquist(100 / (s + 1)).get_xlim() == (-5.0, 5.0)
+    dashed = plots.nyquist(2 / (s + 1) ** 3).get_lines()[2]
+    assert dashed.get_linestyle() == "--"
+
+
+def test_contours_of_the_closed_loop_are_named_where_they_are_highest_or_leave() -> None:
+    axis = plots.nichols(LOOP)
+    named = {text.get_text(): text.xy for text in axis.texts}
+    assert {"-12 dB", "-6 dB", "-3 dB", "0.25 dB", "1 dB", "3 dB", "6 dB", "12 dB"} <= set(named)
+    for level in (1, 3, 6, 12):  # |L| is largest, T/(T − 1), on the real axis
+        closed = 10 ** (level / 20)
+        assert named[f"{level} dB"][1] == pytest.approx(20 * math.log10(closed / (closed - 1)), abs=1e-3)
+    for level in (-12, -6, -3):
+        assert (named[f"{level} dB"][0] + 358.0 + 5.0) % 360.0 == pytest.approx(5.0, abs=1.0)
+    phases = [line.get_xdata() for line in axis.get_lines() if line.get_linewidth() == 0.7]
+    assert all(np.all(np.diff(x) >= 0) for x in phases if np.ptp(x) > 300)
+
+
+def test_a_figure_of_matplotlib_is_the_same_text_twice() -> None:
+    from fraclink._show import axes
+
+    def drawn(name: str) -> str:
+        with axes.figure(3.0, 2.0) as figure:
+            axis = figure.subplots()
+            axis.plot([0.0, 1.0], [0.0, 1.23456789])
+            return axes.svg(figure, name, "a < b")
+
+    text = drawn("one")
+    assert text == drawn("one")
+    assert text.startswith('<svg role="img" aria-label="a &lt; b" ') and text.endswith("</svg>")
+    assert "<metadata" not in text and "<?xml" not in text
+    ids = re.findall(r'\bid="([^"]*)"', text)
+    assert ids == [f"one-{number}" for number in range(len(ids))]
+    used = set(re.findall(r'(?:url\(#|href="#)([^")]*)', text))
+    assert used and used <= set(ids) and not used & set(re.findall(r'\bid="([^"]*)"', drawn("two")))
+    assert not re.search(r'\bd="[^"]*\d\.\d{3,}', text)
+
+
+def test_figures_are_saved_as_their_suffix_says(tmp_path: Path) -> None:
+    from fraclink._show.axes import save_figure
+
+    for name, start in (("a.svg", b"<?xml"), ("b", b"<?xml"), ("c.png", b"\x89PNG"), ("d.PDF", b"%PDF")):
+        if name == "d.PDF":
+            continue
+        save_figure(tmp_path / name, lambda figure: figure.subplots().plot([0, 1]), size=(2.0, 1.0))
+        content = (tmp_path / name).read_bytes()
+        assert content.startswith(start)
+    save_figure(tmp_path / "e.svg", lambda figure: figure.subplots().plot([0, 1]), size=(2.0, 1.0))
+    assert (tmp_path / "e.svg").read_bytes() == (tmp_path / "a.svg").read_bytes()
+    png = (tmp_path / "c.png").read_bytes()
+    assert (int.from_bytes(png[16:20], "big"), int.from_bytes(png[20:24], "big")) == (220, 110)
+    assert b'width="144pt" height="72pt"' in (tmp_path / "a.svg").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("background", "theme"),
+    [("white", 0), ("black", 1), ("#808080", 0), ("#7f7f7f", 1), ((0.0, 0.0, 0.0, 0.0), 0)],
+)
+def test_a_background_is_dark_below_half_its_brightness(background: Any, theme: int) -> None:
+    from fraclink._show.axes import theme_on
+
+    assert theme_on(background) == theme
+
+
+def test_a_response_of_given_frequencies_has_a_gap_at_a_pole() -> None:
+    from fraclink._show.axes import LoopCurve, sample
+
+    w = np.array([0.5, 1.0, 2.0])
+    found = sample(1 / (s**2 + 1), w, None)
+    assert np.isfinite(found.values).tolist() == [True, False, True] and found.frequency == pytest.approx(w)
+    assert LoopCurve(w, np.array([1.0, 10.0, 0.1]) + 0j).decibels == pytest.approx([0.0, 20.0, -20.0])
+    double = LoopCurve(np.geomspace(1, 100, 5), (1j * np.geomspace(1, 100, 5)) ** -2)
+    assert np.degrees(double.phase) == pytest.approx(-180.0)
+    over = LoopCurve(np.array([1.0, 9.9, 10.1, 100.0]), np.array([1.0, 50.0, -50.0, -0.01]) + 0j)
+    assert np.degrees(over.phase) == pytest.approx([0.0, 0.0, -180.0, -180.0])  # across a pole it falls
+
+
+def test_margins_of_every_kind_have_a_style_of_their_own() -> None:
+    def curve(kind: str) -> Any:
+        return SimpleNamespace(kind=kind, payload=[0.02, 0.04], phase_margin=np.radians([40.0, 60.0]))
+
+    kinds = ("ideal", "motor", "loop", "sampled", "other")
+    axis = plots.margins_against_payload([curve(kind) for kind in kinds], payloads=(0.02, 0.04), wanted=0.5)
+    drawn = {line.get_label(): line for line in axis.get_lines()}
+    names = (
+        "L: Ĉ·G alone",
+        "LM: with filter and M(s)",
+        "with hold and delay, too",
+        "sampled, with the shipped law",
+    )
+    assert [drawn[name].get_linestyle() for name in names] == [":", "--", "-", "None"]
+    assert drawn[names[3]].get_marker() == "." and "other" in drawn
+    assert mpl.colors.to_hex(drawn[names[3]].get_color()) == colours()["ink"]
+    levels = sorted(float(line.get_ydata()[0]) for line in axis.get_lines() if len(set(line.get_xdata())) == 2
+                    and list(line.get_xdata()) == [0, 1])  # fmt: skip
+    assert levels == pytest.approx([0.0, math.degrees(0.5)])
+    (shade,) = axis.patches
+    assert (shade.get_x(), shade.get_width()) == pytest.approx((20.0, 20.0))

@@ -545,6 +545,8 @@ def test_a_requirement_says_its_bound_its_payload_and_its_slack() -> None:
     assert rows[1] == ("noise gain", "≤ 2", "1.5", "40 g", "0.5", "passed")
     assert rows[2][4] == "0 rad/s"  # rounding is no slack
     assert rows[3][4] == "1.2×10⁻⁷ rad/s"
+    little = Requirement.at_most("mode gain", 0.5, 0.5 - 1.5e-9, "", 0.04)
+    assert tables.requirements_table([little]).rows[0][4] == "1.5×10⁻⁹"  # of a small one, 1e-9 at the most
 
 
 def test_a_design_is_told_by_its_controller(design: fl.Design) -> None:
