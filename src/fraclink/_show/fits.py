@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from fraclink._arm.link import structure
-from fraclink._show.tables import PARAMETERS, source_name
+from fraclink._show.tables import PARAMETERS, held_out, source_name
 from fraclink._show.text import Row, Table, View, grams, number, uncertain
 
 if TYPE_CHECKING:
@@ -96,12 +96,10 @@ def structure_view(fit: Any) -> View:
         else:
             known = _span(interval)
         rows.append((name, number(value, 6), known))
-    share = fit.heldout_nmse
-    held = "nothing held out" if share is None else f"held-out error {100 * share:.2g} %"
     state = "passed" if fit.passed else "not shown"
     table = Table((fit.expression, "value", "95 % interval"), tuple(rows))
     notes = (f"G(s) = {fit.transfer_function}", *worth_reading(fit.findings))
-    return View(f"error {100 * fit.nmse:.2g} %, {held}", (table,), notes, state)
+    return View(f"error {100 * fit.nmse:.2g} %, {held_out(fit.heldout_nmse)}", (table,), notes, state)
 
 
 def driven_view(found: Any) -> View:

@@ -38,8 +38,10 @@ __all__ += ["nyquist_figure", "payloads_of", "pid_figure", "pid_step_figure"]
 
 Real = NDArray[np.float64]
 
-_BEYOND = 0.4  # the margins are shown down to this share of the lightest payload: 8 g for 20 g
+BEYOND = 0.4  # the margins are shown down to this share of the lightest payload: 8 g for 20 g
 _STEPS = 25
+# Quarters of a turn, down to a whole one: what a delay adds below lies where the gain is long gone.
+_PHASE = Scale(-360.0, 90.0, ticks=tuple((float(k), f"{k}".replace("-", "−")) for k in range(-360, 91, 90)))
 
 
 def payloads_of(design: Design) -> list[float]:
@@ -77,10 +79,9 @@ def bode_figure(design: Design) -> Figure:
             at = design.loop.log(np.array([crossing.frequency]), design.natural_frequency(payload))[0]
             gain.append(Point(crossing.frequency, 0.0, line=line))
             phase.append(Point(crossing.frequency, math.degrees(at.imag), line=line))
-    quarters = tuple((float(k), f"{k}".replace("-", "−")) for k in range(-360, 91, 90))
     panels = (
         Panel("gain of the open loop |L| [dB]", Scale(-45.0, 30.0), gain, 190.0),
-        Panel("phase of L [°]", Scale(-360.0, 90.0, ticks=quarters), phase, 190.0),
+        Panel("phase of L [°]", _PHASE, phase, 190.0),
     )
     x = Scale(1.0, math.pi / design.rig.period, log=True)
     said = "Gain and phase of the open loop over frequency; dots mark the gain crossings"
@@ -102,7 +103,6 @@ def pid_figure(made: PidTuning) -> Figure:
     # On the sheet of the stated margin: unwrapped from the left the phase may lie a whole turn off.
     shift = 360.0 * round((here + 180.0 - math.degrees(made.margins.phase_margin)) / 360.0)
     angle, here = np.where(angle - shift < -360.0, np.nan, angle - shift), here - shift
-    quarters = tuple((float(k), f"{k}".replace("-", "−")) for k in range(-360, 91, 90))
     panels = (
         Panel(
             "gain of the open loop |L| [dB]",
@@ -116,7 +116,7 @@ def pid_figure(made: PidTuning) -> Figure:
         ),
         Panel(
             "phase of L [°]",
-            Scale(-360.0, 90.0, ticks=quarters),
+            _PHASE,
             [Across(-180.0, limit=False), Curve(w, angle, 1), Point(crossover, here, line=1)],
             190.0,
         ),
@@ -191,7 +191,7 @@ def margins_figure(design: Design) -> Figure:
     low, high = design.payloads
     # Below the range the mode is fast and the margin falls quickly; above it changes little: hence more room
     # on the light side, and geometric steps.
-    payloads = np.geomspace(_BEYOND * low, 1.15 * high, _STEPS)
+    payloads = np.geomspace(BEYOND * low, 1.15 * high, _STEPS)
     mass = 1e3 * payloads
     margin: list[Mark] = [Zone(1e3 * low, 1e3 * high), Across(0.0, limit=False)]
     fan = _fan(design, payloads)

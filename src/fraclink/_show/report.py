@@ -27,7 +27,6 @@ from fraclink.errors import FieldError
 __all__ = ["render_report", "write_campaign_report", "write_report"]
 
 _PAYLOADS = 15  # of the arm that moves: 40 kB of a report of 700
-_BEYOND = 0.4  # margins are tabulated at this share of the lightest payload too: 8 g for 20 g
 _MAP = 48  # cells of the map of an infeasible request, each way
 
 
@@ -157,7 +156,7 @@ def _tables(study: Study) -> Mapping[str, Table]:
     if study.fits:
         found["models"] = tables.fits_table(study.fits)
     if study.design is not None:
-        payloads = [_BEYOND * study.design.payloads[0], *loops.payloads_of(study.design)]
+        payloads = [loops.BEYOND * study.design.payloads[0], *loops.payloads_of(study.design)]
         found["controller"] = tables.controller_table(study.design, study.law)
         found["requirements"] = tables.requirements_table(study.design.requirements)
         found["margins"] = tables.margins_table(study.design, payloads)

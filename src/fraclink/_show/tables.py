@@ -98,6 +98,15 @@ def _parameter(fit: Fit, name: str) -> str:
     return uncertain(value, fit.standard_errors.get(name)).replace("± ", "±\N{NO-BREAK SPACE}")
 
 
+def held_out(share: float | None) -> str:
+    """The error on the part of a log that was held out, as a headline has it.
+
+    >>> held_out(0.0149), held_out(None)
+    ('held-out error 1.5 %', 'nothing held out')
+    """
+    return "nothing held out" if share is None else f"held-out error {100 * share:.2g} %"
+
+
 def _aic(fit: Fit) -> str:
     return f"{fit.aic:.1f}".replace("-", "−")
 

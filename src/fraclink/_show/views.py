@@ -31,6 +31,7 @@ from fraclink._show.tables import (
     faults_table,
     fit_table,
     fits_table,
+    held_out,
     log_table,
     moves_table,
     requirements_table,
@@ -95,10 +96,13 @@ def _log_view(log: Any) -> View:
 
 
 def _fit_view(fit: Fit) -> View:
-    share = fit.heldout_nmse
-    held = "nothing held out" if share is None else f"held-out error {100 * share:.2g} %"
     state = "passed" if fit.passed else "not shown"
-    return View(f"{fit.structure}, {held}", (fit_table(fit),), worth_reading(fit.findings), state)
+    return View(
+        f"{fit.structure}, {held_out(fit.heldout_nmse)}",
+        (fit_table(fit),),
+        worth_reading(fit.findings),
+        state,
+    )
 
 
 def _start_view(started: Start) -> View:
