@@ -386,6 +386,8 @@ def test_a_preview_has_the_loop_of_its_design_at_three_payloads(subject: Subject
     assert edge["three"] == (0.03, 0.04, 0.05)  # the nominal one lies on the edge: the middle instead
     unfiltered = dict(preview(subject, {**ASKED, "filter_time": 0.0}).head["facts"])
     assert unfiltered["δ"] == "none"
+    filtered = dict(preview(subject, {**ASKED, "filter_time": 0.012345}).head["facts"])
+    assert filtered["δ"] == "12.3 ms"
 
 
 def test_the_nearest_request_is_the_same_where_it_is_feasible(subject: Subject) -> None:
@@ -412,6 +414,8 @@ def test_a_session_opens_what_it_is_given(made: Session, tmp_path: Path) -> None
     assert of_design.study.law.digest == design.law().digest and of_design.folder == tmp_path / "r"
     other = fl.Rig.named("paper-2023-geared")
     assert opened(tmp_path / "design.json", rig=other).study.rig is other
+    fl.save(design.law(), tmp_path / "law.json")
+    assert opened(tmp_path / "law.json", out=tmp_path / "r").source == tmp_path / "law.json"  # no design
     of_log = opened(Path(fl.bundled_log("prbs_30g")), out=tmp_path / "r")
     assert of_log.source == Path(fl.bundled_log("prbs_30g")) and of_log.study.rig == RIG
     assert opened(None).study.rig == RIG and opened(None).folder == Path("results")
@@ -842,6 +846,55 @@ def test_columns_that_leave_a_question_are_refused_with_it(tmp_path: Path) -> No
     assert answer.head["experiment"]["payload"] == 0.025 and "motor_angle_rad" in answer.head["toml"]
     assert "toml" not in columns(own, {"columns": []}).head
     assert logs._stretch(None) is None and logs._stretch([1, 2.5]) == (1.0, 2.5)
+
+
+def test_a_question_with_a_default_is_answered_by_it_and_any_other_is_asked(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    rows = zip(
+        0.004 * np.arange(1000), 0.01 * rng.normal(size=1000).cumsum(), rng.normal(size=1000), strict=True
+    )
+    lines = (f"{t:.3f},{a:.5f},{b:.5f}" for t, a, b in rows)
+    own = opened(None, out=tmp_path / "r")
+    own.source = tmp_path / "x.csv"
+    own.source.write_text("t,a,b\n" + "\n".join(lines))
+    columns = logs.LOG_VERBS["columns"]
+    with pytest.raises(FieldError, match="Which column is the output of the link") as why:
+        columns(own, {"columns": ["motor_angle=a [rad]"]})
+    assert why.value.value == "motor_angle=a [rad]"
+    sign_left_open = ["motor_angle=a [rad]", "torque=b [Nm]"]
+    assert columns(own, {"columns": sign_left_open}).head["experiment"]["kind"] == "torque"
+    assert own.columns == ("time=t [s]", "motor_angle=a [rad]", "torque=b [Nm]")  # what is copied states all
+
+
+@pytest.mark.parametrize(
+    ("asked", "margin", "filter_time"),
+    [
+        ({"phase_margin_deg": 48.0}, 48.0, 0.02),
+        ({}, 50.0, 0.02),  # what the design has, in degrees of the page
+        ({"max_sensitivity": 1.8}, None, 0.02),
+        ({"max_sensitivity": 1.8, "phase_margin_deg": 48.0}, 48.0, 0.02),
+        ({"filter_time": 0.01}, 50.0, 0.01),
+        ({"noise_gain": 5.0}, 50.0, None),
+        ({"mode_gain": 0.4}, 50.0, None),
+    ],
+)
+def test_python_states_what_the_command_completes_from_the_rig(
+    made: Session, tmp_path: Path, asked: dict[str, Any], margin: float | None, filter_time: float | None
+) -> None:
+    assert RIG.design is not None
+    rig = replace(RIG, design=replace(RIG.design, filter_time=0.02))
+    own = Session(replace(made.study, rig=rig), tmp_path)
+    own.state = checked_request({"gain_crossover": 11.0, **asked})
+    python = copies(own)["design"]["python"]
+    assert (
+        "payloads=(0.02, 0.04)" in python and "gain_crossover=12.0" in python
+    )  # of the design as it was made
+    assert (f"phase_margin=fl.deg({margin})" in python) == (margin is not None)
+    assert ("phase_margin" in python) == (margin is not None)
+    assert (f"filter_time={filter_time}" in python) == (filter_time is not None)
+    assert ("filter_time" in python) == (filter_time is not None)
+    fresh = Session(fl.Study(rig=rig), tmp_path / "fresh")
+    assert "payloads=(0.02, 0.04)" in copies(fresh)["design"]["python"]
 
 
 def test_another_rig_begins_anew(fitted: Session, tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from fraclink._arm.draft import draft_text
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import STRUCTURES
-from fraclink._arm.log_columns import UNITS
+from fraclink._arm.log_columns import UNITS, LogColumns
 from fraclink._arm.rig import Rig
 from fraclink._campaign.stages import examined
 from fraclink._campaign.study import Study
@@ -148,8 +148,8 @@ def _set_columns(session: Session, given: Mapping[str, Any]) -> Reply:
         guessed = guess_columns(read_table(session.source), statements(texts, None), assume=True)
         columns = guessed.columns
         if columns is None:
-            # Nothing is assumed where the columns are stated: a unit that was guessed wrong is a controller
-            # that is wrong.
+            # What is left has no default, such as a unit: a wrong one would be a wrong controller. Questions
+            # with a default are answered by it; the page shows the outcome, and a click turns a sign.
             asked = " ".join(question.text for question in guessed.questions)
             allowed, remedy = "an answer to each question", "drag the channel to its place"
             raise FieldError("columns", ", ".join(texts)[:200], asked, allowed=allowed, remedy=remedy)
@@ -157,7 +157,8 @@ def _set_columns(session: Session, given: Mapping[str, Any]) -> Reply:
     keep = _stretch(given.get("keep"))
     # Without statements those of the rig file, as the command line takes them.
     log = read_log(session.source, columns=columns or rig.log, payload=payload, keep=keep)
-    session.columns, session.payload, session.stretch, session.heldout = tuple(texts), payload, keep, None
+    session.columns = () if columns is None else _statements(columns)
+    session.payload, session.stretch, session.heldout = payload, keep, None
     session.whole = log
     if keep is not None:  # the picture shows what lies beside it, if that can be read
         try:
@@ -171,6 +172,20 @@ def _set_columns(session: Session, given: Mapping[str, Any]) -> Reply:
         head["toml"] = draft_text(rig.name, log.period, columns, {})
     more, signals = _experiment(session)
     return Reply(head | more, signals)
+
+
+def _statements(columns: LogColumns) -> tuple[str, ...]:
+    """The columns as the command line takes them; what was left to a guess is stated, too.
+
+    >>> from fraclink._arm.log_columns import parse_columns
+    >>> _statements(parse_columns(["time=t [s]", "motor_angle=-n * 0.25 [deg]", "torque=g [Nm]"]))
+    ('time=t [s]', 'motor_angle=-n * 0.25 [deg]', 'torque=g [Nm]')
+    """
+    return tuple(
+        f"{role}={'-' if found.sign < 0 else ''}{found.column}"
+        f"{'' if found.scale == 1.0 else f' * {found.scale!r}'} [{found.unit}]"
+        for role, found in columns.channels().items()
+    )
 
 
 def _stretch(given: object) -> tuple[float, float] | None:
