@@ -577,6 +577,9 @@ def test_correlations_are_a_table_in_four_levels() -> None:
         ("overshoot", (("", 0), ("−0.15", 1))),
     ]
     assert fleets.strongest(summary) == ("payload", "gauge_delay")  # type: ignore[arg-type]
+    turned = SimpleNamespace(name="overshoot", drivers=(("gauge_delay", 0.9), ("payload", 0.1)))
+    both = SimpleNamespace(metrics=(turned, summary.metrics[0]))
+    assert fleets.strongest(both) == ("payload", "gauge_delay")  # type: ignore[arg-type]  # of the settling time
     root = tree(fleets.drivers_figure(summary))  # type: ignore[arg-type]
     cells = [r for r in root.iter("rect") if r.get("height") == "22.0"]
     assert [(r.get("class"), r.get("x"), r.get("y")) for r in cells] == [
@@ -983,4 +986,18 @@ def test_the_sketch_of_the_arm_bends_against_its_turn() -> None:
         heads[0] == "M64 70L57 66L57 74z" and "M500 155L496 148L504 148z" in heads
     )  # to the right, and down
     assert heads[-1] == "M74 80L78 87L70 87z" and len(heads) == 10  # up, into the sum
-    assert [t for t in texts(loop_sketch()) if t in ("−", "+")] == ["−", "+"]
+    assert texts(loop_sketch()) == [
+        *(
+            "θt*",
+            "reference",
+            "−",
+            "+",
+            "correction",
+            "k_d s^β, filtered",
+            "motor loop",
+            "hold and delay",
+            "arm",
+        ),
+        *("link and payload", "θm*", "u", "θt", "estimate of the tip: θm − Γ/c"),
+        *("sampled every Ts; the gauge is late and noisy", "θm", "Γ"),
+    ]

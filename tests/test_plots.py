@@ -508,3 +508,18 @@ def test_margins_of_every_kind_have_a_style_of_their_own() -> None:
     assert levels == pytest.approx([0.0, math.degrees(0.5)])
     (shade,) = axis.patches
     assert (shade.get_x(), shade.get_width()) == pytest.approx((20.0, 20.0))
+
+
+def test_no_arrow_bridges_what_is_not_seen() -> None:
+    """Half of the seen length ends where the curve comes back from outside."""
+    from fraclink._show.planes import _arrows
+
+    told: list[Any] = []
+    axis = SimpleNamespace(annotate=lambda text, xy, xytext, arrowprops: told.append((xytext, xy)))
+    inside = np.array([0, 1, 2, 3, 4]) + 0j
+    back = np.array([4j, 3j, 2j, 1j, 0j])
+    _arrows(axis, np.concatenate([inside, [50.0], back]), "red", 10.0)
+    assert told == [((3.0, 0.0), (4.0, 0.0)), ((0.0, 4.0), (0.0, 3.0))]
+    told.clear()
+    _arrows(axis, np.array([0.0, 1.0, 2.0]) + 0j, "red", 10.0)
+    assert told == []  # too few points for a direction

@@ -758,6 +758,13 @@ def test_a_thinned_signal_keeps_every_stretchs_extremes_in_order(count):
     assert (np.diff(places) > 0).all()
 
 
+def test_the_last_stretch_of_a_thinned_signal_has_its_own_extremes():
+    values = np.zeros(4801)
+    values[:2], values[-1] = (-7.0, 9.0), 0.5
+    kept = thinned(values)
+    assert kept[0] == -7.0 and kept[1] == 9.0 and set(kept[2:].tolist()) <= {0.0, 0.5} and 0.5 in kept
+
+
 def test_a_sparkline_fills_its_height():
     assert np.array_equal(_scaled(np.array([2.0, 4.0, 3.0])), [0.0, 1.0, 0.5])
     assert np.array_equal(_scaled(np.full(4, 7.0)), np.full(4, 0.5))

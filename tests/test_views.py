@@ -157,6 +157,8 @@ def test_a_table_that_is_too_wide_folds_its_sentences_and_then_its_columns() -> 
     wide = Table(tuple("abcd"), (tuple(12 * letter for letter in "wxyz"),))
     parts = [part.splitlines()[1].split() for part in table_text(wide, 34).split("\n\n")]
     assert parts == [[12 * "w", 12 * other] for other in "xyz"]  # behind the first column again
+    heads = [part.splitlines()[0].split() for part in table_text(wide, 34).split("\n\n")]
+    assert heads == [["a", "b"], ["a", "c"], ["a", "d"]]
     assert [line.split() for line in table_text(wide, 54).splitlines()][1] == [12 * each for each in "wxyz"]
     parts = [part.splitlines()[1].split() for part in table_text(wide, 53).split("\n\n")]
     assert parts == [[12 * each for each in "wxy"], [12 * "w", 12 * "z"]]
