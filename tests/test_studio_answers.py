@@ -49,7 +49,9 @@ def subject() -> Subject:
 def made(tmp_path_factory: pytest.TempPathFactory) -> Session:
     """A session with a design."""
     found = opened(None, rig=RIG, out=tmp_path_factory.mktemp("made") / "results")
-    found.exact(ASKED)
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(Session, "arm", lambda self, known="": {})  # its engine takes a second to pack
+        found.exact(ASKED)
     return found
 
 
@@ -510,7 +512,10 @@ def test_the_arm_is_sent_once_and_then_only_its_law(made: Session, tmp_path: Pat
     assert Session(fl.Study(rig=RIG), tmp_path).arm("x") == {"arm_key": "", "arm": None}
 
 
-def test_what_was_proved_of_a_design_stays_while_it_is_the_same(made: Session, tmp_path: Path) -> None:
+def test_what_was_proved_of_a_design_stays_while_it_is_the_same(
+    made: Session, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Session, "arm", lambda self, known="": {})
     own = Session(replace(made.study, uncertified="because"), tmp_path)
     own.exact(ASKED)
     assert own.study.uncertified == "because" and own.state == checked_request(ASKED)
@@ -542,7 +547,14 @@ def test_what_a_step_copies_names_the_files_of_the_folder(made: Session, fitted:
     assert told["proof"]["command"] == f"fraclink certify {folder / 'design.json'}"
     assert told["board"]["command"].endswith(f"--out {folder / 'firmware'}")
     assert told["log"]["command"] == "fraclink inspect demo"
+    assert told["log"]["python"] == (
+        'import fraclink as fl\n\nprint(fl.inspect_log(fl.bundled_log("prbs_30g")))'
+    )
+    assert told["channels"]["python"].splitlines()[2] == "rig = fl.Rig.named('paper-2023')"
     assert told["design"]["command"].startswith("fraclink design --rig paper-2023 ")
+    assert "--payload 0.04" in copies(fitted)["move"]["command"]  # no design yet: the rig's heaviest
+    broad = replace(RIG, payloads=replace(RIG.payloads, high=0.05))
+    assert "--payload 0.05" in copies(Session(fl.Study(rig=broad), folder))["move"]["command"]
     of_fit = copies(fitted)
     assert of_fit["model"]["command"].endswith(f"--structure UD-FOM --out {fitted.folder / 'model.json'}")
     assert "fit = fl.identify(log, 'UD-FOM')" in of_fit["model"]["python"]
@@ -1053,13 +1065,22 @@ def test_every_output_names_its_file_and_its_command(made: Session, tmp_path: Pa
     }
     for target, (command, name) in wanted.items():
         answer = outputs.OUTPUT_VERBS["export"](own, {"target": target, "precision": "double"}).head
-        assert (answer["export_command"], answer["target"]) == (command, target)
+        assert (answer["export_command"], answer["target"], answer["ok"]) == (command, target, True)
         assert answer["written"][name] == (out / name).stat().st_size == own.written[name]
         assert answer["board_said"] == f"Written into {out}."
         with pytest.raises(FraclinkError):
             outputs.OUTPUT_VERBS["export"](own, {"target": target})
         outputs.OUTPUT_VERBS["export"](own, {"target": target, "force": True})
     packed = outputs.OUTPUT_VERBS["zip"](own, {}).head["size"]
+    assert all(
+        verb(own, {"precision": "single"}).head["ok"] is True
+        for verb in (
+            outputs.OUTPUT_VERBS["zip"],
+            outputs.OUTPUT_VERBS["board"],
+            logs.LOG_VERBS["log"],
+            logs.LOG_VERBS["model"],
+        )
+    )
     with zipfile.ZipFile(own.draft / "studio.zip") as archive:
         assert sorted(archive.namelist()) == sorted(own.written)
         assert archive.read("arm_law.m") == (out / "arm_law.m").read_bytes()

@@ -29,7 +29,9 @@ def copies(session: Session) -> Copies:
     asked, model = _completed(session), _model(session)
     command = as_command(dict(session.state), rig, model, session.folder / "design.json")
     loaded = f"design = fl.load({design!r})"
-    payload = session.study.design.payloads[1] if session.study.design else 0.04
+    made, known = session.study.design, session.study.rig
+    # With the heaviest, which moves slowest; 40 g is that of the bundled rig.
+    payload = made.payloads[1] if made else known.payloads.high if known else 0.04
     found = {
         "log": (log.words("inspect"), log.lines("print(fl.inspect_log({log}))", rig=False)),
         "channels": (log.words("diagnose", rig), log.lines("log = {read}", "print(fl.diagnose(log, rig))")),
